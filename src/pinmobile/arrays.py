@@ -1,0 +1,141 @@
+"""The array type, angles on the circle, and the one place where arguments are checked."""
+
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pinmobile.errors import InvalidArgument
+
+__all__ = [
+    "Array",
+    "ArrayLike",
+    "finite",
+    "frozen",
+    "non_negative",
+    "positive",
+    "scalar",
+    "vector",
+    "whole",
+    "wrap_angle",
+]
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+def finite(name: str, value: ArrayLike) -> Array:
+    """Return `value` as float64, after refusing what is not made of finite real numbers.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : array_like, any shape
+        The argument.
+
+    Raises
+    ------
+    InvalidArgument
+        If `value` is not numeric, is ragged or complex, or holds NaN or infinity.
+    """
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError):
+        array = np.asarray(None)
+    if array.dtype.kind not in "fiu":
+        raise InvalidArgument(f"{name} is {value!r}, expected real numbers")
+    array = array.astype(np.float64, copy=False)
+    if not np.isfinite(array).all():
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        place = f"[{', '.join(map(str, where))}]" if where else ""
+        raise InvalidArgument(f"{name}{place} is {array[where]}, expected a finite number")
+    return array
+
+
+def vector(name: str, value: ArrayLike, size: int) -> Array:
+    """Return `value` as float64 of shape (..., size).
+
+    Raises
+    ------
+    InvalidArgument
+        If the last axis has another length, or an entry is not finite.
+    """
+    array = finite(name, value)
+    if array.ndim == 0 or array.shape[-1] != size:
+        raise InvalidArgument(f"{name} has shape {array.shape}, expected (..., {size})")
+    return array
+
+
+def scalar(name: str, value: ArrayLike) -> float:
+    """Return `value` as a finite float.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is not one finite real number.
+    """
+    array = finite(name, value)
+    if array.ndim:
+        raise InvalidArgument(f"{name} has shape {array.shape}, expected one number")
+    return float(array)
+
+
+def positive(name: str, value: ArrayLike, unit: str = "") -> float:
+    """Return `value` as a finite float above zero.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is not.
+    """
+    number = scalar(name, value)
+    if not number > 0:
+        raise InvalidArgument(f"{name} is {number}{unit and ' ' + unit}, expected > 0")
+    return number
+
+
+def non_negative(name: str, value: ArrayLike, unit: str = "") -> float:
+    """Return `value` as a finite float of at least zero.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is not.
+    """
+    number = scalar(name, value)
+    if number < 0:
+        raise InvalidArgument(f"{name} is {number}{unit and ' ' + unit}, expected >= 0")
+    return number
+
+
+def whole(name: str, value: Any, *, least: int = 1) -> int:
+    """Return `value` as an int of at least `least`.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is not a whole number, or less.
+    """
+    number = scalar(name, value)
+    if number != int(number) or number < least:
+        raise InvalidArgument(f"{name} is {value!r}, expected a whole number >= {least}")
+    return int(number)
+
+
+def frozen(array: ArrayLike) -> Array:
+    """Return a read-only float64 copy."""
+    copy = np.array(array, dtype=np.float64)
+    copy.setflags(write=False)
+    return copy
+
+
+def wrap_angle(angle: Array) -> Array:
+    """Return the angle on the circle, in (-pi, pi]; one that is already there comes back as it is.
+
+    Parameters
+    ----------
+    angle : ndarray, any shape
+        Angle [rad].
+    """
+    wrapped = np.pi - np.mod(np.pi - angle, 2 * np.pi)
+    return np.where((angle > -np.pi) & (angle <= np.pi), angle, wrapped)

@@ -1,0 +1,217 @@
+"""Controllers: from state and reference to generalised force.
+
+A controller is called as ``controller(t, q, v, reference, state) -> (tau, state)``: it takes its own state
+and returns the next one (None where it has no memory, see `initial_state`). q, v and tau have shape
+(..., n); a reference has the attributes q, v and a of that shape. Those of this module broadcast over
+leading axes.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeAlias
+
+import numpy as np
+
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, wrap_angle
+from pinmobile.errors import InvalidArgument
+
+__all__ = ["PD", "ComputedTorque", "Controller", "Difference", "law", "planar_difference"]
+
+Difference: TypeAlias = Callable[[Array, Array], Array]
+
+
+class State(Protocol):
+    """A configuration, a velocity and an acceleration, each of shape (..., n)."""
+
+    @property
+    def q(self) -> Array:
+        """Configuration."""
+
+    @property
+    def v(self) -> Array:
+        """Velocity."""
+
+    @property
+    def a(self) -> Array:
+        """Acceleration."""
+
+
+class InverseDynamics(Protocol):
+    """What `ComputedTorque` needs of a robot."""
+
+    @property
+    def nv(self) -> int:
+        """Size of v."""
+
+    def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
+        """Return M(q) a + n(q, v)."""
+
+
+class Controller(Protocol):
+    """What `simulate` needs of a controller."""
+
+    def initial_state(self) -> Any:
+        """Return the state to start with; None where there is no memory."""
+
+    def __call__(self, t: float, q: Array, v: Array, reference: Any, state: Any) -> tuple[Array, Any]:
+        """Return the generalised force, shape (..., nu), and the next state."""
+
+
+def planar_difference(q_d: Array, q: Array) -> Array:
+    """Return q_d - q with the difference of the heading on the circle.
+
+    Parameters
+    ----------
+    q_d, q : array_like, shape (..., n), n >= 3
+        Configurations; the third coordinate is psi [rad].
+
+    Returns
+    -------
+    error : ndarray, shape (..., n)
+        Its third coordinate lies in (-pi, pi]. The lecture's own subtraction is `numpy.subtract`.
+    """
+    error = np.subtract(q_d, q)
+    error[..., 2] = wrap_angle(error[..., 2])
+    return error
+
+
+@dataclass(frozen=True, eq=False)
+class PD:
+    """Proportional-derivative control, tau = Kp e + Kd e_dot with e = q_d - q (lecture, section 4).
+
+    Parameters
+    ----------
+    kp, kd : array_like, shape (), (n,) or (n, n)
+        Gains: a scalar, one per coordinate, or a matrix. For a force in N and an error in m, [N/m] and
+        [N s/m].
+    difference : callable
+        ``difference(q_d, q)``: how two configurations are compared. The lecture's is `numpy.subtract`.
+
+    Raises
+    ------
+    InvalidArgument
+        If a gain has another shape or is not finite.
+    """
+
+    kp: Array
+    kd: Array
+    difference: Difference = planar_difference
+
+    def __post_init__(self) -> None:
+        _check_gains(self, None)
+
+    def initial_state(self) -> None:
+        """Return None: there is no memory."""
+
+    def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
+        """Return the generalised force, shape (..., n), and None."""
+        return _feedback(self, q, v, reference), None
+
+
+@dataclass(frozen=True, eq=False)
+class ComputedTorque:
+    """Computed torque, tau = M(q) (a_d + Kd e_dot + Kp e) + n(q, v) (lecture, section 4).
+
+    Parameters
+    ----------
+    robot : MobileRobot
+        The model that the controller believes in; it need not be the one that is simulated.
+    kp, kd : array_like, shape (), (n,) or (n, n)
+        Gains [1/s^2] and [1/s]: a scalar, one per coordinate, or a matrix.
+    difference : callable
+        ``difference(q_d, q)``: how two configurations are compared. The lecture's is `numpy.subtract`.
+
+    Raises
+    ------
+    InvalidArgument
+        If a gain has another shape or is not finite.
+    """
+
+    robot: InverseDynamics
+    kp: Array = 4  # type: ignore[assignment]  # what is given is made an array
+    kd: Array = 4  # type: ignore[assignment]
+    difference: Difference = planar_difference
+
+    def __post_init__(self) -> None:
+        if not hasattr(self.robot, "inverse_dynamics"):
+            raise InvalidArgument(f"robot is {self.robot!r}, expected a MobileRobot")
+        _check_gains(self, self.robot.nv)
+
+    def initial_state(self) -> None:
+        """Return None: there is no memory."""
+
+    def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
+        """Return the generalised force, shape (..., n), and None."""
+        command = reference.a + _feedback(self, q, v, reference)
+        return self.robot.inverse_dynamics(q, v, command), None
+
+
+@dataclass(frozen=True)
+class _Law:
+    function: Callable[[float, Array, Array, Any], ArrayLike]
+
+    def initial_state(self) -> None:
+        """Return None: there is no memory."""
+
+    def __call__(self, t: float, q: Array, v: Array, reference: Any, state: None) -> tuple[Array, None]:
+        """Return what the function returns, and None."""
+        return np.asarray(self.function(t, q, v, reference), np.float64), None
+
+
+def law(function: Callable[[float, Array, Array, Any], ArrayLike]) -> Controller:
+    """Return a controller without memory made of a plain function.
+
+    Parameters
+    ----------
+    function : callable
+        ``function(t, q, v, reference) -> tau``, with `reference` a `Reference`.
+
+    Raises
+    ------
+    InvalidArgument
+        If it cannot be called.
+    """
+    if not callable(function):
+        raise InvalidArgument(f"function is {function!r}, expected a function of t, q, v and reference")
+    return _Law(function)
+
+
+def gain_matrix(name: str, gain: ArrayLike, n: int) -> Array:
+    """Return a gain as a matrix.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    gain : array_like, shape (), (n,) or (n, n)
+        The gain.
+    n : int
+        Number of coordinates.
+
+    Raises
+    ------
+    InvalidArgument
+        If the gain has another shape.
+    """
+    array = finite(name, gain)
+    if array.shape not in ((), (n,), (n, n)):
+        raise InvalidArgument(f"{name} has shape {array.shape}, expected (), ({n},) or ({n}, {n})")
+    return array if array.ndim == 2 else np.diag(np.broadcast_to(array, n))
+
+
+def _check_gains(controller: PD | ComputedTorque, n: int | None) -> None:
+    for name in ("kp", "kd"):
+        gain = finite(name, getattr(controller, name))
+        if n is None and (gain.ndim > 2 or (gain.ndim == 2 and gain.shape[0] != gain.shape[1])):
+            raise InvalidArgument(f"{name} has shape {gain.shape}, expected (), (n,) or (n, n)")
+        if n is not None:
+            gain_matrix(name, gain, n)
+        object.__setattr__(controller, name, frozen(gain))
+    if not callable(controller.difference):
+        raise InvalidArgument(f"difference is {controller.difference!r}, expected a function of q_d and q")
+
+
+def _feedback(controller: PD | ComputedTorque, q: Array, v: Array, reference: State) -> Array:
+    error, rate = controller.difference(reference.q, q), np.subtract(reference.v, v)
+    kp, kd = (gain_matrix(name, getattr(controller, name), rate.shape[-1]) for name in ("kp", "kd"))
+    return error @ kp.T + rate @ kd.T

@@ -1,0 +1,205 @@
+"""Modified-DH rows, transforms and tables, and the lecture's two tables of the same robot."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import Enum
+from math import cos, pi, sin
+
+import numpy as np
+
+from pinmobile.arrays import Array, ArrayLike, scalar, vector
+from pinmobile.errors import InvalidArgument
+
+__all__ = ["LECTURE_TABLE", "SLIDE_TABLE", "DHRow", "DHTable", "JointType", "transform"]
+
+
+class JointType(Enum):
+    """What a joint variable adds to: `d` of its row (prismatic) or `theta` (revolute)."""
+
+    PRISMATIC = "prismatic"
+    REVOLUTE = "revolute"
+
+
+@dataclass(frozen=True)
+class DHRow:
+    """One row of a modified-DH table (Craig's form), with the joint variable at zero.
+
+    The transform of the row is RotX(alpha) TransX(a) RotZ(theta) TransZ(d): the pose of frame k in
+    frame k - 1. The joint variable is added to `d` of a prismatic joint, to `theta` of a revolute one,
+    so that the joint always acts along or about z_k.
+
+    Parameters
+    ----------
+    alpha : float
+        Link twist alpha_{k-1} [rad].
+    a : float
+        Link length a_{k-1} [m].
+    theta : float
+        Joint angle theta_k [rad], without the variable.
+    d : float
+        Joint offset d_k [m], without the variable.
+    joint : JointType
+        Which of `d` and `theta` varies.
+    variable : str
+        Name of the joint variable, such as ``"psi"``.
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not finite, or `joint` is not a `JointType`.
+    """
+
+    alpha: float
+    a: float
+    theta: float
+    d: float
+    joint: JointType
+    variable: str
+
+    def __post_init__(self) -> None:
+        for name in ("alpha", "a", "theta", "d"):
+            object.__setattr__(self, name, scalar(name, getattr(self, name)))
+        if not isinstance(self.joint, JointType):
+            raise InvalidArgument(f"joint is {self.joint!r}, expected a JointType")
+        if not isinstance(self.variable, str) or not self.variable.isidentifier():
+            raise InvalidArgument(f"variable is {self.variable!r}, expected a name")
+
+
+@dataclass(frozen=True)
+class DHTable:
+    """A serial chain: its rows, from the ground outwards.
+
+    Everywhere in this class `q` holds the joint variables in the order of the rows. For the lecture's
+    tables that is (y, x, psi); the rest of the library says (x, y, psi).
+
+    Parameters
+    ----------
+    rows : sequence of DHRow, length n >= 1
+        The table. Variable names must differ.
+
+    Raises
+    ------
+    InvalidArgument
+        If there is no row, a row is not a `DHRow`, or two rows share a variable.
+    """
+
+    rows: tuple[DHRow, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rows", tuple(self.rows))
+        if not self.rows or not all(isinstance(row, DHRow) for row in self.rows):
+            raise InvalidArgument(f"rows is {self.rows!r}, expected one DHRow or more")
+        if len(set(self.variables)) != len(self.rows):
+            raise InvalidArgument(f"rows have variables {self.variables}, expected distinct names")
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __iter__(self) -> Iterator[DHRow]:
+        return iter(self.rows)
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """Names of the joint variables, in the order of the rows."""
+        return tuple(row.variable for row in self.rows)
+
+    def transforms(self, q: ArrayLike) -> Array:
+        """Return the transform of every row.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., n)
+            Joint variables in the order of the rows [m or rad].
+
+        Returns
+        -------
+        T : ndarray, shape (..., n, 4, 4)
+            ``T[..., k - 1, :, :]`` is the pose of frame k in frame k - 1.
+
+        Raises
+        ------
+        InvalidArgument
+            If `q` has another last axis or is not finite.
+        """
+        q = vector("q", q, len(self))
+        local = [
+            transform(row.alpha, row.a, row.theta, row.d + q[..., k])
+            if row.joint is JointType.PRISMATIC
+            else transform(row.alpha, row.a, row.theta + q[..., k], row.d)
+            for k, row in enumerate(self.rows)
+        ]
+        return np.stack(local, axis=-3)
+
+    def placements(self, q: ArrayLike) -> Array:
+        """Return the pose of every frame in the ground frame.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., n)
+            Joint variables in the order of the rows [m or rad].
+
+        Returns
+        -------
+        T : ndarray, shape (..., n, 4, 4)
+            ``T[..., k - 1, :, :]`` is T_0_k, the product of the first k transforms.
+
+        Raises
+        ------
+        InvalidArgument
+            If `q` has another last axis or is not finite.
+        """
+        placements = self.transforms(q)
+        for k in range(1, len(self)):
+            placements[..., k, :, :] = placements[..., k - 1, :, :] @ placements[..., k, :, :]
+        return placements
+
+
+def transform(alpha: float, a: float, theta: ArrayLike, d: ArrayLike) -> Array:
+    """Return RotX(alpha) TransX(a) RotZ(theta) TransZ(d).
+
+    Parameters
+    ----------
+    alpha, a : float
+        Link twist [rad] and length [m].
+    theta, d : array_like, shape (...)
+        Joint angle [rad] and offset [m]; broadcast against each other.
+
+    Returns
+    -------
+    T : ndarray, shape (..., 4, 4)
+        Homogeneous transform (Craig, Introduction to Robotics, 3rd ed. 2005, eq. 3.6).
+    """
+    theta, d = np.broadcast_arrays(np.asarray(theta, np.float64), np.asarray(d, np.float64))
+    c, s, ca, sa = (_exact(value) for value in (np.cos(theta), np.sin(theta), cos(alpha), sin(alpha)))
+    T = np.zeros((*theta.shape, 4, 4))
+    T[..., 0, 0], T[..., 0, 1], T[..., 0, 3] = c, -s, a
+    T[..., 1, 0], T[..., 1, 1], T[..., 1, 2], T[..., 1, 3] = s * ca, c * ca, -sa, -d * sa
+    T[..., 2, 0], T[..., 2, 1], T[..., 2, 2], T[..., 2, 3] = s * sa, c * sa, ca, d * ca
+    T[..., 3, 3] = 1.0
+    return T
+
+
+def _exact(value: ArrayLike) -> Array:
+    """Return the value with what rounding leaves of a zero, such as cos(pi / 2) = 6e-17, put back to 0."""
+    value = np.asarray(value)
+    return np.where(np.abs(value) < _ROUNDED_ZERO, 0.0, value)
+
+
+_ROUNDED_ZERO = 2 * np.finfo(np.float64).eps
+
+
+def _planar(*angles: tuple[float, float]) -> DHTable:
+    joints = (JointType.PRISMATIC, JointType.PRISMATIC, JointType.REVOLUTE)
+    return DHTable(
+        tuple(
+            DHRow(alpha, 0.0, theta, 0.0, joint, name)
+            for (alpha, theta), joint, name in zip(angles, joints, ("y", "x", "psi"), strict=True)
+        )
+    )
+
+
+LECTURE_TABLE = _planar((3 * pi / 2, 3 * pi / 2), (3 * pi / 2, pi / 2), (pi / 2, pi / 2))
+"""The table of the lecture's script: prismatic y, prismatic x, revolute psi."""
+
+SLIDE_TABLE = _planar((3 * pi / 2, 3 * pi / 2), (3 * pi / 2, 3 * pi / 2), (3 * pi / 2, 3 * pi / 2))
+"""The table of the lecture's slide: other intermediate frames, the same pose of the body."""

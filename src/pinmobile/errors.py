@@ -1,0 +1,64 @@
+"""Every error that pinmobile raises on purpose."""
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+from typing import Any
+
+__all__ = ["Diverged", "InvalidArgument", "PinmobileError", "UnknownName", "ViewerError"]
+
+
+class PinmobileError(Exception):
+    """Base of all errors raised by pinmobile."""
+
+
+class InvalidArgument(PinmobileError, ValueError):
+    """An argument is not what is expected; the message names it, what came and what was expected."""
+
+
+class UnknownName(PinmobileError, KeyError):
+    """A name is not among those there are; the message lists them, the nearest first.
+
+    Parameters
+    ----------
+    kind : str
+        What is named, such as ``"trajectory"``.
+    name : str
+        The name that came.
+    available : iterable of str
+        The names there are.
+    """
+
+    def __init__(self, kind: str, name: str, available: Iterable[str]) -> None:
+        self.kind, self.name, self.available = kind, name, tuple(available)
+        near = get_close_matches(name, self.available, n=3)
+        rest = [known for known in self.available if known not in near]
+        super().__init__(f"unknown {kind} {name!r}, available: {', '.join(near + rest)}")
+
+    def __str__(self) -> str:
+        # KeyError would show the repr of the message.
+        return str(self.args[0])
+
+    def __reduce__(self) -> tuple[type["UnknownName"], tuple[str, str, tuple[str, ...]]]:
+        return type(self), (self.kind, self.name, self.available)
+
+
+class Diverged(PinmobileError, ArithmeticError):
+    """A simulation left the finite numbers, or its error the limit.
+
+    Attributes
+    ----------
+    time : float
+        Time of the first sample that is not acceptable [s].
+    q, v : ndarray
+        Configuration and velocity at that time.
+    rollout : Rollout or None
+        Everything recorded before that time; None where the first sample is already beyond the limit.
+    """
+
+    def __init__(self, message: str, *, time: float, q: Any, v: Any, rollout: Any = None) -> None:
+        super().__init__(message)
+        self.time, self.q, self.v, self.rollout = time, q, v, rollout
+
+
+class ViewerError(PinmobileError, RuntimeError):
+    """The viewer cannot do what was asked."""

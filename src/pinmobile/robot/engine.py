@@ -1,0 +1,87 @@
+"""Pinocchio on the DH chain for one configuration at a time, and the order of the coordinates.
+
+This is the one place that knows that the chain's first joint is y while the library says x first.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+import pinocchio as pin
+
+from pinmobile.arrays import Array
+from pinmobile.dh import DHTable, JointType
+from pinmobile.urdf import Body
+
+__all__ = ["Engine", "build_model"]
+
+_BODY_LINK = "base_link"
+
+
+def build_model(table: DHTable, body: Body, name: str) -> pin.Model:
+    """Return the chain with the body on its last link as a Pinocchio model.
+
+    It is the model that Pinocchio reads from `urdf.write`, but with rotations that are exact where the
+    table's angles are multiples of pi / 2, so that gravity does not leak into the plane.
+    """
+    model = pin.Model()
+    model.name = name
+    parent = 0
+    for row, placement in zip(table, table.transforms(np.zeros(len(table))), strict=True):
+        joint = pin.JointModelPZ() if row.joint is JointType.PRISMATIC else pin.JointModelRZ()
+        parent = model.addJoint(parent, joint, pin.SE3(placement), row.variable)
+        model.addJointFrame(parent)
+    model.appendBodyToJoint(parent, pin.Inertia(body.mass, body.com, body.inertia), pin.SE3.Identity())
+    model.addBodyFrame(_BODY_LINK, parent, pin.SE3.Identity(), -1)
+    return model
+
+
+class Engine:
+    """Unchecked Pinocchio calls for one configuration, in the order of the chain.
+
+    Not for several threads at once: Pinocchio writes into one `pin.Data`.
+
+    Parameters
+    ----------
+    model : pin.Model
+        Chain whose first two joints are prismatic y and prismatic x.
+    """
+
+    def __init__(self, model: pin.Model) -> None:
+        self.model, self.data = model, model.createData()
+        # Public index of each coordinate of the chain. Swapping two, it is its own inverse.
+        self.order = np.arange(model.nv)
+        self.order[:2] = 1, 0
+
+    def reorder(self, array: Array) -> Array:
+        """Return an array (..., nv) in chain order from public order, or the other way round."""
+        return array[..., self.order]
+
+    def inverse(self, q: Array, v: Array, a: Array) -> Array:
+        """Return tau by RNEA."""
+        return pin.rnea(self.model, self.data, q, v, a)  # type: ignore[no-any-return]
+
+    def forward(self, q: Array, v: Array, tau: Array) -> Array:
+        """Return the acceleration by ABA."""
+        return pin.aba(self.model, self.data, q, v, tau)  # type: ignore[no-any-return]
+
+    def each(self, function: Callable[..., Array], *arguments: Array) -> Array:
+        """Call `function(model, data, *row)` for each row of the arguments, in chain order.
+
+        Leading axes broadcast; what comes back is stacked along them, still in chain order.
+        """
+        lead = np.broadcast_shapes(*(argument.shape[:-1] for argument in arguments))
+        rows = [
+            self.reorder(np.broadcast_to(argument, (*lead, argument.shape[-1]))).reshape(
+                -1, argument.shape[-1]
+            )
+            for argument in arguments
+        ]
+        count = rows[0].shape[0]
+        if count == 0:
+            shape = np.asarray(
+                function(self.model, self.data, *(np.zeros(row.shape[1]) for row in rows))
+            ).shape
+            return np.empty((*lead, *shape))
+        # A copy: Pinocchio hands out views of its data.
+        results = [np.array(function(self.model, self.data, *row)) for row in zip(*rows, strict=True)]
+        return np.stack(results).reshape(*lead, *results[0].shape)

@@ -1,0 +1,212 @@
+"""What a pin.Model or a URDF says of a mobile robot: its chain, its body, and what was taken for them."""
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pinocchio as pin
+
+from pinmobile.arrays import Array
+from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable
+from pinmobile.errors import InvalidArgument
+from pinmobile.urdf import Body
+
+__all__ = ["Reading", "read_model", "read_urdf"]
+
+_ALIGNED = 1e-5  # an axis written with six digits or more counts as aligned
+_MASSLESS = 1e-9  # of the body's mass
+_CHAIN = (("prismatic", (0, 1, 0)), ("prismatic", (1, 0, 0)), ("revolute", (0, 0, 1)))
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What was read.
+
+    Parameters
+    ----------
+    table : DHTable
+        The chain.
+    body : Body
+        Everything that rides on it, as one body.
+    size : tuple of 3 floats
+        Length, width and height of a box to draw [m].
+    source : str
+        What was taken from where, in words.
+    """
+
+    table: DHTable
+    body: Body
+    size: tuple[float, float, float]
+    source: str
+
+
+def read_urdf(path: Path) -> Reading:
+    """Read a URDF that is the chain with its body, or a bare base.
+
+    Raises
+    ------
+    InvalidArgument
+        If there is no such file, it is no URDF, or it is neither of the two.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidArgument(f"path is {str(path)!r}, which cannot be read: {error}") from None
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise InvalidArgument(f"{path.name} is not well-formed XML: {error}") from None
+    if root.tag != "robot" or root.find("link") is None:
+        raise InvalidArgument(f"{path.name} is not a URDF: expected a <robot> with links, got <{root.tag}>")
+    try:
+        model = pin.buildModelFromXML(text)
+    except (ValueError, RuntimeError) as error:
+        raise InvalidArgument(f"{path.name} is not a URDF that Pinocchio reads: {error}") from None
+    return read_model(model, path.name, _largest_box(root))
+
+
+def read_model(model: pin.Model, name: str, size: tuple[float, float, float] | None = None) -> Reading:
+    """Read a model that is the chain with its body, or a bare base (with a planar or free root, or none).
+
+    Raises
+    ------
+    InvalidArgument
+        If it is neither; the message names the joint that is wrong.
+    """
+    data = model.createData()
+    q = pin.neutral(model)
+    pin.computeJointJacobians(model, data, q)
+    if _starts_with_slides(model):
+        table = _chain_table(model, data, name)
+        # Frames of neither table: B is then the frame that coincides with the ground's at rest.
+        root, base = 3, data.oMi[3] if table else pin.SE3.Identity()
+        how = f"is the chain ({', '.join(model.names[1:4])})"
+    else:
+        table = None
+        root = 1 if model.njoints > 1 and _is_floating(model, 1) else 0
+        base = data.oMi[root]
+        how = "is a bare base, put on the chain (y, x, psi)"
+    locked = _locked(model, root, name)
+    body = _lump(model, data, base, [root, *locked], name)
+    parts = [f"{name} {how}"]
+    if locked:
+        parts.append(f"locked at rest: {', '.join(model.names[j] for j in locked)}")
+    parts.append(
+        f"mass {body.mass:.6g} kg, centre of mass ({', '.join(f'{c:.4g}' for c in body.com)}) m, "
+        f"yaw inertia {body.yaw_inertia:.6g} kg m^2"
+    )
+    if size is None:
+        size = _box_of_inertia(body)
+        parts.append("size of the box with the same mass and inertia")
+    return Reading(table or LECTURE_TABLE, body, size, "; ".join(parts))
+
+
+def _starts_with_slides(model: pin.Model) -> bool:
+    """Tell whether the model is meant as the chain: three joints in series, a prismatic one among them."""
+    if model.njoints < 4 or [model.parents[j] for j in (1, 2, 3)] != [0, 1, 2]:
+        return False
+    return any("JointModelP" in _kind(model, j) and model.nvs[j] == 1 for j in (1, 2, 3))
+
+
+def _kind(model: pin.Model, joint: int) -> str:
+    return str(model.joints[joint].shortname())
+
+
+def _is_floating(model: pin.Model, joint: int) -> bool:
+    alone = sum(parent == 0 for parent in list(model.parents)[1:]) == 1
+    return alone and re.match("JointModel(FreeFlyer|Planar)", _kind(model, joint)) is not None
+
+
+def _chain_table(model: pin.Model, data: pin.Data, name: str) -> DHTable | None:
+    """Check that each joint is the one expected, and return the table whose frames they have, if any."""
+    for joint, (kind, axis) in enumerate(_CHAIN, start=1):
+        expected = f"expected a {kind} one along {axis}: joint {joint} of y, x, psi"
+        if model.nvs[joint] != 1:
+            raise InvalidArgument(
+                f"{name}: joint {model.names[joint]!r} is a {_kind(model, joint)}, {expected}"
+            )
+        column = pin.getJointJacobian(model, data, joint, pin.WORLD)[:, model.idx_vs[joint]]
+        is_kind = "revolute" if np.linalg.norm(column[3:]) > 0.5 else "prismatic"
+        got = column[3:] if is_kind == "revolute" else column[:3]
+        if is_kind != kind or np.abs(got - axis).max() > _ALIGNED:
+            listed = ", ".join(f"{x:.4g}" for x in got.round(9) + 0.0)
+            raise InvalidArgument(
+                f"{name}: joint {model.names[joint]!r} is {is_kind} along ({listed}), {expected}"
+            )
+        if np.abs(column[:3] - (axis if kind == "prismatic" else 0)).max() > _ALIGNED:
+            raise InvalidArgument(
+                f"{name}: the axis of joint {model.names[joint]!r} does not pass through the origin when all "
+                "joints are at zero, expected that it does"
+            )
+    frames = np.stack([data.oMi[k].homogeneous for k in (1, 2, 3)])
+    for table in (LECTURE_TABLE, SLIDE_TABLE):
+        if np.abs(frames - table.placements(np.zeros(3))).max() <= _ALIGNED:
+            return table
+    return None
+
+
+def _locked(model: pin.Model, root: int, name: str) -> list[int]:
+    """Return the joints to lock: wheels and what only carries wheels. Refuse any other."""
+    above = range(root + 1, model.njoints)
+    children = {j: [k for k in above if model.parents[k] == j] for j in above}
+
+    def is_wheel(joint: int) -> bool:
+        endless = "RevoluteUnbounded" in _kind(model, joint) or "RUB" in _kind(model, joint)
+        return endless and not children[joint]
+
+    for joint in above:
+        on_base = model.parents[joint] == root
+        carries_wheels = bool(children[joint]) and all(map(is_wheel, children[joint]))
+        if not (is_wheel(joint) or (on_base and carries_wheels and model.nvs[joint] == 1)):
+            raise InvalidArgument(
+                f"{name}: joint {model.names[joint]!r} ({_kind(model, joint)}) is neither a wheel "
+                "(continuous, nothing moves on it) nor a suspension or swivel that carries only wheels; "
+                "expected a bare base, or the chain prismatic y, prismatic x, revolute z with one body"
+            )
+    return list(above)
+
+
+def _lump(model: pin.Model, data: pin.Data, base: pin.SE3, joints: Iterable[int], name: str) -> Body:
+    """Return all that is on the joints as one body, seen from the base at rest."""
+    total = pin.Inertia.Zero()
+    for joint in joints:
+        if data.oMi[joint] == base:  # to the last digit, then
+            total += model.inertias[joint]
+        else:
+            total += (base.inverse() * data.oMi[joint]).act(model.inertias[joint])
+    if not total.mass > 0:
+        raise InvalidArgument(f"{name}: the body has mass {total.mass} kg, expected > 0")
+    for joint in (1, 2):
+        on_the_way = joint not in joints and model.njoints > joint
+        if on_the_way and model.inertias[joint].mass > _MASSLESS * total.mass:
+            raise InvalidArgument(
+                f"{name}: joint {model.names[joint]!r} moves a link of {model.inertias[joint].mass:.6g} kg, "
+                "expected a massless virtual link"
+            )
+    try:
+        return Body(total.mass, total.lever, total.inertia)
+    except InvalidArgument as error:
+        raise InvalidArgument(f"{name}: {error}") from None
+
+
+def _largest_box(root: ElementTree.Element) -> tuple[float, float, float] | None:
+    """Return the size of the largest box that the file shows, if it shows one."""
+    sizes: list[tuple[float, float, float]] = []
+    for box in root.iterfind("./link/visual/geometry/box"):
+        try:
+            x, y, z = (float(word) for word in box.get("size", "").split())
+        except ValueError:
+            continue
+        sizes.append((x, y, z))
+    return max(sizes, key=lambda size: size[0] * size[1] * size[2], default=None)
+
+
+def _box_of_inertia(body: Body) -> tuple[float, float, float]:
+    """Return the sides of the homogeneous box with this mass and these moments about x, y and z."""
+    moments: Array = np.diag(body.inertia)
+    squares = 6 / body.mass * (moments.sum() - 2 * moments)
+    x, y, z = np.sqrt(np.maximum(squares, 1e-4))
+    return float(x), float(y), float(z)

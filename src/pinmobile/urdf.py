@@ -1,0 +1,167 @@
+"""A DH chain and the rigid body that it carries, as URDF text."""
+
+from dataclasses import dataclass
+from math import atan2, hypot
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, vector
+from pinmobile.dh import DHTable, JointType, transform
+from pinmobile.errors import InvalidArgument
+
+__all__ = ["Body", "box_inertia", "write"]
+
+_INERTIA_ROUNDING = 1e-9  # files carry eight digits or so: a broken triangle is one broken by more
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A rigid body in its own frame B.
+
+    Parameters
+    ----------
+    mass : float
+        Mass [kg], above zero.
+    com : array_like, shape (3,)
+        Centre of mass in B [m].
+    inertia : array_like, shape (3, 3)
+        Rotational inertia about the centre of mass, along the axes of B [kg m^2].
+
+    Raises
+    ------
+    InvalidArgument
+        If no rigid body has these: a mass or a principal moment that is not positive where it must be,
+        or principal moments that break the triangle inequality.
+    """
+
+    mass: float
+    com: Array
+    inertia: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "mass", positive("mass", self.mass, "kg"))
+        com, inertia = vector("com", self.com, 3), finite("inertia", self.inertia)
+        if com.shape != (3,) or inertia.shape != (3, 3):
+            raise InvalidArgument(
+                f"com and inertia have shapes {com.shape} and {inertia.shape}, expected (3,) and (3, 3)"
+            )
+        slack = _INERTIA_ROUNDING * np.abs(inertia).max()
+        if np.abs(inertia - inertia.T).max() > slack:
+            raise InvalidArgument(f"inertia is not symmetric: {inertia.tolist()}")
+        moments = np.linalg.eigvalsh(inertia)
+        if moments[0] < -slack or moments[2] > moments[0] + moments[1] + slack or inertia[2, 2] <= 0:
+            listed = ", ".join(f"{moment:.6g}" for moment in moments)
+            raise InvalidArgument(
+                f"inertia has principal moments ({listed}) kg m^2, which no rigid body has: expected each "
+                ">= 0, none above the sum of the other two, and the yaw inertia > 0"
+            )
+        object.__setattr__(self, "com", frozen(com))
+        object.__setattr__(self, "inertia", frozen((inertia + inertia.T) / 2))
+
+    @property
+    def yaw_inertia(self) -> float:
+        """Inertia about the vertical through the centre of mass [kg m^2]."""
+        return float(self.inertia[2, 2])
+
+
+def box_inertia(mass: float, size: ArrayLike) -> Array:
+    """Return the inertia of a homogeneous box about its centre [kg m^2].
+
+    Parameters
+    ----------
+    mass : float
+        Mass [kg].
+    size : array_like, shape (3,)
+        Length, width and height along x, y and z [m].
+
+    Returns
+    -------
+    inertia : ndarray, shape (3, 3)
+        ``diag(w^2 + h^2, l^2 + h^2, l^2 + w^2) m / 12``.
+    """
+    squares = np.square(vector("size", size, 3))
+    return np.diag(positive("mass", mass, "kg") / 12 * (squares.sum() - squares))
+
+
+def write(table: DHTable, body: Body, *, size: ArrayLike, name: str = "pinmobile") -> str:
+    """Return the chain with the body on its last link as URDF text.
+
+    Every joint frame of the text is the DH frame of its row; the joint moves along or about its z. All
+    links but the last are massless.
+
+    Parameters
+    ----------
+    table : DHTable
+        The chain, n rows.
+    body : Body
+        The body on the last link.
+    size : array_like, shape (3,)
+        Length, width and height of the box that shows the body [m]; it stands on the plane z = 0.
+    name : str
+        Name of the robot.
+
+    Returns
+    -------
+    text : str
+        URDF with links ``ground``, ``virtual_1``, ..., ``base_link`` and one joint per row, named after
+        its variable. Numbers are written so that they are read back exactly.
+    """
+    links = ["ground", *(f"virtual_{k}" for k in range(1, len(table))), "base_link"]
+    lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(name)}>"]
+    lines += [f'  <link name="{link}"/>' for link in links[:-1]]
+    lines += _body_lines(links[-1], body, vector("size", size, 3))
+    for row, parent, child in zip(table, links, links[1:], strict=False):
+        # RotZ and TransZ commute, so the variable may come last whichever of the two it belongs to.
+        T = transform(row.alpha, row.a, row.theta, row.d)
+        lines += [
+            f'  <joint name="{row.variable}" type="{_URDF_TYPE[row.joint]}">',
+            f'    <parent link="{parent}"/>',
+            f'    <child link="{child}"/>',
+            f'    <origin xyz="{_text(T[:3, 3])}" rpy="{_text(_roll_pitch_yaw(T[:3, :3]))}"/>',
+            '    <axis xyz="0 0 1"/>',
+            f'    <limit lower="-{_FAR}" upper="{_FAR}" effort="{_FAR}" velocity="{_FAR}"/>',
+            "  </joint>",
+        ]
+    return "\n".join([*lines, "</robot>", ""])
+
+
+# A continuous joint would become Pinocchio's (cos, sin) pair; psi is to stay a plain angle.
+_URDF_TYPE = {JointType.PRISMATIC: "prismatic", JointType.REVOLUTE: "revolute"}
+_FAR = "1e9"
+
+
+def _body_lines(link: str, body: Body, size: Array) -> list[str]:
+    i = body.inertia
+    return [
+        f'  <link name="{link}">',
+        "    <inertial>",
+        f'      <origin xyz="{_text(body.com)}"/>',
+        f'      <mass value="{body.mass!r}"/>',
+        f'      <inertia ixx="{_number(i[0, 0])}" ixy="{_number(i[0, 1])}" ixz="{_number(i[0, 2])}"'
+        f' iyy="{_number(i[1, 1])}" iyz="{_number(i[1, 2])}" izz="{_number(i[2, 2])}"/>',
+        "    </inertial>",
+        "    <visual>",
+        f'      <origin xyz="{_text([0, 0, size[2] / 2])}"/>',
+        f'      <geometry><box size="{_text(size)}"/></geometry>',
+        '      <material name="body"><color rgba="0.90 0.62 0.00 1"/></material>',
+        "    </visual>",
+        "  </link>",
+    ]
+
+
+def _number(value: float) -> str:
+    return repr(float(value) + 0.0)  # + 0.0 turns -0.0 into 0.0
+
+
+def _text(values: ArrayLike) -> str:
+    return " ".join(_number(value) for value in np.asarray(values, np.float64))
+
+
+def _roll_pitch_yaw(R: Array) -> tuple[float, float, float]:
+    """Return the angles of RotZ(yaw) RotY(pitch) RotX(roll); at a pitch of +-pi/2 the yaw is 0."""
+    level = hypot(R[0, 0], R[1, 0])
+    pitch = atan2(-R[2, 0], level)
+    if level < 1e-12:
+        return atan2(-R[1, 2], R[1, 1]), pitch, 0.0
+    return atan2(R[2, 1], R[2, 2]), pitch, atan2(R[1, 0], R[0, 0])
