@@ -96,16 +96,6 @@ class MobileRobot:
         }.items():
             object.__setattr__(self, name, value)
 
-    @classmethod
-    def _of(
-        cls, body: urdf.Body, size: tuple[float, float, float], dh: DHTable, source: str
-    ) -> "MobileRobot":
-        robot = object.__new__(cls)
-        for name, value in {"size": size, "dh": dh, "source": source}.items():
-            object.__setattr__(robot, name, value)
-        robot._take(body)
-        return robot
-
     def __repr__(self) -> str:
         table = "" if self.dh == LECTURE_TABLE else f", dh={self.dh!r}"
         return (
@@ -124,7 +114,7 @@ class MobileRobot:
 
     def __reduce__(self) -> tuple[object, ...]:
         # A pin.Data is not worth keeping: it is made again from the parameters.
-        return MobileRobot._of, (self.body, self.size, self.dh, self.source)
+        return MobileRobot.from_body, (self.body, self.size, self.dh, self.source)
 
     @classmethod
     def lecture(cls) -> "MobileRobot":
@@ -147,7 +137,7 @@ class MobileRobot:
         """
         height = vector("size", size, 3)[2]
         body = urdf.Body(mass, np.array([0, 0, height / 2]), urdf.box_inertia(mass, size))
-        return cls._of(body, size, LECTURE_TABLE, "a homogeneous box")
+        return cls.from_body(body, size, LECTURE_TABLE, "a homogeneous box")
 
     @classmethod
     def from_urdf(
@@ -177,7 +167,7 @@ class MobileRobot:
             if not Path(folder).is_dir():
                 raise InvalidArgument(f"package_dirs has {str(folder)!r}, expected a folder")
         reading = read_urdf(Path(path))
-        return cls._of(reading.body, reading.size, reading.table, reading.source)
+        return cls.from_body(reading.body, reading.size, reading.table, reading.source)
 
     @classmethod
     def from_model(cls, pin_model: pin.Model) -> "MobileRobot":
@@ -196,7 +186,32 @@ class MobileRobot:
         if not isinstance(pin_model, pin.Model):
             raise InvalidArgument(f"pin_model is a {type(pin_model).__name__}, expected a pinocchio.Model")
         reading = read_model(pin_model, pin_model.name or "the model")
-        return cls._of(reading.body, reading.size, reading.table, reading.source)
+        return cls.from_body(reading.body, reading.size, reading.table, reading.source)
+
+    @classmethod
+    def from_body(
+        cls,
+        body: urdf.Body,
+        size: tuple[float, float, float] = (0.6, 0.4, 0.2),
+        dh: DHTable = LECTURE_TABLE,
+        source: str = "made from a body",
+    ) -> "MobileRobot":
+        """Return the robot whose body, with all six moments of inertia, is given.
+
+        Parameters
+        ----------
+        body : pinmobile.urdf.Body
+            Mass, centre of mass and inertia.
+        size, dh
+            As in the class.
+        source : str
+            Where the numbers come from, in words.
+        """
+        robot = object.__new__(cls)
+        for name, value in {"size": size, "dh": dh, "source": source}.items():
+            object.__setattr__(robot, name, value)
+        robot._take(body)
+        return robot
 
     @property
     def model(self) -> pin.Model:
@@ -281,7 +296,7 @@ class MobileRobot:
     def forward_dynamics_derivatives(
         self, q: ArrayLike, v: ArrayLike, tau: ArrayLike
     ) -> tuple[Array, Array, Array]:
-        """Return da/dq, da/dv, da/dtau = M^-1, each of shape (..., nv, nv), by Pinocchio's derivatives of ABA."""
+        """Return da/dq, da/dv, da/dtau = M^-1, each (..., nv, nv), by Pinocchio's ABA derivatives."""
 
         def derivatives(model: pin.Model, data: pin.Data, q: Array, v: Array, tau: Array) -> Array:
             return np.stack(pin.computeABADerivatives(model, data, q, v, tau))

@@ -1,0 +1,44 @@
+# `make demo` and `make test` do their own set-up in .venv; PYTHON chooses the interpreter it is made from.
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint bench clean
+
+help: ## say what there is
+	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/'
+
+demo: $(BIN)/.installed ## the whole lecture: derivation, verification, six runs, figures under out/
+	$(BIN)/pinmobile lecture
+
+test: $(BIN)/.installed-test ## all tests
+	$(BIN)/python -m pytest $(ARGS)
+
+lint: $(BIN)/.installed-lint ## ruff and mypy
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: $(BIN)/.installed-test ## speed beside the peers that are installed, as ratios of one run
+	$(BIN)/python benchmarks/rollout.py $(ARGS)
+
+clean: ## remove .venv, out/ and caches
+	rm -rf $(VENV) out .mypy_cache .pytest_cache .ruff_cache .hypothesis
+
+$(BIN)/python:
+	$(PYTHON) -m venv $(VENV)
+
+$(BIN)/.installed: $(BIN)/python pyproject.toml
+	@echo "setting up $(VENV): a minute or two, once"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+$(BIN)/.installed-test: $(BIN)/python pyproject.toml
+	@echo "setting up $(VENV) for the tests: a minute or two, once"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
+	@touch $@ $(BIN)/.installed
+
+$(BIN)/.installed-lint: $(BIN)/python pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[lint]'
+	@touch $@ $(BIN)/.installed $(BIN)/.installed-test

@@ -1,0 +1,195 @@
+"""`simulate`: a controller in the loop with a plant, checked before, judged after."""
+
+from typing import Any, Protocol
+
+import numpy as np
+
+from pinmobile.arrays import Array, ArrayLike, positive, vector, whole
+from pinmobile.controllers import Controller
+from pinmobile.errors import Diverged, InvalidArgument
+from pinmobile.integrators import Integrator, constant_acceleration
+from pinmobile.simulation.loop import Loop
+from pinmobile.simulation.rollout import Rollout
+from pinmobile.trajectories import Reference, Trajectory
+
+__all__ = ["Plant", "simulate"]
+
+_CHUNK = 512  # samples between two looks for divergence
+_WHOLE = 1e-9  # relative rounding allowed in duration / dt
+
+
+class Plant(Protocol):
+    """What `simulate` needs of a plant; `MobileRobot` is one."""
+
+    @property
+    def nq(self) -> int:
+        """Size of q."""
+
+    @property
+    def nv(self) -> int:
+        """Size of v and a."""
+
+    @property
+    def nu(self) -> int:
+        """Size of the input u."""
+
+    def forward_dynamics(self, q: Array, v: Array, u: Array, /) -> Array:
+        """Return the acceleration, shape (nv,)."""
+
+    def integrate(self, q: Array, dq: Array, /) -> Array:
+        """Return the configuration that the displacement dq leads to, shape (nq,)."""
+
+    def difference(self, q0: Array, q1: Array, /) -> Array:
+        """Return the displacement from q0 to q1, shape (..., nv)."""
+
+
+def simulate(
+    plant: Plant,
+    controller: Controller,
+    trajectory: Trajectory,
+    *,
+    dt: float,
+    duration: float | None = None,
+    q0: ArrayLike | None = None,
+    v0: ArrayLike | None = None,
+    integrator: Integrator = constant_acceleration,
+    substeps: int = 1,
+    limit: float = 1e3,
+) -> Rollout:
+    """Run the closed loop from 0 to `duration` and record every sample.
+
+    The controller is asked at t = 0, dt, 2 dt, ...; its force is held in between, as a digital controller's
+    is. The integrator divides each dt into `substeps`. Force and acceleration are recorded at the last
+    sample too.
+
+    Parameters
+    ----------
+    plant : MobileRobot or other plant
+        What is simulated.
+    controller : controller
+        See `pinmobile.controllers`; `law(f)` makes one of a plain function.
+    trajectory : trajectory
+        Gives the reference: ``trajectory(t)`` with `t` of shape (N + 1,), and a ``duration`` [s].
+    dt : float
+        Sampling time of the controller [s].
+    duration : float, optional
+        [s]; a whole number of dt, at most the trajectory's, which is the default.
+    q0, v0 : array_like, shape (nq,) and (nv,), optional
+        Start; by default on the trajectory.
+    integrator : callable
+        One step of the plant, see `pinmobile.integrators`.
+    substeps : int
+        Steps of the integrator per dt.
+    limit : float
+        The loop counts as diverged when an error in a coordinate (psi on the circle) or in a velocity is
+        beyond it [m, rad, m/s, rad/s].
+
+    Returns
+    -------
+    rollout : Rollout
+
+    Raises
+    ------
+    InvalidArgument
+        If an argument is not what is expected, or the controller returns something else than a force.
+    Diverged
+        If a number is no longer finite or an error is beyond `limit`; it carries what was recorded before.
+    """
+    dt, limit = positive("dt", dt, "s"), positive("limit", limit)
+    if not hasattr(controller, "initial_state"):
+        raise InvalidArgument(
+            f"controller is {controller!r}, expected a controller: wrap a function in law(...)"
+        )
+    for name, value, attribute in (
+        ("plant", plant, "forward_dynamics"),
+        ("trajectory", trajectory, "duration"),
+    ):
+        if not hasattr(value, attribute):
+            raise InvalidArgument(f"{name} is {value!r}, expected something with {attribute!r}")
+    t = _sample_times(dt, duration, trajectory.duration)
+    reference = _sampled(trajectory, t, plant)
+    start = _start("q0", q0, reference.q[0]), _start("v0", v0, reference.v[0])
+    loop = Loop(plant, controller, integrator, reference, t, dt, whole("substeps", substeps), *start)
+    for begin in range(0, len(t), _CHUNK):
+        end = min(begin + _CHUNK, len(t))
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # the check below tells
+            loop.run(begin, end)
+        bad, why = _first_bad(plant, loop, reference, begin, end, limit)
+        if bad is not None:
+            kept = _rollout(plant, t, loop, reference, bad) if bad else None
+            q, v, _, _ = loop.samples(bad, bad + 1)
+            message = f"the loop diverged at t = {t[bad]:g} s (sample {bad} of {len(t) - 1}): {why}"
+            raise Diverged(message, time=float(t[bad]), q=q[0], v=v[0], rollout=kept)
+    return _rollout(plant, t, loop, reference, len(t))
+
+
+def _sample_times(dt: float, duration: float | None, longest: float) -> Array:
+    total = longest if duration is None else positive("duration", duration, "s")
+    if total > longest * (1 + _WHOLE):
+        raise InvalidArgument(f"duration is {total} s, expected at most the trajectory's {longest} s")
+    steps = round(total / dt)
+    if steps < 1 or abs(steps * dt - total) > _WHOLE * total:
+        below = max(int(total / dt), 1)
+        raise InvalidArgument(
+            f"duration is {total} s, expected a whole number of steps dt = {dt} s, "
+            f"such as {below * dt:.12g} s"
+        )
+    t = np.arange(steps + 1) * dt
+    t[-1] = total
+    return np.minimum(t, longest)
+
+
+def _sampled(trajectory: Trajectory, t: Array, plant: Plant) -> Reference:
+    reference = trajectory(t)
+    for name, size in (("q", plant.nq), ("v", plant.nv), ("a", plant.nv)):
+        value = np.asarray(getattr(reference, name, None))
+        if value.shape != (len(t), size):
+            raise InvalidArgument(
+                f"trajectory gives {name} of shape {value.shape} for {len(t)} times, "
+                f"expected ({len(t)}, {size})"
+            )
+    return Reference(*(vector(f"trajectory's {n}", getattr(reference, n), s) for n, s in _sizes(plant)))
+
+
+def _sizes(plant: Plant) -> tuple[tuple[str, int], ...]:
+    return ("q", plant.nq), ("v", plant.nv), ("a", plant.nv)
+
+
+def _start(name: str, value: ArrayLike | None, default: Array) -> Array:
+    if value is None:
+        return default
+    start = vector(name, value, len(default))
+    if start.ndim != 1:
+        raise InvalidArgument(f"{name} has shape {start.shape}, expected ({len(default)},)")
+    return start
+
+
+def _first_bad(
+    plant: Plant, loop: Loop, reference: Reference, begin: int, end: int, limit: float
+) -> tuple[int | None, str]:
+    """Return the first sample that is not acceptable, or None, and why."""
+    samples = loop.samples(begin, end)
+    finite = np.all([np.isfinite(part).all(axis=1) for part in samples], axis=0)
+    good = int(np.argmin(finite)) if not finite.all() else end - begin
+    if good:
+        q, v = (part[:good] for part in samples[:2])
+        window = slice(begin, begin + good)
+        errors = np.hstack([plant.difference(q, reference.q[window]), reference.v[window] - v])
+        beyond = np.abs(errors) > limit
+        if beyond.any():
+            k, column = map(int, np.argwhere(beyond)[0])
+            names = [*("x", "y", "psi"), *(f"q[{j}]" for j in range(3, plant.nv))]
+            what = f"the error in {'the rate of ' if column >= plant.nv else ''}{names[column % plant.nv]}"
+            return begin + k, f"{what} is {errors[k, column]:.4g}, beyond the limit {limit:g}"
+    if good < end - begin:
+        names = ("q", "v", "a", "tau")
+        which = [n for n, part in zip(names, samples, strict=True) if not np.isfinite(part[good]).all()]
+        return begin + good, f"{', '.join(which)} not finite"
+    return None, ""
+
+
+def _rollout(plant: Plant, t: Array, loop: Loop, reference: Reference, end: int) -> Rollout:
+    q, v, a, tau = loop.samples(0, end)
+    error: Any = plant.difference(q, reference.q[:end])
+    kept = Reference(*(part[:end] for part in reference))
+    return Rollout(robot=plant, t=t[:end], q=q, v=v, a=a, tau=tau, error=error, reference=kept)

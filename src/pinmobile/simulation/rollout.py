@@ -1,0 +1,147 @@
+"""`Rollout`: everything that a simulation recorded, with its own judgement."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from pinmobile.arrays import Array, frozen
+from pinmobile.errors import InvalidArgument
+from pinmobile.simulation.storage import read_archive, write_archive
+from pinmobile.trajectories import Reference
+
+__all__ = ["Rollout"]
+
+_NAMES = ("x", "y", "psi")
+_UNITS = ("m", "m", "rad")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Rollout:
+    """A closed loop, sample by sample, the last one included.
+
+    Attributes
+    ----------
+    robot : MobileRobot or other plant
+        What was simulated; None after loading the file of a plant that is no `MobileRobot`.
+    t : ndarray, shape (N + 1,)
+        Times [s].
+    q, v, a : ndarray, shape (N + 1, 3)
+        Configuration, velocity and acceleration; `a` is that at the start of each step.
+    tau : ndarray, shape (N + 1, 3)
+        Generalised force (Fx, Fy, Mz) [N, N, N m], held until the next sample.
+    error : ndarray, shape (N + 1, 3)
+        From the configuration to the reference, psi on the circle [m, m, rad].
+    reference : Reference
+        Desired q, v and a, each of shape (N + 1, 3).
+    """
+
+    robot: Any
+    t: Array
+    q: Array
+    v: Array
+    a: Array
+    tau: Array
+    error: Array
+    reference: Reference
+
+    def __post_init__(self) -> None:
+        for name in ("t", "q", "v", "a", "tau", "error"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        object.__setattr__(self, "reference", Reference(*map(frozen, self.reference)))
+        lengths = {name: len(getattr(self, name)) for name in ("t", "q", "v", "a", "tau", "error")}
+        if len({*lengths.values(), *map(len, self.reference)}) != 1:
+            raise InvalidArgument(f"arrays have lengths {lengths}, expected one length")
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def __repr__(self) -> str:
+        errors = self._errors("largest", self.max_error())
+        return f"<Rollout: {len(self)} samples over {self.t[-1]:g} s, {errors}>"
+
+    def __str__(self) -> str:
+        step = f" at dt = {self.t[1]:g} s" if len(self) > 1 else ""
+        forces = zip(("Fx", "Fy", "Mz"), self.max_force(), ("N", "N", "N m"), strict=False)
+        return "\n".join(
+            [
+                f"{len(self)} samples over {self.t[-1]:g} s{step}",
+                self._errors("largest", self.max_error()),
+                self._errors("rms", self.rms_error()),
+                "largest force: " + ", ".join(f"{name} {value:.4g} {unit}" for name, value, unit in forces),
+            ]
+        )
+
+    @staticmethod
+    def _errors(what: str, values: Array) -> str:
+        listed = ", ".join(f"{n} {x:.6e} {u}" for n, x, u in zip(_NAMES, values, _UNITS, strict=False))
+        return f"{what} error: {listed}"
+
+    def max_error(self) -> Array:
+        """Return the largest |error| of each coordinate, shape (3,) [m, m, rad]."""
+        return np.abs(self.error).max(axis=0)
+
+    def rms_error(self) -> Array:
+        """Return the root of the mean squared error of each coordinate, shape (3,) [m, m, rad]."""
+        return np.sqrt(np.square(self.error).mean(axis=0))
+
+    def max_force(self) -> Array:
+        """Return the largest |tau| of each coordinate, shape (3,) [N, N, N m]."""
+        return np.abs(self.tau).max(axis=0)
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write everything, to the last digit, as a NumPy archive (``.npz``).
+
+        Raises
+        ------
+        InvalidArgument
+            If the file cannot be written.
+        """
+        arrays = {name: getattr(self, name) for name in ("t", "q", "v", "a", "tau", "error")}
+        arrays |= {f"reference_{name}": array for name, array in self.reference._asdict().items()}
+        with _written(path, "wb") as file:
+            write_archive(file, arrays, self.robot)
+
+    @classmethod
+    def load(cls, path: str | PathLike[str]) -> "Rollout":
+        """Return what `save` wrote.
+
+        Raises
+        ------
+        InvalidArgument
+            If the file cannot be read or is not such an archive.
+        """
+        arrays, robot = read_archive(Path(path))
+        reference = Reference(*(arrays.pop(f"reference_{name}") for name in Reference._fields))
+        return cls(robot=robot, reference=reference, **arrays)
+
+    def to_csv(self, path: str | PathLike[str]) -> None:
+        """Write one line per sample, with a header and 17 significant digits.
+
+        The columns are t, then q, v, a, tau, error and the desired q, each as x, y, psi.
+
+        Raises
+        ------
+        InvalidArgument
+            If the file cannot be written.
+        """
+        columns = [*_NAMES, *(f"q{k}" for k in range(3, self.v.shape[1]))]
+        groups = {"": self.q, "v_": self.v, "a_": self.a, "tau_": self.tau, "error_": self.error}
+        groups["desired_"] = self.reference.q
+        header = ["t", *(f"{group}{column}" for group in groups for column in columns)]
+        with _written(path, "w") as file:
+            table = np.column_stack([self.t, *groups.values()])
+            np.savetxt(file, table, fmt="%.17g", delimiter=",", header=",".join(header), comments="")
+
+
+@contextmanager
+def _written(path: str | PathLike[str], mode: str) -> Iterator[IO[Any]]:
+    try:
+        with Path(path).open(mode) as file:
+            yield file
+    except OSError as error:
+        raise InvalidArgument(f"path is {str(path)!r}, which cannot be written: {error.strerror}") from error
