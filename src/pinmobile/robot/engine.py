@@ -10,6 +10,7 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array
 from pinmobile.dh import DHTable, JointType
+from pinmobile.errors import InvalidArgument
 from pinmobile.urdf import Body
 
 __all__ = ["Engine", "build_model"]
@@ -69,7 +70,13 @@ class Engine:
 
         Leading axes broadcast; what comes back is stacked along them, still in chain order.
         """
-        lead = np.broadcast_shapes(*(argument.shape[:-1] for argument in arguments))
+        leads = [argument.shape[:-1] for argument in arguments]
+        try:
+            lead = np.broadcast_shapes(*leads)
+        except ValueError:
+            raise InvalidArgument(
+                f"arguments have leading shapes {', '.join(map(str, leads))}, expected shapes that broadcast"
+            ) from None
         rows = [
             self.reorder(np.broadcast_to(argument, (*lead, argument.shape[-1]))).reshape(
                 -1, argument.shape[-1]
@@ -84,4 +91,4 @@ class Engine:
             return np.empty((*lead, *shape))
         # A copy: Pinocchio hands out views of its data.
         results = [np.array(function(self.model, self.data, *row)) for row in zip(*rows, strict=True)]
-        return np.stack(results).reshape(*lead, *results[0].shape)
+        return np.stack(results).reshape((*lead, *results[0].shape))

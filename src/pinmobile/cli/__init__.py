@@ -1,0 +1,51 @@
+"""The `pinmobile` command: it reads options, calls the library, and prints what came and what to do next."""
+
+import os
+import sys
+from collections.abc import Sequence
+
+import typer
+
+from pinmobile.cli.commands import app
+from pinmobile.errors import Diverged, PinmobileError
+
+__all__ = ["main"]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Words after ``pinmobile``; by default those of the process.
+
+    Returns
+    -------
+    code : int
+        0: done; 1: done, and the answer is no (a route differs, a number is not the lecture's, a loop
+        diverged); 2: the options or files are not what is expected; 130: interrupted.
+    """
+    try:
+        code = app(args=arguments, prog_name="pinmobile", standalone_mode=False)
+        sys.stdout.flush()
+    except typer.TyperException as error:
+        return _refuse(
+            f"{error.format_message()} ('pinmobile --help' or 'pinmobile COMMAND --help' tells more)"
+        )
+    except Diverged as error:
+        return _refuse(str(error), 1)
+    except PinmobileError as error:
+        return _refuse(str(error))
+    except (KeyboardInterrupt, typer.Abort):
+        return _refuse("interrupted", 130)
+    except BrokenPipeError:
+        # The reader has gone, as after `| head`; nothing is left to be said to it.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    return int(code or 0)
+
+
+def _refuse(message: str, code: int = 2) -> int:
+    print(f"pinmobile: {' '.join(message.split())}", file=sys.stderr)
+    return code

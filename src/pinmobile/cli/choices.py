@@ -1,0 +1,148 @@
+"""From the words of the command line to trajectories, controllers and robots."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
+
+from pinmobile import (
+    PD,
+    Circle,
+    ComputedTorque,
+    CubicVia,
+    DHTable,
+    FixedHeading,
+    InvalidArgument,
+    LectureHeading,
+    Lissajous,
+    LECTURE_TABLE,
+    SLIDE_TABLE,
+    MobileRobot,
+    Tangent,
+    UnknownName,
+    constant_acceleration,
+    rk4,
+    semi_implicit_euler,
+)
+
+__all__ = [
+    "HEADINGS",
+    "INTEGRATORS",
+    "PATHS",
+    "ROBOTS",
+    "TABLES",
+    "choose",
+    "controller",
+    "numbers",
+    "path",
+    "robot",
+]
+
+_T = TypeVar("_T")
+
+# The lecture's own numbers are the defaults.
+PATHS: Mapping[str, tuple[Callable[..., Any], dict[str, Any]]] = {
+    "circle": (Circle, {"radius": 3.0, "rate": 0.1, "duration": 60.0}),
+    "lissajous": (Lissajous, {"rx": 3.0, "ry": 3.0, "wx": 0.2, "wy": 0.1, "duration": 60.0}),
+    "via-stop": (
+        CubicVia,
+        {
+            "start": (0, 0),
+            "via": (2, 2),
+            "end": (0, 4),
+            "t_via": 30.0,
+            "duration": 60.0,
+            "via_velocity": (0, 0),
+        },
+    ),
+    "via-free": (CubicVia, {"start": (0, 0), "via": (2, 2), "end": (0, 4), "t_via": 30.0, "duration": 60.0}),
+}
+HEADINGS: Mapping[str, Callable[..., Any]] = {
+    "tangent": lambda path, psi, turn_time: Tangent(path, turn_time=turn_time),
+    "fixed": lambda path, psi, turn_time: FixedHeading(path, psi),
+    "lecture": lambda path, psi, turn_time: LectureHeading(path),
+}
+ROBOTS: Mapping[str, Callable[[], MobileRobot]] = {"lecture": MobileRobot.lecture, "box": MobileRobot.box}
+TABLES: Mapping[str, DHTable] = {"lecture": LECTURE_TABLE, "slide": SLIDE_TABLE}
+INTEGRATORS: Mapping[str, Any] = {
+    "constant-acceleration": constant_acceleration,
+    "semi-implicit-euler": semi_implicit_euler,
+    "rk4": rk4,
+}
+_CONTROLLERS = ("computed-torque", "pd")
+_LECTURE_PD = (120.0, 120.0, 0.4)
+
+
+def choose(kind: str, name: str, available: Mapping[str, _T]) -> _T:
+    """Return what the name stands for.
+
+    Raises
+    ------
+    UnknownName
+        If there is no such name; the message lists those there are, the nearest first.
+    """
+    if name not in available:
+        raise UnknownName(kind, name, available)
+    return available[name]
+
+
+def numbers(option: str, text: str | None) -> float | tuple[float, ...] | None:
+    """Return the number, or the tuple of numbers separated by commas.
+
+    Raises
+    ------
+    InvalidArgument
+        If the text is something else.
+    """
+    if text is None:
+        return None
+    try:
+        values = tuple(float(word) for word in text.split(","))
+    except ValueError:
+        raise InvalidArgument(f"{option} is {text!r}, expected a number, or numbers with commas") from None
+    return values[0] if len(values) == 1 else values
+
+
+def path(name: str, given: Mapping[str, Any]) -> Any:
+    """Return the path of that name with the parameters that were given in place of the lecture's.
+
+    Raises
+    ------
+    InvalidArgument
+        If a parameter does not apply to the path.
+    """
+    make, defaults = choose("trajectory", name, PATHS)
+    chosen = {key: value for key, value in given.items() if value is not None}
+    for key in chosen:
+        if key not in defaults:
+            options = ", ".join(f"--{option.replace('_', '-')}" for option in defaults)
+            option = f"--{key.replace('_', '-')}"
+            raise InvalidArgument(
+                f"{option} does not apply to the trajectory {name!r}, which takes {options}"
+            )
+    parameters = {**defaults, **chosen}
+    if make is CubicVia:
+        parameters["t_end"] = parameters.pop("duration")
+    return make(**parameters)
+
+
+def controller(name: str, model: MobileRobot, kp: Any, kd: Any, difference: Any) -> Any:
+    """Return the controller of that name; gains that are None are the lecture's.
+
+    Raises
+    ------
+    UnknownName
+        If there is no such controller.
+    """
+    if name not in _CONTROLLERS:
+        raise UnknownName("controller", name, _CONTROLLERS)
+    if name == "pd":
+        return PD(_LECTURE_PD if kp is None else kp, _LECTURE_PD if kd is None else kd, difference=difference)
+    return ComputedTorque(model, 4 if kp is None else kp, 4 if kd is None else kd, difference=difference)
+
+
+def robot(base: MobileRobot, **changed: Any) -> MobileRobot:
+    """Return the robot with some of mass, yaw inertia and centre of mass changed; None leaves as it is."""
+    kept = {name: value for name, value in changed.items() if value is not None}
+    if not kept:
+        return base
+    parameters = {"mass": base.mass, "yaw_inertia": base.yaw_inertia, "com": base.com, "size": base.size}
+    return MobileRobot(**{**parameters, **kept}, dh=base.dh)

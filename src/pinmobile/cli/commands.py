@@ -1,0 +1,209 @@
+"""The commands and their options."""
+
+from pathlib import Path
+from typing import Annotated, Optional
+
+import numpy as np
+import typer
+
+import pinmobile
+from pinmobile.cli import choices
+from pinmobile.cli.lecture import show_lecture
+from pinmobile.cli.output import console, output_folder, progress
+from pinmobile.cli.run import show_run
+
+__all__ = ["app"]
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+    help="Dynamics and control of ground robots on Pinocchio. Start with [bold]pinmobile lecture[/bold].",
+    epilog="Exit codes: 0 done; 1 done, and the answer is no; 2 options or files are wrong; 130 interrupted.",
+)
+
+_ROBOT, _PATH, _CONTROL, _LOOP = "Robot", "Trajectory", "Controller", "Loop and output"
+Text = Optional[str]
+Number = Optional[float]
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        console.print(f"pinmobile {pinmobile.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version.", callback=_version, is_eager=True)
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def lecture(
+    out: Annotated[Path, typer.Option(help="Folder for the figures and their index page.")] = Path("out"),
+    gif: Annotated[bool, typer.Option(help="Also draw the moving robot.")] = True,
+) -> int:
+    """Work through the whole lecture: derive, verify, run, and draw.
+
+    It derives M(q) and n(q, v) from the Denavit-Hartenberg table, compares three routes to them, runs
+    {via stop, via free, circle} x {PD, computed torque} with the lecture's numbers, prints the largest
+    errors beside the lecture's, and writes every figure with an index page.
+    """
+    return show_lecture(output_folder(out), gif=gif)
+
+
+@app.command()
+def verify(
+    urdf: Annotated[
+        Optional[Path], typer.Option(help="Verify the robot of this URDF: the chain, or a bare base.")
+    ] = None,
+    mass: Annotated[float, typer.Option(help="Mass [kg].")] = 10.0,
+    yaw_inertia: Annotated[float, typer.Option(help="Inertia about the centre of mass [kg m^2].")] = 1.2,
+    com: Annotated[str, typer.Option(help="Centre of mass X,Y in the body frame [m].")] = "0.15,0.05",
+    table: Annotated[str, typer.Option(help="DH table: lecture or slide.")] = "lecture",
+    states: Annotated[int, typer.Option(help="Number of random states.")] = 200,
+    seed: Annotated[int, typer.Option(help="Seed of the states.")] = 0,
+) -> int:
+    """Compare closed form, Pinocchio, symbolic Newton-Euler and Lagrange for M, n, tau and accelerations."""
+    if urdf is not None:
+        robot = pinmobile.MobileRobot.from_urdf(urdf)
+    else:
+        dh = choices.choose("table", table, choices.TABLES)
+        robot = pinmobile.MobileRobot(mass, yaw_inertia, com=choices.numbers("--com", com), dh=dh)
+    with progress(1) as bar:
+        bar.update(bar.task_ids[0], description="deriving and comparing")
+        verification = pinmobile.verify(robot, states=states, seed=seed)
+    console.print(f"{robot.source}: {robot}", markup=False)
+    console.print(verification, markup=False)
+    console.print("every route agrees" if verification.passed else "the routes do NOT agree")
+    return 0 if verification.passed else 1
+
+
+@app.command()
+def derive(
+    table: Annotated[str, typer.Option(help="DH table: lecture or slide.")] = "lecture",
+    latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX instead of text.")] = False,
+) -> int:
+    """Derive the equations of motion from the DH table, every step of the lecture's symbolic script."""
+    dh = choices.choose("table", table, choices.TABLES)
+    with progress(1) as bar:
+        bar.update(bar.task_ids[0], description="deriving")
+        derivation = pinmobile.derivation.lecture(dh)
+    console.print(derivation.latex() if latex else str(derivation), markup=False)
+    return 0
+
+
+@app.command()
+def run(
+    trajectory: Annotated[
+        str, typer.Option(help=f"One of {', '.join(choices.PATHS)}.", rich_help_panel=_PATH)
+    ] = "circle",
+    duration: Annotated[
+        Number, typer.Option(help="Duration of the path [s]; 60.", rich_help_panel=_PATH)
+    ] = None,
+    radius: Annotated[Number, typer.Option(help="circle: radius [m]; 3.", rich_help_panel=_PATH)] = None,
+    rate: Annotated[Number, typer.Option(help="circle: [rad/s]; 0.1.", rich_help_panel=_PATH)] = None,
+    rx: Annotated[Number, typer.Option(help="lissajous: x amplitude [m]; 3.", rich_help_panel=_PATH)] = None,
+    ry: Annotated[Number, typer.Option(help="lissajous: y amplitude [m]; 3.", rich_help_panel=_PATH)] = None,
+    wx: Annotated[Number, typer.Option(help="lissajous: [rad/s]; 0.2.", rich_help_panel=_PATH)] = None,
+    wy: Annotated[Number, typer.Option(help="lissajous: [rad/s]; 0.1.", rich_help_panel=_PATH)] = None,
+    start: Annotated[Text, typer.Option(help="via: start X,Y [m]; 0,0.", rich_help_panel=_PATH)] = None,
+    via: Annotated[Text, typer.Option(help="via: via point X,Y [m]; 2,2.", rich_help_panel=_PATH)] = None,
+    end: Annotated[Text, typer.Option(help="via: end X,Y [m]; 0,4.", rich_help_panel=_PATH)] = None,
+    t_via: Annotated[Number, typer.Option(help="via: time at it [s]; 30.", rich_help_panel=_PATH)] = None,
+    via_velocity: Annotated[
+        Text, typer.Option(help="via-stop: velocity X,Y at it [m/s]; 0,0.", rich_help_panel=_PATH)
+    ] = None,
+    heading: Annotated[
+        str, typer.Option(help=f"One of {', '.join(choices.HEADINGS)}.", rich_help_panel=_PATH)
+    ] = "tangent",
+    psi: Annotated[
+        float, typer.Option(help="Heading, where it is fixed [rad].", rich_help_panel=_PATH)
+    ] = 0.0,
+    turn_time: Annotated[
+        float,
+        typer.Option(help="For each turn on the spot, where the tangent jumps [s].", rich_help_panel=_PATH),
+    ] = 2.0,
+    controller: Annotated[
+        str, typer.Option(help="computed-torque or pd.", rich_help_panel=_CONTROL)
+    ] = "computed-torque",
+    kp: Annotated[
+        Text, typer.Option(help="K or KX,KY,KPSI; 4, for pd 120,120,0.4.", rich_help_panel=_CONTROL)
+    ] = None,
+    kd: Annotated[
+        Text, typer.Option(help="K or KX,KY,KPSI; 4, for pd 120,120,0.4.", rich_help_panel=_CONTROL)
+    ] = None,
+    model_mass: Annotated[
+        Number,
+        typer.Option(help="Mass the controller believes in [kg]; the robot's.", rich_help_panel=_CONTROL),
+    ] = None,
+    model_yaw_inertia: Annotated[
+        Number, typer.Option(help="Yaw inertia it believes in [kg m^2].", rich_help_panel=_CONTROL)
+    ] = None,
+    model_com: Annotated[
+        Text, typer.Option(help="Centre of mass X,Y it believes in [m].", rich_help_panel=_CONTROL)
+    ] = None,
+    robot: Annotated[
+        str, typer.Option(help="lecture (Icz = 0.1) or box (homogeneous).", rich_help_panel=_ROBOT)
+    ] = "lecture",
+    urdf: Annotated[
+        Optional[Path], typer.Option(help="The chain, or a bare base, instead.", rich_help_panel=_ROBOT)
+    ] = None,
+    mass: Annotated[Number, typer.Option(help="Mass in its place [kg].", rich_help_panel=_ROBOT)] = None,
+    yaw_inertia: Annotated[
+        Number, typer.Option(help="Yaw inertia in its place [kg m^2].", rich_help_panel=_ROBOT)
+    ] = None,
+    com: Annotated[Text, typer.Option(help="Centre of mass X,Y [m].", rich_help_panel=_ROBOT)] = None,
+    dt: Annotated[float, typer.Option(help="Sampling time [s].", rich_help_panel=_LOOP)] = 0.1,
+    integrator: Annotated[
+        str, typer.Option(help=f"One of {', '.join(choices.INTEGRATORS)}.", rich_help_panel=_LOOP)
+    ] = "constant-acceleration",
+    substeps: Annotated[int, typer.Option(help="Steps of the plant per dt.", rich_help_panel=_LOOP)] = 1,
+    out: Annotated[Path, typer.Option(help="Folder for records and figures.", rich_help_panel=_LOOP)] = Path(
+        "out/run"
+    ),
+    gif: Annotated[bool, typer.Option(help="Also draw the moving robot.", rich_help_panel=_LOOP)] = False,
+) -> int:
+    """Run one closed loop: a trajectory, a controller, a robot. Without options, the lecture's circle.
+
+    Example: what does computed torque do when the controller believes in a centre of mass that is not there?
+
+    pinmobile run --com 0.1,0.05 --model-com 0,0 --yaw-inertia 1.3 --dt 0.01
+    """
+    folder = output_folder(out)
+    given = {"duration": duration, "radius": radius, "rate": rate, "rx": rx, "ry": ry, "wx": wx, "wy": wy}
+    given |= {"t_via": t_via}
+    for name, text in {"start": start, "via": via, "end": end, "via_velocity": via_velocity}.items():
+        given[name] = choices.numbers(f"--{name.replace('_', '-')}", text)  # type: ignore[assignment]
+    path = choices.path(trajectory, given)
+    make = choices.choose("heading", heading, choices.HEADINGS)
+    base = (
+        choices.choose("robot", robot, choices.ROBOTS)()
+        if urdf is None
+        else pinmobile.MobileRobot.from_urdf(urdf)
+    )
+    plant = choices.robot(base, mass=mass, yaw_inertia=yaw_inertia, com=choices.numbers("--com", com))
+    model = choices.robot(
+        plant, mass=model_mass, yaw_inertia=model_yaw_inertia, com=choices.numbers("--model-com", model_com)
+    )
+    difference = np.subtract if heading == "lecture" else pinmobile.planar_difference
+    gains = choices.numbers("--kp", kp), choices.numbers("--kd", kd)
+    law = choices.controller(controller, model, *gains, difference)
+    step = choices.choose("integrator", integrator, choices.INTEGRATORS)
+    console.print(f"robot: {plant}", markup=False)
+    return show_run(
+        plant,
+        law,
+        make(path, psi, turn_time),
+        folder,
+        controller,
+        gif,
+        dt=dt,
+        integrator=step,
+        substeps=substeps,
+    )

@@ -1,0 +1,104 @@
+"""Where the command writes: the console, its progress, the output folder and its index page."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from pinmobile.errors import InvalidArgument
+
+__all__ = ["Picture", "Section", "console", "index_page", "output_folder", "progress"]
+
+console = Console(highlight=False, soft_wrap=True)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure on the index page: its file in the output folder, and what it shows."""
+
+    file: str
+    caption: str
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the index page: a title, text in fixed-width letters, and figures."""
+
+    title: str
+    text: str = ""
+    pictures: Sequence[Picture] = ()
+
+
+@contextmanager
+def progress(total: int) -> Iterator[Progress]:
+    """Give a progress bar on the terminal, with one task of `total` steps; silent where there is none."""
+    columns = SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
+    with Progress(*columns, console=console, transient=True) as bar:
+        bar.add_task("", total=total)
+        yield bar
+
+
+def output_folder(path: Path) -> Path:
+    """Return the folder, made where it is missing.
+
+    Raises
+    ------
+    InvalidArgument
+        If it cannot be made or written to.
+    """
+    probe = path / ".pinmobile"
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise InvalidArgument(
+            f"--out is {str(path)!r}, which cannot be written to: {error.strerror}"
+        ) from error
+    return path
+
+
+def index_page(folder: Path, title: str, sections: Sequence[Section]) -> Path:
+    """Write ``index.html``, which says what each figure shows, and return its path."""
+    body = []
+    for section in sections:
+        body.append(f"<h2>{escape(section.title)}</h2>")
+        if section.text:
+            body.append(f"<pre>{escape(section.text)}</pre>")
+        for picture in section.pictures:
+            body.append(
+                f'<figure><a href="{escape(picture.file)}"><img src="{escape(picture.file)}" '
+                f'alt="{escape(picture.caption)}" loading="lazy"></a>'
+                f"<figcaption>{escape(picture.caption)}</figcaption></figure>"
+            )
+    page = folder / "index.html"
+    page.write_text(_PAGE.format(title=escape(title), body="\n".join(body)), encoding="utf-8")
+    return page
+
+
+_PAGE = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{title}</title>
+<style>
+body {{ font: 16px/1.5 system-ui, sans-serif; color: #222; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }}
+h1, h2 {{ line-height: 1.2; }}
+h2 {{ margin-top: 2.5rem; border-top: 1px solid #ccc; padding-top: 1rem; }}
+pre {{ background: #f5f5f2; padding: 1rem; overflow-x: auto; font-size: 13px; line-height: 1.35; }}
+figure {{ margin: 1.5rem 0; }}
+img {{ max-width: 100%; height: auto; }}
+figcaption {{ color: #555; }}
+</style>
+</head>
+<body>
+<h1>{title}</h1>
+{body}
+</body>
+</html>
+"""

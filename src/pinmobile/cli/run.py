@@ -1,0 +1,73 @@
+"""One closed loop: run it, record it, draw it, say what came of it."""
+
+from pathlib import Path
+from typing import Any
+
+from pinmobile import Diverged, MobileRobot, Rollout, plots, simulate
+from pinmobile.cli.output import Picture, Section, console, index_page, progress
+
+__all__ = ["FIGURES", "draw", "show_run"]
+
+FIGURES = {
+    "path": "The desired path (dashed), the travelled one, and the robot where it really was.",
+    "states": "x, y and psi over time, desired and actual.",
+    "errors": "Desired minus actual x, y and psi (on the circle) over time.",
+    "forces": "The generalised force, held between samples.",
+}
+
+
+def draw(rollouts: dict[str, Rollout], folder: Path, prefix: str, bar: Any) -> list[Picture]:
+    """Write the four figures of some rollouts, one step of the progress bar each.
+
+    Parameters
+    ----------
+    rollouts : dict of str to Rollout
+        What is drawn side by side.
+    folder : Path
+        Where to.
+    prefix : str
+        Beginning of the files' names.
+    bar : rich.progress.Progress
+        Its first task is advanced.
+    """
+    pictures = []
+    for name, caption in FIGURES.items():
+        bar.update(bar.task_ids[0], description=f"drawing {prefix}{name}", advance=1)
+        getattr(plots, name)(rollouts).savefig(folder / f"{prefix}{name}.png", dpi=110)
+        pictures.append(Picture(f"{prefix}{name}.png", caption))
+    return pictures
+
+
+def show_run(
+    plant: MobileRobot, law: Any, trajectory: Any, folder: Path, label: str, gif: bool, **options: Any
+) -> int:
+    """Run, print the judgement, and write records, figures and their index; a diverged run too."""
+    with progress(len(FIGURES) + 2 + gif) as bar:
+        bar.update(bar.task_ids[0], description="simulating", advance=1)
+        diverged: Diverged | None = None
+        try:
+            rollout = simulate(plant, law, trajectory, **options)
+        except Diverged as error:
+            if error.rollout is None:
+                raise
+            diverged, rollout = error, error.rollout
+        bar.update(bar.task_ids[0], description="recording", advance=1)
+        rollout.save(folder / "rollout.npz")
+        rollout.to_csv(folder / "rollout.csv")
+        pictures = draw({label: rollout}, folder, "", bar)
+        if gif:
+            bar.update(bar.task_ids[0], description="drawing the moving robot", advance=1)
+            plots.animate(rollout, folder / "animation.gif")
+            pictures.insert(0, Picture("animation.gif", "The robot as it moves."))
+    if diverged is not None:
+        console.print("up to there:", markup=False)
+    console.print(rollout, markup=False)
+    text = str(rollout) if diverged is None else f"{diverged}\n\nup to there:\n{rollout}"
+    page = index_page(folder, f"{label} on {plant}", [Section("What came of it", text, pictures)])
+    console.print(
+        f"wrote {folder / 'rollout.npz'} (Rollout.load reads it), rollout.csv and figures\nopen {page}",
+        markup=False,
+    )
+    if diverged is not None:
+        raise diverged
+    return 0

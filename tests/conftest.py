@@ -1,0 +1,35 @@
+"""Settings of hypothesis, and states that several tests draw."""
+
+import os
+
+import matplotlib
+import numpy as np
+import pytest
+from hypothesis import settings
+
+from pinmobile import MobileRobot
+from pinmobile.arrays import Array
+
+# No window is needed, on any machine.
+matplotlib.use("Agg")
+settings.register_profile("default", deadline=None, max_examples=60)
+settings.register_profile("ci", deadline=None, max_examples=60, derandomize=True)
+settings.load_profile("ci" if os.environ.get("CI") else "default")
+
+
+@pytest.fixture
+def offset_robot() -> MobileRobot:
+    """Return a robot whose centre of mass is not at its origin."""
+    return MobileRobot(10.0, 1.2, com=(0.15, 0.05))
+
+
+@pytest.fixture
+def states() -> tuple[Array, Array, Array, Array]:
+    """Return q, v, a and tau of shape (40, 3), headings near +-pi and states of rest among them."""
+    rng = np.random.default_rng(7)
+    q, v, a, tau = rng.normal(size=(4, 40, 3))
+    q[:, 2] = rng.uniform(-10, 10, 40)
+    q[:4, 2] = np.pi, -np.pi, np.nextafter(np.pi, 4), np.pi / 2
+    v[4:6] = 0
+    v[6, 2] = 1e-9
+    return q, v, a, tau

@@ -1,0 +1,63 @@
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pinmobile import arrays
+from pinmobile.errors import InvalidArgument
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (lambda: arrays.finite("q", [1.0, np.nan]), "q[1] is nan, expected a finite number"),
+        (lambda: arrays.finite("q", [[1, 2], [np.inf, 0]]), "q[1, 0] is inf, expected a finite number"),
+        (lambda: arrays.finite("dt", float("-inf")), "dt is -inf, expected a finite number"),
+        (lambda: arrays.finite("q", "fast"), "q is 'fast', expected real numbers"),
+        (lambda: arrays.finite("q", None), "q is None, expected real numbers"),
+        (lambda: arrays.finite("q", [[1, 2], [3]]), "q is [[1, 2], [3]], expected real numbers"),
+        (lambda: arrays.finite("q", 1j), "q is 1j, expected real numbers"),
+        (lambda: arrays.finite("on", True), "on is True, expected real numbers"),
+        (lambda: arrays.vector("q", [1, 2], 3), "q has shape (2,), expected (..., 3)"),
+        (lambda: arrays.vector("q", 1.0, 3), "q has shape (), expected (..., 3)"),
+        (lambda: arrays.scalar("dt", [1, 2]), "dt has shape (2,), expected one number"),
+        (lambda: arrays.positive("mass", -3, "kg"), "mass is -3.0 kg, expected > 0"),
+        (lambda: arrays.positive("dt", 0), "dt is 0.0, expected > 0"),
+        (lambda: arrays.whole("substeps", 1.5), "substeps is 1.5, expected a whole number >= 1"),
+        (lambda: arrays.whole("substeps", 0), "substeps is 0, expected a whole number >= 1"),
+    ],
+)
+def test_what_is_not_expected_is_refused_by_name(call: Any, text: str) -> None:
+    with pytest.raises(InvalidArgument) as caught:
+        call()
+    assert str(caught.value) == text
+
+
+def test_what_is_expected_comes_back_as_float64() -> None:
+    assert arrays.vector("q", np.ones((4, 3), np.float32), 3).dtype == np.float64
+    assert arrays.positive("dt", 1) == 1.0
+    assert arrays.whole("substeps", np.int64(3)) == 3
+    assert arrays.whole("order", 0, least=0) == 0
+
+
+def test_frozen_is_a_read_only_copy() -> None:
+    source = np.ones(3)
+    copy = arrays.frozen(source)
+    source[0] = 5
+    assert copy[0] == 1
+    with pytest.raises(ValueError, match="read-only"):
+        copy[0] = 2
+
+
+@given(st.floats(-1e6, 1e6))
+def test_wrapped_angle_lies_in_the_half_open_interval_and_points_the_same_way(angle: float) -> None:
+    wrapped = float(arrays.wrap_angle(np.array(angle)))
+    assert -np.pi < wrapped <= np.pi
+    turns = (angle - wrapped) / (2 * np.pi)
+    assert abs(turns - round(turns)) < 1e-9
+
+
+def test_half_a_turn_to_either_side_is_plus_pi() -> None:
+    assert arrays.wrap_angle(np.array([np.pi, -np.pi, 3 * np.pi])).tolist() == [np.pi] * 3

@@ -1,0 +1,96 @@
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pinmobile import InvalidArgument, closed_form
+from pinmobile.arrays import Array
+
+BODY: dict[str, Any] = {"mass": 10.0, "yaw_inertia": 1.2, "com": (0.15, 0.05)}
+MASS: dict[str, Any] = {"mass": 10.0, "com": (0.15, 0.05)}
+
+
+def test_numbers_of_two_other_engines() -> None:
+    M = closed_form.mass_matrix([3.0, -1.0, 0.7], **BODY)
+    n = closed_form.nonlinear_effects([3.0, -1.0, 0.7], [0, 0, 0.5], **MASS)
+    # Printed with eight digits after the point.
+    np.testing.assert_allclose([M[0, 2], M[1, 2], M[2, 2]], [-1.34874762, 0.82515444, 1.45], atol=5e-9)
+    np.testing.assert_allclose(n, [-0.20628861, -0.33718691, 0], atol=5e-9)
+
+
+@given(
+    st.floats(0.1, 1e3), st.floats(1e-3, 1e3), st.floats(-2, 2), st.floats(-2, 2), st.floats(-10, 10)
+)
+def test_mass_matrix_is_symmetric_positive_definite_and_its_inverse_is_forward_dynamics(
+    mass: float, inertia: float, xbc: float, ybc: float, psi: float
+) -> None:
+    body: dict[str, Any] = {"mass": mass, "yaw_inertia": inertia, "com": (xbc, ybc)}
+    q, v = np.array([0, 0, psi]), np.array([0.3, -0.2, 1.1])
+    M = closed_form.mass_matrix(q, **body)
+    assert (M == M.T).all()
+    # Schur complement of the translation: what is left of the yaw entry is Icz.
+    assert M[2, 2] - (M[0, 2] ** 2 + M[1, 2] ** 2) / mass > 0.5 * inertia - 1e-12 * M[2, 2]
+    tau = np.array([1.0, 2.0, -0.5])
+    a = closed_form.forward_dynamics(q, v, tau, **body)
+    back = closed_form.inverse_dynamics(q, v, a, **body)
+    scale = np.abs(M) @ np.abs(a) + mass * v @ v
+    assert (np.abs(back - tau) / scale).max() < 1e-14 * 100
+
+
+def test_inverse_dynamics_is_m_a_plus_n(states: tuple[Array, ...]) -> None:
+    q, v, a, _ = states
+    M = closed_form.mass_matrix(q, **BODY)
+    n = closed_form.nonlinear_effects(q, v, **MASS)
+    expected = np.einsum("kij,kj->ki", M, a) + n
+    np.testing.assert_allclose(closed_form.inverse_dynamics(q, v, a, **BODY), expected, rtol=1e-12, atol=1e-13)
+    C = closed_form.coriolis_matrix(q, v, **MASS)
+    np.testing.assert_allclose(np.einsum("kij,kj->ki", C, v), n, rtol=1e-13, atol=1e-15)
+
+
+def test_mass_matrix_rate_minus_twice_coriolis_is_skew(states: tuple[Array, ...]) -> None:
+    q, v, _, _ = states
+    h = 1e-5
+    rate = (closed_form.mass_matrix(q + h * v, **BODY) - closed_form.mass_matrix(q - h * v, **BODY)) / (2 * h)
+    N = rate - 2 * closed_form.coriolis_matrix(q, v, **MASS)
+    # Central difference: h^2 / 6 of the third derivative, a few units, plus eps / h of rounding.
+    assert np.abs(N + N.transpose(0, 2, 1)).max() < 1e-8
+
+
+def test_slide_equation_one_has_rates_where_accelerations_belong(states: tuple[Array, ...]) -> None:
+    """Errata, row 1: the slide's Fx, with psi_dot^2 for psi_ddot, is not the row of M a + n."""
+    q, v, a, _ = states
+    (x, y), m = BODY["com"], BODY["mass"]
+    c, s = np.cos(q[:, 2]), np.sin(q[:, 2])
+    centrifugal = m * v[:, 2] ** 2 * (x * c - y * s)
+    slide = m * a[:, 0] - m * v[:, 2] ** 2 * (y * c + x * s) - centrifugal
+    right = m * a[:, 0] - m * a[:, 2] * (y * c + x * s) - centrifugal
+    tau = closed_form.inverse_dynamics(q, v, a, **BODY)
+    np.testing.assert_allclose(tau[:, 0], right, rtol=1e-12, atol=1e-13)
+    assert np.abs(tau[:, 0] - slide).max() > 0.1
+
+
+def test_many_robots_and_many_states_broadcast() -> None:
+    q = np.random.default_rng(0).normal(size=(4, 1, 3))
+    mass, com = np.array([1.0, 2.0, 3.0]), np.array([[0, 0], [0.1, 0], [0, 0.2]])
+    tau = closed_form.inverse_dynamics(q, q, q, mass=mass, yaw_inertia=0.5, com=com)
+    assert tau.shape == (4, 3, 3)
+    alone = closed_form.inverse_dynamics(q[2, 0], q[2, 0], q[2, 0], mass=2.0, yaw_inertia=0.5, com=(0.1, 0))
+    np.testing.assert_allclose(tau[2, 1], alone, rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("body", "text"),
+    [
+        ({"mass": 0.0}, "mass is 0.0, expected > 0"),
+        ({"mass": [1.0, -2.0]}, "mass is -2.0, expected > 0"),
+        ({"yaw_inertia": -1.0}, "yaw_inertia is -1.0, expected > 0"),
+        ({"com": (1.0, 2.0, 3.0)}, "com has shape (3,), expected (..., 2)"),
+        ({"mass": [1.0, 2.0]}, "q, mass, yaw_inertia and com have leading shapes (3,), (2,), () and ()"),
+    ],
+)
+def test_impossible_parameters_are_refused(body: dict[str, Any], text: str) -> None:
+    with pytest.raises(InvalidArgument) as caught:
+        closed_form.mass_matrix(np.zeros((3, 3)), **(BODY | body))
+    assert str(caught.value).startswith(text)

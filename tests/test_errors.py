@@ -1,0 +1,34 @@
+import pickle
+
+import pytest
+
+from pinmobile.errors import Diverged, InvalidArgument, PinmobileError, UnknownName, ViewerError
+
+
+@pytest.mark.parametrize(
+    ("error", "builtin"),
+    [
+        (InvalidArgument, ValueError),
+        (UnknownName, KeyError),
+        (Diverged, ArithmeticError),
+        (ViewerError, RuntimeError),
+    ],
+)
+def test_every_error_is_a_pinmobile_error_and_a_builtin_one(
+    error: type[Exception], builtin: type[Exception]
+) -> None:
+    assert issubclass(error, PinmobileError)
+    assert issubclass(error, builtin)
+
+
+def test_unknown_name_lists_the_names_there_are_the_nearest_first() -> None:
+    error = UnknownName("trajectory", "circel", ["via-stop", "circle"])
+    assert str(error) == "unknown trajectory 'circel', available: circle, via-stop"
+    copy = pickle.loads(pickle.dumps(error))
+    assert str(copy) == str(error)
+    assert copy.available == ("via-stop", "circle")
+
+
+def test_diverged_carries_time_state_and_what_was_recorded() -> None:
+    error = Diverged("gone", time=1.5, q=[1], v=[2], rollout="so far")
+    assert (error.time, error.q, error.v, error.rollout) == (1.5, [1], [2], "so far")

@@ -1,0 +1,217 @@
+import pickle
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pinmobile import LECTURE_TABLE, SLIDE_TABLE, DHRow, DHTable, InvalidArgument, JointType, MobileRobot
+from pinmobile.arrays import Array
+
+robots = st.builds(
+    MobileRobot,
+    st.floats(0.1, 1e3),
+    st.floats(1e-2, 1e2),
+    com=st.tuples(st.floats(-2, 2), st.floats(-2, 2)),
+    dh=st.sampled_from([LECTURE_TABLE, SLIDE_TABLE]),
+)
+
+
+def test_numbers_of_two_other_engines_x_before_y(offset_robot: MobileRobot) -> None:
+    M = offset_robot.mass_matrix([0, 0, 0.7])
+    n = offset_robot.nonlinear_effects([0, 0, 0.7], [0, 0, 0.5])
+    np.testing.assert_allclose([M[0, 2], M[1, 2], M[2, 2]], [-1.34874762, 0.82515444, 1.45], atol=5e-9)
+    np.testing.assert_allclose(n, [-0.20628861, -0.33718691, 0], atol=5e-9)
+
+
+def test_a_force_along_x_accelerates_along_x() -> None:
+    """The chain's first joint is y; no public vector shows it."""
+    robot = MobileRobot.lecture()
+    assert robot.forward_dynamics([0, 0, 0], [0, 0, 0], [30, 0, 0]).tolist() == [1, 0, 0]
+    assert robot.frame_placements([5, 7, 0])[-1, :3, 3].tolist() == [5, 7, 0]
+    assert robot.model.names[1] == "y"
+
+
+@given(robots, st.floats(-10, 10), st.integers(0, 2**32 - 1))
+def test_dynamics_hold_together(robot: MobileRobot, psi: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    q, v, a = np.array([1.0, -2.0, psi]), rng.normal(size=3), rng.normal(size=3)
+    M, n, tau = robot.mass_matrix(q), robot.nonlinear_effects(q, v), robot.inverse_dynamics(q, v, a)
+    # Each term in the sums of `tau` carries a few dozen roundings at the most.
+    scale = np.abs(M) @ np.abs(a) + robot.mass * (v @ v) * (1 + np.hypot(*robot.com[:2]))
+    assert (np.abs(M @ a + n - tau) <= 1e-14 * scale).all()
+    assert np.abs(M - M.T).max() <= 1e-15 * np.abs(M).max()
+    assert np.linalg.eigvalsh(M).min() > 0
+    back = robot.forward_dynamics(q, v, tau)
+    assert np.linalg.norm(back - a) <= 8 * np.finfo(float).eps * np.linalg.cond(M) * max(np.linalg.norm(a), 1)
+    assert (np.abs(robot.coriolis_matrix(q, v) @ v - n) <= 1e-14 * scale).all()
+    assert robot.kinetic_energy(q, v) == pytest.approx(v @ M @ v / 2, rel=1e-12)
+    assert (np.abs(robot.regressor(q, v, a) @ robot.inertial_parameters - tau) <= 1e-14 * scale).all()
+
+
+def test_mass_matrix_rate_minus_twice_coriolis_is_skew(
+    offset_robot: MobileRobot, states: tuple[Array, ...]
+) -> None:
+    q, v, _, _ = states
+    h = 1e-5
+    rate = (offset_robot.mass_matrix(q + h * v) - offset_robot.mass_matrix(q - h * v)) / (2 * h)
+    N = rate - 2 * offset_robot.coriolis_matrix(q, v)
+    # Central difference: h^2 / 6 of the third derivative, a few units, plus eps / h of rounding.
+    assert np.abs(N + N.transpose(0, 2, 1)).max() < 1e-8
+
+
+def test_dynamics_do_not_depend_on_where_the_plane_is_looked_at_from(
+    offset_robot: MobileRobot, states: tuple[Array, ...]
+) -> None:
+    q, v, a, _ = states
+    angle, shift = 0.8, np.array([3.0, -5.0, 0.8])
+    R = np.eye(3)
+    R[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    moved = offset_robot.inverse_dynamics(q @ R.T + shift, v @ R.T, a @ R.T)
+    np.testing.assert_allclose(moved, offset_robot.inverse_dynamics(q, v, a) @ R.T, rtol=0, atol=1e-12)
+
+
+def test_power_is_the_rate_of_kinetic_energy(offset_robot: MobileRobot, states: tuple[Array, ...]) -> None:
+    q, v, _, tau = states
+    a, h = offset_robot.forward_dynamics(q, v, tau), 1e-5
+
+    def energy(t: float) -> Array:
+        return offset_robot.kinetic_energy(q + t * v + t * t / 2 * a, v + t * a)
+
+    power = (energy(h) - energy(-h)) / (2 * h)
+    # Central difference of a smooth function of size 1e2: h^2 of its third derivative and eps / h.
+    np.testing.assert_allclose(power, (tau * v).sum(-1), atol=1e-6)
+
+
+@pytest.mark.parametrize("table", [LECTURE_TABLE, SLIDE_TABLE])
+def test_frames_are_the_products_of_the_dh_transforms(table: DHTable, states: tuple[Array, ...]) -> None:
+    robot, q = MobileRobot(3, 1, dh=table), states[0]
+    expected = table.placements(q[:, [1, 0, 2]])
+    np.testing.assert_allclose(robot.frame_placements(q), expected, rtol=0, atol=1e-14)
+
+
+def test_jacobian_turns_the_body_twist_into_velocity() -> None:
+    J = MobileRobot.lecture().jacobian([[0, 0, np.pi / 2], [0, 0, 0.3]])
+    np.testing.assert_allclose(J[0] @ [1, 0, 0], [0, 1, 0], atol=1e-15)  # forward, facing +y
+    np.testing.assert_allclose(J @ J.transpose(0, 2, 1), [np.eye(3)] * 2, atol=1e-15)
+
+
+def test_derivatives_are_those_of_finite_differences(
+    offset_robot: MobileRobot, states: tuple[Array, ...]
+) -> None:
+    q, v, _, tau = states
+    q, v, tau = q[:6], v[:6], tau[:6]
+    h, f = 1e-6, offset_robot.forward_dynamics
+    derivatives = offset_robot.forward_dynamics_derivatives(q, v, tau)
+    for k, step in enumerate(np.eye(3) * h):
+        numeric = (
+            (f(q + step, v, tau) - f(q - step, v, tau)) / (2 * h),
+            (f(q, v + step, tau) - f(q, v - step, tau)) / (2 * h),
+            (f(q, v, tau + step) - f(q, v, tau - step)) / (2 * h),
+        )
+        for exact, approximate in zip(derivatives, numeric, strict=True):
+            # eps / h = 2e-10 of terms up to about 10.
+            np.testing.assert_allclose(exact[..., k], approximate, atol=2e-8)
+
+
+def test_linearisation_predicts_the_change_of_the_state(offset_robot: MobileRobot) -> None:
+    q, v, tau = np.array([0.1, 0.2, 0.9]), np.array([0.3, -0.4, 0.8]), np.array([1.0, 2.0, 0.5])
+    A, B = offset_robot.linearize(q, v, tau)
+    rng = np.random.default_rng(2)
+    ratios = []
+    for size in (1e-3, 1e-4):
+        dx, du = size * rng.normal(size=6), size * rng.normal(size=3)
+        after = offset_robot.forward_dynamics(q + dx[:3], v + dx[3:], tau + du)
+        exact = np.concatenate([v + dx[3:], after]) - np.concatenate([v, offset_robot.forward_dynamics(q, v, tau)])
+        ratios.append(np.linalg.norm(A @ dx + B @ du - exact) / size)
+    # What is left is of second order: ten times smaller steps leave a ten times smaller share.
+    assert ratios[1] < ratios[0] / 5
+    assert ratios[1] < 1e-3
+
+
+def test_integrate_and_difference_are_inverse_and_psi_is_compared_on_the_circle() -> None:
+    robot = MobileRobot.lecture()
+    q = np.array([1.0, 2.0, 3.0])
+    np.testing.assert_allclose(robot.difference(q, robot.integrate(q, [0.1, -0.2, 0.3])), [0.1, -0.2, 0.3])
+    assert robot.difference([0, 0, 0.1], [0, 0, 2 * np.pi])[2] == pytest.approx(-0.1)
+    assert robot.integrate(q, [0, 0, 10])[2] == 13  # unwrapped
+
+
+def test_leading_axes_broadcast_and_none_is_empty(offset_robot: MobileRobot) -> None:
+    q = np.random.default_rng(0).normal(size=(2, 4, 3))
+    many = offset_robot.inverse_dynamics(q, [0.1, 0.2, 0.3], np.zeros((4, 3)))
+    assert many.shape == (2, 4, 3)
+    np.testing.assert_array_equal(many[1, 3], offset_robot.inverse_dynamics(q[1, 3], [0.1, 0.2, 0.3], [0, 0, 0]))
+    assert offset_robot.mass_matrix(np.empty((0, 3))).shape == (0, 3, 3)
+    assert offset_robot.kinetic_energy(np.empty((0, 3)), np.empty((0, 3))).shape == (0,)
+
+
+def test_results_are_the_callers_own(offset_robot: MobileRobot) -> None:
+    first = offset_robot.mass_matrix([0, 0, 0.3])
+    kept = first.copy()
+    offset_robot.mass_matrix([0, 0, 1.3])
+    np.testing.assert_array_equal(first, kept)
+
+
+def test_gravity_does_not_leak_into_the_level_plane(states: tuple[Array, ...]) -> None:
+    """Rounded right angles would tilt the chain by 2e-16 rad: 1e-14 N for a robot that rests."""
+    robot = MobileRobot(1000, 50, com=(0.3, -0.2, 0.5))
+    assert np.abs(robot.nonlinear_effects(states[0], np.zeros(3))).max() == 0
+
+
+def test_a_robot_is_a_value() -> None:
+    robot = MobileRobot(10, 1.2, com=(0.15, 0.05), size=(1, 2, 3))
+    assert eval(repr(robot)) == robot
+    assert pickle.loads(pickle.dumps(robot)) == robot
+    assert hash(MobileRobot(10, 1.2)) == hash(MobileRobot(10, 1.2, com=(0, 0, 0)))
+    assert MobileRobot(10, 1.2) != MobileRobot(10, 1.3)
+    assert MobileRobot(10, 1.2) != MobileRobot(10, 1.2, dh=SLIDE_TABLE)
+    with pytest.raises(AttributeError):
+        robot.mass = 3.0  # type: ignore[misc]
+
+
+WRONG_CHAIN = DHTable(tuple(DHRow(0, 0, 0, 0, JointType.REVOLUTE, name) for name in "abc"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"mass": 0}, "mass is 0.0 kg, expected > 0"),
+        ({"mass": -3}, "mass is -3.0 kg, expected > 0"),
+        ({"mass": float("nan")}, "mass is nan, expected a finite number"),
+        ({"mass": [1, 2]}, "mass has shape (2,), expected one number"),
+        ({"yaw_inertia": -0.1}, "yaw_inertia is -0.1 kg m^2, expected > 0"),
+        ({"com": (1,)}, "com has shape (1,), expected (2,) or (3,)"),
+        ({"com": (0, float("inf"))}, "com[1] is inf, expected a finite number"),
+        ({"size": (1, 1, 0)}, "size is (1, 1, 0), expected three lengths > 0 m"),
+        ({"size": (1, 1)}, "size has shape (2,), expected (..., 3)"),
+        ({"dh": "lecture"}, "dh is a str, expected a DHTable"),
+        ({"dh": WRONG_CHAIN}, "dh with variables ('a', 'b', 'c') does not put its last frame at (x, y, psi)"),
+    ],
+)
+def test_impossible_parameters_are_refused(arguments: dict[str, Any], text: str) -> None:
+    with pytest.raises(InvalidArgument) as caught:
+        MobileRobot(**({"mass": 1, "yaw_inertia": 1} | arguments))
+    assert str(caught.value).startswith(text)
+
+
+@pytest.mark.parametrize("method", ["mass_matrix", "frame_placements", "jacobian"])
+def test_configurations_of_the_wrong_size_are_refused(offset_robot: MobileRobot, method: str) -> None:
+    with pytest.raises(InvalidArgument, match=r"q has shape \(2,\), expected \(\.\.\., 3\)"):
+        getattr(offset_robot, method)([1, 2])
+
+
+def test_what_is_not_finite_is_refused(offset_robot: MobileRobot) -> None:
+    with pytest.raises(InvalidArgument, match=r"tau\[1\] is nan"):
+        offset_robot.forward_dynamics([0, 0, 0], [0, 0, 0], [0, np.nan, 0])
+    with pytest.raises(InvalidArgument, match="pin_model is a str, expected a pinocchio.Model"):
+        MobileRobot.from_model("model")
+
+
+def test_the_raw_model_is_pinocchios(offset_robot: MobileRobot) -> None:
+    model = offset_robot.model
+    assert isinstance(model, pin.Model)
+    M = pin.crba(model, model.createData(), np.array([2.0, 1.0, 0.7]))  # y before x
+    np.testing.assert_array_equal(M[np.ix_([1, 0, 2], [1, 0, 2])], offset_robot.mass_matrix([1.0, 2.0, 0.7]))

@@ -1,0 +1,253 @@
+"""What `MobileRobot.from_urdf` and `from_model` take, and what they refuse."""
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pinmobile import LECTURE_TABLE, SLIDE_TABLE, InvalidArgument, MobileRobot
+from pinmobile.arrays import Array
+
+
+def link(name: str, mass: float = 0, com: str = "0 0 0", rpy: str = "0 0 0", i: str = "1 0 0 1 0 1") -> str:
+    if not mass:
+        return f'<link name="{name}"/>'
+    xx, xy, xz, yy, yz, zz = i.split()
+    return (
+        f'<link name="{name}"><inertial><origin xyz="{com}" rpy="{rpy}"/><mass value="{mass}"/>'
+        f'<inertia ixx="{xx}" ixy="{xy}" ixz="{xz}" iyy="{yy}" iyz="{yz}" izz="{zz}"/></inertial></link>'
+    )
+
+
+def joint(
+    name: str, kind: str, parent: str, child: str, axis: str = "0 0 1", xyz: str = "0 0 0", rpy: str = "0 0 0"
+) -> str:
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>'
+        '<limit lower="-9" upper="9" effort="9" velocity="9"/></joint>'
+    )
+
+
+def robot(*parts: str) -> str:
+    return f'<?xml version="1.0"?><robot name="test">{"".join(parts)}</robot>'
+
+
+def saved(folder: Path, text: str) -> Path:
+    path = folder / "robot.urdf"
+    path.write_text(text)
+    return path
+
+
+def chain(*joints: str, masses: tuple[float, float, float] = (0, 0, 5)) -> str:
+    names = ("one", "two", "body")
+    return robot(link("world"), *map(link, names, masses), *joints)
+
+
+SLIDES = (
+    joint("slide_left", "prismatic", "world", "one", "0 1 0"),
+    joint("slide_forward", "prismatic", "one", "two", "1 0 0"),
+    joint("turn", "revolute", "two", "body", "0 0 1"),
+)
+
+
+@pytest.mark.parametrize("table", [LECTURE_TABLE, SLIDE_TABLE])
+def test_a_written_robot_is_read_back_to_the_last_digit(tmp_path: Path, table: object) -> None:
+    original = MobileRobot(1 / 3, 0.1, com=(0.1, 0.2, 0.3), size=(0.7, 0.5, 0.11), dh=table)  # type: ignore[arg-type]
+    read = MobileRobot.from_urdf(saved(tmp_path, original.to_urdf()))
+    assert read == original
+    assert read.source.startswith("robot.urdf is the chain (y, x, psi); mass 0.333333 kg")
+
+
+@pytest.mark.parametrize("last", ["revolute", "continuous"])
+def test_a_chain_of_other_names_and_frames_is_the_chain(tmp_path: Path, last: str) -> None:
+    parts = (*SLIDES[:2], joint("turn", last, "two", "body", "0 0 1", xyz="0 0 0.3"))
+    read = MobileRobot.from_urdf(saved(tmp_path, chain(*parts)))
+    assert (read.mass, read.yaw_inertia, read.com) == (5, 1, (0, 0, 0.3))
+    assert "is the chain (slide_left, slide_forward, turn)" in read.source
+    assert read.model.nq == 3
+
+
+def test_joints_turned_by_their_frames_are_judged_by_the_axes_in_the_ground_frame(tmp_path: Path) -> None:
+    quarter = "0 0 1.5707963267948966"
+    parts = (
+        joint("slide_left", "prismatic", "world", "one", "1 0 0", rpy=quarter),
+        joint("slide_forward", "prismatic", "one", "two", "0 -1 0"),
+        joint("turn", "revolute", "two", "body", "0 0 1"),
+    )
+    text = robot(
+        link("world"), link("one"), link("two"), link("body", 5, "0.2 0 0", i="1 0 0 2 0 2.5"), *parts
+    )
+    read = MobileRobot.from_urdf(saved(tmp_path, text))
+    # At rest the file's last frame points along +y, and B along +x.
+    np.testing.assert_allclose(read.com, (0, 0.2, 0), atol=1e-15)
+    np.testing.assert_allclose(np.diag(read.body.inertia), (2, 1, 2.5), atol=1e-14)
+
+
+WRONG = {
+    "x before y": (
+        chain(
+            joint("px", "prismatic", "world", "one", "1 0 0"),
+            joint("py", "prismatic", "one", "two", "0 1 0"),
+            joint("rz", "revolute", "two", "body", "0 0 1"),
+        ),
+        "joint 'px' is prismatic along (1, 0, 0), expected a prismatic one along (0, 1, 0)",
+    ),
+    "second slide along z": (
+        chain(SLIDES[0], joint("lift", "prismatic", "one", "two", "0 0 1"), SLIDES[2]),
+        "joint 'lift' is prismatic along (0, 0, 1), expected a prismatic one along (1, 0, 0)",
+    ),
+    "turn about x": (
+        chain(*SLIDES[:2], joint("roll", "revolute", "two", "body", "1 0 0")),
+        "joint 'roll' is revolute along (1, 0, 0), expected a revolute one along (0, 0, 1)",
+    ),
+    "turn away from the origin": (
+        chain(*SLIDES[:2], joint("turn", "revolute", "two", "body", "0 0 1", xyz="0.1 0 0")),
+        "the axis of joint 'turn' does not pass through the origin",
+    ),
+    "mass on a virtual link": (
+        chain(*SLIDES, masses=(0, 2, 5)),
+        "joint 'slide_forward' moves a link of 2 kg, expected a massless virtual link",
+    ),
+    "no mass": (chain(*SLIDES, masses=(0, 0, 0)), "the body has mass 0.0 kg, expected > 0"),
+    "an arm": (
+        robot(
+            link("base", 5),
+            link("upper", 1),
+            link("lower", 1),
+            joint("shoulder", "revolute", "base", "upper"),
+            joint("elbow", "revolute", "upper", "lower"),
+        ),
+        "joint 'shoulder' (JointModelRZ) is neither a wheel",
+    ),
+    "an impossible body": (
+        robot(link("base", 5, i="1 0 0 1 0 3")),
+        "inertia has principal moments (1, 1, 3) kg m^2, which no rigid body has",
+    ),
+    "a negative inertia": (
+        robot(link("base", 5, i="1 0 0 1 0 -1")),
+        "inertia has principal moments (-1, 1, 1) kg m^2, which no rigid body has",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_is_neither_chain_nor_base_is_refused_by_the_joint_that_is_wrong(tmp_path: Path, case: str) -> None:
+    urdf, text = WRONG[case]
+    with pytest.raises(InvalidArgument) as caught:
+        MobileRobot.from_urdf(saved(tmp_path, urdf))
+    assert str(caught.value).startswith("robot.urdf: ")
+    assert text in str(caught.value)
+
+
+def base(wheel: str = "continuous") -> str:
+    """Return a base like a Ridgeback: rotated inertial frame, fixed links, a rocker, wheels."""
+    turned = "1.5707963267948966 0 1.5707963267948966"
+    return robot(
+        link("base_link"),
+        link("chassis", 160, "0.012 0.002 0.067", turned, "4.47 0.03 0.004 7.16 0.12 4.61"),
+        link("imu", 0.5, i="1e-3 0 0 1e-3 0 1e-3"),
+        link("rocker", 10, i="0.4 0 0 0.03 0 0.4"),
+        *(link(f"wheel_{k}", 2.3, i="0.003 0 0 0.006 0 0.003") for k in range(4)),
+        joint("base_joint", "fixed", "base_link", "chassis"),
+        joint("imu_joint", "fixed", "chassis", "imu", xyz="0.2 -0.3 0.17"),
+        joint("rocker_joint", "revolute", "chassis", "rocker", "1 0 0", xyz="0.32 0 0.05"),
+        *(
+            joint(f"wheel_{k}_joint", wheel, "rocker", f"wheel_{k}", "0 1 0", xyz=f"0 {side} 0")
+            for k, side in enumerate((0.27, -0.27))
+        ),
+        *(
+            joint(f"wheel_{k}_joint", wheel, "chassis", f"wheel_{k}", "0 1 0", xyz=f"-0.32 {side} 0.05")
+            for k, side in ((2, 0.27), (3, -0.27))
+        ),
+    )
+
+
+def by_hand() -> tuple[float, Array, Array]:
+    """Return mass, centre of mass and inertia of `base`, body by body with Steiner's theorem."""
+    R = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])  # RotZ(90) RotX(90)
+    I = np.array([[4.47, 0.03, 0.004], [0.03, 7.16, 0.12], [0.004, 0.12, 4.61]])
+    wheel = np.diag([0.003, 0.006, 0.003])
+    parts = [
+        (160, (0.012, 0.002, 0.067), R @ I @ R.T),
+        (0.5, (0.2, -0.3, 0.17), np.eye(3) * 1e-3),
+        (10, (0.32, 0, 0.05), np.diag([0.4, 0.03, 0.4])),
+        *((2.3, (x, y, 0.05), wheel) for x in (0.32, -0.32) for y in (0.27, -0.27)),
+    ]
+    mass = sum(m for m, _, _ in parts)
+    com = sum(m * np.array(c) for m, c, _ in parts) / mass
+    inertia = np.zeros((3, 3))
+    for m, c, about in parts:
+        d = np.array(c) - com
+        inertia += about + m * (d @ d * np.eye(3) - np.outer(d, d))
+    return mass, com, inertia
+
+
+def test_a_bare_base_is_put_on_the_chain_with_its_wheels_locked(tmp_path: Path) -> None:
+    read = MobileRobot.from_urdf(saved(tmp_path, base()))
+    mass, com, inertia = by_hand()
+    assert read.mass == pytest.approx(mass, rel=1e-14)
+    np.testing.assert_allclose(read.com, com, atol=1e-14)
+    np.testing.assert_allclose(read.body.inertia, inertia, atol=1e-12)
+    # The chassis's yaw inertia is the file's iyy: its inertial frame is turned.
+    assert read.yaw_inertia > 7.16
+    assert "is a bare base, put on the chain" in read.source
+    assert "locked at rest: rocker_joint, wheel_0_joint, wheel_1_joint" in read.source
+    assert read.nv == 3
+
+
+@pytest.mark.parametrize("root", [None, pin.JointModelFreeFlyer(), pin.JointModelPlanar()])
+def test_a_base_model_may_have_a_root_of_its_own(root: object) -> None:
+    model = pin.buildModelFromXML(base()) if root is None else pin.buildModelFromXML(base(), root)
+    mass, com, inertia = by_hand()
+    read = MobileRobot.from_model(model)
+    np.testing.assert_allclose([read.mass, *read.com], [mass, *com], rtol=1e-13)
+    np.testing.assert_allclose(read.body.inertia, inertia, atol=1e-12)
+
+
+def test_a_chain_may_carry_wheels() -> None:
+    wheel = (link("wheel", 1), joint("spin", "continuous", "body", "wheel", "0 1 0", xyz="0 0.5 0"))
+    model = pin.buildModelFromXML(chain(*SLIDES, *wheel))
+    read = MobileRobot.from_model(model)
+    assert (read.mass, read.com[1]) == (6, pytest.approx(0.5 / 6))
+    assert "locked at rest: spin" in read.source
+
+
+def test_the_users_model_is_left_alone() -> None:
+    model = pin.buildModelFromXML(chain(*SLIDES))
+    copy = model.copy()
+    assert MobileRobot.from_model(model).model is not model
+    assert model == copy
+
+
+def test_an_arm_among_the_loaders_robots_is_refused() -> None:
+    with pytest.raises(InvalidArgument, match="joint 'shoulder1_joint'|joint 'joint1'|is neither a wheel"):
+        MobileRobot.from_model(pin.buildSampleModelManipulator())
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        (None, "which cannot be read"),
+        ("<robot", "is not well-formed XML"),
+        ("<gazebo/>", "is not a URDF: expected a <robot> with links, got <gazebo>"),
+        ('<robot name="empty"/>', "is not a URDF: expected a <robot> with links"),
+        (
+            '<robot name="r"><link name="a"/><link name="b"/></robot>',
+            "is not a URDF that Pinocchio reads",
+        ),
+    ],
+)
+def test_a_missing_or_malformed_file_is_refused(tmp_path: Path, content: str | None, text: str) -> None:
+    path = tmp_path / "missing.urdf" if content is None else saved(tmp_path, content)
+    with pytest.raises(InvalidArgument) as caught:
+        MobileRobot.from_urdf(path)
+    assert text in str(caught.value)
+    assert path.name in str(caught.value)
+
+
+def test_mesh_folders_that_are_not_there_are_refused(tmp_path: Path) -> None:
+    path = saved(tmp_path, base())
+    with pytest.raises(InvalidArgument, match="package_dirs has 'nowhere', expected a folder"):
+        MobileRobot.from_urdf(path, package_dirs=["nowhere"])
