@@ -93,8 +93,8 @@ class PD:
         If a gain has another shape or is not finite.
     """
 
-    kp: Array
-    kd: Array
+    kp: ArrayLike
+    kd: ArrayLike
     difference: Difference = planar_difference
 
     def __post_init__(self) -> None:
@@ -128,8 +128,8 @@ class ComputedTorque:
     """
 
     robot: InverseDynamics
-    kp: Array = 4  # type: ignore[assignment]  # what is given is made an array
-    kd: Array = 4  # type: ignore[assignment]
+    kp: ArrayLike = 4
+    kd: ArrayLike = 4
     difference: Difference = planar_difference
 
     def __post_init__(self) -> None:

@@ -44,16 +44,16 @@ def read_archive(path: Path) -> tuple[dict[str, Array], MobileRobot | None]:
         If the file cannot be read or is no such archive.
     """
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            if "format" not in archive or str(archive["format"]) != _FORMAT:
-                raise InvalidArgument(f"path is {str(path)!r}, which is no {_FORMAT!r} archive")
-            arrays = {name: archive[name] for name in archive.files if name not in ("format", "robot")}
-            described = json.loads(str(archive["robot"]))
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            named = dict(archive)
     except OSError as error:
-        raise InvalidArgument(f"path is {str(path)!r}, which cannot be read: {error}") from error
-    except (zipfile.BadZipFile, EOFError, AttributeError, TypeError, KeyError) as error:
-        raise InvalidArgument(f"path is {str(path)!r}, which is no rollout: {error}") from error
-    return arrays, None if described is None else _restore(described)
+        raise InvalidArgument(f"path is {str(path)!r}, which cannot be read: {error.strerror}") from error
+    except (ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise InvalidArgument(f"path is {str(path)!r}, which is no NumPy archive") from error
+    if str(named.pop("format", "")) != _FORMAT:
+        raise InvalidArgument(f"path is {str(path)!r}, which is no {_FORMAT!r} archive")
+    described = json.loads(str(named.pop("robot")))
+    return named, None if described is None else _restore(described)
 
 
 def _describe(robot: MobileRobot) -> dict[str, Any]:

@@ -1,0 +1,99 @@
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pinmobile import PD, ComputedTorque, InvalidArgument, MobileRobot, Reference, law, planar_difference
+from pinmobile.arrays import Array
+
+ROBOT = MobileRobot(10, 1.2, com=(0.15, 0.05))
+
+
+@pytest.fixture
+def reference() -> Reference:
+    return Reference(*np.random.default_rng(3).normal(size=(3, 40, 3)))
+
+
+def test_planar_difference_is_on_the_circle_and_the_lectures_is_not() -> None:
+    """Errata: wrapping without wrapping the error gives a spike of 2 pi."""
+    ahead, behind = np.array([0, 0, 0.01]), np.array([0, 0, 2 * np.pi - 0.01])
+    assert planar_difference(ahead, behind)[2] == pytest.approx(0.02)
+    assert np.subtract(ahead, behind)[2] == pytest.approx(0.02 - 2 * np.pi)
+
+
+def test_pd_is_the_lectures(states: tuple[Array, ...], reference: Reference) -> None:
+    q, v, _, _ = states
+    tau, state = PD((120, 120, 0.4), (10, 20, 0.5))(0.0, q, v, reference, None)
+    expected = planar_difference(reference.q, q) * [120, 120, 0.4] + (reference.v - v) * [10, 20, 0.5]
+    np.testing.assert_allclose(tau, expected, rtol=1e-14)
+    assert state is None
+
+
+def test_computed_torque_makes_the_error_linear(states: tuple[Array, ...], reference: Reference) -> None:
+    q, v, _, _ = states
+    controller = ComputedTorque(ROBOT, kp=3, kd=2)
+    tau, _ = controller(0.0, q, v, reference, controller.initial_state())
+    a = ROBOT.forward_dynamics(q, v, tau)
+    expected = reference.a + 3 * planar_difference(reference.q, q) + 2 * (reference.v - v)
+    # Rounding, amplified by the condition number of M, about 10.
+    np.testing.assert_allclose(a, expected, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("make", [PD, lambda *gains: ComputedTorque(ROBOT, *gains)])
+def test_a_scalar_a_vector_and_a_matrix_are_the_same_gain(
+    make: Any, states: tuple[Array, ...], reference: Reference
+) -> None:
+    q, v, _, _ = states
+    forces = [make(k, k)(0.0, q, v, reference, None)[0] for k in (2, (2, 2, 2), 2 * np.eye(3))]
+    np.testing.assert_allclose(forces[1:], [forces[0]] * 2, rtol=1e-14)
+
+
+def test_a_matrix_couples_coordinates() -> None:
+    kp = np.array([[0, 1, 0], [0, 0, 0], [0, 0, 0.0]])
+    here, there = Reference(*np.zeros((3, 3))), Reference(np.array([0, 5, 0.0]), np.zeros(3), np.zeros(3))
+    tau, _ = PD(kp, 0)(0.0, here.q, here.v, there, None)
+    assert tau.tolist() == [5, 0, 0]  # an error in y pushes along x
+
+
+def test_a_law_is_a_controller_without_memory() -> None:
+    controller = law(lambda t, q, v, reference: [t, 2, 3])
+    assert controller.initial_state() is None
+    tau, state = controller(1.0, np.zeros(3), np.zeros(3), None, None)
+    assert (tau.tolist(), state) == ([1, 2, 3], None)
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (lambda: PD(np.ones((2, 3)), 1), "kp has shape (2, 3), expected (), (n,) or (n, n)"),
+        (lambda: PD(1, [[[1.0]]]), "kd has shape (1, 1, 1), expected (), (n,) or (n, n)"),
+        (lambda: PD(np.nan, 1), "kp is nan, expected a finite number"),
+        (lambda: ComputedTorque(ROBOT, kp=(1, 2)), "kp has shape (2,), expected (), (3,) or (3, 3)"),
+        (
+            lambda: ComputedTorque(ROBOT, kd=np.ones((2, 2))),
+            "kd has shape (2, 2), expected (), (3,) or (3, 3)",
+        ),
+        (lambda: ComputedTorque("robot"), "robot is 'robot', expected a MobileRobot"),  # type: ignore[arg-type]
+        (lambda: PD(1, 1, difference=3), "difference is 3, expected a function of q_d and q"),  # type: ignore[arg-type]
+        (lambda: law(3), "function is 3, expected a function of t, q, v and reference"),  # type: ignore[arg-type]
+    ],
+)
+def test_gains_and_arguments_that_do_not_fit_are_refused(call: Any, text: str) -> None:
+    with pytest.raises(InvalidArgument) as caught:
+        call()
+    assert str(caught.value) == text
+
+
+def test_gains_of_another_size_are_refused_when_the_size_is_known() -> None:
+    rest = Reference(*np.zeros((3, 3)))
+    with pytest.raises(InvalidArgument, match=r"kp has shape \(2,\), expected \(\), \(3,\) or \(3, 3\)"):
+        PD((1, 2), 1)(0.0, rest.q, rest.v, rest, None)
+
+
+def test_gains_are_read_only_copies() -> None:
+    gains = np.array([1.0, 2.0, 3.0])
+    controller = PD(gains, 1)
+    gains[0] = 9
+    assert controller.kp.tolist() == [1, 2, 3]
+    with pytest.raises(ValueError, match="read-only"):
+        controller.kp[0] = 9

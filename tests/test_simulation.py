@@ -1,0 +1,315 @@
+"""`simulate` against closed forms, and what it does with what it cannot do."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from pinmobile import (
+    PD,
+    Circle,
+    ComputedTorque,
+    Diverged,
+    FixedHeading,
+    InvalidArgument,
+    MobileRobot,
+    Reference,
+    Rollout,
+    constant_acceleration,
+    law,
+    rk4,
+    semi_implicit_euler,
+    simulate,
+)
+from pinmobile.arrays import Array
+
+ROBOT = MobileRobot(10, 1.2, com=(0.15, 0.05))
+CIRCLE = FixedHeading(Circle(1.0, 0.5, 12.0), 0.3)
+START = {"q0": (0.2, -0.1, 0.9), "v0": (0.1, 0.0, -0.4)}
+
+
+class Hold:
+    """A reference at rest at the origin."""
+
+    duration = 6.0
+
+    def __call__(self, t: Any) -> Reference:
+        return Reference(*np.zeros((3, *np.shape(t), 3)))
+
+
+class Asked:
+    """A controller in the user's own class: `simulate` cannot know that it is the library's."""
+
+    def __init__(self, inner: Any) -> None:
+        self.inner = inner
+
+    def initial_state(self) -> Any:
+        return self.inner.initial_state()
+
+    def __call__(self, t: float, q: Array, v: Array, reference: Any, state: Any) -> tuple[Array, Any]:
+        tau, state = self.inner(t, q, v, reference, state)
+        return tau, state
+
+
+class OtherPlant:
+    """A plant that is only what the protocol asks for."""
+
+    nq = nv = nu = 3
+
+    def forward_dynamics(self, q: Array, v: Array, u: Array) -> Array:
+        return ROBOT.forward_dynamics(q, v, u)
+
+    def integrate(self, q: Array, dq: Array) -> Array:
+        return ROBOT.integrate(q, dq)
+
+    def difference(self, q0: Array, q1: Array) -> Array:
+        return ROBOT.difference(q0, q1)
+
+
+@pytest.mark.parametrize("integrator", [constant_acceleration, semi_implicit_euler, rk4])
+@pytest.mark.parametrize("substeps", [1, 3])
+@pytest.mark.parametrize(
+    "controller", [ComputedTorque(MobileRobot(8, 1), 3, (2, 3, 4)), PD(40 * np.eye(3), 20)]
+)
+def test_the_librarys_own_loop_and_a_users_are_the_same(
+    integrator: Any, substeps: int, controller: Any
+) -> None:
+    options: dict[str, Any] = {"dt": 0.05, "integrator": integrator, "substeps": substeps, **START}
+    own = simulate(ROBOT, controller, CIRCLE, **options)
+    for plant in (ROBOT, OtherPlant()):
+        users = simulate(plant, Asked(controller), CIRCLE, **options)
+        for name in ("q", "v", "a", "tau", "error"):
+            # The same sums in another order, over 240 steps of a stable loop.
+            np.testing.assert_allclose(getattr(users, name), getattr(own, name), rtol=0, atol=1e-12)
+
+
+def by_hand(plant: MobileRobot, controller: Any, dt: float, n: int) -> tuple[Array, Array]:
+    """Return q and tau of the lecture's loop, written as the lecture writes it."""
+    q, v = np.array(START["q0"]), np.array(START["v0"])
+    qs, taus = [], []
+    for k in range(n + 1):
+        tau, _ = controller(k * dt, q, v, CIRCLE(min(k * dt, 12.0)), None)
+        a = np.linalg.solve(plant.mass_matrix(q), tau - plant.nonlinear_effects(q, v))
+        qs.append(q)
+        taus.append(tau)
+        q, v = q + dt * v + dt**2 / 2 * a, v + dt * a
+    return np.array(qs), np.array(taus)
+
+
+def test_every_sample_is_that_of_the_loop_written_by_hand() -> None:
+    controller = ComputedTorque(MobileRobot(12, 1.0, com=(0.1, 0.0)))
+    rollout = simulate(ROBOT, controller, CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
+    q, tau = by_hand(ROBOT, controller, 0.1, 120)
+    np.testing.assert_allclose(rollout.q, q, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(rollout.tau, tau, rtol=0, atol=1e-11)
+
+
+def test_the_record_is_consistent_and_includes_the_last_sample() -> None:
+    rollout = simulate(ROBOT, ComputedTorque(ROBOT), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
+    assert len(rollout) == 121
+    assert (rollout.t[0], rollout.t[-1]) == (0.0, 12.0)
+    np.testing.assert_allclose(rollout.t, np.arange(121) * 0.1, rtol=1e-15)
+    np.testing.assert_array_equal(rollout.q[0], START["q0"])
+    np.testing.assert_allclose(
+        rollout.a, ROBOT.forward_dynamics(rollout.q, rollout.v, rollout.tau), atol=1e-13
+    )
+    np.testing.assert_array_equal(rollout.error, ROBOT.difference(rollout.q, rollout.reference.q))
+    np.testing.assert_array_equal(rollout.reference.q, CIRCLE(rollout.t).q)
+    assert rollout.max_error().tolist() == np.abs(rollout.error).max(axis=0).tolist()
+    np.testing.assert_allclose(rollout.rms_error(), np.sqrt((rollout.error**2).mean(axis=0)))
+    with pytest.raises(ValueError, match="read-only"):
+        rollout.q[0, 0] = 1
+
+
+def test_error_follows_the_exact_recurrence_under_a_held_force() -> None:
+    """At rest with com = 0, M is constant: one step maps (e, e_dot) by a matrix, exactly."""
+    kp, kd, dt = 4.0, 3.0, 0.1
+    robot = MobileRobot(10, 1.2)
+    rollout = simulate(robot, ComputedTorque(robot, kp, kd), Hold(), dt=dt, **START)  # type: ignore[arg-type]
+    step = np.array([[1 - kp * dt**2 / 2, dt - kd * dt**2 / 2], [-kp * dt, 1 - kd * dt]])
+    e = np.stack([-rollout.q, -rollout.v], axis=1)  # (N + 1, 2, 3)
+    expected = np.stack([np.linalg.matrix_power(step, k) @ e[0] for k in range(61)])
+    np.testing.assert_allclose(e, expected, rtol=0, atol=1e-14)
+
+
+def test_error_tends_to_that_of_the_continuous_loop() -> None:
+    """e'' + Kd e' + Kp e = 0 as dt goes to 0; what the held force costs is of first order."""
+    kp, kd = 4.0, 3.0
+    flow = expm(6.0 * np.array([[0, 1], [-kp, -kd]])) @ -np.array([START["q0"], START["v0"]])
+    steps = np.array([0.02, 0.01, 0.005])
+    off = []
+    for dt in steps:
+        controller = ComputedTorque(ROBOT, kp, kd)
+        rollout = simulate(ROBOT, controller, Hold(), dt=float(dt), integrator=rk4, **START)  # type: ignore[arg-type]
+        off.append(np.abs(rollout.error[-1] - flow[0]).max())
+    slope = np.polyfit(np.log(steps), np.log(off), 1)[0]
+    assert slope == pytest.approx(1, abs=0.15)
+
+
+def test_a_wrong_model_in_the_controller_is_not_the_plants() -> None:
+    right = simulate(ROBOT, ComputedTorque(ROBOT), CIRCLE, dt=0.01)
+    wrong = simulate(ROBOT, ComputedTorque(MobileRobot(20, 1.2)), CIRCLE, dt=0.01)
+    assert wrong.max_error()[0] > 10 * right.max_error()[0]
+
+
+def test_the_force_is_held_over_dt_whatever_the_substeps() -> None:
+    asked: list[float] = []
+
+    def push(t: float, q: Array, v: Array, reference: Any) -> Array:
+        asked.append(t)
+        return np.array([1.0, 0, 0])
+
+    simulate(ROBOT, law(push), CIRCLE, dt=0.5, duration=2.0, substeps=10, integrator=rk4)
+    assert asked == [0.0, 0.5, 1.0, 1.5, 2.0]
+
+
+def test_a_controllers_memory_is_handed_on() -> None:
+    class Counter:
+        def initial_state(self) -> int:
+            return 0
+
+        def __call__(self, t: float, q: Array, v: Array, reference: Any, state: int) -> tuple[Array, int]:
+            return np.array([float(state), 0, 0]), state + 1
+
+    rollout = simulate(ROBOT, Counter(), CIRCLE, dt=0.5, duration=2.0)
+    assert rollout.tau[:, 0].tolist() == [0, 1, 2, 3, 4]
+
+
+def test_a_controller_cannot_write_into_the_record() -> None:
+    def vandal(t: float, q: Array, v: Array, reference: Any) -> Array:
+        q[:] = v[:] = 99
+        return np.zeros(3)
+
+    rollout = simulate(ROBOT, law(vandal), CIRCLE, dt=0.5, duration=2.0)
+    assert np.abs(rollout.q).max() < 10
+
+
+def test_divergence_is_reported_with_everything_before_it() -> None:
+    """Errata, PD gains: with an offset centre of mass the lecture's loop diverges."""
+    robot = MobileRobot(30, 0.1, com=(0.1, 0.05))
+    gains = (120, 120, 0.4)
+    with pytest.raises(Diverged, match=r"the loop diverged at t = .* s \(sample \d+ of 120\)") as caught:
+        simulate(robot, PD(gains, gains), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
+    error = caught.value
+    assert len(error.rollout) > 3
+    assert error.time == pytest.approx(error.rollout.t[-1] + 0.1)
+    assert error.q.shape == error.v.shape == (3,)
+    assert np.isfinite(error.rollout.q).all()
+    assert np.abs(error.rollout.error).max() <= 1e3
+
+
+def test_without_a_limit_the_numbers_overflow_and_that_is_reported_too() -> None:
+    robot = MobileRobot(30, 0.1, com=(0.1, 0.05))
+    with pytest.raises(Diverged, match="not finite") as caught:
+        simulate(robot, PD((120, 120, 0.4), (120, 120, 0.4)), CIRCLE, dt=0.1, limit=1e300, **START)  # type: ignore[arg-type]
+    assert np.isfinite(caught.value.rollout.tau).all()
+
+
+def test_a_spinning_heading_is_divergence_though_its_error_stays_on_the_circle() -> None:
+    robot = MobileRobot(30, 0.1)
+    with pytest.raises(Diverged, match="the rate of psi"):
+        simulate(robot, PD((120, 120, 400), (120, 120, 400)), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
+
+
+def test_a_start_beyond_the_limit_diverges_at_once_with_nothing_recorded() -> None:
+    with pytest.raises(Diverged, match=r"at t = 0 s .*the error in x is -2001") as caught:
+        simulate(ROBOT, PD(1, 1), CIRCLE, dt=0.1, q0=(2001, 0, 0))
+    assert caught.value.rollout is None
+
+
+def test_not_a_number_from_a_controller_is_divergence_at_that_sample() -> None:
+    def fails(t: float, q: Array, v: Array, reference: Any) -> Array:
+        return np.full(3, np.nan if t > 1 else 0.0)
+
+    with pytest.raises(Diverged, match=r"at t = 1.1 s .* tau not finite") as caught:
+        simulate(ROBOT, law(fails), CIRCLE, dt=0.1)
+    assert len(caught.value.rollout) == 11
+
+
+def zero(t: float, q: Array, v: Array, reference: Any) -> Array:
+    return np.zeros(3)
+
+
+@pytest.mark.parametrize(
+    ("changed", "text"),
+    [
+        ({"dt": 0}, "dt is 0.0 s, expected > 0"),
+        ({"dt": float("nan")}, "dt is nan, expected a finite number"),
+        ({"dt": 0.7}, "duration is 12.0 s, expected a whole number of steps dt = 0.7 s, such as 11.9 s"),
+        ({"duration": -1}, "duration is -1.0 s, expected > 0"),
+        ({"duration": 13}, "duration is 13.0 s, expected at most the trajectory's 12.0 s"),
+        ({"duration": 0.04}, "duration is 0.04 s, expected a whole number of steps dt = 0.1 s"),
+        ({"substeps": 0}, "substeps is 0, expected a whole number >= 1"),
+        ({"limit": 0}, "limit is 0.0, expected > 0"),
+        ({"q0": (1, 2)}, "q0 has shape (2,), expected (..., 3)"),
+        ({"q0": np.zeros((2, 3))}, "q0 has shape (2, 3), expected (3,)"),
+        ({"v0": (0, np.inf, 0)}, "v0[1] is inf, expected a finite number"),
+        ({"controller": zero}, "expected a controller: wrap a function in law(...)"),
+        (
+            {"controller": law(lambda *_: [1, 2])},
+            "controller returned array([1., 2.]) at t = 0 s, expected an",
+        ),
+        ({"trajectory": None}, "trajectory is None, expected something with 'duration'"),
+        ({"plant": 3}, "plant is 3, expected something with 'forward_dynamics'"),
+    ],
+)
+def test_arguments_that_do_not_fit_are_refused(changed: dict[str, Any], text: str) -> None:
+    arguments: dict[str, Any] = {"plant": ROBOT, "controller": PD(1, 1), "trajectory": CIRCLE, "dt": 0.1}
+    arguments |= changed
+    with pytest.raises(InvalidArgument) as caught:
+        simulate(**arguments)
+    assert text in str(caught.value)
+
+
+def test_a_rollout_is_saved_and_loaded_without_loss(tmp_path: Path) -> None:
+    rollout = simulate(ROBOT, ComputedTorque(ROBOT), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
+    rollout.save(tmp_path / "run")
+    loaded = Rollout.load(tmp_path / "run")
+    assert loaded.robot == ROBOT
+    assert loaded.robot.source == ROBOT.source
+    for name in ("t", "q", "v", "a", "tau", "error"):
+        np.testing.assert_array_equal(getattr(loaded, name), getattr(rollout, name))
+    for kept, original in zip(loaded.reference, rollout.reference, strict=True):
+        np.testing.assert_array_equal(kept, original)
+
+
+def test_a_rollout_of_another_plant_is_saved_without_it(tmp_path: Path) -> None:
+    simulate(OtherPlant(), PD(1, 1), CIRCLE, dt=0.1).save(tmp_path / "run.npz")
+    assert Rollout.load(tmp_path / "run.npz").robot is None
+
+
+def test_csv_has_a_header_and_every_digit(tmp_path: Path) -> None:
+    rollout = simulate(ROBOT, PD(1, 1), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
+    rollout.to_csv(tmp_path / "run.csv")
+    header = (tmp_path / "run.csv").read_text().splitlines()[0].split(",")
+    assert header[:5] == ["t", "x", "y", "psi", "v_x"]
+    table = np.loadtxt(tmp_path / "run.csv", delimiter=",", skiprows=1)
+    assert table.shape == (121, len(header))
+    np.testing.assert_array_equal(table[:, header.index("tau_psi")], rollout.tau[:, 2])
+    np.testing.assert_array_equal(table[:, header.index("desired_x")], rollout.reference.q[:, 0])
+
+
+def test_files_that_cannot_be_written_or_read_are_refused_by_name(tmp_path: Path) -> None:
+    rollout = simulate(ROBOT, PD(1, 1), CIRCLE, dt=0.1, duration=0.1)
+    for write in (rollout.save, rollout.to_csv):
+        with pytest.raises(InvalidArgument, match=r"nowhere.*which cannot be written"):
+            write(tmp_path / "nowhere" / "run")
+    with pytest.raises(InvalidArgument, match=r"missing.*which cannot be read"):
+        Rollout.load(tmp_path / "missing")
+    for content in (b"", b"not an archive", b"PK\x03\x04 broken"):
+        (tmp_path / "bad").write_bytes(content)
+        with pytest.raises(InvalidArgument, match="bad"):
+            Rollout.load(tmp_path / "bad")
+    np.savez(tmp_path / "other.npz", x=np.zeros(3))
+    with pytest.raises(InvalidArgument, match="which is no 'pinmobile rollout 1' archive"):
+        Rollout.load(tmp_path / "other.npz")
+
+
+def test_a_rollout_says_what_came_of_it() -> None:
+    text = str(simulate(ROBOT, PD(1, 1), CIRCLE, dt=0.1, duration=0.5))
+    assert "6 samples over 0.5 s at dt = 0.1 s" in text
+    assert "largest error: x " in text
+    assert "largest force: Fx " in text
+    assert repr(simulate(ROBOT, PD(1, 1), CIRCLE, dt=0.1, duration=0.5)).startswith("<Rollout: 6 samples")
