@@ -38,12 +38,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except PinmobileError as error:
         return _refuse(str(error))
     except (KeyboardInterrupt, typer.Abort):
-        return _refuse("interrupted", 130)
+        return _refuse("interrupted", _INTERRUPTED)
     except BrokenPipeError:
         # The reader has gone, as after `| head`; nothing is left to be said to it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    return int(code or 0)
+    return _refuse("interrupted", _INTERRUPTED) if code == _INTERRUPTED else int(code or 0)
+
+
+_INTERRUPTED = 130  # as typer says it, and shells
 
 
 def _refuse(message: str, code: int = 2) -> int:

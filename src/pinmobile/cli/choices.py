@@ -4,7 +4,9 @@ from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 from pinmobile import (
+    LECTURE_TABLE,
     PD,
+    SLIDE_TABLE,
     Circle,
     ComputedTorque,
     CubicVia,
@@ -13,8 +15,6 @@ from pinmobile import (
     InvalidArgument,
     LectureHeading,
     Lissajous,
-    LECTURE_TABLE,
-    SLIDE_TABLE,
     MobileRobot,
     Tangent,
     UnknownName,

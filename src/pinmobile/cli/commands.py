@@ -1,7 +1,7 @@
 """The commands and their options."""
 
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -24,8 +24,8 @@ app = typer.Typer(
 )
 
 _ROBOT, _PATH, _CONTROL, _LOOP = "Robot", "Trajectory", "Controller", "Loop and output"
-Text = Optional[str]
-Number = Optional[float]
+Text = str | None
+Number = float | None
 
 
 def _version(wanted: bool) -> None:
@@ -60,11 +60,11 @@ def lecture(
 @app.command()
 def verify(
     urdf: Annotated[
-        Optional[Path], typer.Option(help="Verify the robot of this URDF: the chain, or a bare base.")
+        Path | None, typer.Option(help="Verify the robot of this URDF: the chain, or a bare base.")
     ] = None,
-    mass: Annotated[float, typer.Option(help="Mass [kg].")] = 10.0,
-    yaw_inertia: Annotated[float, typer.Option(help="Inertia about the centre of mass [kg m^2].")] = 1.2,
-    com: Annotated[str, typer.Option(help="Centre of mass X,Y in the body frame [m].")] = "0.15,0.05",
+    mass: Annotated[float, typer.Option(help="Mass (kg).")] = 10.0,
+    yaw_inertia: Annotated[float, typer.Option(help="Inertia about the centre of mass (kg m^2).")] = 1.2,
+    com: Annotated[str, typer.Option(help="Centre of mass X,Y in the body frame (m).")] = "0.15,0.05",
     table: Annotated[str, typer.Option(help="DH table: lecture or slide.")] = "lecture",
     states: Annotated[int, typer.Option(help="Number of random states.")] = 200,
     seed: Annotated[int, typer.Option(help="Seed of the states.")] = 0,
@@ -79,7 +79,7 @@ def verify(
         bar.update(bar.task_ids[0], description="deriving and comparing")
         verification = pinmobile.verify(robot, states=states, seed=seed)
     console.print(f"{robot.source}: {robot}", markup=False)
-    console.print(verification, markup=False)
+    console.print(str(verification), markup=False)
     console.print("every route agrees" if verification.passed else "the routes do NOT agree")
     return 0 if verification.passed else 1
 
@@ -104,30 +104,30 @@ def run(
         str, typer.Option(help=f"One of {', '.join(choices.PATHS)}.", rich_help_panel=_PATH)
     ] = "circle",
     duration: Annotated[
-        Number, typer.Option(help="Duration of the path [s]; 60.", rich_help_panel=_PATH)
+        Number, typer.Option(help="Duration of the path (s); 60.", rich_help_panel=_PATH)
     ] = None,
-    radius: Annotated[Number, typer.Option(help="circle: radius [m]; 3.", rich_help_panel=_PATH)] = None,
-    rate: Annotated[Number, typer.Option(help="circle: [rad/s]; 0.1.", rich_help_panel=_PATH)] = None,
-    rx: Annotated[Number, typer.Option(help="lissajous: x amplitude [m]; 3.", rich_help_panel=_PATH)] = None,
-    ry: Annotated[Number, typer.Option(help="lissajous: y amplitude [m]; 3.", rich_help_panel=_PATH)] = None,
-    wx: Annotated[Number, typer.Option(help="lissajous: [rad/s]; 0.2.", rich_help_panel=_PATH)] = None,
-    wy: Annotated[Number, typer.Option(help="lissajous: [rad/s]; 0.1.", rich_help_panel=_PATH)] = None,
-    start: Annotated[Text, typer.Option(help="via: start X,Y [m]; 0,0.", rich_help_panel=_PATH)] = None,
-    via: Annotated[Text, typer.Option(help="via: via point X,Y [m]; 2,2.", rich_help_panel=_PATH)] = None,
-    end: Annotated[Text, typer.Option(help="via: end X,Y [m]; 0,4.", rich_help_panel=_PATH)] = None,
-    t_via: Annotated[Number, typer.Option(help="via: time at it [s]; 30.", rich_help_panel=_PATH)] = None,
+    radius: Annotated[Number, typer.Option(help="circle: radius (m); 3.", rich_help_panel=_PATH)] = None,
+    rate: Annotated[Number, typer.Option(help="circle: (rad/s); 0.1.", rich_help_panel=_PATH)] = None,
+    rx: Annotated[Number, typer.Option(help="lissajous: x amplitude (m); 3.", rich_help_panel=_PATH)] = None,
+    ry: Annotated[Number, typer.Option(help="lissajous: y amplitude (m); 3.", rich_help_panel=_PATH)] = None,
+    wx: Annotated[Number, typer.Option(help="lissajous: (rad/s); 0.2.", rich_help_panel=_PATH)] = None,
+    wy: Annotated[Number, typer.Option(help="lissajous: (rad/s); 0.1.", rich_help_panel=_PATH)] = None,
+    start: Annotated[Text, typer.Option(help="via: start X,Y (m); 0,0.", rich_help_panel=_PATH)] = None,
+    via: Annotated[Text, typer.Option(help="via: via point X,Y (m); 2,2.", rich_help_panel=_PATH)] = None,
+    end: Annotated[Text, typer.Option(help="via: end X,Y (m); 0,4.", rich_help_panel=_PATH)] = None,
+    t_via: Annotated[Number, typer.Option(help="via: time at it (s); 30.", rich_help_panel=_PATH)] = None,
     via_velocity: Annotated[
-        Text, typer.Option(help="via-stop: velocity X,Y at it [m/s]; 0,0.", rich_help_panel=_PATH)
+        Text, typer.Option(help="via-stop: velocity X,Y at it (m/s); 0,0.", rich_help_panel=_PATH)
     ] = None,
     heading: Annotated[
         str, typer.Option(help=f"One of {', '.join(choices.HEADINGS)}.", rich_help_panel=_PATH)
     ] = "tangent",
     psi: Annotated[
-        float, typer.Option(help="Heading, where it is fixed [rad].", rich_help_panel=_PATH)
+        float, typer.Option(help="Heading, where it is fixed (rad).", rich_help_panel=_PATH)
     ] = 0.0,
     turn_time: Annotated[
         float,
-        typer.Option(help="For each turn on the spot, where the tangent jumps [s].", rich_help_panel=_PATH),
+        typer.Option(help="For each turn on the spot, where the tangent jumps (s).", rich_help_panel=_PATH),
     ] = 2.0,
     controller: Annotated[
         str, typer.Option(help="computed-torque or pd.", rich_help_panel=_CONTROL)
@@ -140,26 +140,26 @@ def run(
     ] = None,
     model_mass: Annotated[
         Number,
-        typer.Option(help="Mass the controller believes in [kg]; the robot's.", rich_help_panel=_CONTROL),
+        typer.Option(help="Mass the controller believes in (kg); the robot's.", rich_help_panel=_CONTROL),
     ] = None,
     model_yaw_inertia: Annotated[
-        Number, typer.Option(help="Yaw inertia it believes in [kg m^2].", rich_help_panel=_CONTROL)
+        Number, typer.Option(help="Yaw inertia it believes in (kg m^2).", rich_help_panel=_CONTROL)
     ] = None,
     model_com: Annotated[
-        Text, typer.Option(help="Centre of mass X,Y it believes in [m].", rich_help_panel=_CONTROL)
+        Text, typer.Option(help="Centre of mass X,Y it believes in (m).", rich_help_panel=_CONTROL)
     ] = None,
     robot: Annotated[
         str, typer.Option(help="lecture (Icz = 0.1) or box (homogeneous).", rich_help_panel=_ROBOT)
     ] = "lecture",
     urdf: Annotated[
-        Optional[Path], typer.Option(help="The chain, or a bare base, instead.", rich_help_panel=_ROBOT)
+        Path | None, typer.Option(help="The chain, or a bare base, instead.", rich_help_panel=_ROBOT)
     ] = None,
-    mass: Annotated[Number, typer.Option(help="Mass in its place [kg].", rich_help_panel=_ROBOT)] = None,
+    mass: Annotated[Number, typer.Option(help="Mass in its place (kg).", rich_help_panel=_ROBOT)] = None,
     yaw_inertia: Annotated[
-        Number, typer.Option(help="Yaw inertia in its place [kg m^2].", rich_help_panel=_ROBOT)
+        Number, typer.Option(help="Yaw inertia in its place (kg m^2).", rich_help_panel=_ROBOT)
     ] = None,
-    com: Annotated[Text, typer.Option(help="Centre of mass X,Y [m].", rich_help_panel=_ROBOT)] = None,
-    dt: Annotated[float, typer.Option(help="Sampling time [s].", rich_help_panel=_LOOP)] = 0.1,
+    com: Annotated[Text, typer.Option(help="Centre of mass X,Y (m).", rich_help_panel=_ROBOT)] = None,
+    dt: Annotated[float, typer.Option(help="Sampling time (s).", rich_help_panel=_LOOP)] = 0.1,
     integrator: Annotated[
         str, typer.Option(help=f"One of {', '.join(choices.INTEGRATORS)}.", rich_help_panel=_LOOP)
     ] = "constant-acceleration",

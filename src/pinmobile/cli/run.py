@@ -61,7 +61,7 @@ def show_run(
             pictures.insert(0, Picture("animation.gif", "The robot as it moves."))
     if diverged is not None:
         console.print("up to there:", markup=False)
-    console.print(rollout, markup=False)
+    console.print(str(rollout), markup=False)
     text = str(rollout) if diverged is None else f"{diverged}\n\nup to there:\n{rollout}"
     page = index_page(folder, f"{label} on {plant}", [Section("What came of it", text, pictures)])
     console.print(

@@ -1,0 +1,212 @@
+"""The command as a person types it."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pinmobile
+from pinmobile import MobileRobot, Rollout
+from pinmobile.cli import main
+from pinmobile.cli.lecture import EXPECTED
+
+
+def typed(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
+    code = main(words)
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+@pytest.fixture(scope="module")
+def lecture(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Return the folder and the output of `pinmobile lecture`, in a process of its own."""
+    folder = tmp_path_factory.mktemp("lecture") / "out"
+    words = [sys.executable, "-m", "pinmobile.cli", "lecture", "--out", str(folder)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return folder, done.stdout
+
+
+def test_lecture_prints_every_number_beside_the_lectures(lecture: tuple[Path, str]) -> None:
+    _, text = lecture
+    for (trajectory, controller), (x, y) in EXPECTED.items():
+        assert re.search(rf"{trajectory} +{controller} +{x} +{x} +{y} +{y}\n", text)
+    assert "all twelve numbers are the lecture's, to every digit" in text
+    assert "the routes agree" in text
+    assert "M[psi, psi] = Icz + m*(xbc**2 + ybc**2)" in text
+    assert all(len(line) <= 80 for line in text.splitlines() if "/" not in line)
+
+
+def test_lecture_writes_every_figure_with_an_index_that_says_what_it_shows(lecture: tuple[Path, str]) -> None:
+    folder, text = lecture
+    page = (folder / "index.html").read_text()
+    kinds = ("animation.gif", "path.png", "states.png", "errors.png", "forces.png")
+    figures = {f"{name}-{kind}" for name in ("via-stop", "via-free", "circle") for kind in kinds}
+    assert {path.name for path in folder.iterdir()} == figures | {"index.html", "derivation.txt"}
+    for name in figures:
+        assert re.search(rf'<img src="{name}" alt="[^"]+"', page)
+        assert 1_000 < (folder / name).stat().st_size < 1_000_000
+    assert "http" not in page
+    assert f"open {folder / 'index.html'}" in text
+    assert (
+        "Newton" in (folder / "derivation.txt").read_text()
+        or "force" in (folder / "derivation.txt").read_text()
+    )
+
+
+def test_lecture_says_no_when_a_number_is_not_the_lectures(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(EXPECTED, ("circle", "PD"), ("7.481304e-03", "7.481287e-03"))
+    monkeypatch.setattr("pinmobile.cli.lecture.draw", lambda *_: [])
+    code, out, _ = typed(capsys, "lecture", "--no-gif", "--out", str(tmp_path))
+    assert code == 1
+    assert "some numbers are NOT the lecture's" in out
+    assert out.count("DIFFERS") == 1
+
+
+def test_verify_answers_for_numbers_and_for_a_file(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    code, out, _ = typed(capsys, "verify", "--table", "slide", "--states", "20")
+    assert code == 0
+    assert "every route agrees" in out
+    path = tmp_path / "mine.urdf"
+    path.write_text(MobileRobot(7, 0.5, com=(0.1, 0)).to_urdf())
+    code, out, _ = typed(capsys, "verify", "--urdf", str(path), "--states", "20")
+    assert code == 0
+    assert "mine.urdf is the chain (y, x, psi); mass 7 kg" in out
+
+
+def test_derive_prints_text_or_latex(capsys: pytest.CaptureFixture[str]) -> None:
+    code, text, _ = typed(capsys, "derive")
+    assert code == 0
+    assert "Mass matrix" in text
+    code, latex, _ = typed(capsys, "derive", "--latex")
+    assert code == 0
+    assert r"\ddot{\psi}" in latex
+
+
+def test_run_is_the_lectures_circle_by_default(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    code, out, _ = typed(capsys, "run", "--out", str(tmp_path / "a" / "b"))
+    assert code == 0
+    assert "largest error: x 3.491279e-05 m, y 3.491278e-05 m" in out
+    assert f"open {tmp_path / 'a' / 'b' / 'index.html'}" in out
+    rollout = Rollout.load(tmp_path / "a" / "b" / "rollout.npz")
+    assert rollout.max_error()[0] == pytest.approx(3.491279e-05, rel=1e-6)
+    assert (tmp_path / "a" / "b" / "rollout.csv").read_text().startswith("t,x,y,psi")
+
+
+def test_run_takes_a_trajectory_a_controller_a_robot_and_their_parameters(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    words = (
+        "run --trajectory via-stop --via 1,2 --duration 30 --t-via 10 --turn-time 1 --controller pd".split()
+    )
+    words += (
+        "--kp 100,100,50 --kd 90,90,40 --robot box --mass 20 --com 0.1,0 --dt 0.05 --integrator rk4".split()
+    )
+    code, out, _ = typed(capsys, *words, "--substeps", "2", "--out", str(tmp_path))
+    assert code == 0
+    assert "robot: MobileRobot(mass=20.0, yaw_inertia=1.3" in out
+    rollout = Rollout.load(tmp_path / "rollout.npz")
+    assert rollout.t[-1] == 31
+    np.testing.assert_allclose(rollout.reference.q[210, :2], (1, 2))
+
+
+def test_run_with_a_model_that_is_wrong(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    options = ["run", "--duration", "10", "--dt", "0.01", "--out", str(tmp_path)]
+    typed(capsys, *options)
+    right = Rollout.load(tmp_path / "rollout.npz").max_error()
+    typed(capsys, *options, "--model-mass", "40")
+    assert Rollout.load(tmp_path / "rollout.npz").max_error()[0] > 10 * right[0]
+
+
+def test_a_run_that_diverges_keeps_what_came_before(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    code, out, err = typed(capsys, "run", "--controller", "pd", "--com", "0.1,0.05", "--out", str(tmp_path))
+    assert code == 1
+    assert err.startswith("pinmobile: the loop diverged at t = ")
+    assert err.count("\n") == 1
+    assert "up to there:" in out
+    assert len(Rollout.load(tmp_path / "rollout.npz")) > 3
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (
+            ["run", "--trajectory", "circel"],
+            "unknown trajectory 'circel', available: circle, lissajous, via-stop,",
+        ),
+        (["run", "--controller", "lqr"], "unknown controller 'lqr', available: computed-torque, pd"),
+        (["run", "--heading", "tangnt"], "unknown heading 'tangnt', available: tangent, fixed, lecture"),
+        (["run", "--integrator", "euler"], "unknown integrator 'euler', available:"),
+        (["run", "--robot", "lecure"], "unknown robot 'lecure', available: lecture, box"),
+        (["derive", "--table", "slides"], "unknown table 'slides', available: slide, lecture"),
+        (
+            ["run", "--radius", "1", "--trajectory", "via-free"],
+            "--radius does not apply to the trajectory 'via-free'",
+        ),
+        (["run", "--kp", "4,a"], "--kp is '4,a', expected a number, or numbers with commas"),
+        (["run", "--kp", "4,4"], "kp has shape (2,), expected (), (3,) or (3, 3)"),
+        (["run", "--dt", "fast"], "--dt"),
+        (["run", "--dt", "0.07"], "expected a whole number of steps dt = 0.07 s"),
+        (["run", "--mass", "-1"], "mass is -1.0 kg, expected > 0"),
+        (["run", "--urdf", "missing.urdf"], "path is 'missing.urdf', which cannot be read"),
+        (["run", "--radios", "1"], "No such option"),
+        (["verify", "--urdf", "missing.urdf"], "path is 'missing.urdf', which cannot be read"),
+        (["verify", "--com", "1"], "com has shape (), expected (2,) or (3,)"),
+        (["lectur"], "No such command"),
+    ],
+)
+def test_wrong_options_are_answered_in_one_line(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, words: list[str], text: str
+) -> None:
+    out = ["--out", str(tmp_path)] if words[0] == "run" else []
+    code, _, err = typed(capsys, *words, *out)
+    assert code == 2
+    assert err.startswith("pinmobile: ")
+    assert text in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", ["lecture", "run"])
+def test_an_output_folder_that_cannot_be_written_is_refused_before_any_work(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str
+) -> None:
+    (tmp_path / "file").write_text("")
+    code, out, err = typed(capsys, command, "--out", str(tmp_path / "file" / "out"))
+    assert code == 2
+    assert "which cannot be written to" in err
+    assert out == ""
+
+
+def test_help_teaches(capsys: pytest.CaptureFixture[str]) -> None:
+    for words in ([], ["--help"]):
+        _, out, _ = typed(capsys, *words)
+        for command in ("lecture", "verify", "derive", "run"):
+            assert command in out
+    _, out, _ = typed(capsys, "run", "--help")
+    assert "Example" in out
+    assert "(m/s)" in out
+    assert "[/" not in out
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert typed(capsys, "--version")[:2] == (0, f"pinmobile {pinmobile.__version__}\n")
+
+
+def test_an_interrupt_ends_quietly(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pinmobile.cli.commands.show_lecture", interrupt)
+    code, _, err = typed(capsys, "lecture")
+    assert (code, err) == (130, "pinmobile: interrupted\n")
