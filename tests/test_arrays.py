@@ -8,16 +8,23 @@ from hypothesis import strategies as st
 from pinmobile import arrays
 from pinmobile.errors import InvalidArgument
 
+# What a type checker would refuse too.
+RAGGED: Any = [[1, 2], [3]]
+NOTHING: Any = None
+
 
 @pytest.mark.parametrize(
     ("call", "text"),
     [
         (lambda: arrays.finite("q", [1.0, np.nan]), "q[1] is nan, expected a finite number"),
-        (lambda: arrays.finite("q", [[1, 2], [np.inf, 0]]), "q[1, 0] is inf, expected a finite number"),
+        (
+            lambda: arrays.finite("q", np.array([[1, 2], [np.inf, 0]])),
+            "q[1, 0] is inf, expected a finite number",
+        ),
         (lambda: arrays.finite("dt", float("-inf")), "dt is -inf, expected a finite number"),
         (lambda: arrays.finite("q", "fast"), "q is 'fast', expected real numbers"),
-        (lambda: arrays.finite("q", None), "q is None, expected real numbers"),
-        (lambda: arrays.finite("q", [[1, 2], [3]]), "q is [[1, 2], [3]], expected real numbers"),
+        (lambda: arrays.finite("q", NOTHING), "q is None, expected real numbers"),
+        (lambda: arrays.finite("q", RAGGED), "q is [[1, 2], [3]], expected real numbers"),
         (lambda: arrays.finite("q", 1j), "q is 1j, expected real numbers"),
         (lambda: arrays.finite("on", True), "on is True, expected real numbers"),
         (lambda: arrays.vector("q", [1, 2], 3), "q has shape (2,), expected (..., 3)"),

@@ -103,13 +103,10 @@ def test_run_is_the_lectures_circle_by_default(capsys: pytest.CaptureFixture[str
 def test_run_takes_a_trajectory_a_controller_a_robot_and_their_parameters(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    words = (
-        "run --trajectory via-stop --via 1,2 --duration 30 --t-via 10 --turn-time 1 --controller pd".split()
-    )
-    words += (
-        "--kp 100,100,50 --kd 90,90,40 --robot box --mass 20 --com 0.1,0 --dt 0.05 --integrator rk4".split()
-    )
-    code, out, _ = typed(capsys, *words, "--substeps", "2", "--out", str(tmp_path))
+    words = "run --trajectory via-stop --via 1,2 --duration 30 --t-via 10 --turn-time 1 --controller pd"
+    words += " --kp 100,100,50 --kd 90,90,40 --robot box --mass 20 --com 0.1,0 --dt 0.05 --integrator rk4"
+    words += " --substeps 2"
+    code, out, _ = typed(capsys, *words.split(), "--out", str(tmp_path))
     assert code == 0
     assert "robot: MobileRobot(mass=20.0, yaw_inertia=1.3" in out
     rollout = Rollout.load(tmp_path / "rollout.npz")
@@ -160,7 +157,7 @@ def test_a_run_that_diverges_keeps_what_came_before(
         (["run", "--urdf", "missing.urdf"], "path is 'missing.urdf', which cannot be read"),
         (["run", "--radios", "1"], "No such option"),
         (["verify", "--urdf", "missing.urdf"], "path is 'missing.urdf', which cannot be read"),
-        (["verify", "--com", "1"], "com has shape (), expected (2,) or (3,)"),
+        (["verify", "--com", "1"], "com has shape (1,), expected (2,) or (3,)"),
         (["lectur"], "No such command"),
     ],
 )

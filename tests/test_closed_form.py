@@ -20,9 +20,7 @@ def test_numbers_of_two_other_engines() -> None:
     np.testing.assert_allclose(n, [-0.20628861, -0.33718691, 0], atol=5e-9)
 
 
-@given(
-    st.floats(0.1, 1e3), st.floats(1e-3, 1e3), st.floats(-2, 2), st.floats(-2, 2), st.floats(-10, 10)
-)
+@given(st.floats(0.1, 1e3), st.floats(1e-3, 1e3), st.floats(-2, 2), st.floats(-2, 2), st.floats(-10, 10))
 def test_mass_matrix_is_symmetric_positive_definite_and_its_inverse_is_forward_dynamics(
     mass: float, inertia: float, xbc: float, ybc: float, psi: float
 ) -> None:
@@ -44,7 +42,9 @@ def test_inverse_dynamics_is_m_a_plus_n(states: tuple[Array, ...]) -> None:
     M = closed_form.mass_matrix(q, **BODY)
     n = closed_form.nonlinear_effects(q, v, **MASS)
     expected = np.einsum("kij,kj->ki", M, a) + n
-    np.testing.assert_allclose(closed_form.inverse_dynamics(q, v, a, **BODY), expected, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(
+        closed_form.inverse_dynamics(q, v, a, **BODY), expected, rtol=1e-12, atol=1e-13
+    )
     C = closed_form.coriolis_matrix(q, v, **MASS)
     np.testing.assert_allclose(np.einsum("kij,kj->ki", C, v), n, rtol=1e-13, atol=1e-15)
 

@@ -1,4 +1,5 @@
 from math import pi
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,9 +18,12 @@ lengths, angles = st.floats(-100, 100), st.floats(-20, 20)
 def test_lecture_transforms_are_those_on_the_slide(y: float, x: float, psi: float) -> None:
     c, s = np.cos(psi), np.sin(psi)
     T01, T12, T23 = LECTURE_TABLE.transforms([y, x, psi])
-    np.testing.assert_allclose(T01, [[0, 1, 0, 0], [0, 0, 1, y], [1, 0, 0, 0], [0, 0, 0, 1]], atol=ROUNDING)
-    np.testing.assert_allclose(T12, [[0, -1, 0, 0], [0, 0, 1, x], [-1, 0, 0, 0], [0, 0, 0, 1]], atol=ROUNDING)
-    np.testing.assert_allclose(T23, [[-s, -c, 0, 0], [0, 0, -1, 0], [c, -s, 0, 0], [0, 0, 0, 1]], atol=ROUNDING)
+    expected: list[Any] = [
+        [[0, 1, 0, 0], [0, 0, 1, y], [1, 0, 0, 0], [0, 0, 0, 1]],
+        [[0, -1, 0, 0], [0, 0, 1, x], [-1, 0, 0, 0], [0, 0, 0, 1]],
+        [[-s, -c, 0, 0], [0, 0, -1, 0], [c, -s, 0, 0], [0, 0, 0, 1]],
+    ]
+    np.testing.assert_allclose([T01, T12, T23], expected, atol=ROUNDING)
 
 
 @pytest.mark.parametrize("table", [LECTURE_TABLE, SLIDE_TABLE])

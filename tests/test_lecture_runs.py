@@ -21,7 +21,7 @@ from pinmobile.cli.lecture import EXPECTED
 
 DATA = Path(__file__).parent / "data"
 ROBOT = MobileRobot.lecture()
-PATHS = {
+PATHS: dict[str, Any] = {
     "via stop": CubicVia((0, 0), (2, 2), (0, 4), 30, 60, via_velocity=(0, 0)),
     "via free": CubicVia((0, 0), (2, 2), (0, 4), 30, 60),
     "circle": Circle(3, 0.1, 60),

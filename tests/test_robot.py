@@ -40,7 +40,7 @@ def test_dynamics_hold_together(robot: MobileRobot, psi: float, seed: int) -> No
     q, v, a = np.array([1.0, -2.0, psi]), rng.normal(size=3), rng.normal(size=3)
     M, n, tau = robot.mass_matrix(q), robot.nonlinear_effects(q, v), robot.inverse_dynamics(q, v, a)
     # Each term in the sums of `tau` carries a few dozen roundings at the most.
-    scale = np.abs(M) @ np.abs(a) + robot.mass * (v @ v) * (1 + np.hypot(*robot.com[:2]))
+    scale = np.abs(M) @ np.abs(a) + robot.mass * (v @ v) * (1 + np.linalg.norm(robot.com))
     assert (np.abs(M @ a + n - tau) <= 1e-14 * scale).all()
     assert np.abs(M - M.T).max() <= 1e-15 * np.abs(M).max()
     assert np.linalg.eigvalsh(M).min() > 0
@@ -124,7 +124,9 @@ def test_linearisation_predicts_the_change_of_the_state(offset_robot: MobileRobo
     for size in (1e-3, 1e-4):
         dx, du = size * rng.normal(size=6), size * rng.normal(size=3)
         after = offset_robot.forward_dynamics(q + dx[:3], v + dx[3:], tau + du)
-        exact = np.concatenate([v + dx[3:], after]) - np.concatenate([v, offset_robot.forward_dynamics(q, v, tau)])
+        exact = np.concatenate([v + dx[3:], after]) - np.concatenate(
+            [v, offset_robot.forward_dynamics(q, v, tau)]
+        )
         ratios.append(np.linalg.norm(A @ dx + B @ du - exact) / size)
     # What is left is of second order: ten times smaller steps leave a ten times smaller share.
     assert ratios[1] < ratios[0] / 5
@@ -143,7 +145,9 @@ def test_leading_axes_broadcast_and_none_is_empty(offset_robot: MobileRobot) -> 
     q = np.random.default_rng(0).normal(size=(2, 4, 3))
     many = offset_robot.inverse_dynamics(q, [0.1, 0.2, 0.3], np.zeros((4, 3)))
     assert many.shape == (2, 4, 3)
-    np.testing.assert_array_equal(many[1, 3], offset_robot.inverse_dynamics(q[1, 3], [0.1, 0.2, 0.3], [0, 0, 0]))
+    np.testing.assert_array_equal(
+        many[1, 3], offset_robot.inverse_dynamics(q[1, 3], [0.1, 0.2, 0.3], [0, 0, 0])
+    )
     assert offset_robot.mass_matrix(np.empty((0, 3))).shape == (0, 3, 3)
     assert offset_robot.kinetic_energy(np.empty((0, 3)), np.empty((0, 3))).shape == (0,)
 
@@ -206,7 +210,7 @@ def test_configurations_of_the_wrong_size_are_refused(offset_robot: MobileRobot,
 def test_what_is_not_finite_is_refused(offset_robot: MobileRobot) -> None:
     with pytest.raises(InvalidArgument, match=r"tau\[1\] is nan"):
         offset_robot.forward_dynamics([0, 0, 0], [0, 0, 0], [0, np.nan, 0])
-    with pytest.raises(InvalidArgument, match="pin_model is a str, expected a pinocchio.Model"):
+    with pytest.raises(InvalidArgument, match=r"pin_model is a str, expected a pinocchio\.Model"):
         MobileRobot.from_model("model")
 
 

@@ -133,7 +133,9 @@ WRONG = {
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_what_is_neither_chain_nor_base_is_refused_by_the_joint_that_is_wrong(tmp_path: Path, case: str) -> None:
+def test_what_is_neither_chain_nor_base_is_refused_by_the_joint_that_is_wrong(
+    tmp_path: Path, case: str
+) -> None:
     urdf, text = WRONG[case]
     with pytest.raises(InvalidArgument) as caught:
         MobileRobot.from_urdf(saved(tmp_path, urdf))
@@ -167,16 +169,16 @@ def base(wheel: str = "continuous") -> str:
 def by_hand() -> tuple[float, Array, Array]:
     """Return mass, centre of mass and inertia of `base`, body by body with Steiner's theorem."""
     R = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])  # RotZ(90) RotX(90)
-    I = np.array([[4.47, 0.03, 0.004], [0.03, 7.16, 0.12], [0.004, 0.12, 4.61]])
+    chassis = np.array([[4.47, 0.03, 0.004], [0.03, 7.16, 0.12], [0.004, 0.12, 4.61]])
     wheel = np.diag([0.003, 0.006, 0.003])
-    parts = [
-        (160, (0.012, 0.002, 0.067), R @ I @ R.T),
+    parts: list[tuple[float, tuple[float, ...], Array]] = [
+        (160, (0.012, 0.002, 0.067), R @ chassis @ R.T),
         (0.5, (0.2, -0.3, 0.17), np.eye(3) * 1e-3),
         (10, (0.32, 0, 0.05), np.diag([0.4, 0.03, 0.4])),
         *((2.3, (x, y, 0.05), wheel) for x in (0.32, -0.32) for y in (0.27, -0.27)),
     ]
     mass = sum(m for m, _, _ in parts)
-    com = sum(m * np.array(c) for m, c, _ in parts) / mass
+    com = np.sum([m * np.array(c) for m, c, _ in parts], axis=0) / mass
     inertia = np.zeros((3, 3))
     for m, c, about in parts:
         d = np.array(c) - com
@@ -210,7 +212,8 @@ def test_a_chain_may_carry_wheels() -> None:
     wheel = (link("wheel", 1), joint("spin", "continuous", "body", "wheel", "0 1 0", xyz="0 0.5 0"))
     model = pin.buildModelFromXML(chain(*SLIDES, *wheel))
     read = MobileRobot.from_model(model)
-    assert (read.mass, read.com[1]) == (6, pytest.approx(0.5 / 6))
+    assert read.mass == 6
+    assert read.com[1] == pytest.approx(0.5 / 6)
     assert "locked at rest: spin" in read.source
 
 
@@ -222,7 +225,7 @@ def test_the_users_model_is_left_alone() -> None:
 
 
 def test_an_arm_among_the_loaders_robots_is_refused() -> None:
-    with pytest.raises(InvalidArgument, match="joint 'shoulder1_joint'|joint 'joint1'|is neither a wheel"):
+    with pytest.raises(InvalidArgument, match="is neither a wheel"):
         MobileRobot.from_model(pin.buildSampleModelManipulator())
 
 

@@ -6,7 +6,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pinmobile import LECTURE_TABLE, SLIDE_TABLE, DHTable, InvalidArgument, MobileRobot
+from pinmobile import (
+    LECTURE_TABLE,
+    SLIDE_TABLE,
+    DHTable,
+    InvalidArgument,
+    MobileRobot,
+    UnknownName,
+    shipped_urdf,
+)
 from pinmobile.dh import DHRow, JointType
 from pinmobile.urdf import Body, box_inertia, write
 
@@ -16,7 +24,9 @@ BODY = Body(10.0, np.array([0.15, 0.05, 0.02]), np.diag([1.0, 1.1, 1.2]))
 
 @pytest.mark.parametrize("table", [LECTURE_TABLE, SLIDE_TABLE])
 @given(st.floats(-100, 100), st.floats(-100, 100), st.floats(-20, 20))
-def test_joint_frames_read_by_pinocchio_are_the_dh_frames(table: DHTable, y: float, x: float, psi: float) -> None:
+def test_joint_frames_read_by_pinocchio_are_the_dh_frames(
+    table: DHTable, y: float, x: float, psi: float
+) -> None:
     model = pin.buildModelFromXML(write(table, BODY, size=(1, 1, 1)))
     data, q = model.createData(), np.array([y, x, psi])
     pin.forwardKinematics(model, data, q)
@@ -51,7 +61,13 @@ def test_shipped_files_are_what_the_library_writes() -> None:
     for name, robot in shipped.items():
         path = SHIPPED / f"{name}.urdf"
         assert path.read_text() == robot.to_urdf()
+        assert shipped_urdf(name) == path
         assert MobileRobot.from_urdf(path) == robot
+
+
+def test_a_file_that_is_not_shipped_is_refused_with_the_names_there_are() -> None:
+    with pytest.raises(UnknownName, match="unknown shipped URDF 'boks', available: box, lecture"):
+        shipped_urdf("boks")
 
 
 def test_box_has_the_inertia_of_a_homogeneous_box() -> None:

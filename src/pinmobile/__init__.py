@@ -15,6 +15,7 @@ from pinmobile.paths import Circle, CubicVia, Lissajous, Spline
 from pinmobile.robot import MobileRobot
 from pinmobile.simulation import Rollout, simulate
 from pinmobile.trajectories import FixedHeading, LectureHeading, Reference, Tangent
+from pinmobile.urdf import shipped_urdf
 
 if TYPE_CHECKING:
     from pinmobile.verification import verify
@@ -49,6 +50,7 @@ __all__ = [
     "planar_difference",
     "rk4",
     "semi_implicit_euler",
+    "shipped_urdf",
     "simulate",
     "verify",
 ]

@@ -15,7 +15,17 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, finite, frozen, wrap_angle
 from pinmobile.errors import InvalidArgument
 
-__all__ = ["PD", "ComputedTorque", "Controller", "Difference", "law", "planar_difference"]
+__all__ = [
+    "PD",
+    "ComputedTorque",
+    "Controller",
+    "Difference",
+    "InverseDynamics",
+    "State",
+    "gain_matrix",
+    "law",
+    "planar_difference",
+]
 
 Difference: TypeAlias = Callable[[Array, Array], Array]
 

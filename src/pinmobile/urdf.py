@@ -1,16 +1,18 @@
 """A DH chain and the rigid body that it carries, as URDF text."""
 
 from dataclasses import dataclass
+from importlib.resources import files
 from math import atan2, hypot
+from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, vector
 from pinmobile.dh import DHTable, JointType, transform
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, UnknownName
 
-__all__ = ["Body", "box_inertia", "write"]
+__all__ = ["Body", "box_inertia", "shipped_urdf", "write"]
 
 _INERTIA_ROUNDING = 1e-9  # files carry eight digits or so: a broken triangle is one broken by more
 
@@ -124,6 +126,28 @@ def write(table: DHTable, body: Body, *, size: ArrayLike, name: str = "pinmobile
             "  </joint>",
         ]
     return "\n".join([*lines, "</robot>", ""])
+
+
+def shipped_urdf(name: str) -> Path:
+    """Return the path of a URDF that comes with the package.
+
+    Parameters
+    ----------
+    name : str
+        ``"lecture"`` or ``"box"``: what `MobileRobot.lecture` and `MobileRobot.box` are.
+
+    Raises
+    ------
+    UnknownName
+        If there is no such file; the message lists those there are.
+    """
+    package = Path(str(files("pinmobile")))
+    # In the wheel the folder is in the package; in a checkout it is at the top.
+    homes = (package / "models" / "urdf", package.parents[1] / "models" / "urdf")
+    available = {path.stem: path for home in homes for path in sorted(home.glob("*.urdf"))}
+    if name not in available:
+        raise UnknownName("shipped URDF", name, available)
+    return available[name]
 
 
 # A continuous joint would become Pinocchio's (cos, sin) pair; psi is to stay a plain angle.

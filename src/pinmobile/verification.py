@@ -192,5 +192,5 @@ def _symbolic(numeric: Numeric, robot: MobileRobot, q: Array, v: Array, a: Array
         "M": M,
         "n": n,
         "tau": numeric.inverse_dynamics(q, v, a, parameters),
-        "a": np.linalg.solve(M, (tau - n)[..., None])[..., 0],
+        "a": np.asarray(np.linalg.solve(M, (tau - n)[..., None])[..., 0], np.float64),
     }

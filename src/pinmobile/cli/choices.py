@@ -33,6 +33,7 @@ __all__ = [
     "controller",
     "numbers",
     "path",
+    "point",
     "robot",
 ]
 
@@ -99,6 +100,18 @@ def numbers(option: str, text: str | None) -> float | tuple[float, ...] | None:
     except ValueError:
         raise InvalidArgument(f"{option} is {text!r}, expected a number, or numbers with commas") from None
     return values[0] if len(values) == 1 else values
+
+
+def point(option: str, text: str) -> tuple[float, ...]:
+    """Return the numbers of a point.
+
+    Raises
+    ------
+    InvalidArgument
+        If the text is something else.
+    """
+    values = numbers(option, text)
+    return values if isinstance(values, tuple) else (values or 0.0,)
 
 
 def path(name: str, given: Mapping[str, Any]) -> Any:

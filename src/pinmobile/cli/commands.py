@@ -74,7 +74,7 @@ def verify(
         robot = pinmobile.MobileRobot.from_urdf(urdf)
     else:
         dh = choices.choose("table", table, choices.TABLES)
-        robot = pinmobile.MobileRobot(mass, yaw_inertia, com=choices.numbers("--com", com), dh=dh)
+        robot = pinmobile.MobileRobot(mass, yaw_inertia, com=choices.point("--com", com), dh=dh)
     with progress(1) as bar:
         bar.update(bar.task_ids[0], description="deriving and comparing")
         verification = pinmobile.verify(robot, states=states, seed=seed)

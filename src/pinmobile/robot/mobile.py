@@ -66,7 +66,7 @@ class MobileRobot:
 
     mass: float
     yaw_inertia: float
-    com: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    com: tuple[float, ...] = (0.0, 0.0, 0.0)
     size: tuple[float, float, float] = (0.6, 0.4, 0.2)
     dh: DHTable = LECTURE_TABLE
     source: str = field(default="made from numbers", init=False)

@@ -136,7 +136,7 @@ def _sample_times(dt: float, duration: float | None, longest: float) -> Array:
         )
     t = np.arange(steps + 1) * dt
     t[-1] = total
-    return np.minimum(t, longest)
+    return np.asarray(np.minimum(t, longest))
 
 
 def _sampled(trajectory: Trajectory, t: Array, plant: Plant) -> Reference:
@@ -182,8 +182,8 @@ def _first_bad(
             what = f"the error in {'the rate of ' if column >= plant.nv else ''}{names[column % plant.nv]}"
             return begin + k, f"{what} is {errors[k, column]:.4g}, beyond the limit {limit:g}"
     if good < end - begin:
-        names = ("q", "v", "a", "tau")
-        which = [n for n, part in zip(names, samples, strict=True) if not np.isfinite(part[good]).all()]
+        parts = ("q", "v", "a", "tau")
+        which = [n for n, part in zip(parts, samples, strict=True) if not np.isfinite(part[good]).all()]
         return begin + good, f"{', '.join(which)} not finite"
     return None, ""
 

@@ -95,7 +95,7 @@ def _is_native(plant: object, controller: object, integrator: object) -> bool:
         and isinstance(controller, PD | ComputedTorque)
         # Both act on the third coordinate alone or on none, which is psi in either order.
         and (controller.difference is planar_difference or controller.difference is np.subtract)
-        and (isinstance(controller, PD) or isinstance(controller.robot, MobileRobot))
+        and isinstance(getattr(controller, "robot", plant), MobileRobot)
         and (isinstance(integrator, OneStage) or integrator is rk4)
     )
 
@@ -130,7 +130,7 @@ def _asked(
 
 
 def _feedback(
-    controller: Any, reference: Reference, order: Array
+    controller: Any, reference: Reference, order: Any
 ) -> Callable[[int, Array, Array, Array], Array]:
     """Return the force of PD or computed torque in the order of the chain."""
     n = len(order)
@@ -141,7 +141,8 @@ def _feedback(
     wrapped = controller.difference is planar_difference
     error, command = np.empty(2 * n), np.empty(n)
     subtract, add, times_gains, pi = np.subtract, np.add, gains.dot, np.pi
-    inverse = controller.robot._engine.inverse if isinstance(controller, ComputedTorque) else None
+    robot: Any = getattr(controller, "robot", None)  # PD has none
+    inverse = None if robot is None else robot._engine.inverse
 
     def control(k: int, row: Array, q: Array, v: Array) -> Array:
         subtract(desired[k], row[: 2 * n], error)

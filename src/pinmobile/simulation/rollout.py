@@ -83,15 +83,15 @@ class Rollout:
 
     def max_error(self) -> Array:
         """Return the largest |error| of each coordinate, shape (3,) [m, m, rad]."""
-        return np.abs(self.error).max(axis=0)
+        return np.asarray(np.abs(self.error).max(axis=0))
 
     def rms_error(self) -> Array:
         """Return the root of the mean squared error of each coordinate, shape (3,) [m, m, rad]."""
-        return np.sqrt(np.square(self.error).mean(axis=0))
+        return np.asarray(np.sqrt(np.square(self.error).mean(axis=0)))
 
     def max_force(self) -> Array:
         """Return the largest |tau| of each coordinate, shape (3,) [N, N, N m]."""
-        return np.abs(self.tau).max(axis=0)
+        return np.asarray(np.abs(self.tau).max(axis=0))
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write everything, to the last digit, as a NumPy archive (``.npz``).

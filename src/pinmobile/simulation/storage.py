@@ -32,7 +32,7 @@ def write_archive(file: IO[bytes], arrays: dict[str, Array], robot: object) -> N
         The plant; any that is not a `MobileRobot` is left out.
     """
     described = _describe(robot) if isinstance(robot, MobileRobot) else None
-    np.savez(file, allow_pickle=False, format=_FORMAT, robot=json.dumps(described), **arrays)  # type: ignore[arg-type]
+    np.savez(file, allow_pickle=False, format=_FORMAT, robot=json.dumps(described), **arrays)
 
 
 def read_archive(path: Path) -> tuple[dict[str, Array], MobileRobot | None]:
@@ -69,6 +69,9 @@ def _describe(robot: MobileRobot) -> dict[str, Any]:
 
 
 def _restore(described: dict[str, Any]) -> MobileRobot:
-    rows = tuple(DHRow(*row[:4], JointType(row[4]), row[5]) for row in described["dh"])
+    rows = tuple(
+        DHRow(alpha, a, theta, d, JointType(joint), variable)
+        for alpha, a, theta, d, joint, variable in described["dh"]
+    )
     body = Body(described["mass"], described["com"], described["inertia"])
     return MobileRobot.from_body(body, tuple(described["size"]), DHTable(rows), described["source"])

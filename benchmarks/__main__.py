@@ -1,0 +1,11 @@
+"""Every benchmark, one after the other: `python benchmarks [--quick] [--rounds N]`."""
+
+import sys
+
+import calls
+import imports
+import memory
+import rollout
+
+if __name__ == "__main__":
+    sys.exit(max(part.main() for part in (rollout, calls, memory, imports)))

@@ -1,0 +1,164 @@
+"""What is derived: links, their chain and the symbols of its motion."""
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sympy import Expr, ImmutableMatrix, Symbol
+
+from pinmobile.derivation.exact import exact, exact_matrix
+from pinmobile.dh import DHTable
+from pinmobile.errors import InvalidArgument, UnknownName
+
+__all__ = ["Chain", "Link"]
+
+
+@dataclass(frozen=True)
+class Link:
+    """The mass distribution of one link, in symbols or numbers.
+
+    Parameters
+    ----------
+    mass : sympy.Expr or float
+        Mass [kg].
+    com : sequence of 3 sympy.Expr or float
+        Centre of mass in the frame of the link [m].
+    inertia : 3 x 3 sympy.Expr or float
+        Rotational inertia about the centre of mass, in the axes of the link [kg m^2]. It must be symmetric.
+
+    Raises
+    ------
+    InvalidArgument
+        If a shape is wrong, an entry is neither a finite number nor an expression, or `inertia` is not
+        symmetric.
+    """
+
+    mass: Expr
+    com: ImmutableMatrix
+    inertia: ImmutableMatrix
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "mass", exact("mass", self.mass))
+        object.__setattr__(self, "com", exact_matrix("com", self.com, (3, 1)))
+        object.__setattr__(self, "inertia", exact_matrix("inertia", self.inertia, (3, 3)))
+        if self.inertia != self.inertia.T:
+            raise InvalidArgument(f"inertia is {self.inertia.tolist()}, expected a symmetric matrix")
+
+    @classmethod
+    def general(cls, k: int) -> "Link":
+        """Return link `k` with every quantity a symbol: m1, xc1, yc1, zc1, Ixx1, Ixy1, ... for k = 1."""
+        inertia = [[Symbol(f"I{min(i, j)}{max(i, j)}{k}") for j in "xyz"] for i in "xyz"]
+        return cls(Symbol(f"m{k}"), [Symbol(f"{axis}c{k}") for axis in "xyz"], inertia)
+
+    @property
+    def parameters(self) -> tuple[Symbol, ...]:
+        """The symbols in mass, centre of mass and inertia, in this order."""
+        return _symbols([self.mass, *self.com, *self.inertia])
+
+
+@dataclass(frozen=True)
+class Chain:
+    """A modified-DH table with its links, the order of its coordinates, and gravity.
+
+    `q`, `v` and `a` are in the order of the rows here; `order` says how inputs, M and n list them.
+
+    Parameters
+    ----------
+    table : DHTable
+        The chain of joints.
+    links : sequence of Link or None, one per row, optional
+        The link behind each joint; None is a virtual one, without mass. By default `Link.general`, for all.
+    order : sequence of str, optional
+        A permutation of the table's variables. By default that of the rows.
+    gravity : sequence of 3 sympy.Expr or float, optional
+        Acceleration of free fall in frame 0 [m/s^2]. By default none: the ground is level.
+
+    Raises
+    ------
+    InvalidArgument
+        If a length or a type is wrong, or two symbols would have the same name.
+    UnknownName
+        If `order` has a name that is not a variable of the table.
+    """
+
+    table: DHTable
+    links: tuple[Link | None, ...]
+    order: tuple[str, ...]
+    gravity: ImmutableMatrix
+
+    def __init__(
+        self,
+        table: DHTable,
+        links: Sequence[Link | None] | None = None,
+        order: Sequence[str] | None = None,
+        gravity: Any = (0, 0, 0),
+    ) -> None:
+        if not isinstance(table, DHTable):
+            raise InvalidArgument(f"table is {table!r}, expected a DHTable")
+        links = map(Link.general, range(1, len(table) + 1)) if links is None else links
+        fields = {
+            "table": table,
+            "links": tuple(links),
+            "order": table.variables if order is None else tuple(order),
+            "gravity": exact_matrix("gravity", gravity, (3, 1)),
+        }
+        for name, value in fields.items():
+            object.__setattr__(self, name, value)
+        self._check()
+
+    def _check(self) -> None:
+        variables = self.table.variables
+        if len(self.links) != len(self) or not all(isinstance(link, Link | None) for link in self.links):
+            raise InvalidArgument(f"links is {self.links!r}, expected {len(self)} of Link or None")
+        for name in self.order:
+            if name not in variables:
+                raise UnknownName("variable", name, variables)
+        if sorted(self.order) != sorted(variables):
+            raise InvalidArgument(f"order is {self.order}, expected a permutation of {variables}")
+        names = Counter(symbol.name for symbol in (*self.q, *self.v, *self.a, *self.parameters))
+        if twice := [name for name, count in names.items() if count > 1]:
+            raise InvalidArgument(f"links and table give {twice} two meanings, expected distinct names")
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    @property
+    def q(self) -> tuple[Symbol, ...]:
+        """Joint variables, in the order of the rows."""
+        return tuple(Symbol(name) for name in self.table.variables)
+
+    @property
+    def v(self) -> tuple[Symbol, ...]:
+        """Their rates: psidot, qdot1, ..."""
+        return self._dotted("dot")
+
+    @property
+    def a(self) -> tuple[Symbol, ...]:
+        """Their accelerations: psiddot, qddot1, ..."""
+        return self._dotted("ddot")
+
+    @property
+    def parameters(self) -> tuple[Symbol, ...]:
+        """The symbols in links and gravity, from the ground outwards."""
+        found = [symbol for link in self.links if link for symbol in link.parameters]
+        return tuple(dict.fromkeys([*found, *_symbols(self.gravity)]))
+
+    @property
+    def masses(self) -> tuple[Symbol, ...]:
+        """The symbols in the masses of the links."""
+        return _symbols([link.mass for link in self.links if link])
+
+    def ordered(self, per_row: Sequence[Any]) -> tuple[Any, ...]:
+        """Return what is listed in the order of the rows, in `order`."""
+        return tuple(per_row[self.table.variables.index(name)] for name in self.order)
+
+    def _dotted(self, dots: str) -> tuple[Symbol, ...]:
+        # sympy sets xdot, qdot1 and qdot_a with a dot above the letter, but not q1dot
+        return tuple(Symbol(re.sub(r"^[^\W\d_]*", rf"\g<0>{dots}", name)) for name in self.table.variables)
+
+
+def _symbols(expressions: Sequence[Expr]) -> tuple[Symbol, ...]:
+    found = (sorted(expression.free_symbols, key=str) for expression in expressions)
+    return tuple(dict.fromkeys(symbol for symbols in found for symbol in symbols))

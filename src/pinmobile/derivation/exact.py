@@ -1,0 +1,89 @@
+"""Numbers and matrices as sympy expressions without rounding."""
+
+from math import isclose, pi
+from typing import Any
+
+import sympy
+from sympy import Expr, ImmutableMatrix
+
+from pinmobile.errors import InvalidArgument
+
+__all__ = ["exact", "exact_angle", "exact_matrix"]
+
+
+def exact(name: str, value: Any) -> Expr:
+    """Return `value` as an expression without floating-point numbers.
+
+    A float becomes the fraction that its shortest decimal form spells (0.3 becomes 3/10) and evaluates to the
+    same float again. With rounding inside, equal expressions would not cancel.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : float or sympy.Expr
+        The argument, in any unit.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is neither a finite real number nor an expression.
+    """
+    try:
+        expression = sympy.sympify(value, strict=True)
+    except (sympy.SympifyError, TypeError, ValueError):
+        expression = None
+    if not isinstance(expression, Expr) or expression.has(sympy.nan, sympy.zoo, sympy.oo, sympy.I):
+        raise InvalidArgument(f"{name} is {value!r}, expected a finite real number or a sympy expression")
+    floats = expression.atoms(sympy.Float)
+    return expression.xreplace({number: sympy.Rational(repr(float(number))) for number in floats})
+
+
+def exact_matrix(name: str, value: Any, shape: tuple[int, int]) -> ImmutableMatrix:
+    """Return `value` as a matrix of expressions without floating-point numbers.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : nested sequence, array or sympy.Matrix
+        The entries, in any unit; a flat sequence is a column.
+    shape : (int, int)
+        What is expected.
+
+    Raises
+    ------
+    InvalidArgument
+        If it has another shape, or an entry is neither a finite real number nor an expression.
+    """
+    try:
+        matrix = sympy.Matrix(value)
+    except (sympy.SympifyError, TypeError, ValueError):
+        matrix = sympy.Matrix()
+    if matrix.shape != shape:
+        wanted = f"{shape[0]} entries" if shape[1] == 1 else f"shape {shape}"
+        raise InvalidArgument(f"{name} is {value!r}, expected {wanted}")
+    return ImmutableMatrix(*shape, [exact(name, entry) for entry in matrix])
+
+
+def exact_angle(name: str, value: float) -> Expr:
+    """Return a multiple of pi/12 [rad] as such, any other angle as `exact` does.
+
+    The sines and cosines of these multiples are sums of square roots, which sympy cancels by itself.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : float
+        The angle [rad].
+
+    Raises
+    ------
+    InvalidArgument
+        If it is not a finite real number.
+    """
+    twelfths = round(value * 12 / pi)
+    if isclose(value, twelfths * pi / 12, rel_tol=1e-14, abs_tol=1e-15):
+        return sympy.Rational(twelfths, 12) * sympy.pi
+    return exact(name, value)

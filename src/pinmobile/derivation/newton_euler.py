@@ -1,0 +1,158 @@
+"""The derivation of the lecture: out along the chain with Newton and Euler, and back in."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+import sympy
+from sympy import Expr, ImmutableMatrix
+
+from pinmobile.derivation import wording as say
+from pinmobile.derivation.chain import Chain, Link
+from pinmobile.derivation.joints import ZERO, joints, placements
+from pinmobile.derivation.record import Named, Record, Simplified
+from pinmobile.derivation.recursion import Recursion, Vectors
+from pinmobile.derivation.steps import Assignments, Derivation
+from pinmobile.derivation.wording import Wording
+from pinmobile.dh import LECTURE_TABLE, DHTable
+from pinmobile.errors import InvalidArgument
+
+__all__ = ["SIMPLIFIED_JOINTS", "derive", "lecture"]
+
+SIMPLIFIED_JOINTS = 3
+"""Up to so many joints results are simplified; beyond, they are told in named intermediate results."""
+
+
+def derive(
+    table: DHTable,
+    links: Sequence[Link | None] | None = None,
+    *,
+    order: Sequence[str] | None = None,
+    gravity: Any = (0, 0, 0),
+) -> Derivation:
+    """Derive the equations of motion of a chain, by Newton and Euler.
+
+    Parameters
+    ----------
+    table : DHTable
+        The joints, prismatic or revolute, in modified-DH form.
+    links : sequence of Link or None, one per row, optional
+        The link behind each joint, None for a virtual one without mass. By default `Link.general`, for all.
+    order : sequence of str, optional
+        The order in which coordinates, inputs, M and n are listed: a permutation of the table's variables.
+        By default that of the rows.
+    gravity : sequence of 3 floats or sympy.Expr, optional
+        Acceleration of free fall in frame 0 [m/s^2]. By default none: the ground is level.
+
+    Returns
+    -------
+    derivation : Derivation
+        Its steps and its equations; simplified up to three joints, in named intermediate results beyond.
+
+    Raises
+    ------
+    InvalidArgument
+        If a length or a type is wrong, or two symbols would have the same name.
+    UnknownName
+        If `order` has a name that is not a variable of the table.
+    """
+    chain = Chain(table, links, order, gravity)
+    return _simplified(chain) if len(chain) <= SIMPLIFIED_JOINTS else _named(chain)
+
+
+def lecture(table: DHTable = LECTURE_TABLE) -> Derivation:
+    """Derive the lecture's mobile robot: one body behind three joints, listed as (x, y, psi).
+
+    The body has mass m, its centre of mass at (xbc, ybc, 0) and the yaw inertia Icz (lecture 45, "Dynamic
+    model"). The result is made once for each table and kept.
+
+    Parameters
+    ----------
+    table : DHTable, optional
+        Three joints with the variables x, y and psi, in any order.
+
+    Returns
+    -------
+    derivation : Derivation
+        With the parameters m [kg], xbc, ybc [m] and Icz [kg m^2].
+
+    Raises
+    ------
+    InvalidArgument
+        If the table has other variables.
+    """
+    if not isinstance(table, DHTable) or set(table.variables) != {"x", "y", "psi"}:
+        raise InvalidArgument(f"table is {table!r}, expected a DHTable with the variables x, y and psi")
+    return _lecture(table)
+
+
+@lru_cache
+def _lecture(table: DHTable) -> Derivation:
+    m, xbc, ybc, Icz = sympy.symbols("m xbc ybc Icz")
+    body = Link(m, (xbc, ybc, 0), sympy.diag(0, 0, Icz))
+    return derive(table, (None, None, body), order=("x", "y", "psi"))
+
+
+def _simplified(chain: Chain) -> Derivation:
+    """Read M off as the lecture does: the coefficients of the accelerations in the inputs."""
+    record = Record(Simplified(chain), len(chain))
+    _, tau = _told(chain, record)
+    tau = chain.ordered(tau)
+    M = [[component.diff(a) for a in chain.ordered(chain.a)] for component in tau]
+    n = [component.xreplace(dict.fromkeys(chain.a, sympy.S.Zero)) for component in tau]
+    return finished(chain, record, M, n, ())
+
+
+def _named(chain: Chain) -> Derivation:
+    """Take for column k of M the inputs of a unit acceleration of joint k, at rest and without gravity.
+
+    To read coefficients off, the inputs would have to be written out.
+    """
+    treatment = Named(chain)
+    record = Record(treatment, len(chain))
+    told, _ = _told(chain, record)
+
+    def inputs(tag: str, v: Sequence[Expr], a: Sequence[Expr], base: ImmutableMatrix) -> tuple[Expr, ...]:
+        recursion = replace(told, v=v, a=a, base=base, record=Record(treatment, len(chain), tag))
+        omega = recursion.angular_velocities()
+        alpha = recursion.angular_accelerations(omega)
+        return recursion.inputs(omega, alpha, recursion.linear_accelerations(omega, alpha))
+
+    zeros, size = (sympy.S.Zero,) * len(chain), range(len(chain))
+    columns = [inputs(f"M{k + 1}", zeros, [sympy.S(int(i == k)) for i in size], ZERO) for k in size]
+    # the other half would have to travel through the joints beyond k
+    rows = [chain.ordered([columns[max(i, k)][min(i, k)] for k in size]) for i in size]
+    n = inputs("n", chain.v, zeros, told.base)
+    return finished(chain, record, chain.ordered(rows), chain.ordered(n), tuple(treatment.assignments))
+
+
+def _told(chain: Chain, record: Record) -> tuple[Recursion, tuple[Expr, ...]]:
+    """Take all steps up to the inputs, in the lecture's order; return the inputs in the order of the rows."""
+    links = joints(chain, record)
+    pose = placements(links, record)[-1]
+    for words, column in ((say.POSITION, 3), (say.NORMAL, 0), (say.SLIDING, 1), (say.APPROACH, 2)):
+        record.matrix(words, pose[:3, column])
+    recursion = Recursion(chain, links, chain.v, chain.a, -chain.gravity, record)
+
+    def in_base(words: Wording, vectors: Vectors) -> Vectors:
+        record.matrix(words, pose[:3, :3] * vectors[-1])
+        return vectors
+
+    omega = in_base(say.OMEGA_BASE, recursion.angular_velocities())
+    in_base(say.V_BASE, recursion.linear_velocities(omega))
+    alpha = in_base(say.ALPHA_BASE, recursion.angular_accelerations(omega))
+    a = in_base(say.A_BASE, recursion.linear_accelerations(omega, alpha))
+    return recursion, recursion.inputs(omega, alpha, a)
+
+
+def finished(
+    chain: Chain, record: Record, M: Sequence[Sequence[Expr]], n: Sequence[Expr], assignments: Assignments
+) -> Derivation:
+    names = [f"tau_{chain.table.variables.index(name) + 1}" for name in chain.order]
+    texts = {"order": ", ".join(chain.order), "inputs": ", ".join(names)}
+    record.matrix(say.MASS, ImmutableMatrix(M), **texts)
+    record.matrix(say.NONLINEAR, ImmutableMatrix(n), **texts)
+    shown = {step.name: step.expression for step in record.steps}
+    inputs = ImmutableMatrix([shown[name] for name in names])
+    return Derivation(chain, tuple(record.steps), inputs, shown["M"], shown["n_v"], assignments)

@@ -1,0 +1,176 @@
+"""Two cubics that meet at a via point."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, scalar, whole
+from pinmobile.errors import InvalidArgument
+from pinmobile.paths.polynomials import PiecewisePolynomial, Polynomial, hermite
+from pinmobile.paths.protocol import within
+from pinmobile.paths.values import Value
+
+__all__ = ["CubicVia"]
+
+_REST = (0.0, 0.0)
+
+
+@dataclass(frozen=True, init=False, eq=False, repr=False)
+class CubicVia(Value):
+    """Two cubics per coordinate, from start to end through a via point (lecture, section 5.1 and 5.2).
+
+    With a = (a_0 ... a_3) before and b after the via point,
+
+        r(t) = sum of a_k t^k  for t < t_via,      r(t) = sum of b_k (t - t_via)^k  after it.
+
+    With `via_velocity` given these are two independent cubics, and the acceleration jumps at the via
+    point. With it free, velocity and acceleration are continuous there.
+
+    Parameters
+    ----------
+    start, via, end : array_like, shape (n,)
+        The three points [m]; n = 2 in the plane, any n >= 1 is accepted.
+    t_via, t_end : float
+        Times at the last two [s], 0 < t_via < t_end.
+    via_velocity : array_like, shape (n,), optional
+        Velocity at the via point [m/s]; free where left out.
+    start_velocity, end_velocity : array_like, shape (n,), optional
+        Velocities at the ends [m/s]; at rest where left out, for any n.
+
+    Raises
+    ------
+    InvalidArgument
+        If a point or velocity has another shape or is not finite, or the times are out of order.
+    """
+
+    start: Array
+    via: Array
+    end: Array
+    t_via: float
+    t_end: float
+    via_velocity: Array | None
+    start_velocity: Array
+    end_velocity: Array
+    _curve: PiecewisePolynomial = field(init=False)
+
+    def __init__(
+        self,
+        start: ArrayLike,
+        via: ArrayLike,
+        end: ArrayLike,
+        t_via: float,
+        t_end: float,
+        via_velocity: ArrayLike | None = None,
+        start_velocity: ArrayLike = _REST,
+        end_velocity: ArrayLike = _REST,
+    ) -> None:
+        first = finite("start", start)
+        if first.ndim != 1 or not first.size:
+            raise InvalidArgument(f"start has shape {first.shape}, expected (n,)")
+        n = first.size
+        keep = {
+            "start": frozen(first),
+            "via": _point("via", via, n),
+            "end": _point("end", end, n),
+            "t_via": scalar("t_via", t_via),
+            "t_end": positive("t_end", t_end, "s"),
+            "via_velocity": None if via_velocity is None else _point("via_velocity", via_velocity, n),
+            "start_velocity": _velocity("start_velocity", start_velocity, n),
+            "end_velocity": _velocity("end_velocity", end_velocity, n),
+        }
+        for name, value in keep.items():
+            object.__setattr__(self, name, value)
+        if not 0 < self.t_via < self.t_end:
+            raise InvalidArgument(f"t_via is {self.t_via} s, expected 0 < t_via < t_end = {self.t_end} s")
+        object.__setattr__(self, "_curve", self._solve())
+
+    def _solve(self) -> PiecewisePolynomial:
+        velocity = self._free_velocity() if self.via_velocity is None else self.via_velocity
+        before = hermite(self.t_via, self.start, self.via, self.start_velocity, velocity)
+        after = hermite(self.t_end - self.t_via, self.via, self.end, velocity, self.end_velocity)
+        return PiecewisePolynomial(np.array([0.0, self.t_via, self.t_end]), np.array([before, after]))
+
+    def _free_velocity(self) -> Array:
+        # The lecture's system rather than its closed form: the rounding of this solution keeps x_dot off
+        # an exact zero where the demonstration passes its via point upwards, and the lecture's heading
+        # law (see LectureHeading) tells the two apart.
+        t, s = self.t_via, self.t_end - self.t_via
+        system = np.array(
+            [
+                [1, 0, 0, 0, 0, 0, 0, 0],
+                [0, 1, 0, 0, 0, 0, 0, 0],
+                [1, t, t**2, t**3, 0, 0, 0, 0],
+                [0, 0, 0, 0, 1, 0, 0, 0],
+                [0, 0, 0, 0, 1, s, s**2, s**3],
+                [0, 0, 0, 0, 0, 1, 2 * s, 3 * s**2],
+                [0, 1, 2 * t, 3 * t**2, 0, -1, 0, 0],
+                [0, 0, 2, 6 * t, 0, 0, -2, 0],
+            ]
+        )
+        # Positions relative to the start: a velocity does not depend on where the origin is.
+        none, via, end = np.zeros_like(self.via), self.via - self.start, self.end - self.start
+        wanted = [none, self.start_velocity, via, via, end, self.end_velocity, none, none]
+        return np.asarray(np.linalg.solve(system, np.array(wanted))[5])
+
+    @property
+    def duration(self) -> float:
+        """Time from start to end, `t_end` [s]."""
+        return self.t_end
+
+    @property
+    def pieces(self) -> tuple[Polynomial, ...]:
+        """The two cubics."""
+        return self._curve.pieces
+
+    def __call__(self, t: ArrayLike) -> Array:
+        """Return the position.
+
+        Parameters
+        ----------
+        t : array_like, shape (...)
+            Times, 0 <= t <= duration [s].
+
+        Returns
+        -------
+        r : ndarray, shape (..., n)
+            Position [m].
+
+        Raises
+        ------
+        InvalidArgument
+            If a time is outside.
+        """
+        return self.derivative(t, 0)
+
+    def derivative(self, t: ArrayLike, order: int) -> Array:
+        """Return a derivative; at the via point the one from the right.
+
+        Parameters
+        ----------
+        t : array_like, shape (...)
+            Times, 0 <= t <= duration [s].
+        order : int
+            0 for the position, 1 for the velocity, and so on.
+
+        Returns
+        -------
+        dr : ndarray, shape (..., n)
+            The derivative [m/s^order].
+
+        Raises
+        ------
+        InvalidArgument
+            If a time is outside, or `order` is not a whole number >= 0.
+        """
+        return self._curve.derivative(within("t", t, self.duration), whole("order", order, least=0))
+
+
+def _point(name: str, value: ArrayLike, size: int) -> Array:
+    array = finite(name, value)
+    if array.shape != (size,):
+        raise InvalidArgument(f"{name} has shape {array.shape}, expected ({size},)")
+    return frozen(array)
+
+
+def _velocity(name: str, value: ArrayLike, size: int) -> Array:
+    return frozen(np.zeros(size)) if value is _REST else _point(name, value, size)

@@ -1,0 +1,139 @@
+"""A twice continuously differentiable curve through many waypoints."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, whole
+from pinmobile.errors import InvalidArgument
+from pinmobile.paths.polynomials import PiecewisePolynomial, Polynomial
+from pinmobile.paths.protocol import within
+from pinmobile.paths.values import Value
+
+__all__ = ["Spline"]
+
+
+@dataclass(frozen=True, init=False, eq=False, repr=False)
+class Spline(Value):
+    """The cubic spline through waypoints, clamped at its ends; `CubicVia` with a free via is that of three.
+
+    Parameters
+    ----------
+    waypoints : array_like, shape (k, n)
+        The points [m], k >= 2 of n >= 1 coordinates.
+    times : array_like, shape (k,)
+        Times at the points [s]: from zero, strictly increasing.
+    start_velocity, end_velocity : array_like, shape (n,), optional
+        Velocities at the ends [m/s]; at rest where left out.
+
+    Raises
+    ------
+    InvalidArgument
+        If a shape is another, a number is not finite, or the times do not increase from zero.
+    """
+
+    waypoints: Array
+    times: Array
+    start_velocity: Array
+    end_velocity: Array
+    _curve: PiecewisePolynomial = field(init=False)
+
+    def __init__(
+        self,
+        waypoints: ArrayLike,
+        times: ArrayLike,
+        *,
+        start_velocity: ArrayLike | None = None,
+        end_velocity: ArrayLike | None = None,
+    ) -> None:
+        points = finite("waypoints", waypoints)
+        if points.ndim != 2 or points.shape[0] < 2 or not points.shape[1]:
+            raise InvalidArgument(f"waypoints has shape {points.shape}, expected (k, n) with k >= 2")
+        keep = {
+            "waypoints": frozen(points),
+            "times": _increasing(finite("times", times), points.shape[0]),
+            "start_velocity": _velocity("start_velocity", start_velocity, points.shape[1]),
+            "end_velocity": _velocity("end_velocity", end_velocity, points.shape[1]),
+        }
+        for name, value in keep.items():
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "_curve", self._solve())
+
+    def _solve(self) -> PiecewisePolynomial:
+        # Here, because scipy is heavy and `import pinmobile` is light.
+        from scipy.interpolate import CubicSpline
+
+        ends = ((1, self.start_velocity), (1, self.end_velocity))
+        highest_first = CubicSpline(self.times, self.waypoints, bc_type=ends).c  # (4, k - 1, n)
+        return PiecewisePolynomial(self.times, np.moveaxis(highest_first[::-1], 0, 1))
+
+    @property
+    def duration(self) -> float:
+        """Time at the last waypoint [s]."""
+        return float(self.times[-1])
+
+    @property
+    def pieces(self) -> tuple[Polynomial, ...]:
+        """The cubics between waypoints."""
+        return self._curve.pieces
+
+    def __call__(self, t: ArrayLike) -> Array:
+        """Return the position.
+
+        Parameters
+        ----------
+        t : array_like, shape (...)
+            Times, 0 <= t <= duration [s].
+
+        Returns
+        -------
+        r : ndarray, shape (..., n)
+            Position [m].
+
+        Raises
+        ------
+        InvalidArgument
+            If a time is outside.
+        """
+        return self.derivative(t, 0)
+
+    def derivative(self, t: ArrayLike, order: int) -> Array:
+        """Return a derivative; at a waypoint the one from the right.
+
+        Parameters
+        ----------
+        t : array_like, shape (...)
+            Times, 0 <= t <= duration [s].
+        order : int
+            0 for the position, 1 for the velocity, and so on.
+
+        Returns
+        -------
+        dr : ndarray, shape (..., n)
+            The derivative [m/s^order].
+
+        Raises
+        ------
+        InvalidArgument
+            If a time is outside, or `order` is not a whole number >= 0.
+        """
+        return self._curve.derivative(within("t", t, self.duration), whole("order", order, least=0))
+
+
+def _increasing(times: Array, size: int) -> Array:
+    if times.shape != (size,):
+        raise InvalidArgument(f"times has shape {times.shape}, expected ({size},), one per waypoint")
+    if times[0] != 0:
+        raise InvalidArgument(f"times[0] is {times[0]} s, expected 0")
+    late = np.flatnonzero(np.diff(times) <= 0)
+    if late.size:
+        k = int(late[0])
+        raise InvalidArgument(f"times[{k + 1}] is {times[k + 1]} s, expected > times[{k}] = {times[k]} s")
+    return frozen(times)
+
+
+def _velocity(name: str, value: ArrayLike | None, size: int) -> Array:
+    velocity = np.zeros(size) if value is None else finite(name, value)
+    if velocity.shape != (size,):
+        raise InvalidArgument(f"{name} has shape {velocity.shape}, expected ({size},)")
+    return frozen(velocity)

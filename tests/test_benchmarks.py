@@ -1,0 +1,149 @@
+import subprocess
+import sys
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+PEERS = ("mujoco", "pydrake", "roboticstoolbox", "pybullet")
+SHORT = 2.0  # s
+
+
+@pytest.fixture
+def bench(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    names = ("calls", "contestants", "rollout", "task")
+    return SimpleNamespace(**{name: import_module(name) for name in names})
+
+
+def stand_in(name: str, prepare: Any, **peer: Any) -> SimpleNamespace:
+    peer = {"installed": True, "version": "1.0", "install": f"pip install {name}", **peer}
+    return SimpleNamespace(name=name, peer=SimpleNamespace(**peer), prepare=prepare)
+
+
+def right_but_for(bench: SimpleNamespace, runs: list[Any], **change: float) -> SimpleNamespace:
+    """Make a contestant whose log is the expected one but for what is added to some quantities."""
+
+    def prepare(task: Any) -> Any:
+        log = bench.task.expected(task)
+        changed = log._replace(**{name: getattr(log, name) + by for name, by in change.items()})
+
+        def run() -> Any:
+            runs.append(task)
+            return changed
+
+        return run
+
+    return stand_in("a peer", prepare)
+
+
+@pytest.mark.parametrize(
+    ("control", "largest"),
+    [("computed torque", [3.491279e-05, 3.491278e-05]), ("PD", [7.481303e-03, 7.481287e-03])],
+)
+def test_the_expected_trajectory_has_the_lectures_errors(
+    bench: SimpleNamespace, control: str, largest: list[float]
+) -> None:
+    log = bench.task.expected(bench.task.Task(0.1, control=control))
+    np.testing.assert_allclose(np.abs(log.error).max(axis=0)[:2], largest, rtol=2e-7)
+
+
+@pytest.mark.parametrize("quantity", ["q", "v", "a", "tau", "error"])
+def test_a_wrong_trajectory_is_reported_and_not_timed(bench: SimpleNamespace, quantity: str) -> None:
+    runs: list[Any] = []
+    wrong = right_but_for(bench, runs, **{quantity: 1e-6})
+    rows, sound = bench.rollout.race([wrong, bench.contestants.RAW], bench.task.Task(0.1, SHORT), rounds=3)
+    assert not sound
+    assert rows["a peer"].word.startswith("WRONG, not timed: off by ")
+    assert rows["a peer"].times == []
+    assert len(runs) == 2  # the check's, with the centre of mass on the axis and off it
+    assert len(rows[bench.contestants.RAW.name].times) == 3
+
+
+def test_a_right_trajectory_is_timed(bench: SimpleNamespace) -> None:
+    runs: list[Any] = []
+    rows, sound = bench.rollout.race(
+        [right_but_for(bench, runs, q=1e-12)], bench.task.Task(0.1, SHORT), rounds=3
+    )
+    assert sound
+    assert len(rows["a peer"].times) == 3
+    assert len(runs) == 2 + 3
+
+
+def test_a_model_that_is_wrong_off_the_axis_is_caught(bench: SimpleNamespace) -> None:
+    def prepare(task: Any) -> Any:
+        on_the_axis = replace(task, body=replace(task.body, com=(0.0, 0.0)))
+        return lambda: bench.task.expected(on_the_axis)
+
+    rows, sound = bench.rollout.race([stand_in("flat", prepare)], bench.task.Task(0.1, SHORT), rounds=1)
+    assert not sound
+    assert rows["flat"].word.startswith("WRONG")
+
+
+@pytest.mark.parametrize("spoiled", [float("nan"), float("inf")])
+def test_what_is_not_finite_is_wrong(bench: SimpleNamespace, spoiled: float) -> None:
+    one = right_but_for(bench, [], a=spoiled)
+    run, word = bench.rollout.check(one, bench.task.Task(0.1, SHORT))
+    assert run is None
+    assert word == "WRONG, not timed: off by inf"
+
+
+def test_a_log_that_lacks_a_sample_is_wrong(bench: SimpleNamespace) -> None:
+    task = bench.task.Task(0.1, SHORT)
+    log = bench.task.expected(task)
+    assert bench.task.difference(bench.task.Log(*(part[:-1] for part in log[:5])), log) == np.inf
+
+
+def test_a_missing_peer_is_named_with_what_installs_it(bench: SimpleNamespace) -> None:
+    absent = stand_in("absent", prepare=None, installed=False)
+    rows, sound = bench.rollout.race([absent], bench.task.Task(0.1, SHORT), rounds=1)
+    assert sound
+    assert rows["absent"].word == "not installed: pip install absent"
+
+
+def test_a_peer_that_fails_is_named_with_its_error(bench: SimpleNamespace) -> None:
+    def prepare(task: Any) -> Any:
+        raise RuntimeError("no such engine")
+
+    rows, sound = bench.rollout.race([stand_in("broken", prepare)], bench.task.Task(0.1, SHORT), rounds=1)
+    assert not sound
+    assert rows["broken"].word == "FAILED: RuntimeError: no such engine"
+
+
+@pytest.mark.parametrize("dt", [0.1, 0.01])
+@pytest.mark.parametrize(
+    "work", [{}, {"control": "PD"}, {"step": "rk4"}, {"control": "own law"}], ids=lambda work: str(work)
+)
+def test_simulate_and_the_raw_loop_do_the_same_work(
+    bench: SimpleNamespace, work: dict[str, str], dt: float
+) -> None:
+    for one in bench.contestants.OURS:
+        run, word = bench.rollout.check(one, bench.task.Task(dt, SHORT, **work))
+        assert run is not None, f"{one.name}: {word}"
+
+
+def test_calls_of_pinmobile_are_right(bench: SimpleNamespace) -> None:
+    assert "WRONG" not in bench.calls.calls_of(bench.calls.PEOPLE[0]).values()
+
+
+def test_the_table_names_all_that_were_asked_for(
+    bench: SimpleNamespace, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert bench.rollout.main(["--quick", "--only", "closed form"]) == 0
+    printed = capsys.readouterr().out
+    assert printed.count("closed form in numpy") == printed.count("raw Pinocchio loop (rnea, aba)") == 2
+    assert "simulate" not in printed
+
+
+def test_everything_imports_without_the_peers() -> None:
+    code = (
+        f"import sys; sys.path.insert(0, {str(BENCHMARKS)!r})\n"
+        f"for peer in {PEERS}: sys.modules[peer] = None\n"
+        "import calls, contestants, imports, memory, rollout"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

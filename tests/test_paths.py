@@ -1,0 +1,404 @@
+import math
+import pickle
+import re
+import subprocess
+import sys
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pinmobile.arrays import Array, ArrayLike
+from pinmobile.errors import InvalidArgument
+from pinmobile.paths import Circle, CubicVia, Lissajous, Path, Spline, pieces_of
+
+derandomised = settings(derandomize=True, deadline=None, max_examples=60)
+number = st.floats(-10, 10).map(lambda x: round(x, 3))
+EPS = float(np.finfo(float).eps)
+
+VIA_STOP = CubicVia((0, 0), (2, 2), (0, 4), 30, 60, via_velocity=(0, 0))
+VIA_FREE = CubicVia((0, 0), (2, 2), (0, 4), 30, 60)
+SPLINE = Spline([(0, 0), (1, 2), (3, -1), (4, 4)], (0, 1, 3, 4.5), start_velocity=(1, 0))
+EIGHT = Lissajous(3, 2, 0.2, 0.4, 60)
+PATHS = [VIA_STOP, VIA_FREE, SPLINE, EIGHT, Circle(3, 0.1, 60)]
+
+
+@st.composite
+def cubics(draw: st.DrawFn) -> CubicVia:
+    n = draw(st.integers(1, 4))
+    start, via, end, *velocities = (draw(st.lists(number, min_size=n, max_size=n)) for _ in range(6))
+    t_via, rest = (draw(st.floats(0.1, 100)) for _ in range(2))
+    if draw(st.booleans()):
+        return CubicVia(start, via, end, t_via, t_via + rest, None, *velocities[1:])
+    return CubicVia(start, via, end, t_via, t_via + rest, *velocities)
+
+
+# -- two cubics ------------------------------------------------------------------------------------
+
+
+@derandomised
+@given(cubics())
+def test_a_cubic_passes_its_points_with_its_velocities(path: CubicVia) -> None:
+    times = np.concatenate([np.linspace(piece.start, piece.end, 20) for piece in path.pieces])
+    rate = max(np.abs(path.derivative(times, 1)).max(), 1.0)
+    # The terms of a cubic are as large as its speed makes them, and cancel.
+    scale = max(np.abs(path(times)).max(), rate * path.duration, 1.0)
+    before, after = path.pieces
+    for piece, t, r in (
+        (before, 0.0, path.start),
+        (before, path.t_via, path.via),
+        (after, path.t_via, path.via),
+        (after, path.t_end, path.end),
+    ):
+        np.testing.assert_allclose(piece.derivative(t, 0), r, rtol=0, atol=16 * EPS * scale)
+    np.testing.assert_allclose(before.derivative(0.0, 1), path.start_velocity, rtol=0, atol=0)
+    np.testing.assert_allclose(
+        after.derivative(path.t_end, 1), path.end_velocity, rtol=0, atol=64 * EPS * rate
+    )
+    if path.via_velocity is not None:
+        np.testing.assert_allclose(path.derivative(path.t_via, 1), path.via_velocity, rtol=0, atol=0)
+
+
+@derandomised
+@given(cubics())
+def test_velocity_is_continuous_at_the_via_and_acceleration_where_the_velocity_is_free(
+    path: CubicVia,
+) -> None:
+    before, after = path.pieces
+    for order in (1, 2) if path.via_velocity is None else (1,):
+        left, right = before.derivative(path.t_via, order), after.derivative(path.t_via, order)
+        # The durations can be a thousandfold apart: the scale is that of the steeper piece.
+        steepest = max(
+            np.abs(piece.derivative([piece.start, piece.end], order)).max() for piece in path.pieces
+        )
+        np.testing.assert_allclose(left, right, rtol=0, atol=1e-13 * max(steepest, 1.0))
+
+
+def test_the_lecture_s_via_free_coefficients() -> None:
+    # Section 5.2 with the demonstration's numbers, solved by hand: v_via = (0, 1/10).
+    before, after = VIA_FREE.pieces
+    third = Fraction(1, 3)
+    a = [[0, 0], [0, 0], [third / 50, third / 100], [-Fraction(1, 6750), -Fraction(1, 27000)]]
+    b = [[2, 2], [0, Fraction(1, 10)], [-third / 50, 0], [Fraction(1, 6750), -Fraction(1, 27000)]]
+    np.testing.assert_allclose(before.coefficients, np.array(a, float), rtol=1e-14, atol=1e-16)
+    np.testing.assert_allclose(after.coefficients, np.array(b, float), rtol=1e-14, atol=1e-16)
+
+
+def test_velocity_has_the_factors_that_the_slide_lost() -> None:
+    # Errata, slide eq. (3): b1 + b2 s + b3 s^2 is not the derivative of b0 + b1 s + b2 s^2 + b3 s^3.
+    s = 7.0
+    _, b1, b2, b3 = VIA_FREE.pieces[1].coefficients
+    slide = b1 + b2 * s + b3 * s**2
+    right = b1 + 2 * b2 * s + 3 * b3 * s**2
+    h = 1e-4  # a cubic's central difference is off by h^2 b3 exactly, and rounding by eps / h
+    slope = (VIA_FREE(30 + s + h) - VIA_FREE(30 + s - h)) / (2 * h)
+    np.testing.assert_allclose(slope, right, rtol=0, atol=1e-10)
+    assert np.abs(slope - slide).max() > 0.01
+    np.testing.assert_allclose(VIA_FREE.derivative(30 + s, 1), right, rtol=1e-14)
+    np.testing.assert_allclose(VIA_FREE.derivative(30 + s, 2), 2 * b2 + 6 * b3 * s, rtol=1e-14)
+
+
+def test_at_a_knot_derivatives_are_those_from_the_right_and_at_the_end_from_the_left() -> None:
+    before, after = VIA_STOP.pieces
+    assert (VIA_STOP.derivative(30, 2) == after.derivative(30.0, 2)).all()
+    assert np.abs(before.derivative(30.0, 2) - after.derivative(30.0, 2)).max() > 0.01
+    assert (VIA_STOP.derivative(60, 2) == after.derivative(60.0, 2)).all()
+    jerks = SPLINE.derivative(SPLINE.times, 3)
+    assert (jerks[:-1] == [piece.derivative(piece.start, 3) for piece in SPLINE.pieces]).all()
+    assert (jerks[-1] == jerks[-2]).all()
+
+
+def test_where_the_origin_is_does_not_matter() -> None:
+    far = CubicVia((1e6, 1e6), (1e6 + 2, 1e6 + 2), (1e6, 1e6 + 4), 30, 60)
+    for order in (1, 2, 3):
+        t = np.linspace(0, 60, 50)
+        assert (far.derivative(t, order) == VIA_FREE.derivative(t, order)).all()
+
+
+def test_ends_are_at_rest_for_any_number_of_coordinates_where_nothing_is_said() -> None:
+    for n in (1, 3):
+        path = CubicVia(np.zeros(n), np.ones(n), np.zeros(n), 1, 2)
+        assert path(0.5).shape == (n,)
+        np.testing.assert_allclose(path.derivative([0, 2], 1), 0, atol=1e-15)
+
+
+# -- splines ---------------------------------------------------------------------------------------
+
+
+@derandomised
+@given(st.integers(2, 8), st.integers(1, 3), st.data())
+def test_a_spline_is_c2_through_its_waypoints(k: int, n: int, data: st.DataObject) -> None:
+    points = np.array(data.draw(st.lists(number, min_size=k * n, max_size=k * n))).reshape(k, n)
+    steps = data.draw(st.lists(st.floats(0.5, 5), min_size=k - 1, max_size=k - 1))
+    path = Spline(points, [0, *np.cumsum(steps)], start_velocity=np.ones(n))
+    np.testing.assert_allclose(path(path.times), points, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(path.derivative(0, 1), 1, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(path.derivative(path.duration, 1), 0, rtol=0, atol=1e-11)
+    for left, right in zip(path.pieces, path.pieces[1:], strict=False):
+        for order in (0, 1, 2):
+            np.testing.assert_allclose(
+                left.derivative(left.end, order), right.derivative(right.start, order), rtol=0, atol=1e-10
+            )
+
+
+@derandomised
+@given(cubics())
+def test_a_free_via_cubic_is_the_spline_of_three_points(path: CubicVia) -> None:
+    free = CubicVia(
+        path.start, path.via, path.end, path.t_via, path.t_end, None, path.start_velocity, path.end_velocity
+    )
+    spline = Spline(
+        [path.start, path.via, path.end],
+        [0, path.t_via, path.t_end],
+        start_velocity=path.start_velocity,
+        end_velocity=path.end_velocity,
+    )
+    t = np.linspace(0, path.duration, 101)
+    for order in range(4):
+        wanted = free.derivative(t, order)
+        np.testing.assert_allclose(
+            spline.derivative(t, order), wanted, rtol=0, atol=1e-12 * np.abs(wanted).max() + 1e-300
+        )
+
+
+def test_scipy_is_not_imported_before_a_spline_is_made() -> None:
+    code = (
+        "import sys, pinmobile.paths as p; assert 'scipy' not in sys.modules; "
+        "p.Spline([[0, 0], [1, 1]], [0, 1]); assert 'scipy.interpolate' in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+# -- Lissajous figures -----------------------------------------------------------------------------
+
+
+def test_lissajous_is_the_lecture_s_formula() -> None:
+    rx, ry, wx, wy = 3.0, 2.0, 0.2, 0.4
+    t = np.linspace(0, 60, 601)
+    s, c = np.sin, np.cos
+    for order, (x, y) in enumerate(
+        [
+            (rx * s(wx * t), ry - ry * c(wy * t)),
+            (rx * wx * c(wx * t), ry * wy * s(wy * t)),
+            (-rx * wx**2 * s(wx * t), ry * wy**2 * c(wy * t)),
+            (-rx * wx**3 * c(wx * t), -ry * wy**3 * s(wy * t)),
+            (rx * wx**4 * s(wx * t), -ry * wy**4 * c(wy * t)),
+            (rx * wx**5 * c(wx * t), ry * wy**5 * s(wy * t)),
+        ]
+    ):
+        np.testing.assert_allclose(EIGHT.derivative(t, order), np.stack([x, y], -1), rtol=1e-14, atol=1e-15)
+
+
+@derandomised
+@given(st.floats(0.1, 10), st.floats(-3, 3), st.floats(0, 1))
+def test_a_circle_is_round_and_driven_at_one_speed(radius: float, rate: float, part: float) -> None:
+    path = Circle(radius, rate, 20)
+    t = 20 * part
+    assert np.hypot(*(path(t) - (0, radius))) == pytest.approx(radius, rel=1e-14)
+    for order in range(1, 6):
+        length = float(np.hypot(*path.derivative(t, order)))
+        assert length == pytest.approx(radius * abs(rate) ** order, rel=1e-14)
+
+
+def test_an_ellipse_has_two_axes() -> None:
+    x, y = Lissajous(3, 1, 0.5, 0.5, 20)(np.linspace(0, 20, 100)).T
+    np.testing.assert_allclose((x / 3) ** 2 + (y - 1) ** 2, 1, rtol=1e-14)
+
+
+# -- all of them -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", PATHS, ids=repr)
+@pytest.mark.parametrize("order", range(5))
+def test_every_derivative_is_that_of_the_one_before(path: Path, order: int) -> None:
+    t = np.linspace(0.013, 0.987, 40) * path.duration
+    h = 1e-5 * path.duration
+    # Between knots: central differences across one would mix two pieces.
+    knots = [piece.start for piece in pieces_of(path)]
+    t = t[[min(abs(x - k) for k in knots) > h for x in t]]
+    slope = (path.derivative(t + h, order) - path.derivative(t - h, order)) / (2 * h)
+    # h^2 / 6 of the third derivative from here, and the rounding of the values over h.
+    curved = np.abs(path.derivative(t, order + 3)).max() * h**2 / 6
+    rounding = 8 * EPS * (1 + np.abs(path.derivative(t, order)).max()) / h
+    np.testing.assert_allclose(path.derivative(t, order + 1), slope, rtol=0, atol=2 * curved + rounding)
+
+
+@pytest.mark.parametrize("path", PATHS, ids=repr)
+def test_times_of_any_shape_broadcast_bit_for_bit(path: Path) -> None:
+    t = np.linspace(0, path.duration, 24)
+    for order in (0, 1, 2, 3, 7):
+        whole = path.derivative(t, order)
+        assert whole.shape == (24, 2)
+        assert (path.derivative(t.reshape(2, 3, 4), order) == whole.reshape(2, 3, 4, 2)).all()
+        assert path.derivative([], order).shape == (0, 2)
+        for k, x in enumerate(t.tolist()):
+            single = path.derivative(x, order)
+            assert single.shape == (2,)
+            assert single.tobytes() == whole[k].tobytes()
+    assert (path(t) == path.derivative(t, 0)).all()
+
+
+@pytest.mark.parametrize("path", [VIA_STOP, VIA_FREE, SPLINE], ids=repr)
+def test_cubics_have_no_fourth_derivative(path: Path) -> None:
+    assert np.abs(path.derivative(1.0, 3)).max() > 0
+    for order in (4, 5, 40):
+        assert (path.derivative([0.0, 1.0], order) == 0).all()
+
+
+@pytest.mark.parametrize("path", PATHS, ids=repr)
+def test_pieces_lie_end_to_end_and_agree_with_the_path(path: Path) -> None:
+    pieces = pieces_of(path)
+    assert pieces[0].start == 0
+    assert pieces[-1].end == path.duration
+    assert [p.end for p in pieces[:-1]] == [p.start for p in pieces[1:]]
+    for piece in pieces:
+        t = np.linspace(piece.start, piece.end, 7)[:-1]
+        for order in range(4):
+            assert (piece.derivative(t, order) == path.derivative(t, order)).all()
+            assert piece.derivative(piece.end, order).shape == (2,)
+
+
+@pytest.mark.parametrize("path", PATHS, ids=repr)
+def test_repr_can_be_pasted_back_and_equality_is_by_value(path: Path) -> None:
+    again = eval(repr(path))
+    assert again == path
+    assert hash(again) == hash(path)
+    assert pickle.loads(pickle.dumps(path)) == path
+    strangers: list[object] = ["a path", None]
+    assert path not in strangers
+    assert path not in [other for other in PATHS if other is not path]
+
+
+def test_repr_says_what_was_given() -> None:
+    assert repr(VIA_FREE) == (
+        "CubicVia(start=(0.0, 0.0), via=(2.0, 2.0), end=(0.0, 4.0), t_via=30.0, t_end=60.0, "
+        "via_velocity=None, start_velocity=(0.0, 0.0), end_velocity=(0.0, 0.0))"
+    )
+    assert repr(Circle(3, 0.1, 60)) == "Lissajous(rx=3.0, ry=3.0, wx=0.1, wy=0.1, duration=60.0)"
+    assert repr(Spline([[0], [1]], [0, 1])) == (
+        "Spline(waypoints=((0.0,), (1.0,)), times=(0.0, 1.0), start_velocity=(0.0,), end_velocity=(0.0,))"
+    )
+
+
+def test_arrays_are_copies_and_read_only() -> None:
+    start = np.zeros(2)
+    path = CubicVia(start, (2, 2), (0, 4), 30, 60)
+    start[0] = 9
+    assert path.start[0] == 0
+    for held in (path.start, path.via, SPLINE.waypoints, SPLINE.times, path.pieces[0].coefficients):
+        with pytest.raises(ValueError, match="read-only"):
+            held[0] = 1
+    with pytest.raises(AttributeError):
+        path.t_via = 3.0  # type: ignore[misc]
+
+
+def test_a_user_s_path_is_a_path_of_one_piece() -> None:
+    class Line:
+        duration = 2.0
+
+        def __call__(self, t: ArrayLike) -> Array:
+            return self.derivative(t, 0)
+
+        def derivative(self, t: ArrayLike, order: int) -> Array:
+            t = np.asarray(t, dtype=float)
+            return np.stack(
+                [t, 2 * t] if order == 0 else [np.full_like(t, (order == 1) * k) for k in (1, 2)], -1
+            )
+
+    path: Path = Line()
+    assert isinstance(path, Path)
+    (piece,) = pieces_of(path)
+    assert (piece.start, piece.end) == (0.0, 2.0)
+    assert piece.derivative(1.5, 0).tolist() == [1.5, 3.0]
+    assert not isinstance(object(), Path)
+
+
+# -- what is refused -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", PATHS, ids=repr)
+def test_times_outside_are_refused(path: Path) -> None:
+    end = path.duration
+    asked: list[tuple[Any, str, float]] = [
+        (end * 1.001, "", end * 1.001),
+        ([0, -1e-9], "[1]", -1e-9),
+        ([[0, 1], [2, end + 1]], "[1, 1]", end + 1),
+    ]
+    for t, place, value in asked:
+        message = f"t{place} is {value} s, expected 0 <= t <= {end} s"
+        with pytest.raises(InvalidArgument, match=f"^{re.escape(message)}$"):
+            path(t)
+        with pytest.raises(InvalidArgument, match=f"^{re.escape(message)}$"):
+            path.derivative(t, 1)
+    with pytest.raises(InvalidArgument, match=r"^t\[1\] is nan, expected a finite number$"):
+        path([0, math.nan])
+
+
+@pytest.mark.parametrize("path", PATHS, ids=repr)
+def test_the_rounding_of_the_last_time_is_allowed(path: Path) -> None:
+    assert (path(np.nextafter(path.duration, math.inf)) == path(path.duration)).all()
+    assert (path(-1e-16) == path(0)).all()
+
+
+@pytest.mark.parametrize("order", [-1, 1.5, math.nan, "one", [1]])
+@pytest.mark.parametrize("path", PATHS, ids=repr)
+def test_orders_that_are_no_whole_numbers_are_refused(path: Path, order: int) -> None:
+    with pytest.raises(InvalidArgument, match=r"^order "):
+        path.derivative(1.0, order)
+
+
+def cubic(**changed: object) -> CubicVia:
+    given = {"start": (0, 0), "via": (2, 2), "end": (0, 4), "t_via": 30, "t_end": 60} | changed
+    return CubicVia(**given)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"t_via": 70}, "t_via is 70.0 s, expected 0 < t_via < t_end = 60.0 s"),
+        ({"t_via": 60}, "t_via is 60.0 s, expected 0 < t_via < t_end = 60.0 s"),
+        ({"t_via": 0}, "t_via is 0.0 s, expected 0 < t_via < t_end = 60.0 s"),
+        ({"t_end": -1}, "t_end is -1.0 s, expected > 0"),
+        ({"t_end": math.inf}, "t_end is inf, expected a finite number"),
+        ({"start": 0}, "start has shape (), expected (n,)"),
+        ({"start": ()}, "start has shape (0,), expected (n,)"),
+        ({"via": (1, 2, 3)}, "via has shape (3,), expected (2,)"),
+        ({"end": [[0, 4]]}, "end has shape (1, 2), expected (2,)"),
+        ({"end": (0, math.nan)}, "end[1] is nan, expected a finite number"),
+        ({"via_velocity": 0}, "via_velocity has shape (), expected (2,)"),
+        ({"start_velocity": (0, 0, 0)}, "start_velocity has shape (3,), expected (2,)"),
+        ({"end_velocity": (math.inf, 0)}, "end_velocity[0] is inf, expected a finite number"),
+    ],
+)
+def test_cubics_refuse(changed: dict[str, object], message: str) -> None:
+    with pytest.raises(InvalidArgument, match=f"^{re.escape(message)}$"):
+        cubic(**changed)
+
+
+@pytest.mark.parametrize(
+    ("waypoints", "times", "velocity", "message"),
+    [
+        ([(0, 0)], [0], (0, 0), "waypoints has shape (1, 2), expected (k, n) with k >= 2"),
+        ([0, 1], [0, 1], (0, 0), "waypoints has shape (2,), expected (k, n) with k >= 2"),
+        ([(0, 0), (1, 1)], [0, 1, 2], (0, 0), "times has shape (3,), expected (2,), one per waypoint"),
+        ([(0, 0), (1, 1)], [1, 2], (0, 0), "times[0] is 1.0 s, expected 0"),
+        ([(0, 0), (1, 1), (2, 2)], [0, 2, 2], (0, 0), "times[2] is 2.0 s, expected > times[1] = 2.0 s"),
+        ([(0, 0), (1, math.nan)], [0, 1], (0, 0), "waypoints[1, 1] is nan, expected a finite number"),
+        ([(0, 0), (1, 1)], [0, 1], (0,), "end_velocity has shape (1,), expected (2,)"),
+    ],
+)
+def test_splines_refuse(waypoints: ArrayLike, times: ArrayLike, velocity: ArrayLike, message: str) -> None:
+    with pytest.raises(InvalidArgument, match=f"^{re.escape(message)}$"):
+        Spline(waypoints, times, end_velocity=velocity)
+
+
+def test_lissajous_figures_refuse() -> None:
+    with pytest.raises(InvalidArgument, match=r"^duration is 0.0 s, expected > 0$"):
+        Lissajous(1, 1, 1, 1, 0)
+    with pytest.raises(InvalidArgument, match=r"^wx is nan, expected a finite number$"):
+        Lissajous(1, 1, math.nan, 1, 1)
+    with pytest.raises(InvalidArgument, match=r"^radius is -3.0 m, expected > 0$"):
+        Circle(-3, 0.1, 60)

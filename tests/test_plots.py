@@ -1,0 +1,456 @@
+"""Figures: what is drawn is what was recorded, where it was recorded, and it can be read."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
+from PIL import Image
+
+from pinmobile import plots
+from pinmobile.arrays import Array
+from pinmobile.controllers import PD, ComputedTorque
+from pinmobile.errors import InvalidArgument
+from pinmobile.paths import Circle, CubicVia
+from pinmobile.plots.runs import thinned
+from pinmobile.plots.style import si
+from pinmobile.robot import MobileRobot
+from pinmobile.simulation import Rollout, simulate
+from pinmobile.trajectories import Reference, Tangent, Trajectory
+
+DRAWN: list[Callable[..., Figure]] = [plots.path, plots.states, plots.errors, plots.forces]
+ROBOT = MobileRobot.lecture()
+CIRCLE = Tangent(Circle(3, 0.1, 60))
+VIA_STOP = Tangent(CubicVia((0, 0), (2, 2), (0, 4), 30, 60, via_velocity=(0, 0)), turn_time=2)
+
+
+def both(trajectory: Trajectory, dt: float = 0.1, **options: Any) -> dict[str, Rollout]:
+    controllers = {"PD": PD([120, 120, 0.4], [120, 120, 0.4]), "computed torque": ComputedTorque(ROBOT)}
+    return {
+        label: simulate(ROBOT, controller, trajectory, dt=dt, **options)  # type: ignore[arg-type]
+        for label, controller in controllers.items()
+    }
+
+
+def shortened(run: Rollout, count: int) -> Rollout:
+    columns = {name: getattr(run, name)[:count] for name in ("t", "q", "v", "a", "tau", "error")}
+    return replace(run, reference=Reference(*(part[:count] for part in run.reference)), **columns)
+
+
+def robots(axes: Axes) -> list[Array]:
+    return [
+        np.asarray(p.get_xy())[:-1]
+        for p in axes.patches
+        if isinstance(p, Polygon) and p.get_label() == "robot"
+    ]
+
+
+def corners(pose: Array, length: float, width: float) -> Array:
+    """Rear right, front right, front left, rear left: by rotating the body's axes, not the points."""
+    forward = 0.5 * length * np.array([np.cos(pose[2]), np.sin(pose[2])])
+    left = 0.5 * width * np.array([-np.sin(pose[2]), np.cos(pose[2])])
+    offsets: Array = np.array([-forward - left, forward - left, forward + left, -forward + left])
+    return pose[:2] + offsets
+
+
+@pytest.fixture(scope="module")
+def circle() -> dict[str, Rollout]:
+    return both(CIRCLE)
+
+
+@pytest.fixture(scope="module")
+def astray() -> Rollout:
+    """Start 2.2 m and 2.5 rad beside the trajectory."""
+    return simulate(ROBOT, ComputedTorque(ROBOT), CIRCLE, dt=0.1, q0=(1, -2, 2.5))
+
+
+class TestPath:
+    def test_the_box_stands_at_the_actual_pose_not_at_the_desired_one(self, astray: Rollout) -> None:
+        samples = [0, 5, 300]
+        (axes,) = plots.path(astray, times=astray.t[samples]).axes
+        drawn = robots(axes)
+        for box, k in zip(drawn, samples, strict=True):
+            np.testing.assert_allclose(box, corners(astray.q[k], 0.6, 0.4), atol=1e-12)
+        # The lecture's animation: the desired position with the actual heading.
+        mixed = np.append(astray.reference.q[0, :2], astray.q[0, 2])
+        assert np.abs(drawn[0] - corners(mixed, 0.6, 0.4)).max() > 1
+
+    def test_the_nose_points_along_the_body(self, astray: Rollout) -> None:
+        (axes,) = plots.path(astray, times=0.0).axes
+        outline, nose = (np.asarray(p.get_xy())[:-1] for p in axes.patches if isinstance(p, Polygon))
+        psi = astray.q[0, 2]
+        ahead = (nose - outline.mean(axis=0)) @ np.array([np.cos(psi), np.sin(psi)])
+        assert ahead.max() == pytest.approx(0.48 * 0.6)
+        assert ahead.min() > -0.1 * 0.6 - 1e-12
+
+    def test_between_two_samples_the_pose_lies_between(self, astray: Rollout) -> None:
+        (axes,) = plots.path(astray, times=[0.05]).axes
+        np.testing.assert_allclose(robots(axes)[0], corners(astray.q[:2].mean(axis=0), 0.6, 0.4), atol=1e-12)
+
+    def test_size_is_the_robots(self) -> None:
+        robot = MobileRobot(30, 1, size=(2, 1, 0.5))
+        run = simulate(robot, ComputedTorque(robot), CIRCLE, dt=0.1)
+        (axes,) = plots.path(run, times=[7]).axes
+        np.testing.assert_allclose(robots(axes)[0], corners(run.q[70], 2, 1), atol=1e-12)
+
+    def test_lines_are_the_desired_and_the_travelled_path(self, circle: dict[str, Rollout]) -> None:
+        for axes, run in zip(plots.path(circle).axes, circle.values(), strict=True):
+            desired, travelled = axes.lines
+            np.testing.assert_array_equal(desired.get_xydata(), run.reference.q[:, :2])
+            np.testing.assert_array_equal(travelled.get_xydata(), run.q[:, :2])
+            assert desired.is_dashed()
+            assert travelled.get_linestyle() == "-"
+
+    def test_drawn_robots_do_not_overlap(self, circle: dict[str, Rollout]) -> None:
+        for runs in (circle, both(VIA_STOP)):
+            for axes in plots.path(runs).axes:
+                centres = [box.mean(axis=0) for box in robots(axes)]
+                assert 5 <= len(centres) <= 8
+                assert min(np.hypot(*(a - b)) for a, b in combinations(centres, 2)) > np.hypot(0.6, 0.4)
+
+    def test_rollouts_of_one_reference_are_drawn_at_the_same_instants(
+        self, circle: dict[str, Rollout]
+    ) -> None:
+        first, second = ([text.get_text() for text in axes.texts[1:]] for axes in plots.path(circle).axes)
+        assert first == second
+        assert {"0 s", "60 s"} < set(first)
+
+    def test_both_axes_have_one_scale_and_all_panels_the_same_window(
+        self, circle: dict[str, Rollout]
+    ) -> None:
+        panels = plots.path(circle).axes
+        assert all(axes.get_aspect() == 1 for axes in panels)
+        assert len({(axes.get_xlim(), axes.get_ylim()) for axes in panels}) == 1
+
+    def test_titles_tell_the_largest_distance(self, circle: dict[str, Rollout]) -> None:
+        titles = [axes.get_title() for axes in plots.path(circle).axes]
+        assert titles == ["position error at most 7.5 mm", "position error at most 35 µm"]
+
+    def test_a_plant_without_size_is_an_arrowhead(self, astray: Rollout) -> None:
+        for plant in (None, object(), np.zeros(3)):  # an array's size is no length
+            (axes,) = plots.path(replace(astray, robot=plant), times=[0]).axes
+            (arrow,) = robots(axes)
+            tip = arrow[np.argmax(np.hypot(*(arrow - astray.q[0, :2]).T))] - astray.q[0, :2]
+            assert np.arctan2(tip[1], tip[0]) == pytest.approx(2.5)
+
+    def test_a_robot_that_never_moves_is_drawn_once(self, circle: dict[str, Rollout]) -> None:
+        rest = np.tile([1.0, 2.0, 0.5], (601, 1))
+        run = replace(circle["PD"], q=rest, reference=Reference(rest, 0 * rest, 0 * rest))
+        for plant in (ROBOT, None):
+            (axes,) = plots.path(replace(run, robot=plant)).axes
+            assert len(robots(axes)) == 1
+
+    def test_five_rollouts_make_two_rows(self, circle: dict[str, Rollout]) -> None:
+        figure = plots.path({str(k): circle["PD"] for k in range(5)})
+        assert len(figure.axes) == 5
+        assert [axes.get_xlabel() for axes in figure.axes] == ["", "", "x [m]", "x [m]", "x [m]"]
+        assert [axes.get_ylabel() for axes in figure.axes] == ["y [m]", "", "", "y [m]", ""]
+
+    def test_times(self, circle: dict[str, Rollout]) -> None:
+        with pytest.raises(InvalidArgument, match=r"^times\[1\] is 61.0 s, expected 0 <= t <= 60 s$"):
+            plots.path(circle, times=[0, 61])
+        with pytest.raises(InvalidArgument, match=r"^times has shape \(1, 1\), expected \(n,\)$"):
+            plots.path(circle, times=[[0]])
+
+
+class TestSeries:
+    def test_states_are_the_recorded_and_the_desired(self, circle: dict[str, Rollout]) -> None:
+        for k, axes in enumerate(plots.states(circle).axes):
+            pd, torque, desired = axes.lines
+            for line, run in ((pd, circle["PD"]), (torque, circle["computed torque"])):
+                np.testing.assert_array_equal(line.get_xydata(), np.stack([run.t, run.q[:, k]], axis=-1))
+            np.testing.assert_array_equal(desired.get_ydata(), circle["PD"].reference.q[:, k])
+            assert desired.is_dashed()
+
+    def test_each_reference_is_drawn_once(self, circle: dict[str, Rollout]) -> None:
+        figure = plots.states({**circle, "via stop": both(VIA_STOP)["PD"]})
+        assert [line.get_label() for line in figure.axes[0].lines].count("desired") == 2
+        assert legend_of(figure) == ["desired", "PD", "computed torque", "via stop"]
+
+    def test_errors_are_the_recorded(self, circle: dict[str, Rollout]) -> None:
+        grid = np.reshape(np.array(plots.errors(circle).axes), (3, 2))
+        for column, run in zip(grid.T, circle.values(), strict=True):
+            for k, axes in enumerate(column):
+                np.testing.assert_array_equal(axes.lines[0].get_ydata(), run.error[:, k])
+
+    def test_errors_fill_their_panels_though_controllers_differ_by_orders_of_magnitude(
+        self, circle: dict[str, Rollout]
+    ) -> None:
+        for axes in plots.errors(circle).axes[:4]:
+            assert np.ptp(axes.lines[0].get_ydata()) > 0.6 * np.ptp(axes.get_ylim())
+
+    def test_the_largest_error_is_written(self, circle: dict[str, Rollout]) -> None:
+        titles = [axes.get_title(loc="right") for axes in plots.errors(circle).axes]
+        assert titles[:2] == [r"largest $7.48\cdot 10^{-3}$ m", r"largest $3.49\cdot 10^{-5}$ m"]
+
+    def test_rounding_is_drawn_as_zero(self, circle: dict[str, Rollout]) -> None:
+        psi = plots.errors(circle).axes[-1]
+        assert 0 < np.abs(psi.lines[0].get_ydata()).max() < 1e-13
+        assert psi.get_ylim() == (-1e-12, 1e-12)
+
+    def test_forces_are_the_recorded_and_held(self, circle: dict[str, Rollout]) -> None:
+        for k, axes in enumerate(plots.forces(circle).axes):
+            for line, run in zip(axes.lines, circle.values(), strict=True):
+                np.testing.assert_array_equal(line.get_ydata(), run.tau[:, k])
+                assert line.get_drawstyle() == "steps-post"
+
+    def test_lines_differ_in_colour_and_in_style(self, circle: dict[str, Rollout]) -> None:
+        runs = {str(k): circle["PD"] for k in range(5)}
+        lines = plots.forces(runs).axes[0].lines
+        assert len({line.get_color() for line in lines}) == 5
+        assert len({line.get_linewidth() for line in lines}) == 5
+        widths = [line.get_linewidth() for line in lines]
+        assert widths == sorted(widths, reverse=True)  # so that none hides those below
+
+    def test_axes_carry_units(self, circle: dict[str, Rollout]) -> None:
+        labels = {f: [axes.get_ylabel() for axes in f(circle["PD"]).axes] for f in DRAWN}
+        assert labels[plots.path] == ["y [m]"]
+        assert labels[plots.states] == ["$x$ [m]", "$y$ [m]", r"$\psi$ [rad]"]
+        assert labels[plots.errors] == ["error in $x$ [m]", "error in $y$ [m]", r"error in $\psi$ [rad]"]
+        assert labels[plots.forces] == ["$F_x$ [N]", "$F_y$ [N]", "$M_z$ [N m]"]
+        assert plots.path(circle["PD"]).axes[-1].get_xlabel() == "x [m]"
+        assert all(f(circle).axes[-1].get_xlabel() == "t [s]" for f in DRAWN[1:])
+
+    def test_other_plants_show_all_their_coordinates_and_inputs(self, circle: dict[str, Rollout]) -> None:
+        run = circle["PD"]
+        other = replace(run, robot=None, q=np.column_stack([run.q, run.q]), tau=run.tau[:, :2])
+        labels = [axes.get_ylabel() for axes in plots.states({"other": other, "PD": run}).axes]
+        assert labels == ["$x$ [m]", "$y$ [m]", r"$\psi$ [rad]", "$q_{3}$", "$q_{4}$", "$q_{5}$"]
+        assert [axes.get_ylabel() for axes in plots.forces(other).axes] == ["$u_{0}$", "$u_{1}$"]
+
+
+class TestLongRollouts:
+    @settings(max_examples=20)
+    @given(st.integers(4001, 9001), st.integers(0, 2**32 - 1))
+    def test_extremes_of_every_stretch_are_kept(self, count: int, seed: int) -> None:
+        x, y = np.random.default_rng(seed).normal(size=(2, count))
+        kept = thinned(x, y)
+        assert len(kept) <= 4002
+        assert (np.diff(kept) > 0).all()
+        assert (kept[0], kept[-1]) == (0, count - 1)
+        width = -(-count // 1000)
+        for column in (x, y):
+            for start in range(0, count, width):
+                stretch = column[start : start + width]
+                drawn = column[kept[(kept >= start) & (kept < start + width)]]
+                assert (drawn.min(), drawn.max()) == (stretch.min(), stretch.max())
+
+    def test_short_rollouts_are_drawn_whole(self) -> None:
+        np.testing.assert_array_equal(thinned(np.zeros(4000)), np.arange(4000))
+
+    def test_no_peak_is_lost(self) -> None:
+        run = both(CIRCLE, dt=0.001)["PD"]
+        tau = run.tau.copy()
+        tau[41234, 1], tau[41235, 1] = 99, -99
+        force = plots.forces(replace(run, tau=tau)).axes[1].lines[0]
+        x, y = np.asarray(force.get_xdata()), np.asarray(force.get_ydata())
+        assert len(y) < 2100
+        assert (y.max(), y.min()) == (99, -99)
+        assert x[np.argmax(y)] == run.t[41234]
+        assert x[-1] == 60
+
+
+def legend_of(figure: Figure) -> list[str]:
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+
+class TestFigures:
+    def test_a_legend_that_is_not_needed_is_left_out(self, circle: dict[str, Rollout]) -> None:
+        assert [legend_of(f(circle["PD"])) for f in DRAWN] == [
+            ["desired", "travelled", "robot"],
+            ["desired", "actual"],
+            [],
+            [],
+        ]
+        assert legend_of(plots.forces(circle)) == ["PD", "computed torque"]
+        assert legend_of(plots.states(circle)) == ["desired", "PD", "computed torque"]
+
+    @pytest.mark.parametrize("draw", DRAWN)
+    @pytest.mark.parametrize("trajectory", [CIRCLE, VIA_STOP])
+    def test_nothing_overlaps(self, draw: Callable[..., Figure], trajectory: Trajectory) -> None:
+        figure = draw(both(trajectory))
+        canvas: Any = FigureCanvasAgg(figure)
+        canvas.draw()
+        outer = [*figure.texts, *figure.legends, *figure.axes]
+        boxes = [artist.get_tightbbox(canvas.get_renderer()) for artist in outer]
+        assert all(box is not None for box in boxes)
+        for (a, one), (b, other) in combinations(zip(outer, boxes, strict=True), 2):
+            assert one is not None
+            assert other is not None
+            gap = one.padded(-1.0).overlaps(other.padded(-1.0))
+            # Times written beside the robots may reach beyond their panel, into the gap between panels.
+            assert not gap or (draw is plots.path and isinstance(a, Axes) and isinstance(b, Axes)), (a, b)
+        assert 400 < figure.bbox.width <= 900
+
+    @pytest.mark.parametrize("draw", DRAWN)
+    def test_a_title_can_be_given(self, draw: Callable[..., Figure], circle: dict[str, Rollout]) -> None:
+        assert draw(circle, title="Circle").texts[0].get_text() == "Circle"
+        assert draw(circle).texts[0].get_text() != ""
+
+    @pytest.mark.parametrize("draw", DRAWN)
+    def test_one_sample_is_enough(self, draw: Callable[..., Figure], circle: dict[str, Rollout]) -> None:
+        figure = draw(shortened(circle["PD"], 1))
+        FigureCanvasAgg(figure).draw()  # type: ignore[no-untyped-call]  # matplotlib's
+
+    def test_a_notebook_shows_it(self, circle: dict[str, Rollout]) -> None:
+        figure: Any = plots.forces(circle)
+        assert figure._repr_png_().startswith(b"\x89PNG")
+
+    def test_what_is_not_a_rollout_is_refused(self, circle: dict[str, Rollout], tmp_path: Path) -> None:
+        def animate(rollouts: Any) -> Any:
+            return plots.animate(rollouts, tmp_path / "robot.gif")
+
+        for draw in (*DRAWN, animate):
+            with pytest.raises(InvalidArgument, match=r"^rollouts is empty, expected at least one Rollout$"):
+                draw({})
+            with pytest.raises(
+                InvalidArgument, match=r"^rollouts is a list, expected a Rollout or a mapping"
+            ):
+                draw([circle["PD"]])
+            with pytest.raises(InvalidArgument, match=r"^rollouts\['a'\] is a int, expected a Rollout$"):
+                draw({"a": 3})
+            for label in (1, ""):
+                with pytest.raises(
+                    InvalidArgument, match=rf"^rollouts has the label {label!r}, expected a name$"
+                ):
+                    draw({label: circle["PD"]})
+
+    def test_a_path_needs_a_pose(self, circle: dict[str, Rollout]) -> None:
+        run = circle["PD"]
+        with pytest.raises(
+            InvalidArgument, match=r"^rollouts\['a'\].q has shape \(601, 2\), expected \(\.\.\., 3\)"
+        ):
+            plots.path({"a": replace(run, q=run.q[:, :2])})
+
+    def test_pyplot_and_settings_are_left_alone(self, circle: dict[str, Rollout], tmp_path: Path) -> None:
+        before = dict(matplotlib.rcParams)
+        for draw in DRAWN:
+            draw(circle)
+        assert dict(matplotlib.rcParams) == before
+        code = (
+            "import sys, numpy as np; from pinmobile import MobileRobot, plots\n"
+            "from pinmobile.simulation import Rollout; from pinmobile.trajectories import Reference\n"
+            "z = np.zeros((2, 3)); t = np.array([0, 1.0])\n"
+            "run = Rollout(MobileRobot.lecture(), t, z, z, z, z, z, Reference(z, z, z))\n"
+            "[f(run)._repr_png_() for f in (plots.path, plots.states, plots.errors, plots.forces)]\n"
+            "plots.animate(run, sys.argv[1])\n"
+            "print(*{'matplotlib.pyplot', 'meshcat', 'sympy', 'tkinter'} & set(sys.modules))"
+        )
+        command = [sys.executable, "-c", code, str(tmp_path / "robot.gif")]
+        with pytest.MonkeyPatch.context() as patch:
+            patch.delenv("DISPLAY", raising=False)
+            patch.delenv("MPLBACKEND", raising=False)
+            done = subprocess.run(command, capture_output=True, text=True, check=True)
+        assert done.stdout.strip() == ""
+
+    @pytest.mark.parametrize(
+        ("value", "text"),
+        [(0, "0 m"), (2.24, "2.2 m"), (12.34, "12 m"), (0.999, "1.0 m"), (0.37, "370 mm"), (3.49e-5, "35 µm"),
+         (9.96e-6, "10 µm"), (3.5e-9, "3.5 nm"), (3.55e-15, "3.6e-15 m")],
+    )  # fmt: skip
+    def test_sizes_are_written_with_two_digits(self, value: float, text: str) -> None:
+        assert si(value, "m") == text
+
+
+def gif(path: Path) -> tuple[list[Image.Image], list[int]]:
+    frames, durations = [], []
+    with Image.open(path) as image:
+        for k in range(getattr(image, "n_frames", 1)):
+            image.seek(k)
+            durations.append(image.info["duration"])
+            frames.append(image.convert("RGB"))
+    return frames, durations
+
+
+class TestAnimate:
+    def test_a_minute_takes_ten_seconds_and_little_room(
+        self, circle: dict[str, Rollout], tmp_path: Path
+    ) -> None:
+        told: list[tuple[int, int]] = []
+        path = plots.animate(circle, str(tmp_path / "robot.gif"), progress=lambda *step: told.append(step))
+        assert path == tmp_path / "robot.gif"
+        assert path.stat().st_size < 400_000
+        frames, durations = gif(path)
+        assert len(frames) == 126
+        assert durations == 125 * [80] + [1000]
+        assert told == [(k, 126) for k in range(1, 127)]
+        assert frames[0].getpixel((0, 0)) == (255, 255, 255)
+        assert 500 < frames[0].width <= 720
+
+    def test_speed_and_frame_rate(self, circle: dict[str, Rollout], tmp_path: Path) -> None:
+        run = shortened(circle["PD"], 31)  # 3 s
+        for options, count, total in (
+            ({}, 39, 4000),
+            ({"speed": 2, "fps": 30}, 46, 2500),
+            ({"fps": 7}, 22, 4000),
+        ):
+            frames, durations = gif(plots.animate(run, tmp_path / "robot.gif", **options))  # type: ignore[arg-type]
+            assert len(frames) == count
+            assert sum(durations) == pytest.approx(total, abs=80)
+
+    def test_the_robot_is_where_it_was_not_where_it_should_be(
+        self, circle: dict[str, Rollout], tmp_path: Path
+    ) -> None:
+        run = shortened(circle["PD"], 2)
+        q, desired = np.tile([2.0, 1.0, 0.3], (2, 1)), np.tile([-2.0, -1.0, 0.3], (2, 1))
+        run = replace(run, q=q, reference=Reference(desired, 0 * q, 0 * q))
+        frames, _ = gif(plots.animate(run, tmp_path / "robot.gif"))
+        pixels = np.asarray(frames[-1]).astype(int)[: round(0.85 * frames[-1].height)]  # without the legend
+        rows, columns = np.nonzero(pixels[..., 2] - pixels[..., 0] > 100)
+        assert len(rows) > 50
+        assert columns.min() > 0.6 * pixels.shape[1]
+        assert rows.max() < 0.5 * pixels.shape[0]
+
+    def test_what_is_travelled_grows(self, astray: Rollout, tmp_path: Path) -> None:
+        frames, _ = gif(plots.animate(astray, tmp_path / "robot.gif", fps=1))
+        pixels = [np.asarray(frame).astype(int) for frame in frames]
+        blue = [int((p[..., 2] - p[..., 0] > 100).sum()) for p in pixels]
+        assert blue[0] < blue[len(blue) // 2] < blue[-1]
+
+    def test_a_shorter_rollout_waits_at_its_end(self, circle: dict[str, Rollout], tmp_path: Path) -> None:
+        runs = {"long": shortened(circle["PD"], 21), "short": shortened(circle["PD"], 6)}
+        frames, _ = gif(plots.animate(runs, tmp_path / "robot.gif"))
+        right = [np.asarray(frame)[60:, frame.width // 2 :] for frame in frames]
+        np.testing.assert_array_equal(right[8], right[-1])
+        assert (right[0] != right[-1]).any()
+
+    def test_one_sample_is_a_picture(self, circle: dict[str, Rollout], tmp_path: Path) -> None:
+        frames, _ = gif(plots.animate(shortened(circle["PD"], 1), tmp_path / "robot.gif"))
+        assert len(frames) == 1
+
+    def test_bad_arguments(self, circle: dict[str, Rollout], tmp_path: Path) -> None:
+        run, path = circle["PD"], tmp_path / "robot.gif"
+        with pytest.raises(InvalidArgument, match=r"^fps is 0.0 1/s, expected > 0$"):
+            plots.animate(run, path, fps=0)
+        with pytest.raises(InvalidArgument, match=r"^fps is 60 1/s, expected at most 50$"):
+            plots.animate(run, path, fps=60)
+        with pytest.raises(InvalidArgument, match=r"^speed is -1.0, expected > 0$"):
+            plots.animate(run, path, speed=-1)
+        with pytest.raises(
+            InvalidArgument, match=r"^path is '.*robot.mp4', expected a name that ends in '.gif'$"
+        ):
+            plots.animate(run, tmp_path / "robot.mp4")
+        assert list(tmp_path.iterdir()) == []
+
+    def test_a_file_that_cannot_be_written(self, circle: dict[str, Rollout], tmp_path: Path) -> None:
+        run = shortened(circle["PD"], 2)
+        with pytest.raises(InvalidArgument, match=r"^path is '.*none/robot.gif', .* no folder '.*none'$"):
+            plots.animate(run, tmp_path / "none" / "robot.gif")
+        folder = tmp_path / "folder.gif"
+        folder.mkdir()
+        with pytest.raises(
+            InvalidArgument, match=r"^path is '.*folder.gif', which cannot be written: Is a dir"
+        ):
+            plots.animate(run, folder)

@@ -1,0 +1,55 @@
+"""The README's code runs and prints what it says; its figures and numbers are the library's."""
+
+import contextlib
+import io
+import re
+import tomllib
+from pathlib import Path
+
+import pinmobile
+from pinmobile.cli.lecture import EXPECTED
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text()
+
+
+def test_the_first_block_prints_the_second() -> None:
+    code, printed = re.findall(r"```(?:python|text)\n(.*?)```", README, re.DOTALL)[:2]
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out):
+        exec(code, {})
+    assert out.getvalue() == printed
+
+
+def test_every_picture_is_there() -> None:
+    pictures = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", README)
+    assert pictures
+    for picture in pictures:
+        assert (ROOT / picture).stat().st_size < 1_000_000
+
+
+def test_the_numbers_are_the_lectures() -> None:
+    for trajectory in ("via stop", "via free", "circle"):
+        row = [*EXPECTED[trajectory, "PD"], *EXPECTED[trajectory, "computed torque"]]
+        assert f"| {trajectory} | {' | '.join(row)} |" in README
+
+
+def test_the_names_it_mentions_exist() -> None:
+    table = README.split("| ask | with |")[1].split("## Conventions")[0]
+    for name in re.findall(r"`(?:pinmobile\.)?([A-Za-z_]\w+)", table):
+        known = hasattr(pinmobile, name) or any(
+            hasattr(getattr(pinmobile, module), name) for module in ("plots", "derivation")
+        )
+        assert known or name in ("closed_form", "print"), name
+
+
+def test_the_pythons_it_names_are_the_projects() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert "Python 3.11 to 3.13" in README
+    assert project["requires-python"] == ">=3.11,<3.14"
+
+
+def test_every_make_target_it_names_is_there() -> None:
+    makefile = (ROOT / "Makefile").read_text()
+    for target in re.findall(r"make (\w+)", README):
+        assert re.search(rf"^{target}:", makefile, re.MULTILINE), target

@@ -1,0 +1,720 @@
+import math
+import pickle
+import re
+from collections.abc import Callable
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import assume, example, given, settings
+from hypothesis import strategies as st
+
+from pinmobile.arrays import Array, ArrayLike
+from pinmobile.errors import InvalidArgument
+from pinmobile.paths import Circle, CubicVia, Lissajous, Path, Spline, pieces_of
+from pinmobile.paths.polynomials import PiecewisePolynomial, Polynomial
+from pinmobile.trajectories import FixedHeading, LectureHeading, Reference, Tangent, Trajectory
+
+derandomised = settings(derandomize=True, deadline=None, max_examples=60)
+EPS = float(np.finfo(float).eps)
+
+VIA_STOP = CubicVia((0, 0), (2, 2), (0, 4), 30, 60, via_velocity=(0, 0))
+VIA_FREE = CubicVia((0, 0), (2, 2), (0, 4), 30, 60)
+CIRCLE = Circle(3, 0.1, 60)
+CROSSING = Lissajous(3, 3, 0.2, 0.1, 60)
+# x' = 6 cos 3t, y' = 2 sin 2t: both vanish where cos t does, at odd multiples of pi/2.
+REVERSING = Lissajous(2, 1, 3, 2, 10)
+WAYPOINTS = Spline([(0, 0), (1, 2), (3, -1), (4, 4), (0, 0)], (0, 1, 3, 4.5, 8))
+SMOOTH: list[Path] = [VIA_FREE, CIRCLE, CROSSING, WAYPOINTS, Circle(1, -1, 30)]
+TRAJECTORIES: list[Trajectory] = [
+    *(Tangent(path) for path in SMOOTH),
+    Tangent(VIA_STOP, 5.0),
+    Tangent(REVERSING, 0.7),
+    FixedHeading(VIA_STOP, 1.5),
+    LectureHeading(VIA_STOP),
+]
+
+
+class Cycloid:
+    """A user's path, of a wheel of radius 1: v = 2 sin(t/2) (sin(t/2), cos(t/2)), cusps at 2 pi k.
+
+        _         _
+      /   \\     /   \\        psi = pi/2 - t/2 on the first arch: exact, and with a rate
+     |     |   |     |       of -1/2 at rest and anywhere else
+    -+-----+---+-----+-
+    """
+
+    def __init__(self, duration: float) -> None:
+        self.duration = duration
+
+    def __call__(self, t: ArrayLike) -> Array:
+        return self.derivative(t, 0)
+
+    def derivative(self, t: ArrayLike, order: int) -> Array:
+        t = np.asarray(t, dtype=float)
+        sine, cosine = (np.sin, np.cos, lambda s: -np.sin(s), lambda s: -np.cos(s)), order % 4
+        wave = np.stack([-sine[cosine](t), -sine[(cosine + 1) % 4](t)], axis=-1)
+        drift = {0: np.stack([t, np.ones_like(t)], axis=-1), 1: np.array([1.0, 0.0])}
+        return np.asarray(wave + drift.get(order, 0.0))
+
+
+class Drawn:
+    """A path given by the polynomials of its velocity, piece by piece."""
+
+    def __init__(self, knots: list[float], *velocities: tuple[ArrayLike, ArrayLike]) -> None:
+        size = 1 + max(np.size(c) for pair in velocities for c in pair)
+        rows = np.zeros((len(velocities), size, 2))
+        for row, pair in zip(rows, velocities, strict=True):
+            for j, column in enumerate(pair):
+                row[1 : 1 + np.size(column), j] = np.atleast_1d(column) / np.arange(1, 1 + np.size(column))
+        for k in range(1, len(rows)):
+            powers = (knots[k] - knots[k - 1]) ** np.arange(size)
+            rows[k, 0] = powers @ rows[k - 1]
+        self._curve = PiecewisePolynomial(np.array(knots, dtype=float), rows)
+        self.duration = float(knots[-1])
+
+    @property
+    def pieces(self) -> tuple[Polynomial, ...]:
+        return self._curve.pieces
+
+    def __call__(self, t: ArrayLike) -> Array:
+        return self.derivative(t, 0)
+
+    def derivative(self, t: ArrayLike, order: int) -> Array:
+        return self._curve.derivative(np.asarray(t, dtype=float), order)
+
+
+def roots(*times: float) -> Array:
+    return np.asarray(np.polynomial.polynomial.polyfromroots(times), dtype=np.float64)
+
+
+def derivatives_of_the_angle(u: Any, du: Any, ddu: Any) -> tuple[Any, Any]:
+    """Return psi_dot and psi_ddot of a vector; on fractions without rounding."""
+    square = u[0] ** 2 + u[1] ** 2
+    rate = (u[0] * du[1] - u[1] * du[0]) / square
+    bend = (u[0] * ddu[1] - u[1] * ddu[0]) / square
+    return rate, bend - 2 * rate * (u[0] * du[0] + u[1] * du[1]) / square
+
+
+def exact_heading(coefficients: list[list[Fraction]], s: Fraction) -> tuple[float, float, float]:
+    """Return the heading and its derivatives on a polynomial, in exact arithmetic but for the arctangent."""
+    v, a, jerk = (
+        [
+            sum(
+                (math.perm(k, m) * c[j] * s ** (k - m) for k, c in enumerate(coefficients) if k >= m),
+                Fraction(),
+            )
+            for j in (0, 1)
+        ]
+        for m in (1, 2, 3)
+    )
+    rate, acceleration = derivatives_of_the_angle(v, a, jerk)
+    largest = max(map(abs, v))
+    return math.atan2(v[1] / largest, v[0] / largest), float(rate), float(acceleration)
+
+
+def exact_cubics(path: CubicVia) -> list[list[list[Fraction]]]:
+    """Return the coefficients of the two cubics, from the closed form of the free velocity."""
+    points = [[Fraction(x) for x in p] for p in (path.start, path.via, path.end)]
+    steps = [Fraction(path.t_via), Fraction(path.t_end) - Fraction(path.t_via)]
+    ends = [[Fraction(x) for x in v] for v in (path.start_velocity, path.end_velocity)]
+    slopes = [
+        [(q - p) / step for p, q in zip(*pair, strict=True)]
+        for *pair, step in zip(points, points[1:], steps, strict=False)
+    ]
+    if path.via_velocity is None:
+        weight = 2 / steps[0] + 2 / steps[1]
+        via = [
+            (3 * m / steps[0] + 3 * n / steps[1] - v / steps[0] - w / steps[1]) / weight
+            for m, n, v, w in zip(*slopes, *ends, strict=True)
+        ]
+    else:
+        via = [Fraction(x) for x in path.via_velocity]
+    cubics = []
+    for p, m, v, w, h in zip(points, slopes, (ends[0], via), (via, ends[1]), steps, strict=False):
+        rows = [
+            (x, b, (3 * k - 2 * b - e) / h, (b + e - 2 * k) / h**2)
+            for x, k, b, e in zip(p, m, v, w, strict=True)
+        ]
+        cubics.append([list(row) for row in zip(*rows, strict=True)])
+    return cubics
+
+
+def on_the_circle(angle: Any) -> Any:
+    return np.pi - np.mod(np.pi - angle, 2 * np.pi)
+
+
+# -- along the tangent: exact values ---------------------------------------------------------------
+
+
+def near(times: list[float], duration: float) -> Array:
+    """Return times at, next to and ever farther from the given ones, inside the path."""
+    offsets = [0.0, *(side * 10.0**k for k in range(-12, 1) for side in (1, -1))]
+    found = np.unique([t + d for t in times for d in offsets])
+    return found[(found >= 0) & (found <= duration)]
+
+
+@pytest.mark.parametrize(
+    "path", [VIA_FREE, CubicVia((1, 1), (2, 3), (5, -4), 1, 4, (1, 0.5), (0.5, 1))], ids=repr
+)
+def test_heading_rate_and_acceleration_on_cubics_are_exact_up_to_their_rests(path: CubicVia) -> None:
+    trajectory = Tangent(path)
+    t = near([0.0, path.t_via, path.t_end], path.duration)
+    t = t[(t > 0) & (t < path.t_end)]  # at a rest itself the fractions would be 0 / 0
+    q, v, a = trajectory(t)
+    first, second = exact_cubics(path)
+    for k, time in enumerate(t.tolist()):
+        s = Fraction(time)
+        exact = (
+            exact_heading(first, s) if time < path.t_via else exact_heading(second, s - Fraction(path.t_via))
+        )
+        assert on_the_circle(q[k, 2] - exact[0]) == pytest.approx(0, abs=1e-14)
+        assert v[k, 2] == pytest.approx(exact[1], rel=1e-11, abs=1e-14)
+        assert a[k, 2] == pytest.approx(exact[2], rel=1e-11, abs=1e-14)
+
+
+def test_at_rest_heading_and_rates_are_one_sided_limits() -> None:
+    # x = a2 t^2 + a3 t^3, so that u = 2 a2 + 3 a3 t: psi = atan2 of the acceleration, psi_dot from the jerk.
+    trajectory = Tangent(VIA_FREE)
+    (_, _, a2, a3), (_, _, b2, b3) = (piece.coefficients for piece in VIA_FREE.pieces)
+    start = trajectory(0.0)
+    assert start.q[2] == math.atan2(a2[1], a2[0])
+    rate, acceleration = derivatives_of_the_angle(2 * a2, 3 * a3, 0 * a3)
+    assert start.v[2] == pytest.approx(rate, rel=1e-14)
+    assert start.a[2] == pytest.approx(acceleration, rel=1e-14)
+    # At the end v = (t - 60) w(t): the heading is the opposite of the acceleration's.
+    end = trajectory(60.0)
+    bend = 2 * b2 + 6 * b3 * 30
+    assert end.q[2] == pytest.approx(math.atan2(-bend[1], -bend[0]), abs=1e-14)
+    rate, acceleration = derivatives_of_the_angle(-bend, -3 * b3, 0 * b3)
+    assert end.v[2] == pytest.approx(rate, rel=1e-13)
+    assert end.a[2] == pytest.approx(acceleration, rel=1e-12)
+
+
+def test_a_cycloid_keeps_its_rate_into_and_out_of_its_cusps() -> None:
+    path = Cycloid(6 * np.pi)
+    trajectory = Tangent(path, turn_time=2.0)
+    np.testing.assert_allclose(trajectory.turns, [2 * np.pi, 4 * np.pi + 2], rtol=1e-14)
+    assert trajectory.duration == pytest.approx(6 * np.pi + 4)
+    s = near([0.0, 2 * np.pi, 4 * np.pi, 6 * np.pi], path.duration)
+    s = s[np.abs(s / (2 * np.pi) - np.round(s / (2 * np.pi))) > 1e-13]  # the sides of a cusp are told apart
+    arch = np.floor(s / (2 * np.pi))
+    q, v, a = trajectory(s + 2 * arch)
+    # Half a turn to the left at every cusp.
+    np.testing.assert_allclose(q[:, 2], np.pi / 2 - s / 2 + np.pi * arch, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(v[:, 2], -0.5, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(a[:, 2], 0, rtol=0, atol=1e-10)
+    end = trajectory(trajectory.duration)
+    np.testing.assert_allclose([end.q[2], end.v[2]], [np.pi / 2 - np.pi, -0.5], rtol=0, atol=1e-13)
+
+
+def test_a_lissajous_3_2_reverses_with_half_turns_to_the_left() -> None:
+    trajectory = Tangent(REVERSING, turn_time=0.5)
+    rests = np.pi / 2 + np.pi * np.arange(3)
+    np.testing.assert_allclose(trajectory.turns, rests + 0.5 * np.arange(3), rtol=1e-15)
+    # cos 3t = cos t (1 - 4 sin^2 t) and sin 2t = 2 sin t cos t: v = cos t u with u as below.
+    s = near(rests.tolist(), 10.0)
+    s = s[np.abs(s[:, None] - rests).min(axis=1) > 1e-13]
+    sine, cosine = np.sin(s), np.cos(s)
+    u = np.stack([6 * (1 - 4 * sine**2), 4 * sine])
+    du = np.stack([-48 * sine * cosine, 4 * cosine])
+    ddu = np.stack([-48 * (cosine**2 - sine**2), -4 * sine])
+    passed = (s[:, None] > rests).sum(axis=1)
+    q, v, a = trajectory(s + 0.5 * passed)
+    rate, acceleration = derivatives_of_the_angle(u, du, ddu)
+    turned = np.unwrap(np.arctan2(u[1], u[0]))
+    np.testing.assert_allclose(on_the_circle(q[:, 2] - turned - np.pi * passed), 0, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(v[:, 2], rate, rtol=1e-11, atol=1e-11)
+    np.testing.assert_allclose(a[:, 2], acceleration, rtol=1e-9, atol=1e-9)
+    for start in trajectory.turns:
+        assert trajectory(start + 0.5).q[2] - trajectory(start).q[2] == pytest.approx(np.pi, abs=1e-12)
+
+
+@pytest.mark.parametrize("rounds", [1, 1000])
+@pytest.mark.parametrize("rate", [0.1, -0.1])
+def test_a_circle_s_heading_grows_with_time_through_vertical_tangents_and_many_rounds(
+    rate: float, rounds: int
+) -> None:
+    path = Circle(3, rate, rounds * 2 * np.pi / abs(rate))
+    start = 0 if rate > 0 else np.pi
+    t = np.sort(np.append(np.linspace(0, path.duration, 4 * rounds + 1), np.linspace(0, path.duration, 999)))
+    q, v, a = Tangent(path)(t)
+    np.testing.assert_allclose(q[:, 2], start + rate * t, rtol=4 * EPS, atol=4 * EPS)
+    np.testing.assert_allclose(v[:, 2], rate, rtol=1e-14)
+    np.testing.assert_allclose(a[:, 2], 0, rtol=0, atol=1e-15)
+
+
+@derandomised
+@given(
+    st.lists(st.tuples(st.floats(-5, 5), st.floats(-5, 5)), min_size=3, max_size=6, unique=True), st.data()
+)
+def test_heading_on_splines_is_exact_and_unwrapped(
+    points: list[tuple[float, float]], data: st.DataObject
+) -> None:
+    path = Spline(np.round(points, 2), np.arange(len(points)), start_velocity=(1, 0), end_velocity=(0, -1))
+    try:
+        trajectory = Tangent(path)
+    except InvalidArgument:
+        assume(False)
+    times = data.draw(st.lists(st.floats(0, 1, exclude_max=True), min_size=1, max_size=8))
+    q, v, a = trajectory(np.array(times) * path.duration)
+    for k, time in enumerate(times):
+        piece = path.pieces[int(time * path.duration)]
+        exact_time = Fraction(time * path.duration) - Fraction(piece.start)
+        rows = [[Fraction(x) for x in row] for row in piece.coefficients]
+        psi, rate, acceleration = exact_heading(rows, exact_time)
+        # What rounding the velocity makes of the direction, and what that is worth in the rates.
+        fuzz = 1e-13 * 100 / np.hypot(*path.derivative(time * path.duration, 1))
+        assert on_the_circle(q[k, 2] - psi) == pytest.approx(0, abs=1e-14 + fuzz)
+        assert v[k, 2] == pytest.approx(rate, rel=1e-11 + fuzz, abs=1e-11 + 100 * fuzz * abs(rate))
+        assert a[k, 2] == pytest.approx(
+            acceleration, rel=1e-10 + fuzz, abs=1e-10 + 100 * fuzz * (1 + rate**2)
+        )
+    fine = trajectory(np.linspace(0, path.duration, 20001)).q[:, 2]
+    steps = on_the_circle(np.diff(fine))
+    assume(np.abs(steps).max() < 2)
+    np.testing.assert_allclose(np.diff(fine), steps, rtol=0, atol=1e-12)
+    assert -np.pi < fine[0] <= np.pi
+
+
+@derandomised
+@given(
+    st.lists(st.sampled_from([0.0, 0.25, 0.5, 0.75, 1.0]), min_size=1, max_size=6),
+    st.integers(-3, 3),
+    st.integers(-3, 3),
+)
+@example([0.5, 0.5], 1, 1)
+@example([0.5] * 6, -1, 2)
+@example([0.0] * 3 + [1.0] * 3, 0, 1)
+def test_rests_of_any_order_are_passed_as_their_parity_says(
+    rests: list[float], slope: int, level: int
+) -> None:
+    # v = (t - r_1) (t - r_2) ... (1, level + slope t), so that psi = atan(level + slope t), or its opposite.
+    speed = roots(*rests)
+    path = Drawn([0, 1], (speed, np.convolve(speed, [level, slope])))
+    trajectory = Tangent(path, turn_time=1.0)
+    odd = [r for r in sorted(set(rests)) if 0 < r < 1 and rests.count(r) % 2]
+    np.testing.assert_allclose(trajectory.turns, np.array(odd) + np.arange(len(odd)), rtol=0, atol=1e-11)
+    s = near([0, *odd, *rests, 1], 1)
+    passed = np.searchsorted(odd, s, side="right")
+    at = np.abs(s[:, None] - np.array([*odd, 9])).min(axis=1) < 2e-11
+    s, passed = s[~at], passed[~at]  # on which side of a turn rounding puts these is its own affair
+    q, v, a = trajectory(s + passed)
+    w = level + slope * s
+    negative = sum(r > 0 for r in rests) % 2 == 1
+    heading = np.arctan(w) + np.pi * (passed + negative)
+    np.testing.assert_allclose(on_the_circle(q[:, 2] - heading), 0, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(v[:, 2], slope / (1 + w**2), rtol=0, atol=1e-8)
+    np.testing.assert_allclose(a[:, 2], -2 * w * slope**2 / (1 + w**2) ** 2, rtol=0, atol=1e-6)
+    assert np.abs(np.diff(trajectory(np.linspace(0, trajectory.duration, 1001)).q[:, 2])).max() < 0.1
+
+
+@pytest.mark.parametrize("trajectory", TRAJECTORIES[:-1], ids=repr)
+def test_every_derivative_is_that_of_the_one_before(trajectory: Trajectory) -> None:
+    t = np.linspace(0.0137, 0.9871, 97) * trajectory.duration
+    h = 1e-6 * trajectory.duration
+    before, at, after = trajectory(t - h), trajectory(t), trajectory(t + h)
+    # h^2 / 6 times a third derivative: these stay below 1e4 in units of the duration; and rounding over h.
+    atol = (1e4 * 1e-12 + 100 * EPS * 1e6) * np.array([10 / trajectory.duration, 10 / trajectory.duration**2])
+    np.testing.assert_allclose(at.v, (after.q - before.q) / (2 * h), rtol=1e-7, atol=atol[0] * 10)
+    np.testing.assert_allclose(at.a, (after.v - before.v) / (2 * h), rtol=1e-6, atol=atol[1] * 100)
+
+
+# -- along the tangent: turns on the spot ----------------------------------------------------------
+
+
+def test_the_via_stop_turns_a_quarter_to_the_left() -> None:
+    trajectory = Tangent(VIA_STOP, turn_time=5.0)
+    assert trajectory.turns.tolist() == [30.0]
+    assert trajectory.duration == 65
+    q, v, a = trajectory(np.linspace(30, 35, 51))
+    np.testing.assert_allclose(q[:, :2], [[2, 2]] * 51, rtol=0, atol=1e-15)
+    assert (v[:, :2] == 0).all()
+    assert (a[:-1, :2] == 0).all()
+    np.testing.assert_allclose(q[[0, 25, 50], 2], np.radians([45, 90, 135]), rtol=1e-15)
+    np.testing.assert_allclose(v[[0, 25, 50], 2], [0, 15 / 8 * np.pi / 2 / 5, 0], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(a[[0, 25, 50], 2], 0, rtol=0, atol=1e-15)
+    # From the right at its end: the path goes on.
+    np.testing.assert_allclose(a[-1, :2], VIA_STOP.derivative(30.0, 2), rtol=0, atol=0)
+    np.testing.assert_allclose(trajectory(35 + 12.5).q[:2], VIA_STOP(42.5), rtol=1e-15)
+    np.testing.assert_allclose(trajectory(12.5).q[:2], VIA_STOP(12.5), rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("turn_time", [0.1, 1.0, 30.0])
+@pytest.mark.parametrize(
+    "path",
+    [REVERSING, Cycloid(20.0), CubicVia((0, 0), (1, 1), (3, 4), 1, 3, (0, 0), (2, 0), (1, 5))],
+    ids=["3:2", "cycloid", "cubic"],
+)
+def test_a_turn_meets_heading_rate_and_acceleration_on_both_sides(path: Path, turn_time: float) -> None:
+    trajectory = Tangent(path, turn_time)
+    assert len(trajectory.turns)
+    for start in trajectory.turns:
+        end = start + turn_time
+        for t in (start, end):
+            left, right = trajectory(t - 1e-9), trajectory(t + 1e-9)
+            # 2e-9 s apart: the difference is that much of the next derivative, at most some 1e4.
+            np.testing.assert_allclose(left.q, right.q, rtol=0, atol=1e-7)
+            np.testing.assert_allclose(left.v, right.v, rtol=0, atol=1e-5)
+            np.testing.assert_allclose(left.a[2], right.a[2], rtol=0, atol=1e-2 * (1 + 1 / turn_time**2))
+        assert (trajectory(np.linspace(start, end, 9)[:-1]).v[:, :2] == 0).all()
+
+
+def test_a_half_turn_goes_to_the_left_whatever_the_direction() -> None:
+    for degrees in range(-180, 180, 5):
+        tip = np.array([math.cos(math.radians(degrees)), math.sin(math.radians(degrees))])
+        trajectory = Tangent(CubicVia((0, 0), tip, (0, 0), 1, 2), turn_time=1.0)
+        assert trajectory.turns.tolist() == pytest.approx([1.0])
+        first, last = trajectory([0.0, 3.0]).q[:, 2]
+        assert -np.pi < first <= np.pi
+        assert last - first == pytest.approx(np.pi, abs=1e-9)
+
+
+def test_a_turn_takes_the_shorter_way() -> None:
+    for before, after, turn in (
+        (170, -170, 20),
+        (-170, 170, -20),
+        (10, -80, -90),
+        (0, 179, 179),
+        (0, -179, -179),
+    ):
+        a, b = (np.array([math.cos(math.radians(d)), math.sin(math.radians(d))]) for d in (before, after))
+        trajectory = Tangent(CubicVia((0, 0), a, a + b, 1, 2, via_velocity=(0, 0)), turn_time=1.0)
+        first, last = np.degrees(trajectory([0.0, 3.0]).q[:, 2])
+        assert first == pytest.approx(before)
+        assert last - first == pytest.approx(turn)
+
+
+def test_where_only_the_rate_jumps_at_rest_there_is_no_turn() -> None:
+    # u = (1, s), then (1, 0): the heading is continuous, its rate falls from 1 to 0.
+    path = Drawn([0, 1, 2], (roots(1), np.convolve(roots(1), [1, -1])), (-roots(0), [0]))
+    trajectory = Tangent(path)
+    assert trajectory.turns.tolist() == []
+    q, v, _ = trajectory([1 - 1e-9, 1.0, 1.5])
+    np.testing.assert_allclose(on_the_circle(q[:, 2] - np.pi), 0, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(np.abs(v[:, 2]), [1, 0, 0], rtol=0, atol=1e-8)
+
+
+def test_two_rests_close_together_are_two_turns() -> None:
+    path = Drawn([0, 1], (roots(0.3, 0.30001), roots(0.3, 0.30001, -2)))
+    np.testing.assert_allclose(Tangent(path, 1.0).turns, [0.3, 1.30001], rtol=1e-10)
+
+
+@pytest.mark.parametrize("miss", [1e-3, 1e-6, 1e-9])
+def test_a_rest_narrowly_missed_is_none(miss: float) -> None:
+    path = Drawn([0, 1], (roots(0.3), roots(0.3 + miss)))
+    trajectory = Tangent(path)
+    q, v, _ = trajectory([0.0, 0.3 + miss / 2, 1.0])
+    # Past the point of least speed the direction goes round by nearly pi, and fast.
+    assert q[-1, 2] - q[0, 2] == pytest.approx(np.pi, abs=4 * miss)
+    assert v[1, 2] == pytest.approx(2 / miss, rel=1e-5)
+
+
+@pytest.mark.parametrize("gap", [1e-4, 1e-9])
+def test_a_rest_next_to_an_end_is_found(gap: float) -> None:
+    for rest in (gap, 1 - gap):
+        path = Drawn([0, 1], (roots(rest), roots(rest, 2)))
+        np.testing.assert_allclose(Tangent(path, 1.0).turns, [rest], rtol=1e-12)
+
+
+def test_rests_at_the_very_ends_need_no_turn() -> None:
+    half_way = Lissajous(2, 1, 3, 2, np.pi / 2)
+    assert Tangent(half_way).turns.tolist() == []
+    assert Tangent(half_way)(np.pi / 2).q[2] == pytest.approx(np.arctan2(4, -18), abs=1e-14)
+
+
+def test_many_rests_of_a_long_figure_are_all_found() -> None:
+    path = Lissajous(3, 3, 0.3, 0.2, 2 * np.pi / 0.1 * 50)
+    np.testing.assert_allclose(
+        Tangent(path, 1.0).turns - np.arange(100), (np.pi / 2 + np.pi * np.arange(100)) / 0.1, rtol=1e-13
+    )
+
+
+def test_a_line_sampled_in_step_with_its_rests_has_them_all() -> None:
+    path = Lissajous(3, 0, 2 * np.pi, 0, 64)
+    assert len(Tangent(path, 1.0).turns) == 128
+
+
+def test_a_dwell_keeps_the_heading() -> None:
+    ahead, still, left = ([0, 6, -6], [0]), ([0], [0]), ([0], [0, 6, -6])
+    path = Drawn([0, 1, 2, 3, 4], still, ahead, still, left)
+    trajectory = Tangent(path, turn_time=1.0)
+    assert trajectory.turns.tolist() == [3.0]
+    q, v, a = trajectory([0, 0.5, 1, 1.5, 2, 2.5, 3, 3.5, 4, 4.5, 5])
+    np.testing.assert_allclose(np.degrees(q[:, 2]), [*[0] * 7, 45, 90, 90, 90], rtol=0, atol=1e-13)
+    assert (v[[0, 1, 2, 5], 2] == 0).all()
+    assert (a[[0, 1, 2, 5], 2] == 0).all()
+    ends = Tangent(Drawn([0, 1, 2], left, still))
+    assert ends.turns.size == 0
+    np.testing.assert_allclose(ends([0, 1, 1.5, 2]).q[:, 2], np.pi / 2, rtol=1e-15)
+
+
+# -- errata: what is right, and that the lecture's version is not ----------------------------------
+
+
+def test_rate_on_a_vertical_tangent() -> None:
+    # The free via's path, with its velocity there given: x' is 0 without rounding, y' 1/10, x'' -1/75.
+    path = CubicVia((0, 0), (2, 2), (0, 4), 30, 60, via_velocity=(0, 0.1))
+    assert path.derivative(30.0, 1).tolist() == [0, 0.1]
+    assert Tangent(path)(30.0).v[2] == pytest.approx(2 / 15, rel=1e-14)
+    assert LectureHeading(path)(30.0).v[2] == 0
+    # Beside it both are right.
+    for law in (Tangent, LectureHeading):
+        assert law(path)(30.001).v[2] == pytest.approx(2 / 15, rel=1e-4)
+
+
+def test_heading_at_rest() -> None:
+    right, lecture = Tangent(VIA_FREE), LectureHeading(VIA_FREE)
+    first, second = [0.0, 0.1]
+    assert abs(right(second).q[2] - right(first).q[2]) < 0.001
+    assert lecture(first).q[2] == 0
+    assert lecture(second).q[2] > 0.46
+    assert abs(right(60.0).q[2] - right(59.9).q[2]) < 0.001
+    assert lecture(60.0).q[2] == 0
+    assert abs(lecture(60.0).q[2] - lecture(59.9).q[2]) > 2.6
+
+
+def test_heading_acceleration() -> None:
+    t, h = np.array([3.0, 20.0, 40.0, 57.0]), 1e-4
+    for law, off in ((Tangent, False), (LectureHeading, True)):
+        trajectory = law(VIA_FREE)
+        slope = (trajectory(t + h).v[:, 2] - trajectory(t - h).v[:, 2]) / (2 * h)
+        assert (np.abs(trajectory(t).a[:, 2] - slope) > 1e-8).all() == off
+        assert (np.abs(trajectory(t).a[:, 2] - slope) > 1e-8).any() == off
+
+
+def test_the_reference_is_continuous_where_the_heading_crosses_zero() -> None:
+    t = np.linspace(0, 60, 601)
+    assert np.abs(np.diff(Tangent(CROSSING)(t).q[:, 2])).max() < 0.1
+    assert np.abs(np.diff(LectureHeading(CROSSING)(t).q[:, 2])).max() > 6
+
+
+def test_a_cusp_is_turned_on_the_spot() -> None:
+    t = np.linspace(0, 65, 6501)
+    assert np.abs(np.diff(Tangent(VIA_STOP, 5.0)(t).q[:, 2])).max() < 0.01
+    jumps = np.abs(np.diff(LectureHeading(VIA_STOP)(np.linspace(0, 60, 6001)).q[:, 2]))
+    assert jumps.max() > 2.3
+
+
+# -- the lecture's heading -------------------------------------------------------------------------
+
+
+def test_the_lecture_s_formulas() -> None:
+    t = np.linspace(0.1, 59.9, 599)
+    for path in (VIA_FREE, CIRCLE, CROSSING):
+        q, v, a = LectureHeading(path)(t)
+        (xd, yd), (xdd, ydd) = path.derivative(t, 1).T, path.derivative(t, 2).T
+        np.testing.assert_allclose(q[:, 2], np.arctan2(yd, xd) % (2 * np.pi), rtol=0, atol=1e-15)
+        np.testing.assert_allclose(
+            v[:, 2], (ydd / xd - (yd * xdd) / xd**2) / (yd**2 / xd**2 + 1), rtol=1e-14, atol=1e-15
+        )
+        assert (a[:, 2] == 0).all()
+        for order, got in enumerate((q, v, a)):
+            assert (got[:, :2] == path.derivative(t, order)).all()
+
+
+def test_the_lecture_s_rounding_at_the_free_via_is_not_an_exact_zero() -> None:
+    # The recorded runs of its script have the rate there, not the guard's 0: its solution has x' = 1e-17.
+    assert LectureHeading(VIA_FREE)(30.0).v[2] == pytest.approx(2 / 15, rel=1e-12)
+
+
+def test_the_lecture_s_heading_lies_from_zero_to_a_whole_turn_with_both_ends() -> None:
+    down = Drawn([0, 1], ([1.0], [-1e-20]))
+    assert LectureHeading(down)(0.5).q[2] == 2 * np.pi
+    west = Drawn([0, 1], ([-1.0], [0.0]))
+    assert LectureHeading(west)(0.5).q[2] == np.pi
+    east = Drawn([0, 1], ([1.0], [-0.0]))
+    assert LectureHeading(east)(0.5).q[2] == 0
+
+
+def test_rounding_at_rest_has_no_heading_in_the_lecture_s_law() -> None:
+    path = Drawn([0, 1], ([-1e-13, 1], [1e-13, 1]))
+    reference = LectureHeading(path)([0.0, 1e-12, 0.5])
+    np.testing.assert_allclose(reference.q[:, 2], [0, np.arctan2(1.1, 0.9), np.pi / 4], rtol=0, atol=1e-12)
+    assert reference.v[0, 2] == 0
+    # What counts is the largest speed of the path, not of the times asked for.
+    assert LectureHeading(path)(0.0).q[2] == 0
+
+
+@pytest.mark.parametrize("tiny", [0.0, -0.0, 5e-324, 1e-170, -1e-200])
+def test_the_lecture_s_rate_does_not_overflow(tiny: float) -> None:
+    path = Drawn([0, 1], ([tiny, 1], [1.0, 1]))
+    reference = LectureHeading(path)([0.0, 0.5])
+    assert np.isfinite(reference.v).all()
+    assert reference.v[0, 2] == 0
+
+
+# -- fixed heading ---------------------------------------------------------------------------------
+
+
+def test_a_fixed_heading_stays() -> None:
+    t = np.linspace(0, 60, 7)
+    q, v, a = FixedHeading(VIA_STOP, 1.5)(t)
+    assert (q[:, 2] == 1.5).all()
+    assert (v[:, 2] == 0).all()
+    assert (a[:, 2] == 0).all()
+    for order, got in enumerate((q, v, a)):
+        assert (got[:, :2] == VIA_STOP.derivative(t, order)).all()
+
+
+# -- all of them -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("trajectory", TRAJECTORIES, ids=repr)
+def test_no_time_matters_to_another(trajectory: Trajectory) -> None:
+    t = np.linspace(0, trajectory.duration, 60)
+    whole = trajectory(t)
+    assert isinstance(whole, Reference)
+    order = np.random.default_rng(0).permutation(60)
+    shuffled = trajectory(t[order].reshape(3, 4, 5))
+    for got, wanted in zip(shuffled, whole, strict=True):
+        assert got.shape == (3, 4, 5, 3)
+        assert got.tobytes() == wanted[order].tobytes()
+    for k, time in enumerate(t.tolist()):
+        for got, wanted in zip(trajectory(time), whole, strict=True):
+            assert got.shape == (3,)
+            assert got.tobytes() == wanted[k].tobytes()
+    assert [got.shape for got in trajectory([])] == [(0, 3)] * 3
+
+
+@pytest.mark.parametrize("trajectory", TRAJECTORIES, ids=repr)
+def test_times_outside_are_refused(trajectory: Trajectory) -> None:
+    end = trajectory.duration
+    with pytest.raises(
+        InvalidArgument, match=f"^{re.escape(f't[1] is {end + 1} s, expected 0 <= t <= {end} s')}$"
+    ):
+        trajectory([0, end + 1])
+    with pytest.raises(InvalidArgument, match=r"^t is -0.1 s, expected 0 <= t <= "):
+        trajectory(-0.1)
+    with pytest.raises(InvalidArgument, match=r"^t is nan, expected a finite number$"):
+        trajectory(math.nan)
+    assert (trajectory(np.nextafter(end, math.inf)).q == trajectory(end).q).all()
+
+
+@pytest.mark.parametrize("trajectory", TRAJECTORIES, ids=repr)
+def test_trajectories_are_values(trajectory: Trajectory) -> None:
+    assert isinstance(trajectory, Trajectory)
+    again = eval(repr(trajectory))
+    assert again == trajectory
+    assert hash(again) == hash(trajectory)
+    copy = pickle.loads(pickle.dumps(trajectory))
+    assert copy == trajectory
+    assert (copy(trajectory.duration).q == trajectory(trajectory.duration).q).all()
+    with pytest.raises(AttributeError):
+        trajectory.path = None  # type: ignore[attr-defined]
+
+
+def test_turns_are_read_only() -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        Tangent(VIA_STOP, 5.0).turns[0] = 1
+
+
+# -- what is refused -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("path", "turn_time", "message"),
+    [
+        (
+            VIA_STOP,
+            None,
+            "turn_time is None, expected > 0 s: the path rests at t = 30.0 s and its direction jumps there, "
+            "from 45 deg to 135 deg",
+        ),
+        (
+            Drawn([0, 1, 2], ([1], [0]), ([0], [2])),
+            5.0,
+            "path has a corner at t = 1.0 s, from 0 deg to 90 deg, taken at 1 m/s; expected no corner, or "
+            "one that the path rests at",
+        ),
+        (
+            Drawn([0, 1, 2], ([1], [0]), ([-1], [0])),
+            5.0,
+            "path has a corner at t = 1.0 s, from 0 deg to 180 deg, taken at 1 m/s; expected no corner, or "
+            "one that the path rests at",
+        ),
+        (VIA_STOP, 0.0, "turn_time is 0.0 s, expected > 0"),
+        (VIA_FREE, -1.0, "turn_time is -1.0 s, expected > 0"),
+        (VIA_FREE, math.nan, "turn_time is nan, expected a finite number"),
+        (
+            CubicVia((5, 5), (5, 5), (5, 5), 1, 2),
+            None,
+            "path never moves, so it has no tangent; expected one that does, or FixedHeading",
+        ),
+        (
+            Drawn([0, 1], (roots(*[0] * 7), roots(*[0] * 7))),
+            None,
+            "path has no direction at t = 0.0 s: its first 7 derivatives vanish there",
+        ),
+    ],
+)
+def test_tangent_refuses(path: Path, turn_time: float | None, message: str) -> None:
+    with pytest.raises(InvalidArgument, match=f"^{re.escape(message)}$"):
+        Tangent(path, turn_time)
+
+
+def test_a_reversal_without_turn_time_is_refused_with_its_place() -> None:
+    with pytest.raises(
+        InvalidArgument, match=r"^turn_time is None, expected > 0 s: the path rests at t = 1.570796"
+    ):
+        Tangent(REVERSING)
+
+
+class Broken(Cycloid):
+    """A user's path with something wrong."""
+
+    def __init__(self, duration: float, pieces: tuple[Polynomial, ...] = (), spoilt: float = 0.0) -> None:
+        super().__init__(duration)
+        self.pieces, self._spoilt = pieces, spoilt
+
+    def derivative(self, t: ArrayLike, order: int) -> Array:
+        return super().derivative(t, order) + (self._spoilt if order else 0.0)
+
+
+MAKERS: list[Callable[[Any], Trajectory]] = [Tangent, LectureHeading, lambda path: FixedHeading(path, 0.0)]
+
+
+@pytest.mark.parametrize("make", MAKERS)
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        (None, "path is None, expected a path: path(t), path.derivative(t, order), path.duration"),
+        (
+            CubicVia((0, 0, 0), (1, 1, 1), (2, 2, 2), 1, 2),
+            "path has points of shape (3,), expected (2,), a path in the plane",
+        ),
+        (Broken(0.0), "path.duration is 0.0 s, expected > 0"),
+        (
+            Broken(3.0, (Polynomial(0.0, 1.0, np.zeros((2, 2))), Polynomial(1.5, 3.0, np.zeros((2, 2))))),
+            "path.pieces has (start, end) [(0.0, 1.0), (1.5, 3.0)], expected end to end from 0 to 3.0",
+        ),
+        (
+            Broken(3.0, (Polynomial(0.0, 2.0, np.zeros((2, 2))),)),
+            "path.pieces has (start, end) [(0.0, 2.0)], expected end to end from 0 to 3.0",
+        ),
+    ],
+)
+def test_what_is_no_path_in_the_plane_is_refused(
+    make: Callable[[Any], Trajectory], path: Any, message: str
+) -> None:
+    with pytest.raises(InvalidArgument, match=f"^{re.escape(message)}$"):
+        make(path)
+
+
+@pytest.mark.parametrize("make", MAKERS[:2])
+def test_a_path_whose_velocity_is_not_finite_is_refused(make: Callable[[Any], Trajectory]) -> None:
+    with pytest.raises(InvalidArgument, match=r"^path has no finite derivative of order 1 at t = "):
+        make(Broken(3.0, spoilt=math.nan))
+
+
+def test_a_heading_that_is_no_number_is_refused() -> None:
+    with pytest.raises(InvalidArgument, match=r"^psi is inf, expected a finite number$"):
+        FixedHeading(VIA_FREE, math.inf)
+    with pytest.raises(InvalidArgument, match=r"^psi has shape \(2,\), expected one number$"):
+        FixedHeading(VIA_FREE, [0, 1])  # type: ignore[arg-type]
+
+
+def test_pieces_are_used_where_a_path_has_them() -> None:
+    assert len(pieces_of(VIA_STOP)) == 2
+    assert len(pieces_of(Cycloid(1.0))) == 1
