@@ -21,7 +21,7 @@ lint: $(BIN)/.installed-lint ## ruff and mypy
 	$(BIN)/mypy
 
 bench: $(BIN)/.installed-test ## speed beside the peers that are installed, as ratios of one run
-	$(BIN)/python benchmarks/rollout.py $(ARGS)
+	$(BIN)/python benchmarks $(ARGS)
 
 clean: ## remove .venv, out/ and caches
 	rm -rf $(VENV) out .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -1,10 +1,9 @@
 """A DH chain and the rigid body that it carries, as URDF text."""
 
 from dataclasses import dataclass
-from importlib.resources import files
+from html import escape
 from math import atan2, hypot
 from pathlib import Path
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -110,7 +109,7 @@ def write(table: DHTable, body: Body, *, size: ArrayLike, name: str = "pinmobile
         its variable. Numbers are written so that they are read back exactly.
     """
     links = ["ground", *(f"virtual_{k}" for k in range(1, len(table))), "base_link"]
-    lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(name)}>"]
+    lines = ['<?xml version="1.0"?>', f'<robot name="{escape(name)}">']
     lines += [f'  <link name="{link}"/>' for link in links[:-1]]
     lines += _body_lines(links[-1], body, vector("size", size, 3))
     for row, parent, child in zip(table, links, links[1:], strict=False):
@@ -141,7 +140,7 @@ def shipped_urdf(name: str) -> Path:
     UnknownName
         If there is no such file; the message lists those there are.
     """
-    package = Path(str(files("pinmobile")))
+    package = Path(__file__).parent
     # In the wheel the folder is in the package; in a checkout it is at the top.
     homes = (package / "models" / "urdf", package.parents[1] / "models" / "urdf")
     available = {path.stem: path for home in homes for path in sorted(home.glob("*.urdf"))}
