@@ -150,7 +150,7 @@ def on_the_circle(angle: Any) -> Any:
 
 def near(times: list[float], duration: float) -> Array:
     """Return times at, next to and ever farther from the given ones, inside the path."""
-    offsets = [0.0, *(side * 10.0**k for k in range(-12, 1) for side in (1, -1))]
+    offsets = [0.0, *(side * 10.0 ** (k / 4) for k in range(-48, 1) for side in (1, -1))]
     found = np.unique([t + d for t in times for d in offsets])
     return found[(found >= 0) & (found <= duration)]
 
@@ -286,6 +286,7 @@ def test_heading_on_splines_is_exact_and_unwrapped(
 )
 @example([0.5, 0.5], 1, 1)
 @example([0.5] * 6, -1, 2)
+@example([0.25] + [0.5] * 5, 0, 0)
 @example([0.0] * 3 + [1.0] * 3, 0, 1)
 def test_rests_of_any_order_are_passed_as_their_parity_says(
     rests: list[float], slope: int, level: int
@@ -418,6 +419,55 @@ def test_a_rest_next_to_an_end_is_found(gap: float) -> None:
         np.testing.assert_allclose(Tangent(path, 1.0).turns, [rest], rtol=1e-12)
 
 
+def test_a_rest_just_behind_a_knot_is_found() -> None:
+    path = Drawn([0, 1, 2], ([-1 - 1e-9, 1], [0]), ([-1e-9, 1], [0]))
+    np.testing.assert_allclose(Tangent(path, 1.0).turns, [1 + 1e-9], rtol=1e-15)
+
+
+def test_a_rest_late_on_a_long_clock_is_found() -> None:
+    # There the clock itself ticks in steps of 1.5e-11 s, so that no speed is below 1e-12 of the largest.
+    late = 2.0**17
+    path = Drawn([0, late, late + 1], ([-0.3], [0.3]), (roots(0.3), -roots(0.3)))
+    np.testing.assert_allclose(Tangent(path, 1.0).turns, [late + 0.3], rtol=1e-15)
+
+
+def test_rests_of_order_two_stay_smooth_over_many_periods() -> None:
+    class Pulses(Cycloid):
+        """The cycloid's x alone, v = 1 - cos t, along a slope."""
+
+        def derivative(self, t: ArrayLike, order: int) -> Array:
+            x = super().derivative(t, order)[..., :1]
+            return np.concatenate([x, x], axis=-1)
+
+    trajectory = Tangent(Pulses(2 * np.pi * 100.5))
+    assert trajectory.turns.tolist() == []
+    q, v, _ = trajectory(2 * np.pi * np.arange(0, 100.5, 0.25))
+    np.testing.assert_allclose(q[:, 2], np.pi / 4, rtol=1e-15)
+    np.testing.assert_allclose(v[:, 2], 0, rtol=0, atol=1e-15)
+
+
+def test_speeds_at_rounding_of_the_largest_have_no_direction() -> None:
+    path = Drawn([0, 1], ([1e-13, 1], [-1e-13, 2]))
+    assert Tangent(path)(0.0).q[2] == pytest.approx(math.atan2(2, 1), abs=1e-15)
+    # Velocities that differ by rounding alone make no corner, slow as they are.
+    slow = Drawn([0, 1, 2], ([1, -1 + 1e-10], [0]), ([1e-10, 1], [1e-17, 1]))
+    assert Tangent(slow).turns.tolist() == []
+
+
+def test_a_small_jump_is_a_jump() -> None:
+    path = CubicVia((0, 0), (1, 0), (2, 1e-6), 1, 2, via_velocity=(0, 0))
+    with pytest.raises(InvalidArgument, match=r"from 0 deg to 5.72958e-05 deg$"):
+        Tangent(path)
+    assert Tangent(path, 1.0)(3.0).q[2] == pytest.approx(1e-6)
+
+
+def test_just_before_a_turn_the_heading_is_that_before_it() -> None:
+    for turn_time in np.linspace(0.1, 3, 30).tolist():
+        trajectory = Tangent(REVERSING, turn_time)
+        before, at = trajectory(np.nextafter(trajectory.turns, 0)).q, trajectory(trajectory.turns).q
+        np.testing.assert_allclose(before, at, rtol=0, atol=1e-12)
+
+
 def test_rests_at_the_very_ends_need_no_turn() -> None:
     half_way = Lissajous(2, 1, 3, 2, np.pi / 2)
     assert Tangent(half_way).turns.tolist() == []
@@ -438,10 +488,10 @@ def test_a_line_sampled_in_step_with_its_rests_has_them_all() -> None:
 
 def test_a_dwell_keeps_the_heading() -> None:
     ahead, still, left = ([0, 6, -6], [0]), ([0], [0]), ([0], [0, 6, -6])
-    path = Drawn([0, 1, 2, 3, 4], still, ahead, still, left)
+    path = Drawn([0, 1, 2, 3, 4, 5], still, ahead, still, left, still)
     trajectory = Tangent(path, turn_time=1.0)
     assert trajectory.turns.tolist() == [3.0]
-    q, v, a = trajectory([0, 0.5, 1, 1.5, 2, 2.5, 3, 3.5, 4, 4.5, 5])
+    q, v, a = trajectory([0, 0.5, 1, 1.5, 2, 2.5, 3, 3.5, 4, 5, 6])
     np.testing.assert_allclose(np.degrees(q[:, 2]), [*[0] * 7, 45, 90, 90, 90], rtol=0, atol=1e-13)
     assert (v[[0, 1, 2, 5], 2] == 0).all()
     assert (a[[0, 1, 2, 5], 2] == 0).all()
@@ -533,11 +583,14 @@ def test_rounding_at_rest_has_no_heading_in_the_lecture_s_law() -> None:
     reference = LectureHeading(path)([0.0, 1e-12, 0.5])
     np.testing.assert_allclose(reference.q[:, 2], [0, np.arctan2(1.1, 0.9), np.pi / 4], rtol=0, atol=1e-12)
     assert reference.v[0, 2] == 0
+    # Also where samples at even times would find it at rest every time: x' = 6 pi cos(2 pi t).
+    line = LectureHeading(Lissajous(3, 0, 2 * np.pi, 0, 64))
+    assert (line(0.25 + np.arange(127) / 2).q[:, 2] == 0).all()
     # What counts is the largest speed of the path, not of the times asked for.
     assert LectureHeading(path)(0.0).q[2] == 0
 
 
-@pytest.mark.parametrize("tiny", [0.0, -0.0, 5e-324, 1e-170, -1e-200])
+@pytest.mark.parametrize("tiny", [0.0, -0.0, 5e-324, 1e-154, 1e-170, -1e-200])
 def test_the_lecture_s_rate_does_not_overflow(tiny: float) -> None:
     path = Drawn([0, 1], ([tiny, 1], [1.0, 1]))
     reference = LectureHeading(path)([0.0, 0.5])

@@ -81,7 +81,8 @@ def planar_difference(q_d: Array, q: Array) -> Array:
         Its third coordinate lies in (-pi, pi]. The lecture's own subtraction is `numpy.subtract`.
     """
     error = np.subtract(q_d, q)
-    error[..., 2] = wrap_angle(error[..., 2])
+    if error.ndim > 1 or not -np.pi < error[2] <= np.pi:
+        error[..., 2] = wrap_angle(error[..., 2])
     return error
 
 
@@ -223,5 +224,13 @@ def _check_gains(controller: PD | ComputedTorque, n: int | None) -> None:
 
 def _feedback(controller: PD | ComputedTorque, q: Array, v: Array, reference: State) -> Array:
     error, rate = controller.difference(reference.q, q), np.subtract(reference.v, v)
-    kp, kd = (gain_matrix(name, getattr(controller, name), rate.shape[-1]) for name in ("kp", "kd"))
-    return error @ kp.T + rate @ kd.T
+    return _amplified("kp", controller.kp, error) + _amplified("kd", controller.kd, rate)
+
+
+def _amplified(name: str, gain: Any, error: Array) -> Array:
+    n = error.shape[-1]
+    if gain.ndim == 2:
+        return error @ gain_matrix(name, gain, n).T
+    if gain.shape not in ((), (n,)):
+        gain_matrix(name, gain, n)
+    return np.asarray(gain * error)

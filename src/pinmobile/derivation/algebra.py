@@ -103,7 +103,10 @@ def _times(factor: Expr, bracket: Expr) -> Expr:
         few = part.is_Add and len(part.args) <= _READABLE
         if few and part.as_ordered_terms()[0].could_extract_minus_sign():
             factors[i], content = -part, -content
-    return sympy.Mul(content, factor, *factors)
+    content *= factor
+    # sympy would multiply a number into a sum
+    distributes = content.is_Number and len(factors) == 1 and factors[0].is_Add
+    return sympy.Mul(content, *factors, evaluate=not distributes)
 
 
 def _polynomial(expression: Expr) -> tuple[PolyElement, list[tuple[int, int]]]:

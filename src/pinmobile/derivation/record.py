@@ -60,10 +60,10 @@ class Named:
     def take(self, name: str, result: ImmutableMatrix) -> Matrices:
         """Return names for the entries of `result`, and `result`."""
         rows, columns = result.shape
-        if columns > 1:
-            places = [f"_{i}{j}" for i in range(1, rows + 1) for j in range(1, columns + 1)]
+        if columns == 1:
+            places = {1: [""], 3: list("xyz")}.get(rows, [f"_{i}" for i in range(1, rows + 1)])
         else:
-            places = ["x", "y", "z"] if rows > 1 else [""]
+            places = [f"_{i}{j}" for i in range(1, rows + 1) for j in range(1, columns + 1)]
         entries = [self._named(name + place, entry) for place, entry in zip(places, result, strict=True)]
         return ImmutableMatrix(rows, columns, entries), result
 

@@ -70,6 +70,9 @@ class Engine:
 
         Leading axes broadcast; what comes back is stacked along them, still in chain order.
         """
+        if all(argument.ndim == 1 for argument in arguments):
+            rows = (argument[self.order] for argument in arguments)
+            return np.array(function(self.model, self.data, *rows))
         leads = [argument.shape[:-1] for argument in arguments]
         try:
             lead = np.broadcast_shapes(*leads)
@@ -77,18 +80,17 @@ class Engine:
             raise InvalidArgument(
                 f"arguments have leading shapes {', '.join(map(str, leads))}, expected shapes that broadcast"
             ) from None
-        rows = [
+        stacked = [
             self.reorder(np.broadcast_to(argument, (*lead, argument.shape[-1]))).reshape(
                 -1, argument.shape[-1]
             )
             for argument in arguments
         ]
-        count = rows[0].shape[0]
-        if count == 0:
+        if stacked[0].shape[0] == 0:
             shape = np.asarray(
-                function(self.model, self.data, *(np.zeros(row.shape[1]) for row in rows))
+                function(self.model, self.data, *(np.zeros(row.shape[1]) for row in stacked))
             ).shape
             return np.empty((*lead, *shape))
         # A copy: Pinocchio hands out views of its data.
-        results = [np.array(function(self.model, self.data, *row)) for row in zip(*rows, strict=True)]
+        results = [np.array(function(self.model, self.data, *row)) for row in zip(*stacked, strict=True)]
         return np.stack(results).reshape((*lead, *results[0].shape))

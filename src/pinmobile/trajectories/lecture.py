@@ -11,6 +11,8 @@ from pinmobile.trajectories.speeds import STANDSTILL, largest
 
 __all__ = ["LectureHeading"]
 
+_VANISHING = 1e-290
+
 
 @dataclass(frozen=True)
 class LectureHeading:
@@ -68,22 +70,17 @@ class LectureHeading:
         position, velocity, acceleration = (self.path.derivative(times, order) for order in range(3))
         still = np.hypot(velocity[..., 0], velocity[..., 1]) < self._still
         x_dot, y_dot = np.moveaxis(np.where(still[..., None], 0.0, velocity), -1, 0)
-        psi = _wrap_to_2pi(np.arctan2(y_dot, x_dot))
+        # As MATLAB's wrapTo2Pi: what rounds to a whole turn stays one.
+        psi = np.mod(np.arctan2(y_dot, x_dot), 2 * np.pi)
         rate = _rate(x_dot, y_dot, *np.moveaxis(acceleration, -1, 0))
         return joined((position, velocity, acceleration), (psi, rate, np.zeros_like(rate)))
 
 
 def _rate(x_dot: Array, y_dot: Array, x_ddot: Array, y_ddot: Array) -> Array:
     # The script's guard is seen with `ydot ~= 0` and with `ydot == 0`; both are honoured. The square,
-    # because it may vanish where x' itself does not quite.
+    # because dividing by it overflows where x' itself is not quite zero.
     square = x_dot * x_dot
-    moves = square > 0
+    moves = square > _VANISHING
     x_dot, square = np.where(moves, x_dot, 1.0), np.where(moves, square, 1.0)
     rate = (y_ddot / x_dot - y_dot * x_ddot / square) / (y_dot * y_dot / square + 1)
     return np.where(moves, rate, 0.0)
-
-
-def _wrap_to_2pi(angle: Array) -> Array:
-    # As MATLAB: a positive multiple of 2 pi becomes 2 pi, not 0.
-    wrapped = np.mod(angle, 2 * np.pi)
-    return np.where((wrapped == 0) & (angle > 0), 2 * np.pi, wrapped)

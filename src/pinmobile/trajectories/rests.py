@@ -16,7 +16,6 @@ _CELLS = 8
 _LEVELS = 17  # a cell left over is a millionth of its piece
 _HIGHEST = 6
 _STEPS = 60
-_SAME = 1e-8  # two neighbouring cells may lead to one rest
 _NOISE = 1e-13  # a good deal above rounding, and below what counts as standstill
 
 
@@ -69,10 +68,9 @@ def inner_rests(path: Path, scales: Scales) -> list[list[float]]:
     owners = np.searchsorted(starts, slow.mean(axis=-1), side="right") - 1
     found: list[list[float]] = [[] for _ in pieces]
     for first, last, owner in _clusters(slow, owners):
-        piece, known = pieces[owner], found[owner]
-        rest = _refined(piece, first, last, scales, owner)
-        if rest is not None and not (known and rest - known[-1] < _SAME * (piece.end - piece.start)):
-            known.append(rest)
+        rest = _refined(pieces[owner], first, last, scales, owner)
+        if rest is not None:
+            found[owner].append(rest)
     return found
 
 

@@ -64,9 +64,7 @@ class Scales:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._pieces = pieces_of(path)
-        self._ends = np.array([piece.end for piece in self._pieces])
-        self._lengths = self._ends - np.array([piece.start for piece in self._pieces])
+        self._ends = np.array([piece.end for piece in pieces_of(path)])
         self._largest: dict[int, Array] = {}
         speeds = largest(path, 1)
         self.top = float(speeds.max())
@@ -80,7 +78,7 @@ class Scales:
 
     def _scale(self, order: int) -> Array:
         if order not in self._largest:
-            # A derivative that vanishes all along has no scale of its own, so the speed's counts too.
-            natural = self.top / self._lengths ** (order - 1)
-            self._largest[order] = np.maximum(largest(self._path, order), natural)
+            # A speed is measured by the path's, also on a slow piece; a later derivative by its own.
+            of_path = np.full_like(self._ends, self.top)
+            self._largest[order] = of_path if order == 1 else largest(self._path, order)
         return self._largest[order]
