@@ -20,7 +20,7 @@ lint: $(BIN)/.installed-lint ## ruff and mypy
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-bench: $(BIN)/.installed-test ## speed beside the peers that are installed, as ratios of one run
+bench: $(BIN)/.installed ## speed beside the peers that are installed, as ratios of one run
 	$(BIN)/python benchmarks $(ARGS)
 
 clean: ## remove .venv, out/ and caches

@@ -39,10 +39,15 @@ def finite(name: str, value: ArrayLike) -> Array:
     InvalidArgument
         If `value` is not numeric, is ragged or complex, or holds NaN or infinity.
     """
-    if type(value) is np.ndarray and value.dtype == np.float64 and value.ndim == 1:
-        # The common case of a loop: one product instead of five calls. It may overflow; then look closely.
-        if isfinite(value.dot(value)):
-            return value
+    if (
+        type(value) is np.ndarray
+        and value.dtype == np.float64
+        and value.ndim == 1
+        and isfinite(value.dot(value))
+    ):
+        return (
+            value  # what comes in a loop: one product instead of five calls; where it overflows, look closely
+        )
     try:
         array = np.asarray(value)
     except (TypeError, ValueError):
@@ -128,7 +133,9 @@ def whole(name: str, value: Any, *, least: int = 1) -> int:
 
 
 def frozen(array: ArrayLike) -> Array:
-    """Return a read-only float64 copy."""
+    """Return a read-only float64 copy; an array that is one, and owns its memory, comes back as it is."""
+    if type(array) is np.ndarray and array.base is None and not array.flags.writeable:
+        return array.astype(np.float64, copy=False)
     copy = np.array(array, dtype=np.float64)
     copy.setflags(write=False)
     return copy

@@ -8,6 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
+import numpy as np
+
 from pinmobile.arrays import Array
 
 __all__ = ["Acceleration", "Integrator", "OneStage", "constant_acceleration", "rk4", "semi_implicit_euler"]
@@ -75,12 +77,17 @@ def rk4(acceleration: Acceleration, t: float, q: Array, v: Array, dt: float) -> 
         Configuration and velocity a time `dt` later (Hairer, Norsett, Wanner, Solving Ordinary
         Differential Equations I, 1993, table II.1.2).
     """
-    half = dt / 2
+    # Arrays of no dimension multiply small arrays twice as fast as numbers do.
+    whole, half, sixth, two = np.asarray(dt), np.asarray(dt / 2), np.asarray(dt / 6), _TWO
+    middle = t + dt / 2
     a1 = acceleration(t, q, v)
     v2 = v + half * a1
-    a2 = acceleration(t + half, q + half * v, v2)
+    a2 = acceleration(middle, q + half * v, v2)
     v3 = v + half * a2
-    a3 = acceleration(t + half, q + half * v2, v3)
-    v4 = v + dt * a3
-    a4 = acceleration(t + dt, q + dt * v3, v4)
-    return q + dt / 6 * (v + 2 * (v2 + v3) + v4), v + dt / 6 * (a1 + 2 * (a2 + a3) + a4)
+    a3 = acceleration(middle, q + half * v2, v3)
+    v4 = v + whole * a3
+    a4 = acceleration(t + dt, q + whole * v3, v4)
+    return q + sixth * (v + two * (v2 + v3) + v4), v + sixth * (a1 + two * (a2 + a3) + a4)
+
+
+_TWO = np.asarray(2.0)

@@ -114,6 +114,8 @@ def simulate(
         end = min(begin + _CHUNK, len(t))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # the check below tells
             loop.run(begin, end)
+        if loop.is_fine(begin, end, limit):
+            continue
         bad, why = _first_bad(plant, loop, reference, begin, end, limit)
         if bad is not None:
             kept = _rollout(plant, t, loop, reference, bad) if bad else None
@@ -189,7 +191,9 @@ def _first_bad(
 
 
 def _rollout(plant: Plant, t: Array, loop: Loop, reference: Reference, end: int) -> Rollout:
-    q, v, a, tau = loop.samples(0, end)
+    q, v, a, tau = samples = loop.samples(0, end)
+    for array in samples:
+        array.setflags(write=False)  # nobody else has it: the rollout need not copy
     error: Any = plant.difference(q, reference.q[:end])
     kept = Reference(*(part[:end] for part in reference))
     return Rollout(robot=plant, t=t[:end], q=q, v=v, a=a, tau=tau, error=error, reference=kept)

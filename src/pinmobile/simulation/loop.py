@@ -6,6 +6,7 @@ end. Anything else is called as it is, in public order. Both follow the same lin
 """
 
 from collections.abc import Callable
+from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -47,35 +48,35 @@ class Loop:
         v0: Array,
     ) -> None:
         self.nq, self.nv, self.last = plant.nq, plant.nv, len(t) - 1
+        self.adds = isinstance(plant, MobileRobot)
         native = _is_native(plant, controller, integrator)
-        self.order: Any = plant._engine.order if native else slice(None)  # type: ignore[attr-defined]
+        self.order = plant._engine.order if native else None  # type: ignore[attr-defined]
         self.rows = np.empty((len(t), self.nq + 2 * self.nv))
         self.forces = np.empty((len(t), plant.nu))
-        self.rows[0, : self.nq + self.nv] = np.concatenate([q0[self.order], v0[self.order]])
+        self.rows[0, : self.nq + self.nv] = np.concatenate([self._reordered(q0), self._reordered(v0)])
+        self.desired = np.hstack([self._reordered(reference.q), self._reordered(reference.v)])
         self.forward = plant._engine.forward if native else _forward(plant)  # type: ignore[attr-defined]
         self.control = (
-            _feedback(controller, reference, self.order)
+            _feedback(controller, self.desired, self._reordered(reference.a), np.asarray(self.order))
             if native
             else _asked(controller, reference, t, plant.nu)
         )
-        if isinstance(integrator, OneStage) and substeps == 1 and isinstance(plant, MobileRobot):
+        if isinstance(integrator, OneStage) and substeps == 1 and self.adds:
             self.advance = _matrix_step(integrator, self.rows, dt)
         else:
-            add = None if isinstance(plant, MobileRobot) else plant.integrate
+            add = None if self.adds else plant.integrate
             self.advance = _integrated(integrator, self.rows, self.forward, t, dt, substeps, add)
 
     def run(self, begin: int, end: int) -> None:
         """Fill the samples from `begin` to before `end`, and the state at `end`."""
         nq, n, last = self.nq, self.nq + self.nv, self.last
-        rows, forces = self.rows, self.forces
         control, forward, advance = self.control, self.forward, self.advance
-        for k in range(begin, end):
-            row = rows[k]
-            q, v = row[:nq], row[nq:n]
-            force = control(k, row, q, v)
-            a = forward(q, v, force)
-            forces[k] = force
-            row[n:] = a
+        rows, forces = self.rows[begin:end], self.forces[begin:end]
+        # Views that come from iteration cost half of those that come from indexing.
+        parts = rows, rows[:, :nq], rows[:, nq:n], rows[:, :n], rows[:, n:], forces
+        for k, (row, q, v, state, acceleration, held) in enumerate(zip(*parts, strict=True), begin):
+            held[:] = force = control(k, state, q, v)
+            acceleration[:] = a = forward(q, v, force)
             if k < last:
                 advance(k, row, q, v, force, a)
 
@@ -84,8 +85,19 @@ class Loop:
         nq, n = self.nq, self.nq + self.nv
         rows = self.rows[begin:end]
         parts = rows[:, :nq], rows[:, nq:n], rows[:, n:], self.forces[begin:end]
-        q, v, a, tau = (part[:, self.order] for part in parts)
+        q, v, a, tau = (self._reordered(part) for part in parts)
         return q, v, a, tau
+
+    def _reordered(self, part: Array) -> Array:
+        """Return a copy of an array (..., n) in the order of the loop, or back in public order."""
+        return part.copy() if self.order is None else np.take(part, self.order, axis=-1)
+
+    def is_fine(self, begin: int, end: int, limit: float) -> bool:
+        """Tell whether the samples are finite and near the reference; if in doubt, False."""
+        rows = self.rows[begin:end]
+        n = self.nq + self.nv
+        near = bool(np.abs(self.desired[begin:end] - rows[:, :n]).max() <= limit)  # on the circle it is less
+        return self.adds and near and isfinite(rows[:, n:].sum() + self.forces[begin:end].sum())
 
 
 def _is_native(plant: object, controller: object, integrator: object) -> bool:
@@ -114,12 +126,12 @@ def _asked(
 ) -> Callable[[int, Array, Array, Array], Array]:
     """Return the force of any controller, which gets copies that are its own."""
     times, state = t.tolist(), controller.initial_state()
-    q_d, v_d, a_d = reference
+    references = map(Reference, *reference)  # `control` is called once per sample, in order
     shape = (nu,)
 
     def control(k: int, row: Array, q: Array, v: Array) -> Array:
         nonlocal state
-        force, state = controller(times[k], q.copy(), v.copy(), Reference(q_d[k], v_d[k], a_d[k]), state)
+        force, state = controller(times[k], q.copy(), v.copy(), next(references), state)
         if type(force) is not np.ndarray or force.shape != shape:
             raise InvalidArgument(
                 f"controller returned {force!r} at t = {times[k]:g} s, expected an array of shape {shape}"
@@ -130,22 +142,20 @@ def _asked(
 
 
 def _feedback(
-    controller: Any, reference: Reference, order: Any
+    controller: Any, desired: Array, accelerations: Array, order: Array
 ) -> Callable[[int, Array, Array, Array], Array]:
     """Return the force of PD or computed torque in the order of the chain."""
     n = len(order)
     kp, kd = (gain_matrix(name, getattr(controller, name), n) for name in ("kp", "kd"))
     gains = np.hstack([matrix[np.ix_(order, order)] for matrix in (kp, kd)])
-    desired = np.hstack([reference.q[:, order], reference.v[:, order]])
-    accelerations = np.ascontiguousarray(reference.a[:, order])
     wrapped = controller.difference is planar_difference
     error, command = np.empty(2 * n), np.empty(n)
     subtract, add, times_gains, pi = np.subtract, np.add, gains.dot, np.pi
     robot: Any = getattr(controller, "robot", None)  # PD has none
     inverse = None if robot is None else robot._engine.inverse
 
-    def control(k: int, row: Array, q: Array, v: Array) -> Array:
-        subtract(desired[k], row[: 2 * n], error)
+    def control(k: int, state: Array, q: Array, v: Array) -> Array:
+        subtract(desired[k], state, error)
         if wrapped and not -pi < error[2] <= pi:
             error[2] = wrap_angle(error[2])
         times_gains(error, command)
@@ -164,9 +174,10 @@ def _matrix_step(
     n = rows.shape[1] // 3
     eye, zero = np.eye(n), np.zeros((n, n))
     step = np.block([[eye, dt * eye, integrator.weight * dt * dt * eye], [zero, eye, dt * eye]]).dot
+    states = rows[:, : 2 * n]
 
     def advance(k: int, row: Array, q: Array, v: Array, force: Array, a: Array) -> None:
-        step(row, rows[k + 1, : 2 * n])
+        step(row, states[k + 1])
 
     return advance
 
