@@ -424,6 +424,13 @@ def test_a_rest_just_behind_a_knot_is_found() -> None:
     np.testing.assert_allclose(Tangent(path, 1.0).turns, [1 + 1e-9], rtol=1e-15)
 
 
+def test_a_rest_just_outside_is_none() -> None:
+    for rest in (-1e-9, 1 + 1e-9):
+        trajectory = Tangent(Drawn([0, 1], (roots(rest), -roots(rest))))
+        assert trajectory.turns.tolist() == []
+        assert len(set(trajectory([0, 0.5, 1]).q[:, 2])) == 1
+
+
 def test_a_rest_late_on_a_long_clock_is_found() -> None:
     # There the clock itself ticks in steps of 1.5e-11 s, so that no speed is below 1e-12 of the largest.
     late = 2.0**17
@@ -449,6 +456,9 @@ def test_rests_of_order_two_stay_smooth_over_many_periods() -> None:
 def test_speeds_at_rounding_of_the_largest_have_no_direction() -> None:
     path = Drawn([0, 1], ([1e-13, 1], [-1e-13, 2]))
     assert Tangent(path)(0.0).q[2] == pytest.approx(math.atan2(2, 1), abs=1e-15)
+    # The largest of the path, that is, also on a slow piece: this one starts at rest, to the left.
+    stop = Drawn([0, 1, 2], ([1, -1], [0]), ([1e-13, 0], [0, 1e-4]))
+    assert Tangent(stop, 1.0).turns.tolist() == [1.0]
     # Velocities that differ by rounding alone make no corner, slow as they are.
     slow = Drawn([0, 1, 2], ([1, -1 + 1e-10], [0]), ([1e-10, 1], [1e-17, 1]))
     assert Tangent(slow).turns.tolist() == []

@@ -150,7 +150,7 @@ def _summary(verification: Any, same: bool) -> str:
 
 def _sections(folder: Path, right: Runs, lecture: Runs, gif: bool, bar: Any) -> list[Section]:
     sections = []
-    for trajectory in _PATHS:
+    for number, trajectory in enumerate(_PATHS, start=4):
         prefix = trajectory.replace(" ", "-") + "-"
         rollouts = {name: right[trajectory, name] for name in _CONTROLLERS}
         pictures = draw(rollouts, folder, prefix, bar)
@@ -160,5 +160,6 @@ def _sections(folder: Path, right: Runs, lecture: Runs, gif: bool, bar: Any) -> 
             pictures.insert(
                 0, Picture(f"{prefix}animation.gif", "The robot as it moves: PD, computed torque.")
             )
-        sections.append(Section(f"4  {trajectory.capitalize()}: PD beside computed torque", "", pictures))
+        title = f"{number}  {trajectory.capitalize()}: PD beside computed torque"
+        sections.append(Section(title, "with the heading put right", pictures))
     return sections
