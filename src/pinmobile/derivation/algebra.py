@@ -59,7 +59,9 @@ def grouped(expression: Expr, levels: Sequence[Sequence[Symbol]]) -> Expr:
     """
     polynomial, _ = _polynomial(expression)
     generators = polynomial.ring.symbols
-    return _gathered(polynomial, [{generators.index(s) for s in level if s in generators} for level in levels])
+    return _gathered(
+        polynomial, [{generators.index(s) for s in level if s in generators} for level in levels]
+    )
 
 
 def _gathered(polynomial: PolyElement, levels: Sequence[set[int]]) -> Expr:
@@ -72,7 +74,9 @@ def _gathered(polynomial: PolyElement, levels: Sequence[set[int]]) -> Expr:
     ring = polynomial.ring
     return sympy.Add(
         *(
-            _times(ring.term_new(common, ring.domain.one).as_expr(), _gathered(ring.from_dict(rest), levels[1:]))
+            _times(
+                ring.term_new(common, ring.domain.one).as_expr(), _gathered(ring.from_dict(rest), levels[1:])
+            )
             for common, rest in brackets.items()
         )
     )
@@ -87,7 +91,8 @@ def _bracket(polynomial: PolyElement) -> Expr:
     ring = polynomial.ring
     shared = tuple(map(min, zip(*polynomial, strict=True)))
     number = ring.domain(
-        gcd(*(int(c.numerator) for c in polynomial.values())), gcd(*(int(c.denominator) for c in polynomial.values()))
+        gcd(*(int(c.numerator) for c in polynomial.values())),
+        gcd(*(int(c.denominator) for c in polynomial.values())),
     )
     factor = ring.term_new(shared, number)
     return _times(factor.as_expr(), polynomial.exquo(factor).as_expr())
@@ -143,7 +148,7 @@ def _traded(polynomial: PolyElement, out: int, into: int) -> PolyElement:
     for powers, coefficient in polynomial.items():
         count, rest = divmod(powers[out], 2)
         squares[count][(*powers[:out], rest, *powers[out + 1 :])] = coefficient
-    ring, result = polynomial.ring, polynomial.ring.zero
+    ring, result = polynomial.ring, polynomial.ring.from_dict(squares.pop(0, {}))
     for count, terms in squares.items():
         result += ring.from_dict(terms) * (1 - ring.gens[into] ** 2) ** count
     return result

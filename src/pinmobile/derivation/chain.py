@@ -4,6 +4,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from sympy import Expr, ImmutableMatrix, Symbol
@@ -52,7 +53,7 @@ class Link:
         inertia = [[Symbol(f"I{min(i, j)}{max(i, j)}{k}") for j in "xyz"] for i in "xyz"]
         return cls(Symbol(f"m{k}"), [Symbol(f"{axis}c{k}") for axis in "xyz"], inertia)
 
-    @property
+    @cached_property
     def parameters(self) -> tuple[Symbol, ...]:
         """The symbols in mass, centre of mass and inertia, in this order."""
         return _symbols([self.mass, *self.com, *self.inertia])
@@ -124,28 +125,28 @@ class Chain:
     def __len__(self) -> int:
         return len(self.table)
 
-    @property
+    @cached_property
     def q(self) -> tuple[Symbol, ...]:
         """Joint variables, in the order of the rows."""
         return tuple(Symbol(name) for name in self.table.variables)
 
-    @property
+    @cached_property
     def v(self) -> tuple[Symbol, ...]:
         """Their rates: psidot, qdot1, ..."""
         return self._dotted("dot")
 
-    @property
+    @cached_property
     def a(self) -> tuple[Symbol, ...]:
         """Their accelerations: psiddot, qddot1, ..."""
         return self._dotted("ddot")
 
-    @property
+    @cached_property
     def parameters(self) -> tuple[Symbol, ...]:
         """The symbols in links and gravity, from the ground outwards."""
         found = [symbol for link in self.links if link for symbol in link.parameters]
         return tuple(dict.fromkeys([*found, *_symbols(self.gravity)]))
 
-    @property
+    @cached_property
     def masses(self) -> tuple[Symbol, ...]:
         """The symbols in the masses of the links."""
         return _symbols([link.mass for link in self.links if link])

@@ -1,14 +1,12 @@
 """The same equations by Lagrange, from the transforms alone, to confirm those by Newton and Euler."""
 
 import sympy
-from sympy import Expr, ImmutableMatrix
+from sympy import Expr, ImmutableMatrix, Symbol
 
 from pinmobile.derivation import wording as say
 from pinmobile.derivation.algebra import normal
-from pinmobile.derivation.chain import Chain
 from pinmobile.derivation.joints import joints, placements
-from pinmobile.derivation.newton_euler import SIMPLIFIED_JOINTS, finished
-from pinmobile.derivation.record import Record, Simplified, Untouched
+from pinmobile.derivation.record import SIMPLIFIED_JOINTS, Record
 from pinmobile.derivation.steps import Derivation
 from pinmobile.errors import InvalidArgument
 
@@ -30,22 +28,23 @@ def lagrange(derivation: Derivation) -> Derivation:
     Returns
     -------
     derivation : Derivation
-        The same equations with other steps. Beyond three joints nothing is simplified, and the expressions
-        become long.
+        The same equations, with other steps.
     """
-    chain = derivation.chain
-    treatment = Simplified(chain) if len(chain) <= SIMPLIFIED_JOINTS else Untouched()
-    record = Record(treatment, len(chain))
-    kinetic, potential = _energies(chain, record)
-    momenta = sympy.Matrix([kinetic]).jacobian(chain.v)
-    mass = momenta.jacobian(chain.v)
-    slope = sympy.Matrix([kinetic - potential]).jacobian(chain.q)
-    rest = momenta.jacobian(chain.q) * sympy.Matrix(chain.v) - slope.T
-    tau = mass * sympy.Matrix(chain.a) + rest
-    for k, variable in enumerate(chain.table.variables, 1):
-        record.scalar(say.LAGRANGE_INPUT, tau[k - 1], k, variable=variable)
-    rows = [chain.ordered(row) for row in mass.tolist()]
-    return finished(chain, record, chain.ordered(rows), chain.ordered(rest), ())
+    record = Record(derivation.chain)
+    chain = record.chain
+    in_time = _Slope(dict(zip(chain.q, chain.v, strict=True)), "t", record)
+    K, V = _energies(record, in_time)
+    to_v = [_Slope({v: sympy.S.One}, str(v), record) for v in chain.v]
+    momenta = [record.scalar(say.MOMENTUM, slope(K), k) for k, slope in enumerate(to_v, 1)]
+    M = [[slope(momentum) for slope in to_v] for momentum in momenta]
+    n = [
+        in_time(momentum) - _Slope({q: sympy.S.One}, str(q), record)(K - V)
+        for momentum, q in zip(momenta, chain.q, strict=True)
+    ]
+    for k, (row, rest) in enumerate(zip(M, n, strict=True), 1):
+        inertial = sum(m * a for m, a in zip(row, chain.a, strict=True))
+        record.scalar(say.LAGRANGE, inertial + rest, k)
+    return record.finished(M, n)
 
 
 def difference(first: Derivation, second: Derivation) -> ImmutableMatrix:
@@ -73,23 +72,49 @@ def difference(first: Derivation, second: Derivation) -> ImmutableMatrix:
     return (first.inputs - second.inputs).applyfunc(normal)
 
 
-def _energies(chain: Chain, record: Record) -> tuple[Expr, Expr]:
+def _energies(record: Record, in_time: "_Slope") -> tuple[Expr, Expr]:
     """Return kinetic and potential energy [J]."""
-    T = placements(joints(chain, record), record)
+    chain, T = record.chain, placements(joints(record), record)
     kinetic = potential = sympy.S.Zero
     for k, link in enumerate(chain.links, 1):
         if link:
-            p = record.matrix(say.POSITION_COM, T[k][:3, :3] * link.com + T[k][:3, 3], k)
-            v = record.matrix(say.V_COM, _rate(p, chain), k)
-            skew = _rate(T[k][:3, :3], chain) * T[k][:3, :3].T
+            R = T[k][:3, :3]
+            p = record.matrix(say.POSITION_COM, R * link.com + T[k][:3, 3], k)
+            v = record.matrix(say.VELOCITY_COM, p.applyfunc(in_time), k)
+            skew = R.applyfunc(in_time) * R.T
             omega = record.matrix(say.OMEGA_SKEW, ImmutableMatrix([skew[2, 1], skew[0, 2], skew[1, 0]]), k)
-            own = T[k][:3, :3].T * omega
-            kinetic += link.mass * v.dot(v) / 2 + own.dot(link.inertia * own) / 2
+            v, omega = (
+                record.matrix(say.VELOCITY_OWN, R.T * v, k),
+                record.matrix(say.OMEGA_OWN, R.T * omega, k),
+            )
+            kinetic += link.mass * v.dot(v) / 2 + omega.dot(link.inertia * omega) / 2
             potential -= link.mass * chain.gravity.dot(p)
     return record.scalar(say.KINETIC, kinetic), record.scalar(say.POTENTIAL, potential)
 
 
-def _rate(matrix: ImmutableMatrix, chain: Chain) -> ImmutableMatrix:
-    """Return the derivative of a function of q with respect to time."""
-    terms = (matrix.diff(q) * v for q, v in zip(chain.q, chain.v, strict=True))
-    return sum(terms, start=ImmutableMatrix.zeros(*matrix.shape))
+class _Slope:
+    """The derivative in one direction, which sees through the names of intermediate results.
+
+    Parameters
+    ----------
+    direction : dict of sympy.Symbol to sympy.Expr
+        The derivatives of the variables that are not constant.
+    label : str
+        Goes into the names of derivatives.
+    record : Record
+        Its treatment gave the names.
+    """
+
+    def __init__(self, direction: dict[Symbol, Expr], label: str, record: Record) -> None:
+        self._known, self._label, self._record = direction, label, record
+
+    def __call__(self, expression: Expr) -> Expr:
+        slopes = {symbol: self._of(symbol) for symbol in sorted(expression.free_symbols, key=str)}
+        return sympy.Add(*(expression.diff(symbol) * slope for symbol, slope in slopes.items() if slope))
+
+    def _of(self, symbol: Symbol) -> Expr:
+        if symbol not in self._known:
+            meaning = self._record.treatment.meanings.get(symbol)
+            slope = self(meaning) if meaning is not None else sympy.S.Zero
+            self._known[symbol] = self._record.named(f"{symbol.name}_d{self._label}", slope)
+        return self._known[symbol]

@@ -6,7 +6,6 @@ import sympy
 from sympy import ImmutableMatrix
 
 from pinmobile.derivation import wording as say
-from pinmobile.derivation.chain import Chain
 from pinmobile.derivation.exact import exact, exact_angle
 from pinmobile.derivation.record import Record
 from pinmobile.dh import JointType
@@ -44,16 +43,16 @@ class Joint:
         return self.T[:3, 3]
 
 
-def joints(chain: Chain, record: Record) -> tuple[Joint, ...]:
-    """Return the joints of a chain, from the ground outwards."""
-    found = []
+def joints(record: Record) -> tuple[Joint, ...]:
+    """Return the joints of the chain, from the ground outwards."""
+    chain, found = record.chain, []
     for k, (row, q) in enumerate(zip(chain.table, chain.q, strict=True), 1):
         revolute = row.joint is JointType.REVOLUTE
         alpha, a = exact_angle("alpha", row.alpha), exact("a", row.a)
         theta = exact_angle("theta", row.theta) + (q if revolute else 0)
         d = exact("d", row.d) + (0 if revolute else q)
         ca, sa = sympy.cos(alpha), sympy.sin(alpha)
-        c, s = record.aside(f"c_{k}", sympy.cos(theta)), record.aside(f"s_{k}", sympy.sin(theta))
+        c, s = record.named(f"c_{k}", sympy.cos(theta)), record.named(f"s_{k}", sympy.sin(theta))
         T = [[c, -s, 0, a], [s * ca, c * ca, -sa, -d * sa], [s * sa, c * sa, ca, d * ca], [0, 0, 0, 1]]
         axes = (_Z, ZERO) if revolute else (ZERO, _Z)
         found.append(Joint(record.matrix(say.LOCAL, ImmutableMatrix(T), k), *axes))

@@ -6,22 +6,19 @@ from functools import lru_cache
 from typing import Any
 
 import sympy
-from sympy import Expr, ImmutableMatrix
+from sympy import Expr
 
 from pinmobile.derivation import wording as say
 from pinmobile.derivation.chain import Chain, Link
 from pinmobile.derivation.joints import ZERO, joints, placements
-from pinmobile.derivation.record import Named, Record, Simplified
+from pinmobile.derivation.record import SIMPLIFIED_JOINTS, Record
 from pinmobile.derivation.recursion import Recursion, Vectors
-from pinmobile.derivation.steps import Assignments, Derivation
+from pinmobile.derivation.steps import Derivation
 from pinmobile.derivation.wording import Wording
 from pinmobile.dh import LECTURE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument
 
-__all__ = ["SIMPLIFIED_JOINTS", "derive", "lecture"]
-
-SIMPLIFIED_JOINTS = 3
-"""Up to so many joints results are simplified; beyond, they are told in named intermediate results."""
+__all__ = ["derive", "lecture"]
 
 
 def derive(
@@ -57,8 +54,9 @@ def derive(
     UnknownName
         If `order` has a name that is not a variable of the table.
     """
-    chain = Chain(table, links, order, gravity)
-    return _simplified(chain) if len(chain) <= SIMPLIFIED_JOINTS else _named(chain)
+    record = Record(Chain(table, links, order, gravity))
+    recursion, tau = _told(record)
+    return _coefficients(record, tau) if len(recursion.joints) <= SIMPLIFIED_JOINTS else _columns(recursion)
 
 
 def lecture(table: DHTable = LECTURE_TABLE) -> Derivation:
@@ -94,42 +92,40 @@ def _lecture(table: DHTable) -> Derivation:
     return derive(table, (None, None, body), order=("x", "y", "psi"))
 
 
-def _simplified(chain: Chain) -> Derivation:
+def _coefficients(record: Record, tau: Sequence[Expr]) -> Derivation:
     """Read M off as the lecture does: the coefficients of the accelerations in the inputs."""
-    record = Record(Simplified(chain), len(chain))
-    _, tau = _told(chain, record)
-    tau = chain.ordered(tau)
-    M = [[component.diff(a) for a in chain.ordered(chain.a)] for component in tau]
-    n = [component.xreplace(dict.fromkeys(chain.a, sympy.S.Zero)) for component in tau]
-    return finished(chain, record, M, n, ())
+    a = record.chain.a
+    rest = dict.fromkeys(a, sympy.S.Zero)
+    return record.finished(
+        [[component.diff(acceleration) for acceleration in a] for component in tau],
+        [component.xreplace(rest) for component in tau],
+    )
 
 
-def _named(chain: Chain) -> Derivation:
+def _columns(told: Recursion) -> Derivation:
     """Take for column k of M the inputs of a unit acceleration of joint k, at rest and without gravity.
 
     To read coefficients off, the inputs would have to be written out.
     """
-    treatment = Named(chain)
-    record = Record(treatment, len(chain))
-    told, _ = _told(chain, record)
-
-    def inputs(tag: str, v: Sequence[Expr], a: Sequence[Expr], base: ImmutableMatrix) -> tuple[Expr, ...]:
-        recursion = replace(told, v=v, a=a, base=base, record=Record(treatment, len(chain), tag))
-        omega = recursion.angular_velocities()
-        alpha = recursion.angular_accelerations(omega)
-        return recursion.inputs(omega, alpha, recursion.linear_accelerations(omega, alpha))
-
+    chain = told.chain
     zeros, size = (sympy.S.Zero,) * len(chain), range(len(chain))
-    columns = [inputs(f"M{k + 1}", zeros, [sympy.S(int(i == k)) for i in size], ZERO) for k in size]
-    # the other half would have to travel through the joints beyond k
-    rows = [chain.ordered([columns[max(i, k)][min(i, k)] for k in size]) for i in size]
-    n = inputs("n", chain.v, zeros, told.base)
-    return finished(chain, record, chain.ordered(rows), chain.ordered(n), tuple(treatment.assignments))
+    units = [tuple(sympy.S(int(i == k)) for i in size) for k in size]
+
+    def inputs(tag: str, **motion: Any) -> tuple[Expr, ...]:
+        other = replace(told, record=told.record.aside(tag), **motion)
+        omega = other.angular_velocities()
+        alpha = other.angular_accelerations(omega)
+        return other.inputs(omega, alpha, other.linear_accelerations(omega, alpha))
+
+    columns = [inputs(f"M{k + 1}", v=zeros, a=unit, base=ZERO) for k, unit in enumerate(units)]
+    # of the two halves of M, this one stays clear of the joints beyond k
+    M = [[columns[max(i, k)][min(i, k)] for k in size] for i in size]
+    return told.record.finished(M, inputs("n", a=zeros))
 
 
-def _told(chain: Chain, record: Record) -> tuple[Recursion, tuple[Expr, ...]]:
+def _told(record: Record) -> tuple[Recursion, tuple[Expr, ...]]:
     """Take all steps up to the inputs, in the lecture's order; return the inputs in the order of the rows."""
-    links = joints(chain, record)
+    chain, links = record.chain, joints(record)
     pose = placements(links, record)[-1]
     for words, column in ((say.POSITION, 3), (say.NORMAL, 0), (say.SLIDING, 1), (say.APPROACH, 2)):
         record.matrix(words, pose[:3, column])
@@ -140,19 +136,7 @@ def _told(chain: Chain, record: Record) -> tuple[Recursion, tuple[Expr, ...]]:
         return vectors
 
     omega = in_base(say.OMEGA_BASE, recursion.angular_velocities())
-    in_base(say.V_BASE, recursion.linear_velocities(omega))
+    in_base(say.VELOCITY_BASE, recursion.linear_velocities(omega))
     alpha = in_base(say.ALPHA_BASE, recursion.angular_accelerations(omega))
-    a = in_base(say.A_BASE, recursion.linear_accelerations(omega, alpha))
+    a = in_base(say.ACCELERATION_BASE, recursion.linear_accelerations(omega, alpha))
     return recursion, recursion.inputs(omega, alpha, a)
-
-
-def finished(
-    chain: Chain, record: Record, M: Sequence[Sequence[Expr]], n: Sequence[Expr], assignments: Assignments
-) -> Derivation:
-    names = [f"tau_{chain.table.variables.index(name) + 1}" for name in chain.order]
-    texts = {"order": ", ".join(chain.order), "inputs": ", ".join(names)}
-    record.matrix(say.MASS, ImmutableMatrix(M), **texts)
-    record.matrix(say.NONLINEAR, ImmutableMatrix(n), **texts)
-    shown = {step.name: step.expression for step in record.steps}
-    inputs = ImmutableMatrix([shown[name] for name in names])
-    return Derivation(chain, tuple(record.steps), inputs, shown["M"], shown["n_v"], assignments)

@@ -61,7 +61,7 @@ class Numeric:
             If `params` has a name that is no parameter.
         """
         flat = self._evaluate(self._mass_matrix, {"q": q}, params)
-        return flat.reshape(*flat.shape[:-1], len(self.derivation.q), -1)
+        return flat.reshape(*flat.shape[:-1], len(self.derivation.chain), -1)
 
     def nonlinear_effects(self, q: ArrayLike, v: ArrayLike, params: Parameters = _NONE) -> Array:
         """Return n(q, v).
@@ -112,6 +112,10 @@ class Numeric:
         return self._evaluate(self._inputs, {"q": q, "v": v, "a": a}, params)
 
     @cached_property
+    def _names(self) -> tuple[str, ...]:
+        return tuple(symbol.name for symbol in self.derivation.parameters)
+
+    @cached_property
     def _mass_matrix(self) -> Callable[..., list[Any]]:
         derivation = self.derivation
         return self._compiled(derivation.q, derivation.mass_matrix)
@@ -144,7 +148,7 @@ class Numeric:
     def _evaluate(
         self, function: Callable[..., list[Any]], state: Mapping[str, ArrayLike], params: Parameters
     ) -> Array:
-        size = len(self.derivation.q)
+        size = len(self.derivation.chain)
         arrays = [vector(name, value, size) for name, value in state.items()]
         arguments = [array[..., i] for array in arrays for i in range(size)] + self._values(params)
         try:
@@ -159,12 +163,13 @@ class Numeric:
         return result
 
     def _values(self, params: Parameters) -> list[Array]:
-        names = [symbol.name for symbol in self.derivation.parameters]
-        for name in params:
-            if name not in names:
-                raise UnknownName("parameter", name, names)
-        if missing := [name for name in names if name not in params]:
-            raise InvalidArgument(f"params lacks {', '.join(missing)}, expected {', '.join(names)}")
+        names = self._names
+        if params.keys() != set(names):
+            for name in params:
+                if name not in names:
+                    raise UnknownName("parameter", name, names)
+            missing = ", ".join(name for name in names if name not in params)
+            raise InvalidArgument(f"params lacks {missing}, expected {', '.join(names)}")
         return [finite(f"params[{name!r}]", params[name]) for name in names]
 
 

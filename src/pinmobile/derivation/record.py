@@ -1,82 +1,19 @@
-"""The record of a derivation, and the ways to keep its expressions small: simplify them, or name them."""
+"""The record of a derivation: takes down each step, and makes the derivation of them."""
 
-from typing import Protocol
+from collections.abc import Sequence
 
-from sympy import Expr, ImmutableMatrix, Symbol
+from sympy import Expr, ImmutableMatrix
 
-from pinmobile.derivation.algebra import grouped, reduced
+from pinmobile.derivation import wording as say
 from pinmobile.derivation.chain import Chain
-from pinmobile.derivation.steps import Step
+from pinmobile.derivation.steps import Derivation, Step
+from pinmobile.derivation.treatments import Named, Simplified, Treatment
 from pinmobile.derivation.wording import Wording
 
-__all__ = ["Named", "Record", "Simplified", "Treatment", "Untouched"]
+__all__ = ["SIMPLIFIED_JOINTS", "Record"]
 
-Matrices = tuple[ImmutableMatrix, ImmutableMatrix]
-
-
-class Treatment(Protocol):
-    """What becomes of each result."""
-
-    def take(self, name: str, result: ImmutableMatrix) -> Matrices:
-        """Return what later steps are to use in the place of `result`, and what the reader is to see."""
-
-
-class Simplified:
-    """Every result is written in few terms; the reader sees them grouped by motion, then by mass."""
-
-    def __init__(self, chain: Chain) -> None:
-        self._levels = [symbols for symbols in (chain.v + chain.a, chain.masses) if symbols]
-
-    def take(self, name: str, result: ImmutableMatrix) -> Matrices:
-        """Return `result` expanded, and with common factors before brackets."""
-        few = result.applyfunc(reduced)
-        return few, few.applyfunc(lambda entry: grouped(entry, self._levels))
-
-
-class Untouched:
-    """Every result is used as it is."""
-
-    def take(self, name: str, result: ImmutableMatrix) -> Matrices:
-        """Return `result`, twice."""
-        return result, result
-
-
-class Named:
-    """Every entry of a result that is not a symbol gets a name, and later steps use the name.
-
-    The expressions grow in proportion to the number of joints so; written out, they grow exponentially.
-
-    Attributes
-    ----------
-    assignments : list of (sympy.Symbol, sympy.Expr)
-        The names and what they stand for, in terms of earlier ones.
-    """
-
-    def __init__(self, chain: Chain) -> None:
-        self.assignments: list[tuple[Symbol, Expr]] = []
-        self._taken = {symbol.name for symbol in (*chain.q, *chain.v, *chain.a, *chain.parameters)}
-        self._known: dict[Expr, Expr] = {}
-
-    def take(self, name: str, result: ImmutableMatrix) -> Matrices:
-        """Return names for the entries of `result`, and `result`."""
-        rows, columns = result.shape
-        if columns == 1:
-            places = {1: [""], 3: list("xyz")}.get(rows, [f"_{i}" for i in range(1, rows + 1)])
-        else:
-            places = [f"_{i}{j}" for i in range(1, rows + 1) for j in range(1, columns + 1)]
-        entries = [self._named(name + place, entry) for place, entry in zip(places, result, strict=True)]
-        return ImmutableMatrix(rows, columns, entries), result
-
-    def _named(self, name: str, entry: Expr) -> Expr:
-        if entry.is_Atom or (-entry).is_Atom:
-            return entry
-        if entry not in self._known:
-            while name in self._taken:
-                name += "_"
-            self._taken.add(name)
-            self.assignments.append((Symbol(name), entry))
-            self._known |= {entry: Symbol(name), -entry: -Symbol(name)}
-        return self._known[entry]
+SIMPLIFIED_JOINTS = 3
+"""Up to so many joints results are simplified; beyond, they are told in named intermediate results."""
 
 
 class Record:
@@ -84,40 +21,61 @@ class Record:
 
     Parameters
     ----------
-    treatment : Treatment
-        What becomes of each result.
-    last : int
-        Number of the last frame.
-    tag : str, optional
-        Goes into the names of results, where the same quantity occurs in another record too.
+    chain : Chain
+        What is derived.
 
     Attributes
     ----------
     steps : list of Step
         What was taken down so far.
+    treatment : Treatment
+        What becomes of each result.
     """
 
-    def __init__(self, treatment: Treatment, last: int, tag: str = "") -> None:
+    def __init__(self, chain: Chain) -> None:
+        self.chain, self._tag = chain, ""
         self.steps: list[Step] = []
-        self._treatment, self._last, self._tag = treatment, last, tag
+        self.treatment: Treatment = Simplified(chain) if len(chain) <= SIMPLIFIED_JOINTS else Named(chain)
+
+    def aside(self, tag: str) -> "Record":
+        """Return an empty record of the same names, for what is computed but not told.
+
+        `tag` goes into new names, as the same quantities occur in this record.
+        """
+        other = Record(self.chain)
+        other.treatment, other._tag = self.treatment, tag
+        return other
 
     def matrix(self, wording: Wording, result: ImmutableMatrix, k: int = 0, **texts: str) -> ImmutableMatrix:
         """Take down the step of `wording` for index `k` and return what stands for `result` from now on."""
-        name, title, explanation, symbol = wording.at(k=k, j=k - 1, n=self._last, **texts)
-        kept, shown = self._treatment.take(self._tagged(name), ImmutableMatrix(result))
-        self.steps.append(Step(name, title, explanation, symbol, shown))
+        row = self.chain.table.rows[max(k - 1, 0)]
+        name, title, explanation, symbol = wording.at(k, len(self.chain), row, **texts)
+        kept, shown = self.treatment.take(self._tagged(name), ImmutableMatrix(result))
+        expression = shown[0] if shown.shape == (1, 1) else shown
+        self.steps.append(Step(name, title, explanation, symbol, expression))
         return kept
 
     def scalar(self, wording: Wording, result: Expr, k: int = 0, **texts: str) -> Expr:
-        """Take down a step whose result is one expression, and return what stands for it from now on."""
-        name, title, explanation, symbol = wording.at(k=k, j=k - 1, n=self._last, **texts)
-        kept, shown = self._treatment.take(self._tagged(name), ImmutableMatrix([[result]]))
-        self.steps.append(Step(name, title, explanation, symbol, shown[0]))
-        return kept[0]
+        """Take down a step whose result is one expression; see `matrix`."""
+        return self.matrix(wording, ImmutableMatrix([[result]]), k, **texts)[0]
 
-    def aside(self, name: str, result: Expr) -> Expr:
+    def named(self, name: str, result: Expr) -> Expr:
         """Return what stands for `result` from now on, without a step of its own."""
-        return self._treatment.take(self._tagged(name), ImmutableMatrix([[result]]))[0][0]
+        return self.treatment.take(self._tagged(name), ImmutableMatrix([[result]]))[0][0]
+
+    def finished(self, M: Sequence[Sequence[Expr]], n: Sequence[Expr]) -> Derivation:
+        """Take down M and n, given in the order of the rows, and return the derivation."""
+        order, variables = self.chain.order, self.chain.table.variables
+        names = [f"tau_{variables.index(name) + 1}" for name in order]
+        texts = {"order": ", ".join(order), "inputs": ", ".join(names)}
+        rows = self.chain.ordered([self.chain.ordered(row) for row in M])
+        self.matrix(say.MASS_MATRIX, ImmutableMatrix(rows), **texts)
+        self.matrix(say.NONLINEAR_EFFECTS, ImmutableMatrix(self.chain.ordered(n)), **texts)
+        shown = {step.name: step.expression for step in self.steps}
+        inputs = ImmutableMatrix([shown[name] for name in names])
+        meanings = tuple(self.treatment.meanings.items())
+        return Derivation(self.chain, tuple(self.steps), inputs, shown["M"], shown["n_v"], meanings)
 
     def _tagged(self, name: str) -> str:
+        # as sympy reads names, __ begins a superscript and _ a subscript
         return name.replace("_", f"__{self._tag}_", 1) if self._tag else name

@@ -54,7 +54,7 @@ class Recursion:
         velocity = [ZERO]
         for k, joint in enumerate(self.joints):
             result = joint.R.T * (velocity[k] + omega[k].cross(joint.P)) + joint.slide * self.v[k]
-            velocity.append(self.record.matrix(say.V_FRAME, result, k + 1))
+            velocity.append(self.record.matrix(say.VELOCITY, result, k + 1))
         return velocity
 
     def angular_accelerations(self, omega: Vectors) -> Vectors:
@@ -72,7 +72,9 @@ class Recursion:
         for k, joint in enumerate(self.joints):
             carried = joint.R.T * (a[k] + _lever(alpha[k], omega[k], joint.P))
             coriolis = 2 * omega[k + 1].cross(joint.slide * self.v[k])
-            a.append(self.record.matrix(say.A_FRAME, carried + coriolis + joint.slide * self.a[k], k + 1))
+            a.append(
+                self.record.matrix(say.ACCELERATION, carried + coriolis + joint.slide * self.a[k], k + 1)
+            )
         return a
 
     def inertial(self, omega: Vectors, alpha: Vectors, a: Vectors) -> tuple[Vectors, Vectors]:
@@ -80,7 +82,7 @@ class Recursion:
         heavy = {k: link for k, link in enumerate(self.chain.links, 1) if link}
         F, N = [ZERO] * len(a), [ZERO] * len(a)
         a_c = {
-            k: self.record.matrix(say.A_COM, a[k] + _lever(alpha[k], omega[k], link.com), k)
+            k: self.record.matrix(say.ACCELERATION_COM, a[k] + _lever(alpha[k], omega[k], link.com), k)
             for k, link in heavy.items()
         }
         for k, link in heavy.items():
@@ -116,10 +118,9 @@ class Recursion:
         f = self.forces(F)
         n = self.moments(F, N, f)
         tau = []
-        for k, (joint, variable) in enumerate(zip(self.joints, self.chain.table.variables, strict=True), 1):
-            words = say.INPUT_MOMENT if joint.slide == ZERO else say.INPUT_FORCE
+        for k, joint in enumerate(self.joints, 1):
             component = joint.slide.dot(f[k]) + joint.turn.dot(n[k])
-            tau.append(self.record.scalar(words, component, k, variable=variable))
+            tau.append(self.record.scalar(say.INPUT, component, k))
         return tuple(tau)
 
 

@@ -1,63 +1,40 @@
-"""What each kind of step is called, in words and in LaTeX; $k is its index, $n the last frame."""
+"""What each kind of step is called, in words and in LaTeX."""
 
 from dataclasses import dataclass
 from string import Template
 
-__all__ = [
-    "ALPHA",
-    "ALPHA_BASE",
-    "APPROACH",
-    "A_BASE",
-    "A_COM",
-    "A_FRAME",
-    "FORCE",
-    "INERTIAL_FORCE",
-    "INERTIAL_MOMENT",
-    "INPUT_FORCE",
-    "INPUT_MOMENT",
-    "KINETIC",
-    "LAGRANGE_INPUT",
-    "LOCAL",
-    "MASS",
-    "MOMENT",
-    "NONLINEAR",
-    "NORMAL",
-    "OMEGA",
-    "OMEGA_BASE",
-    "OMEGA_SKEW",
-    "PLACEMENT",
-    "POSITION",
-    "POSITION_COM",
-    "POTENTIAL",
-    "SHAKING_FORCE",
-    "SHAKING_MOMENT",
-    "SLIDING",
-    "V_BASE",
-    "V_COM",
-    "V_FRAME",
-    "Wording",
-]  # fmt: skip
+from pinmobile.dh import DHRow, JointType
+
+__all__ = ["Wording"]
 
 
 @dataclass(frozen=True)
 class Wording:
     """The texts of one kind of step.
 
+    In all of them $k stands for the index, $j for the one before, $n for the last frame.
+
     Attributes
     ----------
     name, title, explanation, symbol : str
-        Templates of the key, the heading, one sentence and the LaTeX of the left-hand side.
+        Key, heading, one sentence, and the LaTeX of the left-hand side.
+    prismatic, revolute : str
+        What stands for $extra in the explanation, according to joint k.
     """
 
     name: str
     title: str
     explanation: str
     symbol: str
+    prismatic: str = ""
+    revolute: str = ""
 
-    def at(self, **values: object) -> tuple[str, str, str, str]:
-        """Return the four texts with `values` in the place of the template's names."""
-        texts = (self.name, self.title, self.explanation, self.symbol)
-        name, title, explanation, symbol = (Template(text).substitute(values) for text in texts)
+    def at(self, k: int, last: int, row: DHRow, **texts: str) -> tuple[str, str, str, str]:
+        """Return name, title, explanation and symbol for index `k`, whose row is `row`."""
+        extra = self.revolute if row.joint is JointType.REVOLUTE else self.prismatic
+        values = {"k": k, "j": k - 1, "n": last, "joint": row.joint.value, "variable": row.variable, **texts}
+        templates = (self.name, self.title, self.explanation.replace("$extra", extra), self.symbol)
+        name, title, explanation, symbol = (Template(text).substitute(values) for text in templates)
         return name, title, explanation, symbol
 
 
@@ -73,17 +50,16 @@ PLACEMENT = Wording(
     "The product of the first $k transforms.",
     r"{}^{0}T_{$k}",
 )
-POSITION = Wording(
-    "p", "Position of the last frame", "The last column of T_0_$n: where frame $n is in the base.", "p"
-)
+POSITION = Wording("p", "Position", "Where frame $n is in the base: the last column of T_0_$n.", "p")
 NORMAL = Wording("n", "Normal vector", "The x axis of frame $n in the base.", r"\hat{n}")
 SLIDING = Wording("s", "Sliding vector", "The y axis of frame $n in the base.", r"\hat{s}")
 APPROACH = Wording("a", "Approach vector", "The z axis of frame $n in the base.", r"\hat{a}")
 OMEGA = Wording(
     "omega_$k",
     "Angular velocity of frame $k",
-    "That of frame $j turned into frame $k, plus the rate about z_$k if joint $k is revolute.",
+    "That of frame $j, turned into frame $k$extra.",
     r"{}^{$k}\omega_{$k}",
+    revolute=", plus the rate about z_$k",
 )
 OMEGA_BASE = Wording(
     "omega_0_$n",
@@ -91,13 +67,14 @@ OMEGA_BASE = Wording(
     "That of frame $n, turned into the base.",
     r"{}^{0}\omega_{$n}",
 )
-V_FRAME = Wording(
+VELOCITY = Wording(
     "v_$k",
     "Linear velocity of frame $k",
-    "v + omega x P of frame $j turned into frame $k, plus the rate along z_$k if joint $k is prismatic.",
+    "v + omega x P of frame $j, turned into frame $k$extra.",
     r"{}^{$k}v_{$k}",
+    prismatic=", plus the rate along z_$k",
 )
-V_BASE = Wording(
+VELOCITY_BASE = Wording(
     "v_0_$n",
     "Linear velocity in the base",
     "That of the origin of frame $n, turned into the base.",
@@ -106,9 +83,10 @@ V_BASE = Wording(
 ALPHA = Wording(
     "alpha_$k",
     "Angular acceleration of frame $k",
-    "That of frame $j turned into frame $k, plus (if joint $k is revolute) the acceleration about z_$k and "
-    "the gyroscopic term of the turned omega_$j with the rate.",
+    "That of frame $j, turned into frame $k$extra.",
     r"{}^{$k}\alpha_{$k}",
+    revolute=", plus the gyroscopic term (the turned omega_$j) x z_$k times the rate, "
+    "plus the acceleration about z_$k",
 )
 ALPHA_BASE = Wording(
     "alpha_0_$n",
@@ -116,23 +94,23 @@ ALPHA_BASE = Wording(
     "That of frame $n, turned into the base.",
     r"{}^{0}\alpha_{$n}",
 )
-A_FRAME = Wording(
+ACCELERATION = Wording(
     "a_$k",
     "Linear acceleration of frame $k",
-    "a + alpha x P + omega x (omega x P) of frame $j turned into frame $k, plus (if joint $k is prismatic) the "
-    "acceleration along z_$k and the Coriolis term 2 omega x z times the rate.",
+    "a + alpha x P + omega x (omega x P) of frame $j, turned into frame $k$extra.",
     r"{}^{$k}a_{$k}",
+    prismatic=", plus the Coriolis term 2 omega_$k x z_$k times the rate, plus the acceleration along z_$k",
 )
-A_BASE = Wording(
+ACCELERATION_BASE = Wording(
     "a_0_$n",
     "Linear acceleration in the base",
-    "That of the origin of frame $n, turned into the base; gravity, if any, counts as an upward acceleration.",
+    "That of the origin of frame $n, turned into the base; gravity counts as an acceleration upwards.",
     r"{}^{0}a_{$n}",
 )
-A_COM = Wording(
+ACCELERATION_COM = Wording(
     "a_c$k",
     "Acceleration of the centre of mass of link $k",
-    "a + alpha x P_c + omega x (omega x P_c), with P_c the centre of mass in frame $k.",
+    "a + alpha x P_c + omega x (omega x P_c), where P_c is the centre of mass in frame $k.",
     r"{}^{$k}a_{c_{$k}}",
 )
 INERTIAL_FORCE = Wording(
@@ -150,43 +128,37 @@ INERTIAL_MOMENT = Wording(
 FORCE = Wording(
     "f_$k",
     "Force at joint $k",
-    "What link $j exerts on link $k: its inertial force and the force passed on to the next link.",
+    "What link $j exerts on link $k: its inertial force, and the force passed on to the next link.",
     r"{}^{$k}f_{$k}",
 )
-SHAKING_FORCE = Wording(
-    "f_0", "Shaking force", "The force of the ground on the chain, in the base.", r"{}^{0}f_{0}"
-)
+SHAKING_FORCE = Wording("f_0", "Shaking force", "What the ground exerts on the chain.", r"{}^{0}f_{0}")
 MOMENT = Wording(
     "n_$k",
     "Moment at joint $k",
-    "What link $j exerts on link $k: N, P_c x F, and moment and force passed on to the next link.",
+    "What link $j exerts on link $k: N + P_c x F, and n + P x f passed on to the next link.",
     r"{}^{$k}n_{$k}",
 )
 SHAKING_MOMENT = Wording(
     "n_0",
     "Shaking moment",
-    "The moment of the ground on the chain about the origin of the base.",
+    "What the ground exerts on the chain, about the origin of the base.",
     r"{}^{0}n_{0}",
 )
-INPUT_FORCE = Wording(
+INPUT = Wording(
     "tau_$k",
     "Input of joint $k",
-    "Joint $k ($variable) is prismatic: its input is the component of f_$k along z_$k.",
+    "The joint of $variable is $joint: its input is $extra.",
     r"\tau_{$k}",
+    prismatic="the component of f_$k along z_$k",
+    revolute="the component of n_$k about z_$k",
 )
-INPUT_MOMENT = Wording(
-    "tau_$k",
-    "Input of joint $k",
-    "Joint $k ($variable) is revolute: its input is the component of n_$k about z_$k.",
-    r"\tau_{$k}",
-)
-MASS = Wording(
+MASS_MATRIX = Wording(
     "M",
     "Mass matrix",
     "The coefficients of the accelerations of ($order) in the inputs ($inputs).",
     "M(q)",
 )
-NONLINEAR = Wording(
+NONLINEAR_EFFECTS = Wording(
     "n_v",
     "Nonlinear effects",
     "What remains of the inputs ($inputs) without acceleration.",
@@ -194,11 +166,11 @@ NONLINEAR = Wording(
 )
 POSITION_COM = Wording(
     "p_c$k",
-    "Centre of mass of link $k in the base",
-    "T_0_$k applied to the centre of mass of the link.",
+    "Centre of mass of link $k",
+    "T_0_$k applied to the centre of mass in frame $k.",
     r"{}^{0}p_{c_{$k}}",
 )
-V_COM = Wording(
+VELOCITY_COM = Wording(
     "v_c$k",
     "Velocity of the centre of mass of link $k",
     "The derivative of its position with respect to time.",
@@ -206,20 +178,33 @@ V_COM = Wording(
 )
 OMEGA_SKEW = Wording(
     "omega_0_$k",
-    "Angular velocity of link $k in the base",
-    "Read off the skew matrix: the derivative of R_0_$k with respect to time, times its transpose.",
+    "Angular velocity of link $k",
+    "Read off the skew matrix: the derivative of R_0_$k with respect to time, times the transpose of R_0_$k.",
     r"{}^{0}\omega_{$k}",
 )
-KINETIC = Wording(
-    "K",
-    "Kinetic energy",
-    "The sum over all links of m v^2 / 2 and omega . I omega / 2.",
-    "K",
+VELOCITY_OWN = Wording(
+    "v_own$k",
+    "Velocity of the centre of mass of link $k in its own axes",
+    "The velocity, turned into frame $k.",
+    r"{}^{$k}v_{c_{$k}}",
 )
+OMEGA_OWN = Wording(
+    "omega_own$k",
+    "Angular velocity of link $k in its own axes",
+    "The angular velocity, turned into frame $k.",
+    r"{}^{$k}\omega_{$k}",
+)
+KINETIC = Wording("K", "Kinetic energy", "The sum over all links of m v . v / 2 + omega . I omega / 2.", "K")
 POTENTIAL = Wording("V", "Potential energy", "The sum over all links of -m g . p_c.", "V")
-LAGRANGE_INPUT = Wording(
+MOMENTUM = Wording(
+    "P_$k",
+    "Generalised momentum of $variable",
+    "The derivative of L = K - V with respect to the rate of $variable.",
+    r"\frac{\partial L}{\partial \dot{q}_{$k}}",
+)
+LAGRANGE = Wording(
     "tau_$k",
     "Input of joint $k",
-    "Lagrange: d/dt (dL/dv) - dL/dq for $variable, with L = K - V.",
+    "Lagrange: the derivative of P_$k with respect to time, less that of L with respect to $variable.",
     r"\tau_{$k}",
 )
