@@ -8,11 +8,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
-import numpy as np
-
 from pinmobile.arrays import Array
 
-__all__ = ["Acceleration", "Integrator", "OneStage", "constant_acceleration", "rk4", "semi_implicit_euler"]
+__all__ = [
+    "Acceleration",
+    "Integrator",
+    "RungeKuttaNystrom",
+    "constant_acceleration",
+    "rk4",
+    "semi_implicit_euler",
+]
 
 Acceleration: TypeAlias = Callable[[float, Array, Array], Array]
 
@@ -27,67 +32,79 @@ class Integrator(Protocol):
 
 
 @dataclass(frozen=True)
-class OneStage:
-    """A step with one acceleration, at its start: v' = v + dt a and q' = q + dt v + w dt^2 a. Order 1.
+class RungeKuttaNystrom:
+    """An explicit Runge-Kutta-Nystrom method: a table.
+
+    With the accelerations a_j of the stages so far, stage i asks for the acceleration at::
+
+        t + c_i h,    q + c_i h v + h^2 sum_j A_ij a_j,    v + h sum_j B_ij a_j
+
+    and the step ends at q + h v + h^2 sum_j r_j a_j and v + h sum_j s_j a_j (Hairer, Norsett, Wanner, Solving
+    Ordinary Differential Equations I, 1993, section II.14).
 
     Parameters
     ----------
     name : str
         Name, for people.
-    weight : float
-        The w above.
+    nodes : tuple of s floats
+        The c above; the first is 0.
+    stages_q, stages_v : tuple of s tuples of floats
+        The A and B above; row i has i - 1 entries.
+    weights_q, weights_v : tuple of s floats
+        The r and s above.
     """
 
     name: str
-    weight: float
+    nodes: tuple[float, ...]
+    stages_q: tuple[tuple[float, ...], ...]
+    stages_v: tuple[tuple[float, ...], ...]
+    weights_q: tuple[float, ...]
+    weights_v: tuple[float, ...]
 
     def __call__(
         self, acceleration: Acceleration, t: float, q: Array, v: Array, dt: float
     ) -> tuple[Array, Array]:
-        """Return configuration and velocity a time `dt` later."""
-        a = acceleration(t, q, v)
-        return q + dt * v + (self.weight * dt * dt) * a, v + dt * a
+        """Return configuration and velocity, shape (..., n), a time `dt` later."""
+        found = [acceleration(t, q, v)]
+        for c, by_q, by_v in zip(self.nodes[1:], self.stages_q[1:], self.stages_v[1:], strict=True):
+            x, w = _moved(q, v, c * dt, dt, by_q, by_v, found)
+            found.append(acceleration(t + c * dt, x, w))
+        return _moved(q, v, dt, dt, self.weights_q, self.weights_v, found)
 
     def __repr__(self) -> str:
         return self.name
 
 
-constant_acceleration = OneStage("constant_acceleration", 0.5)
-"""The lecture's step: exact where the acceleration is constant."""
-
-semi_implicit_euler = OneStage("semi_implicit_euler", 1.0)
-"""Symplectic Euler: the new velocity moves the configuration, q' = q + dt v'."""
-
-
-def rk4(acceleration: Acceleration, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
-    """Return the step of the classical Runge-Kutta method of order 4 on (q, v).
-
-    Parameters
-    ----------
-    acceleration : callable
-        ``acceleration(t, q, v)``, shape (..., n).
-    t, dt : float
-        Time and step [s].
-    q, v : ndarray, shape (..., n)
-        Configuration and velocity.
-
-    Returns
-    -------
-    q, v : ndarray, shape (..., n)
-        Configuration and velocity a time `dt` later (Hairer, Norsett, Wanner, Solving Ordinary
-        Differential Equations I, 1993, table II.1.2).
-    """
-    # Arrays of no dimension multiply small arrays twice as fast as numbers do.
-    whole, half, sixth, two = np.asarray(dt), np.asarray(dt / 2), np.asarray(dt / 6), _TWO
-    middle = t + dt / 2
-    a1 = acceleration(t, q, v)
-    v2 = v + half * a1
-    a2 = acceleration(middle, q + half * v, v2)
-    v3 = v + half * a2
-    a3 = acceleration(middle, q + half * v2, v3)
-    v4 = v + whole * a3
-    a4 = acceleration(t + dt, q + whole * v3, v4)
-    return q + sixth * (v + two * (v2 + v3) + v4), v + sixth * (a1 + two * (a2 + a3) + a4)
+def _moved(
+    q: Array,
+    v: Array,
+    time: float,
+    dt: float,
+    by_q: tuple[float, ...],
+    by_v: tuple[float, ...],
+    accelerations: list[Array],
+) -> tuple[Array, Array]:
+    x, w = q + time * v, v
+    for weight_q, weight_v, a in zip(by_q, by_v, accelerations, strict=True):
+        if weight_q:
+            x = x + (weight_q * dt * dt) * a
+        if weight_v:
+            w = w + (weight_v * dt) * a
+    return x, w
 
 
-_TWO = np.asarray(2.0)
+constant_acceleration = RungeKuttaNystrom("constant_acceleration", (0.0,), ((),), ((),), (1 / 2,), (1.0,))
+"""The lecture's step, exact where the acceleration is constant: q' = q + h v + h^2 / 2 a. Order 1."""
+
+semi_implicit_euler = RungeKuttaNystrom("semi_implicit_euler", (0.0,), ((),), ((),), (1.0,), (1.0,))
+"""Symplectic Euler: the new velocity moves the configuration, q' = q + h v'. Order 1."""
+
+rk4 = RungeKuttaNystrom(
+    "rk4",
+    (0.0, 1 / 2, 1 / 2, 1.0),
+    ((), (0.0,), (1 / 4, 0.0), (0.0, 1 / 2, 0.0)),
+    ((), (1 / 2,), (0.0, 1 / 2), (0.0, 0.0, 1.0)),
+    (1 / 6, 1 / 6, 1 / 6, 0.0),
+    (1 / 6, 1 / 3, 1 / 3, 1 / 6),
+)
+"""The classical Runge-Kutta method on (q, v), its products written out (the same, table II.1.2). Order 4."""

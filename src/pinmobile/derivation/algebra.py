@@ -47,7 +47,7 @@ def reduced(expression: Expr) -> Expr:
 
 
 def grouped(expression: Expr, levels: Sequence[Sequence[Symbol]]) -> Expr:
-    """Return an expression as it is written by hand: grouped by the symbols of each level.
+    """Return an expression as it is written by hand: with brackets, by the symbols of each level.
 
     Parameters
     ----------
@@ -58,9 +58,9 @@ def grouped(expression: Expr, levels: Sequence[Sequence[Symbol]]) -> Expr:
         second level does the same, and so on.
     """
     polynomial, _ = _polynomial(expression)
-    generators = polynomial.ring.symbols
+    places = {generator: i for i, generator in enumerate(polynomial.ring.symbols)}
     return _gathered(
-        polynomial, [{generators.index(s) for s in level if s in generators} for level in levels]
+        polynomial, [{places[symbol] for symbol in level if symbol in places} for level in levels]
     )
 
 
@@ -71,15 +71,11 @@ def _gathered(polynomial: PolyElement, levels: Sequence[set[int]]) -> Expr:
     for powers, coefficient in polynomial.items():
         common = tuple(power if i in levels[0] else 0 for i, power in enumerate(powers))
         brackets[common][tuple(p - c for p, c in zip(powers, common, strict=True))] = coefficient
-    ring = polynomial.ring
-    return sympy.Add(
-        *(
-            _times(
-                ring.term_new(common, ring.domain.one).as_expr(), _gathered(ring.from_dict(rest), levels[1:])
-            )
-            for common, rest in brackets.items()
-        )
-    )
+    ring, products = polynomial.ring, []
+    for common, terms in brackets.items():
+        factor = ring.term_new(common, ring.domain.one)
+        products.append(_times(factor.as_expr(), _gathered(ring.from_dict(terms), levels[1:])))
+    return sympy.Add(*products)
 
 
 def _bracket(polynomial: PolyElement) -> Expr:
@@ -90,11 +86,8 @@ def _bracket(polynomial: PolyElement) -> Expr:
         return polynomial.as_expr()
     ring = polynomial.ring
     shared = tuple(map(min, zip(*polynomial, strict=True)))
-    number = ring.domain(
-        gcd(*(int(c.numerator) for c in polynomial.values())),
-        gcd(*(int(c.denominator) for c in polynomial.values())),
-    )
-    factor = ring.term_new(shared, number)
+    over, under = zip(*((int(c.numerator), int(c.denominator)) for c in polynomial.values()), strict=True)
+    factor = ring.term_new(shared, ring.domain(gcd(*over), gcd(*under)))
     return _times(factor.as_expr(), polynomial.exquo(factor).as_expr())
 
 

@@ -32,8 +32,8 @@ class Link:
     Raises
     ------
     InvalidArgument
-        If a shape is wrong, an entry is neither a finite number nor an expression, or `inertia` is not
-        symmetric.
+        If a shape is wrong, an entry is neither a finite number nor an expression, `mass` is negative or
+        `inertia` not symmetric.
     """
 
     mass: Expr
@@ -44,6 +44,8 @@ class Link:
         object.__setattr__(self, "mass", exact("mass", self.mass))
         object.__setattr__(self, "com", exact_matrix("com", self.com, (3, 1)))
         object.__setattr__(self, "inertia", exact_matrix("inertia", self.inertia, (3, 3)))
+        if self.mass.is_negative:
+            raise InvalidArgument(f"mass is {self.mass} kg, expected >= 0")
         if self.inertia != self.inertia.T:
             raise InvalidArgument(f"inertia is {self.inertia.tolist()}, expected a symmetric matrix")
 
@@ -98,15 +100,16 @@ class Chain:
     ) -> None:
         if not isinstance(table, DHTable):
             raise InvalidArgument(f"table is {table!r}, expected a DHTable")
-        links = map(Link.general, range(1, len(table) + 1)) if links is None else links
-        fields = {
-            "table": table,
-            "links": tuple(links),
-            "order": table.variables if order is None else tuple(order),
-            "gravity": exact_matrix("gravity", gravity, (3, 1)),
-        }
-        for name, value in fields.items():
-            object.__setattr__(self, name, value)
+        if links is None:
+            links = [Link.general(k) for k in range(1, len(table) + 1)]
+        order = table.variables if order is None else order
+        for name, value in (("links", links), ("order", order)):
+            if isinstance(value, str) or not isinstance(value, Sequence):
+                raise InvalidArgument(f"{name} is {value!r}, expected a sequence")
+        object.__setattr__(self, "table", table)
+        object.__setattr__(self, "links", tuple(links))
+        object.__setattr__(self, "order", tuple(order))
+        object.__setattr__(self, "gravity", exact_matrix("gravity", gravity, (3, 1)))
         self._check()
 
     def _check(self) -> None:
@@ -115,7 +118,7 @@ class Chain:
             raise InvalidArgument(f"links is {self.links!r}, expected {len(self)} of Link or None")
         for name in self.order:
             if name not in variables:
-                raise UnknownName("variable", name, variables)
+                raise UnknownName("variable", str(name), variables)
         if sorted(self.order) != sorted(variables):
             raise InvalidArgument(f"order is {self.order}, expected a permutation of {variables}")
         names = Counter(symbol.name for symbol in (*self.q, *self.v, *self.a, *self.parameters))

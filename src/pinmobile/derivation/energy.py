@@ -17,8 +17,8 @@ def lagrange(derivation: Derivation) -> Derivation:
     """Derive the equations of motion of the same chain by Lagrange.
 
     Velocities are derivatives of the positions in T_0_k, angular velocities come from the skew matrix
-    dR/dt R', and d/dt (dL/dv) - dL/dq with L = K - V gives the inputs. Nothing else is taken from `derivation`
-    than its chain.
+    dR/dt R', and d/dt (dL/dv) - dL/dq with L = K - V gives the inputs. Of the derivation by Newton and Euler
+    nothing is used but its chain.
 
     Parameters
     ----------
@@ -83,11 +83,9 @@ def _energies(record: Record, in_time: "_Slope") -> tuple[Expr, Expr]:
             v = record.matrix(say.VELOCITY_COM, p.applyfunc(in_time), k)
             skew = R.applyfunc(in_time) * R.T
             omega = record.matrix(say.OMEGA_SKEW, ImmutableMatrix([skew[2, 1], skew[0, 2], skew[1, 0]]), k)
-            v, omega = (
-                record.matrix(say.VELOCITY_OWN, R.T * v, k),
-                record.matrix(say.OMEGA_OWN, R.T * omega, k),
-            )
-            kinetic += link.mass * v.dot(v) / 2 + omega.dot(link.inertia * omega) / 2
+            own_v = record.matrix(say.VELOCITY_OWN, R.T * v, k)
+            own_omega = record.matrix(say.OMEGA_OWN, R.T * omega, k)
+            kinetic += link.mass * own_v.dot(own_v) / 2 + own_omega.dot(link.inertia * own_omega) / 2
             potential -= link.mass * chain.gravity.dot(p)
     return record.scalar(say.KINETIC, kinetic), record.scalar(say.POTENTIAL, potential)
 

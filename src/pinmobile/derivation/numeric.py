@@ -38,6 +38,10 @@ class Numeric:
 
     derivation: "Derivation"
 
+    def __reduce__(self) -> tuple[type["Numeric"], tuple["Derivation"]]:
+        # compiled functions do not travel to other processes
+        return type(self), (self.derivation,)
+
     def mass_matrix(self, q: ArrayLike, params: Parameters = _NONE) -> Array:
         """Return M(q).
 
@@ -164,10 +168,12 @@ class Numeric:
 
     def _values(self, params: Parameters) -> list[Array]:
         names = self._names
+        if not isinstance(params, Mapping):
+            raise InvalidArgument(f"params is {params!r}, expected a mapping with {', '.join(names)}")
         if params.keys() != set(names):
             for name in params:
                 if name not in names:
-                    raise UnknownName("parameter", name, names)
+                    raise UnknownName("parameter", str(name), names)
             missing = ", ".join(name for name in names if name not in params)
             raise InvalidArgument(f"params lacks {missing}, expected {', '.join(names)}")
         return [finite(f"params[{name!r}]", params[name]) for name in names]

@@ -1,6 +1,7 @@
 """The record of a derivation: takes down each step, and makes the derivation of them."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from sympy import Expr, ImmutableMatrix
 
@@ -51,13 +52,14 @@ class Record:
         row = self.chain.table.rows[max(k - 1, 0)]
         name, title, explanation, symbol = wording.at(k, len(self.chain), row, **texts)
         kept, shown = self.treatment.take(self._tagged(name), ImmutableMatrix(result))
-        expression = shown[0] if shown.shape == (1, 1) else shown
-        self.steps.append(Step(name, title, explanation, symbol, expression))
+        self.steps.append(Step(name, title, explanation, symbol, shown))
         return kept
 
     def scalar(self, wording: Wording, result: Expr, k: int = 0, **texts: str) -> Expr:
         """Take down a step whose result is one expression; see `matrix`."""
-        return self.matrix(wording, ImmutableMatrix([[result]]), k, **texts)[0]
+        kept = self.matrix(wording, ImmutableMatrix([[result]]), k, **texts)
+        self.steps[-1] = replace(self.steps[-1], expression=self.steps[-1].expression[0])
+        return kept[0]
 
     def named(self, name: str, result: Expr) -> Expr:
         """Return what stands for `result` from now on, without a step of its own."""
@@ -69,8 +71,8 @@ class Record:
         names = [f"tau_{variables.index(name) + 1}" for name in order]
         texts = {"order": ", ".join(order), "inputs": ", ".join(names)}
         rows = self.chain.ordered([self.chain.ordered(row) for row in M])
-        self.matrix(say.MASS_MATRIX, ImmutableMatrix(rows), **texts)
-        self.matrix(say.NONLINEAR_EFFECTS, ImmutableMatrix(self.chain.ordered(n)), **texts)
+        self.matrix(say.MASS_MATRIX, ImmutableMatrix(rows), 0, **texts)
+        self.matrix(say.NONLINEAR_EFFECTS, ImmutableMatrix(self.chain.ordered(n)), 0, **texts)
         shown = {step.name: step.expression for step in self.steps}
         inputs = ImmutableMatrix([shown[name] for name in names])
         meanings = tuple(self.treatment.meanings.items())

@@ -1,4 +1,4 @@
-"""Newton-Euler's recursion in modified-DH frames (Craig, Introduction to Robotics, 3rd ed. 2005, ch. 5, 6)."""
+"""Newton-Euler's recursion in modified-DH frames (Craig, Introduction to Robotics, 3rd ed. 2005, ch. 5-6)."""
 
 from dataclasses import dataclass
 
@@ -93,7 +93,7 @@ class Recursion:
         return F, N
 
     def forces(self, F: Vectors) -> Vectors:
-        """Return f [N]: f_k is what link k - 1 exerts on link k, and f_0 the ground's force in its own frame."""
+        """Return f [N]: f_k is the force of link k - 1 on link k, and f_0 that of the ground, in frame 0."""
         f = [ZERO, *F[1:]]
         f[-1] = self.record.matrix(say.FORCE, F[-1], len(F) - 1)
         for k in range(len(F) - 2, -1, -1):
@@ -102,7 +102,7 @@ class Recursion:
         return f
 
     def moments(self, F: Vectors, N: Vectors, f: Vectors) -> Vectors:
-        """Return n [N m]: n_k is what link k - 1 exerts on link k about the origin of frame k, n_0 the ground's."""
+        """Return n [N m]: the moments that belong to `f`, each about the origin of its frame."""
         com = [ZERO, *(link.com if link else ZERO for link in self.chain.links)]
         own = [N[k] + com[k].cross(F[k]) for k in range(len(N))]
         own[-1] = self.record.matrix(say.MOMENT, own[-1], len(N) - 1)

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import dataclass, field
+from shutil import get_terminal_size
 
 import sympy
 from sympy import Expr, ImmutableMatrix, Symbol
@@ -22,6 +23,20 @@ def _latex(expression: Expr | ImmutableMatrix) -> str:
             letter, index = (part for part in parts.groups() if part)
             names[symbol] = f"{letter}_{{{index}}}"
     return str(sympy.latex(expression, symbol_names=names))
+
+
+def _text(expression: Expr | ImmutableMatrix) -> str:
+    picture = str(sympy.pretty(expression, wrap_line=False))
+    if max(map(len, picture.splitlines())) <= get_terminal_size().columns:
+        return picture
+    # a picture that the terminal breaks is not legible, a line is
+    if not isinstance(expression, ImmutableMatrix):
+        return str(expression)
+    rows, columns = expression.shape
+    places = [
+        f"{i}, {j}" if columns > 1 else str(i) for i in range(1, rows + 1) for j in range(1, columns + 1)
+    ]
+    return "\n".join(f"  [{place}] = {entry}" for place, entry in zip(places, expression, strict=True))
 
 
 @dataclass(frozen=True)
@@ -56,14 +71,17 @@ class Step:
         return rf"$\displaystyle {self.latex()}$"
 
     def __str__(self) -> str:
-        return f"{self.title}: {self.name} =\n{sympy.pretty(self.expression)}\n{self.explanation}"
+        return f"{self.title}\n  {self.explanation}\n{self.name} =\n{_text(self.expression)}"
 
 
 @dataclass(frozen=True)
 class Derivation:
     """The equations of motion M(q) a + n(q, v) = inputs, and how they came about.
 
-    `derivation["M"]` is the step of that name.
+    `derivation["M"]` is the step of that name. Up to three joints every expression is simplified. Beyond,
+    each entry of a result has a name, by which later steps refer to it: omega_2x is the first entry of the
+    step omega_2. A superscript marks the same quantity in another motion: M1 with nothing but a unit
+    acceleration of joint 1, n without acceleration.
 
     Attributes
     ----------
@@ -78,7 +96,7 @@ class Derivation:
     nonlinear_effects : sympy.ImmutableMatrix, shape (n, 1)
         n(q, v): centrifugal, Coriolis and gravitational terms [N or N m].
     assignments : tuple of (sympy.Symbol, sympy.Expr)
-        Names given to intermediate results, each in terms of earlier ones; empty for up to three joints.
+        The names of intermediate results, each in terms of earlier ones; empty for up to three joints.
     """
 
     chain: Chain
@@ -112,7 +130,7 @@ class Derivation:
         for step in self.steps:
             if step.name == name:
                 return step
-        raise UnknownName("step", name, [step.name for step in self.steps])
+        raise UnknownName("step", str(name), [step.name for step in self.steps])
 
     def written_out(self, expression: Expr | ImmutableMatrix) -> Expr | ImmutableMatrix:
         """Return `expression` with every name of `assignments` replaced by what it stands for.
@@ -125,12 +143,15 @@ class Derivation:
         return expression.xreplace(full)
 
     def numeric(self) -> Numeric:
-        """Return M, n and the inputs as fast functions of arrays."""
+        """Return M, n and the inputs as fast functions of arrays; keep it, as it keeps what it compiles."""
         return Numeric(self)
 
     def latex(self) -> str:
         """Return all steps as one LaTeX environment."""
-        lines = (rf"&\text{{{step.title}}} & {step.latex()}" for step in self.steps)
+        lines = (
+            rf"&\text{{{step.title}}}\quad & {step.symbol} &= {_latex(step.expression)}"
+            for step in self.steps
+        )
         return "\\begin{alignat*}{2}\n" + " \\\\\n".join(lines) + "\n\\end{alignat*}"
 
     def _repr_latex_(self) -> str:

@@ -15,16 +15,11 @@ Matrices = tuple[ImmutableMatrix, ImmutableMatrix]
 
 
 class Treatment(Protocol):
-    """What becomes of each result.
-
-    Attributes
-    ----------
-    meanings : mapping of sympy.Symbol to sympy.Expr
-        The symbols that stand for results, in the order in which they were introduced, and what for.
-    """
+    """What becomes of each result."""
 
     @property
-    def meanings(self) -> Mapping[Symbol, Expr]: ...
+    def meanings(self) -> Mapping[Symbol, Expr]:
+        """The symbols that stand for results, in the order in which they came up, and what they stand for."""
 
     def take(self, name: str, result: ImmutableMatrix) -> Matrices:
         """Return what later steps are to use in the place of `result`, and what the reader is to see."""

@@ -1,20 +1,20 @@
 """The inner loop: one row of numbers per sample, few NumPy calls per step.
 
-Where plant, controller and integrator are the library's own, everything runs in the order of Pinocchio's
-chain, feedback and step are one matrix product each, and the records are put back into public order at the
-end. Anything else is called as it is, in public order. Both follow the same lines of `Loop.run`.
+Where plant and integrator are the library's own, everything runs in the order of Pinocchio's chain, and the
+records are put back into public order at the end; feedback and step of the library's own are one matrix
+product each. Whatever a user brings is called in public order. All follow the same lines of `Loop.run`.
 """
 
 from collections.abc import Callable
 from math import isfinite
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from pinmobile.arrays import Array, wrap_angle
 from pinmobile.controllers import PD, ComputedTorque, Controller, gain_matrix, planar_difference
 from pinmobile.errors import InvalidArgument
-from pinmobile.integrators import Integrator, OneStage, rk4
+from pinmobile.integrators import Integrator, RungeKuttaNystrom
 from pinmobile.robot import MobileRobot
 from pinmobile.trajectories import Reference
 
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from pinmobile.simulation.closed_loop import Plant
 
 __all__ = ["Loop"]
+
+Forward: TypeAlias = Callable[[Array, Array, Array], Array]
+Advance: TypeAlias = Callable[[int, Array, Array, Array, Array, Array, Array], None]
 
 
 class Loop:
@@ -49,36 +52,38 @@ class Loop:
     ) -> None:
         self.nq, self.nv, self.last = plant.nq, plant.nv, len(t) - 1
         self.adds = isinstance(plant, MobileRobot)
-        native = _is_native(plant, controller, integrator)
-        self.order = plant._engine.order if native else None  # type: ignore[attr-defined]
-        self.rows = np.empty((len(t), self.nq + 2 * self.nv))
+        # A table treats all coordinates alike; what a user's integrator does with their order is not known.
+        chained = isinstance(plant, MobileRobot) and isinstance(integrator, RungeKuttaNystrom)
+        self.order = plant._engine.order if chained else None  # type: ignore[attr-defined]
+        self.rows = np.empty((len(t) + 1, self.nq + 2 * self.nv))  # one to spare: each has a next one
         self.forces = np.empty((len(t), plant.nu))
         self.rows[0, : self.nq + self.nv] = np.concatenate([self._reordered(q0), self._reordered(v0)])
         self.desired = np.hstack([self._reordered(reference.q), self._reordered(reference.v)])
-        self.forward = plant._engine.forward if native else _forward(plant)  # type: ignore[attr-defined]
-        self.control = (
-            _feedback(controller, self.desired, self._reordered(reference.a), np.asarray(self.order))
-            if native
-            else _asked(controller, reference, t, plant.nu)
-        )
-        if isinstance(integrator, OneStage) and substeps == 1 and self.adds:
-            self.advance = _matrix_step(integrator, self.rows, dt)
+        self.forward = plant._engine.forward if chained else _forward(plant)  # type: ignore[attr-defined]
+        if chained and _is_known(controller):
+            accelerations = self._reordered(reference.a)
+            self.control = _feedback(controller, self.desired, accelerations, np.asarray(self.order))
         else:
-            add = None if self.adds else plant.integrate
-            self.advance = _integrated(integrator, self.rows, self.forward, t, dt, substeps, add)
+            self.control = _asked(controller, reference, t, plant.nu, self.order)
+        if isinstance(integrator, RungeKuttaNystrom) and self.adds:
+            self.advance = _tabled_steps(integrator, self.forward, self.nv, dt, substeps)
+        elif self.adds:
+            self.advance = _steps(integrator, self.forward, t, dt, substeps)
+        else:
+            self.advance = _steps_between_configurations(integrator, plant, t, dt, substeps)
 
     def run(self, begin: int, end: int) -> None:
         """Fill the samples from `begin` to before `end`, and the state at `end`."""
         nq, n, last = self.nq, self.nq + self.nv, self.last
         control, forward, advance = self.control, self.forward, self.advance
-        rows, forces = self.rows[begin:end], self.forces[begin:end]
+        rows, following = self.rows[begin:end], self.rows[begin + 1 : end + 1, :n]
         # Views that come from iteration cost half of those that come from indexing.
-        parts = rows, rows[:, :nq], rows[:, nq:n], rows[:, :n], rows[:, n:], forces
-        for k, (row, q, v, state, acceleration, held) in enumerate(zip(*parts, strict=True), begin):
+        parts = rows, rows[:, :nq], rows[:, nq:n], rows[:, :n], rows[:, n:], following, self.forces[begin:end]
+        for k, (row, q, v, state, acceleration, after, held) in enumerate(zip(*parts, strict=True), begin):
             held[:] = force = control(k, state, q, v)
             acceleration[:] = a = forward(q, v, force)
             if k < last:
-                advance(k, row, q, v, force, a)
+                advance(k, row, q, v, force, a, after)
 
     def samples(self, begin: int, end: int) -> tuple[Array, Array, Array, Array]:
         """Return q, v, a and tau of the samples, in public order, one row each."""
@@ -100,19 +105,17 @@ class Loop:
         return self.adds and near and isfinite(rows[:, n:].sum() + self.forces[begin:end].sum())
 
 
-def _is_native(plant: object, controller: object, integrator: object) -> bool:
-    """Tell whether all of the loop is the library's own, so that it may run in the order of the chain."""
+def _is_known(controller: object) -> bool:
+    """Tell whether the controller is the library's own in every part."""
     return (
-        isinstance(plant, MobileRobot)
-        and isinstance(controller, PD | ComputedTorque)
+        isinstance(controller, PD | ComputedTorque)
         # Both act on the third coordinate alone or on none, which is psi in either order.
         and (controller.difference is planar_difference or controller.difference is np.subtract)
-        and isinstance(getattr(controller, "robot", plant), MobileRobot)
-        and (isinstance(integrator, OneStage) or integrator is rk4)
+        and (isinstance(controller, PD) or isinstance(controller.robot, MobileRobot))
     )
 
 
-def _forward(plant: "Plant") -> Callable[[Array, Array, Array], Array]:
+def _forward(plant: "Plant") -> Forward:
     """Return forward dynamics in public order, unchecked where the plant allows."""
     if not isinstance(plant, MobileRobot):
         return plant.forward_dynamics
@@ -122,21 +125,22 @@ def _forward(plant: "Plant") -> Callable[[Array, Array, Array], Array]:
 
 
 def _asked(
-    controller: Controller, reference: Reference, t: Array, nu: int
+    controller: Controller, reference: Reference, t: Array, nu: int, order: Any
 ) -> Callable[[int, Array, Array, Array], Array]:
-    """Return the force of any controller, which gets copies that are its own."""
+    """Return the force of any controller, which gets copies that are its own, in public order."""
     times, state = t.tolist(), controller.initial_state()
     references = map(Reference, *reference)  # `control` is called once per sample, in order
     shape = (nu,)
 
     def control(k: int, row: Array, q: Array, v: Array) -> Array:
         nonlocal state
-        force, state = controller(times[k], q.copy(), v.copy(), next(references), state)
+        own_q, own_v = (q.copy(), v.copy()) if order is None else (q[order], v[order])
+        force, state = controller(times[k], own_q, own_v, next(references), state)
         if type(force) is not np.ndarray or force.shape != shape:
             raise InvalidArgument(
                 f"controller returned {force!r} at t = {times[k]:g} s, expected an array of shape {shape}"
             )
-        return force
+        return force if order is None else force[order]
 
     return control
 
@@ -167,50 +171,78 @@ def _feedback(
     return control
 
 
-def _matrix_step(
-    integrator: OneStage, rows: Array, dt: float
-) -> Callable[[int, Array, Array, Array, Array, Array], None]:
-    """Return the step of a one-stage method as a matrix that maps (q, v, a) to the next (q, v)."""
-    n = rows.shape[1] // 3
-    eye, zero = np.eye(n), np.zeros((n, n))
-    step = np.block([[eye, dt * eye, integrator.weight * dt * dt * eye], [zero, eye, dt * eye]]).dot
-    states = rows[:, : 2 * n]
+def _tabled_steps(table: RungeKuttaNystrom, forward: Forward, n: int, dt: float, substeps: int) -> Advance:
+    """Return `substeps` steps of a tabled method, one matrix product per stage.
 
-    def advance(k: int, row: Array, q: Array, v: Array, force: Array, a: Array) -> None:
-        step(row, states[k + 1])
+    The work row is (q, v, a_1, ..., a_s); each matrix maps the part that is known to a state.
+    """
+    h = dt / substeps
+    work, state = np.empty((2 + len(table.nodes)) * n), np.empty(2 * n)
+    stages = [
+        (_state_matrix(c, by_q, by_v, h, n), work[: (2 + i) * n], work[(2 + i) * n : (3 + i) * n])
+        for i, (c, by_q, by_v) in enumerate(zip(table.nodes, table.stages_q, table.stages_v, strict=True))
+    ][1:]
+    finish = _state_matrix(1.0, table.weights_q, table.weights_v, h, n)
+    stage_q, stage_v = state[:n], state[n:]
+    start, first = work[: 2 * n], work[2 * n : 3 * n]
+
+    def one_product(k: int, row: Array, q: Array, v: Array, force: Array, a: Array, after: Array) -> None:
+        finish(row, after)
+
+    def advance(k: int, row: Array, q: Array, v: Array, force: Array, a: Array, after: Array) -> None:
+        work[: 3 * n] = row
+        for j in range(substeps):
+            if j:
+                start[:] = after
+                first[:] = forward(start[:n], start[n:], force)
+            for product, known, found in stages:
+                product(known, state)
+                found[:] = forward(stage_q, stage_v, force)
+            finish(work, after)
+
+    return advance if stages or substeps > 1 else one_product
+
+
+def _state_matrix(
+    c: float, by_q: tuple[float, ...], by_v: tuple[float, ...], h: float, n: int
+) -> Callable[[Array, Array], Array]:
+    """Return the product with the matrix that maps (q, v, a_1, ...) to a state (q, v)."""
+    rows = [[1.0, c * h, *(weight * h * h for weight in by_q)], [0.0, 1.0, *(weight * h for weight in by_v)]]
+    return np.kron(rows, np.eye(n)).dot
+
+
+def _steps(integrator: Integrator, forward: Forward, t: Array, dt: float, substeps: int) -> Advance:
+    """Return `substeps` steps of any integrator, for configurations that simply add."""
+    times, h = t.tolist(), dt / substeps
+
+    def advance(k: int, row: Array, q: Array, v: Array, force: Array, a: Array, after: Array) -> None:
+        def acceleration(time: float, x: Array, w: Array) -> Array:
+            return a if x is q and w is v else forward(x, w, force)
+
+        x, w = q, v
+        for j in range(substeps):
+            x, w = integrator(acceleration, times[k] + j * h, x, w, h)
+        after[: len(q)] = x
+        after[len(q) :] = w
 
     return advance
 
 
-def _integrated(
-    integrator: Integrator,
-    rows: Array,
-    forward: Callable[[Array, Array, Array], Array],
-    t: Array,
-    dt: float,
-    substeps: int,
-    add: Callable[[Array, Array], Array] | None,
-) -> Callable[[int, Array, Array, Array, Array, Array], None]:
-    """Return `substeps` steps of any integrator.
+def _steps_between_configurations(
+    integrator: Integrator, plant: "Plant", t: Array, dt: float, substeps: int
+) -> Advance:
+    """Return `substeps` steps of any integrator, which sees the displacement from the start of its step."""
+    times, h, rest = t.tolist(), dt / substeps, np.zeros(plant.nv)
 
-    Where configurations do not simply add, `add(q, dq)` does it, and the integrator sees the displacement
-    from the start of its step.
-    """
-    times, h = t.tolist(), dt / substeps
-
-    def advance(k: int, row: Array, q: Array, v: Array, force: Array, a: Array) -> None:
-        def acceleration(time: float, x: Array, w: Array) -> Array:
-            if x is start and w is v:
-                return a  # known already
-            return forward(x if add is None else add(base, x), w, force)
+    def advance(k: int, row: Array, q: Array, v: Array, force: Array, a: Array, after: Array) -> None:
+        def acceleration(time: float, displacement: Array, w: Array) -> Array:
+            return plant.forward_dynamics(plant.integrate(base, displacement), w, force)
 
         base, w = q, v
-        start = q if add is None else np.zeros(len(v))
         for j in range(substeps):
-            x, w = integrator(acceleration, times[k] + j * h, start, w, h)
-            base = x if add is None else add(base, x)
-            start = base if add is None else np.zeros(len(v))
-        rows[k + 1, : len(q)] = base
-        rows[k + 1, len(q) : len(q) + len(v)] = w
+            displacement, w = integrator(acceleration, times[k] + j * h, rest.copy(), w, h)
+            base = plant.integrate(base, displacement)
+        after[: len(q)] = base
+        after[len(q) :] = w
 
     return advance

@@ -1,0 +1,654 @@
+"""The symbolic derivation against the lecture, hand formulas, time derivatives, Lagrange and Pinocchio."""
+
+import pickle
+import re
+from collections.abc import Callable, Sequence
+from math import pi
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import sympy
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+from sympy import Expr, ImmutableMatrix, Matrix, cos, sin, symbols, zeros
+
+from pinmobile.arrays import Array
+from pinmobile.derivation import Derivation, Link, Step, derive, difference, lagrange, lecture
+from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHRow, DHTable, JointType
+from pinmobile.errors import InvalidArgument, UnknownName
+
+Numbers = tuple[float, float, float, float, JointType]
+
+R, P = JointType.REVOLUTE, JointType.PRISMATIC
+
+m, xbc, ybc, Icz = symbols("m xbc ybc Icz")
+x, y, psi = symbols("x y psi")
+xd, yd, psid = symbols("xdot ydot psidot")
+xdd, ydd, psidd = symbols("xddot yddot psiddot")
+c, s = cos(psi), sin(psi)
+
+LECTURE_M = Matrix(
+    [
+        [m, 0, -m * (ybc * c + xbc * s)],
+        [0, m, m * (xbc * c - ybc * s)],
+        [-m * (ybc * c + xbc * s), m * (xbc * c - ybc * s), m * (xbc**2 + ybc**2) + Icz],
+    ]
+)
+LECTURE_N = Matrix([-m * psid**2 * (xbc * c - ybc * s), -m * psid**2 * (ybc * c + xbc * s), 0])
+
+TWISTED = DHTable(
+    (
+        DHRow(0, 0, 0, 0.3, R, "q1"),
+        DHRow(pi / 2, 0.4, pi / 6, 0.1, R, "q2"),
+        DHRow(-pi / 3, 0.2, 0, 0.5, P, "q3"),
+    )
+)
+"""Two revolute joints with twisted axes and a sliding one on top."""
+
+
+def rr() -> Derivation:
+    """Return a planar arm of two revolute joints in a vertical plane.
+
+    y
+    |      /o  link 2, lc2 to its centre of mass
+    |  q2 /
+    |  __o     link 1, length 0.7 m
+    | /  q1
+    o--------- x
+    """
+    table = DHTable((DHRow(0, 0, 0, 0, R, "q1"), DHRow(0, 0.7, 0, 0, R, "q2")))
+    m1, m2, lc1, lc2, I1, I2, g = symbols("m1 m2 lc1 lc2 I1 I2 g")
+    links = [Link(m1, (lc1, 0, 0), sympy.diag(0, 0, I1)), Link(m2, (lc2, 0, 0), sympy.diag(0, 0, I2))]
+    return derive(table, links, gravity=(0, -g, 0))
+
+
+def is_zero(expression: Expr | ImmutableMatrix) -> bool:
+    simplified = sympy.simplify(expression)
+    return bool(simplified == 0 * simplified)
+
+
+def in_time(derivation: Derivation, expression: ImmutableMatrix) -> ImmutableMatrix:
+    """Return the derivative with respect to time."""
+    chain = derivation.chain
+    rates = [(q, v) for q, v in zip(chain.q + chain.v, chain.v + chain.a, strict=True)]
+    return sum((expression.diff(symbol) * rate for symbol, rate in rates), zeros(*expression.shape))
+
+
+def random_body(rng: np.random.Generator) -> Any:
+    return pin.Inertia(rng.uniform(0.5, 3), rng.uniform(-0.3, 0.3, 3), random_inertia(rng))
+
+
+def random_inertia(rng: np.random.Generator) -> Array:
+    # A cloud of points has the inertia of a body.
+    points = rng.normal(size=(8, 3)) * 0.2
+    return np.asarray(np.einsum("ij,ij,kl->kl", points, points, np.eye(3)) - points.T @ points, np.float64)
+
+
+def pinocchio_model(table: DHTable, bodies: Sequence[Any | None], gravity: Sequence[float]) -> Any:
+    model = pin.Model()
+    model.gravity.linear = np.array(gravity, dtype=float)
+    parent = 0
+    for row, T, body in zip(table, table.transforms(np.zeros(len(table))), bodies, strict=True):
+        joint = pin.JointModelRZ() if row.joint is R else pin.JointModelPZ()
+        parent = model.addJoint(parent, joint, pin.SE3(T), row.variable)
+        if body is not None:
+            model.appendBodyToJoint(parent, body, pin.SE3.Identity())
+    return model
+
+
+def general_parameters(bodies: Sequence[Any | None]) -> dict[str, float]:
+    """Return the values of the symbols of `Link.general` for the bodies."""
+    params = {}
+    for k, body in enumerate(bodies, 1):
+        if body is not None:
+            params[f"m{k}"] = body.mass
+            params |= {f"{axis}c{k}": body.lever[i] for i, axis in enumerate("xyz")}
+            params |= {
+                f"I{a}{b}{k}": body.inertia[i, j]
+                for i, a in enumerate("xyz")
+                for j, b in enumerate("xyz")
+                if i <= j
+            }
+    return params
+
+
+def assert_same_as_pinocchio(
+    derivation: Derivation,
+    bodies: Sequence[Any | None],
+    gravity: Sequence[float],
+    rng: np.random.Generator,
+) -> None:
+    params = general_parameters(bodies)
+    model = pinocchio_model(derivation.chain.table, bodies, gravity)
+    data, numeric = model.createData(), derivation.numeric()
+    q, v, a = rng.normal(size=(3, 5, model.nv)) * 2
+    M, n = numeric.mass_matrix(q, params), numeric.nonlinear_effects(q, v, params)
+    tau = numeric.inverse_dynamics(q, v, a, params)
+    for i in range(len(q)):
+        expected = pin.rnea(model, data, q[i], v[i], a[i])
+        scale = 1e-10 * max(np.abs(expected).max(), 1e-3)
+        np.testing.assert_allclose(tau[i], expected, rtol=0, atol=scale)
+        np.testing.assert_allclose(n[i], pin.nonLinearEffects(model, data, q[i], v[i]), rtol=0, atol=scale)
+        upper = np.triu(pin.crba(model, data, q[i]))
+        np.testing.assert_allclose(M[i], upper + np.triu(upper, 1).T, rtol=0, atol=1e-10 * upper.max())
+
+
+# The lecture
+
+
+@pytest.mark.parametrize("table", [LECTURE_TABLE, SLIDE_TABLE])
+def test_lecture_has_exactly_its_mass_matrix_and_nonlinear_effects(table: DHTable) -> None:
+    derivation = lecture(table)
+    assert is_zero(derivation.mass_matrix - LECTURE_M)
+    assert is_zero(derivation.nonlinear_effects - LECTURE_N)
+    assert is_zero(derivation.inputs - LECTURE_M * Matrix([xdd, ydd, psidd]) - LECTURE_N)
+    assert derivation.q == (x, y, psi)
+    assert derivation.v == (xd, yd, psid)
+    assert derivation.a == (xdd, ydd, psidd)
+    assert derivation.parameters == (m, xbc, ybc, Icz)
+    assert derivation.chain.q == (y, x, psi)
+
+
+def test_lecture_prints_the_factored_form() -> None:
+    M, n = lecture().mass_matrix, lecture().nonlinear_effects
+    assert M == LECTURE_M
+    assert str(M[0, 2]) == "-m*(xbc*sin(psi) + ybc*cos(psi))"
+    assert str(M[2, 2]) == "Icz + m*(xbc**2 + ybc**2)"
+    assert str(n[0]) == "-m*psidot**2*(xbc*cos(psi) - ybc*sin(psi))"
+
+
+def test_lecture_steps_have_the_expressions_of_the_script() -> None:
+    derivation = lecture()
+
+    def at(name: str) -> Expr | ImmutableMatrix:
+        return derivation[name].expression
+
+    assert at("T_0_1") == ImmutableMatrix([[0, 1, 0, 0], [0, 0, 1, y], [1, 0, 0, 0], [0, 0, 0, 1]])
+    assert at("T_1_2") == ImmutableMatrix([[0, -1, 0, 0], [0, 0, 1, x], [-1, 0, 0, 0], [0, 0, 0, 1]])
+    assert at("T_2_3") == ImmutableMatrix([[-s, -c, 0, 0], [0, 0, -1, 0], [c, -s, 0, 0], [0, 0, 0, 1]])
+    assert at("T_0_3") == ImmutableMatrix([[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, 0], [0, 0, 0, 1]])
+    assert at("p") == ImmutableMatrix([x, y, 0])
+    assert (at("n"), at("s"), at("a")) == (
+        ImmutableMatrix([c, s, 0]),
+        ImmutableMatrix([-s, c, 0]),
+        ImmutableMatrix([0, 0, 1]),
+    )
+    assert at("v_0_3") == ImmutableMatrix([xd, yd, 0])
+    assert at("omega_0_3") == ImmutableMatrix([0, 0, psid])
+    assert at("a_0_3") == ImmutableMatrix([xdd, ydd, 0])
+    assert at("alpha_0_3") == ImmutableMatrix([0, 0, psidd])
+    assert at("v_3") == ImmutableMatrix([xd * c + yd * s, -xd * s + yd * c, 0])
+    assert at("N_3") == ImmutableMatrix([0, 0, Icz * psidd])
+    assert at("tau_1") == derivation.inputs[1]
+    assert at("tau_2") == derivation.inputs[0]
+    assert at("tau_3") == derivation.inputs[2]
+
+
+def test_lecture_steps_come_in_its_order() -> None:
+    kinematics = "T_0_1 T_1_2 T_2_3 T_0_2 T_0_3 p n s a omega_1 omega_2 omega_3 omega_0_3 v_1 v_2 v_3 v_0_3"
+    accelerations = "alpha_1 alpha_2 alpha_3 alpha_0_3 a_1 a_2 a_3 a_0_3 a_c3"
+    forces = "F_3 N_3 f_3 f_2 f_1 f_0 n_3 n_2 n_1 n_0 tau_1 tau_2 tau_3 M n_v"
+    names = [step.name for step in lecture().steps]
+    assert names == f"{kinematics} {accelerations} {forces}".split()
+
+
+def test_shaking_force_and_moment_are_the_rates_of_the_momenta() -> None:
+    derivation = lecture()
+    com = Matrix([x + xbc * c - ybc * s, y + xbc * s + ybc * c, 0])
+    momentum = m * in_time(derivation, com)
+    angular = com.cross(momentum) + Matrix([0, 0, Icz * psid])
+    assert is_zero(derivation["f_0"].expression - in_time(derivation, momentum))
+    assert is_zero(derivation["n_0"].expression - in_time(derivation, angular))
+
+
+def test_lecture_is_derived_once() -> None:
+    assert lecture() is lecture(LECTURE_TABLE)
+
+
+def test_lecture_as_numbers_is_the_hand_derived_form() -> None:
+    rng = np.random.default_rng(3)
+    q, v, a = rng.normal(size=(3, 40, 3)) * 4
+    params = {"m": 30.0, "xbc": 0.1, "ybc": -0.05, "Icz": 1.3}
+    C, S = np.cos(q[:, 2]), np.sin(q[:, 2])
+    along, across = 0.1 * C + 0.05 * S, 0.1 * S - 0.05 * C
+    tau = 30 * np.stack(
+        [
+            a[:, 0] - across * a[:, 2] - along * v[:, 2] ** 2,
+            a[:, 1] + along * a[:, 2] - across * v[:, 2] ** 2,
+            -across * a[:, 0] + along * a[:, 1] + (0.1**2 + 0.05**2 + 1.3 / 30) * a[:, 2],
+        ],
+        axis=-1,
+    )
+    np.testing.assert_allclose(lecture().numeric().inverse_dynamics(q, v, a, params), tau, rtol=0, atol=1e-12)
+
+
+# Motion: what the recursion propagates are derivatives with respect to time
+
+
+CHAINS = {
+    "twisted RRP": TWISTED,
+    "turntable RP": DHTable((DHRow(0, 0, 0, 0, R, "phi"), DHRow(pi / 2, 0.2, 0, 0.1, P, "r"))),
+    "PR with a free angle": DHTable((DHRow(0.3, 0.1, 0.2, 0, P, "d"), DHRow(-0.7, 0.2, 0.1, 0.4, R, "phi"))),
+}
+
+
+@pytest.mark.parametrize("name", CHAINS)
+def test_velocities_and_accelerations_in_the_base_are_time_derivatives(name: str) -> None:
+    table = CHAINS[name]
+    derivation, last = derive(table, [None] * len(table)), len(table)
+
+    def at(name: str) -> ImmutableMatrix:
+        return derivation[name].expression
+
+    rotation = at(f"T_0_{last}")[:3, :3]
+    spin = in_time(derivation, rotation) * rotation.T
+    for expected, found in (
+        (in_time(derivation, at("p")), at(f"v_0_{last}")),
+        (in_time(derivation, at(f"v_0_{last}")), at(f"a_0_{last}")),
+        (Matrix([spin[2, 1], spin[0, 2], spin[1, 0]]), at(f"omega_0_{last}")),
+        (in_time(derivation, at(f"omega_0_{last}")), at(f"alpha_0_{last}")),
+    ):
+        values = {
+            symbol: sympy.Rational(k, 7) for k, symbol in enumerate(sorted(expected.free_symbols, key=str), 1)
+        }
+        residual = np.array((expected - found).subs(values).evalf(30), dtype=float)
+        assert np.abs(residual).max() < 1e-20
+        assert any(found)
+
+
+def test_gyroscopic_term_is_turned_before_the_cross_product() -> None:
+    # The lecture has R'(a2 + w2 x z psi_dot): the rate is along the z axis of the next frame, not of this.
+    derivation = derive(TWISTED, [None] * 3)
+    rotation = derivation["T_1_2"].expression[:3, :3]
+    omega, alpha = derivation["omega_1"].expression, derivation["alpha_1"].expression
+    _, v2, _ = derivation.v
+    _, a2, _ = derivation.a
+    z = Matrix([0, 0, 1])
+    of_the_lecture = rotation.T * (alpha + omega.cross(z * v2)) + z * a2
+    pose = derivation["T_0_2"].expression[:3, :3]
+    right = in_time(derivation, pose * derivation["omega_2"].expression)
+    assert is_zero(pose * derivation["alpha_2"].expression - right)
+    assert not is_zero(pose * of_the_lecture - right)
+
+
+# Equations of motion
+
+
+def test_two_link_arm_has_the_textbook_equations() -> None:
+    derivation = rr()
+    m1, m2, lc1, lc2, I1, I2, g = symbols("m1 m2 lc1 lc2 I1 I2 g")
+    (q1, q2), (v1, v2), l1 = derivation.q, derivation.v, sympy.Rational(7, 10)
+    h = m2 * l1 * lc2 * sin(q2)
+    M11 = m1 * lc1**2 + m2 * (l1**2 + lc2**2 + 2 * l1 * lc2 * cos(q2)) + I1 + I2
+    M12 = m2 * (lc2**2 + l1 * lc2 * cos(q2)) + I2
+    weight = (m1 * lc1 + m2 * l1) * g * cos(q1) + m2 * lc2 * g * cos(q1 + q2)
+    n = [-h * v2**2 - 2 * h * v1 * v2 + weight, h * v1**2 + m2 * lc2 * g * cos(q1 + q2)]
+    # Spong, Hutchinson, Vidyasagar, Robot Modeling and Control, 2006, section 6.4.2.
+    assert is_zero(derivation.mass_matrix - Matrix([[M11, M12], [M12, m2 * lc2**2 + I2]]))
+    assert is_zero(derivation.nonlinear_effects - Matrix(n))
+    assert derivation["T_0_2"].expression[0, 0] == cos(q1 + q2)
+
+
+@pytest.mark.parametrize("order", [None, ("x", "y", "psi")])
+@pytest.mark.parametrize("table", [LECTURE_TABLE, SLIDE_TABLE])
+def test_lagrange_confirms_the_lecture(table: DHTable, order: tuple[str, ...] | None) -> None:
+    body = Link(m, (xbc, ybc, 0), sympy.diag(0, 0, Icz))
+    derivation = derive(table, (None, None, body), order=order)
+    confirmation = lagrange(derivation)
+    assert difference(confirmation, derivation) == zeros(3, 1)
+    assert confirmation.mass_matrix == derivation.mass_matrix
+    assert confirmation.nonlinear_effects == derivation.nonlinear_effects
+    assert "psidot**2*(Icz/2 + m*(xbc**2 + ybc**2)/2)" in str(confirmation["K"].expression)
+    assert "T_0_3" in [step.name for step in confirmation.steps]
+    with pytest.raises(UnknownName, match="f_0"):
+        confirmation["f_0"]
+
+
+def test_lagrange_confirms_general_links_under_gravity() -> None:
+    arm = derive(DHTable(TWISTED.rows[:2]), gravity=(0, 0.1, -symbols("g")))
+    assert difference(arm, lagrange(arm)) == zeros(2, 1)
+    assert difference(rr(), lagrange(rr())) == zeros(2, 1)
+
+
+def test_difference_sees_a_wrong_term() -> None:
+    table = LECTURE_TABLE
+    links = (None, None, Link(m, (xbc, ybc, 0), sympy.diag(0, 0, 2 * Icz)))
+    other = derive(table, links, order=("x", "y", "psi"))
+    assert difference(other, lecture()) == Matrix([0, 0, Icz * psidd])
+    assert difference(lecture(), lecture(SLIDE_TABLE)) == zeros(3, 1)
+    with pytest.raises(InvalidArgument, match="coordinates are"):
+        difference(derive(table, links), lecture())
+
+
+def test_spatial_chain_is_pinocchios() -> None:
+    rng, gravity = np.random.default_rng(5), (0.0, -9.81, 0.0)
+    bodies = [random_body(rng) for _ in TWISTED]
+    derivation = derive(TWISTED, gravity=gravity)
+    assert derivation.assignments == ()
+    assert_same_as_pinocchio(derivation, bodies, gravity, rng)
+    assert_same_as_pinocchio(lagrange(derivation), bodies, gravity, rng)
+
+
+SIX = DHTable(
+    (
+        DHRow(0, 0, 0, 0.4, R, "q1"),
+        DHRow(-pi / 2, 0.1, 0.3, 0, R, "q2"),
+        DHRow(0.2, 0.5, 0, 0.1, P, "q3"),
+        DHRow(pi / 2, 0.05, 1.1, 0.4, R, "q4"),
+        DHRow(-pi / 2, 0, 0, 0.1, R, "q5"),
+        DHRow(pi / 4, 0.02, 0, 0.1, P, "q6"),
+    )
+)
+
+
+def test_six_joints_are_pinocchios_and_no_expression_is_long() -> None:
+    rng, gravity = np.random.default_rng(6), (0.0, 1.0, -9.81)
+    bodies = [random_body(rng) for _ in SIX]
+    derivation = derive(SIX, gravity=gravity)
+    assert_same_as_pinocchio(derivation, bodies, gravity, rng)
+    assert max(value.count_ops() for _, value in derivation.assignments) < 60
+    assert len(derivation.assignments) < 1000
+
+
+def test_four_joints_by_lagrange_are_pinocchios() -> None:
+    rng, gravity = np.random.default_rng(8), (0.0, 0.5, -9.81)
+    table = DHTable(SIX.rows[:4])
+    bodies = [random_body(rng), None, random_body(rng), random_body(rng)]
+    links = [Link.general(k) if body else None for k, body in enumerate(bodies, 1)]
+    confirmation = lagrange(derive(table, links, gravity=gravity))
+    assert_same_as_pinocchio(confirmation, bodies, gravity, rng)
+    with pytest.raises(InvalidArgument, match="3 at most"):
+        difference(confirmation, confirmation)
+
+
+angles = st.one_of(
+    st.integers(-12, 12).map(lambda k: k * pi / 12), st.floats(-3, 3).map(lambda a: round(a, 2))
+)
+lengths = st.sampled_from([0.0, 0.25, -0.3, 1.0])
+rows = st.tuples(angles, lengths, angles, lengths, st.sampled_from([R, P]))
+
+
+# Not shrunk: a failure would take minutes.
+@settings(max_examples=12, derandomize=True, deadline=None, phases=[Phase.explicit, Phase.generate])
+@given(
+    st.one_of(st.lists(rows, min_size=1, max_size=2), st.lists(rows, min_size=4, max_size=4)),
+    st.integers(0, 2**32 - 1),
+)
+def test_any_table_is_pinocchios(numbers: list[Numbers], seed: int) -> None:
+    rng, gravity = np.random.default_rng(seed), (0.2, -0.1, -9.81)
+    table = DHTable(tuple(DHRow(*row, f"q{k}") for k, row in enumerate(numbers)))
+    bodies = [random_body(rng) if k % 3 != 1 else None for k in range(len(table))]
+    links = [Link.general(k) if body else None for k, body in enumerate(bodies, 1)]
+    assert_same_as_pinocchio(derive(table, links, gravity=gravity), bodies, gravity, rng)
+
+
+def test_written_out_is_free_of_names() -> None:
+    rows = SIX.rows[:3]
+    table = DHTable((*rows, DHRow(pi / 2, 0, 0, 0, P, "q4")))
+    derivation = derive(table, [None, None, None, Link(m, (0, 0, 0), zeros(3, 3))])
+    full = derivation.written_out(derivation.mass_matrix)
+    assert full.free_symbols <= {*derivation.q, m}
+    assert full[3, 3] == m
+    named = {symbol for symbol, _ in derivation.assignments}
+    assert derivation.mass_matrix.free_symbols & named
+    assert {sympy.Symbol("c_1"), sympy.Symbol("omega_2x")} <= named
+    short = lecture()
+    assert short.written_out(short.inputs) == short.inputs
+
+
+# Numbers
+
+
+def test_exact_numbers_leave_no_rounding() -> None:
+    derivation = derive(TWISTED, [None, None, Link(0.1, (0.3, 0, -0.2), sympy.diag(0.1, 0.2, 0.3))])
+    everything = [step.expression for step in derivation.steps]
+    assert not any(expression.atoms(sympy.Float) for expression in everything)
+    assert derivation["T_1_2"].expression[0, 3] == sympy.Rational(2, 5)
+    assert difference(derivation, lagrange(derivation)) == zeros(3, 1)
+
+
+def test_numeric_broadcasts_states_against_parameters() -> None:
+    numeric = lecture().numeric()
+    rng = np.random.default_rng(0)
+    q, v, a = rng.normal(size=(3, 5, 1, 3))
+    params: dict[str, Any] = {
+        "m": rng.uniform(1, 2, 4),
+        "xbc": 0.1,
+        "ybc": rng.normal(size=(2, 1, 1)),
+        "Icz": 0.3,
+    }
+    M = numeric.mass_matrix(q, params)
+    n = numeric.nonlinear_effects(q, v, params)
+    tau = numeric.inverse_dynamics(q, v, a, params)
+    assert (M.shape, n.shape, tau.shape) == ((2, 5, 4, 3, 3), (2, 5, 4, 3), (2, 5, 4, 3))
+    assert M.dtype == n.dtype == np.float64
+    np.testing.assert_array_equal(M[..., 0, 1], 0)
+    np.testing.assert_array_equal(M[..., 1, 1], np.broadcast_to(params["m"], (2, 5, 4)))
+    one = {"m": params["m"][3], "xbc": 0.1, "ybc": params["ybc"][1, 0, 0], "Icz": 0.3}
+    np.testing.assert_allclose(M[1, 2, 3], numeric.mass_matrix(q[2, 0], one), rtol=1e-15)
+    np.testing.assert_allclose(tau, np.einsum("...ij,...j->...i", M, a) + n, atol=1e-14)
+
+
+def test_numeric_broadcasts_where_everything_is_constant() -> None:
+    slider = derive(DHTable((DHRow(0, 0, 0, 0, P, "d"),)), [Link(2, (0, 0, 0), zeros(3, 3))]).numeric()
+    assert slider.mass_matrix(np.ones((4, 2, 1))).tolist() == np.full((4, 2, 1, 1), 2.0).tolist()
+    assert slider.nonlinear_effects(np.ones(1), np.ones((3, 1))).tolist() == np.zeros((3, 1)).tolist()
+    assert slider.inverse_dynamics([1], [1], [3]).tolist() == [6]
+
+
+def test_numeric_survives_names_that_mean_something_else_in_python() -> None:
+    rows = [(0, 0, 0, 0.1, R), (pi / 2, 0.2, 0, 0, R), (0, 0.3, 0, 0, R), (0, 0.3, 0, 0, R)]
+    params = general_parameters([random_body(np.random.default_rng(k)) for k in range(4)])
+    q, v, a = np.random.default_rng(1).normal(size=(3, 4))
+    for size in (2, 4):
+        tau = []
+        for names in (("q1", "q2", "q3", "q4"), ("sin", "x0", "lambda", "c_2")):
+            table = DHTable(tuple(DHRow(*row, name) for row, name in zip(rows[:size], names, strict=False)))
+            derivation = derive(table)
+            given = {k: params[k] for k in map(str, derivation.parameters)}
+            tau.append(derivation.numeric().inverse_dynamics(q[:size], v[:size], a[:size], given))
+        np.testing.assert_allclose(tau[0], tau[1], rtol=1e-13)
+
+
+def test_numeric_travels_to_other_processes() -> None:
+    numeric = lecture().numeric()
+    params = {"m": 30.0, "xbc": 0.0, "ybc": 0.0, "Icz": 0.1}
+    before = numeric.mass_matrix([0, 0, 1], params)
+    after = pickle.loads(pickle.dumps(numeric)).mass_matrix([0, 0, 1], params)
+    np.testing.assert_array_equal(before, after)
+
+
+BODY: dict[str, Any] = {"m": 1.0, "xbc": 0.0, "ybc": 0.0, "Icz": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("q", "params", "error", "message"),
+    [
+        ([1, 2], BODY, InvalidArgument, "q has shape (2,), expected (..., 3)"),
+        ([1, 2, np.nan], BODY, InvalidArgument, "q[2] is nan, expected a finite number"),
+        ([1, 2, 3], {**BODY, "m": np.inf}, InvalidArgument, "params['m'] is inf, expected a finite number"),
+        ([1, 2, 3], {"m": 1}, InvalidArgument, "params lacks xbc, ybc, Icz, expected m, xbc, ybc, Icz"),
+        (
+            [1, 2, 3],
+            {**BODY, "mass": 1},
+            UnknownName,
+            "unknown parameter 'mass', available: m, xbc, ybc, Icz",
+        ),
+        ([1, 2, 3], 3, InvalidArgument, "params is 3, expected a mapping with m, xbc, ybc, Icz"),
+        (
+            np.zeros((2, 3)),
+            {**BODY, "m": np.ones(3)},
+            InvalidArgument,
+            "shapes are q (2, 3), m (3,), xbc (), ybc (), Icz (), expected leading axes that broadcast",
+        ),
+    ],
+)
+def test_numeric_refuses(q: Any, params: Any, error: type[Exception], message: str) -> None:
+    with pytest.raises(error) as caught:
+        lecture().numeric().mass_matrix(q, params)
+    assert str(caught.value) == message
+
+
+# Looking at it
+
+
+def balanced(latex: str) -> bool:
+    depth = 0
+    for brace in re.findall(r"(?<!\\)[{}]", latex):
+        depth += 1 if brace == "{" else -1
+        if depth < 0:
+            return False
+    pairs = ((r"\left", r"\right"), (r"\begin{", r"\end{"))
+    return depth == 0 and all(latex.count(opening) == latex.count(closing) for opening, closing in pairs)
+
+
+@pytest.mark.parametrize(
+    "make", [lecture, lambda: lagrange(lecture()), lambda: derive(SIX)], ids=["lecture", "lagrange", "six"]
+)
+def test_every_step_is_well_formed_latex_and_text(make: Callable[[], Derivation]) -> None:
+    derivation = make()
+    for step in derivation.steps:
+        assert balanced(step.latex())
+        assert step.latex().startswith(step.symbol)
+        assert step._repr_latex_() == rf"$\displaystyle {step.latex()}$"
+        title, explanation, left, *_ = str(step).splitlines()
+        assert (title, explanation, left) == (step.title, f"  {step.explanation}", f"{step.name} =")
+        assert step.explanation.endswith(".")
+        assert "$" not in title + explanation + step.symbol
+    whole = derivation.latex()
+    assert balanced(whole)
+    assert derivation._repr_latex_() == whole
+    assert whole.count(r"\text{") == len(derivation.steps) == str(derivation).count(" =\n")
+    assert "steps" not in repr(derivation)
+
+
+def test_latex_of_the_lecture_has_its_symbols() -> None:
+    derivation = lecture()
+    latex = derivation.latex()
+    for part in (r"{}^{0}T_{1}", r"\dot{\psi}", r"\ddot{\psi}", r"\ddot{x}", "x_{bc}", "I_{cz}", r"\tau_{1}"):
+        assert part in latex
+    assert derivation["omega_3"].latex() == (
+        r"{}^{3}\omega_{3} = \left[\begin{matrix}0\\0\\\dot{\psi}\end{matrix}\right]"
+    )
+    assert r"\dot{q}_{1}" in rr()["n_v"].latex()
+    assert "I_{zz1}" in derive(ONE)["M"].latex()
+
+
+def test_text_is_never_wider_than_the_terminal_but_for_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "120")
+    assert str(lecture()["M"]).count("\n") == 8
+    monkeypatch.setenv("COLUMNS", "60")
+    assert "  [1, 3] = -m*(xbc*sin(psi) + ybc*cos(psi))\n" in str(lecture()["M"])
+    assert "  [3] = -m*psidot**2*(" in str(lecture()["n_0"])
+    assert str(lecture()["tau_3"]).splitlines()[-1].startswith("-m*xddot*(")
+
+
+def test_steps_are_looked_up_by_name() -> None:
+    step = lecture()["alpha_3"]
+    assert isinstance(step, Step)
+    assert step.expression == Matrix([0, 0, psidd])
+    with pytest.raises(UnknownName, match="unknown step 'alpha_4', available: alpha_3, alpha_2, alpha_1, "):
+        lecture()["alpha_4"]
+
+
+def test_explanations_know_the_joint() -> None:
+    derivation = lecture()
+    assert "plus the rate about z_3" in derivation["omega_3"].explanation
+    assert derivation["omega_2"].explanation == "That of frame 1, turned into frame 2."
+    assert "Coriolis" in derivation["a_2"].explanation
+    assert "gyroscopic" in derivation["alpha_3"].explanation
+    assert derivation["tau_1"].explanation.startswith("The joint of y is prismatic: ")
+    assert derivation["M"].explanation.endswith("of (x, y, psi) in the inputs (tau_2, tau_1, tau_3).")
+
+
+# Arguments
+
+
+ONE = DHTable((DHRow(0, 0, 0, 0, R, "q1"),))
+PAIR = DHTable((DHRow(0, 0, 0, 0, R, "q1"), DHRow(0, 1, 0, 0, R, "q2")))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ({"table": [1]}, InvalidArgument, "table is [1], expected a DHTable"),
+        ({"links": [None, None]}, InvalidArgument, "links is (None, None), expected 1 of Link or None"),
+        ({"links": [3]}, InvalidArgument, "links is (3,), expected 1 of Link or None"),
+        ({"links": 3}, InvalidArgument, "links is 3, expected a sequence"),
+        ({"order": "q1"}, InvalidArgument, "order is 'q1', expected a sequence"),
+        ({"order": ["q7"]}, UnknownName, "unknown variable 'q7', available: q1"),
+        ({"order": [7]}, UnknownName, "unknown variable '7', available: q1"),
+        (
+            {"order": ["q1", "q1"]},
+            InvalidArgument,
+            "order is ('q1', 'q1'), expected a permutation of ('q1',)",
+        ),
+        ({"gravity": (0, 0)}, InvalidArgument, "gravity is (0, 0), expected 3 entries"),
+        (
+            {"gravity": (0, 0, float("nan"))},
+            InvalidArgument,
+            "gravity is nan, expected a finite real number or a sympy expression",
+        ),
+        (
+            {"links": [Link(symbols("q1"), (0, 0, 0), zeros(3, 3))]},
+            InvalidArgument,
+            "links and table give ['q1'] two meanings, expected distinct names",
+        ),
+        (
+            {"table": DHTable((DHRow(0, 0, 0, 0, R, "x"), DHRow(0, 0, 0, 0, R, "xdot")))},
+            InvalidArgument,
+            "links and table give ['xdot'] two meanings, expected distinct names",
+        ),
+    ],
+)
+def test_derive_refuses(arguments: dict[str, Any], error: type[Exception], message: str) -> None:
+    with pytest.raises(error) as caught:
+        derive(**{"table": ONE, **arguments})
+    assert str(caught.value) == message
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"mass": "heavy"}, "mass is 'heavy', expected a finite real number or a sympy expression"),
+        ({"mass": -2}, "mass is -2 kg, expected >= 0"),
+        ({"mass": float("inf")}, "mass is inf, expected a finite real number or a sympy expression"),
+        ({"com": (1, 2)}, "com is (1, 2), expected 3 entries"),
+        ({"com": 3}, "com is 3, expected 3 entries"),
+        ({"inertia": np.zeros(3)}, "inertia is array([0., 0., 0.]), expected shape (3, 3)"),
+        (
+            {"inertia": [[1, 2, 0], [0, 1, 0], [0, 0, 1]]},
+            "inertia is [[1, 2, 0], [0, 1, 0], [0, 0, 1]], expected a symmetric matrix",
+        ),
+    ],
+)
+def test_link_refuses(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidArgument) as caught:
+        Link(**{"mass": 1, "com": (0, 0, 0), "inertia": np.eye(3), **arguments})
+    assert str(caught.value) == message
+
+
+def test_lecture_refuses_another_robot() -> None:
+    for table in (ONE, "slide"):
+        with pytest.raises(InvalidArgument, match="expected a DHTable with the variables x, y and psi"):
+            lecture(table)  # type: ignore[arg-type]
+
+
+def test_order_permutes_everything() -> None:
+    straight, turned = derive(PAIR), derive(PAIR, order=("q2", "q1"))
+    assert turned.q == straight.q[::-1]
+    assert turned.inputs == ImmutableMatrix(straight.inputs[::-1])
+    assert turned.nonlinear_effects == ImmutableMatrix(straight.nonlinear_effects[::-1])
+    assert turned.mass_matrix == straight.mass_matrix[::-1, ::-1]
+
+
+def test_general_links_are_symbols_in_the_order_of_the_chain() -> None:
+    names = "m1 xc1 yc1 zc1 Ixx1 Ixy1 Ixz1 Iyy1 Iyz1 Izz1"
+    assert " ".join(map(str, derive(ONE).parameters)) == names
+    g = symbols("g")
+    assert derive(ONE, [None], gravity=(0, 0, -g)).parameters == (g,)
+    assert derive(ONE).mass_matrix[0] == symbols("Izz1") + symbols("m1") * (
+        symbols("xc1") ** 2 + symbols("yc1") ** 2
+    )
