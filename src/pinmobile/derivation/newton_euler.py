@@ -107,8 +107,8 @@ def _columns(told: Recursion) -> Derivation:
 
     To read coefficients off, the inputs would have to be written out.
     """
-    chain = told.chain
-    zeros, size = (sympy.S.Zero,) * len(chain), range(len(chain))
+    size = range(len(told.joints))
+    zeros = (sympy.S.Zero,) * len(size)
     units = [tuple(sympy.S(int(i == k)) for i in size) for k in size]
 
     def inputs(tag: str, **motion: Any) -> tuple[Expr, ...]:
@@ -129,7 +129,7 @@ def _told(record: Record) -> tuple[Recursion, tuple[Expr, ...]]:
     pose = placements(links, record)[-1]
     for words, column in ((say.POSITION, 3), (say.NORMAL, 0), (say.SLIDING, 1), (say.APPROACH, 2)):
         record.matrix(words, pose[:3, column])
-    recursion = Recursion(chain, links, chain.v, chain.a, -chain.gravity, record)
+    recursion = Recursion(links, chain.v, chain.a, -chain.gravity, record)
 
     def in_base(words: Wording, vectors: Vectors) -> Vectors:
         record.matrix(words, pose[:3, :3] * vectors[-1])

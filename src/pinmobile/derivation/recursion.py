@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from sympy import Expr, ImmutableMatrix
 
 from pinmobile.derivation import wording as say
-from pinmobile.derivation.chain import Chain
 from pinmobile.derivation.joints import ZERO, Joint
 from pinmobile.derivation.record import Record
 
@@ -22,19 +21,16 @@ class Recursion:
 
     Attributes
     ----------
-    chain : Chain
-        The chain.
     joints : tuple of Joint
-        Its joints, from the ground outwards.
+        The joints, from the ground outwards.
     v, a : tuple of sympy.Expr
         Velocities [m/s or rad/s] and accelerations [m/s^2 or rad/s^2], in the order of the rows.
     base : sympy.ImmutableMatrix, shape (3, 1)
         Acceleration of the ground [m/s^2]: upwards as fast as a body would fall.
     record : Record
-        Takes down the steps.
+        Knows the chain, and takes down the steps.
     """
 
-    chain: Chain
     joints: tuple[Joint, ...]
     v: tuple[Expr, ...]
     a: tuple[Expr, ...]
@@ -79,7 +75,7 @@ class Recursion:
 
     def inertial(self, omega: Vectors, alpha: Vectors, a: Vectors) -> tuple[Vectors, Vectors]:
         """Return inertial forces F [N], and moments N about the centres of mass [N m]."""
-        heavy = {k: link for k, link in enumerate(self.chain.links, 1) if link}
+        heavy = {k: link for k, link in enumerate(self.record.chain.links, 1) if link}
         F, N = [ZERO] * len(a), [ZERO] * len(a)
         a_c = {
             k: self.record.matrix(say.ACCELERATION_COM, a[k] + _lever(alpha[k], omega[k], link.com), k)
@@ -103,7 +99,7 @@ class Recursion:
 
     def moments(self, F: Vectors, N: Vectors, f: Vectors) -> Vectors:
         """Return n [N m]: the moments that belong to `f`, each about the origin of its frame."""
-        com = [ZERO, *(link.com if link else ZERO for link in self.chain.links)]
+        com = [ZERO, *(link.com if link else ZERO for link in self.record.chain.links)]
         own = [N[k] + com[k].cross(F[k]) for k in range(len(N))]
         own[-1] = self.record.matrix(say.MOMENT, own[-1], len(N) - 1)
         for k in range(len(N) - 2, -1, -1):
