@@ -24,7 +24,7 @@ def typed(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, st
 def lecture(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """Return the folder and the output of `pinmobile lecture`, in a process of its own."""
     folder = tmp_path_factory.mktemp("lecture") / "out"
-    words = [sys.executable, "-m", "pinmobile.cli", "lecture", "--out", str(folder)]
+    words = [sys.executable, "-m", "pinmobile", "lecture", "--out", str(folder)]
     done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stderr
     return folder, done.stdout

@@ -80,6 +80,11 @@ def test_many_robots_and_many_states_broadcast() -> None:
     np.testing.assert_allclose(tau[2, 1], alone, rtol=1e-15)
 
 
+def test_states_that_do_not_broadcast_are_refused() -> None:
+    with pytest.raises(InvalidArgument, match=r"shapes are q \(4, 3\), v \(5, 3\), expected leading axes"):
+        closed_form.nonlinear_effects(np.zeros((4, 3)), np.zeros((5, 3)), **MASS)
+
+
 @pytest.mark.parametrize(
     ("body", "text"),
     [

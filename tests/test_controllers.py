@@ -90,6 +90,19 @@ def test_gains_of_another_size_are_refused_when_the_size_is_known() -> None:
         PD((1, 2), 1)(0.0, rest.q, rest.v, rest, None)
 
 
+def test_integers_are_compared_as_real_numbers() -> None:
+    whole = planar_difference(np.array([0, 0, 7]), np.array([0, 0, 0]))
+    assert whole[2] == pytest.approx(7 - 2 * np.pi)
+
+
+def test_configurations_that_do_not_fit_are_refused() -> None:
+    rest = Reference(*np.zeros((3, 3)))
+    with pytest.raises(InvalidArgument, match=r"q has shape \(2,\), the reference's has \(3,\)"):
+        PD(1, 1)(0.0, np.zeros(2), np.zeros(2), rest, None)
+    with pytest.raises(InvalidArgument, match=r"expected \(\.\.\., n\) with n >= 3"):
+        planar_difference(np.zeros(1), np.zeros(1))
+
+
 def test_gains_are_read_only_copies() -> None:
     gains = np.array([1.0, 2.0, 3.0])
     controller = PD(gains, 1)

@@ -190,7 +190,7 @@ WRONG_CHAIN = DHTable(tuple(DHRow(0, 0, 0, 0, JointType.REVOLUTE, name) for name
         ({"com": (1,)}, "com has shape (1,), expected (2,) or (3,)"),
         ({"com": (0, float("inf"))}, "com[1] is inf, expected a finite number"),
         ({"size": (1, 1, 0)}, "size is (1, 1, 0), expected three lengths > 0 m"),
-        ({"size": (1, 1)}, "size has shape (2,), expected (..., 3)"),
+        ({"size": (1, 1)}, "size is (1, 1), expected three lengths > 0 m"),
         ({"dh": "lecture"}, "dh is a str, expected a DHTable"),
         ({"dh": WRONG_CHAIN}, "dh with variables ('a', 'b', 'c') does not put its last frame at (x, y, psi)"),
     ],

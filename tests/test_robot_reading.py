@@ -199,6 +199,18 @@ def test_a_bare_base_is_put_on_the_chain_with_its_wheels_locked(tmp_path: Path) 
     assert read.nv == 3
 
 
+def test_a_wheel_may_hang_on_suspension_and_steering() -> None:
+    parts = (
+        joint("spring", "prismatic", "base", "one", "0 0 1"),
+        joint("steer", "revolute", "one", "two", "0 0 1"),
+        joint("roll", "continuous", "two", "wheel", "0 1 0"),
+    )
+    links = (link("base", 5), link("one", 1), link("two", 1), link("wheel", 1))
+    read = MobileRobot.from_model(pin.buildModelFromXML(robot(*links, *parts)))
+    assert read.mass == 8
+    assert "locked at rest: spring, steer, roll" in read.source
+
+
 @pytest.mark.parametrize("root", [None, pin.JointModelFreeFlyer(), pin.JointModelPlanar()])
 def test_a_base_model_may_have_a_root_of_its_own(root: object) -> None:
     model = pin.buildModelFromXML(base()) if root is None else pin.buildModelFromXML(base(), root)
@@ -236,9 +248,28 @@ def test_an_arm_among_the_loaders_robots_is_refused() -> None:
         ("<robot", "is not well-formed XML"),
         ("<gazebo/>", "is not a URDF: expected a <robot> with links, got <gazebo>"),
         ('<robot name="empty"/>', "is not a URDF: expected a <robot> with links"),
+        (robot(link("a"), link("a")), "link 'a' is there twice"),
+        (
+            robot(link("a"), joint("j", "hinge", "a", "a")),
+            "joint 'j' has type 'hinge', expected one",
+        ),
+        (
+            robot(link("a"), joint("j", "fixed", "a", "b")),
+            "joint 'j' has child link 'b', which is not in",
+        ),
+        *(
+            (robot(link("a", 5), link("b", 1).replace(*change), joint("j", "fixed", "a", "b")), text)
+            for change, text in (
+                (('value="1"', 'value="nan"'), "link 'b' has mass 'nan', expected a finite number"),
+                (('value="1"', 'value="${m}"'), "link 'b' has mass '${m}', expected a finite number"),
+                (('value="1"', 'value="-1"'), "link 'b' has mass -1 kg, expected >= 0"),
+                (('ixx="1"', 'ixx="-1"'), "link 'b': inertia has principal moments (-1, 1, 1) kg m^2"),
+                (("<mass", "<ms"), "link 'b' has an <inertial> without <mass>, expected both"),
+            )
+        ),
         (
             '<robot name="r"><link name="a"/><link name="b"/></robot>',
-            "is not a URDF that Pinocchio reads",
+            "robot.urdf has root links ['a', 'b'], expected one that all others hang on",
         ),
     ],
 )

@@ -1,5 +1,6 @@
 """`simulate` against closed forms, and what it does with what it cannot do."""
 
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -186,6 +187,24 @@ def test_a_controller_cannot_write_into_the_record() -> None:
     assert np.abs(rollout.q).max() < 10
 
 
+def test_what_a_subclass_overrides_is_heard() -> None:
+    """The library's own classes take a shorter way through the loop; others must not."""
+
+    class Silent(PD):  # type: ignore[misc]  # final, and yet what a user tries first
+        def __call__(self, t: float, q: Array, v: Array, reference: Any, state: None) -> tuple[Array, None]:
+            return np.zeros(3), None
+
+    class Rubbing(MobileRobot):  # type: ignore[misc]
+        def forward_dynamics(self, q: Any, v: Any, tau: Any) -> Array:
+            return super().forward_dynamics(q, v, np.asarray(tau) - 5 * np.asarray(v))
+
+    assert simulate(ROBOT, Silent(9, 9), CIRCLE, dt=0.1).max_force().tolist() == [0, 0, 0]
+    smooth, rough = (
+        simulate(r, PD(9, 9), CIRCLE, dt=0.1) for r in (ROBOT, Rubbing(10, 1.2, com=(0.15, 0.05)))
+    )
+    assert np.abs(smooth.q - rough.q).max() > 0.1
+
+
 def test_divergence_is_reported_with_everything_before_it() -> None:
     """Errata, PD gains: with an offset centre of mass the lecture's loop diverges."""
     robot = MobileRobot(30, 0.1, com=(0.1, 0.05))
@@ -198,6 +217,8 @@ def test_divergence_is_reported_with_everything_before_it() -> None:
     assert error.q.shape == error.v.shape == (3,)
     assert np.isfinite(error.rollout.q).all()
     assert np.abs(error.rollout.error).max() <= 1e3
+    copy = pickle.loads(pickle.dumps(error))  # as when it comes from another process
+    assert (str(copy), copy.time, len(copy.rollout)) == (str(error), error.time, len(error.rollout))
 
 
 def test_without_a_limit_the_numbers_overflow_and_that_is_reported_too() -> None:
@@ -232,6 +253,25 @@ def zero(t: float, q: Array, v: Array, reference: Any) -> Array:
     return np.zeros(3)
 
 
+class TauAlone:
+    """A controller that forgets to return its state."""
+
+    def initial_state(self) -> None:
+        return None
+
+    def __call__(self, *_: Any) -> Array:
+        return np.zeros(3)
+
+
+class ScalarOnly:
+    """A trajectory that takes one time only."""
+
+    duration = 12.0
+
+    def __call__(self, t: Any) -> Reference:
+        return Reference(*np.array([[float(t), 0, 0]] * 3))
+
+
 @pytest.mark.parametrize(
     ("changed", "text"),
     [
@@ -240,16 +280,27 @@ def zero(t: float, q: Array, v: Array, reference: Any) -> Array:
         ({"dt": 0.7}, "duration is 12.0 s, expected a whole number of steps dt = 0.7 s, such as 11.9 s"),
         ({"duration": -1}, "duration is -1.0 s, expected > 0"),
         ({"duration": 13}, "duration is 13.0 s, expected at most the trajectory's 12.0 s"),
-        ({"duration": 0.04}, "duration is 0.04 s, expected a whole number of steps dt = 0.1 s"),
+        ({"duration": 0.04}, "dt is 0.1 s, expected at most the duration, 0.04 s"),
         ({"substeps": 0}, "substeps is 0, expected a whole number >= 1"),
         ({"limit": 0}, "limit is 0.0, expected > 0"),
-        ({"q0": (1, 2)}, "q0 has shape (2,), expected (..., 3)"),
+        ({"q0": (1, 2)}, "q0 has shape (2,), expected (3,)"),
         ({"q0": np.zeros((2, 3))}, "q0 has shape (2, 3), expected (3,)"),
         ({"v0": (0, np.inf, 0)}, "v0[1] is inf, expected a finite number"),
         ({"controller": zero}, "expected a controller: wrap a function in law(...)"),
         (
             {"controller": law(lambda *_: [1, 2])},
             "controller returned array([1., 2.]) at t = 0 s, expected an",
+        ),
+        ({"dt": 1e-9}, "dt is 1e-09 s, which makes 1.2e+10 samples, expected at most 1e+08"),
+        ({"integrator": "rk4"}, "integrator is 'rk4', expected one of pinmobile.integrators or such a step"),
+        ({"controller": ComputedTorque}, "expected a controller"),
+        (
+            {"controller": TauAlone()},
+            "controller returned array([0., 0., 0.]) at t = 0 s, expected (tau,",
+        ),
+        (
+            {"controller": PD(1, 1, difference=np.subtract), "trajectory": ScalarOnly()},
+            "array of 121 times",
         ),
         ({"trajectory": None}, "trajectory is None, expected something with 'duration'"),
         ({"plant": 3}, "plant is 3, expected something with 'forward_dynamics'"),
@@ -289,6 +340,19 @@ def test_csv_has_a_header_and_every_digit(tmp_path: Path) -> None:
     assert table.shape == (121, len(header))
     np.testing.assert_array_equal(table[:, header.index("tau_psi")], rollout.tau[:, 2])
     np.testing.assert_array_equal(table[:, header.index("desired_x")], rollout.reference.q[:, 0])
+
+
+def test_csv_columns_fit_a_plant_with_fewer_inputs(tmp_path: Path) -> None:
+    class Unicycle(OtherPlant):
+        nu = 2
+
+        def forward_dynamics(self, q: Array, v: Array, u: Array) -> Array:
+            return np.array([u[0] * np.cos(q[2]), u[0] * np.sin(q[2]), u[1]])
+
+    simulate(Unicycle(), law(lambda *_: np.array([0.1, 0.2])), CIRCLE, dt=0.1).to_csv(tmp_path / "run.csv")
+    header, first = (tmp_path / "run.csv").read_text().splitlines()[:2]
+    row = dict(zip(header.split(","), first.split(","), strict=True))
+    assert (row["tau_0"], row["tau_1"]) == ("0.10000000000000001", "0.20000000000000001")
 
 
 def test_files_that_cannot_be_written_or_read_are_refused_by_name(tmp_path: Path) -> None:

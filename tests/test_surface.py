@@ -74,7 +74,7 @@ def test_a_module_imports_only_what_the_design_allows() -> None:
     for path in sorted((ROOT / "src" / "pinmobile").rglob("*.py")):
         part = path.relative_to(ROOT / "src" / "pinmobile").parts[0].removesuffix(".py")
         if part not in ALLOWED:
-            assert part in ("__init__", "cli")
+            assert part in ("__init__", "__main__", "cli")
             continue
         for node in ast.walk(ast.parse(path.read_text())):
             names: list[str] = []

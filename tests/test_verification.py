@@ -68,6 +68,12 @@ def test_printed_it_is_a_table() -> None:
     assert lines[2].startswith("M   Pinocchio (CRBA, RNEA, ABA)")
 
 
+def test_what_is_beyond_rounding_agrees_with_nothing_and_does_not_crash() -> None:
+    assert not verify(MobileRobot(1, 1e-3, com=(1e9, 0)), states=5).passed
+    with pytest.raises(InvalidArgument, match="robot is 3, expected a MobileRobot"):
+        verify(3)  # type: ignore[arg-type]
+
+
 def test_no_states_are_refused() -> None:
     with pytest.raises(InvalidArgument, match="states is 0, expected a whole number >= 1"):
         verify(MobileRobot(10, 1.2), states=0)

@@ -1,6 +1,8 @@
 """The array type, angles on the circle, and the one place where arguments are checked."""
 
 from math import isfinite
+from os import PathLike
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -11,8 +13,10 @@ from pinmobile.errors import InvalidArgument
 __all__ = [
     "Array",
     "ArrayLike",
+    "broadcast",
     "finite",
     "frozen",
+    "location",
     "non_negative",
     "positive",
     "scalar",
@@ -130,6 +134,34 @@ def whole(name: str, value: Any, *, least: int = 1) -> int:
     if number != int(number) or number < least:
         raise InvalidArgument(f"{name} is {value!r}, expected a whole number >= {least}")
     return int(number)
+
+
+def location(name: str, value: Any) -> Path:
+    """Return `value` as a path.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is neither text nor a path.
+    """
+    if not isinstance(value, str | PathLike):
+        raise InvalidArgument(f"{name} is {value!r}, expected the path of a file")
+    return Path(value)
+
+
+def broadcast(**arrays: Array) -> tuple[int, ...]:
+    """Return the shape that the leading axes of arrays of shape (..., n) broadcast to.
+
+    Raises
+    ------
+    InvalidArgument
+        If they do not; the message names the arrays.
+    """
+    try:
+        return np.broadcast_shapes(*(array.shape[:-1] for array in arrays.values()))
+    except ValueError:
+        shapes = ", ".join(f"{name} {array.shape}" for name, array in arrays.items())
+        raise InvalidArgument(f"shapes are {shapes}, expected leading axes that broadcast") from None
 
 
 def frozen(array: ArrayLike) -> Array:

@@ -11,7 +11,7 @@ body's origin, along the inertial axes. In these terms (lecture, section 3 of it
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, vector
+from pinmobile.arrays import Array, ArrayLike, broadcast, finite, vector
 from pinmobile.errors import InvalidArgument
 
 __all__ = ["coriolis_matrix", "forward_dynamics", "inverse_dynamics", "mass_matrix", "nonlinear_effects"]
@@ -72,6 +72,7 @@ def coriolis_matrix(q: ArrayLike, v: ArrayLike, *, mass: ArrayLike, com: ArrayLi
         If a shape does not fit, a value is not finite, or a mass is not positive.
     """
     q, v = vector("q", q, 3), vector("v", v, 3)
+    broadcast(q=q, v=v)
     m, _, dx, dy = _body(q, mass, 1.0, com)
     rate = v[..., 2]
     C = np.zeros((*np.broadcast_shapes(dx.shape, rate.shape), 3, 3))
@@ -103,6 +104,7 @@ def nonlinear_effects(q: ArrayLike, v: ArrayLike, *, mass: ArrayLike, com: Array
         If a shape does not fit, a value is not finite, or a mass is not positive.
     """
     q, v = vector("q", q, 3), vector("v", v, 3)
+    broadcast(q=q, v=v)
     m, _, dx, dy = _body(q, mass, 1.0, com)
     pull = -m * v[..., 2] ** 2
     return _stack(pull * dx, pull * dy, 0.0)
@@ -139,6 +141,7 @@ def inverse_dynamics(
         If a shape does not fit, a value is not finite, or a mass or inertia is not positive.
     """
     q, v, a = vector("q", q, 3), vector("v", v, 3), vector("a", a, 3)
+    broadcast(q=q, v=v, a=a)
     m, inertia, dx, dy = _body(q, mass, yaw_inertia, com)
     rate2, spin = v[..., 2] ** 2, a[..., 2]
     fx = m * (a[..., 0] - dy * spin - dx * rate2)
@@ -183,6 +186,7 @@ def forward_dynamics(
         If a shape does not fit, a value is not finite, or a mass or inertia is not positive.
     """
     q, v, tau = vector("q", q, 3), vector("v", v, 3), vector("tau", tau, 3)
+    broadcast(q=q, v=v, tau=tau)
     m, inertia, dx, dy = _body(q, mass, yaw_inertia, com)
     rate2, fx, fy = v[..., 2] ** 2, tau[..., 0], tau[..., 1]
     spin = (tau[..., 2] - (dx * fy - dy * fx)) / inertia

@@ -8,7 +8,7 @@ leading axes.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias, final
 
 import numpy as np
 
@@ -79,13 +79,24 @@ def planar_difference(q_d: Array, q: Array) -> Array:
     -------
     error : ndarray, shape (..., n)
         Its third coordinate lies in (-pi, pi]. The lecture's own subtraction is `numpy.subtract`.
+
+    Raises
+    ------
+    InvalidArgument
+        If there is no third coordinate.
     """
-    error = np.subtract(q_d, q)
+    error = np.subtract(q_d, q, dtype=np.float64)
+    if not error.ndim or error.shape[-1] < 3:
+        raise InvalidArgument(
+            f"configurations have shape {error.shape}, expected (..., n) with n >= 3; "
+            "without a heading, compare them with difference=numpy.subtract"
+        )
     if error.ndim > 1 or not -np.pi < error[2] <= np.pi:
         error[..., 2] = wrap_angle(error[..., 2])
     return error
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class PD:
     """Proportional-derivative control, tau = Kp e + Kd e_dot with e = q_d - q (lecture, section 4).
@@ -119,6 +130,7 @@ class PD:
         return _feedback(self, q, v, reference), None
 
 
+@final
 @dataclass(frozen=True, eq=False)
 class ComputedTorque:
     """Computed torque, tau = M(q) (a_d + Kd e_dot + Kp e) + n(q, v) (lecture, section 4).
@@ -223,6 +235,9 @@ def _check_gains(controller: PD | ComputedTorque, n: int | None) -> None:
 
 
 def _feedback(controller: PD | ComputedTorque, q: Array, v: Array, reference: State) -> Array:
+    for name, actual, desired in (("q", q, reference.q), ("v", v, reference.v)):
+        if actual.shape[-1:] != desired.shape[-1:]:
+            raise InvalidArgument(f"{name} has shape {actual.shape}, the reference's has {desired.shape}")
     error, rate = controller.difference(reference.q, q), np.subtract(reference.v, v)
     return _amplified("kp", controller.kp, error) + _amplified("kd", controller.kd, rate)
 

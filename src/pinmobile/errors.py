@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from functools import partial
 from typing import Any
 
 __all__ = ["Diverged", "InvalidArgument", "PinmobileError", "UnknownName", "ViewerError"]
@@ -58,6 +59,10 @@ class Diverged(PinmobileError, ArithmeticError):
     def __init__(self, message: str, *, time: float, q: Any, v: Any, rollout: Any = None) -> None:
         super().__init__(message)
         self.time, self.q, self.v, self.rollout = time, q, v, rollout
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # So that it comes back from another process with all that it carries.
+        return partial(type(self), time=self.time, q=self.q, v=self.v, rollout=self.rollout), self.args
 
 
 class ViewerError(PinmobileError, RuntimeError):

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import typer
 
-from pinmobile.cli.commands import app
 from pinmobile.errors import Diverged, PinmobileError
 
 __all__ = ["main"]
@@ -27,6 +26,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         diverged); 2: the options or files are not what is expected; 130: interrupted.
     """
     try:
+        from pinmobile.cli.commands import app  # inside, so that an interrupt while it loads ends quietly
+
         code = app(args=arguments, prog_name="pinmobile", standalone_mode=False)
         sys.stdout.flush()
     except typer.TyperException as error:

@@ -34,6 +34,7 @@ __all__ = [
     "numbers",
     "path",
     "point",
+    "refuse_beside",
     "robot",
 ]
 
@@ -112,6 +113,19 @@ def point(option: str, text: str) -> tuple[float, ...]:
     """
     values = numbers(option, text)
     return values if isinstance(values, tuple) else (values or 0.0,)
+
+
+def refuse_beside(option: str, **given: Any) -> None:
+    """Refuse options that do not apply beside another.
+
+    Raises
+    ------
+    InvalidArgument
+        If one of them was given.
+    """
+    for name, value in given.items():
+        if value is not None:
+            raise InvalidArgument(f"--{name.replace('_', '-')} does not apply beside {option}")
 
 
 def path(name: str, given: Mapping[str, Any]) -> Any:

@@ -50,7 +50,7 @@ def lecture(
 ) -> int:
     """Work through the whole lecture: derive, verify, run, and draw.
 
-    It derives M(q) and n(q, v) from the Denavit-Hartenberg table, compares three routes to them, runs
+    It derives M(q) and n(q, v) from the Denavit-Hartenberg table, compares four routes to them, runs
     {via stop, via free, circle} x {PD, computed torque} with the lecture's numbers, prints the largest
     errors beside the lecture's, and writes every figure with an index page.
     """
@@ -62,19 +62,23 @@ def verify(
     urdf: Annotated[
         Path | None, typer.Option(help="Verify the robot of this URDF: the chain, or a bare base.")
     ] = None,
-    mass: Annotated[float, typer.Option(help="Mass (kg).")] = 10.0,
-    yaw_inertia: Annotated[float, typer.Option(help="Inertia about the centre of mass (kg m^2).")] = 1.2,
-    com: Annotated[str, typer.Option(help="Centre of mass X,Y in the body frame (m).")] = "0.15,0.05",
-    table: Annotated[str, typer.Option(help="DH table: lecture or slide.")] = "lecture",
+    mass: Annotated[Number, typer.Option(help="Mass (kg); 10.")] = None,
+    yaw_inertia: Annotated[
+        Number, typer.Option(help="Inertia about the centre of mass (kg m^2); 1.2.")
+    ] = None,
+    com: Annotated[Text, typer.Option(help="Centre of mass X,Y in the body frame (m); 0.15,0.05.")] = None,
+    table: Annotated[Text, typer.Option(help="DH table: lecture or slide; lecture.")] = None,
     states: Annotated[int, typer.Option(help="Number of random states.")] = 200,
     seed: Annotated[int, typer.Option(help="Seed of the states.")] = 0,
 ) -> int:
     """Compare closed form, Pinocchio, symbolic Newton-Euler and Lagrange for M, n, tau and accelerations."""
     if urdf is not None:
+        choices.refuse_beside("--urdf", mass=mass, yaw_inertia=yaw_inertia, com=com, table=table)
         robot = pinmobile.MobileRobot.from_urdf(urdf)
     else:
-        dh = choices.choose("table", table, choices.TABLES)
-        robot = pinmobile.MobileRobot(mass, yaw_inertia, com=choices.point("--com", com), dh=dh)
+        dh = choices.choose("table", table or "lecture", choices.TABLES)
+        parameters = 10.0 if mass is None else mass, 1.2 if yaw_inertia is None else yaw_inertia
+        robot = pinmobile.MobileRobot(*parameters, com=choices.point("--com", com or "0.15,0.05"), dh=dh)
     with progress(1) as bar:
         bar.update(bar.task_ids[0], description="deriving and comparing")
         verification = pinmobile.verify(robot, states=states, seed=seed)
@@ -122,9 +126,7 @@ def run(
     heading: Annotated[
         str, typer.Option(help=f"One of {', '.join(choices.HEADINGS)}.", rich_help_panel=_PATH)
     ] = "tangent",
-    psi: Annotated[
-        float, typer.Option(help="Heading, where it is fixed (rad).", rich_help_panel=_PATH)
-    ] = 0.0,
+    psi: Annotated[Number, typer.Option(help="fixed: heading (rad); 0.", rich_help_panel=_PATH)] = None,
     turn_time: Annotated[
         float,
         typer.Option(help="For each turn on the spot, where the tangent jumps (s).", rich_help_panel=_PATH),
@@ -149,8 +151,8 @@ def run(
         Text, typer.Option(help="Centre of mass X,Y it believes in (m).", rich_help_panel=_CONTROL)
     ] = None,
     robot: Annotated[
-        str, typer.Option(help="lecture (Icz = 0.1) or box (homogeneous).", rich_help_panel=_ROBOT)
-    ] = "lecture",
+        Text, typer.Option(help="lecture (Icz = 0.1) or box (homogeneous); lecture.", rich_help_panel=_ROBOT)
+    ] = None,
     urdf: Annotated[
         Path | None, typer.Option(help="The chain, or a bare base, instead.", rich_help_panel=_ROBOT)
     ] = None,
@@ -182,11 +184,17 @@ def run(
         given[name] = choices.numbers(f"--{name.replace('_', '-')}", text)  # type: ignore[assignment]
     path = choices.path(trajectory, given)
     make = choices.choose("heading", heading, choices.HEADINGS)
-    base = (
-        choices.choose("robot", robot, choices.ROBOTS)()
-        if urdf is None
-        else pinmobile.MobileRobot.from_urdf(urdf)
-    )
+    if heading != "fixed":
+        choices.refuse_beside(f"--heading {heading}", psi=psi)
+    if controller == "pd":
+        choices.refuse_beside(
+            "--controller pd", model_mass=model_mass, model_yaw_inertia=model_yaw_inertia, model_com=model_com
+        )
+    if urdf is None:
+        base = choices.choose("robot", robot or "lecture", choices.ROBOTS)()
+    else:
+        choices.refuse_beside("--urdf", robot=robot)
+        base = pinmobile.MobileRobot.from_urdf(urdf)
     plant = choices.robot(base, mass=mass, yaw_inertia=yaw_inertia, com=choices.numbers("--com", com))
     model = choices.robot(
         plant, mass=model_mass, yaw_inertia=model_yaw_inertia, com=choices.numbers("--model-com", model_com)
@@ -195,11 +203,10 @@ def run(
     gains = choices.numbers("--kp", kp), choices.numbers("--kd", kd)
     law = choices.controller(controller, model, *gains, difference)
     step = choices.choose("integrator", integrator, choices.INTEGRATORS)
-    console.print(f"robot: {plant}", markup=False)
     return show_run(
         plant,
         law,
-        make(path, psi, turn_time),
+        make(path, psi or 0.0, turn_time),
         folder,
         controller,
         gif,

@@ -81,7 +81,7 @@ def show_lecture(folder: Path, *, gif: bool) -> int:
     summary = _summary(verification, same)
     (folder / "derivation.txt").write_text(str(derived), encoding="utf-8")
     texts = [
-        Section("1  Derivation: M(q) and n(q, v)", _equations(derived)),
+        Section("1  Derivation: M(q) and n(q, v)", _equations(derived), file="derivation.txt"),
         Section(f"2  Verification, with the centre of mass at {_OFFSET} m", str(verification)),
         Section("3  Six closed loops", table),
     ]

@@ -59,6 +59,7 @@ def show_run(
             bar.update(bar.task_ids[0], description="drawing the moving robot", advance=1)
             plots.animate(rollout, folder / "animation.gif")
             pictures.insert(0, Picture("animation.gif", "The robot as it moves."))
+    console.print(f"robot: {plant}, {plant.source}", markup=False)
     if diverged is not None:
         console.print("up to there:", markup=False)
     console.print(str(rollout), markup=False)

@@ -8,9 +8,8 @@ from collections.abc import Callable
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, broadcast
 from pinmobile.dh import DHTable, JointType
-from pinmobile.errors import InvalidArgument
 from pinmobile.urdf import Body
 
 __all__ = ["Engine", "build_model"]
@@ -73,13 +72,8 @@ class Engine:
         if all(argument.ndim == 1 for argument in arguments):
             rows = (argument[self.order] for argument in arguments)
             return np.array(function(self.model, self.data, *rows))
-        leads = [argument.shape[:-1] for argument in arguments]
-        try:
-            lead = np.broadcast_shapes(*leads)
-        except ValueError:
-            raise InvalidArgument(
-                f"arguments have leading shapes {', '.join(map(str, leads))}, expected shapes that broadcast"
-            ) from None
+        names = ("q", "v", "a or tau")
+        lead = broadcast(**dict(zip(names, arguments, strict=False)))
         stacked = [
             self.reorder(np.broadcast_to(argument, (*lead, argument.shape[-1]))).reshape(
                 -1, argument.shape[-1]

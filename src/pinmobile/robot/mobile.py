@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, final
 
 import numpy as np
 import pinocchio as pin
 
 from pinmobile import urdf
-from pinmobile.arrays import Array, ArrayLike, finite, positive, vector, wrap_angle
+from pinmobile.arrays import Array, ArrayLike, broadcast, finite, location, positive, vector, wrap_angle
 from pinmobile.dh import LECTURE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot.engine import Engine, build_model
@@ -34,6 +34,7 @@ class Linearization(NamedTuple):
     B: Array
 
 
+@final
 @dataclass(frozen=True, eq=False, repr=False)
 class MobileRobot:
     """A rigid body on the chain prismatic y, prismatic x, revolute z, with Pinocchio's dynamics.
@@ -82,7 +83,7 @@ class MobileRobot:
         self._take(urdf.Body(mass, np.append(com, 0.0)[:3], np.diag([inertia] * 3)))
 
     def _take(self, body: urdf.Body) -> None:
-        size = vector("size", self.size, 3)
+        size = finite("size", self.size)
         if size.shape != (3,) or not (size > 0).all():
             raise InvalidArgument(f"size is {self.size}, expected three lengths > 0 m")
         _check_chain(self.dh)
@@ -166,7 +167,7 @@ class MobileRobot:
         for folder in package_dirs:
             if not Path(folder).is_dir():
                 raise InvalidArgument(f"package_dirs has {str(folder)!r}, expected a folder")
-        reading = read_urdf(Path(path))
+        reading = read_urdf(location("path", path))
         return cls.from_body(reading.body, reading.size, reading.table, reading.source)
 
     @classmethod
@@ -207,6 +208,8 @@ class MobileRobot:
         source : str
             Where the numbers come from, in words.
         """
+        if not isinstance(body, urdf.Body):
+            raise InvalidArgument(f"body is {body!r}, expected a pinmobile.urdf.Body")
         robot = object.__new__(cls)
         for name, value in {"size": size, "dh": dh, "source": source}.items():
             object.__setattr__(robot, name, value)
@@ -317,11 +320,15 @@ class MobileRobot:
 
     def integrate(self, q: ArrayLike, dq: ArrayLike) -> Array:
         """Return the configuration that the displacement `dq` leads to from `q`, shape (..., nq)."""
-        return self._q(q) + self._v("dq", dq)
+        q, dq = self._q(q), self._v("dq", dq)
+        broadcast(q=q, dq=dq)
+        return q + dq
 
     def difference(self, q0: ArrayLike, q1: ArrayLike) -> Array:
         """Return the displacement from `q0` to `q1`, shape (..., nv); that of psi lies in (-pi, pi]."""
-        displacement = vector("q1", q1, self.nq) - vector("q0", q0, self.nq)
+        q0, q1 = vector("q0", q0, self.nq), vector("q1", q1, self.nq)
+        broadcast(q0=q0, q1=q1)
+        displacement = q1 - q0
         displacement[..., 2] = wrap_angle(displacement[..., 2])
         return displacement
 

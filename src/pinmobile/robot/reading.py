@@ -12,12 +12,14 @@ import pinocchio as pin
 from pinmobile.arrays import Array
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument
+from pinmobile.robot.wellformed import check_urdf
 from pinmobile.urdf import Body
 
 __all__ = ["Reading", "read_model", "read_urdf"]
 
 _ALIGNED = 1e-5  # an axis written with six digits or more counts as aligned
 _MASSLESS = 1e-9  # of the body's mass
+_WHEEL_JOINTS = 3  # suspension, steering, wheel
 _CHAIN = (("prismatic", (0, 1, 0)), ("prismatic", (1, 0, 0)), ("revolute", (0, 0, 1)))
 
 
@@ -59,8 +61,7 @@ def read_urdf(path: Path) -> Reading:
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
         raise InvalidArgument(f"{path.name} is not well-formed XML: {error}") from None
-    if root.tag != "robot" or root.find("link") is None:
-        raise InvalidArgument(f"{path.name} is not a URDF: expected a <robot> with links, got <{root.tag}>")
+    check_urdf(root, path.name)
     try:
         model = pin.buildModelFromXML(text)
     except (ValueError, RuntimeError) as error:
@@ -84,6 +85,9 @@ def read_model(model: pin.Model, name: str, size: tuple[float, float, float] | N
         # Frames of neither table: B is then the frame that coincides with the ground's at rest.
         root, base = 3, data.oMi[3] if table else pin.SE3.Identity()
         how = f"is the chain ({', '.join(model.names[1:4])})"
+        how += (
+            "" if table else "; B is the frame that coincides with the ground's when all joints are at zero"
+        )
     else:
         table = None
         root = 1 if model.njoints > 1 and _is_floating(model, 1) else 0
@@ -105,10 +109,11 @@ def read_model(model: pin.Model, name: str, size: tuple[float, float, float] | N
 
 
 def _starts_with_slides(model: pin.Model) -> bool:
-    """Tell whether the model is meant as the chain: three joints in series, a prismatic one among them."""
+    """Tell whether the model is meant as the chain: three joints in series, two prismatic ones among them."""
     if model.njoints < 4 or [model.parents[j] for j in (1, 2, 3)] != [0, 1, 2]:
         return False
-    return any("JointModelP" in _kind(model, j) and model.nvs[j] == 1 for j in (1, 2, 3))
+    slides = sum("JointModelP" in _kind(model, j) and model.nvs[j] == 1 for j in (1, 2, 3))
+    return bool(slides >= 2)
 
 
 def _kind(model: pin.Model, joint: int) -> str:
@@ -153,14 +158,15 @@ def _locked(model: pin.Model, root: int, name: str) -> list[int]:
     above = range(root + 1, model.njoints)
     children = {j: [k for k in above if model.parents[k] == j] for j in above}
 
-    def is_wheel(joint: int) -> bool:
-        endless = "RevoluteUnbounded" in _kind(model, joint) or "RUB" in _kind(model, joint)
-        return endless and not children[joint]
+    def rolls(joint: int, joints_left: int) -> bool:
+        """Tell whether the joint is a wheel, or carries only wheels with so many joints in series."""
+        if not children[joint]:
+            return re.search("RevoluteUnbounded|RUB", _kind(model, joint)) is not None
+        below = (rolls(child, joints_left - 1) for child in children[joint])
+        return bool(joints_left > 1 and model.nvs[joint] == 1 and all(below))
 
     for joint in above:
-        on_base = model.parents[joint] == root
-        carries_wheels = bool(children[joint]) and all(map(is_wheel, children[joint]))
-        if not (is_wheel(joint) or (on_base and carries_wheels and model.nvs[joint] == 1)):
+        if model.parents[joint] == root and not rolls(joint, _WHEEL_JOINTS):
             raise InvalidArgument(
                 f"{name}: joint {model.names[joint]!r} ({_kind(model, joint)}) is neither a wheel "
                 "(continuous, nothing moves on it) nor a suspension or swivel that carries only wheels; "

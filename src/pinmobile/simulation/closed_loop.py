@@ -4,7 +4,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, positive, vector, whole
+from pinmobile.arrays import Array, ArrayLike, finite, positive, vector, whole
 from pinmobile.controllers import Controller
 from pinmobile.errors import Diverged, InvalidArgument
 from pinmobile.integrators import Integrator, constant_acceleration
@@ -16,6 +16,7 @@ __all__ = ["Plant", "simulate"]
 
 _CHUNK = 512  # samples between two looks for divergence
 _WHOLE = 1e-9  # relative rounding allowed in duration / dt
+_MOST = 1e8  # samples: beyond, some 20 GB of numbers
 
 
 class Plant(Protocol):
@@ -96,7 +97,7 @@ def simulate(
         If a number is no longer finite or an error is beyond `limit`; it carries what was recorded before.
     """
     dt, limit = positive("dt", dt, "s"), positive("limit", limit)
-    if not hasattr(controller, "initial_state"):
+    if isinstance(controller, type) or not hasattr(controller, "initial_state"):
         raise InvalidArgument(
             f"controller is {controller!r}, expected a controller: wrap a function in law(...)"
         )
@@ -104,8 +105,12 @@ def simulate(
         ("plant", plant, "forward_dynamics"),
         ("trajectory", trajectory, "duration"),
     ):
-        if not hasattr(value, attribute):
+        if isinstance(value, type) or not hasattr(value, attribute):
             raise InvalidArgument(f"{name} is {value!r}, expected something with {attribute!r}")
+    if isinstance(integrator, type) or not callable(integrator):
+        raise InvalidArgument(
+            f"integrator is {integrator!r}, expected one of pinmobile.integrators or such a step"
+        )
     t = _sample_times(dt, duration, trajectory.duration)
     reference = _sampled(trajectory, t, plant)
     start = _start("q0", q0, reference.q[0]), _start("v0", v0, reference.v[0])
@@ -129,9 +134,15 @@ def _sample_times(dt: float, duration: float | None, longest: float) -> Array:
     total = longest if duration is None else positive("duration", duration, "s")
     if total > longest * (1 + _WHOLE):
         raise InvalidArgument(f"duration is {total} s, expected at most the trajectory's {longest} s")
+    if dt > total * (1 + _WHOLE):
+        raise InvalidArgument(f"dt is {dt} s, expected at most the duration, {total} s")
+    if total / dt > _MOST:
+        raise InvalidArgument(
+            f"dt is {dt} s, which makes {total / dt:.3g} samples, expected at most {_MOST:g}"
+        )
     steps = round(total / dt)
-    if steps < 1 or abs(steps * dt - total) > _WHOLE * total:
-        below = max(int(total / dt), 1)
+    if abs(steps * dt - total) > _WHOLE * total:
+        below = int(total / dt)
         raise InvalidArgument(
             f"duration is {total} s, expected a whole number of steps dt = {dt} s, "
             f"such as {below * dt:.12g} s"
@@ -142,7 +153,12 @@ def _sample_times(dt: float, duration: float | None, longest: float) -> Array:
 
 
 def _sampled(trajectory: Trajectory, t: Array, plant: Plant) -> Reference:
-    reference = trajectory(t)
+    try:
+        reference = trajectory(t)
+    except (TypeError, ValueError) as error:
+        raise InvalidArgument(
+            f"trajectory cannot be asked for an array of {len(t)} times: {error}"
+        ) from error
     for name, size in (("q", plant.nq), ("v", plant.nv), ("a", plant.nv)):
         value = np.asarray(getattr(reference, name, None))
         if value.shape != (len(t), size):
@@ -160,9 +176,9 @@ def _sizes(plant: Plant) -> tuple[tuple[str, int], ...]:
 def _start(name: str, value: ArrayLike | None, default: Array) -> Array:
     if value is None:
         return default
-    start = vector(name, value, len(default))
-    if start.ndim != 1:
-        raise InvalidArgument(f"{name} has shape {start.shape}, expected ({len(default)},)")
+    start = finite(name, value)
+    if start.shape != default.shape:
+        raise InvalidArgument(f"{name} has shape {start.shape}, expected {default.shape}")
     return start
 
 

@@ -51,9 +51,9 @@ class Loop:
         v0: Array,
     ) -> None:
         self.nq, self.nv, self.last = plant.nq, plant.nv, len(t) - 1
-        self.adds = isinstance(plant, MobileRobot)
+        self.adds = type(plant) is MobileRobot  # another class may do it otherwise
         # A table treats all coordinates alike; what a user's integrator does with their order is not known.
-        chained = isinstance(plant, MobileRobot) and isinstance(integrator, RungeKuttaNystrom)
+        chained = self.adds and isinstance(integrator, RungeKuttaNystrom)
         self.order = plant._engine.order if chained else None  # type: ignore[attr-defined]
         self.rows = np.empty((len(t) + 1, self.nq + 2 * self.nv))  # one to spare: each has a next one
         self.forces = np.empty((len(t), plant.nu))
@@ -105,19 +105,19 @@ class Loop:
         return self.adds and near and isfinite(rows[:, n:].sum() + self.forces[begin:end].sum())
 
 
-def _is_known(controller: object) -> bool:
+def _is_known(controller: Any) -> bool:
     """Tell whether the controller is the library's own in every part."""
     return (
-        isinstance(controller, PD | ComputedTorque)
+        type(controller) in (PD, ComputedTorque)
         # Both act on the third coordinate alone or on none, which is psi in either order.
         and (controller.difference is planar_difference or controller.difference is np.subtract)
-        and (isinstance(controller, PD) or isinstance(controller.robot, MobileRobot))
+        and type(getattr(controller, "robot", None)) in (MobileRobot, type(None))
     )
 
 
 def _forward(plant: "Plant") -> Forward:
     """Return forward dynamics in public order, unchecked where the plant allows."""
-    if not isinstance(plant, MobileRobot):
+    if type(plant) is not MobileRobot:
         return plant.forward_dynamics
     engine = plant._engine
     forward, order = engine.forward, engine.order
@@ -135,7 +135,12 @@ def _asked(
     def control(k: int, row: Array, q: Array, v: Array) -> Array:
         nonlocal state
         own_q, own_v = (q.copy(), v.copy()) if order is None else (q[order], v[order])
-        force, state = controller(times[k], own_q, own_v, next(references), state)
+        answer = controller(times[k], own_q, own_v, next(references), state)
+        if type(answer) is not tuple or len(answer) != 2:
+            raise InvalidArgument(
+                f"controller returned {answer!r} at t = {times[k]:g} s, expected (tau, state)"
+            )
+        force, state = answer
         if type(force) is not np.ndarray or force.shape != shape:
             raise InvalidArgument(
                 f"controller returned {force!r} at t = {times[k]:g} s, expected an array of shape {shape}"

@@ -4,12 +4,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from os import PathLike
-from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, frozen
+from pinmobile.arrays import Array, frozen, location
 from pinmobile.errors import InvalidArgument
 from pinmobile.simulation.storage import read_archive, write_archive
 from pinmobile.trajectories import Reference
@@ -115,7 +114,7 @@ class Rollout:
         InvalidArgument
             If the file cannot be read or is not such an archive.
         """
-        arrays, robot = read_archive(Path(path))
+        arrays, robot = read_archive(location("path", path))
         reference = Reference(*(arrays.pop(f"reference_{name}") for name in Reference._fields))
         return cls(robot=robot, reference=reference, **arrays)
 
@@ -129,19 +128,25 @@ class Rollout:
         InvalidArgument
             If the file cannot be written.
         """
-        columns = [*_NAMES, *(f"q{k}" for k in range(3, self.v.shape[1]))]
         groups = {"": self.q, "v_": self.v, "a_": self.a, "tau_": self.tau, "error_": self.error}
         groups["desired_"] = self.reference.q
-        header = ["t", *(f"{group}{column}" for group in groups for column in columns)]
+        header = ["t", *(f"{group}{name}" for group, part in groups.items() for name in _columns(part))]
         with _written(path, "w") as file:
             table = np.column_stack([self.t, *groups.values()])
             np.savetxt(file, table, fmt="%.17g", delimiter=",", header=",".join(header), comments="")
 
 
+def _columns(part: Array) -> list[str]:
+    """Return the names of the columns: x, y, psi, then numbers; numbers alone where there is no x, y, psi."""
+    width = part.shape[1]
+    names = list(_NAMES) if width >= len(_NAMES) else []
+    return [*names, *(str(k) for k in range(len(names), width))]
+
+
 @contextmanager
 def _written(path: str | PathLike[str], mode: str) -> Iterator[IO[Any]]:
     try:
-        with Path(path).open(mode) as file:
+        with location("path", path).open(mode) as file:
             yield file
     except OSError as error:
         raise InvalidArgument(f"path is {str(path)!r}, which cannot be written: {error.strerror}") from error

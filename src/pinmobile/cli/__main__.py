@@ -1,7 +1,0 @@
-"""`python -m pinmobile.cli`, for where the command is not on the PATH."""
-
-import sys
-
-from pinmobile.cli import main
-
-sys.exit(main())

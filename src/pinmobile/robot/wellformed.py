@@ -1,0 +1,91 @@
+"""What a URDF must have that its readers drop or refuse without a reason."""
+
+from collections import Counter
+from math import isfinite
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from pinmobile.errors import InvalidArgument
+
+__all__ = ["check_urdf"]
+
+_JOINTS = ("fixed", "revolute", "continuous", "prismatic", "planar", "floating")
+_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+_ROUNDING = 1e-9
+
+
+def check_urdf(root: Element, name: str) -> None:
+    """Refuse a file that is no tree of links, or a link whose mass or inertia is none.
+
+    Parameters
+    ----------
+    root : xml.etree.ElementTree.Element
+        The file.
+    name : str
+        Its name, for the message.
+
+    Raises
+    ------
+    InvalidArgument
+        The message names the link or the joint that is wrong.
+    """
+    if root.tag != "robot" or root.find("link") is None:
+        raise InvalidArgument(f"{name} is not a URDF: expected a <robot> with links, got <{root.tag}>")
+    links = [link.get("name", "") for link in root.iterfind("link")]
+    joints = [joint.get("name", "") for joint in root.iterfind("joint")]
+    for kind, names in (("link", links), ("joint", joints)):
+        twice = [entry for entry, count in Counter(names).items() if count > 1]
+        if twice:
+            raise InvalidArgument(f"{name}: {kind} {twice[0]!r} is there twice, expected once")
+    for joint in root.iterfind("joint"):
+        _check_joint(joint, links, name)
+    for link in root.iterfind("link"):
+        inertial = link.find("inertial")
+        if inertial is not None:
+            _check_inertial(inertial, f"{name}: link {link.get('name')!r}")
+    children = {joint.find("child").get("link") for joint in root.iterfind("joint")}  # type: ignore[union-attr]
+    roots = [link for link in links if link not in children]
+    if len(roots) != 1:
+        raise InvalidArgument(f"{name} has root links {roots}, expected one that all others hang on")
+
+
+def _check_joint(joint: Element, links: list[str], name: str) -> None:
+    called = f"{name}: joint {joint.get('name')!r}"
+    if joint.get("type") not in _JOINTS:
+        raise InvalidArgument(
+            f"{called} has type {joint.get('type')!r}, expected one of {', '.join(_JOINTS)}"
+        )
+    for end in ("parent", "child"):
+        element = joint.find(end)
+        link = None if element is None else element.get("link")
+        if link not in links:
+            raise InvalidArgument(f"{called} has {end} link {link!r}, which is not in the file")
+
+
+def _check_inertial(inertial: Element, called: str) -> None:
+    mass, inertia = inertial.find("mass"), inertial.find("inertia")
+    if mass is None or inertia is None:
+        missing = "mass" if mass is None else "inertia"
+        raise InvalidArgument(f"{called} has an <inertial> without <{missing}>, expected both")
+    if _number(mass, "value", f"{called} has mass") < 0:
+        raise InvalidArgument(f"{called} has mass {mass.get('value')} kg, expected >= 0")
+    xx, xy, xz, yy, yz, zz = (_number(inertia, key, f"{called} has inertia {key}") for key in _MOMENTS)
+    moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    if moments[0] < -_ROUNDING * np.abs(moments).max():
+        listed = ", ".join(f"{moment:.6g}" for moment in moments)
+        raise InvalidArgument(
+            f"{called}: inertia has principal moments ({listed}) kg m^2, which no rigid body has: "
+            "expected each >= 0"
+        )
+
+
+def _number(element: Element, key: str, called: str) -> float:
+    text = element.get(key, "")
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not isfinite(value):
+        raise InvalidArgument(f"{called} {text!r}, expected a finite number")
+    return value
