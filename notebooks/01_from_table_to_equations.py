@@ -181,8 +181,9 @@ show("f_0", "n_0")
 show("tau_2", "tau_1", "tau_3")
 
 # %% [markdown]
-# On the lecture's slide these rows have $\dot\psi^2$ and $\dot\psi$ in the places of $\ddot\psi$. The
-# units tell: $m\,\ddot\psi\,x_{bc}$ is a force in N, and $m\,\dot\psi\,x_{bc}$ is not.
+# On the lecture's slide, $\dot\psi$ or $\dot\psi^2$ stands in some places of $\ddot\psi$ in these rows.
+# Where it is $\dot\psi$, the units tell: $I_{cz}\,\dot\psi$ is not a moment in N m. Where it is
+# $\dot\psi^2$, they do not; notebook 2 shows it by numbers.
 #
 # ## M and n
 #

@@ -7,12 +7,14 @@ import sys
 from base64 import b64decode, b64encode
 from io import BytesIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import jupytext
 import nbformat
 from nbclient import NotebookClient
 from PIL import Image
+from traitlets.config import Config
 
 HERE = Path(__file__).parent
 
@@ -26,11 +28,14 @@ def execute(source: Path) -> None:
         "language_info": {"name": "python"},
     }
     for number, cell in enumerate(notebook.cells, 1):
-        cell["id"], cell["metadata"] = f"cell-{number:02}", {}
-    where = {"metadata": {"path": str(HERE)}}
-    NotebookClient(
-        notebook, timeout=300, record_timing=False, coalesce_streams=True, resources=where
-    ).execute()
+        cell["id"] = f"cell-{number:02}"
+    with TemporaryDirectory() as folder:
+        # Sockets in a folder of their own: a TCP port is taken by another program now and then.
+        config = Config(KernelManager={"transport": "ipc", "ip": f"{folder}/kernel"})
+        where = {"metadata": {"path": str(HERE)}}
+        client = NotebookClient(notebook, timeout=300, resources=where, config=config)
+        client.record_timing, client.coalesce_streams = False, True
+        client.execute()
     for cell in notebook.cells:
         for output in cell.get("outputs", ()):
             shrink(output.get("data", {}))
