@@ -212,8 +212,8 @@ show("T_0_2", "T_0_3", of=from_slide)
 
 # %%
 pose_in_row_order = [1.0, 2.0, 0.6]  # y [m], x [m], psi [rad]: the order of the rows
-lift = [0, 0, 1.2, 0]  # [m], for {2}
-label = [(-0.5, 0, -0.4), (-0.7, 0, 0.2), (-0.6, 0, 0.4), (-0.3, 0, -0.5)]  # [m], beside the origins
+lift = [0, 0, 1.7, 0]  # [m], for {2}
+label = [(0, -0.5, -0.4), (0, -0.5, 0.6), (0, -0.6, 0.4), (0, -0.3, -0.5)]  # [m], beside the origins
 
 figure, grid = plt.subplots(1, 2, figsize=(9, 4.6), subplot_kw={"projection": "3d"}, layout="constrained")
 for axes, table, name in [(grid[0], LECTURE_TABLE, "script"), (grid[1], SLIDE_TABLE, "slide")]:
@@ -222,10 +222,10 @@ for axes, table, name in [(grid[0], LECTURE_TABLE, "script"), (grid[1], SLIDE_TA
         for axis, index in [(0, 1), (1, 2), (2, 0)]:
             axes.quiver(*at, *(0.8 * T[:3, axis]), color=colour(index), linewidth=2)
         axes.text(*(at + label[k]), "{" + str(k) + "}", fontsize=12)
-    axes.set(xlim=(-0.5, 2.7), ylim=(-0.5, 2.3), zlim=(-0.7, 2.0), title=f"the table of the {name}")
+    axes.set(xlim=(-0.5, 2.7), ylim=(-0.5, 2.3), zlim=(-0.7, 2.6), title=f"the table of the {name}")
     axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
     axes.set(xticks=[0, 1, 2], yticks=[0, 1, 2], zticks=[0, 1, 2])
-    axes.set_box_aspect((3.2, 2.8, 2.7), zoom=0.92)
+    axes.set_box_aspect((3.2, 2.8, 3.3), zoom=0.92)
     axes.view_init(azim=-40)
 
 # %% [markdown]
