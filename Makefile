@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint bench clean
+.PHONY: help demo test lint bench notebooks clean
 
 help: ## say what there is
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/'
@@ -22,6 +22,9 @@ lint: $(BIN)/.installed-lint ## ruff and mypy
 
 bench: $(BIN)/.installed ## speed beside the peers that are installed, as ratios of one run
 	$(BIN)/python benchmarks $(ARGS)
+
+notebooks: $(BIN)/.installed-test ## execute the notebooks' sources and write the .ipynb files
+	$(BIN)/python notebooks/execute.py $(ARGS)
 
 clean: ## remove .venv, out/ and caches
 	rm -rf $(VENV) out .mypy_cache .pytest_cache .ruff_cache .hypothesis
