@@ -1,14 +1,13 @@
 """Two cubics that meet at a via point."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, scalar, whole
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, scalar
 from pinmobile.errors import InvalidArgument
-from pinmobile.paths.polynomials import PiecewisePolynomial, Polynomial, hermite
-from pinmobile.paths.protocol import within
-from pinmobile.paths.values import Value
+from pinmobile.paths.piecewise import PiecewiseCubic
+from pinmobile.paths.polynomials import PiecewisePolynomial, hermite
 
 __all__ = ["CubicVia"]
 
@@ -16,7 +15,7 @@ _REST = (0.0, 0.0)
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
-class CubicVia(Value):
+class CubicVia(PiecewiseCubic):
     """Two cubics per coordinate, from start to end through a via point (lecture, section 5.1 and 5.2).
 
     With a = (a_0 ... a_3) before and b after the via point,
@@ -51,7 +50,6 @@ class CubicVia(Value):
     via_velocity: Array | None
     start_velocity: Array
     end_velocity: Array
-    _curve: PiecewisePolynomial = field(init=False)
 
     def __init__(
         self,
@@ -111,58 +109,6 @@ class CubicVia(Value):
         none, via, end = np.zeros_like(self.via), self.via - self.start, self.end - self.start
         wanted = [none, self.start_velocity, via, via, end, self.end_velocity, none, none]
         return np.asarray(np.linalg.solve(system, np.array(wanted))[5])
-
-    @property
-    def duration(self) -> float:
-        """Time from start to end, `t_end` [s]."""
-        return self.t_end
-
-    @property
-    def pieces(self) -> tuple[Polynomial, ...]:
-        """The two cubics."""
-        return self._curve.pieces
-
-    def __call__(self, t: ArrayLike) -> Array:
-        """Return the position.
-
-        Parameters
-        ----------
-        t : array_like, shape (...)
-            Times, 0 <= t <= duration [s].
-
-        Returns
-        -------
-        r : ndarray, shape (..., n)
-            Position [m].
-
-        Raises
-        ------
-        InvalidArgument
-            If a time is outside.
-        """
-        return self.derivative(t, 0)
-
-    def derivative(self, t: ArrayLike, order: int) -> Array:
-        """Return a derivative; at the via point the one from the right.
-
-        Parameters
-        ----------
-        t : array_like, shape (...)
-            Times, 0 <= t <= duration [s].
-        order : int
-            0 for the position, 1 for the velocity, and so on.
-
-        Returns
-        -------
-        dr : ndarray, shape (..., n)
-            The derivative [m/s^order].
-
-        Raises
-        ------
-        InvalidArgument
-            If a time is outside, or `order` is not a whole number >= 0.
-        """
-        return self._curve.derivative(within("t", t, self.duration), whole("order", order, least=0))
 
 
 def _point(name: str, value: ArrayLike, size: int) -> Array:

@@ -1,20 +1,19 @@
 """A twice continuously differentiable curve through many waypoints."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, whole
+from pinmobile.arrays import Array, ArrayLike, finite, frozen
 from pinmobile.errors import InvalidArgument
-from pinmobile.paths.polynomials import PiecewisePolynomial, Polynomial
-from pinmobile.paths.protocol import within
-from pinmobile.paths.values import Value
+from pinmobile.paths.piecewise import PiecewiseCubic
+from pinmobile.paths.polynomials import PiecewisePolynomial
 
 __all__ = ["Spline"]
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
-class Spline(Value):
+class Spline(PiecewiseCubic):
     """The cubic spline through waypoints, clamped at its ends; `CubicVia` with a free via is that of three.
 
     Parameters
@@ -36,7 +35,6 @@ class Spline(Value):
     times: Array
     start_velocity: Array
     end_velocity: Array
-    _curve: PiecewisePolynomial = field(init=False)
 
     def __init__(
         self,
@@ -66,58 +64,6 @@ class Spline(Value):
         ends = ((1, self.start_velocity), (1, self.end_velocity))
         highest_first = CubicSpline(self.times, self.waypoints, bc_type=ends).c  # (4, k - 1, n)
         return PiecewisePolynomial(self.times, np.moveaxis(highest_first[::-1], 0, 1))
-
-    @property
-    def duration(self) -> float:
-        """Time at the last waypoint [s]."""
-        return float(self.times[-1])
-
-    @property
-    def pieces(self) -> tuple[Polynomial, ...]:
-        """The cubics between waypoints."""
-        return self._curve.pieces
-
-    def __call__(self, t: ArrayLike) -> Array:
-        """Return the position.
-
-        Parameters
-        ----------
-        t : array_like, shape (...)
-            Times, 0 <= t <= duration [s].
-
-        Returns
-        -------
-        r : ndarray, shape (..., n)
-            Position [m].
-
-        Raises
-        ------
-        InvalidArgument
-            If a time is outside.
-        """
-        return self.derivative(t, 0)
-
-    def derivative(self, t: ArrayLike, order: int) -> Array:
-        """Return a derivative; at a waypoint the one from the right.
-
-        Parameters
-        ----------
-        t : array_like, shape (...)
-            Times, 0 <= t <= duration [s].
-        order : int
-            0 for the position, 1 for the velocity, and so on.
-
-        Returns
-        -------
-        dr : ndarray, shape (..., n)
-            The derivative [m/s^order].
-
-        Raises
-        ------
-        InvalidArgument
-            If a time is outside, or `order` is not a whole number >= 0.
-        """
-        return self._curve.derivative(within("t", t, self.duration), whole("order", order, least=0))
 
 
 def _increasing(times: Array, size: int) -> Array:
