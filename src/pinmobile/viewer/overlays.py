@@ -69,9 +69,9 @@ class Arrows:
     Parameters
     ----------
     force : float, optional
-        Length of the arrow [m/N]; by default such that the largest is twice as long as the robot.
+        Length of the arrow [m/N]; by default such that the largest is 1.6 times as long as the robot.
     moment : float, optional
-        Radius of the arc [m/(N m)]; by default such that the largest is as long as the robot.
+        Radius of the arc [m/(N m)]; by default such that the largest is 0.8 times as long as the robot.
     """
 
     force: float | None = None

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from pinmobile.robot import MobileRobot
 from pinmobile.simulation import Rollout
 from pinmobile.viewer import shapes
 from pinmobile.viewer.motion import Channel, along, poses_of
-from pinmobile.viewer.overlays import Follow, Overlays, Stay, View
+from pinmobile.viewer.overlays import Arrows, Follow, Overlays, Stay, View
 from pinmobile.viewer.palette import AXES, INK, QUIET, colour
 from pinmobile.viewer.stage import Extent, Stage, overview
 
@@ -22,6 +23,7 @@ __all__ = ["Rider", "Scene", "extent_of", "sampled"]
 
 _SPREAD = 2500  # points of a trail at most
 _GRID, _PATH, _TRAIL, _WORDS, _ABOVE = 1, 8, 2, 9, 40  # what is painted over what
+_NO_FORCE = 1e-9  # [N or N m]; less is rounding
 _NAMES = {LECTURE_TABLE: "lecture", SLIDE_TABLE: "slide"}
 
 
@@ -119,7 +121,7 @@ class Scene:
             self.channels += along("meshcat/desired", _poses(main.t, main.reference.q, times))
             self.legend.append(["desired pose", QUIET, "", 0.5])
         if self.overlays.arrows is not None:
-            self._arrows(main, times, poses[0], extent)
+            self._arrows(main, times, poses[0], extent, self.overlays.arrows)
         self._tables(poses[0], extent)
         if self.overlays.caption:
             self.channels.append(Channel("meshcat/stage", "caption", _captions(runs, times)))
@@ -145,22 +147,20 @@ class Scene:
             self._grid(extent)
 
     def _grid(self, extent: Extent) -> None:
-        room = 0.25 * extent.radius + 1.2 * extent.unit
-        step = _step(2 * (extent.radius + room))
-        low, high = (np.floor((extent.low - room) / step), np.ceil((extent.high + room) / step))
-        thin = 0.0022 * (extent.radius + room)
-        xs, ys = (step * np.arange(low[k], high[k] + 1) for k in (0, 1))
-        lines = [np.array([[x, y0], [x, y1]]) for x in xs for y0, y1 in zip(ys, ys[1:], strict=False)]
-        lines += [np.array([[x0, y], [x1, y]]) for y in ys for x0, x1 in zip(xs, xs[1:], strict=False)]
+        xs, ys, tall = extent.lines(0), extent.lines(1), extent.tall
+        thin = 0.04 * tall
+        lines = [np.array([[x, y0], [x, y1]]) for x in xs for y0, y1 in pairwise(ys)]
+        lines += [np.array([[x0, y], [x1, y]]) for y in ys for x0, x1 in pairwise(xs)]
         bands = shapes.joined([shapes.ribbon(line, thin) for line in lines])
         self.stage.put("meshcat/grid", shapes.flat(bands, "#c9cdd1", order=_GRID))
-        tall = 0.055 * (extent.radius + room)
         for k, x in enumerate(xs):
-            name = f"{x:g}" if k < len(xs) - 1 else f"x = {x:g} m"
-            self._write(f"meshcat/scale/x{k}", name, (x, ys[0] - 0.8 * tall), tall)
+            unit = " m" if k == len(xs) - 1 else ""
+            self._write(f"meshcat/scale/x{k}", f"{x:g}{unit}", (x, ys[0] - 0.75 * tall), tall)
         for k, y in enumerate(ys):
-            name = f"{y:g}" if k < len(ys) - 1 else f"y = {y:g} m"
-            self._write(f"meshcat/scale/y{k}", name, (xs[0] - (0.3 + 0.28 * len(name)) * tall, y), tall)
+            unit = " m" if k == len(ys) - 1 else ""
+            self._write(f"meshcat/scale/y{k}", f"{y:g}{unit}", (xs[0] - 0.9 * tall, y), tall)
+        self._write("meshcat/scale/x", "x", (xs[-1] + 0.7 * tall, ys[0]), tall)
+        self._write("meshcat/scale/y", "y", (xs[0], ys[-1] + 0.6 * tall), tall)
 
     def _write(self, path: str, text: str, at: tuple[float, float], tall: float) -> None:
         self.stage.put(path, shapes.word(text, QUIET, tall, lying=True, order=_WORDS))
@@ -187,58 +187,60 @@ class Scene:
         self.channels.append(Channel(path, "drawn", drawn[:, None]))
 
     def _tables(self, poses: Array, extent: Extent) -> None:
-        several = len(self.overlays.frames) > 1
+        drawn: list[Array] = []
         for number, table in enumerate(self.overlays.frames):
-            name = _NAMES.get(table, f"table {number + 1}")
-            self._triad(f"meshcat/frames{number}/0", "{0}", extent, number, 0)
-            for k in range(1, len(table) + 1):
-                path = f"meshcat/frames{number}/{k}"
-                label = f"{{{k}}} {name}" if several and k < len(table) else f"{{{k}}}"
-                self._triad(path, label, extent, number, k)
-                self._rides(partial(_frame, path, table, k), poses)
+            for k in range(len(table) + 1):
+                placements = _frame(table, k, poses)
+                if any(np.allclose(placements, other) for other in drawn):
+                    continue  # two tables share some of their frames
+                drawn.append(placements)
+                shared = all(np.allclose(_frame(t, k, poses), placements) for t in self.overlays.frames)
+                name = "" if shared else f" {_NAMES.get(table, f'table {number + 1}')}"
+                where = partial(_frame, table, k)
+                self._triad(f"meshcat/table{number}/{k}", f"{{{k}}}{name}", extent, (number, k), where, poses)
         if self.overlays.body_frame:
-            self._triad("meshcat/body_frame", "B", extent, 0, 0)
-            self._rides(lambda poses: along("meshcat/body_frame", poses), poses)
+            self._triad("meshcat/body", "B", extent, (0, 3), partial(_frame, LECTURE_TABLE, 3), poses)
 
-    def _triad(self, path: str, label: str, extent: Extent, number: int, k: int) -> None:
-        length = (0.9 + 0.35 * number) * extent.unit
+    def _triad(
+        self, path: str, label: str, extent: Extent, place: tuple[int, int], where: Callable[[Array], Array], poses: Array
+    ) -> None:
+        number, k = place
+        length = (0.9 + 0.3 * number) * extent.unit
         shaft = shapes.arrow(0.07 - 0.02 * min(number, 2))
         for axis, turned in enumerate(_TO_AXIS):
-            vertices = length * shaft[0] @ turned.T
-            self.stage.put(
-                f"{path}/{'xyz'[axis]}", shapes.over((vertices, shaft[1]), AXES[axis], order=_ABOVE + axis)
-            )
-        tall = 0.34 * extent.unit
-        self.stage.put(f"{path}/name", shapes.word(label, INK, tall, lying=False, order=_ABOVE + 5))
-        away = (0.25 + 0.3 * k + 0.15 * number) * extent.unit
-        self.stage.set(f"{path}/name", "position", [away, away, 0.6 * away])
+            arrow = length * shaft[0] @ turned.T, shaft[1]
+            self.stage.put(f"{path}/{'xyz'[axis]}", shapes.over(arrow, AXES[axis], order=_ABOVE + axis))
+        self.stage.put(f"{path}name", shapes.word(label, INK, 0.42 * extent.unit, lying=False, order=_ABOVE + 5))
+        away = extent.unit * (_AWAY[min(k, 3)] + np.array([0, -0.5 * number, 0]))
+        self._rides(lambda poses: poses_of(path, where(poses)), poses)
+        self._rides(
+            lambda poses: [Channel(f"{path}name", "position", where(poses)[:, :3, 3] + away)], poses
+        )
 
-    def _arrows(self, run: Rollout, times: Array, poses: Array, extent: Extent) -> None:
-        arrows = self.overlays.arrows
-        assert arrows is not None  # noqa: S101
+    def _arrows(self, run: Rollout, times: Array, poses: Array, extent: Extent, arrows: Arrows) -> None:
         held = np.clip(np.searchsorted(run.t, times, side="right") - 1, 0, len(run) - 1)
-        tau = run.tau[held]
-        size, moment = np.hypot(tau[:, 0], tau[:, 1]), tau[:, 2]
-        per_newton = arrows.force or 2 * extent.unit / max(float(size.max()), 1e-12)
-        per_moment = arrows.moment or extent.unit / max(float(np.abs(moment).max()), 1e-12)
-        height = 1.6 * self.robot.size[2]
-        heading = np.column_stack([poses[:, :2], np.unwrap(np.arctan2(tau[:, 1], tau[:, 0]))])
-        for path, shape, paint in (
-            ("meshcat/force", shapes.arrow(0.06), colour(3)),
-            ("meshcat/moment", shapes.arc_arrow(), colour(4)),
+        fx, fy, moment = run.tau[held].T
+        heading = np.column_stack([poses[:, :2], np.unwrap(np.arctan2(fy, fx))])
+        flat = poses * (1, 1, 0)
+        unit = extent.unit
+        for name, symbol, shape, paint, size, per, turned in (
+            ("force", "N", shapes.arrow(0.06), colour(3), np.hypot(fx, fy), arrows.force, heading),
+            ("moment", "N m", shapes.arc_arrow(), colour(4), moment, arrows.moment, flat),
         ):
+            largest = float(np.abs(size).max())
+            if not largest > _NO_FORCE:
+                continue
+            scale = per or (1.6 if name == "force" else 0.8) * unit / largest
+            path = f"meshcat/{name}"
             self.stage.put(path, shapes.over(shape, paint, order=_ABOVE - 5))
-        scale = np.maximum(per_newton * size, 1e-4)[:, None] * np.ones(3)
-        self.channels += along("meshcat/force", heading, height)
-        self.channels.append(Channel("meshcat/force", "scale", scale))
-        radius = np.maximum(per_moment * np.abs(moment), 1e-4)[:, None] * np.ones(3)
-        radius[:, 1] *= np.where(moment < 0, -1, 1)  # in a mirror it turns the other way
-        self.channels += along("meshcat/moment", poses * (1, 1, 0), height)
-        self.channels.append(Channel("meshcat/moment", "scale", radius))
-        self.legend.append([f"force, 1 m = {1 / per_newton:.2g} N", colour(3), "", 0.0])
-        self.legend.append([f"moment, 1 m = {1 / per_moment:.2g} N m", colour(4), "", 0.0])
+            lengths = np.maximum(scale * np.abs(size), 1e-4)[:, None] * np.ones(3)
+            lengths[:, 1] *= np.where(size < 0, -1, 1)  # in a mirror the arc turns the other way
+            self.channels += along(path, turned, 1.6 * self.robot.size[2])
+            self.channels.append(Channel(path, "scale", lengths))
+            self.legend.append([f"{name}, 1 m = {1 / scale:.2g} {symbol}", paint, "", 0.0])
 
 
+_AWAY = np.array([[-0.45, -0.35, 0.0], [-0.45, -0.35, 0.0], [-1.1, -0.6, 0.0], [1.2, 0.5, 0.0]])
 _TO_AXIS = (
     np.eye(3),
     np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]),
@@ -251,18 +253,15 @@ def _focus(poses: Array) -> list[Channel]:
     return [Channel("meshcat/focus", "position", position)]
 
 
-def _frame(path: str, table: DHTable, k: int, poses: Array) -> list[Channel]:
-    return poses_of(path, table.placements(poses[:, [1, 0, 2]])[:, k - 1])
+def _frame(table: DHTable, k: int, poses: Array) -> Array:
+    """Return the placements of frame k of a table, shape (n, 4, 4)."""
+    if k == 0:
+        return np.broadcast_to(np.eye(4), (len(poses), 4, 4))
+    return table.placements(poses[:, [1, 0, 2]])[:, k - 1]
 
 
 def _poses(t: Array, q: Array, times: Array) -> Array:
     return sampled(times, t, np.column_stack([q[:, :2], np.unwrap(q[:, 2])]))
-
-
-def _step(span: float) -> float:
-    """Return 1, 2 or 5 times a power of ten, about a tenth of the span."""
-    power = 10.0 ** np.floor(np.log10(span / 10))
-    return float(next(power * factor for factor in (1, 2, 5, 10) if power * factor >= span / 14))
 
 
 def _captions(runs: Mapping[str, Rollout], times: Array) -> list[str]:
@@ -271,13 +270,13 @@ def _captions(runs: Mapping[str, Rollout], times: Array) -> list[str]:
     first = np.searchsorted(ticks, ticks)  # the frame in which the tick began
     at = times[first]
     rows = {
-        f"{label}: " if label else "": sampled(at, run.t, np.hypot(run.error[:, :1], run.error[:, 1:2]))[:, 0]
+        f"{label}  " if label else "": sampled(at, run.t, np.hypot(run.error[:, :1], run.error[:, 1:2]))[:, 0]
         for label, run in runs.items()
     }
     written: dict[int, str] = {}
     for k in np.unique(first):
-        errors = [f"{label}position error {_length(values[k])}" for label, values in rows.items()]
-        written[int(k)] = "\n".join([f"t = {times[k]:.1f} s", *errors])
+        errors = [f"{label}{_length(values[k])}" for label, values in rows.items()]
+        written[int(k)] = "\n".join([f"t = {times[k]:.1f} s", "position error", *errors])
     return [written[int(k)] for k in first]
 
 

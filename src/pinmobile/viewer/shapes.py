@@ -48,7 +48,7 @@ def over(triangles: Triangles, colour: str, *, order: int) -> Shape:
 def shadows(radius: float) -> Shape:
     """Return the ground: nothing but the shadows on it."""
     corners = radius * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-    material = {"type": "ShadowMaterial", "color": 0, "opacity": 0.2, "transparent": True}
+    material = {"type": "ShadowMaterial", "color": 0, "opacity": 0.22, "transparent": True, "depthWrite": False}
     return _mesh((corners, np.array([[0, 1, 2], [0, 2, 3]], np.uint32)), material, {}, 0)
 
 
@@ -82,16 +82,14 @@ def dashes(points: ArrayLike, width: float, dash: float, gap: float) -> Triangle
     points = np.asarray(points, np.float64)
     steps = np.hypot(*np.diff(points, axis=0).T)
     travelled = np.append(0.0, np.cumsum(steps))
-    if not travelled[-1] > 0:
-        return ribbon(np.empty((0, 2)), width)
-    starts = np.arange(0.0, travelled[-1], dash + gap)
+    starts = np.arange(0.0, travelled[-1] - dash / 3, dash + gap)
     parts = []
     for start in starts:
         end = min(start + dash, travelled[-1])
         inside = travelled[(travelled > start) & (travelled < end)]
         at = np.concatenate([[start], inside[:: max(len(inside) // 8, 1)], [end]])
         parts.append(ribbon(np.stack([np.interp(at, travelled, c) for c in points.T], axis=-1), width))
-    return joined(parts)
+    return joined(parts) if parts else ribbon(np.empty((0, 2)), width)
 
 
 def joined(parts: Sequence[Triangles]) -> Triangles:

@@ -16,8 +16,8 @@
 
   const sun = new THREE.DirectionalLight(0xffffff, 0.36);
   sun.castShadow = true;
-  sun.shadow.mapSize.set(2048, 2048);
-  sun.shadow.radius = 5;
+  sun.shadow.mapSize.set(1024, 1024);
+  sun.shadow.radius = 3;
   viewer.scene.add(sun, sun.target);
 
   // Meshcat lets everything cast a shadow; what lies flat or is glass should not.
@@ -28,7 +28,11 @@
   viewer.set_object = (path, object) => {
     coming -= 1;
     const glass = object.material && object.material.transparent && !object.material.isShadowMaterial;
-    if (glass && !object.userData.flat) Object.assign(object.material, { depthWrite: false });
+    // Of glass only the far sides are drawn: around something solid in the same place it is a rim.
+    if (glass && !object.userData.flat) {
+      Object.assign(object.material, { depthWrite: false, side: 1 });
+      object.renderOrder = 30; // after what lies on the ground
+    }
     if (glass) object.castShadow = object.receiveShadow = false;
     if (object.userData.trail) {
       object.drawn = 0;
@@ -66,16 +70,17 @@
     if (viewer.camera.zoom !== zoom) viewer.camera.zoom = zoom;
   }
 
+  // The light goes along with the robot: its shadow is sharp however large the scene.
   function place_light() {
-    if (!changed("lit") || !stage.lit) return;
-    const [x, y, radius] = stage.lit;
-    const at = upright([x, y, 0]);
+    const radius = stage.lit || 1;
+    const at = viewer.scene_tree.find(["meshcat", "robot0"]).object.position; // z up, as all of the scene
     sun.target.position.copy(at);
-    sun.position.copy(at).add(upright([-1.1 * radius, -0.8 * radius, 2.4 * radius]));
+    sun.position.set(at.x - 1.2 * radius, at.y + 0.7 * radius, 2.0 * radius);
+    if (!changed("lit")) return;
     Object.assign(sun.shadow.camera, { left: -radius, right: radius, top: radius, bottom: -radius });
     Object.assign(sun.shadow.camera, { near: 0.1 * radius, far: 6 * radius });
     sun.shadow.camera.updateProjectionMatrix();
-    sun.shadow.normalBias = 0.004 * radius;
+    sun.shadow.normalBias = 0.01 * radius;
   }
 
   function write() {

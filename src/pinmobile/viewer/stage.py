@@ -18,8 +18,9 @@ __all__ = ["Command", "Extent", "Stage", "Window", "overview"]
 _STAGE = "meshcat/stage"
 _TOP, _BOTTOM = (0.90, 0.92, 0.93), (0.975, 0.975, 0.965)
 _FOV, _ASPECT = np.deg2rad(35.0), 1.5
-_AZIMUTH, _ELEVATION = np.deg2rad(-82.0), np.deg2rad(48.0)
-_GHOST_SCALE = (1.05, 1.08, 1.06)  # a little larger, to be seen around a robot that it coincides with
+_AZIMUTH, _ELEVATION = np.deg2rad(-86.0), np.deg2rad(50.0)
+_ABOVE, _BELOW = 0.92, 0.82  # of half the window's height; the player is below
+_GHOST_SCALE = (1.07, 1.10, 1.08)  # a little larger, to be seen around a robot that it coincides with
 
 
 class Window(Protocol):
@@ -60,6 +61,25 @@ class Extent(NamedTuple):
     def unit(self) -> float:
         """Length of the robot, or more where it is a speck in the scene [m]; overlays scale with it."""
         return max(self.size[0], 0.06 * self.radius)
+
+    @property
+    def step(self) -> float:
+        """Of the grid [m]: 1, 2 or 5 times a power of ten, some ten to the extent."""
+        span = float((self.high - self.low).max()) + 2 * self.unit
+        power = 10.0 ** np.floor(np.log10(span / 10))
+        return float(next(power * factor for factor in (1, 2, 5, 10) if power * factor >= span / 14))
+
+    @property
+    def tall(self) -> float:
+        """Height of the words on the ground [m]."""
+        return 0.05 * float((self.high - self.low).max() + 3 * self.unit)
+
+    def lines(self, axis: int) -> Array:
+        """Return where the lines of the grid cross an axis, shape (n,) [m]."""
+        room = 0.8 * self.unit
+        first = np.floor((self.low[axis] - room) / self.step)
+        last = np.ceil((self.high[axis] + room) / self.step)
+        return np.asarray(self.step * np.arange(first, last + 1))
 
 
 class Stage:
@@ -108,7 +128,7 @@ class Stage:
         self.set("Lights/FillLight/<object>", "intensity", 0.2)
         self.put("meshcat/ground", shadows(6 * extent.radius + 10 * extent.unit))
         self.set("meshcat/focus", "position", [0.0, 0.0, 0.0])
-        self.tell("lit", [*extent.centre.tolist(), 1.5 * extent.radius + 2 * extent.unit])
+        self.tell("lit", 2.0 * float(np.linalg.norm(extent.size)))
         self.tell("aspect", _ASPECT)
         self.tell("caption", "")
         self.tell("legend", [])
@@ -139,7 +159,7 @@ class Stage:
             if colour is not None and (ghost or item.name == "body"):
                 copy.meshColor = np.array([*_rgb(colour), 1.0])
             if ghost:
-                copy.meshColor = np.array([*copy.meshColor[:3], 0.35])
+                copy.meshColor = np.array([*copy.meshColor[:3], 0.45])
             shown.addGeometryObject(copy)
         visualizer = MeshcatVisualizer(robot.model, pin.GeometryModel(), shown)
         visualizer.initViewer(viewer=Visualizer(window=self.window))
@@ -157,17 +177,19 @@ def overview(extent: Extent, height: float) -> View:
     right = np.cross(forward, (0, 0, 1))
     right /= np.linalg.norm(right)
     up = np.cross(right, forward)
-    margin = 0.75 * extent.unit + 0.1 * extent.radius
-    low, high = extent.low - margin, extent.high + margin
-    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (0, height)])
+    (low_x, *_, high_x), (low_y, *_, high_y) = extent.lines(0), extent.lines(1)
+    xs, ys = (low_x - 2.2 * extent.tall, high_x + extent.tall), (low_y - 1.4 * extent.tall, high_y)
+    corners = np.array([[x, y, z] for x in xs for y in ys for z in (0, height)])
     target = np.append(extent.centre, 0.0)
     tangent = np.tan(_FOV / 2)
-    # The player covers some of the lower edge: fit in less than the window, then shift.
-    for _ in range(4):
+    for _ in range(10):
         a, b, c = np.stack([right, up, forward]) @ (corners - target).T
-        distance = max((np.abs(a) / (_ASPECT * tangent) - c).max(), (np.abs(b) / (0.88 * tangent) - c).max())
-        rise = b / (distance + c)
-        target = target + up * distance * (rise.max() + rise.min()) / 2
+        wide = (np.abs(a) / (0.97 * _ASPECT * tangent) - c).max()
+        tall = np.maximum(b / (_ABOVE * tangent) - c, -b / (_BELOW * tangent) - c).max()
+        distance = max(wide, tall)
+        rise, aside = b / (distance + c), a / (distance + c)
+        target = target + up * distance * (rise.max() + rise.min() - (_ABOVE - _BELOW) * tangent) / 2
+        target = target + right * distance * (aside.max() + aside.min()) / 2
         target = target - forward * target[2] / forward[2]  # back onto the ground
     return View(target - distance * forward, target)
 
