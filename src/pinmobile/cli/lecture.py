@@ -24,6 +24,7 @@ from pinmobile import (
 )
 from pinmobile.cli.output import Picture, Section, console, index_page, progress
 from pinmobile.cli.run import FIGURES, draw
+from pinmobile.cli.view import save_page
 
 __all__ = ["EXPECTED", "show_lecture"]
 
@@ -56,7 +57,7 @@ Runs = dict[tuple[str, str], Rollout]
 def show_lecture(folder: Path, *, gif: bool) -> int:
     """Print the lecture's results and write its figures; return 0 if every number is the lecture's."""
     robot = MobileRobot.lecture()
-    steps = 4 + len(_PATHS) * (len(FIGURES) + gif)
+    steps = 4 + len(_PATHS) * (len(FIGURES) + 1 + gif)
     with progress(steps) as bar:
 
         def begin(what: str) -> None:
@@ -88,6 +89,7 @@ def show_lecture(folder: Path, *, gif: bool) -> int:
     page = index_page(folder, "The lecture: a mobile robot as a DH chain", [*texts, *sections])
     console.print(f"\n{summary}\nevery step of the derivation: {folder / 'derivation.txt'}", markup=False)
     console.print(f"figures: open {page}", markup=False)
+    console.print(f"see it move: open {folder / 'circle.html'}", markup=False)
     return 0 if same and verification.passed else 1
 
 
@@ -160,5 +162,10 @@ def _sections(folder: Path, right: Runs, lecture: Runs, gif: bool, bar: Any) -> 
             pictures.insert(
                 0, Picture(f"{prefix}animation.gif", "The robot as it moves: PD, computed torque.")
             )
-        sections.append(Section(f"4  {trajectory.capitalize()}: PD beside computed torque", "", pictures))
+        bar.update(bar.task_ids[0], description=f"recording {prefix}scene", advance=1)
+        name = trajectory.replace(" ", "-") + ".html"
+        save_page(rollouts, folder / name, f"{trajectory.capitalize()}: PD and computed torque", speed=4)
+        title = f"4  {trajectory.capitalize()}: PD beside computed torque"
+        pages = [Picture(name, "See it move: both robots in one scene.")]
+        sections.append(Section(title, "", pictures, pages))
     return sections

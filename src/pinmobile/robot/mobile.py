@@ -219,9 +219,10 @@ class MobileRobot:
 
     @cached_property
     def visual_model(self) -> pin.GeometryModel:
-        """What is drawn: objects in the body's frame, riding on the last joint of `model`; made when asked for.
+        """What is drawn: objects in the body's frame, which ride on the last joint of `model`.
 
-        Of a URDF that shows more than a box, all that it shows, wheels at rest; mesh files that are missing
+        It is made when it is asked for. Of a URDF that shows more than a box, all that it shows, wheels
+        at rest; mesh files that are missing
         are named in a warning. Else a box of `size` on the ground, with a visible front.
         """
         joint = self.model.njoints - 1

@@ -41,7 +41,7 @@ class VisualFile:
 
 
 def read_visuals(file: VisualFile, joint: int) -> pin.GeometryModel | None:
-    """Return what the file shows, riding on `joint` with its own joints at rest; None if that is a box or less.
+    """Return what the file shows, riding on `joint`, its own joints at rest; None if that is a box or less.
 
     Mesh files that are missing are named in a warning and left out.
 
@@ -70,7 +70,7 @@ def read_visuals(file: VisualFile, joint: int) -> pin.GeometryModel | None:
     for item in shown.geometryObjects:
         placement = base * data.oMi[item.parentJoint] * item.placement
         whole = pin.GeometryObject(item.name, joint, placement, item.geometry)
-        # The mesh as Pinocchio has read it, scaled: its file may have materials that meshcat draws with holes.
+        # The mesh as Pinocchio has read and scaled it: of a file with materials meshcat draws holes.
         whole.meshColor, whole.meshScale, whole.meshPath = item.meshColor, np.ones(3), ""
         visuals.addGeometryObject(whole)
     return visuals
@@ -112,7 +112,7 @@ def box_visuals(size: Sequence[float], joint: int) -> pin.GeometryModel:
 
 
 def _without_missing_meshes(root: ElementTree.Element, file: VisualFile) -> list[str]:
-    """Say where each mesh lies, take visuals without theirs out of the tree, and return those files' names."""
+    """Say where each mesh lies; take visuals without theirs out of the tree and return the files' names."""
     missing: list[str] = []
     for link in root.iterfind("link"):
         for visual in link.findall("visual"):

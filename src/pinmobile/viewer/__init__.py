@@ -1,4 +1,4 @@
-"""See the robot move: a meshcat stage, live in a browser or recorded to a page, a GIF, a film or a picture."""
+"""See the robot move: meshcat, live in a browser or recorded as a page, a GIF, a film or a picture."""
 
 from pinmobile.viewer.overlays import Arrows, Follow, Overlays, Stay
 from pinmobile.viewer.recording import Recording

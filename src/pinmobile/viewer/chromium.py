@@ -8,8 +8,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
-from pathlib import Path
 from time import monotonic
 from types import TracebackType
 from typing import Any
@@ -95,8 +93,8 @@ class Browser:
     """
 
     def __init__(self, size: tuple[int, int] = (1200, 800), *, timeout: float = 60.0) -> None:
-        self.timeout, self.events, self._rest, self._last = timeout, [], b"", 0
-        self.events: list[dict[str, Any]]
+        self.timeout, self._rest, self._last = timeout, b"", 0
+        self.events: list[dict[str, Any]] = []
         program = find_chromium()
         self._profile = tempfile.TemporaryDirectory(prefix="pinmobile-", ignore_cleanup_errors=True)
         (inner, self._to), (self._from, outer) = os.pipe(), os.pipe()
@@ -223,8 +221,7 @@ class Browser:
             data = data[os.write(self._to, data[:4096]) :]
 
     def _read(self, end: float) -> dict[str, Any]:
-        chunks: Sequence[bytes] = [self._rest]
-        pieces = list(chunks)
+        pieces = [self._rest]
         while b"\0" not in pieces[-1]:
             ready, _, _ = select.select([self._from], [], [], max(end - monotonic(), 0))
             if not ready:
@@ -235,8 +232,3 @@ class Browser:
             pieces.append(piece)
         text, _, self._rest = b"".join(pieces).partition(b"\0")
         return dict(json.loads(text))
-
-
-def page_url(path: Path) -> str:
-    """Return the address of a file."""
-    return path.resolve().as_uri()

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -90,10 +91,15 @@ def _track(channel: Channel, times: Array) -> dict[str, Any]:
         kind = _KINDS.get(channel.name, "number")
     else:
         listed = list(channel.values)
-        kept = np.array([True, *(a != b for a, b in zip(listed, listed[1:], strict=False))])
+        kept = np.array([True, *(a != b for a, b in pairwise(listed))])
         listed = [text for text, keep in zip(listed, kept, strict=True) if keep]
         kind = "string"
-    return {"name": f".{channel.name}", "type": kind, "times": np.round(times[kept], 4).tolist(), "values": listed}
+    return {
+        "name": f".{channel.name}",
+        "type": kind,
+        "times": np.round(times[kept], 4).tolist(),
+        "values": listed,
+    }
 
 
 def _quaternions(R: Array) -> Array:
@@ -118,4 +124,4 @@ def _continuous(quaternions: Array) -> Array:
     """Return the same rotations without a change of sign from one to the next."""
     turns = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0
     signs = np.concatenate([[1.0], np.where(np.cumsum(turns) % 2, -1.0, 1.0)])
-    return quaternions * signs[:, None]
+    return np.asarray(quaternions * signs[:, None])

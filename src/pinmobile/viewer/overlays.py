@@ -125,7 +125,7 @@ class Overlays:
             if not isinstance(table, DHTable) or table.variables != ("y", "x", "psi"):
                 raise InvalidArgument(f"frames has {table!r}, expected tables with variables y, x, psi")
         for name, kind in (("arrows", Arrows | None), ("camera", Stay | Follow)):
-            if not isinstance(getattr(self, name), kind):  # type: ignore[arg-type]
+            if not isinstance(getattr(self, name), kind):
                 raise InvalidArgument(f"{name} is {getattr(self, name)!r}, expected {kind}")
 
 
@@ -139,7 +139,7 @@ def checked_runs(rollouts: Any) -> dict[str, Rollout]:
     """
     runs = {"": rollouts} if isinstance(rollouts, Rollout) else rollouts
     if not isinstance(runs, Mapping) or not runs:
-        raise InvalidArgument(f"rollout is {rollouts!r}, expected a Rollout or a mapping of labels to Rollouts")
+        raise InvalidArgument(f"rollout is {rollouts!r}, expected a Rollout or a mapping of labels to them")
     for label, run in runs.items():
         where = f"rollout[{label!r}]" if label else "rollout"
         if not isinstance(run, Rollout):

@@ -59,7 +59,9 @@ class Recording:
         self._commands = commands
 
     def __repr__(self) -> str:
-        return f"<Recording: {self.duration:g} s at {self.fps:g} frames per second, {self.speed:g} times as fast>"
+        return (
+            f"<Recording: {self.duration:g} s, {self.fps:g} frames per second, {self.speed:g} times as fast>"
+        )
 
     def html(self) -> str:
         """Return the page that plays it: self-contained, without a request to anywhere."""

@@ -202,7 +202,13 @@ class Scene:
             self._triad("meshcat/body", "B", extent, (0, 3), partial(_frame, LECTURE_TABLE, 3), poses)
 
     def _triad(
-        self, path: str, label: str, extent: Extent, place: tuple[int, int], where: Callable[[Array], Array], poses: Array
+        self,
+        path: str,
+        label: str,
+        extent: Extent,
+        place: tuple[int, int],
+        where: Callable[[Array], Array],
+        poses: Array,
     ) -> None:
         number, k = place
         length = (0.9 + 0.3 * number) * extent.unit
@@ -210,12 +216,11 @@ class Scene:
         for axis, turned in enumerate(_TO_AXIS):
             arrow = length * shaft[0] @ turned.T, shaft[1]
             self.stage.put(f"{path}/{'xyz'[axis]}", shapes.over(arrow, AXES[axis], order=_ABOVE + axis))
-        self.stage.put(f"{path}name", shapes.word(label, INK, 0.42 * extent.unit, lying=False, order=_ABOVE + 5))
+        name = shapes.word(label, INK, 0.42 * extent.unit, lying=False, order=_ABOVE + 5)
+        self.stage.put(f"{path}name", name)
         away = extent.unit * (_AWAY[min(k, 3)] + np.array([0, -0.5 * number, 0]))
         self._rides(lambda poses: poses_of(path, where(poses)), poses)
-        self._rides(
-            lambda poses: [Channel(f"{path}name", "position", where(poses)[:, :3, 3] + away)], poses
-        )
+        self._rides(lambda poses: [Channel(f"{path}name", "position", where(poses)[:, :3, 3] + away)], poses)
 
     def _arrows(self, run: Rollout, times: Array, poses: Array, extent: Extent, arrows: Arrows) -> None:
         held = np.clip(np.searchsorted(run.t, times, side="right") - 1, 0, len(run) - 1)

@@ -48,7 +48,13 @@ def over(triangles: Triangles, colour: str, *, order: int) -> Shape:
 def shadows(radius: float) -> Shape:
     """Return the ground: nothing but the shadows on it."""
     corners = radius * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-    material = {"type": "ShadowMaterial", "color": 0, "opacity": 0.22, "transparent": True, "depthWrite": False}
+    material = {
+        "type": "ShadowMaterial",
+        "color": 0,
+        "opacity": 0.22,
+        "transparent": True,
+        "depthWrite": False,
+    }
     return _mesh((corners, np.array([[0, 1, 2], [0, 2, 3]], np.uint32)), material, {}, 0)
 
 
@@ -67,13 +73,15 @@ def ribbon(points: ArrayLike, width: float, height: float = 0.0) -> Triangles:
     length = np.hypot(*along.T)
     # Where the curve rests, it points where it pointed before.
     moving = np.flatnonzero(length > 1e-9 * max(length.max(), 1e-300))
-    latest = np.maximum.accumulate(np.where(np.isin(np.arange(len(points)), moving), np.arange(len(points)), 0))
+    latest = np.maximum.accumulate(
+        np.where(np.isin(np.arange(len(points)), moving), np.arange(len(points)), 0)
+    )
     along = along[latest] / np.maximum(length[latest], 1e-300)[:, None]
     side = width / 2 * np.stack([-along[:, 1], along[:, 0]], axis=-1)
     edges = np.stack([points + side, points - side], axis=1).reshape(-1, 2)
     vertices = np.column_stack([edges, np.full(len(edges), height)])
     first = 2 * np.arange(max(len(points) - 1, 0), dtype=np.uint32)[:, None]
-    faces = np.stack([first + (0, 1, 2), first + (1, 3, 2)], axis=1).reshape(-1, 3)
+    faces = np.stack([first + np.array([0, 1, 2]), first + np.array([1, 3, 2])], axis=1).reshape(-1, 3)
     return vertices, faces.astype(np.uint32)
 
 
@@ -189,7 +197,13 @@ def _picture(text: str, colour: str) -> tuple[str, float]:
     width = int(font.getlength(text)) + 6 * rim
     image = Image.new("RGBA", (width, _TEXT_HEIGHT), (255, 255, 255, 0))
     ImageDraw.Draw(image).text(
-        (width / 2, _TEXT_HEIGHT / 2), text, colour, font, anchor="mm", stroke_width=rim, stroke_fill="#f6f6f4"
+        (width / 2, _TEXT_HEIGHT / 2),
+        text,
+        colour,
+        font,
+        anchor="mm",
+        stroke_width=rim,
+        stroke_fill="#f6f6f4",
     )
     buffer = BytesIO()
     image.save(buffer, "PNG", optimize=True)

@@ -101,9 +101,7 @@ class Stage:
 
     def set(self, path: str, name: str, value: Any) -> None:
         """Set a property of a node."""
-        self.window.send(
-            Command({"type": "set_property", "path": path, "property": name, "value": value})
-        )
+        self.window.send(Command({"type": "set_property", "path": path, "property": name, "value": value}))
 
     def tell(self, name: str, value: Any) -> None:
         """Set a property of the stage itself, which its page reads."""

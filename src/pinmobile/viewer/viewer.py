@@ -74,9 +74,7 @@ class Viewer:
         self._recording: Recording | None = None
         self._window: LiveWindow | None = None
         if live:
-            from pinmobile.viewer.live import LiveWindow  # it brings a web server
-
-            self._window = LiveWindow(host, port)
+            self._window = _served(host, port)
 
     def __enter__(self) -> "Viewer":
         return self
@@ -298,6 +296,12 @@ class Viewer:
             raise ViewerError("the viewer is closed")
 
 
+def _served(host: str, port: int | None) -> "LiveWindow":
+    from pinmobile.viewer.live import LiveWindow  # it brings a web server
+
+    return LiveWindow(host, port)
+
+
 def _checked(overlays: Overlays | None, default: Overlays) -> Overlays:
     if overlays is None:
         return default
@@ -312,7 +316,7 @@ def _times(runs: Any, fps: float, speed: float) -> Array:
     count = (end - start) * fps / speed
     if count > _MOST_FRAMES:
         raise InvalidArgument(
-            f"fps is {fps:g} 1/s, which makes {count:.3g} frames of {end - start:g} s at a speed of {speed:g}, "
+            f"fps is {fps:g} 1/s, which makes {count:.3g} frames at a speed of {speed:g}, "
             f"expected at most {_MOST_FRAMES}"
         )
     grid = start + np.arange(int(np.ceil(count - 1e-6))) * speed / fps
