@@ -222,6 +222,14 @@ class Chromium:
         with suppress(ProcessLookupError):
             os.killpg(self.pid, signal.SIGKILL)
         os.waitpid(self.pid, 0)
+        # Its children end too, which takes a moment.
+        end = time.monotonic() + 10
+        while time.monotonic() < end:
+            try:
+                os.killpg(self.pid, 0)
+            except ProcessLookupError:
+                break
+            time.sleep(0.01)
         self.pid = 0
         os.close(self._in)
         os.close(self._out)

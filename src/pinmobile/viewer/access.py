@@ -2,6 +2,7 @@
 
 import re
 import secrets
+import socket
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from pinmobile.errors import InvalidArgument
 __all__ = ["Access", "access_for"]
 
 _LOOPBACK = ("127.0.0.1", "::1", "localhost")
-_EVERYWHERE = ("0.0.0.0", "::")  # noqa: S104
+_EVERYWHERE = ("0.0.0.0", "::")
 _TOKEN = re.compile(r"[A-Za-z0-9._~-]+")
 
 
@@ -30,6 +31,13 @@ class Access:
 
     host: str
     token: str | None
+
+    @property
+    def name(self) -> str:
+        """The host as an address has it; where all of the machine's are served, the machine's name."""
+        if self.host in _EVERYWHERE:
+            return socket.gethostname()
+        return f"[{self.host}]" if ":" in self.host else self.host
 
     @property
     def query(self) -> str:
