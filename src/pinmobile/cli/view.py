@@ -55,7 +55,10 @@ def chosen_runs(words: Sequence[str], app: typer.Typer) -> dict[str, Rollout]:
     """Return the run that the options of `run` stand for; without any, the lecture's circle, twice."""
     if not words:
         robot, reference = MobileRobot.lecture(), Tangent(Circle(3, 0.1, 60))
-        laws = {"PD": PD((120, 120, 0.4), (120, 120, 0.4)), "computed torque": ComputedTorque(robot, 4, 4)}
+        laws: dict[str, Any] = {
+            "PD": PD((120, 120, 0.4), (120, 120, 0.4)),
+            "computed torque": ComputedTorque(robot, 4, 4),
+        }
         return {name: simulate(robot, law, reference, dt=0.1) for name, law in laws.items()}
     command: Any = typer.main.get_command(app)
     options = command.commands["run"].make_context("view", list(words)).params

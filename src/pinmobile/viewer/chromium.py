@@ -5,6 +5,7 @@ import json
 import os
 import select
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -141,7 +142,8 @@ class Browser:
         try:
             self._process.wait(5)
         except subprocess.TimeoutExpired:
-            self._process.kill()
+            # It is the first of a session of its own, with all its helpers.
+            os.killpg(self._process.pid, signal.SIGKILL)
             self._process.wait()
         os.close(self._from)
         self._profile.cleanup()

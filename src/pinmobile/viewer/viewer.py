@@ -13,10 +13,10 @@ from pinmobile.arrays import Array, ArrayLike, positive, vector
 from pinmobile.errors import InvalidArgument, ViewerError
 from pinmobile.robot import MobileRobot
 from pinmobile.viewer.motion import tracks
+from pinmobile.viewer.offline import OfflineWindow
 from pinmobile.viewer.overlays import Overlays, Rollouts, checked_runs
 from pinmobile.viewer.page import recorded_page
 from pinmobile.viewer.recording import Recording, picture_of, written
-from pinmobile.viewer.reel import Reel
 from pinmobile.viewer.scene import Scene
 from pinmobile.viewer.stage import Stage
 
@@ -69,12 +69,10 @@ class Viewer:
         if not isinstance(robot, MobileRobot):
             raise InvalidArgument(f"robot is a {type(robot).__name__}, expected a MobileRobot")
         self.robot, self.overlays = robot, _checked(overlays, Overlays())
-        self._reel, self._lock, self._closed = Reel(), RLock(), False
+        self._lock, self._closed = RLock(), False
         self._scene: Scene | None = None
         self._recording: Recording | None = None
-        self._window: LiveWindow | None = None
-        if live:
-            self._window = _served(host, port)
+        self._window: LiveWindow | OfflineWindow = _served(host, port) if live else OfflineWindow()
 
     def __enter__(self) -> "Viewer":
         return self
@@ -87,20 +85,19 @@ class Viewer:
     def close(self) -> None:
         """Stop serving. A closed viewer does nothing more."""
         self._closed = True
-        if self._window is not None:
-            self._window.close()
+        self._window.close()
 
     @property
     def url(self) -> str:
         """Address of the live page."""
-        return self._live("url").url
+        return str(self._live("url").url)
 
-    def wait(self, timeout: float | None = 60.0) -> None:
+    def wait(self, timeout: float = 60.0) -> None:
         """Wait until a browser shows the live page.
 
         Parameters
         ----------
-        timeout : float, optional
+        timeout : float
             [s].
 
         Raises
@@ -219,14 +216,14 @@ class Viewer:
         times = _times(runs, rate, pace)
         with self._lock:
             self._check_open()
-            reel = Reel()
-            scene = Scene(Stage(reel), self.robot, _checked(overlays, self.overlays))
+            window = OfflineWindow()
+            scene = Scene(Stage(window), self.robot, _checked(overlays, self.overlays))
             scene.play(runs, times)
             scene.show(0)
             since = times - times[0]
             moving = tracks(scene.channels, since, float(since[-1]) + _HELD * pace)
             self._recording = Recording(
-                reel.commands(), moving, duration=float(since[-1]), fps=rate, speed=pace, title=title
+                window.commands(), moving, duration=float(since[-1]), fps=rate, speed=pace, title=title
             )
             return self._recording
 
@@ -271,23 +268,16 @@ class Viewer:
             self._check_open()
             if self._scene is None:
                 raise ViewerError("there is nothing to draw yet: call display or play first")
-            return recorded_page(title, self._reel.commands(), {"tracks": [], "speed": 1, "end": 0})
+            return recorded_page(title, self._window.commands(), {"tracks": [], "speed": 1, "end": 0})
 
     def _new_scene(self, overlays: Overlays) -> Scene:
-        stage = Stage(self)
+        stage = Stage(self._window)
         stage.remove("meshcat")
         return Scene(stage, self.robot, overlays)
 
-    def send(self, command: Any) -> None:
-        """Take a command of meshcat's, as a window of `meshcat.Visualizer` does."""
-        self._check_open()
-        self._reel.send(command)
-        if self._window is not None:
-            self._window.send(command)
-
     def _live(self, what: str) -> "LiveWindow":
         self._check_open()
-        if self._window is None:
+        if isinstance(self._window, OfflineWindow):
             raise ViewerError(f"{what} needs a live viewer: Viewer(robot, live=True)")
         return self._window
 
