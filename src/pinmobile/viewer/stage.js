@@ -4,8 +4,9 @@
 (() => {
   const THREE = MeshCat.THREE;
   const element = (id) => document.getElementById(id);
-  const stage = viewer.scene_tree.find(["meshcat", "stage"]).object;
-  const focus = viewer.scene_tree.find(["meshcat", "focus"]).object;
+  // Looked up each time: a new scene has new nodes.
+  const node = (name) => viewer.scene_tree.find(["meshcat", name]).object;
+  let stage = node("stage");
   const seen = {};
   const changed = (name) => {
     const text = JSON.stringify(stage[name]);
@@ -35,14 +36,14 @@
     }
     if (glass) object.castShadow = object.receiveShadow = false;
     if (object.userData.trail) {
+      let drawn = 0;
+      const set = (count) => { drawn = count; object.geometry.setDrawRange(0, 3 * Math.floor(count / 3)); };
+      Object.defineProperty(object, "drawn", { get: () => drawn, set });
       object.drawn = 0;
-      object.frustumCulled = false;
-      trails.push(object);
     }
     set_object.call(viewer, path, object);
     viewer.set_dirty();
   };
-  const trails = [];
 
   const upright = (p) => new THREE.Vector3(p[0], p[2], -p[1]); // from z up to three.js's y up
   const followed = new THREE.Vector3();
@@ -58,7 +59,7 @@
       viewer.controls.target.copy(upright(stage.target));
       followed.copy(upright([0, 0, 0]));
     }
-    const now = upright(focus.position.toArray());
+    const now = upright(node("focus").position.toArray());
     const step = now.clone().sub(followed);
     if (step.lengthSq() > 0) {
       viewer.camera.position.add(step);
@@ -73,7 +74,7 @@
   // The light goes along with the robot: its shadow is sharp however large the scene.
   function place_light() {
     const radius = stage.lit || 1;
-    const at = viewer.scene_tree.find(["meshcat", "robot0"]).object.position; // z up, as all of the scene
+    const at = node("robot0").position; // z up, as all of the scene
     sun.target.position.copy(at);
     sun.position.set(at.x - 1.2 * radius, at.y + 0.7 * radius, 2.0 * radius);
     if (!changed("lit")) return;
@@ -101,10 +102,10 @@
 
   const render = viewer.render;
   viewer.render = () => {
+    stage = node("stage");
     place_camera();
     place_light();
     write();
-    for (const trail of trails) trail.geometry.setDrawRange(0, 3 * Math.floor(trail.drawn / 3));
     render.call(viewer);
   };
 
