@@ -221,13 +221,14 @@ class MobileRobot:
     def visual_model(self) -> pin.GeometryModel:
         """What is drawn: objects in the body's frame, which ride on the last joint of `model`.
 
-        It is made when it is asked for. Of a URDF that shows more than a box, all that it shows, wheels
-        at rest; mesh files that are missing
-        are named in a warning. Else a box of `size` on the ground, with a visible front.
+        It is made when it is asked for. Of a URDF that shows more than a box, all that it shows, wheels at
+        rest; mesh files that are missing are named in a warning. Else a box of `size` on the ground, with a
+        visible front.
         """
         joint = self.model.njoints - 1
-        shown = None if self._looks is None else read_visuals(self._looks, joint)
-        return box_visuals(self.size, joint) if shown is None else shown
+        if self._looks is None:
+            return box_visuals(self.size, joint)
+        return read_visuals(self._looks, self.size, joint)
 
     @property
     def model(self) -> pin.Model:

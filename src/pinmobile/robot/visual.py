@@ -40,10 +40,11 @@ class VisualFile:
     base: tuple[float, ...]
 
 
-def read_visuals(file: VisualFile, joint: int) -> pin.GeometryModel | None:
-    """Return what the file shows, riding on `joint`, its own joints at rest; None if that is a box or less.
+def read_visuals(file: VisualFile, size: Sequence[float], joint: int) -> pin.GeometryModel:
+    """Return what the file shows, riding on `joint`, its own joints at rest.
 
-    Mesh files that are missing are named in a warning and left out.
+    Mesh files that are missing are named in a warning; if no mesh is left, the box stands for them. Of a file
+    that shows nothing but a box it is our own, which has a front.
 
     Raises
     ------
@@ -57,16 +58,16 @@ def read_visuals(file: VisualFile, joint: int) -> pin.GeometryModel | None:
     missing = _without_missing_meshes(root, file)
     if missing:
         warnings.warn(f"{file.path.name}: not drawn, since missing: {', '.join(missing)}", stacklevel=4)
-    shapes = root.findall("./link/visual/geometry/*")
-    if not shapes or (len(shapes) == 1 and shapes[0].tag == "box"):
-        return None
+    shapes = [shape.tag for shape in root.iterfind("./link/visual/geometry/*")]
+    if shapes in ([], ["box"]):
+        return box_visuals(size, joint)
+    visuals = box_visuals(size, joint) if missing and "mesh" not in shapes else pin.GeometryModel()
     text = ElementTree.tostring(root, encoding="unicode")
     model = pin.buildModelFromXML(text)
     shown = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.VISUAL)
     data = model.createData()
     pin.forwardKinematics(model, data, pin.neutral(model))
     base = pin.SE3(np.reshape(file.base, (4, 4))).inverse()
-    visuals = pin.GeometryModel()
     for item in shown.geometryObjects:
         placement = base * data.oMi[item.parentJoint] * item.placement
         whole = pin.GeometryObject(item.name, joint, placement, item.geometry)

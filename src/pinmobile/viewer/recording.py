@@ -190,7 +190,7 @@ class Recording:
     def _frames(self, rate: float, size: tuple[int, int], progress: Progress | None) -> Iterator[Image.Image]:
         times = np.append(np.arange(0.0, self.duration, self.speed / rate), self.duration)
         with _opened(self.html(), size) as browser:
-            for done, time in enumerate(times, start=1):
+            for done, time in enumerate(times.tolist(), start=1):
                 browser.evaluate(f"pinmobile.seek({time!r})" if self.tracks else "0")
                 yield Image.open(BytesIO(browser.picture()))
                 if progress is not None:

@@ -34,6 +34,9 @@
       Object.assign(object.material, { depthWrite: false, side: 1 });
       object.renderOrder = 30; // after what lies on the ground
     }
+    // A mesh comes with shared corners: smooth, its edges would look molten.
+    const mesh = object.geometry && object.geometry.type === "BufferGeometry";
+    if (mesh && object.material.isMeshPhongMaterial) object.material.flatShading = true;
     if (glass) object.castShadow = object.receiveShadow = false;
     if (object.userData.trail) {
       let drawn = 0;
