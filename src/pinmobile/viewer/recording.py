@@ -17,7 +17,7 @@ from pinmobile.errors import InvalidArgument, ViewerError
 from pinmobile.viewer.chromium import Browser
 from pinmobile.viewer.page import recorded_page
 
-__all__ = ["Recording", "picture_of"]
+__all__ = ["Recording", "picture_of", "written"]
 
 Progress = Callable[[int, int], object]
 

@@ -114,7 +114,7 @@ class Scene:
             else:
                 self.channels += along(path, poses[index])
             if self.overlays.trail:
-                self._trail(index, len(runs), poses[index], extent)
+                self._trail(index, len(runs), run, times, extent)
             self.legend.append([label or "travelled", colour(index), "", 0.0 if index == 0 else 0.55])
         if self.overlays.desired:
             self.stage.robot("meshcat/desired", self.robot, QUIET, ghost=True)
@@ -174,16 +174,15 @@ class Scene:
             self.stage.put("meshcat/path", shapes.flat(bands, INK, order=_PATH))
         self.legend.append(["desired", INK, "6 4", 0.0])
 
-    def _trail(self, index: int, count: int, poses: Array, extent: Extent) -> None:
-        step = -(-len(poses) // _SPREAD)
-        kept = np.unique(np.append(np.arange(0, len(poses), step), len(poses) - 1))
+    def _trail(self, index: int, count: int, run: Rollout, times: Array, extent: Extent) -> None:
+        kept = np.unique(np.append(np.arange(0, len(run), -(-len(run) // _SPREAD)), len(run) - 1))
         width = 0.05 * extent.unit * (1 + 0.9 * (count - 1 - index))
-        band = shapes.ribbon(poses[kept, :2], width)
+        band = shapes.ribbon(run.q[kept, :2], width)
         path = f"meshcat/trail{index}/<object>"
         self.stage.put(
             path.removesuffix("/<object>"), shapes.flat(band, colour(index), order=_TRAIL + index, trail=True)
         )
-        drawn = 6 * np.interp(np.arange(len(poses)), kept, np.arange(len(kept)))
+        drawn = 6 * np.interp(times, run.t[kept], np.arange(len(kept)))
         self.channels.append(Channel(path, "drawn", drawn[:, None]))
 
     def _tables(self, poses: Array, extent: Extent) -> None:
@@ -223,7 +222,8 @@ class Scene:
         self._rides(lambda poses: [Channel(f"{path}name", "position", where(poses)[:, :3, 3] + away)], poses)
 
     def _arrows(self, run: Rollout, times: Array, poses: Array, extent: Extent, arrows: Arrows) -> None:
-        held = np.clip(np.searchsorted(run.t, times, side="right") - 1, 0, len(run) - 1)
+        now = times + 1e-9 * max(abs(times[-1]), 1.0)  # a frame at a sample is not before it
+        held = np.clip(np.searchsorted(run.t, now, side="right") - 1, 0, len(run) - 1)
         fx, fy, moment = run.tau[held].T
         heading = np.column_stack([poses[:, :2], np.unwrap(np.arctan2(fy, fx))])
         flat = poses * (1, 1, 0)
