@@ -53,8 +53,6 @@ class _Answer(RequestHandler):
         self.set_header("Cross-Origin-Resource-Policy", "same-origin")
         self.set_header("Referrer-Policy", "no-referrer")  # the address may hold a token
         self.set_header("X-Content-Type-Options", "nosniff")
-        # A connection that is kept would be inherited by a forked child.
-        self.set_header("Connection", "close")
 
     def write_error(self, status_code: int, **_: Any) -> None:
         self.refuse(status_code, self._reason)

@@ -158,8 +158,9 @@ class Server:
     async def _serve(self) -> None:
         self._loop = asyncio.get_running_loop()
         self._work, self._end = asyncio.Event(), asyncio.Event()
+        # A connection that is kept for another request would be inherited by a forked child.
         http = HTTPServer(
-            application(self), max_header_size=1 << 16, max_body_size=1 << 16, idle_connection_timeout=60
+            application(self), no_keep_alive=True, max_header_size=1 << 16, max_body_size=1 << 16
         )
         http.add_sockets(self._sockets)
         self._started.set()
