@@ -331,6 +331,20 @@ def test_the_whole_path_is_seen_at_the_first_glance(
     assert spread[1] - spread[0] > 0.4 * min(size[0], 1.5 * size[1])
 
 
+@pytest.mark.parametrize("samples", [1, 2, 50])
+def test_a_robot_that_stands_can_be_recorded(
+    page: Page, viewer: Viewer, runs: dict[str, Rollout], tmp_path: Path, samples: int
+) -> None:
+    run = runs["PD"]
+    parts = {name: getattr(run, name)[:samples] for name in ("t", "v", "a", "tau", "error")}
+    still = np.zeros((samples, 3))
+    stands = Rollout(robot=run.robot, q=still, reference=type(run.reference)(still, still, still), **parts)
+    overlays = Overlays(arrows=Arrows(), desired=True, body_frame=True, frames=(SLIDE_TABLE,))
+    opened(page, viewer.record(stands, overlays=overlays), tmp_path)
+    page.evaluate("pinmobile.seek(0)")
+    assert sees(page, BLUE, projected(page, side(viewer.robot, np.zeros(3))))
+
+
 def test_pages_are_small_and_made_fast(viewer: Viewer, tmp_path: Path) -> None:
     robot, path = MobileRobot.lecture(), Circle(3, 0.1, 60)
     run = simulate(robot, ComputedTorque(robot), Tangent(path), dt=0.006)
@@ -535,7 +549,7 @@ def nan_rollout(run: Rollout) -> Rollout:
         ),
         (lambda v, r: untyped(Viewer)("robot"), InvalidArgument, "robot is a str, expected a MobileRobot"),
         (
-            lambda v, r: Overlays(frames=("lecture",)),
+            lambda v, r: untyped(Overlays)(frames=("lecture",)),
             InvalidArgument,
             "frames has 'lecture', expected tables",
         ),

@@ -9,7 +9,7 @@ import numpy as np
 
 from pinmobile.arrays import Array
 
-__all__ = ["Channel", "along", "poses_of", "tracks"]
+__all__ = ["Channel", "along", "poses_of", "sampled", "tracks"]
 
 _KINDS = {"position": "vector3", "scale": "vector3", "quaternion": "quaternion"}
 _DIGITS = {"position": 5, "scale": 5, "quaternion": 6, "drawn": 1}
@@ -57,6 +57,11 @@ def poses_of(path: str, placements: Array) -> list[Channel]:
         Channel(path, "position", placements[:, :3, 3]),
         Channel(path, "quaternion", _continuous(_quaternions(R))),
     ]
+
+
+def sampled(times: Array, t: Array, values: Array) -> Array:
+    """Return values, shape (N, k), at other times, shape (n,); straight between two samples."""
+    return np.stack([np.interp(times, t, column) for column in values.T], axis=-1)
 
 
 def tracks(channels: Iterable[Channel], times: Array, end: float) -> list[dict[str, Any]]:

@@ -24,7 +24,6 @@ __all__ = [
     "over",
     "ribbon",
     "shadows",
-    "solid",
     "word",
 ]
 
@@ -32,12 +31,6 @@ Shape = dict[str, Any]
 Triangles = tuple[Array, NDArray[np.uint32]]  # vertices (n, 3) [m], faces (m, 3)
 
 _TEXT_HEIGHT = 64  # [px]
-
-
-def solid(triangles: Triangles, colour: str, *, opacity: float = 1.0, order: int = 0) -> Shape:
-    """Return a lit mesh; below an opacity of 1 it is glass that casts no shadow."""
-    material: Shape = {"type": "MeshLambertMaterial", "color": _hex(colour), "side": 2}
-    return _mesh(triangles, _see_through(material, opacity), {"flat": opacity < 1}, order)
 
 
 def flat(
@@ -85,7 +78,7 @@ def ribbon(points: ArrayLike, width: float, height: float = 0.0) -> Triangles:
     along = np.gradient(points, axis=0) if len(points) > 1 else np.zeros_like(points)
     length = np.hypot(*along.T)
     # Where the curve rests, it points where it pointed before.
-    moving = np.flatnonzero(length > 1e-9 * max(length.max(), 1e-300))
+    moving = np.flatnonzero(length > 1e-9 * length.max(initial=1e-300))
     latest = np.maximum.accumulate(
         np.where(np.isin(np.arange(len(points)), moving), np.arange(len(points)), 0)
     )
@@ -180,12 +173,6 @@ def _mesh(triangles: Triangles, material: Shape, data: Shape, order: int) -> Sha
         "materials": [{"uuid": "material", **material}],
         "object": {**shape, "renderOrder": order, "userData": data},
     }
-
-
-def _see_through(material: Shape, opacity: float) -> Shape:
-    if opacity == 1:
-        return material
-    return {**material, "transparent": True, "opacity": opacity, "depthWrite": False}
 
 
 def _turned(profile: Sequence[tuple[float, float]], sides: int = 20) -> Triangles:

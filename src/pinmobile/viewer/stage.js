@@ -56,8 +56,9 @@
     const moved = [changed("eye"), changed("target")];
     if (moved.includes(true) && stage.eye && stage.target) {
       viewer.camera.fov = 35;
-      viewer.camera.near = 0.05;
-      viewer.camera.far = 1000;
+      const away = upright(stage.eye).distanceTo(upright(stage.target));
+      viewer.camera.near = away / 200;
+      viewer.camera.far = away * 30;
       viewer.camera.position.copy(upright(stage.eye));
       viewer.controls.target.copy(upright(stage.target));
       followed.copy(upright([0, 0, 0]));

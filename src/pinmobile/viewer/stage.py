@@ -176,7 +176,7 @@ def overview(extent: Extent, height: float) -> View:
     right /= np.linalg.norm(right)
     up = np.cross(right, forward)
     (low_x, *_, high_x), (low_y, *_, high_y) = extent.lines(0), extent.lines(1)
-    xs, ys = (low_x - 2.2 * extent.tall, high_x + extent.tall), (low_y - 1.4 * extent.tall, high_y)
+    xs, ys = (low_x - 2.2 * extent.tall, high_x + 2.6 * extent.tall), (low_y - 1.4 * extent.tall, high_y)
     corners = np.array([[x, y, z] for x in xs for y in ys for z in (0, height)])
     target = np.append(extent.centre, 0.0)
     tangent = np.tan(_FOV / 2)
