@@ -48,7 +48,7 @@ def resident(pid: int | str = "self") -> float:
 
 def ask(url: str, headers: Mapping[str, str] | None = None, **changes: str) -> tuple[int, str]:
     """Return status and text of an answer; `changes` are parts of the url."""
-    with _request(url, headers or {}, changes) as connection:
+    with _request(url, {"Connection": "close", **(headers or {})}, changes) as connection:
         received = b""
         while part := connection.recv(1 << 16):
             received += part

@@ -102,7 +102,7 @@ def access_for(host: str, token: str | None) -> Access:
         f"the viewer listens on {host}: whoever can reach that address and knows the token sees the scene, "
         "and the connection is not encrypted; an SSH tunnel to the default host, 127.0.0.1, avoids both",
         UserWarning,
-        stacklevel=4,
+        stacklevel=3,
     )
     return Access(host, secrets.token_urlsafe(24) if token is None else token)
 

@@ -157,9 +157,14 @@ class Browser(_Answer, WebSocketHandler):
         if not self.ready:
             return
         commands, latest = self.server.backlog.since(self.seen)
+        self.seen = latest
         if not commands:
+            # Everything since was deleted again.
+            if not self._unanswered and self.taken < latest:
+                self.taken = latest
+                self.server.news()
             return
-        self._writing, self.seen = True, latest
+        self._writing = True
         try:
             writes = [self.write_message(command, binary=True) for command in commands]
             self._unanswered.append(latest)

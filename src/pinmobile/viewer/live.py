@@ -67,9 +67,9 @@ class LiveWindow:
             raise InvalidArgument(f"port is {wanted}, expected at most 65535")
         access = access_for(host, token)
         html = _served(live_page() if page is None else page, access.query)
-        sockets = listening(access.host, wanted)
-        self._port = int(sockets[0].getsockname()[1])
-        self._server = Server(sockets, access, html.encode(), ENGINE.read_bytes())
+        listener = listening(access.host, wanted)
+        self._port = int(listener.getsockname()[1])
+        self._server = Server(listener, access, html.encode(), ENGINE.read_bytes())
         # Also at the interpreter's exit, and when nobody holds the window any more.
         self._finish = weakref.finalize(self, self._server.stop)
 

@@ -5,12 +5,13 @@ import os
 import socket
 import threading
 from collections.abc import Callable
+from concurrent.futures import CancelledError
 from contextlib import suppress
-from typing import TypeVar
+from typing import Any
 from weakref import WeakSet
 
 from tornado.httpserver import HTTPServer
-from tornado.netutil import bind_sockets
+from tornado.iostream import IOStream
 
 from pinmobile.errors import ViewerError
 from pinmobile.viewer.access import Access
@@ -19,8 +20,6 @@ from pinmobile.viewer.handlers import Browser, application
 
 __all__ = ["Server", "listening"]
 
-_T = TypeVar("_T")
-
 _PERIOD = 1 / 60  # [s] between two batches
 _GATHER = 0.003  # [s] in which the commands of one pose come together
 _FAREWELL = 0.2  # [s] in which browsers can answer that they have seen the end
@@ -28,21 +27,36 @@ _PATIENCE = 10.0  # [s] for the thread to start or end
 _MOST_DELETIONS = 10_000  # that are kept for a browser which does not take them
 
 
-def listening(host: str, port: int | None) -> list[socket.socket]:
-    """Return the sockets that listen at an address, on one port.
+def listening(host: str, port: int | None) -> socket.socket:
+    """Return a socket that listens at an address.
 
     Raises
     ------
     ViewerError
         If that is not possible: the port is taken, or there is no such address.
     """
-    # A browser that is told "localhost" tries both of its addresses.
-    address = "127.0.0.1" if host == "localhost" else host
     try:
-        return bind_sockets(port or 0, address=address)
+        # A browser that is told "localhost" tries both of its addresses.
+        name = "127.0.0.1" if host == "localhost" else host
+        family, *_, address = socket.getaddrinfo(name, port or 0, type=socket.SOCK_STREAM)[0]
+        server = socket.create_server(address[:2], family=family, backlog=128)
     except (OSError, UnicodeError) as error:
         where = "a free port" if port is None else f"port {port}"
         raise ViewerError(f"cannot listen on {where} of {host}: {error}") from error
+    server.setblocking(False)
+    return server
+
+
+class _Http(HTTPServer):
+    """Knows its connections, those to websockets too."""
+
+    def initialize(self, *args: Any, **settings: Any) -> None:
+        self.streams: WeakSet[IOStream] = WeakSet()
+        super().initialize(*args, **settings)
+
+    def handle_stream(self, stream: IOStream, address: Any) -> None:
+        self.streams.add(stream)
+        super().handle_stream(stream, address)
 
 
 class Server:
@@ -50,8 +64,8 @@ class Server:
 
     Parameters
     ----------
-    sockets : list of socket
-        That listen; they are the server's from now on.
+    listener : socket
+        That listens; it is the server's from now on.
     access : Access
         Who may ask.
     page, script : bytes
@@ -65,12 +79,12 @@ class Server:
         That show it, the last one to come last. Only the server's thread changes it.
     """
 
-    def __init__(self, sockets: list[socket.socket], access: Access, page: bytes, script: bytes) -> None:
+    def __init__(self, listener: socket.socket, access: Access, page: bytes, script: bytes) -> None:
         self.access, self.page, self.script = access, page, script
         self.backlog = Backlog()
         self.browsers: list[Browser] = []
         self.closed = False
-        self._sockets = sockets
+        self._listener = listener
         self._changed = threading.Condition()
         self._started = threading.Event()
         self._told = False  # that there is something to send, and the loop has not looked yet
@@ -82,8 +96,7 @@ class Server:
                 raise ViewerError("the viewer's server did not start")
         except BaseException:
             self.closed = True
-            for each in sockets:
-                each.close()
+            listener.close()
             raise
         _SERVERS.add(self)
 
@@ -117,6 +130,8 @@ class Server:
         except TimeoutError:
             waiting.cancel()
             raise ViewerError(f"the browser has sent no picture within {timeout:g} s") from None
+        except CancelledError:
+            raise ViewerError("the window is closed") from None
 
     def join(self, browser: Browser) -> None:
         """Take a browser that has come."""
@@ -145,11 +160,9 @@ class Server:
         """Let go of the sockets in a forked child, where there is no thread, without touching the loop."""
         self.closed = True
         self._changed, self.backlog.lock = threading.Condition(), threading.Lock()
-        for each in self._sockets:
-            each.close()
-        for connection in [browser.ws_connection for browser in self.browsers]:
-            if connection is not None and connection.stream is not None and connection.stream.socket:
-                connection.stream.socket.close()
+        for each in [self._listener, *(stream.socket for stream in self._http.streams)]:
+            if each is not None:
+                each.close()
         self.browsers = []
 
     def _run(self) -> None:
@@ -158,11 +171,10 @@ class Server:
     async def _serve(self) -> None:
         self._loop = asyncio.get_running_loop()
         self._work, self._end = asyncio.Event(), asyncio.Event()
-        # A connection that is kept for another request would be inherited by a forked child.
-        http = HTTPServer(
-            application(self), no_keep_alive=True, max_header_size=1 << 16, max_body_size=1 << 16
+        http = self._http = _Http(
+            application(self), max_header_size=1 << 16, max_body_size=1 << 16, idle_connection_timeout=60
         )
-        http.add_sockets(self._sockets)
+        http.add_socket(self._listener)
         self._started.set()
         pump = asyncio.create_task(self._pump())
         await self._end.wait()
@@ -174,11 +186,8 @@ class Server:
             async with asyncio.timeout(_FAREWELL):
                 while self.browsers:
                     await asyncio.sleep(0.01)
-        for browser in list(self.browsers):
-            browser.abort()
-        with suppress(TimeoutError):
-            async with asyncio.timeout(_FAREWELL):
-                await http.close_all_connections()
+        for stream in list(http.streams):
+            stream.close()
 
     async def _pump(self) -> None:
         """Send what is new to each browser, 60 times a second at most."""
