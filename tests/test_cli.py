@@ -45,7 +45,11 @@ def test_lecture_writes_every_figure_with_an_index_that_says_what_it_shows(lectu
     page = (folder / "index.html").read_text()
     kinds = ("animation.gif", "path.png", "states.png", "errors.png", "forces.png")
     figures = {f"{name}-{kind}" for name in ("via-stop", "via-free", "circle") for kind in kinds}
-    assert {path.name for path in folder.iterdir()} == figures | {"index.html", "derivation.txt"}
+    pages = {f"{name}.html" for name in ("via-stop", "via-free", "circle")}
+    assert {path.name for path in folder.iterdir()} == figures | pages | {"index.html", "derivation.txt"}
+    for name in pages:
+        assert f'<a href="{name}">' in page
+    assert text.endswith(f"see it move: open {folder / 'circle.html'}\n")
     for name in figures:
         assert re.search(rf'<img src="{name}" alt="[^"]+"', page)
         assert 1_000 < (folder / name).stat().st_size < 1_000_000

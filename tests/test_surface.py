@@ -34,6 +34,7 @@ ALLOWED: dict[str, set[str]] = {
     "integrators": {"arrays"},
     "simulation": {"robot", "trajectories", "controllers", "integrators"},
     "plots": {"simulation"},
+    "viewer": {"robot", "simulation"},
 }
 
 

@@ -1,7 +1,7 @@
 """Dynamics and control of ground robots on Pinocchio.
 
-What needs sympy or matplotlib is loaded when it is asked for: `verify`, and the modules `derivation`,
-`verification` and `plots`.
+What needs sympy, matplotlib or meshcat is loaded when it is asked for: `verify`, and the modules
+`derivation`, `verification`, `plots` and `viewer`.
 """
 
 from importlib import import_module
@@ -55,7 +55,7 @@ __all__ = [
     "verify",
 ]
 
-_LAZY_MODULES = ("derivation", "plots", "verification")
+_LAZY_MODULES = ("derivation", "plots", "verification", "viewer")
 
 
 def __getattr__(name: str) -> Any:

@@ -3,6 +3,8 @@
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
+import numpy as np
+
 from pinmobile import (
     LECTURE_TABLE,
     PD,
@@ -19,6 +21,7 @@ from pinmobile import (
     Tangent,
     UnknownName,
     constant_acceleration,
+    planar_difference,
     rk4,
     semi_implicit_euler,
 )
@@ -30,6 +33,7 @@ __all__ = [
     "ROBOTS",
     "TABLES",
     "choose",
+    "closed_loop",
     "controller",
     "numbers",
     "path",
@@ -173,3 +177,39 @@ def robot(base: MobileRobot, **changed: Any) -> MobileRobot:
         return base
     parameters = {"mass": base.mass, "yaw_inertia": base.yaw_inertia, "com": base.com, "size": base.size}
     return MobileRobot(**{**parameters, **kept}, dh=base.dh)
+
+
+def closed_loop(**options: Any) -> tuple[MobileRobot, Any, Any, dict[str, Any]]:
+    """Return the plant, the controller, the trajectory and the settings that the options of `run` stand for.
+
+    Raises
+    ------
+    UnknownName, InvalidArgument
+        If an option is not what is expected.
+    """
+    plain = ("duration", "radius", "rate", "rx", "ry", "wx", "wy", "t_via")
+    given = {name: options[name] for name in plain}
+    for name in ("start", "via", "end", "via_velocity"):
+        given[name] = numbers(f"--{name.replace('_', '-')}", options[name])
+    curve = path(options["trajectory"], given)
+    make = choose("heading", options["heading"], HEADINGS)
+    if options["heading"] != "fixed":
+        refuse_beside(f"--heading {options['heading']}", psi=options["psi"])
+    if options["controller"] == "pd":
+        believed = ("model_mass", "model_yaw_inertia", "model_com")
+        refuse_beside("--controller pd", **{name: options[name] for name in believed})
+    if options["urdf"] is None:
+        base = choose("robot", options["robot"] or "lecture", ROBOTS)()
+    else:
+        refuse_beside("--urdf", robot=options["robot"])
+        base = MobileRobot.from_urdf(options["urdf"])
+    changed = {name: options[name] for name in ("mass", "yaw_inertia")}
+    plant = robot(base, **changed, com=numbers("--com", options["com"]))
+    model_changed = {name: options[f"model_{name}"] for name in ("mass", "yaw_inertia")}
+    model = robot(plant, **model_changed, com=numbers("--model-com", options["model_com"]))
+    difference = np.subtract if options["heading"] == "lecture" else planar_difference
+    gains = numbers("--kp", options["kp"]), numbers("--kd", options["kd"])
+    law = controller(options["controller"], model, *gains, difference)
+    step = choose("integrator", options["integrator"], INTEGRATORS)
+    settings = {"dt": options["dt"], "integrator": step, "substeps": options["substeps"]}
+    return plant, law, make(curve, options["psi"] or 0.0, options["turn_time"]), settings

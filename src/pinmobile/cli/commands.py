@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 import pinmobile
@@ -11,6 +10,7 @@ from pinmobile.cli import choices
 from pinmobile.cli.lecture import show_lecture
 from pinmobile.cli.output import console, output_folder, progress
 from pinmobile.cli.run import show_run
+from pinmobile.cli.view import chosen_runs, overlays_of, saved_runs, show_live
 
 __all__ = ["app"]
 
@@ -170,6 +170,9 @@ def run(
         "out/run"
     ),
     gif: Annotated[bool, typer.Option(help="Also draw the moving robot.", rich_help_panel=_LOOP)] = False,
+    html: Annotated[
+        bool, typer.Option("--html", help="Also write a page that shows it move.", rich_help_panel=_LOOP)
+    ] = False,
 ) -> int:
     """Run one closed loop: a trajectory, a controller, a robot. Without options, the lecture's circle.
 
@@ -177,40 +180,32 @@ def run(
 
     pinmobile run --com 0.1,0.05 --model-com 0,0 --yaw-inertia 1.3 --dt 0.01
     """
+    options = locals().copy()
     folder = output_folder(out)
-    given = {"duration": duration, "radius": radius, "rate": rate, "rx": rx, "ry": ry, "wx": wx, "wy": wy}
-    given |= {"t_via": t_via}
-    for name, text in {"start": start, "via": via, "end": end, "via_velocity": via_velocity}.items():
-        given[name] = choices.numbers(f"--{name.replace('_', '-')}", text)  # type: ignore[assignment]
-    path = choices.path(trajectory, given)
-    make = choices.choose("heading", heading, choices.HEADINGS)
-    if heading != "fixed":
-        choices.refuse_beside(f"--heading {heading}", psi=psi)
-    if controller == "pd":
-        choices.refuse_beside(
-            "--controller pd", model_mass=model_mass, model_yaw_inertia=model_yaw_inertia, model_com=model_com
-        )
-    if urdf is None:
-        base = choices.choose("robot", robot or "lecture", choices.ROBOTS)()
-    else:
-        choices.refuse_beside("--urdf", robot=robot)
-        base = pinmobile.MobileRobot.from_urdf(urdf)
-    plant = choices.robot(base, mass=mass, yaw_inertia=yaw_inertia, com=choices.numbers("--com", com))
-    model = choices.robot(
-        plant, mass=model_mass, yaw_inertia=model_yaw_inertia, com=choices.numbers("--model-com", model_com)
-    )
-    difference = np.subtract if heading == "lecture" else pinmobile.planar_difference
-    gains = choices.numbers("--kp", kp), choices.numbers("--kd", kd)
-    law = choices.controller(controller, model, *gains, difference)
-    step = choices.choose("integrator", integrator, choices.INTEGRATORS)
-    return show_run(
-        plant,
-        law,
-        make(path, psi or 0.0, turn_time),
-        folder,
-        controller,
-        gif,
-        dt=dt,
-        integrator=step,
-        substeps=substeps,
-    )
+    return show_run(choices.closed_loop(**options), folder, controller, gif=gif, html=html)
+
+
+@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+def view(
+    context: typer.Context,
+    rollout: Annotated[
+        list[Path] | None,
+        typer.Option(help="File that `run` or Rollout.save wrote; repeat it for a ghost beside it."),
+    ] = None,
+    host: Annotated[str, typer.Option(help="Address to serve at.")] = "127.0.0.1",
+    port: Annotated[int | None, typer.Option(help="Port; by default one that is free.")] = None,
+    speed: Annotated[float, typer.Option(help="Seconds of the run per second.")] = 4.0,
+    follow: Annotated[bool, typer.Option(help="Let the camera follow the robot.")] = False,
+    frames: Annotated[bool, typer.Option(help="Draw the frames of both DH tables.")] = False,
+    arrows: Annotated[bool, typer.Option(help="Draw force and moment.")] = False,
+) -> int:
+    """Serve a page that shows a run again and again, also on a machine without a screen, until Ctrl-C.
+
+    Without options it shows the lecture's circle, PD and computed torque together. It takes the options of
+    [bold]pinmobile run[/bold] too, and then shows that run.
+
+    Example: pinmobile view --trajectory via-free --controller pd
+    """
+    rollouts = saved_runs(rollout, context.args) if rollout else chosen_runs(context.args, app)
+    overlays = overlays_of(follow=follow, frames=frames, arrows=arrows)
+    return show_live(rollouts, overlays, host=host, port=port, speed=speed)

@@ -24,6 +24,7 @@ from pinmobile import (
 )
 from pinmobile.cli.output import Picture, Section, console, index_page, progress
 from pinmobile.cli.run import FIGURES, draw
+from pinmobile.cli.view import save_page
 
 __all__ = ["EXPECTED", "show_lecture"]
 
@@ -39,6 +40,7 @@ _CONTROLLERS: dict[str, Callable[..., Any]] = {
 _DT = 0.1
 _TURN_TIME = 2.0
 _OFFSET = (0.1, 0.05)
+_STEPS = Picture("derivation.txt", "Every step of the derivation.")
 
 EXPECTED = {
     ("via stop", "PD"): ("3.219048e-03", "3.121481e-03"),
@@ -56,7 +58,7 @@ Runs = dict[tuple[str, str], Rollout]
 def show_lecture(folder: Path, *, gif: bool) -> int:
     """Print the lecture's results and write its figures; return 0 if every number is the lecture's."""
     robot = MobileRobot.lecture()
-    steps = 4 + len(_PATHS) * (len(FIGURES) + gif)
+    steps = 4 + len(_PATHS) * (len(FIGURES) + 1 + gif)
     with progress(steps) as bar:
 
         def begin(what: str) -> None:
@@ -81,13 +83,14 @@ def show_lecture(folder: Path, *, gif: bool) -> int:
     summary = _summary(verification, same)
     (folder / "derivation.txt").write_text(str(derived), encoding="utf-8")
     texts = [
-        Section("1  Derivation: M(q) and n(q, v)", _equations(derived), file="derivation.txt"),
+        Section("1  Derivation: M(q) and n(q, v)", _equations(derived), pages=[_STEPS]),
         Section(f"2  Verification, with the centre of mass at {_OFFSET} m", str(verification)),
         Section("3  Six closed loops", table),
     ]
     page = index_page(folder, "The lecture: a mobile robot as a DH chain", [*texts, *sections])
     console.print(f"\n{summary}\nevery step of the derivation: {folder / 'derivation.txt'}", markup=False)
     console.print(f"figures: open {page}", markup=False)
+    console.print(f"see it move: open {folder / 'circle.html'}", markup=False)
     return 0 if same and verification.passed else 1
 
 
@@ -160,6 +163,10 @@ def _sections(folder: Path, right: Runs, lecture: Runs, gif: bool, bar: Any) -> 
             pictures.insert(
                 0, Picture(f"{prefix}animation.gif", "The robot as it moves: PD, computed torque.")
             )
+        bar.update(bar.task_ids[0], description=f"recording {prefix}scene", advance=1)
+        name = trajectory.replace(" ", "-") + ".html"
+        save_page(rollouts, folder / name, f"{trajectory.capitalize()}: PD and computed torque", speed=4)
         title = f"{number}  {trajectory.capitalize()}: PD beside computed torque"
-        sections.append(Section(title, "with the heading put right", pictures))
+        pages = [Picture(name, "See it move: both robots in one scene.")]
+        sections.append(Section(title, "with the heading put right", pictures, pages))
     return sections

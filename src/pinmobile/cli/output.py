@@ -26,12 +26,12 @@ class Picture:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the index page: a title, text in fixed-width letters, a file to open, and figures."""
+    """A part of the index page: a title, text in fixed-width letters, links to pages, and figures."""
 
     title: str
     text: str = ""
     pictures: Sequence[Picture] = ()
-    file: str = ""
+    pages: Sequence[Picture] = ()
 
 
 @contextmanager
@@ -70,8 +70,8 @@ def index_page(folder: Path, title: str, sections: Sequence[Section]) -> Path:
         body.append(f"<h2>{escape(section.title)}</h2>")
         if section.text:
             body.append(f"<pre>{escape(section.text)}</pre>")
-        if section.file:
-            body.append(f'<p><a href="{escape(section.file)}">{escape(section.file)}</a></p>')
+        for linked in section.pages:
+            body.append(f'<p><a href="{escape(linked.file)}">{escape(linked.caption)}</a></p>')
         for picture in section.pictures:
             body.append(
                 f'<figure><a href="{escape(picture.file)}"><img src="{escape(picture.file)}" '

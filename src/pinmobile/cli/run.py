@@ -5,6 +5,7 @@ from typing import Any
 
 from pinmobile import Diverged, MobileRobot, Rollout, plots, simulate
 from pinmobile.cli.output import Picture, Section, console, index_page, progress
+from pinmobile.cli.view import save_page
 
 __all__ = ["FIGURES", "draw", "show_run"]
 
@@ -39,10 +40,11 @@ def draw(rollouts: dict[str, Rollout], folder: Path, prefix: str, bar: Any) -> l
 
 
 def show_run(
-    plant: MobileRobot, law: Any, trajectory: Any, folder: Path, label: str, gif: bool, **options: Any
+    loop: tuple[MobileRobot, Any, Any, dict[str, Any]], folder: Path, label: str, *, gif: bool, html: bool
 ) -> int:
     """Run, print the judgement, and write records, figures and their index; a diverged run too."""
-    with progress(len(FIGURES) + 2 + gif) as bar:
+    plant, law, trajectory, options = loop
+    with progress(len(FIGURES) + 2 + gif + html) as bar:
         bar.update(bar.task_ids[0], description="simulating", advance=1)
         diverged: Diverged | None = None
         try:
@@ -59,16 +61,23 @@ def show_run(
             bar.update(bar.task_ids[0], description="drawing the moving robot", advance=1)
             plots.animate(rollout, folder / "animation.gif")
             pictures.insert(0, Picture("animation.gif", "The robot as it moves."))
+        pages = []
+        if html:
+            bar.update(bar.task_ids[0], description="recording the scene", advance=1)
+            save_page({label: rollout}, folder / "scene.html", f"{label} on {plant}")
+            pages.append(Picture("scene.html", "See it move."))
     console.print(f"robot: {plant}, {plant.source}", markup=False)
     if diverged is not None:
         console.print("up to there:", markup=False)
     console.print(str(rollout), markup=False)
     text = str(rollout) if diverged is None else f"{diverged}\n\nup to there:\n{rollout}"
-    page = index_page(folder, f"{label} on {plant}", [Section("What came of it", text, pictures)])
+    page = index_page(folder, f"{label} on {plant}", [Section("What came of it", text, pictures, pages)])
     console.print(
         f"wrote {folder / 'rollout.npz'} (Rollout.load reads it), rollout.csv and figures\nopen {page}",
         markup=False,
     )
+    if html:
+        console.print(f"see it move: open {folder / 'scene.html'}", markup=False)
     if diverged is not None:
         raise diverged
     return 0

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from typing import NamedTuple, final
@@ -15,6 +16,7 @@ from pinmobile.dh import LECTURE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot.engine import Engine, build_model
 from pinmobile.robot.reading import read_model, read_urdf
+from pinmobile.robot.visual import VisualFile, box_visuals, read_visuals
 
 __all__ = ["Linearization", "MobileRobot"]
 
@@ -73,6 +75,7 @@ class MobileRobot:
     source: str = field(default="made from numbers", init=False)
     body: urdf.Body = field(init=False)
     _engine: Engine = field(init=False)
+    _looks: VisualFile | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         com = finite("com", self.com)
@@ -115,7 +118,7 @@ class MobileRobot:
 
     def __reduce__(self) -> tuple[object, ...]:
         # A pin.Data is not worth keeping: it is made again from the parameters.
-        return MobileRobot.from_body, (self.body, self.size, self.dh, self.source)
+        return _restored, (self.body, self.size, self.dh, self.source, self._looks)
 
     @classmethod
     def lecture(cls) -> "MobileRobot":
@@ -167,8 +170,10 @@ class MobileRobot:
         for folder in package_dirs:
             if not Path(folder).is_dir():
                 raise InvalidArgument(f"package_dirs has {str(folder)!r}, expected a folder")
-        reading = read_urdf(location("path", path))
-        return cls.from_body(reading.body, reading.size, reading.table, reading.source)
+        file = location("path", path)
+        reading = read_urdf(file)
+        looks = VisualFile(file.resolve(), tuple(Path(d).resolve() for d in package_dirs), reading.base)
+        return _restored(reading.body, reading.size, reading.table, reading.source, looks)
 
     @classmethod
     def from_model(cls, pin_model: pin.Model) -> "MobileRobot":
@@ -215,6 +220,19 @@ class MobileRobot:
             object.__setattr__(robot, name, value)
         robot._take(body)
         return robot
+
+    @cached_property
+    def visual_model(self) -> pin.GeometryModel:
+        """What is drawn: objects in the body's frame, which ride on the last joint of `model`.
+
+        It is made when it is asked for. Of a URDF that shows more than a box, all that it shows, wheels at
+        rest; mesh files that are missing are named in a warning. Else a box of `size` on the ground, with a
+        visible front.
+        """
+        joint = self.model.njoints - 1
+        if self._looks is None:
+            return box_visuals(self.size, joint)
+        return read_visuals(self._looks, self.size, joint)
 
     @property
     def model(self) -> pin.Model:
@@ -341,6 +359,14 @@ class MobileRobot:
     def _square(self, matrices: Array) -> Array:
         order = self._engine.order
         return matrices[..., order[:, None], order]
+
+
+def _restored(
+    body: urdf.Body, size: tuple[float, float, float], dh: DHTable, source: str, looks: VisualFile | None
+) -> MobileRobot:
+    robot = MobileRobot.from_body(body, size, dh, source)
+    object.__setattr__(robot, "_looks", looks)
+    return robot
 
 
 def _check_chain(table: DHTable) -> None:

@@ -37,12 +37,15 @@ class Reading:
         Length, width and height of a box to draw [m].
     source : str
         What was taken from where, in words.
+    base : tuple of 16 floats
+        Pose of the body in the model's root with all joints at rest, row by row.
     """
 
     table: DHTable
     body: Body
     size: tuple[float, float, float]
     source: str
+    base: tuple[float, ...]
 
 
 def read_urdf(path: Path) -> Reading:
@@ -105,7 +108,8 @@ def read_model(model: pin.Model, name: str, size: tuple[float, float, float] | N
     if size is None:
         size = _box_of_inertia(body)
         parts.append("size of the box with the same mass and inertia")
-    return Reading(table or LECTURE_TABLE, body, size, "; ".join(parts))
+    pose = tuple(base.homogeneous.ravel().tolist())
+    return Reading(table or LECTURE_TABLE, body, size, "; ".join(parts), pose)
 
 
 def _starts_with_slides(model: pin.Model) -> bool:

@@ -1,0 +1,7 @@
+"""See the robot move: meshcat, live in a browser or recorded as a page, a GIF, a film or a picture."""
+
+from pinmobile.viewer.overlays import Arrows, Follow, Overlays, Stay
+from pinmobile.viewer.recording import Recording
+from pinmobile.viewer.viewer import Viewer
+
+__all__ = ["Arrows", "Follow", "Overlays", "Recording", "Stay", "Viewer"]

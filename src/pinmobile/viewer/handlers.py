@@ -1,0 +1,207 @@
+"""What the live window's server answers: the page, its script, and a websocket to each browser."""
+
+import asyncio
+import json
+from collections import deque
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+from tornado.web import Application, HTTPError, RequestHandler
+from tornado.websocket import WebSocketClosedError, WebSocketHandler
+
+from pinmobile.errors import ViewerError
+from pinmobile.viewer.stock import packed_command
+
+if TYPE_CHECKING:
+    from pinmobile.viewer.server import Server
+
+__all__ = ["Browser", "application"]
+
+_MOST_BROWSERS = 64
+_MOST_UNANSWERED = 4  # batches on their way to a browser; more would only be older news
+_MOST_CAPTURES = 4
+_LARGEST_MESSAGE = 64 << 20  # [byte], a picture
+_POLICY = (
+    "default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'unsafe-inline'; "
+    "img-src 'self' data: blob:; worker-src blob:; connect-src 'self' data: blob: ws://{0} wss://{0}"
+)
+
+
+class _Answer(RequestHandler):
+    """A request; without a right to it, it is refused before anything else is looked at."""
+
+    server: "Server"
+
+    def initialize(self, server: "Server") -> None:
+        self.server = server
+
+    def prepare(self) -> None:
+        refusal = self.server.access.refusal(
+            self.request.headers, self.request.query_arguments.get("token", [])
+        )
+        if refusal is not None:
+            self.refuse(403, refusal)
+
+    def refuse(self, status: int, reason: str) -> None:
+        self.set_status(status)
+        self.set_header("Content-Type", "text/plain; charset=utf-8")
+        self.finish(f"{status}: {reason}\n")
+
+    def set_default_headers(self) -> None:
+        self.clear_header("Server")
+        self.set_header("Cache-Control", "no-store")
+        self.set_header("Cross-Origin-Resource-Policy", "same-origin")
+        self.set_header("Referrer-Policy", "no-referrer")  # the address may hold a token
+        self.set_header("X-Content-Type-Options", "nosniff")
+
+    def write_error(self, status_code: int, **_: Any) -> None:
+        self.refuse(status_code, self._reason)
+
+    def log_exception(
+        self,
+        typ: type[BaseException] | None,
+        value: BaseException | None,
+        tb: TracebackType | None,
+    ) -> None:
+        # What a request asks for wrongly is its own affair: nobody may read what would be printed.
+        if not isinstance(value, HTTPError):
+            super().log_exception(typ, value, tb)
+
+
+class _Page(_Answer):
+    def get(self) -> None:
+        self.set_header("Content-Security-Policy", _POLICY.format(self.request.headers["Host"]))
+        self.finish(self.server.page)
+
+    head = get
+
+
+class _Script(_Answer):
+    def get(self) -> None:
+        self.set_header("Content-Type", "text/javascript; charset=utf-8")
+        self.finish(self.server.script)
+
+    head = get
+
+
+class _Nothing(_Answer):
+    def prepare(self) -> None:
+        super().prepare()
+        if not self._finished:
+            self.refuse(404, "there is no such page here")
+
+
+class Browser(_Answer, WebSocketHandler):
+    """A browser that shows the page.
+
+    It gets one batch of commands at a time and answers each with a pong. One that is behind gets no
+    more until it has answered; then the newest state. What is kept for it is at most one whole scene.
+
+    Attributes
+    ----------
+    seen, taken : int
+        Number of the newest command that was sent to it, and that it has received.
+    """
+
+    seen = taken = 0
+
+    def prepare(self) -> None:
+        """Refuse it where too many are connected."""
+        super().prepare()
+        if not self._finished and len(self.server.browsers) >= _MOST_BROWSERS:
+            self.refuse(503, f"{_MOST_BROWSERS} browsers are connected")
+
+    def check_origin(self, origin: str) -> bool:
+        """Return True: `prepare` has looked at it, which tornado does not do for every request."""
+        return True
+
+    def open(self, *_: str, **__: str) -> None:
+        """Begin with nothing seen."""
+        self._writing = False
+        self._unanswered: deque[int] = deque()
+        self._captures: deque[asyncio.Future[str]] = deque()
+        self.set_nodelay(True)
+        self.server.join(self)
+
+    def on_close(self) -> None:
+        """Give up what was asked of it."""
+        for capture in self._captures:
+            if not capture.done():
+                capture.set_exception(ViewerError("the browser was closed"))
+        self.server.leave(self)
+
+    def on_pong(self, data: bytes) -> None:
+        """Take the answer to a batch; nothing else is one."""
+        if self._unanswered and data == b"%d" % self._unanswered[0]:
+            self.taken = self._unanswered.popleft()
+            self.server.news()
+
+    def on_message(self, message: str | bytes) -> None:
+        """Take a picture that was asked for; nothing else is listened to."""
+        try:
+            picture = json.loads(message)["data"]
+        except (ValueError, TypeError, KeyError):
+            return
+        if self._captures and isinstance(picture, str):
+            capture = self._captures.popleft()
+            if not capture.done():
+                capture.set_result(picture)
+
+    @property
+    def ready(self) -> bool:
+        """Whether it can take a batch."""
+        return not self._writing and len(self._unanswered) < _MOST_UNANSWERED
+
+    async def feed(self) -> None:
+        """Send what it has not seen."""
+        if not self.ready:
+            return
+        commands, latest = self.server.backlog.since(self.seen)
+        self.seen = latest
+        if not commands:
+            # Everything since was deleted again.
+            if not self._unanswered and self.taken < latest:
+                self.taken = latest
+                self.server.news()
+            return
+        self._writing = True
+        try:
+            writes = [self.write_message(command, binary=True) for command in commands]
+            self._unanswered.append(latest)
+            self.ping(b"%d" % latest)
+            await asyncio.gather(*writes, return_exceptions=True)
+        except WebSocketClosedError:
+            pass
+        finally:
+            self._writing = False
+            self.server.news()
+
+    async def capture(self) -> str:
+        """Return a picture of the scene as it is when this is called, as a data URL."""
+        latest = self.server.backlog.latest
+        while self.seen < latest or self._writing:
+            await asyncio.sleep(0.01)
+        if len(self._captures) >= _MOST_CAPTURES:
+            raise ViewerError("the browser does not answer")
+        picture = asyncio.get_running_loop().create_future()
+        # One that is given up stays here: its answer may still come, and is not the next one's.
+        self._captures.append(picture)
+        await self.write_message(packed_command({"type": "capture_image"}), binary=True)
+        return str(await picture)
+
+    def abort(self) -> None:
+        """End the connection without waiting for the browser."""
+        if self.ws_connection is not None and self.ws_connection.stream is not None:
+            self.ws_connection.stream.close()
+
+
+def application(server: "Server") -> Application:
+    """Return what answers a server's requests."""
+    own = {"server": server}
+    return Application(
+        [(r"/", _Page, own), (r"/main\.min\.js", _Script, own), (r"/socket", Browser, own)],
+        default_handler_class=_Nothing,
+        default_handler_args=own,
+        log_function=lambda _: None,
+        websocket_max_message_size=_LARGEST_MESSAGE,
+    )

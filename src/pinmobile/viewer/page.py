@@ -1,0 +1,65 @@
+"""The page that shows a scene: meshcat's own script, and what the stage adds to it."""
+
+import base64
+import json
+from collections.abc import Iterable
+from functools import cache
+from html import escape
+from importlib.resources import files
+from string import Template
+from typing import Any
+
+from pinmobile.viewer.stock import ENGINE
+
+__all__ = ["live_page", "recorded_page"]
+
+_CONNECT = """<script>
+viewer.connect();
+</script>"""
+
+_LOAD = """<script type="application/json" id="animation">$animation</script>
+<script>
+for (const text of [
+$commands
+]) viewer.handle_command_bytearray(Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)));
+const animation = JSON.parse(document.getElementById("animation").textContent);
+if (animation.tracks.length) pinmobile.play(animation.tracks, animation.speed, animation.end);
+</script>"""
+
+
+def live_page(title: str = "pinmobile") -> str:
+    """Return the page that connects to the server it came from; it asks that for ``main.min.js``."""
+    return _filled(title, '<script src="main.min.js"></script>', _CONNECT)
+
+
+def recorded_page(title: str, commands: Iterable[bytes], animation: dict[str, Any]) -> str:
+    """Return a page that holds everything it shows.
+
+    Parameters
+    ----------
+    title : str
+        Of the page.
+    commands : iterable of bytes
+        Meshcat's commands, as it sends them.
+    animation : dict
+        ``tracks`` (meshcat's animations), ``speed`` at first, and ``end``, the last time [s].
+    """
+    texts = ",\n".join(f'"{base64.b64encode(command).decode()}"' for command in commands)
+    packed = json.dumps(animation, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    scene = Template(_LOAD).substitute(animation=packed, commands=texts)
+    return _filled(title, f"<script>\n{_engine()}\n</script>", scene)
+
+
+def _filled(title: str, engine: str, scene: str) -> str:
+    parts = {"css": _part("stage.css"), "stage": _part("stage.js"), "engine": engine, "scene": scene}
+    return Template(_part("stage.html")).substitute(parts, title=escape(title))
+
+
+@cache
+def _part(name: str) -> str:
+    return files("pinmobile.viewer").joinpath(name).read_text(encoding="utf-8").strip()
+
+
+@cache
+def _engine() -> str:
+    return ENGINE.read_text(encoding="utf-8")

@@ -1,0 +1,267 @@
+"""`Recording`: a scene and its motion, to be kept as a page, a GIF, a film or a picture."""
+
+import importlib
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from io import BytesIO
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from pinmobile.arrays import positive, scalar, whole
+from pinmobile.errors import InvalidArgument, ViewerError
+from pinmobile.viewer.chromium import Browser
+from pinmobile.viewer.page import recorded_page
+
+__all__ = ["Recording", "picture_of", "written"]
+
+Progress = Callable[[int, int], object]
+
+_HELD = 1.0  # [s] for which the last frame stands
+_FASTEST = 50.0  # [1/s]; browsers slow down GIFs that are faster
+_COLOURS = 128
+
+
+class Recording:
+    """What was recorded. `Viewer.record` makes it.
+
+    Parameters
+    ----------
+    commands : list of bytes
+        Meshcat's commands for the scene.
+    tracks : list of dict
+        Meshcat's animations of it, in seconds of the rollout.
+    duration : float
+        Of the rollout [s].
+    fps : float
+        Frames per second of a GIF or film.
+    speed : float
+        Seconds of the rollout per second.
+    title : str
+        Of the page.
+    """
+
+    def __init__(
+        self,
+        commands: list[bytes],
+        tracks: list[dict[str, Any]],
+        *,
+        duration: float,
+        fps: float,
+        speed: float,
+        title: str,
+    ) -> None:
+        self.tracks, self.duration, self.fps, self.speed, self.title = tracks, duration, fps, speed, title
+        self._commands = commands
+
+    def __repr__(self) -> str:
+        return (
+            f"<Recording: {self.duration:g} s, {self.fps:g} frames per second, {self.speed:g} times as fast>"
+        )
+
+    def html(self) -> str:
+        """Return the page that plays it: self-contained, without a request to anywhere."""
+        animation = {"tracks": self.tracks, "speed": self.speed, "end": self.duration}
+        return recorded_page(self.title, self._commands, animation)
+
+    def save_html(self, path: str | PathLike[str]) -> Path:
+        """Write the page that plays it, which opens from the file system.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The file, ending in ``.html``; what is there is replaced.
+
+        Raises
+        ------
+        InvalidArgument
+            If the file cannot be written.
+        """
+        return written(path, ".html", lambda: self.html().encode("utf-8"))
+
+    def save_gif(
+        self,
+        path: str | PathLike[str],
+        *,
+        fps: float | None = None,
+        size: tuple[int, int] = (720, 480),
+        progress: Progress | None = None,
+    ) -> Path:
+        """Write a GIF, by a headless Chromium.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The file, ending in ``.gif``.
+        fps : float, optional
+            Frames per second, at most 50; by default the recording's.
+        size : tuple of 2 int
+            Width and height [px].
+        progress : callable, optional
+            Called as ``progress(done, total)`` after each frame.
+
+        Raises
+        ------
+        InvalidArgument
+            If the file cannot be written or a number is not what is expected.
+        ViewerError
+            If there is no Chromium, or it fails.
+        """
+        rate = positive("fps", min(self.fps, 25.0) if fps is None else fps, "1/s")
+        if rate > _FASTEST:
+            raise InvalidArgument(f"fps is {fps} 1/s, expected at most {_FASTEST:g}")
+        return written(path, ".gif", lambda: _gif(self._frames(rate, size, progress), rate))
+
+    def save_mp4(
+        self,
+        path: str | PathLike[str],
+        *,
+        fps: float | None = None,
+        size: tuple[int, int] = (1280, 720),
+        progress: Progress | None = None,
+    ) -> Path:
+        """Write a film, by a headless Chromium and imageio-ffmpeg (the extra ``pinmobile[mp4]``).
+
+        Parameters are those of `save_gif`; width and height must be even.
+
+        Raises
+        ------
+        InvalidArgument
+            If the file cannot be written or a number is not what is expected.
+        ViewerError
+            If there is no Chromium or no imageio-ffmpeg, or one of them fails.
+        """
+        try:
+            encoder = importlib.import_module("imageio_ffmpeg")
+        except ImportError:
+            raise ViewerError(
+                "a film needs imageio-ffmpeg: install the extra, pip install 'pinmobile[mp4]'"
+            ) from None
+        rate, (width, height) = positive("fps", self.fps if fps is None else fps, "1/s"), _size(size)
+        if width % 2 or height % 2:
+            raise InvalidArgument(f"size is {size}, expected even numbers")
+
+        def film() -> bytes:
+            with tempfile.TemporaryDirectory(prefix="pinmobile-") as folder:
+                file = Path(folder) / "film.mp4"
+                writer = encoder.write_frames(
+                    str(file), (width, height), fps=rate, macro_block_size=2, ffmpeg_log_level="error"
+                )
+                writer.send(None)
+                try:
+                    for frame in self._frames(rate, size, progress):
+                        writer.send(frame.convert("RGB").tobytes())
+                finally:
+                    writer.close()
+                return file.read_bytes()
+
+        return written(path, ".mp4", film)
+
+    def screenshot(
+        self, path: str | PathLike[str], *, t: float = 0.0, size: tuple[int, int] = (1200, 800)
+    ) -> Path:
+        """Write a picture of the scene at a time, by a headless Chromium.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The file, ending in ``.png``.
+        t : float
+            Time from the rollout's start [s].
+        size : tuple of 2 int
+            Width and height [px].
+
+        Raises
+        ------
+        InvalidArgument
+            If the file cannot be written, or the time is not in the recording.
+        ViewerError
+            If there is no Chromium, or it fails.
+        """
+        time = scalar("t", t)
+        if not 0 <= time <= self.duration:
+            raise InvalidArgument(f"t is {t} s, expected 0 <= t <= {self.duration:g} s")
+        return written(path, ".png", lambda: picture_of(self.html(), size, time))
+
+    def _frames(self, rate: float, size: tuple[int, int], progress: Progress | None) -> Iterator[Image.Image]:
+        times = np.append(np.arange(0.0, self.duration, self.speed / rate), self.duration)
+        with _opened(self.html(), size) as browser:
+            for done, time in enumerate(times.tolist(), start=1):
+                browser.evaluate(f"pinmobile.seek({time!r})" if self.tracks else "0")
+                yield Image.open(BytesIO(browser.picture()))
+                if progress is not None:
+                    progress(done, len(times))
+
+
+def picture_of(html: str, size: tuple[int, int], time: float) -> bytes:
+    """Return a page at a time, as a PNG, by a headless Chromium."""
+    with _opened(html, size) as browser:
+        browser.evaluate(f"pinmobile.seek({float(time)!r})")
+        return browser.picture()
+
+
+def written(path: str | PathLike[str], suffix: str, content: Callable[[], bytes]) -> Path:
+    """Write a file once its content is there, after a look that it can be written.
+
+    Raises
+    ------
+    InvalidArgument
+        If it cannot be, or its name ends in another suffix.
+    """
+    target = Path(path)
+    if target.suffix.lower() != suffix:
+        raise InvalidArgument(f"path is {str(target)!r}, expected a name that ends in {suffix!r}")
+    try:
+        is_new = not target.exists()
+        with target.open("ab"):
+            pass
+        if is_new:
+            target.unlink()
+        data = content()
+        target.write_bytes(data)
+    except OSError as error:
+        raise InvalidArgument(
+            f"path is {str(target)!r}, which cannot be written: {error.strerror}"
+        ) from error
+    return target
+
+
+@contextmanager
+def _opened(html: str, size: tuple[int, int]) -> Iterator[Browser]:
+    with tempfile.TemporaryDirectory(prefix="pinmobile-") as folder:
+        page = Path(folder) / "page.html"
+        page.write_text(html, encoding="utf-8")
+        with Browser(_size(size)) as browser:
+            browser.open(page.as_uri())
+            browser.wait_for("pinmobile.ready()")
+            browser.evaluate("document.body.classList.add('bare')")
+            yield browser
+
+
+def _size(size: tuple[int, int]) -> tuple[int, int]:
+    try:
+        width, height = size
+    except (TypeError, ValueError):
+        raise InvalidArgument(f"size is {size!r}, expected width and height") from None
+    return whole("size[0]", width, least=16), whole("size[1]", height, least=16)
+
+
+def _gif(frames: Iterator[Image.Image], rate: float) -> bytes:
+    """Return a GIF, all frames in the colours of the first."""
+    images: list[Image.Image] = []
+    palette: Image.Image | None = None
+    for frame in frames:
+        colours = frame.convert("RGB")
+        if palette is None:
+            palette = colours.quantize(_COLOURS, dither=Image.Dither.NONE)
+        images.append(colours.quantize(palette=palette, dither=Image.Dither.NONE))
+    ticks = np.round(100 * np.arange(len(images) + 1) / rate).astype(int)
+    durations = [int(10 * tick) for tick in np.diff(ticks)]
+    durations[-1] = round(1000 * _HELD)
+    buffer = BytesIO()
+    images[0].save(buffer, "GIF", save_all=True, append_images=images[1:], duration=durations, loop=0)
+    return buffer.getvalue()

@@ -1,0 +1,214 @@
+"""Shapes as three.js reads them: meshes that stand, ribbons and words that lie flat on the ground."""
+
+import base64
+from collections.abc import Sequence
+from functools import lru_cache
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from pinmobile.arrays import Array, ArrayLike
+from pinmobile.viewer.stock import packed_array
+
+__all__ = [
+    "Shape",
+    "Triangles",
+    "arc_arrow",
+    "arrow",
+    "dashes",
+    "flat",
+    "joined",
+    "over",
+    "ribbon",
+    "shadows",
+    "word",
+]
+
+Shape = dict[str, Any]
+Triangles = tuple[Array, NDArray[np.uint32]]  # vertices (n, 3) [m], faces (m, 3)
+
+_TEXT_HEIGHT = 64  # [px]
+
+
+def flat(
+    triangles: Triangles, colour: str, *, order: int, opacity: float = 1.0, trail: bool = False
+) -> Shape:
+    """Return an unlit mesh on the ground, painted over those of lower `order` without regard to depth.
+
+    A `trail` shows as many vertices as its property ``drawn`` says, at first none.
+    """
+    material = {"type": "MeshBasicMaterial", "color": _hex(colour), "side": 2, "transparent": True}
+    material |= {"opacity": opacity, "depthWrite": False}
+    return _mesh(triangles, material, {"flat": True, "trail": trail}, order)
+
+
+def over(triangles: Triangles, colour: str, *, order: int) -> Shape:
+    """Return an unlit mesh that shows through whatever is in front of it."""
+    material = {"type": "MeshBasicMaterial", "color": _hex(colour), "side": 2, "transparent": True}
+    return _mesh(triangles, material | {"depthTest": False}, {"flat": True}, order)
+
+
+def shadows(radius: float) -> Shape:
+    """Return the ground: nothing but the shadows on it."""
+    corners = radius * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    material = {
+        "type": "ShadowMaterial",
+        "color": 0,
+        "opacity": 0.22,
+        "transparent": True,
+        "depthWrite": False,
+    }
+    return _mesh((corners, np.array([[0, 1, 2], [0, 2, 3]], np.uint32)), material, {}, 0)
+
+
+def ribbon(points: ArrayLike, width: float, height: float = 0.0) -> Triangles:
+    """Return a flat band along a curve, two triangles from each point to the next.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 2)
+        The curve [m]; points may coincide.
+    width, height : float
+        Of the band, and where it lies above the ground [m].
+    """
+    points = np.asarray(points, np.float64)
+    along = np.gradient(points, axis=0) if len(points) > 1 else np.zeros_like(points)
+    length = np.hypot(*along.T)
+    # Where the curve rests, it points where it pointed before.
+    moving = np.flatnonzero(length > 1e-9 * length.max(initial=1e-300))
+    latest = np.maximum.accumulate(
+        np.where(np.isin(np.arange(len(points)), moving), np.arange(len(points)), 0)
+    )
+    along = along[latest] / np.maximum(length[latest], 1e-300)[:, None]
+    side = width / 2 * np.stack([-along[:, 1], along[:, 0]], axis=-1)
+    edges = np.stack([points + side, points - side], axis=1).reshape(-1, 2)
+    vertices = np.column_stack([edges, np.full(len(edges), height)])
+    first = 2 * np.arange(max(len(points) - 1, 0), dtype=np.uint32)[:, None]
+    faces = np.stack([first + np.array([0, 1, 2]), first + np.array([1, 3, 2])], axis=1).reshape(-1, 3)
+    return vertices, faces.astype(np.uint32)
+
+
+def dashes(points: ArrayLike, width: float, dash: float, gap: float) -> Triangles:
+    """Return ribbons along the curve, `dash` long and `gap` apart [m]."""
+    points = np.asarray(points, np.float64)
+    steps = np.hypot(*np.diff(points, axis=0).T)
+    travelled = np.append(0.0, np.cumsum(steps))
+    starts = np.arange(0.0, travelled[-1] - dash / 3, dash + gap)
+    parts = []
+    for start in starts:
+        end = min(start + dash, travelled[-1])
+        inside = travelled[(travelled > start) & (travelled < end)]
+        at = np.concatenate([[start], inside[:: max(len(inside) // 8, 1)], [end]])
+        parts.append(ribbon(np.stack([np.interp(at, travelled, c) for c in points.T], axis=-1), width))
+    return joined(parts) if parts else ribbon(np.empty((0, 2)), width)
+
+
+def joined(parts: Sequence[Triangles]) -> Triangles:
+    """Return several sets of triangles as one."""
+    offsets = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
+    faces = [faces + offset for (_, faces), offset in zip(parts, offsets, strict=False)]
+    return np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces).astype(np.uint32)
+
+
+def arrow(thickness: float = 0.05) -> Triangles:
+    """Return an arrow of length 1 along x, round, with a head."""
+    return _turned([(0, thickness / 2), (0.72, thickness / 2), (0.72, 1.6 * thickness), (1, 0)])
+
+
+def arc_arrow(thickness: float = 0.06) -> Triangles:
+    """Return three quarters of a flat ring of radius 1 about z, counterclockwise, with a head."""
+    angle = np.linspace(0, 1.4 * np.pi, 40)
+    ring = ribbon(np.stack([np.cos(angle), np.sin(angle)], axis=-1), 2 * thickness)
+    end = np.array([np.cos(angle[-1]), np.sin(angle[-1])])
+    ahead = np.array([-end[1], end[0]])
+    tip = np.stack([end + 3 * thickness * end, end - 3 * thickness * end, end + 7 * thickness * ahead])
+    head = np.column_stack([tip, np.zeros(3)]), np.array([[0, 1, 2]], np.uint32)
+    return joined([ring, head])
+
+
+def word(text: str, colour: str, height: float, *, lying: bool, order: int) -> Shape:
+    """Return text: lying on the ground along x, or facing the camera and in front of everything.
+
+    Parameters
+    ----------
+    text : str
+        One line.
+    colour : str
+        ``#rrggbb``.
+    height : float
+        Of a line [m].
+    lying : bool
+        On the ground rather than up.
+    order : int
+        Painted over those of lower order.
+    """
+    url, aspect = _picture(text, colour)
+    shape: Shape = {"uuid": "object", "renderOrder": order, "userData": {"flat": True}}
+    shape |= {"matrix": np.diag([height * aspect, height, 1.0, 1.0]).ravel().tolist()}
+    material: Shape = {"uuid": "material", "map": "texture", "transparent": True, "depthWrite": False}
+    result: Shape = {"metadata": {"version": 4.5, "type": "Object"}}
+    result |= {"images": [{"uuid": "image", "url": url}]}
+    result |= {"textures": [{"uuid": "texture", "image": "image", "minFilter": 1008, "anisotropy": 8}]}
+    if lying:
+        result["geometries"] = [{"uuid": "geometry", "type": "PlaneGeometry", "width": 1, "height": 1}]
+        result["materials"] = [{**material, "type": "MeshBasicMaterial", "side": 2}]
+        result["object"] = {**shape, "type": "Mesh", "geometry": "geometry", "material": "material"}
+    else:
+        result["materials"] = [{**material, "type": "SpriteMaterial", "depthTest": False}]
+        result["object"] = {**shape, "type": "Sprite", "material": "material"}
+    return result
+
+
+def _mesh(triangles: Triangles, material: Shape, data: Shape, order: int) -> Shape:
+    vertices, faces = triangles
+    position = packed_array(np.ascontiguousarray(vertices, np.float32).T)
+    geometry = {"attributes": {"position": position}, "index": packed_array(faces.astype(np.uint32).T)}
+    shape = {"uuid": "object", "type": "Mesh", "geometry": "geometry", "material": "material"}
+    return {
+        "metadata": {"version": 4.5, "type": "Object"},
+        "geometries": [{"uuid": "geometry", "type": "BufferGeometry", "data": geometry}],
+        "materials": [{"uuid": "material", **material}],
+        "object": {**shape, "renderOrder": order, "userData": data},
+    }
+
+
+def _turned(profile: Sequence[tuple[float, float]], sides: int = 20) -> Triangles:
+    """Return the surface that the profile (along x, away from x) makes when it is turned about x."""
+    angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    rings = [np.column_stack([np.full(sides, x), r * circle]) for x, r in [(profile[0][0], 0.0), *profile]]
+    k = np.arange(sides)
+    across = (k + 1) % sides
+    faces = []
+    for ring in range(len(rings) - 1):
+        a, b = ring * sides, (ring + 1) * sides
+        faces += [np.stack([a + k, a + across, b + k], -1), np.stack([a + across, b + across, b + k], -1)]
+    return np.concatenate(rings), np.concatenate(faces).astype(np.uint32)
+
+
+@lru_cache(maxsize=256)
+def _picture(text: str, colour: str) -> tuple[str, float]:
+    """Return text with a light rim as the URL of a PNG, and its width in heights."""
+    font = ImageFont.load_default(0.62 * _TEXT_HEIGHT)
+    rim = _TEXT_HEIGHT // 16
+    width = int(font.getlength(text)) + 6 * rim
+    image = Image.new("RGBA", (width, _TEXT_HEIGHT), (255, 255, 255, 0))
+    ImageDraw.Draw(image).text(
+        (width / 2, _TEXT_HEIGHT / 2),
+        text,
+        colour,
+        font,
+        anchor="mm",
+        stroke_width=rim,
+        stroke_fill="#f6f6f4",
+    )
+    buffer = BytesIO()
+    image.save(buffer, "PNG", optimize=True)
+    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode(), width / _TEXT_HEIGHT
+
+
+def _hex(colour: str) -> int:
+    return int(colour[1:], 16)

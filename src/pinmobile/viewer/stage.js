@@ -1,0 +1,152 @@
+// What meshcat's commands cannot say: where the camera looks, soft light, a caption, a legend and a player.
+// Values come as properties of the node meshcat/stage, live or animated; `viewer` is meshcat's.
+"use strict";
+(() => {
+  const THREE = MeshCat.THREE;
+  const element = (id) => document.getElementById(id);
+  // Looked up each time: a new scene has new nodes.
+  const node = (name) => viewer.scene_tree.find(["meshcat", name]).object;
+  let stage = node("stage");
+  const seen = {};
+  const changed = (name) => {
+    const text = JSON.stringify(stage[name]);
+    const is_new = text !== undefined && seen[name] !== text;
+    seen[name] = text;
+    return is_new;
+  };
+
+  const sun = new THREE.DirectionalLight(0xffffff, 0.36);
+  sun.castShadow = true;
+  sun.shadow.mapSize.set(1024, 1024);
+  sun.shadow.radius = 3;
+  viewer.scene.add(sun, sun.target);
+
+  // Meshcat lets everything cast a shadow; what lies flat or is glass should not.
+  const set_object = viewer.set_object;
+  const from_json = viewer.set_object_from_json;
+  let coming = 0; // words are pictures, which come a little later
+  viewer.set_object_from_json = (path, json) => { coming += 1; from_json.call(viewer, path, json); };
+  viewer.set_object = (path, object) => {
+    coming -= 1;
+    const glass = object.material && object.material.transparent && !object.material.isShadowMaterial;
+    // Of glass only the far sides are drawn: around something solid in the same place it is a rim.
+    if (glass && !object.userData.flat) {
+      Object.assign(object.material, { depthWrite: false, side: 1 });
+      object.renderOrder = 30; // after what lies on the ground
+    }
+    // A mesh comes with shared corners: smooth, its edges would look molten.
+    const mesh = object.geometry && object.geometry.type === "BufferGeometry";
+    if (mesh && object.material.isMeshPhongMaterial) object.material.flatShading = true;
+    if (glass) object.castShadow = object.receiveShadow = false;
+    if (object.userData.trail) {
+      let drawn = 0;
+      const set = (count) => { drawn = count; object.geometry.setDrawRange(0, 3 * Math.floor(count / 3)); };
+      Object.defineProperty(object, "drawn", { get: () => drawn, set });
+      object.drawn = 0;
+    }
+    set_object.call(viewer, path, object);
+    viewer.set_dirty();
+  };
+
+  const upright = (p) => new THREE.Vector3(p[0], p[2], -p[1]); // from z up to three.js's y up
+  const followed = new THREE.Vector3();
+
+  function place_camera() {
+    // Both are read: `a || b` would leave the second one unseen.
+    const moved = [changed("eye"), changed("target")];
+    if (moved.includes(true) && stage.eye && stage.target) {
+      viewer.camera.fov = 35;
+      const away = upright(stage.eye).distanceTo(upright(stage.target));
+      viewer.camera.near = away / 200;
+      viewer.camera.far = away * 30;
+      viewer.camera.position.copy(upright(stage.eye));
+      viewer.controls.target.copy(upright(stage.target));
+      followed.copy(upright([0, 0, 0]));
+    }
+    const now = upright(node("focus").position.toArray());
+    const step = now.clone().sub(followed);
+    if (step.lengthSq() > 0) {
+      viewer.camera.position.add(step);
+      viewer.controls.target.add(step);
+      followed.copy(now);
+    }
+    // A narrow window shows as much from left to right as a wide one.
+    const zoom = Math.min(1, viewer.camera.aspect / (stage.aspect || 1.5));
+    if (viewer.camera.zoom !== zoom) viewer.camera.zoom = zoom;
+  }
+
+  // The light goes along with the robot: its shadow is sharp however large the scene.
+  function place_light() {
+    const radius = stage.lit || 1;
+    const at = node("robot0").position; // z up, as all of the scene
+    sun.target.position.copy(at);
+    sun.position.set(at.x - 1.2 * radius, at.y + 0.7 * radius, 2.0 * radius);
+    if (!changed("lit")) return;
+    Object.assign(sun.shadow.camera, { left: -radius, right: radius, top: radius, bottom: -radius });
+    Object.assign(sun.shadow.camera, { near: 0.1 * radius, far: 6 * radius });
+    sun.shadow.camera.updateProjectionMatrix();
+    sun.shadow.normalBias = 0.01 * radius;
+  }
+
+  function write() {
+    if (changed("caption")) element("caption").textContent = stage.caption;
+    if (!changed("legend")) return;
+    element("legend").replaceChildren(...(stage.legend || []).map(([label, colour, dashes, opacity]) => {
+      const row = document.createElement("div");
+      row.innerHTML = '<svg width="34" height="6"><line x1="1" y1="3" x2="33" y2="3" stroke-width="5"/></svg>';
+      const line = row.querySelector("line");
+      if (!colour) row.querySelector("svg").remove();
+      else line.setAttribute("stroke", colour);
+      if (dashes) { line.setAttribute("stroke-dasharray", dashes); line.setAttribute("stroke-width", 3); }
+      if (opacity) line.setAttribute("opacity", opacity);
+      row.append(label);
+      return row;
+    }));
+  }
+
+  const render = viewer.render;
+  viewer.render = () => {
+    stage = node("stage");
+    place_camera();
+    place_light();
+    write();
+    render.call(viewer);
+  };
+
+  // The player of a recording.
+  const animator = viewer.animator;
+  const slider = element("slider");
+  const show = () => { element("toggle").textContent = animator.playing ? "❚❚" : "▶"; };
+  window.pinmobile = {
+    ready: () => coming === 0,
+    seek(time) {
+      animator.pause();
+      animator.seek(time);
+      animator.display_progress(time);
+      viewer.set_dirty();
+      viewer.render();
+      show();
+    },
+    play(animations, speed, end) {
+      for (const animation of animations) animation.path = animation.path.split("/");
+      // Infinity repetitions; 2201 is three.js's LoopRepeat.
+      viewer.set_animation(animations, { play: true, loopMode: 2201, repetitions: Infinity });
+      animator.mixer.timeScale = speed;
+      slider.max = end;
+      element("speed").value = String(speed);
+      if (element("speed").selectedIndex < 0) {
+        element("speed").add(new Option(`${speed} ×`, speed, true, true), 0);
+      }
+      element("player").hidden = false;
+      show();
+      const tick = () => {
+        requestAnimationFrame(tick);
+        if (animator.playing) slider.value = animator.time;
+      };
+      tick();
+    },
+  };
+  element("toggle").onclick = () => { animator.playing ? animator.pause() : animator.play(); show(); };
+  slider.oninput = () => window.pinmobile.seek(Number(slider.value));
+  element("speed").onchange = (event) => { animator.mixer.timeScale = Number(event.target.value); };
+})();

@@ -1,0 +1,196 @@
+"""The stage: nodes of meshcat's scene by path, and what every scene has: light, ground, a camera."""
+
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import pinocchio as pin
+from pinocchio.visualize import MeshcatVisualizer
+
+from pinmobile.arrays import Array
+from pinmobile.robot import MobileRobot
+from pinmobile.viewer.motion import Channel
+from pinmobile.viewer.overlays import View
+from pinmobile.viewer.shapes import Shape, shadows
+from pinmobile.viewer.stock import Visualizer
+
+__all__ = ["Command", "Extent", "Stage", "Window", "overview"]
+
+_STAGE = "meshcat/stage"
+_TOP, _BOTTOM = (0.90, 0.92, 0.93), (0.975, 0.975, 0.965)
+_FOV, _ASPECT = np.deg2rad(35.0), 1.5
+_AZIMUTH, _ELEVATION = np.deg2rad(-86.0), np.deg2rad(50.0)
+_ABOVE, _BELOW = 0.92, 0.82  # of half the window's height; the player is below
+_GHOST_SCALE = (1.07, 1.10, 1.08)  # a little larger, to be seen around a robot that it coincides with
+
+
+class Window(Protocol):
+    """What takes meshcat's commands."""
+
+    def send(self, command: Any) -> None:
+        """Take a command, an object whose ``lower()`` is the dict that meshcat's page reads."""
+
+
+class Command(NamedTuple):
+    """A command for a window, as `meshcat.commands` has them."""
+
+    content: dict[str, Any]
+
+    def lower(self) -> dict[str, Any]:
+        """Return what meshcat's page reads."""
+        return self.content
+
+
+class Extent(NamedTuple):
+    """The part of the plane that matters, and the size of what moves in it."""
+
+    low: Array  # (2,) [m]
+    high: Array  # (2,) [m]
+    size: tuple[float, float, float]  # of the robot [m]
+
+    @property
+    def centre(self) -> Array:
+        """Shape (2,) [m]."""
+        return (self.low + self.high) / 2
+
+    @property
+    def radius(self) -> float:
+        """Of the circle around it [m]."""
+        return float(np.hypot(*(self.high - self.low)) / 2)
+
+    @property
+    def unit(self) -> float:
+        """Length of the robot, or more where it is a speck in the scene [m]; overlays scale with it."""
+        return max(self.size[0], 0.06 * self.radius)
+
+    @property
+    def step(self) -> float:
+        """Of the grid [m]: 1, 2 or 5 times a power of ten, some ten to the extent."""
+        span = float((self.high - self.low).max()) + 2 * self.unit
+        power = 10.0 ** np.floor(np.log10(span / 10))
+        return float(next(power * factor for factor in (1, 2, 5, 10) if power * factor >= span / 14))
+
+    @property
+    def tall(self) -> float:
+        """Height of the words on the ground [m]."""
+        return 0.05 * float((self.high - self.low).max() + 3 * self.unit)
+
+    def lines(self, axis: int) -> Array:
+        """Return where the lines of the grid cross an axis, shape (n,) [m]."""
+        room = 0.8 * self.unit
+        first = np.floor((self.low[axis] - room) / self.step)
+        last = np.ceil((self.high[axis] + room) / self.step)
+        return np.asarray(self.step * np.arange(first, last + 1))
+
+
+class Stage:
+    """Nodes in a window.
+
+    Parameters
+    ----------
+    window : Window
+        Where they are.
+    """
+
+    def __init__(self, window: Window) -> None:
+        self.window = window
+
+    def put(self, path: str, shape: Shape) -> None:
+        """Show a shape at a node; what was there is replaced."""
+        shape["object"]["uuid"] = path  # animations tell objects apart by it
+        self.window.send(Command({"type": "set_object", "path": path, "object": shape}))
+
+    def set(self, path: str, name: str, value: Any) -> None:
+        """Set a property of a node."""
+        self.window.send(Command({"type": "set_property", "path": path, "property": name, "value": value}))
+
+    def tell(self, name: str, value: Any) -> None:
+        """Set a property of the stage itself, which its page reads."""
+        self.set(_STAGE, name, value)
+
+    def remove(self, path: str) -> None:
+        """Remove a node and all below it."""
+        self.window.send(Command({"type": "delete", "path": path}))
+
+    def show(self, channels: list[Channel], frame: int) -> None:
+        """Put everything that moves where it is at a frame."""
+        for channel in channels:
+            self.set(channel.path, channel.name, channel.at(frame))
+
+    def furnish(self, extent: Extent, view: View) -> None:
+        """Make the empty stage: background, soft light, ground, camera."""
+        for name in ("Grid", "Axes", "Lights/PointLightNegativeX", "Lights/PointLightPositiveX"):
+            self.set(name, "visible", False)
+        self.set("Background", "top_color", list(_TOP))
+        self.set("Background", "bottom_color", list(_BOTTOM))
+        self.set("Lights/AmbientLight/<object>", "intensity", 0.62)
+        self.set("Lights/FillLight/<object>", "intensity", 0.2)
+        self.put("meshcat/ground", shadows(6 * extent.radius + 10 * extent.unit))
+        self.set("meshcat/focus", "position", [0.0, 0.0, 0.0])
+        self.tell("lit", 2.0 * float(np.linalg.norm(extent.size)))
+        self.tell("aspect", _ASPECT)
+        self.tell("caption", "")
+        self.tell("legend", [])
+        self.look(view)
+
+    def look(self, view: View) -> None:
+        """Point the camera."""
+        self.tell("eye", view.eye.tolist())
+        self.tell("target", view.target.tolist())
+
+    def robot(self, path: str, robot: MobileRobot, colour: str | None, *, ghost: bool = False) -> None:
+        """Load a robot's geometry below a node, whose pose is then the robot's.
+
+        Parameters
+        ----------
+        path : str
+            The node.
+        robot : MobileRobot
+            Whose ``visual_model`` is drawn.
+        colour : str, optional
+            Of its box, or of all of a ghost; by default its own.
+        ghost : bool
+            Translucent, and a little larger.
+        """
+        shown = pin.GeometryModel()
+        for item in robot.visual_model.geometryObjects:
+            copy = item.copy()
+            if colour is not None and (ghost or item.name == "body"):
+                copy.meshColor = np.array([*_rgb(colour), 1.0])
+            if ghost:
+                copy.meshColor = np.array([*copy.meshColor[:3], 0.45])
+            shown.addGeometryObject(copy)
+        visualizer = MeshcatVisualizer(robot.model, pin.GeometryModel(), shown)
+        visualizer.initViewer(viewer=Visualizer(window=self.window))
+        visualizer.loadViewerModel(path.removeprefix("meshcat/"))
+        # With all coordinates at zero the body is at the origin: the node's pose does the rest.
+        visualizer.display(np.zeros(robot.nq))
+        self.set(path, "scale", list(_GHOST_SCALE) if ghost else [1.0, 1.0, 1.0])
+
+
+def overview(extent: Extent, height: float) -> View:
+    """Return a view from the south and above in which all of the extent fits a window of usual shape."""
+    forward = -np.array(
+        [np.cos(_ELEVATION) * np.cos(_AZIMUTH), np.cos(_ELEVATION) * np.sin(_AZIMUTH), np.sin(_ELEVATION)]
+    )
+    right = np.cross(forward, (0, 0, 1))
+    right /= np.linalg.norm(right)
+    up = np.cross(right, forward)
+    (low_x, *_, high_x), (low_y, *_, high_y) = extent.lines(0), extent.lines(1)
+    xs, ys = (low_x - 2.2 * extent.tall, high_x + 2.6 * extent.tall), (low_y - 1.4 * extent.tall, high_y)
+    corners = np.array([[x, y, z] for x in xs for y in ys for z in (0, height)])
+    target = np.append(extent.centre, 0.0)
+    tangent = np.tan(_FOV / 2)
+    for _ in range(10):
+        a, b, c = np.stack([right, up, forward]) @ (corners - target).T
+        wide = (np.abs(a) / (0.97 * _ASPECT * tangent) - c).max()
+        tall = np.maximum(b / (_ABOVE * tangent) - c, -b / (_BELOW * tangent) - c).max()
+        distance = max(wide, tall)
+        rise, aside = b / (distance + c), a / (distance + c)
+        target = target + up * distance * (rise.max() + rise.min() - (_ABOVE - _BELOW) * tangent) / 2
+        target = target + right * distance * (aside.max() + aside.min()) / 2
+        target = target - forward * target[2] / forward[2]  # back onto the ground
+    return View(target - distance * forward, target)
+
+
+def _rgb(colour: str) -> tuple[float, ...]:
+    return tuple(int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5))

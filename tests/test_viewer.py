@@ -1,0 +1,763 @@
+"""The viewer: what it records and shows is where the rollout says, in a real browser without a screen."""
+
+import dataclasses
+import json
+import math
+import os
+import pickle
+import re
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+from urllib.request import urlopen
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from pinmobile import (
+    LECTURE_TABLE,
+    PD,
+    SLIDE_TABLE,
+    Circle,
+    ComputedTorque,
+    CubicVia,
+    InvalidArgument,
+    MobileRobot,
+    Rollout,
+    Tangent,
+    ViewerError,
+    plots,
+    simulate,
+)
+from pinmobile.arrays import Array
+from pinmobile.viewer import Arrows, Follow, Overlays, Recording, Stay, Viewer, palette
+from tests.chromium import Chromium, Page, chromium
+
+BLUE = (0, 114, 178)
+
+
+@pytest.fixture(scope="module")
+def runs() -> dict[str, Rollout]:
+    """Return the lecture's circle with PD and with computed torque."""
+    robot, reference = MobileRobot.lecture(), Tangent(Circle(3, 0.1, 60))
+    pd = simulate(robot, PD((120, 120, 0.4), (120, 120, 0.4)), reference, dt=0.1)
+    return {"PD": pd, "computed torque": simulate(robot, ComputedTorque(robot), reference, dt=0.1)}
+
+
+@pytest.fixture(scope="module")
+def apart() -> dict[str, Rollout]:
+    """Return a good and a bad controller, whose robots can be told apart by eye."""
+    robot = MobileRobot.box()
+    reference = Tangent(CubicVia((0, 0), (2, 2), (0, 4), 10, 20))
+    return {
+        "good": simulate(robot, ComputedTorque(robot), reference, dt=0.05),
+        "bad": simulate(robot, PD(3, 9), reference, dt=0.05),
+    }
+
+
+@pytest.fixture(scope="module")
+def viewer() -> Iterator[Viewer]:
+    with Viewer(MobileRobot.lecture()) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Chromium]:
+    with chromium() as started:
+        yield started
+
+
+@pytest.fixture
+def page(browser: Chromium) -> Iterator[Page]:
+    """Return a page; whatever the test does, it must not complain nor ask anybody but this machine."""
+    opened = browser.page(900, 600)
+    yield opened
+    assert opened.errors == []
+    assert opened.console == []
+    asked = [url for url in opened.requests if not url.startswith(("data:", "blob:", "file://"))]
+    assert all(re.match(r"(http|ws)://127\.0\.0\.1:\d+/", url) for url in asked)
+    opened.close()
+
+
+def opened(page: Page, recording: Recording, folder: Path) -> Page:
+    page.open(recording.save_html(folder / "scene.html").as_uri())
+    page.wait_for("pinmobile.ready()")
+    return page
+
+
+def projected(page: Page, point: tuple[float, float, float]) -> tuple[float, float]:
+    """Return the pixel at which the page's own camera sees a point."""
+    x, y = page.evaluate(
+        "(() => { viewer.camera.updateMatrixWorld(); viewer.camera.updateProjectionMatrix();"
+        f"const p = new MeshCat.THREE.Vector3({point[0]}, {point[2]}, {-point[1]}).project(viewer.camera);"
+        "return [(p.x + 1) / 2 * innerWidth, (1 - p.y) / 2 * innerHeight]; })()"
+    )
+    return x, y
+
+
+def patch(page: Page, near: tuple[float, float], reach: int = 4) -> Array:
+    """Return the pixels about there, shape (n, 3)."""
+    x, y = map(round, near)
+    picture = page.screenshot().crop((x - reach, y - reach, x + reach + 1, y + reach + 1))
+    return np.asarray(picture).astype(np.float64).reshape(-1, 3)
+
+
+def sees(page: Page, shade: tuple[int, int, int], near: tuple[float, float]) -> bool:
+    """Tell whether pixels about there have the hue of a colour, lit or in the shade."""
+    pixels, wanted = patch(page, near), np.array(shade, np.float64)
+    length = np.linalg.norm(pixels, axis=1) * np.linalg.norm(wanted)
+    return bool((pixels @ wanted / np.maximum(length, 1) > 0.985).mean() > 0.5)
+
+
+def sees_any(page: Page, shade: tuple[int, int, int], near: tuple[float, float]) -> bool:
+    """Tell whether there is a pixel about there of just that colour."""
+    return bool((np.abs(patch(page, near, 5) - np.array(shade)).max(axis=1) < 40).any())
+
+
+def tracks(recording: Recording) -> dict[tuple[str, str], dict[str, Any]]:
+    return {
+        (animation["path"], track["name"]): track
+        for animation in recording.tracks
+        for track in animation["clip"]["tracks"]
+    }
+
+
+def pose(run: Rollout, t: float) -> Array:
+    return np.array([np.interp(t, run.t, column) for column in run.q.T])
+
+
+def place(run: Rollout, t: float) -> tuple[float, float]:
+    x, y, _ = pose(run, t)
+    return float(x), float(y)
+
+
+def side(robot: MobileRobot, at: Array) -> tuple[float, float, float]:
+    """Return a point of the box's top, beside the wedge: near its left rear corner."""
+    length, width, height = robot.size
+    x, y = -0.35 * length, 0.3 * width
+    cos, sin = math.cos(at[2]), math.sin(at[2])
+    return at[0] + cos * x - sin * y, at[1] + sin * x + cos * y, height
+
+
+# Recorded
+
+
+def test_a_recordings_tracks_are_the_rollouts_poses(viewer: Viewer, runs: dict[str, Rollout]) -> None:
+    recording = viewer.record(runs, fps=10)
+    for index, run in enumerate(runs.values()):
+        moved = tracks(recording)[f"meshcat/robot{index}", ".position"]
+        turned = tracks(recording)[f"meshcat/robot{index}", ".quaternion"]
+        np.testing.assert_allclose(moved["times"], run.t, atol=1e-4)
+        xyz = np.reshape(moved["values"], (-1, 3))
+        np.testing.assert_allclose(xyz[:, :2], run.q[:, :2], atol=6e-6)
+        assert not xyz[:, 2].any()
+        x, y, z, w = np.reshape(turned["values"], (-1, 4)).T
+        assert not x.any()
+        assert not y.any()
+        np.testing.assert_allclose(np.unwrap(2 * np.arctan2(z, w), period=4 * np.pi), run.q[:, 2], atol=3e-6)
+
+
+def test_frames_between_two_samples_lie_between_them(viewer: Viewer, runs: dict[str, Rollout]) -> None:
+    run = runs["PD"]
+    moved = tracks(viewer.record(run, fps=30, speed=4))["meshcat/robot0", ".position"]
+    assert np.allclose(np.diff(moved["times"]), 4 / 30, atol=2e-4)
+    expected = np.stack([np.interp(moved["times"], run.t, run.q[:, k]) for k in (0, 1)], axis=-1)
+    np.testing.assert_allclose(np.reshape(moved["values"], (-1, 3))[:, :2], expected, atol=4e-5)
+
+
+def test_what_stands_still_costs_nothing(viewer: Viewer, runs: dict[str, Rollout]) -> None:
+    recording = viewer.record(runs["PD"], overlays=Overlays(frames=(LECTURE_TABLE,)))
+    found = tracks(recording)
+    assert len(found["meshcat/table0/0", ".position"]["times"]) == 1
+    assert len(found["meshcat/table0/1", ".quaternion"]["times"]) == 1
+    assert len(found["meshcat/table0/1", ".position"]["times"]) > 1000
+
+
+def test_frames_are_where_the_tables_say(viewer: Viewer, runs: dict[str, Rollout]) -> None:
+    run = runs["PD"]
+    found = tracks(viewer.record(run, fps=10, overlays=Overlays(frames=(LECTURE_TABLE, SLIDE_TABLE))))
+    for number, table, k in (
+        (0, LECTURE_TABLE, 1),
+        (0, LECTURE_TABLE, 2),
+        (1, SLIDE_TABLE, 2),
+        (0, LECTURE_TABLE, 3),
+    ):
+        placements = table.placements(run.q[:, [1, 0, 2]])[:, k - 1]
+        moved = np.reshape(found[f"meshcat/table{number}/{k}", ".position"]["values"], (-1, 3))
+        np.testing.assert_allclose(moved, placements[:, :3, 3], atol=6e-6)
+        quaternions = np.reshape(found[f"meshcat/table{number}/{k}", ".quaternion"]["values"], (-1, 4))
+        for R, (x, y, z, w) in zip(placements[:, :3, :3], np.resize(quaternions, (len(run), 4)), strict=True):
+            first = [1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)]
+            np.testing.assert_allclose(R[:, 0], first, atol=1e-5)
+    # Of what the two tables share there is one.
+    assert ("meshcat/table1/3", ".position") not in found
+
+
+def test_arrows_are_to_scale(viewer: Viewer, apart: dict[str, Rollout]) -> None:
+    run = apart["bad"]
+    found = tracks(viewer.record(run, fps=20, overlays=Overlays(arrows=Arrows(force=0.5, moment=0.25))))
+    scale = np.reshape(found["meshcat/force", ".scale"]["values"], (-1, 3))
+    np.testing.assert_allclose(scale[:, 0], np.maximum(0.5 * np.hypot(*run.tau[:, :2].T), 1e-4), atol=1e-4)
+    radius = np.reshape(found["meshcat/moment", ".scale"]["values"], (-1, 3))
+    np.testing.assert_allclose(np.sign(radius[5:, 1]), np.sign(run.tau[5:, 2]))
+    np.testing.assert_allclose(radius[:, 0], np.maximum(0.25 * np.abs(run.tau[:, 2]), 1e-4), atol=1e-4)
+
+
+def test_captions_tell_time_and_error(viewer: Viewer, runs: dict[str, Rollout]) -> None:
+    said = tracks(viewer.record(runs, fps=10))["meshcat/stage", ".caption"]
+    assert len(said["times"]) == 601
+    assert said["values"][300] == "t = 30.0 s\nposition error\nPD  7.48 mm\ncomputed torque  34.9 µm"
+
+
+def test_a_recorded_page_shows_the_robot_where_its_pose_projects(
+    page: Page, viewer: Viewer, runs: dict[str, Rollout], tmp_path: Path
+) -> None:
+    run = runs["computed torque"]
+    opened(page, viewer.record(run, speed=2), tmp_path)
+    page.evaluate("document.body.classList.add('bare')")
+    spots = []
+    for t in (12.0, 41.0):
+        page.evaluate(f"pinmobile.seek({t})")
+        page.frames()
+        spots.append(projected(page, side(viewer.robot, pose(run, t))))
+        assert sees(page, BLUE, spots[-1])
+        assert f"t = {t:.1f} s" in page.evaluate("document.getElementById('caption').textContent")
+    # Where it was, it is no more.
+    assert math.dist(*spots) > 100
+    assert not sees(page, BLUE, spots[0])
+
+
+def test_a_recorded_page_plays_at_once_and_again(
+    page: Page, viewer: Viewer, runs: dict[str, Rollout], tmp_path: Path
+) -> None:
+    opened(page, viewer.record(runs, speed=100), tmp_path)
+    began = page.evaluate("viewer.animator.time")
+    page.wait_for(f"viewer.animator.time > {began} + 5")
+    page.wait_for(f"viewer.animator.time < {began} + 5")
+    assert page.evaluate("document.getElementById('speed').value") == "100"
+    page.evaluate("document.getElementById('toggle').click()")
+    page.frames()
+    stood = page.evaluate("viewer.animator.time")
+    page.frames(3)
+    assert page.evaluate("viewer.animator.time") == stood
+
+
+def test_the_trail_grows(page: Page, viewer: Viewer, runs: dict[str, Rollout], tmp_path: Path) -> None:
+    run = runs["PD"]
+    opened(page, viewer.record(run), tmp_path)
+    drawn = "viewer.scene_tree.find(['meshcat', 'trail0', '<object>']).object.geometry.drawRange.count"
+    counts = []
+    for t in (0, 15, 30, 60):
+        page.evaluate(f"pinmobile.seek({t})")
+        counts.append(page.evaluate(drawn))
+    assert counts[0] == 0
+    assert counts == sorted(set(counts))
+    assert counts[2] == pytest.approx(counts[3] / 2, rel=0.01)
+    page.evaluate("pinmobile.seek(30)")
+    page.frames()
+    travelled, ahead = (projected(page, (*place(run, t), 0.0)) for t in (10.0, 50.0))
+    assert sees_any(page, BLUE, travelled)
+    assert not sees_any(page, BLUE, ahead)
+
+
+def test_a_second_rollout_is_a_ghost(
+    page: Page, viewer: Viewer, apart: dict[str, Rollout], tmp_path: Path
+) -> None:
+    opened(page, viewer.record(apart, overlays=Overlays(trail=False, path=False)), tmp_path)
+    t = float(apart["bad"].t[np.abs(apart["bad"].error[:, 0]).argmax()])
+    page.evaluate(f"pinmobile.seek({t})")
+    page.frames()
+    good, bad = (pose(run, t) for run in apart.values())
+    assert np.hypot(*(good - bad)[:2]) > 0.7  # apart
+    there = projected(page, side(viewer.robot, good))
+    assert sees(page, BLUE, there)
+    red, _, blue = np.asarray(page.screenshot())[tuple(map(round, projected(page, (*bad[:2], 0.05))[::-1]))]
+    assert red > blue + 30  # the second colour, and the ground shines through
+    opacity = (
+        "viewer.scene_tree.find(['meshcat', 'robot1', 'visuals', 'body', '<object>']).object.material.opacity"
+    )
+    assert page.evaluate(opacity) == pytest.approx(0.45)
+    legend = page.evaluate("document.getElementById('legend').innerText")
+    assert legend.split("\n") == ["good", "bad"]
+
+
+def test_the_desired_pose_is_a_ghost_too(viewer: Viewer, apart: dict[str, Rollout]) -> None:
+    run = apart["bad"]
+    found = tracks(viewer.record(run, fps=20, overlays=Overlays(desired=True)))
+    moved = np.reshape(found["meshcat/desired", ".position"]["values"], (-1, 3))
+    np.testing.assert_allclose(moved[:, :2], run.reference.q[:, :2], atol=6e-6)
+
+
+def test_a_camera_follows_or_stays(
+    page: Page, viewer: Viewer, runs: dict[str, Rollout], tmp_path: Path
+) -> None:
+    run = runs["PD"]
+    opened(page, viewer.record(run, overlays=Overlays(camera=Follow(3.0))), tmp_path)
+    for t in (0.0, 20.0, 45.0, 5.0):
+        page.evaluate(f"pinmobile.seek({t})")
+        x, y, _ = pose(run, t)
+        assert math.dist(projected(page, (x, y, 0.0)), (450, 300)) < 2
+        distance = page.evaluate("viewer.camera.position.distanceTo(viewer.controls.target)")
+        assert distance == pytest.approx(3)
+    view = Stay(eye=(5, -4, 6), target=(1, 1, 0))
+    opened(page, viewer.record(run, overlays=Overlays(camera=view)), tmp_path)
+    for t in (0.0, 20.0):
+        page.evaluate(f"pinmobile.seek({t})")
+        assert page.evaluate("viewer.camera.position.toArray()") == pytest.approx([5, 6, 4])
+        assert math.dist(projected(page, (1, 1, 0)), (450, 300)) < 1
+
+
+@pytest.mark.parametrize("size", [(900, 600), (1600, 700), (420, 800)])
+def test_the_whole_path_is_seen_at_the_first_glance(
+    page: Page, viewer: Viewer, runs: dict[str, Rollout], tmp_path: Path, size: tuple[int, int]
+) -> None:
+    page.resize(*size)
+    opened(page, viewer.record(runs), tmp_path)
+    page.frames(3)
+    for x, y in runs["PD"].reference.q[::50, :2]:
+        at = projected(page, (x, y, 0))
+        assert 0 < at[0] < size[0]
+        assert 0 < at[1] < size[1] - 60  # above the player
+    spread = [projected(page, (x, 3, 0))[0] for x in (-3, 3)]
+    assert spread[1] - spread[0] > 0.4 * min(size[0], 1.5 * size[1])
+
+
+@pytest.mark.parametrize("samples", [1, 2, 50])
+def test_a_robot_that_stands_can_be_recorded(
+    page: Page, viewer: Viewer, runs: dict[str, Rollout], tmp_path: Path, samples: int
+) -> None:
+    run = runs["PD"]
+    parts = {name: getattr(run, name)[:samples] for name in ("t", "v", "a", "tau", "error")}
+    still = np.zeros((samples, 3))
+    stands = Rollout(robot=run.robot, q=still, reference=type(run.reference)(still, still, still), **parts)
+    overlays = Overlays(arrows=Arrows(), desired=True, body_frame=True, frames=(SLIDE_TABLE,))
+    opened(page, viewer.record(stands, overlays=overlays), tmp_path)
+    page.evaluate("pinmobile.seek(0)")
+    assert sees(page, BLUE, projected(page, side(viewer.robot, np.zeros(3))))
+
+
+def test_pages_are_small_and_made_fast(viewer: Viewer, tmp_path: Path) -> None:
+    robot, path = MobileRobot.lecture(), Circle(3, 0.1, 60)
+    run = simulate(robot, ComputedTorque(robot), Tangent(path), dt=0.006)
+    sizes = {}
+    for frames in (600, 10_000):
+        began = time.perf_counter()
+        recording = viewer.record(run, fps=frames / 60, overlays=Overlays(desired=True))
+        sizes[frames] = recording.save_html(tmp_path / "scene.html").stat().st_size
+        assert len(tracks(recording)["meshcat/robot0", ".position"]["times"]) == frames + 1
+        assert time.perf_counter() - began < 10  # a tenth of that on a machine that does nothing else
+    assert sizes[600] < 1.5e6
+    assert sizes[10_000] < 8e6
+
+
+def test_a_page_is_one_file_that_names_no_other(
+    viewer: Viewer, runs: dict[str, Rollout], tmp_path: Path
+) -> None:
+    text = viewer.record(runs, title="<b> & more").save_html(tmp_path / "scene.html").read_text()
+    assert "<title>&lt;b&gt; &amp; more</title>" in text
+    assert not re.search(r'(src|href)="(?!data:)', text)
+    animation = re.search(r'id="animation">(.*?)</script>', text)
+    assert animation is not None
+    assert json.loads(animation[1])["end"] == 60
+
+
+# Live
+
+
+@pytest.fixture
+def live() -> Iterator[Viewer]:
+    with Viewer(MobileRobot.lecture(), live=True) as made:
+        yield made
+
+
+def test_a_live_page_shows_the_robot_where_it_is_displayed(page: Page, live: Viewer) -> None:
+    live.display((0.0, 0.0, 0.0))
+    page.open(live.url)
+    live.wait(20)
+    page.wait_for("pinmobile.ready()")
+    spots = []
+    for at in ((0.4, 0.3, 0.5), (-0.8, 1.0, 2.5)):
+        live.display(at)
+        x = "viewer.scene_tree.find(['meshcat', 'robot0']).object.position.x"
+        page.wait_for(f"Math.abs({x} - {at[0]}) < 1e-9")
+        page.frames()
+        spots.append(projected(page, side(live.robot, np.array(at))))
+        assert sees(page, BLUE, spots[-1])
+    assert not sees(page, BLUE, spots[0])
+
+
+def test_play_goes_through_the_rollout_in_its_time(
+    page: Page, live: Viewer, apart: dict[str, Rollout]
+) -> None:
+    page.open(live.url)
+    live.wait(20)
+    began = time.perf_counter()
+    playing = threading.Thread(target=live.play, args=(apart["good"],), kwargs={"speed": 5})
+    playing.start()
+    page.wait_for("document.getElementById('caption').textContent.includes('t = 1')")
+    page.wait_for("viewer.scene_tree.find(['meshcat', 'trail0', '<object>']).object.drawn > 100")
+    playing.join()
+    assert 4.0 <= time.perf_counter() - began < 6
+    page.wait_for("document.getElementById('caption').textContent.includes('t = 20.0 s')")
+    page.frames()
+    assert sees(page, BLUE, projected(page, side(live.robot, apart["good"].q[-1])))
+    live.display((1, 1, 0))  # the same scene, and the robot elsewhere
+    page.wait_for("viewer.scene_tree.find(['meshcat', 'robot0']).object.position.y === 1")
+    assert page.evaluate("document.getElementById('legend').innerText") == "desired\ntravelled"
+
+
+def test_a_page_that_comes_late_sees_the_same(page: Page, live: Viewer, apart: dict[str, Rollout]) -> None:
+    live.play(apart["good"], speed=200)
+    page.open(live.url)
+    page.wait_for("document.getElementById('caption').textContent.includes('t = 20.0 s')")
+    assert page.evaluate("viewer.scene_tree.find(['meshcat', 'trail0', '<object>']).object.drawn") > 1000
+
+
+def test_nobody_needs_to_look(live: Viewer, apart: dict[str, Rollout], tmp_path: Path) -> None:
+    live.display((0, 0, 0))
+    live.play(apart, speed=100)
+    began = time.perf_counter()
+    with pytest.raises(ViewerError, match="no browser has opened"):
+        live.wait(0.2)
+    assert time.perf_counter() - began < 2
+
+
+def test_display_is_safe_from_several_threads(live: Viewer) -> None:
+    def move(k: int) -> None:
+        for step in range(200):
+            live.display((k, step / 100, 0))
+
+    threads = [threading.Thread(target=move, args=(k,)) for k in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(30)
+    assert not any(thread.is_alive() for thread in threads)
+
+
+def test_ctrl_c_ends_play_and_the_viewer_goes_on(live: Viewer, apart: dict[str, Rollout]) -> None:
+    timer = threading.Timer(0.4, signal.raise_signal, (signal.SIGINT,))
+    timer.start()
+    began = time.perf_counter()
+    with pytest.raises(KeyboardInterrupt):
+        live.play(apart, repeat=math.inf)
+    assert time.perf_counter() - began < 3
+    live.display((1, 2, 3))
+
+
+# Pictures and films
+
+
+def test_a_screenshot_is_of_the_time_that_is_asked_for(
+    viewer: Viewer, runs: dict[str, Rollout], browser: Chromium, tmp_path: Path
+) -> None:
+    recording = viewer.record(runs["PD"])
+    early = recording.screenshot(tmp_path / "early.png", t=3, size=(600, 400)).read_bytes()
+    late = viewer.screenshot(tmp_path / "late.png", t=50, size=(600, 400))
+    with Image.open(late) as picture:
+        assert picture.size == (600, 400)
+    assert late.read_bytes() != early
+    assert (
+        recording.screenshot(tmp_path / "again.png", t=50, size=(600, 400)).read_bytes() == late.read_bytes()
+    )
+
+
+def test_a_screenshot_of_what_is_displayed(browser: Chromium, tmp_path: Path) -> None:
+    with Viewer(MobileRobot.lecture()) as shown:
+        shown.display((1, 2, 0.5))
+        path = shown.screenshot(tmp_path / "a.png", size=(450, 300))
+    with Image.open(path) as picture:
+        colours = np.asarray(picture.convert("RGB"), float).reshape(-1, 3)
+    assert (np.abs(colours - BLUE).max(axis=1) < 60).sum() > 500
+
+
+def test_gifs_and_films(viewer: Viewer, runs: dict[str, Rollout], browser: Chromium, tmp_path: Path) -> None:
+    recording = viewer.record(runs, speed=60)
+    seen: list[tuple[int, int]] = []
+    path = recording.save_gif(
+        tmp_path / "a.gif", fps=8, size=(240, 160), progress=lambda *step: seen.append(step)
+    )
+    with Image.open(path) as gif:
+        assert (gif.size, getattr(gif, "n_frames", 0)) == ((240, 160), 9)
+    assert seen == [(k, 9) for k in range(1, 10)]
+    pytest.importorskip("imageio_ffmpeg", reason="needs the extra mp4")
+    film = recording.save_mp4(tmp_path / "a.mp4", fps=8, size=(240, 160)).read_bytes()
+    assert film[4:8] == b"ftyp"
+
+
+# What is refused
+
+
+def untyped(function: Any) -> Any:
+    return function
+
+
+def nan_rollout(run: Rollout) -> Rollout:
+    q = run.q.copy()
+    q[17, 1] = np.nan
+    return dataclasses.replace(run, q=q)
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "text"),
+    [
+        (lambda v, r: v.display((1, np.nan, 0)), InvalidArgument, "q[1] is nan, expected a finite number"),
+        (lambda v, r: v.display((1, 2, np.inf)), InvalidArgument, "q[2] is inf"),
+        (lambda v, r: v.display((1, 2)), InvalidArgument, "q has shape (2,), expected (..., 3)"),
+        (lambda v, r: v.display([[1, 2, 3]]), InvalidArgument, "q has shape (1, 3), expected (3,)"),
+        (lambda v, r: v.record(nan_rollout(r)), InvalidArgument, "rollout.q[17, 1] is nan"),
+        (lambda v, r: v.record({"a": nan_rollout(r)}), InvalidArgument, "rollout['a'].q[17, 1] is nan"),
+        (lambda v, r: v.record(r.q), InvalidArgument, "expected a Rollout or a mapping"),
+        (lambda v, r: v.record({}), InvalidArgument, "rollout is {}, expected"),
+        (lambda v, r: v.record({"a": 3}), InvalidArgument, "rollout['a'] is a int, expected a Rollout"),
+        (lambda v, r: v.record(r, fps=0), InvalidArgument, "fps is 0.0 1/s, expected > 0"),
+        (lambda v, r: v.record(r, fps=1e9), InvalidArgument, "expected at most 200000"),
+        (lambda v, r: v.record(r, speed=-1), InvalidArgument, "speed is -1.0, expected > 0"),
+        (lambda v, r: v.record(r, overlays="trail"), InvalidArgument, "overlays is a str, expected Overlays"),
+        (lambda v, r: v.play(r), ViewerError, "play needs a live viewer: Viewer(robot, live=True)"),
+        (lambda v, r: v.wait(1), ViewerError, "wait needs a live viewer"),
+        (lambda v, r: v.url, ViewerError, "url needs a live viewer"),
+        (lambda v, r: v.screenshot("a.png", t=1), ViewerError, "call record first"),
+        (lambda v, r: v.screenshot("a.png"), ViewerError, "call display or play first"),
+        (
+            lambda v, r: v.record(r).screenshot("a.png", t=61),
+            InvalidArgument,
+            "t is 61 s, expected 0 <= t <= 60 s",
+        ),
+        (lambda v, r: v.record(r).screenshot("a.png", size=3), InvalidArgument, "size is 3, expected width"),
+        (lambda v, r: v.record(r).save_gif("a.gif", fps=80), InvalidArgument, "expected at most 50"),
+        (
+            lambda v, r: v.record(r).save_html("a.htm"),
+            InvalidArgument,
+            "expected a name that ends in '.html'",
+        ),
+        (lambda v, r: v.record(r).save_html("/no/a.html"), InvalidArgument, "which cannot be written"),
+        (lambda v, r: v.record(r).save_gif("/no/a.gif"), InvalidArgument, "which cannot be written"),
+        (
+            lambda v, r: v.record(r).save_mp4("a.mp4", size=(99, 100)),
+            InvalidArgument,
+            "expected even numbers",
+        ),
+        (lambda v, r: untyped(Viewer)("robot"), InvalidArgument, "robot is a str, expected a MobileRobot"),
+        (
+            lambda v, r: untyped(Overlays)(frames=("lecture",)),
+            InvalidArgument,
+            "frames has 'lecture', expected tables",
+        ),
+        (lambda v, r: untyped(Overlays)(camera=None), InvalidArgument, "camera is None, expected"),
+        (lambda v, r: Follow(-1), InvalidArgument, "distance is -1.0 m, expected > 0"),
+        (lambda v, r: Stay(eye=(1, 2)), InvalidArgument, "eye has shape (2,), expected (3,)"),
+        (lambda v, r: Arrows(force=0), InvalidArgument, "force is 0.0 m/N, expected > 0"),
+    ],
+)
+def test_what_cannot_be_shown_is_refused(
+    runs: dict[str, Rollout],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    call: Callable[[Viewer, Rollout], object],
+    error: type[Exception],
+    text: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with Viewer(MobileRobot.lecture()) as fresh, pytest.raises(error, match=re.escape(text)):
+        call(fresh, runs["PD"])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_closed_viewer_says_so(runs: dict[str, Rollout], tmp_path: Path) -> None:
+    for is_live in (False, True):
+        viewer = Viewer(MobileRobot.lecture(), live=is_live)
+        viewer.close()
+        viewer.close()
+        calls: tuple[Callable[[Viewer], object], ...] = (
+            lambda v: v.display((0, 0, 0)),
+            lambda v: v.play(runs),
+            lambda v: v.record(runs),
+            lambda v: v.wait(1),
+            lambda v: v.screenshot(tmp_path / "a.png"),
+            lambda v: v.static_html(),
+            lambda v: v.url,
+        )
+        for call in calls:
+            with pytest.raises(ViewerError, match="the viewer is closed"):
+                call(viewer)
+
+
+def test_no_chromium_is_said_before_anything_is_written(
+    viewer: Viewer, runs: dict[str, Rollout], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = viewer.record(runs)
+    monkeypatch.setenv("PINMOBILE_CHROMIUM", "")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setattr("pinmobile.viewer.chromium._NAMES", ("chromium",))
+    with pytest.raises(ViewerError, match=r"no Chromium was found.*PINMOBILE_CHROMIUM"):
+        recording.screenshot(tmp_path / "a.png")
+    monkeypatch.setenv("PINMOBILE_CHROMIUM", "nothing")
+    with pytest.raises(ViewerError, match="PINMOBILE_CHROMIUM is 'nothing', which is no program"):
+        recording.save_gif(tmp_path / "a.gif")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_chromium_that_dies_is_told(
+    viewer: Viewer, runs: dict[str, Rollout], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PINMOBILE_CHROMIUM", "/bin/false")
+    with pytest.raises(ViewerError, match="the browser has gone"):
+        viewer.record(runs).screenshot(tmp_path / "a.png")
+
+
+def test_no_encoder_is_told_with_the_extra_that_has_it(
+    viewer: Viewer, runs: dict[str, Rollout], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(ViewerError, match=re.escape("pip install 'pinmobile[mp4]'")):
+        viewer.record(runs).save_mp4(tmp_path / "a.mp4")
+
+
+# How a robot looks
+
+_WHEEL = """
+<link name="wheel"><inertial><mass value="1"/>
+<inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial>
+<visual><geometry><cylinder radius="0.1" length="0.05"/></geometry></visual></link>
+<joint name="axle" type="continuous"><parent link="base"/><child link="wheel"/>
+<origin xyz="0.2 0.3 0.1" rpy="1.5707963267948966 0 0"/><axis xyz="0 0 1"/></joint>"""
+_BASE = """<robot name="truck"><link name="base">
+<inertial><mass value="9"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+<visual><origin xyz="0 0 0.25"/><geometry><mesh filename="package://truck/{0}.stl" scale="0.001 0.001 0.001"/>
+</geometry><material name="green"><color rgba="0 0.6 0.4 1"/></material></visual></link>{1}</robot>"""
+
+
+def truck(folder: Path, mesh: str) -> MobileRobot:
+    corners = 1000 * np.array([[-0.4, -0.3, 0], [0.4, -0.3, 0], [0, 0.3, 0], [0, 0, 0.5]])
+    faces = [(0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3)]
+    facets = [struct.pack("<12f2x", 0, 0, 0, *corners[a], *corners[b], *corners[c]) for a, b, c in faces]
+    (folder / "truck").mkdir(exist_ok=True)
+    (folder / "truck" / "hull.stl").write_bytes(bytes(80) + struct.pack("<I", len(faces)) + b"".join(facets))
+    path = folder / "truck" / "truck.urdf"
+    path.write_text(_BASE.format(mesh, _WHEEL))
+    return MobileRobot.from_urdf(path, [folder])
+
+
+def test_a_robot_with_meshes_is_drawn_whole(page: Page, tmp_path: Path) -> None:
+    robot = truck(tmp_path, "hull")
+    assert robot.visual_model is robot.visual_model
+    hull, wheel = robot.visual_model.geometryObjects
+    assert {hull.parentJoint, wheel.parentJoint} == {3}
+    np.testing.assert_allclose(hull.placement.translation, (0, 0, 0.25))
+    np.testing.assert_allclose(wheel.placement.translation, (0.2, 0.3, 0.1))
+    run = simulate(robot, ComputedTorque(robot), Tangent(Circle(1, 0.5, 6)), dt=0.05)
+    with Viewer(robot) as viewer:
+        opened(page, viewer.record(run), tmp_path)
+    size = page.evaluate(
+        "(() => { pinmobile.seek(0); const root = viewer.scene_tree.find(['meshcat', 'robot0']).object;"
+        "const size = new MeshCat.THREE.Box3().setFromObject(root).getSize(new MeshCat.THREE.Vector3());"
+        "return size.toArray(); })()"
+    )
+    assert size == pytest.approx([0.8, 0.75, 0.625], abs=0.01)  # y up: from the wheel's ground to the top
+    page.evaluate("pinmobile.seek(4)")
+    page.frames()
+    at = run.q[80]
+    assert sees(page, (0, 153, 102), projected(page, (at[0], at[1], 0.5)))
+
+
+def test_missing_meshes_are_named_and_the_box_stands_for_them(tmp_path: Path) -> None:
+    robot = truck(tmp_path, "gone")
+    with pytest.warns(UserWarning, match=r"truck.urdf: not drawn, since missing: package://truck/gone.stl"):
+        shown = robot.visual_model
+    assert [item.name for item in shown.geometryObjects] == ["body", "front", "wedge", "wheel_0"]
+
+
+def test_looks_survive_pickling_and_are_no_part_of_equality(tmp_path: Path) -> None:
+    robot = truck(tmp_path, "hull")
+    copy = pickle.loads(pickle.dumps(robot))
+    assert copy == robot == MobileRobot.from_body(robot.body, robot.size)
+    assert copy.visual_model.ngeoms == 2
+
+
+def test_the_box_stands_on_the_ground_and_shows_its_front() -> None:
+    robot = MobileRobot.lecture()
+    body, front, wedge = robot.visual_model.geometryObjects
+    assert body.placement.translation.tolist() == [0, 0, 0.1]
+    assert (2 * body.geometry.halfSide).tolist() == [0.6, 0.4, 0.2]
+    assert front.placement.translation[0] > 0.3
+    assert wedge.placement.translation.tolist() == [0, 0, 0.2]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert MobileRobot.from_urdf(_shipped()).visual_model.ngeoms == 3
+
+
+def _shipped() -> Path:
+    from pinmobile import shipped_urdf
+
+    return shipped_urdf("lecture")
+
+
+def test_colours_are_those_of_the_figures() -> None:
+    assert [palette.colour(k) for k in range(7)] == [plots.style.colour(k) for k in range(7)]
+    assert plots.style.INK == palette.INK
+
+
+# The command
+
+
+def test_the_command_serves_until_it_is_told_to_end(
+    page: Page, runs: dict[str, Rollout], tmp_path: Path
+) -> None:
+    runs["PD"].save(tmp_path / "rollout.npz")
+    words = [sys.executable, "-m", "pinmobile.cli", "view", "--rollout", str(tmp_path / "rollout.npz")]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    try:
+        assert process.stdout is not None
+        url = process.stdout.readline().split()[-1]
+        port = int(url.split(":")[2].strip("/"))
+        assert f"ssh -L {port}:127.0.0.1:{port} " in process.stdout.readline()
+        page.open(url)
+        page.wait_for("document.getElementById('caption').textContent.includes('t = 2')")
+        assert page.evaluate("document.getElementById('legend').innerText") == "desired\nrollout"
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(10) == 0
+        assert "ended" in process.stdout.read()
+    finally:
+        end(process)
+    with pytest.raises(ConnectionRefusedError), socket.create_connection(("127.0.0.1", port), 1):
+        pass
+
+
+def test_the_command_takes_the_options_of_run() -> None:
+    words = [sys.executable, "-m", "pinmobile.cli", "view", "--trajectory", "via-free", "--arrows"]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        url = process.stdout.readline().split()[-1]
+        assert "<title>pinmobile</title>" in urlopen(url, timeout=10).read().decode()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(10) == 0
+        assert process.communicate()[1] == ""
+    finally:
+        end(process)
+
+
+def end(process: subprocess.Popen[str]) -> None:
+    process.kill()
+    process.communicate()
+
+
+def test_nothing_is_left_behind(runs: dict[str, Rollout], browser: Chromium, tmp_path: Path) -> None:
+    descriptors, threads = len(os.listdir("/proc/self/fd")), threading.active_count()
+    with Viewer(MobileRobot.lecture(), live=True) as viewer:
+        viewer.record(runs["PD"]).screenshot(tmp_path / "a.png", t=1, size=(200, 150))
+        children = Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()
+        names = [Path(f"/proc/{child}/comm").read_text().strip() for child in children]
+        assert names.count("chromium") <= 1  # the test's own
+    assert threading.active_count() == threads
+    assert len(os.listdir("/proc/self/fd")) <= descriptors

@@ -1,0 +1,683 @@
+"""The windows behind meshcat, without a browser: what they keep, whom they answer, and every fault."""
+
+import gc
+import os
+import signal
+import socket
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from pinmobile import InvalidArgument, ViewerError
+from pinmobile.viewer import live, server
+from pinmobile.viewer.live import LiveWindow
+from pinmobile.viewer.offline import OfflineWindow
+from pinmobile.viewer.stock import Visualizer
+from tests.webclient import WebSocket, ask, eventually, listens, resident
+
+Window = OfflineWindow | LiveWindow
+
+
+class Say(NamedTuple):
+    content: dict[str, Any]
+
+    def lower(self) -> dict[str, Any]:
+        return self.content
+
+
+def prop(path: str, name: str, value: Any) -> Say:
+    return Say({"type": "set_property", "path": path, "property": name, "value": value})
+
+
+def delete(path: str) -> Say:
+    return Say({"type": "delete", "path": path})
+
+
+def shape(path: str, data: Any = 0) -> Say:
+    return Say({"type": "set_object", "path": path, "object": {"data": data}})
+
+
+def animation(value: Any) -> Say:
+    return Say({"type": "set_animation", "path": "", "animations": value})
+
+
+def received(window: LiveWindow, *, least: int = 0) -> list[tuple[Any, ...]]:
+    """Return what a browser that comes now is sent: type, path and property."""
+    with WebSocket(window.url) as browser:
+        assert window.wait(5)
+        assert eventually(lambda: len(browser.commands) >= least)
+        assert window.flush()
+        return [
+            tuple(c[word] for word in ("type", "path", "property") if word in c) for c in browser.commands
+        ]
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_left() -> Iterator[None]:
+    before = set(threading.enumerate())
+    yield
+    gc.collect()
+    assert eventually(lambda: set(threading.enumerate()) <= before), threading.enumerate()
+
+
+@pytest.fixture(params=[OfflineWindow, LiveWindow])
+def window(request: pytest.FixtureRequest) -> Iterator[Window]:
+    with request.param() as opened:
+        yield opened
+
+
+@pytest.fixture
+def bounded() -> Iterator[Callable[[float], None]]:
+    """Yield a check that a test has taken less than some seconds so far."""
+    start = time.monotonic()
+
+    def check(seconds: float) -> None:
+        assert time.monotonic() - start < seconds
+
+    return check
+
+
+def run(script: str, **options: Any) -> "subprocess.Popen[str]":
+    """Start a script that has a window `w` and says its port first."""
+    lines = "from pinmobile.viewer.live import LiveWindow\nw = LiveWindow()\nprint(w.port, flush=True)\n"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    command = [sys.executable, "-W", "error", "-c", lines + textwrap.dedent(script)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment, **options)
+
+
+# What a window keeps
+
+
+def test_meshcat_draws_into_a_window(window: Window) -> None:
+    scene = Visualizer(window=window)
+    scene["box"].set_transform(np.eye(4))
+    scene["box"].set_property("visible", False)
+    scene["box"].delete()
+    scene["other"].set_transform(np.eye(4))
+    html = scene.static_html()
+    assert html == window.static_html()
+    assert html.count("handle_command_bytearray(Uint8Array") == 1
+
+
+def test_an_offline_page_has_everything_in_it() -> None:
+    with OfflineWindow() as offline:
+        offline.send(prop("a", "visible", True))
+        page = offline.static_html()
+    assert "viewer.connect();" not in page
+    assert 'src="' not in page.partition("<body>")[2][:400]
+
+
+@pytest.mark.parametrize("path", ["/a/b", "a/b", "//a//b/"])
+def test_a_command_replaces_the_one_before(window: Window, path: str) -> None:
+    window.send(prop("/a/b", "scale", [1.0, 1.0, 1.0]))
+    size = window.scene_size
+    window.send(prop(path, "scale", [2.0, 2.0, 2.0]))
+    assert window.scene_size == size + len(path) - len("/a/b")
+
+
+def test_a_late_browser_gets_the_scene_in_its_order_and_the_animation_last() -> None:
+    with LiveWindow() as w:
+        w.send(animation([]))
+        w.send(shape("a"))
+        w.send(prop("a", "position", [0.0, 0.0, 0.0]))
+        w.send(Say({"type": "set_transform", "path": "a", "matrix": [0.0] * 16}))
+        w.send(prop("a", "position", [1.0, 0.0, 0.0]))  # after the transform, which would undo it
+        assert received(w, least=4) == [
+            ("set_object", "a"),
+            ("set_transform", "a"),
+            ("set_property", "a", "position"),
+            ("set_animation", ""),
+        ]
+
+
+def test_a_new_object_has_none_of_the_old_ones_properties() -> None:
+    with LiveWindow() as w:
+        w.send(prop("a", "visible", True))
+        w.send(prop("a/<object>", "intensity", 1.0))
+        w.send(shape("a"))
+        assert received(w, least=2) == [("set_property", "a", "visible"), ("set_object", "a")]
+
+
+def test_deleting_forgets_all_below_and_remembers_what_the_page_has_by_itself() -> None:
+    with LiveWindow() as w:
+        for path in ("a", "a/b", "ab", "Grid/x"):
+            w.send(prop(path, "visible", True))
+        w.send(delete("/a"))
+        w.send(delete("/Grid"))
+        assert eventually(lambda: received(w) == [("set_property", "ab", "visible"), ("delete", "/Grid")])
+        w.send(animation([]))
+        w.send(delete("/"))
+        assert eventually(lambda: received(w) == [("delete", "Grid")])
+
+
+def test_a_connected_browser_is_told_of_deletions_and_replacements_in_order() -> None:
+    with LiveWindow() as w, WebSocket(w.url) as browser:
+        assert w.wait(5)
+        w.send(shape("a", 1))
+        assert w.flush()
+        w.send(delete("a"))
+        w.send(shape("a", 2))
+        assert w.flush()
+        assert eventually(lambda: len(browser.commands) == 3)
+        assert [c["type"] for c in browser.commands] == ["set_object", "delete", "set_object"]
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        (
+            Say({"type": "set_transform", "path": "/a", "matrix": [0.0] * 12 + [np.nan] + [0.0] * 3}),
+            "set_transform of a: matrix[12] is nan, expected a finite number",
+        ),
+        (
+            Say({"type": "set_transform", "path": "/a", "matrix": [0.0] * 9}),
+            "the transform of a has 9 numbers, expected 16",
+        ),
+        (
+            prop("a", "position", [0.0, -np.inf, 0.0]),
+            "set_property of a: value[1] is -inf, expected a finite number",
+        ),
+        (prop("a", "fov", np.inf), "set_property of a: value is inf, expected a finite number"),
+        (
+            animation([{"times": [0.0, np.nan]}]),
+            "set_animation of /: animations[0].times[1] is nan, expected a finite number",
+        ),
+        (
+            prop("a", "x", {1, 2}),
+            "set_property of a cannot be sent: unsupported type: <class 'set'>",
+        ),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused_before_it_is_sent(
+    window: Window, command: Say, message: str
+) -> None:
+    with pytest.raises(InvalidArgument) as refused:
+        window.send(command)
+    assert str(refused.value) == message
+    assert window.scene_size == 0
+
+
+def test_vertices_that_are_not_finite_are_refused(window: Window) -> None:
+    from pinmobile.viewer.stock import packed_array
+
+    with pytest.raises(InvalidArgument, match=r"position\.array\[1\] is nan"):
+        window.send(shape("a", {"position": packed_array(np.array([0.0, np.nan, 1.0]))}))
+
+
+@pytest.mark.parametrize("command", ["text", None, 3, Say({}), Say({"type": "capture_image", "path": ""})])
+def test_what_is_no_command_is_refused(window: Window, command: Any) -> None:
+    with pytest.raises(InvalidArgument, match="expected one of meshcat's"):
+        window.send(command)
+
+
+def test_huge_numbers_are_numbers(window: Window) -> None:
+    window.send(prop("a", "x", [1.7e308, 1.7e308]))
+
+
+# Whom it answers
+
+
+def test_the_page_and_its_script_are_served_and_nothing_else() -> None:
+    with LiveWindow() as w:
+        assert ask(w.url)[0] == 200
+        assert ask(w.url, path="/main.min.js")[0] == 200
+        for path in ("/index.html", "/../etc/passwd", "/main.min.js.LICENSE.txt", "/%2e%2e/", "/socket/"):
+            assert ask(w.url, path=path)[0] == 404
+        assert ask(w.url, path="/socket")[0] == 400
+
+
+@pytest.mark.parametrize("path", ["/", "/main.min.js", "/socket", "/missing"])
+@pytest.mark.parametrize(
+    "host", ["evil.example", "evil.example:{port}", "127.0.0.1.evil.example", "", "[", "é"]
+)
+def test_fault_a_host_header_of_another_name_is_refused(path: str, host: str) -> None:
+    with LiveWindow() as w:
+        assert ask(w.url, {"Host": host.format(port=w.port)}, path=path)[0] in (400, 403)
+        with WebSocket(w.url, {"Host": host.format(port=w.port)}) as browser:
+            assert browser.status in (400, 403)
+            assert w.browsers == 0
+
+
+@pytest.mark.parametrize("host", ["localhost:8000", "127.0.0.1", "[::1]:1", "LOCALHOST"])
+def test_this_machine_may_have_any_of_its_names_and_a_tunnel_any_port(host: str) -> None:
+    with LiveWindow() as w:
+        assert ask(w.url, {"Host": host})[0] == 200
+        with WebSocket(w.url, {"Host": host, "Origin": f"http://{host}"}) as browser:
+            assert browser.status == 101
+
+
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "null", "http://127.0.0.1:1", "http://localhost", ""]
+)
+def test_fault_a_websocket_from_another_origin_is_refused(origin: str) -> None:
+    with LiveWindow() as w:
+        # A browser says both; of the second one tornado would believe anything.
+        for more in ({}, {"Sec-Fetch-Site": "same-origin"}):
+            with WebSocket(w.url, {"Origin": origin, **more}) as browser:
+                assert browser.status == 403
+                assert w.browsers == 0
+        with WebSocket(w.url, {"Origin": f"http://127.0.0.1:{w.port}"}) as browser:
+            assert browser.status == 101
+
+
+@pytest.mark.parametrize("path", ["/", "/main.min.js", "/socket", "/missing"])
+@pytest.mark.parametrize(
+    "query", ["", "token=", "token=wrong", "token=right&token=right", "token=%ff", "t=right"]
+)
+def test_fault_a_token_missing_or_wrong_is_refused(path: str, query: str) -> None:
+    with LiveWindow(token="right") as w:
+        status, text = ask(w.url, path=path, query=query)
+        assert status == 403
+        assert "right" not in text
+        with WebSocket(w.url, query=query) as browser:
+            assert browser.status == 403
+            assert w.browsers == 0
+
+
+def test_with_its_token_everything_is_served() -> None:
+    with LiveWindow(token="right") as w:
+        assert w.url.endswith("/?token=right")
+        assert "right" not in repr(w)
+        status, page = ask(w.url)
+        assert status == 200
+        assert 'src="main.min.js?token=right"' in page
+        assert "socket?token=right`" in page
+        assert ask(w.url, path="/main.min.js")[0] == 200
+        with WebSocket(w.url) as browser:
+            assert browser.status == 101
+
+
+def test_another_host_is_asked_for_by_name_warned_about_and_needs_a_token() -> None:
+    with pytest.warns(UserWarning, match=r"listens on 127\.0\.0\.2: whoever can reach") as warned:
+        windows = LiveWindow("127.0.0.2"), LiveWindow("127.0.0.2")
+    assert [Path(one.filename).name for one in warned] == [Path(__file__).name] * 2
+    with windows[0] as w, windows[1] as second:
+        assert w.url.startswith(f"http://127.0.0.2:{w.port}/?token=")
+        assert len(w.url.partition("token=")[2]) >= 32
+        assert w.url[-32:] != second.url[-32:]
+        assert not listens(w.port)
+        assert listens(w.port, "127.0.0.2")
+        assert ask(w.url)[0] == 200
+        assert ask(w.url, query="")[0] == 403
+        assert ask(w.url, {"Host": "evil.example"})[0] == 403
+
+
+def test_by_default_only_this_machine_can_reach_it() -> None:
+    with LiveWindow() as w:
+        assert listens(w.port)
+        assert not listens(w.port, "127.0.0.2")
+        assert w.url == f"http://127.0.0.1:{w.port}/" == w.web_url
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"host": ""}, "host is '', expected a name or an address such as '127.0.0.1'"),
+        ({"host": None}, "host is None, expected a name or an address such as '127.0.0.1'"),
+        ({"port": 0}, "port is 0, expected a whole number >= 1"),
+        ({"port": 65536}, "port is 65536, expected at most 65535"),
+        ({"token": ""}, "token is empty or not made of letters, digits, '-', '.', '_' and '~'"),
+        ({"token": 'a"b'}, "token is empty or not made of letters, digits, '-', '.', '_' and '~'"),
+        ({"page": "<html>"}, 'page has no src="main.min.js"'),
+    ],
+)
+def test_arguments_are_checked(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidArgument) as refused:
+        LiveWindow(**arguments)
+    assert str(refused.value) == message
+
+
+# Faults
+
+
+def test_fault_no_browser(bounded: Callable[[float], None]) -> None:
+    with LiveWindow() as w:
+        for k in range(1000):
+            w.send(prop("a", "x", k))
+        assert w.flush()
+        with pytest.raises(
+            ViewerError, match=r"no browser has opened http://127\.0\.0\.1:\d+/ within 0\.2 s"
+        ):
+            w.wait(0.2)
+        with pytest.raises(ViewerError, match="no browser shows the page"):
+            w.get_image()
+    bounded(3)
+
+
+def test_fault_an_offline_window_has_no_browser() -> None:
+    with OfflineWindow() as w:
+        for call in (w.get_image, w.wait, lambda: w.web_url):
+            with pytest.raises(ViewerError, match="an offline window"):
+                call()
+
+
+def test_fault_two_browsers_of_which_one_goes() -> None:
+    with LiveWindow() as w, WebSocket(w.url) as stays:
+        with WebSocket(w.url) as goes:
+            assert eventually(lambda: w.browsers == 2)
+            w.send(prop("a", "x", 1))
+            assert w.flush()
+            assert stays.last("a")
+            assert goes.last("a")
+        assert eventually(lambda: w.browsers == 1)
+        w.send(prop("a", "x", 2))
+        assert w.flush()
+        assert eventually(lambda: stays.last("a")["value"] == 2)
+
+
+def test_fault_a_browser_that_stops_reading(bounded: Callable[[float], None]) -> None:
+    with LiveWindow() as w, WebSocket(w.url, reads=False) as stuck, WebSocket(w.url) as reads:
+        assert eventually(lambda: w.browsers == 2)
+        w.send(shape("mesh", "x" * 12_000_000))
+        assert eventually(lambda: reads.last("mesh", "set_object"))
+        before, text = resident(), "y" * 2_000
+        for k in range(20_000):
+            w.send(prop(f"a{k % 50}", "x", [k, text]))
+            if k % 500 == 0:
+                time.sleep(0.02)
+        assert not w.flush(0.2)
+        assert eventually(lambda: reads.last("a49") and reads.last("a49")["value"][0] == 19_999)
+        assert resident() - before < 40
+        # Once it reads, it has the newest state, and has not been sent what lies between.
+        stuck.read()
+        assert eventually(lambda: stuck.last("a49") and stuck.last("a49")["value"][0] == 19_999)
+        assert w.flush()
+        assert len(stuck.commands) < 1000
+    bounded(30)
+
+
+def test_fault_a_browser_that_does_not_take_deletions(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "_MOST_DELETIONS", 1000)
+    with LiveWindow() as w, WebSocket(w.url, reads=False):
+        assert w.wait(5)
+        w.send(shape("mesh", "x" * 12_000_000))
+        for k in range(5000):
+            w.send(shape(f"n{k}"))
+            w.send(delete(f"n{k}"))
+            time.sleep(0.001 if k % 10 == 0 else 0)
+        assert eventually(lambda: w.browsers == 0)
+        w.send(delete("mesh"))
+        assert received(w) == [] or eventually(lambda: received(w) == [])
+        assert w.scene_size == 0
+
+
+def test_fault_a_browser_that_never_answers_a_capture(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "_CAPTURE", 0.2)
+    with LiveWindow() as w, WebSocket(w.url) as browser:
+        assert w.wait(5)
+        for k in range(4):
+            with pytest.raises(ViewerError, match=r"sent no picture within 0\.2 s"):
+                w.get_image()
+            assert eventually(lambda k=k: len(browser.commands) == k + 1)
+        with pytest.raises(ViewerError, match="the browser does not answer"):
+            w.get_image()
+
+
+@pytest.mark.parametrize("words", [b"", b"{}", b"[", b'{"data": 3}', b'{"data": "data:,!"}', b"\xff"])
+def test_fault_a_browser_that_talks_nonsense(words: bytes) -> None:
+    with LiveWindow() as w, WebSocket(w.url) as browser:
+        assert w.wait(5)
+        browser.say(words)
+        browser.say(b"99999999999999999999", 10)
+        browser.say(words, 2)
+        w.send(prop("a", "x", 1))
+        assert received(w, least=1) == [("set_property", "a", "x")]
+
+
+def test_fault_a_browser_that_goes_while_it_is_asked_for_a_picture() -> None:
+    with LiveWindow() as w, WebSocket(w.url) as browser:
+        assert w.wait(5)
+        threading.Timer(0.3, browser.say, [b"", 8]).start()
+        with pytest.raises(ViewerError, match="the browser was closed"):
+            w.get_image()
+
+
+def test_fault_closed_while_it_is_asked_for_a_picture(bounded: Callable[[float], None]) -> None:
+    with LiveWindow() as w, WebSocket(w.url):
+        assert w.wait(5)
+        threading.Timer(0.3, w.close).start()
+        with pytest.raises(ViewerError, match="closed"):
+            w.get_image()
+    bounded(5)
+
+
+def test_fault_closed_while_it_waits(bounded: Callable[[float], None]) -> None:
+    with LiveWindow() as w:
+        threading.Timer(0.2, w.close).start()
+        with pytest.raises(ViewerError, match="the window is closed"):
+            w.wait(30)
+    bounded(5)
+
+
+def test_fault_the_port_is_taken(bounded: Callable[[float], None]) -> None:
+    with LiveWindow() as w:
+        with pytest.raises(ViewerError, match=rf"cannot listen on port {w.port} of 127\.0\.0\.1: .*in use"):
+            LiveWindow(port=w.port)
+        port = w.port
+    with LiveWindow(port=port) as again:
+        assert again.port == port
+    bounded(3)
+
+
+@pytest.mark.filterwarnings("ignore:the viewer listens")
+@pytest.mark.parametrize("host", ["192.0.2.1", "no.such.host.invalid", "a b", "x" * 300])
+def test_fault_there_is_no_such_address(host: str) -> None:
+    with pytest.raises(ViewerError, match="cannot listen on a free port of"):
+        LiveWindow(host)
+
+
+def test_fault_four_threads() -> None:
+    with LiveWindow() as w, WebSocket(w.url) as browser:
+
+        def work(number: int) -> None:
+            for k in range(2000):
+                w.send(prop(f"own{number}", "x", k))
+                w.send(prop("shared", "x", [number, k]))
+
+        threads = [threading.Thread(target=work, args=(n,)) for n in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join(30)
+        assert w.flush()
+        assert all(eventually(lambda n=n: browser.last(f"own{n}")["value"] == 1999) for n in range(4))
+        assert browser.last("shared")["value"][1] == 1999
+
+
+def test_fault_used_after_it_was_closed() -> None:
+    w = LiveWindow()
+    w.close()
+    w.close()
+    calls: list[Callable[[], object]] = [
+        lambda: w.send(prop("a", "x", 1)),
+        lambda: w.wait(1),
+        w.flush,
+        w.get_image,
+    ]
+    for call in calls:
+        with pytest.raises(ViewerError, match="the window is closed"):
+            call()
+    assert "closed" in repr(w)
+    assert not listens(w.port)
+    offline = OfflineWindow()
+    offline.close()
+    with pytest.raises(ViewerError, match="the window is closed"):
+        offline.send(prop("a", "x", 1))
+
+
+def test_closing_is_quick_with_a_browser_that_stopped_reading(bounded: Callable[[float], None]) -> None:
+    with LiveWindow() as w, WebSocket(w.url, reads=False), WebSocket(w.url) as reads:
+        assert eventually(lambda: w.browsers == 2)
+        w.send(shape("mesh", "x" * 12_000_000))
+        assert eventually(lambda: reads.last("mesh", "set_object"))
+        w.close()
+        assert reads.closed.wait(2)
+        assert not listens(w.port)
+    bounded(6)
+
+
+def test_a_window_that_nobody_holds_is_closed() -> None:
+    w = LiveWindow()
+    port = w.port
+    del w
+    gc.collect()
+    assert not listens(port)
+
+
+def test_fault_100_000_property_updates(window: Window) -> None:
+    watched = WebSocket(window.url) if isinstance(window, LiveWindow) else None
+    for k in range(2000):
+        window.send(prop(f"a{k % 10}", "position", [float(k), 0.0, 0.0]))
+    size, before = window.scene_size, resident()
+    for k in range(100_000):
+        window.send(prop(f"a{k % 10}", "position", [float(k), 0.0, 0.0]))
+    assert window.scene_size == size
+    assert resident() - before < 15
+    if isinstance(window, LiveWindow) and watched is not None:
+        with watched:
+            assert window.flush()
+            assert watched.last("a9")["value"][0] == 99_999
+
+
+def test_fault_5_000_requests_for_missing_pages_and_nobody_reads_the_errors() -> None:
+    with run("w.wait(120)", stderr=subprocess.PIPE) as script:
+        try:
+            assert script.stdout is not None
+            url = f"http://127.0.0.1:{int(script.stdout.readline())}/"
+            for k in range(200):
+                assert ask(url, path=f"/missing{k}")[0] == 404
+            before = resident(script.pid)
+            for k in range(5000):
+                assert ask(url, path=f"/missing{k}")[0] == 404
+            assert resident(script.pid) - before < 15
+            assert ask(url)[0] == 200
+        finally:
+            script.kill()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL, signal.SIGHUP])
+def test_fault_a_signal_ends_the_script_and_nothing_listens(number: signal.Signals) -> None:
+    script = """
+        while True:
+            w.send(type("Say", (), {"lower": lambda self: {
+                "type": "set_property", "path": "a", "property": "x", "value": 1}})())
+    """
+    with run(script, stderr=subprocess.DEVNULL) as process:
+        try:
+            assert process.stdout is not None
+            port = int(process.stdout.readline())
+            with WebSocket(f"http://127.0.0.1:{port}/") as browser:
+                assert eventually(lambda: browser.commands)
+                process.send_signal(number)
+                assert process.wait(10) != 0
+                assert browser.closed.wait(5)
+            assert not listens(port)
+        finally:
+            process.kill()
+
+
+def test_fault_ctrl_c_in_send_leaves_a_window_that_works() -> None:
+    script = """
+        class Say:
+            def __init__(self, value):
+                self.value = value
+            def lower(self):
+                path = f"a{self.value % 7}"
+                return {"type": "set_property", "path": path, "property": "x", "value": self.value}
+        w.wait(30)
+        for stop in range(5):
+            try:
+                print("ready", flush=True)
+                k = 0
+                while True:
+                    k += 1
+                    w.send(Say(k))
+            except KeyboardInterrupt:
+                pass
+        for k in range(7):
+            w.send(Say(1_000_000 + k))
+        print(w.flush(10), flush=True)
+        w.close()
+    """
+    with run(script) as process:
+        try:
+            assert process.stdout is not None
+            port = int(process.stdout.readline())
+            with WebSocket(f"http://127.0.0.1:{port}/") as browser:
+                for _ in range(5):
+                    assert process.stdout.readline() == "ready\n"
+                    time.sleep(0.1)
+                    process.send_signal(signal.SIGINT)
+                assert process.stdout.readline() == "True\n"
+                assert process.wait(10) == 0
+                assert browser.closed.wait(5)
+            values = {path: browser.last(path)["value"] for path in (f"a{k}" for k in range(7))}
+            assert set(values.values()) == set(range(1_000_000, 1_000_007))
+        finally:
+            process.kill()
+
+
+@pytest.mark.parametrize("ending", ["", "raise SystemExit(3)", "w.close()", "del w"])
+def test_a_script_that_ends_leaves_nothing_and_says_nothing(ending: str) -> None:
+    with run(ending, stderr=subprocess.PIPE) as process:
+        out, err = process.communicate(timeout=30)
+        assert err == ""
+        assert process.returncode == (3 if "3" in ending else 0)
+        assert not listens(int(out))
+
+
+def test_a_forked_child_has_no_part_in_the_window() -> None:
+    script = """
+        import os, time
+        w.wait(30)
+        if os.fork() == 0:
+            try:
+                w.send(None)
+            except Exception as error:
+                print(type(error).__name__, error, flush=True)
+            w.close()
+            time.sleep(3)
+            os._exit(0)
+        print(w.browsers, flush=True)
+        os.kill(os.getpid(), 9)
+    """
+    with run(script) as process:
+        assert process.stdout is not None
+        port = int(process.stdout.readline())
+        with WebSocket(f"http://127.0.0.1:{port}/") as browser:
+            said = {process.stdout.readline(), process.stdout.readline()}
+            assert said == {"1\n", "ViewerError the window is closed\n"}
+            process.wait(10)
+            # The child is still there, and holds neither the port nor the connection.
+            assert browser.closed.wait(2)
+            assert not listens(port)
+
+
+def test_importing_it_starts_nothing_and_warns_of_nothing() -> None:
+    script = """
+        import threading, os
+        from pinmobile.viewer.live import LiveWindow
+        links = [os.readlink(f"/proc/self/fd/{fd}") for fd in os.listdir("/proc/self/fd") if fd.isdigit()
+                 and os.path.islink(f"/proc/self/fd/{fd}")]
+        print(threading.active_count(), any("socket:" in link for link in links))
+    """
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    command = [sys.executable, "-W", "error", "-c", textwrap.dedent(script)]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=60, check=False)
+    assert (done.stdout, done.stderr) == ("1 False\n", "")
+
+
+def test_a_connection_that_says_nothing_holds_nothing_up() -> None:
+    with LiveWindow() as w:
+        idle = [socket.create_connection(("127.0.0.1", w.port)) for _ in range(50)]
+        assert ask(w.url)[0] == 200
+        for connection in idle:
+            connection.close()
