@@ -6,6 +6,8 @@ import re
 import tomllib
 from pathlib import Path
 
+import pytest
+
 import pinmobile
 from pinmobile.cli.lecture import EXPECTED
 
@@ -28,6 +30,20 @@ def test_every_picture_is_there() -> None:
         assert (ROOT / picture).stat().st_size < 1_000_000
 
 
+def test_every_link_into_the_project_leads_somewhere() -> None:
+    links = re.findall(r"\]\((?!http)([^)]+)\)", README)
+    assert len(links) > 4
+    for link in links:
+        assert (ROOT / link).exists(), link
+
+
+def test_every_python_block_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with contextlib.redirect_stdout(io.StringIO()):
+        exec("".join(re.findall(r"```python\n(.*?)```", README, re.DOTALL)), {})
+    assert (tmp_path / "circle.html").stat().st_size > 100_000
+
+
 def test_the_numbers_are_the_lectures() -> None:
     for trajectory in ("via stop", "via free", "circle"):
         row = [*EXPECTED[trajectory, "PD"], *EXPECTED[trajectory, "computed torque"]]
@@ -38,7 +54,7 @@ def test_the_names_it_mentions_exist() -> None:
     table = README.split("| ask | with |")[1].split("## Conventions")[0]
     for name in re.findall(r"`(?:pinmobile\.)?([A-Za-z_]\w+)", table):
         known = hasattr(pinmobile, name) or any(
-            hasattr(getattr(pinmobile, module), name) for module in ("plots", "derivation")
+            hasattr(getattr(pinmobile, module), name) for module in ("plots", "derivation", "viewer")
         )
         assert known or name in ("closed_form", "print"), name
 
