@@ -42,6 +42,7 @@ class Backlog:
 
     def __init__(self) -> None:
         self._entries: OrderedDict[Key, _Entry] = OrderedDict()
+        self._below: dict[str, set[Key]] = {}  # by path, what is there and below
         self._deletions: set[Key] = set()
         self._latest = 0
         self.lock = Lock()
@@ -81,7 +82,7 @@ class Backlog:
                 self._delete(update)
             else:
                 # Meshcat's page cannot delete the root, but all that is below it.
-                for name in {key.path.split("/")[0] for key in self._entries} - {""}:
+                for name in [path for path in self._below if path and "/" not in path]:
                     self._delete(packed(_Delete(name)))
                 self._entries.pop(Key("set_animation", ""), None)
 
@@ -104,11 +105,16 @@ class Backlog:
         if not self._deletions:
             return
         with self.lock:
-            for key in [key for key in self._deletions if self._entries[key].number <= number]:
-                self._deletions.discard(key)
-                del self._entries[key]
+            for key in list(self._deletions):
+                if key not in self._entries or self._entries[key].number <= number:
+                    self._forget(key)
+
+    # In these three, an interrupt may leave what is in the index but not in the entries, not the reverse.
 
     def _append(self, update: Update) -> None:
+        if update.key not in self._entries:
+            for path in _up(update.key.path):
+                self._below.setdefault(path, set()).add(update.key)
         # In this order: a key that is new but not yet last is only sent later.
         self._entries[update.key] = _Entry(self._latest + 1, update.data)
         self._entries.move_to_end(update.key)
@@ -122,10 +128,23 @@ class Backlog:
             self._deletions.add(update.key)
 
     def _drop(self, path: str) -> None:
-        below = path + "/"
-        for key in [key for key in self._entries if key.path == path or key.path.startswith(below)]:
-            self._deletions.discard(key)
-            del self._entries[key]
+        for key in list(self._below.get(path, ())):
+            self._forget(key)
+
+    def _forget(self, key: Key) -> None:
+        self._entries.pop(key, None)
+        self._deletions.discard(key)
+        for path in _up(key.path):
+            keys = self._below.get(path, set())
+            keys.discard(key)
+            if not keys:
+                self._below.pop(path, None)
+
+
+def _up(path: str) -> list[str]:
+    """Return a path and those above it."""
+    names = path.split("/")
+    return ["/".join(names[:k]) for k in range(1, len(names) + 1)]
 
 
 class _Delete(NamedTuple):

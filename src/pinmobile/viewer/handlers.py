@@ -3,6 +3,7 @@
 import asyncio
 import json
 from collections import deque
+from time import monotonic
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,7 @@ __all__ = ["Browser", "application"]
 
 _MOST_BROWSERS = 64
 _MOST_UNANSWERED = 4  # batches on their way to a browser; more would only be older news
+_PATIENCE = 2.0  # [s] in which a browser should answer
 _MOST_CAPTURES = 4
 _LARGEST_MESSAGE = 64 << 20  # [byte], a picture
 _POLICY = (
@@ -117,7 +119,7 @@ class Browser(_Answer, WebSocketHandler):
 
     def open(self, *_: str, **__: str) -> None:
         """Begin with nothing seen."""
-        self._writing = False
+        self._writing, self._fed = False, monotonic()
         self._unanswered: deque[int] = deque()
         self._captures: deque[asyncio.Future[str]] = deque()
         self.set_nodelay(True)
@@ -152,6 +154,11 @@ class Browser(_Answer, WebSocketHandler):
         """Whether it can take a batch."""
         return not self._writing and len(self._unanswered) < _MOST_UNANSWERED
 
+    @property
+    def stalled(self) -> bool:
+        """Whether it has not been ready for a while."""
+        return not self.ready and monotonic() - self._fed > _PATIENCE
+
     async def feed(self) -> None:
         """Send what it has not seen."""
         if not self.ready:
@@ -164,7 +171,7 @@ class Browser(_Answer, WebSocketHandler):
                 self.taken = latest
                 self.server.news()
             return
-        self._writing = True
+        self._writing, self._fed = True, monotonic()
         try:
             writes = [self.write_message(command, binary=True) for command in commands]
             self._unanswered.append(latest)

@@ -56,6 +56,7 @@ class OfflineWindow:
         if self._closed:
             raise ViewerError("the window is closed")
         self._backlog.put(command)
+        self._backlog.forget_deletions(self._backlog.latest)  # there is nobody to be told of them
 
     def commands(self) -> list[bytes]:
         """Return the commands that make the scene, as they would be sent, the animation last."""

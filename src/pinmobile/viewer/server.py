@@ -24,7 +24,7 @@ _PERIOD = 1 / 60  # [s] between two batches
 _GATHER = 0.003  # [s] in which the commands of one pose come together
 _FAREWELL = 0.2  # [s] in which browsers can answer that they have seen the end
 _PATIENCE = 10.0  # [s] for the thread to start or end
-_MOST_DELETIONS = 10_000  # that are kept for a browser which does not take them
+_MOST_DELETIONS = 10_000  # that are kept for a browser which has stopped reading
 
 
 def listening(host: str, port: int | None) -> socket.socket:
@@ -108,7 +108,10 @@ class Server:
 
     def tell(self) -> None:
         """Say from any thread that there is something to send."""
-        if self.browsers and not self._told:
+        latest = self.backlog.latest  # before looking whether there is a browser: one that comes now sees it
+        if not self.browsers:
+            self.backlog.forget_deletions(latest)
+        elif not self._told:
             self._told = True
             with suppress(RuntimeError):  # the loop has just ended
                 self._loop.call_soon_threadsafe(self._work.set)
@@ -208,7 +211,7 @@ class Server:
     def _tidy(self) -> None:
         backlog = self.backlog
         if backlog.deletions > _MOST_DELETIONS:
-            for browser in [browser for browser in self.browsers if not browser.ready]:
+            for browser in [browser for browser in self.browsers if browser.stalled]:
                 browser.abort()
         backlog.forget_deletions(min((browser.seen for browser in self.browsers), default=backlog.latest))
 

@@ -1,0 +1,205 @@
+"""The windows in a real headless Chromium: what is drawn where, and what the page says and asks for."""
+
+import threading
+import warnings
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+
+from pinmobile.viewer.live import LiveWindow
+from pinmobile.viewer.offline import OfflineWindow
+from pinmobile.viewer.stock import ENGINE, Visualizer
+from tests.chromium import Chromium, Page, chromium
+from tests.webclient import eventually
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore", DeprecationWarning)
+    from meshcat import geometry
+
+Window = OfflineWindow | LiveWindow
+
+WIDTH, HEIGHT = 480, 360
+RED, GREEN = (255, 0, 0), (0, 255, 0)
+HERE, THERE = (0.5, -0.8, 0.2), (-0.3, 0.9, 0.4)
+MESHCAT = ENGINE.with_name("index.html").read_text()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Chromium]:
+    with chromium() as started:
+        yield started
+
+
+@pytest.fixture
+def page(browser: Chromium) -> Iterator[Page]:
+    opened = browser.page(WIDTH, HEIGHT)
+    yield opened
+    opened.close()
+    assert opened.errors == []
+    for url in opened.requests:
+        parts = urlsplit(url)
+        assert parts.scheme in ("data", "file", "blob") or parts.hostname in ("127.0.0.1", "127.0.0.2")
+
+
+def draw_box(window: Window, at: tuple[float, float, float], colour: int = 0xFF0000) -> None:
+    box = Visualizer(window=window)["box"]
+    box.set_object(geometry.Box([0.3, 0.3, 0.3]), geometry.MeshBasicMaterial(color=colour))
+    move_box(window, at)
+
+
+def move_box(window: Window, at: tuple[float, float, float]) -> None:
+    pose = np.eye(4)
+    pose[:3, 3] = at
+    Visualizer(window=window)["box"].set_transform(pose)
+
+
+def colour_at(page: Page, point: tuple[float, float, float]) -> tuple[int, ...]:
+    """Return the colour where a point of the scene projects."""
+    script = f"""(() => {{
+        const p = viewer.scene.localToWorld(new MeshCat.THREE.Vector3({point[0]}, {point[1]}, {point[2]}));
+        p.project(viewer.camera);
+        return [p.x, p.y];
+    }})()"""
+    x, y = page.evaluate(script)
+    colour = page.screenshot().getpixel(((x + 1) / 2 * WIDTH, (1 - y) / 2 * HEIGHT))
+    assert isinstance(colour, tuple)
+    return colour
+
+
+@pytest.mark.parametrize("html", [None, MESHCAT], ids=["own page", "meshcat's page"])
+def test_a_box_is_drawn_where_its_pose_projects(page: Page, html: str | None) -> None:
+    with LiveWindow(page=html) as window:
+        draw_box(window, HERE)
+        page.open(window.url)
+        assert window.wait(10)
+        assert eventually(lambda: colour_at(page, HERE) == RED)
+        assert colour_at(page, THERE) != RED
+        move_box(window, THERE)
+        assert window.flush()
+        assert eventually(lambda: colour_at(page, THERE) == RED)
+        assert colour_at(page, HERE) != RED
+        hosts = {urlsplit(url).netloc for url in page.requests if not url.startswith("data:")}
+        assert hosts == {f"127.0.0.1:{window.port}"}
+
+
+def test_fault_the_browser_is_reloaded_and_closed_and_another_comes(page: Page, browser: Chromium) -> None:
+    with LiveWindow() as window:
+        page.open(window.url)
+        assert window.wait(10)
+        draw_box(window, HERE)
+        assert eventually(lambda: colour_at(page, HERE) == RED)
+        page.reload()
+        assert eventually(lambda: colour_at(page, HERE) == RED)
+        page.open("about:blank")
+        assert eventually(lambda: window.browsers == 0)
+        move_box(window, THERE)
+        other = browser.page(WIDTH, HEIGHT)
+        other.open(window.url)
+        assert eventually(lambda: colour_at(other, THERE) == RED)
+        assert window.browsers == 1
+        other.close()
+
+
+def test_fault_two_browsers(page: Page, browser: Chromium) -> None:
+    with LiveWindow() as window:
+        other = browser.page(WIDTH, HEIGHT)
+        other.open(window.url)
+        page.open(window.url)
+        assert eventually(lambda: window.browsers == 2)
+        draw_box(window, HERE)
+        # Headless tabs are all in front: each draws.
+        assert eventually(lambda: colour_at(page, HERE) == RED)
+        assert eventually(lambda: colour_at(other, HERE) == RED)
+        other.close()
+        assert eventually(lambda: window.browsers == 1)
+        move_box(window, THERE)
+        assert eventually(lambda: colour_at(page, THERE) == RED)
+
+
+def test_what_is_deleted_and_drawn_anew_is_seen(page: Page) -> None:
+    with LiveWindow() as window:
+        draw_box(window, HERE)
+        page.open(window.url)
+        assert eventually(lambda: colour_at(page, HERE) == RED)
+        Visualizer(window=window).delete()
+        assert eventually(lambda: colour_at(page, HERE) != RED)
+        draw_box(window, HERE, 0x00FF00)
+        assert eventually(lambda: colour_at(page, HERE) == GREEN)
+
+
+def test_a_picture_of_the_live_scene(page: Page) -> None:
+    with LiveWindow() as window:
+        page.open(window.url)
+        assert window.wait(10)
+        draw_box(window, HERE)
+        picture = window.get_image()  # what was sent before is in it
+        colours = picture.convert("RGB").getcolors(WIDTH * HEIGHT)
+        assert picture.size == (WIDTH, HEIGHT)
+        assert RED in [colour for _, colour in colours or []]
+        assert window.get_image(100, 50).size == (100, 50)
+        assert window.get_image(w=120).size == (120, 90)
+
+
+def test_a_page_with_a_token_draws_and_each_request_carries_it(page: Page) -> None:
+    with pytest.warns(UserWarning, match="the viewer listens on"):
+        window = LiveWindow("127.0.0.2")
+    with window:
+        draw_box(window, HERE)
+        page.open(window.url)
+        assert eventually(lambda: colour_at(page, HERE) == RED)
+        own = [url for url in page.requests if not url.startswith("data:")]
+        assert len(own) == 3
+        assert all(url.endswith(window.url.partition("/?")[2]) for url in own)
+
+
+@pytest.fixture
+def elsewhere() -> Iterator[str]:
+    """Yield the address of a page of another server on this machine."""
+
+    class Empty(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.end_headers()
+            self.wfile.write(b'<link rel="icon" href="data:,">')
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with HTTPServer(("127.0.0.1", 0), Empty) as other:
+        thread = threading.Thread(target=other.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{other.server_port}/"
+        other.shutdown()
+        thread.join()
+
+
+def test_fault_a_page_from_elsewhere_cannot_connect(page: Page, elsewhere: str) -> None:
+    script = """new Promise((done) => {{
+        const socket = new WebSocket("ws://127.0.0.1:{port}/socket");
+        socket.onopen = () => done("open");
+        socket.onerror = () => done("refused");
+    }})"""
+    with LiveWindow() as window:
+        page.open(window.url)
+        assert page.evaluate(script.format(port=window.port)) == "open"
+        assert eventually(lambda: window.browsers == 2)
+        page.open(elsewhere)
+        assert page.evaluate(script.format(port=window.port)) == "refused"
+        assert eventually(lambda: window.browsers == 0)
+        assert len(page.errors) == 1
+        assert "403" in page.errors.pop()
+
+
+def test_an_offline_page_draws_from_the_file_system(page: Page, tmp_path: Path) -> None:
+    with OfflineWindow() as window:
+        draw_box(window, HERE)
+        file = tmp_path / "scene.html"
+        file.write_text(window.static_html(), encoding="utf-8")
+    page.open(file.as_uri())
+    assert eventually(lambda: colour_at(page, HERE) == RED)
+    assert colour_at(page, THERE) != RED
+    assert [url for url in page.requests if not url.startswith("data:")] == [file.as_uri()]
