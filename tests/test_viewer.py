@@ -714,7 +714,7 @@ def test_the_command_serves_until_it_is_told_to_end(
     page: Page, runs: dict[str, Rollout], tmp_path: Path
 ) -> None:
     runs["PD"].save(tmp_path / "rollout.npz")
-    words = [sys.executable, "-m", "pinmobile.cli", "view", "--rollout", str(tmp_path / "rollout.npz")]
+    words = [sys.executable, "-m", "pinmobile", "view", "--rollout", str(tmp_path / "rollout.npz")]
     process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     try:
         assert process.stdout is not None
@@ -734,7 +734,7 @@ def test_the_command_serves_until_it_is_told_to_end(
 
 
 def test_the_command_takes_the_options_of_run() -> None:
-    words = [sys.executable, "-m", "pinmobile.cli", "view", "--trajectory", "via-free", "--arrows"]
+    words = [sys.executable, "-m", "pinmobile", "view", "--trajectory", "via-free", "--arrows"]
     process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None
