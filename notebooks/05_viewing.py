@@ -31,7 +31,7 @@ from pinmobile import (
     plots,
     simulate,
 )
-from pinmobile.viewer import Arrows, Follow, Overlays, Viewer
+from pinmobile.viewer import Arrows, Follow, Overlays, Stay, Viewer
 
 # %% [markdown]
 # ## What is to be seen
@@ -141,9 +141,11 @@ display(Scene(recording, t=20))
 # The derivation of notebook 1 begins with the frames of a DH table. There were two tables: the one on the
 # slide, and the one that the lecture computes with. Here are both, with the robot at
 # $q = (1.2\ \mathrm{m}, 0.9\ \mathrm{m}, 0.6\ \mathrm{rad})$. Frames that both tables share are drawn once.
+# The axes x, y, z are red, green, blue; frames 2 have their origin where the robot has its own.
 
 # %%
-both = Overlays(frames=(LECTURE_TABLE, SLIDE_TABLE))
+view = Stay(eye=(0.5, -3.2, 2.6), target=(0.7, 0.6, 0.2))
+both = Overlays(frames=(LECTURE_TABLE, SLIDE_TABLE), camera=view)
 with Viewer(robot, overlays=both) as viewer, TemporaryDirectory() as folder:
     viewer.display((1.2, 0.9, 0.6))
     try:
@@ -154,14 +156,14 @@ with Viewer(robot, overlays=both) as viewer, TemporaryDirectory() as folder:
 # %% [markdown]
 # ### Forces, and a camera that follows
 #
-# To see an error with the naked eye, PD is made twenty times weaker. It now stays behind the desired pose
-# (the ghost) by
+# To see an error with the naked eye, PD is made twenty times weaker. The robot now runs outside the
+# desired pose (the ghost) by about
 #
 # $$e \approx \frac{r\omega^2}{K_p/m}
 # = \frac{0.03\ \mathrm{m/s^2}}{6/30\ \mathrm{1/s^2}} = 0.15\ \mathrm{m} .$$
 #
-# The arrow is the force of the controller. Its scale stands in the legend. The camera goes along with the
-# robot, 3 m away.
+# The arrow is the force of the controller: it pulls inwards, towards the ghost and round the circle. Its
+# scale stands in the legend. The camera goes along with the robot, 3 m away.
 
 # %%
 weak = simulate(robot, PD((6, 6, 0.4), (6, 6, 0.4)), circle, dt=0.1)
