@@ -38,11 +38,22 @@ def execute(source: Path) -> None:
         client.execute()
     for cell in notebook.cells:
         for output in cell.get("outputs", ()):
-            shrink(output.get("data", {}))
+            data = output.get("data", {})
+            if "scene" in cell.metadata.get("tags", ()):
+                still(data, source)
+            shrink(data)
     notebook.metadata["language_info"] = {"name": "python"}
     target = source.with_suffix(".ipynb")
     nbformat.write(notebook, target)
     print(f"{target.name}: {target.stat().st_size / 1000:.0f} kB")
+
+
+def still(data: dict[str, Any], source: Path) -> None:
+    """Keep the picture of an animated scene, not the page that plays it: that has a megabyte."""
+    if data.pop("text/html", None) and "image/png" not in data:
+        raise SystemExit(f"{source.name}: a scene has no picture: no Chromium was found to draw it")
+    if "image/png" in data:
+        data["text/plain"] = "the animated scene, when the notebook is run"
 
 
 def shrink(data: dict[str, Any]) -> None:

@@ -1,9 +1,11 @@
 """The notebooks run, check their claims, and are in step with their sources; what they carry can be read."""
 
 import os
+import re
 import runpy
 import subprocess
 import sys
+from html import unescape
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -13,6 +15,10 @@ import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+
+from pinmobile import ViewerError
+from pinmobile.viewer.chromium import find_chromium
+from tests.chromium import chromium
 
 SOURCES = sorted((Path(__file__).parents[1] / "notebooks").glob("[0-9][0-9]_*.py"))
 each = pytest.mark.parametrize("source", SOURCES, ids=lambda path: path.stem)
@@ -30,8 +36,32 @@ def figures(found: list[Any]) -> list[Any]:
     return [output for output in found if "image/png" in output.get("data", {})]
 
 
+def pictures_expected(source: Path) -> int:
+    """Return how many pictures a run makes: without a Chromium, which CI must have, the viewer's are none."""
+    if "05" not in source.stem or os.environ.get("CI") == "true":
+        return len(figures(outputs(stored(source))))
+    try:
+        find_chromium()
+    except ViewerError:
+        return 1
+    return len(figures(outputs(stored(source))))
+
+
+def converted(source: Path, to: str, folder: Path) -> Path:
+    """Return what nbconvert makes of the notebook, executed without a screen."""
+    words = [sys.executable, "-m", "nbconvert", "--execute", "--to", to]
+    words += ["--output-dir", str(folder), str(source.with_suffix(".ipynb"))]
+    screen = ("DISPLAY", "WAYLAND_DISPLAY", "MPLBACKEND")
+    screenless = {name: value for name, value in os.environ.items() if name not in screen}
+    with TemporaryDirectory() as short:  # a short path; a TCP port is taken by another program now and then
+        words += ["--KernelManager.transport=ipc", f"--KernelManager.ip={short}/kernel"]
+        done = subprocess.run(words, env=screenless, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return folder / source.with_suffix(".html" if to == "html" else ".ipynb").name
+
+
 def test_every_notebook_has_its_source() -> None:
-    assert len(SOURCES) >= 4
+    assert len(SOURCES) >= 5
     notebooks = (Path(__file__).parents[1] / "notebooks").glob("*.ipynb")
     assert sorted(path.with_suffix(".py") for path in notebooks) == SOURCES
 
@@ -73,14 +103,48 @@ def test_the_notebook_can_be_read_without_running_it(source: Path) -> None:
 
 @each
 def test_nbconvert_executes_it_on_a_machine_without_a_screen(source: Path, tmp_path: Path) -> None:
-    words = [sys.executable, "-m", "nbconvert", "--execute", "--to", "notebook"]
-    words += ["--output-dir", str(tmp_path), str(source.with_suffix(".ipynb"))]
-    screen = ("DISPLAY", "WAYLAND_DISPLAY", "MPLBACKEND")
-    screenless = {name: value for name, value in os.environ.items() if name not in screen}
-    with TemporaryDirectory() as folder:  # a short path; a TCP port is taken by another program now and then
-        words += ["--KernelManager.transport=ipc", f"--KernelManager.ip={folder}/kernel"]
-        done = subprocess.run(words, env=screenless, capture_output=True, text=True, check=False, timeout=120)
-    assert done.returncode == 0, done.stderr
-    again = outputs(stored(tmp_path / source.name))
+    again = outputs(stored(converted(source, "notebook", tmp_path)))
     assert not [output for output in again if output.get("name") == "stderr"]
-    assert len(figures(again)) == len(figures(outputs(stored(source))))
+    assert len(figures(again)) == pictures_expected(source)
+
+
+VIEWING = next(source for source in SOURCES if source.stem == "05_viewing")
+
+
+def test_the_notebook_keeps_a_picture_of_the_scene_that_moves_in_the_converted_page(tmp_path: Path) -> None:
+    scene = 'class="scene"'
+    (cell,) = (cell for cell in stored(VIEWING).cells if "scene" in cell.metadata.get("tags", ()))
+    (output,) = cell.outputs
+    assert set(output.data) == {"image/png", "text/plain"}
+    page = converted(VIEWING, "html", tmp_path)
+    text = page.read_text(encoding="utf-8")
+    (frame,) = re.findall(r"<iframe [^>]*>", text)
+    assert scene in frame
+    for part in ("pinmobile.play(", "meshcat/robot0", "meshcat/robot1", "computed torque"):
+        assert part in unescape(frame)
+    with chromium() as browser:
+        opened = browser.page(900, 700)
+        # What the template wants of the network is not ours, and must not be waited for.
+        opened.call("Network.setBlockedURLs", urls=["http://*", "https://*"])
+        opened.open(page.as_uri())
+        opened.wait_for("frames.length == 1 && !!frames[0].pinmobile && frames[0].pinmobile.ready()")
+        opened.evaluate("document.querySelector('iframe.scene').scrollIntoView()")
+        began = opened.evaluate("frames[0].eval('viewer.animator.time')")
+        opened.wait_for(f"frames[0].eval('viewer.animator.time') > {began} + 1")
+        asked = [url for url in opened.requests if not url.startswith(("data:", "blob:", "file:", "about:"))]
+        ours = [url for url in asked if "//cdnjs.cloudflare.com/" not in url]
+        assert not ours
+        opened.frames()
+        assert opened.screenshot().getcolors(50) is None  # something is drawn
+
+
+def test_without_a_chromium_the_viewing_notebook_says_so_and_runs(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("PINMOBILE_CHROMIUM", "no-such-program")
+    with matplotlib.rc_context(), np.printoptions():
+        runpy.run_path(str(VIEWING))
+    plt.close("all")
+    said = capsys.readouterr().out
+    assert said.count("No picture: PINMOBILE_CHROMIUM is 'no-such-program'") == 3
+    assert said.splitlines()[-1].startswith("Shown: ")
