@@ -105,6 +105,7 @@ def test_meshcat_draws_into_a_window(window: Window) -> None:
     scene["other"].set_transform(np.eye(4))
     html = scene.static_html()
     assert html == window.static_html()
+    assert len(window.commands()) == 1
     assert html.count("handle_command_bytearray(Uint8Array") == 1
 
 
