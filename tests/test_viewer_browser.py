@@ -3,7 +3,7 @@
 import threading
 import warnings
 from collections.abc import Iterator
-from http.server import BaseHTTPRequestHandler, HTTPServer
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -161,6 +161,8 @@ def elsewhere() -> Iterator[str]:
     """Yield the address of a page of another server on this machine."""
 
     class Empty(BaseHTTPRequestHandler):
+        timeout = 0.5  # browsers also open connections on which they say nothing
+
         def do_GET(self) -> None:
             self.send_response(200)
             self.end_headers()
@@ -169,7 +171,7 @@ def elsewhere() -> Iterator[str]:
         def log_message(self, *_: object) -> None:
             pass
 
-    with HTTPServer(("127.0.0.1", 0), Empty) as other:
+    with ThreadingHTTPServer(("127.0.0.1", 0), Empty) as other:
         thread = threading.Thread(target=other.serve_forever)
         thread.start()
         yield f"http://127.0.0.1:{other.server_port}/"

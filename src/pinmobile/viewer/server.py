@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import CancelledError
 from contextlib import suppress
+from functools import cache
 from typing import Any
 from weakref import WeakSet
 
@@ -22,6 +23,7 @@ __all__ = ["Server", "listening"]
 
 _PERIOD = 1 / 60  # [s] between two batches
 _GATHER = 0.003  # [s] in which the commands of one pose come together
+_LOOK = 0.5  # [s] after which it looks for what is new without being told
 _FAREWELL = 0.2  # [s] in which browsers can answer that they have seen the end
 _PATIENCE = 10.0  # [s] for the thread to start or end
 _MOST_DELETIONS = 10_000  # that are kept for a browser which has stopped reading
@@ -98,6 +100,7 @@ class Server:
             self.closed = True
             listener.close()
             raise
+        _mind_forks()
         _SERVERS.add(self)
 
     def news(self) -> None:
@@ -196,7 +199,10 @@ class Server:
         """Send what is new to each browser, 60 times a second at most."""
         feeding: set[asyncio.Task[None]] = set()
         while True:
-            await self._work.wait()
+            # It also looks by itself: an interrupt in `tell` may have come before the loop was told.
+            with suppress(TimeoutError):
+                async with asyncio.timeout(_LOOK if self.browsers else None):
+                    await self._work.wait()
             await asyncio.sleep(_GATHER)
             self._work.clear()
             self._told = False  # before looking: what comes from now on says so again
@@ -224,4 +230,6 @@ def _in_child() -> None:
         server.abandon()
 
 
-os.register_at_fork(after_in_child=_in_child)
+@cache
+def _mind_forks() -> None:
+    os.register_at_fork(after_in_child=_in_child)
