@@ -6,6 +6,7 @@ import calls
 import imports
 import memory
 import rollout
+import viewing
 
 if __name__ == "__main__":
-    sys.exit(max(part.main() for part in (rollout, calls, memory, imports)))
+    sys.exit(max(part.main() for part in (rollout, calls, memory, viewing, imports)))

@@ -1,10 +1,15 @@
+import json
+import socket
 import subprocess
 import sys
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
+from time import sleep
 from types import SimpleNamespace
 from typing import Any
+from urllib.parse import urlsplit
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -17,7 +22,7 @@ SHORT = 2.0  # s
 @pytest.fixture
 def bench(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     monkeypatch.syspath_prepend(BENCHMARKS)
-    names = ("calls", "contestants", "rollout", "task")
+    names = ("calls", "contestants", "rollout", "stock_server", "task", "viewing")
     return SimpleNamespace(**{name: import_module(name) for name in names})
 
 
@@ -144,6 +149,43 @@ def test_everything_imports_without_the_peers() -> None:
     code = (
         f"import sys; sys.path.insert(0, {str(BENCHMARKS)!r})\n"
         f"for peer in {PEERS}: sys.modules[peer] = None\n"
-        "import calls, contestants, imports, memory, rollout"
+        "import calls, contestants, imports, memory, rollout, stock_server, viewing"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_meshcats_own_server_is_on_loopback_alone_and_ended(bench: SimpleNamespace) -> None:
+    with bench.stock_server.StockServer() as server:
+        port = urlsplit(server.url).port
+        with urlopen(server.url, timeout=10) as answer:
+            assert b"MeshCat" in answer.read()
+        with pytest.raises(OSError):  # noqa: PT011 - which one depends on the system
+            socket.create_connection(("127.0.0.2", port), timeout=2)  # it would answer if it were at 0.0.0.0
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", port), timeout=2)
+
+
+def test_a_recording_is_measured(bench: SimpleNamespace, capsys: pytest.CaptureFixture[str]) -> None:
+    assert bench.viewing.main(["--record", "600"]) == 0
+    record, save, size, _, _ = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert 0 < record + save < 5
+    assert 0.5 < size < 1.5
+
+
+def test_steps_that_are_late_are_counted(bench: SimpleNamespace) -> None:
+    waits = iter([0.0, 0.03, 0.0, 0.0])
+    pace = bench.viewing.paced(lambda pose: sleep(next(waits)), np.zeros((4, 3)))
+    assert pace.late >= 1
+    assert pace.took >= 4 * bench.viewing.PERIOD
+    assert len(pace.times) == 4
+
+
+def test_without_a_chromium_the_recording_is_measured_all_the_same(
+    bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("PINMOBILE_CHROMIUM", "no-such-program")
+    monkeypatch.setattr(bench.viewing, "in_fresh_process", lambda frames: [0.5, 0.25, 1.0, 90.0, 100.0])
+    assert bench.viewing.main(["--quick"]) == 0
+    printed = capsys.readouterr().out
+    assert "not installed: apt-get install chromium" in printed
+    assert "0.75" in printed
