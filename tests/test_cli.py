@@ -162,6 +162,9 @@ def test_a_run_that_diverges_keeps_what_came_before(
         (["run", "--radios", "1"], "No such option"),
         (["verify", "--urdf", "missing.urdf"], "path is 'missing.urdf', which cannot be read"),
         (["verify", "--com", "1"], "com has shape (1,), expected (2,) or (3,)"),
+        (["view", "--speed", "0"], "--speed is 0.0, expected > 0"),
+        (["view", "--html"], "--html does not apply to view, which writes no files"),
+        (["view", "--trajectory", "circel"], "unknown trajectory 'circel'"),
         (["lectur"], "No such command"),
     ],
 )

@@ -23,6 +23,7 @@ from pinmobile import (
     Tangent,
     simulate,
 )
+from pinmobile.arrays import positive
 from pinmobile.cli import choices
 from pinmobile.cli.output import console
 
@@ -60,6 +61,9 @@ def chosen_runs(words: Sequence[str], app: typer.Typer) -> dict[str, Rollout]:
             "computed torque": ComputedTorque(robot, 4, 4),
         }
         return {name: simulate(robot, law, reference, dt=0.1) for name, law in laws.items()}
+    for word in words:
+        if word.split("=")[0] in ("--out", "--gif", "--no-gif", "--html", "--no-html"):
+            raise InvalidArgument(f"{word} does not apply to view, which writes no files")
     command: Any = typer.main.get_command(app)
     options = command.commands["run"].make_context("view", list(words)).params
     plant, law, trajectory, settings = choices.closed_loop(**options)
@@ -83,6 +87,7 @@ def show_live(
     """Serve the rollouts again and again until Ctrl-C or SIGTERM; both are the way to end it."""
     from pinmobile.viewer import Viewer
 
+    positive("--speed", speed)
     with (
         _until_ended(),
         Viewer(_robot(rollouts), live=True, host=host, port=port, overlays=overlays) as viewer,
