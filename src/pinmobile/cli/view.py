@@ -95,8 +95,8 @@ def show_live(
         served = viewer.url.split("://")[1].split("/")[0].rpartition(":")[2]
         console.print(f"open {viewer.url}", markup=False)
         console.print(
-            f"from another machine: ssh -L {served}:127.0.0.1:{served} {socket.gethostname()}\n"
-            "and open the same address there; Ctrl-C ends it",
+            f"from another machine: ssh -L {served}:{host}:{served} {socket.gethostname()}\n"
+            "and open the same address there, with 127.0.0.1 as its host; Ctrl-C ends it",
             markup=False,
         )
         console.file.flush()

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Viewer"]
 
+_FARTHEST = 1e9  # m; beyond, there is nothing to be seen
 _LIVE_FPS = 50.0
 _HELD = 1.0  # [s] that a recording stands at its end before it begins again
 _MOST_FRAMES = 200_000
@@ -125,11 +126,14 @@ class Viewer:
         pose = vector("q", q, 3)
         if pose.ndim != 1:
             raise InvalidArgument(f"q has shape {pose.shape}, expected (3,)")
+        if abs(pose[:2]).max() > _FARTHEST:
+            raise InvalidArgument(f"q is {pose.tolist()}, expected x and y within {_FARTHEST:g} m")
         with self._lock:
             self._check_open()
             if self._scene is None:
-                self._scene = self._new_scene(self.overlays)
-                self._scene.alone(pose)
+                scene = self._new_scene(self.overlays)
+                scene.alone(pose)
+                self._scene = scene  # not before it is whole
             self._scene.move(pose)
 
     def play(
