@@ -32,7 +32,8 @@ ALLOWED: dict[str, set[str]] = {
     "trajectories": {"paths"},
     "controllers": {"arrays"},
     "integrators": {"arrays"},
-    "simulation": {"robot", "trajectories", "controllers", "integrators"},
+    "disturbances": {"arrays"},
+    "simulation": {"robot", "trajectories", "controllers", "integrators", "disturbances"},
     "plots": {"simulation"},
     "viewer": {"robot", "simulation"},
 }

@@ -9,6 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from pinmobile.controllers import PD, ComputedTorque, law, planar_difference
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHRow, DHTable, JointType
+from pinmobile.disturbances import (
+    ConstantForce,
+    NoiseForce,
+    RollingResistance,
+    SinusoidalForce,
+    ViscousFriction,
+)
 from pinmobile.errors import Diverged, InvalidArgument, PinmobileError, UnknownName, ViewerError
 from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
 from pinmobile.paths import Circle, CubicVia, Lissajous, Spline
@@ -28,6 +35,7 @@ __all__ = [
     "SLIDE_TABLE",
     "Circle",
     "ComputedTorque",
+    "ConstantForce",
     "CubicVia",
     "DHRow",
     "DHTable",
@@ -38,13 +46,17 @@ __all__ = [
     "LectureHeading",
     "Lissajous",
     "MobileRobot",
+    "NoiseForce",
     "PinmobileError",
     "Reference",
+    "RollingResistance",
     "Rollout",
+    "SinusoidalForce",
     "Spline",
     "Tangent",
     "UnknownName",
     "ViewerError",
+    "ViscousFriction",
     "constant_acceleration",
     "law",
     "planar_difference",
