@@ -137,7 +137,7 @@ def whole(name: str, value: Any, *, least: int = 1) -> int:
     return int(number)
 
 
-def seeded(name: str, seed: Any) -> np.random.Generator:
+def seeded(name: str, seed: Any) -> "np.random.Generator":
     """Return the generator of a seed; one that is a generator comes back as it is.
 
     Parameters
@@ -152,6 +152,7 @@ def seeded(name: str, seed: Any) -> np.random.Generator:
     InvalidArgument
         If it is none of these: without a seed, nothing could be repeated.
     """
+    # The annotation is text, since numpy loads its random module only when it is named.
     try:
         if seed is None or isinstance(seed, bool):
             raise TypeError
