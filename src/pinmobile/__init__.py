@@ -7,7 +7,15 @@ What needs sympy, matplotlib or meshcat is loaded when it is asked for: `verify`
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from pinmobile.controllers import PD, ComputedTorque, law, planar_difference
+from pinmobile.controllers import (
+    PD,
+    ComputedTorque,
+    Delayed,
+    NoisyMeasurement,
+    Saturated,
+    law,
+    planar_difference,
+)
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHRow, DHTable, JointType
 from pinmobile.disturbances import (
     ConstantForce,
@@ -39,6 +47,7 @@ __all__ = [
     "CubicVia",
     "DHRow",
     "DHTable",
+    "Delayed",
     "Diverged",
     "FixedHeading",
     "InvalidArgument",
@@ -47,10 +56,12 @@ __all__ = [
     "Lissajous",
     "MobileRobot",
     "NoiseForce",
+    "NoisyMeasurement",
     "PinmobileError",
     "Reference",
     "RollingResistance",
     "Rollout",
+    "Saturated",
     "SinusoidalForce",
     "Spline",
     "Tangent",
