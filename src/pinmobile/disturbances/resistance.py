@@ -49,7 +49,8 @@ class RollingResistance:
 
     Component i along the body's axes is ``-force_i nu_i / sqrt(nu_i^2 + speed_i^2)`` with the twist nu:
     linear well below `speed`, of size `force` well above it. So it is smooth, and a body on which a smaller
-    force acts creeps instead of standing still.
+    force acts creeps instead of standing still. About rest it is as stiff as a damper of force / speed: an
+    explicit step must be shorter than about 2 mass speed / force.
 
     Parameters
     ----------

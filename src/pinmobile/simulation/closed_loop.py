@@ -1,11 +1,13 @@
 """`simulate`: a controller in the loop with a plant, checked before, judged after."""
 
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, positive, vector, whole
-from pinmobile.controllers import Controller
+from pinmobile.controllers import Controller, check_controller
+from pinmobile.disturbances import Force
 from pinmobile.errors import Diverged, InvalidArgument
 from pinmobile.integrators import Integrator, constant_acceleration
 from pinmobile.simulation.loop import Loop
@@ -16,6 +18,7 @@ __all__ = ["Plant", "simulate"]
 
 _CHUNK = 512  # samples between two looks for divergence
 _WHOLE = 1e-9  # relative rounding allowed in duration / dt
+_PLANE = 3  # coordinates that a force on the body acts on
 _MOST = 1e8  # samples: beyond, some 20 GB of numbers
 
 
@@ -55,13 +58,15 @@ def simulate(
     v0: ArrayLike | None = None,
     integrator: Integrator = constant_acceleration,
     substeps: int = 1,
+    forces: Sequence[Force] = (),
     limit: float = 1e3,
 ) -> Rollout:
     """Run the closed loop from 0 to `duration` and record every sample.
 
     The controller is asked at t = 0, dt, 2 dt, ...; its force is held in between, as a digital controller's
     is. The integrator divides each dt into `substeps`. Force and acceleration are recorded at the last
-    sample too.
+    sample too. The other `forces` act on the body in continuous time: each stage of the integrator sees them
+    at its own time and state. They are part of the recorded acceleration, not of the recorded tau.
 
     Parameters
     ----------
@@ -81,6 +86,9 @@ def simulate(
         One step of the plant, see `pinmobile.integrators`.
     substeps : int
         Steps of the integrator per dt.
+    forces : sequence of callables
+        What acts besides the controller, see `pinmobile.disturbances`: each ``force(t, q, v)`` gets the pose
+        (x, y, psi) and its rate, shape (3,), and returns (Fx, Fy, Mz) [N, N, N m].
     limit : float
         The loop counts as diverged when an error in a coordinate (psi on the circle) or in a velocity is
         beyond it [m, rad, m/s, rad/s].
@@ -92,15 +100,13 @@ def simulate(
     Raises
     ------
     InvalidArgument
-        If an argument is not what is expected, or the controller returns something else than a force.
+        If an argument is not what is expected, or the controller or a force returns something else than a
+        force.
     Diverged
         If a number is no longer finite or an error is beyond `limit`; it carries what was recorded before.
     """
     dt, limit = positive("dt", dt, "s"), positive("limit", limit)
-    if isinstance(controller, type) or not hasattr(controller, "initial_state"):
-        raise InvalidArgument(
-            f"controller is {controller!r}, expected a controller: wrap a function in law(...)"
-        )
+    check_controller(controller)
     for name, value, attribute in (
         ("plant", plant, "forward_dynamics"),
         ("trajectory", trajectory, "duration"),
@@ -114,7 +120,8 @@ def simulate(
     t = _sample_times(dt, duration, trajectory.duration)
     reference = _sampled(trajectory, t, plant)
     start = _start("q0", q0, reference.q[0]), _start("v0", v0, reference.v[0])
-    loop = Loop(plant, controller, integrator, reference, t, dt, whole("substeps", substeps), *start)
+    count, checked = whole("substeps", substeps), _checked(forces, plant)
+    loop = Loop(plant, controller, integrator, reference, t, dt, count, checked, *start)
     for begin in range(0, len(t), _CHUNK):
         end = min(begin + _CHUNK, len(t))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # the check below tells
@@ -171,6 +178,24 @@ def _sampled(trajectory: Trajectory, t: Array, plant: Plant) -> Reference:
 
 def _sizes(plant: Plant) -> tuple[tuple[str, int], ...]:
     return ("q", plant.nq), ("v", plant.nv), ("a", plant.nv)
+
+
+def _checked(forces: Any, plant: Plant) -> tuple[Force, ...]:
+    if callable(forces):
+        raise InvalidArgument(f"forces is {forces!r}, expected a sequence of forces, such as [force]")
+    try:
+        listed = tuple(forces)
+    except TypeError:
+        raise InvalidArgument(f"forces is {forces!r}, expected a sequence of forces") from None
+    for k, force in enumerate(listed):
+        if isinstance(force, type) or not callable(force):
+            raise InvalidArgument(f"forces[{k}] is {force!r}, expected a function of t, q and v")
+    if listed and not plant.nu == plant.nv >= _PLANE:
+        raise InvalidArgument(
+            f"forces are given for a plant with nv = {plant.nv} and nu = {plant.nu}, "
+            "expected one whose input is (Fx, Fy, Mz, ...)"
+        )
+    return listed
 
 
 def _start(name: str, value: ArrayLike | None, default: Array) -> Array:
