@@ -34,6 +34,15 @@ ALLOWED: dict[str, set[str]] = {
     "integrators": {"arrays"},
     "disturbances": {"arrays"},
     "simulation": {"robot", "trajectories", "controllers", "integrators", "disturbances"},
+    "ensembles": {
+        "closed_form",
+        "robot",
+        "trajectories",
+        "controllers",
+        "disturbances",
+        "integrators",
+        "simulation",
+    },
     "plots": {"simulation"},
     "viewer": {"robot", "simulation"},
 }

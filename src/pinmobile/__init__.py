@@ -1,7 +1,6 @@
 """Dynamics and control of ground robots on Pinocchio.
 
-What needs sympy, matplotlib or meshcat is loaded when it is asked for: `verify`, and the modules
-`derivation`, `verification`, `plots` and `viewer`.
+What only some need, and all that needs sympy, matplotlib, meshcat or numba, is loaded when it is asked for.
 """
 
 from importlib import import_module
@@ -33,6 +32,7 @@ from pinmobile.trajectories import FixedHeading, LectureHeading, Reference, Tang
 from pinmobile.urdf import shipped_urdf
 
 if TYPE_CHECKING:
+    from pinmobile.ensembles import Ensemble, Normal, Same, Scenario, Uniform, ensemble
     from pinmobile.verification import verify
 
 __version__ = "0.1.0"
@@ -49,6 +49,7 @@ __all__ = [
     "DHTable",
     "Delayed",
     "Diverged",
+    "Ensemble",
     "FixedHeading",
     "InvalidArgument",
     "JointType",
@@ -57,18 +58,23 @@ __all__ = [
     "MobileRobot",
     "NoiseForce",
     "NoisyMeasurement",
+    "Normal",
     "PinmobileError",
     "Reference",
     "RollingResistance",
     "Rollout",
+    "Same",
     "Saturated",
+    "Scenario",
     "SinusoidalForce",
     "Spline",
     "Tangent",
+    "Uniform",
     "UnknownName",
     "ViewerError",
     "ViscousFriction",
     "constant_acceleration",
+    "ensemble",
     "law",
     "planar_difference",
     "rk4",
@@ -78,12 +84,16 @@ __all__ = [
     "verify",
 ]
 
-_LAZY_MODULES = ("derivation", "plots", "verification", "viewer")
+_LAZY_MODULES = ("derivation", "ensembles", "plots", "verification", "viewer")
+_LAZY_NAMES = {
+    **dict.fromkeys(("Ensemble", "Normal", "Same", "Scenario", "Uniform", "ensemble"), "ensembles"),
+    "verify": "verification",
+}
 
 
 def __getattr__(name: str) -> Any:
-    if name == "verify":
-        return import_module("pinmobile.verification").verify
+    if name in _LAZY_NAMES:
+        return getattr(import_module(f"pinmobile.{_LAZY_NAMES[name]}"), name)
     if name in _LAZY_MODULES:
         return import_module(f"pinmobile.{name}")
     raise AttributeError(f"module 'pinmobile' has no attribute {name!r}")
