@@ -66,7 +66,7 @@ def quantiles(counts: NDArray[np.int64], wanted: Array) -> Array:
     total = counts.cumsum(axis=-1)
     bounds = edges()
     found = np.empty((len(wanted), *counts.shape[:-1]))
-    for row, level in zip(found, wanted, strict=True):
+    for k, level in enumerate(wanted):
         rank = level * total[..., -1:]
         # The first bin whose total reaches the rank, and is not empty.
         bin_ = np.minimum((total < np.maximum(rank, 1e-9)).sum(axis=-1), BINS - 1)
@@ -76,5 +76,5 @@ def quantiles(counts: NDArray[np.int64], wanted: Array) -> Array:
         low, high = bounds[bin_], bounds[bin_ + 1]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             between = low * (high / low) ** part
-        row[...] = np.where(bin_ == 0, _LEAST * part, np.where(bin_ == BINS - 1, np.inf, between))
+        found[k] = np.where(bin_ == 0, _LEAST * part, np.where(bin_ == BINS - 1, np.inf, between))
     return found

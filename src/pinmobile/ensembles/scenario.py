@@ -97,6 +97,7 @@ class Scenario:
             "reference": sampled(self.trajectory, t, self.robot),
         }.items():
             object.__setattr__(self, name, value)
+        _check_forces(self.forces)
         object.__setattr__(self, "forces", _with_spread_forces(self.forces, self.spread))
         _check_names(self)
 
@@ -187,6 +188,16 @@ FORCE_FIELDS: Mapping[str, tuple[type, str, int | None]] = {
     },
     **{f"rolling_{a}": (RollingResistance, "force", k) for k, a in enumerate(("forward", "left", "yaw"))},
 }
+
+
+def _check_forces(forces: Sequence[Any]) -> None:
+    known = {kind for kind, _, _ in FORCE_FIELDS.values()}
+    for k, force in enumerate(forces):
+        shape = np.shape(force(0.0, np.zeros(3), np.zeros(3))) if type(force) in known else (3,)
+        if shape != (3,):
+            raise InvalidArgument(
+                f"forces[{k}] gives shape {shape} for one robot, expected (3,): name in spread what differs"
+            )
 
 
 def _with_spread_forces(forces: Sequence[Any], spread: Mapping[str, Any]) -> tuple[Any, ...]:

@@ -1,0 +1,322 @@
+"""What is drawn for an ensemble, what is refused, and how it is summed up."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from pinmobile import (
+    PD,
+    Circle,
+    ComputedTorque,
+    ConstantForce,
+    FixedHeading,
+    InvalidArgument,
+    MobileRobot,
+    NoiseForce,
+    NoisyMeasurement,
+    Normal,
+    Same,
+    Scenario,
+    SinusoidalForce,
+    Tangent,
+    Uniform,
+    UnknownName,
+    ViscousFriction,
+    ensemble,
+    law,
+)
+from pinmobile.ensembles import ARRAYS, PARAMETERS, run_scenario
+from pinmobile.ensembles.histogram import BINS, bins_of, edges, quantiles
+
+ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.02))
+TRAJECTORY = Tangent(Circle(3.0, 0.1, 60.0))
+
+
+def made(**changes: Any) -> Scenario:
+    chosen: dict[str, Any] = {
+        "robot": ROBOT,
+        "controller": ComputedTorque(ROBOT),
+        "trajectory": TRAJECTORY,
+        "n": 1000,
+        "spread": {},
+        "dt": 0.1,
+        "duration": 1.0,
+    }
+    return Scenario(**(chosen | changes))
+
+
+def test_draws_follow_their_distributions() -> None:
+    spread = {"mass": Uniform(20, 40), "com_x": Normal(0.1, 0.02), "kp": stats.gamma(4), "com_y": 0.03}
+    draws = made(n=20_000, spread=spread).draws()
+    # The largest deviation of a sample of n from its distribution exceeds 1.95 / sqrt(n) once in 1000
+    # (Smirnov); the seed is fixed.
+    for name, distribution in (
+        ("mass", stats.uniform(20, 20)),
+        ("com_x", stats.norm(0.1, 0.02)),
+        ("kp", stats.gamma(4)),
+    ):
+        assert stats.kstest(draws[name], distribution.cdf).statistic < 1.95 / np.sqrt(20_000)
+    assert (draws["com_y"] == 0.03).all()
+    assert abs(np.corrcoef(draws["mass"], draws["com_x"])[0, 1]) < 4 / np.sqrt(20_000)
+
+
+def test_arrays_give_each_robot_its_number() -> None:
+    masses = np.linspace(20, 40, 5)
+    run = run_scenario(made(n=5, spread={"mass": masses}))
+    assert run.draws["mass"].tolist() == masses.tolist()
+    assert [run.member(i).robot.mass for i in range(5)] == masses.tolist()
+
+
+def test_same_makes_the_controller_know_what_it_is_told() -> None:
+    truth = {"mass": Uniform(20, 40), "com_x": Normal(0.1, 0.05)}
+    knowing = {"model_mass": Same("mass"), "model_com_x": Same("com_x")}
+    told, nominal = (
+        run_scenario(made(spread=spread, duration=60.0)).within(0.99).distance
+        for spread in (truth | knowing, truth)
+    )
+    # With the true model what is left is the held force: that of the lecture's table, 3.5e-5 m on each axis.
+    assert told < 1e-4 < nominal
+    off = made(spread={"model_mass": Same("mass", Uniform(0.8, 1.2))}).draws()["model_mass"]
+    assert 24 <= off.min() < 25
+    assert 35 < off.max() <= 36
+
+
+def test_a_member_is_the_robot_that_was_drawn() -> None:
+    spread = {
+        "mass": Uniform(20, 40),
+        "model_mass": Same("mass", 1.1),
+        "kp": 5.0,
+        "kd_psi": 7.0,
+        "kd_factor": 2.0,
+        "start_y": 0.3,
+        "force_x": Uniform(1, 2),
+        "viscous_yaw": 0.3,
+    }
+    run = run_scenario(made(spread=spread, n=8))
+    member = run.member(7)
+    controller: Any = member.controller
+    assert member.robot.mass == run.draws["mass"][7]
+    assert controller.robot.mass == pytest.approx(1.1 * member.robot.mass, rel=1e-15)
+    np.testing.assert_array_equal(controller.kp, 5 * np.eye(3))
+    np.testing.assert_array_equal(controller.kd, np.diag([8.0, 8.0, 14.0]))
+    assert member.options["q0"].tolist() == [0.0, 0.3, 0.0]
+    steady, viscous = member.options["forces"]
+    assert steady.force.tolist() == [run.draws["force_x"][7], 0.0, 0.0]
+    assert viscous.coefficients.tolist() == [0.0, 0.0, 0.3]
+
+
+def test_noise_differs_from_robot_to_robot_and_not_from_run_to_run() -> None:
+    noisy = NoisyMeasurement(PD(40, 40), 1e-2, 0.0, seed=0)
+    scenario = made(n=3, controller=noisy, forces=(NoiseForce((1, 1, 1), 1.0, seed=0),), duration=5.0)
+    one, again = run_scenario(scenario), run_scenario(scenario)
+    np.testing.assert_array_equal(one.max_error, again.max_error)
+    assert len(np.unique(one.max_error[:, 0])) == 3
+    phases = [run.options["forces"][0].phases for run in (one.member(0), one.member(1))]
+    assert not np.array_equal(*phases)
+
+
+def test_every_parameter_can_be_spread_and_matters() -> None:
+    forces = (SinusoidalForce((1, 1, 0.1), 0.5), NoiseForce((1, 1, 0.1), 1.0, seed=0))
+    base = made(n=2, forces=forces, duration=2.0)
+    least = run_scenario(base).max_error
+    for name in PARAMETERS:
+        value = base.nominal[name] * 1.5 + 0.01
+        run = run_scenario(made(n=2, forces=forces, spread={name: value}, duration=2.0))
+        assert not np.array_equal(run.max_error, least), name
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "text"),
+    [
+        ({"n": -3}, InvalidArgument, "n is -3, expected a whole number >= 1"),
+        ({"n": 2.5}, InvalidArgument, "n is 2.5, expected a whole number >= 1"),
+        ({"seed": -1}, InvalidArgument, "seed is -1, expected a whole number >= 0"),
+        ({"robot": "me"}, InvalidArgument, "robot is 'me', expected a MobileRobot without arms"),
+        ({"spread": 3}, InvalidArgument, "spread is 3, expected a mapping of parameters to distributions"),
+        ({"spread": {"masss": 3}}, UnknownName, "unknown parameter in spread 'masss', available: mass, "),
+        ({"spread": {"mass": "3"}}, InvalidArgument, "spread['mass'] is '3', expected real numbers"),
+        (
+            {"spread": {"mass": np.ones(3)}},
+            InvalidArgument,
+            "spread['mass'] has shape (3,), expected () or (1000,)",
+        ),
+        (
+            {"spread": {"mass": Uniform}},
+            InvalidArgument,
+            "spread['mass'] is the class Uniform, expected one of it",
+        ),
+        (
+            {"spread": {"mass": Same("mas")}},
+            UnknownName,
+            "unknown parameter in spread['mass'] 'mas', available: mass",
+        ),
+        (
+            {"spread": {"mass": Same("model_mass"), "model_mass": Same("mass")}},
+            InvalidArgument,
+            "spread goes in a circle: mass is the same as model_mass is the same as mass",
+        ),
+        (
+            {"controller": PD(4, 4), "spread": {"model_mass": 3}},
+            InvalidArgument,
+            "spread has 'model_mass' but the controller is PD, expected ComputedTorque",
+        ),
+        (
+            {"controller": law(lambda t, q, v, reference: -q), "spread": {"kp": 3}},
+            InvalidArgument,
+            "spread has 'kp' but the controller is _Law, expected PD or ComputedTorque",
+        ),
+        (
+            {"spread": {"sine_x": 3}},
+            InvalidArgument,
+            "spread has 'sine_x' but forces no SinusoidalForce, expected one for its frequency",
+        ),
+        (
+            {"spread": {"force_x": 3}, "forces": [ConstantForce((1, 0, 0))] * 2},
+            InvalidArgument,
+            "forces has 2 ConstantForce, expected one for spread['force_x']",
+        ),
+        (
+            {"forces": [ConstantForce(np.zeros((5, 3)))]},
+            InvalidArgument,
+            "forces[0] gives shape (5, 3) for one robot, expected (3,): name in spread what differs",
+        ),
+        ({"every": 0}, InvalidArgument, "every is 0, expected a whole number >= 1"),
+        ({"dt": 0.3}, InvalidArgument, "duration is 1.0 s, expected a whole number of steps dt = 0.3 s"),
+        ({"controller": PD}, InvalidArgument, "expected a controller"),
+    ],
+)
+def test_a_scenario_checks_itself(changes: Any, error: Any, text: str) -> None:
+    with pytest.raises(error) as caught:
+        made(**changes)
+    assert text in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("spread", "text"),
+    [
+        (
+            {"mass": Uniform(-5, 15)},
+            "spread['mass'] gives -4.98938 kg as the mass of the robot, and 236 of 1000 draws (23.60%) are "
+            "impossible; expected > 0",
+        ),
+        ({"yaw_inertia": Normal(1.0, 0.4)}, "kg m^2 as the yaw inertia of the robot, and "),
+        (
+            {"model_mass": Same("mass", -1.0)},
+            "spread['model_mass'] gives -30 kg as the mass of the controller's",
+        ),
+        (
+            {"viscous_left": -1.0},
+            "spread['viscous_left'] gives -1 N s/m as the viscous friction, left, and 1000 of",
+        ),
+    ],
+)
+def test_impossible_draws_are_refused_with_their_share(spread: Any, text: str) -> None:
+    with pytest.raises(InvalidArgument) as caught:
+        run_scenario(made(spread=spread))
+    assert text in str(caught.value)
+
+
+def test_a_distribution_that_gives_no_numbers_is_refused() -> None:
+    class Broken:
+        def __init__(self, values: Any) -> None:
+            self.values = values
+
+        def sample(self, generator: Any, size: int) -> Any:
+            return self.values
+
+    with pytest.raises(InvalidArgument, match=r"spread\['mass'\] draws shape \(2,\), expected \(4096,\)"):
+        run_scenario(made(spread={"mass": Broken([1.0, 2.0])}))
+    with pytest.raises(
+        InvalidArgument, match=r"what spread\['mass'\] draws is nan, expected a finite number"
+    ):
+        run_scenario(made(spread={"mass": Broken(np.nan)}))
+
+
+@pytest.mark.parametrize(
+    ("make", "text"),
+    [
+        (lambda: Uniform(2, 1), "low is 2.0, expected at most high, 1.0"),
+        (lambda: Uniform(np.nan, 1), "low is nan, expected a finite number"),
+        (lambda: Normal(0, -1), "std is -1.0, expected >= 0"),
+    ],
+)
+def test_distributions_check_themselves(make: Any, text: str) -> None:
+    with pytest.raises(InvalidArgument, match=text):
+        make()
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"engine": "numba"}, "engine is 'numba', expected COMPILED, ARRAYS or None"),
+        ({"threads": 0}, "threads is 0, expected a whole number >= 1"),
+        ({"traces": [1000]}, "traces has robot 1000, expected 0 to 999"),
+    ],
+)
+def test_options_of_a_run_are_checked_before_it(options: Any, text: str) -> None:
+    with pytest.raises(InvalidArgument, match=text):
+        run_scenario(made(), **options)
+
+
+def test_a_users_controller_that_does_not_work_on_arrays_is_told_so() -> None:
+    one = law(lambda t, q, v, reference: reference.q)
+    with pytest.raises(
+        InvalidArgument, match=r"controller returned shape \(3,\) at t = 0 s for q of shape \(128, 3\)"
+    ):
+        ensemble(ROBOT, one, TRAJECTORY, n=128, spread={}, dt=0.1, engine=ARRAYS, threads=1)
+
+
+def test_quantiles_from_counts_are_right_to_the_width_of_a_bin() -> None:
+    values = np.random.default_rng(0).lognormal(-6, 2, 50_000)
+    counts = np.bincount(bins_of(values), minlength=BINS)
+    levels = np.array([0.01, 0.5, 0.9, 0.99])
+    np.testing.assert_allclose(quantiles(counts, levels), np.quantile(values, levels), rtol=2**-5)
+    halves = [np.bincount(bins_of(part), minlength=BINS) for part in (values[:7], values[7:])]
+    np.testing.assert_array_equal(sum(halves), counts)
+
+
+def test_bins_hold_what_their_edges_say() -> None:
+    bounds = edges()
+    assert len(bounds) == BINS + 1
+    inner = bounds[1:-1]
+    assert bins_of(inner).tolist() == list(range(1, BINS))
+    assert bins_of(np.nextafter(inner, 0)).tolist() == list(range(BINS - 1))
+    assert bins_of(np.array([0.0, np.inf])).tolist() == [0, BINS - 1]
+    assert (np.diff(inner) / inner[:-1]).max() <= 2**-5
+
+
+def test_an_ensemble_says_what_came_of_it() -> None:
+    run = run_scenario(made(spread={"mass": Uniform(20, 40)}, duration=60.0))
+    text = str(run)
+    assert "1,000 robots over 60 s: 99 % stay within" in text
+    assert "none diverged" in text
+    assert f"{np.median(run.max_distance):.4g}" in text
+    assert len(run) == 1000
+    assert run.within(1.0).distance == run.max_distance.max()
+    assert run.within(0.5).heading == np.sort(run.max_error[:, 2])[499]
+    bands = run.bands()
+    assert bands.distance.shape == (3, 61)
+    assert (np.diff(bands.distance, axis=0) >= 0).all()
+    assert bands.distance[-1].max() == pytest.approx(run.within(0.99).distance, rel=2**-5)
+    for share in (-0.1, 1.1, np.nan):
+        with pytest.raises(InvalidArgument, match="levels"):
+            run.within(share)
+
+
+def test_a_wind_without_friction_is_what_the_closed_form_says() -> None:
+    # PD holds a robot against a steady force at |e| = F / kp, whatever the friction; overdamped, it comes
+    # from below. The reference creeps by 1e-9 m/s, so as much more.
+    still = FixedHeading(Circle(1.0, 1e-9, 60.0), 0.0)
+    run = ensemble(
+        MobileRobot(30.0, 1.3),
+        PD((40, 50, 4), (90, 90, 6)),
+        still,
+        n=50,
+        spread={"force_x": np.linspace(-5, 5, 50), "moment_z": 0.2},
+        forces=(ViscousFriction((4.0, 4.0, 0.4)),),
+        dt=0.05,
+    )
+    np.testing.assert_allclose(run.max_error[:, 0], np.abs(np.linspace(-5, 5, 50)) / 40, atol=1e-8)
+    np.testing.assert_allclose(run.max_error[:, 2], 0.2 / 4, atol=1e-8)

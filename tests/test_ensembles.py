@@ -1,0 +1,358 @@
+"""Ensembles: the compiled and the numpy engine against `simulate`, and against each other."""
+
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import pinmobile.ensembles.running as running
+from pinmobile import (
+    PD,
+    Circle,
+    ComputedTorque,
+    ConstantForce,
+    CubicVia,
+    Delayed,
+    Diverged,
+    Ensemble,
+    FixedHeading,
+    InvalidArgument,
+    LectureHeading,
+    Lissajous,
+    MobileRobot,
+    NoiseForce,
+    NoisyMeasurement,
+    Normal,
+    RollingResistance,
+    Same,
+    Saturated,
+    Scenario,
+    SinusoidalForce,
+    Tangent,
+    Uniform,
+    ViscousFriction,
+    constant_acceleration,
+    ensemble,
+    law,
+    rk4,
+    semi_implicit_euler,
+    simulate,
+)
+from pinmobile.ensembles import ARRAYS, COMPILED, part_of, run_scenario
+from pinmobile.ensembles.kernel import _sincos
+
+ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.02))
+CIRCLE = Tangent(Circle(3.0, 0.1, 60.0))
+LISSAJOUS = Lissajous(3.0, 2.0, 0.2, 0.1, 60.0)
+TRAJECTORIES: dict[str, Any] = {
+    "circle": CIRCLE,
+    "fixed": FixedHeading(LISSAJOUS, 0.7),
+    "tangent": Tangent(LISSAJOUS),
+    "lecture": LectureHeading(LISSAJOUS),
+    "turns": Tangent(CubicVia((0, 0), (2, 2), (0, 4), 25.0, 50.0, via_velocity=(0, 0)), turn_time=10.0),
+}
+SPREAD: dict[str, Any] = {
+    "mass": Uniform(20, 40),
+    "yaw_inertia": Uniform(1, 2),
+    "com_x": Normal(0.05, 0.03),
+    "com_y": Normal(0.0, 0.03),
+    "start_x": Normal(0, 0.1),
+    "start_y": Normal(0, 0.1),
+    "start_psi": Normal(0, 0.3),
+    "start_vx": Normal(0, 0.1),
+    "start_yaw_rate": Normal(0, 0.1),
+}
+KP, KD = np.array([100.0, 100.0, 3.0]), np.array([120.0, 120.0, 4.0])
+SOFT = (20.0, 20.0, 0.8)
+MATRIX = [[4.0, 0.5, 0.0], [0.3, 5.0, 0.1], [0.0, -0.2, 3.0]]
+CONTROLLERS: dict[str, Any] = {
+    "computed torque": ComputedTorque(ROBOT),
+    "PD": PD((40, 50, 4), (60, 50, 4)),
+    "matrix gains": ComputedTorque(ROBOT, kp=MATRIX, kd=4.0),
+    "saturated": Saturated(ComputedTorque(ROBOT), (12.0, 9.0, 2.0)),
+    "delayed": Delayed(ComputedTorque(ROBOT, kp=1, kd=2), 3),
+    "noisy": NoisyMeasurement(ComputedTorque(ROBOT), 1e-3, (1e-3, 2e-3, 1e-3), seed=3),
+    "all of it": NoisyMeasurement(
+        Delayed(Saturated(NoisyMeasurement(PD(SOFT, SOFT), 1e-3, 0.0, seed=1), (9, 7, 0.4)), 1),
+        0.0,
+        1e-2,
+        seed=2,
+    ),
+}
+FORCES: dict[str, Any] = {
+    "none": (),
+    "steady": (ConstantForce((3.0, -2.0, 0.1)), ViscousFriction((5.0, 9.0, 0.4))),
+    "all": (
+        SinusoidalForce((2.0, 1.0, 0.1), 0.3, 0.5),
+        NoiseForce((1.0, 2.0, 0.1), 2.0, seed=5),
+        RollingResistance((2.0, 3.0, 0.2), 0.05),
+        NoiseForce((0.5, 0.2, 0.1), 0.7, seed=6),
+        ViscousFriction((5.0, 9.0, 0.4)),
+    ),
+}
+RECORDS = ("max_error", "rms_error", "max_distance", "max_force", "diverged_at")
+
+
+def made(**changes: Any) -> Scenario:
+    """Return a scenario of the circle, unless something else is asked for."""
+    chosen: dict[str, Any] = {
+        "robot": ROBOT,
+        "controller": ComputedTorque(ROBOT),
+        "trajectory": CIRCLE,
+        "n": 70,
+        "spread": SPREAD,
+        "dt": 0.1,
+    }
+    return Scenario(**(chosen | changes))
+
+
+def assert_close(one: Ensemble, other: Ensemble) -> None:
+    """Compare records to 1e-12 of the size of what they are differences of."""
+    size = 1 + np.abs(np.hstack(one.scenario.reference)).max()
+    force = 1 + one.max_force.max()
+    for name in RECORDS:
+        np.testing.assert_allclose(
+            getattr(one, name),
+            getattr(other, name),
+            rtol=0,
+            atol=1e-12 * (force if name == "max_force" else size),
+            err_msg=name,
+        )
+
+
+def assert_same(one: Any, other: Any, rows: slice = slice(None)) -> None:
+    for name in RECORDS:
+        np.testing.assert_array_equal(getattr(one, name)[rows], getattr(other, name), err_msg=name)
+
+
+def assert_is_simulated(run: Ensemble, i: int) -> None:
+    """Compare robot i with what `simulate` makes of it."""
+    rollout = run.trace(i)
+    size = 1 + np.abs(np.hstack(run.scenario.reference)).max()
+    force = 1 + run.max_force[i].max()
+    np.testing.assert_allclose(rollout.max_error(), run.max_error[i], rtol=0, atol=1e-12 * size)
+    np.testing.assert_allclose(rollout.rms_error(), run.rms_error[i], rtol=0, atol=1e-12 * size)
+    np.testing.assert_allclose(rollout.max_force(), run.max_force[i], rtol=0, atol=1e-12 * force)
+    distance = np.hypot(*rollout.error[:, :2].T).max()
+    assert distance == pytest.approx(run.max_distance[i], abs=1e-12 * size)
+
+
+@pytest.mark.parametrize("trajectory", TRAJECTORIES)
+@pytest.mark.parametrize("controller", CONTROLLERS)
+def test_both_engines_agree_with_simulate(controller: str, trajectory: str) -> None:
+    scenario = made(controller=CONTROLLERS[controller], trajectory=TRAJECTORIES[trajectory])
+    compiled = run_scenario(scenario, engine=COMPILED)
+    assert_close(compiled, run_scenario(scenario, engine=ARRAYS))
+    assert_is_simulated(compiled, 66)
+
+
+@pytest.mark.parametrize("integrator", [constant_acceleration, semi_implicit_euler, rk4])
+@pytest.mark.parametrize("forces", FORCES)
+def test_forces_and_integrators_agree_with_simulate(forces: str, integrator: Any) -> None:
+    controller = Delayed(ComputedTorque(ROBOT, kp=1, kd=2), 1)
+    scenario = made(
+        controller=controller, forces=FORCES[forces], integrator=integrator, substeps=2, n=66, duration=20.0
+    )
+    compiled = run_scenario(scenario, engine=COMPILED)
+    assert_close(compiled, run_scenario(scenario, engine=ARRAYS))
+    assert_is_simulated(compiled, 65)
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    mass=st.floats(1, 200),
+    inertia=st.floats(0.5, 20),
+    com=st.tuples(st.floats(-0.2, 0.2), st.floats(-0.2, 0.2)),
+    start=st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-1.5, 1.5)),
+    believed=st.floats(0.7, 1.4),
+    kp=st.floats(0.5, 6),
+    which=st.sampled_from(sorted(TRAJECTORIES)),
+)
+def test_any_robot_is_as_simulated(
+    mass: float,
+    inertia: float,
+    com: tuple[float, float],
+    start: tuple[float, float, float],
+    believed: float,
+    kp: float,
+    which: str,
+) -> None:
+    spread = {
+        "mass": mass,
+        "yaw_inertia": inertia,
+        "com_x": com[0],
+        "com_y": com[1],
+        "start_x": start[0],
+        "start_y": start[1],
+        "start_psi": start[2],
+        "model_mass": Same("mass", believed),
+        "model_yaw_inertia": Same("yaw_inertia"),
+        "model_com_x": Same("com_x"),
+        "model_com_y": Same("com_y"),
+        "kp": kp,
+        "kd": 2 * np.sqrt(kp),
+    }
+    scenario = made(spread=spread, trajectory=TRAJECTORIES[which], n=1)
+    assert_is_simulated(run_scenario(scenario), 0)
+
+
+def test_diverging_robots_are_flagged_as_by_simulate_and_the_others_untouched() -> None:
+    gains = np.full(130, 4.0)
+    gains[[3, 64, 100]] = 900.0, 2000.0, 500.0  # beyond what dt = 0.1 s bears
+    spread = {"mass": Uniform(20, 40), "kp": gains}
+    for engine in (COMPILED, ARRAYS):
+        run = run_scenario(made(n=130, spread=spread), engine=engine)
+        assert np.flatnonzero(run.diverged).tolist() == [3, 64, 100]
+        for i in (3, 64, 100):
+            member = run.member(i)
+            with pytest.raises(Diverged) as caught:
+                simulate(*member[:3], **member.options)
+            assert caught.value.time == run.diverged_at[i]
+            # What came before: rounding grows as the error does.
+            np.testing.assert_allclose(run.trace(i).max_error(), run.max_error[i], rtol=1e-9, atol=1e-9)
+        tame = run_scenario(made(n=130, spread=spread | {"kp": 4.0}), engine=engine)
+        for name in RECORDS[:-1]:
+            np.testing.assert_array_equal(
+                np.delete(getattr(run, name), [3, 64, 100], axis=0),
+                np.delete(getattr(tame, name), [3, 64, 100], axis=0),
+            )
+        assert run.worst(3).tolist() == np.argsort(run.diverged_at)[:3].tolist()
+        assert run.within(0.97).distance < 0.01
+        assert run.within(0.99).distance == np.inf
+        # In the bands they are beyond everything from then on: 3 of 130 are more than 1 %, less than 5 %.
+        assert np.isinf(run.bands((0.95, 0.99)).distance[:, -1]).tolist() == [False, True]
+
+
+def test_what_overflows_is_flagged_too() -> None:
+    run = ensemble(ROBOT, PD(1e200, 1e200), CIRCLE, n=3, spread={"start_x": 1.0}, dt=0.1, limit=1e300)
+    assert run.diverged.all()
+    assert_is_simulated(run, 2)
+    slow = ensemble(
+        ROBOT, PD(1e200, 1e200), CIRCLE, n=3, spread={"start_x": 1.0}, dt=0.1, limit=1e300, engine=ARRAYS
+    )
+    np.testing.assert_array_equal(slow.diverged_at, run.diverged_at)
+
+
+def test_a_robot_that_is_beyond_the_limit_from_the_start_has_no_records() -> None:
+    run = run_scenario(made(n=2, spread={"start_x": np.array([0.0, 2e3])}))
+    assert run.diverged_at.tolist()[1] == 0.0
+    assert np.isnan(run.max_error[1]).all()
+    assert run.within(0.5).distance < 1
+    with pytest.raises(Diverged, match="the error in x is -2000"):
+        run.trace(1)
+
+
+@pytest.mark.parametrize("engine", [COMPILED, ARRAYS])
+@pytest.mark.parametrize("controller", ["computed torque", "noisy"])
+def test_the_same_seed_gives_the_same_bits_however_the_work_is_divided(controller: str, engine: Any) -> None:
+    scenario = made(
+        n=700,
+        controller=CONTROLLERS[controller],
+        duration=3.0,
+        forces=(NoiseForce((1, 1, 0.1), 1.0, seed=0),),
+    )
+    whole = run_scenario(scenario, engine=engine, threads=1)
+    divided = run_scenario(scenario, engine=engine, threads=5)
+    assert_same(whole, divided)
+    np.testing.assert_array_equal(whole.counts, divided.counts)
+    counts = np.zeros_like(whole.counts)
+    for start, stop in ((0, 1), (1, 333), (333, 700)):
+        draws, part = part_of(scenario, start, stop, engine)
+        np.testing.assert_array_equal(part.max_error, whole.max_error[start:stop])
+        np.testing.assert_array_equal(part.max_force, whole.max_force[start:stop])
+        for name, column in draws.items():
+            np.testing.assert_array_equal(column, whole.draws[name][start:stop])
+        counts += part.counts
+    np.testing.assert_array_equal(counts, whole.counts)
+
+
+def test_the_first_robots_are_the_same_for_any_n() -> None:
+    few, many = (run_scenario(made(n=n, duration=3.0)) for n in (100, 5000))
+    assert_same(many, few, slice(100))
+    assert not np.array_equal(few.max_error[:50], few.max_error[50:])
+
+
+def test_another_seed_gives_other_robots() -> None:
+    one, other = (run_scenario(made(n=5, seed=seed, duration=1.0)) for seed in (0, 1))
+    assert not np.isin(one.draws["mass"], other.draws["mass"]).any()
+
+
+def test_a_users_own_controller_force_and_integrator_run_on_arrays() -> None:
+    def drag(t: float, q: Any, v: Any) -> Any:
+        return -3.0 * np.asarray(v)
+
+    def euler(acceleration: Any, t: float, q: Any, v: Any, dt: float) -> Any:
+        return q + dt * v, v + dt * acceleration(t, q, v)
+
+    mine = law(lambda t, q, v, reference: KP * (reference.q - q) + KD * (reference.v - v))
+    scenario = made(controller=mine, forces=(drag,), integrator=euler, n=65, dt=0.05)
+    run = run_scenario(scenario)
+    assert not run.diverged.any()
+    assert_is_simulated(run, 64)
+    for what, refusal in (
+        ({"controller": mine}, "the controller is _Law, neither PD nor ComputedTorque"),
+        ({"forces": (drag,)}, "the forces have a function of their own"),
+        ({"integrator": euler}, "is no table of up to 8 stages"),
+    ):
+        with pytest.raises(InvalidArgument, match="engine is COMPILED, which cannot run this") as caught:
+            run_scenario(made(**what), engine=COMPILED)
+        assert refusal in str(caught.value)
+
+
+def test_traces_are_those_of_simulate() -> None:
+    run = run_scenario(made(n=3, duration=2.0), traces=[2])
+    assert list(run.traces) == [2]
+    assert run.traces[2].q.shape == (21, 3)
+    assert run.traces[2].q[0, 0] == run.draws["start_x"][2]
+
+
+def test_progress_counts_robots() -> None:
+    seen: list[tuple[int, int]] = []
+    run_scenario(made(n=200, duration=1.0), threads=2, progress=lambda done, n: seen.append((done, n)))
+    assert seen[-1] == (200, 200)
+    assert [done for done, _ in seen] == sorted(done for done, _ in seen)
+
+
+def test_sine_and_cosine_of_the_kernel() -> None:
+    # Far more turns than any robot makes: the reduction is exact, so what is left is the rounding of the
+    # series, a few units of 2^-53.
+    x = np.concatenate([np.linspace(-10, 10, 4001), np.linspace(-1e4, 1e4, 4001), np.pi * np.arange(-50, 50)])
+    found = np.array([_sincos(value) for value in x])
+    assert np.abs(found - np.column_stack([np.sin(x), np.cos(x)])).max() < 6e-16
+
+
+def test_a_million_robots_fit_in_a_gigabyte() -> None:
+    code = (
+        "import resource, pinmobile as p; r = p.MobileRobot(30, 1.3); "
+        "t = p.Tangent(p.Circle(3, 0.1, 60)); "
+        "e = p.ensemble(r, p.ComputedTorque(r), t, n=1_000_000, dt=0.1, "
+        "spread={'mass': p.Uniform(20, 40), 'com_x': p.Normal(0, 0.02)}); "
+        "assert len(e.max_error) == 1_000_000 and len(e.scenario.t) == 601; "
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    kilobytes = int(done.stdout) / (1 if sys.platform == "linux" else 1024)
+    assert kilobytes < 1e6
+
+
+def test_without_numba_the_message_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(running, "find_spec", lambda name: None)
+    with pytest.raises(
+        InvalidArgument, match=r"pip install 'pinmobile\[ensembles\]', or choose engine=ARRAYS"
+    ):
+        run_scenario(made(n=2))
+    assert len(run_scenario(made(n=2, duration=1.0), engine=ARRAYS).max_error) == 2
+
+
+def test_numba_is_loaded_only_when_it_is_used() -> None:
+    code = (
+        "import sys, pinmobile as p; from pinmobile import ensembles as e; r = p.MobileRobot.lecture(); "
+        "t = p.FixedHeading(p.Circle(1, 1, 1), 0); "
+        "p.ensemble(r, p.PD(9, 9), t, n=2, spread={}, dt=0.1, engine=e.ARRAYS); "
+        "assert 'numba' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
