@@ -34,7 +34,8 @@ ALLOWED: dict[str, set[str]] = {
     "integrators": {"arrays"},
     "disturbances": {"arrays"},
     "simulation": {"robot", "trajectories", "controllers", "integrators", "disturbances"},
-    "plots": {"simulation"},
+    "accuracy": {"robot", "integrators", "simulation", "trajectories", "controllers"},
+    "plots": {"simulation", "accuracy"},
     "viewer": {"robot", "simulation"},
 }
 

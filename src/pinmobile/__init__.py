@@ -1,7 +1,7 @@
 """Dynamics and control of ground robots on Pinocchio.
 
-What needs sympy, matplotlib or meshcat is loaded when it is asked for: `verify`, and the modules
-`derivation`, `verification`, `plots` and `viewer`.
+What needs sympy, scipy, matplotlib or meshcat is loaded when it is asked for: `verify`, `integrator_report`,
+and the modules `accuracy`, `derivation`, `verification`, `plots` and `viewer`.
 """
 
 from importlib import import_module
@@ -33,6 +33,7 @@ from pinmobile.trajectories import FixedHeading, LectureHeading, Reference, Tang
 from pinmobile.urdf import shipped_urdf
 
 if TYPE_CHECKING:
+    from pinmobile.accuracy import integrator_report
     from pinmobile.verification import verify
 
 __version__ = "0.1.0"
@@ -69,6 +70,7 @@ __all__ = [
     "ViewerError",
     "ViscousFriction",
     "constant_acceleration",
+    "integrator_report",
     "law",
     "planar_difference",
     "rk4",
@@ -78,12 +80,13 @@ __all__ = [
     "verify",
 ]
 
-_LAZY_MODULES = ("derivation", "plots", "verification", "viewer")
+_LAZY_MODULES = ("accuracy", "derivation", "plots", "verification", "viewer")
+_LAZY_FUNCTIONS = {"integrator_report": "accuracy", "verify": "verification"}
 
 
 def __getattr__(name: str) -> Any:
-    if name == "verify":
-        return import_module("pinmobile.verification").verify
+    if name in _LAZY_FUNCTIONS:
+        return getattr(import_module(f"pinmobile.{_LAZY_FUNCTIONS[name]}"), name)
     if name in _LAZY_MODULES:
         return import_module(f"pinmobile.{name}")
     raise AttributeError(f"module 'pinmobile' has no attribute {name!r}")
