@@ -34,6 +34,7 @@ ALLOWED: dict[str, set[str]] = {
     "integrators": {"arrays"},
     "disturbances": {"arrays"},
     "simulation": {"robot", "trajectories", "controllers", "integrators", "disturbances"},
+    "accuracy": {"robot", "integrators", "simulation", "trajectories", "controllers"},
     "ensembles": {
         "closed_form",
         "robot",
@@ -43,7 +44,7 @@ ALLOWED: dict[str, set[str]] = {
         "integrators",
         "simulation",
     },
-    "plots": {"simulation"},
+    "plots": {"simulation", "accuracy", "ensembles"},
     "viewer": {"robot", "simulation"},
 }
 

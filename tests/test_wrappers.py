@@ -4,6 +4,7 @@ import pickle
 import re
 from concurrent.futures import ThreadPoolExecutor
 from copy import deepcopy
+from threading import Barrier
 from typing import Any
 
 import numpy as np
@@ -117,11 +118,17 @@ def test_noise_is_the_table_of_its_seed_however_it_grew() -> None:
 
 
 def test_threads_that_share_a_noisy_controller_get_the_same() -> None:
-    for _ in range(5):
-        controller = NoisyMeasurement(TOLD, 1.0, 1.0, seed=3)
-        with ThreadPoolExecutor(8) as pool:
-            runs = list(pool.map(lambda _: asked(controller, QS), range(8)))  # noqa: B023  # used up in the loop
-        np.testing.assert_array_equal(runs, [asked(NoisyMeasurement(TOLD, 1.0, 1.0, seed=3), QS)] * 8)
+    """All grow the table at once; each gets the row that it would have alone."""
+    controller, together, last = NoisyMeasurement(TOLD, 1.0, 1.0, seed=3), Barrier(8), 100_000
+
+    def late(_: int) -> Array:
+        together.wait()
+        return controller(0.0, np.zeros(3), np.zeros(3), REST, (None, last))[0]
+
+    with ThreadPoolExecutor(8) as pool:
+        rows = list(pool.map(late, range(8)))
+    expected = np.random.default_rng(3).standard_normal((last + 1, 2, 3))[last, 0]
+    np.testing.assert_array_equal(rows, 8 * [expected])
 
 
 def test_a_noisy_controller_is_pickled_and_copied_without_its_table() -> None:

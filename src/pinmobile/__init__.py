@@ -32,6 +32,7 @@ from pinmobile.trajectories import FixedHeading, LectureHeading, Reference, Tang
 from pinmobile.urdf import shipped_urdf
 
 if TYPE_CHECKING:
+    from pinmobile.accuracy import integrator_report
     from pinmobile.ensembles import Ensemble, Normal, Same, Scenario, Uniform, ensemble
     from pinmobile.verification import verify
 
@@ -75,6 +76,7 @@ __all__ = [
     "ViscousFriction",
     "constant_acceleration",
     "ensemble",
+    "integrator_report",
     "law",
     "planar_difference",
     "rk4",
@@ -84,9 +86,10 @@ __all__ = [
     "verify",
 ]
 
-_LAZY_MODULES = ("derivation", "ensembles", "plots", "verification", "viewer")
+_LAZY_MODULES = ("accuracy", "derivation", "ensembles", "plots", "verification", "viewer")
 _LAZY_NAMES = {
     **dict.fromkeys(("Ensemble", "Normal", "Same", "Scenario", "Uniform", "ensemble"), "ensembles"),
+    "integrator_report": "accuracy",
     "verify": "verification",
 }
 

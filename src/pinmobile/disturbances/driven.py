@@ -126,6 +126,7 @@ class NoiseForce:
     bandwidth: float
     seed: Any
     phases: Array = field(init=False, repr=False)
+    _rates: Array = field(init=False, repr=False)  # 2 pi f_k [rad/s]
 
     def __post_init__(self) -> None:
         drawn = seeded("seed", self.seed).uniform(0, 2 * np.pi, (self.TERMS, 3))
@@ -159,10 +160,11 @@ class NoiseForce:
         object.__setattr__(self, "std", deviation)
         object.__setattr__(self, "bandwidth", positive("bandwidth", bandwidth, "Hz"))
         object.__setattr__(self, "phases", frozen(angles))
+        object.__setattr__(self, "_rates", frozen(2 * np.pi * noise_frequencies(self.bandwidth)))
 
     def __call__(self, t: ArrayLike, q: Array, v: Array) -> Array:
         """Return the force, shape (..., 3) [N, N, N m]."""
-        turned = np.multiply.outer(t, 2 * np.pi * noise_frequencies(self.bandwidth))  # (..., K)
+        turned = np.multiply.outer(t, self._rates)  # (..., K)
         waves = np.cos(turned[..., None] + self.phases).sum(axis=-2)
         return spread(np.asarray(self.std) * np.sqrt(2 / self.TERMS) * waves, t, q)
 

@@ -95,8 +95,9 @@ class RollingResistance:
 def _turned(cos: Array, sin: Array, vector: Array) -> Array:
     """Return the first two components turned by the angle, the third as it is, shape (..., 3)."""
     x, y = vector[..., 0], vector[..., 1]
-    turned = np.empty(np.broadcast_shapes(vector.shape, (*cos.shape, 1)))
-    turned[..., 0] = cos * x - sin * y
+    along = cos * x - sin * y
+    turned = np.empty((*along.shape, 3))
+    turned[..., 0] = along
     turned[..., 1] = sin * x + cos * y
     turned[..., 2] = vector[..., 2]
     return turned

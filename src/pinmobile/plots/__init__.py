@@ -1,7 +1,8 @@
-"""Figures of one rollout, or of several side by side: matplotlib without pyplot, so no window is needed."""
+"""Figures of one rollout or report, or of several: matplotlib without pyplot, so no window is needed."""
 
+from pinmobile.plots.accuracy import integrator
 from pinmobile.plots.animation import animate
 from pinmobile.plots.plane import path
 from pinmobile.plots.series import errors, forces, states
 
-__all__ = ["animate", "errors", "forces", "path", "states"]
+__all__ = ["animate", "errors", "forces", "integrator", "path", "states"]

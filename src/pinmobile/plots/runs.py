@@ -1,7 +1,7 @@
 """What is drawn: the rollouts by label, and which of their samples a line needs."""
 
 from collections.abc import Mapping
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,9 +10,11 @@ from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
 from pinmobile.simulation import Rollout
 
-__all__ = ["Rollouts", "labelled", "planar", "same_references", "thinned"]
+__all__ = ["Rollouts", "labelled", "named", "planar", "same_references", "thinned"]
 
 Rollouts: TypeAlias = Rollout | Mapping[str, Rollout]
+
+_Kind = TypeVar("_Kind")
 
 _MOST = 4000  # samples drawn as they are
 _BINS = 1000  # of a longer rollout; more than a figure has columns of pixels
@@ -31,20 +33,42 @@ def labelled(rollouts: Any) -> dict[str, Rollout]:
     InvalidArgument
         If it is something else, or holds nothing.
     """
-    if isinstance(rollouts, Rollout):
-        return {"": rollouts}
-    if not isinstance(rollouts, Mapping):
+    return named("rollouts", rollouts, Rollout)
+
+
+def named(argument: str, values: Any, kind: type[_Kind]) -> dict[str, _Kind]:
+    """Return what is drawn by label; a single one has the label "".
+
+    Parameters
+    ----------
+    argument : str
+        Name of the argument, for the message.
+    values : object or mapping of str to object
+        What a caller wants drawn.
+    kind : type
+        What each must be.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is something else, or holds nothing.
+    """
+    what = kind.__name__
+    one = f"{'an' if what[0] in 'AEIOU' else 'a'} {what}"
+    if isinstance(values, kind):
+        return {"": values}
+    if not isinstance(values, Mapping):
         raise InvalidArgument(
-            f"rollouts is a {type(rollouts).__name__}, expected a Rollout or a mapping of labels to Rollouts"
+            f"{argument} is a {type(values).__name__}, expected {one} or a mapping of labels to {what}s"
         )
-    if not rollouts:
-        raise InvalidArgument("rollouts is empty, expected at least one Rollout")
-    for label, rollout in rollouts.items():
+    if not values:
+        raise InvalidArgument(f"{argument} is empty, expected at least one {what}")
+    for label, value in values.items():
         if not isinstance(label, str) or not label:
-            raise InvalidArgument(f"rollouts has the label {label!r}, expected a name")
-        if not isinstance(rollout, Rollout):
-            raise InvalidArgument(f"rollouts[{label!r}] is a {type(rollout).__name__}, expected a Rollout")
-    return dict(rollouts)
+            raise InvalidArgument(f"{argument} has the label {label!r}, expected a name")
+        if not isinstance(value, kind):
+            raise InvalidArgument(f"{argument}[{label!r}] is a {type(value).__name__}, expected {one}")
+    return dict(values)
 
 
 def planar(rollouts: Any) -> dict[str, Rollout]:

@@ -11,7 +11,7 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.trajectories import Reference, Trajectory
 
 if TYPE_CHECKING:
-    from pinmobile.simulation.closed_loop import Plant
+    from pinmobile.simulation.plant import Plant
 
 __all__ = ["checked_forces", "checked_loop", "sample_times", "sampled"]
 

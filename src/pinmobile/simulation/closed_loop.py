@@ -1,7 +1,7 @@
 """`simulate`: a controller in the loop with a plant, checked before, judged after."""
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -12,37 +12,13 @@ from pinmobile.errors import Diverged, InvalidArgument
 from pinmobile.integrators import Integrator, constant_acceleration
 from pinmobile.simulation.checks import checked_forces, checked_loop, sample_times, sampled
 from pinmobile.simulation.loop import Loop
+from pinmobile.simulation.plant import Plant
 from pinmobile.simulation.rollout import Rollout
 from pinmobile.trajectories import Reference, Trajectory
 
-__all__ = ["Plant", "simulate"]
+__all__ = ["simulate"]
 
 _CHUNK = 512  # samples between two looks for divergence
-
-
-class Plant(Protocol):
-    """What `simulate` needs of a plant; `MobileRobot` is one."""
-
-    @property
-    def nq(self) -> int:
-        """Size of q."""
-
-    @property
-    def nv(self) -> int:
-        """Size of v and a."""
-
-    @property
-    def nu(self) -> int:
-        """Size of the input u."""
-
-    def forward_dynamics(self, q: Array, v: Array, u: Array, /) -> Array:
-        """Return the acceleration, shape (nv,)."""
-
-    def integrate(self, q: Array, dq: Array, /) -> Array:
-        """Return the configuration that the displacement dq leads to, shape (nq,)."""
-
-    def difference(self, q0: Array, q1: Array, /) -> Array:
-        """Return the displacement from q0 to q1, shape (..., nv)."""
 
 
 def simulate(

@@ -7,7 +7,7 @@ product each. Whatever a user brings is called in public order. All follow the s
 
 from collections.abc import Callable
 from math import isfinite
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from pinmobile.disturbances import Force
 from pinmobile.errors import InvalidArgument
 from pinmobile.integrators import Integrator, RungeKuttaNystrom
 from pinmobile.robot import MobileRobot
+from pinmobile.simulation.plant import Plant
 from pinmobile.simulation.steps import (
     Clock,
     forward_of,
@@ -26,9 +27,6 @@ from pinmobile.simulation.steps import (
     tabled_steps,
 )
 from pinmobile.trajectories import Reference
-
-if TYPE_CHECKING:
-    from pinmobile.simulation.closed_loop import Plant
 
 __all__ = ["Loop"]
 
@@ -46,7 +44,7 @@ class Loop:
 
     def __init__(
         self,
-        plant: "Plant",
+        plant: Plant,
         controller: Controller,
         integrator: Integrator,
         reference: Reference,
@@ -63,7 +61,7 @@ class Loop:
         chained = self.adds and isinstance(integrator, RungeKuttaNystrom)
         self.order = plant._engine.order if chained else None  # type: ignore[attr-defined]
         self.rows = np.empty((len(t) + 1, self.nq + 2 * self.nv))  # one to spare: each has a next one
-        self.forces = np.empty((len(t), plant.nu))
+        self.taus = np.empty((len(t), plant.nu))
         self.rows[0, : self.nq + self.nv] = np.concatenate([self._reordered(q0), self._reordered(v0)])
         self.desired = np.hstack([self._reordered(reference.q), self._reordered(reference.v)])
         self.forward = plant._engine.forward if chained else forward_of(plant)  # type: ignore[attr-defined]
@@ -89,7 +87,7 @@ class Loop:
         push, times = self.push, self.times
         rows, following = self.rows[begin:end], self.rows[begin + 1 : end + 1, :n]
         # Views that come from iteration cost half of those that come from indexing.
-        parts = rows, rows[:, :nq], rows[:, nq:n], rows[:, :n], rows[:, n:], following, self.forces[begin:end]
+        parts = rows, rows[:, :nq], rows[:, nq:n], rows[:, :n], rows[:, n:], following, self.taus[begin:end]
         for k, (row, q, v, state, acceleration, after, held) in enumerate(zip(*parts, strict=True), begin):
             held[:] = force = control(k, state, q, v)
             applied = force if push is None else force + push(times[k], q, v)
@@ -101,7 +99,7 @@ class Loop:
         """Return q, v, a and tau of the samples, in public order, one row each."""
         nq, n = self.nq, self.nq + self.nv
         rows = self.rows[begin:end]
-        parts = rows[:, :nq], rows[:, nq:n], rows[:, n:], self.forces[begin:end]
+        parts = rows[:, :nq], rows[:, nq:n], rows[:, n:], self.taus[begin:end]
         q, v, a, tau = (self._reordered(part) for part in parts)
         return q, v, a, tau
 
@@ -114,7 +112,7 @@ class Loop:
         rows = self.rows[begin:end]
         n = self.nq + self.nv
         near = bool(np.abs(self.desired[begin:end] - rows[:, :n]).max() <= limit)  # on the circle it is less
-        return self.adds and near and isfinite(rows[:, n:].sum() + self.forces[begin:end].sum())
+        return self.adds and near and isfinite(rows[:, n:].sum() + self.taus[begin:end].sum())
 
 
 def _is_known(controller: Any) -> bool:

@@ -1,7 +1,7 @@
 """Steps of the plant between two samples, under a held force and under those that act in between."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -10,9 +10,7 @@ from pinmobile.disturbances import Force
 from pinmobile.errors import InvalidArgument
 from pinmobile.integrators import Integrator, RungeKuttaNystrom
 from pinmobile.robot import MobileRobot
-
-if TYPE_CHECKING:
-    from pinmobile.simulation.closed_loop import Plant
+from pinmobile.simulation.plant import Plant
 
 __all__ = ["Clock", "forward_of", "pushed", "steps", "steps_between_configurations", "tabled_steps"]
 
@@ -29,7 +27,7 @@ class Clock(NamedTuple):
     substeps: int
 
 
-def forward_of(plant: "Plant") -> Forward:
+def forward_of(plant: Plant) -> Forward:
     """Return forward dynamics in public order, unchecked where the plant allows."""
     if type(plant) is not MobileRobot:
         return plant.forward_dynamics
@@ -123,7 +121,7 @@ def steps(integrator: Integrator, forward: Forward, push: Push | None, clock: Cl
 
 
 def steps_between_configurations(
-    integrator: Integrator, plant: "Plant", push: Push | None, clock: Clock
+    integrator: Integrator, plant: Plant, push: Push | None, clock: Clock
 ) -> Advance:
     """Return the steps of any integrator, which sees the displacement from the start of its step."""
     (times, h, substeps), rest = clock, np.zeros(plant.nv)

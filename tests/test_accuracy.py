@@ -1,0 +1,286 @@
+"""Order, drift and the cost of a held force, measured of each integrator and of some made to fail."""
+
+import re
+from functools import partial
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_hex
+
+from pinmobile import (
+    InvalidArgument,
+    MobileRobot,
+    constant_acceleration,
+    integrator_report,
+    plots,
+    rk4,
+    semi_implicit_euler,
+)
+from pinmobile.accuracy import Convergence, IntegratorReport
+from pinmobile.accuracy.free_body import conserved, free_motion
+from pinmobile.arrays import Array
+from pinmobile.plots.style import colour
+
+ROBOT = MobileRobot(10, 1.2, com=(0.15, 0.05))
+ORDERS = {"constant_acceleration": 1, "semi_implicit_euler": 1, "rk4": 4}
+KEPT = ("position", "momentum", "angular_momentum", "energy")
+
+
+def heun(acceleration: Any, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
+    a = acceleration(t, q, v)
+    b = acceleration(t + dt, q + dt * v, v + dt * a)
+    return q + dt * v + dt**2 / 2 * a, v + dt / 2 * (a + b)
+
+
+def twice_as_fast(acceleration: Any, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
+    return q + 2 * dt * v, v + dt * acceleration(t, q, v)
+
+
+def explodes(acceleration: Any, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
+    return q + dt * v, v * 1e9
+
+
+@pytest.fixture(scope="module")
+def reports() -> dict[str, IntegratorReport]:
+    return {str(i): integrator_report(i) for i in (constant_acceleration, semi_implicit_euler, rk4)}
+
+
+@pytest.mark.parametrize("name", ORDERS)
+def test_pose_momentum_and_energy_of_the_free_body_are_held_to_the_order_of_the_method(
+    name: str, reports: dict[str, IntegratorReport]
+) -> None:
+    """The heading turns uniformly, so v is a quadrature: a left Riemann sum, of order 1, or Simpson's, of 4.
+
+    The position's own sum adds terms of order 1 for Euler's methods; none of them cancels.
+    """
+    for quantity in KEPT:
+        # Next to c h^p, terms of order p + 1 weigh a few per cent at h = 0.1 s.
+        assert getattr(reports[name], quantity).order == pytest.approx(ORDERS[name], abs=0.03), quantity
+    assert reports[name].heading.exact
+
+
+@pytest.mark.parametrize("name", ORDERS)
+def test_in_the_loop_the_order_is_the_methods_within_a_sample_and_one_over_samples(
+    name: str, reports: dict[str, IntegratorReport]
+) -> None:
+    report = reports[name]
+    assert report.substeps.order == pytest.approx(ORDERS[name], abs=0.05)
+    assert report.sampling.order == pytest.approx(1, abs=0.05)
+
+
+def test_a_users_own_method_shows_its_order() -> None:
+    """Heun's is of order 2; its quadrature of the free body is the trapezoidal rule."""
+    report = integrator_report(heun, ROBOT, steps=(0.08, 0.04, 0.02), duration=1.6)
+    assert report.integrator == "heun"
+    for row in (*(getattr(report, name) for name in KEPT), report.substeps):
+        assert row.order == pytest.approx(2, abs=0.1), row.name
+    assert report.sampling.order == pytest.approx(1, abs=0.05)
+
+
+def test_what_holding_costs_does_not_depend_on_the_integrator(reports: dict[str, IntegratorReport]) -> None:
+    held = [report.held for report in reports.values()]
+    assert max(held) == min(held)
+    fine = reports["rk4"]
+    # The loop by rk4 is off by what holding costs, and by what rk4 does.
+    assert abs(fine.sampling.errors[0] - fine.held) <= fine.substeps.errors[0] + 1e-12
+
+
+def test_with_the_centre_of_mass_at_the_origin_a_held_force_is_integrated_exactly() -> None:
+    """M is constant, so the acceleration is: nothing is left but what holding the force costs."""
+    report = integrator_report(constant_acceleration, MobileRobot.lecture())
+    assert all(row.exact for row in (*report.free, report.substeps))
+    assert report.sampling.errors[0] == pytest.approx(report.held, rel=1e-11)
+    assert report.sampling.order == pytest.approx(1, abs=0.05)
+    assert str(report.energy) == "exact to rounding"
+    assert report.energy.order is None
+
+
+robots = st.builds(
+    lambda m, i, x, y: MobileRobot(m, i, com=(x, y)),
+    st.floats(0.1, 100), st.floats(0.01, 10), st.floats(-1, 1), st.floats(-1, 1),
+)  # fmt: skip
+
+
+@given(robot=robots, t=st.floats(0, 10))
+def test_the_free_motion_obeys_the_robots_own_dynamics(robot: MobileRobot, t: float) -> None:
+    h = 1e-3
+    (q, before, after), (v, slower, faster) = free_motion(robot, np.array([t, t - h, t + h]))
+    # Central differences: h^2 / 6 of the third derivative, at most |com| spin^3.
+    np.testing.assert_allclose(v, (after - before) / (2 * h), rtol=0, atol=1e-6)
+    a = robot.forward_dynamics(q, v, np.zeros(3))
+    np.testing.assert_allclose(a, (faster - slower) / (2 * h), rtol=0, atol=1e-6)
+
+
+@given(robot=robots, seed=st.integers(0, 2**32 - 1))
+def test_what_is_conserved_is_the_generalised_momentum(robot: MobileRobot, seed: int) -> None:
+    """M v is the momentum, and that about the body's origin; x p_y - y p_x takes it to the inertial one."""
+    q, v = np.random.default_rng(seed).normal(size=(2, 3))
+    p = robot.mass_matrix(q) @ v
+    now = conserved(robot, q, v)
+    scale = 1e-12 * np.abs(p).max() * (1 + np.abs(q).max())
+    np.testing.assert_allclose(now.momentum, p[:2], rtol=0, atol=scale + 1e-13)
+    assert now.angular_momentum == pytest.approx(p[2] + q[0] * p[1] - q[1] * p[0], abs=scale + 1e-12)
+    assert now.energy == pytest.approx(robot.kinetic_energy(q, v), rel=1e-11)
+
+
+def made(errors: Any, rounding: float = 1e-12) -> Convergence:
+    steps: Array = 0.1 * np.power(0.5, np.arange(len(errors)))
+    return Convergence("position", "m", steps, np.array(errors, float), np.full(len(errors), rounding))
+
+
+@pytest.mark.parametrize(
+    ("errors", "order", "text"),
+    [
+        ([8.0, 1.0, 1 / 8], 3, "order 3.00"),
+        ([np.inf, 1.0, 0.25, 1 / 16], 2, "order 2.00"),
+        ([np.nan, 1.0, 0.5], 1, "order 1.00"),
+        ([1e-8, 1e-10, 1e-12, 1e-13], np.log2(100), "order 6.64"),  # the last two are rounding's
+        ([1.0, 1.0, 1.0], 0, "does not converge"),
+        ([1.0, 2.0, 4.0], -1, "does not converge"),
+        ([1e-13, 0.0, 1e-12], None, "exact to rounding"),
+        ([1e-9, 1e-13, 1e-13], None, "too close to rounding to tell"),
+        ([np.inf, np.inf], None, "diverges"),
+    ],
+)
+def test_an_order_is_fitted_above_rounding(errors: Any, order: float | None, text: str) -> None:
+    found = made(errors)
+    assert found.order == (None if order is None else pytest.approx(order, abs=1e-12))
+    assert str(found) == text
+
+
+def test_the_report_reads_as_a_table_that_says_what_it_means(reports: dict[str, IntegratorReport]) -> None:
+    lines = str(reports["rk4"]).splitlines()
+    assert lines[0] == f"rk4 on {reports['rk4'].robot}"
+    heads = re.findall(r"h = \S+ s", lines[1])
+    assert heads == ["h = 0.1 s", "h = 0.05 s", "h = 0.025 s", "h = 0.0125 s", "h = 0.00625 s"]
+    assert lines[1].startswith("free body over 2 s ")
+    assert lines[2].startswith("  position at the end [m] ")
+    assert lines[2].endswith("   order 4.00")
+    assert lines[3].endswith("   exact to rounding")
+    assert lines[-3:] == [
+        "order p: with half the step, the error is 1 / 2^p.",
+        "In the loop, holding the force is of order 1 in dt, whatever the integrator.",
+        "At dt = 0.1 s holding it costs 0.0098 m, the integrator 1.2e-07 m: "
+        "a shorter dt gains more than a better integrator.",
+    ]
+    assert str(reports["semi_implicit_euler"]).endswith(
+        "At dt = 0.1 s holding it costs 0.0098 m, the integrator 0.014 m: "
+        "a better integrator, or substeps, gain more than a shorter dt."
+    )
+    assert repr(reports["rk4"]) == "<IntegratorReport: rk4, order 4.00 alone, order 1.01 in the loop>"
+
+
+@pytest.mark.parametrize(
+    ("integrator", "text"), [(twice_as_fast, "does not converge"), (explodes, "diverges")]
+)
+def test_a_step_that_is_wrong_is_told_from_one_that_is_not(integrator: Any, text: str) -> None:
+    report = integrator_report(integrator, steps=(0.1, 0.05))
+    assert {str(row) for row in (*report.free, report.substeps, report.sampling)} == {text}
+    assert str(report).endswith(
+        "It does not converge: it solves another equation, or the steps are too long."
+    )
+
+
+def test_a_method_without_a_name_is_called_by_its_repr() -> None:
+    report = integrator_report(partial(heun), steps=(0.1, 0.05))
+    assert report.integrator.startswith("functools.partial(<function heun")
+
+
+@pytest.mark.parametrize(
+    ("changed", "text"),
+    [
+        ({"integrator": "rk4"}, "integrator is 'rk4', expected one of pinmobile.integrators or such a step"),
+        ({"robot": 3}, "robot is 3, expected a MobileRobot"),
+        ({"duration": 0}, "duration is 0.0 s, expected > 0"),
+        ({"steps": 0.1}, "steps has shape (), expected (n,) with n >= 2"),
+        ({"steps": (0.1,)}, "steps has shape (1,), expected (n,) with n >= 2"),
+        ({"steps": (0.1, 0.2)}, "steps are [0.1, 0.2] s, expected ones > 0, the largest first"),
+        ({"steps": (0.1, 0.0)}, "steps are [0.1, 0.0] s, expected ones > 0, the largest first"),
+        ({"steps": (0.3, 0.1)}, "duration is 2.0 s, expected a whole multiple of the step 0.3 s"),
+        ({"steps": (0.1, 0.03)}, "steps[0] is 0.1 s, expected a whole multiple of the step 0.03 s"),
+        ({"steps": (4.0, 2.0)}, "duration is 2.0 s, expected a whole multiple of the step 4.0 s"),
+        (
+            {"integrator": lambda *_: np.zeros(3)},
+            "integrator returned array([0., 0., 0.]), expected (q, v), each of shape (3,)",
+        ),
+    ],
+)
+def test_arguments_that_do_not_fit_are_refused(changed: dict[str, Any], text: str) -> None:
+    arguments: dict[str, Any] = {"integrator": rk4} | changed
+    with pytest.raises(InvalidArgument) as caught:
+        integrator_report(**arguments)
+    assert str(caught.value) == text
+
+
+class TestFigure:
+    def test_lines_are_the_errors_in_milliseconds_and_notes_the_orders(
+        self, reports: dict[str, IntegratorReport]
+    ) -> None:
+        figure = plots.integrator(reports)
+        assert [axes.get_ylabel() for axes in figure.axes] == [
+            "error [m]", "relative drift", "error [m]", "relative drift", "relative drift", "error [m]"
+        ]  # fmt: skip
+        loop = figure.axes[5]
+        for index, (name, report) in enumerate(reports.items()):
+            line = loop.lines[index]
+            np.testing.assert_allclose(np.asarray(line.get_xdata(), float), 1e3 * report.sampling.steps)
+            np.testing.assert_array_equal(line.get_ydata(), report.sampling.errors)
+            assert to_hex(line.get_color()).upper() == colour(index)
+            note = loop.texts[index]
+            assert note.get_text() == f"{name}: {report.sampling}"
+            assert str(note.get_color()) == colour(index)
+        assert [text.get_text() for text in figure.axes[0].texts[3:]] == ["$h$", "$h^4$"]
+        assert (loop.get_xscale(), loop.get_yscale()) == ("log", "log")
+        assert loop.get_xlabel() == "step h [ms]"
+
+    def test_a_guide_has_the_slope_that_it_says(self, reports: dict[str, IntegratorReport]) -> None:
+        axes = plots.integrator(reports["rk4"]).axes[0]
+        guide = axes.lines[1].get_xydata()
+        (x0, y0), (x1, y1) = np.log(np.asarray(guide))
+        assert (y1 - y0) / (x1 - x0) == pytest.approx(4)
+
+    def test_one_report_is_named_in_the_title(self, reports: dict[str, IntegratorReport]) -> None:
+        figure = plots.integrator(reports["rk4"])
+        assert figure.texts[0].get_text() == "Accuracy of rk4: error over the step"
+        assert plots.integrator(reports, title="Mine").texts[0].get_text() == "Mine"
+        (legend,) = figure.legends
+        assert [text.get_text() for text in legend.get_texts()] == ["whole order", "rounding"]
+
+    def test_nothing_overlaps_whatever_the_reports(self, reports: dict[str, IntegratorReport]) -> None:
+        failed = {
+            "a label that is longer than its panel is wide": integrator_report(explodes, steps=(0.1, 0.05)),
+            "balanced": integrator_report(rk4, MobileRobot.lecture(), steps=(0.1, 0.05, 0.01)),
+        }
+        for shown in (reports["rk4"], reports, failed):
+            figure = plots.integrator(shown)
+            canvas: Any = FigureCanvasAgg(figure)
+            canvas.draw()
+            boxes = [
+                a.get_tightbbox(canvas.get_renderer()) for a in (*figure.texts, *figure.legends, *figure.axes)
+            ]
+            for one, other in combinations(boxes, 2):
+                assert one is not None
+                assert other is not None
+                assert not one.padded(-1.0).overlaps(other.padded(-1.0))
+            assert all(
+                box is not None and figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1 for box in boxes
+            )
+
+    def test_what_is_not_a_report_is_refused(self, reports: dict[str, IntegratorReport]) -> None:
+        for value, text in (
+            ({}, "reports is empty, expected at least one IntegratorReport"),
+            (
+                [1],
+                "reports is a list, expected an IntegratorReport or a mapping of labels to IntegratorReports",
+            ),
+            ({"a": 3}, "reports['a'] is a int, expected an IntegratorReport"),
+            ({1: reports["rk4"]}, "reports has the label 1, expected a name"),
+        ):
+            with pytest.raises(InvalidArgument) as caught:
+                plots.integrator(value)  # type: ignore[arg-type]
+            assert str(caught.value) == text
