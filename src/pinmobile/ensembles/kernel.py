@@ -25,7 +25,7 @@ LANES = 64
 
 # Rows of a block.
 _X, _Y, _PSI, _U, _V, _R = range(6)
-_MASS, _INERTIA, _CX, _CY = range(6, 10)
+_MASS, _INERTIA, _CX, _CY = range(6, 10)  # of the first two the reciprocals
 _GAINS = 10  # kp of x, y, psi, then kd
 _MODEL = 16  # mass, inertia, centre of mass that the controller believes in
 _LIMIT = 20
@@ -93,11 +93,14 @@ def _sincos(x: float) -> tuple[float, float]:
     odd = k - 2.0 * _rounded(0.5 * k)
     sign = 1.0 - 2.0 * odd * odd
     z = r * r
-    s = _S4 + z * (_S5 + z * (_S6 + z * (_S7 + z * (_S8 + z * (_S9 + z * _S10)))))
-    c = _C4 + z * (_C5 + z * (_C6 + z * (_C7 + z * (_C8 + z * (_C9 + z * _C10)))))
-    s = r + r * z * (_S1 + z * (_S2 + z * (_S3 + z * s)))
-    c = 1.0 + z * (_C1 + z * (_C2 + z * (_C3 + z * c)))
-    return sign * s, sign * c
+    z2 = z * z
+    z4 = z2 * z2
+    # In pairs, so that the processor computes several at a time.
+    s = ((_S5 + z * _S6) + z2 * (_S7 + z * _S8)) + z4 * (_S9 + z * _S10)
+    c = ((_C5 + z * _C6) + z2 * (_C7 + z * _C8)) + z4 * (_C9 + z * _C10)
+    s = ((_S1 + z * _S2) + z2 * (_S3 + z * _S4)) + z4 * s
+    c = ((_C1 + z * _C2) + z2 * (_C3 + z * _C4)) + z4 * c
+    return sign * (r + r * z * s), sign * (1.0 + z * c)
 
 
 @_inline
@@ -119,9 +122,9 @@ def _model_force(w: Any, i: int, s: float, c: float, r: float, ax: float, ay: fl
 @_inline
 def _acceleration(w: Any, i: int, s: float, c: float, r: float, fx: float, fy: float, mz: float) -> Any:
     """Return M(q)^-1 (tau - n(q, v)), as `closed_form.forward_dynamics`."""
-    per_mass, x, y = 1.0 / w[_MASS * LANES + i], w[_CX * LANES + i], w[_CY * LANES + i]
+    per_mass, x, y = w[_MASS * LANES + i], w[_CX * LANES + i], w[_CY * LANES + i]
     dx, dy = x * c - y * s, x * s + y * c
-    spin = (mz - (dx * fy - dy * fx)) / w[_INERTIA * LANES + i]
+    spin = (mz - (dx * fy - dy * fx)) * w[_INERTIA * LANES + i]
     rate = r * r
     return fx * per_mass + dy * spin + dx * rate, fy * per_mass - dx * spin + dy * rate, spin
 
@@ -169,13 +172,15 @@ def _judge(
     w[_FORCE * LANES + i] = _larger(w[_FORCE * LANES + i], abs(fx))
     w[(_FORCE + 1) * LANES + i] = _larger(w[(_FORCE + 1) * LANES + i], abs(fy))
     w[(_FORCE + 2) * LANES + i] = _larger(w[(_FORCE + 2) * LANES + i], abs(mz))
-    w[_DISTANCE * LANES + i] = _chosen(alive, sqrt(square), math.inf)
+    w[_DISTANCE * LANES + i] = _chosen(alive, square, math.inf)
     w[_HEADING * LANES + i] = _chosen(alive, abs(ep), math.inf)
 
 
 @_inline
 def _count(w: Any, lanes: int, counts: Any) -> None:
     """Count the errors of the first `lanes` lanes in the bins of one time, shape (2, BINS)."""
+    for i in range(LANES):
+        w[_DISTANCE * LANES + i] = sqrt(w[_DISTANCE * LANES + i])
     bits = w.view(np.int64)
     for row in range(2):
         for i in range(lanes):
@@ -189,6 +194,7 @@ def _load(w: Any, inputs: Any, first: int, lanes: int) -> None:
         for i in range(LANES):
             w[row * LANES + i] = inputs[row, first + min(i, lanes - 1)]
     for i in range(LANES):
+        w[_MASS * LANES + i], w[_INERTIA * LANES + i] = 1 / w[_MASS * LANES + i], 1 / w[_INERTIA * LANES + i]
         w[_ALIVE * LANES + i] = 1.0
     for i in range(_LIVED * LANES, _MEASURED * LANES):
         w[i] = 0.0
