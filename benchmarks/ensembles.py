@@ -1,0 +1,206 @@
+"""Ensembles side by side: `ensemble` against C by hand and the peers, each checked, then timed.
+
+Usage: python benchmarks/ensembles.py [--quick] [--rounds N] [--only WORD ...]
+
+The work is in `fleet.py`, who takes part in `ensemble_contestants/__init__.py`. One whose figures are not
+the expected ones is printed as WRONG and not timed; one that would take too long is left out, and named.
+"""
+
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field
+from time import perf_counter
+
+from ensemble_contestants import EVERYONE, LIMIT, MUJOCO_CLOSED, MUJOCO_OPEN, OURS, Entrant
+from ensemble_costs import measure, show_first_calls, show_memory
+from fleet import Figures, Fleet, Run, difference
+from measuring import Row, about, console, interleaved, median_time, options, say, table
+from rich.console import Console
+from task import TOLERANCE
+
+SIZES, QUICK_SIZES = (1, 100, 10_000, 1_000_000), (1, 100, 1_000)
+JUDGED = 10_000  # robots, for the ratios that are asked for
+LONGEST, QUICK_LONGEST = 20.0, 1.0  # a turn [s]: who would take longer is left out
+ONCE = 0.2  # of that: who takes longer has one turn, in which it is checked
+ASKED = {LIMIT: 0.5, MUJOCO_OPEN: 100, MUJOCO_CLOSED: 100}  # times as fast
+
+
+@dataclass
+class Line:
+    """One contestant's rows, by number of robots, and its largest difference."""
+
+    one: Entrant
+    rows: dict[int, Row] = field(default_factory=dict)
+    apart: float = 0.0
+
+    @property
+    def out(self) -> bool:
+        """Whether it is missing, has failed or was wrong."""
+        return any(row.word and not row.word.startswith("left out") for row in self.rows.values())
+
+    def rate(self, n: int) -> float | None:
+        """Return the robot-steps in a second, in millions."""
+        row = self.rows.get(n)
+        return Fleet(n).steps / row.median / 1e6 if row and row.times else None
+
+    def short(self, n: int, longest: float) -> bool:
+        """Whether a turn is short enough to be taken again."""
+        return bool((row := self.rows.get(n)) and row.times) and row.median <= ONCE * longest
+
+    def estimate(self, n: int) -> float:
+        """Return what a turn will take [s], by the largest ensemble so far that is not overhead alone."""
+        known = [m for m, row in self.rows.items() if row.times and m >= 100]
+        return self.rows[known[-1]].median * n / known[-1] if known else 0.0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = options(__doc__.splitlines()[0])
+    parser.add_argument("--only", nargs="*", default=[], metavar="WORD", help="those with it in their name")
+    parser.add_argument("--one", help="weigh this contestant in this process, and print JSON")
+    parser.add_argument("--robots", type=int, default=1, help="how many with --one")
+    chosen = parser.parse_args(arguments)
+    if chosen.one is not None:
+        print(measure(next(one for one in EVERYONE if one.name == chosen.one), chosen.robots))
+        return 0
+    rounds = chosen.rounds or (1 if chosen.quick else 7)
+    words = [word.lower() for word in chosen.only]
+    people = [c for c in EVERYONE if not words or any(word in c.name.lower() for word in words)]
+    sizes = QUICK_SIZES if chosen.quick else SIZES
+    out = console()
+    out.print(about(), f"medians over {rounds} interleaved rounds", sep="; ")
+    longest, least = (QUICK_LONGEST, 0.0) if chosen.quick else (LONGEST, 0.1)
+    lines, sound = race(people, sizes, rounds, longest, least, note=out.status)
+    show_speeds(out, lines, sizes)
+    show_ratios(out, {line.one: line for line in lines}, sizes)
+    weighed = [(line.one, [n for n in sizes[-2:] if line.estimate(n) <= LONG]) for line in lines]
+    sound &= show_memory(
+        out, [pair for pair in weighed if pair[1]][: 2 if chosen.quick else None], sizes[-2:]
+    )
+    if OURS in people:
+        sound &= show_first_calls(out, chosen.quick)
+    return 0 if sound else 1
+
+
+def show_speeds(out: Console, lines: Sequence[Line], sizes: Sequence[int]) -> None:
+    title = "\nEnsembles of n robots, 600 steps each: million robot-steps a second"
+    columns = (*(f"n = {n:,}" for n in sizes), "largest difference")
+    shown, others = table(title, "contestant", "version", *columns), []
+    for line in lines:
+        rates = [line.rate(n) for n in sizes]
+        if any(rates):
+            cells = (f"{rate:.3g}" if rate else "" for rate in rates)
+            shown.add_row(line.one.name, line.one.peer.version, *cells, f"{line.apart:.0e}")
+        if any(rates) and line.one.easier:
+            others.append(f"{line.one.name}: easier work: {line.one.easier}")
+        words = {row.word: n for n, row in line.rows.items() if row.word}
+        others += [
+            f"{line.one.name}{f', n = {n:,}' if any(rates) else ''}: {word}" for word, n in words.items()
+        ]
+    out.print(shown)
+    say(out, others)
+
+
+def show_ratios(out: Console, lines: dict[Entrant, Line], sizes: Sequence[int]) -> None:
+    """Print what is asked of ours, and how every contestant stands to the limit."""
+    judged = JUDGED if JUDGED in sizes else sizes[-1]
+    rates = {one: rate for one, line in lines.items() if (rate := line.rate(judged))}
+    columns = ("of C, AVX2", "pinmobile is as fast, times", "asked, at least")
+    shown = table(f"\nRatios at n = {judged:,}", "contestant", "version", *columns)
+    for one, rate in sorted(rates.items(), key=lambda pair: -pair[1]):
+        limit, ours = rates.get(LIMIT), rates.get(OURS)
+        cells = (f"{rate / limit:.3g}" if limit else "", f"{ours / rate:.3g}" if ours else "")
+        shown.add_row(one.name, one.peer.version, *cells, f"{ASKED[one]:g}" if one in ASKED else "")
+    out.print(shown)
+    for one in (OURS, LIMIT):
+        rate = lines[one].rate(sizes[-1]) if one in rates else None
+        if rate and sizes[-1] != judged:
+            grown = f"{rates[one] / rate:.2f} of that at {judged:,}"
+            say(out, [f"{one.name}: time of a robot-step at n = {sizes[-1]:,}: {grown}"])
+
+
+def race(
+    people: Sequence[Entrant],
+    sizes: Sequence[int],
+    rounds: int,
+    longest: float = LONGEST,
+    least: float = 0.0,
+    note: Callable[[str], AbstractContextManager[object]] = nullcontext,
+) -> tuple[list[Line], bool]:
+    """Check all at each size, then time those who are right.
+
+    Parameters
+    ----------
+    people : sequence of Entrant
+        Who takes part.
+    sizes : sequence of int
+        Numbers of robots, in ascending order.
+    rounds : int
+        In each, all take one turn, but for those who take longer than `ONCE` of `longest`.
+    longest : float
+        A turn [s]; who would take longer, by the size before, is left out.
+    least : float
+        Length of a turn [s]; shorter ones are repeated, and their median counts.
+    note : callable
+        Makes a context in which a word on what is going on is shown.
+
+    Returns
+    -------
+    lines : list of Line
+        `times` [s] of a row is empty where a contestant is missing, fails, is wrong or left out; `word` says
+        so.
+    sound : bool
+        Whether all who are installed are right.
+    """
+    lines = [Line(one) for one in people]
+    for n in sizes:
+        turns = {}
+        for line in (line for line in lines if not line.out):
+            with note(f"checking {line.one.name}, n = {n:,}"):
+                run = enter(line, n, longest)
+            if run:
+                turns[line.one.name] = lambda run=run: median_time(lambda: timed(run)[0], least)
+        with note(f"timing {len(turns)} contestants, n = {n:,}, {rounds} rounds"):
+            times = interleaved(turns, rounds)
+        for line in lines:
+            if line.one.name in times:
+                line.rows[n].times = times[line.one.name]
+    return lines, not any(line.out and line.one.peer.installed for line in lines)
+
+
+def enter(line: Line, n: int, longest: float) -> Run | None:
+    """Add the row for n robots; return what is to be timed, if it is right and not timed already."""
+    row = line.rows[n] = Row(line.one.name)
+    if not line.one.peer.installed:
+        row.word = f"not installed: {line.one.peer.install}"
+        return None
+    if (estimate := line.estimate(n)) > longest:
+        row.word = f"left out: about {estimate:.0f} s a turn"
+        return None
+    fleet = line.one.fleet_of(n)
+    try:
+        run = line.one.prepare(fleet)
+        took, figures = timed(run)
+        apart = difference(figures, fleet)
+    except Exception as error:  # whatever a peer raises: the others go on
+        row.word = f"FAILED: {type(error).__name__}: {error}"
+        return None
+    if not apart <= TOLERANCE:
+        row.word = f"WRONG, not timed: off by {apart:.1e}"
+        return None
+    line.apart = max(line.apart, apart)
+    if took <= ONCE * longest:
+        return run
+    row.times = [took]
+    return None
+
+
+def timed(run: Run) -> tuple[float, Figures]:
+    """Return what a run takes [s], and its figures."""
+    start = perf_counter()
+    figures = run()
+    return perf_counter() - start, figures
+
+
+if __name__ == "__main__":
+    sys.exit(main())
