@@ -5,10 +5,11 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ensemble_contestants import OURS, Entrant
+from fleet import Fleet
 from measuring import say, table
 from memory import resident
 from rich.console import Console
@@ -27,36 +28,34 @@ print("\\n", imported - start, now() - imported)
 """
 
 
-def show_memory(out: Console, weighed: Sequence[tuple[Entrant, Sequence[int]]], sizes: Sequence[int]) -> bool:
+def show_memory(
+    out: Console, weighed: Sequence[tuple[Entrant, Mapping[int, Fleet]]], sizes: Sequence[int]
+) -> bool:
     """Print the peaks of each contestant at its sizes; return whether all could be weighed."""
     columns = (f"{what}, n = {n:,}" for n in sizes for what in ("peak", "run"))
-    title = "\nPeak resident memory of the process, and of the run in it, MiB"
+    title = "\nPeak resident memory of the process, and what of it the run added, MiB"
     shown, failed = table(title, "contestant", "version", *columns), []
-    for one, its_sizes in weighed:
-        cells = []
+    for one, fleets in weighed:
+        cells: list[str] = []
         for n in sizes:
             with out.status(f"weighing {one.name}, n = {n:,}"):
-                found = in_fresh_process(one, n) if n in its_sizes else ("", "")
+                found = in_fresh_process(one, fleets[n]) if n in fleets else ("", "")
             if isinstance(found, str):
                 failed.append(f"{one.name}, n = {n:,}: {found}")
                 found = ("", "")
             cells += found
-        shown.add_row(one.name, one.peer.version, *cells)
+        if any(cells):
+            shown.add_row(one.name, one.peer.version, *cells)
     out.print(shown)
-    say(
-        out,
-        [
-            *failed,
-            "the peak counts everything in the process; what was there before the run is no part of the run's",
-        ],
-    )
+    say(out, failed)
     return not failed
 
 
-def in_fresh_process(one: Entrant, n: int) -> tuple[str, str] | str:
+def in_fresh_process(one: Entrant, fleet: Fleet) -> tuple[str, str] | str:
     """Return the cells of a contestant, or the word on why there are none."""
-    program = Path(__file__).with_name("ensembles.py")
-    command = [sys.executable, str(program), "--one", one.name, "--robots", str(n)]
+    program = str(Path(__file__).with_name("ensembles.py"))
+    work = ("--robots", str(fleet.n), "--duration", str(fleet.task.duration))
+    command = [sys.executable, program, "--one", one.name, *work]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         return f"FAILED: {(done.stderr.strip().splitlines() or [f'exit {done.returncode}'])[-1]}"
@@ -64,9 +63,9 @@ def in_fresh_process(one: Entrant, n: int) -> tuple[str, str] | str:
     return f"{peak:.0f}", f"{peak - before:.0f}"
 
 
-def measure(one: Entrant, n: int) -> str:
+def measure(one: Entrant, fleet: Fleet) -> str:
     """Return resident memory before the run and at its peak [MiB], as JSON."""
-    run = one.prepare(one.fleet_of(n))
+    run = one.prepare(fleet)
     before = resident("VmRSS")
     run()
     return f"\n{json.dumps([before, resident('VmHWM')])}"

@@ -7,31 +7,33 @@ the expected ones is printed as WRONG and not timed; one that would take too lon
 """
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from time import perf_counter
 
 from ensemble_contestants import EVERYONE, LIMIT, MUJOCO_CLOSED, MUJOCO_OPEN, OURS, Entrant
 from ensemble_costs import measure, show_first_calls, show_memory
-from fleet import Figures, Fleet, Run, difference
+from fleet import LECTURE, Figures, Fleet, Run, difference
 from measuring import Row, about, console, interleaved, median_time, options, say, table
 from rich.console import Console
 from task import TOLERANCE
 
 SIZES, QUICK_SIZES = (1, 100, 10_000, 1_000_000), (1, 100, 1_000)
 JUDGED = 10_000  # robots, for the ratios that are asked for
-LONGEST, QUICK_LONGEST = 20.0, 1.0  # a turn [s]: who would take longer is left out
-ONCE = 0.2  # of that: who takes longer has one turn, in which it is checked
+LONGEST, QUICK_LONGEST = 12.0, 1.0  # a turn [s]
+ONCE = 0.3  # of that: who takes longer has one turn, in which it is checked
+PART = 0.1  # of the rollout, for those to whom all of it is too long
 ASKED = {LIMIT: 0.5, MUJOCO_OPEN: 100, MUJOCO_CLOSED: 100}  # times as fast
 
 
 @dataclass
 class Line:
-    """One contestant's rows, by number of robots, and its largest difference."""
+    """One contestant's rows and the work in them, by number of robots, and its largest difference."""
 
     one: Entrant
     rows: dict[int, Row] = field(default_factory=dict)
+    fleets: dict[int, Fleet] = field(default_factory=dict)
     apart: float = 0.0
 
     @property
@@ -42,16 +44,24 @@ class Line:
     def rate(self, n: int) -> float | None:
         """Return the robot-steps in a second, in millions."""
         row = self.rows.get(n)
-        return Fleet(n).steps / row.median / 1e6 if row and row.times else None
+        return self.fleets[n].steps / row.median / 1e6 if row and row.times else None
 
-    def short(self, n: int, longest: float) -> bool:
-        """Whether a turn is short enough to be taken again."""
-        return bool((row := self.rows.get(n)) and row.times) and row.median <= ONCE * longest
-
-    def estimate(self, n: int) -> float:
+    def estimate(self, fleet: Fleet) -> float:
         """Return what a turn will take [s], by the largest ensemble so far that is not overhead alone."""
-        known = [m for m, row in self.rows.items() if row.times and m >= 100]
-        return self.rows[known[-1]].median * n / known[-1] if known else 0.0
+        known = [rate for n in self.rows if n >= 100 and (rate := self.rate(n))]
+        return fleet.steps / known[-1] / 1e6 if known else 0.0
+
+    def words(self) -> Iterator[str]:
+        """Return what is to be said of it under the table."""
+        timed = any(row.times for row in self.rows.values())
+        if timed and self.one.easier:
+            yield f"easier work: {self.one.easier}"
+        parts = [f"{n:,}" for n, fleet in self.fleets.items() if fleet.task != LECTURE]
+        if parts:
+            yield f"n = {' and '.join(parts)}: the first {PART:.0%} of the steps"
+        for n, row in self.rows.items():
+            if row.word:
+                yield f"n = {n:,}: {row.word}" if timed else row.word
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -59,9 +69,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--only", nargs="*", default=[], metavar="WORD", help="those with it in their name")
     parser.add_argument("--one", help="weigh this contestant in this process, and print JSON")
     parser.add_argument("--robots", type=int, default=1, help="how many with --one")
+    parser.add_argument(
+        "--duration", type=float, default=LECTURE.duration, help="of the rollout with --one [s]"
+    )
     chosen = parser.parse_args(arguments)
     if chosen.one is not None:
-        print(measure(next(one for one in EVERYONE if one.name == chosen.one), chosen.robots))
+        one = next(one for one in EVERYONE if one.name == chosen.one)
+        print(measure(one, one.fleet_of(chosen.robots, chosen.duration)))
         return 0
     rounds = chosen.rounds or (1 if chosen.quick else 7)
     words = [word.lower() for word in chosen.only]
@@ -73,10 +87,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     lines, sound = race(people, sizes, rounds, longest, least, note=out.status)
     show_speeds(out, lines, sizes)
     show_ratios(out, {line.one: line for line in lines}, sizes)
-    weighed = [(line.one, [n for n in sizes[-2:] if line.estimate(n) <= LONG]) for line in lines]
-    sound &= show_memory(
-        out, [pair for pair in weighed if pair[1]][: 2 if chosen.quick else None], sizes[-2:]
-    )
+    timed = [line for line in lines if line.fleets][: 2 if chosen.quick else None]
+    sound &= show_memory(out, [(line.one, line.fleets) for line in timed], sizes[-2:])
     if OURS in people:
         sound &= show_first_calls(out, chosen.quick)
     return 0 if sound else 1
@@ -91,12 +103,7 @@ def show_speeds(out: Console, lines: Sequence[Line], sizes: Sequence[int]) -> No
         if any(rates):
             cells = (f"{rate:.3g}" if rate else "" for rate in rates)
             shown.add_row(line.one.name, line.one.peer.version, *cells, f"{line.apart:.0e}")
-        if any(rates) and line.one.easier:
-            others.append(f"{line.one.name}: easier work: {line.one.easier}")
-        words = {row.word: n for n, row in line.rows.items() if row.word}
-        others += [
-            f"{line.one.name}{f', n = {n:,}' if any(rates) else ''}: {word}" for word, n in words.items()
-        ]
+        others += [f"{line.one.name}: {word}" for word in line.words()]
     out.print(shown)
     say(out, others)
 
@@ -138,7 +145,7 @@ def race(
     rounds : int
         In each, all take one turn, but for those who take longer than `ONCE` of `longest`.
     longest : float
-        A turn [s]; who would take longer, by the size before, is left out.
+        A turn [s]; who would take longer, by the size before, does a part of the steps, or is left out.
     least : float
         Length of a turn [s]; shorter ones are repeated, and their median counts.
     note : callable
@@ -174,10 +181,11 @@ def enter(line: Line, n: int, longest: float) -> Run | None:
     if not line.one.peer.installed:
         row.word = f"not installed: {line.one.peer.install}"
         return None
-    if (estimate := line.estimate(n)) > longest:
-        row.word = f"left out: about {estimate:.0f} s a turn"
+    fleets = (line.one.fleet_of(n, part * LECTURE.duration) for part in (1, PART))
+    fleet = next((fleet for fleet in fleets if line.estimate(fleet) <= longest), None)
+    if fleet is None:
+        row.word = f"left out: about {line.estimate(line.one.fleet_of(n)):.0f} s a turn"
         return None
-    fleet = line.one.fleet_of(n)
     try:
         run = line.one.prepare(fleet)
         took, figures = timed(run)
@@ -188,7 +196,7 @@ def enter(line: Line, n: int, longest: float) -> Run | None:
     if not apart <= TOLERANCE:
         row.word = f"WRONG, not timed: off by {apart:.1e}"
         return None
-    line.apart = max(line.apart, apart)
+    line.apart, line.fleets[n] = max(line.apart, apart), fleet
     if took <= ONCE * longest:
         return run
     row.times = [took]

@@ -6,7 +6,7 @@ building the models, and is not timed; ``run() -> Figures`` does the ensemble, r
 
 import shutil
 import subprocess
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import import_module
 from importlib.util import find_spec
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from contestants import MUJOCO, NUMPY, PINOCCHIO, Contestant, Peer
-from fleet import Fleet, Run
+from fleet import LECTURE, Fleet, Run
 
 import pinmobile
 
@@ -60,9 +60,9 @@ class Entrant(Contestant):
     easier: str = ""
     fleet: tuple[str, ...] = ()
 
-    def fleet_of(self, n: int) -> Fleet:
+    def fleet_of(self, n: int, duration: float = LECTURE.duration) -> Fleet:
         """Return its robots."""
-        return Fleet(n, **dict.fromkeys(self.fleet, True))
+        return Fleet(n, task=replace(LECTURE, duration=duration), **dict.fromkeys(self.fleet, True))
 
     def prepare(self, fleet: Fleet) -> Run:
         """Return what runs the ensemble, set up."""

@@ -8,9 +8,11 @@ from contestants.raw_pinocchio import build
 from fleet import NOMINAL, Figures, Fleet, Run, Watch, command
 from task import Body
 
+FEW = 100  # robots, to whom a thread of their own is worth its start
+
 
 def rollout(fleet: Fleet) -> Run:
-    threads, dt = os.cpu_count() or 1, fleet.task.dt
+    threads, dt = max(1, min(os.cpu_count() or 1, fleet.n // FEW)), fleet.task.dt
     body = Body(fleet.mass[0], NOMINAL.yaw_inertia, (fleet.com[0], 0.0))
     plants, known = (pin.ModelPool(build(one), threads) for one in (body, NOMINAL))
 
