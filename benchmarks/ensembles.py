@@ -22,7 +22,7 @@ from task import TOLERANCE
 SIZES, QUICK_SIZES = (1, 100, 10_000, 1_000_000), (1, 100, 1_000)
 JUDGED = 10_000  # robots, for the ratios that are asked for
 LONGEST, QUICK_LONGEST = 12.0, 1.0  # a turn [s]
-ONCE = 0.3  # of that: who takes longer has one turn, in which it is checked
+ONCE = 0.25  # of that: who takes longer has one turn, in which it is checked
 PART = 0.1  # of the rollout, for those to whom all of it is too long
 ASKED = {LIMIT: 0.5, MUJOCO_OPEN: 100, MUJOCO_CLOSED: 100}  # times as fast
 
@@ -77,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         one = next(one for one in EVERYONE if one.name == chosen.one)
         print(measure(one, one.fleet_of(chosen.robots, chosen.duration)))
         return 0
-    rounds = chosen.rounds or (1 if chosen.quick else 7)
+    rounds = chosen.rounds or (1 if chosen.quick else 5)
     words = [word.lower() for word in chosen.only]
     people = [c for c in EVERYONE if not words or any(word in c.name.lower() for word in words)]
     sizes = QUICK_SIZES if chosen.quick else SIZES
@@ -87,8 +87,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     lines, sound = race(people, sizes, rounds, longest, least, note=out.status)
     show_speeds(out, lines, sizes)
     show_ratios(out, {line.one: line for line in lines}, sizes)
-    timed = [line for line in lines if line.fleets][: 2 if chosen.quick else None]
-    sound &= show_memory(out, [(line.one, line.fleets) for line in timed], sizes[-2:])
+    show_growth(out, lines, sizes, rounds)
+    weighed = [(line.one, line.fleets) for line in lines if line.fleets]
+    sound &= show_memory(out, weighed[: 2 if chosen.quick else None], sizes[-2:])
     if OURS in people:
         sound &= show_first_calls(out, chosen.quick)
     return 0 if sound else 1
@@ -110,20 +111,48 @@ def show_speeds(out: Console, lines: Sequence[Line], sizes: Sequence[int]) -> No
 
 def show_ratios(out: Console, lines: dict[Entrant, Line], sizes: Sequence[int]) -> None:
     """Print what is asked of ours, and how every contestant stands to the limit."""
-    judged = JUDGED if JUDGED in sizes else sizes[-1]
-    rates = {one: rate for one, line in lines.items() if (rate := line.rate(judged))}
+    n = JUDGED if JUDGED in sizes else sizes[-1]
     columns = ("of C, AVX2", "pinmobile is as fast, times", "asked, at least")
-    shown = table(f"\nRatios at n = {judged:,}", "contestant", "version", *columns)
-    for one, rate in sorted(rates.items(), key=lambda pair: -pair[1]):
-        limit, ours = rates.get(LIMIT), rates.get(OURS)
-        cells = (f"{rate / limit:.3g}" if limit else "", f"{ours / rate:.3g}" if ours else "")
-        shown.add_row(one.name, one.peer.version, *cells, f"{ASKED[one]:g}" if one in ASKED else "")
+    shown = table(f"\nRatios at n = {n:,}", "contestant", "version", *columns)
+    for one, line in sorted(lines.items(), key=lambda pair: -(pair[1].rate(n) or 0.0)):
+        if line.rate(n):
+            cells = times_as_fast(line, lines.get(LIMIT), n), times_as_fast(lines.get(OURS), line, n)
+            shown.add_row(one.name, one.peer.version, *cells, f"{ASKED[one]:g}" if one in ASKED else "")
     out.print(shown)
-    for one in (OURS, LIMIT):
-        rate = lines[one].rate(sizes[-1]) if one in rates else None
-        if rate and sizes[-1] != judged:
-            grown = f"{rates[one] / rate:.2f} of that at {judged:,}"
-            say(out, [f"{one.name}: time of a robot-step at n = {sizes[-1]:,}: {grown}"])
+
+
+def times_as_fast(line: Line | None, base: Line | None, n: int) -> str:
+    """Return the ratio of two rates, round by round where both had the same rounds of the same work."""
+    rates = [one.rate(n) if one else None for one in (line, base)]
+    if not all(rates):
+        return ""
+    mine, others = line.rows[n], base.rows[n]
+    alike = line.fleets[n].steps == base.fleets[n].steps and len(mine.times) == len(others.times)
+    return f"{others.ratio(mine) if alike else rates[0] / rates[1]:.3g}"
+
+
+def show_growth(out: Console, lines: Sequence[Line], sizes: Sequence[int], rounds: int) -> None:
+    """Print what a robot-step takes in the largest ensembles, measured anew and in turn."""
+    sizes = sizes[-2:]
+    found = [line.one for line in lines if line.one in (OURS, LIMIT) and all(map(line.rate, sizes))]
+    if not found:
+        return
+    fleets = {(one, n): one.fleet_of(n) for one in found for n in sizes}
+    runs = {key: key[0].prepare(fleet) for key, fleet in fleets.items()}
+    with out.status(f"timing {' and '.join(f'{n:,}' for n in sizes)} robots in turn"):
+        turns = {key: (lambda run=run: median_time(lambda: timed(run)[0], 0.2)) for key, run in runs.items()}
+        times = interleaved(turns, min(rounds, 5))
+    rows = {
+        key: Row("", times=[seconds / fleets[key].steps * 1e9 for seconds in taken])
+        for key, taken in times.items()
+    }
+    columns = (*(f"n = {n:,}, ns" for n in sizes), "ratio")
+    shown = table("\nOne robot-step", "contestant", "version", *columns)
+    for one in found:
+        few, many = (rows[one, n] for n in sizes)
+        cells = (f"{few.median:.2f}", f"{many.median:.2f}", f"{many.ratio(few):.2f}")
+        shown.add_row(one.name, one.peer.version, *cells)
+    out.print(shown)
 
 
 def race(

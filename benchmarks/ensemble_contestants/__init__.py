@@ -42,7 +42,7 @@ class Ensembles(Peer):
     @property
     def installed(self) -> bool:
         """Whether both are there."""
-        return hasattr(pinmobile, "ensemble") and find_spec("numba") is not None
+        return callable(getattr(pinmobile, "ensemble", None)) and find_spec("numba") is not None
 
 
 @dataclass(frozen=True)
