@@ -7,9 +7,9 @@ from math import tau
 from typing import Any, NamedTuple
 
 import numpy as np
-from task import GAIN, Body, Task, references
+from task import GAIN, RADIUS, RATE, Body, Task, references
 
-from pinmobile import closed_form
+from pinmobile import Circle, ComputedTorque, MobileRobot, Tangent, closed_form, simulate
 
 NOMINAL = Body(mass=30.0, yaw_inertia=1.3, com=(0.1, 0.0))  # the robot that the controller believes in
 LECTURE = Task(0.1, body=NOMINAL)  # 601 samples
@@ -156,6 +156,22 @@ def expected(fleet: Fleet) -> Figures:
     for k, (error, force) in enumerate(zip(*trajectories(fleet), strict=True)):
         watch.see(k, error, force)
     return watch.figures()
+
+
+def simulated(fleet: Fleet) -> Figures:
+    """Return what `simulate` says, one robot after the other."""
+    known = MobileRobot(NOMINAL.mass, NOMINAL.yaw_inertia, com=NOMINAL.com)
+    controller = ComputedTorque(known, GAIN, GAIN)
+    trajectory = Tangent(Circle(RADIUS, RATE, fleet.task.duration))
+    plants = [
+        MobileRobot(mass, NOMINAL.yaw_inertia, com=(com, 0.0))
+        for mass, com in zip(fleet.mass, fleet.com, strict=True)
+    ]
+    runs = [simulate(plant, controller, trajectory, dt=fleet.task.dt) for plant in plants]
+    errors = np.array([run.error for run in runs])
+    figures = ([run.max_error() for run in runs], [run.rms_error() for run in runs])
+    forces = np.array([run.max_force() for run in runs])
+    return Figures(*map(np.array, figures), forces, np.linalg.norm(errors[..., :2], axis=-1).max(axis=1))
 
 
 def difference(found: Figures, fleet: Fleet) -> float:

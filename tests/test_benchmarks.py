@@ -14,8 +14,6 @@ from urllib.request import urlopen
 import numpy as np
 import pytest
 
-from pinmobile import Circle, ComputedTorque, MobileRobot, Tangent, simulate
-
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 PEERS = ("mujoco", "pydrake", "roboticstoolbox", "pybullet", "jax", "numba")
 SHORT = 2.0  # s
@@ -203,16 +201,8 @@ def ensemble_of(bench: SimpleNamespace, prepare: Any, **differs: Any) -> Any:
 
 def test_the_expected_figures_are_those_of_simulate(bench: SimpleNamespace) -> None:
     fleet = bench.fleet.Fleet(2)
-    found = bench.fleet.expected(fleet)
-    known = MobileRobot(30.0, 1.3, com=(0.1, 0.0))
-    for i, (mass, com) in enumerate(zip(fleet.mass, fleet.com, strict=True)):
-        plant = MobileRobot(mass, 1.3, com=(com, 0.0))
-        run = simulate(plant, ComputedTorque(known, 4, 4), Tangent(Circle(3.0, 0.1, 60.0)), dt=0.1)
-        np.testing.assert_allclose(found.max_error[i], run.max_error(), atol=1e-12)
-        np.testing.assert_allclose(found.rms_error[i], run.rms_error(), atol=1e-12)
-        np.testing.assert_allclose(found.max_force[i], run.max_force(), atol=1e-11)
-        farthest = np.linalg.norm(run.error[:, :2], axis=1).max()
-        np.testing.assert_allclose(found.max_distance[i], farthest, atol=1e-12)
+    assert fleet.mass[0] != fleet.mass[1]
+    assert bench.fleet.difference(bench.fleet.simulated(fleet), fleet) < 1e-12
 
 
 def test_bins_are_32_to_an_octave(bench: SimpleNamespace) -> None:
@@ -242,7 +232,12 @@ def test_a_wrong_figure_is_reported_and_not_timed(bench: SimpleNamespace, figure
         spoiled = (
             np.roll(right.histogram, 2, axis=-1) if figure == "histogram" else getattr(right, figure) + 1e-6
         )
-        return lambda: runs.append(fleet) or right._replace(**{figure: spoiled})
+
+        def run() -> Any:
+            runs.append(fleet)
+            return right._replace(**{figure: spoiled})
+
+        return run
 
     (line,), sound = bench.ensembles.race([ensemble_of(bench, prepare)], [1, 3], rounds=3)
     assert not sound
@@ -256,7 +251,12 @@ def test_slow_ensembles_do_a_part_or_are_left_out(
 ) -> None:
     def prepare(fleet: Any) -> Any:
         right = bench.fleet.expected(fleet)
-        return lambda: sleep(fleet.steps / 6e6) or right
+
+        def run() -> Any:
+            sleep(fleet.steps / 6e6)
+            return right
+
+        return run
 
     monkeypatch.setattr(bench.fleet, "CHECKED", 10_000)
     (line,), sound = bench.ensembles.race(
