@@ -22,7 +22,7 @@ SHORT = 2.0  # s
 @pytest.fixture
 def bench(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     monkeypatch.syspath_prepend(BENCHMARKS)
-    ensembles = ("ensemble_contestants", "ensemble_costs", "ensembles", "fleet")
+    ensembles = ("ensemble_contestants", "ensemble_costs", "ensemble_race", "ensembles", "fleet")
     names = ("calls", "contestants", "rollout", "stock_server", "task", "viewing", *ensembles)
     return SimpleNamespace(**{name: import_module(name) for name in names})
 
@@ -239,7 +239,7 @@ def test_a_wrong_figure_is_reported_and_not_timed(bench: SimpleNamespace, figure
 
         return run
 
-    (line,), sound = bench.ensembles.race([ensemble_of(bench, prepare)], [1, 3], rounds=3)
+    (line,), sound = bench.ensemble_race.race([ensemble_of(bench, prepare)], [1, 3], rounds=3, longest=9.0)
     assert not sound
     assert line.rows[1].word.startswith("WRONG, not timed: off by ")
     assert line.rate(1) is None
@@ -259,7 +259,7 @@ def test_slow_ensembles_do_a_part_or_are_left_out(
         return run
 
     monkeypatch.setattr(bench.fleet, "CHECKED", 10_000)
-    (line,), sound = bench.ensembles.race(
+    (line,), sound = bench.ensemble_race.race(
         [ensemble_of(bench, prepare)], [100, 200, 3_000], rounds=2, longest=0.015
     )
     assert sound
@@ -272,7 +272,7 @@ def test_slow_ensembles_do_a_part_or_are_left_out(
 def test_a_missing_ensemble_is_named_with_what_installs_it(bench: SimpleNamespace) -> None:
     absent = bench.contestants.Peer("no_such_module", "absent", "pip install absent")
     one = bench.ensemble_contestants.Entrant("absent", absent, "none")
-    (line,), sound = bench.ensembles.race([one], [1, 2], rounds=1)
+    (line,), sound = bench.ensemble_race.race([one], [1, 2], rounds=1, longest=9.0)
     assert sound
     assert list(line.words()) == ["not installed: pip install absent"]
 
