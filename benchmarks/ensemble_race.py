@@ -10,7 +10,7 @@ from fleet import LECTURE, Figures, Fleet, Run, difference
 from measuring import Row, interleaved, median_time
 from task import TOLERANCE
 
-ONCE = 0.25  # of the longest turn: who takes longer has one, in which it is checked
+ONCE = 0.2  # of the longest turn: who takes longer has one, in which it is checked
 PART = 0.1  # of the rollout, for those to whom all of it is too long
 
 

@@ -10,9 +10,9 @@
 #define BLOCK 64          /* robots that go through time together: their state stays in the first cache */
 #define LANES 8           /* a block is filled up to a whole number of vectors */
 #define OCTAVES 44        /* of the histograms: from 2^-34 to 2^10 */
-#define BINS (32 * OCTAVES)
-#define LEAST 0x1p-34
-#define MOST 0x1.fffffp+9
+#define BINS (32 * OCTAVES + 2) /* with the one below and the one above */
+#define LEAST 0x1.fcp-35        /* in the bin below */
+#define MOST 0x1p+10            /* in the bin above */
 #define PI 3.14159265358979312
 #define PI_REST 1.22464679914735321e-16 /* pi - PI */
 #define ROUND 0x1.8p52    /* added, it rounds to a whole number, whose parity is the last bit */
@@ -113,11 +113,15 @@ static inline void move(Block *b, long count, const Shared *all) {
     }
 }
 
+static inline int64_t bin(double value) {
+    value = larger(value, LEAST);
+    return (bits(value < MOST ? value : MOST) >> 47) - (bits(LEAST) >> 47);
+}
+
 static void count_errors(const Block *b, long real, int32_t *distances, int32_t *turns) {
     for (long i = 0; i < real; i++) {
-        double d = larger(sqrt(b->distance[i]), LEAST), e = larger(b->turn[i], LEAST);
-        distances[(bits(d < MOST ? d : MOST) - bits(LEAST)) >> 47]++;
-        turns[(bits(e < MOST ? e : MOST) - bits(LEAST)) >> 47]++;
+        distances[bin(sqrt(b->distance[i]))]++;
+        turns[bin(b->turn[i])]++;
     }
 }
 

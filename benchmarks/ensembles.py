@@ -19,7 +19,7 @@ from task import TOLERANCE
 
 SIZES, QUICK_SIZES = (1, 100, 10_000, 1_000_000), (1, 100, 1_000)
 JUDGED = 10_000  # robots, for the ratios that are asked for
-LONGEST, QUICK_LONGEST = 12.0, 1.0  # a turn [s]
+LONGEST, QUICK_LONGEST = 8.0, 1.0  # a turn [s]
 ASKED = {LIMIT: 0.5, MUJOCO_OPEN: 100, MUJOCO_CLOSED: 100}  # times as fast
 
 

@@ -16,7 +16,7 @@ LECTURE = Task(0.1, body=NOMINAL)  # 601 samples
 EVERY = 10  # samples from one histogram to the next
 OCTAVES = (-34, 10)  # of the histograms' bins, powers of two
 PER_OCTAVE = 5  # leading bits of the mantissa that tell bins apart: 32 bins
-BINS = (OCTAVES[1] - OCTAVES[0]) << PER_OCTAVE
+BINS = ((OCTAVES[1] - OCTAVES[0]) << PER_OCTAVE) + 2  # with the one below and the one above
 CHECKED = 300  # robots whose figures are checked, at most: four blocks of 64 and a part of one
 MOVED = 1e-3  # share of the counts that may be in a neighbour's bin: those which rounding takes over an edge
 
@@ -113,10 +113,10 @@ class Watch:
 
 
 def counted(values: np.ndarray) -> np.ndarray:
-    """Return how many of the values are in each bin, by their leading bits; those outside at the ends."""
+    """Return how many of the values are in each bin, by their leading bits."""
     shift = np.int64(52 - PER_OCTAVE)
     bins = (values.view(np.int64) >> shift) - (np.float64(2.0 ** OCTAVES[0]).view(np.int64) >> shift)
-    return np.bincount(np.clip(bins, 0, BINS - 1), minlength=BINS)
+    return np.bincount(np.clip(bins + 1, 0, BINS - 1), minlength=BINS)
 
 
 def on_circle(angle: Any, library: Any = np) -> Any:

@@ -68,3 +68,13 @@ def test_wrapped_angle_lies_in_the_half_open_interval_and_points_the_same_way(an
 
 def test_half_a_turn_to_either_side_is_plus_pi() -> None:
     assert arrays.wrap_angle(np.array([np.pi, -np.pi, 3 * np.pi])).tolist() == [np.pi] * 3
+
+
+def test_a_seed_is_what_numpy_takes_for_one_but_never_nothing() -> None:
+    seeds = 7, np.int64(7), np.random.SeedSequence(7), np.random.PCG64(7)
+    assert len({arrays.seeded("seed", seed).random() for seed in seeds}) == 1
+    generator = np.random.default_rng(1)
+    assert arrays.seeded("seed", generator) is generator
+    for seed in (None, -1, 1.5, "a", True):
+        with pytest.raises(InvalidArgument, match=r"^seed is .*, expected a whole number >= 0 or a Gen"):
+            arrays.seeded("seed", seed)

@@ -32,7 +32,17 @@ ALLOWED: dict[str, set[str]] = {
     "trajectories": {"paths"},
     "controllers": {"arrays"},
     "integrators": {"arrays"},
-    "simulation": {"robot", "trajectories", "controllers", "integrators"},
+    "disturbances": {"arrays"},
+    "simulation": {"robot", "trajectories", "controllers", "integrators", "disturbances"},
+    "ensembles": {
+        "closed_form",
+        "robot",
+        "trajectories",
+        "controllers",
+        "disturbances",
+        "integrators",
+        "simulation",
+    },
     "plots": {"simulation"},
     "viewer": {"robot", "simulation"},
 }

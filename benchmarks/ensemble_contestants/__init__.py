@@ -76,7 +76,7 @@ class Entrant(Contestant):
 NO_COMPILER = "a C compiler with OpenMP (apt-get install gcc), on a processor with {}"
 AVX2 = Compiler("cc()", "", NO_COMPILER.format("AVX2"))
 AVX512 = Compiler("cc()", "", NO_COMPILER.format("AVX-512"), vectors="avx512f")
-ENSEMBLES = Ensembles("pinmobile", "pinmobile", "pip install -e '.[ensemble]'")
+ENSEMBLES = Ensembles("pinmobile", "pinmobile", "pip install -e '.[ensembles]'")
 JAX = Peer("jax", "jax", "pip install 'jax[cpu]'")
 NO_COUNTS = "no histograms over time"
 

@@ -1,6 +1,6 @@
 """pinmobile, by its public names."""
 
-from fleet import GAIN, NOMINAL, Figures, Fleet, Run
+from fleet import EVERY, GAIN, NOMINAL, Figures, Fleet, Run
 from task import RADIUS, RATE
 
 from pinmobile import Circle, ComputedTorque, MobileRobot, Tangent, ensemble
@@ -14,7 +14,10 @@ def rollout(fleet: Fleet) -> Run:
     spread = {"mass": fleet.mass, "com_x": fleet.com}
 
     def run() -> Figures:
-        done = ensemble(robot, controller, trajectory, n=fleet.n, spread=spread, seed=0, dt=fleet.task.dt)
-        return Figures(done.max_error, done.rms_error, done.max_force, done.max_distance)
+        done = ensemble(
+            robot, controller, trajectory, n=fleet.n, spread=spread, seed=0, dt=fleet.task.dt, every=EVERY
+        )
+        figures = done.max_error, done.rms_error, done.max_force, done.max_distance
+        return Figures(*figures, done.counts.transpose(1, 0, 2))
 
     return run

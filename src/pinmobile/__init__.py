@@ -1,14 +1,28 @@
 """Dynamics and control of ground robots on Pinocchio.
 
-What needs sympy, matplotlib or meshcat is loaded when it is asked for: `verify`, and the modules
-`derivation`, `verification`, `plots` and `viewer`.
+What only some need, and all that needs sympy, matplotlib, meshcat or numba, is loaded when it is asked for.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from pinmobile.controllers import PD, ComputedTorque, law, planar_difference
+from pinmobile.controllers import (
+    PD,
+    ComputedTorque,
+    Delayed,
+    NoisyMeasurement,
+    Saturated,
+    law,
+    planar_difference,
+)
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHRow, DHTable, JointType
+from pinmobile.disturbances import (
+    ConstantForce,
+    NoiseForce,
+    RollingResistance,
+    SinusoidalForce,
+    ViscousFriction,
+)
 from pinmobile.errors import Diverged, InvalidArgument, PinmobileError, UnknownName, ViewerError
 from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
 from pinmobile.paths import Circle, CubicVia, Lissajous, Spline
@@ -18,6 +32,7 @@ from pinmobile.trajectories import FixedHeading, LectureHeading, Reference, Tang
 from pinmobile.urdf import shipped_urdf
 
 if TYPE_CHECKING:
+    from pinmobile.ensembles import Ensemble, Normal, Same, Scenario, Uniform, ensemble
     from pinmobile.verification import verify
 
 __version__ = "0.1.0"
@@ -28,24 +43,38 @@ __all__ = [
     "SLIDE_TABLE",
     "Circle",
     "ComputedTorque",
+    "ConstantForce",
     "CubicVia",
     "DHRow",
     "DHTable",
+    "Delayed",
     "Diverged",
+    "Ensemble",
     "FixedHeading",
     "InvalidArgument",
     "JointType",
     "LectureHeading",
     "Lissajous",
     "MobileRobot",
+    "NoiseForce",
+    "NoisyMeasurement",
+    "Normal",
     "PinmobileError",
     "Reference",
+    "RollingResistance",
     "Rollout",
+    "Same",
+    "Saturated",
+    "Scenario",
+    "SinusoidalForce",
     "Spline",
     "Tangent",
+    "Uniform",
     "UnknownName",
     "ViewerError",
+    "ViscousFriction",
     "constant_acceleration",
+    "ensemble",
     "law",
     "planar_difference",
     "rk4",
@@ -55,12 +84,16 @@ __all__ = [
     "verify",
 ]
 
-_LAZY_MODULES = ("derivation", "plots", "verification", "viewer")
+_LAZY_MODULES = ("derivation", "ensembles", "plots", "verification", "viewer")
+_LAZY_NAMES = {
+    **dict.fromkeys(("Ensemble", "Normal", "Same", "Scenario", "Uniform", "ensemble"), "ensembles"),
+    "verify": "verification",
+}
 
 
 def __getattr__(name: str) -> Any:
-    if name == "verify":
-        return import_module("pinmobile.verification").verify
+    if name in _LAZY_NAMES:
+        return getattr(import_module(f"pinmobile.{_LAZY_NAMES[name]}"), name)
     if name in _LAZY_MODULES:
         return import_module(f"pinmobile.{name}")
     raise AttributeError(f"module 'pinmobile' has no attribute {name!r}")

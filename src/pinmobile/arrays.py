@@ -20,6 +20,7 @@ __all__ = [
     "non_negative",
     "positive",
     "scalar",
+    "seeded",
     "vector",
     "whole",
     "wrap_angle",
@@ -134,6 +135,30 @@ def whole(name: str, value: Any, *, least: int = 1) -> int:
     if number != int(number) or number < least:
         raise InvalidArgument(f"{name} is {value!r}, expected a whole number >= {least}")
     return int(number)
+
+
+def seeded(name: str, seed: Any) -> "np.random.Generator":
+    """Return the generator of a seed; one that is a generator comes back as it is.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    seed : int, SeedSequence, BitGenerator or Generator
+        The argument.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is none of these: without a seed, nothing could be repeated.
+    """
+    # The annotation is text, since numpy loads its random module only when it is named.
+    try:
+        if seed is None or isinstance(seed, bool):
+            raise TypeError
+        return np.random.default_rng(seed)
+    except (TypeError, ValueError):
+        raise InvalidArgument(f"{name} is {seed!r}, expected a whole number >= 0 or a Generator") from None
 
 
 def location(name: str, value: Any) -> Path:

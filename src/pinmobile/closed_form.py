@@ -14,7 +14,15 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite, vector
 from pinmobile.errors import InvalidArgument
 
-__all__ = ["coriolis_matrix", "forward_dynamics", "inverse_dynamics", "mass_matrix", "nonlinear_effects"]
+__all__ = [
+    "coriolis_matrix",
+    "forward_dynamics",
+    "inverse_dynamics",
+    "mass_matrix",
+    "nonlinear_effects",
+    "unchecked_forward_dynamics",
+    "unchecked_inverse_dynamics",
+]
 
 
 def mass_matrix(q: ArrayLike, *, mass: ArrayLike, yaw_inertia: ArrayLike, com: ArrayLike = (0, 0)) -> Array:
@@ -142,12 +150,7 @@ def inverse_dynamics(
     """
     q, v, a = vector("q", q, 3), vector("v", v, 3), vector("a", a, 3)
     broadcast(q=q, v=v, a=a)
-    m, inertia, dx, dy = _body(q, mass, yaw_inertia, com)
-    rate2, spin = v[..., 2] ** 2, a[..., 2]
-    fx = m * (a[..., 0] - dy * spin - dx * rate2)
-    fy = m * (a[..., 1] + dx * spin - dy * rate2)
-    moment = inertia * spin + m * (dx * (a[..., 1] + dx * spin) - dy * (a[..., 0] - dy * spin))
-    return _stack(fx, fy, moment)
+    return _inverse(v, a, *_body(q, mass, yaw_inertia, com))
 
 
 def forward_dynamics(
@@ -187,10 +190,56 @@ def forward_dynamics(
     """
     q, v, tau = vector("q", q, 3), vector("v", v, 3), vector("tau", tau, 3)
     broadcast(q=q, v=v, tau=tau)
-    m, inertia, dx, dy = _body(q, mass, yaw_inertia, com)
+    return _forward(v, tau, *_body(q, mass, yaw_inertia, com))
+
+
+def unchecked_inverse_dynamics(
+    q: Array, v: Array, a: Array, mass: Array, yaw_inertia: Array, com_x: Array, com_y: Array
+) -> Array:
+    """Return `inverse_dynamics` without a look at the arguments: for loops that judge what comes.
+
+    Parameters
+    ----------
+    q, v, a : ndarray, shape (..., 3)
+        As in `inverse_dynamics`.
+    mass, yaw_inertia, com_x, com_y : ndarray, shape (...)
+        As in `inverse_dynamics`, with the leading axes of q.
+    """
+    return _inverse(v, a, mass, yaw_inertia, *_turned(q, com_x, com_y))
+
+
+def unchecked_forward_dynamics(
+    q: Array, v: Array, tau: Array, mass: Array, yaw_inertia: Array, com_x: Array, com_y: Array
+) -> Array:
+    """Return `forward_dynamics` without a look at the arguments: for loops that judge what comes.
+
+    Parameters
+    ----------
+    q, v, tau : ndarray, shape (..., 3)
+        As in `forward_dynamics`.
+    mass, yaw_inertia, com_x, com_y : ndarray, shape (...)
+        As in `forward_dynamics`, with the leading axes of q.
+    """
+    return _forward(v, tau, mass, yaw_inertia, *_turned(q, com_x, com_y))
+
+
+def _inverse(v: Array, a: Array, m: Array, inertia: Array, dx: Array, dy: Array) -> Array:
+    rate2, spin = v[..., 2] ** 2, a[..., 2]
+    fx = m * (a[..., 0] - dy * spin - dx * rate2)
+    fy = m * (a[..., 1] + dx * spin - dy * rate2)
+    moment = inertia * spin + m * (dx * (a[..., 1] + dx * spin) - dy * (a[..., 0] - dy * spin))
+    return _stack(fx, fy, moment)
+
+
+def _forward(v: Array, tau: Array, m: Array, inertia: Array, dx: Array, dy: Array) -> Array:
     rate2, fx, fy = v[..., 2] ** 2, tau[..., 0], tau[..., 1]
     spin = (tau[..., 2] - (dx * fy - dy * fx)) / inertia
     return _stack(fx / m + dy * spin + dx * rate2, fy / m - dx * spin + dy * rate2, spin)
+
+
+def _turned(q: Array, x: Array, y: Array) -> tuple[Array, Array]:
+    c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
+    return x * c - y * s, x * s + y * c
 
 
 def _body(q: Array, mass: ArrayLike, yaw_inertia: ArrayLike, com: ArrayLike) -> tuple[Array, ...]:
@@ -199,10 +248,8 @@ def _body(q: Array, mass: ArrayLike, yaw_inertia: ArrayLike, com: ArrayLike) -> 
     for name, value in (("mass", m), ("yaw_inertia", inertia)):
         if not (value > 0).all():
             raise InvalidArgument(f"{name} is {value.min()}, expected > 0")
-    c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
-    x, y = com[..., 0], com[..., 1]
     try:
-        parts = np.broadcast_arrays(m, inertia, x * c - y * s, x * s + y * c)
+        parts = np.broadcast_arrays(m, inertia, *_turned(q, com[..., 0], com[..., 1]))
     except ValueError:
         raise InvalidArgument(
             f"q, mass, yaw_inertia and com have leading shapes {q.shape[:-1]}, {m.shape}, {inertia.shape} "

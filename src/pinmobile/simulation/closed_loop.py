@@ -1,13 +1,16 @@
 """`simulate`: a controller in the loop with a plant, checked before, judged after."""
 
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, positive, vector, whole
+from pinmobile.arrays import Array, ArrayLike, finite, positive, whole
 from pinmobile.controllers import Controller
+from pinmobile.disturbances import Force
 from pinmobile.errors import Diverged, InvalidArgument
 from pinmobile.integrators import Integrator, constant_acceleration
+from pinmobile.simulation.checks import checked_forces, checked_loop, sample_times, sampled
 from pinmobile.simulation.loop import Loop
 from pinmobile.simulation.rollout import Rollout
 from pinmobile.trajectories import Reference, Trajectory
@@ -15,8 +18,6 @@ from pinmobile.trajectories import Reference, Trajectory
 __all__ = ["Plant", "simulate"]
 
 _CHUNK = 512  # samples between two looks for divergence
-_WHOLE = 1e-9  # relative rounding allowed in duration / dt
-_MOST = 1e8  # samples: beyond, some 20 GB of numbers
 
 
 class Plant(Protocol):
@@ -55,13 +56,15 @@ def simulate(
     v0: ArrayLike | None = None,
     integrator: Integrator = constant_acceleration,
     substeps: int = 1,
+    forces: Sequence[Force] = (),
     limit: float = 1e3,
 ) -> Rollout:
     """Run the closed loop from 0 to `duration` and record every sample.
 
     The controller is asked at t = 0, dt, 2 dt, ...; its force is held in between, as a digital controller's
     is. The integrator divides each dt into `substeps`. Force and acceleration are recorded at the last
-    sample too.
+    sample too. The other `forces` act on the body in continuous time: each stage of the integrator sees them
+    at its own time and state. They are part of the recorded acceleration, not of the recorded tau.
 
     Parameters
     ----------
@@ -81,6 +84,9 @@ def simulate(
         One step of the plant, see `pinmobile.integrators`.
     substeps : int
         Steps of the integrator per dt.
+    forces : sequence of callables
+        What acts besides the controller, see `pinmobile.disturbances`: each ``force(t, q, v)`` gets the pose
+        (x, y, psi) and its rate, shape (3,), and returns (Fx, Fy, Mz) [N, N, N m].
     limit : float
         The loop counts as diverged when an error in a coordinate (psi on the circle) or in a velocity is
         beyond it [m, rad, m/s, rad/s].
@@ -92,29 +98,18 @@ def simulate(
     Raises
     ------
     InvalidArgument
-        If an argument is not what is expected, or the controller returns something else than a force.
+        If an argument is not what is expected, or the controller or a force returns something else than a
+        force.
     Diverged
         If a number is no longer finite or an error is beyond `limit`; it carries what was recorded before.
     """
     dt, limit = positive("dt", dt, "s"), positive("limit", limit)
-    if isinstance(controller, type) or not hasattr(controller, "initial_state"):
-        raise InvalidArgument(
-            f"controller is {controller!r}, expected a controller: wrap a function in law(...)"
-        )
-    for name, value, attribute in (
-        ("plant", plant, "forward_dynamics"),
-        ("trajectory", trajectory, "duration"),
-    ):
-        if isinstance(value, type) or not hasattr(value, attribute):
-            raise InvalidArgument(f"{name} is {value!r}, expected something with {attribute!r}")
-    if isinstance(integrator, type) or not callable(integrator):
-        raise InvalidArgument(
-            f"integrator is {integrator!r}, expected one of pinmobile.integrators or such a step"
-        )
-    t = _sample_times(dt, duration, trajectory.duration)
-    reference = _sampled(trajectory, t, plant)
+    checked_loop(plant, controller, trajectory, integrator)
+    t = sample_times(dt, duration, trajectory.duration)
+    reference = sampled(trajectory, t, plant)
     start = _start("q0", q0, reference.q[0]), _start("v0", v0, reference.v[0])
-    loop = Loop(plant, controller, integrator, reference, t, dt, whole("substeps", substeps), *start)
+    count, checked = whole("substeps", substeps), checked_forces(forces, plant)
+    loop = Loop(plant, controller, integrator, reference, t, dt, count, checked, *start)
     for begin in range(0, len(t), _CHUNK):
         end = min(begin + _CHUNK, len(t))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # the check below tells
@@ -128,49 +123,6 @@ def simulate(
             message = f"the loop diverged at t = {t[bad]:g} s (sample {bad} of {len(t) - 1}): {why}"
             raise Diverged(message, time=float(t[bad]), q=q[0], v=v[0], rollout=kept)
     return _rollout(plant, t, loop, reference, len(t))
-
-
-def _sample_times(dt: float, duration: float | None, longest: float) -> Array:
-    total = longest if duration is None else positive("duration", duration, "s")
-    if total > longest * (1 + _WHOLE):
-        raise InvalidArgument(f"duration is {total} s, expected at most the trajectory's {longest} s")
-    if dt > total * (1 + _WHOLE):
-        raise InvalidArgument(f"dt is {dt} s, expected at most the duration, {total} s")
-    if total / dt > _MOST:
-        raise InvalidArgument(
-            f"dt is {dt} s, which makes {total / dt:.3g} samples, expected at most {_MOST:g}"
-        )
-    steps = round(total / dt)
-    if abs(steps * dt - total) > _WHOLE * total:
-        below = int(total / dt)
-        raise InvalidArgument(
-            f"duration is {total} s, expected a whole number of steps dt = {dt} s, "
-            f"such as {below * dt:.12g} s"
-        )
-    t = np.arange(steps + 1) * dt
-    t[-1] = total
-    return np.asarray(np.minimum(t, longest))
-
-
-def _sampled(trajectory: Trajectory, t: Array, plant: Plant) -> Reference:
-    try:
-        reference = trajectory(t)
-    except (TypeError, ValueError) as error:
-        raise InvalidArgument(
-            f"trajectory cannot be asked for an array of {len(t)} times: {error}"
-        ) from error
-    for name, size in (("q", plant.nq), ("v", plant.nv), ("a", plant.nv)):
-        value = np.asarray(getattr(reference, name, None))
-        if value.shape != (len(t), size):
-            raise InvalidArgument(
-                f"trajectory gives {name} of shape {value.shape} for {len(t)} times, "
-                f"expected ({len(t)}, {size})"
-            )
-    return Reference(*(vector(f"trajectory's {n}", getattr(reference, n), s) for n, s in _sizes(plant)))
-
-
-def _sizes(plant: Plant) -> tuple[tuple[str, int], ...]:
-    return ("q", plant.nq), ("v", plant.nv), ("a", plant.nv)
 
 
 def _start(name: str, value: ArrayLike | None, default: Array) -> Array:

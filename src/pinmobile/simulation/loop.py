@@ -7,15 +7,24 @@ product each. Whatever a user brings is called in public order. All follow the s
 
 from collections.abc import Callable
 from math import isfinite
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pinmobile.arrays import Array, wrap_angle
 from pinmobile.controllers import PD, ComputedTorque, Controller, gain_matrix, planar_difference
+from pinmobile.disturbances import Force
 from pinmobile.errors import InvalidArgument
 from pinmobile.integrators import Integrator, RungeKuttaNystrom
 from pinmobile.robot import MobileRobot
+from pinmobile.simulation.steps import (
+    Clock,
+    forward_of,
+    pushed,
+    steps,
+    steps_between_configurations,
+    tabled_steps,
+)
 from pinmobile.trajectories import Reference
 
 if TYPE_CHECKING:
@@ -23,16 +32,13 @@ if TYPE_CHECKING:
 
 __all__ = ["Loop"]
 
-Forward: TypeAlias = Callable[[Array, Array, Array], Array]
-Advance: TypeAlias = Callable[[int, Array, Array, Array, Array, Array, Array], None]
-
 
 class Loop:
     """Records of a closed loop, and the means to fill them.
 
     Parameters
     ----------
-    plant, controller, integrator, reference, t, dt, substeps
+    plant, controller, integrator, reference, t, dt, substeps, forces
         As in `simulate`, checked; the reference is sampled at the times `t`, shape (N + 1,).
     q0, v0 : ndarray, shape (nq,) and (nv,)
         Start.
@@ -47,6 +53,7 @@ class Loop:
         t: Array,
         dt: float,
         substeps: int,
+        forces: tuple[Force, ...],
         q0: Array,
         v0: Array,
     ) -> None:
@@ -59,29 +66,34 @@ class Loop:
         self.forces = np.empty((len(t), plant.nu))
         self.rows[0, : self.nq + self.nv] = np.concatenate([self._reordered(q0), self._reordered(v0)])
         self.desired = np.hstack([self._reordered(reference.q), self._reordered(reference.v)])
-        self.forward = plant._engine.forward if chained else _forward(plant)  # type: ignore[attr-defined]
+        self.forward = plant._engine.forward if chained else forward_of(plant)  # type: ignore[attr-defined]
         if chained and _is_known(controller):
             accelerations = self._reordered(reference.a)
             self.control = _feedback(controller, self.desired, accelerations, np.asarray(self.order))
         else:
             self.control = _asked(controller, reference, t, plant.nu, self.order)
+        self.times = t.tolist()
+        self.push = pushed(forces, self.order, self.nv) if forces else None
+        clock = Clock(self.times, dt / substeps, substeps)
         if isinstance(integrator, RungeKuttaNystrom) and self.adds:
-            self.advance = _tabled_steps(integrator, self.forward, self.nv, dt, substeps)
+            self.advance = tabled_steps(integrator, self.forward, self.push, clock, self.nv)
         elif self.adds:
-            self.advance = _steps(integrator, self.forward, t, dt, substeps)
+            self.advance = steps(integrator, self.forward, self.push, clock)
         else:
-            self.advance = _steps_between_configurations(integrator, plant, t, dt, substeps)
+            self.advance = steps_between_configurations(integrator, plant, self.push, clock)
 
     def run(self, begin: int, end: int) -> None:
         """Fill the samples from `begin` to before `end`, and the state at `end`."""
         nq, n, last = self.nq, self.nq + self.nv, self.last
         control, forward, advance = self.control, self.forward, self.advance
+        push, times = self.push, self.times
         rows, following = self.rows[begin:end], self.rows[begin + 1 : end + 1, :n]
         # Views that come from iteration cost half of those that come from indexing.
         parts = rows, rows[:, :nq], rows[:, nq:n], rows[:, :n], rows[:, n:], following, self.forces[begin:end]
         for k, (row, q, v, state, acceleration, after, held) in enumerate(zip(*parts, strict=True), begin):
             held[:] = force = control(k, state, q, v)
-            acceleration[:] = a = forward(q, v, force)
+            applied = force if push is None else force + push(times[k], q, v)
+            acceleration[:] = a = forward(q, v, applied)
             if k < last:
                 advance(k, row, q, v, force, a, after)
 
@@ -113,15 +125,6 @@ def _is_known(controller: Any) -> bool:
         and (controller.difference is planar_difference or controller.difference is np.subtract)
         and type(getattr(controller, "robot", None)) in (MobileRobot, type(None))
     )
-
-
-def _forward(plant: "Plant") -> Forward:
-    """Return forward dynamics in public order, unchecked where the plant allows."""
-    if type(plant) is not MobileRobot:
-        return plant.forward_dynamics
-    engine = plant._engine
-    forward, order = engine.forward, engine.order
-    return lambda q, v, tau: forward(q[order], v[order], tau[order])[order]
 
 
 def _asked(
@@ -174,80 +177,3 @@ def _feedback(
         return inverse(q, v, command)  # type: ignore[no-any-return]
 
     return control
-
-
-def _tabled_steps(table: RungeKuttaNystrom, forward: Forward, n: int, dt: float, substeps: int) -> Advance:
-    """Return `substeps` steps of a tabled method, one matrix product per stage.
-
-    The work row is (q, v, a_1, ..., a_s); each matrix maps the part that is known to a state.
-    """
-    h = dt / substeps
-    work, state = np.empty((2 + len(table.nodes)) * n), np.empty(2 * n)
-    stages = [
-        (_state_matrix(c, by_q, by_v, h, n), work[: (2 + i) * n], work[(2 + i) * n : (3 + i) * n])
-        for i, (c, by_q, by_v) in enumerate(zip(table.nodes, table.stages_q, table.stages_v, strict=True))
-    ][1:]
-    finish = _state_matrix(1.0, table.weights_q, table.weights_v, h, n)
-    stage_q, stage_v = state[:n], state[n:]
-    start, first = work[: 2 * n], work[2 * n : 3 * n]
-
-    def one_product(k: int, row: Array, q: Array, v: Array, force: Array, a: Array, after: Array) -> None:
-        finish(row, after)
-
-    def advance(k: int, row: Array, q: Array, v: Array, force: Array, a: Array, after: Array) -> None:
-        work[: 3 * n] = row
-        for j in range(substeps):
-            if j:
-                start[:] = after
-                first[:] = forward(start[:n], start[n:], force)
-            for product, known, found in stages:
-                product(known, state)
-                found[:] = forward(stage_q, stage_v, force)
-            finish(work, after)
-
-    return advance if stages or substeps > 1 else one_product
-
-
-def _state_matrix(
-    c: float, by_q: tuple[float, ...], by_v: tuple[float, ...], h: float, n: int
-) -> Callable[[Array, Array], Array]:
-    """Return the product with the matrix that maps (q, v, a_1, ...) to a state (q, v)."""
-    rows = [[1.0, c * h, *(weight * h * h for weight in by_q)], [0.0, 1.0, *(weight * h for weight in by_v)]]
-    return np.kron(rows, np.eye(n)).dot
-
-
-def _steps(integrator: Integrator, forward: Forward, t: Array, dt: float, substeps: int) -> Advance:
-    """Return `substeps` steps of any integrator, for configurations that simply add."""
-    times, h = t.tolist(), dt / substeps
-
-    def advance(k: int, row: Array, q: Array, v: Array, force: Array, a: Array, after: Array) -> None:
-        def acceleration(time: float, x: Array, w: Array) -> Array:
-            return a if x is q and w is v else forward(x, w, force)
-
-        x, w = q, v
-        for j in range(substeps):
-            x, w = integrator(acceleration, times[k] + j * h, x, w, h)
-        after[: len(q)] = x
-        after[len(q) :] = w
-
-    return advance
-
-
-def _steps_between_configurations(
-    integrator: Integrator, plant: "Plant", t: Array, dt: float, substeps: int
-) -> Advance:
-    """Return `substeps` steps of any integrator, which sees the displacement from the start of its step."""
-    times, h, rest = t.tolist(), dt / substeps, np.zeros(plant.nv)
-
-    def advance(k: int, row: Array, q: Array, v: Array, force: Array, a: Array, after: Array) -> None:
-        def acceleration(time: float, displacement: Array, w: Array) -> Array:
-            return plant.forward_dynamics(plant.integrate(base, displacement), w, force)
-
-        base, w = q, v
-        for j in range(substeps):
-            displacement, w = integrator(acceleration, times[k] + j * h, rest.copy(), w, h)
-            base = plant.integrate(base, displacement)
-        after[: len(q)] = base
-        after[len(q) :] = w
-
-    return advance

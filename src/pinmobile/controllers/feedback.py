@@ -1,99 +1,15 @@
-"""Controllers: from state and reference to generalised force.
+"""Feedback of the error in configuration and velocity: PD, and computed torque."""
 
-A controller is called as ``controller(t, q, v, reference, state) -> (tau, state)``: it takes its own state
-and returns the next one (None where it has no memory, see `initial_state`). q, v and tau have shape
-(..., n); a reference has the attributes q, v and a of that shape. Those of this module broadcast over
-leading axes.
-"""
-
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeAlias, final
+from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, wrap_angle
+from pinmobile.arrays import Array, ArrayLike, finite, frozen
+from pinmobile.controllers.protocol import Difference, InverseDynamics, State, planar_difference
 from pinmobile.errors import InvalidArgument
 
-__all__ = [
-    "PD",
-    "ComputedTorque",
-    "Controller",
-    "Difference",
-    "InverseDynamics",
-    "State",
-    "gain_matrix",
-    "law",
-    "planar_difference",
-]
-
-Difference: TypeAlias = Callable[[Array, Array], Array]
-
-
-class State(Protocol):
-    """A configuration, a velocity and an acceleration, each of shape (..., n)."""
-
-    @property
-    def q(self) -> Array:
-        """Configuration."""
-
-    @property
-    def v(self) -> Array:
-        """Velocity."""
-
-    @property
-    def a(self) -> Array:
-        """Acceleration."""
-
-
-class InverseDynamics(Protocol):
-    """What `ComputedTorque` needs of a robot."""
-
-    @property
-    def nv(self) -> int:
-        """Size of v."""
-
-    def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
-        """Return M(q) a + n(q, v)."""
-
-
-class Controller(Protocol):
-    """What `simulate` needs of a controller."""
-
-    def initial_state(self) -> Any:
-        """Return the state to start with; None where there is no memory."""
-
-    def __call__(self, t: float, q: Array, v: Array, reference: Any, state: Any) -> tuple[Array, Any]:
-        """Return the generalised force, shape (..., nu), and the next state."""
-
-
-def planar_difference(q_d: Array, q: Array) -> Array:
-    """Return q_d - q with the difference of the heading on the circle.
-
-    Parameters
-    ----------
-    q_d, q : array_like, shape (..., n), n >= 3
-        Configurations; the third coordinate is psi [rad].
-
-    Returns
-    -------
-    error : ndarray, shape (..., n)
-        Its third coordinate lies in (-pi, pi]. The lecture's own subtraction is `numpy.subtract`.
-
-    Raises
-    ------
-    InvalidArgument
-        If there is no third coordinate.
-    """
-    error = np.subtract(q_d, q, dtype=np.float64)
-    if not error.ndim or error.shape[-1] < 3:
-        raise InvalidArgument(
-            f"configurations have shape {error.shape}, expected (..., n) with n >= 3; "
-            "without a heading, compare them with difference=numpy.subtract"
-        )
-    if error.ndim > 1 or not -np.pi < error[2] <= np.pi:
-        error[..., 2] = wrap_angle(error[..., 2])
-    return error
+__all__ = ["PD", "ComputedTorque", "gain_matrix"]
 
 
 @final
@@ -167,36 +83,6 @@ class ComputedTorque:
         """Return the generalised force, shape (..., n), and None."""
         command = reference.a + _feedback(self, q, v, reference)
         return self.robot.inverse_dynamics(q, v, command), None
-
-
-@dataclass(frozen=True)
-class _Law:
-    function: Callable[[float, Array, Array, Any], ArrayLike]
-
-    def initial_state(self) -> None:
-        """Return None: there is no memory."""
-
-    def __call__(self, t: float, q: Array, v: Array, reference: Any, state: None) -> tuple[Array, None]:
-        """Return what the function returns, and None."""
-        return np.asarray(self.function(t, q, v, reference), np.float64), None
-
-
-def law(function: Callable[[float, Array, Array, Any], ArrayLike]) -> Controller:
-    """Return a controller without memory made of a plain function.
-
-    Parameters
-    ----------
-    function : callable
-        ``function(t, q, v, reference) -> tau``, with `reference` a `Reference`.
-
-    Raises
-    ------
-    InvalidArgument
-        If it cannot be called.
-    """
-    if not callable(function):
-        raise InvalidArgument(f"function is {function!r}, expected a function of t, q, v and reference")
-    return _Law(function)
 
 
 def gain_matrix(name: str, gain: ArrayLike, n: int) -> Array:

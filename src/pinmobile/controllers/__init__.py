@@ -1,0 +1,35 @@
+"""Controllers: from state and reference to generalised force.
+
+A controller is called as ``controller(t, q, v, reference, state) -> (tau, state)``: it takes its own state
+and returns the next one (None where it has no memory, see `initial_state`). q, v and tau have shape
+(..., n); a reference has the attributes q, v and a of that shape. Those of this module broadcast over
+leading axes. `Saturated`, `Delayed` and `NoisyMeasurement` wrap any of them, and each other.
+"""
+
+from pinmobile.controllers.feedback import PD, ComputedTorque, gain_matrix
+from pinmobile.controllers.law import law
+from pinmobile.controllers.protocol import (
+    Controller,
+    Difference,
+    InverseDynamics,
+    State,
+    check_controller,
+    planar_difference,
+)
+from pinmobile.controllers.wrappers import Delayed, NoisyMeasurement, Saturated
+
+__all__ = [
+    "PD",
+    "ComputedTorque",
+    "Controller",
+    "Delayed",
+    "Difference",
+    "InverseDynamics",
+    "NoisyMeasurement",
+    "Saturated",
+    "State",
+    "check_controller",
+    "gain_matrix",
+    "law",
+    "planar_difference",
+]

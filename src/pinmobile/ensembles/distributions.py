@@ -1,0 +1,129 @@
+"""From what the numbers of an ensemble's robots are drawn."""
+
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeAlias, final, runtime_checkable
+
+import numpy as np
+
+from pinmobile.arrays import Array, ArrayLike, finite, non_negative, scalar
+from pinmobile.errors import InvalidArgument
+
+__all__ = ["Distribution", "Normal", "Same", "Source", "Uniform", "drawn"]
+
+
+@runtime_checkable
+class Distribution(Protocol):
+    """What a spread may hold; a frozen distribution of `scipy.stats` (with ``rvs``) is as good."""
+
+    def sample(self, generator: np.random.Generator, size: int) -> Array:
+        """Return `size` independent draws, shape (size,)."""
+
+
+@final
+@dataclass(frozen=True)
+class Uniform:
+    """Equally likely anywhere between two bounds.
+
+    Parameters
+    ----------
+    low, high : float
+        The bounds, low <= high, in the unit of what is drawn.
+
+    Raises
+    ------
+    InvalidArgument
+        If a bound is not finite, or `low` is above `high`.
+    """
+
+    low: float
+    high: float
+
+    def __post_init__(self) -> None:
+        for name in ("low", "high"):
+            object.__setattr__(self, name, scalar(name, getattr(self, name)))
+        if self.low > self.high:
+            raise InvalidArgument(f"low is {self.low}, expected at most high, {self.high}")
+
+    def sample(self, generator: np.random.Generator, size: int) -> Array:
+        """Return `size` independent draws, shape (size,)."""
+        return generator.uniform(self.low, self.high, size)
+
+
+@final
+@dataclass(frozen=True)
+class Normal:
+    """The normal distribution.
+
+    Parameters
+    ----------
+    mean, std : float
+        Mean and standard deviation >= 0, in the unit of what is drawn.
+
+    Raises
+    ------
+    InvalidArgument
+        If one is not finite, or `std` is negative.
+    """
+
+    mean: float
+    std: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "mean", scalar("mean", self.mean))
+        object.__setattr__(self, "std", non_negative("std", self.std))
+
+    def sample(self, generator: np.random.Generator, size: int) -> Array:
+        """Return `size` independent draws, shape (size,)."""
+        return generator.normal(self.mean, self.std, size)
+
+
+@final
+@dataclass(frozen=True)
+class Same:
+    """The same number as another one of the robot's, or a multiple of it.
+
+    ``{"mass": Uniform(20, 40), "model_mass": Same("mass")}`` tells the controller the true mass;
+    ``Same("mass", Normal(1, 0.1))`` a mass that is off by some 10 %.
+
+    Parameters
+    ----------
+    name : str
+        Name of the other parameter, spread or not.
+    factor : float, array_like of shape (n,) or distribution
+        What it is multiplied by.
+    """
+
+    name: str
+    factor: Any = 1.0
+
+
+Source: TypeAlias = Distribution | Same | ArrayLike
+
+
+def drawn(name: str, source: Any, generator: np.random.Generator, size: int) -> Array:
+    """Return draws from a distribution, shape (size,).
+
+    Parameters
+    ----------
+    name : str
+        Name of what is drawn, for the message.
+    source : Distribution or frozen distribution of scipy.stats
+        What is drawn from.
+    generator : numpy.random.Generator
+        The randomness.
+    size : int
+        How many.
+
+    Raises
+    ------
+    InvalidArgument
+        If what comes is not `size` finite numbers.
+    """
+    if hasattr(source, "sample"):
+        values = source.sample(generator, size)
+    else:
+        values = source.rvs(size=size, random_state=generator)
+    draws = finite(f"what spread[{name!r}] draws", values)
+    if draws.shape != (size,):
+        raise InvalidArgument(f"spread[{name!r}] draws shape {draws.shape}, expected ({size},)")
+    return draws

@@ -1,0 +1,241 @@
+"""`Ensemble`: what came of the robots of a scenario, with its own judgement."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinmobile.arrays import Array, ArrayLike, whole
+from pinmobile.ensembles.batch import Member, member_of
+from pinmobile.ensembles.histogram import levels, quantiles
+from pinmobile.ensembles.part import Part
+from pinmobile.ensembles.scenario import Scenario
+from pinmobile.errors import Diverged, InvalidArgument
+from pinmobile.simulation import Rollout, simulate
+
+__all__ = ["Bands", "Ensemble", "Within"]
+
+
+class Bands(NamedTuple):
+    """Quantiles over the robots, as functions of time.
+
+    Attributes
+    ----------
+    t : ndarray, shape (G,)
+        Times [s].
+    levels : ndarray, shape (L,)
+        Shares of the robots.
+    distance, heading : ndarray, shape (L, G)
+        That share of the robots is at most this far from the desired position [m] and heading [rad];
+        infinite where fewer have not diverged.
+    """
+
+    t: Array
+    levels: Array
+    distance: Array
+    heading: Array
+
+
+class Within(NamedTuple):
+    """What a share of the robots stays within, all the time: infinite where fewer have not diverged.
+
+    Attributes
+    ----------
+    distance : float
+        From the desired position [m].
+    heading : float
+        From the desired heading [rad].
+    """
+
+    distance: float
+    heading: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Ensemble:
+    """The records of n robots.
+
+    Attributes
+    ----------
+    scenario : Scenario
+        What was run.
+    draws : dict of str to ndarray, shape (n,)
+        What each robot got of each parameter that is spread.
+    max_error, rms_error : ndarray, shape (n, 3)
+        Largest, and root of the mean squared, error of x, y and psi [m, m, rad]; of a diverged robot until
+        then, NaN where it was beyond the limit from the start.
+    max_distance : ndarray, shape (n,)
+        Largest distance from the desired position [m]; so too.
+    max_force : ndarray, shape (n, 3)
+        Largest |tau| [N, N, N m]; so too.
+    diverged_at : ndarray, shape (n,)
+        When the loop diverged [s]; NaN where it did not.
+    counts : ndarray of int, shape (G, 2, BINS)
+        At each time of `Scenario.grid`, how many robots have a distance, and an error of the heading, of
+        which size, see `pinmobile.ensembles.histogram`.
+    traces : dict of int to Rollout
+        Everything of the robots that were asked for; of a diverged one until then.
+    """
+
+    scenario: Scenario
+    draws: Mapping[str, Array]
+    max_error: Array
+    rms_error: Array
+    max_distance: Array
+    max_force: Array
+    diverged_at: Array
+    counts: NDArray[np.int32]
+    traces: Mapping[int, Rollout]
+
+    def __post_init__(self) -> None:
+        for array in (*self.draws.values(), *(getattr(self, name) for name in _ARRAYS)):
+            array.setflags(write=False)
+
+    @classmethod
+    def of(
+        cls, scenario: Scenario, draws: Mapping[str, Array], part: Part, traces: Iterable[int] = ()
+    ) -> "Ensemble":
+        """Return the ensemble of all records of a scenario.
+
+        Parameters
+        ----------
+        scenario : Scenario
+            What was run.
+        draws : mapping of str to ndarray, shape (n,)
+            What was drawn.
+        part : Part
+            The records of all n.
+        traces : iterable of int
+            Robots of which a whole `Rollout` is made.
+        """
+        never = part.lived == 0
+        for array in (part.max_error, part.max_distance, part.rms_error, part.max_force):
+            array[never] = np.nan
+        samples = len(scenario.t)
+        times = np.append(scenario.t, np.nan)
+        made = cls(
+            scenario=scenario,
+            draws=dict(draws),
+            max_error=part.max_error,
+            rms_error=part.rms_error,
+            max_distance=part.max_distance,
+            max_force=part.max_force,
+            diverged_at=times[np.minimum(part.lived, samples)],
+            counts=part.counts,
+            traces={},
+        )
+        object.__setattr__(made, "traces", {i: made.trace(i) for i in traces})
+        return made
+
+    def __len__(self) -> int:
+        return self.scenario.n
+
+    @property
+    def diverged(self) -> NDArray[np.bool_]:
+        """Which robots diverged, shape (n,)."""
+        return ~np.isnan(self.diverged_at)
+
+    def within(self, share: float = 0.99) -> Within:
+        """Return what a share of the robots stays within, exactly, a diverged one being beyond everything.
+
+        Raises
+        ------
+        InvalidArgument
+            If `share` is not between 0 and 1.
+        """
+        level = levels(share)[0]
+        sizes = (np.where(self.diverged, np.inf, x) for x in (self.max_distance, self.max_error[:, 2]))
+        return Within(*(float(np.quantile(x, level, method="inverted_cdf")) for x in sizes))
+
+    def bands(self, levels_: ArrayLike = (0.5, 0.9, 0.99)) -> Bands:
+        """Return quantiles of the errors over time, to the width of a bin, 2 to 3 %.
+
+        Parameters
+        ----------
+        levels_ : array_like, shape (L,)
+            Shares of the robots, from 0 to 1.
+
+        Raises
+        ------
+        InvalidArgument
+            If one is not.
+        """
+        wanted = levels(levels_)
+        found = quantiles(self.counts.astype(np.int64), wanted)
+        return Bands(self.scenario.grid, wanted, found[..., 0], found[..., 1])
+
+    def worst(self, count: int = 5) -> NDArray[np.intp]:
+        """Return the robots that did worst, the worst first.
+
+        Those that diverged come first, in order of time; then those that strayed farthest.
+        """
+        earliest = np.where(self.diverged, self.diverged_at, np.inf)
+        farthest = np.where(self.diverged, np.inf, self.max_distance)
+        return np.lexsort((-farthest, earliest))[: whole("count", count)]
+
+    def member(self, i: int) -> Member:
+        """Return robot i as the arguments of `simulate`.
+
+        Raises
+        ------
+        InvalidArgument
+            If there is no such robot.
+        """
+        index = whole("i", i, least=0)
+        if index >= len(self):
+            raise InvalidArgument(f"i is {index}, expected 0 to {len(self) - 1}")
+        return member_of(self.scenario, index)
+
+    def trace(self, i: int) -> Rollout:
+        """Return everything of robot i, made by `simulate`: the same numbers but for rounding.
+
+        Raises
+        ------
+        InvalidArgument
+            If there is no such robot.
+        Diverged
+            If it is beyond the limit from the start.
+        """
+        member = self.member(i)
+        try:
+            return simulate(*member[:3], **member.options)
+        except Diverged as diverged:
+            if diverged.rollout is None:
+                raise
+            rollout: Rollout = diverged.rollout
+            return rollout
+
+    def __repr__(self) -> str:
+        return f"<Ensemble: {self._judgement()}>"
+
+    def __str__(self) -> str:
+        rows = [self._judgement(), f"seed {self.scenario.seed}, {len(self.scenario.t)} samples each"]
+        for name, values in _columns(self).items():
+            good = values[np.isfinite(values)]
+            if len(good):
+                low, middle, high = np.quantile(good, (0.0, 0.5, 1.0))
+                rows.append(f"{name:<28} least {low:.4g}, median {middle:.4g}, largest {high:.4g}")
+        return "\n".join(rows)
+
+    def _judgement(self) -> str:
+        distance, heading = self.within(0.99)
+        count = int(self.diverged.sum())
+        return (
+            f"{len(self):,} robots over {self.scenario.t[-1]:g} s: 99 % stay within {distance:.4g} m and "
+            f"{heading:.4g} rad, {f'{count:,} diverged' if count else 'none diverged'}"
+        )
+
+
+_ARRAYS = ("max_error", "rms_error", "max_distance", "max_force", "diverged_at", "counts")
+
+
+def _columns(made: Ensemble) -> dict[str, Array]:
+    columns: dict[str, Any] = {"largest distance [m]": made.max_distance}
+    for k, (name, unit, force, newton) in enumerate(
+        (("x", "m", "Fx", "N"), ("y", "m", "Fy", "N"), ("psi", "rad", "Mz", "N m"))
+    ):
+        columns[f"largest error of {name} [{unit}]"] = made.max_error[:, k]
+        columns[f"largest {force} [{newton}]"] = made.max_force[:, k]
+    return columns

@@ -1,0 +1,132 @@
+"""What `simulate` refuses before it starts, and the times and references of its samples."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pinmobile.arrays import Array, positive, vector
+from pinmobile.controllers import check_controller
+from pinmobile.disturbances import Force
+from pinmobile.errors import InvalidArgument
+from pinmobile.trajectories import Reference, Trajectory
+
+if TYPE_CHECKING:
+    from pinmobile.simulation.closed_loop import Plant
+
+__all__ = ["checked_forces", "checked_loop", "sample_times", "sampled"]
+
+_WHOLE = 1e-9  # relative rounding allowed in duration / dt
+_PLANE = 3  # coordinates that a force on the body acts on
+_MOST = 1e8  # samples: beyond, some 20 GB of numbers
+
+
+def checked_loop(plant: Any, controller: Any, trajectory: Any, integrator: Any) -> None:
+    """Refuse what is no plant, controller, trajectory or integrator.
+
+    Raises
+    ------
+    InvalidArgument
+        If one of them is not.
+    """
+    check_controller(controller)
+    for name, value, attribute in (
+        ("plant", plant, "forward_dynamics"),
+        ("trajectory", trajectory, "duration"),
+    ):
+        if isinstance(value, type) or not hasattr(value, attribute):
+            raise InvalidArgument(f"{name} is {value!r}, expected something with {attribute!r}")
+    if isinstance(integrator, type) or not callable(integrator):
+        raise InvalidArgument(
+            f"integrator is {integrator!r}, expected one of pinmobile.integrators or such a step"
+        )
+
+
+def sample_times(dt: float, duration: float | None, longest: float) -> Array:
+    """Return the times of the samples, shape (N + 1,) [s].
+
+    Parameters
+    ----------
+    dt : float
+        Sampling time > 0 [s].
+    duration : float or None
+        Time of the last sample [s]; None: `longest`.
+    longest : float
+        Duration of the trajectory [s].
+
+    Raises
+    ------
+    InvalidArgument
+        If the duration is no whole number of steps, or beyond the trajectory's.
+    """
+    total = longest if duration is None else positive("duration", duration, "s")
+    if total > longest * (1 + _WHOLE):
+        raise InvalidArgument(f"duration is {total} s, expected at most the trajectory's {longest} s")
+    if dt > total * (1 + _WHOLE):
+        raise InvalidArgument(f"dt is {dt} s, expected at most the duration, {total} s")
+    if total / dt > _MOST:
+        raise InvalidArgument(
+            f"dt is {dt} s, which makes {total / dt:.3g} samples, expected at most {_MOST:g}"
+        )
+    steps = round(total / dt)
+    if abs(steps * dt - total) > _WHOLE * total:
+        below = int(total / dt)
+        raise InvalidArgument(
+            f"duration is {total} s, expected a whole number of steps dt = {dt} s, "
+            f"such as {below * dt:.12g} s"
+        )
+    t = np.arange(steps + 1) * dt
+    t[-1] = total
+    return np.asarray(np.minimum(t, longest))
+
+
+def sampled(trajectory: Trajectory, t: Array, plant: "Plant") -> Reference:
+    """Return the reference at the times `t`, shape (N + 1,) [s].
+
+    Raises
+    ------
+    InvalidArgument
+        If what the trajectory gives does not fit the plant.
+    """
+    try:
+        reference = trajectory(t)
+    except (TypeError, ValueError) as error:
+        raise InvalidArgument(
+            f"trajectory cannot be asked for an array of {len(t)} times: {error}"
+        ) from error
+    for name, size in (("q", plant.nq), ("v", plant.nv), ("a", plant.nv)):
+        value = np.asarray(getattr(reference, name, None))
+        if value.shape != (len(t), size):
+            raise InvalidArgument(
+                f"trajectory gives {name} of shape {value.shape} for {len(t)} times, "
+                f"expected ({len(t)}, {size})"
+            )
+    return Reference(*(vector(f"trajectory's {n}", getattr(reference, n), s) for n, s in _sizes(plant)))
+
+
+def _sizes(plant: "Plant") -> tuple[tuple[str, int], ...]:
+    return ("q", plant.nq), ("v", plant.nv), ("a", plant.nv)
+
+
+def checked_forces(forces: Any, plant: "Plant") -> tuple[Force, ...]:
+    """Return the forces, after refusing what is none, or a plant that cannot feel them.
+
+    Raises
+    ------
+    InvalidArgument
+        If one is no function, or the plant's input is no generalised force.
+    """
+    if callable(forces):
+        raise InvalidArgument(f"forces is {forces!r}, expected a sequence of forces, such as [force]")
+    try:
+        listed = tuple(forces)
+    except TypeError:
+        raise InvalidArgument(f"forces is {forces!r}, expected a sequence of forces") from None
+    for k, force in enumerate(listed):
+        if isinstance(force, type) or not callable(force):
+            raise InvalidArgument(f"forces[{k}] is {force!r}, expected a function of t, q and v")
+    if listed and not plant.nu == plant.nv >= _PLANE:
+        raise InvalidArgument(
+            f"forces are given for a plant with nv = {plant.nv} and nu = {plant.nu}, "
+            "expected one whose input is (Fx, Fy, Mz, ...)"
+        )
+    return listed

@@ -1,0 +1,143 @@
+"""Steps of the plant between two samples, under a held force and under those that act in between."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from pinmobile.arrays import Array
+from pinmobile.disturbances import Force
+from pinmobile.errors import InvalidArgument
+from pinmobile.integrators import Integrator, RungeKuttaNystrom
+from pinmobile.robot import MobileRobot
+
+if TYPE_CHECKING:
+    from pinmobile.simulation.closed_loop import Plant
+
+__all__ = ["Clock", "forward_of", "pushed", "steps", "steps_between_configurations", "tabled_steps"]
+
+Forward: TypeAlias = Callable[[Array, Array, Array], Array]
+Push: TypeAlias = Callable[[float, Array, Array], Array]
+Advance: TypeAlias = Callable[[int, Array, Array, Array, Array, Array, Array], None]
+
+
+class Clock(NamedTuple):
+    """When samples are taken, and how the integrator divides the time between two."""
+
+    times: list[float]  # [s] of the samples
+    h: float  # [s]
+    substeps: int
+
+
+def forward_of(plant: "Plant") -> Forward:
+    """Return forward dynamics in public order, unchecked where the plant allows."""
+    if type(plant) is not MobileRobot:
+        return plant.forward_dynamics
+    engine = plant._engine
+    forward, order = engine.forward, engine.order
+    return lambda q, v, tau: forward(q[order], v[order], tau[order])[order]
+
+
+def pushed(forces: tuple[Force, ...], order: Any, nv: int) -> Push:
+    """Return the sum of the forces, shape (nv,), in the order of the loop; they get copies of the state."""
+
+    def push(t: float, q: Array, v: Array) -> Array:
+        total = np.zeros(nv)
+        plane = total[:3]
+        for k, force in enumerate(forces):
+            own_q, own_v = (q[:3].copy(), v[:3].copy()) if order is None else (q[order], v[order])
+            tau = force(t, own_q, own_v)
+            if type(tau) is not np.ndarray or tau.shape != (3,):
+                raise InvalidArgument(
+                    f"forces[{k}] returned {tau!r} at t = {t:g} s, expected an array of shape (3,)"
+                )
+            plane += tau
+        return total if order is None else total[order]
+
+    return push
+
+
+def tabled_steps(
+    table: RungeKuttaNystrom, forward: Forward, push: Push | None, clock: Clock, n: int
+) -> Advance:
+    """Return the steps of a tabled method, one matrix product per stage.
+
+    The work row is (q, v, a_1, ..., a_s); each matrix maps the part that is known to a state.
+    """
+    times, h, substeps = clock
+    work, state = np.empty((2 + len(table.nodes)) * n), np.empty(2 * n)
+    stages = [
+        (c, _state_matrix(c, by_q, by_v, h, n), work[: (2 + i) * n], work[(2 + i) * n : (3 + i) * n])
+        for i, (c, by_q, by_v) in enumerate(zip(table.nodes, table.stages_q, table.stages_v, strict=True))
+    ][1:]
+    finish = _state_matrix(1.0, table.weights_q, table.weights_v, h, n)
+    stage_q, stage_v = state[:n], state[n:]
+    start, first = work[: 2 * n], work[2 * n : 3 * n]
+
+    def one_product(k: int, row: Array, q: Array, v: Array, force: Array, a: Array, after: Array) -> None:
+        finish(row, after)
+
+    def advance(k: int, row: Array, q: Array, v: Array, force: Array, a: Array, after: Array) -> None:
+        work[: 3 * n] = row
+        for j in range(substeps):
+            if j:
+                start[:] = after
+                q, v = start[:n], start[n:]
+                first[:] = forward(q, v, force if push is None else force + push(times[k] + j * h, q, v))
+            for c, product, known, found in stages:
+                product(known, state)
+                applied = force if push is None else force + push(times[k] + (j + c) * h, stage_q, stage_v)
+                found[:] = forward(stage_q, stage_v, applied)
+            finish(work, after)
+
+    return advance if stages or substeps > 1 else one_product
+
+
+def _state_matrix(
+    c: float, by_q: tuple[float, ...], by_v: tuple[float, ...], h: float, n: int
+) -> Callable[[Array, Array], Array]:
+    """Return the product with the matrix that maps (q, v, a_1, ...) to a state (q, v)."""
+    rows = [[1.0, c * h, *(weight * h * h for weight in by_q)], [0.0, 1.0, *(weight * h for weight in by_v)]]
+    return np.kron(rows, np.eye(n)).dot
+
+
+def steps(integrator: Integrator, forward: Forward, push: Push | None, clock: Clock) -> Advance:
+    """Return the steps of any integrator, for configurations that simply add."""
+    times, h, substeps = clock
+
+    def advance(k: int, row: Array, q: Array, v: Array, force: Array, a: Array, after: Array) -> None:
+        now = times[k]
+
+        def acceleration(time: float, x: Array, w: Array) -> Array:
+            if x is q and w is v and (push is None or time == now):
+                return a
+            return forward(x, w, force if push is None else force + push(time, x, w))
+
+        x, w = q, v
+        for j in range(substeps):
+            x, w = integrator(acceleration, now + j * h, x, w, h)
+        after[: len(q)] = x
+        after[len(q) :] = w
+
+    return advance
+
+
+def steps_between_configurations(
+    integrator: Integrator, plant: "Plant", push: Push | None, clock: Clock
+) -> Advance:
+    """Return the steps of any integrator, which sees the displacement from the start of its step."""
+    (times, h, substeps), rest = clock, np.zeros(plant.nv)
+
+    def advance(k: int, row: Array, q: Array, v: Array, force: Array, a: Array, after: Array) -> None:
+        def acceleration(time: float, displacement: Array, w: Array) -> Array:
+            x = plant.integrate(base, displacement)
+            return plant.forward_dynamics(x, w, force if push is None else force + push(time, x, w))
+
+        base, w = q, v
+        for j in range(substeps):
+            displacement, w = integrator(acceleration, times[k] + j * h, rest.copy(), w, h)
+            base = plant.integrate(base, displacement)
+        after[: len(q)] = base
+        after[len(q) :] = w
+
+    return advance

@@ -1,0 +1,250 @@
+"""Limits, delay and measurement noise around a controller."""
+
+import pickle
+import re
+from concurrent.futures import ThreadPoolExecutor
+from copy import deepcopy
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pinmobile import (
+    PD,
+    Circle,
+    ComputedTorque,
+    Delayed,
+    FixedHeading,
+    InvalidArgument,
+    MobileRobot,
+    NoisyMeasurement,
+    Reference,
+    Saturated,
+    law,
+    simulate,
+)
+from pinmobile.arrays import Array
+
+ROBOT = MobileRobot(10, 1.2, com=(0.15, 0.05))
+CIRCLE = FixedHeading(Circle(1.0, 0.5, 12.0), 0.3)
+START: dict[str, Any] = {"q0": (0.2, -0.1, 0.9), "v0": (0.1, 0.0, -0.4)}
+REST = Reference(*np.zeros((3, 3)))
+TOLD = law(lambda t, q, v, reference: q)  # its force is the configuration that it is told of
+
+
+class Counter:
+    """A controller with memory: its force is the number of times it was asked before."""
+
+    def initial_state(self) -> int:
+        return 0
+
+    def __call__(self, t: float, q: Array, v: Array, reference: Any, state: int) -> tuple[Array, int]:
+        return np.full(3, float(state)), state + 1
+
+
+def asked(controller: Any, qs: Array, vs: Array | None = None) -> Array:
+    """Return the force at each sample, as a loop of the user's own would get it."""
+    state, forces = controller.initial_state(), []
+    for k, q in enumerate(qs):
+        tau, state = controller(0.1 * k, q, np.zeros(3) if vs is None else vs[k], REST, state)
+        forces.append(tau)
+    return np.array(forces)
+
+
+QS, VS = np.random.default_rng(0).normal(size=(2, 600, 3))
+
+
+def test_a_force_beyond_its_limit_is_the_limit() -> None:
+    forces = asked(Saturated(TOLD, (0.5, 1, 2)), QS)
+    np.testing.assert_array_equal(forces, np.clip(QS, [-0.5, -1, -2], [0.5, 1, 2]))
+    np.testing.assert_array_equal(asked(Saturated(TOLD, 0.5), QS), np.clip(QS, -0.5, 0.5))
+    assert np.isnan(asked(Saturated(TOLD, 1), np.full((1, 3), np.nan))).all()
+
+
+@given(seed=st.integers(0, 2**32 - 1), limits=st.lists(st.floats(0.1, 100), min_size=3, max_size=3))
+def test_no_force_is_beyond_the_limits_and_none_within_is_changed(seed: int, limits: list[float]) -> None:
+    q, v = np.random.default_rng(seed).normal(size=(2, 5, 3))
+    inner = ComputedTorque(ROBOT, 9, 6)
+    free, _ = inner(0.0, q, v, REST, None)
+    tau, _ = Saturated(inner, limits)(0.0, q, v, REST, None)
+    assert (np.abs(tau) <= limits).all()
+    within = np.abs(free) <= limits
+    np.testing.assert_array_equal(tau[within], free[within])
+    assert (np.sign(tau) == np.sign(free)).all()
+
+
+def test_a_delayed_controller_is_told_of_the_state_that_many_samples_ago() -> None:
+    for samples in (0, 1, 3):
+        expected = QS[np.maximum(np.arange(600) - samples, 0)]
+        np.testing.assert_array_equal(asked(Delayed(TOLD, samples), QS), expected)
+    both = asked(Delayed(law(lambda t, q, v, reference: v), 2), QS, VS)
+    np.testing.assert_array_equal(both, VS[np.maximum(np.arange(600) - 2, 0)])
+
+
+def test_the_reference_is_not_delayed() -> None:
+    seen = law(lambda t, q, v, reference: reference.q)
+    rollout = simulate(ROBOT, Delayed(seen, 4), CIRCLE, dt=0.1, duration=1.0)
+    np.testing.assert_array_equal(rollout.tau, rollout.reference.q)
+
+
+def test_a_delay_keeps_its_own_copies_and_no_more_than_it_needs() -> None:
+    controller, q = Delayed(TOLD, 2), np.zeros(3)
+    state, forces = controller.initial_state(), []
+    for k in range(6):
+        q[:] = k  # as in a loop that has one array
+        tau, state = controller(0.0, q, q, REST, state)
+        assert len(state[1]) <= 2
+        forces.append(tau[0])
+    assert forces == [0, 0, 0, 1, 2, 3]
+
+
+def test_two_delays_are_their_sum() -> None:
+    np.testing.assert_array_equal(asked(Delayed(Delayed(TOLD, 2), 3), QS), asked(Delayed(TOLD, 5), QS))
+
+
+def test_noise_is_the_table_of_its_seed_however_it_grew() -> None:
+    table = np.random.default_rng(7).standard_normal((600, 2, 3))
+    controller = NoisyMeasurement(TOLD, (0.1, 0.2, 0.3), 0, seed=7)
+    noisy = asked(controller, QS)
+    np.testing.assert_array_equal(noisy, QS + table[:, 0] * [0.1, 0.2, 0.3])
+    np.testing.assert_array_equal(asked(controller, QS), noisy)  # a second run is the first
+    late = NoisyMeasurement(TOLD, (0.1, 0.2, 0.3), 0, seed=7)
+    np.testing.assert_array_equal(late(0.0, QS[599], QS[599], REST, (None, 599))[0], noisy[599])
+    rates = NoisyMeasurement(law(lambda t, q, v, reference: v), 0, 2.0, np.random.SeedSequence(7))
+    np.testing.assert_array_equal(asked(rates, QS, VS), VS + 2 * table[:, 1])
+
+
+def test_threads_that_share_a_noisy_controller_get_the_same() -> None:
+    for _ in range(5):
+        controller = NoisyMeasurement(TOLD, 1.0, 1.0, seed=3)
+        with ThreadPoolExecutor(8) as pool:
+            runs = list(pool.map(lambda _: asked(controller, QS), range(8)))  # noqa: B023  # used up in the loop
+        np.testing.assert_array_equal(runs, [asked(NoisyMeasurement(TOLD, 1.0, 1.0, seed=3), QS)] * 8)
+
+
+def test_a_noisy_controller_is_pickled_and_copied_without_its_table() -> None:
+    controller = NoisyMeasurement(PD(1, 2), 0.1, 0.2, seed=7)
+    fresh = len(pickle.dumps(controller))
+    forces = asked(controller, QS, VS)
+    assert len(pickle.dumps(controller)) == fresh
+    for copy in (pickle.loads(pickle.dumps(controller)), deepcopy(controller)):
+        np.testing.assert_array_equal(asked(copy, QS, VS), forces)
+    assert repr(Delayed(PD(1, 2), 3)).startswith("Delayed(controller=PD(kp=array(1.), ")
+
+
+def test_leading_axes_are_kept() -> None:
+    q, v = np.random.default_rng(1).normal(size=(2, 4, 5, 3))
+    nested = Saturated(Delayed(NoisyMeasurement(PD(3, 2), 0.1, 0.2, 5), 1), (1, 2, 3))
+    many, _ = nested(0.0, q, v, REST, nested.initial_state())
+    one, _ = nested(0.0, q[2, 3], v[2, 3], REST, nested.initial_state())
+    assert many.shape == (4, 5, 3)
+    np.testing.assert_allclose(many[2, 3], one, rtol=1e-14)
+
+
+def test_they_nest_in_any_order_and_so_do_their_states() -> None:
+    """A delay outside of the noise delays the state and not the noise."""
+    noise = np.random.default_rng(7).standard_normal((600, 2, 3))[:, 0]
+    old = np.maximum(np.arange(600) - 2, 0)
+    outside = asked(Delayed(NoisyMeasurement(TOLD, 1, 0, 7), 2), QS)
+    np.testing.assert_array_equal(outside, QS[old] + noise)
+    inside = asked(NoisyMeasurement(Delayed(TOLD, 2), 1, 0, 7), QS)
+    np.testing.assert_array_equal(inside, (QS + noise)[old])
+    controller = Saturated(NoisyMeasurement(Delayed(Counter(), 1), 1, 1, 0), 3)
+    assert controller.initial_state() == ((0, ()), 0)
+    assert asked(controller, QS[:6])[:, 0].tolist() == [0, 1, 2, 3, 3, 3]
+
+
+@pytest.mark.parametrize("inner", [ComputedTorque(MobileRobot(8, 1), 3, (2, 3, 4)), PD(40 * np.eye(3), 20)])
+def test_around_what_changes_nothing_the_loop_is_the_same(inner: Any) -> None:
+    """`simulate` takes its shorter way for the bare controller, its general one for the wrapped."""
+    wrapped = Saturated(Delayed(NoisyMeasurement(inner, 0, 0, 1), 0), 1e6)
+    bare, other = (simulate(ROBOT, c, CIRCLE, dt=0.05, **START) for c in (inner, wrapped))
+    for name in ("q", "v", "a", "tau"):
+        # The same sums in another order, over 240 steps of a stable loop.
+        np.testing.assert_allclose(getattr(other, name), getattr(bare, name), rtol=0, atol=1e-12)
+
+
+def test_in_the_loop_each_does_what_it_says() -> None:
+    inner = ComputedTorque(ROBOT, 4, 4)
+    limited = simulate(ROBOT, Saturated(inner, (2, 3, 0.5)), CIRCLE, dt=0.1, **START)
+    assert limited.max_force().tolist() == [2, 3, 0.5]
+    noisy = NoisyMeasurement(inner, 0.01, 0.02, 11)
+    first, second = (simulate(ROBOT, noisy, CIRCLE, dt=0.1, **START) for _ in range(2))
+    np.testing.assert_array_equal(first.tau, second.tau)
+    late = simulate(ROBOT, Delayed(inner, 3), CIRCLE, dt=0.1, **START)
+    for k in (0, 2, 3, 50):
+        told = late.q[max(k - 3, 0)], late.v[max(k - 3, 0)]
+        expected, _ = inner(0.0, *told, Reference(*(part[k] for part in late.reference)), None)
+        np.testing.assert_allclose(late.tau[k], expected, rtol=0, atol=1e-13)
+
+
+def test_a_delay_costs_damping() -> None:
+    """At x'' = -4 x(t - T) - 2 x'(t - T) a tenth of a second does no harm, and nine are too many."""
+    controller = PD(40, 20)
+    robot = MobileRobot(10, 10)
+    options: dict[str, Any] = {"dt": 0.1, "limit": 1e9, **START}
+    sizes = [
+        np.abs(simulate(robot, Delayed(controller, k), CIRCLE, **options).error[-20:]).max() for k in (1, 9)
+    ]
+    assert sizes[0] < 0.5
+    assert sizes[1] > 3
+
+
+class TauAlone:
+    """A controller that forgets to return its state."""
+
+    def initial_state(self) -> None:
+        return None
+
+    def __call__(self, *_: Any) -> Array:
+        return np.zeros(3)
+
+
+def once(controller: Any) -> Any:
+    return controller(0.5, np.zeros(3), np.zeros(3), REST, controller.initial_state())
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (lambda: Saturated(3, 1),  # type: ignore[arg-type]
+         "controller is 3, expected a controller: wrap a function in law(...)"),
+        (lambda: Delayed(ComputedTorque, 1),  # type: ignore[arg-type]
+         "controller is <class 'pinmobile.controllers.feedback.ComputedTorque'>, expected a controller: "
+         "wrap a function in law(...)"),
+        (lambda: Saturated(TOLD, (1, 0, 1)), "limits is 0.0, expected > 0"),
+        (lambda: Saturated(TOLD, np.ones((2, 3))), "limits has shape (2, 3), expected () or (n,)"),
+        (lambda: Saturated(TOLD, (1, np.inf, 1)), "limits[1] is inf, expected a finite number"),
+        (lambda: once(Saturated(TOLD, (1, 2))), "limits has shape (2,), expected () or (3,)"),
+        (lambda: Delayed(TOLD, -1), "samples is -1, expected a whole number >= 0"),
+        (lambda: Delayed(TOLD, 1.5),  # type: ignore[arg-type]
+         "samples is 1.5, expected a whole number >= 0"),
+        (lambda: NoisyMeasurement(TOLD, (1, -1, 1), 0, 0), "std_q is -1.0, expected >= 0"),
+        (lambda: NoisyMeasurement(TOLD, 1, np.ones((3, 3)), 0),
+         "std_v has shape (3, 3), expected () or (n,)"),
+        (lambda: once(NoisyMeasurement(TOLD, 1, (1, 2), 0)), "std_v has shape (2,), expected () or (3,)"),
+        (lambda: NoisyMeasurement(TOLD, 1, 1, None),
+         "seed is None, expected a whole number >= 0 or a SeedSequence"),
+        (
+            lambda: NoisyMeasurement(TOLD, 1, 1, np.random.default_rng(0)),
+            "seed is Generator(PCG64), expected a whole number >= 0 or a SeedSequence",
+        ),
+        *(
+            (
+                lambda wrap=wrap: once(wrap(TauAlone())),
+                "controller returned array([0., 0., 0.]) at t = 0.5 s, expected (tau, state)",
+            )
+            for wrap in (
+                lambda c: Saturated(c, 1),
+                lambda c: Delayed(c, 1),
+                lambda c: NoisyMeasurement(c, 1, 1, 0),
+            )
+        ),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_is_refused(call: Any, text: str) -> None:
+    with pytest.raises(InvalidArgument) as caught:
+        call()
+    assert re.sub(r" at 0x[0-9A-F]+", "", str(caught.value)) == text
