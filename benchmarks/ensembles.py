@@ -90,7 +90,8 @@ def times_as_fast(line: Line | None, base: Line | None, n: int) -> str:
         return ""
     mine, others = line.rows[n], base.rows[n]
     alike = line.fleets[n].steps == base.fleets[n].steps and len(mine.times) == len(others.times)
-    return f"{others.ratio(mine) if alike else rates[0] / rates[1]:.3g}"
+    ratio = others.ratio(mine) if alike else rates[0] / rates[1]
+    return f"{ratio:,.0f}" if ratio >= 100 else f"{ratio:.3g}"
 
 
 def show_growth(out: Console, lines: Sequence[Line], sizes: Sequence[int], rounds: int) -> None:
