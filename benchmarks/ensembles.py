@@ -51,7 +51,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     show_ratios(out, {line.one: line for line in lines}, sizes)
     show_growth(out, lines, sizes, rounds)
     weighed = [(line.one, line.fleets) for line in lines if line.fleets]
-    sound &= show_memory(out, weighed[: 2 if chosen.quick else None], sizes[-2:])
+    weighed, at = (weighed[:2], sizes[-1:]) if chosen.quick else (weighed, sizes[-2:])
+    sound &= show_memory(out, weighed, at)
     if OURS in people:
         sound &= show_first_calls(out, chosen.quick)
     return 0 if sound and apart <= TOLERANCE else 1
