@@ -3,10 +3,11 @@
 import sys
 
 import calls
+import ensembles
 import imports
 import memory
 import rollout
 import viewing
 
 if __name__ == "__main__":
-    sys.exit(max(part.main() for part in (rollout, calls, memory, viewing, imports)))
+    sys.exit(max(part.main() for part in (rollout, ensembles, calls, memory, viewing, imports)))

@@ -15,14 +15,15 @@ import numpy as np
 import pytest
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
-PEERS = ("mujoco", "pydrake", "roboticstoolbox", "pybullet")
+PEERS = ("mujoco", "pydrake", "roboticstoolbox", "pybullet", "jax", "numba")
 SHORT = 2.0  # s
 
 
 @pytest.fixture
 def bench(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     monkeypatch.syspath_prepend(BENCHMARKS)
-    names = ("calls", "contestants", "rollout", "stock_server", "task", "viewing")
+    ensembles = ("ensemble_contestants", "ensemble_costs", "ensemble_race", "ensembles", "fleet")
+    names = ("calls", "contestants", "rollout", "stock_server", "task", "viewing", *ensembles)
     return SimpleNamespace(**{name: import_module(name) for name in names})
 
 
@@ -149,7 +150,7 @@ def test_everything_imports_without_the_peers() -> None:
     code = (
         f"import sys; sys.path.insert(0, {str(BENCHMARKS)!r})\n"
         f"for peer in {PEERS}: sys.modules[peer] = None\n"
-        "import calls, contestants, imports, memory, rollout, stock_server, viewing"
+        "import calls, contestants, ensembles, imports, memory, rollout, stock_server, viewing"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
 
@@ -189,3 +190,102 @@ def test_without_a_chromium_the_recording_is_measured_all_the_same(
     printed = capsys.readouterr().out
     assert "not installed: apt-get install chromium" in printed
     assert "0.75" in printed
+
+
+def ensemble_of(bench: SimpleNamespace, prepare: Any, **differs: Any) -> Any:
+    """Make an entrant that is there and that `prepare` sets up."""
+    one = bench.ensemble_contestants.Entrant("a peer", bench.contestants.NUMPY, "none", **differs)
+    object.__setattr__(one, "prepare", prepare)
+    return one
+
+
+def test_the_expected_figures_are_those_of_simulate(bench: SimpleNamespace) -> None:
+    fleet = bench.fleet.Fleet(2)
+    assert fleet.mass[0] != fleet.mass[1]
+    assert bench.fleet.difference(bench.fleet.simulated(fleet), fleet) < 1e-12
+
+
+def test_bins_are_32_to_an_octave(bench: SimpleNamespace) -> None:
+    values = np.array([0.0, 2.0**-34, 1.0, 1.0 + 1 / 33, 1.0 + 1 / 31, 2.0, 1e9])
+    bins = np.repeat(np.arange(bench.fleet.BINS), bench.fleet.counted(values))
+    np.testing.assert_array_equal(
+        bins, [0, 1, 34 * 32 + 1, 34 * 32 + 1, 34 * 32 + 2, 35 * 32 + 1, 44 * 32 + 1]
+    )
+
+
+@pytest.mark.parametrize("module", ["of_c", "of_numpy", "of_pinocchio", "of_pinmobile"])
+def test_ensembles_are_right(bench: SimpleNamespace, module: str) -> None:
+    people = [one for one in bench.ensemble_contestants.EVERYONE if one.module == module]
+    there = [one for one in people if one.peer.installed]
+    if not there:
+        pytest.skip(people[0].peer.install)
+    for one in there:
+        fleet = one.fleet_of(70, SHORT)  # a block of 64 and a part of one
+        apart = bench.fleet.difference(one.prepare(fleet)(), fleet)
+        assert apart <= bench.task.TOLERANCE, one.name
+
+
+@pytest.mark.parametrize("figure", ["max_error", "rms_error", "max_force", "max_distance", "histogram"])
+def test_a_wrong_figure_is_reported_and_not_timed(bench: SimpleNamespace, figure: str) -> None:
+    runs: list[Any] = []
+
+    def prepare(fleet: Any) -> Any:
+        right = bench.fleet.expected(fleet)
+        spoiled = (
+            np.roll(right.histogram, 2, axis=-1) if figure == "histogram" else getattr(right, figure) + 1e-6
+        )
+
+        def run() -> Any:
+            runs.append(fleet)
+            return right._replace(**{figure: spoiled})
+
+        return run
+
+    (line,), sound = bench.ensemble_race.race([ensemble_of(bench, prepare)], [1, 3], rounds=3, longest=9.0)
+    assert not sound
+    assert line.rows[1].word.startswith("WRONG, not timed: off by ")
+    assert line.rate(1) is None
+    assert len(runs) == 1  # the check's; it is out for the other size
+
+
+def test_slow_ensembles_do_a_part_or_are_left_out(
+    bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def prepare(fleet: Any) -> Any:
+        return lambda: (fleet.steps / 6e6, bench.fleet.expected(fleet))
+
+    monkeypatch.setattr(bench.ensemble_race, "timed", lambda run: run())
+    entrants = [ensemble_of(bench, prepare)]
+    monkeypatch.setattr(bench.fleet, "CHECKED", 10_000)
+    (line,), sound = bench.ensemble_race.race(entrants, [100, 200, 3_000], rounds=2, longest=0.015)
+    assert sound
+    assert line.fleets[100].task.duration == 60.0
+    assert line.fleets[200].task.duration == 6.0
+    assert line.rate(200) == pytest.approx(6.0)
+    assert line.rows[3_000].word == "left out: about 0 s a turn"
+
+
+def test_a_missing_ensemble_is_named_with_what_installs_it(bench: SimpleNamespace) -> None:
+    absent = bench.contestants.Peer("no_such_module", "absent", "pip install absent")
+    one = bench.ensemble_contestants.Entrant("absent", absent, "none")
+    (line,), sound = bench.ensemble_race.race([one], [1, 2], rounds=1, longest=9.0)
+    assert sound
+    assert list(line.words()) == ["not installed: pip install absent"]
+
+
+def test_the_tables_of_ensembles_are_printed(
+    bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(bench.ensembles, "QUICK_SIZES", (1, 100))
+    monkeypatch.setattr(bench.ensembles, "QUICK_LONGEST", 1e3)  # nothing is left out on a busy machine
+    assert bench.ensembles.main(["--quick", "--only", "structure of arrays"]) == 0
+    printed = capsys.readouterr().out
+    assert printed.count("numpy, structure of arrays") == 3  # speeds, ratios, memory
+    assert "WRONG" not in printed
+
+
+def test_a_first_call_that_fails_is_named_with_its_error(
+    bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(bench.ensemble_costs, "FIRST", "raise RuntimeError('no compiler')")
+    assert bench.ensemble_costs.first_call(str(tmp_path)) == "FAILED: RuntimeError: no compiler"

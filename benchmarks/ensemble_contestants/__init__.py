@@ -1,0 +1,113 @@
+"""Those who take part in the ensembles: what they need, and whether their work is easier.
+
+A contestant's module has functions ``NAME(fleet) -> run``: what they do is set-up, such as compiling or
+building the models, and is not timed; ``run() -> Figures`` does the ensemble, references included, and is.
+"""
+
+import shutil
+import subprocess
+from dataclasses import dataclass, replace
+from functools import cached_property
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from contestants import MUJOCO, NUMPY, PINOCCHIO, Contestant, Peer
+from fleet import LECTURE, Fleet, Run
+
+import pinmobile
+
+
+@dataclass(frozen=True)
+class Compiler(Peer):
+    """A C compiler with OpenMP, on a processor that has the vectors."""
+
+    vectors: str = "avx2"
+
+    @cached_property
+    def installed(self) -> bool:
+        """Whether it is there, and the processor says it has them."""
+        told = Path("/proc/cpuinfo")
+        if not shutil.which("cc") or not told.exists() or self.vectors not in told.read_text():
+            return False
+        command = ["cc", "-fopenmp", "-include", "omp.h", "-E", "-x", "c", "/dev/null"]
+        return subprocess.run(command, capture_output=True, check=False).returncode == 0
+
+
+@dataclass(frozen=True)
+class Ensembles(Peer):
+    """pinmobile with what its ensembles need."""
+
+    @property
+    def installed(self) -> bool:
+        """Whether both are there."""
+        return callable(getattr(pinmobile, "ensemble", None)) and find_spec("numba") is not None
+
+
+@dataclass(frozen=True)
+class Entrant(Contestant):
+    """One row of the table of ensembles.
+
+    Attributes
+    ----------
+    easier : str
+        What its work lacks; empty if it does all.
+    fleet : tuple of str
+        How its robots differ from all others': the fields of `Fleet` that are true.
+    """
+
+    easier: str = ""
+    fleet: tuple[str, ...] = ()
+
+    def fleet_of(self, n: int, duration: float = LECTURE.duration) -> Fleet:
+        """Return its robots."""
+        return Fleet(n, task=replace(LECTURE, duration=duration), **dict.fromkeys(self.fleet, True))
+
+    def prepare(self, fleet: Fleet) -> Run:
+        """Return what runs the ensemble, set up."""
+        run: Run = self._attribute(self.function)(fleet)
+        return run
+
+    def _attribute(self, name: str) -> Any:
+        return getattr(import_module(f"ensemble_contestants.{self.module}"), name)
+
+
+NO_COMPILER = "a C compiler with OpenMP (apt-get install gcc), on a processor with {}"
+AVX2 = Compiler("cc()", "", NO_COMPILER.format("AVX2"))
+AVX512 = Compiler("cc()", "", NO_COMPILER.format("AVX-512"), vectors="avx512f")
+ENSEMBLES = Ensembles("pinmobile", "pinmobile", "pip install -e '.[ensembles]'")
+JAX = Peer("jax", "jax", "pip install 'jax[cpu]'")
+NO_COUNTS = "no histograms over time"
+
+OURS = Entrant("pinmobile ensemble", ENSEMBLES, "of_pinmobile")
+LIMIT = Entrant("C, AVX2, polynomial sine, cosine", AVX2, "of_c", "avx2")
+MUJOCO_OPEN = Entrant(
+    "mujoco.rollout, open loop",
+    MUJOCO,
+    "of_mujoco",
+    "open_loop",
+    easier="the torques are given, of each robot the largest |e| alone, its own semi-implicit Euler",
+    fleet=("euler",),
+)
+MUJOCO_CLOSED = Entrant(
+    "mujoco.rollout, closed loop (nstep = 1)", MUJOCO, "of_mujoco", "closed_loop", easier=NO_COUNTS
+)
+EVERYONE = (
+    OURS,
+    LIMIT,
+    Entrant("C, AVX-512, polynomial sine, cosine", AVX512, "of_c", "avx512"),
+    Entrant("C, AVX2, sine, cosine of libm", AVX2, "of_c", "libm"),
+    Entrant("numpy, structure of arrays, out=", NUMPY, "of_numpy", "arrays"),
+    Entrant("numpy, (n, 3) and linalg.solve", NUMPY, "of_numpy", "solved"),
+    Entrant("JAX on the CPU, vmap of scan", JAX, "of_jax", easier=NO_COUNTS),
+    MUJOCO_OPEN,
+    MUJOCO_CLOSED,
+    Entrant(
+        "Pinocchio, rnea and aba in parallel",
+        PINOCCHIO,
+        "of_pinocchio",
+        easier=f"the same model for all, {NO_COUNTS}",
+        fleet=("alike",),
+    ),
+)
