@@ -12,7 +12,7 @@ from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHRow, DHTable, JointType
 from pinmobile.errors import Diverged, InvalidArgument, PinmobileError, UnknownName, ViewerError
 from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
 from pinmobile.paths import Circle, CubicVia, Lissajous, Spline
-from pinmobile.robot import MobileRobot
+from pinmobile.robot import Load, MobileRobot, mountable
 from pinmobile.simulation import Rollout, simulate
 from pinmobile.trajectories import FixedHeading, LectureHeading, Reference, Tangent
 from pinmobile.urdf import shipped_urdf
@@ -37,6 +37,7 @@ __all__ = [
     "JointType",
     "LectureHeading",
     "Lissajous",
+    "Load",
     "MobileRobot",
     "PinmobileError",
     "Reference",
@@ -47,6 +48,7 @@ __all__ = [
     "ViewerError",
     "constant_acceleration",
     "law",
+    "mountable",
     "planar_difference",
     "rk4",
     "semi_implicit_euler",

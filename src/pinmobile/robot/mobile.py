@@ -5,18 +5,21 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import final
+from typing import Any, final
 
 import numpy as np
 import pinocchio as pin
 
 from pinmobile import urdf
-from pinmobile.arrays import finite, location, positive, vector
+from pinmobile.arrays import ArrayLike, finite, location, positive, vector
 from pinmobile.dh import LECTURE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot.dynamics import ChainDynamics
-from pinmobile.robot.engine import Engine, build_model
+from pinmobile.robot.engine import BODY_JOINT, Engine, build_model
+from pinmobile.robot.mounts import Load, Mount, assemble, checked_name, free_name, mount_after, on_top, placed
+from pinmobile.robot.pictures import add_carried
 from pinmobile.robot.reading import read_model, read_urdf
+from pinmobile.robot.sources import read_arm
 from pinmobile.robot.visual import VisualFile, box_visuals, read_visuals
 
 __all__ = ["MobileRobot"]
@@ -56,6 +59,8 @@ class MobileRobot(ChainDynamics):
     dh: DHTable = LECTURE_TABLE
     source: str = field(default="made from numbers", init=False)
     body: urdf.Body = field(init=False)
+    mounts: tuple[Mount, ...] = field(default=(), init=False)
+    loads: tuple[tuple[str, Load], ...] = field(default=(), init=False)
     _engine: Engine = field(init=False)
     _looks: VisualFile | None = field(default=None, init=False)
 
@@ -84,13 +89,18 @@ class MobileRobot(ChainDynamics):
 
     def __repr__(self) -> str:
         table = "" if self.dh == LECTURE_TABLE else f", dh={self.dh!r}"
+        mounted = "".join(
+            f".mount({mount.arm.origin.value!r}, at={mount.at}, name={mount.name!r})" for mount in self.mounts
+        )
+        attached = "".join(f".attach({load!r}, frame={frame!r})" for frame, load in self.loads)
         return (
             f"MobileRobot(mass={self.mass!r}, yaw_inertia={self.yaw_inertia!r}, com={self.com!r}, "
-            f"size={self.size!r}{table})"
+            f"size={self.size!r}{table}){mounted}{attached}"
         )
 
     def _key(self) -> tuple[object, ...]:
-        return self.mass, self.com, self.body.inertia.tobytes(), self.size, self.dh
+        own = self.mass, self.com, self.body.inertia.tobytes(), self.size, self.dh
+        return *own, self.mounts, self.loads
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, MobileRobot) and self._key() == other._key()
@@ -100,7 +110,8 @@ class MobileRobot(ChainDynamics):
 
     def __reduce__(self) -> tuple[object, ...]:
         # A pin.Data is not worth keeping: it is made again from the parameters.
-        return _restored, (self.body, self.size, self.dh, self.source, self._looks)
+        own = self.body, self.size, self.dh, self.source, self._looks
+        return _restored, (*own, self.mounts, self.loads)
 
     @classmethod
     def lecture(cls) -> "MobileRobot":
@@ -203,18 +214,121 @@ class MobileRobot(ChainDynamics):
         robot._take(body)
         return robot
 
+    def mount(
+        self,
+        arm: Any,
+        at: ArrayLike | None = None,
+        *,
+        name: str | None = None,
+        package_dirs: Sequence[str | PathLike[str]] = (),
+        visual: pin.GeometryModel | None = None,
+        rest: ArrayLike | None = None,
+        locked: Sequence[str] = (),
+    ) -> "MobileRobot":
+        """Return the robot with an arm on its body; q and v then end with the arm's joints.
+
+        A root of its own (free-flyer, planar) is replaced by the chain, and wheels are locked. Its joints and
+        frames are called ``name/...``; its limits, its rotors and its reference posture are kept.
+
+        Parameters
+        ----------
+        arm : str, path, pin.Model or pin.RobotWrapper
+            One of `mountable()`, such as ``"ur5"``; a URDF; or a model.
+        at : array_like, shape (4,), optional
+            Where its root stands on the body: x, y, z and yaw [m, m, m, rad]; by default in the middle of the
+            top of the box of `size`.
+        name : str, optional
+            By default that of the arm; numbered where it is taken.
+        package_dirs : sequence of str or path
+            Folders that ``package://`` in a URDF's mesh names refers to.
+        visual : pin.GeometryModel, optional
+            What is drawn of a `pin.Model`.
+        rest : array_like, shape (arm's nq,), optional
+            Its reference posture; by default the loader's, or the neutral one.
+        locked : sequence of str
+            Its joints that shall not move, at rest.
+
+        Raises
+        ------
+        InvalidArgument
+            If the arm cannot be read, a joint of it moves no inertia, or another argument is not what is
+            expected.
+        UnknownName
+            If no loader has the name; the nearest come first.
+        """
+        place = on_top(self.size) if at is None else placed(at)
+        ready = read_arm(arm, package_dirs=package_dirs, visual=visual, rest=rest, locked=locked)
+        wanted = checked_name(name if name is not None else Path(ready.origin.value).stem)
+        taken = {mount.name for mount in self.mounts}
+        mount = mount_after(self.model, ready, free_name(wanted, taken), place)
+        return self._carrying((*self.mounts, mount), self.loads)
+
+    def attach(self, load: Load, frame: str | None = None) -> "MobileRobot":
+        """Return the robot with a load fixed to one of its frames.
+
+        Parameters
+        ----------
+        load : Load
+            Mass, centre of mass, inertia, size.
+        frame : str, optional
+            One of `frame_names`; by default `end_effector`.
+
+        Raises
+        ------
+        InvalidArgument
+            If `load` is something else.
+        UnknownName
+            If there is no such frame.
+        """
+        if not isinstance(load, Load):
+            raise InvalidArgument(f"load is {load!r}, expected a Load")
+        return self._carrying(self.mounts, (*self.loads, (self._frame(frame)[0], load)))
+
+    def _carrying(self, mounts: tuple[Mount, ...], loads: tuple[tuple[str, Load], ...]) -> "MobileRobot":
+        return _restored(self.body, self.size, self.dh, self.source, self._looks, mounts, loads)
+
+    @property
+    def base(self) -> "MobileRobot":
+        """The robot without what it carries."""
+        return self._carrying((), ()) if self.mounts or self.loads else self
+
+    def lumped(self, q: ArrayLike | None = None) -> "MobileRobot":
+        """Return the bare robot that has the mass and inertia of all, arms locked where they are.
+
+        Parameters
+        ----------
+        q : array_like, shape (nq,) or (nq - 3,), optional
+            Configuration, or the arms' part of it; by default `rest`.
+
+        Raises
+        ------
+        InvalidArgument
+            If it has another shape or is not finite.
+        """
+        posture = finite("q", self.rest if q is None else q)
+        if posture.shape == (self.nq - 3,):
+            posture = np.concatenate([np.zeros(3), posture])
+        if posture.shape != (self.nq,):
+            raise InvalidArgument(f"q has shape {posture.shape}, expected ({self.nq},) or ({self.nq - 3},)")
+        total = self._engine.composite(self._q(posture))
+        body = urdf.Body(total.mass, total.lever, total.inertia)
+        return _restored(body, self.size, self.dh, f"{self.source}; arms locked", self._looks)
+
     @cached_property
     def visual_model(self) -> pin.GeometryModel:
-        """What is drawn: objects in the body's frame, which ride on the last joint of `model`.
+        """What is drawn, each object on its joint of `model`: those of the body on the third.
 
         It is made when it is asked for. Of a URDF that shows more than a box, all that it shows, wheels at
         rest; mesh files that are missing are named in a warning. Else a box of `size` on the ground, with a
-        visible front.
+        visible front. Then what is drawn of each arm, and the boxes of loads.
         """
-        joint = self.model.njoints - 1
+        joint = BODY_JOINT
         if self._looks is None:
-            return box_visuals(self.size, joint)
-        return read_visuals(self._looks, self.size, joint)
+            visuals = box_visuals(self.size, joint)
+        else:
+            visuals = read_visuals(self._looks, self.size, joint)
+        add_carried(visuals, self.model, self.mounts, self.loads)
+        return visuals
 
     def to_urdf(self) -> str:
         """Return the robot as URDF text, every number to the last digit."""
@@ -222,10 +336,20 @@ class MobileRobot(ChainDynamics):
 
 
 def _restored(
-    body: urdf.Body, size: tuple[float, float, float], dh: DHTable, source: str, looks: VisualFile | None
+    body: urdf.Body,
+    size: tuple[float, float, float],
+    dh: DHTable,
+    source: str,
+    looks: VisualFile | None,
+    mounts: tuple[Mount, ...] = (),
+    loads: tuple[tuple[str, Load], ...] = (),
 ) -> MobileRobot:
     robot = MobileRobot.from_body(body, size, dh, source)
-    object.__setattr__(robot, "_looks", looks)
+    carrying = {"mounts": mounts, "loads": loads}
+    if mounts or loads:
+        carrying["_engine"] = Engine(assemble(robot.model, mounts, loads))  # type: ignore[assignment]
+    for name, value in {"_looks": looks, **carrying}.items():
+        object.__setattr__(robot, name, value)
     return robot
 
 

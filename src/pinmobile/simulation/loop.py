@@ -51,7 +51,8 @@ class Loop:
         v0: Array,
     ) -> None:
         self.nq, self.nv, self.last = plant.nq, plant.nv, len(t) - 1
-        self.adds = type(plant) is MobileRobot  # another class may do it otherwise
+        # Another class may do it otherwise; joints that are (cos, sin) in q do not add.
+        self.adds = type(plant) is MobileRobot and self.nq == self.nv
         # A table treats all coordinates alike; what a user's integrator does with their order is not known.
         chained = self.adds and isinstance(integrator, RungeKuttaNystrom)
         self.order = plant._engine.order if chained else None  # type: ignore[attr-defined]
@@ -60,7 +61,7 @@ class Loop:
         self.rows[0, : self.nq + self.nv] = np.concatenate([self._reordered(q0), self._reordered(v0)])
         self.desired = np.hstack([self._reordered(reference.q), self._reordered(reference.v)])
         self.forward = plant._engine.forward if chained else _forward(plant)  # type: ignore[attr-defined]
-        if chained and _is_known(controller):
+        if chained and _is_known(controller, self.nq):
             accelerations = self._reordered(reference.a)
             self.control = _feedback(controller, self.desired, accelerations, np.asarray(self.order))
         else:
@@ -105,13 +106,14 @@ class Loop:
         return self.adds and near and isfinite(rows[:, n:].sum() + self.forces[begin:end].sum())
 
 
-def _is_known(controller: Any) -> bool:
-    """Tell whether the controller is the library's own in every part."""
+def _is_known(controller: Any, size: int) -> bool:
+    """Tell whether the controller is the library's own in every part, for configurations of that size."""
+    robot = getattr(controller, "robot", None)
     return (
         type(controller) in (PD, ComputedTorque)
         # Both act on the third coordinate alone or on none, which is psi in either order.
         and (controller.difference is planar_difference or controller.difference is np.subtract)
-        and type(getattr(controller, "robot", None)) in (MobileRobot, type(None))
+        and (robot is None or (type(robot) is MobileRobot and robot.nq == robot.nv == size))
     )
 
 
