@@ -85,7 +85,9 @@ class Arm:
     tip: str = field(init=False)
 
     def __post_init__(self) -> None:
-        whole, rest = self.whole, frozen(self.rest)
+        whole, rest = self.whole.copy(), frozen(self.rest)
+        # Of joints made one by one Pinocchio leaves the least velocity at its largest number, and then balks.
+        whole.lowerVelocityLimit = np.minimum(whole.lowerVelocityLimit, whole.upperVelocityLimit)
         for joint in range(1, whole.njoints):
             if "Mimic" in joint_kind(whole, joint):
                 raise InvalidArgument(
@@ -99,6 +101,7 @@ class Arm:
         posture = np.concatenate(parts) if parts else np.zeros(0)
         _check_inertias(model, posture, self.origin.value)
         for name, value in {
+            "whole": whole,
             "rest": rest,
             "model": model,
             "posture": frozen(posture),

@@ -15,10 +15,15 @@ from pinmobile.robot.pictures import FilePicture, GivenPicture
 
 __all__ = ["EXCEPTIONS", "Mountable", "Mountables", "load_arm", "mountable"]
 
-_MASSLESS = "the fingers have no inertia; they mount with locked=('joint_m7_7', 'joint_m7_8')"
+_FINGERS = "its fingers have no inertia: mount it with locked=('bravo_finger1_joint', 'bravo_finger2_joint')"
 
 EXCEPTIONS: dict[str, str] = {
+    "bluevolta_bravo7_gripper": _FINGERS,
+    "bravo7_gripper": _FINGERS,
     "cassie": "its loader reads SDF, which Pinocchio's wheels are built without",
+    "falcon_bravo7_gripper": _FINGERS,
+    "icub": "its reference posture aligns neck_pitch and neck_roll with no inertia between: try icub_reduced",
+    "romeo": "its fingers and thumbs have no inertia",
 }
 """Names that `MobileRobot.mount` refuses as they are, and why."""
 
@@ -80,13 +85,13 @@ class Mountables:
 def mountable() -> Mountables:
     """Return the robots of example-robot-data that `MobileRobot.mount` knows by name.
 
-    It reads each of them once, without its meshes, which takes some seconds; after that it is remembered.
+    It reads each of them once, without its meshes, which takes two seconds; after that it is remembered.
     """
     rows = []
     for name in sorted(_loaders()):
         if name not in EXCEPTIONS:
             model = load_arm(name).model
-            rows.append(Mountable(name, model.nv, float(pin.computeTotalMass(model))))
+            rows.append(Mountable(name, model.nv, sum(inertia.mass for inertia in model.inertias)))
     return Mountables(tuple(rows), tuple(sorted(EXCEPTIONS.items())))
 
 

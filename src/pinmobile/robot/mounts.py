@@ -212,8 +212,14 @@ def _prefixed(model: pin.Model, name: str) -> pin.Model:
     copy = model.copy()
     for joint in range(1, copy.njoints):
         copy.names[joint] = f"{name}/{copy.names[joint]}"
+    taken = {frame.name for frame in copy.frames if frame.type == pin.FrameType.BODY}
     for frame in copy.frames:
-        frame.name = f"{name}/{frame.name}"
+        own = str(frame.name)
+        if frame.type != pin.FrameType.BODY:
+            # Pinocchio finds a link by its name alone.
+            own = free_name(own, taken)
+            taken.add(own)
+        frame.name = f"{name}/{own}"
     return copy
 
 

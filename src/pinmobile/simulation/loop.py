@@ -122,8 +122,8 @@ def _forward(plant: "Plant") -> Forward:
     if type(plant) is not MobileRobot:
         return plant.forward_dynamics
     engine = plant._engine
-    forward, order = engine.forward, engine.order
-    return lambda q, v, tau: forward(q[order], v[order], tau[order])[order]
+    forward, order, order_q = engine.forward, engine.order, engine.order_q
+    return lambda q, v, tau: forward(q[order_q], v[order], tau[order])[order]
 
 
 def _asked(
