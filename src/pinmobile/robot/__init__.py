@@ -2,12 +2,14 @@
 
 from pinmobile.robot.arms import Arm
 from pinmobile.robot.dynamics import ChainDynamics, Linearization
+from pinmobile.robot.engine import BODY_JOINT
 from pinmobile.robot.kinematics import ChainKinematics
 from pinmobile.robot.library import EXCEPTIONS, Mountable, Mountables, mountable
 from pinmobile.robot.mobile import MobileRobot
 from pinmobile.robot.mounts import Load, Mount
 
 __all__ = [
+    "BODY_JOINT",
     "EXCEPTIONS",
     "Arm",
     "ChainDynamics",
