@@ -143,6 +143,7 @@ def _without_missing_meshes(root: ElementTree.Element, file: VisualFile) -> list
 
 def _found(name: str, file: VisualFile) -> Path | None:
     scheme, apart, rest = name.rpartition("://")
+    rest = rest.lstrip("/") if scheme == "package" else rest
     folders = (*file.package_dirs, file.path.parent) if scheme == "package" else (file.path.parent,)
     candidates = (folder / (rest if apart else name) for folder in folders)
     return next((path.resolve() for path in candidates if path.is_file()), None)
