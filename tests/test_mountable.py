@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from pinmobile import ComputedTorque, InvalidArgument, MobileRobot, Reference, mountable, simulate, verify
-from pinmobile.robot import BODY_JOINT, EXCEPTIONS, pictures
+from pinmobile.robot import BODY_JOINT, EXCEPTIONS, pictures, visual
 from pinmobile.robot.visual import VisualFile
 
 NAMES = sorted(example_robot_data.ROBOTS)
+READABLE = visual.readable
 
 
 class Drive:
@@ -32,15 +33,12 @@ class Drive:
 
 
 def boxes(file: VisualFile, stacklevel: int) -> tuple[ElementTree.Element, list[str]]:
-    """Return the file with a box for each mesh that was found: reading the meshes would take half a minute."""
+    """Return the file with a box for each mesh that was found: to read them takes half a minute."""
     root, missing = READABLE(file, stacklevel)
     for geometry in root.iterfind("link/visual/geometry"):
         if geometry.find("mesh") is not None:
             geometry[:] = [ElementTree.Element("box", size="0.1 0.1 0.1")]
     return root, missing
-
-
-READABLE = pictures.readable
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in EXCEPTIONS])

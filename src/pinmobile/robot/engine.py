@@ -70,6 +70,10 @@ class Engine:
         """Return the acceleration by ABA."""
         return pin.aba(self.model, self.data, q, v, tau)  # type: ignore[no-any-return]
 
+    def integrate(self, q: Array, dq: Array) -> Array:
+        """Return the configuration that a displacement leads to."""
+        return pin.integrate(self.model, q, dq)  # type: ignore[no-any-return]
+
     def composite(self, q: Array) -> pin.Inertia:
         """Return the inertia of the body and all that rides on it, in the body's frame, at a public q."""
         model, data = self.model, self.data

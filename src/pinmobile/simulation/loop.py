@@ -56,7 +56,7 @@ class Loop:
         # A table treats all coordinates alike; what a user's integrator does with their order is not known.
         chained = self.adds and isinstance(integrator, RungeKuttaNystrom)
         self.order = plant._engine.order if chained else None  # type: ignore[attr-defined]
-        self.rows = np.empty((len(t) + 1, self.nq + 2 * self.nv))  # one to spare: each has a next one
+        self.rows = np.full((len(t) + 1, self.nq + 2 * self.nv), np.nan)  # one to spare: each has a next one
         self.forces = np.empty((len(t), plant.nu))
         self.rows[0, : self.nq + self.nv] = np.concatenate([self._reordered(q0), self._reordered(v0)])
         self.desired = np.hstack([self._reordered(reference.q), self._reordered(reference.v)])
@@ -80,11 +80,19 @@ class Loop:
         rows, following = self.rows[begin:end], self.rows[begin + 1 : end + 1, :n]
         # Views that come from iteration cost half of those that come from indexing.
         parts = rows, rows[:, :nq], rows[:, nq:n], rows[:, :n], rows[:, n:], following, self.forces[begin:end]
-        for k, (row, q, v, state, acceleration, after, held) in enumerate(zip(*parts, strict=True), begin):
-            held[:] = force = control(k, state, q, v)
-            acceleration[:] = a = forward(q, v, force)
-            if k < last:
-                advance(k, row, q, v, force, a, after)
+        k = begin
+        try:
+            for k, (row, q, v, state, acceleration, after, held) in enumerate(
+                zip(*parts, strict=True), begin
+            ):
+                held[:] = force = control(k, state, q, v)
+                acceleration[:] = a = forward(q, v, force)
+                if k < last:
+                    advance(k, row, q, v, force, a, after)
+        except InvalidArgument:
+            # A state that is not finite is refused by whoever is asked about it; the rest stays empty.
+            if np.isfinite(self.rows[k, :n]).all():
+                raise
 
     def samples(self, begin: int, end: int) -> tuple[Array, Array, Array, Array]:
         """Return q, v, a and tau of the samples, in public order, one row each."""
@@ -124,6 +132,15 @@ def _forward(plant: "Plant") -> Forward:
     engine = plant._engine
     forward, order, order_q = engine.forward, engine.order, engine.order_q
     return lambda q, v, tau: forward(q[order_q], v[order], tau[order])[order]
+
+
+def _integrate(plant: "Plant") -> Callable[[Array, Array], Array]:
+    """Return the plant's step from a configuration, unchecked where the plant allows."""
+    if type(plant) is not MobileRobot:
+        return plant.integrate
+    engine = plant._engine
+    integrate, order, order_q = engine.integrate, engine.order, engine.order_q
+    return lambda q, dq: integrate(q[order_q], dq[order])[order_q]
 
 
 def _asked(
@@ -240,15 +257,16 @@ def _steps_between_configurations(
 ) -> Advance:
     """Return `substeps` steps of any integrator, which sees the displacement from the start of its step."""
     times, h, rest = t.tolist(), dt / substeps, np.zeros(plant.nv)
+    forward, integrate = _forward(plant), _integrate(plant)
 
     def advance(k: int, row: Array, q: Array, v: Array, force: Array, a: Array, after: Array) -> None:
         def acceleration(time: float, displacement: Array, w: Array) -> Array:
-            return plant.forward_dynamics(plant.integrate(base, displacement), w, force)
+            return forward(integrate(base, displacement), w, force)
 
         base, w = q, v
         for j in range(substeps):
             displacement, w = integrator(acceleration, times[k] + j * h, rest.copy(), w, h)
-            base = plant.integrate(base, displacement)
+            base = integrate(base, displacement)
         after[: len(q)] = base
         after[len(q) :] = w
 
