@@ -85,9 +85,7 @@ class Arm:
     tip: str = field(init=False)
 
     def __post_init__(self) -> None:
-        whole, rest = self.whole.copy(), frozen(self.rest)
-        # Of joints made one by one Pinocchio leaves the least velocity at its largest number, and then balks.
-        whole.lowerVelocityLimit = np.minimum(whole.lowerVelocityLimit, whole.upperVelocityLimit)
+        whole, rest = _whole(self.whole), frozen(self.rest)
         for joint in range(1, whole.njoints):
             if "Mimic" in joint_kind(whole, joint):
                 raise InvalidArgument(
@@ -120,6 +118,18 @@ class Arm:
         if held:
             _, (shown,) = pin.buildReducedModel(self.whole, [shown], held, np.array(self.rest))
         return shown
+
+
+def _whole(model: pin.Model) -> pin.Model:
+    """Return a copy with what Pinocchio needs to lock joints, and a model made joint by joint may lack."""
+    whole = model.copy()
+    # Else it balks: the least velocity is left at its largest number.
+    whole.lowerVelocityLimit = np.minimum(whole.lowerVelocityLimit, whole.upperVelocityLimit)
+    for joint in range(1, whole.njoints):
+        # Else it crashes.
+        if not whole.existFrame(whole.names[joint], pin.FrameType.JOINT):
+            whole.addJointFrame(joint)
+    return whole
 
 
 def _held(model: pin.Model, names: Sequence[str]) -> list[int]:
