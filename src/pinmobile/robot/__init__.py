@@ -3,7 +3,6 @@
 from pinmobile.robot.arms import Arm
 from pinmobile.robot.dynamics import ChainDynamics, Linearization
 from pinmobile.robot.engine import BODY_JOINT
-from pinmobile.robot.kinematics import ChainKinematics
 from pinmobile.robot.library import EXCEPTIONS, Mountable, Mountables, mountable
 from pinmobile.robot.mobile import MobileRobot
 from pinmobile.robot.mounts import Load, Mount
@@ -13,7 +12,6 @@ __all__ = [
     "EXCEPTIONS",
     "Arm",
     "ChainDynamics",
-    "ChainKinematics",
     "Linearization",
     "Load",
     "MobileRobot",
