@@ -263,6 +263,8 @@ def test_a_rollout_brings_its_robot_back(tmp_path: Path, urdf: Path) -> None:
     back = Rollout.load(path)
     assert back.robot == robot
     np.testing.assert_array_equal(back.q, run.q)
+    urdf.write_text(urdf.read_text().replace('<mass value="1"/>', '<mass value="1.5"/>'))
+    assert Rollout.load(path).robot is None  # it is no longer what it was
     urdf.unlink()
     assert Rollout.load(path).robot is None  # the arrays are there
     np.testing.assert_array_equal(Rollout.load(path).tau, run.tau)

@@ -343,6 +343,9 @@ def test_limits_and_postures_are_the_files() -> None:
     np.testing.assert_array_equal(PANDA.velocity_limit[3:], own.velocityLimit)
     np.testing.assert_array_equal(PANDA.rest[3:10], PANDA.mounts[0].arm.posture[:7])
     assert np.isinf(KINOVA.lower[3:5]).all()  # (cos, sin)
+    unknown = MobileRobot.box().mount("double_pendulum")  # its file writes zero for each
+    for limit in (unknown.lower, unknown.upper, unknown.velocity_limit, unknown.effort_limit):
+        assert np.isinf(limit).all()
     drawn = TWO.random_configuration(np.random.default_rng(0), (50,))
     assert (drawn >= TWO.lower).all()
     assert (drawn <= TWO.upper).all()

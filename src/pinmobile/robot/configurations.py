@@ -7,8 +7,9 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array, ArrayLike, broadcast, frozen, vector, wrap_angle
 from pinmobile.errors import InvalidArgument
+from pinmobile.robot.assembly import limits
 from pinmobile.robot.engine import Engine
-from pinmobile.robot.mounts import Load, Mount, limits
+from pinmobile.robot.mounts import Load, Mount
 
 __all__ = ["ChainConfigurations"]
 

@@ -7,8 +7,8 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array, ArrayLike
 from pinmobile.errors import UnknownName
+from pinmobile.robot.assembly import named_frames
 from pinmobile.robot.configurations import ChainConfigurations
-from pinmobile.robot.mounts import named_frames
 
 __all__ = ["ChainKinematics"]
 

@@ -14,9 +14,10 @@ from pinmobile import urdf
 from pinmobile.arrays import finite, location, positive, vector
 from pinmobile.dh import LECTURE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument
+from pinmobile.robot.assembly import assemble
 from pinmobile.robot.carrier import Carrier
 from pinmobile.robot.engine import BODY_JOINT, Engine, build_model
-from pinmobile.robot.mounts import Load, Mount, assemble
+from pinmobile.robot.mounts import Load, Mount
 from pinmobile.robot.pictures import add_carried
 from pinmobile.robot.reading import read_model, read_urdf
 from pinmobile.robot.visual import VisualFile, box_visuals, read_visuals

@@ -8,8 +8,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 
+from pinmobile.robot.assembly import named_frames
 from pinmobile.robot.engine import BODY_JOINT
-from pinmobile.robot.mounts import Load, Mount, named_frames
+from pinmobile.robot.mounts import Load, Mount
 from pinmobile.robot.visual import VisualFile, drawn, readable
 
 __all__ = ["FilePicture", "GivenPicture", "add_carried"]

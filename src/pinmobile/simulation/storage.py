@@ -53,8 +53,7 @@ def read_archive(path: Path) -> tuple[dict[str, Array], MobileRobot | None]:
     if str(named.pop("format", "")) != _FORMAT:
         raise InvalidArgument(f"path is {str(path)!r}, which is no {_FORMAT!r} archive")
     described = json.loads(str(named.pop("robot")))
-    robot = None if described is None else _restore(described)
-    return named, robot if robot is None or robot.nq == named["q"].shape[-1] else None
+    return named, None if described is None else _restore(described)
 
 
 def _is_known(robot: MobileRobot) -> bool:
@@ -81,6 +80,7 @@ def _describe(robot: MobileRobot) -> dict[str, Any]:
             }
             for mount in robot.mounts
         ],
+        "inertias": robot.inertial_parameters.tolist(),
         "loads": [[frame, load.mass, load.com, load.inertia, load.size] for frame, load in robot.loads],
     }
 
@@ -100,4 +100,5 @@ def _restore(described: dict[str, Any]) -> MobileRobot | None:
             robot = robot.attach(Load(mass, com, inertia, size), frame)
     except PinmobileError:
         return None
-    return robot
+    found, kept = robot.inertial_parameters, described.get("inertias")
+    return robot if kept is None or np.array_equal(found, kept) else None
