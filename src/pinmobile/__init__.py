@@ -26,7 +26,7 @@ from pinmobile.disturbances import (
 from pinmobile.errors import Diverged, InvalidArgument, PinmobileError, UnknownName, ViewerError
 from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
 from pinmobile.paths import Circle, CubicVia, Lissajous, Spline
-from pinmobile.robot import MobileRobot
+from pinmobile.robot import Load, MobileRobot, mountable
 from pinmobile.simulation import Rollout, simulate
 from pinmobile.trajectories import FixedHeading, LectureHeading, Reference, Tangent
 from pinmobile.urdf import shipped_urdf
@@ -56,6 +56,7 @@ __all__ = [
     "JointType",
     "LectureHeading",
     "Lissajous",
+    "Load",
     "MobileRobot",
     "NoiseForce",
     "NoisyMeasurement",
@@ -78,6 +79,7 @@ __all__ = [
     "ensemble",
     "integrator_report",
     "law",
+    "mountable",
     "planar_difference",
     "rk4",
     "semi_implicit_euler",

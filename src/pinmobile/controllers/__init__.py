@@ -6,7 +6,7 @@ and returns the next one (None where it has no memory, see `initial_state`). q, 
 leading axes. `Saturated`, `Delayed` and `NoisyMeasurement` wrap any of them, and each other.
 """
 
-from pinmobile.controllers.feedback import PD, ComputedTorque, gain_matrix
+from pinmobile.controllers.feedback import PD, ComputedTorque, difference_of, gain_matrix
 from pinmobile.controllers.law import law
 from pinmobile.controllers.protocol import (
     Controller,
@@ -29,6 +29,7 @@ __all__ = [
     "Saturated",
     "State",
     "check_controller",
+    "difference_of",
     "gain_matrix",
     "law",
     "planar_difference",

@@ -9,7 +9,34 @@ from pinmobile.arrays import Array, ArrayLike, finite, frozen
 from pinmobile.controllers.protocol import Difference, InverseDynamics, State, planar_difference
 from pinmobile.errors import InvalidArgument
 
-__all__ = ["PD", "ComputedTorque", "gain_matrix"]
+__all__ = ["PD", "ComputedTorque", "difference_of", "gain_matrix"]
+
+
+@dataclass(frozen=True)
+class _Own:
+    robot: Any
+
+    def __call__(self, q_d: Array, q: Array) -> Array:
+        """Return the displacement from q to q_d."""
+        return np.asarray(self.robot.difference(q, q_d))
+
+
+def difference_of(robot: Any) -> Difference:
+    """Return ``difference(q_d, q)`` as the robot takes it, for joints that are (cos, sin) in q too.
+
+    Parameters
+    ----------
+    robot : MobileRobot or other plant
+        Whose ``difference(q0, q1)`` is the displacement from q0 to q1, shape (..., nv).
+
+    Raises
+    ------
+    InvalidArgument
+        If it has none.
+    """
+    if not hasattr(robot, "difference"):
+        raise InvalidArgument(f"robot is {robot!r}, expected a MobileRobot or other plant")
+    return _Own(robot)
 
 
 @final
@@ -58,7 +85,8 @@ class ComputedTorque:
     kp, kd : array_like, shape (), (n,) or (n, n)
         Gains [1/s^2] and [1/s]: a scalar, one per coordinate, or a matrix.
     difference : callable
-        ``difference(q_d, q)``: how two configurations are compared. The lecture's is `numpy.subtract`.
+        ``difference(q_d, q)``: how two configurations are compared; by default the robot's own. The lecture's
+        is `numpy.subtract`.
 
     Raises
     ------
@@ -74,6 +102,8 @@ class ComputedTorque:
     def __post_init__(self) -> None:
         if not hasattr(self.robot, "inverse_dynamics"):
             raise InvalidArgument(f"robot is {self.robot!r}, expected a MobileRobot")
+        if self.difference is planar_difference and getattr(self.robot, "nq", self.robot.nv) != self.robot.nv:
+            object.__setattr__(self, "difference", difference_of(self.robot))
         _check_gains(self, self.robot.nv)
 
     def initial_state(self) -> None:
@@ -125,6 +155,11 @@ def _feedback(controller: PD | ComputedTorque, q: Array, v: Array, reference: St
         if actual.shape[-1:] != desired.shape[-1:]:
             raise InvalidArgument(f"{name} has shape {actual.shape}, the reference's has {desired.shape}")
     error, rate = controller.difference(reference.q, q), np.subtract(reference.v, v)
+    if error.shape[-1:] != rate.shape[-1:]:
+        raise InvalidArgument(
+            f"difference gives shape {error.shape}, expected {rate.shape}: compare configurations of a robot "
+            "with joints without limits by difference=difference_of(robot)"
+        )
     return _amplified("kp", controller.kp, error) + _amplified("kd", controller.kd, rate)
 
 

@@ -5,10 +5,14 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike, broadcast, vector, wrap_angle
-from pinmobile.robot.engine import Engine
+from pinmobile.arrays import Array, ArrayLike
+from pinmobile.robot.engine import BODY_JOINT
+from pinmobile.robot.kinematics import ChainKinematics
 
 __all__ = ["ChainDynamics", "Linearization"]
+
+
+_STEP = 1e-4  # [s], of a central difference: its error is of the order of 1e-8 |v|^3 and 1e-12
 
 
 class Linearization(NamedTuple):
@@ -26,42 +30,25 @@ class Linearization(NamedTuple):
     B: Array
 
 
-class ChainDynamics:
+class ChainDynamics(ChainKinematics):
     """Abstract base: what follows from the Pinocchio model that its maker has set.
 
     All methods take and return, along the last axis and in the inertial frame: configuration
     q = (x, y, psi) [m, m, rad], velocity v = dq/dt [m/s, m/s, rad/s], acceleration a [m/s^2, m/s^2, rad/s^2]
-    and generalised force tau = (Fx, Fy, Mz) [N, N, N m]. Leading axes broadcast; Pinocchio takes one
-    configuration at a time, so they are looped over. All raise `InvalidArgument` for arguments of another
-    last axis or that are not finite.
+    and generalised force tau = (Fx, Fy, Mz) [N, N, N m]; after these come the arms' joints, one after the
+    other, in their units. A joint without limits is (cos, sin) in q and one number in v. Leading axes
+    broadcast; Pinocchio takes one configuration at a time, so they are looped over. All raise
+    `InvalidArgument` for arguments of another last axis or that are not finite.
     """
-
-    _engine: Engine
-
-    @property
-    def model(self) -> pin.Model:
-        """The Pinocchio model, in the chain's order (y, x, psi)."""
-        return self._engine.model
-
-    @property
-    def nq(self) -> int:
-        """Size of q."""
-        return int(self.model.nq)
-
-    @property
-    def nv(self) -> int:
-        """Size of v and a."""
-        return int(self.model.nv)
-
-    @property
-    def nu(self) -> int:
-        """Size of the input, here the generalised force."""
-        return self.nv
 
     @property
     def inertial_parameters(self) -> Array:
-        """What `regressor` multiplies, shape (10,): m, m c, and Ixx, Ixy, Iyy, Ixz, Iyz, Izz about B [SI]."""
-        return np.array(self.model.inertias[self.model.njoints - 1].toDynamicParameters())
+        """What `regressor` multiplies, shape (10 bodies,), those of the body and then of each joint's.
+
+        m, m c, and Ixx, Ixy, Iyy, Ixz, Iyz, Izz about the origin of the joint's frame [SI].
+        """
+        moving = range(BODY_JOINT, self.model.njoints)
+        return np.concatenate([self.model.inertias[joint].toDynamicParameters() for joint in moving])
 
     def mass_matrix(self, q: ArrayLike) -> Array:
         """Return M(q), shape (..., nv, nv) [kg, kg m, kg m^2], by Pinocchio's CRBA."""
@@ -89,35 +76,27 @@ class ChainDynamics:
         """Return v' M(q) v / 2, shape (...) [J]."""
         return self._engine.each(pin.computeKineticEnergy, self._q(q), self._v("v", v))
 
-    def frame_placements(self, q: ArrayLike) -> Array:
-        """Return T_0_k, the pose of each joint's frame, shape (..., 3, 4, 4); the last one is the body's."""
+    def potential_energy(self, q: ArrayLike) -> Array:
+        """Return the energy in the field of gravity, shape (...) [J]; zero where all is on the ground."""
+        return self._engine.each(pin.computePotentialEnergy, self._q(q))
 
-        def placements(model: pin.Model, data: pin.Data, q: Array) -> Array:
-            pin.forwardKinematics(model, data, q)
-            return np.stack([data.oMi[k].homogeneous for k in range(1, model.njoints)])
-
-        return self._engine.each(placements, self._q(q))
-
-    def jacobian(self, q: ArrayLike) -> Array:
-        """Return J(psi), shape (..., nv, nv): v = J twist, with the body twist (forward, left, yaw rate)."""
-        psi = self._q(q)[..., 2]
-        J = np.zeros((*psi.shape, self.nv, self.nv))
-        J[...] = np.eye(self.nv)
-        J[..., 0, 0] = J[..., 1, 1] = np.cos(psi)
-        J[..., 1, 0] = np.sin(psi)
-        J[..., 0, 1] = -J[..., 1, 0]
-        return J
+    def gravity(self, q: ArrayLike) -> Array:
+        """Return g(q), shape (..., nv) [N, N, N m]: what holds the robot at rest; none of it for the base."""
+        return self._engine.reorder(self._engine.each(pin.computeGeneralizedGravity, self._q(q)))
 
     def regressor(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
-        """Return Y(q, v, a), shape (..., nv, 10): tau = Y `inertial_parameters`."""
+        """Return Y(q, v, a), shape (..., nv, 10 bodies): tau = Y `inertial_parameters`, rotors left out."""
         arguments = self._q(q), self._v("v", v), self._v("a", a)
         Y = self._engine.each(pin.computeJointTorqueRegressor, *arguments)
-        return Y[..., self._engine.order, -10:]
+        return Y[..., self._engine.order, 10 * (BODY_JOINT - 1) :]
 
     def forward_dynamics_derivatives(
         self, q: ArrayLike, v: ArrayLike, tau: ArrayLike
     ) -> tuple[Array, Array, Array]:
-        """Return da/dq, da/dv, da/dtau = M^-1, each (..., nv, nv), by Pinocchio's ABA derivatives."""
+        """Return da/dq, da/dv, da/dtau = M^-1, each (..., nv, nv), by Pinocchio's ABA derivatives.
+
+        The first is by the displacement that `integrate` takes.
+        """
 
         def derivatives(model: pin.Model, data: pin.Data, q: Array, v: Array, tau: Array) -> Array:
             return np.stack(pin.computeABADerivatives(model, data, q, v, tau))
@@ -127,35 +106,29 @@ class ChainDynamics:
         return stacked[..., 0, :, :], stacked[..., 1, :, :], stacked[..., 2, :, :]
 
     def linearize(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Linearization:
-        """Return the first-order model of forward dynamics about (q, v, tau)."""
+        """Return the first-order model of forward dynamics about (q, v, tau).
+
+        dq is the displacement that `integrate` takes. Where a joint turns about more than one axis, it turns
+        itself while the robot moves: the first block of A is then -ad(v) instead of zero.
+        """
         by_q, by_v, by_tau = self.forward_dynamics_derivatives(q, v, tau)
         A = np.zeros((*by_q.shape[:-2], 2 * self.nv, 2 * self.nv))
         B = np.zeros((*by_q.shape[:-2], 2 * self.nv, self.nv))
         A[..., : self.nv, self.nv :] = np.eye(self.nv)
+        if self.nq != self.nv:
+            A[..., : self.nv, : self.nv] = self._square(
+                self._engine.each(_turning, self._q(q), self._v("v", v))
+            )
         A[..., self.nv :, : self.nv], A[..., self.nv :, self.nv :] = by_q, by_v
         B[..., self.nv :, :] = by_tau
         return Linearization(A, B)
 
-    def integrate(self, q: ArrayLike, dq: ArrayLike) -> Array:
-        """Return the configuration that the displacement `dq` leads to from `q`, shape (..., nq)."""
-        q, dq = self._q(q), self._v("dq", dq)
-        broadcast(q=q, dq=dq)
-        return q + dq
-
-    def difference(self, q0: ArrayLike, q1: ArrayLike) -> Array:
-        """Return the displacement from `q0` to `q1`, shape (..., nv); that of psi lies in (-pi, pi]."""
-        q0, q1 = vector("q0", q0, self.nq), vector("q1", q1, self.nq)
-        broadcast(q0=q0, q1=q1)
-        displacement = q1 - q0
-        displacement[..., 2] = wrap_angle(displacement[..., 2])
-        return displacement
-
-    def _q(self, q: ArrayLike) -> Array:
-        return vector("q", q, self.nq)
-
-    def _v(self, name: str, value: ArrayLike) -> Array:
-        return vector(name, value, self.nv)
-
     def _square(self, matrices: Array) -> Array:
         order = self._engine.order
         return matrices[..., order[:, None], order]
+
+
+def _turning(model: pin.Model, data: pin.Data, q: Array, v: Array) -> Array:
+    """Return how a displacement from a configuration that moves with v changes by itself."""
+    ahead, behind = (pin.dIntegrate(model, q, h * v, pin.ARG0) for h in (_STEP, -_STEP))
+    return np.asarray((ahead - behind) / (2 * _STEP))

@@ -14,8 +14,11 @@ from pinmobile import urdf
 from pinmobile.arrays import finite, location, positive, vector
 from pinmobile.dh import LECTURE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument
-from pinmobile.robot.dynamics import ChainDynamics
-from pinmobile.robot.engine import Engine, build_model
+from pinmobile.robot.assembly import assemble
+from pinmobile.robot.carrier import Carrier
+from pinmobile.robot.engine import BODY_JOINT, Engine, build_model
+from pinmobile.robot.mounts import Load, Mount
+from pinmobile.robot.pictures import add_carried
 from pinmobile.robot.reading import read_model, read_urdf
 from pinmobile.robot.visual import VisualFile, box_visuals, read_visuals
 
@@ -24,10 +27,11 @@ __all__ = ["MobileRobot"]
 
 @final
 @dataclass(frozen=True, eq=False, repr=False)
-class MobileRobot(ChainDynamics):
+class MobileRobot(Carrier):
     """A rigid body on the chain prismatic y, prismatic x, revolute z, with Pinocchio's dynamics.
 
-    Conventions, and the errors of the methods that it inherits: see `ChainDynamics`.
+    Conventions, and the errors of the methods that it inherits: see `ChainDynamics`. With arms mounted, see
+    `mount`, the parameters below are those of the base's body alone.
 
     Parameters
     ----------
@@ -56,6 +60,8 @@ class MobileRobot(ChainDynamics):
     dh: DHTable = LECTURE_TABLE
     source: str = field(default="made from numbers", init=False)
     body: urdf.Body = field(init=False)
+    mounts: tuple[Mount, ...] = field(default=(), init=False)
+    loads: tuple[tuple[str, Load], ...] = field(default=(), init=False)
     _engine: Engine = field(init=False)
     _looks: VisualFile | None = field(default=None, init=False)
 
@@ -84,13 +90,18 @@ class MobileRobot(ChainDynamics):
 
     def __repr__(self) -> str:
         table = "" if self.dh == LECTURE_TABLE else f", dh={self.dh!r}"
+        mounted = "".join(
+            f".mount({mount.arm.origin.value!r}, at={mount.at}, name={mount.name!r})" for mount in self.mounts
+        )
+        attached = "".join(f".attach({load!r}, frame={frame!r})" for frame, load in self.loads)
         return (
             f"MobileRobot(mass={self.mass!r}, yaw_inertia={self.yaw_inertia!r}, com={self.com!r}, "
-            f"size={self.size!r}{table})"
+            f"size={self.size!r}{table}){mounted}{attached}"
         )
 
     def _key(self) -> tuple[object, ...]:
-        return self.mass, self.com, self.body.inertia.tobytes(), self.size, self.dh
+        own = self.mass, self.com, self.body.inertia.tobytes(), self.size, self.dh
+        return *own, self.mounts, self.loads
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, MobileRobot) and self._key() == other._key()
@@ -100,7 +111,8 @@ class MobileRobot(ChainDynamics):
 
     def __reduce__(self) -> tuple[object, ...]:
         # A pin.Data is not worth keeping: it is made again from the parameters.
-        return _restored, (self.body, self.size, self.dh, self.source, self._looks)
+        own = self.body, self.size, self.dh, self.source, self._looks
+        return _restored, (*own, self.mounts, self.loads)
 
     @classmethod
     def lecture(cls) -> "MobileRobot":
@@ -203,18 +215,27 @@ class MobileRobot(ChainDynamics):
         robot._take(body)
         return robot
 
+    def _carrying(self, mounts: tuple[Mount, ...], loads: tuple[tuple[str, Load], ...]) -> "MobileRobot":
+        return _restored(self.body, self.size, self.dh, self.source, self._looks, mounts, loads)
+
+    def _as(self, body: urdf.Body, source: str) -> "MobileRobot":
+        return _restored(body, self.size, self.dh, source, self._looks)
+
     @cached_property
     def visual_model(self) -> pin.GeometryModel:
-        """What is drawn: objects in the body's frame, which ride on the last joint of `model`.
+        """What is drawn, each object on its joint of `model`: those of the body on the third.
 
         It is made when it is asked for. Of a URDF that shows more than a box, all that it shows, wheels at
         rest; mesh files that are missing are named in a warning. Else a box of `size` on the ground, with a
-        visible front.
+        visible front. Then what is drawn of each arm, and the boxes of loads.
         """
-        joint = self.model.njoints - 1
+        joint = BODY_JOINT
         if self._looks is None:
-            return box_visuals(self.size, joint)
-        return read_visuals(self._looks, self.size, joint)
+            visuals = box_visuals(self.size, joint)
+        else:
+            visuals = read_visuals(self._looks, self.size, joint)
+        add_carried(visuals, self.model, self.mounts, self.loads)
+        return visuals
 
     def to_urdf(self) -> str:
         """Return the robot as URDF text, every number to the last digit."""
@@ -222,10 +243,20 @@ class MobileRobot(ChainDynamics):
 
 
 def _restored(
-    body: urdf.Body, size: tuple[float, float, float], dh: DHTable, source: str, looks: VisualFile | None
+    body: urdf.Body,
+    size: tuple[float, float, float],
+    dh: DHTable,
+    source: str,
+    looks: VisualFile | None,
+    mounts: tuple[Mount, ...] = (),
+    loads: tuple[tuple[str, Load], ...] = (),
 ) -> MobileRobot:
     robot = MobileRobot.from_body(body, size, dh, source)
-    object.__setattr__(robot, "_looks", looks)
+    carrying = {"mounts": mounts, "loads": loads}
+    if mounts or loads:
+        carrying["_engine"] = Engine(assemble(robot.model, mounts, loads))  # type: ignore[assignment]
+    for name, value in {"_looks": looks, **carrying}.items():
+        object.__setattr__(robot, name, value)
     return robot
 
 

@@ -12,14 +12,14 @@ import pinocchio as pin
 from pinmobile.arrays import Array
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument
-from pinmobile.robot.wellformed import check_urdf
+from pinmobile.robot.tree import carries_only_wheels, joint_kind
+from pinmobile.robot.wellformed import urdf_text
 from pinmobile.urdf import Body
 
 __all__ = ["Reading", "read_model", "read_urdf"]
 
 _ALIGNED = 1e-5  # an axis written with six digits or more counts as aligned
 _MASSLESS = 1e-9  # of the body's mass
-_WHEEL_JOINTS = 3  # suspension, steering, wheel
 _CHAIN = (("prismatic", (0, 1, 0)), ("prismatic", (1, 0, 0)), ("revolute", (0, 0, 1)))
 
 
@@ -56,15 +56,7 @@ def read_urdf(path: Path) -> Reading:
     InvalidArgument
         If there is no such file, it is no URDF, or it is neither of the two.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidArgument(f"path is {str(path)!r}, which cannot be read: {error}") from None
-    try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise InvalidArgument(f"{path.name} is not well-formed XML: {error}") from None
-    check_urdf(root, path.name)
+    text, root = urdf_text("path", path)
     try:
         model = pin.buildModelFromXML(text)
     except (ValueError, RuntimeError) as error:
@@ -116,17 +108,13 @@ def _starts_with_slides(model: pin.Model) -> bool:
     """Tell whether the model is meant as the chain: three joints in series, two prismatic ones among them."""
     if model.njoints < 4 or [model.parents[j] for j in (1, 2, 3)] != [0, 1, 2]:
         return False
-    slides = sum("JointModelP" in _kind(model, j) and model.nvs[j] == 1 for j in (1, 2, 3))
+    slides = sum("JointModelP" in joint_kind(model, j) and model.nvs[j] == 1 for j in (1, 2, 3))
     return bool(slides >= 2)
-
-
-def _kind(model: pin.Model, joint: int) -> str:
-    return str(model.joints[joint].shortname())
 
 
 def _is_floating(model: pin.Model, joint: int) -> bool:
     alone = sum(parent == 0 for parent in list(model.parents)[1:]) == 1
-    return alone and re.match("JointModel(FreeFlyer|Planar)", _kind(model, joint)) is not None
+    return alone and re.match("JointModel(FreeFlyer|Planar)", joint_kind(model, joint)) is not None
 
 
 def _chain_table(model: pin.Model, data: pin.Data, name: str) -> DHTable | None:
@@ -135,7 +123,7 @@ def _chain_table(model: pin.Model, data: pin.Data, name: str) -> DHTable | None:
         expected = f"expected a {kind} one along {axis}: joint {joint} of y, x, psi"
         if model.nvs[joint] != 1:
             raise InvalidArgument(
-                f"{name}: joint {model.names[joint]!r} is a {_kind(model, joint)}, {expected}"
+                f"{name}: joint {model.names[joint]!r} is a {joint_kind(model, joint)}, {expected}"
             )
         column = pin.getJointJacobian(model, data, joint, pin.WORLD)[:, model.idx_vs[joint]]
         is_kind = "revolute" if np.linalg.norm(column[3:]) > 0.5 else "prismatic"
@@ -160,19 +148,10 @@ def _chain_table(model: pin.Model, data: pin.Data, name: str) -> DHTable | None:
 def _locked(model: pin.Model, root: int, name: str) -> list[int]:
     """Return the joints to lock: wheels and what only carries wheels. Refuse any other."""
     above = range(root + 1, model.njoints)
-    children = {j: [k for k in above if model.parents[k] == j] for j in above}
-
-    def rolls(joint: int, joints_left: int) -> bool:
-        """Tell whether the joint is a wheel, or carries only wheels with so many joints in series."""
-        if not children[joint]:
-            return re.search("RevoluteUnbounded|RUB", _kind(model, joint)) is not None
-        below = (rolls(child, joints_left - 1) for child in children[joint])
-        return bool(joints_left > 1 and model.nvs[joint] == 1 and all(below))
-
     for joint in above:
-        if model.parents[joint] == root and not rolls(joint, _WHEEL_JOINTS):
+        if model.parents[joint] == root and not carries_only_wheels(model, joint):
             raise InvalidArgument(
-                f"{name}: joint {model.names[joint]!r} ({_kind(model, joint)}) is neither a wheel "
+                f"{name}: joint {model.names[joint]!r} ({joint_kind(model, joint)}) is neither a wheel "
                 "(continuous, nothing moves on it) nor a suspension or swivel that carries only wheels; "
                 "expected a bare base, or the chain prismatic y, prismatic x, revolute z with one body"
             )

@@ -12,7 +12,7 @@ import pinocchio as pin
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
 
-__all__ = ["BODY", "VisualFile", "box_visuals", "read_visuals"]
+__all__ = ["BODY", "VisualFile", "box_visuals", "drawn", "read_visuals", "readable"]
 
 BODY = "body"
 """Name of the box, the one geometry object that may be coloured as one likes."""
@@ -51,13 +51,7 @@ def read_visuals(file: VisualFile, size: Sequence[float], joint: int) -> pin.Geo
     InvalidArgument
         If the file cannot be read any more.
     """
-    try:
-        root = ElementTree.fromstring(file.path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, ElementTree.ParseError) as error:
-        raise InvalidArgument(f"path is {str(file.path)!r}, which cannot be read: {error}") from None
-    missing = _without_missing_meshes(root, file)
-    if missing:
-        warnings.warn(f"{file.path.name}: not drawn, since missing: {', '.join(missing)}", stacklevel=4)
+    root, missing = readable(file, stacklevel=5)
     shapes = [shape.tag for shape in root.iterfind("./link/visual/geometry/*")]
     if shapes in ([], ["box"]):
         return box_visuals(size, joint)
@@ -70,11 +64,29 @@ def read_visuals(file: VisualFile, size: Sequence[float], joint: int) -> pin.Geo
     base = pin.SE3(np.reshape(file.base, (4, 4))).inverse()
     for item in shown.geometryObjects:
         placement = base * data.oMi[item.parentJoint] * item.placement
-        whole = pin.GeometryObject(item.name, joint, placement, item.geometry)
-        # The mesh as Pinocchio has read and scaled it: of a file with materials meshcat draws holes.
-        whole.meshColor, whole.meshScale, whole.meshPath = item.meshColor, np.ones(3), ""
-        visuals.addGeometryObject(whole)
+        visuals.addGeometryObject(drawn(item.name, joint, placement, item))
     return visuals
+
+
+def drawn(name: str, joint: int, placement: pin.SE3, item: pin.GeometryObject) -> pin.GeometryObject:
+    """Return the object on another joint, its mesh as Pinocchio has read and scaled it."""
+    moved = pin.GeometryObject(name, joint, placement, item.geometry)
+    # Of a file with materials meshcat draws holes.
+    moved.meshColor, moved.meshScale, moved.meshPath = item.meshColor, np.ones(3), ""
+    return moved
+
+
+def readable(file: VisualFile, stacklevel: int) -> tuple[ElementTree.Element, list[str]]:
+    """Return the file's tree without the visuals whose meshes are missing, and those files' names."""
+    try:
+        root = ElementTree.fromstring(file.path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, ElementTree.ParseError) as error:
+        raise InvalidArgument(f"path is {str(file.path)!r}, which cannot be read: {error}") from None
+    missing = _without_missing_meshes(root, file)
+    if missing:
+        listed = ", ".join(dict.fromkeys(missing))
+        warnings.warn(f"{file.path.name}: not drawn, since missing: {listed}", stacklevel=stacklevel)
+    return root, missing
 
 
 def box_visuals(size: Sequence[float], joint: int) -> pin.GeometryModel:
@@ -131,6 +143,7 @@ def _without_missing_meshes(root: ElementTree.Element, file: VisualFile) -> list
 
 def _found(name: str, file: VisualFile) -> Path | None:
     scheme, apart, rest = name.rpartition("://")
+    rest = rest.lstrip("/") if scheme == "package" else rest
     folders = (*file.package_dirs, file.path.parent) if scheme == "package" else (file.path.parent,)
     candidates = (folder / (rest if apart else name) for folder in folders)
     return next((path.resolve() for path in candidates if path.is_file()), None)

@@ -2,17 +2,39 @@
 
 from collections import Counter
 from math import isfinite
+from pathlib import Path
+from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from pinmobile.errors import InvalidArgument
 
-__all__ = ["check_urdf"]
+__all__ = ["check_urdf", "urdf_text"]
 
 _JOINTS = ("fixed", "revolute", "continuous", "prismatic", "planar", "floating")
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _ROUNDING = 1e-9
+
+
+def urdf_text(argument: str, path: Path) -> tuple[str, Element]:
+    """Return the text of a file and its tree, checked.
+
+    Raises
+    ------
+    InvalidArgument
+        If there is no such file, or it is no URDF; the message names the argument.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidArgument(f"{argument} is {str(path)!r}, which cannot be read: {error}") from None
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise InvalidArgument(f"{path.name} is not well-formed XML: {error}") from None
+    check_urdf(root, path.name)
+    return text, root
 
 
 def check_urdf(root: Element, name: str) -> None:

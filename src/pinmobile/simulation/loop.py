@@ -56,16 +56,17 @@ class Loop:
         v0: Array,
     ) -> None:
         self.nq, self.nv, self.last = plant.nq, plant.nv, len(t) - 1
-        self.adds = type(plant) is MobileRobot  # another class may do it otherwise
+        # Another class may do it otherwise; joints that are (cos, sin) in q do not add.
+        self.adds = type(plant) is MobileRobot and self.nq == self.nv
         # A table treats all coordinates alike; what a user's integrator does with their order is not known.
         chained = self.adds and isinstance(integrator, RungeKuttaNystrom)
         self.order = plant._engine.order if chained else None  # type: ignore[attr-defined]
-        self.rows = np.empty((len(t) + 1, self.nq + 2 * self.nv))  # one to spare: each has a next one
+        self.rows = np.full((len(t) + 1, self.nq + 2 * self.nv), np.nan)  # one to spare: each has a next one
         self.taus = np.empty((len(t), plant.nu))
         self.rows[0, : self.nq + self.nv] = np.concatenate([self._reordered(q0), self._reordered(v0)])
         self.desired = np.hstack([self._reordered(reference.q), self._reordered(reference.v)])
         self.forward = plant._engine.forward if chained else forward_of(plant)  # type: ignore[attr-defined]
-        if chained and _is_known(controller):
+        if chained and _is_known(controller, self.nq):
             accelerations = self._reordered(reference.a)
             self.control = _feedback(controller, self.desired, accelerations, np.asarray(self.order))
         else:
@@ -88,12 +89,20 @@ class Loop:
         rows, following = self.rows[begin:end], self.rows[begin + 1 : end + 1, :n]
         # Views that come from iteration cost half of those that come from indexing.
         parts = rows, rows[:, :nq], rows[:, nq:n], rows[:, :n], rows[:, n:], following, self.taus[begin:end]
-        for k, (row, q, v, state, acceleration, after, held) in enumerate(zip(*parts, strict=True), begin):
-            held[:] = force = control(k, state, q, v)
-            applied = force if push is None else force + push(times[k], q, v)
-            acceleration[:] = a = forward(q, v, applied)
-            if k < last:
-                advance(k, row, q, v, force, a, after)
+        k = begin
+        try:
+            for k, (row, q, v, state, acceleration, after, held) in enumerate(
+                zip(*parts, strict=True), begin
+            ):
+                held[:] = force = control(k, state, q, v)
+                applied = force if push is None else force + push(times[k], q, v)
+                acceleration[:] = a = forward(q, v, applied)
+                if k < last:
+                    advance(k, row, q, v, force, a, after)
+        except InvalidArgument:
+            # A state that is not finite is refused by whoever is asked about it; the rest stays empty.
+            if np.isfinite(self.rows[k, :n]).all():
+                raise
 
     def samples(self, begin: int, end: int) -> tuple[Array, Array, Array, Array]:
         """Return q, v, a and tau of the samples, in public order, one row each."""
@@ -115,13 +124,14 @@ class Loop:
         return self.adds and near and isfinite(rows[:, n:].sum() + self.taus[begin:end].sum())
 
 
-def _is_known(controller: Any) -> bool:
-    """Tell whether the controller is the library's own in every part."""
+def _is_known(controller: Any, size: int) -> bool:
+    """Tell whether the controller is the library's own in every part, for configurations of that size."""
+    robot = getattr(controller, "robot", None)
     return (
         type(controller) in (PD, ComputedTorque)
         # Both act on the third coordinate alone or on none, which is psi in either order.
         and (controller.difference is planar_difference or controller.difference is np.subtract)
-        and type(getattr(controller, "robot", None)) in (MobileRobot, type(None))
+        and (robot is None or (type(robot) is MobileRobot and robot.nq == robot.nv == size))
     )
 
 

@@ -26,17 +26,20 @@ class Rollout:
     Attributes
     ----------
     robot : MobileRobot or other plant
-        What was simulated; None after loading the file of a plant that is no `MobileRobot`.
+        What was simulated; None after loading the file of a plant that is no `MobileRobot`, or of one whose
+        arm is no loader's and has no URDF that is still there.
     t : ndarray, shape (N + 1,)
         Times [s].
-    q, v, a : ndarray, shape (N + 1, 3)
-        Configuration, velocity and acceleration; `a` is that at the start of each step.
-    tau : ndarray, shape (N + 1, 3)
-        Generalised force (Fx, Fy, Mz) [N, N, N m], held until the next sample.
-    error : ndarray, shape (N + 1, 3)
-        From the configuration to the reference, psi on the circle [m, m, rad].
+    q : ndarray, shape (N + 1, nq)
+        Configuration; nq = nv = 3 where no arm is mounted.
+    v, a : ndarray, shape (N + 1, nv)
+        Velocity and acceleration; `a` is that at the start of each step.
+    tau : ndarray, shape (N + 1, nv)
+        Generalised force (Fx, Fy, Mz, ...) [N, N, N m, ...], held until the next sample.
+    error : ndarray, shape (N + 1, nv)
+        From the configuration to the reference, psi on the circle [m, m, rad, ...].
     reference : Reference
-        Desired q, v and a, each of shape (N + 1, 3).
+        Desired q, v and a, of the same shapes.
     """
 
     robot: Any

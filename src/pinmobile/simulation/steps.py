@@ -12,7 +12,15 @@ from pinmobile.integrators import Integrator, RungeKuttaNystrom
 from pinmobile.robot import MobileRobot
 from pinmobile.simulation.plant import Plant
 
-__all__ = ["Clock", "forward_of", "pushed", "steps", "steps_between_configurations", "tabled_steps"]
+__all__ = [
+    "Clock",
+    "forward_of",
+    "integrate_of",
+    "pushed",
+    "steps",
+    "steps_between_configurations",
+    "tabled_steps",
+]
 
 Forward: TypeAlias = Callable[[Array, Array, Array], Array]
 Push: TypeAlias = Callable[[float, Array, Array], Array]
@@ -32,8 +40,17 @@ def forward_of(plant: Plant) -> Forward:
     if type(plant) is not MobileRobot:
         return plant.forward_dynamics
     engine = plant._engine
-    forward, order = engine.forward, engine.order
-    return lambda q, v, tau: forward(q[order], v[order], tau[order])[order]
+    forward, order, order_q = engine.forward, engine.order, engine.order_q
+    return lambda q, v, tau: forward(q[order_q], v[order], tau[order])[order]
+
+
+def integrate_of(plant: "Plant") -> Callable[[Array, Array], Array]:
+    """Return the plant's step from a configuration, unchecked where the plant allows."""
+    if type(plant) is not MobileRobot:
+        return plant.integrate
+    engine = plant._engine
+    integrate, order, order_q = engine.integrate, engine.order, engine.order_q
+    return lambda q, dq: integrate(q[order_q], dq[order])[order_q]
 
 
 def pushed(forces: tuple[Force, ...], order: Any, nv: int) -> Push:
@@ -125,16 +142,17 @@ def steps_between_configurations(
 ) -> Advance:
     """Return the steps of any integrator, which sees the displacement from the start of its step."""
     (times, h, substeps), rest = clock, np.zeros(plant.nv)
+    forward, integrate = forward_of(plant), integrate_of(plant)
 
     def advance(k: int, row: Array, q: Array, v: Array, force: Array, a: Array, after: Array) -> None:
         def acceleration(time: float, displacement: Array, w: Array) -> Array:
-            x = plant.integrate(base, displacement)
-            return plant.forward_dynamics(x, w, force if push is None else force + push(time, x, w))
+            x = integrate(base, displacement)
+            return forward(x, w, force if push is None else force + push(time, x, w))
 
         base, w = q, v
         for j in range(substeps):
             displacement, w = integrator(acceleration, times[k] + j * h, rest.copy(), w, h)
-            base = plant.integrate(base, displacement)
+            base = integrate(base, displacement)
         after[: len(q)] = base
         after[len(q) :] = w
 

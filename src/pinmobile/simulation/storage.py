@@ -10,8 +10,8 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.dh import DHRow, DHTable, JointType
-from pinmobile.errors import InvalidArgument
-from pinmobile.robot import MobileRobot
+from pinmobile.errors import InvalidArgument, PinmobileError
+from pinmobile.robot import Load, MobileRobot
 from pinmobile.urdf import Body
 
 __all__ = ["read_archive", "write_archive"]
@@ -29,9 +29,9 @@ def write_archive(file: IO[bytes], arrays: dict[str, Array], robot: object) -> N
     arrays : dict of str to ndarray
         Arrays of any shape.
     robot : object
-        The plant; any that is not a `MobileRobot` is left out.
+        The plant; any that is not a `MobileRobot`, or carries an arm without a name or a file, is left out.
     """
-    described = _describe(robot) if isinstance(robot, MobileRobot) else None
+    described = _describe(robot) if isinstance(robot, MobileRobot) and _is_known(robot) else None
     np.savez(file, allow_pickle=False, format=_FORMAT, robot=json.dumps(described), **arrays)
 
 
@@ -56,6 +56,10 @@ def read_archive(path: Path) -> tuple[dict[str, Array], MobileRobot | None]:
     return named, None if described is None else _restore(described)
 
 
+def _is_known(robot: MobileRobot) -> bool:
+    return all(mount.arm.origin.kind != "model" for mount in robot.mounts)
+
+
 def _describe(robot: MobileRobot) -> dict[str, Any]:
     # JSON keeps every digit of a float.
     return {
@@ -65,13 +69,36 @@ def _describe(robot: MobileRobot) -> dict[str, Any]:
         "size": robot.size,
         "dh": [(*astuple(row)[:4], row.joint.value, row.variable) for row in robot.dh],
         "source": robot.source,
+        "mounts": [
+            {
+                "name": mount.name,
+                "at": mount.at,
+                "arm": mount.arm.origin.value,
+                "package_dirs": mount.arm.origin.package_dirs,
+                "locked": mount.arm.locked,
+                "rest": mount.arm.rest.tolist(),
+            }
+            for mount in robot.mounts
+        ],
+        "inertias": robot.inertial_parameters.tolist(),
+        "loads": [[frame, load.mass, load.com, load.inertia, load.size] for frame, load in robot.loads],
     }
 
 
-def _restore(described: dict[str, Any]) -> MobileRobot:
+def _restore(described: dict[str, Any]) -> MobileRobot | None:
+    """Return the robot; None where a file of an arm is no longer there, or no longer what it was."""
     rows = tuple(
         DHRow(alpha, a, theta, d, JointType(joint), variable)
         for alpha, a, theta, d, joint, variable in described["dh"]
     )
     body = Body(described["mass"], described["com"], described["inertia"])
-    return MobileRobot.from_body(body, tuple(described["size"]), DHTable(rows), described["source"])
+    robot = MobileRobot.from_body(body, tuple(described["size"]), DHTable(rows), described["source"])
+    try:
+        for mount in described.get("mounts", ()):
+            robot = robot.mount(mount.pop("arm"), **mount)
+        for frame, mass, com, inertia, size in described.get("loads", ()):
+            robot = robot.attach(Load(mass, com, inertia, size), frame)
+    except PinmobileError:
+        return None
+    found, kept = robot.inertial_parameters, described.get("inertias")
+    return robot if kept is None or np.array_equal(found, kept) else None

@@ -9,6 +9,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive
 from pinmobile.dh import DHTable
 from pinmobile.errors import InvalidArgument
+from pinmobile.robot import MobileRobot
 from pinmobile.simulation import Rollout
 
 __all__ = ["Arrows", "Follow", "Overlays", "Rollouts", "Stay", "View", "checked_runs"]
@@ -145,7 +146,8 @@ def checked_runs(rollouts: Any) -> dict[str, Rollout]:
         if not isinstance(run, Rollout):
             raise InvalidArgument(f"{where} is a {type(run).__name__}, expected a Rollout")
         for name, poses in ((f"{where}.q", run.q), (f"{where}.reference.q", run.reference.q)):
-            if poses.ndim != 2 or poses.shape[1] != 3 or not len(poses):
+            size = run.robot.nq if isinstance(run.robot, MobileRobot) else 3
+            if poses.ndim != 2 or poses.shape[1] not in (3, size) or not len(poses):
                 raise InvalidArgument(f"{name} has shape {poses.shape}, expected (N + 1, 3): x, y, psi")
             finite(name, poses)
         finite(f"{where}.t", run.t)

@@ -13,7 +13,8 @@ from pinmobile.simulation import Rollout
 from pinmobile.viewer import shapes
 from pinmobile.viewer.captions import captions
 from pinmobile.viewer.ground import ABOVE, TRAIL, draw_grid, draw_path, draw_triad
-from pinmobile.viewer.motion import Channel, along, poses_of, sampled
+from pinmobile.viewer.links import configurations, envelope, links
+from pinmobile.viewer.motion import Channel, along, poses_of
 from pinmobile.viewer.overlays import Arrows, Follow, Overlays, Stay, View
 from pinmobile.viewer.palette import INK, QUIET, colour
 from pinmobile.viewer.stage import Extent, Stage, overview
@@ -57,17 +58,18 @@ class Scene:
     legend: list[list[object]] = field(default_factory=list)
 
     def alone(self, pose: Array) -> None:
-        """Draw the robot at a pose (x, y, psi), around which one looks."""
+        """Draw the robot at a configuration, shape (nq,), around which one looks."""
         poses = pose[None]
-        room = 2.5 * max(self.robot.size)
-        extent = Extent(pose[:2] - room, pose[:2] + room, self.robot.size)
+        reach, height = envelope(self.robot, poses)
+        room = max(2.5 * max(self.robot.size), 1.2 * reach)
+        extent = Extent(pose[:2] - room, pose[:2] + room, (*self.robot.size[:2], height))
         self._furnish(extent, poses)
         self.stage.robot("meshcat/robot0", self.robot, colour(0))
-        self._rides(lambda poses: along("meshcat/robot0", poses), poses)
+        self._rides(partial(_ridden, "meshcat/robot0", self.robot), poses)
         self._tables(poses, extent)
 
     def move(self, pose: Array) -> None:
-        """Put the robot, and what moves with it, at a pose (x, y, psi), shape (3,)."""
+        """Put the robot, and what moves with it, at a configuration, shape (nq,)."""
         for rider in self.riders:
             self.stage.show(rider(pose[None]), 0)
 
@@ -90,27 +92,33 @@ class Scene:
             Of the frames [s].
         """
         points = np.concatenate([q[:, :2] for run in runs.values() for q in (run.q, run.reference.q)])
-        extent = Extent(points.min(axis=0), points.max(axis=0), self.robot.size)
         main = next(iter(runs.values()))
-        poses = [_poses(run.t, run.q, times) for run in runs.values()]
+        robots = [run.robot if isinstance(run.robot, MobileRobot) else self.robot for run in runs.values()]
+        poses = [
+            configurations(robot, run.t, run.q, times)
+            for robot, run in zip(robots, runs.values(), strict=True)
+        ]
+        reach, height = envelope(robots[0], poses[0])
+        room = reach - self.robot.size[0]
+        extent = Extent(points.min(axis=0) - room, points.max(axis=0) + room, (*self.robot.size[:2], height))
         self._furnish(extent, poses[0])
         if self.overlays.path:
             draw_path(self.stage, main, extent)
             self.legend.append(["desired", INK, "6 4", 0.0])
         for index, (label, run) in enumerate(runs.items()):
-            robot = run.robot if isinstance(run.robot, MobileRobot) else self.robot
             path = f"meshcat/robot{index}"
-            self.stage.robot(path, robot, colour(index), ghost=index > 0)
+            self.stage.robot(path, robots[index], colour(index), ghost=index > 0)
             if index == 0:
-                self._rides(lambda poses: along("meshcat/robot0", poses), poses[0])
+                self._rides(partial(_ridden, path, robots[0]), poses[0])
             else:
-                self.channels += along(path, poses[index])
+                self.channels += _ridden(path, robots[index], poses[index])
             if self.overlays.trail:
                 self._trail(index, len(runs), run, times, extent)
             self.legend.append([label or "travelled", colour(index), "", 0.0 if index == 0 else 0.55])
         if self.overlays.desired:
             self.stage.robot("meshcat/desired", self.robot, QUIET, ghost=True)
-            self.channels += along("meshcat/desired", _poses(main.t, main.reference.q, times))
+            desired = configurations(self.robot, main.t, main.reference.q, times)
+            self.channels += _ridden("meshcat/desired", self.robot, desired)
             self.legend.append(["desired pose", QUIET, "", 0.5])
         if self.overlays.arrows is not None:
             self._arrows(main, times, poses[0], extent, self.overlays.arrows)
@@ -121,8 +129,7 @@ class Scene:
 
     def _furnish(self, extent: Extent, poses: Array) -> None:
         camera = self.overlays.camera
-        height = self.robot.size[2]
-        view = overview(extent, height)
+        view = overview(extent, extent.size[2])
         if isinstance(camera, Follow):
             toward = (view.eye - view.target) / np.linalg.norm(view.eye - view.target)
             view = View(camera.distance * toward, np.zeros(3))
@@ -176,7 +183,7 @@ class Scene:
         held = np.clip(np.searchsorted(run.t, now, side="right") - 1, 0, len(run) - 1)
         fx, fy, moment = run.tau[held].T
         heading = np.column_stack([poses[:, :2], np.unwrap(np.arctan2(fy, fx))])
-        flat = poses * (1, 1, 0)
+        flat = poses[:, :3] * (1, 1, 0)
         unit = extent.unit
         for name, symbol, shape, paint, size, per, turned in (
             ("force", "N", shapes.arrow(0.06), colour(3), np.hypot(fx, fy), arrows.force, heading),
@@ -207,5 +214,6 @@ def _frame(table: DHTable, k: int, poses: Array) -> Array:
     return table.placements(poses[:, [1, 0, 2]])[:, k - 1]
 
 
-def _poses(t: Array, q: Array, times: Array) -> Array:
-    return sampled(times, t, np.column_stack([q[:, :2], np.unwrap(q[:, 2])]))
+def _ridden(path: str, robot: MobileRobot, configurations: Array) -> list[Channel]:
+    """Return the channels of a robot, body and links."""
+    return [*along(path, configurations), *links(path, robot, configurations)]

@@ -162,8 +162,8 @@ class Stage:
         visualizer = MeshcatVisualizer(robot.model, pin.GeometryModel(), shown)
         visualizer.initViewer(viewer=Visualizer(window=self.window))
         visualizer.loadViewerModel(path.removeprefix("meshcat/"))
-        # With all coordinates at zero the body is at the origin: the node's pose does the rest.
-        visualizer.display(np.zeros(robot.nq))
+        # The body is then at the origin: the node's pose does the rest.
+        visualizer.display(pin.neutral(robot.model))
         self.set(path, "scale", list(_GHOST_SCALE) if ghost else [1.0, 1.0, 1.0])
 
 

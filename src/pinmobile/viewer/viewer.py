@@ -113,8 +113,8 @@ class Viewer:
 
         Parameters
         ----------
-        q : array_like, shape (3,)
-            (x, y, psi) [m, m, rad].
+        q : array_like, shape (nq,)
+            (x, y, psi, ...) [m, m, rad, ...].
 
         Raises
         ------
@@ -123,9 +123,9 @@ class Viewer:
         ViewerError
             If the viewer is closed.
         """
-        pose = vector("q", q, 3)
+        pose = vector("q", q, self.robot.nq)
         if pose.ndim != 1:
-            raise InvalidArgument(f"q has shape {pose.shape}, expected (3,)")
+            raise InvalidArgument(f"q has shape {pose.shape}, expected ({self.robot.nq},)")
         if abs(pose[:2]).max() > _FARTHEST:
             raise InvalidArgument(f"q is {pose.tolist()}, expected x and y within {_FARTHEST:g} m")
         with self._lock:

@@ -1,19 +1,18 @@
-"""Every route to M, n, tau and the acceleration side by side, with the largest difference."""
+"""A bare body: closed form, Pinocchio, and the two symbolic derivations."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from pinmobile import closed_form
-from pinmobile.arrays import Array, whole
+from pinmobile.arrays import Array
 from pinmobile.derivation import Numeric, lagrange, lecture
 from pinmobile.dh import DHTable
-from pinmobile.errors import InvalidArgument
 from pinmobile.robot import MobileRobot
+from pinmobile.verification.table import Comparison
 
-__all__ = ["Comparison", "Verification", "verify"]
+__all__ = ["compare_planar"]
 
 _EPS = float(np.finfo(np.float64).eps)
 _TOLERANCE = 1e-12  # some thousand roundings, relative to the scale of the terms
@@ -21,106 +20,9 @@ _TOLERANCE = 1e-12  # some thousand roundings, relative to the scale of the term
 Dynamics = dict[str, Array]
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """The largest difference of one quantity between two routes.
-
-    Attributes
-    ----------
-    quantity : str
-        ``"M"``, ``"n"``, ``"tau"`` or ``"a"``.
-    route, against : str
-        The two routes.
-    difference : float
-        Largest difference over all states, relative to the scale of the terms.
-    bound : float
-        Largest difference that rounding explains.
-    """
-
-    quantity: str
-    route: str
-    against: str
-    difference: float
-    bound: float
-
-    @property
-    def agrees(self) -> bool:
-        """Whether the difference is within the bound."""
-        return self.difference <= self.bound
-
-
-@dataclass(frozen=True)
-class Verification:
-    """All comparisons for one robot; printed, it is a table.
-
-    Attributes
-    ----------
-    robot : MobileRobot
-        What was verified.
-    states : int
-        Number of random states.
-    rows : tuple of Comparison
-        One per quantity and route.
-    """
-
-    robot: MobileRobot
-    states: int
-    rows: tuple[Comparison, ...]
-
-    @property
-    def passed(self) -> bool:
-        """Whether every comparison agrees."""
-        return all(row.agrees for row in self.rows)
-
-    @property
-    def largest(self) -> dict[str, float]:
-        """Largest difference of each quantity over the routes."""
-        quantities = dict.fromkeys(row.quantity for row in self.rows)
-        return {q: max(row.difference for row in self.rows if row.quantity == q) for q in quantities}
-
-    def __str__(self) -> str:
-        head = f"{'':3} {'route':32} {'largest difference':>18} {'bound':>9}"
-        lines = [
-            f"{row.quantity:3} {row.route:32} {row.difference:18.1e} {row.bound:9.1e}  "
-            f"{'agrees' if row.agrees else 'DIFFERS'}"
-            for row in self.rows
-        ]
-        against = self.rows[0].against
-        return "\n".join([f"{self.states} random states, each route against the {against}", head, *lines])
-
-
-def verify(robot: MobileRobot, *, states: int = 200, seed: int | np.random.Generator = 0) -> Verification:
-    """Compare every route to the robot's dynamics on random states.
-
-    The routes are the closed form (hand-derived), Pinocchio (CRBA, RNEA, ABA), the symbolic Newton-Euler
-    recursion and Lagrange's equations, the last two for the robot's own DH table. Differences are relative
-    to the scale of the terms: sqrt(M_ii M_jj) for M, m |v|^2 for n, |M| |a| + m |v|^2 for tau and |a| + |v|^2
-    for the acceleration; |v|^2 times the distance of the centre of mass where that is above 1 m. The first
-    three must be within 1e-12, the last within 8 eps cond(M).
-
-    Parameters
-    ----------
-    robot : MobileRobot
-        Any mass, inertia, centre of mass and table.
-    states : int
-        Number of states: psi over two turns to either side, v and a normal with unit deviation.
-    seed : int or Generator
-        Of the states.
-
-    Returns
-    -------
-    verification : Verification
-        Print it; ask `passed` and `largest`.
-
-    Raises
-    ------
-    InvalidArgument
-        If `states` is not a whole number >= 1.
-    """
-    if not isinstance(robot, MobileRobot):
-        raise InvalidArgument(f"robot is {robot!r}, expected a MobileRobot")
-    rng = np.random.default_rng(seed)
-    shape = (whole("states", states), 3)
+def compare_planar(robot: MobileRobot, states: int, rng: np.random.Generator) -> tuple[Comparison, ...]:
+    """Return every route of a bare body against the closed form, see `verify`."""
+    shape = (states, 3)
     q = rng.uniform(-4 * np.pi, 4 * np.pi, shape)
     v, a = rng.normal(size=shape), rng.normal(size=shape)
     truth = _closed_form(robot, q, v, a)
@@ -139,7 +41,7 @@ def verify(robot: MobileRobot, *, states: int = 200, seed: int | np.random.Gener
             relative = float((np.abs(dynamics[quantity] - truth[quantity]) / scale).max())
             bound = bounds.get(quantity, 8 * _EPS * float(np.linalg.cond(truth["M"]).max()))
             rows.append(Comparison(quantity, name, "closed form", relative, bound))
-    return Verification(robot, shape[0], tuple(rows))
+    return tuple(rows)
 
 
 def _scales(robot: MobileRobot, truth: Dynamics, v: Array, a: Array) -> Dynamics:

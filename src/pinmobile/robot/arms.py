@@ -1,0 +1,214 @@
+"""What can be mounted, made ready: a model without a root of its own, its wheels locked, its rest posture."""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+import pinocchio as pin
+
+from pinmobile.arrays import Array, frozen
+from pinmobile.errors import InvalidArgument, UnknownName
+from pinmobile.robot.tree import carries_only_wheels, children, joint_kind
+
+__all__ = ["Arm", "Origin", "Picture", "tip_of"]
+
+Picture: TypeAlias = Callable[[pin.Model], pin.GeometryModel]
+
+_SINGULAR = 1e-9  # what is left of a joint's inertia when all joints beyond it give way, as a share of it
+_FINGER = 4  # joints in series at most, beyond which a branch is an arm
+_TOOLS = ("tcp", "tool0", "end_effector", "ee_link")  # names of the link that a file means as the tip
+_GENERIC = 20  # seed of the posture at which inertias are tried; any will do
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where an arm comes from, so that it can be read again.
+
+    Parameters
+    ----------
+    kind : str
+        ``"loader"``, ``"urdf"`` or ``"model"``.
+    value : str
+        The loader's name, the path of the URDF, or the model's name.
+    package_dirs : tuple of str
+        Folders that ``package://`` in the URDF refers to.
+    """
+
+    kind: str
+    value: str
+    package_dirs: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """A robot that can be mounted.
+
+    Parameters
+    ----------
+    origin : Origin
+        Where it comes from.
+    whole : pin.Model
+        As it was read.
+    rest : ndarray, shape (whole.nq,)
+        Its reference posture.
+    picture : callable
+        Returns the visual `pin.GeometryModel` of `whole`.
+    locked : tuple of str
+        Joints to lock at rest, beside a root and wheels.
+
+    Attributes
+    ----------
+    model : pin.Model
+        Without what is locked.
+    posture : ndarray, shape (model.nq,)
+        Its reference posture.
+    tip : str
+        Its end effector's frame.
+
+    Raises
+    ------
+    InvalidArgument
+        If a joint moves nothing that has inertia, or mimics another one.
+    UnknownName
+        If a joint to lock is not there.
+    """
+
+    origin: Origin
+    whole: pin.Model
+    rest: Array
+    picture: Picture
+    locked: tuple[str, ...] = ()
+    model: pin.Model = field(init=False)
+    posture: Array = field(init=False)
+    tip: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        whole, rest = _whole(self.whole), frozen(self.rest)
+        for joint in range(1, whole.njoints):
+            if "Mimic" in joint_kind(whole, joint):
+                raise InvalidArgument(
+                    f"arm {self.origin.value!r}: joint {whole.names[joint]!r} mimics another one, which "
+                    "Pinocchio's forward dynamics does not support, expected a model built with mimic=False"
+                )
+        held = _held(whole, self.locked)
+        model = pin.buildReducedModel(whole, held, np.array(rest)) if held else whole.copy()
+        free = [joint for joint in range(1, whole.njoints) if joint not in held]
+        parts = [rest[whole.idx_qs[j] : whole.idx_qs[j] + whole.nqs[j]] for j in free]
+        posture = np.concatenate(parts) if parts else np.zeros(0)
+        _check_inertias(model, posture, self.origin.value)
+        for name, value in {
+            "whole": whole,
+            "rest": rest,
+            "model": model,
+            "posture": frozen(posture),
+            "tip": tip_of(model),
+        }.items():
+            object.__setattr__(self, name, value)
+
+    def key(self) -> tuple[object, ...]:
+        """Return what makes two arms the same one."""
+        return self.origin, self.locked, tuple(self.rest.tolist())
+
+    def visuals(self) -> pin.GeometryModel:
+        """Return what is drawn of it, for `model`."""
+        shown = self.picture(self.whole)
+        held = _held(self.whole, self.locked)
+        if held:
+            _, (shown,) = pin.buildReducedModel(self.whole, [shown], held, np.array(self.rest))
+        return shown
+
+
+def _whole(model: pin.Model) -> pin.Model:
+    """Return a copy with what Pinocchio needs to lock joints, and a model made joint by joint may lack."""
+    whole = model.copy()
+    # Else it balks: the least velocity is left at its largest number.
+    whole.lowerVelocityLimit = np.minimum(whole.lowerVelocityLimit, whole.upperVelocityLimit)
+    for joint in range(1, whole.njoints):
+        # Else it crashes.
+        if not whole.existFrame(whole.names[joint], pin.FrameType.JOINT):
+            whole.addJointFrame(joint)
+    return whole
+
+
+def _held(model: pin.Model, names: Sequence[str]) -> list[int]:
+    """Return the joints that do not move: a root of its own, wheels, and those that are named."""
+    root = _root(model)
+    below = children(model)
+    start = root[-1] if root else 0
+    first = below[start]
+    rolling = [joint for joint in first if carries_only_wheels(model, joint)]
+    # A single chain of continuous joints is a pendulum.
+    wheels = rolling if len(first) > 1 else []
+    held = {*root}
+    while wheels:
+        joint = wheels.pop()
+        held.add(joint)
+        wheels += below[joint]
+    known = {name: joint for joint, name in enumerate(model.names) if joint}
+    for name in names:
+        if name not in known:
+            raise UnknownName("joint", str(name), known)
+        held.add(known[name])
+    return sorted(held)
+
+
+def _root(model: pin.Model) -> list[int]:
+    """Return the joints that put the robot into the world: free-flyer, planar, or two slides and a turn."""
+    below = children(model)
+    if len(below[0]) != 1:
+        return []
+    if re.match("JointModel(FreeFlyer|Planar)", joint_kind(model, 1)):
+        return [1]
+    chain = model.njoints > 3 and list(model.parents[1:4]) == [0, 1, 2]
+    if not chain or any(len(below[joint]) != 1 for joint in (1, 2)):
+        return []
+    kinds = [joint_kind(model, joint).removeprefix("JointModel") for joint in (1, 2, 3)]
+    massless = all(model.inertias[joint].mass == 0 for joint in (1, 2))
+    planar = sorted(kinds[:2]) == ["PX", "PY"] and kinds[2] in ("RZ", "RUBZ")
+    return [1, 2, 3] if planar and massless else []
+
+
+def _check_inertias(model: pin.Model, posture: Array, called: str) -> None:
+    """Refuse a joint that nothing resists, at rest or at a posture like any other."""
+    if not model.nv:
+        return
+    data = model.createData()
+    step = np.random.default_rng(_GENERIC).uniform(-1, 1, model.nv)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for q in (posture, pin.integrate(model, np.array(posture), step)):
+            own = np.diag(pin.crba(model, data, q)).copy()
+            pin.cholesky.decompose(model, data)
+            left = np.array(data.D)
+            # Elimination goes from the tips to the root, and what comes after a zero is no number.
+            singular = np.flatnonzero(~(left > _SINGULAR * own))
+            if len(singular):
+                joint = _joint_of(model, int(singular[-1]))
+                raise InvalidArgument(
+                    f"arm {called!r}: joint {model.names[joint]!r} moves parts that have no inertia, "
+                    "expected inertia beyond each joint, or that joint among `locked`"
+                )
+
+
+def _joint_of(model: pin.Model, k: int) -> int:
+    """Return the joint of a velocity coordinate."""
+    return next(j for j in range(1, model.njoints) if 0 <= k - model.idx_vs[j] < model.nvs[j])
+
+
+def tip_of(model: pin.Model) -> str:
+    """Return the last link on the longest chain of joints; what carries fingers is the tip of theirs."""
+    below = children(model)
+    depth = [0] * model.njoints
+    for joint in range(1, model.njoints):
+        depth[joint] = depth[model.parents[joint]] + 1
+    leaf = tip = int(np.argmax(depth))
+    above = model.parents[leaf]
+    while above and depth[leaf] - depth[above] <= _FINGER:
+        if len(below[above]) > 1:
+            tip = above
+        above = model.parents[above]
+    frames = [frame for frame in model.frames if frame.parentJoint == tip]
+    links = [str(frame.name) for frame in frames if frame.type == pin.FrameType.BODY]
+    tools = [link for tool in _TOOLS for link in links if link.endswith(tool)]
+    return (tools or links or [str(frame.name) for frame in frames])[0 if tools else -1]

@@ -1,0 +1,131 @@
+"""What can be done with a body that carries: mount arms, attach loads, lump all of it."""
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import pinocchio as pin
+
+from pinmobile import urdf
+from pinmobile.arrays import ArrayLike, finite
+from pinmobile.errors import InvalidArgument
+from pinmobile.robot.dynamics import ChainDynamics
+from pinmobile.robot.mounts import Load, Mount, checked_name, free_name, mount_after, on_top, placed
+from pinmobile.robot.sources import read_arm
+
+__all__ = ["Carrier"]
+
+
+class Carrier(ChainDynamics):
+    """Abstract base: a body of some size that can carry arms and loads."""
+
+    size: tuple[float, float, float]
+    source: str
+
+    @abstractmethod
+    def _carrying(self, mounts: tuple[Mount, ...], loads: tuple[tuple[str, Load], ...]) -> Self:
+        """Return the same body that carries these instead."""
+
+    @abstractmethod
+    def _as(self, body: urdf.Body, source: str) -> Self:
+        """Return another body, bare, that looks the same."""
+
+    def mount(
+        self,
+        arm: Any,
+        at: ArrayLike | None = None,
+        *,
+        name: str | None = None,
+        package_dirs: Sequence[str | PathLike[str]] = (),
+        visual: pin.GeometryModel | None = None,
+        rest: ArrayLike | None = None,
+        locked: Sequence[str] = (),
+    ) -> Self:
+        """Return the robot with an arm on its body; q and v then end with the arm's joints.
+
+        A root of its own (free-flyer, planar) is replaced by the chain, and wheels are locked. Its joints and
+        frames are called ``name/...``; its limits, its rotors and its reference posture are kept.
+
+        Parameters
+        ----------
+        arm : str, path, pin.Model or pin.RobotWrapper
+            One of `mountable()`, such as ``"ur5"``; a URDF; or a model.
+        at : array_like, shape (4,), optional
+            Where its root stands on the body: x, y, z and yaw [m, m, m, rad]; by default in the middle of the
+            top of the box of `size`.
+        name : str, optional
+            By default that of the arm; numbered where it is taken.
+        package_dirs : sequence of str or path
+            Folders that ``package://`` in a URDF's mesh names refers to.
+        visual : pin.GeometryModel, optional
+            What is drawn of a `pin.Model`.
+        rest : array_like, shape (arm's nq,), optional
+            Its reference posture; by default the loader's, or the neutral one.
+        locked : sequence of str
+            Its joints that shall not move, at rest.
+
+        Raises
+        ------
+        InvalidArgument
+            If the arm cannot be read, a joint of it moves no inertia, or another argument is not what is
+            expected.
+        UnknownName
+            If no loader has the name; the nearest come first.
+        """
+        place = on_top(self.size) if at is None else placed(at)
+        ready = read_arm(arm, package_dirs=package_dirs, visual=visual, rest=rest, locked=locked)
+        wanted = checked_name(name if name is not None else Path(ready.origin.value).stem)
+        taken = {mount.name for mount in self.mounts}
+        mount = mount_after(self.model, ready, free_name(wanted, taken), place)
+        return self._carrying((*self.mounts, mount), self.loads)
+
+    def attach(self, load: Load, frame: str | None = None) -> Self:
+        """Return the robot with a load fixed to one of its frames.
+
+        Parameters
+        ----------
+        load : Load
+            Mass, centre of mass, inertia, size.
+        frame : str, optional
+            One of `frame_names`; by default `end_effector`.
+
+        Raises
+        ------
+        InvalidArgument
+            If `load` is something else.
+        UnknownName
+            If there is no such frame.
+        """
+        if not isinstance(load, Load):
+            raise InvalidArgument(f"load is {load!r}, expected a Load")
+        return self._carrying(self.mounts, (*self.loads, (self._frame(frame)[0], load)))
+
+    @property
+    def base(self) -> Self:
+        """The robot without what it carries."""
+        return self._carrying((), ()) if self.mounts or self.loads else self
+
+    def lumped(self, q: ArrayLike | None = None) -> Self:
+        """Return the bare robot that has the mass and inertia of all, arms locked where they are.
+
+        Parameters
+        ----------
+        q : array_like, shape (nq,) or (nq - 3,), optional
+            Configuration, or the arms' part of it; by default `rest`.
+
+        Raises
+        ------
+        InvalidArgument
+            If it has another shape or is not finite.
+        """
+        posture = finite("q", self.rest if q is None else q)
+        if posture.shape == (self.nq - 3,):
+            posture = np.concatenate([np.zeros(3), posture])
+        if posture.shape != (self.nq,):
+            raise InvalidArgument(f"q has shape {posture.shape}, expected ({self.nq},) or ({self.nq - 3},)")
+        total = self._engine.composite(self._q(posture))
+        body = urdf.Body(total.mass, total.lever, total.inertia)
+        return self._as(body, f"{self.source}; arms locked")

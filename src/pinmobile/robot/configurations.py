@@ -1,0 +1,168 @@
+"""Configurations of a body on the chain and what it carries, their limits and steps, in public order."""
+
+from functools import cached_property
+
+import numpy as np
+import pinocchio as pin
+
+from pinmobile.arrays import Array, ArrayLike, broadcast, frozen, vector, wrap_angle
+from pinmobile.errors import InvalidArgument
+from pinmobile.robot.assembly import limits
+from pinmobile.robot.engine import Engine
+from pinmobile.robot.mounts import Load, Mount
+
+__all__ = ["ChainConfigurations"]
+
+_UNIT = 1e-6  # how far (cos, sin) or a quaternion may be from length one
+
+
+class ChainConfigurations:
+    """Abstract base: what follows from the kinds of joints in the Pinocchio model.
+
+    Conventions: see `ChainDynamics`.
+    """
+
+    _engine: Engine
+    mounts: tuple[Mount, ...]
+    loads: tuple[tuple[str, Load], ...]
+
+    @property
+    def model(self) -> pin.Model:
+        """The Pinocchio model, in the chain's order (y, x, psi, ...)."""
+        return self._engine.model
+
+    @property
+    def nq(self) -> int:
+        """Size of q."""
+        return int(self.model.nq)
+
+    @property
+    def nv(self) -> int:
+        """Size of v and a."""
+        return int(self.model.nv)
+
+    @property
+    def nu(self) -> int:
+        """Size of the input, here the generalised force."""
+        return self.nv
+
+    @cached_property
+    def _limits(self) -> tuple[Array, Array, Array, Array]:
+        lower, upper, speed, effort = map(frozen, limits(self.model, self.mounts))
+        return lower, upper, speed, effort
+
+    @property
+    def lower(self) -> Array:
+        """Least configuration, shape (nq,) [m, m, rad, ...]; -inf where there is no limit."""
+        return self._limits[0]
+
+    @property
+    def upper(self) -> Array:
+        """Largest configuration, shape (nq,) [m, m, rad, ...]; inf where there is no limit."""
+        return self._limits[1]
+
+    @property
+    def velocity_limit(self) -> Array:
+        """Largest |v|, shape (nv,) [m/s, m/s, rad/s, ...]; inf where there is no limit."""
+        return self._limits[2]
+
+    @property
+    def effort_limit(self) -> Array:
+        """Largest |tau|, shape (nv,) [N, N, N m, ...]; inf where there is no limit."""
+        return self._limits[3]
+
+    @cached_property
+    def neutral(self) -> Array:
+        """Configuration with all coordinates at zero, angles that are (cos, sin) among them, shape (nq,)."""
+        return frozen(self._engine.reorder(pin.neutral(self.model)))
+
+    @cached_property
+    def rest(self) -> Array:
+        """Configuration at the origin with each arm in its reference posture, shape (nq,).
+
+        Where its description has none, its neutral one. All is brought within the limits.
+        """
+        q = self.neutral.copy()
+        for mount in self.mounts:
+            q[mount.q] = mount.arm.posture
+        return frozen(np.clip(q, self.lower, self.upper))
+
+    def random_configuration(self, generator: "np.random.Generator", shape: tuple[int, ...] = ()) -> Array:
+        """Return configurations within the limits, shape (*shape, nq); without a limit, up to pi or 1 m.
+
+        Parameters
+        ----------
+        generator : numpy.random.Generator
+            Where the numbers come from.
+        shape : tuple of int
+            Leading axes.
+        """
+        free = generator.uniform(-np.pi, np.pi, (*shape, self.nv))
+        free[..., :2] /= np.pi
+        q = self.integrate(np.broadcast_to(self.neutral, (*shape, self.nq)), free)
+        limited = np.isfinite(self.lower) & np.isfinite(self.upper)
+        q[..., limited] = generator.uniform(
+            self.lower[limited], self.upper[limited], (*shape, np.count_nonzero(limited))
+        )
+        return q
+
+    def integrate(self, q: ArrayLike, dq: ArrayLike) -> Array:
+        """Return the configuration that the displacement `dq` leads to from `q`, shape (..., nq).
+
+        x, y, psi and joints with one number each add, psi beyond pi too; other joints by Pinocchio.
+        """
+        q, dq = self._q(q), self._v("dq", dq)
+        broadcast(q=q, dq=dq)
+        if self.nq == self.nv:
+            return q + dq
+        return self._engine.reorder(self._engine.each(_integrated, q, dq))
+
+    def difference(self, q0: ArrayLike, q1: ArrayLike) -> Array:
+        """Return the displacement from `q0` to `q1`, shape (..., nv); that of psi lies in (-pi, pi].
+
+        That of joints without limits is taken on the circle too, by Pinocchio; others are subtracted.
+        """
+        q0, q1 = self._q(q0, "q0"), self._q(q1, "q1")
+        broadcast(q0=q0, q1=q1)
+        if self.nq == self.nv:
+            displacement = q1 - q0
+        else:
+            displacement = self._engine.reorder(self._engine.each(_difference, q0, q1))
+        displacement[..., 2] = wrap_angle(displacement[..., 2])
+        return displacement
+
+    def _q(self, q: ArrayLike, name: str = "q") -> Array:
+        array = vector(name, q, self.nq)
+        for part, joint in self._unit_parts:
+            off = np.abs(np.linalg.norm(array[..., part], axis=-1) - 1)
+            if off.size and not off.max() <= _UNIT:
+                raise InvalidArgument(
+                    f"{name}[..., {part.start}:{part.stop}] of joint {joint!r} has a length off by "
+                    f"{off.max():.3g}, expected length one: step it with `integrate`"
+                )
+        return array
+
+    def _v(self, name: str, value: ArrayLike) -> Array:
+        return vector(name, value, self.nv)
+
+    @cached_property
+    def _unit_parts(self) -> tuple[tuple[slice, str], ...]:
+        """The parts of q that lie on a circle or a sphere, and their joints' names."""
+        model, parts = self.model, []
+        for j in range(1, model.njoints):
+            # In Pinocchio's order: (cos, sin), a quaternion, (x, y, cos, sin), (x, y, z, quaternion).
+            circle = (model.nqs[j], model.nvs[j]) == (2, 1) or "Planar" in str(model.joints[j].shortname())
+            sphere = (model.nqs[j], model.nvs[j]) in ((4, 3), (7, 6))
+            width = 2 if circle else 4 if sphere else 0
+            end = model.idx_qs[j] + model.nqs[j]
+            if width:
+                parts.append((slice(end - width, end), str(model.names[j])))
+        return tuple(parts)
+
+
+def _integrated(model: pin.Model, data: pin.Data, q: Array, dq: Array) -> Array:
+    return np.asarray(pin.integrate(model, q, dq))
+
+
+def _difference(model: pin.Model, data: pin.Data, q0: Array, q1: Array) -> Array:
+    return np.asarray(pin.difference(model, q0, q1))

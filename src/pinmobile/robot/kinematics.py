@@ -1,0 +1,113 @@
+"""Frames of a body on the chain and what it carries, in public order."""
+
+from functools import cached_property
+
+import numpy as np
+import pinocchio as pin
+
+from pinmobile.arrays import Array, ArrayLike
+from pinmobile.errors import UnknownName
+from pinmobile.robot.assembly import named_frames
+from pinmobile.robot.configurations import ChainConfigurations
+
+__all__ = ["ChainKinematics"]
+
+
+class ChainKinematics(ChainConfigurations):
+    """Abstract base: what follows from the Pinocchio model without its masses.
+
+    Conventions: see `ChainDynamics`.
+    """
+
+    @cached_property
+    def _frames(self) -> dict[str, int]:
+        return named_frames(self.model)
+
+    @property
+    def frame_names(self) -> tuple[str, ...]:
+        """Names of the frames: the chain's, ``base_link``, and ``name/...`` of each arm."""
+        return tuple(self._frames)
+
+    @property
+    def end_effector(self) -> str:
+        """Default frame: the tip of the first arm, or the body's frame where there is none."""
+        return self.mounts[0].tip if self.mounts else "base_link"
+
+    def frame_pose(self, q: ArrayLike, frame: str | None = None) -> Array:
+        """Return T_0_f, the pose of a frame, shape (..., 4, 4).
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        frame : str, optional
+            One of `frame_names`; by default `end_effector`.
+
+        Raises
+        ------
+        UnknownName
+            If there is no such frame.
+        """
+        _, number = self._frame(frame)
+
+        def pose(model: pin.Model, data: pin.Data, q: Array) -> Array:
+            pin.forwardKinematics(model, data, q)
+            return np.asarray(pin.updateFramePlacement(model, data, number).homogeneous)
+
+        return self._engine.each(pose, self._q(q))
+
+    def frame_jacobian(self, q: ArrayLike, frame: str | None = None) -> Array:
+        """Return J, shape (..., 6, nv): J v is the velocity of the frame's origin and the angular velocity.
+
+        Both are along the axes of the inertial frame [m/s, rad/s].
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        frame : str, optional
+            One of `frame_names`; by default `end_effector`.
+
+        Raises
+        ------
+        UnknownName
+            If there is no such frame.
+        """
+        _, number = self._frame(frame)
+
+        def jacobian(model: pin.Model, data: pin.Data, q: Array) -> Array:
+            J = pin.computeFrameJacobian(model, data, q, number, pin.LOCAL_WORLD_ALIGNED)
+            return np.asarray(J)
+
+        return self._engine.reorder(self._engine.each(jacobian, self._q(q)))
+
+    def _frame(self, name: str | None) -> tuple[str, int]:
+        name = self.end_effector if name is None else name
+        if name not in self._frames:
+            raise UnknownName("frame", str(name), self._frames)
+        return name, self._frames[name]
+
+    def frame_placements(self, q: ArrayLike) -> Array:
+        """Return T_0_k, the pose of each joint's frame, shape (..., joints, 4, 4).
+
+        The third is the body's; it is the last one where nothing is mounted.
+        """
+
+        def placements(model: pin.Model, data: pin.Data, q: Array) -> Array:
+            pin.forwardKinematics(model, data, q)
+            return np.stack([data.oMi[k].homogeneous for k in range(1, model.njoints)])
+
+        return self._engine.each(placements, self._q(q))
+
+    def jacobian(self, q: ArrayLike) -> Array:
+        """Return J(psi), shape (..., nv, nv): v = J twist, with the body twist (forward, left, yaw rate).
+
+        What comes after the base is taken over as it is.
+        """
+        psi = self._q(q)[..., 2]
+        J = np.zeros((*psi.shape, self.nv, self.nv))
+        J[...] = np.eye(self.nv)
+        J[..., 0, 0] = J[..., 1, 1] = np.cos(psi)
+        J[..., 1, 0] = np.sin(psi)
+        J[..., 0, 1] = -J[..., 1, 0]
+        return J

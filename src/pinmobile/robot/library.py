@@ -1,0 +1,150 @@
+"""The robots of example-robot-data by their names, and those among them that cannot be mounted."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import pinocchio as pin
+
+from pinmobile.arrays import Array
+from pinmobile.errors import InvalidArgument, PinmobileError, UnknownName
+from pinmobile.robot.arms import Arm, Origin, Picture
+from pinmobile.robot.pictures import FilePicture, GivenPicture
+
+__all__ = ["EXCEPTIONS", "Mountable", "Mountables", "load_arm", "mountable"]
+
+_FINGERS = "its fingers have no inertia: mount it with locked=('bravo_finger1_joint', 'bravo_finger2_joint')"
+
+EXCEPTIONS: dict[str, str] = {
+    "bluevolta_bravo7_gripper": _FINGERS,
+    "bravo7_gripper": _FINGERS,
+    "cassie": "its loader reads SDF, which Pinocchio's wheels are built without",
+    "falcon_bravo7_gripper": _FINGERS,
+    "icub": "its reference posture aligns neck_pitch and neck_roll with no inertia between: try icub_reduced",
+    "romeo": "its fingers and thumbs have no inertia",
+}
+"""Names that `MobileRobot.mount` refuses as they are, and why."""
+
+
+@dataclass(frozen=True)
+class Mountable:
+    """A robot that can be mounted by its name.
+
+    Attributes
+    ----------
+    name : str
+        What `MobileRobot.mount` takes.
+    joints : int
+        Degrees of freedom that it brings, without a root and wheels.
+    mass : float
+        Of the whole of it [kg].
+    """
+
+    name: str
+    joints: int
+    mass: float
+
+
+@dataclass(frozen=True)
+class Mountables:
+    """All robots that can be mounted by name; printed, it is a table.
+
+    Attributes
+    ----------
+    rows : tuple of Mountable
+        In the order of their names.
+    exceptions : tuple of (str, str)
+        Names that the loaders know and that do not mount, with the reason.
+    """
+
+    rows: tuple[Mountable, ...]
+    exceptions: tuple[tuple[str, str], ...]
+
+    def __iter__(self) -> Iterator[Mountable]:
+        return iter(self.rows)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the rows."""
+        return tuple(row.name for row in self.rows)
+
+    def __str__(self) -> str:
+        width = max(len(name) for name in (*self.names, *(name for name, _ in self.exceptions)))
+        lines = [f"{'name':{width}} {'joints':>6} {'mass [kg]':>10}"]
+        lines += [f"{row.name:{width}} {row.joints:6d} {row.mass:10.3f}" for row in self.rows]
+        lines += [f"{name:{width}} not: {reason}" for name, reason in self.exceptions]
+        return "\n".join(lines)
+
+
+@lru_cache(maxsize=1)
+def mountable() -> Mountables:
+    """Return the robots of example-robot-data that `MobileRobot.mount` knows by name.
+
+    It reads each of them once, without its meshes, which takes two seconds; after that it is remembered.
+    """
+    rows = []
+    for name in sorted(_loaders()):
+        if name not in EXCEPTIONS:
+            model = load_arm(name).model
+            rows.append(Mountable(name, model.nv, sum(inertia.mass for inertia in model.inertias)))
+    return Mountables(tuple(rows), tuple(sorted(EXCEPTIONS.items())))
+
+
+def load_arm(name: str, locked: tuple[str, ...] = ()) -> Arm:
+    """Return a robot of example-robot-data.
+
+    Raises
+    ------
+    UnknownName
+        If there is none of that name.
+    InvalidArgument
+        If its loader fails, or it cannot be mounted.
+    """
+    loaders = _loaders()
+    if name not in loaders:
+        raise UnknownName("arm", name, sorted(loaders))
+    loader = loaders[name]
+    try:
+        model, rest, picture = _made(loader) if _does_more(loader) else _read(loader)
+    except PinmobileError:
+        raise
+    except Exception as error:
+        reason = EXCEPTIONS.get(name, str(error) or type(error).__name__)
+        raise InvalidArgument(f"arm {name!r} cannot be loaded: {reason}") from error
+    return Arm(Origin("loader", name), model, rest, picture, locked)
+
+
+def _loaders() -> dict[str, Any]:
+    from example_robot_data import ROBOTS
+
+    return dict(ROBOTS)
+
+
+def _does_more(loader: Any) -> bool:
+    """Tell whether the loader does more than read a URDF."""
+    return "__init__" in vars(loader) or not loader.urdf_filename
+
+
+def _made(loader: Any) -> tuple[pin.Model, Array, Picture]:
+    robot = loader().robot
+    return robot.model, robot.q0, GivenPicture(robot.visual_model)
+
+
+def _read(loader: Any) -> tuple[pin.Model, Array, Picture]:
+    """Return what the loader would read, without the meshes, which take a hundred times as long."""
+    from example_robot_data import getModelPath, readParamsFromSrdf
+
+    folder = Path(loader.path)
+    urdf = folder / loader.urdf_subpath / loader.urdf_filename
+    home = Path(getModelPath(str(urdf)))
+    model = pin.buildModelFromUrdf(str(home / urdf))
+    rest = pin.neutral(model)
+    if loader.srdf_filename:
+        srdf = home / folder / loader.srdf_subpath / loader.srdf_filename
+        rest = readParamsFromSrdf(model, str(srdf), False, loader.has_rotor_parameters, loader.ref_posture)
+    return model, rest, FilePicture(home / urdf, (home.parents[1],))

@@ -1,0 +1,322 @@
+"""What `mount` takes, what it makes of it, and what it refuses."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import example_robot_data
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pinmobile import (
+    ComputedTorque,
+    FixedHeading,
+    InvalidArgument,
+    Lissajous,
+    Load,
+    MobileRobot,
+    Reference,
+    Rollout,
+    UnknownName,
+    simulate,
+)
+from pinmobile.arrays import Array
+from pinmobile.robot import BODY_JOINT
+from pinmobile.viewer import Viewer
+from tests.chromium import chromium
+from tests.webclient import eventually
+
+BOX = MobileRobot.box()
+
+ARM = """<robot name="two links">
+  <link name="foot"><inertial><mass value="2"/>
+    <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>
+    <visual><geometry><box size="0.1 0.1 0.1"/></geometry></visual></link>
+  <link name="upper"><inertial><origin xyz="0 0 0.2"/><mass value="1"/>
+    <inertia ixx="0.02" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>
+    <visual><geometry><mesh filename="package://arms/upper.stl"/></geometry></visual></link>
+  <link name="lower">{lower}</link>
+  <joint name="shoulder" type="continuous"><parent link="foot"/><child link="upper"/><axis xyz="0 0 1"/>
+    <limit effort="30" velocity="2"/></joint>
+  <joint name="elbow" type="revolute"><parent link="upper"/><child link="lower"/><origin xyz="0 0 0.4"/>
+    <axis xyz="0 1 0"/><limit lower="-2" upper="1.5" effort="20" velocity="3"/></joint>
+</robot>"""
+INERTIAL = """<inertial><origin xyz="0 0 0.1"/><mass value="0.5"/>
+  <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>"""
+
+
+@pytest.fixture
+def urdf(tmp_path: Path) -> Path:
+    path = tmp_path / "arm.urdf"
+    path.write_text(ARM.format(lower=INERTIAL))
+    return path
+
+
+def link(model: pin.Model, joint: int, mass: float = 1.0) -> None:
+    body = pin.Inertia(mass, np.array([0.1, 0, 0.2]), mass * np.diag([0.02, 0.02, 0.02]))
+    model.appendBodyToJoint(joint, body, pin.SE3.Identity())
+
+
+def chain(*joints: Any) -> pin.Model:
+    """Return joints in series, each with a link."""
+    model, parent = pin.Model(), 0
+    for number, joint in enumerate(joints):
+        parent = model.addJoint(parent, joint, pin.SE3(np.eye(3), np.array([0, 0, 0.2])), f"j{number}")
+        model.addJointFrame(parent)
+        link(model, parent)
+    return model
+
+
+def test_a_urdf_is_mounted_and_a_mesh_that_is_missing_is_named(urdf: Path) -> None:
+    robot = BOX.mount(urdf, (0, 0, 0.2, 0))
+    assert (robot.nq, robot.nv) == (6, 5)
+    assert robot.mounts[0].name == "arm"
+    assert list(robot.model.names)[4:] == ["arm/shoulder", "arm/elbow"]
+    np.testing.assert_array_equal(robot.lower[3:], [-np.inf, -np.inf, -2])
+    np.testing.assert_array_equal(robot.effort_limit[3:], [30, 20])
+    with pytest.warns(UserWarning, match=r"arm\.urdf: not drawn, since missing: package://arms/upper\.stl$"):
+        shown = robot.visual_model.geometryObjects
+    assert [item.name for item in shown] == ["body", "front", "wedge", "arm/foot_0"]
+    foot = shown[3]
+    assert foot.parentJoint == BODY_JOINT
+    assert foot.placement.translation[2] == pytest.approx(0.2)
+
+
+def test_a_mesh_is_found_in_a_package(urdf: Path, tmp_path: Path) -> None:
+    (tmp_path / "packages" / "arms").mkdir(parents=True)
+    facet = "facet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
+    (tmp_path / "packages" / "arms" / "upper.stl").write_text(f"solid s\n{facet}endsolid s\n")
+    robot = BOX.mount(str(urdf), package_dirs=[tmp_path / "packages"])
+    item = robot.visual_model.geometryObjects[-1]
+    assert (item.name, item.parentJoint) == ("arm/upper_0", BODY_JOINT + 1)
+
+
+@pytest.mark.parametrize(
+    "roots",
+    [
+        (pin.JointModelFreeFlyer(),),
+        (pin.JointModelPlanar(),),
+    ],
+)
+def test_a_root_of_its_own_is_replaced_by_the_chain(roots: tuple[Any, ...]) -> None:
+    hinges = pin.JointModelRY(), pin.JointModelRX()
+    robot = BOX.mount(chain(*roots, *hinges), (0.1, 0, 0.3, 0))
+    assert (robot.nq, robot.nv) == (5, 5)
+    # The root's link rides on the body: it counts.
+    assert robot.mass_matrix(robot.rest)[0, 0] == pytest.approx(BOX.mass + 3)
+
+
+def test_two_slides_and_a_turn_are_a_root_where_nothing_hangs_on_the_way() -> None:
+    model, parent = pin.Model(), 0
+    for number, joint in enumerate((pin.JointModelPX(), pin.JointModelPY(), pin.JointModelRZ())):
+        parent = model.addJoint(parent, joint, pin.SE3.Identity(), f"root{number}")
+    link(model, parent, 5.0)
+    elbow = model.addJoint(parent, pin.JointModelRY(), pin.SE3.Identity(), "elbow")
+    link(model, elbow)
+    assert BOX.mount(model).nv == 4
+    link(model, 2)  # a gantry
+    assert BOX.mount(model).nv == 7
+
+
+def test_a_model_with_its_geometry_and_a_wrapper_of_one_are_mounted() -> None:
+    wrapper = example_robot_data.load("double_pendulum_continuous")
+    robot = BOX.mount(wrapper, name="pendulum")
+    assert robot.nv == 5  # a chain of continuous joints is no wheel
+    assert sum(item.name.startswith("pendulum/") for item in robot.visual_model.geometryObjects) == 3
+    bare = BOX.mount(wrapper.model)
+    assert len(bare.visual_model.geometryObjects) == 3
+    shown = BOX.mount(wrapper.model, visual=wrapper.visual_model)
+    assert len(shown.visual_model.geometryObjects) == 6
+    assert (
+        BOX.mount("double_pendulum_continuous").mass_matrix(robot.rest).tolist()
+        == robot.mass_matrix(robot.rest).tolist()
+    )
+
+
+def test_locked_joints_are_a_part_of_what_carries_them() -> None:
+    free, held = BOX.mount("panda"), BOX.mount("panda", locked=["panda_finger_joint1", "panda_finger_joint2"])
+    q = free.rest
+    np.testing.assert_allclose(held.mass_matrix(q[:10]), free.mass_matrix(q)[:10, :10], atol=1e-13)
+    assert held.mounts[0].arm.locked == ("panda_finger_joint1", "panda_finger_joint2")
+
+
+def massless() -> pin.Model:
+    model = chain(pin.JointModelRY(), pin.JointModelRX())
+    model.addJoint(2, pin.JointModelRZ(), pin.SE3.Identity(), "finger")
+    model.name = "grip"
+    return model
+
+
+MIMIC = ARM.format(lower=INERTIAL).replace(
+    '<axis xyz="0 1 0"/>', '<axis xyz="0 1 0"/><mimic joint="shoulder"/>'
+)
+MIMIC = MIMIC.replace("continuous", "revolute").replace(
+    '<limit effort="30"', '<limit lower="-1" upper="1" effort="30"'
+)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"at": (0, 0, np.nan, 0)}, "at[2] is nan, expected a finite number"),
+        ({"at": (0, 0, 0)}, "at has shape (3,), expected (4,): x, y, z and yaw"),
+        ({"name": "a/b"}, "name is 'a/b', expected a word without a slash"),
+        ({"name": ""}, "name is '', expected a word without a slash"),
+        ({"arm": 3}, "arm is a int, expected a name, the path of a URDF, or a pinocchio.Model"),
+        (
+            {"arm": massless()},
+            "arm 'grip': joint 'finger' moves parts that have no inertia, expected inertia",
+        ),
+        (
+            {"arm": pin.buildModelFromXML(MIMIC, mimic=True)},
+            "arm 'two links': joint 'elbow' mimics another one, which Pinocchio's forward dynamics does not",
+        ),
+        ({"rest": (1, 2)}, "rest has shape (2,), expected (..., 6)"),
+        ({"arm": "no/such.urdf"}, "arm is "),
+        ({"arm": "cassie"}, "arm 'cassie' cannot be loaded: its loader reads SDF"),
+    ],
+)
+def test_bad_input_is_named(arguments: dict[str, Any], text: str) -> None:
+    with pytest.raises(InvalidArgument) as caught:
+        BOX.mount(**({"arm": "ur5"} | arguments))
+    assert str(caught.value).startswith(text)
+
+
+def test_unknown_names_come_with_the_nearest_ones() -> None:
+    with pytest.raises(UnknownName, match=r"^unknown arm 'ur55', available: ur5, "):
+        BOX.mount("ur55")
+    with pytest.raises(UnknownName, match=r"^unknown joint 'elbow', available: elbow_joint, "):
+        BOX.mount("ur5", locked=["elbow"])
+    with pytest.raises(UnknownName, match=r"^unknown frame 'ur5/tool', available: ur5/tool0, "):
+        BOX.mount("ur5").attach(Load(1), "ur5/tool")
+
+
+def test_a_file_that_is_none_is_refused(urdf: Path, tmp_path: Path) -> None:
+    with pytest.raises(InvalidArgument, match=r"package_dirs has '.*nowhere', expected a folder"):
+        BOX.mount(urdf, package_dirs=[tmp_path / "nowhere"])
+    urdf.write_text("<robot>")
+    with pytest.raises(InvalidArgument, match=r"^arm\.urdf is not well-formed XML"):
+        BOX.mount(urdf)
+    urdf.write_text(ARM.format(lower=""))
+    with pytest.raises(InvalidArgument, match=r"joint 'elbow' moves parts that have no inertia"):
+        BOX.mount(urdf)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"mass": 0}, "mass is 0.0 kg, expected > 0"),
+        ({"com": (0, 0)}, "com has shape (2,), expected (3,)"),
+        ({"size": (1, 1, 0)}, "size is (1, 1, 0), expected three lengths > 0 m"),
+        (
+            {"inertia": np.diag([1, 1, 3])},
+            "inertia has principal moments (1, 1, 3) kg m^2, which no rigid body",
+        ),
+    ],
+)
+def test_loads_that_cannot_be_are_refused(arguments: dict[str, Any], text: str) -> None:
+    with pytest.raises(InvalidArgument) as caught:
+        Load(**({"mass": 1} | arguments))
+    assert str(caught.value).startswith(text)
+    with pytest.raises(InvalidArgument, match="load is 2, expected a Load"):
+        BOX.attach(2)  # type: ignore[arg-type]
+
+
+def test_configurations_of_the_wrong_size_are_refused() -> None:
+    robot = BOX.mount("ur5")
+    with pytest.raises(InvalidArgument, match=r"q has shape \(3,\), expected \(\.\.\., 9\)"):
+        robot.mass_matrix([0, 0, 0])
+    with pytest.raises(InvalidArgument, match=r"q has shape \(4,\), expected \(9,\) or \(6,\)"):
+        robot.lumped(np.zeros(4))
+
+
+class Whole:
+    """A Lissajous figure of the base, every joint swinging about its rest."""
+
+    duration = 4.0
+
+    def __init__(self, robot: MobileRobot) -> None:
+        self.robot, self.base = robot, FixedHeading(Lissajous(1, 0.5, 1, 2, self.duration), 0.3)
+
+    def __call__(self, t: Any) -> Reference:
+        base, one = self.base(t), np.ones(self.robot.nv - 3)
+        swing = (0.4 * (1 - np.cos(t)), 0.4 * np.sin(t), 0.4 * np.cos(t))
+
+        def whole(part: Array, angle: Array) -> Array:
+            return np.concatenate([part, angle[..., None] * one], axis=-1)
+
+        rest = np.broadcast_to(self.robot.rest, (*np.shape(t), self.robot.nq))
+        q = self.robot.integrate(rest, whole(base.q, swing[0]))
+        return Reference(q, whole(base.v, swing[1]), whole(base.a, swing[2]))
+
+
+def driven(robot: MobileRobot) -> Rollout:
+    return simulate(robot, ComputedTorque(robot, 100, 20), Whole(robot), dt=0.01)
+
+
+def test_a_rollout_brings_its_robot_back(tmp_path: Path, urdf: Path) -> None:
+    path = tmp_path / "run.npz"
+    robot = BOX.mount("kinova", (0.1, 0, 0.2, 0.3)).mount(urdf, locked=["elbow"]).attach(Load(1.0))
+    run = driven(robot)
+    run.save(path)
+    back = Rollout.load(path)
+    assert back.robot == robot
+    np.testing.assert_array_equal(back.q, run.q)
+    urdf.write_text(urdf.read_text().replace('<mass value="1"/>', '<mass value="1.5"/>'))
+    assert Rollout.load(path).robot is None  # it is no longer what it was
+    urdf.unlink()
+    assert Rollout.load(path).robot is None  # the arrays are there
+    np.testing.assert_array_equal(Rollout.load(path).tau, run.tau)
+    driven(BOX.mount(massful())).save(path)
+    assert Rollout.load(path).robot is None
+
+
+def massful() -> pin.Model:
+    return chain(pin.JointModelRY(), pin.JointModelRX())
+
+
+@pytest.mark.parametrize("name", ["double_pendulum", "double_pendulum_continuous"])
+def test_links_are_drawn_where_they_are(name: str) -> None:
+    robot = BOX.mount(name, (0.1, 0.05, 0.2, 0.3))
+    run = driven(robot)
+    with Viewer(robot) as viewer:
+        recording = viewer.record(run, fps=20)
+        viewer.display(run.q[-1])
+        with pytest.raises(InvalidArgument, match=rf"q has shape \(3,\), expected \(\.\.\., {robot.nq}\)"):
+            viewer.display([0, 0, 0])
+    tracks = {track["path"]: track["clip"]["tracks"] for track in recording.tracks}
+    items = [item for item in robot.visual_model.geometryObjects if item.parentJoint > BODY_JOINT]
+    assert len(items) > 0
+    T = robot.frame_placements(run.q[-1])
+    for item in items:
+        seen = np.linalg.inv(T[BODY_JOINT - 1]) @ T[item.parentJoint - 1] @ item.placement.homogeneous
+        (position,) = (
+            part for part in tracks[f"meshcat/robot0/visuals/{item.name}"] if part["name"] == ".position"
+        )
+        np.testing.assert_allclose(position["values"][-3:], seen[:3, 3], atol=1e-5)  # five digits are kept
+
+
+def test_a_ur5s_recording_is_small_and_plays_in_a_browser(tmp_path: Path) -> None:
+    robot = BOX.mount("ur5", (0.1, 0, 0.2, 0))
+    run = driven(robot)
+    with Viewer(robot) as viewer:
+        page = viewer.record(run, fps=150).save_html(tmp_path / "ur5.html")
+    assert page.stat().st_size < 6e6  # 600 frames
+    items = [item for item in robot.visual_model.geometryObjects if item.name.startswith("ur5/")]
+    script = """pinmobile.seek(3); JSON.stringify({paths}.map((path) => {{
+        const node = viewer.scene_tree.find(path).object;
+        viewer.scene.updateMatrixWorld(true);
+        return viewer.scene.worldToLocal(node.getWorldPosition(new MeshCat.THREE.Vector3())).toArray();
+    }}))"""
+    paths = [["meshcat", "robot0", "visuals", *item.name.split("/")] for item in items]
+    with chromium() as browser:
+        tab = browser.page(480, 360)
+        tab.open(page.as_uri())
+        assert eventually(lambda: tab.evaluate("pinmobile.ready()"))
+        seen = json.loads(tab.evaluate(script.format(paths=json.dumps(paths))))
+        assert tab.errors == []
+        assert [url for url in tab.requests if not url.startswith("data:")] == [page.as_uri()]
+    T = robot.frame_placements(run.q[300])
+    there = [T[item.parentJoint - 1] @ np.append(item.placement.translation, 1) for item in items]
+    np.testing.assert_allclose(seen, np.array(there)[:, :3], atol=1e-4)  # keys have five digits

@@ -1,0 +1,97 @@
+"""Every robot that example-robot-data offers: mounted, driven, drawn, or an exception with its reason."""
+
+import warnings
+from typing import Any
+from xml.etree import ElementTree
+
+import example_robot_data
+import numpy as np
+import pytest
+
+from pinmobile import ComputedTorque, InvalidArgument, MobileRobot, Reference, mountable, simulate, verify
+from pinmobile.robot import BODY_JOINT, EXCEPTIONS, pictures, visual
+from pinmobile.robot.visual import VisualFile
+
+NAMES = sorted(example_robot_data.ROBOTS)
+READABLE = visual.readable
+
+
+class Drive:
+    """The base drives a sine along x and turns, the arm holds its rest."""
+
+    duration = 1.0
+
+    def __init__(self, robot: MobileRobot) -> None:
+        self.robot = robot
+
+    def __call__(self, t: Any) -> Reference:
+        q = np.tile(self.robot.rest, (*np.shape(t), 1))
+        v, a = np.zeros((2, *np.shape(t), self.robot.nv))
+        q[..., 0], v[..., 0], a[..., 0] = np.sin(t), np.cos(t), -np.sin(t)
+        q[..., 2], v[..., 2] = 0.4 * t, 0.4
+        return Reference(q, v, a)
+
+
+def boxes(file: VisualFile, stacklevel: int) -> tuple[ElementTree.Element, list[str]]:
+    """Return the file with a box for each mesh that was found: to read them takes half a minute."""
+    root, missing = READABLE(file, stacklevel)
+    for geometry in root.iterfind("link/visual/geometry"):
+        if geometry.find("mesh") is not None:
+            geometry[:] = [ElementTree.Element("box", size="0.1 0.1 0.1")]
+    return root, missing
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in EXCEPTIONS])
+def test_each_mounts_drives_and_draws(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = MobileRobot.box().mount(name)
+    assert robot.nv > 3 or name in ("hector", "iris")  # a quadrotor without an arm is a load
+    assert all(joint.startswith(f"{name}/") for joint in list(robot.model.names)[BODY_JOINT + 1 :])
+    assert verify(robot, states=5).passed
+    rollout = simulate(robot, ComputedTorque(robot, 100, 20), Drive(robot), dt=0.02)
+    # The step is exact where the acceleration is constant: what is left is its change, h^3 / 6, per step,
+    # damped with 1 / kd, some 1e-6 m; the arm has nothing to do but to hold.
+    assert rollout.max_error()[:3].max() < 1e-4
+    assert rollout.max_error()[3:].max(initial=0) < 1e-9
+    monkeypatch.setattr(pictures, "readable", boxes)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # of meshes that are missing
+        shown = [item for item in robot.visual_model.geometryObjects if item.name.startswith(f"{name}/")]
+    assert len(shown) > 0 or name.startswith("simple_humanoid")  # these show nothing
+    assert {item.parentJoint for item in shown} <= set(range(BODY_JOINT, robot.model.njoints))
+
+
+@pytest.mark.parametrize("name", EXCEPTIONS)
+def test_an_exception_that_works_is_none(name: str) -> None:
+    assert name in NAMES
+    with pytest.raises(InvalidArgument, match=f"^arm '{name}'"):
+        MobileRobot.box().mount(name)
+
+
+@pytest.mark.parametrize(
+    ("name", "locked"),
+    [("bravo7_gripper", ("bravo_finger1_joint", "bravo_finger2_joint")), ("icub", ("neck_roll",))],
+)
+def test_what_exceptions_say_helps_helps(name: str, locked: tuple[str, ...]) -> None:
+    robot = MobileRobot.box().mount(name, locked=locked)
+    assert robot.nv + len(locked) - 3 == robot.mounts[0].arm.whole.nv
+
+
+def test_the_list_is_a_table_of_all_of_them() -> None:
+    listed = mountable()
+    assert {*listed.names, *EXCEPTIONS} == set(NAMES)
+    assert len(listed) == len(NAMES) - len(EXCEPTIONS)
+    (panda,) = (row for row in listed if row.name == "panda")
+    assert (panda.joints, round(panda.mass, 3)) == (9, 17.452)
+    lines = str(listed).splitlines()
+    assert len(lines) == 1 + len(NAMES)
+    assert lines[0].split() == ["name", "joints", "mass", "[kg]"]
+    assert any(line.startswith("cassie") and "not: its loader reads SDF" in line for line in lines)
+    assert mountable() is listed  # it is read once
+
+
+@pytest.mark.parametrize("name", ["tiago", "tiago_dual", "tiago_pro", "tiago_no_hand"])
+def test_wheels_are_locked(name: str) -> None:
+    (mount,) = MobileRobot.box().mount(name).mounts
+    names = {str(joint) for joint in mount.model.names}
+    assert not any("wheel" in joint or "caster" in joint for joint in names)
+    assert any("wheel" in str(joint) for joint in mount.arm.whole.names)

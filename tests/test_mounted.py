@@ -1,0 +1,392 @@
+"""An arm on the base: against another engine, and against what physics says."""
+
+import pickle
+from typing import Any
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pinmobile import (
+    PD,
+    ComputedTorque,
+    Diverged,
+    InvalidArgument,
+    Load,
+    MobileRobot,
+    Reference,
+    UnknownName,
+    constant_acceleration,
+    law,
+    rk4,
+    simulate,
+    verify,
+)
+from pinmobile.arrays import Array, wrap_angle
+from pinmobile.controllers import difference_of
+from pinmobile.robot import Mount
+
+AT = (0.1, -0.05, 0.2, 0.4)
+UR5 = MobileRobot.box().mount("ur5", AT)
+PANDA = MobileRobot.box().mount("panda", AT)
+KINOVA = MobileRobot.box().mount("kinova", AT)  # three of its joints are (cos, sin)
+TWO = MobileRobot.box().mount("panda", AT).mount("kinova", (-0.1, 0, 0.2, 0)).attach(Load(1.5, (0, 0, 0.1)))
+ROBOTS = pytest.mark.parametrize("robot", [UR5, KINOVA, TWO], ids=["ur5", "kinova", "two arms and a load"])
+
+
+class Still:
+    """A reference at rest at a configuration."""
+
+    duration = 8.0
+
+    def __init__(self, q: Array, nv: int) -> None:
+        self.q, self.nv = q, nv
+
+    def __call__(self, t: Any) -> Reference:
+        v, a = np.zeros((2, *np.shape(t), self.nv))
+        return Reference(np.broadcast_to(self.q, (*np.shape(t), len(self.q))), v, a)
+
+
+def states(robot: MobileRobot, count: int = 12, seed: int = 4) -> tuple[Array, Array, Array]:
+    rng = np.random.default_rng(seed)
+    v, a = rng.normal(size=(2, count, robot.nv))
+    return robot.random_configuration(rng, (count,)), v, a
+
+
+def spherical() -> pin.Model:
+    """Return a ball joint and a hinge, each with a link."""
+    model = pin.Model()
+    model.name = "ball"
+    ball = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "ball")
+    hinge = model.addJoint(ball, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([0, 0, 0.3])), "hinge")
+    for joint in (ball, hinge):
+        body = pin.Inertia(1.5, np.array([0.02, 0.01, 0.15]), np.diag([0.03, 0.04, 0.02]))
+        model.appendBodyToJoint(joint, body, pin.SE3.Identity())
+        model.addJointFrame(joint)
+        model.addBodyFrame(f"link{joint}", joint, pin.SE3.Identity(), -1)
+    return model
+
+
+def numbers(values: Array) -> str:
+    return " ".join(repr(float(value)) for value in np.ravel(values))
+
+
+def inertial(body: pin.Inertia) -> str:
+    i = body.inertia
+    full = numbers(np.array([i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]]))
+    return f'<inertial pos="{numbers(body.lever)}" mass="{body.mass!r}" fullinertia="{full}"/>'
+
+
+def placed(place: pin.SE3) -> str:
+    x, y, z, w = pin.Quaternion(place.rotation).coeffs()
+    return f'pos="{numbers(place.translation)}" quat="{numbers(np.array([w, x, y, z]))}"'
+
+
+def mjcf(robot: MobileRobot, mount: Mount) -> str:
+    """Return the same bodies for MuJoCo: the base is one body with three joints x, y, psi."""
+    arm = mount.model
+    data = arm.createData()
+    pin.computeJointJacobians(arm, data, pin.neutral(arm))
+
+    def link(joint: int) -> str:
+        below = "".join(link(k) for k in range(1, arm.njoints) if arm.parents[k] == joint)
+        if not joint:
+            body = arm.inertias[0]
+            own = inertial(body) if body.mass else '<inertial pos="0 0 0" mass="0" diaginertia="0 0 0"/>'
+            return f"<body {placed(mount.placement)}>{own}{below}</body>"
+        column = pin.getJointJacobian(arm, data, joint, pin.LOCAL)[:, arm.idx_vs[joint]]
+        kind, axis = ("hinge", column[3:]) if np.linalg.norm(column[3:]) > 0.5 else ("slide", column[:3])
+        own = f'<joint type="{kind}" axis="{numbers(axis)}"/>{inertial(arm.inertias[joint])}'
+        return f"<body {placed(arm.jointPlacements[joint])}>{own}{below}</body>"
+
+    base = pin.Inertia(robot.body.mass, robot.body.com, robot.body.inertia)
+    joints = '<joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>'
+    joints += '<joint type="hinge" axis="0 0 1"/>'
+    return (
+        '<mujoco><compiler angle="radian"/><option gravity="0 0 -9.81"/><worldbody>'
+        f"<body>{joints}{inertial(base)}{link(0)}</body></worldbody></mujoco>"
+    )
+
+
+@pytest.mark.parametrize("robot", [UR5, PANDA], ids=["ur5", "panda"])
+def test_mujoco_has_the_same_mass_matrix_forces_and_inverse_dynamics(robot: MobileRobot) -> None:
+    model = mujoco.MjModel.from_xml_string(mjcf(robot, robot.mounts[0]))
+    data = mujoco.MjData(model)
+    assert model.nv == robot.nv
+    for q, v, a in zip(*states(robot), strict=True):
+        data.qpos[:], data.qvel[:], data.qacc[:] = q, v, a
+        mujoco.mj_inverse(model, data)
+        tau = data.qfrc_inverse.copy()
+        data.qpos[:], data.qvel[:] = q, v
+        mujoco.mj_forward(model, data)
+        M = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, M)
+        for ours, theirs in (
+            (robot.mass_matrix(q), M),
+            (robot.nonlinear_effects(q, v), data.qfrc_bias),
+            (robot.inverse_dynamics(q, v, a), tau),
+        ):
+            np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9 * np.abs(theirs).max())
+
+
+@ROBOTS
+def test_dynamics_hold_together(robot: MobileRobot) -> None:
+    assert verify(robot, states=20).passed
+    q, v, a = states(robot)
+    tau, n = robot.inverse_dynamics(q, v, a), robot.nonlinear_effects(q, v)
+    M = robot.mass_matrix(q)
+    # Sums of some hundred terms of up to 1e3 N m.
+    np.testing.assert_allclose(robot.regressor(q, v, a) @ robot.inertial_parameters, tau, atol=1e-10)
+    np.testing.assert_allclose(robot.kinetic_energy(q, v), np.einsum("ni,nij,nj->n", v, M, v) / 2, rtol=1e-12)
+    np.testing.assert_allclose(robot.gravity(q), robot.nonlinear_effects(q, 0 * v), atol=1e-11)
+    assert np.abs(robot.gravity(q)[:, :3]).max() == pytest.approx(0, abs=1e-12)  # the plane is level
+    assert n.shape == tau.shape == (12, robot.nv)
+
+
+@ROBOTS
+def test_gravity_is_the_slope_of_the_potential_energy(robot: MobileRobot) -> None:
+    q, _, _ = states(robot)
+    h = 1e-5
+    slope = [
+        (robot.potential_energy(robot.integrate(q, e)) - robot.potential_energy(robot.integrate(q, -e)))
+        / (2 * h)
+        for e in h * np.eye(robot.nv)
+    ]
+    # h^2 of the third derivative, and eps / h of some 1e2 J.
+    np.testing.assert_allclose(np.stack(slope, axis=-1), robot.gravity(q), atol=1e-7)
+
+
+@ROBOTS
+def test_a_frames_jacobian_is_the_slope_of_its_pose(robot: MobileRobot) -> None:
+    q, v, _ = states(robot)
+    h = 1e-6
+    for frame in (robot.end_effector, "base_link"):
+        ahead, behind = (robot.frame_pose(robot.integrate(q, s * h * v), frame) for s in (1, -1))
+        rate = (ahead - behind) / (2 * h)
+        twist = np.einsum("nij,nj->ni", robot.frame_jacobian(q, frame), v)
+        turning = rate[:, :3, :3] @ robot.frame_pose(q, frame)[:, :3, :3].transpose(0, 2, 1)
+        # eps / h of some metres.
+        np.testing.assert_allclose(twist[:, :3], rate[:, :3, 3], atol=1e-8)
+        np.testing.assert_allclose(twist[:, 3:], turning[:, [2, 0, 1], [1, 2, 0]], atol=1e-8)
+
+
+def test_an_arm_stands_where_it_is_put_and_its_base_counts() -> None:
+    q = UR5.rest.copy()
+    q[:3] = 2.0, -1.0, 0.3
+    T = UR5.frame_pose(q, "ur5/base")
+    turn = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
+    np.testing.assert_allclose(T[:2, 3], [2.0, -1.0] + turn @ AT[:2], atol=1e-14)
+    assert T[2, 3] == pytest.approx(AT[2])
+    assert wrap_angle(np.arctan2(T[1, 0], T[0, 0]) - 0.7 - np.pi) == pytest.approx(0)  # the URDF turns it
+    total = UR5.body.mass + sum(body.mass for body in UR5.mounts[0].model.inertias)
+    assert UR5.mass_matrix(q)[0, 0] == pytest.approx(total)
+
+
+def test_what_turns_by_pi_in_the_file_turns_the_base_link_only() -> None:
+    own = UR5.mounts[0].model
+    pose = UR5.frame_placements(UR5.neutral)[BODY]
+    np.testing.assert_allclose(
+        pose, (UR5.mounts[0].placement * own.jointPlacements[1]).homogeneous, atol=1e-15
+    )
+
+
+BODY = 3  # joints of the chain, before those of arms
+
+
+@ROBOTS
+def test_locked_arms_are_a_load(robot: MobileRobot) -> None:
+    q, v, a = states(robot)
+    v[:, 3:] = a[:, 3:] = 0
+    for k in range(4):
+        lump = robot.lumped(q[k])
+        assert (lump.nv, lump.mounts) == (3, ())
+        tau = robot.inverse_dynamics(q[k], v[k], a[k])[:3]
+        np.testing.assert_allclose(lump.inverse_dynamics(q[k, :3], v[k, :3], a[k, :3]), tau, atol=1e-11)
+        assert robot.lumped(q[k, 3:]) == robot.lumped(np.concatenate([np.zeros(3), q[k, 3:]]))
+    assert robot.lumped() == robot.lumped(robot.rest)
+    assert robot.base == MobileRobot.box()
+
+
+def test_as_the_arms_inertias_shrink_to_nothing_the_base_is_the_lectures() -> None:
+    q = np.concatenate([[1.0, 2.0, 0.7], np.linspace(-1, 1, 6)])
+    lecture = MobileRobot.lecture()
+    full = lecture.mount("ur5", AT).mass_matrix(q)[:3, :3]
+    model = UR5.mounts[0].model
+    for share in (1e-3, 1e-6, 1e-9):
+        light = model.copy()
+        for joint in range(model.njoints):
+            light.inertias[joint] = pin.Inertia(
+                share * model.inertias[joint].mass,
+                model.inertias[joint].lever,
+                share * model.inertias[joint].inertia,
+            )
+        M = lecture.mount(light, AT).mass_matrix(q)[:3, :3]
+        expected = lecture.mass_matrix(q[:3]) + share * (full - lecture.mass_matrix(q[:3]))
+        np.testing.assert_allclose(M, expected, rtol=0, atol=1e-13)  # roundings of 50 kg
+
+
+def drift(robot: MobileRobot, dt: float, integrator: object) -> Array:
+    """Return how far a second of free motion takes momentum (x, y, about z) and energy."""
+    q0 = robot.integrate(robot.rest, np.linspace(-0.6, 0.9, robot.nv))
+    v0 = np.linspace(0.8, -0.5, robot.nv)
+    free = law(lambda t, q, v, reference: np.zeros(robot.nv))
+    still = Still(q0, robot.nv)
+    run = simulate(robot, free, still, dt=dt, duration=1.0, v0=v0, integrator=integrator)  # type: ignore[arg-type]
+    q, v = run.q[[0, -1]], run.v[[0, -1]]
+    p = np.einsum("nij,nj->ni", robot.mass_matrix(q), v)[:, :3]
+    about = p[:, 2] + q[:, 0] * p[:, 1] - q[:, 1] * p[:, 0]
+    energy = robot.kinetic_energy(q, v) + robot.potential_energy(q)
+    kept = np.column_stack([p[:, :2], about, energy])
+    return np.asarray(np.abs(kept[1] - kept[0]))
+
+
+def test_the_free_whole_keeps_momentum_and_energy_to_the_integrators_order() -> None:
+    weightless = MobileRobot.box().mount("ur5", AT)
+    weightless.model.gravity = pin.Motion.Zero()
+    # With gravity, and joints on the circle: it does not push along the plane, and is in the energy.
+    pendulum = MobileRobot.box().mount("double_pendulum_continuous", AT)
+    for robot, dt in ((weightless, 0.01), (pendulum, 0.005)):
+        coarse, fine = drift(robot, dt, rk4), drift(robot, dt / 2, rk4)
+        assert fine.max() < 1e-5
+        assert (coarse / fine > 12).all()  # 16 where the leading term rules
+    first = drift(weightless, 0.01, constant_acceleration) / drift(weightless, 0.005, constant_acceleration)
+    np.testing.assert_allclose(first, 2, atol=0.1)
+
+
+@pytest.mark.parametrize("robot", [KINOVA, TWO, MobileRobot.box().mount(spherical(), AT)])
+def test_integrate_and_difference_go_around_the_circle(robot: MobileRobot) -> None:
+    q, v, _ = states(robot)
+    moved = robot.integrate(q, v)
+    assert moved.shape == (12, robot.nq)
+    np.testing.assert_allclose(robot.difference(q, moved), v, atol=1e-12)
+    np.testing.assert_array_equal(moved[:, :3], q[:, :3] + v[:, :3])  # unwrapped
+    circle = robot.mounts[-1].v.start  # the first joint of the last arm is one
+    turned = robot.integrate(q, 2 * np.pi * np.eye(robot.nv)[circle])
+    np.testing.assert_allclose(robot.difference(q, turned), 0, atol=1e-7)
+    np.testing.assert_array_equal(robot.integrate(q[:1], v)[4], robot.integrate(q[0], v[4]))
+    with pytest.raises(InvalidArgument, match=r"expected length one: step it with `integrate`"):
+        robot.mass_matrix(np.ones(robot.nq))
+
+
+def test_arms_with_limits_are_subtracted() -> None:
+    q = UR5.rest
+    step = np.zeros(9)
+    step[[2, 3]] = 6.0
+    assert UR5.difference(q, q + step)[2] == pytest.approx(6 - 2 * np.pi)
+    assert UR5.difference(q, q + step)[3] == 6.0  # not the same posture: it has turned once more
+
+
+@pytest.mark.parametrize("robot", [UR5, KINOVA, MobileRobot.box().mount(spherical(), AT)])
+def test_linearisation_predicts_the_change_of_the_displacement(robot: MobileRobot) -> None:
+    """With q = q*(t) + d: d' = A (d, e) + B u, taken over a short time by the robot's own difference."""
+    q, v, _ = (part[0] for part in states(robot, 1))
+    n, tau = robot.nv, robot.gravity(q)
+    A, B = robot.linearize(q, v, tau)
+    rng = np.random.default_rng(1)
+    d, e, u = 1e-4 * rng.normal(size=(3, n))
+    h = 1e-4
+    near = robot.integrate(q, d)
+    rate = [
+        robot.difference(robot.integrate(q, s * h * v), robot.integrate(near, s * h * (v + e)))
+        for s in (1, -1)
+    ]
+    predicted = A @ np.concatenate([d, e]) + B @ u
+    # Second order in 1e-4, times second derivatives of up to 1e3; eps / h in the rate.
+    np.testing.assert_allclose((rate[0] - rate[1]) / (2 * h), predicted[:n], atol=1e-7)
+    change = robot.forward_dynamics(near, v + e, tau + u) - robot.forward_dynamics(q, v, tau)
+    assert np.linalg.norm(change - predicted[n:]) < 1e-2 * np.linalg.norm(change)
+
+
+@pytest.mark.parametrize("robot", [UR5, KINOVA], ids=["ur5", "kinova"])
+def test_computed_torque_takes_the_short_way_and_is_linear_in_the_error(robot: MobileRobot) -> None:
+    start = robot.rest
+    offset = np.zeros(robot.nv)
+    offset[:3], offset[3], offset[4] = (0.2, -0.1, 3.0), 3.0, 0.2
+    goal = robot.integrate(start, offset)
+    goal[2] += 2 * np.pi  # the same heading
+    run = simulate(
+        robot, ComputedTorque(robot, 4, 4), Still(goal, robot.nv), dt=0.005, q0=start, integrator=rk4
+    )
+    t = run.t[:, None]
+    # Critically damped at 2 rad/s; the force is held for 5 ms: 2.5 ms late, at most 2 rad/s * 3 rad * 2.5 ms.
+    np.testing.assert_allclose(run.error, offset * (1 + 2 * t) * np.exp(-2 * t), atol=0.02)
+
+
+def test_pd_needs_the_robots_own_difference_where_configurations_do_not_subtract() -> None:
+    goal = KINOVA.integrate(KINOVA.rest, 0.1 * np.ones(9))
+    with pytest.raises(InvalidArgument, match="by difference=difference_of"):
+        simulate(KINOVA, PD(10, 10), Still(goal, 9), dt=0.01)
+    weightless = MobileRobot.box().mount("kinova", AT)
+    weightless.model.gravity = pin.Motion.Zero()
+    gains = 4 * np.diag(weightless.mass_matrix(goal))
+    held = PD(gains, gains, difference=difference_of(weightless))
+    run = simulate(weightless, held, Still(goal, 9), dt=0.002, q0=KINOVA.rest)
+    assert np.abs(run.error[-1]).max() < 0.05 * np.abs(run.error[0]).max()
+
+
+def test_what_diverges_on_the_circle_too_carries_what_was_recorded() -> None:
+    with pytest.raises(Diverged) as caught:
+        simulate(KINOVA, PD(400, 400, difference=difference_of(KINOVA)), Still(KINOVA.rest, 9), dt=0.05)
+    assert len(caught.value.rollout) > 1
+
+
+def test_a_bare_bases_controller_is_refused_for_the_whole() -> None:
+    with pytest.raises(InvalidArgument, match="has shape"):
+        simulate(UR5, ComputedTorque(MobileRobot.box()), Still(UR5.rest, 9), dt=0.01)
+
+
+def test_limits_and_postures_are_the_files() -> None:
+    own = PANDA.mounts[0].model
+    np.testing.assert_array_equal(PANDA.lower, [-np.inf] * 3 + own.lowerPositionLimit.tolist())
+    np.testing.assert_array_equal(PANDA.effort_limit, [np.inf] * 3 + own.effortLimit.tolist())
+    np.testing.assert_array_equal(PANDA.velocity_limit[3:], own.velocityLimit)
+    np.testing.assert_array_equal(PANDA.rest[3:10], PANDA.mounts[0].arm.posture[:7])
+    assert np.isinf(KINOVA.lower[3:5]).all()  # (cos, sin)
+    unknown = MobileRobot.box().mount("double_pendulum")  # its file writes zero for each
+    for limit in (unknown.lower, unknown.upper, unknown.velocity_limit, unknown.effort_limit):
+        assert np.isinf(limit).all()
+    drawn = TWO.random_configuration(np.random.default_rng(0), (50,))
+    assert (drawn >= TWO.lower).all()
+    assert (drawn <= TWO.upper).all()
+    assert PANDA.end_effector == "panda/panda_hand_tcp"
+    assert UR5.end_effector == "ur5/tool0"
+    with pytest.raises(UnknownName, match="unknown frame 'ur5/tol0', available: ur5/tool0, "):
+        UR5.frame_pose(UR5.rest, "ur5/tol0")
+
+
+def test_a_mounted_robot_is_a_value() -> None:
+    again = MobileRobot.box().mount("ur5", AT)
+    assert again == UR5
+    assert hash(again) == hash(UR5)
+    assert again != MobileRobot.box().mount("ur5", (*AT[:3], 0.5))
+    assert again != again.attach(Load(1.0))
+    assert again.base == MobileRobot.box()
+    assert repr(UR5).endswith(".mount('ur5', at=(0.1, -0.05, 0.2, 0.4), name='ur5')")
+    for robot in (UR5, TWO, MobileRobot.box().mount(spherical())):
+        copy = pickle.loads(pickle.dumps(robot))
+        assert copy == robot
+        q, v, _ = states(robot)
+        np.testing.assert_array_equal(copy.nonlinear_effects(q, v), robot.nonlinear_effects(q, v))
+    plain = MobileRobot.lecture().mount("panda", AT).attach(Load(1.5, (0, 0, 0.1)))
+    assert eval(repr(plain)) == plain
+
+
+def test_clashing_names_are_numbered() -> None:
+    robot = MobileRobot.box().mount("ur5").mount("ur5", AT).mount("ur5", AT, name="ur5")
+    assert [mount.name for mount in robot.mounts] == ["ur5", "ur5_2", "ur5_3"]
+    assert [mount.q for mount in robot.mounts] == [slice(3, 9), slice(9, 15), slice(15, 21)]
+    assert len(set(robot.model.names)) == robot.model.njoints
+    assert robot.mounts[1].tip in robot.frame_names
+
+
+def test_loads_weigh_where_they_are() -> None:
+    q, _, _ = states(UR5)
+    light = UR5.attach(Load(2.0, (0, 0, 0.1), size=(0.1, 0.2, 0.3)))
+    J = UR5.frame_jacobian(q)
+    point = UR5.frame_pose(q) @ [0, 0, 0.1, 1]
+    arm = point[:, :3] - UR5.frame_pose(q)[:, :3, 3]
+    moving = J[:, :3] - np.cross(arm[:, :, None], J[:, 3:], axis=1)
+    np.testing.assert_allclose(light.gravity(q) - UR5.gravity(q), 2 * 9.81 * moving[:, 2], atol=1e-11)
+    assert light.visual_model.geometryObjects[-1].name == "load1"
+    assert light.lumped().mass == pytest.approx(UR5.lumped().mass + 2)
