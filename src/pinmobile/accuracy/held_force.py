@@ -83,7 +83,7 @@ def _run(
 
 
 def _exactly() -> Integrator:
-    """Return a step of an adaptive method of order 8, to about `_TOLERANCE`, which diverges in bounded time."""
+    """Return a step of order 8 to about `_TOLERANCE`, which tells in bounded time that it diverges."""
     # Figures of a report need no solver, and scipy's takes a while to load.
     from scipy.integrate import solve_ivp
 
