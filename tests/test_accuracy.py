@@ -186,6 +186,21 @@ def test_a_step_that_is_wrong_is_told_from_one_that_is_not(integrator: Any, text
     )
 
 
+def test_a_body_that_the_held_force_spins_up_is_told_from_a_wrong_step() -> None:
+    """Nearly a point mass, far from the origin: the solution itself diverges, which must not take forever."""
+    report = integrator_report(rk4, MobileRobot(1e-3, 1e-6, com=(5, -3)), steps=(0.1, 0.05))
+    assert np.isinf(report.held)
+    assert str(report.substeps) == "diverges"
+    assert report.energy.order == pytest.approx(4, abs=0.03)
+
+
+def test_what_is_near_rounding_counts_as_converged() -> None:
+    assert made([1e-11, 1e-13, 1e-12]).converges
+    assert made([1e-13, 0.0]).converges
+    assert not made([np.inf, np.inf]).converges
+    assert not made([1.0, 1.0]).converges
+
+
 def test_a_method_without_a_name_is_called_by_its_repr() -> None:
     report = integrator_report(partial(heun), steps=(0.1, 0.05))
     assert report.integrator.startswith("functools.partial(<function heun")

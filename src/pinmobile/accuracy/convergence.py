@@ -60,9 +60,9 @@ class Convergence:
 
     @property
     def converges(self) -> bool:
-        """Whether the error vanishes with the step: it is exact, or its order is above one half."""
+        """Whether the error vanishes with the step, down to rounding: its order is above one half, if any."""
         order = self.order
-        return self.exact or (order is not None and order > _LEAST)
+        return bool(np.isfinite(self.errors).all()) if order is None else order > _LEAST
 
     def __str__(self) -> str:
         if self.exact:

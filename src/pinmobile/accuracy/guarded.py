@@ -7,9 +7,9 @@ from pinmobile.arrays import Array
 from pinmobile.errors import Diverged, InvalidArgument
 from pinmobile.integrators import Acceleration, Integrator
 
-__all__ = ["guarded"]
+__all__ = ["FAR", "guarded"]
 
-_FAR = 1e-3 / EPS  # beyond, a metre is lost in rounding; well before anything overflows
+FAR = 1e-3 / EPS  # beyond, a metre is lost in rounding; well before anything overflows
 
 
 def guarded(integrator: Integrator) -> Integrator:
@@ -27,7 +27,7 @@ def guarded(integrator: Integrator) -> Integrator:
             answer = integrator(acceleration, t, q, v, dt)
         if type(answer) is not tuple or len(answer) != 2 or any(np.shape(x) != q.shape for x in answer):
             raise InvalidArgument(f"integrator returned {answer!r}, expected (q, v), each of shape {q.shape}")
-        if not np.abs(answer).max() < _FAR:
+        if not np.abs(answer).max() < FAR:
             raise Diverged(
                 f"the integrator diverged at t = {t + dt:g} s", time=t + dt, q=answer[0], v=answer[1]
             )

@@ -2,12 +2,13 @@
 
 from collections.abc import Sequence
 from functools import partial
+from itertools import count
 from typing import Any
 
 import numpy as np
 
 from pinmobile.accuracy.convergence import EPS, Convergence
-from pinmobile.accuracy.guarded import guarded
+from pinmobile.accuracy.guarded import FAR, guarded
 from pinmobile.arrays import Array
 from pinmobile.controllers import ComputedTorque
 from pinmobile.errors import Diverged
@@ -22,6 +23,7 @@ __all__ = ["held_force"]
 _RADIUS, _RATE = 1.0, 0.5  # [m, rad/s] of the circle that is driven
 _OFF = np.array([0.2, -0.1, 0.4])  # [m, m, rad] beside it at the start
 _GAIN = 4.0  # kp [1/s^2] and kd [1/s]: critically damped
+_MOST = 50_000  # accelerations asked for by the finer solution; it takes some thousand
 _TOLERANCE = 1e-13  # of the finer solution, relative
 
 
@@ -55,7 +57,7 @@ def held_force(
     """
     at = np.asarray(steps)
     run, step = partial(_run, robot, duration), guarded(integrator)
-    fine = run(steps[0], _exact, 1)
+    fine = run(steps[0], _exactly(), 1)
     inner = [_distance(run(steps[0], step, round(steps[0] / h)), fine) for h in steps]
     outer = [_from_continuous(run(h, step, 1), duration) for h in steps]
     size = _RADIUS + duration
@@ -80,17 +82,25 @@ def _run(
         return None
 
 
-def _exact(acceleration: Acceleration, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
-    """Return the state a time `dt` later to about `_TOLERANCE`, by an adaptive method of order 8."""
+def _exactly() -> Integrator:
+    """Return a step of order 8 to about `_TOLERANCE`, which tells in bounded time that it diverges."""
     # Figures of a report need no solver, and scipy's takes a while to load.
     from scipy.integrate import solve_ivp
 
-    def rate(time: float, x: Array) -> Array:
-        return np.concatenate([x[3:], acceleration(time, x[:3], x[3:])])
+    asked = count()
 
-    options = {"method": "DOP853", "rtol": _TOLERANCE, "atol": 1e-2 * _TOLERANCE}
-    end = solve_ivp(rate, (t, t + dt), np.concatenate([q, v]), **options).y[:, -1]
-    return end[:3], end[3:]
+    def step(acceleration: Acceleration, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
+        def rate(time: float, x: Array) -> Array:
+            # A body that the held force spins up needs ever shorter steps.
+            if next(asked) > _MOST or not np.abs(x).max() < FAR:
+                raise Diverged(f"the loop diverged at t = {time:g} s", time=time, q=x[:3], v=x[3:])
+            return np.concatenate([x[3:], acceleration(time, x[:3], x[3:])])
+
+        options = {"method": "DOP853", "rtol": _TOLERANCE, "atol": 1e-2 * _TOLERANCE}
+        end = solve_ivp(rate, (t, t + dt), np.concatenate([q, v]), **options).y[:, -1]
+        return end[:3], end[3:]
+
+    return step
 
 
 def _distance(run: Rollout | None, other: Rollout | None) -> float:
