@@ -101,8 +101,12 @@ def test_a_mesh_is_found_in_a_package(urdf: Path, tmp_path: Path) -> None:
 )
 def test_a_root_of_its_own_is_replaced_by_the_chain(roots: tuple[Any, ...]) -> None:
     hinges = pin.JointModelRY(), pin.JointModelRX()
-    robot = BOX.mount(chain(*roots, *hinges), (0.1, 0, 0.3, 0))
+    model = chain(*roots, *hinges)
+    robot = BOX.mount(model, (0.1, 0, 0.3, 0))
     assert (robot.nq, robot.nv) == (5, 5)
+    assert robot == BOX.mount(
+        model, (0.1, 0, 0.3, 0), rest=pin.integrate(model, pin.neutral(model), np.eye(model.nv)[0])
+    )
     # The root's link rides on the body: it counts.
     assert robot.mass_matrix(robot.rest)[0, 0] == pytest.approx(BOX.mass + 3)
 

@@ -52,7 +52,7 @@ class Arm:
     whole : pin.Model
         As it was read.
     rest : ndarray, shape (whole.nq,)
-        Its reference posture.
+        Its reference posture; the pose of a root of its own is dropped.
     picture : callable
         Returns the visual `pin.GeometryModel` of `whole`.
     locked : tuple of str
@@ -85,7 +85,8 @@ class Arm:
     tip: str = field(init=False)
 
     def __post_init__(self) -> None:
-        whole, rest = _whole(self.whole), frozen(self.rest)
+        whole = _whole(self.whole)
+        rest = _without_root_pose(whole, self.rest)
         for joint in range(1, whole.njoints):
             if "Mimic" in joint_kind(whole, joint):
                 raise InvalidArgument(
@@ -130,6 +131,15 @@ def _whole(model: pin.Model) -> pin.Model:
         if not whole.existFrame(whole.names[joint], pin.FrameType.JOINT):
             whole.addJointFrame(joint)
     return whole
+
+
+def _without_root_pose(model: pin.Model, rest: Array) -> Array:
+    """Return the posture with a root at its origin: the mount point says where that is."""
+    posture, neutral = np.array(rest), pin.neutral(model)
+    for joint in _root(model):
+        own = slice(model.idx_qs[joint], model.idx_qs[joint] + model.nqs[joint])
+        posture[own] = neutral[own]
+    return frozen(posture)
 
 
 def _held(model: pin.Model, names: Sequence[str]) -> list[int]:

@@ -238,7 +238,7 @@ class MobileRobot(Carrier):
         return visuals
 
     def to_urdf(self) -> str:
-        """Return the robot as URDF text, every number to the last digit."""
+        """Return the robot as URDF text, every number to the last digit; of a mounted one its base."""
         return urdf.write(self.dh, self.body, size=self.size)
 
 
