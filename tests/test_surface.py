@@ -44,7 +44,8 @@ ALLOWED: dict[str, set[str]] = {
         "integrators",
         "simulation",
     },
-    "plots": {"simulation", "accuracy", "ensembles"},
+    "balance": {"robot"},
+    "plots": {"simulation", "accuracy", "ensembles", "balance"},
     "viewer": {"robot", "simulation"},
 }
 

@@ -33,6 +33,13 @@ from pinmobile.urdf import shipped_urdf
 
 if TYPE_CHECKING:
     from pinmobile.accuracy import integrator_report
+    from pinmobile.balance import (
+        Motion,
+        reaction_wrench,
+        required_friction,
+        tip_over_margin,
+        zero_moment_point,
+    )
     from pinmobile.ensembles import Ensemble, Normal, Same, Scenario, Uniform, ensemble
     from pinmobile.verification import verify
 
@@ -58,6 +65,7 @@ __all__ = [
     "Lissajous",
     "Load",
     "MobileRobot",
+    "Motion",
     "NoiseForce",
     "NoisyMeasurement",
     "Normal",
@@ -81,16 +89,23 @@ __all__ = [
     "law",
     "mountable",
     "planar_difference",
+    "reaction_wrench",
+    "required_friction",
     "rk4",
     "semi_implicit_euler",
     "shipped_urdf",
     "simulate",
+    "tip_over_margin",
     "verify",
+    "zero_moment_point",
 ]
 
-_LAZY_MODULES = ("accuracy", "derivation", "ensembles", "plots", "verification", "viewer")
+_LAZY_MODULES = ("accuracy", "balance", "derivation", "ensembles", "plots", "verification", "viewer")
 _LAZY_NAMES = {
     **dict.fromkeys(("Ensemble", "Normal", "Same", "Scenario", "Uniform", "ensemble"), "ensembles"),
+    **dict.fromkeys(
+        ("Motion", "reaction_wrench", "required_friction", "tip_over_margin", "zero_moment_point"), "balance"
+    ),
     "integrator_report": "accuracy",
     "verify": "verification",
 }
