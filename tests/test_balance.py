@@ -81,7 +81,7 @@ def seen_from(wrench: Array, moving: Any, point: Array) -> Array:
 
 
 # Fourth-order differences with h = 2 ms: truncated to 1e-10, rounded to eps / h^2 = 6e-11, times 100 kg.
-DIFFERENCES = {"rtol": 1e-6, "atol": 1e-6}
+DIFFERENCES: dict[str, Any] = {"rtol": 1e-6, "atol": 1e-6}
 
 
 @pytest.mark.parametrize("robot", [UR5, TWO], ids=["ur5", "two arms"])

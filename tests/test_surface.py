@@ -45,6 +45,7 @@ ALLOWED: dict[str, set[str]] = {
         "simulation",
     },
     "balance": {"robot"},
+    "reaching": {"robot", "trajectories"},
     "plots": {"simulation", "accuracy", "ensembles", "balance"},
     "viewer": {"robot", "simulation"},
 }

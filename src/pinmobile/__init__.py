@@ -23,7 +23,7 @@ from pinmobile.disturbances import (
     SinusoidalForce,
     ViscousFriction,
 )
-from pinmobile.errors import Diverged, InvalidArgument, PinmobileError, UnknownName, ViewerError
+from pinmobile.errors import Diverged, InvalidArgument, PinmobileError, UnknownName, Unreachable, ViewerError
 from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
 from pinmobile.paths import Circle, CubicVia, Lissajous, Spline
 from pinmobile.robot import Load, MobileRobot, mountable
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
         zero_moment_point,
     )
     from pinmobile.ensembles import Ensemble, Normal, Same, Scenario, Uniform, ensemble
+    from pinmobile.reaching import EndEffectorTracking, PosePath, Resolved, resolve
     from pinmobile.verification import verify
 
 __version__ = "0.1.0"
@@ -57,6 +58,7 @@ __all__ = [
     "DHTable",
     "Delayed",
     "Diverged",
+    "EndEffectorTracking",
     "Ensemble",
     "FixedHeading",
     "InvalidArgument",
@@ -70,7 +72,9 @@ __all__ = [
     "NoisyMeasurement",
     "Normal",
     "PinmobileError",
+    "PosePath",
     "Reference",
+    "Resolved",
     "RollingResistance",
     "Rollout",
     "Same",
@@ -81,6 +85,7 @@ __all__ = [
     "Tangent",
     "Uniform",
     "UnknownName",
+    "Unreachable",
     "ViewerError",
     "ViscousFriction",
     "constant_acceleration",
@@ -91,6 +96,7 @@ __all__ = [
     "planar_difference",
     "reaction_wrench",
     "required_friction",
+    "resolve",
     "rk4",
     "semi_implicit_euler",
     "shipped_urdf",
@@ -100,12 +106,22 @@ __all__ = [
     "zero_moment_point",
 ]
 
-_LAZY_MODULES = ("accuracy", "balance", "derivation", "ensembles", "plots", "verification", "viewer")
+_LAZY_MODULES = (
+    "accuracy",
+    "balance",
+    "derivation",
+    "ensembles",
+    "plots",
+    "reaching",
+    "verification",
+    "viewer",
+)
 _LAZY_NAMES = {
     **dict.fromkeys(("Ensemble", "Normal", "Same", "Scenario", "Uniform", "ensemble"), "ensembles"),
     **dict.fromkeys(
         ("Motion", "reaction_wrench", "required_friction", "tip_over_margin", "zero_moment_point"), "balance"
     ),
+    **dict.fromkeys(("EndEffectorTracking", "PosePath", "Resolved", "resolve"), "reaching"),
     "integrator_report": "accuracy",
     "verify": "verification",
 }
