@@ -1,6 +1,6 @@
 """What the base feels: the arm's reaction, where the ground carries it, and what friction that takes."""
 
-from pinmobile.balance.footprint import checked_footprint, margin_inside
+from pinmobile.balance.footprint import checked_footprint, margin_inside, rectangle
 from pinmobile.balance.ground import (
     body_zero_moment_point,
     required_friction,
@@ -16,6 +16,7 @@ __all__ = [
     "checked_footprint",
     "margin_inside",
     "reaction_wrench",
+    "rectangle",
     "required_friction",
     "tip_over_margin",
     "zero_moment_point",

@@ -2,7 +2,8 @@
 
 from pinmobile.plots.accuracy import integrator
 from pinmobile.plots.animation import animate
+from pinmobile.plots.ground import balance, reaction
 from pinmobile.plots.plane import path
 from pinmobile.plots.series import errors, forces, states
 
-__all__ = ["animate", "errors", "forces", "integrator", "path", "states"]
+__all__ = ["animate", "balance", "errors", "forces", "integrator", "path", "reaction", "states"]

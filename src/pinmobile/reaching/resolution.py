@@ -132,12 +132,11 @@ def _judge(resolved: Resolved, tolerance: float) -> None:
     beyond = np.abs(resolved.error).max(axis=1) > tolerance
     if beyond.any():
         k = int(np.argmax(beyond))
-        way, turn = (np.linalg.norm(part) for part in np.split(resolved.error[k], 2))
+        way, turn = (float(np.linalg.norm(part)) for part in np.split(resolved.error[k], 2))
+        most = resolved.max_error()
         raise Unreachable(
-            f"target is missed by {way:.3g} m and {turn:.3g} rad at t = {resolved.t[k]:g} s, expected at most "
-            f"{tolerance:g}; the largest errors are {{:.3g}} m and {{:.3g}} rad".format(
-                *resolved.max_error()
-            ),
+            f"target is missed by {way:.3g} m and {turn:.3g} rad at t = {resolved.t[k]:g} s, expected "
+            f"at most {tolerance:g}; the largest errors are {most[0]:.3g} m and {most[1]:.3g} rad",
             time=float(resolved.t[k]),
             resolved=resolved,
         )

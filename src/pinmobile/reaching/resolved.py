@@ -35,8 +35,8 @@ class Resolved:
         The frame that follows it.
     start : ndarray, shape (nq,)
         Configuration at the first control point.
-    controls : ndarray, shape (N + 1, nv)
-        Displacements of the control points from `start`, evenly over time.
+    controls : ndarray, shape (N + 3, nv)
+        Displacements of the control points from `start`, evenly over time, one beyond either end.
     """
 
     robot: MobileRobot
@@ -52,11 +52,9 @@ class Resolved:
 
         for name in ("start", "controls"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
-        c = self.controls
-        # Control points beyond the ends, in line with those before: the curve ends at the outermost.
-        beyond = np.concatenate([2 * c[:1] - c[1:2], c, 2 * c[-1:] - c[-2:-1]])
-        knots = self.duration / (len(c) - 1) * (np.arange(len(beyond) + _DEGREE + 1.0) - _DEGREE)
-        object.__setattr__(self, "_curve", BSpline(knots, beyond, _DEGREE))
+        steps = np.arange(len(self.controls) + _DEGREE + 1.0) - _DEGREE
+        knots = self.duration / (len(self.controls) - _DEGREE) * steps
+        object.__setattr__(self, "_curve", BSpline(knots, self.controls, _DEGREE))
 
     def __repr__(self) -> str:
         metres, radians = self.max_error()
@@ -70,8 +68,8 @@ class Resolved:
 
     @property
     def t(self) -> Array:
-        """Times of the control points, shape (N + 1,) [s]."""
-        return np.linspace(0, self.duration, len(self.controls))
+        """Times of the control points between the ends, shape (N + 1,) [s]."""
+        return np.linspace(0, self.duration, len(self.controls) - 2)
 
     def __call__(self, t: ArrayLike) -> Reference:
         """Return the reference.

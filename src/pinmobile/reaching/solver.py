@@ -83,7 +83,10 @@ class Solver:
         return q
 
     def steps(self, start: Array, posture: Array, gain: float, count: int) -> Array:
-        """Return the displacements of the control points from the start, shape (count + 1, nv)."""
+        """Return the displacements of the control points from the start, shape (count + 3, nv).
+
+        The first and the last are beyond the ends of the target.
+        """
         robot, dt = self.robot, self.target.duration / count
         poses = self.target(np.linspace(0, self.target.duration, count + 1)).pose
         controls, q, v = np.zeros((count + 1, robot.nv)), start, None
@@ -105,7 +108,20 @@ class Solver:
                 at = robot.integrate(q, step)
             controls[k + 1], q, v = controls[k] + step, at, step / dt
             left = self.error(poses[k + 1], q)
-        return controls
+        ends = (self.beyond(three, start, dt)[None] for three in (controls[:3], controls[:-4:-1]))
+        return np.concatenate([next(ends), controls, next(ends)])
+
+    def beyond(self, nearest: Array, start: Array, dt: float) -> Array:
+        """Return the control point beyond the end, shape (nv,), from the three next to it, shape (3, nv).
+
+        With their acceleration where it keeps to the limits; else without any: then the curve ends at the
+        outermost of the three, and stays between them.
+        """
+        line = 2 * nearest[0] - nearest[1]
+        bent = line + nearest[0] - 2 * nearest[1] + nearest[2]
+        below, above = self.limits.room(start)
+        fits = (bent >= -below) & (bent <= above) & (np.abs(nearest[0] - bent) <= dt * self.limits.velocity)
+        return np.asarray(np.where(fits, bent, line))
 
 
 def checked_configuration(robot: MobileRobot, name: str, value: ArrayLike) -> Array:

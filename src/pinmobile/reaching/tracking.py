@@ -13,6 +13,8 @@ from pinmobile.robot import MobileRobot
 
 __all__ = ["EndEffectorTracking"]
 
+_GAINS = ("kp", "kd", "posture_kp", "posture_kd")
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -110,6 +112,3 @@ class EndEffectorTracking:
         b = np.concatenate([wanted[:rows], self.damping * posture])
         least, most = ((bound - v) / self.horizon for bound in self._limits.velocities(q, self.horizon, v))
         return bounded_least_squares(A, b, least, most)
-
-
-_GAINS = ("kp", "kd", "posture_kp", "posture_kd")
