@@ -57,6 +57,26 @@ class Limits:
         room[1, in_v] = self.robot.upper[in_q] - q[in_q]
         return np.asarray(np.maximum(room, 0))
 
+    def ramps(self, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
+        """Return the least and the largest acceleration to hold over the next `dt`, each of shape (nv,).
+
+        As `velocities`, for one that changes evenly, to v' at its end: (v + v') dt / 2 + v'^2 / (2 a) <= d.
+        Beyond a limit a coordinate brakes as hard as its acceleration allows.
+
+        Parameters
+        ----------
+        q, v : ndarray, shape (nq,) and (nv,)
+            State.
+        dt : float
+            Time step [s].
+        """
+        a = self.acceleration
+        root = (a * dt) ** 2 + 8 * a * self.room(q) - 4 * a * dt * np.stack([-v, v])
+        stop = np.where(root >= 0, (np.sqrt(np.maximum(root, 0)) - a * dt) / 2, -np.inf)
+        most = np.clip((np.minimum(stop[1], self.velocity) - v) / dt, -a, a)
+        least = np.clip((-np.minimum(stop[0], self.velocity) - v) / dt, -a, a)
+        return np.minimum(least, most), most
+
     def velocities(self, q: Array, dt: float, before: Array | None = None) -> tuple[Array, Array]:
         """Return the least and the largest velocity over the next `dt`, each of shape (nv,).
 

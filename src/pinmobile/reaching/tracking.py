@@ -24,7 +24,7 @@ class EndEffectorTracking:
     a is what limits allow with the least |J a + dJ/dt v - (x_a + Kd e_dot + Kp e)|, and beside it the least
     damping |a - (a_r + kd_r (v_r - v) + kp_r (q_r - q))|: the reference that `simulate` passes on is the
     posture in what the pose leaves free (Nakamura and Hanafusa, 1986, at the level of accelerations; Khatib,
-    1987). Positions and velocities within their limits stay there as far as the model is right.
+    1987). Positions and velocities within their limits stay there, as far as the model is right.
 
     Parameters
     ----------
@@ -44,8 +44,8 @@ class EndEffectorTracking:
         As in `resolve`.
     acceleration_limit : array_like, shape () or (nv,)
         As in `resolve`.
-    horizon : float
-        Time over which a force is held, `simulate`'s dt, or longer [s], > 0.
+    dt : float
+        Time over which a force is held, that of `simulate` [s], > 0: with another, limits are overrun.
 
     Raises
     ------
@@ -65,13 +65,13 @@ class EndEffectorTracking:
     damping: float = 1e-2
     velocity_limit: ArrayLike | None = None
     acceleration_limit: ArrayLike = 20.0
-    horizon: float = 0.01
+    dt: float = 0.01
     _limits: Limits = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         checked_target(self.robot, self.target)
         own = {name: non_negative(name, getattr(self, name)) for name in _GAINS}
-        own |= {name: positive(name, getattr(self, name)) for name in ("damping", "horizon")}
+        own |= {name: positive(name, getattr(self, name)) for name in ("damping", "dt")}
         nv = self.robot.nv
         speed = self.robot.velocity_limit if self.velocity_limit is None else self.velocity_limit
         speed = per_coordinate("velocity_limit", speed, nv, zero=True)
@@ -110,5 +110,4 @@ class EndEffectorTracking:
         posture = posture + self.posture_kp * robot.difference(q, reference.q)
         A = np.vstack([J[:rows], self.damping * np.eye(robot.nv)])
         b = np.concatenate([wanted[:rows], self.damping * posture])
-        least, most = ((bound - v) / self.horizon for bound in self._limits.velocities(q, self.horizon, v))
-        return bounded_least_squares(A, b, least, most)
+        return bounded_least_squares(A, b, *self._limits.ramps(q, v, self.dt))
