@@ -57,10 +57,11 @@ def momentum_rate(moving: Any, inertias: dict[int, pin.Inertia]) -> Array:
     robot, h = moving.robot, 2e-3
 
     def poses(t: float) -> Array:
-        return robot.frame_placements(robot.integrate(moving.q, t * moving.v + 0.5 * t * t * moving.a))
+        displacement = t * moving.v + 0.5 * t * t * moving.a
+        return np.asarray(robot.frame_placements(robot.integrate(moving.q, displacement)))
 
     stencil = ((-2, -1), (-1, 16), (0, -30), (1, 16), (2, -1))
-    second = sum(weight * poses(k * h) for k, weight in stencil) / (12 * h * h)
+    second = np.sum([weight * poses(k * h) for k, weight in stencil], axis=0) / (12 * h * h)
     second[..., 2, 3] += G
     T, total = poses(0.0), np.zeros((*np.shape(moving.q)[:-1], 4, 4))
     for joint, body in inertias.items():

@@ -41,7 +41,7 @@ def waved() -> Rollout:
 
 
 def drawn(figure: Figure) -> None:
-    FigureCanvasAgg(figure).draw()
+    FigureCanvasAgg(figure).draw()  # type: ignore[no-untyped-call]  # matplotlib's own
 
 
 def test_balance_draws_margin_friction_and_the_zero_moment_point() -> None:

@@ -198,7 +198,7 @@ def test_where_the_pose_leaves_it_free_the_arm_tends_to_its_posture() -> None:
     target = PosePath(line(START[:3, 3], (0, 0, 0), 8))
     posture = BENT[3:] + np.array([0.3, 0, 0, 0, 0, 0.5])  # the height stays
     resolved = resolve(UR5, target, q0=BENT, posture=posture)
-    np.testing.assert_allclose(resolved(8.0).q[3:], posture, atol=5e-4)  # exp(-8) of 0.5 is 2e-4
+    np.testing.assert_allclose(resolved(8.0).q[3:], posture, atol=2e-3)  # exp(-6) of 0.5: the base moves too
     assert resolved.max_error()[0] < 1e-4
     stiff = resolve(UR5, target, q0=BENT, posture=posture, posture_gain=0)
     assert np.abs(stiff(8.0).q[3:] - BENT[3:]).max() < 0.05
@@ -338,7 +338,7 @@ def test_after_any_acceleration_that_limits_allow_a_joint_can_still_stop() -> No
     [
         ({"dt": 0}, "dt is 0.0 s, expected > 0"),
         ({"damping": -1}, "damping is -1.0, expected > 0"),
-        ({"posture": [0, 1]}, r"posture has shape \(2,\), expected \(6,\): the arms' part of q"),
+        ({"posture": [0, 1]}, r"posture has shape \(2,\), expected \(6,\), the arms' part of q"),
         ({"posture": [0, 9, 0, 0, 0, 0]}, r"posture has q\[4\] = 9, expected -6.283 <= q\[4\] <= 6.283"),
         ({"q0": [0, 1]}, r"q0 has shape \(2,\), expected \(..., 9\)"),
         ({"cost": [1, 2]}, r"cost has shape \(2,\), expected \(\) or \(9,\)"),
