@@ -140,6 +140,12 @@ def test_other_robots_follow_a_line_from_rest(robot: MobileRobot) -> None:
     check_limits(resolved, robot.velocity_limit)
 
 
+def test_the_start_is_found_far_away_and_turned() -> None:
+    R = START[:3, :3] @ pin.utils.rotate("x", 2.0)
+    resolved = resolve(UR5, PosePath(line((300.0, -500.0, 0.6), (0.1, 0, 0)), R))
+    assert max(resolved.max_error()) < 1e-4
+
+
 def test_an_arm_that_is_not_the_first_follows_too() -> None:
     robot = UR5.mount("panda", (-0.1, 0, 0.2, 3)).attach(Load(1.0), "ur5/tool0")
     frame = robot.mounts[1].tip

@@ -70,15 +70,15 @@ class Solver:
     def sought(self, q: Array) -> Array:
         """Return what Gauss-Newton finds for the target's start from a configuration."""
         pose, still = self.target(0.0).pose, np.zeros(self.robot.nv)
-        least_v, most_v = -self.limits.velocity, self.limits.velocity
+        # x and y add to the pose as they are, however far; what is locked stays where it is.
+        stride = np.where(np.arange(self.robot.nv) < 2, np.inf, _STRIDE)
+        stride[self.limits.velocity == 0] = 0
         for _ in range(_SEARCH):
             error = self.error(pose, q)
             if np.abs(error).max() <= _EXACT:
                 break
             below, above = self.limits.room(q)
-            # What is locked stays where it is.
-            least = np.where(least_v < 0, np.maximum(-below, -_STRIDE), 0.0)
-            most = np.where(most_v > 0, np.minimum(above, _STRIDE), 0.0)
+            least, most = np.maximum(-below, -stride), np.minimum(above, stride)
             q = self.robot.integrate(q, self.correction(q, error, still, least, most))
         return q
 
