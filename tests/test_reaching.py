@@ -175,6 +175,18 @@ def test_a_limit_of_velocity_is_held_and_the_error_made_good_later() -> None:
     check_limits(resolved, slow)
     assert resolved.max_error()[0] > 0.1
     assert np.abs(resolved.error[-1]).max() < 1e-4
+    assert resolved.error[:, 0].min() > -1e-3  # it comes from behind and does not shoot beyond
+
+
+def test_a_start_at_a_limit_is_left_within_it() -> None:
+    q0 = BENT.copy()
+    q0[4:6] = -1.5, UR5.upper[5]
+    T = UR5.frame_pose(q0)
+    target = PosePath(line(T[:3, 3], (0.3, 0, 0)), T[:3, :3])
+    resolved = resolve(UR5, target, q0=q0, posture=BENT[3:])
+    displacement = resolved._curve(dense(resolved)[0])  # before rounding is cut off
+    assert (resolved.start + displacement <= UR5.upper + 1e-12).all()
+    assert resolved(3.0).q[5] < UR5.upper[5] - 0.1
 
 
 def test_a_joint_brakes_at_its_limit_and_the_error_grows() -> None:
@@ -285,6 +297,11 @@ def test_manipulability_is_yoshikawas() -> None:
     assert (whole > arm).all()
     moved = q + np.where(np.arange(9) < 3, [1.0, -2.0, 0.7, 0, 0, 0, 0, 0, 0], 0)
     np.testing.assert_allclose(UR5.manipulability(moved), whole, rtol=1e-9)
+    two = PANDA.mount("ur5", (0.1, -0.05, 0.2, 0.4))
+    second = two.mounts[1]
+    both = np.tile(two.rest, (4, 2, 1))
+    both[..., second.q] = q[..., 3:]
+    np.testing.assert_allclose(two.arm_manipulability(both, second.tip), arm, rtol=1e-9, atol=1e-12)
     assert BOX.manipulability(np.zeros((2, 3))).tolist() == [0, 0]
     with pytest.raises(InvalidArgument, match="frame is 'base_link', expected one of an arm"):
         UR5.arm_manipulability(q, "base_link")
