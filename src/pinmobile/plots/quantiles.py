@@ -1,6 +1,6 @@
 """How far the robots of ensembles stray, over time: bands of quantiles, controllers side by side."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,8 +11,9 @@ from matplotlib.patches import Patch
 
 from pinmobile.arrays import Array, ArrayLike
 from pinmobile.ensembles import Bands, Ensemble
+from pinmobile.ensembles.histogram import edges
 from pinmobile.errors import InvalidArgument
-from pinmobile.plots.runs import ROUNDING, named
+from pinmobile.plots.runs import named
 from pinmobile.plots.style import INK, ShownFigure, colour, dress, heading, legend, percent, si, tint
 
 __all__ = ["bands"]
@@ -72,8 +73,8 @@ def bands(
     for row, (attribute, words, unit) in zip(grid, _ROWS, strict=True):
         scale = _scale([getattr(one, attribute) for one in drawn], unit)
         row[0].set_ylabel(f"{words}\n[{scale.unit}]", fontsize=11)
-        for index, (axes, one) in enumerate(zip(row, drawn, strict=True)):
-            _panel(axes, one.t, getattr(one, attribute), scale, index)
+        for index, (axes, found) in enumerate(zip(row, drawn, strict=True)):
+            _panel(axes, found.t, getattr(found, attribute), scale, index)
     for index, (label, one) in enumerate(known.items()):
         _headings(grid[:, index], label, one, float(drawn[index].levels[-1]), index)
         grid[1, index].set_xlabel("t [s]", fontsize=11)
@@ -87,8 +88,9 @@ def _scale(quantiles: Sequence[Array], unit: str) -> _Scale:
     finite = [np.where(np.isfinite(one), one, np.nan) for one in quantiles]
     highest = [float(np.nanmax(one, initial=0.0)) for one in finite]
     smallest = [float(np.nanmax(one[0], initial=0.0)) for one in finite]
-    top = max(*highest, ROUNDING)
-    least = min((value for value in smallest if value > ROUNDING), default=top)
+    zero = float(edges()[1])  # the counts tell nothing below from zero
+    top = max(*highest, zero)
+    least = min((value for value in smallest if value > zero), default=top)
     prefix, per_si = ("", 1.0) if top >= 1 else ("m", 1e3) if top >= 1e-3 else ("µ", 1e6)
     logarithmic = top > _LINEAR * least
     low, high = (least / 5, 2 * top) if logarithmic else (0.0, 1.08 * top)
@@ -117,15 +119,16 @@ def _shades(base: str, count: int) -> list[tuple[float, float, float]]:
     return [tint(base, share) for share in np.linspace(0.75, 0.15, count)]
 
 
-def _headings(column: Sequence[Axes], label: str, one: Ensemble, level: float, index: int) -> None:
+def _headings(column: Iterable[Axes], label: str, one: Ensemble, level: float, index: int) -> None:
     count = int(one.diverged.sum())
     fate = f"{count:,} of {len(one):,} diverged" if count else f"none of {len(one):,} diverged"
+    first, *_ = column
     for axes, size, (_, _, unit) in zip(column, one.within(level), _ROWS, strict=True):
         stays = f"within {si(size, unit)} throughout" if np.isfinite(size) else "within no bound"
         axes.set_title(f"{percent(level)} stay {stays}", fontsize=10.5, color=INK, loc="left")
-    column[0].annotate(fate, (0, 1), (0, 21), xycoords="axes fraction", textcoords="offset points",
+    first.annotate(fate, (0, 1), (0, 21), xycoords="axes fraction", textcoords="offset points",
                        fontsize=10.5, color=INK)  # fmt: skip
-    column[0].annotate(label, (0, 1), (0, 38), **heading(index))
+    first.annotate(label, (0, 1), (0, 38), **heading(index))
 
 
 def _keys(drawn: Bands, ensembles: Sequence[Ensemble]) -> Iterator[Artist]:

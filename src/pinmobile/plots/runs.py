@@ -10,13 +10,12 @@ from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
 from pinmobile.simulation import Rollout
 
-__all__ = ["ROUNDING", "Rollouts", "labelled", "named", "planar", "same_references", "thinned"]
+__all__ = ["Rollouts", "labelled", "named", "planar", "same_references", "thinned"]
 
 Rollouts: TypeAlias = Rollout | Mapping[str, Rollout]
 
 _Kind = TypeVar("_Kind")
 
-ROUNDING = 1e-12  # what is smaller is drawn as the zero that it is
 _MOST = 4000  # samples drawn as they are
 _BINS = 1000  # of a longer rollout; more than a figure has columns of pixels
 

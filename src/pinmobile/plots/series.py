@@ -11,13 +11,14 @@ from matplotlib.ticker import ScalarFormatter
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
-from pinmobile.plots.runs import ROUNDING, Rollouts, labelled, same_references, thinned
+from pinmobile.plots.runs import Rollouts, labelled, same_references, thinned
 from pinmobile.plots.style import DESIRED, INK, ShownFigure, colour, dress, heading, legend, line_style
 
 __all__ = ["errors", "forces", "states"]
 
 _POSE = (("$x$", "m"), ("$y$", "m"), (r"$\psi$", "rad"))
 _FORCE = (("$F_x$", "N"), ("$F_y$", "N"), ("$M_z$", "N m"))
+_ROUNDING = 1e-12  # what is smaller is drawn as the zero that it is
 
 
 def states(rollouts: Rollouts, *, title: str | None = None) -> Figure:
@@ -149,8 +150,8 @@ def _draw(column: Iterable[Axes], t: Array, values: Array, **style: Any) -> None
     for axes, line in zip(column, values.T, strict=False):
         kept = thinned(line)
         axes.plot(t[kept], line[kept], marker="o" if len(line) == 1 else "", **style)
-        if np.abs(axes.dataLim.intervaly).max() < ROUNDING:
-            axes.set_ylim(-ROUNDING, ROUNDING)
+        if np.abs(axes.dataLim.intervaly).max() < _ROUNDING:
+            axes.set_ylim(-_ROUNDING, _ROUNDING)
 
 
 def _power(value: float) -> str:

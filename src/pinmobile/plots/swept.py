@@ -74,7 +74,7 @@ def _labels(name: str, axis: Any) -> list[str]:
         raise InvalidArgument(f"{name} is {axis!r}, expected (name, unit, values)")
     if np.ndim(axis[2]) != 1 or not len(axis[2]):
         raise InvalidArgument(f"{name}[2] has shape {np.shape(axis[2])}, expected (n,) with n >= 1")
-    return [one if isinstance(one, str) else f"{one:.6g}" for one in axis[2]]
+    return [one if isinstance(one, str) else f"{one:.4g}" for one in axis[2]]
 
 
 def _numbers(values: ArrayLike, shape: tuple[int, int]) -> Array:
@@ -113,6 +113,8 @@ def _furnish(axes: Axes, columns: list[str], rows: list[str], names: Sequence[_A
 
 def _write(axes: Axes, numbers: Array, norm: Normalize, size: float) -> None:
     """Write each number in its cell, in white on dark colours, where there is room for it."""
+    finite = numbers[np.isfinite(numbers)]
+    whole = bool((finite == np.round(finite)).all())
     shades = colormaps[_MAP](norm(np.where(np.isfinite(numbers), numbers, 0.0)))
     for (i, k), number in np.ndenumerate(numbers):
         if np.isinf(number):
@@ -123,15 +125,15 @@ def _write(axes: Axes, numbers: Array, norm: Normalize, size: float) -> None:
             continue
         dark = np.isfinite(number) and float(shades[i, k, :3] @ (0.299, 0.587, 0.114)) < 0.5
         text = axes.text(
-            k, i, "diverges" if np.isinf(number) else _digits(number), ha="center", va="center",
+            k, i, "diverges" if np.isinf(number) else _digits(number, whole), ha="center", va="center",
             fontsize=0.8 * size if np.isinf(number) else size, color="white" if dark else INK,
         )  # fmt: skip
         if np.isinf(number):
             text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 1.0})
 
 
-def _digits(number: float) -> str:
+def _digits(number: float, whole: bool) -> str:
     """Return three digits, without a power of ten where there is room."""
-    if number == 0 or not 1e-3 <= abs(number) < 1e5:
-        return f"{number:.2g}"
-    return f"{number:.0f}" if abs(number) >= 100 else f"{number:.3g}"
+    if whole or 100 <= abs(number) < 1e5:
+        return f"{number:.0f}" if abs(number) < 1e5 else f"{number:.2g}"
+    return f"{number:#.3g}" if 1e-3 <= abs(number) < 100 else f"{number:.2g}"
