@@ -106,8 +106,9 @@ def _furnish(axes: Axes, columns: list[str], rows: list[str], names: Sequence[_A
     )
     axes.set_yticks(range(len(rows)), rows)
     axes.tick_params(length=0, labelsize=10)
-    for put, (name, unit, _) in zip((axes.set_xlabel, axes.set_ylabel), names, strict=True):
-        put(f"{name} [{unit}]" if unit else name, fontsize=11)
+    titles = [f"{name} [{unit}]" if unit else name for name, unit, _ in names]
+    axes.set_xlabel(titles[0], fontsize=11)
+    axes.set_ylabel(titles[1], fontsize=11)
     axes.spines[:].set_visible(False)
 
 
