@@ -143,4 +143,4 @@ def _cause(name: str, unit: str, values: Array, worst: NDArray[np.bool_]) -> Cau
         low = -np.inf
     elif more < fewer:
         low, high, outside = more, fewer, True
-    return Cause(name, unit, values, difference, visible, low, high, outside)
+    return Cause(name, unit.replace("^2", "²"), values, difference, visible, low, high, outside)

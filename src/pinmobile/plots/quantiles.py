@@ -19,7 +19,7 @@ from pinmobile.plots.style import INK, ShownFigure, colour, dress, heading, lege
 __all__ = ["bands"]
 
 _ROWS = (("distance", "distance from the desired position", "m"), ("heading", "error of heading", "rad"))
-_LINEAR = 12.0  # by how much the largest of all may exceed the smallest median on a linear axis
+_LINEAR = 40.0  # by how much the largest of all may exceed the smallest median on a linear axis
 _GREY = "#777777"
 
 
