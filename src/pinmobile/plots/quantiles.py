@@ -18,7 +18,7 @@ from pinmobile.plots.style import INK, ShownFigure, colour, dress, heading, lege
 
 __all__ = ["bands"]
 
-_ROWS = (("distance", "distance from the desired position", "m"), ("heading", "error of heading", "rad"))
+_ROWS = (("distance", "distance from\ndesired position", "m"), ("heading", "error of\nheading", "rad"))
 _LINEAR = 40.0  # by how much the largest of all may exceed the smallest median on a linear axis
 _GREY = "#777777"
 
@@ -71,10 +71,11 @@ def bands(
     figure.suptitle(title or "How far the robots stray", fontsize=14, color=INK)
     grid = figure.subplots(2, len(known), squeeze=False, sharex="col", sharey="row")
     for row, (attribute, words, unit) in zip(grid, _ROWS, strict=True):
-        scale = _scale([getattr(one, attribute) for one in drawn], unit)
-        row[0].set_ylabel(f"{words}\n[{scale.unit}]", fontsize=11)
-        for index, (axes, found) in enumerate(zip(row, drawn, strict=True)):
-            _panel(axes, found.t, getattr(found, attribute), scale, index)
+        quantiles = [_resolved(getattr(one, attribute)) for one in drawn]
+        scale = _scale(quantiles, unit)
+        row[0].set_ylabel(f"{words} [{scale.unit}]", fontsize=11)
+        for index, (axes, values) in enumerate(zip(row, quantiles, strict=True)):
+            _panel(axes, drawn[index].t, values, scale, index)
     for index, (label, one) in enumerate(known.items()):
         _headings(grid[:, index], label, one, float(drawn[index].levels[-1]), index)
         grid[1, index].set_xlabel("t [s]", fontsize=11)
@@ -83,14 +84,18 @@ def bands(
     return figure
 
 
+def _resolved(quantiles: Array) -> Array:
+    """Return quantiles, with zero for what the counts cannot tell from it."""
+    return np.where(quantiles < edges()[1], 0.0, quantiles)
+
+
 def _scale(quantiles: Sequence[Array], unit: str) -> _Scale:
     """Return axes that hold all that is finite, each of shape (L, G)."""
     finite = [np.where(np.isfinite(one), one, np.nan) for one in quantiles]
     highest = [float(np.nanmax(one, initial=0.0)) for one in finite]
     smallest = [float(np.nanmax(one[0], initial=0.0)) for one in finite]
-    zero = float(edges()[1])  # the counts tell nothing below from zero
-    top = max(*highest, zero)
-    least = min((value for value in smallest if value > zero), default=top)
+    top = max(highest) or 1e-3
+    least = min((value for value in smallest if value > 0), default=top)
     prefix, per_si = ("", 1.0) if top >= 1 else ("m", 1e3) if top >= 1e-3 else ("µ", 1e6)
     logarithmic = top > _LINEAR * least
     low, high = (least / 5, 2 * top) if logarithmic else (0.0, 1.08 * top)
@@ -105,13 +110,13 @@ def _panel(axes: Axes, t: Array, quantiles: Array, scale: _Scale, index: int) ->
         axes.set_yscale("log")
     axes.set_ylim(scale.low, scale.high)
     beyond = 10 * scale.high  # where infinity is drawn: out of the axes
-    edges = np.where(np.isfinite(quantiles), quantiles * scale.per_si, beyond)
+    lines = np.where(np.isfinite(quantiles), quantiles * scale.per_si, beyond)
     below = np.full(len(t), scale.low)
-    for shade, edge in zip(_shades(colour(index), len(edges)), edges, strict=True):
-        axes.fill_between(t, below, np.maximum(edge, scale.low), color=shade, linewidth=0, zorder=2)
-        below = np.maximum(edge, scale.low)
-    for k, edge in enumerate(edges):
-        axes.plot(t, edge, color=colour(index), linewidth=2.0 if k == 0 else 0.8, zorder=3)
+    for shade, line in zip(_shades(colour(index), len(lines)), lines, strict=True):
+        axes.fill_between(t, below, np.maximum(line, scale.low), color=shade, linewidth=0, zorder=2)
+        below = np.maximum(line, scale.low)
+    for k, line in enumerate(lines):
+        axes.plot(t, line, color=colour(index), linewidth=2.0 if k == 0 else 0.8, zorder=3)
 
 
 def _shades(base: str, count: int) -> list[tuple[float, float, float]]:
