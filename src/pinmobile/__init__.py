@@ -33,7 +33,7 @@ from pinmobile.urdf import shipped_urdf
 
 if TYPE_CHECKING:
     from pinmobile.accuracy import integrator_report
-    from pinmobile.ensembles import Ensemble, Normal, Same, Scenario, Uniform, ensemble
+    from pinmobile.ensembles import TRUE_MODEL, Ensemble, Normal, Same, Scenario, Uniform, ensemble
     from pinmobile.verification import verify
 
 __version__ = "0.1.0"
@@ -42,6 +42,7 @@ __all__ = [
     "LECTURE_TABLE",
     "PD",
     "SLIDE_TABLE",
+    "TRUE_MODEL",
     "Circle",
     "ComputedTorque",
     "ConstantForce",
@@ -90,7 +91,9 @@ __all__ = [
 
 _LAZY_MODULES = ("accuracy", "derivation", "ensembles", "plots", "verification", "viewer")
 _LAZY_NAMES = {
-    **dict.fromkeys(("Ensemble", "Normal", "Same", "Scenario", "Uniform", "ensemble"), "ensembles"),
+    **dict.fromkeys(
+        ("TRUE_MODEL", "Ensemble", "Normal", "Same", "Scenario", "Uniform", "ensemble"), "ensembles"
+    ),
     "integrator_report": "accuracy",
     "verify": "verification",
 }
