@@ -91,11 +91,13 @@ __all__ = [
 
 _LAZY_MODULES = ("accuracy", "derivation", "ensembles", "plots", "verification", "viewer")
 _LAZY_NAMES = {
-    **dict.fromkeys(
-        ("TRUE_MODEL", "Ensemble", "Normal", "Same", "Scenario", "Uniform", "ensemble"), "ensembles"
-    ),
-    "integrator_report": "accuracy",
-    "verify": "verification",
+    name: module
+    for module, names in {
+        "accuracy": ("integrator_report",),
+        "ensembles": ("TRUE_MODEL", "Ensemble", "Normal", "Same", "Scenario", "Uniform", "ensemble"),
+        "verification": ("verify",),
+    }.items()
+    for name in names
 }
 
 
