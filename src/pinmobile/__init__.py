@@ -25,7 +25,7 @@ from pinmobile.disturbances import (
 )
 from pinmobile.errors import Diverged, InvalidArgument, PinmobileError, UnknownName, ViewerError
 from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
-from pinmobile.paths import Circle, CubicVia, Lissajous, Spline
+from pinmobile.paths import Circle, CubicVia, Hold, Lissajous, RestToRest, Spline
 from pinmobile.robot import Load, MobileRobot, mountable
 from pinmobile.simulation import Rollout, simulate
 from pinmobile.trajectories import FixedHeading, LectureHeading, Reference, Tangent
@@ -52,6 +52,7 @@ __all__ = [
     "Diverged",
     "Ensemble",
     "FixedHeading",
+    "Hold",
     "InvalidArgument",
     "JointType",
     "LectureHeading",
@@ -63,6 +64,7 @@ __all__ = [
     "Normal",
     "PinmobileError",
     "Reference",
+    "RestToRest",
     "RollingResistance",
     "Rollout",
     "Same",
