@@ -28,7 +28,7 @@ from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_eule
 from pinmobile.paths import Circle, CubicVia, Hold, Lissajous, RestToRest, Spline
 from pinmobile.robot import Load, MobileRobot, mountable
 from pinmobile.simulation import Rollout, simulate
-from pinmobile.trajectories import FixedHeading, LectureHeading, Reference, Tangent
+from pinmobile.trajectories import FixedHeading, LectureHeading, Reference, Tangent, WholeBody
 from pinmobile.urdf import shipped_urdf
 
 if TYPE_CHECKING:
@@ -77,6 +77,7 @@ __all__ = [
     "UnknownName",
     "ViewerError",
     "ViscousFriction",
+    "WholeBody",
     "constant_acceleration",
     "ensemble",
     "integrator_report",

@@ -1,4 +1,4 @@
-"""Curves as functions of time: via-point cubics, splines, Lissajous figures, rests and the way between two."""
+"""Curves as functions of time: via-point cubics, splines, Lissajous figures, and from rest to rest."""
 
 from pinmobile.paths.cubic_via import CubicVia
 from pinmobile.paths.lissajous import Circle, Lissajous
