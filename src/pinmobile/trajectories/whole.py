@@ -60,7 +60,7 @@ class WholeBody:
                 f"joints has {len(joints)} paths, expected {len(robot.mounts)}, one per arm of the robot"
             )
         paths = tuple(_checked(robot, k, path, float(base.duration)) for k, path in enumerate(joints))
-        longest = max(float(part.duration) for part in (base, *paths))
+        longest = max([float(base.duration), *(float(path.duration) for path in paths)])
         for name, value in {"robot": robot, "base": base, "joints": paths, "duration": longest}.items():
             object.__setattr__(self, name, value)
         for name, (motion, end) in self._parts().items():
