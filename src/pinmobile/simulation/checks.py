@@ -89,6 +89,8 @@ def sampled(trajectory: Trajectory, t: Array, plant: "Plant") -> Reference:
     """
     try:
         reference = trajectory(t)
+    except InvalidArgument:
+        raise  # it says itself what it is about, such as a joint's limit
     except (TypeError, ValueError) as error:
         raise InvalidArgument(
             f"trajectory cannot be asked for an array of {len(t)} times: {error}"

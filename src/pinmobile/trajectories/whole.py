@@ -127,9 +127,9 @@ def _check_robot(robot: Any) -> None:
 
 
 def _check_base(base: Any) -> None:
-    if isinstance(base, type) or not isinstance(base, Trajectory):
+    if isinstance(base, type) or not isinstance(base, Trajectory) or isinstance(base, Path):
         raise InvalidArgument(
-            f"base is {base!r}, expected a trajectory of x, y and psi: base(t), base.duration"
+            f"base is {base!r}, expected a trajectory of x, y and psi, such as Tangent(path)"
         )
     positive("base.duration", base.duration, "s")
     shape = np.shape(base(0.0).q)
@@ -158,6 +158,6 @@ def _check_end(name: str, motion: Callable[[Array], Reference], end: float, long
     speed = float(np.abs(motion(np.array(end)).v).max())
     if longest > end * (1 + _SAME) and not speed <= _STANDSTILL:
         raise InvalidArgument(
-            f"{name} ends after {end:g} s of {longest:g} s while it moves at {speed:.3g}, expected it to end "
-            "at rest or with the longest"
+            f"{name} ends after {end:g} s of {longest:g} s while it moves at {speed:.3g}, expected it to "
+            "end at rest or last as long"
         )
