@@ -239,7 +239,7 @@ def test_a_point_is_held() -> None:
         (lambda: Hold(1, 2), "point has shape (), expected (n,)"),
         (lambda: Hold((1, math.inf), 2), "point[1] is inf, expected a finite number"),
         (lambda: Hold((1, 2), 0), "duration is 0.0 s, expected > 0"),
-        (lambda: RestToRest([], [], 2), "start has shape (0,), expected (n,)"),
+        (lambda: RestToRest([(1, 2)], [1, 2], 2), "start has shape (1, 2), expected (n,)"),
         (lambda: RestToRest((1, 2), (1, 2, 3), 2), "end has shape (3,), expected (2,)"),
         (lambda: RestToRest((1, 2), (1, math.nan), 2), "end[1] is nan, expected a finite number"),
         (lambda: RestToRest((1, 2), (1, 3), -1), "duration is -1.0 s, expected > 0"),

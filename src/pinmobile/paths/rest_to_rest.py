@@ -27,7 +27,7 @@ class Hold(_Timed):
     Parameters
     ----------
     point : array_like, shape (n,)
-        Where [m; rad of joints that turn].
+        Where [m; rad of joints that turn]; of no coordinates too, for an arm that has no joints left.
     duration : float
         How long [s], > 0.
 
@@ -84,6 +84,6 @@ class RestToRest(_Timed):
 
 def _point(name: str, value: ArrayLike) -> Array:
     array = finite(name, value)
-    if array.ndim != 1 or not array.size:
+    if array.ndim != 1:
         raise InvalidArgument(f"{name} has shape {array.shape}, expected (n,)")
     return frozen(array)

@@ -155,7 +155,7 @@ def _checked(robot: Any, k: int, path: Any, duration: float) -> Path:
 
 
 def _check_end(name: str, motion: Callable[[Array], Reference], end: float, longest: float) -> None:
-    speed = float(np.abs(motion(np.array(end)).v).max())
+    speed = float(np.abs(motion(np.array(end)).v).max(initial=0.0))
     if longest > end * (1 + _SAME) and not speed <= _STANDSTILL:
         raise InvalidArgument(
             f"{name} ends after {end:g} s of {longest:g} s while it moves at {speed:.3g}, expected it to "
