@@ -127,12 +127,14 @@ def _check_robot(robot: Any) -> None:
 
 
 def _check_base(base: Any) -> None:
-    if isinstance(base, type) or not isinstance(base, Trajectory) or isinstance(base, Path):
+    known = isinstance(base, Trajectory) and not isinstance(base, type)
+    start: Any = base(0.0) if known else None
+    if not hasattr(start, "q"):  # a path has a duration and can be called, too
         raise InvalidArgument(
             f"base is {base!r}, expected a trajectory of x, y and psi, such as Tangent(path)"
         )
     positive("base.duration", base.duration, "s")
-    shape = np.shape(base(0.0).q)
+    shape = np.shape(start.q)
     if shape != (3,):
         raise InvalidArgument(f"base has configurations of shape {shape}, expected (3,): x, y and psi")
 
