@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 from pinmobile.controllers import (
     PD,
     ComputedTorque,
+    Decoupled,
     Delayed,
     NoisyMeasurement,
+    PDGravity,
     Saturated,
     law,
     planar_difference,
@@ -25,10 +27,10 @@ from pinmobile.disturbances import (
 )
 from pinmobile.errors import Diverged, InvalidArgument, PinmobileError, UnknownName, ViewerError
 from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
-from pinmobile.paths import Circle, CubicVia, Lissajous, Spline
+from pinmobile.paths import Circle, CubicVia, Hold, Lissajous, RestToRest, Spline
 from pinmobile.robot import Load, MobileRobot, mountable
 from pinmobile.simulation import Rollout, simulate
-from pinmobile.trajectories import FixedHeading, LectureHeading, Reference, Tangent
+from pinmobile.trajectories import FixedHeading, LectureHeading, Reference, Tangent, WholeBody
 from pinmobile.urdf import shipped_urdf
 
 if TYPE_CHECKING:
@@ -49,10 +51,12 @@ __all__ = [
     "CubicVia",
     "DHRow",
     "DHTable",
+    "Decoupled",
     "Delayed",
     "Diverged",
     "Ensemble",
     "FixedHeading",
+    "Hold",
     "InvalidArgument",
     "JointType",
     "LectureHeading",
@@ -62,8 +66,10 @@ __all__ = [
     "NoiseForce",
     "NoisyMeasurement",
     "Normal",
+    "PDGravity",
     "PinmobileError",
     "Reference",
+    "RestToRest",
     "RollingResistance",
     "Rollout",
     "Same",
@@ -76,6 +82,7 @@ __all__ = [
     "UnknownName",
     "ViewerError",
     "ViscousFriction",
+    "WholeBody",
     "constant_acceleration",
     "ensemble",
     "integrator_report",
