@@ -43,6 +43,7 @@ ALLOWED: dict[str, set[str]] = {
         "integrators",
         "simulation",
     },
+    "sweeps": {"ensembles"},
     "plots": {"simulation"},
     "viewer": {"robot", "simulation"},
 }

@@ -23,7 +23,14 @@ from pinmobile.disturbances import (
     SinusoidalForce,
     ViscousFriction,
 )
-from pinmobile.errors import Diverged, InvalidArgument, PinmobileError, UnknownName, ViewerError
+from pinmobile.errors import (
+    Diverged,
+    InvalidArgument,
+    PinmobileError,
+    SchedulerError,
+    UnknownName,
+    ViewerError,
+)
 from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
 from pinmobile.paths import Circle, CubicVia, Lissajous, Spline
 from pinmobile.robot import MobileRobot
@@ -33,6 +40,7 @@ from pinmobile.urdf import shipped_urdf
 
 if TYPE_CHECKING:
     from pinmobile.ensembles import Ensemble, Normal, Same, Scenario, Uniform, ensemble
+    from pinmobile.sweeps import Axis, Sweep, grid, sweep
     from pinmobile.verification import verify
 
 __version__ = "0.1.0"
@@ -41,6 +49,7 @@ __all__ = [
     "LECTURE_TABLE",
     "PD",
     "SLIDE_TABLE",
+    "Axis",
     "Circle",
     "ComputedTorque",
     "ConstantForce",
@@ -66,8 +75,10 @@ __all__ = [
     "Same",
     "Saturated",
     "Scenario",
+    "SchedulerError",
     "SinusoidalForce",
     "Spline",
+    "Sweep",
     "Tangent",
     "Uniform",
     "UnknownName",
@@ -75,18 +86,21 @@ __all__ = [
     "ViscousFriction",
     "constant_acceleration",
     "ensemble",
+    "grid",
     "law",
     "planar_difference",
     "rk4",
     "semi_implicit_euler",
     "shipped_urdf",
     "simulate",
+    "sweep",
     "verify",
 ]
 
-_LAZY_MODULES = ("derivation", "ensembles", "plots", "verification", "viewer")
+_LAZY_MODULES = ("derivation", "ensembles", "plots", "sweeps", "verification", "viewer")
 _LAZY_NAMES = {
     **dict.fromkeys(("Ensemble", "Normal", "Same", "Scenario", "Uniform", "ensemble"), "ensembles"),
+    **dict.fromkeys(("Axis", "Sweep", "grid", "sweep"), "sweeps"),
     "verify": "verification",
 }
 
