@@ -1,5 +1,6 @@
 """Where chunks are computed: by the threads of this process, or by the workers of a Dask cluster."""
 
+import asyncio
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from queue import Empty, SimpleQueue
@@ -104,9 +105,17 @@ def connected(address: str, timeout: float = _ANSWER) -> Any:
     InvalidArgument
         If it is no address.
     """
-    kind = imported("distributed").Client
+    distributed = imported("distributed")
+
+    async def greet() -> None:
+        # A client waits without end for what takes the connection and then says nothing.
+        comm = await asyncio.wait_for(distributed.comm.connect(address, timeout=timeout), timeout)
+        comm.abort()
+
     try:
-        return kind(address, timeout=timeout)
+        with ThreadPoolExecutor(1) as pool:  # a notebook's thread has a loop of its own
+            pool.submit(asyncio.run, greet()).result()
+        return distributed.Client(address, timeout=timeout)
     except OSError as error:
         raise SchedulerError(f"scheduler {address} does not answer within {timeout:g} s") from error
     except ValueError as error:
