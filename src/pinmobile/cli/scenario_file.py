@@ -25,7 +25,7 @@ radius = 3
 [loop]             # dt, integrator, substeps
 dt = 0.1
 [spread]           # uniform, normal, percent (of nominal), same, or a number
-start_x = {normal = [0, 0.01]}
+start_x = {normal = [0, 0.001]}
 start_y = {same = "start_x", factor = {uniform = [-1, 1]}}
 [ensemble]         # n, seed
 n = 10000

@@ -73,8 +73,7 @@ def sweep(
         raise InvalidArgument(f"progress is {progress!r}, expected a function of two whole numbers")
     description = determined_by(grid)
     if not path.exists():
-        for scenario in grid.scenarios:
-            scenario.draws()  # refused before any work, with the share of all robots
+        _check_draws(grid)
     with Store(path, grid, description, size) as opened:
         if chunk is not None and opened.chunk != size:
             raise InvalidArgument(f"chunk is {size}, expected {opened.chunk} as in the store, or None")
@@ -89,6 +88,15 @@ def sweep(
                 progress(done, total)
         opened.finish()
     return Sweep.open(path, grid)
+
+
+def _check_draws(grid: Grid) -> None:
+    """Refuse impossible draws before any work, with the share of all robots."""
+    for k, scenario in enumerate(grid.scenarios):
+        try:
+            scenario.draws()
+        except InvalidArgument as error:
+            raise InvalidArgument(f"{error} (at {grid.place(k)})") from error
 
 
 def _results(grid: Grid, jobs: Sequence[Job], client: Any) -> Any:
