@@ -1,4 +1,4 @@
-"""The sweep that the tests interrupt, here so that other processes can import it; as a program, it runs it."""
+"""The sweep that the tests interrupt, for other processes to import; as a program, it runs until killed."""
 
 import os
 import signal

@@ -28,7 +28,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Sweep:
 
 @pytest.fixture(scope="module")
 def cluster(done: Sweep) -> Iterator[Any]:
-    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None, "host": "127.0.0.1"}
+    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": ":0", "host": "127.0.0.1"}
     with distributed.LocalCluster(processes=True, silence_logs=50, **options) as cluster:
         yield cluster
 
@@ -89,9 +89,9 @@ def test_a_scheduler_that_does_not_answer_is_given_up() -> None:
     before = time.monotonic()
     with socket.create_server(("127.0.0.1", 0)) as silent:
         address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
-        with pytest.raises(SchedulerError, match=f"scheduler {address} does not answer within 0.5 s"):
+        with pytest.raises(SchedulerError, match=rf"scheduler {address} does not answer within 0\.5 s"):
             connected(address, timeout=0.5)
-    with pytest.raises(SchedulerError, match="does not answer within 0.5 s"):
+    with pytest.raises(SchedulerError, match=r"does not answer within 0\.5 s"):
         connected(address, timeout=0.5)
     with pytest.raises(InvalidArgument, match="scheduler is 'tcp//1', expected an address such as tcp://"):
         connected("tcp//1", timeout=0.5)
@@ -102,9 +102,9 @@ def test_a_closed_client_and_a_cluster_without_workers_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("pinmobile.sweeps.workers._ANSWER", 0.5)
-    with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=None) as empty:
+    with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=":0") as empty:
         client = distributed.Client(empty)
-        with client, pytest.raises(SchedulerError, match="has no worker after 0.5 s"):
+        with client, pytest.raises(SchedulerError, match=r"has no worker after 0\.5 s"):
             sweep(gains_and_errors(), tmp_path / "store", client=client)
         with pytest.raises(InvalidArgument, match="client is closed, expected one that is connected"):
             sweep(gains_and_errors(), tmp_path / "store", client=client)

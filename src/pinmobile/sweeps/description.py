@@ -121,8 +121,10 @@ def _array(values: Any) -> Any:
 
 
 def _is_ours(kind: Any) -> bool:
-    module = getattr(kind, "__module__", None) or "builtins"
-    return module.split(".")[0] in _LIBRARIES
+    module = getattr(kind, "__module__", None)
+    if module is None:  # as of a ufunc, and of a function that was typed
+        return not isinstance(kind, FunctionType)
+    return str(module).split(".")[0] in _LIBRARIES
 
 
 def _object(where: str, value: Any, above: tuple[int, ...]) -> Any:

@@ -37,7 +37,7 @@ def determined_by(grid: Grid) -> dict[str, Any]:
         "all": common,
         "each": {name: [one.get(name) for one in each] for name in names if name not in common},
     }
-    return {**found, "fingerprint": fingerprint(found)}
+    return {**found, "fingerprint": _fingerprint(found)}
 
 
 def _has(one: Mapping[str, Any], name: str, value: Any) -> bool:
@@ -52,7 +52,7 @@ def _version(name: str) -> str:
     return version(name)
 
 
-def fingerprint(description: Any) -> str:
+def _fingerprint(description: Any) -> str:
     """Return the digest of a description."""
     return sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
 
