@@ -1,10 +1,12 @@
 """The commands ensemble and sweep, as a person types them."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
+from matplotlib.figure import Figure
 
-from pinmobile import Sweep
+from pinmobile import Sweep, plots
 from pinmobile.cli.scenario_file import EXAMPLE
 from tests.test_cli import typed
 
@@ -106,3 +108,25 @@ def test_wrong_options_are_answered_in_one_line(
     assert code == 2
     assert text in err
     assert err.count("\n") == 1
+
+
+def test_two_swept_numbers_are_drawn_as_maps_one_for_each_controller(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Any] = []
+
+    def heatmap(values: Any, *, x: Any, y: Any, label: str) -> Figure:
+        drawn.append((values.shape, x[:2], list(x[2]), y[:2], list(y[2]), label))
+        return Figure()
+
+    monkeypatch.setattr(plots, "heatmap", heatmap, raising=False)
+    file = tmp_path / "two.toml"
+    file.write_text(SMALL + '"trajectory.rate" = [0.05, 0.1]\n')
+    code, _, _ = typed(capsys, "sweep", str(file), "--out", str(tmp_path))
+    assert code == 0
+    axes = ("trajectory.rate", "rad/s"), [0.05, 0.1], ("spread.mass.percent", "%"), [5, 10, 20]
+    assert [one[:-1] for one in drawn] == [((3, 2), *axes)] * 2
+    assert [one[-1] for one in drawn] == [
+        f"{name}: 99 % stay within [m]" for name in ("pd", "computed-torque")
+    ]
+    assert (tmp_path / "index.html").read_text().count("<img") == 2

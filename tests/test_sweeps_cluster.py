@@ -15,6 +15,7 @@ import pytest
 from pinmobile import InvalidArgument, SchedulerError, Sweep, sweep
 from pinmobile.sweeps import connected
 from tests.sweeping import CHUNK, contents, gains_and_errors
+from tests.test_cli import typed
 
 distributed: Any = pytest.importorskip("distributed")
 ROOT = Path(__file__).parents[1]
@@ -108,3 +109,38 @@ def test_a_closed_client_and_a_cluster_without_workers_are_refused(
             sweep(gains_and_errors(), tmp_path / "store", client=client)
         with pytest.raises(InvalidArgument, match="client is closed, expected one that is connected"):
             sweep(gains_and_errors(), tmp_path / "store", client=client)
+
+
+def test_a_lost_scheduler_is_told_and_what_is_done_is_kept(
+    done: Sweep, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pinmobile.sweeps.workers._LOOK", 0.1)
+    cluster = distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=":0", silence_logs=50)
+    client = distributed.Client(cluster)
+
+    def lose(now: int, total: int) -> None:
+        if now == 200:
+            client.close()
+            cluster.close()
+
+    with pytest.raises(SchedulerError, match="start the same sweep again to go on"):
+        sweep(gains_and_errors(), tmp_path / "store", chunk=200, client=client, progress=lose)
+    heard: list[int] = []
+    sweep(gains_and_errors(), tmp_path / "store", progress=lambda now, total: heard.append(now))
+    assert heard[0] == 200
+
+
+def test_the_command_takes_a_scheduler(
+    capsys: pytest.CaptureFixture[str], cluster: Any, tmp_path: Path
+) -> None:
+    file = tmp_path / "mass.toml"
+    file.write_text("[trajectory]\nduration = 6\n[ensemble]\nn = 30\n[grid]\nspread.mass.percent = [5, 10]\n")
+    words = "sweep", str(file), "--chunk", "20"
+    alone = typed(capsys, *words, "--out", str(tmp_path / "alone"))
+    there = typed(capsys, *words, "--out", str(tmp_path / "there"), "--scheduler", cluster.scheduler_address)
+    assert (alone[0], there[0]) == (0, 0)
+    assert alone[1].splitlines()[:5] == there[1].splitlines()[:5]
+    assert contents(tmp_path / "alone" / "sweep.zarr") == contents(tmp_path / "there" / "sweep.zarr")
+    code, _, err = typed(capsys, *words, "--out", str(tmp_path / "none"), "--scheduler", "tcp//1")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "scheduler is 'tcp//1', expected an address" in err
