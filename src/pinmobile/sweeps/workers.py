@@ -1,7 +1,7 @@
 """Where chunks are computed: by the threads of this process, or by the workers of a Dask cluster."""
 
 import asyncio
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from queue import Empty, SimpleQueue
 from time import monotonic
@@ -34,7 +34,11 @@ def in_process(grid: Grid, jobs: Sequence[Job]) -> Results:
         def submit(job: Job) -> Any:
             return pool.submit(part_of, grid.scenarios[job.scenario], job.start, job.stop)
 
-        yield from _collected(submit, jobs, workers + 1, lambda future: future.result(), lambda: None)
+        def drop(futures: Iterable[Any]) -> None:
+            for future in futures:
+                future.cancel()
+
+        yield from _collected(submit, jobs, workers + 1, lambda future: future.result(), lambda: None, drop)
 
 
 def on_cluster(grid: Grid, jobs: Sequence[Job], client: Any) -> Results:
@@ -50,6 +54,7 @@ def on_cluster(grid: Grid, jobs: Sequence[Job], client: Any) -> Results:
     seen.look(_ANSWER)
 
     def submit(job: Job) -> Any:
+        seen.connected()
         scenario = grid.scenarios[job.scenario]
         return client.submit(part_of, scenario, job.start, job.stop, pure=False)
 
@@ -67,8 +72,12 @@ def on_cluster(grid: Grid, jobs: Sequence[Job], client: Any) -> Results:
             except distributed.CancelledError as error:
                 raise SchedulerError(f"scheduler {seen.address} dropped a chunk; {_GO_ON}") from error
 
+    def drop(futures: Iterable[Any]) -> None:
+        if client.status == "running":  # otherwise nobody is left to be told
+            client.cancel(list(futures))
+
     width = 2 * max(1, sum(client.nthreads().values()))
-    yield from _collected(submit, jobs, width, answer, lambda: seen.look(_ALONE))
+    yield from _collected(submit, jobs, width, answer, lambda: seen.look(_ALONE), drop)
 
 
 def checked_client(client: Any) -> Any:
@@ -134,10 +143,14 @@ class _Watch:
         self.client, self.address = client, client.scheduler.address
         self.alive = monotonic()
 
-    def look(self, patience: float) -> None:
-        """Look at the cluster; of one without workers, wait, but no longer than `patience` in all [s]."""
+    def connected(self) -> None:
+        """Refuse to go on where the connection is lost."""
         if self.client.status != "running":
             raise SchedulerError(f"scheduler {self.address} is gone; {_GO_ON}")
+
+    def look(self, patience: float) -> None:
+        """Look at the cluster; of one without workers, wait, but no longer than `patience` in all [s]."""
+        self.connected()
         if self.client.nthreads():
             self.alive = monotonic()
         elif patience <= _ANSWER:
@@ -158,6 +171,7 @@ def _collected(
     width: int,
     answer: Callable[[Any], Any],
     look: Callable[[], None],
+    drop: Callable[[Iterable[Any]], None],
 ) -> Results:
     """Keep `width` jobs under way, so that no more results wait to be written than that."""
     done: SimpleQueue[Job] = SimpleQueue()
@@ -181,8 +195,7 @@ def _collected(
                 break
             yield job, *result
     finally:
-        for future in under_way.values():
-            future.cancel()
+        drop(under_way.values())
 
 
 def _next(done: "SimpleQueue[Job]", look: Callable[[], None]) -> Job:
