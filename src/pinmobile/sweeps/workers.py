@@ -77,7 +77,10 @@ def on_cluster(grid: Grid, jobs: Sequence[Job], client: Any) -> Results:
             client.cancel(list(futures))
 
     width = 2 * max(1, sum(client.nthreads().values()))
-    yield from _collected(submit, jobs, width, answer, lambda: seen.look(_ALONE), drop)
+    try:
+        yield from _collected(submit, jobs, width, answer, lambda: seen.look(_ALONE), drop)
+    except distributed.comm.CommClosedError as error:
+        raise SchedulerError(f"scheduler {seen.address} is gone; {_GO_ON}") from error
 
 
 def checked_client(client: Any) -> Any:
