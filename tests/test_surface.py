@@ -44,6 +44,7 @@ ALLOWED: dict[str, set[str]] = {
         "integrators",
         "simulation",
     },
+    "sweeps": {"ensembles"},
     "plots": {"simulation", "accuracy", "ensembles"},
     "viewer": {"robot", "simulation"},
 }

@@ -25,7 +25,14 @@ from pinmobile.disturbances import (
     SinusoidalForce,
     ViscousFriction,
 )
-from pinmobile.errors import Diverged, InvalidArgument, PinmobileError, UnknownName, ViewerError
+from pinmobile.errors import (
+    Diverged,
+    InvalidArgument,
+    PinmobileError,
+    SchedulerError,
+    UnknownName,
+    ViewerError,
+)
 from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
 from pinmobile.paths import Circle, CubicVia, Hold, Lissajous, RestToRest, Spline
 from pinmobile.robot import Load, MobileRobot, mountable
@@ -36,6 +43,7 @@ from pinmobile.urdf import shipped_urdf
 if TYPE_CHECKING:
     from pinmobile.accuracy import integrator_report
     from pinmobile.ensembles import TRUE_MODEL, Ensemble, Normal, Same, Scenario, Uniform, ensemble
+    from pinmobile.sweeps import Axis, Sweep, grid, sweep
     from pinmobile.verification import verify
 
 __version__ = "0.1.0"
@@ -45,6 +53,7 @@ __all__ = [
     "PD",
     "SLIDE_TABLE",
     "TRUE_MODEL",
+    "Axis",
     "Circle",
     "ComputedTorque",
     "ConstantForce",
@@ -75,8 +84,10 @@ __all__ = [
     "Same",
     "Saturated",
     "Scenario",
+    "SchedulerError",
     "SinusoidalForce",
     "Spline",
+    "Sweep",
     "Tangent",
     "Uniform",
     "UnknownName",
@@ -85,6 +96,7 @@ __all__ = [
     "WholeBody",
     "constant_acceleration",
     "ensemble",
+    "grid",
     "integrator_report",
     "law",
     "mountable",
@@ -93,15 +105,17 @@ __all__ = [
     "semi_implicit_euler",
     "shipped_urdf",
     "simulate",
+    "sweep",
     "verify",
 ]
 
-_LAZY_MODULES = ("accuracy", "derivation", "ensembles", "plots", "verification", "viewer")
+_LAZY_MODULES = ("accuracy", "derivation", "ensembles", "plots", "sweeps", "verification", "viewer")
 _LAZY_NAMES = {
     name: module
     for module, names in {
         "accuracy": ("integrator_report",),
         "ensembles": ("TRUE_MODEL", "Ensemble", "Normal", "Same", "Scenario", "Uniform", "ensemble"),
+        "sweeps": ("Axis", "Sweep", "grid", "sweep"),
         "verification": ("verify",),
     }.items()
     for name in names

@@ -5,7 +5,7 @@ from difflib import get_close_matches
 from functools import partial
 from typing import Any
 
-__all__ = ["Diverged", "InvalidArgument", "PinmobileError", "UnknownName", "ViewerError"]
+__all__ = ["Diverged", "InvalidArgument", "PinmobileError", "SchedulerError", "UnknownName", "ViewerError"]
 
 
 class PinmobileError(Exception):
@@ -67,3 +67,7 @@ class Diverged(PinmobileError, ArithmeticError):
 
 class ViewerError(PinmobileError, RuntimeError):
     """The viewer cannot do what was asked."""
+
+
+class SchedulerError(PinmobileError, ConnectionError):
+    """A Dask cluster does not answer, has no worker, or is lost."""
