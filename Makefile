@@ -20,7 +20,7 @@ lint: $(BIN)/.installed-lint ## ruff and mypy
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-bench: $(BIN)/.installed ## speed beside the peers that are installed, as ratios of one run
+bench: $(BIN)/.installed-bench ## speed beside the peers that are installed, as ratios of one run
 	$(BIN)/python benchmarks $(ARGS)
 
 notebooks: $(BIN)/.installed-test ## execute the notebooks' sources and write the .ipynb files
@@ -40,6 +40,10 @@ $(BIN)/.installed: $(BIN)/python pyproject.toml
 $(BIN)/.installed-test: $(BIN)/python pyproject.toml
 	@echo "setting up $(VENV) for the tests: a minute or two, once"
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
+	@touch $@ $(BIN)/.installed
+
+$(BIN)/.installed-bench: $(BIN)/python pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[ensembles]'
 	@touch $@ $(BIN)/.installed
 
 $(BIN)/.installed-lint: $(BIN)/python pyproject.toml

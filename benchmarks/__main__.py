@@ -2,6 +2,7 @@
 
 import sys
 
+import arm
 import calls
 import ensembles
 import imports
@@ -10,4 +11,4 @@ import rollout
 import viewing
 
 if __name__ == "__main__":
-    sys.exit(max(part.main() for part in (rollout, ensembles, calls, memory, viewing, imports)))
+    sys.exit(max(part.main() for part in (rollout, arm, ensembles, calls, memory, viewing, imports)))

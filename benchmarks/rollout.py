@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
+from typing import Any
 
 from contestants import EVERYONE, OURS, RAW, SIMULATE, Contestant
 from measuring import Row, about, console, interleaved, median_time, options, say, table
@@ -46,14 +47,18 @@ def compare(out: Console, task: Task, people: Sequence[Contestant], rounds: int,
     """Print the table of one task; return whether all who took part did the work right."""
     title = f"Computed torque on the circle, dt = {task.dt} s, {task.samples:,} samples"
     rows, sound = race(people, task, rounds, least, note=out.status)
-    base, others = rows[RAW.name], [f"{row.name}: {row.word}" for row in rows.values() if not row.times]
+    ranked(out, title, task, rows, rows[RAW.name])
+    return sound
+
+
+def ranked(out: Console, title: str, task: Task, rows: dict[str, Row], base: Row) -> None:
+    """Print who was timed, the fastest first, and under the table why the others were not."""
     shown = table(f"\n{title}", "contestant", "version", "us/step", "of the raw loop", "largest difference")
     timed = [row for row in rows.values() if row.times]
     for row in sorted(timed, key=lambda row: row.ratio(base) if base.times else row.median):
         shown.add_row(row.name, row.version, per_step(row, task), ratio(row, base), row.word)
     out.print(shown)
-    say(out, others)
-    return sound
+    say(out, [f"{row.name}: {row.word}" for row in rows.values() if not row.times])
 
 
 def compare_other_work(out: Console, tasks: Sequence[Task], rounds: int, least: float) -> bool:
@@ -82,12 +87,27 @@ def ratio(row: Row, base: Row) -> str:
     return f"{row.ratio(base):.2f}" if row.times and base.times else ""
 
 
+def check(one: Contestant, task: Task) -> tuple[Run | None, str]:
+    """Return what runs the task, or None if it is not done right, and a word on it."""
+    offset = task.offset()
+    offset = replace(offset, duration=min(task.duration, CHECKED_OFFSET * task.dt))
+    try:
+        run = one.prepare(task)
+        apart = max(difference(run(), expected(task)), difference(one.prepare(offset)(), expected(offset)))
+    except Exception as error:  # whatever a peer raises: the others go on
+        return None, f"FAILED: {type(error).__name__}: {error}"
+    if not apart <= TOLERANCE:
+        return None, f"WRONG, not timed: off by {apart:.1e}"
+    return run, f"{apart:.0e}"
+
+
 def race(
     people: Sequence[Contestant],
     task: Task,
     rounds: int,
     least: float = 0.0,
     note: Callable[[str], AbstractContextManager[object]] = nullcontext,
+    judge: Callable[[Any, Any], tuple[Run | None, str]] = check,
 ) -> tuple[dict[str, Row], bool]:
     """Check all, then time those who are right.
 
@@ -103,6 +123,8 @@ def race(
         Length of a turn [s]; shorter rollouts are repeated, and their median counts.
     note : callable
         Makes a context in which a word on what is going on is shown.
+    judge : callable
+        Returns what runs the task, or None if it is not done right, and a word on it.
 
     Returns
     -------
@@ -119,7 +141,7 @@ def race(
             row.word = f"not installed: {one.peer.install}"
             continue
         with note(f"checking {one.name}"):
-            run, row.word = check(one, task)
+            run, row.word = judge(one, task)
         if run:
             runs[one.name] = run
     with note(f"timing {len(runs)} contestants, {rounds} rounds"):
@@ -128,20 +150,6 @@ def race(
             rows[name].times = times
     installed = [one for one in people if one.peer.installed]
     return rows, len(runs) == len(installed)
-
-
-def check(one: Contestant, task: Task) -> tuple[Run | None, str]:
-    """Return what runs the task, or None if it is not done right, and a word on it."""
-    offset = task.offset()
-    offset = replace(offset, duration=min(task.duration, CHECKED_OFFSET * task.dt))
-    try:
-        run = one.prepare(task)
-        apart = max(difference(run(), expected(task)), difference(one.prepare(offset)(), expected(offset)))
-    except Exception as error:  # whatever a peer raises: the others go on
-        return None, f"FAILED: {type(error).__name__}: {error}"
-    if not apart <= TOLERANCE:
-        return None, f"WRONG, not timed: off by {apart:.1e}"
-    return run, f"{apart:.0e}"
 
 
 def _turn(run: Run, least: float) -> Callable[[], float]:

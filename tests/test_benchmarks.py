@@ -1,4 +1,5 @@
 import json
+import re
 import socket
 import subprocess
 import sys
@@ -23,7 +24,8 @@ SHORT = 2.0  # s
 def bench(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     monkeypatch.syspath_prepend(BENCHMARKS)
     ensembles = ("ensemble_contestants", "ensemble_costs", "ensemble_race", "ensembles", "fleet")
-    names = ("calls", "contestants", "rollout", "stock_server", "task", "viewing", *ensembles)
+    arms = ("arm", "arm_contestants", "arm_task")
+    names = (*arms, "calls", "contestants", "rollout", "stock_server", "task", "viewing", *ensembles)
     return SimpleNamespace(**{name: import_module(name) for name in names})
 
 
@@ -133,6 +135,39 @@ def test_simulate_and_the_raw_loop_do_the_same_work(
         assert run is not None, f"{one.name}: {word}"
 
 
+def test_an_arm_on_its_base_is_moved_alike_by_all_who_are_there(bench: SimpleNamespace) -> None:
+    there = [one for one in bench.arm_contestants.EVERYONE if one.peer.installed]
+    assert {one.name for one in there} >= {
+        bench.arm_contestants.RAW.name,
+        bench.arm_contestants.SIMULATE.name,
+    }
+    # To the way back: the two halves of the reference are written apart.
+    task = bench.arm_task.ArmTask(dt=0.02, duration=5.0)
+    for one in there:
+        run, word = bench.arm.check(one, task)
+        assert run is not None, f"{one.name}: {word}"
+
+
+@pytest.mark.parametrize("quantity", ["q", "v", "a", "tau", "error"])
+def test_an_arm_that_is_moved_otherwise_is_not_timed(bench: SimpleNamespace, quantity: str) -> None:
+    task = bench.arm_task.ArmTask(duration=0.05)
+    log = bench.arm.expected(task)
+    wrong = stand_in("a peer", lambda task: lambda: log._replace(**{quantity: getattr(log, quantity) + 1e-6}))
+    broken = stand_in("broken", prepare=None)
+    rows, sound = bench.rollout.race([wrong, broken], task, rounds=1, judge=bench.arm.check)
+    assert not sound
+    assert rows["a peer"].word.startswith("WRONG, not timed: off by ")
+    assert rows["broken"].word.startswith("FAILED: TypeError: ")
+    assert rows["a peer"].times == rows["broken"].times == []
+
+
+def test_the_table_of_the_arm_is_printed(bench: SimpleNamespace, capsys: pytest.CaptureFixture[str]) -> None:
+    assert bench.arm.main(["--quick"]) == 0
+    printed = capsys.readouterr().out
+    assert printed.count("pinmobile simulate") == printed.count("raw Pinocchio loop (rnea, aba)") == 1
+    assert re.search(r"whole body \d\.\de-06, decoupled \d\.\de-03", printed)
+
+
 def test_calls_of_pinmobile_are_right(bench: SimpleNamespace) -> None:
     assert "WRONG" not in bench.calls.calls_of(bench.calls.PEOPLE[0]).values()
 
@@ -150,7 +185,7 @@ def test_everything_imports_without_the_peers() -> None:
     code = (
         f"import sys; sys.path.insert(0, {str(BENCHMARKS)!r})\n"
         f"for peer in {PEERS}: sys.modules[peer] = None\n"
-        "import calls, contestants, ensembles, imports, memory, rollout, stock_server, viewing"
+        "import arm, calls, contestants, ensembles, imports, memory, rollout, stock_server, viewing"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
 

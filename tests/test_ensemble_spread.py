@@ -8,6 +8,7 @@ from scipy import stats
 
 from pinmobile import (
     PD,
+    TRUE_MODEL,
     Circle,
     ComputedTorque,
     ConstantForce,
@@ -71,10 +72,9 @@ def test_arrays_give_each_robot_its_number() -> None:
 
 def test_same_makes_the_controller_know_what_it_is_told() -> None:
     truth = {"mass": Uniform(20, 40), "com_x": Normal(0.1, 0.05)}
-    knowing = {"model_mass": Same("mass"), "model_com_x": Same("com_x")}
     told, nominal = (
         run_scenario(made(spread=spread, duration=60.0)).within(0.99).distance
-        for spread in (truth | knowing, truth)
+        for spread in ({**truth, **TRUE_MODEL}, truth)
     )
     # With the true model what is left is the held force: that of the lecture's table, 3.5e-5 m on each axis.
     assert told < 1e-4 < nominal

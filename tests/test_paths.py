@@ -3,6 +3,7 @@ import pickle
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 
 from pinmobile.arrays import Array, ArrayLike
 from pinmobile.errors import InvalidArgument
-from pinmobile.paths import Circle, CubicVia, Lissajous, Path, Spline, pieces_of
+from pinmobile.paths import Circle, CubicVia, Hold, Lissajous, Path, RestToRest, Spline, pieces_of
 
 derandomised = settings(derandomize=True, deadline=None, max_examples=60)
 number = st.floats(-10, 10).map(lambda x: round(x, 3))
@@ -23,7 +24,8 @@ VIA_STOP = CubicVia((0, 0), (2, 2), (0, 4), 30, 60, via_velocity=(0, 0))
 VIA_FREE = CubicVia((0, 0), (2, 2), (0, 4), 30, 60)
 SPLINE = Spline([(0, 0), (1, 2), (3, -1), (4, 4)], (0, 1, 3, 4.5), start_velocity=(1, 0))
 EIGHT = Lissajous(3, 2, 0.2, 0.4, 60)
-PATHS = [VIA_STOP, VIA_FREE, SPLINE, EIGHT, Circle(3, 0.1, 60)]
+QUINTIC = RestToRest((1, -2), (3, 4), 2.5)
+PATHS = [VIA_STOP, VIA_FREE, SPLINE, EIGHT, Circle(3, 0.1, 60), QUINTIC, Hold((1, 2), 3)]
 
 
 @st.composite
@@ -206,6 +208,46 @@ def test_a_circle_is_round_and_driven_at_one_speed(radius: float, rate: float, p
 def test_an_ellipse_has_two_axes() -> None:
     x, y = Lissajous(3, 1, 0.5, 0.5, 20)(np.linspace(0, 20, 100)).T
     np.testing.assert_allclose((x / 3) ** 2 + (y - 1) ** 2, 1, rtol=1e-14)
+
+
+# -- rests -----------------------------------------------------------------------------------------
+
+
+def test_a_quintic_goes_straight_from_rest_to_rest() -> None:
+    path = RestToRest((1, -2, 0.5), (3, 4, 0.5), 2.5)
+    for t, point in ((0.0, path.start), (2.5, path.end)):
+        # The five terms are as large as 15 times the way.
+        np.testing.assert_allclose(path(t), point, rtol=0, atol=30 * EPS * 6)
+        for order in (1, 2):
+            np.testing.assert_allclose(path.derivative(t, order), 0, atol=1e-13)
+    np.testing.assert_allclose(path(1.25), (path.start + path.end) / 2, rtol=1e-14)
+    speed = path.derivative(np.linspace(0, 2.5, 101), 1)
+    np.testing.assert_allclose(speed.max(axis=0), 15 / 8 * (path.end - path.start) / 2.5, rtol=1e-14)
+    assert path.pieces[0].derivative(1.0, 5)[0] == pytest.approx(720 * 2 / 2.5**5)
+
+
+def test_a_point_is_held() -> None:
+    path = Hold((1, -2, 0.5), 3)
+    assert path.duration == 3.0
+    assert path((0, 1, 3)).tolist() == [[1, -2, 0.5]] * 3
+    assert not path.derivative((0, 1, 3), 1).any()
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: Hold(1, 2), "point has shape (), expected (n,)"),
+        (lambda: Hold((1, math.inf), 2), "point[1] is inf, expected a finite number"),
+        (lambda: Hold((1, 2), 0), "duration is 0.0 s, expected > 0"),
+        (lambda: RestToRest([(1, 2)], [1, 2], 2), "start has shape (1, 2), expected (n,)"),
+        (lambda: RestToRest((1, 2), (1, 2, 3), 2), "end has shape (3,), expected (2,)"),
+        (lambda: RestToRest((1, 2), (1, math.nan), 2), "end[1] is nan, expected a finite number"),
+        (lambda: RestToRest((1, 2), (1, 3), -1), "duration is -1.0 s, expected > 0"),
+    ],
+)
+def test_rests_refuse(call: Callable[[], Path], message: str) -> None:
+    with pytest.raises(InvalidArgument, match=f"^{re.escape(message)}$"):
+        call()
 
 
 # -- all of them -----------------------------------------------------------------------------------

@@ -26,6 +26,7 @@ from pinmobile import (
 from pinmobile.arrays import Array
 from pinmobile.reaching import pose_error
 from pinmobile.reaching.bounds import Limits, bounded_least_squares
+from pinmobile.reaching.solver import Solver
 
 BOX = MobileRobot.box()
 UR5 = BOX.mount("ur5", (0.1, -0.05, 0.2, 0.4))
@@ -187,6 +188,16 @@ def test_a_start_at_a_limit_is_left_within_it() -> None:
     displacement = resolved._curve(dense(resolved)[0])  # before rounding is cut off
     assert (resolved.start + displacement <= UR5.upper + 1e-12).all()
     assert resolved(3.0).q[5] < UR5.upper[5] - 0.1
+
+
+def test_the_spline_begins_at_a_limit_that_it_leaves_ever_slower() -> None:
+    limits = Limits(UR5, UR5.velocity_limit, np.full(9, 10.0))
+    solver = Solver(UR5, RING, UR5.end_effector, limits, np.eye(9))
+    free, held = BENT, np.where(np.arange(9) == 5, UR5.upper, BENT)
+    nearest = np.zeros((3, 9))
+    nearest[:, 5] = 0, -0.0020, -0.0035
+    assert solver.beyond(nearest, free, 0.01)[5] == pytest.approx(0.0025)
+    assert solver.beyond(nearest, held, 0.01)[5] == pytest.approx(0.0020)
 
 
 def test_a_joint_brakes_at_its_limit_and_the_error_grows() -> None:

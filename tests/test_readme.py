@@ -15,12 +15,17 @@ ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
 
 
-def test_the_first_block_prints_the_second() -> None:
-    code, printed = re.findall(r"```(?:python|text)\n(.*?)```", README, re.DOTALL)[:2]
-    out = io.StringIO()
-    with contextlib.redirect_stdout(out):
-        exec(code, {})
-    assert out.getvalue() == printed
+def test_every_python_block_prints_what_follows_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    blocks = re.findall(r"```python\n(.*?)```(?:\n\n```text\n(.*?)```)?", README, re.DOTALL)
+    assert len(blocks) > 2
+    for code, printed in blocks:
+        out = io.StringIO()
+        with contextlib.redirect_stdout(out):
+            exec(code, names)
+        assert out.getvalue() == printed
+    assert (tmp_path / "circle.html").stat().st_size > 100_000
 
 
 def test_every_picture_is_there() -> None:
@@ -35,13 +40,6 @@ def test_every_link_into_the_project_leads_somewhere() -> None:
     assert len(links) > 4
     for link in links:
         assert (ROOT / link).exists(), link
-
-
-def test_every_python_block_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    with contextlib.redirect_stdout(io.StringIO()):
-        exec("".join(re.findall(r"```python\n(.*?)```", README, re.DOTALL)), {})
-    assert (tmp_path / "circle.html").stat().st_size > 100_000
 
 
 def test_the_numbers_are_the_lectures() -> None:

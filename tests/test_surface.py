@@ -44,6 +44,7 @@ ALLOWED: dict[str, set[str]] = {
         "integrators",
         "simulation",
     },
+    "sweeps": {"ensembles"},
     "balance": {"robot"},
     "reaching": {"robot", "trajectories"},
     "plots": {"simulation", "accuracy", "ensembles", "balance"},

@@ -1,6 +1,7 @@
 """The viewer: what it records and shows is where the rollout says, in a real browser without a screen."""
 
 import dataclasses
+import io
 import json
 import math
 import os
@@ -40,6 +41,7 @@ from pinmobile import (
 )
 from pinmobile.arrays import Array
 from pinmobile.viewer import Arrows, Follow, Overlays, Recording, Stay, Viewer, palette
+from pinmobile.viewer.recording import _gif
 from tests.chromium import Chromium, Page, chromium
 
 BLUE = (0, 114, 178)
@@ -492,6 +494,18 @@ def test_gifs_and_films(viewer: Viewer, runs: dict[str, Rollout], browser: Chrom
     pytest.importorskip("imageio_ffmpeg", reason="needs the extra mp4")
     film = recording.save_mp4(tmp_path / "a.mp4", fps=8, size=(240, 160)).read_bytes()
     assert film[4:8] == b"ftyp"
+
+
+def test_a_gif_has_the_colours_of_what_comes_late() -> None:
+    ramp = np.repeat(np.arange(256, dtype=np.uint8)[None, :, None], 64, axis=0).repeat(3, axis=2)
+    frames = [Image.fromarray(ramp) for _ in range(10)]
+    late = ramp.copy()
+    late[:40] = 0, 160, 0
+    frames += [Image.fromarray(late)] * 6
+    with Image.open(io.BytesIO(_gif(iter(frames), 10.0))) as gif:
+        gif.seek(getattr(gif, "n_frames", 0) - 1)
+        corner = np.asarray(gif.convert("RGB"), float)[:40].reshape(-1, 3)
+    assert np.abs(corner - (0, 160, 0)).max() < 12
 
 
 # What is refused

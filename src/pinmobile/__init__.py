@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 from pinmobile.controllers import (
     PD,
     ComputedTorque,
+    Decoupled,
     Delayed,
     NoisyMeasurement,
+    PDGravity,
     Saturated,
     law,
     planar_difference,
@@ -23,12 +25,20 @@ from pinmobile.disturbances import (
     SinusoidalForce,
     ViscousFriction,
 )
-from pinmobile.errors import Diverged, InvalidArgument, PinmobileError, UnknownName, Unreachable, ViewerError
+from pinmobile.errors import (
+    Diverged,
+    InvalidArgument,
+    PinmobileError,
+    SchedulerError,
+    UnknownName,
+    Unreachable,
+    ViewerError,
+)
 from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
-from pinmobile.paths import Circle, CubicVia, Lissajous, Spline
+from pinmobile.paths import Circle, CubicVia, Hold, Lissajous, RestToRest, Spline
 from pinmobile.robot import Load, MobileRobot, mountable
 from pinmobile.simulation import Rollout, simulate
-from pinmobile.trajectories import FixedHeading, LectureHeading, Reference, Tangent
+from pinmobile.trajectories import FixedHeading, LectureHeading, Reference, Tangent, WholeBody
 from pinmobile.urdf import shipped_urdf
 
 if TYPE_CHECKING:
@@ -40,8 +50,9 @@ if TYPE_CHECKING:
         tip_over_margin,
         zero_moment_point,
     )
-    from pinmobile.ensembles import Ensemble, Normal, Same, Scenario, Uniform, ensemble
+    from pinmobile.ensembles import TRUE_MODEL, Ensemble, Normal, Same, Scenario, Uniform, ensemble
     from pinmobile.reaching import EndEffectorTracking, PosePath, Resolved, resolve
+    from pinmobile.sweeps import Axis, Sweep, grid, sweep
     from pinmobile.verification import verify
 
 __version__ = "0.1.0"
@@ -50,17 +61,21 @@ __all__ = [
     "LECTURE_TABLE",
     "PD",
     "SLIDE_TABLE",
+    "TRUE_MODEL",
+    "Axis",
     "Circle",
     "ComputedTorque",
     "ConstantForce",
     "CubicVia",
     "DHRow",
     "DHTable",
+    "Decoupled",
     "Delayed",
     "Diverged",
     "EndEffectorTracking",
     "Ensemble",
     "FixedHeading",
+    "Hold",
     "InvalidArgument",
     "JointType",
     "LectureHeading",
@@ -71,25 +86,31 @@ __all__ = [
     "NoiseForce",
     "NoisyMeasurement",
     "Normal",
+    "PDGravity",
     "PinmobileError",
     "PosePath",
     "Reference",
     "Resolved",
+    "RestToRest",
     "RollingResistance",
     "Rollout",
     "Same",
     "Saturated",
     "Scenario",
+    "SchedulerError",
     "SinusoidalForce",
     "Spline",
+    "Sweep",
     "Tangent",
     "Uniform",
     "UnknownName",
     "Unreachable",
     "ViewerError",
     "ViscousFriction",
+    "WholeBody",
     "constant_acceleration",
     "ensemble",
+    "grid",
     "integrator_report",
     "law",
     "mountable",
@@ -101,6 +122,7 @@ __all__ = [
     "semi_implicit_euler",
     "shipped_urdf",
     "simulate",
+    "sweep",
     "tip_over_margin",
     "verify",
     "zero_moment_point",
@@ -113,17 +135,27 @@ _LAZY_MODULES = (
     "ensembles",
     "plots",
     "reaching",
+    "sweeps",
     "verification",
     "viewer",
 )
 _LAZY_NAMES = {
-    **dict.fromkeys(("Ensemble", "Normal", "Same", "Scenario", "Uniform", "ensemble"), "ensembles"),
-    **dict.fromkeys(
-        ("Motion", "reaction_wrench", "required_friction", "tip_over_margin", "zero_moment_point"), "balance"
-    ),
-    **dict.fromkeys(("EndEffectorTracking", "PosePath", "Resolved", "resolve"), "reaching"),
-    "integrator_report": "accuracy",
-    "verify": "verification",
+    name: module
+    for module, names in {
+        "accuracy": ("integrator_report",),
+        "balance": (
+            "Motion",
+            "reaction_wrench",
+            "required_friction",
+            "tip_over_margin",
+            "zero_moment_point",
+        ),
+        "ensembles": ("TRUE_MODEL", "Ensemble", "Normal", "Same", "Scenario", "Uniform", "ensemble"),
+        "reaching": ("EndEffectorTracking", "PosePath", "Resolved", "resolve"),
+        "sweeps": ("Axis", "Sweep", "grid", "sweep"),
+        "verification": ("verify",),
+    }.items()
+    for name in names
 }
 
 

@@ -5,7 +5,15 @@ from difflib import get_close_matches
 from functools import partial
 from typing import Any
 
-__all__ = ["Diverged", "InvalidArgument", "PinmobileError", "UnknownName", "Unreachable", "ViewerError"]
+__all__ = [
+    "Diverged",
+    "InvalidArgument",
+    "PinmobileError",
+    "SchedulerError",
+    "UnknownName",
+    "Unreachable",
+    "ViewerError",
+]
 
 
 class PinmobileError(Exception):
@@ -86,3 +94,7 @@ class Unreachable(InvalidArgument):
 
 class ViewerError(PinmobileError, RuntimeError):
     """The viewer cannot do what was asked."""
+
+
+class SchedulerError(PinmobileError, ConnectionError):
+    """A Dask cluster does not answer, has no worker, or is lost."""

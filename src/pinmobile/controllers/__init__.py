@@ -6,6 +6,7 @@ and returns the next one (None where it has no memory, see `initial_state`). q, 
 leading axes. `Saturated`, `Delayed` and `NoisyMeasurement` wrap any of them, and each other.
 """
 
+from pinmobile.controllers.arms import Decoupled, Gravity, PDGravity
 from pinmobile.controllers.feedback import PD, ComputedTorque, difference_of, gain_matrix
 from pinmobile.controllers.law import law
 from pinmobile.controllers.protocol import (
@@ -22,10 +23,13 @@ __all__ = [
     "PD",
     "ComputedTorque",
     "Controller",
+    "Decoupled",
     "Delayed",
     "Difference",
+    "Gravity",
     "InverseDynamics",
     "NoisyMeasurement",
+    "PDGravity",
     "Saturated",
     "State",
     "check_controller",

@@ -9,7 +9,15 @@ from pinmobile.arrays import Array, ArrayLike, finite, frozen
 from pinmobile.controllers.protocol import Difference, InverseDynamics, State, planar_difference
 from pinmobile.errors import InvalidArgument
 
-__all__ = ["PD", "ComputedTorque", "difference_of", "gain_matrix"]
+__all__ = [
+    "PD",
+    "ComputedTorque",
+    "check_gains",
+    "difference_of",
+    "feedback",
+    "gain_matrix",
+    "own_difference",
+]
 
 
 @dataclass(frozen=True)
@@ -63,14 +71,14 @@ class PD:
     difference: Difference = planar_difference
 
     def __post_init__(self) -> None:
-        _check_gains(self, None)
+        check_gains(self, None)
 
     def initial_state(self) -> None:
         """Return None: there is no memory."""
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
-        return _feedback(self, q, v, reference), None
+        return feedback(self, q, v, reference), None
 
 
 @final
@@ -102,16 +110,15 @@ class ComputedTorque:
     def __post_init__(self) -> None:
         if not hasattr(self.robot, "inverse_dynamics"):
             raise InvalidArgument(f"robot is {self.robot!r}, expected a MobileRobot")
-        if self.difference is planar_difference and getattr(self.robot, "nq", self.robot.nv) != self.robot.nv:
-            object.__setattr__(self, "difference", difference_of(self.robot))
-        _check_gains(self, self.robot.nv)
+        object.__setattr__(self, "difference", own_difference(self.robot, self.difference))
+        check_gains(self, self.robot.nv)
 
     def initial_state(self) -> None:
         """Return None: there is no memory."""
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
-        command = reference.a + _feedback(self, q, v, reference)
+        command = reference.a + feedback(self, q, v, reference)
         return self.robot.inverse_dynamics(q, v, command), None
 
 
@@ -138,7 +145,27 @@ def gain_matrix(name: str, gain: ArrayLike, n: int) -> Array:
     return array if array.ndim == 2 else np.diag(np.broadcast_to(array, n))
 
 
-def _check_gains(controller: PD | ComputedTorque, n: int | None) -> None:
+def own_difference(robot: Any, difference: Difference) -> Difference:
+    """Return the robot's own instead of the plane's where its configurations do not subtract."""
+    subtracts = getattr(robot, "nq", robot.nv) == robot.nv
+    return difference if subtracts or difference is not planar_difference else difference_of(robot)
+
+
+def check_gains(controller: Any, n: int | None) -> None:
+    """Check and freeze `kp` and `kd`, and check `difference`, of a controller that is being made.
+
+    Parameters
+    ----------
+    controller : controller
+        With these three attributes.
+    n : int or None
+        Number of coordinates, where it is known.
+
+    Raises
+    ------
+    InvalidArgument
+        If one is not what is expected.
+    """
     for name in ("kp", "kd"):
         gain = finite(name, getattr(controller, name))
         if n is None and (gain.ndim > 2 or (gain.ndim == 2 and gain.shape[0] != gain.shape[1])):
@@ -150,7 +177,14 @@ def _check_gains(controller: PD | ComputedTorque, n: int | None) -> None:
         raise InvalidArgument(f"difference is {controller.difference!r}, expected a function of q_d and q")
 
 
-def _feedback(controller: PD | ComputedTorque, q: Array, v: Array, reference: State) -> Array:
+def feedback(controller: Any, q: Array, v: Array, reference: State) -> Array:
+    """Return Kp e + Kd e_dot of a controller that has `kp`, `kd` and `difference`, shape (..., n).
+
+    Raises
+    ------
+    InvalidArgument
+        If state, reference and gains do not fit together.
+    """
     for name, actual, desired in (("q", q, reference.q), ("v", v, reference.v)):
         if actual.shape[-1:] != desired.shape[-1:]:
             raise InvalidArgument(f"{name} has shape {actual.shape}, the reference's has {desired.shape}")

@@ -3,7 +3,7 @@
 from pinmobile.ensembles.batch import Member
 from pinmobile.ensembles.by_arrays import ARRAYS
 from pinmobile.ensembles.by_kernel import COMPILED
-from pinmobile.ensembles.distributions import Distribution, Normal, Same, Uniform
+from pinmobile.ensembles.distributions import TRUE_MODEL, Distribution, Normal, Same, Uniform
 from pinmobile.ensembles.part import Engine, Part
 from pinmobile.ensembles.result import Bands, Ensemble, Within
 from pinmobile.ensembles.running import ensemble, part_of, run_scenario
@@ -14,6 +14,7 @@ __all__ = [
     "ARRAYS",
     "COMPILED",
     "PARAMETERS",
+    "TRUE_MODEL",
     "Bands",
     "Distribution",
     "Engine",

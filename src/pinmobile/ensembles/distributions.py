@@ -1,6 +1,8 @@
 """From what the numbers of an ensemble's robots are drawn."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, Protocol, TypeAlias, final, runtime_checkable
 
 import numpy as np
@@ -8,7 +10,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, finite, non_negative, scalar
 from pinmobile.errors import InvalidArgument
 
-__all__ = ["Distribution", "Normal", "Same", "Source", "Uniform", "drawn"]
+__all__ = ["TRUE_MODEL", "Distribution", "Normal", "Same", "Source", "Uniform", "drawn"]
 
 
 @runtime_checkable
@@ -96,6 +98,11 @@ class Same:
     name: str
     factor: Any = 1.0
 
+
+TRUE_MODEL: Mapping[str, Same] = MappingProxyType(
+    {f"model_{name}": Same(name) for name in ("mass", "yaw_inertia", "com_x", "com_y")}
+)
+"""What tells a controller the truth about its robot: ``spread={"mass": Uniform(20, 40), **TRUE_MODEL}``."""
 
 Source: TypeAlias = Distribution | Same | ArrayLike
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array, ArrayLike, finite
 from pinmobile.errors import InvalidArgument
 
-__all__ = ["BINS", "FIRST", "SHIFT", "bins_of", "edges", "levels", "quantiles"]
+__all__ = ["BINS", "FIRST", "SHIFT", "bins_of", "checked_levels", "edges", "quantiles"]
 
 SHIFT = 47  # leaves the exponent and 5 bits of the mantissa
 _OCTAVES = 44
@@ -31,7 +31,7 @@ def bins_of(values: Array) -> NDArray[np.int64]:
     return np.asarray(np.clip(bits - FIRST + 1, 0, BINS - 1))
 
 
-def levels(value: ArrayLike) -> Array:
+def checked_levels(value: ArrayLike) -> Array:
     """Return the levels of quantiles as an array, shape (m,).
 
     Raises
@@ -40,7 +40,7 @@ def levels(value: ArrayLike) -> Array:
         If one is not between 0 and 1.
     """
     found = np.atleast_1d(finite("levels", value))
-    if found.ndim != 1 or not ((found >= 0) & (found <= 1)).all():
+    if found.ndim != 1 or not found.size or not ((found >= 0) & (found <= 1)).all():
         raise InvalidArgument(f"levels is {value!r}, expected numbers from 0 to 1")
     return found
 

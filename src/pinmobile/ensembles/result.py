@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, whole
 from pinmobile.ensembles.batch import Member, member_of
-from pinmobile.ensembles.histogram import levels, quantiles
+from pinmobile.ensembles.histogram import checked_levels, quantiles
 from pinmobile.ensembles.part import Part
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.errors import Diverged, InvalidArgument
@@ -145,16 +145,16 @@ class Ensemble:
         InvalidArgument
             If `share` is not between 0 and 1.
         """
-        level = levels(share)[0]
+        level = checked_levels(share)[0]
         sizes = (np.where(self.diverged, np.inf, x) for x in (self.max_distance, self.max_error[:, 2]))
         return Within(*(float(np.quantile(x, level, method="inverted_cdf")) for x in sizes))
 
-    def bands(self, levels_: ArrayLike = (0.5, 0.9, 0.99)) -> Bands:
+    def bands(self, levels: ArrayLike = (0.5, 0.9, 0.99)) -> Bands:
         """Return quantiles of the errors over time, to the width of a bin, 2 to 3 %.
 
         Parameters
         ----------
-        levels_ : array_like, shape (L,)
+        levels : array_like, shape (L,)
             Shares of the robots, from 0 to 1.
 
         Raises
@@ -162,7 +162,7 @@ class Ensemble:
         InvalidArgument
             If one is not.
         """
-        wanted = levels(levels_)
+        wanted = checked_levels(levels)
         found = quantiles(self.counts.astype(np.int64), wanted)
         return Bands(self.scenario.grid, wanted, found[..., 0], found[..., 1])
 

@@ -22,7 +22,7 @@ from pinmobile.integrators import Integrator, constant_acceleration
 from pinmobile.robot import MobileRobot
 from pinmobile.trajectories import Trajectory
 
-__all__ = ["chosen_engine", "ensemble", "part_of", "run_scenario"]
+__all__ = ["chosen_engine", "ensemble", "part_of", "processors", "run_scenario"]
 
 _NOISY = 256  # robots at a time where each has noise of its own for each sample
 _LANES = 64  # what the compiled code takes at a time
@@ -111,7 +111,8 @@ def run_scenario(
     """
     if not isinstance(scenario, Scenario):
         raise InvalidArgument(f"scenario is a {type(scenario).__name__}, expected a Scenario")
-    chosen, workers = chosen_engine(scenario, engine), _workers(threads)
+    chosen = chosen_engine(scenario, engine)
+    workers = processors() if threads is None else whole("threads", threads)
     followed = [_robot_index("traces", i, scenario.n) for i in traces]
     draws = scenario.draws()
     whole_part = _Whole(scenario)
@@ -172,9 +173,8 @@ def chosen_engine(scenario: Scenario, engine: Engine | None) -> Engine:
     return chosen
 
 
-def _workers(threads: int | None) -> int:
-    if threads is not None:
-        return whole("threads", threads)
+def processors() -> int:
+    """Return how many processors this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

@@ -47,7 +47,9 @@ class Scenario:
         Number of robots.
     spread : mapping of str to Distribution, number or array of shape (n,)
         What differs, by the names in `PARAMETERS`. What is not named is nominal; the controller believes in
-        its own robot unless ``model_mass`` and the like are named (``Same("mass")``: it knows the truth).
+        its own robot unless ``model_mass`` and the like are named (`TRUE_MODEL`: it knows the truth).
+        ``force_x``, ``viscous_left``, ... stand for what the one force of their kind in `forces` has; a
+        constant force, friction or rolling resistance that is not there is added.
     seed : int
         All draws follow from it; robot i's do not depend on n.
     dt, duration, integrator, substeps, forces, limit

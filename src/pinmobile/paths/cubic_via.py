@@ -6,7 +6,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, scalar
 from pinmobile.errors import InvalidArgument
-from pinmobile.paths.piecewise import PiecewiseCubic
+from pinmobile.paths.piecewise import PiecewisePath
 from pinmobile.paths.polynomials import PiecewisePolynomial, hermite
 
 __all__ = ["CubicVia"]
@@ -15,7 +15,7 @@ _REST = (0.0, 0.0)
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
-class CubicVia(PiecewiseCubic):
+class CubicVia(PiecewisePath):
     """Two cubics per coordinate, from start to end through a via point (lecture, section 5.1 and 5.2).
 
     With a = (a_0 ... a_3) before and b after the via point,

@@ -1,4 +1,4 @@
-"""What paths made of cubics end to end have in common."""
+"""What paths made of polynomials end to end have in common."""
 
 from dataclasses import dataclass, field
 
@@ -7,11 +7,11 @@ from pinmobile.paths.polynomials import PiecewisePolynomial, Polynomial
 from pinmobile.paths.protocol import within
 from pinmobile.paths.values import Value
 
-__all__ = ["PiecewiseCubic"]
+__all__ = ["PiecewisePath"]
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
-class PiecewiseCubic(Value):
+class PiecewisePath(Value):
     """Abstract base: a path whose maker has set `_curve`."""
 
     _curve: PiecewisePolynomial = field(init=False)
@@ -23,7 +23,7 @@ class PiecewiseCubic(Value):
 
     @property
     def pieces(self) -> tuple[Polynomial, ...]:
-        """The cubics, in order."""
+        """The polynomials, in order."""
         return self._curve.pieces
 
     def __call__(self, t: ArrayLike) -> Array:

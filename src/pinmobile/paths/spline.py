@@ -6,14 +6,14 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, frozen
 from pinmobile.errors import InvalidArgument
-from pinmobile.paths.piecewise import PiecewiseCubic
+from pinmobile.paths.piecewise import PiecewisePath
 from pinmobile.paths.polynomials import PiecewisePolynomial
 
 __all__ = ["Spline"]
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
-class Spline(PiecewiseCubic):
+class Spline(PiecewisePath):
     """The cubic spline through waypoints, clamped at its ends; `CubicVia` with a free via is that of three.
 
     Parameters

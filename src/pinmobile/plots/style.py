@@ -6,9 +6,22 @@ from typing import Any, Literal
 
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-__all__ = ["DESIRED", "INK", "ShownFigure", "colour", "dress", "heading", "legend", "line_style", "si"]
+__all__ = [
+    "DESIRED",
+    "INK",
+    "ShownFigure",
+    "colour",
+    "dress",
+    "heading",
+    "legend",
+    "line_style",
+    "percent",
+    "si",
+    "tint",
+]
 
 INK = "#222222"
 DESIRED: dict[str, Any] = {"color": INK, "linestyle": (0, (5, 4)), "linewidth": 1.2, "zorder": 4}
@@ -46,6 +59,12 @@ def line_style(index: int, count: int) -> dict[str, Any]:
     }
 
 
+def tint(base: str, share: float) -> tuple[float, float, float]:
+    """Return a colour mixed with white: `share` of it, from 0 to 1."""
+    r, g, b = (1 - share * (1 - part) for part in to_rgb(base))
+    return r, g, b
+
+
 def dress(axes: Axes) -> None:
     """Give axes a quiet frame and grid."""
     axes.grid(True, color="#e4e4e4", linewidth=0.8)
@@ -73,6 +92,11 @@ def legend(figure: Figure, handles: Sequence[Artist]) -> None:
     where: Literal["lower center", "outside lower center"]
     where = "lower center" if figure.get_layout_engine() is None else "outside lower center"
     figure.legend(handles=handles, loc=where, ncols=columns, frameon=False, fontsize=11, columnspacing=1.5)
+
+
+def percent(share: float) -> str:
+    """Return a share as text, such as ``99.9 %``."""
+    return f"{100 * share:.6g} %"
 
 
 def si(value: float, unit: str) -> str:

@@ -70,6 +70,10 @@ class Engine:
         """Return the acceleration by ABA."""
         return pin.aba(self.model, self.data, q, v, tau)  # type: ignore[no-any-return]
 
+    def gravity(self, q: Array) -> Array:
+        """Return g(q)."""
+        return pin.computeGeneralizedGravity(self.model, self.data, q)  # type: ignore[no-any-return]
+
     def integrate(self, q: Array, dq: Array) -> Array:
         """Return the configuration that a displacement leads to."""
         return pin.integrate(self.model, q, dq)  # type: ignore[no-any-return]

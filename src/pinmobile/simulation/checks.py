@@ -8,7 +8,7 @@ from pinmobile.arrays import Array, positive, vector
 from pinmobile.controllers import check_controller
 from pinmobile.disturbances import Force
 from pinmobile.errors import InvalidArgument
-from pinmobile.trajectories import Reference, Trajectory
+from pinmobile.trajectories import Reference, Trajectory, check_limits
 
 if TYPE_CHECKING:
     from pinmobile.simulation.plant import Plant
@@ -85,10 +85,12 @@ def sampled(trajectory: Trajectory, t: Array, plant: "Plant") -> Reference:
     Raises
     ------
     InvalidArgument
-        If what the trajectory gives does not fit the plant.
+        If what the trajectory gives does not fit the plant, or leaves its joint limits where it has any.
     """
     try:
         reference = trajectory(t)
+    except InvalidArgument:
+        raise  # it says itself what it is about, such as a joint's limit
     except (TypeError, ValueError) as error:
         raise InvalidArgument(
             f"trajectory cannot be asked for an array of {len(t)} times: {error}"
@@ -100,7 +102,10 @@ def sampled(trajectory: Trajectory, t: Array, plant: "Plant") -> Reference:
                 f"trajectory gives {name} of shape {value.shape} for {len(t)} times, "
                 f"expected ({len(t)}, {size})"
             )
-    return Reference(*(vector(f"trajectory's {n}", getattr(reference, n), s) for n, s in _sizes(plant)))
+    checked = Reference(*(vector(f"trajectory's {n}", getattr(reference, n), s) for n, s in _sizes(plant)))
+    if getattr(plant, "mounts", ()):
+        check_limits(plant, checked.q, t)
+    return checked
 
 
 def _sizes(plant: "Plant") -> tuple[tuple[str, int], ...]:

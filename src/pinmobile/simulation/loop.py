@@ -12,7 +12,14 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array, wrap_angle
-from pinmobile.controllers import PD, ComputedTorque, Controller, gain_matrix, planar_difference
+from pinmobile.controllers import (
+    PD,
+    ComputedTorque,
+    Controller,
+    PDGravity,
+    gain_matrix,
+    planar_difference,
+)
 from pinmobile.disturbances import Force
 from pinmobile.errors import InvalidArgument
 from pinmobile.integrators import Integrator, RungeKuttaNystrom
@@ -128,7 +135,7 @@ def _is_known(controller: Any, size: int) -> bool:
     """Tell whether the controller is the library's own in every part, for configurations of that size."""
     robot = getattr(controller, "robot", None)
     return (
-        type(controller) in (PD, ComputedTorque)
+        type(controller) in (PD, PDGravity, ComputedTorque)
         # Both act on the third coordinate alone or on none, which is psi in either order.
         and (controller.difference is planar_difference or controller.difference is np.subtract)
         and (robot is None or (type(robot) is MobileRobot and robot.nq == robot.nv == size))
@@ -164,7 +171,7 @@ def _asked(
 def _feedback(
     controller: Any, desired: Array, accelerations: Array, order: Array
 ) -> Callable[[int, Array, Array, Array], Array]:
-    """Return the force of PD or computed torque in the order of the chain."""
+    """Return the force of PD, with gravity or without, or computed torque in the order of the chain."""
     n = len(order)
     kp, kd = (gain_matrix(name, getattr(controller, name), n) for name in ("kp", "kd"))
     gains = np.hstack([matrix[np.ix_(order, order)] for matrix in (kp, kd)])
@@ -173,6 +180,7 @@ def _feedback(
     subtract, add, times_gains, pi = np.subtract, np.add, gains.dot, np.pi
     robot: Any = getattr(controller, "robot", None)  # PD has none
     inverse = None if robot is None else robot._engine.inverse
+    gravity = robot._engine.gravity if type(controller) is PDGravity else None
 
     def control(k: int, state: Array, q: Array, v: Array) -> Array:
         subtract(desired[k], state, error)
@@ -180,6 +188,9 @@ def _feedback(
             error[2] = wrap_angle(error[2])
         times_gains(error, command)
         if inverse is None:
+            return command
+        if gravity is not None:
+            add(command, gravity(q), command)
             return command
         add(command, accelerations[k], command)
         return inverse(q, v, command)  # type: ignore[no-any-return]

@@ -17,8 +17,10 @@ class Reference(NamedTuple):
 
     Attributes
     ----------
-    q, v, a : ndarray, shape (..., 3)
-        (x, y, psi) and its two derivatives [m, m, rad; per s; per s^2].
+    q : ndarray, shape (..., nq)
+        (x, y, psi) and, where there are arms, their configurations [m, m, rad, ...].
+    v, a : ndarray, shape (..., nv)
+        Velocity and acceleration [per s; per s^2]; of (x, y, psi) the two derivatives.
     """
 
     q: Array
@@ -36,7 +38,7 @@ class Trajectory(Protocol):
         ...
 
     def __call__(self, t: ArrayLike, /) -> Reference:
-        """Return the reference, arrays of shape (..., 3), at the times `t`, shape (...) [s]."""
+        """Return the reference at the times `t`, shape (...) [s]."""
         ...
 
 

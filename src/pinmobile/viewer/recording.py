@@ -24,6 +24,7 @@ Progress = Callable[[int, int], object]
 _HELD = 1.0  # [s] for which the last frame stands
 _FASTEST = 50.0  # [1/s]; browsers slow down GIFs that are faster
 _COLOURS = 128
+_SAMPLED = 8  # frames whose colours a GIF has
 
 
 class Recording:
@@ -251,14 +252,15 @@ def _size(size: tuple[int, int]) -> tuple[int, int]:
 
 
 def _gif(frames: Iterator[Image.Image], rate: float) -> bytes:
-    """Return a GIF, all frames in the colours of the first."""
-    images: list[Image.Image] = []
-    palette: Image.Image | None = None
-    for frame in frames:
-        colours = frame.convert("RGB")
-        if palette is None:
-            palette = colours.quantize(_COLOURS, dither=Image.Dither.NONE)
-        images.append(colours.quantize(palette=palette, dither=Image.Dither.NONE))
+    """Return a GIF, all frames in the colours of some from its beginning to its end."""
+    pictures = list(frames)  # not decoded yet: some ten kilobytes each
+    sampled = [pictures[k] for k in np.unique(np.linspace(0, len(pictures) - 1, _SAMPLED).astype(int))]
+    width, height = pictures[0].size
+    mosaic = Image.new("RGB", (width, height * len(sampled)))
+    for k, picture in enumerate(sampled):
+        mosaic.paste(picture.convert("RGB"), (0, height * k))
+    palette = mosaic.quantize(_COLOURS, dither=Image.Dither.NONE)
+    images = [p.convert("RGB").quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures]
     ticks = np.round(100 * np.arange(len(images) + 1) / rate).astype(int)
     durations = [int(10 * tick) for tick in np.diff(ticks)]
     durations[-1] = round(1000 * _HELD)

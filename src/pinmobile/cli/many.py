@@ -1,0 +1,142 @@
+"""Many loops at once: `ensemble` and `sweep`, what came of them, and figures."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import typer
+
+from pinmobile import Ensemble, InvalidArgument, plots, sweep
+from pinmobile.arrays import whole
+from pinmobile.cli.output import Picture, Section, console, index_page, output_folder, progress
+from pinmobile.cli.scenario_file import read_grid
+from pinmobile.cli.spreads import scenario, spread_of_words
+from pinmobile.ensembles import run_scenario
+from pinmobile.sweeps import Sweep, connected, length
+
+__all__ = ["run_options", "show_ensemble", "show_sweep"]
+
+_NAMES = {"pd": "PD", "computed-torque": "computed torque"}
+_OF_ONE = ("kp", "kd")
+_BELIEVED = ("model_mass", "model_yaw_inertia", "model_com")
+
+
+def run_options(words: Sequence[str], app: typer.Typer, name: str) -> tuple[dict[str, Any], bool]:
+    """Return the options of `run` in some words, and whether a controller is among them.
+
+    Raises
+    ------
+    InvalidArgument
+        If one does not apply to many robots.
+    """
+    for word in words:
+        if word.split("=")[0] in ("--gif", "--no-gif", "--html", "--no-html"):
+            raise InvalidArgument(f"{word} does not apply to {name}, which draws no single robot")
+    command: Any = typer.main.get_command(app)
+    context = command.commands["run"].make_context(name, list(words))
+    given = context.get_parameter_source("controller")
+    return context.params, given is not None and given.name == "COMMANDLINE"
+
+
+def show_ensemble(
+    options: Mapping[str, Any], spread: Sequence[str], folder: Path, *, n: int, seed: int, one: bool
+) -> int:
+    """Run the ensembles of one controller or of both, print who stays within what, and draw the bands."""
+    wanted = spread_of_words(spread)
+    names = [str(options["controller"])] if one else list(_NAMES)
+    if not one:
+        for name in _OF_ONE:
+            if options[name] is not None:
+                raise InvalidArgument(f"--{name} does not apply to both controllers, expected --controller")
+    loops = {_NAMES.get(name, name): _loop(options, wanted, name, n=n, seed=seed, one=one) for name in names}
+    made: dict[str, Ensemble] = {}
+    with progress(n * len(loops)) as bar:
+        for k, (label, loop) in enumerate(loops.items()):
+
+            def advance(done: int, _: int, before: int = k * n, label: str = label) -> None:
+                bar.update(bar.task_ids[0], description=label, completed=before + done)
+
+            made[label] = run_scenario(loop, progress=advance)
+    text = "\n\n".join(f"{label}\n{ensemble}" for label, ensemble in made.items())
+    console.print(text, markup=False)
+    answer = _answer(made, spread)
+    console.print(f"\n{answer}", markup=False)
+    pictures = _bands(made, folder)
+    page = index_page(folder, answer, [Section("What came of it", text, pictures)])
+    console.print(f"open {page}", markup=False)
+    return 0
+
+
+def show_sweep(file: Path, out: Path | None, scheduler: str | None, chunk: int | None) -> int:
+    """Run the sweep of a file, print who stays within what, and draw it where there are two axes."""
+    grid = read_grid(file)
+    folder = output_folder(Path("out") / file.stem if out is None else out)
+    size = None if chunk is None else whole("--chunk", chunk)
+    store = folder / "sweep.zarr"
+    client = None if scheduler is None else connected(scheduler)
+    try:
+        with progress(len(grid) * grid.n) as bar:
+
+            def advance(done: int, total: int) -> None:
+                bar.update(bar.task_ids[0], description="sweeping", completed=done, total=total)
+
+            found = sweep(grid, store, client=client, chunk=size, progress=advance)
+    finally:
+        if client is not None:
+            client.close()
+    console.print(found.table(), markup=False)
+    answer = found.answer()
+    console.print(f"\n{answer}", markup=False)
+    page = index_page(
+        folder, answer, [Section("What came of it", found.table(most=1000), _maps(found, folder))]
+    )
+    console.print(
+        f"wrote {store}: xarray.open_zarr reads it, and pinmobile.Sweep.open\nopen {page}", markup=False
+    )
+    return 0
+
+
+def _loop(
+    options: Mapping[str, Any], spread: Mapping[str, Any], name: str, *, n: int, seed: int, one: bool
+) -> Any:
+    mine = {**options, "controller": name}
+    if name == "pd" and not one:  # what the other controller believes is nothing to it
+        mine |= dict.fromkeys(_BELIEVED)
+        spread = {key: value for key, value in spread.items() if not key.startswith("model_")}
+    return scenario(mine, spread, n=n, seed=seed)
+
+
+def _answer(made: Mapping[str, Ensemble], spread: Sequence[str]) -> str:
+    words = [f"{label} stays within {length(each.within(0.99).distance)}" for label, each in made.items()]
+    words[0] += " in 99 % of runs"
+    with_ = f"with {' and '.join(spread)}, " if spread else ""
+    return with_ + ", ".join([words[0], *(word.replace(" stays", "") for word in words[1:])])
+
+
+def _bands(made: Mapping[str, Ensemble], folder: Path) -> list[Picture]:
+    draw = getattr(plots, "bands", None)
+    if draw is None:
+        return []
+    draw(made).savefig(folder / "bands.png", dpi=110)
+    return [Picture("bands.png", "Errors over time: what half, 90 % and 99 % of the robots stay within.")]
+
+
+def _maps(found: Sweep, folder: Path) -> list[Picture]:
+    """Draw a map of each two numeric axes, one for each value of a further axis."""
+    draw = getattr(plots, "heatmap", None)
+    within = found.within()
+    numeric = [name for name in found.axes if within[name].dtype.kind in "fiu" and len(found.axes[name]) > 1]
+    others = [name for name in found.axes if name not in numeric]
+    if draw is None or len(numeric) != 2 or len(others) > 1:
+        return []
+    y, x = ((name, found.axes[name].unit, np.asarray(within[name])) for name in numeric)
+    pictures = []
+    for k in range(len(found.axes[others[0]]) if others else 1):
+        label = str(list(found.axes[others[0]].values)[k]) if others else ""
+        values = within.isel({others[0]: k}) if others else within
+        title = f"{label + ': ' if label else ''}99 % stay within [m]"
+        figure = draw(values.transpose(*numeric).values, x=x, y=y, label=title)
+        figure.savefig(folder / f"within-{k}.png", dpi=110)
+        pictures.append(Picture(f"within-{k}.png", f"{title}, over {numeric[1]} and {numeric[0]}."))
+    return pictures

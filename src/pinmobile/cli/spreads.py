@@ -1,0 +1,99 @@
+"""From words to what differs between the robots of an ensemble."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from pinmobile import InvalidArgument, Normal, Same, Scenario, Uniform, UnknownName
+from pinmobile.cli import choices
+from pinmobile.ensembles import PARAMETERS
+
+__all__ = ["SPREAD_FORMS", "scenario", "spread_of_words"]
+
+SPREAD_FORMS = "uniform:LOW,HIGH normal:MEAN,STD percent:P (of the nominal) same:NAME[,FACTOR] or a number"
+_KINDS = ("uniform", "normal", "percent", "same")
+
+
+def spread_of_words(words: Sequence[str]) -> dict[str, Any]:
+    """Return what ``name=kind:numbers`` stands for, in the form of a scenario file.
+
+    Raises
+    ------
+    InvalidArgument
+        If the words are something else.
+    """
+    found: dict[str, Any] = {}
+    for word in words:
+        name, equals, rest = word.partition("=")
+        kind, colon, numbers = rest.partition(":")
+        if not equals or not rest or (colon and not numbers):
+            raise InvalidArgument(f"--spread is {word!r}, expected NAME=FORM with the form {SPREAD_FORMS}")
+        if not colon:
+            found[name] = choices.numbers("--spread", kind)
+        elif kind == "same":
+            other, _, factor = numbers.partition(",")
+            found[name] = {"same": other} | (
+                {"factor": choices.numbers("--spread", factor)} if factor else {}
+            )
+        else:
+            values = choices.point("--spread", numbers)
+            found[name] = {kind: values[0] if len(values) == 1 else list(values)}
+    return found
+
+
+def scenario(options: Mapping[str, Any], spread: Mapping[str, Any], *, n: Any, seed: Any) -> Scenario:
+    """Return the scenario that options of `run` and a spread in words stand for.
+
+    Parameters
+    ----------
+    options : mapping
+        As `choices.closed_loop` takes them.
+    spread : mapping
+        By parameter a number, a list, or a table such as ``{uniform = [20, 40]}``.
+    n, seed : int
+        Robots, and the seed of what is drawn.
+
+    Raises
+    ------
+    InvalidArgument, UnknownName
+        If something is not what is expected.
+    """
+    for name in spread:
+        if name not in PARAMETERS:
+            raise UnknownName("parameter in spread", name, PARAMETERS)
+    plant, law, trajectory, settings = choices.closed_loop(**options)
+    shared: dict[str, Any] = {"robot": plant, "controller": law, "trajectory": trajectory, **settings}
+    nominal = Scenario(**shared, n=1, spread={}).nominal
+    sources = {name: _source(name, value, nominal.get(name, 0.0)) for name, value in spread.items()}
+    return Scenario(**shared, n=n, seed=seed, spread=sources)
+
+
+def _source(name: str, value: Any, nominal: float) -> Any:
+    if not isinstance(value, Mapping):
+        return value
+    kinds = [kind for kind in value if kind != "factor"]
+    if len(kinds) != 1:
+        raise InvalidArgument(f"spread of {name} is {dict(value)!r}, expected one of {', '.join(_KINDS)}")
+    kind = kinds[0]
+    if kind not in _KINDS:
+        raise UnknownName(f"form in the spread of {name}", kind, _KINDS)
+    if kind == "same":
+        factor = value.get("factor", 1.0)
+        return Same(str(value["same"]), _source(f"{name} factor", factor, 1.0))
+    if "factor" in value:
+        raise InvalidArgument(f"spread of {name} has a factor beside {kind}, expected one beside same alone")
+    if kind == "percent":
+        return _around(name, value["percent"], nominal)
+    numbers = value[kind]
+    if not isinstance(numbers, list) or len(numbers) != 2:
+        raise InvalidArgument(f"spread of {name} is {kind} of {numbers!r}, expected two numbers")
+    return Uniform(*numbers) if kind == "uniform" else Normal(*numbers)
+
+
+def _around(name: str, percent: Any, nominal: float) -> Uniform:
+    if not isinstance(percent, int | float) or not percent >= 0:
+        raise InvalidArgument(f"spread of {name} is percent of {percent!r}, expected a number >= 0")
+    if nominal == 0:
+        raise InvalidArgument(f"spread of {name} is {percent:g} percent of 0, expected uniform or normal")
+    share = percent / 100
+    low, high = sorted((nominal * (1 - share), nominal * (1 + share)))
+    return Uniform(low, high)

@@ -1,0 +1,140 @@
+"""A number over two parameters that were swept."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from pinmobile.arrays import Array, ArrayLike
+from pinmobile.errors import InvalidArgument
+from pinmobile.plots.style import INK, ShownFigure
+
+__all__ = ["heatmap"]
+
+_MAP = "cividis"  # Nunez, Anderton and Renslow 2018: alike with and without a deficiency of colour vision
+_LOGARITHMIC = 20.0  # from which ratio of the largest to the smallest on, colours are logarithmic
+_LARGEST = 11.0, 8.0  # [inch] of the cells together
+_CELL = 0.85, 0.55  # [inch] at most
+_LEAST = 5.0  # [pt] of numbers that can be read
+
+_Axis = tuple[str, str, Sequence[Any] | Array]
+
+
+def heatmap(values: ArrayLike, *, x: _Axis, y: _Axis, label: str, title: str | None = None) -> Figure:
+    """Draw a number for each pair of two parameters, as colour and as text.
+
+    Where it is infinite, nothing bounds it: the cell is hatched, and says "diverges". Colours are
+    logarithmic where the numbers differ by a factor of more than 20. Dark is small.
+
+    Parameters
+    ----------
+    values : array_like, shape (len(y values), len(x values))
+        Numbers or infinity.
+    x, y : tuple of str, str and sequence
+        Name, unit ("" for none) and values of each parameter: numbers or names. The first is at the left
+        and at the bottom.
+    label : str
+        What the numbers are, with their unit, such as ``"99 % stay within [mm]"``.
+    title : str, optional
+        Heading of the figure.
+
+    Returns
+    -------
+    figure : matplotlib.figure.Figure
+
+    Raises
+    ------
+    InvalidArgument
+        If `values` has another shape, or holds NaN.
+    """
+    columns, rows = _labels("x", x), _labels("y", y)
+    numbers = _numbers(values, (len(rows), len(columns)))
+    size = [min(count * cell, most) for count, cell, most in zip(
+        (len(columns), len(rows)), _CELL, _LARGEST, strict=True)]  # fmt: skip
+    figure = ShownFigure(figsize=(max(size[0], 3.2) + 2.2, max(size[1], 1.6) + 1.4), dpi=100)
+    figure.set_layout_engine("constrained")
+    figure.suptitle(title or f"{label} over {x[0]} and {y[0]}", fontsize=14, color=INK)
+    axes = figure.subplots()
+    norm = _norm(numbers[np.isfinite(numbers)])
+    image = axes.imshow(np.ma.masked_invalid(numbers), cmap=_MAP, norm=norm, origin="lower", aspect="auto")
+    figure.colorbar(image, ax=axes, pad=0.02).set_label(label, fontsize=11)
+    _furnish(axes, columns, rows, (x, y))
+    room = min(72 * size[0] / len(columns) / 3.6, 72 * size[1] / len(rows) / 1.6)  # [pt] for five digits
+    _write(axes, numbers, norm, min(room, 10.5))
+    return figure
+
+
+def _labels(name: str, axis: Any) -> list[str]:
+    if not isinstance(axis, Sequence) or isinstance(axis, str) or len(axis) != 3:
+        raise InvalidArgument(f"{name} is {axis!r}, expected (name, unit, values)")
+    if np.ndim(axis[2]) != 1 or not len(axis[2]):
+        raise InvalidArgument(f"{name}[2] has shape {np.shape(axis[2])}, expected (n,) with n >= 1")
+    return [one if isinstance(one, str) else f"{one:.4g}" for one in axis[2]]
+
+
+def _numbers(values: ArrayLike, shape: tuple[int, int]) -> Array:
+    numbers = np.asarray(values)
+    if numbers.dtype.kind not in "fiu":
+        raise InvalidArgument(f"values is {values!r}, expected real numbers")
+    if numbers.shape != shape:
+        raise InvalidArgument(
+            f"values has shape {numbers.shape}, expected {shape}: a row for each of y, a column for each of x"
+        )
+    wrong = np.argwhere(np.isnan(numbers) | (numbers == -np.inf))
+    if len(wrong):
+        i, k = wrong[0]
+        raise InvalidArgument(f"values[{i}, {k}] is {numbers[i, k]}, expected a number or infinity")
+    return numbers.astype(np.float64)
+
+
+def _norm(finite: Array) -> Normalize:
+    if not len(finite):
+        return Normalize(0.0, 1.0)
+    low, high = float(finite.min()), float(finite.max())
+    return LogNorm(low, high) if 0 < _LOGARITHMIC * low < high else Normalize(low, high)
+
+
+def _furnish(axes: Axes, columns: list[str], rows: list[str], names: Sequence[_Axis]) -> None:
+    long = max(map(len, columns)) > 6
+    axes.set_xticks(
+        range(len(columns)), columns, rotation=30 if long else 0, ha="right" if long else "center"
+    )
+    axes.set_yticks(range(len(rows)), rows)
+    axes.tick_params(length=0, labelsize=10)
+    titles = [f"{name} [{unit}]" if unit else name for name, unit, _ in names]
+    axes.set_xlabel(titles[0], fontsize=11)
+    axes.set_ylabel(titles[1], fontsize=11)
+    axes.spines[:].set_visible(False)
+
+
+def _write(axes: Axes, numbers: Array, norm: Normalize, size: float) -> None:
+    """Write each number in its cell, in white on dark colours, where there is room for it."""
+    finite = numbers[np.isfinite(numbers)]
+    whole = bool((finite == np.round(finite)).all())
+    shades = colormaps[_MAP](norm(np.where(np.isfinite(numbers), numbers, 0.0)))
+    for (i, k), number in np.ndenumerate(numbers):
+        if np.isinf(number):
+            cell = Rectangle((k - 0.5, i - 0.5), 1, 1, facecolor="white", edgecolor="#999999", hatch="////")
+            cell.set_linewidth(0.0)
+            axes.add_patch(cell)
+        if size < _LEAST:
+            continue
+        dark = np.isfinite(number) and float(shades[i, k, :3] @ (0.299, 0.587, 0.114)) < 0.5
+        text = axes.text(
+            k, i, "diverges" if np.isinf(number) else _digits(number, whole), ha="center", va="center",
+            fontsize=0.8 * size if np.isinf(number) else size, color="white" if dark else INK,
+        )  # fmt: skip
+        if np.isinf(number):
+            text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 1.0})
+
+
+def _digits(number: float, whole: bool) -> str:
+    """Return three digits, without a power of ten where there is room."""
+    if whole or 100 <= abs(number) < 1e5:
+        return f"{number:.0f}" if abs(number) < 1e5 else f"{number:.2g}"
+    return f"{number:#.3g}" if 1e-3 <= abs(number) < 100 else f"{number:.2g}"

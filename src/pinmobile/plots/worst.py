@@ -1,0 +1,149 @@
+"""What drives the worst cases of an ensemble."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from pinmobile.ensembles import Ensemble
+from pinmobile.errors import InvalidArgument
+from pinmobile.plots.causes import Cause, causes, worst_share
+from pinmobile.plots.style import INK, ShownFigure, colour, dress, legend, percent
+
+__all__ = ["drivers"]
+
+_MOST = 6  # parameters that are drawn
+_DOTS = 4000  # robots that are drawn, of the worst and of the others
+_BINS = 40
+_LINEAR = 50.0  # by how much the farthest may exceed the median on a linear axis
+_OTHERS: dict[str, Any] = {"color": "#9a9a9a", "alpha": 0.55}
+_WORST: dict[str, Any] = {"color": colour(1), "linewidth": 2.0}
+_WHERE: dict[str, Any] = {"color": colour(1), "alpha": 0.12, "linewidth": 0}
+
+
+def drivers(ensemble: Ensemble, *, share: float = 0.05, title: str | None = None) -> Figure:
+    """Draw what the worst robots have in common: each parameter's distribution among them and the others.
+
+    The worst are those of `Ensemble.worst`: the diverged ones, then those that strayed farthest. The
+    parameters are in the order of Kuiper's statistic, the sum of both one-sided ones of Kolmogorov and
+    Smirnov: by how much more of the worst than of the others lie in the interval, or outside the interval,
+    that tells them apart best. That place is shaded, and stands above each panel. What differs no more than
+    chance allows (at 1 %) is said to play no part. Where a parameter is `Same` as another but for a factor,
+    that factor takes its place. At most six are drawn.
+
+    Parameters
+    ----------
+    ensemble : Ensemble
+        Whose robots.
+    share : float
+        Share of the robots that are called the worst, above 0 and below 1.
+    title : str, optional
+        Heading of the figure, which by default names what drives them.
+
+    Returns
+    -------
+    figure : matplotlib.figure.Figure
+
+    Raises
+    ------
+    InvalidArgument
+        If `ensemble` is something else, `share` is no such share or leaves no robot on one side, or the
+        robots differ in no parameter.
+    """
+    if not isinstance(ensemble, Ensemble):
+        raise InvalidArgument(f"ensemble is a {type(ensemble).__name__}, expected an Ensemble")
+    worst = worst_share(ensemble, share)
+    found = causes(ensemble, worst)
+    shown = found[:_MOST]
+    columns = 1 if len(shown) <= 3 else 2
+    figure, grid = _sheet(-(-len(shown) // columns), columns)
+    figure.suptitle(title or _answer(found, share), fontsize=14, color=INK)
+    for k, one in enumerate(shown):
+        _distribution(figure.add_subplot(grid[k // columns, k % columns]), one, worst)
+    _scatter(figure.add_subplot(grid[:, columns]), ensemble, found[0], worst)
+    keys: list[Artist] = [
+        Line2D([], [], label=f"the worst {percent(share)}: {worst.sum():,} robots", **_WORST),
+        Patch(label="the others", **_OTHERS),
+        Patch(label="where the worst are", **_WHERE),
+    ]
+    if ensemble.diverged.any():
+        keys.append(Line2D([], [], color=INK, marker="x", linestyle="", label="diverged"))
+    legend(figure, keys)
+    return figure
+
+
+def _sheet(rows: int, columns: int) -> tuple[Figure, GridSpec]:
+    """Return a figure and its grid, whose last column is for the scatter.
+
+    A layout engine would narrow the panels to make room for their headings, which are as wide.
+    """
+    width, height = 4.4 + 3.2 * columns, 1.4 + max(2.1 * rows, 3.6)
+    figure = ShownFigure(figsize=(width, height), dpi=100)
+    return figure, figure.add_gridspec(
+        rows, columns + 1, width_ratios=[1.0] * columns + [1.2], left=0.65 / width, right=1 - 0.15 / width,
+        top=1 - 0.95 / height, bottom=1.0 / height, wspace=0.27, hspace=0.95,
+    )  # fmt: skip
+
+
+def _answer(found: Sequence[Cause], share: float) -> str:
+    """Return in words what matters most."""
+    names = [one.name for one in found if one.visible]
+    if not names:
+        return f"Nothing that was spread drives the worst {percent(share)}"
+    return ", then ".join([f"{names[0]} drives the worst {percent(share)} most", *names[1:3]])
+
+
+def _distribution(axes: Axes, one: Cause, worst: NDArray[np.bool_]) -> None:
+    """Draw how the parameter is distributed among the worst and among the others."""
+    dress(axes)
+    bins = np.linspace(one.values.min(), one.values.max(), _BINS + 1).tolist()
+    bad, good = one.values[worst], one.values[~worst]
+    axes.hist(good, bins, weights=np.full(len(good), 100 / len(good)), zorder=2, **_OTHERS)
+    axes.hist(bad, bins, weights=np.full(len(bad), 100 / len(bad)), histtype="step", zorder=3, **_WORST)
+    text, shade = "plays no part", "#777777"
+    if one.visible:
+        spans = [(bins[0], one.low), (one.high, bins[-1])] if one.outside else [(one.low, one.high)]
+        for low, high in spans:
+            axes.axvspan(max(low, bins[0]), min(high, bins[-1]), zorder=1, **_WHERE)
+        many, few = (percent(round(float(one.holds(values).mean()), 2)) for values in (bad, good))
+        text, shade = f"{one.place}:\n{many} of the worst, {few} of the others", INK
+    axes.set_title(text, fontsize=9.5, color=shade, loc="left")
+    axes.margins(x=0)
+    axes.set_ylim(0, None)
+    axes.xaxis.set_major_locator(MaxNLocator(5))
+    axes.set_xlabel(one.label, fontsize=10)
+    axes.set_ylabel("robots per bar [%]", fontsize=10)
+
+
+def _scatter(axes: Axes, ensemble: Ensemble, one: Cause, worst: NDArray[np.bool_]) -> None:
+    """Draw how far each robot strayed, over what matters most; the diverged ones at the top."""
+    dress(axes)
+    lost = ensemble.diverged
+    kept = ensemble.max_distance[~lost]
+    farthest, median = (float(kept.max()), float(np.median(kept))) if len(kept) else (0.0, 0.0)
+    logarithmic = 0 < _LINEAR * median < farthest
+    unit, per_metre = ("m", 1.0) if farthest >= 1 or farthest == 0 else ("mm", 1e3)
+    top = (farthest or 1.0) * per_metre * (2 if logarithmic else 1.1)
+    heights = np.where(lost, top, ensemble.max_distance * per_metre)
+    for mine, style in ((~worst, _OTHERS), (worst, _WORST)):
+        for chosen, marker in ((mine & ~lost, "."), (mine & lost, "x")):
+            indices = np.flatnonzero(chosen)
+            indices = indices[:: max(1, -(-len(indices) // _DOTS))]
+            axes.plot(
+                one.values[indices], heights[indices], linestyle="", marker=marker, markersize=4, zorder=3,
+                color=style["color"],
+            )  # fmt: skip
+    if logarithmic:
+        axes.set_yscale("log")
+    axes.set_title("How far each robot strays", fontsize=10.5, color=INK, loc="left")
+    axes.xaxis.set_major_locator(MaxNLocator(5))
+    axes.set_xlabel(one.label, fontsize=10)
+    axes.set_ylabel(f"largest distance from the desired position [{unit}]", fontsize=10)

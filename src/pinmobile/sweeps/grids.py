@@ -1,0 +1,165 @@
+"""`grid`: scenarios along named axes."""
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from math import prod
+from typing import Any, final
+
+import numpy as np
+
+from pinmobile.ensembles import PARAMETERS, Scenario
+from pinmobile.errors import InvalidArgument
+from pinmobile.sweeps.axes import Axis, placed
+
+__all__ = ["RESERVED", "Grid", "as_grid", "grid"]
+
+RESERVED = frozenset(
+    {
+        *("robot", "coordinate", "time", "channel", "bin", "level", "counts"),
+        *("max_error", "rms_error", "max_force", "max_distance", "diverged_at"),
+        *("distance_quantile", "heading_quantile"),
+        *(f"drawn_{name}" for name in PARAMETERS),
+    }
+)
+"""Names that the store of a sweep has for itself."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Scenarios along named axes, the last running fastest.
+
+    Parameters
+    ----------
+    axes : mapping of str to Axis
+        The axes, in order.
+    scenarios : sequence of Scenario
+        As many as the product of the axes; all of as many robots and with the bands at the same times.
+
+    Raises
+    ------
+    InvalidArgument
+        If that is not so, or an axis has a name that the store cannot have.
+    """
+
+    axes: Mapping[str, Axis]
+    scenarios: Sequence[Scenario]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "axes", dict(self.axes))
+        object.__setattr__(self, "scenarios", tuple(self.scenarios))
+        for name in self.axes:
+            if not re.fullmatch(r"[A-Za-z][\w. -]*", name) or name in RESERVED:
+                raise InvalidArgument(
+                    f"axis is called {name!r}, expected letters, digits, '.', '_', and none of the store's "
+                    "own names, such as 'robot' and 'time'"
+                )
+        if len(self.scenarios) != prod(self.shape):
+            raise InvalidArgument(f"scenarios are {len(self.scenarios)}, expected {prod(self.shape)}")
+        _check_alike(self)
+
+    def __len__(self) -> int:
+        return len(self.scenarios)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Numbers of values along the axes."""
+        return tuple(len(axis) for axis in self.axes.values())
+
+    @property
+    def n(self) -> int:
+        """Robots of each scenario."""
+        return self.scenarios[0].n
+
+    def index(self, k: int) -> tuple[int, ...]:
+        """Return the place of scenario k along each axis."""
+        return tuple(int(i) for i in np.unravel_index(k, self.shape))
+
+    def place(self, k: int) -> str:
+        """Return where scenario k is, in words."""
+        return placed(self.axes, self.index(k))
+
+
+def grid(make: Callable[..., Scenario], /, **axes: Any) -> Grid:
+    """Return the scenarios for all combinations of values.
+
+    Parameters
+    ----------
+    make : callable
+        ``make(name=value, ...)`` returns the `Scenario` of one combination.
+    **axes : Axis, sequence of numbers, sequence of str, or mapping of str to anything
+        What is swept, by the names of `make`'s arguments. Of a mapping, `make` gets the values, and the
+        keys are the labels: ``controller={"PD": PD(120, 120), "computed torque": ComputedTorque(robot)}``.
+
+    Returns
+    -------
+    grid : Grid
+
+    Raises
+    ------
+    InvalidArgument
+        If an axis is not what is expected, or a scenario is refused; the message says for which values.
+    """
+    if not callable(make):
+        raise InvalidArgument(f"make is {make!r}, expected a function that returns a Scenario")
+    if not axes:
+        raise InvalidArgument("axes are none, expected at least one, such as gain=[4, 16]")
+    named = {name: _axis(name, values) for name, values in axes.items()}
+    scenarios = []
+    for index in product(*(range(len(axis)) for axis in named.values())):
+        chosen = {name: axis.given[i] for (name, axis), i in zip(named.items(), index, strict=True)}
+        try:
+            made = make(**chosen)
+        except InvalidArgument as error:
+            raise InvalidArgument(f"{error} (at {placed(named, index)})") from error
+        if not isinstance(made, Scenario):
+            raise InvalidArgument(f"make returned a {type(made).__name__}, expected a Scenario")
+        scenarios.append(made)
+    return Grid(named, scenarios)
+
+
+def as_grid(scenarios: Any) -> Grid:
+    """Return the grid that an argument of `sweep` stands for.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is no grid, mapping or sequence of scenarios.
+    """
+    if isinstance(scenarios, Grid):
+        return scenarios
+    if isinstance(scenarios, Mapping):
+        axis, found = Axis(scenarios), list(scenarios.values())
+    else:
+        found = list(scenarios) if isinstance(scenarios, Sequence | Iterator) else [scenarios]
+        axis = Axis(list(range(len(found)))) if found else Axis([])
+    for made in found:
+        if not isinstance(made, Scenario):
+            raise InvalidArgument(
+                f"scenarios has a {type(made).__name__}, expected Scenarios, or a grid of them"
+            )
+    return Grid({"scenario": axis}, found)
+
+
+def _axis(name: str, values: Any) -> Axis:
+    try:
+        return values if isinstance(values, Axis) else Axis(values)
+    except InvalidArgument as error:
+        raise InvalidArgument(f"{name}: {error}") from error
+
+
+def _check_alike(grid: Grid) -> None:
+    first = grid.scenarios[0]
+    for k, scenario in enumerate(grid.scenarios):
+        if scenario.n != first.n:
+            raise InvalidArgument(
+                f"n is {first.n} at {grid.place(0)} and {scenario.n} at {grid.place(k)}, expected the same"
+            )
+        if not np.array_equal(scenario.grid, first.grid):
+            raise InvalidArgument(
+                f"times of the bands differ between {grid.place(0)} (to {first.t[-1]:g} s in steps of "
+                f"{first.dt * first.stride:g} s) and {grid.place(k)} (to {scenario.t[-1]:g} s in steps of "
+                f"{scenario.dt * scenario.stride:g} s), expected the same duration, dt and every"
+            )

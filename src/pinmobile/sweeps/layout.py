@@ -1,0 +1,141 @@
+"""The arrays of a sweep's Zarr store: names, dimensions, units, and how they are divided into chunks."""
+
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pinmobile.ensembles import PARAMETERS
+from pinmobile.ensembles.histogram import BINS, edges
+from pinmobile.sweeps.extras import imported
+from pinmobile.sweeps.grids import Grid
+
+__all__ = ["LEVELS", "PER_ROBOT", "make_arrays", "spread_names"]
+
+LEVELS = (0.5, 0.9, 0.99)
+"""Shares of the robots of which the store has the quantiles over time."""
+
+_UNTIL = "of a diverged robot until then"
+_OF_POSE, _OF_FORCE = "m, m, rad", "N, N, N m"
+PER_ROBOT: Mapping[str, tuple[tuple[str, ...], str, str]] = {
+    "max_error": (("coordinate",), _OF_POSE, f"largest |error|, {_UNTIL}"),
+    "rms_error": (
+        ("coordinate",),
+        _OF_POSE,
+        f"root of the mean squared error, {_UNTIL}",
+    ),
+    "max_force": (("coordinate",), _OF_FORCE, f"largest |generalised force|, {_UNTIL}"),
+    "max_distance": ((), "m", f"largest distance from the desired position, {_UNTIL}"),
+    "diverged_at": ((), "s", "when the loop diverged; NaN where it did not"),
+}
+"""Of each array with one entry per robot: further dimensions, unit and meaning."""
+
+_OVER_TIME = {
+    "distance_quantile": ("m", "share `level` of the robots is at most this far from the desired position"),
+    "heading_quantile": ("rad", "share `level` of the robots is at most this far from the desired heading"),
+}
+
+
+def spread_names(grid: Grid) -> list[str]:
+    """Return the parameters that are spread in at least one scenario, in the order of `PARAMETERS`."""
+    return [name for name in PARAMETERS if any(name in scenario.spread for scenario in grid.scenarios)]
+
+
+def make_arrays(path: Path, grid: Grid, chunk: int, attributes: Mapping[str, Any]) -> None:
+    """Make the store with all its metadata and coordinates, and nothing in its arrays yet.
+
+    Parameters
+    ----------
+    path : Path
+        Where.
+    grid : Grid
+        Its scenarios.
+    chunk : int
+        Robots in a chunk of the arrays.
+    attributes : mapping
+        Of the whole store.
+    """
+    zarr = imported("zarr")
+    group = zarr.create_group(path, attributes=dict(attributes))
+    for name, values, unit, meaning in _coordinates(grid):
+        _coordinate(group, name, values, {"units": unit, "long_name": meaning})
+    outer, ones = tuple(grid.axes), (1,) * len(grid.axes)
+    records = dict(PER_ROBOT)
+    for name in spread_names(grid):
+        parameter = PARAMETERS[name]
+        records[f"drawn_{name}"] = (
+            (),
+            parameter.unit or "1",
+            f"drawn {parameter.meaning}; NaN where not spread",
+        )
+    for name, (inner, unit, meaning) in records.items():
+        dimensions, sizes = (*outer, "robot", *inner), (grid.n, *(3 for _ in inner))
+        chunks = (*ones, min(chunk, grid.n), *(3 for _ in inner))
+        _array(group, name, dimensions, (*grid.shape, *sizes), chunks, {"units": unit, "long_name": meaning})
+    times = len(grid.scenarios[0].grid)
+    counted = times, 2, BINS
+    meaning = "how many robots have an error of this size; what diverged counts in the last bin"
+    dimensions = *outer, "time", "channel", "bin"
+    attrs = {"units": "1", "long_name": meaning}
+    _array(group, "counts", dimensions, (*grid.shape, *counted), (*ones, *counted), attrs, np.int32)
+    for name, (unit, meaning) in _OVER_TIME.items():
+        sizes = len(LEVELS), times
+        attrs = {"units": unit, "long_name": meaning}
+        _array(group, name, (*outer, "level", "time"), (*grid.shape, *sizes), (*ones, *sizes), attrs)
+    with warnings.catch_warnings():
+        # It is in no specification yet, but every reader that does not know it passes over it.
+        warnings.filterwarnings("ignore", "Consolidated metadata is currently not part")
+        zarr.consolidate_metadata(path)
+
+
+def _coordinates(grid: Grid) -> list[tuple[str, Sequence[Any], str, str]]:
+    found = [(name, list(axis.values), axis.unit or "1", name) for name, axis in grid.axes.items()]
+    return [
+        *found,
+        ("time", grid.scenarios[0].grid.tolist(), "s", "time"),
+        ("coordinate", ["x", "y", "psi"], "1", "coordinate"),
+        ("channel", ["distance", "heading"], "1", "distance from the desired position [m], heading [rad]"),
+        ("level", list(LEVELS), "1", "share of the robots"),
+        (
+            "bin",
+            edges()[:-1].tolist(),
+            "m or rad",
+            "lower edge; the upper one is the next bin's lower one",
+        ),
+    ]
+
+
+def _coordinate(group: Any, name: str, values: Sequence[Any], attributes: Mapping[str, Any]) -> None:
+    text = isinstance(values[0], str)
+    data = np.array(values, dtype=object if text else None)
+    made = group.create_array(
+        name,
+        shape=data.shape,
+        chunks=data.shape,
+        dtype="string" if text else data.dtype,
+        dimension_names=[name],
+        attributes=dict(attributes),
+    )
+    made[:] = data
+
+
+def _array(
+    group: Any,
+    name: str,
+    dimensions: Sequence[str],
+    shape: tuple[int, ...],
+    chunks: tuple[int, ...],
+    attributes: Mapping[str, Any],
+    kind: type = np.float64,
+) -> None:
+    group.create_array(
+        name,
+        shape=shape,
+        chunks=chunks,
+        dtype=kind,
+        fill_value=kind(0) if kind is np.int32 else np.nan,
+        dimension_names=list(dimensions),
+        attributes=dict(attributes),
+    )

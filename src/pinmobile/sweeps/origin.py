@@ -1,0 +1,87 @@
+"""All that determines the numbers of a sweep, and how two such accounts differ."""
+
+import json
+from collections.abc import Mapping
+from hashlib import sha256
+from importlib.metadata import version
+from platform import machine
+from typing import Any
+
+from pinmobile.sweeps.description import described, flat
+from pinmobile.sweeps.grids import Grid
+
+__all__ = ["determined_by", "differences"]
+
+_FORMAT = 1
+
+
+def determined_by(grid: Grid) -> dict[str, Any]:
+    """Return all that determines the numbers of a sweep, with its fingerprint.
+
+    Raises
+    ------
+    InvalidArgument
+        If a scenario holds what cannot be recognised the next time.
+    """
+    each = [described(scenario) for scenario in grid.scenarios]
+    # What all have is told once, for whoever reads it.
+    names = sorted({name for one in each for name in one})
+    common = {
+        name: each[0][name] for name in names if all(_has(one, name, each[0].get(name)) for one in each)
+    }
+    found: dict[str, Any] = {
+        "format": _FORMAT,
+        "machine": machine(),
+        "versions": {name: _version(name) for name in ("pinmobile", "numpy", "numba")},
+        "axes": {name: {"values": list(axis.values), "unit": axis.unit} for name, axis in grid.axes.items()},
+        "all": common,
+        "each": {name: [one.get(name) for one in each] for name in names if name not in common},
+    }
+    return {**found, "fingerprint": _fingerprint(found)}
+
+
+def _has(one: Mapping[str, Any], name: str, value: Any) -> bool:
+    return name in one and bool(one[name] == value)
+
+
+def _version(name: str) -> str:
+    if name == "pinmobile":
+        import pinmobile
+
+        return pinmobile.__version__
+    return version(name)
+
+
+def _fingerprint(description: Any) -> str:
+    """Return the digest of a description."""
+    return sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
+
+
+def differences(theirs: Mapping[str, Any], mine: Mapping[str, Any], most: int = 3) -> str:
+    """Return in words how two descriptions differ; "" where they do not.
+
+    Parameters
+    ----------
+    theirs, mine : mapping
+        Of the store, and of what is to be run; in ``all`` and ``each`` what scenarios share and do not.
+    most : int
+        How many differences are told.
+    """
+    absent = "absent"
+    there, here = _comparable(theirs), _comparable(mine)
+    names = [name for name in {**here, **there} if there.get(name, absent) != here.get(name, absent)]
+    words = [
+        f"{name} is {_short(there.get(name, absent))} there and {_short(here.get(name, absent))} here"
+        for name in names[:most]
+    ]
+    return "; ".join(words) + (f"; and {len(names) - most} more differ" if len(names) > most else "")
+
+
+def _comparable(description: Mapping[str, Any]) -> dict[str, Any]:
+    found = {name: value for name, value in description.items() if name not in ("all", "each", "fingerprint")}
+    return {**flat(found), **description.get("all", {}), **description.get("each", {})}
+
+
+def _short(value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

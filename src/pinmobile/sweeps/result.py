@@ -1,0 +1,165 @@
+"""`Sweep`: what a store holds, with its own judgement."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pinmobile.arrays import location
+from pinmobile.ensembles import Ensemble
+from pinmobile.ensembles.histogram import checked_levels
+from pinmobile.errors import InvalidArgument
+from pinmobile.sweeps.axes import Axis, place_of
+from pinmobile.sweeps.extras import imported
+from pinmobile.sweeps.grids import Grid, as_grid
+from pinmobile.sweeps.layout import PER_ROBOT
+from pinmobile.sweeps.origin import determined_by, differences
+from pinmobile.sweeps.store import attributes_of
+from pinmobile.sweeps.table import answer, table
+
+__all__ = ["Sweep"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Sweep:
+    """The records of a sweep, read from its store when they are asked for.
+
+    Attributes
+    ----------
+    path : Path
+        Folder of the store.
+    axes : dict of str to Axis
+        What was swept.
+    dataset : xarray.Dataset
+        Everything, with the axes as dimensions, and ``robot``, ``coordinate``, ``time``, ``channel``,
+        ``level`` and ``bin``; each variable has attributes ``units`` and ``long_name``. NaN where it is not
+        known yet.
+    grid : Grid or None
+        The scenarios; None where the store was opened without.
+    """
+
+    path: Path
+    axes: Mapping[str, Axis]
+    dataset: Any
+    grid: Grid | None
+
+    @classmethod
+    def open(cls, path: str | PathLike[str], scenarios: Any = None) -> "Sweep":
+        """Return the sweep of a store, complete or not.
+
+        Parameters
+        ----------
+        path : path
+            Its folder.
+        scenarios : Grid, mapping or sequence, optional
+            What was run, as given to `sweep`: needed for `ensemble`, since a store holds numbers, no objects.
+
+        Raises
+        ------
+        InvalidArgument
+            If there is no store of a sweep, or not of these scenarios.
+        """
+        folder = location("path", path)
+        there = attributes_of(folder)["determined_by"]
+        grid = None
+        if scenarios is not None:
+            grid = as_grid(scenarios)
+            found = differences(there, determined_by(grid))
+            if found:
+                raise InvalidArgument(f"scenarios are not those of {str(folder)!r}: {found}")
+        axes = {name: Axis(axis["values"], axis["unit"]) for name, axis in there["axes"].items()}
+        dataset = imported("xarray").open_zarr(folder, chunks=None, consolidated=True)
+        return cls(folder, axes, dataset, grid)
+
+    def within(self, share: float = 0.99) -> Any:
+        """Return the distance that a share of the robots stays within, all the time, exactly.
+
+        Parameters
+        ----------
+        share : float
+            From 0 to 1.
+
+        Returns
+        -------
+        within : xarray.DataArray, of the shape of the axes
+            Distance from the desired position [m]: infinite where fewer have not diverged, NaN where it is
+            not known yet.
+
+        Raises
+        ------
+        InvalidArgument
+            If `share` is not between 0 and 1.
+        """
+        level = float(checked_levels(share)[0])
+        data = self.dataset[["max_distance", "diverged_at"]].load()
+        sizes = data.max_distance.where(data.diverged_at.isnull(), np.inf)
+        found = sizes.quantile(level, "robot", method="inverted_cdf", skipna=False)
+        meaning = f"distance from the desired position that {level * 100:g} % of the robots stay within"
+        return found.drop_vars("quantile").rename("within").assign_attrs(units="m", long_name=meaning)
+
+    def table(self, share: float = 0.99, most: int = 40) -> str:
+        """Return a row for each of the first `most` scenarios: its values, `within` and how many diverged.
+
+        Raises
+        ------
+        InvalidArgument
+            If `share` is not between 0 and 1.
+        """
+        diverged = self.dataset.diverged_at.notnull().sum("robot").values
+        return table(self.axes, self.within(share).values, diverged, share, most)
+
+    def answer(self, share: float = 0.99) -> str:
+        """Return in one line what the share of the robots stays within where the worst happens.
+
+        Raises
+        ------
+        InvalidArgument
+            If `share` is not between 0 and 1.
+        """
+        return answer(self.axes, self.within(share).values, share)
+
+    def ensemble(self, **labels: Any) -> Ensemble:
+        """Return the ensemble of one scenario.
+
+        Parameters
+        ----------
+        **labels : float or str
+            A value of each axis, by its name; of an axis with one value it may be left out.
+
+        Raises
+        ------
+        UnknownName
+            If there is no such axis.
+        InvalidArgument
+            If an axis is missing, a value is not one of its own, the scenarios are not known, or its records
+            are not there yet.
+        """
+        index = place_of(self.axes, labels)
+        if self.grid is None:
+            raise InvalidArgument(
+                f"the scenarios are not known, expected Sweep.open({str(self.path)!r}, scenarios) with those "
+                "that were given to sweep"
+            )
+        scenario = self.grid.scenarios[int(np.ravel_multi_index(index, self.grid.shape))]
+        data = self.dataset.isel(dict(zip(self.axes, index, strict=True)))
+        counts = np.array(data.counts)
+        if not counts.any():
+            raise InvalidArgument(
+                f"scenario {labels} has no records yet: start the same sweep again to go on"
+            )
+        return Ensemble(
+            scenario=scenario,
+            draws={name: np.array(data[f"drawn_{name}"]) for name in scenario.spread},
+            counts=counts,
+            traces={},
+            **{name: np.array(data[name]) for name in PER_ROBOT},
+        )
+
+    def __repr__(self) -> str:
+        return f"<Sweep: {self.answer()}>"
+
+    def __str__(self) -> str:
+        return f"{self.table()}\n{self.answer()}"

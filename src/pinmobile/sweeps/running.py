@@ -1,0 +1,109 @@
+"""`sweep`, the verb: ensembles along named axes, into a store that outlives any interruption."""
+
+from collections.abc import Callable, Mapping, Sequence
+from os import PathLike
+from typing import Any
+
+from pinmobile.arrays import location, whole
+from pinmobile.ensembles import Scenario
+from pinmobile.errors import InvalidArgument
+from pinmobile.sweeps.extras import imported
+from pinmobile.sweeps.grids import Grid, as_grid
+from pinmobile.sweeps.origin import determined_by
+from pinmobile.sweeps.result import Sweep
+from pinmobile.sweeps.store import Job, Store
+from pinmobile.sweeps.workers import checked_client, in_process, on_cluster
+
+__all__ = ["sweep"]
+
+_CHUNK = 16384
+
+Progress = Callable[[int, int], None]
+
+
+def sweep(
+    scenarios: Grid | Mapping[str, Scenario] | Sequence[Scenario],
+    store: str | PathLike[str],
+    *,
+    client: Any = None,
+    chunk: int | None = None,
+    progress: Progress | None = None,
+) -> Sweep:
+    """Run the ensembles of a grid, and keep their records in a Zarr store that xarray reads.
+
+    The work is divided into chunks of robots. This process alone writes the store; the numbers of a chunk are
+    the same bit for bit wherever it is computed. A sweep that was interrupted, even killed, goes on where it
+    was when it is started again with the same arguments, and ends with the very same store.
+
+    Parameters
+    ----------
+    scenarios : Grid, mapping of str to Scenario, or sequence of Scenario
+        What is run: a `grid`, or scenarios along one axis called ``scenario``. All have as many robots, and
+        their bands at the same times.
+    store : path
+        Folder of the store; made where it is missing, continued where it is that of this sweep.
+    client : distributed.Client, optional
+        The Dask cluster that computes; pinmobile must be installed there too. By default, this process does,
+        on all cores.
+    chunk : int, optional
+        Robots in a chunk; by default 16384, or what the store has.
+    progress : callable, optional
+        Called as ``progress(done, total)`` in robots, first with what the store has, then after each chunk.
+
+    Returns
+    -------
+    sweep : Sweep
+
+    Raises
+    ------
+    InvalidArgument
+        If an argument is not what is expected, draws are impossible, the store belongs to another sweep (the
+        message says what differs), a scenario holds what cannot be recognised the next time, or a package of
+        the extra is missing.
+    SchedulerError
+        If the cluster has no worker, or is lost; what is done is kept.
+    """
+    for package in ("zarr", "xarray", "numba"):
+        imported(package)
+    grid, path = as_grid(scenarios), location("store", store)
+    size = _CHUNK if chunk is None else whole("chunk", chunk)
+    if client is not None:
+        checked_client(client)
+    if progress is not None and not callable(progress):
+        raise InvalidArgument(f"progress is {progress!r}, expected a function of two whole numbers")
+    description = determined_by(grid)
+    if not path.exists():
+        _check_draws(grid)
+    with Store(path, grid, description, size) as opened:
+        if chunk is not None and opened.chunk != size:
+            raise InvalidArgument(f"chunk is {size}, expected {opened.chunk} as in the store, or None")
+        waiting = opened.waiting()
+        done, total = len(grid) * grid.n - sum(map(_robots, waiting)), len(grid) * grid.n
+        if progress is not None:
+            progress(done, total)
+        for job, draws, part in _results(grid, waiting, client):
+            opened.record(job, draws, part)
+            done += _robots(job)
+            if progress is not None:
+                progress(done, total)
+        opened.finish()
+    return Sweep.open(path, grid)
+
+
+def _check_draws(grid: Grid) -> None:
+    """Refuse impossible draws before any work, with the share of all robots."""
+    for k, scenario in enumerate(grid.scenarios):
+        try:
+            scenario.draws()
+        except InvalidArgument as error:
+            raise InvalidArgument(f"{error} (at {grid.place(k)})") from error
+
+
+def _results(grid: Grid, jobs: Sequence[Job], client: Any) -> Any:
+    if not jobs:
+        return ()
+    return in_process(grid, jobs) if client is None else on_cluster(grid, jobs, client)
+
+
+def _robots(job: Job) -> int:
+    return job.stop - job.start

@@ -1,0 +1,202 @@
+"""The store of a sweep on disk: made at once, filled chunk by chunk, continued after any death.
+
+One process writes. What is done stands in the folder ``.progress`` inside the store: for each chunk a file
+with its counts, put there by a rename once the chunk's other numbers are written. A chunk without that file
+is computed and written again, to the same bytes. When all are there, the folder goes, and with it every trace
+of how the store came to be.
+"""
+
+import fcntl
+import json
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+
+from pinmobile.arrays import Array
+from pinmobile.ensembles import Ensemble, Part
+from pinmobile.ensembles.histogram import quantiles
+from pinmobile.errors import InvalidArgument
+from pinmobile.sweeps.extras import imported
+from pinmobile.sweeps.grids import Grid
+from pinmobile.sweeps.layout import LEVELS, PER_ROBOT, make_arrays
+from pinmobile.sweeps.origin import differences
+
+__all__ = ["Job", "Store", "attributes_of"]
+
+_PROGRESS, _GOING = ".progress", ".progress-done"
+
+
+class Job(NamedTuple):
+    """A chunk: some robots of one scenario.
+
+    Attributes
+    ----------
+    scenario : int
+        Which scenario of the grid.
+    start, stop : int
+        The robots from `start` to before `stop`.
+    """
+
+    scenario: int
+    start: int
+    stop: int
+
+
+class Store:
+    """The store of one sweep, for one process to write.
+
+    Parameters
+    ----------
+    path : Path
+        Its folder; made where it is missing.
+    grid : Grid
+        The scenarios.
+    description : mapping
+        All that determines the numbers.
+    chunk : int
+        Robots in a chunk of a store that is made; one that is there keeps its own.
+
+    Raises
+    ------
+    InvalidArgument
+        If the folder is something else, belongs to another sweep, or is being written by another process.
+    """
+
+    def __init__(self, path: Path, grid: Grid, description: Mapping[str, Any], chunk: int) -> None:
+        self.path, self.grid = path, grid
+        try:
+            if not (path.exists() and any(path.iterdir())):
+                _make(path, grid, description, chunk)
+        except OSError as error:
+            raise InvalidArgument(
+                f"store is {str(path)!r}, which cannot be made: {error.strerror}"
+            ) from error
+        there = attributes_of(path)
+        found = differences(there["determined_by"], description)
+        if found:
+            raise InvalidArgument(f"store is {str(path)!r}, which belongs to another sweep: {found}")
+        self.chunk: int = there["chunk"]
+        self._lock = _locked(path)
+        self._clean()
+        group = imported("zarr").open_group(path, mode="r+")
+        self._arrays: dict[str, Any] = {name: group[name] for name in there["arrays"]}
+
+    def __enter__(self) -> "Store":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._lock is not None:
+            self._lock.close()
+
+    @property
+    def complete(self) -> bool:
+        """Whether everything is there."""
+        return not (self.path / _PROGRESS).exists()
+
+    def jobs(self) -> list[Job]:
+        """Return all chunks, done or not, in the order of the scenarios."""
+        n, each = self.grid.n, self.chunk
+        return [
+            Job(k, start, min(start + each, n)) for k in range(len(self.grid)) for start in range(0, n, each)
+        ]
+
+    def waiting(self) -> list[Job]:
+        """Return the chunks that are not done."""
+        return [] if self.complete else [job for job in self.jobs() if not self._marker(job).exists()]
+
+    def record(self, job: Job, draws: Mapping[str, Array], part: Part) -> None:
+        """Write the numbers of a chunk, and then that it is done."""
+        where = (*self.grid.index(job.scenario), slice(job.start, job.stop))
+        # Of a chunk as of a whole ensemble: what diverged, and when.
+        records = Ensemble.of(self.grid.scenarios[job.scenario], draws, part)
+        for name in PER_ROBOT:
+            self._arrays[name][where] = getattr(records, name)
+        for name, values in draws.items():
+            self._arrays[f"drawn_{name}"][where] = values
+        marker = self._marker(job)
+        unfinished = marker.with_suffix(".new")
+        with unfinished.open("wb") as file:
+            np.savez_compressed(file, counts=part.counts)
+        unfinished.replace(marker)
+
+    def finish(self) -> None:
+        """Write what is over all chunks of a scenario, and remove the traces of the way there."""
+        if self.complete:
+            return
+        counts: dict[int, Any] = {}
+        for job in self.jobs():
+            with np.load(self._marker(job)) as file:
+                counts[job.scenario] = file["counts"] + counts.get(job.scenario, 0)
+            if job.stop == self.grid.n:
+                self._sum_up(job.scenario, counts.pop(job.scenario))
+        (self.path / _PROGRESS).rename(self.path / _GOING)
+        shutil.rmtree(self.path / _GOING)
+
+    def _sum_up(self, scenario: int, counts: Any) -> None:
+        where = self.grid.index(scenario)
+        self._arrays["counts"][where] = counts
+        found = quantiles(counts.astype(np.int64), np.array(LEVELS))
+        self._arrays["distance_quantile"][where] = found[..., 0]
+        self._arrays["heading_quantile"][where] = found[..., 1]
+
+    def _marker(self, job: Job) -> Path:
+        return self.path / _PROGRESS / f"{job.scenario}-{job.start}.npz"
+
+    def _clean(self) -> None:
+        """Remove what a process left that was killed while it wrote a file."""
+        for left in (*self.path.rglob("*.partial"), *self.path.glob(f"{_PROGRESS}/*.new")):
+            left.unlink(missing_ok=True)
+        shutil.rmtree(self.path / _GOING, ignore_errors=True)
+
+
+def attributes_of(path: Path) -> dict[str, Any]:
+    """Return what a store says of itself.
+
+    Raises
+    ------
+    InvalidArgument
+        If there is no store of a sweep.
+    """
+    try:
+        metadata = json.loads((path / "zarr.json").read_text(encoding="utf-8"))
+        found: dict[str, Any] = {
+            **metadata["attributes"]["pinmobile_sweep"],
+            "arrays": list(metadata["consolidated_metadata"]["metadata"]),
+        }
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InvalidArgument(f"store is {str(path)!r}, which is not the store of a sweep") from error
+    return found
+
+
+def _make(path: Path, grid: Grid, description: Mapping[str, Any], chunk: int) -> None:
+    """Make the empty store beside its place, and put it there whole."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    made = path.parent / f".{path.name}.new"
+    shutil.rmtree(made, ignore_errors=True)
+    attributes = {
+        "Conventions": "units and long_name of each variable; robot i of a scenario is row i",
+        "pinmobile_sweep": {"chunk": chunk, "determined_by": description},
+    }
+    make_arrays(made, grid, chunk, attributes)
+    (made / _PROGRESS).mkdir()
+    made.rename(path)
+
+
+def _locked(path: Path) -> IO[bytes] | None:
+    """Return a file that only one process can hold; the system lets go of it when that process dies."""
+    folder = path / _PROGRESS
+    if not folder.exists():
+        return None
+    file = (folder / "lock").open("wb")
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        file.close()
+        raise InvalidArgument(f"store is {str(path)!r}, which another process is writing") from error
+    return file

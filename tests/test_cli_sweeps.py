@@ -1,0 +1,132 @@
+"""The commands ensemble and sweep, as a person types them."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from matplotlib.figure import Figure
+
+from pinmobile import Sweep, plots
+from pinmobile.cli.scenario_file import EXAMPLE
+from tests.test_cli import typed
+
+SMALL = EXAMPLE.replace("n = 10000", "n = 40").replace("radius = 3", "radius = 3\nduration = 6")
+
+
+def test_ensemble_compares_both_controllers(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    words = "ensemble --n 40 --duration 6 --spread mass=percent:20 --spread model_mass=same:mass,1.1"
+    code, out, _ = typed(capsys, *words.split(), "--out", str(tmp_path))
+    assert code == 0
+    assert "with mass=percent:20 and model_mass=same:mass,1.1, PD stays within " in out
+    assert "mm in 99 % of runs, computed torque within " in out
+    assert f"open {tmp_path / 'index.html'}" in out
+    assert "computed torque" in (tmp_path / "index.html").read_text()
+
+
+def test_ensemble_of_one_controller(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    words = "ensemble --n 40 --duration 6 --controller pd --kp 100 --kd 90 --spread start_x=normal:0,0.01"
+    code, out, _ = typed(capsys, *words.split(), "--spread", "mass=12", "--out", str(tmp_path))
+    assert code == 0
+    assert "PD stays within" in out
+    assert "computed torque" not in out
+
+
+def test_sweep_runs_the_example_of_its_help(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "mass.toml").write_text(SMALL)
+    code, out, _ = typed(capsys, "sweep", str(tmp_path / "mass.toml"), "--out", str(tmp_path / "out"))
+    assert code == 0
+    assert "spread.mass.percent [%]" in out
+    assert "%, pd stays within " in out
+    assert "in 99 % of runs, computed-torque within " in out
+    found = Sweep.open(tmp_path / "out" / "sweep.zarr")
+    assert dict(found.dataset.sizes)["spread.mass.percent"] == 3
+    assert typed(capsys, "sweep", str(tmp_path / "mass.toml"), "--out", str(tmp_path / "out"))[:2] == (0, out)
+    _, shown, _ = typed(capsys, "sweep", "--help")
+    assert all(line.split("#")[0].strip() in shown for line in EXAMPLE.splitlines())
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        ("radius = 3", "radus = 3", "mass.toml:6: unknown key 'radus' in [trajectory], available: radius, "),
+        ("[loop]", "[lop]", "mass.toml:9: unknown table [lop], available: loop, "),
+        ("radius = 3", "radius 3", "mass.toml:6: Expected '=' after a key in a key/value pair"),
+        ("radius = 3", "radius = -3", "mass.toml:6: radius is -3.0 m, expected > 0 (at "),
+        (
+            "start_x",
+            "start_z",
+            "mass.toml:12: unknown key 'start_z' in [spread], available: start_y, ",
+        ),
+        ("normal =", "norml =", "unknown form in the spread of start_x 'norml', available: normal, "),
+        (
+            "spread.mass",
+            "spread.mas",
+            "mass.toml:17: unknown key 'mas' of [spread] in [grid], available: mass",
+        ),
+        ('"circle"', '"circel"', "unknown trajectory 'circel', available: circle, "),
+        ("[5, 10, 20]", "5", "mass.toml:17: spread.mass.percent is 5, expected a list of values"),
+        ("[5, 10, 20]", "[5, 200]", "draws (2"),
+        ("n = 40", "n = -1", "mass.toml:15: n is -1, expected a whole number >= 1"),
+    ],
+)
+def test_a_typo_in_a_scenario_file_is_answered_with_its_line(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, old: str, new: str, text: str
+) -> None:
+    (tmp_path / "mass.toml").write_text(SMALL.replace(old, new))
+    code, _, err = typed(capsys, "sweep", str(tmp_path / "mass.toml"), "--out", str(tmp_path / "out"))
+    assert code == 2
+    assert text in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        ("sweep missing.toml", "FILE is 'missing.toml', which cannot be read"),
+        ("ensemble --spread mass", "--spread is 'mass', expected NAME=FORM with the form uniform:LOW,HIGH"),
+        ("ensemble --spread mas=1", "unknown parameter in spread 'mas', available: mass"),
+        (
+            "ensemble --spread mass=unifrm:1,2",
+            "unknown form in the spread of mass 'unifrm', available: uniform",
+        ),
+        ("ensemble --spread mass=uniform:1", "spread of mass is uniform of 1.0, expected two numbers"),
+        (
+            "ensemble --spread com_x=percent:5",
+            "spread of com_x is 5 percent of 0, expected uniform or normal",
+        ),
+        ("ensemble --spread mass=normal:1,5", "draws ("),
+        ("ensemble --kp 4", "--kp does not apply to both controllers, expected --controller"),
+        ("ensemble --gif", "--gif does not apply to ensemble"),
+        ("ensemble --n -1", "n is -1, expected a whole number >= 1"),
+        ("ensemble --radios 1", "No such option"),
+    ],
+)
+def test_wrong_options_are_answered_in_one_line(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, words: str, text: str
+) -> None:
+    code, _, err = typed(capsys, *words.split(), "--out", str(tmp_path))
+    assert code == 2
+    assert text in err
+    assert err.count("\n") == 1
+
+
+def test_two_swept_numbers_are_drawn_as_maps_one_for_each_controller(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Any] = []
+
+    def heatmap(values: Any, *, x: Any, y: Any, label: str) -> Figure:
+        drawn.append((values.shape, x[:2], list(x[2]), y[:2], list(y[2]), label))
+        return Figure()
+
+    monkeypatch.setattr(plots, "heatmap", heatmap, raising=False)
+    file = tmp_path / "two.toml"
+    file.write_text(SMALL + '"trajectory.rate" = [0.05, 0.1]\n')
+    code, _, _ = typed(capsys, "sweep", str(file), "--out", str(tmp_path))
+    assert code == 0
+    axes = ("trajectory.rate", "rad/s"), [0.05, 0.1], ("spread.mass.percent", "%"), [5, 10, 20]
+    assert [one[:-1] for one in drawn] == [((3, 2), *axes)] * 2
+    assert [one[-1] for one in drawn] == [
+        f"{name}: 99 % stay within [m]" for name in ("pd", "computed-torque")
+    ]
+    assert (tmp_path / "index.html").read_text().count("<img") == 2

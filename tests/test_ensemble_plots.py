@@ -1,0 +1,325 @@
+"""Figures of ensembles: what is drawn is what came of the robots, and it is said in words."""
+
+import sys
+from collections.abc import Callable
+from itertools import combinations
+from typing import Any
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from pinmobile import (
+    PD,
+    Circle,
+    ComputedTorque,
+    Ensemble,
+    InvalidArgument,
+    MobileRobot,
+    Normal,
+    Same,
+    Tangent,
+    Uniform,
+    ensemble,
+    plots,
+)
+from pinmobile.ensembles import ARRAYS
+from pinmobile.plots.causes import causes, worst_share
+from pinmobile.plots.style import percent
+
+ROBOT = MobileRobot(30, 1.3)
+TRUE = ComputedTorque(ROBOT)
+SPREAD: dict[str, Any] = {
+    "mass": Uniform(24, 36),
+    "force_x": Normal(0, 0.04),
+    "com_x": Uniform(-0.05, 0.05),
+}
+
+
+def run(controller: Any, spread: dict[str, Any], n: int = 300, duration: float = 20.0) -> Ensemble:
+    circle = Tangent(Circle(3, 0.1, duration))
+    return ensemble(ROBOT, controller, circle, n=n, spread=spread, dt=0.1, engine=ARRAYS)
+
+
+@pytest.fixture(scope="module")
+def pair() -> dict[str, Ensemble]:
+    return {"PD": run(PD([120, 120, 5.2], [120, 120, 5.2]), SPREAD), "computed torque": run(TRUE, SPREAD)}
+
+
+@pytest.fixture(scope="module")
+def diverging() -> Ensemble:
+    """Of these, the lightest fifth and some more diverge: the model is more than five times too heavy."""
+    return run(TRUE, {"mass": Uniform(4, 12), "force_x": Normal(0, 0.02)})
+
+
+def rows(figure: Figure, columns: int) -> list[list[Axes]]:
+    return [figure.axes[:columns], figure.axes[columns : 2 * columns]]
+
+
+def texts(figure: Figure) -> list[str]:
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+
+def drawn(figure: Figure) -> Any:
+    canvas: Any = FigureCanvasAgg(figure)
+    canvas.draw()
+    return canvas.get_renderer()
+
+
+class TestBands:
+    def test_lines_are_the_quantiles_and_bands_lie_between_them(self, pair: dict[str, Ensemble]) -> None:
+        levels = (0.5, 0.9, 0.99)
+        for row, attribute in zip(rows(plots.bands(pair), 2), ("distance", "heading"), strict=True):
+            for axes, made in zip(row, pair.values(), strict=True):
+                bands = made.bands(levels)
+                quantiles = 1e3 * np.where(getattr(bands, attribute) < 2**-34, 0, getattr(bands, attribute))
+                for line, quantile in zip(axes.lines, quantiles, strict=True):
+                    np.testing.assert_array_equal(line.get_xdata(), bands.t)
+                    np.testing.assert_allclose(np.asarray(line.get_ydata()), quantile, rtol=1e-12)
+                filled = [c for c in axes.collections if isinstance(c, PolyCollection)]
+                for band, top in zip(filled, quantiles, strict=True):
+                    points = np.asarray(band.get_paths()[0].vertices)
+                    assert points[:, 1].max() == pytest.approx(top.max())
+
+    def test_controllers_share_their_axes(self, pair: dict[str, Ensemble]) -> None:
+        for row, unit in zip(rows(plots.bands(pair), 2), ("[mm]", "[mrad]"), strict=True):
+            assert row[0].get_ylim() == row[1].get_ylim()
+            assert row[0].get_ylabel().endswith(unit)
+            assert row[0].get_yscale() == "linear"
+            assert row[0].get_ylim()[0] == 0
+        assert [axes.get_xlabel() for axes in rows(plots.bands(pair), 2)[1]] == ["t [s]"] * 2
+
+    def test_errors_that_differ_by_orders_have_logarithmic_axes(self, pair: dict[str, Ensemble]) -> None:
+        exact = run(TRUE, {"mass": Uniform(24, 36), "model_mass": Same("mass")}, n=50)
+        distance, heading = (row[0] for row in rows(plots.bands({"PD": pair["PD"], "exact": exact}), 2))
+        assert distance.get_yscale() == "log"
+        medians = [made.bands(0.5).distance.max() * 1e3 for made in (pair["PD"], exact)]
+        assert distance.get_ylim()[0] < min(medians)
+        assert heading.get_yscale() == "linear"  # rounding is no order of magnitude
+        assert not np.asarray(heading.figure.axes[3].lines[0].get_ydata()).any()
+
+    def test_words_say_who_stays_within_what(self, pair: dict[str, Ensemble]) -> None:
+        top, low = rows(plots.bands(pair), 2)
+        assert top[0].get_title(loc="left") == "99 % stay within 9.2 mm throughout"
+        assert pair["PD"].within(0.99).distance == pytest.approx(9.2e-3, rel=0.01)
+        assert low[0].get_title(loc="left").startswith("99 % stay within ")
+        assert [note.get_text() for note in top[1].texts] == ["none of 300 diverged", "computed torque"]
+        assert texts(plots.bands(pair)) == ["50 %", "90 %", "99 % of 300 robots"]
+
+    def test_a_single_ensemble_and_other_levels(self, pair: dict[str, Ensemble]) -> None:
+        figure = plots.bands(pair["PD"], levels=(0.999, 0.25))
+        assert len(figure.axes) == 2
+        assert texts(figure) == ["25 %", "99.9 % of 300 robots"]
+        assert plots.bands(pair["PD"], title="Circle").texts[0].get_text() == "Circle"
+        one_level = plots.bands({"a": pair["PD"], "b": run(TRUE, SPREAD, n=10)}, levels=0.5)
+        assert texts(one_level) == ["50 % of the robots"]
+
+    def test_bands_of_diverged_robots_leave_at_the_top(self, diverging: Ensemble) -> None:
+        figure = plots.bands(diverging)
+        drawn(figure)
+        axes = figure.axes[0]
+        count = int(diverging.diverged.sum())
+        assert 0 < count < 150
+        assert axes.texts[0].get_text() == f"{count} of 300 diverged"
+        assert axes.get_title(loc="left") == "99 % stay within no bound"
+        median, _, outermost = (np.asarray(line.get_ydata()) for line in axes.lines)
+        assert median[-1] < axes.get_ylim()[1] < outermost[-1]
+        assert np.isinf(diverging.bands(0.99).distance[0, -1])
+
+    def test_bad_arguments(self, pair: dict[str, Ensemble]) -> None:
+        bands: Any = plots.bands
+        with pytest.raises(InvalidArgument, match=r"^ensembles is empty, expected at least one Ensemble$"):
+            bands({})
+        with pytest.raises(
+            InvalidArgument,
+            match=r"^ensembles is a list, expected an Ensemble or a mapping of labels to Ensembles$",
+        ):
+            bands([pair["PD"]])
+        with pytest.raises(InvalidArgument, match=r"^ensembles\['a'\] is a int, expected an Ensemble$"):
+            bands({"a": 3})
+        with pytest.raises(InvalidArgument, match=r"^levels is .*2.*, expected numbers from 0 to 1$"):
+            bands(pair, levels=(0.5, 2))
+        with pytest.raises(InvalidArgument, match=r"^levels is empty, expected at least one share"):
+            bands(pair, levels=())
+
+
+GAINS = ("gain", "1/s²", [1, 2.5, 4])
+SPEEDS = ("speed", "", ["slow", "fast"])
+VALUES = np.array([[1.0, 2.0, 3.0], [1.5, 40.0, np.inf]])
+
+
+class TestHeatmap:
+    def test_cells_are_the_values_the_first_at_the_left_and_at_the_bottom(self) -> None:
+        figure = plots.heatmap(VALUES, x=GAINS, y=SPEEDS, label="error [mm]")
+        axes, bar = figure.axes
+        image = axes.images[0]
+        shown: Any = image.get_array()
+        np.testing.assert_array_equal(shown.filled(np.inf), VALUES)
+        assert image.origin == "lower"
+        written = {tuple(map(int, text.get_position())): text.get_text() for text in axes.texts}
+        assert written == {(0, 0): "1.00", (1, 0): "2.00", (2, 0): "3.00",
+                           (0, 1): "1.50", (1, 1): "40.0", (2, 1): "diverges"}  # fmt: skip
+        assert [label.get_text() for label in axes.get_xticklabels()] == ["1", "2.5", "4"]
+        assert [label.get_text() for label in axes.get_yticklabels()] == ["slow", "fast"]
+        assert (axes.get_xlabel(), axes.get_ylabel()) == ("gain [1/s²]", "speed")
+        assert bar.get_ylabel() == "error [mm]"
+        assert figure.texts[0].get_text() == "error [mm] over gain and speed"
+
+    def test_what_diverges_is_hatched(self) -> None:
+        axes = plots.heatmap(VALUES, x=GAINS, y=SPEEDS, label="error [mm]").axes[0]
+        (cell,) = (patch for patch in axes.patches if isinstance(patch, Rectangle))
+        assert (cell.get_xy(), cell.get_hatch()) == ((1.5, 0.5), "////")
+
+    @pytest.mark.parametrize(("largest", "scale"), [(19.0, "linear"), (21.0, "log")])
+    def test_colours_are_logarithmic_over_orders(self, largest: float, scale: str) -> None:
+        figure = plots.heatmap([[1.0, largest, np.inf]], x=GAINS, y=("one", "", [1]), label="error [m]")
+        assert figure.axes[1].get_yscale() == scale
+
+    def test_numbers_can_be_read_on_their_colours(self) -> None:
+        axes = plots.heatmap([[0, 5, 10]], x=GAINS, y=("one", "", [1]), label="diverged").axes[0]
+        assert [text.get_text() for text in axes.texts] == ["0", "5", "10"]
+        assert [text.get_color() for text in axes.texts][::2] == ["white", "#222222"]
+
+    def test_all_may_diverge_and_all_may_be_alike(self) -> None:
+        for value, text in ((np.inf, "diverges"), (0.25, "0.250"), (12345.6, "12346"), (1.2e-7, "1.2e-07")):
+            figure = plots.heatmap(np.full((2, 3), value), x=GAINS, y=SPEEDS, label="error [m]", title="Same")
+            drawn(figure)
+            assert {one.get_text() for one in figure.axes[0].texts} == {text}
+
+    def test_numbers_are_left_out_where_there_is_no_room(self) -> None:
+        count = 60
+        grid = np.add.outer(np.arange(count), np.arange(count))
+        figure = plots.heatmap(
+            grid, x=("a", "", range(count)), y=("b", "m", np.linspace(0, 1, count)), label="sum"
+        )
+        assert not figure.axes[0].texts
+        assert figure.bbox.width < 1400
+
+    @pytest.mark.parametrize(
+        ("changes", "message"),
+        [
+            ({"values": VALUES.T}, r"^values has shape \(3, 2\), expected \(2, 3\): a row for each of y"),
+            ({"values": [["a"]]}, r"^values is \[\['a'\]\], expected real numbers$"),
+            ({"values": [[1, 2, 3], [1, np.nan, 3]]}, r"^values\[1, 1\] is nan, expected a number or infin"),
+            ({"x": "gain"}, r"^x is 'gain', expected \(name, unit, values\)$"),
+            ({"y": ("a", "m")}, r"^y is \('a', 'm'\), expected \(name, unit, values\)$"),
+            ({"y": ("a", "m", [])}, r"^y\[2\] has shape \(0,\), expected \(n,\) with n >= 1$"),
+        ],
+    )
+    def test_bad_arguments(self, changes: dict[str, Any], message: str) -> None:
+        options: dict[str, Any] = {"values": VALUES, "x": GAINS, "y": SPEEDS, "label": "error [mm]"} | changes
+        with pytest.raises(InvalidArgument, match=message):
+            plots.heatmap(**options)
+
+
+class TestDrivers:
+    def test_the_title_names_what_drives_the_worst(self, pair: dict[str, Ensemble]) -> None:
+        made = pair["computed torque"]
+        assert plots.drivers(made).texts[0].get_text() == "mass drives the worst 5 % most, then force_x"
+        title = plots.drivers(pair["PD"], share=0.2).texts[0].get_text()
+        assert title == "mass drives the worst 20 % most"
+        assert plots.drivers(made, title="Circle").texts[0].get_text() == "Circle"
+
+    def test_the_most_different_comes_first(self, pair: dict[str, Ensemble]) -> None:
+        *panels, scatter = plots.drivers(pair["computed torque"]).axes
+        assert [axes.get_xlabel() for axes in panels] == ["mass [kg]", "force_x [N]", "com_x [m]"]
+        assert scatter.get_xlabel() == "mass [kg]"
+        assert scatter.get_ylabel() == "largest distance from the desired position [mm]"
+        assert panels[2].get_title(loc="left") == "plays no part"
+
+    def test_words_say_where_the_worst_are(self, pair: dict[str, Ensemble]) -> None:
+        for label, outside in (("computed torque", True), ("PD", False)):
+            made = pair[label]
+            worst = worst_share(made, 0.1)
+            first = causes(made, worst)[0]
+            assert (first.name, first.outside, first.visible) == ("mass", outside, True)
+            bad, good = (first.holds(made.draws["mass"][chosen]).mean() for chosen in (worst, ~worst))
+            assert bad - good == pytest.approx(first.difference, abs=0.1)
+            shares = [percent(round(float(share), 2)) for share in (bad, good)]
+            title = plots.drivers(made, share=0.1).axes[0].get_title(loc="left")
+            assert title == f"{first.place}:\n{shares[0]} of the worst, {shares[1]} of the others"
+        assert first.place == f"above {first.low:.3g} kg"
+
+    def test_places_in_words(self, pair: dict[str, Ensemble]) -> None:
+        first = causes(pair["PD"], worst_share(pair["PD"], 0.1))[0]
+        for low, high, outside, place in (
+            (1.0, 2.0, False, "from 1 to 2 kg"),
+            (1.0, 2.0, True, "below 1 or above 2 kg"),
+            (-np.inf, 2.0, False, "below 2 kg"),
+        ):
+            assert first._replace(low=low, high=high, outside=outside).place == place
+        inside = first._replace(low=1.0, high=2.0, outside=False).holds(np.array([0.5, 1.5, 2.5]))
+        assert inside.tolist() == [False, True, False]
+
+    def test_the_dots_are_the_robots(self, pair: dict[str, Ensemble]) -> None:
+        made = pair["computed torque"]
+        scatter = plots.drivers(made, share=0.1).axes[-1]
+        dots = np.concatenate([np.asarray(line.get_xydata()) for line in scatter.lines])
+        expected = np.column_stack([made.draws["mass"], 1e3 * made.max_distance])
+        np.testing.assert_allclose(np.sort(dots, axis=0), np.sort(expected, axis=0), rtol=1e-12)
+        assert [len(np.asarray(line.get_xdata())) for line in scatter.lines] == [270, 0, 30, 0]
+
+    def test_diverged_robots_are_the_worst(self, diverging: Ensemble) -> None:
+        figure = plots.drivers(diverging, share=0.1)
+        drawn(figure)
+        assert figure.texts[0].get_text() == "mass drives the worst 10 % most"
+        assert figure.axes[0].get_title(loc="left").startswith("below ")
+        crosses = figure.axes[-1].lines[3]
+        assert (crosses.get_marker(), len(np.asarray(crosses.get_xdata()))) == ("x", 30)
+        assert np.asarray(crosses.get_xdata()).max() < 6
+        assert texts(figure)[-1] == "diverged"
+
+    def test_of_a_multiple_the_factor_counts(self) -> None:
+        spread = {"mass": Uniform(20, 40), "model_mass": Same("mass", Uniform(0.8, 1.2)), "com_x": 0.01}
+        made = run(TRUE, spread | {"model_yaw_inertia": Same("yaw_inertia", 1.1)})
+        figure = plots.drivers(made)
+        assert figure.texts[0].get_text() == "model_mass / mass drives the worst 5 % most"
+        assert [axes.get_xlabel() for axes in figure.axes[:-1]] == ["model_mass / mass", "mass [kg]"]
+
+    def test_nothing_may_drive_them(self, pair: dict[str, Ensemble]) -> None:
+        made = run(TRUE, {"yaw_inertia": Uniform(1, 2)}, n=100)
+        assert plots.drivers(made).texts[0].get_text() == "Nothing that was spread drives the worst 5 %"
+
+    def test_bad_arguments(self, pair: dict[str, Ensemble]) -> None:
+        drivers: Any = plots.drivers
+        with pytest.raises(InvalidArgument, match=r"^ensemble is a dict, expected an Ensemble$"):
+            drivers(pair)
+        for share in (0, 1, 1e-4, -0.5):
+            with pytest.raises(InvalidArgument, match=rf"^share is {float(share)}, -?\d+ of 300 robots; exp"):
+                drivers(pair["PD"], share=share)
+        with pytest.raises(InvalidArgument, match=r"^ensemble has robots that differ in no parameter"):
+            drivers(run(TRUE, {"mass": 31}, n=20))
+
+
+def figures(pair: dict[str, Ensemble]) -> list[Callable[[], Figure]]:
+    return [
+        lambda: plots.bands(pair),
+        lambda: plots.drivers(pair["computed torque"]),
+        lambda: plots.heatmap(VALUES, x=GAINS, y=SPEEDS, label="error [mm]"),
+    ]
+
+
+class TestFigures:
+    def test_nothing_overlaps(self, pair: dict[str, Ensemble]) -> None:
+        for draw in figures(pair):
+            figure = draw()
+            renderer = drawn(figure)
+            boxes = [one.get_tightbbox(renderer) for one in (*figure.texts, *figure.legends, *figure.axes)]
+            for one, other in combinations(boxes, 2):
+                assert one is not None
+                assert other is not None
+                assert not one.padded(-1.0).overlaps(other.padded(-1.0))
+            assert 400 < figure.bbox.width <= 1100
+
+    def test_pyplot_and_settings_are_left_alone(self, pair: dict[str, Ensemble]) -> None:
+        before, loaded = dict(matplotlib.rcParams), "matplotlib.pyplot" in sys.modules
+        for draw in figures(pair):
+            figure: Any = draw()
+            assert figure._repr_png_().startswith(b"\x89PNG")
+        assert dict(matplotlib.rcParams) == before
+        assert ("matplotlib.pyplot" in sys.modules) == loaded

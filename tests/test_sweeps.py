@@ -1,0 +1,268 @@
+"""Grids, the store and what it says, and a sweep that dies in this machine's own processes."""
+
+import json
+import math
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pinmobile
+from pinmobile import PD, Axis, InvalidArgument, Sweep, UnknownName, grid, law, sweep
+from pinmobile.arrays import Array
+from pinmobile.ensembles import run_scenario
+from pinmobile.sweeps import length
+from pinmobile.sweeps.origin import determined_by
+from pinmobile.sweeps.store import Store
+from tests.sweeping import CHUNK, contents, gains_and_errors, scenario
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Sweep:
+    return sweep(gains_and_errors(), tmp_path_factory.mktemp("sweep") / "store", chunk=CHUNK)
+
+
+def test_the_store_has_named_dimensions_and_units(done: Sweep) -> None:
+    xarray = pytest.importorskip("xarray")
+    data = xarray.open_zarr(done.path)
+    assert dict(data.sizes) == {
+        **{"gain": 2, "error": 2, "robot": 200, "coordinate": 3},
+        **{"time": 61, "channel": 2, "bin": 1410, "level": 3},
+    }
+    assert data.max_error.dims == ("gain", "error", "robot", "coordinate")
+    assert data.gain.attrs["units"] == "1/s^2"
+    assert data.drawn_mass.attrs["units"] == "kg"
+    assert list(data.coordinate.values) == ["x", "y", "psi"]
+    assert all({"units", "long_name"} <= set(variable.attrs) for variable in data.variables.values())
+    assert (data.counts.sum("bin") == 200).all()
+
+
+def test_a_sweep_holds_the_ensembles_bit_for_bit(done: Sweep) -> None:
+    mine, alone = done.ensemble(gain=16, error=0.2), run_scenario(scenario(16, 0.2))
+    for name in ("max_error", "rms_error", "max_distance", "max_force", "diverged_at", "counts"):
+        np.testing.assert_array_equal(getattr(mine, name), getattr(alone, name))
+    for name, values in alone.draws.items():
+        np.testing.assert_array_equal(mine.draws[name], values)
+    for quantile, channel in (("distance_quantile", "distance"), ("heading_quantile", "heading")):
+        there = done.dataset[quantile].sel(gain=16, error=0.2).values
+        np.testing.assert_array_equal(there, getattr(alone.bands(), channel))
+    assert float(done.within(0.9).sel(gain=16, error=0.2)) == alone.within(0.9).distance
+
+
+def test_a_diverged_robot_is_within_nothing(tmp_path: Path) -> None:
+    wild = replace(scenario(), controller=PD(-3000, 0), limit=0.5)
+    found = sweep({"tame": scenario(), "wild": wild}, tmp_path / "store")
+    assert np.isinf(found.within().sel(scenario="wild"))
+    assert np.isfinite(found.within().sel(scenario="tame"))
+    assert found.answer().startswith("tame stays within ")
+    assert found.answer().endswith("in 99 % of runs, wild within unbounded")
+    assert np.isnan(found.ensemble(scenario="tame").diverged_at).all()
+    np.testing.assert_array_equal(found.ensemble(scenario="wild").diverged_at, run_scenario(wild).diverged_at)
+
+
+def test_a_sweep_says_who_stays_within_what(done: Sweep) -> None:
+    rows = str(done).splitlines()
+    assert rows[0].split() == ["gain", "[1/s^2]", "error", "99", "%", "within", "diverged"]
+    assert len(rows) == 6
+    assert rows[-1] == done.answer()
+    assert rows[-1].startswith("with gain = ")
+    lengths = [length(x) for x in (2.5, 0.012, 3e-5, 1e-9, math.inf)]
+    assert lengths == [
+        "2.5 m",
+        "12 mm",
+        "30 um",
+        "1 nm",
+        "unbounded",
+    ]
+
+
+def test_a_chunk_is_another_division_of_the_same_numbers(done: Sweep, tmp_path: Path) -> None:
+    other = sweep(gains_and_errors(), tmp_path / "store")
+    for name, values in done.dataset.data_vars.items():
+        np.testing.assert_array_equal(other.dataset[name].values, values.values)
+
+
+@pytest.mark.parametrize("robots", [0, 264, 800])
+def test_a_killed_sweep_goes_on_and_ends_with_the_same_store(
+    done: Sweep, tmp_path: Path, robots: int
+) -> None:
+    store = tmp_path / "store"
+    words = [sys.executable, "-m", "tests.sweeping", str(store), str(robots)]
+    killed = subprocess.run(words, cwd=ROOT, check=False, timeout=100)
+    assert killed.returncode == -signal.SIGKILL
+    assert contents(store) != contents(done.path)
+    # What a process leaves that dies while it writes a file.
+    (store / "max_error" / "0.123.partial").write_bytes(b"half")
+    (store / ".progress" / "3-128.new").write_bytes(b"half")
+    heard: list[int] = []
+    sweep(gains_and_errors(), store, progress=lambda now, total: heard.append(now))
+    assert heard[0] == robots
+    assert heard[-1] == 800
+    assert contents(store) == contents(done.path)
+
+
+def test_a_sweep_that_is_done_is_not_done_again(done: Sweep) -> None:
+    before, heard = contents(done.path), []
+    sweep(gains_and_errors(), done.path, progress=lambda *now: heard.append(now))
+    assert heard == [(800, 800)]
+    assert contents(done.path) == before
+
+
+def test_a_sweep_killed_while_it_tidies_up_is_done(done: Sweep, tmp_path: Path) -> None:
+    found = sweep(gains_and_errors(), tmp_path / "store", chunk=CHUNK)
+    (found.path / ".progress-done").mkdir()
+    (found.path / ".progress-done" / "0-0.npz").write_bytes(b"")
+    sweep(gains_and_errors(), found.path)
+    assert contents(found.path) == contents(done.path)
+
+
+def test_what_determines_the_numbers_is_told_the_same_way_in_every_process(done: Sweep) -> None:
+    code = (
+        "from tests.sweeping import *; from pinmobile.sweeps.origin import determined_by as d; import json; "
+    )
+    code += "print(json.dumps(d(gains_and_errors())))"
+    words = [sys.executable, "-c", code]
+    other = subprocess.run(words, cwd=ROOT, check=True, capture_output=True, text=True, timeout=100).stdout
+    assert json.loads(other) == json.loads(json.dumps(determined_by(gains_and_errors())))
+
+
+@pytest.mark.parametrize(
+    ("scenarios", "text"),
+    [
+        (
+            lambda: grid(scenario, gain=Axis([4, 25], "1/s^2"), error=[0, 0.2]),
+            r"axes.gain.values is \[4, 16\] there",
+        ),
+        (lambda: _grid(n=100), "n is 200 there and 100 here"),
+        (lambda: _grid(seed=2), "seed is 1 there and 2 here"),
+        (lambda: _grid(dt=0.05, every=2), "dt is 0.1 there and 0.05 here"),
+    ],
+)
+def test_a_store_of_another_sweep_is_refused(done: Sweep, scenarios: Callable[[], Any], text: str) -> None:
+    with pytest.raises(InvalidArgument, match=f"which belongs to another sweep: .*{text}"):
+        sweep(scenarios(), done.path)
+    with pytest.raises(InvalidArgument, match="scenarios are not those of"):
+        Sweep.open(done.path, scenarios())
+
+
+def _grid(**changed: Any) -> Any:
+    def make(gain: float, error: float) -> Any:
+        return replace(scenario(gain, error), **changed)
+
+    return grid(make, gain=Axis([4, 16], "1/s^2"), error=[0, 0.2])
+
+
+FACTOR = 3.0
+
+
+def _untyped(value: Any) -> Any:
+    return value
+
+
+def _push(t: float, q: Array, v: Array, reference: Any) -> Array:
+    tau: Array = FACTOR * (reference.q - q)
+    return tau
+
+
+def test_a_users_function_is_known_by_its_source_and_what_it_reads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pushed = replace(scenario(n=3), controller=law(_push))
+    store = tmp_path / "store"
+    sweep([pushed], store)
+    sweep([pushed], store)
+    monkeypatch.setattr("tests.test_sweeps.FACTOR", 4.0)
+    with pytest.raises(InvalidArgument, match=r"reads\._push\.FACTOR is 3 there and 4 here"):
+        sweep([pushed], store)
+    with pytest.raises(InvalidArgument, match=r"another sweep: controller\.function\.source is "):
+        sweep([replace(pushed, controller=law(lambda t, q, v, r: 0 * q))], store)
+    typed: dict[str, Any] = {}
+    exec("def f(t, q, v, reference): return 0 * q", typed)
+    with pytest.raises(InvalidArgument, match=r"controller\.function is f, whose source cannot be read"):
+        sweep([replace(pushed, controller=law(typed["f"]))], store)
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (lambda p: sweep([], p), "values is empty, expected at least one"),
+        (lambda p: sweep([_untyped(3)], p), "scenarios has a int, expected Scenarios"),
+        (
+            lambda p: sweep([scenario(), scenario(n=5)], p),
+            "n is 200 at scenario = 0 and 5 at scenario = 1, expected",
+        ),
+        (
+            lambda p: sweep([scenario(), replace(scenario(), duration=3.0)], p),
+            "times of the bands differ between",
+        ),
+        (lambda p: sweep([scenario()], p, chunk=0), "chunk is 0, expected a whole number >= 1"),
+        (lambda p: sweep([scenario()], p, client="tcp://"), "client is a str, expected a distributed.Client"),
+        (lambda p: sweep([scenario()], p, progress=_untyped(3)), "progress is 3, expected a function"),
+        (lambda p: sweep([scenario(error=2)], p), r"draws \(\d.*%\) are impossible; .* \(at scenario = 0\)"),
+        (lambda p: grid(scenario), "axes are none, expected at least one"),
+        (lambda p: grid(_untyped(3), gain=[4]), "make is 3, expected a function that returns a Scenario"),
+        (lambda p: grid(lambda gain: gain, gain=[4]), "make returned a int, expected a Scenario"),
+        (lambda p: grid(scenario, gain=4), "gain: values is 4, expected a sequence"),
+        (lambda p: grid(scenario, gain=[4, 4]), r"gain: values is \[4, 4\], expected each one once"),
+        (lambda p: grid(scenario, gain=[4, "x"]), "expected all numbers or all text"),
+        (lambda p: grid(scenario, gain=[math.nan]), r"gain: values\[0\] is nan, expected a finite number"),
+        (lambda p: grid(lambda robot: scenario(), robot=[4]), "axis is called 'robot', expected letters"),
+        (lambda p: grid(scenario, n=[4, 0]), r"n is 0, expected a whole number >= 1 \(at n = 0\)"),
+        (lambda p: Sweep.open(p), "which is not the store of a sweep"),
+    ],
+)
+def test_wrong_arguments(tmp_path: Path, call: Callable[[Path], Any], text: str) -> None:
+    with pytest.raises(InvalidArgument, match=text):
+        call(tmp_path / "store")
+    assert not (tmp_path / "store").exists()
+
+
+def test_wrong_stores_and_labels(done: Sweep, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "mine").write_text("")
+    with pytest.raises(InvalidArgument, match="which cannot be made: File exists"):
+        sweep(gains_and_errors(), tmp_path / "file" / "store")
+    with pytest.raises(InvalidArgument, match="which is not the store of a sweep"):
+        sweep(gains_and_errors(), tmp_path / "folder")
+    with pytest.raises(InvalidArgument, match="chunk is 100, expected 64 as in the store, or None"):
+        sweep(gains_and_errors(), done.path, chunk=100)
+    with pytest.raises(UnknownName, match="unknown axis 'gains', available: gain, error"):
+        done.ensemble(gains=4)
+    with pytest.raises(InvalidArgument, match=r"error is missing, expected one of 0, 0\.2"):
+        done.ensemble(gain=4)
+    with pytest.raises(InvalidArgument, match="gain is 5, expected one of 4, 16"):
+        done.ensemble(gain=5, error=0)
+    with pytest.raises(InvalidArgument, match=r"the scenarios are not known, expected Sweep\.open"):
+        Sweep.open(done.path).ensemble(gain=4, error=0)
+    with pytest.raises(InvalidArgument, match="expected numbers from 0 to 1"):
+        done.within(2)
+
+
+def test_a_store_is_written_by_one_process_at_a_time_and_read_meanwhile(tmp_path: Path) -> None:
+    run = gains_and_errors()
+    with Store(tmp_path / "store", run, determined_by(run), CHUNK):
+        with pytest.raises(InvalidArgument, match="which another process is writing"):
+            sweep(run, tmp_path / "store")
+        early = Sweep.open(tmp_path / "store", run)
+        assert np.isnan(early.within()).all()
+        assert "unknown" in str(early)
+        with pytest.raises(InvalidArgument, match="has no records yet: start the same sweep again"):
+            early.ensemble(gain=4, error=0)
+
+
+@pytest.mark.parametrize("name", ["zarr", "xarray", "numba"])
+def test_a_missing_package_names_the_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(InvalidArgument, match=rf"needs {name}: .*pip install 'pinmobile\[sweeps\]'"):
+        pinmobile.sweep([scenario()], tmp_path / "store")

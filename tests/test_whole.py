@@ -1,0 +1,444 @@
+"""A base and its arms under way together: references, and what three controllers make of them."""
+
+import pickle
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pinmobile import (
+    PD,
+    Circle,
+    ComputedTorque,
+    CubicVia,
+    Decoupled,
+    FixedHeading,
+    Hold,
+    InvalidArgument,
+    Lissajous,
+    Load,
+    MobileRobot,
+    PDGravity,
+    Reference,
+    RestToRest,
+    Saturated,
+    Spline,
+    Tangent,
+    WholeBody,
+    constant_acceleration,
+    rk4,
+    simulate,
+)
+from pinmobile.arrays import Array, ArrayLike
+from pinmobile.controllers import planar_difference
+
+AT = (0.1, -0.05, 0.2, 0.4)
+BARE = MobileRobot.box()
+UR5 = BARE.mount("ur5", AT)
+KINOVA = BARE.mount("kinova", AT)  # three of its joints are (cos, sin)
+TWO = BARE.mount("panda", AT).mount("kinova", (-0.1, 0, 0.2, 0)).attach(Load(1.5, (0, 0, 0.1)))
+ROBOTS = pytest.mark.parametrize("robot", [UR5, KINOVA, TWO], ids=["ur5", "kinova", "two arms and a load"])
+CIRCLE = Tangent(Circle(1, 0.5, 6))
+
+
+def rest_of(robot: MobileRobot) -> Array:
+    """Return the coordinates of the joints at rest."""
+    return robot.difference(robot.neutral, robot.rest)[3:]
+
+
+def inward(robot: MobileRobot, way: float) -> list[tuple[Array, Array]]:
+    """Return for each arm the coordinates at rest, and those that far from them, away from limits."""
+    ends = []
+    for mount in robot.mounts:
+        start, model = rest_of(robot)[mount.v.start - 3 : mount.v.stop - 3], mount.model
+        room = np.full(len(start), np.inf)
+        for j in range(1, model.njoints):
+            if model.nqs[j] == 1:
+                room[model.idx_vs[j]] = robot.upper[mount.q][model.idx_qs[j]] - start[model.idx_vs[j]]
+        ends.append((start, start + np.where(way < room, way, -way)))
+    return ends
+
+
+def there_and_back(robot: MobileRobot, way: float = 0.5, duration: float = 6.0) -> WholeBody:
+    """Return the circle, beside it every joint through `way` and back."""
+    paths = [CubicVia(start, via, start, duration / 2, duration) for start, via in inward(robot, way)]
+    return WholeBody(robot, Tangent(Circle(1, 0.5, duration)), *paths)
+
+
+def gains(robot: MobileRobot) -> Array:
+    """Return the moments of inertia at rest: as gains of a force they are 1/s^2 of the motion."""
+    return np.diag(robot.mass_matrix(robot.rest)).copy()
+
+
+# -- references ------------------------------------------------------------------------------------
+
+
+def test_the_reference_is_the_bases_beside_the_paths() -> None:
+    path = RestToRest(np.zeros(6), np.linspace(-1, 1, 6), 6)
+    trajectory, t = WholeBody(UR5, CIRCLE, path), np.linspace(0, 6, 12).reshape(3, 4)
+    assert trajectory.duration == 6.0
+    got = trajectory(t)
+    for k, part in enumerate(got):
+        assert part.shape == (3, 4, 9)
+        np.testing.assert_array_equal(part[..., :3], CIRCLE(t)[k])
+        np.testing.assert_array_equal(part[..., 3:], path.derivative(t, k))
+    for part, one in zip(got, trajectory(t[1, 2]), strict=True):
+        np.testing.assert_array_equal(one, part[1, 2])
+
+
+@ROBOTS
+def test_velocity_and_acceleration_are_those_of_the_configuration(robot: MobileRobot) -> None:
+    paths = [Spline([start, via, start], (0, 2.5, 6)) for start, via in inward(robot, 0.03)]
+    trajectory, h = WholeBody(robot, CIRCLE, *paths), 1e-4
+    t = np.linspace(0.1, 5.9, 31)  # between the knots
+    before, now, after = (trajectory(t + s * h) for s in (-1, 0, 1))
+    assert now.q.shape == (31, robot.nq)
+    rate = robot.difference(before.q, after.q) / (2 * h)
+    # h^2 / 6 of a third derivative below 1, and eps / h of some units.
+    np.testing.assert_allclose(rate, now.v, atol=1e-8)
+    np.testing.assert_allclose((after.v - before.v) / (2 * h), now.a, atol=1e-8)
+
+
+def test_a_joint_without_limits_goes_round_and_round() -> None:
+    many = np.zeros(6)
+    many[0] = 20.0
+    start = rest_of(KINOVA)[:6]
+    trajectory = WholeBody(KINOVA, CIRCLE, RestToRest(start[: KINOVA.nv - 3], start + many[: len(start)], 6))
+    t = np.linspace(0, 6, 7)
+    angle = start[0] + 20 * (10 * (t / 6) ** 3 - 15 * (t / 6) ** 4 + 6 * (t / 6) ** 5)
+    np.testing.assert_allclose(trajectory(t).q[:, 3], np.cos(angle), atol=1e-13)
+    np.testing.assert_allclose(trajectory(t).q[:, 4], np.sin(angle), atol=1e-13)
+
+
+@ROBOTS
+def test_an_arm_without_a_path_is_held_at_rest(robot: MobileRobot) -> None:
+    reference = WholeBody(robot, CIRCLE, *[None] * len(robot.mounts))((0, 2.5, 6))
+    np.testing.assert_allclose(reference.q[:, 3:], [robot.rest[3:]] * 3, atol=1e-15)
+    assert not reference.v[:, 3:].any()
+    assert WholeBody(BARE, CIRCLE)(2.5).q.shape == (3,)
+
+
+def test_an_arm_without_joints_is_held_too() -> None:
+    copter = BARE.mount("hector", AT)
+    for path in (None, Hold((), 2)):
+        run = simulate(copter, Decoupled(copter, 100, 20), WholeBody(copter, CIRCLE, path), dt=0.01)
+        assert run.q.shape == (601, 3)
+
+
+def test_what_ends_first_is_held_at_its_end() -> None:
+    line = Tangent(RestToRest((0, 0), (3, 4), 2))
+    trajectory = WholeBody(UR5, line, RestToRest(np.zeros(6), np.ones(6), 5))
+    assert trajectory.duration == 5.0
+    late = trajectory((2.5, 5))
+    np.testing.assert_array_equal(late.q[:, :3], [line(2).q] * 2)
+    assert not late.v[:, :3].any()
+    assert not late.a[:, :3].any()
+    # A cubic comes to rest with an acceleration, which is over when it is.
+    stopped = WholeBody(UR5, CIRCLE, CubicVia(np.zeros(6), np.ones(6), np.zeros(6), 1, 2))((2, 2.001))
+    assert stopped.a[0, 3:].all()
+    assert not stopped.a[1, 3:].any()
+    np.testing.assert_allclose(stopped.q[1, 3:], 0, atol=1e-14)
+
+
+def test_durations_that_differ_by_rounding_are_one() -> None:
+    third = 6 / 3 + 6 / 3 + 6 / 3 * (1 + 1e-15)
+    trajectory = WholeBody(UR5, CIRCLE, Hold(np.zeros(6), third * (1 + 1e-14)))
+    assert trajectory.duration > 6
+    assert trajectory(trajectory.duration).v[0] == CIRCLE(6).v[0] != 0
+
+
+def test_a_trajectory_of_the_whole_is_a_value() -> None:
+    trajectory, again = (there_and_back(MobileRobot.lecture().mount("ur5", AT)) for _ in range(2))
+    assert trajectory == again == pickle.loads(pickle.dumps(trajectory)) == eval(repr(trajectory))
+    assert isinstance(CIRCLE.path, Lissajous)  # so that its name is known here
+    assert hash(trajectory) == hash(again)
+    assert trajectory != there_and_back(trajectory.robot, 0.4)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(trajectory))(2.0).q, trajectory(2.0).q)
+
+
+@dataclass(frozen=True)
+class Spike:
+    """A path whose first joint is elsewhere around 1.001 s, too short to be seen at few times."""
+
+    height: float
+    duration: float = 6.0
+
+    def __call__(self, t: ArrayLike) -> Array:
+        return self.derivative(t, 0)
+
+    def derivative(self, t: ArrayLike, order: int) -> Array:
+        out = np.zeros((*np.shape(t), 6))
+        out[..., 0] = self.height * (np.abs(np.asarray(t) - 1.001) < 5e-4) * (order == 0)
+        return out
+
+
+def test_what_leaves_the_limits_is_refused_where_it_is_seen() -> None:
+    steep = RestToRest(np.zeros(6), [0, 0, -3.5, 0, 0, 0], 6)
+    text = (
+        "reference has joint 'ur5/elbow_joint' at -3.24333087 rad at t = 4.6875 s, "
+        "expected -3.14159265 to 3.14159265 rad"
+    )
+    with pytest.raises(InvalidArgument, match=f"^{re.escape(text)}$"):
+        WholeBody(UR5, CIRCLE, steep)
+    short = WholeBody(UR5, CIRCLE, Spike(7.0))
+    assert short(1.0).q[3] == 0
+    text = (
+        "reference has joint 'ur5/shoulder_pan_joint' at 7 rad at t = 1.001 s, "
+        "expected -6.28318531 to 6.28318531 rad"
+    )
+    for call in (
+        lambda: short([[1.0, 1.001]]),
+        lambda: simulate(UR5, ComputedTorque(UR5), short, dt=1e-3),
+        lambda: simulate(UR5, PD(1, 1), Unchecked(Spike(7.0)), dt=1e-3),
+    ):
+        with pytest.raises(InvalidArgument, match=f"^{re.escape(text)}$"):
+            call()
+
+
+@dataclass(frozen=True)
+class Unchecked:
+    """A user's own trajectory of the UR5 on a base at rest."""
+
+    path: Spike
+    duration: float = 6.0
+
+    def __call__(self, t: ArrayLike) -> Reference:
+        arm = (self.path.derivative(t, order) for order in range(3))
+        return Reference(*(np.concatenate([np.zeros((*np.shape(t), 3)), part], -1) for part in arm))
+
+
+def test_slides_have_their_limits_in_metres_and_a_limit_itself_is_within() -> None:
+    panda = BARE.mount("panda", AT)
+    rest, finger = rest_of(panda), np.eye(9)[7]
+    top = rest + finger * (panda.upper[10] - rest[7])
+    assert WholeBody(panda, CIRCLE, RestToRest(rest, top, 6))(6.0).q[10] == pytest.approx(0.04)
+    with pytest.raises(
+        InvalidArgument, match=r"finger_joint1' at 0\.0405523071 m at t = 4\.3125 s, expected 0 to 0\.04 m$"
+    ):
+        WholeBody(panda, CIRCLE, Spline([rest, top + 0.01 * finger], (0, 6)))
+
+
+def ball() -> MobileRobot:
+    model = pin.Model()
+    model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "ball")
+    model.appendBodyToJoint(1, pin.Inertia.Random(), pin.SE3.Identity())
+    model.addFrame(pin.Frame("link", 1, 0, pin.SE3.Identity(), pin.FrameType.BODY))
+    return BARE.mount(model, name="toy")
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (lambda: WholeBody("ur5", CIRCLE), "robot is 'ur5', expected a MobileRobot"),
+        (
+            lambda: WholeBody(ball(), CIRCLE, None),
+            "robot has joint 'toy/ball' with 3 velocities, expected joints of one: turns about several axes "
+            "are no coordinates of a path",
+        ),
+        (
+            lambda: WholeBody(UR5, Circle(1, 1, 6), None),  # type: ignore[arg-type]
+            "base is Lissajous(rx=1.0, ry=1.0, wx=1.0, wy=1.0, duration=6.0), expected a trajectory of x, y "
+            "and psi, such as Tangent(path)",
+        ),
+        (
+            lambda: WholeBody(UR5, WholeBody(UR5, CIRCLE, None), None),
+            "base has configurations of shape (9,), expected (3,): x, y and psi",
+        ),
+        (
+            lambda: WholeBody(UR5, CIRCLE),
+            "joints has 0 paths, expected 1, one per arm of the robot",
+        ),
+        (
+            lambda: WholeBody(TWO, CIRCLE, None, None, None),
+            "joints has 3 paths, expected 2, one per arm of the robot",
+        ),
+        (
+            lambda: WholeBody(UR5, CIRCLE, np.zeros(6)),  # type: ignore[arg-type]
+            "joints[0] is array([0., 0., 0., 0., 0., 0.]), expected a path of 6 coordinates, or None",
+        ),
+        (
+            lambda: WholeBody(TWO, CIRCLE, None, Hold(np.zeros(5), 6)),
+            "joints[1] has points of shape (5,), expected (6,), one coordinate per joint of 'kinova'",
+        ),
+        (
+            lambda: WholeBody(UR5, CIRCLE, Spike(np.nan)),
+            "joints[0](0)[0] is nan, expected a finite number",
+        ),
+        (
+            lambda: WholeBody(UR5, CIRCLE, Spike(1.0, duration=0.0)),
+            "joints[0].duration is 0.0 s, expected > 0",
+        ),
+        (
+            lambda: WholeBody(UR5, CIRCLE, Hold(np.zeros(6), 7)),
+            "base ends after 6 s of 7 s while it moves at 0.5, expected it to end at rest or last as long",
+        ),
+        (
+            lambda: WholeBody(
+                UR5, CIRCLE, Spline([np.zeros(6), np.ones(6)], (0, 4), end_velocity=np.ones(6))
+            ),
+            "joints[0] ends after 4 s of 6 s while it moves at 1, expected it to end at rest or last as long",
+        ),
+        (lambda: CIRCLE and WholeBody(UR5, CIRCLE, None)(6.1), "t is 6.1 s, expected 0 <= t <= 6.0 s"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(call: Any, text: str) -> None:
+    with pytest.raises(InvalidArgument) as caught:
+        call()
+    assert str(caught.value) == text
+
+
+# -- controllers -----------------------------------------------------------------------------------
+
+
+def drawn(robot: MobileRobot) -> tuple[Array, Array, Reference]:
+    """Return states and references, 12 each."""
+    rng = np.random.default_rng(11)
+    q, q_d = robot.random_configuration(rng, (2, 12))
+    v, v_d, a_d = rng.normal(size=(3, 12, robot.nv))
+    return q, v, Reference(q_d, v_d, a_d)
+
+
+@ROBOTS
+def test_whole_body_computed_torque_makes_the_error_linear(robot: MobileRobot) -> None:
+    q, v, reference = drawn(robot)
+    tau, _ = ComputedTorque(robot, 3, 2)(0.0, q, v, reference, None)
+    expected = reference.a + 3 * robot.difference(q, reference.q) + 2 * (reference.v - v)
+    # Rounding, amplified by a condition number of 1e4.
+    np.testing.assert_allclose(robot.forward_dynamics(q, v, tau), expected, atol=1e-9)
+    if robot is UR5:
+        np.testing.assert_array_equal(robot.difference(q, reference.q), planar_difference(reference.q, q))
+
+
+@ROBOTS
+def test_pd_with_gravity_is_pd_and_gravity(robot: MobileRobot) -> None:
+    q, v, reference = drawn(robot)
+    kp, kd = np.linspace(1, 2, robot.nv), np.linspace(3, 4, robot.nv)
+    tau, state = PDGravity(robot, kp, kd)(0.0, q, v, reference, None)
+    expected = robot.gravity(q) + kp * robot.difference(q, reference.q) + kd * (reference.v - v)
+    np.testing.assert_allclose(tau, expected, rtol=1e-13)
+    assert state is None
+
+
+@ROBOTS
+def test_decoupled_is_the_locked_load_and_the_arm_on_a_fixed_base(robot: MobileRobot) -> None:
+    q, v, reference = drawn(robot)
+    tau, state = Decoupled(robot, 3, 2)(0.0, q, v, reference, None)
+    command = reference.a + 3 * robot.difference(q, reference.q) + 2 * (reference.v - v)
+    for k in range(12):
+        base = robot.lumped(q[k]).inverse_dynamics(q[k, :3], v[k, :3], command[k, :3])
+        np.testing.assert_allclose(tau[k, :3], base, atol=1e-11)  # roundings of some 1e2 N m
+        for mount in robot.mounts[: 2 - len(robot.loads)]:  # the load is on the first arm, which comes first
+            own = mount.model.copy()
+            if robot.loads:
+                frame = own.frames[own.getFrameId(mount.arm.tip)]
+                own.appendBodyToJoint(frame.parentJoint, robot.loads[0][1].body, frame.placement)
+            arm = pin.rnea(own, own.createData(), q[k, mount.q], v[k, mount.v], command[k, mount.v])
+            np.testing.assert_allclose(tau[k, mount.v], arm, atol=1e-11)
+    assert state is None
+    single = Decoupled(robot, 3, 2)(0.0, q[4], v[4], Reference(*(part[4] for part in reference)), None)[0]
+    np.testing.assert_array_equal(single, tau[4])
+
+
+def test_without_arms_or_coupling_decoupled_is_computed_torque() -> None:
+    q, v, reference = drawn(BARE)
+    decoupled, whole = (
+        make(BARE, 3, 2)(0.0, q, v, reference, None)[0] for make in (Decoupled, ComputedTorque)
+    )
+    np.testing.assert_array_equal(decoupled, whole)
+
+
+def test_the_whole_body_controller_tracks_and_the_decoupled_one_lags() -> None:
+    """UR5 on a circle of 1 m at 0.5 rad/s, every joint through 0.5 rad and back in 6 s, dt = 1 ms."""
+    trajectory, dt = there_and_back(UR5), 1e-3
+    whole, decoupled = (
+        simulate(UR5, make(UR5, 100, 20), trajectory, dt=dt).max_error()
+        for make in (ComputedTorque, Decoupled)
+    )
+    # A force that is held is half a step late: e'' + kd e' + kp e = dt/2 times the jerk, which is that of the
+    # circle and that of a cubic through 0.5 rad in 3 s. It changes too slowly for the left side to lag much.
+    jerk = np.array([0.5**3, 0.5**3, 0.0, *[12 * 0.5 / 3**3] * 6])
+    np.testing.assert_allclose(whole, dt / 2 * jerk / 100, rtol=0.05, atol=1e-12)
+    assert whole.max() < 1e-3
+    # Measured: 0.4 mm, 4 mrad. What it ignores does not vanish with dt.
+    assert (decoupled > 100 * whole).all()
+    assert decoupled.max() > 1e-3
+
+
+def test_computed_torque_of_another_step_is_off_by_the_held_force_alone() -> None:
+    trajectory = there_and_back(UR5)
+    coarse, fine = (
+        simulate(UR5, ComputedTorque(UR5, 100, 20), trajectory, dt=dt).max_error()[3:] for dt in (4e-3, 2e-3)
+    )
+    np.testing.assert_allclose(coarse / fine, 2, atol=0.1)
+
+
+@pytest.mark.parametrize("robot", [KINOVA, TWO], ids=["kinova", "two arms and a load"])
+def test_other_arms_track_too(robot: MobileRobot) -> None:
+    trajectory = there_and_back(robot, 0.02, 0.5)
+    run = simulate(robot, ComputedTorque(robot, 100, 20), trajectory, dt=1e-3)
+    assert run.q.shape == (501, robot.nq)
+    # As above, the jerk 12 * 0.02 rad / (0.25 s)^3: 8e-5.
+    assert run.max_error().max() < 1e-4
+
+
+def test_pd_with_gravity_comes_to_rest_at_the_goal_where_pd_sags() -> None:
+    goal = np.array([0.5, -0.7, 0.9, 0.3, -0.4, 0.2])
+    held = WholeBody(UR5, FixedHeading(Hold((0.1, 0.2), 4), 0.3), Hold(goal, 4))
+    # As gains: 5 rad/s and damping one, at the inertia of the rest posture.
+    kp, kd = 25 * gains(UR5), 10 * gains(UR5)
+    found = [
+        simulate(UR5, controller, held, dt=1e-3, q0=UR5.rest, integrator=rk4).error[-1]
+        for controller in (PDGravity(UR5, kp, kd), PD(kp, kd))
+    ]
+    assert np.abs(found[0]).max() < 1e-3  # e^-20 but for postures with other inertias
+    expected = UR5.gravity(held(0.0).q)[4] / kp[4]
+    assert found[1][4] == pytest.approx(expected, rel=0.2)  # the sag, where g is about that of the goal
+    assert abs(found[1][4]) > 0.05
+
+
+@pytest.mark.parametrize("make", [PDGravity, ComputedTorque, Decoupled])
+@pytest.mark.parametrize("integrator", [constant_acceleration, rk4])
+def test_in_the_loop_and_asked_from_outside_a_controller_is_the_same(make: Any, integrator: Any) -> None:
+    trajectory = there_and_back(UR5)
+    kp, kd = np.array([4.0, 4]) if make is not PDGravity else 4 * np.ones((2, 1)) * gains(UR5)
+    controller, start = make(UR5, kp, kd), UR5.rest + 0.1
+    runs = [
+        simulate(UR5, one, trajectory, dt=0.002, duration=0.4, q0=start, integrator=integrator)
+        for one in (controller, Saturated(controller, 1e6))
+    ]
+    # Another order of coordinates, hence of roundings, amplified by a condition number of 1e4.
+    for name in ("q", "v", "tau"):
+        np.testing.assert_allclose(getattr(runs[0], name), getattr(runs[1], name), rtol=0, atol=1e-9)
+    limited = simulate(UR5, Saturated(controller, 5.0), trajectory, dt=0.002, duration=0.1, q0=start)
+    assert np.abs(limited.tau).max() == 5.0
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (lambda: PDGravity("ur5", 1, 1), "robot is 'ur5', expected a MobileRobot"),  # type: ignore[arg-type]
+        (lambda: Decoupled("ur5"), "robot is 'ur5', expected a MobileRobot"),  # type: ignore[arg-type]
+        (lambda: PDGravity(UR5, (1, 2, 3), 1), "kp has shape (3,), expected (), (9,) or (9, 9)"),
+        (lambda: Decoupled(UR5, 1, np.eye(3)), "kd has shape (3, 3), expected (), (9,) or (9, 9)"),
+        (lambda: Decoupled(UR5, np.inf, 1), "kp is inf, expected a finite number"),
+        (
+            lambda: Decoupled(UR5)(0.0, np.zeros(3), np.zeros(3), Reference(*np.zeros((3, 3))), None),
+            "q has shape (3,), expected (..., 9)",
+        ),
+        (
+            lambda: PDGravity(UR5, 1, 1)(0.0, np.zeros(9), np.zeros(9), CIRCLE(0.0), None),
+            "q has shape (9,), the reference's has (3,)",
+        ),
+        (
+            lambda: simulate(UR5, Decoupled(UR5), CIRCLE, dt=0.01),
+            "trajectory gives q of shape (601, 3) for 601 times, expected (601, 9)",
+        ),
+    ],
+)
+def test_sizes_that_do_not_fit_are_refused(call: Any, text: str) -> None:
+    with pytest.raises(InvalidArgument) as caught:
+        call()
+    assert str(caught.value) == text
