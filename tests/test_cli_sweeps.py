@@ -29,6 +29,8 @@ def test_ensemble_of_one_controller(capsys: pytest.CaptureFixture[str], tmp_path
     assert code == 0
     assert "PD stays within" in out
     assert "computed torque" not in out
+    assert {file.name for file in tmp_path.glob("*.png")} == {"bands.png", "drivers-pd.png"}
+    assert (tmp_path / "index.html").read_text().count("<img") == 2
 
 
 def test_sweep_runs_the_example_of_its_help(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -115,18 +117,40 @@ def test_two_swept_numbers_are_drawn_as_maps_one_for_each_controller(
 ) -> None:
     drawn: list[Any] = []
 
-    def heatmap(values: Any, *, x: Any, y: Any, label: str) -> Figure:
-        drawn.append((values.shape, x[:2], list(x[2]), y[:2], list(y[2]), label))
+    def heatmap(values: Any, *, x: Any, y: Any, label: str, title: str) -> Figure:
+        drawn.append((values.shape, x[:2], list(x[2]), y[:2], list(y[2]), label, title))
         return Figure()
 
-    monkeypatch.setattr(plots, "heatmap", heatmap, raising=False)
+    monkeypatch.setattr(plots, "heatmap", heatmap)
     file = tmp_path / "two.toml"
     file.write_text(SMALL + '"trajectory.rate" = [0.05, 0.1]\n')
     code, _, _ = typed(capsys, "sweep", str(file), "--out", str(tmp_path))
     assert code == 0
     axes = ("trajectory.rate", "rad/s"), [0.05, 0.1], ("spread.mass.percent", "%"), [5, 10, 20]
-    assert [one[:-1] for one in drawn] == [((3, 2), *axes)] * 2
-    assert [one[-1] for one in drawn] == [
-        f"{name}: 99 % stay within [m]" for name in ("pd", "computed-torque")
-    ]
+    assert [one[:-1] for one in drawn] == [((3, 2), *axes, "99 % stay within [mm]")] * 2
+    assert [one[-1] for one in drawn] == ["pd", "computed-torque"]
     assert (tmp_path / "index.html").read_text().count("<img") == 2
+
+
+def test_one_swept_number_is_drawn_as_a_curve_for_each_controller(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Any] = []
+
+    def curves(values: Any, *, x: Any, label: str, title: str | None) -> Figure:
+        drawn.append((list(values), [len(row) for row in values.values()], x, label, title))
+        return Figure()
+
+    monkeypatch.setattr(plots, "curves", curves)
+    (tmp_path / "mass.toml").write_text(SMALL)
+    assert typed(capsys, "sweep", str(tmp_path / "mass.toml"), "--out", str(tmp_path))[0] == 0
+    x = "spread.mass.percent", "%", [5, 10, 20]
+    assert drawn == [(["pd", "computed-torque"], [3, 3], x, "99 % stay within [mm]", None)]
+    assert "within-0.png" in (tmp_path / "index.html").read_text()
+
+
+def test_two_swept_names_are_drawn_as_a_map(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    text = SMALL.replace('"spread.mass.percent" = [5, 10, 20]', '"robot.base" = ["box", "lecture"]')
+    (tmp_path / "names.toml").write_text(text)
+    assert typed(capsys, "sweep", str(tmp_path / "names.toml"), "--out", str(tmp_path))[0] == 0
+    assert (tmp_path / "within-0.png").exists()

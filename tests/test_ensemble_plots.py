@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Callable
 from itertools import combinations
-from typing import Any
+from typing import Any, ClassVar
 
 import matplotlib
 import numpy as np
@@ -217,6 +217,52 @@ class TestHeatmap:
             plots.heatmap(**options)
 
 
+class TestCurves:
+    ROWS: ClassVar[dict[str, Any]] = {"pd": [3.0, np.inf, 1.0], "computed torque": [0.5, 0.4, 0.3]}
+    X = ("gain", "1/s²", [4, 9, 1])
+
+    def test_there_is_a_curve_for_each_name_in_the_order_of_the_parameter(self) -> None:
+        figure = plots.curves(self.ROWS, x=self.X, label="error [mm]")
+        (axes,) = figure.axes
+        lines = [line for line in axes.lines if line.get_linestyle() == "-"]
+        np.testing.assert_array_equal(lines[0].get_xdata(), [1, 4, 9])
+        np.testing.assert_array_equal(lines[0].get_ydata(), [1, 3, np.nan])
+        np.testing.assert_array_equal(lines[1].get_ydata(), [0.3, 0.5, 0.4])
+        assert (axes.get_xlabel(), axes.get_ylabel()) == ("gain [1/s²]", "error [mm]")
+        assert [text.get_text() for text in figure.legends[0].get_texts()] == [*self.ROWS, "diverges"]
+
+    def test_what_diverges_is_a_cross_above_all(self) -> None:
+        (axes,) = plots.curves(self.ROWS, x=self.X, label="error [mm]").axes
+        crosses = [line for line in axes.lines if line.get_marker() == "x"]
+        (cross,) = (line for line in crosses if len(np.ravel(line.get_xdata())))
+        assert list(np.ravel(cross.get_xdata())) == [9]
+        assert 3.0 < float(np.ravel(cross.get_ydata())[0]) < axes.get_ylim()[1]
+
+    @pytest.mark.parametrize(("largest", "scale"), [(19.0, "linear"), (21.0, "log")])
+    def test_it_is_logarithmic_over_orders(self, largest: float, scale: str) -> None:
+        figure = plots.curves({"": [1.0, largest, np.inf]}, x=self.X, label="error [m]", title="One")
+        assert figure.axes[0].get_yscale() == scale
+
+    def test_all_may_diverge_and_one_needs_no_legend(self) -> None:
+        drawn(plots.curves({"a": [np.inf] * 3}, x=self.X, label="error [m]"))
+        assert not plots.curves({"": [1, 2, 3]}, x=self.X, label="error [m]").legends
+
+    @pytest.mark.parametrize(
+        ("changes", "message"),
+        [
+            ({"values": [1, 2, 3]}, r"^values is \[1, 2, 3\], expected a mapping of names to numbers$"),
+            ({"values": {"a": [1, 2]}}, r"^values\['a'\] is \[1, 2\], expected 3 real numbers$"),
+            ({"values": {"a": [1, 2, np.nan]}}, r"^values\['a'\] is .*, expected numbers or infinity$"),
+            ({"x": "gain"}, r"^x is 'gain', expected \(name, unit, values\)$"),
+            ({"x": ("gain", "", [])}, r"^x\[2\] has shape \(0,\), expected \(n,\) with n >= 1$"),
+        ],
+    )
+    def test_wrong_arguments(self, changes: dict[str, Any], message: str) -> None:
+        options: dict[str, Any] = {"values": self.ROWS, "x": self.X, "label": "error [mm]", **changes}
+        with pytest.raises(InvalidArgument, match=message):
+            plots.curves(**options)
+
+
 class TestDrivers:
     def test_the_title_names_what_drives_the_worst(self, pair: dict[str, Ensemble]) -> None:
         made = pair["computed torque"]
@@ -301,6 +347,7 @@ def figures(pair: dict[str, Ensemble]) -> list[Callable[[], Figure]]:
         lambda: plots.bands(pair),
         lambda: plots.drivers(pair["computed torque"]),
         lambda: plots.heatmap(VALUES, x=GAINS, y=SPEEDS, label="error [mm]"),
+        lambda: plots.curves(TestCurves.ROWS, x=TestCurves.X, label="error [mm]"),
     ]
 
 

@@ -4,16 +4,16 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import typer
 
-from pinmobile import Ensemble, InvalidArgument, plots, sweep
+from pinmobile import Ensemble, InvalidArgument, sweep
 from pinmobile.arrays import whole
-from pinmobile.cli.output import Picture, Section, console, index_page, output_folder, progress
+from pinmobile.cli.many_figures import ensemble_figures, sweep_figures
+from pinmobile.cli.output import Section, console, index_page, output_folder, progress
 from pinmobile.cli.scenario_file import read_grid
 from pinmobile.cli.spreads import scenario, spread_of_words
 from pinmobile.ensembles import run_scenario
-from pinmobile.sweeps import Sweep, connected, length
+from pinmobile.sweeps import connected, length
 
 __all__ = ["run_options", "show_ensemble", "show_sweep"]
 
@@ -42,7 +42,7 @@ def run_options(words: Sequence[str], app: typer.Typer, name: str) -> tuple[dict
 def show_ensemble(
     options: Mapping[str, Any], spread: Sequence[str], folder: Path, *, n: int, seed: int, one: bool
 ) -> int:
-    """Run the ensembles of one controller or of both, print who stays within what, and draw the bands."""
+    """Run the ensembles of one controller or of both, print who stays within what, and draw it."""
     wanted = spread_of_words(spread)
     names = [str(options["controller"])] if one else list(_NAMES)
     if not one:
@@ -62,14 +62,14 @@ def show_ensemble(
     console.print(text, markup=False)
     answer = _answer(made, spread)
     console.print(f"\n{answer}", markup=False)
-    pictures = _bands(made, folder)
+    pictures = ensemble_figures(made, folder)
     page = index_page(folder, answer, [Section("What came of it", text, pictures)])
     console.print(f"open {page}", markup=False)
     return 0
 
 
 def show_sweep(file: Path, out: Path | None, scheduler: str | None, chunk: int | None) -> int:
-    """Run the sweep of a file, print who stays within what, and draw it where there are two axes."""
+    """Run the sweep of a file, print who stays within what, and draw it."""
     grid = read_grid(file)
     folder = output_folder(Path("out") / file.stem if out is None else out)
     size = None if chunk is None else whole("--chunk", chunk)
@@ -89,7 +89,7 @@ def show_sweep(file: Path, out: Path | None, scheduler: str | None, chunk: int |
     answer = found.answer()
     console.print(f"\n{answer}", markup=False)
     page = index_page(
-        folder, answer, [Section("What came of it", found.table(most=1000), _maps(found, folder))]
+        folder, answer, [Section("What came of it", found.table(most=1000), sweep_figures(found, folder))]
     )
     console.print(
         f"wrote {store}: xarray.open_zarr reads it, and pinmobile.Sweep.open\nopen {page}", markup=False
@@ -112,31 +112,3 @@ def _answer(made: Mapping[str, Ensemble], spread: Sequence[str]) -> str:
     words[0] += " in 99 % of runs"
     with_ = f"with {' and '.join(spread)}, " if spread else ""
     return with_ + ", ".join([words[0], *(word.replace(" stays", "") for word in words[1:])])
-
-
-def _bands(made: Mapping[str, Ensemble], folder: Path) -> list[Picture]:
-    draw = getattr(plots, "bands", None)
-    if draw is None:
-        return []
-    draw(made).savefig(folder / "bands.png", dpi=110)
-    return [Picture("bands.png", "Errors over time: what half, 90 % and 99 % of the robots stay within.")]
-
-
-def _maps(found: Sweep, folder: Path) -> list[Picture]:
-    """Draw a map of each two numeric axes, one for each value of a further axis."""
-    draw = getattr(plots, "heatmap", None)
-    within = found.within()
-    numeric = [name for name in found.axes if within[name].dtype.kind in "fiu" and len(found.axes[name]) > 1]
-    others = [name for name in found.axes if name not in numeric]
-    if draw is None or len(numeric) != 2 or len(others) > 1:
-        return []
-    y, x = ((name, found.axes[name].unit, np.asarray(within[name])) for name in numeric)
-    pictures = []
-    for k in range(len(found.axes[others[0]]) if others else 1):
-        label = str(list(found.axes[others[0]].values)[k]) if others else ""
-        values = within.isel({others[0]: k}) if others else within
-        title = f"{label + ': ' if label else ''}99 % stay within [m]"
-        figure = draw(values.transpose(*numeric).values, x=x, y=y, label=title)
-        figure.savefig(folder / f"within-{k}.png", dpi=110)
-        pictures.append(Picture(f"within-{k}.png", f"{title}, over {numeric[1]} and {numeric[0]}."))
-    return pictures

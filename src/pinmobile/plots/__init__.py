@@ -3,6 +3,7 @@
 from pinmobile.plots.accuracy import integrator
 from pinmobile.plots.animation import animate
 from pinmobile.plots.ground import balance, reaction
+from pinmobile.plots.lines import curves
 from pinmobile.plots.plane import path
 from pinmobile.plots.quantiles import bands
 from pinmobile.plots.series import errors, forces, states
@@ -13,6 +14,7 @@ __all__ = [
     "animate",
     "balance",
     "bands",
+    "curves",
     "drivers",
     "errors",
     "forces",
