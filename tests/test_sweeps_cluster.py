@@ -7,8 +7,9 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import pytest
@@ -98,6 +99,28 @@ def test_a_scheduler_that_does_not_answer_is_given_up() -> None:
     with pytest.raises(InvalidArgument, match="scheduler is 'tcp//1', expected an address such as tcp://"):
         connected("tcp//1", timeout=0.5)
     assert time.monotonic() - before < 5
+
+
+def test_what_is_no_scheduler_is_told(cluster: Any) -> None:
+    before = time.monotonic()
+    with socket.create_server(("127.0.0.1", 0)) as other:
+
+        def serve() -> None:
+            with suppress(OSError):
+                while True:
+                    with other.accept()[0] as answered:
+                        answered.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n" * 4)
+                        answered.recv(1)
+
+        serving = Thread(target=serve)
+        serving.start()
+        with pytest.raises(SchedulerError, match=r"^tcp://127\.0\.0\.1:\d+ is no Dask scheduler"):
+            connected(f"tcp://127.0.0.1:{other.getsockname()[1]}", timeout=5)
+        other.shutdown(socket.SHUT_RDWR)
+        serving.join()
+    with pytest.raises(SchedulerError, match="is no Dask scheduler but a Worker"):
+        connected(cluster.workers[0].worker_address, timeout=5)
+    assert time.monotonic() - before < 10
 
 
 def test_a_closed_client_and_a_cluster_without_workers_are_refused(

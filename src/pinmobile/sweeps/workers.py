@@ -113,27 +113,40 @@ def connected(address: str, timeout: float = _ANSWER) -> Any:
     Raises
     ------
     SchedulerError
-        If it does not.
+        If it does not, or what answers is something else.
     InvalidArgument
         If it is no address.
     """
     distributed = imported("distributed")
-
-    async def greet() -> None:
-        # A client waits without end for what takes the connection and then says nothing.
-        comm = await asyncio.wait_for(distributed.comm.connect(address, timeout=timeout), timeout)
-        comm.abort()
-
     try:
-        with ThreadPoolExecutor(1) as pool:  # a notebook's thread has a loop of its own
-            pool.submit(asyncio.run, greet()).result()
-        return distributed.Client(address, timeout=timeout)
-    except OSError as error:
-        raise SchedulerError(f"scheduler {address} does not answer within {timeout:g} s") from error
-    except ValueError as error:
+        distributed.comm.resolve_address(address)
+    except OSError:
+        pass  # an unknown host, of which the connection tells
+    except (ValueError, TypeError) as error:
         raise InvalidArgument(
             f"scheduler is {address!r}, expected an address such as tcp://127.0.0.1:8786"
         ) from error
+    try:
+        with ThreadPoolExecutor(1) as pool:  # a notebook's thread has a loop of its own
+            kind = pool.submit(asyncio.run, asyncio.wait_for(_kind(address, timeout), timeout)).result()
+        if kind == "Scheduler":
+            return distributed.Client(address, timeout=timeout)
+    except (OSError, TimeoutError) as error:
+        raise SchedulerError(f"scheduler {address} does not answer within {timeout:g} s") from error
+    except Exception as error:  # what it says is read as a length, a header, a message: all of it can fail
+        raise SchedulerError(f"{address} is no Dask scheduler: what it answers is not Dask's") from error
+    raise SchedulerError(f"{address} is no Dask scheduler but a {kind}")
+
+
+async def _kind(address: str, timeout: float) -> str:
+    """Return what a server of Dask says it is; a client would wait without end for one that is silent."""
+    distributed = imported("distributed")
+    comm = await distributed.comm.connect(address, timeout=timeout)
+    try:
+        told = await distributed.core.send_recv(comm, op="identity")
+    finally:
+        comm.abort()
+    return str(told["type"])
 
 
 _GO_ON = "what is done is in the store: start the same sweep again to go on"
