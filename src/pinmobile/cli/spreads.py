@@ -27,15 +27,18 @@ def spread_of_words(words: Sequence[str]) -> dict[str, Any]:
         kind, colon, numbers = rest.partition(":")
         if not equals or not rest or (colon and not numbers):
             raise InvalidArgument(f"--spread is {word!r}, expected NAME=FORM with the form {SPREAD_FORMS}")
+        if name in found:
+            times = sum(other.partition("=")[0] == name for other in words)
+            raise InvalidArgument(f"--spread {name} is given {times} times, expected once")
         if not colon:
-            found[name] = choices.numbers("--spread", kind)
+            found[name] = choices.numbers(f"--spread {name}", kind)
         elif kind == "same":
             other, _, factor = numbers.partition(",")
             found[name] = {"same": other} | (
-                {"factor": choices.numbers("--spread", factor)} if factor else {}
+                {"factor": choices.numbers(f"--spread {name}", factor)} if factor else {}
             )
         else:
-            values = choices.point("--spread", numbers)
+            values = choices.point(f"--spread {name}", numbers)
             found[name] = {kind: values[0] if len(values) == 1 else list(values)}
     return found
 
@@ -72,7 +75,7 @@ def _source(name: str, value: Any, nominal: float) -> Any:
         return value
     kinds = [kind for kind in value if kind != "factor"]
     if len(kinds) != 1:
-        raise InvalidArgument(f"spread of {name} is {dict(value)!r}, expected one of {', '.join(_KINDS)}")
+        raise InvalidArgument(f"--spread {name} is {dict(value)!r}, expected one of {', '.join(_KINDS)}")
     kind = kinds[0]
     if kind not in _KINDS:
         raise UnknownName(f"form in the spread of {name}", kind, _KINDS)
@@ -80,20 +83,23 @@ def _source(name: str, value: Any, nominal: float) -> Any:
         factor = value.get("factor", 1.0)
         return Same(str(value["same"]), _source(f"{name} factor", factor, 1.0))
     if "factor" in value:
-        raise InvalidArgument(f"spread of {name} has a factor beside {kind}, expected one beside same alone")
+        raise InvalidArgument(f"--spread {name} has a factor beside {kind}, expected one beside same alone")
     if kind == "percent":
         return _around(name, value["percent"], nominal)
     numbers = value[kind]
     if not isinstance(numbers, list) or len(numbers) != 2:
-        raise InvalidArgument(f"spread of {name} is {kind} of {numbers!r}, expected two numbers")
-    return Uniform(*numbers) if kind == "uniform" else Normal(*numbers)
+        raise InvalidArgument(f"--spread {name} is {kind} of {numbers!r}, expected two numbers")
+    try:
+        return Uniform(*numbers) if kind == "uniform" else Normal(*numbers)
+    except InvalidArgument as error:
+        raise InvalidArgument(f"--spread {name}: {error}") from error
 
 
 def _around(name: str, percent: Any, nominal: float) -> Uniform:
     if not isinstance(percent, int | float) or not percent >= 0:
-        raise InvalidArgument(f"spread of {name} is percent of {percent!r}, expected a number >= 0")
+        raise InvalidArgument(f"--spread {name} is percent of {percent!r}, expected a number >= 0")
     if nominal == 0:
-        raise InvalidArgument(f"spread of {name} is {percent:g} percent of 0, expected uniform or normal")
+        raise InvalidArgument(f"--spread {name} is {percent:g} percent of 0, expected uniform or normal")
     share = percent / 100
     low, high = sorted((nominal * (1 - share), nominal * (1 + share)))
     return Uniform(low, high)
