@@ -50,25 +50,61 @@ def test_sweep_runs_the_example_of_its_help(capsys: pytest.CaptureFixture[str], 
 @pytest.mark.parametrize(
     ("old", "new", "text"),
     [
-        ("radius = 3", "radus = 3", "mass.toml:6: unknown key 'radus' in [trajectory], available: radius, "),
-        ("[loop]", "[lop]", "mass.toml:9: unknown table [lop], available: loop, "),
+        (
+            "radius = 3",
+            "radus = 3",
+            "mass.toml:6: unknown key 'radus' in [trajectory], did you mean 'radius'? available: radius, ",
+        ),
+        (
+            "[loop]",
+            "[lop]",
+            "mass.toml:9: unknown table [lop], did you mean 'loop'? available: loop, ",
+        ),
         ("radius = 3", "radius 3", "mass.toml:6: Expected '=' after a key in a key/value pair"),
         ("radius = 3", "radius = -3", "mass.toml:6: radius is -3.0 m, expected > 0 (at "),
         (
             "start_x",
             "start_z",
-            "mass.toml:12: unknown key 'start_z' in [spread], available: start_y, ",
+            "mass.toml:12: unknown key 'start_z' in [spread], did you mean 'start_y' or 'start_x' or "
+            "'start_vy'? 'pinmobile ensemble --help' lists all\n",
         ),
-        ("normal =", "norml =", "unknown form in the spread of start_x 'norml', available: normal, "),
+        (
+            "normal =",
+            "norml =",
+            "mass.toml:12: unknown form in the spread of start_x 'norml', did you mean 'normal'",
+        ),
         (
             "spread.mass",
             "spread.mas",
-            "mass.toml:17: unknown key 'mas' of [spread] in [grid], available: mass",
+            "mass.toml:17: unknown key 'mas' of [spread] in [grid], did you mean 'mass'",
         ),
-        ('"circle"', '"circel"', "unknown trajectory 'circel', available: circle, "),
+        (
+            "controller.type",
+            "controler.type",
+            "mass.toml:18: unknown table 'controler' of 'controler.type' in [grid], did you mean 'control",
+        ),
+        ("spread.mass.percent", "spread", "mass.toml:17: 'spread' in [grid] is a table, expected one of its"),
+        (
+            '"circle"',
+            '"circel"',
+            "mass.toml:5: unknown trajectory 'circel', did you mean 'circle'? ",
+        ),
+        ('"box"', '"boxx"', "mass.toml:3: unknown robot 'boxx', did you mean 'box'? available: "),
+        ('"pd", ', '"pdd", ', "mass.toml:18: unknown controller 'pdd', did you mean 'pd'? available: "),
+        (
+            'same = "start_x"',
+            'same = "start_z"',
+            "mass.toml:13: unknown parameter in spread['start_y'] ",
+        ),
         ("[5, 10, 20]", "5", "mass.toml:17: spread.mass.percent is 5, expected a list of values"),
-        ("[5, 10, 20]", "[5, 200]", "draws (2"),
+        (
+            "[5, 10, 20]",
+            "[10, 10]",
+            "mass.toml:17: spread.mass.percent is [10, 10], expected each one once",
+        ),
+        ("[5, 10, 20]", "[5, 200]", "mass.toml:17: spread['mass'] gives -"),
         ("n = 40", "n = -1", "mass.toml:15: n is -1, expected a whole number >= 1"),
+        ("[0, 0.001]", "[0, -1]", "mass.toml:12: spread of start_x: std is -1.0, expected >= 0"),
     ],
 )
 def test_a_typo_in_a_scenario_file_is_answered_with_its_line(
@@ -84,19 +120,23 @@ def test_a_typo_in_a_scenario_file_is_answered_with_its_line(
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        ("sweep missing.toml", "FILE is 'missing.toml', which cannot be read"),
+        ("sweep missing.toml", "FILE is 'missing.toml', which cannot be read: No such file or directory"),
+        ("sweep tests", "FILE is 'tests', which cannot be read: Is a directory"),
         ("ensemble --spread mass", "--spread is 'mass', expected NAME=FORM with the form uniform:LOW,HIGH"),
-        ("ensemble --spread mas=1", "unknown parameter in spread 'mas', available: mass"),
+        ("ensemble --spread mas=1", "unknown parameter in spread 'mas', did you mean 'mass'? 'pinm"),
         (
             "ensemble --spread mass=unifrm:1,2",
             "unknown form in the spread of mass 'unifrm', available: uniform",
         ),
-        ("ensemble --spread mass=uniform:1", "spread of mass is uniform of 1.0, expected two numbers"),
+        ("ensemble --spread mass=uniform:1", "--spread mass is uniform of 1.0, expected two numbers"),
         (
             "ensemble --spread com_x=percent:5",
-            "spread of com_x is 5 percent of 0, expected uniform or normal",
+            "--spread com_x is 5 percent of 0, expected uniform or normal",
         ),
         ("ensemble --spread mass=normal:1,5", "draws ("),
+        ("ensemble --spread mass=uniform:40,20", "--spread mass: low is 40.0, expected at most high, 20.0"),
+        ("ensemble --spread mass=normal:0,x", "--spread mass is '0,x', expected a number, or numbers with"),
+        ("ensemble --spread mass=12 --spread mass=13", "--spread mass is given 2 times, expected once"),
         ("ensemble --kp 4", "--kp does not apply to both controllers, expected --controller"),
         ("ensemble --gif", "--gif does not apply to ensemble"),
         ("ensemble --n -1", "n is -1, expected a whole number >= 1"),
@@ -110,6 +150,13 @@ def test_wrong_options_are_answered_in_one_line(
     assert code == 2
     assert text in err
     assert err.count("\n") == 1
+
+
+def test_a_file_that_is_no_text_is_answered(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "mass.toml").write_bytes(b"[robot]\nbase = '\xff'\n")
+    code, _, err = typed(capsys, "sweep", str(tmp_path / "mass.toml"))
+    assert code == 2
+    assert err.endswith("which cannot be read: byte 16 is not UTF-8\n")
 
 
 def test_two_swept_numbers_are_drawn_as_maps_one_for_each_controller(

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import typer
 
-from pinmobile.errors import Diverged, PinmobileError
+from pinmobile.cli.unknown import shortened
+from pinmobile.errors import Diverged, PinmobileError, UnknownName
 
 __all__ = ["main"]
 
@@ -36,6 +37,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
     except Diverged as error:
         return _refuse(str(error), 1)
+    except UnknownName as error:
+        return _refuse(shortened(error))
     except PinmobileError as error:
         return _refuse(str(error))
     except (KeyboardInterrupt, typer.Abort):

@@ -4,14 +4,15 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from pinmobile import Axis, InvalidArgument, PinmobileError, Scenario, grid
+from pinmobile import Axis, InvalidArgument, PinmobileError, Scenario, UnknownName, grid
+from pinmobile.cli.lines import line, line_of, line_of_syntax
 from pinmobile.cli.spreads import scenario
+from pinmobile.cli.unknown import SPREAD_NAMES, meant
 from pinmobile.ensembles import PARAMETERS
-from pinmobile.sweeps import Grid
+from pinmobile.sweeps import Grid, check_draws
 
 __all__ = ["EXAMPLE", "read_grid"]
 
@@ -75,13 +76,7 @@ def read_grid(path: Path) -> Grid:
         If it cannot be read, or something in it is not what is expected; the message begins with the file
         and the line, where there is one.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-        tree = tomllib.loads(text)
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidArgument(f"FILE is {str(path)!r}, which cannot be read") from error
-    except tomllib.TOMLDecodeError as error:
-        raise InvalidArgument(_syntax(path, str(error), text)) from error
+    text, tree = _parsed(path)
     swept = _checked(path, text, tree)
     both = len(swept.get("controller.type", ())) > 1
 
@@ -91,13 +86,36 @@ def read_grid(path: Path) -> Grid:
             _put(changed, name.split("."), value)
         return _scenario(changed, both=both)
 
+    axes = {
+        name: _axis(f"{path.name}:{line(text, 'grid', name)}", name, values) for name, values in swept.items()
+    }
     try:
-        axes = {name: _axis(name, values) for name, values in swept.items()}
-        return grid(make, **axes) if axes else Grid({"scenario": Axis(["all"])}, [make()])
+        made = grid(make, **axes) if axes else Grid({"scenario": Axis(["all"])}, [make()])
+        check_draws(made)
     except PinmobileError as error:
+        message = str(error)
+        if isinstance(error, UnknownName):
+            message = meant(f"{error.kind} {error.name!r}", error.name, error.available, SPREAD_NAMES)
         # The library speaks of arguments, the command of options; a file has keys.
-        message = re.sub(r"--([a-z-]+)", lambda found: found[1].replace("-", "_"), str(error))
-        raise InvalidArgument(f"{path.name}{_line_of_message(text, tree, message)}: {message}") from error
+        message = re.sub(r"--spread (\w+)", r"spread of \1", message)
+        message = re.sub(r"--([a-z-]+)", lambda found: found[1].replace("-", "_"), message)
+        at = line_of(error, message, text, tree, swept)
+        raise InvalidArgument(f"{path.name}{at and ':'}{at or ''}: {message}") from error
+    return made
+
+
+def _parsed(path: Path) -> tuple[str, dict[str, Any]]:
+    try:
+        text = path.read_text(encoding="utf-8")
+        return text, tomllib.loads(text)
+    except UnicodeDecodeError as error:
+        why = f"byte {error.start} is not UTF-8"
+        raise InvalidArgument(f"FILE is {str(path)!r}, which cannot be read: {why}") from error
+    except OSError as error:
+        raise InvalidArgument(f"FILE is {str(path)!r}, which cannot be read: {error.strerror}") from error
+    except tomllib.TOMLDecodeError as error:
+        at, message = line_of_syntax(str(error), text)
+        raise InvalidArgument(f"{path.name}:{at}: {message}, expected TOML") from error
 
 
 def _scenario(tree: Mapping[str, Any], *, both: bool) -> Scenario:
@@ -123,36 +141,37 @@ def _scenario(tree: Mapping[str, Any], *, both: bool) -> Scenario:
 def _checked(path: Path, text: str, tree: dict[str, Any]) -> dict[str, list[Any]]:
     """Refuse what has no meaning, and return what is swept, by dotted names."""
     for table, content in tree.items():
+        at = f"{path.name}:{line(text, table)}"
         if table not in (*_TABLES, "grid"):
-            raise InvalidArgument(
-                _unknown(path, _line(text, table), f"table [{table}]", table, [*_TABLES, "grid"])
-            )
+            raise InvalidArgument(f"{at}: {meant(f'table [{table}]', table, [*_TABLES, 'grid'])}")
         if not isinstance(content, Mapping):
-            raise InvalidArgument(
-                f"{path.name}:{_line(text, table)}: {table} is {content!r}, expected a table"
-            )
-        if table == "grid":
-            continue
-        for key in content:
+            raise InvalidArgument(f"{at}: {table} is {content!r}, expected a table")
+        for key in content if table != "grid" else ():
             if key not in _TABLES[table]:
-                where = f"key {key!r} in [{table}]"
-                raise InvalidArgument(_unknown(path, _line(text, table, key), where, key, _TABLES[table]))
+                at = f"{path.name}:{line(text, table, key)}"
+                raise InvalidArgument(f"{at}: {_no_key(f'key {key!r} in [{table}]', table, key)}")
     swept = dict(_leaves(tree.pop("grid", {})))
     for name, values in swept.items():
-        at = f"{path.name}:{_line(text, 'grid', name)}"
-        table, _, rest = name.partition(".")
-        keys = _TABLES.get(table)
-        if keys is None or not rest:
-            raise InvalidArgument(
-                f"{at}: {name!r} in [grid], expected TABLE.KEY with a table of {', '.join(_TABLES)}"
-            )
-        key = rest.split(".")[0]
-        if key not in keys:
-            line = _line(text, "grid", name)
-            raise InvalidArgument(_unknown(path, line, f"key {key!r} of [{table}] in [grid]", key, keys))
-        if not isinstance(values, list) or not values:
-            raise InvalidArgument(f"{at}: {name} is {values!r}, expected a list of values")
+        _check_swept(f"{path.name}:{line(text, 'grid', name)}", name, values)
     return swept
+
+
+def _check_swept(at: str, name: str, values: Any) -> None:
+    table, _, rest = name.partition(".")
+    if table not in _TABLES:
+        what = f"table {table!r} of {name!r} in [grid]"
+        raise InvalidArgument(f"{at}: {meant(what, table, _TABLES)}")
+    if not rest:
+        raise InvalidArgument(f"{at}: {name!r} in [grid] is a table, expected one of its keys, {name}.KEY")
+    key = rest.split(".")[0]
+    if key not in _TABLES[table]:
+        raise InvalidArgument(f"{at}: {_no_key(f'key {key!r} of [{table}] in [grid]', table, key)}")
+    if not isinstance(values, list) or not values:
+        raise InvalidArgument(f"{at}: {name} is {values!r}, expected a list of values")
+
+
+def _no_key(what: str, table: str, key: str) -> str:
+    return meant(what, key, _TABLES[table], SPREAD_NAMES)
 
 
 def _leaves(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -174,57 +193,20 @@ def _put(tree: dict[str, Any], place: list[str], value: Any) -> None:
     tree[key] = value
 
 
-def _axis(name: str, values: list[Any]) -> Axis:
+def _axis(at: str, name: str, values: list[Any]) -> Axis:
     last = name.split(".")[-1]
     unit = (
         PARAMETERS[last].unit if name.startswith("spread.") and last in PARAMETERS else _UNITS.get(last, "")
     )
-    if any(isinstance(value, list | dict) for value in values):
-        return Axis({_label(value): value for value in values}, unit)
-    return Axis(values, unit)
+    try:
+        if any(isinstance(value, list | dict) for value in values):
+            return Axis({_label(value): value for value in values}, unit)
+        return Axis(values, unit)
+    except InvalidArgument as error:
+        raise InvalidArgument(f"{at}: {re.sub('^values', name, str(error))}") from error
 
 
 def _label(value: Any) -> str:
     if isinstance(value, dict):
         return " ".join(f"{key} {_label(part)}" for key, part in value.items())
     return ",".join(map(str, value)) if isinstance(value, list) else str(value)
-
-
-def _unknown(path: Path, line: int, what: str, name: str, available: Any) -> str:
-    near = get_close_matches(name, available, n=3)
-    listed = ", ".join([*near, *(known for known in available if known not in near)])
-    return f"{path.name}:{line}: unknown {what}, available: {listed}"
-
-
-def _syntax(path: Path, message: str, text: str) -> str:
-    found = re.search(r" \(at line (\d+), column (\d+)\)", message)
-    line = found[1] if found else str(max(1, len(text.splitlines())))
-    return f"{path.name}:{line}: {message[: found.start()] if found else message}, expected TOML"
-
-
-def _line(text: str, table: str, key: str | None = None) -> int:
-    """Return the line of a table or of a key in it: the parser does not tell."""
-    where, header = "", 1
-    for number, line in enumerate(text.splitlines(), start=1):
-        if found := re.match(r"\s*\[\s*([^\]]+?)\s*\]", line):
-            where = found[1]
-            if where.split(".")[0] == table:
-                header = number
-                if key is None or where == f"{table}.{key}":
-                    return number
-            continue
-        name = line.split("=")[0].strip().replace('"', "").replace("'", "") if "=" in line else ""
-        full = f"{where}.{name}" if where else name
-        wanted = table if key is None else f"{table}.{key}"
-        if full == wanted or full.startswith(f"{wanted}."):
-            return number
-    return header
-
-
-def _line_of_message(text: str, tree: Mapping[str, Any], message: str) -> str:
-    """Return the line of the first key that a message names."""
-    for word in re.findall(r"\w+", message):
-        for table, content in tree.items():
-            if isinstance(content, Mapping) and word in content:
-                return f":{_line(text, table, word)}"
-    return ""

@@ -3,8 +3,8 @@
 from pinmobile.sweeps.axes import Axis
 from pinmobile.sweeps.grids import Grid, grid
 from pinmobile.sweeps.result import Sweep
-from pinmobile.sweeps.running import sweep
+from pinmobile.sweeps.running import check_draws, sweep
 from pinmobile.sweeps.table import length
 from pinmobile.sweeps.workers import connected
 
-__all__ = ["Axis", "Grid", "Sweep", "connected", "grid", "length", "sweep"]
+__all__ = ["Axis", "Grid", "Sweep", "check_draws", "connected", "grid", "length", "sweep"]

@@ -14,7 +14,7 @@ from pinmobile.sweeps.result import Sweep
 from pinmobile.sweeps.store import Job, Store
 from pinmobile.sweeps.workers import checked_client, in_process, on_cluster
 
-__all__ = ["sweep"]
+__all__ = ["check_draws", "sweep"]
 
 _CHUNK = 16384
 
@@ -73,7 +73,7 @@ def sweep(
         raise InvalidArgument(f"progress is {progress!r}, expected a function of two whole numbers")
     description = determined_by(grid)
     if not path.exists():
-        _check_draws(grid)
+        check_draws(grid)
     with Store(path, grid, description, size) as opened:
         if chunk is not None and opened.chunk != size:
             raise InvalidArgument(f"chunk is {size}, expected {opened.chunk} as in the store, or None")
@@ -90,8 +90,14 @@ def sweep(
     return Sweep.open(path, grid)
 
 
-def _check_draws(grid: Grid) -> None:
-    """Refuse impossible draws before any work, with the share of all robots."""
+def check_draws(grid: Grid) -> None:
+    """Refuse impossible draws before any work, with the share of all robots.
+
+    Raises
+    ------
+    InvalidArgument
+        If there are; the message says at which place of the grid.
+    """
     for k, scenario in enumerate(grid.scenarios):
         try:
             scenario.draws()
