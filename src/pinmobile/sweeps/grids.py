@@ -1,5 +1,6 @@
 """`grid`: scenarios along named axes."""
 
+import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -100,7 +101,8 @@ def grid(make: Callable[..., Scenario], /, **axes: Any) -> Grid:
     Raises
     ------
     InvalidArgument
-        If an axis is not what is expected, or a scenario is refused; the message says for which values.
+        If an axis is not what is expected, `make` does not take it, or a scenario is refused; the message
+        says for which values. What else `make` raises has a note that does.
     """
     if not callable(make):
         raise InvalidArgument(f"make is {make!r}, expected a function that returns a Scenario")
@@ -110,14 +112,33 @@ def grid(make: Callable[..., Scenario], /, **axes: Any) -> Grid:
     scenarios = []
     for index in product(*(range(len(axis)) for axis in named.values())):
         chosen = {name: axis.given[i] for (name, axis), i in zip(named.items(), index, strict=True)}
+        _check_call(make, chosen, placed(named, index))
         try:
             made = make(**chosen)
         except InvalidArgument as error:
             raise InvalidArgument(f"{error} (at {placed(named, index)})") from error
+        except Exception as error:
+            error.add_note(f"at {placed(named, index)}")
+            raise
         if not isinstance(made, Scenario):
             raise InvalidArgument(f"make returned a {type(made).__name__}, expected a Scenario")
         scenarios.append(made)
     return Grid(named, scenarios)
+
+
+def _check_call(make: Callable[..., Scenario], chosen: Mapping[str, Any], place: str) -> None:
+    """Refuse arguments that a function does not take, or lacks."""
+    try:
+        signature = inspect.signature(make)
+    except ValueError:  # as of some that are built in
+        return
+    try:
+        signature.bind(**chosen)
+    except TypeError as error:
+        takes = ", ".join(signature.parameters) or "nothing"
+        raise InvalidArgument(
+            f"make cannot be called with {', '.join(chosen)}: {error}; it takes {takes} (at {place})"
+        ) from error
 
 
 def as_grid(scenarios: Any) -> Grid:
@@ -126,7 +147,7 @@ def as_grid(scenarios: Any) -> Grid:
     Raises
     ------
     InvalidArgument
-        If it is no grid, mapping or sequence of scenarios.
+        If it is no grid, scenario, or mapping or sequence of scenarios.
     """
     if isinstance(scenarios, Grid):
         return scenarios
