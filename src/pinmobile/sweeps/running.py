@@ -22,7 +22,7 @@ Progress = Callable[[int, int], None]
 
 
 def sweep(
-    scenarios: Grid | Mapping[str, Scenario] | Sequence[Scenario],
+    scenarios: Grid | Mapping[str, Scenario] | Sequence[Scenario] | Scenario,
     store: str | PathLike[str],
     *,
     client: Any = None,
@@ -37,9 +37,9 @@ def sweep(
 
     Parameters
     ----------
-    scenarios : Grid, mapping of str to Scenario, or sequence of Scenario
-        What is run: a `grid`, or scenarios along one axis called ``scenario``. All have as many robots, and
-        their bands at the same times.
+    scenarios : Grid, mapping of str to Scenario, sequence of Scenario, or Scenario
+        What is run: a `grid`, or scenarios along one axis called ``scenario``, on which a single one is
+        number 0. All have as many robots, and their bands at the same times.
     store : path
         Folder of the store; made where it is missing, continued where it is that of this sweep.
     client : distributed.Client, optional
