@@ -1,6 +1,7 @@
 """All that determines the numbers of a sweep, and how two such accounts differ."""
 
 import json
+import re
 from collections.abc import Mapping
 from hashlib import sha256
 from importlib.metadata import version
@@ -60,6 +61,9 @@ def _fingerprint(description: Any) -> str:
 def differences(theirs: Mapping[str, Any], mine: Mapping[str, Any], most: int = 3) -> str:
     """Return in words how two descriptions differ; "" where they do not.
 
+    What a reader knows comes first: the axes, then the fields of scenarios, then versions. Digests are told
+    where nothing else differs.
+
     Parameters
     ----------
     theirs, mine : mapping
@@ -70,16 +74,39 @@ def differences(theirs: Mapping[str, Any], mine: Mapping[str, Any], most: int = 
     absent = "absent"
     there, here = _comparable(theirs), _comparable(mine)
     names = [name for name in {**here, **there} if there.get(name, absent) != here.get(name, absent)]
+    values = {name: (there.get(name, absent), here.get(name, absent)) for name in names}
+    readable = [name for name in names if not any(map(_is_digest, values[name]))] or names
+    shown = sorted(readable, key=_rank)
     words = [
-        f"{name} is {_short(there.get(name, absent))} there and {_short(here.get(name, absent))} here"
-        for name in names[:most]
+        f"{_told(name)} is {_short(values[name][0])} there and {_short(values[name][1])} here"
+        for name in shown[:most]
     ]
-    return "; ".join(words) + (f"; and {len(names) - most} more differ" if len(names) > most else "")
+    return "; ".join(words) + (f"; and {len(shown) - most} more differ" if len(shown) > most else "")
 
 
 def _comparable(description: Mapping[str, Any]) -> dict[str, Any]:
     found = {name: value for name, value in description.items() if name not in ("all", "each", "fingerprint")}
     return {**flat(found), **description.get("all", {}), **description.get("each", {})}
+
+
+def _rank(name: str) -> int:
+    if name.startswith("axes."):
+        return 0
+    return 2 if name in ("format", "machine", "engine") or name.startswith("versions.") else 1
+
+
+def _told(name: str) -> str:
+    """Return the name of an axis as its user gave it, and of anything else as it is."""
+    found = re.fullmatch(r"axes\.(.+)\.(values|unit)", name)
+    if found is None:
+        return name
+    return f"axis {found[1]}" if found[2] == "values" else f"unit of axis {found[1]}"
+
+
+def _is_digest(value: Any) -> bool:
+    if isinstance(value, list):
+        return any(map(_is_digest, value))
+    return isinstance(value, str) and re.search(r"\) [0-9a-f]{32}$", value) is not None
 
 
 def _short(value: Any) -> str:
