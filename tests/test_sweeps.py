@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import pinmobile
-from pinmobile import PD, Axis, InvalidArgument, Sweep, UnknownName, grid, law, sweep
+from pinmobile import PD, Axis, Circle, InvalidArgument, Sweep, Tangent, UnknownName, grid, law, sweep
 from pinmobile.arrays import Array
 from pinmobile.ensembles import run_scenario
 from pinmobile.sweeps import length
@@ -63,7 +63,11 @@ def test_a_diverged_robot_is_within_nothing(tmp_path: Path) -> None:
     assert np.isinf(found.within().sel(scenario="wild"))
     assert np.isfinite(found.within().sel(scenario="tame"))
     assert found.answer().startswith("tame stays within ")
-    assert found.answer().endswith("in 99 % of runs, wild within unbounded")
+    assert found.answer().endswith("in 99 % of runs, wild diverges in more than 1 % of runs")
+    assert found.answer(1).endswith("in 100 % of runs, wild diverges in some runs")
+    alone = sweep(wild, tmp_path / "alone")
+    assert alone.answer() == "the robots diverge in more than 1 % of runs"
+    assert Sweep.open(alone.path, wild).ensemble(scenario=0).diverged.all()
     assert np.isnan(found.ensemble(scenario="tame").diverged_at).all()
     np.testing.assert_array_equal(found.ensemble(scenario="wild").diverged_at, run_scenario(wild).diverged_at)
 
@@ -109,6 +113,21 @@ def test_a_killed_sweep_goes_on_and_ends_with_the_same_store(
     assert contents(store) == contents(done.path)
 
 
+def test_a_sweep_on_its_way_says_how_much_is_done(tmp_path: Path) -> None:
+    class Stop(Exception):
+        pass
+
+    def stop(done: int, total: int) -> None:
+        if done == 400:
+            raise Stop
+
+    with pytest.raises(Stop):
+        sweep([scenario(error=e) for e in (0, 0.2, 0.3)], tmp_path / "store", chunk=200, progress=stop)
+    found = Sweep.open(tmp_path / "store")
+    assert found.answer().startswith("66.7 % of the robots are done: with scenario = ")
+    assert str(found).count("unknown") == 2
+
+
 def test_a_sweep_that_is_done_is_not_done_again(done: Sweep) -> None:
     before, heard = contents(done.path), []
     sweep(gains_and_errors(), done.path, progress=lambda *now: heard.append(now))
@@ -139,15 +158,19 @@ def test_what_determines_the_numbers_is_told_the_same_way_in_every_process(done:
     [
         (
             lambda: grid(scenario, gain=Axis([4, 25], "1/s^2"), error=[0, 0.2]),
-            r"axes.gain.values is \[4, 16\] there",
+            r"axis gain is \[4, 16\] there and \[4, 25\] here",
         ),
         (lambda: _grid(n=100), "n is 200 there and 100 here"),
         (lambda: _grid(seed=2), "seed is 1 there and 2 here"),
         (lambda: _grid(dt=0.05, every=2), "dt is 0.1 there and 0.05 here"),
+        (
+            lambda: _grid(trajectory=Tangent(Circle(2, 0.1, 6.0))),
+            r"another sweep: trajectory\.path\.rx is 3 there and 2 here; trajectory\.path\.ry is 3 [^;]*$",
+        ),
     ],
 )
 def test_a_store_of_another_sweep_is_refused(done: Sweep, scenarios: Callable[[], Any], text: str) -> None:
-    with pytest.raises(InvalidArgument, match=f"which belongs to another sweep: .*{text}"):
+    with pytest.raises(InvalidArgument, match=f"which belongs to .*{text}"):
         sweep(scenarios(), done.path)
     with pytest.raises(InvalidArgument, match="scenarios are not those of"):
         Sweep.open(done.path, scenarios())
@@ -210,6 +233,14 @@ def test_a_users_function_is_known_by_its_source_and_what_it_reads(
         (lambda p: grid(scenario), "axes are none, expected at least one"),
         (lambda p: grid(_untyped(3), gain=[4]), "make is 3, expected a function that returns a Scenario"),
         (lambda p: grid(lambda gain: gain, gain=[4]), "make returned a int, expected a Scenario"),
+        (
+            lambda p: grid(lambda gain: scenario(gain), q=[1]),
+            r"make cannot be called with q: missing a required argument: 'gain'; it takes gain \(at q = 1\)",
+        ),
+        (
+            lambda p: grid(lambda: scenario(), q=[1]),
+            r"make cannot be called with q: got an unexpected .* 'q'; it takes nothing \(at q = 1\)",
+        ),
         (lambda p: grid(scenario, gain=4), "gain: values is 4, expected a sequence"),
         (lambda p: grid(scenario, gain=[4, 4]), r"gain: values is \[4, 4\], expected each one once"),
         (lambda p: grid(scenario, gain=[4, "x"]), "expected all numbers or all text"),
@@ -223,6 +254,15 @@ def test_wrong_arguments(tmp_path: Path, call: Callable[[Path], Any], text: str)
     with pytest.raises(InvalidArgument, match=text):
         call(tmp_path / "store")
     assert not (tmp_path / "store").exists()
+
+
+def test_what_a_function_of_a_grid_raises_names_the_place() -> None:
+    def make(gain: float) -> Any:
+        return scenario(1 / gain)
+
+    with pytest.raises(ZeroDivisionError) as caught:
+        grid(make, gain=Axis([1, 0], "1/s^2"))
+    assert caught.value.__notes__ == ["at gain = 0 1/s^2"]
 
 
 def test_wrong_stores_and_labels(done: Sweep, tmp_path: Path) -> None:
@@ -254,7 +294,8 @@ def test_a_store_is_written_by_one_process_at_a_time_and_read_meanwhile(tmp_path
             sweep(run, tmp_path / "store")
         early = Sweep.open(tmp_path / "store", run)
         assert np.isnan(early.within()).all()
-        assert "unknown" in str(early)
+        assert early.table().splitlines()[1].split() == ["4", "0", "unknown", "unknown"]
+        assert early.answer() == "0 % of the robots are done, and of no scenario all"
         with pytest.raises(InvalidArgument, match="has no records yet: start the same sweep again"):
             early.ensemble(gain=4, error=0)
 

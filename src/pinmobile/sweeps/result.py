@@ -54,7 +54,7 @@ class Sweep:
         ----------
         path : path
             Its folder.
-        scenarios : Grid, mapping or sequence, optional
+        scenarios : Grid, mapping, sequence or Scenario, optional
             What was run, as given to `sweep`: needed for `ensemble`, since a store holds numbers, no objects.
 
         Raises
@@ -114,12 +114,15 @@ class Sweep:
     def answer(self, share: float = 0.99) -> str:
         """Return in one line what the share of the robots stays within where the worst happens.
 
+        Of a sweep that is not complete, it begins with how much is done.
+
         Raises
         ------
         InvalidArgument
             If `share` is not between 0 and 1.
         """
-        return answer(self.axes, self.within(share).values, share)
+        done = float(self.dataset.max_distance.notnull().mean())
+        return answer(self.axes, self.within(share).values, share, done)
 
     def ensemble(self, **labels: Any) -> Ensemble:
         """Return the ensemble of one scenario.

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array
 from pinmobile.sweeps.axes import Axis, Label, told
 
-__all__ = ["answer", "length", "table"]
+__all__ = ["answer", "compared", "length", "table"]
 
 _MOST = 40  # rows of a table
 
@@ -23,7 +23,29 @@ def length(metres: float) -> str:
     return f"{metres * 1e9:.3g} nm"
 
 
-def answer(axes: Mapping[str, Axis], within: Array, share: float) -> str:
+def compared(within: Mapping[str, float], share: float) -> str:
+    """Return in words who stays within what, the share told once.
+
+    Parameters
+    ----------
+    within : mapping of str to float
+        By name in the singular, what the share of the robots stays within [m].
+    share : float
+        The share.
+    """
+    words: list[str] = []
+    bounded = False
+    for label, distance in within.items():
+        if np.isfinite(distance):
+            said = f"{label} within" if bounded else f"{label} stays within"
+            words.append(f"{said} {length(distance)}{'' if bounded else f' in {share * 100:g} % of runs'}")
+            bounded = True
+        else:
+            words.append(f"{label} {_unbounded(distance, share, 'is', 'diverges')}")
+    return ", ".join(words)
+
+
+def answer(axes: Mapping[str, Axis], within: Array, share: float, done: float = 1.0) -> str:
     """Return the answer in one line, for the values at which the worst happens.
 
     Parameters
@@ -34,28 +56,41 @@ def answer(axes: Mapping[str, Axis], within: Array, share: float) -> str:
         Distance that the share of the robots stays within [m]; NaN where nothing is known.
     share : float
         The share.
+    done : float
+        Share of all robots that has been run.
     """
-    beside = _beside(axes)
     known = np.nan_to_num(within, nan=-1.0, posinf=np.inf)
     worst = np.unravel_index(int(np.argmax(known)), within.shape)
+    beside = _beside(axes)
     places = zip(axes.items(), worst, strict=True)
-    where = [told(name, axis, int(i)) for (name, axis), i in places if name != beside]
-    prefix = f"with {' and '.join(where)}, " if where else ""
-    said = f"in {share * 100:g} % of runs"
+    where = [told(name, axis, int(i)) for (name, axis), i in places if name != beside and len(axis) > 1]
+    begun = f"{done * 100:.3g} % of the robots are done" if done < 1 else ""
+    if begun and np.isnan(within).all():
+        return f"{begun}, and of no scenario all"
+    prefix = f"{begun}: " if begun else ""
+    if where:
+        prefix += f"with {' and '.join(where)}, "
     if beside is None:
-        return f"{prefix}the robots stay within {length(float(within[worst]))} {said}"
+        distance = float(within[worst])
+        if np.isfinite(distance):
+            return f"{prefix}the robots stay within {length(distance)} in {share * 100:g} % of runs"
+        return f"{prefix}the robots {_unbounded(distance, share, 'are', 'diverge')}"
     place = list(axes).index(beside)
-    words = []
-    for k, label in enumerate(axes[beside].values):
-        distance = length(float(within[(*worst[:place], k, *worst[place + 1 :])]))
-        words.append(f"{label} stays within {distance} {said}" if k == 0 else f"{label} within {distance}")
-    return prefix + ", ".join(words)
+    others = tuple(int(i) for k, i in enumerate(worst) if k != place)
+    row = np.moveaxis(within, place, -1)[others]
+    return prefix + compared(dict(zip(map(str, axes[beside].values), row.tolist(), strict=True)), share)
+
+
+def _unbounded(distance: float, share: float, be: str, diverge: str) -> str:
+    if np.isnan(distance):
+        return f"{be} unknown"
+    return f"{diverge} in {'some' if share == 1 else f'more than {(1 - share) * 100:.3g} % of'} runs"
 
 
 def table(
     axes: Mapping[str, Axis], within: Array, diverged: NDArray[np.int64], share: float, most: int = _MOST
 ) -> str:
-    """Return one row for each scenario, the first `most` of them.
+    """Return one row for each scenario, the first `most` of them; what is not known yet is "unknown".
 
     Parameters
     ----------
@@ -70,7 +105,8 @@ def table(
     rows = [[*heads, f"{share * 100:g} % within", "diverged"]]
     for index in list(np.ndindex(within.shape))[:most]:
         labels = [_text(list(axis.values)[i]) for axis, i in zip(axes.values(), index, strict=True)]
-        rows.append([*labels, length(float(within[index])), f"{diverged[index]:,}"])
+        distance = float(within[index])
+        rows.append([*labels, length(distance), "unknown" if np.isnan(distance) else f"{diverged[index]:,}"])
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
     rest = within.size - most
@@ -79,7 +115,8 @@ def table(
 
 def _beside(axes: Mapping[str, Axis]) -> str | None:
     """Return the last axis whose values are text: its members are compared with each other."""
-    named = [name for name, axis in axes.items() if all(isinstance(value, str) for value in axis.values)]
+    long = {name: axis for name, axis in axes.items() if len(axis) > 1}
+    named = [name for name, axis in long.items() if all(isinstance(value, str) for value in axis.values)]
     return named[-1] if named else None
 
 
