@@ -63,6 +63,8 @@ def scenario(options: Mapping[str, Any], spread: Mapping[str, Any], *, n: Any, s
     for name in spread:
         if name not in PARAMETERS:
             raise UnknownName("parameter in spread", name, PARAMETERS)
+        if name.startswith("model_") and options["controller"] == "pd":
+            raise InvalidArgument(f"--spread {name} does not apply: PD believes in no model")
     plant, law, trajectory, settings = choices.closed_loop(**options)
     shared: dict[str, Any] = {"robot": plant, "controller": law, "trajectory": trajectory, **settings}
     nominal = Scenario(**shared, n=1, spread={}).nominal
