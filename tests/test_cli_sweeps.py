@@ -17,15 +17,17 @@ def test_ensemble_compares_both_controllers(capsys: pytest.CaptureFixture[str], 
     words = "ensemble --n 40 --duration 6 --spread mass=percent:20 --spread model_mass=same:mass,1.1"
     code, out, _ = typed(capsys, *words.split(), "--out", str(tmp_path))
     assert code == 0
-    assert "with mass=percent:20 and model_mass=same:mass,1.1, PD stays within " in out
+    assert "with mass=percent:20, PD stays within " in out
     assert "mm in 99 % of runs, computed torque within " in out
+    assert "m (model_mass=same:mass,1.1 for computed torque alone: PD believes in no model)\n" in out
+    assert "alike" not in out
     assert f"open {tmp_path / 'index.html'}" in out
     assert "computed torque" in (tmp_path / "index.html").read_text()
 
 
 def test_ensemble_of_one_controller(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     words = "ensemble --n 40 --duration 6 --controller pd --kp 100 --kd 90 --spread start_x=normal:0,0.01"
-    code, out, _ = typed(capsys, *words.split(), "--spread", "mass=12", "--out", str(tmp_path))
+    code, out, _ = typed(capsys, *words.split(), "--spread", "mass=32", "--out", str(tmp_path))
     assert code == 0
     assert "PD stays within" in out
     assert "computed torque" not in out
@@ -137,6 +139,10 @@ def test_a_typo_in_a_scenario_file_is_answered_with_its_line(
         ("ensemble --spread mass=uniform:40,20", "--spread mass: low is 40.0, expected at most high, 20.0"),
         ("ensemble --spread mass=normal:0,x", "--spread mass is '0,x', expected a number, or numbers with"),
         ("ensemble --spread mass=12 --spread mass=13", "--spread mass is given 2 times, expected once"),
+        (
+            "ensemble --controller pd --spread model_mass=percent:20",
+            "--spread model_mass does not apply: PD believes in no model",
+        ),
         ("ensemble --kp 4", "--kp does not apply to both controllers, expected --controller"),
         ("ensemble --gif", "--gif does not apply to ensemble"),
         ("ensemble --n -1", "n is -1, expected a whole number >= 1"),
@@ -150,6 +156,31 @@ def test_wrong_options_are_answered_in_one_line(
     assert code == 2
     assert text in err
     assert err.count("\n") == 1
+
+
+def test_robots_that_are_alike_and_a_loop_that_diverges_are_told(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    words = "ensemble --n 30 --duration 6 --controller pd --kd -40 --spread mass=20"
+    code, out, _ = typed(capsys, *words.split(), "--out", str(tmp_path))
+    assert code == 0
+    assert out.startswith("nothing is spread: all robots are alike\n")
+    assert "with mass=20, PD diverges in more than 1 % of runs" in out
+    (tmp_path / "one.toml").write_text("[trajectory]\nduration = 6\n[ensemble]\nn = 30\n")
+    code, out, _ = typed(capsys, "sweep", str(tmp_path / "one.toml"), "--out", str(tmp_path))
+    assert code == 0
+    assert out.startswith("nothing is spread: all robots are alike\n")
+    assert "\nthe robots stay within " in out
+
+
+def test_a_store_keeps_its_chunk(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "mass.toml").write_text(SMALL)
+    words = "sweep", str(tmp_path / "mass.toml"), "--out", str(tmp_path), "--chunk"
+    assert typed(capsys, *words, "20")[0] == 0
+    code, _, err = typed(capsys, *words, "30")
+    assert code == 2
+    assert "--chunk is 30, expected 20 as in the store '" in err
+    assert err.endswith("', or no --chunk\n")
 
 
 def test_a_file_that_is_no_text_is_answered(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -1,19 +1,22 @@
 """Many loops at once: `ensemble` and `sweep`, what came of them, and figures."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import typer
 
-from pinmobile import Ensemble, InvalidArgument, sweep
+from pinmobile import Ensemble, InvalidArgument, Same, Scenario, sweep
 from pinmobile.arrays import whole
 from pinmobile.cli.many_figures import ensemble_figures, sweep_figures
 from pinmobile.cli.output import Section, console, index_page, output_folder, progress
 from pinmobile.cli.scenario_file import read_grid
 from pinmobile.cli.spreads import scenario, spread_of_words
 from pinmobile.ensembles import run_scenario
-from pinmobile.sweeps import connected, length
+from pinmobile.sweeps import connected
+from pinmobile.sweeps.store import attributes_of
+from pinmobile.sweeps.table import compared
 
 __all__ = ["run_options", "show_ensemble", "show_sweep"]
 
@@ -50,6 +53,7 @@ def show_ensemble(
             if options[name] is not None:
                 raise InvalidArgument(f"--{name} does not apply to both controllers, expected --controller")
     loops = {_NAMES.get(name, name): _loop(options, wanted, name, n=n, seed=seed, one=one) for name in names}
+    _warn_if_alike(loops.values())
     made: dict[str, Ensemble] = {}
     with progress(n * len(loops)) as bar:
         for k, (label, loop) in enumerate(loops.items()):
@@ -72,8 +76,9 @@ def show_sweep(file: Path, out: Path | None, scheduler: str | None, chunk: int |
     """Run the sweep of a file, print who stays within what, and draw it."""
     grid = read_grid(file)
     folder = output_folder(Path("out") / file.stem if out is None else out)
-    size = None if chunk is None else whole("--chunk", chunk)
     store = folder / "sweep.zarr"
+    size = _size(chunk, store)
+    _warn_if_alike(grid.scenarios)
     client = None if scheduler is None else connected(scheduler)
     try:
         with progress(len(grid) * grid.n) as bar:
@@ -108,7 +113,39 @@ def _loop(
 
 
 def _answer(made: Mapping[str, Ensemble], spread: Sequence[str]) -> str:
-    words = [f"{label} stays within {length(each.within(0.99).distance)}" for label, each in made.items()]
-    words[0] += " in 99 % of runs"
-    with_ = f"with {' and '.join(spread)}, " if spread else ""
-    return with_ + ", ".join([words[0], *(word.replace(" stays", "") for word in words[1:])])
+    """Say who stays within what; what only the controller's model differs in belongs to that controller."""
+    believed = [word for word in spread if word.startswith("model_")]
+    shared = [word for word in spread if word not in believed] if len(made) > 1 else spread
+    with_ = f"with {' and '.join(shared)}, " if shared else ""
+    within = {label: each.within(0.99).distance for label, each in made.items()}
+    told = with_ + compared(within, 0.99)
+    if believed and len(made) > 1:
+        told += f" ({' and '.join(believed)} for computed torque alone: PD believes in no model)"
+    return told
+
+
+def _warn_if_alike(scenarios: Iterable[Scenario]) -> None:
+    """Say that robots are alike where nothing makes them differ, of ensembles of several."""
+    if all(each.n > 1 and not any(map(_differs, each.spread.values())) for each in scenarios):
+        console.print("nothing is spread: all robots are alike\n", markup=False)
+
+
+def _differs(source: Any) -> bool:
+    """Tell whether a source gives robots different numbers, by itself."""
+    if isinstance(source, Same):
+        return _differs(source.factor)
+    return not (isinstance(source, np.ndarray) and source.ndim == 0)
+
+
+def _size(chunk: int | None, store: Path) -> int | None:
+    """Return the robots in a chunk; a store that is there keeps its own."""
+    if chunk is None:
+        return None
+    size = whole("--chunk", chunk)
+    if (store / "zarr.json").exists():
+        there = attributes_of(store)["chunk"]
+        if there != size:
+            raise InvalidArgument(
+                f"--chunk is {size}, expected {there} as in the store {str(store)!r}, or no --chunk"
+            )
+    return size
