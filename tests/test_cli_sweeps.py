@@ -1,5 +1,6 @@
 """The commands ensemble and sweep, as a person types them."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,7 @@ from matplotlib.figure import Figure
 
 from pinmobile import Sweep, plots
 from pinmobile.cli.scenario_file import EXAMPLE
+from pinmobile.ensembles import PARAMETERS
 from tests.test_cli import typed
 
 SMALL = EXAMPLE.replace("n = 10000", "n = 40").replace("radius = 3", "radius = 3\nduration = 6")
@@ -26,8 +28,8 @@ def test_ensemble_compares_both_controllers(capsys: pytest.CaptureFixture[str], 
 
 
 def test_ensemble_of_one_controller(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    words = "ensemble --n 40 --duration 6 --controller pd --kp 100 --kd 90 --spread start_x=normal:0,0.01"
-    code, out, _ = typed(capsys, *words.split(), "--spread", "mass=32", "--out", str(tmp_path))
+    words = "ensemble --n 40 --duration 6 --controller pd --kp 100,100,0.4 --kd 90,90,0.4 --spread mass=32"
+    code, out, _ = typed(capsys, *words.split(), "--spread", "start_x=normal:0,0.01", "--out", str(tmp_path))
     assert code == 0
     assert "PD stays within" in out
     assert "computed torque" not in out
@@ -232,3 +234,12 @@ def test_two_swept_names_are_drawn_as_a_map(capsys: pytest.CaptureFixture[str], 
     (tmp_path / "names.toml").write_text(text)
     assert typed(capsys, "sweep", str(tmp_path / "names.toml"), "--out", str(tmp_path))[0] == 0
     assert (tmp_path / "within-0.png").exists()
+
+
+@pytest.mark.parametrize("command", ["ensemble", "sweep"])
+def test_the_help_lists_what_may_be_spread(capsys: pytest.CaptureFixture[str], command: str) -> None:
+    _, shown, _ = typed(capsys, command, "--help")
+    assert set(PARAMETERS) <= set(re.findall(r"\w+", shown))
+    words = " ".join(shown.split())
+    assert "the robot: mass (kg), yaw_inertia (kg m^2), com_x, com_y (m)" in words
+    assert "start_vx, start_vy (m/s), start_yaw_rate (rad/s)" in words

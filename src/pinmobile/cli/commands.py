@@ -13,7 +13,7 @@ from pinmobile.cli.many import run_options, show_ensemble, show_sweep
 from pinmobile.cli.output import console, output_folder, progress
 from pinmobile.cli.run import show_run
 from pinmobile.cli.scenario_file import EXAMPLE
-from pinmobile.cli.spreads import SPREAD_FORMS
+from pinmobile.cli.spreads import SPREAD_FORMS, listed
 from pinmobile.cli.view import chosen_runs, overlays_of, saved_runs, show_live
 
 __all__ = ["app"]
@@ -215,7 +215,10 @@ def view(
     return show_live(rollouts, overlays, host=host, port=port, speed=speed)
 
 
-@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+@app.command(
+    context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
+    epilog=f"What may be spread (unit):\n\n{listed()}",
+)
 def ensemble(
     context: typer.Context,
     n: Annotated[int, typer.Option("--n", help="Number of robots.")] = 10_000,
@@ -240,7 +243,10 @@ def ensemble(
     return show_ensemble(options, spread or [], folder, n=n, seed=seed, one=one)
 
 
-@app.command(epilog=f"A scenario file, which runs as it is:\n\n{escape(EXAMPLE)}")
+@app.command(
+    epilog=f"A scenario file, which runs as it is:\n\n{escape(EXAMPLE)}\n\nWhat may be spread (unit):\n\n"
+    + listed()
+)
 def sweep(
     file: Annotated[Path, typer.Argument(help="Scenario file (TOML).")],
     out: Annotated[

@@ -7,10 +7,39 @@ from pinmobile import InvalidArgument, Normal, Same, Scenario, Uniform, UnknownN
 from pinmobile.cli import choices
 from pinmobile.ensembles import PARAMETERS
 
-__all__ = ["SPREAD_FORMS", "scenario", "spread_of_words"]
+__all__ = ["SPREAD_FORMS", "listed", "scenario", "spread_of_words"]
 
 SPREAD_FORMS = "uniform:LOW,HIGH normal:MEAN,STD percent:P (of the nominal) same:NAME[,FACTOR] or a number"
 _KINDS = ("uniform", "normal", "percent", "same")
+
+
+# What the names of each group begin with; the rest are the robot's.
+_GROUPS = {
+    "the controller's model": ("model_",),
+    "the start, from the trajectory's": ("start_",),
+    "gains, one for all coordinates, of each, or a factor": ("kp", "kd"),
+    "forces on the body": ("force_", "moment_", "viscous_", "rolling_"),
+    "in Python alone, with such a force": ("sine_", "noise_"),
+}
+
+
+def listed() -> str:
+    """Return the names of all that may be spread, in groups, with their units."""
+    groups: dict[str, list[str]] = {title: [] for title in ("the robot", *_GROUPS)}
+    for name in PARAMETERS:
+        found = (title for title, prefixes in _GROUPS.items() if name.startswith(prefixes))
+        groups[next(found, "the robot")].append(name)
+    return "\n".join(f"{title}: {_with_units(names)}" for title, names in groups.items())
+
+
+def _with_units(names: Sequence[str]) -> str:
+    """Return names, the unit told once for those that follow each other."""
+    words = []
+    for name, following in zip(names, (*names[1:], ""), strict=True):
+        unit = PARAMETERS[name].unit
+        last = not following or PARAMETERS[following].unit != unit
+        words.append(f"{name} ({unit})" if last and unit else name)
+    return ", ".join(words)
 
 
 def spread_of_words(words: Sequence[str]) -> dict[str, Any]:
