@@ -100,6 +100,12 @@ def test_sweep_runs_the_example_of_its_help(capsys: pytest.CaptureFixture[str], 
             'same = "start_z"',
             "mass.toml:13: unknown parameter in spread['start_y'] ",
         ),
+        ('"circle"', "3", "mass.toml:5: type is 3, expected text in quotes"),
+        (
+            '["pd", ',
+            "[3, ",
+            "mass.toml:18: controller.type is [3, 'computed-torque'], expected texts in quotes",
+        ),
         ("[5, 10, 20]", "5", "mass.toml:17: spread.mass.percent is 5, expected a list of values"),
         (
             "[5, 10, 20]",

@@ -60,6 +60,7 @@ _DEFAULTS = {
     "substeps": 1,
 }
 _TEXTS = ("start", "via", "end", "via_velocity", "kp", "kd", "com", "model_com")  # as on the command line
+_NAMES = ("base", "urdf", "type", "heading", "integrator")
 _UNITS = {
     **{"mass": "kg", "yaw_inertia": "kg m^2", "model_mass": "kg", "model_yaw_inertia": "kg m^2"},
     **{"radius": "m", "rx": "m", "ry": "m", "rate": "rad/s", "wx": "rad/s", "wy": "rad/s", "psi": "rad"},
@@ -150,6 +151,9 @@ def _checked(path: Path, text: str, tree: dict[str, Any]) -> dict[str, list[Any]
             if key not in _TABLES[table]:
                 at = f"{path.name}:{line(text, table, key)}"
                 raise InvalidArgument(f"{at}: {_no_key(f'key {key!r} in [{table}]', table, key)}")
+            if key in _NAMES and not isinstance(content[key], str):
+                at = f"{path.name}:{line(text, table, key)}"
+                raise InvalidArgument(f"{at}: {key} is {content[key]!r}, expected text in quotes")
     swept = dict(_leaves(tree.pop("grid", {})))
     for name, values in swept.items():
         _check_swept(f"{path.name}:{line(text, 'grid', name)}", name, values)
@@ -168,6 +172,8 @@ def _check_swept(at: str, name: str, values: Any) -> None:
         raise InvalidArgument(f"{at}: {_no_key(f'key {key!r} of [{table}] in [grid]', table, key)}")
     if not isinstance(values, list) or not values:
         raise InvalidArgument(f"{at}: {name} is {values!r}, expected a list of values")
+    if key in _NAMES and not all(isinstance(value, str) for value in values):
+        raise InvalidArgument(f"{at}: {name} is {values!r}, expected texts in quotes")
 
 
 def _no_key(what: str, table: str, key: str) -> str:
