@@ -44,7 +44,9 @@ ALLOWED: dict[str, set[str]] = {
         "integrators",
         "simulation",
     },
-    "plots": {"simulation", "accuracy", "ensembles"},
+    "balance": {"robot"},
+    "reaching": {"robot", "trajectories"},
+    "plots": {"simulation", "accuracy", "ensembles", "balance"},
     "viewer": {"robot", "simulation"},
 }
 

@@ -25,7 +25,7 @@ from pinmobile.disturbances import (
     SinusoidalForce,
     ViscousFriction,
 )
-from pinmobile.errors import Diverged, InvalidArgument, PinmobileError, UnknownName, ViewerError
+from pinmobile.errors import Diverged, InvalidArgument, PinmobileError, UnknownName, Unreachable, ViewerError
 from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
 from pinmobile.paths import Circle, CubicVia, Hold, Lissajous, RestToRest, Spline
 from pinmobile.robot import Load, MobileRobot, mountable
@@ -35,7 +35,15 @@ from pinmobile.urdf import shipped_urdf
 
 if TYPE_CHECKING:
     from pinmobile.accuracy import integrator_report
+    from pinmobile.balance import (
+        Motion,
+        reaction_wrench,
+        required_friction,
+        tip_over_margin,
+        zero_moment_point,
+    )
     from pinmobile.ensembles import TRUE_MODEL, Ensemble, Normal, Same, Scenario, Uniform, ensemble
+    from pinmobile.reaching import EndEffectorTracking, PosePath, Resolved, resolve
     from pinmobile.verification import verify
 
 __version__ = "0.1.0"
@@ -54,6 +62,7 @@ __all__ = [
     "Decoupled",
     "Delayed",
     "Diverged",
+    "EndEffectorTracking",
     "Ensemble",
     "FixedHeading",
     "Hold",
@@ -63,12 +72,15 @@ __all__ = [
     "Lissajous",
     "Load",
     "MobileRobot",
+    "Motion",
     "NoiseForce",
     "NoisyMeasurement",
     "Normal",
     "PDGravity",
     "PinmobileError",
+    "PosePath",
     "Reference",
+    "Resolved",
     "RestToRest",
     "RollingResistance",
     "Rollout",
@@ -80,6 +92,7 @@ __all__ = [
     "Tangent",
     "Uniform",
     "UnknownName",
+    "Unreachable",
     "ViewerError",
     "ViscousFriction",
     "WholeBody",
@@ -89,19 +102,41 @@ __all__ = [
     "law",
     "mountable",
     "planar_difference",
+    "reaction_wrench",
+    "required_friction",
+    "resolve",
     "rk4",
     "semi_implicit_euler",
     "shipped_urdf",
     "simulate",
+    "tip_over_margin",
     "verify",
+    "zero_moment_point",
 ]
 
-_LAZY_MODULES = ("accuracy", "derivation", "ensembles", "plots", "verification", "viewer")
+_LAZY_MODULES = (
+    "accuracy",
+    "balance",
+    "derivation",
+    "ensembles",
+    "plots",
+    "reaching",
+    "verification",
+    "viewer",
+)
 _LAZY_NAMES = {
     name: module
     for module, names in {
         "accuracy": ("integrator_report",),
+        "balance": (
+            "Motion",
+            "reaction_wrench",
+            "required_friction",
+            "tip_over_margin",
+            "zero_moment_point",
+        ),
         "ensembles": ("TRUE_MODEL", "Ensemble", "Normal", "Same", "Scenario", "Uniform", "ensemble"),
+        "reaching": ("EndEffectorTracking", "PosePath", "Resolved", "resolve"),
         "verification": ("verify",),
     }.items()
     for name in names

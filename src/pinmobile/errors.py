@@ -5,7 +5,7 @@ from difflib import get_close_matches
 from functools import partial
 from typing import Any
 
-__all__ = ["Diverged", "InvalidArgument", "PinmobileError", "UnknownName", "ViewerError"]
+__all__ = ["Diverged", "InvalidArgument", "PinmobileError", "UnknownName", "Unreachable", "ViewerError"]
 
 
 class PinmobileError(Exception):
@@ -63,6 +63,25 @@ class Diverged(PinmobileError, ArithmeticError):
     def __reduce__(self) -> tuple[Any, ...]:
         # So that it comes back from another process with all that it carries.
         return partial(type(self), time=self.time, q=self.q, v=self.v, rollout=self.rollout), self.args
+
+
+class Unreachable(InvalidArgument):
+    """A pose cannot be followed within the limits of the robot.
+
+    Attributes
+    ----------
+    time : float
+        The first time at which the error is beyond the tolerance [s].
+    resolved : Resolved
+        The trajectory that comes nearest, step by step, with its errors.
+    """
+
+    def __init__(self, message: str, *, time: float, resolved: Any) -> None:
+        super().__init__(message)
+        self.time, self.resolved = time, resolved
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return partial(type(self), time=self.time, resolved=self.resolved), self.args
 
 
 class ViewerError(PinmobileError, RuntimeError):

@@ -2,10 +2,23 @@
 
 from pinmobile.plots.accuracy import integrator
 from pinmobile.plots.animation import animate
+from pinmobile.plots.ground import balance, reaction
 from pinmobile.plots.plane import path
 from pinmobile.plots.quantiles import bands
 from pinmobile.plots.series import errors, forces, states
 from pinmobile.plots.swept import heatmap
 from pinmobile.plots.worst import drivers
 
-__all__ = ["animate", "bands", "drivers", "errors", "forces", "heatmap", "integrator", "path", "states"]
+__all__ = [
+    "animate",
+    "balance",
+    "bands",
+    "drivers",
+    "errors",
+    "forces",
+    "heatmap",
+    "integrator",
+    "path",
+    "reaction",
+    "states",
+]

@@ -14,7 +14,7 @@ from pinmobile.arrays import Array
 from pinmobile.plots.runs import Rollouts, labelled, same_references, thinned
 from pinmobile.plots.style import DESIRED, INK, ShownFigure, colour, dress, heading, legend, line_style
 
-__all__ = ["errors", "forces", "states"]
+__all__ = ["draw", "errors", "forces", "stacked", "states"]
 
 _POSE = (("$x$", "m"), ("$y$", "m"), (r"$\psi$", "rad"))
 _FORCE = (("$F_x$", "N"), ("$F_y$", "N"), ("$M_z$", "N m"))
@@ -42,12 +42,12 @@ def states(rollouts: Rollouts, *, title: str | None = None) -> Figure:
     """
     runs = labelled(rollouts)
     names = _names(_POSE, [run.q for run in runs.values()], "q")
-    figure, grid = _stacked(names, 1, title or "Desired and actual pose")
+    figure, grid = stacked(names, 1, title or "Desired and actual pose")
     for index, (label, run) in enumerate(runs.items()):
-        _draw(grid[:, 0], run.t, run.q, label=label or "actual", **line_style(index, len(runs)))
+        draw(grid[:, 0], run.t, run.q, label=label or "actual", **line_style(index, len(runs)))
     for labels in same_references(runs).values():
         run = runs[labels[0]]
-        _draw(grid[:, 0], run.t, run.reference.q, label="desired", **DESIRED)
+        draw(grid[:, 0], run.t, run.reference.q, label="desired", **DESIRED)
     legend(figure, [Line2D([], [], label="desired", **DESIRED), *grid[0, 0].lines[: len(runs)]])
     return figure
 
@@ -78,10 +78,10 @@ def errors(rollouts: Rollouts, *, title: str | None = None) -> Figure:
     names = _names(_POSE, [run.error for run in runs.values()], "q")
     note = "; each panel has its own scale" if len(runs) > 1 else ""
     quantities = [(f"error in {symbol}", unit) for symbol, unit in names]
-    figure, grid = _stacked(quantities, len(runs), title or f"Error: desired minus actual{note}")
+    figure, grid = stacked(quantities, len(runs), title or f"Error: desired minus actual{note}")
     for index, (label, run) in enumerate(runs.items()):
         column = grid[:, index]
-        _draw(column, run.t, run.error, label=label, color=colour(index), linewidth=1.8, zorder=3)
+        draw(column, run.t, run.error, label=label, color=colour(index), linewidth=1.8, zorder=3)
         for axes, (_, unit), values in zip(column, names, run.error.T, strict=False):
             axes.set_title(f"largest {_power(float(np.abs(values).max()))} {unit}", fontsize=11, loc="right")
         column[0].annotate(label, (0, 1), (0, 26), **heading(index))
@@ -111,9 +111,9 @@ def forces(rollouts: Rollouts, *, title: str | None = None) -> Figure:
     # Only a force that belongs to v is Fx, Fy, Mz: other plants' inputs are their own.
     generalised = all(run.tau.shape == run.v.shape for run in runs.values())
     names = _names(_FORCE if generalised else (), [run.tau for run in runs.values()], "u")
-    figure, grid = _stacked(names, 1, title or "Force, held from one sample to the next")
+    figure, grid = stacked(names, 1, title or "Force, held from one sample to the next")
     for index, (label, run) in enumerate(runs.items()):
-        _draw(grid[:, 0], run.t, run.tau, label=label, drawstyle="steps-post", **line_style(index, len(runs)))
+        draw(grid[:, 0], run.t, run.tau, label=label, drawstyle="steps-post", **line_style(index, len(runs)))
     if len(runs) > 1:
         legend(figure, grid[0, 0].lines)
     return figure
@@ -125,7 +125,7 @@ def _names(known: Sequence[tuple[str, str]], arrays: Sequence[Array], letter: st
     return [*known[:count], *((f"${letter}_{{{k}}}$", "") for k in range(len(known), count))]
 
 
-def _stacked(names: Sequence[tuple[str, str]], columns: int, title: str) -> tuple[Figure, NDArray[Any]]:
+def stacked(names: Sequence[tuple[str, str]], columns: int, title: str) -> tuple[Figure, NDArray[Any]]:
     """Return a figure with a row of axes for each coordinate, and the axes, shape (rows, columns)."""
     size = max(9.0, 3.2 * columns), 1.2 + 1.75 * len(names)
     figure = ShownFigure(figsize=size, dpi=100, layout="constrained")
@@ -145,7 +145,7 @@ def _stacked(names: Sequence[tuple[str, str]], columns: int, title: str) -> tupl
     return figure, grid
 
 
-def _draw(column: Iterable[Axes], t: Array, values: Array, **style: Any) -> None:
+def draw(column: Iterable[Axes], t: Array, values: Array, **style: Any) -> None:
     """Draw each coordinate, shape (N,) of values (N, n), in its axes."""
     for axes, line in zip(column, values.T, strict=False):
         kept = thinned(line)

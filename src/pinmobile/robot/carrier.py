@@ -12,14 +12,14 @@ import pinocchio as pin
 from pinmobile import urdf
 from pinmobile.arrays import ArrayLike, finite
 from pinmobile.errors import InvalidArgument
-from pinmobile.robot.dynamics import ChainDynamics
 from pinmobile.robot.mounts import Load, Mount, checked_name, free_name, mount_after, on_top, placed
 from pinmobile.robot.sources import read_arm
+from pinmobile.robot.wrenches import ChainWrenches
 
 __all__ = ["Carrier"]
 
 
-class Carrier(ChainDynamics):
+class Carrier(ChainWrenches):
     """Abstract base: a body of some size that can carry arms and loads."""
 
     size: tuple[float, float, float]

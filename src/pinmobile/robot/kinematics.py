@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import Array, ArrayLike
-from pinmobile.errors import UnknownName
+from pinmobile.errors import InvalidArgument, UnknownName
 from pinmobile.robot.assembly import named_frames
 from pinmobile.robot.configurations import ChainConfigurations
 
@@ -81,6 +81,71 @@ class ChainKinematics(ChainConfigurations):
 
         return self._engine.reorder(self._engine.each(jacobian, self._q(q)))
 
+    def frame_drift(self, q: ArrayLike, v: ArrayLike, frame: str | None = None) -> Array:
+        """Return dJ/dt v, shape (..., 6): a frame's acceleration where no coordinate accelerates.
+
+        Of its origin, and angular, along the axes of the inertial frame [m/s^2, rad/s^2]: J a + dJ/dt v is
+        the derivative of J v, see `frame_jacobian`.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        v : array_like, shape (..., nv)
+            Velocity [m/s, m/s, rad/s, ...].
+        frame : str, optional
+            One of `frame_names`; by default `end_effector`.
+
+        Raises
+        ------
+        UnknownName
+            If there is no such frame.
+        """
+        _, number = self._frame(frame)
+
+        def drift(model: pin.Model, data: pin.Data, q: Array, v: Array) -> Array:
+            pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
+            reference = pin.LOCAL_WORLD_ALIGNED
+            return np.asarray(pin.getFrameClassicalAcceleration(model, data, number, reference).vector)
+
+        return self._engine.each(drift, self._q(q), self._v("v", v))
+
+    def manipulability(self, q: ArrayLike, frame: str | None = None) -> Array:
+        """Return sqrt(det J J'), shape (...), of base and arm together (Yoshikawa, 1985).
+
+        The volume of the twists that velocities of length one give, in mixed units; zero where a direction
+        is lost, so always for fewer than six coordinates.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        frame : str, optional
+            One of `frame_names`; by default `end_effector`.
+
+        Raises
+        ------
+        UnknownName
+            If there is no such frame.
+        """
+        return _volume(self.frame_jacobian(q, frame))
+
+    def arm_manipulability(self, q: ArrayLike, frame: str | None = None) -> Array:
+        """Return `manipulability` of the arm that carries the frame alone, the base held, shape (...).
+
+        Raises
+        ------
+        InvalidArgument
+            If the frame is on no arm.
+        UnknownName
+            If there is no such frame.
+        """
+        name, _ = self._frame(frame)
+        arms = [mount for mount in self.mounts if name.startswith(f"{mount.name}/")]
+        if not arms:
+            raise InvalidArgument(f"frame is {name!r}, expected one of an arm")
+        return _volume(self.frame_jacobian(q, name)[..., arms[0].v])
+
     def _frame(self, name: str | None) -> tuple[str, int]:
         name = self.end_effector if name is None else name
         if name not in self._frames:
@@ -111,3 +176,11 @@ class ChainKinematics(ChainConfigurations):
         J[..., 1, 0] = np.sin(psi)
         J[..., 0, 1] = -J[..., 1, 0]
         return J
+
+
+def _volume(J: Array) -> Array:
+    """Return sqrt(det J J'), shape (...), of J, shape (..., 6, n)."""
+    if J.shape[-1] < J.shape[-2]:
+        return np.zeros(J.shape[:-2])
+    # The product of the singular values: det squares what is small.
+    return np.asarray(np.linalg.svd(J, compute_uv=False).prod(axis=-1))

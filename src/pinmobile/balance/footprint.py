@@ -1,0 +1,77 @@
+"""The polygon on which a body stands, and how far inside it a point is."""
+
+import numpy as np
+
+from pinmobile.arrays import Array, ArrayLike, finite
+from pinmobile.errors import InvalidArgument
+
+__all__ = ["checked_footprint", "margin_inside", "rectangle"]
+
+_FLAT = 1e-12  # of the area of a square about the footprint: what rounding leaves of a straight corner
+
+
+def rectangle(length: float, width: float) -> Array:
+    """Return the corners of a rectangle about the origin, shape (4, 2) [m], counter-clockwise."""
+    return 0.5 * np.array([[-length, -width], [length, -width], [length, width], [-length, width]])
+
+
+def checked_footprint(footprint: ArrayLike) -> Array:
+    """Return the corners of a convex polygon, counter-clockwise, shape (k, 2).
+
+    Parameters
+    ----------
+    footprint : array_like, shape (k, 2)
+        Its corners in order, either way round, in the body's frame [m]; the last is not the first again.
+
+    Raises
+    ------
+    InvalidArgument
+        If it has fewer than three corners, is not finite, has no area, or is not convex.
+    """
+    corners = finite("footprint", footprint)
+    if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3:
+        raise InvalidArgument(f"footprint has shape {corners.shape}, expected (k, 2) with k >= 3 corners")
+    edges = np.roll(corners, -1, axis=0) - corners
+    scale = float(np.ptp(corners, axis=0).max()) ** 2
+    area = 0.5 * float(_cross(corners - corners[0], edges).sum())
+    if abs(area) <= _FLAT * scale:
+        raise InvalidArgument(f"footprint has an area of {abs(area):.3g} m^2, expected a polygon with > 0")
+    if area < 0:
+        corners = corners[::-1]
+        edges = np.roll(corners, -1, axis=0) - corners
+    lengths = np.hypot(*edges.T)
+    if not lengths.all():
+        k = int(np.argmin(lengths))
+        raise InvalidArgument(f"footprint has the corner {corners[k].tolist()} twice in a row, expected once")
+    turns = _cross(edges, np.roll(edges, -1, axis=0))
+    # A star turns left at each corner too, but more than once round.
+    angles = np.arctan2(turns, (edges * np.roll(edges, -1, axis=0)).sum(axis=1))
+    if (turns < -_FLAT * scale).any() or angles.sum() > 3 * np.pi:
+        k = (int(np.argmin(turns)) + 1) % len(corners)
+        raise InvalidArgument(
+            f"footprint is not convex at the corner {corners[k].tolist()}, expected a convex polygon"
+        )
+    return np.asarray(corners)
+
+
+def margin_inside(corners: Array, points: Array) -> Array:
+    """Return the signed distance of points from the edge of a polygon, positive inside, shape (...) [m].
+
+    Parameters
+    ----------
+    corners : ndarray, shape (k, 2)
+        As `checked_footprint` returns them.
+    points : ndarray, shape (..., 2)
+        In the same frame [m].
+    """
+    edges = np.roll(corners, -1, axis=0) - corners  # (k, 2)
+    from_corner = points[..., None, :] - corners  # (..., k, 2)
+    along = (from_corner * edges).sum(axis=-1) / np.square(edges).sum(axis=-1)
+    nearest = np.clip(along, 0, 1)[..., None] * edges
+    distance = np.linalg.norm(from_corner - nearest, axis=-1).min(axis=-1)
+    inside = (_cross(edges, from_corner) >= 0).all(axis=-1)
+    return np.asarray(np.where(inside, distance, -distance))
+
+
+def _cross(a: Array, b: Array) -> Array:
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])

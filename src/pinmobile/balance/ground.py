@@ -1,0 +1,129 @@
+"""The ground's reaction: where it acts, how far that is from tipping over, and what friction it takes."""
+
+import numpy as np
+
+from pinmobile.arrays import Array, ArrayLike
+from pinmobile.balance.footprint import checked_footprint, margin_inside, rectangle
+from pinmobile.balance.motion import Moving, checked_robot
+
+__all__ = ["body_zero_moment_point", "required_friction", "tip_over_margin", "zero_moment_point"]
+
+_WEIGHTLESS = 1e-9  # of the weight: a vertical force that only rounding made
+
+
+def zero_moment_point(motion: Moving) -> Array:
+    """Return the point on the ground about which its reaction has no horizontal moment, shape (..., 2) [m].
+
+    With the ground's force f and its moment m about the origin of the body's frame B, which lies on the
+    ground, it is (-m_y / f_z, m_x / f_z) from there along B's axes (Vukobratovic and Borovac, "Zero-moment
+    point - thirty five years of its life", 2004). A robot at rest has it below its centre of mass; a body
+    whose centre of mass is at height h and accelerates with a has it h a / g behind.
+
+    Parameters
+    ----------
+    motion : Rollout or Motion
+        Robot, q, v and a. Forces that do not come from the ground, such as a push, count as if they did.
+
+    Returns
+    -------
+    point : ndarray, shape (..., 2)
+        x and y in the inertial frame [m]; NaN where the ground does not carry the robot.
+
+    Raises
+    ------
+    InvalidArgument
+        If the motion is not that of a `MobileRobot`, or does not fit it.
+    """
+    point = body_zero_moment_point(motion)
+    q = np.asarray(motion.q, dtype=np.float64)
+    cos, sin = np.cos(q[..., 2]), np.sin(q[..., 2])
+    x, y = point[..., 0], point[..., 1]
+    return np.stack([q[..., 0] + cos * x - sin * y, q[..., 1] + sin * x + cos * y], axis=-1)
+
+
+def body_zero_moment_point(motion: Moving) -> Array:
+    """Return the zero-moment point in the body's frame, x forward and y left, shape (..., 2) [m].
+
+    Parameters
+    ----------
+    motion : Rollout or Motion
+        As in `zero_moment_point`.
+
+    Raises
+    ------
+    InvalidArgument
+        As `zero_moment_point`.
+    """
+    wrench, carried = _ground(motion)
+    vertical = np.where(carried, wrench[..., 2], np.nan)
+    return np.stack([-wrench[..., 4] / vertical, wrench[..., 3] / vertical], axis=-1)
+
+
+def tip_over_margin(motion: Moving, footprint: ArrayLike | None = None) -> Array:
+    """Return how far the zero-moment point lies inside the footprint's edge, shape (...) [m].
+
+    Where it is negative, the ground would have to pull at the far edge: a base that is not held down tips.
+
+    Parameters
+    ----------
+    motion : Rollout or Motion
+        As in `zero_moment_point`.
+    footprint : array_like, shape (k, 2), optional
+        Corners of the convex polygon on which the body stands, in its frame [m]; by default the rectangle of
+        the robot's `size` about its origin.
+
+    Returns
+    -------
+    margin : ndarray, shape (...)
+        Distance from the edge [m], negative outside; -inf where the ground does not carry the robot.
+
+    Raises
+    ------
+    InvalidArgument
+        If `footprint` is no convex polygon with an area, or as `zero_moment_point`.
+    """
+    robot = checked_robot(motion.robot, "motion.robot")
+    corners = rectangle(*robot.size[:2]) if footprint is None else checked_footprint(footprint)
+    margin = margin_inside(corners, body_zero_moment_point(motion))
+    return np.where(np.isnan(margin), -np.inf, margin)
+
+
+def required_friction(motion: Moving) -> Array:
+    """Return the friction coefficient that the ground must offer, shape (...): horizontal by vertical force.
+
+    Necessary, and sufficient where the moment about the vertical is small: that takes friction too.
+
+    Parameters
+    ----------
+    motion : Rollout or Motion
+        As in `zero_moment_point`.
+
+    Returns
+    -------
+    coefficient : ndarray, shape (...)
+        At least zero; inf where the ground does not carry the robot, since none would do, but NaN where there
+        is no force at all.
+
+    Raises
+    ------
+    InvalidArgument
+        As `zero_moment_point`.
+    """
+    wrench, carried = _ground(motion)
+    horizontal = np.hypot(wrench[..., 0], wrench[..., 1])
+    nothing = np.linalg.norm(wrench[..., :3], axis=-1) <= _negligible(motion)
+    lifted = np.where(nothing, np.nan, np.inf)
+    return np.where(carried, horizontal / np.where(carried, wrench[..., 2], 1.0), lifted)
+
+
+def _ground(motion: Moving) -> tuple[Array, "np.ndarray[tuple[int, ...], np.dtype[np.bool_]]"]:
+    """Return the ground's wrench, shape (..., 6), and where it carries the robot, shape (...)."""
+    robot = checked_robot(motion.robot, "motion.robot")
+    wrench = robot.ground_wrench(motion.q, motion.v, motion.a)
+    return wrench, wrench[..., 2] > _negligible(motion)
+
+
+def _negligible(motion: Moving) -> float:
+    model = motion.robot.model
+    mass = float(sum(inertia.mass for inertia in model.inertias))
+    return _WEIGHTLESS * mass * float(np.linalg.norm(model.gravity.linear))

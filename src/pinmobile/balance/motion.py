@@ -1,0 +1,104 @@
+"""A robot and how it moves, and what its arm then exerts on its base."""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from pinmobile.arrays import Array, ArrayLike, broadcast, frozen, vector
+from pinmobile.errors import InvalidArgument
+from pinmobile.robot import MobileRobot
+
+__all__ = ["Motion", "Moving", "checked_robot", "reaction_wrench"]
+
+
+class Moving(Protocol):
+    """What is asked how it feels: a `Rollout`, a `Motion`, or anything with these."""
+
+    @property
+    def robot(self) -> Any:
+        """The `MobileRobot`."""
+
+    @property
+    def q(self) -> ArrayLike:
+        """Configuration, shape (..., nq)."""
+
+    @property
+    def v(self) -> ArrayLike:
+        """Velocity, shape (..., nv)."""
+
+    @property
+    def a(self) -> ArrayLike:
+        """Acceleration, shape (..., nv)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """States of a robot that no simulation recorded: one, or many along leading axes that broadcast.
+
+    Parameters
+    ----------
+    robot : MobileRobot
+        What moves.
+    q : array_like, shape (..., nq)
+        Configuration [m, m, rad, ...].
+    v, a : array_like, shape (..., nv)
+        Velocity and acceleration [m/s, m/s, rad/s, ...; per s].
+
+    Raises
+    ------
+    InvalidArgument
+        If `robot` is no `MobileRobot`, or an array has another shape or is not finite.
+    """
+
+    robot: MobileRobot
+    q: ArrayLike
+    v: ArrayLike
+    a: ArrayLike
+
+    def __post_init__(self) -> None:
+        robot = checked_robot(self.robot, "robot")
+        for name, size in (("q", robot.nq), ("v", robot.nv), ("a", robot.nv)):
+            object.__setattr__(self, name, frozen(vector(name, getattr(self, name), size)))
+        broadcast(q=self.q, v=self.v, a=self.a)  # type: ignore[arg-type]
+
+
+def checked_robot(robot: Any, name: str) -> MobileRobot:
+    """Return the robot.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is another plant, or none.
+    """
+    if not isinstance(robot, MobileRobot):
+        raise InvalidArgument(f"{name} is {robot!r}, expected a MobileRobot")
+    return robot
+
+
+def reaction_wrench(motion: Moving, mount: str | None = None) -> Array:
+    """Return the force and moment that an arm, with the loads on it, exerts on the base at its mount.
+
+    Its weight less the rate of its momentum, by Newton and Euler (Luh, Walker and Paul, 1980), as Pinocchio's
+    RNEA does it.
+
+    Parameters
+    ----------
+    motion : Rollout or Motion
+        Robot, q, v and a.
+    mount : str, optional
+        Name of one of ``robot.mounts``; by default that of the first.
+
+    Returns
+    -------
+    wrench : ndarray, shape (..., 6)
+        (fx, fy, fz, mx, my, mz) [N, N, N, N m, N m, N m] along the axes of the body's frame B, x forward, y
+        left, z up, whatever the mount's yaw; the moment is about the point of the mount. An arm at rest
+        exerts (0, 0, -m g).
+
+    Raises
+    ------
+    InvalidArgument
+        If the motion is not that of a `MobileRobot` with an arm.
+    UnknownName
+        If nothing is mounted by that name.
+    """
+    return checked_robot(motion.robot, "motion.robot").mount_wrench(motion.q, motion.v, motion.a, mount)

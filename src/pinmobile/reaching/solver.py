@@ -1,0 +1,148 @@
+"""Configurations from poses, step by step, within limits."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pinmobile.arrays import Array, ArrayLike
+from pinmobile.errors import InvalidArgument
+from pinmobile.reaching.bounds import Limits, bounded_least_squares
+from pinmobile.reaching.poses import PosePath, pose_error
+from pinmobile.robot import MobileRobot
+
+__all__ = ["Solver", "checked_configuration"]
+
+_CATCH_UP = 10.0  # [1/s], at which an error that limits left is made good
+_EXACT = 1e-10  # [m, rad]
+_CORRECTIONS = 4  # Gauss-Newton per step: each brings an error of 1e-4 below rounding or is held by a limit
+_SEARCH = 200  # Gauss-Newton for the start
+_STRIDE = 0.2  # largest step of it [m, rad]
+_TRIES = 8  # postures from which the start is sought
+
+
+@dataclass(frozen=True, eq=False)
+class Solver:
+    """Damped least squares within bounds, for one target.
+
+    Parameters
+    ----------
+    robot : MobileRobot
+        Whose coordinates are sought.
+    target : PosePath
+        What is followed.
+    frame : str
+        What follows it.
+    limits : Limits
+        Bounds.
+    weights : ndarray, shape (nv, nv)
+        Of displacements beside the error.
+    """
+
+    robot: MobileRobot
+    target: PosePath
+    frame: str
+    limits: Limits
+    weights: Array  # (nv, nv)
+
+    def error(self, pose: Array, q: Array) -> Array:
+        """Return how far the frame is from a pose, shape (rows,)."""
+        return pose_error(pose, self.robot.frame_pose(q, self.frame))[: self.target.rows]
+
+    def correction(self, q: Array, error: Array, wish: Array, least: Array, most: Array) -> Array:
+        """Return the displacement within bounds that mends the error, near the one that is wished for."""
+        J = self.robot.frame_jacobian(q, self.frame)[: self.target.rows]
+        A, b = np.vstack([J, self.weights]), np.concatenate([error, self.weights @ wish])
+        return bounded_least_squares(A, b, least, most)
+
+    def start(self, q0: ArrayLike | None) -> Array:
+        """Return a configuration within limits at which the frame is at the target's start, or nearest."""
+        robot = self.robot
+        first = robot.rest if q0 is None else checked_configuration(robot, "q0", q0)
+        generator, best = np.random.default_rng(0), (np.inf, first)
+        for attempt in range(_TRIES if q0 is None else 1):
+            aside = generator.uniform(-1, 1, robot.nv) * (attempt > 0) * (np.arange(robot.nv) >= 3)
+            q = self.sought(np.clip(robot.integrate(first, aside), robot.lower, robot.upper))
+            best = min(best, (float(np.abs(self.error(self.target(0.0).pose, q)).max()), q), key=_first)
+            if best[0] <= _EXACT:
+                break
+        return best[1]
+
+    def sought(self, q: Array) -> Array:
+        """Return what Gauss-Newton finds for the target's start from a configuration."""
+        pose, still = self.target(0.0).pose, np.zeros(self.robot.nv)
+        # x and y add to the pose as they are, however far; what is locked stays where it is.
+        stride = np.where(np.arange(self.robot.nv) < 2, np.inf, _STRIDE)
+        stride[self.limits.velocity == 0] = 0
+        for _ in range(_SEARCH):
+            error = self.error(pose, q)
+            if np.abs(error).max() <= _EXACT:
+                break
+            below, above = self.limits.room(q)
+            least, most = np.maximum(-below, -stride), np.minimum(above, stride)
+            q = self.robot.integrate(q, self.correction(q, error, still, least, most))
+        return q
+
+    def steps(self, start: Array, posture: Array, gain: float, count: int) -> Array:
+        """Return the displacements of the control points from the start, shape (count + 3, nv).
+
+        The first and the last are beyond the ends of the target.
+        """
+        robot, dt = self.robot, self.target.duration / count
+        poses = self.target(np.linspace(0, self.target.duration, count + 1)).pose
+        controls, q, v = np.zeros((count + 1, robot.nv)), start, None
+        left = self.error(poses[0], q)
+        for k in range(count):
+            wish = dt * gain * robot.difference(q, posture)
+            wish[:3] = 0
+            least, most = (dt * bound for bound in self.limits.velocities(q, dt, v))
+            kept = max(1 - _CATCH_UP * dt, 0.0) * left
+            step, at = np.zeros(robot.nv), q
+            for attempt in range(_CORRECTIONS):
+                error = self.error(poses[k + 1], at) - kept
+                if attempt and np.abs(error).max() <= _EXACT:
+                    break
+                wanted = wish if attempt == 0 else np.zeros(robot.nv)
+                step = np.clip(
+                    step + self.correction(at, error, wanted, least - step, most - step), least, most
+                )
+                at = robot.integrate(q, step)
+            controls[k + 1], q, v = controls[k] + step, at, step / dt
+            left = self.error(poses[k + 1], q)
+        ends = (self.beyond(three, start, dt)[None] for three in (controls[:3], controls[:-4:-1]))
+        return np.concatenate([next(ends), controls, next(ends)])
+
+    def beyond(self, nearest: Array, start: Array, dt: float) -> Array:
+        """Return the control point beyond the end, shape (nv,), from the three next to it, shape (3, nv).
+
+        With their acceleration where it keeps to the limits; else without any: then the curve ends at the
+        outermost of the three, and stays between them.
+        """
+        line = 2 * nearest[0] - nearest[1]
+        bent = line + nearest[0] - 2 * nearest[1] + nearest[2]
+        below, above = self.limits.room(start)
+        fits = (bent >= -below) & (bent <= above) & (np.abs(nearest[0] - bent) <= dt * self.limits.velocity)
+        return np.asarray(np.where(fits, bent, line))
+
+
+def checked_configuration(robot: MobileRobot, name: str, value: ArrayLike) -> Array:
+    """Return one configuration within limits, shape (nq,).
+
+    Raises
+    ------
+    InvalidArgument
+        If it has another shape, is not finite, or is outside.
+    """
+    q = robot._q(value, name)
+    if q.shape != (robot.nq,):
+        raise InvalidArgument(f"{name} has shape {q.shape}, expected ({robot.nq},)")
+    outside = (q < robot.lower) | (q > robot.upper)
+    if outside.any():
+        k = int(np.argmax(outside))
+        raise InvalidArgument(
+            f"{name} has q[{k}] = {q[k]:.4g}, expected {robot.lower[k]:.4g} <= q[{k}] <= {robot.upper[k]:.4g}"
+        )
+    return q
+
+
+def _first(pair: tuple[float, Array]) -> float:
+    return pair[0]

@@ -1,0 +1,237 @@
+"""What the base feels: against mechanics that needs no RNEA, and against formulas by hand."""
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pinmobile import (
+    Circle,
+    ComputedTorque,
+    InvalidArgument,
+    Load,
+    MobileRobot,
+    Motion,
+    Tangent,
+    UnknownName,
+    reaction_wrench,
+    required_friction,
+    simulate,
+    tip_over_margin,
+    zero_moment_point,
+)
+from pinmobile.arrays import Array
+from pinmobile.balance import body_zero_moment_point, margin_inside
+from pinmobile.robot import BODY_JOINT
+
+G = 9.81
+AT = (0.1, -0.05, 0.2, 0.4)
+BOX = MobileRobot.box()
+UR5 = BOX.mount("ur5", AT).attach(Load(2.0, (0.02, 0, 0.1)))
+TWO = BOX.mount("panda", AT).mount("kinova", (-0.1, 0.1, 0.2, -1.0)).attach(Load(1.5, (0, 0.1, 0.1)))
+HEIGHT = 0.1  # of the box's centre of mass [m]
+
+
+def motion(robot: MobileRobot, count: int = 6) -> Motion:
+    rng = np.random.default_rng(11)
+    v, a = rng.normal(size=(2, count, robot.nv))
+    return Motion(robot, robot.random_configuration(rng, (count,)), v, a)
+
+
+def at_rest(robot: MobileRobot, q: Array) -> Motion:
+    still = np.zeros(robot.nv)
+    return Motion(robot, q, still, still)
+
+
+def planar(a: Any, v: Any = (0, 0, 0), psi: float = 0.7, robot: MobileRobot = BOX) -> Motion:
+    return Motion(robot, (1.0, 2.0, psi), v, a)
+
+
+def momentum_rate(moving: Any, inertias: dict[int, pin.Inertia]) -> Array:
+    """Return force and moment about the world's origin that bodies on joints need, from their poses alone.
+
+    With p = T r of a body's points, the sums over its mass of p'' and p x p'' are in T'' J T', where J is the
+    sum of r r' (4 x 4): differences of poses in time are all that is needed.
+    """
+    robot, h = moving.robot, 2e-3
+
+    def poses(t: float) -> Array:
+        displacement = t * moving.v + 0.5 * t * t * moving.a
+        return np.asarray(robot.frame_placements(robot.integrate(moving.q, displacement)))
+
+    stencil = ((-2, -1), (-1, 16), (0, -30), (1, 16), (2, -1))
+    second = np.sum([weight * poses(k * h) for k, weight in stencil], axis=0) / (12 * h * h)
+    second[..., 2, 3] += G
+    T, total = poses(0.0), np.zeros((*np.shape(moving.q)[:-1], 4, 4))
+    for joint, body in inertias.items():
+        J = np.array(pin.PseudoInertia.FromInertia(body).toMatrix())
+        total += second[..., joint - 1, :, :] @ J @ np.swapaxes(T[..., joint - 1, :, :], -1, -2)
+    turned = [total[..., k, j] - total[..., j, k] for j, k in ((1, 2), (2, 0), (0, 1))]
+    return np.concatenate([total[..., :3, 3], np.stack(turned, -1)], -1)
+
+
+def seen_from(wrench: Array, moving: Any, point: Array) -> Array:
+    """Return a wrench about the world's origin about a point of the body, along the body's axes."""
+    T = moving.robot.frame_placements(moving.q)[..., BODY_JOINT - 1, :, :]
+    origin = T[..., :3, :3] @ point + T[..., :3, 3]
+    moment = wrench[..., 3:] - np.cross(origin, wrench[..., :3])
+    return np.concatenate([part[..., None, :] @ T[..., :3, :3] for part in (wrench[..., :3], moment)], -1)[
+        ..., 0, :
+    ]
+
+
+# Fourth-order differences with h = 2 ms: truncated to 1e-10, rounded to eps / h^2 = 6e-11, times 100 kg.
+DIFFERENCES: dict[str, Any] = {"rtol": 1e-6, "atol": 1e-6}
+
+
+@pytest.mark.parametrize("robot", [UR5, TWO], ids=["ur5", "two arms"])
+def test_the_arms_reaction_is_its_weight_less_the_rate_of_its_momentum(robot: MobileRobot) -> None:
+    moving, model = motion(robot), robot.model
+    for mount in robot.mounts:
+        bodies = {joint: model.inertias[joint] for joint in range(mount.joints.start, mount.joints.stop)}
+        bodies[BODY_JOINT] = mount.placement.act(mount.model.inertias[0])
+        expected = -seen_from(momentum_rate(moving, bodies), moving, np.array(mount.at[:3]))
+        np.testing.assert_allclose(reaction_wrench(moving, mount.name), expected, **DIFFERENCES)
+
+
+@pytest.mark.parametrize("robot", [BOX, UR5, TWO], ids=["box", "ur5", "two arms"])
+def test_the_grounds_wrench_is_the_rate_of_all_momentum(robot: MobileRobot) -> None:
+    moving, model = motion(robot), robot.model
+    bodies = {joint: model.inertias[joint] for joint in range(BODY_JOINT, model.njoints)}
+    expected = seen_from(momentum_rate(moving, bodies), moving, np.zeros(3))
+    wrench = robot.ground_wrench(moving.q, moving.v, moving.a)
+    np.testing.assert_allclose(wrench, expected, **DIFFERENCES)
+    # And its part in the plane is the generalised force of the base.
+    tau = robot.inverse_dynamics(moving.q, moving.v, moving.a)
+    cos, sin = np.cos(np.asarray(moving.q)[:, 2]), np.sin(np.asarray(moving.q)[:, 2])
+    np.testing.assert_allclose(cos * wrench[:, 0] - sin * wrench[:, 1], tau[:, 0], atol=1e-10)
+    np.testing.assert_allclose(wrench[:, 5], tau[:, 2], atol=1e-10)
+
+
+def test_an_arm_at_rest_weighs_m_g_at_its_centre_of_mass() -> None:
+    q = UR5.random_configuration(np.random.default_rng(2))
+    arm = UR5.lumped(q).body
+    mass = arm.mass - BOX.mass
+    com = (arm.mass * arm.com - BOX.mass * BOX.body.com) / mass - AT[:3]
+    weight = np.array([0, 0, -mass * G])
+    expected = np.concatenate([weight, np.cross(com, weight)])
+    np.testing.assert_allclose(reaction_wrench(at_rest(UR5, q)), expected, rtol=1e-12, atol=1e-10)
+
+
+def test_a_load_on_the_arms_foot_belongs_to_the_arm_and_one_on_the_body_does_not() -> None:
+    bare, point = BOX.mount("ur5", AT), Load(3.0, (0.1, 0.0, 0.0))
+    q, names = bare.rest, ("ur5/base_link", "base_link")
+    alone = reaction_wrench(at_rest(bare, q))
+    foot, body = (reaction_wrench(at_rest(bare.attach(point, name), q)) for name in names)
+    cos, sin = np.cos(AT[3]), np.sin(AT[3])
+    moment = 0.1 * 3.0 * G * np.array([-sin, cos, 0])  # r x weight
+    np.testing.assert_allclose(foot - alone, [0, 0, -3 * G, *moment], atol=1e-12)
+    np.testing.assert_array_equal(body, alone)
+
+
+def test_at_rest_the_zero_moment_point_is_below_the_centre_of_mass() -> None:
+    q = UR5.random_configuration(np.random.default_rng(3))
+    com = UR5.lumped(q).body.com
+    point = zero_moment_point(at_rest(UR5, q))
+    turn = np.array([[np.cos(q[2]), -np.sin(q[2])], [np.sin(q[2]), np.cos(q[2])]])
+    np.testing.assert_allclose(point, q[:2] + turn @ com[:2], atol=1e-13)
+    assert required_friction(at_rest(UR5, q)) == pytest.approx(0, abs=1e-15)
+
+
+def test_acceleration_shifts_it_back_by_h_a_over_g() -> None:
+    a = np.array([[1.5, 0, 0], [0, -2.0, 0], [0, 0, 3.0]])
+    np.testing.assert_allclose(zero_moment_point(planar(a)), [1, 2] - HEIGHT * a[:, :2] / G, atol=1e-15)
+    np.testing.assert_allclose(required_friction(planar(a)), np.hypot(*a[:, :2].T) / G, atol=1e-15)
+
+
+def test_on_a_circle_it_lies_outwards_and_friction_is_v_squared_over_r_g() -> None:
+    radius, rate = 2.0, 0.8
+    trajectory = Tangent(Circle(radius, rate, 2))
+    rollout = simulate(BOX, ComputedTorque(BOX), trajectory, dt=0.01)
+    # The loop's error with a held force is of the order of dt: some 1e-3 of the acceleration.
+    outwards = np.tile([0, -HEIGHT * radius * rate**2 / G], (len(rollout), 1))
+    np.testing.assert_allclose(body_zero_moment_point(rollout), outwards, atol=1e-4)
+    np.testing.assert_allclose(required_friction(rollout), (radius * rate) ** 2 / (radius * G), rtol=1e-2)
+    margin = tip_over_margin(rollout)
+    np.testing.assert_allclose(margin, 0.2 - HEIGHT * radius * rate**2 / G, atol=1e-4)
+
+
+def test_the_margin_is_zero_where_the_body_begins_to_tip() -> None:
+    # Braking so hard that gravity and inertia point at the front edge: a / g = (l / 2) / h.
+    for share, sign in ((0.99, 1), (1.01, -1)):
+        margin = tip_over_margin(planar((-share * G * 0.3 / HEIGHT, 0, 0), psi=0.0))
+        assert np.sign(margin) == sign
+        assert abs(margin) == pytest.approx(0.003, rel=1e-9)
+
+
+def test_leading_axes_broadcast() -> None:
+    v = np.zeros((4, 1, 3))
+    moving = Motion(BOX, np.zeros(3), v, np.ones((5, 3)))
+    assert zero_moment_point(moving).shape == (4, 5, 2)
+    assert tip_over_margin(moving).shape == required_friction(moving).shape == (4, 5)
+    assert reaction_wrench(Motion(UR5, np.zeros((2, 9)), np.zeros(9), np.zeros((3, 1, 9)))).shape == (3, 2, 6)
+
+
+def lifting(upwards: float) -> Motion:
+    """Return a robot with a heavy load at the tip of its arm, which accelerates upwards."""
+    robot = BOX.mount("ur5", AT).attach(Load(300.0))
+    q = robot.rest
+    a = np.zeros(9)
+    a[3:] = np.linalg.lstsq(robot.frame_jacobian(q)[:3, 3:], [0, 0, upwards], rcond=None)[0]
+    return Motion(robot, q, np.zeros(9), a)
+
+
+def test_where_the_ground_would_have_to_pull_the_answers_say_so() -> None:
+    held, pulled = lifting(-5.0), lifting(-20.0)
+    assert np.isfinite(zero_moment_point(held)).all()
+    assert np.isnan(zero_moment_point(pulled)).all()
+    assert tip_over_margin(pulled) == -np.inf
+    assert required_friction(pulled) == np.inf
+
+
+SQUARE = ((0, 0), (2, 0), (2, 2), (0, 2))
+
+
+@pytest.mark.parametrize("corners", [SQUARE, SQUARE[::-1], (*SQUARE[:2], (2, 1), *SQUARE[2:])])
+def test_the_distance_from_the_edge_is_signed_and_to_the_corner_outside(corners: Any) -> None:
+    moving = Motion(BOX, np.zeros(3), np.zeros(3), np.zeros(3))  # its point is the origin: a corner
+    assert tip_over_margin(moving, corners) == pytest.approx(0, abs=1e-15)
+    points = np.array([[1, 1], [1, 0.25], [5, 6], [1, -3], [np.nan, 0]])
+    margin = margin_inside(np.array(SQUARE, dtype=float), points)
+    np.testing.assert_allclose(margin, [1, 0.25, -5, -3, np.nan], atol=1e-15)
+
+
+def test_a_footprint_is_in_the_bodys_frame() -> None:
+    moving = Motion(BOX, (5.0, 6.0, np.pi / 2), np.zeros(3), np.zeros(3))
+    assert tip_over_margin(moving, [(-0.1, -1), (0.7, -1), (0.7, 1), (-0.1, 1)]) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    ("footprint", "text"),
+    [
+        ([(0, 0), (1, 0)], r"footprint has shape \(2, 2\), expected \(k, 2\) with k >= 3 corners"),
+        ([(0, 0), (1, 1), (2, 2)], "footprint has an area of 0 m\\^2, expected a polygon with > 0"),
+        ([(0, 0), (1, 0), (1, 0), (0, 1)], r"footprint has the corner \[1.0, 0.0\] twice in a row"),
+        ([(0, 0), (2, 0), (0.5, 0.5), (0, 2)], r"footprint is not convex at the corner \[0.5, 0.5\]"),
+        ([(0, 0), (np.inf, 0), (0, 1)], r"footprint\[1, 0\] is inf, expected a finite number"),
+        (
+            [(np.cos(t), np.sin(t)) for t in 0.8 * np.pi * np.arange(5)],
+            "footprint is not convex at the corner",
+        ),
+    ],
+)
+def test_a_footprint_that_is_none_is_refused(footprint: Any, text: str) -> None:
+    with pytest.raises(InvalidArgument, match=text):
+        tip_over_margin(planar((0, 0, 0)), footprint)
+
+
+def test_what_has_no_arm_or_is_no_robot_is_refused() -> None:
+    with pytest.raises(UnknownName, match="unknown mount 'arm', available: ur5"):
+        reaction_wrench(at_rest(UR5, UR5.rest), "arm")
+    with pytest.raises(InvalidArgument, match="robot carries no arm, expected one"):
+        reaction_wrench(planar((0, 0, 0)))
+    with pytest.raises(InvalidArgument, match="robot is 3, expected a MobileRobot"):
+        Motion(3, [0], [0], [0])  # type: ignore[arg-type]
+    with pytest.raises(InvalidArgument, match=r"a has shape \(2,\), expected \(..., 3\)"):
+        planar((0, 0))

@@ -1,0 +1,390 @@
+"""Base and arm together follow a pose: how near, within which limits, and what happens where they cannot."""
+
+import pickle
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pinmobile import (
+    ComputedTorque,
+    EndEffectorTracking,
+    InvalidArgument,
+    Load,
+    MobileRobot,
+    PosePath,
+    Reference,
+    Resolved,
+    Spline,
+    UnknownName,
+    Unreachable,
+    resolve,
+    simulate,
+)
+from pinmobile.arrays import Array
+from pinmobile.reaching import pose_error
+from pinmobile.reaching.bounds import Limits, bounded_least_squares
+
+BOX = MobileRobot.box()
+UR5 = BOX.mount("ur5", (0.1, -0.05, 0.2, 0.4))
+PANDA = BOX.mount("panda", (0.1, 0.0, 0.2, 0.0))
+KINOVA = BOX.mount("kinova", (0.1, 0.0, 0.2, 0.0))  # three of its joints are (cos, sin)
+BENT = np.array([0, 0, 0, 0, -1.2, 1.6, -0.4, 1.57, 0])
+START = UR5.frame_pose(BENT)
+TURN = pin.utils.rotate("z", 0.8) @ pin.utils.rotate("x", 0.5)
+LOCKED = np.where(np.arange(9) < 3, 0.0, UR5.velocity_limit)
+
+
+@dataclass(frozen=True)
+class Ring:
+    """A circle in a plane that is tilted in space, from a point on."""
+
+    begin: Any
+    radius: float = 0.5
+    rate: float = 1.0
+    duration: float = 2 * np.pi
+
+    def __call__(self, t: Any) -> Array:
+        return self.derivative(t, 0)
+
+    def derivative(self, t: Any, order: int) -> Array:
+        angle = self.rate * np.asarray(t) + order * np.pi / 2
+        wave = self.radius * self.rate**order * np.stack([np.sin(angle), np.cos(angle)], -1)
+        plane = np.array([[1, 0, 0.2], [0, -1, 0]])  # directions of the two waves
+        ahead = np.add(self.begin, (0, self.radius, 0)) if order == 0 else 0
+        return np.asarray(wave @ plane + ahead)
+
+
+RING = PosePath(Ring(START[:3, 3]), START[:3, :3], START[:3, :3] @ TURN)
+ACCELERATION = 0.5 * np.hypot(1, 0.2)  # its largest [m/s^2]
+
+
+def line(begin: Any, way: Any, duration: float = 3.0) -> Spline:
+    """Return a line in space from rest to rest."""
+    return Spline([begin, np.add(begin, way)], [0, duration])
+
+
+def misses(robot: MobileRobot, target: PosePath, t: Array, q: Array) -> tuple[float, float]:
+    way, turn = np.split(pose_error(target(t).pose, robot.frame_pose(q)), 2, axis=1)
+    return float(np.linalg.norm(way, axis=1).max()), float(np.linalg.norm(turn, axis=1).max())
+
+
+def dense(resolved: Resolved) -> tuple[Array, Reference]:
+    t = np.linspace(0, resolved.duration, 5001)
+    return t, resolved(t)
+
+
+def check_limits(resolved: Resolved, velocity: Array, acceleration: float = 10.0) -> None:
+    robot, (_, reference) = resolved.robot, dense(resolved)
+    assert (reference.q >= robot.lower).all()
+    assert (reference.q <= robot.upper).all()
+    assert (np.abs(reference.v) <= velocity * (1 + 1e-9) + 1e-12).all()
+    assert np.abs(reference.a).max() <= acceleration * (1 + 1e-6)
+
+
+@pytest.fixture(scope="module")
+def ring() -> Resolved:
+    return resolve(UR5, RING, q0=BENT)
+
+
+def test_base_and_arm_together_stay_on_a_ring_in_space(ring: Resolved) -> None:
+    t, reference = dense(ring)
+    way, turn = misses(UR5, RING, t, reference.q)
+    # The spline smooths the control points by a dt^2 / 6: 8.5e-6 m; between them half as much again.
+    assert way < 1.5 * ACCELERATION * 0.01**2 / 6
+    assert turn < 1e-5
+    travelled = np.ptp(reference.q, axis=0)
+    assert (travelled[:2] > 0.3).all()
+    assert (travelled[3:] > 0.05).sum() >= 4
+    check_limits(ring, UR5.velocity_limit)
+    # It does no more than it must: coordinates accelerate as the ring does, without jerks.
+    assert np.abs(reference.a).max() < 2
+
+
+def test_velocity_and_acceleration_are_the_derivatives_of_the_configuration(ring: Resolved) -> None:
+    t = np.linspace(0.1, 6, 50) + 1e-5  # beside the knots, where jerk jumps
+    h = 1e-4
+    ahead, here, behind = (ring(t + k * h) for k in (1, 0, -1))
+    # Cubics: a difference of third order in h is all there is; jerks are below 5.
+    np.testing.assert_allclose((ahead.q - behind.q) / (2 * h), here.v, atol=5 * h**2)
+    np.testing.assert_allclose((ahead.v - behind.v) / (2 * h), here.a, atol=5 * h)
+
+
+def test_the_error_is_of_second_order_in_the_step(ring: Resolved) -> None:
+    coarse = resolve(UR5, RING, q0=BENT, dt=0.02)
+    assert coarse.max_error()[0] / ring.max_error()[0] == pytest.approx(4, rel=0.05)
+
+
+def test_computed_torque_tracks_it(ring: Resolved) -> None:
+    run = simulate(UR5, ComputedTorque(UR5, 100, 20), ring, dt=0.002, duration=6)
+    assert run.max_error().max() < 1e-4  # a held force lags by dt: of the order of jerk dt / kp = 2e-5
+    assert misses(UR5, RING, run.t, run.q)[0] < 1e-4
+
+
+def test_the_position_alone_leaves_the_orientation_free() -> None:
+    target = PosePath(RING.path)
+    resolved = resolve(UR5, target, q0=BENT)
+    assert resolved.max_error()[0] < 1e-4
+    assert resolved.max_error()[1] == 0
+    assert misses(UR5, RING, *(part for part in (resolved.t, resolved(resolved.t).q)))[1] > 0.1
+
+
+@pytest.mark.parametrize("robot", [PANDA, KINOVA, BOX], ids=["panda", "kinova", "bare"])
+def test_other_robots_follow_a_line_from_rest(robot: MobileRobot) -> None:
+    T = robot.frame_pose(robot.rest)
+    target = PosePath(line(T[:3, 3], (1.5, -1, 0)), T[:3, :3])
+    resolved = resolve(robot, target)
+    assert resolved.max_error()[0] < 1e-4
+    check_limits(resolved, robot.velocity_limit)
+
+
+def test_the_start_is_found_far_away_and_turned() -> None:
+    R = START[:3, :3] @ pin.utils.rotate("x", 2.0)
+    resolved = resolve(UR5, PosePath(line((300.0, -500.0, 0.6), (0.1, 0, 0)), R))
+    assert max(resolved.max_error()) < 1e-4
+
+
+def test_an_arm_that_is_not_the_first_follows_too() -> None:
+    robot = UR5.mount("panda", (-0.1, 0, 0.2, 3)).attach(Load(1.0), "ur5/tool0")
+    frame = robot.mounts[1].tip
+    T = robot.frame_pose(robot.rest, frame)
+    resolved = resolve(robot, PosePath(line(T[:3, 3], (0.3, 0.2, 0.1)), T[:3, :3]), frame=frame)
+    assert resolved.max_error()[0] < 1e-4
+    np.testing.assert_allclose(np.ptp(resolved(resolved.t).q[:, robot.mounts[0].q], axis=0), 0, atol=1e-9)
+
+
+def test_what_the_arm_cannot_reach_is_reached_because_the_base_moves() -> None:
+    far = PosePath(line(START[:3, 3], (2, 0, 0)), START[:3, :3])
+    assert resolve(UR5, far, q0=BENT).max_error()[0] < 1e-4
+    with pytest.raises(Unreachable, match=r"target is missed by .* m and .* rad at t = 0\.\d+ s") as caught:
+        resolve(UR5, far, q0=BENT, velocity_limit=LOCKED)
+    kept = caught.value.resolved
+    assert kept.error[kept.t < caught.value.time].max() <= 1e-2
+    assert kept.max_error()[0] > 1
+    check_limits(kept, LOCKED)
+    copy = pickle.loads(pickle.dumps(Unreachable("far", time=1.0, resolved=None)))
+    assert (str(copy), copy.time) == ("far", 1.0)
+
+
+def test_a_limit_of_velocity_is_held_and_the_error_made_good_later() -> None:
+    target = PosePath(Spline([START[:3, 3], START[:3, 3] + [1, 0, 0], START[:3, 3] + [1, 0, 0]], [0, 1, 5]))
+    slow = np.where(np.arange(9) < 3, 0.5, 0.1)
+    resolved = resolve(UR5, target, q0=BENT, velocity_limit=slow, tolerance=np.inf)
+    check_limits(resolved, slow)
+    assert resolved.max_error()[0] > 0.1
+    assert np.abs(resolved.error[-1]).max() < 1e-4
+
+
+def test_a_joint_brakes_at_its_limit_and_the_error_grows() -> None:
+    T = PANDA.frame_pose(PANDA.rest)
+    locked = np.where(np.arange(12) < 3, 0.0, PANDA.velocity_limit)
+    away = PosePath(line(T[:3, 3], (-0.6, 0, -0.3)), T[:3, :3])
+    resolved = resolve(PANDA, away, velocity_limit=locked, tolerance=np.inf)
+    check_limits(resolved, locked)
+    q = resolved(resolved.t).q
+    assert np.minimum(q - PANDA.lower, PANDA.upper - q)[:, 3:-2].min() < 1e-3
+    assert resolved.max_error()[0] > 0.05
+
+
+def test_a_singular_posture_does_not_blow_up() -> None:
+    straight = UR5.rest  # the arm stretched, a wrist's axis lost
+    assert UR5.arm_manipulability(straight) < 1e-9
+    T = UR5.frame_pose(straight)
+    out = [T[:3, 3], T[:3, 3] + 0.3 * T[:3, 3] / np.linalg.norm(T[:3, 3]), T[:3, 3] - [0.2, 0.1, 0]]
+    target = PosePath(Spline(out, [0, 2, 6]))
+    resolved = resolve(UR5, target, q0=straight, velocity_limit=LOCKED, tolerance=np.inf)
+    check_limits(resolved, LOCKED)
+    assert 0.1 < resolved.max_error()[0] < 0.5
+    assert np.abs(resolved.error[-1]).max() < 1e-3
+
+
+def test_where_the_pose_leaves_it_free_the_arm_tends_to_its_posture() -> None:
+    target = PosePath(line(START[:3, 3], (0, 0, 0), 8))
+    posture = BENT[3:] + np.array([0.3, 0, 0, 0, 0, 0.5])  # the height stays
+    resolved = resolve(UR5, target, q0=BENT, posture=posture)
+    np.testing.assert_allclose(resolved(8.0).q[3:], posture, atol=2e-3)  # exp(-6) of 0.5: the base moves too
+    assert resolved.max_error()[0] < 1e-4
+    stiff = resolve(UR5, target, q0=BENT, posture=posture, posture_gain=0)
+    assert np.abs(stiff(8.0).q[3:] - BENT[3:]).max() < 0.05
+
+
+def test_what_is_dear_moves_less() -> None:
+    target = PosePath(line(START[:3, 3], (0.2, 0.1, 0.1)), START[:3, :3])
+    price = np.where(np.arange(9) < 3, 100.0, 1.0)
+    moved = [np.abs(resolve(UR5, target, q0=BENT, cost=cost)(3.0).q[:3]).max() for cost in (1.0, price)]
+    assert moved[1] < 0.1 * moved[0]
+
+
+class TestTracking:
+    def test_the_pose_is_tracked(self, ring: Resolved) -> None:
+        run = simulate(UR5, EndEffectorTracking(UR5, RING), ring, dt=0.01, duration=5)
+        assert max(misses(UR5, RING, run.t, run.q)) < 1e-4
+
+    def test_an_error_at_the_start_dies_away_within_limits(self, ring: Resolved) -> None:
+        q0 = ring(0.0).q + np.array([0.05, -0.05, 0.1, 0.1, -0.1, 0.1, 0, 0, 0])
+        run = simulate(UR5, EndEffectorTracking(UR5, RING), ring, dt=0.01, duration=3, q0=q0)
+        late = run.t >= 2
+        # Critically damped at 10 rad/s: (1 + 20) exp(-20) of 0.2 m; beyond it, what holding the force costs.
+        assert max(misses(UR5, RING, run.t[late], run.q[late])) < 1e-4
+        assert np.abs(run.a).max() <= 20 * (1 + 1e-9)
+        assert (np.abs(run.v) <= UR5.velocity_limit).all()
+
+    def test_the_rest_follows_a_posture_that_has_another_pose(self) -> None:
+        target = PosePath(line(START[:3, 3], (1.0, 0.5, 0.1), 4), START[:3, :3])
+        rest = Still(BENT)  # it would stay where it is
+        run = simulate(UR5, EndEffectorTracking(UR5, target), rest, dt=0.01, q0=BENT)
+        assert max(misses(UR5, target, run.t, run.q)) < 2e-3  # posture pulls by damping^2 of its error
+
+    def test_joints_stop_at_their_limits(self) -> None:
+        T = PANDA.frame_pose(PANDA.rest)
+        locked = np.where(np.arange(12) < 3, 0.0, PANDA.velocity_limit)
+        away = PosePath(line(T[:3, 3], (-0.6, 0, -0.3), 4), T[:3, :3])
+        law = EndEffectorTracking(PANDA, away, velocity_limit=locked)
+        run = simulate(PANDA, law, Still(PANDA.rest), dt=0.01)
+        # The force is held, not the acceleration, which then changes by some 1e-2 of it within dt = 10 ms.
+        slack = 1e-2 * 20 * 0.01**2
+        assert (run.q > PANDA.lower - slack).all()
+        assert (run.q < PANDA.upper + slack).all()
+        assert np.minimum(run.q - PANDA.lower, PANDA.upper - run.q)[:, 3:-2].min() < 1e-3
+        assert np.abs(run.q[:, :3]).max() < 1e-3
+        assert misses(PANDA, away, run.t, run.q)[0] > 0.05
+
+
+class Still:
+    """A reference at rest at a configuration."""
+
+    duration = 4.0
+
+    def __init__(self, q: Array) -> None:
+        self.q = q
+
+    def __call__(self, t: Any) -> Reference:
+        v, a = np.zeros((2, *np.shape(t), len(self.q)))
+        return Reference(np.broadcast_to(self.q, v.shape), v, a)
+
+
+def test_a_pose_paths_twist_and_rate_are_its_slopes() -> None:
+    h, t = 1e-4, np.linspace(0.5, 5.5, 7)
+    ahead, here, behind = (RING(t + k * h) for k in (1, 0, -1))
+    twist = pose_error(ahead.pose, behind.pose) / (2 * h)
+    np.testing.assert_allclose(twist, here.twist, atol=1e-8)  # h^2 times derivatives of order one
+    np.testing.assert_allclose((ahead.twist - behind.twist) / (2 * h), here.rate, atol=1e-8)
+    ends = RING([0, RING.duration])
+    np.testing.assert_allclose(ends.pose[:, :3, :3], [START[:3, :3], START[:3, :3] @ TURN], atol=1e-12)
+    np.testing.assert_allclose(ends.twist[:, 3:], 0, atol=1e-15)
+
+
+def test_manipulability_is_yoshikawas() -> None:
+    q = UR5.random_configuration(np.random.default_rng(5), (4, 2))
+    J = UR5.frame_jacobian(q)
+    whole, arm = UR5.manipulability(q), UR5.arm_manipulability(q)
+    np.testing.assert_allclose(whole, np.sqrt(np.linalg.det(J @ np.swapaxes(J, -1, -2))), rtol=1e-9)
+    np.testing.assert_allclose(arm, np.abs(np.linalg.det(J[..., 3:])), rtol=1e-9, atol=1e-12)
+    assert (whole > arm).all()
+    moved = q + np.where(np.arange(9) < 3, [1.0, -2.0, 0.7, 0, 0, 0, 0, 0, 0], 0)
+    np.testing.assert_allclose(UR5.manipulability(moved), whole, rtol=1e-9)
+    assert BOX.manipulability(np.zeros((2, 3))).tolist() == [0, 0]
+    with pytest.raises(InvalidArgument, match="frame is 'base_link', expected one of an arm"):
+        UR5.arm_manipulability(q, "base_link")
+
+
+@pytest.mark.parametrize("robot", [UR5, KINOVA], ids=["ur5", "kinova"])
+def test_a_frames_drift_is_the_rate_of_its_jacobian(robot: MobileRobot) -> None:
+    rng, h = np.random.default_rng(6), 1e-5
+    q, v = robot.random_configuration(rng, (5,)), rng.normal(size=(5, robot.nv))
+    ahead, behind = (robot.frame_jacobian(robot.integrate(q, s * h * v)) for s in (1, -1))
+    slope = np.einsum("nij,nj->ni", ahead - behind, v) / (2 * h)
+    np.testing.assert_allclose(robot.frame_drift(q, v), slope, atol=1e-6)  # eps / h times numbers of order 10
+
+
+def test_bounded_least_squares_is_optimal() -> None:
+    rng = np.random.default_rng(8)
+    for _ in range(50):
+        A, b = rng.normal(size=(8, 5)), rng.normal(size=8)
+        least, most = np.sort(rng.normal(size=(2, 5)), axis=0)
+        least[0] = most[0]
+        least[1], most[1] = -np.inf, np.inf
+        x = bounded_least_squares(A, b, least, most)
+        slope = A.T @ (A @ x - b)
+        # No way that the bounds leave open goes downhill.
+        assert ((x >= least) & (x <= most)).all()
+        assert (slope[x > least] < 1e-8).all()
+        assert (slope[x < most] > -1e-8).all()
+
+
+def test_after_any_step_that_limits_allow_a_joint_can_still_stop() -> None:
+    limits = Limits(UR5, UR5.velocity_limit, np.full(9, 10.0))
+    rng, dt, q, v = np.random.default_rng(9), 0.01, UR5.rest, np.zeros(9)
+    for _ in range(2000):
+        least, most = limits.velocities(q, dt, v)
+        assert (np.abs(np.where(v > 0, least, most) - v) <= 10 * dt + 1e-12).all()  # it can brake
+        v = np.where(rng.random(9) < 0.95, most, least)
+        q = q + dt * v
+        assert ((q >= UR5.lower - 1e-12) & (q <= UR5.upper + 1e-12)).all()
+    assert (q[3:] > UR5.upper[3:] - 0.5).any()
+
+
+def test_after_any_acceleration_that_limits_allow_a_joint_can_still_stop() -> None:
+    limits = Limits(UR5, UR5.velocity_limit, np.full(9, 10.0))
+    rng, dt, q, v = np.random.default_rng(10), 0.01, UR5.rest, np.zeros(9)
+    for _ in range(2000):
+        least, most = limits.ramps(q, v, dt)
+        a = np.where(rng.random(9) < 0.95, most, least)
+        assert (np.abs(a) <= 10).all()
+        q, v = q + dt * v + 0.5 * dt * dt * a, v + dt * a
+        assert ((q >= UR5.lower - 1e-9) & (q <= UR5.upper + 1e-9)).all()
+        assert (np.abs(v) <= UR5.velocity_limit + 1e-9).all()
+    assert (q[3:] > UR5.upper[3:] - 0.5).any()
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"dt": 0}, "dt is 0.0 s, expected > 0"),
+        ({"damping": -1}, "damping is -1.0, expected > 0"),
+        ({"posture": [0, 1]}, r"posture has shape \(2,\), expected \(6,\), the arms' part of q"),
+        ({"posture": [0, 9, 0, 0, 0, 0]}, r"posture has q\[4\] = 9, expected -6.283 <= q\[4\] <= 6.283"),
+        ({"q0": [0, 1]}, r"q0 has shape \(2,\), expected \(..., 9\)"),
+        ({"cost": [1, 2]}, r"cost has shape \(2,\), expected \(\) or \(9,\)"),
+        ({"velocity_limit": -1}, "velocity_limit is -1, expected numbers >= 0"),
+        ({"acceleration_limit": np.inf}, "acceleration_limit is inf, expected a finite number"),
+        ({"tolerance": 0}, "tolerance is 0, expected > 0"),
+    ],
+)
+def test_what_cannot_be_resolved_is_refused(options: dict[str, Any], text: str) -> None:
+    with pytest.raises(InvalidArgument, match=text):
+        resolve(UR5, RING, **options)
+
+
+def test_other_things_than_robots_targets_and_frames_are_refused() -> None:
+    with pytest.raises(InvalidArgument, match="target is 3, expected a PosePath"):
+        resolve(UR5, 3)  # type: ignore[arg-type]
+    with pytest.raises(UnknownName, match="unknown frame 'ur5/tool', available: ur5/tool0"):
+        resolve(UR5, RING, frame="ur5/tool")
+    with pytest.raises(UnknownName, match="unknown frame"):
+        EndEffectorTracking(UR5, RING, frame="tip")
+    with pytest.raises(InvalidArgument, match=r"kp is -1\.0, expected >= 0"):
+        EndEffectorTracking(UR5, RING, kp=-1)
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "ball")
+    model.appendBodyToJoint(joint, pin.Inertia.Random(), pin.SE3.Identity())
+    with pytest.raises(InvalidArgument, match="robot has the joint 'arm/ball' of 3 velocities"):
+        resolve(BOX.mount(model, name="arm"), RING, frame="base_link")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ((3,), "path is 3, expected a path"),
+        ((Spline([(0, 0), (1, 1)], [0, 1]),), r"path has points of shape \(2,\), expected \(3,\)"),
+        ((RING.path, np.eye(2)), r"rotation has shape \(2, 2\), expected \(3, 3\)"),
+        ((RING.path, -np.eye(3)), r"rotation has R' R off by 0 and det R = -1, expected a rotation matrix"),
+        ((RING.path, None, np.eye(3)), "final_rotation is given without rotation, expected both"),
+        ((RING.path, np.eye(3), np.diag([1, -1, -1])), "final_rotation is half a turn from rotation"),
+    ],
+)
+def test_a_pose_path_that_is_none_is_refused(arguments: Any, text: str) -> None:
+    with pytest.raises(InvalidArgument, match=text):
+        PosePath(*arguments)
