@@ -23,6 +23,7 @@ from pinmobile import (
     simulate,
     tip_over_margin,
 )
+from pinmobile.arrays import Array
 from pinmobile.cli import choices
 from pinmobile.cli.output import Picture, Section, console, index_page, output_folder, progress
 from pinmobile.cli.run import FIGURES, draw
@@ -100,8 +101,8 @@ def demonstration(robot: MobileRobot, duration: float) -> WholeBody:
     """Return the circle, beside it every joint 0.5 rad (0.1 m) away and back, or as far as it can."""
     rest, units = robot.difference(robot.neutral, robot.rest), np.array(robot.coordinate_units)
     way = np.select([units == unit for unit in _WAY], list(_WAY.values()))
-    up, down = _room(robot)
-    target = rest + np.where(np.minimum(up, way) >= np.minimum(down, way), np.minimum(up, way), -down)
+    up, down = (np.minimum(room, way) for room in _room(robot))
+    target = rest + np.where(up >= down, up, -down)
     paths = [
         CubicVia(rest[m.v], target[m.v], rest[m.v], duration / 2, duration) if rest[m.v].size else None
         for m in robot.mounts
@@ -109,7 +110,7 @@ def demonstration(robot: MobileRobot, duration: float) -> WholeBody:
     return WholeBody(robot, Tangent(Circle(_RADIUS, _RATE, duration)), *paths)
 
 
-def _room(robot: MobileRobot) -> tuple[np.ndarray, np.ndarray]:
+def _room(robot: MobileRobot) -> tuple[Array, Array]:
     """Return how far each coordinate can go up and down from rest, within its limits, shape (nv,)."""
     up, down = np.full(robot.nv, np.inf), np.full(robot.nv, np.inf)
     model = robot.model
