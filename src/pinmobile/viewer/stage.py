@@ -9,6 +9,7 @@ from pinocchio.visualize import MeshcatVisualizer
 from pinmobile.arrays import Array
 from pinmobile.robot import MobileRobot
 from pinmobile.robot.visual import BODY
+from pinmobile.viewer.coarse import coarse
 from pinmobile.viewer.motion import Channel
 from pinmobile.viewer.overlays import View
 from pinmobile.viewer.shapes import Shape, shadows
@@ -23,6 +24,7 @@ _AZIMUTH, _ELEVATION = np.deg2rad(-86.0), np.deg2rad(50.0)
 _LOW = np.deg2rad(32.0)  # from where one sees what an arm does
 _ABOVE, _BELOW = 0.92, 0.82  # of half the window's height; the player is below
 _GHOST_SCALE = (1.07, 1.10, 1.08)  # a little larger, to be seen around a robot that it coincides with
+_MOST, _MOST_OF_GHOST = 120_000, 30_000  # triangles of a robot; more are not to be seen at this distance
 _GHOST_LINK = 1.06  # about its own origin: about the body's an arm would stand beside its place
 
 
@@ -148,15 +150,18 @@ class Stage:
         path : str
             The node.
         robot : MobileRobot
-            Whose ``visual_model`` is drawn.
+            Whose ``visual_model`` is drawn, its meshes coarser where they have very many triangles.
         colour : str, optional
             Of its box, or of all of a ghost; by default its own.
         ghost : bool
             Translucent, and a little larger.
         """
-        shown = pin.GeometryModel()
-        for item in robot.visual_model.geometryObjects:
+        shown, items = pin.GeometryModel(), robot.visual_model.geometryObjects
+        triangles = sum(getattr(item.geometry, "num_tris", 0) for item in items)
+        share = (_MOST_OF_GHOST if ghost else _MOST) / max(triangles, 1)
+        for item in items:
             copy = item.copy()
+            copy.geometry = coarse(item.geometry, share)
             if colour is not None and (ghost or item.name == BODY):
                 copy.meshColor = np.array([*_rgb(colour), 1.0])
             if ghost:
