@@ -14,7 +14,7 @@ def sphere(n: int = 80) -> coal.BVHModelOBBRSS:
     polar, azimuth = np.meshgrid(np.linspace(0, np.pi, n + 1), np.linspace(0, 2 * np.pi, n + 1))
     points = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], -1)
     first = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()[:, None]
-    faces = np.concatenate([first + (0, n + 2, n + 1), first + (0, 1, n + 2)])
+    faces = np.concatenate([first + np.array(corners) for corners in ((0, n + 2, n + 1), (0, 1, n + 2))])
     mesh = coal.BVHModelOBBRSS()
     mesh.beginModel(len(faces), points.size // 3)
     mesh.addVertices(points.reshape(-1, 3))
