@@ -38,8 +38,10 @@ def test_a_coarse_mesh_has_about_that_share_and_the_same_shape(share: float) -> 
 
 
 def test_what_is_fine_enough_or_no_mesh_stays() -> None:
-    fine, box = sphere(4), coal.Box(1, 1, 1)
+    few, fine, box = sphere(4), sphere(20), coal.Box(1, 1, 1)
     assert coarse(fine, 1.0) is fine
+    assert coarse(few, 0.01) is few
+    assert coarse(fine, 0.001).num_tris > 100
     assert coarse(box, 0.1) is box
 
 

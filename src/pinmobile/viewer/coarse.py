@@ -8,9 +8,11 @@ from pinmobile.arrays import Array
 
 __all__ = ["coarse"]
 
+_FEW = 300  # triangles that a mesh keeps: a wedge of eight would be gone
+
 
 def coarse(shape: Any, share: float) -> Any:
-    """Return a mesh with about that share of its triangles; what is no mesh stays as it is.
+    """Return a mesh with about that share of its triangles; what is no mesh, or has few, stays as it is.
 
     Vertices in one cell of a grid become one, their mean (Rossignac and Borrel, "Multi-resolution 3D
     approximations for rendering complex scenes", 1993): no triangle moves by more than a cell.
@@ -23,19 +25,19 @@ def coarse(shape: Any, share: float) -> Any:
         From 0 to 1; with 1 it stays as it is.
     """
     count = getattr(shape, "num_tris", 0)
-    if share >= 1 or not count:
+    if share >= 1 or count <= _FEW:
         return shape
     vertices = np.array(shape.vertices())
     triangles = (shape.tri_indices(k) for k in range(count))
     faces = np.array([[triangle[0], triangle[1], triangle[2]] for triangle in triangles])
-    return _mesh(*_clustered(vertices, faces, _cell(vertices[faces], share * count)))
+    return _mesh(*_clustered(vertices, faces, _cell(vertices[faces], max(share * count, _FEW))))
 
 
 def _cell(corners: Array, wanted: float) -> float:
     """Return the size of a cell of which the triangles, shape (n, 3, 3), leave about so many."""
     a, b, c = np.moveaxis(corners, 1, 0)
     area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
-    return max(float(np.sqrt(3 * area / max(wanted, 1.0))), 1e-9)  # a surface crosses 1.5 cells per size^2
+    return max(float(np.sqrt(3 * area / wanted)), 1e-9)  # a surface crosses 1.5 cells per size^2
 
 
 def _clustered(vertices: Array, faces: Any, cell: float) -> tuple[Array, Any]:
