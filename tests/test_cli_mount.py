@@ -184,3 +184,11 @@ def test_figures_name_joints_and_unwrap_their_angles(run: Rollout) -> None:
 def test_mounted_refuses_nothing_at_all() -> None:
     with pytest.raises(InvalidArgument, match="mount needs an arm"):
         mounted((), None, None, ())
+
+
+def test_the_demonstration_lifts_the_arm_rather_than_pressing_it_into_the_base() -> None:
+    robot = mounted(["ur5"], None, None, [])
+    reference = demonstration(robot, 6.0)
+    heights = robot.potential_energy(reference(np.array([0.0, 3.0, 6.0])).q)
+    assert heights[1] > heights[0] + 10.0
+    assert heights[2] == pytest.approx(heights[0])

@@ -102,12 +102,20 @@ def demonstration(robot: MobileRobot, duration: float) -> WholeBody:
     rest, units = robot.difference(robot.neutral, robot.rest), np.array(robot.coordinate_units)
     way = np.select([units == unit for unit in _WAY], list(_WAY.values()))
     up, down = (np.minimum(room, way) for room in _room(robot))
-    target = rest + np.where(up >= down, up, -down)
+    upwards = np.where(np.isclose(up, down), _lifts(robot, way), up > down)
+    target = rest + np.where(upwards, up, -down)
     paths = [
         CubicVia(rest[m.v], target[m.v], rest[m.v], duration / 2, duration) if rest[m.v].size else None
         for m in robot.mounts
     ]
     return WholeBody(robot, Tangent(Circle(_RADIUS, _RATE, duration)), *paths)
+
+
+def _lifts(robot: MobileRobot, way: Array) -> Any:
+    """Tell of which coordinates a larger one lifts the arm, rather than pressing it into the base."""
+    moves = np.diag(way)
+    higher, lower = (robot.potential_energy(robot.integrate(robot.rest, sign * moves)) for sign in (1, -1))
+    return higher >= lower - 1e-9
 
 
 def _room(robot: MobileRobot) -> tuple[Array, Array]:
