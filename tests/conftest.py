@@ -1,6 +1,7 @@
-"""Settings of hypothesis, and states that several tests draw."""
+"""Settings for all tests, and states that several draw."""
 
 import os
+import signal
 
 import matplotlib
 import numpy as np
@@ -10,6 +11,9 @@ from hypothesis import settings
 from pinmobile import MobileRobot
 from pinmobile.arrays import Array
 
+# What a shell runs in the background ignores Ctrl-C, which some tests are about.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 # No window is needed, on any machine.
 matplotlib.use("Agg")
 settings.register_profile("default", deadline=None, max_examples=60)

@@ -19,6 +19,7 @@ from pinmobile import (
     NoisyMeasurement,
     Normal,
     Same,
+    Saturated,
     Scenario,
     SinusoidalForce,
     Tangent,
@@ -27,8 +28,9 @@ from pinmobile import (
     ViscousFriction,
     ensemble,
     law,
+    simulate,
 )
-from pinmobile.ensembles import ARRAYS, PARAMETERS, run_scenario
+from pinmobile.ensembles import PARAMETERS, run_scenario
 from pinmobile.ensembles.histogram import BINS, bins_of, edges, quantiles
 
 ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.02))
@@ -132,6 +134,14 @@ def test_every_parameter_can_be_spread_and_matters() -> None:
     [
         ({"n": -3}, InvalidArgument, "n is -3, expected a whole number >= 1"),
         ({"n": 2.5}, InvalidArgument, "n is 2.5, expected a whole number >= 1"),
+        ({"n": 10**11}, InvalidArgument, "expected at most 100,000,000, whose records take 15 GB"),
+        ({"n": True}, InvalidArgument, "n is True, expected a whole number >= 1"),
+        ({"seed": None}, InvalidArgument, "seed is None, expected a whole number >= 0"),
+        (
+            {"controller": Saturated(PD(4, 4), [1, 2])},
+            InvalidArgument,
+            "limits has shape (2,), expected () or (3,)",
+        ),
         ({"seed": -1}, InvalidArgument, "seed is -1, expected a whole number >= 0"),
         ({"robot": "me"}, InvalidArgument, "robot is 'me', expected a MobileRobot without arms"),
         ({"spread": 3}, InvalidArgument, "spread is 3, expected a mapping of parameters to distributions"),
@@ -197,9 +207,8 @@ def test_a_scenario_checks_itself(changes: Any, error: Any, text: str) -> None:
     ("spread", "text"),
     [
         (
-            {"mass": Uniform(-5, 15)},
-            "spread['mass'] gives -4.98938 kg as the mass of the robot, and 236 of 1000 draws (23.60%) are "
-            "impossible; expected > 0",
+            {"mass": Normal(5, 5)},
+            "kg as the mass of the robot, and 172 of 1000 draws (17.20%) are impossible; expected > 0",
         ),
         ({"yaw_inertia": Normal(1.0, 0.4)}, "kg m^2 as the yaw inertia of the robot, and "),
         (
@@ -215,6 +224,22 @@ def test_a_scenario_checks_itself(changes: Any, error: Any, text: str) -> None:
 def test_impossible_draws_are_refused_with_their_share(spread: Any, text: str) -> None:
     with pytest.raises(InvalidArgument) as caught:
         run_scenario(made(spread=spread))
+    assert text in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("source", "text"),
+    [
+        (Uniform(-1, 30), "reaches -1 kg as the mass of the robot, and 3.23% of its draws are impossible"),
+        (
+            stats.uniform(-5, 20),
+            "reaches -5 kg as the mass of the robot, and 25.00% of its draws",
+        ),
+    ],
+)
+def test_a_distribution_that_reaches_what_is_impossible_is_refused(source: Any, text: str) -> None:
+    with pytest.raises(InvalidArgument) as caught:
+        made(n=1, spread={"mass": source})
     assert text in str(caught.value)
 
 
@@ -240,6 +265,7 @@ def test_a_distribution_that_gives_no_numbers_is_refused() -> None:
         (lambda: Uniform(2, 1), "low is 2.0, expected at most high, 1.0"),
         (lambda: Uniform(np.nan, 1), "low is nan, expected a finite number"),
         (lambda: Normal(0, -1), "std is -1.0, expected >= 0"),
+        (lambda: Same(3), "name is 3, expected the name of a parameter"),  # type: ignore[arg-type]
     ],
 )
 def test_distributions_check_themselves(make: Any, text: str) -> None:
@@ -252,6 +278,8 @@ def test_distributions_check_themselves(make: Any, text: str) -> None:
     [
         ({"engine": "numba"}, "engine is 'numba', expected COMPILED, ARRAYS or None"),
         ({"threads": 0}, "threads is 0, expected a whole number >= 1"),
+        ({"traces": 3}, "traces is 3, expected indices of robots, such as"),
+        ({"progress": 3}, "progress is 3, expected a function of done and n"),
         ({"traces": [1000]}, "traces has robot 1000, expected 0 to 999"),
     ],
 )
@@ -260,12 +288,29 @@ def test_options_of_a_run_are_checked_before_it(options: Any, text: str) -> None
         run_scenario(made(), **options)
 
 
-def test_a_users_controller_that_does_not_work_on_arrays_is_told_so() -> None:
-    one = law(lambda t, q, v, reference: reference.q)
-    with pytest.raises(
-        InvalidArgument, match=r"controller returned shape \(3,\) at t = 0 s for q of shape \(128, 3\)"
-    ):
-        ensemble(ROBOT, one, TRAJECTORY, n=128, spread={}, dt=0.1, engine=ARRAYS, threads=1)
+@pytest.mark.parametrize("n", [3, 128])
+def test_what_is_written_for_one_robot_is_told_so(n: int) -> None:
+    one = law(lambda t, q, v, reference: np.array([q[0], q[1], q[2]]))
+    text = r"controller returned shape \(3, 3\) at t = 0 s for q of shape \(4, 3\)"
+    with pytest.raises(InvalidArgument, match=text):
+        ensemble(ROBOT, one, TRAJECTORY, n=n, spread={}, dt=0.1)
+
+    def drag(t: float, q: Any, v: Any) -> Any:
+        return np.array([-v[0], -v[1], -v[2]])
+
+    with pytest.raises(InvalidArgument, match=r"forces\[0\] returned shape \(3, 3\) for q of shape \(4, 3\)"):
+        ensemble(ROBOT, PD(4, 4), TRAJECTORY, n=n, spread={}, dt=0.1, forces=[drag])
+
+
+def test_an_integrator_that_returns_no_state_is_told_so() -> None:
+    def none(acceleration: Any, t: float, q: Any, v: Any, dt: float) -> Any:
+        return None
+
+    text = r"integrator returned None at t = 0 s, expected \(q, v\) of shapes "
+    with pytest.raises(InvalidArgument, match=text + r"\(5, 3\) and \(5, 3\)"):
+        run_scenario(made(n=5, integrator=none), threads=1)
+    with pytest.raises(InvalidArgument, match=text + r"\(3,\) and \(3,\)"):
+        simulate(ROBOT, PD(4, 4), TRAJECTORY, dt=0.1, integrator=none)
 
 
 def test_quantiles_from_counts_are_right_to_the_width_of_a_bin() -> None:
@@ -300,9 +345,12 @@ def test_an_ensemble_says_what_came_of_it() -> None:
     assert bands.distance.shape == (3, 61)
     assert (np.diff(bands.distance, axis=0) >= 0).all()
     assert bands.distance[-1].max() == pytest.approx(run.within(0.99).distance, rel=2**-5)
-    for share in (-0.1, 1.1, np.nan):
+    for share in (-0.1, 1.1, np.nan, [0.5, 0.9]):
+        with pytest.raises(InvalidArgument, match="share"):
+            run.within(share)  # type: ignore[arg-type]
+    for levels in (-0.1, [], [2.0]):
         with pytest.raises(InvalidArgument, match="levels"):
-            run.within(share)
+            run.bands(levels)
 
 
 def test_a_wind_without_friction_is_what_the_closed_form_says() -> None:

@@ -131,7 +131,12 @@ def whole(name: str, value: Any, *, least: int = 1) -> int:
     InvalidArgument
         If it is not a whole number, or less.
     """
-    number = scalar(name, value)
+    if type(value) is int and value >= least:
+        return value
+    try:
+        number = scalar(name, value)
+    except InvalidArgument:
+        number = -1.0 if least >= 0 else least - 1.0
     if number != int(number) or number < least:
         raise InvalidArgument(f"{name} is {value!r}, expected a whole number >= {least}")
     return int(number)

@@ -10,6 +10,7 @@ import pinmobile
 from pinmobile.cli import choices
 from pinmobile.cli.lecture import show_lecture
 from pinmobile.cli.many import run_options, show_ensemble, show_sweep
+from pinmobile.cli.mount import list_mountable, mounted, show_mount
 from pinmobile.cli.output import console, output_folder, progress
 from pinmobile.cli.run import show_run
 from pinmobile.cli.scenario_file import EXAMPLE
@@ -187,6 +188,42 @@ def run(
     options = locals().copy()
     folder = output_folder(out)
     return show_run(choices.closed_loop(**options), folder, controller, gif=gif, html=html)
+
+
+@app.command()
+def mount(
+    arm: Annotated[
+        list[str] | None, typer.Argument(help="Names of example-robot-data: one, or more.")
+    ] = None,
+    listed: Annotated[
+        bool, typer.Option("--list", help="Print the names, and those that do not mount, with the reason.")
+    ] = False,
+    urdf: Annotated[Path | None, typer.Option(help="An arm of your own instead.")] = None,
+    package_dir: Annotated[
+        list[Path] | None, typer.Option(help="Folder that package:// in it refers to; repeat it.")
+    ] = None,
+    at: Annotated[
+        Text, typer.Option(help="Its place X,Y,Z,YAW on the body (m, rad); the middle of the top.")
+    ] = None,
+    dt: Annotated[float, typer.Option(help="Sampling time (s).")] = 0.001,
+    duration: Annotated[float, typer.Option(help="Of the motion (s).")] = 6.0,
+    html: Annotated[
+        Path | None, typer.Option(help="File: a page that shows it move, the decoupled one as a ghost.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for records and figures.")] = None,
+) -> int:
+    """Put an arm on the base, drive a circle while it moves, and say what the coupling costs.
+
+    Computed torque of the whole beside a controller that ignores the coupling between base and arm: errors,
+    tip-over margin, and the friction that the ground must offer.
+
+    Example: pinmobile mount ur5 --html out/ur5.html
+    """
+    if listed:
+        choices.refuse_beside("--list", urdf=urdf, at=at, html=html, out=out)
+        return list_mountable()
+    robot = mounted(arm or (), urdf, at, package_dir or ())
+    return show_mount(robot, dt=dt, duration=duration, html=html, out=out)
 
 
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})

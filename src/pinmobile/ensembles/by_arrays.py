@@ -1,5 +1,6 @@
 """The engine of plain numpy, which takes whatever works on arrays: the reference for the other."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -8,15 +9,16 @@ from numpy.typing import NDArray
 
 from pinmobile import closed_form
 from pinmobile.arrays import Array
-from pinmobile.controllers import NoisyMeasurement, planar_difference
+from pinmobile.controllers import PD, ComputedTorque, NoisyMeasurement, planar_difference
 from pinmobile.ensembles.batch import Batch, noise_of
 from pinmobile.ensembles.histogram import BINS, bins_of
 from pinmobile.ensembles.part import Engine, Part, empty_counts
 from pinmobile.ensembles.scenario import Scenario, core_of, layers_of
 from pinmobile.errors import InvalidArgument
+from pinmobile.simulation import stepped
 from pinmobile.trajectories import Reference
 
-__all__ = ["ARRAYS"]
+__all__ = ["ARRAYS", "check_functions"]
 
 
 class _Records:
@@ -95,14 +97,19 @@ def _answer(controller: Any, t: float, q: Array, v: Array, at: Reference, state:
 
 
 def _accelerations(batch: Batch, t: float, q: Array, v: Array, tau: Array) -> Array:
-    for k, force in enumerate(batch.forces):
+    return closed_form.unchecked_forward_dynamics(q, v, _pushed(batch.forces, t, q, v, tau), *batch.body)
+
+
+def _pushed(forces: Sequence[Any], t: float, q: Array, v: Array, tau: Array) -> Array:
+    for k, force in enumerate(forces):
         pushed = force(t, q, v)
         if np.shape(pushed) != q.shape:
             raise InvalidArgument(
-                f"forces[{k}] returned shape {np.shape(pushed)} for q of shape {q.shape}, expected {q.shape}"
+                f"forces[{k}] returned shape {np.shape(pushed)} for q of shape {q.shape}, expected "
+                f"{q.shape}: in an ensemble it works on arrays, one row per robot"
             )
         tau = tau + pushed
-    return closed_form.unchecked_forward_dynamics(q, v, tau, *batch.body)
+    return tau
 
 
 def _advanced(
@@ -114,8 +121,25 @@ def _advanced(
         return _accelerations(batch, time, x, w, tau)
 
     for j in range(scenario.substeps):
-        q, v = scenario.integrator(acceleration, t + j * h, q, v, h)
+        q, v = stepped(scenario.integrator, acceleration, t + j * h, q, v, h)
     return q, v
+
+
+def check_functions(scenario: Scenario) -> None:
+    """Refuse a user's controller or force that is written for one robot.
+
+    They are asked about four: of three, rows could be taken for coordinates.
+
+    Raises
+    ------
+    InvalidArgument
+        If one returns another shape.
+    """
+    q, v, a = (np.tile(part[0], (4, 1)) for part in scenario.reference)
+    core, at = core_of(scenario.controller), Reference(*(part[0] for part in scenario.reference))
+    if type(core) not in (PD, ComputedTorque):
+        _answer(core, float(scenario.t[0]), q, v, at, core.initial_state())
+    _pushed(scenario.forces, float(scenario.t[0]), q, v, np.zeros_like(a))
 
 
 @dataclass(frozen=True)

@@ -50,6 +50,15 @@ class Uniform:
         """Return `size` independent draws, shape (size,)."""
         return generator.uniform(self.low, self.high, size)
 
+    def support(self) -> tuple[float, float]:
+        """Return the bounds, as a frozen distribution of `scipy.stats` does."""
+        return self.low, self.high
+
+    def cdf(self, value: float) -> float:
+        """Return the probability of draws up to `value`."""
+        width = self.high - self.low
+        return float(np.clip((value - self.low) / width, 0, 1)) if width else float(value >= self.low)
+
 
 @final
 @dataclass(frozen=True)
@@ -97,6 +106,10 @@ class Same:
 
     name: str
     factor: Any = 1.0
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            raise InvalidArgument(f"name is {self.name!r}, expected the name of a parameter")
 
 
 TRUE_MODEL: Mapping[str, Same] = MappingProxyType(

@@ -7,10 +7,10 @@ below is counted in the first bin, what is above, or belongs to a diverged robot
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, finite
+from pinmobile.arrays import Array, ArrayLike, finite, scalar
 from pinmobile.errors import InvalidArgument
 
-__all__ = ["BINS", "FIRST", "SHIFT", "bins_of", "checked_levels", "edges", "quantiles"]
+__all__ = ["BINS", "FIRST", "SHIFT", "bins_of", "checked_levels", "checked_share", "edges", "quantiles"]
 
 SHIFT = 47  # leaves the exponent and 5 bits of the mantissa
 _OCTAVES = 44
@@ -29,6 +29,20 @@ def bins_of(values: Array) -> NDArray[np.int64]:
     """Return the bins of numbers >= 0, infinity included, shape (...)."""
     bits = np.ascontiguousarray(values).view(np.int64) >> SHIFT
     return np.asarray(np.clip(bits - FIRST + 1, 0, BINS - 1))
+
+
+def checked_share(value: ArrayLike) -> float:
+    """Return a share as a float.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is not one number from 0 to 1.
+    """
+    share = scalar("share", value)
+    if not 0 <= share <= 1:
+        raise InvalidArgument(f"share is {value!r}, expected a number from 0 to 1")
+    return share
 
 
 def checked_levels(value: ArrayLike) -> Array:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, whole
 from pinmobile.ensembles.batch import Member, member_of
-from pinmobile.ensembles.histogram import checked_levels, quantiles
+from pinmobile.ensembles.histogram import checked_levels, checked_share, quantiles
 from pinmobile.ensembles.part import Part
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.errors import Diverged, InvalidArgument
@@ -145,7 +145,7 @@ class Ensemble:
         InvalidArgument
             If `share` is not between 0 and 1.
         """
-        level = checked_levels(share)[0]
+        level = checked_share(share)
         sizes = (np.where(self.diverged, np.inf, x) for x in (self.max_distance, self.max_error[:, 2]))
         return Within(*(float(np.quantile(x, level, method="inverted_cdf")) for x in sizes))
 

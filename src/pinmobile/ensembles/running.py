@@ -11,7 +11,7 @@ import numpy as np
 from pinmobile.arrays import Array, whole
 from pinmobile.controllers import NoisyMeasurement
 from pinmobile.ensembles.batch import batch_of
-from pinmobile.ensembles.by_arrays import ARRAYS
+from pinmobile.ensembles.by_arrays import ARRAYS, check_functions
 from pinmobile.ensembles.by_kernel import COMPILED
 from pinmobile.ensembles.distributions import Source
 from pinmobile.ensembles.part import Engine, Part, empty_counts
@@ -113,6 +113,10 @@ def run_scenario(
         raise InvalidArgument(f"scenario is a {type(scenario).__name__}, expected a Scenario")
     chosen = chosen_engine(scenario, engine)
     workers = processors() if threads is None else whole("threads", threads)
+    if progress is not None and not callable(progress):
+        raise InvalidArgument(f"progress is {progress!r}, expected a function of done and n")
+    if isinstance(traces, str) or not isinstance(traces, Iterable):
+        raise InvalidArgument(f"traces is {traces!r}, expected indices of robots, such as [0]")
     followed = [_robot_index("traces", i, scenario.n) for i in traces]
     draws = scenario.draws()
     whole_part = _Whole(scenario)
@@ -158,6 +162,7 @@ def chosen_engine(scenario: Scenario, engine: Engine | None) -> Engine:
         If it cannot run the scenario, or numba is missing.
     """
     if engine is None and COMPILED.refusal(scenario):
+        check_functions(scenario)
         return ARRAYS
     chosen = COMPILED if engine is None else engine
     if not isinstance(chosen, Engine):
@@ -170,6 +175,8 @@ def chosen_engine(scenario: Scenario, engine: Engine | None) -> Engine:
             "the compiled engine needs numba: install the extra, pip install 'pinmobile[ensembles]', "
             "or choose engine=ARRAYS, which is slower"
         )
+    if chosen is ARRAYS:
+        check_functions(scenario)
     return chosen
 
 

@@ -17,7 +17,7 @@ from pinmobile.disturbances import (
     ViscousFriction,
 )
 from pinmobile.ensembles.distributions import Source
-from pinmobile.ensembles.spread import PARAMETERS, checked_spread, draw
+from pinmobile.ensembles.spread import PARAMETERS, check_supports, checked_spread, draw
 from pinmobile.errors import InvalidArgument
 from pinmobile.integrators import Integrator, constant_acceleration
 from pinmobile.robot import MobileRobot
@@ -27,6 +27,8 @@ from pinmobile.trajectories import Reference, Trajectory
 __all__ = ["Scenario", "core_of", "layers_of"]
 
 _GRID = 60  # intervals between counts, about
+_MOST = 100_000_000  # robots
+_RECORD = 150  # bytes for each, about
 
 
 @final
@@ -85,6 +87,10 @@ class Scenario:
             raise InvalidArgument(f"robot is {self.robot!r}, expected a MobileRobot without arms")
         checked_loop(self.robot, self.controller, self.trajectory, self.integrator)
         n = whole("n", self.n)
+        if n > _MOST:
+            raise InvalidArgument(
+                f"n is {n:,}, expected at most {_MOST:,}, whose records take {_MOST * _RECORD / 1e9:.0f} GB"
+            )
         t = sample_times(positive("dt", self.dt, "s"), self.duration, self.trajectory.duration)
         every = max(1, round((len(t) - 1) / _GRID)) if self.every is None else whole("every", self.every)
         for name, value in {
@@ -102,6 +108,8 @@ class Scenario:
         _check_forces(self.forces)
         object.__setattr__(self, "forces", _with_spread_forces(self.forces, self.spread))
         _check_names(self)
+        _check_layers(self.controller)
+        check_supports(self.spread)
 
     @property
     def stride(self) -> int:
@@ -220,6 +228,14 @@ def _with_spread_forces(forces: Sequence[Any], spread: Mapping[str, Any]) -> tup
                 )
             found.append(kind(np.zeros(3)))
     return tuple(found)
+
+
+def _check_layers(controller: Any) -> None:
+    for layer in layers_of(controller):
+        for name in ("limits", "std_q", "std_v"):
+            shape = np.shape(getattr(layer, name, 0.0))
+            if shape not in ((), (3,)):
+                raise InvalidArgument(f"{name} has shape {shape}, expected () or (3,)")
 
 
 def _check_names(scenario: Scenario) -> None:

@@ -11,7 +11,7 @@ from pinmobile.arrays import Array, finite
 from pinmobile.ensembles.distributions import Same, drawn
 from pinmobile.errors import InvalidArgument, UnknownName
 
-__all__ = ["PARAMETERS", "Parameter", "checked_spread", "draw", "in_blocks", "stream"]
+__all__ = ["PARAMETERS", "Parameter", "check_supports", "checked_spread", "draw", "in_blocks", "stream"]
 
 _BLOCK = 4096  # robots that are drawn from one stream of random numbers
 
@@ -116,6 +116,25 @@ def checked_spread(spread: Any, n: int) -> dict[str, Any]:
         if isinstance(source, Same):
             _follow(name, source, spread)
     return found
+
+
+def check_supports(spread: Mapping[str, Any]) -> None:
+    """Refuse distributions that reach below what is possible, whatever happens to be drawn.
+
+    Raises
+    ------
+    InvalidArgument
+        If one does; the message tells the share of its draws.
+    """
+    for name, source in spread.items():
+        parameter, support = PARAMETERS[name], getattr(source, "support", None)
+        low = float(support()[0]) if callable(support) else np.nan
+        if np.isfinite(low) and low < parameter.least:
+            raise InvalidArgument(
+                f"spread[{name!r}] reaches {low:.6g} {parameter.unit} as the {parameter.meaning}, and "
+                f"{float(source.cdf(parameter.least)):.2%} of its draws are impossible; "
+                f"expected {'>=' if parameter.may_vanish else '>'} 0"
+            )
 
 
 def _checked(what: str, source: Any, n: int) -> Any:

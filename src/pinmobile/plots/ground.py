@@ -17,8 +17,9 @@ from pinmobile.balance import (
     tip_over_margin,
 )
 from pinmobile.errors import InvalidArgument
+from pinmobile.plots.layout import stacked
 from pinmobile.plots.runs import Rollouts, labelled, thinned
-from pinmobile.plots.series import draw, stacked
+from pinmobile.plots.series import draw
 from pinmobile.plots.style import INK, ShownFigure, colour, dress, legend, line_style
 from pinmobile.robot import MobileRobot
 from pinmobile.simulation import Rollout

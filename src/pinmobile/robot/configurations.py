@@ -8,6 +8,7 @@ import pinocchio as pin
 from pinmobile.arrays import Array, ArrayLike, broadcast, frozen, vector, wrap_angle
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot.assembly import limits
+from pinmobile.robot.coordinates import configuration_names, units, velocity_names
 from pinmobile.robot.engine import Engine
 from pinmobile.robot.mounts import Load, Mount
 
@@ -45,6 +46,21 @@ class ChainConfigurations:
     def nu(self) -> int:
         """Size of the input, here the generalised force."""
         return self.nv
+
+    @cached_property
+    def coordinate_names(self) -> tuple[str, ...]:
+        """Name of each of the nv numbers in v, a and tau: x, y, psi, then those of the arms' joints."""
+        return velocity_names(self.model)
+
+    @cached_property
+    def coordinate_units(self) -> tuple[str, ...]:
+        """Unit of each of them in a displacement: m or rad; that of its force is then N or N m."""
+        return units(self.model)
+
+    @cached_property
+    def configuration_names(self) -> tuple[str, ...]:
+        """Name of each of the nq numbers in q; of a joint without limits ``name:cos`` and ``name:sin``."""
+        return configuration_names(self.model)
 
     @cached_property
     def _limits(self) -> tuple[Array, Array, Array, Array]:

@@ -4,5 +4,15 @@ from pinmobile.simulation.checks import checked_forces, checked_loop, sample_tim
 from pinmobile.simulation.closed_loop import simulate
 from pinmobile.simulation.plant import Plant
 from pinmobile.simulation.rollout import Rollout
+from pinmobile.simulation.steps import stepped
 
-__all__ = ["Plant", "Rollout", "checked_forces", "checked_loop", "sample_times", "sampled", "simulate"]
+__all__ = [
+    "Plant",
+    "Rollout",
+    "checked_forces",
+    "checked_loop",
+    "sample_times",
+    "sampled",
+    "simulate",
+    "stepped",
+]

@@ -1,6 +1,6 @@
 """`Rollout`: everything that a simulation recorded, with its own judgement."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from os import PathLike
@@ -10,6 +10,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, frozen, location
 from pinmobile.errors import InvalidArgument
+from pinmobile.robot import MobileRobot
 from pinmobile.simulation.storage import read_archive, write_archive
 from pinmobile.trajectories import Reference
 
@@ -64,7 +65,7 @@ class Rollout:
 
     def __repr__(self) -> str:
         errors = self._errors("largest", self.max_error())
-        return f"<Rollout: {len(self)} samples over {self.t[-1]:g} s, {errors}>"
+        return f"<Rollout: {len(self)} samples over {self.t[-1]:g} s, {errors}{self._worst_joint()}>"
 
     def __str__(self) -> str:
         step = f" at dt = {self.t[1]:g} s" if len(self) > 1 else ""
@@ -75,8 +76,41 @@ class Rollout:
                 self._errors("largest", self.max_error()),
                 self._errors("rms", self.rms_error()),
                 "largest force: " + ", ".join(f"{name} {value:.4g} {unit}" for name, value, unit in forces),
+                *self._of_joints(),
             ]
         )
+
+    @property
+    def labels(self) -> tuple[tuple[str, str], ...]:
+        """Name and unit of each column of `error`, shape (nv,); numbers where the robot is not known."""
+        count = self.error.shape[1]
+        if isinstance(self.robot, MobileRobot) and self.robot.nv == count:
+            return tuple(zip(self.robot.coordinate_names, self.robot.coordinate_units, strict=True))
+        known = tuple(zip(_NAMES, _UNITS, strict=True))
+        return known[:count] + tuple((f"[{k}]", "") for k in range(len(known), count))
+
+    def _worst_joint(self) -> str:
+        """Return the joint with the largest error, as text; nothing where no arm is mounted."""
+        largest = self.max_error()[len(_NAMES) :]
+        if not largest.size:
+            return ""
+        worst = int(largest.argmax())
+        name, unit = self.labels[len(_NAMES) + worst]
+        return f", {name} {largest[worst]:.6e} {unit}".rstrip()
+
+    def _of_joints(self) -> list[str]:
+        """Return a table of the arms' joints; nothing where there are none."""
+        labels = self.labels[len(_NAMES) :]
+        if not labels or self.tau.shape != self.error.shape:
+            return []
+        width = max(len(name) for name, _ in labels)
+        lines = [f"{'joint':{width}} {'largest error':>17} {'rms error':>17} {'largest force':>14}"]
+        columns = (part[len(_NAMES) :] for part in (self.max_error(), self.rms_error(), self.max_force()))
+        for (name, unit), largest, rms, force in zip(labels, *columns, strict=True):
+            newton = {"m": "N  ", "rad": "N m"}.get(unit, "   ")
+            errors = " ".join(f"{value:13.6e} {unit:3}" for value in (largest, rms))
+            lines.append(f"{name:{width}} {errors} {force:10.4g} {newton}".rstrip())
+        return lines
 
     @staticmethod
     def _errors(what: str, values: Array) -> str:
@@ -84,15 +118,15 @@ class Rollout:
         return f"{what} error: {listed}"
 
     def max_error(self) -> Array:
-        """Return the largest |error| of each coordinate, shape (3,) [m, m, rad]."""
+        """Return the largest |error| of each coordinate, shape (nv,) [m, m, rad, ...]."""
         return np.asarray(np.abs(self.error).max(axis=0))
 
     def rms_error(self) -> Array:
-        """Return the root of the mean squared error of each coordinate, shape (3,) [m, m, rad]."""
+        """Return the root of the mean squared error of each coordinate, shape (nv,) [m, m, rad, ...]."""
         return np.asarray(np.sqrt(np.square(self.error).mean(axis=0)))
 
     def max_force(self) -> Array:
-        """Return the largest |tau| of each coordinate, shape (3,) [N, N, N m]."""
+        """Return the largest |tau| of each coordinate, shape (nv,) [N, N, N m, ...]."""
         return np.asarray(np.abs(self.tau).max(axis=0))
 
     def save(self, path: str | PathLike[str]) -> None:
@@ -124,7 +158,8 @@ class Rollout:
     def to_csv(self, path: str | PathLike[str]) -> None:
         """Write one line per sample, with a header and 17 significant digits.
 
-        The columns are t, then q, v, a, tau, error and the desired q, each as x, y, psi.
+        The columns are t, then q, v, a, tau, error and the desired q, each as x, y, psi and the names of
+        the arms' joints; those have numbers where the robot is not known.
 
         Raises
         ------
@@ -133,17 +168,20 @@ class Rollout:
         """
         groups = {"": self.q, "v_": self.v, "a_": self.a, "tau_": self.tau, "error_": self.error}
         groups["desired_"] = self.reference.q
-        header = ["t", *(f"{group}{name}" for group, part in groups.items() for name in _columns(part))]
+        header = ["t", *(f"{group}{name}" for group, part in groups.items() for name in self._columns(part))]
         with _written(path, "w") as file:
             table = np.column_stack([self.t, *groups.values()])
             np.savetxt(file, table, fmt="%.17g", delimiter=",", header=",".join(header), comments="")
 
-
-def _columns(part: Array) -> list[str]:
-    """Return the names of the columns: x, y, psi, then numbers; numbers alone where there is no x, y, psi."""
-    width = part.shape[1]
-    names = list(_NAMES) if width >= len(_NAMES) else []
-    return [*names, *(str(k) for k in range(len(names), width))]
+    def _columns(self, part: Array) -> Sequence[str]:
+        """Return the columns' names: x, y, psi and the joints; numbers where they have none."""
+        width = part.shape[1]
+        if isinstance(self.robot, MobileRobot):
+            for named in (self.robot.configuration_names, self.robot.coordinate_names):
+                if len(named) == width:
+                    return named
+        names = list(_NAMES) if width >= len(_NAMES) else []
+        return [*names, *(str(k) for k in range(len(names), width))]
 
 
 @contextmanager

@@ -17,6 +17,7 @@ __all__ = [
     "forward_of",
     "integrate_of",
     "pushed",
+    "stepped",
     "steps",
     "steps_between_configurations",
     "tabled_steps",
@@ -116,6 +117,28 @@ def _state_matrix(
     return np.kron(rows, np.eye(n)).dot
 
 
+def stepped(
+    integrator: Integrator, acceleration: Any, t: float, q: Array, v: Array, dt: float
+) -> tuple[Array, Array]:
+    """Return what a step of any integrator leads to, shapes of q and v.
+
+    Raises
+    ------
+    InvalidArgument
+        If the integrator returns something else.
+    """
+    after: Any = integrator(acceleration, t, q, v, dt)
+    if (
+        type(after) is not tuple
+        or len(after) != 2
+        or [np.shape(part) for part in after] != [q.shape, v.shape]
+    ):
+        raise InvalidArgument(
+            f"integrator returned {after!r} at t = {t:g} s, expected (q, v) of shapes {q.shape} and {v.shape}"
+        )
+    return after
+
+
 def steps(integrator: Integrator, forward: Forward, push: Push | None, clock: Clock) -> Advance:
     """Return the steps of any integrator, for configurations that simply add."""
     times, h, substeps = clock
@@ -130,7 +153,7 @@ def steps(integrator: Integrator, forward: Forward, push: Push | None, clock: Cl
 
         x, w = q, v
         for j in range(substeps):
-            x, w = integrator(acceleration, now + j * h, x, w, h)
+            x, w = stepped(integrator, acceleration, now + j * h, x, w, h)
         after[: len(q)] = x
         after[len(q) :] = w
 
@@ -151,7 +174,7 @@ def steps_between_configurations(
 
         base, w = q, v
         for j in range(substeps):
-            displacement, w = integrator(acceleration, times[k] + j * h, rest.copy(), w, h)
+            displacement, w = stepped(integrator, acceleration, times[k] + j * h, rest.copy(), w, h)
             base = integrate(base, displacement)
         after[: len(q)] = base
         after[len(q) :] = w

@@ -10,7 +10,7 @@ import numpy as np
 
 from pinmobile.arrays import location
 from pinmobile.ensembles import Ensemble
-from pinmobile.ensembles.histogram import checked_levels
+from pinmobile.ensembles.histogram import checked_share
 from pinmobile.errors import InvalidArgument
 from pinmobile.sweeps.axes import Axis, place_of
 from pinmobile.sweeps.extras import imported
@@ -93,7 +93,7 @@ class Sweep:
         InvalidArgument
             If `share` is not between 0 and 1.
         """
-        level = float(checked_levels(share)[0])
+        level = checked_share(share)
         data = self.dataset[["max_distance", "diverged_at"]].load()
         sizes = data.max_distance.where(data.diverged_at.isnull(), np.inf)
         found = sizes.quantile(level, "robot", method="inverted_cdf", skipna=False)

@@ -129,7 +129,7 @@ class Scene:
 
     def _furnish(self, extent: Extent, poses: Array) -> None:
         camera = self.overlays.camera
-        view = overview(extent, extent.size[2])
+        view = overview(extent, extent.size[2], low=bool(self.robot.mounts))
         if isinstance(camera, Follow):
             toward = (view.eye - view.target) / np.linalg.norm(view.eye - view.target)
             view = View(camera.distance * toward, np.zeros(3))

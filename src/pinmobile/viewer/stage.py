@@ -8,6 +8,8 @@ from pinocchio.visualize import MeshcatVisualizer
 
 from pinmobile.arrays import Array
 from pinmobile.robot import MobileRobot
+from pinmobile.robot.visual import BODY
+from pinmobile.viewer.coarse import coarse
 from pinmobile.viewer.motion import Channel
 from pinmobile.viewer.overlays import View
 from pinmobile.viewer.shapes import Shape, shadows
@@ -19,8 +21,11 @@ _STAGE = "meshcat/stage"
 _TOP, _BOTTOM = (0.90, 0.92, 0.93), (0.975, 0.975, 0.965)
 _FOV, _ASPECT = np.deg2rad(35.0), 1.5
 _AZIMUTH, _ELEVATION = np.deg2rad(-86.0), np.deg2rad(50.0)
+_LOW = np.deg2rad(32.0)  # from where one sees what an arm does
 _ABOVE, _BELOW = 0.92, 0.82  # of half the window's height; the player is below
 _GHOST_SCALE = (1.07, 1.10, 1.08)  # a little larger, to be seen around a robot that it coincides with
+_MOST, _MOST_OF_GHOST = 120_000, 30_000  # triangles of a robot; more are not to be seen at this distance
+_GHOST_LINK = 1.06  # about its own origin: about the body's an arm would stand beside its place
 
 
 class Window(Protocol):
@@ -145,16 +150,19 @@ class Stage:
         path : str
             The node.
         robot : MobileRobot
-            Whose ``visual_model`` is drawn.
+            Whose ``visual_model`` is drawn, its meshes coarser where they have very many triangles.
         colour : str, optional
             Of its box, or of all of a ghost; by default its own.
         ghost : bool
             Translucent, and a little larger.
         """
-        shown = pin.GeometryModel()
-        for item in robot.visual_model.geometryObjects:
+        shown, items = pin.GeometryModel(), robot.visual_model.geometryObjects
+        triangles = sum(getattr(item.geometry, "num_tris", 0) for item in items)
+        share = (_MOST_OF_GHOST if ghost else _MOST) / max(triangles, 1)
+        for item in items:
             copy = item.copy()
-            if colour is not None and (ghost or item.name == "body"):
+            copy.geometry = coarse(item.geometry, share)
+            if colour is not None and (ghost or item.name == BODY):
                 copy.meshColor = np.array([*_rgb(colour), 1.0])
             if ghost:
                 copy.meshColor = np.array([*copy.meshColor[:3], 0.45])
@@ -164,13 +172,28 @@ class Stage:
         visualizer.loadViewerModel(path.removeprefix("meshcat/"))
         # The body is then at the origin: the node's pose does the rest.
         visualizer.display(pin.neutral(robot.model))
-        self.set(path, "scale", list(_GHOST_SCALE) if ghost else [1.0, 1.0, 1.0])
+        self.set(path, "scale", list(_GHOST_SCALE) if ghost and not robot.mounts else [1.0, 1.0, 1.0])
+        if ghost and robot.mounts:
+            for item in shown.geometryObjects:
+                larger = _GHOST_SCALE if item.name == BODY else (_GHOST_LINK,) * 3
+                self.set(f"{path}/visuals/{item.name}", "scale", list(larger))
 
 
-def overview(extent: Extent, height: float) -> View:
-    """Return a view from the south and above in which all of the extent fits a window of usual shape."""
+def overview(extent: Extent, height: float, *, low: bool = False) -> View:
+    """Return a view from the south and above in which all of the extent fits a window of usual shape.
+
+    Parameters
+    ----------
+    extent : Extent
+        What is seen.
+    height : float
+        Of what stands there [m].
+    low : bool
+        From not so far above.
+    """
+    elevation = _LOW if low else _ELEVATION
     forward = -np.array(
-        [np.cos(_ELEVATION) * np.cos(_AZIMUTH), np.cos(_ELEVATION) * np.sin(_AZIMUTH), np.sin(_ELEVATION)]
+        [np.cos(elevation) * np.cos(_AZIMUTH), np.cos(elevation) * np.sin(_AZIMUTH), np.sin(elevation)]
     )
     right = np.cross(forward, (0, 0, 1))
     right /= np.linalg.norm(right)

@@ -1,0 +1,194 @@
+"""`pinmobile mount`, and how rollouts and figures name the joints of arms."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pinmobile import Hold, InvalidArgument, MobileRobot, Rollout, mountable, plots
+from pinmobile.cli.mount import demonstration, mounted
+from tests.test_cli import typed
+
+QUICK = ("--dt", "0.02", "--duration", "1")
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Rollout:
+    """Return a run of an arm with joints without limits, as the command keeps it."""
+    from pinmobile.cli import main
+
+    folder = tmp_path_factory.mktemp("mount")
+    assert main(("mount", "kinova", *QUICK, "--out", str(folder))) == 0
+    names = {path.name for path in folder.iterdir()}
+    figures = {f"{name}.png" for name in ("path", "states", "errors", "forces", "balance", "reaction")}
+    assert names - figures == {
+        *(f"{law}.{kind}" for law in ("computed-torque", "decoupled") for kind in ("npz", "csv")),
+        "index.html",
+    }
+    assert figures < names
+    return Rollout.load(folder / "computed-torque.npz")
+
+
+def test_mount_prints_what_the_coupling_costs(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, err = typed(capsys, "mount", "ur5", "--at", "0.1,0,0.2,0.4", "--dt", "0.01")
+    assert (code, err) == (0, "")
+    assert "ur5 on a box of 30 kg: 6 joints, 51.0 kg in all, M(q) is 9 x 9" in out
+    rows = {
+        found[1]: (float(found[2]), float(found[3]))
+        for found in re.finditer(r"^(.+?\]) +(\S+) +(\S+)$", out, re.MULTILINE)
+    }
+    for quantity in ("largest error in x [m]", "largest error of a joint [rad]"):
+        whole, apart = rows[quantity]
+        assert 0 < whole < 0.1 * apart < 1e-3
+    assert rows["smallest tip-over margin [m]"][0] > 0
+    assert rows["friction that it takes [-]"][0] == pytest.approx(0.03, abs=0.01)
+    assert out.endswith("see it move: add --html out/mount.html; figures and records: add --out out/mount\n")
+
+
+def test_mount_writes_a_page_and_says_how_large_it_is(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    page = tmp_path / "new" / "ur5.html"
+    code, out, _ = typed(capsys, "mount", "ur5", *QUICK, "--html", str(page))
+    assert code == 0
+    assert f"recording: {page.stat().st_size / 1e6:.1f} MB\nsee it move: open {page}\n" in out
+    text = page.read_text()
+    assert "<title>ur5 on the base: computed torque and decoupled</title>" in text
+    assert "position error, largest of a joint" in text
+
+
+def test_several_arms_stand_one_behind_the_other(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = typed(capsys, "mount", "z1", "so100", *QUICK)
+    assert code == 0
+    assert out.lstrip().startswith("z1 and so100 on a box of 30 kg: 13 joints")
+    places = [mount.at for mount in mounted(("z1", "so100"), None, None, ()).mounts]
+    assert [place[0] for place in places] == pytest.approx([0.2, -0.2])
+
+
+def test_an_arm_of_ones_own_is_mounted(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    slide = """<robot name="slide"><link name="foot"/><link name="slider"><inertial><mass value="2"/>
+      <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+      <joint name="lift" type="prismatic"><parent link="foot"/><child link="slider"/><axis xyz="0 0 1"/>
+      <limit lower="-0.04" upper="0.01" effort="30" velocity="2"/></joint></robot>"""
+    path = tmp_path / "slide.urdf"
+    path.write_text(slide)
+    code, out, _ = typed(capsys, "mount", "--urdf", str(path), "--package-dir", str(tmp_path), "--dt", "0.02")
+    assert code == 0
+    assert "largest error of a joint [m]" in out
+    assert "of a joint [rad]" not in out
+    # There is more room below than above.
+    reference = demonstration(MobileRobot.box().mount(path), 6)
+    assert reference(3.0).q[3] == pytest.approx(-0.04)
+
+
+@pytest.mark.parametrize("name", mountable().names)
+def test_there_is_a_demonstration_of_every_name(name: str) -> None:
+    robot = MobileRobot.box().mount(name)
+    reference = demonstration(robot, 6)
+    start, away, back = reference((0, 3, 6)).q
+    np.testing.assert_allclose(robot.difference(start, back)[3:], 0, atol=1e-12)
+    way = np.abs(robot.difference(start, away)[3:])
+    assert (way <= 0.5 + 1e-12).all()
+    for mount, path in zip(robot.mounts, reference.joints, strict=True):
+        assert isinstance(path, Hold) == (mount.v.start == mount.v.stop)
+    assert not way.size or way.max() > 0.01
+
+
+def test_the_names_are_listed_with_the_exceptions(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = typed(capsys, "mount", "--list")
+    assert code == 0
+    assert re.search(r"^ur5 +6 +20\.99\d$", out, re.MULTILINE)
+    assert re.search(r"^cassie +not: its loader reads SDF", out, re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("mount", "mount needs an arm: 'pinmobile mount ur5 --html out/ur5.html'"),
+        ("mount ur55", "unknown arm 'ur55', available: ur5, "),
+        ("mount romeo", "joint 'RThumb3' moves parts that have no inertia"),
+        ("mount ur5 --at 1,2", "at has shape (2,), expected (4,)"),
+        ("mount ur5 z1 --at 0,0,0,0", "--at places one arm, but there are 2"),
+        ("mount ur5 --urdf arm.urdf", "--urdf stands for an arm, but there is 'ur5' too"),
+        ("mount ur5 --package-dir x", "--package-dir applies beside --urdf alone"),
+        ("mount --urdf no-such.urdf", "no-such.urdf"),
+        ("mount ur5 --html out/ur5", "--html is 'out/ur5', expected a file that ends in .html"),
+        ("mount ur5 --dt 0.7", "duration"),
+        ("mount --list --at 0,0,0,0", "--at does not apply beside --list"),
+    ],
+)
+def test_a_mistake_is_one_line(words: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, err = typed(capsys, *words.split())
+    assert (code, out.strip()) == (2, "")
+    assert err.startswith("pinmobile: ")
+    assert err.count("\n") == 1
+    assert said in err
+
+
+def test_a_controller_that_diverges_is_said_and_shown_up_to_there(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    code, out, _ = typed(capsys, "mount", "ur5", "--dt", "0.2", "--duration", "2")
+    assert code == 1
+    assert "computed torque: the loop diverged at t = " in out
+    assert "the table has what came before" in out
+
+
+# -- joints by their names ---------------------------------------------------------------------------
+
+
+def test_a_rollout_says_the_errors_of_joints_by_name(run: Rollout) -> None:
+    lines = str(run).splitlines()
+    assert [line.split()[0] for line in lines[5:]] == list(run.robot.coordinate_names[3:])
+    worst = int(run.max_error()[3:].argmax())
+    assert f"{run.robot.coordinate_names[3 + worst]} {run.max_error()[3 + worst]:.6e} rad>" in repr(run)
+    unknown = replace(run, robot=None)
+    assert [line.split()[0] for line in str(unknown).splitlines()[5:]] == [f"[{k}]" for k in range(3, 9)]
+
+
+def test_the_columns_of_a_record_are_joints(run: Rollout, tmp_path: Path) -> None:
+    run.to_csv(tmp_path / "run.csv")
+    header = (tmp_path / "run.csv").read_text().splitlines()[0].split(",")
+    first = run.robot.coordinate_names[3]
+    assert header[:6] == ["t", "x", "y", "psi", f"{first}:cos", f"{first}:sin"]
+    assert f"v_{first}" in header
+    assert len(header) == len(set(header)) == 1 + 2 * 12 + 4 * 9
+
+
+def test_coordinates_have_units(run: Rollout) -> None:
+    robot = MobileRobot.box().mount("panda")
+    assert robot.coordinate_units == ("m", "m", *["rad"] * 8, "m", "m")
+    assert robot.configuration_names == robot.coordinate_names
+    assert len(run.robot.configuration_names) == run.robot.nq
+
+
+def test_figures_name_joints_and_unwrap_their_angles(run: Rollout) -> None:
+    panels = plots.states({"a": run, "b": run}).axes
+    assert [axes.get_title(loc="left") for axes in panels[2:5]] == [
+        r"$\psi$",
+        "j2s6s200 joint 1",
+        "j2s6s200 joint 2",
+    ]
+    assert [axes.get_ylabel() for axes in panels[:4]] == ["[m]", "[m]", "[rad]", "[rad]"]
+    assert [axes.get_ylabel() for axes in plots.forces(run).axes[2:4]] == ["[N m]", "[N m]"]
+    drawn = panels[3].lines[0].get_ydata()
+    # The angle goes away and back, whatever cosine and sine it has.
+    assert np.ptp(np.asarray(drawn)) == pytest.approx(0.5, abs=1e-2)
+    assert len(plots.errors({"a": run, "b": run}).axes) == 18
+    two = plots.states({"a": replace(run, robot=None)}).axes
+    assert [axes.get_title(loc="left") for axes in two[3:5]] == ["$q_{3}$", "$q_{4}$"]
+
+
+def test_mounted_refuses_nothing_at_all() -> None:
+    with pytest.raises(InvalidArgument, match="mount needs an arm"):
+        mounted((), None, None, ())
+
+
+def test_the_demonstration_lifts_the_arm_rather_than_pressing_it_into_the_base() -> None:
+    robot = mounted(["ur5"], None, None, [])
+    reference = demonstration(robot, 6.0)
+    heights = robot.potential_energy(reference(np.array([0.0, 3.0, 6.0])).q)
+    assert heights[1] > heights[0] + 10.0
+    assert heights[2] == pytest.approx(heights[0])
