@@ -14,7 +14,20 @@ import numpy as np
 import pytest
 
 import pinmobile
-from pinmobile import PD, Axis, Circle, InvalidArgument, Sweep, Tangent, UnknownName, grid, law, sweep
+from pinmobile import (
+    PD,
+    Axis,
+    Circle,
+    InvalidArgument,
+    Same,
+    Sweep,
+    Tangent,
+    Uniform,
+    UnknownName,
+    grid,
+    law,
+    sweep,
+)
 from pinmobile.arrays import Array
 from pinmobile.ensembles import run_scenario
 from pinmobile.sweeps import length
@@ -229,7 +242,12 @@ def test_a_users_function_is_known_by_its_source_and_what_it_reads(
         (lambda p: sweep([scenario()], p, chunk=0), "chunk is 0, expected a whole number >= 1"),
         (lambda p: sweep([scenario()], p, client="tcp://"), "client is a str, expected a distributed.Client"),
         (lambda p: sweep([scenario()], p, progress=_untyped(3)), "progress is 3, expected a function"),
-        (lambda p: sweep([scenario(error=2)], p), r"draws \(\d.*%\) are impossible; .* \(at scenario = 0\)"),
+        (
+            lambda p: sweep(
+                [replace(scenario(), spread={"start_x": Uniform(-1, 1), "mass": Same("start_x")})], p
+            ),
+            r"draws \(\d.*%\) are impossible; .* \(at scenario = 0\)",
+        ),
         (lambda p: grid(scenario), "axes are none, expected at least one"),
         (lambda p: grid(_untyped(3), gain=[4]), "make is 3, expected a function that returns a Scenario"),
         (lambda p: grid(lambda gain: gain, gain=[4]), "make returned a int, expected a Scenario"),
@@ -283,7 +301,7 @@ def test_wrong_stores_and_labels(done: Sweep, tmp_path: Path) -> None:
         done.ensemble(gain=5, error=0)
     with pytest.raises(InvalidArgument, match=r"the scenarios are not known, expected Sweep\.open"):
         Sweep.open(done.path).ensemble(gain=4, error=0)
-    with pytest.raises(InvalidArgument, match="expected numbers from 0 to 1"):
+    with pytest.raises(InvalidArgument, match="share is 2, expected a number from 0 to 1"):
         done.within(2)
 
 
