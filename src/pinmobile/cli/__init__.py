@@ -27,7 +27,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         diverged); 2: the options or files are not what is expected; 130: interrupted.
     """
     try:
-        from pinmobile.cli.commands import app  # inside, so that an interrupt while it loads ends quietly
+        # Inside, so that an interrupt while it loads ends quietly.
+        from pinmobile.cli.commands_of_many import app
 
         code = app(args=arguments, prog_name="pinmobile", standalone_mode=False)
         sys.stdout.flush()

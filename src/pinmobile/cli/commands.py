@@ -4,17 +4,13 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.markup import escape
 
 import pinmobile
 from pinmobile.cli import choices
 from pinmobile.cli.lecture import show_lecture
-from pinmobile.cli.many import run_options, show_ensemble, show_sweep
 from pinmobile.cli.mount import list_mountable, mounted, show_mount
 from pinmobile.cli.output import console, output_folder, progress
 from pinmobile.cli.run import show_run
-from pinmobile.cli.scenario_file import EXAMPLE
-from pinmobile.cli.spreads import SPREAD_FORMS, listed
 from pinmobile.cli.view import chosen_runs, overlays_of, saved_runs, show_live
 
 __all__ = ["app"]
@@ -250,52 +246,3 @@ def view(
     rollouts = saved_runs(rollout, context.args) if rollout else chosen_runs(context.args, app)
     overlays = overlays_of(follow=follow, frames=frames, arrows=arrows)
     return show_live(rollouts, overlays, host=host, port=port, speed=speed)
-
-
-@app.command(
-    context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
-    epilog=f"What may be spread (unit):\n\n{listed()}",
-)
-def ensemble(
-    context: typer.Context,
-    n: Annotated[int, typer.Option("--n", help="Number of robots.")] = 10_000,
-    seed: Annotated[int, typer.Option(help="Seed of what is drawn.")] = 0,
-    spread: Annotated[
-        list[str] | None,
-        typer.Option(help=f"NAME=FORM, what differs; the form is {SPREAD_FORMS}. Repeat it for more."),
-    ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for figures and their index page.")] = Path(
-        "out/ensemble"
-    ),
-) -> int:
-    """Run one closed loop many times, each time with another robot, start or disturbance.
-
-    It compares PD and computed torque, or runs the one that --controller names. It takes the options of
-    [bold]pinmobile run[/bold] too.
-
-    Example: pinmobile ensemble --spread mass=percent:20 --spread start_x=normal:0,0.02 --radius 2
-    """
-    options, one = run_options(context.args, app, "ensemble")
-    folder = output_folder(out)
-    return show_ensemble(options, spread or [], folder, n=n, seed=seed, one=one)
-
-
-@app.command(
-    epilog=f"A scenario file, which runs as it is:\n\n{escape(EXAMPLE)}\n\nWhat may be spread (unit):\n\n"
-    + listed()
-)
-def sweep(
-    file: Annotated[Path, typer.Argument(help="Scenario file (TOML).")],
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for the store and figures; out/ and the file's name.")
-    ] = None,
-    scheduler: Annotated[
-        Text, typer.Option(help="Dask scheduler to compute on, tcp://HOST:PORT; otherwise all cores here.")
-    ] = None,
-    chunk: Annotated[int | None, typer.Option(help="Robots in a chunk; 16384.")] = None,
-) -> int:
-    """Run the ensembles of a scenario file along the axes of its grid, and keep them in a Zarr store.
-
-    Interrupted, it goes on where it was when it is started again.
-    """
-    return show_sweep(file, out, scheduler, chunk)
