@@ -222,10 +222,11 @@ class Ensemble:
     def _judgement(self) -> str:
         distance, heading = self.within(0.99)
         count = int(self.diverged.sum())
-        return (
-            f"{len(self):,} robots over {self.scenario.t[-1]:g} s: 99 % stay within {distance:.4g} m and "
-            f"{heading:.4g} rad, {f'{count:,} diverged' if count else 'none diverged'}"
-        )
+        start = f"{len(self):,} robots over {self.scenario.t[-1]:g} s: "
+        if np.isinf(distance):
+            return f"{start}{count:,} diverged, more than 1 %"
+        within = f"99 % stay within {distance:.4g} m and {heading:.4g} rad"
+        return f"{start}{within}, {f'{count:,} diverged' if count else 'none diverged'}"
 
 
 _ARRAYS = ("max_error", "rms_error", "max_distance", "max_force", "diverged_at", "counts")
