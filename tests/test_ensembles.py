@@ -23,6 +23,7 @@ from pinmobile import (
     InvalidArgument,
     LectureHeading,
     Lissajous,
+    Load,
     MobileRobot,
     NoiseForce,
     NoisyMeasurement,
@@ -308,6 +309,18 @@ def test_traces_are_those_of_simulate() -> None:
     assert list(run.traces) == [2]
     assert run.traces[2].q.shape == (21, 3)
     assert run.traces[2].q[0, 0] == run.draws["start_x"][2]
+
+
+def test_loads_count_as_the_bodys_on_the_plant_and_in_the_model() -> None:
+    loaded = ROBOT.attach(Load(40.0, (0.3, 0.1, 0.3)))
+    for robot, believed in ((loaded, ROBOT), (ROBOT, loaded)):
+        run = run_scenario(made(robot=robot, controller=ComputedTorque(believed), n=2, duration=20.0))
+        assert_is_simulated(run, 1)
+        alike = run_scenario(
+            made(robot=robot, controller=ComputedTorque(believed), n=1, spread={}, duration=20.0)
+        )
+        assert_is_simulated(alike, 0)
+        assert alike.max_error[0, 2] > 1e-3
 
 
 def test_progress_counts_robots() -> None:

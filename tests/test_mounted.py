@@ -372,6 +372,16 @@ def test_a_mounted_robot_is_a_value() -> None:
     assert eval(repr(plain)) == plain
 
 
+@pytest.mark.parametrize("name", ["talos_arm", "ur5"])
+def test_the_arms_own_mass_matrix_stands_in_that_of_the_whole_rotors_included(name: str) -> None:
+    robot = MobileRobot.box().mount(name, (0.1, 0.2, 0.3, 0.9))
+    (mount,) = robot.mounts
+    q = robot.random_configuration(np.random.default_rng(0))
+    alone = pin.crba(mount.model, mount.model.createData(), q[mount.q])
+    np.testing.assert_allclose(robot.mass_matrix(q)[mount.v, mount.v], alone, rtol=1e-12, atol=1e-14)
+    assert (np.array(mount.model.armature).max() > 0) == (name == "talos_arm")
+
+
 def test_clashing_names_are_numbered() -> None:
     robot = MobileRobot.box().mount("ur5").mount("ur5", AT).mount("ur5", AT, name="ur5")
     assert [mount.name for mount in robot.mounts] == ["ur5", "ur5_2", "ur5_3"]

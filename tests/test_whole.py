@@ -13,6 +13,7 @@ from pinmobile import (
     PD,
     Circle,
     ComputedTorque,
+    ConstantForce,
     CubicVia,
     Decoupled,
     FixedHeading,
@@ -21,14 +22,19 @@ from pinmobile import (
     Lissajous,
     Load,
     MobileRobot,
+    NoiseForce,
     PDGravity,
     Reference,
     RestToRest,
+    RollingResistance,
     Saturated,
+    SinusoidalForce,
     Spline,
     Tangent,
+    ViscousFriction,
     WholeBody,
     constant_acceleration,
+    law,
     rk4,
     simulate,
 )
@@ -373,6 +379,35 @@ def test_computed_torque_of_another_step_is_off_by_the_held_force_alone() -> Non
         simulate(UR5, ComputedTorque(UR5, 100, 20), trajectory, dt=dt).max_error()[3:] for dt in (4e-3, 2e-3)
     )
     np.testing.assert_allclose(coarse / fine, 2, atol=0.1)
+
+
+@pytest.mark.parametrize("name", ["ur5", "kinova"])
+def test_forces_act_on_the_base_of_a_robot_with_arms(name: str) -> None:
+    robot = MobileRobot.box().mount(name)
+    whole = WholeBody(robot, Tangent(Circle(1, 0.5, 0.2)), None)
+    push, seen = np.array([5.0, -3.0, 0.4]), []
+
+    def wind(t: float, q: Array, v: Array) -> Array:
+        seen.append((q.shape, v.shape))
+        return push
+
+    free = ComputedTorque(robot, 100, 20)
+    padded = np.append(push, np.zeros(robot.nv - 3))
+    held_too = law(lambda t, q, v, reference: free(t, q, v, reference, None)[0] + padded)
+    options: dict[str, Any] = {"dt": 0.01, "integrator": rk4}
+    held = simulate(robot, held_too, whole, **options)
+    for force in (wind, ConstantForce(push)):
+        run = simulate(robot, free, whole, forces=[force], **options)
+        np.testing.assert_allclose(run.q, held.q, rtol=0, atol=1e-13)
+    assert set(seen) == {((3,), (3,))}
+    for other in (
+        ViscousFriction((5, 5, 1)),
+        RollingResistance((5, 5, 1)),
+        SinusoidalForce((5, 5, 1), 1.0, 0.5),
+        NoiseForce((5, 5, 1), 1.0, seed=0),
+    ):
+        run = simulate(robot, free, whole, forces=[other], **options)
+        assert np.abs(run.q[-1] - held.q[-1]).max() > 1e-6
 
 
 @pytest.mark.parametrize("robot", [KINOVA, TWO], ids=["kinova", "two arms and a load"])

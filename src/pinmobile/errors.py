@@ -39,7 +39,8 @@ class UnknownName(PinmobileError, KeyError):
 
     def __init__(self, kind: str, name: str, available: Iterable[str]) -> None:
         self.kind, self.name, self.available = kind, name, tuple(available)
-        near = get_close_matches(name, self.available, n=3)
+        plain = {known.casefold(): known for known in self.available}
+        near = [plain[match] for match in get_close_matches(name.casefold(), plain, n=3)]
         rest = [known for known in self.available if known not in near]
         super().__init__(f"unknown {kind} {name!r}, available: {', '.join(near + rest)}")
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike
 from pinmobile.balance.footprint import checked_footprint, margin_inside, rectangle
-from pinmobile.balance.motion import Moving, checked_robot
+from pinmobile.balance.motion import Moving, robot_of
 
 __all__ = ["body_zero_moment_point", "required_friction", "tip_over_margin", "zero_moment_point"]
 
@@ -82,7 +82,7 @@ def tip_over_margin(motion: Moving, footprint: ArrayLike | None = None) -> Array
     InvalidArgument
         If `footprint` is no convex polygon with an area, or as `zero_moment_point`.
     """
-    robot = checked_robot(motion.robot, "motion.robot")
+    robot = robot_of(motion)
     corners = rectangle(*robot.size[:2]) if footprint is None else checked_footprint(footprint)
     margin = margin_inside(corners, body_zero_moment_point(motion))
     return np.where(np.isnan(margin), -np.inf, margin)
@@ -118,7 +118,7 @@ def required_friction(motion: Moving) -> Array:
 
 def _ground(motion: Moving) -> tuple[Array, "np.ndarray[tuple[int, ...], np.dtype[np.bool_]]"]:
     """Return the ground's wrench, shape (..., 6), and where it carries the robot, shape (...)."""
-    robot = checked_robot(motion.robot, "motion.robot")
+    robot = robot_of(motion)
     wrench = robot.ground_wrench(motion.q, motion.v, motion.a)
     return wrench, wrench[..., 2] > _negligible(motion)
 

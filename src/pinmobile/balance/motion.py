@@ -7,7 +7,7 @@ from pinmobile.arrays import Array, ArrayLike, broadcast, frozen, vector
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot import MobileRobot
 
-__all__ = ["Motion", "Moving", "checked_robot", "reaction_wrench"]
+__all__ = ["Motion", "Moving", "reaction_wrench", "robot_of"]
 
 
 class Moving(Protocol):
@@ -55,20 +55,26 @@ class Motion:
     a: ArrayLike
 
     def __post_init__(self) -> None:
-        robot = checked_robot(self.robot, "robot")
+        robot = _checked("robot", self.robot)
         for name, size in (("q", robot.nq), ("v", robot.nv), ("a", robot.nv)):
             object.__setattr__(self, name, frozen(vector(name, getattr(self, name), size)))
         broadcast(q=self.q, v=self.v, a=self.a)  # type: ignore[arg-type]
 
 
-def checked_robot(robot: Any, name: str) -> MobileRobot:
-    """Return the robot.
+def robot_of(motion: Any) -> MobileRobot:
+    """Return the robot of a motion.
 
     Raises
     ------
     InvalidArgument
-        If it is another plant, or none.
+        If it is no motion, or its robot is another plant, or none.
     """
+    if not all(hasattr(motion, name) for name in ("robot", "q", "v", "a")):
+        raise InvalidArgument(f"motion is {motion!r}, expected a Rollout or a Motion")
+    return _checked("motion.robot", motion.robot)
+
+
+def _checked(name: str, robot: Any) -> MobileRobot:
     if not isinstance(robot, MobileRobot):
         raise InvalidArgument(f"{name} is {robot!r}, expected a MobileRobot")
     return robot
@@ -101,4 +107,4 @@ def reaction_wrench(motion: Moving, mount: str | None = None) -> Array:
     UnknownName
         If nothing is mounted by that name.
     """
-    return checked_robot(motion.robot, "motion.robot").mount_wrench(motion.q, motion.v, motion.a, mount)
+    return robot_of(motion).mount_wrench(motion.q, motion.v, motion.a, mount)

@@ -39,7 +39,7 @@ class Scenario:
     Parameters
     ----------
     robot : MobileRobot
-        The nominal robot.
+        The nominal robot, without arms. Loads that are attached to it are part of its body.
     controller : controller
         One of the library's, or a user's that works on arrays: it is called with `q` and `v` of shape
         (m, 3) and the reference of shape (3,), and returns a force of shape (m, 3).
@@ -86,6 +86,11 @@ class Scenario:
         if type(self.robot) is not MobileRobot or self.robot.nv != 3:
             raise InvalidArgument(f"robot is {self.robot!r}, expected a MobileRobot without arms")
         checked_loop(self.robot, self.controller, self.trajectory, self.integrator)
+        believed = getattr(core_of(self.controller), "robot", None)
+        if type(believed) is MobileRobot and believed.nv != self.robot.nv:
+            raise InvalidArgument(
+                f"controller believes in {believed!r} of {believed.nv} coordinates, expected {self.robot.nv}"
+            )
         n = whole("n", self.n)
         if n > _MOST:
             raise InvalidArgument(
@@ -180,7 +185,8 @@ def layers_of(controller: Any) -> list[Any]:
 
 
 def _of_robot(prefix: str, robot: MobileRobot) -> dict[str, float]:
-    values = robot.mass, robot.body.yaw_inertia, *robot.com[:2]
+    bare = robot.lumped() if robot.loads else robot  # loads count as the body's
+    values = bare.mass, bare.body.yaw_inertia, *bare.com[:2]
     return dict(
         zip((f"{prefix}{name}" for name in ("mass", "yaw_inertia", "com_x", "com_y")), values, strict=True)
     )

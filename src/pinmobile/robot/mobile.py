@@ -238,8 +238,12 @@ class MobileRobot(Carrier):
         return visuals
 
     def to_urdf(self) -> str:
-        """Return the robot as URDF text, every number to the last digit; of a mounted one its base."""
-        return urdf.write(self.dh, self.body, size=self.size)
+        """Return the robot as URDF text, every number to the last digit.
+
+        Loads on the body are part of it; of a robot with arms it is the base alone.
+        """
+        loaded = self.loads and not self.mounts
+        return urdf.write(self.dh, self.lumped().body if loaded else self.body, size=self.size)
 
 
 def _restored(

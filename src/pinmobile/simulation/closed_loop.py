@@ -124,7 +124,8 @@ def _first_bad(
         beyond = np.abs(errors) > limit
         if beyond.any():
             k, column = map(int, np.argwhere(beyond)[0])
-            names = [*("x", "y", "psi"), *(f"q[{j}]" for j in range(3, plant.nv))]
+            numbered = [*("x", "y", "psi"), *(f"v[{j}]" for j in range(3, plant.nv))]
+            names = getattr(plant, "coordinate_names", numbered)
             what = f"the error in {'the rate of ' if column >= plant.nv else ''}{names[column % plant.nv]}"
             return begin + k, f"{what} is {errors[k, column]:.4g}, beyond the limit {limit:g}"
     if good < end - begin:

@@ -23,6 +23,8 @@ __all__ = [
     "tabled_steps",
 ]
 
+_PLANE = 3  # coordinates that a force on the body acts on
+
 Forward: TypeAlias = Callable[[Array, Array, Array], Array]
 Push: TypeAlias = Callable[[float, Array, Array], Array]
 Advance: TypeAlias = Callable[[int, Array, Array, Array, Array, Array, Array], None]
@@ -56,12 +58,13 @@ def integrate_of(plant: "Plant") -> Callable[[Array, Array], Array]:
 
 def pushed(forces: tuple[Force, ...], order: Any, nv: int) -> Push:
     """Return the sum of the forces, shape (nv,), in the order of the loop; they get copies of the state."""
+    pose = np.arange(_PLANE) if order is None else order[:_PLANE]
 
     def push(t: float, q: Array, v: Array) -> Array:
         total = np.zeros(nv)
-        plane = total[:3]
+        plane = total[:_PLANE]
         for k, force in enumerate(forces):
-            own_q, own_v = (q[:3].copy(), v[:3].copy()) if order is None else (q[order], v[order])
+            own_q, own_v = q[pose], v[pose]  # copies
             tau = force(t, own_q, own_v)
             if type(tau) is not np.ndarray or tau.shape != (3,):
                 raise InvalidArgument(
