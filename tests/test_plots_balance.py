@@ -89,6 +89,12 @@ def test_where_the_ground_does_not_carry_the_robot_there_is_a_gap() -> None:
     drawn(figure)
     for axes in figure.axes[:2]:
         np.testing.assert_array_equal(np.isnan(np.asarray(axes.lines[0].get_ydata(), dtype=float)), gaps)
+    (hatched,) = figure.axes[0].patches
+    start, stop = hatched.get_extents().transformed(figure.axes[0].transData.inverted()).intervalx
+    times = run.t[gaps]
+    assert (start, stop) == pytest.approx((times[0], times[-1] + run.t[1]))
+    assert "does not carry" in figure.axes[0].get_title()
+    assert figure.axes[1].get_xlim() == (run.t[0], run.t[-1])
 
 
 def test_reaction_draws_six_components_with_their_units() -> None:

@@ -255,3 +255,14 @@ def test_what_does_not_fit_is_refused(call: Any, text: str) -> None:
     with pytest.raises(InvalidArgument) as caught:
         call()
     assert re.sub(r" at 0x[0-9A-F]+", "", str(caught.value)) == text
+
+
+def test_an_infinite_limit_is_none() -> None:
+    free = PD(100.0, 0.0)
+    limited = Saturated(free, (np.inf, 5.0, np.inf))
+    at = Reference(*np.ones((3, 3)))
+    tau, _ = limited(0.0, np.zeros(3), np.zeros(3), at, None)
+    assert tau.tolist() == [100.0, 5.0, 100.0]
+    for limits in ((np.nan, 1.0, 1.0), (-np.inf, 1.0, 1.0)):
+        with pytest.raises(InvalidArgument, match=r"limits\[0\] is (nan|-inf), expected a finite number"):
+            Saturated(free, limits)

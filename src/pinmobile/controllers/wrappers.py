@@ -29,7 +29,8 @@ class Saturated:
     controller : controller
         What is wrapped.
     limits : array_like, shape () or (n,)
-        Largest |tau| of each coordinate [N, N, N m], above zero.
+        Largest |tau| of each coordinate [N, N, N m], above zero; infinite where there is no limit, as in
+        `MobileRobot.effort_limit`.
 
     Raises
     ------
@@ -42,7 +43,7 @@ class Saturated:
 
     def __post_init__(self) -> None:
         check_controller(self.controller)
-        limits = _per_coordinate("limits", self.limits)
+        limits = _per_coordinate("limits", self.limits, endless=True)
         if not (limits > 0).all():
             raise InvalidArgument(f"limits is {limits.min()}, expected > 0")
         object.__setattr__(self, "limits", limits)
@@ -184,8 +185,10 @@ class _Table:
         return np.asarray(self._rows[k])
 
 
-def _per_coordinate(name: str, value: ArrayLike) -> Array:
-    array = finite(name, value)
+def _per_coordinate(name: str, value: ArrayLike, *, endless: bool = False) -> Array:
+    given = np.asarray(value)
+    known = np.isposinf(given) if endless and given.dtype.kind == "f" else np.zeros(given.shape, bool)
+    array = np.where(known, np.inf, finite(name, np.where(known, 1.0, given) if known.any() else value))
     if array.ndim > 1:
         raise InvalidArgument(f"{name} has shape {array.shape}, expected () or (n,)")
     return frozen(array)

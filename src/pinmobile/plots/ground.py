@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
+from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike
 from pinmobile.balance import (
@@ -80,8 +81,13 @@ def balance(rollouts: Rollouts, *, footprint: ArrayLike | None = None, title: st
     below.set_xlabel("t [s]", fontsize=11)
     for index, (label, run) in enumerate(runs.items()):
         style = line_style(index, len(runs)) | {"label": label}
-        _line(above, run.t, tip_over_margin(run, footprint), **style)
+        margin = tip_over_margin(run, footprint)
+        _line(above, run.t, margin, **style)
         _line(below, run.t, required_friction(run), **style)
+        _mark_lift_off((above, below), run.t, np.isneginf(margin), colour(index))
+    span = [float(f([f(run.t) for run in runs.values()])) for f in (np.min, np.max)]
+    if span[0] < span[1]:
+        below.set_xlim(*span)
     if above.dataLim.y0 <= 0:
         above.axhline(0, **_LIMIT)
     below.set_ylim(bottom=min(0.0, below.get_ylim()[0]))
@@ -141,6 +147,19 @@ def _line(axes: Axes, t: Array, values: Array, **style: Any) -> None:
     axes.margins(x=0.01, y=0.1)
 
 
+def _mark_lift_off(panels: tuple[Axes, ...], t: Array, lifted: NDArray[np.bool_], ink: str) -> None:
+    """Hatch the times at which the ground would have to pull, where there is nothing to draw."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], lifted, [False]]).astype(int)))
+    for start, stop in edges.reshape(-1, 2):
+        for axes in panels:
+            until = t[min(stop, len(t) - 1)]
+            axes.axvspan(
+                t[start], until, facecolor="none", edgecolor=ink, hatch="///", linewidth=0, alpha=0.5
+            )
+    if lifted.any():
+        panels[0].set_title("hatched: the ground does not carry the robot", fontsize=10, color=INK)
+
+
 def _from_above(axes: Axes, runs: dict[str, Rollout], footprint: ArrayLike | None) -> None:
     """Draw the footprint and the zero-moment point in the body's frame."""
     dress(axes)
@@ -158,10 +177,13 @@ def _from_above(axes: Axes, runs: dict[str, Rollout], footprint: ArrayLike | Non
         kept = thinned(*np.nan_to_num(point).T)
         style = line_style(index, len(runs))
         axes.plot(*point[kept].T, **style)
-        axes.plot(*point[:1].T, "o", color=colour(index), markersize=8, markeredgecolor="white", zorder=5)
+        carried = np.flatnonzero(np.isfinite(point[:, 0]))[:1]
+        axes.plot(
+            *point[carried].T, "o", color=colour(index), markersize=8, markeredgecolor="white", zorder=5
+        )
     axes.autoscale_view()
     axes.margins(0.08)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("forward $x_B$ [m]", fontsize=11)
     axes.set_ylabel("left $y_B$ [m]", fontsize=11)
-    axes.set_title("zero-moment point in the footprint, dot: start", fontsize=10, color=INK)
+    axes.set_title("zero-moment point in the footprint, dot: first", fontsize=10, color=INK)
