@@ -145,6 +145,10 @@ def test_locked_joints_are_a_part_of_what_carries_them() -> None:
     assert held.mounts[0].arm.locked == ("panda_finger_joint1", "panda_finger_joint2")
 
 
+def massful() -> pin.Model:
+    return chain(pin.JointModelRY(), pin.JointModelRX())
+
+
 def massless() -> pin.Model:
     model = chain(pin.JointModelRY(), pin.JointModelRX())
     model.addJoint(2, pin.JointModelRZ(), pin.SE3.Identity(), "finger")
@@ -205,6 +209,48 @@ def test_a_file_that_is_none_is_refused(urdf: Path, tmp_path: Path) -> None:
     urdf.write_text(ARM.format(lower=""))
     with pytest.raises(InvalidArgument, match=r"joint 'elbow' moves parts that have no inertia"):
         BOX.mount(urdf)
+
+
+def unsound(**changed: Any) -> pin.Model:
+    """Return two hinges, the first as they are, of the second a limit or its body changed."""
+    model = massful()
+    body = changed.pop("body", None)
+    if body is not None:
+        model.inertias[2] = pin.Inertia(body[0], np.array([0.1, 0, 0]), np.diag(body[1]))
+    for name, value in changed.items():
+        limits = np.array(getattr(model, name))
+        limits[1] = value
+        setattr(model, name, limits)
+    model.name = "toy"
+    return model
+
+
+@pytest.mark.parametrize(
+    ("model", "text"),
+    [
+        (
+            unsound(lowerPositionLimit=2.0, upperPositionLimit=-2.0),
+            "has position limits from 2 to -2, expected the lower one first",
+        ),
+        (unsound(upperPositionLimit=np.nan), "has position limits from -1.79769e+308 to nan, expected"),
+        (unsound(velocityLimit=np.nan), "has velocity limit nan, expected a number >= 0"),
+        (unsound(effortLimit=-3.0), "has effort limit -3, expected a number >= 0"),
+        (unsound(body=(-5, (1, 1, 1))), "carries a mass of -5 kg, expected a finite number >= 0"),
+        (unsound(body=(np.nan, (1, 1, 1))), "carries a mass of nan kg, expected a finite number >= 0"),
+        (
+            unsound(body=(1, (1, 1, 9))),
+            "carries principal moments of inertia (1, 1, 9) kg m^2, which no rigid body has",
+        ),
+    ],
+)
+def test_arms_that_cannot_be_are_refused(model: pin.Model, text: str) -> None:
+    with pytest.raises(InvalidArgument) as caught:
+        BOX.mount(model)
+    assert str(caught.value).startswith(f"arm 'toy': joint 'j1' {text}")
+
+
+def test_limits_of_a_joint_that_is_locked_do_not_matter() -> None:
+    assert BOX.mount(unsound(velocityLimit=-1.0), locked=["j1"]).nv == 4
 
 
 @pytest.mark.parametrize(
@@ -274,10 +320,6 @@ def test_a_rollout_brings_its_robot_back(tmp_path: Path, urdf: Path) -> None:
     np.testing.assert_array_equal(Rollout.load(path).tau, run.tau)
     driven(BOX.mount(massful())).save(path)
     assert Rollout.load(path).robot is None
-
-
-def massful() -> pin.Model:
-    return chain(pin.JointModelRY(), pin.JointModelRX())
 
 
 @pytest.mark.parametrize("name", ["double_pendulum", "double_pendulum_continuous"])

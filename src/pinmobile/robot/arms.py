@@ -10,6 +10,7 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array, frozen
 from pinmobile.errors import InvalidArgument, UnknownName
+from pinmobile.robot.sound import check_bodies, check_joint_limits
 from pinmobile.robot.tree import carries_only_wheels, children, joint_kind
 
 __all__ = ["Arm", "Origin", "Picture", "tip_of"]
@@ -70,7 +71,8 @@ class Arm:
     Raises
     ------
     InvalidArgument
-        If a joint moves nothing that has inertia, or mimics another one.
+        If a joint moves nothing that has inertia, carries what no rigid body is, has limits that limit
+        nothing, or mimics another one.
     UnknownName
         If a joint to lock is not there.
     """
@@ -94,8 +96,10 @@ class Arm:
                     "Pinocchio's forward dynamics does not support, expected a model built with mimic=False"
                 )
         held = _held(whole, self.locked)
-        model = pin.buildReducedModel(whole, held, np.array(rest)) if held else whole.copy()
         free = [joint for joint in range(1, whole.njoints) if joint not in held]
+        check_bodies(whole, self.origin.value)
+        check_joint_limits(whole, free, self.origin.value)
+        model = pin.buildReducedModel(whole, held, np.array(rest)) if held else whole.copy()
         parts = [rest[whole.idx_qs[j] : whole.idx_qs[j] + whole.nqs[j]] for j in free]
         posture = np.concatenate(parts) if parts else np.zeros(0)
         _check_inertias(model, posture, self.origin.value)

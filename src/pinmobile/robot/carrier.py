@@ -70,8 +70,8 @@ class Carrier(ChainWrenches):
         Raises
         ------
         InvalidArgument
-            If the arm cannot be read, a joint of it moves no inertia, or another argument is not what is
-            expected.
+            If the arm cannot be read; a joint of it moves no inertia, carries what no rigid body is, or has
+            limits that limit nothing; or another argument is not what is expected.
         UnknownName
             If no loader has the name; the nearest come first.
         """
