@@ -111,6 +111,30 @@ def test_a_root_of_its_own_is_replaced_by_the_chain(roots: tuple[Any, ...]) -> N
     assert robot.mass_matrix(robot.rest)[0, 0] == pytest.approx(BOX.mass + 3)
 
 
+@pytest.mark.parametrize("name", ["talos", "human", "anymal"])
+def test_what_has_legs_stands_with_its_feet_on_the_box(name: str) -> None:
+    robot = BOX.mount(name)
+    assert robot.mounts[0].at[2] > 0.6
+    assert _lowest(robot, name) == pytest.approx(BOX.size[2])
+    assert BOX.mount(name, (0, 0, 0.2, 0)).mounts[0].at == (0, 0, 0.2, 0)
+
+
+def _lowest(robot: MobileRobot, name: str) -> float:
+    frames = [frame for frame in robot.frame_names if frame.startswith(f"{name}/")]
+    return min(float(robot.frame_pose(robot.rest, frame)[2, 3]) for frame in frames)
+
+
+def test_a_model_with_a_free_flyer_stands_on_its_feet_and_an_arm_on_its_root() -> None:
+    hanging = pin.Model()
+    root = hanging.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
+    link(hanging, root)
+    leg = hanging.addJoint(root, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([0, 0, -0.3])), "leg")
+    link(hanging, leg)
+    assert BOX.mount(hanging).mounts[0].at == pytest.approx((0, 0, 0.5, 0))
+    for name in ("ur5", "panda", "talos_arm"):
+        assert BOX.mount(name).mounts[0].at == (0, 0, 0.2, 0)
+
+
 def test_two_slides_and_a_turn_are_a_root_where_nothing_hangs_on_the_way() -> None:
     model, parent = pin.Model(), 0
     for number, joint in enumerate((pin.JointModelPX(), pin.JointModelPY(), pin.JointModelRZ())):

@@ -83,18 +83,18 @@ def mounted(arms: Sequence[str], urdf: Path | None, at: str | None, dirs: Sequen
         )
     if at is not None and len(wanted) > 1:
         raise InvalidArgument(f"--at places one arm, but there are {len(wanted)}")
-    robot = MobileRobot.box()
-    for arm, place in zip(wanted, _places(robot, len(wanted), at), strict=True):
-        robot = robot.mount(arm, place, package_dirs=dirs)
+    box = MobileRobot.box()
+    if len(wanted) == 1:
+        return box.mount(wanted[0], None if at is None else choices.point("--at", at), package_dirs=dirs)
+    return _one_behind_the_other(box, wanted)
+
+
+def _one_behind_the_other(robot: MobileRobot, arms: Sequence[Any]) -> MobileRobot:
+    length = robot.size[0]
+    for arm, x in zip(arms, np.linspace(length / 3, -length / 3, len(arms)), strict=True):
+        (*_, mount) = robot.mount(arm).mounts
+        robot = robot.mount(mount.arm, (x, *mount.at[1:]))
     return robot
-
-
-def _places(robot: MobileRobot, count: int, at: str | None) -> list[Any]:
-    """Return where the arms stand: one where it is asked for, several one behind the other."""
-    if count == 1:
-        return [None if at is None else choices.point("--at", at)]
-    length, _, height = robot.size
-    return [(x, 0.0, height, 0.0) for x in np.linspace(length / 3, -length / 3, count)]
 
 
 def demonstration(robot: MobileRobot, duration: float) -> WholeBody:

@@ -58,6 +58,9 @@ class Arm:
         Returns the visual `pin.GeometryModel` of `whole`.
     locked : tuple of str
         Joints to lock at rest, beside a root and wheels.
+    stands : bool
+        Whether it stands on its feet, as what has a free-flyer root does, rather than on its root; true of a
+        model with such a root in any case.
 
     Attributes
     ----------
@@ -82,6 +85,7 @@ class Arm:
     rest: Array
     picture: Picture
     locked: tuple[str, ...] = ()
+    stands: bool = False
     model: pin.Model = field(init=False)
     posture: Array = field(init=False)
     tip: str = field(init=False)
@@ -109,12 +113,21 @@ class Arm:
             "model": model,
             "posture": frozen(posture),
             "tip": tip_of(model),
+            "stands": self.stands or any("FreeFlyer" in joint_kind(whole, j) for j in _root(whole)),
         }.items():
             object.__setattr__(self, name, value)
 
     def key(self) -> tuple[object, ...]:
         """Return what makes two arms the same one."""
         return self.origin, self.locked, tuple(self.rest.tolist())
+
+    def legs(self) -> float:
+        """Return how far its lowest frame is below its root at rest, if it stands on its feet; else 0 [m]."""
+        if not self.stands:
+            return 0.0
+        data = self.model.createData()
+        pin.framesForwardKinematics(self.model, data, np.array(self.posture))
+        return -min(0.0, *(float(placement.translation[2]) for placement in data.oMf))
 
     def visuals(self) -> pin.GeometryModel:
         """Return what is drawn of it, for `model`."""

@@ -55,7 +55,8 @@ class Carrier(ChainWrenches):
             One of `mountable()`, such as ``"ur5"``; a URDF; or a model.
         at : array_like, shape (4,), optional
             Where its root stands on the body: x, y, z and yaw [m, m, m, rad]; by default in the middle of the
-            top of the box of `size`.
+            top of the box of `size`. What has a free-flyer root, or a loader that gives it one, stands on its
+            feet instead: its root is as high as puts its lowest frame at rest there.
         name : str, optional
             By default that of the arm; numbered where it is taken.
         package_dirs : sequence of str or path
@@ -75,8 +76,9 @@ class Carrier(ChainWrenches):
         UnknownName
             If no loader has the name; the nearest come first.
         """
-        place = on_top(self.size) if at is None else placed(at)
+        asked = None if at is None else placed(at)
         ready = read_arm(arm, package_dirs=package_dirs, visual=visual, rest=rest, locked=locked)
+        place = on_top(self.size, ready) if asked is None else asked
         wanted = checked_name(name if name is not None else Path(ready.origin.value).stem)
         taken = {mount.name for mount in self.mounts}
         mount = mount_after(self.model, ready, free_name(wanted, taken), place)

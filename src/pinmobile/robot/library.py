@@ -116,7 +116,7 @@ def load_arm(name: str, locked: tuple[str, ...] = ()) -> Arm:
     except Exception as error:
         reason = EXCEPTIONS.get(name, str(error) or type(error).__name__)
         raise InvalidArgument(f"arm {name!r} cannot be loaded: {reason}") from error
-    return Arm(Origin("loader", name), model, rest, picture, locked)
+    return Arm(Origin("loader", name), model, rest, picture, locked, bool(loader.free_flyer))
 
 
 def _loaders() -> dict[str, Any]:

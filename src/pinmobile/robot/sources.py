@@ -1,6 +1,7 @@
 """What `MobileRobot.mount` is given, as an `Arm`: a loader's name, a URDF, or a `pin.Model`."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -49,7 +50,7 @@ def read_arm(
         made = load_arm(str(arm), held)
         if rest is None:
             return made
-        return Arm(made.origin, made.whole, _posture(made.whole, rest), made.picture, held)
+        return replace(made, rest=_posture(made.whole, rest))
     if hasattr(arm, "model") and hasattr(arm, "visual_model"):  # a pin.RobotWrapper
         visual = arm.visual_model if visual is None else visual
         rest = getattr(arm, "q0", None) if rest is None else rest
