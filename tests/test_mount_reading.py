@@ -83,11 +83,13 @@ def test_a_urdf_is_mounted_and_a_mesh_that_is_missing_is_named(urdf: Path) -> No
     assert foot.placement.translation[2] == pytest.approx(0.2)
 
 
-def test_a_mesh_is_found_in_a_package(urdf: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("several", [True, False])
+def test_a_mesh_is_found_in_a_package(several: bool, urdf: Path, tmp_path: Path) -> None:
     (tmp_path / "packages" / "arms").mkdir(parents=True)
     facet = "facet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
     (tmp_path / "packages" / "arms" / "upper.stl").write_text(f"solid s\n{facet}endsolid s\n")
-    robot = BOX.mount(str(urdf), package_dirs=[tmp_path / "packages"])
+    home = tmp_path / "packages"
+    robot = BOX.mount(str(urdf), package_dirs=[home] if several else str(home))
     item = robot.visual_model.geometryObjects[-1]
     assert (item.name, item.parentJoint) == ("arm/upper_0", BODY_JOINT + 1)
 
@@ -205,6 +207,19 @@ MIMIC = MIMIC.replace("continuous", "revolute").replace(
             "arm 'two links': joint 'elbow' mimics another one, which Pinocchio's forward dynamics does not",
         ),
         ({"rest": (1, 2)}, "rest has shape (2,), expected (..., 6)"),
+        (
+            {"rest": [0, 0, 9, 0, 0, 0]},
+            "rest has joint 'elbow_joint' at 9, expected -3.14159265 to 3.14159265",
+        ),
+        (
+            {"package_dirs": ["."]},
+            "package_dirs does not apply to a loader's name, 'ur5', expected it beside",
+        ),
+        ({"package_dirs": 3}, "package_dirs is 3, expected folders"),
+        ({"visual": pin.GeometryModel()}, "visual does not apply to a loader's name, 'ur5', expected it"),
+        ({"arm": massful(), "visual": 3}, "visual is a int, expected a pinocchio.GeometryModel"),
+        ({"arm": massful(), "package_dirs": "."}, "package_dirs does not apply to a model, "),
+        ({"arm": pin.Model()}, "arm '' has no joints, expected one at least"),
         ({"arm": "no/such.urdf"}, "arm is "),
         ({"arm": "cassie"}, "arm 'cassie' cannot be loaded: its loader reads SDF"),
     ],

@@ -39,7 +39,7 @@ class Carrier(ChainWrenches):
         at: ArrayLike | None = None,
         *,
         name: str | None = None,
-        package_dirs: Sequence[str | PathLike[str]] = (),
+        package_dirs: str | PathLike[str] | Sequence[str | PathLike[str]] = (),
         visual: pin.GeometryModel | None = None,
         rest: ArrayLike | None = None,
         locked: Sequence[str] = (),
@@ -59,12 +59,13 @@ class Carrier(ChainWrenches):
             feet instead: its root is as high as puts its lowest frame at rest there.
         name : str, optional
             By default that of the arm; numbered where it is taken.
-        package_dirs : sequence of str or path
-            Folders that ``package://`` in a URDF's mesh names refers to.
+        package_dirs : str, path, or sequence of them
+            Folder or folders that ``package://`` in a URDF's mesh names refers to.
         visual : pin.GeometryModel, optional
             What is drawn of a `pin.Model`.
         rest : array_like, shape (arm's nq,), optional
-            Its reference posture; by default the loader's, or the neutral one.
+            Its reference posture, within its limits; by default the loader's, or the neutral one, brought
+            within them.
         locked : sequence of str
             Its joints that shall not move, at rest.
 
