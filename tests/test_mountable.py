@@ -8,7 +8,16 @@ import example_robot_data
 import numpy as np
 import pytest
 
-from pinmobile import ComputedTorque, InvalidArgument, MobileRobot, Reference, mountable, simulate, verify
+from pinmobile import (
+    ComputedTorque,
+    InvalidArgument,
+    MobileRobot,
+    Reference,
+    UnknownName,
+    mountable,
+    simulate,
+    verify,
+)
 from pinmobile.robot import BODY_JOINT, EXCEPTIONS, pictures, visual
 from pinmobile.robot.visual import VisualFile
 
@@ -74,6 +83,16 @@ def test_an_exception_that_works_is_none(name: str) -> None:
 def test_what_exceptions_say_helps_helps(name: str, locked: tuple[str, ...]) -> None:
     robot = MobileRobot.box().mount(name, locked=locked)
     assert robot.nv + len(locked) - 3 == robot.mounts[0].arm.whole.nv
+
+
+def test_a_row_is_found_by_its_name() -> None:
+    listed = mountable()
+    assert listed["ur5"].joints == 6
+    assert "ur5" in listed
+    assert listed["ur5"] in listed
+    assert "icub" not in listed
+    with pytest.raises(UnknownName, match=r"^unknown mountable robot 'ur55', available: ur5, "):
+        listed["ur55"]
 
 
 def test_the_list_is_a_table_of_all_of_them() -> None:

@@ -52,13 +52,17 @@ def read_arm(
         file = _is_file(arm)
         _refuse_beside("a URDF" if file else "a loader's name", arm, visual=visual is not None)
         if file:
-            made = _from_urdf(Path(arm).resolve(), folders, held)
+            made = _from_urdf(Path(arm).resolve(), folders, rest, held)
         else:
             _refuse_beside("a loader's name", arm, package_dirs=bool(folders))
             made = load_arm(str(arm), held)
-        return made if rest is None else _resting(made, rest)
-    _refuse_beside("a model", getattr(arm, "name", arm), package_dirs=bool(folders))
-    return _from_model(arm, visual, rest, held)
+            made = made if rest is None else replace(made, rest=_posture(made.whole, rest))
+    else:
+        _refuse_beside("a model", getattr(arm, "name", arm), package_dirs=bool(folders))
+        made = _from_model(arm, visual, rest, held)
+    if rest is not None:
+        _check_rest(made)
+    return made
 
 
 def kept_arm(arm: str, *, package_dirs: Sequence[str], locked: Sequence[str], rest: Any) -> Arm:
@@ -109,10 +113,8 @@ def _from_model(arm: Any, visual: pin.GeometryModel | None, rest: Any, locked: t
     if arm.njoints == 1:
         raise InvalidArgument(f"arm {arm.name!r} has no joints, expected one at least: a Load has none")
     shown = pin.GeometryModel() if visual is None else visual
-    made = Arm(
-        Origin("model", arm.name or "arm"), arm.copy(), _posture(arm, kept), GivenPicture(shown), locked
-    )
-    return made if rest is None else _resting(made, rest)
+    posture = _posture(arm, kept if rest is None else rest)
+    return Arm(Origin("model", arm.name or "arm"), arm.copy(), posture, GivenPicture(shown), locked)
 
 
 def _is_file(arm: str | PathLike[str]) -> bool:
@@ -129,29 +131,27 @@ def _posture(model: pin.Model, rest: Any) -> Array:
     return posture
 
 
-def _resting(made: Arm, rest: Any) -> Arm:
-    """Return the arm with a reference posture that was asked for, checked."""
-    other = replace(made, rest=_posture(made.whole, rest))
-    model = other.whole
+def _check_rest(arm: Arm) -> None:
+    """Refuse a reference posture outside the limits."""
+    model = arm.whole
     for joint in range(1, model.njoints):
         if model.nqs[joint] != model.nvs[joint]:
             continue
         for k in range(model.idx_qs[joint], model.idx_qs[joint] + model.nqs[joint]):
             least, most = model.lowerPositionLimit[k], model.upperPositionLimit[k]
             # Equal limits are none.
-            if least < most and not least - _SLACK <= other.rest[k] <= most + _SLACK:
+            if least < most and not least - _SLACK <= arm.rest[k] <= most + _SLACK:
                 raise InvalidArgument(
-                    f"rest has joint {model.names[joint]!r} at {other.rest[k]:.9g}, "
+                    f"rest has joint {model.names[joint]!r} at {arm.rest[k]:.9g}, "
                     f"expected {least:.9g} to {most:.9g}"
                 )
-    return other
 
 
-def _from_urdf(path: Path, folders: tuple[str, ...], locked: tuple[str, ...]) -> Arm:
+def _from_urdf(path: Path, folders: tuple[str, ...], rest: Any, locked: tuple[str, ...]) -> Arm:
     text, _ = urdf_text("arm", path)
     try:
         model = pin.buildModelFromXML(text)
     except (ValueError, RuntimeError) as error:
         raise InvalidArgument(f"{path.name} is not a URDF that Pinocchio reads: {error}") from None
     picture = FilePicture(path, tuple(map(Path, folders)))
-    return Arm(Origin("urdf", str(path), folders), model, pin.neutral(model), picture, locked)
+    return Arm(Origin("urdf", str(path), folders), model, _posture(model, rest), picture, locked)
