@@ -22,6 +22,15 @@ from pinmobile.robot import BODY_JOINT, EXCEPTIONS, pictures, visual
 from pinmobile.robot.visual import VisualFile
 
 NAMES = sorted(example_robot_data.ROBOTS)
+MASSLESS = tuple(
+    f"{side}{part}"
+    for side in "LR"
+    for part in (
+        "Hand",
+        *(f"{finger}{k}" for finger in ("Finger1", "Finger2", "Finger3", "Thumb") for k in (1, 2, 3)),
+    )
+    if part != "Finger11"
+)
 READABLE = visual.readable
 
 
@@ -78,11 +87,27 @@ def test_an_exception_that_works_is_none(name: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "locked"),
-    [("bravo7_gripper", ("bravo_finger1_joint", "bravo_finger2_joint")), ("icub", ("neck_roll",))],
+    [
+        ("bravo7_gripper", ("bravo_finger1_joint", "bravo_finger2_joint")),
+        ("icub", ("neck_roll",)),
+        ("romeo", MASSLESS),
+    ],
 )
 def test_what_exceptions_say_helps_helps(name: str, locked: tuple[str, ...]) -> None:
     robot = MobileRobot.box().mount(name, locked=locked)
     assert robot.nv + len(locked) - 3 == robot.mounts[0].arm.whole.nv
+
+
+def test_what_is_wrong_with_icub_and_romeo_is_said() -> None:
+    text = r"^arm 'icub': the mass matrix is singular at rest about joint 'neck_roll': moved together"
+    with pytest.raises(InvalidArgument, match=text):
+        MobileRobot.box().mount("icub")
+    fingers = [name for name in MASSLESS if "Hand" not in name]
+    with pytest.raises(
+        InvalidArgument, match="joint 'RHand' moves parts that have no inertia, expected inertia"
+    ):
+        MobileRobot.box().mount("romeo", locked=fingers)
+    assert len(MASSLESS) == int(EXCEPTIONS["romeo"].split()[0])
 
 
 def test_a_row_is_found_by_its_name() -> None:

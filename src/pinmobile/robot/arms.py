@@ -203,8 +203,9 @@ def _check_inertias(model: pin.Model, posture: Array, called: str) -> None:
         return
     data = model.createData()
     step = np.random.default_rng(_GENERIC).uniform(-1, 1, model.nv)
+    generic = pin.integrate(model, np.array(posture), step)
     with np.errstate(invalid="ignore", divide="ignore"):
-        for q in (posture, pin.integrate(model, np.array(posture), step)):
+        for where, q in (("at rest", posture), ("at a posture like any other", generic)):
             own = np.diag(pin.crba(model, data, q)).copy()
             pin.cholesky.decompose(model, data)
             left = np.array(data.D)
@@ -213,9 +214,20 @@ def _check_inertias(model: pin.Model, posture: Array, called: str) -> None:
             if len(singular):
                 joint = _joint_of(model, int(singular[-1]))
                 raise InvalidArgument(
-                    f"arm {called!r}: joint {model.names[joint]!r} moves parts that have no inertia, "
-                    "expected inertia beyond each joint, or that joint among `locked`"
+                    f"arm {called!r}: {_cause(model, joint, where)}, or that joint among `locked`"
                 )
+
+
+def _cause(model: pin.Model, joint: int, where: str) -> str:
+    """Return what is wrong with a joint that nothing resists, and what is expected."""
+    name = repr(model.names[joint])
+    moved = [model.inertias[beyond] for beyond in model.subtrees[joint]]
+    if not any(body.mass or np.array(body.inertia).any() for body in moved):
+        return f"joint {name} moves parts that have no inertia, expected inertia beyond each joint"
+    return (
+        f"the mass matrix is singular {where} about joint {name}: moved together with joints beyond "
+        "it, it moves no inertia, expected another `rest`, inertia there"
+    )
 
 
 def _joint_of(model: pin.Model, k: int) -> int:

@@ -23,7 +23,7 @@ EXCEPTIONS: dict[str, str] = {
     "cassie": "its loader reads SDF, which Pinocchio's wheels are built without",
     "falcon_bravo7_gripper": _FINGERS,
     "icub": "its reference posture aligns neck_pitch and neck_roll with no inertia between: try icub_reduced",
-    "romeo": "its hands, fingers and thumbs have no inertia: locked, they are 24 joints, RHand and LHand among them",
+    "romeo": "24 joints of its hands, RHand and LHand beside fingers and thumbs, have no inertia",
 }
 """Names that `MobileRobot.mount` refuses as they are, and why."""
 
