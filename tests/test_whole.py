@@ -103,10 +103,9 @@ def test_velocity_and_acceleration_are_those_of_the_configuration(robot: MobileR
 
 
 def test_a_joint_without_limits_goes_round_and_round() -> None:
-    many = np.zeros(6)
-    many[0] = 20.0
-    start = rest_of(KINOVA)[:6]
-    trajectory = WholeBody(KINOVA, CIRCLE, RestToRest(start[: KINOVA.nv - 3], start + many[: len(start)], 6))
+    pendulum = BARE.mount("double_pendulum_continuous", AT)  # its speed has no limit either
+    start = rest_of(pendulum)
+    trajectory = WholeBody(pendulum, CIRCLE, RestToRest(start, start + np.array([20, 0]), 6))
     t = np.linspace(0, 6, 7)
     angle = start[0] + 20 * (10 * (t / 6) ** 3 - 15 * (t / 6) ** 4 + 6 * (t / 6) ** 5)
     np.testing.assert_allclose(trajectory(t).q[:, 3], np.cos(angle), atol=1e-13)
@@ -196,6 +195,14 @@ def test_what_leaves_the_limits_is_refused_where_it_is_seen() -> None:
     ):
         with pytest.raises(InvalidArgument, match=f"^{re.escape(text)}$"):
             call()
+
+
+def test_what_is_faster_than_a_joint_can_be_is_refused() -> None:
+    text = "reference moves joint 'ur5/shoulder_pan_joint' at "
+    with pytest.raises(
+        InvalidArgument, match=f"^{re.escape(text)}.* rad/s at t = .* s, expected at most 3.15 rad/s$"
+    ):
+        WholeBody(UR5, CIRCLE, RestToRest(np.zeros(6), np.full(6, 3.0), 0.2))
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ class WholeBody:
     Parameters
     ----------
     robot : MobileRobot
-        Whose base and arms these are. No reference leaves its joint limits.
+        Whose base and arms these are. No reference leaves its joint limits, or moves faster than they allow.
     base : trajectory
         Of x, y and psi, such as `Tangent` or `FixedHeading`.
     *joints : Path or None
@@ -43,8 +43,8 @@ class WholeBody:
     ------
     InvalidArgument
         If `robot`, `base` or a path is something else; there are more or fewer paths than arms; one has
-        other coordinates than its arm, leaves the joint limits, or ends before the others while it moves; or
-        a joint turns about more than one axis.
+        other coordinates than its arm, leaves the joint limits of position or velocity, or ends before the
+        others while it moves; or a joint turns about more than one axis.
     """
 
     robot: Any
@@ -95,7 +95,7 @@ class WholeBody:
         moved, v, a = (np.concatenate(arrays, axis=-1) for arrays in zip(*parts, strict=True))
         simple = self.robot.nq == self.robot.nv
         q = moved if simple else self.robot.integrate(self.robot.neutral, moved)
-        check_limits(self.robot, q, times)
+        check_limits(self.robot, q, v, times)
         return Reference(q, v, a)
 
     def _parts(self) -> dict[str, tuple[Callable[[Array], Reference], float]]:
