@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pinmobile import Hold, InvalidArgument, MobileRobot, Rollout, mountable, plots
-from pinmobile.cli.mount import demonstration, mounted
+from pinmobile.cli.mount import _judged, demonstration, mounted
 from tests.test_cli import typed
 
 QUICK = ("--dt", "0.02", "--duration", "1")
@@ -123,6 +123,9 @@ def test_the_names_are_listed_with_the_exceptions(capsys: pytest.CaptureFixture[
         ("mount --urdf no-such.urdf", "no-such.urdf"),
         ("mount ur5 --html out/ur5", "--html is 'out/ur5', expected a file that ends in .html"),
         ("mount ur5 --dt 0.7", "duration"),
+        ("mount ur5 --duration -1", "--duration is -1.0 s, expected > 0"),
+        ("mount ur5 --html /proc/x.html", "--html is '/proc/x.html', which cannot be written to"),
+        ("mount --list ur5", "--list stands alone, but there is 'ur5' too"),
         ("mount --list --at 0,0,0,0", "--at does not apply beside --list"),
     ],
 )
@@ -132,6 +135,14 @@ def test_a_mistake_is_one_line(words: str, said: str, capsys: pytest.CaptureFixt
     assert err.startswith("pinmobile: ")
     assert err.count("\n") == 1
     assert said in err
+
+
+def test_a_margin_below_zero_is_said_to_tip_over(monkeypatch: pytest.MonkeyPatch, run: Rollout) -> None:
+    for margin, said in ((0.2, "0.200"), (-2.585, "-2.585, tips over"), (-np.inf, "tips over")):
+        monkeypatch.setattr(
+            "pinmobile.cli.mount.tip_over_margin", lambda run, margin=margin: np.array([margin])
+        )
+        assert _judged(run)["smallest tip-over margin [m]"] == said
 
 
 def test_a_controller_that_diverges_is_said_and_shown_up_to_there(

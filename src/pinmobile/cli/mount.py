@@ -23,7 +23,7 @@ from pinmobile import (
     simulate,
     tip_over_margin,
 )
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, positive
 from pinmobile.cli import choices
 from pinmobile.cli.output import Picture, Section, console, index_page, output_folder, progress
 from pinmobile.cli.run import FIGURES, draw
@@ -134,8 +134,11 @@ def _room(robot: MobileRobot) -> tuple[Array, Array]:
 def show_mount(robot: MobileRobot, *, dt: float, duration: float, html: Path | None, out: Path | None) -> int:
     """Run both controllers, print what came, and write the page and the figures that were asked for."""
     folder = None if out is None else output_folder(out)
-    if html is not None and html.suffix != ".html":
-        raise InvalidArgument(f"--html is {str(html)!r}, expected a file that ends in .html")
+    positive("--duration", duration, "s")
+    if html is not None:
+        if html.suffix != ".html":
+            raise InvalidArgument(f"--html is {str(html)!r}, expected a file that ends in .html")
+        output_folder(html.parent, "--html", html)
     reference = demonstration(robot, duration)
     laws = {"computed torque": ComputedTorque(robot, *_GAINS), "decoupled": Decoupled(robot, *_GAINS)}
     names = " and ".join(mount.name for mount in robot.mounts)
@@ -145,7 +148,6 @@ def show_mount(robot: MobileRobot, *, dt: float, duration: float, html: Path | N
         text = "\n".join([_head(robot, names, reference, dt), "", _table(runs), *failures])
         if html is not None:
             bar.update(bar.task_ids[0], description="recording the scene", advance=1)
-            output_folder(html.parent)
             save_page(runs, html, f"{names} on the base: computed torque and decoupled")
         page = None if folder is None else _figures(runs, folder, names, text, bar)
     console.print(text, markup=False)
@@ -203,9 +205,16 @@ def _judged(run: Rollout) -> dict[str, str]:
             rows[f"largest error of a joint [{unit}]"] = of_joints.max()
     shown = {name: f"{value:.3e}" for name, value in rows.items()}
     margin, friction = float(tip_over_margin(run).min()), float(required_friction(run).max())
-    shown["smallest tip-over margin [m]"] = f"{margin:.3f}" if np.isfinite(margin) else "tips over"
+    shown["smallest tip-over margin [m]"] = _said(margin)
     shown["friction that it takes [-]"] = f"{friction:.3f}" if np.isfinite(friction) else "lifts off"
     return shown
+
+
+def _said(margin: float) -> str:
+    """Return a tip-over margin [m] in words: below zero, the zero-moment point is off the footprint."""
+    if not np.isfinite(margin):
+        return "tips over"
+    return f"{margin:.3f}" if margin >= 0 else f"{margin:.3f}, tips over"
 
 
 def _figures(runs: dict[str, Rollout], folder: Path, names: str, text: str, bar: Any) -> Path:
