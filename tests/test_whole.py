@@ -228,11 +228,33 @@ def test_slides_have_their_limits_in_metres_and_a_limit_itself_is_within() -> No
         WholeBody(panda, CIRCLE, Spline([rest, top + 0.01 * finger], (0, 6)))
 
 
+BRICK = pin.Inertia.FromBox(2.0, 0.3, 0.2, 0.1)
+
+
 def ball() -> MobileRobot:
-    model = pin.Model()
-    model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "ball")
-    model.appendBodyToJoint(1, pin.Inertia.Random(), pin.SE3.Identity())
-    model.addFrame(pin.Frame("link", 1, 0, pin.SE3.Identity(), pin.FrameType.BODY))
+    return with_joint(pin.JointModelSpherical(), "ball")
+
+
+def test_slides_along_three_axes_are_coordinates_of_a_path_and_a_planar_joint_is_not() -> None:
+    gantry = with_joint(pin.JointModelTranslation(), "gantry")
+    assert gantry.coordinate_units[3:] == ("m", "m", "m")
+    whole = WholeBody(gantry, CIRCLE, RestToRest(np.zeros(3), (0.1, 0.2, 0.3), 6))
+    np.testing.assert_allclose(whole(6.0).q[3:], (0.1, 0.2, 0.3))
+    shuttle = with_joint(pin.JointModelRY(), "hinge", pin.JointModelPlanar(), "shuttle")
+    assert shuttle.coordinate_units[4:] == ("m", "m", "rad")
+    parts = tuple(f"toy/shuttle:{part}" for part in ("x", "y", "cos", "sin"))
+    assert shuttle.configuration_names[4:] == parts
+    with pytest.raises(InvalidArgument, match="joint 'toy/shuttle' with 3 velocities"):
+        WholeBody(shuttle, CIRCLE, None)
+
+
+def with_joint(*joints: Any) -> MobileRobot:
+    """Return joints in series, each before its name, on the box."""
+    model, last = pin.Model(), 0
+    for joint, name in zip(joints[::2], joints[1::2], strict=True):
+        last = model.addJoint(last, joint, pin.SE3.Identity(), name)
+        model.appendBodyToJoint(last, BRICK, pin.SE3.Identity())
+    model.addFrame(pin.Frame("link", last, 0, pin.SE3.Identity(), pin.FrameType.BODY))
     return BARE.mount(model, name="toy")
 
 
@@ -242,8 +264,8 @@ def ball() -> MobileRobot:
         (lambda: WholeBody("ur5", CIRCLE), "robot is 'ur5', expected a MobileRobot"),
         (
             lambda: WholeBody(ball(), CIRCLE, None),
-            "robot has joint 'toy/ball' with 3 velocities, expected joints of one: turns about several axes "
-            "are no coordinates of a path",
+            "robot has joint 'toy/ball' with 3 velocities, expected joints of one, or slides: turns about "
+            "several axes, or beside slides, are no coordinates of a path",
         ),
         (
             lambda: WholeBody(UR5, Circle(1, 1, 6), None),  # type: ignore[arg-type]

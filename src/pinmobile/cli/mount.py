@@ -126,7 +126,8 @@ def _room(robot: MobileRobot) -> tuple[Array, Array]:
     model = robot.model
     for joint in range(1, model.njoints):
         if model.nqs[joint] == model.nvs[joint]:
-            q, v = model.idx_qs[joint], model.idx_vs[joint]
+            q = slice(model.idx_qs[joint], model.idx_qs[joint] + model.nqs[joint])
+            v = slice(model.idx_vs[joint], model.idx_vs[joint] + model.nvs[joint])
             up[v], down[v] = robot.upper[q] - robot.rest[q], robot.rest[q] - robot.lower[q]
     return up, down
 

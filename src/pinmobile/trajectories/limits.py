@@ -36,7 +36,7 @@ def check_limits(robot: Any, q: Array, v: Array, t: Array) -> None:
     outside = (q < lower - _SLACK) | (q > upper + _SLACK)
     if outside.any():
         where, column = _first(outside)
-        name, unit = _joint(model, model.idx_qs, model.nqs, column)
+        name, unit = _joint(robot, model.idx_qs, model.nqs, column)
         raise InvalidArgument(
             f"reference has joint {name!r} at {q[where][column]:.9g} {unit} at t = {t[where]:g} s, "
             f"expected {lower[column]:.9g} to {upper[column]:.9g} {unit}"
@@ -44,7 +44,7 @@ def check_limits(robot: Any, q: Array, v: Array, t: Array) -> None:
     fast = np.abs(v) > most * (1 + _SLACK)
     if fast.any():
         where, column = _first(fast)
-        name, unit = _joint(model, model.idx_vs, model.nvs, column)
+        name, unit = _joint(robot, model.idx_vs, model.nvs, column)
         raise InvalidArgument(
             f"reference moves joint {name!r} at {v[where][column]:.9g} {unit}/s at t = {t[where]:g} s, "
             f"expected at most {most[column]:.9g} {unit}/s"
@@ -56,10 +56,9 @@ def _first(found: Any) -> tuple[tuple[int, ...], int]:
     return tuple(row), column
 
 
-def _joint(model: Any, starts: Any, sizes: Any, column: int) -> tuple[str, str]:
-    """Return the name of the joint that a coordinate belongs to, and its unit."""
+def _joint(robot: Any, starts: Any, sizes: Any, column: int) -> tuple[str, str]:
+    """Return the name of the joint that a number of q or v belongs to, and its unit."""
+    model = robot.model
     joint = next(j for j in range(1, model.njoints) if 0 <= column - starts[j] < sizes[j])
-    # A planar joint's name begins with a P too, but it has no limits.
-    return str(model.names[joint]), "m" if model.joints[joint].shortname().startswith(
-        "JointModelP"
-    ) else "rad"
+    # Joints with limits of q have as many numbers in v.
+    return str(model.names[joint]), robot.coordinate_units[model.idx_vs[joint] + column - starts[joint]]

@@ -44,7 +44,7 @@ class WholeBody:
     InvalidArgument
         If `robot`, `base` or a path is something else; there are more or fewer paths than arms; one has
         other coordinates than its arm, leaves the joint limits of position or velocity, or ends before the
-        others while it moves; or a joint turns about more than one axis.
+        others while it moves; or a joint turns about more than one axis, or turns and slides.
     """
 
     robot: Any
@@ -119,10 +119,11 @@ def _check_robot(robot: Any) -> None:
         raise InvalidArgument(f"robot is {robot!r}, expected a MobileRobot")
     model = robot.model
     for joint in range(1, model.njoints):
-        if model.nvs[joint] > 1:
+        # Slides along three axes add up as one does.
+        if model.nvs[joint] > 1 and model.joints[joint].shortname() != "JointModelTranslation":
             raise InvalidArgument(
                 f"robot has joint {model.names[joint]!r} with {model.nvs[joint]} velocities, expected joints "
-                "of one: turns about several axes are no coordinates of a path"
+                "of one, or slides: turns about several axes, or beside slides, are no coordinates of a path"
             )
 
 
