@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pinmobile import Hold, InvalidArgument, MobileRobot, Rollout, mountable, plots
-from pinmobile.cli.mount import demonstration, mounted
+from pinmobile.cli.mount import _judged, demonstration, mounted
 from tests.test_cli import typed
 
 QUICK = ("--dt", "0.02", "--duration", "1")
@@ -96,6 +96,13 @@ def test_there_is_a_demonstration_of_every_name(name: str) -> None:
     assert not way.size or way.max() > 0.01
 
 
+def test_a_demonstration_is_no_faster_than_the_slowest_slide() -> None:
+    robot = MobileRobot.box().mount("pr2")
+    lift = robot.coordinate_names.index("pr2/torso_lift_joint")
+    fastest = np.abs(demonstration(robot, 6)(np.linspace(0, 6, 601)).v[:, lift]).max()
+    assert fastest == pytest.approx(robot.velocity_limit[lift])
+
+
 def test_the_names_are_listed_with_the_exceptions(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = typed(capsys, "mount", "--list")
     assert code == 0
@@ -116,6 +123,9 @@ def test_the_names_are_listed_with_the_exceptions(capsys: pytest.CaptureFixture[
         ("mount --urdf no-such.urdf", "no-such.urdf"),
         ("mount ur5 --html out/ur5", "--html is 'out/ur5', expected a file that ends in .html"),
         ("mount ur5 --dt 0.7", "duration"),
+        ("mount ur5 --duration -1", "--duration is -1.0 s, expected > 0"),
+        ("mount ur5 --html /proc/x.html", "--html is '/proc/x.html', which cannot be written to"),
+        ("mount --list ur5", "--list stands alone, but there is 'ur5' too"),
         ("mount --list --at 0,0,0,0", "--at does not apply beside --list"),
     ],
 )
@@ -125,6 +135,14 @@ def test_a_mistake_is_one_line(words: str, said: str, capsys: pytest.CaptureFixt
     assert err.startswith("pinmobile: ")
     assert err.count("\n") == 1
     assert said in err
+
+
+def test_a_margin_below_zero_is_said_to_tip_over(monkeypatch: pytest.MonkeyPatch, run: Rollout) -> None:
+    for margin, said in ((0.2, "0.200"), (-2.585, "-2.585, tips over"), (-np.inf, "tips over")):
+        monkeypatch.setattr(
+            "pinmobile.cli.mount.tip_over_margin", lambda run, margin=margin: np.array([margin])
+        )
+        assert _judged(run)["smallest tip-over margin [m]"] == said
 
 
 def test_a_controller_that_diverges_is_said_and_shown_up_to_there(
@@ -174,8 +192,8 @@ def test_figures_name_joints_and_unwrap_their_angles(run: Rollout) -> None:
     assert [axes.get_ylabel() for axes in panels[:4]] == ["[m]", "[m]", "[rad]", "[rad]"]
     assert [axes.get_ylabel() for axes in plots.forces(run).axes[2:4]] == ["[N m]", "[N m]"]
     drawn = panels[3].lines[0].get_ydata()
-    # The angle goes away and back, whatever cosine and sine it has.
-    assert np.ptp(np.asarray(drawn)) == pytest.approx(0.5, abs=1e-2)
+    # The angle goes away and back, whatever cosine and sine it has, as far as the joint's speed allows.
+    assert np.ptp(np.asarray(drawn)) == pytest.approx(run.robot.velocity_limit[3] * 0.5 / 1.5, abs=1e-2)
     assert len(plots.errors({"a": run, "b": run}).axes) == 18
     two = plots.states({"a": replace(run, robot=None)}).axes
     assert [axes.get_title(loc="left") for axes in two[3:5]] == ["$q_{3}$", "$q_{4}$"]

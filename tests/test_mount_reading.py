@@ -83,11 +83,13 @@ def test_a_urdf_is_mounted_and_a_mesh_that_is_missing_is_named(urdf: Path) -> No
     assert foot.placement.translation[2] == pytest.approx(0.2)
 
 
-def test_a_mesh_is_found_in_a_package(urdf: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("several", [True, False])
+def test_a_mesh_is_found_in_a_package(several: bool, urdf: Path, tmp_path: Path) -> None:
     (tmp_path / "packages" / "arms").mkdir(parents=True)
     facet = "facet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
     (tmp_path / "packages" / "arms" / "upper.stl").write_text(f"solid s\n{facet}endsolid s\n")
-    robot = BOX.mount(str(urdf), package_dirs=[tmp_path / "packages"])
+    home = tmp_path / "packages"
+    robot = BOX.mount(str(urdf), package_dirs=[home] if several else str(home))
     item = robot.visual_model.geometryObjects[-1]
     assert (item.name, item.parentJoint) == ("arm/upper_0", BODY_JOINT + 1)
 
@@ -109,6 +111,30 @@ def test_a_root_of_its_own_is_replaced_by_the_chain(roots: tuple[Any, ...]) -> N
     )
     # The root's link rides on the body: it counts.
     assert robot.mass_matrix(robot.rest)[0, 0] == pytest.approx(BOX.mass + 3)
+
+
+@pytest.mark.parametrize("name", ["talos", "human", "anymal"])
+def test_what_has_legs_stands_with_its_feet_on_the_box(name: str) -> None:
+    robot = BOX.mount(name)
+    assert robot.mounts[0].at[2] > 0.6
+    assert _lowest(robot, name) == pytest.approx(BOX.size[2])
+    assert BOX.mount(name, (0, 0, 0.2, 0)).mounts[0].at == (0, 0, 0.2, 0)
+
+
+def _lowest(robot: MobileRobot, name: str) -> float:
+    frames = [frame for frame in robot.frame_names if frame.startswith(f"{name}/")]
+    return min(float(robot.frame_pose(robot.rest, frame)[2, 3]) for frame in frames)
+
+
+def test_a_model_with_a_free_flyer_stands_on_its_feet_and_an_arm_on_its_root() -> None:
+    hanging = pin.Model()
+    root = hanging.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
+    link(hanging, root)
+    leg = hanging.addJoint(root, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([0, 0, -0.3])), "leg")
+    link(hanging, leg)
+    assert BOX.mount(hanging).mounts[0].at == pytest.approx((0, 0, 0.5, 0))
+    for name in ("ur5", "panda", "talos_arm"):
+        assert BOX.mount(name).mounts[0].at == (0, 0, 0.2, 0)
 
 
 def test_two_slides_and_a_turn_are_a_root_where_nothing_hangs_on_the_way() -> None:
@@ -145,6 +171,10 @@ def test_locked_joints_are_a_part_of_what_carries_them() -> None:
     assert held.mounts[0].arm.locked == ("panda_finger_joint1", "panda_finger_joint2")
 
 
+def massful() -> pin.Model:
+    return chain(pin.JointModelRY(), pin.JointModelRX())
+
+
 def massless() -> pin.Model:
     model = chain(pin.JointModelRY(), pin.JointModelRX())
     model.addJoint(2, pin.JointModelRZ(), pin.SE3.Identity(), "finger")
@@ -177,6 +207,19 @@ MIMIC = MIMIC.replace("continuous", "revolute").replace(
             "arm 'two links': joint 'elbow' mimics another one, which Pinocchio's forward dynamics does not",
         ),
         ({"rest": (1, 2)}, "rest has shape (2,), expected (..., 6)"),
+        (
+            {"rest": [0, 0, 9, 0, 0, 0]},
+            "rest has joint 'elbow_joint' at 9, expected -3.14159265 to 3.14159265",
+        ),
+        (
+            {"package_dirs": ["."]},
+            "package_dirs does not apply to a loader's name, 'ur5', expected it beside",
+        ),
+        ({"package_dirs": 3}, "package_dirs is 3, expected folders"),
+        ({"visual": pin.GeometryModel()}, "visual does not apply to a loader's name, 'ur5', expected it"),
+        ({"arm": massful(), "visual": 3}, "visual is a int, expected a pinocchio.GeometryModel"),
+        ({"arm": massful(), "package_dirs": "."}, "package_dirs does not apply to a model, "),
+        ({"arm": pin.Model()}, "arm '' has no joints, expected one at least"),
         ({"arm": "no/such.urdf"}, "arm is "),
         ({"arm": "cassie"}, "arm 'cassie' cannot be loaded: its loader reads SDF"),
     ],
@@ -205,6 +248,48 @@ def test_a_file_that_is_none_is_refused(urdf: Path, tmp_path: Path) -> None:
     urdf.write_text(ARM.format(lower=""))
     with pytest.raises(InvalidArgument, match=r"joint 'elbow' moves parts that have no inertia"):
         BOX.mount(urdf)
+
+
+def unsound(**changed: Any) -> pin.Model:
+    """Return two hinges, the first as they are, of the second a limit or its body changed."""
+    model = massful()
+    body = changed.pop("body", None)
+    if body is not None:
+        model.inertias[2] = pin.Inertia(body[0], np.array([0.1, 0, 0]), np.diag(body[1]))
+    for name, value in changed.items():
+        limits = np.array(getattr(model, name))
+        limits[1] = value
+        setattr(model, name, limits)
+    model.name = "toy"
+    return model
+
+
+@pytest.mark.parametrize(
+    ("model", "text"),
+    [
+        (
+            unsound(lowerPositionLimit=2.0, upperPositionLimit=-2.0),
+            "has position limits from 2 to -2, expected the lower one first",
+        ),
+        (unsound(upperPositionLimit=np.nan), "has position limits from -1.79769e+308 to nan, expected"),
+        (unsound(velocityLimit=np.nan), "has velocity limit nan, expected a number >= 0"),
+        (unsound(effortLimit=-3.0), "has effort limit -3, expected a number >= 0"),
+        (unsound(body=(-5, (1, 1, 1))), "carries a mass of -5 kg, expected a finite number >= 0"),
+        (unsound(body=(np.nan, (1, 1, 1))), "carries a mass of nan kg, expected a finite number >= 0"),
+        (
+            unsound(body=(1, (1, 1, 9))),
+            "carries principal moments of inertia (1, 1, 9) kg m^2, which no rigid body has",
+        ),
+    ],
+)
+def test_arms_that_cannot_be_are_refused(model: pin.Model, text: str) -> None:
+    with pytest.raises(InvalidArgument) as caught:
+        BOX.mount(model)
+    assert str(caught.value).startswith(f"arm 'toy': joint 'j1' {text}")
+
+
+def test_limits_of_a_joint_that_is_locked_do_not_matter() -> None:
+    assert BOX.mount(unsound(velocityLimit=-1.0), locked=["j1"]).nv == 4
 
 
 @pytest.mark.parametrize(
@@ -274,10 +359,6 @@ def test_a_rollout_brings_its_robot_back(tmp_path: Path, urdf: Path) -> None:
     np.testing.assert_array_equal(Rollout.load(path).tau, run.tau)
     driven(BOX.mount(massful())).save(path)
     assert Rollout.load(path).robot is None
-
-
-def massful() -> pin.Model:
-    return chain(pin.JointModelRY(), pin.JointModelRX())
 
 
 @pytest.mark.parametrize("name", ["double_pendulum", "double_pendulum_continuous"])

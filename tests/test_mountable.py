@@ -8,11 +8,29 @@ import example_robot_data
 import numpy as np
 import pytest
 
-from pinmobile import ComputedTorque, InvalidArgument, MobileRobot, Reference, mountable, simulate, verify
+from pinmobile import (
+    ComputedTorque,
+    InvalidArgument,
+    MobileRobot,
+    Reference,
+    UnknownName,
+    mountable,
+    simulate,
+    verify,
+)
 from pinmobile.robot import BODY_JOINT, EXCEPTIONS, pictures, visual
 from pinmobile.robot.visual import VisualFile
 
 NAMES = sorted(example_robot_data.ROBOTS)
+MASSLESS = tuple(
+    f"{side}{part}"
+    for side in "LR"
+    for part in (
+        "Hand",
+        *(f"{finger}{k}" for finger in ("Finger1", "Finger2", "Finger3", "Thumb") for k in (1, 2, 3)),
+    )
+    if part != "Finger11"
+)
 READABLE = visual.readable
 
 
@@ -69,11 +87,37 @@ def test_an_exception_that_works_is_none(name: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "locked"),
-    [("bravo7_gripper", ("bravo_finger1_joint", "bravo_finger2_joint")), ("icub", ("neck_roll",))],
+    [
+        ("bravo7_gripper", ("bravo_finger1_joint", "bravo_finger2_joint")),
+        ("icub", ("neck_roll",)),
+        ("romeo", MASSLESS),
+    ],
 )
 def test_what_exceptions_say_helps_helps(name: str, locked: tuple[str, ...]) -> None:
     robot = MobileRobot.box().mount(name, locked=locked)
     assert robot.nv + len(locked) - 3 == robot.mounts[0].arm.whole.nv
+
+
+def test_what_is_wrong_with_icub_and_romeo_is_said() -> None:
+    text = r"^arm 'icub': the mass matrix is singular at rest about joint 'neck_roll': moved together"
+    with pytest.raises(InvalidArgument, match=text):
+        MobileRobot.box().mount("icub")
+    fingers = [name for name in MASSLESS if "Hand" not in name]
+    with pytest.raises(
+        InvalidArgument, match="joint 'RHand' moves parts that have no inertia, expected inertia"
+    ):
+        MobileRobot.box().mount("romeo", locked=fingers)
+    assert len(MASSLESS) == int(EXCEPTIONS["romeo"].split()[0])
+
+
+def test_a_row_is_found_by_its_name() -> None:
+    listed = mountable()
+    assert listed["ur5"].joints == 6
+    assert "ur5" in listed
+    assert listed["ur5"] in listed
+    assert "icub" not in listed
+    with pytest.raises(UnknownName, match=r"^unknown mountable robot 'ur55', available: ur5, "):
+        listed["ur55"]
 
 
 def test_the_list_is_a_table_of_all_of_them() -> None:

@@ -397,7 +397,7 @@ def test_other_things_than_robots_targets_and_frames_are_refused() -> None:
         EndEffectorTracking(UR5, RING, kp=-1)
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "ball")
-    model.appendBodyToJoint(joint, pin.Inertia.Random(), pin.SE3.Identity())
+    model.appendBodyToJoint(joint, pin.Inertia.FromBox(2.0, 0.3, 0.2, 0.1), pin.SE3.Identity())
     with pytest.raises(InvalidArgument, match="robot has the joint 'arm/ball' of 3 velocities"):
         resolve(BOX.mount(model, name="arm"), RING, frame="base_link")
 

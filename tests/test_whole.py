@@ -109,10 +109,9 @@ def test_velocity_and_acceleration_are_those_of_the_configuration(robot: MobileR
 
 
 def test_a_joint_without_limits_goes_round_and_round() -> None:
-    many = np.zeros(6)
-    many[0] = 20.0
-    start = rest_of(KINOVA)[:6]
-    trajectory = WholeBody(KINOVA, CIRCLE, RestToRest(start[: KINOVA.nv - 3], start + many[: len(start)], 6))
+    pendulum = BARE.mount("double_pendulum_continuous", AT)  # its speed has no limit either
+    start = rest_of(pendulum)
+    trajectory = WholeBody(pendulum, CIRCLE, RestToRest(start, start + np.array([20, 0]), 6))
     t = np.linspace(0, 6, 7)
     angle = start[0] + 20 * (10 * (t / 6) ** 3 - 15 * (t / 6) ** 4 + 6 * (t / 6) ** 5)
     np.testing.assert_allclose(trajectory(t).q[:, 3], np.cos(angle), atol=1e-13)
@@ -204,6 +203,14 @@ def test_what_leaves_the_limits_is_refused_where_it_is_seen() -> None:
             call()
 
 
+def test_what_is_faster_than_a_joint_can_be_is_refused() -> None:
+    text = "reference moves joint 'ur5/shoulder_pan_joint' at "
+    with pytest.raises(
+        InvalidArgument, match=f"^{re.escape(text)}.* rad/s at t = .* s, expected at most 3.15 rad/s$"
+    ):
+        WholeBody(UR5, CIRCLE, RestToRest(np.zeros(6), np.full(6, 3.0), 0.2))
+
+
 @dataclass(frozen=True)
 class Unchecked:
     """A user's own trajectory of the UR5 on a base at rest."""
@@ -227,11 +234,33 @@ def test_slides_have_their_limits_in_metres_and_a_limit_itself_is_within() -> No
         WholeBody(panda, CIRCLE, Spline([rest, top + 0.01 * finger], (0, 6)))
 
 
+BRICK = pin.Inertia.FromBox(2.0, 0.3, 0.2, 0.1)
+
+
 def ball() -> MobileRobot:
-    model = pin.Model()
-    model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "ball")
-    model.appendBodyToJoint(1, pin.Inertia.Random(), pin.SE3.Identity())
-    model.addFrame(pin.Frame("link", 1, 0, pin.SE3.Identity(), pin.FrameType.BODY))
+    return with_joint(pin.JointModelSpherical(), "ball")
+
+
+def test_slides_along_three_axes_are_coordinates_of_a_path_and_a_planar_joint_is_not() -> None:
+    gantry = with_joint(pin.JointModelTranslation(), "gantry")
+    assert gantry.coordinate_units[3:] == ("m", "m", "m")
+    whole = WholeBody(gantry, CIRCLE, RestToRest(np.zeros(3), (0.1, 0.2, 0.3), 6))
+    np.testing.assert_allclose(whole(6.0).q[3:], (0.1, 0.2, 0.3))
+    shuttle = with_joint(pin.JointModelRY(), "hinge", pin.JointModelPlanar(), "shuttle")
+    assert shuttle.coordinate_units[4:] == ("m", "m", "rad")
+    parts = tuple(f"toy/shuttle:{part}" for part in ("x", "y", "cos", "sin"))
+    assert shuttle.configuration_names[4:] == parts
+    with pytest.raises(InvalidArgument, match="joint 'toy/shuttle' with 3 velocities"):
+        WholeBody(shuttle, CIRCLE, None)
+
+
+def with_joint(*joints: Any) -> MobileRobot:
+    """Return joints in series, each before its name, on the box."""
+    model, last = pin.Model(), 0
+    for joint, name in zip(joints[::2], joints[1::2], strict=True):
+        last = model.addJoint(last, joint, pin.SE3.Identity(), name)
+        model.appendBodyToJoint(last, BRICK, pin.SE3.Identity())
+    model.addFrame(pin.Frame("link", last, 0, pin.SE3.Identity(), pin.FrameType.BODY))
     return BARE.mount(model, name="toy")
 
 
@@ -241,8 +270,8 @@ def ball() -> MobileRobot:
         (lambda: WholeBody("ur5", CIRCLE), "robot is 'ur5', expected a MobileRobot"),
         (
             lambda: WholeBody(ball(), CIRCLE, None),
-            "robot has joint 'toy/ball' with 3 velocities, expected joints of one: turns about several axes "
-            "are no coordinates of a path",
+            "robot has joint 'toy/ball' with 3 velocities, expected joints of one, or slides: turns about "
+            "several axes, or beside slides, are no coordinates of a path",
         ),
         (
             lambda: WholeBody(UR5, Circle(1, 1, 6), None),  # type: ignore[arg-type]

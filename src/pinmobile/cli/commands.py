@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 import pinmobile
+from pinmobile import InvalidArgument
 from pinmobile.cli import choices
 from pinmobile.cli.lecture import show_lecture
 from pinmobile.cli.mount import list_mountable, mounted, show_mount
@@ -216,7 +217,9 @@ def mount(
     Example: pinmobile mount ur5 --html out/ur5.html
     """
     if listed:
-        choices.refuse_beside("--list", urdf=urdf, at=at, html=html, out=out)
+        if arm:
+            raise InvalidArgument(f"--list stands alone, but there is {arm[0]!r} too")
+        choices.refuse_beside("--list", urdf=urdf, at=at, html=html, out=out, package_dir=package_dir or None)
         return list_mountable()
     robot = mounted(arm or (), urdf, at, package_dir or ())
     return show_mount(robot, dt=dt, duration=duration, html=html, out=out)

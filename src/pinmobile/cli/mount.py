@@ -23,7 +23,7 @@ from pinmobile import (
     simulate,
     tip_over_margin,
 )
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, positive
 from pinmobile.cli import choices
 from pinmobile.cli.output import Picture, Section, console, index_page, output_folder, progress
 from pinmobile.cli.run import FIGURES, draw
@@ -83,24 +83,26 @@ def mounted(arms: Sequence[str], urdf: Path | None, at: str | None, dirs: Sequen
         )
     if at is not None and len(wanted) > 1:
         raise InvalidArgument(f"--at places one arm, but there are {len(wanted)}")
-    robot = MobileRobot.box()
-    for arm, place in zip(wanted, _places(robot, len(wanted), at), strict=True):
-        robot = robot.mount(arm, place, package_dirs=dirs)
+    box = MobileRobot.box()
+    if len(wanted) == 1:
+        return box.mount(wanted[0], None if at is None else choices.point("--at", at), package_dirs=dirs)
+    return _one_behind_the_other(box, wanted)
+
+
+def _one_behind_the_other(robot: MobileRobot, arms: Sequence[Any]) -> MobileRobot:
+    length = robot.size[0]
+    for arm, x in zip(arms, np.linspace(length / 3, -length / 3, len(arms)), strict=True):
+        (*_, mount) = robot.mount(arm).mounts
+        robot = robot.mount(mount.arm, (x, *mount.at[1:]))
     return robot
 
 
-def _places(robot: MobileRobot, count: int, at: str | None) -> list[Any]:
-    """Return where the arms stand: one where it is asked for, several one behind the other."""
-    if count == 1:
-        return [None if at is None else choices.point("--at", at)]
-    length, _, height = robot.size
-    return [(x, 0.0, height, 0.0) for x in np.linspace(length / 3, -length / 3, count)]
-
-
 def demonstration(robot: MobileRobot, duration: float) -> WholeBody:
-    """Return the circle, beside it every joint 0.5 rad (0.1 m) away and back, or as far as it can."""
+    """Return the circle, beside it every joint 0.5 rad (0.1 m) away and back, or as far as it can in time."""
     rest, units = robot.difference(robot.neutral, robot.rest), np.array(robot.coordinate_units)
     way = np.select([units == unit for unit in _WAY], list(_WAY.values()))
+    # A cubic from rest to rest is at most 3/2 as fast as on average; it has half the time.
+    way = np.minimum(way, robot.velocity_limit * (duration / 2) / 1.5)
     up, down = (np.minimum(room, way) for room in _room(robot))
     upwards = np.where(np.isclose(up, down), _lifts(robot, way), up > down)
     target = rest + np.where(upwards, up, -down)
@@ -124,7 +126,8 @@ def _room(robot: MobileRobot) -> tuple[Array, Array]:
     model = robot.model
     for joint in range(1, model.njoints):
         if model.nqs[joint] == model.nvs[joint]:
-            q, v = model.idx_qs[joint], model.idx_vs[joint]
+            q = slice(model.idx_qs[joint], model.idx_qs[joint] + model.nqs[joint])
+            v = slice(model.idx_vs[joint], model.idx_vs[joint] + model.nvs[joint])
             up[v], down[v] = robot.upper[q] - robot.rest[q], robot.rest[q] - robot.lower[q]
     return up, down
 
@@ -132,8 +135,11 @@ def _room(robot: MobileRobot) -> tuple[Array, Array]:
 def show_mount(robot: MobileRobot, *, dt: float, duration: float, html: Path | None, out: Path | None) -> int:
     """Run both controllers, print what came, and write the page and the figures that were asked for."""
     folder = None if out is None else output_folder(out)
-    if html is not None and html.suffix != ".html":
-        raise InvalidArgument(f"--html is {str(html)!r}, expected a file that ends in .html")
+    positive("--duration", duration, "s")
+    if html is not None:
+        if html.suffix != ".html":
+            raise InvalidArgument(f"--html is {str(html)!r}, expected a file that ends in .html")
+        output_folder(html.parent, "--html", html)
     reference = demonstration(robot, duration)
     laws = {"computed torque": ComputedTorque(robot, *_GAINS), "decoupled": Decoupled(robot, *_GAINS)}
     names = " and ".join(mount.name for mount in robot.mounts)
@@ -143,7 +149,6 @@ def show_mount(robot: MobileRobot, *, dt: float, duration: float, html: Path | N
         text = "\n".join([_head(robot, names, reference, dt), "", _table(runs), *failures])
         if html is not None:
             bar.update(bar.task_ids[0], description="recording the scene", advance=1)
-            output_folder(html.parent)
             save_page(runs, html, f"{names} on the base: computed torque and decoupled")
         page = None if folder is None else _figures(runs, folder, names, text, bar)
     console.print(text, markup=False)
@@ -201,9 +206,16 @@ def _judged(run: Rollout) -> dict[str, str]:
             rows[f"largest error of a joint [{unit}]"] = of_joints.max()
     shown = {name: f"{value:.3e}" for name, value in rows.items()}
     margin, friction = float(tip_over_margin(run).min()), float(required_friction(run).max())
-    shown["smallest tip-over margin [m]"] = f"{margin:.3f}" if np.isfinite(margin) else "tips over"
+    shown["smallest tip-over margin [m]"] = _said(margin)
     shown["friction that it takes [-]"] = f"{friction:.3f}" if np.isfinite(friction) else "lifts off"
     return shown
+
+
+def _said(margin: float) -> str:
+    """Return a tip-over margin [m] in words: below zero, the zero-moment point is off the footprint."""
+    if not np.isfinite(margin):
+        return "tips over"
+    return f"{margin:.3f}" if margin >= 0 else f"{margin:.3f}, tips over"
 
 
 def _figures(runs: dict[str, Rollout], folder: Path, names: str, text: str, bar: Any) -> Path:

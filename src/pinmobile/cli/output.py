@@ -43,8 +43,17 @@ def progress(total: int) -> Iterator[Progress]:
         yield bar
 
 
-def output_folder(path: Path) -> Path:
+def output_folder(path: Path, option: str = "--out", given: Path | None = None) -> Path:
     """Return the folder, made where it is missing.
+
+    Parameters
+    ----------
+    path : Path
+        The folder.
+    option : str
+        What asked for it, for the message.
+    given : Path, optional
+        What that was given; by default the folder.
 
     Raises
     ------
@@ -58,7 +67,7 @@ def output_folder(path: Path) -> Path:
         probe.unlink()
     except OSError as error:
         raise InvalidArgument(
-            f"--out is {str(path)!r}, which cannot be written to: {error.strerror}"
+            f"{option} is {str(given or path)!r}, which cannot be written to: {error.strerror}"
         ) from error
     return path
 

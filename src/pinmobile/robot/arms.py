@@ -10,6 +10,7 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array, frozen
 from pinmobile.errors import InvalidArgument, UnknownName
+from pinmobile.robot.sound import check_bodies, check_joint_limits
 from pinmobile.robot.tree import carries_only_wheels, children, joint_kind
 
 __all__ = ["Arm", "Origin", "Picture", "tip_of"]
@@ -57,6 +58,9 @@ class Arm:
         Returns the visual `pin.GeometryModel` of `whole`.
     locked : tuple of str
         Joints to lock at rest, beside a root and wheels.
+    stands : bool
+        Whether it stands on its feet, as what has a free-flyer root does, rather than on its root; true of a
+        model with such a root in any case.
 
     Attributes
     ----------
@@ -70,7 +74,8 @@ class Arm:
     Raises
     ------
     InvalidArgument
-        If a joint moves nothing that has inertia, or mimics another one.
+        If a joint moves nothing that has inertia, carries what no rigid body is, has limits that limit
+        nothing, or mimics another one.
     UnknownName
         If a joint to lock is not there.
     """
@@ -80,6 +85,7 @@ class Arm:
     rest: Array
     picture: Picture
     locked: tuple[str, ...] = ()
+    stands: bool = False
     model: pin.Model = field(init=False)
     posture: Array = field(init=False)
     tip: str = field(init=False)
@@ -94,8 +100,10 @@ class Arm:
                     "Pinocchio's forward dynamics does not support, expected a model built with mimic=False"
                 )
         held = _held(whole, self.locked)
-        model = pin.buildReducedModel(whole, held, np.array(rest)) if held else whole.copy()
         free = [joint for joint in range(1, whole.njoints) if joint not in held]
+        check_bodies(whole, self.origin.value)
+        check_joint_limits(whole, free, self.origin.value)
+        model = pin.buildReducedModel(whole, held, np.array(rest)) if held else whole.copy()
         parts = [rest[whole.idx_qs[j] : whole.idx_qs[j] + whole.nqs[j]] for j in free]
         posture = np.concatenate(parts) if parts else np.zeros(0)
         _check_inertias(model, posture, self.origin.value)
@@ -105,12 +113,21 @@ class Arm:
             "model": model,
             "posture": frozen(posture),
             "tip": tip_of(model),
+            "stands": self.stands or any("FreeFlyer" in joint_kind(whole, j) for j in _root(whole)),
         }.items():
             object.__setattr__(self, name, value)
 
     def key(self) -> tuple[object, ...]:
         """Return what makes two arms the same one."""
         return self.origin, self.locked, tuple(self.rest.tolist())
+
+    def legs(self) -> float:
+        """Return how far its lowest frame is below its root at rest, if it stands on its feet; else 0 [m]."""
+        if not self.stands:
+            return 0.0
+        data = self.model.createData()
+        pin.framesForwardKinematics(self.model, data, np.array(self.posture))
+        return -min(0.0, *(float(placement.translation[2]) for placement in data.oMf))
 
     def visuals(self) -> pin.GeometryModel:
         """Return what is drawn of it, for `model`."""
@@ -186,8 +203,9 @@ def _check_inertias(model: pin.Model, posture: Array, called: str) -> None:
         return
     data = model.createData()
     step = np.random.default_rng(_GENERIC).uniform(-1, 1, model.nv)
+    generic = pin.integrate(model, np.array(posture), step)
     with np.errstate(invalid="ignore", divide="ignore"):
-        for q in (posture, pin.integrate(model, np.array(posture), step)):
+        for where, q in (("at rest", posture), ("at a posture like any other", generic)):
             own = np.diag(pin.crba(model, data, q)).copy()
             pin.cholesky.decompose(model, data)
             left = np.array(data.D)
@@ -196,9 +214,20 @@ def _check_inertias(model: pin.Model, posture: Array, called: str) -> None:
             if len(singular):
                 joint = _joint_of(model, int(singular[-1]))
                 raise InvalidArgument(
-                    f"arm {called!r}: joint {model.names[joint]!r} moves parts that have no inertia, "
-                    "expected inertia beyond each joint, or that joint among `locked`"
+                    f"arm {called!r}: {_cause(model, joint, where)}, or that joint among `locked`"
                 )
+
+
+def _cause(model: pin.Model, joint: int, where: str) -> str:
+    """Return what is wrong with a joint that nothing resists, and what is expected."""
+    name = repr(model.names[joint])
+    moved = [model.inertias[beyond] for beyond in model.subtrees[joint]]
+    if not any(body.mass or np.array(body.inertia).any() for body in moved):
+        return f"joint {name} moves parts that have no inertia, expected inertia beyond each joint"
+    return (
+        f"the mass matrix is singular {where} about joint {name}: moved together with joints beyond "
+        "it, it moves no inertia, expected another `rest`, inertia there"
+    )
 
 
 def _joint_of(model: pin.Model, k: int) -> int:

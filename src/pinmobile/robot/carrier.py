@@ -39,7 +39,7 @@ class Carrier(ChainWrenches):
         at: ArrayLike | None = None,
         *,
         name: str | None = None,
-        package_dirs: Sequence[str | PathLike[str]] = (),
+        package_dirs: str | PathLike[str] | Sequence[str | PathLike[str]] = (),
         visual: pin.GeometryModel | None = None,
         rest: ArrayLike | None = None,
         locked: Sequence[str] = (),
@@ -55,28 +55,31 @@ class Carrier(ChainWrenches):
             One of `mountable()`, such as ``"ur5"``; a URDF; or a model.
         at : array_like, shape (4,), optional
             Where its root stands on the body: x, y, z and yaw [m, m, m, rad]; by default in the middle of the
-            top of the box of `size`.
+            top of the box of `size`. What has a free-flyer root, or a loader that gives it one, stands on its
+            feet instead: its root is as high as puts its lowest frame at rest there.
         name : str, optional
             By default that of the arm; numbered where it is taken.
-        package_dirs : sequence of str or path
-            Folders that ``package://`` in a URDF's mesh names refers to.
+        package_dirs : str, path, or sequence of them
+            Folder or folders that ``package://`` in a URDF's mesh names refers to.
         visual : pin.GeometryModel, optional
             What is drawn of a `pin.Model`.
         rest : array_like, shape (arm's nq,), optional
-            Its reference posture; by default the loader's, or the neutral one.
+            Its reference posture, within its limits; by default the loader's, or the neutral one, brought
+            within them.
         locked : sequence of str
             Its joints that shall not move, at rest.
 
         Raises
         ------
         InvalidArgument
-            If the arm cannot be read, a joint of it moves no inertia, or another argument is not what is
-            expected.
+            If the arm cannot be read; a joint of it moves no inertia, carries what no rigid body is, or has
+            limits that limit nothing; or another argument is not what is expected.
         UnknownName
             If no loader has the name; the nearest come first.
         """
-        place = on_top(self.size) if at is None else placed(at)
+        asked = None if at is None else placed(at)
         ready = read_arm(arm, package_dirs=package_dirs, visual=visual, rest=rest, locked=locked)
+        place = on_top(self.size, ready) if asked is None else asked
         wanted = checked_name(name if name is not None else Path(ready.origin.value).stem)
         taken = {mount.name for mount in self.mounts}
         mount = mount_after(self.model, ready, free_name(wanted, taken), place)

@@ -6,6 +6,7 @@ __all__ = ["configuration_names", "units", "velocity_names"]
 
 _BASE = ("x", "y", "psi")
 _PARTS = {2: ("cos", "sin"), 4: ("qx", "qy", "qz", "qw")}  # of joints with more numbers in q than in v
+_PLANAR = ("x", "y", "cos", "sin")
 
 
 def velocity_names(model: pin.Model) -> tuple[str, ...]:
@@ -34,8 +35,9 @@ def configuration_names(model: pin.Model) -> tuple[str, ...]:
     names = list(_BASE)
     for joint in range(len(_BASE) + 1, model.njoints):
         own, count = str(model.names[joint]), int(model.nqs[joint])
-        if count != model.nvs[joint] and count in _PARTS:
-            names += [f"{own}:{part}" for part in _PARTS[count]]
+        planar = "Planar" in model.joints[joint].shortname()
+        if planar or (count != model.nvs[joint] and count in _PARTS):
+            names += [f"{own}:{part}" for part in (_PLANAR if planar else _PARTS[count])]
         else:
             names += _numbered(own, count)
     return tuple(names)
@@ -51,9 +53,16 @@ def units(model: pin.Model) -> tuple[str, ...]:
     """
     found = ["m", "m", "rad"]
     for joint in range(len(_BASE) + 1, model.njoints):
-        slides = model.joints[joint].shortname().startswith("JointModelP") and model.nvs[joint] == 1
-        found += ["m" if slides else "rad"] * model.nvs[joint]
+        slides, size = _slides(model, joint), int(model.nvs[joint])
+        found += ["m"] * slides + ["rad"] * (size - slides)
     return tuple(found)
+
+
+def _slides(model: pin.Model, joint: int) -> int:
+    """Return how many of a joint's velocities, the first ones, are along an axis."""
+    kind = str(model.joints[joint].shortname()).removeprefix("JointModel")
+    known = {"Planar": 2, "Translation": 3, "FreeFlyer": 3}
+    return known.get(kind, int(kind.startswith("P")))
 
 
 def _numbered(name: str, count: int) -> list[str]:

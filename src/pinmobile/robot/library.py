@@ -23,7 +23,7 @@ EXCEPTIONS: dict[str, str] = {
     "cassie": "its loader reads SDF, which Pinocchio's wheels are built without",
     "falcon_bravo7_gripper": _FINGERS,
     "icub": "its reference posture aligns neck_pitch and neck_roll with no inertia between: try icub_reduced",
-    "romeo": "its fingers and thumbs have no inertia",
+    "romeo": "24 joints of its hands, RHand and LHand beside fingers and thumbs, have no inertia",
 }
 """Names that `MobileRobot.mount` refuses as they are, and why."""
 
@@ -49,7 +49,7 @@ class Mountable:
 
 @dataclass(frozen=True)
 class Mountables:
-    """All robots that can be mounted by name; printed, it is a table.
+    """All robots that can be mounted by name; printed, it is a table, and ``[name]`` is a row of it.
 
     Attributes
     ----------
@@ -57,6 +57,11 @@ class Mountables:
         In the order of their names.
     exceptions : tuple of (str, str)
         Names that the loaders know and that do not mount, with the reason.
+
+    Raises
+    ------
+    UnknownName
+        If a row is asked for that is not there.
     """
 
     rows: tuple[Mountable, ...]
@@ -67,6 +72,14 @@ class Mountables:
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.names or name in self.rows
+
+    def __getitem__(self, name: str) -> Mountable:
+        if name not in self.names:
+            raise UnknownName("mountable robot", str(name), self.names)
+        return self.rows[self.names.index(name)]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -116,7 +129,7 @@ def load_arm(name: str, locked: tuple[str, ...] = ()) -> Arm:
     except Exception as error:
         reason = EXCEPTIONS.get(name, str(error) or type(error).__name__)
         raise InvalidArgument(f"arm {name!r} cannot be loaded: {reason}") from error
-    return Arm(Origin("loader", name), model, rest, picture, locked)
+    return Arm(Origin("loader", name), model, rest, picture, locked, bool(loader.free_flyer))
 
 
 def _loaders() -> dict[str, Any]:

@@ -137,9 +137,9 @@ def placed(at: ArrayLike) -> tuple[float, float, float, float]:
     return x, y, z, yaw
 
 
-def on_top(size: tuple[float, float, float]) -> tuple[float, float, float, float]:
-    """Return the mount point in the middle of the top of the body's box."""
-    return 0.0, 0.0, float(size[2]), 0.0
+def on_top(size: tuple[float, float, float], arm: Arm) -> tuple[float, float, float, float]:
+    """Return the mount point at which an arm stands in the middle of the top of the body's box."""
+    return 0.0, 0.0, float(size[2]) + arm.legs(), 0.0
 
 
 def checked_name(name: str) -> str:

@@ -1,6 +1,7 @@
 """What `MobileRobot.mount` is given, as an `Arm`: a loader's name, a URDF, or a `pin.Model`."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -14,13 +15,15 @@ from pinmobile.robot.library import load_arm
 from pinmobile.robot.pictures import FilePicture, GivenPicture
 from pinmobile.robot.wellformed import urdf_text
 
-__all__ = ["read_arm"]
+__all__ = ["kept_arm", "read_arm"]
+
+_SLACK = 1e-9  # [m, rad]: a posture at a limit is there but for rounding
 
 
 def read_arm(
     arm: Any,
     *,
-    package_dirs: Sequence[str | PathLike[str]] = (),
+    package_dirs: str | PathLike[str] | Sequence[str | PathLike[str]] = (),
     visual: pin.GeometryModel | None = None,
     rest: Any = None,
     locked: Sequence[str] = (),
@@ -40,27 +43,78 @@ def read_arm(
         If no loader has the name.
     """
     held = tuple(map(str, locked)) if not isinstance(locked, str) else (locked,)
+    if visual is not None and not isinstance(visual, pin.GeometryModel):
+        raise InvalidArgument(f"visual is a {type(visual).__name__}, expected a pinocchio.GeometryModel")
+    folders = _folders(package_dirs)
     if isinstance(arm, Arm):
         return arm
     if isinstance(arm, str | PathLike):
-        if _is_file(arm):
-            folders = tuple(str(Path(folder).resolve()) for folder in package_dirs)
-            return _from_urdf(Path(arm).resolve(), folders, rest, held)
-        made = load_arm(str(arm), held)
-        if rest is None:
-            return made
-        return Arm(made.origin, made.whole, _posture(made.whole, rest), made.picture, held)
+        file = _is_file(arm)
+        _refuse_beside("a URDF" if file else "a loader's name", arm, visual=visual is not None)
+        if file:
+            made = _from_urdf(Path(arm).resolve(), folders, rest, held)
+        else:
+            _refuse_beside("a loader's name", arm, package_dirs=bool(folders))
+            made = load_arm(str(arm), held)
+            made = made if rest is None else replace(made, rest=_posture(made.whole, rest))
+    else:
+        _refuse_beside("a model", getattr(arm, "name", arm), package_dirs=bool(folders))
+        made = _from_model(arm, visual, rest, held)
+    if rest is not None:
+        _check_rest(made)
+    return made
+
+
+def kept_arm(arm: str, *, package_dirs: Sequence[str], locked: Sequence[str], rest: Any) -> Arm:
+    """Return an arm of a name or file again, with the reference posture that it had, clipped or not.
+
+    Raises
+    ------
+    InvalidArgument, UnknownName
+        If it is no longer there, or no longer has that many joints.
+    """
+    made = read_arm(arm, package_dirs=package_dirs, locked=locked)
+    return replace(made, rest=_posture(made.whole, rest))
+
+
+def _refuse_beside(kind: str, arm: Any, **given: bool) -> None:
+    for argument, is_given in given.items():
+        if is_given:
+            takes = "a pinocchio.Model" if argument == "visual" else "a URDF"
+            raise InvalidArgument(
+                f"{argument} does not apply to {kind}, {str(arm)!r}, expected it beside {takes} alone"
+            )
+
+
+def _folders(package_dirs: Any) -> tuple[str, ...]:
+    """Return the folders, one where there is one."""
+    if isinstance(package_dirs, str | PathLike):
+        package_dirs = (package_dirs,)
+    try:
+        folders = tuple(str(Path(folder).resolve()) for folder in package_dirs)
+    except TypeError:
+        raise InvalidArgument(f"package_dirs is {package_dirs!r}, expected folders") from None
+    for folder in folders:
+        if not Path(folder).is_dir():
+            raise InvalidArgument(f"package_dirs has {folder!r}, expected a folder")
+    return folders
+
+
+def _from_model(arm: Any, visual: pin.GeometryModel | None, rest: Any, locked: tuple[str, ...]) -> Arm:
+    kept = None
     if hasattr(arm, "model") and hasattr(arm, "visual_model"):  # a pin.RobotWrapper
         visual = arm.visual_model if visual is None else visual
-        rest = getattr(arm, "q0", None) if rest is None else rest
+        kept = getattr(arm, "q0", None)
         arm = arm.model
     if not isinstance(arm, pin.Model):
         raise InvalidArgument(
             f"arm is a {type(arm).__name__}, expected a name, the path of a URDF, or a pinocchio.Model"
         )
+    if arm.njoints == 1:
+        raise InvalidArgument(f"arm {arm.name!r} has no joints, expected one at least: a Load has none")
     shown = pin.GeometryModel() if visual is None else visual
-    origin = Origin("model", arm.name or "arm")
-    return Arm(origin, arm.copy(), _posture(arm, rest), GivenPicture(shown), held)
+    posture = _posture(arm, kept if rest is None else rest)
+    return Arm(Origin("model", arm.name or "arm"), arm.copy(), posture, GivenPicture(shown), locked)
 
 
 def _is_file(arm: str | PathLike[str]) -> bool:
@@ -77,16 +131,27 @@ def _posture(model: pin.Model, rest: Any) -> Array:
     return posture
 
 
+def _check_rest(arm: Arm) -> None:
+    """Refuse a reference posture outside the limits."""
+    model = arm.whole
+    for joint in range(1, model.njoints):
+        if model.nqs[joint] != model.nvs[joint]:
+            continue
+        for k in range(model.idx_qs[joint], model.idx_qs[joint] + model.nqs[joint]):
+            least, most = model.lowerPositionLimit[k], model.upperPositionLimit[k]
+            # Equal limits are none.
+            if least < most and not least - _SLACK <= arm.rest[k] <= most + _SLACK:
+                raise InvalidArgument(
+                    f"rest has joint {model.names[joint]!r} at {arm.rest[k]:.9g}, "
+                    f"expected {least:.9g} to {most:.9g}"
+                )
+
+
 def _from_urdf(path: Path, folders: tuple[str, ...], rest: Any, locked: tuple[str, ...]) -> Arm:
-    for folder in folders:
-        if not Path(folder).is_dir():
-            raise InvalidArgument(f"package_dirs has {folder!r}, expected a folder")
     text, _ = urdf_text("arm", path)
     try:
         model = pin.buildModelFromXML(text)
     except (ValueError, RuntimeError) as error:
         raise InvalidArgument(f"{path.name} is not a URDF that Pinocchio reads: {error}") from None
-
     picture = FilePicture(path, tuple(map(Path, folders)))
-    origin = Origin("urdf", str(path), folders)
-    return Arm(origin, model, _posture(model, rest), picture, locked)
+    return Arm(Origin("urdf", str(path), folders), model, _posture(model, rest), picture, locked)

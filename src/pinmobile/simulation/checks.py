@@ -104,7 +104,7 @@ def sampled(trajectory: Trajectory, t: Array, plant: "Plant") -> Reference:
             )
     checked = Reference(*(vector(f"trajectory's {n}", getattr(reference, n), s) for n, s in _sizes(plant)))
     if getattr(plant, "mounts", ()):
-        check_limits(plant, checked.q, t)
+        check_limits(plant, checked.q, checked.v, t)
     return checked
 
 

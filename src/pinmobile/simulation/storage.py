@@ -12,6 +12,7 @@ from pinmobile.arrays import Array
 from pinmobile.dh import DHRow, DHTable, JointType
 from pinmobile.errors import InvalidArgument, PinmobileError
 from pinmobile.robot import Load, MobileRobot
+from pinmobile.robot.sources import kept_arm
 from pinmobile.urdf import Body
 
 __all__ = ["read_archive", "write_archive"]
@@ -95,7 +96,8 @@ def _restore(described: dict[str, Any]) -> MobileRobot | None:
     robot = MobileRobot.from_body(body, tuple(described["size"]), DHTable(rows), described["source"])
     try:
         for mount in described.get("mounts", ()):
-            robot = robot.mount(mount.pop("arm"), **mount)
+            name, at = mount.pop("name"), mount.pop("at")
+            robot = robot.mount(kept_arm(**mount), at, name=name)
         for frame, mass, com, inertia, size in described.get("loads", ()):
             robot = robot.attach(Load(mass, com, inertia, size), frame)
     except PinmobileError:

@@ -9,18 +9,20 @@ from pinmobile.errors import InvalidArgument
 
 __all__ = ["check_limits"]
 
-_SLACK = 1e-9  # [m, rad]: a path that ends at a limit comes there but for rounding
+_SLACK = 1e-9  # [m, rad], of velocities relative: a path that ends at a limit comes there but for rounding
 
 
-def check_limits(robot: Any, q: Array, t: Array) -> None:
-    """Refuse configurations outside the joint limits of a robot.
+def check_limits(robot: Any, q: Array, v: Array, t: Array) -> None:
+    """Refuse configurations and velocities outside the joint limits of a robot.
 
     Parameters
     ----------
     robot : MobileRobot
-        Whose `lower` and `upper` are meant.
+        Whose `lower`, `upper` and `velocity_limit` are meant.
     q : ndarray, shape (..., nq)
         Configurations.
+    v : ndarray, shape (..., nv)
+        Velocities.
     t : ndarray, shape (...)
         Their times, for the message [s].
 
@@ -29,15 +31,34 @@ def check_limits(robot: Any, q: Array, t: Array) -> None:
     InvalidArgument
         If one is outside; the message names the joint, its value and limits, and the time.
     """
-    lower, upper = robot.lower, robot.upper
+    lower, upper, most = robot.lower, robot.upper, robot.velocity_limit
+    model = robot.model
     outside = (q < lower - _SLACK) | (q > upper + _SLACK)
-    if not outside.any():
-        return
-    *row, column = (int(i) for i in np.argwhere(outside)[0])
-    model, where = robot.model, tuple(row)
-    joint = next(j for j in range(1, model.njoints) if 0 <= column - model.idx_qs[j] < model.nqs[j])
-    unit = "m" if model.joints[joint].shortname().startswith("JointModelP") else "rad"
-    raise InvalidArgument(
-        f"reference has joint {model.names[joint]!r} at {q[where][column]:.9g} {unit} at t = {t[where]:g} s, "
-        f"expected {lower[column]:.9g} to {upper[column]:.9g} {unit}"
-    )
+    if outside.any():
+        where, column = _first(outside)
+        name, unit = _joint(robot, model.idx_qs, model.nqs, column)
+        raise InvalidArgument(
+            f"reference has joint {name!r} at {q[where][column]:.9g} {unit} at t = {t[where]:g} s, "
+            f"expected {lower[column]:.9g} to {upper[column]:.9g} {unit}"
+        )
+    fast = np.abs(v) > most * (1 + _SLACK)
+    if fast.any():
+        where, column = _first(fast)
+        name, unit = _joint(robot, model.idx_vs, model.nvs, column)
+        raise InvalidArgument(
+            f"reference moves joint {name!r} at {v[where][column]:.9g} {unit}/s at t = {t[where]:g} s, "
+            f"expected at most {most[column]:.9g} {unit}/s"
+        )
+
+
+def _first(found: Any) -> tuple[tuple[int, ...], int]:
+    *row, column = (int(i) for i in np.argwhere(found)[0])
+    return tuple(row), column
+
+
+def _joint(robot: Any, starts: Any, sizes: Any, column: int) -> tuple[str, str]:
+    """Return the name of the joint that a number of q or v belongs to, and its unit."""
+    model = robot.model
+    joint = next(j for j in range(1, model.njoints) if 0 <= column - starts[j] < sizes[j])
+    # Joints with limits of q have as many numbers in v.
+    return str(model.names[joint]), robot.coordinate_units[model.idx_vs[joint] + column - starts[joint]]

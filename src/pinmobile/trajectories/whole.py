@@ -33,7 +33,7 @@ class WholeBody:
     Parameters
     ----------
     robot : MobileRobot
-        Whose base and arms these are. No reference leaves its joint limits.
+        Whose base and arms these are. No reference leaves its joint limits, or moves faster than they allow.
     base : trajectory
         Of x, y and psi, such as `Tangent` or `FixedHeading`.
     *joints : Path or None
@@ -43,8 +43,8 @@ class WholeBody:
     ------
     InvalidArgument
         If `robot`, `base` or a path is something else; there are more or fewer paths than arms; one has
-        other coordinates than its arm, leaves the joint limits, or ends before the others while it moves; or
-        a joint turns about more than one axis.
+        other coordinates than its arm, leaves the joint limits of position or velocity, or ends before the
+        others while it moves; or a joint turns about more than one axis, or turns and slides.
     """
 
     robot: Any
@@ -95,7 +95,7 @@ class WholeBody:
         moved, v, a = (np.concatenate(arrays, axis=-1) for arrays in zip(*parts, strict=True))
         simple = self.robot.nq == self.robot.nv
         q = moved if simple else self.robot.integrate(self.robot.neutral, moved)
-        check_limits(self.robot, q, times)
+        check_limits(self.robot, q, v, times)
         return Reference(q, v, a)
 
     def _parts(self) -> dict[str, tuple[Callable[[Array], Reference], float]]:
@@ -119,10 +119,11 @@ def _check_robot(robot: Any) -> None:
         raise InvalidArgument(f"robot is {robot!r}, expected a MobileRobot")
     model = robot.model
     for joint in range(1, model.njoints):
-        if model.nvs[joint] > 1:
+        # Slides along three axes add up as one does.
+        if model.nvs[joint] > 1 and model.joints[joint].shortname() != "JointModelTranslation":
             raise InvalidArgument(
                 f"robot has joint {model.names[joint]!r} with {model.nvs[joint]} velocities, expected joints "
-                "of one: turns about several axes are no coordinates of a path"
+                "of one, or slides: turns about several axes, or beside slides, are no coordinates of a path"
             )
 
 
