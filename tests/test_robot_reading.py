@@ -285,3 +285,5 @@ def test_mesh_folders_that_are_not_there_are_refused(tmp_path: Path) -> None:
     path = saved(tmp_path, base())
     with pytest.raises(InvalidArgument, match="package_dirs has 'nowhere', expected a folder"):
         MobileRobot.from_urdf(path, package_dirs=["nowhere"])
+    with pytest.raises(InvalidArgument, match="package_dirs has 'nowhere', expected a folder"):
+        MobileRobot.from_urdf(path, package_dirs="nowhere")

@@ -20,6 +20,7 @@ from pinmobile.robot.engine import BODY_JOINT, Engine, build_model
 from pinmobile.robot.mounts import Load, Mount
 from pinmobile.robot.pictures import add_carried
 from pinmobile.robot.reading import read_model, read_urdf
+from pinmobile.robot.sources import existing_folders
 from pinmobile.robot.visual import VisualFile, box_visuals, read_visuals
 
 __all__ = ["MobileRobot"]
@@ -139,7 +140,9 @@ class MobileRobot(Carrier):
 
     @classmethod
     def from_urdf(
-        cls, path: str | PathLike[str], package_dirs: Sequence[str | PathLike[str]] = ()
+        cls,
+        path: str | PathLike[str],
+        package_dirs: str | PathLike[str] | Sequence[str | PathLike[str]] = (),
     ) -> "MobileRobot":
         """Return the robot of a URDF; `source` says what was taken from it.
 
@@ -152,8 +155,8 @@ class MobileRobot(Carrier):
         ----------
         path : str or path
             The file.
-        package_dirs : sequence of str or path
-            Folders that ``package://`` in the file's mesh names refers to.
+        package_dirs : str, path, or sequence of them
+            Folder or folders that ``package://`` in the file's mesh names refers to.
 
         Raises
         ------
@@ -161,12 +164,10 @@ class MobileRobot(Carrier):
             If the file cannot be read, is malformed, is neither of the two (the joint that is wrong is
             named), or describes a body that cannot exist.
         """
-        for folder in package_dirs:
-            if not Path(folder).is_dir():
-                raise InvalidArgument(f"package_dirs has {str(folder)!r}, expected a folder")
+        folders = tuple(map(Path, existing_folders(package_dirs)))
         file = location("path", path)
         reading = read_urdf(file)
-        looks = VisualFile(file.resolve(), tuple(Path(d).resolve() for d in package_dirs), reading.base)
+        looks = VisualFile(file.resolve(), folders, reading.base)
         return _restored(reading.body, reading.size, reading.table, reading.source, looks)
 
     @classmethod

@@ -15,7 +15,7 @@ from pinmobile.robot.library import load_arm
 from pinmobile.robot.pictures import FilePicture, GivenPicture
 from pinmobile.robot.wellformed import urdf_text
 
-__all__ = ["kept_arm", "read_arm"]
+__all__ = ["existing_folders", "kept_arm", "read_arm"]
 
 _SLACK = 1e-9  # [m, rad]: a posture at a limit is there but for rounding
 
@@ -45,7 +45,7 @@ def read_arm(
     held = tuple(map(str, locked)) if not isinstance(locked, str) else (locked,)
     if visual is not None and not isinstance(visual, pin.GeometryModel):
         raise InvalidArgument(f"visual is a {type(visual).__name__}, expected a pinocchio.GeometryModel")
-    folders = _folders(package_dirs)
+    folders = existing_folders(package_dirs)
     if isinstance(arm, Arm):
         return arm
     if isinstance(arm, str | PathLike):
@@ -86,18 +86,23 @@ def _refuse_beside(kind: str, arm: Any, **given: bool) -> None:
             )
 
 
-def _folders(package_dirs: Any) -> tuple[str, ...]:
-    """Return the folders, one where there is one."""
-    if isinstance(package_dirs, str | PathLike):
-        package_dirs = (package_dirs,)
+def existing_folders(package_dirs: Any) -> tuple[str, ...]:
+    """Return the folders of ``package_dirs``, resolved; one of them may come alone.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is something else, or one of them is no folder.
+    """
+    given = (package_dirs,) if isinstance(package_dirs, str | PathLike) else package_dirs
     try:
-        folders = tuple(str(Path(folder).resolve()) for folder in package_dirs)
+        paths = tuple(map(Path, given))
     except TypeError:
         raise InvalidArgument(f"package_dirs is {package_dirs!r}, expected folders") from None
-    for folder in folders:
-        if not Path(folder).is_dir():
-            raise InvalidArgument(f"package_dirs has {folder!r}, expected a folder")
-    return folders
+    for path in paths:
+        if not path.is_dir():
+            raise InvalidArgument(f"package_dirs has {str(path)!r}, expected a folder")
+    return tuple(str(path.resolve()) for path in paths)
 
 
 def _from_model(arm: Any, visual: pin.GeometryModel | None, rest: Any, locked: tuple[str, ...]) -> Arm:
