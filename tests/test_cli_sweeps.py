@@ -252,3 +252,15 @@ def test_the_help_lists_what_may_be_spread(capsys: pytest.CaptureFixture[str], c
     words = " ".join(shown.split())
     assert "the robot: mass (kg), yaw_inertia (kg m^2), com_x, com_y (m)" in words
     assert "start_vx, start_vy (m/s), start_yaw_rate (rad/s)" in words
+
+
+def test_without_numba_an_ensemble_takes_longer_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("pinmobile.cli.many.find_spec", lambda name: None)
+    monkeypatch.setattr("pinmobile.ensembles.running.find_spec", lambda name: None)
+    words = ["ensemble", "--n", "20", "--dt", "0.5", "--duration", "2", "--spread", "mass=percent:10"]
+    code, out, _ = typed(capsys, *words, "--out", str(tmp_path))
+    assert code == 0
+    assert "numba is not installed: this takes some ten times longer (extra: ensembles)" in out
+    assert "computed torque" in out

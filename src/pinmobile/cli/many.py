@@ -1,6 +1,7 @@
 """Many loops at once: `ensemble` and `sweep`, what came of them, and figures."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from pinmobile.cli.many_figures import ensemble_figures, sweep_figures
 from pinmobile.cli.output import Section, console, index_page, output_folder, progress
 from pinmobile.cli.scenario_file import read_grid
 from pinmobile.cli.spreads import scenario, spread_of_words
-from pinmobile.ensembles import run_scenario
+from pinmobile.ensembles import ARRAYS, Engine, run_scenario
 from pinmobile.sweeps import connected
 from pinmobile.sweeps.store import attributes_of
 from pinmobile.sweeps.table import compared
@@ -54,6 +55,7 @@ def show_ensemble(
                 raise InvalidArgument(f"--{name} does not apply to both controllers, expected --controller")
     loops = {_NAMES.get(name, name): _loop(options, wanted, name, n=n, seed=seed, one=one) for name in names}
     _warn_if_alike(loops.values())
+    engine = _engine()
     made: dict[str, Ensemble] = {}
     with progress(n * len(loops)) as bar:
         for k, (label, loop) in enumerate(loops.items()):
@@ -61,7 +63,7 @@ def show_ensemble(
             def advance(done: int, _: int, before: int = k * n, label: str = label) -> None:
                 bar.update(bar.task_ids[0], description=label, completed=before + done)
 
-            made[label] = run_scenario(loop, progress=advance)
+            made[label] = run_scenario(loop, engine=engine, progress=advance)
     text = "\n\n".join(f"{label}\n{ensemble}" for label, ensemble in made.items())
     console.print(text, markup=False)
     answer = _answer(made, spread)
@@ -70,6 +72,14 @@ def show_ensemble(
     page = index_page(folder, answer, [Section("What came of it", text, pictures)])
     console.print(f"open {page}", markup=False)
     return 0
+
+
+def _engine() -> Engine | None:
+    """Return the engine of plain numpy where there is no other, after saying so."""
+    if find_spec("numba") is not None:
+        return None
+    console.print("numba is not installed: this takes some ten times longer (extra: ensembles)", markup=False)
+    return ARRAYS
 
 
 def show_sweep(file: Path, out: Path | None, scheduler: str | None, chunk: int | None) -> int:
