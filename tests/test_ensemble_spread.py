@@ -37,6 +37,16 @@ ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.02))
 TRAJECTORY = Tangent(Circle(3.0, 0.1, 60.0))
 
 
+class Own:
+    """A robot of a user's own."""
+
+    nv = 3
+
+    def inverse_dynamics(self, q: Any, v: Any, a: Any) -> Any:
+        """Return that of a unit mass."""
+        return a
+
+
 def made(**changes: Any) -> Scenario:
     chosen: dict[str, Any] = {
         "robot": ROBOT,
@@ -176,6 +186,11 @@ def test_every_parameter_can_be_spread_and_matters() -> None:
             {"controller": law(lambda t, q, v, reference: -q), "spread": {"kp": 3}},
             InvalidArgument,
             "spread has 'kp' but the controller is _Law, expected PD or ComputedTorque",
+        ),
+        (
+            {"controller": ComputedTorque(Own()), "spread": {"kp": 3}},
+            InvalidArgument,
+            "spread has 'kp' but the controller's robot is a Own, expected a MobileRobot",
         ),
         (
             {"spread": {"sine_x": 3}},

@@ -43,7 +43,7 @@ from pinmobile import (
     semi_implicit_euler,
     simulate,
 )
-from pinmobile.ensembles import ARRAYS, COMPILED, part_of, run_scenario
+from pinmobile.ensembles import ARRAYS, COMPILED, by_kernel, kernel, part_of, run_scenario
 from pinmobile.ensembles.kernel import _sincos
 
 ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.02))
@@ -123,6 +123,7 @@ def assert_close(one: Ensemble, other: Ensemble) -> None:
             atol=1e-12 * (force if name == "max_force" else size),
             err_msg=name,
         )
+    np.testing.assert_array_equal(one.counts, other.counts)
 
 
 def assert_same(one: Any, other: Any, rows: slice = slice(None)) -> None:
@@ -302,6 +303,10 @@ def test_a_users_own_controller_force_and_integrator_run_on_arrays() -> None:
         with pytest.raises(InvalidArgument, match="engine is COMPILED, which cannot run this") as caught:
             run_scenario(made(**what), engine=COMPILED)
         assert refusal in str(caught.value)
+
+
+def test_the_kernel_and_who_calls_it_agree_on_the_stages() -> None:
+    assert by_kernel._MOST_STAGES == kernel.STAGES
 
 
 def test_traces_are_those_of_simulate() -> None:

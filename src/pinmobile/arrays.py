@@ -136,7 +136,7 @@ def whole(name: str, value: Any, *, least: int = 1) -> int:
     try:
         number = scalar(name, value)
     except InvalidArgument:
-        number = -1.0 if least >= 0 else least - 1.0
+        number = least - 1.0  # whatever it is, it is not such a number
     if number != int(number) or number < least:
         raise InvalidArgument(f"{name} is {value!r}, expected a whole number >= {least}")
     return int(number)

@@ -43,7 +43,7 @@ def _refusal(scenario: Scenario) -> str:
 def _run(scenario: Scenario, batch: Batch) -> Part:
     from pinmobile.ensembles import kernel
 
-    inputs = _inputs(scenario, batch, kernel.INPUTS)
+    inputs = _inputs(scenario, batch, kernel)
     results, counts = np.empty((kernel.RESULTS, batch.size)), empty_counts(scenario)
     reference = np.ascontiguousarray(np.hstack(scenario.reference))
     core: Any = core_of(scenario.controller)
@@ -88,19 +88,20 @@ def _is_lean(scenario: Scenario, batch: Batch) -> bool:
     return diagonal and plain and direct and table.weights_v == (1.0,)
 
 
-def _inputs(scenario: Scenario, batch: Batch, rows: int) -> Array:
-    inputs = np.zeros((rows, batch.size))
-    inputs[0:3], inputs[3:6], inputs[6:10] = batch.q.T, batch.v.T, batch.body
-    for first, gain in ((10, batch.kp), (13, batch.kd)):
-        assert_gain: Any = gain
-        inputs[first : first + 3] = np.diagonal(assert_gain, axis1=-2, axis2=-1).reshape(-1, 3).T
+def _inputs(scenario: Scenario, batch: Batch, rows: Any) -> Array:
+    """Return what the kernel, which names its `rows`, is told of each robot."""
+    inputs = np.zeros((rows.INPUTS, batch.size))
+    inputs[0:3], inputs[3:6], inputs[rows.BODY : rows.BODY + 4] = batch.q.T, batch.v.T, batch.body
+    gains: Any = batch.kp, batch.kd
+    for first, gain in zip((rows.GAINS, rows.GAINS + 3), gains, strict=True):
+        inputs[first : first + 3] = np.diagonal(gain, axis1=-2, axis2=-1).reshape(-1, 3).T
     if batch.model is not None:
-        inputs[16:20] = batch.model
+        inputs[rows.MODEL : rows.MODEL + 4] = batch.model
     limits = np.full(3, np.inf)
     for layer in layers_of(scenario.controller):
         if type(layer) is Saturated:
             limits = np.minimum(limits, layer.limits)
-    inputs[20:23] = limits[:, None]
+    inputs[rows.LIMIT : rows.LIMIT + 3] = limits[:, None]
     return inputs
 
 

@@ -19,16 +19,28 @@ from numba.extending import intrinsic
 
 from pinmobile.ensembles.histogram import BINS, FIRST, SHIFT
 
-__all__ = ["INPUTS", "LANES", "RESULTS", "STAGES", "general", "lean"]
+__all__ = [
+    "BODY",
+    "GAINS",
+    "INPUTS",
+    "LANES",
+    "LIMIT",
+    "MODEL",
+    "RESULTS",
+    "STAGES",
+    "general",
+    "lean",
+]
 
 LANES = 64
 
 # Rows of a block.
 _X, _Y, _PSI, _U, _V, _R = range(6)
-_MASS, _INERTIA, _CX, _CY = range(6, 10)  # of the first two the reciprocals
-_GAINS = 10  # kp of x, y, psi, then kd
-_MODEL = 16  # mass, inertia, centre of mass that the controller believes in
-_LIMIT = 20
+BODY = 6  # mass, yaw inertia, centre of mass; once loaded, the first two are reciprocals
+_MASS, _INERTIA, _CX, _CY = range(BODY, BODY + 4)
+GAINS = 10  # kp of x, y, psi, then kd
+MODEL = 16  # mass, inertia, centre of mass that the controller believes in
+LIMIT = 20
 INPUTS = 23
 _ALIVE, _LIVED, _E, _SQUARE, _FORCE = 23, 24, 25, 29, 32
 _DISTANCE, _HEADING = 35, 36
@@ -111,8 +123,8 @@ def _on_circle(angle: float) -> float:
 @_inline
 def _model_force(w: Any, i: int, s: float, c: float, r: float, ax: float, ay: float, spin: float) -> Any:
     """Return M(q) a + n(q, v) of the controller's model, as `closed_form.inverse_dynamics`."""
-    m, inertia = w[_MODEL * LANES + i], w[(_MODEL + 1) * LANES + i]
-    x, y = w[(_MODEL + 2) * LANES + i], w[(_MODEL + 3) * LANES + i]
+    m, inertia = w[MODEL * LANES + i], w[(MODEL + 1) * LANES + i]
+    x, y = w[(MODEL + 2) * LANES + i], w[(MODEL + 3) * LANES + i]
     dx, dy = x * c - y * s, x * s + y * c
     gx, gy = ax - dy * spin, ay + dx * spin
     moment = inertia * spin + m * (dx * gy - dy * gx)
@@ -131,7 +143,7 @@ def _acceleration(w: Any, i: int, s: float, c: float, r: float, fx: float, fy: f
 
 @_inline
 def _clipped(w: Any, i: int, fx: float, fy: float, mz: float) -> Any:
-    lx, ly, lz = w[_LIMIT * LANES + i], w[(_LIMIT + 1) * LANES + i], w[(_LIMIT + 2) * LANES + i]
+    lx, ly, lz = w[LIMIT * LANES + i], w[(LIMIT + 1) * LANES + i], w[(LIMIT + 2) * LANES + i]
     return _between(fx, lx), _between(fy, ly), _between(mz, lz)
 
 
@@ -260,9 +272,9 @@ def lean(
                 ex, ey, ep = qx - x, qy - y, _on_circle(raw)
                 eu, ev, er = vx - u, vy - v, vp - r
                 turn = _chosen(wrap, ep, raw)
-                fx = w[_GAINS * LANES + i] * ex + w[(_GAINS + 3) * LANES + i] * eu
-                fy = w[(_GAINS + 1) * LANES + i] * ey + w[(_GAINS + 4) * LANES + i] * ev
-                mz = w[(_GAINS + 2) * LANES + i] * turn + w[(_GAINS + 5) * LANES + i] * er
+                fx = w[GAINS * LANES + i] * ex + w[(GAINS + 3) * LANES + i] * eu
+                fy = w[(GAINS + 1) * LANES + i] * ey + w[(GAINS + 4) * LANES + i] * ev
+                mz = w[(GAINS + 2) * LANES + i] * turn + w[(GAINS + 5) * LANES + i] * er
                 if model is not None:
                     fx, fy, mz = _model_force(w, i, s, c, r, fx + ax, fy + ay, mz + ap)
                 if clip is not None:

@@ -246,6 +246,14 @@ def _check_layers(controller: Any) -> None:
 
 def _check_names(scenario: Scenario) -> None:
     core = core_of(scenario.controller)
+    believed = getattr(core, "robot", None)
+    if type(core) is ComputedTorque and type(believed) is not MobileRobot:
+        for name in scenario.spread:
+            if name.startswith(("model_", "kp", "kd")):
+                raise InvalidArgument(
+                    f"spread has {name!r} but the controller's robot is a {type(believed).__name__}, "
+                    "expected a MobileRobot"
+                )
     for name in scenario.spread:
         if name.startswith("model_") and type(core) is not ComputedTorque:
             raise InvalidArgument(
