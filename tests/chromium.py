@@ -83,13 +83,26 @@ class Page:
             raise AssertionError(f"{script}: {answer['exceptionDetails']}")
         return answer["result"].get("value")
 
-    def wait_for(self, script: str, timeout: float = 20.0) -> Any:
+    def wait_for(self, script: str, timeout: float = 60.0) -> Any:
         """Return the value of an expression as soon as it is true."""
         end = time.monotonic() + timeout
         while not (value := self.evaluate(script)):
             assert time.monotonic() < end, f"not true within {timeout} s: {script}"
             time.sleep(0.02)
         return value
+
+    def wait_for_changes(self, script: str, *signs: int, timeout: float = 60.0) -> None:
+        """Return when a number, looked at in each frame, has grown (1) and fallen (-1), as asked for.
+
+        Frames may be far apart on a busy machine: what an animation that repeats shows is compared with the
+        frame before, never with a time that it may have passed unseen.
+        """
+        self.evaluate(
+            "window.changes = new Set(); (last => { const look = () => { const now = " + script + ";"
+            "window.changes.add(Math.sign(now - last)); last = now; requestAnimationFrame(look); };"
+            "look(); })(" + script + ")"
+        )
+        self.wait_for(f"{json.dumps(signs)}.every(sign => window.changes.has(sign))", timeout)
 
     def resize(self, width: int, height: int) -> None:
         self.call(

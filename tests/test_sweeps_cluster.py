@@ -98,7 +98,7 @@ def test_a_scheduler_that_does_not_answer_is_given_up() -> None:
         connected(address, timeout=0.5)
     with pytest.raises(InvalidArgument, match="scheduler is 'tcp//1', expected an address such as tcp://"):
         connected("tcp//1", timeout=0.5)
-    assert time.monotonic() - before < 5
+    assert time.monotonic() - before < 20
 
 
 def test_what_is_no_scheduler_is_told(cluster: Any) -> None:
@@ -120,7 +120,7 @@ def test_what_is_no_scheduler_is_told(cluster: Any) -> None:
         serving.join()
     with pytest.raises(SchedulerError, match="is no Dask scheduler but a Worker"):
         connected(cluster.workers[0].worker_address, timeout=5)
-    assert time.monotonic() - before < 10
+    assert time.monotonic() - before < 30
 
 
 def test_a_closed_client_and_a_cluster_without_workers_are_refused(

@@ -53,7 +53,7 @@ def animation(value: Any) -> Say:
 def received(window: LiveWindow, *, least: int = 0) -> list[tuple[Any, ...]]:
     """Return what a browser that comes now is sent: type, path and property."""
     with WebSocket(window.url) as browser:
-        assert window.wait(5)
+        assert window.wait(20)
         assert eventually(lambda: len(browser.commands) >= least)
         assert window.flush()
         return [
@@ -170,7 +170,7 @@ def test_nodes_that_come_and_go_leave_nothing(window: Window) -> None:
 
 def test_a_connected_browser_is_told_of_deletions_and_replacements_in_order() -> None:
     with LiveWindow() as w, WebSocket(w.url) as browser:
-        assert w.wait(5)
+        assert w.wait(20)
         w.send(shape("a", 1))
         assert w.flush()
         w.send(delete("a"))
@@ -359,7 +359,7 @@ def test_fault_no_browser(bounded: Callable[[float], None]) -> None:
             w.wait(0.2)
         with pytest.raises(ViewerError, match="no browser shows the page"):
             w.get_image()
-    bounded(3)
+    bounded(15)
 
 
 def test_fault_an_offline_window_has_no_browser() -> None:
@@ -409,7 +409,7 @@ def test_fault_a_browser_that_does_not_take_deletions(monkeypatch: pytest.Monkey
     monkeypatch.setattr(server, "_MOST_DELETIONS", 1000)
     monkeypatch.setattr(handlers, "_PATIENCE", 0.2)
     with LiveWindow() as w, WebSocket(w.url, reads=False):
-        assert w.wait(5)
+        assert w.wait(20)
         w.send(shape("mesh", "x" * 12_000_000))
         time.sleep(0.5)
         for k in range(3000):
@@ -424,7 +424,7 @@ def test_fault_a_browser_that_does_not_take_deletions(monkeypatch: pytest.Monkey
 def test_a_burst_of_deletions_closes_no_browser_that_reads(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "_MOST_DELETIONS", 100)
     with LiveWindow() as w, WebSocket(w.url) as browser:
-        assert w.wait(5)
+        assert w.wait(20)
         for k in range(3000):
             w.send(shape(f"n{k}"))
         for k in range(3000):
@@ -438,7 +438,7 @@ def test_a_burst_of_deletions_closes_no_browser_that_reads(monkeypatch: pytest.M
 def test_fault_a_browser_that_never_answers_a_capture(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(live, "_CAPTURE", 0.2)
     with LiveWindow() as w, WebSocket(w.url) as browser:
-        assert w.wait(5)
+        assert w.wait(20)
         for _ in range(4):
             with pytest.raises(ViewerError, match=r"sent no picture within 0\.2 s"):
                 w.get_image()
@@ -450,7 +450,7 @@ def test_fault_a_browser_that_never_answers_a_capture(monkeypatch: pytest.Monkey
 @pytest.mark.parametrize("words", [b"", b"{}", b"[", b'{"data": 3}', b'{"data": "data:,!"}', b"\xff"])
 def test_fault_a_browser_that_talks_nonsense(words: bytes) -> None:
     with LiveWindow() as w, WebSocket(w.url) as browser:
-        assert w.wait(5)
+        assert w.wait(20)
         with suppress(OSError):  # what is not even text ends the connection
             browser.say(words)
             browser.say(b"99999999999999999999", 10)
@@ -461,7 +461,7 @@ def test_fault_a_browser_that_talks_nonsense(words: bytes) -> None:
 
 def test_fault_a_browser_that_goes_while_it_is_asked_for_a_picture() -> None:
     with LiveWindow() as w, WebSocket(w.url) as browser:
-        assert w.wait(5)
+        assert w.wait(20)
         threading.Timer(0.3, browser.say, [b"", 8]).start()
         with pytest.raises(ViewerError, match="the browser was closed"):
             w.get_image()
@@ -469,11 +469,11 @@ def test_fault_a_browser_that_goes_while_it_is_asked_for_a_picture() -> None:
 
 def test_fault_closed_while_it_is_asked_for_a_picture(bounded: Callable[[float], None]) -> None:
     with LiveWindow() as w, WebSocket(w.url):
-        assert w.wait(5)
+        assert w.wait(20)
         threading.Timer(0.3, w.close).start()
         with pytest.raises(ViewerError, match="closed"):
             w.get_image()
-    bounded(5)
+    bounded(15)
 
 
 def test_fault_closed_while_it_waits(bounded: Callable[[float], None]) -> None:
@@ -481,7 +481,7 @@ def test_fault_closed_while_it_waits(bounded: Callable[[float], None]) -> None:
         threading.Timer(0.2, w.close).start()
         with pytest.raises(ViewerError, match="the window is closed"):
             w.wait(30)
-    bounded(5)
+    bounded(15)
 
 
 def test_fault_the_port_is_taken(bounded: Callable[[float], None]) -> None:
@@ -491,7 +491,7 @@ def test_fault_the_port_is_taken(bounded: Callable[[float], None]) -> None:
         port = w.port
     with LiveWindow(port=port) as again:
         assert again.port == port
-    bounded(3)
+    bounded(15)
 
 
 @pytest.mark.filterwarnings("ignore:the viewer listens")
@@ -605,7 +605,7 @@ def test_fault_a_signal_ends_the_script_and_nothing_listens(number: signal.Signa
                 assert eventually(lambda: browser.commands)
                 process.send_signal(number)
                 assert process.wait(10) != 0
-                assert browser.closed.wait(5)
+                assert browser.closed.wait(20)
             assert not listens(port)
         finally:
             process.kill()
@@ -645,7 +645,7 @@ def test_fault_ctrl_c_in_send_leaves_a_window_that_works() -> None:
                     process.send_signal(signal.SIGINT)
                 assert process.stdout.readline() == "True\n"
                 assert process.wait(10) == 0
-                assert browser.closed.wait(5)
+                assert browser.closed.wait(20)
             values = {path: browser.last(path)["value"] for path in (f"a{k}" for k in range(7))}
             assert set(values.values()) == set(range(1_000_000, 1_000_007))
         finally:

@@ -23,7 +23,7 @@ _UPGRADE = {
 }
 
 
-def eventually(condition: Callable[[], Any], timeout: float = 10.0) -> bool:
+def eventually(condition: Callable[[], Any], timeout: float = 30.0) -> bool:
     """Return whether a condition comes true in time."""
     end = time.monotonic() + timeout
     while not condition():
