@@ -25,6 +25,7 @@ from pinmobile import (
     Same,
     Tangent,
     Uniform,
+    UnknownName,
     ensemble,
     plots,
 )
@@ -309,6 +310,20 @@ class TestDrivers:
         expected = np.column_stack([made.draws["mass"], 1e3 * made.max_distance])
         np.testing.assert_allclose(np.sort(dots, axis=0), np.sort(expected, axis=0), rtol=1e-12)
         assert [len(np.asarray(line.get_xdata())) for line in scatter.lines] == [270, 0, 30, 0]
+
+    def test_the_worst_may_be_those_of_the_heading(self) -> None:
+        made = run(TRUE, {"force_x": Normal(0, 0.04), "moment_z": Normal(0, 0.04)})
+        assert plots.drivers(made).texts[0].get_text() == "force_x drives the worst 5 % most"
+        figure = plots.drivers(made, by="heading")
+        assert figure.texts[0].get_text() == "moment_z drives the worst 5 % of headings most"
+        scatter = figure.axes[-1]
+        assert scatter.get_ylabel() == "largest error of the heading [rad]"
+        (worst,) = (
+            np.asarray(line.get_ydata()) for line in scatter.lines if len(np.asarray(line.get_xdata())) == 15
+        )
+        np.testing.assert_array_equal(np.sort(worst), np.sort(made.max_error[:, 2])[-15:])
+        with pytest.raises(UnknownName, match="unknown error 'x', available: distance, heading"):
+            plots.drivers(made, by="x")
 
     def test_diverged_robots_are_the_worst(self, diverging: Ensemble) -> None:
         figure = plots.drivers(diverging, share=0.1)

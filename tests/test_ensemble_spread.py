@@ -119,6 +119,17 @@ def test_a_member_is_the_robot_that_was_drawn() -> None:
     assert viscous.coefficients.tolist() == [0.0, 0.0, 0.3]
 
 
+def test_a_sinusoidal_force_is_there_when_its_frequency_is_named() -> None:
+    spread = {"sine_y": Uniform(1, 2), "sine_frequency": 0.5, "sine_phase": Uniform(0, 6)}
+    alone = run_scenario(made(n=3, spread=spread))
+    given = run_scenario(made(n=3, spread=spread, forces=(SinusoidalForce((0, 7, 0), 3.0),)))
+    np.testing.assert_array_equal(alone.max_error, given.max_error)
+    (force,) = alone.member(2).options["forces"]
+    drawn = [alone.draws[name][2] for name in ("sine_y", "sine_frequency", "sine_phase")]
+    assert [force.amplitude[1], force.frequency, force.phase] == drawn
+    assert force.amplitude.tolist() == [0.0, drawn[0], 0.0]
+
+
 def test_noise_differs_from_robot_to_robot_and_not_from_run_to_run() -> None:
     noisy = NoisyMeasurement(PD(40, 40), 1e-2, 0.0, seed=0)
     scenario = made(n=3, controller=noisy, forces=(NoiseForce((1, 1, 1), 1.0, seed=0),), duration=5.0)
@@ -195,7 +206,7 @@ def test_every_parameter_can_be_spread_and_matters() -> None:
         (
             {"spread": {"sine_x": 3}},
             InvalidArgument,
-            "spread has 'sine_x' but forces no SinusoidalForce, expected one for its frequency",
+            "spread has 'sine_x' but no 'sine_frequency' and forces no SinusoidalForce, expected one of them",
         ),
         (
             {"spread": {"force_x": 3}, "forces": [ConstantForce((1, 0, 0))] * 2},

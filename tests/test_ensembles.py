@@ -1,5 +1,6 @@
 """Ensembles: the compiled and the numpy engine against `simulate`, and against each other."""
 
+import pickle
 import subprocess
 import sys
 from typing import Any
@@ -223,6 +224,9 @@ def test_diverging_robots_are_flagged_as_by_simulate_and_the_others_untouched() 
                 np.delete(getattr(tame, name), [3, 64, 100], axis=0),
             )
         assert run.worst(3).tolist() == np.argsort(run.diverged_at)[:3].tolist()
+        after = np.argsort(-tame.max_error[:, 2])
+        expected = [*run.worst(3).tolist(), *after[~np.isin(after, [3, 64, 100])][:4].tolist()]
+        assert run.worst(7, "heading").tolist() == expected != run.worst(7).tolist()
         assert run.within(0.97).distance < 0.01
         assert run.within(0.99).distance == np.inf
         # In the bands they are beyond everything from then on: 3 of 130 are more than 1 %, less than 5 %.
@@ -270,6 +274,23 @@ def test_the_same_seed_gives_the_same_bits_however_the_work_is_divided(controlle
             np.testing.assert_array_equal(column, whole.draws[name][start:stop])
         counts += part.counts
     np.testing.assert_array_equal(counts, whole.counts)
+
+
+def test_what_goes_to_another_process_holds_its_own_robots_of_an_array_alone() -> None:
+    spread: dict[str, Any] = {
+        "mass": np.linspace(20, 40, 50_000),
+        "model_mass": Same("mass", np.linspace(0.9, 1.1, 50_000)),
+        "com_x": Normal(0.1, 0.01),
+        "start_x": 0.01,
+    }
+    scenario = made(n=50_000, spread=spread, duration=1.0)
+    sent = pickle.dumps(scenario.holding(30_000, 30_100))
+    assert len(sent) < len(pickle.dumps(scenario)) / 50
+    draws, part = part_of(scenario, 30_000, 30_100)
+    held, other = part_of(pickle.loads(sent), 30_000, 30_100)
+    assert list(draws) == list(held) == list(spread)
+    for one, same in zip((*draws.values(), *part), (*held.values(), *other), strict=True):
+        np.testing.assert_array_equal(one, same)
 
 
 def test_the_first_robots_are_the_same_for_any_n() -> None:

@@ -18,8 +18,14 @@ _GROUPS = {
     "the controller's model": ("model_",),
     "the start, from the trajectory's": ("start_",),
     "gains, one for all coordinates, of each, or a factor": ("kp", "kd"),
-    "forces on the body": ("force_", "moment_", "viscous_", "rolling_"),
-    "in Python alone, with such a force": ("sine_", "noise_"),
+    "forces on the body, the sinusoidal one with its frequency": (
+        "force_",
+        "moment_",
+        "sine_",
+        "viscous_",
+        "rolling_",
+    ),
+    "in Python alone, with such a force": ("noise_",),
 }
 
 

@@ -12,7 +12,7 @@ from pinmobile.ensembles.batch import Member, member_of
 from pinmobile.ensembles.histogram import checked_levels, checked_share, quantiles
 from pinmobile.ensembles.part import Part
 from pinmobile.ensembles.scenario import Scenario
-from pinmobile.errors import Diverged, InvalidArgument
+from pinmobile.errors import Diverged, InvalidArgument, UnknownName
 from pinmobile.simulation import Rollout, simulate
 
 __all__ = ["Bands", "Ensemble", "Within"]
@@ -146,7 +146,7 @@ class Ensemble:
             If `share` is not between 0 and 1.
         """
         level = checked_share(share)
-        sizes = (np.where(self.diverged, np.inf, x) for x in (self.max_distance, self.max_error[:, 2]))
+        sizes = (np.where(self.diverged, np.inf, self.largest(by)) for by in Within._fields)
         return Within(*(float(np.quantile(x, level, method="inverted_cdf")) for x in sizes))
 
     def bands(self, levels: ArrayLike = (0.5, 0.9, 0.99)) -> Bands:
@@ -166,14 +166,39 @@ class Ensemble:
         found = quantiles(self.counts.astype(np.int64), wanted)
         return Bands(self.scenario.grid, wanted, found[..., 0], found[..., 1])
 
-    def worst(self, count: int = 5) -> NDArray[np.intp]:
-        """Return the robots that did worst, the worst first.
+    def worst(self, count: int = 5, by: str = "distance") -> NDArray[np.intp]:
+        """Return the robots that did worst, the worst first, shape (count,), or (n,) where there are fewer.
 
-        Those that diverged come first, in order of time; then those that strayed farthest.
+        Those that diverged come first, in order of time; then those whose largest error is largest.
+
+        Parameters
+        ----------
+        count : int
+            How many, at the most.
+        by : str
+            Which error: "distance" from the desired position, or "heading".
+
+        Raises
+        ------
+        InvalidArgument, UnknownName
+            If `count` is no whole number >= 1, or there is no such error.
         """
         earliest = np.where(self.diverged, self.diverged_at, np.inf)
-        farthest = np.where(self.diverged, np.inf, self.max_distance)
+        farthest = np.where(self.diverged, np.inf, self.largest(by))
         return np.lexsort((-farthest, earliest))[: whole("count", count)]
+
+    def largest(self, by: str = "distance") -> Array:
+        """Return each robot's largest error, shape (n,): "distance" [m] or "heading" [rad].
+
+        Raises
+        ------
+        UnknownName
+            If there is no such error.
+        """
+        errors = {"distance": self.max_distance, "heading": self.max_error[:, 2]}
+        if by not in errors:
+            raise UnknownName("error", str(by), errors)
+        return errors[by]
 
     def member(self, i: int) -> Member:
         """Return robot i as the arguments of `simulate`.

@@ -1,6 +1,7 @@
 """`Scenario`, the noun: one loop, how often it is run, and what differs from run to run."""
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, final
@@ -17,7 +18,7 @@ from pinmobile.disturbances import (
     ViscousFriction,
 )
 from pinmobile.ensembles.distributions import Source
-from pinmobile.ensembles.spread import PARAMETERS, check_supports, checked_spread, draw
+from pinmobile.ensembles.spread import PARAMETERS, check_supports, checked_spread, draw, held
 from pinmobile.errors import InvalidArgument
 from pinmobile.integrators import Integrator, constant_acceleration
 from pinmobile.robot import MobileRobot
@@ -51,7 +52,8 @@ class Scenario:
         What differs, by the names in `PARAMETERS`. What is not named is nominal; the controller believes in
         its own robot unless ``model_mass`` and the like are named (`TRUE_MODEL`: it knows the truth).
         ``force_x``, ``viscous_left``, ... stand for what the one force of their kind in `forces` has; a
-        constant force, friction or rolling resistance that is not there is added.
+        constant force, friction or rolling resistance that is not there is added, and a sinusoidal force
+        where ``sine_frequency`` is named.
     seed : int
         All draws follow from it; robot i's do not depend on n.
     dt, duration, integrator, substeps, forces, limit
@@ -146,6 +148,15 @@ class Scenario:
                 found[name] = float(diagonal[0])
         return found
 
+    def holding(self, start: int, stop: int) -> "Scenario":
+        """Return what another process needs of this to run the robots from `start` to before `stop`.
+
+        Explicit arrays of a spread are cut to those robots; all else, and what it draws, is the same.
+        """
+        part = copy(self)
+        object.__setattr__(part, "spread", held(self.spread, start, stop))
+        return part
+
     def draws(self, start: int = 0, stop: int | None = None) -> dict[str, Array]:
         """Return what was drawn for the robots from `start` to before `stop`, by name.
 
@@ -227,13 +238,20 @@ def _with_spread_forces(forces: Sequence[Any], spread: Mapping[str, Any]) -> tup
         if count > 1:
             raise InvalidArgument(f"forces has {count} {kind.__name__}, expected one for spread[{name!r}]")
         if count == 0:
-            if kind in (SinusoidalForce, NoiseForce):
-                what = "frequency" if kind is SinusoidalForce else "bandwidth"
-                raise InvalidArgument(
-                    f"spread has {name!r} but forces no {kind.__name__}, expected one for its {what}"
-                )
-            found.append(kind(np.zeros(3)))
+            found.append(_spread_force(kind, name, spread))
     return tuple(found)
+
+
+def _spread_force(kind: type, name: str, spread: Mapping[str, Any]) -> Any:
+    if kind is NoiseForce:
+        raise InvalidArgument(f"spread has {name!r} but forces no NoiseForce, expected one for its bandwidth")
+    if kind is not SinusoidalForce:
+        return kind(np.zeros(3))
+    if "sine_frequency" not in spread:
+        raise InvalidArgument(
+            f"spread has {name!r} but no 'sine_frequency' and forces no SinusoidalForce, expected one of them"
+        )
+    return SinusoidalForce(np.zeros(3), 0.0)
 
 
 def _check_layers(controller: Any) -> None:

@@ -11,7 +11,9 @@ from pinmobile.arrays import Array, finite
 from pinmobile.ensembles.distributions import Same, drawn
 from pinmobile.errors import InvalidArgument, UnknownName
 
-__all__ = ["PARAMETERS", "Parameter", "check_supports", "checked_spread", "draw", "in_blocks", "stream"]
+__all__ = [
+    "PARAMETERS", "Parameter", "check_supports", "checked_spread", "draw", "held", "in_blocks", "stream",
+]  # fmt: skip
 
 _BLOCK = 4096  # robots that are drawn from one stream of random numbers
 
@@ -207,7 +209,38 @@ def draw(
     return {name: values[name] for name in spread}
 
 
+@dataclass(frozen=True)
+class _Held:
+    """What an explicit array has for the robots from `start` on."""
+
+    start: int
+    values: Array
+
+
+def held(spread: Mapping[str, Any], start: int, stop: int) -> dict[str, Any]:
+    """Return a spread that knows, of explicit arrays, the robots from `start` to before `stop` alone.
+
+    Parameters
+    ----------
+    spread : mapping
+        As `checked_spread` returns it.
+    start, stop : int
+        Which robots.
+    """
+
+    def part(source: Any) -> Any:
+        if isinstance(source, Same):
+            return Same(source.name, part(source.factor))
+        if isinstance(source, np.ndarray) and source.ndim:
+            return _Held(start, source[start:stop])
+        return source
+
+    return {name: part(source) for name, source in spread.items()}
+
+
 def _values(name: str, source: Any, seed: int, start: int, stop: int) -> Array:
+    if isinstance(source, _Held):
+        return source.values[start - source.start : stop - source.start].copy()
     if isinstance(source, np.ndarray):
         return np.array(source[start:stop] if source.ndim else np.full(stop - start, source))
     return in_blocks(name, lambda generator, size: drawn(name, source, generator, size), seed, start, stop)

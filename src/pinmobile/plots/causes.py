@@ -67,13 +67,13 @@ class Cause(NamedTuple):
         return ~between if self.outside else between
 
 
-def worst_share(ensemble: Ensemble, share: float) -> NDArray[np.bool_]:
+def worst_share(ensemble: Ensemble, share: float, by: str = "distance") -> NDArray[np.bool_]:
     """Return which robots are the worst, shape (n,): the first of `Ensemble.worst`.
 
     Raises
     ------
-    InvalidArgument
-        If `share` is not above 0 and below 1, or leaves no robot on one side.
+    InvalidArgument, UnknownName
+        If `share` is not above 0 and below 1, or leaves no robot on one side; or there is no such error.
     """
     part, n = scalar("share", share), len(ensemble)
     count = round(part * n)
@@ -83,7 +83,7 @@ def worst_share(ensemble: Ensemble, share: float) -> NDArray[np.bool_]:
             "on either side"
         )
     worst = np.zeros(n, bool)
-    worst[ensemble.worst(count)] = True
+    worst[ensemble.worst(count, by)] = True
     return worst
 
 

@@ -24,15 +24,18 @@ _MOST = 6  # parameters that are drawn
 _DOTS = 4000  # robots that are drawn, of the worst and of the others
 _BINS = 40
 _LINEAR = 50.0  # by how much the farthest may exceed the median on a linear axis
+_ERRORS = {"distance": "distance from the desired position", "heading": "error of the heading"}
 _OTHERS: dict[str, Any] = {"color": "#9a9a9a", "alpha": 0.55}
 _WORST: dict[str, Any] = {"color": colour(1), "linewidth": 2.0}
 _WHERE: dict[str, Any] = {"color": colour(1), "alpha": 0.12, "linewidth": 0}
 
 
-def drivers(ensemble: Ensemble, *, share: float = 0.05, title: str | None = None) -> Figure:
+def drivers(
+    ensemble: Ensemble, *, share: float = 0.05, by: str = "distance", title: str | None = None
+) -> Figure:
     """Draw what the worst robots have in common: each parameter's distribution among them and the others.
 
-    The worst are those of `Ensemble.worst`: the diverged ones, then those that strayed farthest. The
+    The worst are those of `Ensemble.worst`: the diverged ones, then those with the largest error. The
     parameters are in the order of Kuiper's statistic, the sum of both one-sided ones of Kolmogorov and
     Smirnov: by how much more of the worst than of the others lie in the interval, or outside the interval,
     that tells them apart best. That place is shaded, and stands above each panel. What differs no more than
@@ -45,6 +48,8 @@ def drivers(ensemble: Ensemble, *, share: float = 0.05, title: str | None = None
         Whose robots.
     share : float
         Share of the robots that are called the worst, above 0 and below 1.
+    by : str
+        Which error makes them the worst: "distance" from the desired position, or "heading".
     title : str, optional
         Heading of the figure, which by default names what drives them.
 
@@ -54,21 +59,21 @@ def drivers(ensemble: Ensemble, *, share: float = 0.05, title: str | None = None
 
     Raises
     ------
-    InvalidArgument
-        If `ensemble` is something else, `share` is no such share or leaves no robot on one side, or the
-        robots differ in no parameter.
+    InvalidArgument, UnknownName
+        If `ensemble` is something else, `share` is no such share or leaves no robot on one side, the
+        robots differ in no parameter, or there is no such error.
     """
     if not isinstance(ensemble, Ensemble):
         raise InvalidArgument(f"ensemble is a {type(ensemble).__name__}, expected an Ensemble")
-    worst = worst_share(ensemble, share)
+    worst = worst_share(ensemble, share, by)
     found = causes(ensemble, worst)
     shown = found[:_MOST]
     columns = 1 if len(shown) <= 3 else 2
     figure, grid = _sheet(-(-len(shown) // columns), columns)
-    figure.suptitle(title or _answer(found, share), fontsize=14, color=INK)
+    figure.suptitle(title or _answer(found, share, by), fontsize=14, color=INK)
     for k, one in enumerate(shown):
         _distribution(figure.add_subplot(grid[k // columns, k % columns]), one, worst)
-    _scatter(figure.add_subplot(grid[:, columns]), ensemble, found[0], worst)
+    _scatter(figure.add_subplot(grid[:, columns]), ensemble, found[0], worst, by)
     keys: list[Artist] = [
         Line2D([], [], label=f"the worst {percent(share)}: {worst.sum():,} robots", **_WORST),
         Patch(label="the others", **_OTHERS),
@@ -93,12 +98,13 @@ def _sheet(rows: int, columns: int) -> tuple[Figure, GridSpec]:
     )  # fmt: skip
 
 
-def _answer(found: Sequence[Cause], share: float) -> str:
+def _answer(found: Sequence[Cause], share: float, by: str) -> str:
     """Return in words what matters most."""
     names = [one.name for one in found if one.visible]
+    worst = f"the worst {percent(share)}{' of headings' if by == 'heading' else ''}"
     if not names:
-        return f"Nothing that was spread drives the worst {percent(share)}"
-    return ", then ".join([f"{names[0]} drives the worst {percent(share)} most", *names[1:3]])
+        return f"Nothing that was spread drives {worst}"
+    return ", then ".join([f"{names[0]} drives {worst} most", *names[1:3]])
 
 
 def _distribution(axes: Axes, one: Cause, worst: NDArray[np.bool_]) -> None:
@@ -123,16 +129,17 @@ def _distribution(axes: Axes, one: Cause, worst: NDArray[np.bool_]) -> None:
     axes.set_ylabel("robots per bar [%]", fontsize=10)
 
 
-def _scatter(axes: Axes, ensemble: Ensemble, one: Cause, worst: NDArray[np.bool_]) -> None:
-    """Draw how far each robot strayed, over what matters most; the diverged ones at the top."""
+def _scatter(axes: Axes, ensemble: Ensemble, one: Cause, worst: NDArray[np.bool_], by: str) -> None:
+    """Draw each robot's largest error over what matters most; the diverged ones at the top."""
     dress(axes)
-    lost = ensemble.diverged
-    kept = ensemble.max_distance[~lost]
+    lost, errors = ensemble.diverged, ensemble.largest(by)
+    kept = errors[~lost]
     farthest, median = (float(kept.max()), float(np.median(kept))) if len(kept) else (0.0, 0.0)
     logarithmic = 0 < _LINEAR * median < farthest
-    unit, per_metre = ("m", 1.0) if farthest >= 1 or farthest == 0 else ("mm", 1e3)
-    top = (farthest or 1.0) * per_metre * (2 if logarithmic else 1.1)
-    heights = np.where(lost, top, ensemble.max_distance * per_metre)
+    small = by == "distance" and 0 < farthest < 1
+    scale, unit = (1e3, "mm") if small else (1.0, "m" if by == "distance" else "rad")
+    top = (farthest or 1.0) * scale * (2 if logarithmic else 1.1)
+    heights = np.where(lost, top, errors * scale)
     for mine, style in ((~worst, _OTHERS), (worst, _WORST)):
         for chosen, marker in ((mine & ~lost, "."), (mine & lost, "x")):
             indices = np.flatnonzero(chosen)
@@ -143,7 +150,12 @@ def _scatter(axes: Axes, ensemble: Ensemble, one: Cause, worst: NDArray[np.bool_
             )  # fmt: skip
     if logarithmic:
         axes.set_yscale("log")
-    axes.set_title("How far each robot strays", fontsize=10.5, color=INK, loc="left")
+    axes.set_title(
+        "How far each robot strays" if by == "distance" else "How far each robot turns away",
+        fontsize=10.5,
+        color=INK,
+        loc="left",
+    )
     axes.xaxis.set_major_locator(MaxNLocator(5))
     axes.set_xlabel(one.label, fontsize=10)
-    axes.set_ylabel(f"largest distance from the desired position [{unit}]", fontsize=10)
+    axes.set_ylabel(f"largest {_ERRORS[by]} [{unit}]", fontsize=10)

@@ -55,7 +55,7 @@ def on_cluster(grid: Grid, jobs: Sequence[Job], client: Any) -> Results:
 
     def submit(job: Job) -> Any:
         seen.connected()
-        scenario = grid.scenarios[job.scenario]
+        scenario = grid.scenarios[job.scenario].holding(job.start, job.stop)
         return client.submit(part_of, scenario, job.start, job.stop, pure=False)
 
     def answer(future: Any) -> Any:
