@@ -203,6 +203,18 @@ def test_what_leaves_the_limits_is_refused_where_it_is_seen() -> None:
             call()
 
 
+def test_a_start_outside_the_joint_limits_is_refused() -> None:
+    reference = WholeBody(UR5, CIRCLE, None)
+    beyond, fast = UR5.rest.copy(), np.zeros(9)
+    beyond[5], fast[4] = 7.0, -4.0
+    for start, text in (
+        ({"q0": beyond}, "q0 has joint 'ur5/elbow_joint' at 7 rad, expected -3.14159265 to 3.14159265 rad"),
+        ({"v0": fast}, "v0 moves joint 'ur5/shoulder_lift_joint' at -4 rad/s, expected at most 3.15 rad/s"),
+    ):
+        with pytest.raises(InvalidArgument, match=f"^{re.escape(text)}$"):
+            simulate(UR5, ComputedTorque(UR5), reference, dt=1e-3, **start)
+
+
 def test_what_is_faster_than_a_joint_can_be_is_refused() -> None:
     text = "reference moves joint 'ur5/shoulder_pan_joint' at "
     with pytest.raises(

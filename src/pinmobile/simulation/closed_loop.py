@@ -14,7 +14,7 @@ from pinmobile.simulation.checks import checked_forces, checked_loop, sample_tim
 from pinmobile.simulation.loop import Loop
 from pinmobile.simulation.plant import Plant
 from pinmobile.simulation.rollout import Rollout
-from pinmobile.trajectories import Reference, Trajectory
+from pinmobile.trajectories import Reference, Trajectory, check_limits
 
 __all__ = ["simulate"]
 
@@ -55,7 +55,7 @@ def simulate(
     duration : float, optional
         [s]; a whole number of dt, at most the trajectory's, which is the default.
     q0, v0 : array_like, shape (nq,) and (nv,), optional
-        Start; by default on the trajectory.
+        Start, within the joint limits of the plant's arms; by default on the trajectory.
     integrator : callable
         One step of the plant, see `pinmobile.integrators`.
     substeps : int
@@ -84,6 +84,8 @@ def simulate(
     t = sample_times(dt, duration, trajectory.duration)
     reference = sampled(trajectory, t, plant)
     start = _start("q0", q0, reference.q[0]), _start("v0", v0, reference.v[0])
+    if getattr(plant, "mounts", ()):
+        check_limits(plant, *start)
     count, checked = whole("substeps", substeps), checked_forces(forces, plant)
     loop = Loop(plant, controller, integrator, reference, t, dt, count, checked, *start)
     for begin in range(0, len(t), _CHUNK):

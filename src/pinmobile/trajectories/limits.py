@@ -1,4 +1,4 @@
-"""References that leave a robot's joint limits are refused."""
+"""References and starts that leave a robot's joint limits are refused."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ __all__ = ["check_limits"]
 _SLACK = 1e-9  # [m, rad], of velocities relative: a path that ends at a limit comes there but for rounding
 
 
-def check_limits(robot: Any, q: Array, v: Array, t: Array) -> None:
+def check_limits(robot: Any, q: Array, v: Array, t: Array | None = None) -> None:
     """Refuse configurations and velocities outside the joint limits of a robot.
 
     Parameters
@@ -23,8 +23,8 @@ def check_limits(robot: Any, q: Array, v: Array, t: Array) -> None:
         Configurations.
     v : ndarray, shape (..., nv)
         Velocities.
-    t : ndarray, shape (...)
-        Their times, for the message [s].
+    t : ndarray, shape (...), optional
+        Their times where they are a reference, for the message [s]; without, they are a start (q0, v0).
 
     Raises
     ------
@@ -38,17 +38,21 @@ def check_limits(robot: Any, q: Array, v: Array, t: Array) -> None:
         where, column = _first(outside)
         name, unit = _joint(robot, model.idx_qs, model.nqs, column)
         raise InvalidArgument(
-            f"reference has joint {name!r} at {q[where][column]:.9g} {unit} at t = {t[where]:g} s, "
-            f"expected {lower[column]:.9g} to {upper[column]:.9g} {unit}"
+            f"{'q0' if t is None else 'reference'} has joint {name!r} at {q[where][column]:.9g} {unit}"
+            f"{_when(t, where)}, expected {lower[column]:.9g} to {upper[column]:.9g} {unit}"
         )
     fast = np.abs(v) > most * (1 + _SLACK)
     if fast.any():
         where, column = _first(fast)
         name, unit = _joint(robot, model.idx_vs, model.nvs, column)
         raise InvalidArgument(
-            f"reference moves joint {name!r} at {v[where][column]:.9g} {unit}/s at t = {t[where]:g} s, "
-            f"expected at most {most[column]:.9g} {unit}/s"
+            f"{'v0' if t is None else 'reference'} moves joint {name!r} at {v[where][column]:.9g} {unit}/s"
+            f"{_when(t, where)}, expected at most {most[column]:.9g} {unit}/s"
         )
+
+
+def _when(t: Array | None, where: tuple[int, ...]) -> str:
+    return "" if t is None else f" at t = {t[where]:g} s"
 
 
 def _first(found: Any) -> tuple[tuple[int, ...], int]:
