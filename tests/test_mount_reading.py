@@ -121,6 +121,12 @@ def test_what_has_legs_stands_with_its_feet_on_the_box(name: str) -> None:
     assert BOX.mount(name, (0, 0, 0.2, 0)).mounts[0].at == (0, 0, 0.2, 0)
 
 
+@pytest.mark.parametrize("name", ["talos_arm", "alex_sake_hands"])
+def test_what_would_hang_below_the_ground_is_raised(name: str) -> None:
+    assert _lowest(BOX.mount(name, (0, 0, BOX.size[2], 0)), name) < 0
+    assert _lowest(BOX.mount(name), name) == pytest.approx(BOX.size[2])
+
+
 def _lowest(robot: MobileRobot, name: str) -> float:
     frames = [frame for frame in robot.frame_names if frame.startswith(f"{name}/")]
     return min(float(robot.frame_pose(robot.rest, frame)[2, 3]) for frame in frames)
@@ -133,7 +139,7 @@ def test_a_model_with_a_free_flyer_stands_on_its_feet_and_an_arm_on_its_root() -
     leg = hanging.addJoint(root, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([0, 0, -0.3])), "leg")
     link(hanging, leg)
     assert BOX.mount(hanging).mounts[0].at == pytest.approx((0, 0, 0.5, 0))
-    for name in ("ur5", "panda", "talos_arm"):
+    for name in ("ur5", "panda", "kinova"):
         assert BOX.mount(name).mounts[0].at == (0, 0, 0.2, 0)
 
 

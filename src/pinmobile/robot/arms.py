@@ -121,10 +121,8 @@ class Arm:
         """Return what makes two arms the same one."""
         return self.origin, self.locked, tuple(self.rest.tolist())
 
-    def legs(self) -> float:
-        """Return how far its lowest frame is below its root at rest, if it stands on its feet; else 0 [m]."""
-        if not self.stands:
-            return 0.0
+    def reach_down(self) -> float:
+        """Return how far its lowest frame is below its root at rest [m]."""
         data = self.model.createData()
         pin.framesForwardKinematics(self.model, data, np.array(self.posture))
         return -min(0.0, *(float(placement.translation[2]) for placement in data.oMf))

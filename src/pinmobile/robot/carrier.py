@@ -56,7 +56,8 @@ class Carrier(ChainWrenches):
         at : array_like, shape (4,), optional
             Where its root stands on the body: x, y, z and yaw [m, m, m, rad]; by default in the middle of the
             top of the box of `size`. What has a free-flyer root, or a loader that gives it one, stands on its
-            feet instead: its root is as high as puts its lowest frame at rest there.
+            feet instead, its root as high as puts its lowest frame at rest there; so does what would
+            otherwise hang below the ground.
         name : str, optional
             By default that of the arm; numbered where it is taken.
         package_dirs : str, path, or sequence of them

@@ -138,8 +138,12 @@ def placed(at: ArrayLike) -> tuple[float, float, float, float]:
 
 
 def on_top(size: tuple[float, float, float], arm: Arm) -> tuple[float, float, float, float]:
-    """Return the mount point at which an arm stands in the middle of the top of the body's box."""
-    return 0.0, 0.0, float(size[2]) + arm.legs(), 0.0
+    """Return the mount point in the middle of the top of the body's box.
+
+    What stands on its feet, or would otherwise hang below the ground, is as high as its lowest frame needs.
+    """
+    top, below = float(size[2]), arm.reach_down()
+    return 0.0, 0.0, top + below if arm.stands or below > top else top, 0.0
 
 
 def checked_name(name: str) -> str:
