@@ -142,13 +142,22 @@ def test_a_run_that_diverges_keeps_what_came_before(
     [
         (
             ["run", "--trajectory", "circel"],
-            "unknown trajectory 'circel', available: circle, lissajous, via-stop,",
+            "unknown trajectory 'circel', did you mean 'circle'? available: circle, lissajous, via-stop,",
         ),
         (["run", "--controller", "lqr"], "unknown controller 'lqr', available: computed-torque, pd"),
-        (["run", "--heading", "tangnt"], "unknown heading 'tangnt', available: tangent, fixed, lecture"),
+        (
+            ["run", "--heading", "tangnt"],
+            "unknown heading 'tangnt', did you mean 'tangent'? available: tangent, fixed, lecture",
+        ),
         (["run", "--integrator", "euler"], "unknown integrator 'euler', available:"),
-        (["run", "--robot", "lecure"], "unknown robot 'lecure', available: lecture, box"),
-        (["derive", "--table", "slides"], "unknown table 'slides', available: slide, lecture"),
+        (
+            ["run", "--robot", "lecure"],
+            "unknown robot 'lecure', did you mean 'lecture'? available: lecture, box",
+        ),
+        (
+            ["derive", "--table", "slides"],
+            "unknown table 'slides', did you mean 'slide'? available: slide, lecture",
+        ),
         (
             ["run", "--radius", "1", "--trajectory", "via-free"],
             "--radius does not apply to the trajectory 'via-free'",

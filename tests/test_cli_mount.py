@@ -114,7 +114,7 @@ def test_the_names_are_listed_with_the_exceptions(capsys: pytest.CaptureFixture[
     ("words", "said"),
     [
         ("mount", "mount needs an arm: 'pinmobile mount ur5 --html out/ur5.html'"),
-        ("mount ur55", "unknown arm 'ur55', available: ur5, "),
+        ("mount ur55", "unknown arm 'ur55', did you mean 'ur5'"),
         ("mount romeo", "joint 'RThumb3' moves parts that have no inertia"),
         ("mount ur5 --at 1,2", "at has shape (2,), expected (4,)"),
         ("mount ur5 z1 --at 0,0,0,0", "--at places one arm, but there are 2"),

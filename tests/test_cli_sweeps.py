@@ -138,7 +138,7 @@ def test_a_typo_in_a_scenario_file_is_answered_with_its_line(
         ("ensemble --spread mas=1", "unknown parameter in spread 'mas', did you mean 'mass'? 'pinm"),
         (
             "ensemble --spread mass=unifrm:1,2",
-            "unknown form in the spread of mass 'unifrm', available: uniform",
+            "unknown form in the spread of mass 'unifrm', did you mean 'uniform'? available: uniform",
         ),
         ("ensemble --spread mass=uniform:1", "--spread mass is uniform of 1.0, expected two numbers"),
         (

@@ -166,7 +166,11 @@ def test_every_parameter_can_be_spread_and_matters() -> None:
         ({"seed": -1}, InvalidArgument, "seed is -1, expected a whole number >= 0"),
         ({"robot": "me"}, InvalidArgument, "robot is 'me', expected a MobileRobot without arms"),
         ({"spread": 3}, InvalidArgument, "spread is 3, expected a mapping of parameters to distributions"),
-        ({"spread": {"masss": 3}}, UnknownName, "unknown parameter in spread 'masss', available: mass, "),
+        (
+            {"spread": {"masss": 3}},
+            UnknownName,
+            "unknown parameter in spread 'masss', did you mean 'mass'? available: mass, ",
+        ),
         ({"spread": {"mass": "3"}}, InvalidArgument, "spread['mass'] is '3', expected real numbers"),
         (
             {"spread": {"mass": np.ones(3)}},
@@ -181,7 +185,7 @@ def test_every_parameter_can_be_spread_and_matters() -> None:
         (
             {"spread": {"mass": Same("mas")}},
             UnknownName,
-            "unknown parameter in spread['mass'] 'mas', available: mass",
+            "unknown parameter in spread['mass'] 'mas', did you mean 'mass'",
         ),
         (
             {"spread": {"mass": Same("model_mass"), "model_mass": Same("mass")}},

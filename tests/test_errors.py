@@ -23,7 +23,7 @@ def test_every_error_is_a_pinmobile_error_and_a_builtin_one(
 
 def test_unknown_name_lists_the_names_there_are_the_nearest_first() -> None:
     error = UnknownName("trajectory", "circel", ["via-stop", "circle"])
-    assert str(error) == "unknown trajectory 'circel', available: circle, via-stop"
+    assert str(error) == "unknown trajectory 'circel', did you mean 'circle'? available: circle, via-stop"
     copy = pickle.loads(pickle.dumps(error))
     assert str(copy) == str(error)
     assert copy.available == ("via-stop", "circle")

@@ -237,11 +237,11 @@ def test_bad_input_is_named(arguments: dict[str, Any], text: str) -> None:
 
 
 def test_unknown_names_come_with_the_nearest_ones() -> None:
-    with pytest.raises(UnknownName, match=r"^unknown arm 'ur55', available: ur5, "):
+    with pytest.raises(UnknownName, match=r"^unknown arm 'ur55', did you mean 'ur5'"):
         BOX.mount("ur55")
-    with pytest.raises(UnknownName, match=r"^unknown joint 'elbow', available: elbow_joint, "):
+    with pytest.raises(UnknownName, match=r"^unknown joint 'elbow', did you mean 'elbow_joint'"):
         BOX.mount("ur5", locked=["elbow"])
-    with pytest.raises(UnknownName, match=r"^unknown frame 'ur5/tool', available: ur5/tool0, "):
+    with pytest.raises(UnknownName, match=r"^unknown frame 'ur5/tool', did you mean 'ur5/tool0' or "):
         BOX.mount("ur5").attach(Load(1), "ur5/tool")
 
 

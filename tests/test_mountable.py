@@ -116,7 +116,7 @@ def test_a_row_is_found_by_its_name() -> None:
     assert "ur5" in listed
     assert listed["ur5"] in listed
     assert "icub" not in listed
-    with pytest.raises(UnknownName, match=r"^unknown mountable robot 'ur55', available: ur5, "):
+    with pytest.raises(UnknownName, match=r"^unknown mountable robot 'ur55', did you mean 'ur5'"):
         listed["ur55"]
 
 

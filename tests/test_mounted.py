@@ -351,7 +351,7 @@ def test_limits_and_postures_are_the_files() -> None:
     assert (drawn <= TWO.upper).all()
     assert PANDA.end_effector == "panda/panda_hand_tcp"
     assert UR5.end_effector == "ur5/tool0"
-    with pytest.raises(UnknownName, match="unknown frame 'ur5/tol0', available: ur5/tool0, "):
+    with pytest.raises(UnknownName, match="unknown frame 'ur5/tol0', did you mean 'ur5/tool0'"):
         UR5.frame_pose(UR5.rest, "ur5/tol0")
 
 

@@ -389,7 +389,7 @@ def test_what_cannot_be_resolved_is_refused(options: dict[str, Any], text: str) 
 def test_other_things_than_robots_targets_and_frames_are_refused() -> None:
     with pytest.raises(InvalidArgument, match="target is 3, expected a PosePath"):
         resolve(UR5, 3)  # type: ignore[arg-type]
-    with pytest.raises(UnknownName, match="unknown frame 'ur5/tool', available: ur5/tool0"):
+    with pytest.raises(UnknownName, match="unknown frame 'ur5/tool', did you mean 'ur5/tool0'"):
         resolve(UR5, RING, frame="ur5/tool")
     with pytest.raises(UnknownName, match="unknown frame"):
         EndEffectorTracking(UR5, RING, frame="tip")

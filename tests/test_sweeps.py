@@ -293,7 +293,9 @@ def test_wrong_stores_and_labels(done: Sweep, tmp_path: Path) -> None:
         sweep(gains_and_errors(), tmp_path / "folder")
     with pytest.raises(InvalidArgument, match="chunk is 100, expected 64 as in the store, or None"):
         sweep(gains_and_errors(), done.path, chunk=100)
-    with pytest.raises(UnknownName, match="unknown axis 'gains', available: gain, error"):
+    with pytest.raises(
+        UnknownName, match=r"unknown axis 'gains', did you mean 'gain'[?] available: gain, error"
+    ):
         done.ensemble(gains=4)
     with pytest.raises(InvalidArgument, match=r"error is missing, expected one of 0, 0\.2"):
         done.ensemble(gain=4)

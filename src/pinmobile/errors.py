@@ -25,7 +25,7 @@ class InvalidArgument(PinmobileError, ValueError):
 
 
 class UnknownName(PinmobileError, KeyError):
-    """A name is not among those there are; the message lists them, the nearest first.
+    """A name is not among those there are; the message asks for the nearest, and lists them all.
 
     Parameters
     ----------
@@ -41,8 +41,9 @@ class UnknownName(PinmobileError, KeyError):
         self.kind, self.name, self.available = kind, name, tuple(available)
         plain = {known.casefold(): known for known in self.available}
         near = [plain[match] for match in get_close_matches(name.casefold(), plain, n=3)]
-        rest = [known for known in self.available if known not in near]
-        super().__init__(f"unknown {kind} {name!r}, available: {', '.join(near + rest)}")
+        listed = [*near, *(known for known in self.available if known not in near)]
+        self.meant = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
+        super().__init__(f"unknown {kind} {name!r}, {self.meant}available: {', '.join(listed)}")
 
     def __str__(self) -> str:
         # KeyError would show the repr of the message.

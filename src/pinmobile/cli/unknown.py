@@ -1,7 +1,6 @@
 """Names that are not there: what was meant, and how to see what there is."""
 
 from collections.abc import Iterable
-from difflib import get_close_matches
 
 from pinmobile.errors import UnknownName
 
@@ -27,16 +26,10 @@ def meant(what: str, name: str, available: Iterable[str], rest: str = "") -> str
     rest : str
         Where to see the names when they are too many to be listed.
     """
-    known = list(available)
-    near = get_close_matches(name, known, n=3)
-    words = [f"unknown {what}"]
-    if near:
-        words.append(f"did you mean {' or '.join(map(repr, near))}?")
-    if len(known) <= _READABLE:
-        words.append(f"available: {', '.join([*near, *(one for one in known if one not in near)])}")
-    else:
-        words.append(rest)
-    return f"{words[0]}, {' '.join(words[1:])}"
+    error = UnknownName("", name, available)
+    if len(error.available) > _READABLE:
+        return f"unknown {what}, {error.meant}{rest}".rstrip()
+    return str(error).replace(f"unknown  {name!r}", f"unknown {what}", 1)
 
 
 def shortened(error: UnknownName) -> str:
