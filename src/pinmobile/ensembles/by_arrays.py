@@ -12,8 +12,9 @@ from pinmobile.arrays import Array
 from pinmobile.controllers import PD, ComputedTorque, NoisyMeasurement, planar_difference
 from pinmobile.ensembles.batch import Batch, noise_of
 from pinmobile.ensembles.histogram import BINS, bins_of
+from pinmobile.ensembles.layers import core_of, layers_of
 from pinmobile.ensembles.part import Engine, Part, empty_counts
-from pinmobile.ensembles.scenario import Scenario, core_of, layers_of
+from pinmobile.ensembles.scenario import Scenario
 from pinmobile.errors import InvalidArgument
 from pinmobile.simulation import stepped
 from pinmobile.trajectories import Reference

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, whole
-from pinmobile.ensembles.batch import Member, member_of
 from pinmobile.ensembles.histogram import checked_levels, checked_share, quantiles
+from pinmobile.ensembles.member import Member, member_of
 from pinmobile.ensembles.part import Part
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.errors import Diverged, InvalidArgument

@@ -14,9 +14,10 @@ from pinmobile.ensembles.batch import batch_of
 from pinmobile.ensembles.by_arrays import ARRAYS, check_functions
 from pinmobile.ensembles.by_kernel import COMPILED
 from pinmobile.ensembles.distributions import Source
+from pinmobile.ensembles.layers import layers_of
 from pinmobile.ensembles.part import Engine, Part, empty_counts
 from pinmobile.ensembles.result import Ensemble
-from pinmobile.ensembles.scenario import Scenario, layers_of
+from pinmobile.ensembles.scenario import Scenario
 from pinmobile.errors import InvalidArgument
 from pinmobile.integrators import Integrator, constant_acceleration
 from pinmobile.robot import MobileRobot
