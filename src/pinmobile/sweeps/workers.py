@@ -11,7 +11,7 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.ensembles import Part, part_of
-from pinmobile.ensembles.running import processors
+from pinmobile.ensembles.stretches import processors
 from pinmobile.errors import InvalidArgument, SchedulerError
 from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.grids import Grid
