@@ -4,7 +4,6 @@ import base64
 import binascii
 import weakref
 from io import BytesIO
-from types import TracebackType
 from typing import Any
 
 from PIL import Image, ImageOps
@@ -76,9 +75,7 @@ class LiveWindow:
     def __enter__(self) -> "LiveWindow":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def __repr__(self) -> str:

@@ -1,7 +1,6 @@
 """`OfflineWindow`: a scene in memory, for recordings, notebooks and tests."""
 
 import base64
-from types import TracebackType
 from typing import Any, NoReturn
 
 from pinmobile.errors import ViewerError
@@ -25,9 +24,7 @@ class OfflineWindow:
     def __enter__(self) -> "OfflineWindow":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def __repr__(self) -> str:
