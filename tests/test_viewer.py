@@ -41,7 +41,7 @@ from pinmobile import (
 )
 from pinmobile.arrays import Array
 from pinmobile.viewer import Arrows, Follow, Overlays, Recording, Stay, Viewer, palette
-from pinmobile.viewer.recording import _gif
+from pinmobile.viewer.encoding import gif as encoded_gif
 from tests.chromium import Chromium, Page, chromium
 
 BLUE = (0, 114, 178)
@@ -500,7 +500,7 @@ def test_a_gif_has_the_colours_of_what_comes_late() -> None:
     late = ramp.copy()
     late[:40] = 0, 160, 0
     frames += [Image.fromarray(late)] * 6
-    with Image.open(io.BytesIO(_gif(iter(frames), 10.0))) as gif:
+    with Image.open(io.BytesIO(encoded_gif(iter(frames), 10.0))) as gif:
         gif.seek(getattr(gif, "n_frames", 0) - 1)
         corner = np.asarray(gif.convert("RGB"), float)[:40].reshape(-1, 3)
     assert np.abs(corner - (0, 160, 0)).max() < 12
