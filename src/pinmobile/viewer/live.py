@@ -13,7 +13,8 @@ from pinmobile.errors import InvalidArgument, ViewerError
 from pinmobile.viewer.access import access_for
 from pinmobile.viewer.offline import static_page
 from pinmobile.viewer.page import live_page
-from pinmobile.viewer.server import Server, listening
+from pinmobile.viewer.server import Server
+from pinmobile.viewer.sockets import listening
 from pinmobile.viewer.stock import ENGINE
 
 __all__ = ["LiveWindow"]
