@@ -16,7 +16,8 @@ from pinmobile.dh import LECTURE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot.assembly import assemble
 from pinmobile.robot.carrier import Carrier
-from pinmobile.robot.engine import BODY_JOINT, Engine, build_model
+from pinmobile.robot.chain import build_model, check_chain
+from pinmobile.robot.engine import BODY_JOINT, Engine
 from pinmobile.robot.mounts import Load, Mount
 from pinmobile.robot.pictures import add_carried
 from pinmobile.robot.reading import read_model, read_urdf
@@ -78,14 +79,14 @@ class MobileRobot(Carrier):
         size = finite("size", self.size)
         if size.shape != (3,) or not (size > 0).all():
             raise InvalidArgument(f"size is {self.size}, expected three lengths > 0 m")
-        _check_chain(self.dh)
+        check_chain(self.dh)
         for name, value in {
             "mass": body.mass,
             "yaw_inertia": body.yaw_inertia,
             "com": tuple(body.com.tolist()),
             "size": tuple(size.tolist()),
             "body": body,
-            "_engine": Engine(build_model(self.dh, body, "pinmobile")),
+            "_engine": Engine(build_model(self.dh, body)),
         }.items():
             object.__setattr__(self, name, value)
 
@@ -263,20 +264,3 @@ def _restored(
     for name, value in {"_looks": looks, **carrying}.items():
         object.__setattr__(robot, name, value)
     return robot
-
-
-def _check_chain(table: DHTable) -> None:
-    """Refuse a table whose last frame is not the planar pose (x, y, psi) for joint variables (y, x, psi)."""
-    if not isinstance(table, DHTable):
-        raise InvalidArgument(f"dh is a {type(table).__name__}, expected a DHTable")
-    kinds = [row.joint for row in table]
-    planar = kinds == [row.joint for row in LECTURE_TABLE]
-    probes = np.array([[0, 0, 0], [0.7, -0.3, 1.1], [-1.0, 2.0, -2.5]])
-    if planar:
-        pose, expected = (dh.placements(probes)[:, -1] for dh in (table, LECTURE_TABLE))
-        planar = bool(np.abs(pose - expected).max() < 1e-12)
-    if not planar:
-        raise InvalidArgument(
-            f"dh with variables {table.variables} does not put its last frame at (x, y, psi), expected "
-            "a chain of prismatic y, prismatic x, revolute psi whose last frame is the body's"
-        )
