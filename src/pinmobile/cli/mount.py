@@ -28,6 +28,7 @@ from pinmobile.cli import choices
 from pinmobile.cli.output import Picture, Section, console, index_page, output_folder, progress
 from pinmobile.cli.run import FIGURES, draw
 from pinmobile.cli.view import save_page
+from pinmobile.robot.tree import parts_of
 
 __all__ = ["demonstration", "list_mountable", "mounted", "show_mount"]
 
@@ -126,8 +127,7 @@ def _room(robot: MobileRobot) -> tuple[Array, Array]:
     model = robot.model
     for joint in range(1, model.njoints):
         if model.nqs[joint] == model.nvs[joint]:
-            q = slice(model.idx_qs[joint], model.idx_qs[joint] + model.nqs[joint])
-            v = slice(model.idx_vs[joint], model.idx_vs[joint] + model.nvs[joint])
+            q, v = parts_of(model, joint)
             up[v], down[v] = robot.upper[q] - robot.rest[q], robot.rest[q] - robot.lower[q]
     return up, down
 

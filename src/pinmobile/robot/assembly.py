@@ -7,6 +7,7 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array
 from pinmobile.robot.mounts import Load, Mount, free_name
+from pinmobile.robot.tree import parts_of
 
 __all__ = ["assemble", "limits", "named_frames"]
 
@@ -69,8 +70,7 @@ def limits(model: pin.Model, mounts: Sequence[Mount]) -> tuple[Array, Array, Arr
     speed, effort = np.full(model.nv, np.inf), np.full(model.nv, np.inf)
     for mount in mounts:
         for joint in range(mount.joints.start, mount.joints.stop):
-            q = slice(model.idx_qs[joint], model.idx_qs[joint] + model.nqs[joint])
-            v = slice(model.idx_vs[joint], model.idx_vs[joint] + model.nvs[joint])
+            q, v = parts_of(model, joint)
             least, most = model.lowerPositionLimit[q], model.upperPositionLimit[q]
             # Files write equal limits, or zero, where they know none.
             if model.nqs[joint] == model.nvs[joint]:
