@@ -42,7 +42,7 @@ from pinmobile import (
 from pinmobile.arrays import Array
 from pinmobile.viewer import Arrows, Follow, Overlays, Recording, Stay, Viewer, palette
 from pinmobile.viewer.encoding import gif as encoded_gif
-from tests.chromium import Chromium, Page, chromium
+from tests.chromium import Chromium, Page
 
 BLUE = (0, 114, 178)
 
@@ -70,12 +70,6 @@ def apart() -> dict[str, Rollout]:
 def viewer() -> Iterator[Viewer]:
     with Viewer(MobileRobot.lecture()) as made:
         yield made
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Chromium]:
-    with chromium() as started:
-        yield started
 
 
 @pytest.fixture
