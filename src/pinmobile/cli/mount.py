@@ -67,7 +67,7 @@ def show_mount(robot: MobileRobot, *, dt: float, duration: float, html: Path | N
             save_page(runs, html, f"{names} on the base: computed torque and decoupled")
         page = None if folder is None else _figures(runs, folder, names, text, bar)
     console.print(text, markup=False)
-    console.print("\n" + "\n".join(_next(html, page, robot, names)), markup=False)
+    console.print("\n" + "\n".join(_next(html, page)), markup=False)
     return 1 if any(failure.startswith("computed torque") for failure in failures) else 0
 
 
@@ -148,7 +148,7 @@ def _figures(runs: dict[str, Rollout], folder: Path, names: str, text: str, bar:
     return index_page(folder, f"{names} on the base", [Section("What came of it", text, pictures)])
 
 
-def _next(html: Path | None, page: Path | None, robot: MobileRobot, names: str) -> list[str]:
+def _next(html: Path | None, page: Path | None) -> list[str]:
     """Return what was written, and what to do next."""
     lines = []
     if html is not None:
