@@ -102,6 +102,13 @@ def _gains(name: str, core: Any, draws: Mapping[str, Array], size: int) -> Array
 def noise_of(scenario: Scenario, start: int, size: int) -> list[Array]:
     """Return the standard normal numbers of each noisy measurement, the outermost first.
 
+    Parameters
+    ----------
+    scenario : Scenario
+        Whose robots.
+    start, size : int
+        Index of the first, and how many.
+
     Returns
     -------
     tables : list of ndarray, shape (size, N + 1, 2, 3)

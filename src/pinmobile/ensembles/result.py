@@ -167,9 +167,19 @@ class Ensemble:
         return Bands(self.scenario.grid, wanted, found[..., 0], found[..., 1])
 
     def worst(self, count: int = 5) -> NDArray[np.intp]:
-        """Return the robots that did worst, the worst first.
+        """Return the robots that did worst, shape (count,) or as many as there are, the worst first.
 
         Those that diverged come first, in order of time; then those that strayed farthest.
+
+        Parameters
+        ----------
+        count : int
+            How many.
+
+        Raises
+        ------
+        InvalidArgument
+            If it is no whole number above zero.
         """
         earliest = np.where(self.diverged, self.diverged_at, np.inf)
         farthest = np.where(self.diverged, np.inf, self.max_distance)

@@ -125,6 +125,22 @@ def part_of(
 ) -> tuple[dict[str, Array], Part]:
     """Return the draws and records of the robots from `start` to before `stop`: a chunk of a sweep.
 
+    Parameters
+    ----------
+    scenario : Scenario
+        Whose robots.
+    start, stop : int
+        Which of them, 0 <= start < stop <= n.
+    engine : Engine, optional
+        As in `ensemble`.
+
+    Returns
+    -------
+    draws : dict of str to ndarray, shape (stop - start,)
+        What was drawn, by name.
+    part : Part
+        The records.
+
     Raises
     ------
     InvalidArgument

@@ -144,7 +144,12 @@ class Scenario:
         return found
 
     def draws(self, start: int = 0, stop: int | None = None) -> dict[str, Array]:
-        """Return what was drawn for the robots from `start` to before `stop`, by name.
+        """Return what was drawn for the robots from `start` to before `stop`, shape (stop - start,), by name.
+
+        Parameters
+        ----------
+        start, stop : int
+            Which robots, 0 <= start < stop; by default all n.
 
         Raises
         ------

@@ -65,7 +65,10 @@ def _prefixed(model: pin.Model, name: str) -> pin.Model:
 
 
 def limits(model: pin.Model, mounts: Sequence[Mount]) -> tuple[Array, Array, Array, Array]:
-    """Return lower, upper, velocity and effort limits in chain order, infinite where there is none."""
+    """Return lower and upper limits, shape (nq,), and those of velocity and effort, shape (nv,).
+
+    Infinite where there is none, as of the whole base: the order of its coordinates does not matter.
+    """
     lower, upper = np.full(model.nq, -np.inf), np.full(model.nq, np.inf)
     speed, effort = np.full(model.nv, np.inf), np.full(model.nv, np.inf)
     for mount in mounts:

@@ -41,19 +41,19 @@ class Engine:
         return array[..., self._orders[array.shape[-1]]]
 
     def inverse(self, q: Array, v: Array, a: Array) -> Array:
-        """Return tau by RNEA."""
+        """Return tau by RNEA, shape (nv,); all is one state's, in chain order."""
         return pin.rnea(self.model, self.data, q, v, a)  # type: ignore[no-any-return]
 
     def forward(self, q: Array, v: Array, tau: Array) -> Array:
-        """Return the acceleration by ABA."""
+        """Return the acceleration by ABA, shape (nv,)."""
         return pin.aba(self.model, self.data, q, v, tau)  # type: ignore[no-any-return]
 
     def gravity(self, q: Array) -> Array:
-        """Return g(q)."""
+        """Return g(q), shape (nv,)."""
         return pin.computeGeneralizedGravity(self.model, self.data, q)  # type: ignore[no-any-return]
 
     def integrate(self, q: Array, dq: Array) -> Array:
-        """Return the configuration that a displacement leads to."""
+        """Return the configuration that a displacement leads to, shape (nq,)."""
         return pin.integrate(self.model, q, dq)  # type: ignore[no-any-return]
 
     def composite(self, q: Array) -> pin.Inertia:

@@ -134,6 +134,11 @@ class MobileRobot(Carrier):
             Mass [kg].
         size : sequence of 3 floats
             Length, width and height [m].
+
+        Raises
+        ------
+        InvalidArgument
+            If the mass or a length is not positive or not finite, or the lengths are not three.
         """
         height = vector("size", size, 3)[2]
         body = urdf.Body(mass, np.array([0, 0, height / 2]), urdf.box_inertia(mass, size))
@@ -208,6 +213,11 @@ class MobileRobot(Carrier):
             As in the class.
         source : str
             Where the numbers come from, in words.
+
+        Raises
+        ------
+        InvalidArgument
+            If `body` is something else, or `size` or `dh` is not what the class expects.
         """
         if not isinstance(body, urdf.Body):
             raise InvalidArgument(f"body is {body!r}, expected a pinmobile.urdf.Body")
