@@ -4,12 +4,12 @@ from os import PathLike
 from pathlib import Path
 from threading import RLock
 from time import monotonic, sleep
-from typing import TYPE_CHECKING
 
 from pinmobile.arrays import ArrayLike, positive, vector
 from pinmobile.errors import InvalidArgument, ViewerError
 from pinmobile.robot import MobileRobot
 from pinmobile.viewer.files import written
+from pinmobile.viewer.live import LiveWindow
 from pinmobile.viewer.motion import frame_times, tracks
 from pinmobile.viewer.offline import OfflineWindow
 from pinmobile.viewer.overlays import Overlays, Rollouts, checked_overlays, checked_runs
@@ -18,9 +18,6 @@ from pinmobile.viewer.pictures import picture_of
 from pinmobile.viewer.recording import Recording
 from pinmobile.viewer.scene import Scene
 from pinmobile.viewer.stage import Stage
-
-if TYPE_CHECKING:
-    from pinmobile.viewer.live import LiveWindow
 
 __all__ = ["Viewer"]
 
@@ -71,7 +68,7 @@ class Viewer:
         self._lock, self._closed = RLock(), False
         self._scene: Scene | None = None
         self._recording: Recording | None = None
-        self._window: LiveWindow | OfflineWindow = _served(host, port) if live else OfflineWindow()
+        self._window: LiveWindow | OfflineWindow = LiveWindow(host, port) if live else OfflineWindow()
 
     def __enter__(self) -> "Viewer":
         return self
@@ -275,7 +272,7 @@ class Viewer:
         stage.remove("meshcat")
         return Scene(stage, self.robot, overlays)
 
-    def _live(self, what: str) -> "LiveWindow":
+    def _live(self, what: str) -> LiveWindow:
         self._check_open()
         if isinstance(self._window, OfflineWindow):
             raise ViewerError(f"{what} needs a live viewer: Viewer(robot, live=True)")
@@ -284,9 +281,3 @@ class Viewer:
     def _check_open(self) -> None:
         if self._closed:
             raise ViewerError("the viewer is closed")
-
-
-def _served(host: str, port: int | None) -> "LiveWindow":
-    from pinmobile.viewer.live import LiveWindow  # it brings a web server
-
-    return LiveWindow(host, port)
