@@ -51,7 +51,7 @@ def on_cluster(grid: Grid, jobs: Sequence[Job], client: Any) -> Results:
     """
     distributed = imported("distributed")
     seen = _Watch(client)
-    seen.look(_ANSWER)
+    seen.begin()
 
     def submit(job: Job) -> Any:
         seen.connected()
@@ -64,7 +64,7 @@ def on_cluster(grid: Grid, jobs: Sequence[Job], client: Any) -> Results:
                 draws, part = future.result(timeout=_LOOK)
                 return draws, Part(*map(np.array, part))  # what came over the wire may be read-only
             except distributed.TimeoutError:
-                seen.look(_ALONE)  # it is fetched from the worker, or computed again where that one is gone
+                seen.look()  # it is fetched from the worker, or computed again where that one is gone
             except distributed.KilledWorker as error:
                 raise SchedulerError(
                     f"workers of {seen.address} died of a chunk again and again: {error}"
@@ -78,7 +78,7 @@ def on_cluster(grid: Grid, jobs: Sequence[Job], client: Any) -> Results:
 
     width = 2 * max(1, sum(client.nthreads().values()))
     try:
-        yield from _collected(submit, jobs, width, answer, lambda: seen.look(_ALONE), drop)
+        yield from _collected(submit, jobs, width, answer, seen.look, drop)
     except distributed.comm.CommClosedError as error:
         raise SchedulerError(f"scheduler {seen.address} is gone; {_GO_ON}") from error
 
@@ -164,21 +164,23 @@ class _Watch:
         if self.client.status != "running":
             raise SchedulerError(f"scheduler {self.address} is gone; {_GO_ON}")
 
-    def look(self, patience: float) -> None:
-        """Look at the cluster; of one without workers, wait, but no longer than `patience` in all [s]."""
+    def begin(self) -> None:
+        """Wait for the first worker, but not for long."""
+        self.connected()
+        if self.client.nthreads():
+            return
+        try:
+            self.client.wait_for_workers(1, timeout=_ANSWER)
+        except OSError as error:
+            raise SchedulerError(f"scheduler {self.address} has no worker after {_ANSWER:g} s") from error
+
+    def look(self) -> None:
+        """Refuse to go on where the connection is lost, or where there has been no worker for too long."""
         self.connected()
         if self.client.nthreads():
             self.alive = monotonic()
-        elif patience <= _ANSWER:
-            self._first(patience)
-        elif monotonic() - self.alive > patience:
-            raise SchedulerError(f"scheduler {self.address} has had no worker for {patience:g} s; {_GO_ON}")
-
-    def _first(self, patience: float) -> None:
-        try:
-            self.client.wait_for_workers(1, timeout=patience)
-        except OSError as error:
-            raise SchedulerError(f"scheduler {self.address} has no worker after {patience:g} s") from error
+        elif monotonic() - self.alive > _ALONE:
+            raise SchedulerError(f"scheduler {self.address} has had no worker for {_ALONE:g} s; {_GO_ON}")
 
 
 def _collected(
