@@ -113,7 +113,7 @@ def show_sweep(file: Path, out: Path | None, scheduler: str | None, chunk: int |
 
 def _loop(
     options: Mapping[str, Any], spread: Mapping[str, Any], name: str, *, n: int, seed: int, one: bool
-) -> Any:
+) -> Scenario:
     options = {**options, "controller": name}
     if name == "pd" and not one:
         options, spread = without_model(options, spread)
