@@ -1,7 +1,8 @@
-"""Settings for all tests, and states that several draw."""
+"""Settings for all tests, and what several of them take."""
 
 import os
 import signal
+from collections.abc import Iterator
 
 import matplotlib
 import numpy as np
@@ -10,6 +11,7 @@ from hypothesis import settings
 
 from pinmobile import MobileRobot
 from pinmobile.arrays import Array
+from tests.chromium import Chromium, chromium
 
 # What a shell runs in the background ignores Ctrl-C, which some tests are about.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -19,6 +21,13 @@ matplotlib.use("Agg")
 settings.register_profile("default", deadline=None, max_examples=60)
 settings.register_profile("ci", deadline=None, max_examples=60, derandomize=True)
 settings.load_profile("ci" if os.environ.get("CI") else "default")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Chromium]:
+    """Return a browser that the tests of a module share."""
+    with chromium() as started:
+        yield started
 
 
 @pytest.fixture

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from pinmobile import Hold, InvalidArgument, MobileRobot, Rollout, mountable, plots
-from pinmobile.cli.mount import _judged, demonstration, mounted
+from pinmobile.cli.demonstration import demonstration, mounted
+from pinmobile.cli.mount import _judged
 from tests.test_cli import typed
 
 QUICK = ("--dt", "0.02", "--duration", "1")

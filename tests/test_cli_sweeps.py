@@ -258,7 +258,7 @@ def test_without_numba_an_ensemble_takes_longer_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("pinmobile.cli.many.find_spec", lambda name: None)
-    monkeypatch.setattr("pinmobile.ensembles.running.find_spec", lambda name: None)
+    monkeypatch.setattr("pinmobile.ensembles.choosing.find_spec", lambda name: None)
     words = ["ensemble", "--n", "20", "--dt", "0.5", "--duration", "2", "--spread", "mass=percent:10"]
     code, out, _ = typed(capsys, *words, "--out", str(tmp_path))
     assert code == 0

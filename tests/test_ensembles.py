@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import pinmobile.ensembles.running as running
+import pinmobile.ensembles.choosing as choosing
+import pinmobile.ensembles.stretches as stretches
 from pinmobile import (
     PD,
     Circle,
@@ -326,8 +327,9 @@ def test_a_users_own_controller_force_and_integrator_run_on_arrays() -> None:
         assert refusal in str(caught.value)
 
 
-def test_the_kernel_and_who_calls_it_agree_on_the_stages() -> None:
+def test_the_kernel_and_who_calls_it_agree_on_stages_and_lanes() -> None:
     assert by_kernel._MOST_STAGES == kernel.STAGES
+    assert stretches._LANES == kernel.LANES
 
 
 def test_traces_are_those_of_simulate() -> None:
@@ -379,7 +381,7 @@ def test_a_million_robots_fit_in_a_gigabyte() -> None:
 
 
 def test_without_numba_the_message_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(running, "find_spec", lambda name: None)
+    monkeypatch.setattr(choosing, "find_spec", lambda name: None)
     with pytest.raises(
         InvalidArgument, match=r"pip install 'pinmobile\[ensembles\]', or choose engine=ARRAYS"
     ):

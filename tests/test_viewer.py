@@ -41,8 +41,8 @@ from pinmobile import (
 )
 from pinmobile.arrays import Array
 from pinmobile.viewer import Arrows, Follow, Overlays, Recording, Stay, Viewer, palette
-from pinmobile.viewer.recording import _gif
-from tests.chromium import Chromium, Page, chromium
+from pinmobile.viewer.encoding import gif as encoded_gif
+from tests.chromium import Chromium, Page
 
 BLUE = (0, 114, 178)
 
@@ -70,12 +70,6 @@ def apart() -> dict[str, Rollout]:
 def viewer() -> Iterator[Viewer]:
     with Viewer(MobileRobot.lecture()) as made:
         yield made
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Chromium]:
-    with chromium() as started:
-        yield started
 
 
 @pytest.fixture
@@ -500,7 +494,7 @@ def test_a_gif_has_the_colours_of_what_comes_late() -> None:
     late = ramp.copy()
     late[:40] = 0, 160, 0
     frames += [Image.fromarray(late)] * 6
-    with Image.open(io.BytesIO(_gif(iter(frames), 10.0))) as gif:
+    with Image.open(io.BytesIO(encoded_gif(iter(frames), 10.0))) as gif:
         gif.seek(getattr(gif, "n_frames", 0) - 1)
         corner = np.asarray(gif.convert("RGB"), float)[:40].reshape(-1, 3)
     assert np.abs(corner - (0, 160, 0)).max() < 12

@@ -13,7 +13,7 @@ import pytest
 from pinmobile.viewer.live import LiveWindow
 from pinmobile.viewer.offline import OfflineWindow
 from pinmobile.viewer.stock import ENGINE, Visualizer
-from tests.chromium import Chromium, Page, chromium
+from tests.chromium import Chromium, Page
 from tests.webclient import eventually
 
 with warnings.catch_warnings():
@@ -26,12 +26,6 @@ WIDTH, HEIGHT = 480, 360
 RED, GREEN = (255, 0, 0), (0, 255, 0)
 HERE, THERE = (0.5, -0.8, 0.2), (-0.3, 0.9, 0.4)
 MESHCAT = ENGINE.with_name("index.html").read_text()
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Chromium]:
-    with chromium() as started:
-        yield started
 
 
 @pytest.fixture

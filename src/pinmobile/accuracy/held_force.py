@@ -59,13 +59,13 @@ def held_force(
     run, step = partial(_run, robot, duration), guarded(integrator)
     fine = run(steps[0], _exactly(), 1)
     inner = [_distance(run(steps[0], step, round(steps[0] / h)), fine) for h in steps]
-    outer = [_from_continuous(run(h, step, 1), duration) for h in steps]
+    outer = [_from_continuous(run(h, step, 1)) for h in steps]
     size = _RADIUS + duration
     rounding = size * np.full(len(at), 10 * _TOLERANCE), size * 64 * EPS * np.sqrt(duration / at)
     return (
         Convergence("position, step h", "m", at, np.array(inner), rounding[0]),
         Convergence("position, force held for h", "m", at, np.array(outer), rounding[1]),
-        _from_continuous(fine, duration),
+        _from_continuous(fine),
     )
 
 
@@ -109,7 +109,7 @@ def _distance(run: Rollout | None, other: Rollout | None) -> float:
     return float(np.linalg.norm((run.q - other.q)[:, :2], axis=1).max())
 
 
-def _from_continuous(run: Rollout | None, duration: float) -> float:
+def _from_continuous(run: Rollout | None) -> float:
     """Return the largest distance from the loop in continuous time.
 
     With the model exact, its error obeys e'' + kd e' + kp e = 0, of which kp = kd = 4 is the critically

@@ -27,6 +27,7 @@ from pinmobile import (
 )
 
 __all__ = [
+    "BELIEVED",
     "HEADINGS",
     "INTEGRATORS",
     "PATHS",
@@ -73,6 +74,9 @@ INTEGRATORS: Mapping[str, Any] = {
     "semi-implicit-euler": semi_implicit_euler,
     "rk4": rk4,
 }
+BELIEVED = ("model_mass", "model_yaw_inertia", "model_com")
+"""Options of what computed torque takes for the robot."""
+
 _CONTROLLERS = ("computed-torque", "pd")
 _LECTURE_PD = (120.0, 120.0, 0.4)
 
@@ -196,8 +200,7 @@ def closed_loop(**options: Any) -> tuple[MobileRobot, Any, Any, dict[str, Any]]:
     if options["heading"] != "fixed":
         refuse_beside(f"--heading {options['heading']}", psi=options["psi"])
     if options["controller"] == "pd":
-        believed = ("model_mass", "model_yaw_inertia", "model_com")
-        refuse_beside("--controller pd", **{name: options[name] for name in believed})
+        refuse_beside("--controller pd", **{name: options[name] for name in BELIEVED})
     if options["urdf"] is None:
         base = choose("robot", options["robot"] or "lecture", ROBOTS)()
     else:

@@ -8,8 +8,9 @@ import typer
 import pinmobile
 from pinmobile import InvalidArgument
 from pinmobile.cli import choices
+from pinmobile.cli.demonstration import mounted
 from pinmobile.cli.lecture import show_lecture
-from pinmobile.cli.mount import list_mountable, mounted, show_mount
+from pinmobile.cli.mount import list_mountable, show_mount
 from pinmobile.cli.output import console, output_folder, progress
 from pinmobile.cli.run import show_run
 from pinmobile.cli.view import chosen_runs, overlays_of, saved_runs, show_live

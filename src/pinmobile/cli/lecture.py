@@ -22,7 +22,7 @@ from pinmobile import (
     simulate,
     verify,
 )
-from pinmobile.cli.output import Picture, Section, console, index_page, progress
+from pinmobile.cli.output import Picture, Section, begin, console, index_page, progress
 from pinmobile.cli.run import FIGURES, draw
 from pinmobile.cli.view import save_page
 
@@ -60,26 +60,22 @@ def show_lecture(folder: Path, *, gif: bool) -> int:
     robot = MobileRobot.lecture()
     steps = 4 + len(_PATHS) * (len(FIGURES) + 1 + gif)
     with progress(steps) as bar:
-
-        def begin(what: str) -> None:
-            bar.update(bar.task_ids[0], description=what, advance=1)
-
-        begin("deriving")
+        begin(bar, "deriving")
         derived = derivation.lecture()
         console.print("[bold]1  Derivation[/bold], from the DH table by recursive Newton-Euler")
         console.print(_equations(derived), markup=False)
-        begin("verifying")
+        begin(bar, "verifying")
         # Away from the lecture's com = (0, 0), where half of the terms vanish.
         verification = verify(MobileRobot(robot.mass, robot.yaw_inertia, com=_OFFSET))
         console.print(f"\n[bold]2  Verification[/bold], with the centre of mass at {_OFFSET} m")
         console.print(str(verification), markup=False)
-        begin("simulating")
+        begin(bar, "simulating")
         lecture_runs, right_runs = _simulate(robot)
         console.print("\n[bold]3  Six closed loops[/bold], m = 30 kg, Icz = 0.1 kg m^2, dt = 0.1 s, 60 s")
         table, same = _table(lecture_runs, right_runs)
         console.print(table, markup=False)
-        begin("drawing")
-        sections = _sections(folder, right_runs, lecture_runs, gif, bar)
+        begin(bar, "drawing")
+        sections = _sections(folder, right_runs, gif, bar)
     summary = _summary(verification, same)
     (folder / "derivation.txt").write_text(str(derived), encoding="utf-8")
     texts = [
@@ -151,19 +147,19 @@ def _summary(verification: Any, same: bool) -> str:
     )
 
 
-def _sections(folder: Path, right: Runs, lecture: Runs, gif: bool, bar: Any) -> list[Section]:
+def _sections(folder: Path, right: Runs, gif: bool, bar: Any) -> list[Section]:
     sections = []
     for number, trajectory in enumerate(_PATHS, start=4):
         prefix = trajectory.replace(" ", "-") + "-"
         rollouts = {name: right[trajectory, name] for name in _CONTROLLERS}
         pictures = draw(rollouts, folder, prefix, bar)
         if gif:
-            bar.update(bar.task_ids[0], description=f"drawing {prefix}animation", advance=1)
+            begin(bar, f"drawing {prefix}animation")
             plots.animate(rollouts, folder / f"{prefix}animation.gif")
             pictures.insert(
                 0, Picture(f"{prefix}animation.gif", "The robot as it moves: PD, computed torque.")
             )
-        bar.update(bar.task_ids[0], description=f"recording {prefix}scene", advance=1)
+        begin(bar, f"recording {prefix}scene")
         name = trajectory.replace(" ", "-") + ".html"
         save_page(rollouts, folder / name, f"{trajectory.capitalize()}: PD and computed torque", speed=4)
         title = f"{number}  {trajectory.capitalize()}: PD beside computed torque"

@@ -13,7 +13,7 @@ from pinmobile.arrays import whole
 from pinmobile.cli.many_figures import ensemble_figures, sweep_figures
 from pinmobile.cli.output import Section, console, index_page, output_folder, progress
 from pinmobile.cli.scenario_file import read_grid
-from pinmobile.cli.spreads import scenario, spread_of_words
+from pinmobile.cli.spreads import scenario, spread_of_words, without_model
 from pinmobile.ensembles import ARRAYS, Engine, run_scenario
 from pinmobile.sweeps import connected
 from pinmobile.sweeps.store import attributes_of
@@ -23,7 +23,6 @@ __all__ = ["run_options", "show_ensemble", "show_sweep"]
 
 _NAMES = {"pd": "PD", "computed-torque": "computed torque"}
 _OF_ONE = ("kp", "kd")
-_BELIEVED = ("model_mass", "model_yaw_inertia", "model_com")
 
 
 def run_options(words: Sequence[str], app: typer.Typer, name: str) -> tuple[dict[str, Any], bool]:
@@ -114,12 +113,11 @@ def show_sweep(file: Path, out: Path | None, scheduler: str | None, chunk: int |
 
 def _loop(
     options: Mapping[str, Any], spread: Mapping[str, Any], name: str, *, n: int, seed: int, one: bool
-) -> Any:
-    mine = {**options, "controller": name}
-    if name == "pd" and not one:  # what the other controller believes is nothing to it
-        mine |= dict.fromkeys(_BELIEVED)
-        spread = {key: value for key, value in spread.items() if not key.startswith("model_")}
-    return scenario(mine, spread, n=n, seed=seed)
+) -> Scenario:
+    options = {**options, "controller": name}
+    if name == "pd" and not one:
+        options, spread = without_model(options, spread)
+    return scenario(options, spread, n=n, seed=seed)
 
 
 def _answer(made: Mapping[str, Ensemble], spread: Sequence[str]) -> str:

@@ -1,21 +1,18 @@
-"""A demonstration of an arm on the base: what the coupling costs, and what the base feels."""
+"""What came of a demonstration of `mount`: what the coupling costs, and what the base feels."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pinmobile import (
-    Circle,
     ComputedTorque,
-    CubicVia,
     Decoupled,
     Diverged,
     InvalidArgument,
     MobileRobot,
     Rollout,
-    Tangent,
     WholeBody,
     mountable,
     plots,
@@ -23,16 +20,14 @@ from pinmobile import (
     simulate,
     tip_over_margin,
 )
-from pinmobile.arrays import Array, positive
-from pinmobile.cli import choices
-from pinmobile.cli.output import Picture, Section, console, index_page, output_folder, progress
+from pinmobile.arrays import positive
+from pinmobile.cli.demonstration import RADIUS, RATE, WAY, demonstration
+from pinmobile.cli.output import Picture, Section, begin, console, index_page, output_folder, progress
 from pinmobile.cli.run import FIGURES, draw
 from pinmobile.cli.view import save_page
 
-__all__ = ["demonstration", "list_mountable", "mounted", "show_mount"]
+__all__ = ["list_mountable", "show_mount"]
 
-_RADIUS, _RATE = 1.0, 0.5  # of the circle [m], [rad/s]
-_WAY = {"rad": 0.5, "m": 0.1}  # that each joint goes and comes back
 _GAINS = 100.0, 20.0
 _HEAVY = 6e6  # bytes of a page that is no longer light
 
@@ -52,86 +47,6 @@ def list_mountable() -> int:
     return 0
 
 
-def mounted(arms: Sequence[str], urdf: Path | None, at: str | None, dirs: Sequence[Path]) -> MobileRobot:
-    """Return the box of 30 kg with the arms on it.
-
-    Parameters
-    ----------
-    arms : sequence of str
-        Names, mounted one after the other.
-    urdf : Path, optional
-        A file with an arm, in place of names.
-    at : str, optional
-        ``X,Y,Z,YAW`` of the only arm [m, m, m, rad].
-    dirs : sequence of Path
-        Where the file's ``package://`` is.
-
-    Raises
-    ------
-    InvalidArgument, UnknownName
-        If there is no arm, or an option is not what is expected.
-    """
-    if urdf is not None and arms:
-        raise InvalidArgument(f"--urdf stands for an arm, but there is {arms[0]!r} too")
-    if dirs and urdf is None:
-        raise InvalidArgument("--package-dir applies beside --urdf alone")
-    wanted: list[Any] = [urdf] if urdf is not None else list(arms)
-    if not wanted:
-        raise InvalidArgument(
-            "mount needs an arm: 'pinmobile mount ur5 --html out/ur5.html', or a file by --urdf; "
-            "'pinmobile mount --list' prints the names"
-        )
-    if at is not None and len(wanted) > 1:
-        raise InvalidArgument(f"--at places one arm, but there are {len(wanted)}")
-    box = MobileRobot.box()
-    if len(wanted) == 1:
-        return box.mount(wanted[0], None if at is None else choices.point("--at", at), package_dirs=dirs)
-    return _one_behind_the_other(box, wanted)
-
-
-def _one_behind_the_other(robot: MobileRobot, arms: Sequence[Any]) -> MobileRobot:
-    length = robot.size[0]
-    for arm, x in zip(arms, np.linspace(length / 3, -length / 3, len(arms)), strict=True):
-        (*_, mount) = robot.mount(arm).mounts
-        robot = robot.mount(mount.arm, (x, *mount.at[1:]))
-    return robot
-
-
-def demonstration(robot: MobileRobot, duration: float) -> WholeBody:
-    """Return the circle, beside it every joint 0.5 rad (0.1 m) away and back, or as far as it can in time."""
-    rest, units = robot.difference(robot.neutral, robot.rest), np.array(robot.coordinate_units)
-    way = np.select([units == unit for unit in _WAY], list(_WAY.values()))
-    # A cubic from rest to rest is at most 3/2 as fast as on average; it has half the time.
-    way = np.minimum(way, robot.velocity_limit * (duration / 2) / 1.5)
-    up, down = (np.minimum(room, way) for room in _room(robot))
-    upwards = np.where(np.isclose(up, down), _lifts(robot, way), up > down)
-    target = rest + np.where(upwards, up, -down)
-    paths = [
-        CubicVia(rest[m.v], target[m.v], rest[m.v], duration / 2, duration) if rest[m.v].size else None
-        for m in robot.mounts
-    ]
-    return WholeBody(robot, Tangent(Circle(_RADIUS, _RATE, duration)), *paths)
-
-
-def _lifts(robot: MobileRobot, way: Array) -> Any:
-    """Tell of which coordinates a larger one lifts the arm, rather than pressing it into the base."""
-    moves = np.diag(way)
-    higher, lower = (robot.potential_energy(robot.integrate(robot.rest, sign * moves)) for sign in (1, -1))
-    return higher >= lower - 1e-9
-
-
-def _room(robot: MobileRobot) -> tuple[Array, Array]:
-    """Return how far each coordinate can go up and down from rest, within its limits, shape (nv,)."""
-    up, down = np.full(robot.nv, np.inf), np.full(robot.nv, np.inf)
-    model = robot.model
-    for joint in range(1, model.njoints):
-        if model.nqs[joint] == model.nvs[joint]:
-            q = slice(model.idx_qs[joint], model.idx_qs[joint] + model.nqs[joint])
-            v = slice(model.idx_vs[joint], model.idx_vs[joint] + model.nvs[joint])
-            up[v], down[v] = robot.upper[q] - robot.rest[q], robot.rest[q] - robot.lower[q]
-    return up, down
-
-
 def show_mount(robot: MobileRobot, *, dt: float, duration: float, html: Path | None, out: Path | None) -> int:
     """Run both controllers, print what came, and write the page and the figures that were asked for."""
     folder = None if out is None else output_folder(out)
@@ -148,11 +63,11 @@ def show_mount(robot: MobileRobot, *, dt: float, duration: float, html: Path | N
         runs, failures = _both(robot, laws, reference, dt, bar)
         text = "\n".join([_head(robot, names, reference, dt), "", _table(runs), *failures])
         if html is not None:
-            bar.update(bar.task_ids[0], description="recording the scene", advance=1)
+            begin(bar, "recording the scene")
             save_page(runs, html, f"{names} on the base: computed torque and decoupled")
         page = None if folder is None else _figures(runs, folder, names, text, bar)
     console.print(text, markup=False)
-    console.print("\n" + "\n".join(_next(html, page, robot, names)), markup=False)
+    console.print("\n" + "\n".join(_next(html, page)), markup=False)
     return 1 if any(failure.startswith("computed torque") for failure in failures) else 0
 
 
@@ -162,7 +77,7 @@ def _both(
     """Return the runs, of one that diverged what came before, and what is to be said of those."""
     runs, failures = {}, []
     for name, law in laws.items():
-        bar.update(bar.task_ids[0], description=f"simulating {name}", advance=1)
+        begin(bar, f"simulating {name}")
         try:
             runs[name] = simulate(robot, law, reference, dt=dt)
         except Diverged as error:
@@ -180,9 +95,9 @@ def _head(robot: MobileRobot, names: str, reference: WholeBody, dt: float) -> st
         [
             f"{names} on a box of {robot.mass:g} kg: {joints} joints, {total:.1f} kg in all, "
             f"M(q) is {robot.nv} x {robot.nv}",
-            f"{reference.duration:g} s at dt = {dt:g} s: the base drives a circle of {_RADIUS:g} m at "
-            f"{_RATE:g} rad/s,",
-            f"each joint goes {_WAY['rad']:g} rad (a slide {_WAY['m']:g} m) and back, or as far as its "
+            f"{reference.duration:g} s at dt = {dt:g} s: the base drives a circle of {RADIUS:g} m at "
+            f"{RATE:g} rad/s,",
+            f"each joint goes {WAY['rad']:g} rad (a slide {WAY['m']:g} m) and back, or as far as its "
             "limits allow",
         ]
     )
@@ -200,7 +115,7 @@ def _table(runs: Mapping[str, Rollout]) -> str:
 def _judged(run: Rollout) -> dict[str, str]:
     errors, units = run.max_error(), np.array([unit for _, unit in run.labels])
     rows = {f"largest error in {name} [{unit}]": errors[k] for k, (name, unit) in enumerate(run.labels[:3])}
-    for unit in _WAY:
+    for unit in WAY:
         of_joints = errors[3:][units[3:] == unit]
         if of_joints.size:
             rows[f"largest error of a joint [{unit}]"] = of_joints.max()
@@ -220,20 +135,20 @@ def _said(margin: float) -> str:
 
 def _figures(runs: dict[str, Rollout], folder: Path, names: str, text: str, bar: Any) -> Path:
     """Write records, figures and their index page, and return its path."""
-    bar.update(bar.task_ids[0], description="recording", advance=1)
+    begin(bar, "recording")
     for label, run in runs.items():
         stem = label.replace(" ", "-")
         run.save(folder / f"{stem}.npz")
         run.to_csv(folder / f"{stem}.csv")
     pictures = draw(runs, folder, "", bar)
     for name, caption in _BALANCE.items():
-        bar.update(bar.task_ids[0], description=f"drawing {name}", advance=1)
+        begin(bar, f"drawing {name}")
         getattr(plots, name)(runs).savefig(folder / f"{name}.png", dpi=110)
         pictures.append(Picture(f"{name}.png", caption))
     return index_page(folder, f"{names} on the base", [Section("What came of it", text, pictures)])
 
 
-def _next(html: Path | None, page: Path | None, robot: MobileRobot, names: str) -> list[str]:
+def _next(html: Path | None, page: Path | None) -> list[str]:
     """Return what was written, and what to do next."""
     lines = []
     if html is not None:

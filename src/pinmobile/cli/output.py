@@ -11,7 +11,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 
 from pinmobile.errors import InvalidArgument
 
-__all__ = ["Picture", "Section", "console", "index_page", "output_folder", "progress"]
+__all__ = ["Picture", "Section", "begin", "console", "index_page", "output_folder", "progress"]
 
 console = Console(highlight=False, soft_wrap=True)
 
@@ -41,6 +41,11 @@ def progress(total: int) -> Iterator[Progress]:
     with Progress(*columns, console=console, transient=True) as bar:
         bar.add_task("", total=total)
         yield bar
+
+
+def begin(bar: Progress, what: str) -> None:
+    """Say on a progress bar what begins, one step on."""
+    bar.update(bar.task_ids[0], description=what, advance=1)
 
 
 def output_folder(path: Path, option: str = "--out", given: Path | None = None) -> Path:

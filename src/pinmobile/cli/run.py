@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from pinmobile import Diverged, MobileRobot, Rollout, plots, simulate
-from pinmobile.cli.output import Picture, Section, console, index_page, progress
+from pinmobile.cli.output import Picture, Section, begin, console, index_page, progress
 from pinmobile.cli.view import save_page
 
 __all__ = ["FIGURES", "draw", "show_run"]
@@ -33,7 +33,7 @@ def draw(rollouts: dict[str, Rollout], folder: Path, prefix: str, bar: Any) -> l
     """
     pictures = []
     for name, caption in FIGURES.items():
-        bar.update(bar.task_ids[0], description=f"drawing {prefix}{name}", advance=1)
+        begin(bar, f"drawing {prefix}{name}")
         getattr(plots, name)(rollouts).savefig(folder / f"{prefix}{name}.png", dpi=110)
         pictures.append(Picture(f"{prefix}{name}.png", caption))
     return pictures
@@ -45,7 +45,7 @@ def show_run(
     """Run, print the judgement, and write records, figures and their index; a diverged run too."""
     plant, law, trajectory, options = loop
     with progress(len(FIGURES) + 2 + gif + html) as bar:
-        bar.update(bar.task_ids[0], description="simulating", advance=1)
+        begin(bar, "simulating")
         diverged: Diverged | None = None
         try:
             rollout = simulate(plant, law, trajectory, **options)
@@ -53,17 +53,17 @@ def show_run(
             if error.rollout is None:
                 raise
             diverged, rollout = error, error.rollout
-        bar.update(bar.task_ids[0], description="recording", advance=1)
+        begin(bar, "recording")
         rollout.save(folder / "rollout.npz")
         rollout.to_csv(folder / "rollout.csv")
         pictures = draw({label: rollout}, folder, "", bar)
         if gif:
-            bar.update(bar.task_ids[0], description="drawing the moving robot", advance=1)
+            begin(bar, "drawing the moving robot")
             plots.animate(rollout, folder / "animation.gif")
             pictures.insert(0, Picture("animation.gif", "The robot as it moves."))
         pages = []
         if html:
-            bar.update(bar.task_ids[0], description="recording the scene", advance=1)
+            begin(bar, "recording the scene")
             save_page({label: rollout}, folder / "scene.html", f"{label} on {plant}")
             pages.append(Picture("scene.html", "See it move."))
     console.print(f"robot: {plant}, {plant.source}", markup=False)

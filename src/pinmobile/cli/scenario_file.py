@@ -9,7 +9,7 @@ from typing import Any
 
 from pinmobile import Axis, InvalidArgument, PinmobileError, Scenario, UnknownName, grid
 from pinmobile.cli.lines import line, line_of, line_of_syntax
-from pinmobile.cli.spreads import scenario
+from pinmobile.cli.spreads import scenario, without_model
 from pinmobile.cli.unknown import SPREAD_NAMES, meant
 from pinmobile.ensembles import PARAMETERS
 from pinmobile.sweeps import Grid, check_draws
@@ -128,9 +128,8 @@ def _scenario(tree: Mapping[str, Any], *, both: bool) -> Scenario:
     }
     options |= _DEFAULTS | given
     spread = dict(tree.get("spread", {}))
-    if both and options["controller"] == "pd":  # what another controller believes is nothing to it
-        options |= dict.fromkeys(("model_mass", "model_yaw_inertia", "model_com"))
-        spread = {name: value for name, value in spread.items() if not name.startswith("model_")}
+    if both and options["controller"] == "pd":
+        options, spread = without_model(options, spread)
     for name in _TEXTS:
         value = options[name]
         if value is not None:

@@ -7,7 +7,7 @@ from pinmobile import InvalidArgument, Normal, Same, Scenario, Uniform, UnknownN
 from pinmobile.cli import choices
 from pinmobile.ensembles import PARAMETERS
 
-__all__ = ["SPREAD_FORMS", "listed", "scenario", "spread_of_words"]
+__all__ = ["SPREAD_FORMS", "listed", "scenario", "spread_of_words", "without_model"]
 
 SPREAD_FORMS = "uniform:LOW,HIGH normal:MEAN,STD percent:P (of the nominal) same:NAME[,FACTOR] or a number"
 _KINDS = ("uniform", "normal", "percent", "same")
@@ -105,6 +105,14 @@ def scenario(options: Mapping[str, Any], spread: Mapping[str, Any], *, n: Any, s
     nominal = Scenario(**shared, n=1, spread={}).nominal
     sources = {name: _source(name, value, nominal.get(name, 0.0)) for name, value in spread.items()}
     return Scenario(**shared, n=n, seed=seed, spread=sources)
+
+
+def without_model(
+    options: Mapping[str, Any], spread: Mapping[str, Any]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return options and spread without what computed torque alone believes, for PD beside it."""
+    kept = {name: value for name, value in spread.items() if not name.startswith("model_")}
+    return {**options, **dict.fromkeys(choices.BELIEVED)}, kept
 
 
 def _source(name: str, value: Any, nominal: float) -> Any:

@@ -53,7 +53,13 @@ def saved_runs(paths: Sequence[Path], words: Sequence[str]) -> dict[str, Rollout
 
 
 def chosen_runs(words: Sequence[str], app: typer.Typer) -> dict[str, Rollout]:
-    """Return the run that the options of `run` stand for; without any, the lecture's circle, twice."""
+    """Return the run that the options of `run` stand for; without any, the lecture's circle, twice.
+
+    Raises
+    ------
+    InvalidArgument, UnknownName
+        If an option is not what is expected, or writes files.
+    """
     if not words:
         robot, reference = MobileRobot.lecture(), Tangent(Circle(3, 0.1, 60))
         laws: dict[str, Any] = {

@@ -8,7 +8,15 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, wrap_angle
 from pinmobile.errors import InvalidArgument
 
-__all__ = ["Controller", "Difference", "InverseDynamics", "State", "check_controller", "planar_difference"]
+__all__ = [
+    "Controller",
+    "Difference",
+    "InverseDynamics",
+    "State",
+    "answer_of",
+    "check_controller",
+    "planar_difference",
+]
 
 Difference: TypeAlias = Callable[[Array, Array], Array]
 
@@ -62,6 +70,22 @@ def check_controller(controller: Any) -> None:
         raise InvalidArgument(
             f"controller is {controller!r}, expected a controller: wrap a function in law(...)"
         )
+
+
+def answer_of(
+    controller: Controller, t: float, q: Array, v: Array, reference: Any, state: Any
+) -> tuple[Array, Any]:
+    """Return the force and the next state of a controller.
+
+    Raises
+    ------
+    InvalidArgument
+        If it returns something else than two.
+    """
+    answer = controller(t, q, v, reference, state)
+    if type(answer) is not tuple or len(answer) != 2:
+        raise InvalidArgument(f"controller returned {answer!r} at t = {t:g} s, expected (tau, state)")
+    return answer
 
 
 def planar_difference(q_d: Array, q: Array) -> Array:

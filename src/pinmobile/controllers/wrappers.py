@@ -11,7 +11,7 @@ from typing import Any, final
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, frozen, whole
-from pinmobile.controllers.protocol import Controller, State, check_controller
+from pinmobile.controllers.protocol import Controller, State, answer_of, check_controller
 from pinmobile.errors import InvalidArgument
 
 __all__ = ["Delayed", "NoisyMeasurement", "Saturated"]
@@ -54,7 +54,7 @@ class Saturated:
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: Any) -> tuple[Array, Any]:
         """Return the limited force, shape (..., n), and the wrapped controller's next state."""
-        tau, state = _answer(self.controller, t, q, v, reference, state)
+        tau, state = answer_of(self.controller, t, q, v, reference, state)
         limits = _fitting("limits", self.limits, np.shape(tau)[-1:])
         return np.minimum(np.maximum(tau, -limits), limits), state
 
@@ -98,7 +98,7 @@ class Delayed:
         past = (*past, (np.array(q), np.array(v)))
         old_q, old_v = past[0]
         # What is kept is nobody else's to write into.
-        tau, inner = _answer(self.controller, t, old_q.copy(), old_v.copy(), reference, inner)
+        tau, inner = answer_of(self.controller, t, old_q.copy(), old_v.copy(), reference, inner)
         return tau, (inner, past[max(len(past) - self.samples, 0) :])
 
 
@@ -164,7 +164,7 @@ class NoisyMeasurement:
             self._tables.setdefault(n, _Table(self.seed, n))
         row = self._tables[n].row(k)
         noisy = q + std_q * row[0, : sizes[0][0]], v + std_v * row[1, : sizes[1][0]]
-        tau, inner = _answer(self.controller, t, *noisy, reference, inner)
+        tau, inner = answer_of(self.controller, t, *noisy, reference, inner)
         return tau, (inner, k + 1)
 
 
@@ -199,12 +199,3 @@ def _fitting(name: str, value: Any, size: tuple[int, ...]) -> Array:
     if value.shape not in ((), size):
         raise InvalidArgument(f"{name} has shape {value.shape}, expected () or {size}")
     return np.asarray(value)
-
-
-def _answer(
-    controller: Controller, t: float, q: Array, v: Array, reference: State, state: Any
-) -> tuple[Array, Any]:
-    answer = controller(t, q, v, reference, state)
-    if type(answer) is not tuple or len(answer) != 2:
-        raise InvalidArgument(f"controller returned {answer!r} at t = {t:g} s, expected (tau, state)")
-    return answer

@@ -134,7 +134,14 @@ class NoiseForce:
 
     @classmethod
     def of_phases(cls, std: ArrayLike, bandwidth: float, phases: ArrayLike) -> Self:
-        """Return the noise with given phases, shape (..., TERMS, 3) [rad]; its seed is None.
+        """Return the noise with given phases; its seed is None.
+
+        Parameters
+        ----------
+        std, bandwidth
+            As in the class.
+        phases : array_like, shape (..., TERMS, 3)
+            Of the cosines [rad].
 
         Raises
         ------

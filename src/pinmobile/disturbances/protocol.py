@@ -51,7 +51,7 @@ def numbers(name: str, value: ArrayLike) -> Array:
 
 
 def not_below_zero(name: str, value: Array) -> Array:
-    """Return `value`, after refusing an entry below zero.
+    """Return `value`, shape (...), after refusing an entry below zero.
 
     Raises
     ------

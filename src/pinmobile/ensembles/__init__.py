@@ -1,14 +1,14 @@
 """Many robots at once: drawn, run side by side, and summed up."""
 
-from pinmobile.ensembles.batch import Member
 from pinmobile.ensembles.by_arrays import ARRAYS
 from pinmobile.ensembles.by_kernel import COMPILED
 from pinmobile.ensembles.distributions import TRUE_MODEL, Distribution, Normal, Same, Uniform
+from pinmobile.ensembles.member import Member
+from pinmobile.ensembles.parameters import PARAMETERS
 from pinmobile.ensembles.part import Engine, Part
 from pinmobile.ensembles.result import Bands, Ensemble, Within
 from pinmobile.ensembles.running import ensemble, part_of, run_scenario
 from pinmobile.ensembles.scenario import Scenario
-from pinmobile.ensembles.spread import PARAMETERS
 
 __all__ = [
     "ARRAYS",

@@ -1,21 +1,22 @@
-"""Some robots of an ensemble: their numbers as arrays, and each as the arguments of `simulate`."""
+"""Some robots of an ensemble: their numbers as arrays."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.controllers import ComputedTorque, NoisyMeasurement, gain_matrix
-from pinmobile.disturbances import NoiseForce
-from pinmobile.ensembles.scenario import FORCE_FIELDS, Scenario, core_of, layers_of
-from pinmobile.ensembles.spread import in_blocks, stream
+from pinmobile.ensembles.draws import stream
+from pinmobile.ensembles.forces import drawn_force
+from pinmobile.ensembles.layers import core_of, layers_of
+from pinmobile.ensembles.scenario import Scenario
 from pinmobile.robot import MobileRobot
 
-__all__ = ["Batch", "Member", "batch_of", "member_of", "noise_of"]
+__all__ = ["BODY", "Batch", "batch_of", "noise_of", "noise_seed"]
 
-_BODY = ("mass", "yaw_inertia", "com_x", "com_y")
+BODY = ("mass", "yaw_inertia", "com_x", "com_y")
+"""The parameters of a body, in the order of `Batch.body`."""
 
 
 class Batch(NamedTuple):
@@ -48,23 +49,6 @@ class Batch(NamedTuple):
     forces: tuple[Any, ...]
 
 
-class Member(NamedTuple):
-    """One robot of an ensemble: ``simulate(*member[:3], **member.options)`` runs it alone.
-
-    Attributes
-    ----------
-    robot, controller, trajectory
-        As in `simulate`.
-    options : dict
-        The other arguments of `simulate`.
-    """
-
-    robot: MobileRobot
-    controller: Any
-    trajectory: Any
-    options: dict[str, Any]
-
-
 def batch_of(scenario: Scenario, draws: Mapping[str, Array], start: int, size: int) -> Batch:
     """Return `size` robots from `start` on.
 
@@ -88,13 +72,16 @@ def batch_of(scenario: Scenario, draws: Mapping[str, Array], start: int, size: i
     return Batch(
         start=start,
         size=size,
-        body=rows(*_BODY),
-        model=rows(*(f"model_{name}" for name in _BODY)) if modelled else None,
+        body=rows(*BODY),
+        model=rows(*(f"model_{name}" for name in BODY)) if modelled else None,
         q=scenario.reference.q[0] + offsets[:3].T,
         v=scenario.reference.v[0] + offsets[3:].T,
         kp=gains[0],
         kd=gains[1],
-        forces=tuple(_force(scenario, k, draws, start, size) for k in range(len(scenario.forces))),
+        forces=tuple(
+            drawn_force(force, k, draws, scenario.seed, start, size)
+            for k, force in enumerate(scenario.forces)
+        ),
     )
 
 
@@ -112,28 +99,15 @@ def _gains(name: str, core: Any, draws: Mapping[str, Array], size: int) -> Array
     return gains * mine.get(f"{name}_factor", np.ones(size))[:, None, None]
 
 
-def _force(scenario: Scenario, k: int, draws: Mapping[str, Array], start: int, size: int) -> Any:
-    """Return a force of the scenario with what is drawn of it."""
-    force = scenario.forces[k]
-    changed: dict[str, Array] = {}
-    for name, (kind, field, column) in FORCE_FIELDS.items():
-        if type(force) is kind and name in draws:
-            if column is None:
-                changed[field] = draws[name]
-            else:
-                changed.setdefault(field, np.tile(getattr(force, field), (size, 1)))[:, column] = draws[name]
-    if type(force) is NoiseForce:
-
-        def phases(generator: np.random.Generator, count: int) -> Array:
-            return generator.uniform(0, 2 * np.pi, (count, NoiseForce.TERMS, 3))
-
-        drawn = in_blocks(f"phases {k}", phases, scenario.seed, start, start + size)
-        return NoiseForce.of_phases(changed.get("std", force.std), force.bandwidth, drawn)
-    return replace(force, **changed) if changed else force
-
-
 def noise_of(scenario: Scenario, start: int, size: int) -> list[Array]:
     """Return the standard normal numbers of each noisy measurement, the outermost first.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Whose robots.
+    start, size : int
+        Index of the first, and how many.
 
     Returns
     -------
@@ -145,7 +119,7 @@ def noise_of(scenario: Scenario, start: int, size: int) -> list[Array]:
     return [
         np.array(
             [
-                np.random.default_rng(_noise_seed(scenario, k, i)).standard_normal(samples)
+                np.random.default_rng(noise_seed(scenario, k, i)).standard_normal(samples)
                 for i in range(start, start + size)
             ]
         )
@@ -153,73 +127,6 @@ def noise_of(scenario: Scenario, start: int, size: int) -> list[Array]:
     ]
 
 
-def _noise_seed(scenario: Scenario, layer: int, i: int) -> np.random.SeedSequence:
+def noise_seed(scenario: Scenario, layer: int, i: int) -> np.random.SeedSequence:
+    """Return the seed of robot i's numbers in a noisy measurement, the outermost being layer 0."""
     return stream(scenario.seed, f"measurement {layer}", i)
-
-
-def member_of(scenario: Scenario, i: int) -> Member:
-    """Return robot i as the arguments of `simulate`.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Whose robot.
-    i : int
-        Its index, 0 <= i < n.
-    """
-    draws = scenario.draws(i, i + 1)
-    batch = batch_of(scenario, draws, i, 1)
-    robot = scenario.robot
-    if any(name in draws for name in _BODY):
-        robot = _robot(robot, batch.body)
-    core: Any = core_of(scenario.controller)
-    changes: dict[str, Any] = {}
-    for name, gain in (("kp", batch.kp), ("kd", batch.kd)):
-        if gain is not None and gain.ndim == 3:
-            changes[name] = gain[0]
-    if batch.model is not None and any(name.startswith("model_") for name in draws):
-        changes["robot"] = _robot(core.robot, batch.model)
-    controller = replace(core, **changes) if changes else core
-    options = {
-        "dt": scenario.dt,
-        "duration": scenario.duration,
-        "q0": batch.q[0],
-        "v0": batch.v[0],
-        "integrator": scenario.integrator,
-        "substeps": scenario.substeps,
-        "forces": tuple(_of_one(force) for force in batch.forces),
-        "limit": scenario.limit,
-    }
-    return Member(robot, _rewrapped(scenario, controller, i), scenario.trajectory, options)
-
-
-def _robot(robot: MobileRobot, body: Array) -> MobileRobot:
-    mass, inertia, x, y = body[:, 0].tolist()
-    return MobileRobot(mass, inertia, com=(x, y, robot.com[2]), size=robot.size, dh=robot.dh)
-
-
-def _of_one(force: Any) -> Any:
-    """Return a force whose fields have no axis for robots."""
-    if type(force) is NoiseForce:
-        std: Any = force.std
-        phases = force.phases[0] if force.phases.ndim == 3 else force.phases
-        return NoiseForce.of_phases(std[0] if std.ndim == 2 else std, force.bandwidth, phases)
-    fields = {field for kind, field, _ in FORCE_FIELDS.values() if type(force) is kind}
-    flat = {}
-    for field in fields:
-        value = getattr(force, field)
-        if value.ndim and value.shape[0] == 1 and value.ndim == (1 if field in ("frequency", "phase") else 2):
-            flat[field] = value[0]
-    return replace(force, **flat) if flat else force
-
-
-def _rewrapped(scenario: Scenario, controller: Any, i: int) -> Any:
-    layers: Sequence[Any] = layers_of(scenario.controller)
-    noisy = sum(type(layer) is NoisyMeasurement for layer in layers)
-    for layer in reversed(layers):
-        changes: dict[str, Any] = {"controller": controller}
-        if type(layer) is NoisyMeasurement:
-            noisy -= 1
-            changes["seed"] = _noise_seed(scenario, noisy, i)
-        controller = replace(layer, **changes)
-    return controller

@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 from pinmobile import closed_form
 from pinmobile.arrays import Array
 from pinmobile.controllers import PD, ComputedTorque, NoisyMeasurement, planar_difference
+from pinmobile.controllers.protocol import answer_of
 from pinmobile.ensembles.batch import Batch, noise_of
 from pinmobile.ensembles.histogram import BINS, bins_of
+from pinmobile.ensembles.layers import core_of, layers_of
 from pinmobile.ensembles.part import Engine, Part, empty_counts
-from pinmobile.ensembles.scenario import Scenario, core_of, layers_of
+from pinmobile.ensembles.scenario import Scenario
 from pinmobile.errors import InvalidArgument
 from pinmobile.simulation import stepped
 from pinmobile.trajectories import Reference
@@ -84,10 +86,7 @@ def _run(scenario: Scenario, batch: Batch) -> Part:
 
 
 def _answer(controller: Any, t: float, q: Array, v: Array, at: Reference, state: Any) -> tuple[Array, Any]:
-    answer = controller(t, q.copy(), v.copy(), at, state)
-    if type(answer) is not tuple or len(answer) != 2:
-        raise InvalidArgument(f"controller returned {answer!r} at t = {t:g} s, expected (tau, state)")
-    tau, state = answer
+    tau, state = answer_of(controller, t, q.copy(), v.copy(), at, state)
     if np.shape(tau) != q.shape:
         raise InvalidArgument(
             f"controller returned shape {np.shape(tau)} at t = {t:g} s for q of shape {q.shape}, expected "

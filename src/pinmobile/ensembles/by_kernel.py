@@ -15,8 +15,9 @@ from pinmobile.disturbances import (
     noise_frequencies,
 )
 from pinmobile.ensembles.batch import Batch, noise_of
+from pinmobile.ensembles.layers import core_of, layers_of
 from pinmobile.ensembles.part import Engine, Part, empty_counts
-from pinmobile.ensembles.scenario import Scenario, core_of, layers_of
+from pinmobile.ensembles.scenario import Scenario
 from pinmobile.integrators import RungeKuttaNystrom
 from pinmobile.robot import MobileRobot
 

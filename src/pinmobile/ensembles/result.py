@@ -2,16 +2,17 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, whole
-from pinmobile.ensembles.batch import Member, member_of
 from pinmobile.ensembles.histogram import checked_levels, checked_share, quantiles
+from pinmobile.ensembles.member import Member, member_of
 from pinmobile.ensembles.part import Part
 from pinmobile.ensembles.scenario import Scenario
+from pinmobile.ensembles.table import judgement, ranges
 from pinmobile.errors import Diverged, InvalidArgument, UnknownName
 from pinmobile.simulation import Rollout, simulate
 
@@ -236,32 +237,13 @@ class Ensemble:
         return f"<Ensemble: {self._judgement()}>"
 
     def __str__(self) -> str:
-        rows = [self._judgement(), f"seed {self.scenario.seed}, {len(self.scenario.t)} samples each"]
-        for name, values in _columns(self).items():
-            good = values[np.isfinite(values)]
-            if len(good):
-                low, middle, high = np.quantile(good, (0.0, 0.5, 1.0))
-                rows.append(f"{name:<28} least {low:.4g}, median {middle:.4g}, largest {high:.4g}")
-        return "\n".join(rows)
+        samples = f"seed {self.scenario.seed}, {len(self.scenario.t)} samples each"
+        return "\n".join(
+            [self._judgement(), samples, *ranges(self.max_distance, self.max_error, self.max_force)]
+        )
 
     def _judgement(self) -> str:
-        distance, heading = self.within(0.99)
-        count = int(self.diverged.sum())
-        start = f"{len(self):,} robots over {self.scenario.t[-1]:g} s: "
-        if np.isinf(distance):
-            return f"{start}{count:,} diverged, more than 1 %"
-        within = f"99 % stay within {distance:.4g} m and {heading:.4g} rad"
-        return f"{start}{within}, {f'{count:,} diverged' if count else 'none diverged'}"
+        return judgement(len(self), self.scenario.t[-1], self.within(0.99), int(self.diverged.sum()))
 
 
 _ARRAYS = ("max_error", "rms_error", "max_distance", "max_force", "diverged_at", "counts")
-
-
-def _columns(made: Ensemble) -> dict[str, Array]:
-    columns: dict[str, Any] = {"largest distance [m]": made.max_distance}
-    for k, (name, unit, force, newton) in enumerate(
-        (("x", "m", "Fx", "N"), ("y", "m", "Fy", "N"), ("psi", "rad", "Mz", "N m"))
-    ):
-        columns[f"largest error of {name} [{unit}]"] = made.max_error[:, k]
-        columns[f"largest {force} [{newton}]"] = made.max_force[:, k]
-    return columns

@@ -1,31 +1,22 @@
 """`ensemble`, the verb: the robots of a scenario in stretches, on all cores, in any order with one result."""
 
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
-from importlib.util import find_spec
 from typing import Any
 
-import numpy as np
-
 from pinmobile.arrays import Array, whole
-from pinmobile.controllers import NoisyMeasurement
 from pinmobile.ensembles.batch import batch_of
-from pinmobile.ensembles.by_arrays import ARRAYS, check_functions
-from pinmobile.ensembles.by_kernel import COMPILED
+from pinmobile.ensembles.choosing import chosen_engine
 from pinmobile.ensembles.distributions import Source
-from pinmobile.ensembles.part import Engine, Part, empty_counts
+from pinmobile.ensembles.part import Engine, Part
 from pinmobile.ensembles.result import Ensemble
-from pinmobile.ensembles.scenario import Scenario, layers_of
+from pinmobile.ensembles.scenario import Scenario
+from pinmobile.ensembles.stretches import Records, divided, processors, results
 from pinmobile.errors import InvalidArgument
 from pinmobile.integrators import Integrator, constant_acceleration
 from pinmobile.robot import MobileRobot
 from pinmobile.trajectories import Trajectory
 
-__all__ = ["chosen_engine", "ensemble", "part_of", "processors", "run_scenario"]
-
-_NOISY = 256  # robots at a time where each has noise of its own for each sample
-_LANES = 64  # what the compiled code takes at a time
+__all__ = ["ensemble", "part_of", "run_scenario"]
 
 Progress = Callable[[int, int], None]
 
@@ -117,22 +108,16 @@ def run_scenario(
         raise InvalidArgument(f"progress is {progress!r}, expected a function of done and n")
     if isinstance(traces, str) or not isinstance(traces, Iterable):
         raise InvalidArgument(f"traces is {traces!r}, expected indices of robots, such as [0]")
-    followed = [_robot_index("traces", i, scenario.n) for i in traces]
+    followed = [_traced(i, scenario.n) for i in traces]
     draws = scenario.draws()
-    whole_part = _Whole(scenario)
-    stretches = _stretches(scenario, chosen, workers)
-
-    def run(start: int, stop: int) -> tuple[int, int, Part]:
-        mine = {name: column[start:stop] for name, column in draws.items()}
-        return start, stop, chosen.run(scenario, batch_of(scenario, mine, start, stop - start))
-
-    done = 0
-    for start, stop, part in _each(run, stretches, workers):
-        whole_part.put(start, stop, part)
+    records = Records(scenario, 0, scenario.n)
+    run, done = _runner(scenario, chosen, draws, 0), 0
+    for start, stop, part in results(run, divided(scenario, chosen, workers, 0, scenario.n), workers):
+        records.put(start, stop, part)
         done += stop - start
         if progress is not None:
             progress(done, scenario.n)
-    return Ensemble.of(scenario, draws, whole_part.part(), followed)
+    return Ensemble.of(scenario, draws, records.part(), followed)
 
 
 def part_of(
@@ -140,107 +125,49 @@ def part_of(
 ) -> tuple[dict[str, Array], Part]:
     """Return the draws and records of the robots from `start` to before `stop`: a chunk of a sweep.
 
+    Parameters
+    ----------
+    scenario : Scenario
+        Whose robots.
+    start, stop : int
+        Which of them, 0 <= start < stop <= n.
+    engine : Engine, optional
+        As in `ensemble`.
+
+    Returns
+    -------
+    draws : dict of str to ndarray, shape (stop - start,)
+        What was drawn, by name.
+    part : Part
+        The records.
+
     Raises
     ------
     InvalidArgument
         As `ensemble`.
     """
     chosen, draws = chosen_engine(scenario, engine), scenario.draws(start, stop)
-    records = _Whole(scenario, start, stop)
-    for first, last in _stretches(scenario, chosen, 1, start, stop):
-        mine = {name: column[first - start : last - start] for name, column in draws.items()}
-        records.put(first, last, chosen.run(scenario, batch_of(scenario, mine, first, last - first)))
+    records = Records(scenario, start, stop)
+    run = _runner(scenario, chosen, draws, start)
+    for first, last, part in results(run, divided(scenario, chosen, 1, start, stop), 1):
+        records.put(first, last, part)
     return draws, records.part()
 
 
-def chosen_engine(scenario: Scenario, engine: Engine | None) -> Engine:
-    """Return the engine that is asked for, by default the compiled one wherever it can.
+def _runner(
+    scenario: Scenario, engine: Engine, draws: Mapping[str, Array], begin: int
+) -> Callable[[int, int], Part]:
+    """Return what runs the robots of a stretch, given what is drawn for those from `begin` on."""
 
-    Raises
-    ------
-    InvalidArgument
-        If it cannot run the scenario, or numba is missing.
-    """
-    if engine is None and COMPILED.refusal(scenario):
-        check_functions(scenario)
-        return ARRAYS
-    chosen = COMPILED if engine is None else engine
-    if not isinstance(chosen, Engine):
-        raise InvalidArgument(f"engine is {engine!r}, expected COMPILED, ARRAYS or None")
-    refusal = chosen.refusal(scenario)
-    if refusal:
-        raise InvalidArgument(f"engine is {chosen!r}, which cannot run this: {refusal}")
-    if chosen is COMPILED and find_spec("numba") is None:
-        raise InvalidArgument(
-            "the compiled engine needs numba: install the extra, pip install 'pinmobile[ensembles]', "
-            "or choose engine=ARRAYS, which is slower"
-        )
-    if chosen is ARRAYS:
-        check_functions(scenario)
-    return chosen
+    def run(start: int, stop: int) -> Part:
+        mine = {name: column[start - begin : stop - begin] for name, column in draws.items()}
+        return engine.run(scenario, batch_of(scenario, mine, start, stop - start))
+
+    return run
 
 
-def processors() -> int:
-    """Return how many processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _robot_index(name: str, i: Any, n: int) -> int:
-    index = whole(name, i, least=0)
+def _traced(i: Any, n: int) -> int:
+    index = whole("traces", i, least=0)
     if index >= n:
-        raise InvalidArgument(f"{name} has robot {index}, expected 0 to {n - 1}")
+        raise InvalidArgument(f"traces has robot {index}, expected 0 to {n - 1}")
     return index
-
-
-def _stretches(
-    scenario: Scenario, engine: Engine, workers: int, start: int = 0, stop: int | None = None
-) -> list[tuple[int, int]]:
-    """Divide the robots so that every worker has something to do, and none too much at a time."""
-    end = scenario.n if stop is None else stop
-    noisy = any(type(layer) is NoisyMeasurement for layer in layers_of(scenario.controller))
-    each = -(-(end - start) // (workers * _LANES)) * _LANES
-    each = min(each, _NOISY if noisy else engine.largest)
-    return [(first, min(first + each, end)) for first in range(start, end, each)]
-
-
-def _each(
-    run: Callable[[int, int], Any], stretches: Sequence[tuple[int, int]], workers: int
-) -> Iterable[Any]:
-    if workers == 1 or len(stretches) == 1:
-        for stretch in stretches:
-            yield run(*stretch)
-        return
-    with ThreadPoolExecutor(workers) as pool:
-        waiting = [pool.submit(run, *stretch) for stretch in stretches]
-        try:
-            for future in as_completed(waiting):
-                waiting.remove(future)
-                yield future.result()
-        finally:
-            pool.shutdown(cancel_futures=True)
-
-
-class _Whole:
-    """The records of a stretch, put together from those of its parts in any order."""
-
-    def __init__(self, scenario: Scenario, start: int = 0, stop: int | None = None) -> None:
-        size = (scenario.n if stop is None else stop) - start
-        self.start = start
-        self.arrays = {
-            "lived": np.empty(size, np.int64),
-            "max_error": np.empty((size, 3)),
-            "max_distance": np.empty(size),
-            "rms_error": np.empty((size, 3)),
-            "max_force": np.empty((size, 3)),
-        }
-        self.counts = empty_counts(scenario)
-
-    def put(self, start: int, stop: int, part: Part) -> None:
-        """Put the records of the robots from `start` to before `stop` in their place."""
-        for name, array in self.arrays.items():
-            array[start - self.start : stop - self.start] = getattr(part, name)
-        self.counts += part.counts
-
-    def part(self) -> Part:
-        """Return all records."""
-        return Part(counts=self.counts, **self.arrays)  # type: ignore[arg-type]

@@ -9,23 +9,20 @@ from typing import Any, final
 import numpy as np
 
 from pinmobile.arrays import Array, positive, whole
-from pinmobile.controllers import PD, ComputedTorque, Delayed, NoisyMeasurement, Saturated, gain_matrix
-from pinmobile.disturbances import (
-    ConstantForce,
-    NoiseForce,
-    RollingResistance,
-    SinusoidalForce,
-    ViscousFriction,
-)
+from pinmobile.controllers import PD, ComputedTorque, gain_matrix
 from pinmobile.ensembles.distributions import Source
-from pinmobile.ensembles.spread import PARAMETERS, check_supports, checked_spread, draw, held
+from pinmobile.ensembles.draws import draw, held
+from pinmobile.ensembles.forces import check_forces, with_spread_forces
+from pinmobile.ensembles.layers import check_layers, core_of
+from pinmobile.ensembles.parameters import PARAMETERS
+from pinmobile.ensembles.spread import check_supports, checked_spread
 from pinmobile.errors import InvalidArgument
 from pinmobile.integrators import Integrator, constant_acceleration
 from pinmobile.robot import MobileRobot
 from pinmobile.simulation import checked_forces, checked_loop, sample_times, sampled
 from pinmobile.trajectories import Reference, Trajectory
 
-__all__ = ["Scenario", "core_of", "layers_of"]
+__all__ = ["Scenario"]
 
 _GRID = 60  # intervals between counts, about
 _MOST = 100_000_000  # robots
@@ -112,10 +109,10 @@ class Scenario:
             "reference": sampled(self.trajectory, t, self.robot),
         }.items():
             object.__setattr__(self, name, value)
-        _check_forces(self.forces)
-        object.__setattr__(self, "forces", _with_spread_forces(self.forces, self.spread))
+        check_forces(self.forces)
+        object.__setattr__(self, "forces", with_spread_forces(self.forces, self.spread))
         _check_names(self)
-        _check_layers(self.controller)
+        check_layers(self.controller)
         check_supports(self.spread)
 
     @property
@@ -158,7 +155,12 @@ class Scenario:
         return part
 
     def draws(self, start: int = 0, stop: int | None = None) -> dict[str, Array]:
-        """Return what was drawn for the robots from `start` to before `stop`, by name.
+        """Return what was drawn for the robots from `start` to before `stop`, shape (stop - start,), by name.
+
+        Parameters
+        ----------
+        start, stop : int
+            Which robots, 0 <= start < stop; by default all n.
 
         Raises
         ------
@@ -170,29 +172,12 @@ class Scenario:
             parameter = PARAMETERS[name]
             wrong = ~parameter.allows(column)
             if wrong.any():
-                sign = ">=" if parameter.may_vanish else ">"
                 raise InvalidArgument(
                     f"spread[{name!r}] gives {column[wrong].min():.6g} {parameter.unit} as the "
                     f"{parameter.meaning}, and {np.count_nonzero(wrong)} of {len(column)} draws "
-                    f"({wrong.mean():.2%}) are impossible; expected {sign} 0"
+                    f"({wrong.mean():.2%}) are impossible; expected {parameter.bound}"
                 )
         return values
-
-
-def core_of(controller: Any) -> Any:
-    """Return the controller inside all wrappers of the library."""
-    while type(controller) in (Saturated, Delayed, NoisyMeasurement):
-        controller = controller.controller
-    return controller
-
-
-def layers_of(controller: Any) -> list[Any]:
-    """Return the wrappers of the library around a controller, the outermost first."""
-    layers = []
-    while type(controller) in (Saturated, Delayed, NoisyMeasurement):
-        layers.append(controller)
-        controller = controller.controller
-    return layers
 
 
 def _of_robot(prefix: str, robot: MobileRobot) -> dict[str, float]:
@@ -201,65 +186,6 @@ def _of_robot(prefix: str, robot: MobileRobot) -> dict[str, float]:
     return dict(
         zip((f"{prefix}{name}" for name in ("mass", "yaw_inertia", "com_x", "com_y")), values, strict=True)
     )
-
-
-# What of a force its names in a spread stand for: class, field, and the columns of that field.
-FORCE_FIELDS: Mapping[str, tuple[type, str, int | None]] = {
-    **{name: (ConstantForce, "force", k) for k, name in enumerate(("force_x", "force_y", "moment_z"))},
-    **{name: (SinusoidalForce, "amplitude", k) for k, name in enumerate(("sine_x", "sine_y", "sine_moment"))},
-    "sine_frequency": (SinusoidalForce, "frequency", None),
-    "sine_phase": (SinusoidalForce, "phase", None),
-    **{name: (NoiseForce, "std", k) for k, name in enumerate(("noise_x", "noise_y", "noise_moment"))},
-    **{
-        f"viscous_{a}": (ViscousFriction, "coefficients", k) for k, a in enumerate(("forward", "left", "yaw"))
-    },
-    **{f"rolling_{a}": (RollingResistance, "force", k) for k, a in enumerate(("forward", "left", "yaw"))},
-}
-
-
-def _check_forces(forces: Sequence[Any]) -> None:
-    known = {kind for kind, _, _ in FORCE_FIELDS.values()}
-    for k, force in enumerate(forces):
-        shape = np.shape(force(0.0, np.zeros(3), np.zeros(3))) if type(force) in known else (3,)
-        if shape != (3,):
-            raise InvalidArgument(
-                f"forces[{k}] gives shape {shape} for one robot, expected (3,): name in spread what differs"
-            )
-
-
-def _with_spread_forces(forces: Sequence[Any], spread: Mapping[str, Any]) -> tuple[Any, ...]:
-    """Return the forces, with those that a spread names and that need no more to be known of them."""
-    found = list(forces)
-    for name in spread:
-        if name not in FORCE_FIELDS:
-            continue
-        kind = FORCE_FIELDS[name][0]
-        count = sum(type(force) is kind for force in found)
-        if count > 1:
-            raise InvalidArgument(f"forces has {count} {kind.__name__}, expected one for spread[{name!r}]")
-        if count == 0:
-            found.append(_spread_force(kind, name, spread))
-    return tuple(found)
-
-
-def _spread_force(kind: type, name: str, spread: Mapping[str, Any]) -> Any:
-    if kind is NoiseForce:
-        raise InvalidArgument(f"spread has {name!r} but forces no NoiseForce, expected one for its bandwidth")
-    if kind is not SinusoidalForce:
-        return kind(np.zeros(3))
-    if "sine_frequency" not in spread:
-        raise InvalidArgument(
-            f"spread has {name!r} but no 'sine_frequency' and forces no SinusoidalForce, expected one of them"
-        )
-    return SinusoidalForce(np.zeros(3), 0.0)
-
-
-def _check_layers(controller: Any) -> None:
-    for layer in layers_of(controller):
-        for name in ("limits", "std_q", "std_v"):
-            shape = np.shape(getattr(layer, name, 0.0))
-            if shape not in ((), (3,)):
-                raise InvalidArgument(f"{name} has shape {shape}, expected () or (3,)")
 
 
 def _check_names(scenario: Scenario) -> None:

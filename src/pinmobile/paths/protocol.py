@@ -1,14 +1,14 @@
 """What a path is, what its analytic pieces are, and the times at which it may be asked."""
 
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite
 from pinmobile.errors import InvalidArgument
 
-__all__ = ["Path", "Piece", "Whole", "pieces_of", "within"]
+__all__ = ["Path", "Piece", "Whole", "checked_path", "pieces_of", "within"]
 
 # Relative to the duration: room for the rounding of `n * dt`, and for no more.
 _ROUNDING = 4 * float(np.finfo(np.float64).eps)
@@ -85,6 +85,25 @@ class Whole:
 def pieces_of(path: Path) -> tuple[Piece, ...]:
     """Return the analytic pieces of a path, in order; a path that names none is one piece."""
     return tuple(getattr(path, "pieces", ())) or (Whole(path),)
+
+
+def checked_path(path: Any, size: int) -> Path:
+    """Return a path whose points have 2 or 3 coordinates.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is none, or its points have another shape.
+    """
+    if not isinstance(path, Path):
+        raise InvalidArgument(
+            f"path is {path!r}, expected a path: path(t), path.derivative(t, order), path.duration"
+        )
+    shape = np.shape(path(0.0))
+    if shape != (size,):
+        where = "the plane" if size == 2 else "space"
+        raise InvalidArgument(f"path has points of shape {shape}, expected ({size},), a path in {where}")
+    return path
 
 
 def within(name: str, t: ArrayLike, duration: float) -> Array:

@@ -9,6 +9,7 @@ import pinocchio as pin
 from pinmobile.arrays import Array, ArrayLike, finite, frozen
 from pinmobile.errors import InvalidArgument
 from pinmobile.paths import Path, within
+from pinmobile.paths.protocol import checked_path
 
 __all__ = ["PosePath", "PoseTarget", "pose_error"]
 
@@ -62,7 +63,7 @@ class PosePath:
     _turn: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        _check_path(self.path)
+        checked_path(self.path, 3)
         for name in ("rotation", "final_rotation"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, _checked_rotation(name, getattr(self, name)))
@@ -147,16 +148,6 @@ def _turned(turn: Array, share: Array) -> Array:
     K = pin.skew(turn / angle) if angle else np.zeros((3, 3))
     angles = (angle * share)[..., None, None]
     return np.asarray(np.eye(3) + np.sin(angles) * K + (1 - np.cos(angles)) * (K @ K))
-
-
-def _check_path(path: Path) -> None:
-    if not isinstance(path, Path):
-        raise InvalidArgument(
-            f"path is {path!r}, expected a path: path(t), path.derivative(t, order), path.duration"
-        )
-    shape = np.shape(path(0.0))
-    if shape != (3,):
-        raise InvalidArgument(f"path has points of shape {shape}, expected (3,), a path in space")
 
 
 def _checked_rotation(name: str, value: ArrayLike) -> Array:

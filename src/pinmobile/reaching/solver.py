@@ -49,13 +49,34 @@ class Solver:
         return pose_error(pose, self.robot.frame_pose(q, self.frame))[: self.target.rows]
 
     def correction(self, q: Array, error: Array, wish: Array, least: Array, most: Array) -> Array:
-        """Return the displacement within bounds that mends the error, near the one that is wished for."""
+        """Return the displacement within bounds that mends the error, near the one that is wished for.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nq,)
+            Configuration.
+        error : ndarray, shape (rows,)
+            How far the frame is from its pose [m, rad].
+        wish, least, most : ndarray, shape (nv,)
+            Displacement that is wished for, and its bounds.
+        """
         J = self.robot.frame_jacobian(q, self.frame)[: self.target.rows]
         A, b = np.vstack([J, self.weights]), np.concatenate([error, self.weights @ wish])
         return bounded_least_squares(A, b, least, most)
 
     def start(self, q0: ArrayLike | None) -> Array:
-        """Return a configuration within limits at which the frame is at the target's start, or nearest."""
+        """Return a configuration within limits at which the frame is at the target's start, or nearest.
+
+        Parameters
+        ----------
+        q0 : array_like, shape (nq,), or None
+            Where the search begins; None: `rest` and, where that fails, others.
+
+        Raises
+        ------
+        InvalidArgument
+            If `q0` has another shape, is not finite, or is outside the limits.
+        """
         robot = self.robot
         first = robot.rest if q0 is None else checked_configuration(robot, "q0", q0)
         generator, best = np.random.default_rng(0), (np.inf, first)
@@ -68,7 +89,7 @@ class Solver:
         return best[1]
 
     def sought(self, q: Array) -> Array:
-        """Return what Gauss-Newton finds for the target's start from a configuration."""
+        """Return what Gauss-Newton finds for the target's start from a configuration, both of shape (nq,)."""
         pose, still = self.target(0.0).pose, np.zeros(self.robot.nv)
         # x and y add to the pose as they are, however far; what is locked stays where it is.
         stride = np.where(np.arange(self.robot.nv) < 2, np.inf, _STRIDE)
@@ -86,6 +107,15 @@ class Solver:
         """Return the displacements of the control points from the start, shape (count + 3, nv).
 
         The first and the last are beyond the ends of the target.
+
+        Parameters
+        ----------
+        start, posture : ndarray, shape (nq,)
+            Where it begins, and what the arms tend to.
+        gain : float
+            Rate of that [1/s].
+        count : int
+            Steps.
         """
         robot, dt = self.robot, self.target.duration / count
         poses = self.target(np.linspace(0, self.target.duration, count + 1)).pose

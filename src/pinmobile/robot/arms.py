@@ -1,6 +1,5 @@
 """What can be mounted, made ready: a model without a root of its own, its wheels locked, its rest posture."""
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
@@ -10,17 +9,12 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array, frozen
 from pinmobile.errors import InvalidArgument, UnknownName
-from pinmobile.robot.sound import check_bodies, check_joint_limits
-from pinmobile.robot.tree import carries_only_wheels, children, joint_kind
+from pinmobile.robot.sound import check_bodies, check_inertias, check_joint_limits
+from pinmobile.robot.tree import carries_only_wheels, children, joint_kind, parts_of, root_of, tip_of
 
-__all__ = ["Arm", "Origin", "Picture", "tip_of"]
+__all__ = ["Arm", "Origin", "Picture"]
 
 Picture: TypeAlias = Callable[[pin.Model], pin.GeometryModel]
-
-_SINGULAR = 1e-9  # what is left of a joint's inertia when all joints beyond it give way, as a share of it
-_FINGER = 4  # joints in series at most, beyond which a branch is an arm
-_TOOLS = ("tcp", "tool0", "end_effector", "ee_link")  # names of the link that a file means as the tip
-_GENERIC = 20  # seed of the posture at which inertias are tried; any will do
 
 
 @dataclass(frozen=True)
@@ -104,16 +98,16 @@ class Arm:
         check_bodies(whole, self.origin.value)
         check_joint_limits(whole, free, self.origin.value)
         model = pin.buildReducedModel(whole, held, np.array(rest)) if held else whole.copy()
-        parts = [rest[whole.idx_qs[j] : whole.idx_qs[j] + whole.nqs[j]] for j in free]
+        parts = [rest[parts_of(whole, joint)[0]] for joint in free]
         posture = np.concatenate(parts) if parts else np.zeros(0)
-        _check_inertias(model, posture, self.origin.value)
+        check_inertias(model, posture, self.origin.value)
         for name, value in {
             "whole": whole,
             "rest": rest,
             "model": model,
             "posture": frozen(posture),
             "tip": tip_of(model),
-            "stands": self.stands or any("FreeFlyer" in joint_kind(whole, j) for j in _root(whole)),
+            "stands": self.stands or any("FreeFlyer" in joint_kind(whole, j) for j in root_of(whole)),
         }.items():
             object.__setattr__(self, name, value)
 
@@ -151,15 +145,15 @@ def _whole(model: pin.Model) -> pin.Model:
 def _without_root_pose(model: pin.Model, rest: Array) -> Array:
     """Return the posture with a root at its origin: the mount point says where that is."""
     posture, neutral = np.array(rest), pin.neutral(model)
-    for joint in _root(model):
-        own = slice(model.idx_qs[joint], model.idx_qs[joint] + model.nqs[joint])
+    for joint in root_of(model):
+        own, _ = parts_of(model, joint)
         posture[own] = neutral[own]
     return frozen(posture)
 
 
 def _held(model: pin.Model, names: Sequence[str]) -> list[int]:
     """Return the joints that do not move: a root of its own, wheels, and those that are named."""
-    root = _root(model)
+    root = root_of(model)
     below = children(model)
     start = root[-1] if root else 0
     first = below[start]
@@ -177,75 +171,3 @@ def _held(model: pin.Model, names: Sequence[str]) -> list[int]:
             raise UnknownName("joint", str(name), known)
         held.add(known[name])
     return sorted(held)
-
-
-def _root(model: pin.Model) -> list[int]:
-    """Return the joints that put the robot into the world: free-flyer, planar, or two slides and a turn."""
-    below = children(model)
-    if len(below[0]) != 1:
-        return []
-    if re.match("JointModel(FreeFlyer|Planar)", joint_kind(model, 1)):
-        return [1]
-    chain = model.njoints > 3 and list(model.parents[1:4]) == [0, 1, 2]
-    if not chain or any(len(below[joint]) != 1 for joint in (1, 2)):
-        return []
-    kinds = [joint_kind(model, joint).removeprefix("JointModel") for joint in (1, 2, 3)]
-    massless = all(model.inertias[joint].mass == 0 for joint in (1, 2))
-    planar = sorted(kinds[:2]) == ["PX", "PY"] and kinds[2] in ("RZ", "RUBZ")
-    return [1, 2, 3] if planar and massless else []
-
-
-def _check_inertias(model: pin.Model, posture: Array, called: str) -> None:
-    """Refuse a joint that nothing resists, at rest or at a posture like any other."""
-    if not model.nv:
-        return
-    data = model.createData()
-    step = np.random.default_rng(_GENERIC).uniform(-1, 1, model.nv)
-    generic = pin.integrate(model, np.array(posture), step)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        for where, q in (("at rest", posture), ("at a posture like any other", generic)):
-            own = np.diag(pin.crba(model, data, q)).copy()
-            pin.cholesky.decompose(model, data)
-            left = np.array(data.D)
-            # Elimination goes from the tips to the root, and what comes after a zero is no number.
-            singular = np.flatnonzero(~(left > _SINGULAR * own))
-            if len(singular):
-                joint = _joint_of(model, int(singular[-1]))
-                raise InvalidArgument(
-                    f"arm {called!r}: {_cause(model, joint, where)}, or that joint among `locked`"
-                )
-
-
-def _cause(model: pin.Model, joint: int, where: str) -> str:
-    """Return what is wrong with a joint that nothing resists, and what is expected."""
-    name = repr(model.names[joint])
-    moved = [model.inertias[beyond] for beyond in model.subtrees[joint]]
-    if not any(body.mass or np.array(body.inertia).any() for body in moved):
-        return f"joint {name} moves parts that have no inertia, expected inertia beyond each joint"
-    return (
-        f"the mass matrix is singular {where} about joint {name}: moved together with joints beyond "
-        "it, it moves no inertia, expected another `rest`, inertia there"
-    )
-
-
-def _joint_of(model: pin.Model, k: int) -> int:
-    """Return the joint of a velocity coordinate."""
-    return next(j for j in range(1, model.njoints) if 0 <= k - model.idx_vs[j] < model.nvs[j])
-
-
-def tip_of(model: pin.Model) -> str:
-    """Return the last link on the longest chain of joints; what carries fingers is the tip of theirs."""
-    below = children(model)
-    depth = [0] * model.njoints
-    for joint in range(1, model.njoints):
-        depth[joint] = depth[model.parents[joint]] + 1
-    leaf = tip = int(np.argmax(depth))
-    above = model.parents[leaf]
-    while above and depth[leaf] - depth[above] <= _FINGER:
-        if len(below[above]) > 1:
-            tip = above
-        above = model.parents[above]
-    frames = [frame for frame in model.frames if frame.parentJoint == tip]
-    links = [str(frame.name) for frame in frames if frame.type == pin.FrameType.BODY]
-    tools = [link for tool in _TOOLS for link in links if link.endswith(tool)]
-    return (tools or links or [str(frame.name) for frame in frames])[0 if tools else -1]

@@ -7,6 +7,7 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array
 from pinmobile.robot.mounts import Load, Mount, free_name
+from pinmobile.robot.tree import parts_of
 
 __all__ = ["assemble", "limits", "named_frames"]
 
@@ -64,13 +65,15 @@ def _prefixed(model: pin.Model, name: str) -> pin.Model:
 
 
 def limits(model: pin.Model, mounts: Sequence[Mount]) -> tuple[Array, Array, Array, Array]:
-    """Return lower, upper, velocity and effort limits in chain order, infinite where there is none."""
+    """Return lower and upper limits, shape (nq,), and those of velocity and effort, shape (nv,).
+
+    Infinite where there is none, as of the whole base: the order of its coordinates does not matter.
+    """
     lower, upper = np.full(model.nq, -np.inf), np.full(model.nq, np.inf)
     speed, effort = np.full(model.nv, np.inf), np.full(model.nv, np.inf)
     for mount in mounts:
         for joint in range(mount.joints.start, mount.joints.stop):
-            q = slice(model.idx_qs[joint], model.idx_qs[joint] + model.nqs[joint])
-            v = slice(model.idx_vs[joint], model.idx_vs[joint] + model.nvs[joint])
+            q, v = parts_of(model, joint)
             least, most = model.lowerPositionLimit[q], model.upperPositionLimit[q]
             # Files write equal limits, or zero, where they know none.
             if model.nqs[joint] == model.nvs[joint]:

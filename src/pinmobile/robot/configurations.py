@@ -11,6 +11,7 @@ from pinmobile.robot.assembly import limits
 from pinmobile.robot.coordinates import configuration_names, units, velocity_names
 from pinmobile.robot.engine import Engine
 from pinmobile.robot.mounts import Load, Mount
+from pinmobile.robot.tree import joint_kind, parts_of
 
 __all__ = ["ChainConfigurations"]
 
@@ -167,10 +168,10 @@ class ChainConfigurations:
         model, parts = self.model, []
         for j in range(1, model.njoints):
             # In Pinocchio's order: (cos, sin), a quaternion, (x, y, cos, sin), (x, y, z, quaternion).
-            circle = (model.nqs[j], model.nvs[j]) == (2, 1) or "Planar" in str(model.joints[j].shortname())
+            circle = (model.nqs[j], model.nvs[j]) == (2, 1) or "Planar" in joint_kind(model, j)
             sphere = (model.nqs[j], model.nvs[j]) in ((4, 3), (7, 6))
             width = 2 if circle else 4 if sphere else 0
-            end = model.idx_qs[j] + model.nqs[j]
+            end = parts_of(model, j)[0].stop
             if width:
                 parts.append((slice(end - width, end), str(model.names[j])))
         return tuple(parts)

@@ -2,6 +2,8 @@
 
 import pinocchio as pin
 
+from pinmobile.robot.tree import joint_kind
+
 __all__ = ["configuration_names", "units", "velocity_names"]
 
 _BASE = ("x", "y", "psi")
@@ -35,7 +37,7 @@ def configuration_names(model: pin.Model) -> tuple[str, ...]:
     names = list(_BASE)
     for joint in range(len(_BASE) + 1, model.njoints):
         own, count = str(model.names[joint]), int(model.nqs[joint])
-        planar = "Planar" in model.joints[joint].shortname()
+        planar = "Planar" in joint_kind(model, joint)
         if planar or (count != model.nvs[joint] and count in _PARTS):
             names += [f"{own}:{part}" for part in (_PLANAR if planar else _PARTS[count])]
         else:
@@ -60,7 +62,7 @@ def units(model: pin.Model) -> tuple[str, ...]:
 
 def _slides(model: pin.Model, joint: int) -> int:
     """Return how many of a joint's velocities, the first ones, are along an axis."""
-    kind = str(model.joints[joint].shortname()).removeprefix("JointModel")
+    kind = joint_kind(model, joint).removeprefix("JointModel")
     known = {"Planar": 2, "Translation": 3, "FreeFlyer": 3}
     return known.get(kind, int(kind.startswith("P")))
 

@@ -93,7 +93,7 @@ class ChainDynamics(ChainKinematics):
     def forward_dynamics_derivatives(
         self, q: ArrayLike, v: ArrayLike, tau: ArrayLike
     ) -> tuple[Array, Array, Array]:
-        """Return da/dq, da/dv, da/dtau = M^-1, each (..., nv, nv), by Pinocchio's ABA derivatives.
+        """Return da/dq, da/dv, da/dtau = M^-1, each of shape (..., nv, nv), by Pinocchio's ABA derivatives.
 
         The first is by the displacement that `integrate` takes.
         """

@@ -9,33 +9,11 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import Array, broadcast
-from pinmobile.dh import DHTable, JointType
-from pinmobile.urdf import Body
 
-__all__ = ["BODY_JOINT", "Engine", "build_model"]
+__all__ = ["BODY_JOINT", "Engine"]
 
 BODY_JOINT = 3
 """The joint of the chain that carries the body; those before it carry nothing."""
-
-_BODY_LINK = "base_link"
-
-
-def build_model(table: DHTable, body: Body, name: str) -> pin.Model:
-    """Return the chain with the body on its last link as a Pinocchio model.
-
-    It is the model that Pinocchio reads from `urdf.write`, but with rotations that are exact where the
-    table's angles are multiples of pi / 2, so that gravity does not leak into the plane.
-    """
-    model = pin.Model()
-    model.name = name
-    parent = 0
-    for row, placement in zip(table, table.transforms(np.zeros(len(table))), strict=True):
-        joint = pin.JointModelPZ() if row.joint is JointType.PRISMATIC else pin.JointModelRZ()
-        parent = model.addJoint(parent, joint, pin.SE3(placement), row.variable)
-        model.addJointFrame(parent)
-    model.appendBodyToJoint(parent, pin.Inertia(body.mass, body.com, body.inertia), pin.SE3.Identity())
-    model.addBodyFrame(_BODY_LINK, parent, pin.SE3.Identity(), -1)
-    return model
 
 
 class Engine:
@@ -63,19 +41,19 @@ class Engine:
         return array[..., self._orders[array.shape[-1]]]
 
     def inverse(self, q: Array, v: Array, a: Array) -> Array:
-        """Return tau by RNEA."""
+        """Return tau by RNEA, shape (nv,); all is one state's, in chain order."""
         return pin.rnea(self.model, self.data, q, v, a)  # type: ignore[no-any-return]
 
     def forward(self, q: Array, v: Array, tau: Array) -> Array:
-        """Return the acceleration by ABA."""
+        """Return the acceleration by ABA, shape (nv,)."""
         return pin.aba(self.model, self.data, q, v, tau)  # type: ignore[no-any-return]
 
     def gravity(self, q: Array) -> Array:
-        """Return g(q)."""
+        """Return g(q), shape (nv,)."""
         return pin.computeGeneralizedGravity(self.model, self.data, q)  # type: ignore[no-any-return]
 
     def integrate(self, q: Array, dq: Array) -> Array:
-        """Return the configuration that a displacement leads to."""
+        """Return the configuration that a displacement leads to, shape (nq,)."""
         return pin.integrate(self.model, q, dq)  # type: ignore[no-any-return]
 
     def composite(self, q: Array) -> pin.Inertia:

@@ -16,7 +16,8 @@ from pinmobile.dh import LECTURE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot.assembly import assemble
 from pinmobile.robot.carrier import Carrier
-from pinmobile.robot.engine import BODY_JOINT, Engine, build_model
+from pinmobile.robot.chain import build_model, check_chain
+from pinmobile.robot.engine import BODY_JOINT, Engine
 from pinmobile.robot.mounts import Load, Mount
 from pinmobile.robot.pictures import add_carried
 from pinmobile.robot.reading import read_model, read_urdf
@@ -78,14 +79,14 @@ class MobileRobot(Carrier):
         size = finite("size", self.size)
         if size.shape != (3,) or not (size > 0).all():
             raise InvalidArgument(f"size is {self.size}, expected three lengths > 0 m")
-        _check_chain(self.dh)
+        check_chain(self.dh)
         for name, value in {
             "mass": body.mass,
             "yaw_inertia": body.yaw_inertia,
             "com": tuple(body.com.tolist()),
             "size": tuple(size.tolist()),
             "body": body,
-            "_engine": Engine(build_model(self.dh, body, "pinmobile")),
+            "_engine": Engine(build_model(self.dh, body)),
         }.items():
             object.__setattr__(self, name, value)
 
@@ -133,6 +134,11 @@ class MobileRobot(Carrier):
             Mass [kg].
         size : sequence of 3 floats
             Length, width and height [m].
+
+        Raises
+        ------
+        InvalidArgument
+            If the mass or a length is not positive or not finite, or the lengths are not three.
         """
         height = vector("size", size, 3)[2]
         body = urdf.Body(mass, np.array([0, 0, height / 2]), urdf.box_inertia(mass, size))
@@ -207,6 +213,11 @@ class MobileRobot(Carrier):
             As in the class.
         source : str
             Where the numbers come from, in words.
+
+        Raises
+        ------
+        InvalidArgument
+            If `body` is something else, or `size` or `dh` is not what the class expects.
         """
         if not isinstance(body, urdf.Body):
             raise InvalidArgument(f"body is {body!r}, expected a pinmobile.urdf.Body")
@@ -263,20 +274,3 @@ def _restored(
     for name, value in {"_looks": looks, **carrying}.items():
         object.__setattr__(robot, name, value)
     return robot
-
-
-def _check_chain(table: DHTable) -> None:
-    """Refuse a table whose last frame is not the planar pose (x, y, psi) for joint variables (y, x, psi)."""
-    if not isinstance(table, DHTable):
-        raise InvalidArgument(f"dh is a {type(table).__name__}, expected a DHTable")
-    kinds = [row.joint for row in table]
-    planar = kinds == [row.joint for row in LECTURE_TABLE]
-    probes = np.array([[0, 0, 0], [0.7, -0.3, 1.1], [-1.0, 2.0, -2.5]])
-    if planar:
-        pose, expected = (dh.placements(probes)[:, -1] for dh in (table, LECTURE_TABLE))
-        planar = bool(np.abs(pose - expected).max() < 1e-12)
-    if not planar:
-        raise InvalidArgument(
-            f"dh with variables {table.variables} does not put its last frame at (x, y, psi), expected "
-            "a chain of prismatic y, prismatic x, revolute psi whose last frame is the body's"
-        )

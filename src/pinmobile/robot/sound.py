@@ -1,16 +1,20 @@
-"""What no arm has: limits the wrong way round, numbers that are none, bodies that cannot exist."""
+"""What no arm has: limits the wrong way round, bodies that cannot exist, joints that nothing resists."""
 
 from collections.abc import Iterable
 
 import numpy as np
 import pinocchio as pin
 
+from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
+from pinmobile.robot.tree import parts_of
 
-__all__ = ["check_bodies", "check_joint_limits"]
+__all__ = ["check_bodies", "check_inertias", "check_joint_limits"]
 
 _ROUNDING = 1e-9  # of the moments of inertia, relative: files carry as many digits
 _GYRATION = 1e-9  # and of mass [m^2]: exporters leave noise of the size of 1e-18 where a moment is zero
+_SINGULAR = 1e-9  # what is left of a joint's inertia when all joints beyond it give way, as a share of it
+_GENERIC = 20  # seed of the posture at which inertias are tried; any will do
 
 
 def check_bodies(model: pin.Model, called: str) -> None:
@@ -69,8 +73,7 @@ def check_joint_limits(model: pin.Model, joints: Iterable[int], called: str) -> 
         The message names the joint.
     """
     for joint in joints:
-        q = slice(model.idx_qs[joint], model.idx_qs[joint] + model.nqs[joint])
-        v = slice(model.idx_vs[joint], model.idx_vs[joint] + model.nvs[joint])
+        q, v = parts_of(model, joint)
         name = f"arm {called!r}: joint {model.names[joint]!r}"
         for least, most in zip(model.lowerPositionLimit[q], model.upperPositionLimit[q], strict=True):
             if not least <= most:
@@ -81,3 +84,56 @@ def check_joint_limits(model: pin.Model, joints: Iterable[int], called: str) -> 
             for limit in given:
                 if not limit >= 0:
                     raise InvalidArgument(f"{name} has {kind} limit {limit:g}, expected a number >= 0")
+
+
+def check_inertias(model: pin.Model, posture: Array, called: str) -> None:
+    """Refuse a joint that nothing resists, at rest or at a posture like any other.
+
+    Parameters
+    ----------
+    model : pin.Model
+        The arm without what is locked.
+    posture : ndarray, shape (nq,)
+        Its reference posture.
+    called : str
+        What the arm is called, for the message.
+
+    Raises
+    ------
+    InvalidArgument
+        The message names the joint.
+    """
+    if not model.nv:
+        return
+    data = model.createData()
+    step = np.random.default_rng(_GENERIC).uniform(-1, 1, model.nv)
+    generic = pin.integrate(model, np.array(posture), step)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for where, q in (("at rest", posture), ("at a posture like any other", generic)):
+            own = np.diag(pin.crba(model, data, q)).copy()
+            pin.cholesky.decompose(model, data)
+            left = np.array(data.D)
+            # Elimination goes from the tips to the root, and what comes after a zero is no number.
+            singular = np.flatnonzero(~(left > _SINGULAR * own))
+            if len(singular):
+                joint = _joint_of(model, int(singular[-1]))
+                raise InvalidArgument(
+                    f"arm {called!r}: {_cause(model, joint, where)}, or that joint among `locked`"
+                )
+
+
+def _cause(model: pin.Model, joint: int, where: str) -> str:
+    """Return what is wrong with a joint that nothing resists, and what is expected."""
+    name = repr(model.names[joint])
+    moved = [model.inertias[beyond] for beyond in model.subtrees[joint]]
+    if not any(body.mass or np.array(body.inertia).any() for body in moved):
+        return f"joint {name} moves parts that have no inertia, expected inertia beyond each joint"
+    return (
+        f"the mass matrix is singular {where} about joint {name}: moved together with joints beyond "
+        "it, it moves no inertia, expected another `rest`, inertia there"
+    )
+
+
+def _joint_of(model: pin.Model, k: int) -> int:
+    """Return the joint of a velocity coordinate."""
+    return next(j for j in range(1, model.njoints) if 0 <= k - model.idx_vs[j] < model.nvs[j])

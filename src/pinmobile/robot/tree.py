@@ -1,17 +1,26 @@
-"""The tree of joints of a `pin.Model`: what hangs on what, and what rolls."""
+"""The tree of joints of a `pin.Model`: what hangs on what, where it begins and ends, and what rolls."""
 
 import re
 
+import numpy as np
 import pinocchio as pin
 
-__all__ = ["carries_only_wheels", "children", "joint_kind"]
+__all__ = ["carries_only_wheels", "children", "joint_kind", "parts_of", "root_of", "tip_of"]
 
 _WHEEL_JOINTS = 3  # suspension, steering, wheel
+_FINGER = 4  # joints in series at most, beyond which a branch is an arm
+_TOOLS = ("tcp", "tool0", "end_effector", "ee_link")  # names of the link that a file means as the tip
 
 
 def joint_kind(model: pin.Model, joint: int) -> str:
     """Return Pinocchio's name of the joint's type, such as ``JointModelRZ``."""
     return str(model.joints[joint].shortname())
+
+
+def parts_of(model: pin.Model, joint: int) -> tuple[slice, slice]:
+    """Return a joint's part of a configuration and of a velocity."""
+    q, v = model.idx_qs[joint], model.idx_vs[joint]
+    return slice(q, q + model.nqs[joint]), slice(v, v + model.nvs[joint])
 
 
 def children(model: pin.Model) -> list[list[int]]:
@@ -33,3 +42,37 @@ def carries_only_wheels(model: pin.Model, joint: int) -> bool:
         return bool(joints_left > 1 and model.nvs[joint] == 1 and all(beyond))
 
     return rolls(joint, _WHEEL_JOINTS)
+
+
+def root_of(model: pin.Model) -> list[int]:
+    """Return the joints that put the robot into the world: free-flyer, planar, or two slides and a turn."""
+    below = children(model)
+    if len(below[0]) != 1:
+        return []
+    if re.match("JointModel(FreeFlyer|Planar)", joint_kind(model, 1)):
+        return [1]
+    chain = model.njoints > 3 and list(model.parents[1:4]) == [0, 1, 2]
+    if not chain or any(len(below[joint]) != 1 for joint in (1, 2)):
+        return []
+    kinds = [joint_kind(model, joint).removeprefix("JointModel") for joint in (1, 2, 3)]
+    massless = all(model.inertias[joint].mass == 0 for joint in (1, 2))
+    planar = sorted(kinds[:2]) == ["PX", "PY"] and kinds[2] in ("RZ", "RUBZ")
+    return [1, 2, 3] if planar and massless else []
+
+
+def tip_of(model: pin.Model) -> str:
+    """Return the last link on the longest chain of joints; what carries fingers is the tip of theirs."""
+    below = children(model)
+    depth = [0] * model.njoints
+    for joint in range(1, model.njoints):
+        depth[joint] = depth[model.parents[joint]] + 1
+    leaf = tip = int(np.argmax(depth))
+    above = model.parents[leaf]
+    while above and depth[leaf] - depth[above] <= _FINGER:
+        if len(below[above]) > 1:
+            tip = above
+        above = model.parents[above]
+    frames = [frame for frame in model.frames if frame.parentJoint == tip]
+    links = [str(frame.name) for frame in frames if frame.type == pin.FrameType.BODY]
+    tools = [link for tool in _TOOLS for link in links if link.endswith(tool)]
+    return (tools or links or [str(frame.name) for frame in frames])[0 if tools else -1]

@@ -77,7 +77,20 @@ def drawn(name: str, joint: int, placement: pin.SE3, item: pin.GeometryObject) -
 
 
 def readable(file: VisualFile, stacklevel: int) -> tuple[ElementTree.Element, list[str]]:
-    """Return the file's tree without the visuals whose meshes are missing, and those files' names."""
+    """Return the file's tree without the visuals whose meshes are missing, and those files' names.
+
+    Parameters
+    ----------
+    file : VisualFile
+        The file.
+    stacklevel : int
+        Of the warning that names them: how far up the user's call is.
+
+    Raises
+    ------
+    InvalidArgument
+        If the file cannot be read any more.
+    """
     try:
         root = ElementTree.fromstring(file.path.read_text(encoding="utf-8"))
     except (OSError, ValueError, ElementTree.ParseError) as error:

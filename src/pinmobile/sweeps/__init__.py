@@ -1,10 +1,10 @@
 """Ensembles along named axes: run anywhere, kept in a store that outlives any interruption."""
 
 from pinmobile.sweeps.axes import Axis
+from pinmobile.sweeps.cluster import connected
 from pinmobile.sweeps.grids import Grid, grid
 from pinmobile.sweeps.result import Sweep
 from pinmobile.sweeps.running import check_draws, sweep
 from pinmobile.sweeps.table import length
-from pinmobile.sweeps.workers import connected
 
 __all__ = ["Axis", "Grid", "Sweep", "check_draws", "connected", "grid", "length", "sweep"]

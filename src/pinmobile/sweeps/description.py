@@ -18,7 +18,7 @@ import numpy as np
 from pinmobile.controllers import NoisyMeasurement
 from pinmobile.disturbances import NoiseForce
 from pinmobile.ensembles import Scenario
-from pinmobile.ensembles.running import chosen_engine
+from pinmobile.ensembles.choosing import chosen_engine
 from pinmobile.errors import InvalidArgument
 
 __all__ = ["described", "flat"]

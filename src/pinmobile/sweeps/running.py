@@ -7,12 +7,13 @@ from typing import Any
 from pinmobile.arrays import location, whole
 from pinmobile.ensembles import Scenario
 from pinmobile.errors import InvalidArgument
+from pinmobile.sweeps.cluster import check_client
 from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.grids import Grid, as_grid
 from pinmobile.sweeps.origin import determined_by
 from pinmobile.sweeps.result import Sweep
 from pinmobile.sweeps.store import Job, Store
-from pinmobile.sweeps.workers import checked_client, in_process, on_cluster
+from pinmobile.sweeps.workers import in_process, on_cluster
 
 __all__ = ["check_draws", "sweep"]
 
@@ -68,7 +69,7 @@ def sweep(
     grid, path = as_grid(scenarios), location("store", store)
     size = _CHUNK if chunk is None else whole("chunk", chunk)
     if client is not None:
-        checked_client(client)
+        check_client(client)
     if progress is not None and not callable(progress):
         raise InvalidArgument(f"progress is {progress!r}, expected a function of two whole numbers")
     description = determined_by(grid)

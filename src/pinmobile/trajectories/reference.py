@@ -8,6 +8,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, positive
 from pinmobile.errors import InvalidArgument
 from pinmobile.paths import Path, pieces_of
+from pinmobile.paths.protocol import checked_path
 
 __all__ = ["Reference", "Trajectory", "joined", "plane_path"]
 
@@ -63,18 +64,12 @@ def plane_path(path: Any) -> Path:
     InvalidArgument
         If it is not.
     """
-    if not isinstance(path, Path):
-        raise InvalidArgument(
-            f"path is {path!r}, expected a path: path(t), path.derivative(t, order), path.duration"
-        )
-    shape = np.shape(path(0.0))
-    if shape != (2,):
-        raise InvalidArgument(f"path has points of shape {shape}, expected (2,), a path in the plane")
-    duration = positive("path.duration", path.duration, "s")
-    ends = [(float(piece.start), float(piece.end)) for piece in pieces_of(path)]
+    plane = checked_path(path, 2)
+    duration = positive("path.duration", plane.duration, "s")
+    ends = [(float(piece.start), float(piece.end)) for piece in pieces_of(plane)]
     times = [0.0, *(end for _, end in ends)]
     if [start for start, _ in ends] != times[:-1] or times != sorted(set(times)) or times[-1] != duration:
         raise InvalidArgument(
             f"path.pieces has (start, end) {ends}, expected end to end from 0 to {duration}"
         )
-    return path
+    return plane

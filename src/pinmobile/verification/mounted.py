@@ -7,6 +7,7 @@ import numpy as np
 from pinmobile import closed_form
 from pinmobile.arrays import Array
 from pinmobile.robot import BODY_JOINT, MobileRobot
+from pinmobile.robot.tree import joint_kind
 from pinmobile.verification.table import Comparison
 
 __all__ = ["compare_mounted"]
@@ -75,7 +76,7 @@ def _beyond(robot: MobileRobot, q: Array) -> tuple[Array, Array, Array]:
         beyond = np.array(list(model.subtrees[joint])) - 1
         distance = np.square(coms[:, beyond] - origins[:, joint - 1, None]).sum(-1)
         masses[own] = mass[beyond].sum()
-        slides = re.match("JointModel(P[XYZ]|Prismatic)", str(model.joints[joint].shortname()))
+        slides = re.match("JointModel(P[XYZ]|Prismatic)", joint_kind(model, joint))
         moment = distance @ mass[beyond] + spread[beyond].sum()
         K[:, own] = masses[own] if slides else moment[:, None]
     body = origins[:, BODY_JOINT - 1, None]

@@ -10,7 +10,6 @@ import subprocess
 import sys
 import tempfile
 from time import monotonic
-from types import TracebackType
 from typing import Any
 
 from pinmobile.errors import ViewerError
@@ -128,9 +127,7 @@ class Browser:
     def __enter__(self) -> "Browser":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def close(self) -> None:

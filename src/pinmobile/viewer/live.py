@@ -4,7 +4,6 @@ import base64
 import binascii
 import weakref
 from io import BytesIO
-from types import TracebackType
 from typing import Any
 
 from PIL import Image, ImageOps
@@ -14,7 +13,8 @@ from pinmobile.errors import InvalidArgument, ViewerError
 from pinmobile.viewer.access import access_for
 from pinmobile.viewer.offline import static_page
 from pinmobile.viewer.page import live_page
-from pinmobile.viewer.server import Server, listening
+from pinmobile.viewer.server import Server
+from pinmobile.viewer.sockets import listening
 from pinmobile.viewer.stock import ENGINE
 
 __all__ = ["LiveWindow"]
@@ -76,9 +76,7 @@ class LiveWindow:
     def __enter__(self) -> "LiveWindow":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def __repr__(self) -> str:

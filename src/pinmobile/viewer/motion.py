@@ -1,6 +1,6 @@
 """What moves: properties of nodes over the frames of a recording, and as compact animation tracks."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -8,11 +8,14 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array
+from pinmobile.errors import InvalidArgument
+from pinmobile.simulation import Rollout
 
-__all__ = ["Channel", "along", "poses_of", "sampled", "tracks"]
+__all__ = ["Channel", "along", "frame_times", "poses_of", "sampled", "tracks"]
 
 _KINDS = {"position": "vector3", "scale": "vector3", "quaternion": "quaternion"}
 _DIGITS = {"position": 5, "scale": 5, "quaternion": 6, "drawn": 1}
+_MOST_FRAMES = 200_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +42,34 @@ class Channel:
         if isinstance(value, str):
             return value
         return float(value[0]) if self.name == "drawn" else [float(x) for x in value]
+
+
+def frame_times(runs: Mapping[str, Rollout], fps: float, speed: float) -> Array:
+    """Return the times of the frames, shape (n,) [s], the last sample's included.
+
+    Parameters
+    ----------
+    runs : mapping of str to Rollout
+        What is shown.
+    fps : float
+        Frames per second.
+    speed : float
+        Seconds of the rollout per second.
+
+    Raises
+    ------
+    InvalidArgument
+        If they are too many.
+    """
+    start, end = min(run.t[0] for run in runs.values()), max(run.t[-1] for run in runs.values())
+    count = (end - start) * fps / speed
+    if count > _MOST_FRAMES:
+        raise InvalidArgument(
+            f"fps is {fps:g} 1/s, which makes {count:.3g} frames at a speed of {speed:g}, "
+            f"expected at most {_MOST_FRAMES}"
+        )
+    grid = start + np.arange(int(np.ceil(count - 1e-6))) * speed / fps
+    return np.append(grid, end)
 
 
 def along(path: str, poses: Array, height: float = 0.0) -> list[Channel]:

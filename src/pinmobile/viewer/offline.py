@@ -1,19 +1,15 @@
 """`OfflineWindow`: a scene in memory, for recordings, notebooks and tests."""
 
-import base64
-from types import TracebackType
 from typing import Any, NoReturn
 
 from pinmobile.errors import ViewerError
 from pinmobile.viewer.backlog import Backlog
+from pinmobile.viewer.page import loading
 from pinmobile.viewer.stock import ENGINE
 
 __all__ = ["OfflineWindow", "static_page"]
 
 _SCRIPT, _CONNECT = '<script type="text/javascript" src="main.min.js">', "viewer.connect();"
-_LOAD = """for (const text of [
-{commands}
-]) viewer.handle_command_bytearray(Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)));"""
 
 
 class OfflineWindow:
@@ -25,9 +21,7 @@ class OfflineWindow:
     def __enter__(self) -> "OfflineWindow":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def __repr__(self) -> str:
@@ -89,7 +83,6 @@ def static_page(commands: list[bytes]) -> str:
     page = ENGINE.with_name("index.html").read_text(encoding="utf-8")
     if _SCRIPT not in page or _CONNECT not in page:
         raise ViewerError(f"the page of the installed meshcat has changed: {ENGINE.with_name('index.html')}")
-    texts = ",\n".join(f'"{base64.b64encode(command).decode()}"' for command in commands)
     head, _, rest = page.partition(_SCRIPT)
-    body = rest.replace(_CONNECT, _LOAD.format(commands=texts))
+    body = rest.replace(_CONNECT, loading(commands))
     return f"{head}<script>\n{ENGINE.read_text(encoding='utf-8')}\n{body}"

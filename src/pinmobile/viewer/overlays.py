@@ -12,7 +12,7 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.robot import MobileRobot
 from pinmobile.simulation import Rollout
 
-__all__ = ["Arrows", "Follow", "Overlays", "Rollouts", "Stay", "View", "checked_runs"]
+__all__ = ["Arrows", "Follow", "Overlays", "Rollouts", "Stay", "View", "checked_overlays", "checked_runs"]
 
 Rollouts: TypeAlias = Rollout | Mapping[str, Rollout]
 
@@ -128,6 +128,21 @@ class Overlays:
         for name, kind in (("arrows", Arrows | None), ("camera", Stay | Follow)):
             if not isinstance(getattr(self, name), kind):
                 raise InvalidArgument(f"{name} is {getattr(self, name)!r}, expected {kind}")
+
+
+def checked_overlays(overlays: Overlays | None, default: Overlays) -> Overlays:
+    """Return the overlays that are asked for.
+
+    Raises
+    ------
+    InvalidArgument
+        If they are something else.
+    """
+    if overlays is None:
+        return default
+    if not isinstance(overlays, Overlays):
+        raise InvalidArgument(f"overlays is a {type(overlays).__name__}, expected Overlays")
+    return overlays
 
 
 def checked_runs(rollouts: Any) -> dict[str, Rollout]:

@@ -11,7 +11,7 @@ from typing import Any
 
 from pinmobile.viewer.stock import ENGINE
 
-__all__ = ["live_page", "recorded_page"]
+__all__ = ["live_page", "loading", "recorded_page"]
 
 _CONNECT = """<script>
 viewer.connect();
@@ -19,9 +19,7 @@ viewer.connect();
 
 _LOAD = """<script type="application/json" id="animation">$animation</script>
 <script>
-for (const text of [
-$commands
-]) viewer.handle_command_bytearray(Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)));
+$loading
 const animation = JSON.parse(document.getElementById("animation").textContent);
 if (animation.tracks.length) pinmobile.play(animation.tracks, animation.speed, animation.end);
 </script>"""
@@ -44,10 +42,18 @@ def recorded_page(title: str, commands: Iterable[bytes], animation: dict[str, An
     animation : dict
         ``tracks`` (meshcat's animations), ``speed`` at first, and ``end``, the last time [s].
     """
-    texts = ",\n".join(f'"{base64.b64encode(command).decode()}"' for command in commands)
     packed = json.dumps(animation, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    scene = Template(_LOAD).substitute(animation=packed, commands=texts)
+    scene = Template(_LOAD).substitute(animation=packed, loading=loading(commands))
     return _filled(title, f"<script>\n{_engine()}\n</script>", scene)
+
+
+def loading(commands: Iterable[bytes]) -> str:
+    """Return the script that puts meshcat's commands into a scene."""
+    texts = ",\n".join(f'"{base64.b64encode(command).decode()}"' for command in commands)
+    return (
+        f"for (const text of [\n{texts}\n]) viewer.handle_command_bytearray("
+        "Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)));"
+    )
 
 
 def _filled(title: str, engine: str, scene: str) -> str:

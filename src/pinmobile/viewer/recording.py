@@ -1,10 +1,6 @@
 """`Recording`: a scene and its motion, to be kept as a page, a GIF, a film or a picture."""
 
-import importlib
-import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from io import BytesIO
+from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -12,19 +8,16 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from pinmobile.arrays import positive, scalar, whole
-from pinmobile.errors import InvalidArgument, ViewerError
-from pinmobile.viewer.chromium import Browser
+from pinmobile.arrays import positive, scalar
+from pinmobile.errors import InvalidArgument
+from pinmobile.viewer.encoding import film, film_encoder, gif
+from pinmobile.viewer.files import written
 from pinmobile.viewer.page import recorded_page
+from pinmobile.viewer.pictures import Progress, checked_size, picture_of, pictures_of
 
-__all__ = ["Recording", "picture_of", "written"]
+__all__ = ["Recording"]
 
-Progress = Callable[[int, int], object]
-
-_HELD = 1.0  # [s] for which the last frame stands
 _FASTEST = 50.0  # [1/s]; browsers slow down GIFs that are faster
-_COLOURS = 128
-_SAMPLED = 8  # frames whose colours a GIF has
 
 
 class Recording:
@@ -115,7 +108,7 @@ class Recording:
         rate = positive("fps", min(self.fps, 25.0) if fps is None else fps, "1/s")
         if rate > _FASTEST:
             raise InvalidArgument(f"fps is {fps} 1/s, expected at most {_FASTEST:g}")
-        return written(path, ".gif", lambda: _gif(self._frames(rate, size, progress), rate))
+        return written(path, ".gif", lambda: gif(self._frames(rate, size, progress), rate))
 
     def save_mp4(
         self,
@@ -136,31 +129,11 @@ class Recording:
         ViewerError
             If there is no Chromium or no imageio-ffmpeg, or one of them fails.
         """
-        try:
-            encoder = importlib.import_module("imageio_ffmpeg")
-        except ImportError:
-            raise ViewerError(
-                "a film needs imageio-ffmpeg: install the extra, pip install 'pinmobile[mp4]'"
-            ) from None
-        rate, (width, height) = positive("fps", self.fps if fps is None else fps, "1/s"), _size(size)
-        if width % 2 or height % 2:
+        encoder = film_encoder()
+        rate, even = positive("fps", self.fps if fps is None else fps, "1/s"), checked_size(size)
+        if even[0] % 2 or even[1] % 2:
             raise InvalidArgument(f"size is {size}, expected even numbers")
-
-        def film() -> bytes:
-            with tempfile.TemporaryDirectory(prefix="pinmobile-") as folder:
-                file = Path(folder) / "film.mp4"
-                writer = encoder.write_frames(
-                    str(file), (width, height), fps=rate, macro_block_size=2, ffmpeg_log_level="error"
-                )
-                writer.send(None)
-                try:
-                    for frame in self._frames(rate, size, progress):
-                        writer.send(frame.convert("RGB").tobytes())
-                finally:
-                    writer.close()
-                return file.read_bytes()
-
-        return written(path, ".mp4", film)
+        return written(path, ".mp4", lambda: film(encoder, self._frames(rate, size, progress), rate, even))
 
     def screenshot(
         self, path: str | PathLike[str], *, t: float = 0.0, size: tuple[int, int] = (1200, 800)
@@ -190,80 +163,4 @@ class Recording:
 
     def _frames(self, rate: float, size: tuple[int, int], progress: Progress | None) -> Iterator[Image.Image]:
         times = np.append(np.arange(0.0, self.duration, self.speed / rate), self.duration)
-        with _opened(self.html(), size) as browser:
-            for done, time in enumerate(times.tolist(), start=1):
-                browser.evaluate(f"pinmobile.seek({time!r})" if self.tracks else "0")
-                yield Image.open(BytesIO(browser.picture()))
-                if progress is not None:
-                    progress(done, len(times))
-
-
-def picture_of(html: str, size: tuple[int, int], time: float) -> bytes:
-    """Return a page at a time, as a PNG, by a headless Chromium."""
-    with _opened(html, size) as browser:
-        browser.evaluate(f"pinmobile.seek({float(time)!r})")
-        return browser.picture()
-
-
-def written(path: str | PathLike[str], suffix: str, content: Callable[[], bytes]) -> Path:
-    """Write a file once its content is there, after a look that it can be written.
-
-    Raises
-    ------
-    InvalidArgument
-        If it cannot be, or its name ends in another suffix.
-    """
-    target = Path(path)
-    if target.suffix.lower() != suffix:
-        raise InvalidArgument(f"path is {str(target)!r}, expected a name that ends in {suffix!r}")
-    try:
-        is_new = not target.exists()
-        with target.open("ab"):
-            pass
-        if is_new:
-            target.unlink()
-        data = content()
-        target.write_bytes(data)
-    except OSError as error:
-        raise InvalidArgument(
-            f"path is {str(target)!r}, which cannot be written: {error.strerror}"
-        ) from error
-    return target
-
-
-@contextmanager
-def _opened(html: str, size: tuple[int, int]) -> Iterator[Browser]:
-    with tempfile.TemporaryDirectory(prefix="pinmobile-") as folder:
-        page = Path(folder) / "page.html"
-        page.write_text(html, encoding="utf-8")
-        with Browser(_size(size)) as browser:
-            browser.open(page.as_uri())
-            browser.wait_for("pinmobile.ready()")
-            browser.evaluate("document.body.classList.add('bare')")
-            yield browser
-
-
-def _size(size: tuple[int, int]) -> tuple[int, int]:
-    try:
-        width, height = size
-    except (TypeError, ValueError):
-        raise InvalidArgument(f"size is {size!r}, expected width and height") from None
-    return whole("size[0]", width, least=16), whole("size[1]", height, least=16)
-
-
-def _gif(frames: Iterator[Image.Image], rate: float) -> bytes:
-    """Return a GIF, all frames in the colours of some from its beginning to its end."""
-    pictures = list(frames)  # not decoded yet: some ten kilobytes each
-    sampled = [pictures[k] for k in np.unique(np.linspace(0, len(pictures) - 1, _SAMPLED).astype(int))]
-    width, height = pictures[0].size
-    mosaic = Image.new("RGB", (width, height * len(sampled)))
-    for k, picture in enumerate(sampled):
-        mosaic.paste(picture.convert("RGB"), (0, height * k))
-    palette = mosaic.quantize(_COLOURS, dither=Image.Dither.NONE)
-    images = [p.convert("RGB").quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures]
-    ticks = np.round(100 * np.arange(len(images) + 1) / rate).astype(int)
-    durations = [int(10 * tick) for tick in np.diff(ticks)]
-    durations[-1] = round(1000 * _HELD)
-    buffer = BytesIO()
-    images[0].save(buffer, "GIF", save_all=True, append_images=images[1:], duration=durations, loop=0)
-    return buffer.getvalue()
+        return pictures_of(self.html(), size, times.tolist(), progress)

@@ -8,18 +8,15 @@ from collections.abc import Callable
 from concurrent.futures import CancelledError
 from contextlib import suppress
 from functools import cache
-from typing import Any
 from weakref import WeakSet
-
-from tornado.httpserver import HTTPServer
-from tornado.iostream import IOStream
 
 from pinmobile.errors import ViewerError
 from pinmobile.viewer.access import Access
 from pinmobile.viewer.backlog import Backlog
 from pinmobile.viewer.handlers import Browser, application
+from pinmobile.viewer.sockets import TrackedServer
 
-__all__ = ["Server", "listening"]
+__all__ = ["Server"]
 
 _PERIOD = 1 / 60  # [s] between two batches
 _GATHER = 0.003  # [s] in which the commands of one pose come together
@@ -27,38 +24,6 @@ _LOOK = 0.5  # [s] after which it looks for what is new without being told
 _FAREWELL = 0.2  # [s] in which browsers can answer that they have seen the end
 _PATIENCE = 10.0  # [s] for the thread to start or end
 _MOST_DELETIONS = 10_000  # that are kept for a browser which has stopped reading
-
-
-def listening(host: str, port: int | None) -> socket.socket:
-    """Return a socket that listens at an address.
-
-    Raises
-    ------
-    ViewerError
-        If that is not possible: the port is taken, or there is no such address.
-    """
-    try:
-        # A browser that is told "localhost" tries both of its addresses.
-        name = "127.0.0.1" if host == "localhost" else host
-        family, *_, address = socket.getaddrinfo(name, port or 0, type=socket.SOCK_STREAM)[0]
-        server = socket.create_server(address[:2], family=family, backlog=128)
-    except (OSError, UnicodeError) as error:
-        where = "a free port" if port is None else f"port {port}"
-        raise ViewerError(f"cannot listen on {where} of {host}: {error}") from error
-    server.setblocking(False)
-    return server
-
-
-class _Http(HTTPServer):
-    """Knows its connections, those to websockets too."""
-
-    def initialize(self, *args: Any, **settings: Any) -> None:
-        self.streams: WeakSet[IOStream] = WeakSet()
-        super().initialize(*args, **settings)
-
-    def handle_stream(self, stream: IOStream, address: Any) -> None:
-        self.streams.add(stream)
-        super().handle_stream(stream, address)
 
 
 class Server:
@@ -177,7 +142,7 @@ class Server:
     async def _serve(self) -> None:
         self._loop = asyncio.get_running_loop()
         self._work, self._end = asyncio.Event(), asyncio.Event()
-        http = self._http = _Http(
+        http = self._http = TrackedServer(
             application(self), max_header_size=1 << 16, max_body_size=1 << 16, idle_connection_timeout=60
         )
         http.add_socket(self._listener)

@@ -4,31 +4,26 @@ from os import PathLike
 from pathlib import Path
 from threading import RLock
 from time import monotonic, sleep
-from types import TracebackType
-from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from pinmobile.arrays import Array, ArrayLike, positive, vector
+from pinmobile.arrays import ArrayLike, positive, vector
 from pinmobile.errors import InvalidArgument, ViewerError
 from pinmobile.robot import MobileRobot
-from pinmobile.viewer.motion import tracks
+from pinmobile.viewer.files import written
+from pinmobile.viewer.live import LiveWindow
+from pinmobile.viewer.motion import frame_times, tracks
 from pinmobile.viewer.offline import OfflineWindow
-from pinmobile.viewer.overlays import Overlays, Rollouts, checked_runs
+from pinmobile.viewer.overlays import Overlays, Rollouts, checked_overlays, checked_runs
 from pinmobile.viewer.page import recorded_page
-from pinmobile.viewer.recording import Recording, picture_of, written
+from pinmobile.viewer.pictures import picture_of
+from pinmobile.viewer.recording import Recording
 from pinmobile.viewer.scene import Scene
 from pinmobile.viewer.stage import Stage
-
-if TYPE_CHECKING:
-    from pinmobile.viewer.live import LiveWindow
 
 __all__ = ["Viewer"]
 
 _FARTHEST = 1e9  # m; beyond, there is nothing to be seen
 _LIVE_FPS = 50.0
 _HELD = 1.0  # [s] that a recording stands at its end before it begins again
-_MOST_FRAMES = 200_000
 
 
 class Viewer:
@@ -69,18 +64,16 @@ class Viewer:
     ) -> None:
         if not isinstance(robot, MobileRobot):
             raise InvalidArgument(f"robot is a {type(robot).__name__}, expected a MobileRobot")
-        self.robot, self.overlays = robot, _checked(overlays, Overlays())
+        self.robot, self.overlays = robot, checked_overlays(overlays, Overlays())
         self._lock, self._closed = RLock(), False
         self._scene: Scene | None = None
         self._recording: Recording | None = None
-        self._window: LiveWindow | OfflineWindow = _served(host, port) if live else OfflineWindow()
+        self._window: LiveWindow | OfflineWindow = LiveWindow(host, port) if live else OfflineWindow()
 
     def __enter__(self) -> "Viewer":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -168,9 +161,9 @@ class Viewer:
         """
         self._live("play")
         runs, pace = checked_runs(rollout), positive("speed", speed)
-        times = _times(runs, _LIVE_FPS, pace)
+        times = frame_times(runs, _LIVE_FPS, pace)
         with self._lock:
-            scene = self._scene = self._new_scene(_checked(overlays, self.overlays))
+            scene = self._scene = self._new_scene(checked_overlays(overlays, self.overlays))
             scene.play(runs, times)
         done = 0
         while done < repeat:
@@ -217,11 +210,11 @@ class Viewer:
             If the viewer is closed.
         """
         runs, rate, pace = checked_runs(rollout), positive("fps", fps, "1/s"), positive("speed", speed)
-        times = _times(runs, rate, pace)
+        times = frame_times(runs, rate, pace)
         with self._lock:
             self._check_open()
             window = OfflineWindow()
-            scene = Scene(Stage(window), self.robot, _checked(overlays, self.overlays))
+            scene = Scene(Stage(window), self.robot, checked_overlays(overlays, self.overlays))
             scene.play(runs, times)
             scene.show(0)
             since = times - times[0]
@@ -279,7 +272,7 @@ class Viewer:
         stage.remove("meshcat")
         return Scene(stage, self.robot, overlays)
 
-    def _live(self, what: str) -> "LiveWindow":
+    def _live(self, what: str) -> LiveWindow:
         self._check_open()
         if isinstance(self._window, OfflineWindow):
             raise ViewerError(f"{what} needs a live viewer: Viewer(robot, live=True)")
@@ -288,30 +281,3 @@ class Viewer:
     def _check_open(self) -> None:
         if self._closed:
             raise ViewerError("the viewer is closed")
-
-
-def _served(host: str, port: int | None) -> "LiveWindow":
-    from pinmobile.viewer.live import LiveWindow  # it brings a web server
-
-    return LiveWindow(host, port)
-
-
-def _checked(overlays: Overlays | None, default: Overlays) -> Overlays:
-    if overlays is None:
-        return default
-    if not isinstance(overlays, Overlays):
-        raise InvalidArgument(f"overlays is a {type(overlays).__name__}, expected Overlays")
-    return overlays
-
-
-def _times(runs: Any, fps: float, speed: float) -> Array:
-    """Return the times of the frames, the last sample's included."""
-    start, end = min(run.t[0] for run in runs.values()), max(run.t[-1] for run in runs.values())
-    count = (end - start) * fps / speed
-    if count > _MOST_FRAMES:
-        raise InvalidArgument(
-            f"fps is {fps:g} 1/s, which makes {count:.3g} frames at a speed of {speed:g}, "
-            f"expected at most {_MOST_FRAMES}"
-        )
-    grid = start + np.arange(int(np.ceil(count - 1e-6))) * speed / fps
-    return np.append(grid, end)

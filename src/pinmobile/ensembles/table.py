@@ -1,0 +1,53 @@
+"""An ensemble in words: what its robots stay within, and how large errors and forces are."""
+
+import numpy as np
+
+from pinmobile.arrays import Array
+
+__all__ = ["judgement", "ranges"]
+
+_COORDINATES = (("x", "m", "Fx", "N"), ("y", "m", "Fy", "N"), ("psi", "rad", "Mz", "N m"))
+
+
+def judgement(n: int, duration: float, within: tuple[float, float], diverged: int) -> str:
+    """Return in one line what came of n robots.
+
+    Parameters
+    ----------
+    n : int
+        Number of robots.
+    duration : float
+        Of each run [s].
+    within : tuple of 2 floats
+        What 99 % of them stay within [m, rad]; infinite where fewer have not diverged.
+    diverged : int
+        How many did.
+    """
+    start = f"{n:,} robots over {duration:g} s: "
+    if np.isinf(within[0]):
+        return f"{start}{diverged:,} diverged, more than 1 %"
+    sizes = f"99 % stay within {within[0]:.4g} m and {within[1]:.4g} rad"
+    return f"{start}{sizes}, {f'{diverged:,} diverged' if diverged else 'none diverged'}"
+
+
+def ranges(max_distance: Array, max_error: Array, max_force: Array) -> list[str]:
+    """Return a row for each error and force: the least, the median and the largest over the robots.
+
+    Parameters
+    ----------
+    max_distance : ndarray, shape (n,)
+        Largest distance from the desired position [m].
+    max_error, max_force : ndarray, shape (n, 3)
+        Largest error [m, m, rad] and force [N, N, N m].
+    """
+    columns = {"largest distance [m]": max_distance}
+    for k, (name, unit, force, newton) in enumerate(_COORDINATES):
+        columns[f"largest error of {name} [{unit}]"] = max_error[:, k]
+        columns[f"largest {force} [{newton}]"] = max_force[:, k]
+    rows = []
+    for name, values in columns.items():
+        good = values[np.isfinite(values)]
+        if len(good):
+            low, middle, high = np.quantile(good, (0.0, 0.5, 1.0))
+            rows.append(f"{name:<28} least {low:.4g}, median {middle:.4g}, largest {high:.4g}")
+    return rows

@@ -1,0 +1,35 @@
+"""Files that are replaced once all of their content is there."""
+
+from collections.abc import Callable
+from os import PathLike
+from pathlib import Path
+
+from pinmobile.errors import InvalidArgument
+
+__all__ = ["written"]
+
+
+def written(path: str | PathLike[str], suffix: str, content: Callable[[], bytes]) -> Path:
+    """Write a file once its content is there, after a look that it can be written.
+
+    Raises
+    ------
+    InvalidArgument
+        If it cannot be, or its name ends in another suffix.
+    """
+    target = Path(path)
+    if target.suffix.lower() != suffix:
+        raise InvalidArgument(f"path is {str(target)!r}, expected a name that ends in {suffix!r}")
+    try:
+        is_new = not target.exists()
+        with target.open("ab"):
+            pass
+        if is_new:
+            target.unlink()
+        data = content()
+        target.write_bytes(data)
+    except OSError as error:
+        raise InvalidArgument(
+            f"path is {str(target)!r}, which cannot be written: {error.strerror}"
+        ) from error
+    return target
