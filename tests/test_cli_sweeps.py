@@ -29,9 +29,10 @@ def test_ensemble_compares_both_controllers(capsys: pytest.CaptureFixture[str], 
 
 def test_ensemble_of_one_controller(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     words = "ensemble --n 40 --duration 6 --controller pd --kp 100,100,0.4 --kd 90,90,0.4 --spread mass=32"
+    words += " --after 4"
     code, out, _ = typed(capsys, *words.split(), "--spread", "start_x=normal:0,0.01", "--out", str(tmp_path))
     assert code == 0
-    assert "PD stays within" in out
+    assert "\nfrom t = 4 s on, with mass=32 and start_x=normal:0,0.01, PD stays within " in out
     assert "computed torque" not in out
     assert {file.name for file in tmp_path.glob("*.png")} == {"bands.png", "drivers-pd.png"}
     assert (tmp_path / "index.html").read_text().count("<img") == 2
@@ -42,7 +43,10 @@ def test_sweep_runs_the_example_of_its_help(capsys: pytest.CaptureFixture[str], 
     code, out, _ = typed(capsys, "sweep", str(tmp_path / "mass.toml"), "--out", str(tmp_path / "out"))
     assert code == 0
     assert "spread.mass.percent [%]" in out
-    assert "%, pd stays within " in out
+    # What is left after the start is the mass's: PD's error is of the size of the force over kp, computed
+    # torque's of what its model does not know of that force.
+    assert "\nfrom t = 5 s on, with spread.mass.percent = 20 %, pd stays within " in out
+    assert " mm in 99 % of runs, computed-torque within 1." in out
     assert "in 99 % of runs, computed-torque within " in out
     found = Sweep.open(tmp_path / "out" / "sweep.zarr")
     assert dict(found.dataset.sizes)["spread.mass.percent"] == 3
@@ -80,21 +84,21 @@ def test_sweep_runs_the_example_of_its_help(capsys: pytest.CaptureFixture[str], 
         (
             "spread.mass",
             "spread.mas",
-            "mass.toml:17: unknown key 'mas' of [spread] in [grid], did you mean 'mass'",
+            "mass.toml:18: unknown key 'mas' of [spread] in [grid], did you mean 'mass'",
         ),
         (
             "controller.type",
             "controler.type",
-            "mass.toml:18: unknown table 'controler' of 'controler.type' in [grid], did you mean 'control",
+            "mass.toml:19: unknown table 'controler' of 'controler.type' in [grid], did you mean 'control",
         ),
-        ("spread.mass.percent", "spread", "mass.toml:17: 'spread' in [grid] is a table, expected one of its"),
+        ("spread.mass.percent", "spread", "mass.toml:18: 'spread' in [grid] is a table, expected one of its"),
         (
             '"circle"',
             '"circel"',
             "mass.toml:5: unknown trajectory 'circel', did you mean 'circle'? ",
         ),
         ('"box"', '"boxx"', "mass.toml:3: unknown robot 'boxx', did you mean 'box'? available: "),
-        ('"pd", ', '"pdd", ', "mass.toml:18: unknown controller 'pdd', did you mean 'pd'? available: "),
+        ('"pd", ', '"pdd", ', "mass.toml:19: unknown controller 'pdd', did you mean 'pd'? available: "),
         (
             'same = "start_x"',
             'same = "start_z"',
@@ -104,15 +108,15 @@ def test_sweep_runs_the_example_of_its_help(capsys: pytest.CaptureFixture[str], 
         (
             '["pd", ',
             "[3, ",
-            "mass.toml:18: controller.type is [3, 'computed-torque'], expected texts in quotes",
+            "mass.toml:19: controller.type is [3, 'computed-torque'], expected texts in quotes",
         ),
-        ("[5, 10, 20]", "5", "mass.toml:17: spread.mass.percent is 5, expected a list of values"),
+        ("[5, 10, 20]", "5", "mass.toml:18: spread.mass.percent is 5, expected a list of values"),
         (
             "[5, 10, 20]",
             "[10, 10]",
-            "mass.toml:17: spread.mass.percent is [10, 10], expected each one once",
+            "mass.toml:18: spread.mass.percent is [10, 10], expected each one once",
         ),
-        ("[5, 10, 20]", "[5, 200]", "mass.toml:17: spread['mass'] reaches -30 kg"),
+        ("[5, 10, 20]", "[5, 200]", "mass.toml:18: spread['mass'] reaches -30 kg"),
         ("n = 40", "n = -1", "mass.toml:15: n is -1, expected a whole number >= 1"),
         ("n = 40", "n = 100000000000", "mass.toml:15: n is 100,000,000,000, expected at most "),
         ("start_y =", "yaw_inertia =", "mass.toml:13: spread['yaw_inertia'] gives -"),

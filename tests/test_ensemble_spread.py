@@ -222,6 +222,8 @@ def test_every_parameter_can_be_spread_and_matters() -> None:
             InvalidArgument,
             "forces[0] gives shape (5, 3) for one robot, expected (3,): name in spread what differs",
         ),
+        ({"after": 1.1}, InvalidArgument, "after is 1.1 s, expected from 0 to the duration, 1 s"),
+        ({"after": -0.1}, InvalidArgument, "after is -0.1 s, expected from 0 to the duration, 1 s"),
         ({"every": 0}, InvalidArgument, "every is 0, expected a whole number >= 1"),
         ({"dt": 0.3}, InvalidArgument, "duration is 1.0 s, expected a whole number of steps dt = 0.3 s"),
         ({"controller": PD}, InvalidArgument, "expected a controller"),

@@ -244,6 +244,38 @@ def test_what_overflows_is_flagged_too() -> None:
     np.testing.assert_array_equal(slow.diverged_at, run.diverged_at)
 
 
+@pytest.mark.parametrize("engine", [COMPILED, ARRAYS])
+@pytest.mark.parametrize("forces", ["none", "all"])
+def test_errors_are_kept_from_a_time_on_and_all_else_from_the_start(forces: str, engine: Any) -> None:
+    scenario = made(after=20.0, forces=FORCES[forces], n=70)
+    run = run_scenario(scenario, engine=engine)
+    assert scenario.t[scenario.begin] == 20.0
+    for i in (0, 69):
+        error = run.trace(i).error[200:]
+        expected = (
+            np.abs(error).max(axis=0),
+            np.sqrt((error**2).mean(axis=0)),
+            np.hypot(error[:, 0], error[:, 1]).max(),
+        )
+        for name, value in zip(("max_error", "rms_error", "max_distance"), expected, strict=True):
+            np.testing.assert_allclose(getattr(run, name)[i], value, rtol=0, atol=1e-12 * 4)
+    throughout = run_scenario(made(forces=FORCES[forces], n=70), engine=engine)
+    assert np.median(run.max_distance / throughout.max_distance) < 0.6
+    np.testing.assert_array_equal(run.max_force, throughout.max_force)
+    np.testing.assert_array_equal(run.counts, throughout.counts)
+    assert "70 robots over 60 s: from 20 s on 99 % stay within" in repr(run)
+
+
+def test_who_diverges_before_errors_count_has_none_and_is_beyond_everything() -> None:
+    spread = {"kp": np.array([4.0, -400.0]), "start_x": 0.1}
+    run = run_scenario(made(n=2, spread=spread, after=50.0))
+    assert run.diverged.tolist() == [False, True]
+    assert np.isnan(run.max_distance).tolist() == [False, True]
+    assert np.isfinite(run.max_force).all()
+    assert run.within(0.5).distance < 1e-3
+    assert run.within(1.0).distance == np.inf
+
+
 def test_a_robot_that_is_beyond_the_limit_from_the_start_has_no_records() -> None:
     run = run_scenario(made(n=2, spread={"start_x": np.array([0.0, 2e3])}))
     assert run.diverged_at.tolist()[1] == 0.0

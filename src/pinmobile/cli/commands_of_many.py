@@ -29,6 +29,9 @@ def ensemble(
         list[str] | None,
         typer.Option(help=f"NAME=FORM, what differs; the form is {SPREAD_FORMS}. Repeat it for more."),
     ] = None,
+    after: Annotated[
+        float, typer.Option(help="Time [s] when the start is over: errors count from then on.")
+    ] = 0.0,
     out: Annotated[Path, typer.Option(help="Folder for figures and their index page.")] = Path(
         "out/ensemble"
     ),
@@ -38,11 +41,11 @@ def ensemble(
     It compares PD and computed torque, or runs the one that --controller names. It takes the options of
     [bold]pinmobile run[/bold] too.
 
-    Example: pinmobile ensemble --spread mass=percent:20 --spread start_x=normal:0,0.02 --radius 2
+    Example: pinmobile ensemble --spread mass=percent:20 --spread start_x=normal:0,0.02 --after 5
     """
     options, one = run_options(context.args, app, "ensemble")
     folder = output_folder(out)
-    return show_ensemble(options, spread or [], folder, n=n, seed=seed, one=one)
+    return show_ensemble(options, spread or [], folder, n=n, seed=seed, after=after, one=one)
 
 
 @app.command(

@@ -17,7 +17,7 @@ from pinmobile.cli.spreads import scenario, spread_of_words, without_model
 from pinmobile.ensembles import ARRAYS, Engine, run_scenario
 from pinmobile.sweeps import connected
 from pinmobile.sweeps.store import attributes_of
-from pinmobile.sweeps.table import compared
+from pinmobile.sweeps.table import compared, since
 
 __all__ = ["run_options", "show_ensemble", "show_sweep"]
 
@@ -43,7 +43,14 @@ def run_options(words: Sequence[str], app: typer.Typer, name: str) -> tuple[dict
 
 
 def show_ensemble(
-    options: Mapping[str, Any], spread: Sequence[str], folder: Path, *, n: int, seed: int, one: bool
+    options: Mapping[str, Any],
+    spread: Sequence[str],
+    folder: Path,
+    *,
+    n: int,
+    seed: int,
+    after: float,
+    one: bool,
 ) -> int:
     """Run the ensembles of one controller or of both, print who stays within what, and draw it."""
     wanted = spread_of_words(spread)
@@ -52,7 +59,8 @@ def show_ensemble(
         for name in _OF_ONE:
             if options[name] is not None:
                 raise InvalidArgument(f"--{name} does not apply to both controllers, expected --controller")
-    loops = {_NAMES.get(name, name): _loop(options, wanted, name, n=n, seed=seed, one=one) for name in names}
+    drawn: dict[str, Any] = {"n": n, "seed": seed, "after": after}
+    loops = {_NAMES.get(name, name): _loop(options, wanted, name, drawn, one=one) for name in names}
     _warn_if_alike(loops.values())
     engine = _engine()
     made: dict[str, Ensemble] = {}
@@ -65,7 +73,7 @@ def show_ensemble(
             made[label] = run_scenario(loop, engine=engine, progress=advance)
     text = "\n\n".join(f"{label}\n{ensemble}" for label, ensemble in made.items())
     console.print(text, markup=False)
-    answer = _answer(made, spread)
+    answer = since(after) + _answer(made, spread)
     console.print(f"\n{answer}", markup=False)
     pictures = ensemble_figures(made, folder)
     page = index_page(folder, answer, [Section("What came of it", text, pictures)])
@@ -112,12 +120,17 @@ def show_sweep(file: Path, out: Path | None, scheduler: str | None, chunk: int |
 
 
 def _loop(
-    options: Mapping[str, Any], spread: Mapping[str, Any], name: str, *, n: int, seed: int, one: bool
+    options: Mapping[str, Any],
+    spread: Mapping[str, Any],
+    name: str,
+    drawn: Mapping[str, Any],
+    *,
+    one: bool,
 ) -> Scenario:
     options = {**options, "controller": name}
     if name == "pd" and not one:
         options, spread = without_model(options, spread)
-    return scenario(options, spread, n=n, seed=seed)
+    return scenario(options, spread, **drawn)
 
 
 def _answer(made: Mapping[str, Ensemble], spread: Sequence[str]) -> str:

@@ -28,8 +28,9 @@ dt = 0.1
 [spread]           # uniform, normal, percent (of nominal), same, or a number
 start_x = {normal = [0, 0.001]}
 start_y = {same = "start_x", factor = {uniform = [-1, 1]}}
-[ensemble]         # n, seed
+[ensemble]         # n, seed; after: when the start is over and errors count
 n = 10000
+after = 5
 [grid]             # what is swept: any key above, by its table and name
 "spread.mass.percent" = [5, 10, 20]
 "controller.type" = ["pd", "computed-torque"]
@@ -43,7 +44,7 @@ _TABLES: Mapping[str, tuple[str, ...]] = {
     "controller": ("type", "kp", "kd", "model_mass", "model_yaw_inertia", "model_com"),
     "loop": ("dt", "integrator", "substeps"),
     "spread": tuple(PARAMETERS),
-    "ensemble": ("n", "seed"),
+    "ensemble": ("n", "seed", "after"),
 }
 _OPTIONS = {
     ("robot", "base"): "robot",
@@ -64,7 +65,7 @@ _NAMES = ("base", "urdf", "type", "heading", "integrator")
 _UNITS = {
     **{"mass": "kg", "yaw_inertia": "kg m^2", "model_mass": "kg", "model_yaw_inertia": "kg m^2"},
     **{"radius": "m", "rx": "m", "ry": "m", "rate": "rad/s", "wx": "rad/s", "wy": "rad/s", "psi": "rad"},
-    **{"duration": "s", "t_via": "s", "turn_time": "s", "dt": "s", "percent": "%"},
+    **{"duration": "s", "t_via": "s", "turn_time": "s", "dt": "s", "after": "s", "percent": "%"},
 }
 
 

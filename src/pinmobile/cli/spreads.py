@@ -78,7 +78,9 @@ def spread_of_words(words: Sequence[str]) -> dict[str, Any]:
     return found
 
 
-def scenario(options: Mapping[str, Any], spread: Mapping[str, Any], *, n: Any, seed: Any) -> Scenario:
+def scenario(
+    options: Mapping[str, Any], spread: Mapping[str, Any], *, n: Any, seed: Any, after: Any = 0.0
+) -> Scenario:
     """Return the scenario that options of `run` and a spread in words stand for.
 
     Parameters
@@ -89,6 +91,8 @@ def scenario(options: Mapping[str, Any], spread: Mapping[str, Any], *, n: Any, s
         By parameter a number, a list, or a table such as ``{uniform = [20, 40]}``.
     n, seed : int
         Robots, and the seed of what is drawn.
+    after : float
+        Time from which on errors count [s].
 
     Raises
     ------
@@ -104,7 +108,7 @@ def scenario(options: Mapping[str, Any], spread: Mapping[str, Any], *, n: Any, s
     shared: dict[str, Any] = {"robot": plant, "controller": law, "trajectory": trajectory, **settings}
     nominal = Scenario(**shared, n=1, spread={}).nominal
     sources = {name: _source(name, value, nominal.get(name, 0.0)) for name, value in spread.items()}
-    return Scenario(**shared, n=n, seed=seed, spread=sources)
+    return Scenario(**shared, n=n, seed=seed, after=after, spread=sources)
 
 
 def without_model(

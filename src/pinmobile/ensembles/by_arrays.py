@@ -27,7 +27,7 @@ class _Records:
     """What is kept, sample by sample, of the robots that have not diverged."""
 
     def __init__(self, scenario: Scenario, size: int) -> None:
-        self.every, self.limit = scenario.stride, scenario.limit
+        self.every, self.limit, self.begin = scenario.stride, scenario.limit, scenario.begin
         self.alive = np.ones(size, bool)
         self.lived = np.zeros(size, np.int64)
         self.largest, self.squares, self.forces = (
@@ -49,6 +49,8 @@ class _Records:
         held, force = np.where(self.alive[:, None], error, 0.0), np.where(self.alive[:, None], tau, 0.0)
         distance = np.sqrt(held[:, 0] * held[:, 0] + held[:, 1] * held[:, 1])
         sizes = np.column_stack([np.abs(held), distance])
+        if k == self.begin:
+            self.largest[:], self.squares[:] = 0.0, 0.0
         self.largest = np.maximum(self.largest, sizes)
         self.squares += held * held
         self.forces = np.maximum(self.forces, np.abs(force))
@@ -59,8 +61,8 @@ class _Records:
 
     def part(self) -> Part:
         """Return what was kept."""
-        lived = np.maximum(self.lived, 1)[:, None]
-        rms = np.sqrt(self.squares / lived)
+        kept = np.maximum(self.lived - self.begin, 1)[:, None]
+        rms = np.sqrt(self.squares / kept)
         return Part(self.lived, self.largest[:, :3], self.largest[:, 3], rms, self.forces, self.counts)
 
 

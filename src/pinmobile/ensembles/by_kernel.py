@@ -50,28 +50,26 @@ def _run(scenario: Scenario, batch: Batch) -> Part:
     core: Any = core_of(scenario.controller)
     wrap, torque = core.difference is planar_difference, batch.model is not None
     table = _table(scenario)
+    judged = wrap, scenario.limit, scenario.begin, scenario.stride, counts
     if _is_lean(scenario, batch):
         clip = 1.0 if any(type(layer) is Saturated for layer in layers_of(scenario.controller)) else None
         step = scenario.dt, float(table[0, 1, 0])
         model = 1.0 if torque else None
-        kernel.lean(
-            inputs, results, reference, *step, wrap, scenario.limit, scenario.stride, counts, model, clip
-        )
+        kernel.lean(inputs, results, reference, *step, *judged, model, clip)
     else:
         forces, waves, rollings, sines = _forces(scenario, batch)
         noise, delay = _measurement(scenario, batch)
         times, h = np.ascontiguousarray(scenario.t), scenario.dt / scenario.substeps
-        judged = wrap, scenario.limit, scenario.stride, counts
         pushed = forces, waves, rollings, sines
         matrices = _matrices(batch)
         loop = inputs, results, reference, times, h
         kernel.general(*loop, *judged, torque, matrices, *pushed, noise, delay, table)
-    lived = np.maximum(results[0], 1.0)
+    kept = np.maximum(results[0] - scenario.begin, 1.0)
     return Part(
         lived=results[0].astype(np.int64),
         max_error=results[1:4].T,
         max_distance=np.sqrt(results[4]),
-        rms_error=np.sqrt(results[5:8] / lived).T,
+        rms_error=np.sqrt(results[5:8] / kept).T,
         max_force=results[8:11].T,
         counts=counts,
     )

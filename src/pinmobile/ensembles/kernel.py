@@ -189,6 +189,13 @@ def _judge(
 
 
 @_inline
+def _forget(w: Any) -> None:
+    """Forget all errors so far, but not how long the robots have lived, nor their forces."""
+    for i in range(_E * LANES, _FORCE * LANES):
+        w[i] = 0.0
+
+
+@_inline
 def _count(w: Any, lanes: int, counts: Any) -> None:
     """Count the errors of the first `lanes` lanes in the bins of one time, shape (2, BINS)."""
     for i in range(LANES):
@@ -228,6 +235,7 @@ def lean(
     by_q: float,
     wrap: bool,
     limit: float,
+    begin: int,
     every: int,
     counts: Any,
     model: Any,
@@ -249,6 +257,8 @@ def lean(
         Whether the controller takes the error of psi on the circle.
     limit : float
         An error beyond it is a divergence.
+    begin : int
+        First sample whose error is kept in the results.
     every : int
         Samples between two counts.
     counts : ndarray of int, shape (times, 2, BINS)
@@ -264,6 +274,8 @@ def lean(
         for k in range(last + 1):
             at = reference[k]
             qx, qy, qp, vx, vy, vp, ax, ay, ap = at[0], at[1], at[2], at[3], at[4], at[5], at[6], at[7], at[8]
+            if k == begin:
+                _forget(w)
             for i in range(LANES):
                 x, y, p = w[_X * LANES + i], w[_Y * LANES + i], w[_PSI * LANES + i]
                 u, v, r = w[_U * LANES + i], w[_V * LANES + i], w[_R * LANES + i]
@@ -423,6 +435,7 @@ def general(
     h: float,
     wrap: bool,
     limit: float,
+    begin: int,
     every: int,
     counts: Any,
     torque: bool,
@@ -439,7 +452,7 @@ def general(
 
     Parameters
     ----------
-    inputs, results, reference, wrap, limit, every, counts
+    inputs, results, reference, wrap, limit, begin, every, counts
         As in `lean`.
     times : ndarray, shape (N + 1,)
         Of the samples [s].
@@ -484,6 +497,8 @@ def general(
                 _outside(w, _X, t, f, waves[now, 0], rollings, sines)
                 _accelerate(w, _X, _ACCELERATION)
                 if j == 0:
+                    if k == begin:
+                        _forget(w)
                     _sample(w, reference[k], limit)
                     if k % every == 0:
                         _count(w, lanes, counts[k // every])

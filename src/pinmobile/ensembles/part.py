@@ -23,7 +23,7 @@ class Part(NamedTuple):
     lived : ndarray of int, shape (m,)
         Samples before the loop diverged; all of them where it did not.
     max_error : ndarray, shape (m, 3)
-        Largest |error| of x, y, psi in those samples [m, m, rad].
+        Largest |error| of x, y, psi in those of these samples from `Scenario.after` on [m, m, rad].
     max_distance : ndarray, shape (m,)
         Largest distance from the desired position [m].
     rms_error : ndarray, shape (m, 3)

@@ -65,12 +65,12 @@ class Ensemble:
     draws : dict of str to ndarray, shape (n,)
         What each robot got of each parameter that is spread.
     max_error, rms_error : ndarray, shape (n, 3)
-        Largest, and root of the mean squared, error of x, y and psi [m, m, rad]; of a diverged robot until
-        then, NaN where it was beyond the limit from the start.
+        Largest, and root of the mean squared, error of x, y and psi from `Scenario.after` on [m, m, rad]; of
+        a diverged robot until then, NaN where it diverged before that time or at the start.
     max_distance : ndarray, shape (n,)
         Largest distance from the desired position [m]; so too.
     max_force : ndarray, shape (n, 3)
-        Largest |tau| [N, N, N m]; so too.
+        Largest |tau| from the start on [N, N, N m]; of a diverged robot until then, NaN where there is none.
     diverged_at : ndarray, shape (n,)
         When the loop diverged [s]; NaN where it did not.
     counts : ndarray of int, shape (G, 2, BINS)
@@ -111,9 +111,9 @@ class Ensemble:
         traces : iterable of int
             Robots of which a whole `Rollout` is made.
         """
-        never = part.lived == 0
-        for array in (part.max_error, part.max_distance, part.rms_error, part.max_force):
-            array[never] = np.nan
+        for array in (part.max_error, part.max_distance, part.rms_error):
+            array[part.lived <= scenario.begin] = np.nan
+        part.max_force[part.lived == 0] = np.nan
         samples = len(scenario.t)
         times = np.append(scenario.t, np.nan)
         made = cls(
@@ -140,6 +140,8 @@ class Ensemble:
 
     def within(self, share: float = 0.99) -> Within:
         """Return what a share of the robots stays within, exactly, a diverged one being beyond everything.
+
+        From `Scenario.after` on, all the time.
 
         Raises
         ------
@@ -243,7 +245,9 @@ class Ensemble:
         )
 
     def _judgement(self) -> str:
-        return judgement(len(self), self.scenario.t[-1], self.within(0.99), int(self.diverged.sum()))
+        return judgement(
+            len(self), self.scenario.t[-1], self.within(0.99), int(self.diverged.sum()), self.scenario.after
+        )
 
 
 _ARRAYS = ("max_error", "rms_error", "max_distance", "max_force", "diverged_at", "counts")

@@ -35,6 +35,7 @@ def ensemble(
     substeps: int = 1,
     forces: Sequence[Any] = (),
     limit: float = 1e3,
+    after: float = 0.0,
     every: int | None = None,
     traces: Iterable[int] = (),
     engine: Engine | None = None,
@@ -47,8 +48,10 @@ def ensemble(
 
     Parameters
     ----------
-    robot, controller, trajectory, n, spread, seed, dt, duration, integrator, substeps, forces, limit, every
+    robot, controller, trajectory, n, spread, seed, dt, duration, integrator, substeps, forces, limit
         See `Scenario`.
+    after, every
+        So too.
     traces : iterable of int
         Robots of which a whole `Rollout` is kept, made by `simulate`.
     engine : Engine, optional
@@ -80,6 +83,7 @@ def ensemble(
         substeps=substeps,
         forces=forces,
         limit=limit,
+        after=after,
         every=every,
     )
     return run_scenario(scenario, traces=traces, engine=engine, threads=threads, progress=progress)

@@ -8,7 +8,7 @@ from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, positive, whole
+from pinmobile.arrays import Array, positive, scalar, whole
 from pinmobile.controllers import PD, ComputedTorque, gain_matrix
 from pinmobile.ensembles.distributions import Source
 from pinmobile.ensembles.draws import draw, held
@@ -24,6 +24,7 @@ from pinmobile.trajectories import Reference, Trajectory
 
 __all__ = ["Scenario"]
 
+_SAME = 1e-6  # of dt: a time that is meant to be a sample's
 _GRID = 60  # intervals between counts, about
 _MOST = 100_000_000  # robots
 _RECORD = 150  # bytes for each, about
@@ -56,6 +57,10 @@ class Scenario:
     dt, duration, integrator, substeps, forces, limit
         As in `simulate`. A `NoiseForce` has phases of its own for each robot, a `NoisyMeasurement` numbers
         of its own.
+    after : float
+        Errors are kept from this time on [s], so that what a start costs until the robot has settled is not
+        taken for what the controller costs; forces, divergence and the bands over time are kept from the
+        start.
     every : int, optional
         Samples between two entries of the bands over time; by default there are some 60.
 
@@ -77,6 +82,7 @@ class Scenario:
     substeps: int = 1
     forces: Sequence[Any] = ()
     limit: float = 1e3
+    after: float = 0.0
     every: int | None = None
     t: Array = field(init=False, repr=False)
     reference: Reference = field(init=False, repr=False)
@@ -102,6 +108,7 @@ class Scenario:
             "seed": whole("seed", self.seed, least=0),
             "substeps": whole("substeps", self.substeps),
             "limit": positive("limit", self.limit),
+            "after": _time("after", self.after, t),
             "every": every,
             "spread": checked_spread(self.spread, n),
             "forces": checked_forces(self.forces, self.robot),
@@ -119,6 +126,11 @@ class Scenario:
     def stride(self) -> int:
         """Samples between two entries of the bands."""
         return self.every or 1
+
+    @property
+    def begin(self) -> int:
+        """First sample whose error is kept."""
+        return int(np.searchsorted(self.t, self.after - _SAME * self.dt))
 
     @property
     def robot_steps(self) -> int:
@@ -178,6 +190,13 @@ class Scenario:
                     f"({wrong.mean():.2%}) are impossible; expected {parameter.bound}"
                 )
         return values
+
+
+def _time(name: str, value: Any, t: Array) -> float:
+    time = scalar(name, value)
+    if not 0 <= time <= t[-1]:
+        raise InvalidArgument(f"{name} is {time} s, expected from 0 to the duration, {t[-1]:g} s")
+    return time
 
 
 def _of_robot(prefix: str, robot: MobileRobot) -> dict[str, float]:

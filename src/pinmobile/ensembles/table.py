@@ -9,7 +9,7 @@ __all__ = ["judgement", "ranges"]
 _COORDINATES = (("x", "m", "Fx", "N"), ("y", "m", "Fy", "N"), ("psi", "rad", "Mz", "N m"))
 
 
-def judgement(n: int, duration: float, within: tuple[float, float], diverged: int) -> str:
+def judgement(n: int, duration: float, within: tuple[float, float], diverged: int, after: float) -> str:
     """Return in one line what came of n robots.
 
     Parameters
@@ -22,11 +22,14 @@ def judgement(n: int, duration: float, within: tuple[float, float], diverged: in
         What 99 % of them stay within [m, rad]; infinite where fewer have not diverged.
     diverged : int
         How many did.
+    after : float
+        Time from which on errors count [s].
     """
     start = f"{n:,} robots over {duration:g} s: "
     if np.isinf(within[0]):
         return f"{start}{diverged:,} diverged, more than 1 %"
-    sizes = f"99 % stay within {within[0]:.4g} m and {within[1]:.4g} rad"
+    since = f"from {after:g} s on " if after else ""
+    sizes = f"{since}99 % stay within {within[0]:.4g} m and {within[1]:.4g} rad"
     return f"{start}{sizes}, {f'{diverged:,} diverged' if diverged else 'none diverged'}"
 
 

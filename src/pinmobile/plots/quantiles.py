@@ -128,9 +128,13 @@ def _headings(column: Iterable[Axes], label: str, one: Ensemble, level: float, i
     count = int(one.diverged.sum())
     fate = f"{count:,} of {len(one):,} diverged" if count else f"none of {len(one):,} diverged"
     first, *_ = column
+    after = one.scenario.after
+    when = f"from {after:g} s on" if after else "throughout"
     for axes, size, (_, _, unit) in zip(column, one.within(level), _ROWS, strict=True):
-        stays = f"within {si(size, unit)} throughout" if np.isfinite(size) else "within no bound"
+        stays = f"within {si(size, unit)} {when}" if np.isfinite(size) else "within no bound"
         axes.set_title(f"{percent(level)} stay {stays}", fontsize=10.5, color=INK, loc="left")
+        if after:
+            axes.axvline(after, color=_GREY, linewidth=1.0, linestyle=":", zorder=1)
     first.annotate(fate, (0, 1), (0, 21), xycoords="axes fraction", textcoords="offset points",
                        fontsize=10.5, color=INK)  # fmt: skip
     first.annotate(label, (0, 1), (0, 38), **heading(index))

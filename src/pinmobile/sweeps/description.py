@@ -31,6 +31,7 @@ _PLAIN = (
     "dt",
     "substeps",
     "limit",
+    "after",
     "every",
     "robot",
     "controller",

@@ -18,16 +18,17 @@ LEVELS = (0.5, 0.9, 0.99)
 """Shares of the robots of which the store has the quantiles over time."""
 
 _UNTIL = "of a diverged robot until then"
+_SINCE = f"from the scenario's `after` on, {_UNTIL}"
 _OF_POSE, _OF_FORCE = "m, m, rad", "N, N, N m"
 PER_ROBOT: Mapping[str, tuple[tuple[str, ...], str, str]] = {
-    "max_error": (("coordinate",), _OF_POSE, f"largest |error|, {_UNTIL}"),
+    "max_error": (("coordinate",), _OF_POSE, f"largest |error|, {_SINCE}"),
     "rms_error": (
         ("coordinate",),
         _OF_POSE,
-        f"root of the mean squared error, {_UNTIL}",
+        f"root of the mean squared error, {_SINCE}",
     ),
     "max_force": (("coordinate",), _OF_FORCE, f"largest |generalised force|, {_UNTIL}"),
-    "max_distance": ((), "m", f"largest distance from the desired position, {_UNTIL}"),
+    "max_distance": ((), "m", f"largest distance from the desired position, {_SINCE}"),
     "diverged_at": ((), "s", "when the loop diverged; NaN where it did not"),
 }
 """Of each array with one entry per robot: further dimensions, unit and meaning."""
@@ -58,7 +59,9 @@ def make_arrays(path: Path, grid: Grid, chunk: int, attributes: Mapping[str, Any
         Of the whole store.
     """
     zarr = imported("zarr")
-    group = zarr.create_group(path, attributes=dict(attributes))
+    begins = {scenario.after for scenario in grid.scenarios}
+    since = {"errors_from_s": begins.pop()} if len(begins) == 1 else {}
+    group = zarr.create_group(path, attributes={**attributes, **since})
     for name, values, unit, meaning in _coordinates(grid):
         _coordinate(group, name, values, {"units": unit, "long_name": meaning})
     outer, ones = tuple(grid.axes), (1,) * len(grid.axes)

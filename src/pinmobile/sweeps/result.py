@@ -18,7 +18,7 @@ from pinmobile.sweeps.grids import Grid, as_grid
 from pinmobile.sweeps.layout import PER_ROBOT
 from pinmobile.sweeps.origin import determined_by, differences
 from pinmobile.sweeps.store import attributes_of
-from pinmobile.sweeps.table import answer, table
+from pinmobile.sweeps.table import answer, since, table
 
 __all__ = ["Sweep"]
 
@@ -75,7 +75,7 @@ class Sweep:
         return cls(folder, axes, dataset, grid)
 
     def within(self, share: float = 0.99) -> Any:
-        """Return the distance that a share of the robots stays within, all the time, exactly.
+        """Return the distance that a share of the robots stays within from `Scenario.after` on, exactly.
 
         Parameters
         ----------
@@ -121,8 +121,9 @@ class Sweep:
         InvalidArgument
             If `share` is not between 0 and 1.
         """
-        done = float(self.dataset.max_distance.notnull().mean())
-        return answer(self.axes, self.within(share).values, share, done)
+        known = self.dataset.max_distance.notnull() | self.dataset.diverged_at.notnull()
+        after = float(self.dataset.attrs.get("errors_from_s", 0.0))
+        return since(after) + answer(self.axes, self.within(share).values, share, float(known.mean()))
 
     def ensemble(self, **labels: Any) -> Ensemble:
         """Return the ensemble of one scenario.

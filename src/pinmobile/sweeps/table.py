@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array
 from pinmobile.sweeps.axes import Axis, Label, told
 
-__all__ = ["answer", "compared", "length", "table"]
+__all__ = ["answer", "compared", "length", "since", "table"]
 
 _MOST = 40  # rows of a table
 
@@ -21,6 +21,11 @@ def length(metres: float) -> str:
         if metres >= size:
             return f"{metres / size:.3g} {unit}"
     return f"{metres * 1e9:.3g} nm"
+
+
+def since(after: float) -> str:
+    """Return in words from which time on errors count, nothing where that is the start."""
+    return f"from t = {after:g} s on, " if after else ""
 
 
 def compared(within: Mapping[str, float], share: float) -> str:
