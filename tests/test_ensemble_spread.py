@@ -119,6 +119,13 @@ def test_same_makes_the_controller_know_what_it_is_told() -> None:
     assert 35 < off.max() <= 36
 
 
+def test_a_gain_may_be_a_multiple_of_one_that_is_not_spread() -> None:
+    spread = {"kd": Same("kp", 2.0), "kp_y": Same("kp_psi", 3.0)}
+    draws = made(n=2, controller=PD((5, 6, 7), 1), spread=spread).draws()
+    assert draws["kd"].tolist() == [10, 10]  # kp stands for that of x
+    assert draws["kp_y"].tolist() == [21, 21]
+
+
 def test_a_member_is_the_robot_that_was_drawn() -> None:
     spread = {
         "mass": Uniform(20, 40),
@@ -219,10 +226,12 @@ def test_two_noises_of_one_robot_are_not_the_same() -> None:
 
 def test_noise_differs_from_robot_to_robot_and_not_from_run_to_run() -> None:
     noisy = NoisyMeasurement(PD(40, 40), 1e-2, 0.0, seed=0)
-    scenario = made(n=3, controller=noisy, forces=(NoiseForce((1, 1, 1), 1.0, seed=0),), duration=5.0)
-    one, again = run_scenario(scenario), run_scenario(scenario)
-    np.testing.assert_array_equal(one.max_error, again.max_error)
-    assert len(np.unique(one.max_error[:, 0])) == 3
+    noise: dict[str, Any] = {"forces": (NoiseForce((1, 1, 1), 1.0, seed=0),)}
+    for changes in ({"controller": noisy}, noise, {"controller": noisy, **noise}):
+        scenario = made(n=3, duration=5.0, **changes)
+        one, again = run_scenario(scenario), run_scenario(scenario)
+        np.testing.assert_array_equal(one.max_error, again.max_error)
+        assert len(np.unique(one.max_error[:, 0])) == 3
     phases = [run.options["forces"][0].phases for run in (one.member(0), one.member(1))]
     assert not np.array_equal(*phases)
 
