@@ -124,6 +124,8 @@ def test_a_gain_may_be_a_multiple_of_one_that_is_not_spread() -> None:
     draws = made(n=2, controller=PD((5, 6, 7), 1), spread=spread).draws()
     assert draws["kd"].tolist() == [10, 10]  # kp stands for that of x
     assert draws["kp_y"].tolist() == [21, 21]
+    for one, other in (("kp_factor", "kd_factor"), ("kd_factor", "kp_factor")):
+        assert made(n=2, spread={one: Same(other, 1.5)}).draws()[one].tolist() == [1.5, 1.5]
 
 
 def test_a_member_is_the_robot_that_was_drawn() -> None:
