@@ -211,6 +211,22 @@ def test_what_is_faster_than_a_joint_can_be_is_refused() -> None:
         WholeBody(UR5, CIRCLE, RestToRest(np.zeros(6), np.full(6, 3.0), 0.2))
 
 
+@pytest.mark.parametrize("sign", ["", "-"])
+@pytest.mark.parametrize("k", range(6))
+def test_a_joint_that_is_too_fast_is_named_whichever_way_it_goes(k: int, sign: str) -> None:
+    start = np.full(6, 3.0)  # within its limits; three of its joints have two numbers in q
+    end = start + float(f"{sign}0.2") * np.eye(6)[k]
+    text = rf"^reference moves joint 'kinova/j2s6s200_joint_{k + 1}' at {sign}\d\.\d+ rad/s"
+    with pytest.raises(InvalidArgument, match=text):
+        WholeBody(KINOVA, Tangent(Circle(1, 0.5, 0.2)), RestToRest(start, end, 0.2))
+
+
+def test_a_path_of_the_second_arm_that_leaves_its_limits_is_refused_at_once() -> None:
+    start = rest_of(TWO)[TWO.mounts[1].v.start - 3 :]
+    with pytest.raises(InvalidArgument, match=r"^reference has joint 'kinova/j2s6s200_joint_2' at \d"):
+        WholeBody(TWO, Tangent(Circle(1, 0.1, 60)), None, RestToRest(start, start + 4 * np.eye(6)[1], 60))
+
+
 @dataclass(frozen=True)
 class Unchecked:
     """A user's own trajectory of the UR5 on a base at rest."""
