@@ -23,6 +23,8 @@ from pinmobile import (
     ConstantForce,
     InvalidArgument,
     MobileRobot,
+    NoiseForce,
+    NoisyMeasurement,
     Reference,
     Same,
     Sweep,
@@ -41,6 +43,7 @@ from pinmobile.sweeps import length
 from pinmobile.sweeps.grids import as_grid
 from pinmobile.sweeps.origin import determined_by, differences
 from pinmobile.sweeps.store import Store, attributes_of
+from pinmobile.sweeps.table import answer, table
 from tests.sweeping import CHUNK, contents, gains_and_errors, scenario
 
 ROOT = Path(__file__).parents[1]
@@ -92,6 +95,29 @@ def test_a_diverged_robot_is_within_nothing(tmp_path: Path) -> None:
     assert Sweep.open(alone.path, wild).ensemble(scenario=0).diverged.all()
     assert np.isnan(found.ensemble(scenario="tame").diverged_at).all()
     np.testing.assert_array_equal(found.ensemble(scenario="wild").diverged_at, run_scenario(wild).diverged_at)
+
+
+@pytest.mark.parametrize(
+    ("within", "text"),
+    [
+        ([1.0, np.inf, 2.0], "with gain = 9, the robots diverge in more than 10 % of runs"),
+        ([1.0, np.nan, 2.0], "with gain = 16, the robots stay within 2 m in 90 % of runs"),
+        ([1.0, np.nan, np.inf], "with gain = 16, the robots diverge in more than 10 % of runs"),
+    ],
+)
+def test_the_answer_is_that_of_the_worst_that_is_known(within: list[float], text: str) -> None:
+    assert answer({"gain": Axis([4, 9, 16])}, np.array(within), 0.9) == text
+
+
+def test_a_table_says_how_many_rows_it_leaves_out() -> None:
+    axes, within = {"gain": Axis([4, 9, 16], "1/s^2")}, np.array([1.0, np.inf, np.nan])
+    rows = [table(axes, within, np.array([0, 5, 0]), 0.9, most).splitlines() for most in (1, 2, 3)]
+    assert [lines[-1].split() for lines in rows] == [
+        ["...", "and", "2", "more"],
+        ["...", "and", "1", "more"],
+        ["16", "unknown", "unknown"],
+    ]
+    assert [line.split() for line in rows[2][1:3]] == [["4", "1", "m", "0"], ["9", "unbounded", "5"]]
 
 
 def test_a_sweep_says_who_stays_within_what(done: Sweep) -> None:
@@ -263,6 +289,19 @@ def test_whatever_changes_the_numbers_is_told(one: Any, other: Any, told: str) -
     assert there == again
     assert told in differences(there, here, most=30)
     assert there["fingerprint"] != here["fingerprint"]
+
+
+def test_a_seed_that_no_robot_feels_is_not_told() -> None:
+    """Each robot's noise follows from the scenario's seed."""
+    one, other = (
+        replace(
+            scenario(),
+            controller=NoisyMeasurement(PD(4, 4), 1e-3, 0.0, seed=seed),
+            forces=(NoiseForce((1, 1, 1), 1.0, seed=seed),),
+        )
+        for seed in (0, 1)
+    )
+    assert determined_by(as_grid(one)) == determined_by(as_grid(other))
 
 
 def test_the_versions_and_the_machine_that_made_the_numbers_are_told(done: Sweep) -> None:
