@@ -517,6 +517,37 @@ def test_an_ensemble_says_what_came_of_it() -> None:
             run.bands(levels)
 
 
+def test_an_ensemble_tells_least_median_and_largest_of_each_record() -> None:
+    run = run_scenario(made(n=50, spread={"mass": Uniform(20, 40), "start_x": np.array([2e3, *[0.1] * 49])}))
+    rows = {line[:28].strip(): line[28:] for line in str(run).splitlines()[2:]}
+    records = {"largest distance [m]": run.max_distance}
+    for k, (error, force) in enumerate((("x [m]", "Fx [N]"), ("y [m]", "Fy [N]"), ("psi [rad]", "Mz [N m]"))):
+        records[f"largest error of {error}"] = run.max_error[:, k]
+        records[f"largest {force}"] = run.max_force[:, k]
+    assert set(rows) == set(records)
+    for name, values in records.items():
+        low, middle, high = np.quantile(values[1:], (0, 0.5, 1))  # the first has none: it diverged at once
+        assert rows[name].strip() == f"least {low:.4g}, median {middle:.4g}, largest {high:.4g}", name
+
+
+def test_what_came_of_an_ensemble_cannot_be_overwritten() -> None:
+    run = run_scenario(made(n=3, spread={"mass": Uniform(20, 40)}))
+    records = [run.max_error, run.rms_error, run.max_distance, run.max_force, run.diverged_at, run.counts]
+    held: list[Any] = [*records, *run.draws.values()]
+    for array in held:
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
+
+
+@pytest.mark.parametrize("i", [3, -1, 0.5])
+def test_a_robot_that_is_not_there_is_no_member(i: Any) -> None:
+    run = run_scenario(made(n=3))
+    for ask in (run.member, run.trace):
+        with pytest.raises(InvalidArgument, match=rf"^i is {i}, expected "):
+            ask(i)
+    assert run.member(2).robot.mass == 30
+
+
 def test_a_wind_without_friction_is_what_the_closed_form_says() -> None:
     # PD holds a robot against a steady force at |e| = F / kp, whatever the friction; overdamped, it comes
     # from below. The reference creeps by 1e-9 m/s, so as much more.

@@ -303,6 +303,12 @@ def test_diverging_robots_are_flagged_as_by_simulate_and_the_others_untouched() 
         assert np.isinf(run.bands((0.95, 0.99)).distance[:, -1]).tolist() == [False, True]
 
 
+def test_the_worst_are_those_that_strayed_farthest() -> None:
+    run = run_scenario(made(n=40, duration=5.0))
+    assert run.worst(40).tolist() == np.argsort(-run.max_distance).tolist()
+    assert run.worst(3).tolist() == run.worst(40)[:3].tolist()
+
+
 def test_what_overflows_is_flagged_too() -> None:
     run = ensemble(ROBOT, PD(1e200, 1e200), CIRCLE, n=3, spread={"start_x": 1.0}, dt=0.1, limit=1e300)
     assert run.diverged.all()
