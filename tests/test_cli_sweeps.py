@@ -8,11 +8,27 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from pinmobile import PD, ComputedTorque, Normal, Same, Sweep, Uniform, plots
+from pinmobile import (
+    PD,
+    Circle,
+    ComputedTorque,
+    MobileRobot,
+    Normal,
+    Same,
+    Scenario,
+    Sweep,
+    Tangent,
+    Uniform,
+    ensemble,
+    plots,
+)
+from pinmobile.cli.many import _answer, _differs
 from pinmobile.cli.scenario_file import EXAMPLE, read_grid
-from pinmobile.ensembles import PARAMETERS
+from pinmobile.ensembles import ARRAYS, PARAMETERS
+from pinmobile.sweeps import length
 from tests.test_cli import typed
 
+CIRCLE = Tangent(Circle(3.0, 0.1, 6.0))
 SMALL = EXAMPLE.replace("n = 10000", "n = 40").replace("radius = 3", "radius = 3\nduration = 6")
 
 
@@ -255,6 +271,40 @@ def test_robots_that_are_alike_and_a_loop_that_diverges_are_told(
     assert code == 0
     assert out.startswith("nothing is spread: all robots are alike\n")
     assert "\nthe robots stay within " in out
+
+
+@pytest.mark.parametrize(
+    ("source", "differs"),
+    [
+        (3.0, False),
+        (Same("mass"), False),
+        (Same("mass", 1.1), False),
+        (Same("mass", [1.0, 1.1]), True),
+        (Same("mass", Uniform(1, 2)), True),
+        ([3.0, 4.0], True),
+        (Normal(3, 1), True),
+    ],
+)
+def test_what_is_the_same_for_all_makes_no_robot_differ(source: Any, differs: bool) -> None:
+    robot = MobileRobot(30.0, 1.3)
+    spread = {"model_mass": source}
+    scenario = Scenario(
+        robot=robot, controller=ComputedTorque(robot), trajectory=CIRCLE, n=2, dt=0.1, spread=spread
+    )
+    assert _differs(scenario.spread["model_mass"]) == differs
+
+
+def test_the_answer_of_an_ensemble_is_that_of_99_percent() -> None:
+    robot = MobileRobot(30.0, 1.3)
+    spread: Any = {"mass": Uniform(24, 36)}
+    made = ensemble(
+        robot, PD((120, 120, 5), (120, 120, 5)), CIRCLE, n=50, dt=0.1, spread=spread, engine=ARRAYS
+    )
+    within = [length(made.within(share).distance) for share in (0.99, 0.5)]
+    assert within[0] != within[1]
+    assert _answer({"PD": made}, ["mass=percent:20"]) == (
+        f"with mass=percent:20, PD stays within {within[0]} in 99 % of runs"
+    )
 
 
 def test_a_store_keeps_its_chunk(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
