@@ -31,7 +31,7 @@ from pinmobile import (
     law,
     simulate,
 )
-from pinmobile.ensembles import PARAMETERS, run_scenario
+from pinmobile.ensembles import ARRAYS, PARAMETERS, run_scenario
 from pinmobile.ensembles.histogram import BINS, bins_of, edges, quantiles
 
 ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.02))
@@ -458,6 +458,8 @@ def test_what_is_written_for_one_robot_is_told_so(n: int) -> None:
     text = r"controller returned shape \(3, 3\) at t = 0 s for q of shape \(4, 3\)"
     with pytest.raises(InvalidArgument, match=text):
         ensemble(ROBOT, one, TRAJECTORY, n=n, spread={}, dt=0.1)
+    with pytest.raises(InvalidArgument, match=text):
+        ensemble(ROBOT, one, TRAJECTORY, n=n, spread={}, dt=0.1, engine=ARRAYS)
 
     def drag(t: float, q: Any, v: Any) -> Any:
         return np.array([-v[0], -v[1], -v[2]])
@@ -484,6 +486,13 @@ def test_quantiles_from_counts_are_right_to_the_width_of_a_bin() -> None:
     np.testing.assert_allclose(quantiles(counts, levels), np.quantile(values, levels), rtol=2**-5)
     halves = [np.bincount(bins_of(part), minlength=BINS) for part in (values[:7], values[7:])]
     np.testing.assert_array_equal(sum(halves), counts)
+
+
+def test_the_least_quantile_is_the_least_number_and_infinite_where_all_are() -> None:
+    counts = np.bincount(bins_of(np.array([0.7, 0.8, 1.5])), minlength=BINS)
+    np.testing.assert_allclose(quantiles(counts, np.array([0.0, 1.0])), [0.7, 1.5], rtol=2**-5)
+    lost = np.bincount(bins_of(np.full(3, np.inf)), minlength=BINS)
+    assert quantiles(lost, np.array([0.0, 0.5, 1.0])).tolist() == [np.inf] * 3
 
 
 def test_bins_hold_what_their_edges_say() -> None:
