@@ -195,6 +195,7 @@ TWICE: dict[str, Any] = {
     "waves": {"forces": (SinusoidalForce((2, 1, 0.1), 0.3, 0.5), SinusoidalForce((1, 3, 0.2), 0.7, 1.5))},
     "a difference of one's own": {"controller": PD((40, 50, 4), (60, 50, 4), difference=twofold)},
     "a model of one's own": {"controller": ComputedTorque(Own())},
+    "a table of one's own": {"integrator": RungeKuttaNystrom("own", (0.0,), ((),), ((),), (0.5,), (0.9,))},
 }
 
 
