@@ -1,6 +1,7 @@
 """`simulate` against closed forms, and what it does with what it cannot do."""
 
 import pickle
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -86,6 +87,23 @@ def test_the_librarys_own_loop_and_a_users_are_the_same(
             np.testing.assert_allclose(getattr(users, name), getattr(own, name), rtol=0, atol=1e-12)
 
 
+class Own:
+    """A model of a user's own."""
+
+    nv = 3
+
+    def inverse_dynamics(self, q: Any, v: Any, a: Any) -> Array:
+        return MobileRobot(8, 1).inverse_dynamics(q, v, a)
+
+
+def test_a_model_of_ones_own_is_as_good_as_the_librarys() -> None:
+    runs = [
+        simulate(ROBOT, ComputedTorque(model, 3, 4), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
+        for model in (MobileRobot(8, 1), Own())
+    ]
+    np.testing.assert_allclose(runs[1].q, runs[0].q, rtol=0, atol=1e-12)
+
+
 def by_hand(plant: MobileRobot, controller: Any, dt: float, n: int) -> tuple[Array, Array]:
     """Return q and tau of the lecture's loop, written as the lecture writes it."""
     q, v = np.array(START["q0"]), np.array(START["v0"])
@@ -120,8 +138,25 @@ def test_the_record_is_consistent_and_includes_the_last_sample() -> None:
     np.testing.assert_array_equal(rollout.reference.q, CIRCLE(rollout.t).q)
     assert rollout.max_error().tolist() == np.abs(rollout.error).max(axis=0).tolist()
     np.testing.assert_allclose(rollout.rms_error(), np.sqrt((rollout.error**2).mean(axis=0)))
+    np.testing.assert_array_equal(rollout.max_force(), np.abs(rollout.tau).max(axis=0))
+    assert (rollout.max_force() > rollout.tau.max(axis=0)).any()
     with pytest.raises(ValueError, match="read-only"):
         rollout.q[0, 0] = 1
+
+
+def test_a_rollout_holds_read_only_copies() -> None:
+    rollout = simulate(ROBOT, ComputedTorque(ROBOT), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
+    names = ("t", "q", "v", "a", "tau", "error")
+    given = {name: np.array(getattr(rollout, name)) for name in names}
+    reference = Reference(*map(np.array, rollout.reference))
+    copy = replace(rollout, reference=reference, **given)
+    for array in (*given.values(), *reference):
+        array[...] = 9
+    held = [(getattr(copy, name), getattr(rollout, name)) for name in names]
+    for array, expected in (*held, *zip(copy.reference, rollout.reference, strict=True)):
+        np.testing.assert_array_equal(array, expected)
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
 
 
 def test_error_follows_the_exact_recurrence_under_a_held_force() -> None:
