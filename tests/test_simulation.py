@@ -41,6 +41,19 @@ class Hold:
         return Reference(*np.zeros((3, *np.shape(t), 3)))
 
 
+class Rest:
+    """A reference at rest as a robot rests."""
+
+    duration = 1.0
+
+    def __init__(self, robot: MobileRobot) -> None:
+        self.robot = robot
+
+    def __call__(self, t: Any) -> Reference:
+        v, a = np.zeros((2, *np.shape(t), self.robot.nv))
+        return Reference(np.broadcast_to(self.robot.rest, (*np.shape(t), self.robot.nq)), v, a)
+
+
 class Asked:
     """A controller in the user's own class: `simulate` cannot know that it is the library's."""
 
@@ -102,6 +115,60 @@ def test_a_model_of_ones_own_is_as_good_as_the_librarys() -> None:
         for model in (MobileRobot(8, 1), Own())
     ]
     np.testing.assert_allclose(runs[1].q, runs[0].q, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("substeps", [1, 2])
+@pytest.mark.parametrize("plant", [ROBOT, MobileRobot.box().mount("kinova")])
+def test_an_integrator_may_write_into_what_it_is_given(plant: MobileRobot, substeps: int) -> None:
+    def heun(acceleration: Any, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
+        a = acceleration(t, q, v)
+        b = acceleration(t + dt, q + dt * v, v + dt * a)
+        return q + dt * v + dt**2 / 2 * a, v + dt / 2 * (a + b)
+
+    def careless(acceleration: Any, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
+        a = acceleration(t, q, v)
+        step = dt * v + dt**2 / 2 * a
+        q += dt * v
+        v += dt * a
+        b = acceleration(t + dt, q, v)
+        q += step - dt * (v - dt * a)
+        v += dt / 2 * (b - a)
+        return q, v
+
+    one, other = (
+        simulate(
+            plant,
+            law(lambda t, q, v, reference: np.zeros(plant.nv)),
+            Rest(plant),
+            dt=0.02,
+            duration=0.2,
+            v0=np.linspace(-0.5, 0.4, plant.nv),
+            integrator=step,
+            substeps=substeps,
+        )
+        for step in (heun, careless)
+    )
+    for name in ("q", "v", "a", "tau"):
+        np.testing.assert_allclose(getattr(other, name), getattr(one, name), rtol=0, atol=1e-10)
+
+
+def test_an_integrator_that_moves_first_is_told_the_acceleration_there() -> None:
+    def leapfrog(acceleration: Any, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
+        half = q + dt / 2 * v
+        v = v + dt * acceleration(t, half, v)
+        return half + dt / 2 * v, v
+
+    def careless(acceleration: Any, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
+        q += dt / 2 * v
+        v += dt * acceleration(t, q, v)
+        q += dt / 2 * v
+        return q, v
+
+    one, other = (
+        simulate(ROBOT, PD(40, 20), CIRCLE, dt=0.05, integrator=step, **START)  # type: ignore[arg-type]
+        for step in (leapfrog, careless)
+    )
+    np.testing.assert_array_equal(other.q, one.q)
 
 
 def by_hand(plant: MobileRobot, controller: Any, dt: float, n: int) -> tuple[Array, Array]:
