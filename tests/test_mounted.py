@@ -328,6 +328,13 @@ def test_pd_needs_the_robots_own_difference_where_configurations_do_not_subtract
     assert np.abs(run.error[-1]).max() < 0.05 * np.abs(run.error[0]).max()
 
 
+def test_the_base_carries_neither_arms_nor_loads() -> None:
+    box = MobileRobot.box()
+    for robot in (box.attach(Load(3.0)), UR5, UR5.attach(Load(3.0)), box):
+        assert robot.base == box
+        assert (robot.base.mounts, robot.base.loads) == ((), ())
+
+
 @pytest.mark.parametrize("make", [ComputedTorque, Decoupled, PDGravity])
 def test_a_difference_of_ones_own_is_kept_and_the_planes_gives_way_to_the_robots(make: Any) -> None:
     def mine(q_d: Array, q: Array) -> Array:

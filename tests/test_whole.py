@@ -266,6 +266,8 @@ def test_slides_along_three_axes_are_coordinates_of_a_path_and_a_planar_joint_is
     assert shuttle.coordinate_units[4:] == ("m", "m", "rad")
     parts = tuple(f"toy/shuttle:{part}" for part in ("x", "y", "cos", "sin"))
     assert shuttle.configuration_names[4:] == parts
+    adrift = with_joint(pin.JointModelRY(), "hinge", pin.JointModelFreeFlyer(), "adrift")
+    assert adrift.coordinate_units[3:] == ("rad", *["m"] * 3, *["rad"] * 3)
     with pytest.raises(InvalidArgument, match="joint 'toy/shuttle' with 3 velocities"):
         WholeBody(shuttle, CIRCLE, None)
 
