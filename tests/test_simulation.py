@@ -211,6 +211,13 @@ def test_the_record_is_consistent_and_includes_the_last_sample() -> None:
         rollout.q[0, 0] = 1
 
 
+@pytest.mark.parametrize(("duration", "last"), [(0.3, 0.3), (12 * (1 + 1e-10), 12.0), (None, 12.0)])
+def test_the_last_sample_is_at_the_duration_to_the_last_digit(duration: Any, last: float) -> None:
+    assert np.arange(4)[-1] * 0.1 != 0.3  # as the other samples are
+    rollout = simulate(ROBOT, ComputedTorque(ROBOT), CIRCLE, dt=0.1, duration=duration)
+    assert rollout.t[-1] == last
+
+
 def test_a_rollout_holds_read_only_copies() -> None:
     rollout = simulate(ROBOT, ComputedTorque(ROBOT), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
     names = ("t", "q", "v", "a", "tau", "error")
