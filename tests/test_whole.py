@@ -227,6 +227,13 @@ def test_a_path_of_the_second_arm_that_leaves_its_limits_is_refused_at_once() ->
         WholeBody(TWO, Tangent(Circle(1, 0.1, 60)), None, RestToRest(start, start + 4 * np.eye(6)[1], 60))
 
 
+def test_a_short_path_of_the_second_arm_is_looked_at_between_the_times_of_the_first() -> None:
+    start = rest_of(TWO)[TWO.mounts[1].v.start - 3 :]
+    away = CubicVia(start, start + 4 * np.eye(6)[1], start, 0.45, 0.9)
+    with pytest.raises(InvalidArgument, match=r"joint 'kinova/j2s6s200_joint_2' at \d"):
+        WholeBody(TWO, Tangent(Circle(1, 0.1, 60)), None, away)
+
+
 @dataclass(frozen=True)
 class Unchecked:
     """A user's own trajectory of the UR5 on a base at rest."""
