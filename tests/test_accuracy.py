@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
 
+import pinmobile.accuracy.held_force as held_force
 from pinmobile import (
+    Diverged,
     InvalidArgument,
     MobileRobot,
     constant_acceleration,
@@ -22,7 +24,8 @@ from pinmobile import (
     semi_implicit_euler,
 )
 from pinmobile.accuracy import Convergence, IntegratorReport
-from pinmobile.accuracy.free_body import conserved, free_motion
+from pinmobile.accuracy.free_body import conserved, free_body, free_motion
+from pinmobile.accuracy.guarded import guarded
 from pinmobile.arrays import Array
 from pinmobile.plots.style import colour
 
@@ -100,6 +103,41 @@ def test_with_the_centre_of_mass_at_the_origin_a_held_force_is_integrated_exactl
     assert report.energy.order is None
 
 
+def falters(acceleration: Any, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
+    return q + dt * v, v * (0.5 if round(t / dt) % 2 == 0 else 2.0)
+
+
+def test_the_largest_drift_is_told_wherever_it_is_and_a_lag_as_an_error() -> None:
+    """At half speed in every other step: three steps of 0.4 s end there, six of 0.2 s do not."""
+    _, heading, momentum, _, energy = free_body(falters, MobileRobot.lecture(), (0.4, 0.2), 1.2)
+    np.testing.assert_allclose(heading.errors, [0.5 * 0.4, 3 * 0.5 * 0.2], rtol=1e-12)
+    np.testing.assert_allclose(momentum.errors, [1 - 1 / 2] * 2, rtol=1e-12)
+    np.testing.assert_allclose(energy.errors, [1 - 1 / 4] * 2, rtol=1e-12)
+
+
+@pytest.mark.parametrize("lost", [np.nan, np.inf, 1e13])
+def test_a_step_that_leads_nowhere_tells_when_it_ended(lost: float) -> None:
+    step = guarded(lambda acceleration, t, q, v, dt: (q, v * lost))
+    with pytest.raises(Diverged, match=r"the integrator diverged at t = 0\.75 s") as caught:
+        step(lambda t, q, v: v, 0.5, np.zeros(3), np.ones(3), 0.25)
+    assert caught.value.time == 0.75
+    np.testing.assert_array_equal(caught.value.v, np.full(3, lost))
+
+
+def test_the_finer_solution_gives_up_in_bounded_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def stiff(t: float, q: Array, v: Array) -> Array:
+        asked.append(t)
+        assert len(asked) < 1000
+        return -1e9 * v
+
+    monkeypatch.setattr(held_force, "_MOST", 200)
+    with pytest.raises(Diverged, match="the loop diverged at t = "):
+        held_force._exactly()(stiff, 0.0, np.zeros(3), np.ones(3), 1.0)
+    assert len(asked) == 201
+
+
 robots = st.builds(
     lambda m, i, x, y: MobileRobot(m, i, com=(x, y)),
     st.floats(0.1, 100), st.floats(0.01, 10), st.floats(-1, 1), st.floats(-1, 1),
@@ -139,6 +177,7 @@ def made(errors: Any, rounding: float = 1e-12) -> Convergence:
         ([8.0, 1.0, 1 / 8], 3, "order 3.00"),
         ([np.inf, 1.0, 0.25, 1 / 16], 2, "order 2.00"),
         ([np.nan, 1.0, 0.5], 1, "order 1.00"),
+        ([16e-8, 4e-8, 9e-12], 2, "order 2.00"),  # the last one may be rounding's
         ([1e-8, 1e-10, 1e-12, 1e-13], np.log2(100), "order 6.64"),  # the last two are rounding's
         ([1.0, 1.0, 1.0], 0, "does not converge"),
         ([1.0, 2.0, 4.0], -1, "does not converge"),
@@ -215,6 +254,7 @@ def test_a_method_without_a_name_is_called_by_its_repr() -> None:
         ({"steps": 0.1}, "steps has shape (), expected (n,) with n >= 2"),
         ({"steps": (0.1,)}, "steps has shape (1,), expected (n,) with n >= 2"),
         ({"steps": (0.1, 0.2)}, "steps are [0.1, 0.2] s, expected ones > 0, the largest first"),
+        ({"steps": (0.1, 0.1)}, "steps are [0.1, 0.1] s, expected ones > 0, the largest first"),
         ({"steps": (0.1, 0.0)}, "steps are [0.1, 0.0] s, expected ones > 0, the largest first"),
         ({"steps": (0.3, 0.1)}, "duration is 2.0 s, expected a whole multiple of the step 0.3 s"),
         ({"steps": (0.1, 0.03)}, "steps[0] is 0.1 s, expected a whole multiple of the step 0.03 s"),

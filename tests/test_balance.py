@@ -130,6 +130,18 @@ def test_a_load_on_the_arms_foot_belongs_to_the_arm_and_one_on_the_body_does_not
     np.testing.assert_array_equal(body, alone)
 
 
+def test_a_load_on_the_foot_of_an_arm_is_not_that_of_another_whose_name_begins_alike() -> None:
+    bare = BOX.mount("ur5", AT).mount("ur5", (-0.2, 0, 0.2, 0))
+    assert [mount.name for mount in bare.mounts] == ["ur5", "ur5_2"]
+    loaded = bare.attach(Load(3.0), "ur5_2/base_link")
+    more = [
+        reaction_wrench(at_rest(loaded, bare.rest), name) - reaction_wrench(at_rest(bare, bare.rest), name)
+        for name in ("ur5", "ur5_2")
+    ]
+    expected = np.outer([0, 1], [0, 0, -3 * G, 0, 0, 0])
+    np.testing.assert_allclose(np.array(more), expected, atol=1e-12)
+
+
 def test_at_rest_the_zero_moment_point_is_below_the_centre_of_mass() -> None:
     q = UR5.random_configuration(np.random.default_rng(3))
     com = UR5.lumped(q).body.com
@@ -190,6 +202,22 @@ def test_where_the_ground_would_have_to_pull_the_answers_say_so() -> None:
     assert required_friction(pulled) == np.inf
 
 
+def test_where_nothing_weighs_no_friction_is_told() -> None:
+    adrift = MobileRobot.box()
+    adrift.model.gravity = pin.Motion.Zero()
+    moving = planar(np.array([[0.0, 0, 0], [1.0, 0, 0]]), robot=adrift)
+    assert np.isnan(required_friction(moving)).tolist() == [True, False]
+    assert required_friction(moving)[1] == np.inf  # it is pushed, and nothing presses it on the ground
+
+
+@pytest.mark.parametrize("mass", [1e-12, 1e12])
+def test_how_heavy_it_is_does_not_matter(mass: float) -> None:
+    alike = MobileRobot.box(mass)
+    for answer in (required_friction, tip_over_margin, zero_moment_point):
+        found, expected = (answer(planar((1.5, -0.5, 2.0), robot=robot)) for robot in (alike, BOX))
+        np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
 SQUARE = ((0, 0), (2, 0), (2, 2), (0, 2))
 
 
@@ -235,3 +263,16 @@ def test_what_has_no_arm_or_is_no_robot_is_refused() -> None:
         Motion(3, [0], [0], [0])  # type: ignore[arg-type]
     with pytest.raises(InvalidArgument, match=r"a has shape \(2,\), expected \(..., 3\)"):
         planar((0, 0))
+    with pytest.raises(InvalidArgument, match="expected leading axes that broadcast"):
+        Motion(BOX, np.zeros((2, 3)), np.zeros((3, 3)), np.zeros(3))
+
+
+def test_a_motion_holds_read_only_copies() -> None:
+    given = np.zeros(3)
+    moving = Motion(BOX, given, given, given)
+    given[:] = 9
+    held: list[Any] = [moving.q, moving.v, moving.a]
+    for array in held:
+        assert array.tolist() == [0, 0, 0]
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from importlib import import_module
+from importlib.metadata import version
 from pathlib import Path
 from time import sleep
 from types import SimpleNamespace
@@ -181,13 +182,26 @@ def test_the_table_names_all_that_were_asked_for(
     assert "simulate" not in printed
 
 
-def test_everything_imports_without_the_peers() -> None:
+def test_without_the_peers_every_benchmark_starts_and_knows_who_is_missing() -> None:
+    files = sorted(file.stem for file in BENCHMARKS.glob("*.py"))
+    assert {"arm", "calls", "ensembles", "imports", "memory", "rollout", "viewing"} < set(files)
     code = (
-        f"import sys; sys.path.insert(0, {str(BENCHMARKS)!r})\n"
+        "import json, sys\nfrom importlib import import_module\n"
+        f"sys.path.insert(0, {str(BENCHMARKS)!r})\n"
         f"for peer in {PEERS}: sys.modules[peer] = None\n"
-        "import arm, calls, contestants, ensembles, imports, memory, rollout, stock_server, viewing"
+        f"for name in {files}: import_module(name)\n"
+        "from contestants import Peer\n"
+        "lists = [vars(sys.modules[name]) for name in ('contestants', 'ensemble_contestants')]\n"
+        "peers = {n: p for one in lists for n, p in one.items() if isinstance(p, Peer)}\n"
+        "told = {name: [peer.installed, peer.version] for name, peer in peers.items()}\n"
+        "print(json.dumps(told))"
     )
-    subprocess.run([sys.executable, "-c", code], check=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    peers = json.loads(done.stdout)
+    for name in ("MUJOCO", "DRAKE", "TOOLBOX", "PYBULLET", "JAX", "ENSEMBLES"):  # ours needs numba there
+        assert peers[name] == [False, ""], name
+    for name, package in (("PINMOBILE", "pinmobile"), ("PINOCCHIO", "pin"), ("NUMPY", "numpy")):
+        assert peers[name] == [True, version(package)], name
 
 
 def test_meshcats_own_server_is_on_loopback_alone_and_ended(bench: SimpleNamespace) -> None:

@@ -7,7 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pinmobile import Hold, InvalidArgument, MobileRobot, Rollout, mountable, plots
+from pinmobile import (
+    Hold,
+    InvalidArgument,
+    MobileRobot,
+    Rollout,
+    mountable,
+    plots,
+    required_friction,
+    tip_over_margin,
+)
 from pinmobile.cli.demonstration import demonstration, mounted
 from pinmobile.cli.mount import _judged
 from tests.test_cli import typed
@@ -146,6 +155,13 @@ def test_a_margin_below_zero_is_said_to_tip_over(monkeypatch: pytest.MonkeyPatch
         assert _judged(run)["smallest tip-over margin [m]"] == said
 
 
+def test_of_margin_and_friction_the_worst_is_said(run: Rollout) -> None:
+    said = _judged(run)
+    margin, friction = tip_over_margin(run), required_friction(run)
+    assert said["smallest tip-over margin [m]"] == f"{margin.min():.3f}" != f"{margin.max():.3f}"
+    assert said["friction that it takes [-]"] == f"{friction.max():.3f}" != f"{friction.min():.3f}"
+
+
 def test_a_controller_that_diverges_is_said_and_shown_up_to_there(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -205,9 +221,10 @@ def test_mounted_refuses_nothing_at_all() -> None:
         mounted((), None, None, ())
 
 
-def test_the_demonstration_lifts_the_arm_rather_than_pressing_it_into_the_base() -> None:
-    robot = mounted(["ur5"], None, None, [])
+@pytest.mark.parametrize("arm", ["ur5", "panda", "kinova"])
+def test_the_demonstration_lifts_the_arm_rather_than_pressing_it_into_the_base(arm: str) -> None:
+    robot = mounted([arm], None, None, [])
     reference = demonstration(robot, 6.0)
     heights = robot.potential_energy(reference(np.array([0.0, 3.0, 6.0])).q)
-    assert heights[1] > heights[0] + 10.0
+    assert heights[1] > heights[0] + 1.0
     assert heights[2] == pytest.approx(heights[0])

@@ -4,14 +4,31 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from pinmobile import Sweep, plots
-from pinmobile.cli.scenario_file import EXAMPLE
-from pinmobile.ensembles import PARAMETERS
+from pinmobile import (
+    PD,
+    Circle,
+    ComputedTorque,
+    MobileRobot,
+    Normal,
+    Same,
+    Scenario,
+    Sweep,
+    Tangent,
+    Uniform,
+    ensemble,
+    plots,
+)
+from pinmobile.cli.many import _answer, _differs
+from pinmobile.cli.scenario_file import EXAMPLE, read_grid
+from pinmobile.ensembles import ARRAYS, PARAMETERS
+from pinmobile.sweeps import length
 from tests.test_cli import typed
 
+CIRCLE = Tangent(Circle(3.0, 0.1, 6.0))
 SMALL = EXAMPLE.replace("n = 10000", "n = 40").replace("radius = 3", "radius = 3\nduration = 6")
 
 
@@ -53,6 +70,78 @@ def test_sweep_runs_the_example_of_its_help(capsys: pytest.CaptureFixture[str], 
     assert typed(capsys, "sweep", str(tmp_path / "mass.toml"), "--out", str(tmp_path / "out"))[:2] == (0, out)
     _, shown, _ = typed(capsys, "sweep", "--help")
     assert all(line.split("#")[0].strip() in shown for line in EXAMPLE.splitlines())
+
+
+FILE = """
+[robot]
+mass = 20
+com = [0.1, -0.5]
+[trajectory]
+duration = 6
+[controller]
+model_mass = 25
+[spread]
+mass = {percent = 10}
+com_y = {percent = 50}
+start_x = {normal = [1, 0.5]}
+start_y = {uniform = [2, 3]}
+start_psi = [0.1, 0.2]
+model_yaw_inertia = {same = "mass", factor = {uniform = [0.04, 0.06]}}
+[ensemble]
+n = 2
+seed = 3
+[grid]
+"loop.substeps" = [1, 2]
+"controller.type" = ["pd", "computed-torque"]
+"""
+
+
+def test_a_file_is_the_scenarios_that_it_describes(tmp_path: Path) -> None:
+    (tmp_path / "file.toml").write_text(FILE)
+    made = read_grid(tmp_path / "file.toml")
+    assert [(each.substeps, type(each.controller)) for each in made.scenarios] == [
+        (substeps, law) for substeps in (1, 2) for law in (PD, ComputedTorque)
+    ]
+    pd, torque, *_ = made.scenarios
+    drawn = {name: source for name, source in torque.spread.items() if name != "start_psi"}
+    assert drawn == {
+        "mass": Uniform(18, 22),
+        "com_y": Uniform(-0.75, -0.25),
+        "start_x": Normal(1, 0.5),
+        "start_y": Uniform(2, 3),
+        "model_yaw_inertia": Same("mass", Uniform(0.04, 0.06)),
+    }
+    assert np.asarray(torque.spread["start_psi"]).tolist() == [0.1, 0.2]
+    assert set(pd.spread) == {*torque.spread} - {"model_yaw_inertia"}
+    assert torque.controller.robot.mass == 25
+    for each in made.scenarios:
+        assert (each.n, each.seed, each.dt, each.robot.mass, each.robot.com[:2]) == (
+            2,
+            3,
+            0.1,
+            20,
+            (0.1, -0.5),
+        )
+
+
+def test_what_a_file_does_not_say_is_as_the_help_says(tmp_path: Path) -> None:
+    (tmp_path / "file.toml").write_text("[ensemble]\nseed = 4\n")
+    (one,) = read_grid(tmp_path / "file.toml").scenarios
+    assert (one.n, one.seed, one.dt, one.substeps) == (10_000, 4, 0.1, 1)
+    (tmp_path / "file.toml").write_text("[ensemble]\nn = 5\n")
+    (one,) = read_grid(tmp_path / "file.toml").scenarios
+    assert (one.n, one.seed) == (5, 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [("spread.mass.percent", "%"), ("robot.mass", "kg"), ("spread.com_x", "m"), ("trajectory.rate", "rad/s")],
+)
+def test_what_is_swept_has_its_unit(tmp_path: Path, name: str, unit: str) -> None:
+    (tmp_path / "file.toml").write_text(
+        f'[trajectory]\nduration = 6\n[ensemble]\nn = 2\n[grid]\n"{name}" = [1, 2]\n'
+    )
+    assert read_grid(tmp_path / "file.toml").axes[name].unit == unit
 
 
 @pytest.mark.parametrize(
@@ -186,6 +275,40 @@ def test_robots_that_are_alike_and_a_loop_that_diverges_are_told(
     assert code == 0
     assert out.startswith("nothing is spread: all robots are alike\n")
     assert "\nthe robots stay within " in out
+
+
+@pytest.mark.parametrize(
+    ("source", "differs"),
+    [
+        (3.0, False),
+        (Same("mass"), False),
+        (Same("mass", 1.1), False),
+        (Same("mass", [1.0, 1.1]), True),
+        (Same("mass", Uniform(1, 2)), True),
+        ([3.0, 4.0], True),
+        (Normal(3, 1), True),
+    ],
+)
+def test_what_is_the_same_for_all_makes_no_robot_differ(source: Any, differs: bool) -> None:
+    robot = MobileRobot(30.0, 1.3)
+    spread = {"model_mass": source}
+    scenario = Scenario(
+        robot=robot, controller=ComputedTorque(robot), trajectory=CIRCLE, n=2, dt=0.1, spread=spread
+    )
+    assert _differs(scenario.spread["model_mass"]) == differs
+
+
+def test_the_answer_of_an_ensemble_is_that_of_99_percent() -> None:
+    robot = MobileRobot(30.0, 1.3)
+    spread: Any = {"mass": Uniform(24, 36)}
+    made = ensemble(
+        robot, PD((120, 120, 5), (120, 120, 5)), CIRCLE, n=50, dt=0.1, spread=spread, engine=ARRAYS
+    )
+    within = [length(made.within(share).distance) for share in (0.99, 0.5)]
+    assert within[0] != within[1]
+    assert _answer({"PD": made}, ["mass=percent:20"]) == (
+        f"with mass=percent:20, PD stays within {within[0]} in 99 % of runs"
+    )
 
 
 def test_a_store_keeps_its_chunk(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

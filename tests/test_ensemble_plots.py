@@ -292,6 +292,16 @@ class TestDrivers:
             assert title == f"{first.place}:\n{shares[0]} of the worst, {shares[1]} of the others"
         assert first.place == f"above {first.low:.3g} kg"
 
+    def test_where_the_worst_are_is_shaded(self, pair: dict[str, Ensemble]) -> None:
+        for label in pair:
+            made = pair[label]
+            first = causes(made, worst_share(made, 0.1))[0]
+            least, most = made.draws["mass"].min(), made.draws["mass"].max()
+            places = [(least, first.low), (first.high, most)] if first.outside else [(first.low, most)]
+            shaded = [p for p in plots.drivers(made, share=0.1).axes[0].patches if p.get_alpha() == 0.12]
+            found = [(p.get_x(), p.get_x() + p.get_width()) for p in shaded if isinstance(p, Rectangle)]
+            np.testing.assert_allclose(found, places)
+
     def test_places_in_words(self, pair: dict[str, Ensemble]) -> None:
         first = causes(pair["PD"], worst_share(pair["PD"], 0.1))[0]
         for low, high, outside, place in (
@@ -302,6 +312,8 @@ class TestDrivers:
             assert first._replace(low=low, high=high, outside=outside).place == place
         inside = first._replace(low=1.0, high=2.0, outside=False).holds(np.array([0.5, 1.5, 2.5]))
         assert inside.tolist() == [False, True, False]
+        edge = first._replace(low=1.0, high=2.0, outside=False).holds(np.array([1.0, 2.0]))
+        assert edge.tolist() == [False, True]
 
     def test_the_dots_are_the_robots(self, pair: dict[str, Ensemble]) -> None:
         made = pair["computed torque"]
@@ -333,6 +345,8 @@ class TestDrivers:
         crosses = figure.axes[-1].lines[3]
         assert (crosses.get_marker(), len(np.asarray(crosses.get_xdata()))) == ("x", 30)
         assert np.asarray(crosses.get_xdata()).max() < 6
+        dots = np.concatenate([np.asarray(line.get_ydata()) for line in figure.axes[-1].lines[::2]])
+        assert np.asarray(crosses.get_ydata()).min() > dots.max()  # at the top
         assert texts(figure)[-1] == "diverged"
 
     def test_of_a_multiple_the_factor_counts(self) -> None:

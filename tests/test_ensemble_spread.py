@@ -18,6 +18,7 @@ from pinmobile import (
     NoiseForce,
     NoisyMeasurement,
     Normal,
+    RollingResistance,
     Same,
     Saturated,
     Scenario,
@@ -30,11 +31,12 @@ from pinmobile import (
     law,
     simulate,
 )
-from pinmobile.ensembles import PARAMETERS, run_scenario
+from pinmobile.ensembles import ARRAYS, PARAMETERS, run_scenario
 from pinmobile.ensembles.histogram import BINS, bins_of, edges, quantiles
 
 ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.02))
 TRAJECTORY = Tangent(Circle(3.0, 0.1, 60.0))
+WITH_ARM = ROBOT.mount("ur5")
 
 
 class Own:
@@ -75,6 +77,28 @@ def test_draws_follow_their_distributions() -> None:
     assert abs(np.corrcoef(draws["mass"], draws["com_x"])[0, 1]) < 4 / np.sqrt(20_000)
 
 
+def test_robots_far_apart_are_drawn_by_themselves() -> None:
+    masses = made(n=20_000, spread={"mass": Uniform(20, 40)}).draws()["mass"]
+    assert len(np.unique(masses)) == 20_000
+
+
+def test_factors_of_two_parameters_are_drawn_by_themselves() -> None:
+    off = Uniform(0.8, 1.2)
+    spread = {"model_mass": Same("mass", off), "model_yaw_inertia": Same("yaw_inertia", off)}
+    mass, inertia = made(spread=spread).draws().values()
+    # Of independent ones, the correlation of a sample of n is within 4 / sqrt(n) of zero.
+    assert abs(np.corrcoef(mass, inertia)[0, 1]) < 4 / np.sqrt(1000)
+
+
+def test_an_array_that_changes_later_changes_nothing() -> None:
+    masses = np.linspace(20, 40, 5)
+    scenario = made(n=5, spread={"mass": masses, "com_x": Same("mass", masses)})
+    before = {name: column.copy() for name, column in scenario.draws().items()}
+    masses[:] = 1.0
+    np.testing.assert_equal(scenario.draws(), before)
+    assert before["mass"].max() == 40
+
+
 def test_arrays_give_each_robot_its_number() -> None:
     masses = np.linspace(20, 40, 5)
     run = run_scenario(made(n=5, spread={"mass": masses}))
@@ -93,6 +117,15 @@ def test_same_makes_the_controller_know_what_it_is_told() -> None:
     off = made(spread={"model_mass": Same("mass", Uniform(0.8, 1.2))}).draws()["model_mass"]
     assert 24 <= off.min() < 25
     assert 35 < off.max() <= 36
+
+
+def test_a_gain_may_be_a_multiple_of_one_that_is_not_spread() -> None:
+    spread = {"kd": Same("kp", 2.0), "kp_y": Same("kp_psi", 3.0)}
+    draws = made(n=2, controller=PD((5, 6, 7), 1), spread=spread).draws()
+    assert draws["kd"].tolist() == [10, 10]  # kp stands for that of x
+    assert draws["kp_y"].tolist() == [21, 21]
+    for one, other in (("kp_factor", "kd_factor"), ("kd_factor", "kp_factor")):
+        assert made(n=2, spread={one: Same(other, 1.5)}).draws()[one].tolist() == [1.5, 1.5]
 
 
 def test_a_member_is_the_robot_that_was_drawn() -> None:
@@ -130,12 +163,88 @@ def test_a_sinusoidal_force_is_there_when_its_frequency_is_named() -> None:
     assert force.amplitude.tolist() == [0.0, drawn[0], 0.0]
 
 
+DRIVEN = (SinusoidalForce((9, 8, 7), 0.5, 0.1), NoiseForce((6, 5, 4), 1.0, seed=0))
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "field", "expected"),
+    [
+        ("force_x", ConstantForce, "force", [0.25, 0, 0]),
+        ("force_y", ConstantForce, "force", [0, 0.25, 0]),
+        ("moment_z", ConstantForce, "force", [0, 0, 0.25]),
+        ("sine_x", SinusoidalForce, "amplitude", [0.25, 8, 7]),
+        ("sine_y", SinusoidalForce, "amplitude", [9, 0.25, 7]),
+        ("sine_moment", SinusoidalForce, "amplitude", [9, 8, 0.25]),
+        ("sine_frequency", SinusoidalForce, "frequency", 0.25),
+        ("sine_phase", SinusoidalForce, "phase", 0.25),
+        ("noise_x", NoiseForce, "std", [0.25, 5, 4]),
+        ("noise_y", NoiseForce, "std", [6, 0.25, 4]),
+        ("noise_moment", NoiseForce, "std", [6, 5, 0.25]),
+        ("viscous_forward", ViscousFriction, "coefficients", [0.25, 0, 0]),
+        ("viscous_left", ViscousFriction, "coefficients", [0, 0.25, 0]),
+        ("viscous_yaw", ViscousFriction, "coefficients", [0, 0, 0.25]),
+        ("rolling_forward", RollingResistance, "force", [0.25, 0, 0]),
+        ("rolling_left", RollingResistance, "force", [0, 0.25, 0]),
+        ("rolling_yaw", RollingResistance, "force", [0, 0, 0.25]),
+    ],
+)
+def test_a_name_of_a_force_stands_for_one_number_of_it(
+    name: str, kind: type, field: str, expected: Any
+) -> None:
+    member = run_scenario(made(n=2, spread={name: 0.25}, forces=DRIVEN)).member(1)
+    (force,) = (one for one in member.options["forces"] if type(one) is kind)
+    np.testing.assert_array_equal(getattr(force, field), expected)
+
+
+@pytest.mark.parametrize(
+    ("name", "place"), [("start_x", 0), ("start_y", 1), ("start_psi", 2), ("start_vx", 3), ("start_vy", 4)]
+)
+def test_a_start_is_beside_the_trajectorys(name: str, place: int) -> None:
+    options = run_scenario(made(n=2, spread={name: 0.25})).member(1).options
+    at = TRAJECTORY(0.0)
+    offset = np.concatenate([options["q0"] - at.q, options["v0"] - at.v])
+    np.testing.assert_array_equal(offset, 0.25 * (np.arange(6) == place))
+
+
+@pytest.mark.parametrize(("name", "place"), [("kp_x", 0), ("kp_y", 1), ("kp_psi", 2)])
+def test_a_gain_of_one_coordinate_leaves_the_others(name: str, place: int) -> None:
+    coupled = np.array([[4.0, 1, 0], [0, 5, 0], [0, 2, 6]])
+    controller: Any = (
+        run_scenario(made(n=2, spread={name: 9.0}, controller=PD(coupled, 4))).member(1).controller
+    )
+    expected = coupled.copy()
+    expected[place, place] = 9.0
+    np.testing.assert_array_equal(controller.kp, expected)
+
+
+def test_a_member_has_all_else_of_its_scenario() -> None:
+    robot = MobileRobot(30, 1.3, com=(0.1, 0.02, 0.4), size=(1, 2, 3))
+    scenario = made(n=2, robot=robot, spread={"com_y": 0.05}, limit=7.0, substeps=3, duration=0.5)
+    member = run_scenario(scenario).member(1)
+    assert (member.robot.mass, member.robot.com, member.robot.size) == (30, (0.1, 0.05, 0.4), (1, 2, 3))
+    assert member.options["limit"] == 7
+    assert (member.options["substeps"], member.options["duration"]) == (3, 0.5)
+    assert member.options["integrator"] is scenario.integrator
+
+
+def test_two_noises_of_one_robot_are_not_the_same() -> None:
+    noisy = NoisyMeasurement(NoisyMeasurement(PD(40, 40), 1e-2, 0.0, seed=0), 1e-2, 0.0, seed=0)
+    noise = NoiseForce((1, 1, 1), 1.0, seed=0)
+    member = run_scenario(made(n=2, controller=noisy, forces=(noise, noise))).member(1)
+    one, other = (force.phases for force in member.options["forces"])
+    assert not np.isin(one, other).any()
+    outer: Any = member.controller
+    assert outer.seed.spawn_key != outer.controller.seed.spawn_key
+
+
 def test_noise_differs_from_robot_to_robot_and_not_from_run_to_run() -> None:
     noisy = NoisyMeasurement(PD(40, 40), 1e-2, 0.0, seed=0)
-    scenario = made(n=3, controller=noisy, forces=(NoiseForce((1, 1, 1), 1.0, seed=0),), duration=5.0)
-    one, again = run_scenario(scenario), run_scenario(scenario)
-    np.testing.assert_array_equal(one.max_error, again.max_error)
-    assert len(np.unique(one.max_error[:, 0])) == 3
+    noise: dict[str, Any] = {"forces": (NoiseForce((1, 1, 1), 1.0, seed=0),)}
+    for changes in ({"controller": noisy}, noise, {"controller": noisy, **noise}):
+        scenario = made(n=3, duration=5.0, **changes)
+        one, again = run_scenario(scenario), run_scenario(scenario)
+        np.testing.assert_array_equal(one.max_error, again.max_error)
+        assert len(np.unique(one.max_error[:, 0])) == 3
     phases = [run.options["forces"][0].phases for run in (one.member(0), one.member(1))]
     assert not np.array_equal(*phases)
 
@@ -162,6 +271,22 @@ def test_every_parameter_can_be_spread_and_matters() -> None:
             {"controller": Saturated(PD(4, 4), [1, 2])},
             InvalidArgument,
             "limits has shape (2,), expected () or (3,)",
+        ),
+        (
+            {"controller": NoisyMeasurement(PD(4, 4), 0, [1, 2], seed=0)},
+            InvalidArgument,
+            "std_v has shape (2,), expected () or (3,)",
+        ),
+        ({"robot": WITH_ARM}, InvalidArgument, ", expected a MobileRobot without arms"),
+        (
+            {"controller": ComputedTorque(WITH_ARM)},
+            InvalidArgument,
+            " of 9 coordinates, expected 3",
+        ),
+        (
+            {"controller": ComputedTorque(Own()), "spread": {"model_mass": 3}},
+            InvalidArgument,
+            "spread has 'model_mass' but the controller's robot is a Own, expected a MobileRobot",
         ),
         ({"seed": -1}, InvalidArgument, "seed is -1, expected a whole number >= 0"),
         ({"robot": "me"}, InvalidArgument, "robot is 'me', expected a MobileRobot without arms"),
@@ -259,6 +384,30 @@ def test_impossible_draws_are_refused_with_their_share(spread: Any, text: str) -
     assert text in str(caught.value)
 
 
+POSITIVE = {"mass", "yaw_inertia", "model_mass", "model_yaw_inertia"}
+MAY_VANISH = {
+    *("sine_frequency", "noise_x", "noise_y", "noise_moment"),
+    *("viscous_forward", "viscous_left", "viscous_yaw", "rolling_forward", "rolling_left", "rolling_yaw"),
+}
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_what_must_not_be_negative_is_refused_below_zero_and_what_must_be_positive_at_zero(name: str) -> None:
+    for value, refused in ((-1e-9, POSITIVE | MAY_VANISH), (0.0, POSITIVE), (1e-9, set())):
+        scenario = made(n=1, spread={name: value}, forces=DRIVEN)
+        if name in refused:
+            sign = ">=" if name in MAY_VANISH else ">"
+            with pytest.raises(InvalidArgument, match=rf"spread\['{name}'\] gives .*; expected {sign} 0$"):
+                scenario.draws()
+        else:
+            assert scenario.draws()[name].tolist() == [value]
+
+
+@pytest.mark.parametrize("name", sorted(POSITIVE | MAY_VANISH))
+def test_a_distribution_may_begin_at_zero(name: str) -> None:
+    assert (made(spread={name: Uniform(0, 30)}, forces=DRIVEN).draws()[name] > 0).all()
+
+
 @pytest.mark.parametrize(
     ("source", "text"),
     [
@@ -326,6 +475,8 @@ def test_what_is_written_for_one_robot_is_told_so(n: int) -> None:
     text = r"controller returned shape \(3, 3\) at t = 0 s for q of shape \(4, 3\)"
     with pytest.raises(InvalidArgument, match=text):
         ensemble(ROBOT, one, TRAJECTORY, n=n, spread={}, dt=0.1)
+    with pytest.raises(InvalidArgument, match=text):
+        ensemble(ROBOT, one, TRAJECTORY, n=n, spread={}, dt=0.1, engine=ARRAYS)
 
     def drag(t: float, q: Any, v: Any) -> Any:
         return np.array([-v[0], -v[1], -v[2]])
@@ -352,6 +503,13 @@ def test_quantiles_from_counts_are_right_to_the_width_of_a_bin() -> None:
     np.testing.assert_allclose(quantiles(counts, levels), np.quantile(values, levels), rtol=2**-5)
     halves = [np.bincount(bins_of(part), minlength=BINS) for part in (values[:7], values[7:])]
     np.testing.assert_array_equal(sum(halves), counts)
+
+
+def test_the_least_quantile_is_the_least_number_and_infinite_where_all_are() -> None:
+    counts = np.bincount(bins_of(np.array([0.7, 0.8, 1.5])), minlength=BINS)
+    np.testing.assert_allclose(quantiles(counts, np.array([0.0, 1.0])), [0.7, 1.5], rtol=2**-5)
+    lost = np.bincount(bins_of(np.full(3, np.inf)), minlength=BINS)
+    assert quantiles(lost, np.array([0.0, 0.5, 1.0])).tolist() == [np.inf] * 3
 
 
 def test_bins_hold_what_their_edges_say() -> None:
@@ -383,6 +541,37 @@ def test_an_ensemble_says_what_came_of_it() -> None:
     for levels in (-0.1, [], [2.0]):
         with pytest.raises(InvalidArgument, match="levels"):
             run.bands(levels)
+
+
+def test_an_ensemble_tells_least_median_and_largest_of_each_record() -> None:
+    run = run_scenario(made(n=50, spread={"mass": Uniform(20, 40), "start_x": np.array([2e3, *[0.1] * 49])}))
+    rows = {line[:28].strip(): line[28:] for line in str(run).splitlines()[2:]}
+    records = {"largest distance [m]": run.max_distance}
+    for k, (error, force) in enumerate((("x [m]", "Fx [N]"), ("y [m]", "Fy [N]"), ("psi [rad]", "Mz [N m]"))):
+        records[f"largest error of {error}"] = run.max_error[:, k]
+        records[f"largest {force}"] = run.max_force[:, k]
+    assert set(rows) == set(records)
+    for name, values in records.items():
+        low, middle, high = np.quantile(values[1:], (0, 0.5, 1))  # the first has none: it diverged at once
+        assert rows[name].strip() == f"least {low:.4g}, median {middle:.4g}, largest {high:.4g}", name
+
+
+def test_what_came_of_an_ensemble_cannot_be_overwritten() -> None:
+    run = run_scenario(made(n=3, spread={"mass": Uniform(20, 40)}))
+    records = [run.max_error, run.rms_error, run.max_distance, run.max_force, run.diverged_at, run.counts]
+    held: list[Any] = [*records, *run.draws.values()]
+    for array in held:
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
+
+
+@pytest.mark.parametrize("i", [3, -1, 0.5])
+def test_a_robot_that_is_not_there_is_no_member(i: Any) -> None:
+    run = run_scenario(made(n=3))
+    for ask in (run.member, run.trace):
+        with pytest.raises(InvalidArgument, match=rf"^i is {i}, expected "):
+            ask(i)
+    assert run.member(2).robot.mass == 30
 
 
 def test_a_wind_without_friction_is_what_the_closed_form_says() -> None:

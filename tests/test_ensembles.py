@@ -41,12 +41,14 @@ from pinmobile import (
     constant_acceleration,
     ensemble,
     law,
+    planar_difference,
     rk4,
     semi_implicit_euler,
     simulate,
 )
 from pinmobile.ensembles import ARRAYS, COMPILED, by_kernel, kernel, part_of, run_scenario
 from pinmobile.ensembles.kernel import _sincos
+from pinmobile.integrators import RungeKuttaNystrom
 
 ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.02))
 CIRCLE = Tangent(Circle(3.0, 0.1, 60.0))
@@ -166,6 +168,79 @@ def test_forces_and_integrators_agree_with_simulate(forces: str, integrator: Any
     assert_is_simulated(compiled, 65)
 
 
+class Own:
+    """A model of a user's own, of a robot that is heavier than it is."""
+
+    nv = 3
+
+    def inverse_dynamics(self, q: Any, v: Any, a: Any) -> Any:
+        return MobileRobot(40.0, 1.5).inverse_dynamics(q, v, a)
+
+
+def twofold(q_d: Any, q: Any) -> Any:
+    return 2 * planar_difference(q_d, q)
+
+
+SOFTLY = PD((40, 50, 4), (60, 50, 4))
+TWICE: dict[str, Any] = {
+    "steps within a sample": {"substeps": 3},
+    "limits": {"controller": Saturated(Saturated(SOFTLY, (1.0, 9.0, 0.4)), (9.0, 1.0, np.inf))},
+    "delays": {"controller": Delayed(Delayed(SOFTLY, 2), 1)},
+    "steady forces": {"forces": (ConstantForce((3, -2, 0.1)), ConstantForce((1, 5, 0.2)))},
+    "friction": {"forces": (ViscousFriction((5, 9, 0.4)), ViscousFriction((2, 1, 0.3)))},
+    "resistance": {
+        "forces": (
+            RollingResistance((2, 3, 0.2), (0.05, 0.1, 0.2)),
+            RollingResistance((1, 4, 0.1), (0.2, 0.05, 0.1)),
+        )
+    },
+    "waves": {"forces": (SinusoidalForce((2, 1, 0.1), 0.3, 0.5), SinusoidalForce((1, 3, 0.2), 0.7, 1.5))},
+    "a difference of one's own": {"controller": PD((40, 50, 4), (60, 50, 4), difference=twofold)},
+    "a model of one's own": {"controller": ComputedTorque(Own())},
+    "a table of one's own": {"integrator": RungeKuttaNystrom("own", (0.0,), ((),), ((),), (0.5,), (0.9,))},
+}
+
+
+@pytest.mark.parametrize("what", TWICE)
+def test_two_of_a_kind_and_what_is_ones_own_are_as_simulated(what: str) -> None:
+    scenario = made(n=3, duration=10.0, **TWICE[what])
+    run = run_scenario(scenario)  # by the compiled engine wherever it can
+    assert_close(run, run_scenario(scenario, engine=ARRAYS))
+    assert_is_simulated(run, 2)
+
+
+def test_what_is_ones_own_is_not_compiled() -> None:
+    stages = tuple((0.0,) * k for k in range(9))
+    nine = RungeKuttaNystrom("nine", (0.0,) * 9, stages, stages, (0.5, *[0.0] * 8), (1.0, *[0.0] * 8))
+    for changes, text in (
+        (TWICE["a difference of one's own"], "the controller's difference is its own"),
+        (TWICE["a model of one's own"], "the controller's robot is a Own, no MobileRobot"),
+        ({"integrator": nine}, "the integrator, nine, is no table of up to 8 stages"),
+    ):
+        with pytest.raises(InvalidArgument, match=f"engine is COMPILED, which cannot run this: {text}"):
+            run_scenario(made(**changes), engine=COMPILED)
+
+
+@pytest.mark.parametrize("difference", [planar_difference, np.subtract])
+@pytest.mark.parametrize("delay", [0, 1])
+def test_a_start_that_is_a_turn_ahead_is_seen_as_simulate_and_its_controller_see_it(
+    delay: int, difference: Any
+) -> None:
+    controller: Any = PD((40, 50, 4), (60, 50, 4), difference=difference)
+    scenario = made(
+        controller=Delayed(controller, delay) if delay else controller,
+        spread={"start_psi": 2 * np.pi + np.array([0.1, -0.2])},
+        n=2,
+        duration=10.0,
+    )
+    compiled = run_scenario(scenario, engine=COMPILED)
+    assert_close(compiled, run_scenario(scenario, engine=ARRAYS))
+    assert_is_simulated(compiled, 1)
+    # The lecture's subtraction turns it back by a whole turn: half of one is the farthest.
+    farthest = [0.1, 0.2] if difference is planar_difference else [np.pi, np.pi]
+    np.testing.assert_allclose(compiled.max_error[:, 2], farthest, atol=0.2)
+
+
 @settings(max_examples=15, deadline=None)
 @given(
     mass=st.floats(1, 200),
@@ -234,6 +309,12 @@ def test_diverging_robots_are_flagged_as_by_simulate_and_the_others_untouched() 
         assert np.isinf(run.bands((0.95, 0.99)).distance[:, -1]).tolist() == [False, True]
 
 
+def test_the_worst_are_those_that_strayed_farthest() -> None:
+    run = run_scenario(made(n=40, duration=5.0))
+    assert run.worst(40).tolist() == np.argsort(-run.max_distance).tolist()
+    assert run.worst(3).tolist() == run.worst(40)[:3].tolist()
+
+
 def test_what_overflows_is_flagged_too() -> None:
     run = ensemble(ROBOT, PD(1e200, 1e200), CIRCLE, n=3, spread={"start_x": 1.0}, dt=0.1, limit=1e300)
     assert run.diverged.all()
@@ -274,6 +355,41 @@ def test_who_diverges_before_errors_count_has_none_and_is_beyond_everything() ->
     assert np.isfinite(run.max_force).all()
     assert run.within(0.5).distance < 1e-3
     assert run.within(1.0).distance == np.inf
+
+
+@pytest.mark.parametrize("engine", [COMPILED, ARRAYS])
+def test_an_acceleration_that_is_none_is_a_divergence_though_its_force_is_finite(engine: Any) -> None:
+    scenario = made(controller=PD(1e200, 0), n=2, spread={"mass": 1e-200, "start_x": 1.0}, limit=1e300)
+    run = run_scenario(scenario, engine=engine)
+    assert run.diverged_at.tolist() == [0, 0]
+    with pytest.raises(Diverged, match="a not finite") as caught:
+        run.trace(0)
+    assert caught.value.time == 0
+
+
+def test_a_controller_may_write_into_what_it_is_told() -> None:
+    def careful(t: float, q: Any, v: Any, reference: Any) -> Any:
+        return KP * (reference.q - q) + KD * (reference.v - v)
+
+    def careless(t: float, q: Any, v: Any, reference: Any) -> Any:
+        tau = careful(t, q, v, reference)
+        q[:] = v[:] = np.nan
+        return tau
+
+    one, other = (run_scenario(made(controller=law(f), n=3, duration=2.0)) for f in (careful, careless))
+    assert_same(one, other)
+
+
+def test_no_controller_is_asked_about_a_robot_that_has_diverged() -> None:
+    worst = []
+
+    def repelled(t: float, q: Any, v: Any, reference: Any) -> Any:
+        worst.append(np.abs(reference.q - q).max())
+        return 1e5 * (q - reference.q)
+
+    run = run_scenario(made(controller=law(repelled), n=3, spread={"start_x": np.array([0, 1, 0])}))
+    assert run.diverged[1]
+    assert max(worst) <= run.scenario.limit
 
 
 def test_a_robot_that_is_beyond_the_limit_from_the_start_has_no_records() -> None:

@@ -286,12 +286,20 @@ def unsound(**changed: Any) -> pin.Model:
             unsound(body=(1, (1, 1, 9))),
             "carries principal moments of inertia (1, 1, 9) kg m^2, which no rigid body has",
         ),
+        (
+            unsound(body=(1, (1, 1, 2.001))),
+            "carries principal moments of inertia (1, 1, 2.001) kg m^2, which no rigid body has",
+        ),
     ],
 )
 def test_arms_that_cannot_be_are_refused(model: pin.Model, text: str) -> None:
     with pytest.raises(InvalidArgument) as caught:
         BOX.mount(model)
     assert str(caught.value).startswith(f"arm 'toy': joint 'j1' {text}")
+
+
+def test_a_flat_disk_is_a_body() -> None:
+    assert BOX.mount(unsound(body=(1, (1, 1, 2)))).nv == 5
 
 
 def test_limits_of_a_joint_that_is_locked_do_not_matter() -> None:
@@ -352,7 +360,12 @@ def driven(robot: MobileRobot) -> Rollout:
 
 def test_a_rollout_brings_its_robot_back(tmp_path: Path, urdf: Path) -> None:
     path = tmp_path / "run.npz"
-    robot = BOX.mount("kinova", (0.1, 0, 0.2, 0.3)).mount(urdf, locked=["elbow"]).attach(Load(1.0))
+    load = Load(1.0, (0.1, 0, 0), ((0.1, 0, 0), (0, 0.2, 0), (0, 0, 0.25)))
+    robot = (
+        BOX.mount("kinova", (0.1, 0, 0.2, 0.3))
+        .mount(urdf, locked=["elbow"], rest=(0.6, 0.8, 0.1))
+        .attach(load)
+    )
     run = driven(robot)
     run.save(path)
     back = Rollout.load(path)

@@ -11,14 +11,17 @@ import pytest
 from pinmobile import (
     PD,
     ComputedTorque,
+    Decoupled,
     Diverged,
     InvalidArgument,
     Load,
     MobileRobot,
+    PDGravity,
     Reference,
     UnknownName,
     constant_acceleration,
     law,
+    planar_difference,
     rk4,
     simulate,
     verify,
@@ -323,6 +326,24 @@ def test_pd_needs_the_robots_own_difference_where_configurations_do_not_subtract
     held = PD(gains, gains, difference=difference_of(weightless))
     run = simulate(weightless, held, Still(goal, 9), dt=0.002, q0=KINOVA.rest)
     assert np.abs(run.error[-1]).max() < 0.05 * np.abs(run.error[0]).max()
+
+
+def test_the_base_carries_neither_arms_nor_loads() -> None:
+    box = MobileRobot.box()
+    for robot in (box.attach(Load(3.0)), UR5, UR5.attach(Load(3.0)), box):
+        assert robot.base == box
+        assert (robot.base.mounts, robot.base.loads) == ((), ())
+
+
+@pytest.mark.parametrize("make", [ComputedTorque, Decoupled, PDGravity])
+def test_a_difference_of_ones_own_is_kept_and_the_planes_gives_way_to_the_robots(make: Any) -> None:
+    def mine(q_d: Array, q: Array) -> Array:
+        return np.asarray(2 * KINOVA.difference(q, q_d))
+
+    rest, away = KINOVA.rest, KINOVA.integrate(KINOVA.rest, np.full(9, 0.1))
+    assert make(KINOVA, 1, 1, difference=mine).difference is mine
+    np.testing.assert_allclose(make(KINOVA, 1, 1).difference(away, rest), 0.1, rtol=1e-12)
+    assert make(UR5, 1, 1).difference is planar_difference
 
 
 def test_what_diverges_on_the_circle_too_carries_what_was_recorded() -> None:

@@ -115,7 +115,9 @@ class TestPath:
 
     def test_drawn_robots_do_not_overlap(self, circle: dict[str, Rollout]) -> None:
         for runs in (circle, both(VIA_STOP)):
-            for axes in plots.path(runs).axes:
+            panels = plots.path(runs).axes
+            assert len(panels) == 2
+            for axes in panels:
                 centres = [box.mean(axis=0) for box in robots(axes)]
                 assert 5 <= len(centres) <= 8
                 assert min(np.hypot(*(a - b)) for a, b in combinations(centres, 2)) > np.hypot(0.6, 0.4)
@@ -167,7 +169,9 @@ class TestPath:
 
 class TestSeries:
     def test_states_are_the_recorded_and_the_desired(self, circle: dict[str, Rollout]) -> None:
-        for k, axes in enumerate(plots.states(circle).axes):
+        panels = plots.states(circle).axes
+        assert len(panels) == 3
+        for k, axes in enumerate(panels):
             pd, torque, desired = axes.lines
             for line, run in ((pd, circle["PD"]), (torque, circle["computed torque"])):
                 np.testing.assert_array_equal(line.get_xydata(), np.stack([run.t, run.q[:, k]], axis=-1))
@@ -201,7 +205,9 @@ class TestSeries:
         assert psi.get_ylim() == (-1e-12, 1e-12)
 
     def test_forces_are_the_recorded_and_held(self, circle: dict[str, Rollout]) -> None:
-        for k, axes in enumerate(plots.forces(circle).axes):
+        panels = plots.forces(circle).axes
+        assert len(panels) == 3
+        for k, axes in enumerate(panels):
             for line, run in zip(axes.lines, circle.values(), strict=True):
                 np.testing.assert_array_equal(line.get_ydata(), run.tau[:, k])
                 assert line.get_drawstyle() == "steps-post"
@@ -299,10 +305,32 @@ class TestFigures:
         assert draw(circle, title="Circle").texts[0].get_text() == "Circle"
         assert draw(circle).texts[0].get_text() != ""
 
-    @pytest.mark.parametrize("draw", DRAWN)
-    def test_one_sample_is_enough(self, draw: Callable[..., Figure], circle: dict[str, Rollout]) -> None:
-        figure = draw(shortened(circle["PD"], 1))
+    def test_one_sample_is_a_dot_that_can_be_seen(self, astray: Rollout) -> None:
+        run = shortened(astray, 1)
+        for draw, drawn in (
+            (plots.states, [run.q, run.reference.q]),
+            (plots.errors, [run.error]),
+            (plots.forces, [run.tau]),
+        ):
+            figure = draw(run)
+            FigureCanvasAgg(figure).draw()  # type: ignore[no-untyped-call]  # matplotlib's
+            assert len(figure.axes) == 3
+            for k, axes in enumerate(figure.axes):
+                low, high = axes.get_ylim()
+                for line, values in zip(axes.lines, drawn, strict=True):
+                    assert np.asarray(line.get_xydata()).tolist() == [[0.0, values[0, k]]]
+                    assert line.get_marker() == "o"  # a line of one point is nothing
+                    assert low < values[0, k] < high
+
+    def test_of_one_sample_the_robot_stands_where_it_was(self, astray: Rollout) -> None:
+        figure = plots.path(shortened(astray, 1))
         FigureCanvasAgg(figure).draw()  # type: ignore[no-untyped-call]  # matplotlib's
+        (box,) = robots(figure.axes[0])
+        np.testing.assert_allclose(box, corners(astray.q[0], 0.6, 0.4), atol=1e-12)
+        window = np.array([figure.axes[0].get_xlim(), figure.axes[0].get_ylim()]).T
+        for place in (*box, astray.reference.q[0, :2]):
+            assert (window[0] < place).all()
+            assert (place < window[1]).all()
 
     def test_a_notebook_shows_it(self, circle: dict[str, Rollout]) -> None:
         figure: Any = plots.forces(circle)

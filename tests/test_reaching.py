@@ -169,6 +169,22 @@ def test_what_the_arm_cannot_reach_is_reached_because_the_base_moves() -> None:
     assert (str(copy), copy.time) == ("far", 1.0)
 
 
+def test_an_orientation_that_is_missed_is_told_though_the_position_is_met() -> None:
+    turning = PosePath(line(START[:3, 3], (0, 0, 0), 0.5), START[:3, :3], START[:3, :3] @ TURN)
+    slow = np.full(9, 0.1)
+    with pytest.raises(Unreachable) as caught:
+        resolve(UR5, turning, q0=BENT, velocity_limit=slow, tolerance=0.1)
+    assert caught.value.resolved.max_error()[0] < 0.1 < caught.value.resolved.max_error()[1]
+
+
+@pytest.mark.parametrize(("duration", "dt", "steps"), [(2.1, 0.3, 7), (1.0, 0.3, 4), (0.5, 9.0, 2)])
+def test_control_points_are_as_far_apart_as_asked_for_or_nearer(
+    duration: float, dt: float, steps: int
+) -> None:
+    resolved = resolve(UR5, PosePath(line(START[:3, 3], (0.05, 0, 0), duration)), q0=BENT, dt=dt)
+    np.testing.assert_allclose(resolved.t, np.linspace(0, duration, steps + 1), rtol=1e-12)
+
+
 def test_a_limit_of_velocity_is_held_and_the_error_made_good_later() -> None:
     target = PosePath(Spline([START[:3, 3], START[:3, 3] + [1, 0, 0], START[:3, 3] + [1, 0, 0]], [0, 1, 5]))
     slow = np.where(np.arange(9) < 3, 0.5, 0.1)
@@ -188,6 +204,24 @@ def test_a_start_at_a_limit_is_left_within_it() -> None:
     displacement = resolved._curve(dense(resolved)[0])  # before rounding is cut off
     assert (resolved.start + displacement <= UR5.upper + 1e-12).all()
     assert resolved(3.0).q[5] < UR5.upper[5] - 0.1
+
+
+def test_where_the_search_from_rest_is_stuck_others_are_tried_unless_a_start_is_given() -> None:
+    q = PANDA.random_configuration(np.random.default_rng(1))
+    q[:3] = 0
+    T, locked = PANDA.frame_pose(q), np.where(np.arange(12) < 3, 0.0, PANDA.velocity_limit)
+    target = PosePath(line(T[:3, 3], (0, 0, 0), 0.1), T[:3, :3])
+    assert max(resolve(PANDA, target, velocity_limit=locked).max_error()) < 1e-9
+    with pytest.raises(Unreachable, match="at t = 0 s"):
+        resolve(PANDA, target, velocity_limit=locked, q0=PANDA.rest)
+
+
+def test_what_is_locked_is_not_moved_by_the_search_for_the_start() -> None:
+    aside = PosePath(line(START[:3, 3] + [-0.05, 0.05, 0.02], (0, 0, 0), 0.1))
+    free, locked = (resolve(UR5, aside, q0=BENT, velocity_limit=most) for most in (None, LOCKED))
+    assert np.abs(free.start[:2]).min() > 1e-3
+    assert locked.start[:3].tolist() == [0, 0, 0]
+    assert locked.max_error()[0] < 1e-9
 
 
 def test_the_spline_begins_at_a_limit_that_it_leaves_ever_slower() -> None:
@@ -245,6 +279,14 @@ class TestTracking:
         run = simulate(UR5, EndEffectorTracking(UR5, RING), ring, dt=0.01, duration=5)
         assert max(misses(UR5, RING, run.t, run.q)) < 1e-4
 
+    @pytest.mark.parametrize("t", [1.0, 4.0])
+    def test_on_the_way_it_asks_for_the_references_own_acceleration(self, ring: Resolved, t: float) -> None:
+        on = ring(t)
+        a = EndEffectorTracking(UR5, RING).acceleration(t, on.q, on.v, on)
+        # kp times the spline's own error, 100 / s^2 times 8.5e-6 m.
+        np.testing.assert_allclose(a, on.a, atol=2e-3)
+        assert np.abs(on.a[6:]).max() > 0.02
+
     def test_an_error_at_the_start_dies_away_within_limits(self, ring: Resolved) -> None:
         q0 = ring(0.0).q + np.array([0.05, -0.05, 0.1, 0.1, -0.1, 0.1, 0, 0, 0])
         run = simulate(UR5, EndEffectorTracking(UR5, RING), ring, dt=0.01, duration=3, q0=q0)
@@ -297,6 +339,17 @@ def test_a_pose_paths_twist_and_rate_are_its_slopes() -> None:
     ends = RING([0, RING.duration])
     np.testing.assert_allclose(ends.pose[:, :3, :3], [START[:3, :3], START[:3, :3] @ TURN], atol=1e-12)
     np.testing.assert_allclose(ends.twist[:, 3:], 0, atol=1e-15)
+
+
+def test_a_pose_path_holds_read_only_copies_of_its_rotations() -> None:
+    given = np.eye(3)
+    target = PosePath(RING.path, given, given)
+    given[0, 0] = 9
+    held: list[Any] = [target.rotation, target.final_rotation]
+    for R in held:
+        np.testing.assert_array_equal(R, np.eye(3))
+        with pytest.raises(ValueError, match="read-only"):
+            R[0, 0] = 9
 
 
 def test_manipulability_is_yoshikawas() -> None:
@@ -352,6 +405,18 @@ def test_after_any_step_that_limits_allow_a_joint_can_still_stop() -> None:
         q = q + dt * v
         assert ((q >= UR5.lower - 1e-12) & (q <= UR5.upper + 1e-12)).all()
     assert (q[3:] > UR5.upper[3:] - 0.5).any()
+
+
+def test_a_joint_beyond_its_limit_has_no_room_and_goes_no_farther() -> None:
+    limits, beyond = Limits(UR5, UR5.velocity_limit, np.full(9, 10.0)), UR5.rest.copy()
+    beyond[3], beyond[4] = UR5.upper[3] + 0.1, UR5.lower[4] - 0.1
+    below, above = limits.room(beyond)
+    assert (above[3], below[4]) == (0, 0)
+    np.testing.assert_allclose((below[3], above[4]), (UR5.upper - UR5.lower)[3:5] + 0.1)
+    least, most = limits.velocities(beyond, 0.01)
+    assert (most[3], least[4]) == (0, 0)
+    least, most = limits.ramps(beyond, np.zeros(9), 0.01)
+    np.testing.assert_allclose((most[3], least[4]), 0, atol=1e-12)
 
 
 def test_after_any_acceleration_that_limits_allow_a_joint_can_still_stop() -> None:

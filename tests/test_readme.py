@@ -50,7 +50,9 @@ def test_the_numbers_are_the_lectures() -> None:
 
 def test_the_names_it_mentions_exist() -> None:
     table = README.split("| ask | with |")[1].split("## Conventions")[0]
-    for name in re.findall(r"`(?:pinmobile\.)?([A-Za-z_]\w+)", table):
+    names = re.findall(r"`(?:pinmobile\.)?([A-Za-z_]\w+)", table)
+    assert {"MobileRobot", "ComputedTorque", "simulate", "ensemble", "sweep"} < set(names)
+    for name in names:
         known = hasattr(pinmobile, name) or any(
             hasattr(getattr(pinmobile, module), name) for module in ("plots", "derivation", "viewer")
         )
@@ -65,5 +67,7 @@ def test_the_pythons_it_names_are_the_projects() -> None:
 
 def test_every_make_target_it_names_is_there() -> None:
     makefile = (ROOT / "Makefile").read_text()
-    for target in re.findall(r"make (\w+)", README):
+    targets = set(re.findall(r"make (\w+)", README))
+    assert {"demo", "test"} <= targets
+    for target in targets:
         assert re.search(rf"^{target}:", makefile, re.MULTILINE), target

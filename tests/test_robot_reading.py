@@ -98,6 +98,14 @@ WRONG = {
         chain(SLIDES[0], joint("lift", "prismatic", "one", "two", "0 0 1"), SLIDES[2]),
         "joint 'lift' is prismatic along (0, 0, 1), expected a prismatic one along (1, 0, 0)",
     ),
+    "first slide to the right": (
+        chain(joint("slide_right", "prismatic", "world", "one", "0 -1 0"), *SLIDES[1:]),
+        "joint 'slide_right' is prismatic along (0, -1, 0), expected a prismatic one along (0, 1, 0)",
+    ),
+    "turn to the right": (
+        chain(*SLIDES[:2], joint("turn", "revolute", "two", "body", "0 0 -1")),
+        "joint 'turn' is revolute along (0, 0, -1), expected a revolute one along (0, 0, 1)",
+    ),
     "turn about x": (
         chain(*SLIDES[:2], joint("roll", "revolute", "two", "body", "1 0 0")),
         "joint 'roll' is revolute along (1, 0, 0), expected a revolute one along (0, 0, 1)",
@@ -218,6 +226,15 @@ def test_a_base_model_may_have_a_root_of_its_own(root: object) -> None:
     read = MobileRobot.from_model(model)
     np.testing.assert_allclose([read.mass, *read.com], [mass, *com], rtol=1e-13)
     np.testing.assert_allclose(read.body.inertia, inertia, atol=1e-12)
+
+
+def test_where_the_root_stands_in_its_model_does_not_matter() -> None:
+    model = pin.buildModelFromXML(base(), pin.JointModelFreeFlyer())
+    expected = MobileRobot.from_model(model)
+    model.jointPlacements[1] = pin.SE3(pin.utils.rotate("z", 0.7), np.array([1.0, -2.0, 0.5]))
+    read = MobileRobot.from_model(model)
+    np.testing.assert_allclose([read.mass, *read.com], [expected.mass, *expected.com], rtol=1e-12)
+    np.testing.assert_allclose(read.body.inertia, expected.body.inertia, atol=1e-12)
 
 
 def test_a_chain_may_carry_wheels() -> None:

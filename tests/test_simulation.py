@@ -1,6 +1,7 @@
 """`simulate` against closed forms, and what it does with what it cannot do."""
 
 import pickle
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,19 @@ class Hold:
 
     def __call__(self, t: Any) -> Reference:
         return Reference(*np.zeros((3, *np.shape(t), 3)))
+
+
+class Rest:
+    """A reference at rest as a robot rests."""
+
+    duration = 1.0
+
+    def __init__(self, robot: MobileRobot) -> None:
+        self.robot = robot
+
+    def __call__(self, t: Any) -> Reference:
+        v, a = np.zeros((2, *np.shape(t), self.robot.nv))
+        return Reference(np.broadcast_to(self.robot.rest, (*np.shape(t), self.robot.nq)), v, a)
 
 
 class Asked:
@@ -86,6 +100,77 @@ def test_the_librarys_own_loop_and_a_users_are_the_same(
             np.testing.assert_allclose(getattr(users, name), getattr(own, name), rtol=0, atol=1e-12)
 
 
+class Own:
+    """A model of a user's own."""
+
+    nv = 3
+
+    def inverse_dynamics(self, q: Any, v: Any, a: Any) -> Array:
+        return MobileRobot(8, 1).inverse_dynamics(q, v, a)
+
+
+def test_a_model_of_ones_own_is_as_good_as_the_librarys() -> None:
+    runs = [
+        simulate(ROBOT, ComputedTorque(model, 3, 4), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
+        for model in (MobileRobot(8, 1), Own())
+    ]
+    np.testing.assert_allclose(runs[1].q, runs[0].q, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("substeps", [1, 2])
+@pytest.mark.parametrize("plant", [ROBOT, MobileRobot.box().mount("kinova")])
+def test_an_integrator_may_write_into_what_it_is_given(plant: MobileRobot, substeps: int) -> None:
+    def heun(acceleration: Any, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
+        a = acceleration(t, q, v)
+        b = acceleration(t + dt, q + dt * v, v + dt * a)
+        return q + dt * v + dt**2 / 2 * a, v + dt / 2 * (a + b)
+
+    def careless(acceleration: Any, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
+        a = acceleration(t, q, v)
+        step = dt * v + dt**2 / 2 * a
+        q += dt * v
+        v += dt * a
+        b = acceleration(t + dt, q, v)
+        q += step - dt * (v - dt * a)
+        v += dt / 2 * (b - a)
+        return q, v
+
+    one, other = (
+        simulate(
+            plant,
+            law(lambda t, q, v, reference: np.zeros(plant.nv)),
+            Rest(plant),
+            dt=0.02,
+            duration=0.2,
+            v0=np.linspace(-0.5, 0.4, plant.nv),
+            integrator=step,
+            substeps=substeps,
+        )
+        for step in (heun, careless)
+    )
+    for name in ("q", "v", "a", "tau"):
+        np.testing.assert_allclose(getattr(other, name), getattr(one, name), rtol=0, atol=1e-10)
+
+
+def test_an_integrator_that_moves_first_is_told_the_acceleration_there() -> None:
+    def leapfrog(acceleration: Any, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
+        half = q + dt / 2 * v
+        v = v + dt * acceleration(t, half, v)
+        return half + dt / 2 * v, v
+
+    def careless(acceleration: Any, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
+        q += dt / 2 * v
+        v += dt * acceleration(t, q, v)
+        q += dt / 2 * v
+        return q, v
+
+    one, other = (
+        simulate(ROBOT, PD(40, 20), CIRCLE, dt=0.05, integrator=step, **START)  # type: ignore[arg-type]
+        for step in (leapfrog, careless)
+    )
+    np.testing.assert_array_equal(other.q, one.q)
+
+
 def by_hand(plant: MobileRobot, controller: Any, dt: float, n: int) -> tuple[Array, Array]:
     """Return q and tau of the lecture's loop, written as the lecture writes it."""
     q, v = np.array(START["q0"]), np.array(START["v0"])
@@ -120,8 +205,32 @@ def test_the_record_is_consistent_and_includes_the_last_sample() -> None:
     np.testing.assert_array_equal(rollout.reference.q, CIRCLE(rollout.t).q)
     assert rollout.max_error().tolist() == np.abs(rollout.error).max(axis=0).tolist()
     np.testing.assert_allclose(rollout.rms_error(), np.sqrt((rollout.error**2).mean(axis=0)))
+    np.testing.assert_array_equal(rollout.max_force(), np.abs(rollout.tau).max(axis=0))
+    assert (rollout.max_force() > rollout.tau.max(axis=0)).any()
     with pytest.raises(ValueError, match="read-only"):
         rollout.q[0, 0] = 1
+
+
+@pytest.mark.parametrize(("duration", "last"), [(0.3, 0.3), (12 * (1 + 1e-10), 12.0), (None, 12.0)])
+def test_the_last_sample_is_at_the_duration_to_the_last_digit(duration: Any, last: float) -> None:
+    assert np.arange(4)[-1] * 0.1 != 0.3  # as the other samples are
+    rollout = simulate(ROBOT, ComputedTorque(ROBOT), CIRCLE, dt=0.1, duration=duration)
+    assert rollout.t[-1] == last
+
+
+def test_a_rollout_holds_read_only_copies() -> None:
+    rollout = simulate(ROBOT, ComputedTorque(ROBOT), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
+    names = ("t", "q", "v", "a", "tau", "error")
+    given = {name: np.array(getattr(rollout, name)) for name in names}
+    reference = Reference(*map(np.array, rollout.reference))
+    copy = replace(rollout, reference=reference, **given)
+    for array in (*given.values(), *reference):
+        array[...] = 9
+    held = [(getattr(copy, name), getattr(rollout, name)) for name in names]
+    for array, expected in (*held, *zip(copy.reference, rollout.reference, strict=True)):
+        np.testing.assert_array_equal(array, expected)
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
 
 
 def test_error_follows_the_exact_recurrence_under_a_held_force() -> None:

@@ -2,11 +2,13 @@
 
 import json
 import math
+import platform
 import signal
 import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,12 @@ from pinmobile import (
     PD,
     Axis,
     Circle,
+    ConstantForce,
     InvalidArgument,
+    MobileRobot,
+    NoiseForce,
+    NoisyMeasurement,
+    Reference,
     Same,
     Sweep,
     Tangent,
@@ -26,13 +33,17 @@ from pinmobile import (
     UnknownName,
     grid,
     law,
+    rk4,
     sweep,
 )
 from pinmobile.arrays import Array
 from pinmobile.ensembles import run_scenario
+from pinmobile.ensembles.histogram import edges
 from pinmobile.sweeps import length
-from pinmobile.sweeps.origin import determined_by
-from pinmobile.sweeps.store import Store
+from pinmobile.sweeps.grids import as_grid
+from pinmobile.sweeps.origin import determined_by, differences
+from pinmobile.sweeps.store import Store, attributes_of
+from pinmobile.sweeps.table import answer, table
 from tests.sweeping import CHUNK, contents, gains_and_errors, scenario
 
 ROOT = Path(__file__).parents[1]
@@ -54,6 +65,7 @@ def test_the_store_has_named_dimensions_and_units(done: Sweep) -> None:
     assert data.gain.attrs["units"] == "1/s^2"
     assert data.drawn_mass.attrs["units"] == "kg"
     assert list(data.coordinate.values) == ["x", "y", "psi"]
+    np.testing.assert_array_equal(data.bin.values, edges()[:-1])  # of each the lower one
     assert all({"units", "long_name"} <= set(variable.attrs) for variable in data.variables.values())
     assert (data.counts.sum("bin") == 200).all()
 
@@ -83,6 +95,29 @@ def test_a_diverged_robot_is_within_nothing(tmp_path: Path) -> None:
     assert Sweep.open(alone.path, wild).ensemble(scenario=0).diverged.all()
     assert np.isnan(found.ensemble(scenario="tame").diverged_at).all()
     np.testing.assert_array_equal(found.ensemble(scenario="wild").diverged_at, run_scenario(wild).diverged_at)
+
+
+@pytest.mark.parametrize(
+    ("within", "text"),
+    [
+        ([1.0, np.inf, 2.0], "with gain = 9, the robots diverge in more than 10 % of runs"),
+        ([1.0, np.nan, 2.0], "with gain = 16, the robots stay within 2 m in 90 % of runs"),
+        ([1.0, np.nan, np.inf], "with gain = 16, the robots diverge in more than 10 % of runs"),
+    ],
+)
+def test_the_answer_is_that_of_the_worst_that_is_known(within: list[float], text: str) -> None:
+    assert answer({"gain": Axis([4, 9, 16])}, np.array(within), 0.9) == text
+
+
+def test_a_table_says_how_many_rows_it_leaves_out() -> None:
+    axes, within = {"gain": Axis([4, 9, 16], "1/s^2")}, np.array([1.0, np.inf, np.nan])
+    rows = [table(axes, within, np.array([0, 5, 0]), 0.9, most).splitlines() for most in (1, 2, 3)]
+    assert [lines[-1].split() for lines in rows] == [
+        ["...", "and", "2", "more"],
+        ["...", "and", "1", "more"],
+        ["16", "unknown", "unknown"],
+    ]
+    assert [line.split() for line in rows[2][1:3]] == [["4", "1", "m", "0"], ["9", "unbounded", "5"]]
 
 
 def test_a_sweep_says_who_stays_within_what(done: Sweep) -> None:
@@ -194,6 +229,86 @@ def _grid(**changed: Any) -> Any:
         return replace(scenario(gain, error), **changed)
 
     return grid(make, gain=Axis([4, 16], "1/s^2"), error=[0, 0.2])
+
+
+MASSES = np.linspace(20, 40, 200)
+
+
+class OwnTrajectory:
+    """A trajectory of a user's own: its reference is all that is known of it."""
+
+    duration = 6.0
+
+    def __init__(self, last: float) -> None:
+        self.last = last
+
+    def __call__(self, t: Any) -> Reference:
+        q, v, a = np.zeros((3, *np.shape(t), 3))
+        q[..., 0] = np.where(np.asarray(t) == 6.0, self.last, 0.0)
+        return Reference(q, v, a)
+
+
+def _closed_over(factor: float) -> Any:
+    return law(lambda t, q, v, reference: factor * (reference.q - q))
+
+
+def _by_default(factor: float) -> Any:
+    def push(t: float, q: Array, v: Array, reference: Any, factor: float = factor) -> Array:
+        return np.asarray(factor * (reference.q - q))
+
+    return law(push)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "told"),
+    [
+        ({}, {"limit": 7.0}, "limit is 1000 there and 7 here"),
+        ({}, {"substeps": 2}, "substeps is 1 there and 2 here"),
+        ({}, {"integrator": rk4}, "integrator"),
+        ({}, {"every": 3}, "every is 1 there and 3 here"),
+        ({}, {"duration": 3.0}, "duration is 6 there and 3 here"),
+        ({}, {"robot": MobileRobot(30, 0.1, com=(0.1, 0))}, "robot.com"),
+        ({}, {"forces": (ConstantForce((1, 0, 0)),)}, "forces"),
+        ({}, {"spread": {"mass": Uniform(20, 30)}}, "spread.mass.low is 27 there and 20 here"),
+        ({"spread": {"mass": MASSES}}, {"spread": {"mass": [*MASSES[:-1], 41]}}, "spread.mass is float64"),
+        (
+            {"trajectory": OwnTrajectory(0)},
+            {"trajectory": OwnTrajectory(1)},
+            "trajectory.reference is float64",
+        ),
+        ({"controller": _closed_over(1)}, {"controller": _closed_over(2)}, ".factor is 1 there and 2 here"),
+        (
+            {"controller": _by_default(1)},
+            {"controller": _by_default(2)},
+            "defaults is [1] there and [2] here",
+        ),
+    ],
+)
+def test_whatever_changes_the_numbers_is_told(one: Any, other: Any, told: str) -> None:
+    there, again, here = (determined_by(as_grid(replace(scenario(), **c))) for c in (one, one, other))
+    assert there == again
+    assert told in differences(there, here, most=30)
+    assert there["fingerprint"] != here["fingerprint"]
+
+
+def test_a_seed_that_no_robot_feels_is_not_told() -> None:
+    """Each robot's noise follows from the scenario's seed."""
+    one, other = (
+        replace(
+            scenario(),
+            controller=NoisyMeasurement(PD(4, 4), 1e-3, 0.0, seed=seed),
+            forces=(NoiseForce((1, 1, 1), 1.0, seed=seed),),
+        )
+        for seed in (0, 1)
+    )
+    assert determined_by(as_grid(one)) == determined_by(as_grid(other))
+
+
+def test_the_versions_and_the_machine_that_made_the_numbers_are_told(done: Sweep) -> None:
+    there = attributes_of(done.path)["determined_by"]
+    names = ("pinmobile", "numpy", "numba")
+    assert there["versions"] == {name: version(name) for name in names}
+    assert there["machine"] == platform.machine()
 
 
 FACTOR = 3.0

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+import umsgpack
 
 from pinmobile import InvalidArgument, ViewerError
 from pinmobile.viewer import handlers, live, server
@@ -228,8 +229,12 @@ def test_what_is_no_command_is_refused(window: Window, command: Any) -> None:
         window.send(command)
 
 
-def test_huge_numbers_are_numbers(window: Window) -> None:
+def test_huge_numbers_are_numbers_though_their_sum_is_none(window: Window) -> None:
     window.send(prop("a", "x", [1.7e308, 1.7e308]))
+    assert [umsgpack.unpackb(command)["value"] for command in window.commands()] == [[1.7e308, 1.7e308]]
+    with pytest.raises(InvalidArgument, match=r"value\[2\] is inf, expected a finite number"):
+        window.send(prop("a", "x", [1.7e308, 1.7e308, np.inf]))
+    assert len(window.commands()) == 1
 
 
 # Whom it answers

@@ -223,6 +223,29 @@ def test_what_is_faster_than_a_joint_can_be_is_refused() -> None:
         WholeBody(UR5, CIRCLE, RestToRest(np.zeros(6), np.full(6, 3.0), 0.2))
 
 
+@pytest.mark.parametrize("sign", ["", "-"])
+@pytest.mark.parametrize("k", range(6))
+def test_a_joint_that_is_too_fast_is_named_whichever_way_it_goes(k: int, sign: str) -> None:
+    start = np.full(6, 3.0)  # within its limits; three of its joints have two numbers in q
+    end = start + float(f"{sign}0.2") * np.eye(6)[k]
+    text = rf"^reference moves joint 'kinova/j2s6s200_joint_{k + 1}' at {sign}\d\.\d+ rad/s"
+    with pytest.raises(InvalidArgument, match=text):
+        WholeBody(KINOVA, Tangent(Circle(1, 0.5, 0.2)), RestToRest(start, end, 0.2))
+
+
+def test_a_path_of_the_second_arm_that_leaves_its_limits_is_refused_at_once() -> None:
+    start = rest_of(TWO)[TWO.mounts[1].v.start - 3 :]
+    with pytest.raises(InvalidArgument, match=r"^reference has joint 'kinova/j2s6s200_joint_2' at \d"):
+        WholeBody(TWO, Tangent(Circle(1, 0.1, 60)), None, RestToRest(start, start + 4 * np.eye(6)[1], 60))
+
+
+def test_a_short_path_of_the_second_arm_is_looked_at_between_the_times_of_the_first() -> None:
+    start = rest_of(TWO)[TWO.mounts[1].v.start - 3 :]
+    away = CubicVia(start, start + 4 * np.eye(6)[1], start, 0.45, 0.9)
+    with pytest.raises(InvalidArgument, match=r"joint 'kinova/j2s6s200_joint_2' at \d"):
+        WholeBody(TWO, Tangent(Circle(1, 0.1, 60)), None, away)
+
+
 @dataclass(frozen=True)
 class Unchecked:
     """A user's own trajectory of the UR5 on a base at rest."""
@@ -262,6 +285,8 @@ def test_slides_along_three_axes_are_coordinates_of_a_path_and_a_planar_joint_is
     assert shuttle.coordinate_units[4:] == ("m", "m", "rad")
     parts = tuple(f"toy/shuttle:{part}" for part in ("x", "y", "cos", "sin"))
     assert shuttle.configuration_names[4:] == parts
+    adrift = with_joint(pin.JointModelRY(), "hinge", pin.JointModelFreeFlyer(), "adrift")
+    assert adrift.coordinate_units[3:] == ("rad", *["m"] * 3, *["rad"] * 3)
     with pytest.raises(InvalidArgument, match="joint 'toy/shuttle' with 3 velocities"):
         WholeBody(shuttle, CIRCLE, None)
 

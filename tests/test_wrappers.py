@@ -101,6 +101,18 @@ def test_a_delay_keeps_its_own_copies_and_no_more_than_it_needs() -> None:
     assert forces == [0, 0, 0, 1, 2, 3]
 
 
+def test_who_is_told_late_may_write_into_what_it_is_told() -> None:
+    def careless(t: float, q: Array, v: Array, reference: Any) -> Array:
+        told = q + 10 * v
+        q[:] = v[:] = np.nan
+        return np.asarray(told)
+
+    q, v = QS[:9].copy(), VS[:9].copy()
+    first, *others = asked(Delayed(law(careless), 1), q, v)
+    np.testing.assert_array_equal([first, *others], (QS + 10 * VS)[[0, *range(8)]])
+    np.testing.assert_array_equal((q, v), (QS[:9], VS[:9]))
+
+
 def test_two_delays_are_their_sum() -> None:
     np.testing.assert_array_equal(asked(Delayed(Delayed(TOLD, 2), 3), QS), asked(Delayed(TOLD, 5), QS))
 
@@ -115,6 +127,25 @@ def test_noise_is_the_table_of_its_seed_however_it_grew() -> None:
     np.testing.assert_array_equal(late(0.0, QS[599], QS[599], REST, (None, 599))[0], noisy[599])
     rates = NoisyMeasurement(law(lambda t, q, v, reference: v), 0, 2.0, np.random.SeedSequence(7))
     np.testing.assert_array_equal(asked(rates, QS, VS), VS + 2 * table[:, 1])
+
+
+def test_a_joint_with_more_numbers_in_q_than_in_v_is_measured_with_noise_in_each() -> None:
+    both = law(lambda t, q, v, reference: np.concatenate([q, v]))
+    controller = NoisyMeasurement(both, 0.5, (1, 2, 3, 4), seed=7)
+    told, _ = controller(0.0, np.zeros(5), np.zeros(4), REST, controller.initial_state())
+    rows = np.random.default_rng(7).standard_normal((2, 5))
+    np.testing.assert_array_equal(told, [*(0.5 * rows[0]), *(rows[1, :4] * [1, 2, 3, 4])])
+
+
+def test_parameters_are_read_only_copies() -> None:
+    given = np.ones(3)
+    noisy, limited = NoisyMeasurement(TOLD, given, given, 0), Saturated(TOLD, given)
+    given[:] = 9
+    held: list[Any] = [noisy.std_q, noisy.std_v, limited.limits]
+    for array in held:
+        assert array.tolist() == [1, 1, 1]
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 2
 
 
 def test_threads_that_share_a_noisy_controller_get_the_same() -> None:
@@ -233,6 +264,10 @@ def once(controller: Any) -> Any:
         (lambda: once(NoisyMeasurement(TOLD, 1, (1, 2), 0)), "std_v has shape (2,), expected () or (3,)"),
         (lambda: NoisyMeasurement(TOLD, 1, 1, None),
          "seed is None, expected a whole number >= 0 or a SeedSequence"),
+        (lambda: NoisyMeasurement(TOLD, 1, 1, True),
+         "seed is True, expected a whole number >= 0 or a SeedSequence"),
+        (lambda: NoisyMeasurement(TOLD, 1, 1, -1),
+         "seed is -1, expected a whole number >= 0 or a SeedSequence"),
         (
             lambda: NoisyMeasurement(TOLD, 1, 1, np.random.default_rng(0)),
             "seed is Generator(PCG64), expected a whole number >= 0 or a SeedSequence",

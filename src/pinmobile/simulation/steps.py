@@ -147,14 +147,15 @@ def steps(integrator: Integrator, forward: Forward, push: Push | None, clock: Cl
     times, h, substeps = clock
 
     def advance(k: int, row: Array, q: Array, v: Array, force: Array, a: Array, after: Array) -> None:
-        now = times[k]
+        now, x, w = times[k], q.copy(), v.copy()  # the record is nobody's to write into
+        start = x, w
 
         def acceleration(time: float, x: Array, w: Array) -> Array:
-            if x is q and w is v and (push is None or time == now):
+            known = x is start[0] and w is start[1] and (push is None or time == now)
+            if known and (x == q).all() and (w == v).all():  # unless it was written into
                 return a
             return forward(x, w, force if push is None else force + push(time, x, w))
 
-        x, w = q, v
         for j in range(substeps):
             x, w = stepped(integrator, acceleration, now + j * h, x, w, h)
         after[: len(q)] = x
@@ -175,7 +176,7 @@ def steps_between_configurations(
             x = integrate(base, displacement)
             return forward(x, w, force if push is None else force + push(time, x, w))
 
-        base, w = q, v
+        base, w = q, v.copy()  # the record is nobody's to write into
         for j in range(substeps):
             displacement, w = stepped(integrator, acceleration, times[k] + j * h, rest.copy(), w, h)
             base = integrate(base, displacement)
