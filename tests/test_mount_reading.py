@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import coal
 import example_robot_data
 import numpy as np
 import pinocchio as pin
@@ -81,6 +82,33 @@ def test_a_urdf_is_mounted_and_a_mesh_that_is_missing_is_named(urdf: Path) -> No
     foot = shown[3]
     assert foot.parentJoint == BODY_JOINT
     assert foot.placement.translation[2] == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("name", ["upper.stl", "upper.step"])
+def test_a_mesh_that_cannot_be_read_is_named_and_not_drawn(name: str, urdf: Path, tmp_path: Path) -> None:
+    (tmp_path / name).write_text("garbage")
+    urdf.write_text(ARM.format(lower=INERTIAL).replace("package://arms/upper.stl", name))
+    robot = BOX.mount(urdf)
+    text = rf"^arm\.urdf: not drawn, since damaged or of a format that is not read: .*{name}$"
+    with pytest.warns(UserWarning, match=text) as caught:
+        shown = robot.visual_model.geometryObjects
+    assert caught[0].filename == __file__
+    assert [item.name for item in shown] == ["body", "front", "wedge", "arm/foot_0"]
+
+
+def test_geometry_of_another_robot_is_refused() -> None:
+    ur5, panda = (BOX.mount(name).mounts[0].arm for name in ("ur5", "panda"))
+    other = pin.GeometryModel()
+    joint, frame = panda.whole.njoints - 1, panda.whole.nframes - 1
+    for at, place in ((joint, 0), (1, frame)):
+        item = pin.GeometryObject("hand", at, place, pin.SE3.Identity(), coal.Box(1, 1, 1))
+        other.addGeometryObject(item)
+        with pytest.raises(InvalidArgument, match=rf"^visual has 'hand' on joint {at} and frame {place} "):
+            BOX.mount(ur5.whole, visual=other)
+        BOX.mount(panda.whole, visual=other)
+        other.removeGeometryObject("hand")
+    other.addGeometryObject(pin.GeometryObject("hand", 1, pin.SE3.Identity(), coal.Box(1, 1, 1)))
+    assert len(BOX.mount(ur5.whole, visual=other).visual_model.geometryObjects) == 4
 
 
 @pytest.mark.parametrize("several", [True, False])

@@ -17,6 +17,7 @@ from pinmobile.robot.wellformed import urdf_text
 
 __all__ = ["existing_folders", "kept_arm", "read_arm"]
 
+_NO_FRAME = 2**63  # beyond, Pinocchio means that there is none
 _SLACK = 1e-9  # [m, rad]: a posture at a limit is there but for rounding
 
 
@@ -118,6 +119,7 @@ def _from_model(arm: Any, visual: pin.GeometryModel | None, rest: Any, locked: t
     if arm.njoints == 1:
         raise InvalidArgument(f"arm {arm.name!r} has no joints, expected one at least: a Load has none")
     shown = pin.GeometryModel() if visual is None else visual
+    _check_visual(arm, shown)
     posture = _posture(arm, kept if rest is None else rest)
     return Arm(Origin("model", arm.name or "arm"), arm.copy(), posture, GivenPicture(shown), locked)
 
@@ -134,6 +136,17 @@ def _posture(model: pin.Model, rest: Any) -> Array:
     if not pin.isNormalized(model, posture, 1e-6):
         raise InvalidArgument(f"rest is {posture.tolist()}, expected each (cos, sin) of length one")
     return posture
+
+
+def _check_visual(model: pin.Model, visual: pin.GeometryModel) -> None:
+    """Refuse geometry on joints or frames that the model does not have."""
+    for item in visual.geometryObjects:
+        joint, frame = item.parentJoint, item.parentFrame
+        if joint >= model.njoints or model.nframes <= frame < _NO_FRAME:
+            raise InvalidArgument(
+                f"visual has {item.name!r} on joint {joint} and frame {frame} of arm {model.name!r}, which "
+                f"has {model.njoints} joints and {model.nframes} frames, expected the geometry of that arm"
+            )
 
 
 def _check_rest(arm: Arm) -> None:

@@ -1,7 +1,7 @@
 """How a robot looks: what its URDF shows, or a box with a front."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
@@ -12,7 +12,7 @@ import pinocchio as pin
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
 
-__all__ = ["BODY", "VisualFile", "box_visuals", "drawn", "read_visuals", "readable"]
+__all__ = ["BODY", "VisualFile", "box_visuals", "drawn", "read_visuals", "readable", "shown"]
 
 BODY = "body"
 """Name of the box, the one geometry object that may be coloured as one likes."""
@@ -43,26 +43,26 @@ class VisualFile:
 def read_visuals(file: VisualFile, size: Sequence[float], joint: int) -> pin.GeometryModel:
     """Return what the file shows, riding on `joint`, its own joints at rest.
 
-    Mesh files that are missing are named in a warning; if no mesh is left, the box stands for them. Of a file
-    that shows nothing but a box it is our own, which has a front.
+    Mesh files that are missing or cannot be read are named in a warning; if no mesh is left, the box stands
+    for them. Of a file that shows nothing but a box it is our own, which has a front.
 
     Raises
     ------
     InvalidArgument
         If the file cannot be read any more.
     """
-    root, missing = readable(file, stacklevel=5)
+    root, left_out = readable(file, stacklevel=5)
+    model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
+    seen, broken = shown(model, root, file, stacklevel=5)
     shapes = [shape.tag for shape in root.iterfind("./link/visual/geometry/*")]
     if shapes in ([], ["box"]):
         return box_visuals(size, joint)
-    visuals = box_visuals(size, joint) if missing and "mesh" not in shapes else pin.GeometryModel()
-    text = ElementTree.tostring(root, encoding="unicode")
-    model = pin.buildModelFromXML(text)
-    shown = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.VISUAL)
+    lost = (left_out or broken) and "mesh" not in shapes
+    visuals = box_visuals(size, joint) if lost else pin.GeometryModel()
     data = model.createData()
     pin.forwardKinematics(model, data, pin.neutral(model))
     base = pin.SE3(np.reshape(file.base, (4, 4))).inverse()
-    for item in shown.geometryObjects:
+    for item in seen.geometryObjects:
         placement = base * data.oMi[item.parentJoint] * item.placement
         visuals.addGeometryObject(drawn(item.name, joint, placement, item))
     return visuals
@@ -95,11 +95,48 @@ def readable(file: VisualFile, stacklevel: int) -> tuple[ElementTree.Element, li
         root = ElementTree.fromstring(file.path.read_text(encoding="utf-8"))
     except (OSError, ValueError, ElementTree.ParseError) as error:
         raise InvalidArgument(f"path is {str(file.path)!r}, which cannot be read: {error}") from None
-    missing = _without_missing_meshes(root, file)
+    missing = _without_meshes(root, lambda mesh: _is_missing(mesh, file))
     if missing:
         listed = ", ".join(dict.fromkeys(missing))
         warnings.warn(f"{file.path.name}: not drawn, since missing: {listed}", stacklevel=stacklevel)
     return root, missing
+
+
+def shown(
+    model: pin.Model, root: ElementTree.Element, file: VisualFile, stacklevel: int
+) -> tuple[pin.GeometryModel, list[str]]:
+    """Return what a tree shows of its model, and the mesh files that cannot be read, taken out of the tree.
+
+    Parameters
+    ----------
+    model : pin.Model
+        The file's.
+    root, file, stacklevel
+        From `readable`, and as there.
+
+    Raises
+    ------
+    InvalidArgument
+        If the geometry cannot be read whatever the meshes.
+    """
+    try:
+        return _geometry(model, root), []
+    except (ValueError, RuntimeError) as error:
+        # Pinocchio does not say which of the files it was.
+        broken = _without_meshes(root, _is_broken)
+        if not broken:
+            raise InvalidArgument(f"path is {str(file.path)!r}, which cannot be drawn: {error}") from None
+        listed = ", ".join(dict.fromkeys(broken))
+        warnings.warn(
+            f"{file.path.name}: not drawn, since damaged or of a format that is not read: {listed}",
+            stacklevel=stacklevel,
+        )
+        return _geometry(model, root), broken
+
+
+def _geometry(model: pin.Model, root: ElementTree.Element) -> pin.GeometryModel:
+    text = ElementTree.tostring(root, encoding="unicode")
+    return pin.buildGeomFromUrdfString(model, text, pin.GeometryType.VISUAL)
 
 
 def box_visuals(size: Sequence[float], joint: int) -> pin.GeometryModel:
@@ -137,21 +174,34 @@ def box_visuals(size: Sequence[float], joint: int) -> pin.GeometryModel:
     return visuals
 
 
-def _without_missing_meshes(root: ElementTree.Element, file: VisualFile) -> list[str]:
-    """Say where each mesh lies; take visuals without theirs out of the tree and return the files' names."""
-    missing: list[str] = []
+def _without_meshes(root: ElementTree.Element, unusable: Callable[[ElementTree.Element], bool]) -> list[str]:
+    """Take visuals whose meshes are unusable out of the tree and return the files' names."""
+    names: list[str] = []
     for link in root.iterfind("link"):
         for visual in link.findall("visual"):
             mesh = visual.find("geometry/mesh")
-            if mesh is None:
-                continue
-            found = _found(mesh.get("filename", ""), file)
-            if found is None:
-                missing.append(mesh.get("filename", ""))
+            if mesh is not None and unusable(mesh):
+                names.append(mesh.get("filename", ""))
                 link.remove(visual)
-            else:
-                mesh.set("filename", str(found))
-    return missing
+    return names
+
+
+def _is_missing(mesh: ElementTree.Element, file: VisualFile) -> bool:
+    """Tell whether there is no file of that name; where there is one, write into the mesh where it lies."""
+    found = _found(mesh.get("filename", ""), file)
+    if found is not None:
+        mesh.set("filename", str(found))
+    return found is None
+
+
+def _is_broken(mesh: ElementTree.Element) -> bool:
+    import coal
+
+    try:
+        coal.MeshLoader().load(mesh.get("filename", ""))
+    except (ValueError, RuntimeError):
+        return True
+    return False
 
 
 def _found(name: str, file: VisualFile) -> Path | None:
