@@ -24,7 +24,7 @@ from pinmobile import (
 )
 from pinmobile.arrays import Array
 from pinmobile.robot import BODY_JOINT
-from pinmobile.viewer import Viewer
+from pinmobile.viewer import Arrows, Overlays, Viewer
 from tests.chromium import chromium
 from tests.webclient import eventually
 
@@ -399,12 +399,13 @@ def test_a_rollout_brings_its_robot_back(tmp_path: Path, urdf: Path) -> None:
 def test_links_are_drawn_where_they_are(name: str) -> None:
     robot = BOX.mount(name, (0.1, 0.05, 0.2, 0.3))
     run = driven(robot)
-    with Viewer(robot) as viewer:
+    with Viewer(robot, overlays=Overlays(arrows=Arrows(), desired=True)) as viewer:
         recording = viewer.record(run, fps=20)
         viewer.display(run.q[-1])
         with pytest.raises(InvalidArgument, match=rf"q has shape \(3,\), expected \(\.\.\., {robot.nq}\)"):
             viewer.display([0, 0, 0])
     tracks = {track["path"]: track["clip"]["tracks"] for track in recording.tracks}
+    assert {"meshcat/force", "meshcat/moment"} <= {*tracks}  # those on the base
     items = [item for item in robot.visual_model.geometryObjects if item.parentJoint > BODY_JOINT]
     assert len(items) > 0
     T = robot.frame_placements(run.q[-1])
