@@ -10,6 +10,7 @@ import pytest
 from pinmobile import Hold, InvalidArgument, MobileRobot, Rollout, mountable, plots
 from pinmobile.cli.demonstration import demonstration, mounted
 from pinmobile.cli.mount import _judged
+from pinmobile.robot import EXCEPTIONS
 from tests.test_cli import typed
 
 QUICK = ("--dt", "0.02", "--duration", "1")
@@ -64,8 +65,32 @@ def test_several_arms_stand_one_behind_the_other(capsys: pytest.CaptureFixture[s
     code, out, _ = typed(capsys, "mount", "z1", "so100", *QUICK)
     assert code == 0
     assert out.lstrip().startswith("z1 and so100 on a box of 30 kg: 13 joints")
-    places = [mount.at for mount in mounted(("z1", "so100"), None, None, ()).mounts]
+    places = [mount.at for mount in mounted(("z1", "so100")).mounts]
     assert [place[0] for place in places] == pytest.approx([0.2, -0.2])
+
+
+def test_each_of_several_arms_is_put_where_it_is_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
+    words = "mount", "z1", "so100", "--at", "0.1,0,0.2,0", "--at=-0.1,0,0.2,3"
+    assert typed(capsys, *words, *QUICK)[0] == 0
+    places = [mount.at for mount in mounted(("z1", "so100"), at=("0.1,0,0.2,0", "-0.1,0,0.2,3")).mounts]
+    assert places == [(0.1, 0, 0.2, 0), (-0.1, 0, 0.2, 3)]
+
+
+def test_what_the_list_says_to_lock_can_be_locked(capsys: pytest.CaptureFixture[str]) -> None:
+    fingers = re.findall(r"bravo_finger\d_joint", EXCEPTIONS["bravo7_gripper"].reason)
+    assert len(fingers) == 2
+    words = (word for finger in fingers for word in ("--lock", finger))
+    code, out, err = typed(capsys, "mount", "bravo7_gripper", *QUICK, *words)
+    assert (code, err) == (0, "")
+    assert "bravo7_gripper on a box of 30 kg: 6 joints" in out
+
+
+def test_mount_says_that_there_is_nothing_to_draw(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    words = "mount", "simple_humanoid", "--dt", "0.02", "--duration", "0.1"
+    code, out, _ = typed(capsys, *words, "--html", str(tmp_path / "page.html"))
+    assert code == 0
+    assert "\nthere is nothing to draw of simple_humanoid: it has no visuals\n" in out
+    assert "nothing to draw" not in typed(capsys, *words)[1]
 
 
 def test_an_arm_of_ones_own_is_mounted(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -77,6 +102,7 @@ def test_an_arm_of_ones_own_is_mounted(capsys: pytest.CaptureFixture[str], tmp_p
     path.write_text(slide)
     code, out, _ = typed(capsys, "mount", "--urdf", str(path), "--package-dir", str(tmp_path), "--dt", "0.02")
     assert code == 0
+    assert "slide on a box of 30 kg: 1 joint, 32.0 kg in all" in out
     assert "largest error of a joint [m]" in out
     assert "of a joint [rad]" not in out
     # There is more room below than above.
@@ -108,6 +134,7 @@ def test_the_names_are_listed_with_the_exceptions(capsys: pytest.CaptureFixture[
     code, out, _ = typed(capsys, "mount", "--list")
     assert code == 0
     assert re.search(r"^ur5 +6 +20\.99\d$", out, re.MULTILINE)
+    assert re.search(r"^simple_humanoid +29 +130\.800  its loader has no visuals", out, re.MULTILINE)
     assert re.search(r"^cassie +not: its loader reads SDF", out, re.MULTILINE)
 
 
@@ -118,7 +145,10 @@ def test_the_names_are_listed_with_the_exceptions(capsys: pytest.CaptureFixture[
         ("mount ur55", "unknown arm 'ur55', did you mean 'ur5'"),
         ("mount romeo", "joint 'RThumb3' moves parts that have no inertia"),
         ("mount ur5 --at 1,2", "at has shape (2,), expected (4,)"),
-        ("mount ur5 z1 --at 0,0,0,0", "--at places one arm, but there are 2"),
+        ("mount ur5 z1 --at 0,0,0,0", "--at is given 1 times for 2 arms, expected once for each arm"),
+        ("mount ur5 z1 --lock joint1", "--lock applies to one arm, but there are 2"),
+        ("mount ur5 --lock elbow", "unknown joint 'elbow', did you mean 'elbow_joint'"),
+        ("mount --list --lock elbow", "--lock does not apply beside --list"),
         ("mount ur5 --urdf arm.urdf", "--urdf stands for an arm, but there is 'ur5' too"),
         ("mount ur5 --package-dir x", "--package-dir applies beside --urdf alone"),
         ("mount --urdf no-such.urdf", "no-such.urdf"),
@@ -202,11 +232,11 @@ def test_figures_name_joints_and_unwrap_their_angles(run: Rollout) -> None:
 
 def test_mounted_refuses_nothing_at_all() -> None:
     with pytest.raises(InvalidArgument, match="mount needs an arm"):
-        mounted((), None, None, ())
+        mounted(())
 
 
 def test_the_demonstration_lifts_the_arm_rather_than_pressing_it_into_the_base() -> None:
-    robot = mounted(["ur5"], None, None, [])
+    robot = mounted(["ur5"])
     reference = demonstration(robot, 6.0)
     heights = robot.potential_energy(reference(np.array([0.0, 3.0, 6.0])).q)
     assert heights[1] > heights[0] + 10.0

@@ -201,7 +201,14 @@ def mount(
         list[Path] | None, typer.Option(help="Folder that package:// in it refers to; repeat it.")
     ] = None,
     at: Annotated[
-        Text, typer.Option(help="Its place X,Y,Z,YAW on the body (m, rad); the middle of the top.")
+        list[str] | None,
+        typer.Option(
+            help="Its place X,Y,Z,YAW on the body (m, rad), once for each arm; the middle of the top, or one "
+            "behind the other."
+        ),
+    ] = None,
+    lock: Annotated[
+        list[str] | None, typer.Option(help="Joint of the arm that shall not move; repeat it.")
     ] = None,
     dt: Annotated[float, typer.Option(help="Sampling time (s).")] = 0.001,
     duration: Annotated[float, typer.Option(help="Of the motion (s).")] = 6.0,
@@ -220,9 +227,10 @@ def mount(
     if listed:
         if arm:
             raise InvalidArgument(f"--list stands alone, but there is {arm[0]!r} too")
-        choices.refuse_beside("--list", urdf=urdf, at=at, html=html, out=out, package_dir=package_dir or None)
+        several = {"at": at or None, "lock": lock or None, "package_dir": package_dir or None}
+        choices.refuse_beside("--list", urdf=urdf, html=html, out=out, **several)
         return list_mountable()
-    robot = mounted(arm or (), urdf, at, package_dir or ())
+    robot = mounted(arm or (), urdf, at or (), package_dir or (), lock or ())
     return show_mount(robot, dt=dt, duration=duration, html=html, out=out)
 
 
