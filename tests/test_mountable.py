@@ -6,7 +6,9 @@ from xml.etree import ElementTree
 
 import example_robot_data
 import numpy as np
+import pinocchio as pin
 import pytest
+import umsgpack
 
 from pinmobile import (
     ComputedTorque,
@@ -18,8 +20,10 @@ from pinmobile import (
     simulate,
     verify,
 )
+from pinmobile.arrays import Array
 from pinmobile.robot import BODY_JOINT, EXCEPTIONS, pictures, visual
 from pinmobile.robot.visual import VisualFile
+from pinmobile.viewer import Viewer
 
 NAMES = sorted(example_robot_data.ROBOTS)
 REFUSED = [name for name, (mounts, _) in EXCEPTIONS.items() if not mounts]
@@ -60,6 +64,30 @@ def boxes(file: VisualFile, stacklevel: int) -> tuple[ElementTree.Element, list[
     return root, missing
 
 
+def sent(robot: MobileRobot, q: Array) -> dict[str, Array]:
+    """Return where the viewer puts each object, shape (4, 4), as what it sends to a browser says."""
+    objects, poses = set(), {}
+    with Viewer(robot) as viewer:
+        viewer.display(q)
+        commands = [umsgpack.unpackb(command) for command in viewer._window.commands()]
+    for command in commands:
+        path, kind = command["path"].lstrip("/"), command["type"]
+        if kind == "set_object":
+            objects.add(path)
+        elif kind == "set_transform":
+            poses[path] = np.reshape(command["matrix"], (4, 4)).T
+        elif command["property"] == "position":
+            poses.setdefault(path, np.eye(4))[:3, 3] = command["value"]
+        elif command["property"] == "quaternion":
+            poses.setdefault(path, np.eye(4))[:3, :3] = pin.Quaternion(np.array(command["value"])).matrix()
+    home = "meshcat/robot0/visuals/"
+    return {
+        path.removeprefix(home): poses["meshcat/robot0"] @ poses[path]
+        for path in objects
+        if path.startswith(home)
+    }
+
+
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in REFUSED])
 def test_each_mounts_drives_and_draws(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     robot = MobileRobot.box().mount(name)
@@ -77,6 +105,14 @@ def test_each_mounts_drives_and_draws(name: str, monkeypatch: pytest.MonkeyPatch
         shown = [item for item in robot.visual_model.geometryObjects if item.name.startswith(f"{name}/")]
     assert (len(shown) == 0) == (name in EXCEPTIONS)  # what mounts, and is in the table, has no visuals
     assert {item.parentJoint for item in shown} <= set(range(BODY_JOINT, robot.model.njoints))
+    q = robot.random_configuration(np.random.default_rng(1))
+    there, T = sent(robot, q), robot.frame_placements(q)
+    items = robot.visual_model.geometryObjects
+    assert {*there} == {item.name for item in items}
+    for item in items:
+        # A sum of a few metres, some dozen roundings.
+        placement = T[item.parentJoint - 1] @ item.placement.homogeneous
+        np.testing.assert_allclose(there[item.name], placement, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", REFUSED)
