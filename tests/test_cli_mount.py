@@ -110,6 +110,13 @@ def test_an_arm_of_ones_own_is_mounted(capsys: pytest.CaptureFixture[str], tmp_p
     assert reference(3.0).q[3] == pytest.approx(-0.04)
 
 
+def test_verify_takes_arms(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, err = typed(capsys, "verify", "--mount", "z1", "--mount", "so100", "--states", "5")
+    assert (code, err) == (0, "")
+    assert re.search(r"^M3 +CRBA / closed form of the lump .* agrees$", out, re.MULTILINE)
+    assert out.endswith("every route agrees\n")
+
+
 @pytest.mark.parametrize("name", mountable().names)
 def test_there_is_a_demonstration_of_every_name(name: str) -> None:
     robot = MobileRobot.box().mount(name)
@@ -156,6 +163,7 @@ def test_the_names_are_listed_with_the_exceptions(capsys: pytest.CaptureFixture[
         ("mount ur5 --dt 0.7", "duration"),
         ("mount ur5 --duration -1", "--duration is -1.0 s, expected > 0"),
         ("mount ur5 --html /proc/x.html", "--html is '/proc/x.html', which cannot be written to"),
+        ("verify --mount ur5 --mass 3", "--mass does not apply beside --mount"),
         ("mount --list ur5", "--list stands alone, but there is 'ur5' too"),
         ("mount --list --at 0,0,0,0", "--at does not apply beside --list"),
     ],

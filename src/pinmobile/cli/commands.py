@@ -71,11 +71,22 @@ def verify(
     ] = None,
     com: Annotated[Text, typer.Option(help="Centre of mass X,Y in the body frame (m); 0.15,0.05.")] = None,
     table: Annotated[Text, typer.Option(help="DH table: lecture or slide; lecture.")] = None,
+    mount: Annotated[
+        list[str] | None, typer.Option(help="Arm on it, as of `pinmobile mount`; repeat it.")
+    ] = None,
     states: Annotated[int, typer.Option(help="Number of random states.")] = 200,
     seed: Annotated[int, typer.Option(help="Seed of the states.")] = 0,
 ) -> int:
-    """Compare closed form, Pinocchio, symbolic Newton-Euler and Lagrange for M, n, tau and accelerations."""
-    if urdf is not None:
+    """Compare closed form, Pinocchio, symbolic Newton-Euler and Lagrange for M, n, tau and accelerations.
+
+    With an arm on it (--mount ur5), Pinocchio's algorithms against each other, and the base against the
+    closed form.
+    """
+    if mount:
+        own = {"mass": mass, "yaw_inertia": yaw_inertia, "com": com, "table": table}
+        choices.refuse_beside("--mount", urdf=urdf, **own)
+        robot = mounted(mount)
+    elif urdf is not None:
         choices.refuse_beside("--urdf", mass=mass, yaw_inertia=yaw_inertia, com=com, table=table)
         robot = pinmobile.MobileRobot.from_urdf(urdf)
     else:
