@@ -18,13 +18,13 @@ from pinmobile import (
     Reference,
     UnknownName,
     constant_acceleration,
+    difference_of,
     law,
     rk4,
     simulate,
     verify,
 )
 from pinmobile.arrays import Array, wrap_angle
-from pinmobile.controllers import difference_of
 from pinmobile.robot import Mount
 
 AT = (0.1, -0.05, 0.2, 0.4)

@@ -24,11 +24,11 @@ from pinmobile import (
     Reference,
     Saturated,
     WholeBody,
+    difference_of,
     law,
     simulate,
 )
 from pinmobile.arrays import Array
-from pinmobile.controllers import difference_of
 
 ROBOT = MobileRobot(10, 1.2, com=(0.15, 0.05))
 CIRCLE = FixedHeading(Circle(1.0, 0.5, 12.0), 0.3)
