@@ -160,6 +160,31 @@ def _lowest(robot: MobileRobot, name: str) -> float:
     return min(float(robot.frame_pose(robot.rest, frame)[2, 3]) for frame in frames)
 
 
+def test_two_arms_do_not_stand_in_the_same_place_unless_they_are_told_to() -> None:
+    one = BOX.mount("ur5")
+    with pytest.raises(InvalidArgument, match=r"^at is not given for 'z1', and 'ur5' stands in the middle"):
+        one.mount("z1")
+    assert one.mount("z1", (0, 0, 0.2, 0)).mounts[1].at == one.mounts[0].at
+    assert BOX.mount("ur5", (0.2, 0, 0.2, 0)).mount("z1").mounts[1].at == (0, 0, 0.2, 0)
+
+
+def test_equal_limits_and_limits_of_zero_are_none(urdf: Path) -> None:
+    urdf.write_text(
+        ARM.format(lower=INERTIAL).replace(
+            'lower="-2" upper="1.5" effort="20" velocity="3"', 'lower="0" upper="0" effort="0" velocity="0"'
+        )
+    )
+    robot = BOX.mount(urdf)
+    limits = robot.lower[-1], robot.upper[-1], robot.velocity_limit[-1], robot.effort_limit[-1]
+    assert limits == (-np.inf, np.inf, np.inf, np.inf)
+
+
+def test_a_joint_that_mimics_another_in_a_file_moves_freely(urdf: Path) -> None:
+    mimic = '<mimic joint="shoulder"/><axis xyz="0 1 0"/>'
+    urdf.write_text(ARM.format(lower=INERTIAL).replace('<axis xyz="0 1 0"/>', mimic))
+    assert BOX.mount(urdf).coordinate_names[3:] == ("arm/shoulder", "arm/elbow")
+
+
 def test_a_model_with_a_free_flyer_stands_on_its_feet_and_an_arm_on_its_root() -> None:
     hanging = pin.Model()
     root = hanging.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")

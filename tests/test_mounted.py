@@ -383,7 +383,7 @@ def test_the_arms_own_mass_matrix_stands_in_that_of_the_whole_rotors_included(na
 
 
 def test_clashing_names_are_numbered() -> None:
-    robot = MobileRobot.box().mount("ur5").mount("ur5", AT).mount("ur5", AT, name="ur5")
+    robot = MobileRobot.box().mount("ur5").mount("ur5", AT).mount("ur5", (-0.2, 0, 0.2, 0), name="ur5")
     assert [mount.name for mount in robot.mounts] == ["ur5", "ur5_2", "ur5_3"]
     assert [mount.q for mount in robot.mounts] == [slice(3, 9), slice(9, 15), slice(15, 21)]
     assert len(set(robot.model.names)) == robot.model.njoints
