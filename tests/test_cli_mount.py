@@ -7,13 +7,29 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pinmobile import Hold, InvalidArgument, MobileRobot, Rollout, mountable, plots
+from pinmobile import (
+    Circle,
+    ComputedTorque,
+    FixedHeading,
+    Hold,
+    InvalidArgument,
+    MobileRobot,
+    Rollout,
+    WholeBody,
+    mountable,
+    plots,
+    simulate,
+)
 from pinmobile.cli.demonstration import demonstration, mounted
 from pinmobile.cli.mount import _judged
 from pinmobile.robot import EXCEPTIONS
 from tests.test_cli import typed
 
 QUICK = ("--dt", "0.02", "--duration", "1")
+SLIDE = """<robot name="slide"><link name="foot"/><link name="slider"><inertial><mass value="2"/>
+  <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="lift" type="prismatic"><parent link="foot"/><child link="slider"/><axis xyz="0 0 1"/>
+  <limit lower="-0.04" upper="0.01" effort="30" velocity="2"/></joint></robot>"""
 
 
 @pytest.fixture(scope="module")
@@ -94,12 +110,8 @@ def test_mount_says_that_there_is_nothing_to_draw(capsys: pytest.CaptureFixture[
 
 
 def test_an_arm_of_ones_own_is_mounted(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    slide = """<robot name="slide"><link name="foot"/><link name="slider"><inertial><mass value="2"/>
-      <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-      <joint name="lift" type="prismatic"><parent link="foot"/><child link="slider"/><axis xyz="0 0 1"/>
-      <limit lower="-0.04" upper="0.01" effort="30" velocity="2"/></joint></robot>"""
     path = tmp_path / "slide.urdf"
-    path.write_text(slide)
+    path.write_text(SLIDE)
     code, out, _ = typed(capsys, "mount", "--urdf", str(path), "--package-dir", str(tmp_path), "--dt", "0.02")
     assert code == 0
     assert "slide on a box of 30 kg: 1 joint, 32.0 kg in all" in out
@@ -191,6 +203,32 @@ def test_a_controller_that_diverges_is_said_and_shown_up_to_there(
     assert code == 1
     assert "computed torque: the loop diverged at t = " in out
     assert "the table has what came before" in out
+
+
+def test_view_says_why_it_does_not_know_the_robot_of_a_file(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, run: Rollout
+) -> None:
+    urdf = tmp_path / "slide.urdf"
+    urdf.write_text(SLIDE)
+    base = FixedHeading(Circle(1, 0.1, 1), 0)
+    for stem, arm in (("gone", urdf), ("changed", urdf), ("model", run.robot.mounts[0].arm.whole)):
+        robot = MobileRobot.box().mount(arm)
+        motion = WholeBody(robot, base, None)
+        simulate(robot, ComputedTorque(robot), motion, dt=0.5).save(tmp_path / f"{stem}.npz")
+    for stem, said in (
+        (
+            "changed",
+            "its masses and inertias are no longer those that were kept: see .*slide.urdf; in Python",
+        ),
+        ("gone", "arm is '.*slide.urdf', which cannot be read"),
+        ("model", "it was no MobileRobot, or had an arm of a pin.Model, which an archive cannot keep; "),
+    ):
+        urdf.write_text(SLIDE.replace('mass value="2"', 'mass value="3"'))
+        if stem == "gone":
+            urdf.unlink()
+        code, out, err = typed(capsys, "view", "--rollout", str(tmp_path / f"{stem}.npz"))
+        assert (code, out) == (2, "")
+        assert re.search(rf"^pinmobile: --rollout '.*{stem}.npz' does not know its robot: {said}", err)
 
 
 # -- joints by their names ---------------------------------------------------------------------------
