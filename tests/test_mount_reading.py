@@ -160,6 +160,16 @@ def _lowest(robot: MobileRobot, name: str) -> float:
     return min(float(robot.frame_pose(robot.rest, frame)[2, 3]) for frame in frames)
 
 
+@pytest.mark.parametrize("name", ["so100", "z1", "anymal_c"])
+def test_joints_are_locked_where_links_and_joints_share_a_name(name: str) -> None:
+    free = BOX.mount(name)
+    joint = str(free.mounts[0].model.names[1])
+    held = BOX.mount(name, locked=[joint])
+    assert held.nv == free.nv - 1
+    assert set(held.frame_names) <= {*free.frame_names}
+    np.testing.assert_allclose(held.gravity(held.rest)[3:], free.gravity(free.rest)[4:], atol=1e-9)
+
+
 def test_two_arms_do_not_stand_in_the_same_place_unless_they_are_told_to() -> None:
     one = BOX.mount("ur5")
     with pytest.raises(InvalidArgument, match=r"^at is not given for 'z1', and 'ur5' stands in the middle"):

@@ -1,6 +1,7 @@
 """An arm on the base: against another engine, and against what physics says."""
 
 import pickle
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -32,6 +33,7 @@ UR5 = MobileRobot.box().mount("ur5", AT)
 PANDA = MobileRobot.box().mount("panda", AT)
 KINOVA = MobileRobot.box().mount("kinova", AT)  # three of its joints are (cos, sin)
 TWO = MobileRobot.box().mount("panda", AT).mount("kinova", (-0.1, 0, 0.2, 0)).attach(Load(1.5, (0, 0, 0.1)))
+BENT = [0.1, 1.2, -1, 0, 0, 0, 0]  # a posture of the z1
 ROBOTS = pytest.mark.parametrize("robot", [UR5, KINOVA, TWO], ids=["ur5", "kinova", "two arms and a load"])
 
 
@@ -370,6 +372,36 @@ def test_a_mounted_robot_is_a_value() -> None:
         np.testing.assert_array_equal(copy.nonlinear_effects(q, v), robot.nonlinear_effects(q, v))
     plain = MobileRobot.lecture().mount("panda", AT).attach(Load(1.5, (0, 0, 0.1)))
     assert eval(repr(plain)) == plain
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"locked": ["joint1", "joint4"]},
+        {"rest": BENT},
+        {"rest": BENT, "locked": ["joint1"]},
+    ],
+)
+def test_what_is_locked_and_another_rest_are_told_and_can_be_pasted_back(options: dict[str, Any]) -> None:
+    plain, robot = MobileRobot.lecture().mount("z1", AT), MobileRobot.lecture().mount("z1", AT, **options)
+    assert robot != plain
+    assert eval(repr(robot)) == robot
+    for word in ("locked", "rest"):
+        assert (f"{word}=" in repr(robot)) == (word in options)
+        assert f"{word}=" not in repr(plain)
+
+
+def test_a_rest_is_told_of_models_and_files_too(tmp_path: Path) -> None:
+    model, path = spherical(), tmp_path / "slide.urdf"
+    path.write_text(
+        '<robot name="slide"><link name="foot"/><link name="slider"><inertial><mass value="2"/>'
+        '<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        '<joint name="lift" type="prismatic"><parent link="foot"/><child link="slider"/>'
+        '<limit lower="-1" upper="1" effort="30" velocity="2"/></joint></robot>'
+    )
+    for arm, rest in ((model, [0, 0, 0, 1, 0.5]), (path, [0.25])):
+        assert "rest=" not in repr(MobileRobot.box().mount(arm))
+        assert f"rest={[float(number) for number in rest]}" in repr(MobileRobot.box().mount(arm, rest=rest))
 
 
 @pytest.mark.parametrize("name", ["talos_arm", "ur5"])

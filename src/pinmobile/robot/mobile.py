@@ -92,9 +92,7 @@ class MobileRobot(Carrier):
 
     def __repr__(self) -> str:
         table = "" if self.dh == LECTURE_TABLE else f", dh={self.dh!r}"
-        mounted = "".join(
-            f".mount({mount.arm.origin.value!r}, at={mount.at}, name={mount.name!r})" for mount in self.mounts
-        )
+        mounted = "".join(map(repr, self.mounts))
         attached = "".join(f".attach({load!r}, frame={frame!r})" for frame, load in self.loads)
         return (
             f"MobileRobot(mass={self.mass!r}, yaw_inertia={self.yaw_inertia!r}, com={self.com!r}, "

@@ -120,8 +120,10 @@ def _from_model(arm: Any, visual: pin.GeometryModel | None, rest: Any, locked: t
         raise InvalidArgument(f"arm {arm.name!r} has no joints, expected one at least: a Load has none")
     shown = pin.GeometryModel() if visual is None else visual
     _check_visual(arm, shown)
-    posture = _posture(arm, kept if rest is None else rest)
-    return Arm(Origin("model", arm.name or "arm"), arm.copy(), posture, GivenPicture(shown), locked)
+    usual = _posture(arm, kept)
+    posture = usual if rest is None else _posture(arm, rest)
+    origin = Origin("model", arm.name or "arm")
+    return Arm(origin, arm.copy(), posture, GivenPicture(shown), locked, usual=usual)
 
 
 def _is_file(arm: str | PathLike[str]) -> bool:
@@ -172,4 +174,5 @@ def _from_urdf(path: Path, folders: tuple[str, ...], rest: Any, locked: tuple[st
     except (ValueError, RuntimeError) as error:
         raise InvalidArgument(f"{path.name} is not a URDF that Pinocchio reads: {error}") from None
     picture = FilePicture(path, tuple(map(Path, folders)))
-    return Arm(Origin("urdf", str(path), folders), model, _posture(model, rest), picture, locked)
+    origin, posture = Origin("urdf", str(path), folders), _posture(model, rest)
+    return Arm(origin, model, posture, picture, locked, usual=pin.neutral(model))
