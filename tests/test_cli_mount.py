@@ -1,6 +1,7 @@
 """`pinmobile mount`, and how rollouts and figures name the joints of arms."""
 
 import re
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -46,6 +47,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Rollout:
         "index.html",
     }
     assert figures < names
+    index = (folder / "index.html").read_text()
+    assert "x, y, psi and each joint over time, desired and actual." in index
+    assert "x, y and psi" not in index
     return Rollout.load(folder / "computed-torque.npz")
 
 
@@ -120,6 +124,23 @@ def test_an_arm_of_ones_own_is_mounted(capsys: pytest.CaptureFixture[str], tmp_p
     # There is more room below than above.
     reference = demonstration(MobileRobot.box().mount(path), 6)
     assert reference(3.0).q[3] == pytest.approx(-0.04)
+
+
+def test_meshes_that_are_not_drawn_are_named_in_a_line_each(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path, page = tmp_path / "slide.urdf", tmp_path / "page.html"
+    looks = '<visual><geometry><mesh filename="{}.stl"/></geometry></visual>'
+    (tmp_path / "broken.stl").write_text("no mesh")
+    path.write_text(SLIDE.replace("</link>", looks.format("gone") + looks.format("broken") + "</link>"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        code, out, err = typed(capsys, "mount", "--urdf", str(path), *QUICK, "--html", str(page))
+    assert code == 0
+    gone, broken = err.splitlines()
+    assert gone == "pinmobile: slide.urdf: not drawn, since missing: gone.stl"
+    assert broken.startswith("pinmobile: slide.urdf: not drawn, since damaged or of a format")
+    assert "there is nothing to draw of slide" in out
 
 
 def test_verify_takes_arms(capsys: pytest.CaptureFixture[str]) -> None:
