@@ -21,8 +21,8 @@ from pinmobile import (
     verify,
 )
 from pinmobile.arrays import Array
-from pinmobile.robot import BODY_JOINT, EXCEPTIONS, pictures, visual
-from pinmobile.robot.visual import VisualFile
+from pinmobile.robot import BODY_JOINT, EXCEPTIONS, meshes, pictures
+from pinmobile.robot.meshes import VisualFile
 from pinmobile.viewer import Viewer
 
 NAMES = sorted(example_robot_data.ROBOTS)
@@ -36,7 +36,7 @@ MASSLESS = tuple(
     )
     if part != "Finger11"
 )
-READABLE = visual.readable
+READABLE = meshes.readable
 
 
 class Drive:

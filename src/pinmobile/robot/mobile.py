@@ -18,11 +18,12 @@ from pinmobile.robot.assembly import assemble
 from pinmobile.robot.carrier import Carrier
 from pinmobile.robot.chain import build_model, check_chain
 from pinmobile.robot.engine import BODY_JOINT, Engine
+from pinmobile.robot.meshes import VisualFile
 from pinmobile.robot.mounts import Load, Mount
 from pinmobile.robot.pictures import add_carried
 from pinmobile.robot.reading import read_model, read_urdf
 from pinmobile.robot.sources import existing_folders
-from pinmobile.robot.visual import VisualFile, box_visuals, read_visuals
+from pinmobile.robot.visual import box_visuals, read_visuals
 
 __all__ = ["MobileRobot"]
 

@@ -9,8 +9,9 @@ import pinocchio as pin
 
 from pinmobile.robot.assembly import named_frames
 from pinmobile.robot.engine import BODY_JOINT
+from pinmobile.robot.meshes import VisualFile, readable, shown
 from pinmobile.robot.mounts import Load, Mount
-from pinmobile.robot.visual import VisualFile, drawn, readable, shown
+from pinmobile.robot.visual import drawn
 
 __all__ = ["FilePicture", "GivenPicture", "add_carried"]
 
