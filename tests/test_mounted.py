@@ -402,6 +402,9 @@ def test_a_rest_is_told_of_models_and_files_too(tmp_path: Path) -> None:
     for arm, rest in ((model, [0, 0, 0, 1, 0.5]), (path, [0.25])):
         assert "rest=" not in repr(MobileRobot.box().mount(arm))
         assert f"rest={[float(number) for number in rest]}" in repr(MobileRobot.box().mount(arm, rest=rest))
+    found = MobileRobot.lecture().mount(path, package_dirs=tmp_path)
+    assert f"package_dirs=({str(tmp_path)!r},)" in repr(found)
+    assert eval(repr(found)) == found
 
 
 @pytest.mark.parametrize("name", ["talos_arm", "ur5"])

@@ -117,9 +117,13 @@ class Arm:
 
     def options(self) -> dict[str, object]:
         """Return what `MobileRobot.mount` was asked for beside what it does by default."""
-        asked: dict[str, object] = {"locked": self.locked} if self.locked else {}
         usual = self.usual is None or np.array_equal(self.rest, self.usual)
-        return asked if usual else {"rest": self.rest.tolist(), **asked}
+        asked = {
+            "package_dirs": self.origin.package_dirs,
+            "rest": () if usual else self.rest.tolist(),
+            "locked": self.locked,
+        }
+        return {word: value for word, value in asked.items() if value}
 
     def key(self) -> tuple[object, ...]:
         """Return what makes two arms the same one."""
