@@ -78,7 +78,7 @@ def table(title: str, *columns: str) -> Table:
 
 
 def say(out: Console, lines: Iterable[str]) -> None:
-    """Print under a table why rows are missing."""
+    """Print under a table what is to be known of it, such as why rows are missing."""
     for line in lines:
         out.print(f"- {line}", markup=False)
 

@@ -24,6 +24,7 @@ OTHER_WORK = {
     "a user's own law: PD, inline in the raw loop": {"control": "own law"},
 }
 CHECKED_OFFSET = 6_000  # samples of the check with the centre of mass off the axis, at most
+SHARES = "of the raw loop: median of the ratios of each round, not ratio of the medians: rounds differ"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -58,7 +59,7 @@ def ranked(out: Console, title: str, task: Task, rows: dict[str, Row], base: Row
     for row in sorted(timed, key=lambda row: row.ratio(base) if base.times else row.median):
         shown.add_row(row.name, row.version, per_step(row, task), ratio(row, base), row.word)
     out.print(shown)
-    say(out, [f"{row.name}: {row.word}" for row in rows.values() if not row.times])
+    say(out, [SHARES, *(f"{row.name}: {row.word}" for row in rows.values() if not row.times)])
 
 
 def compare_other_work(out: Console, tasks: Sequence[Task], rounds: int, least: float) -> bool:
@@ -75,7 +76,7 @@ def compare_other_work(out: Console, tasks: Sequence[Task], rounds: int, least: 
             shown.add_row(name, str(task.dt), *cells)
             others += [f"{row.name}, {name}: {row.word}" for row in (ours, base) if not row.times]
     out.print(shown)
-    say(out, others)
+    say(out, [SHARES, *others])
     return all_sound
 
 

@@ -165,6 +165,7 @@ def test_an_arm_that_is_moved_otherwise_is_not_timed(bench: SimpleNamespace, qua
 def test_the_table_of_the_arm_is_printed(bench: SimpleNamespace, capsys: pytest.CaptureFixture[str]) -> None:
     assert bench.arm.main(["--quick"]) == 0
     printed = capsys.readouterr().out
+    assert "- of the raw loop: median of the ratios of each round, not ratio of the medians" in printed
     assert printed.count("pinmobile simulate") == printed.count("raw Pinocchio loop (rnea, aba)") == 1
     assert re.search(r"whole body \d\.\de-06, decoupled \d\.\de-03", printed)
 

@@ -1,6 +1,7 @@
 """`pinmobile mount`, and how rollouts and figures name the joints of arms."""
 
 import re
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,20 +9,30 @@ import numpy as np
 import pytest
 
 from pinmobile import (
+    Circle,
+    ComputedTorque,
+    FixedHeading,
     Hold,
     InvalidArgument,
     MobileRobot,
     Rollout,
+    WholeBody,
     mountable,
     plots,
     required_friction,
+    simulate,
     tip_over_margin,
 )
 from pinmobile.cli.demonstration import demonstration, mounted
 from pinmobile.cli.mount import _judged
+from pinmobile.robot import EXCEPTIONS
 from tests.test_cli import typed
 
 QUICK = ("--dt", "0.02", "--duration", "1")
+SLIDE = """<robot name="slide"><link name="foot"/><link name="slider"><inertial><mass value="2"/>
+  <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="lift" type="prismatic"><parent link="foot"/><child link="slider"/><axis xyz="0 0 1"/>
+  <limit lower="-0.04" upper="0.01" effort="30" velocity="2"/></joint></robot>"""
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +49,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Rollout:
         "index.html",
     }
     assert figures < names
+    index = (folder / "index.html").read_text()
+    assert "x, y, psi and each joint over time, desired and actual." in index
+    assert "x, y and psi" not in index
     return Rollout.load(folder / "computed-torque.npz")
 
 
@@ -73,24 +87,69 @@ def test_several_arms_stand_one_behind_the_other(capsys: pytest.CaptureFixture[s
     code, out, _ = typed(capsys, "mount", "z1", "so100", *QUICK)
     assert code == 0
     assert out.lstrip().startswith("z1 and so100 on a box of 30 kg: 13 joints")
-    places = [mount.at for mount in mounted(("z1", "so100"), None, None, ()).mounts]
+    places = [mount.at for mount in mounted(("z1", "so100")).mounts]
     assert [place[0] for place in places] == pytest.approx([0.2, -0.2])
 
 
+def test_each_of_several_arms_is_put_where_it_is_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
+    words = "mount", "z1", "so100", "--at", "0.1,0,0.2,0", "--at=-0.1,0,0.2,3"
+    assert typed(capsys, *words, *QUICK)[0] == 0
+    places = [mount.at for mount in mounted(("z1", "so100"), at=("0.1,0,0.2,0", "-0.1,0,0.2,3")).mounts]
+    assert places == [(0.1, 0, 0.2, 0), (-0.1, 0, 0.2, 3)]
+
+
+def test_what_the_list_says_to_lock_can_be_locked(capsys: pytest.CaptureFixture[str]) -> None:
+    fingers = re.findall(r"bravo_finger\d_joint", EXCEPTIONS["bravo7_gripper"].reason)
+    assert len(fingers) == 2
+    words = (word for finger in fingers for word in ("--lock", finger))
+    code, out, err = typed(capsys, "mount", "bravo7_gripper", *QUICK, *words)
+    assert (code, err) == (0, "")
+    assert "bravo7_gripper on a box of 30 kg: 6 joints" in out
+
+
+def test_mount_says_that_there_is_nothing_to_draw(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    words = "mount", "simple_humanoid", "--dt", "0.02", "--duration", "0.1"
+    code, out, _ = typed(capsys, *words, "--html", str(tmp_path / "page.html"))
+    assert code == 0
+    assert "\nthere is nothing to draw of simple_humanoid: it has no visuals\n" in out
+    assert "nothing to draw" not in typed(capsys, *words)[1]
+
+
 def test_an_arm_of_ones_own_is_mounted(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    slide = """<robot name="slide"><link name="foot"/><link name="slider"><inertial><mass value="2"/>
-      <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-      <joint name="lift" type="prismatic"><parent link="foot"/><child link="slider"/><axis xyz="0 0 1"/>
-      <limit lower="-0.04" upper="0.01" effort="30" velocity="2"/></joint></robot>"""
     path = tmp_path / "slide.urdf"
-    path.write_text(slide)
+    path.write_text(SLIDE)
     code, out, _ = typed(capsys, "mount", "--urdf", str(path), "--package-dir", str(tmp_path), "--dt", "0.02")
     assert code == 0
+    assert "slide on a box of 30 kg: 1 joint, 32.0 kg in all" in out
     assert "largest error of a joint [m]" in out
     assert "of a joint [rad]" not in out
     # There is more room below than above.
     reference = demonstration(MobileRobot.box().mount(path), 6)
     assert reference(3.0).q[3] == pytest.approx(-0.04)
+
+
+def test_meshes_that_are_not_drawn_are_named_in_a_line_each(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path, page = tmp_path / "slide.urdf", tmp_path / "page.html"
+    looks = '<visual><geometry><mesh filename="{}.stl"/></geometry></visual>'
+    (tmp_path / "broken.stl").write_text("no mesh")
+    path.write_text(SLIDE.replace("</link>", looks.format("gone") + looks.format("broken") + "</link>"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        code, out, err = typed(capsys, "mount", "--urdf", str(path), *QUICK, "--html", str(page))
+    assert code == 0
+    gone, broken = err.splitlines()
+    assert gone == "pinmobile: slide.urdf: not drawn, since missing: gone.stl"
+    assert broken.startswith("pinmobile: slide.urdf: not drawn, since damaged or of a format")
+    assert "there is nothing to draw of slide" in out
+
+
+def test_verify_takes_arms(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, err = typed(capsys, "verify", "--mount", "z1", "--mount", "so100", "--states", "5")
+    assert (code, err) == (0, "")
+    assert re.search(r"^M3 +CRBA / closed form of the lump .* agrees$", out, re.MULTILINE)
+    assert out.endswith("every route agrees\n")
 
 
 @pytest.mark.parametrize("name", mountable().names)
@@ -117,6 +176,7 @@ def test_the_names_are_listed_with_the_exceptions(capsys: pytest.CaptureFixture[
     code, out, _ = typed(capsys, "mount", "--list")
     assert code == 0
     assert re.search(r"^ur5 +6 +20\.99\d$", out, re.MULTILINE)
+    assert re.search(r"^simple_humanoid +29 +130\.800  its loader has no visuals", out, re.MULTILINE)
     assert re.search(r"^cassie +not: its loader reads SDF", out, re.MULTILINE)
 
 
@@ -127,7 +187,10 @@ def test_the_names_are_listed_with_the_exceptions(capsys: pytest.CaptureFixture[
         ("mount ur55", "unknown arm 'ur55', did you mean 'ur5'"),
         ("mount romeo", "joint 'RThumb3' moves parts that have no inertia"),
         ("mount ur5 --at 1,2", "at has shape (2,), expected (4,)"),
-        ("mount ur5 z1 --at 0,0,0,0", "--at places one arm, but there are 2"),
+        ("mount ur5 z1 --at 0,0,0,0", "--at is given 1 times for 2 arms, expected once for each arm"),
+        ("mount ur5 z1 --lock joint1", "--lock applies to one arm, but there are 2"),
+        ("mount ur5 --lock elbow", "unknown joint 'elbow', did you mean 'elbow_joint'"),
+        ("mount --list --lock elbow", "--lock does not apply beside --list"),
         ("mount ur5 --urdf arm.urdf", "--urdf stands for an arm, but there is 'ur5' too"),
         ("mount ur5 --package-dir x", "--package-dir applies beside --urdf alone"),
         ("mount --urdf no-such.urdf", "no-such.urdf"),
@@ -135,6 +198,7 @@ def test_the_names_are_listed_with_the_exceptions(capsys: pytest.CaptureFixture[
         ("mount ur5 --dt 0.7", "duration"),
         ("mount ur5 --duration -1", "--duration is -1.0 s, expected > 0"),
         ("mount ur5 --html /proc/x.html", "--html is '/proc/x.html', which cannot be written to"),
+        ("verify --mount ur5 --mass 3", "--mass does not apply beside --mount"),
         ("mount --list ur5", "--list stands alone, but there is 'ur5' too"),
         ("mount --list --at 0,0,0,0", "--at does not apply beside --list"),
     ],
@@ -169,6 +233,32 @@ def test_a_controller_that_diverges_is_said_and_shown_up_to_there(
     assert code == 1
     assert "computed torque: the loop diverged at t = " in out
     assert "the table has what came before" in out
+
+
+def test_view_says_why_it_does_not_know_the_robot_of_a_file(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, run: Rollout
+) -> None:
+    urdf = tmp_path / "slide.urdf"
+    urdf.write_text(SLIDE)
+    base = FixedHeading(Circle(1, 0.1, 1), 0)
+    for stem, arm in (("gone", urdf), ("changed", urdf), ("model", run.robot.mounts[0].arm.whole)):
+        robot = MobileRobot.box().mount(arm)
+        motion = WholeBody(robot, base, None)
+        simulate(robot, ComputedTorque(robot), motion, dt=0.5).save(tmp_path / f"{stem}.npz")
+    for stem, said in (
+        (
+            "changed",
+            "its masses and inertias are no longer those that were kept: see .*slide.urdf; in Python",
+        ),
+        ("gone", "arm is '.*slide.urdf', which cannot be read"),
+        ("model", "it was no MobileRobot, or had an arm of a pin.Model, which an archive cannot keep; "),
+    ):
+        urdf.write_text(SLIDE.replace('mass value="2"', 'mass value="3"'))
+        if stem == "gone":
+            urdf.unlink()
+        code, out, err = typed(capsys, "view", "--rollout", str(tmp_path / f"{stem}.npz"))
+        assert (code, out) == (2, "")
+        assert re.search(rf"^pinmobile: --rollout '.*{stem}.npz' does not know its robot: {said}", err)
 
 
 # -- joints by their names ---------------------------------------------------------------------------
@@ -218,12 +308,12 @@ def test_figures_name_joints_and_unwrap_their_angles(run: Rollout) -> None:
 
 def test_mounted_refuses_nothing_at_all() -> None:
     with pytest.raises(InvalidArgument, match="mount needs an arm"):
-        mounted((), None, None, ())
+        mounted(())
 
 
 @pytest.mark.parametrize("arm", ["ur5", "panda", "kinova"])
 def test_the_demonstration_lifts_the_arm_rather_than_pressing_it_into_the_base(arm: str) -> None:
-    robot = mounted([arm], None, None, [])
+    robot = mounted([arm])
     reference = demonstration(robot, 6.0)
     heights = robot.potential_energy(reference(np.array([0.0, 3.0, 6.0])).q)
     assert heights[1] > heights[0] + 1.0

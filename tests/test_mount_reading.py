@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import coal
 import example_robot_data
 import numpy as np
 import pinocchio as pin
@@ -23,7 +24,7 @@ from pinmobile import (
 )
 from pinmobile.arrays import Array
 from pinmobile.robot import BODY_JOINT
-from pinmobile.viewer import Viewer
+from pinmobile.viewer import Arrows, Overlays, Viewer
 from tests.chromium import chromium
 from tests.webclient import eventually
 
@@ -83,6 +84,33 @@ def test_a_urdf_is_mounted_and_a_mesh_that_is_missing_is_named(urdf: Path) -> No
     assert foot.placement.translation[2] == pytest.approx(0.2)
 
 
+@pytest.mark.parametrize("name", ["upper.stl", "upper.step"])
+def test_a_mesh_that_cannot_be_read_is_named_and_not_drawn(name: str, urdf: Path, tmp_path: Path) -> None:
+    (tmp_path / name).write_text("garbage")
+    urdf.write_text(ARM.format(lower=INERTIAL).replace("package://arms/upper.stl", name))
+    robot = BOX.mount(urdf)
+    text = rf"^arm\.urdf: not drawn, since damaged or of a format that is not read: .*{name}$"
+    with pytest.warns(UserWarning, match=text) as caught:
+        shown = robot.visual_model.geometryObjects
+    assert caught[0].filename == __file__
+    assert [item.name for item in shown] == ["body", "front", "wedge", "arm/foot_0"]
+
+
+def test_geometry_of_another_robot_is_refused() -> None:
+    ur5, panda = (BOX.mount(name).mounts[0].arm for name in ("ur5", "panda"))
+    other = pin.GeometryModel()
+    joint, frame = panda.whole.njoints - 1, panda.whole.nframes - 1
+    for at, place in ((joint, 0), (1, frame)):
+        item = pin.GeometryObject("hand", at, place, pin.SE3.Identity(), coal.Box(1, 1, 1))
+        other.addGeometryObject(item)
+        with pytest.raises(InvalidArgument, match=rf"^visual has 'hand' on joint {at} and frame {place} "):
+            BOX.mount(ur5.whole, visual=other)
+        BOX.mount(panda.whole, visual=other)
+        other.removeGeometryObject("hand")
+    other.addGeometryObject(pin.GeometryObject("hand", 1, pin.SE3.Identity(), coal.Box(1, 1, 1)))
+    assert len(BOX.mount(ur5.whole, visual=other).visual_model.geometryObjects) == 4
+
+
 @pytest.mark.parametrize("several", [True, False])
 def test_a_mesh_is_found_in_a_package(several: bool, urdf: Path, tmp_path: Path) -> None:
     (tmp_path / "packages" / "arms").mkdir(parents=True)
@@ -130,6 +158,41 @@ def test_what_would_hang_below_the_ground_is_raised(name: str) -> None:
 def _lowest(robot: MobileRobot, name: str) -> float:
     frames = [frame for frame in robot.frame_names if frame.startswith(f"{name}/")]
     return min(float(robot.frame_pose(robot.rest, frame)[2, 3]) for frame in frames)
+
+
+@pytest.mark.parametrize("name", ["so100", "z1", "anymal_c"])
+def test_joints_are_locked_where_links_and_joints_share_a_name(name: str) -> None:
+    free = BOX.mount(name)
+    joint = str(free.mounts[0].model.names[1])
+    held = BOX.mount(name, locked=[joint])
+    assert held.nv == free.nv - 1
+    assert set(held.frame_names) <= {*free.frame_names}
+    np.testing.assert_allclose(held.gravity(held.rest)[3:], free.gravity(free.rest)[4:], atol=1e-9)
+
+
+def test_two_arms_do_not_stand_in_the_same_place_unless_they_are_told_to() -> None:
+    one = BOX.mount("ur5")
+    with pytest.raises(InvalidArgument, match=r"^at is not given for 'z1', and 'ur5' stands in the middle"):
+        one.mount("z1")
+    assert one.mount("z1", (0, 0, 0.2, 0)).mounts[1].at == one.mounts[0].at
+    assert BOX.mount("ur5", (0.2, 0, 0.2, 0)).mount("z1").mounts[1].at == (0, 0, 0.2, 0)
+
+
+def test_equal_limits_and_limits_of_zero_are_none(urdf: Path) -> None:
+    urdf.write_text(
+        ARM.format(lower=INERTIAL).replace(
+            'lower="-2" upper="1.5" effort="20" velocity="3"', 'lower="0" upper="0" effort="0" velocity="0"'
+        )
+    )
+    robot = BOX.mount(urdf)
+    limits = robot.lower[-1], robot.upper[-1], robot.velocity_limit[-1], robot.effort_limit[-1]
+    assert limits == (-np.inf, np.inf, np.inf, np.inf)
+
+
+def test_a_joint_that_mimics_another_in_a_file_moves_freely(urdf: Path) -> None:
+    mimic = '<mimic joint="shoulder"/><axis xyz="0 1 0"/>'
+    urdf.write_text(ARM.format(lower=INERTIAL).replace('<axis xyz="0 1 0"/>', mimic))
+    assert BOX.mount(urdf).coordinate_names[3:] == ("arm/shoulder", "arm/elbow")
 
 
 def test_a_model_with_a_free_flyer_stands_on_its_feet_and_an_arm_on_its_root() -> None:
@@ -384,12 +447,13 @@ def test_a_rollout_brings_its_robot_back(tmp_path: Path, urdf: Path) -> None:
 def test_links_are_drawn_where_they_are(name: str) -> None:
     robot = BOX.mount(name, (0.1, 0.05, 0.2, 0.3))
     run = driven(robot)
-    with Viewer(robot) as viewer:
+    with Viewer(robot, overlays=Overlays(arrows=Arrows(), desired=True)) as viewer:
         recording = viewer.record(run, fps=20)
         viewer.display(run.q[-1])
         with pytest.raises(InvalidArgument, match=rf"q has shape \(3,\), expected \(\.\.\., {robot.nq}\)"):
             viewer.display([0, 0, 0])
     tracks = {track["path"]: track["clip"]["tracks"] for track in recording.tracks}
+    assert {"meshcat/force", "meshcat/moment"} <= {*tracks}  # those on the base
     items = [item for item in robot.visual_model.geometryObjects if item.parentJoint > BODY_JOINT]
     assert len(items) > 0
     T = robot.frame_placements(run.q[-1])

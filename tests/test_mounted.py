@@ -1,6 +1,7 @@
 """An arm on the base: against another engine, and against what physics says."""
 
 import pickle
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -20,6 +21,7 @@ from pinmobile import (
     Reference,
     UnknownName,
     constant_acceleration,
+    difference_of,
     law,
     planar_difference,
     rk4,
@@ -27,7 +29,6 @@ from pinmobile import (
     verify,
 )
 from pinmobile.arrays import Array, wrap_angle
-from pinmobile.controllers import difference_of
 from pinmobile.robot import Mount
 
 AT = (0.1, -0.05, 0.2, 0.4)
@@ -35,6 +36,7 @@ UR5 = MobileRobot.box().mount("ur5", AT)
 PANDA = MobileRobot.box().mount("panda", AT)
 KINOVA = MobileRobot.box().mount("kinova", AT)  # three of its joints are (cos, sin)
 TWO = MobileRobot.box().mount("panda", AT).mount("kinova", (-0.1, 0, 0.2, 0)).attach(Load(1.5, (0, 0, 0.1)))
+BENT = [0.1, 1.2, -1, 0, 0, 0, 0]  # a posture of the z1
 ROBOTS = pytest.mark.parametrize("robot", [UR5, KINOVA, TWO], ids=["ur5", "kinova", "two arms and a load"])
 
 
@@ -393,6 +395,39 @@ def test_a_mounted_robot_is_a_value() -> None:
     assert eval(repr(plain)) == plain
 
 
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"locked": ["joint1", "joint4"]},
+        {"rest": BENT},
+        {"rest": BENT, "locked": ["joint1"]},
+    ],
+)
+def test_what_is_locked_and_another_rest_are_told_and_can_be_pasted_back(options: dict[str, Any]) -> None:
+    plain, robot = MobileRobot.lecture().mount("z1", AT), MobileRobot.lecture().mount("z1", AT, **options)
+    assert robot != plain
+    assert eval(repr(robot)) == robot
+    for word in ("locked", "rest"):
+        assert (f"{word}=" in repr(robot)) == (word in options)
+        assert f"{word}=" not in repr(plain)
+
+
+def test_a_rest_is_told_of_models_and_files_too(tmp_path: Path) -> None:
+    model, path = spherical(), tmp_path / "slide.urdf"
+    path.write_text(
+        '<robot name="slide"><link name="foot"/><link name="slider"><inertial><mass value="2"/>'
+        '<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        '<joint name="lift" type="prismatic"><parent link="foot"/><child link="slider"/>'
+        '<limit lower="-1" upper="1" effort="30" velocity="2"/></joint></robot>'
+    )
+    for arm, rest in ((model, [0, 0, 0, 1, 0.5]), (path, [0.25])):
+        assert "rest=" not in repr(MobileRobot.box().mount(arm))
+        assert f"rest={[float(number) for number in rest]}" in repr(MobileRobot.box().mount(arm, rest=rest))
+    found = MobileRobot.lecture().mount(path, package_dirs=tmp_path)
+    assert f"package_dirs=({str(tmp_path)!r},)" in repr(found)
+    assert eval(repr(found)) == found
+
+
 @pytest.mark.parametrize("name", ["talos_arm", "ur5"])
 def test_the_arms_own_mass_matrix_stands_in_that_of_the_whole_rotors_included(name: str) -> None:
     robot = MobileRobot.box().mount(name, (0.1, 0.2, 0.3, 0.9))
@@ -404,7 +439,7 @@ def test_the_arms_own_mass_matrix_stands_in_that_of_the_whole_rotors_included(na
 
 
 def test_clashing_names_are_numbered() -> None:
-    robot = MobileRobot.box().mount("ur5").mount("ur5", AT).mount("ur5", AT, name="ur5")
+    robot = MobileRobot.box().mount("ur5").mount("ur5", AT).mount("ur5", (-0.2, 0, 0.2, 0), name="ur5")
     assert [mount.name for mount in robot.mounts] == ["ur5", "ur5_2", "ur5_3"]
     assert [mount.q for mount in robot.mounts] == [slice(3, 9), slice(9, 15), slice(15, 21)]
     assert len(set(robot.model.names)) == robot.model.njoints

@@ -683,6 +683,14 @@ def test_missing_meshes_are_named_and_the_box_stands_for_them(tmp_path: Path) ->
     assert [item.name for item in shown.geometryObjects] == ["body", "front", "wedge", "wheel_0"]
 
 
+def test_the_box_stands_for_a_mesh_that_cannot_be_read(tmp_path: Path) -> None:
+    robot = truck(tmp_path, "hull")
+    (tmp_path / "truck" / "hull.stl").write_bytes(b"no mesh")
+    with pytest.warns(UserWarning, match=r"truck.urdf: not drawn, since damaged .* read: .*truck/hull.stl$"):
+        shown = robot.visual_model
+    assert [item.name for item in shown.geometryObjects] == ["body", "front", "wedge", "wheel_0"]
+
+
 def test_looks_survive_pickling_and_are_no_part_of_equality(tmp_path: Path) -> None:
     robot = truck(tmp_path, "hull")
     copy = pickle.loads(pickle.dumps(robot))

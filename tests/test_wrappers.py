@@ -23,6 +23,8 @@ from pinmobile import (
     NoisyMeasurement,
     Reference,
     Saturated,
+    WholeBody,
+    difference_of,
     law,
     simulate,
 )
@@ -129,14 +131,6 @@ def test_noise_is_the_table_of_its_seed_however_it_grew() -> None:
     np.testing.assert_array_equal(asked(rates, QS, VS), VS + 2 * table[:, 1])
 
 
-def test_a_joint_with_more_numbers_in_q_than_in_v_is_measured_with_noise_in_each() -> None:
-    both = law(lambda t, q, v, reference: np.concatenate([q, v]))
-    controller = NoisyMeasurement(both, 0.5, (1, 2, 3, 4), seed=7)
-    told, _ = controller(0.0, np.zeros(5), np.zeros(4), REST, controller.initial_state())
-    rows = np.random.default_rng(7).standard_normal((2, 5))
-    np.testing.assert_array_equal(told, [*(0.5 * rows[0]), *(rows[1, :4] * [1, 2, 3, 4])])
-
-
 def test_parameters_are_read_only_copies() -> None:
     given = np.ones(3)
     noisy, limited = NoisyMeasurement(TOLD, given, given, 0), Saturated(TOLD, given)
@@ -146,6 +140,48 @@ def test_parameters_are_read_only_copies() -> None:
         assert array.tolist() == [1, 1, 1]
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 2
+
+
+KINOVA = MobileRobot.box().mount("kinova")  # three of its joints are (cos, sin): nq = 12, nv = 9
+
+
+@pytest.mark.parametrize(
+    "inner",
+    [
+        ComputedTorque(KINOVA, 9, 6),
+        PD(9, 6, difference=difference_of(KINOVA)),
+        Saturated(Delayed(ComputedTorque(KINOVA, 9, 6), 0), 1e9),
+    ],
+    ids=["computed torque", "PD", "within others"],
+)
+def test_noise_turns_angles_that_are_cos_and_sin(inner: Any) -> None:
+    rng, std = np.random.default_rng(2), np.linspace(0.1, 0.9, 9)
+    q, v = KINOVA.random_configuration(rng, (4,)), rng.normal(size=(4, 9))
+    at = Reference(KINOVA.neutral, *np.zeros((2, 9)))
+    noisy = NoisyMeasurement(inner, std, 0.2, seed=7)
+    tau, _ = noisy(0.0, q, v, at, noisy.initial_state())
+    row = np.random.default_rng(7).standard_normal((1, 2, 9))[0]
+    told = KINOVA.integrate(q, std * row[0]), v + 0.2 * row[1]
+    expected, _ = inner(0.0, *told, at, inner.initial_state())
+    np.testing.assert_array_equal(tau, expected)
+
+
+def test_all_wrappers_together_hold_an_arm_without_limits_at_rest() -> None:
+    hold = WholeBody(KINOVA, FixedHeading(Circle(1.0, 0.01, 1.0), 0), None)
+    std = np.full(9, 1e-4)
+    wrapped = Saturated(Delayed(NoisyMeasurement(ComputedTorque(KINOVA, 100, 20), std, 0, 3), 1), 1e6)
+    rollout = simulate(KINOVA, wrapped, hold, dt=0.01)
+    # A measurement that is 1e-4 off moves the robot by no more than a few times that.
+    assert 1e-6 < rollout.max_error()[3:].max() < 1e-3
+
+
+def test_noise_needs_a_robot_where_configurations_do_not_add() -> None:
+    noisy = NoisyMeasurement(TOLD, 1, 1, 0)
+    with pytest.raises(InvalidArgument, match=r"^q has shape \(12,\) where v has 9 numbers, expected"):
+        noisy(0.0, KINOVA.neutral, np.zeros(9), REST, noisy.initial_state())
+    long = NoisyMeasurement(ComputedTorque(KINOVA), np.ones(12), 1, 0)
+    with pytest.raises(InvalidArgument, match=r"^std_q has shape \(12,\), expected \(\) or \(9,\)$"):
+        long(0.0, KINOVA.neutral, np.zeros(9), REST, long.initial_state())
 
 
 def test_threads_that_share_a_noisy_controller_get_the_same() -> None:

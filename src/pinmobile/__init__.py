@@ -14,6 +14,7 @@ from pinmobile.controllers import (
     NoisyMeasurement,
     PDGravity,
     Saturated,
+    difference_of,
     law,
     planar_difference,
 )
@@ -109,6 +110,7 @@ __all__ = [
     "ViscousFriction",
     "WholeBody",
     "constant_acceleration",
+    "difference_of",
     "ensemble",
     "grid",
     "integrator_report",

@@ -2,7 +2,9 @@
 
 import os
 import sys
+import warnings
 from collections.abc import Sequence
+from typing import Any
 
 import typer
 
@@ -30,7 +32,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Inside, so that an interrupt while it loads ends quietly.
         from pinmobile.cli.commands_of_many import app
 
-        code = app(args=arguments, prog_name="pinmobile", standalone_mode=False)
+        with warnings.catch_warnings():
+            warnings.showwarning = _note
+            code = app(args=arguments, prog_name="pinmobile", standalone_mode=False)
         sys.stdout.flush()
     except typer.TyperException as error:
         return _refuse(
@@ -52,6 +56,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 _INTERRUPTED = 130  # as typer says it, and shells
+
+
+def _note(message: Warning | str, *where: Any, **more: Any) -> None:
+    """Print a warning as one line: where in the library it came from is of no use here."""
+    print(f"pinmobile: {' '.join(str(message).split())}", file=sys.stderr)
 
 
 def _refuse(message: str, code: int = 2) -> int:

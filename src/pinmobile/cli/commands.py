@@ -71,11 +71,22 @@ def verify(
     ] = None,
     com: Annotated[Text, typer.Option(help="Centre of mass X,Y in the body frame (m); 0.15,0.05.")] = None,
     table: Annotated[Text, typer.Option(help="DH table: lecture or slide; lecture.")] = None,
+    mount: Annotated[
+        list[str] | None, typer.Option(help="Arm on it, as of `pinmobile mount`; repeat it.")
+    ] = None,
     states: Annotated[int, typer.Option(help="Number of random states.")] = 200,
     seed: Annotated[int, typer.Option(help="Seed of the states.")] = 0,
 ) -> int:
-    """Compare closed form, Pinocchio, symbolic Newton-Euler and Lagrange for M, n, tau and accelerations."""
-    if urdf is not None:
+    """Compare closed form, Pinocchio, symbolic Newton-Euler and Lagrange for M, n, tau and accelerations.
+
+    With an arm on it (--mount ur5), Pinocchio's algorithms against each other, and the base against the
+    closed form.
+    """
+    if mount:
+        own = {"mass": mass, "yaw_inertia": yaw_inertia, "com": com, "table": table}
+        choices.refuse_beside("--mount", urdf=urdf, **own)
+        robot = mounted(mount)
+    elif urdf is not None:
         choices.refuse_beside("--urdf", mass=mass, yaw_inertia=yaw_inertia, com=com, table=table)
         robot = pinmobile.MobileRobot.from_urdf(urdf)
     else:
@@ -201,7 +212,14 @@ def mount(
         list[Path] | None, typer.Option(help="Folder that package:// in it refers to; repeat it.")
     ] = None,
     at: Annotated[
-        Text, typer.Option(help="Its place X,Y,Z,YAW on the body (m, rad); the middle of the top.")
+        list[str] | None,
+        typer.Option(
+            help="Its place X,Y,Z,YAW on the body (m, rad), once for each arm; the middle of the top, or one "
+            "behind the other."
+        ),
+    ] = None,
+    lock: Annotated[
+        list[str] | None, typer.Option(help="Joint of the arm that shall not move; repeat it.")
     ] = None,
     dt: Annotated[float, typer.Option(help="Sampling time (s).")] = 0.001,
     duration: Annotated[float, typer.Option(help="Of the motion (s).")] = 6.0,
@@ -220,9 +238,10 @@ def mount(
     if listed:
         if arm:
             raise InvalidArgument(f"--list stands alone, but there is {arm[0]!r} too")
-        choices.refuse_beside("--list", urdf=urdf, at=at, html=html, out=out, package_dir=package_dir or None)
+        several = {"at": at or None, "lock": lock or None, "package_dir": package_dir or None}
+        choices.refuse_beside("--list", urdf=urdf, html=html, out=out, **several)
         return list_mountable()
-    robot = mounted(arm or (), urdf, at, package_dir or ())
+    robot = mounted(arm or (), urdf, at or (), package_dir or (), lock or ())
     return show_mount(robot, dt=dt, duration=duration, html=html, out=out)
 
 

@@ -17,7 +17,13 @@ RADIUS, RATE = 1.0, 0.5  # of the circle [m], [rad/s]
 WAY = {"rad": 0.5, "m": 0.1}  # that each joint goes and comes back
 
 
-def mounted(arms: Sequence[str], urdf: Path | None, at: str | None, dirs: Sequence[Path]) -> MobileRobot:
+def mounted(
+    arms: Sequence[str],
+    urdf: Path | None = None,
+    at: Sequence[str] = (),
+    dirs: Sequence[Path] = (),
+    locked: Sequence[str] = (),
+) -> MobileRobot:
     """Return the box of 30 kg with the arms on it.
 
     Parameters
@@ -26,10 +32,12 @@ def mounted(arms: Sequence[str], urdf: Path | None, at: str | None, dirs: Sequen
         Names, mounted one after the other.
     urdf : Path, optional
         A file with an arm, in place of names.
-    at : str, optional
-        ``X,Y,Z,YAW`` of the only arm [m, m, m, rad].
+    at : sequence of str
+        ``X,Y,Z,YAW`` of each arm [m, m, m, rad], or none at all.
     dirs : sequence of Path
         Where the file's ``package://`` is.
+    locked : sequence of str
+        Joints of the only arm that shall not move.
 
     Raises
     ------
@@ -46,20 +54,22 @@ def mounted(arms: Sequence[str], urdf: Path | None, at: str | None, dirs: Sequen
             "mount needs an arm: 'pinmobile mount ur5 --html out/ur5.html', or a file by --urdf; "
             "'pinmobile mount --list' prints the names"
         )
-    if at is not None and len(wanted) > 1:
-        raise InvalidArgument(f"--at places one arm, but there are {len(wanted)}")
+    if at and len(at) != len(wanted):
+        raise InvalidArgument(
+            f"--at is given {len(at)} times for {len(wanted)} arms, expected once for each arm"
+        )
+    if locked and len(wanted) > 1:
+        raise InvalidArgument(f"--lock applies to one arm, but there are {len(wanted)}")
     box = MobileRobot.box()
-    if len(wanted) == 1:
-        return box.mount(wanted[0], None if at is None else choices.point("--at", at), package_dirs=dirs)
-    return _one_behind_the_other(box, wanted)
-
-
-def _one_behind_the_other(robot: MobileRobot, arms: Sequence[Any]) -> MobileRobot:
-    length = robot.size[0]
-    for arm, x in zip(arms, np.linspace(length / 3, -length / 3, len(arms)), strict=True):
-        (*_, mount) = robot.mount(arm).mounts
-        robot = robot.mount(mount.arm, (x, *mount.at[1:]))
-    return robot
+    ready = [box.mount(arm, package_dirs=dirs, locked=locked).mounts[0] for arm in wanted]
+    length = box.size[0] if len(wanted) > 1 else 0.0
+    places = [
+        (x, *mount.at[1:])
+        for x, mount in zip(np.linspace(length, -length, len(ready)) / 3, ready, strict=True)
+    ]
+    for mount, place in zip(ready, [choices.point("--at", text) for text in at] or places, strict=True):
+        box = box.mount(mount.arm, place)
+    return box
 
 
 def demonstration(robot: MobileRobot, duration: float) -> WholeBody:

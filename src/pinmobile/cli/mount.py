@@ -61,7 +61,8 @@ def show_mount(robot: MobileRobot, *, dt: float, duration: float, html: Path | N
     figures = len(FIGURES) + len(_BALANCE) + 1 if folder is not None else 0
     with progress(len(laws) + (html is not None) + figures) as bar:
         runs, failures = _both(robot, laws, reference, dt, bar)
-        text = "\n".join([_head(robot, names, reference, dt), "", _table(runs), *failures])
+        unseen = [] if html is None else _unseen(robot)
+        text = "\n".join([_head(robot, names, reference, dt), "", _table(runs), *failures, *unseen])
         if html is not None:
             begin(bar, "recording the scene")
             save_page(runs, html, f"{names} on the base: computed torque and decoupled")
@@ -88,12 +89,22 @@ def _both(
     return runs, failures
 
 
+def _unseen(robot: MobileRobot) -> list[str]:
+    """Return a line for each arm of which nothing is drawn."""
+    drawn = [str(item.name) for item in robot.visual_model.geometryObjects]
+    return [
+        f"there is nothing to draw of {mount.name}: it has no visuals"
+        for mount in robot.mounts
+        if not any(name.startswith(f"{mount.name}/") for name in drawn)
+    ]
+
+
 def _head(robot: MobileRobot, names: str, reference: WholeBody, dt: float) -> str:
     total = sum(inertia.mass for inertia in robot.model.inertias)
-    joints = robot.nv - 3
+    joints = f"{robot.nv - 3} joint{'' if robot.nv == 4 else 's'}"
     return "\n".join(
         [
-            f"{names} on a box of {robot.mass:g} kg: {joints} joints, {total:.1f} kg in all, "
+            f"{names} on a box of {robot.mass:g} kg: {joints}, {total:.1f} kg in all, "
             f"M(q) is {robot.nv} x {robot.nv}",
             f"{reference.duration:g} s at dt = {dt:g} s: the base drives a circle of {RADIUS:g} m at "
             f"{RATE:g} rad/s,",

@@ -9,10 +9,12 @@ from pinmobile.cli.view import save_page
 
 __all__ = ["FIGURES", "draw", "show_run"]
 
+_PLANE = 3  # coordinates of a bare base
+
 FIGURES = {
     "path": "The desired path (dashed), the travelled one, and the robot where it really was.",
-    "states": "x, y and psi over time, desired and actual.",
-    "errors": "Desired minus actual x, y and psi (on the circle) over time.",
+    "states": "{} over time, desired and actual.",
+    "errors": "Desired minus actual {} over time, angles on the circle.",
     "forces": "The generalised force, held between samples.",
 }
 
@@ -31,11 +33,13 @@ def draw(rollouts: dict[str, Rollout], folder: Path, prefix: str, bar: Any) -> l
     bar : rich.progress.Progress
         Its first task is advanced.
     """
+    arms = any(len(run.labels) > _PLANE for run in rollouts.values())
+    drawn = "x, y, psi and each joint" if arms else "x, y and psi"
     pictures = []
     for name, caption in FIGURES.items():
         begin(bar, f"drawing {prefix}{name}")
         getattr(plots, name)(rollouts).savefig(folder / f"{prefix}{name}.png", dpi=110)
-        pictures.append(Picture(f"{prefix}{name}.png", caption))
+        pictures.append(Picture(f"{prefix}{name}.png", caption.format(drawn)))
     return pictures
 
 

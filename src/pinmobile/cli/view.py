@@ -26,8 +26,11 @@ from pinmobile import (
 from pinmobile.arrays import positive
 from pinmobile.cli import choices
 from pinmobile.cli.output import console
+from pinmobile.simulation.storage import why_unknown
 
 __all__ = ["chosen_runs", "overlays_of", "save_page", "saved_runs", "show_live"]
+
+_POSE = 3  # numbers in q of a bare base
 
 
 def save_page(rollouts: Mapping[str, Rollout], path: Path, title: str, *, speed: float = 1.0) -> None:
@@ -44,12 +47,22 @@ def saved_runs(paths: Sequence[Path], words: Sequence[str]) -> dict[str, Rollout
     Raises
     ------
     InvalidArgument
-        If one cannot be read, or there are options of `run` too.
+        If one cannot be read or drawn, or there are options of `run` too.
     """
     if words:
         raise InvalidArgument(f"--rollout stands alone, but there is {words[0]!r} too")
     names = [path.stem if len({p.stem for p in paths}) == len(paths) else str(path) for path in paths]
-    return {name: Rollout.load(path) for name, path in zip(names, paths, strict=True)}
+    return {name: _known(path, Rollout.load(path)) for name, path in zip(names, paths, strict=True)}
+
+
+def _known(path: Path, run: Rollout) -> Rollout:
+    """Return the run, after refusing one of arms whose robot is not known: there is nothing to draw."""
+    if run.robot is None and run.q.shape[1:] != (_POSE,):
+        raise InvalidArgument(
+            f"--rollout {str(path)!r} does not know its robot: {why_unknown(path)}; in Python, "
+            "dataclasses.replace(rollout, robot=...) tells it"
+        )
+    return run
 
 
 def chosen_runs(words: Sequence[str], app: typer.Typer) -> dict[str, Rollout]:

@@ -58,7 +58,8 @@ class PD:
         Gains: a scalar, one per coordinate, or a matrix. For a force in N and an error in m, [N/m] and
         [N s/m].
     difference : callable
-        ``difference(q_d, q)``: how two configurations are compared. The lecture's is `numpy.subtract`.
+        ``difference(q_d, q)``: how two configurations are compared. The lecture's is `numpy.subtract`; that
+        of a robot with joints that are (cos, sin) in q is ``difference_of(robot)``.
 
     Raises
     ------

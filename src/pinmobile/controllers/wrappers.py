@@ -108,14 +108,17 @@ class NoisyMeasurement:
     """A controller that is told of the state with white Gaussian noise added.
 
     The noise of sample k depends on the seed and k alone, so that a second run gets the same. Where q and v
-    have leading axes, all of them get the same noise.
+    have leading axes, all of them get the same noise. That of q is a displacement: it is added where q has n
+    numbers, as v has; an angle that is (cos, sin) in q is turned by it, by the `integrate` of the robot that
+    the wrapped controller, or its ``difference_of(robot)``, knows.
 
     Parameters
     ----------
     controller : controller
         What is wrapped.
     std_q, std_v : array_like, shape () or (n,)
-        Standard deviation of each coordinate [m, m, rad] and its rate [m/s, m/s, rad/s], >= 0.
+        Standard deviation of each coordinate [m, m, rad, ...] and its rate [m/s, m/s, rad/s, ...], >= 0;
+        n is the robot's nv: 3 and one for each degree of freedom of its arms.
     seed : int or SeedSequence
         Of the noise: row k of ``default_rng(seed).standard_normal((m, 2, n))`` is that of q and of v at
         sample k, in units of the standard deviation.
@@ -124,7 +127,8 @@ class NoisyMeasurement:
     ------
     InvalidArgument
         If `controller` is none, a standard deviation has another shape, is not finite or below zero, or
-        `seed` is something else, such as a Generator, which would not repeat.
+        `seed` is something else, such as a Generator, which would not repeat; in a call, if q and v differ in
+        size and the wrapped controller knows no robot.
     """
 
     controller: Controller
@@ -157,13 +161,13 @@ class NoisyMeasurement:
     ) -> tuple[Array, tuple[Any, int]]:
         """Return the force, shape (..., n), and the next state: the wrapped one, samples so far."""
         inner, k = state
-        sizes = np.shape(q)[-1:], np.shape(v)[-1:]
-        std_q, std_v = _fitting("std_q", self.std_q, sizes[0]), _fitting("std_v", self.std_v, sizes[1])
-        n = max(*sizes[0], *sizes[1])
+        size = np.shape(v)[-1:]
+        std_q, std_v = _fitting("std_q", self.std_q, size), _fitting("std_v", self.std_v, size)
+        n = size[0]
         if n not in self._tables:
             self._tables.setdefault(n, _Table(self.seed, n))
         row = self._tables[n].row(k)
-        noisy = q + std_q * row[0, : sizes[0][0]], v + std_v * row[1, : sizes[1][0]]
+        noisy = _displaced(self.controller, q, std_q * row[0], n), v + std_v * row[1]
         tau, inner = answer_of(self.controller, t, *noisy, reference, inner)
         return tau, (inner, k + 1)
 
@@ -183,6 +187,22 @@ class _Table:
                     more = self._rng.standard_normal(self._rows.shape)
                     self._rows = np.concatenate([self._rows, more])
         return np.asarray(self._rows[k])
+
+
+def _displaced(controller: Any, q: Array, dq: Array, n: int) -> Array:
+    """Return q moved by dq, shape (n,): the sum where q has n numbers too, else as the robot steps it."""
+    if np.shape(q)[-1] == n:
+        return q + dq
+    layer = controller
+    while isinstance(layer, Saturated | Delayed | NoisyMeasurement):
+        layer = layer.controller
+    robot: Any = getattr(layer, "robot", None) or getattr(getattr(layer, "difference", None), "robot", None)
+    if not hasattr(robot, "integrate"):
+        raise InvalidArgument(
+            f"q has shape {np.shape(q)} where v has {n} numbers, expected as many, or a controller with the "
+            f"attribute `robot`, whose `integrate` moves q; it is {layer!r}"
+        )
+    return np.asarray(robot.integrate(q, dq))
 
 
 def _per_coordinate(name: str, value: ArrayLike, *, endless: bool = False) -> Array:

@@ -55,6 +55,8 @@ class Arm:
     stands : bool
         Whether it stands on its feet, as what has a free-flyer root does, rather than on its root; true of a
         model with such a root in any case.
+    usual : ndarray, shape (whole.nq,), optional
+        The reference posture that it has unless another is asked for; by default `rest`.
 
     Attributes
     ----------
@@ -80,6 +82,7 @@ class Arm:
     picture: Picture
     locked: tuple[str, ...] = ()
     stands: bool = False
+    usual: Array | None = None
     model: pin.Model = field(init=False)
     posture: Array = field(init=False)
     tip: str = field(init=False)
@@ -97,19 +100,30 @@ class Arm:
         free = [joint for joint in range(1, whole.njoints) if joint not in held]
         check_bodies(whole, self.origin.value)
         check_joint_limits(whole, free, self.origin.value)
-        model = pin.buildReducedModel(whole, held, np.array(rest)) if held else whole.copy()
+        model, _ = _reduced(whole, [], held, rest)
         parts = [rest[parts_of(whole, joint)[0]] for joint in free]
         posture = np.concatenate(parts) if parts else np.zeros(0)
         check_inertias(model, posture, self.origin.value)
         for name, value in {
             "whole": whole,
             "rest": rest,
+            "usual": rest if self.usual is None else _without_root_pose(whole, self.usual),
             "model": model,
             "posture": frozen(posture),
             "tip": tip_of(model),
             "stands": self.stands or any("FreeFlyer" in joint_kind(whole, j) for j in root_of(whole)),
         }.items():
             object.__setattr__(self, name, value)
+
+    def options(self) -> dict[str, object]:
+        """Return what `MobileRobot.mount` was asked for beside what it does by default."""
+        usual = self.usual is None or np.array_equal(self.rest, self.usual)
+        asked = {
+            "package_dirs": self.origin.package_dirs,
+            "rest": () if usual else self.rest.tolist(),
+            "locked": self.locked,
+        }
+        return {word: value for word, value in asked.items() if value}
 
     def key(self) -> tuple[object, ...]:
         """Return what makes two arms the same one."""
@@ -124,10 +138,8 @@ class Arm:
     def visuals(self) -> pin.GeometryModel:
         """Return what is drawn of it, for `model`."""
         shown = self.picture(self.whole)
-        held = _held(self.whole, self.locked)
-        if held:
-            _, (shown,) = pin.buildReducedModel(self.whole, [shown], held, np.array(self.rest))
-        return shown
+        _, (kept,) = _reduced(self.whole, [shown], _held(self.whole, self.locked), self.rest)
+        return kept
 
 
 def _whole(model: pin.Model) -> pin.Model:
@@ -140,6 +152,25 @@ def _whole(model: pin.Model) -> pin.Model:
         if not whole.existFrame(whole.names[joint], pin.FrameType.JOINT):
             whole.addJointFrame(joint)
     return whole
+
+
+def _reduced(
+    whole: pin.Model, shown: list[pin.GeometryModel], held: list[int], rest: Array
+) -> tuple[pin.Model, list[pin.GeometryModel]]:
+    """Return the model and its geometry with joints locked at rest; a copy where there are none."""
+    model = whole.copy()
+    if not held:
+        return model, shown
+    # Pinocchio balks at a link, a joint or a fixed joint of the same name, so they are numbered meanwhile.
+    names = {}
+    for number, frame in enumerate(model.frames):
+        if number and frame.type != pin.FrameType.JOINT:
+            names[f"{number}/{frame.name}"] = str(frame.name)
+            frame.name = f"{number}/{frame.name}"
+    model, kept = pin.buildReducedModel(model, shown, held, np.array(rest))
+    for frame in model.frames:
+        frame.name = names.get(frame.name, frame.name)
+    return model, list(kept)
 
 
 def _without_root_pose(model: pin.Model, rest: Array) -> Array:

@@ -12,6 +12,7 @@ import pinocchio as pin
 from pinmobile import urdf
 from pinmobile.arrays import ArrayLike, finite
 from pinmobile.errors import InvalidArgument
+from pinmobile.robot.arms import Arm
 from pinmobile.robot.mounts import Load, Mount, checked_name, free_name, mount_after, on_top, placed
 from pinmobile.robot.sources import read_arm
 from pinmobile.robot.wrenches import ChainWrenches
@@ -47,7 +48,11 @@ class Carrier(ChainWrenches):
         """Return the robot with an arm on its body; q and v then end with the arm's joints.
 
         A root of its own (free-flyer, planar) is replaced by the chain, and wheels are locked. Its joints and
-        frames are called ``name/...``; its limits, its rotors and its reference posture are kept.
+        frames are called ``name/...``; its limits, its rotors and its reference posture are kept. Equal
+        position limits, as lower = upper = 0, and a velocity or effort limit of 0 are none: that is what
+        files write, some of the loaders' too, where they know none. A joint that mimics another in a URDF,
+        as the panda's second finger, moves freely, since Pinocchio's forward dynamics knows no mimic joints;
+        a `pin.Model` that has them is refused. To keep such a joint still, name it in `locked`.
 
         Parameters
         ----------
@@ -55,9 +60,9 @@ class Carrier(ChainWrenches):
             One of `mountable()`, such as ``"ur5"``; a URDF; or a model.
         at : array_like, shape (4,), optional
             Where its root stands on the body: x, y, z and yaw [m, m, m, rad]; by default in the middle of the
-            top of the box of `size`. What has a free-flyer root, or a loader that gives it one, stands on its
-            feet instead, its root as high as puts its lowest frame at rest there; so does what would
-            otherwise hang below the ground.
+            top of the box of `size`, unless another arm stands there. What has a free-flyer root, or a loader
+            that gives it one, stands on its feet instead, its root as high as puts its lowest frame at rest
+            there; so does what would otherwise hang below the ground.
         name : str, optional
             By default that of the arm; numbered where it is taken.
         package_dirs : str, path, or sequence of them
@@ -74,17 +79,28 @@ class Carrier(ChainWrenches):
         ------
         InvalidArgument
             If the arm cannot be read; a joint of it moves no inertia, carries what no rigid body is, or has
-            limits that limit nothing; or another argument is not what is expected.
+            limits that limit nothing; without `at`, the middle is taken; or another argument is not what is
+            expected.
         UnknownName
             If no loader has the name; the nearest come first.
         """
         asked = None if at is None else placed(at)
         ready = read_arm(arm, package_dirs=package_dirs, visual=visual, rest=rest, locked=locked)
-        place = on_top(self.size, ready) if asked is None else asked
+        place = self._free_place(ready) if asked is None else asked
         wanted = checked_name(name if name is not None else Path(ready.origin.value).stem)
         taken = {mount.name for mount in self.mounts}
         mount = mount_after(self.model, ready, free_name(wanted, taken), place)
         return self._carrying((*self.mounts, mount), self.loads)
+
+    def _free_place(self, arm: Arm) -> tuple[float, float, float, float]:
+        place = on_top(self.size, arm)
+        for mount in self.mounts:
+            if mount.at[:2] == place[:2]:
+                raise InvalidArgument(
+                    f"at is not given for {arm.origin.value!r}, and {mount.name!r} stands in the middle "
+                    "already, expected x, y, z and yaw"
+                )
+        return place
 
     def attach(self, load: Load, frame: str | None = None) -> Self:
         """Return the robot with a load fixed to one of its frames.

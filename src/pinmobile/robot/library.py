@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pinocchio as pin
 
@@ -13,19 +13,38 @@ from pinmobile.errors import InvalidArgument, PinmobileError, UnknownName
 from pinmobile.robot.arms import Arm, Origin, Picture
 from pinmobile.robot.pictures import FilePicture, GivenPicture
 
-__all__ = ["EXCEPTIONS", "Mountable", "Mountables", "load_arm", "mountable"]
+__all__ = ["EXCEPTIONS", "Exceptional", "Mountable", "Mountables", "load_arm", "mountable"]
 
-_FINGERS = "its fingers have no inertia: mount it with locked=('bravo_finger1_joint', 'bravo_finger2_joint')"
+_FINGERS = (
+    "its fingers have no inertia: lock bravo_finger1_joint and bravo_finger2_joint "
+    "(locked=, or --lock of the command)"
+)
+_UNSEEN = "its loader has no visuals: there is nothing to draw of it"
 
-EXCEPTIONS: dict[str, str] = {
-    "bluevolta_bravo7_gripper": _FINGERS,
-    "bravo7_gripper": _FINGERS,
-    "cassie": "its loader reads SDF, which Pinocchio's wheels are built without",
-    "falcon_bravo7_gripper": _FINGERS,
-    "icub": "its reference posture aligns neck_pitch and neck_roll with no inertia between: try icub_reduced",
-    "romeo": "24 joints of its hands, RHand and LHand beside fingers and thumbs, have no inertia",
+
+class Exceptional(NamedTuple):
+    """What is exceptional about a name: whether it mounts as it is, and the reason."""
+
+    mounts: bool
+    reason: str
+
+
+EXCEPTIONS: dict[str, Exceptional] = {
+    "bluevolta_bravo7_gripper": Exceptional(False, _FINGERS),
+    "bravo7_gripper": Exceptional(False, _FINGERS),
+    "cassie": Exceptional(False, "its loader reads SDF, which Pinocchio's wheels are built without"),
+    "falcon_bravo7_gripper": Exceptional(False, _FINGERS),
+    "icub": Exceptional(
+        False,
+        "its reference posture aligns neck_pitch and neck_roll with no inertia between: try icub_reduced",
+    ),
+    "romeo": Exceptional(
+        False, "24 joints of its hands, RHand and LHand beside fingers and thumbs, have no inertia"
+    ),
+    "simple_humanoid": Exceptional(True, _UNSEEN),
+    "simple_humanoid_classical": Exceptional(True, _UNSEEN),
 }
-"""Names that `MobileRobot.mount` refuses as they are, and why."""
+"""Names that `MobileRobot.mount` refuses as they are, or that are not drawn, and why."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +59,14 @@ class Mountable:
         Degrees of freedom that it brings, without a root and wheels.
     mass : float
         Of the whole of it [kg].
+    note : str
+        What it lacks, where it lacks something, such as visuals.
     """
 
     name: str
     joints: int
     mass: float
+    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -89,7 +111,9 @@ class Mountables:
     def __str__(self) -> str:
         width = max(len(name) for name in (*self.names, *(name for name, _ in self.exceptions)))
         lines = [f"{'name':{width}} {'joints':>6} {'mass [kg]':>10}"]
-        lines += [f"{row.name:{width}} {row.joints:6d} {row.mass:10.3f}" for row in self.rows]
+        lines += [
+            f"{row.name:{width}} {row.joints:6d} {row.mass:10.3f}  {row.note}".rstrip() for row in self.rows
+        ]
         lines += [f"{name:{width}} not: {reason}" for name, reason in self.exceptions]
         return "\n".join(lines)
 
@@ -102,10 +126,13 @@ def mountable() -> Mountables:
     """
     rows = []
     for name in sorted(_loaders()):
-        if name not in EXCEPTIONS:
+        mounts, note = EXCEPTIONS.get(name, Exceptional(True, ""))
+        if mounts:
             model = load_arm(name).model
-            rows.append(Mountable(name, model.nv, sum(inertia.mass for inertia in model.inertias)))
-    return Mountables(tuple(rows), tuple(sorted(EXCEPTIONS.items())))
+            mass = sum(inertia.mass for inertia in model.inertias)
+            rows.append(Mountable(name, model.nv, mass, note))
+    refused = ((name, reason) for name, (mounts, reason) in sorted(EXCEPTIONS.items()) if not mounts)
+    return Mountables(tuple(rows), tuple(refused))
 
 
 def load_arm(name: str, locked: tuple[str, ...] = ()) -> Arm:
@@ -127,7 +154,8 @@ def load_arm(name: str, locked: tuple[str, ...] = ()) -> Arm:
     except PinmobileError:
         raise
     except Exception as error:
-        reason = EXCEPTIONS.get(name, str(error) or type(error).__name__)
+        known = EXCEPTIONS.get(name)
+        reason = known.reason if known else str(error) or type(error).__name__
         raise InvalidArgument(f"arm {name!r} cannot be loaded: {reason}") from error
     return Arm(Origin("loader", name), model, rest, picture, locked, bool(loader.free_flyer))
 

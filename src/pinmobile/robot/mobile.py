@@ -18,11 +18,12 @@ from pinmobile.robot.assembly import assemble
 from pinmobile.robot.carrier import Carrier
 from pinmobile.robot.chain import build_model, check_chain
 from pinmobile.robot.engine import BODY_JOINT, Engine
+from pinmobile.robot.meshes import VisualFile
 from pinmobile.robot.mounts import Load, Mount
 from pinmobile.robot.pictures import add_carried
 from pinmobile.robot.reading import read_model, read_urdf
 from pinmobile.robot.sources import existing_folders
-from pinmobile.robot.visual import VisualFile, box_visuals, read_visuals
+from pinmobile.robot.visual import box_visuals, read_visuals
 
 __all__ = ["MobileRobot"]
 
@@ -92,9 +93,7 @@ class MobileRobot(Carrier):
 
     def __repr__(self) -> str:
         table = "" if self.dh == LECTURE_TABLE else f", dh={self.dh!r}"
-        mounted = "".join(
-            f".mount({mount.arm.origin.value!r}, at={mount.at}, name={mount.name!r})" for mount in self.mounts
-        )
+        mounted = "".join(map(repr, self.mounts))
         attached = "".join(f".attach({load!r}, frame={frame!r})" for frame, load in self.loads)
         return (
             f"MobileRobot(mass={self.mass!r}, yaw_inertia={self.yaw_inertia!r}, com={self.com!r}, "
@@ -238,8 +237,8 @@ class MobileRobot(Carrier):
         """What is drawn, each object on its joint of `model`: those of the body on the third.
 
         It is made when it is asked for. Of a URDF that shows more than a box, all that it shows, wheels at
-        rest; mesh files that are missing are named in a warning. Else a box of `size` on the ground, with a
-        visible front. Then what is drawn of each arm, and the boxes of loads.
+        rest; mesh files that are missing or cannot be read are named in a warning. Else a box of `size` on
+        the ground, with a visible front. Then what is drawn of each arm, and the boxes of loads.
         """
         joint = BODY_JOINT
         if self._looks is None:

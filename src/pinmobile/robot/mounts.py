@@ -22,7 +22,7 @@ __all__ = [
 ]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Mount:
     """An arm at its place on the body.
 
@@ -61,6 +61,11 @@ class Mount:
     def placement(self) -> pin.SE3:
         """Pose of its root in the body's frame."""
         return _placement(self.at)
+
+    def __repr__(self) -> str:
+        words = {"at": self.at, "name": self.name, **self.arm.options()}
+        listed = ", ".join(f"{word}={value!r}" for word, value in words.items())
+        return f".mount({self.arm.origin.value!r}, {listed})"
 
     def _key(self) -> tuple[object, ...]:
         return self.name, self.at, self.arm.key()

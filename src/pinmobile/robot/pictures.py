@@ -3,15 +3,15 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
 
 from pinmobile.robot.assembly import named_frames
 from pinmobile.robot.engine import BODY_JOINT
+from pinmobile.robot.meshes import VisualFile, readable, shown
 from pinmobile.robot.mounts import Load, Mount
-from pinmobile.robot.visual import VisualFile, drawn, readable
+from pinmobile.robot.visual import drawn
 
 __all__ = ["FilePicture", "GivenPicture", "add_carried"]
 
@@ -32,16 +32,16 @@ class FilePicture:
     package_dirs: tuple[Path, ...]
 
     def __call__(self, model: pin.Model) -> pin.GeometryModel:
-        """Return the geometry of the file's model; meshes that are missing are named in a warning.
+        """Return the geometry of the file's model; meshes that are missing or broken are named in a warning.
 
         Raises
         ------
         InvalidArgument
             If the file cannot be read any more.
         """
-        root, _ = readable(VisualFile(self.path, self.package_dirs, ()), stacklevel=7)
-        text = ElementTree.tostring(root, encoding="unicode")
-        return pin.buildGeomFromUrdfString(model, text, pin.GeometryType.VISUAL)
+        file = VisualFile(self.path, self.package_dirs, ())
+        root, _ = readable(file, stacklevel=7)
+        return shown(model, root, file, stacklevel=7)[0]
 
 
 @dataclass(frozen=True, eq=False)

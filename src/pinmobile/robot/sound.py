@@ -117,9 +117,7 @@ def check_inertias(model: pin.Model, posture: Array, called: str) -> None:
             singular = np.flatnonzero(~(left > _SINGULAR * own))
             if len(singular):
                 joint = _joint_of(model, int(singular[-1]))
-                raise InvalidArgument(
-                    f"arm {called!r}: {_cause(model, joint, where)}, or that joint among `locked`"
-                )
+                raise InvalidArgument(f"arm {called!r}: {_cause(model, joint, where)}, or that joint locked")
 
 
 def _cause(model: pin.Model, joint: int, where: str) -> str:

@@ -17,6 +17,7 @@ from pinmobile.robot.wellformed import urdf_text
 
 __all__ = ["existing_folders", "kept_arm", "read_arm"]
 
+_NO_FRAME = 2**63  # beyond, Pinocchio means that there is none
 _SLACK = 1e-9  # [m, rad]: a posture at a limit is there but for rounding
 
 
@@ -118,8 +119,11 @@ def _from_model(arm: Any, visual: pin.GeometryModel | None, rest: Any, locked: t
     if arm.njoints == 1:
         raise InvalidArgument(f"arm {arm.name!r} has no joints, expected one at least: a Load has none")
     shown = pin.GeometryModel() if visual is None else visual
-    posture = _posture(arm, kept if rest is None else rest)
-    return Arm(Origin("model", arm.name or "arm"), arm.copy(), posture, GivenPicture(shown), locked)
+    _check_visual(arm, shown)
+    usual = _posture(arm, kept)
+    posture = usual if rest is None else _posture(arm, rest)
+    origin = Origin("model", arm.name or "arm")
+    return Arm(origin, arm.copy(), posture, GivenPicture(shown), locked, usual=usual)
 
 
 def _is_file(arm: str | PathLike[str]) -> bool:
@@ -134,6 +138,17 @@ def _posture(model: pin.Model, rest: Any) -> Array:
     if not pin.isNormalized(model, posture, 1e-6):
         raise InvalidArgument(f"rest is {posture.tolist()}, expected each (cos, sin) of length one")
     return posture
+
+
+def _check_visual(model: pin.Model, visual: pin.GeometryModel) -> None:
+    """Refuse geometry on joints or frames that the model does not have."""
+    for item in visual.geometryObjects:
+        joint, frame = item.parentJoint, item.parentFrame
+        if joint >= model.njoints or model.nframes <= frame < _NO_FRAME:
+            raise InvalidArgument(
+                f"visual has {item.name!r} on joint {joint} and frame {frame} of arm {model.name!r}, which "
+                f"has {model.njoints} joints and {model.nframes} frames, expected the geometry of that arm"
+            )
 
 
 def _check_rest(arm: Arm) -> None:
@@ -159,4 +174,5 @@ def _from_urdf(path: Path, folders: tuple[str, ...], rest: Any, locked: tuple[st
     except (ValueError, RuntimeError) as error:
         raise InvalidArgument(f"{path.name} is not a URDF that Pinocchio reads: {error}") from None
     picture = FilePicture(path, tuple(map(Path, folders)))
-    return Arm(Origin("urdf", str(path), folders), model, _posture(model, rest), picture, locked)
+    origin, posture = Origin("urdf", str(path), folders), _posture(model, rest)
+    return Arm(origin, model, posture, picture, locked, usual=pin.neutral(model))

@@ -1,18 +1,15 @@
 """How a robot looks: what its URDF shows, or a box with a front."""
 
-import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import Array
-from pinmobile.errors import InvalidArgument
+from pinmobile.robot.meshes import VisualFile, readable, shown
 
-__all__ = ["BODY", "VisualFile", "box_visuals", "drawn", "read_visuals", "readable"]
+__all__ = ["BODY", "box_visuals", "drawn", "read_visuals"]
 
 BODY = "body"
 """Name of the box, the one geometry object that may be coloured as one likes."""
@@ -21,48 +18,29 @@ _BODY_RGBA = (0.90, 0.62, 0.0, 1.0)
 _DARK_RGBA = (0.16, 0.16, 0.18, 1.0)
 
 
-@dataclass(frozen=True)
-class VisualFile:
-    """The file that says how a robot looks.
-
-    Parameters
-    ----------
-    path : Path
-        A URDF.
-    package_dirs : tuple of Path
-        Folders that ``package://`` refers to.
-    base : tuple of 16 floats
-        Pose of the body in the file's root with all joints at rest, row by row.
-    """
-
-    path: Path
-    package_dirs: tuple[Path, ...]
-    base: tuple[float, ...]
-
-
 def read_visuals(file: VisualFile, size: Sequence[float], joint: int) -> pin.GeometryModel:
     """Return what the file shows, riding on `joint`, its own joints at rest.
 
-    Mesh files that are missing are named in a warning; if no mesh is left, the box stands for them. Of a file
-    that shows nothing but a box it is our own, which has a front.
+    Mesh files that are missing or cannot be read are named in a warning; if no mesh is left, the box stands
+    for them. Of a file that shows nothing but a box it is our own, which has a front.
 
     Raises
     ------
     InvalidArgument
         If the file cannot be read any more.
     """
-    root, missing = readable(file, stacklevel=5)
+    root, left_out = readable(file, stacklevel=5)
+    model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
+    seen, broken = shown(model, root, file, stacklevel=5)
     shapes = [shape.tag for shape in root.iterfind("./link/visual/geometry/*")]
     if shapes in ([], ["box"]):
         return box_visuals(size, joint)
-    visuals = box_visuals(size, joint) if missing and "mesh" not in shapes else pin.GeometryModel()
-    text = ElementTree.tostring(root, encoding="unicode")
-    model = pin.buildModelFromXML(text)
-    shown = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.VISUAL)
+    lost = (left_out or broken) and "mesh" not in shapes
+    visuals = box_visuals(size, joint) if lost else pin.GeometryModel()
     data = model.createData()
     pin.forwardKinematics(model, data, pin.neutral(model))
     base = pin.SE3(np.reshape(file.base, (4, 4))).inverse()
-    for item in shown.geometryObjects:
+    for item in seen.geometryObjects:
         placement = base * data.oMi[item.parentJoint] * item.placement
         visuals.addGeometryObject(drawn(item.name, joint, placement, item))
     return visuals
@@ -74,32 +52,6 @@ def drawn(name: str, joint: int, placement: pin.SE3, item: pin.GeometryObject) -
     # Of a file with materials meshcat draws holes.
     moved.meshColor, moved.meshScale, moved.meshPath = item.meshColor, np.ones(3), ""
     return moved
-
-
-def readable(file: VisualFile, stacklevel: int) -> tuple[ElementTree.Element, list[str]]:
-    """Return the file's tree without the visuals whose meshes are missing, and those files' names.
-
-    Parameters
-    ----------
-    file : VisualFile
-        The file.
-    stacklevel : int
-        Of the warning that names them: how far up the user's call is.
-
-    Raises
-    ------
-    InvalidArgument
-        If the file cannot be read any more.
-    """
-    try:
-        root = ElementTree.fromstring(file.path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, ElementTree.ParseError) as error:
-        raise InvalidArgument(f"path is {str(file.path)!r}, which cannot be read: {error}") from None
-    missing = _without_missing_meshes(root, file)
-    if missing:
-        listed = ", ".join(dict.fromkeys(missing))
-        warnings.warn(f"{file.path.name}: not drawn, since missing: {listed}", stacklevel=stacklevel)
-    return root, missing
 
 
 def box_visuals(size: Sequence[float], joint: int) -> pin.GeometryModel:
@@ -135,31 +87,6 @@ def box_visuals(size: Sequence[float], joint: int) -> pin.GeometryModel:
         item.meshColor = np.array(colour)
         visuals.addGeometryObject(item)
     return visuals
-
-
-def _without_missing_meshes(root: ElementTree.Element, file: VisualFile) -> list[str]:
-    """Say where each mesh lies; take visuals without theirs out of the tree and return the files' names."""
-    missing: list[str] = []
-    for link in root.iterfind("link"):
-        for visual in link.findall("visual"):
-            mesh = visual.find("geometry/mesh")
-            if mesh is None:
-                continue
-            found = _found(mesh.get("filename", ""), file)
-            if found is None:
-                missing.append(mesh.get("filename", ""))
-                link.remove(visual)
-            else:
-                mesh.set("filename", str(found))
-    return missing
-
-
-def _found(name: str, file: VisualFile) -> Path | None:
-    scheme, apart, rest = name.rpartition("://")
-    rest = rest.lstrip("/") if scheme == "package" else rest
-    folders = (*file.package_dirs, file.path.parent) if scheme == "package" else (file.path.parent,)
-    candidates = (folder / (rest if apart else name) for folder in folders)
-    return next((path.resolve() for path in candidates if path.is_file()), None)
 
 
 def _prism(corners: Array) -> object:

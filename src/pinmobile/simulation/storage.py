@@ -15,7 +15,7 @@ from pinmobile.robot import Load, MobileRobot
 from pinmobile.robot.sources import kept_arm
 from pinmobile.urdf import Body
 
-__all__ = ["read_archive", "write_archive"]
+__all__ = ["read_archive", "why_unknown", "write_archive"]
 
 _FORMAT = "pinmobile rollout 1"
 
@@ -37,13 +37,36 @@ def write_archive(file: IO[bytes], arrays: dict[str, Array], robot: object) -> N
 
 
 def read_archive(path: Path) -> tuple[dict[str, Array], MobileRobot | None]:
-    """Return what `write_archive` wrote.
+    """Return what `write_archive` wrote; None for a robot that cannot be had again, see `why_unknown`.
 
     Raises
     ------
     InvalidArgument
         If the file cannot be read or is no such archive.
     """
+    named, described = _read(path)
+    try:
+        return named, _restore(described)
+    except PinmobileError:
+        return named, None
+
+
+def why_unknown(path: Path) -> str:
+    """Return why `read_archive` has no robot; nothing where it has one.
+
+    Raises
+    ------
+    InvalidArgument
+        If the file cannot be read or is no such archive.
+    """
+    try:
+        _restore(_read(path)[1])
+    except PinmobileError as error:
+        return str(error)
+    return ""
+
+
+def _read(path: Path) -> tuple[dict[str, Array], dict[str, Any] | None]:
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             named = dict(archive)
@@ -53,8 +76,7 @@ def read_archive(path: Path) -> tuple[dict[str, Array], MobileRobot | None]:
         raise InvalidArgument(f"path is {str(path)!r}, which is no NumPy archive") from error
     if str(named.pop("format", "")) != _FORMAT:
         raise InvalidArgument(f"path is {str(path)!r}, which is no {_FORMAT!r} archive")
-    described = json.loads(str(named.pop("robot")))
-    return named, None if described is None else _restore(described)
+    return named, json.loads(str(named.pop("robot")))
 
 
 def _is_known(robot: MobileRobot) -> bool:
@@ -86,21 +108,32 @@ def _describe(robot: MobileRobot) -> dict[str, Any]:
     }
 
 
-def _restore(described: dict[str, Any]) -> MobileRobot | None:
-    """Return the robot; None where a file of an arm is no longer there, or no longer what it was."""
+def _restore(described: dict[str, Any] | None) -> MobileRobot:
+    """Return the robot.
+
+    Raises
+    ------
+    PinmobileError
+        If there is none, or a file of an arm is no longer there, or no longer what it was.
+    """
+    if described is None:
+        raise InvalidArgument(
+            "it was no MobileRobot, or had an arm of a pin.Model, which an archive cannot keep"
+        )
     rows = tuple(
         DHRow(alpha, a, theta, d, JointType(joint), variable)
         for alpha, a, theta, d, joint, variable in described["dh"]
     )
     body = Body(described["mass"], described["com"], described["inertia"])
     robot = MobileRobot.from_body(body, tuple(described["size"]), DHTable(rows), described["source"])
-    try:
-        for mount in described.get("mounts", ()):
-            name, at = mount.pop("name"), mount.pop("at")
-            robot = robot.mount(kept_arm(**mount), at, name=name)
-        for frame, mass, com, inertia, size in described.get("loads", ()):
-            robot = robot.attach(Load(mass, com, inertia, size), frame)
-    except PinmobileError:
-        return None
+    mounts = described.get("mounts", ())
+    for mount in mounts:
+        name, at = mount.pop("name"), mount.pop("at")
+        robot = robot.mount(kept_arm(**mount), at, name=name)
+    for frame, mass, com, inertia, size in described.get("loads", ()):
+        robot = robot.attach(Load(mass, com, inertia, size), frame)
     found, kept = robot.inertial_parameters, described.get("inertias")
-    return robot if kept is None or np.array_equal(found, kept) else None
+    if kept is not None and not np.array_equal(found, kept):
+        files = ", ".join(mount["arm"] for mount in mounts)
+        raise InvalidArgument(f"its masses and inertias are no longer those that were kept: see {files}")
+    return robot

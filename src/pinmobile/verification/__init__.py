@@ -15,18 +15,28 @@ __all__ = ["Comparison", "Verification", "verify"]
 def verify(robot: MobileRobot, *, states: int = 200, seed: int | np.random.Generator = 0) -> Verification:
     """Compare every route to the robot's dynamics on random states.
 
-    The routes are the closed form (hand-derived), Pinocchio (CRBA, RNEA, ABA), the symbolic Newton-Euler
-    recursion and Lagrange's equations, the last two for the robot's own DH table. Differences are relative
-    to the scale of the terms: sqrt(M_ii M_jj) for M, m |v|^2 for n, |M| |a| + m |v|^2 for tau and |a| + |v|^2
-    for the acceleration; |v|^2 times the distance of the centre of mass where that is above 1 m. The first
-    three must be within 1e-12, the last within 8 eps cond(M).
+    Of a bare base the routes are the closed form (hand-derived), Pinocchio (CRBA, RNEA, ABA), the symbolic
+    Newton-Euler recursion and Lagrange's equations, the last two for the robot's own DH table. Differences
+    are relative to the scale of the terms: sqrt(M_ii M_jj) for M, m |v|^2 for n, |M| |a| + m |v|^2 for tau
+    and |a| + |v|^2 for the acceleration; |v|^2 times the distance of the centre of mass where that is above
+    1 m. The first three must be within 1e-12, the last within 8 eps cond(M).
+
+    Of a base with arms or loads they are Pinocchio's algorithms against each other, and the base against the
+    closed form: M by CRBA against RNEA's columns; M[:3, :3] against the closed form of the body that all of
+    it is with its arms locked; n by RNEA against C(q, v) v + g(q); tau against M a + n; the acceleration by
+    ABA against M^-1 (tau - n). With m the mass beyond a joint, K its second moment about the joint (m where
+    it slides) and r the reach of the whole [m], at least 1, the scales are sqrt(K_i K_j) for M,
+    sqrt(m K) (9.81 + nv r |v|^2) for n, sqrt(m K) (9.81 + sqrt(nv) r |a| + nv r |v|^2) for tau, and |M^-1|
+    times that for the acceleration; gravity in RNEA's columns adds 9.81 sqrt(m K) to that of M. Each must be
+    within 1e-14.
 
     Parameters
     ----------
     robot : MobileRobot
-        Any mass, inertia, centre of mass and table.
+        Any mass, inertia, centre of mass and table, any arms and loads.
     states : int
-        Number of states: psi over two turns to either side, v and a normal with unit deviation.
+        Number of states: psi over two turns to either side, arms within their limits, v and a normal with
+        unit deviation.
     seed : int or Generator
         Of the states.
 

@@ -65,7 +65,7 @@ class Follow:
 
 @dataclass(frozen=True)
 class Arrows:
-    """The generalised force as an arrow and the moment as an arc, to scale.
+    """Force on the base as an arrow and moment as an arc, to scale; those of arms are not drawn.
 
     Parameters
     ----------

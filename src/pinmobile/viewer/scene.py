@@ -181,7 +181,7 @@ class Scene:
     def _arrows(self, run: Rollout, times: Array, poses: Array, extent: Extent, arrows: Arrows) -> None:
         now = times + 1e-9 * max(abs(times[-1]), 1.0)  # a frame at a sample is not before it
         held = np.clip(np.searchsorted(run.t, now, side="right") - 1, 0, len(run) - 1)
-        fx, fy, moment = run.tau[held].T
+        fx, fy, moment = run.tau[held, :3].T  # those of the arms are not drawn
         heading = np.column_stack([poses[:, :2], np.unwrap(np.arctan2(fy, fx))])
         flat = poses[:, :3] * (1, 1, 0)
         unit = extent.unit

@@ -144,7 +144,8 @@ class Viewer:
         Parameters
         ----------
         rollout : Rollout or mapping of str to Rollout
-            The first is solid, the others are ghosts.
+            The first is solid, the others are ghosts. Each is drawn as its own robot, the viewer's where it
+            has none.
         speed : float
             Seconds of the rollout per second.
         repeat : float
@@ -192,7 +193,8 @@ class Viewer:
         Parameters
         ----------
         rollout : Rollout or mapping of str to Rollout
-            The first is solid, the others are ghosts.
+            The first is solid, the others are ghosts. Each is drawn as its own robot, the viewer's where it
+            has none.
         fps : float
             Frames per second.
         speed : float
