@@ -30,6 +30,7 @@ from pinmobile import (
     plots,
 )
 from pinmobile.ensembles import ARRAYS
+from pinmobile.plots.beyond import strip_above
 from pinmobile.plots.causes import causes, worst_share
 from pinmobile.plots.style import percent
 
@@ -66,10 +67,28 @@ def texts(figure: Figure) -> list[str]:
     return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
 
+def top_ticks(axes: Axes, height: float) -> list[str]:
+    """Return the labels of the ticks at a height [data] and above."""
+    ticks = zip(axes.get_yticks(), axes.get_yticklabels(), strict=True)
+    minor = [(tick, "minor") for tick in axes.get_yticks(minor=True)]
+    named = [(tick, label.get_text()) for tick, label in ticks]
+    return [label for tick, label in (*named, *minor) if tick >= height * (1 - 1e-9)]
+
+
 def drawn(figure: Figure) -> Any:
     canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()
     return canvas.get_renderer()
+
+
+def apart(figure: Figure) -> None:
+    """Fail where texts, legends or axes of a figure overlap."""
+    renderer = drawn(figure)
+    boxes = [one.get_tightbbox(renderer) for one in (*figure.texts, *figure.legends, *figure.axes)]
+    for one, other in combinations(boxes, 2):
+        assert one is not None
+        assert other is not None
+        assert not one.padded(-1.0).overlaps(other.padded(-1.0))
 
 
 class TestBands:
@@ -232,12 +251,17 @@ class TestCurves:
         assert (axes.get_xlabel(), axes.get_ylabel()) == ("gain [1/s²]", "error [mm]")
         assert [text.get_text() for text in figure.legends[0].get_texts()] == [*self.ROWS, "diverges"]
 
-    def test_what_diverges_is_a_cross_above_all(self) -> None:
-        (axes,) = plots.curves(self.ROWS, x=self.X, label="error [mm]").axes
+    @pytest.mark.parametrize("largest", [3.0, 3000.0])
+    def test_what_diverges_is_a_cross_above_all_numbers_at_its_own_word(self, largest: float) -> None:
+        rows = {**self.ROWS, "pd": [largest, np.inf, 1.0]}
+        (axes,) = plots.curves(rows, x=self.X, label="error [mm]").axes
         crosses = [line for line in axes.lines if line.get_marker() == "x"]
         (cross,) = (line for line in crosses if len(np.ravel(line.get_xdata())))
         assert list(np.ravel(cross.get_xdata())) == [9]
-        assert 3.0 < float(np.ravel(cross.get_ydata())[0]) < axes.get_ylim()[1]
+        height = float(np.ravel(cross.get_ydata())[0])
+        assert largest < height < axes.get_ylim()[1]
+        assert top_ticks(axes, height) == ["diverges"]
+        assert len(axes.get_yticks()) > 3
 
     @pytest.mark.parametrize(("largest", "scale"), [(19.0, "linear"), (21.0, "log")])
     def test_it_is_logarithmic_over_orders(self, largest: float, scale: str) -> None:
@@ -309,7 +333,7 @@ class TestDrivers:
         dots = np.concatenate([np.asarray(line.get_xydata()) for line in scatter.lines])
         expected = np.column_stack([made.draws["mass"], 1e3 * made.max_distance])
         np.testing.assert_allclose(np.sort(dots, axis=0), np.sort(expected, axis=0), rtol=1e-12)
-        assert [len(np.asarray(line.get_xdata())) for line in scatter.lines] == [270, 0, 30, 0]
+        assert [len(np.asarray(line.get_xdata())) for line in scatter.lines] == [270, 30]
 
     def test_the_worst_may_be_those_of_the_heading(self) -> None:
         made = run(TRUE, {"force_x": Normal(0, 0.04), "moment_z": Normal(0, 0.04)})
@@ -334,6 +358,43 @@ class TestDrivers:
         assert (crosses.get_marker(), len(np.asarray(crosses.get_xdata()))) == ("x", 30)
         assert np.asarray(crosses.get_xdata()).max() < 6
         assert texts(figure)[-1] == "diverged"
+
+    @pytest.mark.parametrize(("heaviest", "scale"), [(12, "log"), (60, "linear")])
+    def test_crosses_of_diverged_robots_stand_at_their_own_word_above_all_numbers(
+        self, heaviest: float, scale: str
+    ) -> None:
+        figure = plots.drivers(run(TRUE, {"mass": Uniform(4, heaviest), "force_x": Normal(0, 0.02)}))
+        axes = figure.axes[-1]
+        assert axes.get_yscale() == scale
+        heights = {float(y) for line in axes.lines[2:] for y in np.ravel(line.get_ydata())}
+        (height,) = heights
+        dots = np.concatenate([np.ravel(line.get_ydata()) for line in axes.lines[:2]])
+        assert dots.max() < height < axes.get_ylim()[1]
+        assert top_ticks(axes, dots.max() * 1.1) == ["diverged"]
+        assert len(axes.get_yticks()) > 2
+        apart(figure)
+
+    def test_where_all_diverged_no_number_stands_at_the_axis(self) -> None:
+        figure = plots.drivers(run(TRUE, {"mass": Uniform(2, 5)}))
+        assert [label.get_text() for label in figure.axes[-1].get_yticklabels()] == ["diverged"]
+        assert not len(figure.axes[-1].get_yticks(minor=True))
+        assert len(np.ravel(figure.axes[-1].lines[-1].get_xdata())) == 15
+        apart(figure)
+
+    def test_a_power_of_ten_above_the_axis_stays_there(self) -> None:
+        for largest in (4e-7, 4.0):
+            figure = Figure()
+            axes = figure.subplots()
+            axes.plot([0, largest])
+            before = drawn(figure) and [label.get_text() for label in axes.get_yticklabels()]
+            power = axes.yaxis.get_offset_text().get_text()
+            strip_above(axes, "diverged")
+            drawn(figure)
+            assert axes.yaxis.get_offset_text().get_text() == power
+            after = [label.get_text() for label in axes.get_yticklabels()]
+            assert after[-1] == "diverged"
+            assert set(after[:-1]) <= set(before)
+        assert power == ""
 
     def test_of_a_multiple_the_factor_counts(self) -> None:
         spread = {"mass": Uniform(20, 40), "model_mass": Same("mass", Uniform(0.8, 1.2)), "com_x": 0.01}
@@ -370,12 +431,7 @@ class TestFigures:
     def test_nothing_overlaps(self, pair: dict[str, Ensemble]) -> None:
         for draw in figures(pair):
             figure = draw()
-            renderer = drawn(figure)
-            boxes = [one.get_tightbbox(renderer) for one in (*figure.texts, *figure.legends, *figure.axes)]
-            for one, other in combinations(boxes, 2):
-                assert one is not None
-                assert other is not None
-                assert not one.padded(-1.0).overlaps(other.padded(-1.0))
+            apart(figure)
             assert 400 < figure.bbox.width <= 1100
 
     def test_pyplot_and_settings_are_left_alone(self, pair: dict[str, Ensemble]) -> None:
