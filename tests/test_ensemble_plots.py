@@ -97,7 +97,9 @@ class TestBands:
         for row, attribute in zip(rows(plots.bands(pair), 2), ("distance", "heading"), strict=True):
             for axes, made in zip(row, pair.values(), strict=True):
                 bands = made.bands(levels)
-                quantiles = 1e3 * np.where(getattr(bands, attribute) < 2**-34, 0, getattr(bands, attribute))
+                most = [[getattr(made.within(level), attribute)] for level in levels]
+                quantiles = 1e3 * np.minimum(getattr(bands, attribute), most)
+                quantiles[quantiles < 1e3 * 2**-34] = 0
                 for line, quantile in zip(axes.lines, quantiles, strict=True):
                     np.testing.assert_array_equal(line.get_xdata(), bands.t)
                     np.testing.assert_allclose(np.asarray(line.get_ydata()), quantile, rtol=1e-12)
@@ -122,6 +124,45 @@ class TestBands:
         assert distance.get_ylim()[0] < min(medians)
         assert heading.get_yscale() == "linear"  # rounding is no order of magnitude
         assert not np.asarray(heading.figure.axes[3].lines[0].get_ydata()).any()
+
+    def test_on_logarithmic_axes_every_band_of_the_best_controller_is_seen(self) -> None:
+        # From a start aside to a hundredth of that, and far worse ones beside it.
+        best = run(TRUE, {"start_x": Uniform(0.01, 0.02), "force_x": Uniform(0.001, 0.002)})
+        worst = run(PD(1, 1), {"mass": Uniform(24, 36)})
+        figure = plots.bands({"best": best, "worst": worst})
+        axes = figure.axes[0]
+        assert axes.get_yscale() == "log"
+        lines = np.array([line.get_ydata() for line in axes.lines])
+        assert lines[0].max() > 100 * lines[0].min()
+        assert axes.get_ylim()[0] < lines.min()
+
+    def test_what_fades_to_nothing_does_not_stretch_logarithmic_axes(self) -> None:
+        slow, aside = Tangent(Circle(3, 0.001, 20)), {"start_x": Uniform(0.01, 0.02)}
+        fading = ensemble(
+            ROBOT, ComputedTorque(ROBOT, 25, 10), slow, n=300, spread=aside, dt=0.1, engine=ARRAYS
+        )
+        worst = run(PD(1, 1), {"mass": Uniform(24, 36)})
+        axes = plots.bands({"fading": fading, "worst": worst}).axes[0]
+        low, high = axes.get_ylim()
+        assert np.asarray(axes.lines[0].get_ydata()).min() < low
+        assert 1e8 < high / low < 1e10
+
+    def test_no_line_is_above_what_its_share_stays_within(
+        self, pair: dict[str, Ensemble], diverging: Ensemble
+    ) -> None:
+        levels = (0.5, 0.9, 0.99, 1.0)
+        clipped = 0
+        for made in (*pair.values(), diverging):
+            axes = plots.bands(made, levels=levels).axes[0]
+            scale = 1e3 if axes.get_ylabel().endswith("[mm]") else 1.0
+            for line, level, raw in zip(axes.lines, levels, made.bands(levels).distance, strict=True):
+                drawn = np.asarray(line.get_ydata()) / scale
+                exact, finite = made.within(level).distance, np.isfinite(raw)
+                assert (drawn[finite] <= exact * (1 + 1e-12)).all()
+                resolved = finite & (raw > 1e-9)
+                assert (drawn[resolved] >= raw[resolved] / 1.04).all()  # the width of a bin, no more
+                clipped += bool((drawn[resolved] < raw[resolved] * (1 - 1e-12)).any())
+        assert clipped
 
     def test_words_say_who_stays_within_what(self, pair: dict[str, Ensemble]) -> None:
         top, low = rows(plots.bands(pair), 2)
