@@ -236,6 +236,20 @@ class TestHeatmap:
         (cell,) = (patch for patch in axes.patches if isinstance(patch, Rectangle))
         assert (cell.get_xy(), cell.get_hatch()) == ((1.5, 0.5), "////")
 
+    def test_with_the_same_limits_the_same_number_has_the_same_colour_in_every_map(self) -> None:
+        shades = []
+        for others in ([1.0, 3.0], [4.0, 40.0]):
+            values, one = [[*others, 3.5]], ("one", "", [1])
+            figure = plots.heatmap(values, x=GAINS, y=one, label="error [mm]", limits=(0.5, 40))
+            image: Any = figure.axes[0].images[0]
+            assert image.get_clim() == (0.5, 40)
+            assert figure.axes[1].get_ylim() == pytest.approx((0.5, 40))  # the colour bar's
+            assert figure.axes[1].get_yscale() == "log"  # both: it depends on the limits
+            shades.append(image.to_rgba(image.get_array())[0, 2])
+        np.testing.assert_array_equal(*shades)
+        infinite = plots.heatmap([[np.inf] * 3], x=GAINS, y=one, label="error [mm]", limits=(1, 2))
+        assert infinite.axes[0].images[0].get_clim() == (1, 2)
+
     @pytest.mark.parametrize(("largest", "scale"), [(19.0, "linear"), (21.0, "log")])
     def test_colours_are_logarithmic_over_orders(self, largest: float, scale: str) -> None:
         figure = plots.heatmap([[1.0, largest, np.inf]], x=GAINS, y=("one", "", [1]), label="error [m]")
@@ -269,6 +283,9 @@ class TestHeatmap:
             ({"values": [[1, 2, 3], [1, np.nan, 3]]}, r"^values\[1, 1\] is nan, expected a number or infin"),
             ({"x": "gain"}, r"^x is 'gain', expected \(name, unit, values\)$"),
             ({"y": ("a", "m")}, r"^y is \('a', 'm'\), expected \(name, unit, values\)$"),
+            ({"limits": (1, 30)}, r"^limits is \(1, 30\), expected to hold all of values, 40 too$"),
+            ({"limits": (50, 1)}, r"^limits is \(50, 1\), expected \(smallest, largest\)$"),
+            ({"limits": 3}, r"^limits is 3, expected \(smallest, largest\)$"),
             ({"y": ("a", "m", [])}, r"^y\[2\] has shape \(0,\), expected \(n,\) with n >= 1$"),
         ],
     )
