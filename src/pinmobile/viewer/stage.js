@@ -99,7 +99,7 @@
     sun.target.position.copy(at);
     sun.position.set(at.x - 1.2 * radius, at.y + 0.7 * radius, 2.0 * radius);
     if (!changed("lit")) return;
-    farther.value = 0.04 * radius; // more than a ghost is larger
+    farther.value = 0.03 * radius; // more than a ghost is larger
     Object.assign(sun.shadow.camera, { left: -radius, right: radius, top: radius, bottom: -radius });
     Object.assign(sun.shadow.camera, { near: 0.1 * radius, far: 6 * radius });
     sun.shadow.camera.updateProjectionMatrix();
