@@ -1,6 +1,10 @@
-"""Every benchmark, one after the other: `python benchmarks [--quick] [--rounds N]`."""
+"""Every benchmark, one after the other: `python benchmarks [--quick] [--rounds N] [--only WORD ...]`.
+
+With `--only`, just those in which somebody has such a word in the name, and of these the ones who have.
+"""
 
 import sys
+from collections.abc import Sequence
 
 import arm
 import calls
@@ -9,6 +13,27 @@ import imports
 import memory
 import rollout
 import viewing
+from measuring import picked, selecting
+
+PARTS = (rollout, arm, ensembles, calls, memory, viewing, imports)
+PEOPLE = {
+    rollout: rollout.EVERYONE,
+    arm: arm.EVERYONE,
+    ensembles: ensembles.EVERYONE,
+    calls: calls.PEOPLE,
+    memory: memory.EVERYONE,
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = selecting(__doc__.splitlines()[0])
+    given = sys.argv[1:] if arguments is None else arguments
+    words = parser.parse_args(given).only
+    parts = [part for part in PARTS if not words or picked(PEOPLE.get(part, ()), words)]
+    if not parts:
+        parser.error(f"--only: nobody has {' or '.join(map(repr, words))} in the name")
+    return max(part.main(given) for part in parts)
+
 
 if __name__ == "__main__":
-    sys.exit(max(part.main() for part in (rollout, arm, ensembles, calls, memory, viewing, imports)))
+    sys.exit(main())

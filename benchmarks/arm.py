@@ -1,6 +1,6 @@
 """A UR5 on its base, computed torque for the whole: `simulate` beside a raw Pinocchio loop and MuJoCo's.
 
-Usage: python benchmarks/arm.py [--quick] [--rounds N]
+Usage: python benchmarks/arm.py [--quick] [--rounds N] [--only WORD ...]
 
 The task is in `arm_task.py`, who takes part in `arm_contestants/__init__.py`; all are checked before they are
 timed, as in `rollout.py`. What the coupling between base and arm costs a controller that ignores it stands
@@ -15,19 +15,21 @@ from arm_contestants import EVERYONE, RAW, Carrier
 from arm_contestants.of_pinmobile import largest_errors
 from arm_contestants.of_pinocchio import terms
 from arm_task import KD, KP, ArmTask, solved
-from measuring import about, console, options
+from measuring import about, console, picked, selecting
 from rollout import race, ranked
 from task import TOLERANCE, Log, Run, difference
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    chosen = options(__doc__.splitlines()[0]).parse_args(arguments)
+    chosen = selecting(__doc__.splitlines()[0]).parse_args(arguments)
     rounds = chosen.rounds or (1 if chosen.quick else 9)
     task = ArmTask(duration=0.6 if chosen.quick else ArmTask.duration)
     out = console()
     out.print(about(), f"medians over {rounds} interleaved rounds", sep="; ")
     least = 0.0 if chosen.quick else 0.2
-    rows, sound = race(EVERYONE, task, rounds, least, note=out.status, judge=check)
+    some = picked(EVERYONE, chosen.only)
+    people = [one for one in EVERYONE if one is RAW or one in some]
+    rows, sound = race(people, task, rounds, least, note=out.status, judge=check)
     title = f"UR5 on its base, nine coordinates, dt = {task.dt} s, {task.samples:,} samples"
     ranked(out, title, task, rows, rows[RAW.name])
     found = ", ".join(f"{name} {value:.1e}" for name, value in largest_errors(task).items())

@@ -1,6 +1,6 @@
 """One call from Python side by side: M(q), n(q, v), inverse and forward dynamics, of each peer.
 
-Usage: python benchmarks/calls.py [--quick] [--rounds N]
+Usage: python benchmarks/calls.py [--quick] [--rounds N] [--only WORD ...]
 
 The centre of mass is off the axis. What a call returns is compared with the closed form before it is timed;
 a call includes handing over the state, since engines that keep it are no use without.
@@ -13,7 +13,7 @@ from timeit import Timer
 
 import numpy as np
 from contestants import DRAKE, MUJOCO, NUMPY, PINMOBILE, PINOCCHIO, PYBULLET, TOOLBOX, Contestant
-from measuring import about, console, interleaved, options, say, table
+from measuring import about, console, interleaved, picked, say, selecting, table
 from task import TOLERANCE, Body, forward_dynamics, mass_matrix, nonlinear_effects
 
 BODY = Body(com=(0.1, 0.05))
@@ -38,13 +38,14 @@ PEOPLE = (
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    chosen = options(__doc__.splitlines()[0]).parse_args(arguments)
+    chosen = selecting(__doc__.splitlines()[0]).parse_args(arguments)
     rounds = chosen.rounds or (1 if chosen.quick else 9)
+    people = picked(PEOPLE, chosen.only)
     number = 100 if chosen.quick else 5_000
     out = console()
     out.print(about(), f"medians over {rounds} interleaved rounds of {number} calls", sep="; ")
     with out.status("calling"):
-        found = {one.name: calls_of(one) for one in PEOPLE}
+        found = {one.name: calls_of(one) for one in people}
         turns = {
             (name, call): (lambda timer=timer: timer.timeit(number) / number * 1e6)
             for name, row in found.items()
@@ -53,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         }
         times = interleaved(turns, rounds)
     shown, others = table("\nOne call from Python, us", "library", "version", *GIVEN), []
-    for one in PEOPLE:
+    for one in people:
         row = found[one.name]
         if not row:
             others.append(f"{one.name}: not installed: {one.peer.install}")

@@ -13,7 +13,7 @@ from ensemble_contestants import EVERYONE, LIMIT, MUJOCO_CLOSED, MUJOCO_OPEN, OU
 from ensemble_costs import measure, show_first_calls, show_memory
 from ensemble_race import Line, race, timed
 from fleet import LECTURE, Fleet, difference, simulated
-from measuring import Row, about, console, interleaved, median_time, options, say, table
+from measuring import Row, about, console, interleaved, median_time, picked, say, selecting, table
 from rich.console import Console
 from task import TOLERANCE
 
@@ -24,8 +24,7 @@ ASKED = {LIMIT: 0.5, MUJOCO_OPEN: 100, MUJOCO_CLOSED: 100}  # times as fast
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = options(__doc__.splitlines()[0])
-    parser.add_argument("--only", nargs="*", default=[], metavar="WORD", help="those with it in their name")
+    parser = selecting(__doc__.splitlines()[0])
     parser.add_argument("--one", help="weigh this contestant in this process, and print JSON")
     parser.add_argument("--robots", type=int, default=1, help="how many with --one")
     parser.add_argument(
@@ -37,8 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(measure(one, one.fleet_of(chosen.robots, chosen.duration)))
         return 0
     rounds = chosen.rounds or (1 if chosen.quick else 5)
-    words = [word.lower() for word in chosen.only]
-    people = [c for c in EVERYONE if not words or any(word in c.name.lower() for word in words)]
+    people = picked(EVERYONE, chosen.only)
     sizes = QUICK_SIZES if chosen.quick else SIZES
     out = console()
     out.print(about(), f"medians over {rounds} interleaved rounds", sep="; ")

@@ -5,14 +5,26 @@ import gc
 import os
 import platform
 import statistics
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from time import perf_counter
+from typing import Protocol, TypeVar
 
 from rich.console import Console
 from rich.table import Table
 
 Turn = Callable[[], float]
+
+
+class Named(Protocol):
+    """Who takes part."""
+
+    @property
+    def name(self) -> str:
+        """What its row is called."""
+
+
+Someone = TypeVar("Someone", bound=Named)
 
 
 @dataclass
@@ -59,6 +71,19 @@ def options(description: str) -> argparse.ArgumentParser:
     parser.add_argument("--quick", action="store_true", help="smoke run: one round, short rollouts")
     parser.add_argument("--rounds", type=int, help="rounds in which all take a turn")
     return parser
+
+
+def selecting(description: str) -> argparse.ArgumentParser:
+    """Return the options of what races contestants: some may be picked."""
+    parser = options(description)
+    parser.add_argument("--only", nargs="+", default=[], metavar="WORD", help="those with it in their name")
+    return parser
+
+
+def picked(people: Iterable[Someone], words: Sequence[str]) -> list[Someone]:
+    """Return those who have one of the words in their name, in any case; all where there are no words."""
+    wanted = [word.lower() for word in words]
+    return [one for one in people if not wanted or any(word in one.name.lower() for word in wanted)]
 
 
 def console() -> Console:

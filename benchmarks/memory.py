@@ -1,6 +1,6 @@
 """Peak memory of the 60,001-sample rollout of each contestant, each in a process of its own.
 
-Usage: python benchmarks/memory.py [--quick]
+Usage: python benchmarks/memory.py [--quick] [--only WORD ...]
 
 The peak counts everything in the process: interpreter, libraries, model, rollout. What was there before the
 rollout stands beside it, so the difference is the rollout's; its log alone is 6.9 MiB.
@@ -15,12 +15,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from contestants import EVERYONE, Contestant
-from measuring import about, console, options, say, table
+from measuring import about, console, picked, say, selecting, table
 from task import Task
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = options(__doc__.splitlines()[0])
+    parser = selecting(__doc__.splitlines()[0])
     parser.add_argument("--one", help="measure this contestant in this process, and print JSON")
     chosen = parser.parse_args(arguments)
     task = Task(0.001, duration=3.0 if chosen.quick else 60.0)
@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     columns = ("contestant", "version", "before, MiB", "peak, MiB", "of the rollout, MiB")
     shown = table(f"\nPeak resident memory, dt = {task.dt} s, {task.samples:,} samples", *columns)
     others = []
-    for one in EVERYONE:
+    for one in picked(EVERYONE, chosen.only):
         with out.status(one.name):
             cells = cells_of(one, chosen.quick)
         if isinstance(cells, str):

@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import Any
 
 from contestants import EVERYONE, OURS, RAW, SIMULATE, Contestant
-from measuring import Row, about, console, interleaved, median_time, options, say, table
+from measuring import Row, about, console, interleaved, median_time, picked, say, selecting, table
 from rich.console import Console
 from task import TOLERANCE, Run, Task, difference, expected
 
@@ -28,15 +28,14 @@ SHARES = "of the raw loop: median of the ratios of each round, not ratio of the 
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = options(__doc__.splitlines()[0])
-    parser.add_argument("--only", nargs="*", default=[], metavar="WORD", help="those with it in their name")
+    parser = selecting(__doc__.splitlines()[0])
     chosen = parser.parse_args(arguments)
     rounds = chosen.rounds or (1 if chosen.quick else 7)
     out = console()
     out.print(about(), f"medians over {rounds} interleaved rounds", sep="; ")
     tasks = [Task(dt, duration=3.0 if chosen.quick and dt < 0.1 else 60.0) for dt in STEPS]
-    words = [word.lower() for word in chosen.only]
-    people = [c for c in EVERYONE if c is RAW or not words or any(word in c.name.lower() for word in words)]
+    some = picked(EVERYONE, chosen.only)
+    people = [one for one in EVERYONE if one is RAW or one in some]
     least = 0.0 if chosen.quick else 0.1
     sound = [compare(out, task, people, rounds, least) for task in tasks]
     if SIMULATE in people:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
+from runpy import run_path
 from time import sleep
 from types import SimpleNamespace
 from typing import Any
@@ -26,7 +27,17 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     monkeypatch.syspath_prepend(BENCHMARKS)
     ensembles = ("ensemble_contestants", "ensemble_costs", "ensemble_race", "ensembles", "fleet")
     arms = ("arm", "arm_contestants", "arm_task")
-    names = (*arms, "calls", "contestants", "rollout", "stock_server", "task", "viewing", *ensembles)
+    names = (
+        *arms,
+        "calls",
+        "contestants",
+        "memory",
+        "rollout",
+        "stock_server",
+        "task",
+        "viewing",
+        *ensembles,
+    )
     return SimpleNamespace(**{name: import_module(name) for name in names})
 
 
@@ -180,6 +191,74 @@ def test_the_table_names_all_that_were_asked_for(
     assert bench.rollout.main(["--quick", "--only", "closed form"]) == 0
     printed = capsys.readouterr().out
     assert printed.count("closed form in numpy") == printed.count("raw Pinocchio loop (rnea, aba)") == 2
+    assert "simulate" not in printed
+
+
+@pytest.fixture
+def asked(bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Any:
+    """Return what runs `python benchmarks` with options, and who was asked for what."""
+    all_of_them = SimpleNamespace(**run_path(str(BENCHMARKS / "__main__.py")))
+
+    def run(*options: str) -> dict[str, list[str]]:
+        asked: dict[str, list[str]] = {}
+        with monkeypatch.context() as patched:
+            for part in all_of_them.PARTS:
+                patched.setattr(
+                    part, "main", lambda given, name=part.__name__: asked.update({name: given}) or 0
+                )
+            assert all_of_them.main(options) == 0
+        for name, given in asked.items():  # each knows what it was given, and only that
+            with pytest.raises(SystemExit):
+                import_module(name).main([*given, "--unknown"])
+            assert capsys.readouterr().err.endswith("unrecognized arguments: --unknown\n"), name
+        return asked
+
+    return run
+
+
+def test_every_benchmark_is_run_and_understands_what_it_is_given(asked: Any) -> None:
+    every = ["rollout", "arm", "ensembles", "calls", "memory", "viewing", "imports"]
+    assert list(asked()) == list(asked("--quick", "--rounds", "2")) == every
+
+
+@pytest.mark.parametrize(
+    ("words", "parts"),
+    [
+        (["ensemble"], ["ensembles"]),
+        (["Raw"], ["rollout", "arm", "memory"]),
+        (["closed form", "jax"], ["rollout", "ensembles", "calls", "memory"]),
+    ],
+)
+def test_only_those_benchmarks_are_run_in_which_somebody_has_the_name(
+    asked: Any, words: list[str], parts: list[str]
+) -> None:
+    assert list(asked("--quick", "--only", *words)) == parts
+
+
+def test_a_name_that_nobody_has_is_refused_before_anything_is_run(
+    asked: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for options, message in (
+        (["--only", "nobody"], "--only: nobody has 'nobody' in the name\n"),
+        (["--only"], "argument --only: expected at least one argument\n"),
+        (["--quickly"], "unrecognized arguments: --quickly\n"),
+    ):
+        with pytest.raises(SystemExit) as ended:
+            asked(*options)
+        assert ended.value.code == 2
+        assert capsys.readouterr().err.endswith(message)
+
+
+def test_calls_memory_and_the_arm_name_those_alone_who_were_asked_for(
+    bench: SimpleNamespace, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bench.memory, "cells_of", lambda one, quick: ("1", "2", "3"))
+    for part in (bench.calls, bench.memory, bench.arm):
+        assert part.main(["--quick", "--only", "closed form"]) == 0
+    printed = capsys.readouterr().out
+    assert printed.count("closed form in numpy") == 2
+    assert printed.count("raw Pinocchio loop") == 1  # the arm's, which the others are compared with
+    assert "MuJoCo" not in printed
     assert "simulate" not in printed
 
 

@@ -332,9 +332,13 @@ def test_two_swept_numbers_are_drawn_as_maps_one_for_each_controller(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     drawn: list[Any] = []
+    numbers: list[Any] = []
+    scales: list[Any] = []
 
-    def heatmap(values: Any, *, x: Any, y: Any, label: str, title: str) -> Figure:
+    def heatmap(values: Any, *, x: Any, y: Any, label: str, title: str, limits: Any) -> Figure:
         drawn.append((values.shape, x[:2], list(x[2]), y[:2], list(y[2]), label, title))
+        numbers.append(values)
+        scales.append(limits)
         return Figure()
 
     monkeypatch.setattr(plots, "heatmap", heatmap)
@@ -346,6 +350,8 @@ def test_two_swept_numbers_are_drawn_as_maps_one_for_each_controller(
     assert [one[:-1] for one in drawn] == [((3, 2), *axes, "99 % stay within [mm]")] * 2
     assert [one[-1] for one in drawn] == ["pd", "computed-torque"]
     assert (tmp_path / "index.html").read_text().count("<img") == 2
+    assert numbers[0].max() != numbers[1].max()
+    assert scales == [(np.min(numbers), np.max(numbers))] * 2  # one scale of colours for both
 
 
 def test_one_swept_number_is_drawn_as_a_curve_for_each_controller(

@@ -30,6 +30,7 @@ from pinmobile import (
     plots,
 )
 from pinmobile.ensembles import ARRAYS
+from pinmobile.plots.beyond import strip_above
 from pinmobile.plots.causes import causes, worst_share
 from pinmobile.plots.style import percent
 
@@ -66,10 +67,28 @@ def texts(figure: Figure) -> list[str]:
     return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
 
+def top_ticks(axes: Axes, height: float) -> list[str]:
+    """Return the labels of the ticks at a height [data] and above."""
+    ticks = zip(axes.get_yticks(), axes.get_yticklabels(), strict=True)
+    minor = [(tick, "minor") for tick in axes.get_yticks(minor=True)]
+    named = [(tick, label.get_text()) for tick, label in ticks]
+    return [label for tick, label in (*named, *minor) if tick >= height * (1 - 1e-9)]
+
+
 def drawn(figure: Figure) -> Any:
     canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()
     return canvas.get_renderer()
+
+
+def apart(figure: Figure) -> None:
+    """Fail where texts, legends or axes of a figure overlap."""
+    renderer = drawn(figure)
+    boxes = [one.get_tightbbox(renderer) for one in (*figure.texts, *figure.legends, *figure.axes)]
+    for one, other in combinations(boxes, 2):
+        assert one is not None
+        assert other is not None
+        assert not one.padded(-1.0).overlaps(other.padded(-1.0))
 
 
 class TestBands:
@@ -78,7 +97,9 @@ class TestBands:
         for row, attribute in zip(rows(plots.bands(pair), 2), ("distance", "heading"), strict=True):
             for axes, made in zip(row, pair.values(), strict=True):
                 bands = made.bands(levels)
-                quantiles = 1e3 * np.where(getattr(bands, attribute) < 2**-34, 0, getattr(bands, attribute))
+                most = [[getattr(made.within(level), attribute)] for level in levels]
+                quantiles = 1e3 * np.minimum(getattr(bands, attribute), most)
+                quantiles[quantiles < 1e3 * 2**-34] = 0
                 for line, quantile in zip(axes.lines, quantiles, strict=True):
                     np.testing.assert_array_equal(line.get_xdata(), bands.t)
                     np.testing.assert_allclose(np.asarray(line.get_ydata()), quantile, rtol=1e-12)
@@ -86,6 +107,17 @@ class TestBands:
                 for band, top in zip(filled, quantiles, strict=True):
                     points = np.asarray(band.get_paths()[0].vertices)
                     assert points[:, 1].max() == pytest.approx(top.max())
+
+    def test_what_a_start_costs_is_drawn_though_errors_count_later(self) -> None:
+        aside, circle = {"start_x": Uniform(0.01, 0.02)}, Tangent(Circle(3, 0.1, 20))
+        options: dict[str, Any] = {"n": 50, "spread": aside, "dt": 0.1, "engine": ARRAYS, "after": 10}
+        made = ensemble(ROBOT, TRUE, circle, **options)
+        axes = plots.bands(made).axes[0]
+        assert axes.get_title(loc="left").endswith(" from 10 s on")
+        line, begin = axes.lines[-2], axes.lines[-1]
+        assert np.ravel(begin.get_xdata()).tolist() == [10, 10]
+        assert np.asarray(line.get_ydata())[0] == pytest.approx(1e3 * made.bands(0.99).distance[0, 0])
+        assert np.asarray(line.get_ydata())[0] > 100 * 1e3 * made.within().distance
 
     def test_controllers_share_their_axes(self, pair: dict[str, Ensemble]) -> None:
         for row, unit in zip(rows(plots.bands(pair), 2), ("[mm]", "[mrad]"), strict=True):
@@ -103,6 +135,45 @@ class TestBands:
         assert distance.get_ylim()[0] < min(medians)
         assert heading.get_yscale() == "linear"  # rounding is no order of magnitude
         assert not np.asarray(heading.figure.axes[3].lines[0].get_ydata()).any()
+
+    def test_on_logarithmic_axes_every_band_of_the_best_controller_is_seen(self) -> None:
+        # From a start aside to a hundredth of that, and far worse ones beside it.
+        best = run(TRUE, {"start_x": Uniform(0.01, 0.02), "force_x": Uniform(0.001, 0.002)})
+        worst = run(PD(1, 1), {"mass": Uniform(24, 36)})
+        figure = plots.bands({"best": best, "worst": worst})
+        axes = figure.axes[0]
+        assert axes.get_yscale() == "log"
+        lines = np.array([line.get_ydata() for line in axes.lines])
+        assert lines[0].max() > 100 * lines[0].min()
+        assert axes.get_ylim()[0] < lines.min()
+
+    def test_what_fades_to_nothing_does_not_stretch_logarithmic_axes(self) -> None:
+        slow, aside = Tangent(Circle(3, 0.001, 20)), {"start_x": Uniform(0.01, 0.02)}
+        fading = ensemble(
+            ROBOT, ComputedTorque(ROBOT, 25, 10), slow, n=300, spread=aside, dt=0.1, engine=ARRAYS
+        )
+        worst = run(PD(1, 1), {"mass": Uniform(24, 36)})
+        axes = plots.bands({"fading": fading, "worst": worst}).axes[0]
+        low, high = axes.get_ylim()
+        assert np.asarray(axes.lines[0].get_ydata()).min() < low
+        assert 1e8 < high / low < 1e10
+
+    def test_no_line_is_above_what_its_share_stays_within(
+        self, pair: dict[str, Ensemble], diverging: Ensemble
+    ) -> None:
+        levels = (0.5, 0.9, 0.99, 1.0)
+        clipped = 0
+        for made in (*pair.values(), diverging):
+            axes = plots.bands(made, levels=levels).axes[0]
+            scale = 1e3 if axes.get_ylabel().endswith("[mm]") else 1.0
+            for line, level, raw in zip(axes.lines, levels, made.bands(levels).distance, strict=True):
+                drawn = np.asarray(line.get_ydata()) / scale
+                exact, finite = made.within(level).distance, np.isfinite(raw)
+                assert (drawn[finite] <= exact * (1 + 1e-12)).all()
+                resolved = finite & (raw > 1e-9)
+                assert (drawn[resolved] >= raw[resolved] / 1.04).all()  # the width of a bin, no more
+                clipped += bool((drawn[resolved] < raw[resolved] * (1 - 1e-12)).any())
+        assert clipped
 
     def test_words_say_who_stays_within_what(self, pair: dict[str, Ensemble]) -> None:
         top, low = rows(plots.bands(pair), 2)
@@ -176,6 +247,20 @@ class TestHeatmap:
         (cell,) = (patch for patch in axes.patches if isinstance(patch, Rectangle))
         assert (cell.get_xy(), cell.get_hatch()) == ((1.5, 0.5), "////")
 
+    def test_with_the_same_limits_the_same_number_has_the_same_colour_in_every_map(self) -> None:
+        shades = []
+        for others in ([1.0, 3.0], [4.0, 40.0]):
+            values, one = [[*others, 3.5]], ("one", "", [1])
+            figure = plots.heatmap(values, x=GAINS, y=one, label="error [mm]", limits=(0.5, 40))
+            image: Any = figure.axes[0].images[0]
+            assert image.get_clim() == (0.5, 40)
+            assert figure.axes[1].get_ylim() == pytest.approx((0.5, 40))  # the colour bar's
+            assert figure.axes[1].get_yscale() == "log"  # both: it depends on the limits
+            shades.append(image.to_rgba(image.get_array())[0, 2])
+        np.testing.assert_array_equal(*shades)
+        infinite = plots.heatmap([[np.inf] * 3], x=GAINS, y=one, label="error [mm]", limits=(1, 2))
+        assert infinite.axes[0].images[0].get_clim() == (1, 2)
+
     @pytest.mark.parametrize(("largest", "scale"), [(19.0, "linear"), (21.0, "log")])
     def test_colours_are_logarithmic_over_orders(self, largest: float, scale: str) -> None:
         figure = plots.heatmap([[1.0, largest, np.inf]], x=GAINS, y=("one", "", [1]), label="error [m]")
@@ -209,6 +294,9 @@ class TestHeatmap:
             ({"values": [[1, 2, 3], [1, np.nan, 3]]}, r"^values\[1, 1\] is nan, expected a number or infin"),
             ({"x": "gain"}, r"^x is 'gain', expected \(name, unit, values\)$"),
             ({"y": ("a", "m")}, r"^y is \('a', 'm'\), expected \(name, unit, values\)$"),
+            ({"limits": (1, 30)}, r"^limits is \(1, 30\), expected to hold all of values, 40 too$"),
+            ({"limits": (50, 1)}, r"^limits is \(50, 1\), expected \(smallest, largest\)$"),
+            ({"limits": 3}, r"^limits is 3, expected \(smallest, largest\)$"),
             ({"y": ("a", "m", [])}, r"^y\[2\] has shape \(0,\), expected \(n,\) with n >= 1$"),
         ],
     )
@@ -232,12 +320,17 @@ class TestCurves:
         assert (axes.get_xlabel(), axes.get_ylabel()) == ("gain [1/s²]", "error [mm]")
         assert [text.get_text() for text in figure.legends[0].get_texts()] == [*self.ROWS, "diverges"]
 
-    def test_what_diverges_is_a_cross_above_all(self) -> None:
-        (axes,) = plots.curves(self.ROWS, x=self.X, label="error [mm]").axes
+    @pytest.mark.parametrize("largest", [3.0, 3000.0])
+    def test_what_diverges_is_a_cross_above_all_numbers_at_its_own_word(self, largest: float) -> None:
+        rows = {**self.ROWS, "pd": [largest, np.inf, 1.0]}
+        (axes,) = plots.curves(rows, x=self.X, label="error [mm]").axes
         crosses = [line for line in axes.lines if line.get_marker() == "x"]
         (cross,) = (line for line in crosses if len(np.ravel(line.get_xdata())))
         assert list(np.ravel(cross.get_xdata())) == [9]
-        assert 3.0 < float(np.ravel(cross.get_ydata())[0]) < axes.get_ylim()[1]
+        height = float(np.ravel(cross.get_ydata())[0])
+        assert largest < height < axes.get_ylim()[1]
+        assert top_ticks(axes, height) == ["diverges"]
+        assert len(axes.get_yticks()) > 3
 
     @pytest.mark.parametrize(("largest", "scale"), [(19.0, "linear"), (21.0, "log")])
     def test_it_is_logarithmic_over_orders(self, largest: float, scale: str) -> None:
@@ -321,7 +414,7 @@ class TestDrivers:
         dots = np.concatenate([np.asarray(line.get_xydata()) for line in scatter.lines])
         expected = np.column_stack([made.draws["mass"], 1e3 * made.max_distance])
         np.testing.assert_allclose(np.sort(dots, axis=0), np.sort(expected, axis=0), rtol=1e-12)
-        assert [len(np.asarray(line.get_xdata())) for line in scatter.lines] == [270, 0, 30, 0]
+        assert [len(np.asarray(line.get_xdata())) for line in scatter.lines] == [270, 30]
 
     def test_the_worst_may_be_those_of_the_heading(self) -> None:
         made = run(TRUE, {"force_x": Normal(0, 0.04), "moment_z": Normal(0, 0.04)})
@@ -345,9 +438,46 @@ class TestDrivers:
         crosses = figure.axes[-1].lines[3]
         assert (crosses.get_marker(), len(np.asarray(crosses.get_xdata()))) == ("x", 30)
         assert np.asarray(crosses.get_xdata()).max() < 6
-        dots = np.concatenate([np.asarray(line.get_ydata()) for line in figure.axes[-1].lines[::2]])
+        dots = np.concatenate([np.asarray(line.get_ydata()) for line in figure.axes[-1].lines[:2]])
         assert np.asarray(crosses.get_ydata()).min() > dots.max()  # at the top
         assert texts(figure)[-1] == "diverged"
+
+    @pytest.mark.parametrize(("heaviest", "scale"), [(12, "log"), (60, "linear")])
+    def test_crosses_of_diverged_robots_stand_at_their_own_word_above_all_numbers(
+        self, heaviest: float, scale: str
+    ) -> None:
+        figure = plots.drivers(run(TRUE, {"mass": Uniform(4, heaviest), "force_x": Normal(0, 0.02)}))
+        axes = figure.axes[-1]
+        assert axes.get_yscale() == scale
+        heights = {float(y) for line in axes.lines[2:] for y in np.ravel(line.get_ydata())}
+        (height,) = heights
+        dots = np.concatenate([np.ravel(line.get_ydata()) for line in axes.lines[:2]])
+        assert dots.max() < height < axes.get_ylim()[1]
+        assert top_ticks(axes, dots.max() * 1.1) == ["diverged"]
+        assert len(axes.get_yticks()) > 2
+        apart(figure)
+
+    def test_where_all_diverged_no_number_stands_at_the_axis(self) -> None:
+        figure = plots.drivers(run(TRUE, {"mass": Uniform(2, 5)}))
+        assert [label.get_text() for label in figure.axes[-1].get_yticklabels()] == ["diverged"]
+        assert not len(figure.axes[-1].get_yticks(minor=True))
+        assert len(np.ravel(figure.axes[-1].lines[-1].get_xdata())) == 15
+        apart(figure)
+
+    def test_a_power_of_ten_above_the_axis_stays_there(self) -> None:
+        for largest in (4e-7, 4.0):
+            figure = Figure()
+            axes = figure.subplots()
+            axes.plot([0, largest])
+            before = drawn(figure) and [label.get_text() for label in axes.get_yticklabels()]
+            power = axes.yaxis.get_offset_text().get_text()
+            strip_above(axes, "diverged")
+            drawn(figure)
+            assert axes.yaxis.get_offset_text().get_text() == power
+            after = [label.get_text() for label in axes.get_yticklabels()]
+            assert after[-1] == "diverged"
+            assert set(after[:-1]) <= set(before)
+        assert power == ""
 
     def test_of_a_multiple_the_factor_counts(self) -> None:
         spread = {"mass": Uniform(20, 40), "model_mass": Same("mass", Uniform(0.8, 1.2)), "com_x": 0.01}
@@ -384,12 +514,7 @@ class TestFigures:
     def test_nothing_overlaps(self, pair: dict[str, Ensemble]) -> None:
         for draw in figures(pair):
             figure = draw()
-            renderer = drawn(figure)
-            boxes = [one.get_tightbbox(renderer) for one in (*figure.texts, *figure.legends, *figure.axes)]
-            for one, other in combinations(boxes, 2):
-                assert one is not None
-                assert other is not None
-                assert not one.padded(-1.0).overlaps(other.padded(-1.0))
+            apart(figure)
             assert 400 < figure.bbox.width <= 1100
 
     def test_pyplot_and_settings_are_left_alone(self, pair: dict[str, Ensemble]) -> None:

@@ -284,6 +284,29 @@ def test_a_second_rollout_is_a_ghost(
     assert legend.split("\n") == ["good", "bad"]
 
 
+@pytest.mark.parametrize("away", [8.0, 2.0])
+def test_a_ghost_leaves_what_it_coincides_with_its_colours_whichever_way_its_triangles_face(
+    page: Page, viewer: Viewer, apart: dict[str, Rollout], tmp_path: Path, away: float
+) -> None:
+    run = apart["good"]
+    overlays = Overlays(trail=False, path=False, camera=Follow(away))
+    opened(page, viewer.record({"a": run, "b": run}, overlays=overlays), tmp_path)
+    page.evaluate("pinmobile.seek(0)")
+    # A mirrored mesh shows its near sides where another one shows its far ones.
+    page.evaluate(
+        "viewer.scene_tree.find(['meshcat', 'robot1']).object.traverse("
+        "one => { if (one.material) one.material.side = 0; }); viewer.set_dirty()"
+    )
+    page.frames()
+    there = projected(page, side(viewer.robot, pose(run, 0.0)))
+    assert sees(page, BLUE, there)
+    page.evaluate("viewer.scene_tree.find(['meshcat', 'robot0']).object.visible = false; viewer.set_dirty()")
+    page.frames()
+    assert not sees(page, BLUE, there)
+    red, _, blue = patch(page, there).mean(axis=0)
+    assert red > blue + 30  # it was there all the time
+
+
 def test_the_desired_pose_is_a_ghost_too(viewer: Viewer, apart: dict[str, Rollout]) -> None:
     run = apart["bad"]
     found = tracks(viewer.record(run, fps=20, overlays=Overlays(desired=True)))

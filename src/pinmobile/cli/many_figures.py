@@ -36,7 +36,7 @@ def ensemble_figures(made: Mapping[str, Ensemble], folder: Path) -> list[Picture
 def sweep_figures(found: Sweep, folder: Path) -> list[Picture]:
     """Draw what 99 % of the robots stay within: curves over one axis of numbers, otherwise maps of two.
 
-    Of further axes there is a figure for each value.
+    Of further axes there is a figure for each value; maps have the same colours for the same numbers.
     """
     within = found.within()
     long = [name for name, axis in found.axes.items() if len(axis) > 1]
@@ -48,13 +48,18 @@ def sweep_figures(found: Sweep, folder: Path) -> list[Picture]:
         return []
     values = within.isel({name: 0 for name in found.axes if name not in long})
     unit, size = _unit(values.values)
+    known = values.values[np.isfinite(values.values)] / size
+    limits = (float(known.min()), float(known.max())) if known.size else None
     pictures = []
     for k, (where, part) in enumerate(_slices(values / size, [name for name in long if name not in drawn])):
         if k == _MOST:
             break
         label = f"99 % stay within [{unit}]"
-        draw = _curves if curved else _map
-        figure = draw(found, part.transpose(*drawn), drawn, title=where or None, label=label)
+        part = part.transpose(*drawn)
+        if curved:
+            figure = _curves(found, part, drawn, title=where or None, label=label)
+        else:
+            figure = _map(found, part, drawn, title=where or label, label=label, limits=limits)
         figure.savefig(folder / f"within-{k}.png", dpi=110)
         caption = f"{where}{where and ': '}{label}, over {' and '.join(drawn[::-1])}."
         pictures.append(Picture(f"within-{k}.png", caption))
@@ -68,9 +73,9 @@ def _curves(found: Sweep, part: Any, drawn: list[str], *, title: str | None, lab
     return plots.curves(rows, x=_axis(found, x), label=label, title=title)
 
 
-def _map(found: Sweep, part: Any, drawn: list[str], *, title: str | None, label: str) -> Figure:
+def _map(found: Sweep, part: Any, drawn: list[str], **options: Any) -> Figure:
     y, x = (_axis(found, name) for name in drawn)
-    return plots.heatmap(part.values, x=x, y=y, label=label, title=title or label)
+    return plots.heatmap(part.values, x=x, y=y, **options)
 
 
 def _axis(found: Sweep, name: str) -> tuple[str, str, Any]:

@@ -11,6 +11,7 @@ from matplotlib.lines import Line2D
 
 from pinmobile.arrays import Array, ArrayLike, finite
 from pinmobile.errors import InvalidArgument
+from pinmobile.plots.beyond import strip_above
 from pinmobile.plots.style import INK, ShownFigure, colour, dress, legend
 
 __all__ = ["curves"]
@@ -24,8 +25,8 @@ _Axis = tuple[str, str, Sequence[Any] | Array]
 def curves(values: Mapping[str, ArrayLike], *, x: _Axis, label: str, title: str | None = None) -> Figure:
     """Draw numbers over a parameter, a curve for each name.
 
-    Where a number is infinite, nothing bounds it: a cross at the top says so. The axis is logarithmic where
-    the numbers differ by a factor of more than 20.
+    Where a number is infinite, nothing bounds it: a cross in a strip at the top says so. The axis is
+    logarithmic where the numbers differ by a factor of more than 20.
 
     Parameters
     ----------
@@ -92,11 +93,14 @@ def _scale(axes: Axes, numbers: Array) -> float:
     low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
     if 0 < _LOGARITHMIC * low < high:
         axes.set_yscale("log")
-        return float(high * (high / low) ** 0.1)
-    least = min(low, 0.0)
-    top = high + 0.1 * ((high - least) or 1.0)
-    axes.set_ylim(least, high + 0.15 * ((high - least) or 1.0))
-    return top
+        room = (high / low) ** 0.05
+        axes.set_ylim(low / room, high * room)
+    else:
+        least = min(low, 0.0)
+        axes.set_ylim(least, high + 0.05 * ((high - least) or 1.0))
+    if len(known) == len(numbers):
+        return high
+    return strip_above(axes, "diverges", numbers=bool(len(known)))
 
 
 def _curve(axes: Axes, x: Array, row: Array, top: float, index: int, count: int) -> None:

@@ -20,6 +20,7 @@ __all__ = ["bands"]
 
 _ROWS = (("distance", "distance from\ndesired position", "m"), ("heading", "error of\nheading", "rad"))
 _LINEAR = 40.0  # by how much the largest of all may exceed the smallest median on a linear axis
+_ROUNDING = 1e-9  # of the largest of all: less is next to nothing on a logarithmic axis
 _GREY = "#777777"
 
 
@@ -66,12 +67,12 @@ def bands(
     known: dict[str, Ensemble] = named("ensembles", ensembles, Ensemble)
     if np.size(levels) == 0:
         raise InvalidArgument("levels is empty, expected at least one share of the robots")
-    drawn = [one.bands(np.unique(levels)) for one in known.values()]
+    drawn = [_drawn(one, np.unique(levels)) for one in known.values()]
     figure = ShownFigure(figsize=(max(7.5, 3.6 * len(known)), 6.4), dpi=100, layout="constrained")
     figure.suptitle(title or "How far the robots stray", fontsize=14, color=INK)
     grid = figure.subplots(2, len(known), squeeze=False, sharex="col", sharey="row")
     for row, (attribute, words, unit) in zip(grid, _ROWS, strict=True):
-        quantiles = [_resolved(getattr(one, attribute)) for one in drawn]
+        quantiles = [getattr(one, attribute) for one in drawn]
         scale = _scale(quantiles, unit)
         row[0].set_ylabel(f"{words} [{scale.unit}]", fontsize=11)
         for index, (axes, values) in enumerate(zip(row, quantiles, strict=True)):
@@ -84,9 +85,20 @@ def bands(
     return figure
 
 
-def _resolved(quantiles: Array) -> Array:
-    """Return quantiles, with zero for what the counts cannot tell from it."""
-    return np.where(quantiles < edges()[1], 0.0, quantiles)
+def _drawn(ensemble: Ensemble, levels: Array) -> Bands:
+    """Return the quantiles that are drawn, none above what its share of the robots stays within.
+
+    That holds from `Scenario.after` on. The counts know an error to the width of a bin alone,
+    `Ensemble.within` exactly. What they cannot tell from zero is zero.
+    """
+    found = ensemble.bands(levels)
+    most = np.array([ensemble.within(level) for level in levels])
+    begun = found.t >= ensemble.scenario.t[ensemble.scenario.begin]
+    distance, heading = (
+        np.where(one < edges()[1], 0.0, np.where(begun, np.minimum(one, bound[:, None]), one))
+        for one, bound in zip((found.distance, found.heading), most.T, strict=True)
+    )
+    return found._replace(distance=distance, heading=heading)
 
 
 def _scale(quantiles: Sequence[Array], unit: str) -> _Scale:
@@ -95,10 +107,10 @@ def _scale(quantiles: Sequence[Array], unit: str) -> _Scale:
     highest = [float(np.nanmax(one, initial=0.0)) for one in finite]
     smallest = [float(np.nanmax(one[0], initial=0.0)) for one in finite]
     top = max(highest) or 1e-3
-    least = min((value for value in smallest if value > 0), default=top)
     prefix, per_si = ("", 1.0) if top >= 1 else ("m", 1e3) if top >= 1e-3 else ("µ", 1e6)
-    logarithmic = top > _LINEAR * least
-    low, high = (least / 5, 2 * top) if logarithmic else (0.0, 1.08 * top)
+    logarithmic = top > _LINEAR * min((value for value in smallest if value > 0), default=top)
+    least = min(float(one[one > 0].min(initial=top)) for one in finite)
+    low, high = (max(least, _ROUNDING * top) / 2, 2 * top) if logarithmic else (0.0, 1.08 * top)
     return _Scale(f"{prefix}{unit}", per_si, low * per_si, high * per_si, logarithmic)
 
 

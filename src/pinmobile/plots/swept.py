@@ -10,7 +10,7 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from pinmobile.arrays import Array, ArrayLike
+from pinmobile.arrays import Array, ArrayLike, finite
 from pinmobile.errors import InvalidArgument
 from pinmobile.plots.style import INK, ShownFigure
 
@@ -25,7 +25,15 @@ _LEAST = 5.0  # [pt] of numbers that can be read
 _Axis = tuple[str, str, Sequence[Any] | Array]
 
 
-def heatmap(values: ArrayLike, *, x: _Axis, y: _Axis, label: str, title: str | None = None) -> Figure:
+def heatmap(
+    values: ArrayLike,
+    *,
+    x: _Axis,
+    y: _Axis,
+    label: str,
+    title: str | None = None,
+    limits: tuple[float, float] | None = None,
+) -> Figure:
     """Draw a number for each pair of two parameters, as colour and as text.
 
     Where it is infinite, nothing bounds it: the cell is hatched, and says "diverges". Colours are
@@ -42,6 +50,9 @@ def heatmap(values: ArrayLike, *, x: _Axis, y: _Axis, label: str, title: str | N
         What the numbers are, with their unit, such as ``"99 % stay within [mm]"``.
     title : str, optional
         Heading of the figure.
+    limits : tuple of float, optional
+        The numbers of the darkest and the brightest colour, in the unit of `values`: with the same ones,
+        several maps can be compared. By default the smallest and the largest of `values`.
 
     Returns
     -------
@@ -50,7 +61,8 @@ def heatmap(values: ArrayLike, *, x: _Axis, y: _Axis, label: str, title: str | N
     Raises
     ------
     InvalidArgument
-        If `values` has another shape, or holds NaN.
+        If `values` has another shape, holds NaN, or a number that is outside `limits`, or these are no two
+        numbers in order.
     """
     columns, rows = _labels("x", x), _labels("y", y)
     numbers = _numbers(values, (len(rows), len(columns)))
@@ -60,7 +72,7 @@ def heatmap(values: ArrayLike, *, x: _Axis, y: _Axis, label: str, title: str | N
     figure.set_layout_engine("constrained")
     figure.suptitle(title or f"{label} over {x[0]} and {y[0]}", fontsize=14, color=INK)
     axes = figure.subplots()
-    norm = _norm(numbers[np.isfinite(numbers)])
+    norm = _norm(numbers[np.isfinite(numbers)], limits)
     image = axes.imshow(np.ma.masked_invalid(numbers), cmap=_MAP, norm=norm, origin="lower", aspect="auto")
     figure.colorbar(image, ax=axes, pad=0.02).set_label(label, fontsize=11)
     _furnish(axes, columns, rows, (x, y))
@@ -92,10 +104,17 @@ def _numbers(values: ArrayLike, shape: tuple[int, int]) -> Array:
     return numbers.astype(np.float64)
 
 
-def _norm(finite: Array) -> Normalize:
-    if not len(finite):
-        return Normalize(0.0, 1.0)
-    low, high = float(finite.min()), float(finite.max())
+def _norm(known: Array, limits: Any) -> Normalize:
+    if limits is None:
+        low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+    else:
+        ends = finite("limits", limits)
+        if ends.shape != (2,) or ends[0] > ends[1]:
+            raise InvalidArgument(f"limits is {limits!r}, expected (smallest, largest)")
+        low, high = ends.tolist()
+        outside = known[(known < low) | (known > high)]
+        if len(outside):
+            raise InvalidArgument(f"limits is {limits!r}, expected to hold all of values, {outside[0]:g} too")
     return LogNorm(low, high) if 0 < _LOGARITHMIC * low < high else Normalize(low, high)
 
 

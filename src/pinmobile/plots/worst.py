@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pinmobile.ensembles import Ensemble
 from pinmobile.errors import InvalidArgument
+from pinmobile.plots.beyond import strip_above
 from pinmobile.plots.causes import Cause, causes, worst_share
 from pinmobile.plots.style import INK, ShownFigure, colour, dress, legend, percent
 
@@ -23,6 +24,7 @@ __all__ = ["drivers"]
 _MOST = 6  # parameters that are drawn
 _DOTS = 4000  # robots that are drawn, of the worst and of the others
 _BINS = 40
+_WORD = 0.36  # [inch] by which "diverged" is longer than the other labels of an axis
 _LINEAR = 50.0  # by how much the farthest may exceed the median on a linear axis
 _ERRORS = {"distance": "distance from the desired position", "heading": "error of the heading"}
 _OTHERS: dict[str, Any] = {"color": "#9a9a9a", "alpha": 0.55}
@@ -73,13 +75,16 @@ def drivers(
     figure.suptitle(title or _answer(found, share, by), fontsize=14, color=INK)
     for k, one in enumerate(shown):
         _distribution(figure.add_subplot(grid[k // columns, k % columns]), one, worst)
-    _scatter(figure.add_subplot(grid[:, columns]), ensemble, found[0], worst, by)
+    scatter = figure.add_subplot(grid[:, columns])
+    _scatter(scatter, ensemble, found[0], worst, by)
     keys: list[Artist] = [
         Line2D([], [], label=f"the worst {percent(share)}: {worst.sum():,} robots", **_WORST),
         Patch(label="the others", **_OTHERS),
         Patch(label="where the worst are", **_WHERE),
     ]
     if ensemble.diverged.any():
+        room, place = _WORD / figure.get_figwidth(), scatter.get_position()
+        scatter.set_position((place.x0 + room, place.y0, place.width - room, place.height))
         keys.append(Line2D([], [], color=INK, marker="x", linestyle="", label="diverged"))
     legend(figure, keys)
     return figure
@@ -130,26 +135,26 @@ def _distribution(axes: Axes, one: Cause, worst: NDArray[np.bool_]) -> None:
 
 
 def _scatter(axes: Axes, ensemble: Ensemble, one: Cause, worst: NDArray[np.bool_], by: str) -> None:
-    """Draw each robot's largest error over what matters most; the diverged ones at the top."""
+    """Draw each robot's largest error over what matters most; the diverged ones in a strip of their own."""
     dress(axes)
     lost, errors = ensemble.diverged, ensemble.largest(by)
     kept = errors[~lost]
     farthest, median = (float(kept.max()), float(np.median(kept))) if len(kept) else (0.0, 0.0)
-    logarithmic = 0 < _LINEAR * median < farthest
     small = by == "distance" and 0 < farthest < 1
     scale, unit = (1e3, "mm") if small else (1.0, "m" if by == "distance" else "rad")
-    top = (farthest or 1.0) * scale * (2 if logarithmic else 1.1)
-    heights = np.where(lost, top, errors * scale)
-    for mine, style in ((~worst, _OTHERS), (worst, _WORST)):
-        for chosen, marker in ((mine & ~lost, "."), (mine & lost, "x")):
-            indices = np.flatnonzero(chosen)
-            indices = indices[:: max(1, -(-len(indices) // _DOTS))]
-            axes.plot(
-                one.values[indices], heights[indices], linestyle="", marker=marker, markersize=4, zorder=3,
-                color=style["color"],
-            )  # fmt: skip
-    if logarithmic:
+    if 0 < _LINEAR * median < farthest:
         axes.set_yscale("log")
+    for mine, style in ((~worst, _OTHERS), (worst, _WORST)):
+        chosen = _dots(mine & ~lost)
+        axes.plot(
+            one.values[chosen], errors[chosen] * scale, ".", markersize=4, zorder=3, color=style["color"]
+        )
+    if lost.any():
+        height = strip_above(axes, "diverged", numbers=bool(len(kept)))
+        for mine, style in ((~worst, _OTHERS), (worst, _WORST)):
+            chosen = _dots(mine & lost)
+            heights = np.full(len(chosen), height)
+            axes.plot(one.values[chosen], heights, "x", markersize=4, zorder=3, color=style["color"])
     axes.set_title(
         "How far each robot strays" if by == "distance" else "How far each robot turns away",
         fontsize=10.5,
@@ -159,3 +164,9 @@ def _scatter(axes: Axes, ensemble: Ensemble, one: Cause, worst: NDArray[np.bool_
     axes.xaxis.set_major_locator(MaxNLocator(5))
     axes.set_xlabel(one.label, fontsize=10)
     axes.set_ylabel(f"largest {_ERRORS[by]} [{unit}]", fontsize=10)
+
+
+def _dots(chosen: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return the indices of those that are drawn of the chosen robots."""
+    indices = np.flatnonzero(chosen)
+    return indices[:: max(1, -(-len(indices) // _DOTS))]

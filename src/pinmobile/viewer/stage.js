@@ -21,6 +21,22 @@
   sun.shadow.radius = 3;
   viewer.scene.add(sun, sun.target);
 
+  // A ghost that is where something solid is, or a little in front of it, shall be a rim around it. So its depth
+  // is as if it were farther from the camera; the sides of its triangles alone do not do, since those of many
+  // meshes face either way.
+  const farther = { value: 0 }; // [m]
+  function stand_behind(material) {
+    material.onBeforeCompile = (shader) => {
+      shader.uniforms.farther = farther;
+      shader.vertexShader = "uniform float farther;\n" + shader.vertexShader.replace(
+        "#include <project_vertex>",
+        `#include <project_vertex>
+        vec4 behind = projectionMatrix * (mvPosition - vec4(0.0, 0.0, farther, 0.0));
+        gl_Position.z = behind.z / behind.w * gl_Position.w;`,
+      );
+    };
+  }
+
   // Meshcat lets everything cast a shadow; what lies flat or is glass should not.
   const set_object = viewer.set_object;
   const from_json = viewer.set_object_from_json;
@@ -29,10 +45,11 @@
   viewer.set_object = (path, object) => {
     coming -= 1;
     const glass = object.material && object.material.transparent && !object.material.isShadowMaterial;
-    // Of glass only the far sides are drawn: around something solid in the same place it is a rim.
+    // Of glass only the far sides are drawn: it is no darker where it is closed.
     if (glass && !object.userData.flat) {
       Object.assign(object.material, { depthWrite: false, side: 1 });
       object.renderOrder = 30; // after what lies on the ground
+      stand_behind(object.material);
     }
     // A mesh comes with shared corners: smooth, its edges would look molten.
     const mesh = object.geometry && object.geometry.type === "BufferGeometry";
@@ -82,6 +99,7 @@
     sun.target.position.copy(at);
     sun.position.set(at.x - 1.2 * radius, at.y + 0.7 * radius, 2.0 * radius);
     if (!changed("lit")) return;
+    farther.value = 0.03 * radius; // more than a ghost is larger
     Object.assign(sun.shadow.camera, { left: -radius, right: radius, top: radius, bottom: -radius });
     Object.assign(sun.shadow.camera, { near: 0.1 * radius, far: 6 * radius });
     sun.shadow.camera.updateProjectionMatrix();
