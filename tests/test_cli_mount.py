@@ -56,7 +56,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Rollout:
 
 
 def test_mount_prints_what_the_coupling_costs(capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, err = typed(capsys, "mount", "ur5", "--at", "0.1,0,0.2,0.4", "--dt", "0.01")
+    code, out, err = typed(capsys, "mount", "ur5", "--at", "0.1,0,0.2,0.4", "--dt", "0.005")
     assert (code, err) == (0, "")
     assert "ur5 on a box of 30 kg: 6 joints, 51.0 kg in all, M(q) is 9 x 9" in out
     rows = {
