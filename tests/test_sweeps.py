@@ -25,10 +25,8 @@ from pinmobile import (
     Uniform,
     UnknownName,
     grid,
-    law,
     sweep,
 )
-from pinmobile.arrays import Array
 from pinmobile.ensembles import run_scenario
 from pinmobile.sweeps import length
 from pinmobile.sweeps.origin import determined_by
@@ -178,7 +176,7 @@ def test_what_determines_the_numbers_is_told_the_same_way_in_every_process(done:
         (lambda: _grid(dt=0.05, every=2), "dt is 0.1 there and 0.05 here"),
         (
             lambda: _grid(trajectory=Tangent(Circle(2, 0.1, 6.0))),
-            r"another sweep: trajectory\.path\.rx is 3 there and 2 here; trajectory\.path\.ry is 3 [^;]*$",
+            r"sweep: trajectory\.path\.rx is 3\.0 there and 2\.0 here; trajectory\.path\.ry is 3[^;]*$",
         ),
     ],
 )
@@ -196,34 +194,8 @@ def _grid(**changed: Any) -> Any:
     return grid(make, gain=Axis([4, 16], "1/s^2"), error=[0, 0.2])
 
 
-FACTOR = 3.0
-
-
 def _untyped(value: Any) -> Any:
     return value
-
-
-def _push(t: float, q: Array, v: Array, reference: Any) -> Array:
-    tau: Array = FACTOR * (reference.q - q)
-    return tau
-
-
-def test_a_users_function_is_known_by_its_source_and_what_it_reads(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pushed = replace(scenario(n=3), controller=law(_push))
-    store = tmp_path / "store"
-    sweep([pushed], store)
-    sweep([pushed], store)
-    monkeypatch.setattr("tests.test_sweeps.FACTOR", 4.0)
-    with pytest.raises(InvalidArgument, match=r"reads\._push\.FACTOR is 3 there and 4 here"):
-        sweep([pushed], store)
-    with pytest.raises(InvalidArgument, match=r"another sweep: controller\.function\.source is "):
-        sweep([replace(pushed, controller=law(lambda t, q, v, r: 0 * q))], store)
-    typed: dict[str, Any] = {}
-    exec("def f(t, q, v, reference): return 0 * q", typed)
-    with pytest.raises(InvalidArgument, match=r"controller\.function is f, whose source cannot be read"):
-        sweep([replace(pushed, controller=law(typed["f"]))], store)
 
 
 @pytest.mark.parametrize(
