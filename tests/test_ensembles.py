@@ -327,6 +327,65 @@ def test_a_users_own_controller_force_and_integrator_run_on_arrays() -> None:
         assert refusal in str(caught.value)
 
 
+class OwnGains:
+    """A user's controller with attributes that controllers of the library have too."""
+
+    def __init__(self, **attributes: Any) -> None:
+        vars(self).update(kp=KP, kd=KD, **attributes)
+
+    def initial_state(self) -> None: ...
+
+    def __call__(self, t: float, q: Any, v: Any, reference: Any, state: None) -> Any:
+        return 0.5 * KP * (reference.q - q) + 0.9 * KD * (reference.v - v), state
+
+
+@pytest.mark.parametrize(
+    "attributes",
+    [
+        {},
+        {"difference": np.subtract},
+        {"robot": ROBOT, "difference": np.subtract},
+        {"robot": ROBOT.mount("ur5")},
+        {"robot": "a name", "controller": PD(1, 1), "limits": (1.0, 2.0), "std_q": np.ones(2), "samples": 3},
+    ],
+)
+@pytest.mark.parametrize("wrap", [lambda c: c, lambda c: NoisyMeasurement(c, 1e-3, 1e-3, seed=1)])
+def test_a_users_controller_is_run_as_what_it_is_whatever_attributes_it_has(
+    attributes: dict[str, Any], wrap: Any
+) -> None:
+    run = run_scenario(made(controller=wrap(OwnGains(**attributes)), n=2, duration=2.0))
+    assert_is_simulated(run, 1)
+
+
+class OwnDraws:
+    """A user's distribution with a method called as one of the library's, which is something else."""
+
+    def support(self, level: float) -> float:
+        return level
+
+    def sample(self, generator: np.random.Generator, size: int) -> Any:
+        return generator.uniform(20, 40, size)
+
+
+def test_a_users_distribution_need_not_tell_its_support() -> None:
+    run = run_scenario(made(spread={"mass": OwnDraws()}, n=2, duration=1.0))
+    assert_is_simulated(run, 1)
+
+
+class Column:
+    """Numbers with a method that distributions have too, as a column of pandas."""
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> Any:
+        return np.array([25.0, 35.0])
+
+    def sample(self) -> None:
+        raise NotImplementedError
+
+
+def test_a_column_of_numbers_is_no_distribution() -> None:
+    assert list(made(spread={"mass": Column()}, n=2).draws()["mass"]) == [25.0, 35.0]
+
+
 def test_the_kernel_and_who_calls_it_agree_on_stages_and_lanes() -> None:
     assert by_kernel._MOST_STAGES == kernel.STAGES
     assert stretches._LANES == kernel.LANES

@@ -189,7 +189,7 @@ class _Noisy:
 
 def _controller(scenario: Scenario, batch: Batch) -> Any:
     core = core_of(scenario.controller)
-    controller = _Feedback(core, batch) if _is_ours(core, batch) else core
+    controller = core if batch.kp is None else _Feedback(core, batch)
     noise = noise_of(scenario, batch.start, batch.size)
     for layer in reversed(layers_of(scenario.controller)):
         if type(layer) is NoisyMeasurement:
@@ -197,10 +197,6 @@ def _controller(scenario: Scenario, batch: Batch) -> Any:
         else:
             controller = replace(layer, controller=controller)
     return controller
-
-
-def _is_ours(core: Any, batch: Batch) -> bool:
-    return batch.kp is not None and (batch.model is not None or not hasattr(core, "robot"))
 
 
 ARRAYS = Engine("ARRAYS", _run, lambda scenario: "", largest=4096)

@@ -9,7 +9,7 @@ from typing import Any, final
 import numpy as np
 
 from pinmobile.arrays import Array, positive, whole
-from pinmobile.controllers import PD, ComputedTorque, gain_matrix
+from pinmobile.controllers import PD, ComputedTorque, Decoupled, PDGravity, gain_matrix
 from pinmobile.ensembles.distributions import Source
 from pinmobile.ensembles.draws import draw, held
 from pinmobile.ensembles.forces import check_forces, with_spread_forces
@@ -85,7 +85,8 @@ class Scenario:
         if type(self.robot) is not MobileRobot or self.robot.nv != 3:
             raise InvalidArgument(f"robot is {self.robot!r}, expected a MobileRobot without arms")
         checked_loop(self.robot, self.controller, self.trajectory, self.integrator)
-        believed = getattr(core_of(self.controller), "robot", None)
+        core: Any = core_of(self.controller)
+        believed = core.robot if type(core) in (ComputedTorque, PDGravity, Decoupled) else None
         if type(believed) is MobileRobot and believed.nv != self.robot.nv:
             raise InvalidArgument(
                 f"controller believes in {believed!r} of {believed.nv} coordinates, expected {self.robot.nv}"
@@ -136,9 +137,9 @@ class Scenario:
         found = dict.fromkeys(PARAMETERS, 0.0) | {"kp_factor": 1.0, "kd_factor": 1.0}
         found |= _of_robot("", self.robot)
         core = core_of(self.controller)
-        if isinstance(core, ComputedTorque) and isinstance(core.robot, MobileRobot):
+        if type(core) is ComputedTorque and type(core.robot) is MobileRobot:
             found |= _of_robot("model_", core.robot)
-        if isinstance(core, PD | ComputedTorque):
+        if type(core) in (PD, ComputedTorque):
             for name in ("kp", "kd"):
                 diagonal = np.diag(gain_matrix(name, getattr(core, name), 3))
                 found |= {f"{name}_{c}": float(g) for c, g in zip(("x", "y", "psi"), diagonal, strict=True)}
