@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import signal
 import subprocess
 import sys
@@ -31,6 +32,7 @@ from pinmobile.ensembles import run_scenario
 from pinmobile.sweeps import length
 from pinmobile.sweeps.origin import determined_by
 from pinmobile.sweeps.store import Store
+from pinmobile.sweeps.table import axis_of_rivals
 from tests.sweeping import CHUNK, contents, gains_and_errors, scenario
 
 ROOT = Path(__file__).parents[1]
@@ -97,6 +99,29 @@ def test_a_sweep_says_who_stays_within_what(done: Sweep) -> None:
         "1 nm",
         "unbounded",
     ]
+
+
+@pytest.mark.parametrize("called", ["controller", "law"])
+@pytest.mark.parametrize("first", [True, False])
+def test_controllers_are_compared_wherever_their_axis_stands(
+    tmp_path: Path, called: str, first: bool
+) -> None:
+    rivals: Any = {called: {"soft": PD(20, 20), "stiff": PD(120, 120)}}
+    paths: Any = {"path": {"near": Tangent(Circle(1, 0.1, 2)), "far": Tangent(Circle(3, 0.1, 2))}}
+
+    def make(path: Any, **chosen: Any) -> Any:
+        return replace(scenario(n=3), controller=chosen[called], trajectory=path)
+
+    found = sweep(grid(make, **(rivals | paths if first else paths | rivals)), tmp_path / "store")
+    assert re.fullmatch(r"with path = far, soft stays within .*, stiff within .*", found.answer())
+    assert Sweep.open(tmp_path / "store").answer() == found.answer()
+
+
+def test_an_axis_called_controller_or_else_the_last_of_names_is_compared() -> None:
+    names, numbers = Axis(["a", "b"]), Axis([1, 2])
+    assert axis_of_rivals({"controller": names, "path": names, "gain": numbers}) == "controller"
+    assert axis_of_rivals({"model": names, "path": names, "gain": numbers}) == "path"
+    assert axis_of_rivals({"controller": Axis(["a"]), "gain": numbers}) is None
 
 
 def test_a_chunk_is_another_division_of_the_same_numbers(done: Sweep, tmp_path: Path) -> None:

@@ -39,12 +39,15 @@ class Sweep:
         known yet.
     grid : Grid or None
         The scenarios; None where the store was opened without.
+    rivals : str or None
+        The axis whose members `answer` compares with each other.
     """
 
     path: Path
     axes: Mapping[str, Axis]
     dataset: Any
     grid: Grid | None
+    rivals: str | None
 
     @classmethod
     def open(cls, path: str | PathLike[str], scenarios: Any = None) -> "Sweep":
@@ -63,7 +66,8 @@ class Sweep:
             If there is no store of a sweep, or not of these scenarios.
         """
         folder = location("path", path)
-        there = attributes_of(folder)["determined_by"]
+        attributes = attributes_of(folder)
+        there = attributes["determined_by"]
         grid = None
         if scenarios is not None:
             grid = as_grid(scenarios)
@@ -72,7 +76,7 @@ class Sweep:
                 raise InvalidArgument(f"scenarios are not those of {str(folder)!r}: {found}")
         axes = {name: Axis(axis["values"], axis["unit"]) for name, axis in there["axes"].items()}
         dataset = imported("xarray").open_zarr(folder, chunks=None, consolidated=True)
-        return cls(folder, axes, dataset, grid)
+        return cls(folder, axes, dataset, grid, attributes["rivals"])
 
     def within(self, share: float = 0.99) -> Any:
         """Return the distance that a share of the robots stays within, all the time, exactly.
@@ -114,6 +118,10 @@ class Sweep:
     def answer(self, share: float = 0.99) -> str:
         """Return in one line what the share of the robots stays within where the worst happens.
 
+        There, the members of one axis are compared with each other: of the axis whose values are controllers
+        (of a mapping of names to controllers), else of the one called ``controller``, else of the last axis
+        of names. Where there is none, it is the worst of all.
+
         Of a sweep that is not complete, it begins with how much is done.
 
         Raises
@@ -122,7 +130,7 @@ class Sweep:
             If `share` is not between 0 and 1.
         """
         done = float(self.dataset.max_distance.notnull().mean())
-        return answer(self.axes, self.within(share).values, share, done)
+        return answer(self.axes, self.within(share).values, share, done, self.rivals)
 
     def ensemble(self, **labels: Any) -> Ensemble:
         """Return the ensemble of one scenario.

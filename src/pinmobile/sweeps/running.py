@@ -40,7 +40,8 @@ def sweep(
     ----------
     scenarios : Grid, mapping of str to Scenario, sequence of Scenario, or Scenario
         What is run: a `grid`, or scenarios along one axis called ``scenario``, on which a single one is
-        number 0. All have as many robots, and their bands at the same times.
+        number 0. All have as many robots, and their bands at the same times. An axis of controllers is what
+        `Sweep.answer` compares.
     store : path
         Folder of the store; made where it is missing, continued where it is that of this sweep.
     client : distributed.Client, optional

@@ -23,6 +23,7 @@ from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.grids import Grid
 from pinmobile.sweeps.layout import LEVELS, PER_ROBOT, make_arrays
 from pinmobile.sweeps.origin import differences
+from pinmobile.sweeps.table import axis_of_rivals
 
 __all__ = ["Job", "Store", "attributes_of"]
 
@@ -178,7 +179,11 @@ def _make(path: Path, grid: Grid, description: Mapping[str, Any], chunk: int) ->
     shutil.rmtree(made, ignore_errors=True)
     attributes = {
         "Conventions": "units and long_name of each variable; robot i of a scenario is row i",
-        "pinmobile_sweep": {"chunk": chunk, "determined_by": description},
+        "pinmobile_sweep": {
+            "chunk": chunk,
+            "rivals": axis_of_rivals(grid.axes),
+            "determined_by": description,
+        },
     }
     make_arrays(made, grid, chunk, attributes)
     (made / _PROGRESS).mkdir()

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array
 from pinmobile.sweeps.axes import Axis, Label, told
 
-__all__ = ["answer", "compared", "length", "table"]
+__all__ = ["answer", "axis_of_rivals", "compared", "length", "table"]
 
 _MOST = 40  # rows of a table
 
@@ -45,7 +45,9 @@ def compared(within: Mapping[str, float], share: float) -> str:
     return ", ".join(words)
 
 
-def answer(axes: Mapping[str, Axis], within: Array, share: float, done: float = 1.0) -> str:
+def answer(
+    axes: Mapping[str, Axis], within: Array, share: float, done: float = 1.0, beside: str | None = None
+) -> str:
     """Return the answer in one line, for the values at which the worst happens.
 
     Parameters
@@ -58,10 +60,11 @@ def answer(axes: Mapping[str, Axis], within: Array, share: float, done: float = 
         The share.
     done : float
         Share of all robots that has been run.
+    beside : str, optional
+        The axis whose members are compared with each other.
     """
     known = np.nan_to_num(within, nan=-1.0, posinf=np.inf)
     worst = np.unravel_index(int(np.argmax(known)), within.shape)
-    beside = _beside(axes)
     places = zip(axes.items(), worst, strict=True)
     where = [told(name, axis, int(i)) for (name, axis), i in places if name != beside and len(axis) > 1]
     begun = f"{done * 100:.3g} % of the robots are done" if done < 1 else ""
@@ -79,6 +82,18 @@ def answer(axes: Mapping[str, Axis], within: Array, share: float, done: float = 
     others = tuple(int(i) for k, i in enumerate(worst) if k != place)
     row = np.moveaxis(within, place, -1)[others]
     return prefix + compared(dict(zip(map(str, axes[beside].values), row.tolist(), strict=True)), share)
+
+
+def axis_of_rivals(axes: Mapping[str, Axis]) -> str | None:
+    """Return the axis whose members are compared with each other: of more than one, each with a name.
+
+    That is the one whose values are controllers, else the one called ``controller``, else the last one.
+    """
+    named = [
+        name for name, axis in axes.items() if len(axis) > 1 and all(isinstance(x, str) for x in axis.values)
+    ]
+    controllers = [name for name in named if all(hasattr(x, "initial_state") for x in axes[name].given)]
+    return [*named, *(name for name in named if name == "controller"), *controllers][-1] if named else None
 
 
 def _unbounded(distance: float, share: float, be: str, diverge: str) -> str:
@@ -111,13 +126,6 @@ def table(
     lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
     rest = within.size - most
     return "\n".join([*lines, *([f"... and {rest} more"] if rest > 0 else [])])
-
-
-def _beside(axes: Mapping[str, Axis]) -> str | None:
-    """Return the last axis whose values are text: its members are compared with each other."""
-    long = {name: axis for name, axis in axes.items() if len(axis) > 1}
-    named = [name for name, axis in long.items() if all(isinstance(value, str) for value in axis.values)]
-    return named[-1] if named else None
 
 
 def _text(label: Label) -> str:
