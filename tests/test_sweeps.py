@@ -106,7 +106,7 @@ def test_a_sweep_says_who_stays_within_what(done: Sweep) -> None:
 def test_controllers_are_compared_wherever_their_axis_stands(
     tmp_path: Path, called: str, first: bool
 ) -> None:
-    rivals: Any = {called: {"soft": PD(20, 20), "stiff": PD(120, 120)}}
+    rivals: Any = {called: {"soft": PD((20, 20, 1), (20, 20, 1)), "stiff": PD((60, 60, 3), (60, 60, 3))}}
     paths: Any = {"path": {"near": Tangent(Circle(1, 0.1, 2)), "far": Tangent(Circle(3, 0.1, 2))}}
 
     def make(path: Any, **chosen: Any) -> Any:
@@ -324,3 +324,12 @@ def test_a_missing_package_names_the_extra(
     monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(InvalidArgument, match=rf"needs {name}: .*pip install 'pinmobile\[sweeps\]'"):
         pinmobile.sweep([scenario()], tmp_path / "store")
+
+
+@pytest.mark.parametrize("name", ["zarr", "xarray"])
+def test_a_store_is_not_opened_without_the_packages_of_the_extra(
+    done: Sweep, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(InvalidArgument, match=rf"needs {name}: .*pip install 'pinmobile\[sweeps\]'"):
+        Sweep.open(done.path)

@@ -4,7 +4,7 @@ import json
 import re
 from collections.abc import Mapping
 from hashlib import sha256
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from platform import machine
 from typing import Any
 
@@ -55,7 +55,10 @@ def _version(name: str) -> str:
         import pinmobile
 
         return pinmobile.__version__
-    return version(name)
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "missing"
 
 
 def _fingerprint(description: Any) -> str:

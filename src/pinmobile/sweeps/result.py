@@ -63,8 +63,10 @@ class Sweep:
         Raises
         ------
         InvalidArgument
-            If there is no store of a sweep, or not of these scenarios.
+            If there is no store of a sweep, or not of these scenarios, or a package of the extra is missing.
         """
+        for package in ("zarr", "xarray"):
+            imported(package)
         folder = location("path", path)
         attributes = attributes_of(folder)
         there = attributes["determined_by"]
