@@ -3,6 +3,7 @@
 import json
 import math
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -177,6 +178,81 @@ def test_a_sweep_killed_while_it_tidies_up_is_done(done: Sweep, tmp_path: Path) 
     (found.path / ".progress-done" / "0-0.npz").write_bytes(b"")
     sweep(gains_and_errors(), found.path)
     assert contents(found.path) == contents(done.path)
+
+
+@pytest.mark.parametrize(
+    ("file", "robots"),
+    [
+        ("max_error/c/1/0/2/0", 600),
+        ("diverged_at/c/0/1/0", 600),
+        ("drawn_mass/c/1/1/3", 600),
+        ("counts/c/0/0/0/0/0", 600),
+        ("heading_quantile/c/1/1/0/0", 600),
+        ("gain/c/0", 800),
+    ],
+)
+def test_what_is_gone_from_a_store_is_computed_again(
+    done: Sweep, tmp_path: Path, file: str, robots: int
+) -> None:
+    shutil.copytree(done.path, tmp_path / "store")
+    (tmp_path / "store" / file).unlink()
+    heard: list[int] = []
+    sweep(gains_and_errors(), tmp_path / "store", progress=lambda now, total: heard.append(now))
+    assert heard[0] == robots
+    assert heard[-1] == 800
+    assert contents(tmp_path / "store") == contents(done.path)
+
+
+def test_a_mended_store_that_is_killed_goes_on(done: Sweep, tmp_path: Path) -> None:
+    class Stop(Exception):
+        pass
+
+    def stop(now: int, total: int) -> None:
+        if now > 600:
+            raise Stop
+
+    shutil.copytree(done.path, tmp_path / "store")
+    (tmp_path / "store/max_force/c/1/0/2/0").unlink()
+    with pytest.raises(Stop):
+        sweep(gains_and_errors(), tmp_path / "store", progress=stop)
+    for chunk in range(3):
+        (tmp_path / f"store/max_force/c/1/0/{chunk}/0").unlink(missing_ok=True)  # one of them counts as done
+    sweep(gains_and_errors(), tmp_path / "store")
+    assert contents(tmp_path / "store") == contents(done.path)
+
+
+@pytest.mark.parametrize(
+    "damage", [lambda b: b[: len(b) // 2], lambda b: b"", lambda b: b[:-9] + bytes([b[-9] ^ 1]) + b[-8:]]
+)
+@pytest.mark.parametrize("file", ["max_distance/c/1/0/2", "counts/c/1/0/0/0/0"])
+def test_a_file_that_cannot_be_read_is_named(
+    done: Sweep, tmp_path: Path, file: str, damage: Callable[[bytes], bytes]
+) -> None:
+    shutil.copytree(done.path, tmp_path / "store")
+    path = tmp_path / "store" / file
+    path.write_bytes(damage(path.read_bytes()))
+    found = Sweep.open(tmp_path / "store", gains_and_errors())
+    with pytest.raises(InvalidArgument, match=rf"of which '.*{file}' cannot be read: .*; remove that file"):
+        found.ensemble(gain=16, error=0)
+    path.unlink()
+    sweep(gains_and_errors(), tmp_path / "store")
+    assert contents(tmp_path / "store") == contents(done.path)
+
+
+def test_a_coordinate_that_cannot_be_read_is_named(done: Sweep, tmp_path: Path) -> None:
+    shutil.copytree(done.path, tmp_path / "store")
+    (tmp_path / "store/time/c/0").write_bytes(b"")
+    with pytest.raises(InvalidArgument, match=r"of which '.*time/c/0' cannot be read: "):
+        Sweep.open(tmp_path / "store")
+
+
+def test_a_mark_of_what_is_done_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    run = gains_and_errors()
+    with Store(tmp_path / "store", run, determined_by(run), 200) as store:
+        for job in store.jobs():
+            store._marker(job).write_bytes(b"")
+        with pytest.raises(InvalidArgument, match=r"store has '.*0-0\.npz', which cannot be read: "):
+            store.finish()
 
 
 def test_what_determines_the_numbers_is_told_the_same_way_in_every_process(done: Sweep) -> None:

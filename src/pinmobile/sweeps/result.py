@@ -1,6 +1,7 @@
 """`Sweep`: what a store holds, with its own judgement."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -17,7 +18,7 @@ from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.grids import Grid, as_grid
 from pinmobile.sweeps.layout import PER_ROBOT
 from pinmobile.sweeps.origin import determined_by, differences
-from pinmobile.sweeps.store import attributes_of
+from pinmobile.sweeps.store import attributes_of, damaged
 from pinmobile.sweeps.table import answer, table
 
 __all__ = ["Sweep"]
@@ -63,7 +64,8 @@ class Sweep:
         Raises
         ------
         InvalidArgument
-            If there is no store of a sweep, or not of these scenarios, or a package of the extra is missing.
+            If there is no store of a sweep, or not of these scenarios, a file of it cannot be read, or a
+            package of the extra is missing.
         """
         for package in ("zarr", "xarray"):
             imported(package)
@@ -77,7 +79,8 @@ class Sweep:
             if found:
                 raise InvalidArgument(f"scenarios are not those of {str(folder)!r}: {found}")
         axes = {name: Axis(axis["values"], axis["unit"]) for name, axis in there["axes"].items()}
-        dataset = imported("xarray").open_zarr(folder, chunks=None, consolidated=True)
+        with _reading(folder):
+            dataset = imported("xarray").open_zarr(folder, chunks=None, consolidated=True)
         return cls(folder, axes, dataset, grid, attributes["rivals"])
 
     def within(self, share: float = 0.99) -> Any:
@@ -97,10 +100,11 @@ class Sweep:
         Raises
         ------
         InvalidArgument
-            If `share` is not between 0 and 1.
+            If `share` is not between 0 and 1, or a file of the store cannot be read.
         """
         level = checked_share(share)
-        data = self.dataset[["max_distance", "diverged_at"]].load()
+        with _reading(self.path):
+            data = self.dataset[["max_distance", "diverged_at"]].load()
         sizes = data.max_distance.where(data.diverged_at.isnull(), np.inf)
         found = sizes.quantile(level, "robot", method="inverted_cdf", skipna=False)
         meaning = f"distance from the desired position that {level * 100:g} % of the robots stay within"
@@ -112,10 +116,11 @@ class Sweep:
         Raises
         ------
         InvalidArgument
-            If `share` is not between 0 and 1.
+            If `share` is not between 0 and 1, or a file of the store cannot be read.
         """
+        within = self.within(share).values
         diverged = self.dataset.diverged_at.notnull().sum("robot").values
-        return table(self.axes, self.within(share).values, diverged, share, most)
+        return table(self.axes, within, diverged, share, most)
 
     def answer(self, share: float = 0.99) -> str:
         """Return in one line what the share of the robots stays within where the worst happens.
@@ -129,10 +134,11 @@ class Sweep:
         Raises
         ------
         InvalidArgument
-            If `share` is not between 0 and 1.
+            If `share` is not between 0 and 1, or a file of the store cannot be read.
         """
+        within = self.within(share).values
         done = float(self.dataset.max_distance.notnull().mean())
-        return answer(self.axes, self.within(share).values, share, done, self.rivals)
+        return answer(self.axes, within, share, done, self.rivals)
 
     def ensemble(self, **labels: Any) -> Ensemble:
         """Return the ensemble of one scenario.
@@ -147,8 +153,8 @@ class Sweep:
         UnknownName
             If there is no such axis.
         InvalidArgument
-            If an axis is missing, a value is not one of its own, the scenarios are not known, or its records
-            are not there yet.
+            If an axis is missing, a value is not one of its own, the scenarios are not known, its records are
+            not there yet, or a file of theirs cannot be read.
         """
         index = place_of(self.axes, labels)
         if self.grid is None:
@@ -157,7 +163,8 @@ class Sweep:
                 "that were given to sweep"
             )
         scenario = self.grid.scenarios[int(np.ravel_multi_index(index, self.grid.shape))]
-        data = self.dataset.isel(dict(zip(self.axes, index, strict=True)))
+        with _reading(self.path):
+            data = self.dataset.isel(dict(zip(self.axes, index, strict=True))).load()
         counts = np.array(data.counts)
         if not counts.any():
             raise InvalidArgument(
@@ -176,3 +183,15 @@ class Sweep:
 
     def __str__(self) -> str:
         return f"{self.table()}\n{self.answer()}"
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Name the file of a store that cannot be read."""
+    try:
+        yield
+    except Exception as error:  # whatever the codecs say
+        raise InvalidArgument(
+            f"store is {str(path)!r}, of which {damaged(path)}; remove that file, and start the same sweep "
+            "again to have it computed again"
+        ) from error

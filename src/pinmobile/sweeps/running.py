@@ -34,7 +34,8 @@ def sweep(
 
     The work is divided into chunks of robots. This process alone writes the store; the numbers of a chunk are
     the same bit for bit wherever it is computed. A sweep that was interrupted, even killed, goes on where it
-    was when it is started again with the same arguments, and ends with the very same store.
+    was when it is started again with the same arguments, and ends with the very same store. Where files of a
+    store are gone, their numbers are computed again.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ _MACHINERY = frozenset(
         *("__module__", "__qualname__", "__doc__", "__dict__", "__weakref__", "__annotations__", "__repr__"),
         *("__dataclass_fields__", "__dataclass_params__", "__abstractmethods__", "_abc_impl", "__str__"),
         *("__orig_bases__", "__parameters__", "__protocol_attrs__"),
-        *("__firstlineno__", "__static_attributes__"),
+        *("__firstlineno__", "__static_attributes__", "__slotnames__"),  # the last one appears with a copy
     }
 )
 """Members of a class on which no number depends, or that others tell."""
