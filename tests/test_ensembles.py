@@ -372,6 +372,77 @@ def test_a_users_distribution_need_not_tell_its_support() -> None:
     assert_is_simulated(run, 1)
 
 
+class Summing:
+    """A controller of a user's that keeps a sum of errors in itself."""
+
+    def __init__(self) -> None:
+        self.sum: Any = 0.0
+
+    def initial_state(self) -> None: ...
+
+    def __call__(self, t: float, q: Any, v: Any, reference: Any, state: None) -> Any:
+        error = reference.q - q
+        self.sum = self.sum + 0.1 * error
+        return KP * error + KD * (reference.v - v) + 0.1 * self.sum, state
+
+
+def test_what_a_controller_keeps_in_itself_is_each_runs_own() -> None:
+    controller = Summing()
+    run = run_scenario(made(controller=controller, n=200, duration=2.0), threads=1)
+    assert controller.sum == 0.0
+    for i in (0, 199, 199):
+        assert_is_simulated(run, i)
+    assert_same(run, run_scenario(made(controller=controller, n=200, duration=2.0), threads=2))
+
+
+def _mixing(t: float, q: Any, v: Any, reference: Any) -> Any:
+    error = reference.q - q
+    return KP * error / (1 + np.linalg.norm(error[:2])) + KD * (reference.v - v)
+
+
+def _for_one(t: float, q: Any, v: Any, reference: Any) -> Any:
+    x, y, psi = reference.q - q
+    return np.array([x, y, psi])
+
+
+def _failing(t: float, q: Any, v: Any, reference: Any) -> Any:
+    gains: dict[str, float] = {}
+    return gains["gain"] * q
+
+
+@pytest.mark.parametrize(
+    ("what", "text"),
+    [
+        (
+            {"controller": law(_mixing)},
+            r"controller returned \[.*\] at t = 0 s for q of shape \(4, 3\) in row 0, and \[.*\] for that "
+            "row alone, expected the same: in an ensemble it works on arrays, one row per robot",
+        ),
+        (
+            {"controller": law(lambda t, q, v, r: (r.q - q) - (r.q - q).mean(axis=0))},
+            "controller returned .* for that row alone",
+        ),
+        (
+            {"controller": law(_for_one)},
+            r"controller failed at t = 0 s for q of shape \(4, 3\) with ValueError: too many.*; in an",
+        ),
+        ({"controller": law(_failing)}, "controller failed .* with KeyError: 'gain'; in an ensemble"),
+        (
+            {"controller": PD(KP, KD, difference=lambda q_d, q: (q_d - q) / np.linalg.norm(q[:2]))},
+            "controller returned .* for that row alone",
+        ),
+        ({"forces": (lambda t, q, v: q - q[0],)}, r"forces\[0\] returned .* for that row alone"),
+        ({"forces": (lambda t, q, v: -v[2] * np.ones(3),)}, r"forces\[0\] returned shape \(3,\)"),
+        ({"forces": (lambda t, q, v: v @ np.eye(4),)}, r"forces\[0\] failed .* with ValueError: matmul"),
+    ],
+)
+def test_functions_for_one_robot_and_functions_that_mix_rows_are_refused(
+    what: dict[str, Any], text: str
+) -> None:
+    with pytest.raises(InvalidArgument, match=text):
+        run_scenario(made(**what))
+
+
 class Column:
     """Numbers with a method that distributions have too, as a column of pandas."""
 
