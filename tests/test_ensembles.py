@@ -305,6 +305,21 @@ def test_another_seed_gives_other_robots() -> None:
     assert not np.isin(one.draws["mass"], other.draws["mass"]).any()
 
 
+@pytest.mark.parametrize("engine", [COMPILED, ARRAYS])
+@pytest.mark.parametrize("seed", [3, 2**70, np.random.SeedSequence(3, spawn_key=(1,))])
+def test_the_seed_of_a_noise_enters_that_of_every_robot(engine: Any, seed: Any) -> None:
+    def run(noise: Any, force: Any) -> Ensemble:
+        controller = NoisyMeasurement(ComputedTorque(ROBOT), 1e-3, 1e-3, seed=noise)
+        forces = (NoiseForce((1.0, 2.0, 0.1), 2.0, seed=force),)
+        return run_scenario(made(controller=controller, forces=forces, n=2, duration=1.0), engine=engine)
+
+    one = run(1, 1)
+    assert_same(one, run(1, 1))
+    for other in (run(seed, 1), run(1, seed)):
+        assert not np.isin(one.rms_error, other.rms_error).any()
+        assert_is_simulated(other, 1)
+
+
 def test_a_users_own_controller_force_and_integrator_run_on_arrays() -> None:
     def drag(t: float, q: Any, v: Any) -> Any:
         return -3.0 * np.asarray(v)

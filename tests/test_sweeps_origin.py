@@ -20,6 +20,8 @@ from pinmobile import (
     ConstantForce,
     InvalidArgument,
     MobileRobot,
+    NoiseForce,
+    NoisyMeasurement,
     Saturated,
     law,
     planar_difference,
@@ -169,6 +171,10 @@ DIFFERENT: dict[str, Callable[[float], Any]] = {
     "an enumeration": lambda k: closure(Level.LOW if k == 3 else Level.HIGH),
     "a named tuple": lambda k: closure(Gains(k, 1.0)),
     "a slice": lambda k: closure(slice(0, int(k))),
+    "the seed of a noisy measurement": lambda k: NoisyMeasurement(closure(1.0), 1e-3, 1e-3, seed=int(k)),
+    "the seed sequence of one": lambda k: NoisyMeasurement(
+        closure(1.0), 1e-3, 1e-3, seed=np.random.SeedSequence(1, spawn_key=(int(k),))
+    ),
     "a controller in a wrapper": lambda k: Saturated(closure(k), 9.0),
 }
 
@@ -208,6 +214,9 @@ def test_forces_are_told_apart_by_their_code() -> None:
     assert "forces[0].code" in differences(account(ONE, [one]), account(ONE, [other]))
     assert "forces[0].force" in differences(
         account(ONE, [ConstantForce((1, 0, 0))]), account(ONE, [ConstantForce((2, 0, 0))])
+    )
+    assert "forces[0].phases" in differences(
+        account(ONE, [NoiseForce((1, 0, 0), 1.0, seed=1)]), account(ONE, [NoiseForce((1, 0, 0), 1.0, seed=2)])
     )
 
 

@@ -118,7 +118,8 @@ class NoisyMeasurement:
         Standard deviation of each coordinate [m, m, rad] and its rate [m/s, m/s, rad/s], >= 0.
     seed : int or SeedSequence
         Of the noise: row k of ``default_rng(seed).standard_normal((m, 2, n))`` is that of q and of v at
-        sample k, in units of the standard deviation.
+        sample k, in units of the standard deviation. In an ensemble, each robot has numbers of its own,
+        which follow from this seed and the ensemble's.
 
     Raises
     ------

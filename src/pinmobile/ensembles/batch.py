@@ -129,5 +129,10 @@ def noise_of(scenario: Scenario, start: int, size: int) -> list[Array]:
 
 
 def noise_seed(scenario: Scenario, layer: int, i: int) -> np.random.SeedSequence:
-    """Return the seed of robot i's numbers in a noisy measurement, the outermost being layer 0."""
-    return stream(scenario.seed, f"measurement {layer}", i)
+    """Return the seed of robot i's numbers in a noisy measurement, the outermost being layer 0.
+
+    It follows from the ensemble's seed and that of the measurement.
+    """
+    noisy: Any = [each for each in layers_of(scenario.controller) if type(each) is NoisyMeasurement][layer]
+    own = noisy.seed if isinstance(noisy.seed, np.random.SeedSequence) else np.random.SeedSequence(noisy.seed)
+    return stream(scenario.seed, f"measurement {layer} of {own.generate_state(4).tolist()}", i)

@@ -55,7 +55,7 @@ class Scenario:
         All draws follow from it; robot i's do not depend on n.
     dt, duration, integrator, substeps, forces, limit
         As in `simulate`. A `NoiseForce` has phases of its own for each robot, a `NoisyMeasurement` numbers
-        of its own.
+        of its own; they follow from the seed here together with theirs.
     every : int, optional
         Samples between two entries of the bands over time; by default there are some 60.
 
