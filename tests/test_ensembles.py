@@ -47,6 +47,7 @@ from pinmobile import (
 )
 from pinmobile.ensembles import ARRAYS, COMPILED, by_kernel, kernel, part_of, run_scenario
 from pinmobile.ensembles.kernel import _sincos
+from pinmobile.ensembles.table import judgement
 
 ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.02))
 CIRCLE = Tangent(Circle(3.0, 0.1, 60.0))
@@ -494,6 +495,22 @@ def test_loads_count_as_the_bodys_on_the_plant_and_in_the_model() -> None:
         )
         assert_is_simulated(alike, 0)
         assert alike.max_error[0, 2] > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("n", "within", "diverged", "text"),
+    [
+        (1, (0.01, 0.02), 0, "1 robot over 6 s: stays within 0.01 m and 0.02 rad"),
+        (1, (np.inf, np.inf), 1, "1 robot over 6 s: diverged"),
+        (20_000, (np.inf, np.inf), 19_285, "20,000 robots over 6 s: 19,285 diverged, 96 %"),
+        (200, (np.inf, np.inf), 3, "200 robots over 6 s: 3 diverged, 1.5 %"),
+        (200, (0.01, 0.02), 1, "200 robots over 6 s: 99 % stay within 0.01 m and 0.02 rad, 1 diverged"),
+    ],
+)
+def test_a_judgement_tells_the_share_that_diverged(
+    n: int, within: tuple[float, float], diverged: int, text: str
+) -> None:
+    assert judgement(n, 6.0, within, diverged) == text
 
 
 def test_progress_counts_robots() -> None:

@@ -33,7 +33,7 @@ from pinmobile.ensembles import run_scenario
 from pinmobile.sweeps import length
 from pinmobile.sweeps.origin import determined_by
 from pinmobile.sweeps.store import Store
-from pinmobile.sweeps.table import axis_of_rivals
+from pinmobile.sweeps.table import answer, axis_of_rivals, compared
 from tests.sweeping import CHUNK, contents, gains_and_errors, scenario
 
 ROOT = Path(__file__).parents[1]
@@ -77,8 +77,8 @@ def test_a_diverged_robot_is_within_nothing(tmp_path: Path) -> None:
     assert np.isinf(found.within().sel(scenario="wild"))
     assert np.isfinite(found.within().sel(scenario="tame"))
     assert found.answer().startswith("tame stays within ")
-    assert found.answer().endswith("in 99 % of runs, wild diverges in more than 1 % of runs")
-    assert found.answer(1).endswith("in 100 % of runs, wild diverges in some runs")
+    assert found.answer().endswith("in 99 % of runs, wild diverges in all runs")
+    assert found.answer(1).endswith("in 100 % of runs, wild diverges in all runs")
     alone = sweep(wild, tmp_path / "alone")
     assert alone.answer() == "the robots diverge in more than 1 % of runs"
     assert Sweep.open(alone.path, wild).ensemble(scenario=0).diverged.all()
@@ -123,6 +123,19 @@ def test_an_axis_called_controller_or_else_the_last_of_names_is_compared() -> No
     assert axis_of_rivals({"controller": names, "path": names, "gain": numbers}) == "controller"
     assert axis_of_rivals({"model": names, "path": names, "gain": numbers}) == "path"
     assert axis_of_rivals({"controller": Axis(["a"]), "gain": numbers}) is None
+
+
+def test_the_share_that_diverges_is_told_and_of_one_robot_no_share() -> None:
+    axes, far = {"gain": Axis([1, 2])}, np.array([0.1, np.inf])
+    wild = np.array([0, 19_285])
+    assert answer(axes, far, wild, 20_000, 0.99) == "with gain = 2, the robots diverge in 96 % of runs"
+    assert answer(axes, far, wild, 19_286, 0.99).endswith("diverge in more than 99 % of runs")
+    assert answer(axes, far, wild, 19_285, 0.99).endswith("diverge in all runs")
+    assert answer(axes, far[:1].repeat(2), wild, 1, 0.99) == "with gain = 1, the robot stays within 100 mm"
+    assert answer(axes, far, np.array([0, 1]), 1, 0.99) == "with gain = 2, the robot diverges"
+    assert compared({"PD": 0.1, "wild": np.inf}, 0.99, {"PD": 0, "wild": 1}, 1) == (
+        "PD stays within 100 mm, wild diverges"
+    )
 
 
 def test_a_chunk_is_another_division_of_the_same_numbers(done: Sweep, tmp_path: Path) -> None:

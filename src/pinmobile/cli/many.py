@@ -126,7 +126,8 @@ def _answer(made: Mapping[str, Ensemble], spread: Sequence[str]) -> str:
     shared = [word for word in spread if word not in believed] if len(made) > 1 else spread
     with_ = f"with {' and '.join(shared)}, " if shared else ""
     within = {label: each.within(0.99).distance for label, each in made.items()}
-    told = with_ + compared(within, 0.99)
+    diverged = {label: int(each.diverged.sum()) for label, each in made.items()}
+    told = with_ + compared(within, 0.99, diverged, len(next(iter(made.values()))))
     if believed and len(made) > 1:
         told += f" ({' and '.join(believed)} for computed torque alone: PD believes in no model)"
     return told

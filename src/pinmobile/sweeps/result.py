@@ -119,8 +119,10 @@ class Sweep:
             If `share` is not between 0 and 1, or a file of the store cannot be read.
         """
         within = self.within(share).values
-        diverged = self.dataset.diverged_at.notnull().sum("robot").values
-        return table(self.axes, within, diverged, share, most)
+        return table(self.axes, within, self._diverged(), share, most)
+
+    def _diverged(self) -> Any:
+        return self.dataset.diverged_at.notnull().sum("robot").values
 
     def answer(self, share: float = 0.99) -> str:
         """Return in one line what the share of the robots stays within where the worst happens.
@@ -138,7 +140,8 @@ class Sweep:
         """
         within = self.within(share).values
         done = float(self.dataset.max_distance.notnull().mean())
-        return answer(self.axes, within, share, done, self.rivals)
+        counted = self._diverged(), self.dataset.sizes["robot"]
+        return answer(self.axes, within, *counted, share, done=done, beside=self.rivals)
 
     def ensemble(self, **labels: Any) -> Ensemble:
         """Return the ensemble of one scenario.
