@@ -80,7 +80,7 @@ def test_a_diverged_robot_is_within_nothing(tmp_path: Path) -> None:
     assert found.answer().endswith("in 99 % of runs, wild diverges in all runs")
     assert found.answer(1).endswith("in 100 % of runs, wild diverges in all runs")
     alone = sweep(wild, tmp_path / "alone")
-    assert alone.answer() == "the robots diverge in more than 1 % of runs"
+    assert alone.answer() == "the robots diverge in all runs"
     assert Sweep.open(alone.path, wild).ensemble(scenario=0).diverged.all()
     assert np.isnan(found.ensemble(scenario="tame").diverged_at).all()
     np.testing.assert_array_equal(found.ensemble(scenario="wild").diverged_at, run_scenario(wild).diverged_at)
