@@ -115,6 +115,11 @@ def test_sweep_runs_the_example_of_its_help(capsys: pytest.CaptureFixture[str], 
         ("[5, 10, 20]", "[5, 200]", "mass.toml:17: spread['mass'] reaches -30 kg"),
         ("n = 40", "n = -1", "mass.toml:15: n is -1, expected a whole number >= 1"),
         ("n = 40", "n = 100000000000", "mass.toml:15: n is 100,000,000,000, expected at most "),
+        (
+            "radius = 3",
+            'heading = "fixed"\nturn_time = 3',
+            "mass.toml:7: turn_time does not apply beside heading fixed (at ",
+        ),
         ("start_y =", "yaw_inertia =", "mass.toml:13: spread['yaw_inertia'] gives -"),
         ("[0, 0.001]", "[0, -1]", "mass.toml:12: spread of start_x: std is -1.0, expected >= 0"),
     ],
@@ -127,6 +132,18 @@ def test_a_typo_in_a_scenario_file_is_answered_with_its_line(
     assert code == 2
     assert text in err
     assert err.count("\n") == 1
+
+
+def test_an_interrupted_sweep_says_how_to_go_on(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pinmobile.cli.many.sweep", interrupt)
+    (tmp_path / "mass.toml").write_text(SMALL)
+    code, _, err = typed(capsys, "sweep", str(tmp_path / "mass.toml"), "--out", str(tmp_path / "out"))
+    assert (code, err) == (130, "pinmobile: interrupted: the same command goes on where it was\n")
 
 
 @pytest.mark.parametrize(

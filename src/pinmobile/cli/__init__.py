@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import typer
 
+from pinmobile.cli.interrupted import Interrupted
 from pinmobile.cli.unknown import shortened
 from pinmobile.errors import Diverged, PinmobileError, UnknownName
 
@@ -41,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except UnknownName as error:
         return _refuse(shortened(error))
     except PinmobileError as error:
-        return _refuse(str(error))
+        return _refuse(str(error), _INTERRUPTED if isinstance(error, Interrupted) else 2)
     except (KeyboardInterrupt, typer.Abort):
         return _refuse("interrupted", _INTERRUPTED)
     except BrokenPipeError:

@@ -10,6 +10,7 @@ import typer
 
 from pinmobile import Ensemble, InvalidArgument, Same, Scenario, sweep
 from pinmobile.arrays import whole
+from pinmobile.cli.interrupted import Interrupted
 from pinmobile.cli.many_figures import ensemble_figures, sweep_figures
 from pinmobile.cli.output import Section, console, index_page, output_folder, progress
 from pinmobile.cli.scenario_file import read_grid
@@ -96,6 +97,8 @@ def show_sweep(file: Path, out: Path | None, scheduler: str | None, chunk: int |
                 bar.update(bar.task_ids[0], description="sweeping", completed=done, total=total)
 
             found = sweep(grid, store, client=client, chunk=size, progress=advance)
+    except KeyboardInterrupt:
+        raise Interrupted("interrupted: the same command goes on where it was") from None
     finally:
         if client is not None:
             client.close()

@@ -60,7 +60,7 @@ def make_arrays(path: Path, grid: Grid, chunk: int, attributes: Mapping[str, Any
     zarr = imported("zarr")
     group = zarr.create_group(path, attributes=dict(attributes))
     for name, values, unit, meaning in _coordinates(grid):
-        _coordinate(group, name, values, {"units": unit, "long_name": meaning})
+        _coordinate(group, name, values, {**({"units": unit} if unit else {}), "long_name": meaning})
     outer, ones = tuple(grid.axes), (1,) * len(grid.axes)
     records = dict(PER_ROBOT)
     for name in spread_names(grid):
@@ -98,7 +98,7 @@ def mend_coordinates(path: Path, grid: Grid) -> None:
 
 
 def _coordinates(grid: Grid) -> list[tuple[str, Sequence[Any], str, str]]:
-    found = [(name, list(axis.values), axis.unit or "1", name) for name, axis in grid.axes.items()]
+    found = [(name, list(axis.values), axis.unit, name) for name, axis in grid.axes.items()]
     return [
         *found,
         ("time", grid.scenarios[0].grid.tolist(), "s", "time"),

@@ -232,7 +232,7 @@ def attributes_of(path: Path) -> dict[str, Any]:
     try:
         metadata = json.loads((path / "zarr.json").read_text(encoding="utf-8"))
         found: dict[str, Any] = {
-            **metadata["attributes"]["pinmobile_sweep"],
+            **json.loads(metadata["attributes"]["pinmobile_sweep"]),
             "arrays": list(metadata["consolidated_metadata"]["metadata"]),
         }
     except (OSError, ValueError, KeyError, TypeError) as error:
@@ -245,13 +245,10 @@ def _make(path: Path, grid: Grid, description: Mapping[str, Any], chunk: int) ->
     path.parent.mkdir(parents=True, exist_ok=True)
     made = path.parent / f".{path.name}.new"
     shutil.rmtree(made, ignore_errors=True)
+    mine = {"chunk": chunk, "rivals": axis_of_rivals(grid.axes), "determined_by": description}
     attributes = {
         "Conventions": "units and long_name of each variable; robot i of a scenario is row i",
-        "pinmobile_sweep": {
-            "chunk": chunk,
-            "rivals": axis_of_rivals(grid.axes),
-            "determined_by": description,
-        },
+        "pinmobile_sweep": json.dumps(mine),
     }
     make_arrays(made, grid, chunk, attributes)
     (made / _PROGRESS).mkdir()
