@@ -68,8 +68,8 @@ def test_lecture_says_no_when_a_number_is_not_the_lectures(
     monkeypatch.setattr("pinmobile.cli.lecture.draw", lambda *_: [])
     code, out, _ = typed(capsys, "lecture", "--no-gif", "--out", str(tmp_path))
     assert code == 1
-    assert "some numbers are NOT the lecture's" in out
-    assert out.count("DIFFERS") == 1
+    assert "some numbers are NOT the lecture's: see the rows marked DIFFERS" in out
+    assert out.count("  DIFFERS\n") == 1
 
 
 def test_verify_answers_for_numbers_and_for_a_file(

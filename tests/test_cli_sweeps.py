@@ -208,6 +208,11 @@ def test_what_is_swept_has_its_unit(tmp_path: Path, name: str, unit: str) -> Non
         ("[5, 10, 20]", "[5, 200]", "mass.toml:18: spread['mass'] reaches -30 kg"),
         ("n = 40", "n = -1", "mass.toml:15: n is -1, expected a whole number >= 1"),
         ("n = 40", "n = 100000000000", "mass.toml:15: n is 100,000,000,000, expected at most "),
+        (
+            "radius = 3",
+            'heading = "fixed"\nturn_time = 3',
+            "mass.toml:7: turn_time does not apply beside heading fixed (at ",
+        ),
         ("start_y =", "yaw_inertia =", "mass.toml:13: spread['yaw_inertia'] gives -"),
         ("[0, 0.001]", "[0, -1]", "mass.toml:12: spread of start_x: std is -1.0, expected >= 0"),
     ],
@@ -220,6 +225,18 @@ def test_a_typo_in_a_scenario_file_is_answered_with_its_line(
     assert code == 2
     assert text in err
     assert err.count("\n") == 1
+
+
+def test_an_interrupted_sweep_says_how_to_go_on(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pinmobile.cli.many.sweep", interrupt)
+    (tmp_path / "mass.toml").write_text(SMALL)
+    code, _, err = typed(capsys, "sweep", str(tmp_path / "mass.toml"), "--out", str(tmp_path / "out"))
+    assert (code, err) == (130, "pinmobile: interrupted: the same command goes on where it was\n")
 
 
 @pytest.mark.parametrize(
@@ -268,8 +285,8 @@ def test_robots_that_are_alike_and_a_loop_that_diverges_are_told(
     code, out, _ = typed(capsys, *words.split(), "--out", str(tmp_path))
     assert code == 0
     assert out.startswith("nothing is spread: all robots are alike\n")
-    assert "30 robots over 6 s: 30 diverged, more than 1 %\n" in out
-    assert "with mass=20, PD diverges in more than 1 % of runs" in out
+    assert "30 robots over 6 s: 30 diverged, all\n" in out
+    assert "with mass=20, PD diverges in all runs" in out
     (tmp_path / "one.toml").write_text("[trajectory]\nduration = 6\n[ensemble]\nn = 30\n")
     code, out, _ = typed(capsys, "sweep", str(tmp_path / "one.toml"), "--out", str(tmp_path))
     assert code == 0

@@ -1,3 +1,4 @@
+import inspect
 from typing import Any
 
 import numpy as np
@@ -78,6 +79,29 @@ def test_many_robots_and_many_states_broadcast() -> None:
     assert tau.shape == (4, 3, 3)
     alone = closed_form.inverse_dynamics(q[2, 0], q[2, 0], q[2, 0], mass=2.0, yaw_inertia=0.5, com=(0.1, 0))
     np.testing.assert_allclose(tau[2, 1], alone, rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("function", "many"),
+    [
+        (closed_form.inverse_dynamics, {"v"}),
+        (closed_form.inverse_dynamics, {"a"}),
+        (closed_form.forward_dynamics, {"v"}),
+        (closed_form.forward_dynamics, {"tau"}),
+        (closed_form.nonlinear_effects, {"v"}),
+        (closed_form.coriolis_matrix, {"v"}),
+    ],
+)
+def test_velocities_and_forces_that_do_not_fit_the_parameters_are_refused(
+    function: Any, many: set[str]
+) -> None:
+    names = inspect.signature(function).parameters
+    states = {
+        name: np.zeros((4, 3) if name in many else 3) for name in names if name in ["q", "v", "a", "tau"]
+    }
+    body = {name: np.ones(5) for name in names if name in ("mass", "yaw_inertia")}
+    with pytest.raises(InvalidArgument, match=r"^q, v.* and com have leading shapes \(.*\(4,\).*\(5,\)"):
+        function(**states, **body)
 
 
 def test_states_that_do_not_broadcast_are_refused() -> None:

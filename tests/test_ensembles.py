@@ -48,6 +48,7 @@ from pinmobile import (
 )
 from pinmobile.ensembles import ARRAYS, COMPILED, by_kernel, kernel, part_of, run_scenario
 from pinmobile.ensembles.kernel import _sincos
+from pinmobile.ensembles.table import judgement
 from pinmobile.integrators import RungeKuttaNystrom
 
 ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.02))
@@ -453,6 +454,21 @@ def test_another_seed_gives_other_robots() -> None:
     assert not np.isin(one.draws["mass"], other.draws["mass"]).any()
 
 
+@pytest.mark.parametrize("engine", [COMPILED, ARRAYS])
+@pytest.mark.parametrize("seed", [3, 2**70, np.random.SeedSequence(3, spawn_key=(1,))])
+def test_the_seed_of_a_noise_enters_that_of_every_robot(engine: Any, seed: Any) -> None:
+    def run(noise: Any, force: Any) -> Ensemble:
+        controller = NoisyMeasurement(ComputedTorque(ROBOT), 1e-3, 1e-3, seed=noise)
+        forces = (NoiseForce((1.0, 2.0, 0.1), 2.0, seed=force),)
+        return run_scenario(made(controller=controller, forces=forces, n=2, duration=1.0), engine=engine)
+
+    one = run(1, 1)
+    assert_same(one, run(1, 1))
+    for other in (run(seed, 1), run(1, seed)):
+        assert not np.isin(one.rms_error, other.rms_error).any()
+        assert_is_simulated(other, 1)
+
+
 def test_a_users_own_controller_force_and_integrator_run_on_arrays() -> None:
     def drag(t: float, q: Any, v: Any) -> Any:
         return -3.0 * np.asarray(v)
@@ -473,6 +489,136 @@ def test_a_users_own_controller_force_and_integrator_run_on_arrays() -> None:
         with pytest.raises(InvalidArgument, match="engine is COMPILED, which cannot run this") as caught:
             run_scenario(made(**what), engine=COMPILED)
         assert refusal in str(caught.value)
+
+
+class OwnGains:
+    """A user's controller with attributes that controllers of the library have too."""
+
+    def __init__(self, **attributes: Any) -> None:
+        vars(self).update(kp=KP, kd=KD, **attributes)
+
+    def initial_state(self) -> None: ...
+
+    def __call__(self, t: float, q: Any, v: Any, reference: Any, state: None) -> Any:
+        return 0.5 * KP * (reference.q - q) + 0.9 * KD * (reference.v - v), state
+
+
+@pytest.mark.parametrize(
+    "attributes",
+    [
+        {},
+        {"difference": np.subtract},
+        {"robot": ROBOT, "difference": np.subtract},
+        {"robot": ROBOT.mount("ur5")},
+        {"robot": "a name", "controller": PD(1, 1), "limits": (1.0, 2.0), "std_q": np.ones(2), "samples": 3},
+    ],
+)
+@pytest.mark.parametrize("wrap", [lambda c: c, lambda c: NoisyMeasurement(c, 1e-3, 1e-3, seed=1)])
+def test_a_users_controller_is_run_as_what_it_is_whatever_attributes_it_has(
+    attributes: dict[str, Any], wrap: Any
+) -> None:
+    run = run_scenario(made(controller=wrap(OwnGains(**attributes)), n=2, duration=2.0))
+    assert_is_simulated(run, 1)
+
+
+class OwnDraws:
+    """A user's distribution with a method called as one of the library's, which is something else."""
+
+    def support(self, level: float) -> float:
+        return level
+
+    def sample(self, generator: np.random.Generator, size: int) -> Any:
+        return generator.uniform(20, 40, size)
+
+
+def test_a_users_distribution_need_not_tell_its_support() -> None:
+    run = run_scenario(made(spread={"mass": OwnDraws()}, n=2, duration=1.0))
+    assert_is_simulated(run, 1)
+
+
+class Summing:
+    """A controller of a user's that keeps a sum of errors in itself."""
+
+    def __init__(self) -> None:
+        self.sum: Any = 0.0
+
+    def initial_state(self) -> None: ...
+
+    def __call__(self, t: float, q: Any, v: Any, reference: Any, state: None) -> Any:
+        error = reference.q - q
+        self.sum = self.sum + 0.1 * error
+        return KP * error + KD * (reference.v - v) + 0.1 * self.sum, state
+
+
+def test_what_a_controller_keeps_in_itself_is_each_runs_own() -> None:
+    controller = Summing()
+    run = run_scenario(made(controller=controller, n=200, duration=2.0), threads=1)
+    assert controller.sum == 0.0
+    for i in (0, 199, 199):
+        assert_is_simulated(run, i)
+    assert_same(run, run_scenario(made(controller=controller, n=200, duration=2.0), threads=2))
+
+
+def _mixing(t: float, q: Any, v: Any, reference: Any) -> Any:
+    error = reference.q - q
+    return KP * error / (1 + np.linalg.norm(error[:2])) + KD * (reference.v - v)
+
+
+def _for_one(t: float, q: Any, v: Any, reference: Any) -> Any:
+    x, y, psi = reference.q - q
+    return np.array([x, y, psi])
+
+
+def _failing(t: float, q: Any, v: Any, reference: Any) -> Any:
+    gains: dict[str, float] = {}
+    return gains["gain"] * q
+
+
+@pytest.mark.parametrize(
+    ("what", "text"),
+    [
+        (
+            {"controller": law(_mixing)},
+            r"controller returned \[.*\] at t = 0 s for q of shape \(4, 3\) in row 0, and \[.*\] for that "
+            "row alone, expected the same: in an ensemble it works on arrays, one row per robot",
+        ),
+        (
+            {"controller": law(lambda t, q, v, r: (r.q - q) - (r.q - q).mean(axis=0))},
+            "controller returned .* for that row alone",
+        ),
+        (
+            {"controller": law(_for_one)},
+            r"controller failed at t = 0 s for q of shape \(4, 3\) with ValueError: too many.*; in an",
+        ),
+        ({"controller": law(_failing)}, "controller failed .* with KeyError: 'gain'; in an ensemble"),
+        (
+            {"controller": PD(KP, KD, difference=lambda q_d, q: (q_d - q) / np.linalg.norm(q[:2]))},
+            "controller returned .* for that row alone",
+        ),
+        ({"forces": (lambda t, q, v: q - q[0],)}, r"forces\[0\] returned .* for that row alone"),
+        ({"forces": (lambda t, q, v: -v[2] * np.ones(3),)}, r"forces\[0\] returned shape \(3,\)"),
+        ({"forces": (lambda t, q, v: v @ np.eye(4),)}, r"forces\[0\] failed .* with ValueError: matmul"),
+    ],
+)
+def test_functions_for_one_robot_and_functions_that_mix_rows_are_refused(
+    what: dict[str, Any], text: str
+) -> None:
+    with pytest.raises(InvalidArgument, match=text):
+        run_scenario(made(**what))
+
+
+class Column:
+    """Numbers with a method that distributions have too, as a column of pandas."""
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> Any:
+        return np.array([25.0, 35.0])
+
+    def sample(self) -> None:
+        raise NotImplementedError
+
+
+def test_a_column_of_numbers_is_no_distribution() -> None:
+    assert list(made(spread={"mass": Column()}, n=2).draws()["mass"]) == [25.0, 35.0]
 
 
 def test_the_kernel_and_who_calls_it_agree_on_stages_and_lanes() -> None:
@@ -497,6 +643,22 @@ def test_loads_count_as_the_bodys_on_the_plant_and_in_the_model() -> None:
         )
         assert_is_simulated(alike, 0)
         assert alike.max_error[0, 2] > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("n", "within", "diverged", "text"),
+    [
+        (1, (0.01, 0.02), 0, "1 robot over 6 s: stays within 0.01 m and 0.02 rad"),
+        (1, (np.inf, np.inf), 1, "1 robot over 6 s: diverged"),
+        (20_000, (np.inf, np.inf), 19_285, "20,000 robots over 6 s: 19,285 diverged, 96 %"),
+        (200, (np.inf, np.inf), 3, "200 robots over 6 s: 3 diverged, 1.5 %"),
+        (200, (0.01, 0.02), 1, "200 robots over 6 s: 99 % stay within 0.01 m and 0.02 rad, 1 diverged"),
+    ],
+)
+def test_a_judgement_tells_the_share_that_diverged(
+    n: int, within: tuple[float, float], diverged: int, text: str
+) -> None:
+    assert judgement(n, 6.0, within, diverged, 0.0) == text
 
 
 def test_progress_counts_robots() -> None:

@@ -72,6 +72,18 @@ def test_all_lists_every_public_name_that_the_module_defines(name: str) -> None:
     assert all(hasattr(module, entry) for entry in module.__all__)
 
 
+def test_names_that_are_loaded_when_asked_for_are_listed_and_helpers_are_not() -> None:
+    listed = dir(pinmobile)
+    assert set(pinmobile.__all__) | {"plots", "sweeps", "viewer", "__version__"} <= set(listed)
+    assert not {"Any", "TYPE_CHECKING", "import_module", "get_close_matches"} & set(listed)
+
+
+def test_a_name_that_is_not_there_is_answered_with_the_nearest() -> None:
+    with pytest.raises(AttributeError, match=r"has no attribute 'Unifrom', did you mean 'Uniform'[?]$"):
+        pinmobile.Unifrom  # noqa: B018 (the lookup is what is tested)
+    assert not hasattr(pinmobile, "nothing_like_it_at_all")
+
+
 def test_all_of_the_package_is_what_it_imports() -> None:
     tree = ast.parse((ROOT / "src" / "pinmobile" / "__init__.py").read_text())
     imported = {

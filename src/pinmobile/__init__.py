@@ -3,6 +3,7 @@
 What only some need, and all that needs sympy, matplotlib, meshcat or numba, is loaded when it is asked for.
 """
 
+from difflib import get_close_matches
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -166,4 +167,11 @@ def __getattr__(name: str) -> Any:
         return getattr(import_module(f"pinmobile.{_LAZY_NAMES[name]}"), name)
     if name in _LAZY_MODULES:
         return import_module(f"pinmobile.{name}")
-    raise AttributeError(f"module 'pinmobile' has no attribute {name!r}")
+    near = [] if name.startswith("_") else get_close_matches(name, __dir__(), n=1)
+    meant = f", did you mean {near[0]!r}?" if near else ""
+    raise AttributeError(f"module 'pinmobile' has no attribute {name!r}{meant}")
+
+
+def __dir__() -> list[str]:
+    mine = {"Any", "TYPE_CHECKING", "get_close_matches", "import_module"}
+    return sorted({*globals(), *_LAZY_NAMES, *_LAZY_MODULES} - mine)

@@ -8,6 +8,7 @@ from typing import Any
 
 import typer
 
+from pinmobile.cli.interrupted import Interrupted
 from pinmobile.cli.unknown import shortened
 from pinmobile.errors import Diverged, PinmobileError, UnknownName
 
@@ -45,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except UnknownName as error:
         return _refuse(shortened(error))
     except PinmobileError as error:
-        return _refuse(str(error))
+        return _refuse(str(error), _INTERRUPTED if isinstance(error, Interrupted) else 2)
     except (KeyboardInterrupt, typer.Abort):
         return _refuse("interrupted", _INTERRUPTED)
     except BrokenPipeError:

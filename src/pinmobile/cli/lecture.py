@@ -142,7 +142,7 @@ def _summary(verification: Any, same: bool) -> str:
             f"the routes {'' if verification.passed else 'do NOT '}agree; largest differences: {largest}",
             "all twelve numbers are the lecture's, to every digit"
             if same
-            else "some numbers are NOT the lecture's: see the rows in red",
+            else "some numbers are NOT the lecture's: see the rows marked DIFFERS",
         ]
     )
 

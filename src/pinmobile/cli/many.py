@@ -10,6 +10,7 @@ import typer
 
 from pinmobile import Ensemble, InvalidArgument, Same, Scenario, sweep
 from pinmobile.arrays import whole
+from pinmobile.cli.interrupted import Interrupted
 from pinmobile.cli.many_figures import ensemble_figures, sweep_figures
 from pinmobile.cli.output import Section, console, index_page, output_folder, progress
 from pinmobile.cli.scenario_file import read_grid
@@ -104,6 +105,8 @@ def show_sweep(file: Path, out: Path | None, scheduler: str | None, chunk: int |
                 bar.update(bar.task_ids[0], description="sweeping", completed=done, total=total)
 
             found = sweep(grid, store, client=client, chunk=size, progress=advance)
+    except KeyboardInterrupt:
+        raise Interrupted("interrupted: the same command goes on where it was") from None
     finally:
         if client is not None:
             client.close()
@@ -139,7 +142,8 @@ def _answer(made: Mapping[str, Ensemble], spread: Sequence[str]) -> str:
     shared = [word for word in spread if word not in believed] if len(made) > 1 else spread
     with_ = f"with {' and '.join(shared)}, " if shared else ""
     within = {label: each.within(0.99).distance for label, each in made.items()}
-    told = with_ + compared(within, 0.99)
+    diverged = {label: int(each.diverged.sum()) for label, each in made.items()}
+    told = with_ + compared(within, 0.99, diverged, len(next(iter(made.values()))))
     if believed and len(made) > 1:
         told += f" ({' and '.join(believed)} for computed torque alone: PD believes in no model)"
     return told

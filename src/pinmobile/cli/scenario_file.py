@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pinmobile import Axis, InvalidArgument, PinmobileError, Scenario, UnknownName, grid
+from pinmobile.cli.choices import refuse_beside
 from pinmobile.cli.lines import line, line_of, line_of_syntax
 from pinmobile.cli.spreads import scenario, without_model
 from pinmobile.cli.unknown import SPREAD_NAMES, meant
@@ -128,6 +129,8 @@ def _scenario(tree: Mapping[str, Any], *, both: bool) -> Scenario:
         for key, value in tree.get(table, {}).items()
     }
     options |= _DEFAULTS | given
+    if options["heading"] != "tangent":
+        refuse_beside(f"--heading {options['heading']}", turn_time=given.get("turn_time"))
     spread = dict(tree.get("spread", {}))
     if both and options["controller"] == "pd":
         options, spread = without_model(options, spread)

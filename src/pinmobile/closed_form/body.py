@@ -8,8 +8,12 @@ from pinmobile.errors import InvalidArgument
 __all__ = ["checked_body", "stacked", "turned"]
 
 
-def checked_body(q: Array, mass: ArrayLike, yaw_inertia: ArrayLike, com: ArrayLike) -> tuple[Array, ...]:
+def checked_body(
+    q: Array, mass: ArrayLike, yaw_inertia: ArrayLike, com: ArrayLike, **others: Array
+) -> tuple[Array, ...]:
     """Return mass, yaw inertia, xbc and ybc, all of one shape, that of the leading axes of q and their own.
+
+    With these, the leading axes of `others`, which are named as in q's function, have to broadcast.
 
     Raises
     ------
@@ -21,12 +25,15 @@ def checked_body(q: Array, mass: ArrayLike, yaw_inertia: ArrayLike, com: ArrayLi
         if not (value > 0).all():
             raise InvalidArgument(f"{name} is {value.min()}, expected > 0")
     try:
-        m, inertia, x, y, _ = np.broadcast_arrays(m, inertia, com[..., 0], com[..., 1], q[..., 2])
+        np.broadcast_shapes(m.shape, inertia.shape, *(x.shape[:-1] for x in (com, q, *others.values())))
     except ValueError:
+        names = ", ".join(["q", *others, "mass", "yaw_inertia"])
+        shapes = [*(str(x.shape[:-1]) for x in (q, *others.values())), str(m.shape), str(inertia.shape)]
         raise InvalidArgument(
-            f"q, mass, yaw_inertia and com have leading shapes {q.shape[:-1]}, {m.shape}, {inertia.shape} "
-            f"and {com.shape[:-1]}, expected shapes that broadcast"
+            f"{names} and com have leading shapes {', '.join(shapes)} and {com.shape[:-1]}, expected shapes "
+            "that broadcast"
         ) from None
+    m, inertia, x, y, _ = np.broadcast_arrays(m, inertia, com[..., 0], com[..., 1], q[..., 2])
     return m, inertia, x, y
 
 

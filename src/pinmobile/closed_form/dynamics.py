@@ -43,7 +43,7 @@ def inverse_dynamics(
     """
     q, v, a = vector("q", q, 3), vector("v", v, 3), vector("a", a, 3)
     broadcast(q=q, v=v, a=a)
-    return unchecked_inverse_dynamics(q, v, a, *checked_body(q, mass, yaw_inertia, com))
+    return unchecked_inverse_dynamics(q, v, a, *checked_body(q, mass, yaw_inertia, com, v=v, a=a))
 
 
 def forward_dynamics(
@@ -83,7 +83,7 @@ def forward_dynamics(
     """
     q, v, tau = vector("q", q, 3), vector("v", v, 3), vector("tau", tau, 3)
     broadcast(q=q, v=v, tau=tau)
-    return unchecked_forward_dynamics(q, v, tau, *checked_body(q, mass, yaw_inertia, com))
+    return unchecked_forward_dynamics(q, v, tau, *checked_body(q, mass, yaw_inertia, com, v=v, tau=tau))
 
 
 def unchecked_inverse_dynamics(

@@ -65,7 +65,7 @@ def coriolis_matrix(q: ArrayLike, v: ArrayLike, *, mass: ArrayLike, com: ArrayLi
     """
     q, v = vector("q", q, 3), vector("v", v, 3)
     broadcast(q=q, v=v)
-    m, _, x, y = checked_body(q, mass, 1.0, com)
+    m, _, x, y = checked_body(q, mass, 1.0, com, v=v)
     dx, dy = turned(q, x, y)
     rate = v[..., 2]
     C = np.zeros((*np.broadcast_shapes(dx.shape, rate.shape), 3, 3))
@@ -98,7 +98,7 @@ def nonlinear_effects(q: ArrayLike, v: ArrayLike, *, mass: ArrayLike, com: Array
     """
     q, v = vector("q", q, 3), vector("v", v, 3)
     broadcast(q=q, v=v)
-    m, _, x, y = checked_body(q, mass, 1.0, com)
+    m, _, x, y = checked_body(q, mass, 1.0, com, v=v)
     dx, dy = turned(q, x, y)
     pull = -m * v[..., 2] ** 2
     return stacked(pull * dx, pull * dy, 0.0)

@@ -121,7 +121,8 @@ class NoisyMeasurement:
         n is the robot's nv: 3 and one for each degree of freedom of its arms.
     seed : int or SeedSequence
         Of the noise: row k of ``default_rng(seed).standard_normal((m, 2, n))`` is that of q and of v at
-        sample k, in units of the standard deviation.
+        sample k, in units of the standard deviation. In an ensemble, each robot has numbers of its own,
+        which follow from this seed and the ensemble's.
 
     Raises
     ------

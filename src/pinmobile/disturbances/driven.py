@@ -107,7 +107,8 @@ class NoiseForce:
     bandwidth : float
         Highest frequency [Hz].
     seed : int, SeedSequence or Generator
-        Of the phases.
+        Of the phases. In an ensemble, each robot has phases of its own, which follow from this seed and the
+        ensemble's.
 
     Attributes
     ----------

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.controllers import ComputedTorque, NoisyMeasurement, gain_matrix
+from pinmobile.controllers import PD, ComputedTorque, NoisyMeasurement, gain_matrix
 from pinmobile.ensembles.draws import stream
 from pinmobile.ensembles.forces import drawn_force
 from pinmobile.ensembles.layers import core_of, layers_of
@@ -33,7 +33,7 @@ class Batch(NamedTuple):
     q, v : ndarray, shape (m, 3)
         Start.
     kp, kd : ndarray, shape (m, 3, 3) or (3, 3), or None
-        Gains; None where the controller is a user's.
+        Gains of PD, and of computed torque with a model that is known; None of any other controller.
     forces : tuple of forces
         Each broadcasts over the robots.
     """
@@ -68,7 +68,8 @@ def batch_of(scenario: Scenario, draws: Mapping[str, Array], start: int, size: i
 
     offsets = rows("start_x", "start_y", "start_psi", "start_vx", "start_vy", "start_yaw_rate")
     modelled = type(core) is ComputedTorque and type(core.robot) is MobileRobot
-    gains = [_gains(name, core, draws, size) if hasattr(core, name) else None for name in ("kp", "kd")]
+    known = type(core) is PD or modelled
+    gains = [_gains(name, core, draws, size) if known else None for name in ("kp", "kd")]
     return Batch(
         start=start,
         size=size,
@@ -128,5 +129,10 @@ def noise_of(scenario: Scenario, start: int, size: int) -> list[Array]:
 
 
 def noise_seed(scenario: Scenario, layer: int, i: int) -> np.random.SeedSequence:
-    """Return the seed of robot i's numbers in a noisy measurement, the outermost being layer 0."""
-    return stream(scenario.seed, f"measurement {layer}", i)
+    """Return the seed of robot i's numbers in a noisy measurement, the outermost being layer 0.
+
+    It follows from the ensemble's seed and that of the measurement.
+    """
+    noisy: Any = [each for each in layers_of(scenario.controller) if type(each) is NoisyMeasurement][layer]
+    own = noisy.seed if isinstance(noisy.seed, np.random.SeedSequence) else np.random.SeedSequence(noisy.seed)
+    return stream(scenario.seed, f"measurement {layer} of {own.generate_state(4).tolist()}", i)

@@ -9,18 +9,19 @@ from numpy.typing import NDArray
 
 from pinmobile import closed_form
 from pinmobile.arrays import Array
-from pinmobile.controllers import PD, ComputedTorque, NoisyMeasurement, planar_difference
+from pinmobile.controllers import NoisyMeasurement, planar_difference
 from pinmobile.controllers.protocol import answer_of
 from pinmobile.ensembles.batch import Batch, noise_of
 from pinmobile.ensembles.histogram import BINS, bins_of
 from pinmobile.ensembles.layers import core_of, layers_of
 from pinmobile.ensembles.part import Engine, Part, empty_counts
+from pinmobile.ensembles.probing import fresh
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.errors import InvalidArgument
 from pinmobile.simulation import stepped
 from pinmobile.trajectories import Reference
 
-__all__ = ["ARRAYS", "check_functions"]
+__all__ = ["ARRAYS", "asked"]
 
 
 class _Records:
@@ -79,7 +80,7 @@ def _run(scenario: Scenario, batch: Batch) -> Part:
             # A robot that has diverged stays on the trajectory, so that no controller sees what is no number.
             stays = ~records.alive[:, None]
             q, v = np.where(stays, at.q, q), np.where(stays, at.v, v)
-            tau, state = _answer(controller, time, q, v, at, state)
+            tau, state = asked(controller, time, q, v, at, state)
             a = _accelerations(batch, time, q, v, tau)
             records.take(k, error, tau, a)
             if k < last:
@@ -87,7 +88,14 @@ def _run(scenario: Scenario, batch: Batch) -> Part:
     return records.part()
 
 
-def _answer(controller: Any, t: float, q: Array, v: Array, at: Reference, state: Any) -> tuple[Array, Any]:
+def asked(controller: Any, t: float, q: Array, v: Array, at: Reference, state: Any) -> tuple[Array, Any]:
+    """Return the force of a controller, shape (m, 3), and its next state.
+
+    Raises
+    ------
+    InvalidArgument
+        If it returns another shape, or something else than two.
+    """
     tau, state = answer_of(controller, t, q.copy(), v.copy(), at, state)
     if np.shape(tau) != q.shape:
         raise InvalidArgument(
@@ -124,23 +132,6 @@ def _advanced(
     for j in range(scenario.substeps):
         q, v = stepped(scenario.integrator, acceleration, t + j * h, q, v, h)
     return q, v
-
-
-def check_functions(scenario: Scenario) -> None:
-    """Refuse a user's controller or force that is written for one robot.
-
-    They are asked about four: of three, rows could be taken for coordinates.
-
-    Raises
-    ------
-    InvalidArgument
-        If one returns another shape.
-    """
-    q, v, a = (np.tile(part[0], (4, 1)) for part in scenario.reference)
-    core, at = core_of(scenario.controller), Reference(*(part[0] for part in scenario.reference))
-    if type(core) not in (PD, ComputedTorque):
-        _answer(core, float(scenario.t[0]), q, v, at, core.initial_state())
-    _pushed(scenario.forces, float(scenario.t[0]), q, v, np.zeros_like(a))
 
 
 @dataclass(frozen=True)
@@ -191,7 +182,7 @@ class _Noisy:
 
 def _controller(scenario: Scenario, batch: Batch) -> Any:
     core = core_of(scenario.controller)
-    controller = _Feedback(core, batch) if _is_ours(core, batch) else core
+    controller = fresh(core) if batch.kp is None else _Feedback(core, batch)
     noise = noise_of(scenario, batch.start, batch.size)
     for layer in reversed(layers_of(scenario.controller)):
         if type(layer) is NoisyMeasurement:
@@ -199,10 +190,6 @@ def _controller(scenario: Scenario, batch: Batch) -> Any:
         else:
             controller = replace(layer, controller=controller)
     return controller
-
-
-def _is_ours(core: Any, batch: Batch) -> bool:
-    return batch.kp is not None and (batch.model is not None or not hasattr(core, "robot"))
 
 
 ARRAYS = Engine("ARRAYS", _run, lambda scenario: "", largest=4096)

@@ -2,9 +2,10 @@
 
 from importlib.util import find_spec
 
-from pinmobile.ensembles.by_arrays import ARRAYS, check_functions
+from pinmobile.ensembles.by_arrays import ARRAYS, asked
 from pinmobile.ensembles.by_kernel import COMPILED
 from pinmobile.ensembles.part import Engine
+from pinmobile.ensembles.probing import check_functions
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.errors import InvalidArgument
 
@@ -20,7 +21,7 @@ def chosen_engine(scenario: Scenario, engine: Engine | None) -> Engine:
         If it cannot run the scenario, or numba is missing.
     """
     if engine is None and COMPILED.refusal(scenario):
-        check_functions(scenario)
+        check_functions(scenario, asked)
         return ARRAYS
     chosen = COMPILED if engine is None else engine
     if not isinstance(chosen, Engine):
@@ -34,5 +35,5 @@ def chosen_engine(scenario: Scenario, engine: Engine | None) -> Engine:
             "or choose engine=ARRAYS, which is slower"
         )
     if chosen is ARRAYS:
-        check_functions(scenario)
+        check_functions(scenario, asked)
     return chosen

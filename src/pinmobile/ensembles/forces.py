@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 
@@ -111,7 +112,8 @@ def drawn_force(force: Any, k: int, draws: Mapping[str, Array], seed: int, start
         def phases(generator: np.random.Generator, count: int) -> Array:
             return generator.uniform(0, 2 * np.pi, (count, NoiseForce.TERMS, 3))
 
-        drawn = in_blocks(f"phases {k}", phases, seed, start, start + size)
+        own = crc32(force.phases.tobytes())  # follows from its seed, whatever kind of seed that was
+        drawn = in_blocks(f"phases {k} of {own}", phases, seed, start, start + size)
         return NoiseForce.of_phases(changed.get("std", force.std), force.bandwidth, drawn)
     return replace(force, **changed) if changed else force
 

@@ -9,6 +9,7 @@ from pinmobile.controllers import NoisyMeasurement
 from pinmobile.ensembles.batch import BODY, batch_of, noise_seed
 from pinmobile.ensembles.forces import force_of_one
 from pinmobile.ensembles.layers import core_of, layers_of
+from pinmobile.ensembles.probing import fresh
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.robot import MobileRobot
 
@@ -54,7 +55,7 @@ def member_of(scenario: Scenario, i: int) -> Member:
             changes[name] = gain[0]
     if batch.model is not None and any(name.startswith("model_") for name in draws):
         changes["robot"] = _robot(core.robot, batch.model)
-    controller = replace(core, **changes) if changes else core
+    controller = replace(core, **changes) if changes else fresh(core)
     options = {
         "dt": scenario.dt,
         "duration": scenario.duration,

@@ -9,7 +9,7 @@ from typing import Any, final
 import numpy as np
 
 from pinmobile.arrays import Array, positive, scalar, whole
-from pinmobile.controllers import PD, ComputedTorque, gain_matrix
+from pinmobile.controllers import PD, ComputedTorque, Decoupled, PDGravity, gain_matrix
 from pinmobile.ensembles.distributions import Source
 from pinmobile.ensembles.draws import draw, held
 from pinmobile.ensembles.forces import check_forces, with_spread_forces
@@ -56,7 +56,7 @@ class Scenario:
         All draws follow from it; robot i's do not depend on n.
     dt, duration, integrator, substeps, forces, limit
         As in `simulate`. A `NoiseForce` has phases of its own for each robot, a `NoisyMeasurement` numbers
-        of its own.
+        of its own; they follow from the seed here together with theirs.
     after : float
         Errors are kept from this time on [s], so that what a start costs until the robot has settled is not
         taken for what the controller costs; forces, divergence and the bands over time are kept from the
@@ -91,7 +91,8 @@ class Scenario:
         if type(self.robot) is not MobileRobot or self.robot.nv != 3:
             raise InvalidArgument(f"robot is {self.robot!r}, expected a MobileRobot without arms")
         checked_loop(self.robot, self.controller, self.trajectory, self.integrator)
-        believed = getattr(core_of(self.controller), "robot", None)
+        core: Any = core_of(self.controller)
+        believed = core.robot if type(core) in (ComputedTorque, PDGravity, Decoupled) else None
         if type(believed) is MobileRobot and believed.nv != self.robot.nv:
             raise InvalidArgument(
                 f"controller believes in {believed!r} of {believed.nv} coordinates, expected {self.robot.nv}"
@@ -148,9 +149,9 @@ class Scenario:
         found = dict.fromkeys(PARAMETERS, 0.0) | {"kp_factor": 1.0, "kd_factor": 1.0}
         found |= _of_robot("", self.robot)
         core = core_of(self.controller)
-        if isinstance(core, ComputedTorque) and isinstance(core.robot, MobileRobot):
+        if type(core) is ComputedTorque and type(core.robot) is MobileRobot:
             found |= _of_robot("model_", core.robot)
-        if isinstance(core, PD | ComputedTorque):
+        if type(core) in (PD, ComputedTorque):
             for name in ("kp", "kd"):
                 diagonal = np.diag(gain_matrix(name, getattr(core, name), 3))
                 found |= {f"{name}_{c}": float(g) for c, g in zip(("x", "y", "psi"), diagonal, strict=True)}

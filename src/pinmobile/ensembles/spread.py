@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import finite
-from pinmobile.ensembles.distributions import Same
+from pinmobile.ensembles.distributions import Same, Uniform
 from pinmobile.ensembles.parameters import PARAMETERS
 from pinmobile.errors import InvalidArgument, UnknownName
 
@@ -44,8 +44,9 @@ def check_supports(spread: Mapping[str, Any]) -> None:
         If one does; the message tells the share of its draws.
     """
     for name, source in spread.items():
-        parameter, support = PARAMETERS[name], getattr(source, "support", None)
-        low = float(support()[0]) if callable(support) else np.nan
+        parameter = PARAMETERS[name]
+        told = isinstance(source, Uniform) or (hasattr(source, "rvs") and not hasattr(source, "sample"))
+        low = float(source.support()[0]) if told else np.nan
         if np.isfinite(low) and low < parameter.least:
             raise InvalidArgument(
                 f"spread[{name!r}] reaches {low:.6g} {parameter.unit} as the {parameter.meaning}, and "
@@ -61,7 +62,8 @@ def _checked(what: str, source: Any, n: int) -> Any:
         raise InvalidArgument(
             f"{what} is the class {source.__name__}, expected one of it, such as Uniform(1, 2)"
         )
-    if hasattr(source, "sample") or hasattr(source, "rvs"):
+    numbers = hasattr(source, "__array__")  # as of a column of pandas, which has a `sample` too
+    if not numbers and (hasattr(source, "sample") or hasattr(source, "rvs")):
         return source
     values = finite(what, source)
     if values.shape not in ((), (n,)):

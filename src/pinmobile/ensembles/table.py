@@ -4,7 +4,7 @@ import numpy as np
 
 from pinmobile.arrays import Array
 
-__all__ = ["judgement", "ranges"]
+__all__ = ["judgement", "percent", "ranges"]
 
 _COORDINATES = (("x", "m", "Fx", "N"), ("y", "m", "Fy", "N"), ("psi", "rad", "Mz", "N m"))
 
@@ -25,12 +25,23 @@ def judgement(n: int, duration: float, within: tuple[float, float], diverged: in
     after : float
         Time from which on errors count [s].
     """
+    sizes = f"within {within[0]:.4g} m and {within[1]:.4g} rad"
+    if n == 1:
+        return f"1 robot over {duration:g} s: {'diverged' if diverged else f'stays {sizes}'}"
     start = f"{n:,} robots over {duration:g} s: "
     if np.isinf(within[0]):
-        return f"{start}{diverged:,} diverged, more than 1 %"
+        return f"{start}{diverged:,} diverged, {percent(diverged, n).removesuffix(' of')}"
     since = f"from {after:g} s on " if after else ""
-    sizes = f"{since}99 % stay within {within[0]:.4g} m and {within[1]:.4g} rad"
+    sizes = f"{since}99 % stay {sizes}"
     return f"{start}{sizes}, {f'{diverged:,} diverged' if diverged else 'none diverged'}"
+
+
+def percent(part: int, n: int) -> str:
+    """Return a part of n in words: ``96 % of``, or ``all``; what is not all is never told as 100 %."""
+    if part == n:
+        return "all"
+    share = 100 * part / n
+    return f"{share:.2g} % of" if share < 99 else "more than 99 % of"
 
 
 def ranges(max_distance: Array, max_error: Array, max_force: Array) -> list[str]:

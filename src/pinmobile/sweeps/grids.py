@@ -93,6 +93,7 @@ def grid(make: Callable[..., Scenario], /, **axes: Any) -> Grid:
     **axes : Axis, sequence of numbers, sequence of str, or mapping of str to anything
         What is swept, by the names of `make`'s arguments. Of a mapping, `make` gets the values, and the
         keys are the labels: ``controller={"PD": PD(120, 120), "computed torque": ComputedTorque(robot)}``.
+        `Sweep.answer` compares controllers with each other, wherever their axis stands.
 
     Returns
     -------

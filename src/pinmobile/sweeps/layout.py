@@ -12,7 +12,7 @@ from pinmobile.ensembles.histogram import BINS, edges
 from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.grids import Grid
 
-__all__ = ["LEVELS", "PER_ROBOT", "make_arrays", "spread_names"]
+__all__ = ["LEVELS", "PER_ROBOT", "make_arrays", "mend_coordinates", "spread_names"]
 
 LEVELS = (0.5, 0.9, 0.99)
 """Shares of the robots of which the store has the quantiles over time."""
@@ -63,7 +63,7 @@ def make_arrays(path: Path, grid: Grid, chunk: int, attributes: Mapping[str, Any
     since = {"errors_from_s": begins.pop()} if len(begins) == 1 else {}
     group = zarr.create_group(path, attributes={**attributes, **since})
     for name, values, unit, meaning in _coordinates(grid):
-        _coordinate(group, name, values, {"units": unit, "long_name": meaning})
+        _coordinate(group, name, values, {**({"units": unit} if unit else {}), "long_name": meaning})
     outer, ones = tuple(grid.axes), (1,) * len(grid.axes)
     records = dict(PER_ROBOT)
     for name in spread_names(grid):
@@ -93,8 +93,15 @@ def make_arrays(path: Path, grid: Grid, chunk: int, attributes: Mapping[str, Any
         zarr.consolidate_metadata(path)
 
 
+def mend_coordinates(path: Path, grid: Grid) -> None:
+    """Write the coordinates of a store again whose file is gone."""
+    for name, values, _, _ in _coordinates(grid):
+        if not (path / name / "c" / "0").exists():
+            imported("zarr").open_group(path, mode="r+")[name][:] = _data(values)
+
+
 def _coordinates(grid: Grid) -> list[tuple[str, Sequence[Any], str, str]]:
-    found = [(name, list(axis.values), axis.unit or "1", name) for name, axis in grid.axes.items()]
+    found = [(name, list(axis.values), axis.unit, name) for name, axis in grid.axes.items()]
     return [
         *found,
         ("time", grid.scenarios[0].grid.tolist(), "s", "time"),
@@ -111,17 +118,20 @@ def _coordinates(grid: Grid) -> list[tuple[str, Sequence[Any], str, str]]:
 
 
 def _coordinate(group: Any, name: str, values: Sequence[Any], attributes: Mapping[str, Any]) -> None:
-    text = isinstance(values[0], str)
-    data = np.array(values, dtype=object if text else None)
+    data = _data(values)
     made = group.create_array(
         name,
         shape=data.shape,
         chunks=data.shape,
-        dtype="string" if text else data.dtype,
+        dtype="string" if data.dtype == object else data.dtype,
         dimension_names=[name],
         attributes=dict(attributes),
     )
     made[:] = data
+
+
+def _data(values: Sequence[Any]) -> Any:
+    return np.array(values, dtype=object if isinstance(values[0], str) else None)
 
 
 def _array(
@@ -141,4 +151,5 @@ def _array(
         fill_value=kind(0) if kind is np.int32 else np.nan,
         dimension_names=list(dimensions),
         attributes=dict(attributes),
+        compressors=imported("zarr").codecs.ZstdCodec(level=0, checksum=True),  # what is damaged is noticed
     )

@@ -4,7 +4,7 @@ import json
 import re
 from collections.abc import Mapping
 from hashlib import sha256
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from platform import machine
 from typing import Any
 
@@ -33,7 +33,7 @@ def determined_by(grid: Grid) -> dict[str, Any]:
     found: dict[str, Any] = {
         "format": _FORMAT,
         "machine": machine(),
-        "versions": {name: _version(name) for name in ("pinmobile", "numpy", "numba")},
+        "versions": {name: _version(name) for name in ("pinmobile", "numpy", "scipy", "pin", "numba")},
         "axes": {name: {"values": list(axis.values), "unit": axis.unit} for name, axis in grid.axes.items()},
         "all": common,
         "each": {name: [one.get(name) for one in each] for name in names if name not in common},
@@ -42,7 +42,12 @@ def determined_by(grid: Grid) -> dict[str, Any]:
 
 
 def _has(one: Mapping[str, Any], name: str, value: Any) -> bool:
-    return name in one and bool(one[name] == value)
+    return name in one and _text(one[name]) == _text(value)
+
+
+def _text(value: Any) -> str:
+    """Return a value as JSON, which tells 1 from 1.0 and from true."""
+    return json.dumps(value, sort_keys=True)
 
 
 def _version(name: str) -> str:
@@ -50,7 +55,10 @@ def _version(name: str) -> str:
         import pinmobile
 
         return pinmobile.__version__
-    return version(name)
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "missing"
 
 
 def _fingerprint(description: Any) -> str:
@@ -73,7 +81,7 @@ def differences(theirs: Mapping[str, Any], mine: Mapping[str, Any], most: int = 
     """
     absent = "absent"
     there, here = _comparable(theirs), _comparable(mine)
-    names = [name for name in {**here, **there} if there.get(name, absent) != here.get(name, absent)]
+    names = [name for name in {**here, **there} if _differ(name, there, here)]
     values = {name: (there.get(name, absent), here.get(name, absent)) for name in names}
     readable = [name for name in names if not any(map(_is_digest, values[name]))] or names
     shown = sorted(readable, key=_rank)
@@ -82,6 +90,14 @@ def differences(theirs: Mapping[str, Any], mine: Mapping[str, Any], most: int = 
         for name in shown[:most]
     ]
     return "; ".join(words) + (f"; and {len(shown) - most} more differ" if len(shown) > most else "")
+
+
+def _differ(name: str, there: Mapping[str, Any], here: Mapping[str, Any]) -> bool:
+    if name not in there or name not in here:
+        return True
+    if name.startswith("axes."):  # a scenario tells what is made of a value
+        return bool(there[name] != here[name])
+    return _text(there[name]) != _text(here[name])
 
 
 def _comparable(description: Mapping[str, Any]) -> dict[str, Any]:

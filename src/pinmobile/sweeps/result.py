@@ -1,6 +1,7 @@
 """`Sweep`: what a store holds, with its own judgement."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -17,7 +18,7 @@ from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.grids import Grid, as_grid
 from pinmobile.sweeps.layout import PER_ROBOT
 from pinmobile.sweeps.origin import determined_by, differences
-from pinmobile.sweeps.store import attributes_of
+from pinmobile.sweeps.store import attributes_of, damaged
 from pinmobile.sweeps.table import answer, since, table
 
 __all__ = ["Sweep"]
@@ -39,12 +40,15 @@ class Sweep:
         known yet.
     grid : Grid or None
         The scenarios; None where the store was opened without.
+    rivals : str or None
+        The axis whose members `answer` compares with each other.
     """
 
     path: Path
     axes: Mapping[str, Axis]
     dataset: Any
     grid: Grid | None
+    rivals: str | None
 
     @classmethod
     def open(cls, path: str | PathLike[str], scenarios: Any = None) -> "Sweep":
@@ -60,10 +64,14 @@ class Sweep:
         Raises
         ------
         InvalidArgument
-            If there is no store of a sweep, or not of these scenarios.
+            If there is no store of a sweep, or not of these scenarios, a file of it cannot be read, or a
+            package of the extra is missing.
         """
+        for package in ("zarr", "xarray"):
+            imported(package)
         folder = location("path", path)
-        there = attributes_of(folder)["determined_by"]
+        attributes = attributes_of(folder)
+        there = attributes["determined_by"]
         grid = None
         if scenarios is not None:
             grid = as_grid(scenarios)
@@ -71,8 +79,9 @@ class Sweep:
             if found:
                 raise InvalidArgument(f"scenarios are not those of {str(folder)!r}: {found}")
         axes = {name: Axis(axis["values"], axis["unit"]) for name, axis in there["axes"].items()}
-        dataset = imported("xarray").open_zarr(folder, chunks=None, consolidated=True)
-        return cls(folder, axes, dataset, grid)
+        with _reading(folder):
+            dataset = imported("xarray").open_zarr(folder, chunks=None, consolidated=True)
+        return cls(folder, axes, dataset, grid, attributes["rivals"])
 
     def within(self, share: float = 0.99) -> Any:
         """Return the distance that a share of the robots stays within from `Scenario.after` on, exactly.
@@ -91,10 +100,11 @@ class Sweep:
         Raises
         ------
         InvalidArgument
-            If `share` is not between 0 and 1.
+            If `share` is not between 0 and 1, or a file of the store cannot be read.
         """
         level = checked_share(share)
-        data = self.dataset[["max_distance", "diverged_at"]].load()
+        with _reading(self.path):
+            data = self.dataset[["max_distance", "diverged_at"]].load()
         sizes = data.max_distance.where(data.diverged_at.isnull(), np.inf)
         found = sizes.quantile(level, "robot", method="inverted_cdf", skipna=False)
         meaning = f"distance from the desired position that {level * 100:g} % of the robots stay within"
@@ -106,24 +116,34 @@ class Sweep:
         Raises
         ------
         InvalidArgument
-            If `share` is not between 0 and 1.
+            If `share` is not between 0 and 1, or a file of the store cannot be read.
         """
-        diverged = self.dataset.diverged_at.notnull().sum("robot").values
-        return table(self.axes, self.within(share).values, diverged, share, most)
+        within = self.within(share).values
+        return table(self.axes, within, self._diverged(), share, most)
+
+    def _diverged(self) -> Any:
+        return self.dataset.diverged_at.notnull().sum("robot").values
 
     def answer(self, share: float = 0.99) -> str:
         """Return in one line what the share of the robots stays within where the worst happens.
+
+        There, the members of one axis are compared with each other: of the axis whose values are controllers
+        (of a mapping of names to controllers), else of the one called ``controller``, else of the last axis
+        of names. Where there is none, it is the worst of all.
 
         Of a sweep that is not complete, it begins with how much is done.
 
         Raises
         ------
         InvalidArgument
-            If `share` is not between 0 and 1.
+            If `share` is not between 0 and 1, or a file of the store cannot be read.
         """
+        within = self.within(share).values
         known = self.dataset.max_distance.notnull() | self.dataset.diverged_at.notnull()
+        counted = self._diverged(), self.dataset.sizes["robot"]
         after = float(self.dataset.attrs.get("errors_from_s", 0.0))
-        return since(after) + answer(self.axes, self.within(share).values, share, float(known.mean()))
+        words = answer(self.axes, within, *counted, share, done=float(known.mean()), beside=self.rivals)
+        return since(after) + words
 
     def ensemble(self, **labels: Any) -> Ensemble:
         """Return the ensemble of one scenario.
@@ -138,8 +158,8 @@ class Sweep:
         UnknownName
             If there is no such axis.
         InvalidArgument
-            If an axis is missing, a value is not one of its own, the scenarios are not known, or its records
-            are not there yet.
+            If an axis is missing, a value is not one of its own, the scenarios are not known, its records are
+            not there yet, or a file of theirs cannot be read.
         """
         index = place_of(self.axes, labels)
         if self.grid is None:
@@ -148,7 +168,8 @@ class Sweep:
                 "that were given to sweep"
             )
         scenario = self.grid.scenarios[int(np.ravel_multi_index(index, self.grid.shape))]
-        data = self.dataset.isel(dict(zip(self.axes, index, strict=True)))
+        with _reading(self.path):
+            data = self.dataset.isel(dict(zip(self.axes, index, strict=True))).load()
         counts = np.array(data.counts)
         if not counts.any():
             raise InvalidArgument(
@@ -167,3 +188,15 @@ class Sweep:
 
     def __str__(self) -> str:
         return f"{self.table()}\n{self.answer()}"
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Name the file of a store that cannot be read."""
+    try:
+        yield
+    except Exception as error:  # whatever the codecs say
+        raise InvalidArgument(
+            f"store is {str(path)!r}, of which {damaged(path)}; remove that file, and start the same sweep "
+            "again to have it computed again"
+        ) from error

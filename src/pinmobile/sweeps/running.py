@@ -34,13 +34,15 @@ def sweep(
 
     The work is divided into chunks of robots. This process alone writes the store; the numbers of a chunk are
     the same bit for bit wherever it is computed. A sweep that was interrupted, even killed, goes on where it
-    was when it is started again with the same arguments, and ends with the very same store.
+    was when it is started again with the same arguments, and ends with the very same store. Where files of a
+    store are gone, their numbers are computed again.
 
     Parameters
     ----------
     scenarios : Grid, mapping of str to Scenario, sequence of Scenario, or Scenario
         What is run: a `grid`, or scenarios along one axis called ``scenario``, on which a single one is
-        number 0. All have as many robots, and their bands at the same times.
+        number 0. All have as many robots, and their bands at the same times. An axis of controllers is what
+        `Sweep.answer` compares.
     store : path
         Folder of the store; made where it is missing, continued where it is that of this sweep.
     client : distributed.Client, optional

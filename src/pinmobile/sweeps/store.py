@@ -3,15 +3,17 @@
 One process writes. What is done stands in the folder ``.progress`` inside the store: for each chunk a file
 with its counts, put there by a rename once the chunk's other numbers are written. A chunk without that file
 is computed and written again, to the same bytes. When all are there, the folder goes, and with it every trace
-of how the store came to be.
+of how the store came to be. Where files of a finished store are gone, the folder comes back, with a file for
+each scenario that is whole.
 """
 
 import fcntl
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import IO, Any, NamedTuple
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -21,12 +23,14 @@ from pinmobile.ensembles.histogram import quantiles
 from pinmobile.errors import InvalidArgument
 from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.grids import Grid
-from pinmobile.sweeps.layout import LEVELS, PER_ROBOT, make_arrays
+from pinmobile.sweeps.layout import LEVELS, PER_ROBOT, make_arrays, mend_coordinates
 from pinmobile.sweeps.origin import differences
+from pinmobile.sweeps.table import axis_of_rivals
 
-__all__ = ["Job", "Store", "attributes_of"]
+__all__ = ["Job", "Store", "attributes_of", "damaged"]
 
 _PROGRESS, _GOING = ".progress", ".progress-done"
+_SUMMED = ("counts", "distance_quantile", "heading_quantile")  # over all robots of a scenario
 
 
 class Job(NamedTuple):
@@ -79,10 +83,14 @@ class Store:
         if found:
             raise InvalidArgument(f"store is {str(path)!r}, which belongs to another sweep: {found}")
         self.chunk: int = there["chunk"]
+        zarr = imported("zarr")
+        # Every chunk has a file, also one of nothing but NaN, so that one which is gone is missed.
+        with zarr.config.set({"array.write_empty_chunks": True}):
+            group = zarr.open_group(path, mode="r+")
+            self._arrays: dict[str, Any] = {name: group[name] for name in there["arrays"]}
+        self._mend()
         self._lock = _locked(path)
         self._clean()
-        group = imported("zarr").open_group(path, mode="r+")
-        self._arrays: dict[str, Any] = {name: group[name] for name in there["arrays"]}
 
     def __enter__(self) -> "Store":
         return self
@@ -105,7 +113,7 @@ class Store:
 
     def waiting(self) -> list[Job]:
         """Return the chunks that are not done."""
-        return [] if self.complete else [job for job in self.jobs() if not self._marker(job).exists()]
+        return [] if self.complete else [job for job in self.jobs() if not self._is_done(job)]
 
     def record(self, job: Job, draws: Mapping[str, Array], part: Part) -> None:
         """Write the numbers of a chunk, and then that it is done."""
@@ -128,8 +136,9 @@ class Store:
             return
         counts: dict[int, Any] = {}
         for job in self.jobs():
-            with np.load(self._marker(job)) as file:
-                counts[job.scenario] = file["counts"] + counts.get(job.scenario, 0)
+            if self._whole(job.scenario).exists():
+                continue
+            counts[job.scenario] = _counts(self._marker(job)) + counts.get(job.scenario, 0)
             if job.stop == self.grid.n:
                 self._sum_up(job.scenario, counts.pop(job.scenario))
         (self.path / _PROGRESS).rename(self.path / _GOING)
@@ -145,11 +154,71 @@ class Store:
     def _marker(self, job: Job) -> Path:
         return self.path / _PROGRESS / f"{job.scenario}-{job.start}.npz"
 
+    def _whole(self, scenario: int) -> Path:
+        return self.path / _PROGRESS / f"{scenario}.whole"
+
+    def _is_done(self, job: Job) -> bool:
+        if self._whole(job.scenario).exists():
+            return True
+        return self._marker(job).exists() and self._has(self._per_robot(job.scenario), *job[:2])
+
+    def _per_robot(self, scenario: int) -> list[str]:
+        return [*PER_ROBOT, *(f"drawn_{name}" for name in self.grid.scenarios[scenario].spread)]
+
+    def _has(self, names: Iterable[str], scenario: int, start: int) -> bool:
+        """Tell whether the chunks of some arrays that hold robot `start` of a scenario are on disk."""
+        outer = self.grid.index(scenario)
+        for name in names:
+            inner = [0] * (self._arrays[name].ndim - len(outer))
+            if name not in _SUMMED:
+                inner[0] = start // self.chunk
+            if not self.path.joinpath(name, "c", *map(str, (*outer, *inner))).exists():
+                return False
+        return True
+
+    def _mend(self) -> None:
+        """Begin again with the scenarios of a finished store of which files are gone."""
+        mend_coordinates(self.path, self.grid)
+        if not self.complete:
+            return
+        broken = {k for k in range(len(self.grid)) if not self._has(_SUMMED, k, 0)}
+        broken |= {job[0] for job in self.jobs() if not self._has(self._per_robot(job[0]), *job[:2])}
+        if broken:
+            made = self.path / f"{_PROGRESS}.new"
+            made.mkdir(exist_ok=True)
+            for k in set(range(len(self.grid))) - broken:
+                (made / f"{k}.whole").touch()
+            made.rename(self.path / _PROGRESS)
+
     def _clean(self) -> None:
         """Remove what a process left that was killed while it wrote a file."""
         for left in (*self.path.rglob("*.partial"), *self.path.glob(f"{_PROGRESS}/*.new")):
             left.unlink(missing_ok=True)
         shutil.rmtree(self.path / _GOING, ignore_errors=True)
+
+
+def _counts(marker: Path) -> Any:
+    try:
+        with np.load(marker) as file:
+            return file["counts"]
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
+        raise InvalidArgument(
+            f"store has {str(marker)!r}, which cannot be read: {error}; remove that file, and start the same "
+            "sweep again"
+        ) from error
+
+
+def damaged(path: Path) -> str:
+    """Return in words which file of a store cannot be read."""
+    group = imported("zarr").open_group(path, mode="r")
+    for name in attributes_of(path)["arrays"]:
+        for file in sorted((path / name / "c").rglob("*")):
+            if file.is_file():
+                try:
+                    group[name].blocks[tuple(map(int, file.relative_to(path / name / "c").parts))]
+                except Exception as error:  # whatever its codecs say
+                    return f"{str(file)!r} cannot be read: {error}"
+    return "a file cannot be read"
 
 
 def attributes_of(path: Path) -> dict[str, Any]:
@@ -163,7 +232,7 @@ def attributes_of(path: Path) -> dict[str, Any]:
     try:
         metadata = json.loads((path / "zarr.json").read_text(encoding="utf-8"))
         found: dict[str, Any] = {
-            **metadata["attributes"]["pinmobile_sweep"],
+            **json.loads(metadata["attributes"]["pinmobile_sweep"]),
             "arrays": list(metadata["consolidated_metadata"]["metadata"]),
         }
     except (OSError, ValueError, KeyError, TypeError) as error:
@@ -176,9 +245,10 @@ def _make(path: Path, grid: Grid, description: Mapping[str, Any], chunk: int) ->
     path.parent.mkdir(parents=True, exist_ok=True)
     made = path.parent / f".{path.name}.new"
     shutil.rmtree(made, ignore_errors=True)
+    mine = {"chunk": chunk, "rivals": axis_of_rivals(grid.axes), "determined_by": description}
     attributes = {
         "Conventions": "units and long_name of each variable; robot i of a scenario is row i",
-        "pinmobile_sweep": {"chunk": chunk, "determined_by": description},
+        "pinmobile_sweep": json.dumps(mine),
     }
     make_arrays(made, grid, chunk, attributes)
     (made / _PROGRESS).mkdir()

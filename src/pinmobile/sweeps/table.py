@@ -1,14 +1,16 @@
 """The answer of a sweep in words: who stays within what."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
+from pinmobile.ensembles.table import percent
 from pinmobile.sweeps.axes import Axis, Label, told
 
-__all__ = ["answer", "compared", "length", "since", "table"]
+__all__ = ["answer", "axis_of_rivals", "compared", "length", "since", "table"]
 
 _MOST = 40  # rows of a table
 
@@ -28,8 +30,8 @@ def since(after: float) -> str:
     return f"from t = {after:g} s on, " if after else ""
 
 
-def compared(within: Mapping[str, float], share: float) -> str:
-    """Return in words who stays within what, the share told once.
+def compared(within: Mapping[str, float], share: float, diverged: Mapping[str, int], n: int) -> str:
+    """Return in words who stays within what, the share told once, of a single robot not at all.
 
     Parameters
     ----------
@@ -37,20 +39,33 @@ def compared(within: Mapping[str, float], share: float) -> str:
         By name in the singular, what the share of the robots stays within [m].
     share : float
         The share.
+    diverged : mapping of str to int
+        How many robots did, by the same names.
+    n : int
+        How many robots each has.
     """
     words: list[str] = []
     bounded = False
     for label, distance in within.items():
         if np.isfinite(distance):
             said = f"{label} within" if bounded else f"{label} stays within"
-            words.append(f"{said} {length(distance)}{'' if bounded else f' in {share * 100:g} % of runs'}")
+            words.append(f"{said} {length(distance)}{'' if bounded else _of_runs(share, n)}")
             bounded = True
         else:
-            words.append(f"{label} {_unbounded(distance, share, 'is', 'diverges')}")
+            words.append(f"{label} {_unbounded(distance, diverged[label], n, 'is', 'diverges')}")
     return ", ".join(words)
 
 
-def answer(axes: Mapping[str, Axis], within: Array, share: float, done: float = 1.0) -> str:
+def answer(
+    axes: Mapping[str, Axis],
+    within: Array,
+    diverged: NDArray[np.int64],
+    n: int,
+    share: float,
+    *,
+    done: float = 1.0,
+    beside: str | None = None,
+) -> str:
     """Return the answer in one line, for the values at which the worst happens.
 
     Parameters
@@ -59,14 +74,19 @@ def answer(axes: Mapping[str, Axis], within: Array, share: float, done: float = 
         What was swept.
     within : ndarray, of the shape of the axes
         Distance that the share of the robots stays within [m]; NaN where nothing is known.
+    diverged : ndarray of int, of the shape of the axes
+        How many robots did.
+    n : int
+        How many robots each scenario has.
     share : float
         The share.
     done : float
         Share of all robots that has been run.
+    beside : str, optional
+        The axis whose members are compared with each other.
     """
     known = np.nan_to_num(within, nan=-1.0, posinf=np.inf)
     worst = np.unravel_index(int(np.argmax(known)), within.shape)
-    beside = _beside(axes)
     places = zip(axes.items(), worst, strict=True)
     where = [told(name, axis, int(i)) for (name, axis), i in places if name != beside and len(axis) > 1]
     begun = f"{done * 100:.3g} % of the robots are done" if done < 1 else ""
@@ -77,19 +97,41 @@ def answer(axes: Mapping[str, Axis], within: Array, share: float, done: float = 
         prefix += f"with {' and '.join(where)}, "
     if beside is None:
         distance = float(within[worst])
+        if n == 1:
+            return prefix + compared({"the robot": distance}, share, {"the robot": int(diverged[worst])}, n)
         if np.isfinite(distance):
-            return f"{prefix}the robots stay within {length(distance)} in {share * 100:g} % of runs"
-        return f"{prefix}the robots {_unbounded(distance, share, 'are', 'diverge')}"
+            return f"{prefix}the robots stay within {length(distance)}{_of_runs(share, n)}"
+        return f"{prefix}the robots {_unbounded(distance, int(diverged[worst]), n, 'are', 'diverge')}"
     place = list(axes).index(beside)
     others = tuple(int(i) for k, i in enumerate(worst) if k != place)
-    row = np.moveaxis(within, place, -1)[others]
-    return prefix + compared(dict(zip(map(str, axes[beside].values), row.tolist(), strict=True)), share)
+
+    def row(values: NDArray[Any]) -> dict[str, Any]:
+        mine = np.moveaxis(values, place, -1)[others]
+        return dict(zip(map(str, axes[beside].values), mine.tolist(), strict=True))
+
+    return prefix + compared(row(within), share, row(diverged), n)
 
 
-def _unbounded(distance: float, share: float, be: str, diverge: str) -> str:
+def axis_of_rivals(axes: Mapping[str, Axis]) -> str | None:
+    """Return the axis whose members are compared with each other: of more than one, each with a name.
+
+    That is the one whose values are controllers, else the one called ``controller``, else the last one.
+    """
+    named = [
+        name for name, axis in axes.items() if len(axis) > 1 and all(isinstance(x, str) for x in axis.values)
+    ]
+    controllers = [name for name in named if all(hasattr(x, "initial_state") for x in axes[name].given)]
+    return [*named, *(name for name in named if name == "controller"), *controllers][-1] if named else None
+
+
+def _of_runs(share: float, n: int) -> str:
+    return "" if n == 1 else f" in {share * 100:g} % of runs"
+
+
+def _unbounded(distance: float, diverged: int, n: int, be: str, diverge: str) -> str:
     if np.isnan(distance):
         return f"{be} unknown"
-    return f"{diverge} in {'some' if share == 1 else f'more than {(1 - share) * 100:.3g} % of'} runs"
+    return diverge if n == 1 else f"{diverge} in {percent(diverged, n)} runs"
 
 
 def table(
@@ -99,10 +141,8 @@ def table(
 
     Parameters
     ----------
-    axes, within, share
+    axes, within, diverged, share
         As of `answer`.
-    diverged : ndarray of int, of the shape of the axes
-        How many robots did.
     most : int
         Rows, at most.
     """
@@ -116,13 +156,6 @@ def table(
     lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
     rest = within.size - most
     return "\n".join([*lines, *([f"... and {rest} more"] if rest > 0 else [])])
-
-
-def _beside(axes: Mapping[str, Axis]) -> str | None:
-    """Return the last axis whose values are text: its members are compared with each other."""
-    long = {name: axis for name, axis in axes.items() if len(axis) > 1}
-    named = [name for name, axis in long.items() if all(isinstance(value, str) for value in axis.values)]
-    return named[-1] if named else None
 
 
 def _text(label: Label) -> str:

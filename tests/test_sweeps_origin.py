@@ -1,0 +1,290 @@
+"""What tells one sweep from another: two controllers that differ in anything never look the same."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from functools import partial, wraps
+from operator import itemgetter
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from pinmobile import (
+    ComputedTorque,
+    ConstantForce,
+    InvalidArgument,
+    MobileRobot,
+    NoiseForce,
+    NoisyMeasurement,
+    Saturated,
+    law,
+    planar_difference,
+    sweep,
+)
+from pinmobile.arrays import Array
+from pinmobile.sweeps.grids import as_grid
+from pinmobile.sweeps.origin import determined_by, differences
+from tests.sweeping import scenario
+
+ROOT = Path(__file__).parents[1]
+FACTOR: Any = 3.0
+ONE, OTHER = [law(lambda t, q, v, r: 3 * (r.q - q)), law(lambda t, q, v, r: 4 * (r.q - q))]  # on one line
+SHAPED, BENT = [law(lambda t, q, v, r: q + v), law(lambda t, q, v, r: q - v)]
+INNER = [law(lambda t, q, v, r: (lambda e: 3 * e)(q)), law(lambda t, q, v, r: (lambda e: 4 * e)(q))]
+
+
+def account(controller: Any, forces: Any = ()) -> Any:
+    """Return the description of a sweep as a store has it."""
+    one = replace(scenario(n=3), controller=controller, forces=forces)
+    return json.loads(json.dumps(determined_by(as_grid(one))))
+
+
+def push(gain: Any, t: float, q: Array, v: Array, reference: Any, more: Any = None) -> Any:
+    return 0.0 * q if gain is more else 0.0 * v
+
+
+def read(t: float, q: Array, v: Array, reference: Any) -> Any:
+    return FACTOR * (reference.q - q)
+
+
+def read_inside(t: float, q: Array, v: Array, reference: Any) -> Any:
+    return np.stack([FACTOR * row for row in reference.q - q])
+
+
+def through_a_module(t: float, q: Array, v: Array, reference: Any) -> Any:
+    return FACTOR.part.gain * (reference.q - q)
+
+
+def closure(gain: Any) -> Any:
+    return law(lambda t, q, v, reference: push(gain, t, q, v, reference))
+
+
+def dressed(gain: float) -> Any:
+    @wraps(planar_difference)
+    def mine(q_d: Array, q: Array) -> Array:
+        return gain * planar_difference(q_d, q)
+
+    return ComputedTorque(MobileRobot.lecture(), difference=mine)
+
+
+def with_attribute(gain: float) -> Any:
+    def mine(t: float, q: Array, v: Array, reference: Any) -> Any:
+        return mine.gain * (reference.q - q)  # type: ignore[attr-defined]
+
+    mine.gain = gain  # type: ignore[attr-defined]
+    return law(mine)
+
+
+class Held:
+    def __init__(self, gain: Any) -> None:
+        self.gain = gain
+
+    def initial_state(self) -> None: ...
+
+    def __call__(self, t: float, q: Array, v: Array, reference: Any, state: None) -> Any:
+        return push(self.gain, t, q, v, reference), state
+
+    def law(self, t: float, q: Array, v: Array, reference: Any) -> Any:
+        return push(self.gain, t, q, v, reference)
+
+
+class Slotted(Held):
+    __slots__ = ("gain",)
+
+
+@dataclass
+class Filled:
+    table: Any = field(init=False)
+
+    def initial_state(self) -> None: ...
+
+    def __call__(self, t: float, q: Array, v: Array, reference: Any, state: None) -> Any:
+        return self.table * q, state
+
+
+def filled(table: Any) -> Any:
+    made = Filled()
+    made.table = table
+    return made
+
+
+def of_class(base: type = Held, **members: Any) -> Any:
+    return type("Mine", (base,), members)(3.0)
+
+
+class Typed:
+    def __init__(self, gain: float) -> None:
+        self.type = gain
+
+
+class Level(Enum):
+    LOW = 1.0
+    HIGH = 2.0
+
+
+class Gains(NamedTuple):
+    kp: float
+    kd: float
+
+
+DIFFERENT: dict[str, Callable[[float], Any]] = {
+    "a partial's argument": lambda k: law(partial(push, k)),
+    "a partial's keyword": lambda k: law(partial(push, 1.0, more=k)),
+    "a partial in a partial": lambda k: law(partial(partial(push, np.array([k, 1, 1])))),
+    "a robot in a partial": lambda k: law(partial(push, MobileRobot(k, 1.0))),
+    "the constants of lambdas on one line": lambda k: ONE if k == 3 else OTHER,
+    "the operations of lambdas on one line": lambda k: SHAPED if k == 3 else BENT,
+    "a lambda in a lambda": lambda k: INNER[k == 3],
+    "a number and a list of it": lambda k: closure(k if k == 3 else [3.0]),
+    "a list and a tuple": lambda k: closure([3.0] if k == 3 else (3.0,)),
+    "a list and an array": lambda k: closure([3.0] if k == 3 else np.array([3.0])),
+    "whole numbers and others": lambda k: closure(3 if k == 3 else 3.0),
+    "great whole numbers": lambda k: closure(2**60 + int(k)),
+    "the sign of zero": lambda k: closure(0.0 if k == 3 else -0.0),
+    "a precision": lambda k: closure(np.float32(0.5) if k == 3 else 0.5),
+    "keys of a dict": lambda k: closure({1: 3.0, "1": k}),
+    "dots in keys": lambda k: closure({"a.b": 1.0} if k == 3 else {"a": {"b": 1.0}}),
+    "the order of a dict": lambda k: closure(dict.fromkeys("ab" if k == 3 else "ba", 1.0)),
+    "an empty dict": lambda k: closure({} if k == 3 else ()),
+    "an array of another type": lambda k: closure(np.array([3]) if k == 3 else np.array([3.0])),
+    "what wraps a function of the library": dressed,
+    "an attribute of a function": with_attribute,
+    "the state of an object": Held,
+    "an object with slots": Slotted,
+    "an object that is called": lambda k: law(partial(push, Held(k))),
+    "a bound method": lambda k: law(Held(k).law),
+    "a bound method of an array": lambda k: closure(np.array([k, 1.0]).dot),
+    "a namespace": lambda k: closure(SimpleNamespace(gain=k)),
+    "a field that is filled later": filled,
+    "an inherited method": lambda k: of_class(Held if k == 3 else type("Held", (Held,), {"law": push})),
+    "a member of a class": lambda k: of_class(gain_of=k),
+    "a static method": lambda k: of_class(f=staticmethod(partial(push, k))),
+    "a class method": lambda k: of_class(f=classmethod(partial(push, k))),
+    "an attribute called type": lambda k: closure(Typed(k)),
+    "a property": lambda k: of_class(f=property(partial(push, k))),
+    "an enumeration": lambda k: closure(Level.LOW if k == 3 else Level.HIGH),
+    "a named tuple": lambda k: closure(Gains(k, 1.0)),
+    "a slice": lambda k: closure(slice(0, int(k))),
+    "the seed of a noisy measurement": lambda k: NoisyMeasurement(closure(1.0), 1e-3, 1e-3, seed=int(k)),
+    "the seed sequence of one": lambda k: NoisyMeasurement(
+        closure(1.0), 1e-3, 1e-3, seed=np.random.SeedSequence(1, spawn_key=(int(k),))
+    ),
+    "a controller in a wrapper": lambda k: Saturated(closure(k), 9.0),
+}
+
+
+@pytest.mark.parametrize("what", DIFFERENT)
+def test_two_controllers_that_differ_are_told_apart_and_one_is_known_again(what: str) -> None:
+    make = DIFFERENT[what]
+    assert differences(account(make(3.0)), account(make(4.0)))
+    assert not differences(account(make(3.0)), account(make(3.0)))
+
+
+@pytest.mark.parametrize("function", [read, read_inside])
+def test_globals_are_told_even_where_only_a_function_inside_reads_them(
+    monkeypatch: pytest.MonkeyPatch, function: Any
+) -> None:
+    before = account(law(function))
+    monkeypatch.setitem(globals(), "FACTOR", 4.0)
+    assert "reads.FACTOR is 3.0 there and 4.0 here" in differences(before, account(law(function)))
+
+
+def test_of_a_module_is_told_what_a_function_reads_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    package: Any = ModuleType("mypackage")
+    package.part, package.other = ModuleType("mypackage.part"), object()
+    package.part.gain = 3.0
+    monkeypatch.setitem(globals(), "FACTOR", package)
+    before = account(law(through_a_module))
+    package.part.gain = 4.0
+    assert "reads.FACTOR.part.gain is 3.0 there and 4.0" in differences(
+        before, account(law(through_a_module))
+    )
+    with pytest.raises(InvalidArgument, match="it passes on FACTOR, a module"):
+        account(law(read))
+
+
+def test_forces_are_told_apart_by_their_code() -> None:
+    one, other = [lambda t, q, v: 1.0 * q, lambda t, q, v: 2.0 * q]
+    assert "forces[0].code" in differences(account(ONE, [one]), account(ONE, [other]))
+    assert "forces[0].force" in differences(
+        account(ONE, [ConstantForce((1, 0, 0))]), account(ONE, [ConstantForce((2, 0, 0))])
+    )
+    assert "forces[0].phases" in differences(
+        account(ONE, [NoiseForce((1, 0, 0), 1.0, seed=1)]), account(ONE, [NoiseForce((1, 0, 0), 1.0, seed=2)])
+    )
+
+
+def _typed(text: str) -> Any:
+    found: dict[str, Any] = {}
+    exec(f"def f(t, q, v, reference): return {text}", found)
+    return law(found["f"])
+
+
+def test_a_function_without_a_source_is_known_by_its_code() -> None:
+    assert not differences(account(_typed("3 * q")), account(_typed("3 * q")))
+    assert "controller.function.code is" in differences(account(_typed("3 * q")), account(_typed("4 * q")))
+
+
+def _imports(t: float, q: Array, v: Array, reference: Any) -> Any:
+    from tests import sweeping
+
+    return 0 * q * sweeping.CHUNK
+
+
+def _evaluates(t: float, q: Array, v: Array, reference: Any) -> Any:
+    return eval("FACTOR") * q
+
+
+class Renamed(float):
+    pass
+
+
+@pytest.mark.parametrize(
+    ("controller", "text"),
+    [
+        (closure(itemgetter(1)), r"controller\.function \(gain\) is a itemgetter, of which a store cannot"),
+        (closure(np.frompyfunc(abs, 1, 1)), "is a ufunc, of which a store cannot tell"),
+        (closure(Renamed(3.0)), "is a Renamed, of which a store cannot tell"),
+        (closure(np.ma.array([1.0])), "is a MaskedArray, of which a store cannot tell"),
+        (closure(np.array([object()])), "is a ndarray, of which a store cannot tell"),
+        (closure(np.random.default_rng(1)), "is a Generator, of which a store cannot tell"),
+        (closure(type("Table", (dict,), {})(a=1)), "is a Table, of which a store cannot tell"),
+        (law(_imports), r"is _imports, .*: it imports tests when it is called"),
+        (law(_evaluates), r"is _evaluates, .*: it calls eval"),
+    ],
+)
+def test_what_cannot_be_told_is_refused(controller: Any, text: str) -> None:
+    with pytest.raises(InvalidArgument, match=text):
+        account(controller)
+
+
+def test_a_store_does_not_take_the_other_of_two_lambdas_on_a_line(tmp_path: Path) -> None:
+    first = replace(scenario(n=3), controller=ONE, duration=0.5)
+    sweep(first, tmp_path / "store")
+    sweep(first, tmp_path / "store")
+    with pytest.raises(InvalidArgument, match=r"another sweep: controller\.function\.code is"):
+        sweep(replace(first, controller=OTHER), tmp_path / "store")
+
+
+def test_every_process_tells_the_same_of_all_of_them() -> None:
+    code = "from tests.test_sweeps_origin import *; "
+    code += "print(json.dumps([account(make(3.0)) for make in DIFFERENT.values()]))"
+    told = [
+        subprocess.run(
+            [sys.executable, "-c", code],
+            cwd=ROOT,
+            check=True,
+            capture_output=True,
+            text=True,
+            env={"PYTHONHASHSEED": seed, "PYTHONPATH": ":".join(sys.path)},
+        ).stdout
+        for seed in ("1", "2")
+    ]
+    assert told[0] == told[1]
+    assert json.loads(told[0]) == [account(make(3.0)) for make in DIFFERENT.values()]
