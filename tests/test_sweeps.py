@@ -43,7 +43,8 @@ from pinmobile.ensembles.histogram import edges
 from pinmobile.sweeps import length
 from pinmobile.sweeps.grids import as_grid
 from pinmobile.sweeps.origin import determined_by, differences
-from pinmobile.sweeps.store import Store, attributes_of
+from pinmobile.sweeps.reading import attributes_of
+from pinmobile.sweeps.store import Store
 from pinmobile.sweeps.table import answer, axis_of_rivals, compared, table
 from tests.sweeping import CHUNK, contents, gains_and_errors, scenario
 

@@ -17,7 +17,7 @@ from pinmobile.cli.scenario_file import read_grid
 from pinmobile.cli.spreads import scenario, spread_of_words, without_model
 from pinmobile.ensembles import ARRAYS, Engine, run_scenario
 from pinmobile.sweeps import connected
-from pinmobile.sweeps.store import attributes_of
+from pinmobile.sweeps.reading import attributes_of
 from pinmobile.sweeps.table import compared, since
 
 __all__ = ["run_options", "show_ensemble", "show_sweep"]

@@ -18,7 +18,7 @@ from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.grids import Grid, as_grid
 from pinmobile.sweeps.layout import PER_ROBOT
 from pinmobile.sweeps.origin import determined_by, differences
-from pinmobile.sweeps.store import attributes_of, damaged
+from pinmobile.sweeps.reading import attributes_of, damaged
 from pinmobile.sweeps.table import answer, since, table
 
 __all__ = ["Sweep"]

@@ -13,7 +13,6 @@ import shutil
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import IO, Any, NamedTuple
-from zipfile import BadZipFile
 
 import numpy as np
 
@@ -25,9 +24,10 @@ from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.grids import Grid
 from pinmobile.sweeps.layout import LEVELS, PER_ROBOT, make_arrays, mend_coordinates
 from pinmobile.sweeps.origin import differences
+from pinmobile.sweeps.reading import attributes_of, counts_of
 from pinmobile.sweeps.table import axis_of_rivals
 
-__all__ = ["Job", "Store", "attributes_of", "damaged"]
+__all__ = ["Job", "Store"]
 
 _PROGRESS, _GOING = ".progress", ".progress-done"
 _SUMMED = ("counts", "distance_quantile", "heading_quantile")  # over all robots of a scenario
@@ -138,7 +138,7 @@ class Store:
         for job in self.jobs():
             if self._whole(job.scenario).exists():
                 continue
-            counts[job.scenario] = _counts(self._marker(job)) + counts.get(job.scenario, 0)
+            counts[job.scenario] = counts_of(self._marker(job)) + counts.get(job.scenario, 0)
             if job.stop == self.grid.n:
                 self._sum_up(job.scenario, counts.pop(job.scenario))
         (self.path / _PROGRESS).rename(self.path / _GOING)
@@ -185,7 +185,8 @@ class Store:
         broken |= {job[0] for job in self.jobs() if not self._has(self._per_robot(job[0]), *job[:2])}
         if broken:
             made = self.path / f"{_PROGRESS}.new"
-            made.mkdir(exist_ok=True)
+            shutil.rmtree(made, ignore_errors=True)
+            made.mkdir()
             for k in set(range(len(self.grid))) - broken:
                 (made / f"{k}.whole").touch()
             made.rename(self.path / _PROGRESS)
@@ -195,49 +196,6 @@ class Store:
         for left in (*self.path.rglob("*.partial"), *self.path.glob(f"{_PROGRESS}/*.new")):
             left.unlink(missing_ok=True)
         shutil.rmtree(self.path / _GOING, ignore_errors=True)
-
-
-def _counts(marker: Path) -> Any:
-    try:
-        with np.load(marker) as file:
-            return file["counts"]
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
-        raise InvalidArgument(
-            f"store has {str(marker)!r}, which cannot be read: {error}; remove that file, and start the same "
-            "sweep again"
-        ) from error
-
-
-def damaged(path: Path) -> str:
-    """Return in words which file of a store cannot be read."""
-    group = imported("zarr").open_group(path, mode="r")
-    for name in attributes_of(path)["arrays"]:
-        for file in sorted((path / name / "c").rglob("*")):
-            if file.is_file():
-                try:
-                    group[name].blocks[tuple(map(int, file.relative_to(path / name / "c").parts))]
-                except Exception as error:  # whatever its codecs say
-                    return f"{str(file)!r} cannot be read: {error}"
-    return "a file cannot be read"
-
-
-def attributes_of(path: Path) -> dict[str, Any]:
-    """Return what a store says of itself.
-
-    Raises
-    ------
-    InvalidArgument
-        If there is no store of a sweep.
-    """
-    try:
-        metadata = json.loads((path / "zarr.json").read_text(encoding="utf-8"))
-        found: dict[str, Any] = {
-            **json.loads(metadata["attributes"]["pinmobile_sweep"]),
-            "arrays": list(metadata["consolidated_metadata"]["metadata"]),
-        }
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InvalidArgument(f"store is {str(path)!r}, which is not the store of a sweep") from error
-    return found
 
 
 def _make(path: Path, grid: Grid, description: Mapping[str, Any], chunk: int) -> None:
