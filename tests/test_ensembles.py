@@ -659,6 +659,8 @@ def test_a_judgement_tells_the_share_that_diverged(
     n: int, within: tuple[float, float], diverged: int, text: str
 ) -> None:
     assert judgement(n, 6.0, within, diverged, 0.0) == text
+    since = judgement(n, 6.0, within, diverged, 2.0)
+    assert since == (text if within[0] == np.inf else text.replace(" s: ", " s: from 2 s on "))
 
 
 def test_progress_counts_robots() -> None:

@@ -26,12 +26,12 @@ def judgement(n: int, duration: float, within: tuple[float, float], diverged: in
         Time from which on errors count [s].
     """
     sizes = f"within {within[0]:.4g} m and {within[1]:.4g} rad"
+    since = f"from {after:g} s on " if after else ""
     if n == 1:
-        return f"1 robot over {duration:g} s: {'diverged' if diverged else f'stays {sizes}'}"
+        return f"1 robot over {duration:g} s: {'diverged' if diverged else f'{since}stays {sizes}'}"
     start = f"{n:,} robots over {duration:g} s: "
     if np.isinf(within[0]):
         return f"{start}{diverged:,} diverged, {percent(diverged, n).removesuffix(' of')}"
-    since = f"from {after:g} s on " if after else ""
     sizes = f"{since}99 % stay {sizes}"
     return f"{start}{sizes}, {f'{diverged:,} diverged' if diverged else 'none diverged'}"
 
