@@ -128,8 +128,11 @@ class Described:
 
     def _function(self, where: str, function: FunctionType) -> Any:
         found: dict[str, Any] = {"code": f"({sys.implementation.cache_tag}) {digest_of(function.__code__)}"}
-        with suppress(OSError, TypeError):  # of one that was typed, the code tells all
-            found["source"] = inspect.cleandoc(inspect.getsource(function))
+        # Of one that was typed or made, as a tuple's __new__ is, the code tells all; Python may take for its
+        # source what else came from "<string>", such as the words of ``python -c``.
+        if not function.__code__.co_filename.startswith("<"):
+            with suppress(OSError, TypeError):
+                found["source"] = inspect.cleandoc(inspect.getsource(function))
         try:
             reads = dict(read_by(function))
         except LookupError as error:
