@@ -23,7 +23,7 @@ from pinmobile import (
     plots,
 )
 from pinmobile.cli.many import _answer, _differs
-from pinmobile.cli.scenario_file import EXAMPLE, read_grid
+from pinmobile.cli.scenario_file import _TABLES, EXAMPLE, read_grid
 from pinmobile.ensembles import ARRAYS, PARAMETERS
 from pinmobile.sweeps import length
 from tests.test_cli import typed
@@ -53,6 +53,13 @@ def test_ensemble_of_one_controller(capsys: pytest.CaptureFixture[str], tmp_path
     assert "computed torque" not in out
     assert {file.name for file in tmp_path.glob("*.png")} == {"bands.png", "drivers-pd.png"}
     assert (tmp_path / "index.html").read_text().count("<img") == 2
+
+
+def test_the_example_names_every_key_of_its_short_tables() -> None:
+    sections = dict(re.findall(r"^\[(\w+)\](.*?)(?=^\[|\Z)", EXAMPLE, re.MULTILINE | re.DOTALL))
+    assert list(sections) == [*_TABLES, "grid"]
+    for table in ("robot", "controller", "loop", "ensemble"):
+        assert [key for key in _TABLES[table] if not re.search(rf"\b{key}\b", sections[table])] == []
 
 
 def test_sweep_runs_the_example_of_its_help(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

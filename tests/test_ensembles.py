@@ -3,6 +3,7 @@
 import pickle
 import subprocess
 import sys
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -614,11 +615,18 @@ class Column:
         return np.array([25.0, 35.0])
 
     def sample(self) -> None:
-        raise NotImplementedError
+        raise AssertionError("numbers are not drawn from")
 
 
 def test_a_column_of_numbers_is_no_distribution() -> None:
     assert list(made(spread={"mass": Column()}, n=2).draws()["mass"]) == [25.0, 35.0]
+
+
+def test_ensemble_takes_what_a_scenario_takes_with_the_same_defaults() -> None:
+    taken, fields = (signature(what).parameters for what in (ensemble, Scenario))
+    own = {"traces", "engine", "threads", "progress"}
+    assert set(taken) == {*fields, *own}
+    assert {name: taken[name].default for name in fields} == {n: p.default for n, p in fields.items()}
 
 
 def test_the_kernel_and_who_calls_it_agree_on_stages_and_lanes() -> None:

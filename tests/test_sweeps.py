@@ -41,7 +41,8 @@ from pinmobile import (
 from pinmobile.ensembles import run_scenario
 from pinmobile.ensembles.histogram import edges
 from pinmobile.sweeps import length
-from pinmobile.sweeps.grids import as_grid
+from pinmobile.sweeps.grids import RESERVED, as_grid
+from pinmobile.sweeps.layout import PER_ROBOT
 from pinmobile.sweeps.origin import determined_by, differences
 from pinmobile.sweeps.reading import attributes_of
 from pinmobile.sweeps.store import Store
@@ -384,6 +385,7 @@ def _by_default(factor: float) -> Any:
         ({}, {"substeps": 2}, "substeps is 1 there and 2 here"),
         ({}, {"integrator": rk4}, "integrator"),
         ({}, {"every": 3}, "every is 1 there and 3 here"),
+        ({}, {"after": 2.0}, "after is 0.0 there and 2.0 here"),
         ({}, {"duration": 3.0}, "duration is 6.0 there and 3.0 here"),
         ({}, {"robot": MobileRobot(30, 0.1, com=(0.1, 0))}, "robot.com"),
         ({}, {"forces": (ConstantForce((1, 0, 0)),)}, "forces"),
@@ -426,6 +428,13 @@ def test_the_seed_of_a_noise_is_told(noise: Any, told: str) -> None:
     """Each robot's noise follows from the scenario's seed and its own."""
     one, other = (determined_by(as_grid(replace(scenario(), **noise(seed)))) for seed in (0, 1))
     assert differences(one, other).startswith(told)
+
+
+def test_no_axis_can_have_the_name_of_anything_in_a_store(done: Sweep) -> None:
+    """An array of the store is an axis, is drawn, or has a name that is kept from axes."""
+    mine = {str(name) for name in (*done.dataset.variables, *done.dataset.dims)}
+    assert mine - set(done.axes) <= RESERVED
+    assert set(PER_ROBOT) <= RESERVED
 
 
 def test_the_versions_and_the_machine_that_made_the_numbers_are_told(done: Sweep) -> None:

@@ -134,11 +134,6 @@ class Scenario:
         return int(np.searchsorted(self.t, self.after - _SAME * self.dt))
 
     @property
-    def robot_steps(self) -> int:
-        """Steps of all robots together."""
-        return self.n * (len(self.t) - 1)
-
-    @property
     def grid(self) -> Array:
         """Times of the bands, shape (G,) [s]."""
         return self.t[:: self.stride]

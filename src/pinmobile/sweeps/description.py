@@ -4,7 +4,7 @@ Of a trajectory that is the sampled reference, which is all that the robots see 
 """
 
 from collections.abc import Mapping
-from dataclasses import is_dataclass
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 import numpy as np
@@ -17,19 +17,9 @@ from pinmobile.sweeps.values import Described, array_of
 
 __all__ = ["described", "flat"]
 
-_PLAIN = (
-    "n",
-    "seed",
-    "dt",
-    "substeps",
-    "limit",
-    "after",
-    "every",
-    "robot",
-    "controller",
-    "spread",
-    "integrator",
-    "forces",
+# All that a scenario is made of; of these two, what came of them is told.
+_PLAIN = tuple(
+    each.name for each in fields(Scenario) if each.init and each.name not in ("trajectory", "duration")
 )
 
 
