@@ -50,8 +50,10 @@ def ensemble(
     ----------
     robot, controller, trajectory, n, spread, seed, dt, duration, integrator, substeps, forces, limit
         See `Scenario`.
-    after, every
-        So too.
+    after : float
+        Time from which on errors are kept [s].
+    every : int, optional
+        Samples between two entries of the bands over time.
     traces : iterable of int
         Robots of which a whole `Rollout` is kept, made by `simulate`.
     engine : Engine, optional
