@@ -8,6 +8,7 @@ from typing import Any
 __all__ = [
     "Diverged",
     "InvalidArgument",
+    "NotTraceable",
     "PinmobileError",
     "SchedulerError",
     "UnknownName",
@@ -22,6 +23,27 @@ class PinmobileError(Exception):
 
 class InvalidArgument(PinmobileError, ValueError):
     """An argument is not what is expected; the message names it, what came and what was expected."""
+
+
+class NotTraceable(InvalidArgument):
+    """A part's law does what cannot be done with symbols, so it cannot be compiled.
+
+    Parameters
+    ----------
+    what : str
+        What it does.
+    instead : str
+        What to write instead.
+    place : str
+        The part and the line, as far as they are known.
+    """
+
+    def __init__(self, what: str, instead: str, place: str = "") -> None:
+        self.what, self.instead, self.place = what, instead, place
+        super().__init__(f"{place and place + ': '}{what}, which cannot be compiled; {instead}")
+
+    def __reduce__(self) -> tuple[type["NotTraceable"], tuple[str, str, str]]:
+        return type(self), (self.what, self.instead, self.place)
 
 
 class UnknownName(PinmobileError, KeyError):

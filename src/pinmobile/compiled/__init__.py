@@ -1,0 +1,37 @@
+"""Laws on symbols: a closed loop's parts, written in NumPy for one state, as vector code that runs many robots."""
+
+from pinmobile.compiled.cache import Cache
+from pinmobile.compiled.emit import BINS, FIRST, SHIFT, Shape
+from pinmobile.compiled.loop import Loop, traced
+from pinmobile.compiled.machine import Target
+from pinmobile.compiled.memory import Line
+from pinmobile.compiled.noise import Noise, robot_keys
+from pinmobile.compiled.parts import Memory, Parameter, Parts, Reference, Stepped, one_sample
+from pinmobile.compiled.program import Outcome, Program
+from pinmobile.compiled.recorders import Record, Sample, Summary, Trace
+
+__all__ = [
+    "BINS",
+    "FIRST",
+    "SHIFT",
+    "Cache",
+    "Line",
+    "Loop",
+    "Memory",
+    "Noise",
+    "Outcome",
+    "Parameter",
+    "Parts",
+    "Program",
+    "Record",
+    "Reference",
+    "Sample",
+    "Shape",
+    "Stepped",
+    "Summary",
+    "Target",
+    "Trace",
+    "one_sample",
+    "robot_keys",
+    "traced",
+]

@@ -1,0 +1,304 @@
+"""Sine, exponential, logarithm and the others, from basic operations alone.
+
+Written once, for nodes of a tape and for NumPy's float64 numbers and arrays, with the same bits for both, on every
+processor. The errors are a few units of the last place; `sincos` is meant for |x| < 1e5.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from pinmobile.compiled.tape import Node, absolute, bits, float_bits, maximum, minimum, real, root, select
+from pinmobile.errors import NotTraceable
+
+__all__ = [
+    "arccos",
+    "arcsin",
+    "arctan",
+    "arctan2",
+    "cos",
+    "cosh",
+    "exp",
+    "expm1",
+    "floor",
+    "log",
+    "log1p",
+    "power",
+    "rounded",
+    "sin",
+    "sincos",
+    "sinh",
+    "tan",
+    "tanh",
+]
+
+_ROUNDER = 1.5 * 2.0**52
+_TOP = 2**52 - 1  # all bits of a float's fraction
+_ONE = float_bits(1.0)
+
+
+def rounded(x: Any) -> Any:
+    """Return the nearest whole number, an even one if two are as near; beyond 2^51, x itself."""
+    near = (x + _ROUNDER) - _ROUNDER
+    return select(absolute(x) < 2.0**51, near, x)
+
+
+def floor(x: Any) -> Any:
+    """Return the largest whole number that is not above x."""
+    near = rounded(x)
+    return select(near > x, near - 1.0, near)
+
+
+def _short(value: float, bits_kept: int) -> float:
+    """Return a float cut to that many bits after the point, so that its products with a few are exact."""
+    scale = 2.0**bits_kept
+    return math.floor(value * scale) / scale
+
+
+# pi = math.pi + 1.2246467991473532e-16 as three floats, the first two short.
+_PI1 = _short(math.pi, 26)
+_PI2 = _short(math.pi - _PI1, 52)
+_PI3 = (math.pi - _PI1 - _PI2) + 1.2246467991473532e-16
+_PER_PI = 1 / math.pi
+_SINE = [(-1) ** k / math.factorial(2 * k + 1) for k in range(11)]
+_COSINE = [(-1) ** k / math.factorial(2 * k) for k in range(11)]
+
+
+def _series(c: Sequence[float], z: Any) -> Any:
+    """Return c[1] + c[2] z + ... + c[10] z^9, in pairs, so that the processor computes several at a time."""
+    z2 = z * z
+    z4 = z2 * z2
+    high = ((c[5] + z * c[6]) + z2 * (c[7] + z * c[8])) + z4 * (c[9] + z * c[10])
+    return ((c[1] + z * c[2]) + z2 * (c[3] + z * c[4])) + z4 * high
+
+
+def sincos(x: Any) -> tuple[Any, Any]:
+    """Return sine and cosine: reduced to |r| <= pi/2, then Taylor's series to less than 2e-17."""
+    shifted = x * _PER_PI + _ROUNDER
+    k = shifted - _ROUNDER
+    r = ((x - k * _PI1) - k * _PI2) - k * _PI3
+    # The last bit of k, which says whether both change their sign, becomes the bit of the sign.
+    flip = bits(shifted) << 63
+    z = r * r
+    s, c = r + (r * z) * _series(_SINE, z), 1.0 + z * _series(_COSINE, z)
+    return real(bits(s) ^ flip), real(bits(c) ^ flip)
+
+
+def sin(x: Any) -> Any:
+    """Return the sine."""
+    return sincos(x)[0]
+
+
+def cos(x: Any) -> Any:
+    """Return the cosine."""
+    return sincos(x)[1]
+
+
+def tan(x: Any) -> Any:
+    """Return the tangent."""
+    s, c = sincos(x)
+    return s / c
+
+
+def _polynomial(c: Sequence[float], z: Any) -> Any:
+    """Return c[0] + c[1] z + ... by Estrin's scheme: four at a time."""
+    z2 = z * z
+    z4 = z2 * z2
+
+    def pair(i: int) -> Any:
+        return c[i] + z * c[i + 1] if i + 1 < len(c) else c[i]
+
+    def four(i: int) -> Any:
+        return pair(i) + z2 * pair(i + 2) if i + 2 < len(c) else pair(i)
+
+    last = (len(c) - 1) // 4 * 4
+    found = four(last)
+    for i in range(last - 4, -1, -4):
+        found = four(i) + z4 * found
+    return found
+
+
+_LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
+_TAYLOR = [1 / math.factorial(k) for k in range(16)]
+
+
+def exp(x: Any) -> Any:
+    """Return the exponential; infinity above 709.78, and 0 below -708, where no normal number is left."""
+    inside = minimum(709.78, maximum(-708.0, x))
+    shifted = inside * (1 / math.log(2)) + _ROUNDER
+    k = shifted - _ROUNDER
+    r = (inside - k * _LN2_HIGH) - k * _LN2_LOW
+    # 2^1024 is no float: half of the power, and the rest by a product.
+    power_of_two = real((bits(shifted) + 1022) << 52)
+    found = (_polynomial(_TAYLOR[:14], r) * power_of_two) * 2.0
+    found = select(x > 709.78, math.inf, select(x < -708.0, 0.0, found))
+    return select(x == x, found, x)
+
+
+def expm1(x: Any) -> Any:
+    """Return exp(x) - 1, accurate about zero too."""
+    return select(absolute(x) < 0.35, x * _polynomial(_TAYLOR[1:], x), exp(x) - 1.0)
+
+
+def sinh(x: Any) -> Any:
+    """Return the hyperbolic sine."""
+    grown = expm1(absolute(x))
+    size = 0.5 * (grown + grown / (grown + 1.0))
+    size = select(absolute(x) > 40.0, 0.5 * exp(absolute(x)), size)
+    return select(x < 0.0, -size, size)
+
+
+def cosh(x: Any) -> Any:
+    """Return the hyperbolic cosine."""
+    grown = exp(absolute(x))
+    return 0.5 * (grown + 1.0 / grown)
+
+
+# Cephes (S. Moshier, 1989): rational approximations of tanh and arctan.
+_TANH_P = (-1.61468768441708447952e3, -9.92877231001918586564e1, -9.64399179425052238628e-1)
+_TANH_Q = (4.84406305325125486048e3, 2.23548839060100448583e3, 1.12811678491632931402e2, 1.0)
+
+
+def tanh(x: Any) -> Any:
+    """Return the hyperbolic tangent."""
+    size, z = absolute(x), x * x
+    small = x + (x * z) * (_horner(_TANH_P, z) / _horner(_TANH_Q, z))
+    large = 1.0 - 2.0 / (exp(2.0 * size) + 1.0)
+    large = select(x < 0.0, -large, large)
+    return select(size < 0.625, small, large)
+
+
+def _horner(c: Sequence[float], z: Any) -> Any:
+    found = c[-1]
+    for each in reversed(c[:-1]):
+        found = found * z + each
+    return found
+
+
+# Of fdlibm's e_log.c (Sun Microsystems, 1993).
+_LOG = (
+    6.666666666666735130e-01,
+    3.999999999940941908e-01,
+    2.857142874366239149e-01,
+    2.222219843214978396e-01,
+    1.818357216161805012e-01,
+    1.531383769920937332e-01,
+    1.479819860510658591e-01,
+)
+
+
+def log(x: Any) -> Any:
+    """Return the natural logarithm; minus infinity at 0, and what is no number below."""
+    tiny = x < 2.0**-1022  # its exponent is not that of its bits
+    word = bits(select(tiny, x * 2.0**54, x))
+    fraction = real((word & _TOP) | _ONE)
+    exponent = real((word >> 52) | float_bits(2.0**52)) - (2.0**52 + 1023.0)
+    exponent = select(tiny, exponent - 54.0, exponent)
+    high = fraction > math.sqrt(2)
+    fraction, exponent = (
+        select(high, fraction * 0.5, fraction),
+        select(high, exponent + 1.0, exponent),
+    )
+    f = fraction - 1.0
+    s = f / (2.0 + f)
+    z = s * s
+    rest = z * _polynomial(_LOG, z)
+    half = (0.5 * f) * f
+    found = exponent * _LN2_HIGH - ((half - (s * (half + rest) + exponent * _LN2_LOW)) - f)
+    found = select(x == 0.0, -math.inf, select(x > 0.0, found, math.nan))
+    return select(x == math.inf, math.inf, found)
+
+
+def log1p(x: Any) -> Any:
+    """Return log(1 + x), accurate about zero too."""
+    sum_ = 1.0 + x
+    return select(sum_ == 1.0, x, log(sum_) * (x / select(sum_ == 1.0, 1.0, sum_ - 1.0)))
+
+
+_ARCTAN_P = (
+    -6.485021904942025371773e1,
+    -1.228866684490136173410e2,
+    -7.500855792314704667340e1,
+    -1.615753718733365076637e1,
+    -8.750608600031904122785e-1,
+)
+_ARCTAN_Q = (
+    1.945506571482613964425e2,
+    4.853903996359136964868e2,
+    4.328810604912902668951e2,
+    1.650270098316988542046e2,
+    2.485846490142306297962e1,
+    1.0,
+)
+
+
+def _angle(y: Any, x: Any) -> Any:
+    """Return the angle of (x, y) in the first quadrant; of (0, 0) it is 0. One division beside the series'."""
+    steep, middle = y > 2.41421356237309504880 * x, y > 0.66 * x
+    top = select(steep, -x, select(middle, y - x, y))
+    bottom = select(steep, y, select(middle, y + x, x))
+    nothing = bottom == 0.0
+    t = select(nothing, 0.0, top) / select(nothing, 1.0, bottom)
+    z = t * t
+    series = t + (t * z) * (_polynomial(_ARCTAN_P, z) / _polynomial(_ARCTAN_Q, z))
+    rest = select(steep, 6.123233995736765886130e-17, select(middle, 3.061616997868382943065e-17, 0.0))
+    return select(steep, math.pi / 2, select(middle, math.pi / 4, 0.0)) + (series + rest)
+
+
+def arctan2(y: Any, x: Any) -> Any:
+    """Return the angle of (x, y) in [-pi, pi]; both finite."""
+    found = _angle(absolute(y), absolute(x))
+    found = select(x < 0.0, math.pi - found, found)
+    return select(y < 0.0, -found, found)
+
+
+def arctan(x: Any) -> Any:
+    """Return the angle whose tangent is x."""
+    size = absolute(x)
+    inverse = size > 1.0
+    found = _angle(select(inverse, 1.0, size), select(inverse, select(inverse, 1.0, size) / size, 1.0))
+    return select(x < 0.0, -found, found)
+
+
+def arcsin(x: Any) -> Any:
+    """Return the angle whose sine is x."""
+    return arctan2(x, root((1.0 - x) * (1.0 + x)))
+
+
+def arccos(x: Any) -> Any:
+    """Return the angle whose cosine is x."""
+    return arctan2(root((1.0 - x) * (1.0 + x)), x)
+
+
+def power(base: Any, exponent: Any) -> Any:
+    """Return base to an exponent that is a number known beforehand: products, a root, else exp and log."""
+    known = exponent.value if type(exponent) is Node else exponent
+    if known is None:
+        raise NotTraceable("an exponent that is a symbol", "use np.exp(exponent * np.log(base))")
+    known = float(known)
+    if known != np.rint(known):
+        if known * 2 == np.rint(known * 2) and abs(known) < 8:
+            return power(base, math.floor(known)) * root(base)
+        return exp(known * log(base))
+    if abs(known) > 64:
+        return exp(known * log(absolute(base))) * (1.0 if known % 2 == 0 else select(base < 0.0, -1.0, 1.0))
+    found, square, left = None, base, int(abs(known))
+    while left:
+        if left & 1:
+            found = square if found is None else found * square
+        square, left = square * square, left >> 1
+    if found is None:
+        return 1.0
+    return found if known > 0 else 1.0 / found
+
+
+def of_floats(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the function for NumPy's arrays, with the silence that the compiled code has."""
+
+    def run(*given: Any) -> Any:
+        with np.errstate(all="ignore"):
+            return function(*(np.asarray(x, np.float64) for x in given))[()]
+
+    return run

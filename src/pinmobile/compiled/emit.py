@@ -1,0 +1,397 @@
+"""A loop on a tape as LLVM's text: blocks of robots side by side in vectors, the time loop inside.
+
+The state of a block stays in registers from sample to sample. What is the same for all robots is computed once for
+all lanes, what is a robot's own before its first sample. The code has no branches but the loops; every operation
+rounds once, and none are contracted, so that the bits are those of `tape.evaluated`.
+"""
+
+from dataclasses import dataclass
+
+from pinmobile.compiled.loop import Loop
+from pinmobile.compiled.tape import ROBOT, SAMPLE, STATE, operands
+
+__all__ = ["BINS", "ENTRY", "FIRST", "SHIFT", "Shape", "text_of"]
+
+ENTRY = "pinmobile_loop"
+
+SHIFT = 47  # of a size's bits, leaves the exponent and 5 bits of the fraction
+_OCTAVES = 44
+FIRST = (1023 - 34) << (52 - SHIFT)  # bin of 2^-34
+BINS = 32 * _OCTAVES + 2  # with the one below and the one above
+
+_BINARY = {
+    "add": "fadd",
+    "sub": "fsub",
+    "mul": "fmul",
+    "div": "fdiv",
+    "iadd": "add",
+    "imul": "mul",
+    "ixor": "xor",
+    "iand": "and",
+    "ior": "or",
+    "shl": "shl",
+    "shr": "lshr",
+    "and": "and",
+    "or": "or",
+    "xor": "xor",
+}
+_COMPARED = {"gt": "ogt", "ge": "oge", "lt": "olt", "le": "ole", "eq": "oeq", "ne": "une"}
+_SCALAR = {"f": "double", "u": "i64", "b": "i1"}
+
+
+@dataclass(frozen=True)
+class Shape:
+    """How robots are laid out: vectors of some lanes, some vectors side by side.
+
+    Parameters
+    ----------
+    lanes : int
+        Robots in a vector: 8 for AVX-512, 4 for AVX2, 2 for SSE2 and NEON; 1 makes scalar code.
+    vectors : int
+        Vectors in a block, whose instructions are interleaved.
+    """
+
+    lanes: int
+    vectors: int
+
+    @property
+    def width(self) -> int:
+        """Robots in a block."""
+        return self.lanes * self.vectors
+
+
+class _Code:
+    """Lines of the function, by the place where they stand."""
+
+    def __init__(self, loop: Loop, shape: Shape) -> None:
+        self.loop, self.tape, self.shape = loop, loop.tape, shape
+        self.vector_rows = len(loop.states)
+        self.lines: dict[str, list[str]] = {name: [] for name in ("entry", "block", "sample", "count")}
+        self.values: dict[int, list[str]] = {}
+        self.spread: dict[tuple[int, str], str] = {}
+        self.late: list[str] = []
+        self.rings: dict[int, tuple[str, str, str]] = {}
+        self.named = 0
+
+    def type(self, kind: str, scalar: bool = False) -> str:
+        """Return LLVM's type of a value: a vector, unless all lanes share it."""
+        lanes = self.shape.lanes
+        return _SCALAR[kind] if scalar or lanes == 1 else f"<{lanes} x {_SCALAR[kind]}>"
+
+    def constant(self, kind: str, literal: str, scalar: bool = False) -> str:
+        """Return a constant, repeated for each lane."""
+        lanes = self.shape.lanes
+        if scalar or lanes == 1:
+            return literal
+        return f"<{', '.join([f'{_SCALAR[kind]} {literal}'] * lanes)}>"
+
+    def put(self, region: str, text: str) -> str:
+        """Write an instruction, and return the name of its value."""
+        self.named += 1
+        self.lines[region].append(f"  %t{self.named} = {text}")
+        return f"%t{self.named}"
+
+    def is_shared(self, node: int) -> bool:
+        """Tell whether all robots have the same value."""
+        return not self.tape.depends[node] & (ROBOT | STATE)
+
+    def region(self, node: int, default: str) -> str:
+        """Return where a node is computed: as seldom as can be."""
+        depends = self.tape.depends[node]
+        if not depends & (ROBOT | SAMPLE | STATE):
+            return "entry"
+        return default if depends & (SAMPLE | STATE) else "block"
+
+    def argument(self, node: int, vector: int, region: str, scalar: bool = False) -> str:
+        """Return the value of a node for one vector."""
+        operation, kind = self.tape.operations[node], self.tape.types[node]
+        if operation[0] == "const":
+            literal = str(operation[2])
+            if kind == "f":
+                literal = f"0x{operation[2]:016X}"
+            elif kind == "b":
+                literal = "true" if operation[2] else "false"
+            return self.constant(kind, literal, scalar)
+        if not self.is_shared(node):
+            return self.values[node][vector]
+        value = self.values[node][0]
+        if scalar or self.shape.lanes == 1:
+            return value
+        where = self.region(node, region)
+        if (node, where) not in self.spread:
+            whole, one = self.type(kind), _SCALAR[kind]
+            first = self.put(where, f"insertelement {whole} poison, {one} {value}, i32 0")
+            mask = f"<{self.shape.lanes} x i32> zeroinitializer"
+            self.spread[node, where] = self.put(where, f"shufflevector {whole} {first}, {whole} poison, {mask}")
+        return self.spread[node, where]
+
+    def emit(self, wanted: int, default: str = "sample") -> None:
+        """Write what a node needs, and the node."""
+        todo = [wanted]
+        while todo:
+            node = todo[-1]
+            operation = self.tape.operations[node]
+            if node in self.values or operation[0] == "const":
+                todo.pop()
+                continue
+            missing = [
+                i for i in operands(operation) if i not in self.values and self.tape.operations[i][0] != "const"
+            ]
+            if missing:
+                todo += reversed(missing)
+                continue
+            todo.pop()
+            self.values[node] = self._written(node, self.region(node, default))
+
+    def _written(self, node: int, region: str) -> list[str]:
+        operation, kind = self.tape.operations[node], self.tape.types[node]
+        name = operation[0]
+        if name == "count":
+            return ["%k"]
+        if name in ("uniform", "sample"):
+            base = "%uniforms" if name == "uniform" else "%at"
+            place = self.put(region, f"getelementptr double, ptr {base}, i64 {operation[1]}")
+            return [self.put(region, f"load double, ptr {place}, align 8")]
+        if name in ("row", "key"):
+            first = self.vector_rows + operation[1] + (self.loop.rows if name == "key" else 0)
+            return [self.load("%block", first * self.shape.width, u, region, kind) for u in self.vectors()]
+        if name == "ring":
+            return self._ring(node)
+        shared = self.is_shared(node)
+        return [self._operation(node, u, region, shared) for u in (range(1) if shared else self.vectors())]
+
+    def vectors(self) -> range:
+        """Return the numbers of the vectors."""
+        return range(self.shape.vectors)
+
+    def load(self, base: str, offset: int, vector: int, region: str, kind: str = "f") -> str:
+        """Write the loading of one vector of a row."""
+        place = self.place(base, offset, vector, region)
+        return self.put(region, f"load {self.type(kind)}, ptr {place}, align {8 * self.shape.lanes}")
+
+    def place(self, base: str, offset: int, vector: int, region: str) -> str:
+        """Write the address of one vector of a row."""
+        return self.put(region, f"getelementptr double, ptr {base}, i64 {offset + vector * self.shape.lanes}")
+
+    def store(self, value: str, place: str, kind: str = "f") -> str:
+        """Return the storing of one vector."""
+        return f"  store {self.type(kind)} {value}, ptr {place}, align {8 * self.shape.lanes}"
+
+    def _operation(self, node: int, vector: int, region: str, shared: bool) -> str:
+        operation, kind = self.tape.operations[node], self.tape.types[node]
+        name = operation[0]
+        x = [self.argument(i, vector, region, shared) for i in operation[1:]]
+        own, first = self.type(kind, shared), self.type(self.tape.types[operation[1]], shared)
+        if name in _BINARY:
+            return self.put(region, f"{_BINARY[name]} {own} {x[0]}, {x[1]}")
+        if name in _COMPARED:
+            return self.put(region, f"fcmp {_COMPARED[name]} {first} {x[0]}, {x[1]}")
+        if name in ("max", "min"):
+            truth = self.put(region, f"fcmp {'ogt' if name == 'max' else 'olt'} {own} {x[0]}, {x[1]}")
+            return self.put(region, f"select {self.type('b', shared)} {truth}, {own} {x[0]}, {own} {x[1]}")
+        if name == "select":
+            truth = self.type("b", shared)
+            if self.is_shared(operation[1]) and not shared:
+                # One condition for all lanes needs no vector of it.
+                truth, x[0] = "i1", self.argument(operation[1], vector, region, True)
+            return self.put(region, f"select {truth} {x[0]}, {own} {x[1]}, {own} {x[2]}")
+        if name in ("bits", "real"):
+            return self.put(region, f"bitcast {first} {x[0]} to {own}")
+        if name == "neg":
+            return self.put(region, f"fneg {own} {x[0]}")
+        if name == "not":
+            return self.put(region, f"xor {own} {x[0]}, {self.constant('b', 'true', shared)}")
+        if name == "abs":
+            whole = self.type("u", shared)
+            word = self.put(region, f"bitcast {own} {x[0]} to {whole}")
+            word = self.put(region, f"and {whole} {word}, {self.constant('u', str(2**63 - 1), shared)}")
+            return self.put(region, f"bitcast {whole} {word} to {own}")
+        suffix = "f64" if shared or self.shape.lanes == 1 else f"v{self.shape.lanes}f64"
+        return self.put(region, f"call {own} @llvm.sqrt.{suffix}({own} {x[0]})")
+
+    def _ring(self, node: int) -> list[str]:
+        """Write what comes out of a delay; what goes in is stored at the end of the sample."""
+        _, number, samples, pushed = self.tape.operations[node]
+        if samples not in self.rings:
+            now = self.put("sample", f"urem i64 %k, {samples}")
+            early = self.put("sample", f"icmp ult i64 %k, {samples}")
+            # Until there is as much, the first comes back; it is not overwritten before that.
+            then = self.put("sample", f"select i1 {early}, i64 0, i64 {now}")
+            self.rings[samples] = now, then, self.put("sample", "icmp eq i64 %k, 0")
+        now, then, first = self.rings[samples]
+        offset = sum(ring.samples for ring in self.loop.rings[:number]) * self.shape.width
+        base = [
+            self.put("sample", f"getelementptr double, ptr %ring, i64 {self._at(slot, offset)}")
+            for slot in (now, then)
+        ]
+        found = []
+        for u in self.vectors():
+            value, whole = self.argument(pushed, u, "sample"), self.type("f")
+            old = self.load(base[1], 0, u, "sample")
+            found.append(self.put("sample", f"select i1 {first}, {whole} {value}, {whole} {old}"))
+            self.late.append(self.store(value, self.place(base[0], 0, u, "sample")))
+        return found
+
+    def _at(self, slot: str, offset: int) -> str:
+        place = self.put("sample", f"mul i64 {slot}, {self.shape.width}")
+        return self.put("sample", f"add i64 {place}, {offset}")
+
+
+def text_of(loop: Loop, shape: Shape) -> str:
+    """Return the module that runs a loop.
+
+    Its function ``pinmobile_loop(blocks, begin, end, samples, count, uniforms, ring, counts, every, n, kept)`` runs
+    the blocks from `begin` to before `end` of an array (blocks, rows, width): states, rows and keys of the robots.
+    A row of `samples` has t and the reference. The n robots' sizes are counted every so many samples in `counts`,
+    (times, sizes, BINS); what is kept of each sample stands in `kept`, (blocks, samples, numbers, width).
+    """
+    code = _Code(loop, shape)
+    for j, (now, _) in enumerate(loop.states):
+        code.values[now] = [f"%s{j}_{u}" for u in code.vectors()]
+    for ring in loop.rings:
+        code.emit(ring.node)
+    for _, after in loop.states:
+        code.emit(after)
+    following = [[code.argument(after, u, "sample") for u in code.vectors()] for _, after in loop.states]
+    _keep(code)
+    code.lines["sample"] += code.late
+    _count_places(code)
+    return "\n".join([*_declarations(code), *_function(code, following)])
+
+
+def _keep(code: _Code) -> None:
+    nodes = [node for _, nodes in code.loop.kept.values() for node in nodes]
+    for j, node in enumerate(nodes):
+        code.emit(node)
+        for u in code.vectors():
+            place = code.place("%keep", j * code.shape.width, u, "sample")
+            code.lines["sample"].append(code.store(code.argument(node, u, "sample"), place))
+
+
+def _count_places(code: _Code) -> None:
+    """Write which bins the sizes belong to."""
+    whole, truth = code.type("u"), code.type("b")
+
+    def number(x: int) -> str:
+        return code.constant("u", str(x))
+
+    for j, node in enumerate(code.loop.counted):
+        code.emit(node, "count")
+        for u in code.vectors():
+            word = code.put("count", f"bitcast {code.type('f')} {code.argument(node, u, 'count')} to {whole}")
+            word = code.put("count", f"lshr {whole} {word}, {number(SHIFT)}")
+            word = code.put("count", f"sub {whole} {word}, {number(FIRST - 1)}")
+            for compared, bound in (("slt", 0), ("sgt", BINS - 1)):
+                beyond = code.put("count", f"icmp {compared} {whole} {word}, {number(bound)}")
+                word = code.put("count", f"select {truth} {beyond}, {whole} {number(bound)}, {whole} {word}")
+            place = code.place("%places", j * code.shape.width, u, "count")
+            code.lines["count"].append(code.store(word, place, "u"))
+
+
+def _declarations(code: _Code) -> list[str]:
+    lines = ["declare double @llvm.sqrt.f64(double)"]
+    if code.shape.lanes > 1:
+        whole = code.type("f")
+        lines.append(f"declare {whole} @llvm.sqrt.v{code.shape.lanes}f64({whole})")
+    return lines
+
+
+def _function(code: _Code, following: list[list[str]]) -> list[str]:
+    loop, shape = code.loop, code.shape
+    width, whole, align = shape.width, code.type("f"), 8 * shape.lanes
+    rows = len(loop.states) + loop.rows + len(loop.keys)
+    kept = sum(len(nodes) for _, nodes in loop.kept.values())
+    begun, carried, ended = [], [], []
+    for j in range(len(loop.states)):
+        for u in code.vectors():
+            name, place = f"%i{j}_{u}", f"%p{j}_{u}"
+            begun.append(f"  {place} = getelementptr double, ptr %block, i64 {j * width + u * shape.lanes}")
+            begun.append(f"  {name} = load {whole}, ptr {place}, align {align}")
+            carried.append(f"  %s{j}_{u} = phi {whole} [ {name}, %each ], [ {following[j][u]}, %latch ]")
+            ended.append(f"  store {whole} {following[j][u]}, ptr {place}, align {align}")
+    return [
+        # The stack is not aligned for vectors otherwise: 20 % slower, and not always.
+        f"define void @{ENTRY}(ptr noalias %blocks, i64 %begin, i64 %end, ptr noalias readonly %samples, i64 %count, "
+        "ptr noalias readonly %uniforms, ptr noalias %ring, ptr noalias %counts, i64 %every, i64 %n, "
+        f'ptr noalias %kept) alignstack(64) nounwind "prefer-vector-width"="512" '
+        f'"min-legal-vector-width"="{64 * shape.lanes}" {{',
+        "entry:",
+        f"  %places = alloca [{max(1, len(loop.counted)) * width} x i64], align 64",
+        *code.lines["entry"],
+        "  br label %each",
+        "each:",
+        "  %b = phi i64 [ %begin, %entry ], [ %b1, %after ]",
+        f"  %offset = mul i64 %b, {rows * width}",
+        "  %block = getelementptr double, ptr %blocks, i64 %offset",
+        f"  %size = mul i64 %count, {kept * width}",
+        "  %before = mul i64 %b, %size",
+        "  %mine = getelementptr double, ptr %kept, i64 %before",
+        *begun,
+        *code.lines["block"],
+        "  br label %loop",
+        "loop:",
+        "  %k = phi i64 [ 0, %each ], [ %k1, %latch ]",
+        "  %due = phi i64 [ 0, %each ], [ %due2, %latch ]",
+        *carried,
+        f"  %row = mul i64 %k, {1 + loop.sizes[3] + 2 * loop.sizes[4]}",
+        "  %at = getelementptr double, ptr %samples, i64 %row",
+        f"  %line = mul i64 %k, {kept * width}",
+        "  %keep = getelementptr double, ptr %mine, i64 %line",
+        *code.lines["sample"],
+        *_counting(code),
+        "latch:",
+        "  %k1 = add i64 %k, 1",
+        "  %due1 = add i64 %due, 1",
+        "  %full = icmp eq i64 %due1, %every",
+        "  %due2 = select i1 %full, i64 0, i64 %due1",
+        "  %again = icmp slt i64 %k1, %count",
+        "  br i1 %again, label %loop, label %after",
+        "after:",
+        *ended,
+        "  %b1 = add i64 %b, 1",
+        "  %more = icmp slt i64 %b1, %end",
+        "  br i1 %more, label %each, label %done",
+        "done:",
+        "  ret void",
+        "}",
+    ]
+
+
+def _counting(code: _Code) -> list[str]:
+    """Return the loop that counts, one robot after the other."""
+    counted, width = len(code.loop.counted), code.shape.width
+    if not counted:
+        return ["  br label %latch"]
+    lines = [
+        "  %now = icmp eq i64 %due, 0",
+        "  br i1 %now, label %bins, label %latch",
+        "bins:",
+        *code.lines["count"],
+        f"  %first = mul i64 %b, {width}",
+        "  %left = sub i64 %n, %first",
+        f"  %few = icmp slt i64 %left, {width}",
+        f"  %lanes = select i1 %few, i64 %left, i64 {width}",
+        "  %time = udiv i64 %k, %every",
+        f"  %table = mul i64 %time, {counted * BINS}",
+        "  br label %robot",
+        "robot:",
+        "  %lane = phi i64 [ 0, %bins ], [ %lane1, %robot ]",
+    ]
+    for j in range(counted):
+        lines += [
+            f"  %ca{j} = add i64 %lane, {j * width}",
+            f"  %cb{j} = getelementptr i64, ptr %places, i64 %ca{j}",
+            f"  %cc{j} = load i64, ptr %cb{j}, align 8",
+            f"  %cd{j} = add i64 %cc{j}, {j * BINS}",
+            f"  %ce{j} = add i64 %cd{j}, %table",
+            f"  %cf{j} = getelementptr i32, ptr %counts, i64 %ce{j}",
+            f"  %cg{j} = load i32, ptr %cf{j}, align 4",
+            f"  %ch{j} = add i32 %cg{j}, 1",
+            f"  store i32 %ch{j}, ptr %cf{j}, align 4",
+        ]
+    return [
+        *lines,
+        "  %lane1 = add i64 %lane, 1",
+        "  %others = icmp slt i64 %lane1, %lanes",
+        "  br i1 %others, label %robot, label %latch",
+    ]

@@ -1,0 +1,502 @@
+"""A closed loop of parts as a tape: what the state at the next sample, and the records, are computed of."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pinmobile.arrays import Array
+from pinmobile.compiled.memory import Line, leaves, mapped, matched
+from pinmobile.compiled.noise import Noise, normals
+from pinmobile.compiled.parts import Memory, Parameter, Parts, Reference, Stepped, one_sample
+from pinmobile.compiled.symbols import Symbols, entries, symbols
+from pinmobile.compiled.tape import COUNT, LARGEST, Node, Tape, evaluated, float_bits, needed, real
+from pinmobile.compiled.tracing import calling_place, tracing
+from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName
+
+__all__ = ["Leaf", "Loop", "Ring", "traced"]
+
+
+@dataclass(frozen=True)
+class Leaf:
+    """An array in the memory: whose it is, where it stands, and what it is on the tape.
+
+    Attributes
+    ----------
+    owner, path : str
+        Such as ``"controller"`` and ``"state['integral']"``.
+    shape : tuple of int
+        Its shape.
+    first : int
+        Number of its first entry among the states, uniforms or rows.
+    kind : str
+        ``"state"``, or, where it stays as it is at first, ``"uniform"`` or ``"row"``.
+    """
+
+    owner: str
+    path: str
+    shape: tuple[int, ...]
+    first: int
+    kind: str
+
+
+@dataclass(frozen=True)
+class Ring:
+    """A number that comes back later: its node, what is pushed, and how many samples it takes."""
+
+    node: int
+    pushed: int
+    samples: int
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A closed loop on a tape.
+
+    Attributes
+    ----------
+    tape : Tape
+        All operations of a sample.
+    states : list of (int, int)
+        Nodes of each number of the state: now, and at the next sample; q, v and the memory.
+    leaves : list of Leaf
+        The arrays of the memory.
+    parameters : dict of Parameter to Leaf
+        Where each parameter stands.
+    uniforms, rows : int
+        How many numbers of the run, and of each robot, there are; the first uniform is the step [s].
+    keys : list of str
+        Names of the noises.
+    rings : list of Ring
+        Delayed numbers.
+    counted : list of int
+        Nodes whose sizes are counted.
+    kept : dict of str to (tuple of int, list of int)
+        Shape and nodes of what is kept of every sample.
+    sizes : (int, int, int, int, int)
+        nq, nv, nu, and the numbers of the reference's q and v.
+    unused : list of Parameter
+        Those that no law uses: a spread of one would do nothing.
+    """
+
+    tape: Tape
+    states: list[tuple[int, int]]
+    leaves: list[Leaf]
+    parameters: dict[Parameter, Leaf]
+    uniforms: int
+    rows: int
+    keys: list[str]
+    rings: list[Ring]
+    counted: list[int]
+    kept: dict[str, tuple[tuple[int, ...], list[int]]]
+    sizes: tuple[int, int, int, int, int]
+    unused: list[Parameter]
+
+    @property
+    def outputs(self) -> list[int]:
+        """Nodes that are wanted at each sample."""
+        kept = [node for _, nodes in self.kept.values() for node in nodes]
+        pushed = [node for ring in self.rings for node in (ring.node, ring.pushed)]
+        return [node for pair in self.states for node in pair] + pushed + self.counted + kept
+
+
+class _Context:
+    """The context of a controller, whose delays and noise are on the tape, or are numbers."""
+
+    def __init__(self, given: Any, plant: Any, line: Any, normal: Any) -> None:
+        self._given, self.difference = given, plant.difference
+        self.line, self.normal = line, normal
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._given, name)
+
+
+def initial_memory(parts: Parts, context: Any, reference: int, line: Any = Line, normal: Any = None) -> Memory:
+    """Return what the parts keep before the first sample.
+
+    Parameters
+    ----------
+    parts : Parts
+        The loop.
+    context : object
+        What the controller's `initial_state` is told; it gets its delays and noise here.
+    reference : int
+        Number of coordinates that the reference has.
+    line, normal : callable
+        Make a delay and a noise; by default, of numbers, with the key 0.
+    """
+    plant = parts.plant
+    normal = normal or (lambda name, n: Noise(0, n))
+    own = _Context(context, plant, line, normal)
+    recorder = None if parts.recorder is None else parts.recorder.initial_state(reference, plant.nu)
+    return Memory(
+        plant.initial_state(own) if hasattr(plant, "initial_state") else None,
+        parts.controller.initial_state(own),
+        recorder,
+    )
+
+
+def traced(
+    parts: Parts,
+    context: Any,
+    start: tuple[Array, Array],
+    reference: Reference,
+    *,
+    dt: float,
+    spread: Iterable[Parameter] = (),
+    largest: int = LARGEST,
+) -> Loop:
+    """Return a closed loop as a tape.
+
+    The laws run once on numbers, so that their own errors come as they are, and at least twice on symbols; both
+    tapes must be the same, and give the numbers.
+
+    Parameters
+    ----------
+    parts : Parts
+        The loop.
+    context : object
+        What the controller's `initial_state` is told.
+    start : (ndarray, ndarray), shape (nq,), (nv,)
+        A start.
+    reference : Reference
+        Its first sample.
+    dt : float
+        Time between two samples [s].
+    spread : iterable of Parameter
+        Those that each robot has a value of its own for; the others are numbers of the run.
+    largest : int
+        Most nodes of the tape.
+
+    Raises
+    ------
+    NotTraceable
+        If a law cannot be run on symbols; its line, and what to write instead.
+    UnknownName
+        If there is no such parameter.
+    """
+    q, v = (np.asarray(x, np.float64) for x in start)
+    given = Reference(*(np.asarray(x, np.float64) for x in reference))
+    parts = _on_symbols(parts)
+    trace = _Trace(parts, context, q, v, given, dt / parts.substeps, frozenset(spread), largest)
+    return trace.result()
+
+
+def _on_symbols(parts: Parts) -> Parts:
+    """Return the parts, each as it wants to be traced: `traced()`, where its own law is not NumPy."""
+    return parts.replaced(lambda _, part: part.traced() if hasattr(part, "traced") else part)
+
+
+class _Trace:
+    """The way from parts to a tape."""
+
+    def __init__(
+        self,
+        parts: Parts,
+        context: Any,
+        q: Array,
+        v: Array,
+        reference: Reference,
+        h: float,
+        spread: frozenset[Parameter],
+        largest: int,
+    ) -> None:
+        self.parts, self.context, self.h = parts, context, h
+        self.q, self.v, self.reference = q, v, reference
+        self.values = parts.parameters()
+        for parameter in spread - set(self.values):
+            names = (f"{path}.{name}" for path, name in self.values)
+            raise UnknownName("parameter", f"{parameter[0]}.{parameter[1]}", names)
+        self.spread, self.largest = spread, largest
+        self.fixed: frozenset[tuple[str, str]] = frozenset()
+        self.shapes: dict[tuple[str, str], tuple[int, ...]] = {}
+
+    def result(self) -> Loop:
+        """Return the tape, after it has been compared with itself and with numbers."""
+        number = self._shaped()
+        loop = self._loop()
+        fixed = frozenset(
+            (leaf.owner, leaf.path) for leaf in loop.leaves if leaf.kind == "state" and _stays(loop, leaf)
+        )
+        if fixed:
+            self.fixed, loop = fixed, self._loop()
+        self._compare_tapes(loop, self._loop())
+        self._compare_numbers(loop, number)
+        return loop
+
+    def _shaped(self) -> list[tuple[Array, Array, Stepped]]:
+        """Return what the laws give on numbers at two states, after learning the memory's shapes of them."""
+        for _ in range(4):
+            memory = self._grown(initial_memory(self.parts, self.context, len(self.reference.v)))
+            found = one_sample(
+                self.parts, 0.0, 0.0, self.h, self.q.copy(), self.v.copy(), self.reference, memory
+            )
+            grew = False
+            for owner, before, after in zip(Memory._fields, memory, found.memory, strict=True):
+                for path, old, new in matched(before, after, "state"):
+                    if np.shape(old) != np.shape(new):
+                        self.shapes[owner, path] = np.broadcast_shapes(np.shape(old), np.shape(new))
+                        grew = True
+            if not grew:
+                return [(self.q, self.v, found), self._elsewhere(memory)]
+        raise NotTraceable("the memory has another shape at each sample", "keep arrays of one shape in state")
+
+    def _elsewhere(self, memory: Memory) -> tuple[Array, Array, Stepped]:
+        """Return the same at another state, which no law takes for a special one."""
+        v = self.v + 0.05 * np.sin(1.0 + np.arange(len(self.v)))
+        moved = 0.07 * np.cos(2.0 + np.arange(len(self.v)))
+        integrate = getattr(self.parts.plant, "integrate", None) or np.add
+        q = np.asarray(integrate(self.q, moved), np.float64)
+        return q, v, one_sample(self.parts, 0.0, 0.0, self.h, q.copy(), v.copy(), self.reference, memory)
+
+    def _grown(self, memory: Memory) -> Memory:
+        """Return the memory with arrays of the shapes that they come to have."""
+        found = []
+        for owner, tree in zip(Memory._fields, memory, strict=True):
+            paths = iter([path for path, _ in leaves(tree)])
+
+            def grow(leaf: Any, owner: str = owner, paths: Any = paths) -> Any:
+                shape = self.shapes.get((owner, next(paths)))
+                return leaf if shape is None else np.broadcast_to(leaf, shape).copy()
+
+            found.append(mapped(tree, grow))
+        return Memory(*found)
+
+    def _loop(self, where: Any = None) -> Loop:
+        return _Pass(self, Tape(self.largest, where)).loop()
+
+    def _compare_tapes(self, one: Loop, two: Loop) -> None:
+        if one.tape.operations == two.tape.operations and one.outputs == two.outputs:
+            return
+        told = self._loop(calling_place)
+        known = zip(one.tape.operations, told.tape.operations, strict=False)
+        differ = next((i for i, (a, b) in enumerate(known) if a != b), len(told.tape) - 1)
+        raise NotTraceable(
+            "the law computes something else when it is asked again, as one does that counts, draws or remembers "
+            "outside its state",
+            "keep memory in state, and take noise from context.normal(name, n)",
+            told.tape.places[min(differ, len(told.tape.places) - 1)],
+        )
+
+    def _compare_numbers(self, loop: Loop, numbers: Sequence[tuple[Array, Array, Stepped]]) -> None:
+        memory = self._grown(initial_memory(self.parts, self.context, len(self.reference.v)))
+        for q, v, found in numbers:
+            inputs = self._inputs(loop, q, v, memory)
+            expected = _flat_numbers([found.q, found.v])
+            for leaf, value in zip(loop.leaves, _memory_values(found.memory), strict=True):
+                expected += _flat_numbers([value]) if leaf.kind == "state" else []
+            with np.errstate(all="ignore"):
+                got = evaluated(loop.tape, [after for _, after in loop.states], inputs)
+                near = np.isclose(np.array(got, float), np.array(expected), rtol=1e-7, atol=1e-9, equal_nan=True)
+            if not near.all():
+                i = int(np.argmin(near))
+                raise NotTraceable(
+                    f"on symbols, {_state_name(loop, i)} is {got[i]:g} after a sample and on numbers {expected[i]:g}",
+                    "let the law do the same for every kind of array, without isinstance or try",
+                )
+
+    def _inputs(self, loop: Loop, q: Array, v: Array, memory: Memory) -> dict[Any, Any]:
+        """Return the inputs of the tape at the first sample."""
+        inputs: dict[Any, Any] = {COUNT: np.uint64(0), ("uniform", 0): self.h}
+        samples = _flat_numbers([0.0, *self.reference])
+        inputs |= {("sample", i): x for i, x in enumerate(samples)}
+        inputs |= {("key", i): np.uint64(0) for i in range(len(loop.keys))}
+        inputs |= {("state", i): x for i, x in enumerate(_flat_numbers([q, v]))}
+        for parameter, leaf in loop.parameters.items():
+            values = self.values[parameter].ravel()
+            inputs |= {(leaf.kind, leaf.first + i): x for i, x in enumerate(values)}
+        for leaf, value in zip(loop.leaves, _memory_values(memory), strict=True):
+            inputs |= {(leaf.kind, leaf.first + i): x for i, x in enumerate(_flat_numbers([value]))}
+        return inputs
+
+
+class _Pass:
+    """One run of the laws on symbols."""
+
+    def __init__(self, trace: _Trace, tape: Tape) -> None:
+        self.trace, self.tape = trace, tape
+        self.next = {"uniform": 0, "row": 0, "state": 0, "sample": 0}
+        self.keys: list[str] = []
+        self.rings: list[Ring] = []
+        self.leaves: list[Leaf] = []
+        self.parameters: dict[Parameter, Leaf] = {}
+        self.now: list[int] = []
+
+    def _new(self, kind: str, shape: tuple[int, ...]) -> Symbols:
+        first, count = self.next[kind], int(np.prod(shape))
+        self.next[kind] += count
+        nodes = [self.tape.input(kind, first + i) for i in range(count)]
+        if kind == "state":
+            self.now += [node.index for node in nodes]
+        return symbols(nodes, shape)
+
+    def loop(self) -> Loop:
+        trace, tape = self.trace, self.tape
+        h = self._new("uniform", ())
+        parts = self._symbolic()
+        q, v = self._new("state", trace.q.shape), self._new("state", trace.v.shape)
+        t = self._new("sample", ())
+        reference = Reference(*(self._new("sample", x.shape) for x in trace.reference))
+        k = symbols([real(tape.input(*COUNT) | float_bits(2.0**52)) - 2.0**52], ())
+        numbers = trace._grown(
+            initial_memory(trace.parts, trace.context, len(trace.reference.v), self._line, self._noise)
+        )
+        memory = Memory(
+            *(self._remembered(owner, tree) for owner, tree in zip(Memory._fields, numbers, strict=True))
+        )
+        inside = [one_sample, *(part for _, part in trace.parts.by_path())]
+        with tracing(inside):
+            found = one_sample(parts, k, t, h, q, v, reference, memory)
+            after = self._after(memory, found)
+        kept = {
+            name: (np.shape(x), [self._node(y) for y in entries(x).reshape(-1)]) for name, x in found.record.kept.items()
+        }
+        counted = [self._node(y) for x in found.record.counted for y in entries(x).reshape(-1)]
+        used = _used(tape, [*after, *counted, *(n for _, nodes in kept.values() for n in nodes)])
+        return Loop(
+            tape=tape,
+            states=list(zip(self.now, after, strict=True)),
+            leaves=self.leaves,
+            parameters=self.parameters,
+            uniforms=self.next["uniform"],
+            rows=self.next["row"],
+            keys=self.keys,
+            rings=self.rings,
+            counted=counted,
+            kept=kept,
+            sizes=(len(trace.q), len(trace.v), parts.plant.nu, len(trace.reference.q), len(trace.reference.v)),
+            unused=[
+                name
+                for name, leaf in self.parameters.items()
+                if not any((leaf.kind, leaf.first + i) in used for i in range(int(np.prod(leaf.shape))))
+            ],
+        )
+
+    def _symbolic(self) -> Parts:
+        values = {}
+        for parameter, value in self.trace.values.items():
+            kind = "row" if parameter in self.trace.spread else "uniform"
+            leaf = Leaf("parameter", ".".join(parameter), value.shape, self.next[kind], kind)
+            self.parameters[parameter] = leaf
+            values[parameter] = self._new(kind, value.shape)
+        return self.trace.parts.with_parameters(values)
+
+    def _remembered(self, owner: str, tree: Any) -> Any:
+        """Return the memory with symbols in it."""
+        paths = iter([path for path, _ in leaves(tree)])
+
+        def remember(value: Any) -> Any:
+            path, array = next(paths), np.asarray(value)
+            kind = "state"
+            if (owner, path) in self.trace.fixed:
+                drawn = any(parameter.path.partition(".")[0] == owner for parameter in self.trace.spread)
+                kind = "row" if drawn else "uniform"
+            self.leaves.append(Leaf(owner, path, array.shape, self.next[kind], kind))
+            found = self._new(kind, array.shape)
+            return found != 0.0 if array.dtype == bool else found
+
+        return mapped(tree, remember)
+
+    def _after(self, memory: Memory, found: Stepped) -> list[int]:
+        """Return the nodes of the state at the next sample."""
+        after = [self._node(x) for part in (found.q, found.v) for x in entries(part).reshape(-1)]
+        places = iter(self.leaves)
+        for before, tree in zip(memory, found.memory, strict=True):
+            for path, old, new in matched(before, tree):
+                leaf = next(places)
+                if np.shape(new) not in ((), leaf.shape):
+                    raise NotTraceable(
+                        f"{path} had shape {leaf.shape} and has shape {np.shape(new)} a sample later",
+                        "let initial_state return arrays of the shapes that they keep",
+                    )
+                nodes = [self._node(x) for x in np.broadcast_to(entries(new), leaf.shape).reshape(-1)]
+                if leaf.kind == "state":
+                    after += nodes
+                elif nodes != [self._node(x) for x in entries(old).reshape(-1)]:
+                    raise NotTraceable(
+                        f"{path} stays as it is in one run of the law and changes in another",
+                        "keep memory in state",
+                    )
+        return after
+
+    def _node(self, x: Any) -> int:
+        if type(x) is Node and x.tape is not self.tape:
+            raise NotTraceable("a symbol of an earlier trace was kept", "keep memory in state")
+        node = x if type(x) is Node else self.tape.const(x)
+        return self.tape.apply("select", node, 1.0, 0.0).index if node.kind == "b" else node.index
+
+    def _line(self, samples: int) -> "_SymbolicLine":
+        return _SymbolicLine(self, int(samples))
+
+    def _noise(self, name: str, n: int) -> "_SymbolicNoise":
+        self.keys.append(f"{name} {self.keys.count(name)}" if name in self.keys else name)
+        return _SymbolicNoise(self.tape, self.tape.input("key", len(self.keys) - 1), n)
+
+
+class _SymbolicLine:
+    """A delay whose numbers are on the tape."""
+
+    goes_on = True
+
+    def __init__(self, owner: _Pass, samples: int, pushed: bool = False) -> None:
+        self.owner, self.samples, self.pushed = owner, samples, pushed
+
+    def push(self, values: Any) -> tuple[Any, "_SymbolicLine"]:
+        if self.pushed:
+            raise NotTraceable("a delay is pushed twice in a sample", "push all values at once, as a tuple")
+        owner = self.owner
+
+        def delayed(x: Any) -> Any:
+            found = []
+            for y in entries(x).reshape(-1):
+                pushed = Node(owner.tape, owner._node(y))
+                node = owner.tape.ring(len(owner.rings), self.samples, pushed)
+                if self.samples:
+                    owner.rings.append(Ring(node.index, pushed.index, self.samples))
+                found.append(node if self.samples else pushed)
+            return symbols(found, np.shape(x))
+
+        return mapped(values, delayed), _SymbolicLine(owner, self.samples, pushed=True)
+
+
+class _SymbolicNoise:
+    """Noise whose numbers are on the tape."""
+
+    goes_on = True
+
+    def __init__(self, tape: Tape, key: Node, n: int, drawn: bool = False) -> None:
+        self.tape, self.key, self.n, self.drawn = tape, key, n, drawn
+
+    def draw(self) -> tuple[Symbols, "_SymbolicNoise"]:
+        if self.drawn:
+            raise NotTraceable("noise is drawn twice in a sample", "ask the context for more numbers at once")
+        numbers = normals(self.key, self.tape.input(*COUNT), self.n)
+        return symbols(numbers, (self.n,)), _SymbolicNoise(self.tape, self.key, self.n, drawn=True)
+
+
+def _flat_numbers(values: Iterable[Any]) -> list[float]:
+    return [float(x) for value in values for x in np.asarray(value, np.float64).reshape(-1)]
+
+
+def _memory_values(memory: Memory) -> list[Any]:
+    return [value for tree in memory for _, value in leaves(tree)]
+
+
+def _stays(loop: Loop, leaf: Leaf) -> bool:
+    pairs = loop.states[leaf.first : leaf.first + int(np.prod(leaf.shape))]
+    return all(now == after for now, after in pairs)
+
+
+def _state_name(loop: Loop, i: int) -> str:
+    nq, nv = loop.sizes[:2]
+    if i < nq + nv:
+        return f"q[{i}]" if i < nq else f"v[{i - nq}]"
+    for leaf in loop.leaves:
+        if leaf.kind == "state" and leaf.first <= i < leaf.first + int(np.prod(leaf.shape)):
+            return f"{leaf.path} of the {leaf.owner}"
+    raise InvalidArgument(f"there is no state {i}")
+
+
+def _used(tape: Tape, wanted: Iterable[int]) -> set[Any]:
+    return {tape.operations[i] for i in needed(tape, wanted)}

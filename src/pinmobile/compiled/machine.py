@@ -1,0 +1,97 @@
+"""Machine code from LLVM's text, for this processor or another of its family."""
+
+import ctypes
+import hashlib
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import llvmlite
+import llvmlite.binding as llvm
+
+from pinmobile.compiled.cache import Cache
+from pinmobile.compiled.emit import ENTRY
+
+__all__ = ["Target", "function_of"]
+
+_LOADED = 64  # functions that stay loaded though nobody holds them
+_lock = threading.Lock()
+_known: "OrderedDict[str, Callable[..., None]]" = OrderedDict()
+
+llvm.initialize_native_target()
+llvm.initialize_native_asmprinter()
+
+
+@dataclass(frozen=True)
+class Target:
+    """A processor.
+
+    Parameters
+    ----------
+    processor, features : str
+        As LLVM names them: ``"haswell"``, ``"+avx2,-avx512f"``.
+    lanes : int
+        Floats in its vectors.
+    """
+
+    processor: str
+    features: str
+    lanes: int
+
+    @classmethod
+    def here(cls) -> "Target":
+        """Return this machine's."""
+        features = llvm.get_host_cpu_features()
+        lanes = 8 if features.get("avx512f") else 4 if features.get("avx") else 2
+        return cls(llvm.get_host_cpu_name(), features.flatten(), lanes)
+
+    def key(self, text: str) -> str:
+        """Return what names the object of a text: the text, the processor, and who builds."""
+        words = "\0".join(
+            (text, self.processor, self.features, llvmlite.__version__, llvm.get_default_triple())
+        )
+        return hashlib.sha256(words.encode()).hexdigest()
+
+    def build(self, text: str) -> bytes:
+        """Return the object of a text.
+
+        LLVM's passes are left out: what they could find, the tape has found, and they take as long again.
+        """
+        module = llvm.parse_assembly(text)
+        return bytes(self._machine().emit_object(module))
+
+    def load(self, code: bytes) -> Callable[..., None]:
+        """Return the function of an object; it runs without the interpreter's lock."""
+        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), self._machine())
+        file = llvm.ObjectFileRef.from_data(code)
+        engine.add_object_file(file)
+        engine.finalize_object()
+        pointer, whole = ctypes.c_void_p, ctypes.c_int64
+        types = (pointer, whole, whole, pointer, whole, pointer, pointer, pointer, whole, whole, pointer)
+        function = ctypes.CFUNCTYPE(None, *types)(engine.get_function_address(ENTRY))
+        function.engine = engine, file  # type: ignore[attr-defined]  # it lives as long as the function
+        return function
+
+    def _machine(self) -> Any:
+        return llvm.Target.from_default_triple().create_target_machine(
+            cpu=self.processor, features=self.features, opt=3, jit=True, codemodel="jitdefault"
+        )
+
+
+def function_of(text: str, target: Target, cache: Cache) -> Callable[..., None]:
+    """Return the function of a text: known, read from the cache, or built."""
+    key = target.key(text)
+    with _lock:
+        found = _known.get(key)
+        if found is None:
+            code = cache.read(key)
+            if code is None:
+                code = target.build(text)
+                cache.write(key, code)
+            found = _known[key] = target.load(code)
+        _known.move_to_end(key)
+        while len(_known) > _LOADED:
+            _known.popitem(last=False)
+    return found

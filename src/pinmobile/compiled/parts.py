@@ -1,0 +1,289 @@
+"""The parts of a closed loop, their parameters by path and name, and one sample of the loop, written once.
+
+`one_sample` runs on numbers as on symbols: it is what the compiled loop repeats.
+"""
+
+import copy
+import functools
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pinmobile.arrays import Array
+from pinmobile.compiled.recorders import Record, Sample
+from pinmobile.errors import InvalidArgument, UnknownName
+
+__all__ = ["Memory", "Parameter", "Parts", "Reference", "Stepped", "one_sample"]
+
+
+class Reference(NamedTuple):
+    """What is to be followed: the first n coordinates; leading axes where there are several samples.
+
+    Attributes
+    ----------
+    q, v, a : ndarray, shape (..., leading[n]), (..., n), (..., n)
+        Configuration, velocity and acceleration.
+    """
+
+    q: Any
+    v: Any
+    a: Any
+
+
+class Memory(NamedTuple):
+    """What the parts keep between samples."""
+
+    plant: Any
+    controller: Any
+    recorder: Any
+
+
+class Parameter(NamedTuple):
+    """A parameter of a part: where the part stands, and what the parameter is called there.
+
+    Attributes
+    ----------
+    path, name : str
+        Such as ``"controller.robot"`` and ``"mass"``.
+    """
+
+    path: str
+    name: str
+
+
+@dataclass(frozen=True)
+class Parts:
+    """The parts of a closed loop.
+
+    Parameters
+    ----------
+    plant, controller, integrator, recorder : parts
+        As in the design; a plant with the capability ``step`` needs no integrator.
+    forces : sequence of forces
+        A force is called ``force(t, pose, rate)`` and returns a wrench on the body, or has
+        ``on_coordinates(t, q, v)``, which returns a force on the coordinates.
+    substeps : int
+        Steps of the plant in a sample.
+    """
+
+    plant: Any
+    controller: Any
+    forces: tuple[Any, ...] = ()
+    integrator: Any = None
+    recorder: Any = None
+    substeps: int = 1
+
+    def by_path(self) -> Iterator[tuple[str, Any]]:
+        """Return the parts, each with its path."""
+        for name in ("plant", "controller", "integrator", "recorder"):
+            if getattr(self, name) is not None:
+                yield name, getattr(self, name)
+        yield from ((f"forces[{i}]", force) for i, force in enumerate(self.forces))
+
+    def replaced(self, function: Callable[[str, Any], Any]) -> "Parts":
+        """Return the parts with a function of path and part in their place."""
+        new = {path: function(path, part) for path, part in self.by_path()}
+        forces = tuple(new[f"forces[{i}]"] for i in range(len(self.forces)))
+        named = {name: new.get(name) for name in ("plant", "controller", "integrator", "recorder")}
+        return Parts(**named, forces=forces, substeps=self.substeps)
+
+    def parameters(self) -> dict[Parameter, Array]:
+        """Return the values of all parameters, those of parts within parts included."""
+        found: dict[Parameter, Array] = {}
+
+        def visit(path: str, part: Any) -> Any:
+            for name in _names(part):
+                found[Parameter(path, name)] = _value(path, part, name)
+            for name, child in children(part):
+                visit(f"{path}.{name}", child)
+            return part
+
+        for path, part in self.by_path():
+            visit(path, part)
+        return found
+
+    def with_parameters(self, values: Mapping[Parameter, Any]) -> "Parts":
+        """Return copies of the parts with other values of their parameters.
+
+        Raises
+        ------
+        UnknownName
+            If there is no such part, or it has no such parameter.
+        """
+        left = dict(values)
+
+        def visit(path: str, part: Any) -> Any:
+            mine = {name: left.pop(Parameter(path, name)) for name in _names(part) if (path, name) in left}
+            inner = {name: visit(f"{path}.{name}", child) for name, child in children(part)}
+            changed = {n: new for n, new in inner.items() if new is not getattr(part, n)}
+            return _copied(part, mine | changed) if mine or changed else part
+
+        new = self.replaced(visit)
+        for parameter in left:
+            available = (f"{path}.{name}" for path, name in self.parameters())
+            raise UnknownName("parameter", f"{parameter[0]}.{parameter[1]}", available)
+        return new
+
+
+def children(part: Any) -> Iterator[tuple[str, Any]]:
+    """Return the parts that a part holds as attributes, by name."""
+    for name, value in getattr(part, "__dict__", {}).items():
+        is_part = hasattr(value, "parameters") or hasattr(value, "initial_state")
+        if is_part and not isinstance(value, type):
+            yield name, value
+
+
+def _names(part: Any) -> tuple[str, ...]:
+    stated = getattr(part, "parameters", ())
+    return tuple(each if isinstance(each, str) else each.name for each in stated)
+
+
+def _value(path: str, part: Any, name: str) -> Array:
+    try:
+        return np.asarray(getattr(part, name), np.float64)
+    except AttributeError:
+        raise InvalidArgument(
+            f"{path}, a {type(part).__name__}, states the parameter {name!r} and has no attribute of that name"
+        ) from None
+    except (TypeError, ValueError):
+        value = getattr(part, name)
+        raise InvalidArgument(f"{path}.{name} is {value!r}, expected a number or an array") from None
+
+
+def _copied(part: Any, values: Mapping[str, Any]) -> Any:
+    new = copy.copy(part)
+    for each in type(part).__mro__:
+        for name, attribute in vars(each).items():
+            if isinstance(attribute, functools.cached_property):
+                new.__dict__.pop(name, None)  # it belongs to the old values
+    for name, value in values.items():
+        try:
+            object.__setattr__(new, name, value)
+        except AttributeError:
+            raise InvalidArgument(
+                f"{name} of a {type(part).__name__} is computed and cannot be set, expected an attribute"
+            ) from None
+    return new
+
+
+class Stepped(NamedTuple):
+    """What one sample of a loop comes to.
+
+    Attributes
+    ----------
+    sample : Sample
+        As it was recorded.
+    q, v : ndarray
+        State at the next sample.
+    memory : Memory
+        What the parts keep.
+    record : Record
+        What the recorder made of it.
+    """
+
+    sample: Sample
+    q: Any
+    v: Any
+    memory: Memory
+    record: Record
+
+
+def one_sample(
+    parts: Parts, k: Any, t: Any, h: Any, q: Any, v: Any, reference: Reference, memory: Memory
+) -> Stepped:
+    """Return one sample of the closed loop, and the state at the next.
+
+    Parameters
+    ----------
+    parts : Parts
+        The loop.
+    k, t, h : float
+        Number and time of the sample, and length of a substep [s].
+    q, v : ndarray, shape (nq,), (nv,)
+        State.
+    reference : Reference
+        Of this sample.
+    memory : Memory
+        What the parts keep.
+    """
+    plant, controller = parts.plant, parts.controller
+    answer = controller(t, q.copy(), v.copy(), reference, memory.controller)
+    if type(answer) is not tuple or len(answer) != 2:
+        raise InvalidArgument(f"controller returned {answer!r}, expected (u, state)")
+    u, inner = np.asarray(answer[0]), answer[1]
+    if np.shape(u) != (plant.nu,):
+        raise InvalidArgument(f"controller returned an input of shape {np.shape(u)}, expected ({plant.nu},)")
+    u = limited(plant, u)
+    if hasattr(controller, "applied"):
+        inner = controller.applied(u, inner)
+    error, error_rate = errors(plant, q, v, reference)
+    step = _own_step if hasattr(plant, "step") else _integrated
+    acceleration, q1, v1, kept = step(parts, t, h, q, v, u, memory.plant)
+    sample = Sample(k, t, q, v, u, acceleration, error, error_rate)
+    record = Record(None) if parts.recorder is None else parts.recorder(sample, memory.recorder)
+    return Stepped(sample, q1, v1, Memory(kept, inner, record.state), record)
+
+
+def errors(plant: Any, q: Any, v: Any, reference: Reference) -> tuple[Any, Any]:
+    """Return the error of the reference's coordinates, and its rate, shape (n,) each."""
+    n, length = reference.v.shape[-1], reference.q.shape[-1]
+    # What has no reference is where it should be.
+    whole = reference.q if length == plant.nq else np.concatenate([reference.q, q[length:]])
+    return plant.difference(q, whole)[..., :n], reference.v - v[..., :n]
+
+
+def limited(plant: Any, u: Any) -> Any:
+    """Return the input within the plant's limits."""
+    inputs = getattr(plant, "inputs", ())
+    lower, upper = (np.array([getattr(each, side, None) for each in inputs], float) for side in ("lower", "upper"))
+    low, high = np.where(np.isnan(lower), -np.inf, lower), np.where(np.isnan(upper), np.inf, upper)
+    if not (np.isfinite(low).any() or np.isfinite(high).any()):
+        return u
+    return np.clip(u, low, high)
+
+
+def _pushed(parts: Parts, t: Any, q: Any, v: Any) -> Any:
+    """Return the forces on the coordinates beside the input, shape (nv,), or 0."""
+    plant, total = parts.plant, 0.0
+    wrenches = [force for force in parts.forces if not hasattr(force, "on_coordinates")]
+    if wrenches:
+        pose, rate = plant.pose(q), plant.rate(q, v)
+        wrench = sum((force(t, pose, rate) for force in wrenches), 0.0)
+        total = plant.effort(q, wrench)
+        if total is None:
+            raise InvalidArgument(f"plant is a {type(plant).__name__}, whose body cannot be pushed, and forces push it")
+    others = [force for force in parts.forces if hasattr(force, "on_coordinates")]
+    return sum((force.on_coordinates(t, q, v) for force in others), total)
+
+
+def _integrated(parts: Parts, t: Any, h: Any, q: Any, v: Any, u: Any, memory: Any) -> Any:
+    """Return the acceleration, and the state after the substeps, by the integrator on displacements."""
+    plant = parts.plant
+    integrate = getattr(plant, "integrate", None) or np.add
+
+    def advanced(t: Any, q: Any, v: Any) -> tuple[Any, Any]:
+        def acceleration(time: Any, moved: Any, rate: Any) -> Any:
+            there = integrate(q, moved)
+            return plant.forward_dynamics(there, rate, u, _pushed(parts, time, there, rate))
+
+        moved, v = parts.integrator(acceleration, t, np.zeros(plant.nv), v, h)
+        q = integrate(q, moved)
+        return q, plant.project(q, v) if hasattr(plant, "project") else v
+
+    first = plant.forward_dynamics(q, v, u, _pushed(parts, t, q, v))
+    for j in range(parts.substeps):
+        q, v = advanced(t + j * h if j else t, q, v)
+    return first, q, v, memory
+
+
+def _own_step(parts: Parts, t: Any, h: Any, q: Any, v: Any, u: Any, memory: Any) -> Any:
+    """Return the mean acceleration of the first substep, and the state after all of them, by the plant's own."""
+    acceleration = None
+    for j in range(parts.substeps):
+        time = t + j * h if j else t
+        found = parts.plant.step(time, q, v, u, h, _pushed(parts, time, q, v), memory)
+        acceleration = (found.v - v) / h if acceleration is None else acceleration
+        q, v, memory = found.q, found.v, found.memory
+    return acceleration, q, v, memory

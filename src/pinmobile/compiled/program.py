@@ -1,0 +1,270 @@
+"""A compiled loop, and its runs: robots in blocks, blocks on threads."""
+
+import threading
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinmobile.arrays import Array
+from pinmobile.compiled.cache import Cache
+from pinmobile.compiled.emit import BINS, Shape, text_of
+from pinmobile.compiled.loop import Leaf, Loop, initial_memory
+from pinmobile.compiled.machine import Target, function_of
+from pinmobile.compiled.memory import leaves, mapped
+from pinmobile.compiled.parts import Memory, Parameter, Parts, Reference
+from pinmobile.errors import InvalidArgument
+
+__all__ = ["Outcome", "Program"]
+
+_SLICE = 2e8  # operations of a vector in one call, some 0.1 s: Ctrl-C is answered in between
+_WORTH = 4e6  # operations of a vector for which a thread is worth starting
+_SMALL = 700  # nodes of a tape whose values fit in the registers of two vectors
+
+
+class Outcome(NamedTuple):
+    """What a run comes to.
+
+    Attributes
+    ----------
+    memory : Memory
+        What the parts kept after the last sample; each array with the robots as its first axis. That of the
+        recorder is the result.
+    counts : ndarray of int, shape (times, sizes, BINS)
+        How many robots had which size.
+    kept : dict of str to ndarray, shape (n, N + 1, ...)
+        What was kept of every sample.
+    """
+
+    memory: Memory
+    counts: NDArray[np.int64]
+    kept: dict[str, Array]
+
+
+class Program:
+    """A loop as machine code. It may be run by several threads at once.
+
+    Parameters
+    ----------
+    loop : Loop
+        What `traced` returned.
+    target : Target, optional
+        The processor; by default this one.
+    shape : Shape, optional
+        How the robots are laid out; the results are the same for all.
+    cache : Cache, optional
+        Where objects are kept.
+    """
+
+    def __init__(
+        self,
+        loop: Loop,
+        target: Target | None = None,
+        shape: Shape | None = None,
+        cache: Cache | None = None,
+    ) -> None:
+        target = Target.here() if target is None else target
+        self.loop = loop
+        self.shape = Shape(target.lanes, 2 if len(loop.tape) <= _SMALL else 1) if shape is None else shape
+        self.text = text_of(loop, self.shape)
+        self._function = function_of(self.text, target, Cache() if cache is None else cache)
+
+    def run(
+        self,
+        parts: Parts,
+        context: Any,
+        start: tuple[Array, Array],
+        t: Array,
+        reference: Reference,
+        *,
+        dt: float,
+        values: Mapping[Parameter, Any] | None = None,
+        keys: Mapping[str, NDArray[np.uint64]] | None = None,
+        every: int = 1,
+        threads: int = 1,
+    ) -> Outcome:
+        """Return what the robots do.
+
+        Parameters
+        ----------
+        parts : Parts
+            Of the same structure as those that were traced; their numbers may be others.
+        context : object
+            What the controller's `initial_state` is told.
+        start : (ndarray, ndarray), shape (n, nq), (n, nv)
+            Where the n robots start.
+        t : ndarray, shape (N + 1,)
+            Times of the samples [s].
+        reference : Reference
+            Of all samples.
+        dt : float
+            Time between two samples [s].
+        values : mapping of Parameter to ndarray, shape (n, ...)
+            What each robot has of its own, of the parameters that were traced so; or one value for all.
+        keys : mapping of str to ndarray of uint64, shape (n,)
+            Each robot's key for the noise of a name.
+        every : int
+            Samples between two counts.
+        threads : int
+            Most threads.
+        """
+        n = len(start[0])
+        parts = parts.replaced(lambda _, part: part.traced() if hasattr(part, "traced") else part)
+        given = {Parameter(*name): np.asarray(x, np.float64) for name, x in (values or {}).items()}
+        nominal = parts.parameters()
+        memory = self._initial(parts, context, given, n)
+        blocks = self._blocks(start, n, {**nominal, **given}, memory, keys or {})
+        uniforms = self._uniforms(dt / parts.substeps, {**nominal, **given}, memory)
+        samples = np.ascontiguousarray(np.column_stack([t, *reference]), np.float64)
+        size = sum(len(nodes) for _, nodes in self.loop.kept.values())
+        kept = _aligned((len(blocks), len(t), size, self.shape.width))
+        counts = self._called(blocks, samples, uniforms, kept, n, every, threads)
+        return Outcome(self._kept_memory(memory, blocks, n), counts, self._kept_samples(kept, n))
+
+    def _initial(self, parts: Parts, context: Any, given: Mapping[Parameter, Array], n: int) -> Memory:
+        """Return the memory at first, with a first axis of the robots where they differ."""
+        return initial_memory(parts, context, self.loop.sizes[4])
+
+    def _rows(self, blocks: Array, first: int, columns: Array) -> None:
+        """Set rows of the blocks: from (rows, n) of each robot, the last one repeated to fill the last block."""
+        width, n = self.shape.width, columns.shape[1]
+        full = n // width
+        target = blocks[:, first : first + len(columns)]
+        target[:full] = columns[:, : full * width].reshape(len(columns), full, width).swapaxes(0, 1)
+        if full < len(blocks):
+            target[full, :, : n - full * width] = columns[:, full * width :]
+            target[full, :, n - full * width :] = columns[:, -1:]
+
+    def _blocks(
+        self,
+        start: tuple[Array, Array],
+        n: int,
+        values: Mapping[Parameter, Array],
+        memory: Memory,
+        keys: Mapping[str, NDArray[np.uint64]],
+    ) -> Array:
+        loop, width = self.loop, self.shape.width
+        states = len(loop.states)
+        blocks = _aligned((-(-n // width), states + loop.rows + len(loop.keys), width))
+        q, v = (np.asarray(x, np.float64) for x in start)
+        self._rows(blocks, 0, np.concatenate([q.T, v.T]))
+        for leaf, value in _of_kinds(loop.leaves, memory, "state", "row"):
+            first = leaf.first + (states if leaf.kind == "row" else 0)
+            blocks[:, first : first + value.size] = np.ravel(value)[:, None]
+        for parameter, leaf in loop.parameters.items():
+            if leaf.kind == "row":
+                value = values[parameter]
+                columns = np.broadcast_to(value, (n, *leaf.shape)).reshape(n, -1).T
+                self._rows(blocks, states + leaf.first, columns)
+        for i, name in enumerate(loop.keys):
+            if name not in keys:
+                raise InvalidArgument(f"keys has {sorted(keys)}, expected one for the noise {name!r}")
+            key = np.broadcast_to(np.asarray(keys[name], np.uint64), n)
+            self._rows(blocks, states + loop.rows + i, key.view(np.float64)[None])
+        return blocks
+
+    def _uniforms(self, h: float, values: Mapping[Parameter, Array], memory: Memory) -> Array:
+        found = np.empty(self.loop.uniforms)
+        found[0] = h
+        for parameter, leaf in self.loop.parameters.items():
+            if leaf.kind == "uniform":
+                value = values[parameter]
+                if value.shape != leaf.shape:
+                    raise InvalidArgument(
+                        f"{'.'.join(parameter)} has shape {value.shape}, expected {leaf.shape}; what each robot has of "
+                        "its own is named when the loop is traced"
+                    )
+                found[leaf.first : leaf.first + value.size] = value.ravel()
+        for leaf, value in _of_kinds(self.loop.leaves, memory, "uniform"):
+            found[leaf.first : leaf.first + value.size] = np.ravel(value)
+        return found
+
+    def _called(
+        self, blocks: Array, samples: Array, uniforms: Array, kept: Array, n: int, every: int, threads: int
+    ) -> NDArray[np.int64]:
+        loop = self.loop
+        work = len(samples) * len(loop.tape) * self.shape.vectors  # of a block
+        workers = max(1, min(threads, len(blocks), int(work * len(blocks) / _WORTH)))
+        step = max(1, min(int(_SLICE / work), -(-len(blocks) // (4 * workers))))
+        counted = len(loop.counted), BINS
+        times = -(-len(samples) // every) if loop.counted else 0
+        counts = np.zeros((workers, max(1, times), *counted), np.int32)
+        rings = [_aligned((max(1, sum(ring.samples for ring in loop.rings)), self.shape.width)) for _ in counts]
+        starts = iter(range(0, len(blocks), step))
+        lock, stopped = threading.Lock(), threading.Event()
+
+        def work_off(worker: int) -> None:
+            while not stopped.is_set():
+                with lock:
+                    begin = next(starts, None)
+                if begin is None:
+                    return
+                self._function(
+                    blocks.ctypes.data,
+                    begin,
+                    min(begin + step, len(blocks)),
+                    samples.ctypes.data,
+                    len(samples),
+                    uniforms.ctypes.data,
+                    rings[worker].ctypes.data,
+                    counts[worker].ctypes.data,
+                    every,
+                    n,
+                    kept.ctypes.data,
+                )
+
+        helpers = [threading.Thread(target=work_off, args=(i,)) for i in range(1, workers)]
+        for helper in helpers:
+            helper.start()
+        try:
+            work_off(0)
+        finally:
+            stopped.set()
+            for helper in helpers:
+                helper.join()
+        return counts[:, :times].sum(axis=0, dtype=np.int64)
+
+    def _kept_memory(self, memory: Memory, blocks: Array, n: int) -> Memory:
+        """Return the memory as it is at last."""
+        rows = blocks.swapaxes(0, 1)
+        found = []
+        places = iter(self.loop.leaves)
+
+        def last(value: Any) -> Array:
+            leaf = next(places)
+            size = int(np.prod(leaf.shape))
+            if leaf.kind == "uniform":
+                return np.broadcast_to(value, (n, *leaf.shape))
+            first = leaf.first + (len(self.loop.states) if leaf.kind == "row" else 0)
+            return rows[first : first + size].reshape(size, -1)[:, :n].T.reshape(n, *leaf.shape)
+
+        for tree in memory:
+            found.append(mapped(tree, last))
+        return Memory(*found)
+
+    def _kept_samples(self, kept: Array, n: int) -> dict[str, Array]:
+        found, first = {}, 0
+        for name, (shape, nodes) in self.loop.kept.items():
+            block = kept[:, :, first : first + len(nodes)]  # (blocks, samples, numbers, width)
+            robots = np.moveaxis(block, 3, 1).reshape(-1, kept.shape[1], len(nodes))[:n]
+            found[name] = np.ascontiguousarray(robots).reshape(n, kept.shape[1], *shape)
+            first += len(nodes)
+        return found
+
+
+def _of_kinds(places: list[Leaf], memory: Memory, *kinds: str) -> list[tuple[Leaf, Array]]:
+    values = [value for tree in memory for _, value in leaves(tree)]
+    return [
+        (leaf, np.broadcast_to(np.asarray(value, np.float64), leaf.shape))
+        for leaf, value in zip(places, values, strict=True)
+        if leaf.kind in kinds
+    ]
+
+
+def _aligned(shape: tuple[int, ...]) -> Array:
+    """Return an array of zeros at an address that vectors can be stored at."""
+    size = int(np.prod(shape))
+    raw = np.zeros(size + 8)
+    first = (-raw.ctypes.data % 64) // 8
+    return raw[first : first + size].reshape(shape)

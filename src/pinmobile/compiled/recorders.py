@@ -1,0 +1,140 @@
+"""What is kept of a closed loop: a few numbers of each robot, and how many have errors of which size; or all samples.
+
+A recorder is a part like any other: its law is NumPy for one state. It is called as
+``recorder(sample, state) -> Record``, once per sample, after the controller and before the step.
+"""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from pinmobile.arrays import Array
+
+__all__ = ["Record", "Sample", "Summary", "Trace"]
+
+
+class Sample(NamedTuple):
+    """One sample of a closed loop.
+
+    Attributes
+    ----------
+    k, t : float
+        Number and time [s].
+    q, v, u, a : ndarray, shape (nq,), (nv,), (nu,), (nv,)
+        State, input after all limits, and acceleration.
+    error, error_rate : ndarray, shape (n,)
+        Of the coordinates that the reference has.
+    """
+
+    k: Any
+    t: Any
+    q: Any
+    v: Any
+    u: Any
+    a: Any
+    error: Any
+    error_rate: Any
+
+
+class Record(NamedTuple):
+    """What a recorder makes of a sample.
+
+    Attributes
+    ----------
+    state : tree of ndarrays
+        What it keeps; as it is after the last sample, it is the result.
+    counted : sequence of numbers
+        Sizes, >= 0 or infinite, that are counted in bins.
+    kept : dict of str to ndarray
+        What is kept of every sample.
+    """
+
+    state: Any
+    counted: Any = ()
+    kept: Any = {}  # noqa: RUF012 (nobody writes into it)
+
+
+@dataclass(frozen=True)
+class Summary:
+    """The largest and mean square error, and the largest input, of each robot, while it is alive.
+
+    A robot has diverged where an error or its rate is beyond the limit, or its input or acceleration is not
+    finite; from then on nothing is taken of it.
+
+    Parameters
+    ----------
+    limit : float
+        Largest error.
+    begin : float or None
+        Number of the first sample of which the error is kept; None: all are, which is faster than 0.
+    distances : tuple of tuples of int
+        Coordinates whose errors make a distance together; of each distance the largest is kept, and its sizes
+        are counted.
+    """
+
+    limit: float = np.inf
+    begin: float | None = None
+    distances: tuple[tuple[int, ...], ...] = ((0, 1), (2,))
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of its numbers."""
+        return ("limit",) if self.begin is None else ("limit", "begin")
+
+    def initial_state(self, n: int, nu: int) -> dict[str, Array]:
+        """Return the record of no sample, for n errors and nu inputs."""
+        farthest = sum(len(group) > 1 for group in self.distances)
+        return {
+            "alive": np.ones(()),
+            "lived": np.zeros(()),
+            "largest": np.zeros(n),
+            "farthest": np.zeros(farthest),  # squared
+            "squares": np.zeros(n),
+            "inputs": np.zeros(nu),
+        }
+
+    def __call__(self, sample: Sample, state: Any) -> Record:
+        """Return the record with one more sample."""
+        error, rate = np.abs(sample.error), np.abs(sample.error_rate)
+        near = np.all(np.concatenate([error, rate]) <= self.limit)
+        moving = np.abs(np.sum(sample.u) + np.sum(sample.a)) < np.inf
+        alive = (state["alive"] > 0.5) & near & moving
+        one = np.where(alive, 1.0, 0.0)
+        error = np.where(alive, error, 0.0)
+        keep = 1.0 if self.begin is None else np.where(sample.k == self.begin, 0.0, 1.0)
+        squares = error * error
+        groups = [sum(squares[i] for i in group) for group in self.distances]
+        far = np.array([square for square, group in zip(groups, self.distances, strict=True) if len(group) > 1])
+        new = {
+            "alive": one,
+            "lived": state["lived"] + one,
+            "largest": _larger(error, state["largest"] * keep),
+            "farthest": _larger(far, state["farthest"] * keep) if len(far) else state["farthest"],
+            "squares": state["squares"] * keep + squares,
+            "inputs": _larger(np.where(alive, np.abs(sample.u), 0.0), state["inputs"]),
+        }
+        sizes = [
+            np.sqrt(np.where(alive, square, np.inf)) if len(group) > 1 else np.where(alive, error[group[0]], np.inf)
+            for square, group in zip(groups, self.distances, strict=True)
+        ]
+        return Record(new, sizes)
+
+
+def _larger(a: Any, b: Any) -> Any:
+    """Return the larger of numbers that are known to be some."""
+    return np.where(a > b, a, b)
+
+
+@dataclass(frozen=True)
+class Trace:
+    """All samples: configuration, velocity, input and acceleration."""
+
+    parameters: ClassVar[tuple[str, ...]] = ()
+
+    def initial_state(self, n: int, nu: int) -> None:
+        """Return None: nothing is kept from one sample to the next."""
+
+    def __call__(self, sample: Sample, state: Any) -> Record:
+        """Return the sample."""
+        return Record(state, (), {"q": sample.q, "v": sample.v, "u": sample.u, "a": sample.a})

@@ -1,0 +1,225 @@
+"""Running a law on symbols: NumPy replaced by name where its parts stand, and refusals that name the line."""
+
+import contextlib
+import functools
+import linecache
+import sys
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from types import CellType, CodeType, FunctionType, MethodType, ModuleType, TracebackType
+from typing import Any
+
+import numpy as np
+
+from pinmobile.compiled.symbols import constructors
+from pinmobile.errors import NotTraceable
+
+__all__ = ["place_of", "reached", "tracing"]
+
+_lock = threading.RLock()
+_local = threading.local()
+_HERE = str(Path(__file__).parent)
+_NUMPY = str(Path(np.__file__).parent)
+_LAWS = ("pinmobile.compiled.parts", "pinmobile.compiled.recorders")
+_FOREIGN = frozenset(("numpy", "scipy", "pinocchio", "llvmlite", "sympy", "matplotlib")) | sys.stdlib_module_names
+
+
+def _is_on() -> bool:
+    return bool(getattr(_local, "depth", 0))
+
+
+def _guarded(true: Callable[..., Any], other: Callable[..., Any]) -> Callable[..., Any]:
+    """Return `other` for the thread that traces, and NumPy's own for all others."""
+
+    @functools.wraps(true)
+    def run(*given: Any, **options: Any) -> Any:
+        return (other if _is_on() else true)(*given, **options)
+
+    return run
+
+
+class _NumPy(ModuleType):
+    """NumPy for the modules of a law: what makes arrays knows of symbols; the rest is NumPy's own.
+
+    In numpy itself nothing is replaced: its compiled modules would take a symbol for an array, and the process
+    would die.
+    """
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "random" and _is_on():
+            raise NotTraceable(
+                "np.random in a law", "take the numbers from the context: context.normal(name, n), kept in state"
+            )
+        return getattr(np, name)
+
+
+_replaced = {name: _guarded(getattr(np, name), other) for name, other in constructors().items()}
+_numpy = _NumPy("numpy")
+vars(_numpy).update(_replaced)
+_others = {id(getattr(np, name)): other for name, other in _replaced.items()} | {id(np): _numpy}
+
+
+@contextlib.contextmanager
+def tracing(parts: Iterable[Any]) -> Iterator[None]:
+    """Let the laws of these parts run on symbols, in this thread.
+
+    Raises
+    ------
+    NotTraceable
+        If a law does what cannot be done with symbols; it names the line.
+    """
+    with _lock:
+        namespaces, cells = reached(parts)
+        changed = [
+            (names, name, value)
+            for names in namespaces
+            for name, value in names.items()
+            if id(value) in _others
+        ]
+        shut = [(cell, cell.cell_contents) for cell in cells if id(cell.cell_contents) in _others]
+        for names, name, value in changed:
+            names[name] = _others[id(value)]
+        for cell, value in shut:
+            cell.cell_contents = _others[id(value)]
+        _local.depth = 1
+        try:
+            yield
+        except NotTraceable as error:
+            if error.place:
+                raise
+            raise NotTraceable(error.what, error.instead, place_of(error.__traceback__)) from None
+        except Exception as error:
+            raise NotTraceable(
+                f"on symbols it raises {type(error).__name__} ({error})",
+                "write it for one state, by NumPy's operators and functions",
+                place_of(error.__traceback__),
+            ) from error
+        finally:
+            _local.depth = 0
+            for names, name, value in changed:
+                names[name] = value
+            for cell, value in shut:
+                cell.cell_contents = value
+
+
+def place_of(traceback: TracebackType | None) -> str:
+    """Return the last line of a law in a traceback: function, line, file and text."""
+    found = ""
+    while traceback is not None:
+        code = traceback.tb_frame.f_code
+        if not code.co_filename.startswith((_HERE, _NUMPY, "<")) or code.co_filename.startswith("<ipython"):
+            found = _told(code, traceback.tb_lineno)
+        traceback = traceback.tb_next
+    return found
+
+
+def calling_place() -> str:
+    """Return the line of the law that is running."""
+    frame = sys._getframe(1)
+    while frame is not None:
+        name = frame.f_code.co_filename
+        if not name.startswith((_HERE, _NUMPY, "<")) or name.startswith("<ipython"):
+            return _told(frame.f_code, frame.f_lineno)
+        frame = frame.f_back  # type: ignore[assignment]
+    return ""
+
+
+def _told(code: CodeType, line: int) -> str:
+    text = linecache.getline(code.co_filename, line).strip()
+    return f"{code.co_qualname}, line {line} of {Path(code.co_filename).name}" + (f" (`{text}`)" if text else "")
+
+
+def reached(parts: Iterable[Any]) -> tuple[list[dict[str, Any]], list[CellType]]:
+    """Return the namespaces and closures of all functions that the parts' laws can call.
+
+    Parameters
+    ----------
+    parts : iterable
+        Objects, functions and classes. What NumPy, the standard library and the like define is left out.
+    """
+    walk = _Walk()
+    for part in parts:
+        walk.visit(part)
+    return list(walk.namespaces.values()), list(walk.cells.values())
+
+
+class _Walk:
+    """Everything that code refers to by name, found by reading the code."""
+
+    def __init__(self) -> None:
+        self.seen: dict[int, Any] = {}
+        self.namespaces: dict[int, dict[str, Any]] = {}
+        self.cells: dict[int, CellType] = {}
+
+    def visit(self, thing: Any) -> None:
+        if id(thing) in self.seen or thing is None or isinstance(thing, str | int | float | np.ndarray):
+            return
+        self.seen[id(thing)] = thing  # kept, so that no other gets its id
+        if isinstance(thing, FunctionType):
+            self._function(thing)
+        elif isinstance(thing, MethodType):
+            self.visit(thing.__func__)
+            self.visit(thing.__self__)
+        elif isinstance(thing, functools.partial):
+            self.visit((thing.func, *thing.args, *thing.keywords.values()))
+        elif isinstance(thing, property):
+            self.visit(thing.fget)
+        elif isinstance(thing, staticmethod | classmethod):
+            self.visit(thing.__func__)
+        elif isinstance(thing, functools.cached_property):
+            self.visit(thing.func)
+        elif isinstance(thing, type):
+            self._class(thing)
+        elif isinstance(thing, list | tuple):
+            for each in thing:
+                self.visit(each)
+        elif isinstance(thing, dict):
+            for each in thing.values():
+                self.visit(each)
+        elif not isinstance(thing, ModuleType):
+            self._class(type(thing))
+            for each in getattr(thing, "__dict__", {}).values():
+                self.visit(each)
+
+    def _class(self, thing: type) -> None:
+        for each in thing.__mro__:
+            if not _is_foreign(each.__module__):
+                for value in vars(each).values():
+                    if not isinstance(value, type) and callable(getattr(value, "__get__", None)):
+                        self.visit(value)
+
+    def _function(self, function: FunctionType) -> None:
+        if hasattr(function, "__wrapped__"):
+            self.visit(function.__wrapped__)
+        if _is_foreign(function.__module__ or ""):
+            return
+        self.namespaces[id(function.__globals__)] = function.__globals__
+        for cell in function.__closure__ or ():
+            with contextlib.suppress(ValueError):  # not set yet
+                self.visit(cell.cell_contents)
+                self.cells[id(cell)] = cell
+        for name in _names(function.__code__):
+            self._named(function.__globals__.get(name), function.__code__)
+
+    def _named(self, value: Any, code: CodeType) -> None:
+        """Visit what a name stands for; of a module, what the code can mean in it."""
+        if isinstance(value, ModuleType):
+            if not _is_foreign(value.__name__):
+                for name in _names(code):
+                    self.visit(getattr(value, name, None))
+        elif isinstance(value, FunctionType | type | MethodType | functools.partial):
+            self.visit(value)
+        elif value is not None and not _is_foreign(type(value).__module__):
+            self.visit(value)
+
+
+@functools.lru_cache(4096)
+def _names(code: CodeType) -> frozenset[str]:
+    inner = (const for const in code.co_consts if isinstance(const, CodeType))
+    return frozenset(code.co_names).union(*map(_names, inner))
+
+
+def _is_foreign(module: str) -> bool:
+    own = module.startswith("pinmobile.compiled.") and module not in _LAWS
+    return own or module.partition(".")[0] in _FOREIGN
