@@ -220,7 +220,8 @@ class _Trace:
             (leaf.owner, leaf.path) for leaf in loop.leaves if leaf.kind == "state" and _stays(loop, leaf)
         )
         if fixed:
-            self.fixed, loop = fixed, self._loop()
+            self.fixed = fixed
+            loop = self._loop()
         self._compare_tapes(loop, self._loop())
         self._compare_numbers(loop, number)
         return loop
