@@ -26,6 +26,7 @@ ALLOWED: dict[str, set[str]] = {
     "urdf": {"dh"},
     "closed_form": {"arrays"},
     "derivation": {"dh"},
+    "compiled": {"arrays"},
     "robot": {"arrays", "dh", "urdf"},
     "verification": {"robot", "closed_form", "derivation"},
     "paths": {"arrays"},

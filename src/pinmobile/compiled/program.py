@@ -20,7 +20,7 @@ __all__ = ["Outcome", "Program"]
 
 _SLICE = 2e8  # operations of a vector in one call, some 0.1 s: Ctrl-C is answered in between
 _WORTH = 4e6  # operations of a vector for which a thread is worth starting
-_SMALL = 700  # nodes of a tape whose values fit in the registers of two vectors
+_SMALL = 2500  # nodes: beyond, a second vector takes longer to build than it saves
 
 
 class Outcome(NamedTuple):

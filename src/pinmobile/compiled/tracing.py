@@ -90,9 +90,12 @@ def tracing(parts: Iterable[Any]) -> Iterator[None]:
                 raise
             raise NotTraceable(error.what, error.instead, place_of(error.__traceback__)) from None
         except Exception as error:
+            index = isinstance(error, IndexError)
             raise NotTraceable(
                 f"on symbols it raises {type(error).__name__} ({error})",
-                "write it for one state, by NumPy's operators and functions",
+                "where an index comes from a symbol, use np.where or np.select"
+                if index
+                else "write it for one state, by NumPy's operators and functions",
                 place_of(error.__traceback__),
             ) from error
         finally:
