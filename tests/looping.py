@@ -141,7 +141,7 @@ class WheelFollower:
 
 
 class PD:
-    parameters = ("kp", "kd")
+    parameters: Any = ("kp", "kd")
 
     def __init__(self, kp: Any, kd: Any) -> None:
         self.kp, self.kd = triple(kp), triple(kd)
@@ -258,9 +258,7 @@ class Noisy(Wrapper):
     def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> Any:
         inner, noise = state
         w, noise = noise.draw()
-        u, inner = self.controller(
-            t, q + self.std_q * w[:3], v + self.std_v * w[3:], reference, inner
-        )
+        u, inner = self.controller(t, q + self.std_q * w[:3], v + self.std_v * w[3:], reference, inner)
         return u, (inner, noise)
 
 

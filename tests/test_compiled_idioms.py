@@ -1,4 +1,4 @@
-"""NumPy as people write it, on symbols: each idiom gives what it gives on numbers, or says what to write instead."""
+"""NumPy as people write it, on symbols: what it gives on numbers, or what to write instead."""
 
 import math
 from collections.abc import Callable

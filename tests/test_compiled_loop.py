@@ -1,6 +1,7 @@
 """Compiled loops beside the same parts run by NumPy, sample after sample."""
 
 from collections.abc import Callable
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
@@ -150,11 +151,18 @@ def test_a_compiled_loop_is_the_loop_in_numpy(name: str) -> None:
 def test_the_summary_is_that_of_the_samples() -> None:
     parts = COMPOSITIONS["saturated"]()
     n, every = 21, 7
-    counted = Parts(parts.plant, parts.controller, parts.forces, parts.integrator, Summary(limit=1e3, begin=50.0))
+    counted = Parts(
+        parts.plant, parts.controller, parts.forces, parts.integrator, Summary(limit=1e3, begin=50.0)
+    )
     recorded = Parts(parts.plant, parts.controller, parts.forces, parts.integrator, Trace())
     summary = ran(built(counted), counted, n, every=every)
     kept = ran(built(recorded), recorded, n).kept
-    error = np.array([[parts.plant.difference(q, d) for q, d in zip(kept["q"][i], CIRCLE.q, strict=True)] for i in range(n)])
+    error = np.array(
+        [
+            [parts.plant.difference(q, d) for q, d in zip(kept["q"][i], CIRCLE.q, strict=True)]
+            for i in range(n)
+        ]
+    )
     record = summary.memory.recorder
     assert (record["lived"] == COUNT).all()
     np.testing.assert_array_equal(record["largest"], np.abs(error[:, 50:]).max(axis=1))
@@ -225,7 +233,7 @@ def test_numbers_that_stay_in_memory_are_numbers_of_the_run() -> None:
 
 def test_what_no_law_uses_is_named() -> None:
     class Deaf(PD):
-        parameters = ("kp", "kd", "color")
+        parameters: Any = ("kp", "kd", "color")
         color = 3.0
 
     parts = Parts(Body(), Deaf(1.0, 1.0), (), constant_acceleration)
@@ -244,7 +252,9 @@ def test_limits_of_the_plant_are_kept_and_told_to_the_controller() -> None:
     mine = parts.with_parameters({MASSES: 0.8 * parts.plant.mass})
     expected, memory = looped(mine, q[0], v[0], TIMES, CIRCLE, DT)
     np.testing.assert_allclose(found.kept["q"][0], expected["q"], rtol=1e-11, atol=1e-13)
-    np.testing.assert_allclose(found.memory.controller["integral"][0], memory.controller["integral"], rtol=1e-10)
+    np.testing.assert_allclose(
+        found.memory.controller["integral"][0], memory.controller["integral"], rtol=1e-10
+    )
 
 
 # Bits.
@@ -311,7 +321,7 @@ def test_the_bits_of_a_robot_do_not_depend_on_threads_nor_on_who_runs_beside_it(
 
     whole, counts = some(0, n, 1)
     for cut in ((0, n), (0, 1, n), (0, 100, 200, n)):
-        pieces = [some(begin, end, 3) for begin, end in zip(cut[:-1], cut[1:], strict=True)]
+        pieces = [some(begin, end, 3) for begin, end in pairwise(cut)]
         np.testing.assert_array_equal(counts, sum(piece[1] for piece in pieces))
         for name, array in whole.items():
             np.testing.assert_array_equal(array, np.concatenate([piece[0][name] for piece in pieces]))

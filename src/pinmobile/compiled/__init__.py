@@ -1,4 +1,4 @@
-"""Laws on symbols: a closed loop's parts, written in NumPy for one state, as vector code that runs many robots."""
+"""Laws on symbols: a loop's parts, written in NumPy for one state, as vector code for many robots."""
 
 from pinmobile.compiled.cache import Cache
 from pinmobile.compiled.emit import BINS, FIRST, SHIFT, Shape

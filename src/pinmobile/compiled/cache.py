@@ -19,8 +19,8 @@ class Cache:
     Parameters
     ----------
     folder : path, optional
-        Where they are. By default the environment's ``PINMOBILE_CACHE``, else ``pinmobile`` in the user's folder
-        for such files; an empty name, or a place where nothing can be written, means none.
+        Where they are. By default the environment's ``PINMOBILE_CACHE``, else ``pinmobile`` in the user's
+        folder for such files; an empty name, or a place where nothing can be written, means none.
     """
 
     def __init__(self, folder: str | os.PathLike[str] | None = None) -> None:

@@ -1,7 +1,7 @@
 """Sine, exponential, logarithm and the others, from basic operations alone.
 
-Written once, for nodes of a tape and for NumPy's float64 numbers and arrays, with the same bits for both, on every
-processor. The errors are a few units of the last place; `sincos` is meant for |x| < 1e5.
+Written once, for nodes of a tape and for NumPy's float64 numbers and arrays, with the same bits for both, on
+every processor. The errors are a few units of the last place; `sincos` is meant for |x| < 1e5.
 """
 
 import math
@@ -235,7 +235,7 @@ _ARCTAN_Q = (
 
 
 def _angle(y: Any, x: Any) -> Any:
-    """Return the angle of (x, y) in the first quadrant; of (0, 0) it is 0. One division beside the series'."""
+    """Return the angle of (x, y) in the first quadrant; of (0, 0) it is 0."""
     steep, middle = y > 2.41421356237309504880 * x, y > 0.66 * x
     top = select(steep, -x, select(middle, y - x, y))
     bottom = select(steep, y, select(middle, y + x, x))

@@ -1,8 +1,8 @@
 """A loop on a tape as LLVM's text: blocks of robots side by side in vectors, the time loop inside.
 
-The state of a block stays in registers from sample to sample. What is the same for all robots is computed once for
-all lanes, what is a robot's own before its first sample. The code has no branches but the loops; every operation
-rounds once, and none are contracted, so that the bits are those of `tape.evaluated`.
+The state of a block stays in registers from sample to sample. What is the same for all robots is computed
+once for all lanes, what is a robot's own before its first sample. The code has no branches but the loops;
+every operation rounds once, and none are contracted, so that the bits are those of `tape.evaluated`.
 """
 
 from dataclasses import dataclass
@@ -122,7 +122,9 @@ class _Code:
             whole, one = self.type(kind), _SCALAR[kind]
             first = self.put(where, f"insertelement {whole} poison, {one} {value}, i32 0")
             mask = f"<{self.shape.lanes} x i32> zeroinitializer"
-            self.spread[node, where] = self.put(where, f"shufflevector {whole} {first}, {whole} poison, {mask}")
+            self.spread[node, where] = self.put(
+                where, f"shufflevector {whole} {first}, {whole} poison, {mask}"
+            )
         return self.spread[node, where]
 
     def emit(self, wanted: int, default: str = "sample") -> None:
@@ -135,7 +137,9 @@ class _Code:
                 todo.pop()
                 continue
             missing = [
-                i for i in operands(operation) if i not in self.values and self.tape.operations[i][0] != "const"
+                i
+                for i in operands(operation)
+                if i not in self.values and self.tape.operations[i][0] != "const"
             ]
             if missing:
                 todo += reversed(missing)
@@ -240,10 +244,11 @@ class _Code:
 def text_of(loop: Loop, shape: Shape) -> str:
     """Return the module that runs a loop.
 
-    Its function ``pinmobile_loop(blocks, begin, end, samples, count, uniforms, ring, counts, every, n, kept)`` runs
-    the blocks from `begin` to before `end` of an array (blocks, rows, width): states, rows and keys of the robots.
-    A row of `samples` has t and the reference. The n robots' sizes are counted every so many samples in `counts`,
-    (times, sizes, BINS); what is kept of each sample stands in `kept`, (blocks, samples, numbers, width).
+    Its function ``pinmobile_loop(blocks, begin, end, samples, count, uniforms, ring, counts, every, n,
+    kept)`` runs the blocks from `begin` to before `end` of an array (blocks, rows, width): states, rows and
+    keys of the robots. A row of `samples` has t and the reference. The n robots' sizes are counted every so
+    many samples in `counts`, (times, sizes, BINS); what is kept of each sample stands in `kept`, (blocks,
+    samples, numbers, width).
     """
     code = _Code(loop, shape)
     for j, (now, _) in enumerate(loop.states):
@@ -311,8 +316,9 @@ def _function(code: _Code, following: list[list[str]]) -> list[str]:
             ended.append(f"  store {whole} {following[j][u]}, ptr {place}, align {align}")
     return [
         # The stack is not aligned for vectors otherwise: 20 % slower, and not always.
-        f"define void @{ENTRY}(ptr noalias %blocks, i64 %begin, i64 %end, ptr noalias readonly %samples, i64 %count, "
-        "ptr noalias readonly %uniforms, ptr noalias %ring, ptr noalias %counts, i64 %every, i64 %n, "
+        f"define void @{ENTRY}(ptr noalias %blocks, i64 %begin, i64 %end, "
+        "ptr noalias readonly %samples, i64 %count, ptr noalias readonly %uniforms, "
+        "ptr noalias %ring, ptr noalias %counts, i64 %every, i64 %n, "
         f'ptr noalias %kept) alignstack(64) nounwind "prefer-vector-width"="512" '
         f'"min-legal-vector-width"="{64 * shape.lanes}" {{',
         "entry:",

@@ -112,7 +112,9 @@ class _Context:
         return getattr(self._given, name)
 
 
-def initial_memory(parts: Parts, context: Any, reference: int, line: Any = Line, normal: Any = None) -> Memory:
+def initial_memory(
+    parts: Parts, context: Any, reference: int, line: Any = Line, normal: Any = None
+) -> Memory:
     """Return what the parts keep before the first sample.
 
     Parameters
@@ -149,8 +151,8 @@ def traced(
 ) -> Loop:
     """Return a closed loop as a tape.
 
-    The laws run once on numbers, so that their own errors come as they are, and at least twice on symbols; both
-    tapes must be the same, and give the numbers.
+    The laws run once on numbers, so that their own errors come as they are, and at least twice on symbols;
+    both tapes must be the same, and give the numbers.
 
     Parameters
     ----------
@@ -274,8 +276,8 @@ class _Trace:
         known = zip(one.tape.operations, told.tape.operations, strict=False)
         differ = next((i for i, (a, b) in enumerate(known) if a != b), len(told.tape) - 1)
         raise NotTraceable(
-            "the law computes something else when it is asked again, as one does that counts, draws or remembers "
-            "outside its state",
+            "the law computes something else when it is asked again, as one does that counts, draws or "
+            "remembers outside its state",
             "keep memory in state, and take noise from context.normal(name, n)",
             told.tape.places[min(differ, len(told.tape.places) - 1)],
         )
@@ -289,11 +291,14 @@ class _Trace:
                 expected += _flat_numbers([value]) if leaf.kind == "state" else []
             with np.errstate(all="ignore"):
                 got = evaluated(loop.tape, [after for _, after in loop.states], inputs)
-                near = np.isclose(np.array(got, float), np.array(expected), rtol=1e-7, atol=1e-9, equal_nan=True)
+                near = np.isclose(
+                    np.array(got, float), np.array(expected), rtol=1e-7, atol=1e-9, equal_nan=True
+                )
             if not near.all():
                 i = int(np.argmin(near))
                 raise NotTraceable(
-                    f"on symbols, {_state_name(loop, i)} is {got[i]:g} after a sample and on numbers {expected[i]:g}",
+                    f"on symbols, {_state_name(loop, i)} is {got[i]:g} after a sample, and on numbers "
+                    f"{expected[i]:g}",
                     "let the law do the same for every kind of array, without isinstance or try",
                 )
 
@@ -351,7 +356,8 @@ class _Pass:
             found = one_sample(parts, k, t, h, q, v, reference, memory)
             after = self._after(memory, found)
         kept = {
-            name: (np.shape(x), [self._node(y) for y in entries(x).reshape(-1)]) for name, x in found.record.kept.items()
+            name: (np.shape(x), [self._node(y) for y in entries(x).reshape(-1)])
+            for name, x in found.record.kept.items()
         }
         counted = [self._node(y) for x in found.record.counted for y in entries(x).reshape(-1)]
         used = _used(tape, [*after, *counted, *(n for _, nodes in kept.values() for n in nodes)])
@@ -366,7 +372,13 @@ class _Pass:
             rings=self.rings,
             counted=counted,
             kept=kept,
-            sizes=(len(trace.q), len(trace.v), parts.plant.nu, len(trace.reference.q), len(trace.reference.v)),
+            sizes=(
+                len(trace.q),
+                len(trace.v),
+                parts.plant.nu,
+                len(trace.reference.q),
+                len(trace.reference.v),
+            ),
             unused=[
                 name
                 for name, leaf in self.parameters.items()

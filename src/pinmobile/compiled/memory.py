@@ -1,4 +1,4 @@
-"""What a law keeps between samples: any tree of dicts, lists, tuples and dataclasses with numbers and arrays in it.
+"""What a law keeps between samples: a tree of dicts, lists, tuples and dataclasses with numbers in it.
 
 The rest that stands in such a tree (a function, a name, None) must stay as it is.
 """

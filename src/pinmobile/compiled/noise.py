@@ -1,8 +1,9 @@
-"""White Gaussian noise as a function of a robot's key and the sample's number: no table, no order, no generator.
+"""White Gaussian noise as a function of a robot's key and the sample's number: no table, no generator.
 
-Two streams of 64 bits are SplitMix64 (Steele, Lea and Flood, Fast splittable pseudorandom number generators, 2014)
-of the key and a counter; two normal numbers come of them by Box and Muller's transform (1958), from basic
-operations. So the same robot gets the same bits at the same sample in every engine, however many run beside it.
+Two streams of 64 bits are SplitMix64 (Steele, Lea and Flood, Fast splittable pseudorandom number generators,
+2014) of the key and a counter; two normal numbers come of them by Box and Muller's transform (1958), from
+basic operations. So the same robot gets the same bits at the same sample in every engine, however many run
+beside it.
 """
 
 import hashlib

@@ -145,7 +145,7 @@ def _value(path: str, part: Any, name: str) -> Array:
         return np.asarray(getattr(part, name), np.float64)
     except AttributeError:
         raise InvalidArgument(
-            f"{path}, a {type(part).__name__}, states the parameter {name!r} and has no attribute of that name"
+            f"{path}, a {type(part).__name__}, states the parameter {name!r} and has no such attribute"
         ) from None
     except (TypeError, ValueError):
         value = getattr(part, name)
@@ -237,7 +237,9 @@ def errors(plant: Any, q: Any, v: Any, reference: Reference) -> tuple[Any, Any]:
 def limited(plant: Any, u: Any) -> Any:
     """Return the input within the plant's limits."""
     inputs = getattr(plant, "inputs", ())
-    lower, upper = (np.array([getattr(each, side, None) for each in inputs], float) for side in ("lower", "upper"))
+    lower, upper = (
+        np.array([getattr(each, side, None) for each in inputs], float) for side in ("lower", "upper")
+    )
     low, high = np.where(np.isnan(lower), -np.inf, lower), np.where(np.isnan(upper), np.inf, upper)
     if not (np.isfinite(low).any() or np.isfinite(high).any()):
         return u
@@ -253,7 +255,9 @@ def _pushed(parts: Parts, t: Any, q: Any, v: Any) -> Any:
         wrench = sum((force(t, pose, rate) for force in wrenches), 0.0)
         total = plant.effort(q, wrench)
         if total is None:
-            raise InvalidArgument(f"plant is a {type(plant).__name__}, whose body cannot be pushed, and forces push it")
+            raise InvalidArgument(
+                f"plant is a {type(plant).__name__}, whose body cannot be pushed, and forces push it"
+            )
     others = [force for force in parts.forces if hasattr(force, "on_coordinates")]
     return sum((force.on_coordinates(t, q, v) for force in others), total)
 
@@ -279,7 +283,7 @@ def _integrated(parts: Parts, t: Any, h: Any, q: Any, v: Any, u: Any, memory: An
 
 
 def _own_step(parts: Parts, t: Any, h: Any, q: Any, v: Any, u: Any, memory: Any) -> Any:
-    """Return the mean acceleration of the first substep, and the state after all of them, by the plant's own."""
+    """Return the mean acceleration of the first substep, and the state after all, by the plant's own step."""
     acceleration = None
     for j in range(parts.substeps):
         time = t + j * h if j else t

@@ -127,7 +127,7 @@ class Program:
         return initial_memory(parts, context, self.loop.sizes[4])
 
     def _rows(self, blocks: Array, first: int, columns: Array) -> None:
-        """Set rows of the blocks: from (rows, n) of each robot, the last one repeated to fill the last block."""
+        """Set rows of the blocks from (rows, n); the last robot is repeated to fill the last block."""
         width, n = self.shape.width, columns.shape[1]
         full = n // width
         target = blocks[:, first : first + len(columns)]
@@ -172,8 +172,8 @@ class Program:
                 value = values[parameter]
                 if value.shape != leaf.shape:
                     raise InvalidArgument(
-                        f"{'.'.join(parameter)} has shape {value.shape}, expected {leaf.shape}; what each robot has of "
-                        "its own is named when the loop is traced"
+                        f"{'.'.join(parameter)} has shape {value.shape}, expected {leaf.shape}; "
+                        "what each robot has of its own is named when the loop is traced"
                     )
                 found[leaf.first : leaf.first + value.size] = value.ravel()
         for leaf, value in _of_kinds(self.loop.leaves, memory, "uniform"):
@@ -190,7 +190,9 @@ class Program:
         counted = len(loop.counted), BINS
         times = -(-len(samples) // every) if loop.counted else 0
         counts = np.zeros((workers, max(1, times), *counted), np.int32)
-        rings = [_aligned((max(1, sum(ring.samples for ring in loop.rings)), self.shape.width)) for _ in counts]
+        rings = [
+            _aligned((max(1, sum(ring.samples for ring in loop.rings)), self.shape.width)) for _ in counts
+        ]
         starts = iter(range(0, len(blocks), step))
         lock, stopped = threading.Lock(), threading.Event()
 
@@ -223,7 +225,7 @@ class Program:
             stopped.set()
             for helper in helpers:
                 helper.join()
-        return counts[:, :times].sum(axis=0, dtype=np.int64)
+        return np.asarray(counts[:, :times].sum(axis=0, dtype=np.int64))
 
     def _kept_memory(self, memory: Memory, blocks: Array, n: int) -> Memory:
         """Return the memory as it is at last."""

@@ -1,4 +1,4 @@
-"""What is kept of a closed loop: a few numbers of each robot, and how many have errors of which size; or all samples.
+"""What is kept of a closed loop: a few numbers of each robot and counts of their errors; or all samples.
 
 A recorder is a part like any other: its law is NumPy for one state. It is called as
 ``recorder(sample, state) -> Record``, once per sample, after the controller and before the step.
@@ -105,7 +105,9 @@ class Summary:
         keep = 1.0 if self.begin is None else np.where(sample.k == self.begin, 0.0, 1.0)
         squares = error * error
         groups = [sum(squares[i] for i in group) for group in self.distances]
-        far = np.array([square for square, group in zip(groups, self.distances, strict=True) if len(group) > 1])
+        far = np.array(
+            [square for square, group in zip(groups, self.distances, strict=True) if len(group) > 1]
+        )
         new = {
             "alive": one,
             "lived": state["lived"] + one,
@@ -115,7 +117,9 @@ class Summary:
             "inputs": _larger(np.where(alive, np.abs(sample.u), 0.0), state["inputs"]),
         }
         sizes = [
-            np.sqrt(np.where(alive, square, np.inf)) if len(group) > 1 else np.where(alive, error[group[0]], np.inf)
+            np.sqrt(np.where(alive, square, np.inf))
+            if len(group) > 1
+            else np.where(alive, error[group[0]], np.inf)
             for square, group in zip(groups, self.distances, strict=True)
         ]
         return Record(new, sizes)

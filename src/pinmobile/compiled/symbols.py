@@ -1,8 +1,8 @@
 """An array of symbols, which NumPy takes for an array of its own.
 
-NumPy's operators and functions come here (`__array_ufunc__`, `__array_function__`), and what they would do with
-numbers is written on the tape. What makes arrays of other things (`np.array`, `np.zeros`) does not ask its arguments;
-`tracing` replaces these by the ones of `constructors`.
+NumPy's operators and functions come here (`__array_ufunc__`, `__array_function__`), and what they would do
+with numbers is written on the tape. What makes arrays of other things (`np.array`, `np.zeros`) does not ask
+its arguments; `tracing` replaces these by the ones of `constructors`.
 """
 
 import operator
@@ -91,7 +91,9 @@ class Symbols(NDArrayOperatorsMixin):
             self.entries[...] = _select(index.entries, plain(value), self.entries)
             return
         value = plain(value)
-        self.entries[_index(index)] = value.item() if isinstance(value, np.ndarray) and not value.ndim else value
+        self.entries[_index(index)] = (
+            value.item() if isinstance(value, np.ndarray) and not value.ndim else value
+        )
 
     def __len__(self) -> int:
         return len(self.entries)
@@ -287,7 +289,7 @@ def _truths(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _not(x: Any) -> Any:
-    return ~x if type(x) is Node else not x
+    return np.invert(x) if isinstance(x, np.bool_) else ~x if type(x) is Node else not x
 
 
 def _copied_sign(a: Any, b: Any) -> Any:
@@ -390,7 +392,9 @@ def _computed(ufunc: Any, method: str, given: list[Any], options: dict[str, Any]
             return given[0] - whole, whole
     if ufunc not in _VECTORISED or method == "at":
         names = ", ".join(sorted(each.__name__ for each in _UFUNCS))
-        raise NotTraceable(f"np.{name}{'' if method == '__call__' else '.' + method} of symbols", f"use one of {names}")
+        raise NotTraceable(
+            f"np.{name}{'' if method == '__call__' else '.' + method} of symbols", f"use one of {names}"
+        )
     if method == "reduce" and ufunc in (np.add, np.multiply) and _asarray(given[0]).size == 0:
         return getattr(ufunc, method)(_asarray(given[0], float), **options)
     found = getattr(_VECTORISED[ufunc], method)(*given, **options)
@@ -399,7 +403,9 @@ def _computed(ufunc: Any, method: str, given: list[Any], options: dict[str, Any]
 
 def _where(condition: Any, *choice: Any) -> Any:
     if not choice:
-        raise NotTraceable("np.where with one argument of symbols", "give all three: np.where(condition, a, b)")
+        raise NotTraceable(
+            "np.where with one argument of symbols", "give all three: np.where(condition, a, b)"
+        )
     return wrapped(_select(*map(plain, (condition, *choice))))
 
 
@@ -460,7 +466,9 @@ def _eliminated(matrix: Any, right: Any) -> Any:
             )
     for j in reversed(range(n)):
         for i in range(j + 1, n):
-            rows[j, n:] = _VECTORISED[np.subtract](rows[j, n:], _VECTORISED[np.multiply](rows[j, i], rows[i, n:]))
+            rows[j, n:] = _VECTORISED[np.subtract](
+                rows[j, n:], _VECTORISED[np.multiply](rows[j, i], rows[i, n:])
+            )
         rows[j, n:] = _VECTORISED[np.multiply](rows[j, n:], 1.0 / rows[j, j])
     return wrapped(rows[:, n] if vector else rows[:, n:])
 
@@ -640,8 +648,8 @@ _REFUSED: dict[Any, str] = {
 }
 
 _METHODS = (
-    "sum mean prod cumsum cumprod dot reshape ravel transpose swapaxes squeeze clip max min any all round trace "
-    "repeat diagonal take std var argmax argmin argsort nonzero ptp"
+    "sum mean prod cumsum cumprod dot reshape ravel transpose swapaxes squeeze clip max min any all round "
+    "trace repeat diagonal take std var argmax argmin argsort nonzero ptp"
 )
 
 
@@ -663,7 +671,7 @@ for _name in _METHODS.split():
 for _ufunc, _function in _UFUNCS.items():
     if _ufunc.nin == 1 and _ufunc.__name__ not in ("conjugate", "positive", "negative", "absolute", "invert"):
         setattr(Node, _ufunc.__name__, _function)
-Node.__pow__ = own.power  # type: ignore[attr-defined]
+setattr(Node, "__pow__", own.power)  # noqa: B010 (elementary functions are made of nodes)
 
 
 def entries(x: Any) -> Any:
@@ -718,5 +726,7 @@ def constructors() -> dict[str, Callable[..., Any]]:
         if hasattr(np, name)
     }
     filling = {name: _filling(getattr(np, name)) for name in ("zeros", "empty", "ones", "full")}
-    functions = "sin cos tan exp expm1 log log1p sinh cosh tanh arcsin arccos arctan arctan2".split()
+    hyperbolic = "sinh", "cosh", "tanh"
+    angles = "arcsin", "arccos", "arctan", "arctan2"
+    functions = ("sin", "cos", "tan", "exp", "expm1", "log", "log1p", *hyperbolic, *angles)
     return making | filling | {name: _own(name) for name in functions}

@@ -2,10 +2,9 @@
 
 Every operation is one that a processor rounds as IEEE 754 says, so a tape has the same bits wherever it runs:
 `evaluated` runs it with NumPy, `emit` writes it as machine code. Equal operations are kept once, and what is
-known is folded. A product with a zero that stands in the law is zero, and a division by a number that stands in
-the law, or that is the same at all samples, is a product with its reciprocal.
+known is folded. A product with a zero that stands in the law is zero, and a division by a number that stands
+in the law, or that is the same at all samples, is a product with its reciprocal.
 """
-
 
 import operator
 import struct
@@ -128,8 +127,8 @@ class Tape:
     Attributes
     ----------
     operations : list of tuple
-        Name and operands: ``("mul", 3, 5)``; of an input its name and number, ``("row", 2)``; of a constant its
-        type and bits; of a delay ``("ring", number, samples, node)``.
+        Name and operands: ``("mul", 3, 5)``; of an input its name and number, ``("row", 2)``; of a constant
+        its type and bits; of a delay ``("ring", number, samples, node)``.
     types : list of str
         Of each node: f, u or b.
     depends : list of int
@@ -142,6 +141,7 @@ class Tape:
         self.depends: list[int] = []
         self.places: list[Any] = []
         self._known: dict[Operation, int] = {}
+        self._applied: dict[tuple[Any, ...], int] = {}  # what has been asked for, before it was simplified
         self._largest, self._where = largest, where
 
     def __len__(self) -> int:
@@ -171,6 +171,21 @@ class Tape:
 
     def apply(self, name: str, *given: Any) -> "Node":
         """Return the node of an operation on nodes and plain numbers, folded where it can be."""
+        key: list[Any] = [name]
+        for x in given:
+            if type(x) is Node and x.tape is self:
+                key.append(x.index)
+            elif type(x) is float and x != 0:
+                key.append((x,))  # which is not the node of that number
+            else:
+                return self._applied_anew(name, given)
+        found = self._applied.get(tuple(key))
+        if found is None:
+            node = self._applied_anew(name, given)
+            found = self._applied[tuple(key)] = node.index
+        return Node(self, found)
+
+    def _applied_anew(self, name: str, given: Sequence[Any]) -> "Node":
         kinds = [self.types[x.index] if type(x) is Node else _kind_of(x) for x in given]
         if "u" in kinds and name in _ON_WHOLES:
             name = _ON_WHOLES[name]
@@ -244,7 +259,7 @@ def _wanted(name: str, kinds: Sequence[str]) -> tuple[str, ...]:
     if name == "select":
         same = kinds[1] if kinds[1] == kinds[2] else "u" if "u" in kinds[1:] else "f"
         return "b", same, same
-    return (("u",) if name in _WHOLES and name != "bits" or name == "real" else ("f",)) * len(kinds)
+    return (("u",) if (name in _WHOLES and name != "bits") or name == "real" else ("f",)) * len(kinds)
 
 
 def _simplified(tape: Tape, name: str, x: Sequence["Node"], known: Sequence[Any]) -> "Node | None":
@@ -353,6 +368,19 @@ _RULES: dict[str, Callable[..., "Node | None"]] = {
 }
 
 
+def _operator(name: str, turned: bool = False) -> Callable[["Node", Any], Any]:
+    def apply(self: "Node", other: Any) -> Any:
+        if type(other) is not Node and not isinstance(other, int | float | np.generic):
+            return NotImplemented
+        return self.tape.apply(name, *((other, self) if turned else (self, other)))
+
+    return apply
+
+
+def _unary(name: str) -> Callable[["Node"], "Node"]:
+    return lambda self: self.tape.apply(name, self)
+
+
 class Node:
     """One number on a tape, for Python's operators."""
 
@@ -392,10 +420,24 @@ class Node:
     def __index__(self) -> int:
         value = self.value
         if value is None:
-            raise NotTraceable("an index, int() or range() asks for a whole number", "use np.where or np.select")
+            raise NotTraceable(
+                "an index, int() or range() asks for a whole number", "use np.where or np.select"
+            )
         return int(value)
 
     __int__ = __index__
+
+    __add__, __radd__ = _operator("add"), _operator("add", turned=True)
+    __sub__, __rsub__ = _operator("sub"), _operator("sub", turned=True)
+    __mul__, __rmul__ = _operator("mul"), _operator("mul", turned=True)
+    __truediv__, __rtruediv__ = _operator("div"), _operator("div", turned=True)
+    __and__, __rand__ = _operator("and"), _operator("and", turned=True)
+    __or__, __ror__ = _operator("or"), _operator("or", turned=True)
+    __xor__, __rxor__ = _operator("xor"), _operator("xor", turned=True)
+    __lshift__, __rshift__ = _operator("shl"), _operator("shr")
+    __gt__, __ge__, __lt__, __le__ = _operator("gt"), _operator("ge"), _operator("lt"), _operator("le")
+    __eq__, __ne__ = _operator("eq"), _operator("ne")
+    __neg__, __abs__, __invert__ = _unary("neg"), _unary("abs"), _unary("not")
     __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self) -> str:
@@ -404,41 +446,6 @@ class Node:
     def conjugate(self) -> "Node":
         """Return itself; NumPy asks for it in products of vectors."""
         return self
-
-
-def _operator(name: str, turned: bool) -> Callable[[Node, Any], Any]:
-    def apply(self: Node, other: Any) -> Any:
-        if type(other) is not Node and not isinstance(other, int | float | np.generic):
-            return NotImplemented
-        return self.tape.apply(name, *((other, self) if turned else (self, other)))
-
-    return apply
-
-
-_OPERATORS = {
-    "add": "add",
-    "sub": "sub",
-    "mul": "mul",
-    "truediv": "div",
-    "and": "and",
-    "or": "or",
-    "xor": "xor",
-    "lshift": "shl",
-    "rshift": "shr",
-}
-for _python, _name in _OPERATORS.items():
-    setattr(Node, f"__{_python}__", _operator(_name, turned=False))
-    setattr(Node, f"__r{_python}__", _operator(_name, turned=True))
-for _name in ("gt", "ge", "lt", "le", "eq", "ne"):
-    setattr(Node, f"__{_name}__", _operator(_name, turned=False))
-
-
-def _unary(name: str) -> Callable[[Node], Node]:
-    return lambda self: self.tape.apply(name, self)
-
-
-for _python, _name in {"neg": "neg", "abs": "abs", "invert": "not"}.items():
-    setattr(Node, f"__{_python}__", _unary(_name))
 
 
 def _primitive(name: str) -> Callable[..., Any]:
@@ -504,5 +511,3 @@ def needed(tape: Tape, wanted: Iterable[int]) -> list[int]:
             found.add(index)
             todo += operands(tape.operations[index])
     return sorted(found)
-
-

@@ -22,7 +22,9 @@ _local = threading.local()
 _HERE = str(Path(__file__).parent)
 _NUMPY = str(Path(np.__file__).parent)
 _LAWS = ("pinmobile.compiled.parts", "pinmobile.compiled.recorders")
-_FOREIGN = frozenset(("numpy", "scipy", "pinocchio", "llvmlite", "sympy", "matplotlib")) | sys.stdlib_module_names
+_FOREIGN = (
+    frozenset(("numpy", "scipy", "pinocchio", "llvmlite", "sympy", "matplotlib")) | sys.stdlib_module_names
+)
 
 
 def _is_on() -> bool:
@@ -42,14 +44,15 @@ def _guarded(true: Callable[..., Any], other: Callable[..., Any]) -> Callable[..
 class _NumPy(ModuleType):
     """NumPy for the modules of a law: what makes arrays knows of symbols; the rest is NumPy's own.
 
-    In numpy itself nothing is replaced: its compiled modules would take a symbol for an array, and the process
-    would die.
+    In numpy itself nothing is replaced: its compiled modules would take a symbol for an array, and the
+    process would die.
     """
 
     def __getattr__(self, name: str) -> Any:
         if name == "random" and _is_on():
             raise NotTraceable(
-                "np.random in a law", "take the numbers from the context: context.normal(name, n), kept in state"
+                "np.random in a law",
+                "take the numbers from the context: context.normal(name, n), kept in state",
             )
         return getattr(np, name)
 
@@ -130,7 +133,9 @@ def calling_place() -> str:
 
 def _told(code: CodeType, line: int) -> str:
     text = linecache.getline(code.co_filename, line).strip()
-    return f"{code.co_qualname}, line {line} of {Path(code.co_filename).name}" + (f" (`{text}`)" if text else "")
+    return f"{code.co_qualname}, line {line} of {Path(code.co_filename).name}" + (
+        f" (`{text}`)" if text else ""
+    )
 
 
 def reached(parts: Iterable[Any]) -> tuple[list[dict[str, Any]], list[CellType]]:
@@ -211,9 +216,7 @@ class _Walk:
             if not _is_foreign(value.__name__):
                 for name in _names(code):
                     self.visit(getattr(value, name, None))
-        elif isinstance(value, FunctionType | type | MethodType | functools.partial):
-            self.visit(value)
-        elif value is not None and not _is_foreign(type(value).__module__):
+        elif isinstance(value, FunctionType | type) or not _is_foreign(type(value).__module__):
             self.visit(value)
 
 
