@@ -257,6 +257,50 @@ def test_limits_of_the_plant_are_kept_and_told_to_the_controller() -> None:
     )
 
 
+class Believing(PD):
+    """Keeps a belief that begins with a parameter, and a gain that is made of parameters."""
+
+    parameters = ("kp", "kd", "belief")
+
+    def __init__(self, belief: float) -> None:
+        super().__init__(20.0, 25.0)
+        self.belief = belief
+
+    def initial_state(self, context: Any) -> Any:
+        return {"belief": 0.5 * self.belief, "gain": self.kd * np.sqrt(self.kp), "rest": 0.0}
+
+    def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> Any:
+        u = self.kp * (reference.q - q) + state["gain"] * (reference.v - v) + state["belief"]
+        return u, {**state, "belief": 0.99 * state["belief"], "rest": u}
+
+
+class Numbering(Believing):
+    """The same, with an initial state that needs numbers."""
+
+    def initial_state(self, context: Any) -> Any:
+        return super().initial_state(context) | {"belief": 0.5 * float(self.belief)}
+
+
+@pytest.mark.parametrize("controller", [Believing(3.0), Numbering(3.0)])
+def test_memory_begins_with_what_each_robot_has_of_its_own(controller: Believing) -> None:
+    parts = Parts(Body(), controller, (), constant_acceleration, Trace())
+    n = 11
+    own = {
+        Parameter("controller", "belief"): np.linspace(-9, 9, n),
+        Parameter("controller", "kp"): np.linspace([10, 10, 5], [20, 30, 40], n),
+    }
+    program = built(parts, own)
+    kinds = {leaf.path: leaf.kind for leaf in program.loop.leaves}
+    assert kinds == {"state['belief']": "state", "state['gain']": "row", "state['rest']": "state"}
+    found = ran(program, parts, n, values=own)
+    q, v = started(parts.plant, n)
+    for i in (0, 5, 10):
+        mine = parts.with_parameters({name: x[i] for name, x in own.items()})
+        expected, memory = looped(mine, q[i], v[i], TIMES, CIRCLE, DT)
+        np.testing.assert_allclose(found.kept["u"][i], expected["u"], rtol=1e-10, atol=1e-10)
+        np.testing.assert_allclose(found.memory.controller["gain"][i], memory.controller["gain"], rtol=1e-15)
+
+
 # Bits.
 
 TARGETS = {

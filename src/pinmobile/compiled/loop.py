@@ -1,6 +1,6 @@
 """A closed loop of parts as a tape: what the state at the next sample, and the records, are computed of."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +10,7 @@ from pinmobile.arrays import Array
 from pinmobile.compiled.memory import Line, leaves, mapped, matched
 from pinmobile.compiled.noise import Noise, normals
 from pinmobile.compiled.parts import Memory, Parameter, Parts, Reference, Stepped, one_sample
-from pinmobile.compiled.symbols import Symbols, entries, symbols
+from pinmobile.compiled.symbols import Symbols, entries, has_symbols, symbols
 from pinmobile.compiled.tape import COUNT, LARGEST, Node, Tape, evaluated, float_bits, needed, real
 from pinmobile.compiled.tracing import calling_place, tracing
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName
@@ -137,6 +137,47 @@ def initial_memory(
         parts.controller.initial_state(own),
         recorder,
     )
+
+
+def initial_memories(
+    parts: Parts, context: Any, reference: int, spread: Mapping[Parameter, Array], n: int
+) -> list[Array]:
+    """Return the arrays of the memory of n robots before the first sample, shape (...) or (n, ...).
+
+    Where `initial_state` cannot be run on symbols, it is asked for each robot.
+    """
+    tape = Tape()
+    on_tape: dict[Parameter, Any] = {}
+    inputs: dict[Any, Any] = {}
+    for name, value in spread.items():
+        columns = np.broadcast_to(value, (n, *value.shape[1:])).reshape(n, -1)
+        first = len(inputs)
+        inputs |= {("row", first + i): column for i, column in enumerate(columns.T)}
+        on_tape[name] = symbols(
+            [tape.input("row", first + i) for i in range(columns.shape[1])], value.shape[1:]
+        )
+    try:
+        with tracing([part for _, part in parts.by_path()]):
+            memory = initial_memory(parts.with_parameters(on_tape), context, reference)
+    except NotTraceable:
+        rows = []
+        for i in range(n):
+            mine = parts.with_parameters(
+                {name: np.broadcast_to(x, (n, *x.shape[1:]))[i] for name, x in spread.items()}
+            )
+            rows.append(
+                [np.asarray(x, np.float64) for x in _memory_values(initial_memory(mine, context, reference))]
+            )
+        return [np.array(column) for column in zip(*rows, strict=True)]
+    found = []
+    for value in _memory_values(memory):
+        if not has_symbols(value):
+            found.append(np.asarray(value, np.float64))
+            continue
+        nodes = [x.index if type(x) is Node else tape.const(x).index for x in entries(value).reshape(-1)]
+        known = np.array([np.broadcast_to(x, n) for x in evaluated(tape, nodes, inputs)], np.float64)
+        found.append(known.T.reshape(n, *np.shape(value)))
+    return found
 
 
 def traced(

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array
 from pinmobile.compiled.cache import Cache
 from pinmobile.compiled.emit import BINS, Shape, text_of
-from pinmobile.compiled.loop import Leaf, Loop, initial_memory
+from pinmobile.compiled.loop import Loop, initial_memories, initial_memory
 from pinmobile.compiled.machine import Target, function_of
 from pinmobile.compiled.memory import leaves, mapped
 from pinmobile.compiled.parts import Memory, Parameter, Parts, Reference
 from pinmobile.errors import InvalidArgument
 
-__all__ = ["Outcome", "Program"]
+__all__ = ["Outcome", "Program", "aligned"]
 
 _SLICE = 2e8  # operations of a vector in one call, some 0.1 s: Ctrl-C is answered in between
 _WORTH = 4e6  # operations of a vector for which a thread is worth starting
@@ -113,18 +113,34 @@ class Program:
         parts = parts.replaced(lambda _, part: part.traced() if hasattr(part, "traced") else part)
         given = {Parameter(*name): np.asarray(x, np.float64) for name, x in (values or {}).items()}
         nominal = parts.parameters()
-        memory = self._initial(parts, context, given, n)
-        blocks = self._blocks(start, n, {**nominal, **given}, memory, keys or {})
-        uniforms = self._uniforms(dt / parts.substeps, {**nominal, **given}, memory)
+        memory = initial_memory(parts, context, self.loop.sizes[4])
+        first = self._first(parts, context, memory, given, n)
+        blocks = self._blocks(start, n, {**nominal, **given}, first, keys or {})
+        uniforms = self._uniforms(dt / parts.substeps, {**nominal, **given}, first)
         samples = np.ascontiguousarray(np.column_stack([t, *reference]), np.float64)
         size = sum(len(nodes) for _, nodes in self.loop.kept.values())
-        kept = _aligned((len(blocks), len(t), size, self.shape.width))
-        counts = self._called(blocks, samples, uniforms, kept, n, every, threads)
+        kept = aligned((len(blocks), len(t), size, self.shape.width))
+        counts = self.called(blocks, samples, uniforms, kept, n, every, threads)
         return Outcome(self._kept_memory(memory, blocks, n), counts, self._kept_samples(kept, n))
 
-    def _initial(self, parts: Parts, context: Any, given: Mapping[Parameter, Array], n: int) -> Memory:
-        """Return the memory at first, with a first axis of the robots where they differ."""
-        return initial_memory(parts, context, self.loop.sizes[4])
+    def _first(
+        self, parts: Parts, context: Any, memory: Memory, given: Mapping[Parameter, Array], n: int
+    ) -> list[Array]:
+        """Return the arrays of the memory before the first sample, shape (...), or (n, ...) of each robot."""
+        places = self.loop.leaves
+        spread = {name: value for name, value in given.items() if self.loop.parameters[name].kind == "row"}
+        owners = {name.path.partition(".")[0] for name in spread}
+        values = [np.asarray(value, np.float64) for tree in memory for _, value in leaves(tree)]
+        concerned = [i for i, leaf in enumerate(places) if leaf.owner in owners]
+        each = initial_memories(parts, context, self.loop.sizes[4], spread, n) if concerned else []
+        found = []
+        for i, leaf in enumerate(places):
+            own = each[i] if each else values[i]
+            ahead = (n,) if own.ndim > values[i].ndim else ()
+            missing = len(leaf.shape) - values[i].ndim
+            grown = own.reshape((*ahead, *(1,) * missing, *values[i].shape))
+            found.append(np.broadcast_to(grown, (*ahead, *leaf.shape)))
+        return found
 
     def _rows(self, blocks: Array, first: int, columns: Array) -> None:
         """Set rows of the blocks from (rows, n); the last robot is repeated to fill the last block."""
@@ -141,17 +157,22 @@ class Program:
         start: tuple[Array, Array],
         n: int,
         values: Mapping[Parameter, Array],
-        memory: Memory,
+        first: list[Array],
         keys: Mapping[str, NDArray[np.uint64]],
     ) -> Array:
         loop, width = self.loop, self.shape.width
         states = len(loop.states)
-        blocks = _aligned((-(-n // width), states + loop.rows + len(loop.keys), width))
+        blocks = aligned((-(-n // width), states + loop.rows + len(loop.keys), width))
         q, v = (np.asarray(x, np.float64) for x in start)
         self._rows(blocks, 0, np.concatenate([q.T, v.T]))
-        for leaf, value in _of_kinds(loop.leaves, memory, "state", "row"):
-            first = leaf.first + (states if leaf.kind == "row" else 0)
-            blocks[:, first : first + value.size] = np.ravel(value)[:, None]
+        for leaf, value in zip(loop.leaves, first, strict=True):
+            row = leaf.first + (states if leaf.kind == "row" else 0)
+            if leaf.kind == "uniform":
+                continue
+            if value.ndim > len(leaf.shape):
+                self._rows(blocks, row, value.reshape(n, -1).T)
+            else:
+                blocks[:, row : row + value.size] = np.ravel(value)[:, None]
         for parameter, leaf in loop.parameters.items():
             if leaf.kind == "row":
                 value = values[parameter]
@@ -164,7 +185,7 @@ class Program:
             self._rows(blocks, states + loop.rows + i, key.view(np.float64)[None])
         return blocks
 
-    def _uniforms(self, h: float, values: Mapping[Parameter, Array], memory: Memory) -> Array:
+    def _uniforms(self, h: float, values: Mapping[Parameter, Array], first: list[Array]) -> Array:
         found = np.empty(self.loop.uniforms)
         found[0] = h
         for parameter, leaf in self.loop.parameters.items():
@@ -176,13 +197,15 @@ class Program:
                         "what each robot has of its own is named when the loop is traced"
                     )
                 found[leaf.first : leaf.first + value.size] = value.ravel()
-        for leaf, value in _of_kinds(self.loop.leaves, memory, "uniform"):
-            found[leaf.first : leaf.first + value.size] = np.ravel(value)
+        for leaf, value in zip(self.loop.leaves, first, strict=True):
+            if leaf.kind == "uniform":
+                found[leaf.first : leaf.first + value.size] = np.ravel(value)
         return found
 
-    def _called(
+    def called(
         self, blocks: Array, samples: Array, uniforms: Array, kept: Array, n: int, every: int, threads: int
     ) -> NDArray[np.int64]:
+        """Run the blocks, and return the counts; the arguments are those of the machine code, in arrays."""
         loop = self.loop
         work = len(samples) * len(loop.tape) * self.shape.vectors  # of a block
         workers = max(1, min(threads, len(blocks), int(work * len(blocks) / _WORTH)))
@@ -191,7 +214,7 @@ class Program:
         times = -(-len(samples) // every) if loop.counted else 0
         counts = np.zeros((workers, max(1, times), *counted), np.int32)
         rings = [
-            _aligned((max(1, sum(ring.samples for ring in loop.rings)), self.shape.width)) for _ in counts
+            aligned((max(1, sum(ring.samples for ring in loop.rings)), self.shape.width)) for _ in counts
         ]
         starts = iter(range(0, len(blocks), step))
         lock, stopped = threading.Lock(), threading.Event()
@@ -255,16 +278,7 @@ class Program:
         return found
 
 
-def _of_kinds(places: list[Leaf], memory: Memory, *kinds: str) -> list[tuple[Leaf, Array]]:
-    values = [value for tree in memory for _, value in leaves(tree)]
-    return [
-        (leaf, np.broadcast_to(np.asarray(value, np.float64), leaf.shape))
-        for leaf, value in zip(places, values, strict=True)
-        if leaf.kind in kinds
-    ]
-
-
-def _aligned(shape: tuple[int, ...]) -> Array:
+def aligned(shape: tuple[int, ...]) -> Array:
     """Return an array of zeros at an address that vectors can be stored at."""
     size = int(np.prod(shape))
     raw = np.zeros(size + 8)

@@ -1,0 +1,36 @@
+"""A tape of one input as machine code, for many values of it."""
+
+from typing import Any
+
+import numpy as np
+
+from pinmobile.arrays import Array
+from pinmobile.compiled import Cache, Loop, Shape, Target
+from pinmobile.compiled.program import Program, aligned
+from pinmobile.compiled.tape import Tape
+
+
+def compiled(tape: Tape, node: int, x: Any, target: Target, shape: Shape, *, key: bool = False) -> Array:
+    """Return the value of a node for each value of the first row, or key."""
+    loop = Loop(
+        tape=tape,
+        states=[],
+        leaves=[],
+        parameters={},
+        uniforms=1,
+        rows=0 if key else 1,
+        keys=["x"] if key else [],
+        rings=[],
+        counted=[],
+        kept={"y": ((), [node])},
+        sizes=(0, 0, 0, 0, 0),
+        unused=[],
+    )
+    program = Program(loop, target, shape, Cache(""))
+    width, n = shape.width, len(x)
+    blocks = -(-n // width)
+    rows = aligned((blocks, 1, width))
+    rows.reshape(-1)[:n] = np.asarray(x).view(np.float64)
+    kept = aligned((blocks, 1, 1, width))
+    program.called(rows, np.zeros((1, 1)), np.zeros(1), kept, n, 1, 1)
+    return kept.reshape(-1)[:n].copy()

@@ -1,0 +1,139 @@
+"""Own elementary functions and noise: near the true ones, and with the same bits wherever they run."""
+
+import mpmath
+import numpy as np
+import pytest
+
+from pinmobile.arrays import Array
+from pinmobile.compiled import Noise, Shape, Target, elementary, robot_keys
+from pinmobile.compiled.noise import normals
+from pinmobile.compiled.tape import COUNT, Tape, evaluated
+from tests.tapes import compiled
+from tests.test_compiled_loop import targets
+
+RNG = np.random.default_rng(3)
+SPECIAL = np.array(
+    [
+        0.0,
+        -0.0,
+        1.0,
+        -1.0,
+        0.5,
+        -0.5,
+        0.625,
+        1e-300,
+        -1e-300,
+        5e-324,
+        1e300,
+        -1e300,
+        709.5,
+        -709.5,
+        1e4,
+        -1e4,
+        np.inf,
+        -np.inf,
+        np.nan,
+    ]
+)
+WIDE = np.concatenate(
+    [RNG.normal(0, 3, 600), RNG.uniform(-700, 700, 200), 10 ** RNG.uniform(-12, 3, 200), SPECIAL]
+)
+DOMAINS: dict[str, Array] = {
+    "sin": RNG.uniform(-1e4, 1e4, 300),
+    "cos": RNG.uniform(-1e4, 1e4, 300),
+    "tan": RNG.uniform(-1.2, 1.2, 300),
+    "exp": RNG.uniform(-700, 709, 300),
+    "expm1": RNG.uniform(-2, 2, 300),
+    "log": np.exp(RNG.uniform(-740, 700, 300)),
+    "log1p": 10 ** RNG.uniform(-12, 3, 300),
+    "sinh": RNG.uniform(-30, 30, 300),
+    "cosh": RNG.uniform(-30, 30, 300),
+    "tanh": RNG.uniform(-5, 5, 300),
+    "arctan": RNG.normal(0, 3, 300),
+    "arcsin": RNG.uniform(-1, 1, 300),
+    "arccos": RNG.uniform(-1, 1, 300),
+}
+MPMATH = {"arctan": "atan", "arcsin": "asin", "arccos": "acos"}
+
+
+@pytest.mark.parametrize("name", DOMAINS)
+def test_a_function_is_off_by_a_few_units_of_the_last_place(name: str) -> None:
+    x = DOMAINS[name]
+    found = elementary.of_floats(getattr(elementary, name))(x)
+    with mpmath.workdps(40):
+        true = [getattr(mpmath, MPMATH.get(name, name))(mpmath.mpf(float(each))) for each in x]
+        # Of a sine or cosine near its zero, as many bits are right as the reduced angle has: 2e-16 of 1.
+        scale = [1.0 if name in ("sin", "cos") else abs(float(each)) for each in true]
+        off = [abs(float(mpmath.mpf(float(a)) - b)) / s for a, b, s in zip(found, true, scale, strict=True)]
+    assert max(off) < 8e-16
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("name", ["exp", "log", "tanh", "expm1", "sinh", "cosh", "arctan", "floor"])
+def test_of_what_is_no_usual_number_a_function_is_what_numpy_says(name: str) -> None:
+    x = np.array([0.0, np.inf, -np.inf, np.nan, 1.0, -1.0, 1e300, -1e300])
+    np.testing.assert_allclose(
+        elementary.of_floats(getattr(elementary, name))(x), getattr(np, name)(x), rtol=4e-16
+    )
+
+
+def test_the_angle_of_two_numbers_is_right_in_all_quadrants() -> None:
+    y, x = RNG.normal(size=(2, 1000))
+    np.testing.assert_allclose(elementary.arctan2(y, x), np.arctan2(y, x), rtol=5e-16)
+    axes = np.array([0.0, 0.0, 1.0, -1.0, 0.0]), np.array([1.0, -1.0, 0.0, 0.0, 0.0])
+    np.testing.assert_allclose(
+        elementary.of_floats(elementary.arctan2)(*axes), [0, np.pi, np.pi / 2, -np.pi / 2, 0]
+    )
+
+
+@pytest.mark.parametrize("name", [*DOMAINS, "floor", "rounded"])
+def test_the_bits_are_the_same_on_the_tape_in_numpy_and_on_every_processor(name: str) -> None:
+    function = getattr(elementary, name)
+    tape = Tape()
+    x = tape.input("row", 0)
+    node = function(x).index
+    numpy = elementary.of_floats(function)(WIDE)
+    (by_tape,) = evaluated(tape, [node], {("row", 0): WIDE})
+    np.testing.assert_array_equal(by_tape, numpy)
+    for label, (target, shape) in targets().items():
+        np.testing.assert_array_equal(compiled(tape, node, WIDE, target, shape), numpy, err_msg=label)
+
+
+def test_noise_has_the_same_bits_in_numpy_and_compiled() -> None:
+    keys = robot_keys(4, "measurement", range(1000))
+    tape = Tape()
+    nodes = normals(tape.input("key", 0), tape.input(*COUNT), 5)
+    for k in (0, 1, 77):
+        values = evaluated(tape, [x.index for x in nodes], {("key", 0): keys, COUNT: np.uint64(k)})
+        noise = Noise(keys[3], 5)
+        for _ in range(k + 1):
+            numbers, noise = noise.draw()
+        np.testing.assert_array_equal(numbers, [value[3] for value in values])
+    by_machine = compiled(tape, nodes[1].index, keys, Target.here(), Shape(Target.here().lanes, 2), key=True)
+    first = evaluated(tape, [nodes[1].index], {("key", 0): keys, COUNT: np.uint64(0)})
+    np.testing.assert_array_equal(by_machine, first[0])
+
+
+def test_noise_is_white_and_normal() -> None:
+    # All statistics in their own standard deviations; these numbers are the same on every machine.
+    keys = robot_keys(11, "measurement", range(2000))
+    with np.errstate(over="ignore"):
+        x = np.array([normals(keys, np.full(2000, k, np.uint64), 6) for k in range(50)])
+    flat = x.ravel()
+    n = flat.size
+    assert abs(flat.mean() * n**0.5) < 4
+    assert abs((flat.var() - 1) * (n / 2) ** 0.5) < 4
+    assert abs((flat**3).mean() * (n / 15) ** 0.5) < 4
+    assert abs(((flat**4).mean() - 3) * (n / 96) ** 0.5) < 4
+    for other in (x[1:] * x[:-1], x[:, 1:] * x[:, :-1], x[:, :, 1:] * x[:, :, :-1]):
+        assert abs(other.mean() * other.size**0.5) < 4
+    assert 4 < np.abs(flat).max() < 6
+
+
+def test_keys_follow_from_seed_name_and_robot() -> None:
+    keys = robot_keys(1, "measurement", range(100))
+    assert len(set(keys.tolist())) == 100
+    np.testing.assert_array_equal(keys[40:60], robot_keys(1, "measurement", range(40, 60)))
+    assert not set(keys.tolist()) & set(robot_keys(1, "wind", range(100)).tolist())
+    assert not set(keys.tolist()) & set(robot_keys(2, "measurement", range(100)).tolist())
+    np.testing.assert_array_equal(keys, robot_keys(np.random.SeedSequence(1), "measurement", range(100)))
