@@ -26,7 +26,7 @@ def compiled(tape: Tape, node: int, x: Any, target: Target, shape: Shape, *, key
         sizes=(0, 0, 0, 0, 0),
         unused=[],
     )
-    program = Program(loop, target, shape, Cache(""))
+    program = Program(loop, target, shape, cache=Cache(""))
     width, n = shape.width, len(x)
     blocks = -(-n // width)
     rows = aligned((blocks, 1, width))

@@ -2,6 +2,7 @@
 
 from pinmobile.compiled.cache import Cache
 from pinmobile.compiled.emit import BINS, FIRST, SHIFT, Shape
+from pinmobile.compiled.known import program_of
 from pinmobile.compiled.loop import Loop, traced
 from pinmobile.compiled.machine import Target
 from pinmobile.compiled.memory import Line
@@ -32,6 +33,7 @@ __all__ = [
     "Target",
     "Trace",
     "one_sample",
+    "program_of",
     "robot_keys",
     "traced",
 ]

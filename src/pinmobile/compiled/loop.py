@@ -221,14 +221,11 @@ def traced(
     """
     q, v = (np.asarray(x, np.float64) for x in start)
     given = Reference(*(np.asarray(x, np.float64) for x in reference))
-    parts = _on_symbols(parts)
-    trace = _Trace(parts, context, q, v, given, dt / parts.substeps, frozenset(spread), largest)
+    parts = parts.on_symbols()
+    trace = _Trace(
+        parts, context, q, v, given, dt / parts.substeps, frozenset(Parameter(*x) for x in spread), largest
+    )
     return trace.result()
-
-
-def _on_symbols(parts: Parts) -> Parts:
-    """Return the parts, each as it wants to be traced: `traced()`, where its own law is not NumPy."""
-    return parts.replaced(lambda _, part: part.traced() if hasattr(part, "traced") else part)
 
 
 class _Trace:

@@ -15,7 +15,7 @@ from pinmobile.arrays import Array
 from pinmobile.compiled.recorders import Record, Sample
 from pinmobile.errors import InvalidArgument, UnknownName
 
-__all__ = ["Memory", "Parameter", "Parts", "Reference", "Stepped", "one_sample"]
+__all__ = ["Memory", "Parameter", "Parts", "Reference", "Stepped", "names_of", "one_sample"]
 
 
 class Reference(NamedTuple):
@@ -89,12 +89,16 @@ class Parts:
         named = {name: new.get(name) for name in ("plant", "controller", "integrator", "recorder")}
         return Parts(**named, forces=forces, substeps=self.substeps)
 
+    def on_symbols(self) -> "Parts":
+        """Return the parts as they want to be traced: `traced()`, where their own law is not NumPy."""
+        return self.replaced(lambda _, part: part.traced() if hasattr(part, "traced") else part)
+
     def parameters(self) -> dict[Parameter, Array]:
         """Return the values of all parameters, those of parts within parts included."""
         found: dict[Parameter, Array] = {}
 
         def visit(path: str, part: Any) -> Any:
-            for name in _names(part):
+            for name in names_of(part):
                 found[Parameter(path, name)] = _value(path, part, name)
             for name, child in children(part):
                 visit(f"{path}.{name}", child)
@@ -115,7 +119,7 @@ class Parts:
         left = dict(values)
 
         def visit(path: str, part: Any) -> Any:
-            mine = {name: left.pop(Parameter(path, name)) for name in _names(part) if (path, name) in left}
+            mine = {name: left.pop(Parameter(path, name)) for name in names_of(part) if (path, name) in left}
             inner = {name: visit(f"{path}.{name}", child) for name, child in children(part)}
             changed = {n: new for n, new in inner.items() if new is not getattr(part, n)}
             return _copied(part, mine | changed) if mine or changed else part
@@ -135,7 +139,8 @@ def children(part: Any) -> Iterator[tuple[str, Any]]:
             yield name, value
 
 
-def _names(part: Any) -> tuple[str, ...]:
+def names_of(part: Any) -> tuple[str, ...]:
+    """Return the names of the parameters that a part states."""
     stated = getattr(part, "parameters", ())
     return tuple(each if isinstance(each, str) else each.name for each in stated)
 

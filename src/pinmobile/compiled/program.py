@@ -52,7 +52,10 @@ class Program:
     target : Target, optional
         The processor; by default this one.
     shape : Shape, optional
-        How the robots are laid out; the results are the same for all.
+        How the robots are laid out; the results are the same for all. By default as is fastest for many, and
+        for one where `single`.
+    single : bool
+        Whether it is for one robot: scalar code then.
     cache : Cache, optional
         Where objects are kept.
     """
@@ -62,11 +65,13 @@ class Program:
         loop: Loop,
         target: Target | None = None,
         shape: Shape | None = None,
+        single: bool = False,
         cache: Cache | None = None,
     ) -> None:
         target = Target.here() if target is None else target
         self.loop = loop
-        self.shape = Shape(target.lanes, 2 if len(loop.tape) <= _SMALL else 1) if shape is None else shape
+        many = Shape(target.lanes, 2 if len(loop.tape) <= _SMALL else 1)
+        self.shape = shape or (Shape(1, 1) if single else many)
         self.text = text_of(loop, self.shape)
         self._function = function_of(self.text, target, Cache() if cache is None else cache)
 
@@ -110,7 +115,7 @@ class Program:
             Most threads.
         """
         n = len(start[0])
-        parts = parts.replaced(lambda _, part: part.traced() if hasattr(part, "traced") else part)
+        parts = parts.on_symbols()
         given = {Parameter(*name): np.asarray(x, np.float64) for name, x in (values or {}).items()}
         nominal = parts.parameters()
         memory = initial_memory(parts, context, self.loop.sizes[4])

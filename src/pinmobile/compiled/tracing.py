@@ -5,7 +5,7 @@ import functools
 import linecache
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from types import CellType, CodeType, FunctionType, MethodType, ModuleType, TracebackType
 from typing import Any
@@ -15,7 +15,7 @@ import numpy as np
 from pinmobile.compiled.symbols import constructors
 from pinmobile.errors import NotTraceable
 
-__all__ = ["place_of", "reached", "tracing"]
+__all__ = ["Walk", "calling_place", "is_foreign", "place_of", "reached", "tracing"]
 
 _lock = threading.RLock()
 _local = threading.local()
@@ -146,21 +146,36 @@ def reached(parts: Iterable[Any]) -> tuple[list[dict[str, Any]], list[CellType]]
     parts : iterable
         Objects, functions and classes. What NumPy, the standard library and the like define is left out.
     """
-    walk = _Walk()
-    for part in parts:
-        walk.visit(part)
+    walk = Walk(parts)
     return list(walk.namespaces.values()), list(walk.cells.values())
 
 
-class _Walk:
-    """Everything that code refers to by name, found by reading the code."""
+class Walk:
+    """Everything that the code of some parts refers to by name, found by reading the code.
 
-    def __init__(self) -> None:
+    Attributes
+    ----------
+    namespaces : dict of int to dict
+        Globals of the functions, by identity.
+    cells : dict of int to cell
+        Closures.
+    names : dict of (int, str) to (mapping, str)
+        Where the code looks up what: globals, modules and classes.
+    """
+
+    def __init__(self, parts: Iterable[Any]) -> None:
         self.seen: dict[int, Any] = {}
         self.namespaces: dict[int, dict[str, Any]] = {}
         self.cells: dict[int, CellType] = {}
+        self.names: dict[tuple[int, str], tuple[Mapping[str, Any], str]] = {}
+        for part in parts:
+            self.visit(part)
+
+    def _met(self, where: Any, mapping: Mapping[str, Any], name: str) -> None:
+        self.names[id(where), name] = mapping, name
 
     def visit(self, thing: Any) -> None:
+        """Go through what a thing refers to, once."""
         if id(thing) in self.seen or thing is None or isinstance(thing, str | int | float | np.ndarray):
             return
         self.seen[id(thing)] = thing  # kept, so that no other gets its id
@@ -192,15 +207,17 @@ class _Walk:
 
     def _class(self, thing: type) -> None:
         for each in thing.__mro__:
-            if not _is_foreign(each.__module__):
-                for value in vars(each).values():
+            if not is_foreign(each.__module__):
+                for name, value in vars(each).items():
+                    if not name.startswith("__") or name == "__call__":
+                        self._met(each, vars(each), name)
                     if not isinstance(value, type) and callable(getattr(value, "__get__", None)):
                         self.visit(value)
 
     def _function(self, function: FunctionType) -> None:
         if hasattr(function, "__wrapped__"):
             self.visit(function.__wrapped__)
-        if _is_foreign(function.__module__ or ""):
+        if is_foreign(function.__module__ or ""):
             return
         self.namespaces[id(function.__globals__)] = function.__globals__
         for cell in function.__closure__ or ():
@@ -208,15 +225,18 @@ class _Walk:
                 self.visit(cell.cell_contents)
                 self.cells[id(cell)] = cell
         for name in _names(function.__code__):
-            self._named(function.__globals__.get(name), function.__code__)
+            if name in function.__globals__:
+                self._met(function.__globals__, function.__globals__, name)
+                self._named(function.__globals__[name], function.__code__)
 
     def _named(self, value: Any, code: CodeType) -> None:
         """Visit what a name stands for; of a module, what the code can mean in it."""
         if isinstance(value, ModuleType):
-            if not _is_foreign(value.__name__):
-                for name in _names(code):
-                    self.visit(getattr(value, name, None))
-        elif isinstance(value, FunctionType | type) or not _is_foreign(type(value).__module__):
+            if not is_foreign(value.__name__):
+                for name in _names(code) & vars(value).keys():
+                    self._met(value, vars(value), name)
+                    self.visit(vars(value)[name])
+        elif isinstance(value, FunctionType | type) or not is_foreign(type(value).__module__):
             self.visit(value)
 
 
@@ -226,6 +246,7 @@ def _names(code: CodeType) -> frozenset[str]:
     return frozenset(code.co_names).union(*map(_names, inner))
 
 
-def _is_foreign(module: str) -> bool:
+def is_foreign(module: str) -> bool:
+    """Tell whether a module holds no laws: NumPy, the standard library, the machinery here."""
     own = module.startswith("pinmobile.compiled.") and module not in _LAWS
     return own or module.partition(".")[0] in _FOREIGN
