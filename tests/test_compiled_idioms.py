@@ -90,6 +90,21 @@ def solved_by_exchange(q: Any) -> Any:
     return np.linalg.solve(np.array([[0.0, 1.0, 0.0], [1.0, q[0], 0.0], [0.0, 2.0, 3.0]]), q)
 
 
+def eye_set(q: Any) -> Any:
+    m = np.eye(3)
+    m[0, 2] = q[0]
+    n = np.zeros_like(LIMITS)
+    n[1:] = q[1:]
+    np.fill_diagonal(m, q)
+    return m @ n
+
+
+def whole_set(q: Any) -> Any:
+    x = np.zeros(3, dtype=int)
+    x[0] = q[0]
+    return x
+
+
 def tuples(q: Any) -> Any:
     x, y, psi = q
     return np.array((x, y * psi, 0))
@@ -137,6 +152,12 @@ IDIOMS: dict[str, Callable[[Any], Any]] = {
     "power": lambda q: -(q**2) + q**3,
     "power of a half": lambda q: (q * q) ** 0.5 + (q * q + 1) ** 1.5 + (q * q + 1) ** -0.7,
     "power of zero": lambda q: q**0 + q,
+    "power of a symbol": lambda q: np.abs(q) ** q[0] + 2.0 ** q[0] + np.power(q, np.round(q[0])),
+    "powers": lambda q: q ** np.array([1, 2, 3]),
+    "eye and set": eye_set,
+    "sum where": lambda q: np.sum(q, where=q > 0) + np.prod(q, where=np.abs(q) > 1),
+    "array of whole numbers": lambda q: np.array([q[0], 2.7], dtype=int),
+    "cut": lambda q: q.astype(int),
     "matmul": lambda q: K @ q,
     "matmul of a transpose": lambda q: q @ K.T,
     "dot": lambda q: np.dot(K, q),
@@ -205,7 +226,7 @@ IDIOMS: dict[str, Callable[[Any], Any]] = {
     "empty and set": empty_set,
     "zeros_like and set": zeros_like_set,
     "full and set": full_set,
-    "eye and set": matrix_set,
+    "matrix and set": matrix_set,
     "zeros and add": zeros_add,
     "copy and add": copy_add,
     "mask and set": mask_set,
@@ -329,7 +350,8 @@ REFUSED: dict[str, tuple[Callable[[Any], Any], str]] = {
     "where with one argument": (lambda q: np.where(q > 0), "all three"),
     "eigenvalues": (lambda q: np.linalg.eigvalsh(np.outer(q, q)), "ARRAYS"),
     "least squares": (lambda q: np.linalg.lstsq(K, q), "np.linalg.solve"),
-    "exponent": (lambda q: 2.0 ** q[0], "np.exp"),
+    "single precision": (lambda q: q.astype(np.float32), "float64"),
+    "array of whole numbers": (whole_set, "arrays of floats"),
     "random": (lambda q: q + np.random.normal(size=3), "context.normal"),  # noqa: NPY002
     "array from outside": (lambda q: np.add(q, 1.0, out=LIMITS.copy()), "in the law"),
     "unknown ufunc": (lambda q: np.nextafter(q, 1.0), "use one of"),
@@ -346,7 +368,7 @@ def test_what_cannot_be_traced_is_refused_with_the_line_and_what_to_write(name: 
     line = law.__code__.co_firstlineno
     assert instead in caught.value.instead
     assert "test_compiled_idioms.py" in caught.value.place
-    assert any(f"line {line + more} of" in caught.value.place for more in (0, 1))
+    assert any(f"line {line + more} of" in caught.value.place for more in range(3))
 
 
 def test_numpy_is_itself_again_afterwards_and_for_other_threads() -> None:

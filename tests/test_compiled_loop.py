@@ -231,6 +231,28 @@ def test_numbers_that_stay_in_memory_are_numbers_of_the_run() -> None:
     assert kinds["state['integral']"] == "state"
 
 
+def test_a_law_may_write_into_what_it_is_given() -> None:
+    class Writing(PD):
+        def initial_state(self, context: Any) -> Any:
+            return {"sum": np.zeros(3)}
+
+        def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> Any:
+            reference.q[:] -= q
+            q[:] = 0.0
+            state["sum"] += 0.01 * reference.q
+            return self.kp * reference.q + self.kd * (reference.v - v) + state["sum"], state
+
+    parts = Parts(Body(), Writing(20.0, 25.0), (), rk4, Trace())
+    found = ran(built(parts, ()), parts, 2)
+    q, v = started(parts.plant, 2)
+    expected, _ = looped(parts, q[1], v[1], TIMES, CIRCLE, DT)
+    np.testing.assert_allclose(found.kept["q"][1], expected["q"], rtol=1e-12, atol=1e-13)
+    errors_of = [parts.plant.difference(a, b) for a, b in zip(expected["q"], CIRCLE.q, strict=True)]
+    counted = Parts(parts.plant, parts.controller, (), rk4, Summary())
+    record = ran(built(counted, ()), counted, 2).memory.recorder
+    np.testing.assert_allclose(record["largest"][1], np.abs(errors_of).max(axis=0), rtol=1e-12)
+
+
 def test_what_no_law_uses_is_named() -> None:
     class Deaf(PD):
         parameters: Any = ("kp", "kd", "color")

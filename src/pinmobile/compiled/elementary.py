@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from pinmobile.compiled.tape import Node, absolute, bits, float_bits, maximum, minimum, real, root, select
-from pinmobile.errors import NotTraceable
 
 __all__ = [
     "arccos",
@@ -25,6 +24,7 @@ __all__ = [
     "floor",
     "log",
     "log1p",
+    "log_of_normal",
     "power",
     "rounded",
     "sin",
@@ -126,15 +126,19 @@ _TAYLOR = [1 / math.factorial(k) for k in range(16)]
 
 def exp(x: Any) -> Any:
     """Return the exponential; infinity above 709.78, and 0 below -708, where no normal number is left."""
-    inside = minimum(709.78, maximum(-708.0, x))
+    found = _exp_inside(minimum(709.78, maximum(-708.0, x)))
+    found = select(x > 709.78, math.inf, select(x < -708.0, 0.0, found))
+    return select(x == x, found, x)
+
+
+def _exp_inside(inside: Any) -> Any:
+    """Return the exponential of a number in [-708, 709.78]."""
     shifted = inside * (1 / math.log(2)) + _ROUNDER
     k = shifted - _ROUNDER
     r = (inside - k * _LN2_HIGH) - k * _LN2_LOW
     # 2^1024 is no float: half of the power, and the rest by a product.
     power_of_two = real((bits(shifted) + 1022) << 52)
-    found = (_polynomial(_TAYLOR[:14], r) * power_of_two) * 2.0
-    found = select(x > 709.78, math.inf, select(x < -708.0, 0.0, found))
-    return select(x == x, found, x)
+    return (_polynomial(_TAYLOR[:14], r) * power_of_two) * 2.0
 
 
 def expm1(x: Any) -> Any:
@@ -165,7 +169,7 @@ def tanh(x: Any) -> Any:
     """Return the hyperbolic tangent."""
     size, z = absolute(x), x * x
     small = x + (x * z) * (_horner(_TANH_P, z) / _horner(_TANH_Q, z))
-    large = 1.0 - 2.0 / (exp(2.0 * size) + 1.0)
+    large = 1.0 - 2.0 / (_exp_inside(minimum(40.0, 2.0 * size)) + 1.0)
     large = select(x < 0.0, -large, large)
     return select(size < 0.625, small, large)
 
@@ -192,10 +196,18 @@ _LOG = (
 def log(x: Any) -> Any:
     """Return the natural logarithm; minus infinity at 0, and what is no number below."""
     tiny = x < 2.0**-1022  # its exponent is not that of its bits
-    word = bits(select(tiny, x * 2.0**54, x))
+    found = log_of_normal(
+        select(tiny, x * 2.0**54, x), select(tiny, 2.0**52 + 1023.0 + 54.0, 2.0**52 + 1023.0)
+    )
+    found = select(x == 0.0, -math.inf, select(x > 0.0, found, math.nan))
+    return select(x == math.inf, math.inf, found)
+
+
+def log_of_normal(x: Any, shift: Any = 2.0**52 + 1023.0) -> Any:
+    """Return the natural logarithm of a normal number above 0, its exponent counted from `shift`."""
+    word = bits(x)
     fraction = real((word & _TOP) | _ONE)
-    exponent = real((word >> 52) | float_bits(2.0**52)) - (2.0**52 + 1023.0)
-    exponent = select(tiny, exponent - 54.0, exponent)
+    exponent = real((word >> 52) | float_bits(2.0**52)) - shift
     high = fraction > math.sqrt(2)
     fraction, exponent = (
         select(high, fraction * 0.5, fraction),
@@ -206,9 +218,7 @@ def log(x: Any) -> Any:
     z = s * s
     rest = z * _polynomial(_LOG, z)
     half = (0.5 * f) * f
-    found = exponent * _LN2_HIGH - ((half - (s * (half + rest) + exponent * _LN2_LOW)) - f)
-    found = select(x == 0.0, -math.inf, select(x > 0.0, found, math.nan))
-    return select(x == math.inf, math.inf, found)
+    return exponent * _LN2_HIGH - ((half - (s * (half + rest) + exponent * _LN2_LOW)) - f)
 
 
 def log1p(x: Any) -> Any:
@@ -273,10 +283,10 @@ def arccos(x: Any) -> Any:
 
 
 def power(base: Any, exponent: Any) -> Any:
-    """Return base to an exponent that is a number known beforehand: products, a root, else exp and log."""
+    """Return base to an exponent: by products, and a root, where it is known and simple; else by exp."""
     known = exponent.value if type(exponent) is Node else exponent
     if known is None:
-        raise NotTraceable("an exponent that is a symbol", "use np.exp(exponent * np.log(base))")
+        return _any_power(base, exponent)
     known = float(known)
     if known != np.rint(known):
         if known * 2 == np.rint(known * 2) and abs(known) < 8:
@@ -292,6 +302,14 @@ def power(base: Any, exponent: Any) -> Any:
     if found is None:
         return 1.0
     return found if known > 0 else 1.0 / found
+
+
+def _any_power(base: Any, exponent: Any) -> Any:
+    size = exp(exponent * log(absolute(base)))
+    whole = rounded(exponent) == exponent
+    odd = rounded(0.5 * exponent) * 2.0 != exponent
+    below = select(whole, select(odd, -size, size), math.nan)
+    return select(exponent == 0.0, 1.0, select(base < 0.0, below, size))
 
 
 def of_floats(function: Callable[..., Any]) -> Callable[..., Any]:

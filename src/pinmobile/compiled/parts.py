@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pinmobile.arrays import Array
+from pinmobile.compiled.memory import mapped
 from pinmobile.compiled.recorders import Record, Sample
 from pinmobile.errors import InvalidArgument, UnknownName
 
@@ -214,7 +215,9 @@ def one_sample(
         What the parts keep.
     """
     plant, controller = parts.plant, parts.controller
-    answer = controller(t, q.copy(), v.copy(), reference, memory.controller)
+    # What is the loop's own is not a controller's to write into.
+    own = mapped(memory.controller, _copy)
+    answer = controller(t, q.copy(), v.copy(), Reference(*map(_copy, reference)), own)
     if type(answer) is not tuple or len(answer) != 2:
         raise InvalidArgument(f"controller returned {answer!r}, expected (u, state)")
     u, inner = np.asarray(answer[0]), answer[1]
@@ -229,6 +232,10 @@ def one_sample(
     sample = Sample(k, t, q, v, u, acceleration, error, error_rate)
     record = Record(None) if parts.recorder is None else parts.recorder(sample, memory.recorder)
     return Stepped(sample, q1, v1, Memory(kept, inner, record.state), record)
+
+
+def _copy(x: Any) -> Any:
+    return x.copy() if hasattr(x, "copy") else x
 
 
 def errors(plant: Any, q: Any, v: Any, reference: Reference) -> tuple[Any, Any]:

@@ -52,9 +52,12 @@ class Symbols(NDArrayOperatorsMixin):
         options.pop("dtype", None)
         options.pop("casting", None)
         where = options.pop("where", True)
-        found = wrapped(_computed(ufunc, method, [plain(x) for x in given], options))
-        if method == "at":
-            return None
+        given = tuple(map(plain, given))
+        if where is not True and method == "reduce":
+            if ufunc.identity is None:
+                raise NotTraceable(f"np.{ufunc.__name__} over a part that is masked", "use np.where first")
+            given, where = (_select(plain(where), given[0], ufunc.identity), *given[1:]), True
+        found = wrapped(_computed(ufunc, method, list(given), options))
         if where is not True:
             kept = out[0] if out is not None else 0.0
             found = wrapped(_select(plain(where), plain(found), plain(kept)))
@@ -148,6 +151,10 @@ class Symbols(NDArrayOperatorsMixin):
             return self if self.dtype == bool else self != 0.0
         if np.dtype(dtype).kind in "iu":
             return np.trunc(self)
+        if np.dtype(dtype) not in (np.float64, object):
+            raise NotTraceable(
+                f"an array of {np.dtype(dtype)}", "use float64, which all laws are compiled with"
+            )
         return wrapped(_number(self.entries))
 
     def fill(self, value: Any) -> None:
@@ -546,6 +553,16 @@ def _full_like(a: Any, value: Any, *_: Any, **__: Any) -> Any:
     return wrapped(_array(np.broadcast_to(entries(value), np.shape(a)), object))
 
 
+def _masked(function: Callable[..., Any], neutral: float) -> Callable[..., Any]:
+    """Return a sum or product that leaves out what is masked."""
+
+    def run(a: Any, *given: Any, where: Any = True, **options: Any) -> Any:
+        masked = a if where is True else _where(where, a, neutral)
+        return wrapped(function(plain(masked), *given, **options))
+
+    return run
+
+
 def _round(a: Any, decimals: int = 0, **_: Any) -> Any:
     return np.rint(a * 10.0**decimals) / 10.0**decimals if decimals else np.rint(a)
 
@@ -574,6 +591,8 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
     np.amax: _reduced(_larger),
     np.amin: _reduced(_smaller),
     np.ptp: lambda a, axis=None, **_: np.max(a, axis=axis) - np.min(a, axis=axis),
+    np.sum: _masked(np.sum, 0.0),
+    np.prod: _masked(np.prod, 1.0),
     np.any: _reduced(_truths(operator.or_)),
     np.all: _reduced(_truths(operator.and_)),
     np.count_nonzero: lambda a, axis=None, **_: np.sum((a != 0).astype(float), axis=axis),
@@ -689,19 +708,23 @@ def _making(true: Callable[..., Any], copies: bool) -> Callable[..., Any]:
         if isinstance(x, Symbols) and not copies:
             return x
         try:
-            return Symbols(_array(entries(x), object))
+            found = Symbols(_array(entries(x), object))
         except ValueError:
             return true(x, *given, **options)  # ragged: NumPy says so
+        dtype = given[0] if given else options.get("dtype")
+        return found if dtype is None else found.astype(dtype)
 
     return run
 
 
 def _filling(true: Callable[..., Any]) -> Callable[..., Any]:
     def run(*given: Any, **options: Any) -> Any:
-        if has_symbols(given):
+        if true is np.full and has_symbols(given):
             return wrapped(np.broadcast_to(entries(given[1]), given[0]).copy())
         found = true(*given, **options)
-        return Symbols(found.astype(object)) if found.dtype == float else found
+        # Numbers that symbols can be written into.
+        is_float = isinstance(found, np.ndarray) and found.dtype == float
+        return Symbols(found.astype(object)) if is_float else found
 
     return run
 
@@ -718,6 +741,9 @@ def _own(name: str) -> Callable[..., Any]:
     return run
 
 
+_MADE = ("zeros", "empty", "ones", "full", "eye", "identity", "zeros_like", "empty_like", "ones_like")
+
+
 def constructors() -> dict[str, Callable[..., Any]]:
     """Return what stands for NumPy's functions of the same names while a law is traced."""
     making = {
@@ -725,7 +751,7 @@ def constructors() -> dict[str, Callable[..., Any]]:
         for name in ("array", "asarray", "asanyarray", "ascontiguousarray", "asfarray")
         if hasattr(np, name)
     }
-    filling = {name: _filling(getattr(np, name)) for name in ("zeros", "empty", "ones", "full")}
+    filling = {name: _filling(getattr(np, name)) for name in _MADE}
     hyperbolic = "sinh", "cosh", "tanh"
     angles = "arcsin", "arccos", "arctan", "arctan2"
     functions = ("sin", "cos", "tan", "exp", "expm1", "log", "log1p", *hyperbolic, *angles)

@@ -421,7 +421,8 @@ class Node:
         value = self.value
         if value is None:
             raise NotTraceable(
-                "an index, int() or range() asks for a whole number", "use np.where or np.select"
+                "an index, int(), range() or an array of whole numbers asks for a whole number",
+                "use np.where or np.select, and arrays of floats",
             )
         return int(value)
 
