@@ -29,6 +29,7 @@ __all__ = [
     "rounded",
     "sin",
     "sincos",
+    "sincos_of_half_turns",
     "sinh",
     "tan",
     "tanh",
@@ -78,7 +79,17 @@ def sincos(x: Any) -> tuple[Any, Any]:
     """Return sine and cosine: reduced to |r| <= pi/2, then Taylor's series to less than 2e-17."""
     shifted = x * _PER_PI + _ROUNDER
     k = shifted - _ROUNDER
-    r = ((x - k * _PI1) - k * _PI2) - k * _PI3
+    return _reduced(shifted, ((x - k * _PI1) - k * _PI2) - k * _PI3)
+
+
+def sincos_of_half_turns(w: Any) -> tuple[Any, Any]:
+    """Return sine and cosine of pi w, which has nothing to lose when it is reduced."""
+    shifted = w + _ROUNDER
+    return _reduced(shifted, (w - (shifted - _ROUNDER)) * math.pi)
+
+
+def _reduced(shifted: Any, r: Any) -> tuple[Any, Any]:
+    """Return sine and cosine of an angle r that was reduced by half turns; `shifted` has their number."""
     # The last bit of k, which says whether both change their sign, becomes the bit of the sign.
     flip = bits(shifted) << 63
     z = r * r

@@ -7,14 +7,13 @@ beside it.
 """
 
 import hashlib
-import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
-from pinmobile.compiled.elementary import log_of_normal, sincos
+from pinmobile.compiled.elementary import log_of_normal, sincos_of_half_turns
 from pinmobile.compiled.tape import float_bits, real, root
 
 __all__ = ["Noise", "normals", "robot_keys"]
@@ -56,7 +55,7 @@ def normals(key: Any, k: Any, n: int) -> list[Any]:
     for j in range(0, even, 2):
         a, b = (_mixed(key + (first + (j + i)) * _GOLDEN) for i in (1, 2))
         radius = root(-2.0 * log_of_normal(2.0 - _unit(a)))  # of a number in (0, 1]
-        s, c = sincos((2 * math.pi) * (_unit(b) - 1.0))
+        s, c = sincos_of_half_turns(2.0 * _unit(b) - 3.0)
         found += [radius * c, radius * s]
     return found[:n]
 
