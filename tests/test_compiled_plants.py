@@ -187,6 +187,45 @@ def test_memory_is_any_tree_with_truths_and_numbers() -> None:
     close(found, expected)
 
 
+class Team(PD):
+    """The sum of several controllers, one of which it knows by its method alone."""
+
+    def __init__(self, controllers: Any, robot: Body) -> None:
+        super().__init__(1.0, 2.0)
+        self.controllers, self.model, self.own = controllers, robot.inverse_dynamics, self.spring
+
+    def spring(self, e: Any) -> Any:
+        return self.kp * e
+
+    def initial_state(self, context: Any) -> Any:
+        return [each.initial_state(context) for each in self.controllers]
+
+    def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> Any:
+        answers = [each(t, q, v, reference, s) for each, s in zip(self.controllers, state, strict=True)]
+        total = sum(answer[0] for answer in answers)
+        return total + self.own(reference.q - q) + self.model(q, v, 0.1 * reference.a), state
+
+
+@pytest.mark.parametrize("kind", [list, tuple])
+def test_parameters_of_parts_in_lists_and_behind_methods_are_found(kind: type) -> None:
+    parts = Parts(Body(), Team(kind([PD(20.0, 30.0), PD(5.0, 1.0)]), Body(14.0)), (), rk4, Trace())
+    own = {
+        Parameter("controller.controllers[1]", "kp"): np.array([[9.0, 8.0, 7.0], [1.0, 2.0, 3.0]]),
+        Parameter("controller.model", "mass"): np.array([3.0, 50.0]),
+        Parameter("controller", "kp"): np.array([[5.0, 8.0, 7.0], [1.0, 7.0, 3.0]]),
+    }
+    q, v = np.tile(CIRCLE.q[0] + 0.1, (2, 1)), np.tile(CIRCLE.v[0], (2, 1))
+    loop = traced(parts, context(DT), (q[0], v[0]), FIRST, dt=DT, spread=own)
+    assert not set(own) & set(loop.unused)
+    found = Program(loop, cache=Cache("")).run(parts, context(DT), (q, v), TIMES, CIRCLE, dt=DT, values=own)
+    for i in (0, 1):
+        mine = parts.with_parameters({name: x[i] for name, x in own.items()})
+        assert type(mine.controller.controllers) is kind
+        expected, _ = looped(mine, q[i], v[i], TIMES, CIRCLE, DT)
+        close({name: x[i] for name, x in found.kept.items()}, expected)
+    assert parts.controller.controllers[1].kp[0] == 5.0
+
+
 def test_many_threads_trace_and_use_numpy_at_once() -> None:
     wrong: list[Any] = []
     stop = threading.Event()

@@ -7,6 +7,7 @@ import copy
 import functools
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from types import MethodType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -121,9 +122,9 @@ class Parts:
 
         def visit(path: str, part: Any) -> Any:
             mine = {name: left.pop(Parameter(path, name)) for name in names_of(part) if (path, name) in left}
-            inner = {name: visit(f"{path}.{name}", child) for name, child in children(part)}
-            changed = {n: new for n, new in inner.items() if new is not getattr(part, n)}
-            return _copied(part, mine | changed) if mine or changed else part
+            inner = {name: (child, visit(f"{path}.{name}", child)) for name, child in children(part)}
+            changed = {name: new for name, (old, new) in inner.items() if new is not old}
+            return _copied(part, mine, changed) if mine or changed else part
 
         new = self.replaced(visit)
         for parameter in left:
@@ -133,11 +134,19 @@ class Parts:
 
 
 def children(part: Any) -> Iterator[tuple[str, Any]]:
-    """Return the parts that a part holds as attributes, by name."""
+    """Return the parts that a part holds: as attributes, in lists, and behind methods, by name."""
     for name, value in getattr(part, "__dict__", {}).items():
-        is_part = hasattr(value, "parameters") or hasattr(value, "initial_state")
-        if is_part and not isinstance(value, type):
+        if isinstance(value, list | tuple):
+            yield from ((f"{name}[{i}]", each) for i, each in enumerate(value) if _is_part(each))
+        elif isinstance(value, MethodType):
+            if value.__self__ is not part and _is_part(value.__self__):
+                yield name, value.__self__
+        elif _is_part(value):
             yield name, value
+
+
+def _is_part(x: Any) -> bool:
+    return (hasattr(x, "parameters") or hasattr(x, "initial_state")) and not isinstance(x, type)
 
 
 def names_of(part: Any) -> tuple[str, ...]:
@@ -158,13 +167,23 @@ def _value(path: str, part: Any, name: str) -> Array:
         raise InvalidArgument(f"{path}.{name} is {value!r}, expected a number or an array") from None
 
 
-def _copied(part: Any, values: Mapping[str, Any]) -> Any:
+def _copied(part: Any, values: Mapping[str, Any], parts: Mapping[str, Any]) -> Any:
+    """Return a copy of a part with other values of attributes, and other parts in it."""
     new = copy.copy(part)
     for each in type(part).__mro__:
         for name, attribute in vars(each).items():
             if isinstance(attribute, functools.cached_property):
                 new.__dict__.pop(name, None)  # it belongs to the old values
-    for name, value in values.items():
+    set_ = dict(values)
+    for name, value in getattr(part, "__dict__", {}).items():
+        if isinstance(value, list | tuple) and any(f"{name}[{i}]" in parts for i in range(len(value))):
+            held = [parts.get(f"{name}[{i}]", each) for i, each in enumerate(value)]
+            set_[name] = type(value)(*held) if hasattr(value, "_fields") else type(value)(held)
+        elif isinstance(value, MethodType) and (name in parts or value.__self__ is part):
+            set_[name] = MethodType(value.__func__, parts.get(name, new))
+        elif name in parts:
+            set_[name] = parts[name]
+    for name, value in set_.items():
         try:
             object.__setattr__(new, name, value)
         except AttributeError:
