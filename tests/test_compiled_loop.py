@@ -529,3 +529,41 @@ def test_an_input_of_another_size_is_refused() -> None:
     parts = Parts(Body(), Law(lambda t, q, v, reference, state: (q[:2], state)), (), constant_acceleration)
     with pytest.raises(errors.InvalidArgument, match=r"input of shape \(2,\), expected \(3,\)"):
         built(parts, ())
+
+
+def test_arrays_of_other_shapes_are_refused_and_not_read_beyond() -> None:
+    parts = COMPOSITIONS["computed torque"]()
+    program = built(parts)
+    q, v = started(parts.plant, 3)
+
+    def run(**changed: Any) -> Any:
+        given = {"start": (q, v), "t": TIMES, "reference": CIRCLE, "every": 1, "values": {}} | changed
+        start, t, reference = (given.pop(name) for name in ("start", "t", "reference"))
+        return program.run(parts, context(DT), start, t, reference, dt=DT, **given)
+
+    with pytest.raises(errors.InvalidArgument, match=r"q has shape \(3, 2\), expected \(3, 3\)"):
+        run(start=(q[:, :2], v))
+    with pytest.raises(errors.InvalidArgument, match=r"v has shape \(2, 3\), expected \(3, 3\)"):
+        run(start=(q, v[:2]))
+    with pytest.raises(errors.InvalidArgument, match=r"reference.v has shape \(5, 3\), expected \(301, 3\)"):
+        run(reference=CIRCLE._replace(v=CIRCLE.v[:5]))
+    with pytest.raises(errors.InvalidArgument, match="0 robots"):
+        run(start=(q[:0], v[:0]))
+    with pytest.raises(errors.InvalidArgument, match="counts every 0"):
+        run(every=0)
+    with pytest.raises(errors.InvalidArgument, match=r"plant.mass has shape \(4,\), expected \(3,\)"):
+        run(values={MASSES: np.ones(4)})
+    with pytest.raises(errors.UnknownName, match=r"did you mean 'plant\.mass'"):
+        run(values={Parameter("plant", "masss"): np.ones(3)})
+    other = COMPOSITIONS["saturated"]()
+    with pytest.raises(errors.InvalidArgument, match=r"parts differ .* in .*controller\.limits"):
+        program.run(other, context(DT), (q, v), TIMES, CIRCLE, dt=DT)
+
+
+def test_one_value_of_a_parameter_that_is_spread_is_each_robots() -> None:
+    parts = Parts(Body(), PD(20.0, 25.0), (), rk4, Trace())
+    gains = Parameter("controller", "kp")
+    program = built(parts, [gains])
+    one = ran(program, parts, 3, values={gains: np.array([9.0, 8.0, 7.0])})
+    each = ran(program, parts, 3, values={gains: np.tile([9.0, 8.0, 7.0], (3, 1))})
+    np.testing.assert_array_equal(one.kept["u"], each.kept["u"])

@@ -14,7 +14,7 @@ from pinmobile.compiled.loop import Loop, initial_memories, initial_memory
 from pinmobile.compiled.machine import Target, function_of
 from pinmobile.compiled.memory import leaves, mapped
 from pinmobile.compiled.parts import Memory, Parameter, Parts, Reference
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, UnknownName
 
 __all__ = ["Outcome", "Program", "aligned"]
 
@@ -114,19 +114,60 @@ class Program:
         threads : int
             Most threads.
         """
-        n = len(start[0])
+        n = self._checked(start, t, reference, every)
         parts = parts.on_symbols()
-        given = {Parameter(*name): np.asarray(x, np.float64) for name, x in (values or {}).items()}
         nominal = parts.parameters()
+        given = self._given(values or {}, nominal, n)
         memory = initial_memory(parts, context, self.loop.sizes[4])
         first = self._first(parts, context, memory, given, n)
         blocks = self._blocks(start, n, {**nominal, **given}, first, keys or {})
         uniforms = self._uniforms(dt / parts.substeps, {**nominal, **given}, first)
-        samples = np.ascontiguousarray(np.column_stack([t, *reference]), np.float64)
+        samples = np.column_stack([t, *reference]).astype(np.float64)
         size = sum(len(nodes) for _, nodes in self.loop.kept.values())
         kept = aligned((len(blocks), len(t), size, self.shape.width))
         counts = self.called(blocks, samples, uniforms, kept, n, every, threads)
         return Outcome(self._kept_memory(memory, blocks, n), counts, self._kept_samples(kept, n))
+
+    def _checked(self, start: tuple[Array, Array], t: Array, reference: Reference, every: int) -> int:
+        """Return the number of robots, after refusing arrays that the machine code would read beyond."""
+        nq, nv, _, length, size = self.loop.sizes
+        n, count = len(start[0]), len(t)
+        if n < 1 or count < 1 or every < 1:
+            raise InvalidArgument(
+                f"there are {n} robots, {count} samples, and counts every {every}, expected >= 1"
+            )
+        expected = {
+            "q": (start[0], (n, nq)),
+            "v": (start[1], (n, nv)),
+            "reference.q": (reference.q, (count, length)),
+            "reference.v": (reference.v, (count, size)),
+            "reference.a": (reference.a, (count, size)),
+        }
+        for name, (array, shape) in expected.items():
+            if np.shape(array) != shape:
+                raise InvalidArgument(f"{name} has shape {np.shape(array)}, expected {shape}")
+        return n
+
+    def _given(
+        self, values: Mapping[Parameter, Any], nominal: Mapping[Parameter, Array], n: int
+    ) -> dict[Parameter, Array]:
+        """Return the values that were given, of parameters that there are."""
+        places, found = self.loop.parameters, {}
+        if nominal.keys() != places.keys():
+            other = sorted(".".join(name) for name in nominal.keys() ^ places.keys())
+            raise InvalidArgument(
+                f"parts differ from those that were traced in {', '.join(other)}, expected the same"
+            )
+        for (path, name), value in values.items():
+            if (path, name) not in places:
+                raise UnknownName("parameter", f"{path}.{name}", map(".".join, places))
+            leaf, array = places[Parameter(path, name)], np.asarray(value, np.float64)
+            if leaf.kind == "row" and array.shape not in (leaf.shape, (n, *leaf.shape)):
+                raise InvalidArgument(f"{path}.{name} has shape {array.shape}, expected {(n, *leaf.shape)}")
+            # One value for all is each robot's.
+            alike = leaf.kind == "row" and array.shape == leaf.shape
+            found[Parameter(path, name)] = np.broadcast_to(array, (n, *leaf.shape)) if alike else array
+        return found
 
     def _first(
         self, parts: Parts, context: Any, memory: Memory, given: Mapping[Parameter, Array], n: int
