@@ -25,6 +25,7 @@ __all__ = [
     "log",
     "log1p",
     "log_of_normal",
+    "of_floats",
     "power",
     "rounded",
     "sin",

@@ -15,7 +15,7 @@ from pinmobile.compiled.tape import COUNT, LARGEST, Node, Tape, evaluated, float
 from pinmobile.compiled.tracing import calling_place, tracing
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName
 
-__all__ = ["Leaf", "Loop", "Ring", "traced"]
+__all__ = ["Leaf", "Loop", "Ring", "initial_memories", "initial_memory", "traced"]
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,18 @@ from pinmobile.compiled.memory import mapped
 from pinmobile.compiled.recorders import Record, Sample
 from pinmobile.errors import InvalidArgument, UnknownName
 
-__all__ = ["Memory", "Parameter", "Parts", "Reference", "Stepped", "names_of", "one_sample"]
+__all__ = [
+    "Memory",
+    "Parameter",
+    "Parts",
+    "Reference",
+    "Stepped",
+    "children",
+    "errors",
+    "limited",
+    "names_of",
+    "one_sample",
+]
 
 
 class Reference(NamedTuple):

@@ -17,7 +17,7 @@ from pinmobile.compiled import elementary as own
 from pinmobile.compiled.tape import Node, absolute, bits, maximum, minimum, real, root, select
 from pinmobile.errors import NotTraceable
 
-__all__ = ["Symbols", "constructors", "entries", "has_symbols", "symbols"]
+__all__ = ["Symbols", "constructors", "entries", "has_symbols", "plain", "symbols", "wrapped"]
 
 _array, _asarray, _empty = np.array, np.asarray, np.empty
 
