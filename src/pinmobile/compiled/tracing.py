@@ -20,7 +20,7 @@ __all__ = ["Walk", "calling_place", "is_foreign", "place_of", "reached", "tracin
 _lock = threading.RLock()
 _local = threading.local()
 _HERE = str(Path(__file__).parent)
-_NUMPY = str(Path(np.__file__).parent)
+_OURS = (_HERE, str(Path(np.__file__).parent), "<__array_function__", "<frozen")
 _LAWS = ("pinmobile.compiled.parts", "pinmobile.compiled.recorders")
 _FOREIGN = (
     frozenset(("numpy", "scipy", "pinocchio", "llvmlite", "sympy", "matplotlib")) | sys.stdlib_module_names
@@ -85,7 +85,7 @@ def tracing(parts: Iterable[Any]) -> Iterator[None]:
             names[name] = _others[id(value)]
         for cell, value in shut:
             cell.cell_contents = _others[id(value)]
-        _local.depth = 1
+        _local.depth = getattr(_local, "depth", 0) + 1
         try:
             yield
         except NotTraceable as error:
@@ -102,7 +102,7 @@ def tracing(parts: Iterable[Any]) -> Iterator[None]:
                 place_of(error.__traceback__),
             ) from error
         finally:
-            _local.depth = 0
+            _local.depth -= 1
             for names, name, value in changed:
                 names[name] = value
             for cell, value in shut:
@@ -114,7 +114,7 @@ def place_of(traceback: TracebackType | None) -> str:
     found = ""
     while traceback is not None:
         code = traceback.tb_frame.f_code
-        if not code.co_filename.startswith((_HERE, _NUMPY, "<")) or code.co_filename.startswith("<ipython"):
+        if not code.co_filename.startswith(_OURS):
             found = _told(code, traceback.tb_lineno)
         traceback = traceback.tb_next
     return found
@@ -125,7 +125,7 @@ def calling_place() -> str:
     frame = sys._getframe(1)
     while frame is not None:
         name = frame.f_code.co_filename
-        if not name.startswith((_HERE, _NUMPY, "<")) or name.startswith("<ipython"):
+        if not name.startswith(_OURS):
             return _told(frame.f_code, frame.f_lineno)
         frame = frame.f_back  # type: ignore[assignment]
     return ""
