@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from pinmobile.compiled import Line, Memory, Noise, Parts, Reference, one_sample
-from pinmobile.compiled.loop import initial_memory
+from pinmobile.compiled.loop_tape import initial_memory
 
 
 def triple(x: Any) -> Any:

@@ -297,6 +297,8 @@ IDIOMS: dict[str, Callable[[Any], Any]] = {
     "isclose": lambda q: np.where(np.isclose(q, 0.7), 1.0, q),
     "polyval": lambda q: np.polyval([1.0, 2.0, 3.0], q),
     "linspace": lambda q: q[0] * np.linspace(0, 1, 4),
+    "division by what is known to be zero": lambda q: np.where(q > 9, 1.0 / np.zeros(3), q),
+    "functions of what is known": lambda q: q + np.arctan2(np.ones(3), np.zeros(3)) + np.exp(np.ones(3)) ** 2,
     "meshgrid": lambda q: np.meshgrid(q, LIMITS)[0],
     "split": lambda q: np.split(q, 3)[1],
     "moveaxis": lambda q: np.moveaxis(np.outer(q, q), 0, 1),

@@ -9,7 +9,7 @@ import pytest
 
 from pinmobile import errors
 from pinmobile.compiled import Cache, Noise, Parameter, Parts, Program, Reference, Trace, robot_keys, traced
-from pinmobile.compiled.loop import initial_memory
+from pinmobile.compiled.loop_tape import initial_memory
 from pinmobile.compiled.parts import one_sample
 from pinmobile.integrators import RungeKuttaNystrom, constant_acceleration, rk4, semi_implicit_euler
 from tests.looping import PD, Body, Constant, Noisy, Sinusoidal, circle, context, looped

@@ -3,11 +3,12 @@
 from pinmobile.compiled.cache import Cache
 from pinmobile.compiled.emit import BINS, FIRST, SHIFT, Shape
 from pinmobile.compiled.known import program_of
-from pinmobile.compiled.loop import Loop, traced
+from pinmobile.compiled.loop_tape import Loop
 from pinmobile.compiled.machine import Target
 from pinmobile.compiled.memory import Line
 from pinmobile.compiled.noise import Noise, robot_keys
 from pinmobile.compiled.parts import Memory, Parameter, Parts, Reference, Stepped, one_sample
+from pinmobile.compiled.passes import traced
 from pinmobile.compiled.program import Outcome, Program
 from pinmobile.compiled.recorders import Record, Sample, Summary, Trace
 

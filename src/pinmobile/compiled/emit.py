@@ -7,7 +7,7 @@ every operation rounds once, and none are contracted, so that the bits are those
 
 from dataclasses import dataclass
 
-from pinmobile.compiled.loop import Loop
+from pinmobile.compiled.loop_tape import Loop
 from pinmobile.compiled.tape import ROBOT, SAMPLE, STATE, operands
 
 __all__ = ["BINS", "ENTRY", "FIRST", "SHIFT", "Shape", "text_of"]

@@ -16,10 +16,11 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.compiled.cache import Cache
-from pinmobile.compiled.loop import initial_memory, traced
+from pinmobile.compiled.loop_tape import initial_memory
 from pinmobile.compiled.memory import Line
 from pinmobile.compiled.noise import Noise
 from pinmobile.compiled.parts import Parameter, Parts, Reference, names_of
+from pinmobile.compiled.passes import traced
 from pinmobile.compiled.program import Program
 from pinmobile.compiled.tracing import Walk, is_foreign
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array
 from pinmobile.compiled.cache import Cache
 from pinmobile.compiled.emit import BINS, Shape, text_of
-from pinmobile.compiled.loop import Loop, initial_memories, initial_memory
+from pinmobile.compiled.loop_tape import Loop, initial_memories, initial_memory
 from pinmobile.compiled.machine import Target, function_of
 from pinmobile.compiled.memory import leaves, mapped
 from pinmobile.compiled.parts import Memory, Parameter, Parts, Reference

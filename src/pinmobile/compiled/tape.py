@@ -6,13 +6,26 @@ known is folded. A product with a zero that stands in the law is zero, and a div
 in the law, or that is the same at all samples, is a product with its reciprocal.
 """
 
-import operator
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
 
+from pinmobile.compiled.folding import (
+    COMMUTE,
+    DTYPES,
+    NUMPY,
+    ON_WHOLES,
+    ROBOT,
+    SAMPLE,
+    STATE,
+    UNIFORM,
+    kind_after,
+    kind_of,
+    kinds_before,
+    simplified,
+)
 from pinmobile.errors import NotTraceable
 
 __all__ = [
@@ -38,13 +51,13 @@ __all__ = [
     "select",
 ]
 
-UNIFORM, ROBOT, SAMPLE, STATE = 1, 2, 4, 8
-"""What a node depends on, as bits: a number of the whole run, of a robot, of a sample, of the state."""
 
 LARGEST = 20_000
 """Most nodes of a tape: building takes about 0.1 ms for each."""
 
+
 Operation: TypeAlias = tuple[Any, ...]
+
 
 # Names of inputs, with what they depend on and their type: f is a float, u 64 bits, b a truth value.
 _INPUTS = {
@@ -55,46 +68,9 @@ _INPUTS = {
     "count": (SAMPLE, "u"),
     "state": (STATE, "f"),
 }
+
+
 COUNT: Operation = ("count",)
-
-
-# Each operation on NumPy's numbers and arrays; `max` and `min` return the second where one is not a number.
-_NUMPY: dict[str, Callable[..., Any]] = {
-    "add": operator.add,
-    "sub": operator.sub,
-    "mul": operator.mul,
-    "div": np.divide,
-    "neg": operator.neg,
-    "abs": np.abs,
-    "sqrt": np.sqrt,
-    "max": lambda a, b: np.where(a > b, a, b),
-    "min": lambda a, b: np.where(a < b, a, b),
-    "gt": operator.gt,
-    "ge": operator.ge,
-    "lt": operator.lt,
-    "le": operator.le,
-    "eq": operator.eq,
-    "ne": operator.ne,
-    "and": operator.and_,
-    "or": operator.or_,
-    "xor": operator.xor,
-    "not": np.logical_not,
-    "select": np.where,
-    "iadd": operator.add,
-    "imul": operator.mul,
-    "ixor": operator.xor,
-    "iand": operator.and_,
-    "ior": operator.or_,
-    "shl": operator.lshift,
-    "shr": operator.rshift,
-    "bits": lambda x: np.asarray(x, np.float64).view(np.uint64),
-    "real": lambda x: np.asarray(x, np.uint64).view(np.float64),
-}
-_COMMUTE = frozenset(("add", "mul", "and", "or", "xor", "iadd", "imul", "ixor", "iand", "ior", "eq", "ne"))
-_TRUTHS = frozenset(("gt", "ge", "lt", "le", "eq", "ne", "and", "or", "xor", "not"))
-_WHOLES = frozenset(("iadd", "imul", "ixor", "iand", "ior", "shl", "shr", "bits"))
-_ON_WHOLES = {"add": "iadd", "mul": "imul", "xor": "ixor", "and": "iand", "or": "ior"}
-_DTYPES = {"f": np.float64, "u": np.uint64, "b": np.bool_}
 
 
 def float_bits(x: float) -> int:
@@ -162,6 +138,10 @@ class Tape:
             return self._node("f", 0, ("const", "f", float_bits(float(value))))
         return self._node(kind, 0, ("const", kind, bool(value) if kind == "b" else int(value) & (2**64 - 1)))
 
+    def at(self, index: int) -> "Node":
+        """Return the node of an index."""
+        return Node(self, index)
+
     def known(self, index: int) -> Any:
         """Return the value of a constant, and None of any other node."""
         operation = self.operations[index]
@@ -186,24 +166,24 @@ class Tape:
         return Node(self, found)
 
     def _applied_anew(self, name: str, given: Sequence[Any]) -> "Node":
-        kinds = [self.types[x.index] if type(x) is Node else _kind_of(x) for x in given]
-        if "u" in kinds and name in _ON_WHOLES:
-            name = _ON_WHOLES[name]
-        wanted = _wanted(name, kinds)
+        kinds = [self.types[x.index] if type(x) is Node else kind_of(x) for x in given]
+        if "u" in kinds and name in ON_WHOLES:
+            name = ON_WHOLES[name]
+        wanted = kinds_before(name, kinds)
         nodes = [self._as(x, kind) for x, kind in zip(given, wanted, strict=True)]
         values = [self.known(node.index) for node in nodes]
         if None not in values:
             return self._folded(name, wanted, values)
-        simpler = _simplified(self, name, nodes, values)
+        simpler: Node | None = simplified(self, name, nodes, values)
         if simpler is not None:
             return simpler
         indices = [node.index for node in nodes]
-        if name in _COMMUTE:
+        if name in COMMUTE:
             indices.sort()
         depends = 0
         for index in indices:
             depends |= self.depends[index]
-        return self._node(_kind(name, wanted), depends, (name, *indices))
+        return self._node(kind_after(name, wanted), depends, (name, *indices))
 
     def _as(self, x: Any, kind: str) -> "Node":
         if type(x) is not Node:
@@ -219,8 +199,8 @@ class Tape:
 
     def _folded(self, name: str, kinds: Sequence[str], values: Sequence[Any]) -> "Node":
         with np.errstate(all="ignore"):
-            value = _NUMPY[name](*(_DTYPES[k](v) for k, v in zip(kinds, values, strict=True)))
-        return self.const(value, _kind(name, kinds))
+            value = NUMPY[name](*(DTYPES[k](v) for k, v in zip(kinds, values, strict=True)))
+        return self.const(value, kind_after(name, kinds))
 
     def _node(self, kind: str, depends: int, operation: Operation) -> "Node":
         index = self._known.get(operation)
@@ -238,134 +218,6 @@ class Tape:
             if self._where is not None:
                 self.places.append(self._where())
         return Node(self, index)
-
-
-def _kind_of(x: Any) -> str:
-    return "b" if isinstance(x, bool | np.bool_) else "f"
-
-
-def _kind(name: str, kinds: Sequence[str]) -> str:
-    if name in _TRUTHS:
-        return "b"
-    if name in _WHOLES:
-        return "u"
-    return kinds[1] if name == "select" else "f"
-
-
-def _wanted(name: str, kinds: Sequence[str]) -> tuple[str, ...]:
-    """Return the types of an operation's operands."""
-    if name in ("and", "or", "xor", "not"):
-        return ("b",) * len(kinds)
-    if name == "select":
-        same = kinds[1] if kinds[1] == kinds[2] else "u" if "u" in kinds[1:] else "f"
-        return "b", same, same
-    return (("u",) if (name in _WHOLES and name != "bits") or name == "real" else ("f",)) * len(kinds)
-
-
-def _simplified(tape: Tape, name: str, x: Sequence["Node"], known: Sequence[Any]) -> "Node | None":
-    """Return what an operation comes to where that is less than the operation."""
-    rule = _RULES.get(name)
-    return rule(tape, *x, *known) if rule else None
-
-
-def _negated(tape: Tape, x: "Node") -> "Node | None":
-    operation = tape.operations[x.index]
-    return Node(tape, operation[1]) if operation[0] == "neg" else None
-
-
-def _sum(tape: Tape, a: "Node", b: "Node", va: Any, vb: Any) -> "Node | None":
-    if va == 0:
-        return b
-    if vb == 0:
-        return a
-    minus = _negated(tape, b)
-    if minus is not None:
-        return tape.apply("sub", a, minus)
-    minus = _negated(tape, a)
-    return None if minus is None else tape.apply("sub", b, minus)
-
-
-def _less(tape: Tape, a: "Node", b: "Node", va: Any, vb: Any) -> "Node | None":
-    if vb == 0:
-        return a
-    if va == 0:
-        return tape.apply("neg", b)
-    minus = _negated(tape, b)
-    return None if minus is None else tape.apply("add", a, minus)
-
-
-def _product(tape: Tape, a: "Node", b: "Node", va: Any, vb: Any) -> "Node | None":
-    for value, other in ((va, b), (vb, a)):
-        if value == 0:
-            return tape.const(0.0)
-        if value is not None and abs(value) == 1:
-            return other if value == 1 else tape.apply("neg", other)
-    ma, mb = _negated(tape, a), _negated(tape, b)
-    if ma is None and mb is None:
-        return None
-    product = tape.apply("mul", a if ma is None else ma, b if mb is None else mb)
-    return product if ma is not None and mb is not None else tape.apply("neg", product)
-
-
-def _quotient(tape: Tape, a: "Node", b: "Node", va: Any, vb: Any) -> "Node | None":
-    if va == 0:
-        return tape.const(0.0)
-    if vb is not None:
-        # A reciprocal that is not a normal number would lose bits.
-        fits = vb != 0 and 2.0**-1021 <= abs(vb) <= 2.0**1021
-        return tape.apply("mul", a, 1.0 / vb) if fits else None
-    late = SAMPLE | STATE
-    once = not tape.depends[b.index] & late and tape.depends[a.index] & late
-    return tape.apply("mul", a, tape.apply("div", 1.0, b)) if once else None
-
-
-def _both(tape: Tape, a: "Node", b: "Node", va: Any, vb: Any) -> "Node | None":
-    if va is not None or vb is not None:
-        value, other = (va, b) if va is not None else (vb, a)
-        return other if value else tape.const(False, "b")
-    return a if a.index == b.index else None
-
-
-def _either(tape: Tape, a: "Node", b: "Node", va: Any, vb: Any) -> "Node | None":
-    if va is not None or vb is not None:
-        value, other = (va, b) if va is not None else (vb, a)
-        return tape.const(True, "b") if value else other
-    return a if a.index == b.index else None
-
-
-def _chosen(tape: Tape, c: "Node", a: "Node", b: "Node", vc: Any, _: Any, __: Any) -> "Node | None":
-    if vc is not None:
-        return a if vc else b
-    return a if a.index == b.index else None
-
-
-def _undone(name: str) -> Callable[..., "Node | None"]:
-    def rule(tape: Tape, x: "Node", _: Any) -> "Node | None":
-        operation = tape.operations[x.index]
-        return Node(tape, operation[1]) if operation[0] == name else None
-
-    return rule
-
-
-def _one(tape: Tape, a: "Node", b: "Node", _: Any, __: Any) -> "Node | None":
-    return a if a.index == b.index else None
-
-
-_RULES: dict[str, Callable[..., "Node | None"]] = {
-    "add": _sum,
-    "sub": _less,
-    "mul": _product,
-    "div": _quotient,
-    "and": _both,
-    "or": _either,
-    "select": _chosen,
-    "neg": _undone("neg"),
-    "not": _undone("not"),
-    "bits": _undone("real"),
-    "real": _undone("bits"),
-    "max": _one,
-    "min": _one,
-}
 
 
 def _operator(name: str, turned: bool = False) -> Callable[["Node", Any], Any]:
@@ -451,7 +303,7 @@ class Node:
 
 def _primitive(name: str) -> Callable[..., Any]:
     """Return an operation that takes nodes, numbers and NumPy's arrays alike."""
-    run = _NUMPY[name]
+    run = NUMPY[name]
 
     def apply(*given: Any) -> Any:
         for x in given:
@@ -463,8 +315,14 @@ def _primitive(name: str) -> Callable[..., Any]:
 
 
 select = _primitive("select")
+
+
 bits, real = _primitive("bits"), _primitive("real")
+
+
 root, absolute = _primitive("sqrt"), _primitive("abs")
+
+
 maximum, minimum = _primitive("max"), _primitive("min")
 
 
@@ -492,13 +350,13 @@ def evaluated(
             operation = tape.operations[index]
             name = operation[0]
             if name == "const":
-                values[index] = _DTYPES[operation[1]](tape.known(index))
+                values[index] = DTYPES[operation[1]](tape.known(index))
             elif name == "ring":
                 values[index] = values[operation[3]] if first else inputs[operation]
             elif name in _INPUTS:
-                values[index] = np.asarray(inputs[operation], _DTYPES[tape.types[index]])
+                values[index] = np.asarray(inputs[operation], DTYPES[tape.types[index]])
             else:
-                values[index] = _NUMPY[name](*(values[i] for i in operation[1:]))
+                values[index] = NUMPY[name](*(values[i] for i in operation[1:]))
     return [values[index] for index in wanted]
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.compiled.symbols import constructors
+from pinmobile.compiled.functions import constructors
 from pinmobile.errors import NotTraceable
 
 __all__ = ["Walk", "calling_place", "is_foreign", "place_of", "reached", "tracing"]

@@ -1,0 +1,204 @@
+"""What operations are in NumPy, of what types they are, and what they come to where they need not be done."""
+
+import operator
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+__all__ = [
+    "COMMUTE",
+    "DTYPES",
+    "NUMPY",
+    "ON_WHOLES",
+    "ROBOT",
+    "SAMPLE",
+    "STATE",
+    "UNIFORM",
+    "kind_after",
+    "kind_of",
+    "kinds_before",
+    "simplified",
+]
+
+UNIFORM, ROBOT, SAMPLE, STATE = 1, 2, 4, 8
+"""What a node depends on, as bits: a number of the whole run, of a robot, of a sample, of the state."""
+
+
+# Each operation on NumPy's numbers and arrays; `max` and `min` return the second where one is not a number.
+NUMPY: dict[str, Callable[..., Any]] = {
+    "add": operator.add,
+    "sub": operator.sub,
+    "mul": operator.mul,
+    "div": np.divide,
+    "neg": operator.neg,
+    "abs": np.abs,
+    "sqrt": np.sqrt,
+    "max": lambda a, b: np.where(a > b, a, b),
+    "min": lambda a, b: np.where(a < b, a, b),
+    "gt": operator.gt,
+    "ge": operator.ge,
+    "lt": operator.lt,
+    "le": operator.le,
+    "eq": operator.eq,
+    "ne": operator.ne,
+    "and": operator.and_,
+    "or": operator.or_,
+    "xor": operator.xor,
+    "not": np.logical_not,
+    "select": np.where,
+    "iadd": operator.add,
+    "imul": operator.mul,
+    "ixor": operator.xor,
+    "iand": operator.and_,
+    "ior": operator.or_,
+    "shl": operator.lshift,
+    "shr": operator.rshift,
+    "bits": lambda x: np.asarray(x, np.float64).view(np.uint64),
+    "real": lambda x: np.asarray(x, np.uint64).view(np.float64),
+}
+
+
+COMMUTE = frozenset(("add", "mul", "and", "or", "xor", "iadd", "imul", "ixor", "iand", "ior", "eq", "ne"))
+
+
+_TRUTHS = frozenset(("gt", "ge", "lt", "le", "eq", "ne", "and", "or", "xor", "not"))
+
+
+_WHOLES = frozenset(("iadd", "imul", "ixor", "iand", "ior", "shl", "shr", "bits"))
+
+
+ON_WHOLES = {"add": "iadd", "mul": "imul", "xor": "ixor", "and": "iand", "or": "ior"}
+
+
+DTYPES = {"f": np.float64, "u": np.uint64, "b": np.bool_}
+
+
+def kind_of(x: Any) -> str:
+    """Return the type of a plain number."""
+    return "b" if isinstance(x, bool | np.bool_) else "f"
+
+
+def kind_after(name: str, kinds: Sequence[str]) -> str:
+    """Return the type of what an operation gives."""
+    if name in _TRUTHS:
+        return "b"
+    if name in _WHOLES:
+        return "u"
+    return kinds[1] if name == "select" else "f"
+
+
+def kinds_before(name: str, kinds: Sequence[str]) -> tuple[str, ...]:
+    """Return the types of an operation's operands."""
+    if name in ("and", "or", "xor", "not"):
+        return ("b",) * len(kinds)
+    if name == "select":
+        same = kinds[1] if kinds[1] == kinds[2] else "u" if "u" in kinds[1:] else "f"
+        return "b", same, same
+    return (("u",) if (name in _WHOLES and name != "bits") or name == "real" else ("f",)) * len(kinds)
+
+
+def simplified(tape: Any, name: str, x: Sequence[Any], known: Sequence[Any]) -> Any:
+    """Return what an operation comes to where that is less than the operation."""
+    rule = _RULES.get(name)
+    return rule(tape, *x, *known) if rule else None
+
+
+def _negated(tape: Any, x: Any) -> Any:
+    operation = tape.operations[x.index]
+    return tape.at(operation[1]) if operation[0] == "neg" else None
+
+
+def _sum(tape: Any, a: Any, b: Any, va: Any, vb: Any) -> Any:
+    if va == 0:
+        return b
+    if vb == 0:
+        return a
+    minus = _negated(tape, b)
+    if minus is not None:
+        return tape.apply("sub", a, minus)
+    minus = _negated(tape, a)
+    return None if minus is None else tape.apply("sub", b, minus)
+
+
+def _less(tape: Any, a: Any, b: Any, va: Any, vb: Any) -> Any:
+    if vb == 0:
+        return a
+    if va == 0:
+        return tape.apply("neg", b)
+    minus = _negated(tape, b)
+    return None if minus is None else tape.apply("add", a, minus)
+
+
+def _product(tape: Any, a: Any, b: Any, va: Any, vb: Any) -> Any:
+    for value, other in ((va, b), (vb, a)):
+        if value == 0:
+            return tape.const(0.0)
+        if value is not None and abs(value) == 1:
+            return other if value == 1 else tape.apply("neg", other)
+    ma, mb = _negated(tape, a), _negated(tape, b)
+    if ma is None and mb is None:
+        return None
+    product = tape.apply("mul", a if ma is None else ma, b if mb is None else mb)
+    return product if ma is not None and mb is not None else tape.apply("neg", product)
+
+
+def _quotient(tape: Any, a: Any, b: Any, va: Any, vb: Any) -> Any:
+    if va == 0:
+        return tape.const(0.0)
+    if vb is not None:
+        # A reciprocal that is not a normal number would lose bits.
+        fits = vb != 0 and 2.0**-1021 <= abs(vb) <= 2.0**1021
+        return tape.apply("mul", a, 1.0 / vb) if fits else None
+    late = SAMPLE | STATE
+    once = not tape.depends[b.index] & late and tape.depends[a.index] & late
+    return tape.apply("mul", a, tape.apply("div", 1.0, b)) if once else None
+
+
+def _both(tape: Any, a: Any, b: Any, va: Any, vb: Any) -> Any:
+    if va is not None or vb is not None:
+        value, other = (va, b) if va is not None else (vb, a)
+        return other if value else tape.const(False, "b")
+    return a if a.index == b.index else None
+
+
+def _either(tape: Any, a: Any, b: Any, va: Any, vb: Any) -> Any:
+    if va is not None or vb is not None:
+        value, other = (va, b) if va is not None else (vb, a)
+        return tape.const(True, "b") if value else other
+    return a if a.index == b.index else None
+
+
+def _chosen(tape: Any, c: Any, a: Any, b: Any, vc: Any, _: Any, __: Any) -> Any:
+    if vc is not None:
+        return a if vc else b
+    return a if a.index == b.index else None
+
+
+def _undone(name: str) -> Callable[..., Any]:
+    def rule(tape: Any, x: Any, _: Any) -> Any:
+        operation = tape.operations[x.index]
+        return tape.at(operation[1]) if operation[0] == name else None
+
+    return rule
+
+
+def _one(tape: Any, a: Any, b: Any, _: Any, __: Any) -> Any:
+    return a if a.index == b.index else None
+
+
+_RULES: dict[str, Callable[..., Any]] = {
+    "add": _sum,
+    "sub": _less,
+    "mul": _product,
+    "div": _quotient,
+    "and": _both,
+    "or": _either,
+    "select": _chosen,
+    "neg": _undone("neg"),
+    "not": _undone("not"),
+    "bits": _undone("real"),
+    "real": _undone("bits"),
+    "max": _one,
+    "min": _one,
+}

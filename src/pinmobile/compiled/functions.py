@@ -1,0 +1,336 @@
+"""NumPy's functions on arrays of symbols, those that make arrays, and those that cannot be compiled."""
+
+import operator
+from collections.abc import Callable
+from functools import reduce
+from typing import Any
+
+import numpy as np
+
+from pinmobile.compiled import elementary as own
+from pinmobile.compiled.symbols import FUNCTIONS, REFUSED, Symbols, entries, has_symbols, plain, put, wrapped
+from pinmobile.compiled.tape import absolute, maximum, minimum, root, select
+from pinmobile.compiled.ufuncs import UFUNCS, between, boxed, choose, elementwise, larger, of_truths, smaller
+from pinmobile.errors import NotTraceable
+
+__all__ = ["constructors"]
+
+
+def _where(condition: Any, *choice: Any) -> Any:
+    if not choice:
+        raise NotTraceable(
+            "np.where with one argument of symbols", "give all three: np.where(condition, a, b)"
+        )
+    return wrapped(choose(*map(plain, (condition, *choice))))
+
+
+def _clip(a: Any, a_min: Any = None, a_max: Any = None, out: Any = None, **named: Any) -> Any:
+    low, high = named.get("min", a_min), named.get("max", a_max)
+    bounds = -np.inf if low is None else low, np.inf if high is None else high
+    found = wrapped(between(*map(plain, (a, *bounds))))
+    return found if out is None else put(found, out)
+
+
+def _reduced(function: Callable[..., Any]) -> Callable[..., Any]:
+    step = elementwise(function, 2)
+
+    def run(a: Any, axis: Any = None, out: Any = None, keepdims: bool = False, **options: Any) -> Any:
+        array = entries(a)
+        if "initial" in options:
+            array = np.append(array.reshape(-1), [options["initial"]])
+        if axis is None:
+            found = reduce(function, array.reshape(-1))
+            return wrapped(boxed(found).reshape((1,) * array.ndim if keepdims else ()))
+        return wrapped(_boxed_array(step.reduce(array, axis=axis, keepdims=keepdims)))
+
+    return run
+
+
+def _boxed_array(x: Any) -> Any:
+    return x if isinstance(x, np.ndarray) else boxed(x)
+
+
+def _norm(x: Any, ord: Any = None, axis: Any = None, keepdims: bool = False) -> Any:
+    if ord in (None, 2, "fro") and (axis is not None or x.ndim < 2 or ord != 2):
+        return np.sqrt(np.sum(np.square(x), axis=axis, keepdims=keepdims))
+    if x.ndim == 1 or isinstance(axis, int):
+        if ord == 1:
+            return np.sum(np.abs(x), axis=axis, keepdims=keepdims)
+        if ord == np.inf:
+            return np.max(np.abs(x), axis=axis, keepdims=keepdims)
+    raise NotTraceable(f"np.linalg.norm with ord={ord!r}", "write it by sums, products, np.abs and np.max")
+
+
+def _eliminated(matrix: Any, right: Any) -> Any:
+    """Return the solution of linear equations by elimination, the row with the largest pivot moved up."""
+    a, b = entries(matrix).copy(), entries(right).copy()
+    if a.ndim != 2 or a.shape[0] != a.shape[1]:
+        raise NotTraceable(f"np.linalg of an array of shape {a.shape}", "give one square matrix")
+    n, vector = len(a), b.ndim == 1
+    rows = np.concatenate([a, b.reshape(n, -1)], axis=1)
+    for j in range(n):
+        for i in range(j + 1, n):
+            swap = absolute(rows[i, j]) > absolute(rows[j, j])
+            upper, lower = rows[j, j:].copy(), rows[i, j:].copy()
+            rows[j, j:], rows[i, j:] = choose(swap, lower, upper), choose(swap, upper, lower)
+        inverse = 1.0 / rows[j, j]
+        for i in range(j + 1, n):
+            factor = rows[i, j] * inverse
+            rows[i, j + 1 :] = UFUNCS[np.subtract](
+                rows[i, j + 1 :], UFUNCS[np.multiply](factor, rows[j, j + 1 :])
+            )
+    for j in reversed(range(n)):
+        for i in range(j + 1, n):
+            rows[j, n:] = UFUNCS[np.subtract](rows[j, n:], UFUNCS[np.multiply](rows[j, i], rows[i, n:]))
+        rows[j, n:] = UFUNCS[np.multiply](rows[j, n:], 1.0 / rows[j, j])
+    return wrapped(rows[:, n] if vector else rows[:, n:])
+
+
+def _cholesky(matrix: Any, **_: Any) -> Any:
+    a = entries(matrix)
+    n = len(a)
+    lower = np.asarray(np.zeros((n, n))).astype(object)
+    for j in range(n):
+        lower[j, j] = root(a[j, j] - sum((x * x for x in lower[j, :j]), 0.0))
+        for i in range(j + 1, n):
+            products = (x * y for x, y in zip(lower[i, :j], lower[j, :j], strict=True))
+            lower[i, j] = (a[i, j] - sum(products, 0.0)) / lower[j, j]
+    return wrapped(lower)
+
+
+def _determinant(matrix: Any) -> Any:
+    a = entries(matrix)
+    if len(a) == 1:
+        return wrapped(boxed(a[0, 0]))
+    minors = (
+        (-1.0) ** j * (a[0, j] * plain(_determinant(wrapped(np.delete(a[1:], j, axis=1)))).item())
+        for j in range(len(a))
+    )
+    return wrapped(boxed(sum(minors, 0.0)))
+
+
+def _interpolated(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None, period: Any = None) -> Any:
+    if period is not None:
+        raise NotTraceable("np.interp with a period", "take np.mod first")
+    places, values = entries(xp), entries(fp)
+    slopes = [(values[i + 1] - values[i]) / (places[i + 1] - places[i]) for i in range(len(places) - 1)]
+
+    def one(at: Any) -> Any:
+        found = values[-1] if right is None else right
+        found = select(at == places[-1], values[-1], found)
+        for i in reversed(range(len(slopes))):
+            found = select(at < places[i + 1], values[i] + slopes[i] * (at - places[i]), found)
+        found = select(at < places[0], values[0] if left is None else left, found)
+        return select(at == at, found, at)
+
+    return wrapped(_boxed_array(elementwise(one, 1)(plain(x))))
+
+
+def _sorted(a: Any, axis: int | None = -1, **_: Any) -> Any:
+    """Return the entries in order, by exchanges."""
+    array = entries(a).copy()
+    if axis is None:
+        array, axis = array.reshape(-1), 0
+    rows = np.moveaxis(array, axis, 0)
+    for end in range(len(rows) - 1, 0, -1):
+        for i in range(end):
+            low, high = rows[i].copy() if rows.ndim > 1 else rows[i], rows[i + 1]
+            rows[i], rows[i + 1] = _between_two(low, high)
+    return wrapped(np.moveaxis(rows, 0, axis))
+
+
+def _between_two(a: Any, b: Any) -> Any:
+    return elementwise(minimum, 2)(a, b), elementwise(maximum, 2)(a, b)
+
+
+def _selected(conditions: Any, choices: Any, default: Any = 0) -> Any:
+    pairs = zip(conditions, choices, strict=True)
+    return reduce(lambda rest, pair: _where(pair[0], pair[1], rest), reversed(list(pairs)), default)
+
+
+def _filled(value: Any) -> Callable[..., Any]:
+    def run(a: Any, *_: Any, shape: Any = None, **__: Any) -> Any:
+        return wrapped(np.full(np.shape(a) if shape is None else shape, value).astype(object))
+
+    return run
+
+
+def _full_like(a: Any, value: Any, *_: Any, **__: Any) -> Any:
+    return wrapped(np.array(np.broadcast_to(entries(value), np.shape(a)), object))
+
+
+def _masked(function: Callable[..., Any], neutral: float) -> Callable[..., Any]:
+    """Return a sum or product that leaves out what is masked."""
+
+    def run(a: Any, *given: Any, where: Any = True, **options: Any) -> Any:
+        masked = a if where is True else _where(where, a, neutral)
+        return wrapped(function(plain(masked), *given, **options))
+
+    return run
+
+
+def _round(a: Any, decimals: int = 0, **_: Any) -> Any:
+    return np.rint(a * 10.0**decimals) / 10.0**decimals if decimals else np.rint(a)
+
+
+def _numbered(x: Any, nan: Any = 0.0, posinf: Any = None, neginf: Any = None, **_: Any) -> Any:
+    top = np.finfo(float).max
+    high, low = top if posinf is None else posinf, -top if neginf is None else neginf
+    return np.where(x != x, nan, np.where(x == np.inf, high, np.where(x == -np.inf, low, x)))
+
+
+def _spread(a: Any, axis: Any = None, ddof: float = 0, **_: Any) -> Any:
+    centred = a - np.mean(a, axis=axis, keepdims=True)
+    count = np.size(a) if axis is None else np.shape(a)[axis]
+    return np.sum(np.square(centred), axis=axis) / (count - ddof)
+
+
+def _near(a: Any, b: Any, rtol: float = 1e-5, atol: float = 1e-8, **_: Any) -> Any:
+    return np.abs(a - b) <= atol + rtol * np.abs(b)
+
+
+_OWN: dict[Any, Callable[..., Any]] = {
+    np.where: _where,
+    np.clip: _clip,
+    np.max: _reduced(larger),
+    np.min: _reduced(smaller),
+    np.amax: _reduced(larger),
+    np.amin: _reduced(smaller),
+    np.ptp: lambda a, axis=None, **_: np.max(a, axis=axis) - np.min(a, axis=axis),
+    np.sum: _masked(np.sum, 0.0),
+    np.prod: _masked(np.prod, 1.0),
+    np.any: _reduced(of_truths(operator.or_)),
+    np.all: _reduced(of_truths(operator.and_)),
+    np.count_nonzero: lambda a, axis=None, **_: np.sum((a != 0).astype(float), axis=axis),
+    np.select: _selected,
+    np.round: _round,
+    np.around: _round,
+    np.nan_to_num: _numbered,
+    np.var: _spread,
+    np.std: lambda a, axis=None, ddof=0, **_: np.sqrt(_spread(a, axis, ddof)),
+    np.isclose: _near,
+    np.allclose: lambda a, b, **options: np.all(_near(a, b, **options)),
+    np.array_equal: lambda a, b, **_: np.all(a == b),
+    np.sinc: lambda x: np.where(x == 0, 1.0, np.sin(np.pi * x) / np.where(x == 0, 1.0, np.pi * x)),
+    np.interp: _interpolated,
+    np.sort: _sorted,
+    np.median: lambda a, **_: _middle(_sorted(a, axis=None)),
+    np.unwrap: lambda p, **_: _unwrapped(p),
+    np.zeros_like: _filled(0.0),
+    np.ones_like: _filled(1.0),
+    np.empty_like: _filled(0.0),
+    np.full_like: _full_like,
+    np.copyto: lambda d, s, casting="same_kind", where=True: d.__setitem__(..., _where(where, s, d)),
+    np.linalg.solve: _eliminated,
+    np.linalg.inv: lambda a: _eliminated(a, np.eye(len(a))),
+    np.linalg.det: _determinant,
+    np.linalg.cholesky: _cholesky,
+    np.linalg.norm: _norm,
+    np.linalg.pinv: lambda a, **_: _pseudo_inverse(a),
+    np.shape: lambda a: a.shape if isinstance(a, Symbols) else entries(a).shape,
+    np.ndim: lambda a: a.ndim if isinstance(a, Symbols) else entries(a).ndim,
+    np.size: lambda a, axis=None: a.size if axis is None else a.shape[axis],
+    np.iscomplexobj: lambda _: False,
+    np.isrealobj: lambda _: True,
+}
+
+
+def _middle(ordered: Any) -> Any:
+    half = ordered.size // 2
+    return ordered[half] if ordered.size % 2 else 0.5 * (ordered[half - 1] + ordered[half])
+
+
+def _unwrapped(p: Any) -> Any:
+    steps = np.diff(p)
+    turns = np.cumsum(-2 * np.pi * np.rint(steps / (2 * np.pi)))
+    return np.concatenate([p[:1], p[1:] + turns])
+
+
+def _pseudo_inverse(a: Any) -> Any:
+    rows, columns = a.shape
+    return np.linalg.inv(a.T @ a) @ a.T if rows >= columns else a.T @ np.linalg.inv(a @ a.T)
+
+
+_LOOPS = "it branches on its values: write it by np.where, or run the law with engine=ARRAYS"
+
+
+_NOT_TRACED: dict[Any, str] = {
+    np.argmax: "use np.max, or np.where over the candidates",
+    np.argmin: "use np.min, or np.where over the candidates",
+    np.argsort: "use np.sort, or np.where over the candidates",
+    np.nonzero: "use np.where with three arguments",
+    np.argwhere: "use np.where with three arguments",
+    np.flatnonzero: "use np.where with three arguments",
+    np.extract: "use np.where with three arguments",
+    np.searchsorted: "use np.interp, or a sum of comparisons",
+    np.digitize: "use np.interp, or a sum of comparisons",
+    np.unique: _LOOPS,
+    np.linalg.eig: _LOOPS,
+    np.linalg.eigh: _LOOPS,
+    np.linalg.eigvals: _LOOPS,
+    np.linalg.eigvalsh: _LOOPS,
+    np.linalg.svd: _LOOPS,
+    np.linalg.qr: _LOOPS,
+    np.linalg.lstsq: "use np.linalg.solve of the normal equations, or np.linalg.pinv",
+}
+
+
+def _making(true: Callable[..., Any], copies: bool) -> Callable[..., Any]:
+    def run(x: Any, *given: Any, **options: Any) -> Any:
+        if not has_symbols(x):
+            return true(x, *given, **options)
+        if isinstance(x, Symbols) and not copies:
+            return x
+        try:
+            found = Symbols(np.array(entries(x), object))
+        except ValueError:
+            return true(x, *given, **options)  # ragged: NumPy says so
+        dtype = given[0] if given else options.get("dtype")
+        return found if dtype is None else found.astype(dtype)
+
+    return run
+
+
+def _filling(true: Callable[..., Any]) -> Callable[..., Any]:
+    def run(*given: Any, **options: Any) -> Any:
+        if true is np.full and has_symbols(given):
+            return wrapped(np.broadcast_to(entries(given[1]), given[0]).copy())
+        found = true(*given, **options)
+        # Numbers that symbols can be written into.
+        is_float = isinstance(found, np.ndarray) and found.dtype == float
+        return Symbols(found.astype(object)) if is_float else found
+
+    return run
+
+
+def _own(name: str) -> Callable[..., Any]:
+    """Return a function of numbers that has the bits of the compiled one; of symbols, NumPy comes here."""
+    true, floats = getattr(np, name), own.of_floats(getattr(own, name))
+
+    def run(*given: Any, **options: Any) -> Any:
+        if options or any(has_symbols(x) for x in given):
+            return true(*given, **options)
+        return floats(*given)
+
+    return run
+
+
+_MADE = ("zeros", "empty", "ones", "full", "eye", "identity", "zeros_like", "empty_like", "ones_like")
+
+
+def constructors() -> dict[str, Callable[..., Any]]:
+    """Return what stands for NumPy's functions of the same names while a law is traced."""
+    making = {
+        name: _making(getattr(np, name), name == "array")
+        for name in ("array", "asarray", "asanyarray", "ascontiguousarray", "asfarray")
+        if hasattr(np, name)
+    }
+    filling = {name: _filling(getattr(np, name)) for name in _MADE}
+    hyperbolic = "sinh", "cosh", "tanh"
+    angles = "arcsin", "arccos", "arctan", "arctan2"
+    functions = ("sin", "cos", "tan", "exp", "expm1", "log", "log1p", *hyperbolic, *angles)
+    return making | filling | {name: _own(name) for name in functions}
+
+
+FUNCTIONS.update(_OWN)
+REFUSED.update(_NOT_TRACED)

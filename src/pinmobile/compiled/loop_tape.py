@@ -1,0 +1,185 @@
+"""A closed loop on a tape: what stands where, and what its memory is before the first sample."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pinmobile.arrays import Array
+from pinmobile.compiled.memory import Line, leaves
+from pinmobile.compiled.noise import Noise
+from pinmobile.compiled.parts import Memory, Parameter, Parts
+from pinmobile.compiled.symbols import entries, has_symbols, symbols
+from pinmobile.compiled.tape import Node, Tape, evaluated
+from pinmobile.compiled.tracing import tracing
+from pinmobile.errors import NotTraceable
+
+__all__ = ["Leaf", "Loop", "Ring", "arrays_of", "initial_memories", "initial_memory"]
+
+
+@dataclass(frozen=True)
+class Leaf:
+    """An array in the memory: whose it is, where it stands, and what it is on the tape.
+
+    Attributes
+    ----------
+    owner, path : str
+        Such as ``"controller"`` and ``"state['integral']"``.
+    shape : tuple of int
+        Its shape.
+    first : int
+        Number of its first entry among the states, uniforms or rows.
+    kind : str
+        ``"state"``, or, where it stays as it is at first, ``"uniform"`` or ``"row"``.
+    """
+
+    owner: str
+    path: str
+    shape: tuple[int, ...]
+    first: int
+    kind: str
+
+
+@dataclass(frozen=True)
+class Ring:
+    """A number that comes back later: its node, what is pushed, and how many samples it takes."""
+
+    node: int
+    pushed: int
+    samples: int
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A closed loop on a tape.
+
+    Attributes
+    ----------
+    tape : Tape
+        All operations of a sample.
+    states : list of (int, int)
+        Nodes of each number of the state: now, and at the next sample; q, v and the memory.
+    leaves : list of Leaf
+        The arrays of the memory.
+    parameters : dict of Parameter to Leaf
+        Where each parameter stands.
+    uniforms, rows : int
+        How many numbers of the run, and of each robot, there are; the first uniform is the step [s].
+    keys : list of str
+        Names of the noises.
+    rings : list of Ring
+        Delayed numbers.
+    counted : list of int
+        Nodes whose sizes are counted.
+    kept : dict of str to (tuple of int, list of int)
+        Shape and nodes of what is kept of every sample.
+    sizes : (int, int, int, int, int)
+        nq, nv, nu, and the numbers of the reference's q and v.
+    unused : list of Parameter
+        Those that no law uses: a spread of one would do nothing.
+    """
+
+    tape: Tape
+    states: list[tuple[int, int]]
+    leaves: list[Leaf]
+    parameters: dict[Parameter, Leaf]
+    uniforms: int
+    rows: int
+    keys: list[str]
+    rings: list[Ring]
+    counted: list[int]
+    kept: dict[str, tuple[tuple[int, ...], list[int]]]
+    sizes: tuple[int, int, int, int, int]
+    unused: list[Parameter]
+
+    @property
+    def outputs(self) -> list[int]:
+        """Nodes that are wanted at each sample."""
+        kept = [node for _, nodes in self.kept.values() for node in nodes]
+        pushed = [node for ring in self.rings for node in (ring.node, ring.pushed)]
+        return [node for pair in self.states for node in pair] + pushed + self.counted + kept
+
+
+class _Context:
+    """The context of a controller, whose delays and noise are on the tape, or are numbers."""
+
+    def __init__(self, given: Any, plant: Any, line: Any, normal: Any) -> None:
+        self._given, self.difference = given, plant.difference
+        self.line, self.normal = line, normal
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._given, name)
+
+
+def initial_memory(
+    parts: Parts, context: Any, reference: int, line: Any = Line, normal: Any = None
+) -> Memory:
+    """Return what the parts keep before the first sample.
+
+    Parameters
+    ----------
+    parts : Parts
+        The loop.
+    context : object
+        What the controller's `initial_state` is told; it gets its delays and noise here.
+    reference : int
+        Number of coordinates that the reference has.
+    line, normal : callable
+        Make a delay and a noise; by default, of numbers, with the key 0.
+    """
+    plant = parts.plant
+    normal = normal or (lambda name, n: Noise(0, n))
+    own = _Context(context, plant, line, normal)
+    recorder = None if parts.recorder is None else parts.recorder.initial_state(reference, plant.nu)
+    return Memory(
+        plant.initial_state(own) if hasattr(plant, "initial_state") else None,
+        parts.controller.initial_state(own),
+        recorder,
+    )
+
+
+def initial_memories(
+    parts: Parts, context: Any, reference: int, spread: Mapping[Parameter, Array], n: int
+) -> list[Array]:
+    """Return the arrays of the memory of n robots before the first sample, shape (...) or (n, ...).
+
+    Where `initial_state` cannot be run on symbols, it is asked for each robot.
+    """
+    tape = Tape()
+    on_tape: dict[Parameter, Any] = {}
+    inputs: dict[Any, Any] = {}
+    for name, value in spread.items():
+        columns = np.broadcast_to(value, (n, *value.shape[1:])).reshape(n, -1)
+        first = len(inputs)
+        inputs |= {("row", first + i): column for i, column in enumerate(columns.T)}
+        on_tape[name] = symbols(
+            [tape.input("row", first + i) for i in range(columns.shape[1])], value.shape[1:]
+        )
+    try:
+        with tracing([part for _, part in parts.by_path()]):
+            memory = initial_memory(parts.with_parameters(on_tape), context, reference)
+    except NotTraceable:
+        rows = []
+        for i in range(n):
+            mine = parts.with_parameters(
+                {name: np.broadcast_to(x, (n, *x.shape[1:]))[i] for name, x in spread.items()}
+            )
+            rows.append(
+                [np.asarray(x, np.float64) for x in arrays_of(initial_memory(mine, context, reference))]
+            )
+        return [np.array(column) for column in zip(*rows, strict=True)]
+    found = []
+    for value in arrays_of(memory):
+        if not has_symbols(value):
+            found.append(np.asarray(value, np.float64))
+            continue
+        nodes = [x.index if type(x) is Node else tape.const(x).index for x in entries(value).reshape(-1)]
+        known = np.array([np.broadcast_to(x, n) for x in evaluated(tape, nodes, inputs)], np.float64)
+        found.append(known.T.reshape(n, *np.shape(value)))
+    return found
+
+
+def arrays_of(memory: Memory) -> list[Any]:
+    """Return the numbers and arrays of a memory, in order."""
+    return [value for tree in memory for _, value in leaves(tree)]
