@@ -19,6 +19,14 @@ from tests.looping import (
     rk4,
 )
 
+pytestmark = pytest.mark.usefixtures("no_files")
+
+
+@pytest.fixture
+def no_files(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PINMOBILE_CACHE", "")
+
+
 DT = 0.01
 TIMES, CIRCLE = circle(DT, 50)
 FIRST = Reference(*(x[0] for x in CIRCLE))

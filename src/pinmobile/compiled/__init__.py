@@ -1,5 +1,6 @@
 """Laws on symbols: a loop's parts, written in NumPy for one state, as vector code for many robots."""
 
+from pinmobile.compiled.batched import Batched
 from pinmobile.compiled.cache import Cache
 from pinmobile.compiled.emit import BINS, FIRST, SHIFT, Shape
 from pinmobile.compiled.known import program_of
@@ -16,6 +17,7 @@ __all__ = [
     "BINS",
     "FIRST",
     "SHIFT",
+    "Batched",
     "Cache",
     "Line",
     "Loop",

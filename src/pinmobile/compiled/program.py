@@ -126,7 +126,7 @@ class Program:
         size = sum(len(nodes) for _, nodes in self.loop.kept.values())
         kept = aligned((len(blocks), len(t), size, self.shape.width))
         counts = self.called(blocks, samples, uniforms, kept, n, every, threads)
-        return Outcome(self._kept_memory(memory, blocks, n), counts, self._kept_samples(kept, n))
+        return Outcome(self._kept_memory(memory, blocks, n), counts, self.kept_samples(kept, n))
 
     def _checked(self, start: tuple[Array, Array], t: Array, reference: Reference, every: int) -> int:
         """Return the number of robots, after refusing arrays that the machine code would read beyond."""
@@ -188,7 +188,7 @@ class Program:
             found.append(np.broadcast_to(grown, (*ahead, *leaf.shape)))
         return found
 
-    def _rows(self, blocks: Array, first: int, columns: Array) -> None:
+    def set_rows(self, blocks: Array, first: int, columns: Array) -> None:
         """Set rows of the blocks from (rows, n); the last robot is repeated to fill the last block."""
         width, n = self.shape.width, columns.shape[1]
         full = n // width
@@ -210,25 +210,25 @@ class Program:
         states = len(loop.states)
         blocks = aligned((-(-n // width), states + loop.rows + len(loop.keys), width))
         q, v = (np.asarray(x, np.float64) for x in start)
-        self._rows(blocks, 0, np.concatenate([q.T, v.T]))
+        self.set_rows(blocks, 0, np.concatenate([q.T, v.T]))
         for leaf, value in zip(loop.leaves, first, strict=True):
             row = leaf.first + (states if leaf.kind == "row" else 0)
             if leaf.kind == "uniform":
                 continue
             if value.ndim > len(leaf.shape):
-                self._rows(blocks, row, value.reshape(n, -1).T)
+                self.set_rows(blocks, row, value.reshape(n, -1).T)
             else:
                 blocks[:, row : row + value.size] = np.ravel(value)[:, None]
         for parameter, leaf in loop.parameters.items():
             if leaf.kind == "row":
                 value = values[parameter]
                 columns = np.broadcast_to(value, (n, *leaf.shape)).reshape(n, -1).T
-                self._rows(blocks, states + leaf.first, columns)
+                self.set_rows(blocks, states + leaf.first, columns)
         for i, name in enumerate(loop.keys):
             if name not in keys:
                 raise InvalidArgument(f"keys has {sorted(keys)}, expected one for the noise {name!r}")
             key = np.broadcast_to(np.asarray(keys[name], np.uint64), n)
-            self._rows(blocks, states + loop.rows + i, key.view(np.float64)[None])
+            self.set_rows(blocks, states + loop.rows + i, key.view(np.float64)[None])
         return blocks
 
     def _uniforms(self, h: float, values: Mapping[Parameter, Array], first: list[Array]) -> Array:
@@ -314,7 +314,8 @@ class Program:
             found.append(mapped(tree, last))
         return Memory(*found)
 
-    def _kept_samples(self, kept: Array, n: int) -> dict[str, Array]:
+    def kept_samples(self, kept: Array, n: int) -> dict[str, Array]:
+        """Return what was kept of the samples of n robots, by name, from the blocks of it."""
         found, first = {}, 0
         for name, (shape, nodes) in self.loop.kept.items():
             block = kept[:, :, first : first + len(nodes)]  # (blocks, samples, numbers, width)
