@@ -315,6 +315,12 @@ def test_memory_begins_with_what_each_robot_has_of_its_own(controller: Believing
     kinds = {leaf.path: leaf.kind for leaf in program.loop.leaves}
     assert kinds == {"state['belief']": "state", "state['gain']": "row", "state['rest']": "state"}
     found = ran(program, parts, n, values=own)
+    # What depends on no parameter that is spread in one run does in another.
+    alone = Parameter("plant", "mass")
+    known = built(parts, [*own, alone])
+    ran(known, parts, n, values={alone: np.full(n, 30.0)})
+    again = ran(known, parts, n, values=own)
+    np.testing.assert_array_equal(again.kept["u"], found.kept["u"])
     q, v = started(parts.plant, n)
     for i in (0, 5, 10):
         mine = parts.with_parameters({name: x[i] for name, x in own.items()})

@@ -70,6 +70,7 @@ class Program:
     ) -> None:
         target = Target.here() if target is None else target
         self.loop = loop
+        self._alike: set[frozenset[Parameter]] = set()  # spreads of these leave the memory alike at first
         many = Shape(target.lanes, 2 if len(loop.tape) <= _SMALL else 1)
         self.shape = shape or (Shape(1, 1) if single else many)
         self.text = text_of(loop, self.shape)
@@ -177,8 +178,12 @@ class Program:
         spread = {name: value for name, value in given.items() if self.loop.parameters[name].kind == "row"}
         owners = {name.path.partition(".")[0] for name in spread}
         values = [np.asarray(value, np.float64) for tree in memory for _, value in leaves(tree)]
-        concerned = [i for i, leaf in enumerate(places) if leaf.owner in owners]
-        each = initial_memories(parts, context, self.loop.sizes[4], spread, n) if concerned else []
+        each: list[Array] = []
+        if frozenset(spread) not in self._alike and any(leaf.owner in owners for leaf in places):
+            each = initial_memories(parts, context, self.loop.sizes[4], spread, n)
+            # No need to ask again, as that takes longer than a hundred robots.
+            if all(a.ndim == b.ndim for a, b in zip(each, values, strict=True)):
+                self._alike.add(frozenset(spread))
         found = []
         for i, leaf in enumerate(places):
             own = each[i] if each else values[i]
