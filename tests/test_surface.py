@@ -140,7 +140,7 @@ def test_a_module_imports_only_what_the_design_allows() -> None:
     assert checked > 50
 
 
-HEAVY = ("IPython", "llvmlite", "matplotlib", "meshcat", "numba", "scipy", "sympy")
+HEAVY = ("IPython", "asyncio", "dask", "llvmlite", "matplotlib", "meshcat", "numba", "scipy", "sympy", "zarr")
 
 
 def fresh(code: str) -> str:
@@ -166,7 +166,8 @@ def test_import_pulls_in_numpy_and_pinocchio_and_none_of_its_own_modules() -> No
     [
         ("from pinmobile import PD, Circle, ComputedTorque, MobileRobot, Tangent, simulate", ()),
         ("import pinmobile; pinmobile.balance, pinmobile.closed_form, pinmobile.ensembles", ()),
-        ("from pinmobile import Axis, EndEffectorTracking, Scenario, Spline, UnknownName", ()),
+        ("from pinmobile import EndEffectorTracking, Spline, UnknownName", ()),
+        ("from pinmobile import Axis, Scenario, grid, sweep", ()),
         ("import pinmobile.derivation", ("sympy",)),
         ("import pinmobile.plots", ("matplotlib",)),
     ],
@@ -188,6 +189,22 @@ def test_names_are_there_however_they_are_asked_for() -> None:
     # inspect and pydoc walk through all that `dir` tells.
     assert {name for name, _ in inspect.getmembers(pinmobile)} >= set(pinmobile.__all__)
     assert "class ComputedTorque" in pydoc.plain(pydoc.render_doc(pinmobile))
+
+
+def test_any_module_may_be_the_first_to_be_used() -> None:
+    fresh(
+        """if True:
+        import sys
+        import pinmobile
+
+        for first in pinmobile._NAMES:
+            for module in [name for name in sys.modules if name.startswith("pinmobile")]:
+                del sys.modules[module]
+            import pinmobile
+
+            getattr(pinmobile, first)
+        """
+    )
 
 
 def test_many_threads_may_use_the_package_first() -> None:
