@@ -16,7 +16,7 @@ from pinmobile.robot.geometry import Shape, shapes_of
 from pinmobile.robot.meshes import VisualFile
 from pinmobile.robot.stance import Stance, WheelReading, ground_below, stance_on, stance_written, wheels_of
 from pinmobile.robot.tree import carries_only_wheels, joint_kind
-from pinmobile.robot.wellformed import judge_links, urdf_text
+from pinmobile.robot.wellformed import MOMENTS, judge_links, urdf_text
 from pinmobile.urdf import Body
 
 __all__ = ["LOCKED", "Reading", "Shown", "read_model", "read_urdf"]
@@ -87,6 +87,7 @@ def read_urdf(path: Path, package_dirs: tuple[Path, ...] = (), ground: ArrayLike
         tuple(shapes_of(root, model, path.name)),
         VisualFile(path.resolve(), package_dirs, ()),
         stance_written(root, path.name),
+        _only_body(root, model),
     )
     reading = read_model(model, path.name, shown, ground)
     judge_links(root, path.name, lambda _: reading.body.inertia, stacklevel=4)
@@ -107,12 +108,15 @@ class Shown:
         Where its meshes lie.
     stance : Stance, optional
         How it stands, where the file says so itself.
+    only : (int, Body), optional
+        The one body in it, with its joint, where its frame is the joint's.
     """
 
     size: tuple[float, float, float] | None = None
     shapes: tuple[Shape, ...] = ()
     file: VisualFile | None = None
     stance: Stance | None = None
+    only: tuple[int, Body] | None = None
 
 
 def read_model(
@@ -147,6 +151,8 @@ def read_model(
     if z:
         base = base * pin.SE3(np.eye(3), np.array([0.0, 0.0, z]))
     body = _lump(model, data, base, [root, *locked], name)
+    if shown.only is not None and data.oMi[shown.only[0]] == base:
+        body = shown.only[1]  # Pinocchio divides by the mass again, and loses the last digit
     parts = [f"{name} {how}"]
     if locked:
         parts += [f"locked at rest: {', '.join(model.names[j] for j in locked)}", LOCKED]
@@ -251,6 +257,26 @@ def _lump(model: pin.Model, data: pin.Data, base: pin.SE3, joints: Iterable[int]
         return Body(total.mass, total.lever, total.inertia)
     except InvalidArgument as error:
         raise InvalidArgument(f"{name}: {error}") from None
+
+
+def _only_body(root: ElementTree.Element, model: pin.Model) -> tuple[int, Body] | None:
+    """Return the body of a file that has only one, as it is written, and the joint whose frame it is in."""
+    links = [link for link in root.iterfind("link") if link.find("inertial") is not None]
+    if len(links) != 1:
+        return None
+    frame = model.frames[model.getFrameId(links[0].get("name", ""), pin.FrameType.BODY)]
+    mass, inertia, origin = (links[0].find(f"inertial/{part}") for part in ("mass", "inertia", "origin"))
+    given = {} if origin is None else origin.attrib
+    turned = any(map(float, given.get("rpy", "0 0 0").split()))
+    if turned or mass is None or inertia is None or frame.placement != pin.SE3.Identity():
+        return None
+    xx, xy, xz, yy, yz, zz = (float(inertia.get(key, "0")) for key in MOMENTS)
+    com = np.array([float(word) for word in given.get("xyz", "0 0 0").split()])
+    moments = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    try:
+        return frame.parentJoint, Body(float(mass.get("value", "0")), com, moments)
+    except InvalidArgument:
+        return None  # what is wrong with it is said of the whole
 
 
 def _largest_box(root: ElementTree.Element) -> tuple[float, float, float] | None:

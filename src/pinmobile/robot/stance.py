@@ -178,11 +178,11 @@ def ground_below(
     if lowest:
         heights = list(lowest.values())
         if max(heights) - min(heights) > _TOUCH:
-            listed = ", ".join(f"{wheel} at z = {z:.4g}" for wheel, z in lowest.items())
+            listed = ", ".join(f"{wheel} at z = {_rounded(z):.4g}" for wheel, z in lowest.items())
             raise InvalidArgument(
                 f"{name}: its wheels do not stand on one plane, their lowest points being {listed} m, "
-                f"expected them within {1e3 * _TOUCH:g} mm, or ground=, the z of the ground in the root link's "
-                "frame [m]"
+                f"expected them within {1e3 * _TOUCH:g} mm, or ground=, the z of the ground in the root "
+                "link's frame [m]"
             )
         return _rounded(sum(heights) / len(heights)), "below its wheels by their radii"
     for number, frame in enumerate(model.frames):
@@ -233,14 +233,11 @@ def stance_on(
             points.append(np.array([pose.translation[:2]]) if face is None else face)
             names.append(shape.link)
     corners = hull(np.concatenate(points)) if points else None
-    listed = ", ".join(dict.fromkeys(names)) or "nothing that is known"
-    words = [
-        f"footprint: what touches the ground, {listed}"
-        if corners is not None
-        else f"footprint not known: {listed} touches the ground"
-    ]
+    listed = ", ".join(dict.fromkeys(names)) or "of all shapes none"
+    told = "footprint: {}" if corners is not None else "footprint not known: {}, has no area"
+    words = told.format(f"what touches the ground, {listed}")
     top, why = _top([(shape, pose) for shape, pose in placed if shape.joint == root], file)
-    return Stance(corners, top), [*words, why]
+    return Stance(corners, top), [words, why]
 
 
 def _place(data: pin.Data, base: pin.SE3, shape: Shape) -> pin.SE3:
@@ -251,11 +248,12 @@ def _place(data: pin.Data, base: pin.SE3, shape: Shape) -> pin.SE3:
 
 def _top(body: Sequence[tuple[Shape, pin.SE3]], file: VisualFile | None) -> tuple[float | None, str]:
     """Return the height of the highest geometry of the body, and where that is from."""
-    heights = [(shape, pose, shape.highest(pose, file) if file else None) for shape, pose in body]
-    # What is drawn of a link stands for its collision geometry, but beside that of others it is decoration.
-    solid = any(shape.collides and _is_above(shape, pose) for shape, pose in body)
-    lost = [shape.mesh for shape, _, z in heights if z is None and (shape.collides or not solid)]
-    known = [(z, shape.link) for shape, _, z in heights if z is not None]
+    # What is drawn stands for collision geometry where there is none but that of casters.
+    solid = [pair for pair in body if pair[0].collides]
+    chosen = solid if any(_is_above(*pair) for pair in solid) else body
+    heights = [(shape, shape.highest(pose, file) if file else None) for shape, pose in chosen]
+    lost = [shape.mesh for shape, z in heights if z is None]
+    known = [(z, shape.link) for shape, z in heights if z is not None]
     if lost or not known or max(known)[0] <= 0:
         reason = f"cannot be read: {', '.join(dict.fromkeys(lost))}" if lost else "there is no geometry"
         return None, f"top not known: {reason}"

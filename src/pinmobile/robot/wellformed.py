@@ -13,10 +13,12 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
 
-__all__ = ["check_urdf", "complete_limits", "judge_links", "urdf_text"]
+__all__ = ["MOMENTS", "check_urdf", "complete_limits", "judge_links", "urdf_text"]
 
 _JOINTS = ("fixed", "revolute", "continuous", "prismatic", "planar", "floating")
-_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+"""Attributes of an <inertia>."""
+
 _ROUNDING = 1e-9
 _SMALL = 1e-3  # of a body's least moment: what one of its links may lack
 _ENDLESS = "1e16"  # [rad, m]: what files write that have to give a limit where there is none
@@ -88,7 +90,7 @@ def judge_links(root: Element, name: str, body_of: Callable[[str], Array], stack
         inertia = link.find("inertial/inertia")
         if inertia is None:
             continue
-        xx, xy, xz, yy, yz, zz = (float(inertia.get(key, "0")) for key in _MOMENTS)
+        xx, xy, xz, yy, yz, zz = (float(inertia.get(key, "0")) for key in MOMENTS)
         moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         if moments[0] >= -_ROUNDING * np.abs(moments).max():
             continue
@@ -160,7 +162,7 @@ def _check_inertial(inertial: Element, called: str) -> None:
         raise InvalidArgument(f"{called} has an <inertial> without <{missing}>, expected both")
     if _number(mass, "value", f"{called} has mass") < 0:
         raise InvalidArgument(f"{called} has mass {mass.get('value')} kg, expected >= 0")
-    for key in _MOMENTS:
+    for key in MOMENTS:
         _number(inertia, key, f"{called} has inertia {key}")
 
 
