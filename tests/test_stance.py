@@ -249,6 +249,13 @@ def test_a_joint_of_few_turns_is_no_wheel(tmp_path: Path) -> None:
         MobileRobot.from_model(model)
 
 
+def test_a_base_may_have_one_wheel(tmp_path: Path) -> None:
+    wheel = link("w", inertial(1), ROLLING), joint("j", "continuous", "base", "w", "0.3 0 0.1")
+    skids = [shape("sphere", 'radius="0.02"', f"-0.2 {y} 0.02") for y in (-0.1, 0.1)]
+    robot = read(tmp_path, urdf(link("base", inertial(9), *skids), *wheel))
+    stands_on(robot, [(-0.2, -0.1), (0.3, 0), (-0.2, 0.1)])
+
+
 # What a file does not tell
 
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from html import escape
 from math import atan2, hypot
 from pathlib import Path
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -137,9 +136,8 @@ def write(
             "  </joint>",
         ]
     if stance is not None:
-        lines.append(
-            f"  <pinmobile{''.join(f' {key}={quoteattr(value)}' for key, value in stance.items())}/>"
-        )
+        attributes = [f'{key}="{escape(value)}"' for key, value in stance.items()]
+        lines.append(f"  <{' '.join(['pinmobile', *attributes])}/>")
     return "\n".join([*lines, "</robot>", ""])
 
 

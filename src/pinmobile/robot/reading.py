@@ -157,7 +157,7 @@ def read_model(
     if locked:
         parts += [f"locked at rest: {', '.join(model.names[j] for j in locked)}", LOCKED]
     parts.append(
-        f"mass {body.mass:.6g} kg, centre of mass ({', '.join(f'{c:.4g}' for c in body.com)}) m, "
+        f"mass {body.mass:.6g} kg, centre of mass ({', '.join(f'{c:.4g}' for c in body.com.round(9) + 0.0)}) m, "
         f"yaw inertia {body.yaw_inertia:.6g} kg m^2"
     )
     size = shown.size

@@ -146,8 +146,9 @@ def _axle(model: pin.Model, data: pin.Data, base: pin.SE3, joint: int) -> Array 
     """Return the axis of a joint that turns freely about a level one, snapped to level."""
     if not turns_freely(model, joint):
         return None
-    column = pin.getJointJacobian(model, data, joint, pin.WORLD)[:, model.idx_vs[joint]]
-    axis = np.asarray(base.rotation.T @ column[3:])
+    # Of a model with one joint Pinocchio returns it without the second axis.
+    jacobian = pin.getJointJacobian(model, data, joint, pin.WORLD).reshape(6, -1)
+    axis = np.asarray(base.rotation.T @ jacobian[3:, model.idx_vs[joint]])
     if abs(axis[2]) > _LEVEL:
         return None
     return np.append(axis[:2] / np.hypot(axis[0], axis[1]), 0.0)
