@@ -156,9 +156,9 @@ def read_model(
     parts = [f"{name} {how}"]
     if locked:
         parts += [f"locked at rest: {', '.join(model.names[j] for j in locked)}", LOCKED]
+    com = ", ".join(f"{c:.4g}" for c in body.com.round(9) + 0.0)
     parts.append(
-        f"mass {body.mass:.6g} kg, centre of mass ({', '.join(f'{c:.4g}' for c in body.com.round(9) + 0.0)}) m, "
-        f"yaw inertia {body.yaw_inertia:.6g} kg m^2"
+        f"mass {body.mass:.6g} kg, centre of mass ({com}) m, yaw inertia {body.yaw_inertia:.6g} kg m^2"
     )
     size = shown.size
     if size is None:
