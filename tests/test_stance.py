@@ -343,6 +343,20 @@ def test_a_wheel_hangs_on_its_swivel_and_its_rollers_are_no_wheels(tmp_path: Pat
     (found,) = read_urdf(path).wheels
     assert (found.name, found.radius, found.axis) == ("axle", 0.1, (0, 1, 0))
     np.testing.assert_allclose(found.centre, (0.284, 0, 0.1), atol=1e-15)
+    # A roller on the ground is a part of the wheel.
+    text = path.read_text().replace('xyz="0.09 0 0"', 'xyz="0 0 -0.09"')
+    assert "what touches the ground, axle, has no area" in read(tmp_path, text).source
+
+
+@pytest.mark.parametrize(("z", "standing"), [(0.1, True), (0.104, True), (0.106, False), (-0.1, False)])
+def test_wheels_of_no_radius_stand_where_their_axles_are_level(
+    tmp_path: Path, z: float, standing: bool
+) -> None:
+    front = "0.5 0 0.1" if z > 0 else "0.5 0 -0.1"  # below the ground is no place for an axle
+    bare = bicycle(z).replace(ROLLING, "").replace("0.5 0 0.1", front)
+    robot = read(tmp_path, bare, ground=0.0)
+    assert ("what touches the ground, b, f, has" in robot.source) is standing
+    assert ("of all shapes none, has" in robot.source) is not standing
 
 
 def test_a_link_base_footprint_tells_where_the_ground_is(tmp_path: Path) -> None:

@@ -204,10 +204,10 @@ class MobileRobot(Carrier):
         (joints that are continuous, or revolute without limits or with those of a thousand turns) and joints
         that carry only wheels. A bare base is put on the chain, its wheels locked: it can be pushed sideways.
 
-        B is the frame of the root link, moved along z to the ground. That is where the wheels stand, by the
-        radii of their collision cylinders and spheres; else where a link base_footprint is; of the chain
-        z = 0. Where nothing tells, it is taken to be at the origin of the root link, `grounded` is False, and
-        what asks for a height is refused until `ground` is given.
+        B, ``base_link`` among `frame_names`, is the frame of the root link, moved along z to the ground. That
+        is where the wheels stand, by the radii of their collision cylinders and spheres; else where a link
+        base_footprint is; of the chain z = 0. Where nothing tells, it is taken to be at the origin of the
+        root link, `grounded` is False, and what asks for a height is refused until `ground` is given.
 
         Parameters
         ----------

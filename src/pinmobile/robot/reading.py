@@ -174,7 +174,7 @@ def read_model(
             "give ground=, its z there [m]"
         )
     else:
-        stance, words = stance_on(data, base, wheels, shown.shapes, z, shown.file, root)
+        stance, words = stance_on(model, data, base, wheels, shown.shapes, z, shown.file, root)
         parts += [f"ground {told}, at z = {z:.4g} m in the root link's frame", *words]
     pose = tuple(base.homogeneous.ravel().tolist())
     names = tuple(str(model.names[joint]) for joint in locked)

@@ -187,7 +187,8 @@ def ground_below(
             )
         return _rounded(sum(heights) / len(heights)), "below its wheels by their radii"
     for number, frame in enumerate(model.frames):
-        if number and frame.name.endswith(_FOOTPRINT) and frame.parentJoint == root:
+        is_link = number and frame.type == pin.FrameType.BODY and frame.parentJoint == root
+        if is_link and frame.name.endswith(_FOOTPRINT):
             at = base.inverse() * data.oMi[root] * frame.placement
             return _rounded(float(at.translation[2])), f"at its link {frame.name}"
     return (0.0, "the plane of its chain") if root == 3 else (None, "")
@@ -198,6 +199,7 @@ def _rounded(height: float) -> float:
 
 
 def stance_on(
+    model: pin.Model,
     data: pin.Data,
     base: pin.SE3,
     wheels: Sequence[WheelReading],
@@ -210,21 +212,22 @@ def stance_on(
 
     Parameters
     ----------
-    data, base, wheels, shapes, root
+    model, data, base, wheels, shapes, root
         As in `wheels_of`; `base` is B, on the ground.
     ground : float
         Its height in the frame in which the wheels are [m].
     file : VisualFile or None
         Tells where meshes lie.
     """
-    apart = {wheel.joint for wheel in wheels}
+    apart = {joint for wheel in wheels for joint in model.subtrees[wheel.joint]}
     placed = [(shape, _place(data, base, shape)) for shape in shapes if shape.joint not in apart]
+    heights = [wheel.centre[2] - ground for wheel in wheels]
+    # Where a file tells no radius at all, wheels with axles of one height stand on the ground.
+    level = bool(heights) and min(heights) > 0 and max(heights) - min(heights) <= _TOUCH
+    untold = level and all(wheel.radius is None for wheel in wheels)
     points, names = [], []
-    for wheel in wheels:
-        height = wheel.centre[2] - ground
-        # Of a wheel whose radius the file does not tell, it is the height of the axle.
-        touches = height > 0 if wheel.radius is None else abs(height - wheel.radius) <= _TOUCH
-        if touches:
+    for wheel, height in zip(wheels, heights, strict=True):
+        if untold if wheel.radius is None else abs(height - wheel.radius) <= _TOUCH:
             points.append(np.array([wheel.centre[:2]]))
             names.append(wheel.name)
     for shape, pose in placed:
