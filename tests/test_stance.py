@@ -477,3 +477,13 @@ def test_a_wheeled_base_is_drawn_on_the_ground(tmp_path: Path) -> None:
     for item in rolling:
         assert item.placement.translation[2] == pytest.approx(0.1651, abs=1e-15)
     assert robot.top == pytest.approx(0.35978, abs=1e-12)
+
+
+def test_a_box_above_its_wheels_is_drawn_where_it_is(tmp_path: Path) -> None:
+    chassis = shape("box", 'size="0.42 0.31 0.184"', "0 0 0.092")
+    text = wheeled.jackal().replace(chassis, chassis + chassis.replace("collision", "visual"))
+    for drawn in (text.split('fender_link">')[1], text.split('navsat_link">')[1]):
+        text = text.replace(drawn.split("</link>")[0], "")
+    robot = read(tmp_path, text)
+    (item,) = robot.visual_model.geometryObjects
+    np.testing.assert_allclose(item.placement.translation, (0, 0, 0.092 + 0.0635), atol=1e-15)
