@@ -315,9 +315,9 @@ class MobileRobot(Carrier):
     def visual_model(self) -> pin.GeometryModel:
         """What is drawn, each object on its joint of `model`: those of the body on the third.
 
-        It is made when it is asked for. Of a URDF that shows more than a box on the ground, all of that, wheels at
-        rest; mesh files that are missing or cannot be read are named in a warning. Else a box of `size` on
-        the ground, with a visible front. Then what is drawn of each arm, and the boxes of loads.
+        It is made when it is asked for. Of a URDF that shows more than a box on the ground, all of that,
+        wheels at rest; mesh files that are missing or cannot be read are named in a warning. Else a box of
+        `size` on the ground, with a visible front. Then what is drawn of each arm, and the boxes of loads.
         """
         joint = BODY_JOINT
         if self._looks is None:
