@@ -10,8 +10,9 @@ import pytest
 
 import pinmobile
 from pinmobile import MobileRobot, Rollout
-from pinmobile.cli import main
+from pinmobile.cli import choices, main
 from pinmobile.cli.lecture import EXPECTED
+from tests.wheeled import husky
 
 
 def typed(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
@@ -83,6 +84,20 @@ def test_verify_answers_for_numbers_and_for_a_file(
     code, out, _ = typed(capsys, "verify", "--urdf", str(path), "--states", "20")
     assert code == 0
     assert "mine.urdf is the chain (y, x, psi); mass 7 kg" in out
+    code, out, _ = typed(capsys, "verify", "--urdf", str(path), "--states", "5", "--ground", "-0.1")
+    assert code == 0
+    assert "centre of mass (0.1, 0, 0.1) m" in out
+    assert "ground as given, at z = -0.1 m in the root link's frame" in out
+
+
+def test_other_numbers_leave_how_the_robot_of_a_file_stands(tmp_path: Path) -> None:
+    path = tmp_path / "husky.urdf"
+    path.write_text(husky())
+    read = MobileRobot.from_urdf(path)
+    changed = choices.robot(read, mass=70.0, com=(0.1, 0.0))
+    assert (changed.mass, changed.com) == (70.0, (0.1, 0.0, read.com[2]))
+    assert changed.stance == read.stance
+    assert "with other mass, com" in changed.source
 
 
 def test_derive_prints_text_or_latex(capsys: pytest.CaptureFixture[str]) -> None:
@@ -168,6 +183,8 @@ def test_a_run_that_diverges_keeps_what_came_before(
         (["run", "--dt", "0.07"], "expected a whole number of steps dt = 0.07 s"),
         (["run", "--mass", "-1"], "mass is -1.0 kg, expected > 0"),
         (["run", "--urdf", "missing.urdf"], "path is 'missing.urdf', which cannot be read"),
+        (["run", "--ground", "-0.1"], "--ground applies beside --urdf alone"),
+        (["verify", "--ground", "-0.1"], "--ground applies beside --urdf alone"),
         (["run", "--radios", "1"], "No such option"),
         (["verify", "--urdf", "missing.urdf"], "path is 'missing.urdf', which cannot be read"),
         (["verify", "--com", "1"], "com has shape (1,), expected (2,) or (3,)"),

@@ -717,7 +717,7 @@ def test_the_box_stands_for_a_mesh_that_cannot_be_read(tmp_path: Path) -> None:
 def test_looks_survive_pickling_and_are_no_part_of_equality(tmp_path: Path) -> None:
     robot = truck(tmp_path, "hull")
     copy = pickle.loads(pickle.dumps(robot))
-    assert copy == robot == MobileRobot.from_body(robot.body, robot.size)
+    assert copy == robot == MobileRobot.from_body(robot.body, robot.size, stance=robot.stance)
     assert copy.visual_model.ngeoms == 2
 
 

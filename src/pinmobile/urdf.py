@@ -1,5 +1,6 @@
 """A DH chain and the rigid body that it carries, as URDF text."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from html import escape
 from math import atan2, hypot
@@ -85,7 +86,14 @@ def box_inertia(mass: float, size: ArrayLike) -> Array:
     return np.diag(positive("mass", mass, "kg") / 12 * (squares.sum() - squares))
 
 
-def write(table: DHTable, body: Body, *, size: ArrayLike, name: str = "pinmobile") -> str:
+def write(
+    table: DHTable,
+    body: Body,
+    *,
+    size: ArrayLike,
+    name: str = "pinmobile",
+    stance: Mapping[str, str] | None = None,
+) -> str:
     """Return the chain with the body on its last link as URDF text.
 
     Every joint frame of the text is the DH frame of its row; the joint moves along or about its z. All
@@ -101,6 +109,9 @@ def write(table: DHTable, body: Body, *, size: ArrayLike, name: str = "pinmobile
         Length, width and height of the box that shows the body [m]; it stands on the plane z = 0.
     name : str
         Name of the robot.
+    stance : mapping of str to str, optional
+        Attributes of an element <pinmobile>, which other readers pass over: how the body stands where that
+        is not on its box.
 
     Returns
     -------
@@ -124,6 +135,9 @@ def write(table: DHTable, body: Body, *, size: ArrayLike, name: str = "pinmobile
             f'    <limit lower="-{_FAR}" upper="{_FAR}" effort="{_FAR}" velocity="{_FAR}"/>',
             "  </joint>",
         ]
+    if stance is not None:
+        attributes = [f'{key}="{escape(value)}"' for key, value in stance.items()]
+        lines.append(f"  <{' '.join(['pinmobile', *attributes])}/>")
     return "\n".join([*lines, "</robot>", ""])
 
 

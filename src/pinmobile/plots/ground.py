@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array, ArrayLike
 from pinmobile.balance import (
     body_zero_moment_point,
-    checked_footprint,
+    footprint_of,
     reaction_wrench,
-    rectangle,
     required_friction,
     tip_over_margin,
 )
@@ -165,10 +164,7 @@ def _from_above(axes: Axes, runs: dict[str, Rollout], footprint: ArrayLike | Non
     dress(axes)
     outlines = {
         corners.tobytes(): corners
-        for corners in (
-            rectangle(*run.robot.size[:2]) if footprint is None else checked_footprint(footprint)
-            for run in runs.values()
-        )
+        for corners in (footprint_of(run.robot, footprint) for run in runs.values())
     }
     for corners in outlines.values():
         axes.add_patch(Polygon(corners, label="footprint", **_OUTLINE))

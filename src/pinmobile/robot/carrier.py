@@ -15,6 +15,7 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.robot.arms import Arm
 from pinmobile.robot.mounts import Load, Mount, checked_name, free_name, mount_after, on_top, placed
 from pinmobile.robot.sources import read_arm
+from pinmobile.robot.stance import Stance
 from pinmobile.robot.wrenches import ChainWrenches
 
 __all__ = ["Carrier"]
@@ -23,7 +24,7 @@ __all__ = ["Carrier"]
 class Carrier(ChainWrenches):
     """Abstract base: a body of some size that can carry arms and loads."""
 
-    size: tuple[float, float, float]
+    stance: Stance
     source: str
 
     @abstractmethod
@@ -31,8 +32,8 @@ class Carrier(ChainWrenches):
         """Return the same body that carries these instead."""
 
     @abstractmethod
-    def _as(self, body: urdf.Body, source: str) -> Self:
-        """Return another body, bare, that looks the same."""
+    def with_body(self, body: urdf.Body, source: str) -> Self:
+        """Return another body, bare, that looks and stands the same."""
 
     def mount(
         self,
@@ -59,10 +60,10 @@ class Carrier(ChainWrenches):
         arm : str, path, pin.Model or pin.RobotWrapper
             One of `mountable()`, such as ``"ur5"``; a URDF; or a model.
         at : array_like, shape (4,), optional
-            Where its root stands on the body: x, y, z and yaw [m, m, m, rad]; by default in the middle of the
-            top of the box of `size`, unless another arm stands there. What has a free-flyer root, or a loader
-            that gives it one, stands on its feet instead, its root as high as puts its lowest frame at rest
-            there; so does what would otherwise hang below the ground.
+            Where its root stands on the body: x, y, z above the ground and yaw [m, m, m, rad]; by default in
+            the middle, at the height `top`, unless that is not known or another arm stands there. What has a
+            free-flyer root, or a loader that gives it one, stands on its feet instead, its root as high as
+            puts its lowest frame at rest there; so does what would otherwise hang below the ground.
         name : str, optional
             By default that of the arm; numbered where it is taken.
         package_dirs : str, path, or sequence of them
@@ -79,8 +80,8 @@ class Carrier(ChainWrenches):
         ------
         InvalidArgument
             If the arm cannot be read; a joint of it moves no inertia, carries what no rigid body is, or has
-            limits that limit nothing; without `at`, the middle is taken; or another argument is not what is
-            expected.
+            limits that limit nothing; without `at`, the middle is taken or the top not known; or another
+            argument is not what is expected.
         UnknownName
             If no loader has the name; the nearest come first.
         """
@@ -93,7 +94,13 @@ class Carrier(ChainWrenches):
         return self._carrying((*self.mounts, mount), self.loads)
 
     def _free_place(self, arm: Arm) -> tuple[float, float, float, float]:
-        place = on_top(self.size, arm)
+        top = self.stance.top
+        if top is None:
+            raise InvalidArgument(
+                f"at is not given for {arm.origin.value!r}, and the top of the robot is not known, "
+                "expected x, y, z and yaw; robot.source says what its file lacks"
+            )
+        place = on_top(top, arm)
         for mount in self.mounts:
             if mount.at[:2] == place[:2]:
                 raise InvalidArgument(
@@ -148,4 +155,4 @@ class Carrier(ChainWrenches):
             raise InvalidArgument(f"q has shape {posture.shape}, expected ({self.nq},) or ({self.nq - 3},)")
         total = self._engine.composite(self._q(posture))
         body = urdf.Body(total.mass, total.lever, total.inertia)
-        return self._as(body, f"{self.source}; arms locked")
+        return self.with_body(body, f"{self.source}; arms locked")

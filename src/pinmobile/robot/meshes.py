@@ -9,8 +9,9 @@ from xml.etree import ElementTree
 import pinocchio as pin
 
 from pinmobile.errors import InvalidArgument
+from pinmobile.robot.wellformed import complete_limits
 
-__all__ = ["VisualFile", "readable", "shown"]
+__all__ = ["VisualFile", "found", "readable", "shown"]
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,7 @@ def readable(file: VisualFile, stacklevel: int) -> tuple[ElementTree.Element, li
         root = ElementTree.fromstring(file.path.read_text(encoding="utf-8"))
     except (OSError, ValueError, ElementTree.ParseError) as error:
         raise InvalidArgument(f"path is {str(file.path)!r}, which cannot be read: {error}") from None
+    complete_limits(root)
     missing = _without_meshes(root, lambda mesh: _is_missing(mesh, file))
     if missing:
         listed = ", ".join(dict.fromkeys(missing))
@@ -109,10 +111,10 @@ def _without_meshes(root: ElementTree.Element, unusable: Callable[[ElementTree.E
 
 def _is_missing(mesh: ElementTree.Element, file: VisualFile) -> bool:
     """Tell whether there is no file of that name; where there is one, write into the mesh where it lies."""
-    found = _found(mesh.get("filename", ""), file)
-    if found is not None:
-        mesh.set("filename", str(found))
-    return found is None
+    path = found(mesh.get("filename", ""), file)
+    if path is not None:
+        mesh.set("filename", str(path))
+    return path is None
 
 
 def _is_broken(mesh: ElementTree.Element) -> bool:
@@ -125,7 +127,8 @@ def _is_broken(mesh: ElementTree.Element) -> bool:
     return False
 
 
-def _found(name: str, file: VisualFile) -> Path | None:
+def found(name: str, file: VisualFile) -> Path | None:
+    """Return where a mesh of the file lies, or None where it is not there."""
     scheme, apart, rest = name.rpartition("://")
     rest = rest.lstrip("/") if scheme == "package" else rest
     folders = (*file.package_dirs, file.path.parent) if scheme == "package" else (file.path.parent,)

@@ -142,12 +142,12 @@ def placed(at: ArrayLike) -> tuple[float, float, float, float]:
     return x, y, z, yaw
 
 
-def on_top(size: tuple[float, float, float], arm: Arm) -> tuple[float, float, float, float]:
-    """Return the mount point in the middle of the top of the body's box.
+def on_top(top: float, arm: Arm) -> tuple[float, float, float, float]:
+    """Return the mount point in the middle of a body of some height [m].
 
     What stands on its feet, or would otherwise hang below the ground, is as high as its lowest frame needs.
     """
-    top, below = float(size[2]), arm.reach_down()
+    below = arm.reach_down()
     return 0.0, 0.0, top + below if arm.stands or below > top else top, 0.0
 
 

@@ -6,6 +6,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import Array, vector
@@ -13,7 +14,7 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.robot.arms import Arm, Origin
 from pinmobile.robot.library import load_arm
 from pinmobile.robot.pictures import FilePicture, GivenPicture
-from pinmobile.robot.wellformed import urdf_text
+from pinmobile.robot.wellformed import judge_links, urdf_text
 
 __all__ = ["existing_folders", "kept_arm", "read_arm"]
 
@@ -168,11 +169,18 @@ def _check_rest(arm: Arm) -> None:
 
 
 def _from_urdf(path: Path, folders: tuple[str, ...], rest: Any, locked: tuple[str, ...]) -> Arm:
-    text, _ = urdf_text("arm", path)
+    text, root = urdf_text("arm", path)
     try:
         model = pin.buildModelFromXML(text)
     except (ValueError, RuntimeError) as error:
         raise InvalidArgument(f"{path.name} is not a URDF that Pinocchio reads: {error}") from None
     picture = FilePicture(path, tuple(map(Path, folders)))
     origin, posture = Origin("urdf", str(path), folders), _posture(model, rest)
-    return Arm(origin, model, posture, picture, locked, usual=pin.neutral(model))
+    arm = Arm(origin, model, posture, picture, locked, usual=pin.neutral(model))
+
+    def body_of(link: str) -> Array:
+        joint = model.frames[model.getFrameId(link, pin.FrameType.BODY)].parentJoint
+        return np.asarray(model.inertias[joint].inertia)
+
+    judge_links(root, path.name, body_of, stacklevel=5)
+    return arm

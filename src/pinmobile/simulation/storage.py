@@ -11,7 +11,7 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.dh import DHRow, DHTable, JointType
 from pinmobile.errors import InvalidArgument, PinmobileError
-from pinmobile.robot import Load, MobileRobot
+from pinmobile.robot import Load, MobileRobot, Stance
 from pinmobile.robot.sources import kept_arm
 from pinmobile.urdf import Body
 
@@ -92,6 +92,8 @@ def _describe(robot: MobileRobot) -> dict[str, Any]:
         "size": robot.size,
         "dh": [(*astuple(row)[:4], row.joint.value, row.variable) for row in robot.dh],
         "source": robot.source,
+        "stance": [None if robot.footprint is None else robot.footprint.tolist(), robot.top, robot.grounded],
+        "locked_joints": robot.locked_joints,
         "mounts": [
             {
                 "name": mount.name,
@@ -125,7 +127,14 @@ def _restore(described: dict[str, Any] | None) -> MobileRobot:
         for alpha, a, theta, d, joint, variable in described["dh"]
     )
     body = Body(described["mass"], described["com"], described["inertia"])
-    robot = MobileRobot.from_body(body, tuple(described["size"]), DHTable(rows), described["source"])
+    robot = MobileRobot.from_body(
+        body,
+        tuple(described["size"]),
+        DHTable(rows),
+        described["source"],
+        stance=Stance(*described["stance"]) if "stance" in described else None,
+        locked_joints=described.get("locked_joints", ()),
+    )
     mounts = described.get("mounts", ())
     for mount in mounts:
         name, at = mount.pop("name"), mount.pop("at")

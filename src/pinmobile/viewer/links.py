@@ -68,7 +68,7 @@ def links(path: str, robot: MobileRobot, q: Array) -> list[Channel]:
 
 
 def envelope(robot: MobileRobot, q: Array) -> tuple[float, float]:
-    """Return how far its joints reach from the body's origin and above the ground [m], at least its box.
+    """Return how far its joints reach from the body's origin and above the ground [m], at least the body.
 
     Parameters
     ----------
@@ -78,6 +78,7 @@ def envelope(robot: MobileRobot, q: Array) -> tuple[float, float]:
         Its configurations.
     """
     length, _, height = robot.size
+    height = height if robot.top is None else robot.top
     if not robot.mounts:
         return length, height
     origins = _seen_from_body(robot, q)[:, :, :3, 3]
