@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 import pinocchio as pin
 
 from pinmobile.errors import InvalidArgument
+from pinmobile.robot.wellformed import urdf_tree
 
 __all__ = ["VisualFile", "readable", "shown"]
 
@@ -45,12 +46,9 @@ def readable(file: VisualFile, stacklevel: int) -> tuple[ElementTree.Element, li
     Raises
     ------
     InvalidArgument
-        If the file cannot be read any more.
+        If the file cannot be read any more, or is no URDF by now.
     """
-    try:
-        root = ElementTree.fromstring(file.path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, ElementTree.ParseError) as error:
-        raise InvalidArgument(f"path is {str(file.path)!r}, which cannot be read: {error}") from None
+    root = urdf_tree("path", file.path)  # again, since the file may be another one by now
     missing = _without_meshes(root, lambda mesh: _is_missing(mesh, file))
     if missing:
         listed = ", ".join(dict.fromkeys(missing))

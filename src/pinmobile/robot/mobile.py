@@ -22,8 +22,10 @@ from pinmobile.robot.meshes import VisualFile
 from pinmobile.robot.mounts import Load, Mount
 from pinmobile.robot.pictures import add_carried
 from pinmobile.robot.reading import read_model, read_urdf
+from pinmobile.robot.sound import check_mass_matrix
 from pinmobile.robot.sources import existing_folders
 from pinmobile.robot.visual import box_visuals, read_visuals
+from pinmobile.robot.wellformed import check_freedom
 
 __all__ = ["MobileRobot"]
 
@@ -191,6 +193,7 @@ class MobileRobot(Carrier):
         """
         if not isinstance(pin_model, pin.Model):
             raise InvalidArgument(f"pin_model is a {type(pin_model).__name__}, expected a pinocchio.Model")
+        check_freedom(pin_model.nv, pin_model.name or "the model")
         reading = read_model(pin_model, pin_model.name or "the model")
         return cls.from_body(reading.body, reading.size, reading.table, reading.source)
 
@@ -269,7 +272,9 @@ def _restored(
     robot = MobileRobot.from_body(body, size, dh, source)
     carrying = {"mounts": mounts, "loads": loads}
     if mounts or loads:
-        carrying["_engine"] = Engine(assemble(robot.model, mounts, loads))  # type: ignore[assignment]
+        engine = Engine(assemble(robot.model, mounts, loads))
+        check_mass_matrix(engine.model, engine.data)
+        carrying["_engine"] = engine  # type: ignore[assignment]
     for name, value in {"_looks": looks, **carrying}.items():
         object.__setattr__(robot, name, value)
     return robot
