@@ -1,6 +1,7 @@
 """What the live window's server answers: the page, its script, and a websocket to each browser."""
 
 import asyncio
+import logging
 import re
 from collections import deque
 from time import monotonic
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Browser", "application"]
 
+_LOG = logging.getLogger(__name__)
 _MOST_UNANSWERED = 4  # batches on their way to a browser; more would only be older news
 _PATIENCE = 2.0  # [s] in which a browser should answer
 _MOST_CAPTURES = 4
@@ -68,9 +70,10 @@ class _Answer(RequestHandler):
         value: BaseException | None,
         tb: TracebackType | None,
     ) -> None:
-        # What a request asks for wrongly is its own affair: nobody may read what would be printed.
-        if not isinstance(value, HTTPError):
-            super().log_exception(typ, value, tb)
+        # What a request asks for wrongly is its own affair: nobody may read what would be printed. Of others
+        # the path alone is told: the whole address may hold a token.
+        if typ is not None and value is not None and not isinstance(value, HTTPError):
+            _LOG.error("the viewer failed at %s", self.request.path, exc_info=(typ, value, tb))
 
 
 class _Page(_Answer):

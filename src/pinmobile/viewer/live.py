@@ -81,12 +81,13 @@ class LiveWindow:
 
     def __repr__(self) -> str:
         state = "closed" if self._server.closed else f"{self.browsers} browsers"
-        return f"<LiveWindow: http://{self._server.access.name}:{self.port}/, {state}>"
+        return f"<LiveWindow: {self._server.access.address(self.port)}, {state}>"
 
     @property
     def url(self) -> str:
         """Address of the page, with the token where one is needed."""
-        return f"http://{self._server.access.name}:{self.port}/{self._server.access.query}"
+        access = self._server.access
+        return access.address(self.port) + access.query
 
     web_url = url
 
@@ -137,7 +138,8 @@ class LiveWindow:
         self._server.wait(lambda: bool(self._server.browsers), limit)
         self._check_open()
         if not self._server.browsers:
-            raise ViewerError(f"no browser has opened {self.url} within {limit:g} s")
+            where = self._server.access.address(self.port)
+            raise ViewerError(f"no browser has opened {where} within {limit:g} s")
         return True
 
     def flush(self, timeout: float = 5.0) -> bool:
