@@ -158,6 +158,66 @@ def test_as_many_as_are_allowed_are_read_in_a_thread_with_a_small_stack(tmp_path
     assert (done.returncode, done.stdout, done.stderr) == (0, "2000.0\n(103, 103)\n", "")
 
 
+TRIANGLE = """<?xml version="1.0"?>
+<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset><unit meter="1"/><up_axis>Z_UP</up_axis></asset>
+<library_geometries><geometry id="g"><mesh>
+<source id="s"><float_array id="f" count="9">0 0 0 1 0 0 0 1 0</float_array><technique_common>
+<accessor source="#f" count="3" stride="3"><param name="X" type="float"/><param name="Y" type="float"/>
+<param name="Z" type="float"/></accessor></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#s"/></vertices>
+<triangles count="1"><input semantic="VERTEX" source="#v" offset="0"/><p>0 1 2</p></triangles>
+</mesh></geometry></library_geometries>
+<library_visual_scenes><visual_scene id="w"><node><instance_geometry url="#g"/></node></visual_scene>
+</library_visual_scenes><scene><instance_visual_scene url="#w"/></scene></COLLADA>"""
+
+
+@pytest.mark.parametrize(
+    ("indices", "drawn"),
+    [
+        ("0 1 2", True),
+        (" 0\n+1\t2 ", True),
+        ("0 x 2", False),
+        ("0 1 2<!-- --> ", False),
+        ("<![CDATA[0 x 2]]>", False),
+        ("&#x78;", False),
+    ],
+)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_a_mesh_that_would_be_read_for_ever_is_named_and_not_drawn(
+    indices: str, drawn: bool, encoding: str, tmp_path: Path
+) -> None:
+    (tmp_path / "a.dae").write_text(
+        TRIANGLE.replace("0 1 2", indices).replace('"1.0"', f'"1.0" encoding="{encoding}"', 1),
+        encoding=encoding,
+    )
+    mesh = '<visual><geometry><mesh filename="a.dae"/></geometry></visual></link>'
+    saved(tmp_path, robot(link("a", 1).replace("</link>", mesh)))
+    script = f"""
+        import resource, warnings
+        from pinmobile import MobileRobot
+        resource.setrlimit(resource.RLIMIT_CPU, (30, 30))
+        resource.setrlimit(resource.RLIMIT_AS, ({4 << 30}, {4 << 30}))
+        read = MobileRobot.from_urdf("robot.urdf")
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            shown = read.visual_model.geometryObjects
+        print([item.name for item in shown], *(warning.message for warning in told))
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(script)],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert done.stdout.startswith(
+        "['a_0']" if drawn and encoding == "utf-8" else "['body', 'front', 'wedge']"
+    )
+    assert ("not drawn, since damaged" in done.stdout) is not (drawn and encoding == "utf-8")
+
+
 @pytest.mark.parametrize("first", range(0, 600, 200))
 def test_a_damaged_file_is_refused_or_a_robot_of_finite_numbers(first: int) -> None:
     command = [sys.executable, "-m", "tests.damaged_urdfs", str(first), str(first + 200)]
