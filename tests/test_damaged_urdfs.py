@@ -9,6 +9,7 @@ import pinocchio as pin
 import pytest
 
 from pinmobile import InvalidArgument, MobileRobot
+from pinmobile.robot import wellformed
 from tests.test_robot_reading import joint, link, robot, saved
 
 BOX = MobileRobot.box()
@@ -114,6 +115,16 @@ def test_a_mounted_mass_whose_moments_are_beyond_all_numbers_is_refused(tmp_path
         InvalidArgument, match="the mass matrix with what is mounted or attached is not finite"
     ):
         BOX.mount(path)
+
+
+def test_the_bounds_that_are_stated_are_those_that_hold() -> None:
+    stated = " ".join((MobileRobot.from_urdf.__doc__ or "").split())
+    assert (
+        f"more than {wellformed._MOST_BYTES >> 20} MiB, {wellformed._MOST_ELEMENTS:,} elements, "
+        f"{wellformed._MOST_LINKS} links, {wellformed._MOST_FREEDOM} degrees of freedom, or "
+        f"{wellformed._MOST_IN_SERIES} joints in series"
+    ) in stated
+    assert f"more than {wellformed._MOST_FREEDOM} degrees" in (MobileRobot.from_model.__doc__ or "")
 
 
 def test_models_have_no_more_freedom_than_files() -> None:

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import textwrap
 import threading
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from io import BytesIO
@@ -16,6 +17,7 @@ from typing import Any
 import pytest
 from PIL import Image
 
+from pinmobile.errors import ViewerError
 from pinmobile.viewer import server, sockets
 from pinmobile.viewer.live import LiveWindow
 from tests.webclient import WebSocket, ask, eventually
@@ -185,10 +187,36 @@ def test_an_unasked_message_of_more_than_a_kilobyte_ends_the_connection(words: b
         assert eventually(lambda: w.browsers == 0)
 
 
-def picture() -> bytes:
+def png() -> bytes:
     file = BytesIO()
     Image.new("RGBA", (2, 1), (1, 2, 3, 255)).save(file, "PNG")
-    return b'{"type":"img","data":"data:image/png;base64,%s"}' % base64.b64encode(file.getvalue())
+    return file.getvalue()
+
+
+def picture(data: bytes) -> bytes:
+    return b'{"type":"img","data":"data:image/png;base64,%s"}' % base64.b64encode(data)
+
+
+def chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack("!I", len(data)) + kind + data + struct.pack("!I", zlib.crc32(kind + data))
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        png()[:40],
+        png()[:33] + chunk(b"zTXt", b"k\0\0" + zlib.compress(bytes(80 << 20))) + png()[33:],
+        png()[:33] + chunk(b"IHDR", b"") + png()[33:],
+        png()[:8] + chunk(b"IHDR", struct.pack("!IIBBBBB", 1 << 16, 1 << 16, 8, 6, 0, 0, 0)) + png()[33:],
+    ],
+)
+def test_a_damaged_picture_is_the_librarys_error(data: bytes) -> None:
+    with LiveWindow() as w, WebSocket(w.url) as browser:
+        assert w.wait(20)
+        threading.Timer(0.2, browser.say, [picture(data)]).start()
+        with pytest.raises(ViewerError, match="the browser has sent no picture: "):
+            w.get_image()
 
 
 @pytest.mark.parametrize(
@@ -203,7 +231,7 @@ def test_nonsense_beside_a_picture_is_passed_over(nonsense: bytes, capfd: pytest
         asking.start()
         assert eventually(lambda: len(browser.commands) == 1)
         browser.say(nonsense)
-        browser.say(picture())
+        browser.say(picture(png()))
         asking.join(30)
         assert [image.size for image in taken] == [(2, 1)]
         # From now on nothing large is taken.

@@ -169,7 +169,9 @@ class MobileRobot(Carrier):
         ------
         InvalidArgument
             If the file cannot be read, is malformed, is neither of the two (the joint that is wrong is
-            named), or describes a body that cannot exist.
+            named), describes a body that cannot exist, or is larger than any robot: more than 8 MiB, 50,000
+            elements, 2000 links, 200 degrees of freedom, or 100 joints in series, which Pinocchio's parser
+            would need more stack for than a thread may have.
         """
         folders = tuple(map(Path, existing_folders(package_dirs)))
         file = location("path", path)
@@ -189,7 +191,7 @@ class MobileRobot(Carrier):
         Raises
         ------
         InvalidArgument
-            If it is neither, or describes a body that cannot exist.
+            If it is neither, describes a body that cannot exist, or has more than 200 degrees of freedom.
         """
         if not isinstance(pin_model, pin.Model):
             raise InvalidArgument(f"pin_model is a {type(pin_model).__name__}, expected a pinocchio.Model")

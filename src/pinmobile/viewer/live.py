@@ -1,7 +1,6 @@
 """`LiveWindow`: a scene in the browsers that look at it, served by this process."""
 
 import base64
-import binascii
 import weakref
 from io import BytesIO
 from typing import Any
@@ -31,7 +30,8 @@ class LiveWindow:
     The page is served by a thread of this process until the window is closed, and ends with the process
     however that ends. Browsers get the newest state, 60 times a second at most; one that comes later or
     again gets the whole scene, and one that is slow misses states in between. It may be used from several
-    threads. A forked child has no part in it: there the window is closed.
+    threads. A forked child has no part in it: there the window is closed. It has 128 connections at most,
+    half of them browsers, and never more than a quarter of the files that the process may open.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ class LiveWindow:
         try:
             data = base64.b64decode(text.partition(",")[2], validate=True)
             picture = Image.open(BytesIO(data), formats=["PNG"]).convert("RGBA")
-        except (binascii.Error, OSError, SyntaxError, Image.DecompressionBombError) as error:
+        except (ValueError, OSError, SyntaxError, Image.DecompressionBombError) as error:
             raise ViewerError(f"the browser has sent no picture: {error}") from error
         if sizes == [None, None]:
             return picture
