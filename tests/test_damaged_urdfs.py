@@ -58,6 +58,10 @@ REFUSED = {
         "has 201 degrees of freedom, expected at most 200: make joints",
     ),
     "floating": (abreast(34, "floating", 1), "has 204 degrees of freedom, expected at most 200"),
+    "visuals": (
+        robot(link("a", 1).replace("</link>", "<visual/>" * 1001 + "</link>")),
+        "has 1001 visuals, expected at most 1000",
+    ),
     "nested": (nested(10_000), "nests elements more than 64 deep"),
     "bytes": (robot(link("a", 1), "<!--", "x" * (8 << 20), "-->"), "has more than 8 MiB"),
     "name": (robot(link("a" * 5000, 1)), "<link> has 'name' of 5000 letters, expected at most 4096"),
@@ -121,7 +125,7 @@ def test_the_bounds_that_are_stated_are_those_that_hold() -> None:
     stated = " ".join((MobileRobot.from_urdf.__doc__ or "").split())
     assert (
         f"more than {wellformed._MOST_BYTES >> 20} MiB, {wellformed._MOST_ELEMENTS:,} elements, "
-        f"{wellformed._MOST_LINKS} links, {wellformed._MOST_FREEDOM} degrees of freedom, or "
+        f"{wellformed._MOST_LINKS} links, {wellformed._MOST_SHAPES} visuals, {wellformed._MOST_FREEDOM} degrees of freedom, or "
         f"{wellformed._MOST_IN_SERIES} joints in series"
     ) in stated
     assert f"more than {wellformed._MOST_FREEDOM} degrees" in (MobileRobot.from_model.__doc__ or "")

@@ -25,6 +25,7 @@ _MOST_ELEMENTS = 50_000
 _MOST_NESTED = 64
 _LONGEST = 4096  # letters of an attribute: the longest path there is
 _MOST_LINKS = 2000
+_MOST_SHAPES = 1000  # the time to draw them grows with the cube
 # Pinocchio and urdfdom recurse along the tree, 2.2 kB for each joint: 100 fit into a stack of 256 kB, half of
 # the smallest that a thread has by default, where the main thread's 8 MB hold some 3,000.
 _MOST_IN_SERIES = 100
@@ -153,6 +154,9 @@ def _check_tree(root: Element, name: str) -> None:
         twice = [entry for entry, count in Counter(names).items() if count > 1]
         if twice:
             raise InvalidArgument(f"{name}: {kind} {twice[0]!r} is there twice, expected once")
+    shapes = sum(1 for _ in root.iterfind("./link/visual"))
+    if shapes > _MOST_SHAPES:
+        raise InvalidArgument(f"{name} has {shapes} visuals, expected at most {_MOST_SHAPES}")
     known, above, freedom = set(links), dict[str, str](), 0
     for joint in root.iterfind("joint"):
         parent, child = _check_joint(joint, known, name)
