@@ -125,7 +125,8 @@ def test_the_bounds_that_are_stated_are_those_that_hold() -> None:
     stated = " ".join((MobileRobot.from_urdf.__doc__ or "").split())
     assert (
         f"more than {wellformed._MOST_BYTES >> 20} MiB, {wellformed._MOST_ELEMENTS:,} elements, "
-        f"{wellformed._MOST_LINKS} links, {wellformed._MOST_SHAPES} visuals, {wellformed._MOST_FREEDOM} degrees of freedom, or "
+        f"{wellformed._MOST_LINKS} links, {wellformed._MOST_SHAPES} visuals, "
+        f"{wellformed._MOST_FREEDOM} degrees of freedom, or "
         f"{wellformed._MOST_IN_SERIES} joints in series"
     ) in stated
     assert f"more than {wellformed._MOST_FREEDOM} degrees" in (MobileRobot.from_model.__doc__ or "")
