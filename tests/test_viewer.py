@@ -41,6 +41,7 @@ from pinmobile import (
 )
 from pinmobile.arrays import Array
 from pinmobile.viewer import Arrows, Follow, Overlays, Recording, Stay, Viewer, palette
+from pinmobile.viewer.chromium import Browser
 from pinmobile.viewer.encoding import gif as encoded_gif
 from tests.chromium import Chromium, Page
 
@@ -642,6 +643,20 @@ def test_a_chromium_that_dies_is_told(
     monkeypatch.setenv("PINMOBILE_CHROMIUM", "/bin/false")
     with pytest.raises(ViewerError, match="the browser has gone"):
         viewer.record(runs).screenshot(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize(("user", "flagged"), [(0, True), (1000, False)])
+def test_the_sandbox_is_given_up_as_root_alone_and_one_that_cannot_start_is_told(
+    user: int, flagged: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = tmp_path / "chromium"
+    program.write_text(f'#!/bin/sh\necho "$@" > {tmp_path}/flags\necho No usable sandbox! >&2\nexit 1\n')
+    program.chmod(0o755)
+    monkeypatch.setenv("PINMOBILE_CHROMIUM", str(program))
+    monkeypatch.setattr(os, "geteuid", lambda: user)
+    with pytest.raises(ViewerError, match=r"sandbox cannot start here: allow.*exec chromium --no-sandbox"):
+        Browser()
+    assert ("--no-sandbox" in (tmp_path / "flags").read_text().split()) is flagged
 
 
 def test_no_encoder_is_told_with_the_extra_that_has_it(

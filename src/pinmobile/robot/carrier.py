@@ -79,9 +79,9 @@ class Carrier(ChainWrenches):
         Raises
         ------
         InvalidArgument
-            If the arm cannot be read; a joint of it moves no inertia, carries what no rigid body is, or has
-            limits that limit nothing; without `at`, the middle is taken or the top not known; or another
-            argument is not what is expected.
+            If the arm cannot be read, or is larger than `MobileRobot.from_urdf` takes; a joint of it moves no
+            inertia, carries what no rigid body is, or has limits that limit nothing; without `at`, the middle
+            is taken or the top not known; or another argument is not what is expected.
         UnknownName
             If no loader has the name; the nearest come first.
         """

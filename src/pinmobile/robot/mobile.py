@@ -22,9 +22,11 @@ from pinmobile.robot.meshes import VisualFile
 from pinmobile.robot.mounts import Load, Mount
 from pinmobile.robot.pictures import add_carried
 from pinmobile.robot.reading import LOCKED, Reading, read_model, read_urdf
+from pinmobile.robot.sound import check_mass_matrix
 from pinmobile.robot.sources import existing_folders
 from pinmobile.robot.stance import Stance
 from pinmobile.robot.visual import box_visuals, read_visuals
+from pinmobile.robot.wellformed import check_freedom
 
 __all__ = ["MobileRobot"]
 
@@ -222,7 +224,10 @@ class MobileRobot(Carrier):
         ------
         InvalidArgument
             If the file cannot be read, is malformed, is neither of the two (the joint that is wrong is
-            named), describes a body that cannot exist, or its wheels are not within 5 mm of one plane.
+            named), describes a body that cannot exist, its wheels are not within 5 mm of one plane, or it is
+            larger than any robot: more than 8 MiB, 50,000 elements, 2000 links, 1000 visuals, 200 degrees of
+            freedom, or 100 joints in series, which Pinocchio's parser would need more stack for than a thread
+            may have.
 
         Warns
         -----
@@ -248,10 +253,11 @@ class MobileRobot(Carrier):
         Raises
         ------
         InvalidArgument
-            If it is neither, or describes a body that cannot exist.
+            If it is neither, describes a body that cannot exist, or has more than 200 degrees of freedom.
         """
         if not isinstance(pin_model, pin.Model):
             raise InvalidArgument(f"pin_model is a {type(pin_model).__name__}, expected a pinocchio.Model")
+        check_freedom(pin_model.nv, pin_model.name or "the model")
         return _read(read_model(pin_model, pin_model.name or "the model", ground=ground), None)
 
     @classmethod
@@ -358,7 +364,9 @@ def _restored(
     robot = MobileRobot.from_body(body, size, dh, source, stance=stance, locked_joints=locked_joints)
     carrying = {"mounts": mounts, "loads": loads}
     if mounts or loads:
-        carrying["_engine"] = Engine(assemble(robot.model, mounts, loads))  # type: ignore[assignment]
+        engine = Engine(assemble(robot.model, mounts, loads))
+        check_mass_matrix(engine.model, engine.data)
+        carrying["_engine"] = engine  # type: ignore[assignment]
     for name, value in {"_looks": looks, **carrying}.items():
         object.__setattr__(robot, name, value)
     return robot

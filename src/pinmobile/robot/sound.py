@@ -9,7 +9,7 @@ from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot.tree import parts_of
 
-__all__ = ["check_bodies", "check_inertias", "check_joint_limits"]
+__all__ = ["check_bodies", "check_inertias", "check_joint_limits", "check_mass_matrix"]
 
 _ROUNDING = 1e-9  # of the moments of inertia, relative: files carry as many digits
 _GYRATION = 1e-9  # and of mass [m^2]: exporters leave noise of the size of 1e-18 where a moment is zero
@@ -118,6 +118,28 @@ def check_inertias(model: pin.Model, posture: Array, called: str) -> None:
             if len(singular):
                 joint = _joint_of(model, int(singular[-1]))
                 raise InvalidArgument(f"arm {called!r}: {_cause(model, joint, where)}, or that joint locked")
+
+
+def check_mass_matrix(model: pin.Model, data: pin.Data) -> None:
+    """Refuse masses and distances each of which is finite, but not what they make together.
+
+    Parameters
+    ----------
+    model : pin.Model
+        The whole robot.
+    data : pin.Data
+        Its work space.
+
+    Raises
+    ------
+    InvalidArgument
+        If the mass matrix at rest is not finite.
+    """
+    if not np.isfinite(pin.crba(model, data, pin.neutral(model))).all():
+        raise InvalidArgument(
+            "the mass matrix with what is mounted or attached is not finite, expected masses [kg] and "
+            "distances [m] whose moments m d^2 are"
+        )
 
 
 def _cause(model: pin.Model, joint: int, where: str) -> str:

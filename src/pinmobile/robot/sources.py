@@ -14,7 +14,7 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.robot.arms import Arm, Origin
 from pinmobile.robot.library import load_arm
 from pinmobile.robot.pictures import FilePicture, GivenPicture
-from pinmobile.robot.wellformed import judge_links, urdf_text
+from pinmobile.robot.wellformed import check_freedom, judge_links, urdf_text
 
 __all__ = ["existing_folders", "kept_arm", "read_arm"]
 
@@ -119,6 +119,7 @@ def _from_model(arm: Any, visual: pin.GeometryModel | None, rest: Any, locked: t
         )
     if arm.njoints == 1:
         raise InvalidArgument(f"arm {arm.name!r} has no joints, expected one at least: a Load has none")
+    check_freedom(arm.nv, f"arm {arm.name!r}")
     shown = pin.GeometryModel() if visual is None else visual
     _check_visual(arm, shown)
     usual = _posture(arm, kept)

@@ -5,7 +5,7 @@ import secrets
 import socket
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from urllib.parse import urlsplit
 
 from pinmobile.errors import InvalidArgument
@@ -30,7 +30,7 @@ class Access:
     """
 
     host: str
-    token: str | None
+    token: str | None = field(repr=False)
 
     @property
     def name(self) -> str:
@@ -38,6 +38,10 @@ class Access:
         if self.host in _EVERYWHERE:
             return socket.gethostname()
         return f"[{self.host}]" if ":" in self.host else self.host
+
+    def address(self, port: int) -> str:
+        """Return the page's address at a port, without the token, as messages and logs may have it."""
+        return f"http://{self.name}:{port}/"
 
     @property
     def query(self) -> str:
