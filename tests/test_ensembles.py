@@ -23,6 +23,7 @@ from pinmobile import (
     Diverged,
     Ensemble,
     FixedHeading,
+    Hold,
     InvalidArgument,
     LectureHeading,
     Lissajous,
@@ -309,6 +310,21 @@ def test_diverging_robots_are_flagged_as_by_simulate_and_the_others_untouched() 
         assert run.within(0.99).distance == np.inf
         # In the bands they are beyond everything from then on: 3 of 130 are more than 1 %, less than 5 %.
         assert np.isinf(run.bands((0.95, 0.99)).distance[:, -1]).tolist() == [False, True]
+
+
+def test_rounding_stays_rounding_but_where_a_loop_is_chaotic() -> None:
+    # A body on springs at its origin, its centre of mass beside it: an elastic pendulum that turns over.
+    body, springs = MobileRobot(30, 1.3, com=(0.3, 0.1)), PD((30, 60, 0), 0)
+    spread = {"start_yaw_rate": Uniform(2, 4), "start_x": Uniform(0.5, 1.5)}
+    off = []
+    for duration in (2.0, 50.0):
+        held = FixedHeading(Hold((0, 0), duration), 0.0)
+        run = ensemble(body, springs, held, n=6, dt=0.05, integrator=rk4, spread=spread)
+        alone = [np.sqrt(np.square(run.trace(i).error).mean(axis=0)) for i in range(6)]
+        off.append(np.abs(run.rms_error - alone).max())
+    assert off[0] < 1e-13  # some 40 steps, each to 1e-15
+    assert off[1] > 1e-10
+    assert "chaotic" in str(Ensemble.trace.__doc__)
 
 
 def test_the_worst_are_those_that_strayed_farthest() -> None:

@@ -169,6 +169,33 @@ def test_what_the_arm_cannot_reach_is_reached_because_the_base_moves() -> None:
     assert (str(copy), copy.time) == ("far", 1.0)
 
 
+@pytest.mark.parametrize("towards", [0.0, 0.25, 0.5, 1.0, 1.3])
+@pytest.mark.parametrize("turns", [False, True])
+def test_a_tolerance_is_of_distance_and_angle_whatever_the_direction(towards: float, turns: bool) -> None:
+    locked, ahead = np.zeros(9), 0.014 * np.array([np.cos(towards), np.sin(towards), 0])
+    if turns:
+        axis = pin.exp3(ahead)
+        missed = PosePath(line(START[:3, 3], (0, 0, 0)), START[:3, :3], axis @ START[:3, :3])
+    else:
+        missed = PosePath(line(START[:3, 3], ahead))
+    resolved = resolve(UR5, missed, q0=BENT, velocity_limit=locked, tolerance=0.0141)
+    assert max(resolved.max_error()) == pytest.approx(0.014, rel=1e-9)
+    with pytest.raises(Unreachable, match=r"largest errors are .*0\.014"):
+        resolve(UR5, missed, q0=BENT, velocity_limit=locked, tolerance=0.0139)
+
+
+def test_the_velocity_at_the_start_is_the_targets_but_for_dt_squared(ring: Resolved) -> None:
+    wanted = RING(0.0).twist
+    missed = []
+    for dt in (0.02, 0.01, 0.005):
+        resolved = resolve(UR5, RING, q0=BENT, dt=dt)
+        at = resolved(0.0)
+        missed.append(np.abs(UR5.frame_jacobian(at.q) @ at.v - wanted).max())
+    assert missed[0] > 1e-6
+    np.testing.assert_allclose(np.divide(missed[:-1], missed[1:]), 4, rtol=0.1)
+    assert "dt^2" in str(resolve.__doc__).partition("Returns")[2]
+
+
 def test_an_orientation_that_is_missed_is_told_though_the_position_is_met() -> None:
     turning = PosePath(line(START[:3, 3], (0, 0, 0), 0.5), START[:3, :3], START[:3, :3] @ TURN)
     slow = np.full(9, 0.1)

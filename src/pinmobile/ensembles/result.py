@@ -219,6 +219,9 @@ class Ensemble:
     def trace(self, i: int) -> Rollout:
         """Return everything of robot i, made by `simulate`: the same numbers but for rounding.
 
+        Rounding stays small where the loop holds the robot to its reference. Where the loop is chaotic it
+        grows until the two have nothing in common but their bounds, as do any two ways of computing it.
+
         Raises
         ------
         InvalidArgument

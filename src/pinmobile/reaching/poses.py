@@ -11,7 +11,7 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.paths import Path, within
 from pinmobile.paths.protocol import checked_path
 
-__all__ = ["PosePath", "PoseTarget", "pose_error"]
+__all__ = ["PosePath", "PoseTarget", "error_sizes", "pose_error"]
 
 _ORTHOGONAL = 1e-6  # how far R' R may be from the identity
 _HALF_TURN = 1e-6  # [rad]; nearer to it, which way round is rounding's choice
@@ -135,6 +135,17 @@ def pose_error(target: Array, actual: Array) -> Array:
     turn = target[..., :3, :3] @ np.swapaxes(actual[..., :3, :3], -1, -2)
     turns = np.array([pin.log3(R) for R in turn.reshape(-1, 3, 3)]).reshape((*turn.shape[:-2], 3))
     return np.concatenate([way, turns], axis=-1)
+
+
+def error_sizes(error: Array) -> Array:
+    """Return the distance [m] and the angle [rad] of pose errors, shape (..., 2), the same in any direction.
+
+    Parameters
+    ----------
+    error : ndarray, shape (..., 6) or (..., 3)
+        As from `pose_error`; where the position alone is followed, the angle is zero.
+    """
+    return np.stack([np.linalg.norm(part, axis=-1) for part in (error[..., :3], error[..., 3:])], axis=-1)
 
 
 def _quintic(x: Array) -> tuple[Array, Array, Array]:
