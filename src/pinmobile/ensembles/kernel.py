@@ -331,7 +331,9 @@ def _outside(w: Any, s0: int, t: float, f: Any, waves: Any, rollings: int, sines
         for axis in range(3):
             j = first + 6 * k + axis
             for i in range(LANES):
-                w[(_OUTSIDE + axis) * LANES + i] += waves[k, 0] * f[j, i] - waves[k, 1] * f[j + 3, i]
+                w[(_OUTSIDE + axis) * LANES + i] += (
+                    waves[k, axis, 0] * f[j, i] - waves[k, axis, 1] * f[j + 3, i]
+                )
 
 
 @_inline
@@ -465,8 +467,8 @@ def general(
     forces : ndarray, shape (m, n)
         Constant (3), viscous (3), each rolling resistance (3 and 3 speeds), each sinusoid (3, frequency,
         phase), each wave of noise (3 in phase and 3 in quadrature).
-    waves : ndarray, shape (N substeps + 1, stages, waves, 2)
-        Cosine and sine of the waves of noise at the times of the stages.
+    waves : ndarray, shape (N substeps + 1, stages, waves, 3, 2)
+        Cosine and sine of the waves of noise, of each component its own, at the times of the stages.
     rollings, sines : int
         How many there are.
     noise : ndarray, shape (N + 1, 6, n) or (0, 6, n)
