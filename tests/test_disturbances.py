@@ -153,8 +153,8 @@ def test_components_of_noise_are_not_correlated(seed: int) -> None:
         apart, sums = (np.abs(op.outer(f[:, one], f[:, other])) for op in (np.subtract, np.add))
         assert apart.min() > 0.28 * bandwidth / 16
         # The mean of cos(2 pi f t) cos(2 pi g t) over a time T, whatever the phases, is at most
-        # 1 / (2 pi T) (1 / |f - g| + 1 / (f + g)), and each of K^2 products has the weight 2 / K. Of samples a
-        # time h apart it is x / sin x times that, x = pi h (f + g) <= 0.32: 2 % more.
+        # 1 / (2 pi T) (1 / |f - g| + 1 / (f + g)), and each of K^2 products has the weight 2 / K. Of samples
+        # a time h apart it is x / sin x times that, x = pi h (f + g) <= 0.32: 2 % more.
         bound = (1 / apart + 1 / sums).sum() / (16 * np.pi * duration)
         assert bound < 0.02
         assert abs((values[:, one] * values[:, other]).mean()) < 1.02 * bound

@@ -21,6 +21,7 @@ from pinmobile import (
     UnknownName,
     Unreachable,
     resolve,
+    rk4,
     simulate,
 )
 from pinmobile.arrays import Array
@@ -342,6 +343,25 @@ class TestTracking:
         assert np.minimum(run.q - PANDA.lower, PANDA.upper - run.q)[:, 3:-2].min() < 1e-3
         assert np.abs(run.q[:, :3]).max() < 1e-3
         assert misses(PANDA, away, run.t, run.q)[0] > 0.05
+
+    @pytest.mark.parametrize("substeps", [1, 5])
+    def test_limits_hold_however_the_plant_moves_under_the_held_force(self, substeps: int) -> None:
+        T = PANDA.frame_pose(PANDA.rest)  # one finger at its limit, the base locked
+        locked = np.where(np.arange(12) < 3, 0.0, PANDA.velocity_limit)
+        away = PosePath(line(T[:3, 3], (-0.6, 0, -0.3), 4), T[:3, :3])
+        law = EndEffectorTracking(PANDA, away, velocity_limit=locked, integrator=rk4)
+        run = simulate(PANDA, law, Still(PANDA.rest), dt=0.01, integrator=rk4, substeps=substeps)
+        # What five corrections leave of a coordinate's overrun, 1e-2 each; steps a fifth as long differ from
+        # one by some 1e-4 of rk4's own error per step.
+        assert (run.q > PANDA.lower - 1e-10).all()
+        assert (run.q < PANDA.upper + 1e-10).all()
+        assert (np.abs(run.v) <= locked + 1e-7).all()
+        assert np.minimum(run.q - PANDA.lower, PANDA.upper - run.q)[:, 3:-2].min() < 1e-3
+        assert misses(PANDA, away, run.t, run.q)[0] > 0.05
+
+    def test_an_integrator_is_a_step(self) -> None:
+        with pytest.raises(InvalidArgument, match=r"^integrator is 'rk4', expected a step, such as rk4"):
+            EndEffectorTracking(UR5, RING, integrator="rk4")  # type: ignore[arg-type]
 
 
 class Still:

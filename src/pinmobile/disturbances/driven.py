@@ -183,8 +183,9 @@ def noise_frequencies(bandwidth: float) -> Array:
     """Return the frequencies of the components of `NoiseForce`, shape (TERMS, 3) [Hz].
 
     One for each component in each of the K equal parts of the band,
-    f_kj = bandwidth (k + frac((k + 1) g + j / 3)) / K with the golden ratio's fraction g: no two of a component
-    have a common multiple, so its sum never repeats; those of two components are at least 0.28 of a part apart.
+    f_kj = bandwidth (k + frac((k + 1) g + j / 3)) / K with the golden ratio's fraction g: no two of a
+    component have a common multiple, so its sum never repeats; those of two components are at least 0.28 of a
+    part apart.
 
     Parameters
     ----------
