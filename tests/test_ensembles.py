@@ -312,6 +312,21 @@ def test_diverging_robots_are_flagged_as_by_simulate_and_the_others_untouched() 
         assert np.isinf(run.bands((0.95, 0.99)).distance[:, -1]).tolist() == [False, True]
 
 
+@pytest.mark.parametrize("engine", [ARRAYS, COMPILED])
+def test_half_a_turn_off_all_robots_turn_left_in_every_engine(engine: Any) -> None:
+    # Half a turn, and what rounding may make of it: to the right, it would be the other way round.
+    off = np.pi + np.array([0.0, 1e-15, -1e-15, 1e-12, -1e-12])
+    spread = {"start_psi": np.concatenate([off, -off])}
+    held = FixedHeading(Circle(1, 0.1, 2), 0.0)
+    wide = ensemble(ROBOT, ComputedTorque(ROBOT), held, n=10, dt=0.1, spread=spread, engine=engine)
+    for i in range(10):
+        alone = wide.trace(i)
+        assert (alone.error[:, 2] > 0).all()
+        assert alone.q[-1, 2] > alone.q[0, 2]
+        np.testing.assert_allclose(wide.max_error[i], alone.max_error(), rtol=0, atol=1e-8)
+        np.testing.assert_allclose(wide.max_force[i], alone.max_force(), rtol=0, atol=1e-7)
+
+
 def test_rounding_stays_rounding_but_where_a_loop_is_chaotic() -> None:
     # A body on springs at its origin, its centre of mass beside it: an elastic pendulum that turns over.
     body, springs = MobileRobot(30, 1.3, com=(0.3, 0.1)), PD((30, 60, 0), 0)

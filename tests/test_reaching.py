@@ -388,6 +388,22 @@ def test_a_pose_paths_twist_and_rate_are_its_slopes() -> None:
     np.testing.assert_allclose(ends.twist[:, 3:], 0, atol=1e-15)
 
 
+@pytest.mark.parametrize(
+    "axis", [(1, 0, 0), (0, -1, 0), (1, -1, 0), (-1, 1, 1), (0, 1, -1), (-3, 0, 4)], ids=str
+)
+def test_half_a_turn_of_a_pose_has_one_sense_whatever_rounding_leaves(axis: Any) -> None:
+    unit = np.array(axis) / np.linalg.norm(axis)
+    leading = unit[np.flatnonzero(unit)[0]]
+    actual, target = np.tile(START, (20, 1, 1)), np.tile(START, (20, 1, 1))
+    rng = np.random.default_rng(7)
+    for k in range(20):
+        angle = np.pi + (0, 1e-15, -1e-15, 1e-9, -1e-9)[k % 5]
+        target[k, :3, :3] = pin.exp3(angle * unit) @ START[:3, :3] + rng.uniform(-1e-15, 1e-15, (3, 3))
+    turns = pose_error(target, actual)[:, 3:]
+    # log3 is good to the root of rounding here.
+    np.testing.assert_allclose(turns, np.tile(np.sign(leading) * np.pi * unit, (20, 1)), rtol=0, atol=1e-6)
+
+
 def test_a_pose_path_holds_read_only_copies_of_its_rotations() -> None:
     given = np.eye(3)
     target = PosePath(RING.path, given, given)

@@ -208,6 +208,8 @@ def test_a_sweep_says_who_stays_within_what(done: Sweep) -> None:
         "1 nm",
         "unbounded",
     ]
+    for exact, text in ((1.0, "1 m"), (1e-3, "1 mm"), (1e-6, "1 um")):
+        assert [length(exact * (1 + off)) for off in (0, 1e-15, -1e-15, -1e-9)] == [text] * 4
 
 
 @pytest.mark.parametrize("called", ["controller", "law"])

@@ -557,6 +557,13 @@ def test_a_cusp_is_turned_on_the_spot() -> None:
     assert jumps.max() > 2.3
 
 
+@pytest.mark.parametrize("rounding", [0.0, 1e-17, -1e-17, 1e-15, -1e-15, -1e-12])
+def test_a_start_due_west_has_the_heading_plus_pi_whatever_rounding_leaves_of_y(rounding: float) -> None:
+    path = Drawn([0, 1, 2], ([-1.0], [rounding]), ([-1.0], [rounding]))
+    headings = Tangent(path)([0.0, 0.5, 2.0]).q[:, 2]
+    np.testing.assert_allclose(headings, np.pi, rtol=0, atol=1e-11)
+
+
 # -- the lecture's heading -------------------------------------------------------------------------
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from numba import types
 from numba.extending import intrinsic
 
+from pinmobile.arrays import HALF_TURN
 from pinmobile.ensembles.histogram import BINS, FIRST, SHIFT
 
 __all__ = [
@@ -52,6 +53,7 @@ RESULTS = 12  # samples lived; largest |e| of x, y, psi, and squared distance; s
 
 _TURN = 2 * math.pi
 _PER_TURN = 1 / _TURN
+_LEFT = HALF_TURN * _PER_TURN
 
 
 def _in_parts(bits: int) -> tuple[float, float, float]:
@@ -117,7 +119,8 @@ def _sincos(x: float) -> tuple[float, float]:
 
 @_inline
 def _on_circle(angle: float) -> float:
-    return angle - _TURN * _rounded(angle * _PER_TURN)
+    wrapped = angle - _TURN * _rounded(angle * _PER_TURN - _LEFT)
+    return _chosen(wrapped > math.pi, math.pi, wrapped)
 
 
 @_inline

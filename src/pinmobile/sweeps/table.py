@@ -20,10 +20,11 @@ def length(metres: float) -> str:
     """Return a length in words, in a unit that suits it."""
     if not np.isfinite(metres):
         return "unknown" if np.isnan(metres) else "unbounded"
+    printed = float(f"{metres:.3g}")  # what is as good as a millimetre is one, and not 1e+03 um
     for unit, size in (("m", 1.0), ("mm", 1e-3), ("um", 1e-6)):
-        if metres >= size:
-            return f"{metres / size:.3g} {unit}"
-    return f"{metres * 1e9:.3g} nm"
+        if printed >= size:
+            return f"{printed / size:.3g} {unit}"
+    return f"{printed * 1e9:.3g} nm"
 
 
 def since(after: float) -> str:
