@@ -206,7 +206,7 @@ def frozen(array: ArrayLike) -> Array:
 
 
 HALF_TURN = 1e-9
-"""An angle that is half a turn but for so much [rad] is one to the left: rounding shall not choose the side."""
+"""An angle that is half a turn but for this [rad] is one to the left; rounding does not choose the side."""
 
 LEAST_ANGLE = HALF_TURN - np.pi
 """Angles on the circle are above it [rad]."""
