@@ -50,7 +50,7 @@ ALLOWED: dict[str, set[str]] = {
     },
     "sweeps": {"ensembles"},
     "balance": {"robot"},
-    "reaching": {"robot", "trajectories"},
+    "reaching": {"robot", "trajectories", "integrators"},
     "plots": {"simulation", "accuracy", "ensembles", "balance"},
     "viewer": {"robot", "simulation"},
 }

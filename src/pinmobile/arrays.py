@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from pinmobile.errors import InvalidArgument
 
 __all__ = [
+    "HALF_TURN",
+    "LEAST_ANGLE",
     "Array",
     "ArrayLike",
     "broadcast",
@@ -203,13 +205,23 @@ def frozen(array: ArrayLike) -> Array:
     return copy
 
 
+HALF_TURN = 1e-9
+"""An angle that is half a turn but for this [rad] is one to the left; rounding does not choose the side."""
+
+LEAST_ANGLE = HALF_TURN - np.pi
+"""Angles on the circle are above it [rad]."""
+
+
 def wrap_angle(angle: Array) -> Array:
     """Return the angle on the circle, in (-pi, pi]; one that is already there comes back as it is.
+
+    Half a turn is pi, also where rounding has made it -pi and a little.
 
     Parameters
     ----------
     angle : ndarray, any shape
         Angle [rad].
     """
-    wrapped = np.pi - np.mod(np.pi - angle, 2 * np.pi)
-    return np.where((angle > -np.pi) & (angle <= np.pi), angle, wrapped)
+    top = np.pi + HALF_TURN
+    wrapped = np.minimum(top - np.mod(top - angle, 2 * np.pi), np.pi)
+    return np.where((angle > LEAST_ANGLE) & (angle <= np.pi), angle, wrapped)

@@ -98,7 +98,8 @@ def reaction_wrench(motion: Moving, mount: str | None = None) -> Array:
     wrench : ndarray, shape (..., 6)
         (fx, fy, fz, mx, my, mz) [N, N, N, N m, N m, N m] along the axes of the body's frame B, x forward, y
         left, z up, whatever the mount's yaw; the moment is about the point of the mount. An arm at rest
-        exerts (0, 0, -m g).
+        exerts its weight, (0, 0, -m g), and about the mount the moment (-m g y, m g x, 0) of its centre of
+        mass at x and y from there.
 
     Raises
     ------

@@ -25,6 +25,7 @@ from pinmobile import (
 from pinmobile.cli.output import Picture, Section, begin, console, index_page, progress
 from pinmobile.cli.run import FIGURES, draw
 from pinmobile.cli.view import save_page
+from pinmobile.simulation.rollout import error_text
 
 __all__ = ["EXPECTED", "show_lecture"]
 
@@ -115,7 +116,7 @@ def _simulate(robot: MobileRobot) -> tuple[Runs, Runs]:
 
 def _table(lecture: Runs, right: Runs) -> tuple[str, bool]:
     """Return the largest errors beside the lecture's, as text, and whether all are the same."""
-    found = {key: tuple(f"{value:.6e}" for value in run.max_error()) for key, run in lecture.items()}
+    found = {key: tuple(map(error_text, run.max_error())) for key, run in lecture.items()}
     same = all(found[key][:2] == expected for key, expected in EXPECTED.items())
     head = ("trajectory", "controller", "x [m]", "lecture", "y [m]", "lecture")
     lines = ["largest |error|", "{:10} {:15} {:>12} {:>12} {:>13} {:>12}".format(*head)]
@@ -127,7 +128,9 @@ def _table(lecture: Runs, right: Runs) -> tuple[str, bool]:
         "{:10} {:15} {:>25} {:>26}".format("trajectory", "controller", "psi [rad]", "psi, put right"),
     ]
     for key in EXPECTED:
-        lines.append(f"{key[0]:10} {key[1]:15} {found[key][2]:>25} {right[key].max_error()[2]:26.6e}")
+        lines.append(
+            f"{key[0]:10} {key[1]:15} {found[key][2]:>25} {error_text(right[key].max_error()[2]):>26}"
+        )
     lines += [
         "the lecture's heading jumps where the robot rests; put right, it follows the",
         f"tangent's limits, and turns on the spot for {_TURN_TIME:g} s where the path bends at rest",

@@ -5,7 +5,7 @@ from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, wrap_angle
+from pinmobile.arrays import LEAST_ANGLE, Array, ArrayLike, wrap_angle
 from pinmobile.errors import InvalidArgument
 
 __all__ = [
@@ -112,6 +112,6 @@ def planar_difference(q_d: Array, q: Array) -> Array:
             f"configurations have shape {error.shape}, expected (..., n) with n >= 3; "
             "without a heading, compare them with difference=numpy.subtract"
         )
-    if error.ndim > 1 or not -np.pi < error[2] <= np.pi:
+    if error.ndim > 1 or not LEAST_ANGLE < error[2] <= np.pi:
         error[..., 2] = wrap_angle(error[..., 2])
     return error

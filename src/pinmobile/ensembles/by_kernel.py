@@ -151,13 +151,13 @@ def _forces(scenario: Scenario, batch: Batch) -> tuple[Array, Array, int, int]:
                 phases = rows(force.phases[..., k, :])
                 noise += [scale * np.cos(phases), scale * np.sin(phases)]
             frequencies.append(noise_frequencies(force.bandwidth))
-    waves = _waves(scenario, np.concatenate([np.zeros(0), *frequencies]))
+    waves = _waves(scenario, np.concatenate([np.zeros((0, 3)), *frequencies]))
     stacked = np.ascontiguousarray(np.concatenate([steady, viscous, *rolling, *sine, *noise]))
     return stacked, waves, len(rolling) // 2, len(sine) // 3
 
 
 def _waves(scenario: Scenario, frequencies: Array) -> Array:
-    """Return cosine and sine at the times of all stages, shape (N substeps + 1, stages, waves, 2)."""
+    """Return cosine and sine at the times of all stages, shape (N substeps + 1, stages, waves, 3, 2)."""
     method: Any = scenario.integrator
     h = scenario.dt / scenario.substeps
     starts = (scenario.t[:, None] + h * np.arange(scenario.substeps)).ravel()

@@ -57,7 +57,7 @@ def curves(values: Mapping[str, ArrayLike], *, x: _Axis, label: str, title: str 
     figure.suptitle(title or f"{label} over {x[0]}", fontsize=14, color=INK)
     axes = figure.subplots()
     dress(axes)
-    order = np.argsort(places)
+    order = np.argsort(places, kind="stable")
     top = _scale(axes, np.concatenate(list(rows.values())))
     for k, row in enumerate(rows.values()):
         _curve(axes, places[order], row[order], top, k, len(rows))

@@ -44,8 +44,8 @@ def heatmap(
     values : array_like, shape (len(y values), len(x values))
         Numbers or infinity.
     x, y : tuple of str, str and sequence
-        Name, unit ("" for none) and values of each parameter: numbers or names. The first is at the left
-        and at the bottom.
+        Name, unit ("" or "1" for none) and values of each parameter: numbers or names. The first is at the
+        left and at the bottom.
     label : str
         What the numbers are, with their unit, such as ``"99 % stay within [mm]"``.
     title : str, optional
@@ -125,7 +125,7 @@ def _furnish(axes: Axes, columns: list[str], rows: list[str], names: Sequence[_A
     )
     axes.set_yticks(range(len(rows)), rows)
     axes.tick_params(length=0, labelsize=10)
-    titles = [f"{name} [{unit}]" if unit else name for name, unit, _ in names]
+    titles = [name if unit in ("", "1") else f"{name} [{unit}]" for name, unit, _ in names]
     axes.set_xlabel(titles[0], fontsize=11)
     axes.set_ylabel(titles[1], fontsize=11)
     axes.spines[:].set_visible(False)

@@ -11,6 +11,9 @@ from pinmobile.robot import BODY_JOINT, MobileRobot
 __all__ = ["Limits", "bounded_least_squares", "per_coordinate"]
 
 
+_ROUNDING = 1e-9  # of the largest acceleration; that of forward after inverse dynamics is less
+
+
 @dataclass(frozen=True, eq=False)
 class Limits:
     """What a robot's coordinates may do; those of its joints' positions are the robot's own.
@@ -51,11 +54,15 @@ class Limits:
 
     def room(self, q: Array) -> Array:
         """Return how far each coordinate is from its lower and its upper limit, shape (2, nv), >= 0."""
+        return np.maximum(self.signed_room(q), 0)
+
+    def signed_room(self, q: Array) -> Array:
+        """Return the same, shape (2, nv), below zero where a coordinate is beyond its limit."""
         in_q, in_v = self._columns
         room = np.full((2, self.robot.nv), np.inf)
         room[0, in_v] = q[in_q] - self.robot.lower[in_q]
         room[1, in_v] = self.robot.upper[in_q] - q[in_q]
-        return np.asarray(np.maximum(room, 0))
+        return room
 
     def ramps(self, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
         """Return the least and the largest acceleration to hold over the next `dt`, each of shape (nv,).
@@ -76,6 +83,24 @@ class Limits:
         most = np.clip((np.minimum(stop[1], self.velocity) - v) / dt, -a, a)
         least = np.clip((-np.minimum(stop[0], self.velocity) - v) / dt, -a, a)
         return np.minimum(least, most), most
+
+    def excess(self, q: Array, v: Array, dt: float) -> Array:
+        """Return by how much an acceleration held over `dt` was too low and too high, shape (2, nv), >= 0.
+
+        So much less of it, and each coordinate would be within its limits afterwards and could stop there.
+        What is rounding counts as nothing.
+
+        Parameters
+        ----------
+        q, v : ndarray, shape (nq,) and (nv,)
+            State that it led to.
+        dt : float
+            How long it was held [s].
+        """
+        room = self.signed_room(q)
+        most = np.minimum(np.sqrt(2 * self.acceleration * np.maximum(room, 0)), self.velocity)
+        excess = np.maximum((np.stack([-v, v]) - most) / dt, -2 * room / dt**2)
+        return np.where(excess > _ROUNDING * self.acceleration, excess, 0)
 
     def velocities(self, q: Array, dt: float, before: Array | None = None) -> tuple[Array, Array]:
         """Return the least and the largest velocity over the next `dt`, each of shape (nv,).

@@ -5,7 +5,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, finite, positive
 from pinmobile.errors import InvalidArgument, Unreachable
 from pinmobile.reaching.bounds import Limits, per_coordinate
-from pinmobile.reaching.poses import PosePath
+from pinmobile.reaching.poses import PosePath, error_sizes
 from pinmobile.reaching.resolved import Resolved
 from pinmobile.reaching.solver import Solver, checked_configuration
 from pinmobile.robot import MobileRobot
@@ -62,12 +62,14 @@ def resolve(
     damping : float
         Weight of a displacement beside the error [m/rad], > 0.
     tolerance : float
-        Largest error that is accepted [m, rad]; infinite: any, see `Resolved.error`.
+        Largest distance and largest angle that are accepted, as of `Resolved.max_error` [m, rad]; infinite:
+        any, see `Resolved.error`.
 
     Returns
     -------
     trajectory : Resolved
-        To be followed from its beginning; its velocity at the start is that of the target.
+        To be followed from its beginning. There, the frame's velocity is that of the target but for an error
+        in proportion to dt^2.
 
     Raises
     ------
@@ -129,10 +131,11 @@ def checked_posture(robot: MobileRobot, posture: ArrayLike) -> Array:
 
 
 def _judge(resolved: Resolved, tolerance: float) -> None:
-    beyond = np.abs(resolved.error).max(axis=1) > tolerance
+    sizes = error_sizes(resolved.error)
+    beyond = sizes.max(axis=-1) > tolerance
     if beyond.any():
         k = int(np.argmax(beyond))
-        way, turn = (float(np.linalg.norm(part)) for part in np.split(resolved.error[k], 2))
+        way, turn = sizes[k]
         most = resolved.max_error()
         raise Unreachable(
             f"target is missed by {way:.3g} m and {turn:.3g} rad at t = {resolved.t[k]:g} s, expected "

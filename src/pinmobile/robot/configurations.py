@@ -134,6 +134,24 @@ class ChainConfigurations:
             return q + dq
         return self._engine.reorder(self._engine.each(_integrated, q, dq))
 
+    def integrate_jacobian(self, q: ArrayLike, dq: ArrayLike) -> Array:
+        """Return how `integrate` turns rates of `dq` into velocities, shape (..., nv, nv).
+
+        Where a displacement dq changes at the rate r, the configuration ``integrate(q, dq)`` moves with the
+        velocity J r. J is the identity but for joints that turn about several axes, or turn and slide: of a
+        ball joint it is the right Jacobian of the exponential map.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        dq : array_like, shape (..., nv)
+            Displacement [m, m, rad, ...].
+        """
+        q, dq = self._q(q), self._v("dq", dq)
+        J, order = self._engine.each(_integrate_jacobian, q, dq), self._engine.order
+        return J[..., order[:, None], order]
+
     def difference(self, q0: ArrayLike, q1: ArrayLike) -> Array:
         """Return the displacement from `q0` to `q1`, shape (..., nv); that of psi lies in (-pi, pi].
 
@@ -179,6 +197,10 @@ class ChainConfigurations:
 
 def _integrated(model: pin.Model, data: pin.Data, q: Array, dq: Array) -> Array:
     return np.asarray(pin.integrate(model, q, dq))
+
+
+def _integrate_jacobian(model: pin.Model, data: pin.Data, q: Array, dq: Array) -> Array:
+    return np.asarray(pin.dIntegrate(model, q, dq, pin.ArgumentPosition.ARG1))
 
 
 def _difference(model: pin.Model, data: pin.Data, q0: Array, q1: Array) -> Array:

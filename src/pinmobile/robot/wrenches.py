@@ -36,7 +36,8 @@ class ChainWrenches(ChainDynamics):
         """Return what an arm, with the loads on it, exerts on the body at its mount, shape (..., 6).
 
         Along the axes of the body's frame B (not turned by the mount's yaw), with the moment about the point
-        of the mount. An arm at rest exerts its weight, (0, 0, -m g), and the moment of that.
+        of the mount. An arm at rest exerts its weight, (0, 0, -m g), and the moment of that,
+        (-m g y, m g x, 0) with its centre of mass at x and y from the mount.
 
         Parameters
         ----------

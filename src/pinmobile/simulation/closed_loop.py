@@ -57,7 +57,9 @@ def simulate(
     q0, v0 : array_like, shape (nq,) and (nv,), optional
         Start, within the joint limits of the plant's arms; by default on the trajectory.
     integrator : callable
-        One step of the plant, see `pinmobile.integrators`.
+        One step of the plant, see `pinmobile.integrators`. The library's keep their order for joints that
+        turn about several axes; a callable of one's own sees their displacement as if it changed at the
+        velocity, and is of order 2 at most for these.
     substeps : int
         Steps of the integrator per dt.
     forces : sequence of callables

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, wrap_angle
+from pinmobile.arrays import LEAST_ANGLE, Array, wrap_angle
 from pinmobile.controllers import (
     PD,
     ComputedTorque,
@@ -184,7 +184,7 @@ def _feedback(
 
     def control(k: int, state: Array, q: Array, v: Array) -> Array:
         subtract(desired[k], state, error)
-        if wrapped and not -pi < error[2] <= pi:
+        if wrapped and not LEAST_ANGLE < error[2] <= pi:
             error[2] = wrap_angle(error[2])
         times_gains(error, command)
         if inverse is None:

@@ -14,10 +14,16 @@ from pinmobile.robot import MobileRobot
 from pinmobile.simulation.storage import read_archive, write_archive
 from pinmobile.trajectories import Reference
 
-__all__ = ["Rollout"]
+__all__ = ["Rollout", "error_text"]
 
 _NAMES = ("x", "y", "psi")
 _UNITS = ("m", "m", "rad")
+_ROUNDING = 1e-12  # [m, rad]
+
+
+def error_text(value: float) -> str:
+    """Return an error [m, rad] with seven digits, or without where it is rounding: there, machines differ."""
+    return "< 1e-12" if 0 < value < _ROUNDING else f"{value:.6e}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -96,7 +102,7 @@ class Rollout:
             return ""
         worst = int(largest.argmax())
         name, unit = self.labels[len(_NAMES) + worst]
-        return f", {name} {largest[worst]:.6e} {unit}".rstrip()
+        return f", {name} {error_text(largest[worst])} {unit}".rstrip()
 
     def _of_joints(self) -> list[str]:
         """Return a table of the arms' joints; nothing where there are none."""
@@ -108,13 +114,14 @@ class Rollout:
         columns = (part[len(_NAMES) :] for part in (self.max_error(), self.rms_error(), self.max_force()))
         for (name, unit), largest, rms, force in zip(labels, *columns, strict=True):
             newton = {"m": "N  ", "rad": "N m"}.get(unit, "   ")
-            errors = " ".join(f"{value:13.6e} {unit:3}" for value in (largest, rms))
+            errors = " ".join(f"{error_text(value):>13} {unit:3}" for value in (largest, rms))
             lines.append(f"{name:{width}} {errors} {force:10.4g} {newton}".rstrip())
         return lines
 
     @staticmethod
     def _errors(what: str, values: Array) -> str:
-        listed = ", ".join(f"{n} {x:.6e} {u}" for n, x, u in zip(_NAMES, values, _UNITS, strict=False))
+        named = zip(_NAMES, values, _UNITS, strict=False)
+        listed = ", ".join(f"{name} {error_text(value)} {unit}" for name, value, unit in named)
         return f"{what} error: {listed}"
 
     def max_error(self) -> Array:

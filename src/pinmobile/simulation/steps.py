@@ -1,6 +1,7 @@
 """Steps of the plant between two samples, under a held force and under those that act in between."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -24,6 +25,7 @@ __all__ = [
 ]
 
 _PLANE = 3  # coordinates that a force on the body acts on
+_STRAIGHT = 1e-6  # where a Jacobian is the identity it is so exactly, and of a ball joint it is off by tenths
 
 Forward: TypeAlias = Callable[[Array, Array, Array], Array]
 Push: TypeAlias = Callable[[float, Array, Array], Array]
@@ -164,21 +166,38 @@ def steps(integrator: Integrator, forward: Forward, push: Push | None, clock: Cl
     return advance
 
 
+def _turns(plant: Any) -> bool:
+    """Tell whether a displacement's rate differs from the velocity, by one that is like any other."""
+    if not hasattr(plant, "integrate_jacobian"):
+        return False
+    J = plant.integrate_jacobian(plant.neutral, np.linspace(0.3, 0.7, plant.nv))
+    return bool(np.abs(J - np.eye(plant.nv)).max() > _STRAIGHT)
+
+
 def steps_between_configurations(
     integrator: Integrator, plant: Plant, push: Push | None, clock: Clock
 ) -> Advance:
-    """Return the steps of any integrator, which sees the displacement from the start of its step."""
+    """Return the steps of any integrator, which sees the displacement from the start of its step.
+
+    Where that does not change at the velocity, as of a ball joint, a table is told at which rate it does.
+    """
     (times, h, substeps), rest = clock, np.zeros(plant.nv)
     forward, integrate = forward_of(plant), integrate_of(plant)
+    turning: Any = plant if isinstance(integrator, RungeKuttaNystrom) and _turns(plant) else None
 
     def advance(k: int, row: Array, q: Array, v: Array, force: Array, a: Array, after: Array) -> None:
         def acceleration(time: float, displacement: Array, w: Array) -> Array:
             x = integrate(base, displacement)
             return forward(x, w, force if push is None else force + push(time, x, w))
 
+        def rate(displacement: Array, w: Array) -> Array:
+            J: Any = turning.integrate_jacobian(base, displacement)
+            return np.asarray(np.linalg.solve(J, w))
+
+        step: Any = partial(integrator, rate=rate) if turning is not None else integrator  # type: ignore[call-arg]
         base, w = q, v.copy()  # the record is nobody's to write into
         for j in range(substeps):
-            displacement, w = stepped(integrator, acceleration, times[k] + j * h, rest.copy(), w, h)
+            displacement, w = stepped(step, acceleration, times[k] + j * h, rest.copy(), w, h)
             base = integrate(base, displacement)
         after[: len(q)] = base
         after[len(q) :] = w

@@ -24,7 +24,7 @@ class Axis:
     values : sequence of numbers, sequence of str, or mapping of str to anything
         The values, no two the same; of a mapping, the keys are the labels.
     unit : str
-        Unit of the values, "" for none.
+        Unit of the values, "" for none; "1", what has no dimension, is kept but not printed.
 
     Attributes
     ----------
@@ -47,6 +47,11 @@ class Axis:
         object.__setattr__(self, "values", labels)
         object.__setattr__(self, "given", given)
 
+    @property
+    def printed_unit(self) -> str:
+        """The unit in words and heads: "" where there is none, or it is "1"."""
+        return "" if self.unit == "1" else self.unit
+
     def __len__(self) -> int:
         return len(self.values)
 
@@ -68,7 +73,7 @@ def told(name: str, axis: Axis, i: int) -> str:
     """Return value i of an axis in words, such as ``gain = 4 1/s^2``."""
     label = axis.values[i]  # type: ignore[index]
     text = label if isinstance(label, str) else f"{label:g}"
-    return f"{name} = {text}{axis.unit and ' '}{axis.unit}"
+    return f"{name} = {text} {axis.printed_unit}".rstrip()
 
 
 def placed(axes: Mapping[str, Axis], index: Sequence[int]) -> str:

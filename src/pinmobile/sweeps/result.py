@@ -11,7 +11,7 @@ import numpy as np
 
 from pinmobile.arrays import location
 from pinmobile.ensembles import Ensemble
-from pinmobile.ensembles.histogram import checked_share
+from pinmobile.ensembles.histogram import checked_share, share_within
 from pinmobile.errors import InvalidArgument
 from pinmobile.sweeps.axes import Axis, place_of
 from pinmobile.sweeps.extras import imported
@@ -106,9 +106,9 @@ class Sweep:
         with _reading(self.path):
             data = self.dataset[["max_distance", "diverged_at"]].load()
         sizes = data.max_distance.where(data.diverged_at.isnull(), np.inf)
-        found = sizes.quantile(level, "robot", method="inverted_cdf", skipna=False)
+        found = sizes.reduce(share_within, "robot", share=level)
         meaning = f"distance from the desired position that {level * 100:g} % of the robots stay within"
-        return found.drop_vars("quantile").rename("within").assign_attrs(units="m", long_name=meaning)
+        return found.rename("within").assign_attrs(units="m", long_name=meaning)
 
     def table(self, share: float = 0.99, most: int = 40) -> str:
         """Return a row for each of the first `most` scenarios: its values, `within` and how many diverged.
