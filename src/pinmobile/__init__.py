@@ -30,6 +30,7 @@ from pinmobile.disturbances import (
 from pinmobile.errors import (
     Diverged,
     InvalidArgument,
+    NotFinite,
     PinmobileError,
     SchedulerError,
     UnknownName,
@@ -88,6 +89,7 @@ __all__ = [
     "NoiseForce",
     "NoisyMeasurement",
     "Normal",
+    "NotFinite",
     "PDGravity",
     "PinmobileError",
     "PosePath",

@@ -28,10 +28,10 @@ def assemble(base: pin.Model, mounts: Sequence[Mount], loads: Sequence[tuple[str
     """
     model, body = base.copy(), base.nframes - 1
     for mount in mounts:
-        model = pin.appendModel(model, _prefixed(mount.model, mount.name), body, mount.placement)
+        model = pin.appendModel(model, _prefixed(mount._model, mount.name), body, mount.placement)
     for mount in mounts:
         # Pinocchio forgets it when it appends; each arm keeps its own, joint by joint.
-        model.armature[mount.v] = mount.model.armature
+        model.armature[mount.v] = mount._model.armature
     model.name = base.name
     for frame, load in loads:
         fixed = model.frames[named_frames(model)[frame]]

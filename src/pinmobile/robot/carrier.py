@@ -89,7 +89,7 @@ class Carrier(ChainWrenches):
         place = self._free_place(ready) if asked is None else asked
         wanted = checked_name(name if name is not None else Path(ready.origin.value).stem)
         taken = {mount.name for mount in self.mounts}
-        mount = mount_after(self.model, ready, free_name(wanted, taken), place)
+        mount = mount_after(self._model, ready, free_name(wanted, taken), place)
         return self._carrying((*self.mounts, mount), self.loads)
 
     def _free_place(self, arm: Arm) -> tuple[float, float, float, float]:
@@ -115,7 +115,7 @@ class Carrier(ChainWrenches):
         Raises
         ------
         InvalidArgument
-            If `load` is something else.
+            If `load` is something else, or so heavy that the dynamics are lost to rounding beside it.
         UnknownName
             If there is no such frame.
         """
@@ -146,6 +146,6 @@ class Carrier(ChainWrenches):
             posture = np.concatenate([np.zeros(3), posture])
         if posture.shape != (self.nq,):
             raise InvalidArgument(f"q has shape {posture.shape}, expected ({self.nq},) or ({self.nq - 3},)")
-        total = self._engine.composite(self._q(posture))
+        total = self._engine.composite(self._here(posture))
         body = urdf.Body(total.mass, total.lever, total.inertia)
         return self._as(body, f"{self.source}; arms locked")

@@ -22,6 +22,7 @@ from pinmobile.robot.meshes import VisualFile
 from pinmobile.robot.mounts import Load, Mount
 from pinmobile.robot.pictures import add_carried
 from pinmobile.robot.reading import read_model, read_urdf
+from pinmobile.robot.sound import check_whole
 from pinmobile.robot.sources import existing_folders
 from pinmobile.robot.visual import box_visuals, read_visuals
 
@@ -232,20 +233,24 @@ class MobileRobot(Carrier):
     def _as(self, body: urdf.Body, source: str) -> "MobileRobot":
         return _restored(body, self.size, self.dh, source, self._looks)
 
-    @cached_property
+    @property
     def visual_model(self) -> pin.GeometryModel:
-        """What is drawn, each object on its joint of `model`: those of the body on the third.
+        """A copy of what is drawn, each object on its joint of `model`: those of the body on the third.
 
-        It is made when it is asked for. Of a URDF that shows more than a box, all that it shows, wheels at
-        rest; mesh files that are missing or cannot be read are named in a warning. Else a box of `size` on
+        It is made when it is first asked for. Of a URDF that shows more than a box, all that it shows, wheels
+        at rest; mesh files that are missing or cannot be read are named in a warning. Else a box of `size` on
         the ground, with a visible front. Then what is drawn of each arm, and the boxes of loads.
         """
+        return self._visuals.clone()
+
+    @cached_property
+    def _visuals(self) -> pin.GeometryModel:
         joint = BODY_JOINT
         if self._looks is None:
             visuals = box_visuals(self.size, joint)
         else:
             visuals = read_visuals(self._looks, self.size, joint)
-        add_carried(visuals, self.model, self.mounts, self.loads)
+        add_carried(visuals, self._model, self.mounts, self.loads)
         return visuals
 
     def to_urdf(self) -> str:
@@ -269,7 +274,9 @@ def _restored(
     robot = MobileRobot.from_body(body, size, dh, source)
     carrying = {"mounts": mounts, "loads": loads}
     if mounts or loads:
-        carrying["_engine"] = Engine(assemble(robot.model, mounts, loads))  # type: ignore[assignment]
+        carrying["_engine"] = Engine(assemble(robot._model, mounts, loads))  # type: ignore[assignment]
     for name, value in {"_looks": looks, **carrying}.items():
         object.__setattr__(robot, name, value)
+    if mounts or loads:
+        check_whole(robot._model, robot._engine.reorder(robot.rest))
     return robot
