@@ -9,7 +9,7 @@ from pinmobile.arrays import Array
 from pinmobile.robot.mounts import Load, Mount, free_name
 from pinmobile.robot.tree import parts_of
 
-__all__ = ["assemble", "limits", "named_frames"]
+__all__ = ["assemble", "limits", "named_frames", "resistances"]
 
 _FAR = 1e8  # beyond, a limit is none
 
@@ -83,3 +83,11 @@ def limits(model: pin.Model, mounts: Sequence[Mount]) -> tuple[Array, Array, Arr
             for target, source in ((speed, model.velocityLimit), (effort, model.effortLimit)):
                 target[v] = np.where((source[v] > 0) & (source[v] < _FAR), source[v], np.inf)
     return lower, upper, speed, effort
+
+
+def resistances(nv: int, mounts: Sequence[Mount]) -> tuple[Array, Array]:
+    """Return damping and friction of the joints, each of shape (nv,); the base has none."""
+    damping, friction = np.zeros((2, nv))
+    for mount in mounts:
+        damping[mount.v], friction[mount.v] = mount._model.damping, mount._model.friction
+    return damping, friction

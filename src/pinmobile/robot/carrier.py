@@ -48,7 +48,8 @@ class Carrier(ChainWrenches):
         """Return the robot with an arm on its body; q and v then end with the arm's joints.
 
         A root of its own (free-flyer, planar) is replaced by the chain, and wheels are locked. Its joints and
-        frames are called ``name/...``; its limits, its rotors and its reference posture are kept. Equal
+        frames are called ``name/...``; its limits, its rotors and its reference posture are kept, and so are
+        its joints' damping and friction, though nothing acts by these yet: see `joint_damping`. Equal
         position limits, as lower = upper = 0, and a velocity or effort limit of 0 are none: that is what
         files write, some of the loaders' too, where they know none. A joint that mimics another in a URDF,
         as the panda's second finger, moves freely, since Pinocchio's forward dynamics knows no mimic joints;

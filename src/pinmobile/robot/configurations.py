@@ -7,7 +7,7 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite_answer, frozen, vector, wrap_angle
 from pinmobile.errors import InvalidArgument
-from pinmobile.robot.assembly import limits
+from pinmobile.robot.assembly import limits, resistances
 from pinmobile.robot.coordinates import configuration_names, units, velocity_names
 from pinmobile.robot.engine import Engine
 from pinmobile.robot.mounts import Load, Mount
@@ -92,6 +92,27 @@ class ChainConfigurations:
     def effort_limit(self) -> Array:
         """Largest |tau|, shape (nv,) [N, N, N m, ...]; inf where there is no limit."""
         return self._limits[3]
+
+    @cached_property
+    def _resistances(self) -> tuple[Array, Array]:
+        damping, friction = map(frozen, resistances(self.nv, self.mounts))
+        return damping, friction
+
+    @property
+    def joint_damping(self) -> Array:
+        """Viscous damping of the arms' joints, shape (nv,) [N s/m, N m s/rad], as their files have it.
+
+        Kept for who wants it: nothing acts by it yet, neither the dynamics nor `simulate`. Zero for the base.
+        """
+        return self._resistances[0]
+
+    @property
+    def joint_friction(self) -> Array:
+        """Dry friction of the arms' joints, shape (nv,) [N, N m], as their files have it.
+
+        Kept for who wants it: nothing acts by it yet, neither the dynamics nor `simulate`. Zero for the base.
+        """
+        return self._resistances[1]
 
     @cached_property
     def neutral(self) -> Array:

@@ -58,6 +58,8 @@ def check_bodies(model: pin.Model, called: str) -> None:
 def check_joint_limits(model: pin.Model, joints: Iterable[int], called: str) -> None:
     """Refuse limits that limit nothing: the least above the largest, negative ones, or no numbers.
 
+    Damping and friction that push, or are no numbers, too.
+
     Parameters
     ----------
     model : pin.Model
@@ -80,10 +82,15 @@ def check_joint_limits(model: pin.Model, joints: Iterable[int], called: str) -> 
                 raise InvalidArgument(
                     f"{name} has position limits from {least:g} to {most:g}, expected the lower one first"
                 )
-        for kind, given in (("velocity", model.velocityLimit[v]), ("effort", model.effortLimit[v])):
-            for limit in given:
-                if not limit >= 0:
-                    raise InvalidArgument(f"{name} has {kind} limit {limit:g}, expected a number >= 0")
+        for kind, given in (
+            ("velocity limit", model.velocityLimit),
+            ("effort limit", model.effortLimit),
+            ("damping", model.damping),
+            ("friction", model.friction),
+        ):
+            for number in given[v]:
+                if not number >= 0:
+                    raise InvalidArgument(f"{name} has {kind} {number:g}, expected a number >= 0")
 
 
 def check_inertias(model: pin.Model, posture: Array, called: str) -> None:
