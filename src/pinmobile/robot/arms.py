@@ -137,10 +137,14 @@ class Arm:
         pin.framesForwardKinematics(self._model, data, np.array(self.posture))
         return -min(0.0, *(float(placement.translation[2]) for placement in data.oMf))
 
+    def held(self) -> list[int]:
+        """Return the joints of `whole` that do not move: a root of its own, wheels, and those in `locked`."""
+        return _held(self._whole, self.locked)
+
     def visuals(self) -> pin.GeometryModel:
         """Return what is drawn of it, for `model`."""
         shown = self.picture(self._whole)
-        _, (kept,) = _reduced(self._whole, [shown], _held(self._whole, self.locked), self.rest)
+        _, (kept,) = _reduced(self._whole, [shown], self.held(), self.rest)
         return kept
 
 

@@ -9,7 +9,7 @@ from pinmobile.arrays import Array
 from pinmobile.robot.mounts import Load, Mount, free_name
 from pinmobile.robot.tree import parts_of
 
-__all__ = ["assemble", "limits", "named_frames", "resistances"]
+__all__ = ["assemble", "limits", "named_frames", "prefixed", "resistances"]
 
 _FAR = 1e8  # beyond, a limit is none
 
@@ -28,7 +28,7 @@ def assemble(base: pin.Model, mounts: Sequence[Mount], loads: Sequence[tuple[str
     """
     model, body = base.copy(), base.nframes - 1
     for mount in mounts:
-        model = pin.appendModel(model, _prefixed(mount._model, mount.name), body, mount.placement)
+        model = pin.appendModel(model, prefixed(mount._model, mount.name), body, mount.placement)
     for mount in mounts:
         # Pinocchio forgets it when it appends; each arm keeps its own, joint by joint.
         model.armature[mount.v] = mount._model.armature
@@ -49,7 +49,8 @@ def named_frames(model: pin.Model) -> dict[str, int]:
     return ids
 
 
-def _prefixed(model: pin.Model, name: str) -> pin.Model:
+def prefixed(model: pin.Model, name: str) -> pin.Model:
+    """Return a copy with all names ``name/...``; a frame is numbered where a link has its name."""
     copy = model.copy()
     for joint in range(1, copy.njoints):
         copy.names[joint] = f"{name}/{copy.names[joint]}"

@@ -13,6 +13,7 @@ from pinmobile import urdf
 from pinmobile.arrays import ArrayLike, finite
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot.arms import Arm
+from pinmobile.robot.engine import BODY_JOINT
 from pinmobile.robot.mounts import Load, Mount, checked_name, free_name, mount_after, on_top, placed
 from pinmobile.robot.sources import read_arm
 from pinmobile.robot.wrenches import ChainWrenches
@@ -116,13 +117,19 @@ class Carrier(ChainWrenches):
         Raises
         ------
         InvalidArgument
-            If `load` is something else, or so heavy that the dynamics are lost to rounding beside it.
+            If `load` is something else, or so heavy that the dynamics are lost to rounding beside it; or if
+            the frame is of a virtual link of the chain, which moves with the robot in part only.
         UnknownName
             If there is no such frame.
         """
         if not isinstance(load, Load):
             raise InvalidArgument(f"load is {load!r}, expected a Load")
-        return self._carrying(self.mounts, (*self.loads, (self._frame(frame)[0], load)))
+        name, number = self._frame(frame)
+        if self._model.frames[number].parentJoint < BODY_JOINT:
+            raise InvalidArgument(
+                f"frame is {name!r}, a virtual link, expected 'base_link' or a frame of an arm"
+            )
+        return self._carrying(self.mounts, (*self.loads, (name, load)))
 
     @property
     def base(self) -> Self:
