@@ -173,7 +173,9 @@ class ChainConfigurations:
                 displacement = finite_answer(q1 - q0, q0=q0, q1=q1)
         else:
             displacement = self._engine.reorder(self._engine.each(_difference, q0=q0, q1=q1))
-        displacement[..., 2] = wrap_angle(displacement[..., 2])
+        angle = displacement[..., 2]
+        if angle.ndim or not -np.pi < angle <= np.pi:  # in a loop it hardly ever is beyond
+            displacement[..., 2] = wrap_angle(angle)
         return displacement
 
     def _q(self, q: ArrayLike, name: str = "q") -> Array:

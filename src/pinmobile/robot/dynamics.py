@@ -52,7 +52,7 @@ class ChainDynamics(ChainKinematics):
 
     def mass_matrix(self, q: ArrayLike) -> Array:
         """Return M(q), shape (..., nv, nv) [kg, kg m, kg m^2], by Pinocchio's CRBA."""
-        return self._square(self._engine.each(pin.crba, q=self._q(q)))
+        return self._engine.reorder_square(self._engine.each(pin.crba, q=self._q(q)))
 
     def nonlinear_effects(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return n(q, v), shape (..., nv) [N, N, N m], by Pinocchio's RNEA without acceleration."""
@@ -70,7 +70,9 @@ class ChainDynamics(ChainKinematics):
 
     def coriolis_matrix(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return C(q, v), shape (..., nv, nv): C v = n(q, v), and dM/dt - 2 C is skew-symmetric."""
-        return self._square(self._engine.each(pin.computeCoriolisMatrix, q=self._here(q), v=self._v("v", v)))
+        return self._engine.reorder_square(
+            self._engine.each(pin.computeCoriolisMatrix, q=self._here(q), v=self._v("v", v))
+        )
 
     def kinetic_energy(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return v' M(q) v / 2, shape (...) [J]."""
@@ -102,7 +104,7 @@ class ChainDynamics(ChainKinematics):
             return np.stack(pin.computeABADerivatives(model, data, q, v, tau))
 
         arguments = {"q": self._here(q), "v": self._v("v", v), "tau": self._v("tau", tau)}
-        stacked = self._square(self._engine.each(derivatives, **arguments))
+        stacked = self._engine.reorder_square(self._engine.each(derivatives, **arguments))
         return stacked[..., 0, :, :], stacked[..., 1, :, :], stacked[..., 2, :, :]
 
     def linearize(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Linearization:
@@ -116,16 +118,12 @@ class ChainDynamics(ChainKinematics):
         B = np.zeros((*by_q.shape[:-2], 2 * self.nv, self.nv))
         A[..., : self.nv, self.nv :] = np.eye(self.nv)
         if self.nq != self.nv:
-            A[..., : self.nv, : self.nv] = self._square(
+            A[..., : self.nv, : self.nv] = self._engine.reorder_square(
                 self._engine.each(_turning, q=self._q(q), v=self._v("v", v))
             )
         A[..., self.nv :, : self.nv], A[..., self.nv :, self.nv :] = by_q, by_v
         B[..., self.nv :, :] = by_tau
         return Linearization(A, B)
-
-    def _square(self, matrices: Array) -> Array:
-        order = self._engine.order
-        return matrices[..., order[:, None], order]
 
 
 def _turning(model: pin.Model, data: pin.Data, q: Array, v: Array) -> Array:

@@ -5,6 +5,7 @@ This is the one place that knows that the chain's first joint is y while the lib
 
 from collections.abc import Callable
 from functools import partial
+from math import isfinite
 from threading import local
 from typing import NamedTuple
 
@@ -66,6 +67,7 @@ class Engine:
         self.order, self.order_q = np.arange(self.nv), np.arange(self.nq)
         self.order[:2] = self.order_q[:2] = 1, 0
         self._orders = {self.nv: self.order, self.nq: self.order_q}
+        self._square = self.order[:, None], self.order
 
     @property
     def data(self) -> pin.Data:
@@ -84,7 +86,12 @@ class Engine:
 
     def reorder(self, array: Array) -> Array:
         """Return an array (..., nv) or (..., nq) in chain order from public order, or the other way round."""
-        return array[..., self._orders[array.shape[-1]]]
+        order = self._orders[array.shape[-1]]
+        return array[order] if array.ndim == 1 else array[..., order]  # the first is six times as fast
+
+    def reorder_square(self, matrices: Array) -> Array:
+        """Return matrices (..., nv, nv) in chain order from public order, or the other way round."""
+        return matrices[self._square] if matrices.ndim == 2 else matrices[..., *self._square]
 
     def composite(self, q: Array) -> pin.Inertia:
         """Return the inertia of the body and all that rides on it, in the body's frame, at a public q."""
@@ -106,12 +113,18 @@ class Engine:
         NotFinite
             If what comes back is not finite.
         """
-        model, data, orders = self.model, self.data, self._orders
-        if all(argument.ndim == 1 for argument in arguments.values()):
-            rows = (argument[orders[len(argument)]] for argument in arguments.values())
-            # A copy: Pinocchio hands out views of its data.
-            return finite_answer(np.array(function(model, data, *rows)), **arguments)
-        lead = broadcast(**arguments)
+        rows = []
+        for argument in arguments.values():
+            if argument.ndim != 1:
+                return self._stacked(function, **arguments)
+            rows.append(argument[self._orders[len(argument)]])
+        # A copy: Pinocchio hands out views of its data.
+        answer = np.array(function(self.model, self._workspace.data, *rows))
+        return answer if isfinite(np.vdot(answer, answer)) else finite_answer(answer, **arguments)
+
+    def _stacked(self, function: Callable[..., Array], **arguments: Array) -> Array:
+        """Return what `each` does of arguments with leading axes."""
+        model, data, lead = self.model, self.data, broadcast(**arguments)
         stacked = [
             self.reorder(np.broadcast_to(argument, (*lead, argument.shape[-1]))).reshape(
                 -1, argument.shape[-1]
