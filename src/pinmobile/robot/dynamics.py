@@ -38,7 +38,8 @@ class ChainDynamics(ChainKinematics):
     and generalised force tau = (Fx, Fy, Mz) [N, N, N m]; after these come the arms' joints, one after the
     other, in their units. A joint without limits is (cos, sin) in q and one number in v. Leading axes
     broadcast; Pinocchio takes one configuration at a time, so they are looped over. All raise
-    `InvalidArgument` for arguments of another last axis or that are not finite.
+    `InvalidArgument` for arguments of another last axis or that are not finite, and `NotFinite` where
+    the answer would not be. They may be called by several threads at once.
     """
 
     @property
