@@ -115,9 +115,7 @@ def test_a_mounted_mass_whose_moments_are_beyond_all_numbers_is_refused(tmp_path
     path = saved(
         tmp_path, robot(link("a", 1e308, com="9 0 0"), link("b", 1), joint("j", "revolute", "a", "b"))
     )
-    with pytest.raises(
-        InvalidArgument, match="the mass matrix with what is mounted or attached is not finite"
-    ):
+    with pytest.raises(InvalidArgument, match=r"mass matrix is beyond 1.8e308"):
         BOX.mount(path)
 
 

@@ -694,7 +694,6 @@ def truck(folder: Path, mesh: str) -> MobileRobot:
 
 def test_a_robot_with_meshes_is_drawn_whole(page: Page, tmp_path: Path) -> None:
     robot = truck(tmp_path, "hull")
-    assert robot.visual_model is robot.visual_model
     hull, wheel = robot.visual_model.geometryObjects
     assert {hull.parentJoint, wheel.parentJoint} == {3}
     np.testing.assert_allclose(hull.placement.translation, (0, 0, 0.25))

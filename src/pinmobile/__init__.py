@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from pinmobile.errors import (
         Diverged,
         InvalidArgument,
+        NotFinite,
         PinmobileError,
         SchedulerError,
         UnknownName,
@@ -95,6 +96,7 @@ __all__ = [
     "NoiseForce",
     "NoisyMeasurement",
     "Normal",
+    "NotFinite",
     "PDGravity",
     "PinmobileError",
     "PosePath",
@@ -169,6 +171,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "errors": (
         "Diverged",
         "InvalidArgument",
+        "NotFinite",
         "PinmobileError",
         "SchedulerError",
         "UnknownName",

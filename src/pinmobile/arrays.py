@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, NotFinite
 
 __all__ = [
     "HALF_TURN",
@@ -17,6 +17,7 @@ __all__ = [
     "ArrayLike",
     "broadcast",
     "finite",
+    "finite_answer",
     "frozen",
     "location",
     "non_negative",
@@ -50,7 +51,7 @@ def finite(name: str, value: ArrayLike) -> Array:
         type(value) is np.ndarray
         and value.dtype == np.float64
         and value.ndim == 1
-        and isfinite(value.dot(value))
+        and isfinite(np.vdot(value, value))
     ):
         return (
             value  # what comes in a loop: one product instead of five calls; where it overflows, look closely
@@ -67,6 +68,29 @@ def finite(name: str, value: ArrayLike) -> Array:
         place = f"[{', '.join(map(str, where))}]" if where else ""
         raise InvalidArgument(f"{name}{place} is {array[where]}, expected a finite number")
     return array
+
+
+def finite_answer(answer: Array, /, **arguments: Array) -> Array:
+    """Return an answer as it is, after refusing one that is not finite though its arguments are.
+
+    Parameters
+    ----------
+    answer : ndarray, any shape
+        What was computed.
+    **arguments : ndarray, any shape
+        From what, by name, for the message.
+
+    Raises
+    ------
+    NotFinite
+        If it holds NaN or infinity.
+    """
+    # One product, which unlike that of `dot` does not warn, instead of a look at each number.
+    if isfinite(np.vdot(answer, answer)) or np.isfinite(answer).all():
+        return answer
+    bad = answer[~np.isfinite(answer)][0]
+    sizes = ", ".join(f"|{name}| up to {np.abs(value).max():.3g}" for name, value in arguments.items())
+    raise NotFinite(f"the answer is {bad} for {sizes}, made of numbers beyond 1.8e308: expected smaller ones")
 
 
 def vector(name: str, value: ArrayLike, size: int) -> Array:

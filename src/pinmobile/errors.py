@@ -7,6 +7,7 @@ from typing import Any
 __all__ = [
     "Diverged",
     "InvalidArgument",
+    "NotFinite",
     "PinmobileError",
     "SchedulerError",
     "UnknownName",
@@ -52,6 +53,10 @@ class UnknownName(PinmobileError, KeyError):
 
     def __reduce__(self) -> tuple[type["UnknownName"], tuple[str, str, tuple[str, ...]]]:
         return type(self), (self.kind, self.name, self.available)
+
+
+class NotFinite(PinmobileError, ArithmeticError):
+    """An answer is beyond the numbers that a computer has, though every argument is finite."""
 
 
 class Diverged(PinmobileError, ArithmeticError):

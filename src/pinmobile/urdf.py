@@ -15,6 +15,8 @@ from pinmobile.errors import InvalidArgument, UnknownName
 __all__ = ["Body", "box_inertia", "shipped_urdf", "write"]
 
 _INERTIA_ROUNDING = 1e-9  # files carry eight digits or so: a broken triangle is one broken by more
+# Dynamics about B's origin take the yaw inertia from a difference to m |com|^2: six digits of it are left.
+_DIGITS = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +36,8 @@ class Body:
     ------
     InvalidArgument
         If no rigid body has these: a mass or a principal moment that is not positive where it must be,
-        or principal moments that break the triangle inequality.
+        or principal moments that break the triangle inequality; or the centre of mass is so far from B's
+        origin that the yaw inertia is lost to rounding.
     """
 
     mass: float
@@ -57,6 +60,15 @@ class Body:
             raise InvalidArgument(
                 f"inertia has principal moments ({listed}) kg m^2, which no rigid body has: expected each "
                 ">= 0, none above the sum of the other two, and the yaw inertia > 0"
+            )
+        with np.errstate(over="ignore"):
+            squares = self.mass * np.square(com)
+        offset = float(squares[:2].sum()) if np.isfinite(squares.sum()) else np.inf
+        if inertia[2, 2] < _DIGITS * offset:
+            raise InvalidArgument(
+                f"com is {com.tolist()} m with mass {self.mass:g} kg, beside which the yaw inertia about it, "
+                f"{inertia[2, 2]:g} kg m^2, is lost to rounding: expected it to be {_DIGITS:g} of "
+                f"m |com|^2 = {offset:g} kg m^2 at least"
             )
         object.__setattr__(self, "com", frozen(com))
         object.__setattr__(self, "inertia", frozen((inertia + inertia.T) / 2))

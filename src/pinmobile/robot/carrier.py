@@ -13,6 +13,7 @@ from pinmobile import urdf
 from pinmobile.arrays import ArrayLike, finite
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot.arms import Arm
+from pinmobile.robot.engine import BODY_JOINT
 from pinmobile.robot.mounts import Load, Mount, checked_name, free_name, mount_after, on_top, placed
 from pinmobile.robot.sources import read_arm
 from pinmobile.robot.stance import Stance
@@ -49,7 +50,8 @@ class Carrier(ChainWrenches):
         """Return the robot with an arm on its body; q and v then end with the arm's joints.
 
         A root of its own (free-flyer, planar) is replaced by the chain, and wheels are locked. Its joints and
-        frames are called ``name/...``; its limits, its rotors and its reference posture are kept. Equal
+        frames are called ``name/...``; its limits, its rotors and its reference posture are kept, and so are
+        its joints' damping and friction, though nothing acts by these yet: see `joint_damping`. Equal
         position limits, as lower = upper = 0, and a velocity or effort limit of 0 are none: that is what
         files write, some of the loaders' too, where they know none. A joint that mimics another in a URDF,
         as the panda's second finger, moves freely, since Pinocchio's forward dynamics knows no mimic joints;
@@ -90,7 +92,7 @@ class Carrier(ChainWrenches):
         place = self._free_place(ready) if asked is None else asked
         wanted = checked_name(name if name is not None else Path(ready.origin.value).stem)
         taken = {mount.name for mount in self.mounts}
-        mount = mount_after(self.model, ready, free_name(wanted, taken), place)
+        mount = mount_after(self._model, ready, free_name(wanted, taken), place)
         return self._carrying((*self.mounts, mount), self.loads)
 
     def _free_place(self, arm: Arm) -> tuple[float, float, float, float]:
@@ -122,13 +124,19 @@ class Carrier(ChainWrenches):
         Raises
         ------
         InvalidArgument
-            If `load` is something else.
+            If `load` is something else, or so heavy that the dynamics are lost to rounding beside it; or if
+            the frame is of a virtual link of the chain, which moves with the robot in part only.
         UnknownName
             If there is no such frame.
         """
         if not isinstance(load, Load):
             raise InvalidArgument(f"load is {load!r}, expected a Load")
-        return self._carrying(self.mounts, (*self.loads, (self._frame(frame)[0], load)))
+        name, number = self._frame(frame)
+        if self._model.frames[number].parentJoint < BODY_JOINT:
+            raise InvalidArgument(
+                f"frame is {name!r}, a virtual link, expected 'base_link' or a frame of an arm"
+            )
+        return self._carrying(self.mounts, (*self.loads, (name, load)))
 
     @property
     def base(self) -> Self:
@@ -153,6 +161,6 @@ class Carrier(ChainWrenches):
             posture = np.concatenate([np.zeros(3), posture])
         if posture.shape != (self.nq,):
             raise InvalidArgument(f"q has shape {posture.shape}, expected ({self.nq},) or ({self.nq - 3},)")
-        total = self._engine.composite(self._q(posture))
+        total = self._engine.composite(self._here(posture))
         body = urdf.Body(total.mass, total.lever, total.inertia)
         return self.with_body(body, f"{self.source}; arms locked")

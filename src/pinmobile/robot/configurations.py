@@ -5,9 +5,9 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike, broadcast, frozen, vector, wrap_angle
+from pinmobile.arrays import Array, ArrayLike, broadcast, finite_answer, frozen, vector, wrap_angle
 from pinmobile.errors import InvalidArgument
-from pinmobile.robot.assembly import limits
+from pinmobile.robot.assembly import limits, resistances
 from pinmobile.robot.coordinates import configuration_names, units, velocity_names
 from pinmobile.robot.engine import Engine
 from pinmobile.robot.mounts import Load, Mount
@@ -30,18 +30,23 @@ class ChainConfigurations:
 
     @property
     def model(self) -> pin.Model:
-        """The Pinocchio model, in the chain's order (y, x, psi, ...)."""
+        """A copy of the Pinocchio model, in the chain's order (y, x, psi, ...): write into it as you like."""
+        return self._model.copy()
+
+    @property
+    def _model(self) -> pin.Model:
+        """The model itself, which is only read."""
         return self._engine.model
 
     @property
     def nq(self) -> int:
         """Size of q."""
-        return int(self.model.nq)
+        return self._engine.nq
 
     @property
     def nv(self) -> int:
         """Size of v and a."""
-        return int(self.model.nv)
+        return self._engine.nv
 
     @property
     def nu(self) -> int:
@@ -51,21 +56,21 @@ class ChainConfigurations:
     @cached_property
     def coordinate_names(self) -> tuple[str, ...]:
         """Name of each of the nv numbers in v, a and tau: x, y, psi, then those of the arms' joints."""
-        return velocity_names(self.model)
+        return velocity_names(self._model)
 
     @cached_property
     def coordinate_units(self) -> tuple[str, ...]:
         """Unit of each of them in a displacement: m or rad; that of its force is then N or N m."""
-        return units(self.model)
+        return units(self._model)
 
     @cached_property
     def configuration_names(self) -> tuple[str, ...]:
         """Name of each of the nq numbers in q; of a joint without limits ``name:cos`` and ``name:sin``."""
-        return configuration_names(self.model)
+        return configuration_names(self._model)
 
     @cached_property
     def _limits(self) -> tuple[Array, Array, Array, Array]:
-        lower, upper, speed, effort = map(frozen, limits(self.model, self.mounts))
+        lower, upper, speed, effort = map(frozen, limits(self._model, self.mounts))
         return lower, upper, speed, effort
 
     @property
@@ -89,9 +94,30 @@ class ChainConfigurations:
         return self._limits[3]
 
     @cached_property
+    def _resistances(self) -> tuple[Array, Array]:
+        damping, friction = map(frozen, resistances(self.nv, self.mounts))
+        return damping, friction
+
+    @property
+    def joint_damping(self) -> Array:
+        """Viscous damping of the arms' joints, shape (nv,) [N s/m, N m s/rad], as their files have it.
+
+        Kept for who wants it: nothing acts by it yet, neither the dynamics nor `simulate`. Zero for the base.
+        """
+        return self._resistances[0]
+
+    @property
+    def joint_friction(self) -> Array:
+        """Dry friction of the arms' joints, shape (nv,) [N, N m], as their files have it.
+
+        Kept for who wants it: nothing acts by it yet, neither the dynamics nor `simulate`. Zero for the base.
+        """
+        return self._resistances[1]
+
+    @cached_property
     def neutral(self) -> Array:
         """Configuration with all coordinates at zero, angles that are (cos, sin) among them, shape (nq,)."""
-        return frozen(self._engine.reorder(pin.neutral(self.model)))
+        return frozen(self._engine.reorder(pin.neutral(self._model)))
 
     @cached_property
     def rest(self) -> Array:
@@ -131,8 +157,9 @@ class ChainConfigurations:
         q, dq = self._q(q), self._v("dq", dq)
         broadcast(q=q, dq=dq)
         if self.nq == self.nv:
-            return q + dq
-        return self._engine.reorder(self._engine.each(_integrated, q, dq))
+            with np.errstate(over="ignore"):
+                return finite_answer(q + dq, q=q, dq=dq)
+        return self._engine.reorder(self._engine.each(_integrated, q=q, dq=dq))
 
     def integrate_jacobian(self, q: ArrayLike, dq: ArrayLike) -> Array:
         """Return how `integrate` turns rates of `dq` into velocities, shape (..., nv, nv).
@@ -149,8 +176,7 @@ class ChainConfigurations:
             Displacement [m, m, rad, ...].
         """
         q, dq = self._q(q), self._v("dq", dq)
-        J, order = self._engine.each(_integrate_jacobian, q, dq), self._engine.order
-        return J[..., order[:, None], order]
+        return self._engine.reorder_square(self._engine.each(_integrate_jacobian, q=q, dq=dq))
 
     def difference(self, q0: ArrayLike, q1: ArrayLike) -> Array:
         """Return the displacement from `q0` to `q1`, shape (..., nv); that of psi lies in (-pi, pi].
@@ -160,10 +186,13 @@ class ChainConfigurations:
         q0, q1 = self._q(q0, "q0"), self._q(q1, "q1")
         broadcast(q0=q0, q1=q1)
         if self.nq == self.nv:
-            displacement = q1 - q0
+            with np.errstate(over="ignore"):
+                displacement = finite_answer(q1 - q0, q0=q0, q1=q1)
         else:
-            displacement = self._engine.reorder(self._engine.each(_difference, q0, q1))
-        displacement[..., 2] = wrap_angle(displacement[..., 2])
+            displacement = self._engine.reorder(self._engine.each(_difference, q0=q0, q1=q1))
+        angle = displacement[..., 2]
+        if angle.ndim or not -np.pi < angle <= np.pi:  # in a loop it hardly ever is beyond
+            displacement[..., 2] = wrap_angle(angle)
         return displacement
 
     def _q(self, q: ArrayLike, name: str = "q") -> Array:
@@ -177,13 +206,22 @@ class ChainConfigurations:
                 )
         return array
 
+    def _here(self, q: ArrayLike) -> Array:
+        """Return q, checked, with x = y = 0.
+
+        Where Pinocchio works in the inertial frame, what depends on neither loses digits to both far away.
+        """
+        moved = self._q(q).copy()
+        moved[..., :2] = 0.0
+        return moved
+
     def _v(self, name: str, value: ArrayLike) -> Array:
         return vector(name, value, self.nv)
 
     @cached_property
     def _unit_parts(self) -> tuple[tuple[slice, str], ...]:
         """The parts of q that lie on a circle or a sphere, and their joints' names."""
-        model, parts = self.model, []
+        model, parts = self._model, []
         for j in range(1, model.njoints):
             # In Pinocchio's order: (cos, sin), a quaternion, (x, y, cos, sin), (x, y, z, quaternion).
             circle = (model.nqs[j], model.nvs[j]) == (2, 1) or "Planar" in joint_kind(model, j)

@@ -22,7 +22,7 @@ from pinmobile.robot.meshes import VisualFile
 from pinmobile.robot.mounts import Load, Mount
 from pinmobile.robot.pictures import add_carried
 from pinmobile.robot.reading import LOCKED, Reading, read_model, read_urdf
-from pinmobile.robot.sound import check_mass_matrix
+from pinmobile.robot.sound import check_whole
 from pinmobile.robot.sources import existing_folders
 from pinmobile.robot.stance import Stance
 from pinmobile.robot.visual import box_visuals, read_visuals
@@ -317,20 +317,24 @@ class MobileRobot(Carrier):
     def _carrying(self, mounts: tuple[Mount, ...], loads: tuple[tuple[str, Load], ...]) -> "MobileRobot":
         return _restored(*self._own(self.body, self.source), mounts, loads)
 
-    @cached_property
+    @property
     def visual_model(self) -> pin.GeometryModel:
-        """What is drawn, each object on its joint of `model`: those of the body on the third.
+        """A copy of what is drawn, each object on its joint of `model`: those of the body on the third.
 
-        It is made when it is asked for. Of a URDF that shows more than a box on the ground, all of that,
-        wheels at rest; mesh files that are missing or cannot be read are named in a warning. Else a box of
-        `size` on the ground, with a visible front. Then what is drawn of each arm, and the boxes of loads.
+        It is made when it is first asked for. Of a URDF that shows more than a box on the ground, all of
+        that, wheels at rest; mesh files that are missing or cannot be read are named in a warning. Else a box
+        of `size` on the ground, with a visible front. Then what is drawn of each arm, and the boxes of loads.
         """
+        return self._visuals.clone()
+
+    @cached_property
+    def _visuals(self) -> pin.GeometryModel:
         joint = BODY_JOINT
         if self._looks is None:
             visuals = box_visuals(self.size, joint)
         else:
             visuals = read_visuals(self._looks, self.size, joint)
-        add_carried(visuals, self.model, self.mounts, self.loads)
+        add_carried(visuals, self._model, self.mounts, self.loads)
         return visuals
 
     def to_urdf(self) -> str:
@@ -364,9 +368,9 @@ def _restored(
     robot = MobileRobot.from_body(body, size, dh, source, stance=stance, locked_joints=locked_joints)
     carrying = {"mounts": mounts, "loads": loads}
     if mounts or loads:
-        engine = Engine(assemble(robot.model, mounts, loads))
-        check_mass_matrix(engine.model, engine.data)
-        carrying["_engine"] = engine  # type: ignore[assignment]
+        carrying["_engine"] = Engine(assemble(robot._model, mounts, loads))  # type: ignore[assignment]
     for name, value in {"_looks": looks, **carrying}.items():
         object.__setattr__(robot, name, value)
+    if mounts or loads:
+        check_whole(robot._model, robot._engine.reorder(robot.rest))
     return robot

@@ -54,8 +54,13 @@ class Mount:
 
     @property
     def model(self) -> pin.Model:
-        """Its own model, on a fixed base and with its own names."""
+        """A copy of its own model, on a fixed base and with its own names."""
         return self.arm.model
+
+    @property
+    def _model(self) -> pin.Model:
+        """The model itself, which is only read."""
+        return self.arm._model
 
     @property
     def placement(self) -> pin.SE3:
@@ -71,7 +76,7 @@ class Mount:
         return self.name, self.at, self.arm.key()
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Mount) and self._key() == other._key() and self.model == other.model
+        return isinstance(other, Mount) and self._key() == other._key() and self._model == other._model
 
     def __hash__(self) -> int:
         return hash(self._key())
@@ -103,7 +108,7 @@ class Load:
     com: tuple[float, float, float] = (0.0, 0.0, 0.0)
     inertia: tuple[tuple[float, ...], ...] | None = None
     size: tuple[float, float, float] | None = None
-    body: pin.Inertia = field(init=False, repr=False, compare=False)
+    _body: pin.Inertia = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         mass, com = positive("mass", self.mass, "kg"), finite("com", self.com)
@@ -121,7 +126,12 @@ class Load:
             object.__setattr__(self, "inertia", tuple(map(tuple, inertia.tolist())))
         object.__setattr__(self, "mass", mass)
         object.__setattr__(self, "com", tuple(com.tolist()))
-        object.__setattr__(self, "body", pin.Inertia(mass, com, inertia))
+        object.__setattr__(self, "_body", pin.Inertia(mass, com, inertia))
+
+    @property
+    def body(self) -> pin.Inertia:
+        """A copy of its inertia, seen from the frame."""
+        return pin.Inertia(self._body)
 
     def __reduce__(self) -> tuple[object, ...]:
         return Load, (self.mass, self.com, self.inertia, self.size)
@@ -175,7 +185,7 @@ def free_name(name: str, taken: Iterable[str]) -> str:
 
 def mount_after(model: pin.Model, arm: Arm, name: str, at: tuple[float, float, float, float]) -> Mount:
     """Return the mount of an arm that comes after all that is in a model."""
-    own = arm.model
+    own = arm._model
     q, v = (slice(n, n + more) for n, more in ((model.nq, own.nq), (model.nv, own.nv)))
     return Mount(name, at, arm, q, v, slice(model.njoints, model.njoints + own.njoints - 1))
 

@@ -120,7 +120,7 @@ def _from_model(arm: Any, visual: pin.GeometryModel | None, rest: Any, locked: t
     if arm.njoints == 1:
         raise InvalidArgument(f"arm {arm.name!r} has no joints, expected one at least: a Load has none")
     check_freedom(arm.nv, f"arm {arm.name!r}")
-    shown = pin.GeometryModel() if visual is None else visual
+    shown = pin.GeometryModel() if visual is None else visual.clone()
     _check_visual(arm, shown)
     usual = _posture(arm, kept)
     posture = usual if rest is None else _posture(arm, rest)

@@ -31,9 +31,9 @@ def read_visuals(file: VisualFile, size: Sequence[float], joint: int) -> pin.Geo
     InvalidArgument
         If the file cannot be read any more.
     """
-    root, left_out = readable(file, stacklevel=5)
+    root, left_out = readable(file, stacklevel=6)
     model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
-    seen, broken = shown(model, root, file, stacklevel=5)
+    seen, broken = shown(model, root, file, stacklevel=6)
     shapes = [shape.tag for shape in root.iterfind("./link/visual/geometry/*")]
     data = model.createData()
     pin.forwardKinematics(model, data, pin.neutral(model))

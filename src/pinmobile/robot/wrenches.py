@@ -30,7 +30,7 @@ class ChainWrenches(ChainDynamics):
             pin.rnea(model, data, q, v, a)
             return np.asarray(data.f[BODY_JOINT].vector)
 
-        return self._engine.each(wrench, self._q(q), self._v("v", v), self._v("a", a))
+        return self._engine.each(wrench, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
 
     def mount_wrench(self, q: ArrayLike, v: ArrayLike, a: ArrayLike, mount: str | None = None) -> Array:
         """Return what an arm, with the loads on it, exerts on the body at its mount, shape (..., 6).
@@ -56,7 +56,7 @@ class ChainWrenches(ChainDynamics):
             If nothing is mounted by that name.
         """
         arm = self._mount(mount)
-        roots = [joint for joint in _joints(arm) if self.model.parents[joint] == BODY_JOINT]
+        roots = [joint for joint in _joints(arm) if self._model.parents[joint] == BODY_JOINT]
         fixed = self._fixed(arm)
         to_mount = pin.SE3(np.eye(3), np.array(arm.at[:3])).inverse()
 
@@ -68,7 +68,7 @@ class ChainWrenches(ChainDynamics):
                 held += data.liMi[joint].act(data.f[joint])
             return 0.0 - np.asarray(to_mount.act(held).vector)
 
-        return self._engine.each(wrench, self._q(q), self._v("v", v), self._v("a", a))
+        return self._engine.each(wrench, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
 
     def _mount(self, name: str | None) -> Mount:
         if not self.mounts:
@@ -81,9 +81,9 @@ class ChainWrenches(ChainDynamics):
 
     def _fixed(self, mount: Mount) -> pin.Inertia:
         """Return the inertia, in the body's frame, of what of an arm does not move on the body."""
-        fixed = mount.placement.act(mount.model.inertias[0])
+        fixed = mount.placement.act(mount._model.inertias[0])
         for name, load in self.loads:
-            frame = self.model.frames[self._frames[name]]
+            frame = self._model.frames[self._frames[name]]
             if frame.parentJoint == BODY_JOINT and name.startswith(f"{mount.name}/"):
                 fixed += frame.placement.act(load.body)
         return fixed

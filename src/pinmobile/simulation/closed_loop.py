@@ -101,7 +101,7 @@ def simulate(
             kept = _rollout(plant, t, loop, reference, bad) if bad else None
             q, v, _, _ = loop.samples(bad, bad + 1)
             message = f"the loop diverged at t = {t[bad]:g} s (sample {bad} of {len(t) - 1}): {why}"
-            raise Diverged(message, time=float(t[bad]), q=q[0], v=v[0], rollout=kept)
+            raise Diverged(message, time=float(t[bad]), q=q[0], v=v[0], rollout=kept) from loop.stopped
     return _rollout(plant, t, loop, reference, len(t))
 
 

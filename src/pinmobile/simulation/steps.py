@@ -45,7 +45,7 @@ def forward_of(plant: Plant) -> Forward:
     if type(plant) is not MobileRobot:
         return plant.forward_dynamics
     engine = plant._engine
-    forward, order, order_q = engine.forward, engine.order, engine.order_q
+    forward, order, order_q = engine.calls().forward, engine.order, engine.order_q
     return lambda q, v, tau: forward(q[order_q], v[order], tau[order])[order]
 
 
@@ -54,7 +54,7 @@ def integrate_of(plant: "Plant") -> Callable[[Array, Array], Array]:
     if type(plant) is not MobileRobot:
         return plant.integrate
     engine = plant._engine
-    integrate, order, order_q = engine.integrate, engine.order, engine.order_q
+    integrate, order, order_q = engine.calls().integrate, engine.order, engine.order_q
     return lambda q, dq: integrate(q[order_q], dq[order])[order_q]
 
 

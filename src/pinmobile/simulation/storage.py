@@ -106,6 +106,7 @@ def _describe(robot: MobileRobot) -> dict[str, Any]:
             for mount in robot.mounts
         ],
         "inertias": robot.inertial_parameters.tolist(),
+        "joints": _of_joints(robot).tolist(),
         "loads": [[frame, load.mass, load.com, load.inertia, load.size] for frame, load in robot.loads],
     }
 
@@ -141,8 +142,16 @@ def _restore(described: dict[str, Any] | None) -> MobileRobot:
         robot = robot.mount(kept_arm(**mount), at, name=name)
     for frame, mass, com, inertia, size in described.get("loads", ()):
         robot = robot.attach(Load(mass, com, inertia, size), frame)
-    found, kept = robot.inertial_parameters, described.get("inertias")
-    if kept is not None and not np.array_equal(found, kept):
-        files = ", ".join(mount["arm"] for mount in mounts)
-        raise InvalidArgument(f"its masses and inertias are no longer those that were kept: see {files}")
+    files = ", ".join(mount["arm"] for mount in mounts)
+    for what, key, found in (
+        ("masses and inertias", "inertias", robot.inertial_parameters),
+        ("joints' damping, friction and rotors", "joints", _of_joints(robot)),
+    ):
+        kept = described.get(key)
+        if kept is not None and not np.array_equal(found, kept):
+            raise InvalidArgument(f"its {what} are no longer those that were kept: see {files}")
     return robot
+
+
+def _of_joints(robot: MobileRobot) -> Array:
+    return np.stack([robot.joint_damping, robot.joint_friction, robot._model.armature])
