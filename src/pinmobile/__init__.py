@@ -29,6 +29,7 @@ from pinmobile.disturbances import (
 )
 from pinmobile.errors import (
     Diverged,
+    FileError,
     InvalidArgument,
     PinmobileError,
     SchedulerError,
@@ -76,6 +77,7 @@ __all__ = [
     "Diverged",
     "EndEffectorTracking",
     "Ensemble",
+    "FileError",
     "FixedHeading",
     "Hold",
     "InvalidArgument",
