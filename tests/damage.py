@@ -1,16 +1,19 @@
 """A disk that is full and files that are damaged, the same ones each time."""
 
 import resource
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+
+from pinmobile import PinmobileError
 
 
 @contextmanager
 def full_disk(room: int = 0) -> Iterator[None]:
-    """Let the kernel refuse to make any file of this process longer than `room` bytes, as a full disk does."""
+    """Let the kernel refuse to make a file of this process longer than `room` bytes, as a full disk does."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
     try:
@@ -49,3 +52,11 @@ def damaged(content: bytes, rng: np.random.Generator) -> bytes:
     else:
         data[start:start] = data[start:stop] or b"\0"
     return bytes(data)
+
+
+def answer(call: Callable[[], Any]) -> Any:
+    """Return what comes of a call: its answer, or an error of the library; any other is raised."""
+    try:
+        return call()
+    except PinmobileError as error:
+        return error

@@ -59,7 +59,8 @@ class Rollout:
 
     def __post_init__(self) -> None:
         for name in ("t", "q", "v", "a", "tau", "error"):
-            object.__setattr__(self, name, frozen(finite(name, getattr(self, name))))
+            with np.errstate(over="ignore"):  # of the square of a time
+                object.__setattr__(self, name, frozen(finite(name, getattr(self, name))))
         parts = zip(Reference._fields, self.reference, strict=True)
         desired = Reference(*(frozen(finite(f"reference.{name}", part)) for name, part in parts))
         object.__setattr__(self, "reference", desired)
@@ -67,8 +68,11 @@ class Rollout:
 
     def _check_shapes(self) -> None:
         t, desired = self.t, self.reference
-        if t.ndim != 1 or not t.size or not (np.diff(t) > 0).all():
-            raise InvalidArgument(f"t is {t}, expected one time or more, each later than the one before")
+        if t.ndim != 1 or not t.size:
+            raise InvalidArgument(f"t has shape {t.shape}, expected one time or more")
+        if not (t[1:] > t[:-1]).all():
+            late = int(np.argmin(t[1:] > t[:-1]))
+            raise InvalidArgument(f"t[{late + 1}] is {t[late + 1]} s after {t[late]} s, expected more")
         of_plant = {"q": self.q, "v": self.v, "a": self.a, "tau": self.tau}
         tracked = {"error": self.error, "reference.v": desired.v, "reference.a": desired.a}
         for name, array in {**of_plant, **tracked, "reference.q": desired.q}.items():
