@@ -4,7 +4,8 @@ import json
 import re
 import shutil
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -144,7 +145,7 @@ def test_a_folder_of_other_things_is_no_place_for_a_store(tmp_path: Path, name: 
     (tmp_path / "store" / name).parent.mkdir(parents=True)
     (tmp_path / "store" / name).write_bytes(b"mine")
     with pytest.raises(
-        InvalidArgument, match="which is not the store of a sweep: '.*zarr.json' cannot be rea"
+        InvalidArgument, match=r"which is not the store of a sweep: '.*zarr.json' cannot be rea"
     ):
         sweep(small(), tmp_path / "store")
     assert list(contents(tmp_path / "store")) == [name]
@@ -271,17 +272,19 @@ def test_a_store_that_does_not_say_what_it_is_is_named(
 
 
 def test_what_others_write_into_the_metadata_is_no_damage(copy: Path) -> None:
-    xarray = pytest.importorskip("xarray")
-    more = xarray.Dataset({"note": ("extra", [1.0, 2.0])}, attrs={"author": "somebody"})
+    zarr = pytest.importorskip("zarr")
+    group = zarr.open_group(copy, mode="r+", use_consolidated=False)
+    group.update_attributes({"author": "somebody"})
+    group.create_array("note", shape=(2,), dtype="f8", dimension_names=["extra"])
     with pytest.warns(UserWarning, match="Consolidated metadata"):
-        more.to_zarr(copy, mode="a", consolidated=True)
+        zarr.consolidate_metadata(copy)
     assert Sweep.open(copy).answer() == Sweep.open(sweep(small(), copy).path).answer()
 
 
 def numbers(path: Path) -> dict[str, Any]:
     """Return all that can be read of a store."""
     found = Sweep.open(path, small())
-    read = {"table": str(found)}
+    read: dict[str, Any] = {"table": str(found)}
     for gain in (4, 16):
         one = found.ensemble(gain=gain)
         read |= {f"{name} {gain}": np.asarray(getattr(one, name)) for name in ("max_error", "rms_error")}
@@ -319,10 +322,10 @@ def check_damage(path: Path, file: Path, good: dict[str, Any], store: dict[str, 
     if isinstance(found, dict):
         assert gone or same(found, good)  # what is gone is unknown until it is computed again
     else:
-        assert str(path) in str(found)
+        assert str(path) in str(found) or (gone and "start the same sweep again to go on" in str(found))
     errors = [found] if isinstance(found, InvalidArgument) else []
     for _ in range(3):
-        found = answer(lambda: sweep(small(), path, chunk=CHUNK) and numbers(path))
+        found = resumed(path)
         if isinstance(found, dict):
             break
         errors.append(found)
@@ -338,30 +341,40 @@ def files_of(store: Path) -> list[str]:
     return sorted(place for place in contents(store) if not place.endswith("lock"))
 
 
-def damages() -> Iterator[tuple[int, Callable[[Path], object]]]:
-    """Yield damages of a file, each for every so many files."""
-    yield 3, Path.unlink
-    yield 7, lambda file: (file.unlink(), file.mkdir())
-    yield 5, lambda file: file.write_bytes(b"")
-    for seed in range(4):
-        yield 2, lambda f, s=seed: f.write_bytes(damaged(f.read_bytes(), np.random.default_rng(s)))
+def replaced_by_a_folder(file: Path) -> None:
+    file.unlink()
+    file.mkdir()
+
+
+def damage_file(file: Path, seed: int) -> None:
+    file.write_bytes(damaged(file.read_bytes(), np.random.default_rng(seed)))
+
+
+def resumed(path: Path) -> Any:
+    """Return the numbers of a sweep that goes on, or the error of it."""
+    return answer(lambda: numbers(sweep(small(), path, chunk=CHUNK).path))
+
+
+DAMAGES: list[Callable[[Path], object]] = [
+    Path.unlink,
+    replaced_by_a_folder,
+    lambda file: file.write_bytes(b""),
+    *(partial(damage_file, seed=seed) for seed in range(6)),
+]
 
 
 def test_a_damaged_store_names_the_file_and_the_rest_is_kept(done: Path, tmp_path: Path) -> None:
     good, store = numbers(done), contents(done)
-    cases = [
-        (name, damage)
-        for k, (every, damage) in enumerate(damages())
-        for name in files_of(done)[k % every :: every]
-        if not name.endswith("/zarr.json") or k < 4
-    ]
+    # Of the metadata, which are all alike, a few: others are damaged above.
+    names = [name for k, name in enumerate(files_of(done)) if not name.endswith("zarr.json") or k % 3 == 0]
+    cases = [(name, DAMAGES[k % len(DAMAGES)]) for k, name in enumerate(names)]
     told = 0
     for number, (name, damage) in enumerate(cases):
         path = Path(shutil.copytree(done, tmp_path / str(number)))
         damage(path / name)
         told += check_damage(path, path / name, good, store, (done / name).read_bytes())
         shutil.rmtree(path)
-    assert told > len(cases) / 3
+    assert told > len(cases) / 2
 
 
 def test_damaged_records_of_what_is_done_are_named_and_the_rest_is_kept(done: Path, tmp_path: Path) -> None:
@@ -370,7 +383,7 @@ def test_damaged_records_of_what_is_done_are_named_and_the_rest_is_kept(done: Pa
     marks = [place for place in files_of(half) if place.startswith(".progress/")]
     assert len(marks) >= 3
     told = 0
-    for number, seed in enumerate(range(24)):
+    for number, seed in enumerate(range(16)):
         path = Path(shutil.copytree(half, tmp_path / str(number)))
         file, rng = path / marks[seed % len(marks)], np.random.default_rng(seed)
         kind = seed % 8
@@ -385,7 +398,7 @@ def test_damaged_records_of_what_is_done_are_named_and_the_rest_is_kept(done: Pa
             np.savez_compressed(file, counts=counts)
         errors = []
         for _ in range(2):
-            found = answer(lambda p=path: sweep(small(), p, chunk=CHUNK) and numbers(p))
+            found = resumed(path)
             if isinstance(found, dict):
                 break
             errors.append(found)
@@ -398,4 +411,4 @@ def test_damaged_records_of_what_is_done_are_named_and_the_rest_is_kept(done: Pa
         assert errors or kind < 4
         told += bool(errors)
         shutil.rmtree(path)
-    assert told >= 20
+    assert told >= 12

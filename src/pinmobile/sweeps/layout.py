@@ -1,7 +1,6 @@
 """The arrays of a sweep's Zarr store: names, dimensions, units, and how they are divided into chunks."""
 
 import json
-import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -60,26 +59,24 @@ def empty_store(grid: Grid, description: Mapping[str, Any], chunk: int) -> dict[
     """
     zarr = imported("zarr")
     files: dict[str, Any] = {}
-    store = zarr.storage.MemoryStore(files)
     with zarr.config.set({"array.write_empty_chunks": True}):  # so that a coordinate of zeros has a file too
-        _make_arrays(zarr.create_group(store), grid, chunk)
+        _make_arrays(zarr.create_group(zarr.storage.MemoryStore(files)), grid, chunk)
+    made = {place: content.to_bytes() for place, content in files.items()}
+    begins = {scenario.after for scenario in grid.scenarios}
+    since = {"errors_from_s": begins.pop()} if len(begins) == 1 else {}
+    metadata = json.loads(made.pop(METADATA))
+    nodes = {place.split("/")[0]: json.loads(made[place]) for place in made if place.endswith(METADATA)}
     mine: dict[str, Any] = {"chunk": chunk, "rivals": axis_of_rivals(grid.axes), "determined_by": description}
-    with warnings.catch_warnings():
-        # It is in no specification yet, but every reader that does not know it passes over it.
-        warnings.filterwarnings("ignore", "Consolidated metadata is currently not part")
-        zarr.consolidate_metadata(store)
-        nodes = json.loads(files[METADATA].to_bytes())["consolidated_metadata"]["metadata"]
-        begins = {scenario.after for scenario in grid.scenarios}
-        since = {"errors_from_s": begins.pop()} if len(begins) == 1 else {}
-        mine |= {"arrays": list(nodes)}
-        attributes = {
-            "Conventions": "units and long_name of each variable; robot i of a scenario is row i",
-            "pinmobile_sweep": json.dumps({**mine, "digest": digest_of(mine, nodes, since)}),
-            **since,
-        }
-        zarr.open_group(store, mode="r+", use_consolidated=False).update_attributes(attributes)
-        zarr.consolidate_metadata(store)
-    return {place: content.to_bytes() for place, content in files.items()}
+    mine |= {"arrays": list(nodes)}
+    metadata["attributes"] = {
+        "Conventions": "units and long_name of each variable; robot i of a scenario is row i",
+        "pinmobile_sweep": json.dumps({**mine, "digest": digest_of(mine, nodes, since)}),
+        **since,
+    }
+    # It is in no specification yet, but every reader that does not know it passes over it.
+    consolidated = {"kind": "inline", "must_understand": False, "metadata": nodes}
+    metadata["consolidated_metadata"] = consolidated
+    return {METADATA: json.dumps(metadata, indent=2).encode(), **made}
 
 
 def _make_arrays(group: Any, grid: Grid, chunk: int) -> None:

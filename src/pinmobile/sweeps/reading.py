@@ -12,7 +12,7 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.files import arrays_of
 from pinmobile.sweeps.extras import imported
 
-__all__ = ["METADATA", "attributes_of", "counts_of", "damaged", "digest_of", "missing_coordinate"]
+__all__ = ["METADATA", "attributes_of", "coordinates_of", "counts_of", "damaged", "digest_of"]
 
 METADATA = "zarr.json"
 """The file in which a store, or an array of it, says what it is."""
@@ -68,13 +68,9 @@ def attributes_of(path: Path) -> dict[str, Any]:
     return {**mine, "nodes": nodes}
 
 
-def missing_coordinate(path: Path, nodes: Mapping[str, Any]) -> str:
-    """Return the file of a coordinate that is not there; "" where all are."""
-    for name, node in nodes.items():
-        file = path / name / "c" / "0"
-        if node["dimension_names"] == [name] and not file.is_file():
-            return str(file)
-    return ""
+def coordinates_of(nodes: Mapping[str, Any]) -> list[str]:
+    """Return the places of the coordinates' files."""
+    return [f"{name}/c/0" for name, node in nodes.items() if node["dimension_names"] == [name]]
 
 
 def counts_of(marker: Path, *, times: int, bins: int, robots: int) -> Any:

@@ -30,7 +30,7 @@ from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.grids import Grid
 from pinmobile.sweeps.layout import LEVELS, PER_ROBOT, empty_store
 from pinmobile.sweeps.origin import differences
-from pinmobile.sweeps.reading import METADATA, attributes_of, counts_of
+from pinmobile.sweeps.reading import METADATA, attributes_of, coordinates_of, counts_of
 
 __all__ = ["Job", "Store"]
 
@@ -81,14 +81,15 @@ class Store:
         try:
             with refusals("written", "store", path):
                 if not (path / METADATA).exists():
-                    self._make(empty_store(grid, description, chunk))
+                    self._make(description, chunk)
                 self._open(description)
         except BaseException:
             self.__exit__()
             raise
 
-    def _make(self, files: Mapping[str, bytes]) -> None:
-        """Write what the store says of itself, with which it is one: what else it needs is mended."""
+    def _make(self, description: Mapping[str, Any], chunk: int) -> None:
+        """Write the store as it is without a number; once its first file is there, the others can be mended."""
+        files = empty_store(self.grid, description, chunk)
         inside = [entry.name for entry in self.path.iterdir()] if self.path.exists() else []
         if inside and not (inside == [_PROGRESS] and _is_ours(self.path / _PROGRESS)):
             attributes_of(self.path)  # which tells what it is not
@@ -97,13 +98,14 @@ class Store:
             self.path.mkdir(parents=True, exist_ok=True)
             self._lock = _locked(self.path)
             if not (self.path / METADATA).exists():
-                self._write(METADATA, files[METADATA])
+                for place, data in files.items():
+                    self._write(place, data)
         except BaseException:
             if self._lock is not None:
                 self._forget()
             if is_new:
                 with suppress(OSError):
-                    self.path.rmdir()
+                    self.path.rmdir()  # where nothing is in it
             raise
 
     def _open(self, description: Mapping[str, Any]) -> None:
@@ -120,16 +122,16 @@ class Store:
         with zarr.config.set({"array.write_empty_chunks": True}):
             group = zarr.open_group(zarr.storage.MemoryStore(self._gathered), mode="r+")
             self._arrays: dict[str, Any] = {name: group[name] for name in there["arrays"]}
-        files = empty_store(self.grid, description, self.chunk)
-        if self._lock is None and (not self._is_whole(files) or (self.path / _PROGRESS).exists()):
+        places = [*(f"{name}/{METADATA}" for name in there["nodes"]), *coordinates_of(there["nodes"])]
+        if self._lock is None and not self._is_finished(places):
             self._lock = _locked(self.path)
-        if self._lock is not None:
-            for place, data in files.items():
-                if not (self.path / place).exists():
-                    self._write(place, data)
+        # Looked at once more, since another process may have written until now.
+        gone = [place for place in places if not (self.path / place).exists()]
+        files = empty_store(self.grid, description, self.chunk) if gone else {}
+        for place in gone:
+            self._write(place, files[place])
         for name, node in there["nodes"].items():
             _check_node(self.path / name / METADATA, node)
-        # Looked at once more, since another process may have written until now.
         self._whole = {k for k in range(len(self.grid)) if self._has_all(k)}
 
     def __enter__(self) -> "Store":
@@ -235,9 +237,11 @@ class Store:
         written = (self.path / self._marker(job)).is_file()
         return written and self._has(self._per_robot(job.scenario), *job[:2])
 
-    def _is_whole(self, files: Iterable[str]) -> bool:
-        there = all((self.path / place).exists() for place in files)
-        return there and all(map(self._has_all, range(len(self.grid))))
+    def _is_finished(self, places: Iterable[str]) -> bool:
+        there = all((self.path / place).exists() for place in places)
+        return (
+            there and not (self.path / _PROGRESS).exists() and all(map(self._has_all, range(len(self.grid))))
+        )
 
     def _has_all(self, scenario: int) -> bool:
         """Tell whether all of a scenario is on disk; what is over all its chunks was written last."""
