@@ -88,7 +88,7 @@ class Store:
             raise
 
     def _make(self, description: Mapping[str, Any], chunk: int) -> None:
-        """Write the store as it is without a number; once its first file is there, the others can be mended."""
+        """Write the store without a number; the first file makes it one, and the others can be mended."""
         files = empty_store(self.grid, description, chunk)
         inside = [entry.name for entry in self.path.iterdir()] if self.path.exists() else []
         if inside and not (inside == [_PROGRESS] and _is_ours(self.path / _PROGRESS)):
