@@ -439,13 +439,46 @@ def test_a_full_disk_in_a_sweep_is_told_and_it_goes_on(
     assert " mm in 99 % of runs, computed-torque within 1." in out
 
 
-ODD = """nan inf -1 0 -1e308 1e-300 10000000000000000000000 true "" "x" [] [1] [1,2,3,4] [nan,1] ["a"] [[1]] {}
-{a=1} 2020-01-01 12:00:00 {uniform=[1]} {uniform=[2,1]} {uniform=[nan,1]} {normal=[0,inf]} {percent=nan}
-{percent=true} {same=3} {same=[]} {same="mass",factor=[1]} {uniform=[1,2],normal=[1,2]} {factor=2}
-{uniform="ab"} {percent=[1]} {uniform=[true,"x"]} {uniform=[{},[]]}""".split()
+ODD = [
+    "nan",
+    "inf",
+    "-1",
+    "0",
+    "-1e308",
+    "1e-300",
+    "10000000000000000000000",
+    "true",
+    '""',
+    '"x"',
+    "[]",
+    "[1]",
+    "[1,2,3,4]",
+    "[nan,1]",
+    '["a"]',
+    "[[1]]",
+    "{}",
+    "{a=1}",
+    "2020-01-01",
+    "12:00:00",
+    "{uniform=[1]}",
+    "{uniform=[2,1]}",
+    "{uniform=[nan,1]}",
+    "{normal=[0,inf]}",
+    "{percent=nan}",
+    "{percent=true}",
+    "{same=3}",
+    "{same=[]}",
+    '{same="mass",factor=[1]}',
+    "{uniform=[1,2],normal=[1,2]}",
+    "{factor=2}",
+    '{uniform="ab"}',
+    "{percent=[1]}",
+    '{uniform=[true,"x"]}',
+    "{uniform=[{},[]]}",
+]
 
 
-@pytest.mark.filterwarnings("ignore:overflow encountered")
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # numpy's, of sizes beyond all that exist
 def test_odd_values_in_a_scenario_file_are_a_grid_or_refused_by_its_name(tmp_path: Path) -> None:
     path, rng = tmp_path / "file.toml", np.random.default_rng(0)
     keys = [(table, key) for table, names in _TABLES.items() for key in names]
@@ -456,16 +489,16 @@ def test_odd_values_in_a_scenario_file_are_a_grid_or_refused_by_its_name(tmp_pat
             tables["grid"] = {f'"{table}.{key}"': f"[{value}]"}
         else:
             tables.setdefault(table, {})[key] = value
-        rows = [
-            [f"[{name}]", *(f"{k} = {v}" for k, v in content.items())] for name, content in tables.items()
-        ]
-        path.write_text("\n".join(sum(rows, [])))
+        rows = []
+        for name, content in tables.items():
+            rows += [f"[{name}]", *(f"{name} = {given}" for name, given in content.items())]
+        path.write_text("\n".join(rows))
         found = answer(lambda: read_grid(path))
         if isinstance(found, Exception):
             assert "file.toml" in str(found), (table, key, value, found)
 
 
-@pytest.mark.filterwarnings("ignore:overflow encountered")
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # numpy's, of sizes beyond all that exist
 def test_a_damaged_scenario_file_is_a_grid_or_refused_by_its_name(tmp_path: Path) -> None:
     content, path = SMALL.replace("n = 40", "n = 4").encode(), tmp_path / "file.toml"
     lines = content.splitlines(keepends=True)
@@ -487,7 +520,7 @@ def test_a_damaged_scenario_file_is_a_grid_or_refused_by_its_name(tmp_path: Path
     ]
     words += [b"2020-01-01", b"{}", b"[]", b"\xff", b"\0", b"a.b.c = 1\n", b"[robot.mass]\n", b"0x7fffffff"]
     made, refused = 0, 0
-    for seed in range(1200):
+    for seed in range(500):
         rng = np.random.default_rng(seed)
         kind, given = rng.integers(4), list(lines)
         if kind == 0:
@@ -513,4 +546,4 @@ def test_a_damaged_scenario_file_is_a_grid_or_refused_by_its_name(tmp_path: Path
         else:
             made += 1
             assert found.n * len(found) < 1e6
-    assert min(made, refused) > 100
+    assert min(made, refused) > 50
