@@ -12,6 +12,7 @@ import pinmobile
 from pinmobile import MobileRobot, Rollout
 from pinmobile.cli import choices, main
 from pinmobile.cli.lecture import EXPECTED
+from tests.damage import full_disk
 from tests.wheeled import husky
 
 
@@ -240,3 +241,33 @@ def test_an_interrupt_ends_quietly(
     monkeypatch.setattr("pinmobile.cli.commands.show_lecture", interrupt)
     code, _, err = typed(capsys, "lecture")
     assert (code, err) == (130, "pinmobile: interrupted\n")
+
+
+@pytest.mark.parametrize(
+    ("words", "file"),
+    [
+        ("lecture --no-gif --out OUT", "via-stop-path.png"),
+        ("run --dt 0.5 --out OUT", "rollout.npz"),
+        ("ensemble --n 20 --duration 6 --spread mass=percent:20 --out OUT", "bands.png"),
+        ("mount ur5 --dt 0.01 --duration 1 --out OUT", "computed-torque.npz"),
+        ("mount ur5 --dt 0.01 --duration 1 --html OUT/ur5.html", "ur5.html"),
+    ],
+)
+def test_a_full_disk_is_told_in_one_line_that_names_the_file(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, words: str, file: str
+) -> None:
+    (tmp_path / file).write_bytes(b"good")
+    with full_disk(5000):
+        code, _, err = typed(capsys, *words.replace("OUT", str(tmp_path)).split())
+    assert code == 1
+    assert err == (f"pinmobile: path is {str(tmp_path / file)!r}, which cannot be written: File too large\n")
+    assert [(each.name, each.read_bytes()) for each in tmp_path.iterdir()] == [(file, b"good")]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux alone has a device that is full")
+def test_a_console_behind_which_the_disk_is_full_is_told_in_one_line() -> None:
+    words = [sys.executable, "-m", "pinmobile", "derive"]
+    with Path("/dev/full").open("wb") as full:
+        done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, check=False, timeout=100)
+    assert done.returncode == 1
+    assert done.stderr == b"pinmobile: the output cannot be written: [Errno 28] No space left on device\n"

@@ -26,6 +26,7 @@ MODULES = sorted(
 ALLOWED: dict[str, set[str]] = {
     "errors": set(),
     "arrays": {"errors"},
+    "files": {"arrays"},
     "dh": {"arrays"},
     "urdf": {"dh"},
     "closed_form": {"arrays"},
@@ -37,7 +38,7 @@ ALLOWED: dict[str, set[str]] = {
     "controllers": {"arrays"},
     "integrators": {"arrays"},
     "disturbances": {"arrays"},
-    "simulation": {"robot", "trajectories", "controllers", "integrators", "disturbances"},
+    "simulation": {"files", "robot", "trajectories", "controllers", "integrators", "disturbances"},
     "accuracy": {"robot", "integrators", "simulation", "trajectories", "controllers"},
     "ensembles": {
         "closed_form",
@@ -48,11 +49,11 @@ ALLOWED: dict[str, set[str]] = {
         "integrators",
         "simulation",
     },
-    "sweeps": {"ensembles"},
+    "sweeps": {"files", "ensembles"},
     "balance": {"robot"},
     "reaching": {"robot", "trajectories", "integrators"},
-    "plots": {"simulation", "accuracy", "ensembles", "balance"},
-    "viewer": {"robot", "simulation"},
+    "plots": {"files", "simulation", "accuracy", "ensembles", "balance"},
+    "viewer": {"files", "robot", "simulation"},
 }
 
 

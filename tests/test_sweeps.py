@@ -264,9 +264,7 @@ def test_a_killed_sweep_goes_on_and_ends_with_the_same_store(
     killed = subprocess.run(words, cwd=ROOT, check=False, timeout=100)
     assert killed.returncode == -signal.SIGKILL
     assert contents(store) != contents(done.path)
-    # What a process leaves that dies while it writes a file.
-    (store / "max_error" / "0.123.partial").write_bytes(b"half")
-    (store / ".progress" / "3-128.new").write_bytes(b"half")
+    (store / ".progress" / "writing").write_bytes(b"half")  # as of a process that dies while it writes a file
     heard: list[int] = []
     sweep(gains_and_errors(), store, progress=lambda now, total: heard.append(now))
     assert heard[0] == robots
@@ -298,8 +296,9 @@ def test_a_sweep_that_is_done_is_not_done_again(done: Sweep) -> None:
 
 def test_a_sweep_killed_while_it_tidies_up_is_done(done: Sweep, tmp_path: Path) -> None:
     found = sweep(gains_and_errors(), tmp_path / "store", chunk=CHUNK)
-    (found.path / ".progress-done").mkdir()
-    (found.path / ".progress-done" / "0-0.npz").write_bytes(b"")
+    (found.path / ".progress").mkdir()
+    (found.path / ".progress" / "3-128.npz").write_bytes(b"")
+    (found.path / ".progress" / "lock").write_bytes(b"")
     sweep(gains_and_errors(), found.path)
     assert contents(found.path) == contents(done.path)
 
@@ -374,8 +373,11 @@ def test_a_mark_of_what_is_done_that_cannot_be_read_is_named(tmp_path: Path) -> 
     run = gains_and_errors()
     with Store(tmp_path / "store", run, determined_by(run), 200) as store:
         for job in store.jobs():
-            store._marker(job).write_bytes(b"")
-        with pytest.raises(InvalidArgument, match=r"store has '.*0-0\.npz', which cannot be read: "):
+            (store.path / store._marker(job)).write_bytes(b"")
+        with pytest.raises(
+            InvalidArgument,
+            match=r"store is '.*0-0\.npz', which is no record .*; remove that file, and start",
+        ):
             store.finish()
 
 
@@ -578,7 +580,7 @@ def test_wrong_stores_and_labels(done: Sweep, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder" / "mine").write_text("")
-    with pytest.raises(InvalidArgument, match="which cannot be made: File exists"):
+    with pytest.raises(InvalidArgument, match=r"which cannot be written: there is no folder '.*file'"):
         sweep(gains_and_errors(), tmp_path / "file" / "store")
     with pytest.raises(InvalidArgument, match="which is not the store of a sweep"):
         sweep(gains_and_errors(), tmp_path / "folder")

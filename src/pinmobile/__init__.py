@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from pinmobile.ensembles import TRUE_MODEL, Ensemble, Normal, Same, Scenario, Uniform, ensemble
     from pinmobile.errors import (
         Diverged,
+        FileError,
         InvalidArgument,
         NotFinite,
         PinmobileError,
@@ -84,6 +85,7 @@ __all__ = [
     "Diverged",
     "EndEffectorTracking",
     "Ensemble",
+    "FileError",
     "FixedHeading",
     "Hold",
     "InvalidArgument",
@@ -170,6 +172,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "ensembles": ("TRUE_MODEL", "Ensemble", "Normal", "Same", "Scenario", "Uniform", "ensemble"),
     "errors": (
         "Diverged",
+        "FileError",
         "InvalidArgument",
         "NotFinite",
         "PinmobileError",
@@ -178,6 +181,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
         "Unreachable",
         "ViewerError",
     ),
+    "files": (),
     "integrators": ("constant_acceleration", "rk4", "semi_implicit_euler"),
     "paths": ("Circle", "CubicVia", "Hold", "Lissajous", "RestToRest", "Spline"),
     "plots": (),

@@ -6,6 +6,7 @@ from typing import Any
 
 __all__ = [
     "Diverged",
+    "FileError",
     "InvalidArgument",
     "NotFinite",
     "PinmobileError",
@@ -22,6 +23,29 @@ class PinmobileError(Exception):
 
 class InvalidArgument(PinmobileError, ValueError):
     """An argument is not what is expected; the message names it, what came and what was expected."""
+
+
+class FileError(PinmobileError, OSError):
+    """The system fails with a file whose path is right: the disk is full, a quota is reached, a device fails.
+
+    Attributes
+    ----------
+    errno : int
+        Number of the system's error, see the module `errno`.
+    filename : str
+        The file.
+    """
+
+    def __init__(self, message: str, *, errno: int | None, filename: str) -> None:
+        super().__init__(message)
+        self.errno, self.filename = errno, filename
+
+    def __str__(self) -> str:
+        # OSError would show number and file name beside the message, which has them.
+        return str(self.args[0])
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return partial(type(self), errno=self.errno, filename=self.filename), self.args
 
 
 class UnknownName(PinmobileError, KeyError):

@@ -23,7 +23,8 @@ app = typer.Typer(
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
     help="Dynamics and control of ground robots on Pinocchio. Start with [bold]pinmobile lecture[/bold].",
-    epilog="Exit codes: 0 done; 1 done, and the answer is no; 2 options or files are wrong; 130 interrupted.",
+    epilog="Exit codes: 0 done; 1 done, and the answer is no, or the system failed, as of a full disk; "
+    "2 options or files are wrong; 130 interrupted.",
 )
 
 _ROBOT, _PATH, _CONTROL, _LOOP = "Robot", "Trajectory", "Controller", "Loop and output"

@@ -25,6 +25,7 @@ from pinmobile import (
 from pinmobile.cli.output import Picture, Section, begin, console, index_page, progress
 from pinmobile.cli.run import FIGURES, draw
 from pinmobile.cli.view import save_page
+from pinmobile.files import write
 from pinmobile.simulation.rollout import error_text
 
 __all__ = ["EXPECTED", "show_lecture"]
@@ -78,7 +79,7 @@ def show_lecture(folder: Path, *, gif: bool) -> int:
         begin(bar, "drawing")
         sections = _sections(folder, right_runs, gif, bar)
     summary = _summary(verification, same)
-    (folder / "derivation.txt").write_text(str(derived), encoding="utf-8")
+    write(folder / "derivation.txt", str(derived).encode("utf-8"))
     texts = [
         Section("1  Derivation: M(q) and n(q, v)", _equations(derived), pages=[_STEPS]),
         Section(f"2  Verification, with the centre of mass at {_OFFSET} m", str(verification)),

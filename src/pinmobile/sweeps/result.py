@@ -18,7 +18,7 @@ from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.grids import Grid, as_grid
 from pinmobile.sweeps.layout import PER_ROBOT
 from pinmobile.sweeps.origin import determined_by, differences
-from pinmobile.sweeps.reading import attributes_of, damaged
+from pinmobile.sweeps.reading import attributes_of, coordinates_of, damaged
 from pinmobile.sweeps.table import answer, since, table
 
 __all__ = ["Sweep"]
@@ -78,6 +78,12 @@ class Sweep:
             found = differences(there, determined_by(grid))
             if found:
                 raise InvalidArgument(f"scenarios are not those of {str(folder)!r}: {found}")
+        for place in coordinates_of(attributes["nodes"]):
+            if not (folder / place).is_file():
+                raise InvalidArgument(
+                    f"store is {str(folder)!r}, of which {str(folder / place)!r} is gone; start the same "
+                    "sweep again to have it written again"
+                )
         axes = {name: Axis(axis["values"], axis["unit"]) for name, axis in there["axes"].items()}
         with _reading(folder):
             dataset = imported("xarray").open_zarr(folder, chunks=None, consolidated=True)

@@ -11,6 +11,7 @@ from pinmobile.sweeps.cluster import check_client
 from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.grids import Grid, as_grid
 from pinmobile.sweeps.origin import determined_by
+from pinmobile.sweeps.reading import METADATA
 from pinmobile.sweeps.result import Sweep
 from pinmobile.sweeps.store import Job, Store
 from pinmobile.sweeps.workers import in_process, on_cluster
@@ -63,6 +64,8 @@ def sweep(
         If an argument is not what is expected, draws are impossible, the store belongs to another sweep (the
         message says what differs), a scenario holds what cannot be recognised the next time, or a package of
         the extra is missing.
+    FileError
+        If the system fails, such as of a full disk; what is done is kept.
     SchedulerError
         If the cluster has no worker, or is lost; what is done is kept.
     """
@@ -75,7 +78,7 @@ def sweep(
     if progress is not None and not callable(progress):
         raise InvalidArgument(f"progress is {progress!r}, expected a function of two whole numbers")
     description = determined_by(grid)
-    if not path.exists():
+    if not (path / METADATA).exists():
         check_draws(grid)
     with Store(path, grid, description, size) as opened:
         if chunk is not None and opened.chunk != size:

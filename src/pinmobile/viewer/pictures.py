@@ -10,6 +10,7 @@ from PIL import Image
 
 from pinmobile.arrays import whole
 from pinmobile.errors import InvalidArgument
+from pinmobile.files import write
 from pinmobile.viewer.chromium import Browser
 
 __all__ = ["Progress", "checked_size", "picture_of", "pictures_of"]
@@ -85,7 +86,7 @@ def _picture(browser: Browser, time: float) -> bytes:
 def _opened(html: str, size: tuple[int, int]) -> Iterator[Browser]:
     with tempfile.TemporaryDirectory(prefix="pinmobile-") as folder:
         page = Path(folder) / "page.html"
-        page.write_text(html, encoding="utf-8")
+        write(page, html.encode("utf-8"), name="the page to be drawn")
         with Browser(checked_size(size)) as browser:
             browser.open(page.as_uri())
             browser.wait_for("pinmobile.ready()")

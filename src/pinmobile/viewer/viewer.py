@@ -7,8 +7,8 @@ from time import monotonic, sleep
 
 from pinmobile.arrays import ArrayLike, positive, vector
 from pinmobile.errors import InvalidArgument, ViewerError
+from pinmobile.files import written
 from pinmobile.robot import MobileRobot
-from pinmobile.viewer.files import written
 from pinmobile.viewer.live import LiveWindow
 from pinmobile.viewer.motion import frame_times, tracks
 from pinmobile.viewer.offline import OfflineWindow
@@ -244,6 +244,8 @@ class Viewer:
         ------
         InvalidArgument
             If an argument is not what is expected, or the file cannot be written.
+        FileError
+            If the system fails, such as of a full disk; what was there is there still.
         ViewerError
             If the viewer is closed, there is nothing to draw, or no Chromium, or it fails.
         """
