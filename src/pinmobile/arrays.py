@@ -1,6 +1,9 @@
 """The array type, angles on the circle, and the one place where arguments are checked."""
 
-from math import isfinite
+import os
+import sys
+from collections.abc import Callable, Collection, Iterable, Sequence
+from math import hypot, isfinite
 from os import PathLike
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -8,16 +11,20 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, UnknownName, shown
 
 __all__ = [
     "Array",
     "ArrayLike",
+    "affordable",
     "broadcast",
+    "called",
     "finite",
     "frozen",
+    "listed",
     "location",
     "non_negative",
+    "one_of",
     "positive",
     "scalar",
     "seeded",
@@ -27,6 +34,11 @@ __all__ = [
 ]
 
 Array: TypeAlias = NDArray[np.float64]
+
+MEMORY = 16e9
+"""What one call may ask for in arrays of its own [bytes]: more is refused, with the number, before it is."""
+
+_FEW = 32  # numbers of a state and the like
 
 
 def finite(name: str, value: ArrayLike) -> Array:
@@ -48,23 +60,46 @@ def finite(name: str, value: ArrayLike) -> Array:
         type(value) is np.ndarray
         and value.dtype == np.float64
         and value.ndim == 1
-        and isfinite(value.dot(value))
+        and value.size <= _FEW
+        and isfinite(hypot(*value.tolist()))
     ):
-        return (
-            value  # what comes in a loop: one product instead of five calls; where it overflows, look closely
+        return value  # what comes in a loop: one call instead of five; where it overflows, look closely
+    if _hides(value):
+        raise InvalidArgument(
+            f"{name} is a masked array, expected one without a mask: fill it, or leave out what is masked"
         )
     try:
-        array = np.asarray(value)
-    except (TypeError, ValueError):
+        array = np.asarray(float(value) if type(value) is int else value)  # 10**22 is no integer of NumPy's
+    except Exception:  # whatever the value itself raises when it is asked for its numbers
         array = np.asarray(None)
     if array.dtype.kind not in "fiu":
-        raise InvalidArgument(f"{name} is {value!r}, expected real numbers")
-    array = array.astype(np.float64, copy=False)
+        raise InvalidArgument(f"{name} is {shown(value)}, expected real numbers")
+    with np.errstate(over="ignore"):  # a long double that float64 does not hold becomes infinite
+        array = array.astype(np.float64, copy=False)
     if not np.isfinite(array).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         place = f"[{', '.join(map(str, where))}]" if where else ""
         raise InvalidArgument(f"{name}{place} is {array[where]}, expected a finite number")
     return array
+
+
+def _hides(value: Any) -> bool:
+    """Tell whether a value is a masked array, or a list in which there is one."""
+    masked = sys.modules.get("numpy.ma")  # where it is not loaded, there is none
+    if masked is None:
+        return False
+    waiting, seen = [value], set()
+    while waiting:
+        part = waiting.pop()
+        if isinstance(part, masked.MaskedArray):
+            return True
+        if isinstance(part, list | tuple) and id(part) not in seen and not set(map(type, part)) <= _PLAIN:
+            seen.add(id(part))  # a list may hold itself
+            waiting.extend(part)
+    return False
+
+
+_PLAIN = {float, int, np.float64}
 
 
 def vector(name: str, value: ArrayLike, size: int) -> Array:
@@ -138,7 +173,7 @@ def whole(name: str, value: Any, *, least: int = 1) -> int:
     except InvalidArgument:
         number = least - 1.0  # whatever it is, it is not such a number
     if number != int(number) or number < least:
-        raise InvalidArgument(f"{name} is {value!r}, expected a whole number >= {least}")
+        raise InvalidArgument(f"{name} is {shown(value)}, expected a whole number >= {least}")
     return int(number)
 
 
@@ -158,12 +193,15 @@ def seeded(name: str, seed: Any) -> "np.random.Generator":
         If it is none of these: without a seed, nothing could be repeated.
     """
     # The annotation is text, since numpy loads its random module only when it is named.
-    try:
-        if seed is None or isinstance(seed, bool):
-            raise TypeError
-        return np.random.default_rng(seed)
-    except (TypeError, ValueError):
-        raise InvalidArgument(f"{name} is {seed!r}, expected a whole number >= 0 or a Generator") from None
+    kinds = np.random.Generator, np.random.BitGenerator, np.random.SeedSequence
+    if not isinstance(seed, kinds):
+        try:
+            seed = whole(name, int(seed) if isinstance(seed, np.integer) else seed, least=0)
+        except InvalidArgument:
+            raise InvalidArgument(
+                f"{name} is {shown(seed)}, expected a whole number >= 0 or a Generator"
+            ) from None
+    return np.random.default_rng(seed)
 
 
 def location(name: str, value: Any) -> Path:
@@ -172,11 +210,126 @@ def location(name: str, value: Any) -> Path:
     Raises
     ------
     InvalidArgument
-        If it is neither text nor a path.
+        If it is neither text nor a path, or one that no file can have.
     """
     if not isinstance(value, str | PathLike):
-        raise InvalidArgument(f"{name} is {value!r}, expected the path of a file")
-    return Path(value)
+        raise InvalidArgument(f"{name} is {shown(value)}, expected the path of a file")
+    try:
+        path = Path(value)
+        named = os.fsencode(path)
+    except (TypeError, UnicodeEncodeError):
+        named = b"\0"
+    if b"\0" in named or max(map(len, named.split(b"/"))) > _LONGEST_NAME:
+        raise InvalidArgument(
+            f"{name} is {shown(value)}, expected the path of a file: letters that a file's name can have, "
+            f"at most {_LONGEST_NAME} bytes between two slashes"
+        )
+    return path
+
+
+_LONGEST_NAME = 255  # on all file systems of Linux and macOS
+
+
+def one_of(kind: str, value: Any, available: Iterable[str]) -> str:
+    """Return `value`, a name, after refusing one that is not among those there are.
+
+    Parameters
+    ----------
+    kind : str
+        What is named, such as ``"frame"``.
+    value : str
+        The argument.
+    available : iterable of str
+        The names there are.
+
+    Raises
+    ------
+    UnknownName
+        If it is none of them.
+    """
+    names = available if isinstance(available, Collection) else tuple(available)
+    if not isinstance(value, str) or value not in names:
+        raise UnknownName(kind, value, names)
+    return value
+
+
+def listed(name: str, value: Any, expected: str) -> tuple[Any, ...]:
+    """Return the entries of a list, tuple or other sequence, but not of text, a mapping or a set.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : sequence
+        The argument.
+    expected : str
+        What is expected, for the message, such as ``"a sequence of DHRow"``.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is no sequence.
+    """
+    if isinstance(value, np.ndarray) and value.ndim == 1:
+        return tuple(value.tolist())
+    if isinstance(value, str | bytes) or not isinstance(value, Sequence):
+        raise InvalidArgument(f"{name} is {shown(value)}, expected {expected}")
+    return tuple(value)
+
+
+def called(name: str, function: Callable[..., Any], *arguments: Any, form: str) -> Any:
+    """Return what a user's function returns, after refusing one that cannot be called so.
+
+    What it raises itself comes through.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    function : callable
+        The argument.
+    *arguments
+        What it is called with.
+    form : str
+        How it is called, for the message, such as ``"function(t, q, v, reference)"``.
+
+    Raises
+    ------
+    InvalidArgument
+        If its signature has no room for these arguments.
+    """
+    try:
+        return function(*arguments)
+    except TypeError as error:
+        # Only where the call itself fails: no line of the function has run.
+        if error.__traceback__ is not None and error.__traceback__.tb_next is None:
+            raise InvalidArgument(
+                f"{name} is {shown(function)}, which cannot be called as {form}: {error}"
+            ) from error
+        raise
+
+
+def affordable(what: str, numbers: float, instead: str) -> None:
+    """Refuse arrays of more than `MEMORY` before the memory is asked for.
+
+    Parameters
+    ----------
+    what : str
+        Whose arrays, for the message, such as ``"the records of 1e9 samples"``.
+    numbers : float
+        How many numbers of 8 bytes.
+    instead : str
+        What to do instead.
+
+    Raises
+    ------
+    InvalidArgument
+        If they are too many; the message has the number of bytes.
+    """
+    if not 8 * numbers <= MEMORY:
+        raise InvalidArgument(
+            f"{what} take {8e-9 * numbers:.3g} GB, expected at most {1e-9 * MEMORY:g} GB: {instead}"
+        )
 
 
 def broadcast(**arrays: Array) -> tuple[int, ...]:
@@ -195,12 +348,14 @@ def broadcast(**arrays: Array) -> tuple[int, ...]:
 
 
 def frozen(array: ArrayLike) -> Array:
-    """Return a read-only float64 copy; an array that is one, and owns its memory, comes back as it is."""
-    if type(array) is np.ndarray and array.base is None and not array.flags.writeable:
-        return array.astype(np.float64, copy=False)
-    copy = np.array(array, dtype=np.float64)
-    copy.setflags(write=False)
-    return copy
+    """Return a float64 copy that nobody can write into; what is one already comes back as it is.
+
+    Its memory is that of `bytes`: a read-only array of a user's own could be made writable again.
+    """
+    if type(array) is np.ndarray and type(array.base) is bytes and array.dtype == np.float64:
+        return array
+    whole = np.asarray(array, dtype=np.float64)
+    return np.ndarray(whole.shape, np.float64, whole.tobytes())
 
 
 def wrap_angle(angle: Array) -> Array:

@@ -8,7 +8,7 @@ from math import cos, pi, sin
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, scalar, vector
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 
 __all__ = ["LECTURE_TABLE", "SLIDE_TABLE", "DHRow", "DHTable", "JointType", "transform"]
 
@@ -60,9 +60,9 @@ class DHRow:
         for name in ("alpha", "a", "theta", "d"):
             object.__setattr__(self, name, scalar(name, getattr(self, name)))
         if not isinstance(self.joint, JointType):
-            raise InvalidArgument(f"joint is {self.joint!r}, expected a JointType")
+            raise InvalidArgument(f"joint is {shown(self.joint)}, expected a JointType")
         if not isinstance(self.variable, str) or not self.variable.isidentifier():
-            raise InvalidArgument(f"variable is {self.variable!r}, expected a name")
+            raise InvalidArgument(f"variable is {shown(self.variable)}, expected a name")
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class DHTable:
     def __post_init__(self) -> None:
         object.__setattr__(self, "rows", tuple(self.rows))
         if not self.rows or not all(isinstance(row, DHRow) for row in self.rows):
-            raise InvalidArgument(f"rows is {self.rows!r}, expected one DHRow or more")
+            raise InvalidArgument(f"rows is {shown(self.rows)}, expected one DHRow or more")
         if len(set(self.variables)) != len(self.rows):
             raise InvalidArgument(f"rows have variables {self.variables}, expected distinct names")
 

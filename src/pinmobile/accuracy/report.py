@@ -9,7 +9,7 @@ from pinmobile.accuracy.convergence import Convergence
 from pinmobile.accuracy.free_body import free_body
 from pinmobile.accuracy.held_force import held_force
 from pinmobile.arrays import finite, positive
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.integrators import Integrator
 from pinmobile.robot import MobileRobot
 
@@ -136,11 +136,11 @@ def integrator_report(
     """
     if isinstance(integrator, type) or not callable(integrator):
         raise InvalidArgument(
-            f"integrator is {integrator!r}, expected one of pinmobile.integrators or such a step"
+            f"integrator is {shown(integrator)}, expected one of pinmobile.integrators or such a step"
         )
     body = MobileRobot(30, 1.0, com=(0.1, 0.05)) if robot is None else robot
     if not isinstance(body, MobileRobot):
-        raise InvalidArgument(f"robot is {robot!r}, expected a MobileRobot")
+        raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot")
     total = positive("duration", duration, "s")
     ladder = _ladder(steps, total)
     free, loop = (measure(integrator, body, ladder, total) for measure in (free_body, held_force))

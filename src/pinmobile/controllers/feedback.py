@@ -7,7 +7,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, frozen
 from pinmobile.controllers.protocol import Difference, InverseDynamics, State, planar_difference
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 
 __all__ = [
     "PD",
@@ -43,7 +43,7 @@ def difference_of(robot: Any) -> Difference:
         If it has none.
     """
     if not hasattr(robot, "difference"):
-        raise InvalidArgument(f"robot is {robot!r}, expected a MobileRobot or other plant")
+        raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot or other plant")
     return _Own(robot)
 
 
@@ -110,7 +110,7 @@ class ComputedTorque:
 
     def __post_init__(self) -> None:
         if not hasattr(self.robot, "inverse_dynamics"):
-            raise InvalidArgument(f"robot is {self.robot!r}, expected a MobileRobot")
+            raise InvalidArgument(f"robot is {shown(self.robot)}, expected a MobileRobot")
         object.__setattr__(self, "difference", own_difference(self.robot, self.difference))
         check_gains(self, self.robot.nv)
 
@@ -175,7 +175,9 @@ def check_gains(controller: Any, n: int | None) -> None:
             gain_matrix(name, gain, n)
         object.__setattr__(controller, name, frozen(gain))
     if not callable(controller.difference):
-        raise InvalidArgument(f"difference is {controller.difference!r}, expected a function of q_d and q")
+        raise InvalidArgument(
+            f"difference is {shown(controller.difference)}, expected a function of q_d and q"
+        )
 
 
 def feedback(controller: Any, q: Array, v: Array, reference: State) -> Array:

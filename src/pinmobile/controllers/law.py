@@ -8,7 +8,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike
 from pinmobile.controllers.protocol import Controller
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 
 __all__ = ["law"]
 
@@ -39,5 +39,5 @@ def law(function: Callable[[float, Array, Array, Any], ArrayLike]) -> Controller
         If it cannot be called.
     """
     if not callable(function):
-        raise InvalidArgument(f"function is {function!r}, expected a function of t, q, v and reference")
+        raise InvalidArgument(f"function is {shown(function)}, expected a function of t, q, v and reference")
     return _Law(function)

@@ -6,7 +6,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, wrap_angle
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 
 __all__ = [
     "Controller",
@@ -68,7 +68,7 @@ def check_controller(controller: Any) -> None:
     """
     if isinstance(controller, type) or not hasattr(controller, "initial_state"):
         raise InvalidArgument(
-            f"controller is {controller!r}, expected a controller: wrap a function in law(...)"
+            f"controller is {shown(controller)}, expected a controller: wrap a function in law(...)"
         )
 
 
@@ -84,7 +84,7 @@ def answer_of(
     """
     answer = controller(t, q, v, reference, state)
     if type(answer) is not tuple or len(answer) != 2:
-        raise InvalidArgument(f"controller returned {answer!r} at t = {t:g} s, expected (tau, state)")
+        raise InvalidArgument(f"controller returned {shown(answer)} at t = {t:g} s, expected (tau, state)")
     return answer
 
 

@@ -11,7 +11,7 @@ from sympy import Expr, ImmutableMatrix, Symbol
 
 from pinmobile.derivation.exact import exact, exact_matrix
 from pinmobile.dh import DHTable
-from pinmobile.errors import InvalidArgument, UnknownName
+from pinmobile.errors import InvalidArgument, UnknownName, shown
 
 __all__ = ["Chain", "Link"]
 
@@ -99,13 +99,13 @@ class Chain:
         gravity: Any = (0, 0, 0),
     ) -> None:
         if not isinstance(table, DHTable):
-            raise InvalidArgument(f"table is {table!r}, expected a DHTable")
+            raise InvalidArgument(f"table is {shown(table)}, expected a DHTable")
         if links is None:
             links = [Link.general(k) for k in range(1, len(table) + 1)]
         order = table.variables if order is None else order
         for name, value in (("links", links), ("order", order)):
             if isinstance(value, str) or not isinstance(value, Sequence):
-                raise InvalidArgument(f"{name} is {value!r}, expected a sequence")
+                raise InvalidArgument(f"{name} is {shown(value)}, expected a sequence")
         object.__setattr__(self, "table", table)
         object.__setattr__(self, "links", tuple(links))
         object.__setattr__(self, "order", tuple(order))
@@ -115,7 +115,7 @@ class Chain:
     def _check(self) -> None:
         variables = self.table.variables
         if len(self.links) != len(self) or not all(isinstance(link, Link | None) for link in self.links):
-            raise InvalidArgument(f"links is {self.links!r}, expected {len(self)} of Link or None")
+            raise InvalidArgument(f"links is {shown(self.links)}, expected {len(self)} of Link or None")
         for name in self.order:
             if name not in variables:
                 raise UnknownName("variable", str(name), variables)

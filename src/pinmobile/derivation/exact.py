@@ -6,7 +6,7 @@ from typing import Any
 import sympy
 from sympy import Expr, ImmutableMatrix
 
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 
 __all__ = ["exact", "exact_angle", "exact_matrix"]
 
@@ -34,7 +34,9 @@ def exact(name: str, value: Any) -> Expr:
     except (sympy.SympifyError, TypeError, ValueError):
         expression = None
     if not isinstance(expression, Expr) or expression.has(sympy.nan, sympy.zoo, sympy.oo, sympy.I):
-        raise InvalidArgument(f"{name} is {value!r}, expected a finite real number or a sympy expression")
+        raise InvalidArgument(
+            f"{name} is {shown(value)}, expected a finite real number or a sympy expression"
+        )
     floats = expression.atoms(sympy.Float)
     return expression.xreplace({number: sympy.Rational(repr(float(number))) for number in floats})
 
@@ -62,7 +64,7 @@ def exact_matrix(name: str, value: Any, shape: tuple[int, int]) -> ImmutableMatr
         matrix = sympy.Matrix()
     if matrix.shape != shape:
         wanted = f"{shape[0]} entries" if shape[1] == 1 else f"shape {shape}"
-        raise InvalidArgument(f"{name} is {value!r}, expected {wanted}")
+        raise InvalidArgument(f"{name} is {shown(value)}, expected {wanted}")
     return ImmutableMatrix(*shape, [exact(name, entry) for entry in matrix])
 
 

@@ -11,7 +11,7 @@ import sympy
 from sympy import Expr, ImmutableMatrix, Symbol
 
 from pinmobile.arrays import Array, ArrayLike, finite, vector
-from pinmobile.errors import InvalidArgument, UnknownName
+from pinmobile.errors import InvalidArgument, UnknownName, shown
 
 if TYPE_CHECKING:
     from pinmobile.derivation.steps import Derivation
@@ -169,7 +169,7 @@ class Numeric:
     def _values(self, params: Parameters) -> list[Array]:
         names = self._names
         if not isinstance(params, Mapping):
-            raise InvalidArgument(f"params is {params!r}, expected a mapping with {', '.join(names)}")
+            raise InvalidArgument(f"params is {shown(params)}, expected a mapping with {', '.join(names)}")
         if params.keys() != set(names):
             for name in params:
                 if name not in names:

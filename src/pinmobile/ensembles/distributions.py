@@ -8,7 +8,7 @@ from typing import Any, Protocol, TypeAlias, final, runtime_checkable
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, non_negative, scalar
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 
 __all__ = ["TRUE_MODEL", "Distribution", "Normal", "Same", "Source", "Uniform", "drawn"]
 
@@ -109,7 +109,7 @@ class Same:
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
-            raise InvalidArgument(f"name is {self.name!r}, expected the name of a parameter")
+            raise InvalidArgument(f"name is {shown(self.name)}, expected the name of a parameter")
 
 
 TRUE_MODEL: Mapping[str, Same] = MappingProxyType(

@@ -11,7 +11,7 @@ from pinmobile.ensembles.part import Engine, Part
 from pinmobile.ensembles.result import Ensemble
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.ensembles.stretches import Records, divided, processors, results
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.integrators import Integrator, constant_acceleration
 from pinmobile.robot import MobileRobot
 from pinmobile.trajectories import Trajectory
@@ -111,9 +111,9 @@ def run_scenario(
     chosen = chosen_engine(scenario, engine)
     workers = processors() if threads is None else whole("threads", threads)
     if progress is not None and not callable(progress):
-        raise InvalidArgument(f"progress is {progress!r}, expected a function of done and n")
+        raise InvalidArgument(f"progress is {shown(progress)}, expected a function of done and n")
     if isinstance(traces, str) or not isinstance(traces, Iterable):
-        raise InvalidArgument(f"traces is {traces!r}, expected indices of robots, such as [0]")
+        raise InvalidArgument(f"traces is {shown(traces)}, expected indices of robots, such as [0]")
     followed = [_traced(i, scenario.n) for i in traces]
     draws = scenario.draws()
     records = Records(scenario, 0, scenario.n)

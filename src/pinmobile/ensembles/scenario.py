@@ -16,7 +16,7 @@ from pinmobile.ensembles.forces import check_forces, with_spread_forces
 from pinmobile.ensembles.layers import check_layers, core_of
 from pinmobile.ensembles.parameters import PARAMETERS
 from pinmobile.ensembles.spread import check_supports, checked_spread
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.integrators import Integrator, constant_acceleration
 from pinmobile.robot import MobileRobot
 from pinmobile.simulation import checked_forces, checked_loop, sample_times, sampled
@@ -89,7 +89,7 @@ class Scenario:
 
     def __post_init__(self) -> None:
         if type(self.robot) is not MobileRobot or self.robot.nv != 3:
-            raise InvalidArgument(f"robot is {self.robot!r}, expected a MobileRobot without arms")
+            raise InvalidArgument(f"robot is {shown(self.robot)}, expected a MobileRobot without arms")
         checked_loop(self.robot, self.controller, self.trajectory, self.integrator)
         core: Any = core_of(self.controller)
         believed = core.robot if type(core) in (ComputedTorque, PDGravity, Decoupled) else None

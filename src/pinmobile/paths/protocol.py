@@ -6,7 +6,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 
 __all__ = ["Path", "Piece", "Whole", "checked_path", "pieces_of", "within"]
 
@@ -97,7 +97,7 @@ def checked_path(path: Any, size: int) -> Path:
     """
     if not isinstance(path, Path):
         raise InvalidArgument(
-            f"path is {path!r}, expected a path: path(t), path.derivative(t, order), path.duration"
+            f"path is {shown(path)}, expected a path: path(t), path.derivative(t, order), path.duration"
         )
     shape = np.shape(path(0.0))
     if shape != (size,):

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from pinmobile.arrays import Array, positive
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plots.body import ARROW, Body
 from pinmobile.plots.plane import TRAVELLED, panels, poses
 from pinmobile.plots.runs import Rollouts, planar, thinned
@@ -173,11 +173,11 @@ def _durations(count: int, fps: float) -> list[int]:
 def _writable(path: str | PathLike[str]) -> Path:
     target = Path(path)
     if target.suffix.lower() != ".gif":
-        raise InvalidArgument(f"path is {str(target)!r}, expected a name that ends in '.gif'")
+        raise InvalidArgument(f"path is {shown(str(target))}, expected a name that ends in '.gif'")
     if not target.parent.is_dir():
         raise _refused(target, f"there is no folder {str(target.parent)!r}")
     return target
 
 
 def _refused(path: Path, why: str | None) -> InvalidArgument:
-    return InvalidArgument(f"path is {str(path)!r}, which cannot be written: {why}")
+    return InvalidArgument(f"path is {shown(str(path))}, which cannot be written: {why}")

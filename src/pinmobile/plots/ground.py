@@ -17,7 +17,7 @@ from pinmobile.balance import (
     required_friction,
     tip_over_margin,
 )
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plots.layout import stacked
 from pinmobile.plots.runs import Rollouts, labelled, thinned
 from pinmobile.plots.series import draw
@@ -135,7 +135,7 @@ def _of_robots(rollouts: Any) -> dict[str, Rollout]:
     for label, run in runs.items():
         if not isinstance(run.robot, MobileRobot):
             name = f"rollouts[{label!r}]" if label else "rollouts"
-            raise InvalidArgument(f"{name}.robot is {run.robot!r}, expected a MobileRobot")
+            raise InvalidArgument(f"{name}.robot is {shown(run.robot)}, expected a MobileRobot")
     return runs
 
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from pinmobile.arrays import Array, ArrayLike, finite
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plots.style import INK, ShownFigure
 
 __all__ = ["heatmap"]
@@ -83,7 +83,7 @@ def heatmap(
 
 def _labels(name: str, axis: Any) -> list[str]:
     if not isinstance(axis, Sequence) or isinstance(axis, str) or len(axis) != 3:
-        raise InvalidArgument(f"{name} is {axis!r}, expected (name, unit, values)")
+        raise InvalidArgument(f"{name} is {shown(axis)}, expected (name, unit, values)")
     if np.ndim(axis[2]) != 1 or not len(axis[2]):
         raise InvalidArgument(f"{name}[2] has shape {np.shape(axis[2])}, expected (n,) with n >= 1")
     return [one if isinstance(one, str) else f"{one:.4g}" for one in axis[2]]
@@ -92,7 +92,7 @@ def _labels(name: str, axis: Any) -> list[str]:
 def _numbers(values: ArrayLike, shape: tuple[int, int]) -> Array:
     numbers = np.asarray(values)
     if numbers.dtype.kind not in "fiu":
-        raise InvalidArgument(f"values is {values!r}, expected real numbers")
+        raise InvalidArgument(f"values is {shown(values)}, expected real numbers")
     if numbers.shape != shape:
         raise InvalidArgument(
             f"values has shape {numbers.shape}, expected {shape}: a row for each of y, a column for each of x"
@@ -110,11 +110,13 @@ def _norm(known: Array, limits: Any) -> Normalize:
     else:
         ends = finite("limits", limits)
         if ends.shape != (2,) or ends[0] > ends[1]:
-            raise InvalidArgument(f"limits is {limits!r}, expected (smallest, largest)")
+            raise InvalidArgument(f"limits is {shown(limits)}, expected (smallest, largest)")
         low, high = ends.tolist()
         outside = known[(known < low) | (known > high)]
         if len(outside):
-            raise InvalidArgument(f"limits is {limits!r}, expected to hold all of values, {outside[0]:g} too")
+            raise InvalidArgument(
+                f"limits is {shown(limits)}, expected to hold all of values, {outside[0]:g} too"
+            )
     return LogNorm(low, high) if 0 < _LOGARITHMIC * low < high else Normalize(low, high)
 
 

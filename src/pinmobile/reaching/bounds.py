@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, frozen
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot import BODY_JOINT, MobileRobot
 
 __all__ = ["Limits", "bounded_least_squares", "per_coordinate"]
@@ -151,5 +151,5 @@ def per_coordinate(name: str, value: ArrayLike, size: int, *, zero: bool = False
     if given.shape not in ((), (size,)):
         raise InvalidArgument(f"{name} has shape {given.shape}, expected () or ({size},)")
     if not (given >= 0 if zero else given > 0).all():
-        raise InvalidArgument(f"{name} is {value!r}, expected numbers {'>=' if zero else '>'} 0")
+        raise InvalidArgument(f"{name} is {shown(value)}, expected numbers {'>=' if zero else '>'} 0")
     return frozen(np.broadcast_to(given, (size,)))

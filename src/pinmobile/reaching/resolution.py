@@ -3,7 +3,7 @@
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, positive
-from pinmobile.errors import InvalidArgument, Unreachable
+from pinmobile.errors import InvalidArgument, Unreachable, shown
 from pinmobile.reaching.bounds import Limits, per_coordinate
 from pinmobile.reaching.poses import PosePath
 from pinmobile.reaching.resolved import Resolved
@@ -109,7 +109,7 @@ def checked_target(robot: MobileRobot, target: PosePath) -> None:
     """
     for name, value, kind in (("robot", robot, MobileRobot), ("target", target, PosePath)):
         if not isinstance(value, kind):
-            raise InvalidArgument(f"{name} is {value!r}, expected a {kind.__name__}")
+            raise InvalidArgument(f"{name} is {shown(value)}, expected a {kind.__name__}")
 
 
 def checked_posture(robot: MobileRobot, posture: ArrayLike) -> Array:

@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import Array, ArrayLike
-from pinmobile.errors import InvalidArgument, UnknownName
+from pinmobile.errors import InvalidArgument, UnknownName, shown
 from pinmobile.robot.assembly import named_frames
 from pinmobile.robot.configurations import ChainConfigurations
 
@@ -143,7 +143,7 @@ class ChainKinematics(ChainConfigurations):
         name, _ = self._frame(frame)
         arms = [mount for mount in self.mounts if name.startswith(f"{mount.name}/")]
         if not arms:
-            raise InvalidArgument(f"frame is {name!r}, expected one of an arm")
+            raise InvalidArgument(f"frame is {shown(name)}, expected one of an arm")
         return _volume(self.frame_jacobian(q, name)[..., arms[0].v])
 
     def _frame(self, name: str | None) -> tuple[str, int]:

@@ -13,7 +13,7 @@ import pinocchio as pin
 from pinmobile import urdf
 from pinmobile.arrays import finite, location, positive, vector
 from pinmobile.dh import LECTURE_TABLE, DHTable
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot.assembly import assemble
 from pinmobile.robot.carrier import Carrier
 from pinmobile.robot.chain import build_model, check_chain
@@ -219,7 +219,7 @@ class MobileRobot(Carrier):
             If `body` is something else, or `size` or `dh` is not what the class expects.
         """
         if not isinstance(body, urdf.Body):
-            raise InvalidArgument(f"body is {body!r}, expected a pinmobile.urdf.Body")
+            raise InvalidArgument(f"body is {shown(body)}, expected a pinmobile.urdf.Body")
         robot = object.__new__(cls)
         for name, value in {"size": size, "dh": dh, "source": source}.items():
             object.__setattr__(robot, name, value)

@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import ArrayLike, finite, positive
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot.arms import Arm
 from pinmobile.urdf import Body, box_inertia
 
@@ -160,7 +160,7 @@ def checked_name(name: str) -> str:
         If it is no text, is empty, or has a slash.
     """
     if not isinstance(name, str) or not name or "/" in name:
-        raise InvalidArgument(f"name is {name!r}, expected a word without a slash")
+        raise InvalidArgument(f"name is {shown(name)}, expected a word without a slash")
     return name
 
 

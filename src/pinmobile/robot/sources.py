@@ -9,7 +9,7 @@ from typing import Any
 import pinocchio as pin
 
 from pinmobile.arrays import Array, vector
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot.arms import Arm, Origin
 from pinmobile.robot.library import load_arm
 from pinmobile.robot.pictures import FilePicture, GivenPicture
@@ -99,10 +99,10 @@ def existing_folders(package_dirs: Any) -> tuple[str, ...]:
     try:
         paths = tuple(map(Path, given))
     except TypeError:
-        raise InvalidArgument(f"package_dirs is {package_dirs!r}, expected folders") from None
+        raise InvalidArgument(f"package_dirs is {shown(package_dirs)}, expected folders") from None
     for path in paths:
         if not path.is_dir():
-            raise InvalidArgument(f"package_dirs has {str(path)!r}, expected a folder")
+            raise InvalidArgument(f"package_dirs has {shown(str(path))}, expected a folder")
     return tuple(str(path.resolve()) for path in paths)
 
 

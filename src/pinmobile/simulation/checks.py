@@ -7,7 +7,7 @@ import numpy as np
 from pinmobile.arrays import Array, positive, vector
 from pinmobile.controllers import check_controller
 from pinmobile.disturbances import Force
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
 if TYPE_CHECKING:
@@ -34,10 +34,10 @@ def checked_loop(plant: Any, controller: Any, trajectory: Any, integrator: Any) 
         ("trajectory", trajectory, "duration"),
     ):
         if isinstance(value, type) or not hasattr(value, attribute):
-            raise InvalidArgument(f"{name} is {value!r}, expected something with {attribute!r}")
+            raise InvalidArgument(f"{name} is {shown(value)}, expected something with {attribute!r}")
     if isinstance(integrator, type) or not callable(integrator):
         raise InvalidArgument(
-            f"integrator is {integrator!r}, expected one of pinmobile.integrators or such a step"
+            f"integrator is {shown(integrator)}, expected one of pinmobile.integrators or such a step"
         )
 
 
@@ -121,14 +121,14 @@ def checked_forces(forces: Any, plant: "Plant") -> tuple[Force, ...]:
         If one is no function, or the plant's input is no generalised force.
     """
     if callable(forces):
-        raise InvalidArgument(f"forces is {forces!r}, expected a sequence of forces, such as [force]")
+        raise InvalidArgument(f"forces is {shown(forces)}, expected a sequence of forces, such as [force]")
     try:
         listed = tuple(forces)
     except TypeError:
-        raise InvalidArgument(f"forces is {forces!r}, expected a sequence of forces") from None
+        raise InvalidArgument(f"forces is {shown(forces)}, expected a sequence of forces") from None
     for k, force in enumerate(listed):
         if isinstance(force, type) or not callable(force):
-            raise InvalidArgument(f"forces[{k}] is {force!r}, expected a function of t, q and v")
+            raise InvalidArgument(f"forces[{k}] is {shown(force)}, expected a function of t, q and v")
     if listed and not plant.nu == plant.nv >= _PLANE:
         raise InvalidArgument(
             f"forces are given for a plant with nv = {plant.nv} and nu = {plant.nu}, "

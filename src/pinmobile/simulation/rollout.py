@@ -9,7 +9,7 @@ from typing import IO, Any
 import numpy as np
 
 from pinmobile.arrays import Array, frozen, location
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot import MobileRobot
 from pinmobile.simulation.storage import read_archive, write_archive
 from pinmobile.trajectories import Reference
@@ -190,4 +190,6 @@ def _written(path: str | PathLike[str], mode: str) -> Iterator[IO[Any]]:
         with location("path", path).open(mode) as file:
             yield file
     except OSError as error:
-        raise InvalidArgument(f"path is {str(path)!r}, which cannot be written: {error.strerror}") from error
+        raise InvalidArgument(
+            f"path is {shown(str(path))}, which cannot be written: {error.strerror}"
+        ) from error

@@ -10,7 +10,7 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.dh import DHRow, DHTable, JointType
-from pinmobile.errors import InvalidArgument, PinmobileError
+from pinmobile.errors import InvalidArgument, PinmobileError, shown
 from pinmobile.robot import Load, MobileRobot
 from pinmobile.robot.sources import kept_arm
 from pinmobile.urdf import Body
@@ -71,11 +71,13 @@ def _read(path: Path) -> tuple[dict[str, Array], dict[str, Any] | None]:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             named = dict(archive)
     except OSError as error:
-        raise InvalidArgument(f"path is {str(path)!r}, which cannot be read: {error.strerror}") from error
+        raise InvalidArgument(
+            f"path is {shown(str(path))}, which cannot be read: {error.strerror}"
+        ) from error
     except (ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise InvalidArgument(f"path is {str(path)!r}, which is no NumPy archive") from error
+        raise InvalidArgument(f"path is {shown(str(path))}, which is no NumPy archive") from error
     if str(named.pop("format", "")) != _FORMAT:
-        raise InvalidArgument(f"path is {str(path)!r}, which is no {_FORMAT!r} archive")
+        raise InvalidArgument(f"path is {shown(str(path))}, which is no {_FORMAT!r} archive")
     return named, json.loads(str(named.pop("robot")))
 
 

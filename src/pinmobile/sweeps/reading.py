@@ -7,7 +7,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.sweeps.extras import imported
 
 __all__ = ["attributes_of", "counts_of", "damaged"]
@@ -28,7 +28,7 @@ def attributes_of(path: Path) -> dict[str, Any]:
             "arrays": list(metadata["consolidated_metadata"]["metadata"]),
         }
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InvalidArgument(f"store is {str(path)!r}, which is not the store of a sweep") from error
+        raise InvalidArgument(f"store is {shown(str(path))}, which is not the store of a sweep") from error
     return found
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from pinmobile.arrays import location
 from pinmobile.ensembles import Ensemble
 from pinmobile.ensembles.histogram import checked_share
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.sweeps.axes import Axis, place_of
 from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.grids import Grid, as_grid
@@ -197,6 +197,6 @@ def _reading(path: Path) -> Iterator[None]:
         yield
     except Exception as error:  # whatever the codecs say
         raise InvalidArgument(
-            f"store is {str(path)!r}, of which {damaged(path)}; remove that file, and start the same sweep "
+            f"store is {shown(str(path))}, of which {damaged(path)}; remove that file, and start the same sweep "
             "again to have it computed again"
         ) from error

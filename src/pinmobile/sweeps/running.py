@@ -6,7 +6,7 @@ from typing import Any
 
 from pinmobile.arrays import location, whole
 from pinmobile.ensembles import Scenario
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.sweeps.cluster import check_client
 from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.grids import Grid, as_grid
@@ -73,7 +73,7 @@ def sweep(
     if client is not None:
         check_client(client)
     if progress is not None and not callable(progress):
-        raise InvalidArgument(f"progress is {progress!r}, expected a function of two whole numbers")
+        raise InvalidArgument(f"progress is {shown(progress)}, expected a function of two whole numbers")
     description = determined_by(grid)
     if not path.exists():
         check_draws(grid)

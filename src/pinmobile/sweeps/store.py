@@ -19,7 +19,7 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.ensembles import Ensemble, Part
 from pinmobile.ensembles.histogram import quantiles
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.grids import Grid
 from pinmobile.sweeps.layout import LEVELS, PER_ROBOT, make_arrays, mend_coordinates
@@ -76,12 +76,12 @@ class Store:
                 _make(path, grid, description, chunk)
         except OSError as error:
             raise InvalidArgument(
-                f"store is {str(path)!r}, which cannot be made: {error.strerror}"
+                f"store is {shown(str(path))}, which cannot be made: {error.strerror}"
             ) from error
         there = attributes_of(path)
         found = differences(there["determined_by"], description)
         if found:
-            raise InvalidArgument(f"store is {str(path)!r}, which belongs to another sweep: {found}")
+            raise InvalidArgument(f"store is {shown(str(path))}, which belongs to another sweep: {found}")
         self.chunk: int = there["chunk"]
         zarr = imported("zarr")
         # Every chunk has a file, also one of nothing but NaN, so that one which is gone is missed.
@@ -223,5 +223,5 @@ def _locked(path: Path) -> IO[bytes] | None:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         file.close()
-        raise InvalidArgument(f"store is {str(path)!r}, which another process is writing") from error
+        raise InvalidArgument(f"store is {shown(str(path))}, which another process is writing") from error
     return file

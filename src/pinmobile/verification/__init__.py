@@ -3,7 +3,7 @@
 import numpy as np
 
 from pinmobile.arrays import whole
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot import MobileRobot
 from pinmobile.verification.mounted import compare_mounted
 from pinmobile.verification.planar import compare_planar
@@ -51,7 +51,7 @@ def verify(robot: MobileRobot, *, states: int = 200, seed: int | np.random.Gener
         If `states` is not a whole number >= 1.
     """
     if not isinstance(robot, MobileRobot):
-        raise InvalidArgument(f"robot is {robot!r}, expected a MobileRobot")
+        raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot")
     rng = np.random.default_rng(seed)
     count = whole("states", states)
     compare = compare_mounted if robot.mounts or robot.loads else compare_planar

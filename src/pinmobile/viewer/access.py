@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from urllib.parse import urlsplit
 
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 
 __all__ = ["Access", "access_for"]
 
@@ -92,7 +92,7 @@ def access_for(host: str, token: str | None) -> Access:
         If the host is empty, or the token has letters that an address cannot have.
     """
     if not isinstance(host, str) or not host.strip():
-        raise InvalidArgument(f"host is {host!r}, expected a name or an address such as '127.0.0.1'")
+        raise InvalidArgument(f"host is {shown(host)}, expected a name or an address such as '127.0.0.1'")
     if token is not None and not (isinstance(token, str) and _TOKEN.fullmatch(token)):
         raise InvalidArgument("token is empty or not made of letters, digits, '-', '.', '_' and '~'")
     host = host.strip().removeprefix("[").removesuffix("]")

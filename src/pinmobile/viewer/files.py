@@ -4,7 +4,7 @@ from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
 
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 
 __all__ = ["written"]
 
@@ -19,7 +19,7 @@ def written(path: str | PathLike[str], suffix: str, content: Callable[[], bytes]
     """
     target = Path(path)
     if target.suffix.lower() != suffix:
-        raise InvalidArgument(f"path is {str(target)!r}, expected a name that ends in {suffix!r}")
+        raise InvalidArgument(f"path is {shown(str(target))}, expected a name that ends in {suffix!r}")
     try:
         is_new = not target.exists()
         with target.open("ab"):
@@ -30,6 +30,6 @@ def written(path: str | PathLike[str], suffix: str, content: Callable[[], bytes]
         target.write_bytes(data)
     except OSError as error:
         raise InvalidArgument(
-            f"path is {str(target)!r}, which cannot be written: {error.strerror}"
+            f"path is {shown(str(target))}, which cannot be written: {error.strerror}"
         ) from error
     return target
