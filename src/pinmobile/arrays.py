@@ -1,8 +1,10 @@
 """The array type, angles on the circle, and the one place where arguments are checked."""
 
+import inspect
 import os
 import sys
-from collections.abc import Callable, Collection, Iterable, Sequence
+import unicodedata
+from collections.abc import Collection, Iterable, Sequence
 from math import hypot, isfinite
 from os import PathLike
 from pathlib import Path
@@ -18,16 +20,20 @@ __all__ = [
     "ArrayLike",
     "affordable",
     "broadcast",
-    "called",
+    "callable_as",
+    "endless_or_finite",
     "finite",
     "frozen",
-    "listed",
     "location",
     "non_negative",
     "one_of",
     "positive",
+    "real",
+    "representable",
     "scalar",
     "seeded",
+    "sequence",
+    "text",
     "vector",
     "whole",
     "wrap_angle",
@@ -39,6 +45,7 @@ MEMORY = 16e9
 """What one call may ask for in arrays of its own [bytes]: more is refused, with the number, before it is."""
 
 _FEW = 32  # numbers of a state and the like
+_MOST_AXES = 24  # room for some more within the 32 that NumPy broadcasts
 
 
 def finite(name: str, value: ArrayLike) -> Array:
@@ -54,7 +61,7 @@ def finite(name: str, value: ArrayLike) -> Array:
     Raises
     ------
     InvalidArgument
-        If `value` is not numeric, is ragged or complex, or holds NaN or infinity.
+        If `value` is not numeric, is ragged, complex or masked, or holds NaN or infinity.
     """
     if (
         type(value) is np.ndarray
@@ -64,23 +71,33 @@ def finite(name: str, value: ArrayLike) -> Array:
         and isfinite(hypot(*value.tolist()))
     ):
         return value  # what comes in a loop: one call instead of five; where it overflows, look closely
-    if _hides(value):
-        raise InvalidArgument(
-            f"{name} is a masked array, expected one without a mask: fill it, or leave out what is masked"
-        )
-    try:
-        array = np.asarray(float(value) if type(value) is int else value)  # 10**22 is no integer of NumPy's
-    except Exception:  # whatever the value itself raises when it is asked for its numbers
-        array = np.asarray(None)
-    if array.dtype.kind not in "fiu":
-        raise InvalidArgument(f"{name} is {shown(value)}, expected real numbers")
-    with np.errstate(over="ignore"):  # a long double that float64 does not hold becomes infinite
-        array = array.astype(np.float64, copy=False)
+    array = real(name, value)
     if not np.isfinite(array).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         place = f"[{', '.join(map(str, where))}]" if where else ""
         raise InvalidArgument(f"{name}{place} is {array[where]}, expected a finite number")
     return array
+
+
+def endless_or_finite(name: str, value: ArrayLike) -> Array:
+    """Return `value` as float64, of limits: as `finite`, but infinity, for there is none, is taken too.
+
+    Raises
+    ------
+    InvalidArgument
+        As `finite`, of minus infinity as well.
+    """
+    array = real(name, value)
+    endless = np.isposinf(array)
+    return np.where(endless, np.inf, finite(name, np.where(endless, 0.0, array)))
+
+
+def _array(value: Any) -> "np.ndarray[Any, Any]":
+    """Return a value as an array; of what has no numbers, one of objects."""
+    try:
+        return np.asarray(float(value) if type(value) is int else value)  # 10**22 is no integer of NumPy's
+    except Exception:  # whatever the value itself raises when it is asked for its numbers
+        return np.asarray(None)
 
 
 def _hides(value: Any) -> bool:
@@ -100,6 +117,27 @@ def _hides(value: Any) -> bool:
 
 
 _PLAIN = {float, int, np.float64}
+
+
+def real(name: str, value: ArrayLike) -> Array:
+    """Return `value` as float64, NaN and infinity among it, after refusing what is not made of real numbers.
+
+    Raises
+    ------
+    InvalidArgument
+        If `value` is not numeric, is ragged, complex or masked.
+    """
+    if _hides(value):
+        raise InvalidArgument(
+            f"{name} is a masked array, expected one without a mask: fill it, or leave out what is masked"
+        )
+    array = _array(value)
+    if array.dtype.kind not in "fiu":
+        raise InvalidArgument(f"{name} is {shown(value)}, expected real numbers")
+    if array.ndim > _MOST_AXES:
+        raise InvalidArgument(f"{name} has {array.ndim} axes, expected at most {_MOST_AXES}")
+    with np.errstate(over="ignore"):  # a long double that float64 does not hold becomes infinite
+        return array.astype(np.float64, copy=False)
 
 
 def vector(name: str, value: ArrayLike, size: int) -> Array:
@@ -158,15 +196,15 @@ def non_negative(name: str, value: ArrayLike, unit: str = "") -> float:
     return number
 
 
-def whole(name: str, value: Any, *, least: int = 1) -> int:
-    """Return `value` as an int of at least `least`.
+def whole(name: str, value: Any, *, least: int = 1, most: int = 2**53) -> int:
+    """Return `value` as an int from `least` to `most`.
 
     Raises
     ------
     InvalidArgument
-        If it is not a whole number, or less.
+        If it is not a whole number, or less or more.
     """
-    if type(value) is int and value >= least:
+    if type(value) is int and least <= value <= most:
         return value
     try:
         number = scalar(name, value)
@@ -174,6 +212,8 @@ def whole(name: str, value: Any, *, least: int = 1) -> int:
         number = least - 1.0  # whatever it is, it is not such a number
     if number != int(number) or number < least:
         raise InvalidArgument(f"{name} is {shown(value)}, expected a whole number >= {least}")
+    if number > most:
+        raise InvalidArgument(f"{name} is {shown(value)}, expected at most {most:,}")
     return int(number)
 
 
@@ -196,7 +236,7 @@ def seeded(name: str, seed: Any) -> "np.random.Generator":
     kinds = np.random.Generator, np.random.BitGenerator, np.random.SeedSequence
     if not isinstance(seed, kinds):
         try:
-            seed = whole(name, int(seed) if isinstance(seed, np.integer) else seed, least=0)
+            seed = seed if type(seed) is int and seed >= 0 else whole(name, seed, least=0)
         except InvalidArgument:
             raise InvalidArgument(
                 f"{name} is {shown(seed)}, expected a whole number >= 0 or a Generator"
@@ -230,6 +270,42 @@ def location(name: str, value: Any) -> Path:
 _LONGEST_NAME = 255  # on all file systems of Linux and macOS
 
 
+def text(name: str, value: Any) -> str:
+    """Return `value` as it is, after refusing what is no text, or none that can be written to a file.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is something else, or holds half of a surrogate pair, a null, or another control character.
+    """
+    if not isinstance(value, str) or any(unicodedata.category(letter) in _UNWRITTEN for letter in value):
+        raise InvalidArgument(f"{name} is {shown(value)}, expected text without control characters")
+    return value
+
+
+_UNWRITTEN = {"Cs", "Cc"}  # surrogates and control characters
+
+
+def representable(what: str, array: Array) -> Array:
+    """Return a result, after refusing one that went beyond the largest number on its way.
+
+    Parameters
+    ----------
+    what : str
+        The result in words, for the message.
+    array : ndarray, any shape
+        It, calculated under ``np.errstate(all="ignore")`` from finite numbers.
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not finite.
+    """
+    if not np.isfinite(array).all():
+        raise InvalidArgument(f"{what} is beyond the largest number, expected arguments of another size")
+    return array
+
+
 def one_of(kind: str, value: Any, available: Iterable[str]) -> str:
     """Return `value`, a name, after refusing one that is not among those there are.
 
@@ -253,7 +329,7 @@ def one_of(kind: str, value: Any, available: Iterable[str]) -> str:
     return value
 
 
-def listed(name: str, value: Any, expected: str) -> tuple[Any, ...]:
+def sequence(name: str, value: Any, expected: str) -> tuple[Any, ...]:
     """Return the entries of a list, tuple or other sequence, but not of text, a mapping or a set.
 
     Parameters
@@ -277,36 +353,40 @@ def listed(name: str, value: Any, expected: str) -> tuple[Any, ...]:
     return tuple(value)
 
 
-def called(name: str, function: Callable[..., Any], *arguments: Any, form: str) -> Any:
-    """Return what a user's function returns, after refusing one that cannot be called so.
-
-    What it raises itself comes through.
+def callable_as(form: str, function: Any) -> Any:
+    """Return a user's function, after refusing one that cannot be called so.
 
     Parameters
     ----------
-    name : str
-        Name of the argument, for the message.
+    form : str
+        Name of the argument and how it is called, such as ``"function(t, q, v, reference)"``.
     function : callable
         The argument.
-    *arguments
-        What it is called with.
-    form : str
-        How it is called, for the message, such as ``"function(t, q, v, reference)"``.
 
     Raises
     ------
     InvalidArgument
-        If its signature has no room for these arguments.
+        If it is no function, or its signature has no room for these arguments. What it raises itself when it
+        is called later comes through.
     """
+    name, _, inside = form.rstrip(")").partition("(")
+    arguments = inside.split(", ") if inside else []
+    if isinstance(function, type) or not callable(function):
+        wanted = f"a function of {', '.join(arguments)}".replace(
+            ", ".join(arguments[-2:]), " and ".join(arguments[-2:])
+        )
+        raise InvalidArgument(f"{name} is {shown(function)}, expected {wanted}")
     try:
-        return function(*arguments)
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):  # as of some that are built in
+        return function
+    try:
+        signature.bind(*arguments)
     except TypeError as error:
-        # Only where the call itself fails: no line of the function has run.
-        if error.__traceback__ is not None and error.__traceback__.tb_next is None:
-            raise InvalidArgument(
-                f"{name} is {shown(function)}, which cannot be called as {form}: {error}"
-            ) from error
-        raise
+        raise InvalidArgument(
+            f"{name} is {shown(function)}, which cannot be called as {form}: {error}, expected one that can"
+        ) from None
+    return function
 
 
 def affordable(what: str, numbers: float, instead: str) -> None:

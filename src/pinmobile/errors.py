@@ -22,7 +22,7 @@ _LONGEST = 500  # letters of a value that a message shows
 def shown(value: object) -> str:
     """Return a value as a message shows it: its repr, cut where that is long; what has none is named.
 
-    A list nested too deep, an integer of more digits than Python writes, and a user's own class may have none.
+    A list nested too deep, an integer of too many digits and a user's own class may have none.
     """
     try:
         text = repr(value)

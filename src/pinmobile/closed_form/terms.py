@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, broadcast, vector
+from pinmobile.arrays import Array, ArrayLike, broadcast, representable, vector
 from pinmobile.closed_form.body import checked_body, stacked, turned
 
 __all__ = ["coriolis_matrix", "mass_matrix", "nonlinear_effects"]
@@ -99,6 +99,7 @@ def nonlinear_effects(q: ArrayLike, v: ArrayLike, *, mass: ArrayLike, com: Array
     q, v = vector("q", q, 3), vector("v", v, 3)
     broadcast(q=q, v=v)
     m, _, x, y = checked_body(q, mass, 1.0, com, v=v)
-    dx, dy = turned(q, x, y)
-    pull = -m * v[..., 2] ** 2
-    return stacked(pull * dx, pull * dy, 0.0)
+    with np.errstate(all="ignore"):
+        dx, dy = turned(q, x, y)
+        pull = -m * v[..., 2] ** 2
+        return representable("n(q, v)", stacked(pull * dx, pull * dy, 0.0))

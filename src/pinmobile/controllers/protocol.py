@@ -5,7 +5,7 @@ from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, wrap_angle
+from pinmobile.arrays import Array, ArrayLike, callable_as, finite, wrap_angle
 from pinmobile.errors import InvalidArgument, shown
 
 __all__ = [
@@ -70,6 +70,8 @@ def check_controller(controller: Any) -> None:
         raise InvalidArgument(
             f"controller is {shown(controller)}, expected a controller: wrap a function in law(...)"
         )
+    callable_as("controller(t, q, v, reference, state)", controller)
+    callable_as("controller.initial_state()", controller.initial_state)
 
 
 def answer_of(
@@ -106,6 +108,8 @@ def planar_difference(q_d: Array, q: Array) -> Array:
     InvalidArgument
         If there is no third coordinate.
     """
+    if type(q_d) is not np.ndarray or type(q) is not np.ndarray:
+        q_d, q = finite("q_d", q_d), finite("q", q)
     error = np.subtract(q_d, q, dtype=np.float64)
     if not error.ndim or error.shape[-1] < 3:
         raise InvalidArgument(

@@ -10,7 +10,7 @@ from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, whole
+from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen, whole
 from pinmobile.controllers.protocol import Controller, State, answer_of, check_controller
 from pinmobile.errors import InvalidArgument, shown
 
@@ -209,9 +209,7 @@ def _displaced(controller: Any, q: Array, dq: Array, n: int) -> Array:
 
 
 def _per_coordinate(name: str, value: ArrayLike, *, endless: bool = False) -> Array:
-    given = np.asarray(value)
-    known = np.isposinf(given) if endless and given.dtype.kind == "f" else np.zeros(given.shape, bool)
-    array = np.where(known, np.inf, finite(name, np.where(known, 1.0, given) if known.any() else value))
+    array = (endless_or_finite if endless else finite)(name, value)
     if array.ndim > 1:
         raise InvalidArgument(f"{name} has shape {array.shape}, expected () or (n,)")
     return frozen(array)

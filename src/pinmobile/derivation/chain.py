@@ -9,9 +9,10 @@ from typing import Any
 
 from sympy import Expr, ImmutableMatrix, Symbol
 
+from pinmobile.arrays import one_of, whole
 from pinmobile.derivation.exact import exact, exact_matrix
 from pinmobile.dh import DHTable
-from pinmobile.errors import InvalidArgument, UnknownName, shown
+from pinmobile.errors import InvalidArgument, shown
 
 __all__ = ["Chain", "Link"]
 
@@ -52,6 +53,7 @@ class Link:
     @classmethod
     def general(cls, k: int) -> "Link":
         """Return link `k` with every quantity a symbol: m1, xc1, yc1, zc1, Ixx1, Ixy1, ... for k = 1."""
+        k = whole("k", k, least=0)
         inertia = [[Symbol(f"I{min(i, j)}{max(i, j)}{k}") for j in "xyz"] for i in "xyz"]
         return cls(Symbol(f"m{k}"), [Symbol(f"{axis}c{k}") for axis in "xyz"], inertia)
 
@@ -117,10 +119,9 @@ class Chain:
         if len(self.links) != len(self) or not all(isinstance(link, Link | None) for link in self.links):
             raise InvalidArgument(f"links is {shown(self.links)}, expected {len(self)} of Link or None")
         for name in self.order:
-            if name not in variables:
-                raise UnknownName("variable", str(name), variables)
+            one_of("variable", name, variables)
         if sorted(self.order) != sorted(variables):
-            raise InvalidArgument(f"order is {self.order}, expected a permutation of {variables}")
+            raise InvalidArgument(f"order is {shown(self.order)}, expected a permutation of {variables}")
         names = Counter(symbol.name for symbol in (*self.q, *self.v, *self.a, *self.parameters))
         if twice := [name for name, count in names.items() if count > 1]:
             raise InvalidArgument(f"links and table give {twice} two meanings, expected distinct names")

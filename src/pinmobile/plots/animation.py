@@ -12,12 +12,12 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from pinmobile.arrays import Array, positive
+from pinmobile.arrays import Array, location, positive
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plots.body import ARROW, Body
 from pinmobile.plots.plane import TRAVELLED, panels, poses
 from pinmobile.plots.runs import Rollouts, planar, thinned
-from pinmobile.plots.style import INK, colour
+from pinmobile.plots.style import INK, colour, headed
 from pinmobile.simulation import Rollout
 
 __all__ = ["animate"]
@@ -74,7 +74,7 @@ def animate(
     start, end = min(run.t[0] for run in runs.values()), max(run.t[-1] for run in runs.values())
     pace = max((end - start) / _LASTS, 1.0) if speed is None else positive("speed", speed)
     times = np.append(np.arange(start, end - 1e-9 * pace, pace / rate), end)
-    frames = _rendered(_Scene(runs, times, title or "", pace), progress)
+    frames = _rendered(_Scene(runs, times, headed(title, ""), pace), progress)
     buffer = BytesIO()
     next(frames).save(
         buffer, "GIF", save_all=True, append_images=frames, duration=_durations(len(times), rate), loop=0
@@ -171,7 +171,7 @@ def _durations(count: int, fps: float) -> list[int]:
 
 
 def _writable(path: str | PathLike[str]) -> Path:
-    target = Path(path)
+    target = location("path", path)
     if target.suffix.lower() != ".gif":
         raise InvalidArgument(f"path is {shown(str(target))}, expected a name that ends in '.gif'")
     if not target.parent.is_dir():

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen
+from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot import BODY_JOINT, MobileRobot
 
@@ -147,7 +147,7 @@ def per_coordinate(name: str, value: ArrayLike, size: int, *, zero: bool = False
     InvalidArgument
         If it has another shape or a number is out of range.
     """
-    given = np.asarray(value, dtype=np.float64) if zero else finite(name, value)
+    given = endless_or_finite(name, value) if zero else finite(name, value)
     if given.shape not in ((), (size,)):
         raise InvalidArgument(f"{name} has shape {given.shape}, expected () or ({size},)")
     if not (given >= 0 if zero else given > 0).all():

@@ -87,8 +87,7 @@ def resolve(
         per_coordinate("acceleration_limit", acceleration_limit, robot.nv),
     )
     weights = positive("damping", damping) * np.diag(per_coordinate("cost", cost, robot.nv))
-    if not tolerance > 0:
-        raise InvalidArgument(f"tolerance is {tolerance}, expected > 0")
+    tolerance = positive("tolerance", tolerance)
     solver = Solver(robot, target, name, limits, weights)
     start = solver.start(q0)
     tending = start if posture is None else checked_posture(robot, posture)

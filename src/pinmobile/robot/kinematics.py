@@ -5,8 +5,8 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike
-from pinmobile.errors import InvalidArgument, UnknownName, shown
+from pinmobile.arrays import Array, ArrayLike, one_of
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot.assembly import named_frames
 from pinmobile.robot.configurations import ChainConfigurations
 
@@ -148,9 +148,7 @@ class ChainKinematics(ChainConfigurations):
 
     def _frame(self, name: str | None) -> tuple[str, int]:
         name = self.end_effector if name is None else name
-        if name not in self._frames:
-            raise UnknownName("frame", str(name), self._frames)
-        return name, self._frames[name]
+        return one_of("frame", name, self._frames), self._frames[name]
 
     def frame_placements(self, q: ArrayLike) -> Array:
         """Return T_0_k, the pose of each joint's frame, shape (..., joints, 4, 4).

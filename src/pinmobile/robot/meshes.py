@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 
 import pinocchio as pin
 
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument
 
 __all__ = ["VisualFile", "readable", "shown"]
 
@@ -50,7 +50,7 @@ def readable(file: VisualFile, stacklevel: int) -> tuple[ElementTree.Element, li
     try:
         root = ElementTree.fromstring(file.path.read_text(encoding="utf-8"))
     except (OSError, ValueError, ElementTree.ParseError) as error:
-        raise InvalidArgument(f"path is {shown(str(file.path))}, which cannot be read: {error}") from None
+        raise InvalidArgument(f"path is {str(file.path)!r}, which cannot be read: {error}") from None
     missing = _without_meshes(root, lambda mesh: _is_missing(mesh, file))
     if missing:
         listed = ", ".join(dict.fromkeys(missing))
@@ -81,9 +81,7 @@ def shown(
         # Pinocchio does not say which of the files it was.
         broken = _without_meshes(root, _is_broken)
         if not broken:
-            raise InvalidArgument(
-                f"path is {shown(str(file.path))}, which cannot be drawn: {error}"
-            ) from None
+            raise InvalidArgument(f"path is {str(file.path)!r}, which cannot be drawn: {error}") from None
         listed = ", ".join(dict.fromkeys(broken))
         warnings.warn(
             f"{file.path.name}: not drawn, since damaged or of a format that is not read: {listed}",

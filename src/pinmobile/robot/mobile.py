@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile import urdf
-from pinmobile.arrays import finite, location, positive, vector
+from pinmobile.arrays import finite, location, positive, text
 from pinmobile.dh import LECTURE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot.assembly import assemble
@@ -139,8 +139,8 @@ class MobileRobot(Carrier):
         InvalidArgument
             If the mass or a length is not positive or not finite, or the lengths are not three.
         """
-        height = vector("size", size, 3)[2]
-        body = urdf.Body(mass, np.array([0, 0, height / 2]), urdf.box_inertia(mass, size))
+        inertia = urdf.box_inertia(mass, size)
+        body = urdf.Body(mass, np.array([0, 0, finite("size", size)[2] / 2]), inertia)
         return cls.from_body(body, size, LECTURE_TABLE, "a homogeneous box")
 
     @classmethod
@@ -221,7 +221,7 @@ class MobileRobot(Carrier):
         if not isinstance(body, urdf.Body):
             raise InvalidArgument(f"body is {shown(body)}, expected a pinmobile.urdf.Body")
         robot = object.__new__(cls)
-        for name, value in {"size": size, "dh": dh, "source": source}.items():
+        for name, value in {"size": size, "dh": dh, "source": text("source", source)}.items():
             object.__setattr__(robot, name, value)
         robot._take(body)
         return robot

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, positive, vector
+from pinmobile.arrays import Array, affordable, callable_as, positive, vector, whole
 from pinmobile.controllers import check_controller
 from pinmobile.disturbances import Force
 from pinmobile.errors import InvalidArgument, shown
@@ -13,11 +13,13 @@ from pinmobile.trajectories import Reference, Trajectory, check_limits
 if TYPE_CHECKING:
     from pinmobile.simulation.plant import Plant
 
-__all__ = ["checked_forces", "checked_loop", "sample_times", "sampled"]
+__all__ = ["checked_forces", "checked_loop", "checked_substeps", "sample_times", "sampled"]
 
 _WHOLE = 1e-9  # relative rounding allowed in duration / dt
 _PLANE = 3  # coordinates that a force on the body acts on
-_MOST = 1e8  # samples: beyond, some 20 GB of numbers
+_MOST = 1e8  # samples
+_MOST_STEPS = 1e11  # of the integrator: days
+_RECORDED = 16  # numbers for each coordinate of a sample: of the loop, the reference and the rollout
 
 
 def checked_loop(plant: Any, controller: Any, trajectory: Any, integrator: Any) -> None:
@@ -29,16 +31,38 @@ def checked_loop(plant: Any, controller: Any, trajectory: Any, integrator: Any) 
         If one of them is not.
     """
     check_controller(controller)
-    for name, value, attribute in (
-        ("plant", plant, "forward_dynamics"),
-        ("trajectory", trajectory, "duration"),
-    ):
-        if isinstance(value, type) or not hasattr(value, attribute):
-            raise InvalidArgument(f"{name} is {shown(value)}, expected something with {attribute!r}")
-    if isinstance(integrator, type) or not callable(integrator):
+    if isinstance(trajectory, type) or not hasattr(trajectory, "duration"):
+        raise InvalidArgument(f"trajectory is {shown(trajectory)}, expected something with 'duration'")
+    if hasattr(trajectory, "derivative"):
         raise InvalidArgument(
-            f"integrator is {shown(integrator)}, expected one of pinmobile.integrators or such a step"
+            f"trajectory is {shown(trajectory)}, a path, which has no heading, expected a trajectory: "
+            "Tangent(path) or FixedHeading(path, psi)"
         )
+    if isinstance(plant, type) or not hasattr(plant, "forward_dynamics"):
+        raise InvalidArgument(f"plant is {shown(plant)}, expected something with 'forward_dynamics'")
+    callable_as("trajectory(t)", trajectory)
+    if hasattr(integrator, "initial_state"):
+        raise InvalidArgument(
+            f"integrator is {shown(integrator)}, a controller, expected one of pinmobile.integrators"
+        )
+    callable_as("integrator(acceleration, t, q, v, dt)", integrator)
+
+
+def checked_substeps(substeps: Any, samples: int) -> int:
+    """Return the steps of the integrator per sample.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is no whole number >= 1, or makes more steps than anybody waits for.
+    """
+    count = whole("substeps", substeps)
+    if count * samples > _MOST_STEPS:
+        raise InvalidArgument(
+            f"substeps is {count}, which makes {count * samples:.3g} steps in {samples:,} samples, "
+            f"expected at most {_MOST_STEPS:g}"
+        )
+    return count
 
 
 def sample_times(dt: float, duration: float | None, longest: float) -> Array:
@@ -58,6 +82,7 @@ def sample_times(dt: float, duration: float | None, longest: float) -> Array:
     InvalidArgument
         If the duration is no whole number of steps, or beyond the trajectory's.
     """
+    longest = positive("trajectory.duration", longest, "s")
     total = longest if duration is None else positive("duration", duration, "s")
     if total > longest * (1 + _WHOLE):
         raise InvalidArgument(f"duration is {total} s, expected at most the trajectory's {longest} s")
@@ -87,6 +112,11 @@ def sampled(trajectory: Trajectory, t: Array, plant: "Plant") -> Reference:
     InvalidArgument
         If what the trajectory gives does not fit the plant, or leaves its joint limits where it has any.
     """
+    affordable(
+        f"the records of {len(t):,} samples of {plant.nv} coordinates",
+        _RECORDED * len(t) * plant.nv,
+        "give a larger dt or a shorter duration",
+    )
     try:
         reference = trajectory(t)
     except InvalidArgument:
@@ -127,8 +157,7 @@ def checked_forces(forces: Any, plant: "Plant") -> tuple[Force, ...]:
     except TypeError:
         raise InvalidArgument(f"forces is {shown(forces)}, expected a sequence of forces") from None
     for k, force in enumerate(listed):
-        if isinstance(force, type) or not callable(force):
-            raise InvalidArgument(f"forces[{k}] is {shown(force)}, expected a function of t, q and v")
+        callable_as(f"forces[{k}](t, q, v)", force)
     if listed and not plant.nu == plant.nv >= _PLANE:
         raise InvalidArgument(
             f"forces are given for a plant with nv = {plant.nv} and nu = {plant.nu}, "

@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, positive, whole
+from pinmobile.arrays import Array, ArrayLike, finite, positive
 from pinmobile.controllers import Controller
 from pinmobile.disturbances import Force
 from pinmobile.errors import Diverged, InvalidArgument
 from pinmobile.integrators import Integrator, constant_acceleration
-from pinmobile.simulation.checks import checked_forces, checked_loop, sample_times, sampled
+from pinmobile.simulation.checks import checked_forces, checked_loop, checked_substeps, sample_times, sampled
 from pinmobile.simulation.loop import Loop
 from pinmobile.simulation.plant import Plant
 from pinmobile.simulation.rollout import Rollout
@@ -86,7 +86,7 @@ def simulate(
     start = _start("q0", q0, reference.q[0]), _start("v0", v0, reference.v[0])
     if getattr(plant, "mounts", ()):
         check_limits(plant, *start)
-    count, checked = whole("substeps", substeps), checked_forces(forces, plant)
+    count, checked = checked_substeps(substeps, len(t)), checked_forces(forces, plant)
     loop = Loop(plant, controller, integrator, reference, t, dt, count, checked, *start)
     for begin in range(0, len(t), _CHUNK):
         end = min(begin + _CHUNK, len(t))
@@ -138,9 +138,7 @@ def _first_bad(
 
 
 def _rollout(plant: Plant, t: Array, loop: Loop, reference: Reference, end: int) -> Rollout:
-    q, v, a, tau = samples = loop.samples(0, end)
-    for array in samples:
-        array.setflags(write=False)  # nobody else has it: the rollout need not copy
+    q, v, a, tau = loop.samples(0, end)
     error: Any = plant.difference(q, reference.q[:end])
     kept = Reference(*(part[:end] for part in reference))
     return Rollout(robot=plant, t=t[:end], q=q, v=v, a=a, tau=tau, error=error, reference=kept)

@@ -161,7 +161,8 @@ def _asked(
         force, state = answer
         if type(force) is not np.ndarray or force.shape != shape:
             raise InvalidArgument(
-                f"controller returned {shown(force)} at t = {times[k]:g} s, expected an array of shape {shape}"
+                f"controller returned {shown(force)} at t = {times[k]:g} s, "
+                f"expected an array of shape {shape}"
             )
         return force if order is None else force[order]
 

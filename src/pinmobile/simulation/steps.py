@@ -137,7 +137,8 @@ def stepped(
         or [np.shape(part) for part in after] != [q.shape, v.shape]
     ):
         raise InvalidArgument(
-            f"integrator returned {shown(after)} at t = {t:g} s, expected (q, v) of shapes {q.shape} and {v.shape}"
+            f"integrator returned {shown(after)} at t = {t:g} s, "
+            f"expected (q, v) of shapes {q.shape} and {v.shape}"
         )
     return after
 

@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from numbers import Real
 from typing import Any, TypeAlias, final
 
 import numpy as np
 
-from pinmobile.arrays import finite
+from pinmobile.arrays import finite, text
 from pinmobile.errors import InvalidArgument, UnknownName, shown
 
 __all__ = ["Axis", "Label", "place_of", "placed", "told"]
@@ -43,6 +44,10 @@ class Axis:
 
     def __post_init__(self) -> None:
         labels = _labels(self.values)
+        for label in labels:
+            if isinstance(label, str):
+                text("values", label)
+        text("unit", self.unit)
         given = tuple(self.values.values()) if isinstance(self.values, Mapping) else labels
         object.__setattr__(self, "values", labels)
         object.__setattr__(self, "given", given)
@@ -59,7 +64,7 @@ class Axis:
             If it is not one of them; the message names the axis, and lists what there is.
         """
         for k, value in enumerate(self.values):
-            if value == label:
+            if np.ndim(label) == 0 and isinstance(label, str | Real) and value == label:
                 return k
         raise InvalidArgument(
             f"{name} is {shown(label)}, expected one of {', '.join(map(repr, self.values))}"
@@ -100,7 +105,8 @@ def place_of(axes: Mapping[str, Axis], labels: Mapping[str, Any]) -> tuple[int, 
 
 
 def _labels(values: Any) -> tuple[Label, ...]:
-    if isinstance(values, str) or not isinstance(values, Sequence | Mapping | np.ndarray):
+    scalar = isinstance(values, np.ndarray) and not values.ndim
+    if scalar or isinstance(values, str | bytes) or not isinstance(values, Sequence | Mapping | np.ndarray):
         raise InvalidArgument(f"values is {shown(values)}, expected a sequence, or a mapping of labels")
     found: list[Any] = values.tolist() if isinstance(values, np.ndarray) else list(values)
     if not found:
@@ -109,11 +115,10 @@ def _labels(values: Any) -> tuple[Label, ...]:
     if not all(texts):
         if any(texts) or isinstance(values, Mapping):
             raise InvalidArgument(f"values is {shown(found)}, expected all numbers or all text")
-        if any(np.ndim(value) or isinstance(value, bool) for value in found):
+        if finite("values", values).ndim != 1 or any(isinstance(value, bool) for value in found):
             raise InvalidArgument(
                 f"values is {shown(found)}, expected numbers, text, or a mapping with labels"
             )
-        finite("values", found)
         found = [value.item() if isinstance(value, np.generic) else value for value in found]
     if len(set(found)) < len(found):
         raise InvalidArgument(f"values is {shown(found)}, expected each one once")

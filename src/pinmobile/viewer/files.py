@@ -4,6 +4,7 @@ from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
 
+from pinmobile.arrays import location
 from pinmobile.errors import InvalidArgument, shown
 
 __all__ = ["written"]
@@ -17,7 +18,7 @@ def written(path: str | PathLike[str], suffix: str, content: Callable[[], bytes]
     InvalidArgument
         If it cannot be, or its name ends in another suffix.
     """
-    target = Path(path)
+    target = location("path", path)
     if target.suffix.lower() != suffix:
         raise InvalidArgument(f"path is {shown(str(target))}, expected a name that ends in {suffix!r}")
     try:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, sequence
 from pinmobile.dh import DHTable
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot import MobileRobot
@@ -121,7 +121,7 @@ class Overlays:
     camera: Stay | Follow = field(default_factory=Stay)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "frames", tuple(self.frames))
+        object.__setattr__(self, "frames", sequence("frames", self.frames, "a sequence of DHTable"))
         for table in self.frames:
             if not isinstance(table, DHTable) or table.variables != ("y", "x", "psi"):
                 raise InvalidArgument(f"frames has {shown(table)}, expected tables with variables y, x, psi")
