@@ -358,6 +358,7 @@ def the(name: str) -> Later:
 
 Q, V, A = [0.1, 0.2, 0.3], [0.4, 0.5, 0.6], [0.7, 0.8, 0.9]
 BODY = {"mass": 10.0, "yaw_inertia": 1.0, "com": (0.1, 0.05)}
+PARAMS = {"m": 10.0, "xbc": 0.1, "ybc": 0.05, "Icz": 1.0}
 MASSLESS = {"nonlinear_effects", "coriolis_matrix"}  # of which the yaw inertia is no argument
 STATES: dict[str, dict[str, Any]] = {
     "mass_matrix": {"q": Q},
@@ -649,7 +650,6 @@ ROWS: dict[str, Row] = {
     ),
     "viewer.Recording.screenshot": row(path=partial(lambda: WORLD.folder / "a.txt"), t=0.1, size=(100, 100)),
 }
-PARAMS = {"m": 10.0, "xbc": 0.1, "ybc": 0.05, "Icz": 1.0}
 
 # Objects whose methods are called, by the class.
 OWNERS: dict[str, Callable[[], Any]] = {
@@ -680,7 +680,7 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "derivation.Derivation": lambda: WORLD.derivation,
     "derivation.Numeric": lambda: WORLD.numeric,
     "derivation.Step": lambda: WORLD.derivation.steps[0],
-    "viewer.Viewer": lambda: WORLD.viewer,
+    "viewer.Viewer": _viewer,
     "viewer.Recording": lambda: WORLD.recording,
 }
 # Those of which a valid call needs an arm.

@@ -353,7 +353,7 @@ def sequence(name: str, value: Any, expected: str) -> tuple[Any, ...]:
     return tuple(value)
 
 
-def callable_as(form: str, function: Any) -> Any:
+def callable_as(form: str, function: Any, expected: str = "") -> Any:
     """Return a user's function, after refusing one that cannot be called so.
 
     Parameters
@@ -362,6 +362,8 @@ def callable_as(form: str, function: Any) -> Any:
         Name of the argument and how it is called, such as ``"function(t, q, v, reference)"``.
     function : callable
         The argument.
+    expected : str, optional
+        What is expected where it is no function, for the message.
 
     Raises
     ------
@@ -372,9 +374,7 @@ def callable_as(form: str, function: Any) -> Any:
     name, _, inside = form.rstrip(")").partition("(")
     arguments = inside.split(", ") if inside else []
     if isinstance(function, type) or not callable(function):
-        wanted = f"a function of {', '.join(arguments)}".replace(
-            ", ".join(arguments[-2:]), " and ".join(arguments[-2:])
-        )
+        wanted = expected or f"a function of {', '.join(arguments[:-1])} and {arguments[-1]}"
         raise InvalidArgument(f"{name} is {shown(function)}, expected {wanted}")
     try:
         signature = inspect.signature(function)
@@ -432,7 +432,7 @@ def frozen(array: ArrayLike) -> Array:
 
     Its memory is that of `bytes`: a read-only array of a user's own could be made writable again.
     """
-    if type(array) is np.ndarray and type(array.base) is bytes and array.dtype == np.float64:
+    if type(array) is np.ndarray and isinstance(array.base, bytes) and array.dtype == np.float64:
         return array
     whole = np.asarray(array, dtype=np.float64)
     return np.ndarray(whole.shape, np.float64, whole.tobytes())

@@ -135,7 +135,11 @@ def integrator_report(
     InvalidArgument
         If an argument is not what is expected, or the integrator returns something else than a state.
     """
-    callable_as("integrator(acceleration, t, q, v, dt)", integrator)
+    callable_as(
+        "integrator(acceleration, t, q, v, dt)",
+        integrator,
+        "one of pinmobile.integrators or such a step",
+    )
     body = MobileRobot(30, 1.0, com=(0.1, 0.05)) if robot is None else robot
     if not isinstance(body, MobileRobot):
         raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot")

@@ -1,6 +1,8 @@
 """Inverse and forward dynamics, each with a look at the arguments and without."""
 
-from pinmobile.arrays import Array, ArrayLike, broadcast, vector
+import numpy as np
+
+from pinmobile.arrays import Array, ArrayLike, broadcast, representable, vector
 from pinmobile.closed_form.body import checked_body, stacked, turned
 
 __all__ = [
@@ -43,7 +45,9 @@ def inverse_dynamics(
     """
     q, v, a = vector("q", q, 3), vector("v", v, 3), vector("a", a, 3)
     broadcast(q=q, v=v, a=a)
-    return unchecked_inverse_dynamics(q, v, a, *checked_body(q, mass, yaw_inertia, com, v=v, a=a))
+    body = checked_body(q, mass, yaw_inertia, com, v=v, a=a)
+    with np.errstate(all="ignore"):
+        return representable("the force", unchecked_inverse_dynamics(q, v, a, *body))
 
 
 def forward_dynamics(
@@ -83,7 +87,9 @@ def forward_dynamics(
     """
     q, v, tau = vector("q", q, 3), vector("v", v, 3), vector("tau", tau, 3)
     broadcast(q=q, v=v, tau=tau)
-    return unchecked_forward_dynamics(q, v, tau, *checked_body(q, mass, yaw_inertia, com, v=v, tau=tau))
+    body = checked_body(q, mass, yaw_inertia, com, v=v, tau=tau)
+    with np.errstate(all="ignore"):
+        return representable("the acceleration", unchecked_forward_dynamics(q, v, tau, *body))
 
 
 def unchecked_inverse_dynamics(

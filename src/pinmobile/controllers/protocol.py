@@ -5,7 +5,7 @@ from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, callable_as, finite, wrap_angle
+from pinmobile.arrays import Array, ArrayLike, broadcast, callable_as, finite, wrap_angle
 from pinmobile.errors import InvalidArgument, shown
 
 __all__ = [
@@ -110,6 +110,7 @@ def planar_difference(q_d: Array, q: Array) -> Array:
     """
     if type(q_d) is not np.ndarray or type(q) is not np.ndarray:
         q_d, q = finite("q_d", q_d), finite("q", q)
+        broadcast(q_d=q_d[..., None], q=q[..., None])
     error = np.subtract(q_d, q, dtype=np.float64)
     if not error.ndim or error.shape[-1] < 3:
         raise InvalidArgument(

@@ -9,7 +9,7 @@ from typing import Any
 
 from sympy import Expr, ImmutableMatrix, Symbol
 
-from pinmobile.arrays import one_of, whole
+from pinmobile.arrays import one_of, sequence, whole
 from pinmobile.derivation.exact import exact, exact_matrix
 from pinmobile.dh import DHTable
 from pinmobile.errors import InvalidArgument, shown
@@ -156,7 +156,16 @@ class Chain:
         return _symbols([link.mass for link in self.links if link])
 
     def ordered(self, per_row: Sequence[Any]) -> tuple[Any, ...]:
-        """Return what is listed in the order of the rows, in `order`."""
+        """Return what is listed in the order of the rows, in `order`.
+
+        Raises
+        ------
+        InvalidArgument
+            If it is no sequence of one for each row.
+        """
+        per_row = sequence("per_row", per_row, f"a sequence of {len(self)}")
+        if len(per_row) != len(self):
+            raise InvalidArgument(f"per_row has {len(per_row)} entries, expected {len(self)}")
         return tuple(per_row[self.table.variables.index(name)] for name in self.order)
 
     def _dotted(self, dots: str) -> tuple[Symbol, ...]:

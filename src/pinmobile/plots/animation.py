@@ -12,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from pinmobile.arrays import Array, location, positive
+from pinmobile.arrays import Array, callable_as, location, positive
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plots.body import ARROW, Body
 from pinmobile.plots.plane import TRAVELLED, panels, poses
@@ -74,6 +74,8 @@ def animate(
     start, end = min(run.t[0] for run in runs.values()), max(run.t[-1] for run in runs.values())
     pace = max((end - start) / _LASTS, 1.0) if speed is None else positive("speed", speed)
     times = np.append(np.arange(start, end - 1e-9 * pace, pace / rate), end)
+    if progress is not None:
+        callable_as("progress(done, total)", progress)
     frames = _rendered(_Scene(runs, times, headed(title, ""), pace), progress)
     buffer = BytesIO()
     next(frames).save(

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, positive
+from pinmobile.arrays import Array, ArrayLike, finite, non_negative, positive
 from pinmobile.errors import InvalidArgument, Unreachable, shown
 from pinmobile.reaching.bounds import Limits, per_coordinate
 from pinmobile.reaching.poses import PosePath
@@ -91,7 +91,7 @@ def resolve(
     solver = Solver(robot, target, name, limits, weights)
     start = solver.start(q0)
     tending = start if posture is None else checked_posture(robot, posture)
-    gain = positive("posture_gain", posture_gain, "1/s") if posture_gain else 0.0
+    gain = non_negative("posture_gain", posture_gain, "1/s")
     count = max(int(np.ceil(target.duration / positive("dt", dt, "s") - 1e-9)), 2)
     resolved = Resolved(robot, target, name, start, solver.steps(start, tending, gain, count))
     _judge(resolved, tolerance)

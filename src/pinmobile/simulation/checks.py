@@ -38,14 +38,25 @@ def checked_loop(plant: Any, controller: Any, trajectory: Any, integrator: Any) 
             f"trajectory is {shown(trajectory)}, a path, which has no heading, expected a trajectory: "
             "Tangent(path) or FixedHeading(path, psi)"
         )
-    if isinstance(plant, type) or not hasattr(plant, "forward_dynamics"):
-        raise InvalidArgument(f"plant is {shown(plant)}, expected something with 'forward_dynamics'")
+    sizes = [getattr(plant, size, None) for size in ("nq", "nv", "nu")]
+    if isinstance(plant, type) or not hasattr(plant, "forward_dynamics") or not all(map(_is_size, sizes)):
+        raise InvalidArgument(
+            f"plant is {shown(plant)}, expected something with 'forward_dynamics' and the sizes nq, nv, nu"
+        )
     callable_as("trajectory(t)", trajectory)
     if hasattr(integrator, "initial_state"):
         raise InvalidArgument(
             f"integrator is {shown(integrator)}, a controller, expected one of pinmobile.integrators"
         )
-    callable_as("integrator(acceleration, t, q, v, dt)", integrator)
+    callable_as(
+        "integrator(acceleration, t, q, v, dt)",
+        integrator,
+        "one of pinmobile.integrators or such a step",
+    )
+
+
+def _is_size(value: Any) -> bool:
+    return isinstance(value, int | np.integer)
 
 
 def checked_substeps(substeps: Any, samples: int) -> int:

@@ -64,7 +64,7 @@ class Axis:
             If it is not one of them; the message names the axis, and lists what there is.
         """
         for k, value in enumerate(self.values):
-            if np.ndim(label) == 0 and isinstance(label, str | Real) and value == label:
+            if isinstance(label, str | Real) and value == label:
                 return k
         raise InvalidArgument(
             f"{name} is {shown(label)}, expected one of {', '.join(map(repr, self.values))}"

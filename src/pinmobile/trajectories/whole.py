@@ -115,7 +115,7 @@ def _held(motion: Callable[[Array], Reference], end: float, t: Array) -> Referen
 
 
 def _check_robot(robot: Any) -> None:
-    if not hasattr(robot, "mounts"):
+    if not isinstance(getattr(robot, "mounts", None), tuple):
         raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot")
     model = robot.model
     for joint in range(1, model.njoints):
