@@ -1,7 +1,6 @@
 """Every error that pinmobile raises on purpose."""
 
 from collections.abc import Iterable
-from difflib import get_close_matches
 from functools import partial
 from typing import Any
 
@@ -53,6 +52,8 @@ class UnknownName(PinmobileError, KeyError):
     """
 
     def __init__(self, kind: str, name: Any, available: Iterable[str]) -> None:
+        from difflib import get_close_matches  # here, because nobody else needs it
+
         self.kind, self.name, self.available = kind, name, tuple(available)
         plain = {known.casefold(): known for known in self.available}
         asked = name.casefold()[:_LONGEST] if isinstance(name, str) else ""

@@ -58,7 +58,7 @@ class Spline(PiecewisePath):
         object.__setattr__(self, "_curve", self._solve())
 
     def _solve(self) -> PiecewisePolynomial:
-        # Here, because scipy is heavy and `import pinmobile` is light.
+        # Here, because scipy is heavy and no other path needs it.
         from scipy.interpolate import CubicSpline
 
         ends = ((1, self.start_velocity), (1, self.end_velocity))

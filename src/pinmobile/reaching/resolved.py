@@ -47,7 +47,7 @@ class Resolved:
     _curve: Any = field(init=False)
 
     def __post_init__(self) -> None:
-        # Here, because scipy is heavy and `import pinmobile` is light.
+        # Here, because scipy is heavy and `EndEffectorTracking` does without it.
         from scipy.interpolate import BSpline
 
         for name in ("start", "controls"):

@@ -1,6 +1,5 @@
 """A Dask cluster: the client of its scheduler, and whether it is still there."""
 
-import asyncio
 from concurrent.futures import ThreadPoolExecutor
 from time import monotonic
 from typing import Any
@@ -50,6 +49,8 @@ def connected(address: str, timeout: float = _ANSWER) -> Any:
     InvalidArgument
         If it is no address.
     """
+    import asyncio  # here, because most sweeps have no cluster
+
     distributed = imported("distributed")
     try:
         distributed.comm.resolve_address(address)
