@@ -26,6 +26,7 @@ MODULES = sorted(
 ALLOWED: dict[str, set[str]] = {
     "errors": set(),
     "arrays": {"errors"},
+    "extras": {"errors"},
     "dh": {"arrays"},
     "urdf": {"dh"},
     "closed_form": {"arrays"},
@@ -40,6 +41,7 @@ ALLOWED: dict[str, set[str]] = {
     "simulation": {"robot", "trajectories", "controllers", "integrators", "disturbances"},
     "accuracy": {"robot", "integrators", "simulation", "trajectories", "controllers"},
     "ensembles": {
+        "extras",
         "closed_form",
         "robot",
         "trajectories",
@@ -48,11 +50,11 @@ ALLOWED: dict[str, set[str]] = {
         "integrators",
         "simulation",
     },
-    "sweeps": {"ensembles"},
+    "sweeps": {"ensembles", "extras"},
     "balance": {"robot"},
     "reaching": {"robot", "trajectories"},
     "plots": {"simulation", "accuracy", "ensembles", "balance"},
-    "viewer": {"robot", "simulation"},
+    "viewer": {"robot", "simulation", "extras"},
 }
 
 

@@ -3,7 +3,6 @@
 import inspect
 import os
 import sys
-import unicodedata
 from collections.abc import Collection, Iterable, Sequence
 from math import hypot, isfinite
 from os import PathLike
@@ -278,7 +277,9 @@ def text(name: str, value: Any) -> str:
     InvalidArgument
         If it is something else, or holds half of a surrogate pair, a null, or another control character.
     """
-    if not isinstance(value, str) or any(unicodedata.category(letter) in _UNWRITTEN for letter in value):
+    from unicodedata import category  # here, because names and headings are rare
+
+    if not isinstance(value, str) or any(category(letter) in _UNWRITTEN for letter in value):
         raise InvalidArgument(f"{name} is {shown(value)}, expected text without control characters")
     return value
 

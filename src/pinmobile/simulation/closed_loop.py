@@ -99,6 +99,7 @@ def simulate(
             kept = _rollout(plant, t, loop, reference, bad) if bad else None
             q, v, _, _ = loop.samples(bad, bad + 1)
             message = f"the loop diverged at t = {t[bad]:g} s (sample {bad} of {len(t) - 1}): {why}"
+            message += _too_stiff(plant, checked, start[0], dt / count)
             raise Diverged(message, time=float(t[bad]), q=q[0], v=v[0], rollout=kept)
     return _rollout(plant, t, loop, reference, len(t))
 
@@ -135,6 +136,26 @@ def _first_bad(
         which = [n for n, part in zip(parts, samples, strict=True) if not np.isfinite(part[good]).all()]
         return begin + good, f"{', '.join(which)} not finite"
     return None, ""
+
+
+def _too_stiff(plant: Any, forces: Sequence[Any], q: Array, h: float) -> str:
+    """Return what frictions ask of the step, where that is not met: such a loop shakes itself to pieces.
+
+    With the damping C of the body's axes, explicit steps are stable up to 2 / max eig(M^-1 C), or some more.
+    """
+    dampings = [force.damping for force in forces if hasattr(force, "damping")]
+    if not dampings or not hasattr(plant, "mass_matrix"):
+        return ""
+    ahead = np.array(q)
+    ahead[2] = 0.0  # where the inertial axes are the body's
+    rates = np.linalg.eigvals(np.linalg.solve(plant.mass_matrix(ahead)[:3, :3], np.diag(sum(dampings))))
+    longest = 2 / max(float(np.abs(rates).max()), 1e-300)
+    if h <= longest:
+        return ""
+    return (
+        f"; the friction in `forces` needs steps of the integrator of at most {longest:.2g} s, and they are "
+        f"{h:.2g} s: give a smaller dt, or substeps"
+    )
 
 
 def _rollout(plant: Plant, t: Array, loop: Loop, reference: Reference, end: int) -> Rollout:

@@ -1,5 +1,6 @@
 """`Rollout`: everything that a simulation recorded, with its own judgement."""
 
+import csv
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -171,7 +172,10 @@ class Rollout:
         header = ["t", *(f"{group}{name}" for group, part in groups.items() for name in self._columns(part))]
         with _written(path, "w") as file:
             table = np.column_stack([self.t, *groups.values()])
-            np.savetxt(file, table, fmt="%.17g", delimiter=",", header=",".join(header), comments="")
+            csv.writer(file, lineterminator="\n").writerow(
+                header
+            )  # with quotes, where a joint's name needs them
+            np.savetxt(file, table, fmt="%.17g", delimiter=",")
 
     def _columns(self, part: Array) -> Sequence[str]:
         """Return the columns' names: x, y, psi and the joints; numbers where they have none."""
