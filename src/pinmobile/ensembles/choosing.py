@@ -27,7 +27,7 @@ def chosen_engine(scenario: Scenario, engine: Engine | None) -> Engine:
     chosen = COMPILED if engine is None else engine
     if not isinstance(chosen, Engine):
         raise InvalidArgument(
-            f"engine is {shown(engine)}, expected pinmobile.ensembles.COMPILED, pinmobile.ensembles.ARRAYS or None"
+            f"engine is {shown(engine)}, expected COMPILED or ARRAYS of pinmobile.ensembles, or None"
         )
     refusal = chosen.refusal(scenario)
     if refusal:
