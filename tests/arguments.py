@@ -47,7 +47,12 @@ INNER = {
     *("closed_form.unchecked_inverse_dynamics", "controllers.check_controller", "derivation.difference"),
     *("derivation.lagrange", "disturbances.noise_frequencies", "ensembles.part_of", "paths.pieces_of"),
     *("ensembles.run_scenario", "paths.Whole", "reaching.pose_error", "robot.ChainDynamics"),
-    *("simulation.checked_forces", "simulation.checked_loop", "simulation.sample_times"),
+    *(
+        "simulation.checked_forces",
+        "simulation.checked_loop",
+        "simulation.checked_substeps",
+        "simulation.sample_times",
+    ),
     *("simulation.sampled", "simulation.stepped", "sweeps.check_draws", "sweeps.connected", "sweeps.length"),
     *("trajectories.check_limits", "integrators.RungeKuttaNystrom", "Ensemble.of", "Scenario.holding"),
     *("robot.Arm", "sweeps.Grid", "viewer.LiveWindow", "viewer.OfflineWindow"),
@@ -826,9 +831,11 @@ def _read_only(array: Any) -> Any:
 
 def _essence(value: Any, depth: int = 4) -> Any:
     """Return what two equal answers have in common, to the last bit, as far as it is numbers and text."""
-    if isinstance(value, np.ndarray | np.generic):
-        return np.asarray(value).tobytes()
-    if isinstance(value, bool | int | float | str | bytes):
+    if isinstance(value, int | float | np.number) or (isinstance(value, np.ndarray) and not value.ndim):
+        return float(value)
+    if isinstance(value, np.ndarray):
+        return value.shape, value.tobytes()
+    if isinstance(value, str | bytes):
         return value
     if depth and isinstance(value, list | tuple):
         return [_essence(entry, depth - 1) for entry in value]

@@ -157,17 +157,17 @@ def _ladder(steps: Sequence[float], duration: float) -> list[float]:
     ladder: list[float] = array.tolist()
     if ladder[-1] <= 0 or any(finer >= coarser for coarser, finer in pairwise(ladder)):
         raise InvalidArgument(f"steps are {ladder} s, expected ones > 0, the largest first")
+    if duration / ladder[-1] > _MOST_STEPS:
+        raise InvalidArgument(
+            f"duration is {duration} s, which makes {duration / ladder[-1]:.3g} of the shortest step, "
+            f"expected at most {_MOST_STEPS:g}"
+        )
     for name, whole, part in (
         ("duration", duration, ladder[0]),
         *(("steps[0]", ladder[0], h) for h in ladder),
     ):
         if not isfinite(whole / part) or abs(whole / part - round(whole / part)) > _WHOLE * whole / part:
             raise InvalidArgument(f"{name} is {whole} s, expected a whole multiple of the step {part} s")
-    if duration / ladder[-1] > _MOST_STEPS:
-        raise InvalidArgument(
-            f"duration is {duration} s, which makes {duration / ladder[-1]:.3g} of the shortest step, "
-            f"expected at most {_MOST_STEPS:g}"
-        )
     return ladder
 
 

@@ -104,10 +104,18 @@ class Scenario:
             raise InvalidArgument(
                 f"n is {n:,}, expected at most {_MOST:,}, whose records take {_MOST * _RECORD / 1e9:.0f} GB"
             )
-        t = sample_times(positive("dt", self.dt, "s"), self.duration, self.trajectory.duration)
+        dt = positive("dt", self.dt, "s")
+        duration = None if self.duration is None else positive("duration", self.duration, "s")
+        t = sample_times(dt, duration, self.trajectory.duration)
         every = max(1, round((len(t) - 1) / _GRID)) if self.every is None else whole("every", self.every)
+        bands = len(t[::every])
+        affordable(
+            f"the bands of {bands:,} times, every {every} samples,", _BANDS * bands, "give a larger `every`"
+        )
         for name, value in {
             "n": n,
+            "dt": dt,
+            "duration": duration,
             "seed": whole("seed", self.seed, least=0),
             "substeps": checked_substeps(self.substeps, len(t)),
             "limit": positive("limit", self.limit),
@@ -119,11 +127,6 @@ class Scenario:
             "reference": sampled(self.trajectory, t, self.robot),
         }.items():
             object.__setattr__(self, name, value)
-        affordable(
-            f"the bands of {len(self.grid):,} times, every {self.stride} samples,",
-            _BANDS * len(self.grid),
-            "give a larger `every`",
-        )
         check_forces(self.forces)
         object.__setattr__(self, "forces", with_spread_forces(self.forces, self.spread))
         _check_names(self)

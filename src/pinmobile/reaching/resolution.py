@@ -12,6 +12,8 @@ from pinmobile.robot import MobileRobot
 
 __all__ = ["checked_posture", "checked_target", "resolve"]
 
+_MOST_STEPS = 1_000_000  # hours
+
 
 def resolve(
     robot: MobileRobot,
@@ -92,7 +94,12 @@ def resolve(
     start = solver.start(q0)
     tending = start if posture is None else checked_posture(robot, posture)
     gain = non_negative("posture_gain", posture_gain, "1/s")
-    count = max(int(np.ceil(target.duration / positive("dt", dt, "s") - 1e-9)), 2)
+    wanted = target.duration / positive("dt", dt, "s")
+    if not wanted <= _MOST_STEPS:
+        raise InvalidArgument(
+            f"dt is {dt} s, which makes {wanted:.3g} steps, expected at most {_MOST_STEPS:,}"
+        )
+    count = max(int(np.ceil(wanted - 1e-9)), 2)
     resolved = Resolved(robot, target, name, start, solver.steps(start, tending, gain, count))
     _judge(resolved, tolerance)
     return resolved

@@ -18,6 +18,7 @@ __all__ = ["checked_forces", "checked_loop", "checked_substeps", "sample_times",
 _WHOLE = 1e-9  # relative rounding allowed in duration / dt
 _PLANE = 3  # coordinates that a force on the body acts on
 _MOST = 1e8  # samples
+_SHORTER = "give a larger dt or a shorter duration"
 _MOST_STEPS = 1e11  # of the integrator: days
 _RECORDED = 16  # numbers for each coordinate of a sample: of the loop, the reference and the rollout
 
@@ -104,6 +105,7 @@ def sample_times(dt: float, duration: float | None, longest: float) -> Array:
             f"dt is {dt} s, which makes {total / dt:.3g} samples, expected at most {_MOST:g}"
         )
     steps = round(total / dt)
+    affordable(f"the records of {steps + 1:,} samples", _RECORDED * _PLANE * (steps + 1), _SHORTER)
     if abs(steps * dt - total) > _WHOLE * total:
         below = int(total / dt)
         raise InvalidArgument(
@@ -126,7 +128,7 @@ def sampled(trajectory: Trajectory, t: Array, plant: "Plant") -> Reference:
     affordable(
         f"the records of {len(t):,} samples of {plant.nv} coordinates",
         _RECORDED * len(t) * plant.nv,
-        "give a larger dt or a shorter duration",
+        _SHORTER,
     )
     try:
         reference = trajectory(t)
