@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 import pinmobile
@@ -40,7 +39,6 @@ from pinmobile import (
     NoisyMeasurement,
     PinmobileError,
     RestToRest,
-    RollingResistance,
     Rollout,
     Same,
     Saturated,
@@ -73,7 +71,7 @@ from tests.arguments import INNER, RESULTS, ROWS, callables, is_part
 ROOT = Path(__file__).parents[1]
 ROBOT = MobileRobot.box()
 CIRCLE = Circle(radius=3, rate=0.1, duration=60)
-LOOP: dict[str, Any] = {"plant": ROBOT, "controller": PD(120, 120), "trajectory": Tangent(CIRCLE), "dt": 0.1}
+LOOP: dict[str, Any] = {"plant": ROBOT, "controller": PD(10, 10), "trajectory": Tangent(CIRCLE), "dt": 0.1}
 MANY: dict[str, Any] = {
     **{"robot": ROBOT, "controller": PD(120, 120), "trajectory": Tangent(CIRCLE), "dt": 0.1},
     **{"n": 3, "spread": {"mass": Uniform(29, 31)}, "engine": ensembles.ARRAYS},
@@ -81,6 +79,7 @@ MANY: dict[str, Any] = {
 MASKED: Any = np.ma.masked_array([1.0, 2.0, 3.0], [False, True, False])
 RAGGED: Any = [[1, 2], [3]]
 NOTHING: Any = None
+EMPTY: Any = []
 SURROGATE = "half a \ud83d"
 
 
@@ -96,6 +95,11 @@ class Fault(NamedTuple):
 def hidden() -> Any:
     """Return a mask within a list of arrays."""
     return [np.ma.masked_array([1.0, 2.0], [False, True]), [3.0, 4.0]]
+
+
+def masked_entry() -> Any:
+    """Return a list with an entry that is masked."""
+    return [1.0, np.ma.masked]
 
 
 def endless_list() -> list[Any]:
@@ -125,8 +129,11 @@ FAULTS = [
         "another kind", lambda: ROBOT.mount("ur5", locked=NOTHING), "locked is None, expected a sequence of"
     ),
     Fault(
-        "another kind", lambda: ROBOT.attach(Load(1), frame=[]), "unknown frame [], available: ", UnknownName
-    ),  # type: ignore[arg-type]
+        "another kind",
+        lambda: ROBOT.attach(Load(1), frame=EMPTY),
+        "unknown frame [], available: ",
+        UnknownName,
+    ),
     Fault(
         "another kind",
         lambda: urdf.write(NOTHING, NOTHING, size=(1, 1, 1)),
@@ -158,7 +165,7 @@ FAULTS = [
     Fault("no numbers", lambda: PD(endless_list(), 1), "kp is [[...]], expected real numbers"),
     Fault("no numbers", lambda: PD(arguments.nested(5_000), 1), "kp is <list without a repr>, expected real"),
     Fault("no numbers", lambda: PD(10**5000, 1), "kp is <int without a repr>, expected real numbers"),
-    Fault("no numbers", lambda: PD(arguments.Lying(), 1), "expected real numbers"),  # type: ignore[arg-type]
+    Fault("no numbers", lambda: PD(arguments.Lying(), 1), "expected real numbers"),
     Fault("no numbers", lambda: PD(np.ones((1,) * 60), 1), "kp has 60 axes, expected at most 24"),
     # What a mask hides is not there.
     Fault(
@@ -171,7 +178,7 @@ FAULTS = [
     ),
     Fault(
         "masked numbers",
-        lambda: finite("q", [1.0, np.ma.masked]),
+        lambda: finite("q", masked_entry()),
         "q is a masked array, expected one without",
     ),
     Fault("masked numbers", lambda: Saturated(PD(1, 1), MASKED), "limits is a masked array"),
@@ -246,7 +253,7 @@ FAULTS = [
     Fault("too much", of_loop(dt=6e-7), "the records of 100,000,001 samples take 38.4 GB"),
     Fault(
         "too much",
-        of_many(controller=NoisyMeasurement(PD(1, 1), 1, 1, 0), n=256, dt=6e-5),
+        of_many(controller=NoisyMeasurement(PD(1, 1), 1, 1, 0), n=256, dt=6e-5, threads=1),
         "the noise of 256 robots' measurements at 1,000,001 samples take 36.9 GB",
     ),
     Fault("too much", lambda: integrator_report(rk4, duration=1e308), "duration is 1e+308 s, which makes"),
@@ -379,12 +386,6 @@ FAULTS = [
     # A loop that shakes itself to pieces.
     Fault(
         "too long a step",
-        of_loop(forces=[RollingResistance([20, 20, 5], 0.001)]),
-        "the friction in `forces` needs steps of the integrator of at most 0.00052 s, and they are 0.1 s: give",
-        Diverged,
-    ),
-    Fault(
-        "too long a step",
         of_loop(forces=[ViscousFriction([1000, 1000, 0])]),
         "needs steps of the integrator of at most 0.06 s, and they are 0.1 s: give a smaller dt, or substeps",
         Diverged,
@@ -404,7 +405,7 @@ def test_a_fault_is_told_by_name(fault: Fault) -> None:
 
 def test_the_page_on_errors_tells_of_each_kind_of_the_table() -> None:
     page = (ROOT / "docs" / "errors.md").read_text()
-    assert re.findall(r"^\| ([^|]+?) \| [^|]+ \|$", page, re.MULTILINE)[2:] == list(
+    assert re.findall(r"^\| ([^|]+?) \| [^|]+ \|$", page, re.MULTILINE)[1:] == list(
         dict.fromkeys(fault.kind for fault in FAULTS)
     )
     for path in re.findall(r"\]\(([^)]+)\)", page):
@@ -453,7 +454,7 @@ def test_frozen_copies_what_it_has_not_made_itself() -> None:
 
 def test_a_number_of_any_type_is_a_number() -> None:
     assert finite("mass", 10**22).item() == 1e22
-    assert finite("q", np.array([1e308, 1e308, -1e308])).tolist() == [1e308, 1e308, -1e308]  # type: ignore[comparison-overlap]
+    assert finite("q", np.array([1e308, 1e308, -1e308])).tolist() == [1e308, 1e308, -1e308]
 
 
 def test_what_is_affordable_is_not_refused() -> None:
@@ -545,7 +546,7 @@ def test_packages_of_extras_are_those_of_the_project() -> None:
     kept = project["optional-dependencies"]
 
     def names(extra: str) -> set[str]:
-        found = set()
+        found: set[str] = set()
         for requirement in kept[extra]:
             own = re.fullmatch(r"pinmobile\[([\w,]+)\]", requirement)
             found |= (
@@ -584,19 +585,6 @@ def test_what_a_users_own_function_raises_comes_through() -> None:
 
     with pytest.raises(TypeError, match=r"^mine$"):
         simulate(**LOOP | {"controller": law(broken)})
-
-
-def test_a_model_whose_frames_are_out_of_order_is_told_of() -> None:
-    model = pin.Model()
-    limits = (np.full(1, 9.0), np.full(1, 9.0), np.full(1, -1.0), np.full(1, 1.0))
-    for k in range(2):
-        joint = model.addJoint(k, pin.JointModelRY(), pin.SE3.Identity(), f"j{k}", *limits)
-        model.appendBodyToJoint(
-            joint, pin.Inertia(1.0, np.array([0, 0, 0.1]), 0.01 * np.eye(3)), pin.SE3.Identity()
-        )
-        model.addFrame(pin.Frame(f"l{k}", joint, 0, pin.SE3.Identity(), pin.FrameType.BODY))
-    with pytest.raises(InvalidArgument, match="each joint's own frame before those that are fixed to it"):
-        ROBOT.mount(model, (0, 0, 0.2, 0), locked=["j1"])
 
 
 def test_scenarios_hold_plain_numbers() -> None:

@@ -36,7 +36,7 @@ class ViscousFriction:
 
     @property
     def damping(self) -> Array:
-        """Largest -d tau / d twist of each component, shape (..., 3) [N s/m, N s/m, N m s]."""
+        """What the twist is multiplied by, shape (..., 3) [N s/m, N s/m, N m s]."""
         return np.asarray(self.coefficients)
 
     def __call__(self, t: ArrayLike, q: Array, v: Array) -> Array:
@@ -88,11 +88,6 @@ class RollingResistance:
             ) from None
         object.__setattr__(self, "force", force)
         object.__setattr__(self, "speed", speed)
-
-    @property
-    def damping(self) -> Array:
-        """Largest -d tau / d twist of each component, at rest, shape (..., 3) [N s/m, N s/m, N m s]."""
-        return np.asarray(np.divide(self.force, self.speed))
 
     def __call__(self, t: ArrayLike, q: Array, v: Array) -> Array:
         """Return the force, shape (..., 3) [N, N, N m]."""
