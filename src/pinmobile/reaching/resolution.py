@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, non_negative, positive
+from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, non_negative, positive
 from pinmobile.errors import InvalidArgument, Unreachable, shown
 from pinmobile.reaching.bounds import Limits, per_coordinate
 from pinmobile.reaching.poses import PosePath
@@ -89,7 +89,10 @@ def resolve(
         per_coordinate("acceleration_limit", acceleration_limit, robot.nv),
     )
     weights = positive("damping", damping) * np.diag(per_coordinate("cost", cost, robot.nv))
-    tolerance = positive("tolerance", tolerance)
+    most = endless_or_finite("tolerance", tolerance)  # infinite: whatever the error
+    if most.ndim or not most > 0:
+        raise InvalidArgument(f"tolerance is {shown(tolerance)}, expected > 0")
+    tolerance = float(most)
     solver = Solver(robot, target, name, limits, weights)
     start = solver.start(q0)
     tending = start if posture is None else checked_posture(robot, posture)
