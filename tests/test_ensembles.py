@@ -734,7 +734,7 @@ def test_a_million_robots_fit_in_a_gigabyte() -> None:
 def test_without_numba_the_message_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(choosing, "find_spec", lambda name: None)
     with pytest.raises(
-        InvalidArgument, match=r"pip install 'pinmobile\[ensembles\]', or choose engine=ARRAYS"
+        InvalidArgument, match=r"pip install numba, or choose engine=pinmobile.ensembles.ARRAYS"
     ):
         run_scenario(made(n=2))
     assert len(run_scenario(made(n=2, duration=1.0), engine=ARRAYS).max_error) == 2

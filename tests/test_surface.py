@@ -27,6 +27,7 @@ ALLOWED: dict[str, set[str]] = {
     "errors": set(),
     "arrays": {"errors"},
     "files": {"arrays"},
+    "extras": {"errors"},
     "dh": {"arrays"},
     "urdf": {"dh"},
     "closed_form": {"arrays"},
@@ -41,6 +42,7 @@ ALLOWED: dict[str, set[str]] = {
     "simulation": {"files", "robot", "trajectories", "controllers", "integrators", "disturbances"},
     "accuracy": {"robot", "integrators", "simulation", "trajectories", "controllers"},
     "ensembles": {
+        "extras",
         "closed_form",
         "robot",
         "trajectories",
@@ -49,11 +51,11 @@ ALLOWED: dict[str, set[str]] = {
         "integrators",
         "simulation",
     },
-    "sweeps": {"files", "ensembles"},
+    "sweeps": {"files", "ensembles", "extras"},
     "balance": {"robot"},
     "reaching": {"robot", "trajectories", "integrators"},
     "plots": {"files", "simulation", "accuracy", "ensembles", "balance"},
-    "viewer": {"files", "robot", "simulation"},
+    "viewer": {"files", "robot", "simulation", "extras"},
 }
 
 

@@ -618,7 +618,7 @@ def test_a_missing_package_names_the_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(InvalidArgument, match=rf"needs {name}: .*pip install 'pinmobile\[sweeps\]'"):
+    with pytest.raises(InvalidArgument, match=rf"needs {name}, which is not installed: pip install dask"):
         pinmobile.sweep([scenario()], tmp_path / "store")
 
 
@@ -627,5 +627,5 @@ def test_a_store_is_not_opened_without_the_packages_of_the_extra(
     done: Sweep, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(InvalidArgument, match=rf"needs {name}: .*pip install 'pinmobile\[sweeps\]'"):
+    with pytest.raises(InvalidArgument, match=rf"needs {name}, which is not installed: pip install dask"):
         Sweep.open(done.path)

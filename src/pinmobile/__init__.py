@@ -3,6 +3,7 @@
 Importing it loads Pinocchio, and numpy with it; a module of its own when a name of that is first used.
 """
 
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,12 @@ except ImportError as error:
         f"{error}: pinmobile needs Pinocchio, whose package on PyPI is pin: pip install pin "
         "(pinocchio there is another project: uninstall it first)"
     ) from error
+except KeyboardInterrupt:
+    first = sys.argv[0] if sys.argv else ""
+    if not (first.endswith("/pinmobile") or (first == "-m" and "pinmobile" in sys.orig_argv)):
+        raise
+    sys.stderr.write("pinmobile: interrupted\n")  # the command ends as it does everywhere else
+    raise SystemExit(130) from None
 del Model
 
 if TYPE_CHECKING:
@@ -181,6 +188,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
         "Unreachable",
         "ViewerError",
     ),
+    "extras": (),
     "files": (),
     "integrators": ("constant_acceleration", "rk4", "semi_implicit_euler"),
     "paths": ("Circle", "CubicVia", "Hold", "Lissajous", "RestToRest", "Spline"),

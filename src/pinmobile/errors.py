@@ -14,7 +14,22 @@ __all__ = [
     "UnknownName",
     "Unreachable",
     "ViewerError",
+    "shown",
 ]
+
+_LONGEST = 500  # letters of a value that a message shows
+
+
+def shown(value: object) -> str:
+    """Return a value as a message shows it: its repr, cut where that is long; what has none is named.
+
+    A list nested too deep, an integer of too many digits and a user's own class may have none.
+    """
+    try:
+        text = repr(value)
+    except Exception:
+        return f"<{type(value).__name__} without a repr>"
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}... ({len(text):,} letters)"
 
 
 class PinmobileError(Exception):
@@ -56,26 +71,27 @@ class UnknownName(PinmobileError, KeyError):
     kind : str
         What is named, such as ``"trajectory"``.
     name : str
-        The name that came.
+        The name that came; what is no text is shown as it is.
     available : iterable of str
         The names there are.
     """
 
-    def __init__(self, kind: str, name: str, available: Iterable[str]) -> None:
+    def __init__(self, kind: str, name: Any, available: Iterable[str]) -> None:
         from difflib import get_close_matches  # here, because nobody else needs it
 
         self.kind, self.name, self.available = kind, name, tuple(available)
         plain = {known.casefold(): known for known in self.available}
-        near = [plain[match] for match in get_close_matches(name.casefold(), plain, n=3)]
+        asked = name.casefold()[:_LONGEST] if isinstance(name, str) else ""
+        near = [plain[match] for match in get_close_matches(asked, plain, n=3)]
         listed = [*near, *(known for known in self.available if known not in near)]
         self.meant = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
-        super().__init__(f"unknown {kind} {name!r}, {self.meant}available: {', '.join(listed)}")
+        super().__init__(f"unknown {kind} {shown(name)}, {self.meant}available: {', '.join(listed)}")
 
     def __str__(self) -> str:
         # KeyError would show the repr of the message.
         return str(self.args[0])
 
-    def __reduce__(self) -> tuple[type["UnknownName"], tuple[str, str, tuple[str, ...]]]:
+    def __reduce__(self) -> tuple[type["UnknownName"], tuple[str, Any, tuple[str, ...]]]:
         return type(self), (self.kind, self.name, self.available)
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from pinmobile.arrays import Array, ArrayLike, broadcast, frozen, vector
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot import MobileRobot
 
 __all__ = ["Motion", "Moving", "reaction_wrench", "robot_of"]
@@ -70,13 +70,13 @@ def robot_of(motion: Any) -> MobileRobot:
         If it is no motion, or its robot is another plant, or none.
     """
     if not all(hasattr(motion, name) for name in ("robot", "q", "v", "a")):
-        raise InvalidArgument(f"motion is {motion!r}, expected a Rollout or a Motion")
+        raise InvalidArgument(f"motion is {shown(motion)}, expected a Rollout or a Motion")
     return _checked("motion.robot", motion.robot)
 
 
 def _checked(name: str, robot: Any) -> MobileRobot:
     if not isinstance(robot, MobileRobot):
-        raise InvalidArgument(f"{name} is {robot!r}, expected a MobileRobot")
+        raise InvalidArgument(f"{name} is {shown(robot)}, expected a MobileRobot")
     return robot
 
 

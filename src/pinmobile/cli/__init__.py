@@ -6,12 +6,6 @@ import warnings
 from collections.abc import Sequence
 from typing import Any
 
-import typer
-
-from pinmobile.cli.interrupted import Interrupted
-from pinmobile.cli.unknown import shortened
-from pinmobile.errors import Diverged, FileError, PinmobileError, UnknownName
-
 __all__ = ["main"]
 
 
@@ -31,9 +25,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         expected; 130: interrupted.
     """
     try:
-        # Inside, so that an interrupt while it loads ends quietly.
-        from pinmobile.cli.commands_of_many import app
+        # It imports what it needs itself, so that an interrupt while that loads ends quietly.
+        return _run(arguments)
+    except KeyboardInterrupt:
+        return _refuse("interrupted", _INTERRUPTED)
 
+
+def _run(arguments: Sequence[str] | None) -> int:
+    import typer
+
+    from pinmobile.cli.commands_of_many import app
+    from pinmobile.cli.interrupted import Interrupted
+    from pinmobile.cli.unknown import shortened
+    from pinmobile.errors import Diverged, FileError, PinmobileError, UnknownName
+
+    try:
         with warnings.catch_warnings():
             warnings.showwarning = _note
             code = app(args=arguments, prog_name="pinmobile", standalone_mode=False)
@@ -48,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _refuse(shortened(error))
     except PinmobileError as error:
         return _refuse(str(error), _INTERRUPTED if isinstance(error, Interrupted) else 2)
-    except (KeyboardInterrupt, typer.Abort):
+    except typer.Abort:
         return _refuse("interrupted", _INTERRUPTED)
     except BrokenPipeError:
         # The reader has gone, as after `| head`; nothing is left to be said to it.

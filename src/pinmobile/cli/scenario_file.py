@@ -117,6 +117,8 @@ def _parsed(path: Path) -> tuple[str, dict[str, Any]]:
         raise InvalidArgument(f"FILE is {str(path)!r}, which cannot be read: {why}") from error
     except OSError as error:
         raise cannot("read", "FILE", path, error) from error
+    except RecursionError:
+        raise InvalidArgument(f"{path.name}: its values are nested too deep, expected TOML") from None
     except tomllib.TOMLDecodeError as error:
         at, message = line_of_syntax(str(error), text)
         raise InvalidArgument(f"{path.name}:{at}: {message}, expected TOML") from error

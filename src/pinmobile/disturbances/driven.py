@@ -5,7 +5,7 @@ from typing import Any, ClassVar, Self, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, seeded
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, representable, seeded
 from pinmobile.disturbances.protocol import not_below_zero, numbers, spread, triple
 from pinmobile.errors import InvalidArgument
 
@@ -170,7 +170,9 @@ class NoiseForce:
         object.__setattr__(self, "std", deviation)
         object.__setattr__(self, "bandwidth", positive("bandwidth", bandwidth, "Hz"))
         object.__setattr__(self, "phases", frozen(angles))
-        object.__setattr__(self, "_rates", frozen(2 * np.pi * noise_frequencies(self.bandwidth)))
+        with np.errstate(over="ignore"):
+            rates = representable("2 pi bandwidth", 2 * np.pi * noise_frequencies(self.bandwidth))
+        object.__setattr__(self, "_rates", frozen(rates))
 
     def __call__(self, t: ArrayLike, q: Array, v: Array) -> Array:
         """Return the force, shape (..., 3) [N, N, N m]."""

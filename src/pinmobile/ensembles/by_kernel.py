@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, affordable
 from pinmobile.controllers import PD, ComputedTorque, Delayed, NoisyMeasurement, Saturated, planar_difference
 from pinmobile.disturbances import (
     ConstantForce,
@@ -160,6 +160,11 @@ def _waves(scenario: Scenario, frequencies: Array) -> Array:
     """Return cosine and sine at the times of all stages, shape (N substeps + 1, stages, waves, 3, 2)."""
     method: Any = scenario.integrator
     h = scenario.dt / scenario.substeps
+    affordable(
+        f"the noise forces' waves at {len(scenario.t) * scenario.substeps:,} steps",
+        4.0 * len(scenario.t) * scenario.substeps * len(method.nodes) * len(frequencies),
+        "give a larger dt, or engine=pinmobile.ensembles.ARRAYS",
+    )
     starts = (scenario.t[:, None] + h * np.arange(scenario.substeps)).ravel()
     starts = starts[: (len(scenario.t) - 1) * scenario.substeps + 1]
     angles = np.multiply.outer(starts[:, None] + h * np.array(method.nodes), 2 * np.pi * frequencies)

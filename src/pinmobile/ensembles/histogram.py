@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, finite, scalar
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 
 __all__ = [
     "BINS",
@@ -54,7 +54,7 @@ def checked_share(value: ArrayLike) -> float:
     """
     share = scalar("share", value)
     if not 0 <= share <= 1:
-        raise InvalidArgument(f"share is {value!r}, expected a number from 0 to 1")
+        raise InvalidArgument(f"share is {shown(value)}, expected a number from 0 to 1")
     return share
 
 
@@ -68,7 +68,7 @@ def checked_levels(value: ArrayLike) -> Array:
     """
     found = np.atleast_1d(finite("levels", value))
     if found.ndim != 1 or not found.size or not ((found >= 0) & (found <= 1)).all():
-        raise InvalidArgument(f"levels is {value!r}, expected numbers from 0 to 1")
+        raise InvalidArgument(f"levels is {shown(value)}, expected numbers from 0 to 1")
     return found
 
 

@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, whole
+from pinmobile.arrays import Array, ArrayLike, one_of, whole
 from pinmobile.ensembles.histogram import checked_levels, checked_share, quantiles, share_within
 from pinmobile.ensembles.member import Member, member_of
 from pinmobile.ensembles.part import Part
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.ensembles.table import judgement, ranges
-from pinmobile.errors import Diverged, InvalidArgument, UnknownName
+from pinmobile.errors import Diverged, InvalidArgument
 from pinmobile.simulation import Rollout, simulate
 
 __all__ = ["Bands", "Ensemble", "Within"]
@@ -199,9 +199,7 @@ class Ensemble:
             If there is no such error.
         """
         errors = {"distance": self.max_distance, "heading": self.max_error[:, 2]}
-        if by not in errors:
-            raise UnknownName("error", str(by), errors)
-        return errors[by]
+        return errors[one_of("error", by, errors)]
 
     def member(self, i: int) -> Member:
         """Return robot i as the arguments of `simulate`.

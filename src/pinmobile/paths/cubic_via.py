@@ -7,7 +7,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, scalar
 from pinmobile.errors import InvalidArgument
 from pinmobile.paths.piecewise import PiecewisePath
-from pinmobile.paths.polynomials import PiecewisePolynomial, hermite
+from pinmobile.paths.polynomials import PiecewisePolynomial, hermite, stretch
 
 __all__ = ["CubicVia"]
 
@@ -80,6 +80,8 @@ class CubicVia(PiecewisePath):
             object.__setattr__(self, name, value)
         if not 0 < self.t_via < self.t_end:
             raise InvalidArgument(f"t_via is {self.t_via} s, expected 0 < t_via < t_end = {self.t_end} s")
+        stretch("t_via", self.t_via)
+        stretch("t_end - t_via", self.t_end - self.t_via)
         object.__setattr__(self, "_curve", self._solve())
 
     def _solve(self) -> PiecewisePolynomial:

@@ -12,13 +12,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from pinmobile.arrays import Array, positive
+from pinmobile.arrays import Array, callable_as, positive
 from pinmobile.errors import InvalidArgument
 from pinmobile.files import written
 from pinmobile.plots.body import ARROW, Body
 from pinmobile.plots.plane import TRAVELLED, panels, poses
 from pinmobile.plots.runs import Rollouts, planar, thinned
-from pinmobile.plots.style import INK, colour
+from pinmobile.plots.style import INK, colour, headed
 from pinmobile.simulation import Rollout
 
 __all__ = ["animate"]
@@ -77,7 +77,9 @@ def animate(
     start, end = min(run.t[0] for run in runs.values()), max(run.t[-1] for run in runs.values())
     pace = max((end - start) / _LASTS, 1.0) if speed is None else positive("speed", speed)
     times = np.append(np.arange(start, end - 1e-9 * pace, pace / rate), end)
-    scene = _Scene(runs, times, title or "", pace)
+    if progress is not None:
+        callable_as("progress(done, total)", progress)
+    scene = _Scene(runs, times, headed(title, ""), pace)
     return written(path, ".gif", lambda: _gif(_rendered(scene, progress), _durations(len(times), rate)))
 
 

@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen
-from pinmobile.errors import InvalidArgument
+from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot import BODY_JOINT, MobileRobot
 
 __all__ = ["Limits", "bounded_least_squares", "per_coordinate"]
@@ -172,9 +172,9 @@ def per_coordinate(name: str, value: ArrayLike, size: int, *, zero: bool = False
     InvalidArgument
         If it has another shape or a number is out of range.
     """
-    given = np.asarray(value, dtype=np.float64) if zero else finite(name, value)
+    given = endless_or_finite(name, value) if zero else finite(name, value)
     if given.shape not in ((), (size,)):
         raise InvalidArgument(f"{name} has shape {given.shape}, expected () or ({size},)")
     if not (given >= 0 if zero else given > 0).all():
-        raise InvalidArgument(f"{name} is {value!r}, expected numbers {'>=' if zero else '>'} 0")
+        raise InvalidArgument(f"{name} is {shown(value)}, expected numbers {'>=' if zero else '>'} 0")
     return frozen(np.broadcast_to(given, (size,)))

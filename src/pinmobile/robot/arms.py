@@ -7,8 +7,8 @@ from typing import TypeAlias
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, frozen
-from pinmobile.errors import InvalidArgument, UnknownName
+from pinmobile.arrays import Array, frozen, one_of
+from pinmobile.errors import InvalidArgument
 from pinmobile.robot.sound import check_bodies, check_inertias, check_joint_limits
 from pinmobile.robot.tree import carries_only_wheels, children, joint_kind, parts_of, root_of, tip_of
 
@@ -191,7 +191,13 @@ def _reduced(
         if number and frame.type != pin.FrameType.JOINT:
             names[f"{number}/{frame.name}"] = str(frame.name)
             frame.name = f"{number}/{frame.name}"
-    model, kept = pin.buildReducedModel(model, shown, held, np.array(rest))
+    try:
+        model, kept = pin.buildReducedModel(model, shown, held, np.array(rest))
+    except (ValueError, RuntimeError) as error:
+        raise InvalidArgument(
+            f"arm {model.name!r} cannot be had with joints locked: Pinocchio says {error}, expected a model "
+            "with each joint's own frame before those that are fixed to it"
+        ) from error
     for frame in model.frames:
         frame.name = names.get(frame.name, frame.name)
     return model, list(kept)
@@ -222,7 +228,5 @@ def _held(model: pin.Model, names: Sequence[str]) -> list[int]:
         wheels += below[joint]
     known = {name: joint for joint, name in enumerate(model.names) if joint}
     for name in names:
-        if name not in known:
-            raise UnknownName("joint", str(name), known)
-        held.add(known[name])
+        held.add(known[one_of("joint", name, known)])
     return sorted(held)

@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from pinmobile import urdf
 from pinmobile.arrays import ArrayLike, finite
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot.arms import Arm
 from pinmobile.robot.engine import BODY_JOINT
 from pinmobile.robot.mounts import Load, Mount, checked_name, free_name, mount_after, on_top, placed
@@ -130,7 +130,7 @@ class Carrier(ChainWrenches):
             If there is no such frame.
         """
         if not isinstance(load, Load):
-            raise InvalidArgument(f"load is {load!r}, expected a Load")
+            raise InvalidArgument(f"load is {shown(load)}, expected a Load")
         name, number = self._frame(frame)
         if self._model.frames[number].parentJoint < BODY_JOINT:
             raise InvalidArgument(

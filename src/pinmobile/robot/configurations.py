@@ -1,12 +1,24 @@
 """Configurations of a body on the chain and what it carries, their limits and steps, in public order."""
 
 from functools import cached_property
+from math import prod
 
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike, broadcast, finite_answer, frozen, vector, wrap_angle
-from pinmobile.errors import InvalidArgument
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    affordable,
+    broadcast,
+    finite_answer,
+    frozen,
+    sequence,
+    vector,
+    whole,
+    wrap_angle,
+)
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot.assembly import limits, resistances
 from pinmobile.robot.coordinates import configuration_names, units, velocity_names
 from pinmobile.robot.engine import Engine
@@ -139,7 +151,18 @@ class ChainConfigurations:
             Where the numbers come from.
         shape : tuple of int
             Leading axes.
+
+        Raises
+        ------
+        InvalidArgument
+            If an argument is something else, or the configurations would not fit into memory.
         """
+        if not isinstance(generator, np.random.Generator):
+            raise InvalidArgument(f"generator is {shown(generator)}, expected a numpy.random.Generator")
+        shape = tuple(
+            whole("shape", n, least=0) for n in sequence("shape", shape, "a tuple of whole numbers")
+        )
+        affordable("random configurations", 4.0 * self.nq * prod(shape), "draw fewer at a time")
         free = generator.uniform(-np.pi, np.pi, (*shape, self.nv))
         free[..., :2] /= np.pi
         q = self.integrate(np.broadcast_to(self.neutral, (*shape, self.nq)), free)

@@ -5,8 +5,8 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike, finite_answer
-from pinmobile.errors import InvalidArgument, UnknownName
+from pinmobile.arrays import Array, ArrayLike, finite_answer, one_of
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot.assembly import named_frames
 from pinmobile.robot.configurations import ChainConfigurations
 
@@ -143,14 +143,12 @@ class ChainKinematics(ChainConfigurations):
         name, _ = self._frame(frame)
         arms = [mount for mount in self.mounts if name.startswith(f"{mount.name}/")]
         if not arms:
-            raise InvalidArgument(f"frame is {name!r}, expected one of an arm")
+            raise InvalidArgument(f"frame is {shown(name)}, expected one of an arm")
         return _volume(self.frame_jacobian(q, name)[..., arms[0].v])
 
     def _frame(self, name: str | None) -> tuple[str, int]:
         name = self.end_effector if name is None else name
-        if name not in self._frames:
-            raise UnknownName("frame", str(name), self._frames)
-        return name, self._frames[name]
+        return one_of("frame", name, self._frames), self._frames[name]
 
     def frame_placements(self, q: ArrayLike) -> Array:
         """Return T_0_k, the pose of each joint's frame, shape (..., joints, 4, 4).

@@ -4,6 +4,7 @@ import re
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from os.path import isfile
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -152,4 +153,5 @@ def found(name: str, file: VisualFile) -> Path | None:
     rest = rest.lstrip("/") if scheme == "package" else rest
     folders = (*file.package_dirs, file.path.parent) if scheme == "package" else (file.path.parent,)
     candidates = (folder / (rest if apart else name) for folder in folders)
-    return next((path.resolve() for path in candidates if path.is_file()), None)
+    # Not `Path.is_file`, which raises where a name is longer than a file system allows.
+    return next((path.resolve() for path in candidates if isfile(path)), None)

@@ -11,9 +11,9 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile import urdf
-from pinmobile.arrays import Array, ArrayLike, finite, location, positive, vector
+from pinmobile.arrays import Array, ArrayLike, finite, location, positive, sequence, text
 from pinmobile.dh import LECTURE_TABLE, DHTable
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot.assembly import assemble
 from pinmobile.robot.carrier import Carrier
 from pinmobile.robot.chain import build_model, check_chain
@@ -187,8 +187,8 @@ class MobileRobot(Carrier):
         InvalidArgument
             If the mass or a length is not positive or not finite, or the lengths are not three.
         """
-        height = vector("size", size, 3)[2]
-        body = urdf.Body(mass, np.array([0, 0, height / 2]), urdf.box_inertia(mass, size))
+        inertia = urdf.box_inertia(mass, size)
+        body = urdf.Body(mass, np.array([0, 0, finite("size", size)[2] / 2]), inertia)
         return cls.from_body(body, size, LECTURE_TABLE, "a homogeneous box")
 
     @classmethod
@@ -292,11 +292,17 @@ class MobileRobot(Carrier):
             If `body` or `stance` is something else, or `size` or `dh` is not what the class expects.
         """
         if not isinstance(body, urdf.Body):
-            raise InvalidArgument(f"body is {body!r}, expected a pinmobile.urdf.Body")
+            raise InvalidArgument(f"body is {shown(body)}, expected a pinmobile.urdf.Body")
         if stance is not None and not isinstance(stance, Stance):
-            raise InvalidArgument(f"stance is {stance!r}, expected a pinmobile.robot.Stance")
+            raise InvalidArgument(f"stance is {shown(stance)}, expected a pinmobile.robot.Stance")
         robot = object.__new__(cls)
-        given = {"size": size, "dh": dh, "source": source, "locked_joints": tuple(locked_joints)}
+        locked = sequence("locked_joints", locked_joints, "names of joints")
+        given = {
+            "size": size,
+            "dh": dh,
+            "source": text("source", source),
+            "locked_joints": tuple(text(f"locked_joints[{k}]", name) for k, name in enumerate(locked)),
+        }
         for name, value in given.items():
             object.__setattr__(robot, name, value)
         robot._take(body, stance)

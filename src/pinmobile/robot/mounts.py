@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import ArrayLike, finite, positive
-from pinmobile.errors import InvalidArgument
+from pinmobile.arrays import ArrayLike, finite, positive, text
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot.arms import Arm
 from pinmobile.urdf import Body, box_inertia
 
@@ -122,7 +122,7 @@ class Load:
             object.__setattr__(self, "size", tuple(size.tolist()))
             inertia = box_inertia(mass, size)
         if self.inertia is not None:
-            inertia = Body(mass, com, np.asarray(self.inertia)).inertia
+            inertia = Body(mass, com, finite("inertia", self.inertia)).inertia
             object.__setattr__(self, "inertia", tuple(map(tuple, inertia.tolist())))
         object.__setattr__(self, "mass", mass)
         object.__setattr__(self, "com", tuple(com.tolist()))
@@ -167,10 +167,12 @@ def checked_name(name: str) -> str:
     Raises
     ------
     InvalidArgument
-        If it is no text, is empty, or has a slash.
+        If it is no text, is empty, or has a slash, a comma, a quotation mark or a control character.
     """
-    if not isinstance(name, str) or not name or "/" in name:
-        raise InvalidArgument(f"name is {name!r}, expected a word without a slash")
+    if not isinstance(name, str) or not text("name", name).strip() or set('/,"') & set(name):
+        raise InvalidArgument(
+            f"name is {shown(name)}, expected a word without slash, comma and quotation mark"
+        )
     return name
 
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, vector
-from pinmobile.errors import InvalidArgument
+from pinmobile.arrays import Array, location, sequence, vector
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot.arms import Arm, Origin
 from pinmobile.robot.library import load_arm
 from pinmobile.robot.pictures import FilePicture, GivenPicture
@@ -44,7 +44,7 @@ def read_arm(
     UnknownName
         If no loader has the name.
     """
-    held = tuple(map(str, locked)) if not isinstance(locked, str) else (locked,)
+    held = (locked,) if isinstance(locked, str) else sequence("locked", locked, "a sequence of joints' names")
     if visual is not None and not isinstance(visual, pin.GeometryModel):
         raise InvalidArgument(f"visual is a {type(visual).__name__}, expected a pinocchio.GeometryModel")
     folders = existing_folders(package_dirs)
@@ -52,6 +52,7 @@ def read_arm(
         return arm
     if isinstance(arm, str | PathLike):
         file = _is_file(arm)
+        arm = location("arm", arm) if file else arm
         _refuse_beside("a URDF" if file else "a loader's name", arm, visual=visual is not None)
         if file:
             made = _from_urdf(Path(arm).resolve(), folders, rest, held)
@@ -98,12 +99,12 @@ def existing_folders(package_dirs: Any) -> tuple[str, ...]:
     """
     given = (package_dirs,) if isinstance(package_dirs, str | PathLike) else package_dirs
     try:
-        paths = tuple(map(Path, given))
+        paths = tuple(location("package_dirs", one) for one in given)
     except TypeError:
-        raise InvalidArgument(f"package_dirs is {package_dirs!r}, expected folders") from None
+        raise InvalidArgument(f"package_dirs is {shown(package_dirs)}, expected folders") from None
     for path in paths:
         if not path.is_dir():
-            raise InvalidArgument(f"package_dirs has {str(path)!r}, expected a folder")
+            raise InvalidArgument(f"package_dirs has {shown(str(path))}, expected a folder")
     return tuple(str(path.resolve()) for path in paths)
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike
-from pinmobile.errors import InvalidArgument, UnknownName
+from pinmobile.arrays import Array, ArrayLike, one_of
+from pinmobile.errors import InvalidArgument
 from pinmobile.robot.dynamics import ChainDynamics
 from pinmobile.robot.engine import BODY_JOINT
 from pinmobile.robot.mounts import Mount
@@ -75,9 +75,7 @@ class ChainWrenches(ChainDynamics):
             raise InvalidArgument("robot carries no arm, expected one: robot.mount(...)")
         known = {mount.name: mount for mount in self.mounts}
         wanted = self.mounts[0].name if name is None else name
-        if wanted not in known:
-            raise UnknownName("mount", str(wanted), known)
-        return known[wanted]
+        return known[one_of("mount", wanted, known)]
 
     def _fixed(self, mount: Mount) -> pin.Inertia:
         """Return the inertia, in the body's frame, of what of an arm does not move on the body."""

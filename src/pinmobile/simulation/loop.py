@@ -21,7 +21,7 @@ from pinmobile.controllers import (
     planar_difference,
 )
 from pinmobile.disturbances import Force
-from pinmobile.errors import InvalidArgument, NotFinite
+from pinmobile.errors import InvalidArgument, NotFinite, shown
 from pinmobile.integrators import Integrator, RungeKuttaNystrom
 from pinmobile.robot import MobileRobot
 from pinmobile.simulation.plant import Plant
@@ -159,12 +159,13 @@ def _asked(
         answer = controller(times[k], own_q, own_v, next(references), state)
         if type(answer) is not tuple or len(answer) != 2:
             raise InvalidArgument(
-                f"controller returned {answer!r} at t = {times[k]:g} s, expected (tau, state)"
+                f"controller returned {shown(answer)} at t = {times[k]:g} s, expected (tau, state)"
             )
         force, state = answer
         if type(force) is not np.ndarray or force.shape != shape:
             raise InvalidArgument(
-                f"controller returned {force!r} at t = {times[k]:g} s, expected an array of shape {shape}"
+                f"controller returned {shown(force)} at t = {times[k]:g} s, "
+                f"expected an array of shape {shape}"
             )
         return force if order is None else force[order]
 

@@ -1,5 +1,7 @@
 """`Rollout`: everything that a simulation recorded, with its own judgement."""
 
+import csv
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -220,8 +222,10 @@ class Rollout:
         header = ["t", *(f"{group}{name}" for group, part in groups.items() for name in self._columns(part))]
         with replacing(path) as file:
             table = np.column_stack([self.t, *groups.values()])
-            titles = ",".join(header)
-            np.savetxt(file, table, fmt="%.17g", delimiter=",", header=titles, comments="", encoding="utf-8")
+            titles = io.StringIO()
+            csv.writer(titles, lineterminator="\n").writerow(header)  # quotes what a joint's name needs
+            file.write(titles.getvalue().encode())
+            np.savetxt(file, table, fmt="%.17g", delimiter=",")
 
     def _columns(self, part: Array) -> Sequence[str]:
         """Return the columns' names: x, y, psi and the joints; numbers where they have none."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.disturbances import Force
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.integrators import Integrator, RungeKuttaNystrom
 from pinmobile.robot import MobileRobot
 from pinmobile.simulation.plant import Plant
@@ -70,7 +70,7 @@ def pushed(forces: tuple[Force, ...], order: Any, nv: int) -> Push:
             tau = force(t, own_q, own_v)
             if type(tau) is not np.ndarray or tau.shape != (3,):
                 raise InvalidArgument(
-                    f"forces[{k}] returned {tau!r} at t = {t:g} s, expected an array of shape (3,)"
+                    f"forces[{k}] returned {shown(tau)} at t = {t:g} s, expected an array of shape (3,)"
                 )
             plane += tau
         return total if order is None else total[order]
@@ -139,7 +139,8 @@ def stepped(
         or [np.shape(part) for part in after] != [q.shape, v.shape]
     ):
         raise InvalidArgument(
-            f"integrator returned {after!r} at t = {t:g} s, expected (q, v) of shapes {q.shape} and {v.shape}"
+            f"integrator returned {shown(after)} at t = {t:g} s, "
+            f"expected (q, v) of shapes {q.shape} and {v.shape}"
         )
     return after
 

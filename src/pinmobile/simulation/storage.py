@@ -10,7 +10,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, finite
 from pinmobile.dh import DHRow, DHTable, JointType
-from pinmobile.errors import InvalidArgument, PinmobileError
+from pinmobile.errors import InvalidArgument, PinmobileError, shown
 from pinmobile.files import arrays_of
 from pinmobile.robot import Load, MobileRobot, Stance
 from pinmobile.robot.sources import kept_arm
@@ -90,7 +90,7 @@ def _read(path: Path) -> tuple[dict[str, Array], dict[str, Any] | None]:
         described = json.loads(str(named.pop("robot")))
         _check(described)
     except (ValueError, TypeError, LookupError, AttributeError, RecursionError, OverflowError) as error:
-        raise InvalidArgument(f"path is {str(path)!r}, which is no {_KIND}: {error}") from error
+        raise InvalidArgument(f"path is {shown(str(path))}, which is no {_KIND}: {error}") from error
     return named, described
 
 

@@ -4,7 +4,7 @@ from concurrent.futures import ThreadPoolExecutor
 from time import monotonic
 from typing import Any
 
-from pinmobile.errors import InvalidArgument, SchedulerError
+from pinmobile.errors import InvalidArgument, SchedulerError, shown
 from pinmobile.sweeps.extras import imported
 
 __all__ = ["GO_ON", "Watch", "check_client", "connected"]
@@ -58,7 +58,7 @@ def connected(address: str, timeout: float = _ANSWER) -> Any:
         pass  # an unknown host, of which the connection tells
     except (ValueError, TypeError) as error:
         raise InvalidArgument(
-            f"scheduler is {address!r}, expected an address such as tcp://127.0.0.1:8786"
+            f"scheduler is {shown(address)}, expected an address such as tcp://127.0.0.1:8786"
         ) from error
     try:
         with ThreadPoolExecutor(1) as pool:  # a notebook's thread has a loop of its own

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import location
+from pinmobile.arrays import location, whole
 from pinmobile.ensembles import Ensemble
 from pinmobile.ensembles.histogram import checked_share, share_within
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.sweeps.axes import Axis, place_of
 from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.grids import Grid, as_grid
@@ -125,7 +125,7 @@ class Sweep:
             If `share` is not between 0 and 1, or a file of the store cannot be read.
         """
         within = self.within(share).values
-        return table(self.axes, within, self._diverged(), share, most)
+        return table(self.axes, within, self._diverged(), share, whole("most", most))
 
     def _diverged(self) -> Any:
         return self.dataset.diverged_at.notnull().sum("robot").values
@@ -203,6 +203,6 @@ def _reading(path: Path) -> Iterator[None]:
         yield
     except Exception as error:  # whatever the codecs say
         raise InvalidArgument(
-            f"store is {str(path)!r}, of which {damaged(path)}; remove that file, and start the same sweep "
-            "again to have it computed again"
+            f"store is {shown(str(path))}, of which {damaged(path)}; remove that file, and start "
+            "the same sweep again to have it computed again"
         ) from error

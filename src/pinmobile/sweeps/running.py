@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from typing import Any
 
-from pinmobile.arrays import location, whole
+from pinmobile.arrays import callable_as, location, whole
 from pinmobile.ensembles import Scenario
 from pinmobile.errors import InvalidArgument
 from pinmobile.sweeps.cluster import check_client
@@ -75,8 +75,8 @@ def sweep(
     size = _CHUNK if chunk is None else whole("chunk", chunk)
     if client is not None:
         check_client(client)
-    if progress is not None and not callable(progress):
-        raise InvalidArgument(f"progress is {progress!r}, expected a function of two whole numbers")
+    if progress is not None:
+        callable_as("progress(done, total)", progress)
     description = determined_by(grid)
     if not (path / METADATA).exists():
         check_draws(grid)

@@ -2,12 +2,14 @@
 
 import numpy as np
 
-from pinmobile.arrays import whole
-from pinmobile.errors import InvalidArgument
+from pinmobile.arrays import seeded, whole
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot import MobileRobot
 from pinmobile.verification.mounted import compare_mounted
 from pinmobile.verification.planar import compare_planar
 from pinmobile.verification.table import Comparison, Verification
+
+_MOST = 1_000_000  # states
 
 __all__ = ["Comparison", "Verification", "verify"]
 
@@ -49,11 +51,10 @@ def verify(robot: MobileRobot, *, states: int = 200, seed: int | np.random.Gener
     Raises
     ------
     InvalidArgument
-        If `states` is not a whole number >= 1.
+        If `states` is not a whole number from 1 to 1,000,000, or another argument not what is expected.
     """
     if not isinstance(robot, MobileRobot):
-        raise InvalidArgument(f"robot is {robot!r}, expected a MobileRobot")
-    rng = np.random.default_rng(seed)
-    count = whole("states", states)
+        raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot")
+    rng, count = seeded("seed", seed), whole("states", states, most=_MOST)
     compare = compare_mounted if robot.mounts or robot.loads else compare_planar
     return Verification(robot, count, compare(robot, count, rng))

@@ -9,7 +9,7 @@ from pathlib import Path
 from PIL import Image
 
 from pinmobile.arrays import whole
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.files import write
 from pinmobile.viewer.chromium import Browser
 
@@ -29,7 +29,7 @@ def checked_size(size: tuple[int, int]) -> tuple[int, int]:
     try:
         width, height = size
     except (TypeError, ValueError):
-        raise InvalidArgument(f"size is {size!r}, expected width and height") from None
+        raise InvalidArgument(f"size is {shown(size)}, expected width and height") from None
     return whole("size[0]", width, least=16), whole("size[1]", height, least=16)
 
 
