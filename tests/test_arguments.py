@@ -37,6 +37,7 @@ from pinmobile import (
     Load,
     MobileRobot,
     NoisyMeasurement,
+    NotFinite,
     PinmobileError,
     RestToRest,
     Rollout,
@@ -240,7 +241,8 @@ FAULTS = [
     Fault(
         "beyond the largest number",
         lambda: closed_form.nonlinear_effects([0, 0, 0], [0, 0, 1e308], mass=1, com=(1, 0)),
-        "n(q, v) is beyond the largest number",
+        "the answer is -inf for |v| up to 1e+308",
+        NotFinite,
     ),
     # More than anybody has, or waits for: counted before it is asked for.
     Fault("too much", of_loop(substeps=10**22), "substeps is 10000000000000000000000, expected at most"),
