@@ -30,6 +30,7 @@ import pinocchio as pin
 
 import pinmobile as pm
 from pinmobile import PinmobileError, derivation, ensembles, urdf, viewer
+from pinmobile.robot import Stance
 
 MODULES = (
     *("accuracy", "balance", "closed_form", "controllers", "derivation", "dh", "disturbances", "ensembles"),
@@ -59,7 +60,17 @@ INNER = {
 }
 # What the library makes and users read: nobody calls the class.
 RESULTS = {
-    *("Diverged", "Ensemble", "InvalidArgument", "PinmobileError", "Reference", "Resolved", "Rollout"),
+    *(
+        "Diverged",
+        "Ensemble",
+        "FileError",
+        "InvalidArgument",
+        "NotFinite",
+        "PinmobileError",
+        "Reference",
+        "Resolved",
+        "Rollout",
+    ),
     *("SchedulerError", "Sweep", "UnknownName", "Unreachable", "ViewerError", "JointType"),
     *("accuracy.Convergence", "accuracy.IntegratorReport", "derivation.Derivation", "derivation.Numeric"),
     *("derivation.Step", "ensembles.Bands", "ensembles.Engine", "ensembles.Member", "ensembles.Part"),
@@ -396,6 +407,7 @@ ROWS: dict[str, Row] = {
         velocity_limit=[1] * 5,
         acceleration_limit=[9] * 5,
         dt=0.01,
+        integrator=pm.rk4,
     ),
     "Axis": row(values=[1.0, 2.0], unit="m"),
     "Axis.index": row(name="gain", label=1.0),
@@ -446,6 +458,7 @@ ROWS: dict[str, Row] = {
     "Motion": row(robot=the("robot"), q=Q, v=V, a=A),
     "reaction_wrench": row(motion=the("arm_motion"), mount="arm"),
     "required_friction": row(motion=the("motion")),
+    "balance.footprint_of": row(robot=the("robot"), footprint=[[-1, -1], [1, -1], [1, 1], [-1, 1]]),
     "tip_over_margin": row(motion=the("motion"), footprint=[[-1, -1], [1, -1], [1, 1], [-1, 1]]),
     "zero_moment_point": row(motion=the("motion")),
     "Uniform": row(low=1, high=2),
@@ -482,10 +495,19 @@ ROWS: dict[str, Row] = {
     "MobileRobot.box": row(mass=10, size=(0.6, 0.4, 0.2)),
     "MobileRobot.lecture": row(),
     "MobileRobot.from_body": row(
-        body=the("body"), size=(0.6, 0.4, 0.2), dh=pm.LECTURE_TABLE, source="a test"
+        body=the("body"),
+        size=(0.6, 0.4, 0.2),
+        dh=pm.LECTURE_TABLE,
+        source="a test",
+        stance=partial(Stance.of_box, (0.6, 0.4, 0.2)),
+        locked_joints=("wheel",),
     ),
-    "MobileRobot.from_model": row(pin_model=partial(lambda: WORLD.robot.model)),
-    "MobileRobot.from_urdf": row(path=the("urdf"), package_dirs=()),
+    "MobileRobot.with_body": row(body=the("body"), source="a test"),
+    "MobileRobot.from_model": row(pin_model=partial(lambda: WORLD.robot.model), ground=0.1),
+    "MobileRobot.from_urdf": row(path=the("urdf"), package_dirs=(), ground=0.1),
+    "robot.Stance": row(footprint=[[-1, -1], [1, -1], [1, 1], [-1, 1]], top=0.5, grounded=True),
+    "robot.Stance.of_box": row(size=(0.6, 0.4, 0.2)),
+    "robot.Stance.written": row(),
     "MobileRobot.to_urdf": row(),
     "MobileRobot.mount": row(
         arm=the("arm"),
@@ -510,6 +532,7 @@ ROWS: dict[str, Row] = {
     "MobileRobot.regressor": row(q=Q, v=V, a=A),
     "MobileRobot.difference": row(q0=Q, q1=V),
     "MobileRobot.integrate": row(q=Q, dq=V),
+    "MobileRobot.integrate_jacobian": row(q=Q, dq=V),
     "MobileRobot.jacobian": row(q=Q),
     "MobileRobot.gravity": row(q=Q),
     "MobileRobot.potential_energy": row(q=Q),

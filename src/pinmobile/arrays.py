@@ -26,6 +26,7 @@ __all__ = [
     "finite",
     "finite_answer",
     "frozen",
+    "lengths",
     "location",
     "non_negative",
     "one_of",
@@ -352,6 +353,20 @@ def one_of(kind: str, value: Any, available: Iterable[str]) -> str:
     if not isinstance(value, str) or value not in names:
         raise UnknownName(kind, value, names)
     return value
+
+
+def lengths(size: ArrayLike) -> Array:
+    """Return the argument `size` of a box as float64, shape (3,) [m].
+
+    Raises
+    ------
+    InvalidArgument
+        If it is not three lengths above zero.
+    """
+    array = finite("size", size)
+    if array.shape != (3,) or not (array > 0).all():
+        raise InvalidArgument(f"size is {shown(size)}, expected three lengths > 0 m")
+    return array
 
 
 def sequence(name: str, value: Any, expected: str) -> tuple[Any, ...]:

@@ -8,7 +8,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, one_of, positive, representable, text
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, lengths, one_of, positive, representable, text
 from pinmobile.dh import DHTable, JointType, transform
 from pinmobile.errors import InvalidArgument, shown
 
@@ -103,7 +103,7 @@ def box_inertia(mass: float, size: ArrayLike) -> Array:
         If the mass or a length is not positive or not finite, or the inertia beyond the largest number.
     """
     with np.errstate(all="ignore"):
-        squares = np.square(_lengths(size))
+        squares = np.square(lengths(size))
         moments = positive("mass", mass, "kg") / 12 * (squares.sum() - squares)
     return np.diag(representable("the inertia of the box", moments))
 
@@ -153,7 +153,7 @@ def write(
     links = ["ground", *(f"virtual_{k}" for k in range(1, len(table))), "base_link"]
     lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(text('name', name))}>"]
     lines += [f'  <link name="{link}"/>' for link in links[:-1]]
-    lines += _body_lines(links[-1], body, _lengths(size))
+    lines += _body_lines(links[-1], body, lengths(size))
     for row, parent, child in zip(table, links, links[1:], strict=False):
         # RotZ and TransZ commute, so the variable may come last whichever of the two it belongs to.
         T = transform(row.alpha, row.a, row.theta, row.d)
@@ -214,13 +214,6 @@ def _body_lines(link: str, body: Body, size: Array) -> list[str]:
         "    </visual>",
         "  </link>",
     ]
-
-
-def _lengths(size: ArrayLike) -> Array:
-    lengths = finite("size", size)
-    if lengths.shape != (3,) or not (lengths > 0).all():
-        raise InvalidArgument(f"size is {shown(size)}, expected three lengths > 0 m")
-    return lengths
 
 
 def _number(value: float) -> str:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike
-from pinmobile.balance.motion import Moving, robot_of
+from pinmobile.balance.motion import Moving, checked_robot, robot_of
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot import MobileRobot
 from pinmobile.robot.footprint import checked_footprint, margin_inside
@@ -118,12 +118,13 @@ def footprint_of(robot: MobileRobot, footprint: ArrayLike | None = None) -> Arra
     """
     if footprint is not None:
         return checked_footprint(footprint)
-    if robot.footprint is None:
+    corners = checked_robot("robot", robot).footprint
+    if corners is None:
         raise InvalidArgument(
             "footprint is not given, and that of the robot is not known, expected the corners of what it "
             "stands on, shape (k, 2); robot.source says what its file lacks"
         )
-    return robot.footprint
+    return corners
 
 
 def required_friction(motion: Moving) -> Array:

@@ -7,7 +7,7 @@ from pinmobile.arrays import Array, ArrayLike, broadcast, frozen, vector
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot import MobileRobot
 
-__all__ = ["Motion", "Moving", "reaction_wrench", "robot_of"]
+__all__ = ["Motion", "Moving", "checked_robot", "reaction_wrench", "robot_of"]
 
 
 class Moving(Protocol):
@@ -55,7 +55,7 @@ class Motion:
     a: ArrayLike
 
     def __post_init__(self) -> None:
-        robot = _checked("robot", self.robot)
+        robot = checked_robot("robot", self.robot)
         for name, size in (("q", robot.nq), ("v", robot.nv), ("a", robot.nv)):
             object.__setattr__(self, name, frozen(vector(name, getattr(self, name), size)))
         broadcast(q=self.q, v=self.v, a=self.a)  # type: ignore[arg-type]
@@ -71,10 +71,17 @@ def robot_of(motion: Any) -> MobileRobot:
     """
     if not all(hasattr(motion, name) for name in ("robot", "q", "v", "a")):
         raise InvalidArgument(f"motion is {shown(motion)}, expected a Rollout or a Motion")
-    return _checked("motion.robot", motion.robot)
+    return checked_robot("motion.robot", motion.robot)
 
 
-def _checked(name: str, robot: Any) -> MobileRobot:
+def checked_robot(name: str, robot: Any) -> MobileRobot:
+    """Return the robot, after refusing what is none.
+
+    Raises
+    ------
+    InvalidArgument
+        The message names the argument.
+    """
     if not isinstance(robot, MobileRobot):
         raise InvalidArgument(f"{name} is {shown(robot)}, expected a MobileRobot")
     return robot

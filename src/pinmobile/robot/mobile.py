@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile import urdf
-from pinmobile.arrays import Array, ArrayLike, finite, location, positive, sequence, text
+from pinmobile.arrays import Array, ArrayLike, finite, lengths, location, positive, sequence, text
 from pinmobile.dh import LECTURE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot.assembly import assemble
@@ -97,9 +97,7 @@ class MobileRobot(Carrier):
         self._take(urdf.Body(mass, np.append(com, 0.0)[:3], np.diag([inertia] * 3)), None)
 
     def _take(self, body: urdf.Body, stance: Stance | None) -> None:
-        size = finite("size", self.size)
-        if size.shape != (3,) or not (size > 0).all():
-            raise InvalidArgument(f"size is {self.size}, expected three lengths > 0 m")
+        size = lengths(self.size)
         check_chain(self.dh)
         for name, value in {
             "mass": body.mass,
@@ -107,7 +105,7 @@ class MobileRobot(Carrier):
             "com": tuple(body.com.tolist()),
             "size": tuple(size.tolist()),
             "body": body,
-            "stance": Stance.of_box(size.tolist()) if stance is None else stance,
+            "stance": Stance.of_box(size) if stance is None else stance,
             "_engine": Engine(build_model(self.dh, body)),
         }.items():
             object.__setattr__(self, name, value)
@@ -123,7 +121,7 @@ class MobileRobot(Carrier):
 
     def _key(self) -> tuple[object, ...]:
         own = self.mass, self.com, self.body.inertia.tobytes(), self.size, self.dh
-        return *own, self.stance.key(), self.mounts, self.loads
+        return *own, self.stance._key(), self.mounts, self.loads
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, MobileRobot) and self._key() == other._key()

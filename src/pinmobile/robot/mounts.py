@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import ArrayLike, finite, positive, text
+from pinmobile.arrays import ArrayLike, finite, lengths, positive, text
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot.arms import Arm
 from pinmobile.urdf import Body, box_inertia
@@ -116,9 +116,7 @@ class Load:
             raise InvalidArgument(f"com has shape {com.shape}, expected (3,)")
         inertia = np.zeros((3, 3))
         if self.size is not None:
-            size = finite("size", self.size)
-            if size.shape != (3,) or not (size > 0).all():
-                raise InvalidArgument(f"size is {self.size}, expected three lengths > 0 m")
+            size = lengths(self.size)
             object.__setattr__(self, "size", tuple(size.tolist()))
             inertia = box_inertia(mass, size)
         if self.inertia is not None:

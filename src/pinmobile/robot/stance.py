@@ -7,8 +7,8 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive
-from pinmobile.errors import InvalidArgument
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, lengths, positive
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot.footprint import checked_footprint, hull, rectangle
 from pinmobile.robot.geometry import Shape
 from pinmobile.robot.meshes import VisualFile
@@ -38,7 +38,7 @@ class Stance:
     Raises
     ------
     InvalidArgument
-        If the footprint is no convex polygon, or the top is not above the ground.
+        If the footprint is no convex polygon, the top is not above the ground, or `grounded` is no bool.
     """
 
     footprint: Array | None = None
@@ -46,26 +46,40 @@ class Stance:
     grounded: bool = True
 
     def __post_init__(self) -> None:
+        if not isinstance(self.grounded, bool):
+            raise InvalidArgument(f"grounded is {shown(self.grounded)}, expected True or False")
         if self.footprint is not None:
             object.__setattr__(self, "footprint", frozen(checked_footprint(self.footprint)))
         if self.top is not None:
             object.__setattr__(self, "top", positive("top", self.top, "m"))
 
     @classmethod
-    def of_box(cls, size: Sequence[float]) -> "Stance":
-        """Return that of a box of length, width and height [m] that stands about B's origin."""
-        return cls(rectangle(*size[:2]), size[2])
+    def of_box(cls, size: ArrayLike) -> "Stance":
+        """Return that of a box that stands about B's origin.
 
-    def key(self) -> tuple[object, ...]:
+        Parameters
+        ----------
+        size : array_like, shape (3,)
+            Length, width and height, each above zero [m].
+
+        Raises
+        ------
+        InvalidArgument
+            If they are something else.
+        """
+        length, width, height = lengths(size).tolist()
+        return cls(rectangle(length, width), height)
+
+    def _key(self) -> tuple[object, ...]:
         """Return what makes two of them the same one."""
         corners = None if self.footprint is None else self.footprint.tobytes()
         return corners, self.top, self.grounded
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Stance) and self.key() == other.key()
+        return isinstance(other, Stance) and self._key() == other._key()
 
     def __hash__(self) -> int:
-        return hash(self.key())
+        return hash(self._key())
 
     def written(self) -> dict[str, str]:
         """Return it as attributes of the element <pinmobile> of a URDF, which `stance_written` reads."""
