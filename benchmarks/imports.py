@@ -1,11 +1,14 @@
-"""What an import costs: pinmobile beside what it stands on and beside the peers, each in a fresh process.
+"""What an import and the first use of a name cost, beside Pinocchio and the peers, each in a fresh process.
 
 python benchmarks/imports.py [--quick] [--rounds N]
 """
 
+import os
 import subprocess
 import sys
 from collections.abc import Sequence
+from functools import partial
+from tempfile import TemporaryDirectory
 
 from contestants import DRAKE, MUJOCO, NUMPY, PINMOBILE, PINOCCHIO, PYBULLET, TOOLBOX, Peer
 from measuring import Row, about, console, interleaved, options, say, table
@@ -22,7 +25,13 @@ MODULES = {
     "roboticstoolbox": TOOLBOX,
     "pybullet": PYBULLET,
 }
-TIMED = "from time import perf_counter as now; t = now(); import {}; print('\\n', now() - t)"
+# A module of this package is loaded when a name of it is first used, so what follows an import counts too.
+FIRST_USES = (
+    "from pinmobile import MobileRobot",
+    "from pinmobile import PD, Circle, ComputedTorque, MobileRobot, Tangent, simulate",
+    "from pinmobile import *",
+)
+TIMED = "from time import perf_counter as now; t = now(); {}; print('\\n', now() - t)"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -30,27 +39,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
     rounds = chosen.rounds or (1 if chosen.quick else 9)
     out = console()
     out.print(about(), f"medians over {rounds} interleaved rounds, after one that fills the caches", sep="; ")
-    turns = {m: (lambda m=m: milliseconds(m)) for m, peer in MODULES.items() if peer.installed}
-    with out.status("importing"):
+    statements = {f"import {m}": peer for m, peer in MODULES.items()} | dict.fromkeys(FIRST_USES, PINMOBILE)
+    with out.status("importing"), TemporaryDirectory() as folder:
+        turns = {s: partial(milliseconds, s, folder) for s, peer in statements.items() if peer.installed}
         interleaved(turns, 1)
         times = interleaved(turns, rounds)
-    base = Row("pinocchio", times=times["pinocchio"])
-    shown, others = table("\nImport in a fresh process", "module", "version", "ms", "of pinocchio"), []
-    for name, peer in MODULES.items():
-        if name in times:
-            row = Row(name, times=times[name])
-            shown.add_row(name, peer.version, f"{row.median:.0f}", f"{row.ratio(base):.2f}")
+    base = Row("pinocchio", times=times["import pinocchio"])
+    shown, others = table("\nIn a fresh process", "statement", "version", "ms", "of import pinocchio"), []
+    for statement, peer in statements.items():
+        if statement in times:
+            row = Row(statement, times=times[statement])
+            shown.add_row(statement, peer.version, f"{row.median:.0f}", f"{row.ratio(base):.2f}")
         else:
-            others.append(f"{name}: not installed: {peer.install}")
+            others.append(f"{statement}: not installed: {peer.install}")
     out.print(shown)
     say(out, others)
     return 0
 
 
-def milliseconds(module: str) -> float:
-    """Return what `import module` takes in a fresh interpreter, its own start not counted."""
-    command = [sys.executable, "-W", "ignore", "-c", TIMED.format(module)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
+def milliseconds(statement: str, compiled: str) -> float:
+    """Return what a statement takes in a fresh interpreter that keeps bytecode in the folder `compiled`.
+
+    Its own start is not counted. In a folder of their own the bytecodes of all are there from the second
+    round on, also where nothing may be written beside the sources or into a checkout.
+    """
+    kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    command = [sys.executable, "-W", "ignore", "-c", TIMED.format(statement)]
+    environment = {**kept, "PYTHONPYCACHEPREFIX": compiled}
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
     return float(done.stdout.split()[-1]) * 1e3
 
 

@@ -144,15 +144,24 @@ dress(bottom)
 # $$\dot\psi = \frac{\dot x\,\ddot y - \dot y\,\ddot x}{\dot x^2 + \dot y^2} .$$
 #
 # The lecture divides by $\dot x$ on the way there, and sets the rate to 0 where $\dot x = 0$. So the
-# rate is lost wherever the path runs exactly along y. Here is a parabola that does so at $t = 0.5$ s:
+# rate is lost wherever the path runs exactly along y. Here is a parabola that does so at $t = 0.5$ s.
+# (Whether a computer's $\dot x$ is 0 or $10^{-17}$ there is rounding's choice, so `LectureHeading` takes
+# the limit of the lecture's formula, which is the right rate.)
 
 # %%
 parabola = CubicVia(
     (0.25, 0), (0, 0.5), (0.25, 1), t_via=0.5, t_end=1,
     via_velocity=(0, 1), start_velocity=(-1, 1), end_velocity=(1, 1),
 )  # fmt: skip
+
+
+def by_the_lecture(when: float) -> float:
+    (dx, dy), (ddx, ddy) = parabola.derivative(when, 1), parabola.derivative(when, 2)
+    return (ddy / dx - dy * ddx / dx**2) / (dy**2 / dx**2 + 1) if dx else 0.0
+
+
 for when in [0.499, 0.5, 0.501]:
-    rate_lecture = LectureHeading(parabola)(when).v[2]
+    rate_lecture = by_the_lecture(when)
     rate_right = Tangent(parabola)(when).v[2]
     print(f"t = {when:.3f} s: lecture {rate_lecture:7.4f} rad/s, right {rate_right:7.4f} rad/s")
 
@@ -259,7 +268,7 @@ for name, path in all_paths.items():
 assert np.abs(put_right - via_free.derivative(47.0, 1)).max() < 1e-12, "the factors are not 2 and 3"
 assert np.abs(on_slide - put_right).max() > 0.01, "the slide's velocity is right after all"
 assert abs(Tangent(parabola)(0.5).v[2] + 2) < 1e-9, "the rate at the vertical tangent is not -2 rad/s"
-assert LectureHeading(parabola)(0.5).v[2] == 0, "the lecture's rate is not lost"
+assert by_the_lecture(0.5) == 0, "the lecture's rate is not lost"
 assert np.abs(measured - Tangent(via_free)(between).a[:, 2]).max() < 1e-7, "not the derivative of the rate"
 assert np.abs(spun.tau[:, 2]).max() > 2, "the lecture's robot does not spin"
 assert np.abs(calm.tau[:, 2]).max() < 0.1, "the moment is not small"

@@ -187,7 +187,7 @@ runs = {
 }
 for name, run in runs.items():
     x, y, psi = run.max_error()
-    print(f"{name:16} x {x:.1e} m, y {y:.1e} m, psi {psi:.1e} rad")
+    print(f"{name:16} x {1e3 * x:.3f} mm, y {1e3 * y:.3f} mm, psi {1e3 * psi:.3f} mrad")
 
 # %% [markdown]
 # ## The wrong model

@@ -16,6 +16,8 @@ from nbclient import NotebookClient
 from PIL import Image
 from traitlets.config import Config
 
+from pinmobile.files import write
+
 HERE = Path(__file__).parent
 
 
@@ -44,7 +46,7 @@ def execute(source: Path) -> None:
             shrink(data)
     notebook.metadata["language_info"] = {"name": "python"}
     target = source.with_suffix(".ipynb")
-    nbformat.write(notebook, target)
+    write(target, nbformat.writes(notebook).encode("utf-8"))
     print(f"{target.name}: {target.stat().st_size / 1000:.0f} kB")
 
 

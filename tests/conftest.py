@@ -12,6 +12,7 @@ from hypothesis import settings
 from pinmobile import MobileRobot
 from pinmobile.arrays import Array
 from tests.chromium import Chromium, chromium
+from tests.kernels import in_force, refusal
 
 # What a shell runs in the background ignores Ctrl-C, which some tests are about.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -21,6 +22,18 @@ matplotlib.use("Agg")
 settings.register_profile("default", deadline=None, max_examples=60)
 settings.register_profile("ci", deadline=None, max_examples=60, derandomize=True)
 settings.load_profile("ci" if os.environ.get("CI") else "default")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Refuse to test with another kernel than the one that is asked for: a misspelt one is passed over."""
+    why = refusal(os.environ.get("OPENBLAS_CORETYPE"))
+    if why:
+        raise pytest.UsageError(why)
+
+
+def pytest_report_header(config: pytest.Config) -> str:
+    """Return the kernels of the linear algebra, on which no result may hang."""
+    return f"OpenBLAS: {', '.join(in_force().values()) or 'none'}"
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pinmobile import arrays
+from pinmobile import arrays, planar_difference
 from pinmobile.errors import InvalidArgument
 
 # What a type checker would refuse too.
@@ -68,6 +68,19 @@ def test_wrapped_angle_lies_in_the_half_open_interval_and_points_the_same_way(an
 
 def test_half_a_turn_to_either_side_is_plus_pi() -> None:
     assert arrays.wrap_angle(np.array([np.pi, -np.pi, 3 * np.pi])).tolist() == [np.pi] * 3
+
+
+@pytest.mark.parametrize("turns", [-7, -3, -1, 1, 3, 9])
+def test_rounding_does_not_choose_the_side_of_half_a_turn(turns: int) -> None:
+    exact = turns * np.pi
+    near = np.array([exact, np.nextafter(exact, 99), np.nextafter(exact, -99), exact + 1e-12, exact - 1e-12])
+    np.testing.assert_allclose(arrays.wrap_angle(near), np.pi, rtol=0, atol=2e-9)
+    errors = planar_difference(np.array([0, 0, exact]), np.stack([0 * near, 0 * near, near - exact], axis=-1))
+    np.testing.assert_allclose(errors[:, 2], np.pi, rtol=0, atol=2e-9)
+    for row, offset in zip(errors, near - exact, strict=True):
+        assert planar_difference(np.array([0, 0, exact]), np.array([0, 0, offset]))[2] == row[2]
+    farther = arrays.wrap_angle(exact + np.array([-1e-6, 1e-6]))
+    np.testing.assert_allclose(farther, [np.pi - 1e-6, 1e-6 - np.pi], rtol=0, atol=1e-12)
 
 
 def test_a_seed_is_what_numpy_takes_for_one_but_never_nothing() -> None:

@@ -117,6 +117,13 @@ def test_an_arm_at_rest_weighs_m_g_at_its_centre_of_mass() -> None:
     weight = np.array([0, 0, -mass * G])
     expected = np.concatenate([weight, np.cross(com, weight)])
     np.testing.assert_allclose(reaction_wrench(at_rest(UR5, q)), expected, rtol=1e-12, atol=1e-10)
+    # As the docstrings have it.
+    told = [0, 0, -mass * G, -mass * G * com[1], mass * G * com[0], 0]
+    np.testing.assert_allclose(expected, told, rtol=1e-15)
+    assert np.abs(expected[3:5]).min() > 1
+    for text in (reaction_wrench.__doc__, MobileRobot.mount_wrench.__doc__):
+        assert text is not None
+        assert "(-m g y, m g x, 0)" in text
 
 
 def test_a_load_on_the_arms_foot_belongs_to_the_arm_and_one_on_the_body_does_not() -> None:
@@ -204,7 +211,7 @@ def test_where_the_ground_would_have_to_pull_the_answers_say_so() -> None:
 
 def test_where_nothing_weighs_no_friction_is_told() -> None:
     adrift = MobileRobot.box()
-    adrift.model.gravity = pin.Motion.Zero()
+    adrift._engine.model.gravity = pin.Motion.Zero()
     moving = planar(np.array([[0.0, 0, 0], [1.0, 0, 0]]), robot=adrift)
     assert np.isnan(required_friction(moving)).tolist() == [True, False]
     assert required_friction(moving)[1] == np.inf  # it is pushed, and nothing presses it on the ground

@@ -31,6 +31,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         *arms,
         "calls",
         "contestants",
+        "imports",
         "memory",
         "rollout",
         "stock_server",
@@ -300,6 +301,30 @@ def test_a_recording_is_measured(bench: SimpleNamespace, capsys: pytest.CaptureF
     record, save, size, _, _ = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert 0 < record + save < 5
     assert 0.5 < size < 1.5
+
+
+def test_imports_and_first_uses_are_told_as_shares_of_pinocchios(
+    bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    took = {"import pinmobile": 102.0, "import pinocchio": 100.0, "from pinmobile import MobileRobot": 120.0}
+    monkeypatch.setattr(bench.imports, "milliseconds", lambda statement, compiled: took.get(statement, 500.0))
+    assert bench.imports.main(["--quick"]) == 0
+    rows = [line.rsplit(maxsplit=3) for line in capsys.readouterr().out.splitlines()]
+    shares = {row[0].strip(): row[3] for row in rows if len(row) == 4}
+    assert shares["import pinocchio"] == "1.00"
+    assert shares["import pinmobile"] == "1.02"
+    assert shares["from pinmobile import MobileRobot"] == "1.20"
+
+
+def test_an_import_is_measured_with_its_bytecode_kept_whatever_the_environment_says(
+    bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
+    (tmp_path / "measured.py").write_text("from time import sleep\nsleep(0.05)\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    assert bench.imports.milliseconds("import measured", str(tmp_path / "kept")) >= 50
+    assert list((tmp_path / "kept").rglob("measured.*.pyc"))
+    assert not list(tmp_path.glob("__pycache__"))
 
 
 def test_steps_that_are_late_are_counted(bench: SimpleNamespace) -> None:

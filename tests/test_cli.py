@@ -10,8 +10,10 @@ import pytest
 
 import pinmobile
 from pinmobile import MobileRobot, Rollout
-from pinmobile.cli import main
+from pinmobile.cli import choices, main
 from pinmobile.cli.lecture import EXPECTED
+from tests.damage import full_disk
+from tests.wheeled import husky
 
 
 def typed(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
@@ -83,6 +85,20 @@ def test_verify_answers_for_numbers_and_for_a_file(
     code, out, _ = typed(capsys, "verify", "--urdf", str(path), "--states", "20")
     assert code == 0
     assert "mine.urdf is the chain (y, x, psi); mass 7 kg" in out
+    code, out, _ = typed(capsys, "verify", "--urdf", str(path), "--states", "5", "--ground", "-0.1")
+    assert code == 0
+    assert "centre of mass (0.1, 0, 0.1) m" in out
+    assert "ground as given, at z = -0.1 m in the root link's frame" in out
+
+
+def test_other_numbers_leave_how_the_robot_of_a_file_stands(tmp_path: Path) -> None:
+    path = tmp_path / "husky.urdf"
+    path.write_text(husky())
+    read = MobileRobot.from_urdf(path)
+    changed = choices.robot(read, mass=70.0, com=(0.1, 0.0))
+    assert (changed.mass, changed.com) == (70.0, (0.1, 0.0, read.com[2]))
+    assert changed.stance == read.stance
+    assert "with other mass, com" in changed.source
 
 
 def test_derive_prints_text_or_latex(capsys: pytest.CaptureFixture[str]) -> None:
@@ -168,6 +184,8 @@ def test_a_run_that_diverges_keeps_what_came_before(
         (["run", "--dt", "0.07"], "expected a whole number of steps dt = 0.07 s"),
         (["run", "--mass", "-1"], "mass is -1.0 kg, expected > 0"),
         (["run", "--urdf", "missing.urdf"], "path is 'missing.urdf', which cannot be read"),
+        (["run", "--ground", "-0.1"], "--ground applies beside --urdf alone"),
+        (["verify", "--ground", "-0.1"], "--ground applies beside --urdf alone"),
         (["run", "--radios", "1"], "No such option"),
         (["verify", "--urdf", "missing.urdf"], "path is 'missing.urdf', which cannot be read"),
         (["verify", "--com", "1"], "com has shape (1,), expected (2,) or (3,)"),
@@ -223,3 +241,33 @@ def test_an_interrupt_ends_quietly(
     monkeypatch.setattr("pinmobile.cli.commands.show_lecture", interrupt)
     code, _, err = typed(capsys, "lecture")
     assert (code, err) == (130, "pinmobile: interrupted\n")
+
+
+@pytest.mark.parametrize(
+    ("words", "file"),
+    [
+        ("lecture --no-gif --out OUT", "via-stop-path.png"),
+        ("run --dt 0.5 --out OUT", "rollout.npz"),
+        ("ensemble --n 20 --duration 6 --spread mass=percent:20 --out OUT", "bands.png"),
+        ("mount ur5 --dt 0.01 --duration 1 --out OUT", "computed-torque.npz"),
+        ("mount ur5 --dt 0.01 --duration 1 --html OUT/ur5.html", "ur5.html"),
+    ],
+)
+def test_a_full_disk_is_told_in_one_line_that_names_the_file(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, words: str, file: str
+) -> None:
+    (tmp_path / file).write_bytes(b"good")
+    with full_disk(5000):
+        code, _, err = typed(capsys, *words.replace("OUT", str(tmp_path)).split())
+    assert code == 1
+    assert err == (f"pinmobile: path is {str(tmp_path / file)!r}, which cannot be written: File too large\n")
+    assert [(each.name, each.read_bytes()) for each in tmp_path.iterdir()] == [(file, b"good")]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux alone has a device that is full")
+def test_a_console_behind_which_the_disk_is_full_is_told_in_one_line() -> None:
+    words = [sys.executable, "-m", "pinmobile", "derive"]
+    with Path("/dev/full").open("wb") as full:
+        done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, check=False, timeout=100)
+    assert done.returncode == 1
+    assert done.stderr == b"pinmobile: the output cannot be written: [Errno 28] No space left on device\n"

@@ -26,6 +26,7 @@ from pinmobile.cli.many import _answer, _differs
 from pinmobile.cli.scenario_file import _TABLES, EXAMPLE, read_grid
 from pinmobile.ensembles import ARRAYS, PARAMETERS
 from pinmobile.sweeps import length
+from tests.damage import answer, damaged, full_disk
 from tests.test_cli import typed
 
 CIRCLE = Tangent(Circle(3.0, 0.1, 6.0))
@@ -421,3 +422,128 @@ def test_without_numba_an_ensemble_takes_longer_and_says_so(
     assert code == 0
     assert "numba is not installed: this takes some ten times longer (extra: ensembles)" in out
     assert "computed torque" in out
+
+
+def test_a_full_disk_in_a_sweep_is_told_and_it_goes_on(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "mass.toml").write_text(SMALL)
+    words = "sweep", str(tmp_path / "mass.toml"), "--out", str(tmp_path / "out")
+    with full_disk(9000):
+        code, _, err = typed(capsys, *words)
+    assert code == 1
+    file = r"pinmobile: a file of the store is '.*sweep\.zarr/.*', which cannot be written: File too large; "
+    assert re.fullmatch(file + "what is done is in the store: start the same sweep again to go on\n", err)
+    code, out, _ = typed(capsys, *words)
+    assert code == 0
+    assert " mm in 99 % of runs, computed-torque within 1." in out
+
+
+ODD = [
+    "nan",
+    "inf",
+    "-1",
+    "0",
+    "-1e308",
+    "1e-300",
+    "10000000000000000000000",
+    "true",
+    '""',
+    '"x"',
+    "[]",
+    "[1]",
+    "[1,2,3,4]",
+    "[nan,1]",
+    '["a"]',
+    "[[1]]",
+    "{}",
+    "{a=1}",
+    "2020-01-01",
+    "12:00:00",
+    "{uniform=[1]}",
+    "{uniform=[2,1]}",
+    "{uniform=[nan,1]}",
+    "{normal=[0,inf]}",
+    "{percent=nan}",
+    "{percent=true}",
+    "{same=3}",
+    "{same=[]}",
+    '{same="mass",factor=[1]}',
+    "{uniform=[1,2],normal=[1,2]}",
+    "{factor=2}",
+    '{uniform="ab"}',
+    "{percent=[1]}",
+    '{uniform=[true,"x"]}',
+    "{uniform=[{},[]]}",
+]
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # numpy's, of sizes beyond all that exist
+def test_odd_values_in_a_scenario_file_are_a_grid_or_refused_by_its_name(tmp_path: Path) -> None:
+    path, rng = tmp_path / "file.toml", np.random.default_rng(0)
+    keys = [(table, key) for table, names in _TABLES.items() for key in names]
+    for _ in range(500):
+        (table, key), value = keys[rng.integers(len(keys))], ODD[rng.integers(len(ODD))]
+        tables: dict[str, dict[str, str]] = {"trajectory": {"duration": "6"}, "ensemble": {"n": "3"}}
+        if rng.integers(2):
+            tables["grid"] = {f'"{table}.{key}"': f"[{value}]"}
+        else:
+            tables.setdefault(table, {})[key] = value
+        rows = []
+        for name, content in tables.items():
+            rows += [f"[{name}]", *(f"{name} = {given}" for name, given in content.items())]
+        path.write_text("\n".join(rows))
+        found = answer(lambda: read_grid(path))
+        if isinstance(found, Exception):
+            assert "file.toml" in str(found), (table, key, value, found)
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # numpy's, of sizes beyond all that exist
+def test_a_damaged_scenario_file_is_a_grid_or_refused_by_its_name(tmp_path: Path) -> None:
+    content, path = SMALL.replace("n = 40", "n = 4").encode(), tmp_path / "file.toml"
+    lines = content.splitlines(keepends=True)
+    words = [
+        b"[",
+        b"]",
+        b"{",
+        b"}",
+        b"=",
+        b"nan",
+        b"inf",
+        b"-1",
+        b"0",
+        b"1e300",
+        b"true",
+        b'"',
+        b"'pd'",
+        b"[[]]",
+    ]
+    words += [b"2020-01-01", b"{}", b"[]", b"\xff", b"\0", b"a.b.c = 1\n", b"[robot.mass]\n", b"0x7fffffff"]
+    made, refused = 0, 0
+    for seed in range(500):
+        rng = np.random.default_rng(seed)
+        kind, given = rng.integers(4), list(lines)
+        if kind == 0:
+            mutant = damaged(content, rng)
+        elif kind == 1:
+            i, j = rng.integers(len(lines), size=2)
+            given[i] = given[j]
+            mutant = b"".join(given)
+        elif kind == 2:
+            values = re.split(rb"(?<=[=,\[ ])(?=[^\s])", content)
+            place = int(rng.integers(len(values)))
+            rest = re.sub(rb"^[^\s,\]}#]+", b"", values[place])
+            values[place] = words[int(rng.integers(len(words)))] + rest
+            mutant = b"".join(values)
+        else:
+            place = int(rng.integers(len(content)))
+            mutant = content[:place] + words[int(rng.integers(len(words)))] + content[place:]
+        path.write_bytes(mutant)
+        found = answer(lambda: read_grid(path))
+        if isinstance(found, Exception):
+            assert "file.toml" in str(found), (seed, mutant, found)
+            refused += 1
+        else:
+            made += 1
+            assert found.n * len(found) < 1e6
+    assert min(made, refused) > 50

@@ -582,7 +582,7 @@ PAIR = DHTable((DHRow(0, 0, 0, 0, R, "q1"), DHRow(0, 1, 0, 0, R, "q2")))
         ({"links": 3}, InvalidArgument, "links is 3, expected a sequence"),
         ({"order": "q1"}, InvalidArgument, "order is 'q1', expected a sequence"),
         ({"order": ["q7"]}, UnknownName, "unknown variable 'q7', available: q1"),
-        ({"order": [7]}, UnknownName, "unknown variable '7', available: q1"),
+        ({"order": [7]}, UnknownName, "unknown variable 7, available: q1"),
         (
             {"order": ["q1", "q1"]},
             InvalidArgument,

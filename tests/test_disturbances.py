@@ -39,9 +39,10 @@ def test_driven_forces_are_their_formulas() -> None:
     wave = np.sin(2 * np.pi * 0.7 * 3.0 + 0.3)
     np.testing.assert_allclose(EVERY[1](3.0, Q, V), wave * np.array([1, 2, 3]), rtol=1e-15)
     phases = np.random.default_rng(5).uniform(0, 2 * np.pi, (16, 3))
-    f = [2.0 * (k + np.mod((k + 1) * 0.6180339887498949, 1)) / 16 for k in range(16)]
+    golden = 0.6180339887498949
+    f = [[2.0 * (k + np.mod((k + 1) * golden + j / 3, 1)) / 16 for j in range(3)] for k in range(16)]
     expected = [
-        std * np.sqrt(2 / 16) * sum(np.cos(2 * np.pi * f[k] * 3.0 + phases[k, j]) for k in range(16))
+        std * np.sqrt(2 / 16) * sum(np.cos(2 * np.pi * f[k][j] * 3.0 + phases[k, j]) for k in range(16))
         for j, std in enumerate((1, 2, 3))
     ]
     # The same 16 cosines summed in another order.
@@ -131,13 +132,33 @@ def test_the_rms_of_noise_over_the_phases_is_std_and_its_mean_is_zero() -> None:
 
 def test_noise_has_one_line_in_each_part_of_the_band_and_nothing_beyond() -> None:
     frequencies = noise_frequencies(5.0)
-    np.testing.assert_array_equal(np.floor(frequencies / (5.0 / 16)), np.arange(16))
+    assert frequencies.shape == (16, 3)
     t = np.arange(0, 400, 0.02)
-    spectrum = np.abs(np.fft.rfft(NoiseForce((1, 1, 1), 5.0, 0)(t, Q, V)[:, 0] * np.hanning(len(t))))
-    band = np.fft.rfftfreq(len(t), 0.02)
-    assert spectrum[band > 5.05].max() < 1e-3 * spectrum.max()
-    peaks = band[spectrum > 0.5 * spectrum.max()]
-    assert all(np.abs(peaks - f).min() < 1 / 400 for f in frequencies)
+    for own, values in zip(frequencies.T, NoiseForce((1, 1, 1), 5.0, 0)(t, Q, V).T, strict=True):
+        np.testing.assert_array_equal(np.floor(own / (5.0 / 16)), np.arange(16))
+        spectrum = np.abs(np.fft.rfft(values * np.hanning(len(t))))
+        band = np.fft.rfftfreq(len(t), 0.02)
+        assert spectrum[band > 5.05].max() < 1e-3 * spectrum.max()
+        peaks = band[spectrum > 0.5 * spectrum.max()]
+        assert all(np.abs(peaks - f).min() < 1 / 400 for f in own)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_components_of_noise_are_not_correlated(seed: int) -> None:
+    bandwidth, duration = 5.0, 800.0
+    f = noise_frequencies(bandwidth)
+    t = np.linspace(0, duration, 80_001)[:-1]  # 20 samples in the fastest cosine's period
+    values = NoiseForce((1, 1, 1), bandwidth, seed)(t, Q, V)
+    for one, other in ((0, 1), (0, 2), (1, 2)):
+        apart, sums = (np.abs(op.outer(f[:, one], f[:, other])) for op in (np.subtract, np.add))
+        assert apart.min() > 0.28 * bandwidth / 16
+        # The mean of cos(2 pi f t) cos(2 pi g t) over a time T, whatever the phases, is at most
+        # 1 / (2 pi T) (1 / |f - g| + 1 / (f + g)), and each of K^2 products has the weight 2 / K. Of samples
+        # a time h apart it is x / sin x times that, x = pi h (f + g) <= 0.32: 2 % more.
+        bound = (1 / apart + 1 / sums).sum() / (16 * np.pi * duration)
+        assert bound < 0.02
+        assert abs((values[:, one] * values[:, other]).mean()) < 1.02 * bound
+    assert np.abs(np.corrcoef(values.T) - np.eye(3)).max() < 0.03
 
 
 def test_a_seed_repeats_and_a_generator_goes_on() -> None:

@@ -505,6 +505,20 @@ def test_quantiles_from_counts_are_right_to_the_width_of_a_bin() -> None:
     np.testing.assert_array_equal(sum(halves), counts)
 
 
+@pytest.mark.parametrize("n", [20, 50, 100, 200, 1000])
+def test_a_share_of_whole_robots_is_that_many(n: int) -> None:
+    # 0.07 * 100 = 7.000000000000001, and the seventh of a hundred is meant.
+    run = run_scenario(made(n=n, spread={"mass": Uniform(20, 40)}))
+    distance, heading = np.sort(run.max_distance), np.sort(run.max_error[:, 2])
+    for k in range(1, n + 1):
+        assert run.within(k / n) == (distance[k - 1], heading[k - 1])
+    assert run.within(0) == (distance[0], heading[0])
+    # In bins too: seven apart from the rest.
+    apart = np.concatenate([np.full(7, 0.001), np.full(93, 1.0)])
+    counts = np.bincount(bins_of(apart), minlength=BINS)
+    assert quantiles(counts, np.array([0.07]))[0] == pytest.approx(0.001, rel=2**-5)
+
+
 def test_the_least_quantile_is_the_least_number_and_infinite_where_all_are() -> None:
     counts = np.bincount(bins_of(np.array([0.7, 0.8, 1.5])), minlength=BINS)
     np.testing.assert_allclose(quantiles(counts, np.array([0.0, 1.0])), [0.7, 1.5], rtol=2**-5)

@@ -2,7 +2,7 @@ import pickle
 
 import pytest
 
-from pinmobile.errors import Diverged, InvalidArgument, PinmobileError, UnknownName, ViewerError
+from pinmobile.errors import Diverged, FileError, InvalidArgument, PinmobileError, UnknownName, ViewerError
 
 
 @pytest.mark.parametrize(
@@ -12,6 +12,7 @@ from pinmobile.errors import Diverged, InvalidArgument, PinmobileError, UnknownN
         (UnknownName, KeyError),
         (Diverged, ArithmeticError),
         (ViewerError, RuntimeError),
+        (FileError, OSError),
     ],
 )
 def test_every_error_is_a_pinmobile_error_and_a_builtin_one(
@@ -32,3 +33,10 @@ def test_unknown_name_lists_the_names_there_are_the_nearest_first() -> None:
 def test_diverged_carries_time_state_and_what_was_recorded() -> None:
     error = Diverged("gone", time=1.5, q=[1], v=[2], rollout="so far")
     assert (error.time, error.q, error.v, error.rollout) == (1.5, [1], [2], "so far")
+
+
+def test_file_error_has_what_the_system_said_also_from_another_process() -> None:
+    error = FileError("disk is full", errno=28, filename="a/b")
+    copy = pickle.loads(pickle.dumps(error))
+    assert (str(copy), copy.errno, copy.filename) == ("disk is full", 28, "a/b")
+    assert copy.args == ("disk is full",)

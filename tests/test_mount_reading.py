@@ -1,6 +1,8 @@
 """What `mount` takes, what it makes of it, and what it refuses."""
 
+import copy
 import json
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,7 @@ import pinocchio as pin
 import pytest
 
 from pinmobile import (
+    Circle,
     ComputedTorque,
     FixedHeading,
     InvalidArgument,
@@ -20,10 +23,12 @@ from pinmobile import (
     Reference,
     Rollout,
     UnknownName,
+    WholeBody,
     simulate,
 )
 from pinmobile.arrays import Array
 from pinmobile.robot import BODY_JOINT
+from pinmobile.simulation.storage import why_unknown
 from pinmobile.viewer import Arrows, Overlays, Viewer
 from tests.chromium import chromium
 from tests.webclient import eventually
@@ -343,6 +348,8 @@ def unsound(**changed: Any) -> pin.Model:
         (unsound(upperPositionLimit=np.nan), "has position limits from -1.79769e+308 to nan, expected"),
         (unsound(velocityLimit=np.nan), "has velocity limit nan, expected a number >= 0"),
         (unsound(effortLimit=-3.0), "has effort limit -3, expected a number >= 0"),
+        (unsound(damping=-0.5), "has damping -0.5, expected a number >= 0"),
+        (unsound(friction=np.nan), "has friction nan, expected a number >= 0"),
         (unsound(body=(-5, (1, 1, 1))), "carries a mass of -5 kg, expected a finite number >= 0"),
         (unsound(body=(np.nan, (1, 1, 1))), "carries a mass of nan kg, expected a finite number >= 0"),
         (
@@ -488,3 +495,64 @@ def test_a_ur5s_recording_is_small_and_plays_in_a_browser(tmp_path: Path) -> Non
     T = robot.frame_placements(run.q[300])
     there = [T[item.parentJoint - 1] @ np.append(item.placement.translation, 1) for item in items]
     np.testing.assert_allclose(seen, np.array(there)[:, :3], atol=1e-4)  # keys have five digits
+
+
+RESISTED = ARM.format(lower=INERTIAL)
+for _limit, _dynamics in (
+    ('effort="30" velocity="2"/>', '<dynamics damping="0.7" friction="0.2"/>'),
+    ('effort="20" velocity="3"/>', '<dynamics damping="0.3" friction="0.1"/>'),
+):
+    RESISTED = RESISTED.replace(_limit, _limit + _dynamics)
+BASE = """<robot name="cart"><link name="base"><inertial><origin xyz="0 0 0.1"/><mass value="20"/>
+  <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="wheel"><inertial><mass value="1"/>
+  <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="axle" type="continuous"><parent link="base"/><child link="wheel"/><origin xyz="0 0.2 0.1"/>
+  <axis xyz="0 1 0"/><dynamics damping="9" friction="8"/></joint></robot>"""
+
+
+def test_damping_and_friction_of_joints_are_kept(urdf: Path, tmp_path: Path) -> None:
+    urdf.write_text(RESISTED)
+    cart = tmp_path / "cart.urdf"
+    cart.write_text(BASE)
+    base = MobileRobot.from_urdf(cart)
+    robot = base.mount(urdf, (0, 0, 0.2, 0)).mount(urdf, (0.1, 0, 0.2, 0), locked=["shoulder"])
+    for carrying in (robot, robot.attach(Load(1.0)), pickle.loads(pickle.dumps(robot)), copy.deepcopy(robot)):
+        assert carrying.joint_damping.tolist() == [0, 0, 0, 0.7, 0.3, 0.3]
+        assert carrying.joint_friction.tolist() == [0, 0, 0, 0.2, 0.1, 0.1]
+        assert carrying.model.damping[3:].tolist() == [0.7, 0.3, 0.3]
+    for bare in (base, robot.base, robot.lumped()):  # the wheels are locked
+        assert bare.joint_damping.tolist() == bare.joint_friction.tolist() == [0, 0, 0]
+    with pytest.raises(ValueError, match="read-only"):
+        robot.joint_damping[3] = 1.0
+    # Nothing acts by them.
+    urdf.write_text(ARM.format(lower=INERTIAL))
+    free = base.mount(urdf, (0, 0, 0.2, 0)).mount(urdf, (0.1, 0, 0.2, 0), locked=["shoulder"])
+    q, v, tau = robot.rest, np.ones(6), np.ones(6)
+    np.testing.assert_array_equal(robot.forward_dynamics(q, v, tau), free.forward_dynamics(q, v, tau))
+    assert robot != free
+
+
+def test_damping_and_friction_of_a_model_are_kept() -> None:
+    model = unsound(damping=0.5, friction=0.25, armature=0.1, rotorInertia=0.01, rotorGearRatio=50.0)
+    robot = BOX.mount(model, (0, 0, 0.2, 0)).attach(Load(0.5))
+    assert robot.joint_damping.tolist() == [0, 0, 0, 0, 0.5]
+    assert robot.joint_friction.tolist() == [0, 0, 0, 0, 0.25]
+    # What else the file says of a joint comes through, too.
+    for name in ("armature", "rotorInertia", "rotorGearRatio", "effortLimit", "velocityLimit"):
+        np.testing.assert_array_equal(getattr(robot.model, name)[3:], getattr(model, name), name)
+
+
+def test_a_saved_rollout_knows_whether_damping_and_friction_are_what_they_were(
+    urdf: Path, tmp_path: Path
+) -> None:
+    urdf.write_text(RESISTED)
+    robot = BOX.mount(urdf, (0, 0, 0.2, 0))
+    file, motion = tmp_path / "run.npz", WholeBody(robot, FixedHeading(Circle(1, 0.1, 1), 0), None)
+    simulate(robot, ComputedTorque(robot), motion, dt=0.5).save(file)
+    loaded = Rollout.load(file).robot
+    assert loaded == robot
+    assert loaded.joint_damping.tolist() == robot.joint_damping.tolist()
+    urdf.write_text(RESISTED.replace('friction="0.2"', 'friction="0.4"'))
+    assert Rollout.load(file).robot is None
+    assert "its joints' damping, friction and rotors are no longer those that were kept" in why_unknown(file)

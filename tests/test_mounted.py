@@ -248,7 +248,7 @@ def drift(robot: MobileRobot, dt: float, integrator: object) -> Array:
 
 def test_the_free_whole_keeps_momentum_and_energy_to_the_integrators_order() -> None:
     weightless = MobileRobot.box().mount("ur5", AT)
-    weightless.model.gravity = pin.Motion.Zero()
+    weightless._engine.model.gravity = pin.Motion.Zero()
     # With gravity, and joints on the circle: it does not push along the plane, and is in the energy.
     pendulum = MobileRobot.box().mount("double_pendulum_continuous", AT)
     for robot, dt in ((weightless, 0.01), (pendulum, 0.005)):
@@ -323,7 +323,7 @@ def test_pd_needs_the_robots_own_difference_where_configurations_do_not_subtract
     with pytest.raises(InvalidArgument, match="by difference=difference_of"):
         simulate(KINOVA, PD(10, 10), Still(goal, 9), dt=0.01)
     weightless = MobileRobot.box().mount("kinova", AT)
-    weightless.model.gravity = pin.Motion.Zero()
+    weightless._engine.model.gravity = pin.Motion.Zero()
     gains = 4 * np.diag(weightless.mass_matrix(goal))
     held = PD(gains, gains, difference=difference_of(weightless))
     run = simulate(weightless, held, Still(goal, 9), dt=0.002, q0=KINOVA.rest)

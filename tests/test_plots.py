@@ -357,10 +357,12 @@ class TestFigures:
 
     def test_a_path_needs_a_pose(self, circle: dict[str, Rollout]) -> None:
         run = circle["PD"]
+        desired = run.reference._replace(q=run.reference.q[:, :2])
+        flat = replace(run, robot=None, q=run.q[:, :2], reference=desired)
         with pytest.raises(
             InvalidArgument, match=r"^rollouts\['a'\].q has shape \(601, 2\), expected \(\.\.\., 3\)"
         ):
-            plots.path({"a": replace(run, q=run.q[:, :2])})
+            plots.path({"a": flat})
 
     def test_pyplot_and_settings_are_left_alone(self, circle: dict[str, Rollout], tmp_path: Path) -> None:
         before = dict(matplotlib.rcParams)

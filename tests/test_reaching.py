@@ -21,6 +21,7 @@ from pinmobile import (
     UnknownName,
     Unreachable,
     resolve,
+    rk4,
     simulate,
 )
 from pinmobile.arrays import Array
@@ -167,6 +168,33 @@ def test_what_the_arm_cannot_reach_is_reached_because_the_base_moves() -> None:
     check_limits(kept, LOCKED)
     copy = pickle.loads(pickle.dumps(Unreachable("far", time=1.0, resolved=None)))
     assert (str(copy), copy.time) == ("far", 1.0)
+
+
+@pytest.mark.parametrize("towards", [0.0, 0.25, 0.5, 1.0, 1.3])
+@pytest.mark.parametrize("turns", [False, True])
+def test_a_tolerance_is_of_distance_and_angle_whatever_the_direction(towards: float, turns: bool) -> None:
+    locked, ahead = np.zeros(9), 0.014 * np.array([np.cos(towards), np.sin(towards), 0])
+    if turns:
+        axis = pin.exp3(ahead)
+        missed = PosePath(line(START[:3, 3], (0, 0, 0)), START[:3, :3], axis @ START[:3, :3])
+    else:
+        missed = PosePath(line(START[:3, 3], ahead))
+    resolved = resolve(UR5, missed, q0=BENT, velocity_limit=locked, tolerance=0.0141)
+    assert max(resolved.max_error()) == pytest.approx(0.014, rel=1e-9)
+    with pytest.raises(Unreachable, match=r"largest errors are .*0\.014"):
+        resolve(UR5, missed, q0=BENT, velocity_limit=locked, tolerance=0.0139)
+
+
+def test_the_velocity_at_the_start_is_the_targets_but_for_dt_squared(ring: Resolved) -> None:
+    wanted = RING(0.0).twist
+    missed = []
+    for dt in (0.02, 0.01, 0.005):
+        resolved = resolve(UR5, RING, q0=BENT, dt=dt)
+        at = resolved(0.0)
+        missed.append(np.abs(UR5.frame_jacobian(at.q) @ at.v - wanted).max())
+    assert missed[0] > 1e-6
+    np.testing.assert_allclose(np.divide(missed[:-1], missed[1:]), 4, rtol=0.1)
+    assert "dt^2" in str(resolve.__doc__).partition("Returns")[2]
 
 
 def test_an_orientation_that_is_missed_is_told_though_the_position_is_met() -> None:
@@ -316,6 +344,25 @@ class TestTracking:
         assert np.abs(run.q[:, :3]).max() < 1e-3
         assert misses(PANDA, away, run.t, run.q)[0] > 0.05
 
+    @pytest.mark.parametrize("substeps", [1, 5])
+    def test_limits_hold_however_the_plant_moves_under_the_held_force(self, substeps: int) -> None:
+        T = PANDA.frame_pose(PANDA.rest)  # one finger at its limit, the base locked
+        locked = np.where(np.arange(12) < 3, 0.0, PANDA.velocity_limit)
+        away = PosePath(line(T[:3, 3], (-0.6, 0, -0.3), 4), T[:3, :3])
+        law = EndEffectorTracking(PANDA, away, velocity_limit=locked, integrator=rk4)
+        run = simulate(PANDA, law, Still(PANDA.rest), dt=0.01, integrator=rk4, substeps=substeps)
+        # What five corrections leave of a coordinate's overrun, 1e-2 each; steps a fifth as long differ from
+        # one by some 1e-4 of rk4's own error per step.
+        assert (run.q > PANDA.lower - 1e-10).all()
+        assert (run.q < PANDA.upper + 1e-10).all()
+        assert (np.abs(run.v) <= locked + 1e-7).all()
+        assert np.minimum(run.q - PANDA.lower, PANDA.upper - run.q)[:, 3:-2].min() < 1e-3
+        assert misses(PANDA, away, run.t, run.q)[0] > 0.05
+
+    def test_an_integrator_is_a_step(self) -> None:
+        with pytest.raises(InvalidArgument, match=r"^integrator is 'rk4', expected a step, such as rk4"):
+            EndEffectorTracking(UR5, RING, integrator="rk4")  # type: ignore[arg-type]
+
 
 class Still:
     """A reference at rest at a configuration."""
@@ -339,6 +386,22 @@ def test_a_pose_paths_twist_and_rate_are_its_slopes() -> None:
     ends = RING([0, RING.duration])
     np.testing.assert_allclose(ends.pose[:, :3, :3], [START[:3, :3], START[:3, :3] @ TURN], atol=1e-12)
     np.testing.assert_allclose(ends.twist[:, 3:], 0, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "axis", [(1, 0, 0), (0, -1, 0), (1, -1, 0), (-1, 1, 1), (0, 1, -1), (-3, 0, 4)], ids=str
+)
+def test_half_a_turn_of_a_pose_has_one_sense_whatever_rounding_leaves(axis: Any) -> None:
+    unit = np.array(axis) / np.linalg.norm(axis)
+    leading = unit[np.flatnonzero(unit)[0]]
+    actual, target = np.tile(START, (20, 1, 1)), np.tile(START, (20, 1, 1))
+    rng = np.random.default_rng(7)
+    for k in range(20):
+        angle = np.pi + (0, 1e-15, -1e-15, 1e-9, -1e-9)[k % 5]
+        target[k, :3, :3] = pin.exp3(angle * unit) @ START[:3, :3] + rng.uniform(-1e-15, 1e-15, (3, 3))
+    turns = pose_error(target, actual)[:, 3:]
+    # log3 is good to the root of rounding here.
+    np.testing.assert_allclose(turns, np.tile(np.sign(leading) * np.pi * unit, (20, 1)), rtol=0, atol=1e-6)
 
 
 def test_a_pose_path_holds_read_only_copies_of_its_rotations() -> None:

@@ -7,7 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pinmobile import LECTURE_TABLE, SLIDE_TABLE, DHRow, DHTable, InvalidArgument, JointType, MobileRobot
+from pinmobile import (
+    LECTURE_TABLE,
+    SLIDE_TABLE,
+    DHRow,
+    DHTable,
+    InvalidArgument,
+    JointType,
+    Load,
+    MobileRobot,
+)
 from pinmobile.arrays import Array
 
 robots = st.builds(
@@ -219,3 +228,77 @@ def test_the_raw_model_is_pinocchios(offset_robot: MobileRobot) -> None:
     assert isinstance(model, pin.Model)
     M = pin.crba(model, model.createData(), np.array([2.0, 1.0, 0.7]))  # y before x
     np.testing.assert_array_equal(M[np.ix_([1, 0, 2], [1, 0, 2])], offset_robot.mass_matrix([1.0, 2.0, 0.7]))
+
+
+@pytest.mark.parametrize("x", [1e3, 5e6, 1e12])
+def test_nothing_is_lost_far_from_the_origin(offset_robot: MobileRobot, x: float) -> None:
+    """A map's origin may be thousands of kilometres away, as that of UTM coordinates is."""
+    rng = np.random.default_rng(3)
+    for robot in (offset_robot, MobileRobot.box().mount("ur5")):
+        here = robot.random_configuration(rng)
+        here[:2] = 0.0
+        far = here + np.eye(robot.nq)[0] * x - np.eye(robot.nq)[1] * x
+        v, a = rng.normal(size=(2, robot.nv))
+        for name in ("mass_matrix", "gravity", "frame_jacobian", "kinetic_energy", "manipulability"):
+            given = (v,) if name == "kinetic_energy" else ()
+            method = getattr(robot, name)
+            np.testing.assert_array_equal(method(far, *given), method(here, *given), name)
+        for name in ("nonlinear_effects", "coriolis_matrix", "frame_drift"):
+            np.testing.assert_array_equal(getattr(robot, name)(far, v), getattr(robot, name)(here, v), name)
+        for name in ("inverse_dynamics", "forward_dynamics", "linearize", "regressor", "ground_wrench"):
+            method = getattr(robot, name)
+            for found, expected in zip(method(far, v, a), method(here, v, a), strict=True):
+                np.testing.assert_array_equal(found, expected, name)
+        assert robot.lumped(far) == robot.lumped(here)
+
+
+def test_what_is_handed_out_may_be_written_into_and_nothing_changes() -> None:
+    robot = MobileRobot.box().mount("ur5").attach(Load(1.0, (0, 0, 0.1)))
+    again = MobileRobot.box().mount("ur5").attach(Load(1.0, (0, 0, 0.1)))
+    q = robot.rest
+    M, pose, drawn = robot.mass_matrix(q), robot.frame_pose(q), robot.visual_model.geometryObjects[0]
+    heavy = pin.Inertia(99.0, np.ones(3), np.eye(3))
+    arm = robot.mounts[0].arm
+    for model in (robot.model, robot.mounts[0].model, arm.model, arm.whole):
+        for joint in range(model.njoints):
+            model.inertias[joint] = heavy
+            model.jointPlacements[joint] = pin.SE3.Random()
+        model.gravity = pin.Motion.Zero()
+        model.upperPositionLimit = np.zeros(model.nq)
+    robot.loads[0][1].body.mass = 99.0
+    items = robot.visual_model.geometryObjects
+    items[0].placement, items[0].meshColor = pin.SE3.Random(), np.ones(4)
+    items[0].geometry.halfSide = np.ones(3)
+    for same in (robot, pickle.loads(pickle.dumps(robot)), MobileRobot.box().mount(arm.whole, name="ur5")):
+        carrying = same if same.loads else same.attach(Load(1.0, (0, 0, 0.1)))
+        np.testing.assert_array_equal(carrying.mass_matrix(q), M)
+        np.testing.assert_array_equal(carrying.frame_pose(q), pose)
+        np.testing.assert_array_equal(carrying.upper, again.upper)
+    assert robot == again
+    assert hash(robot) == hash(again)
+    shown = robot.visual_model.geometryObjects[0]
+    assert (shown.placement, shown.meshColor.tolist()) == (drawn.placement, drawn.meshColor.tolist())
+    np.testing.assert_array_equal(shown.geometry.halfSide, drawn.geometry.halfSide)
+    for array in (
+        robot.rest,
+        robot.neutral,
+        robot.upper,
+        robot.velocity_limit,
+        robot.body.com,
+        robot.body.inertia,
+    ):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 7.0
+
+
+def test_what_was_given_may_be_written_into_and_nothing_changes() -> None:
+    model = pin.buildSampleModelManipulator()
+    shown = pin.buildSampleGeometryModelManipulator(model)
+    robot = MobileRobot.box().mount(model, rest=np.zeros(6), visual=shown)
+    q = robot.rest
+    M, colour = robot.mass_matrix(q), robot.visual_model.geometryObjects[-1].meshColor.copy()
+    model.inertias[2] = pin.Inertia(99.0, np.ones(3), np.eye(3))
+    shown.geometryObjects[len(shown.geometryObjects) - 1].meshColor = np.array([0.1, 0.2, 0.3, 0.4])
+    np.testing.assert_array_equal(robot.mass_matrix(q), M)
+    other = pickle.loads(pickle.dumps(robot))
+    np.testing.assert_array_equal(other.visual_model.geometryObjects[-1].meshColor, colour)

@@ -19,6 +19,7 @@ from pinmobile import (
     MobileRobot,
     Reference,
     Rollout,
+    Tangent,
     constant_acceleration,
     law,
     rk4,
@@ -478,6 +479,16 @@ def test_files_that_cannot_be_written_or_read_are_refused_by_name(tmp_path: Path
     np.savez(tmp_path / "other.npz", x=np.zeros(3))
     with pytest.raises(InvalidArgument, match="which is no 'pinmobile rollout 1' archive"):
         Rollout.load(tmp_path / "other.npz")
+
+
+def test_digits_of_rounding_are_not_printed() -> None:
+    run = simulate(ROBOT, ComputedTorque(ROBOT, 4, 4), Tangent(Circle(3, 0.1, 60)), dt=0.01)
+    x, _, psi = run.max_error()
+    assert x > 1e-7
+    assert 0 < psi < 1e-12
+    for text in (str(run), repr(run)):
+        assert f"largest error: x {x:.6e} m" in text
+        assert "psi < 1e-12 rad" in text
 
 
 def test_a_rollout_says_what_came_of_it() -> None:

@@ -2,7 +2,10 @@
 
 import ast
 import importlib
+import inspect
+import pickle
 import pkgutil
+import pydoc
 import subprocess
 import sys
 import venv
@@ -14,6 +17,7 @@ import pytest
 import pinmobile
 
 ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "src" / "pinmobile"
 MODULES = sorted(
     m.name for m in pkgutil.walk_packages(pinmobile.__path__, "pinmobile.") if "__main__" not in m.name
 )
@@ -22,6 +26,8 @@ MODULES = sorted(
 ALLOWED: dict[str, set[str]] = {
     "errors": set(),
     "arrays": {"errors"},
+    "files": {"arrays"},
+    "extras": {"errors"},
     "dh": {"arrays"},
     "urdf": {"dh"},
     "closed_form": {"arrays"},
@@ -34,9 +40,10 @@ ALLOWED: dict[str, set[str]] = {
     "controllers": {"arrays"},
     "integrators": {"arrays"},
     "disturbances": {"arrays"},
-    "simulation": {"robot", "trajectories", "controllers", "integrators", "disturbances"},
+    "simulation": {"files", "robot", "trajectories", "controllers", "integrators", "disturbances"},
     "accuracy": {"robot", "integrators", "simulation", "trajectories", "controllers"},
     "ensembles": {
+        "extras",
         "closed_form",
         "robot",
         "trajectories",
@@ -45,11 +52,11 @@ ALLOWED: dict[str, set[str]] = {
         "integrators",
         "simulation",
     },
-    "sweeps": {"ensembles"},
+    "sweeps": {"files", "ensembles", "extras"},
     "balance": {"robot"},
-    "reaching": {"robot", "trajectories"},
-    "plots": {"simulation", "accuracy", "ensembles", "balance"},
-    "viewer": {"robot", "simulation"},
+    "reaching": {"robot", "trajectories", "integrators"},
+    "plots": {"files", "simulation", "accuracy", "ensembles", "balance"},
+    "viewer": {"files", "robot", "simulation", "extras"},
 }
 
 
@@ -73,34 +80,50 @@ def test_all_lists_every_public_name_that_the_module_defines(name: str) -> None:
     assert all(hasattr(module, entry) for entry in module.__all__)
 
 
-def test_names_that_are_loaded_when_asked_for_are_listed_and_helpers_are_not() -> None:
+def test_names_that_are_loaded_when_used_are_listed_and_helpers_are_not() -> None:
     listed = dir(pinmobile)
-    assert set(pinmobile.__all__) | {"plots", "sweeps", "viewer", "__version__"} <= set(listed)
-    assert not {"Any", "TYPE_CHECKING", "import_module", "get_close_matches"} & set(listed)
+    assert {*pinmobile.__all__, "closed_form", "plots", "urdf", "viewer", "__version__"} <= set(listed)
+    assert not {"Any", "Model", "TYPE_CHECKING", "import_module", "get_close_matches"} & set(listed)
 
 
 def test_a_name_that_is_not_there_is_answered_with_the_nearest() -> None:
     with pytest.raises(AttributeError, match=r"has no attribute 'Unifrom', did you mean 'Uniform'[?]$"):
-        pinmobile.Unifrom  # noqa: B018 (the lookup is what is tested)
+        pinmobile.Unifrom  # type: ignore[attr-defined]  # noqa: B018 (the lookup is what is tested)
+    with pytest.raises(AttributeError, match=r"has no attribute 'viewr', did you mean 'viewer'[?]$"):
+        pinmobile.viewr  # type: ignore[attr-defined]  # noqa: B018
     assert not hasattr(pinmobile, "nothing_like_it_at_all")
 
 
-def test_all_of_the_package_is_what_it_imports() -> None:
-    tree = ast.parse((ROOT / "src" / "pinmobile" / "__init__.py").read_text())
-    imported = {
-        alias.name
+def test_what_is_loaded_when_used_is_what_type_checkers_see_and_what_is_exported() -> None:
+    tree = ast.parse((PACKAGE / "__init__.py").read_text())
+    seen = {
+        alias.name: str(node.module)
         for node in ast.walk(tree)
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("pinmobile.")
         for alias in node.names
     }
-    assert set(pinmobile.__all__) == imported
-    assert all(hasattr(pinmobile, name) for name in imported)
+    table = pinmobile._NAMES
+    assert {name: f"pinmobile.{module}" for module, names in table.items() for name in names} == seen
+    assert set(pinmobile.__all__) == set(seen)
+    assert len(pinmobile.__all__) == sum(len(names) for names in table.values())
+    for name, module in seen.items():
+        assert getattr(pinmobile, name) is getattr(importlib.import_module(module), name)
+        assert name in vars(pinmobile)  # kept: the next use costs a look-up
+
+
+def test_every_module_is_found_in_the_package_and_none_hides_a_name() -> None:
+    on_disk = {
+        path.stem for path in PACKAGE.iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()
+    }
+    assert set(pinmobile._NAMES) == on_disk - {"__init__", "__main__", "cli"}
+    # A module that is loaded becomes an attribute of the package, in place of a name that is the same.
+    assert not set(pinmobile.__all__) & on_disk
 
 
 def test_a_module_imports_only_what_the_design_allows() -> None:
     checked = 0
-    for path in sorted((ROOT / "src" / "pinmobile").rglob("*.py")):
-        part = path.relative_to(ROOT / "src" / "pinmobile").parts[0].removesuffix(".py")
+    for path in sorted((PACKAGE).rglob("*.py")):
+        part = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
         if part not in ALLOWED:
             assert part in ("__init__", "__main__", "cli")
             continue
@@ -121,14 +144,130 @@ def test_a_module_imports_only_what_the_design_allows() -> None:
     assert checked > 50
 
 
-def test_import_pulls_in_nothing_heavier_than_numpy_and_pinocchio() -> None:
-    code = (
+HEAVY = ("IPython", "asyncio", "dask", "llvmlite", "matplotlib", "meshcat", "numba", "scipy", "sympy", "zarr")
+
+
+def fresh(code: str) -> str:
+    """Return all that a new interpreter prints, warnings included."""
+    words = [sys.executable, "-c", code]
+    done = subprocess.run(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+    return done.stdout
+
+
+def test_import_pulls_in_numpy_and_pinocchio_and_none_of_its_own_modules() -> None:
+    loaded = fresh(
         "import sys, pinocchio; before = set(sys.modules); import pinmobile; "
-        "print(*sorted({m.split('.')[0] for m in set(sys.modules) - before} - set(sys.stdlib_module_names)))"
+        "print(*(set(sys.modules) - before - set(sys.stdlib_module_names)))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert set(done.stdout.split()) <= {"numpy", "pinmobile"}
-    assert done.stderr == ""
+    assert loaded.split() == ["pinmobile"]
+    alone = fresh("import sys, pinmobile; print('numpy' in sys.modules, 'pinocchio' in sys.modules)")
+    assert alone.split() == ["True", "True"]
+
+
+@pytest.mark.parametrize(
+    ("use", "heavy"),
+    [
+        ("from pinmobile import PD, Circle, ComputedTorque, MobileRobot, Tangent, simulate", ()),
+        ("import pinmobile; pinmobile.balance, pinmobile.closed_form, pinmobile.ensembles", ()),
+        ("from pinmobile import EndEffectorTracking, Spline, UnknownName", ()),
+        ("from pinmobile import Axis, Scenario, grid, sweep", ()),
+        ("import pinmobile.derivation", ("sympy",)),
+        ("import pinmobile.plots", ("matplotlib",)),
+    ],
+)
+def test_a_first_use_pulls_in_what_it_needs_and_nothing_heavier(use: str, heavy: tuple[str, ...]) -> None:
+    loaded = fresh(f"import sys; {use}; print(*{{name.split('.')[0] for name in sys.modules}})")
+    assert set(loaded.split()) & set(HEAVY) == set(heavy)
+
+
+def test_names_are_there_however_they_are_asked_for() -> None:
+    fresh("from pinmobile import *; PD, MobileRobot, ensemble, sweep, tip_over_margin")
+    fresh("from pinmobile import plots, robot, rk4; plots.path, robot.Mount, rk4")
+    fresh("import pinmobile.paths as paths, pinmobile; assert pinmobile.Circle is paths.Circle")
+    made = pickle.dumps([pinmobile.PD(kp=2, kd=1), pinmobile.Uniform, pinmobile.rk4])
+    fresh(
+        f"import pickle; pd, kind, _ = pickle.loads({made!r}); import pinmobile; "
+        "assert isinstance(pd, pinmobile.PD) and kind is pinmobile.Uniform"
+    )
+    # inspect and pydoc walk through all that `dir` tells.
+    assert {name for name, _ in inspect.getmembers(pinmobile)} >= set(pinmobile.__all__)
+    assert "class ComputedTorque" in pydoc.plain(pydoc.render_doc(pinmobile))
+
+
+def test_any_module_may_be_the_first_to_be_used() -> None:
+    fresh(
+        """if True:
+        import sys
+        import pinmobile
+
+        for first in pinmobile._NAMES:
+            for module in [name for name in sys.modules if name.startswith("pinmobile")]:
+                del sys.modules[module]
+            import pinmobile
+
+            getattr(pinmobile, first)
+        """
+    )
+
+
+def test_many_threads_may_use_the_package_first() -> None:
+    fresh(
+        """if True:
+        import random, sys, threading
+        import pinmobile
+        from pinmobile import viewer, plots, sweeps  # what they load of others' is loaded
+
+        sys.setswitchinterval(1e-6)
+        names = [name for name in dir(pinmobile) if not name.startswith("_")]
+        for seed in range(5):
+            for module in [name for name in sys.modules if name.startswith("pinmobile")]:
+                del sys.modules[module]
+            import pinmobile
+
+            wrong, found, start = [], {}, threading.Barrier(8)
+
+            def use(k):
+                order = random.Random(8 * seed + k).sample(names, len(names))
+                start.wait()
+                try:
+                    for name in order:
+                        one = getattr(pinmobile, name)
+                        if found.setdefault(name, one) is not one:
+                            wrong.append(name)
+                except BaseException as error:
+                    wrong.append(error)
+
+            threads = [threading.Thread(target=use, args=(k,)) for k in range(8)]
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join()
+            assert not wrong, wrong
+            assert len(found) == len(names)
+        """
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (None, "No module named 'pinocchio'"),
+        ("class Plugin: pass", "cannot import name 'Model' from 'pinocchio'"),
+    ],
+)
+def test_a_missing_or_another_pinocchio_is_told_at_once_with_what_to_install(
+    tmp_path: Path, text: str | None, said: str
+) -> None:
+    # -I and -S leave out PYTHONPATH and site-packages: no pinocchio but the one that is put there.
+    if text is not None:
+        (tmp_path / "pinocchio.py").write_text(text)
+    code = f"import sys; sys.path[:0] = [{str(tmp_path)!r}, {str(PACKAGE.parent)!r}]; import pinmobile"
+    words = [sys.executable, "-I", "-S", "-c", code]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith(f"ImportError: {said}")
+    assert "pip install pin (pinocchio there is another project" in last
 
 
 def test_importing_does_nothing_to_numpys_settings() -> None:
@@ -141,11 +280,6 @@ def test_importing_does_nothing_to_numpys_settings() -> None:
     done = subprocess.run(words, capture_output=True, text=True, check=True)
     before, after = done.stdout.splitlines()
     assert before == after
-
-
-def test_names_that_are_not_there_are_attribute_errors() -> None:
-    with pytest.raises(AttributeError, match="has no attribute 'viewr'"):
-        pinmobile.viewr  # noqa: B018  # the look-up is the test
 
 
 @pytest.fixture(scope="module")

@@ -41,6 +41,7 @@ from pinmobile import (
 from pinmobile.ensembles import run_scenario
 from pinmobile.ensembles.histogram import edges
 from pinmobile.sweeps import length
+from pinmobile.sweeps.axes import placed
 from pinmobile.sweeps.grids import RESERVED, as_grid
 from pinmobile.sweeps.layout import PER_ROBOT
 from pinmobile.sweeps.origin import determined_by, differences
@@ -117,6 +118,71 @@ def test_the_answer_is_that_of_the_worst_that_is_known(within: list[float], text
     assert answer({"gain": Axis([4, 9, 16])}, np.array(within), diverged, 20, 0.9) == text
 
 
+INF, NAN = math.inf, math.nan
+
+
+@pytest.mark.parametrize(
+    ("within", "diverged", "text"),
+    [
+        # A rival that diverges everywhere leaves it to the other where the worst happens.
+        (
+            [[0.001, 0.004, 0.002], [INF, INF, INF]],
+            [[0, 0, 0], [20, 20, 20]],
+            "with error = 0.2, PD stays within 4 mm in 90 % of runs, wild diverges in all runs",
+        ),
+        # Where all diverge, it is where more robots do.
+        (
+            [[INF, INF, INF], [INF, INF, INF]],
+            [[5, 5, 7], [20, 20, 20]],
+            "with error = 0.4, PD diverges in 35 % of runs, wild diverges in all runs",
+        ),
+        (
+            [[0.1, INF, 0.2], [INF, INF, INF]],
+            [[0, 5, 0], [20, 20, 20]],
+            "with error = 0.2, PD diverges in 25 % of runs, wild diverges in all runs",
+        ),
+        # What is not known is never the worst.
+        (
+            [[NAN, 0.001, 0.002], [INF, INF, NAN]],
+            [[0, 0, 0], [20, 20, 0]],
+            "with error = 0.2, PD stays within 1 mm in 90 % of runs, wild diverges in all runs",
+        ),
+        # Nor does rounding choose.
+        (
+            [[0.001, 0.002, 0.002 * (1 + 1e-15)], [0.001, 0.001, 0.001]],
+            [[0, 0, 0], [0, 0, 0]],
+            "with error = 0.2, PD stays within 2 mm in 90 % of runs, wild within 1 mm",
+        ),
+    ],
+)
+def test_the_worst_is_told_among_rivals(within: Any, diverged: Any, text: str) -> None:
+    axes = {"controller": Axis(["PD", "wild"]), "error": Axis([0.1, 0.2, 0.4])}
+    known, lost = np.array(within), np.array(diverged)
+    assert answer(axes, known, lost, 20, 0.9, beside="controller") == text
+    turned = dict(reversed(axes.items()))
+    assert answer(turned, known.T, lost.T, 20, 0.9, beside="controller") == text
+
+
+def test_where_all_diverge_the_worst_is_where_most_do() -> None:
+    axes = {"gain": Axis([4, 9, 16])}
+    found = answer(axes, np.full(3, INF), np.array([10, 19, 19]), 20, 0.9)
+    assert found == "with gain = 9, the robots diverge in 95 % of runs"
+
+
+def test_the_unit_of_what_has_no_dimension_is_not_printed() -> None:
+    axes = {"error": Axis([0.1, 0.2], "1"), "gain": Axis([4, 9], "1/s^2")}
+    within, lost = np.array([[0.1, 0.2], [0.3, 0.4]]), np.zeros((2, 2), int)
+    assert answer(axes, within, lost, 20, 0.9).startswith("with error = 0.2 and gain = 9 1/s^2, the robots")
+    assert table(axes, within, lost, 0.9).splitlines()[0].split()[:3] == ["error", "gain", "[1/s^2]"]
+    assert placed(axes, (0, 1)) == "error = 0.1, gain = 9 1/s^2"
+
+
+def test_a_share_of_whole_robots_is_that_many(tmp_path: Path) -> None:
+    found = sweep(replace(scenario(), n=100), tmp_path / "store")
+    sizes = np.sort(found.dataset.max_distance.values.ravel())
+    assert [float(found.within(k / 100)[0]) for k in range(1, 101)] == sizes.tolist()
+
+
 def test_a_table_says_how_many_rows_it_leaves_out() -> None:
     axes, within = {"gain": Axis([4, 9, 16], "1/s^2")}, np.array([1.0, np.inf, np.nan])
     rows = [table(axes, within, np.array([0, 5, 0]), 0.9, most).splitlines() for most in (1, 2, 3)]
@@ -142,6 +208,8 @@ def test_a_sweep_says_who_stays_within_what(done: Sweep) -> None:
         "1 nm",
         "unbounded",
     ]
+    for exact, text in ((1.0, "1 m"), (1e-3, "1 mm"), (1e-6, "1 um")):
+        assert [length(exact * (1 + off)) for off in (0, 1e-15, -1e-15, -1e-9)] == [text] * 4
 
 
 @pytest.mark.parametrize("called", ["controller", "law"])
@@ -173,7 +241,8 @@ def test_the_share_that_diverges_is_told_and_of_one_robot_no_share() -> None:
     assert answer(axes, far, wild, 20_000, 0.99) == "with gain = 2, the robots diverge in 96 % of runs"
     assert answer(axes, far, wild, 19_286, 0.99).endswith("diverge in more than 99 % of runs")
     assert answer(axes, far, wild, 19_285, 0.99).endswith("diverge in all runs")
-    assert answer(axes, far[:1].repeat(2), wild, 1, 0.99) == "with gain = 1, the robot stays within 100 mm"
+    calm = np.zeros(2, int)
+    assert answer(axes, far[:1].repeat(2), calm, 1, 0.99) == "with gain = 1, the robot stays within 100 mm"
     assert answer(axes, far, np.array([0, 1]), 1, 0.99) == "with gain = 2, the robot diverges"
     assert compared({"PD": 0.1, "wild": np.inf}, 0.99, {"PD": 0, "wild": 1}, 1) == (
         "PD stays within 100 mm, wild diverges"
@@ -195,9 +264,7 @@ def test_a_killed_sweep_goes_on_and_ends_with_the_same_store(
     killed = subprocess.run(words, cwd=ROOT, check=False, timeout=100)
     assert killed.returncode == -signal.SIGKILL
     assert contents(store) != contents(done.path)
-    # What a process leaves that dies while it writes a file.
-    (store / "max_error" / "0.123.partial").write_bytes(b"half")
-    (store / ".progress" / "3-128.new").write_bytes(b"half")
+    (store / ".progress" / "writing").write_bytes(b"half")  # as of a process that dies while it writes a file
     heard: list[int] = []
     sweep(gains_and_errors(), store, progress=lambda now, total: heard.append(now))
     assert heard[0] == robots
@@ -229,8 +296,9 @@ def test_a_sweep_that_is_done_is_not_done_again(done: Sweep) -> None:
 
 def test_a_sweep_killed_while_it_tidies_up_is_done(done: Sweep, tmp_path: Path) -> None:
     found = sweep(gains_and_errors(), tmp_path / "store", chunk=CHUNK)
-    (found.path / ".progress-done").mkdir()
-    (found.path / ".progress-done" / "0-0.npz").write_bytes(b"")
+    (found.path / ".progress").mkdir()
+    (found.path / ".progress" / "3-128.npz").write_bytes(b"")
+    (found.path / ".progress" / "lock").write_bytes(b"")
     sweep(gains_and_errors(), found.path)
     assert contents(found.path) == contents(done.path)
 
@@ -305,8 +373,11 @@ def test_a_mark_of_what_is_done_that_cannot_be_read_is_named(tmp_path: Path) -> 
     run = gains_and_errors()
     with Store(tmp_path / "store", run, determined_by(run), 200) as store:
         for job in store.jobs():
-            store._marker(job).write_bytes(b"")
-        with pytest.raises(InvalidArgument, match=r"store has '.*0-0\.npz', which cannot be read: "):
+            (store.path / store._marker(job)).write_bytes(b"")
+        with pytest.raises(
+            InvalidArgument,
+            match=r"store is '.*0-0\.npz', which is no record .*; remove that file, and start",
+        ):
             store.finish()
 
 
@@ -509,7 +580,7 @@ def test_wrong_stores_and_labels(done: Sweep, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder" / "mine").write_text("")
-    with pytest.raises(InvalidArgument, match="which cannot be made: File exists"):
+    with pytest.raises(InvalidArgument, match=r"which cannot be written: there is no folder '.*file'"):
         sweep(gains_and_errors(), tmp_path / "file" / "store")
     with pytest.raises(InvalidArgument, match="which is not the store of a sweep"):
         sweep(gains_and_errors(), tmp_path / "folder")
@@ -547,7 +618,7 @@ def test_a_missing_package_names_the_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(InvalidArgument, match=rf"needs {name}: .*pip install 'pinmobile\[sweeps\]'"):
+    with pytest.raises(InvalidArgument, match=rf"needs {name}, which is not installed: pip install dask"):
         pinmobile.sweep([scenario()], tmp_path / "store")
 
 
@@ -556,5 +627,5 @@ def test_a_store_is_not_opened_without_the_packages_of_the_extra(
     done: Sweep, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(InvalidArgument, match=rf"needs {name}: .*pip install 'pinmobile\[sweeps\]'"):
+    with pytest.raises(InvalidArgument, match=rf"needs {name}, which is not installed: pip install dask"):
         Sweep.open(done.path)

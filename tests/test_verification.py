@@ -1,10 +1,24 @@
+from collections.abc import Callable
+from copy import copy
+
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pinmobile import LECTURE_TABLE, SLIDE_TABLE, DHTable, InvalidArgument, MobileRobot, closed_form, verify
+from pinmobile import (
+    LECTURE_TABLE,
+    SLIDE_TABLE,
+    DHTable,
+    InvalidArgument,
+    Load,
+    MobileRobot,
+    closed_form,
+    verify,
+)
 from pinmobile.arrays import Array
+from pinmobile.robot.engine import Engine
 
 
 @given(
@@ -68,8 +82,8 @@ def test_printed_it_is_a_table() -> None:
     assert lines[2].startswith("M   Pinocchio (CRBA, RNEA, ABA)")
 
 
-def test_what_is_beyond_rounding_agrees_with_nothing_and_does_not_crash() -> None:
-    assert not verify(MobileRobot(1, 1e-3, com=(1e9, 0)), states=5).passed
+def test_what_is_near_the_end_of_rounding_agrees_within_bounds_and_does_not_crash() -> None:
+    assert verify(MobileRobot(1, 1e-3, com=(9e2, 0)), states=5).passed
     with pytest.raises(InvalidArgument, match="robot is 3, expected a MobileRobot"):
         verify(3)  # type: ignore[arg-type]
 
@@ -77,3 +91,98 @@ def test_what_is_beyond_rounding_agrees_with_nothing_and_does_not_crash() -> Non
 def test_no_states_are_refused() -> None:
     with pytest.raises(InvalidArgument, match="states is 0, expected a whole number >= 1"):
         verify(MobileRobot(10, 1.2), states=0)
+
+
+ARMS = {
+    "ur5": MobileRobot.box().mount("ur5", (0.1, -0.05, 0.2, 0.4)),
+    # (cos, sin) in q; a joint that is locked; rotors; two arms; loads on base and arm.
+    "kinova": MobileRobot.box().mount("kinova", (0.1, 0, 0.2, 0.3), locked=["j2s6s200_joint_2"]),
+    "talos": MobileRobot.box().mount("talos_arm", (0, 0.1, 0.4, -0.2)),
+    "two": MobileRobot(30, 1.3, (0.1, 0.05), dh=SLIDE_TABLE)
+    .mount("panda", (0.1, 0, 0.2, 0))
+    .mount("z1", (-0.1, 0, 0.2, 1))
+    .attach(Load(2.0, (0.1, 0.2, 0.3), size=(0.1, 0.2, 0.3)), "base_link")
+    .attach(Load(1.5, (0, 0, 0.1)), "panda/panda_link5"),
+    "loads alone": MobileRobot(30, 1.3, (0.1, 0.05)).attach(Load(4.0, (0.3, 0, 0.1))),
+}
+PARTS = "Newton-Euler of the parts"
+
+
+@pytest.mark.parametrize("kind", ARMS)
+def test_newton_and_euler_agree_with_what_is_assembled(kind: str) -> None:
+    verification = verify(ARMS[kind], states=40)
+    assert verification.passed, str(verification)
+    assert [row.quantity for row in verification.rows if row.against == PARTS] == ["M", "n", "tau"]
+
+
+def differing(model: pin.Model, wrong: MobileRobot) -> dict[str, float]:
+    """Return what Newton and Euler see, of each quantity, of a robot whose assembled model is another one."""
+    object.__setattr__(wrong, "_engine", Engine(model))
+    verification = verify(wrong, states=20)
+    assert not verification.passed
+    return {row.quantity: row.difference for row in verification.rows if row.against == PARTS}
+
+
+def moved(body: pin.Inertia, way: tuple[float, float, float]) -> pin.Inertia:
+    return pin.Inertia(body.mass, body.lever + np.array(way), body.inertia)
+
+
+@pytest.mark.parametrize("kind", ["ur5", "kinova", "talos", "two"])
+def test_an_arms_centre_of_mass_that_is_moved_is_seen(kind: str) -> None:
+    robot = copy(ARMS[kind])
+    model = robot.model
+    model.inertias[5] = moved(model.inertias[5], (0.05, 0, 0))
+    found = differing(model, robot)
+    assert min(found.values()) > 1e-6
+
+
+def test_a_bases_centre_of_mass_that_contradicts_the_robots_is_seen() -> None:
+    for kind in ("ur5", "two", "loads alone"):
+        robot = copy(ARMS[kind])
+        model = robot.model
+        model.inertias[3] = moved(model.inertias[3], (0.05, 0, 0))
+        found = differing(model, robot)
+        assert found["M"] > 1e-3
+        assert found["tau"] > 1e-4
+
+
+def test_gravity_that_is_tilted_is_seen() -> None:
+    robot = copy(ARMS["ur5"])
+    model = robot.model
+    model.gravity = pin.Motion(np.array([9.81 * np.sin(0.02), 0, -9.81 * np.cos(0.02)]), np.zeros(3))
+    found = differing(model, robot)
+    assert found["M"] < 1e-14
+    assert found["n"] > 1e-3
+    assert found["tau"] > 1e-3
+
+
+def heavier(model: pin.Model) -> None:
+    body = model.inertias[6]
+    model.inertias[6] = pin.Inertia(1.001 * body.mass, body.lever, body.inertia)
+
+
+def turned(model: pin.Model) -> None:
+    model.jointPlacements[4] = model.jointPlacements[4] * pin.SE3(pin.utils.rotate("z", 1e-6), np.zeros(3))
+
+
+def shifted(model: pin.Model) -> None:
+    model.jointPlacements[5] = model.jointPlacements[5] * pin.SE3(np.eye(3), np.array([0, 1e-6, 0]))
+
+
+def geared(model: pin.Model) -> None:
+    model.armature = np.array(model.armature) + 1e-6
+
+
+@pytest.mark.parametrize("wrong", [heavier, turned, shifted, geared])
+def test_whatever_is_assembled_wrongly_is_seen(wrong: Callable[[pin.Model], None]) -> None:
+    robot = copy(ARMS["ur5"])
+    model = robot.model
+    wrong(model)
+    assert max(differing(model, robot).values()) > 1e-10
+
+
+def test_a_load_belongs_on_the_body_or_on_an_arm() -> None:
+    for frame in ("x", "y"):
+        with pytest.raises(InvalidArgument, match=f"frame is '{frame}', a virtual link, expected"):
+            MobileRobot.box().attach(Load(1.0), frame)
+    assert MobileRobot.box().attach(Load(1.0), "psi").lumped().mass == 31

@@ -1,5 +1,6 @@
 """The windows in a real headless Chromium: what is drawn where, and what the page says and asks for."""
 
+import re
 import threading
 import warnings
 from collections.abc import Iterator
@@ -10,6 +11,8 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
+from pinmobile import Circle, ComputedTorque, MobileRobot, Tangent, simulate
+from pinmobile.viewer import Viewer
 from pinmobile.viewer.live import LiveWindow
 from pinmobile.viewer.offline import OfflineWindow
 from pinmobile.viewer.stock import ENGINE, Visualizer
@@ -199,3 +202,36 @@ def test_an_offline_page_draws_from_the_file_system(page: Page, tmp_path: Path) 
     assert eventually(lambda: colour_at(page, HERE) == RED)
     assert colour_at(page, THERE) != RED
     assert [url for url in page.requests if not url.startswith("data:")] == [file.as_uri()]
+    assert_sealed(page)
+
+
+def assert_sealed(page: Page) -> None:
+    """Check that a page that draws runs no script but its own, and asks nobody for anything."""
+    assert page.errors == []
+    policy = page.evaluate("document.querySelector('meta[http-equiv=Content-Security-Policy]').content")
+    rules = {words[0]: words[1:] for words in map(str.split, policy.split(";"))}
+    assert rules["default-src"] == ["'none'"]
+    assert all(re.fullmatch(r"'sha256-[A-Za-z0-9+/]{43}='", word) for word in rules["script-src"])
+    assert rules["img-src"] == ["data:", "blob:"]
+    assert "connect-src" not in rules
+    page.evaluate(
+        "const script = document.createElement('script'); script.textContent = 'window.came = 1';"
+        "document.body.append(script); script.remove()"
+    )
+    assert page.evaluate("window.came === undefined")
+    for url in ("data:text/plain,x", page.evaluate("location.href")):
+        assert page.evaluate(f"fetch({url!r}).then(() => 'went', () => 'refused')") == "refused"
+    refused = [text for text in page.errors if "Content Security Policy" in text]
+    assert len(refused) == len(page.errors) >= 2
+    page.errors.clear()
+
+
+def test_a_recorded_page_plays_and_runs_nothing_but_itself(page: Page, tmp_path: Path) -> None:
+    robot = MobileRobot.box()
+    run = simulate(robot, ComputedTorque(robot), Tangent(Circle(3, 0.5, 6)), dt=0.1)
+    with Viewer(robot) as viewer:
+        file = viewer.record(run, title="<script>one</script>").save_html(tmp_path / "run.html")
+    page.open(file.as_uri())
+    page.wait_for("pinmobile.ready()")
+    page.wait_for_changes("Number(document.getElementById('slider').value)", 1)
+    assert_sealed(page)

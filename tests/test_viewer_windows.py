@@ -367,6 +367,20 @@ def test_fault_no_browser(bounded: Callable[[float], None]) -> None:
     bounded(15)
 
 
+def test_the_token_is_in_the_address_and_nowhere_else(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with LiveWindow(token="my-secret") as w:
+        assert w.url.endswith("?token=my-secret")
+        with pytest.raises(ViewerError, match=rf"has opened http://127\.0\.0\.1:{w.port}/ within") as caught:
+            w.wait(0)
+        monkeypatch.setattr(w._server, "page", 3)
+        assert ask(w.url)[0] == 500
+        said = [str(caught.value), repr(w), repr(w._server.access), caplog.text]
+        assert not any("secret" in text for text in said)
+        assert "the viewer failed at /\n" in caplog.text
+
+
 def test_fault_an_offline_window_has_no_browser() -> None:
     with OfflineWindow() as w:
         calls: list[Callable[[], object]] = [w.get_image, w.wait, lambda: w.web_url]

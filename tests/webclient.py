@@ -122,6 +122,10 @@ class WebSocket:
         length = struct.pack("!B", 0x80 | size) if size < 126 else struct.pack("!BQ", 0xFF, size)
         self._socket.sendall(bytes([0x80 | opcode]) + length + bytes(4) + data)
 
+    def put(self, data: bytes) -> None:
+        """Send bytes as they are, frames or none."""
+        self._socket.sendall(data)
+
     def _exactly(self, size: int) -> bytes:
         data = bytearray()
         while len(data) < size:

@@ -1,47 +1,26 @@
 """Dynamics and control of ground robots on Pinocchio.
 
-What only some need, and all that needs sympy, matplotlib, meshcat or numba, is loaded when it is asked for.
+Importing it loads Pinocchio, and numpy with it; a module of its own when a name of that is first used.
 """
 
-from difflib import get_close_matches
+import sys
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from pinmobile.controllers import (
-    PD,
-    ComputedTorque,
-    Decoupled,
-    Delayed,
-    NoisyMeasurement,
-    PDGravity,
-    Saturated,
-    difference_of,
-    law,
-    planar_difference,
-)
-from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHRow, DHTable, JointType
-from pinmobile.disturbances import (
-    ConstantForce,
-    NoiseForce,
-    RollingResistance,
-    SinusoidalForce,
-    ViscousFriction,
-)
-from pinmobile.errors import (
-    Diverged,
-    InvalidArgument,
-    PinmobileError,
-    SchedulerError,
-    UnknownName,
-    Unreachable,
-    ViewerError,
-)
-from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
-from pinmobile.paths import Circle, CubicVia, Hold, Lissajous, RestToRest, Spline
-from pinmobile.robot import Load, MobileRobot, mountable
-from pinmobile.simulation import Rollout, simulate
-from pinmobile.trajectories import FixedHeading, LectureHeading, Reference, Tangent, WholeBody
-from pinmobile.urdf import shipped_urdf
+try:  # at once: whoever lacks it is told by the import, not in the middle of a program
+    from pinocchio import Model
+except ImportError as error:
+    raise ImportError(
+        f"{error}: pinmobile needs Pinocchio, whose package on PyPI is pin: pip install pin "
+        "(pinocchio there is another project: uninstall it first)"
+    ) from error
+except KeyboardInterrupt:
+    first = sys.argv[0] if sys.argv else ""
+    if not (first.endswith("/pinmobile") or (first == "-m" and "pinmobile" in sys.orig_argv)):
+        raise
+    sys.stderr.write("pinmobile: interrupted\n")  # the command ends as it does everywhere else
+    raise SystemExit(130) from None
+del Model
 
 if TYPE_CHECKING:
     from pinmobile.accuracy import integrator_report
@@ -52,9 +31,47 @@ if TYPE_CHECKING:
         tip_over_margin,
         zero_moment_point,
     )
+    from pinmobile.controllers import (
+        PD,
+        ComputedTorque,
+        Decoupled,
+        Delayed,
+        NoisyMeasurement,
+        PDGravity,
+        Saturated,
+        difference_of,
+        law,
+        planar_difference,
+    )
+    from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHRow, DHTable, JointType
+    from pinmobile.disturbances import (
+        ConstantForce,
+        NoiseForce,
+        RollingResistance,
+        SinusoidalForce,
+        ViscousFriction,
+    )
     from pinmobile.ensembles import TRUE_MODEL, Ensemble, Normal, Same, Scenario, Uniform, ensemble
+    from pinmobile.errors import (
+        Diverged,
+        FileError,
+        InvalidArgument,
+        NotFinite,
+        NotTraceable,
+        PinmobileError,
+        SchedulerError,
+        UnknownName,
+        Unreachable,
+        ViewerError,
+    )
+    from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
+    from pinmobile.paths import Circle, CubicVia, Hold, Lissajous, RestToRest, Spline
     from pinmobile.reaching import EndEffectorTracking, PosePath, Resolved, resolve
+    from pinmobile.robot import Load, MobileRobot, mountable
+    from pinmobile.simulation import Rollout, simulate
     from pinmobile.sweeps import Axis, Sweep, grid, sweep
+    from pinmobile.trajectories import FixedHeading, LectureHeading, Reference, Tangent, WholeBody
+    from pinmobile.urdf import shipped_urdf
     from pinmobile.verification import verify
 
 __version__ = "0.1.0"
@@ -76,6 +93,7 @@ __all__ = [
     "Diverged",
     "EndEffectorTracking",
     "Ensemble",
+    "FileError",
     "FixedHeading",
     "Hold",
     "InvalidArgument",
@@ -88,6 +106,8 @@ __all__ = [
     "NoiseForce",
     "NoisyMeasurement",
     "Normal",
+    "NotFinite",
+    "NotTraceable",
     "PDGravity",
     "PinmobileError",
     "PosePath",
@@ -131,47 +151,78 @@ __all__ = [
     "zero_moment_point",
 ]
 
-_LAZY_MODULES = (
-    "accuracy",
-    "balance",
-    "derivation",
-    "ensembles",
-    "plots",
-    "reaching",
-    "sweeps",
-    "verification",
-    "viewer",
-)
-_LAZY_NAMES = {
-    name: module
-    for module, names in {
-        "accuracy": ("integrator_report",),
-        "balance": (
-            "Motion",
-            "reaction_wrench",
-            "required_friction",
-            "tip_over_margin",
-            "zero_moment_point",
-        ),
-        "ensembles": ("TRUE_MODEL", "Ensemble", "Normal", "Same", "Scenario", "Uniform", "ensemble"),
-        "reaching": ("EndEffectorTracking", "PosePath", "Resolved", "resolve"),
-        "sweeps": ("Axis", "Sweep", "grid", "sweep"),
-        "verification": ("verify",),
-    }.items()
-    for name in names
+# The modules that are found in the package, and the names of each that the package has too.
+_NAMES: dict[str, tuple[str, ...]] = {
+    "accuracy": ("integrator_report",),
+    "arrays": (),
+    "balance": ("Motion", "reaction_wrench", "required_friction", "tip_over_margin", "zero_moment_point"),
+    "closed_form": (),
+    "compiled": (),
+    "controllers": (
+        "PD",
+        "ComputedTorque",
+        "Decoupled",
+        "Delayed",
+        "NoisyMeasurement",
+        "PDGravity",
+        "Saturated",
+        "difference_of",
+        "law",
+        "planar_difference",
+    ),
+    "derivation": (),
+    "dh": ("LECTURE_TABLE", "SLIDE_TABLE", "DHRow", "DHTable", "JointType"),
+    "disturbances": (
+        "ConstantForce",
+        "NoiseForce",
+        "RollingResistance",
+        "SinusoidalForce",
+        "ViscousFriction",
+    ),
+    "ensembles": ("TRUE_MODEL", "Ensemble", "Normal", "Same", "Scenario", "Uniform", "ensemble"),
+    "errors": (
+        "Diverged",
+        "FileError",
+        "InvalidArgument",
+        "NotFinite",
+        "NotTraceable",
+        "PinmobileError",
+        "SchedulerError",
+        "UnknownName",
+        "Unreachable",
+        "ViewerError",
+    ),
+    "extras": (),
+    "files": (),
+    "integrators": ("constant_acceleration", "rk4", "semi_implicit_euler"),
+    "paths": ("Circle", "CubicVia", "Hold", "Lissajous", "RestToRest", "Spline"),
+    "plots": (),
+    "reaching": ("EndEffectorTracking", "PosePath", "Resolved", "resolve"),
+    "robot": ("Load", "MobileRobot", "mountable"),
+    "simulation": ("Rollout", "simulate"),
+    "sweeps": ("Axis", "Sweep", "grid", "sweep"),
+    "trajectories": ("FixedHeading", "LectureHeading", "Reference", "Tangent", "WholeBody"),
+    "urdf": ("shipped_urdf",),
+    "verification": ("verify",),
+    "viewer": (),
 }
+_MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
 
+if not TYPE_CHECKING:  # a type checker knows all names by the above, and reports others
 
-def __getattr__(name: str) -> Any:
-    if name in _LAZY_NAMES:
-        return getattr(import_module(f"pinmobile.{_LAZY_NAMES[name]}"), name)
-    if name in _LAZY_MODULES:
-        return import_module(f"pinmobile.{name}")
-    near = [] if name.startswith("_") else get_close_matches(name, __dir__(), n=1)
-    meant = f", did you mean {near[0]!r}?" if near else ""
-    raise AttributeError(f"module 'pinmobile' has no attribute {name!r}{meant}")
+    def __getattr__(name: str) -> object:
+        if name in _NAMES:
+            return import_module(f"pinmobile.{name}")
+        if name in _MODULE_OF:
+            value = getattr(import_module(f"pinmobile.{_MODULE_OF[name]}"), name)
+            globals()[name] = value  # found without this function from now on
+            return value
+        from difflib import get_close_matches
+
+        near = [] if name.startswith("_") else get_close_matches(name, __dir__(), n=1)
+        meant = f", did you mean {near[0]!r}?" if near else ""
+        raise AttributeError(f"module 'pinmobile' has no attribute {name!r}{meant}")
 
 
 def __dir__() -> list[str]:
-    mine = {"Any", "TYPE_CHECKING", "get_close_matches", "import_module"}
-    return sorted({*globals(), *_LAZY_NAMES, *_LAZY_MODULES} - mine)
+    return sorted({*_NAMES, *_MODULE_OF, *(name for name in globals() if name.startswith("__"))})

@@ -1,5 +1,9 @@
 """The array type, angles on the circle, and the one place where arguments are checked."""
 
+import inspect
+import os
+import sys
+from collections.abc import Collection, Iterable, Sequence
 from math import isfinite
 from os import PathLike
 from pathlib import Path
@@ -8,25 +12,42 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, NotFinite, UnknownName, shown
 
 __all__ = [
+    "HALF_TURN",
+    "LEAST_ANGLE",
     "Array",
     "ArrayLike",
+    "affordable",
     "broadcast",
+    "callable_as",
+    "endless_or_finite",
     "finite",
+    "finite_answer",
     "frozen",
+    "lengths",
     "location",
     "non_negative",
+    "one_of",
     "positive",
+    "real",
+    "representable",
     "scalar",
     "seeded",
+    "sequence",
+    "text",
     "vector",
     "whole",
     "wrap_angle",
 ]
 
 Array: TypeAlias = NDArray[np.float64]
+
+MEMORY = 16e9
+"""What one call may ask for in arrays of its own [bytes]: more is refused, with the number, before it is."""
+
+_MOST_AXES = 24  # room for some more within the 32 that NumPy broadcasts
 
 
 def finite(name: str, value: ArrayLike) -> Array:
@@ -42,29 +63,105 @@ def finite(name: str, value: ArrayLike) -> Array:
     Raises
     ------
     InvalidArgument
-        If `value` is not numeric, is ragged or complex, or holds NaN or infinity.
+        If `value` is not numeric, is ragged, complex or masked, or holds NaN or infinity.
     """
     if (
         type(value) is np.ndarray
         and value.dtype == np.float64
         and value.ndim == 1
-        and isfinite(value.dot(value))
+        and isfinite(np.vdot(value, value))
     ):
-        return (
-            value  # what comes in a loop: one product instead of five calls; where it overflows, look closely
-        )
-    try:
-        array = np.asarray(value)
-    except (TypeError, ValueError):
-        array = np.asarray(None)
-    if array.dtype.kind not in "fiu":
-        raise InvalidArgument(f"{name} is {value!r}, expected real numbers")
-    array = array.astype(np.float64, copy=False)
+        return value  # what comes in a loop: one call instead of five; where it overflows, look closely
+    array = real(name, value)
     if not np.isfinite(array).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         place = f"[{', '.join(map(str, where))}]" if where else ""
         raise InvalidArgument(f"{name}{place} is {array[where]}, expected a finite number")
     return array
+
+
+def finite_answer(answer: Array, /, **arguments: Array) -> Array:
+    """Return an answer as it is, after refusing one that is not finite though its arguments are.
+
+    Parameters
+    ----------
+    answer : ndarray, any shape
+        What was computed.
+    **arguments : ndarray, any shape
+        From what, by name, for the message.
+
+    Raises
+    ------
+    NotFinite
+        If it holds NaN or infinity.
+    """
+    # One product, which unlike that of `dot` does not warn, instead of a look at each number.
+    if isfinite(np.vdot(answer, answer)) or np.isfinite(answer).all():
+        return answer
+    bad = answer[~np.isfinite(answer)][0]
+    sizes = ", ".join(f"|{name}| up to {np.abs(value).max():.3g}" for name, value in arguments.items())
+    raise NotFinite(f"the answer is {bad} for {sizes}, made of numbers beyond 1.8e308: expected smaller ones")
+
+
+def endless_or_finite(name: str, value: ArrayLike) -> Array:
+    """Return `value` as float64, of limits: as `finite`, but infinity, for there is none, is taken too.
+
+    Raises
+    ------
+    InvalidArgument
+        As `finite`, of minus infinity as well.
+    """
+    array = real(name, value)
+    endless = np.isposinf(array)
+    return np.where(endless, np.inf, finite(name, np.where(endless, 0.0, array)))
+
+
+def _array(value: Any) -> "np.ndarray[Any, Any]":
+    """Return a value as an array; of what has no numbers, one of objects."""
+    try:
+        return np.asarray(float(value) if type(value) is int else value)  # 10**22 is no integer of NumPy's
+    except Exception:  # whatever the value itself raises when it is asked for its numbers
+        return np.asarray(None)
+
+
+def _hides(value: Any) -> bool:
+    """Tell whether a value is a masked array, or a list in which there is one."""
+    masked = sys.modules.get("numpy.ma")  # where it is not loaded, there is none
+    if masked is None:
+        return False
+    waiting, seen = [value], set()
+    while waiting:
+        part = waiting.pop()
+        if isinstance(part, masked.MaskedArray):
+            return True
+        if isinstance(part, list | tuple) and id(part) not in seen and not set(map(type, part)) <= _PLAIN:
+            seen.add(id(part))  # a list may hold itself
+            waiting.extend(part)
+    return False
+
+
+_PLAIN = {float, int, np.float64}
+
+
+def real(name: str, value: ArrayLike) -> Array:
+    """Return `value` as float64, NaN and infinity among it, after refusing what is not made of real numbers.
+
+    Raises
+    ------
+    InvalidArgument
+        If `value` is not numeric, is ragged, complex or masked.
+    """
+    if _hides(value):
+        raise InvalidArgument(
+            f"{name} is a masked array, expected one without a mask: fill it, or leave out what is masked"
+        )
+    array = _array(value)
+    if array.dtype.kind not in "fiu":
+        raise InvalidArgument(f"{name} is {shown(value)}, expected real numbers")
+    if array.ndim > _MOST_AXES:
+        raise InvalidArgument(f"{name} has {array.ndim} axes, expected at most {_MOST_AXES}")
+    with np.errstate(over="ignore"):  # a long double that float64 does not hold becomes infinite
+        return array.astype(np.float64, copy=False)
 
 
 def vector(name: str, value: ArrayLike, size: int) -> Array:
@@ -123,22 +220,24 @@ def non_negative(name: str, value: ArrayLike, unit: str = "") -> float:
     return number
 
 
-def whole(name: str, value: Any, *, least: int = 1) -> int:
-    """Return `value` as an int of at least `least`.
+def whole(name: str, value: Any, *, least: int = 1, most: int = 2**53) -> int:
+    """Return `value` as an int from `least` to `most`.
 
     Raises
     ------
     InvalidArgument
-        If it is not a whole number, or less.
+        If it is not a whole number, or less or more.
     """
-    if type(value) is int and value >= least:
+    if type(value) is int and least <= value <= most:
         return value
     try:
         number = scalar(name, value)
     except InvalidArgument:
         number = least - 1.0  # whatever it is, it is not such a number
     if number != int(number) or number < least:
-        raise InvalidArgument(f"{name} is {value!r}, expected a whole number >= {least}")
+        raise InvalidArgument(f"{name} is {shown(value)}, expected a whole number >= {least}")
+    if number > most:
+        raise InvalidArgument(f"{name} is {shown(value)}, expected at most {most:,}")
     return int(number)
 
 
@@ -158,12 +257,15 @@ def seeded(name: str, seed: Any) -> "np.random.Generator":
         If it is none of these: without a seed, nothing could be repeated.
     """
     # The annotation is text, since numpy loads its random module only when it is named.
-    try:
-        if seed is None or isinstance(seed, bool):
-            raise TypeError
-        return np.random.default_rng(seed)
-    except (TypeError, ValueError):
-        raise InvalidArgument(f"{name} is {seed!r}, expected a whole number >= 0 or a Generator") from None
+    kinds = np.random.Generator, np.random.BitGenerator, np.random.SeedSequence
+    if not isinstance(seed, kinds):
+        try:
+            seed = seed if type(seed) is int and seed >= 0 else whole(name, seed, least=0)
+        except InvalidArgument:
+            raise InvalidArgument(
+                f"{name} is {shown(seed)}, expected a whole number >= 0 or a Generator"
+            ) from None
+    return np.random.default_rng(seed)
 
 
 def location(name: str, value: Any) -> Path:
@@ -172,11 +274,182 @@ def location(name: str, value: Any) -> Path:
     Raises
     ------
     InvalidArgument
-        If it is neither text nor a path.
+        If it is neither text nor a path, or one that no file can have.
     """
     if not isinstance(value, str | PathLike):
-        raise InvalidArgument(f"{name} is {value!r}, expected the path of a file")
-    return Path(value)
+        raise InvalidArgument(f"{name} is {shown(value)}, expected the path of a file")
+    try:
+        path = Path(value)
+        named = os.fsencode(path)
+    except (TypeError, UnicodeEncodeError):
+        named = b"\0"
+    if b"\0" in named or max(map(len, named.split(b"/"))) > _LONGEST_NAME:
+        raise InvalidArgument(
+            f"{name} is {shown(value)}, expected the path of a file: letters that a file's name can have, "
+            f"at most {_LONGEST_NAME} bytes between two slashes"
+        )
+    return path
+
+
+_LONGEST_NAME = 255  # on all file systems of Linux and macOS
+
+
+def text(name: str, value: Any) -> str:
+    """Return `value` as it is, after refusing what is no text, or none that can be written to a file.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is something else, or holds half of a surrogate pair, a null, or another control character.
+    """
+    from unicodedata import category  # here, because names and headings are rare
+
+    if not isinstance(value, str) or any(category(letter) in _UNWRITTEN for letter in value):
+        raise InvalidArgument(f"{name} is {shown(value)}, expected text without control characters")
+    return value
+
+
+_UNWRITTEN = {"Cs", "Cc"}  # surrogates and control characters
+
+
+def representable(what: str, array: Array) -> Array:
+    """Return a result, after refusing one that went beyond the largest number on its way.
+
+    Parameters
+    ----------
+    what : str
+        The result in words, for the message.
+    array : ndarray, any shape
+        It, calculated under ``np.errstate(all="ignore")`` from finite numbers.
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not finite.
+    """
+    if not np.isfinite(array).all():
+        raise InvalidArgument(f"{what} is beyond the largest number, expected arguments of another size")
+    return array
+
+
+def one_of(kind: str, value: Any, available: Iterable[str]) -> str:
+    """Return `value`, a name, after refusing one that is not among those there are.
+
+    Parameters
+    ----------
+    kind : str
+        What is named, such as ``"frame"``.
+    value : str
+        The argument.
+    available : iterable of str
+        The names there are.
+
+    Raises
+    ------
+    UnknownName
+        If it is none of them.
+    """
+    names = available if isinstance(available, Collection) else tuple(available)
+    if not isinstance(value, str) or value not in names:
+        raise UnknownName(kind, value, names)
+    return value
+
+
+def lengths(size: ArrayLike) -> Array:
+    """Return the argument `size` of a box as float64, shape (3,) [m].
+
+    Raises
+    ------
+    InvalidArgument
+        If it is not three lengths above zero.
+    """
+    array = finite("size", size)
+    if array.shape != (3,) or not (array > 0).all():
+        raise InvalidArgument(f"size is {shown(size)}, expected three lengths > 0 m")
+    return array
+
+
+def sequence(name: str, value: Any, expected: str) -> tuple[Any, ...]:
+    """Return the entries of a list, tuple or other sequence, but not of text, a mapping or a set.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : sequence
+        The argument.
+    expected : str
+        What is expected, for the message, such as ``"a sequence of DHRow"``.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is no sequence.
+    """
+    if isinstance(value, np.ndarray) and value.ndim == 1:
+        return tuple(value.tolist())
+    if isinstance(value, str | bytes) or not isinstance(value, Sequence):
+        raise InvalidArgument(f"{name} is {shown(value)}, expected {expected}")
+    return tuple(value)
+
+
+def callable_as(form: str, function: Any, expected: str = "") -> Any:
+    """Return a user's function, after refusing one that cannot be called so.
+
+    Parameters
+    ----------
+    form : str
+        Name of the argument and how it is called, such as ``"function(t, q, v, reference)"``.
+    function : callable
+        The argument.
+    expected : str, optional
+        What is expected where it is no function, for the message.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is no function, or its signature has no room for these arguments. What it raises itself when it
+        is called later comes through.
+    """
+    name, _, inside = form.rstrip(")").partition("(")
+    arguments = inside.split(", ") if inside else []
+    if isinstance(function, type) or not callable(function):
+        wanted = expected or f"a function of {', '.join(arguments[:-1])} and {arguments[-1]}"
+        raise InvalidArgument(f"{name} is {shown(function)}, expected {wanted}")
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):  # as of some that are built in
+        return function
+    try:
+        signature.bind(*arguments)
+    except TypeError as error:
+        raise InvalidArgument(
+            f"{name} is {shown(function)}, which cannot be called as {form}: {error}, expected one that can"
+        ) from None
+    return function
+
+
+def affordable(what: str, numbers: float, instead: str) -> None:
+    """Refuse arrays of more than `MEMORY` before the memory is asked for.
+
+    Parameters
+    ----------
+    what : str
+        Whose arrays, for the message, such as ``"the records of 1e9 samples"``.
+    numbers : float
+        How many numbers of 8 bytes.
+    instead : str
+        What to do instead.
+
+    Raises
+    ------
+    InvalidArgument
+        If they are too many; the message has the number of bytes.
+    """
+    if not 8 * numbers <= MEMORY:
+        raise InvalidArgument(
+            f"{what} take {8e-9 * numbers:.3g} GB, expected at most {1e-9 * MEMORY:g} GB: {instead}"
+        )
 
 
 def broadcast(**arrays: Array) -> tuple[int, ...]:
@@ -195,21 +468,33 @@ def broadcast(**arrays: Array) -> tuple[int, ...]:
 
 
 def frozen(array: ArrayLike) -> Array:
-    """Return a read-only float64 copy; an array that is one, and owns its memory, comes back as it is."""
-    if type(array) is np.ndarray and array.base is None and not array.flags.writeable:
-        return array.astype(np.float64, copy=False)
-    copy = np.array(array, dtype=np.float64)
-    copy.setflags(write=False)
-    return copy
+    """Return a float64 copy that nobody can write into; what is one already comes back as it is.
+
+    Its memory is that of `bytes`: a read-only array of a user's own could be made writable again.
+    """
+    if type(array) is np.ndarray and isinstance(array.base, bytes) and array.dtype == np.float64:
+        return array
+    whole = np.asarray(array, dtype=np.float64)
+    return np.ndarray(whole.shape, np.float64, whole.tobytes())
+
+
+HALF_TURN = 1e-9
+"""An angle that is half a turn but for this [rad] is one to the left; rounding does not choose the side."""
+
+LEAST_ANGLE = HALF_TURN - np.pi
+"""Angles on the circle are above it [rad]."""
 
 
 def wrap_angle(angle: Array) -> Array:
     """Return the angle on the circle, in (-pi, pi]; one that is already there comes back as it is.
+
+    Half a turn is pi, also where rounding has made it -pi and a little.
 
     Parameters
     ----------
     angle : ndarray, any shape
         Angle [rad].
     """
-    wrapped = np.pi - np.mod(np.pi - angle, 2 * np.pi)
-    return np.where((angle > -np.pi) & (angle <= np.pi), angle, wrapped)
+    top = np.pi + HALF_TURN
+    wrapped = np.minimum(top - np.mod(top - angle, 2 * np.pi), np.pi)
+    return np.where((angle > LEAST_ANGLE) & (angle <= np.pi), angle, wrapped)

@@ -7,8 +7,8 @@ from math import cos, pi, sin
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, scalar, vector
-from pinmobile.errors import InvalidArgument
+from pinmobile.arrays import Array, ArrayLike, broadcast, finite, scalar, sequence, vector
+from pinmobile.errors import InvalidArgument, shown
 
 __all__ = ["LECTURE_TABLE", "SLIDE_TABLE", "DHRow", "DHTable", "JointType", "transform"]
 
@@ -60,9 +60,9 @@ class DHRow:
         for name in ("alpha", "a", "theta", "d"):
             object.__setattr__(self, name, scalar(name, getattr(self, name)))
         if not isinstance(self.joint, JointType):
-            raise InvalidArgument(f"joint is {self.joint!r}, expected a JointType")
+            raise InvalidArgument(f"joint is {shown(self.joint)}, expected a JointType")
         if not isinstance(self.variable, str) or not self.variable.isidentifier():
-            raise InvalidArgument(f"variable is {self.variable!r}, expected a name")
+            raise InvalidArgument(f"variable is {shown(self.variable)}, expected a name")
 
 
 @dataclass(frozen=True)
@@ -86,9 +86,9 @@ class DHTable:
     rows: tuple[DHRow, ...]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rows", tuple(self.rows))
+        object.__setattr__(self, "rows", sequence("rows", self.rows, "a sequence of DHRow"))
         if not self.rows or not all(isinstance(row, DHRow) for row in self.rows):
-            raise InvalidArgument(f"rows is {self.rows!r}, expected one DHRow or more")
+            raise InvalidArgument(f"rows is {shown(self.rows)}, expected one DHRow or more")
         if len(set(self.variables)) != len(self.rows):
             raise InvalidArgument(f"rows have variables {self.variables}, expected distinct names")
 
@@ -168,8 +168,16 @@ def transform(alpha: float, a: float, theta: ArrayLike, d: ArrayLike) -> Array:
     -------
     T : ndarray, shape (..., 4, 4)
         Homogeneous transform (Craig, Introduction to Robotics, 3rd ed. 2005, eq. 3.6).
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not finite, or the shapes do not broadcast.
     """
-    theta, d = np.broadcast_arrays(np.asarray(theta, np.float64), np.asarray(d, np.float64))
+    theta, d = finite("theta", theta), finite("d", d)
+    broadcast(theta=theta[..., None], d=d[..., None])
+    theta, d = np.broadcast_arrays(theta, d)
+    alpha, a = scalar("alpha", alpha), scalar("a", a)
     c, s, ca, sa = (_exact(value) for value in (np.cos(theta), np.sin(theta), cos(alpha), sin(alpha)))
     T = np.zeros((*theta.shape, 4, 4))
     T[..., 0, 0], T[..., 0, 1], T[..., 0, 3] = c, -s, a

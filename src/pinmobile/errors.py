@@ -1,20 +1,36 @@
 """Every error that pinmobile raises on purpose."""
 
 from collections.abc import Iterable
-from difflib import get_close_matches
 from functools import partial
 from typing import Any
 
 __all__ = [
     "Diverged",
+    "FileError",
     "InvalidArgument",
+    "NotFinite",
     "NotTraceable",
     "PinmobileError",
     "SchedulerError",
     "UnknownName",
     "Unreachable",
     "ViewerError",
+    "shown",
 ]
+
+_LONGEST = 500  # letters of a value that a message shows
+
+
+def shown(value: object) -> str:
+    """Return a value as a message shows it: its repr, cut where that is long; what has none is named.
+
+    A list nested too deep, an integer of too many digits and a user's own class may have none.
+    """
+    try:
+        text = repr(value)
+    except Exception:
+        return f"<{type(value).__name__} without a repr>"
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}... ({len(text):,} letters)"
 
 
 class PinmobileError(Exception):
@@ -46,6 +62,29 @@ class NotTraceable(InvalidArgument):
         return type(self), (self.what, self.instead, self.place)
 
 
+class FileError(PinmobileError, OSError):
+    """The system fails with a file whose path is right: the disk is full, a quota is reached, a device fails.
+
+    Attributes
+    ----------
+    errno : int
+        Number of the system's error, see the module `errno`.
+    filename : str
+        The file.
+    """
+
+    def __init__(self, message: str, *, errno: int | None, filename: str) -> None:
+        super().__init__(message)
+        self.errno, self.filename = errno, filename
+
+    def __str__(self) -> str:
+        # OSError would show number and file name beside the message, which has them.
+        return str(self.args[0])
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return partial(type(self), errno=self.errno, filename=self.filename), self.args
+
+
 class UnknownName(PinmobileError, KeyError):
     """A name is not among those there are; the message asks for the nearest, and lists them all.
 
@@ -54,25 +93,32 @@ class UnknownName(PinmobileError, KeyError):
     kind : str
         What is named, such as ``"trajectory"``.
     name : str
-        The name that came.
+        The name that came; what is no text is shown as it is.
     available : iterable of str
         The names there are.
     """
 
-    def __init__(self, kind: str, name: str, available: Iterable[str]) -> None:
+    def __init__(self, kind: str, name: Any, available: Iterable[str]) -> None:
+        from difflib import get_close_matches  # here, because nobody else needs it
+
         self.kind, self.name, self.available = kind, name, tuple(available)
         plain = {known.casefold(): known for known in self.available}
-        near = [plain[match] for match in get_close_matches(name.casefold(), plain, n=3)]
+        asked = name.casefold()[:_LONGEST] if isinstance(name, str) else ""
+        near = [plain[match] for match in get_close_matches(asked, plain, n=3)]
         listed = [*near, *(known for known in self.available if known not in near)]
         self.meant = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
-        super().__init__(f"unknown {kind} {name!r}, {self.meant}available: {', '.join(listed)}")
+        super().__init__(f"unknown {kind} {shown(name)}, {self.meant}available: {', '.join(listed)}")
 
     def __str__(self) -> str:
         # KeyError would show the repr of the message.
         return str(self.args[0])
 
-    def __reduce__(self) -> tuple[type["UnknownName"], tuple[str, str, tuple[str, ...]]]:
+    def __reduce__(self) -> tuple[type["UnknownName"], tuple[str, Any, tuple[str, ...]]]:
         return type(self), (self.kind, self.name, self.available)
+
+
+class NotFinite(PinmobileError, ArithmeticError):
+    """An answer is beyond the numbers that a computer has, though every argument is finite."""
 
 
 class Diverged(PinmobileError, ArithmeticError):

@@ -1,19 +1,22 @@
 """A DH chain and the rigid body that it carries, as URDF text."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from html import escape
 from math import atan2, hypot
 from pathlib import Path
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, vector
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, lengths, one_of, positive, representable, text
 from pinmobile.dh import DHTable, JointType, transform
-from pinmobile.errors import InvalidArgument, UnknownName
+from pinmobile.errors import InvalidArgument, shown
 
 __all__ = ["Body", "box_inertia", "shipped_urdf", "write"]
 
 _INERTIA_ROUNDING = 1e-9  # files carry eight digits or so: a broken triangle is one broken by more
+# Dynamics about B's origin take the yaw inertia from a difference to m |com|^2: six digits of it are left.
+_DIGITS = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +36,8 @@ class Body:
     ------
     InvalidArgument
         If no rigid body has these: a mass or a principal moment that is not positive where it must be,
-        or principal moments that break the triangle inequality.
+        or principal moments that break the triangle inequality; or the centre of mass is so far from B's
+        origin that the yaw inertia is lost to rounding.
     """
 
     mass: float
@@ -42,7 +46,7 @@ class Body:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "mass", positive("mass", self.mass, "kg"))
-        com, inertia = vector("com", self.com, 3), finite("inertia", self.inertia)
+        com, inertia = finite("com", self.com), finite("inertia", self.inertia)
         if com.shape != (3,) or inertia.shape != (3, 3):
             raise InvalidArgument(
                 f"com and inertia have shapes {com.shape} and {inertia.shape}, expected (3,) and (3, 3)"
@@ -50,15 +54,27 @@ class Body:
         slack = _INERTIA_ROUNDING * np.abs(inertia).max()
         if np.abs(inertia - inertia.T).max() > slack:
             raise InvalidArgument(f"inertia is not symmetric: {inertia.tolist()}")
-        moments = np.linalg.eigvalsh(inertia)
+        # The moments of a share of it: their sums may be beyond the largest number.
+        unit = np.abs(inertia).max() or 1.0
+        moments = np.linalg.eigvalsh(inertia / unit)
+        slack = _INERTIA_ROUNDING
         if moments[0] < -slack or moments[2] > moments[0] + moments[1] + slack or inertia[2, 2] <= 0:
-            listed = ", ".join(f"{moment:.6g}" for moment in moments)
+            listed = ", ".join(f"{unit * moment:.6g}" for moment in moments)
             raise InvalidArgument(
                 f"inertia has principal moments ({listed}) kg m^2, which no rigid body has: expected each "
                 ">= 0, none above the sum of the other two, and the yaw inertia > 0"
             )
+        with np.errstate(over="ignore"):
+            squares = self.mass * np.square(com)
+        offset = float(squares[:2].sum()) if np.isfinite(squares.sum()) else np.inf
+        if inertia[2, 2] < _DIGITS * offset:
+            raise InvalidArgument(
+                f"com is {com.tolist()} m with mass {self.mass:g} kg, beside which the yaw inertia about it, "
+                f"{inertia[2, 2]:g} kg m^2, is lost to rounding: expected it to be {_DIGITS:g} of "
+                f"m |com|^2 = {offset:g} kg m^2 at least"
+            )
         object.__setattr__(self, "com", frozen(com))
-        object.__setattr__(self, "inertia", frozen((inertia + inertia.T) / 2))
+        object.__setattr__(self, "inertia", frozen(inertia / 2 + inertia.T / 2))
 
     @property
     def yaw_inertia(self) -> float:
@@ -80,12 +96,26 @@ def box_inertia(mass: float, size: ArrayLike) -> Array:
     -------
     inertia : ndarray, shape (3, 3)
         ``diag(w^2 + h^2, l^2 + h^2, l^2 + w^2) m / 12``.
+
+    Raises
+    ------
+    InvalidArgument
+        If the mass or a length is not positive or not finite, or the inertia beyond the largest number.
     """
-    squares = np.square(vector("size", size, 3))
-    return np.diag(positive("mass", mass, "kg") / 12 * (squares.sum() - squares))
+    with np.errstate(all="ignore"):
+        squares = np.square(lengths(size))
+        moments = positive("mass", mass, "kg") / 12 * (squares.sum() - squares)
+    return np.diag(representable("the inertia of the box", moments))
 
 
-def write(table: DHTable, body: Body, *, size: ArrayLike, name: str = "pinmobile") -> str:
+def write(
+    table: DHTable,
+    body: Body,
+    *,
+    size: ArrayLike,
+    name: str = "pinmobile",
+    stance: Mapping[str, str] | None = None,
+) -> str:
     """Return the chain with the body on its last link as URDF text.
 
     Every joint frame of the text is the DH frame of its row; the joint moves along or about its z. All
@@ -101,17 +131,29 @@ def write(table: DHTable, body: Body, *, size: ArrayLike, name: str = "pinmobile
         Length, width and height of the box that shows the body [m]; it stands on the plane z = 0.
     name : str
         Name of the robot.
+    stance : mapping of str to str, optional
+        Attributes of an element <pinmobile>, which other readers pass over: how the body stands where that
+        is not on its box.
 
     Returns
     -------
     text : str
         URDF with links ``ground``, ``virtual_1``, ..., ``base_link`` and one joint per row, named after
         its variable. Numbers are written so that they are read back exactly.
+
+    Raises
+    ------
+    InvalidArgument
+        If an argument is something else.
     """
+    if not isinstance(table, DHTable):
+        raise InvalidArgument(f"table is {shown(table)}, expected a DHTable")
+    if not isinstance(body, Body):
+        raise InvalidArgument(f"body is {shown(body)}, expected a pinmobile.urdf.Body")
     links = ["ground", *(f"virtual_{k}" for k in range(1, len(table))), "base_link"]
-    lines = ['<?xml version="1.0"?>', f'<robot name="{escape(name)}">']
+    lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(text('name', name))}>"]
     lines += [f'  <link name="{link}"/>' for link in links[:-1]]
-    lines += _body_lines(links[-1], body, vector("size", size, 3))
+    lines += _body_lines(links[-1], body, lengths(size))
     for row, parent, child in zip(table, links, links[1:], strict=False):
         # RotZ and TransZ commute, so the variable may come last whichever of the two it belongs to.
         T = transform(row.alpha, row.a, row.theta, row.d)
@@ -124,6 +166,9 @@ def write(table: DHTable, body: Body, *, size: ArrayLike, name: str = "pinmobile
             f'    <limit lower="-{_FAR}" upper="{_FAR}" effort="{_FAR}" velocity="{_FAR}"/>',
             "  </joint>",
         ]
+    if stance is not None:
+        attributes = [f"{key}={quoteattr(value)}" for key, value in stance.items()]
+        lines.append(f"  <{' '.join(['pinmobile', *attributes])}/>")
     return "\n".join([*lines, "</robot>", ""])
 
 
@@ -144,9 +189,7 @@ def shipped_urdf(name: str) -> Path:
     # In the wheel the folder is in the package; in a checkout it is at the top.
     homes = (package / "models" / "urdf", package.parents[1] / "models" / "urdf")
     available = {path.stem: path for home in homes for path in sorted(home.glob("*.urdf"))}
-    if name not in available:
-        raise UnknownName("shipped URDF", name, available)
-    return available[name]
+    return available[one_of("shipped URDF", name, available)]
 
 
 # A continuous joint would become Pinocchio's (cos, sin) pair; psi is to stay a plain angle.

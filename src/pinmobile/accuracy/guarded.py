@@ -4,7 +4,7 @@ import numpy as np
 
 from pinmobile.accuracy.convergence import EPS
 from pinmobile.arrays import Array
-from pinmobile.errors import Diverged, InvalidArgument
+from pinmobile.errors import Diverged, InvalidArgument, shown
 from pinmobile.integrators import Acceleration, Integrator
 
 __all__ = ["FAR", "guarded"]
@@ -26,7 +26,9 @@ def guarded(integrator: Integrator) -> Integrator:
         with np.errstate(all="ignore"):
             answer = integrator(acceleration, t, q, v, dt)
         if type(answer) is not tuple or len(answer) != 2 or any(np.shape(x) != q.shape for x in answer):
-            raise InvalidArgument(f"integrator returned {answer!r}, expected (q, v), each of shape {q.shape}")
+            raise InvalidArgument(
+                f"integrator returned {shown(answer)}, expected (q, v), each of shape {q.shape}"
+            )
         if not np.abs(answer).max() < FAR:
             raise Diverged(
                 f"the integrator diverged at t = {t + dt:g} s", time=t + dt, q=answer[0], v=answer[1]

@@ -3,13 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from math import isfinite
 from typing import Any, final
 
 from pinmobile.accuracy.convergence import Convergence
 from pinmobile.accuracy.free_body import free_body
 from pinmobile.accuracy.held_force import held_force
-from pinmobile.arrays import finite, positive
-from pinmobile.errors import InvalidArgument
+from pinmobile.arrays import callable_as, finite, positive
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.integrators import Integrator
 from pinmobile.robot import MobileRobot
 
@@ -134,13 +135,14 @@ def integrator_report(
     InvalidArgument
         If an argument is not what is expected, or the integrator returns something else than a state.
     """
-    if isinstance(integrator, type) or not callable(integrator):
-        raise InvalidArgument(
-            f"integrator is {integrator!r}, expected one of pinmobile.integrators or such a step"
-        )
+    callable_as(
+        "integrator(acceleration, t, q, v, dt)",
+        integrator,
+        "one of pinmobile.integrators or such a step",
+    )
     body = MobileRobot(30, 1.0, com=(0.1, 0.05)) if robot is None else robot
     if not isinstance(body, MobileRobot):
-        raise InvalidArgument(f"robot is {robot!r}, expected a MobileRobot")
+        raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot")
     total = positive("duration", duration, "s")
     ladder = _ladder(steps, total)
     free, loop = (measure(integrator, body, ladder, total) for measure in (free_body, held_force))
@@ -155,13 +157,21 @@ def _ladder(steps: Sequence[float], duration: float) -> list[float]:
     ladder: list[float] = array.tolist()
     if ladder[-1] <= 0 or any(finer >= coarser for coarser, finer in pairwise(ladder)):
         raise InvalidArgument(f"steps are {ladder} s, expected ones > 0, the largest first")
+    if duration / ladder[-1] > _MOST_STEPS:
+        raise InvalidArgument(
+            f"duration is {duration} s, which makes {duration / ladder[-1]:.3g} of the shortest step, "
+            f"expected at most {_MOST_STEPS:g}"
+        )
     for name, whole, part in (
         ("duration", duration, ladder[0]),
         *(("steps[0]", ladder[0], h) for h in ladder),
     ):
-        if abs(whole / part - round(whole / part)) > _WHOLE * whole / part:
+        if not isfinite(whole / part) or abs(whole / part - round(whole / part)) > _WHOLE * whole / part:
             raise InvalidArgument(f"{name} is {whole} s, expected a whole multiple of the step {part} s")
     return ladder
+
+
+_MOST_STEPS = 1e7
 
 
 def _row(row: Convergence) -> str:

@@ -3,10 +3,18 @@
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike
-from pinmobile.balance.footprint import checked_footprint, margin_inside, rectangle
-from pinmobile.balance.motion import Moving, robot_of
+from pinmobile.balance.motion import Moving, checked_robot, robot_of
+from pinmobile.errors import InvalidArgument
+from pinmobile.robot import MobileRobot
+from pinmobile.robot.footprint import checked_footprint, margin_inside
 
-__all__ = ["body_zero_moment_point", "required_friction", "tip_over_margin", "zero_moment_point"]
+__all__ = [
+    "body_zero_moment_point",
+    "footprint_of",
+    "required_friction",
+    "tip_over_margin",
+    "zero_moment_point",
+]
 
 _WEIGHTLESS = 1e-9  # of the weight: a vertical force that only rounding made
 
@@ -32,7 +40,8 @@ def zero_moment_point(motion: Moving) -> Array:
     Raises
     ------
     InvalidArgument
-        If the motion is not that of a `MobileRobot`, or does not fit it.
+        If the motion is not that of a `MobileRobot`, or does not fit it; or if it is not known how high the
+        robot is above the ground, since its URDF does not tell.
     """
     point = body_zero_moment_point(motion)
     q = np.asarray(motion.q, dtype=np.float64)
@@ -54,6 +63,11 @@ def body_zero_moment_point(motion: Moving) -> Array:
     InvalidArgument
         As `zero_moment_point`.
     """
+    if not robot_of(motion).grounded:
+        raise InvalidArgument(
+            "motion.robot does not tell how high it is above the ground, expected one that does: "
+            "MobileRobot.from_urdf(path, ground=...), with the ground's z in the root link's frame [m]"
+        )
     wrench, carried = _ground(motion)
     vertical = np.where(carried, wrench[..., 2], np.nan)
     return np.stack([-wrench[..., 4] / vertical, wrench[..., 3] / vertical], axis=-1)
@@ -69,8 +83,7 @@ def tip_over_margin(motion: Moving, footprint: ArrayLike | None = None) -> Array
     motion : Rollout or Motion
         As in `zero_moment_point`.
     footprint : array_like, shape (k, 2), optional
-        Corners of the convex polygon on which the body stands, in its frame [m]; by default the rectangle of
-        the robot's `size` about its origin.
+        Corners of the convex polygon on which the body stands, in its frame [m]; by default the robot's own.
 
     Returns
     -------
@@ -80,12 +93,38 @@ def tip_over_margin(motion: Moving, footprint: ArrayLike | None = None) -> Array
     Raises
     ------
     InvalidArgument
-        If `footprint` is no convex polygon with an area, or as `zero_moment_point`.
+        If `footprint` is no convex polygon with an area, or is not given and the robot's own is not known; or
+        as `zero_moment_point`.
     """
-    robot = robot_of(motion)
-    corners = rectangle(*robot.size[:2]) if footprint is None else checked_footprint(footprint)
+    corners = footprint_of(robot_of(motion), footprint)
     margin = margin_inside(corners, body_zero_moment_point(motion))
     return np.where(np.isnan(margin), -np.inf, margin)
+
+
+def footprint_of(robot: MobileRobot, footprint: ArrayLike | None = None) -> Array:
+    """Return the corners of what a robot stands on, counter-clockwise, shape (k, 2) [m].
+
+    Parameters
+    ----------
+    robot : MobileRobot
+        Whose footprint it is.
+    footprint : array_like, shape (k, 2), optional
+        In place of its own.
+
+    Raises
+    ------
+    InvalidArgument
+        If `footprint` is no convex polygon with an area, or there is none.
+    """
+    if footprint is not None:
+        return checked_footprint(footprint)
+    corners = checked_robot("robot", robot).footprint
+    if corners is None:
+        raise InvalidArgument(
+            "footprint is not given, and that of the robot is not known, expected the corners of what it "
+            "stands on, shape (k, 2); robot.source says what its file lacks"
+        )
+    return corners
 
 
 def required_friction(motion: Moving) -> Array:

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from pinmobile.arrays import Array, ArrayLike, broadcast, frozen, vector
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot import MobileRobot
 
-__all__ = ["Motion", "Moving", "reaction_wrench", "robot_of"]
+__all__ = ["Motion", "Moving", "checked_robot", "reaction_wrench", "robot_of"]
 
 
 class Moving(Protocol):
@@ -55,7 +55,7 @@ class Motion:
     a: ArrayLike
 
     def __post_init__(self) -> None:
-        robot = _checked("robot", self.robot)
+        robot = checked_robot("robot", self.robot)
         for name, size in (("q", robot.nq), ("v", robot.nv), ("a", robot.nv)):
             object.__setattr__(self, name, frozen(vector(name, getattr(self, name), size)))
         broadcast(q=self.q, v=self.v, a=self.a)  # type: ignore[arg-type]
@@ -70,13 +70,20 @@ def robot_of(motion: Any) -> MobileRobot:
         If it is no motion, or its robot is another plant, or none.
     """
     if not all(hasattr(motion, name) for name in ("robot", "q", "v", "a")):
-        raise InvalidArgument(f"motion is {motion!r}, expected a Rollout or a Motion")
-    return _checked("motion.robot", motion.robot)
+        raise InvalidArgument(f"motion is {shown(motion)}, expected a Rollout or a Motion")
+    return checked_robot("motion.robot", motion.robot)
 
 
-def _checked(name: str, robot: Any) -> MobileRobot:
+def checked_robot(name: str, robot: Any) -> MobileRobot:
+    """Return the robot, after refusing what is none.
+
+    Raises
+    ------
+    InvalidArgument
+        The message names the argument.
+    """
     if not isinstance(robot, MobileRobot):
-        raise InvalidArgument(f"{name} is {robot!r}, expected a MobileRobot")
+        raise InvalidArgument(f"{name} is {shown(robot)}, expected a MobileRobot")
     return robot
 
 
@@ -98,7 +105,8 @@ def reaction_wrench(motion: Moving, mount: str | None = None) -> Array:
     wrench : ndarray, shape (..., 6)
         (fx, fy, fz, mx, my, mz) [N, N, N, N m, N m, N m] along the axes of the body's frame B, x forward, y
         left, z up, whatever the mount's yaw; the moment is about the point of the mount. An arm at rest
-        exerts (0, 0, -m g).
+        exerts its weight, (0, 0, -m g), and about the mount the moment (-m g y, m g x, 0) of its centre of
+        mass at x and y from there.
 
     Raises
     ------

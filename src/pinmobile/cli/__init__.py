@@ -6,12 +6,6 @@ import warnings
 from collections.abc import Sequence
 from typing import Any
 
-import typer
-
-from pinmobile.cli.interrupted import Interrupted
-from pinmobile.cli.unknown import shortened
-from pinmobile.errors import Diverged, PinmobileError, UnknownName
-
 __all__ = ["main"]
 
 
@@ -27,12 +21,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     -------
     code : int
         0: done; 1: done, and the answer is no (a route differs, a number is not the lecture's, a loop
-        diverged); 2: the options or files are not what is expected; 130: interrupted.
+        diverged), or the system failed, as of a full disk; 2: the options or files are not what is
+        expected; 130: interrupted.
     """
     try:
-        # Inside, so that an interrupt while it loads ends quietly.
-        from pinmobile.cli.commands_of_many import app
+        # It imports what it needs itself, so that an interrupt while that loads ends quietly.
+        return _run(arguments)
+    except KeyboardInterrupt:
+        return _refuse("interrupted", _INTERRUPTED)
 
+
+def _run(arguments: Sequence[str] | None) -> int:
+    import typer
+
+    from pinmobile.cli.commands_of_many import app
+    from pinmobile.cli.interrupted import Interrupted
+    from pinmobile.cli.unknown import shortened
+    from pinmobile.errors import Diverged, FileError, PinmobileError, UnknownName
+
+    try:
         with warnings.catch_warnings():
             warnings.showwarning = _note
             code = app(args=arguments, prog_name="pinmobile", standalone_mode=False)
@@ -41,22 +48,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _refuse(
             f"{error.format_message()} ('pinmobile --help' or 'pinmobile COMMAND --help' tells more)"
         )
-    except Diverged as error:
+    except (Diverged, FileError) as error:
         return _refuse(str(error), 1)
     except UnknownName as error:
         return _refuse(shortened(error))
     except PinmobileError as error:
         return _refuse(str(error), _INTERRUPTED if isinstance(error, Interrupted) else 2)
-    except (KeyboardInterrupt, typer.Abort):
+    except typer.Abort:
         return _refuse("interrupted", _INTERRUPTED)
     except BrokenPipeError:
         # The reader has gone, as after `| head`; nothing is left to be said to it.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _silence()
         return 0
+    except OSError as error:
+        # Files have errors of ours: this is what the console met, such as a full disk behind `>`.
+        _silence()
+        return _refuse(f"the output cannot be written: {error}", 1)
     return _refuse("interrupted", _INTERRUPTED) if code == _INTERRUPTED else int(code or 0)
 
 
 _INTERRUPTED = 130  # as typer says it, and shells
+
+
+def _silence() -> None:
+    """Let what is left to be printed go nowhere, so that Python does not fail of it at its end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _note(message: Warning | str, *where: Any, **more: Any) -> None:

@@ -40,6 +40,7 @@ __all__ = [
     "path",
     "point",
     "refuse_beside",
+    "refuse_without",
     "robot",
 ]
 
@@ -136,6 +137,19 @@ def refuse_beside(option: str, **given: Any) -> None:
             raise InvalidArgument(f"--{name.replace('_', '-')} does not apply beside {option}")
 
 
+def refuse_without(option: str, **given: Any) -> None:
+    """Refuse options that apply beside another one alone, which is not given.
+
+    Raises
+    ------
+    InvalidArgument
+        If one of them was given.
+    """
+    for name, value in given.items():
+        if value is not None:
+            raise InvalidArgument(f"--{name.replace('_', '-')} applies beside {option} alone")
+
+
 def path(name: str, given: Mapping[str, Any]) -> Any:
     """Return the path of that name with the parameters that were given in place of the lecture's.
 
@@ -179,8 +193,12 @@ def robot(base: MobileRobot, **changed: Any) -> MobileRobot:
     kept = {name: value for name, value in changed.items() if value is not None}
     if not kept:
         return base
-    parameters = {"mass": base.mass, "yaw_inertia": base.yaw_inertia, "com": base.com, "size": base.size}
-    return MobileRobot(**{**parameters, **kept}, dh=base.dh)
+    com = kept.get("com")
+    if isinstance(com, tuple) and len(com) == 2:
+        kept["com"] = (*com, base.com[2])  # who says where it is in the plane leaves it as high as it is
+    parameters = {"mass": base.mass, "yaw_inertia": base.yaw_inertia, "com": base.com}
+    changed_one = MobileRobot(**{**parameters, **kept}, size=base.size, dh=base.dh)
+    return base.with_body(changed_one.body, f"{base.source}; with other {', '.join(kept)}")
 
 
 def closed_loop(**options: Any) -> tuple[MobileRobot, Any, Any, dict[str, Any]]:
@@ -202,10 +220,11 @@ def closed_loop(**options: Any) -> tuple[MobileRobot, Any, Any, dict[str, Any]]:
     if options["controller"] == "pd":
         refuse_beside("--controller pd", **{name: options[name] for name in BELIEVED})
     if options["urdf"] is None:
+        refuse_without("--urdf", ground=options["ground"])
         base = choose("robot", options["robot"] or "lecture", ROBOTS)()
     else:
         refuse_beside("--urdf", robot=options["robot"])
-        base = MobileRobot.from_urdf(options["urdf"])
+        base = MobileRobot.from_urdf(options["urdf"], ground=options["ground"])
     changed = {name: options[name] for name in ("mass", "yaw_inertia")}
     plant = robot(base, **changed, com=numbers("--com", options["com"]))
     model_changed = {name: options[f"model_{name}"] for name in ("mass", "yaw_inertia")}

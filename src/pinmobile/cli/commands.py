@@ -23,12 +23,14 @@ app = typer.Typer(
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
     help="Dynamics and control of ground robots on Pinocchio. Start with [bold]pinmobile lecture[/bold].",
-    epilog="Exit codes: 0 done; 1 done, and the answer is no; 2 options or files are wrong; 130 interrupted.",
+    epilog="Exit codes: 0 done; 1 done, and the answer is no, or the system failed, as of a full disk; "
+    "2 options or files are wrong; 130 interrupted.",
 )
 
 _ROBOT, _PATH, _CONTROL, _LOOP = "Robot", "Trajectory", "Controller", "Loop and output"
 Text = str | None
 Number = float | None
+_GROUND = "z of the ground in the root link's frame (m); what the file tells"
 
 
 def _version(wanted: bool) -> None:
@@ -65,6 +67,7 @@ def verify(
     urdf: Annotated[
         Path | None, typer.Option(help="Verify the robot of this URDF: the chain, or a bare base.")
     ] = None,
+    ground: Annotated[Number, typer.Option(help=f"Beside --urdf: {_GROUND}.")] = None,
     mass: Annotated[Number, typer.Option(help="Mass (kg); 10.")] = None,
     yaw_inertia: Annotated[
         Number, typer.Option(help="Inertia about the centre of mass (kg m^2); 1.2.")
@@ -82,13 +85,15 @@ def verify(
     With an arm on it (--mount ur5), Pinocchio's algorithms against each other, and the base against the
     closed form.
     """
+    if urdf is None:
+        choices.refuse_without("--urdf", ground=ground)
     if mount:
         own = {"mass": mass, "yaw_inertia": yaw_inertia, "com": com, "table": table}
         choices.refuse_beside("--mount", urdf=urdf, **own)
         robot = mounted(mount)
     elif urdf is not None:
         choices.refuse_beside("--urdf", mass=mass, yaw_inertia=yaw_inertia, com=com, table=table)
-        robot = pinmobile.MobileRobot.from_urdf(urdf)
+        robot = pinmobile.MobileRobot.from_urdf(urdf, ground=ground)
     else:
         dh = choices.choose("table", table or "lecture", choices.TABLES)
         parameters = 10.0 if mass is None else mass, 1.2 if yaw_inertia is None else yaw_inertia
@@ -170,6 +175,7 @@ def run(
     urdf: Annotated[
         Path | None, typer.Option(help="The chain, or a bare base, instead.", rich_help_panel=_ROBOT)
     ] = None,
+    ground: Annotated[Number, typer.Option(help=f"Beside --urdf: {_GROUND}.", rich_help_panel=_ROBOT)] = None,
     mass: Annotated[Number, typer.Option(help="Mass in its place (kg).", rich_help_panel=_ROBOT)] = None,
     yaw_inertia: Annotated[
         Number, typer.Option(help="Yaw inertia in its place (kg m^2).", rich_help_panel=_ROBOT)

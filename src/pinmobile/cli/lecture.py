@@ -25,6 +25,8 @@ from pinmobile import (
 from pinmobile.cli.output import Picture, Section, begin, console, index_page, progress
 from pinmobile.cli.run import FIGURES, draw
 from pinmobile.cli.view import save_page
+from pinmobile.files import write
+from pinmobile.simulation.rollout import error_text
 
 __all__ = ["EXPECTED", "show_lecture"]
 
@@ -77,7 +79,7 @@ def show_lecture(folder: Path, *, gif: bool) -> int:
         begin(bar, "drawing")
         sections = _sections(folder, right_runs, gif, bar)
     summary = _summary(verification, same)
-    (folder / "derivation.txt").write_text(str(derived), encoding="utf-8")
+    write(folder / "derivation.txt", str(derived).encode("utf-8"))
     texts = [
         Section("1  Derivation: M(q) and n(q, v)", _equations(derived), pages=[_STEPS]),
         Section(f"2  Verification, with the centre of mass at {_OFFSET} m", str(verification)),
@@ -115,7 +117,7 @@ def _simulate(robot: MobileRobot) -> tuple[Runs, Runs]:
 
 def _table(lecture: Runs, right: Runs) -> tuple[str, bool]:
     """Return the largest errors beside the lecture's, as text, and whether all are the same."""
-    found = {key: tuple(f"{value:.6e}" for value in run.max_error()) for key, run in lecture.items()}
+    found = {key: tuple(map(error_text, run.max_error())) for key, run in lecture.items()}
     same = all(found[key][:2] == expected for key, expected in EXPECTED.items())
     head = ("trajectory", "controller", "x [m]", "lecture", "y [m]", "lecture")
     lines = ["largest |error|", "{:10} {:15} {:>12} {:>12} {:>13} {:>12}".format(*head)]
@@ -127,7 +129,9 @@ def _table(lecture: Runs, right: Runs) -> tuple[str, bool]:
         "{:10} {:15} {:>25} {:>26}".format("trajectory", "controller", "psi [rad]", "psi, put right"),
     ]
     for key in EXPECTED:
-        lines.append(f"{key[0]:10} {key[1]:15} {found[key][2]:>25} {right[key].max_error()[2]:26.6e}")
+        lines.append(
+            f"{key[0]:10} {key[1]:15} {found[key][2]:>25} {error_text(right[key].max_error()[2]):>26}"
+        )
     lines += [
         "the lecture's heading jumps where the robot rests; put right, it follows the",
         f"tangent's limits, and turns on the spot for {_TURN_TIME:g} s where the path bends at rest",

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from pinmobile import Ensemble, InvalidArgument, plots
-from pinmobile.cli.output import Picture
+from pinmobile.cli.output import Picture, save_figure
 from pinmobile.sweeps import Sweep
 
 __all__ = ["ensemble_figures", "sweep_figures"]
@@ -19,7 +19,7 @@ _UNITS = (("m", 1.0), ("mm", 1e-3), ("um", 1e-6))
 
 def ensemble_figures(made: Mapping[str, Ensemble], folder: Path) -> list[Picture]:
     """Draw the bands of all ensembles, and of each what its worst robots have in common."""
-    plots.bands(made).savefig(folder / "bands.png", dpi=110)
+    save_figure(plots.bands(made), folder / "bands.png")
     found = [Picture("bands.png", "Errors over time: what half, 90 % and 99 % of the robots stay within.")]
     for label, ensemble in made.items():
         file = f"drivers-{label.lower().replace(' ', '-')}.png"
@@ -28,7 +28,7 @@ def ensemble_figures(made: Mapping[str, Ensemble], folder: Path) -> list[Picture
         except InvalidArgument:  # the robots are alike, or too few
             continue
         figure.suptitle(f"{label}: {figure.get_suptitle()}", fontsize=14)
-        figure.savefig(folder / file, dpi=110)
+        save_figure(figure, folder / file)
         found.append(Picture(file, f"{label}: what the robots that strayed farthest have in common."))
     return found
 
@@ -60,7 +60,7 @@ def sweep_figures(found: Sweep, folder: Path) -> list[Picture]:
             figure = _curves(found, part, drawn, title=where or None, label=label)
         else:
             figure = _map(found, part, drawn, title=where or label, label=label, limits=limits)
-        figure.savefig(folder / f"within-{k}.png", dpi=110)
+        save_figure(figure, folder / f"within-{k}.png")
         caption = f"{where}{where and ': '}{label}, over {' and '.join(drawn[::-1])}."
         pictures.append(Picture(f"within-{k}.png", caption))
     return pictures

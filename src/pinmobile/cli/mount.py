@@ -23,7 +23,16 @@ from pinmobile import (
 )
 from pinmobile.arrays import positive
 from pinmobile.cli.demonstration import RADIUS, RATE, WAY, demonstration
-from pinmobile.cli.output import Picture, Section, begin, console, index_page, output_folder, progress
+from pinmobile.cli.output import (
+    Picture,
+    Section,
+    begin,
+    console,
+    index_page,
+    output_folder,
+    progress,
+    save_figure,
+)
 from pinmobile.cli.run import FIGURES, draw
 from pinmobile.cli.view import save_page
 
@@ -155,7 +164,7 @@ def _figures(runs: dict[str, Rollout], folder: Path, names: str, text: str, bar:
     pictures = draw(runs, folder, "", bar)
     for name, caption in _BALANCE.items():
         begin(bar, f"drawing {name}")
-        getattr(plots, name)(runs).savefig(folder / f"{name}.png", dpi=110)
+        save_figure(getattr(plots, name)(runs), folder / f"{name}.png")
         pictures.append(Picture(f"{name}.png", caption))
     return index_page(folder, f"{names} on the base", [Section("What came of it", text, pictures)])
 

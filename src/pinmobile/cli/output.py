@@ -4,14 +4,17 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from html import escape
+from io import BytesIO
 from pathlib import Path
+from tempfile import TemporaryFile
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from pinmobile.errors import InvalidArgument
+from pinmobile.files import refusals, write
 
-__all__ = ["Picture", "Section", "begin", "console", "index_page", "output_folder", "progress"]
+__all__ = ["Picture", "Section", "begin", "console", "index_page", "output_folder", "progress", "save_figure"]
 
 console = Console(highlight=False, soft_wrap=True)
 
@@ -64,17 +67,20 @@ def output_folder(path: Path, option: str = "--out", given: Path | None = None) 
     ------
     InvalidArgument
         If it cannot be made or written to.
+    FileError
+        If the system fails, such as of a full disk.
     """
-    probe = path / ".pinmobile"
-    try:
+    with refusals("written to", option, given or path):
         path.mkdir(parents=True, exist_ok=True)
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise InvalidArgument(
-            f"{option} is {str(given or path)!r}, which cannot be written to: {error.strerror}"
-        ) from error
+        TemporaryFile(dir=path).close()
     return path
+
+
+def save_figure(figure: Any, path: Path) -> None:
+    """Write a figure of matplotlib as a PNG."""
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png", dpi=110)
+    write(path, buffer.getvalue())
 
 
 def index_page(folder: Path, title: str, sections: Sequence[Section]) -> Path:
@@ -93,7 +99,7 @@ def index_page(folder: Path, title: str, sections: Sequence[Section]) -> Path:
                 f"<figcaption>{escape(picture.caption)}</figcaption></figure>"
             )
     page = folder / "index.html"
-    page.write_text(_PAGE.format(title=escape(title), body="\n".join(body)), encoding="utf-8")
+    write(page, _PAGE.format(title=escape(title), body="\n".join(body)).encode("utf-8"))
     return page
 
 

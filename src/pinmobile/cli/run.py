@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from pinmobile import Diverged, MobileRobot, Rollout, plots, simulate
-from pinmobile.cli.output import Picture, Section, begin, console, index_page, progress
+from pinmobile.cli.output import Picture, Section, begin, console, index_page, progress, save_figure
 from pinmobile.cli.view import save_page
 
 __all__ = ["FIGURES", "draw", "show_run"]
@@ -38,7 +38,7 @@ def draw(rollouts: dict[str, Rollout], folder: Path, prefix: str, bar: Any) -> l
     pictures = []
     for name, caption in FIGURES.items():
         begin(bar, f"drawing {prefix}{name}")
-        getattr(plots, name)(rollouts).savefig(folder / f"{prefix}{name}.png", dpi=110)
+        save_figure(getattr(plots, name)(rollouts), folder / f"{prefix}{name}.png")
         pictures.append(Picture(f"{prefix}{name}.png", caption.format(drawn)))
     return pictures
 

@@ -13,6 +13,7 @@ from pinmobile.cli.lines import line, line_of, line_of_syntax
 from pinmobile.cli.spreads import scenario, without_model
 from pinmobile.cli.unknown import SPREAD_NAMES, meant
 from pinmobile.ensembles import PARAMETERS
+from pinmobile.files import cannot
 from pinmobile.sweeps import Grid, check_draws
 
 __all__ = ["EXAMPLE", "read_grid"]
@@ -115,7 +116,9 @@ def _parsed(path: Path) -> tuple[str, dict[str, Any]]:
         why = f"byte {error.start} is not UTF-8"
         raise InvalidArgument(f"FILE is {str(path)!r}, which cannot be read: {why}") from error
     except OSError as error:
-        raise InvalidArgument(f"FILE is {str(path)!r}, which cannot be read: {error.strerror}") from error
+        raise cannot("read", "FILE", path, error) from error
+    except RecursionError:
+        raise InvalidArgument(f"{path.name}: its values are nested too deep, expected TOML") from None
     except tomllib.TOMLDecodeError as error:
         at, message = line_of_syntax(str(error), text)
         raise InvalidArgument(f"{path.name}:{at}: {message}, expected TOML") from error

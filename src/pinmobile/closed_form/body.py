@@ -5,7 +5,10 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, finite, vector
 from pinmobile.errors import InvalidArgument
 
-__all__ = ["checked_body", "stacked", "turned"]
+__all__ = ["checked_body", "named", "quietly", "stacked", "turned"]
+
+quietly = np.errstate(over="ignore", invalid="ignore", divide="ignore")
+"""Decorator of what looks at its answer itself, so that numpy need not warn."""
 
 
 def checked_body(
@@ -35,6 +38,12 @@ def checked_body(
         ) from None
     m, inertia, x, y, _ = np.broadcast_arrays(m, inertia, com[..., 0], com[..., 1], q[..., 2])
     return m, inertia, x, y
+
+
+def named(body: tuple[Array, ...]) -> dict[str, Array]:
+    """Return what `checked_body` returns, by name."""
+    mass, yaw_inertia, x, y = body
+    return {"mass": mass, "yaw_inertia": yaw_inertia, "com": np.hypot(x, y)}
 
 
 def turned(q: Array, x: Array, y: Array) -> tuple[Array, Array]:

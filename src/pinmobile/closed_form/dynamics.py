@@ -1,7 +1,7 @@
 """Inverse and forward dynamics, each with a look at the arguments and without."""
 
-from pinmobile.arrays import Array, ArrayLike, broadcast, vector
-from pinmobile.closed_form.body import checked_body, stacked, turned
+from pinmobile.arrays import Array, ArrayLike, broadcast, finite_answer, vector
+from pinmobile.closed_form.body import checked_body, named, quietly, stacked, turned
 
 __all__ = [
     "forward_dynamics",
@@ -11,6 +11,7 @@ __all__ = [
 ]
 
 
+@quietly
 def inverse_dynamics(
     q: ArrayLike,
     v: ArrayLike,
@@ -40,12 +41,16 @@ def inverse_dynamics(
     ------
     InvalidArgument
         If a shape does not fit, a value is not finite, or a mass or inertia is not positive.
+    NotFinite
+        If the answer is beyond the numbers that a computer has.
     """
     q, v, a = vector("q", q, 3), vector("v", v, 3), vector("a", a, 3)
     broadcast(q=q, v=v, a=a)
-    return unchecked_inverse_dynamics(q, v, a, *checked_body(q, mass, yaw_inertia, com, v=v, a=a))
+    body = checked_body(q, mass, yaw_inertia, com, v=v, a=a)
+    return finite_answer(unchecked_inverse_dynamics(q, v, a, *body), v=v, a=a, **named(body))
 
 
+@quietly
 def forward_dynamics(
     q: ArrayLike,
     v: ArrayLike,
@@ -80,10 +85,13 @@ def forward_dynamics(
     ------
     InvalidArgument
         If a shape does not fit, a value is not finite, or a mass or inertia is not positive.
+    NotFinite
+        If the answer is beyond the numbers that a computer has.
     """
     q, v, tau = vector("q", q, 3), vector("v", v, 3), vector("tau", tau, 3)
     broadcast(q=q, v=v, tau=tau)
-    return unchecked_forward_dynamics(q, v, tau, *checked_body(q, mass, yaw_inertia, com, v=v, tau=tau))
+    body = checked_body(q, mass, yaw_inertia, com, v=v, tau=tau)
+    return finite_answer(unchecked_forward_dynamics(q, v, tau, *body), v=v, tau=tau, **named(body))
 
 
 def unchecked_inverse_dynamics(

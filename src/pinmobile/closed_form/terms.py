@@ -2,12 +2,13 @@
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, broadcast, vector
-from pinmobile.closed_form.body import checked_body, stacked, turned
+from pinmobile.arrays import Array, ArrayLike, broadcast, finite_answer, vector
+from pinmobile.closed_form.body import checked_body, named, quietly, stacked, turned
 
 __all__ = ["coriolis_matrix", "mass_matrix", "nonlinear_effects"]
 
 
+@quietly
 def mass_matrix(q: ArrayLike, *, mass: ArrayLike, yaw_inertia: ArrayLike, com: ArrayLike = (0, 0)) -> Array:
     """Return the mass matrix M(q).
 
@@ -29,18 +30,21 @@ def mass_matrix(q: ArrayLike, *, mass: ArrayLike, yaw_inertia: ArrayLike, com: A
     ------
     InvalidArgument
         If a shape does not fit, a value is not finite, or a mass or inertia is not positive.
+    NotFinite
+        If the answer is beyond the numbers that a computer has.
     """
     q = vector("q", q, 3)
-    m, inertia, x, y = checked_body(q, mass, yaw_inertia, com)
+    m, inertia, x, y = body = checked_body(q, mass, yaw_inertia, com)
     dx, dy = turned(q, x, y)
     M = np.zeros((*dx.shape, 3, 3))
     M[..., 0, 0] = M[..., 1, 1] = m
     M[..., 0, 2] = M[..., 2, 0] = -m * dy
     M[..., 1, 2] = M[..., 2, 1] = m * dx
     M[..., 2, 2] = m * (dx * dx + dy * dy) + inertia
-    return M
+    return finite_answer(M, **named(body))
 
 
+@quietly
 def coriolis_matrix(q: ArrayLike, v: ArrayLike, *, mass: ArrayLike, com: ArrayLike = (0, 0)) -> Array:
     """Return the matrix C(q, v) of Christoffel symbols: C v = n and dM/dt - 2 C is skew-symmetric.
 
@@ -62,18 +66,21 @@ def coriolis_matrix(q: ArrayLike, v: ArrayLike, *, mass: ArrayLike, com: ArrayLi
     ------
     InvalidArgument
         If a shape does not fit, a value is not finite, or a mass is not positive.
+    NotFinite
+        If the answer is beyond the numbers that a computer has.
     """
     q, v = vector("q", q, 3), vector("v", v, 3)
     broadcast(q=q, v=v)
-    m, _, x, y = checked_body(q, mass, 1.0, com, v=v)
+    m, _, x, y = body = checked_body(q, mass, 1.0, com, v=v)
     dx, dy = turned(q, x, y)
     rate = v[..., 2]
     C = np.zeros((*np.broadcast_shapes(dx.shape, rate.shape), 3, 3))
     C[..., 0, 2] = -m * dx * rate
     C[..., 1, 2] = -m * dy * rate
-    return C
+    return finite_answer(C, v=v, **named(body))
 
 
+@quietly
 def nonlinear_effects(q: ArrayLike, v: ArrayLike, *, mass: ArrayLike, com: ArrayLike = (0, 0)) -> Array:
     """Return the nonlinear effects n(q, v): the centrifugal force, since the ground is level.
 
@@ -95,10 +102,12 @@ def nonlinear_effects(q: ArrayLike, v: ArrayLike, *, mass: ArrayLike, com: Array
     ------
     InvalidArgument
         If a shape does not fit, a value is not finite, or a mass is not positive.
+    NotFinite
+        If the answer is beyond the numbers that a computer has.
     """
     q, v = vector("q", q, 3), vector("v", v, 3)
     broadcast(q=q, v=v)
-    m, _, x, y = checked_body(q, mass, 1.0, com, v=v)
+    m, _, x, y = body = checked_body(q, mass, 1.0, com, v=v)
     dx, dy = turned(q, x, y)
     pull = -m * v[..., 2] ** 2
-    return stacked(pull * dx, pull * dy, 0.0)
+    return finite_answer(stacked(pull * dx, pull * dy, 0.0), v=v, **named(body))

@@ -6,9 +6,8 @@ from typing import Protocol, final
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike
-from pinmobile.controllers.feedback import check_gains, feedback, own_difference
+from pinmobile.controllers.feedback import check_gains, check_robot, feedback, own_difference
 from pinmobile.controllers.protocol import Difference, InverseDynamics, State, planar_difference
-from pinmobile.errors import InvalidArgument
 
 __all__ = ["Decoupled", "Gravity", "PDGravity"]
 
@@ -125,7 +124,6 @@ def _of_arms(rate: Array) -> Array:
 
 def _check(controller: PDGravity | Decoupled, needs: str) -> None:
     robot = controller.robot
-    if not hasattr(robot, needs):
-        raise InvalidArgument(f"robot is {robot!r}, expected a MobileRobot")
+    check_robot(robot, needs)
     object.__setattr__(controller, "difference", own_difference(robot, controller.difference))
     check_gains(controller, robot.nv)

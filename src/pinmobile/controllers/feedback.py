@@ -5,14 +5,15 @@ from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen
+from pinmobile.arrays import Array, ArrayLike, callable_as, finite, frozen
 from pinmobile.controllers.protocol import Difference, InverseDynamics, State, planar_difference
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 
 __all__ = [
     "PD",
     "ComputedTorque",
     "check_gains",
+    "check_robot",
     "difference_of",
     "feedback",
     "gain_matrix",
@@ -43,7 +44,7 @@ def difference_of(robot: Any) -> Difference:
         If it has none.
     """
     if not hasattr(robot, "difference"):
-        raise InvalidArgument(f"robot is {robot!r}, expected a MobileRobot or other plant")
+        raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot or other plant")
     return _Own(robot)
 
 
@@ -109,8 +110,7 @@ class ComputedTorque:
     difference: Difference = planar_difference
 
     def __post_init__(self) -> None:
-        if not hasattr(self.robot, "inverse_dynamics"):
-            raise InvalidArgument(f"robot is {self.robot!r}, expected a MobileRobot")
+        check_robot(self.robot, "inverse_dynamics")
         object.__setattr__(self, "difference", own_difference(self.robot, self.difference))
         check_gains(self, self.robot.nv)
 
@@ -146,6 +146,19 @@ def gain_matrix(name: str, gain: ArrayLike, n: int) -> Array:
     return array if array.ndim == 2 else np.diag(np.broadcast_to(array, n))
 
 
+def check_robot(robot: Any, needs: str) -> None:
+    """Refuse what has no sizes and no method of that name.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is no robot.
+    """
+    sizes = getattr(robot, "nv", None), getattr(robot, "nq", getattr(robot, "nv", None))
+    if isinstance(robot, type) or not hasattr(robot, needs) or not all(isinstance(n, int) for n in sizes):
+        raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot")
+
+
 def own_difference(robot: Any, difference: Difference) -> Difference:
     """Return the robot's own instead of the plane's where its configurations do not subtract."""
     subtracts = getattr(robot, "nq", robot.nv) == robot.nv
@@ -174,8 +187,7 @@ def check_gains(controller: Any, n: int | None) -> None:
         if n is not None:
             gain_matrix(name, gain, n)
         object.__setattr__(controller, name, frozen(gain))
-    if not callable(controller.difference):
-        raise InvalidArgument(f"difference is {controller.difference!r}, expected a function of q_d and q")
+    callable_as("difference(q_d, q)", controller.difference)
 
 
 def feedback(controller: Any, q: Array, v: Array, reference: State) -> Array:

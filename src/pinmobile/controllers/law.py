@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike
+from pinmobile.arrays import Array, ArrayLike, callable_as
 from pinmobile.controllers.protocol import Controller
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 
 __all__ = ["law"]
 
@@ -22,7 +22,13 @@ class _Law:
 
     def __call__(self, t: float, q: Array, v: Array, reference: Any, state: None) -> tuple[Array, None]:
         """Return what the function returns, and None."""
-        return np.asarray(self.function(t, q, v, reference), np.float64), None
+        force = self.function(t, q, v, reference)
+        try:
+            return np.asarray(force if force is not None else "nothing", np.float64), None
+        except (TypeError, ValueError):
+            raise InvalidArgument(
+                f"function of the law returned {shown(force)} at t = {t:g} s, expected a force: nu numbers"
+            ) from None
 
 
 def law(function: Callable[[float, Array, Array, Any], ArrayLike]) -> Controller:
@@ -36,8 +42,6 @@ def law(function: Callable[[float, Array, Array, Any], ArrayLike]) -> Controller
     Raises
     ------
     InvalidArgument
-        If it cannot be called.
+        If it cannot be called so.
     """
-    if not callable(function):
-        raise InvalidArgument(f"function is {function!r}, expected a function of t, q, v and reference")
-    return _Law(function)
+    return _Law(callable_as("function(t, q, v, reference)", function))

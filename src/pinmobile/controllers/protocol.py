@@ -5,8 +5,8 @@ from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, wrap_angle
-from pinmobile.errors import InvalidArgument
+from pinmobile.arrays import LEAST_ANGLE, Array, ArrayLike, broadcast, callable_as, finite, wrap_angle
+from pinmobile.errors import InvalidArgument, shown
 
 __all__ = [
     "Controller",
@@ -68,8 +68,10 @@ def check_controller(controller: Any) -> None:
     """
     if isinstance(controller, type) or not hasattr(controller, "initial_state"):
         raise InvalidArgument(
-            f"controller is {controller!r}, expected a controller: wrap a function in law(...)"
+            f"controller is {shown(controller)}, expected a controller: wrap a function in law(...)"
         )
+    callable_as("controller(t, q, v, reference, state)", controller)
+    callable_as("controller.initial_state()", controller.initial_state)
 
 
 def answer_of(
@@ -84,7 +86,7 @@ def answer_of(
     """
     answer = controller(t, q, v, reference, state)
     if type(answer) is not tuple or len(answer) != 2:
-        raise InvalidArgument(f"controller returned {answer!r} at t = {t:g} s, expected (tau, state)")
+        raise InvalidArgument(f"controller returned {shown(answer)} at t = {t:g} s, expected (tau, state)")
     return answer
 
 
@@ -106,12 +108,15 @@ def planar_difference(q_d: Array, q: Array) -> Array:
     InvalidArgument
         If there is no third coordinate.
     """
+    if type(q_d) is not np.ndarray or type(q) is not np.ndarray:
+        q_d, q = finite("q_d", q_d), finite("q", q)
+        broadcast(q_d=q_d[..., None], q=q[..., None])
     error = np.subtract(q_d, q, dtype=np.float64)
     if not error.ndim or error.shape[-1] < 3:
         raise InvalidArgument(
             f"configurations have shape {error.shape}, expected (..., n) with n >= 3; "
             "without a heading, compare them with difference=numpy.subtract"
         )
-    if error.ndim > 1 or not -np.pi < error[2] <= np.pi:
+    if error.ndim > 1 or not LEAST_ANGLE < error[2] <= np.pi:
         error[..., 2] = wrap_angle(error[..., 2])
     return error

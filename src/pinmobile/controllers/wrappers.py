@@ -10,9 +10,9 @@ from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, whole
+from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen, whole
 from pinmobile.controllers.protocol import Controller, State, answer_of, check_controller
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 
 __all__ = ["Delayed", "NoisyMeasurement", "Saturated"]
 
@@ -147,7 +147,9 @@ class NoisyMeasurement:
             object.__setattr__(self, name, std)
         whole_number = isinstance(self.seed, int | np.integer) and not isinstance(self.seed, bool)
         if not (isinstance(self.seed, np.random.SeedSequence) or (whole_number and self.seed >= 0)):
-            raise InvalidArgument(f"seed is {self.seed!r}, expected a whole number >= 0 or a SeedSequence")
+            raise InvalidArgument(
+                f"seed is {shown(self.seed)}, expected a whole number >= 0 or a SeedSequence"
+            )
 
     def __reduce__(self) -> tuple[Any, ...]:
         # The tables are drawn again from the seed.
@@ -201,15 +203,13 @@ def _displaced(controller: Any, q: Array, dq: Array, n: int) -> Array:
     if not hasattr(robot, "integrate"):
         raise InvalidArgument(
             f"q has shape {np.shape(q)} where v has {n} numbers, expected as many, or a controller with the "
-            f"attribute `robot`, whose `integrate` moves q; it is {layer!r}"
+            f"attribute `robot`, whose `integrate` moves q; it is {shown(layer)}"
         )
     return np.asarray(robot.integrate(q, dq))
 
 
 def _per_coordinate(name: str, value: ArrayLike, *, endless: bool = False) -> Array:
-    given = np.asarray(value)
-    known = np.isposinf(given) if endless and given.dtype.kind == "f" else np.zeros(given.shape, bool)
-    array = np.where(known, np.inf, finite(name, np.where(known, 1.0, given) if known.any() else value))
+    array = (endless_or_finite if endless else finite)(name, value)
     if array.ndim > 1:
         raise InvalidArgument(f"{name} has shape {array.shape}, expected () or (n,)")
     return frozen(array)

@@ -9,9 +9,10 @@ from typing import Any
 
 from sympy import Expr, ImmutableMatrix, Symbol
 
+from pinmobile.arrays import one_of, sequence, whole
 from pinmobile.derivation.exact import exact, exact_matrix
 from pinmobile.dh import DHTable
-from pinmobile.errors import InvalidArgument, UnknownName
+from pinmobile.errors import InvalidArgument, shown
 
 __all__ = ["Chain", "Link"]
 
@@ -52,6 +53,7 @@ class Link:
     @classmethod
     def general(cls, k: int) -> "Link":
         """Return link `k` with every quantity a symbol: m1, xc1, yc1, zc1, Ixx1, Ixy1, ... for k = 1."""
+        k = whole("k", k, least=0)
         inertia = [[Symbol(f"I{min(i, j)}{max(i, j)}{k}") for j in "xyz"] for i in "xyz"]
         return cls(Symbol(f"m{k}"), [Symbol(f"{axis}c{k}") for axis in "xyz"], inertia)
 
@@ -99,13 +101,13 @@ class Chain:
         gravity: Any = (0, 0, 0),
     ) -> None:
         if not isinstance(table, DHTable):
-            raise InvalidArgument(f"table is {table!r}, expected a DHTable")
+            raise InvalidArgument(f"table is {shown(table)}, expected a DHTable")
         if links is None:
             links = [Link.general(k) for k in range(1, len(table) + 1)]
         order = table.variables if order is None else order
         for name, value in (("links", links), ("order", order)):
             if isinstance(value, str) or not isinstance(value, Sequence):
-                raise InvalidArgument(f"{name} is {value!r}, expected a sequence")
+                raise InvalidArgument(f"{name} is {shown(value)}, expected a sequence")
         object.__setattr__(self, "table", table)
         object.__setattr__(self, "links", tuple(links))
         object.__setattr__(self, "order", tuple(order))
@@ -115,12 +117,11 @@ class Chain:
     def _check(self) -> None:
         variables = self.table.variables
         if len(self.links) != len(self) or not all(isinstance(link, Link | None) for link in self.links):
-            raise InvalidArgument(f"links is {self.links!r}, expected {len(self)} of Link or None")
+            raise InvalidArgument(f"links is {shown(self.links)}, expected {len(self)} of Link or None")
         for name in self.order:
-            if name not in variables:
-                raise UnknownName("variable", str(name), variables)
+            one_of("variable", name, variables)
         if sorted(self.order) != sorted(variables):
-            raise InvalidArgument(f"order is {self.order}, expected a permutation of {variables}")
+            raise InvalidArgument(f"order is {shown(self.order)}, expected a permutation of {variables}")
         names = Counter(symbol.name for symbol in (*self.q, *self.v, *self.a, *self.parameters))
         if twice := [name for name, count in names.items() if count > 1]:
             raise InvalidArgument(f"links and table give {twice} two meanings, expected distinct names")
@@ -155,7 +156,16 @@ class Chain:
         return _symbols([link.mass for link in self.links if link])
 
     def ordered(self, per_row: Sequence[Any]) -> tuple[Any, ...]:
-        """Return what is listed in the order of the rows, in `order`."""
+        """Return what is listed in the order of the rows, in `order`.
+
+        Raises
+        ------
+        InvalidArgument
+            If it is no sequence of one for each row.
+        """
+        per_row = sequence("per_row", per_row, f"a sequence of {len(self)}")
+        if len(per_row) != len(self):
+            raise InvalidArgument(f"per_row has {len(per_row)} entries, expected {len(self)}")
         return tuple(per_row[self.table.variables.index(name)] for name in self.order)
 
     def _dotted(self, dots: str) -> tuple[Symbol, ...]:

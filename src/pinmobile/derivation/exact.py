@@ -3,10 +3,11 @@
 from math import isclose, pi
 from typing import Any
 
+import numpy as np
 import sympy
 from sympy import Expr, ImmutableMatrix
 
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 
 __all__ = ["exact", "exact_angle", "exact_matrix"]
 
@@ -31,10 +32,12 @@ def exact(name: str, value: Any) -> Expr:
     """
     try:
         expression = sympy.sympify(value, strict=True)
-    except (sympy.SympifyError, TypeError, ValueError):
+    except Exception:  # whatever the value itself raises when it is asked for its numbers
         expression = None
     if not isinstance(expression, Expr) or expression.has(sympy.nan, sympy.zoo, sympy.oo, sympy.I):
-        raise InvalidArgument(f"{name} is {value!r}, expected a finite real number or a sympy expression")
+        raise InvalidArgument(
+            f"{name} is {shown(value)}, expected a finite real number or a sympy expression"
+        )
     floats = expression.atoms(sympy.Float)
     return expression.xreplace({number: sympy.Rational(repr(float(number))) for number in floats})
 
@@ -56,14 +59,20 @@ def exact_matrix(name: str, value: Any, shape: tuple[int, int]) -> ImmutableMatr
     InvalidArgument
         If it has another shape, or an entry is neither a finite real number nor an expression.
     """
-    try:
-        matrix = sympy.Matrix(value)
-    except (sympy.SympifyError, TypeError, ValueError):
-        matrix = sympy.Matrix()
-    if matrix.shape != shape:
+    rows = value.tolist() if isinstance(value, sympy.MatrixBase | np.ndarray) else value
+    flat = shape[1] == 1 and isinstance(rows, list | tuple) and not any(map(_is_row, rows))
+    rows = [[row] for row in rows] if flat else rows
+    fits = isinstance(rows, list | tuple) and len(rows) == shape[0]
+    if isinstance(value, np.ma.MaskedArray) or not fits or not all(map(_is_row, rows)):
+        rows = ((),)
+    if any(len(row) != shape[1] for row in rows):
         wanted = f"{shape[0]} entries" if shape[1] == 1 else f"shape {shape}"
-        raise InvalidArgument(f"{name} is {value!r}, expected {wanted}")
-    return ImmutableMatrix(*shape, [exact(name, entry) for entry in matrix])
+        raise InvalidArgument(f"{name} is {shown(value)}, expected {wanted}")
+    return ImmutableMatrix(*shape, [exact(name, entry) for row in rows for entry in row])
+
+
+def _is_row(value: Any) -> bool:
+    return isinstance(value, list | tuple)
 
 
 def exact_angle(name: str, value: float) -> Expr:

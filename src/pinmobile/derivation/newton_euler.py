@@ -16,7 +16,7 @@ from pinmobile.derivation.recursion import Recursion, Vectors
 from pinmobile.derivation.steps import Derivation
 from pinmobile.derivation.wording import Wording
 from pinmobile.dh import LECTURE_TABLE, DHTable
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 
 __all__ = ["derive", "lecture"]
 
@@ -81,7 +81,7 @@ def lecture(table: DHTable = LECTURE_TABLE) -> Derivation:
         If the table has other variables.
     """
     if not isinstance(table, DHTable) or set(table.variables) != {"x", "y", "psi"}:
-        raise InvalidArgument(f"table is {table!r}, expected a DHTable with the variables x, y and psi")
+        raise InvalidArgument(f"table is {shown(table)}, expected a DHTable with the variables x, y and psi")
     return _lecture(table)
 
 

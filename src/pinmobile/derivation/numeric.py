@@ -10,8 +10,8 @@ import numpy as np
 import sympy
 from sympy import Expr, ImmutableMatrix, Symbol
 
-from pinmobile.arrays import Array, ArrayLike, finite, vector
-from pinmobile.errors import InvalidArgument, UnknownName
+from pinmobile.arrays import Array, ArrayLike, finite, representable, vector
+from pinmobile.errors import InvalidArgument, UnknownName, shown
 
 if TYPE_CHECKING:
     from pinmobile.derivation.steps import Derivation
@@ -65,7 +65,8 @@ class Numeric:
             If `params` has a name that is no parameter.
         """
         flat = self._evaluate(self._mass_matrix, {"q": q}, params)
-        return flat.reshape(*flat.shape[:-1], len(self.derivation.chain), -1)
+        size = len(self.derivation.chain)
+        return flat.reshape(*flat.shape[:-1], size, size)
 
     def nonlinear_effects(self, q: ArrayLike, v: ArrayLike, params: Parameters = _NONE) -> Array:
         """Return n(q, v).
@@ -160,20 +161,21 @@ class Numeric:
         except ValueError:
             shapes = ", ".join(f"{name} {np.shape(value)}" for name, value in {**state, **params}.items())
             raise InvalidArgument(f"shapes are {shapes}, expected leading axes that broadcast") from None
-        entries = function(*arguments)
+        with np.errstate(all="ignore"):
+            entries = function(*arguments)
         result = np.empty((*leading, len(entries)))
         for i, entry in enumerate(entries):
             result[..., i] = entry
-        return result
+        return representable("an entry of the result", result)
 
     def _values(self, params: Parameters) -> list[Array]:
         names = self._names
         if not isinstance(params, Mapping):
-            raise InvalidArgument(f"params is {params!r}, expected a mapping with {', '.join(names)}")
+            raise InvalidArgument(f"params is {shown(params)}, expected a mapping with {', '.join(names)}")
         if params.keys() != set(names):
             for name in params:
                 if name not in names:
-                    raise UnknownName("parameter", str(name), names)
+                    raise UnknownName("parameter", name, names)
             missing = ", ".join(name for name in names if name not in params)
             raise InvalidArgument(f"params lacks {missing}, expected {', '.join(names)}")
         return [finite(f"params[{name!r}]", params[name]) for name in names]

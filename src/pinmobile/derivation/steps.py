@@ -9,7 +9,7 @@ from sympy import Expr, ImmutableMatrix, Symbol
 
 from pinmobile.derivation.chain import Chain
 from pinmobile.derivation.numeric import Numeric
-from pinmobile.errors import UnknownName
+from pinmobile.errors import InvalidArgument, UnknownName, shown
 
 __all__ = ["Assignments", "Derivation", "Step"]
 
@@ -130,13 +130,20 @@ class Derivation:
         for step in self.steps:
             if step.name == name:
                 return step
-        raise UnknownName("step", str(name), [step.name for step in self.steps])
+        raise UnknownName("step", name, [step.name for step in self.steps])
 
     def written_out(self, expression: Expr | ImmutableMatrix) -> Expr | ImmutableMatrix:
         """Return `expression` with every name of `assignments` replaced by what it stands for.
 
         Beyond three joints the result can be very long.
+
+        Raises
+        ------
+        InvalidArgument
+            If `expression` is something else.
         """
+        if not isinstance(expression, Expr | ImmutableMatrix):
+            raise InvalidArgument(f"expression is {shown(expression)}, expected a sympy expression or matrix")
         full: dict[Symbol, Expr] = {}
         for symbol, value in self.assignments:
             full[symbol] = value.xreplace(full)

@@ -5,7 +5,7 @@ from typing import Any, ClassVar, Self, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, seeded
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, representable, seeded
 from pinmobile.disturbances.protocol import not_below_zero, numbers, spread, triple
 from pinmobile.errors import InvalidArgument
 
@@ -93,12 +93,14 @@ class NoiseForce:
 
     The spectral representation (Shinozuka and Deodatis, Simulation of stochastic processes by spectral
     representation, 1991): with K = `TERMS` cosines of equal power, one in each K-th of the band at the
-    frequencies f_k of `noise_frequencies`, component j is::
+    frequencies f_kj of `noise_frequencies`, component j is::
 
-        std_j sqrt(2 / K) sum_k cos(2 pi f_k t + phases[k, j])
+        std_j sqrt(2 / K) sum_k cos(2 pi f_kj t + phases[k, j])
 
     Over the phases, its mean is 0 and its root mean square is `std`, exactly, at any time; its spectrum is
-    flat up to `bandwidth`, and nothing beyond.
+    flat up to `bandwidth`, and nothing beyond. No two components share a frequency, so over a time T their
+    correlation goes to zero with 1 / T. Two forces of one bandwidth do share theirs: one force of the root of
+    both squares is what they are meant to be.
 
     Parameters
     ----------
@@ -127,7 +129,7 @@ class NoiseForce:
     bandwidth: float
     seed: Any
     phases: Array = field(init=False, repr=False)
-    _rates: Array = field(init=False, repr=False)  # 2 pi f_k [rad/s]
+    _rates: Array = field(init=False, repr=False)  # 2 pi f_kj [rad/s], shape (TERMS, 3)
 
     def __post_init__(self) -> None:
         drawn = seeded("seed", self.seed).uniform(0, 2 * np.pi, (self.TERMS, 3))
@@ -168,25 +170,29 @@ class NoiseForce:
         object.__setattr__(self, "std", deviation)
         object.__setattr__(self, "bandwidth", positive("bandwidth", bandwidth, "Hz"))
         object.__setattr__(self, "phases", frozen(angles))
-        object.__setattr__(self, "_rates", frozen(2 * np.pi * noise_frequencies(self.bandwidth)))
+        with np.errstate(over="ignore"):
+            rates = representable("2 pi bandwidth", 2 * np.pi * noise_frequencies(self.bandwidth))
+        object.__setattr__(self, "_rates", frozen(rates))
 
     def __call__(self, t: ArrayLike, q: Array, v: Array) -> Array:
         """Return the force, shape (..., 3) [N, N, N m]."""
-        turned = np.multiply.outer(t, self._rates)  # (..., K)
-        waves = np.cos(turned[..., None] + self.phases).sum(axis=-2)
+        turned = np.multiply.outer(t, self._rates)  # (..., K, 3)
+        waves = np.cos(turned + self.phases).sum(axis=-2)
         return spread(np.asarray(self.std) * np.sqrt(2 / self.TERMS) * waves, t, q)
 
 
 def noise_frequencies(bandwidth: float) -> Array:
-    """Return the frequencies of `NoiseForce`, shape (TERMS,) [Hz].
+    """Return the frequencies of the components of `NoiseForce`, shape (TERMS, 3) [Hz].
 
-    One in each of the equal parts of the band, f_k = bandwidth (k + frac((k + 1) g)) / K with the golden
-    ratio's fraction g: no two have a common multiple, so the sum never repeats.
+    One for each component in each of the K equal parts of the band,
+    f_kj = bandwidth (k + frac((k + 1) g + j / 3)) / K with the golden ratio's fraction g: no two of a
+    component have a common multiple, so its sum never repeats; those of two components are at least 0.28 of a
+    part apart.
 
     Parameters
     ----------
     bandwidth : float
         Highest frequency [Hz].
     """
-    k = np.arange(NoiseForce.TERMS)
-    return np.asarray(bandwidth * (k + (k + 1) * _GOLDEN % 1.0) / NoiseForce.TERMS)
+    k = np.arange(NoiseForce.TERMS)[:, None]
+    return np.asarray(bandwidth * (k + ((k + 1) * _GOLDEN + np.arange(3) / 3) % 1.0) / NoiseForce.TERMS)

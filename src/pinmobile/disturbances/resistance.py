@@ -34,6 +34,11 @@ class ViscousFriction:
         checked = not_below_zero("coefficients", triple("coefficients", self.coefficients))
         object.__setattr__(self, "coefficients", checked)
 
+    @property
+    def damping(self) -> Array:
+        """What the twist is multiplied by, shape (..., 3) [N s/m, N s/m, N m s]."""
+        return np.asarray(self.coefficients)
+
     def __call__(self, t: ArrayLike, q: Array, v: Array) -> Array:
         """Return the force, shape (..., 3) [N, N, N m]."""
         coefficients: Any = self.coefficients

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, affordable
 from pinmobile.controllers import PD, ComputedTorque, NoisyMeasurement, gain_matrix
 from pinmobile.ensembles.draws import stream
 from pinmobile.ensembles.forces import drawn_force
@@ -117,6 +117,15 @@ def noise_of(scenario: Scenario, start: int, size: int) -> list[Array]:
     """
     layers = [layer for layer in layers_of(scenario.controller) if type(layer) is NoisyMeasurement]
     samples = len(scenario.t), 2, 3
+    affordable(
+        f"the noise of {size} robots' measurements at {len(scenario.t):,} samples",
+        3.0
+        * len(layers)
+        * size
+        * 6
+        * len(scenario.t),  # the numbers, those of the robots one by one, their sum
+        "give a larger dt or a shorter duration",
+    )
     return [
         np.array(
             [

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, affordable
 from pinmobile.controllers import PD, ComputedTorque, Delayed, NoisyMeasurement, Saturated, planar_difference
 from pinmobile.disturbances import (
     ConstantForce,
@@ -151,15 +151,20 @@ def _forces(scenario: Scenario, batch: Batch) -> tuple[Array, Array, int, int]:
                 phases = rows(force.phases[..., k, :])
                 noise += [scale * np.cos(phases), scale * np.sin(phases)]
             frequencies.append(noise_frequencies(force.bandwidth))
-    waves = _waves(scenario, np.concatenate([np.zeros(0), *frequencies]))
+    waves = _waves(scenario, np.concatenate([np.zeros((0, 3)), *frequencies]))
     stacked = np.ascontiguousarray(np.concatenate([steady, viscous, *rolling, *sine, *noise]))
     return stacked, waves, len(rolling) // 2, len(sine) // 3
 
 
 def _waves(scenario: Scenario, frequencies: Array) -> Array:
-    """Return cosine and sine at the times of all stages, shape (N substeps + 1, stages, waves, 2)."""
+    """Return cosine and sine at the times of all stages, shape (N substeps + 1, stages, waves, 3, 2)."""
     method: Any = scenario.integrator
     h = scenario.dt / scenario.substeps
+    affordable(
+        f"the noise forces' waves at {len(scenario.t) * scenario.substeps:,} steps",
+        4.0 * len(scenario.t) * scenario.substeps * len(method.nodes) * len(frequencies),
+        "give a larger dt, or engine=pinmobile.ensembles.ARRAYS",
+    )
     starts = (scenario.t[:, None] + h * np.arange(scenario.substeps)).ravel()
     starts = starts[: (len(scenario.t) - 1) * scenario.substeps + 1]
     angles = np.multiply.outer(starts[:, None] + h * np.array(method.nodes), 2 * np.pi * frequencies)

@@ -7,7 +7,8 @@ from pinmobile.ensembles.by_kernel import COMPILED
 from pinmobile.ensembles.part import Engine
 from pinmobile.ensembles.probing import check_functions
 from pinmobile.ensembles.scenario import Scenario
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.extras import installing
 
 __all__ = ["chosen_engine"]
 
@@ -25,14 +26,16 @@ def chosen_engine(scenario: Scenario, engine: Engine | None) -> Engine:
         return ARRAYS
     chosen = COMPILED if engine is None else engine
     if not isinstance(chosen, Engine):
-        raise InvalidArgument(f"engine is {engine!r}, expected COMPILED, ARRAYS or None")
+        raise InvalidArgument(
+            f"engine is {shown(engine)}, expected COMPILED or ARRAYS of pinmobile.ensembles, or None"
+        )
     refusal = chosen.refusal(scenario)
     if refusal:
-        raise InvalidArgument(f"engine is {chosen!r}, which cannot run this: {refusal}")
+        raise InvalidArgument(f"engine is {shown(chosen)}, which cannot run this: {refusal}")
     if chosen is COMPILED and find_spec("numba") is None:
         raise InvalidArgument(
-            "the compiled engine needs numba: install the extra, pip install 'pinmobile[ensembles]', "
-            "or choose engine=ARRAYS, which is slower"
+            f"the compiled engine needs numba, which is not installed: {installing('ensembles')}, or choose "
+            "engine=pinmobile.ensembles.ARRAYS, which is slower"
         )
     if chosen is ARRAYS:
         check_functions(scenario, asked)

@@ -1,16 +1,26 @@
 """From what the numbers of an ensemble's robots are drawn."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
+from math import isfinite
 from typing import Any, Protocol, TypeAlias, final, runtime_checkable
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, non_negative, scalar
-from pinmobile.errors import InvalidArgument
+from pinmobile.arrays import Array, ArrayLike, affordable, finite, non_negative, scalar, whole
+from pinmobile.errors import InvalidArgument, shown
 
-__all__ = ["TRUE_MODEL", "Distribution", "Normal", "Same", "Source", "Uniform", "drawn"]
+__all__ = [
+    "TRUE_MODEL",
+    "Distribution",
+    "Normal",
+    "Same",
+    "Source",
+    "Uniform",
+    "checked_generator",
+    "checked_size",
+    "drawn",
+]
 
 
 @runtime_checkable
@@ -45,10 +55,14 @@ class Uniform:
             object.__setattr__(self, name, scalar(name, getattr(self, name)))
         if self.low > self.high:
             raise InvalidArgument(f"low is {self.low}, expected at most high, {self.high}")
+        if not isfinite(self.high - self.low):
+            raise InvalidArgument(
+                f"high is {self.high} and low {self.low}, expected a width that is a number: at most 1.79e308"
+            )
 
     def sample(self, generator: np.random.Generator, size: int) -> Array:
         """Return `size` independent draws, shape (size,)."""
-        return generator.uniform(self.low, self.high, size)
+        return checked_generator(generator).uniform(self.low, self.high, checked_size(size))
 
     def support(self) -> tuple[float, float]:
         """Return the bounds, as a frozen distribution of `scipy.stats` does."""
@@ -56,8 +70,8 @@ class Uniform:
 
     def cdf(self, value: float) -> float:
         """Return the probability of draws up to `value`."""
-        width = self.high - self.low
-        return float(np.clip((value - self.low) / width, 0, 1)) if width else float(value >= self.low)
+        value, width = scalar("value", value), self.high - self.low
+        return min(max((value - self.low) / width, 0.0), 1.0) if width else float(value >= self.low)
 
 
 @final
@@ -85,7 +99,7 @@ class Normal:
 
     def sample(self, generator: np.random.Generator, size: int) -> Array:
         """Return `size` independent draws, shape (size,)."""
-        return generator.normal(self.mean, self.std, size)
+        return checked_generator(generator).normal(self.mean, self.std, checked_size(size))
 
 
 @final
@@ -109,15 +123,66 @@ class Same:
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
-            raise InvalidArgument(f"name is {self.name!r}, expected the name of a parameter")
+            raise InvalidArgument(f"name is {shown(self.name)}, expected the name of a parameter")
+        if isinstance(self.factor, Same):
+            raise InvalidArgument(
+                f"factor is {shown(self.factor)}, expected a number, numbers or a distribution: "
+                "give what is the same as another one a name in the spread"
+            )
 
 
-TRUE_MODEL: Mapping[str, Same] = MappingProxyType(
-    {f"model_{name}": Same(name) for name in ("mass", "yaw_inertia", "com_x", "com_y")}
-)
+class _TrueModel(Mapping[str, Same]):
+    """Read only as a view of a dict, and unlike it to be sent to other processes: it comes back as itself."""
+
+    def __init__(self, names: Iterable[str]) -> None:
+        self._held = {f"model_{name}": Same(name) for name in names}
+
+    def __getitem__(self, name: str) -> Same:
+        return self._held[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._held)
+
+    def __len__(self) -> int:
+        return len(self._held)
+
+    def __repr__(self) -> str:
+        return repr(self._held)
+
+    def __reduce__(self) -> str:
+        return "TRUE_MODEL"
+
+
+TRUE_MODEL: Mapping[str, Same] = _TrueModel(("mass", "yaw_inertia", "com_x", "com_y"))
 """What tells a controller the truth about its robot: ``spread={"mass": Uniform(20, 40), **TRUE_MODEL}``."""
 
 Source: TypeAlias = Distribution | Same | ArrayLike
+
+
+def checked_generator(generator: Any) -> np.random.Generator:
+    """Return a generator, after refusing what is none.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is something else.
+    """
+    if not isinstance(generator, np.random.Generator):
+        raise InvalidArgument(f"generator is {shown(generator)}, expected a numpy.random.Generator")
+    return generator
+
+
+def checked_size(size: Any) -> int:
+    """Return how many draws are asked for.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is no whole number, or they would not fit into memory.
+    """
+    count = whole("size", size, least=0)
+    affordable(f"{count} draws", count, "draw fewer at a time")
+    return count
 
 
 def drawn(name: str, source: Any, generator: np.random.Generator, size: int) -> Array:

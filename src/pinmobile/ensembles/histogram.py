@@ -4,19 +4,32 @@ The bin of a number is read off the bits of its float64: 32 bins per octave, fro
 below is counted in the first bin, what is above, or belongs to a diverged robot, in the last.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, finite, scalar
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 
-__all__ = ["BINS", "FIRST", "SHIFT", "bins_of", "checked_levels", "checked_share", "edges", "quantiles"]
+__all__ = [
+    "BINS",
+    "FIRST",
+    "SHIFT",
+    "bins_of",
+    "checked_levels",
+    "checked_share",
+    "edges",
+    "quantiles",
+    "share_within",
+]
 
 SHIFT = 47  # leaves the exponent and 5 bits of the mantissa
 _OCTAVES = 44
 _LEAST = 2.0**-34
 FIRST = int(np.float64(_LEAST).view(np.int64)) >> SHIFT
 BINS = 32 * _OCTAVES + 2  # with the one below and the one above
+_ROUNDING = 4 * float(np.finfo(np.float64).eps)  # of a share such as 0.07, and of its product with a count
 
 
 def edges() -> Array:
@@ -41,7 +54,7 @@ def checked_share(value: ArrayLike) -> float:
     """
     share = scalar("share", value)
     if not 0 <= share <= 1:
-        raise InvalidArgument(f"share is {value!r}, expected a number from 0 to 1")
+        raise InvalidArgument(f"share is {shown(value)}, expected a number from 0 to 1")
     return share
 
 
@@ -55,8 +68,31 @@ def checked_levels(value: ArrayLike) -> Array:
     """
     found = np.atleast_1d(finite("levels", value))
     if found.ndim != 1 or not found.size or not ((found >= 0) & (found <= 1)).all():
-        raise InvalidArgument(f"levels is {value!r}, expected numbers from 0 to 1")
+        raise InvalidArgument(f"levels is {shown(value)}, expected numbers from 0 to 1")
     return found
+
+
+def share_within(values: Array, share: float, axis: int = -1) -> Array:
+    """Return the least of the values that a share of them does not exceed; NaN where one is NaN.
+
+    Parameters
+    ----------
+    values : ndarray
+        Along `axis`, at least one.
+    share : float
+        From 0 to 1; of 0, the smallest value.
+    axis : int
+        The axis that is reduced.
+    """
+    place = max(int(np.ceil(_rank(share, values.shape[axis]))), 1) - 1
+    found = np.take(np.partition(values, place, axis), place, axis)
+    return np.where(np.isnan(values).any(axis), np.nan, found)
+
+
+def _rank(share: float, count: Any) -> Any:
+    """Return the share of a count, a whole number where it is one but for rounding (0.07 of 100 is 7)."""
+    rank = share * count
+    return np.where(np.abs(rank - np.round(rank)) <= _ROUNDING * rank, np.round(rank), rank)
 
 
 def quantiles(counts: NDArray[np.int64], wanted: Array) -> Array:
@@ -81,7 +117,7 @@ def quantiles(counts: NDArray[np.int64], wanted: Array) -> Array:
     bounds = edges()
     found = np.empty((len(wanted), *counts.shape[:-1]))
     for k, level in enumerate(wanted):
-        rank = level * total[..., -1:]
+        rank = _rank(level, total[..., -1:])
         # The first bin whose total reaches the rank, and is not empty.
         bin_ = np.minimum((total < np.maximum(rank, 1e-9)).sum(axis=-1), BINS - 1)
         inside = np.take_along_axis(counts, bin_[..., None], -1)[..., 0]

@@ -17,6 +17,7 @@ import numpy as np
 from numba import types
 from numba.extending import intrinsic
 
+from pinmobile.arrays import HALF_TURN
 from pinmobile.ensembles.histogram import BINS, FIRST, SHIFT
 
 __all__ = [
@@ -52,6 +53,7 @@ RESULTS = 12  # samples lived; largest |e| of x, y, psi, and squared distance; s
 
 _TURN = 2 * math.pi
 _PER_TURN = 1 / _TURN
+_LEFT = HALF_TURN * _PER_TURN
 
 
 def _in_parts(bits: int) -> tuple[float, float, float]:
@@ -117,7 +119,8 @@ def _sincos(x: float) -> tuple[float, float]:
 
 @_inline
 def _on_circle(angle: float) -> float:
-    return angle - _TURN * _rounded(angle * _PER_TURN)
+    wrapped = angle - _TURN * _rounded(angle * _PER_TURN - _LEFT)
+    return _chosen(wrapped > math.pi, math.pi, wrapped)
 
 
 @_inline
@@ -331,7 +334,9 @@ def _outside(w: Any, s0: int, t: float, f: Any, waves: Any, rollings: int, sines
         for axis in range(3):
             j = first + 6 * k + axis
             for i in range(LANES):
-                w[(_OUTSIDE + axis) * LANES + i] += waves[k, 0] * f[j, i] - waves[k, 1] * f[j + 3, i]
+                w[(_OUTSIDE + axis) * LANES + i] += (
+                    waves[k, axis, 0] * f[j, i] - waves[k, axis, 1] * f[j + 3, i]
+                )
 
 
 @_inline
@@ -465,8 +470,8 @@ def general(
     forces : ndarray, shape (m, n)
         Constant (3), viscous (3), each rolling resistance (3 and 3 speeds), each sinusoid (3, frequency,
         phase), each wave of noise (3 in phase and 3 in quadrature).
-    waves : ndarray, shape (N substeps + 1, stages, waves, 2)
-        Cosine and sine of the waves of noise at the times of the stages.
+    waves : ndarray, shape (N substeps + 1, stages, waves, 3, 2)
+        Cosine and sine of the waves of noise, of each component its own, at the times of the stages.
     rollings, sines : int
         How many there are.
     noise : ndarray, shape (N + 1, 6, n) or (0, 6, n)

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from pinmobile.arrays import Array
 from pinmobile.controllers import NoisyMeasurement
 from pinmobile.ensembles.batch import BODY, batch_of, noise_seed
@@ -12,6 +14,7 @@ from pinmobile.ensembles.layers import core_of, layers_of
 from pinmobile.ensembles.probing import fresh
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.robot import MobileRobot
+from pinmobile.urdf import Body
 
 __all__ = ["Member", "member_of"]
 
@@ -71,7 +74,8 @@ def member_of(scenario: Scenario, i: int) -> Member:
 
 def _robot(robot: MobileRobot, body: Array) -> MobileRobot:
     mass, inertia, x, y = body[:, 0].tolist()
-    return MobileRobot(mass, inertia, com=(x, y, robot.com[2]), size=robot.size, dh=robot.dh)
+    com = np.array([x, y, robot.com[2]])
+    return robot.with_body(Body(mass, com, np.diag([inertia] * 3)), "drawn for an ensemble")
 
 
 def _rewrapped(scenario: Scenario, controller: Any, i: int) -> Any:

@@ -2,7 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from importlib import import_module
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +66,14 @@ class Engine:
 
     def __repr__(self) -> str:
         return self.name
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # It comes back as itself, from another process too: there is one of each.
+        return _engine_of, (self.run.__module__, self.name)
+
+
+def _engine_of(module: str, name: str) -> Any:
+    return getattr(import_module(module), name)
 
 
 def empty_counts(scenario: Scenario) -> NDArray[np.int32]:

@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, whole
-from pinmobile.ensembles.histogram import checked_levels, checked_share, quantiles
+from pinmobile.arrays import Array, ArrayLike, one_of, whole
+from pinmobile.ensembles.histogram import checked_levels, checked_share, quantiles, share_within
 from pinmobile.ensembles.member import Member, member_of
 from pinmobile.ensembles.part import Part
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.ensembles.table import judgement, ranges
-from pinmobile.errors import Diverged, InvalidArgument, UnknownName
+from pinmobile.errors import Diverged, InvalidArgument
 from pinmobile.simulation import Rollout, simulate
 
 __all__ = ["Bands", "Ensemble", "Within"]
@@ -150,7 +150,7 @@ class Ensemble:
         """
         level = checked_share(share)
         sizes = (np.where(self.diverged, np.inf, self.largest(by)) for by in Within._fields)
-        return Within(*(float(np.quantile(x, level, method="inverted_cdf")) for x in sizes))
+        return Within(*(float(share_within(x, level)) for x in sizes))
 
     def bands(self, levels: ArrayLike = (0.5, 0.9, 0.99)) -> Bands:
         """Return quantiles of the errors over time, to the width of a bin, 2 to 3 %.
@@ -199,9 +199,7 @@ class Ensemble:
             If there is no such error.
         """
         errors = {"distance": self.max_distance, "heading": self.max_error[:, 2]}
-        if by not in errors:
-            raise UnknownName("error", str(by), errors)
-        return errors[by]
+        return errors[one_of("error", by, errors)]
 
     def member(self, i: int) -> Member:
         """Return robot i as the arguments of `simulate`.
@@ -218,6 +216,9 @@ class Ensemble:
 
     def trace(self, i: int) -> Rollout:
         """Return everything of robot i, made by `simulate`: the same numbers but for rounding.
+
+        Rounding stays small where the loop holds the robot to its reference. Where the loop is chaotic it
+        grows until the two have nothing in common but their bounds, as do any two ways of computing it.
 
         Raises
         ------

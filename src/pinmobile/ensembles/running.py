@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from pinmobile.arrays import Array, whole
+from pinmobile.arrays import Array, callable_as, whole
 from pinmobile.ensembles.batch import batch_of
 from pinmobile.ensembles.choosing import chosen_engine
 from pinmobile.ensembles.distributions import Source
@@ -11,7 +11,7 @@ from pinmobile.ensembles.part import Engine, Part
 from pinmobile.ensembles.result import Ensemble
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.ensembles.stretches import Records, divided, processors, results
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.integrators import Integrator, constant_acceleration
 from pinmobile.robot import MobileRobot
 from pinmobile.trajectories import Trajectory
@@ -110,10 +110,10 @@ def run_scenario(
         raise InvalidArgument(f"scenario is a {type(scenario).__name__}, expected a Scenario")
     chosen = chosen_engine(scenario, engine)
     workers = processors() if threads is None else whole("threads", threads)
-    if progress is not None and not callable(progress):
-        raise InvalidArgument(f"progress is {progress!r}, expected a function of done and n")
-    if isinstance(traces, str) or not isinstance(traces, Iterable):
-        raise InvalidArgument(f"traces is {traces!r}, expected indices of robots, such as [0]")
+    if progress is not None:
+        callable_as("progress(done, n)", progress)
+    if isinstance(traces, str | bytes) or not isinstance(traces, Iterable):
+        raise InvalidArgument(f"traces is {shown(traces)}, expected indices of robots, such as [0]")
     followed = [_traced(i, scenario.n) for i in traces]
     draws = scenario.draws()
     records = Records(scenario, 0, scenario.n)

@@ -8,18 +8,19 @@ from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, positive, scalar, whole
+from pinmobile.arrays import Array, affordable, positive, scalar, whole
 from pinmobile.controllers import PD, ComputedTorque, Decoupled, PDGravity, gain_matrix
 from pinmobile.ensembles.distributions import Source
 from pinmobile.ensembles.draws import draw, held
 from pinmobile.ensembles.forces import check_forces, with_spread_forces
+from pinmobile.ensembles.histogram import BINS
 from pinmobile.ensembles.layers import check_layers, core_of
 from pinmobile.ensembles.parameters import PARAMETERS
 from pinmobile.ensembles.spread import check_supports, checked_spread
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.integrators import Integrator, constant_acceleration
 from pinmobile.robot import MobileRobot
-from pinmobile.simulation import checked_forces, checked_loop, sample_times, sampled
+from pinmobile.simulation import checked_forces, checked_loop, checked_substeps, sample_times, sampled
 from pinmobile.trajectories import Reference, Trajectory
 
 __all__ = ["Scenario"]
@@ -28,6 +29,7 @@ _SAME = 1e-6  # of dt: a time that is meant to be a sample's
 _GRID = 60  # intervals between counts, about
 _MOST = 100_000_000  # robots
 _RECORD = 150  # bytes for each, about
+_BANDS = 3 * BINS  # numbers for each time of the bands: counts of two quantities, and their sums
 
 
 @final
@@ -89,7 +91,7 @@ class Scenario:
 
     def __post_init__(self) -> None:
         if type(self.robot) is not MobileRobot or self.robot.nv != 3:
-            raise InvalidArgument(f"robot is {self.robot!r}, expected a MobileRobot without arms")
+            raise InvalidArgument(f"robot is {shown(self.robot)}, expected a MobileRobot without arms")
         checked_loop(self.robot, self.controller, self.trajectory, self.integrator)
         core: Any = core_of(self.controller)
         believed = core.robot if type(core) in (ComputedTorque, PDGravity, Decoupled) else None
@@ -102,12 +104,20 @@ class Scenario:
             raise InvalidArgument(
                 f"n is {n:,}, expected at most {_MOST:,}, whose records take {_MOST * _RECORD / 1e9:.0f} GB"
             )
-        t = sample_times(positive("dt", self.dt, "s"), self.duration, self.trajectory.duration)
+        dt = positive("dt", self.dt, "s")
+        duration = None if self.duration is None else positive("duration", self.duration, "s")
+        t = sample_times(dt, duration, self.trajectory.duration)
         every = max(1, round((len(t) - 1) / _GRID)) if self.every is None else whole("every", self.every)
+        bands = len(t[::every])
+        affordable(
+            f"the bands of {bands:,} times, every {every} samples,", _BANDS * bands, "give a larger `every`"
+        )
         for name, value in {
             "n": n,
+            "dt": dt,
+            "duration": duration,
             "seed": whole("seed", self.seed, least=0),
-            "substeps": whole("substeps", self.substeps),
+            "substeps": checked_substeps(self.substeps, len(t)),
             "limit": positive("limit", self.limit),
             "after": _time("after", self.after, t),
             "every": every,
@@ -175,7 +185,10 @@ class Scenario:
         InvalidArgument
             If values are impossible; the message tells their share.
         """
-        values = draw(self.spread, self.seed, start, self.n if stop is None else stop, self.nominal)
+        first, last = whole("start", start, least=0), self.n if stop is None else whole("stop", stop)
+        if not first < last <= self.n:
+            raise InvalidArgument(f"start is {first} and stop {last}, expected 0 <= start < stop <= {self.n}")
+        values = draw(self.spread, self.seed, first, last, self.nominal)
         for name, column in values.items():
             parameter = PARAMETERS[name]
             wrong = ~parameter.allows(column)

@@ -8,7 +8,7 @@ import numpy as np
 from pinmobile.arrays import finite
 from pinmobile.ensembles.distributions import Same, Uniform
 from pinmobile.ensembles.parameters import PARAMETERS
-from pinmobile.errors import InvalidArgument, UnknownName
+from pinmobile.errors import InvalidArgument, UnknownName, shown
 
 __all__ = ["check_supports", "checked_spread"]
 
@@ -24,7 +24,7 @@ def checked_spread(spread: Any, n: int) -> dict[str, Any]:
         If a source is no distribution, number, array of shape (n,) or `Same`, or refers in a circle.
     """
     if not isinstance(spread, Mapping):
-        raise InvalidArgument(f"spread is {spread!r}, expected a mapping of parameters to distributions")
+        raise InvalidArgument(f"spread is {shown(spread)}, expected a mapping of parameters to distributions")
     found = {}
     for name, source in spread.items():
         if name not in PARAMETERS:

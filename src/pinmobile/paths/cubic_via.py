@@ -7,7 +7,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, scalar
 from pinmobile.errors import InvalidArgument
 from pinmobile.paths.piecewise import PiecewisePath
-from pinmobile.paths.polynomials import PiecewisePolynomial, hermite
+from pinmobile.paths.polynomials import PiecewisePolynomial, hermite, stretch
 
 __all__ = ["CubicVia"]
 
@@ -80,6 +80,8 @@ class CubicVia(PiecewisePath):
             object.__setattr__(self, name, value)
         if not 0 < self.t_via < self.t_end:
             raise InvalidArgument(f"t_via is {self.t_via} s, expected 0 < t_via < t_end = {self.t_end} s")
+        stretch("t_via", self.t_via)
+        stretch("t_end - t_via", self.t_end - self.t_via)
         object.__setattr__(self, "_curve", self._solve())
 
     def _solve(self) -> PiecewisePolynomial:
@@ -89,26 +91,14 @@ class CubicVia(PiecewisePath):
         return PiecewisePolynomial(np.array([0.0, self.t_via, self.t_end]), np.array([before, after]))
 
     def _free_velocity(self) -> Array:
-        # The lecture's system rather than its closed form: the rounding of this solution keeps x_dot off
-        # an exact zero where the demonstration passes its via point upwards, and the lecture's heading
-        # law (see LectureHeading) tells the two apart.
+        # The lecture's 8 x 8 system in closed form, one coordinate at a time: with the mean velocities of the
+        # two cubics, their accelerations at the via are (2 v0 + 4 v - 6 mean0) / t and
+        # (6 mean1 - 4 v - 2 v1) / s. A solver rounds differently from machine to machine, and what is exactly
+        # zero here, as x_dot at the via of the lecture, would be so on some alone.
         t, s = self.t_via, self.t_end - self.t_via
-        system = np.array(
-            [
-                [1, 0, 0, 0, 0, 0, 0, 0],
-                [0, 1, 0, 0, 0, 0, 0, 0],
-                [1, t, t**2, t**3, 0, 0, 0, 0],
-                [0, 0, 0, 0, 1, 0, 0, 0],
-                [0, 0, 0, 0, 1, s, s**2, s**3],
-                [0, 0, 0, 0, 0, 1, 2 * s, 3 * s**2],
-                [0, 1, 2 * t, 3 * t**2, 0, -1, 0, 0],
-                [0, 0, 2, 6 * t, 0, 0, -2, 0],
-            ]
-        )
-        # Positions relative to the start: a velocity does not depend on where the origin is.
-        none, via, end = np.zeros_like(self.via), self.via - self.start, self.end - self.start
-        wanted = [none, self.start_velocity, via, via, end, self.end_velocity, none, none]
-        return np.asarray(np.linalg.solve(system, np.array(wanted))[5])
+        before = 3 * ((self.via - self.start) / t) - self.start_velocity
+        after = 3 * ((self.end - self.via) / s) - self.end_velocity
+        return np.asarray((before * (s / self.t_end) + after * (t / self.t_end)) / 2)
 
 
 def _point(name: str, value: ArrayLike, size: int) -> Array:

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, positive, scalar, whole
-from pinmobile.paths.protocol import Whole, within
+from pinmobile.arrays import Array, ArrayLike, positive, representable, scalar
+from pinmobile.paths.protocol import Whole, checked_order, within
 
 __all__ = ["Circle", "Lissajous"]
 
@@ -87,11 +87,14 @@ class Lissajous:
         InvalidArgument
             If a time is outside, or `order` is not a whole number >= 0.
         """
-        t, order = within("t", t, self.duration), whole("order", order, least=0)
+        t, order = within("t", t, self.duration), checked_order(order)
         # Sines and cosines rather than shifted phases: a multiple of pi/2 added would cost their zeros.
-        x = self.rx * self.wx**order * _sine(self.wx * t, order)
-        y = self.ry * self.wy**order * _sine(self.wy * t, order + 1)
-        return np.stack([x, self.ry - y if order == 0 else -y], axis=-1)
+        wx, wy = np.float64(self.wx), np.float64(self.wy)  # whose powers overflow without an error
+        with np.errstate(all="ignore"):
+            x = self.rx * wx**order * _sine(wx * t, order)
+            y = self.ry * wy**order * _sine(wy * t, order + 1)
+            curve = np.stack([x, self.ry - y if order == 0 else -y], axis=-1)
+        return representable("a point or derivative of the figure", curve)
 
 
 def Circle(radius: float, rate: float, duration: float) -> Lissajous:

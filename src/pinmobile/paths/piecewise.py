@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass, field
 
-from pinmobile.arrays import Array, ArrayLike, whole
+from pinmobile.arrays import Array, ArrayLike
 from pinmobile.paths.polynomials import PiecewisePolynomial, Polynomial
-from pinmobile.paths.protocol import within
+from pinmobile.paths.protocol import checked_order, within
 from pinmobile.paths.values import Value
 
 __all__ = ["PiecewisePath"]
@@ -66,4 +66,4 @@ class PiecewisePath(Value):
         InvalidArgument
             If a time is outside, or `order` is not a whole number >= 0.
         """
-        return self._curve.derivative(within("t", t, self.duration), whole("order", order, least=0))
+        return self._curve.derivative(within("t", t, self.duration), checked_order(order))

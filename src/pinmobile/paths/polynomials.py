@@ -5,9 +5,10 @@ from math import perm
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, frozen
+from pinmobile.arrays import Array, ArrayLike, frozen, positive, representable
+from pinmobile.errors import InvalidArgument
 
-__all__ = ["PiecewisePolynomial", "Polynomial", "hermite"]
+__all__ = ["PiecewisePolynomial", "Polynomial", "hermite", "stretch"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +49,9 @@ class PiecewisePolynomial:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "knots", frozen(self.knots))
-        object.__setattr__(self, "coefficients", frozen(self.coefficients))
+        object.__setattr__(
+            self, "coefficients", representable("a coefficient of the path", frozen(self.coefficients))
+        )
 
     @property
     def pieces(self) -> tuple[Polynomial, ...]:
@@ -80,10 +83,28 @@ def hermite(step: float, left: Array, right: Array, left_velocity: Array, right_
     coefficients : ndarray, shape (4, n)
         In powers of the time since `left`, the constant first [m/s^power].
     """
-    slope = (right - left) / step
-    quadratic = (3 * slope - 2 * left_velocity - right_velocity) / step
-    cubic = (left_velocity + right_velocity - 2 * slope) / step**2
-    return np.array([left, left_velocity, quadratic, cubic])
+    with np.errstate(all="ignore"):  # PiecewisePolynomial looks
+        slope = (right - left) / step
+        quadratic = (3 * slope - 2 * left_velocity - right_velocity) / step
+        cubic = (left_velocity + right_velocity - 2 * slope) / step**2
+        return np.array([left, left_velocity, quadratic, cubic])
+
+
+def stretch(name: str, value: ArrayLike) -> float:
+    """Return a time between two points [s], above zero, whose fifth power is a number.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is not.
+    """
+    time = positive(name, value, "s")
+    if not _SHORTEST <= time <= _FARTHEST:
+        raise InvalidArgument(f"{name} is {time} s, expected {_SHORTEST:g} to {_FARTHEST:g} s")
+    return time
+
+
+_SHORTEST, _FARTHEST = 1e-50, 1e50  # [s]
 
 
 def _horner(coefficients: Array, s: Array, order: int) -> Array:

@@ -5,10 +5,10 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite
-from pinmobile.errors import InvalidArgument
+from pinmobile.arrays import Array, ArrayLike, finite, whole
+from pinmobile.errors import InvalidArgument, shown
 
-__all__ = ["Path", "Piece", "Whole", "checked_path", "pieces_of", "within"]
+__all__ = ["Path", "Piece", "Whole", "checked_order", "checked_path", "pieces_of", "within"]
 
 # Relative to the duration: room for the rounding of `n * dt`, and for no more.
 _ROUNDING = 4 * float(np.finfo(np.float64).eps)
@@ -97,13 +97,27 @@ def checked_path(path: Any, size: int) -> Path:
     """
     if not isinstance(path, Path):
         raise InvalidArgument(
-            f"path is {path!r}, expected a path: path(t), path.derivative(t, order), path.duration"
+            f"path is {shown(path)}, expected a path: path(t), path.derivative(t, order), path.duration"
         )
     shape = np.shape(path(0.0))
     if shape != (size,):
         where = "the plane" if size == 2 else "space"
         raise InvalidArgument(f"path has points of shape {shape}, expected ({size},), a path in {where}")
     return path
+
+
+def checked_order(order: Any) -> int:
+    """Return the order of a derivative, at least 0.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is no such whole number, or one that nobody needs.
+    """
+    return whole("order", order, least=0, most=_HIGHEST)
+
+
+_HIGHEST = 1000  # order of a derivative: beyond, a figure's rates and their powers are no numbers
 
 
 def within(name: str, t: ArrayLike, duration: float) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive
 from pinmobile.errors import InvalidArgument
 from pinmobile.paths.piecewise import PiecewisePath
-from pinmobile.paths.polynomials import PiecewisePolynomial
+from pinmobile.paths.polynomials import PiecewisePolynomial, stretch
 
 __all__ = ["Hold", "RestToRest"]
 
@@ -73,12 +73,13 @@ class RestToRest(_Timed):
         object.__setattr__(self, "end", _point("end", end))
         if self.end.shape != self.start.shape:
             raise InvalidArgument(f"end has shape {self.end.shape}, expected {self.start.shape}")
-        object.__setattr__(self, "_curve", self._solve(positive("duration", duration, "s")))
+        object.__setattr__(self, "_curve", self._solve(stretch("duration", duration)))
 
     def _solve(self, T: float) -> PiecewisePolynomial:
-        way = self.end - self.start
-        still = np.zeros_like(way)
-        rows = [self.start, still, still, 10 * way / T**3, -15 * way / T**4, 6 * way / T**5]
+        with np.errstate(all="ignore"):  # PiecewisePolynomial looks
+            way = self.end - self.start
+            still = np.zeros_like(way)
+            rows = [self.start, still, still, 10 * way / T**3, -15 * way / T**4, 6 * way / T**5]
         return PiecewisePolynomial(np.array([0.0, T]), np.array([rows]))
 
 

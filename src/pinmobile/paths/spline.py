@@ -7,7 +7,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, finite, frozen
 from pinmobile.errors import InvalidArgument
 from pinmobile.paths.piecewise import PiecewisePath
-from pinmobile.paths.polynomials import PiecewisePolynomial
+from pinmobile.paths.polynomials import PiecewisePolynomial, stretch
 
 __all__ = ["Spline"]
 
@@ -58,11 +58,17 @@ class Spline(PiecewisePath):
         object.__setattr__(self, "_curve", self._solve())
 
     def _solve(self) -> PiecewisePolynomial:
-        # Here, because scipy is heavy and `import pinmobile` is light.
+        # Here, because scipy is heavy and no other path needs it.
         from scipy.interpolate import CubicSpline
 
         ends = ((1, self.start_velocity), (1, self.end_velocity))
-        highest_first = CubicSpline(self.times, self.waypoints, bc_type=ends).c  # (4, k - 1, n)
+        for k, step in enumerate(np.diff(self.times), 1):
+            stretch(f"times[{k}] - times[{k - 1}]", step)
+        try:
+            with np.errstate(all="ignore"):  # PiecewisePolynomial looks
+                highest_first = CubicSpline(self.times, self.waypoints, bc_type=ends).c  # (4, k - 1, n)
+        except (ValueError, np.linalg.LinAlgError):  # where a slope is no number, or steps differ too much
+            highest_first = np.full((4, len(self.times) - 1, self.waypoints.shape[1]), np.nan)
         return PiecewisePolynomial(self.times, np.moveaxis(highest_first[::-1], 0, 1))
 
 

@@ -13,7 +13,7 @@ from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter, NullLocat
 
 from pinmobile.accuracy import Convergence, IntegratorReport
 from pinmobile.plots.runs import named
-from pinmobile.plots.style import INK, ShownFigure, colour, dress, legend, line_style
+from pinmobile.plots.style import INK, ShownFigure, colour, dress, headed, legend, line_style
 
 __all__ = ["integrator"]
 
@@ -58,7 +58,7 @@ def integrator(
     known: dict[str, IntegratorReport] = named("reports", reports, IntegratorReport)
     figure = ShownFigure(figsize=(9.0, 5.6 + 0.3 * len(known)), dpi=100, layout="constrained")
     whose = f" of {next(iter(known.values())).integrator}" if "" in known else ""
-    figure.suptitle(title or f"Accuracy{whose}: error over the step", fontsize=14, color=INK)
+    figure.suptitle(headed(title, f"Accuracy{whose}: error over the step"), fontsize=14, color=INK)
     grid = figure.subplots(2, 3, squeeze=False, sharex=True)
     for row, column, attribute, heading in _PANELS:
         rows = [getattr(report, attribute) for report in known.values()]

@@ -12,12 +12,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from pinmobile.arrays import Array, positive
+from pinmobile.arrays import Array, callable_as, positive
 from pinmobile.errors import InvalidArgument
+from pinmobile.files import written
 from pinmobile.plots.body import ARROW, Body
 from pinmobile.plots.plane import TRAVELLED, panels, poses
 from pinmobile.plots.runs import Rollouts, planar, thinned
-from pinmobile.plots.style import INK, colour
+from pinmobile.plots.style import INK, colour, headed
 from pinmobile.simulation import Rollout
 
 __all__ = ["animate"]
@@ -66,24 +67,26 @@ def animate(
     InvalidArgument
         If `rollouts` is something else or has no pose, a number is not positive, or the file cannot be
         written.
+    FileError
+        If the system fails, such as of a full disk; what was there is there still.
     """
-    runs, target = planar(rollouts), _writable(path)
+    runs = planar(rollouts)
     rate = positive("fps", fps, "1/s")
     if rate > _FASTEST:
         raise InvalidArgument(f"fps is {fps} 1/s, expected at most {_FASTEST:g}")
     start, end = min(run.t[0] for run in runs.values()), max(run.t[-1] for run in runs.values())
     pace = max((end - start) / _LASTS, 1.0) if speed is None else positive("speed", speed)
     times = np.append(np.arange(start, end - 1e-9 * pace, pace / rate), end)
-    frames = _rendered(_Scene(runs, times, title or "", pace), progress)
+    if progress is not None:
+        callable_as("progress(done, total)", progress)
+    scene = _Scene(runs, times, headed(title, ""), pace)
+    return written(path, ".gif", lambda: _gif(_rendered(scene, progress), _durations(len(times), rate)))
+
+
+def _gif(frames: Iterator[Image.Image], durations: list[int]) -> bytes:
     buffer = BytesIO()
-    next(frames).save(
-        buffer, "GIF", save_all=True, append_images=frames, duration=_durations(len(times), rate), loop=0
-    )
-    try:
-        target.write_bytes(buffer.getbuffer())
-    except OSError as error:
-        raise _refused(target, error.strerror) from error
-    return target
+    next(frames).save(buffer, "GIF", save_all=True, append_images=frames, duration=durations, loop=0)
+    return buffer.getvalue()
 
 
 def _agg(figure: Figure) -> Any:
@@ -168,16 +171,3 @@ def _durations(count: int, fps: float) -> list[int]:
     durations = 10 * np.diff(ticks)
     durations[-1] = round(1000 * _HELD)
     return [int(d) for d in durations]
-
-
-def _writable(path: str | PathLike[str]) -> Path:
-    target = Path(path)
-    if target.suffix.lower() != ".gif":
-        raise InvalidArgument(f"path is {str(target)!r}, expected a name that ends in '.gif'")
-    if not target.parent.is_dir():
-        raise _refused(target, f"there is no folder {str(target.parent)!r}")
-    return target
-
-
-def _refused(path: Path, why: str | None) -> InvalidArgument:
-    return InvalidArgument(f"path is {str(path)!r}, which cannot be written: {why}")

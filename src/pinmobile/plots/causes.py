@@ -4,7 +4,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import ks_2samp
 
 from pinmobile.arrays import Array, scalar
 from pinmobile.ensembles import PARAMETERS, Ensemble, Same
@@ -129,6 +128,9 @@ def _parameters(ensemble: Ensemble) -> list[tuple[str, str, Array]]:
 
 
 def _cause(name: str, unit: str, values: Array, worst: NDArray[np.bool_]) -> Cause:
+    # Here, because scipy.stats takes longer to load than all that other figures need.
+    from scipy.stats import ks_2samp
+
     bad, good = values[worst], values[~worst]
     # Up to `more`, there is most in excess of the worst's values; up to `fewer`, of the others'.
     above, below = (ks_2samp(bad, good, alternative=side, method="asymp") for side in ("greater", "less"))

@@ -11,17 +11,16 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array, ArrayLike
 from pinmobile.balance import (
     body_zero_moment_point,
-    checked_footprint,
+    footprint_of,
     reaction_wrench,
-    rectangle,
     required_friction,
     tip_over_margin,
 )
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plots.layout import stacked
 from pinmobile.plots.runs import Rollouts, labelled, thinned
 from pinmobile.plots.series import draw
-from pinmobile.plots.style import INK, ShownFigure, colour, dress, legend, line_style
+from pinmobile.plots.style import INK, ShownFigure, colour, dress, headed, legend, line_style
 from pinmobile.robot import MobileRobot
 from pinmobile.simulation import Rollout
 
@@ -68,7 +67,7 @@ def balance(rollouts: Rollouts, *, footprint: ArrayLike | None = None, title: st
     """
     runs = _of_robots(rollouts)
     figure = ShownFigure(figsize=(11.0, 5.2), dpi=100, layout="constrained")
-    figure.suptitle(title or "Balance on the ground", fontsize=14, color=INK)
+    figure.suptitle(headed(title, "Balance on the ground"), fontsize=14, color=INK)
     (above, beside), (below, _) = grid = figure.subplots(2, 2, width_ratios=(1.25, 1))
     for axes in grid[:, 1]:
         axes.remove()
@@ -121,7 +120,7 @@ def reaction(rollouts: Rollouts, *, mount: str | None = None, title: str | None 
         If nothing is mounted by that name.
     """
     runs = _of_robots(rollouts)
-    figure, grid = stacked(_WRENCH, 1, title or "Force and moment of the arm on the base, at its mount")
+    figure, grid = stacked(_WRENCH, 1, headed(title, "Force and moment of the arm on the base, at its mount"))
     for index, (label, run) in enumerate(runs.items()):
         style = line_style(index, len(runs))
         draw(grid[:, 0], run.t, reaction_wrench(run, mount), label=label, **style)
@@ -135,7 +134,7 @@ def _of_robots(rollouts: Any) -> dict[str, Rollout]:
     for label, run in runs.items():
         if not isinstance(run.robot, MobileRobot):
             name = f"rollouts[{label!r}]" if label else "rollouts"
-            raise InvalidArgument(f"{name}.robot is {run.robot!r}, expected a MobileRobot")
+            raise InvalidArgument(f"{name}.robot is {shown(run.robot)}, expected a MobileRobot")
     return runs
 
 
@@ -165,10 +164,7 @@ def _from_above(axes: Axes, runs: dict[str, Rollout], footprint: ArrayLike | Non
     dress(axes)
     outlines = {
         corners.tobytes(): corners
-        for corners in (
-            rectangle(*run.robot.size[:2]) if footprint is None else checked_footprint(footprint)
-            for run in runs.values()
-        )
+        for corners in (footprint_of(run.robot, footprint) for run in runs.values())
     }
     for corners in outlines.values():
         axes.add_patch(Polygon(corners, label="footprint", **_OUTLINE))

@@ -9,10 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from pinmobile.arrays import Array, ArrayLike, finite
-from pinmobile.errors import InvalidArgument
+from pinmobile.arrays import Array, ArrayLike, finite, real, text
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plots.beyond import strip_above
-from pinmobile.plots.style import INK, ShownFigure, colour, dress, legend
+from pinmobile.plots.style import INK, ShownFigure, colour, dress, headed, legend
 
 __all__ = ["curves"]
 
@@ -48,16 +48,16 @@ def curves(values: Mapping[str, ArrayLike], *, x: _Axis, label: str, title: str 
     InvalidArgument
         If there are no curves, one has another shape, or holds NaN.
     """
-    places = _places(x)
+    places, label = _places(x), text("label", label)
     if not isinstance(values, Mapping) or not values:
-        raise InvalidArgument(f"values is {values!r}, expected a mapping of names to numbers")
+        raise InvalidArgument(f"values is {shown(values)}, expected a mapping of names to numbers")
     rows = {name: _row(name, row, len(places)) for name, row in values.items()}
     figure = ShownFigure(figsize=(8, 5), dpi=100)
     figure.set_layout_engine("constrained")
-    figure.suptitle(title or f"{label} over {x[0]}", fontsize=14, color=INK)
+    figure.suptitle(headed(title, f"{label} over {x[0]}"), fontsize=14, color=INK)
     axes = figure.subplots()
     dress(axes)
-    order = np.argsort(places)
+    order = np.argsort(places, kind="stable")
     top = _scale(axes, np.concatenate(list(rows.values())))
     for k, row in enumerate(rows.values()):
         _curve(axes, places[order], row[order], top, k, len(rows))
@@ -71,7 +71,9 @@ def curves(values: Mapping[str, ArrayLike], *, x: _Axis, label: str, title: str 
 
 def _places(x: Any) -> Array:
     if not isinstance(x, Sequence) or isinstance(x, str) or len(x) != 3:
-        raise InvalidArgument(f"x is {x!r}, expected (name, unit, values)")
+        raise InvalidArgument(f"x is {shown(x)}, expected (name, unit, values)")
+    text("x[0]", x[0])
+    text("x[1]", x[1])
     places = finite("x[2]", x[2])
     if places.ndim != 1 or not len(places):
         raise InvalidArgument(f"x[2] has shape {places.shape}, expected (n,) with n >= 1")
@@ -79,12 +81,13 @@ def _places(x: Any) -> Array:
 
 
 def _row(name: str, values: ArrayLike, count: int) -> Array:
-    row = np.asarray(values)
-    if row.dtype.kind not in "fiu" or row.shape != (count,):
-        raise InvalidArgument(f"values[{name!r}] is {values!r}, expected {count} real numbers")
+    text("values", name)
+    row = real(f"values[{name!r}]", values)
+    if row.shape != (count,):
+        raise InvalidArgument(f"values[{name!r}] is {shown(values)}, expected {count} real numbers")
     if np.isnan(row).any() or (row == -np.inf).any():
-        raise InvalidArgument(f"values[{name!r}] is {values!r}, expected numbers or infinity")
-    return row.astype(np.float64)
+        raise InvalidArgument(f"values[{name!r}] is {shown(values)}, expected numbers or infinity")
+    return row
 
 
 def _scale(axes: Axes, numbers: Array) -> float:

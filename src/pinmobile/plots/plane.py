@@ -13,7 +13,7 @@ from pinmobile.arrays import Array, ArrayLike, finite
 from pinmobile.errors import InvalidArgument
 from pinmobile.plots.body import ARROW, Body, diagonal
 from pinmobile.plots.runs import Rollouts, planar, same_references, thinned
-from pinmobile.plots.style import DESIRED, INK, ShownFigure, colour, dress, heading, legend, si
+from pinmobile.plots.style import DESIRED, INK, ShownFigure, colour, dress, headed, heading, legend, si
 from pinmobile.simulation import Rollout
 
 __all__ = ["TRAVELLED", "Window", "panels", "path", "poses"]
@@ -59,7 +59,7 @@ def path(rollouts: Rollouts, *, times: ArrayLike | None = None, title: str | Non
     instants = (
         _instants(runs) if times is None else {label: _checked(times, run) for label, run in runs.items()}
     )
-    figure, window, axes = panels(runs, title or "Desired and travelled path")
+    figure, window, axes = panels(runs, headed(title, "Desired and travelled path"))
     for index, (label, run) in enumerate(runs.items()):
         xy = run.q[thinned(run.q[:, 0], run.q[:, 1])]
         axes[index].plot(xy[:, 0], xy[:, 1], color=colour(index), label="travelled", **TRAVELLED)

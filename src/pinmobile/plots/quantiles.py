@@ -9,12 +9,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from pinmobile.arrays import Array, ArrayLike
+from pinmobile.arrays import Array, ArrayLike, finite
 from pinmobile.ensembles import Bands, Ensemble
 from pinmobile.ensembles.histogram import edges
 from pinmobile.errors import InvalidArgument
 from pinmobile.plots.runs import named
-from pinmobile.plots.style import INK, ShownFigure, colour, dress, heading, legend, percent, si, tint
+from pinmobile.plots.style import INK, ShownFigure, colour, dress, headed, heading, legend, percent, si, tint
 
 __all__ = ["bands"]
 
@@ -65,11 +65,12 @@ def bands(
         If `ensembles` is something else, or a level is not a share.
     """
     known: dict[str, Ensemble] = named("ensembles", ensembles, Ensemble)
-    if np.size(levels) == 0:
+    shares = np.unique(finite("levels", levels))
+    if not shares.size:
         raise InvalidArgument("levels is empty, expected at least one share of the robots")
-    drawn = [_drawn(one, np.unique(levels)) for one in known.values()]
+    drawn = [_drawn(one, shares) for one in known.values()]
     figure = ShownFigure(figsize=(max(7.5, 3.6 * len(known)), 6.4), dpi=100, layout="constrained")
-    figure.suptitle(title or "How far the robots stray", fontsize=14, color=INK)
+    figure.suptitle(headed(title, "How far the robots stray"), fontsize=14, color=INK)
     grid = figure.subplots(2, len(known), squeeze=False, sharex="col", sharey="row")
     for row, (attribute, words, unit) in zip(grid, _ROWS, strict=True):
         quantiles = [getattr(one, attribute) for one in drawn]

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.simulation import Rollout
 
 __all__ = ["Rollouts", "labelled", "named", "planar", "same_references", "thinned"]
@@ -65,7 +65,7 @@ def named(argument: str, values: Any, kind: type[_Kind]) -> dict[str, _Kind]:
         raise InvalidArgument(f"{argument} is empty, expected at least one {what}")
     for label, value in values.items():
         if not isinstance(label, str) or not label:
-            raise InvalidArgument(f"{argument} has the label {label!r}, expected a name")
+            raise InvalidArgument(f"{argument} has the label {shown(label)}, expected a name")
         if not isinstance(value, kind):
             raise InvalidArgument(f"{argument}[{label!r}] is a {type(value).__name__}, expected {one}")
     return dict(values)

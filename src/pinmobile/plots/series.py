@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from pinmobile.arrays import Array
 from pinmobile.plots.layout import TALL, laid_out, stacked, titled
 from pinmobile.plots.runs import Rollouts, labelled, same_references, thinned
-from pinmobile.plots.style import DESIRED, colour, heading, legend, line_style
+from pinmobile.plots.style import DESIRED, colour, headed, heading, legend, line_style
 from pinmobile.robot import MobileRobot
 from pinmobile.simulation import Rollout
 
@@ -45,7 +45,7 @@ def states(rollouts: Rollouts, *, title: str | None = None) -> Figure:
     runs = labelled(rollouts)
     drawn = {label: _displacement(run, run.q) for label, run in runs.items()}
     names = _names(_POSE, runs, drawn.values(), "q")
-    figure, panels = laid_out(names, title or "Desired and actual pose")
+    figure, panels = laid_out(names, headed(title, "Desired and actual pose"))
     for index, (label, run) in enumerate(runs.items()):
         draw(panels, run.t, drawn[label], label=label or "actual", **line_style(index, len(runs)))
     for labels in same_references(runs).values():
@@ -80,7 +80,7 @@ def errors(rollouts: Rollouts, *, title: str | None = None) -> Figure:
     runs = labelled(rollouts)
     names = _names(_POSE, runs, [run.error for run in runs.values()], "q")
     note = "; each panel has its own scale" if len(runs) > 1 else ""
-    heads = title or f"Error: desired minus actual{note}"
+    heads = headed(title, f"Error: desired minus actual{note}")
     if len(names) > TALL:
         figure, grid = titled(names, len(runs), heads, height=1.2)
     else:
@@ -118,7 +118,7 @@ def forces(rollouts: Rollouts, *, title: str | None = None) -> Figure:
     generalised = all(run.tau.shape == run.v.shape for run in runs.values())
     symbols = _FORCE if generalised else ()
     names = _names(symbols, runs, [run.tau for run in runs.values()], "u", force=True)
-    figure, panels = laid_out(names, title or "Force, held from one sample to the next")
+    figure, panels = laid_out(names, headed(title, "Force, held from one sample to the next"))
     for index, (label, run) in enumerate(runs.items()):
         draw(panels, run.t, run.tau, label=label, drawstyle="steps-post", **line_style(index, len(runs)))
     if len(runs) > 1:

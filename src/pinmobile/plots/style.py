@@ -9,12 +9,15 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
+from pinmobile.arrays import text
+
 __all__ = [
     "DESIRED",
     "INK",
     "ShownFigure",
     "colour",
     "dress",
+    "headed",
     "heading",
     "legend",
     "line_style",
@@ -39,6 +42,17 @@ class ShownFigure(Figure):
         buffer = BytesIO()
         self.savefig(buffer, format="png")
         return buffer.getvalue()
+
+
+def headed(title: Any, default: str) -> str:
+    """Return the heading of a figure.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is no text.
+    """
+    return default if title is None or (isinstance(title, str) and not title) else text("title", title)
 
 
 def colour(index: int) -> str:

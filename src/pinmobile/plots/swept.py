@@ -10,9 +10,9 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from pinmobile.arrays import Array, ArrayLike, finite
-from pinmobile.errors import InvalidArgument
-from pinmobile.plots.style import INK, ShownFigure
+from pinmobile.arrays import Array, ArrayLike, finite, real, sequence, text
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.plots.style import INK, ShownFigure, headed
 
 __all__ = ["heatmap"]
 
@@ -44,8 +44,8 @@ def heatmap(
     values : array_like, shape (len(y values), len(x values))
         Numbers or infinity.
     x, y : tuple of str, str and sequence
-        Name, unit ("" for none) and values of each parameter: numbers or names. The first is at the left
-        and at the bottom.
+        Name, unit ("" or "1" for none) and values of each parameter: numbers or names. The first is at the
+        left and at the bottom.
     label : str
         What the numbers are, with their unit, such as ``"99 % stay within [mm]"``.
     title : str, optional
@@ -64,13 +64,13 @@ def heatmap(
         If `values` has another shape, holds NaN, or a number that is outside `limits`, or these are no two
         numbers in order.
     """
-    columns, rows = _labels("x", x), _labels("y", y)
+    columns, rows, label = _labels("x", x), _labels("y", y), text("label", label)
     numbers = _numbers(values, (len(rows), len(columns)))
     size = [min(count * cell, most) for count, cell, most in zip(
         (len(columns), len(rows)), _CELL, _LARGEST, strict=True)]  # fmt: skip
     figure = ShownFigure(figsize=(max(size[0], 3.2) + 2.2, max(size[1], 1.6) + 1.4), dpi=100)
     figure.set_layout_engine("constrained")
-    figure.suptitle(title or f"{label} over {x[0]} and {y[0]}", fontsize=14, color=INK)
+    figure.suptitle(headed(title, f"{label} over {x[0]} and {y[0]}"), fontsize=14, color=INK)
     axes = figure.subplots()
     norm = _norm(numbers[np.isfinite(numbers)], limits)
     image = axes.imshow(np.ma.masked_invalid(numbers), cmap=_MAP, norm=norm, origin="lower", aspect="auto")
@@ -83,16 +83,22 @@ def heatmap(
 
 def _labels(name: str, axis: Any) -> list[str]:
     if not isinstance(axis, Sequence) or isinstance(axis, str) or len(axis) != 3:
-        raise InvalidArgument(f"{name} is {axis!r}, expected (name, unit, values)")
-    if np.ndim(axis[2]) != 1 or not len(axis[2]):
-        raise InvalidArgument(f"{name}[2] has shape {np.shape(axis[2])}, expected (n,) with n >= 1")
-    return [one if isinstance(one, str) else f"{one:.4g}" for one in axis[2]]
+        raise InvalidArgument(f"{name} is {shown(axis)}, expected (name, unit, values)")
+    text(f"{name}[0]", axis[0])
+    text(f"{name}[1]", axis[1])
+    values = sequence(f"{name}[2]", axis[2], "a sequence of numbers or text")
+    if not values:
+        raise InvalidArgument(f"{name}[2] is empty, expected one value at least")
+    if all(isinstance(one, str) for one in values):
+        return [text(f"{name}[2]", one) for one in values]
+    numbers = finite(f"{name}[2]", values)
+    if numbers.ndim != 1:
+        raise InvalidArgument(f"{name}[2] has shape {numbers.shape}, expected (n,) with n >= 1")
+    return [f"{one:.4g}" for one in numbers]
 
 
 def _numbers(values: ArrayLike, shape: tuple[int, int]) -> Array:
-    numbers = np.asarray(values)
-    if numbers.dtype.kind not in "fiu":
-        raise InvalidArgument(f"values is {values!r}, expected real numbers")
+    numbers = real("values", values)
     if numbers.shape != shape:
         raise InvalidArgument(
             f"values has shape {numbers.shape}, expected {shape}: a row for each of y, a column for each of x"
@@ -110,11 +116,13 @@ def _norm(known: Array, limits: Any) -> Normalize:
     else:
         ends = finite("limits", limits)
         if ends.shape != (2,) or ends[0] > ends[1]:
-            raise InvalidArgument(f"limits is {limits!r}, expected (smallest, largest)")
+            raise InvalidArgument(f"limits is {shown(limits)}, expected (smallest, largest)")
         low, high = ends.tolist()
         outside = known[(known < low) | (known > high)]
         if len(outside):
-            raise InvalidArgument(f"limits is {limits!r}, expected to hold all of values, {outside[0]:g} too")
+            raise InvalidArgument(
+                f"limits is {shown(limits)}, expected to hold all of values, {outside[0]:g} too"
+            )
     return LogNorm(low, high) if 0 < _LOGARITHMIC * low < high else Normalize(low, high)
 
 
@@ -125,7 +133,7 @@ def _furnish(axes: Axes, columns: list[str], rows: list[str], names: Sequence[_A
     )
     axes.set_yticks(range(len(rows)), rows)
     axes.tick_params(length=0, labelsize=10)
-    titles = [f"{name} [{unit}]" if unit else name for name, unit, _ in names]
+    titles = [name if unit in ("", "1") else f"{name} [{unit}]" for name, unit, _ in names]
     axes.set_xlabel(titles[0], fontsize=11)
     axes.set_ylabel(titles[1], fontsize=11)
     axes.spines[:].set_visible(False)

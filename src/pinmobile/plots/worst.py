@@ -17,7 +17,7 @@ from pinmobile.ensembles import Ensemble
 from pinmobile.errors import InvalidArgument
 from pinmobile.plots.beyond import strip_above
 from pinmobile.plots.causes import Cause, causes, worst_share
-from pinmobile.plots.style import INK, ShownFigure, colour, dress, legend, percent
+from pinmobile.plots.style import INK, ShownFigure, colour, dress, headed, legend, percent
 
 __all__ = ["drivers"]
 
@@ -72,7 +72,7 @@ def drivers(
     shown = found[:_MOST]
     columns = 1 if len(shown) <= 3 else 2
     figure, grid = _sheet(-(-len(shown) // columns), columns)
-    figure.suptitle(title or _answer(found, share, by), fontsize=14, color=INK)
+    figure.suptitle(headed(title, _answer(found, share, by)), fontsize=14, color=INK)
     for k, one in enumerate(shown):
         _distribution(figure.add_subplot(grid[k // columns, k % columns]), one, worst)
     scatter = figure.add_subplot(grid[:, columns])

@@ -4,11 +4,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen
-from pinmobile.errors import InvalidArgument
+from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot import BODY_JOINT, MobileRobot
 
 __all__ = ["Limits", "bounded_least_squares", "per_coordinate"]
+
+
+_ROUNDING = 1e-9  # of the largest acceleration; that of forward after inverse dynamics is less
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,11 +54,15 @@ class Limits:
 
     def room(self, q: Array) -> Array:
         """Return how far each coordinate is from its lower and its upper limit, shape (2, nv), >= 0."""
+        return np.maximum(self.signed_room(q), 0)
+
+    def signed_room(self, q: Array) -> Array:
+        """Return the same, shape (2, nv), below zero where a coordinate is beyond its limit."""
         in_q, in_v = self._columns
         room = np.full((2, self.robot.nv), np.inf)
         room[0, in_v] = q[in_q] - self.robot.lower[in_q]
         room[1, in_v] = self.robot.upper[in_q] - q[in_q]
-        return np.asarray(np.maximum(room, 0))
+        return room
 
     def ramps(self, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
         """Return the least and the largest acceleration to hold over the next `dt`, each of shape (nv,).
@@ -76,6 +83,24 @@ class Limits:
         most = np.clip((np.minimum(stop[1], self.velocity) - v) / dt, -a, a)
         least = np.clip((-np.minimum(stop[0], self.velocity) - v) / dt, -a, a)
         return np.minimum(least, most), most
+
+    def excess(self, q: Array, v: Array, dt: float) -> Array:
+        """Return by how much an acceleration held over `dt` was too low and too high, shape (2, nv), >= 0.
+
+        So much less of it, and each coordinate would be within its limits afterwards and could stop there.
+        What is rounding counts as nothing.
+
+        Parameters
+        ----------
+        q, v : ndarray, shape (nq,) and (nv,)
+            State that it led to.
+        dt : float
+            How long it was held [s].
+        """
+        room = self.signed_room(q)
+        most = np.minimum(np.sqrt(2 * self.acceleration * np.maximum(room, 0)), self.velocity)
+        excess = np.maximum((np.stack([-v, v]) - most) / dt, -2 * room / dt**2)
+        return np.where(excess > _ROUNDING * self.acceleration, excess, 0)
 
     def velocities(self, q: Array, dt: float, before: Array | None = None) -> tuple[Array, Array]:
         """Return the least and the largest velocity over the next `dt`, each of shape (nv,).
@@ -147,9 +172,9 @@ def per_coordinate(name: str, value: ArrayLike, size: int, *, zero: bool = False
     InvalidArgument
         If it has another shape or a number is out of range.
     """
-    given = np.asarray(value, dtype=np.float64) if zero else finite(name, value)
+    given = endless_or_finite(name, value) if zero else finite(name, value)
     if given.shape not in ((), (size,)):
         raise InvalidArgument(f"{name} has shape {given.shape}, expected () or ({size},)")
     if not (given >= 0 if zero else given > 0).all():
-        raise InvalidArgument(f"{name} is {value!r}, expected numbers {'>=' if zero else '>'} 0")
+        raise InvalidArgument(f"{name} is {shown(value)}, expected numbers {'>=' if zero else '>'} 0")
     return frozen(np.broadcast_to(given, (size,)))

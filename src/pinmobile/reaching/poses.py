@@ -11,10 +11,11 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.paths import Path, within
 from pinmobile.paths.protocol import checked_path
 
-__all__ = ["PosePath", "PoseTarget", "pose_error"]
+__all__ = ["PosePath", "PoseTarget", "error_sizes", "pose_error"]
 
 _ORTHOGONAL = 1e-6  # how far R' R may be from the identity
 _HALF_TURN = 1e-6  # [rad]; nearer to it, which way round is rounding's choice
+_SMALL = 0.05  # of the length of a rotation vector
 
 
 class PoseTarget(NamedTuple):
@@ -133,8 +134,34 @@ def pose_error(target: Array, actual: Array) -> Array:
     """
     way = target[..., :3, 3] - actual[..., :3, 3]
     turn = target[..., :3, :3] @ np.swapaxes(actual[..., :3, :3], -1, -2)
-    turns = np.array([pin.log3(R) for R in turn.reshape(-1, 3, 3)]).reshape((*turn.shape[:-2], 3))
+    turns = np.array([_log(R) for R in turn.reshape(-1, 3, 3)]).reshape((*turn.shape[:-2], 3))
     return np.concatenate([way, turns], axis=-1)
+
+
+def _log(R: Array) -> Array:
+    """Return the rotation vector of a rotation, shape (3,), of half a turn that whose sense is no rounding's.
+
+    Its first component that is not small is above zero: axes that people choose have none of about the size
+    where small begins.
+    """
+    turn = pin.log3(R)
+    angle = float(np.linalg.norm(turn))
+    if angle > np.pi - _HALF_TURN:
+        leading = turn[np.argmax(np.abs(turn) > _SMALL * angle)]
+        if leading < 0:
+            turn = turn * (1 - 2 * np.pi / angle)  # the same rotation, the other way round
+    return np.asarray(turn)
+
+
+def error_sizes(error: Array) -> Array:
+    """Return the distance [m] and the angle [rad] of pose errors, shape (..., 2), the same in any direction.
+
+    Parameters
+    ----------
+    error : ndarray, shape (..., 6) or (..., 3)
+        As from `pose_error`; where the position alone is followed, the angle is zero.
+    """
+    return np.stack([np.linalg.norm(part, axis=-1) for part in (error[..., :3], error[..., 3:])], axis=-1)
 
 
 def _quintic(x: Array) -> tuple[Array, Array, Array]:
@@ -157,6 +184,7 @@ def _checked_rotation(name: str, value: ArrayLike) -> Array:
     off = float(np.abs(R.T @ R - np.eye(3)).max())
     if off > _ORTHOGONAL or np.linalg.det(R) < 0:
         raise InvalidArgument(
-            f"{name} has R' R off by {off:.3g} and det R = {np.linalg.det(R):.3g}, expected a rotation matrix"
+            f"{name} has R' R off by {round(off, 9):.3g} and det R = {np.linalg.det(R):.3g}, "
+            "expected a rotation matrix"
         )
     return frozen(R)

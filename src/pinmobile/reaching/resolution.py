@@ -2,15 +2,17 @@
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, positive
-from pinmobile.errors import InvalidArgument, Unreachable
+from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, non_negative, positive
+from pinmobile.errors import InvalidArgument, Unreachable, shown
 from pinmobile.reaching.bounds import Limits, per_coordinate
-from pinmobile.reaching.poses import PosePath
+from pinmobile.reaching.poses import PosePath, error_sizes
 from pinmobile.reaching.resolved import Resolved
 from pinmobile.reaching.solver import Solver, checked_configuration
 from pinmobile.robot import MobileRobot
 
 __all__ = ["checked_posture", "checked_target", "resolve"]
+
+_MOST_STEPS = 1_000_000  # hours
 
 
 def resolve(
@@ -62,12 +64,14 @@ def resolve(
     damping : float
         Weight of a displacement beside the error [m/rad], > 0.
     tolerance : float
-        Largest error that is accepted [m, rad]; infinite: any, see `Resolved.error`.
+        Largest distance and largest angle that are accepted, as of `Resolved.max_error` [m, rad]; infinite:
+        any, see `Resolved.error`.
 
     Returns
     -------
     trajectory : Resolved
-        To be followed from its beginning; its velocity at the start is that of the target.
+        To be followed from its beginning. There, the frame's velocity is that of the target but for an error
+        in proportion to dt^2.
 
     Raises
     ------
@@ -87,13 +91,20 @@ def resolve(
         per_coordinate("acceleration_limit", acceleration_limit, robot.nv),
     )
     weights = positive("damping", damping) * np.diag(per_coordinate("cost", cost, robot.nv))
-    if not tolerance > 0:
-        raise InvalidArgument(f"tolerance is {tolerance}, expected > 0")
+    most = endless_or_finite("tolerance", tolerance)  # infinite: whatever the error
+    if most.ndim or not most > 0:
+        raise InvalidArgument(f"tolerance is {shown(tolerance)}, expected > 0")
+    tolerance = float(most)
     solver = Solver(robot, target, name, limits, weights)
     start = solver.start(q0)
     tending = start if posture is None else checked_posture(robot, posture)
-    gain = positive("posture_gain", posture_gain, "1/s") if posture_gain else 0.0
-    count = max(int(np.ceil(target.duration / positive("dt", dt, "s") - 1e-9)), 2)
+    gain = non_negative("posture_gain", posture_gain, "1/s")
+    wanted = target.duration / positive("dt", dt, "s")
+    if not wanted <= _MOST_STEPS:
+        raise InvalidArgument(
+            f"dt is {dt} s, which makes {wanted:.3g} steps, expected at most {_MOST_STEPS:,}"
+        )
+    count = max(int(np.ceil(wanted - 1e-9)), 2)
     resolved = Resolved(robot, target, name, start, solver.steps(start, tending, gain, count))
     _judge(resolved, tolerance)
     return resolved
@@ -109,7 +120,7 @@ def checked_target(robot: MobileRobot, target: PosePath) -> None:
     """
     for name, value, kind in (("robot", robot, MobileRobot), ("target", target, PosePath)):
         if not isinstance(value, kind):
-            raise InvalidArgument(f"{name} is {value!r}, expected a {kind.__name__}")
+            raise InvalidArgument(f"{name} is {shown(value)}, expected a {kind.__name__}")
 
 
 def checked_posture(robot: MobileRobot, posture: ArrayLike) -> Array:
@@ -129,10 +140,11 @@ def checked_posture(robot: MobileRobot, posture: ArrayLike) -> Array:
 
 
 def _judge(resolved: Resolved, tolerance: float) -> None:
-    beyond = np.abs(resolved.error).max(axis=1) > tolerance
+    sizes = error_sizes(resolved.error)
+    beyond = sizes.max(axis=-1) > tolerance
     if beyond.any():
         k = int(np.argmax(beyond))
-        way, turn = (float(np.linalg.norm(part)) for part in np.split(resolved.error[k], 2))
+        way, turn = sizes[k]
         most = resolved.max_error()
         raise Unreachable(
             f"target is missed by {way:.3g} m and {turn:.3g} rad at t = {resolved.t[k]:g} s, expected "

@@ -8,7 +8,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, frozen
 from pinmobile.paths import within
-from pinmobile.reaching.poses import PosePath, pose_error
+from pinmobile.reaching.poses import PosePath, error_sizes, pose_error
 from pinmobile.robot import MobileRobot
 from pinmobile.trajectories import Reference
 
@@ -47,7 +47,7 @@ class Resolved:
     _curve: Any = field(init=False)
 
     def __post_init__(self) -> None:
-        # Here, because scipy is heavy and `import pinmobile` is light.
+        # Here, because scipy is heavy and `EndEffectorTracking` does without it.
         from scipy.interpolate import BSpline
 
         for name in ("start", "controls"):
@@ -107,5 +107,5 @@ class Resolved:
 
     def max_error(self) -> tuple[float, float]:
         """Return the largest distance [m] and the largest angle [rad] from the target."""
-        way, turn = (np.linalg.norm(part, axis=1).max() for part in np.split(self.error, 2, axis=1))
+        way, turn = error_sizes(self.error).max(axis=0)
         return float(way), float(turn)

@@ -6,6 +6,7 @@ from pinmobile.robot.engine import BODY_JOINT
 from pinmobile.robot.library import EXCEPTIONS, Mountable, Mountables, mountable
 from pinmobile.robot.mobile import MobileRobot
 from pinmobile.robot.mounts import Load, Mount
+from pinmobile.robot.stance import Stance
 
 __all__ = [
     "BODY_JOINT",
@@ -18,5 +19,6 @@ __all__ = [
     "Mount",
     "Mountable",
     "Mountables",
+    "Stance",
     "mountable",
 ]

@@ -7,8 +7,8 @@ from typing import TypeAlias
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, frozen
-from pinmobile.errors import InvalidArgument, UnknownName
+from pinmobile.arrays import Array, frozen, one_of
+from pinmobile.errors import InvalidArgument
 from pinmobile.robot.sound import check_bodies, check_inertias, check_joint_limits
 from pinmobile.robot.tree import carries_only_wheels, children, joint_kind, parts_of, root_of, tip_of
 
@@ -45,7 +45,7 @@ class Arm:
     origin : Origin
         Where it comes from.
     whole : pin.Model
-        As it was read.
+        As it was read. A copy is taken, and copies are handed out.
     rest : ndarray, shape (whole.nq,)
         Its reference posture; the pose of a root of its own is dropped.
     picture : callable
@@ -61,7 +61,7 @@ class Arm:
     Attributes
     ----------
     model : pin.Model
-        Without what is locked.
+        A copy of it without what is locked.
     posture : ndarray, shape (model.nq,)
         Its reference posture.
     tip : str
@@ -84,11 +84,13 @@ class Arm:
     stands: bool = False
     usual: Array | None = None
     model: pin.Model = field(init=False)
+    _whole: pin.Model = field(init=False, repr=False)
+    _model: pin.Model = field(init=False, repr=False)
     posture: Array = field(init=False)
     tip: str = field(init=False)
 
     def __post_init__(self) -> None:
-        whole = _whole(self.whole)
+        whole = _whole(self._whole)
         rest = _without_root_pose(whole, self.rest)
         for joint in range(1, whole.njoints):
             if "Mimic" in joint_kind(whole, joint):
@@ -131,15 +133,37 @@ class Arm:
 
     def reach_down(self) -> float:
         """Return how far its lowest frame is below its root at rest [m]."""
-        data = self.model.createData()
-        pin.framesForwardKinematics(self.model, data, np.array(self.posture))
+        data = self._model.createData()
+        pin.framesForwardKinematics(self._model, data, np.array(self.posture))
         return -min(0.0, *(float(placement.translation[2]) for placement in data.oMf))
+
+    def held(self) -> list[int]:
+        """Return the joints of `whole` that do not move: a root of its own, wheels, and those in `locked`."""
+        return _held(self._whole, self.locked)
 
     def visuals(self) -> pin.GeometryModel:
         """Return what is drawn of it, for `model`."""
-        shown = self.picture(self.whole)
-        _, (kept,) = _reduced(self.whole, [shown], _held(self.whole, self.locked), self.rest)
+        shown = self.picture(self._whole)
+        _, (kept,) = _reduced(self._whole, [shown], self.held(), self.rest)
         return kept
+
+
+class _Copied:
+    """A model that is kept below the name with an underscore, and handed out as a copy."""
+
+    def __init__(self, name: str) -> None:
+        self.kept = f"_{name}"
+
+    def __get__(self, arm: object, owner: type) -> pin.Model:
+        return getattr(arm, self.kept).copy()
+
+    def __set__(self, arm: object, model: pin.Model) -> None:
+        object.__setattr__(arm, self.kept, model)
+
+
+for _name in ("whole", "model"):
+    # Not in the class, where a dataclass would take them for defaults.
+    setattr(Arm, _name, _Copied(_name))
 
 
 def _whole(model: pin.Model) -> pin.Model:
@@ -167,7 +191,13 @@ def _reduced(
         if number and frame.type != pin.FrameType.JOINT:
             names[f"{number}/{frame.name}"] = str(frame.name)
             frame.name = f"{number}/{frame.name}"
-    model, kept = pin.buildReducedModel(model, shown, held, np.array(rest))
+    try:
+        model, kept = pin.buildReducedModel(model, shown, held, np.array(rest))
+    except (ValueError, RuntimeError) as error:
+        raise InvalidArgument(
+            f"arm {model.name!r} cannot be had with joints locked: Pinocchio says {error}, expected a model "
+            "with each joint's own frame before those that are fixed to it"
+        ) from error
     for frame in model.frames:
         frame.name = names.get(frame.name, frame.name)
     return model, list(kept)
@@ -198,7 +228,5 @@ def _held(model: pin.Model, names: Sequence[str]) -> list[int]:
         wheels += below[joint]
     known = {name: joint for joint, name in enumerate(model.names) if joint}
     for name in names:
-        if name not in known:
-            raise UnknownName("joint", str(name), known)
-        held.add(known[name])
+        held.add(known[one_of("joint", name, known)])
     return sorted(held)

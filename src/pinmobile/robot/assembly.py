@@ -9,7 +9,7 @@ from pinmobile.arrays import Array
 from pinmobile.robot.mounts import Load, Mount, free_name
 from pinmobile.robot.tree import parts_of
 
-__all__ = ["assemble", "limits", "named_frames"]
+__all__ = ["assemble", "limits", "named_frames", "prefixed", "resistances"]
 
 _FAR = 1e8  # beyond, a limit is none
 
@@ -28,10 +28,10 @@ def assemble(base: pin.Model, mounts: Sequence[Mount], loads: Sequence[tuple[str
     """
     model, body = base.copy(), base.nframes - 1
     for mount in mounts:
-        model = pin.appendModel(model, _prefixed(mount.model, mount.name), body, mount.placement)
+        model = pin.appendModel(model, prefixed(mount._model, mount.name), body, mount.placement)
     for mount in mounts:
         # Pinocchio forgets it when it appends; each arm keeps its own, joint by joint.
-        model.armature[mount.v] = mount.model.armature
+        model.armature[mount.v] = mount._model.armature
     model.name = base.name
     for frame, load in loads:
         fixed = model.frames[named_frames(model)[frame]]
@@ -49,7 +49,8 @@ def named_frames(model: pin.Model) -> dict[str, int]:
     return ids
 
 
-def _prefixed(model: pin.Model, name: str) -> pin.Model:
+def prefixed(model: pin.Model, name: str) -> pin.Model:
+    """Return a copy with all names ``name/...``; a frame is numbered where a link has its name."""
     copy = model.copy()
     for joint in range(1, copy.njoints):
         copy.names[joint] = f"{name}/{copy.names[joint]}"
@@ -83,3 +84,11 @@ def limits(model: pin.Model, mounts: Sequence[Mount]) -> tuple[Array, Array, Arr
             for target, source in ((speed, model.velocityLimit), (effort, model.effortLimit)):
                 target[v] = np.where((source[v] > 0) & (source[v] < _FAR), source[v], np.inf)
     return lower, upper, speed, effort
+
+
+def resistances(nv: int, mounts: Sequence[Mount]) -> tuple[Array, Array]:
+    """Return damping and friction of the joints, each of shape (nv,); the base has none."""
+    damping, friction = np.zeros((2, nv))
+    for mount in mounts:
+        damping[mount.v], friction[mount.v] = mount._model.damping, mount._model.friction
+    return damping, friction

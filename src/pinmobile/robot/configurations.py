@@ -1,13 +1,25 @@
 """Configurations of a body on the chain and what it carries, their limits and steps, in public order."""
 
 from functools import cached_property
+from math import prod
 
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike, broadcast, frozen, vector, wrap_angle
-from pinmobile.errors import InvalidArgument
-from pinmobile.robot.assembly import limits
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    affordable,
+    broadcast,
+    finite_answer,
+    frozen,
+    sequence,
+    vector,
+    whole,
+    wrap_angle,
+)
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.robot.assembly import limits, resistances
 from pinmobile.robot.coordinates import configuration_names, units, velocity_names
 from pinmobile.robot.engine import Engine
 from pinmobile.robot.mounts import Load, Mount
@@ -30,18 +42,23 @@ class ChainConfigurations:
 
     @property
     def model(self) -> pin.Model:
-        """The Pinocchio model, in the chain's order (y, x, psi, ...)."""
+        """A copy of the Pinocchio model, in the chain's order (y, x, psi, ...): write into it as you like."""
+        return self._model.copy()
+
+    @property
+    def _model(self) -> pin.Model:
+        """The model itself, which is only read."""
         return self._engine.model
 
     @property
     def nq(self) -> int:
         """Size of q."""
-        return int(self.model.nq)
+        return self._engine.nq
 
     @property
     def nv(self) -> int:
         """Size of v and a."""
-        return int(self.model.nv)
+        return self._engine.nv
 
     @property
     def nu(self) -> int:
@@ -51,21 +68,21 @@ class ChainConfigurations:
     @cached_property
     def coordinate_names(self) -> tuple[str, ...]:
         """Name of each of the nv numbers in v, a and tau: x, y, psi, then those of the arms' joints."""
-        return velocity_names(self.model)
+        return velocity_names(self._model)
 
     @cached_property
     def coordinate_units(self) -> tuple[str, ...]:
         """Unit of each of them in a displacement: m or rad; that of its force is then N or N m."""
-        return units(self.model)
+        return units(self._model)
 
     @cached_property
     def configuration_names(self) -> tuple[str, ...]:
         """Name of each of the nq numbers in q; of a joint without limits ``name:cos`` and ``name:sin``."""
-        return configuration_names(self.model)
+        return configuration_names(self._model)
 
     @cached_property
     def _limits(self) -> tuple[Array, Array, Array, Array]:
-        lower, upper, speed, effort = map(frozen, limits(self.model, self.mounts))
+        lower, upper, speed, effort = map(frozen, limits(self._model, self.mounts))
         return lower, upper, speed, effort
 
     @property
@@ -89,9 +106,30 @@ class ChainConfigurations:
         return self._limits[3]
 
     @cached_property
+    def _resistances(self) -> tuple[Array, Array]:
+        damping, friction = map(frozen, resistances(self.nv, self.mounts))
+        return damping, friction
+
+    @property
+    def joint_damping(self) -> Array:
+        """Viscous damping of the arms' joints, shape (nv,) [N s/m, N m s/rad], as their files have it.
+
+        Kept for who wants it: nothing acts by it yet, neither the dynamics nor `simulate`. Zero for the base.
+        """
+        return self._resistances[0]
+
+    @property
+    def joint_friction(self) -> Array:
+        """Dry friction of the arms' joints, shape (nv,) [N, N m], as their files have it.
+
+        Kept for who wants it: nothing acts by it yet, neither the dynamics nor `simulate`. Zero for the base.
+        """
+        return self._resistances[1]
+
+    @cached_property
     def neutral(self) -> Array:
         """Configuration with all coordinates at zero, angles that are (cos, sin) among them, shape (nq,)."""
-        return frozen(self._engine.reorder(pin.neutral(self.model)))
+        return frozen(self._engine.reorder(pin.neutral(self._model)))
 
     @cached_property
     def rest(self) -> Array:
@@ -113,7 +151,18 @@ class ChainConfigurations:
             Where the numbers come from.
         shape : tuple of int
             Leading axes.
+
+        Raises
+        ------
+        InvalidArgument
+            If an argument is something else, or the configurations would not fit into memory.
         """
+        if not isinstance(generator, np.random.Generator):
+            raise InvalidArgument(f"generator is {shown(generator)}, expected a numpy.random.Generator")
+        shape = tuple(
+            whole("shape", n, least=0) for n in sequence("shape", shape, "a tuple of whole numbers")
+        )
+        affordable("random configurations", 4.0 * self.nq * prod(shape), "draw fewer at a time")
         free = generator.uniform(-np.pi, np.pi, (*shape, self.nv))
         free[..., :2] /= np.pi
         q = self.integrate(np.broadcast_to(self.neutral, (*shape, self.nq)), free)
@@ -131,8 +180,26 @@ class ChainConfigurations:
         q, dq = self._q(q), self._v("dq", dq)
         broadcast(q=q, dq=dq)
         if self.nq == self.nv:
-            return q + dq
-        return self._engine.reorder(self._engine.each(_integrated, q, dq))
+            with np.errstate(over="ignore"):
+                return finite_answer(q + dq, q=q, dq=dq)
+        return self._engine.reorder(self._engine.each(_integrated, q=q, dq=dq))
+
+    def integrate_jacobian(self, q: ArrayLike, dq: ArrayLike) -> Array:
+        """Return how `integrate` turns rates of `dq` into velocities, shape (..., nv, nv).
+
+        Where a displacement dq changes at the rate r, the configuration ``integrate(q, dq)`` moves with the
+        velocity J r. J is the identity but for joints that turn about several axes, or turn and slide: of a
+        ball joint it is the right Jacobian of the exponential map.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        dq : array_like, shape (..., nv)
+            Displacement [m, m, rad, ...].
+        """
+        q, dq = self._q(q), self._v("dq", dq)
+        return self._engine.reorder_square(self._engine.each(_integrate_jacobian, q=q, dq=dq))
 
     def difference(self, q0: ArrayLike, q1: ArrayLike) -> Array:
         """Return the displacement from `q0` to `q1`, shape (..., nv); that of psi lies in (-pi, pi].
@@ -142,10 +209,13 @@ class ChainConfigurations:
         q0, q1 = self._q(q0, "q0"), self._q(q1, "q1")
         broadcast(q0=q0, q1=q1)
         if self.nq == self.nv:
-            displacement = q1 - q0
+            with np.errstate(over="ignore"):
+                displacement = finite_answer(q1 - q0, q0=q0, q1=q1)
         else:
-            displacement = self._engine.reorder(self._engine.each(_difference, q0, q1))
-        displacement[..., 2] = wrap_angle(displacement[..., 2])
+            displacement = self._engine.reorder(self._engine.each(_difference, q0=q0, q1=q1))
+        angle = displacement[..., 2]
+        if angle.ndim or not -np.pi < angle <= np.pi:  # in a loop it hardly ever is beyond
+            displacement[..., 2] = wrap_angle(angle)
         return displacement
 
     def _q(self, q: ArrayLike, name: str = "q") -> Array:
@@ -159,13 +229,22 @@ class ChainConfigurations:
                 )
         return array
 
+    def _here(self, q: ArrayLike) -> Array:
+        """Return q, checked, with x = y = 0.
+
+        Where Pinocchio works in the inertial frame, what depends on neither loses digits to both far away.
+        """
+        moved = self._q(q).copy()
+        moved[..., :2] = 0.0
+        return moved
+
     def _v(self, name: str, value: ArrayLike) -> Array:
         return vector(name, value, self.nv)
 
     @cached_property
     def _unit_parts(self) -> tuple[tuple[slice, str], ...]:
         """The parts of q that lie on a circle or a sphere, and their joints' names."""
-        model, parts = self.model, []
+        model, parts = self._model, []
         for j in range(1, model.njoints):
             # In Pinocchio's order: (cos, sin), a quaternion, (x, y, cos, sin), (x, y, z, quaternion).
             circle = (model.nqs[j], model.nvs[j]) == (2, 1) or "Planar" in joint_kind(model, j)
@@ -179,6 +258,10 @@ class ChainConfigurations:
 
 def _integrated(model: pin.Model, data: pin.Data, q: Array, dq: Array) -> Array:
     return np.asarray(pin.integrate(model, q, dq))
+
+
+def _integrate_jacobian(model: pin.Model, data: pin.Data, q: Array, dq: Array) -> Array:
+    return np.asarray(pin.dIntegrate(model, q, dq, pin.ArgumentPosition.ARG1))
 
 
 def _difference(model: pin.Model, data: pin.Data, q0: Array, q1: Array) -> Array:

@@ -38,7 +38,8 @@ class ChainDynamics(ChainKinematics):
     and generalised force tau = (Fx, Fy, Mz) [N, N, N m]; after these come the arms' joints, one after the
     other, in their units. A joint without limits is (cos, sin) in q and one number in v. Leading axes
     broadcast; Pinocchio takes one configuration at a time, so they are looped over. All raise
-    `InvalidArgument` for arguments of another last axis or that are not finite.
+    `InvalidArgument` for arguments of another last axis or that are not finite, and `NotFinite` where
+    the answer would not be. They may be called by several threads at once.
     """
 
     @property
@@ -47,47 +48,49 @@ class ChainDynamics(ChainKinematics):
 
         m, m c, and Ixx, Ixy, Iyy, Ixz, Iyz, Izz about the origin of the joint's frame [SI].
         """
-        moving = range(BODY_JOINT, self.model.njoints)
-        return np.concatenate([self.model.inertias[joint].toDynamicParameters() for joint in moving])
+        moving = range(BODY_JOINT, self._model.njoints)
+        return np.concatenate([self._model.inertias[joint].toDynamicParameters() for joint in moving])
 
     def mass_matrix(self, q: ArrayLike) -> Array:
         """Return M(q), shape (..., nv, nv) [kg, kg m, kg m^2], by Pinocchio's CRBA."""
-        return self._square(self._engine.each(pin.crba, self._q(q)))
+        return self._engine.reorder_square(self._engine.each(pin.crba, q=self._q(q)))
 
     def nonlinear_effects(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return n(q, v), shape (..., nv) [N, N, N m], by Pinocchio's RNEA without acceleration."""
-        return self._engine.reorder(self._engine.each(pin.nonLinearEffects, self._q(q), self._v("v", v)))
+        return self._engine.reorder(self._engine.each(pin.nonLinearEffects, q=self._q(q), v=self._v("v", v)))
 
     def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return tau = M(q) a + n(q, v), shape (..., nv) [N, N, N m], by Pinocchio's RNEA."""
-        arguments = self._q(q), self._v("v", v), self._v("a", a)
-        return self._engine.reorder(self._engine.each(pin.rnea, *arguments))
+        arguments = {"q": self._q(q), "v": self._v("v", v), "a": self._v("a", a)}
+        return self._engine.reorder(self._engine.each(pin.rnea, **arguments))
 
     def forward_dynamics(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Array:
         """Return a = M(q)^-1 (tau - n(q, v)), shape (..., nv) [m/s^2, m/s^2, rad/s^2], by Pinocchio's ABA."""
-        arguments = self._q(q), self._v("v", v), self._v("tau", tau)
-        return self._engine.reorder(self._engine.each(pin.aba, *arguments))
+        arguments = {"q": self._q(q), "v": self._v("v", v), "tau": self._v("tau", tau)}
+        return self._engine.reorder(self._engine.each(pin.aba, **arguments))
 
     def coriolis_matrix(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return C(q, v), shape (..., nv, nv): C v = n(q, v), and dM/dt - 2 C is skew-symmetric."""
-        return self._square(self._engine.each(pin.computeCoriolisMatrix, self._q(q), self._v("v", v)))
+        return self._engine.reorder_square(
+            self._engine.each(pin.computeCoriolisMatrix, q=self._here(q), v=self._v("v", v))
+        )
 
     def kinetic_energy(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return v' M(q) v / 2, shape (...) [J]."""
-        return self._engine.each(pin.computeKineticEnergy, self._q(q), self._v("v", v))
+        return self._engine.each(pin.computeKineticEnergy, q=self._q(q), v=self._v("v", v))
 
     def potential_energy(self, q: ArrayLike) -> Array:
         """Return the energy in the field of gravity, shape (...) [J]; zero where all is on the ground."""
-        return self._engine.each(pin.computePotentialEnergy, self._q(q))
+        return self._engine.each(pin.computePotentialEnergy, q=self._q(q))
 
     def gravity(self, q: ArrayLike) -> Array:
         """Return g(q), shape (..., nv) [N, N, N m]: what holds the robot at rest; none of it for the base."""
-        return self._engine.reorder(self._engine.each(pin.computeGeneralizedGravity, self._q(q)))
+        return self._engine.reorder(self._engine.each(pin.computeGeneralizedGravity, q=self._q(q)))
 
     def regressor(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return Y(q, v, a), shape (..., nv, 10 bodies): tau = Y `inertial_parameters`, rotors left out."""
-        arguments = self._q(q), self._v("v", v), self._v("a", a)
-        Y = self._engine.each(pin.computeJointTorqueRegressor, *arguments)
+        arguments = {"q": self._q(q), "v": self._v("v", v), "a": self._v("a", a)}
+        Y = self._engine.each(pin.computeJointTorqueRegressor, **arguments)
         return Y[..., self._engine.order, 10 * (BODY_JOINT - 1) :]
 
     def forward_dynamics_derivatives(
@@ -101,8 +104,8 @@ class ChainDynamics(ChainKinematics):
         def derivatives(model: pin.Model, data: pin.Data, q: Array, v: Array, tau: Array) -> Array:
             return np.stack(pin.computeABADerivatives(model, data, q, v, tau))
 
-        stacked = self._engine.each(derivatives, self._q(q), self._v("v", v), self._v("tau", tau))
-        stacked = self._square(stacked)
+        arguments = {"q": self._here(q), "v": self._v("v", v), "tau": self._v("tau", tau)}
+        stacked = self._engine.reorder_square(self._engine.each(derivatives, **arguments))
         return stacked[..., 0, :, :], stacked[..., 1, :, :], stacked[..., 2, :, :]
 
     def linearize(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Linearization:
@@ -116,16 +119,12 @@ class ChainDynamics(ChainKinematics):
         B = np.zeros((*by_q.shape[:-2], 2 * self.nv, self.nv))
         A[..., : self.nv, self.nv :] = np.eye(self.nv)
         if self.nq != self.nv:
-            A[..., : self.nv, : self.nv] = self._square(
-                self._engine.each(_turning, self._q(q), self._v("v", v))
+            A[..., : self.nv, : self.nv] = self._engine.reorder_square(
+                self._engine.each(_turning, q=self._q(q), v=self._v("v", v))
             )
         A[..., self.nv :, : self.nv], A[..., self.nv :, self.nv :] = by_q, by_v
         B[..., self.nv :, :] = by_tau
         return Linearization(A, B)
-
-    def _square(self, matrices: Array) -> Array:
-        order = self._engine.order
-        return matrices[..., order[:, None], order]
 
 
 def _turning(model: pin.Model, data: pin.Data, q: Array, v: Array) -> Array:

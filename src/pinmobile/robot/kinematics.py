@@ -5,8 +5,8 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike
-from pinmobile.errors import InvalidArgument, UnknownName
+from pinmobile.arrays import Array, ArrayLike, finite_answer, one_of
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot.assembly import named_frames
 from pinmobile.robot.configurations import ChainConfigurations
 
@@ -21,7 +21,7 @@ class ChainKinematics(ChainConfigurations):
 
     @cached_property
     def _frames(self) -> dict[str, int]:
-        return named_frames(self.model)
+        return named_frames(self._model)
 
     @property
     def frame_names(self) -> tuple[str, ...]:
@@ -54,7 +54,7 @@ class ChainKinematics(ChainConfigurations):
             pin.forwardKinematics(model, data, q)
             return np.asarray(pin.updateFramePlacement(model, data, number).homogeneous)
 
-        return self._engine.each(pose, self._q(q))
+        return self._engine.each(pose, q=self._q(q))
 
     def frame_jacobian(self, q: ArrayLike, frame: str | None = None) -> Array:
         """Return J, shape (..., 6, nv): J v is the velocity of the frame's origin and the angular velocity.
@@ -79,7 +79,7 @@ class ChainKinematics(ChainConfigurations):
             J = pin.computeFrameJacobian(model, data, q, number, pin.LOCAL_WORLD_ALIGNED)
             return np.asarray(J)
 
-        return self._engine.reorder(self._engine.each(jacobian, self._q(q)))
+        return self._engine.reorder(self._engine.each(jacobian, q=self._here(q)))
 
     def frame_drift(self, q: ArrayLike, v: ArrayLike, frame: str | None = None) -> Array:
         """Return dJ/dt v, shape (..., 6): a frame's acceleration where no coordinate accelerates.
@@ -108,7 +108,7 @@ class ChainKinematics(ChainConfigurations):
             reference = pin.LOCAL_WORLD_ALIGNED
             return np.asarray(pin.getFrameClassicalAcceleration(model, data, number, reference).vector)
 
-        return self._engine.each(drift, self._q(q), self._v("v", v))
+        return self._engine.each(drift, q=self._q(q), v=self._v("v", v))
 
     def manipulability(self, q: ArrayLike, frame: str | None = None) -> Array:
         """Return sqrt(det J J'), shape (...), of base and arm together (Yoshikawa, 1985).
@@ -143,14 +143,12 @@ class ChainKinematics(ChainConfigurations):
         name, _ = self._frame(frame)
         arms = [mount for mount in self.mounts if name.startswith(f"{mount.name}/")]
         if not arms:
-            raise InvalidArgument(f"frame is {name!r}, expected one of an arm")
+            raise InvalidArgument(f"frame is {shown(name)}, expected one of an arm")
         return _volume(self.frame_jacobian(q, name)[..., arms[0].v])
 
     def _frame(self, name: str | None) -> tuple[str, int]:
         name = self.end_effector if name is None else name
-        if name not in self._frames:
-            raise UnknownName("frame", str(name), self._frames)
-        return name, self._frames[name]
+        return one_of("frame", name, self._frames), self._frames[name]
 
     def frame_placements(self, q: ArrayLike) -> Array:
         """Return T_0_k, the pose of each joint's frame, shape (..., joints, 4, 4).
@@ -162,7 +160,7 @@ class ChainKinematics(ChainConfigurations):
             pin.forwardKinematics(model, data, q)
             return np.stack([data.oMi[k].homogeneous for k in range(1, model.njoints)])
 
-        return self._engine.each(placements, self._q(q))
+        return self._engine.each(placements, q=self._q(q))
 
     def jacobian(self, q: ArrayLike) -> Array:
         """Return J(psi), shape (..., nv, nv): v = J twist, with the body twist (forward, left, yaw rate).
@@ -183,4 +181,5 @@ def _volume(J: Array) -> Array:
     if J.shape[-1] < J.shape[-2]:
         return np.zeros(J.shape[:-2])
     # The product of the singular values: det squares what is small.
-    return np.asarray(np.linalg.svd(J, compute_uv=False).prod(axis=-1))
+    with np.errstate(over="ignore"):
+        return finite_answer(np.asarray(np.linalg.svd(J, compute_uv=False).prod(axis=-1)), J=J)

@@ -128,7 +128,7 @@ def mountable() -> Mountables:
     for name in sorted(_loaders()):
         mounts, note = EXCEPTIONS.get(name, Exceptional(True, ""))
         if mounts:
-            model = load_arm(name).model
+            model = load_arm(name)._model
             mass = sum(inertia.mass for inertia in model.inertias)
             rows.append(Mountable(name, model.nv, mass, note))
     refused = ((name, reason) for name, (mounts, reason) in sorted(EXCEPTIONS.items()) if not mounts)

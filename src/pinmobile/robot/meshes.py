@@ -1,16 +1,22 @@
 """The meshes of a URDF: where they lie, and what is drawn where they are missing or cannot be read."""
 
+import re
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from os.path import isfile
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pinocchio as pin
 
 from pinmobile.errors import InvalidArgument
+from pinmobile.robot.wellformed import urdf_tree
 
-__all__ = ["VisualFile", "readable", "shown"]
+__all__ = ["VisualFile", "found", "readable", "shown"]
+
+_INDICES = re.compile(rb"<(?:p|v|vcount)(?=[\s/>])")
+_WHOLE_INDICES = re.compile(rb"<(p|v|vcount)(?=[\s/>])(?:[^<>]*/>|[^<>]*>[\d+\- \t\r\n]*</\1\s*>)")
 
 
 @dataclass(frozen=True)
@@ -45,12 +51,9 @@ def readable(file: VisualFile, stacklevel: int) -> tuple[ElementTree.Element, li
     Raises
     ------
     InvalidArgument
-        If the file cannot be read any more.
+        If the file cannot be read any more, or is no URDF by now.
     """
-    try:
-        root = ElementTree.fromstring(file.path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, ElementTree.ParseError) as error:
-        raise InvalidArgument(f"path is {str(file.path)!r}, which cannot be read: {error}") from None
+    root = urdf_tree("path", file.path)  # again, since the file may be another one by now
     missing = _without_meshes(root, lambda mesh: _is_missing(mesh, file))
     if missing:
         listed = ", ".join(dict.fromkeys(missing))
@@ -75,19 +78,23 @@ def shown(
     InvalidArgument
         If the geometry cannot be read whatever the meshes.
     """
+    broken = _without_meshes(root, _is_endless)
     try:
-        return _geometry(model, root), []
+        seen = _geometry(model, root)
     except (ValueError, RuntimeError) as error:
         # Pinocchio does not say which of the files it was.
-        broken = _without_meshes(root, _is_broken)
-        if not broken:
+        damaged = _without_meshes(root, _is_broken)
+        if not damaged:
             raise InvalidArgument(f"path is {str(file.path)!r}, which cannot be drawn: {error}") from None
+        broken += damaged
+        seen = _geometry(model, root)
+    if broken:
         listed = ", ".join(dict.fromkeys(broken))
         warnings.warn(
             f"{file.path.name}: not drawn, since damaged or of a format that is not read: {listed}",
             stacklevel=stacklevel,
         )
-        return _geometry(model, root), broken
+    return seen, broken
 
 
 def _geometry(model: pin.Model, root: ElementTree.Element) -> pin.GeometryModel:
@@ -109,10 +116,25 @@ def _without_meshes(root: ElementTree.Element, unusable: Callable[[ElementTree.E
 
 def _is_missing(mesh: ElementTree.Element, file: VisualFile) -> bool:
     """Tell whether there is no file of that name; where there is one, write into the mesh where it lies."""
-    found = _found(mesh.get("filename", ""), file)
-    if found is not None:
-        mesh.set("filename", str(found))
-    return found is None
+    path = found(mesh.get("filename", ""), file)
+    if path is not None:
+        mesh.set("filename", str(path))
+    return path is None
+
+
+def _is_endless(mesh: ElementTree.Element) -> bool:
+    """Tell whether a Collada file has other than whole numbers among its indices.
+
+    At such a letter assimp, by which Pinocchio reads meshes, stays for ever and takes more and more memory.
+    """
+    try:
+        data = Path(mesh.get("filename", "")).read_bytes()
+    except OSError:
+        return False
+    if not re.search(b"<collada", data.replace(b"\0", b""), re.IGNORECASE):
+        return False
+    # What is written in two bytes for each letter would have to be read in another way.
+    return b"\0" in data or len(_INDICES.findall(data)) != len(_WHOLE_INDICES.findall(data))
 
 
 def _is_broken(mesh: ElementTree.Element) -> bool:
@@ -125,9 +147,11 @@ def _is_broken(mesh: ElementTree.Element) -> bool:
     return False
 
 
-def _found(name: str, file: VisualFile) -> Path | None:
+def found(name: str, file: VisualFile) -> Path | None:
+    """Return where a mesh of the file lies, or None where it is not there."""
     scheme, apart, rest = name.rpartition("://")
     rest = rest.lstrip("/") if scheme == "package" else rest
     folders = (*file.package_dirs, file.path.parent) if scheme == "package" else (file.path.parent,)
     candidates = (folder / (rest if apart else name) for folder in folders)
-    return next((path.resolve() for path in candidates if path.is_file()), None)
+    # Not `Path.is_file`, which raises where a name is longer than a file system allows.
+    return next((path.resolve() for path in candidates if isfile(path)), None)

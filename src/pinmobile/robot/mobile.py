@@ -5,15 +5,15 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import final
+from typing import TypeAlias, final
 
 import numpy as np
 import pinocchio as pin
 
 from pinmobile import urdf
-from pinmobile.arrays import finite, location, positive, vector
+from pinmobile.arrays import Array, ArrayLike, finite, lengths, location, positive, sequence, text
 from pinmobile.dh import LECTURE_TABLE, DHTable
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot.assembly import assemble
 from pinmobile.robot.carrier import Carrier
 from pinmobile.robot.chain import build_model, check_chain
@@ -21,11 +21,17 @@ from pinmobile.robot.engine import BODY_JOINT, Engine
 from pinmobile.robot.meshes import VisualFile
 from pinmobile.robot.mounts import Load, Mount
 from pinmobile.robot.pictures import add_carried
-from pinmobile.robot.reading import read_model, read_urdf
+from pinmobile.robot.reading import LOCKED, Reading, read_model, read_urdf
+from pinmobile.robot.sound import check_whole
 from pinmobile.robot.sources import existing_folders
+from pinmobile.robot.stance import Stance
 from pinmobile.robot.visual import box_visuals, read_visuals
+from pinmobile.robot.wellformed import check_freedom
 
 __all__ = ["MobileRobot"]
+
+_Size: TypeAlias = tuple[float, float, float]
+_Bare: TypeAlias = tuple[urdf.Body, _Size, DHTable, str, Stance, tuple[str, ...], VisualFile | None]
 
 
 @final
@@ -45,9 +51,21 @@ class MobileRobot(Carrier):
     com : sequence of 2 or 3 floats
         Centre of mass in the body frame (xbc, ybc) or (xbc, ybc, zbc) [m].
     size : sequence of 3 floats
-        Length, width and height of the box that is drawn [m].
+        Length, width and height of the box that is drawn [m]; a robot made from numbers stands on it, too:
+        see `footprint` and `top`.
     dh : DHTable
         The chain; the joint frames of `model` are its frames.
+
+    Attributes
+    ----------
+    source : str
+        Where its numbers come from, in words.
+    body : pinmobile.urdf.Body
+        Mass, centre of mass and inertia.
+    stance : Stance
+        How it stands: `footprint`, `top` and `grounded` are of it.
+    locked_joints : tuple of str
+        Joints of its file that are locked at rest: wheels, and what carries them.
 
     Raises
     ------
@@ -63,6 +81,8 @@ class MobileRobot(Carrier):
     dh: DHTable = LECTURE_TABLE
     source: str = field(default="made from numbers", init=False)
     body: urdf.Body = field(init=False)
+    stance: Stance = field(init=False)
+    locked_joints: tuple[str, ...] = field(default=(), init=False)
     mounts: tuple[Mount, ...] = field(default=(), init=False)
     loads: tuple[tuple[str, Load], ...] = field(default=(), init=False)
     _engine: Engine = field(init=False)
@@ -74,12 +94,10 @@ class MobileRobot(Carrier):
             raise InvalidArgument(f"com has shape {com.shape}, expected (2,) or (3,)")
         mass, inertia = positive("mass", self.mass, "kg"), positive("yaw_inertia", self.yaw_inertia, "kg m^2")
         # The plane feels Izz alone. Ixx = Iyy = Izz is a body that exists; diag(0, 0, Izz) is not.
-        self._take(urdf.Body(mass, np.append(com, 0.0)[:3], np.diag([inertia] * 3)))
+        self._take(urdf.Body(mass, np.append(com, 0.0)[:3], np.diag([inertia] * 3)), None)
 
-    def _take(self, body: urdf.Body) -> None:
-        size = finite("size", self.size)
-        if size.shape != (3,) or not (size > 0).all():
-            raise InvalidArgument(f"size is {self.size}, expected three lengths > 0 m")
+    def _take(self, body: urdf.Body, stance: Stance | None) -> None:
+        size = lengths(self.size)
         check_chain(self.dh)
         for name, value in {
             "mass": body.mass,
@@ -87,6 +105,7 @@ class MobileRobot(Carrier):
             "com": tuple(body.com.tolist()),
             "size": tuple(size.tolist()),
             "body": body,
+            "stance": Stance.of_box(size) if stance is None else stance,
             "_engine": Engine(build_model(self.dh, body)),
         }.items():
             object.__setattr__(self, name, value)
@@ -98,11 +117,11 @@ class MobileRobot(Carrier):
         return (
             f"MobileRobot(mass={self.mass!r}, yaw_inertia={self.yaw_inertia!r}, com={self.com!r}, "
             f"size={self.size!r}{table}){mounted}{attached}"
-        )
+        ) + (f" with {LOCKED}" if self.locked_joints else "")
 
     def _key(self) -> tuple[object, ...]:
         own = self.mass, self.com, self.body.inertia.tobytes(), self.size, self.dh
-        return *own, self.mounts, self.loads
+        return *own, self.stance._key(), self.mounts, self.loads
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, MobileRobot) and self._key() == other._key()
@@ -112,8 +131,35 @@ class MobileRobot(Carrier):
 
     def __reduce__(self) -> tuple[object, ...]:
         # A pin.Data is not worth keeping: it is made again from the parameters.
-        own = self.body, self.size, self.dh, self.source, self._looks
-        return _restored, (*own, self.mounts, self.loads)
+        return _restored, (*self._own(self.body, self.source), self.mounts, self.loads)
+
+    def _own(self, body: urdf.Body, source: str) -> _Bare:
+        return body, self.size, self.dh, source, self.stance, self.locked_joints, self._looks
+
+    @property
+    def footprint(self) -> Array | None:
+        """Corners of the convex polygon on which it stands, in the body's frame, shape (k, 2) [m].
+
+        Counter-clockwise. Of a robot made from numbers the rectangle of its `size`; of a URDF the hull of
+        what touches the ground: its wheels, and casters and skids that are fixed to it. None where that is
+        not known: see `source`.
+        """
+        return self.stance.footprint
+
+    @property
+    def top(self) -> float | None:
+        """Height above the ground of the body's highest point, where `mount` puts an arm [m].
+
+        Of a robot made from numbers that of its `size`; of a URDF that of the collision geometry of what does
+        not roll, or of what is drawn where there is none; an antenna counts. None where that is not known:
+        see `source`.
+        """
+        return self.stance.top
+
+    @property
+    def grounded(self) -> bool:
+        """Whether the body's origin is known to lie on the ground; if not, `balance` refuses the robot."""
+        return self.stance.grounded
 
     @classmethod
     def lecture(cls) -> "MobileRobot":
@@ -139,8 +185,8 @@ class MobileRobot(Carrier):
         InvalidArgument
             If the mass or a length is not positive or not finite, or the lengths are not three.
         """
-        height = vector("size", size, 3)[2]
-        body = urdf.Body(mass, np.array([0, 0, height / 2]), urdf.box_inertia(mass, size))
+        inertia = urdf.box_inertia(mass, size)
+        body = urdf.Body(mass, np.array([0, 0, finite("size", size)[2] / 2]), inertia)
         return cls.from_body(body, size, LECTURE_TABLE, "a homogeneous box")
 
     @classmethod
@@ -148,13 +194,20 @@ class MobileRobot(Carrier):
         cls,
         path: str | PathLike[str],
         package_dirs: str | PathLike[str] | Sequence[str | PathLike[str]] = (),
+        *,
+        ground: ArrayLike | None = None,
     ) -> "MobileRobot":
         """Return the robot of a URDF; `source` says what was taken from it.
 
         The file either is the chain prismatic y, prismatic x, revolute z with a body on it, whatever its
         joints are called, or a bare base without it: a root link that carries fixed links, wheels
-        (continuous joints) and joints that carry only wheels. A bare base is put on the chain, its wheels
-        locked; B is the frame of its root link.
+        (joints that are continuous, or revolute without limits or with those of a thousand turns) and joints
+        that carry only wheels. A bare base is put on the chain, its wheels locked: it can be pushed sideways.
+
+        B, ``base_link`` among `frame_names`, is the frame of the root link, moved along z to the ground. That
+        is where the wheels stand, by the radii of their collision cylinders and spheres; else where a link
+        base_footprint is; of the chain z = 0. Where nothing tells, it is taken to be at the origin of the
+        root link, `grounded` is False, and what asks for a height is refused until `ground` is given.
 
         Parameters
         ----------
@@ -162,37 +215,48 @@ class MobileRobot(Carrier):
             The file.
         package_dirs : str, path, or sequence of them
             Folder or folders that ``package://`` in the file's mesh names refers to.
+        ground : float, optional
+            The ground's z in the frame of the root link [m], whatever the file says of it.
 
         Raises
         ------
         InvalidArgument
             If the file cannot be read, is malformed, is neither of the two (the joint that is wrong is
-            named), or describes a body that cannot exist.
+            named), describes a body that cannot exist, its wheels are not within 5 mm of one plane, or it is
+            larger than any robot: more than 8 MiB, 50,000 elements, 2000 links, 1000 visuals, 200 degrees of
+            freedom, or 100 joints in series, which Pinocchio's parser would need more stack for than a thread
+            may have.
+
+        Warns
+        -----
+        UserWarning
+            If a link has an inertia that no rigid body has, too small to matter.
         """
         folders = tuple(map(Path, existing_folders(package_dirs)))
         file = location("path", path)
-        reading = read_urdf(file)
-        looks = VisualFile(file.resolve(), folders, reading.base)
-        return _restored(reading.body, reading.size, reading.table, reading.source, looks)
+        reading = read_urdf(file, folders, ground)
+        return _read(reading, VisualFile(file.resolve(), folders, reading.base))
 
     @classmethod
-    def from_model(cls, pin_model: pin.Model) -> "MobileRobot":
+    def from_model(cls, pin_model: pin.Model, *, ground: ArrayLike | None = None) -> "MobileRobot":
         """Return the robot of a Pinocchio model, read as `from_urdf` reads a file; it is not kept.
 
         Parameters
         ----------
         pin_model : pin.Model
             The chain with a body, or a bare base with a free-flyer root, a planar root or none.
+        ground : float, optional
+            As in `from_urdf`; a model has no shapes, and does not tell its footprint and its top.
 
         Raises
         ------
         InvalidArgument
-            If it is neither, or describes a body that cannot exist.
+            If it is neither, describes a body that cannot exist, or has more than 200 degrees of freedom.
         """
         if not isinstance(pin_model, pin.Model):
             raise InvalidArgument(f"pin_model is a {type(pin_model).__name__}, expected a pinocchio.Model")
-        reading = read_model(pin_model, pin_model.name or "the model")
-        return cls.from_body(reading.body, reading.size, reading.table, reading.source)
+        check_freedom(pin_model.nv, pin_model.name or "the model")
+        return _read(read_model(pin_model, pin_model.name or "the model", ground=ground), None)
 
     @classmethod
     def from_body(
@@ -201,6 +265,9 @@ class MobileRobot(Carrier):
         size: tuple[float, float, float] = (0.6, 0.4, 0.2),
         dh: DHTable = LECTURE_TABLE,
         source: str = "made from a body",
+        *,
+        stance: Stance | None = None,
+        locked_joints: Sequence[str] = (),
     ) -> "MobileRobot":
         """Return the robot whose body, with all six moments of inertia, is given.
 
@@ -212,40 +279,66 @@ class MobileRobot(Carrier):
             As in the class.
         source : str
             Where the numbers come from, in words.
+        stance : Stance, optional
+            How it stands; by default as a box of `size`.
+        locked_joints : sequence of str
+            As in the class.
 
         Raises
         ------
         InvalidArgument
-            If `body` is something else, or `size` or `dh` is not what the class expects.
+            If `body` or `stance` is something else, or `size` or `dh` is not what the class expects.
         """
         if not isinstance(body, urdf.Body):
-            raise InvalidArgument(f"body is {body!r}, expected a pinmobile.urdf.Body")
+            raise InvalidArgument(f"body is {shown(body)}, expected a pinmobile.urdf.Body")
+        if stance is not None and not isinstance(stance, Stance):
+            raise InvalidArgument(f"stance is {shown(stance)}, expected a pinmobile.robot.Stance")
         robot = object.__new__(cls)
-        for name, value in {"size": size, "dh": dh, "source": source}.items():
+        locked = sequence("locked_joints", locked_joints, "names of joints")
+        given = {
+            "size": size,
+            "dh": dh,
+            "source": text("source", source),
+            "locked_joints": tuple(text(f"locked_joints[{k}]", name) for k, name in enumerate(locked)),
+        }
+        for name, value in given.items():
             object.__setattr__(robot, name, value)
-        robot._take(body)
+        robot._take(body, stance)
         return robot
 
-    def _carrying(self, mounts: tuple[Mount, ...], loads: tuple[tuple[str, Load], ...]) -> "MobileRobot":
-        return _restored(self.body, self.size, self.dh, self.source, self._looks, mounts, loads)
+    def with_body(self, body: urdf.Body, source: str) -> "MobileRobot":
+        """Return the bare robot that has another body, and looks and stands the same.
 
-    def _as(self, body: urdf.Body, source: str) -> "MobileRobot":
-        return _restored(body, self.size, self.dh, source, self._looks)
+        Parameters
+        ----------
+        body : pinmobile.urdf.Body
+            Mass, centre of mass and inertia.
+        source : str
+            Where they come from, in words.
+        """
+        return _restored(*self._own(body, source))
+
+    def _carrying(self, mounts: tuple[Mount, ...], loads: tuple[tuple[str, Load], ...]) -> "MobileRobot":
+        return _restored(*self._own(self.body, self.source), mounts, loads)
+
+    @property
+    def visual_model(self) -> pin.GeometryModel:
+        """A copy of what is drawn, each object on its joint of `model`: those of the body on the third.
+
+        It is made when it is first asked for. Of a URDF that shows more than a box on the ground, all of
+        that, wheels at rest; mesh files that are missing or cannot be read are named in a warning. Else a box
+        of `size` on the ground, with a visible front. Then what is drawn of each arm, and the boxes of loads.
+        """
+        return self._visuals.clone()
 
     @cached_property
-    def visual_model(self) -> pin.GeometryModel:
-        """What is drawn, each object on its joint of `model`: those of the body on the third.
-
-        It is made when it is asked for. Of a URDF that shows more than a box, all that it shows, wheels at
-        rest; mesh files that are missing or cannot be read are named in a warning. Else a box of `size` on
-        the ground, with a visible front. Then what is drawn of each arm, and the boxes of loads.
-        """
+    def _visuals(self) -> pin.GeometryModel:
         joint = BODY_JOINT
         if self._looks is None:
             visuals = box_visuals(self.size, joint)
         else:
             visuals = read_visuals(self._looks, self.size, joint)
-        add_carried(visuals, self.model, self.mounts, self.loads)
+        add_carried(visuals, self._model, self.mounts, self.loads)
         return visuals
 
     def to_urdf(self) -> str:
@@ -254,7 +347,15 @@ class MobileRobot(Carrier):
         Loads on the body are part of it; of a robot with arms it is the base alone.
         """
         loaded = self.loads and not self.mounts
-        return urdf.write(self.dh, self.lumped().body if loaded else self.body, size=self.size)
+        box = self.stance == Stance.of_box(self.size)
+        stance = None if box else self.stance.written()
+        body = self.lumped().body if loaded else self.body
+        return urdf.write(self.dh, body, size=self.size, stance=stance)
+
+
+def _read(reading: Reading, looks: VisualFile | None) -> MobileRobot:
+    own = reading.body, reading.size, reading.table, reading.source, reading.stance, reading.locked
+    return _restored(*own, looks)
 
 
 def _restored(
@@ -262,14 +363,18 @@ def _restored(
     size: tuple[float, float, float],
     dh: DHTable,
     source: str,
+    stance: Stance,
+    locked_joints: tuple[str, ...],
     looks: VisualFile | None,
     mounts: tuple[Mount, ...] = (),
     loads: tuple[tuple[str, Load], ...] = (),
 ) -> MobileRobot:
-    robot = MobileRobot.from_body(body, size, dh, source)
+    robot = MobileRobot.from_body(body, size, dh, source, stance=stance, locked_joints=locked_joints)
     carrying = {"mounts": mounts, "loads": loads}
     if mounts or loads:
-        carrying["_engine"] = Engine(assemble(robot.model, mounts, loads))  # type: ignore[assignment]
+        carrying["_engine"] = Engine(assemble(robot._model, mounts, loads))  # type: ignore[assignment]
     for name, value in {"_looks": looks, **carrying}.items():
         object.__setattr__(robot, name, value)
+    if mounts or loads:
+        check_whole(robot._model, robot._engine.reorder(robot.rest))
     return robot

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import ArrayLike, finite, positive
-from pinmobile.errors import InvalidArgument
+from pinmobile.arrays import ArrayLike, finite, lengths, positive, text
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot.arms import Arm
 from pinmobile.urdf import Body, box_inertia
 
@@ -54,8 +54,13 @@ class Mount:
 
     @property
     def model(self) -> pin.Model:
-        """Its own model, on a fixed base and with its own names."""
+        """A copy of its own model, on a fixed base and with its own names."""
         return self.arm.model
+
+    @property
+    def _model(self) -> pin.Model:
+        """The model itself, which is only read."""
+        return self.arm._model
 
     @property
     def placement(self) -> pin.SE3:
@@ -71,7 +76,7 @@ class Mount:
         return self.name, self.at, self.arm.key()
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Mount) and self._key() == other._key() and self.model == other.model
+        return isinstance(other, Mount) and self._key() == other._key() and self._model == other._model
 
     def __hash__(self) -> int:
         return hash(self._key())
@@ -103,7 +108,7 @@ class Load:
     com: tuple[float, float, float] = (0.0, 0.0, 0.0)
     inertia: tuple[tuple[float, ...], ...] | None = None
     size: tuple[float, float, float] | None = None
-    body: pin.Inertia = field(init=False, repr=False, compare=False)
+    _body: pin.Inertia = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         mass, com = positive("mass", self.mass, "kg"), finite("com", self.com)
@@ -111,17 +116,20 @@ class Load:
             raise InvalidArgument(f"com has shape {com.shape}, expected (3,)")
         inertia = np.zeros((3, 3))
         if self.size is not None:
-            size = finite("size", self.size)
-            if size.shape != (3,) or not (size > 0).all():
-                raise InvalidArgument(f"size is {self.size}, expected three lengths > 0 m")
+            size = lengths(self.size)
             object.__setattr__(self, "size", tuple(size.tolist()))
             inertia = box_inertia(mass, size)
         if self.inertia is not None:
-            inertia = Body(mass, com, np.asarray(self.inertia)).inertia
+            inertia = Body(mass, com, finite("inertia", self.inertia)).inertia
             object.__setattr__(self, "inertia", tuple(map(tuple, inertia.tolist())))
         object.__setattr__(self, "mass", mass)
         object.__setattr__(self, "com", tuple(com.tolist()))
-        object.__setattr__(self, "body", pin.Inertia(mass, com, inertia))
+        object.__setattr__(self, "_body", pin.Inertia(mass, com, inertia))
+
+    @property
+    def body(self) -> pin.Inertia:
+        """A copy of its inertia, seen from the frame."""
+        return pin.Inertia(self._body)
 
     def __reduce__(self) -> tuple[object, ...]:
         return Load, (self.mass, self.com, self.inertia, self.size)
@@ -142,12 +150,12 @@ def placed(at: ArrayLike) -> tuple[float, float, float, float]:
     return x, y, z, yaw
 
 
-def on_top(size: tuple[float, float, float], arm: Arm) -> tuple[float, float, float, float]:
-    """Return the mount point in the middle of the top of the body's box.
+def on_top(top: float, arm: Arm) -> tuple[float, float, float, float]:
+    """Return the mount point in the middle of a body of some height [m].
 
     What stands on its feet, or would otherwise hang below the ground, is as high as its lowest frame needs.
     """
-    top, below = float(size[2]), arm.reach_down()
+    below = arm.reach_down()
     return 0.0, 0.0, top + below if arm.stands or below > top else top, 0.0
 
 
@@ -157,10 +165,12 @@ def checked_name(name: str) -> str:
     Raises
     ------
     InvalidArgument
-        If it is no text, is empty, or has a slash.
+        If it is no text, is empty, or has a slash, a comma, a quotation mark or a control character.
     """
-    if not isinstance(name, str) or not name or "/" in name:
-        raise InvalidArgument(f"name is {name!r}, expected a word without a slash")
+    if not isinstance(name, str) or not text("name", name).strip() or set('/,"') & set(name):
+        raise InvalidArgument(
+            f"name is {shown(name)}, expected a word without slash, comma and quotation mark"
+        )
     return name
 
 
@@ -175,7 +185,7 @@ def free_name(name: str, taken: Iterable[str]) -> str:
 
 def mount_after(model: pin.Model, arm: Arm, name: str, at: tuple[float, float, float, float]) -> Mount:
     """Return the mount of an arm that comes after all that is in a model."""
-    own = arm.model
+    own = arm._model
     q, v = (slice(n, n + more) for n, more in ((model.nq, own.nq), (model.nv, own.nv)))
     return Mount(name, at, arm, q, v, slice(model.njoints, model.njoints + own.njoints - 1))
 

@@ -40,8 +40,8 @@ class FilePicture:
             If the file cannot be read any more.
         """
         file = VisualFile(self.path, self.package_dirs, ())
-        root, _ = readable(file, stacklevel=7)
-        return shown(model, root, file, stacklevel=7)[0]
+        root, _ = readable(file, stacklevel=8)
+        return shown(model, root, file, stacklevel=8)[0]
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,14 +9,20 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, ArrayLike
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument
+from pinmobile.robot.geometry import Shape, shapes_of
+from pinmobile.robot.meshes import VisualFile
+from pinmobile.robot.stance import Stance, WheelReading, ground_below, stance_on, stance_written, wheels_of
 from pinmobile.robot.tree import carries_only_wheels, joint_kind
-from pinmobile.robot.wellformed import urdf_text
+from pinmobile.robot.wellformed import MOMENTS, judge_links, urdf_text
 from pinmobile.urdf import Body
 
-__all__ = ["Reading", "read_model", "read_urdf"]
+__all__ = ["LOCKED", "Reading", "Shown", "read_model", "read_urdf"]
+
+LOCKED = "wheels locked: they do not roll, and it can be pushed sideways"
+"""What is said of a base with wheels."""
 
 _ALIGNED = 1e-5  # an axis written with six digits or more counts as aligned
 _MASSLESS = 1e-9  # of the body's mass
@@ -38,7 +44,14 @@ class Reading:
     source : str
         What was taken from where, in words.
     base : tuple of 16 floats
-        Pose of the body in the model's root with all joints at rest, row by row.
+        Pose of the body, whose origin is on the ground, in the model's root with all joints at rest, row by
+        row.
+    stance : Stance
+        How it stands.
+    locked : tuple of str
+        Joints that are locked at rest.
+    wheels : tuple of WheelReading
+        Those among them that roll.
     """
 
     table: DHTable
@@ -46,10 +59,18 @@ class Reading:
     size: tuple[float, float, float]
     source: str
     base: tuple[float, ...]
+    stance: Stance
+    locked: tuple[str, ...]
+    wheels: tuple[WheelReading, ...]
 
 
-def read_urdf(path: Path) -> Reading:
+def read_urdf(path: Path, package_dirs: tuple[Path, ...] = (), ground: ArrayLike | None = None) -> Reading:
     """Read a URDF that is the chain with its body, or a bare base.
+
+    Parameters
+    ----------
+    path, package_dirs, ground
+        As in `MobileRobot.from_urdf`.
 
     Raises
     ------
@@ -61,10 +82,46 @@ def read_urdf(path: Path) -> Reading:
         model = pin.buildModelFromXML(text)
     except (ValueError, RuntimeError) as error:
         raise InvalidArgument(f"{path.name} is not a URDF that Pinocchio reads: {error}") from None
-    return read_model(model, path.name, _largest_box(root))
+    shown = Shown(
+        _largest_box(root),
+        tuple(shapes_of(root, model, path.name)),
+        VisualFile(path.resolve(), package_dirs, ()),
+        stance_written(root, path.name),
+        _only_body(root, model),
+    )
+    reading = read_model(model, path.name, shown, ground)
+    judge_links(root, path.name, lambda _: reading.body.inertia, stacklevel=4)
+    return reading
 
 
-def read_model(model: pin.Model, name: str, size: tuple[float, float, float] | None = None) -> Reading:
+@dataclass(frozen=True)
+class Shown:
+    """What a file says of a robot beside its model.
+
+    Parameters
+    ----------
+    size : tuple of 3 floats, optional
+        Of the largest box that is drawn [m].
+    shapes : tuple of Shape
+        What has an outline.
+    file : VisualFile, optional
+        Where its meshes lie.
+    stance : Stance, optional
+        How it stands, where the file says so itself.
+    only : (int, Body), optional
+        The one body in it, with its joint, where its frame is the joint's.
+    """
+
+    size: tuple[float, float, float] | None = None
+    shapes: tuple[Shape, ...] = ()
+    file: VisualFile | None = None
+    stance: Stance | None = None
+    only: tuple[int, Body] | None = None
+
+
+def read_model(
+    model: pin.Model, name: str, shown: Shown = Shown(), ground: ArrayLike | None = None
+) -> Reading:
     """Read a model that is the chain with its body, or a bare base (with a planar or free root, or none).
 
     Raises
@@ -89,19 +146,40 @@ def read_model(model: pin.Model, name: str, size: tuple[float, float, float] | N
         base = data.oMi[root]
         how = "is a bare base, put on the chain (y, x, psi)"
     locked = _locked(model, root, name)
+    wheels = wheels_of(model, data, base, root, shown.shapes)
+    z, told = ground_below(model, data, base, root, wheels, ground, name)
+    if z:
+        base = base * pin.SE3(np.eye(3), np.array([0.0, 0.0, z]))
     body = _lump(model, data, base, [root, *locked], name)
+    if shown.only is not None and data.oMi[shown.only[0]] == base:
+        body = shown.only[1]  # Pinocchio divides by the mass again, and loses the last digit
     parts = [f"{name} {how}"]
     if locked:
-        parts.append(f"locked at rest: {', '.join(model.names[j] for j in locked)}")
+        parts += [f"locked at rest: {', '.join(model.names[j] for j in locked)}", LOCKED]
+    com = ", ".join(f"{c:.4g}" for c in body.com.round(9) + 0.0)
     parts.append(
-        f"mass {body.mass:.6g} kg, centre of mass ({', '.join(f'{c:.4g}' for c in body.com)}) m, "
-        f"yaw inertia {body.yaw_inertia:.6g} kg m^2"
+        f"mass {body.mass:.6g} kg, centre of mass ({com}) m, yaw inertia {body.yaw_inertia:.6g} kg m^2"
     )
+    size = shown.size
     if size is None:
         size = _box_of_inertia(body)
         parts.append("size of the box with the same mass and inertia")
+    if shown.stance is not None:
+        own = shown.stance
+        stance = Stance(own.footprint, own.top and own.top - (z or 0.0), own.grounded or ground is not None)
+    elif z is None:
+        stance = Stance(grounded=False)
+        parts.append(
+            "where the ground is is not known, and is taken to be at the origin of the root link: "
+            "give ground=, its z there [m]"
+        )
+    else:
+        stance, words = stance_on(model, data, base, wheels, shown.shapes, z, shown.file, root)
+        parts += [f"ground {told}, at z = {z:.4g} m in the root link's frame", *words]
     pose = tuple(base.homogeneous.ravel().tolist())
-    return Reading(table or LECTURE_TABLE, body, size, "; ".join(parts), pose)
+    names = tuple(str(model.names[joint]) for joint in locked)
+    source = "; ".join(parts)
+    return Reading(table or LECTURE_TABLE, body, size, source, pose, stance, names, tuple(wheels))
 
 
 def _starts_with_slides(model: pin.Model) -> bool:
@@ -152,7 +230,7 @@ def _locked(model: pin.Model, root: int, name: str) -> list[int]:
         if model.parents[joint] == root and not carries_only_wheels(model, joint):
             raise InvalidArgument(
                 f"{name}: joint {model.names[joint]!r} ({joint_kind(model, joint)}) is neither a wheel "
-                "(continuous, nothing moves on it) nor a suspension or swivel that carries only wheels; "
+                "(continuous, or without limits) nor a suspension or swivel that carries only wheels; "
                 "expected a bare base, or the chain prismatic y, prismatic x, revolute z with one body"
             )
     return list(above)
@@ -179,6 +257,26 @@ def _lump(model: pin.Model, data: pin.Data, base: pin.SE3, joints: Iterable[int]
         return Body(total.mass, total.lever, total.inertia)
     except InvalidArgument as error:
         raise InvalidArgument(f"{name}: {error}") from None
+
+
+def _only_body(root: ElementTree.Element, model: pin.Model) -> tuple[int, Body] | None:
+    """Return the body of a file that has only one, as it is written, and the joint whose frame it is in."""
+    links = [link for link in root.iterfind("link") if link.find("inertial") is not None]
+    if len(links) != 1:
+        return None
+    frame = model.frames[model.getFrameId(links[0].get("name", ""), pin.FrameType.BODY)]
+    mass, inertia, origin = (links[0].find(f"inertial/{part}") for part in ("mass", "inertia", "origin"))
+    given = {} if origin is None else origin.attrib
+    turned = any(map(float, given.get("rpy", "0 0 0").split()))
+    if turned or mass is None or inertia is None or frame.placement != pin.SE3.Identity():
+        return None
+    xx, xy, xz, yy, yz, zz = (float(inertia.get(key, "0")) for key in MOMENTS)
+    com = np.array([float(word) for word in given.get("xyz", "0 0 0").split()])
+    moments = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    try:
+        return frame.parentJoint, Body(float(mass.get("value", "0")), com, moments)
+    except InvalidArgument:
+        return None  # what is wrong with it is said of the whole
 
 
 def _largest_box(root: ElementTree.Element) -> tuple[float, float, float] | None:

@@ -1,6 +1,6 @@
 """What no arm has: limits the wrong way round, bodies that cannot exist, joints that nothing resists."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 import pinocchio as pin
@@ -9,7 +9,7 @@ from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot.tree import parts_of
 
-__all__ = ["check_bodies", "check_inertias", "check_joint_limits"]
+__all__ = ["check_bodies", "check_inertias", "check_joint_limits", "check_whole"]
 
 _ROUNDING = 1e-9  # of the moments of inertia, relative: files carry as many digits
 _GYRATION = 1e-9  # and of mass [m^2]: exporters leave noise of the size of 1e-18 where a moment is zero
@@ -58,6 +58,8 @@ def check_bodies(model: pin.Model, called: str) -> None:
 def check_joint_limits(model: pin.Model, joints: Iterable[int], called: str) -> None:
     """Refuse limits that limit nothing: the least above the largest, negative ones, or no numbers.
 
+    Damping and friction that push, or are no numbers, too.
+
     Parameters
     ----------
     model : pin.Model
@@ -80,10 +82,15 @@ def check_joint_limits(model: pin.Model, joints: Iterable[int], called: str) -> 
                 raise InvalidArgument(
                     f"{name} has position limits from {least:g} to {most:g}, expected the lower one first"
                 )
-        for kind, given in (("velocity", model.velocityLimit[v]), ("effort", model.effortLimit[v])):
-            for limit in given:
-                if not limit >= 0:
-                    raise InvalidArgument(f"{name} has {kind} limit {limit:g}, expected a number >= 0")
+        for kind, given in (
+            ("velocity limit", model.velocityLimit),
+            ("effort limit", model.effortLimit),
+            ("damping", model.damping),
+            ("friction", model.friction),
+        ):
+            for number in given[v]:
+                if not number >= 0:
+                    raise InvalidArgument(f"{name} has {kind} {number:g}, expected a number >= 0")
 
 
 def check_inertias(model: pin.Model, posture: Array, called: str) -> None:
@@ -103,12 +110,47 @@ def check_inertias(model: pin.Model, posture: Array, called: str) -> None:
     InvalidArgument
         The message names the joint.
     """
+    for joint, where in _weakest(model, posture):
+        raise InvalidArgument(f"arm {called!r}: {_cause(model, joint, where)}, or that joint locked")
+
+
+def check_whole(model: pin.Model, posture: Array) -> None:
+    """Refuse what makes a robot's dynamics overflow, or lost to rounding, at rest or at another posture.
+
+    Parameters
+    ----------
+    model : pin.Model
+        The base and all that it carries.
+    posture : ndarray, shape (nq,)
+        In the order of the model.
+
+    Raises
+    ------
+    InvalidArgument
+        The message names the joint, and the heaviest part.
+    """
+    joint = max(range(model.njoints), key=lambda k: model.inertias[k].mass)
+    heaviest = f"the heaviest, {model.inertias[joint].mass:g} kg, is on joint {model.names[joint]!r}"
+    if not np.isfinite(pin.crba(model, model.createData(), np.array(posture))).all():
+        raise InvalidArgument(
+            "the robot's mass matrix is beyond 1.8e308, expected smaller masses or distances: " + heaviest
+        )
+    for joint, where in _weakest(model, posture):
+        raise InvalidArgument(
+            f"the robot's mass matrix is singular to rounding {where}: joint {model.names[joint]!r} alone "
+            f"moves less than {_SINGULAR:g} of the inertia that it moves with those beyond, expected masses "
+            f"and distances nearer to each other: {heaviest}"
+        )
+
+
+def _weakest(model: pin.Model, posture: Array) -> Iterator[tuple[int, str]]:
+    """Yield a joint that nothing resists to rounding, and where, at each of two postures that have one."""
     if not model.nv:
         return
     data = model.createData()
     step = np.random.default_rng(_GENERIC).uniform(-1, 1, model.nv)
     generic = pin.integrate(model, np.array(posture), step)
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         for where, q in (("at rest", posture), ("at a posture like any other", generic)):
             own = np.diag(pin.crba(model, data, q)).copy()
             pin.cholesky.decompose(model, data)
@@ -116,8 +158,7 @@ def check_inertias(model: pin.Model, posture: Array, called: str) -> None:
             # Elimination goes from the tips to the root, and what comes after a zero is no number.
             singular = np.flatnonzero(~(left > _SINGULAR * own))
             if len(singular):
-                joint = _joint_of(model, int(singular[-1]))
-                raise InvalidArgument(f"arm {called!r}: {_cause(model, joint, where)}, or that joint locked")
+                yield _joint_of(model, int(singular[-1])), where
 
 
 def _cause(model: pin.Model, joint: int, where: str) -> str:

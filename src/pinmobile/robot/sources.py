@@ -6,14 +6,15 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, vector
-from pinmobile.errors import InvalidArgument
+from pinmobile.arrays import Array, location, sequence, vector
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot.arms import Arm, Origin
 from pinmobile.robot.library import load_arm
 from pinmobile.robot.pictures import FilePicture, GivenPicture
-from pinmobile.robot.wellformed import urdf_text
+from pinmobile.robot.wellformed import check_freedom, judge_links, urdf_text
 
 __all__ = ["existing_folders", "kept_arm", "read_arm"]
 
@@ -43,7 +44,7 @@ def read_arm(
     UnknownName
         If no loader has the name.
     """
-    held = tuple(map(str, locked)) if not isinstance(locked, str) else (locked,)
+    held = (locked,) if isinstance(locked, str) else sequence("locked", locked, "a sequence of joints' names")
     if visual is not None and not isinstance(visual, pin.GeometryModel):
         raise InvalidArgument(f"visual is a {type(visual).__name__}, expected a pinocchio.GeometryModel")
     folders = existing_folders(package_dirs)
@@ -51,6 +52,7 @@ def read_arm(
         return arm
     if isinstance(arm, str | PathLike):
         file = _is_file(arm)
+        arm = location("arm", arm) if file else arm
         _refuse_beside("a URDF" if file else "a loader's name", arm, visual=visual is not None)
         if file:
             made = _from_urdf(Path(arm).resolve(), folders, rest, held)
@@ -97,12 +99,12 @@ def existing_folders(package_dirs: Any) -> tuple[str, ...]:
     """
     given = (package_dirs,) if isinstance(package_dirs, str | PathLike) else package_dirs
     try:
-        paths = tuple(map(Path, given))
+        paths = tuple(location("package_dirs", one) for one in given)
     except TypeError:
-        raise InvalidArgument(f"package_dirs is {package_dirs!r}, expected folders") from None
+        raise InvalidArgument(f"package_dirs is {shown(package_dirs)}, expected folders") from None
     for path in paths:
         if not path.is_dir():
-            raise InvalidArgument(f"package_dirs has {str(path)!r}, expected a folder")
+            raise InvalidArgument(f"package_dirs has {shown(str(path))}, expected a folder")
     return tuple(str(path.resolve()) for path in paths)
 
 
@@ -118,7 +120,8 @@ def _from_model(arm: Any, visual: pin.GeometryModel | None, rest: Any, locked: t
         )
     if arm.njoints == 1:
         raise InvalidArgument(f"arm {arm.name!r} has no joints, expected one at least: a Load has none")
-    shown = pin.GeometryModel() if visual is None else visual
+    check_freedom(arm.nv, f"arm {arm.name!r}")
+    shown = pin.GeometryModel() if visual is None else visual.clone()
     _check_visual(arm, shown)
     usual = _posture(arm, kept)
     posture = usual if rest is None else _posture(arm, rest)
@@ -168,11 +171,18 @@ def _check_rest(arm: Arm) -> None:
 
 
 def _from_urdf(path: Path, folders: tuple[str, ...], rest: Any, locked: tuple[str, ...]) -> Arm:
-    text, _ = urdf_text("arm", path)
+    text, root = urdf_text("arm", path)
     try:
         model = pin.buildModelFromXML(text)
     except (ValueError, RuntimeError) as error:
         raise InvalidArgument(f"{path.name} is not a URDF that Pinocchio reads: {error}") from None
     picture = FilePicture(path, tuple(map(Path, folders)))
     origin, posture = Origin("urdf", str(path), folders), _posture(model, rest)
-    return Arm(origin, model, posture, picture, locked, usual=pin.neutral(model))
+    arm = Arm(origin, model, posture, picture, locked, usual=pin.neutral(model))
+
+    def body_of(link: str) -> Array:
+        joint = model.frames[model.getFrameId(link, pin.FrameType.BODY)].parentJoint
+        return np.asarray(model.inertias[joint].inertia)
+
+    judge_links(root, path.name, body_of, stacklevel=5)
+    return arm

@@ -5,9 +5,11 @@ import re
 import numpy as np
 import pinocchio as pin
 
-__all__ = ["carries_only_wheels", "children", "joint_kind", "parts_of", "root_of", "tip_of"]
+__all__ = ["carries_only_wheels", "children", "joint_kind", "parts_of", "root_of", "tip_of", "turns_freely"]
 
 _WHEEL_JOINTS = 3  # suspension, steering, wheel
+_TURNS = 1e3 * 2 * np.pi  # [rad]: who can turn so far both ways has no limit
+_UNSET = 1e300  # [rad]: beyond, a model made joint by joint has not said
 _FINGER = 4  # joints in series at most, beyond which a branch is an arm
 _TOOLS = ("tcp", "tool0", "end_effector", "ee_link")  # names of the link that a file means as the tip
 
@@ -31,13 +33,25 @@ def children(model: pin.Model) -> list[list[int]]:
     return below
 
 
+def turns_freely(model: pin.Model, joint: int) -> bool:
+    """Tell whether a joint turns without end: continuous, or revolute with limits far beyond all use."""
+    kind = joint_kind(model, joint)
+    if re.search("RevoluteUnbounded|RUB", kind):
+        return True
+    if not re.match("JointModelR", kind) or model.nqs[joint] != 1:
+        return False
+    q, _ = parts_of(model, joint)
+    least, most = float(model.lowerPositionLimit[q][0]), float(model.upperPositionLimit[q][0])
+    return -_UNSET < least < -_TURNS and _TURNS < most < _UNSET
+
+
 def carries_only_wheels(model: pin.Model, joint: int) -> bool:
     """Tell whether the joint is a wheel, or carries only wheels with at most three joints in series."""
     below = children(model)
 
     def rolls(joint: int, joints_left: int) -> bool:
         if not below[joint]:
-            return re.search("RevoluteUnbounded|RUB", joint_kind(model, joint)) is not None
+            return turns_freely(model, joint)
         beyond = (rolls(child, joints_left - 1) for child in below[joint])
         return bool(joints_left > 1 and model.nvs[joint] == 1 and all(beyond))
 

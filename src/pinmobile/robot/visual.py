@@ -14,6 +14,7 @@ __all__ = ["BODY", "box_visuals", "drawn", "read_visuals"]
 BODY = "body"
 """Name of the box, the one geometry object that may be coloured as one likes."""
 
+_THERE = 1e-9  # [m]: what is so near a place is at it
 _BODY_RGBA = (0.90, 0.62, 0.0, 1.0)
 _DARK_RGBA = (0.16, 0.16, 0.18, 1.0)
 
@@ -22,26 +23,28 @@ def read_visuals(file: VisualFile, size: Sequence[float], joint: int) -> pin.Geo
     """Return what the file shows, riding on `joint`, its own joints at rest.
 
     Mesh files that are missing or cannot be read are named in a warning; if no mesh is left, the box stands
-    for them. Of a file that shows nothing but a box it is our own, which has a front.
+    for them. Of a file that shows nothing but a box which stands about the origin it is our own, which has a
+    front.
 
     Raises
     ------
     InvalidArgument
         If the file cannot be read any more.
     """
-    root, left_out = readable(file, stacklevel=5)
+    root, left_out = readable(file, stacklevel=6)
     model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
-    seen, broken = shown(model, root, file, stacklevel=5)
+    seen, broken = shown(model, root, file, stacklevel=6)
     shapes = [shape.tag for shape in root.iterfind("./link/visual/geometry/*")]
-    if shapes in ([], ["box"]):
-        return box_visuals(size, joint)
-    lost = (left_out or broken) and "mesh" not in shapes
-    visuals = box_visuals(size, joint) if lost else pin.GeometryModel()
     data = model.createData()
     pin.forwardKinematics(model, data, pin.neutral(model))
     base = pin.SE3(np.reshape(file.base, (4, 4))).inverse()
-    for item in seen.geometryObjects:
-        placement = base * data.oMi[item.parentJoint] * item.placement
+    placed = [(base * data.oMi[item.parentJoint] * item.placement, item) for item in seen.geometryObjects]
+    ours = pin.SE3(np.eye(3), np.array([0.0, 0.0, size[2] / 2]))
+    if not shapes or (shapes == ["box"] and placed[0][0].isApprox(ours, _THERE)):
+        return box_visuals(size, joint)
+    lost = (left_out or broken) and "mesh" not in shapes
+    visuals = box_visuals(size, joint) if lost else pin.GeometryModel()
+    for placement, item in placed:
         visuals.addGeometryObject(drawn(item.name, joint, placement, item))
     return visuals
 

@@ -1,44 +1,193 @@
-"""What a URDF must have that its readers drop or refuse without a reason."""
+"""What a URDF must have that its readers drop, refuse without a reason, or do not survive."""
 
+import warnings
 from collections import Counter
+from collections.abc import Callable, Mapping
 from math import isfinite
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
 
-__all__ = ["check_urdf", "urdf_text"]
+__all__ = ["MOMENTS", "check_freedom", "check_urdf", "judge_links", "urdf_text", "urdf_tree"]
 
-_JOINTS = ("fixed", "revolute", "continuous", "prismatic", "planar", "floating")
-_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+_JOINTS = {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
+MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+"""Attributes of an <inertia>."""
+
 _ROUNDING = 1e-9
+_SMALL = 1e-3  # of a body's least moment: what one of its links may lack
+_ENDLESS = "1e16"  # [rad, m]: what files write that have to give a limit where there is none
+
+# Several times what the largest robots have: TIAGo with two arms has 130 links, 101 degrees of freedom, at
+# most 21 joints in series, and 4,000 elements in 210 kB, seven deep.
+_MOST_BYTES = 8 << 20
+_MOST_ELEMENTS = 50_000
+_MOST_NESTED = 64
+_LONGEST = 4096  # letters of an attribute: the longest path there is
+_MOST_LINKS = 2000
+_MOST_SHAPES = 1000  # the time to draw them grows with the cube
+# Pinocchio and urdfdom recurse along the tree, 2.2 kB for each joint: 100 fit into a stack of 256 kB, half of
+# the smallest that a thread has by default, where the main thread's 8 MB hold some 3,000.
+_MOST_IN_SERIES = 100
+_MOST_FREEDOM = 200  # pin.Data grows with the cube, to 0.5 GB at 200
+_SHOWN = 5  # names in a message
 
 
 def urdf_text(argument: str, path: Path) -> tuple[str, Element]:
-    """Return the text of a file and its tree, checked.
+    """Return a file's tree, checked, and the tree as text: what is checked is what Pinocchio is given.
 
     Raises
     ------
     InvalidArgument
-        If there is no such file, or it is no URDF; the message names the argument.
+        If there is no such file, it is no URDF, or it is too large; the message names the argument or the
+        file.
+    """
+    root = urdf_tree(argument, path)
+    check_urdf(root, path.name)
+    return ElementTree.tostring(root, encoding="unicode"), root
+
+
+def urdf_tree(argument: str, path: Path) -> Element:
+    """Return a file's tree, of which Pinocchio can read what is drawn: links, joints and size are checked.
+
+    Raises
+    ------
+    InvalidArgument
+        As `urdf_text`.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        with path.open("rb") as file:
+            data = file.read(_MOST_BYTES + 1)  # what is no regular file may never end
+        if len(data) > _MOST_BYTES:
+            raise InvalidArgument(f"{path.name} has more than {_MOST_BYTES >> 20} MiB, expected less")
+        text = data.decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidArgument(f"{argument} is {str(path)!r}, which cannot be read: {error}") from None
+    parser = ElementTree.XMLParser(target=_Bounded(path.name))
     try:
-        root = ElementTree.fromstring(text)
+        # In pieces, since the parser goes on to the end of a piece after an error.
+        for start in range(0, len(text), 1 << 16):
+            parser.feed(text[start : start + (1 << 16)])
+        root: Element = parser.close()
     except ElementTree.ParseError as error:
         raise InvalidArgument(f"{path.name} is not well-formed XML: {error}") from None
-    check_urdf(root, path.name)
-    return text, root
+    _check_tree(root, path.name)
+    _complete_limits(root)
+    return root
+
+
+class _Bounded(ElementTree.TreeBuilder):
+    """A tree of XML that refuses to grow beyond what a URDF needs, while it is read."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__()
+        self._name, self._depth, self._count = name, 0, 0
+
+    def start(self, tag: Any, attributes: Any) -> Element:
+        self._depth += 1
+        self._count += 1
+        if self._depth > _MOST_NESTED:
+            raise InvalidArgument(f"{self._name} nests elements more than {_MOST_NESTED} deep, expected less")
+        if self._count > _MOST_ELEMENTS:
+            raise InvalidArgument(f"{self._name} has more than {_MOST_ELEMENTS} elements, expected less")
+        for key, value in attributes.items():
+            if len(key) + len(value) > _LONGEST:
+                raise InvalidArgument(
+                    f"{self._name}: <{tag[:80]}> has {key[:80]!r} of {len(value)} letters, "
+                    f"expected at most {_LONGEST}"
+                )
+        return super().start(tag, attributes)
+
+    def end(self, tag: Any) -> Element:
+        self._depth -= 1
+        return super().end(tag)
+
+    def doctype(self, *_: Any) -> None:
+        # It can make a page of text of each letter, and Pinocchio's parser reads it otherwise.
+        raise InvalidArgument(f"{self._name} declares a document type, which no URDF needs: take it out")
+
+
+def check_freedom(count: int, name: str) -> None:
+    """Refuse more degrees of freedom than Pinocchio's work space has room for.
+
+    Raises
+    ------
+    InvalidArgument
+        The message names the robot.
+    """
+    if count > _MOST_FREEDOM:
+        raise InvalidArgument(
+            f"{name} has {count} degrees of freedom, expected at most {_MOST_FREEDOM}: make joints fixed "
+            "that need not move"
+        )
+
+
+def _complete_limits(root: Element) -> None:
+    """Write into the file the limits that its readers ask for, as none.
+
+    A revolute or prismatic joint without <limit>, or one without an effort or a velocity, is refused by
+    Pinocchio's parser, and one without lower and upper would be held at zero.
+    """
+    for joint in root.iterfind("joint"):
+        limit, ends = joint.find("limit"), joint.get("type") in ("revolute", "prismatic")
+        wanted = {"effort": "0", "velocity": "0"}
+        if ends:
+            limit = ElementTree.SubElement(joint, "limit") if limit is None else limit
+            if limit.get("lower") is None and limit.get("upper") is None:
+                wanted |= {"lower": f"-{_ENDLESS}", "upper": _ENDLESS}
+        for key, value in wanted.items():
+            if limit is not None and limit.get(key) is None:
+                limit.set(key, value)
+
+
+def judge_links(root: Element, name: str, body_of: Callable[[str], Array], stacklevel: int) -> None:
+    """Refuse a link whose inertia no rigid body has, or name it in a warning where it hardly matters.
+
+    Parameters
+    ----------
+    root : xml.etree.ElementTree.Element
+        The file.
+    name : str
+        Its name, for the message.
+    body_of : callable
+        Returns the inertia of all that is fixed together with a link, shape (3, 3) [kg m^2].
+    stacklevel : int
+        Of the warning: how far up the user's call is.
+
+    Raises
+    ------
+    InvalidArgument
+        If a principal moment of a link is negative by more than a thousandth of the least one of its body.
+    """
+    for link in root.iterfind("link"):
+        inertia = link.find("inertial/inertia")
+        if inertia is None:
+            continue
+        xx, xy, xz, yy, yz, zz = (float(inertia.get(key, "0")) for key in MOMENTS)
+        moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        if moments[0] >= -_ROUNDING * np.abs(moments).max():
+            continue
+        listed = ", ".join(f"{moment:.6g}" for moment in moments)
+        said = (
+            f"{name}: link {link.get('name')!r}: inertia has principal moments ({listed}) kg m^2, which no "
+            "rigid body has: expected each >= 0"
+        )
+        if -moments[0] > _SMALL * np.linalg.eigvalsh(body_of(link.get("name", "")))[0]:
+            raise InvalidArgument(said)
+        warnings.warn(
+            f"{said}; it is taken all the same, since it hardly matters to the body that it is a part of",
+            stacklevel=stacklevel,
+        )
 
 
 def check_urdf(root: Element, name: str) -> None:
-    """Refuse a file that is no tree of links, or a link whose mass or inertia is none.
+    """Refuse a link whose mass or inertia is no number, in a tree that is one.
 
     Parameters
     ----------
@@ -52,37 +201,90 @@ def check_urdf(root: Element, name: str) -> None:
     InvalidArgument
         The message names the link or the joint that is wrong.
     """
+    for link in root.iterfind("link"):
+        inertial = link.find("inertial")
+        if inertial is not None:
+            _check_inertial(inertial, f"{name}: link {link.get('name')!r}")
+
+
+def _check_tree(root: Element, name: str) -> None:
+    """Refuse a file that is no tree of links, or one that is larger than Pinocchio's parser can take."""
     if root.tag != "robot" or root.find("link") is None:
         raise InvalidArgument(f"{name} is not a URDF: expected a <robot> with links, got <{root.tag}>")
     links = [link.get("name", "") for link in root.iterfind("link")]
     joints = [joint.get("name", "") for joint in root.iterfind("joint")]
     for kind, names in (("link", links), ("joint", joints)):
+        if len(names) > _MOST_LINKS:
+            raise InvalidArgument(f"{name} has {len(names)} {kind}s, expected at most {_MOST_LINKS}")
         twice = [entry for entry, count in Counter(names).items() if count > 1]
         if twice:
             raise InvalidArgument(f"{name}: {kind} {twice[0]!r} is there twice, expected once")
+    shapes = sum(1 for _ in root.iterfind("./link/visual"))
+    if shapes > _MOST_SHAPES:
+        raise InvalidArgument(f"{name} has {shapes} visuals, expected at most {_MOST_SHAPES}")
+    known, above, freedom = set(links), dict[str, str](), 0
     for joint in root.iterfind("joint"):
-        _check_joint(joint, links, name)
-    for link in root.iterfind("link"):
-        inertial = link.find("inertial")
-        if inertial is not None:
-            _check_inertial(inertial, f"{name}: link {link.get('name')!r}")
-    children = {joint.find("child").get("link") for joint in root.iterfind("joint")}  # type: ignore[union-attr]
-    roots = [link for link in links if link not in children]
-    if len(roots) != 1:
-        raise InvalidArgument(f"{name} has root links {roots}, expected one that all others hang on")
+        parent, child = _check_joint(joint, known, name)
+        if child in above:
+            raise InvalidArgument(
+                f"{name}: joint {joint.get('name')!r} has child link {child!r}, which hangs on "
+                f"{above[child]!r} already, expected one parent of each link"
+            )
+        above[child] = parent
+        freedom += _JOINTS[joint.get("type", "")]
+    check_freedom(freedom, name)
+    _check_depth(links, above, name)
 
 
-def _check_joint(joint: Element, links: list[str], name: str) -> None:
+def _check_depth(links: list[str], above: Mapping[str, str], name: str) -> None:
+    """Refuse links that do not all hang on one root, or too many in series; `above` has each one's parent."""
+    below: dict[str, list[str]] = {}
+    for link, parent in above.items():
+        below.setdefault(parent, []).append(link)
+    roots = [link for link in links if link not in above]
+    if len(roots) > 1:
+        more = f" and {len(roots) - _SHOWN} more" if len(roots) > _SHOWN else ""
+        raise InvalidArgument(
+            f"{name} has root links {roots[:_SHOWN]}{more}, expected one that all others hang on"
+        )
+    loose, layer, depth = set(links), roots, 0
+    while layer:
+        if depth > _MOST_IN_SERIES:
+            raise InvalidArgument(
+                f"{name}: link {layer[0]!r} hangs on more than {_MOST_IN_SERIES} joints in series, expected "
+                f"at most {_MOST_IN_SERIES}: join links that do not move against each other"
+            )
+        loose.difference_update(layer)
+        layer, depth = [link for parent in layer for link in below.get(parent, ())], depth + 1
+    if loose:
+        link, seen = min(loose), set[str]()
+        while link not in seen:
+            seen.add(link)
+            link = above[link]
+        raise InvalidArgument(
+            f"{name}: link {link!r} hangs on itself, by way of {above[link]!r}, expected one root that all "
+            "links hang on"
+        )
+
+
+def _check_joint(joint: Element, links: set[str], name: str) -> tuple[str, str]:
+    """Return the names of a joint's two links, which have to be there."""
     called = f"{name}: joint {joint.get('name')!r}"
     if joint.get("type") not in _JOINTS:
         raise InvalidArgument(
             f"{called} has type {joint.get('type')!r}, expected one of {', '.join(_JOINTS)}"
         )
+    ends = []
     for end in ("parent", "child"):
         element = joint.find(end)
         link = None if element is None else element.get("link")
-        if link not in links:
+        if link is None or link not in links:
             raise InvalidArgument(f"{called} has {end} link {link!r}, which is not in the file")
+        ends.append(link)
+    parent, child = ends
+    if parent == child:
+        raise InvalidArgument(f"{called} has link {child!r} as its parent and its child, expected two links")
+    return parent, child
 
 
 def _check_inertial(inertial: Element, called: str) -> None:
@@ -92,14 +294,8 @@ def _check_inertial(inertial: Element, called: str) -> None:
         raise InvalidArgument(f"{called} has an <inertial> without <{missing}>, expected both")
     if _number(mass, "value", f"{called} has mass") < 0:
         raise InvalidArgument(f"{called} has mass {mass.get('value')} kg, expected >= 0")
-    xx, xy, xz, yy, yz, zz = (_number(inertia, key, f"{called} has inertia {key}") for key in _MOMENTS)
-    moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    if moments[0] < -_ROUNDING * np.abs(moments).max():
-        listed = ", ".join(f"{moment:.6g}" for moment in moments)
-        raise InvalidArgument(
-            f"{called}: inertia has principal moments ({listed}) kg m^2, which no rigid body has: "
-            "expected each >= 0"
-        )
+    for key in MOMENTS:
+        _number(inertia, key, f"{called} has inertia {key}")
 
 
 def _number(element: Element, key: str, called: str) -> float:

@@ -3,8 +3,8 @@
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike
-from pinmobile.errors import InvalidArgument, UnknownName
+from pinmobile.arrays import Array, ArrayLike, one_of
+from pinmobile.errors import InvalidArgument
 from pinmobile.robot.dynamics import ChainDynamics
 from pinmobile.robot.engine import BODY_JOINT
 from pinmobile.robot.mounts import Mount
@@ -30,13 +30,14 @@ class ChainWrenches(ChainDynamics):
             pin.rnea(model, data, q, v, a)
             return np.asarray(data.f[BODY_JOINT].vector)
 
-        return self._engine.each(wrench, self._q(q), self._v("v", v), self._v("a", a))
+        return self._engine.each(wrench, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
 
     def mount_wrench(self, q: ArrayLike, v: ArrayLike, a: ArrayLike, mount: str | None = None) -> Array:
         """Return what an arm, with the loads on it, exerts on the body at its mount, shape (..., 6).
 
         Along the axes of the body's frame B (not turned by the mount's yaw), with the moment about the point
-        of the mount. An arm at rest exerts its weight, (0, 0, -m g), and the moment of that.
+        of the mount. An arm at rest exerts its weight, (0, 0, -m g), and the moment of that,
+        (-m g y, m g x, 0) with its centre of mass at x and y from the mount.
 
         Parameters
         ----------
@@ -55,7 +56,7 @@ class ChainWrenches(ChainDynamics):
             If nothing is mounted by that name.
         """
         arm = self._mount(mount)
-        roots = [joint for joint in _joints(arm) if self.model.parents[joint] == BODY_JOINT]
+        roots = [joint for joint in _joints(arm) if self._model.parents[joint] == BODY_JOINT]
         fixed = self._fixed(arm)
         to_mount = pin.SE3(np.eye(3), np.array(arm.at[:3])).inverse()
 
@@ -67,22 +68,20 @@ class ChainWrenches(ChainDynamics):
                 held += data.liMi[joint].act(data.f[joint])
             return 0.0 - np.asarray(to_mount.act(held).vector)
 
-        return self._engine.each(wrench, self._q(q), self._v("v", v), self._v("a", a))
+        return self._engine.each(wrench, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
 
     def _mount(self, name: str | None) -> Mount:
         if not self.mounts:
             raise InvalidArgument("robot carries no arm, expected one: robot.mount(...)")
         known = {mount.name: mount for mount in self.mounts}
         wanted = self.mounts[0].name if name is None else name
-        if wanted not in known:
-            raise UnknownName("mount", str(wanted), known)
-        return known[wanted]
+        return known[one_of("mount", wanted, known)]
 
     def _fixed(self, mount: Mount) -> pin.Inertia:
         """Return the inertia, in the body's frame, of what of an arm does not move on the body."""
-        fixed = mount.placement.act(mount.model.inertias[0])
+        fixed = mount.placement.act(mount._model.inertias[0])
         for name, load in self.loads:
-            frame = self.model.frames[self._frames[name]]
+            frame = self._model.frames[self._frames[name]]
             if frame.parentJoint == BODY_JOINT and name.startswith(f"{mount.name}/"):
                 fixed += frame.placement.act(load.body)
         return fixed

@@ -1,6 +1,6 @@
 """The closed loop, recorded: `simulate` and `Rollout`."""
 
-from pinmobile.simulation.checks import checked_forces, checked_loop, sample_times, sampled
+from pinmobile.simulation.checks import checked_forces, checked_loop, checked_substeps, sample_times, sampled
 from pinmobile.simulation.closed_loop import simulate
 from pinmobile.simulation.plant import Plant
 from pinmobile.simulation.rollout import Rollout
@@ -11,6 +11,7 @@ __all__ = [
     "Rollout",
     "checked_forces",
     "checked_loop",
+    "checked_substeps",
     "sample_times",
     "sampled",
     "simulate",

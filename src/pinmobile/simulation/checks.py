@@ -4,20 +4,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, positive, vector
+from pinmobile.arrays import Array, affordable, callable_as, positive, vector, whole
 from pinmobile.controllers import check_controller
 from pinmobile.disturbances import Force
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
 if TYPE_CHECKING:
     from pinmobile.simulation.plant import Plant
 
-__all__ = ["checked_forces", "checked_loop", "sample_times", "sampled"]
+__all__ = ["checked_forces", "checked_loop", "checked_substeps", "sample_times", "sampled"]
 
 _WHOLE = 1e-9  # relative rounding allowed in duration / dt
 _PLANE = 3  # coordinates that a force on the body acts on
-_MOST = 1e8  # samples: beyond, some 20 GB of numbers
+_MOST = 1e8  # samples
+_SHORTER = "give a larger dt or a shorter duration"
+_MOST_STEPS = 1e11  # of the integrator: days
+_RECORDED = 16  # numbers for each coordinate of a sample: of the loop, the reference and the rollout
 
 
 def checked_loop(plant: Any, controller: Any, trajectory: Any, integrator: Any) -> None:
@@ -29,16 +32,49 @@ def checked_loop(plant: Any, controller: Any, trajectory: Any, integrator: Any) 
         If one of them is not.
     """
     check_controller(controller)
-    for name, value, attribute in (
-        ("plant", plant, "forward_dynamics"),
-        ("trajectory", trajectory, "duration"),
-    ):
-        if isinstance(value, type) or not hasattr(value, attribute):
-            raise InvalidArgument(f"{name} is {value!r}, expected something with {attribute!r}")
-    if isinstance(integrator, type) or not callable(integrator):
+    if isinstance(trajectory, type) or not hasattr(trajectory, "duration"):
+        raise InvalidArgument(f"trajectory is {shown(trajectory)}, expected something with 'duration'")
+    if hasattr(trajectory, "derivative"):
         raise InvalidArgument(
-            f"integrator is {integrator!r}, expected one of pinmobile.integrators or such a step"
+            f"trajectory is {shown(trajectory)}, a path, which has no heading, expected a trajectory: "
+            "Tangent(path) or FixedHeading(path, psi)"
         )
+    sizes = [getattr(plant, size, None) for size in ("nq", "nv", "nu")]
+    if isinstance(plant, type) or not hasattr(plant, "forward_dynamics") or not all(map(_is_size, sizes)):
+        raise InvalidArgument(
+            f"plant is {shown(plant)}, expected something with 'forward_dynamics' and the sizes nq, nv, nu"
+        )
+    callable_as("trajectory(t)", trajectory)
+    if hasattr(integrator, "initial_state"):
+        raise InvalidArgument(
+            f"integrator is {shown(integrator)}, a controller, expected one of pinmobile.integrators"
+        )
+    callable_as(
+        "integrator(acceleration, t, q, v, dt)",
+        integrator,
+        "one of pinmobile.integrators or such a step",
+    )
+
+
+def _is_size(value: Any) -> bool:
+    return isinstance(value, int | np.integer)
+
+
+def checked_substeps(substeps: Any, samples: int) -> int:
+    """Return the steps of the integrator per sample.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is no whole number >= 1, or makes more steps than anybody waits for.
+    """
+    count = whole("substeps", substeps)
+    if count * samples > _MOST_STEPS:
+        raise InvalidArgument(
+            f"substeps is {count}, which makes {count * samples:.3g} steps in {samples:,} samples, "
+            f"expected at most {_MOST_STEPS:g}"
+        )
+    return count
 
 
 def sample_times(dt: float, duration: float | None, longest: float) -> Array:
@@ -58,6 +94,7 @@ def sample_times(dt: float, duration: float | None, longest: float) -> Array:
     InvalidArgument
         If the duration is no whole number of steps, or beyond the trajectory's.
     """
+    longest = positive("trajectory.duration", longest, "s")
     total = longest if duration is None else positive("duration", duration, "s")
     if total > longest * (1 + _WHOLE):
         raise InvalidArgument(f"duration is {total} s, expected at most the trajectory's {longest} s")
@@ -68,6 +105,7 @@ def sample_times(dt: float, duration: float | None, longest: float) -> Array:
             f"dt is {dt} s, which makes {total / dt:.3g} samples, expected at most {_MOST:g}"
         )
     steps = round(total / dt)
+    affordable(f"the records of {steps + 1:,} samples", _RECORDED * _PLANE * (steps + 1), _SHORTER)
     if abs(steps * dt - total) > _WHOLE * total:
         below = int(total / dt)
         raise InvalidArgument(
@@ -87,6 +125,11 @@ def sampled(trajectory: Trajectory, t: Array, plant: "Plant") -> Reference:
     InvalidArgument
         If what the trajectory gives does not fit the plant, or leaves its joint limits where it has any.
     """
+    affordable(
+        f"the records of {len(t):,} samples of {plant.nv} coordinates",
+        _RECORDED * len(t) * plant.nv,
+        _SHORTER,
+    )
     try:
         reference = trajectory(t)
     except InvalidArgument:
@@ -121,14 +164,13 @@ def checked_forces(forces: Any, plant: "Plant") -> tuple[Force, ...]:
         If one is no function, or the plant's input is no generalised force.
     """
     if callable(forces):
-        raise InvalidArgument(f"forces is {forces!r}, expected a sequence of forces, such as [force]")
+        raise InvalidArgument(f"forces is {shown(forces)}, expected a sequence of forces, such as [force]")
     try:
         listed = tuple(forces)
     except TypeError:
-        raise InvalidArgument(f"forces is {forces!r}, expected a sequence of forces") from None
+        raise InvalidArgument(f"forces is {shown(forces)}, expected a sequence of forces") from None
     for k, force in enumerate(listed):
-        if isinstance(force, type) or not callable(force):
-            raise InvalidArgument(f"forces[{k}] is {force!r}, expected a function of t, q and v")
+        callable_as(f"forces[{k}](t, q, v)", force)
     if listed and not plant.nu == plant.nv >= _PLANE:
         raise InvalidArgument(
             f"forces are given for a plant with nv = {plant.nv} and nu = {plant.nu}, "

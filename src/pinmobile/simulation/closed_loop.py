@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, positive, whole
+from pinmobile.arrays import Array, ArrayLike, finite, positive
 from pinmobile.controllers import Controller
 from pinmobile.disturbances import Force
 from pinmobile.errors import Diverged, InvalidArgument
 from pinmobile.integrators import Integrator, constant_acceleration
-from pinmobile.simulation.checks import checked_forces, checked_loop, sample_times, sampled
+from pinmobile.simulation.checks import checked_forces, checked_loop, checked_substeps, sample_times, sampled
 from pinmobile.simulation.loop import Loop
 from pinmobile.simulation.plant import Plant
 from pinmobile.simulation.rollout import Rollout
@@ -57,7 +57,9 @@ def simulate(
     q0, v0 : array_like, shape (nq,) and (nv,), optional
         Start, within the joint limits of the plant's arms; by default on the trajectory.
     integrator : callable
-        One step of the plant, see `pinmobile.integrators`.
+        One step of the plant, see `pinmobile.integrators`. The library's keep their order for joints that
+        turn about several axes; a callable of one's own sees their displacement as if it changed at the
+        velocity, and is of order 2 at most for these.
     substeps : int
         Steps of the integrator per dt.
     forces : sequence of callables
@@ -86,7 +88,7 @@ def simulate(
     start = _start("q0", q0, reference.q[0]), _start("v0", v0, reference.v[0])
     if getattr(plant, "mounts", ()):
         check_limits(plant, *start)
-    count, checked = whole("substeps", substeps), checked_forces(forces, plant)
+    count, checked = checked_substeps(substeps, len(t)), checked_forces(forces, plant)
     loop = Loop(plant, controller, integrator, reference, t, dt, count, checked, *start)
     for begin in range(0, len(t), _CHUNK):
         end = min(begin + _CHUNK, len(t))
@@ -99,7 +101,8 @@ def simulate(
             kept = _rollout(plant, t, loop, reference, bad) if bad else None
             q, v, _, _ = loop.samples(bad, bad + 1)
             message = f"the loop diverged at t = {t[bad]:g} s (sample {bad} of {len(t) - 1}): {why}"
-            raise Diverged(message, time=float(t[bad]), q=q[0], v=v[0], rollout=kept)
+            message += _too_stiff(plant, checked, start[0], dt / count)
+            raise Diverged(message, time=float(t[bad]), q=q[0], v=v[0], rollout=kept) from loop.stopped
     return _rollout(plant, t, loop, reference, len(t))
 
 
@@ -137,10 +140,28 @@ def _first_bad(
     return None, ""
 
 
+def _too_stiff(plant: Any, forces: Sequence[Any], q: Array, h: float) -> str:
+    """Return what frictions ask of the step, where that is not met: such a loop shakes itself to pieces.
+
+    With the damping C of the body's axes, explicit steps are stable up to 2 / max eig(M^-1 C), or some more.
+    """
+    dampings = [force.damping for force in forces if hasattr(force, "damping")]
+    if not dampings or not hasattr(plant, "mass_matrix"):
+        return ""
+    ahead = np.array(q)
+    ahead[2] = 0.0  # where the inertial axes are the body's
+    rates = np.linalg.eigvals(np.linalg.solve(plant.mass_matrix(ahead)[:3, :3], np.diag(sum(dampings))))
+    longest = 2 / max(float(np.abs(rates).max()), 1e-300)
+    if h <= longest:
+        return ""
+    return (
+        f"; the friction in `forces` needs steps of the integrator of at most {longest:.2g} s, and they are "
+        f"{h:.2g} s: give a smaller dt, or substeps"
+    )
+
+
 def _rollout(plant: Plant, t: Array, loop: Loop, reference: Reference, end: int) -> Rollout:
-    q, v, a, tau = samples = loop.samples(0, end)
-    for array in samples:
-        array.setflags(write=False)  # nobody else has it: the rollout need not copy
+    q, v, a, tau = loop.samples(0, end)
     error: Any = plant.difference(q, reference.q[:end])
     kept = Reference(*(part[:end] for part in reference))
     return Rollout(robot=plant, t=t[:end], q=q, v=v, a=a, tau=tau, error=error, reference=kept)

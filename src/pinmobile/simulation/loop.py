@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, wrap_angle
+from pinmobile.arrays import LEAST_ANGLE, Array, wrap_angle
 from pinmobile.controllers import (
     PD,
     ComputedTorque,
@@ -21,7 +21,7 @@ from pinmobile.controllers import (
     planar_difference,
 )
 from pinmobile.disturbances import Force
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, NotFinite, shown
 from pinmobile.integrators import Integrator, RungeKuttaNystrom
 from pinmobile.robot import MobileRobot
 from pinmobile.simulation.plant import Plant
@@ -72,13 +72,14 @@ class Loop:
         self.taus = np.empty((len(t), plant.nu))
         self.rows[0, : self.nq + self.nv] = np.concatenate([self._reordered(q0), self._reordered(v0)])
         self.desired = np.hstack([self._reordered(reference.q), self._reordered(reference.v)])
-        self.forward = plant._engine.forward if chained else forward_of(plant)  # type: ignore[attr-defined]
+        self.forward = plant._engine.calls().forward if chained else forward_of(plant)  # type: ignore[attr-defined]
         if chained and _is_known(controller, self.nq):
             accelerations = self._reordered(reference.a)
             self.control = _feedback(controller, self.desired, accelerations, np.asarray(self.order))
         else:
             self.control = _asked(controller, reference, t, plant.nu, self.order)
         self.times = t.tolist()
+        self.stopped: NotFinite | None = None
         self.push = pushed(forces, self.order, self.nv) if forces else None
         clock = Clock(self.times, dt / substeps, substeps)
         if isinstance(integrator, RungeKuttaNystrom) and self.adds:
@@ -106,6 +107,8 @@ class Loop:
                 acceleration[:] = a = forward(q, v, applied)
                 if k < last:
                     advance(k, row, q, v, force, a, after)
+        except NotFinite as error:
+            self.stopped = error  # the rest stays empty
         except InvalidArgument:
             # A state that is not finite is refused by whoever is asked about it; the rest stays empty.
             if np.isfinite(self.rows[k, :n]).all():
@@ -156,12 +159,13 @@ def _asked(
         answer = controller(times[k], own_q, own_v, next(references), state)
         if type(answer) is not tuple or len(answer) != 2:
             raise InvalidArgument(
-                f"controller returned {answer!r} at t = {times[k]:g} s, expected (tau, state)"
+                f"controller returned {shown(answer)} at t = {times[k]:g} s, expected (tau, state)"
             )
         force, state = answer
         if type(force) is not np.ndarray or force.shape != shape:
             raise InvalidArgument(
-                f"controller returned {force!r} at t = {times[k]:g} s, expected an array of shape {shape}"
+                f"controller returned {shown(force)} at t = {times[k]:g} s, "
+                f"expected an array of shape {shape}"
             )
         return force if order is None else force[order]
 
@@ -179,12 +183,13 @@ def _feedback(
     error, command = np.empty(2 * n), np.empty(n)
     subtract, add, times_gains, pi = np.subtract, np.add, gains.dot, np.pi
     robot: Any = getattr(controller, "robot", None)  # PD has none
-    inverse = None if robot is None else robot._engine.inverse
-    gravity = robot._engine.gravity if type(controller) is PDGravity else None
+    calls = None if robot is None else robot._engine.calls()
+    gravity = calls.gravity if calls is not None and type(controller) is PDGravity else None
+    inverse = None if calls is None else calls.inverse
 
     def control(k: int, state: Array, q: Array, v: Array) -> Array:
         subtract(desired[k], state, error)
-        if wrapped and not -pi < error[2] <= pi:
+        if wrapped and not LEAST_ANGLE < error[2] <= pi:
             error[2] = wrap_angle(error[2])
         times_gains(error, command)
         if inverse is None:

@@ -8,7 +8,11 @@ __all__ = ["Plant"]
 
 
 class Plant(Protocol):
-    """What `simulate` needs of a plant; `MobileRobot` is one."""
+    """What `simulate` needs of a plant; `MobileRobot` is one.
+
+    One with joints that turn about several axes has ``integrate_jacobian(q, dq)`` and ``neutral`` too, as
+    `MobileRobot` has: without, all integrators are taken for displacements that change at the velocity.
+    """
 
     @property
     def nq(self) -> int:

@@ -1,23 +1,31 @@
 """`Rollout`: everything that a simulation recorded, with its own judgement."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+import csv
+import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, frozen, location
+from pinmobile.arrays import Array, finite, frozen, location
 from pinmobile.errors import InvalidArgument
+from pinmobile.files import replacing
 from pinmobile.robot import MobileRobot
 from pinmobile.simulation.storage import read_archive, write_archive
 from pinmobile.trajectories import Reference
 
-__all__ = ["Rollout"]
+__all__ = ["Rollout", "error_text"]
 
 _NAMES = ("x", "y", "psi")
 _UNITS = ("m", "m", "rad")
+_ROUNDING = 1e-12  # [m, rad]
+
+
+def error_text(value: float) -> str:
+    """Return an error [m, rad] with seven digits, or without where it is rounding: there, machines differ."""
+    return "< 1e-12" if 0 < value < _ROUNDING else f"{value:.6e}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -41,6 +49,11 @@ class Rollout:
         From the configuration to the reference, psi on the circle [m, m, rad, ...].
     reference : Reference
         Desired q, v and a, of the same shapes.
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not finite, times do not increase, or a shape is not what it is above.
     """
 
     robot: Any
@@ -54,11 +67,38 @@ class Rollout:
 
     def __post_init__(self) -> None:
         for name in ("t", "q", "v", "a", "tau", "error"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "reference", Reference(*map(frozen, self.reference)))
-        lengths = {name: len(getattr(self, name)) for name in ("t", "q", "v", "a", "tau", "error")}
-        if len({*lengths.values(), *map(len, self.reference)}) != 1:
-            raise InvalidArgument(f"arrays have lengths {lengths}, expected one length")
+            with np.errstate(over="ignore"):  # of the square of a time
+                object.__setattr__(self, name, frozen(finite(name, getattr(self, name))))
+        parts = zip(Reference._fields, self.reference, strict=True)
+        desired = Reference(*(frozen(finite(f"reference.{name}", part)) for name, part in parts))
+        object.__setattr__(self, "reference", desired)
+        self._check_shapes()
+
+    def _check_shapes(self) -> None:
+        t, desired = self.t, self.reference
+        if t.ndim != 1 or not t.size:
+            raise InvalidArgument(f"t has shape {t.shape}, expected one time or more")
+        if not (t[1:] > t[:-1]).all():
+            late = int(np.argmin(t[1:] > t[:-1]))
+            raise InvalidArgument(f"t[{late + 1}] is {t[late + 1]} s after {t[late]} s, expected more")
+        of_plant = {"q": self.q, "v": self.v, "a": self.a, "tau": self.tau}
+        tracked = {"error": self.error, "reference.v": desired.v, "reference.a": desired.a}
+        for name, array in {**of_plant, **tracked, "reference.q": desired.q}.items():
+            if array.ndim != 2 or len(array) != len(t):
+                raise InvalidArgument(f"{name} has shape {array.shape}, expected ({len(t)}, ...) as t has")
+        for name, size in (("q", "nq"), ("v", "nv"), ("a", "nv"), ("tau", "nu")):
+            width = getattr(self.robot, size, (self.v if size == "nv" else of_plant[name]).shape[1])
+            if of_plant[name].shape[1] != width:
+                raise InvalidArgument(
+                    f"{name} has shape {of_plant[name].shape}, expected ({len(t)}, {width})"
+                )
+        for name, array in tracked.items():
+            if array.shape != self.error.shape or array.shape[1] > self.v.shape[1]:
+                raise InvalidArgument(
+                    f"{name} has shape {array.shape}, expected that of error and at most {self.v.shape}"
+                )
+        if desired.q.shape[1] > self.q.shape[1]:
+            raise InvalidArgument(f"reference.q has shape {desired.q.shape}, expected {self.q.shape}")
 
     def __len__(self) -> int:
         return len(self.t)
@@ -96,7 +136,7 @@ class Rollout:
             return ""
         worst = int(largest.argmax())
         name, unit = self.labels[len(_NAMES) + worst]
-        return f", {name} {largest[worst]:.6e} {unit}".rstrip()
+        return f", {name} {error_text(largest[worst])} {unit}".rstrip()
 
     def _of_joints(self) -> list[str]:
         """Return a table of the arms' joints; nothing where there are none."""
@@ -108,13 +148,14 @@ class Rollout:
         columns = (part[len(_NAMES) :] for part in (self.max_error(), self.rms_error(), self.max_force()))
         for (name, unit), largest, rms, force in zip(labels, *columns, strict=True):
             newton = {"m": "N  ", "rad": "N m"}.get(unit, "   ")
-            errors = " ".join(f"{value:13.6e} {unit:3}" for value in (largest, rms))
+            errors = " ".join(f"{error_text(value):>13} {unit:3}" for value in (largest, rms))
             lines.append(f"{name:{width}} {errors} {force:10.4g} {newton}".rstrip())
         return lines
 
     @staticmethod
     def _errors(what: str, values: Array) -> str:
-        listed = ", ".join(f"{n} {x:.6e} {u}" for n, x, u in zip(_NAMES, values, _UNITS, strict=False))
+        named = zip(_NAMES, values, _UNITS, strict=False)
+        listed = ", ".join(f"{name} {error_text(value)} {unit}" for name, value, unit in named)
         return f"{what} error: {listed}"
 
     def max_error(self) -> Array:
@@ -130,16 +171,18 @@ class Rollout:
         return np.asarray(np.abs(self.tau).max(axis=0))
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write everything, to the last digit, as a NumPy archive (``.npz``).
+        """Write everything, to the last digit, as a NumPy archive (``.npz``); what is there is replaced.
 
         Raises
         ------
         InvalidArgument
             If the file cannot be written.
+        FileError
+            If the system fails, such as of a full disk; what was there is there still.
         """
         arrays = {name: getattr(self, name) for name in ("t", "q", "v", "a", "tau", "error")}
         arrays |= {f"reference_{name}": array for name, array in self.reference._asdict().items()}
-        with _written(path, "wb") as file:
+        with replacing(path) as file:
             write_archive(file, arrays, self.robot)
 
     @classmethod
@@ -149,11 +192,17 @@ class Rollout:
         Raises
         ------
         InvalidArgument
-            If the file cannot be read or is not such an archive.
+            If the file cannot be read, is damaged, or is not such an archive.
+        FileError
+            If the system fails.
         """
-        arrays, robot = read_archive(location("path", path))
+        file = location("path", path)
+        arrays, robot = read_archive(file)
         reference = Reference(*(arrays.pop(f"reference_{name}") for name in Reference._fields))
-        return cls(robot=robot, reference=reference, **arrays)
+        try:
+            return cls(robot=robot, reference=reference, **arrays)
+        except InvalidArgument as error:
+            raise InvalidArgument(f"path is {str(file)!r}, which holds no rollout: {error}") from error
 
     def to_csv(self, path: str | PathLike[str]) -> None:
         """Write one line per sample, with a header and 17 significant digits.
@@ -165,13 +214,18 @@ class Rollout:
         ------
         InvalidArgument
             If the file cannot be written.
+        FileError
+            If the system fails, such as of a full disk; what was there is there still.
         """
         groups = {"": self.q, "v_": self.v, "a_": self.a, "tau_": self.tau, "error_": self.error}
         groups["desired_"] = self.reference.q
         header = ["t", *(f"{group}{name}" for group, part in groups.items() for name in self._columns(part))]
-        with _written(path, "w") as file:
+        with replacing(path) as file:
             table = np.column_stack([self.t, *groups.values()])
-            np.savetxt(file, table, fmt="%.17g", delimiter=",", header=",".join(header), comments="")
+            titles = io.StringIO()
+            csv.writer(titles, lineterminator="\n").writerow(header)  # quotes what a joint's name needs
+            file.write(titles.getvalue().encode())
+            np.savetxt(file, table, fmt="%.17g", delimiter=",")
 
     def _columns(self, part: Array) -> Sequence[str]:
         """Return the columns' names: x, y, psi and the joints; numbers where they have none."""
@@ -182,12 +236,3 @@ class Rollout:
                     return named
         names = list(_NAMES) if width >= len(_NAMES) else []
         return [*names, *(str(k) for k in range(len(names), width))]
-
-
-@contextmanager
-def _written(path: str | PathLike[str], mode: str) -> Iterator[IO[Any]]:
-    try:
-        with location("path", path).open(mode) as file:
-            yield file
-    except OSError as error:
-        raise InvalidArgument(f"path is {str(path)!r}, which cannot be written: {error.strerror}") from error

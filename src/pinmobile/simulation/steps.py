@@ -1,13 +1,14 @@
 """Steps of the plant between two samples, under a held force and under those that act in between."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.disturbances import Force
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.integrators import Integrator, RungeKuttaNystrom
 from pinmobile.robot import MobileRobot
 from pinmobile.simulation.plant import Plant
@@ -24,6 +25,7 @@ __all__ = [
 ]
 
 _PLANE = 3  # coordinates that a force on the body acts on
+_STRAIGHT = 1e-6  # where a Jacobian is the identity it is so exactly, and of a ball joint it is off by tenths
 
 Forward: TypeAlias = Callable[[Array, Array, Array], Array]
 Push: TypeAlias = Callable[[float, Array, Array], Array]
@@ -43,7 +45,7 @@ def forward_of(plant: Plant) -> Forward:
     if type(plant) is not MobileRobot:
         return plant.forward_dynamics
     engine = plant._engine
-    forward, order, order_q = engine.forward, engine.order, engine.order_q
+    forward, order, order_q = engine.calls().forward, engine.order, engine.order_q
     return lambda q, v, tau: forward(q[order_q], v[order], tau[order])[order]
 
 
@@ -52,7 +54,7 @@ def integrate_of(plant: "Plant") -> Callable[[Array, Array], Array]:
     if type(plant) is not MobileRobot:
         return plant.integrate
     engine = plant._engine
-    integrate, order, order_q = engine.integrate, engine.order, engine.order_q
+    integrate, order, order_q = engine.calls().integrate, engine.order, engine.order_q
     return lambda q, dq: integrate(q[order_q], dq[order])[order_q]
 
 
@@ -68,7 +70,7 @@ def pushed(forces: tuple[Force, ...], order: Any, nv: int) -> Push:
             tau = force(t, own_q, own_v)
             if type(tau) is not np.ndarray or tau.shape != (3,):
                 raise InvalidArgument(
-                    f"forces[{k}] returned {tau!r} at t = {t:g} s, expected an array of shape (3,)"
+                    f"forces[{k}] returned {shown(tau)} at t = {t:g} s, expected an array of shape (3,)"
                 )
             plane += tau
         return total if order is None else total[order]
@@ -137,7 +139,8 @@ def stepped(
         or [np.shape(part) for part in after] != [q.shape, v.shape]
     ):
         raise InvalidArgument(
-            f"integrator returned {after!r} at t = {t:g} s, expected (q, v) of shapes {q.shape} and {v.shape}"
+            f"integrator returned {shown(after)} at t = {t:g} s, "
+            f"expected (q, v) of shapes {q.shape} and {v.shape}"
         )
     return after
 
@@ -164,21 +167,38 @@ def steps(integrator: Integrator, forward: Forward, push: Push | None, clock: Cl
     return advance
 
 
+def _turns(plant: Any) -> bool:
+    """Tell whether a displacement's rate differs from the velocity, by one that is like any other."""
+    if not hasattr(plant, "integrate_jacobian"):
+        return False
+    J = plant.integrate_jacobian(plant.neutral, np.linspace(0.3, 0.7, plant.nv))
+    return bool(np.abs(J - np.eye(plant.nv)).max() > _STRAIGHT)
+
+
 def steps_between_configurations(
     integrator: Integrator, plant: Plant, push: Push | None, clock: Clock
 ) -> Advance:
-    """Return the steps of any integrator, which sees the displacement from the start of its step."""
+    """Return the steps of any integrator, which sees the displacement from the start of its step.
+
+    Where that does not change at the velocity, as of a ball joint, a table is told at which rate it does.
+    """
     (times, h, substeps), rest = clock, np.zeros(plant.nv)
     forward, integrate = forward_of(plant), integrate_of(plant)
+    turning: Any = plant if isinstance(integrator, RungeKuttaNystrom) and _turns(plant) else None
 
     def advance(k: int, row: Array, q: Array, v: Array, force: Array, a: Array, after: Array) -> None:
         def acceleration(time: float, displacement: Array, w: Array) -> Array:
             x = integrate(base, displacement)
             return forward(x, w, force if push is None else force + push(time, x, w))
 
+        def rate(displacement: Array, w: Array) -> Array:
+            J: Any = turning.integrate_jacobian(base, displacement)
+            return np.asarray(np.linalg.solve(J, w))
+
+        step: Any = partial(integrator, rate=rate) if turning is not None else integrator  # type: ignore[call-arg]
         base, w = q, v.copy()  # the record is nobody's to write into
         for j in range(substeps):
-            displacement, w = stepped(integrator, acceleration, times[k] + j * h, rest.copy(), w, h)
+            displacement, w = stepped(step, acceleration, times[k] + j * h, rest.copy(), w, h)
             base = integrate(base, displacement)
         after[: len(q)] = base
         after[len(q) :] = w

@@ -1,23 +1,36 @@
 """Arrays and the robot of a rollout, to and from a NumPy archive."""
 
 import json
-import zipfile
+from collections.abc import Mapping
 from dataclasses import astuple
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, finite
 from pinmobile.dh import DHRow, DHTable, JointType
-from pinmobile.errors import InvalidArgument, PinmobileError
-from pinmobile.robot import Load, MobileRobot
+from pinmobile.errors import InvalidArgument, PinmobileError, shown
+from pinmobile.files import arrays_of
+from pinmobile.robot import Load, MobileRobot, Stance
 from pinmobile.robot.sources import kept_arm
 from pinmobile.urdf import Body
 
-__all__ = ["read_archive", "why_unknown", "write_archive"]
+__all__ = ["ARRAYS", "read_archive", "why_unknown", "write_archive"]
+
+ARRAYS = ("t", "q", "v", "a", "tau", "error", "reference_q", "reference_v", "reference_a")
+"""Names of the arrays of a rollout."""
 
 _FORMAT = "pinmobile rollout 1"
+_KIND = f"{_FORMAT!r} archive"
+_MOUNT: Mapping[str, type] = {
+    "name": str,
+    "at": list,
+    "arm": str,
+    "package_dirs": list,
+    "locked": list,
+    "rest": list,
+}
 
 
 def write_archive(file: IO[bytes], arrays: dict[str, Array], robot: object) -> None:
@@ -28,7 +41,7 @@ def write_archive(file: IO[bytes], arrays: dict[str, Array], robot: object) -> N
     file : binary file
         Where to.
     arrays : dict of str to ndarray
-        Arrays of any shape.
+        Those of `ARRAYS`.
     robot : object
         The plant; any that is not a `MobileRobot`, or carries an arm without a name or a file, is left out.
     """
@@ -67,16 +80,35 @@ def why_unknown(path: Path) -> str:
 
 
 def _read(path: Path) -> tuple[dict[str, Array], dict[str, Any] | None]:
+    named = arrays_of(path, ("format", "robot", *ARRAYS), kind=_KIND)
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            named = dict(archive)
-    except OSError as error:
-        raise InvalidArgument(f"path is {str(path)!r}, which cannot be read: {error.strerror}") from error
-    except (ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise InvalidArgument(f"path is {str(path)!r}, which is no NumPy archive") from error
-    if str(named.pop("format", "")) != _FORMAT:
-        raise InvalidArgument(f"path is {str(path)!r}, which is no {_FORMAT!r} archive")
-    return named, json.loads(str(named.pop("robot")))
+        if str(named.pop("format")) != _FORMAT:
+            raise ValueError("it is of another format")
+        for name in ARRAYS:
+            if named[name].dtype.newbyteorder("=") != np.float64:
+                raise ValueError(f"{name} is of type {named[name].dtype}, expected float64")
+        described = json.loads(str(named.pop("robot")))
+        _check(described)
+    except (ValueError, TypeError, LookupError, AttributeError, RecursionError, OverflowError) as error:
+        raise InvalidArgument(f"path is {shown(str(path))}, which is no {_KIND}: {error}") from error
+    return named, described
+
+
+def _check(described: dict[str, Any] | None) -> None:
+    """Refuse what `_describe` cannot have given; whether the files of arms are there is not asked."""
+    if described is None:
+        return
+    robot = _base(described)
+    for text in (robot.source, *robot.locked_joints):
+        text.encode()  # which half a surrogate pair would break, wherever it is shown
+    for mount in described.get("mounts", ()):
+        if {name: type(value) for name, value in mount.items()} != _MOUNT:
+            raise ValueError(f"robot has a mount of {', '.join(mount)}, expected {', '.join(_MOUNT)}")
+        finite("robot's at", mount["at"])
+        finite("robot's rest", mount["rest"])
+    for frame, *load in described.get("loads", ()):
+        Load(*load)
+        frame.encode()
 
 
 def _is_known(robot: MobileRobot) -> bool:
@@ -92,6 +124,8 @@ def _describe(robot: MobileRobot) -> dict[str, Any]:
         "size": robot.size,
         "dh": [(*astuple(row)[:4], row.joint.value, row.variable) for row in robot.dh],
         "source": robot.source,
+        "stance": [None if robot.footprint is None else robot.footprint.tolist(), robot.top, robot.grounded],
+        "locked_joints": robot.locked_joints,
         "mounts": [
             {
                 "name": mount.name,
@@ -104,6 +138,7 @@ def _describe(robot: MobileRobot) -> dict[str, Any]:
             for mount in robot.mounts
         ],
         "inertias": robot.inertial_parameters.tolist(),
+        "joints": _of_joints(robot).tolist(),
         "loads": [[frame, load.mass, load.com, load.inertia, load.size] for frame, load in robot.loads],
     }
 
@@ -120,20 +155,39 @@ def _restore(described: dict[str, Any] | None) -> MobileRobot:
         raise InvalidArgument(
             "it was no MobileRobot, or had an arm of a pin.Model, which an archive cannot keep"
         )
-    rows = tuple(
-        DHRow(alpha, a, theta, d, JointType(joint), variable)
-        for alpha, a, theta, d, joint, variable in described["dh"]
-    )
-    body = Body(described["mass"], described["com"], described["inertia"])
-    robot = MobileRobot.from_body(body, tuple(described["size"]), DHTable(rows), described["source"])
+    robot = _base(described)
     mounts = described.get("mounts", ())
     for mount in mounts:
         name, at = mount.pop("name"), mount.pop("at")
         robot = robot.mount(kept_arm(**mount), at, name=name)
     for frame, mass, com, inertia, size in described.get("loads", ()):
         robot = robot.attach(Load(mass, com, inertia, size), frame)
-    found, kept = robot.inertial_parameters, described.get("inertias")
-    if kept is not None and not np.array_equal(found, kept):
-        files = ", ".join(mount["arm"] for mount in mounts)
-        raise InvalidArgument(f"its masses and inertias are no longer those that were kept: see {files}")
+    files = ", ".join(mount["arm"] for mount in mounts)
+    for what, key, found in (
+        ("masses and inertias", "inertias", robot.inertial_parameters),
+        ("joints' damping, friction and rotors", "joints", _of_joints(robot)),
+    ):
+        kept = described.get(key)
+        if kept is not None and not np.array_equal(found, kept):
+            raise InvalidArgument(f"its {what} are no longer those that were kept: see {files}")
     return robot
+
+
+def _of_joints(robot: MobileRobot) -> Array:
+    return np.stack([robot.joint_damping, robot.joint_friction, robot._model.armature])
+
+
+def _base(described: Mapping[str, Any]) -> MobileRobot:
+    """Return the robot without what is mounted on it."""
+    rows = tuple(
+        DHRow(alpha, a, theta, d, JointType(joint), variable)
+        for alpha, a, theta, d, joint, variable in described["dh"]
+    )
+    return MobileRobot.from_body(
+        Body(described["mass"], described["com"], described["inertia"]),
+        tuple(described["size"]),
+        DHTable(rows),
+        described["source"],
+        stance=Stance(*described["stance"]) if "stance" in described else None,
+        locked_joints=described.get("locked_joints", ()),
+    )

@@ -2,12 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from numbers import Real
 from typing import Any, TypeAlias, final
 
 import numpy as np
 
-from pinmobile.arrays import finite
-from pinmobile.errors import InvalidArgument, UnknownName
+from pinmobile.arrays import finite, text
+from pinmobile.errors import InvalidArgument, UnknownName, shown
 
 __all__ = ["Axis", "Label", "place_of", "placed", "told"]
 
@@ -24,7 +25,7 @@ class Axis:
     values : sequence of numbers, sequence of str, or mapping of str to anything
         The values, no two the same; of a mapping, the keys are the labels.
     unit : str
-        Unit of the values, "" for none.
+        Unit of the values, "" for none; "1", what has no dimension, is kept but not printed.
 
     Attributes
     ----------
@@ -43,9 +44,18 @@ class Axis:
 
     def __post_init__(self) -> None:
         labels = _labels(self.values)
+        for label in labels:
+            if isinstance(label, str):
+                text("values", label)
+        text("unit", self.unit)
         given = tuple(self.values.values()) if isinstance(self.values, Mapping) else labels
         object.__setattr__(self, "values", labels)
         object.__setattr__(self, "given", given)
+
+    @property
+    def printed_unit(self) -> str:
+        """The unit in words and heads: "" where there is none, or it is "1"."""
+        return "" if self.unit == "1" else self.unit
 
     def __len__(self) -> int:
         return len(self.values)
@@ -59,16 +69,18 @@ class Axis:
             If it is not one of them; the message names the axis, and lists what there is.
         """
         for k, value in enumerate(self.values):
-            if value == label:
+            if isinstance(label, str | Real) and value == label:
                 return k
-        raise InvalidArgument(f"{name} is {label!r}, expected one of {', '.join(map(repr, self.values))}")
+        raise InvalidArgument(
+            f"{name} is {shown(label)}, expected one of {', '.join(map(repr, self.values))}"
+        )
 
 
 def told(name: str, axis: Axis, i: int) -> str:
     """Return value i of an axis in words, such as ``gain = 4 1/s^2``."""
     label = axis.values[i]  # type: ignore[index]
     text = label if isinstance(label, str) else f"{label:g}"
-    return f"{name} = {text}{axis.unit and ' '}{axis.unit}"
+    return f"{name} = {text} {axis.printed_unit}".rstrip()
 
 
 def placed(axes: Mapping[str, Axis], index: Sequence[int]) -> str:
@@ -98,19 +110,21 @@ def place_of(axes: Mapping[str, Axis], labels: Mapping[str, Any]) -> tuple[int, 
 
 
 def _labels(values: Any) -> tuple[Label, ...]:
-    if isinstance(values, str) or not isinstance(values, Sequence | Mapping | np.ndarray):
-        raise InvalidArgument(f"values is {values!r}, expected a sequence, or a mapping of labels")
+    scalar = isinstance(values, np.ndarray) and not values.ndim
+    if scalar or isinstance(values, str | bytes) or not isinstance(values, Sequence | Mapping | np.ndarray):
+        raise InvalidArgument(f"values is {shown(values)}, expected a sequence, or a mapping of labels")
     found: list[Any] = values.tolist() if isinstance(values, np.ndarray) else list(values)
     if not found:
         raise InvalidArgument("values is empty, expected at least one")
     texts = [isinstance(value, str) for value in found]
     if not all(texts):
         if any(texts) or isinstance(values, Mapping):
-            raise InvalidArgument(f"values is {found!r}, expected all numbers or all text")
-        if any(np.ndim(value) or isinstance(value, bool) for value in found):
-            raise InvalidArgument(f"values is {found!r}, expected numbers, text, or a mapping with labels")
-        finite("values", found)
+            raise InvalidArgument(f"values is {shown(found)}, expected all numbers or all text")
+        if finite("values", values).ndim != 1 or any(isinstance(value, bool) for value in found):
+            raise InvalidArgument(
+                f"values is {shown(found)}, expected numbers, text, or a mapping with labels"
+            )
         found = [value.item() if isinstance(value, np.generic) else value for value in found]
     if len(set(found)) < len(found):
-        raise InvalidArgument(f"values is {found!r}, expected each one once")
+        raise InvalidArgument(f"values is {shown(found)}, expected each one once")
     return tuple(found)

@@ -1,11 +1,10 @@
 """A Dask cluster: the client of its scheduler, and whether it is still there."""
 
-import asyncio
 from concurrent.futures import ThreadPoolExecutor
 from time import monotonic
 from typing import Any
 
-from pinmobile.errors import InvalidArgument, SchedulerError
+from pinmobile.errors import InvalidArgument, SchedulerError, shown
 from pinmobile.sweeps.extras import imported
 
 __all__ = ["GO_ON", "Watch", "check_client", "connected"]
@@ -50,6 +49,8 @@ def connected(address: str, timeout: float = _ANSWER) -> Any:
     InvalidArgument
         If it is no address.
     """
+    import asyncio  # here, because most sweeps have no cluster
+
     distributed = imported("distributed")
     try:
         distributed.comm.resolve_address(address)
@@ -57,7 +58,7 @@ def connected(address: str, timeout: float = _ANSWER) -> Any:
         pass  # an unknown host, of which the connection tells
     except (ValueError, TypeError) as error:
         raise InvalidArgument(
-            f"scheduler is {address!r}, expected an address such as tcp://127.0.0.1:8786"
+            f"scheduler is {shown(address)}, expected an address such as tcp://127.0.0.1:8786"
         ) from error
     try:
         with ThreadPoolExecutor(1) as pool:  # a notebook's thread has a loop of its own

@@ -1,24 +1,9 @@
 """What only sweeps need is imported when it is used."""
 
-from importlib import import_module
-from typing import Any
+from functools import partial
 
-from pinmobile.errors import InvalidArgument
+from pinmobile import extras
 
 __all__ = ["imported"]
 
-
-def imported(name: str) -> Any:
-    """Return a module of the extra `sweeps`.
-
-    Raises
-    ------
-    InvalidArgument
-        If it is not installed.
-    """
-    try:
-        return import_module(name)
-    except ModuleNotFoundError as error:
-        raise InvalidArgument(
-            f"a sweep needs {error.name}: install the extra, pip install 'pinmobile[sweeps]'"
-        ) from error
+imported = partial(extras.imported, extra="sweeps", what="a sweep")

@@ -11,7 +11,7 @@ from typing import Any, final
 import numpy as np
 
 from pinmobile.ensembles import PARAMETERS, Scenario
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.sweeps.axes import Axis, placed
 
 __all__ = ["RESERVED", "Grid", "as_grid", "grid"]
@@ -106,7 +106,7 @@ def grid(make: Callable[..., Scenario], /, **axes: Any) -> Grid:
         says for which values. What else `make` raises has a note that does.
     """
     if not callable(make):
-        raise InvalidArgument(f"make is {make!r}, expected a function that returns a Scenario")
+        raise InvalidArgument(f"make is {shown(make)}, expected a function that returns a Scenario")
     if not axes:
         raise InvalidArgument("axes are none, expected at least one, such as gain=[4, 16]")
     named = {name: _axis(name, values) for name, values in axes.items()}

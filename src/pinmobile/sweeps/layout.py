@@ -1,8 +1,7 @@
 """The arrays of a sweep's Zarr store: names, dimensions, units, and how they are divided into chunks."""
 
-import warnings
+import json
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,8 +10,10 @@ from pinmobile.ensembles import PARAMETERS
 from pinmobile.ensembles.histogram import BINS, edges
 from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.grids import Grid
+from pinmobile.sweeps.reading import METADATA, digest_of
+from pinmobile.sweeps.table import axis_of_rivals
 
-__all__ = ["LEVELS", "PER_ROBOT", "make_arrays", "mend_coordinates", "spread_names"]
+__all__ = ["LEVELS", "PER_ROBOT", "empty_store", "spread_names"]
 
 LEVELS = (0.5, 0.9, 0.99)
 """Shares of the robots of which the store has the quantiles over time."""
@@ -44,24 +45,41 @@ def spread_names(grid: Grid) -> list[str]:
     return [name for name in PARAMETERS if any(name in scenario.spread for scenario in grid.scenarios)]
 
 
-def make_arrays(path: Path, grid: Grid, chunk: int, attributes: Mapping[str, Any]) -> None:
-    """Make the store with all its metadata and coordinates, and nothing in its arrays yet.
+def empty_store(grid: Grid, description: Mapping[str, Any], chunk: int) -> dict[str, bytes]:
+    """Return the files that a store has before any number is known, by their places in it.
 
     Parameters
     ----------
-    path : Path
-        Where.
     grid : Grid
         Its scenarios.
+    description : mapping
+        All that determines the numbers.
     chunk : int
         Robots in a chunk of the arrays.
-    attributes : mapping
-        Of the whole store.
     """
     zarr = imported("zarr")
+    files: dict[str, Any] = {}
+    with zarr.config.set({"array.write_empty_chunks": True}):  # so that a coordinate of zeros has a file too
+        _make_arrays(zarr.create_group(zarr.storage.MemoryStore(files)), grid, chunk)
+    made = {place: content.to_bytes() for place, content in files.items()}
     begins = {scenario.after for scenario in grid.scenarios}
     since = {"errors_from_s": begins.pop()} if len(begins) == 1 else {}
-    group = zarr.create_group(path, attributes={**attributes, **since})
+    metadata = json.loads(made.pop(METADATA))
+    nodes = {place.split("/")[0]: json.loads(made[place]) for place in made if place.endswith(METADATA)}
+    mine: dict[str, Any] = {"chunk": chunk, "rivals": axis_of_rivals(grid.axes), "determined_by": description}
+    mine |= {"arrays": list(nodes)}
+    metadata["attributes"] = {
+        "Conventions": "units and long_name of each variable; robot i of a scenario is row i",
+        "pinmobile_sweep": json.dumps({**mine, "digest": digest_of(mine, nodes, since)}),
+        **since,
+    }
+    # It is in no specification yet, but every reader that does not know it passes over it.
+    consolidated = {"kind": "inline", "must_understand": False, "metadata": nodes}
+    metadata["consolidated_metadata"] = consolidated
+    return {METADATA: json.dumps(metadata, indent=2).encode(), **made}
+
+
+def _make_arrays(group: Any, grid: Grid, chunk: int) -> None:
     for name, values, unit, meaning in _coordinates(grid):
         _coordinate(group, name, values, {**({"units": unit} if unit else {}), "long_name": meaning})
     outer, ones = tuple(grid.axes), (1,) * len(grid.axes)
@@ -87,17 +105,6 @@ def make_arrays(path: Path, grid: Grid, chunk: int, attributes: Mapping[str, Any
         sizes = len(LEVELS), times
         attrs = {"units": unit, "long_name": meaning}
         _array(group, name, (*outer, "level", "time"), (*grid.shape, *sizes), (*ones, *sizes), attrs)
-    with warnings.catch_warnings():
-        # It is in no specification yet, but every reader that does not know it passes over it.
-        warnings.filterwarnings("ignore", "Consolidated metadata is currently not part")
-        zarr.consolidate_metadata(path)
-
-
-def mend_coordinates(path: Path, grid: Grid) -> None:
-    """Write the coordinates of a store again whose file is gone."""
-    for name, values, _, _ in _coordinates(grid):
-        if not (path / name / "c" / "0").exists():
-            imported("zarr").open_group(path, mode="r+")[name][:] = _data(values)
 
 
 def _coordinates(grid: Grid) -> list[tuple[str, Sequence[Any], str, str]]:
@@ -118,7 +125,7 @@ def _coordinates(grid: Grid) -> list[tuple[str, Sequence[Any], str, str]]:
 
 
 def _coordinate(group: Any, name: str, values: Sequence[Any], attributes: Mapping[str, Any]) -> None:
-    data = _data(values)
+    data = np.array(values, dtype=object if isinstance(values[0], str) else None)
     made = group.create_array(
         name,
         shape=data.shape,
@@ -126,12 +133,9 @@ def _coordinate(group: Any, name: str, values: Sequence[Any], attributes: Mappin
         dtype="string" if data.dtype == object else data.dtype,
         dimension_names=[name],
         attributes=dict(attributes),
+        compressors=_compressor(),
     )
     made[:] = data
-
-
-def _data(values: Sequence[Any]) -> Any:
-    return np.array(values, dtype=object if isinstance(values[0], str) else None)
 
 
 def _array(
@@ -151,5 +155,9 @@ def _array(
         fill_value=kind(0) if kind is np.int32 else np.nan,
         dimension_names=list(dimensions),
         attributes=dict(attributes),
-        compressors=imported("zarr").codecs.ZstdCodec(level=0, checksum=True),  # what is damaged is noticed
+        compressors=_compressor(),
     )
+
+
+def _compressor() -> Any:
+    return imported("zarr").codecs.ZstdCodec(level=0, checksum=True)  # what is damaged is noticed

@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import location
+from pinmobile.arrays import location, whole
 from pinmobile.ensembles import Ensemble
-from pinmobile.ensembles.histogram import checked_share
-from pinmobile.errors import InvalidArgument
+from pinmobile.ensembles.histogram import checked_share, share_within
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.sweeps.axes import Axis, place_of
 from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.grids import Grid, as_grid
 from pinmobile.sweeps.layout import PER_ROBOT
 from pinmobile.sweeps.origin import determined_by, differences
-from pinmobile.sweeps.reading import attributes_of, damaged
+from pinmobile.sweeps.reading import attributes_of, coordinates_of, damaged
 from pinmobile.sweeps.table import answer, since, table
 
 __all__ = ["Sweep"]
@@ -78,6 +78,12 @@ class Sweep:
             found = differences(there, determined_by(grid))
             if found:
                 raise InvalidArgument(f"scenarios are not those of {str(folder)!r}: {found}")
+        for place in coordinates_of(attributes["nodes"]):
+            if not (folder / place).is_file():
+                raise InvalidArgument(
+                    f"store is {str(folder)!r}, of which {str(folder / place)!r} is gone; start the same "
+                    "sweep again to have it written again"
+                )
         axes = {name: Axis(axis["values"], axis["unit"]) for name, axis in there["axes"].items()}
         with _reading(folder):
             dataset = imported("xarray").open_zarr(folder, chunks=None, consolidated=True)
@@ -106,9 +112,9 @@ class Sweep:
         with _reading(self.path):
             data = self.dataset[["max_distance", "diverged_at"]].load()
         sizes = data.max_distance.where(data.diverged_at.isnull(), np.inf)
-        found = sizes.quantile(level, "robot", method="inverted_cdf", skipna=False)
+        found = sizes.reduce(share_within, "robot", share=level)
         meaning = f"distance from the desired position that {level * 100:g} % of the robots stay within"
-        return found.drop_vars("quantile").rename("within").assign_attrs(units="m", long_name=meaning)
+        return found.rename("within").assign_attrs(units="m", long_name=meaning)
 
     def table(self, share: float = 0.99, most: int = 40) -> str:
         """Return a row for each of the first `most` scenarios: its values, `within` and how many diverged.
@@ -119,7 +125,7 @@ class Sweep:
             If `share` is not between 0 and 1, or a file of the store cannot be read.
         """
         within = self.within(share).values
-        return table(self.axes, within, self._diverged(), share, most)
+        return table(self.axes, within, self._diverged(), share, whole("most", most))
 
     def _diverged(self) -> Any:
         return self.dataset.diverged_at.notnull().sum("robot").values
@@ -197,6 +203,6 @@ def _reading(path: Path) -> Iterator[None]:
         yield
     except Exception as error:  # whatever the codecs say
         raise InvalidArgument(
-            f"store is {str(path)!r}, of which {damaged(path)}; remove that file, and start the same sweep "
-            "again to have it computed again"
+            f"store is {shown(str(path))}, of which {damaged(path)}; remove that file, and start "
+            "the same sweep again to have it computed again"
         ) from error

@@ -4,13 +4,14 @@ from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from typing import Any
 
-from pinmobile.arrays import location, whole
+from pinmobile.arrays import callable_as, location, whole
 from pinmobile.ensembles import Scenario
 from pinmobile.errors import InvalidArgument
 from pinmobile.sweeps.cluster import check_client
 from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.grids import Grid, as_grid
 from pinmobile.sweeps.origin import determined_by
+from pinmobile.sweeps.reading import METADATA
 from pinmobile.sweeps.result import Sweep
 from pinmobile.sweeps.store import Job, Store
 from pinmobile.sweeps.workers import in_process, on_cluster
@@ -63,6 +64,8 @@ def sweep(
         If an argument is not what is expected, draws are impossible, the store belongs to another sweep (the
         message says what differs), a scenario holds what cannot be recognised the next time, or a package of
         the extra is missing.
+    FileError
+        If the system fails, such as of a full disk; what is done is kept.
     SchedulerError
         If the cluster has no worker, or is lost; what is done is kept.
     """
@@ -72,10 +75,10 @@ def sweep(
     size = _CHUNK if chunk is None else whole("chunk", chunk)
     if client is not None:
         check_client(client)
-    if progress is not None and not callable(progress):
-        raise InvalidArgument(f"progress is {progress!r}, expected a function of two whole numbers")
+    if progress is not None:
+        callable_as("progress(done, total)", progress)
     description = determined_by(grid)
-    if not path.exists():
+    if not (path / METADATA).exists():
         check_draws(grid)
     with Store(path, grid, description, size) as opened:
         if chunk is not None and opened.chunk != size:

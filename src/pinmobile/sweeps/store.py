@@ -1,16 +1,20 @@
 """The store of a sweep on disk: made at once, filled chunk by chunk, continued after any death.
 
-One process writes. What is done stands in the folder ``.progress`` inside the store: for each chunk a file
-with its counts, put there by a rename once the chunk's other numbers are written. A chunk without that file
-is computed and written again, to the same bytes. When all are there, the folder goes, and with it every trace
-of how the store came to be. Where files of a finished store are gone, the folder comes back, with a file for
-each scenario that is whole.
+One process writes. While it does, there is the folder ``.progress`` inside the store, with a file that it has
+locked, one through which all others are written, and for each chunk that is done one with its counts, which
+comes once the chunk's other numbers are there. A chunk without that file is computed and written again, to
+the same bytes. When all are there, the folder goes, and with it every trace of how the store came to be.
+Where files of a finished store are gone, those of their scenario are computed again. Nothing else in the
+folders is touched.
 """
 
+import errno
 import fcntl
 import json
-import shutil
+import os
 from collections.abc import Iterable, Mapping
+from contextlib import ExitStack, suppress
+from io import BytesIO
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -18,18 +22,20 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.ensembles import Ensemble, Part
-from pinmobile.ensembles.histogram import quantiles
-from pinmobile.errors import InvalidArgument
+from pinmobile.ensembles.histogram import BINS, quantiles
+from pinmobile.errors import FileError, InvalidArgument
+from pinmobile.files import refusals, write
+from pinmobile.sweeps.cluster import GO_ON
 from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.grids import Grid
-from pinmobile.sweeps.layout import LEVELS, PER_ROBOT, make_arrays, mend_coordinates
+from pinmobile.sweeps.layout import LEVELS, PER_ROBOT, empty_store
 from pinmobile.sweeps.origin import differences
-from pinmobile.sweeps.reading import attributes_of, counts_of
-from pinmobile.sweeps.table import axis_of_rivals
+from pinmobile.sweeps.reading import METADATA, attributes_of, coordinates_of, counts_of
 
 __all__ = ["Job", "Store"]
 
-_PROGRESS, _GOING = ".progress", ".progress-done"
+_PROGRESS, _LOCK, _WRITING = ".progress", "lock", "writing"
+_MARK = b"pinmobile sweep: the process that writes this store has locked this file\n"
 _SUMMED = ("counts", "distance_quantile", "heading_quantile")  # over all robots of a scenario
 
 
@@ -71,26 +77,62 @@ class Store:
 
     def __init__(self, path: Path, grid: Grid, description: Mapping[str, Any], chunk: int) -> None:
         self.path, self.grid = path, grid
+        self._lock: IO[bytes] | None = None
         try:
-            if not (path.exists() and any(path.iterdir())):
-                _make(path, grid, description, chunk)
-        except OSError as error:
-            raise InvalidArgument(
-                f"store is {str(path)!r}, which cannot be made: {error.strerror}"
-            ) from error
-        there = attributes_of(path)
+            with refusals("written", "store", path):
+                if not (path / METADATA).exists():
+                    self._make(description, chunk)
+                self._open(description)
+        except BaseException:
+            self.__exit__()
+            raise
+
+    def _make(self, description: Mapping[str, Any], chunk: int) -> None:
+        """Write the store without a number; the first file makes it one, and the others can be mended."""
+        files = empty_store(self.grid, description, chunk)
+        inside = [entry.name for entry in self.path.iterdir()] if self.path.exists() else []
+        if inside and not (inside == [_PROGRESS] and _is_ours(self.path / _PROGRESS)):
+            attributes_of(self.path)  # which tells what it is not
+        is_new = not self.path.exists()
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            self._lock = _locked(self.path)
+            if not (self.path / METADATA).exists():
+                for place, data in files.items():
+                    self._write(place, data)
+        except BaseException:
+            if self._lock is not None:
+                self._forget()
+            if is_new:
+                with suppress(OSError):
+                    self.path.rmdir()  # where nothing is in it
+            raise
+
+    def _open(self, description: Mapping[str, Any]) -> None:
+        there = attributes_of(self.path)
         found = differences(there["determined_by"], description)
         if found:
-            raise InvalidArgument(f"store is {str(path)!r}, which belongs to another sweep: {found}")
+            raise InvalidArgument(f"store is {str(self.path)!r}, which belongs to another sweep: {found}")
         self.chunk: int = there["chunk"]
         zarr = imported("zarr")
+        # What is written is gathered here: of arrays, no more is read than what the store says of itself.
+        as_content = imported("zarr.core.buffer").default_buffer_prototype().buffer.from_bytes
+        self._gathered: dict[str, Any] = {METADATA: as_content((self.path / METADATA).read_bytes())}
         # Every chunk has a file, also one of nothing but NaN, so that one which is gone is missed.
         with zarr.config.set({"array.write_empty_chunks": True}):
-            group = zarr.open_group(path, mode="r+")
+            group = zarr.open_group(zarr.storage.MemoryStore(self._gathered), mode="r+")
             self._arrays: dict[str, Any] = {name: group[name] for name in there["arrays"]}
-        self._mend()
-        self._lock = _locked(path)
-        self._clean()
+        places = [*(f"{name}/{METADATA}" for name in there["nodes"]), *coordinates_of(there["nodes"])]
+        if self._lock is None and not self._is_finished(places):
+            self._lock = _locked(self.path)
+        # Looked at once more, since another process may have written until now.
+        gone = [place for place in places if not (self.path / place).exists()]
+        files = empty_store(self.grid, description, self.chunk) if gone else {}
+        for place in gone:
+            self._write(place, files[place])
+        for name, node in there["nodes"].items():
+            _check_node(self.path / name / METADATA, node)
+        self._whole = {k for k in range(len(self.grid)) if self._has_all(k)}
 
     def __enter__(self) -> "Store":
         return self
@@ -98,11 +140,6 @@ class Store:
     def __exit__(self, *error: object) -> None:
         if self._lock is not None:
             self._lock.close()
-
-    @property
-    def complete(self) -> bool:
-        """Whether everything is there."""
-        return not (self.path / _PROGRESS).exists()
 
     def jobs(self) -> list[Job]:
         """Return all chunks, done or not, in the order of the scenarios."""
@@ -113,10 +150,16 @@ class Store:
 
     def waiting(self) -> list[Job]:
         """Return the chunks that are not done."""
-        return [] if self.complete else [job for job in self.jobs() if not self._is_done(job)]
+        return [job for job in self.jobs() if not self._is_done(job)]
 
     def record(self, job: Job, draws: Mapping[str, Array], part: Part) -> None:
-        """Write the numbers of a chunk, and then that it is done."""
+        """Write the numbers of a chunk, and then that it is done.
+
+        Raises
+        ------
+        FileError
+            If the system fails, such as of a full disk; the store is as good as it was.
+        """
         where = (*self.grid.index(job.scenario), slice(job.start, job.stop))
         # Of a chunk as of a whole ensemble: what diverged, and when.
         records = Ensemble.of(self.grid.scenarios[job.scenario], draws, part)
@@ -124,25 +167,58 @@ class Store:
             self._arrays[name][where] = getattr(records, name)
         for name, values in draws.items():
             self._arrays[f"drawn_{name}"][where] = values
-        marker = self._marker(job)
-        unfinished = marker.with_suffix(".new")
-        with unfinished.open("wb") as file:
-            np.savez_compressed(file, counts=part.counts)
-        unfinished.replace(marker)
+        self._write_gathered()
+        counts = BytesIO()
+        np.savez_compressed(counts, counts=part.counts)
+        self._write(self._marker(job), counts.getvalue())
 
     def finish(self) -> None:
-        """Write what is over all chunks of a scenario, and remove the traces of the way there."""
-        if self.complete:
+        """Write what is over all chunks of a scenario, and remove the traces of the way there.
+
+        Raises
+        ------
+        InvalidArgument
+            If the counts of a chunk cannot be read.
+        FileError
+            If the system fails, such as of a full disk; the store is as good as it was.
+        """
+        if self._lock is None:
             return
         counts: dict[int, Any] = {}
         for job in self.jobs():
-            if self._whole(job.scenario).exists():
-                continue
-            counts[job.scenario] = counts_of(self._marker(job)) + counts.get(job.scenario, 0)
-            if job.stop == self.grid.n:
-                self._sum_up(job.scenario, counts.pop(job.scenario))
-        (self.path / _PROGRESS).rename(self.path / _GOING)
-        shutil.rmtree(self.path / _GOING)
+            if job.scenario not in self._whole:
+                counts[job.scenario] = self._counts(job) + counts.get(job.scenario, 0)
+                if job.stop == self.grid.n:
+                    self._sum_up(job.scenario, counts.pop(job.scenario))
+        with refusals("written", "store", self.path):
+            for job in self.jobs():
+                (self.path / self._marker(job)).unlink(missing_ok=True)
+            self._forget()
+
+    def _counts(self, job: Job) -> Any:
+        robots, times = job.stop - job.start, len(self.grid.scenarios[0].grid)
+        return counts_of(self.path / self._marker(job), times=times, bins=BINS, robots=robots)
+
+    def _forget(self) -> None:
+        """Remove the folder of the way there, unless somebody has put something into it."""
+        folder = self.path / _PROGRESS
+        for name in (_WRITING, _LOCK):
+            (folder / name).unlink(missing_ok=True)
+        with suppress(OSError):
+            folder.rmdir()
+
+    def _write(self, place: str, data: bytes) -> None:
+        file = self.path / place
+        try:
+            with refusals("written", "a file of the store", file):
+                file.parent.mkdir(parents=True, exist_ok=True)
+            write(file, data, name="a file of the store", through=self.path / _PROGRESS / _WRITING)
+        except FileError as error:
+            raise FileError(f"{error}; {GO_ON}", errno=error.errno, filename=error.filename) from error
+
+    def _write_gathered(self) -> None:
+        for place in [place for place in self._gathered if place != METADATA]:
+            self._write(place, self._gathered.pop(place).to_bytes())
 
     def _sum_up(self, scenario: int, counts: Any) -> None:
         where = self.grid.index(scenario)
@@ -150,17 +226,28 @@ class Store:
         found = quantiles(counts.astype(np.int64), np.array(LEVELS))
         self._arrays["distance_quantile"][where] = found[..., 0]
         self._arrays["heading_quantile"][where] = found[..., 1]
+        self._write_gathered()
 
-    def _marker(self, job: Job) -> Path:
-        return self.path / _PROGRESS / f"{job.scenario}-{job.start}.npz"
-
-    def _whole(self, scenario: int) -> Path:
-        return self.path / _PROGRESS / f"{scenario}.whole"
+    def _marker(self, job: Job) -> str:
+        return f"{_PROGRESS}/{job.scenario}-{job.start}.npz"
 
     def _is_done(self, job: Job) -> bool:
-        if self._whole(job.scenario).exists():
+        if job.scenario in self._whole:
             return True
-        return self._marker(job).exists() and self._has(self._per_robot(job.scenario), *job[:2])
+        written = (self.path / self._marker(job)).is_file()
+        return written and self._has(self._per_robot(job.scenario), *job[:2])
+
+    def _is_finished(self, places: Iterable[str]) -> bool:
+        there = all((self.path / place).exists() for place in places)
+        return (
+            there and not (self.path / _PROGRESS).exists() and all(map(self._has_all, range(len(self.grid))))
+        )
+
+    def _has_all(self, scenario: int) -> bool:
+        """Tell whether all of a scenario is on disk; what is over all its chunks was written last."""
+        starts = range(0, self.grid.n, self.chunk)
+        names = self._per_robot(scenario)
+        return self._has(_SUMMED, scenario, 0) and all(self._has(names, scenario, k) for k in starts)
 
     def _per_robot(self, scenario: int) -> list[str]:
         return [*PER_ROBOT, *(f"drawn_{name}" for name in self.grid.scenarios[scenario].spread)]
@@ -172,56 +259,60 @@ class Store:
             inner = [0] * (self._arrays[name].ndim - len(outer))
             if name not in _SUMMED:
                 inner[0] = start // self.chunk
-            if not self.path.joinpath(name, "c", *map(str, (*outer, *inner))).exists():
+            if not self.path.joinpath(name, "c", *map(str, (*outer, *inner))).is_file():
                 return False
         return True
 
-    def _mend(self) -> None:
-        """Begin again with the scenarios of a finished store of which files are gone."""
-        mend_coordinates(self.path, self.grid)
-        if not self.complete:
+
+def _is_ours(folder: Path) -> bool:
+    """Tell whether the only thing in a folder is the beginning of a store."""
+    if not folder.is_dir() or not {entry.name for entry in folder.iterdir()} <= {_LOCK, _WRITING}:
+        return False
+    lock = folder / _LOCK
+    return not lock.exists() or _MARK.startswith(lock.read_bytes())
+
+
+def _check_node(file: Path, node: Any) -> None:
+    """Refuse metadata of an array that are not those of the store; other readers than ours may use them."""
+    try:
+        if json.loads(file.read_bytes()) == node:
             return
-        broken = {k for k in range(len(self.grid)) if not self._has(_SUMMED, k, 0)}
-        broken |= {job[0] for job in self.jobs() if not self._has(self._per_robot(job[0]), *job[:2])}
-        if broken:
-            made = self.path / f"{_PROGRESS}.new"
-            shutil.rmtree(made, ignore_errors=True)
-            made.mkdir()
-            for k in set(range(len(self.grid))) - broken:
-                (made / f"{k}.whole").touch()
-            made.rename(self.path / _PROGRESS)
-
-    def _clean(self) -> None:
-        """Remove what a process left that was killed while it wrote a file."""
-        for left in (*self.path.rglob("*.partial"), *self.path.glob(f"{_PROGRESS}/*.new")):
-            left.unlink(missing_ok=True)
-        shutil.rmtree(self.path / _GOING, ignore_errors=True)
+        why = "it is not what was written"
+    except (OSError, ValueError, RecursionError) as error:
+        why = str(error)
+    raise InvalidArgument(
+        f"a file of the store is {str(file)!r}, which is damaged: {why}; remove that file, and start the "
+        "same sweep again"
+    )
 
 
-def _make(path: Path, grid: Grid, description: Mapping[str, Any], chunk: int) -> None:
-    """Make the empty store beside its place, and put it there whole."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    made = path.parent / f".{path.name}.new"
-    shutil.rmtree(made, ignore_errors=True)
-    mine = {"chunk": chunk, "rivals": axis_of_rivals(grid.axes), "determined_by": description}
-    attributes = {
-        "Conventions": "units and long_name of each variable; robot i of a scenario is row i",
-        "pinmobile_sweep": json.dumps(mine),
-    }
-    make_arrays(made, grid, chunk, attributes)
-    (made / _PROGRESS).mkdir()
-    made.rename(path)
-
-
-def _locked(path: Path) -> IO[bytes] | None:
+def _locked(path: Path) -> IO[bytes]:
     """Return a file that only one process can hold; the system lets go of it when that process dies."""
     folder = path / _PROGRESS
-    if not folder.exists():
-        return None
-    file = (folder / "lock").open("wb")
+    while True:
+        folder.mkdir(exist_ok=True)
+        with ExitStack() as opened:
+            try:
+                file = opened.enter_context((folder / _LOCK).open("ab", buffering=0))
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                held, there = os.fstat(file.fileno()), os.stat(folder / _LOCK)
+            except FileNotFoundError:
+                continue  # another process has just removed it
+            except OSError as error:
+                if error.errno not in (errno.EWOULDBLOCK, errno.EACCES):
+                    raise
+                raise InvalidArgument(f"store is {str(path)!r}, which another process is writing") from error
+            if os.path.samestat(held, there):
+                if not held.st_size:
+                    _mark(file, folder)
+                opened.pop_all()
+                return file
+
+
+def _mark(lock: IO[bytes], folder: Path) -> None:
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        file.close()
-        raise InvalidArgument(f"store is {str(path)!r}, which another process is writing") from error
-    return file
+        lock.write(_MARK)
+    except OSError:
+        (folder / _LOCK).unlink()
+        folder.rmdir()
+        raise

@@ -13,16 +13,18 @@ from pinmobile.sweeps.axes import Axis, Label, told
 __all__ = ["answer", "axis_of_rivals", "compared", "length", "since", "table"]
 
 _MOST = 40  # rows of a table
+_ROUNDING = 1e-9  # relative; that of a run is less by some orders, and what people tell apart is more
 
 
 def length(metres: float) -> str:
     """Return a length in words, in a unit that suits it."""
     if not np.isfinite(metres):
         return "unknown" if np.isnan(metres) else "unbounded"
+    printed = float(f"{metres:.3g}")  # what is as good as a millimetre is one, and not 1e+03 um
     for unit, size in (("m", 1.0), ("mm", 1e-3), ("um", 1e-6)):
-        if metres >= size:
-            return f"{metres / size:.3g} {unit}"
-    return f"{metres * 1e9:.3g} nm"
+        if printed >= size:
+            return f"{printed / size:.3g} {unit}"
+    return f"{printed * 1e9:.3g} nm"
 
 
 def since(after: float) -> str:
@@ -68,6 +70,8 @@ def answer(
 ) -> str:
     """Return the answer in one line, for the values at which the worst happens.
 
+    Where a member of `beside` is unbounded at all of them, the others tell where that is.
+
     Parameters
     ----------
     axes : mapping of str to Axis
@@ -85,8 +89,7 @@ def answer(
     beside : str, optional
         The axis whose members are compared with each other.
     """
-    known = np.nan_to_num(within, nan=-1.0, posinf=np.inf)
-    worst = np.unravel_index(int(np.argmax(known)), within.shape)
+    worst = _worst(within, diverged, None if beside is None else list(axes).index(beside))
     places = zip(axes.items(), worst, strict=True)
     where = [told(name, axis, int(i)) for (name, axis), i in places if name != beside and len(axis) > 1]
     begun = f"{done * 100:.3g} % of the robots are done" if done < 1 else ""
@@ -110,6 +113,26 @@ def answer(
         return dict(zip(map(str, axes[beside].values), mine.tolist(), strict=True))
 
     return prefix + compared(row(within), share, row(diverged), n)
+
+
+def _worst(within: Array, diverged: NDArray[np.int64], beside: int | None) -> tuple[int, ...]:
+    """Return the place where the worst happens; along the axis of rivals, any.
+
+    Of two places that with the larger distance is worse, of its rivals first the worst, then the next and so
+    on: one that is unbounded everywhere decides nothing. Then that of which more robots diverge. What differs
+    by less than rounding may is the same, and of the same the first is taken, on every machine.
+    """
+    axis = within.ndim if beside is None else beside
+    sizes, lost = (values[..., None] if beside is None else values for values in (within, diverged))
+    moved = np.moveaxis(np.nan_to_num(sizes, nan=-1.0, posinf=np.inf), axis, -1)
+    rivals = moved.shape[-1]
+    left = np.arange(moved.size // rivals)
+    ranked = np.sort(moved.reshape(-1, rivals), axis=-1)[:, ::-1]
+    for values in (*ranked.T, lost.sum(axis=axis).ravel()):
+        most = values[left].max()
+        left = left[values[left] >= min(most, most * (1 - _ROUNDING))]
+    place = [int(i) for i in np.unravel_index(int(left[0]), moved.shape[:-1])]
+    return tuple(place if beside is None else [*place[:beside], 0, *place[beside:]])
 
 
 def axis_of_rivals(axes: Mapping[str, Axis]) -> str | None:
@@ -146,7 +169,7 @@ def table(
     most : int
         Rows, at most.
     """
-    heads = [f"{name} [{axis.unit}]" if axis.unit else name for name, axis in axes.items()]
+    heads = [f"{name} [{axis.printed_unit}]" if axis.printed_unit else name for name, axis in axes.items()]
     rows = [[*heads, f"{share * 100:g} % within", "diverged"]]
     for index in list(np.ndindex(within.shape))[:most]:
         labels = [_text(list(axis.values)[i]) for axis, i in zip(axes.values(), index, strict=True)]

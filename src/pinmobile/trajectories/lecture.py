@@ -4,27 +4,30 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike
+from pinmobile.arrays import ArrayLike
 from pinmobile.paths import Path, within
 from pinmobile.trajectories.reference import Reference, joined, plane_path
 from pinmobile.trajectories.speeds import STANDSTILL, largest
 
 __all__ = ["LectureHeading"]
 
-_VANISHING = 1e-290
-
 
 @dataclass(frozen=True)
 class LectureHeading:
     """Along a path with the lecture's desired heading; `Tangent` has it right.
 
-        psi       = wrapTo2Pi(atan2(y', x'))                            in [0, 2 pi]
-        psi_dot   = (y''/x' - y' x''/x'^2) / (y'^2/x'^2 + 1),   0 where x' = 0
+        psi       = wrapTo2Pi(atan2(y', x'))                            in [0, 2 pi)
+        psi_dot   = (y''/x' - y' x''/x'^2) / (y'^2/x'^2 + 1)
         psi_ddot  = 0
 
     So the heading jumps by a whole turn where it passes zero, and by whatever it takes where the path
-    rests, for which atan2(0, 0) = 0; the rate is lost on an exactly vertical tangent; the acceleration
-    everywhere. The error on the circle that `planar_difference` takes was not the lecture's either.
+    rests, for which atan2(0, 0) = 0 and the rate is 0; the acceleration is lost everywhere. The error on the
+    circle that `planar_difference` takes was not the lecture's either.
+
+    Below 1e-12 of the path's largest speed a speed is rounding, which differs from machine to machine: the
+    path rests there, and a y' of that size does not turn the heading of a path that runs along x from 0 to a
+    whole turn. Where x' alone vanishes the rate is the formula's limit, whatever is left of x'; the lecture's
+    script has that or 0 there, as the rounding of its linear solver falls.
 
     Parameters
     ----------
@@ -68,19 +71,13 @@ class LectureHeading:
         """
         times = within("t", t, self.duration)
         position, velocity, acceleration = (self.path.derivative(times, order) for order in range(3))
-        still = np.hypot(velocity[..., 0], velocity[..., 1]) < self._still
-        x_dot, y_dot = np.moveaxis(np.where(still[..., None], 0.0, velocity), -1, 0)
-        # As MATLAB's wrapTo2Pi: what rounds to a whole turn stays one.
-        psi = np.mod(np.arctan2(y_dot, x_dot), 2 * np.pi)
-        rate = _rate(x_dot, y_dot, *np.moveaxis(acceleration, -1, 0))
+        x_dot, y_dot = np.moveaxis(velocity, -1, 0)
+        speed = np.hypot(x_dot, y_dot)
+        still = speed < self._still
+        along_x = (x_dot > self._still) & (y_dot < 0) & (y_dot > -self._still)
+        psi = np.where(still | along_x, 0.0, np.mod(np.arctan2(y_dot, x_dot), 2 * np.pi))
+        # By x'^2 above and below, the formula needs no x'. In two steps, because squares may underflow.
+        speed = np.where(still, 1.0, speed)
+        cos, sin = x_dot / speed, y_dot / speed
+        rate = np.where(still, 0.0, (cos * acceleration[..., 1] - sin * acceleration[..., 0]) / speed)
         return joined((position, velocity, acceleration), (psi, rate, np.zeros_like(rate)))
-
-
-def _rate(x_dot: Array, y_dot: Array, x_ddot: Array, y_ddot: Array) -> Array:
-    # The script's guard is seen with `ydot ~= 0` and with `ydot == 0`; both are honoured. The square,
-    # because dividing by it overflows where x' itself is not quite zero.
-    square = x_dot * x_dot
-    moves = square > _VANISHING
-    x_dot, square = np.where(moves, x_dot, 1.0), np.where(moves, square, 1.0)
-    rate = (y_ddot / x_dot - y_dot * x_ddot / square) / (y_dot * y_dot / square + 1)
-    return np.where(moves, rate, 0.0)

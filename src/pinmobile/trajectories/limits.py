@@ -32,11 +32,10 @@ def check_limits(robot: Any, q: Array, v: Array, t: Array | None = None) -> None
         If one is outside; the message names the joint, its value and limits, and the time.
     """
     lower, upper, most = robot.lower, robot.upper, robot.velocity_limit
-    model = robot.model
     outside = (q < lower - _SLACK) | (q > upper + _SLACK)
     if outside.any():
         where, column = _first(outside)
-        name, unit = _joint(robot, model.idx_qs, model.nqs, column)
+        name, unit = _joint(robot, column, of_q=True)
         raise InvalidArgument(
             f"{'q0' if t is None else 'reference'} has joint {name!r} at {q[where][column]:.9g} {unit}"
             f"{_when(t, where)}, expected {lower[column]:.9g} to {upper[column]:.9g} {unit}"
@@ -44,7 +43,7 @@ def check_limits(robot: Any, q: Array, v: Array, t: Array | None = None) -> None
     fast = np.abs(v) > most * (1 + _SLACK)
     if fast.any():
         where, column = _first(fast)
-        name, unit = _joint(robot, model.idx_vs, model.nvs, column)
+        name, unit = _joint(robot, column)
         raise InvalidArgument(
             f"{'v0' if t is None else 'reference'} moves joint {name!r} at {v[where][column]:.9g} {unit}/s"
             f"{_when(t, where)}, expected at most {most[column]:.9g} {unit}/s"
@@ -60,9 +59,10 @@ def _first(found: Any) -> tuple[tuple[int, ...], int]:
     return tuple(row), column
 
 
-def _joint(robot: Any, starts: Any, sizes: Any, column: int) -> tuple[str, str]:
+def _joint(robot: Any, column: int, *, of_q: bool = False) -> tuple[str, str]:
     """Return the name of the joint that a number of q or v belongs to, and its unit."""
     model = robot.model
+    starts, sizes = (model.idx_qs, model.nqs) if of_q else (model.idx_vs, model.nvs)
     joint = next(j for j in range(1, model.njoints) if 0 <= column - starts[j] < sizes[j])
     # Joints with limits of q have as many numbers in v.
     return str(model.names[joint]), robot.coordinate_units[model.idx_vs[joint] + column - starts[joint]]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, positive
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.paths import Hold, Path, pieces_of, within
 from pinmobile.trajectories.limits import check_limits
 from pinmobile.trajectories.reference import Reference, Trajectory
@@ -115,8 +115,8 @@ def _held(motion: Callable[[Array], Reference], end: float, t: Array) -> Referen
 
 
 def _check_robot(robot: Any) -> None:
-    if not hasattr(robot, "mounts"):
-        raise InvalidArgument(f"robot is {robot!r}, expected a MobileRobot")
+    if not isinstance(getattr(robot, "mounts", None), tuple):
+        raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot")
     model = robot.model
     for joint in range(1, model.njoints):
         # Slides along three axes add up as one does.
@@ -132,7 +132,7 @@ def _check_base(base: Any) -> None:
     start: Any = base(0.0) if known else None
     if not hasattr(start, "q"):  # a path has a duration and can be called, too
         raise InvalidArgument(
-            f"base is {base!r}, expected a trajectory of x, y and psi, such as Tangent(path)"
+            f"base is {shown(base)}, expected a trajectory of x, y and psi, such as Tangent(path)"
         )
     positive("base.duration", base.duration, "s")
     shape = np.shape(start.q)
@@ -146,7 +146,7 @@ def _checked(robot: Any, k: int, path: Any, duration: float) -> Path:
     if path is None:
         return Hold(robot.difference(robot.neutral, robot.rest)[mount.v], duration)
     if isinstance(path, type) or not isinstance(path, Path):
-        raise InvalidArgument(f"joints[{k}] is {path!r}, expected a path of {size} coordinates, or None")
+        raise InvalidArgument(f"joints[{k}] is {shown(path)}, expected a path of {size} coordinates, or None")
     point = finite(f"joints[{k}](0)", path(0.0))
     if point.shape != (size,):
         raise InvalidArgument(

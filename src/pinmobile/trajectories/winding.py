@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import LEAST_ANGLE, Array
 from pinmobile.trajectories.cells import halve
 from pinmobile.trajectories.hodograph import Hodograph, Leg, Limit, heading
 
@@ -67,7 +67,7 @@ class Winding:
         to_the_right = jumps < _STRAIGHT - np.pi
         steps[joints[to_the_right]] += 1
         jumps[to_the_right] += 2 * np.pi
-        rounds = np.cumsum(np.append(float(angles[0] <= -np.pi), steps))
+        rounds = np.cumsum(np.append(float(angles[0] <= LEAST_ANGLE), steps))
         self._times, self._psi = times, angles + 2 * np.pi * rounds
         self.jumps = tuple(
             _jump(legs[i], legs[i + 1], self._psi[joints[i]], self._psi[joints[i] + 1])

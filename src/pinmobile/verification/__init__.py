@@ -2,12 +2,14 @@
 
 import numpy as np
 
-from pinmobile.arrays import whole
-from pinmobile.errors import InvalidArgument
+from pinmobile.arrays import seeded, whole
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot import MobileRobot
 from pinmobile.verification.mounted import compare_mounted
 from pinmobile.verification.planar import compare_planar
 from pinmobile.verification.table import Comparison, Verification
+
+_MOST = 1_000_000  # states
 
 __all__ = ["Comparison", "Verification", "verify"]
 
@@ -21,14 +23,15 @@ def verify(robot: MobileRobot, *, states: int = 200, seed: int | np.random.Gener
     and |a| + |v|^2 for the acceleration; |v|^2 times the distance of the centre of mass where that is above
     1 m. The first three must be within 1e-12, the last within 8 eps cond(M).
 
-    Of a base with arms or loads they are Pinocchio's algorithms against each other, and the base against the
-    closed form: M by CRBA against RNEA's columns; M[:3, :3] against the closed form of the body that all of
-    it is with its arms locked; n by RNEA against C(q, v) v + g(q); tau against M a + n; the acceleration by
-    ABA against M^-1 (tau - n). With m the mass beyond a joint, K its second moment about the joint (m where
-    it slides) and r the reach of the whole [m], at least 1, the scales are sqrt(K_i K_j) for M,
-    sqrt(m K) (9.81 + nv r |v|^2) for n, sqrt(m K) (9.81 + sqrt(nv) r |a| + nv r |v|^2) for tau, and |M^-1|
-    times that for the acceleration; gravity in RNEA's columns adds 9.81 sqrt(m K) to that of M. Each must be
-    within 1e-14.
+    Of a base with arms or loads M by CRBA, n and tau by RNEA are compared with Newton's and Euler's laws,
+    written out for what the parts themselves say: the body, each arm as it was read, each load. Nothing of
+    the model that they are assembled into is taken for that. Then Pinocchio's algorithms against each other:
+    M against RNEA's columns; n against C(q, v) v + g(q); tau against M a + n; the acceleration by ABA
+    against M^-1 (tau - n); and M[:3, :3] against the closed form of the body that all of it is with its arms
+    locked. With m the mass beyond a joint, K its second moment about the joint (m where it slides) and r the
+    reach of the whole [m], at least 1, the scales are sqrt(K_i K_j) for M, sqrt(m K) (9.81 + nv r |v|^2) for
+    n, sqrt(m K) (9.81 + sqrt(nv) r |a| + nv r |v|^2) for tau, and |M^-1| times that for the acceleration;
+    gravity in RNEA's columns adds 9.81 sqrt(m K) to that of M. Each must be within 1e-14.
 
     Parameters
     ----------
@@ -48,11 +51,10 @@ def verify(robot: MobileRobot, *, states: int = 200, seed: int | np.random.Gener
     Raises
     ------
     InvalidArgument
-        If `states` is not a whole number >= 1.
+        If `states` is not a whole number from 1 to 1,000,000, or another argument not what is expected.
     """
     if not isinstance(robot, MobileRobot):
-        raise InvalidArgument(f"robot is {robot!r}, expected a MobileRobot")
-    rng = np.random.default_rng(seed)
-    count = whole("states", states)
+        raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot")
+    rng, count = seeded("seed", seed), whole("states", states, most=_MOST)
     compare = compare_mounted if robot.mounts or robot.loads else compare_planar
     return Verification(robot, count, compare(robot, count, rng))

@@ -1,19 +1,18 @@
-"""A body that carries arms: Pinocchio's algorithms against each other, the base against the closed form."""
-
-import re
+"""A body that carries arms: Pinocchio against Newton and Euler, itself, and of the base the closed form."""
 
 import numpy as np
 
 from pinmobile import closed_form
 from pinmobile.arrays import Array
-from pinmobile.robot import BODY_JOINT, MobileRobot
-from pinmobile.robot.tree import joint_kind
+from pinmobile.robot import MobileRobot
+from pinmobile.verification.parts import Parts
 from pinmobile.verification.table import Comparison
 
 __all__ = ["compare_mounted"]
 
 _TOLERANCE = 1e-14  # some dozen roundings, relative to the scale of the terms
 _GRAVITY = 9.81  # [m/s^2]
+_PARTS = "Newton-Euler of the parts"
 
 
 def compare_mounted(robot: MobileRobot, states: int, rng: np.random.Generator) -> tuple[Comparison, ...]:
@@ -24,7 +23,12 @@ def compare_mounted(robot: MobileRobot, states: int, rng: np.random.Generator) -
     M, n, g = robot.mass_matrix(q), robot.nonlinear_effects(q, v), robot.gravity(q)
     tau = robot.inverse_dynamics(q, v, a)
     columns = np.stack([robot.inverse_dynamics(q, 0 * v, unit) - g for unit in np.eye(robot.nv)], axis=-1)
+    parts, still = Parts(robot, q, v), Parts(robot, q, 0 * v)
+    own = [still.forces(np.broadcast_to(unit, v.shape), gravity=False) for unit in np.eye(robot.nv)]
     routes = {
+        ("M", "CRBA", _PARTS): M - np.stack(own, axis=-1),
+        ("n", "RNEA", _PARTS): n - parts.forces(0 * a),
+        ("tau", "RNEA", _PARTS): tau - parts.forces(a),
         ("M", "CRBA", "RNEA's columns"): M - columns,
         ("M3", "CRBA", "closed form of the lump"): M[:, :3, :3] - _lumped(robot, q),
         ("n", "RNEA", "C(q, v) v + g(q)"): n - _times(robot.coriolis_matrix(q, v), v) - g,
@@ -32,23 +36,24 @@ def compare_mounted(robot: MobileRobot, states: int, rng: np.random.Generator) -
         ("a", "ABA", "M^-1 (tau - n)"): robot.forward_dynamics(q, v, tau)
         - np.linalg.solve(M, (tau - n)[..., None])[..., 0],
     }
-    scales = _scales(robot, q, v, a, M)
+    scales = _scales(parts, v, a, M)
     return tuple(
         Comparison(*names, float((np.abs(off) / scales[names[0]]).max()), _TOLERANCE)
         for names, off in routes.items()
     )
 
 
-def _scales(robot: MobileRobot, q: Array, v: Array, a: Array, M: Array) -> dict[str, Array]:
+def _scales(parts: Parts, v: Array, a: Array, M: Array) -> dict[str, Array]:
     """Return the size of the terms that each quantity is the sum of.
 
     A joint feels the material beyond it, of mass m and second moment J = int |r|^2 dm about its origin: by
     Cauchy and Schwarz at most sqrt(m K) times the acceleration of the material, with K = J where it turns and
     m where it slides, and what two joints exchange is at most sqrt(K_i K_j).
     """
-    masses, K, reach = _beyond(robot, q)
-    speed = robot.nv * np.square(v).sum(-1) * reach
-    push = np.sqrt(robot.nv * np.square(a).sum(-1)) * reach
+    masses, K, reach = parts.beyond()
+    reach = np.maximum(1.0, reach)
+    speed = parts.nv * np.square(v).sum(-1) * reach
+    push = np.sqrt(parts.nv * np.square(a).sum(-1)) * reach
     felt = np.sqrt(masses * K)
     pair = np.sqrt(K[..., :, None] * K[..., None, :])
     tau = felt * (_GRAVITY + push + speed)[:, None]
@@ -59,29 +64,6 @@ def _scales(robot: MobileRobot, q: Array, v: Array, a: Array, M: Array) -> dict[
         "tau": tau,
         "a": _times(np.abs(np.linalg.inv(M)), tau),
     }
-
-
-def _beyond(robot: MobileRobot, q: Array) -> tuple[Array, Array, Array]:
-    """Return m and K of each coordinate, shape (nv,) and (n, nv), and the robot's reach (n,) [m]."""
-    model, frames = robot.model, robot.frame_placements(q)
-    bodies = list(model.inertias)[1:]
-    levers = np.stack([np.append(body.lever, 1.0) for body in bodies])
-    coms = np.einsum("nkij,kj->nki", frames, levers)[..., :3]
-    origins = frames[..., :3, 3]
-    mass = np.array([body.mass for body in bodies])
-    spread = np.array([np.trace(body.inertia) / 2 for body in bodies])
-    masses, K = np.zeros(robot.nv), np.zeros((len(q), robot.nv))
-    for joint in range(1, model.njoints):
-        own = slice(model.idx_vs[joint], model.idx_vs[joint] + model.nvs[joint])
-        beyond = np.array(list(model.subtrees[joint])) - 1
-        distance = np.square(coms[:, beyond] - origins[:, joint - 1, None]).sum(-1)
-        masses[own] = mass[beyond].sum()
-        slides = re.match("JointModel(P[XYZ]|Prismatic)", joint_kind(model, joint))
-        moment = distance @ mass[beyond] + spread[beyond].sum()
-        K[:, own] = masses[own] if slides else moment[:, None]
-    body = origins[:, BODY_JOINT - 1, None]
-    reach = np.maximum(1.0, np.linalg.norm(np.concatenate([coms, origins], axis=1) - body, axis=-1).max(-1))
-    return masses, K, reach
 
 
 def _lumped(robot: MobileRobot, q: Array) -> Array:

@@ -5,10 +5,11 @@ import secrets
 import socket
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from urllib.parse import urlsplit
 
-from pinmobile.errors import InvalidArgument
+from pinmobile.arrays import text
+from pinmobile.errors import InvalidArgument, shown
 
 __all__ = ["Access", "access_for"]
 
@@ -30,7 +31,7 @@ class Access:
     """
 
     host: str
-    token: str | None
+    token: str | None = field(repr=False)
 
     @property
     def name(self) -> str:
@@ -38,6 +39,10 @@ class Access:
         if self.host in _EVERYWHERE:
             return socket.gethostname()
         return f"[{self.host}]" if ":" in self.host else self.host
+
+    def address(self, port: int) -> str:
+        """Return the page's address at a port, without the token, as messages and logs may have it."""
+        return f"http://{self.name}:{port}/"
 
     @property
     def query(self) -> str:
@@ -92,10 +97,16 @@ def access_for(host: str, token: str | None) -> Access:
         If the host is empty, or the token has letters that an address cannot have.
     """
     if not isinstance(host, str) or not host.strip():
-        raise InvalidArgument(f"host is {host!r}, expected a name or an address such as '127.0.0.1'")
+        raise InvalidArgument(f"host is {shown(host)}, expected a name or an address such as '127.0.0.1'")
     if token is not None and not (isinstance(token, str) and _TOKEN.fullmatch(token)):
         raise InvalidArgument("token is empty or not made of letters, digits, '-', '.', '_' and '~'")
-    host = host.strip().removeprefix("[").removesuffix("]")
+    host = host.strip()
+    bracketed = host.startswith("[") and host.endswith("]")
+    host = host[1:-1] if bracketed else host
+    if set("[]/@?# ") & set(host) or (bracketed and ":" not in host) or text("host", host) != host:
+        raise InvalidArgument(
+            f"host is {shown(host)}, expected a name or an address such as '127.0.0.1' or '::1'"
+        )
     if host.lower() in _LOOPBACK:
         return Access(host.lower(), token)
     warnings.warn(

@@ -3,12 +3,15 @@
 import base64
 import json
 import os
+import re
 import select
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
+from contextlib import suppress
+from pathlib import Path
 from time import monotonic
 from typing import Any
 
@@ -28,7 +31,6 @@ _NAMES = (
 )
 _FLAGS = (
     "--headless=new",
-    "--no-sandbox",  # it is refused to root and in containers; the only page is our own
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
     "--disable-background-networking",
@@ -40,6 +42,7 @@ _FLAGS = (
     "--remote-debugging-pipe",
     "about:blank",
 )
+_NO_SANDBOX = "--no-sandbox"
 # Chromium reads commands from descriptor 3 and answers on descriptor 4.
 _START = (
     "import fcntl, os, sys\n"
@@ -97,15 +100,18 @@ class Browser:
         self.events: list[dict[str, Any]] = []
         program = find_chromium()
         self._profile = tempfile.TemporaryDirectory(prefix="pinmobile-", ignore_cleanup_errors=True)
+        self._log = Path(self._profile.name) / "stderr"
         (inner, self._to), (self._from, outer) = os.pipe(), os.pipe()
         words = [sys.executable, "-I", "-S", "-c", _START, str(inner), str(outer), program, *_FLAGS]
+        words += [_NO_SANDBOX] if os.geteuid() == 0 else []  # Chromium has none for root
         words += [f"--user-data-dir={self._profile.name}", f"--window-size={size[0]},{size[1]}"]
         quiet: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL}
         try:
             # In a session of its own, so that Ctrl-C reaches us alone and we end it in order.
-            self._process = subprocess.Popen(
-                words, pass_fds=(inner, outer), stderr=subprocess.DEVNULL, start_new_session=True, **quiet
-            )
+            with self._log.open("wb") as log:
+                self._process = subprocess.Popen(
+                    words, pass_fds=(inner, outer), stderr=log, start_new_session=True, **quiet
+                )
         finally:
             os.close(inner)
             os.close(outer)
@@ -207,10 +213,23 @@ class Browser:
                 if "method" in answer:
                     self.events.append(answer)
         except OSError as error:
-            raise ViewerError(f"the browser has gone ({error.strerror}); it was {find_chromium()}") from None
+            raise ViewerError(
+                f"the browser has gone ({error.strerror}); it was {find_chromium()}{self._advice()}"
+            ) from None
         if "error" in answer:
             raise ViewerError(f"the browser refused {method}: {answer['error'].get('message')}")
         return dict(answer["result"])
+
+    def _advice(self) -> str:
+        """Return what to do where its sandbox could not start, else nothing."""
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(1)  # what it says comes before its end
+        if not re.search("sandbox|namespace", self._log.read_text(encoding="utf-8", errors="replace")):
+            return ""
+        return (
+            ", whose sandbox cannot start here: allow user namespaces to it, or set PINMOBILE_CHROMIUM to a "
+            f'script that runs it without: exec chromium {_NO_SANDBOX} "$@"'
+        )
 
     def _write(self, data: bytes, end: float) -> None:
         while data:

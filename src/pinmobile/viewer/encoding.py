@@ -11,6 +11,7 @@ import numpy as np
 from PIL import Image
 
 from pinmobile.errors import ViewerError
+from pinmobile.extras import installing
 
 __all__ = ["film", "film_encoder", "gif"]
 
@@ -57,7 +58,7 @@ def film_encoder() -> Any:
         return importlib.import_module("imageio_ffmpeg")
     except ImportError:
         raise ViewerError(
-            "a film needs imageio-ffmpeg: install the extra, pip install 'pinmobile[mp4]'"
+            f"a film needs imageio-ffmpeg, which is not installed: {installing('mp4')}"
         ) from None
 
 

@@ -1,12 +1,14 @@
 """What the live window's server answers: the page, its script, and a websocket to each browser."""
 
 import asyncio
-import json
+import logging
+import re
 from collections import deque
 from time import monotonic
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
+from tornado.iostream import IOStream
 from tornado.web import Application, HTTPError, RequestHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
@@ -18,11 +20,14 @@ if TYPE_CHECKING:
 
 __all__ = ["Browser", "application"]
 
-_MOST_BROWSERS = 64
+_LOG = logging.getLogger(__name__)
 _MOST_UNANSWERED = 4  # batches on their way to a browser; more would only be older news
 _PATIENCE = 2.0  # [s] in which a browser should answer
 _MOST_CAPTURES = 4
-_LARGEST_MESSAGE = 64 << 20  # [byte], a picture
+_LARGEST_PICTURE = 64 << 20  # [byte]
+_LARGEST_MESSAGE = 1 << 10  # [byte], where no picture was asked for
+# Not read as JSON: what came may be of any depth, and a tree of it take a hundred times its size.
+_PICTURE = re.compile(r'"data" *: *"(data:image/png;base64,[A-Za-z0-9+/=]*)"')
 _POLICY = (
     "default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'unsafe-inline'; "
     "img-src 'self' data: blob:; worker-src blob:; connect-src 'self' data: blob: ws://{0} wss://{0}"
@@ -65,9 +70,10 @@ class _Answer(RequestHandler):
         value: BaseException | None,
         tb: TracebackType | None,
     ) -> None:
-        # What a request asks for wrongly is its own affair: nobody may read what would be printed.
-        if not isinstance(value, HTTPError):
-            super().log_exception(typ, value, tb)
+        # What a request asks for wrongly is its own affair: nobody may read what would be printed. Of others
+        # the path alone is told: the whole address may hold a token.
+        if typ is not None and value is not None and not isinstance(value, HTTPError):
+            _LOG.error("the viewer failed at %s", self.request.path, exc_info=(typ, value, tb))
 
 
 class _Page(_Answer):
@@ -103,6 +109,8 @@ class Browser(_Answer, WebSocketHandler):
     ----------
     seen, taken : int
         Number of the newest command that was sent to it, and that it has received.
+    stream : IOStream
+        Its connection.
     """
 
     seen = taken = 0
@@ -110,8 +118,8 @@ class Browser(_Answer, WebSocketHandler):
     def prepare(self) -> None:
         """Refuse it where too many are connected."""
         super().prepare()
-        if not self._finished and len(self.server.browsers) >= _MOST_BROWSERS:
-            self.refuse(503, f"{_MOST_BROWSERS} browsers are connected")
+        if not self._finished and self.server.full:
+            self.refuse(503, f"{len(self.server.browsers)} browsers are connected")
 
     def check_origin(self, origin: str) -> bool:
         """Return True: `prepare` has looked at it, which tornado does not do for every request."""
@@ -123,6 +131,9 @@ class Browser(_Answer, WebSocketHandler):
         self._unanswered: deque[int] = deque()
         self._captures: deque[asyncio.Future[str]] = deque()
         self.set_nodelay(True)
+        self._connection = cast(Any, self.ws_connection)
+        self._bound()
+        self.stream: IOStream = self._connection.stream
         self.server.join(self)
 
     def on_close(self) -> None:
@@ -140,14 +151,11 @@ class Browser(_Answer, WebSocketHandler):
 
     def on_message(self, message: str | bytes) -> None:
         """Take a picture that was asked for; nothing else is listened to."""
-        try:
-            picture = json.loads(message)["data"]
-        except (ValueError, TypeError, KeyError):
-            return
-        if self._captures and isinstance(picture, str):
+        if self._captures and isinstance(message, str) and (picture := _PICTURE.search(message)):
             capture = self._captures.popleft()
+            self._bound()
             if not capture.done():
-                capture.set_result(picture)
+                capture.set_result(picture[1])
 
     @property
     def ready(self) -> bool:
@@ -193,8 +201,14 @@ class Browser(_Answer, WebSocketHandler):
         picture = asyncio.get_running_loop().create_future()
         # One that is given up stays here: its answer may still come, and is not the next one's.
         self._captures.append(picture)
+        self._bound()
         await self.write_message(packed_command({"type": "capture_image"}), binary=True)
         return str(await picture)
+
+    def _bound(self) -> None:
+        """Let a message be as large as a picture where one was asked for."""
+        largest = _LARGEST_PICTURE if self._captures else _LARGEST_MESSAGE
+        self._connection.params.max_message_size = largest
 
     def abort(self) -> None:
         """End the connection without waiting for the browser."""
@@ -210,5 +224,4 @@ def application(server: "Server") -> Application:
         default_handler_class=_Nothing,
         default_handler_args=own,
         log_function=lambda _: None,
-        websocket_max_message_size=_LARGEST_MESSAGE,
     )

@@ -3,7 +3,7 @@
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.robot import MobileRobot
+from pinmobile.robot import BODY_JOINT, MobileRobot
 from pinmobile.viewer.motion import Channel, poses_of, sampled
 
 __all__ = ["configurations", "envelope", "links"]
@@ -55,8 +55,7 @@ def links(path: str, robot: MobileRobot, q: Array) -> list[Channel]:
     q : ndarray, shape (n, nq)
         Its configurations.
     """
-    body = robot.base.model.njoints - 1
-    moving = [item for item in robot.visual_model.geometryObjects if item.parentJoint > body]
+    moving = [item for item in robot._visuals.geometryObjects if item.parentJoint > BODY_JOINT]
     if not moving:
         return []
     frames = _seen_from_body(robot, q)
@@ -68,7 +67,7 @@ def links(path: str, robot: MobileRobot, q: Array) -> list[Channel]:
 
 
 def envelope(robot: MobileRobot, q: Array) -> tuple[float, float]:
-    """Return how far its joints reach from the body's origin and above the ground [m], at least its box.
+    """Return how far its joints reach from the body's origin and above the ground [m], at least the body.
 
     Parameters
     ----------
@@ -78,6 +77,7 @@ def envelope(robot: MobileRobot, q: Array) -> tuple[float, float]:
         Its configurations.
     """
     length, _, height = robot.size
+    height = height if robot.top is None else robot.top
     if not robot.mounts:
         return length, height
     origins = _seen_from_body(robot, q)[:, :, :3, 3]

@@ -1,7 +1,6 @@
 """`LiveWindow`: a scene in the browsers that look at it, served by this process."""
 
 import base64
-import binascii
 import weakref
 from io import BytesIO
 from typing import Any
@@ -31,7 +30,8 @@ class LiveWindow:
     The page is served by a thread of this process until the window is closed, and ends with the process
     however that ends. Browsers get the newest state, 60 times a second at most; one that comes later or
     again gets the whole scene, and one that is slow misses states in between. It may be used from several
-    threads. A forked child has no part in it: there the window is closed.
+    threads. A forked child has no part in it: there the window is closed. It has 128 connections at most,
+    half of them browsers, and never more than a quarter of the files that the process may open.
 
     Parameters
     ----------
@@ -81,12 +81,13 @@ class LiveWindow:
 
     def __repr__(self) -> str:
         state = "closed" if self._server.closed else f"{self.browsers} browsers"
-        return f"<LiveWindow: http://{self._server.access.name}:{self.port}/, {state}>"
+        return f"<LiveWindow: {self._server.access.address(self.port)}, {state}>"
 
     @property
     def url(self) -> str:
         """Address of the page, with the token where one is needed."""
-        return f"http://{self._server.access.name}:{self.port}/{self._server.access.query}"
+        access = self._server.access
+        return access.address(self.port) + access.query
 
     web_url = url
 
@@ -137,7 +138,8 @@ class LiveWindow:
         self._server.wait(lambda: bool(self._server.browsers), limit)
         self._check_open()
         if not self._server.browsers:
-            raise ViewerError(f"no browser has opened {self.url} within {limit:g} s")
+            where = self._server.access.address(self.port)
+            raise ViewerError(f"no browser has opened {where} within {limit:g} s")
         return True
 
     def flush(self, timeout: float = 5.0) -> bool:
@@ -191,7 +193,7 @@ class LiveWindow:
         try:
             data = base64.b64decode(text.partition(",")[2], validate=True)
             picture = Image.open(BytesIO(data), formats=["PNG"]).convert("RGBA")
-        except (binascii.Error, OSError, SyntaxError, Image.DecompressionBombError) as error:
+        except (ValueError, OSError, SyntaxError, Image.DecompressionBombError) as error:
             raise ViewerError(f"the browser has sent no picture: {error}") from error
         if sizes == [None, None]:
             return picture

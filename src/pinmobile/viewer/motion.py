@@ -62,7 +62,7 @@ def frame_times(runs: Mapping[str, Rollout], fps: float, speed: float) -> Array:
         If they are too many.
     """
     start, end = min(run.t[0] for run in runs.values()), max(run.t[-1] for run in runs.values())
-    count = (end - start) * fps / speed
+    count = float(end - start) * fps / speed
     if count > _MOST_FRAMES:
         raise InvalidArgument(
             f"fps is {fps:g} 1/s, which makes {count:.3g} frames at a speed of {speed:g}, "

@@ -4,7 +4,7 @@ from typing import Any, NoReturn
 
 from pinmobile.errors import ViewerError
 from pinmobile.viewer.backlog import Backlog
-from pinmobile.viewer.page import loading
+from pinmobile.viewer.page import loading, sealed
 from pinmobile.viewer.stock import ENGINE
 
 __all__ = ["OfflineWindow", "static_page"]
@@ -85,4 +85,4 @@ def static_page(commands: list[bytes]) -> str:
         raise ViewerError(f"the page of the installed meshcat has changed: {ENGINE.with_name('index.html')}")
     head, _, rest = page.partition(_SCRIPT)
     body = rest.replace(_CONNECT, loading(commands))
-    return f"{head}<script>\n{ENGINE.read_text(encoding='utf-8')}\n{body}"
+    return sealed(f"{head}<script>\n{ENGINE.read_text(encoding='utf-8')}\n{body}")

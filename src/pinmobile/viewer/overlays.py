@@ -6,9 +6,9 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, sequence
 from pinmobile.dh import DHTable
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot import MobileRobot
 from pinmobile.simulation import Rollout
 
@@ -121,13 +121,13 @@ class Overlays:
     camera: Stay | Follow = field(default_factory=Stay)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "frames", tuple(self.frames))
+        object.__setattr__(self, "frames", sequence("frames", self.frames, "a sequence of DHTable"))
         for table in self.frames:
             if not isinstance(table, DHTable) or table.variables != ("y", "x", "psi"):
-                raise InvalidArgument(f"frames has {table!r}, expected tables with variables y, x, psi")
+                raise InvalidArgument(f"frames has {shown(table)}, expected tables with variables y, x, psi")
         for name, kind in (("arrows", Arrows | None), ("camera", Stay | Follow)):
             if not isinstance(getattr(self, name), kind):
-                raise InvalidArgument(f"{name} is {getattr(self, name)!r}, expected {kind}")
+                raise InvalidArgument(f"{name} is {shown(getattr(self, name))}, expected {kind}")
 
 
 def checked_overlays(overlays: Overlays | None, default: Overlays) -> Overlays:
@@ -155,7 +155,9 @@ def checked_runs(rollouts: Any) -> dict[str, Rollout]:
     """
     runs = {"": rollouts} if isinstance(rollouts, Rollout) else rollouts
     if not isinstance(runs, Mapping) or not runs:
-        raise InvalidArgument(f"rollout is {rollouts!r}, expected a Rollout or a mapping of labels to them")
+        raise InvalidArgument(
+            f"rollout is {shown(rollouts)}, expected a Rollout or a mapping of labels to them"
+        )
     for label, run in runs.items():
         where = f"rollout[{label!r}]" if label else "rollout"
         if not isinstance(run, Rollout):

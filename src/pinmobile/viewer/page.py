@@ -2,8 +2,10 @@
 
 import base64
 import json
+import re
 from collections.abc import Iterable
 from functools import cache
+from hashlib import sha256
 from html import escape
 from importlib.resources import files
 from string import Template
@@ -11,7 +13,13 @@ from typing import Any
 
 from pinmobile.viewer.stock import ENGINE
 
-__all__ = ["live_page", "loading", "recorded_page"]
+__all__ = ["live_page", "loading", "recorded_page", "sealed"]
+
+# Meshcat's controls bring styles of their own, which have no hash that could be known.
+_POLICY = (
+    "default-src 'none'; script-src {0}; style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'; "
+    "form-action 'none'"
+)
 
 _CONNECT = """<script>
 viewer.connect();
@@ -44,7 +52,7 @@ def recorded_page(title: str, commands: Iterable[bytes], animation: dict[str, An
     """
     packed = json.dumps(animation, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     scene = Template(_LOAD).substitute(animation=packed, loading=loading(commands))
-    return _filled(title, f"<script>\n{_engine()}\n</script>", scene)
+    return sealed(_filled(title, f"<script>\n{_engine()}\n</script>", scene))
 
 
 def loading(commands: Iterable[bytes]) -> str:
@@ -54,6 +62,21 @@ def loading(commands: Iterable[bytes]) -> str:
         f"for (const text of [\n{texts}\n]) viewer.handle_command_bytearray("
         "Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)));"
     )
+
+
+def sealed(page: str) -> str:
+    """Return a page that holds everything it shows with a policy: its own scripts run, and ask for nothing.
+
+    Parameters
+    ----------
+    page : str
+        HTML, each of its scripts in a plain ``<script>``.
+    """
+    scripts = re.findall(r"<script>(.*?)</script>", page, re.DOTALL)
+    hashes = (base64.b64encode(sha256(script.encode()).digest()).decode() for script in scripts)
+    policy = _POLICY.format(" ".join(f"'sha256-{each}'" for each in dict.fromkeys(hashes)))
+    tag = f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
+    return page.replace("<head>", f"<head>\n{tag}", 1)
 
 
 def _filled(title: str, engine: str, scene: str) -> str:

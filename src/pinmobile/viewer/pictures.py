@@ -9,7 +9,8 @@ from pathlib import Path
 from PIL import Image
 
 from pinmobile.arrays import whole
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.files import write
 from pinmobile.viewer.chromium import Browser
 
 __all__ = ["Progress", "checked_size", "picture_of", "pictures_of"]
@@ -28,7 +29,7 @@ def checked_size(size: tuple[int, int]) -> tuple[int, int]:
     try:
         width, height = size
     except (TypeError, ValueError):
-        raise InvalidArgument(f"size is {size!r}, expected width and height") from None
+        raise InvalidArgument(f"size is {shown(size)}, expected width and height") from None
     return whole("size[0]", width, least=16), whole("size[1]", height, least=16)
 
 
@@ -85,7 +86,7 @@ def _picture(browser: Browser, time: float) -> bytes:
 def _opened(html: str, size: tuple[int, int]) -> Iterator[Browser]:
     with tempfile.TemporaryDirectory(prefix="pinmobile-") as folder:
         page = Path(folder) / "page.html"
-        page.write_text(html, encoding="utf-8")
+        write(page, html.encode("utf-8"), name="the page to be drawn")
         with Browser(checked_size(size)) as browser:
             browser.open(page.as_uri())
             browser.wait_for("pinmobile.ready()")

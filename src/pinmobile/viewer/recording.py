@@ -10,8 +10,8 @@ from PIL import Image
 
 from pinmobile.arrays import positive, scalar
 from pinmobile.errors import InvalidArgument
+from pinmobile.files import written
 from pinmobile.viewer.encoding import film, film_encoder, gif
-from pinmobile.viewer.files import written
 from pinmobile.viewer.page import recorded_page
 from pinmobile.viewer.pictures import Progress, checked_size, picture_of, pictures_of
 
@@ -74,6 +74,8 @@ class Recording:
         ------
         InvalidArgument
             If the file cannot be written.
+        FileError
+            If the system fails, such as of a full disk; what was there is there still.
         """
         return written(path, ".html", lambda: self.html().encode("utf-8"))
 
@@ -102,6 +104,8 @@ class Recording:
         ------
         InvalidArgument
             If the file cannot be written or a number is not what is expected.
+        FileError
+            If the system fails, such as of a full disk; what was there is there still.
         ViewerError
             If there is no Chromium, or it fails.
         """
@@ -126,6 +130,8 @@ class Recording:
         ------
         InvalidArgument
             If the file cannot be written or a number is not what is expected.
+        FileError
+            If the system fails, such as of a full disk; what was there is there still.
         ViewerError
             If there is no Chromium or no imageio-ffmpeg, or one of them fails.
         """
@@ -153,6 +159,8 @@ class Recording:
         ------
         InvalidArgument
             If the file cannot be written, or the time is not in the recording.
+        FileError
+            If the system fails, such as of a full disk; what was there is there still.
         ViewerError
             If there is no Chromium, or it fails.
         """

@@ -197,7 +197,7 @@ class Scene:
             self.stage.put(path, shapes.over(shape, paint, order=ABOVE - 5))
             lengths = np.maximum(scale * np.abs(size), 1e-4)[:, None] * np.ones(3)
             lengths[:, 1] *= np.where(size < 0, -1, 1)  # in a mirror the arc turns the other way
-            self.channels += along(path, turned, 1.6 * self.robot.size[2])
+            self.channels += along(path, turned, 1.6 * (self.robot.top or self.robot.size[2]))
             self.channels.append(Channel(path, "scale", lengths))
             self.legend.append([f"{name}, 1 m = {1 / scale:.2g} {symbol}", paint, "", 0.0])
 

@@ -14,7 +14,7 @@ from pinmobile.errors import ViewerError
 from pinmobile.viewer.access import Access
 from pinmobile.viewer.backlog import Backlog
 from pinmobile.viewer.handlers import Browser, application
-from pinmobile.viewer.sockets import TrackedServer
+from pinmobile.viewer.sockets import GuardedServer
 
 __all__ = ["Server"]
 
@@ -23,6 +23,9 @@ _GATHER = 0.003  # [s] in which the commands of one pose come together
 _LOOK = 0.5  # [s] after which it looks for what is new without being told
 _FAREWELL = 0.2  # [s] in which browsers can answer that they have seen the end
 _PATIENCE = 10.0  # [s] for the thread to start or end
+_REQUEST = 10.0  # [s] that a request may take to come
+_LARGEST_HEADER = 1 << 14  # [byte]
+_LARGEST_BODY = 1 << 10  # [byte]; none is expected
 _MOST_DELETIONS = 10_000  # that are kept for a browser which has stopped reading
 
 
@@ -104,8 +107,14 @@ class Server:
         except CancelledError:
             raise ViewerError("the window is closed") from None
 
+    @property
+    def full(self) -> bool:
+        """Whether as many browsers are connected as it can take."""
+        return len(self.browsers) >= self._http.most_kept
+
     def join(self, browser: Browser) -> None:
         """Take a browser that has come."""
+        self._http.keep(browser.stream)
         self.browsers.append(browser)
         self.news()
 
@@ -142,10 +151,14 @@ class Server:
     async def _serve(self) -> None:
         self._loop = asyncio.get_running_loop()
         self._work, self._end = asyncio.Event(), asyncio.Event()
-        http = self._http = TrackedServer(
-            application(self), max_header_size=1 << 16, max_body_size=1 << 16, idle_connection_timeout=60
+        http = self._http = GuardedServer(
+            application(self),
+            max_header_size=_LARGEST_HEADER,
+            max_body_size=_LARGEST_BODY,
+            idle_connection_timeout=_REQUEST,
+            body_timeout=_REQUEST,
         )
-        http.add_socket(self._listener)
+        http.accept_from(self._listener)
         self._started.set()
         pump = asyncio.create_task(self._pump())
         await self._end.wait()
@@ -157,7 +170,7 @@ class Server:
             async with asyncio.timeout(_FAREWELL):
                 while self.browsers:
                     await asyncio.sleep(0.01)
-        for stream in list(http.streams):
+        for stream in http.streams:
             stream.close()
 
     async def _pump(self) -> None:

@@ -5,10 +5,10 @@ from pathlib import Path
 from threading import RLock
 from time import monotonic, sleep
 
-from pinmobile.arrays import ArrayLike, positive, vector
-from pinmobile.errors import InvalidArgument, ViewerError
+from pinmobile.arrays import ArrayLike, positive, text, vector
+from pinmobile.errors import InvalidArgument, ViewerError, shown
+from pinmobile.files import written
 from pinmobile.robot import MobileRobot
-from pinmobile.viewer.files import written
 from pinmobile.viewer.live import LiveWindow
 from pinmobile.viewer.motion import frame_times, tracks
 from pinmobile.viewer.offline import OfflineWindow
@@ -64,6 +64,8 @@ class Viewer:
     ) -> None:
         if not isinstance(robot, MobileRobot):
             raise InvalidArgument(f"robot is a {type(robot).__name__}, expected a MobileRobot")
+        if not isinstance(live, bool):
+            raise InvalidArgument(f"live is {shown(live)}, expected True or False")
         self.robot, self.overlays = robot, checked_overlays(overlays, Overlays())
         self._lock, self._closed = RLock(), False
         self._scene: Scene | None = None
@@ -211,6 +213,7 @@ class Viewer:
         ViewerError
             If the viewer is closed.
         """
+        title = text("title", title)
         runs, rate, pace = checked_runs(rollout), positive("fps", fps, "1/s"), positive("speed", speed)
         times = frame_times(runs, rate, pace)
         with self._lock:
@@ -244,6 +247,8 @@ class Viewer:
         ------
         InvalidArgument
             If an argument is not what is expected, or the file cannot be written.
+        FileError
+            If the system fails, such as of a full disk; what was there is there still.
         ViewerError
             If the viewer is closed, there is nothing to draw, or no Chromium, or it fails.
         """
@@ -267,7 +272,9 @@ class Viewer:
             self._check_open()
             if self._scene is None:
                 raise ViewerError("there is nothing to draw yet: call display or play first")
-            return recorded_page(title, self._window.commands(), {"tracks": [], "speed": 1, "end": 0})
+            return recorded_page(
+                text("title", title), self._window.commands(), {"tracks": [], "speed": 1, "end": 0}
+            )
 
     def _new_scene(self, overlays: Overlays) -> Scene:
         stage = Stage(self._window)

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pinmobile.arrays import finite
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.viewer.stock import packed_command
 
 __all__ = ["Key", "Update", "packed"]
@@ -56,7 +56,7 @@ def packed(command: Any) -> Update:
         key = Key(kind, "/".join(filter(None, path.split("/"))), content.get("property", ""))
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise InvalidArgument(
-            f"command is {command!r}, expected one of meshcat's ({', '.join(_KINDS)}): {error!r}"
+            f"command is {shown(command)}, expected one of meshcat's ({', '.join(_KINDS)}): {error!r}"
         ) from error
     _check(f"{kind} of {key.path or '/'}: {_KINDS[kind]}", payload)
     if kind == "set_transform" and len(payload) != 16:

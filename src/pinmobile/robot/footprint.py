@@ -1,11 +1,11 @@
-"""The polygon on which a body stands, and how far inside it a point is."""
+"""The polygon on which a body stands, the hull of what touches the ground, and how far inside a point is."""
 
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite
 from pinmobile.errors import InvalidArgument
 
-__all__ = ["checked_footprint", "margin_inside", "rectangle"]
+__all__ = ["checked_footprint", "hull", "margin_inside", "rectangle"]
 
 _FLAT = 1e-12  # of the area of a square about the footprint: what rounding leaves of a straight corner
 
@@ -52,6 +52,36 @@ def checked_footprint(footprint: ArrayLike) -> Array:
             f"footprint is not convex at the corner {corners[k].tolist()}, expected a convex polygon"
         )
     return np.asarray(corners)
+
+
+def hull(points: ArrayLike) -> Array | None:
+    """Return the corners of the convex hull of points, counter-clockwise from the one with the least x.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 2)
+        In any order.
+
+    Returns
+    -------
+    corners : ndarray, shape (k, 2), or None
+        Without those on a straight edge; None where the hull has no area. By Andrew's monotone chain.
+    """
+    given = np.reshape(np.asarray(points, np.float64), (-1, 2))
+    if len(given) < 3:
+        return None
+    flat = _FLAT * float(np.ptp(given, axis=0).max()) ** 2
+    x, y = given.round(9).T  # what differs by rounding alone has no order
+    ordered = given[np.lexsort((y, x))]
+    halves: list[Array] = []
+    for way in (ordered, ordered[::-1]):
+        kept: list[Array] = []
+        for point in way:
+            while len(kept) > 1 and _cross(kept[-1] - kept[-2], point - kept[-1]) <= flat:
+                kept.pop()
+            kept.append(point)
+        halves += kept[:-1]
+    return np.array(halves) if len(halves) > 2 else None
 
 
 def margin_inside(corners: Array, points: Array) -> Array:

@@ -1,0 +1,46 @@
+"""Packages that only some need: imported when they are used, and named where they are missing."""
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Any
+
+from pinmobile.errors import InvalidArgument
+
+__all__ = ["EXTRAS", "imported", "installing"]
+
+EXTRAS: Mapping[str, tuple[str, ...]] = {
+    "ensembles": ("numba",),
+    "sweeps": ("dask", "distributed", "xarray", "zarr", "numba"),
+    "mp4": ("imageio-ffmpeg",),
+}
+"""The packages of each extra, as on PyPI; pyproject.toml has their versions."""
+
+
+def installing(extra: str) -> str:
+    """Return how the packages of an extra are installed, wherever this package came from."""
+    return f"pip install {' '.join(EXTRAS[extra])}"
+
+
+def imported(name: str, extra: str, what: str) -> Any:
+    """Return a module of an extra.
+
+    Parameters
+    ----------
+    name : str
+        The module.
+    extra : str
+        The extra that it is of.
+    what : str
+        What needs it, for the message, such as ``"a sweep"``.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is not installed.
+    """
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        raise InvalidArgument(
+            f"{what} needs {error.name}, which is not installed: {installing(extra)}"
+        ) from error

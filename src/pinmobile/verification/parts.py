@@ -1,0 +1,225 @@
+"""A robot as its parts say: body, arms and loads by their own numbers, moved by Newton's and Euler's laws.
+
+Nothing of the model that they are assembled into is read, so that what is wrong there is seen. The recursion
+is that of Luh, Walker and Paul (1980) in NumPy: velocities and accelerations from the ground outwards, F = m
+a and N = I alpha + omega x I omega of each body about its centre of mass, and the forces back inwards. Of
+each of an arm's joints Pinocchio says how it moves by itself; of the base's the DH table does.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pinocchio as pin
+
+from pinmobile.arrays import Array
+from pinmobile.dh import JointType
+from pinmobile.robot import BODY_JOINT, MobileRobot, Mount
+from pinmobile.robot.assembly import named_frames, prefixed
+
+__all__ = ["Parts"]
+
+_DOWN = np.array([0, 0, -9.81])  # [m/s^2]
+_CHAIN = (1, 0, 2)  # public index of the chain's coordinates y, x, psi
+
+
+@dataclass
+class _Link:
+    """What moves as one, at n states.
+
+    Parameters
+    ----------
+    parent : int
+        Index of the link that it hangs on; -1: the ground.
+    T : ndarray, shape (n, 4, 4)
+        Its pose in the parent's frame.
+    S : ndarray, shape (n, 6, m)
+        Its twist against the parent, linear and angular, along its own axes, for each of its coordinates.
+    bias : ndarray, shape (n, 6)
+        dS/dt times the rate of its coordinates.
+    columns : sequence of m int
+        Where its coordinates are in v.
+    rotors : ndarray, shape (m,)
+        Inertia of the rotors, as the joint feels it [kg m^2].
+    bodies : list of (float, ndarray, ndarray)
+        Mass, centre of mass and inertia about that of each body on it, in its frame.
+    """
+
+    parent: int
+    T: Array
+    S: Array
+    bias: Array
+    columns: list[int]
+    rotors: Array
+    bodies: list[tuple[float, Array, Array]] = field(default_factory=list)
+
+    def add(self, body: pin.Inertia, placement: pin.SE3) -> None:
+        """Add a body that is given in a frame at `placement` on the link."""
+        R, p = placement.rotation, placement.translation
+        self.bodies.append((float(body.mass), p + R @ body.lever, R @ body.inertia @ R.T))
+
+
+class Parts:
+    """The links of a robot at n states.
+
+    Parameters
+    ----------
+    robot : MobileRobot
+        Whose `body`, `mounts` and `loads` are read, and nothing else.
+    q, v : ndarray, shape (n, nq) and (n, nv)
+        States.
+    """
+
+    def __init__(self, robot: MobileRobot, q: Array, v: Array) -> None:
+        self.nv, self.count = v.shape[1], len(q)
+        self.v = v
+        self.links = self._chain(robot, q)
+        body = pin.Inertia(robot.body.mass, robot.body.com, robot.body.inertia)
+        self.links[-1].add(body, pin.SE3.Identity())
+        self._frames = {row.variable: (k, pin.SE3.Identity()) for k, row in enumerate(robot.dh)}
+        self._frames["base_link"] = BODY_JOINT - 1, pin.SE3.Identity()
+        for mount in robot.mounts:
+            self._mount(mount, q)
+        for frame, load in robot.loads:
+            link, placement = self._frames[frame]
+            self.links[link].add(load.body, placement)
+
+    def _chain(self, robot: MobileRobot, q: Array) -> list[_Link]:
+        transforms = robot.dh.transforms(q[:, _CHAIN])
+        links = []
+        for k, row in enumerate(robot.dh):
+            S = np.zeros((self.count, 6, 1))
+            S[:, 2 if row.joint is JointType.PRISMATIC else 5] = 1.0
+            still = np.zeros((self.count, 6))
+            links.append(_Link(k - 1, transforms[:, k], S, still, [_CHAIN[k]], np.zeros(1)))
+        return links
+
+    def _mount(self, mount: Mount, q: Array) -> None:
+        """Add the links of an arm as it was read; a joint that is locked has no coordinates."""
+        whole, held, on_base = mount.arm.whole, mount.arm.held(), BODY_JOINT - 1
+        free = [joint for joint in range(1, whole.njoints) if joint not in held]
+        own_q, own_v = np.tile(mount.arm.rest, (self.count, 1)), np.zeros((self.count, whole.nv))
+        at_q, at_v, columns = mount.q.start, mount.v.start, {}
+        for joint in free:
+            nq, nv = whole.nqs[joint], whole.nvs[joint]
+            own_q[:, whole.idx_qs[joint] : whole.idx_qs[joint] + nq] = q[:, at_q : at_q + nq]
+            own_v[:, whole.idx_vs[joint] : whole.idx_vs[joint] + nv] = self.v[:, at_v : at_v + nv]
+            columns[joint] = list(range(at_v, at_v + nv))
+            at_q, at_v = at_q + nq, at_v + nv
+        self.links[on_base].add(whole.inertias[0], mount.placement)
+        first = len(self.links) - 1  # joint 1 of the arm is the next link
+        for joint in range(1, whole.njoints):
+            above, mine = whole.parents[joint], columns.get(joint, [])
+            foot = mount.placement if above == 0 else pin.SE3.Identity()
+            T, S, bias = _moved(whole, joint, foot, own_q, own_v)
+            rotors = np.array(whole.armature)[whole.idx_vs[joint] :][: len(mine)]
+            link = _Link(first + above if above else on_base, T, S[..., : len(mine)], bias, mine, rotors)
+            link.add(whole.inertias[joint], pin.SE3.Identity())
+            self.links.append(link)
+        own = prefixed(mount.model, mount.name)
+        for name, number in named_frames(own).items():
+            frame = own.frames[number]
+            on_arm = first + free[frame.parentJoint - 1] if frame.parentJoint else on_base
+            placement = frame.placement if frame.parentJoint else mount.placement * frame.placement
+            self._frames[name] = on_arm, placement
+
+    def forces(self, a: Array, *, gravity: bool = True) -> Array:
+        """Return the generalised forces that these states and accelerations ask for, shape (n, nv)."""
+        rates: list[tuple[Array, Array]] = []  # twist and its derivative, along each link's own axes
+        wrenches: list[Array] = []
+        ground = np.zeros((self.count, 6))
+        lifted = ground - np.append(_DOWN, np.zeros(3)) if gravity else ground  # as if the ground rose
+        for link in self.links:
+            twist, rate = rates[link.parent] if link.parent >= 0 else (ground, lifted)
+            own = _times(link.S, self.v[:, link.columns])
+            w = _seen(link.T, twist) + own
+            dw = _seen(link.T, rate) + _times(link.S, a[:, link.columns]) + link.bias + _cross(w, own)
+            rates.append((w, dw))
+            wrenches.append(sum((_inertial(body, w, dw) for body in link.bodies), np.zeros((self.count, 6))))
+        tau = np.zeros((self.count, self.nv))
+        for link, wrench in zip(reversed(self.links), reversed(wrenches), strict=True):
+            tau[:, link.columns] = (
+                _times(link.S.transpose(0, 2, 1), wrench) + link.rotors * a[:, link.columns]
+            )
+            if link.parent >= 0:
+                wrenches[link.parent] += _carried(link.T, wrench)
+        return tau
+
+    def beyond(self) -> tuple[Array, Array, Array]:
+        """Return what each coordinate moves: mass (nv,), second moment (n, nv), and the reach (n,) [m].
+
+        The second moment is that of the mass about the joint, or the mass itself where the joint slides; the
+        reach is the largest distance from the body's origin to a joint or a centre of mass.
+        """
+        poses: list[Array] = []
+        subtree: list[list[int]] = [[] for _ in self.links]
+        for k, link in enumerate(self.links):
+            poses.append(link.T if link.parent < 0 else poses[link.parent] @ link.T)
+            above = k
+            while above >= 0:
+                subtree[above].append(k)
+                above = self.links[above].parent
+        placed = [
+            [(m, (T @ np.append(com, 1.0))[:, :3], np.trace(inertia) / 2) for m, com, inertia in link.bodies]
+            for T, link in zip(poses, self.links, strict=True)
+        ]
+        masses, K = np.zeros(self.nv), np.zeros((self.count, self.nv))
+        for k, link in enumerate(self.links):
+            bodies = [body for j in subtree[k] for body in placed[j]]
+            mass = sum(m for m, _, _ in bodies)
+            moment = sum(
+                (m * np.square(com - poses[k][:, :3, 3]).sum(-1) + spread for m, com, spread in bodies),
+                np.zeros(self.count),
+            )
+            for column, S in zip(link.columns, np.moveaxis(link.S, -1, 0), strict=True):
+                masses[column] = mass
+                K[:, column] = np.where(S[:, 3:].any(-1), moment, mass)
+        origin = poses[BODY_JOINT - 1][:, :3, 3]
+        points = [com for bodies in placed for _, com, _ in bodies] + [T[:, :3, 3] for T in poses]
+        return masses, K, np.linalg.norm(np.stack(points) - origin, axis=-1).max(0)
+
+
+def _moved(model: pin.Model, joint: int, foot: pin.SE3, q: Array, v: Array) -> tuple[Array, Array, Array]:
+    """Return T, S and bias of one joint by itself, whose place is seen from `foot`, for each state."""
+    kind, place = model.joints[joint], foot * model.jointPlacements[joint]
+    data, T, S, bias = kind.createData(), [], [], []
+    for own_q, own_v in zip(q, v, strict=True):
+        kind.calc(data, own_q, own_v)
+        T.append((place * data.M).homogeneous)
+        S.append(np.reshape(data.S, (6, -1)))
+        bias.append(data.c.vector)
+    return np.stack(T), np.stack(S), np.stack(bias)
+
+
+def _inertial(body: tuple[float, Array, Array], w: Array, dw: Array) -> Array:
+    """Return the force and the moment about the link's origin that move a body so, shape (n, 6)."""
+    mass, com, inertia = body
+    omega, alpha = w[:, 3:], dw[:, 3:]
+    at_origin = dw[:, :3] + np.cross(omega, w[:, :3])
+    force = mass * (at_origin + np.cross(alpha, com) + np.cross(omega, np.cross(omega, com)))
+    moment = alpha @ inertia.T + np.cross(omega, omega @ inertia.T)
+    return np.hstack([force, moment + np.cross(com, force)])
+
+
+def _seen(T: Array, twist: Array) -> Array:
+    """Return a twist at the origin and along the axes of a frame with pose T."""
+    R, p = T[:, :3, :3], T[:, :3, 3]
+    velocity = twist[:, :3] + np.cross(twist[:, 3:], p)
+    turned = R.transpose(0, 2, 1)
+    return np.hstack([_times(turned, velocity), _times(turned, twist[:, 3:])])
+
+
+def _carried(T: Array, wrench: Array) -> Array:
+    """Return a wrench in a frame with pose T as the parent feels it."""
+    R, p = T[:, :3, :3], T[:, :3, 3]
+    force = _times(R, wrench[:, :3])
+    return np.hstack([force, _times(R, wrench[:, 3:]) + np.cross(p, force)])
+
+
+def _cross(w: Array, twist: Array) -> Array:
+    """Return the rate of a twist that is fixed in a frame which itself moves with w."""
+    linear = np.cross(w[:, 3:], twist[:, :3]) + np.cross(w[:, :3], twist[:, 3:])
+    return np.hstack([linear, np.cross(w[:, 3:], twist[:, 3:])])
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    return np.asarray(np.einsum("nij,nj->ni", matrices, vectors))

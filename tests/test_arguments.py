@@ -1,0 +1,597 @@
+"""What comes of wrong arguments: one table of faults by kind, and a fuzz of every public callable.
+
+FAULTS is the table: kinds of fault, an example of each that once ended in somebody else's error or in a wrong
+number, and what the user is told. docs/errors.md has its kinds in words. The fuzz, tests/arguments.py, tries
+some eighty wrong values for every argument of every public callable, in a process of its own.
+"""
+
+import copy
+import csv
+import json
+import pickle
+import re
+import subprocess
+import sys
+import tomllib
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+import pinmobile
+from pinmobile import (
+    PD,
+    TRUE_MODEL,
+    Circle,
+    ConstantForce,
+    CubicVia,
+    DHTable,
+    Diverged,
+    FixedHeading,
+    Hold,
+    InvalidArgument,
+    Lissajous,
+    Load,
+    MobileRobot,
+    NoisyMeasurement,
+    NotFinite,
+    PinmobileError,
+    RestToRest,
+    Rollout,
+    Same,
+    Saturated,
+    Scenario,
+    Spline,
+    Tangent,
+    Uniform,
+    UnknownName,
+    ViscousFriction,
+    closed_form,
+    constant_acceleration,
+    ensemble,
+    ensembles,
+    extras,
+    integrator_report,
+    law,
+    plots,
+    rk4,
+    shipped_urdf,
+    simulate,
+    urdf,
+    verify,
+)
+from pinmobile.arrays import MEMORY, Array, affordable, finite, frozen
+from pinmobile.cli import main
+from pinmobile.viewer import Viewer
+from tests import arguments
+from tests.arguments import INNER, RESULTS, ROWS, callables, is_part
+
+ROOT = Path(__file__).parents[1]
+ROBOT = MobileRobot.box()
+CIRCLE = Circle(radius=3, rate=0.1, duration=60)
+LOOP: dict[str, Any] = {"plant": ROBOT, "controller": PD(10, 10), "trajectory": Tangent(CIRCLE), "dt": 0.1}
+MANY: dict[str, Any] = {
+    **{"robot": ROBOT, "controller": PD(120, 120), "trajectory": Tangent(CIRCLE), "dt": 0.1},
+    **{"n": 3, "spread": {"mass": Uniform(29, 31)}, "engine": ensembles.ARRAYS},
+}
+MASKED: Any = np.ma.masked_array([1.0, 2.0, 3.0], [False, True, False])
+RAGGED: Any = [[1, 2], [3]]
+NOTHING: Any = None
+EMPTY: Any = []
+SURROGATE = "half a \ud83d"
+
+
+class Fault(NamedTuple):
+    """A fault, and what is said."""
+
+    kind: str
+    call: Callable[[], Any]
+    text: str
+    error: type[PinmobileError] = InvalidArgument
+
+
+def hidden() -> Any:
+    """Return a mask within a list of arrays."""
+    return [np.ma.masked_array([1.0, 2.0], [False, True]), [3.0, 4.0]]
+
+
+def masked_entry() -> Any:
+    """Return a list with an entry that is masked."""
+    return [1.0, np.ma.masked]
+
+
+def endless_list() -> list[Any]:
+    """Return a list that is its own entry."""
+    ring: list[Any] = []
+    ring.append(ring)
+    return ring
+
+
+def of_many(**changed: Any) -> Callable[[], Any]:
+    """Return a call of `ensemble` with some arguments changed."""
+    return lambda: ensemble(**MANY | changed)
+
+
+def of_loop(**changed: Any) -> Callable[[], Any]:
+    """Return a call of `simulate` with some arguments changed."""
+    return lambda: simulate(**LOOP | changed)
+
+
+FAULTS = [
+    # A value that is not of the kind.
+    Fault("another kind", lambda: DHTable(NOTHING), "rows is None, expected a sequence of DHRow"),
+    Fault(
+        "another kind", lambda: shipped_urdf(NOTHING), "unknown shipped URDF None, available: ", UnknownName
+    ),
+    Fault(
+        "another kind", lambda: ROBOT.mount("ur5", locked=NOTHING), "locked is None, expected a sequence of"
+    ),
+    Fault(
+        "another kind",
+        lambda: ROBOT.attach(Load(1), frame=EMPTY),
+        "unknown frame [], available: ",
+        UnknownName,
+    ),
+    Fault(
+        "another kind",
+        lambda: urdf.write(NOTHING, NOTHING, size=(1, 1, 1)),
+        "table is None, expected a DHTable",
+    ),
+    Fault(
+        "another kind",
+        lambda: urdf.write(pinmobile.LECTURE_TABLE, NOTHING, size=(1, 1, 1)),
+        "body is None, expected a pinmobile.urdf.Body",
+    ),
+    Fault(
+        "another kind",
+        lambda: Same("mass", Same("mass")),
+        "factor is Same(name='mass', factor=1.0), expected",
+    ),
+    Fault("another kind", of_many(traces=b"a"), "traces is b'a', expected indices of robots"),
+    Fault("another kind", lambda: verify(ROBOT, seed=NOTHING), "seed is None, expected a whole number >= 0"),
+    Fault("another kind", of_loop(plant=arguments.Anything()), "expected something with 'forward_dynamics'"),
+    # Numbers that are none.
+    Fault(
+        "no numbers", lambda: Saturated(PD(1, 1), RAGGED), "limits is [[1, 2], [3]], expected real numbers"
+    ),
+    Fault(
+        "no numbers",
+        lambda: NoisyMeasurement(PD(1, 1), RAGGED, 0, 0),
+        "std_q is [[1, 2], [3]], expected real",
+    ),
+    Fault("no numbers", lambda: Load(1, inertia=RAGGED), "inertia is [[1, 2], [3]], expected real numbers"),
+    Fault("no numbers", lambda: PD(endless_list(), 1), "kp is [[...]], expected real numbers"),
+    Fault("no numbers", lambda: PD(arguments.nested(5_000), 1), "kp is <list without a repr>, expected real"),
+    Fault("no numbers", lambda: PD(10**5000, 1), "kp is <int without a repr>, expected real numbers"),
+    Fault("no numbers", lambda: PD(arguments.Lying(), 1), "expected real numbers"),
+    Fault("no numbers", lambda: PD(np.ones((1,) * 60), 1), "kp has 60 axes, expected at most 24"),
+    # What a mask hides is not there.
+    Fault(
+        "masked numbers",
+        lambda: ConstantForce(MASKED),
+        "force is a masked array, expected one without a mask",
+    ),
+    Fault(
+        "masked numbers", lambda: finite("q", hidden()), "q is a masked array, expected one without a mask"
+    ),
+    Fault(
+        "masked numbers",
+        lambda: finite("q", masked_entry()),
+        "q is a masked array, expected one without",
+    ),
+    Fault("masked numbers", lambda: Saturated(PD(1, 1), MASKED), "limits is a masked array"),
+    Fault("masked numbers", lambda: Load(1, com=MASKED), "com is a masked array"),
+    Fault("masked numbers", of_loop(q0=MASKED), "q0 is a masked array"),
+    Fault("masked numbers", of_many(spread={"mass": MASKED}), "spread['mass'] is a masked array"),
+    Fault(
+        "masked numbers",
+        lambda: closed_form.mass_matrix(MASKED, mass=1, yaw_inertia=1),
+        "q is a masked array",
+    ),
+    Fault("masked numbers", lambda: ROBOT.mass_matrix(MASKED), "q is a masked array"),
+    Fault(
+        "masked numbers",
+        lambda: plots.heatmap(MASKED[None], x=("a", "", [1, 2, 3]), y=("b", "", [1]), label="c"),
+        "values is a masked array",
+    ),
+    # Finite numbers whose results are not.
+    Fault("beyond the largest number", lambda: Uniform(-1e308, 1e308), "expected a width that is a number"),
+    Fault(
+        "beyond the largest number",
+        lambda: RestToRest([0], [1], 1e308),
+        "duration is 1e+308 s, expected 1e-50",
+    ),
+    Fault(
+        "beyond the largest number",
+        lambda: RestToRest([0], [1], 1e-300),
+        "duration is 1e-300 s, expected 1e-50",
+    ),
+    Fault(
+        "beyond the largest number", lambda: RestToRest([-1e308], [1e308], 1), "a coefficient of the path is"
+    ),
+    Fault(
+        "beyond the largest number",
+        lambda: CubicVia([0], [1], [2], 1e-200, 1),
+        "t_via is 1e-200 s, expected 1e-50",
+    ),
+    Fault(
+        "beyond the largest number",
+        lambda: CubicVia([0], [1], [2], 1, 1e200),
+        "t_end - t_via is 1e+200 s, expected",
+    ),
+    Fault(
+        "beyond the largest number",
+        lambda: Spline([[0], [1]], [0, 1e-300]),
+        "times[1] - times[0] is 1e-300 s",
+    ),
+    Fault(
+        "beyond the largest number",
+        lambda: Lissajous(1, 1, 10, 1, 1).derivative(0, 900),
+        "derivative of the figure",
+    ),
+    Fault("beyond the largest number", lambda: CIRCLE.derivative(0, 10**400), "order is 1000000000"),
+    Fault(
+        "beyond the largest number",
+        lambda: urdf.box_inertia(1, [1e308] * 3),
+        "the inertia of the box is beyond",
+    ),
+    Fault(
+        "beyond the largest number",
+        lambda: closed_form.nonlinear_effects([0, 0, 0], [0, 0, 1e308], mass=1, com=(1, 0)),
+        "the answer is -inf for |v| up to 1e+308",
+        NotFinite,
+    ),
+    # More than anybody has, or waits for: counted before it is asked for.
+    Fault("too much", of_loop(substeps=10**22), "substeps is 10000000000000000000000, expected at most"),
+    Fault(
+        "too much", of_loop(substeps=10**12), "makes 6.01e+14 steps in 601 samples, expected at most 1e+11"
+    ),
+    Fault("too much", of_many(substeps=10**12), "makes 6.01e+14 steps"),
+    Fault("too much", of_many(every=1e300), "every is 1e+300, expected at most"),
+    Fault("too much", of_many(every=1, dt=6e-6), "the bands of 10,000,001 times, every 1 samples, take "),
+    Fault("too much", of_loop(dt=6e-7), "the records of 100,000,001 samples take 38.4 GB"),
+    Fault(
+        "too much",
+        of_many(controller=NoisyMeasurement(PD(1, 1), 1, 1, 0), n=256, dt=6e-5, threads=1),
+        "the noise of 256 robots' measurements at 1,000,001 samples take 36.9 GB",
+    ),
+    Fault("too much", lambda: integrator_report(rk4, duration=1e308), "duration is 1e+308 s, which makes"),
+    Fault(
+        "too much", lambda: Uniform(0, 1).sample(np.random.default_rng(0), 10**12), "1000000000000 draws take"
+    ),
+    Fault(
+        "too much",
+        lambda: verify(ROBOT, states=10**22),
+        "states is 10000000000000000000000, expected at most",
+    ),
+    Fault(
+        "too much",
+        lambda: ROBOT.random_configuration(np.random.default_rng(0), (10**6, 10**6)),
+        "random configurations take",
+    ),
+    # Text that no file, page or heading can have.
+    Fault("no text", lambda: MobileRobot.from_urdf("a\0b"), "path is 'a\\x00b', expected the path of a file"),
+    Fault("no text", lambda: Rollout.load("a\0b"), "path is 'a\\x00b', expected the path of a file"),
+    Fault(
+        "no text", lambda: MobileRobot.from_urdf(SURROGATE), "path is 'half a \\ud83d', expected the path of"
+    ),
+    Fault(
+        "no text",
+        lambda: MobileRobot.from_urdf("x" * 5_000),
+        "... (5,002 letters), expected the path of a file",
+    ),
+    Fault(
+        "no text",
+        lambda: ROBOT.mount("x" * 5_000 + ".urdf"),
+        "... (5,007 letters), expected the path of a file",
+    ),
+    Fault(
+        "no text",
+        lambda: ROBOT.mount("ur5", name="a,b"),
+        "name is 'a,b', expected a word without slash, comma",
+    ),
+    Fault(
+        "no text", lambda: ROBOT.mount("ur5", name="a\nb"), "name is 'a\\nb', expected text without control"
+    ),
+    Fault(
+        "no text",
+        lambda: plots.path(simulate(**LOOP), title=SURROGATE),
+        "title is 'half a \\ud83d', expected text",
+    ),
+    Fault(
+        "no text",
+        lambda: Viewer(ROBOT).record(simulate(**LOOP), title=SURROGATE),
+        "title is 'half a \\ud83d', expected text without control characters",
+    ),
+    Fault(
+        "no text",
+        lambda: Viewer(ROBOT, live=True, host="[::1"),
+        "host is '[::1', expected a name or an address",
+    ),
+    Fault(
+        "no text",
+        lambda: Viewer(ROBOT, live=True, host="127.0.0.1]"),
+        "host is '127.0.0.1]', expected a name",
+    ),
+    # Parts of a loop that are none, and functions that are called otherwise.
+    Fault(
+        "another part",
+        of_loop(trajectory=CIRCLE),
+        "a path, which has no heading, expected a trajectory: Tangent(path) or FixedHeading(path, psi)",
+    ),
+    Fault(
+        "another part",
+        of_many(trajectory=CIRCLE),
+        "expected a trajectory: Tangent(path) or FixedHeading(path,",
+    ),
+    Fault(
+        "another part", of_loop(integrator=PD(1, 1)), "a controller, expected one of pinmobile.integrators"
+    ),
+    Fault(
+        "another part",
+        of_many(engine="ARRAYS"),
+        "expected COMPILED or ARRAYS of pinmobile.ensembles, or None",
+    ),
+    Fault(
+        "another signature",
+        lambda: law(lambda t, q: np.zeros(3)),  # type: ignore[misc, arg-type]
+        "which cannot be called as function(t, q, v, reference): too many positional arguments",
+    ),
+    Fault(
+        "another signature",
+        of_loop(controller=arguments),
+        "expected a controller: wrap a function in law(...)",
+    ),
+    Fault(
+        "another signature",
+        of_loop(forces=[lambda t, q: np.zeros(3)]),
+        "which cannot be called as forces[0](t, q, v): too many",
+    ),
+    Fault(
+        "another signature",
+        of_loop(integrator=lambda q, v: (q, v)),
+        "which cannot be called as integrator(acceleration, t, q, v, dt): too many",
+    ),
+    Fault(
+        "another signature",
+        lambda: PD(1, 1, difference=lambda q: q),  # type: ignore[misc, arg-type]
+        "which cannot be called as difference(q_d, q): too many",
+    ),
+    Fault(
+        "another signature",
+        of_many(progress=lambda: None),
+        "which cannot be called as progress(done, n): too",
+    ),
+    Fault(
+        "another shape returned",
+        of_loop(controller=law(lambda t, q, v, reference: [1.0, 2.0])),
+        "controller returned array([1., 2.]) at t = 0 s, expected an array of shape (3,)",
+    ),
+    Fault(
+        "another shape returned",
+        of_loop(controller=law(lambda t, q, v, reference: NOTHING)),
+        "function of the law returned None at t = 0 s, expected a force: nu numbers",
+    ),
+    Fault(
+        "another shape returned",
+        of_loop(forces=[lambda t, q, v: np.zeros(2)]),
+        "forces[0] returned array([0., 0.]) at t = 0 s, expected an array of shape (3,)",
+    ),
+    Fault(
+        "another shape returned",
+        of_loop(integrator=lambda acceleration, t, q, v, dt: q),
+        "expected (q, v) of shapes (3,) and (3,)",
+    ),
+    # A loop that shakes itself to pieces.
+    Fault(
+        "too long a step",
+        of_loop(forces=[ViscousFriction([1000, 1000, 0])]),
+        "needs steps of the integrator of at most 0.06 s, and they are 0.1 s: give a smaller dt, or substeps",
+        Diverged,
+    ),
+]
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=[f"{fault.kind}: {fault.text[:40]}" for fault in FAULTS])
+def test_a_fault_is_told_by_name(fault: Fault) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(fault.error) as caught:
+            fault.call()
+    assert fault.text in str(caught.value)
+    assert len(str(caught.value)) < 2_000
+
+
+def test_the_page_on_errors_tells_of_each_kind_of_the_table() -> None:
+    page = (ROOT / "docs" / "errors.md").read_text()
+    assert re.findall(r"^\| ([^|]+?) \| [^|]+ \|$", page, re.MULTILINE)[1:] == list(
+        dict.fromkeys(fault.kind for fault in FAULTS)
+    )
+    for path in re.findall(r"\]\(([^)]+)\)", page):
+        assert (ROOT / "docs" / path).is_file()
+
+
+def test_every_public_callable_has_a_row() -> None:
+    names = set(callables())
+    assert {name for name in names if not is_part(name)} - INNER - RESULTS == set(ROWS)
+    assert names >= INNER | RESULTS
+
+
+@pytest.fixture(scope="module")
+def fuzzed() -> dict[str, Any]:
+    """Run the fuzz in a process of its own: a crash, or memory without bound, is a failure, not the end."""
+    words = [sys.executable, "-W", "ignore::DeprecationWarning", "-m", "tests.arguments"]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False, timeout=1800)
+    found = {line["name"]: line for line in map(json.loads, done.stdout.splitlines())}
+    assert done.returncode == 0, f"{done.returncode} after {list(found)[-1:]}: {done.stderr[-2000:]}"
+    return found
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_wrong_values_end_in_an_error_of_the_library_or_a_right_answer(
+    name: str, fuzzed: dict[str, Any]
+) -> None:
+    assert fuzzed[name]["wrong"] == []
+
+
+def test_the_fuzz_tries_fifty_kinds_and_more() -> None:
+    assert len(arguments.KINDS) > 50
+
+
+def test_frozen_copies_what_it_has_not_made_itself() -> None:
+    mine = np.ones(3)
+    mine.setflags(write=False)
+    robot_force = ConstantForce(mine)
+    mine.setflags(write=True)
+    mine[0] = 7
+    assert np.asarray(robot_force.force).tolist() == [1, 1, 1]
+    made = frozen(mine)
+    assert frozen(made) is made
+    with pytest.raises(ValueError, match="cannot set WRITEABLE flag"):
+        made.setflags(write=True)
+
+
+def test_a_number_of_any_type_is_a_number() -> None:
+    assert finite("mass", 10**22).item() == 1e22
+    assert finite("q", np.array([1e308, 1e308, -1e308])).tolist() == [1e308, 1e308, -1e308]
+
+
+def test_what_is_affordable_is_not_refused() -> None:
+    affordable("arrays", MEMORY / 8, "nothing")
+    with pytest.raises(InvalidArgument, match=r"^arrays take 16 GB, expected at most 16 GB: less$"):
+        affordable("arrays", MEMORY / 8 + 1, "less")
+
+
+@pytest.mark.parametrize("one", [ensembles.ARRAYS, ensembles.COMPILED, TRUE_MODEL], ids=["A", "C", "T"])
+def test_engines_and_the_true_model_come_back_as_themselves(one: Any) -> None:
+    assert pickle.loads(pickle.dumps(one)) is one
+    assert copy.copy(one) is one
+    assert copy.deepcopy(one) is one
+
+
+def test_the_true_model_is_read_only() -> None:
+    assert dict(TRUE_MODEL)["model_mass"] == Same("mass")
+    with pytest.raises(TypeError, match="does not support item assignment"):
+        TRUE_MODEL["model_mass"] = Same("yaw_inertia")  # type: ignore[index]
+
+
+def test_names_of_joints_are_one_column_each_in_a_csv_file(tmp_path: Path) -> None:
+    model = arguments.small_arm()
+    model.names[1], model.names[2] = "lift, or\nnot", 'the "elbow"'
+    robot = ROBOT.mount(model, (0, 0, 0.2, 0), name="arm")
+    still = np.zeros((2, 5))
+    rollout = Rollout(
+        robot, np.arange(2.0), still, still, still, still, still, pinmobile.Reference(*[still] * 3)
+    )
+    rollout.to_csv(tmp_path / "a.csv")
+    with (tmp_path / "a.csv").open(newline="") as file:
+        rows = list(csv.reader(file))
+    assert [len(row) for row in rows] == [31, 31, 31]
+    assert rows[0][4:6] == ["arm/lift, or\nnot", 'arm/the "elbow"']
+
+
+def test_a_scenario_file_may_be_nested_deep(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "deep.toml"
+    file.write_text("a = " + "[" * 5_000 + "]" * 5_000)
+    with pytest.raises(RecursionError):
+        tomllib.loads(file.read_text())
+    assert main(["sweep", str(file)]) == 2
+    assert "deep.toml: its values are nested too deep, expected TOML" in capsys.readouterr().err
+
+
+def test_a_mesh_whose_name_no_file_can_have_is_missing(tmp_path: Path) -> None:
+    mesh = f'<visual><geometry><mesh filename="{"x" * 5_000}.stl"/></geometry></visual>'
+    text = shipped_urdf("box").read_text()
+    file = tmp_path / "mesh.urdf"
+    file.write_text(re.sub(r"(<link name=\"base_link\">)", rf"\1{mesh}", text))
+    with pytest.warns(UserWarning, match="x{5000}"):
+        assert MobileRobot.from_urdf(file).visual_model.ngeoms >= 1
+
+
+INTERRUPTED = """
+import sys
+
+class Interrupting:
+    def find_spec(self, name, path=None, target=None):
+        if name == {module!r}:
+            raise KeyboardInterrupt
+
+sys.meta_path.insert(0, Interrupting())
+sys.argv = ["/usr/bin/pinmobile", "--help"]
+from pinmobile.cli import main
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize(
+    "module", ["numpy", "pinocchio", "typer", "pinmobile.cli.commands", "pinmobile.ensembles"]
+)
+def test_an_interrupt_while_the_command_loads_shows_no_traceback(module: str) -> None:
+    words = [sys.executable, "-c", INTERRUPTED.format(module=module)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=120)
+    assert (done.returncode, done.stderr) == (130, "pinmobile: interrupted\n")
+
+
+def test_an_interrupt_of_another_programs_import_is_its_own() -> None:
+    code = INTERRUPTED.format(module="pinocchio").replace("/usr/bin/pinmobile", "/usr/bin/mine")
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=120
+    )
+    assert done.stderr.endswith("KeyboardInterrupt\n")
+
+
+def test_packages_of_extras_are_those_of_the_project() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    kept = project["optional-dependencies"]
+
+    def names(extra: str) -> set[str]:
+        found: set[str] = set()
+        for requirement in kept[extra]:
+            own = re.fullmatch(r"pinmobile\[([\w,]+)\]", requirement)
+            found |= (
+                set().union(*map(names, own[1].split(","))) if own else {re.split(r"[>=<; ]", requirement)[0]}
+            )
+        return found
+
+    for extra, packages in extras.EXTRAS.items():
+        assert set(packages) == names(extra)
+
+
+def test_a_missing_package_is_named_with_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pinmobile.ensembles.choosing.find_spec", lambda name: None)
+    with pytest.raises(InvalidArgument) as caught:
+        ensemble(**MANY | {"engine": ensembles.COMPILED})
+    assert str(caught.value) == (
+        "the compiled engine needs numba, which is not installed: pip install numba, or choose "
+        "engine=pinmobile.ensembles.ARRAYS, which is slower"
+    )
+    with pytest.raises(
+        InvalidArgument, match=r"^a sweep needs nothing_of_it, which is not installed: pip install da"
+    ):
+        extras.imported("nothing_of_it", "sweeps", "a sweep")
+
+
+def test_a_stable_friction_has_no_hint() -> None:
+    strong = ConstantForce([1e9, 0, 0])
+    with pytest.raises(Diverged) as caught:
+        simulate(**LOOP | {"forces": [ViscousFriction([1, 1, 0.1]), strong]})
+    assert "friction" not in str(caught.value)
+
+
+def test_what_a_users_own_function_raises_comes_through() -> None:
+    def broken(t: float, q: Array, v: Array, reference: Any) -> Array:
+        raise TypeError("mine")
+
+    with pytest.raises(TypeError, match=r"^mine$"):
+        simulate(**LOOP | {"controller": law(broken)})
+
+
+def test_scenarios_hold_plain_numbers() -> None:
+    named = {name: value for name, value in MANY.items() if name != "engine"}
+    scenario = Scenario(**named | {"dt": np.array(0.1), "duration": np.array(6.0)})
+    assert (type(scenario.dt), type(scenario.duration)) == (float, float)
+    assert scenario.integrator is constant_acceleration
+    assert FixedHeading(CIRCLE, 0)(0.0).q.shape == Hold([0, 0, 0], 1)(0.0).shape

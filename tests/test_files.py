@@ -1,0 +1,226 @@
+"""What is written is there whole or not at all, whatever the system does in between."""
+
+import errno
+import os
+import stat
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pinmobile import PD, Circle, FileError, InvalidArgument, MobileRobot, Rollout, Tangent, plots, simulate
+from pinmobile.cli.output import Section, index_page, output_folder, save_figure
+from pinmobile.files import replacing, write
+from pinmobile.viewer import Recording, Viewer
+from tests.damage import full_disk
+
+ROBOT = MobileRobot.lecture()
+RUN = simulate(ROBOT, PD((120, 120, 0.4), (120, 120, 0.4)), Tangent(Circle(3, 0.1, 6)), dt=0.1)
+
+
+def recording() -> Recording:
+    with Viewer(ROBOT) as viewer:
+        return viewer.record(RUN)
+
+
+WRITERS: dict[str, Callable[[Path], object]] = {
+    "run.npz": RUN.save,
+    "run.csv": RUN.to_csv,
+    "page.html": lambda path: recording().save_html(path),
+    "moving.gif": lambda path: plots.animate(RUN, path, fps=2),
+    "film.gif": lambda path: recording().save_gif(path),
+    "film.mp4": lambda path: recording().save_mp4(path),
+    "still.png": lambda path: recording().screenshot(path),
+    "figure.png": lambda path: save_figure(plots.path(RUN), path),
+    "index.html": lambda path: index_page(path.parent, "title", [Section("text", "x" * 2000)]),
+}
+
+
+@pytest.fixture(autouse=True)
+def without_chromium(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a browser draws is another test's; here something of a good size is enough."""
+    for name in ("gif", "film", "picture_of"):
+        monkeypatch.setattr(f"pinmobile.viewer.recording.{name}", lambda *_: b"picture" * 1000)
+
+
+def held(folder: Path) -> dict[str, bytes]:
+    return {file.name: file.read_bytes() for file in folder.iterdir()}
+
+
+@pytest.mark.parametrize("room", [0, 1000])
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_full_disk_leaves_the_file_that_was_there(tmp_path: Path, name: str, room: int) -> None:
+    WRITERS[name](tmp_path / name)  # what it needs for the first time has files of its own
+    (tmp_path / name).write_bytes(b"good")
+    with full_disk(room), pytest.raises(FileError) as caught:
+        WRITERS[name](tmp_path / name)
+    assert str(caught.value) == f"path is {str(tmp_path / name)!r}, which cannot be written: File too large"
+    assert (caught.value.errno, caught.value.filename) == (errno.EFBIG, str(tmp_path / name))
+    assert held(tmp_path) == {name: b"good"}
+    (tmp_path / name).unlink()
+    with full_disk(room), pytest.raises(FileError, match=name):
+        WRITERS[name](tmp_path / name)
+    assert held(tmp_path) == {}
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux alone has a device that is full")
+@pytest.mark.parametrize("write_to", [RUN.save, RUN.to_csv])
+def test_a_device_that_is_full_is_named(write_to: Callable[[Path], None]) -> None:
+    with pytest.raises(FileError, match="path is '/dev/full', which cannot be written: No space left on dev"):
+        write_to(Path("/dev/full"))
+
+
+@pytest.mark.parametrize("failure", [KeyboardInterrupt, ZeroDivisionError, MemoryError])
+def test_whatever_ends_a_write_leaves_the_file_that_was_there(
+    tmp_path: Path, failure: type[BaseException]
+) -> None:
+    write(tmp_path / "file", b"good")
+
+    def stop(done: int, total: int) -> None:
+        raise failure
+
+    def begin_and_stop() -> None:
+        with replacing(tmp_path / "file") as file:
+            file.write(b"x" * 100_000)
+            raise failure
+
+    (tmp_path / "moving.gif").write_bytes(b"good")
+    with pytest.raises(failure):
+        plots.animate(RUN, tmp_path / "moving.gif", progress=stop)
+    with pytest.raises(failure):
+        begin_and_stop()
+    assert held(tmp_path) == {"file": b"good", "moving.gif": b"good"}
+
+
+@contextmanager
+def umask(mask: int) -> Iterator[None]:
+    before = os.umask(mask)
+    try:
+        yield
+    finally:
+        os.umask(before)
+
+
+def permissions(path: Path) -> int:
+    return stat.S_IMODE(path.stat().st_mode)
+
+
+def test_permissions_are_those_that_open_gives(tmp_path: Path) -> None:
+    with umask(0o027):
+        RUN.save(tmp_path / "run.npz")
+        (tmp_path / "plain").write_bytes(b"")
+    assert permissions(tmp_path / "run.npz") == permissions(tmp_path / "plain") == 0o640
+    (tmp_path / "run.npz").chmod(0o604)
+    RUN.save(tmp_path / "run.npz")
+    assert permissions(tmp_path / "run.npz") == 0o604
+
+
+def test_a_file_that_open_refuses_is_refused(tmp_path: Path) -> None:
+    """That its folder can be written to is not enough; an administrator may write to either."""
+    (tmp_path / "file").write_bytes(b"good")
+    (tmp_path / "file").chmod(0o444)
+    try:
+        (tmp_path / "file").open("ab").close()
+    except PermissionError:
+        with pytest.raises(InvalidArgument, match="file', which cannot be written: Permission denied"):
+            write(tmp_path / "file", b"new")
+        assert held(tmp_path) == {"file": b"good"}
+    else:
+        write(tmp_path / "file", b"new")
+        assert held(tmp_path) == {"file": b"new"}
+        assert permissions(tmp_path / "file") == 0o444
+
+
+def test_a_link_stays_and_what_it_leads_to_is_replaced(tmp_path: Path) -> None:
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there" / "file").write_bytes(b"old")
+    (tmp_path / "link").symlink_to("there/file")
+    (tmp_path / "further").symlink_to(tmp_path / "link")
+    write(tmp_path / "further", b"new")
+    assert (tmp_path / "there" / "file").read_bytes() == b"new"
+    (tmp_path / "ahead").symlink_to("there/made")  # to nothing yet
+    write(tmp_path / "ahead", b"made")
+    assert held(tmp_path / "there") == {"file": b"new", "made": b"made"}
+    assert all((tmp_path / name).is_symlink() for name in ("link", "further", "ahead"))
+    (tmp_path / "round").symlink_to("round")
+    with pytest.raises(InvalidArgument, match="round', which cannot be written: Too many levels of symbolic"):
+        write(tmp_path / "round", b"")
+
+
+def test_pipes_and_the_console_are_written_to_as_they_are(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    read: list[bytes] = []
+    reader = threading.Thread(target=lambda: read.append((tmp_path / "pipe").read_bytes()))
+    reader.start()
+    RUN.to_csv(tmp_path / "pipe")
+    reader.join()
+    RUN.to_csv(tmp_path / "run.csv")
+    assert read == [(tmp_path / "run.csv").read_bytes()]
+    assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
+    code = "from pinmobile.files import write; write('/dev/stdout', b'x' * 100_000); print('after')"
+    words = [sys.executable, "-c", code]
+    assert subprocess.run(words, stdout=subprocess.PIPE, check=True, timeout=100).stdout.endswith(b"xafter\n")
+    with (tmp_path / "out").open("wb") as out:
+        subprocess.run(words, stdout=out, check=True, timeout=100)
+        # As `open` does it: the process's own place in the file is still at its beginning.
+        assert (tmp_path / "out").read_bytes() == b"after\n" + b"x" * (100_000 - 6)
+        assert os.fstat(out.fileno()).st_ino == (tmp_path / "out").stat().st_ino
+
+
+def test_of_two_that_write_at_once_one_is_whole(tmp_path: Path) -> None:
+    contents = [bytes([k]) * 300_000 for k in range(8)]
+    threads = [threading.Thread(target=write, args=(tmp_path / "file", data)) for data in contents]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert list(held(tmp_path)) == ["file"]
+    assert (tmp_path / "file").read_bytes() in contents
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("folder", "Is a directory"),
+        ("nowhere/file", "there is no folder '.*nowhere'"),
+        ("file/file", "there is no folder '.*file'"),
+        ("x" * 300, "File name too long"),
+    ],
+)
+def test_where_no_file_can_be_is_no_failure_of_the_system(tmp_path: Path, name: str, why: str) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file").touch()
+    with pytest.raises(InvalidArgument, match=f"^path is '.*', which cannot be written: {why}$"):
+        RUN.save(tmp_path / name)
+    with pytest.raises(InvalidArgument, match=r"^path is '.*', which cannot be read: "):
+        Rollout.load(tmp_path / name)
+
+
+def test_a_name_as_long_as_can_be_is_written(tmp_path: Path) -> None:
+    write(tmp_path / ("x" * 255), b"long")
+    assert held(tmp_path) == {"x" * 255: b"long"}
+
+
+def test_a_look_whether_a_folder_can_be_written_to_touches_nothing_in_it(tmp_path: Path) -> None:
+    (tmp_path / ".pinmobile").write_bytes(b"mine")
+    output_folder(tmp_path)
+    assert held(tmp_path) == {".pinmobile": b"mine"}
+
+
+def test_joints_of_any_name_are_columns(tmp_path: Path) -> None:
+    class Named(MobileRobot):  # type: ignore[misc]
+        @property
+        def coordinate_names(self) -> Any:
+            return ("x", "y", "ψ")
+
+        configuration_names = coordinate_names
+
+    simulate(Named(10, 1.2), PD(1, 1), Tangent(Circle(3, 0.1, 6)), dt=0.5).to_csv(tmp_path / "run.csv")
+    assert (tmp_path / "run.csv").read_text(encoding="utf-8").splitlines()[0].split(",")[3] == "ψ"
+    assert np.loadtxt(tmp_path / "run.csv", delimiter=",", skiprows=1, encoding="utf-8").shape[0] == 13

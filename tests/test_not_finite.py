@@ -1,0 +1,177 @@
+"""Finite arguments give a finite answer, or an error that says why there is none."""
+
+import inspect
+import itertools
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pinmobile import (
+    Circle,
+    Diverged,
+    InvalidArgument,
+    Load,
+    MobileRobot,
+    NotFinite,
+    PinmobileError,
+    Tangent,
+    closed_form,
+    law,
+    simulate,
+)
+from pinmobile.arrays import Array
+from pinmobile.urdf import Body
+
+HUGE = (1e100, 1e160, 1e200, 1e308)
+ROBOTS = {
+    "lecture": MobileRobot.lecture(),
+    "off its axis": MobileRobot(30, 1.3, (0.1, 0.05)),
+    "light": MobileRobot(1e-310, 1e-310),
+    "ur5": MobileRobot.box().mount("ur5"),
+    "kinova": MobileRobot.box().mount("kinova"),
+}
+STATE = ("q", "q0", "q1", "v", "a", "tau", "dq")
+
+
+def parameters(function: Any) -> list[str]:
+    return [name for name in inspect.signature(function).parameters if name in STATE]
+
+
+METHODS = [
+    name
+    for name in dir(MobileRobot)
+    if not name.startswith("_") and inspect.isfunction(getattr(MobileRobot, name))
+    if parameters(getattr(MobileRobot, name)) and name != "lumped"
+]
+ON_ARMS = {"arm_manipulability", "mount_wrench"}  # of a bare robot they are errors
+CASES = [(kind, name) for kind in ROBOTS for name in METHODS if ROBOTS[kind].mounts or name not in ON_ARMS]
+EQUATIONS = ["coriolis_matrix", "forward_dynamics", "inverse_dynamics", "mass_matrix", "nonlinear_effects"]
+
+
+def why_not(function: Any, arguments: dict[str, Any]) -> str:
+    """Return nothing of a call whose answer is finite, or what its error says."""
+    try:
+        answer = function(**arguments)
+    except NotFinite as error:
+        return str(error)
+    for part in answer if isinstance(answer, tuple) else (answer,):
+        assert np.isfinite(part).all()
+    return ""
+
+
+@pytest.mark.parametrize(("kind", "name"), CASES)
+def test_every_method_answers_in_finite_numbers_or_says_that_it_cannot(kind: str, name: str) -> None:
+    robot, method = ROBOTS[kind], getattr(ROBOTS[kind], name)
+    given = parameters(method)
+    for size, large in itertools.product(HUGE, given):
+        arguments = {p: robot.rest.copy() if p.startswith("q") else np.ones(robot.nv) for p in given}
+        arguments[large][slice(0, 3) if large.startswith("q") else slice(None)] = size
+        many = {p: np.stack([value] * 2) for p, value in arguments.items()}
+        for asked in (arguments, many):
+            assert f"|{large}| up to {size:.3g}" in (why_not(method, asked) or f"|{large}| up to {size:.3g}")
+
+
+def test_the_equations_are_all_there() -> None:
+    assert set(EQUATIONS) == {n for n in closed_form.__all__ if not n.startswith("unchecked")}
+
+
+@pytest.mark.parametrize("name", EQUATIONS)
+def test_every_equation_answers_in_finite_numbers_or_says_that_it_cannot(name: str) -> None:
+    function = getattr(closed_form, name)
+    usual: dict[str, Any] = {"mass": 30.0, "yaw_inertia": 1.3, "com": (0.1, 0.05)}
+    usual |= {p: np.ones(3) for p in STATE}
+    usual = {p: usual[p] for p in inspect.signature(function).parameters}
+    for size, large in itertools.product((*HUGE, 1e-310), usual):
+        for many in (1, 3):
+            value: Any = size if np.ndim(usual[large]) == 0 else np.full((many, len(usual[large])), size)
+            assert f"|{large}| up to " in (why_not(function, usual | {large: value}) or f"|{large}| up to ")
+
+
+def test_the_error_says_what_was_large() -> None:
+    with pytest.raises(NotFinite) as caught:
+        ROBOTS["off its axis"].forward_dynamics([0, 0, 0.5], np.array([0, 0, 1e200]), [0, 0, 7])
+    expected = "the answer is nan for |q| up to 0.5, |v| up to 1e+200, |tau| up to 7, made of numbers beyond"
+    assert str(caught.value) == f"{expected} 1.8e308: expected smaller ones"
+    assert isinstance(caught.value, PinmobileError)
+    assert isinstance(caught.value, ArithmeticError)
+
+
+def test_a_large_argument_alone_is_no_reason_to_warn_or_to_refuse() -> None:
+    assert ROBOTS["lecture"].mass_matrix(np.array([1e200, 1e200, 0.0]))[2, 2] == 0.1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (
+            (1, 1e-12, (1e6, -1e6)),
+            "com is [1000000.0, -1000000.0, 0.0] m with mass 1 kg, beside which the yaw",
+        ),
+        (
+            (1, 1, (1e200, 0)),
+            "com is [1e+200, 0.0, 0.0] m with mass 1 kg, beside which the yaw inertia about",
+        ),
+        ((1e308, 1, (0, 0, 1e3)), "com is [0.0, 0.0, 1000.0] m with mass 1e+308 kg,"),
+    ],
+)
+def test_a_body_whose_yaw_inertia_is_lost_to_rounding_is_refused(
+    arguments: tuple[Any, ...], text: str
+) -> None:
+    with pytest.raises(InvalidArgument) as caught:
+        MobileRobot(*arguments)
+    assert str(caught.value).startswith(text)
+    assert "beside which the yaw inertia about it, " in str(caught.value)
+    assert "expected it to be 1e-09 of m |com|^2 = " in str(caught.value)
+    with pytest.raises(InvalidArgument, match="is lost to rounding"):
+        Body(arguments[0], np.append(arguments[2], 0.0)[:3], np.eye(3) * arguments[1])
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4, 2.0])
+def test_of_a_body_that_is_accepted_six_digits_of_the_yaw_acceleration_are_left(angle: float) -> None:
+    inertia = 2e-9 * 1e4
+    robot = MobileRobot(1, inertia, (100 * np.cos(angle), 100 * np.sin(angle)))
+    tau = np.array([0.3, -0.2, 1.1])
+    q, v = [0, 0, 0.3], [0, 0, 0.2]
+    right = closed_form.forward_dynamics(q, v, tau, mass=1, yaw_inertia=inertia, com=robot.com[:2])
+    # eps m |com|^2 / Icz = 1e-7 for each of a few roundings.
+    np.testing.assert_allclose(robot.forward_dynamics(q, v, tau), right, rtol=1e-6)
+
+
+def heavy_arm(mass: float) -> pin.Model:
+    model = ROBOTS["ur5"].mounts[0].model
+    model.inertias[3] = pin.Inertia(mass, model.inertias[3].lever, model.inertias[3].inertia)
+    return model
+
+
+def test_what_is_carried_and_drowns_the_rest_is_refused() -> None:
+    ur5, box = ROBOTS["ur5"], MobileRobot.box()
+    for robot, mass in ((ur5, 1e308), (box, 1e308)):
+        with pytest.raises(InvalidArgument, match=r"mass matrix is beyond 1\.8e308, .*: the heaviest, 1"):
+            robot.attach(Load(mass, (0.1, 0, 0)))
+    with pytest.raises(InvalidArgument, match=r"singular to rounding at rest: joint 'ur5/wrist_1_joint'"):
+        ur5.attach(Load(1e20))
+    for mass in (1e308, 1e20):
+        with pytest.raises(InvalidArgument, match="the mass matrix is singular at rest about joint"):
+            box.mount(heavy_arm(mass))
+    with pytest.raises(InvalidArgument, match=r"mass matrix is beyond 1\.8e308"):
+        box.mount("ur5", (1e200, 0, 0.2, 0))
+    assert np.isfinite(ur5.attach(Load(1e3)).mass_matrix(ur5.rest)).all()
+
+
+def test_a_loop_that_overflows_has_diverged_whoever_notices() -> None:
+    """Between two looks for divergence a state may become so large that a robot that is asked refuses."""
+    robot, motion = ROBOTS["off its axis"], Tangent(Circle(radius=1, rate=0.5, duration=5))
+
+    def away(t: float, q: Array, v: Array, reference: Any) -> Array:
+        return robot.inverse_dynamics(q, v, 1e4 * (v - reference.v) + 1e4 * (q - reference.q))
+
+    start = {"dt": 0.01, "q0": np.array([1.0, 1.0, 0.0])}
+    with pytest.raises(Diverged) as caught:
+        simulate(robot, law(away), motion, **start)  # type: ignore[arg-type]
+    assert caught.value.rollout is not None
+    assert np.abs(caught.value.rollout.error).max() <= 1e3
+    with pytest.raises(Diverged, match="not finite") as caught:
+        simulate(robot, law(away), motion, **start, limit=1e300)  # type: ignore[arg-type]
+    assert isinstance(caught.value.__cause__, NotFinite)

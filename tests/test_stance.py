@@ -1,0 +1,489 @@
+"""How a robot stands: the ground below its wheels, its footprint and its top, against numbers by hand."""
+
+import pickle
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pinmobile import (
+    Circle,
+    ComputedTorque,
+    InvalidArgument,
+    Load,
+    MobileRobot,
+    Motion,
+    Rollout,
+    Tangent,
+    Uniform,
+    ensemble,
+    plots,
+    required_friction,
+    simulate,
+    tip_over_margin,
+    zero_moment_point,
+)
+from pinmobile.robot import Stance
+from pinmobile.robot.footprint import hull
+from pinmobile.robot.reading import read_urdf
+from pinmobile.urdf import Body
+from tests import wheeled
+from tests.wheeled import HALF_PI, inertial, joint, link, shape
+from tests.wheeled import robot as urdf
+
+G = 9.81
+ROLLING = shape("cylinder", 'radius="0.1" length="0.04"', rpy=f"{HALF_PI} 0 0")
+
+
+def read(folder: Path, text: str, **options: Any) -> MobileRobot:
+    path = folder / "base.urdf"
+    path.write_text(text)
+    return MobileRobot.from_urdf(path, **options)
+
+
+def braking(robot: MobileRobot, a: float) -> float:
+    """Return the margin of a robot on a straight line, accelerated by a forward."""
+    return float(tip_over_margin(Motion(robot, (1.0, 2.0, 0.0), np.zeros(3), (a, 0.0, 0.0))))
+
+
+def by_hand(*bodies: tuple[float, tuple[float, float, float]]) -> tuple[float, ...]:
+    """Return mass and centre of mass of points."""
+    mass = sum(m for m, _ in bodies)
+    return mass, *(sum(m * at[k] for m, at in bodies) / mass for k in range(3))
+
+
+def box(x: float, y: float) -> list[list[float]]:
+    return [[-x, -y], [x, -y], [x, y], [-x, y]]
+
+
+def stands_on(robot: MobileRobot, corners: Any, atol: float = 1e-15) -> None:
+    assert robot.footprint is not None
+    np.testing.assert_allclose(robot.footprint, corners, rtol=0, atol=atol)
+
+
+# Clearpath's three: the origin of base_link is above the ground
+
+
+def test_husky_stands_on_its_wheels(tmp_path: Path) -> None:
+    robot = read(tmp_path, wheeled.husky())
+    high = 0.1651 - 0.03282  # of base_link above the ground
+    mass, x, y, z = by_hand((46.034, (-0.00065, -0.085, 0.062 + high)), (4 * 2.637, (0, 0, 0.1651)))
+    assert robot.mass == pytest.approx(mass, rel=1e-14)
+    np.testing.assert_allclose(robot.com, (x, y, z), atol=1e-15)
+    assert robot.com[2] == pytest.approx(0.18884, abs=5e-6)
+    stands_on(robot, box(0.256, 0.2854), 1e-15)
+    # The upper of its two boxes ends at 3/4 h - 0.01 + (h/2 - 0.02)/2 = h - 0.02.
+    assert robot.top == pytest.approx(0.2475 - 0.02 + high, abs=1e-15)
+    assert braking(robot, -3.0) == pytest.approx(0.256 - (x + z * 3 / G), abs=1e-14)
+    assert braking(robot, -3.0) == pytest.approx(0.1988, abs=5e-5)
+    assert braking(robot, 0.0) == pytest.approx(0.2854 + y, abs=1e-14)
+    assert "ground below its wheels by their radii, at z = -0.1323 m" in robot.source
+
+
+def test_jackal_stands_on_its_wheels_and_its_fenders_do_not_matter(tmp_path: Path) -> None:
+    robot = read(tmp_path, wheeled.jackal())
+    high = 0.098 - 0.0345
+    mass, x, y, z = by_hand((16.523, (0.012, 0.002, 0.067 + high)), (4 * 0.477, (0, 0, 0.098)))
+    np.testing.assert_allclose([robot.mass, *robot.com], [mass, x, y, z], atol=1e-14)
+    stands_on(robot, box(0.131, 0.187795), 1e-15)
+    assert robot.top == pytest.approx(0.184 + high, abs=1e-15)
+    assert braking(robot, 3.0) == pytest.approx(0.131 - (z * 3 / G - x), abs=1e-14)
+    assert robot.mount("ur5").mounts[0].at == (0, 0, robot.top, 0)
+
+
+def stl(path: Path, points: Any) -> None:
+    """Write a mesh of one triangle."""
+    corners = "".join("vertex {} {} {}\n".format(*point) for point in points)
+    path.write_text(f"solid m\nfacet normal 0 0 1\nouter loop\n{corners}endloop\nendfacet\nendsolid m\n")
+
+
+def test_ridgeback_stands_on_rocker_and_wheels_and_its_top_is_that_of_its_mesh(tmp_path: Path) -> None:
+    robot = read(tmp_path, wheeled.ridgeback())
+    high = 0.0759 - 0.05
+    parts = ((165.304, (0.012, 0.002, 0.067 + high)), (2 * 10.267 + 4 * 2.3, (0, 0, 0.0759)))
+    mass, x, y, z = by_hand(*parts)
+    np.testing.assert_allclose([robot.mass, *robot.com], [mass, x, y, z], atol=1e-13)
+    stands_on(robot, box(0.319, 0.2755), 1e-15)
+    assert braking(robot, 2.0) == pytest.approx(0.2755 - y, abs=1e-14)  # the side is nearer than the rear
+    assert braking(robot, 9.0) == pytest.approx(0.319 - (z * 9 / G - x), abs=1e-14)
+    # Its largest box is a riser plate of 55 mm: neither a footprint nor a top.
+    assert robot.size == (0.493, 0.493, 0.055)
+    assert robot.top is None
+    assert "top not known: cannot be read: body-collision.stl" in robot.source
+    with pytest.raises(InvalidArgument, match="at is not given for 'ur5', and the top of the robot is not"):
+        robot.mount("ur5")
+    stl(tmp_path / "body-collision.stl", [(-0.4, 0, 0.1), (0.4, 0.3, 0.2), (0.4, -0.3, 0.31)])
+    assert read(tmp_path, wheeled.ridgeback()).top == pytest.approx(0.31 + high, abs=1e-7)  # float32
+
+
+# A differential drive stands on its casters too
+
+
+@pytest.mark.parametrize(
+    ("model", "mass", "corners", "top"),
+    [
+        ("burger", 0.82573504, [(-0.081, 0), (0, -0.08), (0, 0.08)], 0.010 + 0.172 - 0.0065 + 0.0315 / 2),
+        (
+            "waffle",
+            1.3729096,
+            [(-0.177, -0.064), (0, -0.144), (0, 0.144), (-0.177, 0.064)],
+            0.010 + 0.122 - 0.0065 + 0.0315 / 2,
+        ),
+    ],
+)
+def test_turtlebot_stands_on_two_wheels_and_its_casters(
+    tmp_path: Path, model: str, mass: float, corners: Any, top: float
+) -> None:
+    robot = read(tmp_path, wheeled.turtlebot(model))
+    burger = model == "burger"
+    scan = (-0.032, 0.0, 0.182) if burger else (-0.064, 0.0, 0.132)
+    casters = (0.005, (-0.081, 0, 0.006)) if burger else (0.010, (-0.177, 0, 0.006))
+    parts = ((mass, (0, 0, 0.010)), (2 * 0.028498940, (0, 0, 0.033)), casters, (0.114, scan))
+    total, x, y, z = by_hand(*parts)
+    np.testing.assert_allclose([robot.mass, *robot.com], [total, x, y, z], atol=1e-12)
+    # Angles of 1.57 turn the millimetre by which the caster's box is off its frame: 0.8 um.
+    stands_on(robot, corners, 1e-6)
+    assert robot.top == pytest.approx(top, abs=1e-15)
+    assert braking(robot, 0.0) == pytest.approx(-x, abs=1e-9)  # its wheels are the front edge
+    assert braking(robot, -1.0) == pytest.approx(-(x + z / G), abs=1e-9)
+    assert robot.grounded
+
+
+def test_dingo_has_its_axle_ahead_and_a_ball_behind(tmp_path: Path) -> None:
+    robot = read(tmp_path, wheeled.dingo())
+    y = 0.2160016 + 0.02032 / 2
+    # The ball is 2.24 mm below the plane of the wheels, which decide.
+    assert "ground below its wheels by their radii, at z = -0.0145 m" in robot.source
+    expected = [(-0.244, 0), (0.0989838, -y), (0.0989838, y)]
+    stands_on(robot, expected, 1e-15)
+
+
+def test_wheels_with_limits_of_1e16_are_wheels(tmp_path: Path) -> None:
+    robot = read(tmp_path, wheeled.mp400())
+    # Their radius of 76.5 mm is more than the height of the axles, 74 mm above base_footprint.
+    assert "ground below its wheels by their radii, at z = -0.0025 m" in robot.source
+    mass, x, _, z = by_hand(
+        (30, (0, 0, 0.0025)), (2 * 1.82362, (0, 0, 0.0765)), (4 * 1.4, (-0.0275, 0, 0.0385))
+    )
+    np.testing.assert_allclose([robot.mass, robot.com[0], robot.com[2]], [mass, x, z], atol=1e-14)
+    half = [(-0.22, -0.155), (0, -0.26), (0.165, -0.155)]
+    stands_on(robot, [*half, *((x, -y) for x, y in half[::-1])])
+    assert robot.locked_joints == ("wheel_0_joint", "wheel_1_joint")
+
+
+def test_pmb2_is_read_and_the_link_that_no_body_is_is_named(tmp_path: Path) -> None:
+    text, folder = wheeled.pmb2()
+    with pytest.warns(UserWarning, match="link 'base_antenna_(left|right)_link'") as caught:
+        robot = read(tmp_path, text, package_dirs=folder)
+    assert len(caught) == 2
+    assert {Path(warning.filename).name for warning in caught} == {"test_stance.py"}
+    masses = [float(mass.get("value", "")) for mass in ElementTree.fromstring(text).iter("mass")]
+    assert robot.mass == pytest.approx(sum(masses))
+    assert robot.grounded
+    # Trailing casters: 16 mm behind swivels at 0.1695 and -0.1735.
+    expected = [(-0.1895, -0.102), (0, -0.2022), (0.1535, -0.102), (0.1535, 0.102), (0, 0.2022)]
+    stands_on(robot, [*expected, (-0.1895, 0.102)], 1e-12)
+    assert robot.top == pytest.approx(0.0985 + 0.195 + 0.17)  # the tip of its antennas
+
+
+def test_an_impossible_link_that_matters_is_refused(tmp_path: Path) -> None:
+    def with_moment(least: float) -> str:
+        parts = link("a", inertial(5)), link("b", inertial(0.01, moments=f"{least} 0 0 1e-3 0 1e-3"))
+        return urdf(*parts, joint("j", "fixed", "a", "b"))
+
+    with pytest.warns(UserWarning, match=r"link 'b': inertia has principal moments \(-0.0009, 0.001, 0.001"):
+        assert read(tmp_path, with_moment(-0.9e-3)).mass == 5.01
+    with pytest.raises(InvalidArgument, match=r"link 'b': inertia has principal moments \(-0.0011, "):
+        read(tmp_path, with_moment(-1.1e-3))
+
+
+def test_the_same_link_of_an_arm_is_judged_by_its_joint(tmp_path: Path) -> None:
+    path = tmp_path / "arm.urdf"
+    parts = link("root"), link("upper", inertial(2)), link("clip", inertial(1e-6, moments="-1e-8 0 0 1 0 1"))
+    bend = joint("bend", "revolute", "root", "upper"), joint("j", "fixed", "upper", "clip")
+    path.write_text(urdf(*parts, *bend))
+    with pytest.warns(UserWarning, match="arm.urdf: link 'clip': inertia has principal moments") as caught:
+        robot = MobileRobot.box().mount(path)
+    assert Path(caught[0].filename).name == "test_stance.py"
+    # A revolute joint without <limit>, which Pinocchio refuses to read, has none.
+    assert (robot.lower[3], robot.upper[3], robot.nq) == (-np.inf, np.inf, 4)
+
+
+@pytest.mark.parametrize(
+    "limit", ["", "<limit/>", '<limit effort="6"/>', '<limit lower="-1e4" upper="1e4"/>']
+)
+def test_revolute_wheels_without_limits_are_wheels(tmp_path: Path, limit: str) -> None:
+    sides = [("left", 0.2), ("right", -0.2)]
+    wheels = [
+        link(side, inertial(1), ROLLING) + joint(f"{side}_joint", "revolute", "base", side, f"0 {y} 0.03")
+        for side, y in sides
+    ]
+    text = urdf(link("base", inertial(9)), *wheels).replace("</joint>", f"{limit}</joint>")
+    robot = read(tmp_path, text)
+    assert robot.mass == 11
+    assert robot.com[2] == pytest.approx((9 * 0.07 + 2 * 0.1) / 11)
+    assert robot.visual_model.ngeoms == 3  # the file is read again to be drawn
+
+
+def test_a_joint_of_few_turns_is_no_wheel(tmp_path: Path) -> None:
+    limit = '<limit lower="-6000" upper="6000" effort="1" velocity="1"/>'
+    parts = (
+        link("base", inertial(9)),
+        link("w", inertial(1)),
+        joint("j", "revolute", "base", "w", limit=limit),
+    )
+    with pytest.raises(InvalidArgument, match=r"joint 'j' .* is neither a wheel"):
+        read(tmp_path, urdf(*parts))
+    model = pin.Model()  # made joint by joint, it has not said what its limits are
+    model.appendBodyToJoint(
+        model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "elbow"),
+        pin.Inertia.Random(),
+        pin.SE3.Identity(),
+    )
+    with pytest.raises(InvalidArgument, match=r"joint 'elbow' .* is neither a wheel"):
+        MobileRobot.from_model(model)
+
+
+def test_a_base_may_have_one_wheel(tmp_path: Path) -> None:
+    wheel = link("w", inertial(1), ROLLING), joint("j", "continuous", "base", "w", "0.3 0 0.1")
+    skids = [shape("sphere", 'radius="0.02"', f"-0.2 {y} 0.02") for y in (-0.1, 0.1)]
+    robot = read(tmp_path, urdf(link("base", inertial(9), *skids), *wheel))
+    stands_on(robot, [(-0.2, -0.1), (0.3, 0), (-0.2, 0.1)])
+
+
+# What a file does not tell
+
+
+def test_where_radii_are_in_meshes_alone_the_ground_is_asked_for(tmp_path: Path) -> None:
+    robot = read(tmp_path, wheeled.fetch())
+    assert not robot.grounded
+    assert (robot.footprint, robot.top) == (None, None)
+    assert "where the ground is is not known" in robot.source
+    still = Motion(robot, np.zeros(3), np.zeros(3), (1.0, 0, 0))
+    for ask in (zero_moment_point, lambda motion: tip_over_margin(motion, box(0.1, 0.1))):
+        with pytest.raises(InvalidArgument, match=r"one that does: MobileRobot.from_urdf\(path, ground"):
+            ask(still)
+    assert required_friction(still) == pytest.approx(1 / G)  # no height is in it
+    with pytest.raises(InvalidArgument, match="the top of the robot is not known, expected x, y, z and yaw"):
+        robot.mount("ur5")
+    # The driver's wheels have a radius of 60 mm or so.
+    known = read(tmp_path, wheeled.fetch(), ground=0.055325 - 0.0604)
+    assert known.grounded
+    assert known.com[2] == pytest.approx(robot.com[2] + 0.0604 - 0.055325, abs=1e-15)
+    with pytest.raises(InvalidArgument, match="footprint is not given, and that of the robot is not known"):
+        tip_over_margin(Motion(known, np.zeros(3), np.zeros(3), np.zeros(3)))
+    rollout = simulate(known, ComputedTorque(known), Tangent(Circle(1, 0.5, 1)), dt=0.1)
+    with pytest.raises(InvalidArgument, match="footprint is not given, and that of the robot is not known"):
+        plots.balance(rollout)
+    assert plots.balance(rollout, footprint=box(0.2, 0.2)).axes
+
+
+def test_the_ground_may_be_given_in_place_of_the_files(tmp_path: Path) -> None:
+    robot = read(tmp_path, wheeled.husky(), ground=-0.2)
+    assert robot.com[2] == pytest.approx(0.18884 + 0.2 - 0.13228, abs=5e-6)
+    assert robot.footprint is None  # no wheel is near it
+    assert "ground as given, at z = -0.2 m" in robot.source
+    with pytest.raises(InvalidArgument, match=r"ground is nan, expected a finite number"):
+        read(tmp_path, wheeled.husky(), ground=np.nan)
+    with pytest.raises(InvalidArgument, match=r"ground has shape \(2,\), expected one number"):
+        read(tmp_path, wheeled.husky(), ground=[0, 0])
+
+
+def bicycle(low: float, rear: str = ROLLING) -> str:
+    front, axle = link("front", inertial(1), ROLLING), joint("f", "continuous", "base", "front", "0.5 0 0.1")
+    back = link("back", inertial(1), rear), joint("b", "continuous", "base", "back", f"-0.5 0 {low}")
+    return urdf(link("base", inertial(9)), front, axle, *back)
+
+
+def test_wheels_that_stand_on_no_plane_are_refused_by_name(tmp_path: Path) -> None:
+    assert read(tmp_path, bicycle(0.104)).com[2] == pytest.approx(0.204 / 11 - 0.002)
+    with pytest.raises(
+        InvalidArgument, match=r"plane, their lowest points being b at z = 0\.006, f at z = 0 m"
+    ):
+        read(tmp_path, bicycle(0.106))
+    # Given the ground, only what touches it carries.
+    assert "what touches the ground, f, has no area" in read(tmp_path, bicycle(0.106), ground=0.0).source
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        shape("cylinder", 'radius="0.3" length="0.04"'),  # along the vertical
+        shape("box", 'size="0.3 0.3 0.3"'),
+        shape("sphere", 'radius="0.3"', "0 0 0.1"),  # beside the axle
+        shape("sphere", 'radius="0"'),
+    ],
+)
+def test_the_radius_is_that_of_what_is_round_about_the_axle(tmp_path: Path, other: str) -> None:
+    robot = read(tmp_path, bicycle(0.1, other + ROLLING))
+    assert "at z = 0 m" in robot.source
+    assert "what touches the ground, b, f, has no area" in robot.source
+
+
+def test_a_spinning_sensor_is_no_wheel_to_stand_on(tmp_path: Path) -> None:
+    lidar = shape("cylinder", 'radius="0.05" length="0.04"')
+    spun = link("lidar", lidar), joint("spin", "continuous", "base", "lidar", "0 0 0.9", axis="0 0 1")
+    robot = read(tmp_path, bicycle(0.1).replace("</robot>", "".join(spun) + "</robot>"))
+    assert "what touches the ground, b, f, has no area" in robot.source
+    assert robot.locked_joints == ("b", "f", "spin")
+
+
+def test_a_wheel_hangs_on_its_swivel_and_its_rollers_are_no_wheels(tmp_path: Path) -> None:
+    swivel = link("fork", inertial(0.1)), joint("s", "continuous", "base", "fork", "0.3 0 0.1", axis="0 0 1")
+    wheel = link("w", inertial(1), ROLLING), joint("axle", "continuous", "fork", "w", "-0.016 0 0")
+    small = shape("sphere", 'radius="0.01"')
+    roller = link("r", inertial(0.01), small), joint("rr", "continuous", "w", "r", "0.09 0 0", axis="1 0 0")
+    path = tmp_path / "base.urdf"
+    path.write_text(urdf(link("base", inertial(9)), *swivel, *wheel, *roller))
+    (found,) = read_urdf(path).wheels
+    assert (found.name, found.radius, found.axis) == ("axle", 0.1, (0, 1, 0))
+    np.testing.assert_allclose(found.centre, (0.284, 0, 0.1), atol=1e-15)
+    # A roller on the ground is a part of the wheel.
+    text = path.read_text().replace('xyz="0.09 0 0"', 'xyz="0 0 -0.09"')
+    assert "what touches the ground, axle, has no area" in read(tmp_path, text).source
+
+
+@pytest.mark.parametrize(("z", "standing"), [(0.1, True), (0.104, True), (0.106, False), (-0.1, False)])
+def test_wheels_of_no_radius_stand_where_their_axles_are_level(
+    tmp_path: Path, z: float, standing: bool
+) -> None:
+    front = "0.5 0 0.1" if z > 0 else "0.5 0 -0.1"  # below the ground is no place for an axle
+    bare = bicycle(z).replace(ROLLING, "").replace("0.5 0 0.1", front)
+    robot = read(tmp_path, bare, ground=0.0)
+    assert ("what touches the ground, b, f, has" in robot.source) is standing
+    assert ("of all shapes none, has" in robot.source) is not standing
+
+
+def test_a_link_base_footprint_tells_where_the_ground_is(tmp_path: Path) -> None:
+    parts = link("base", inertial(9)), link("ns/base_footprint")
+    robot = read(tmp_path, urdf(*parts, joint("j", "fixed", "base", "ns/base_footprint", "0 0 -0.3")))
+    assert robot.com == (0, 0, 0.3)
+    assert "ground at its link ns/base_footprint, at z = -0.3 m" in robot.source
+    model = pin.buildModelFromXML(wheeled.mp400())
+    assert MobileRobot.from_model(model).grounded
+    assert MobileRobot.from_model(model, ground=-0.0025).com[2] == pytest.approx(0.0145135, abs=1e-7)
+
+
+def test_shapes_that_are_no_shapes_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidArgument, match="link 'base' has collision geometry with radius 'nan'"):
+        read(tmp_path, urdf(link("base", inertial(9), shape("sphere", 'radius="nan"'))))
+
+
+# Robots made from numbers, and what is kept
+
+
+def test_a_robot_made_from_numbers_is_its_size() -> None:
+    robot = MobileRobot(30, 1.3, size=(0.8, 0.6, 0.3))
+    stands_on(robot, box(0.4, 0.3), 0)
+    assert (robot.top, robot.grounded, robot.locked_joints) == (0.3, True, ())
+    assert robot.mount("ur5").mounts[0].at == (0, 0, 0.3, 0)
+    assert "wheels" not in repr(robot)
+
+
+def test_locked_wheels_are_told(tmp_path: Path) -> None:
+    robot = read(tmp_path, wheeled.jackal())
+    said = "wheels locked: they do not roll, and it can be pushed sideways"
+    assert said in robot.source
+    assert repr(robot).endswith(f" with {said}")
+    assert repr(robot.mount("ur5")).endswith(f" with {said}")
+
+
+TEXTS: dict[str, Callable[[], str]] = {
+    "husky": wheeled.husky,
+    "ridgeback": wheeled.ridgeback,
+    "burger": lambda: wheeled.turtlebot("burger"),
+    "fetch": wheeled.fetch,
+}
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_how_it_stands_survives_all_that_keeps_a_robot(tmp_path: Path, name: str) -> None:
+    robot = read(tmp_path, TEXTS[name]())
+    assert read(tmp_path, robot.to_urdf()) == robot
+    assert read(tmp_path, robot.to_urdf()).stance == robot.stance
+    arm = robot.mount("ur5", (0, 0, 0.5, 0)).attach(Load(1.0))
+    for same in (pickle.loads(pickle.dumps(arm)), arm.lumped(), arm.base):
+        assert same.stance == robot.stance
+        assert same.locked_joints == robot.locked_joints
+    run = simulate(robot, ComputedTorque(robot), Tangent(Circle(1, 0.5, 1)), dt=0.1)
+    run.save(tmp_path / "run.npz")
+    kept = Rollout.load(tmp_path / "run.npz").robot
+    assert kept == robot
+    assert repr(kept) == repr(robot)
+    other = robot.with_body(Body(5.0, np.array([0.0, 0, 0.1]), np.eye(3)), "lighter")
+    assert (other.stance, other.mass, other.source) == (robot.stance, 5.0, "lighter")
+    assert robot != MobileRobot.from_body(robot.body, robot.size)  # a box stands otherwise
+
+
+def test_a_member_of_an_ensemble_stands_as_its_robot(tmp_path: Path) -> None:
+    robot = read(tmp_path, wheeled.husky())
+    runs = ensemble(
+        robot,
+        ComputedTorque(robot),
+        Tangent(Circle(1, 0.5, 1)),
+        n=2,
+        spread={"mass": Uniform(50, 60)},
+        dt=0.1,
+        seed=1,
+    )
+    assert runs.member(1).robot.stance == robot.stance
+
+
+def test_a_stance_checks_itself() -> None:
+    with pytest.raises(InvalidArgument, match="footprint has shape"):
+        Stance([(0, 0), (1, 0)])  # type: ignore[arg-type]
+    with pytest.raises(InvalidArgument, match=r"top is -1\.0 m, expected > 0"):
+        Stance(top=-1.0)
+    with pytest.raises(InvalidArgument, match=r"stance is 3, expected a pinmobile.robot.Stance"):
+        MobileRobot.from_body(MobileRobot.box().body, stance=3)  # type: ignore[arg-type]
+    assert Stance.of_box((1, 2, 3)) == Stance(box(0.5, 1), 3)  # type: ignore[arg-type]
+    assert hash(Stance.of_box((1, 2, 3))) == hash(Stance(box(0.5, 1), 3))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("words", ['top="a"', 'top="1 2"', 'footprint="1 2 3"', 'footprint="0 0 1 0"'])
+def test_a_damaged_note_of_our_own_is_refused(tmp_path: Path, words: str) -> None:
+    text = MobileRobot.box().to_urdf().replace("</robot>", f'<pinmobile ground="0" {words}/></robot>')
+    with pytest.raises(InvalidArgument, match=r"pinmobile|footprint"):
+        read(tmp_path, text)
+
+
+def test_the_hull_is_the_same_whatever_rounding_does() -> None:
+    points = np.array([*box(0.256, 0.2854), [0, 0.2854], [0, 0], [0.256, 0]])
+    expected = np.array(box(0.256, 0.2854))
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        noisy = rng.permutation(points) + rng.uniform(-1e-16, 1e-16, points.shape)
+        np.testing.assert_allclose(hull(noisy), expected, atol=1e-15)  # type: ignore[arg-type]
+    assert hull([(0, 0), (1, 0)]) is None
+    assert hull([(0, 0), (1, 0), (2, 1e-17), (1, 0)]) is None
+
+
+# What is drawn stands on the grid
+
+
+def test_a_wheeled_base_is_drawn_on_the_ground(tmp_path: Path) -> None:
+    seen = wheeled.husky().replace("<collision>", "<visual>").replace("</collision>", "</visual>")
+    robot = read(tmp_path, seen)  # what is drawn tells the radius where there is no collision geometry
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        items = robot.visual_model.geometryObjects
+    rolling = [item for item in items if item.name.startswith("wheel")]
+    assert len(rolling) == 4
+    for item in rolling:
+        assert item.placement.translation[2] == pytest.approx(0.1651, abs=1e-15)
+    assert robot.top == pytest.approx(0.35978, abs=1e-12)
+
+
+def test_a_box_above_its_wheels_is_drawn_where_it_is(tmp_path: Path) -> None:
+    chassis = shape("box", 'size="0.42 0.31 0.184"', "0 0 0.092")
+    text = wheeled.jackal().replace(chassis, chassis + chassis.replace("collision", "visual"))
+    for drawn in (text.split('fender_link">')[1], text.split('navsat_link">')[1]):
+        text = text.replace(drawn.split("</link>")[0], "")
+    robot = read(tmp_path, text)
+    (item,) = robot.visual_model.geometryObjects
+    np.testing.assert_allclose(item.placement.translation, (0, 0, 0.092 + 0.0635), atol=1e-15)

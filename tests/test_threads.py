@@ -1,0 +1,208 @@
+"""One robot, eight threads: every public method gives each of them the answer that it gives alone."""
+
+import gc
+import inspect
+import pickle
+import sys
+import threading
+import weakref
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from copy import copy, deepcopy
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pinmobile import Circle, Load, MobileRobot, Tangent, Uniform, ensemble, law, shipped_urdf, simulate
+from pinmobile.arrays import Array
+from pinmobile.urdf import Body
+
+THREADS = 8
+STATES = 12
+ROUNDS = 10  # of what answers in numbers; the rest, which makes robots or reads files, has one
+ROBOTS = {"lecture": MobileRobot.lecture(), "ur5": MobileRobot.box().mount("ur5")}
+NAMES = [name for name in dir(MobileRobot) if not name.startswith("_")]
+ON_ARMS = {"arm_manipulability", "mount_wrench"}  # of a bare robot they are errors
+CASES = [(kind, name) for kind in ROBOTS for name in NAMES if kind == "ur5" or name not in ON_ARMS]
+
+# What to give a parameter of that name, for a robot and the number of a state.
+VALUES: dict[str, Callable[[MobileRobot, int], Any]] = {
+    "q": lambda robot, k: configuration(robot, k),
+    "q0": lambda robot, k: configuration(robot, k),
+    "q1": lambda robot, k: configuration(robot, k + 1),
+    "v": lambda robot, k: rate(robot, 1, k),
+    "a": lambda robot, k: rate(robot, 2, k),
+    "tau": lambda robot, k: rate(robot, 3, k),
+    "dq": lambda robot, k: rate(robot, 4, k),
+    "generator": lambda robot, k: np.random.default_rng(k),
+    "path": lambda robot, k: shipped_urdf("lecture"),
+    "pin_model": lambda robot, k: robot.base.model,
+    "body": lambda robot, k: Body(10 + k, np.array([0.1, 0, 0.2]), np.diag([1, 1, 1 + k / STATES])),
+    "load": lambda robot, k: Load(1.0 + k, (0, 0, 0.1)),
+    "arm": lambda robot, k: "double_pendulum",
+    "at": lambda robot, k: (0.1, 0.01 * k, 0.3, 0.1 * k),
+}
+
+
+def configuration(robot: MobileRobot, k: int) -> Array:
+    return robot.random_configuration(np.random.default_rng(k))
+
+
+def rate(robot: MobileRobot, seed: int, k: int) -> Array:
+    return np.random.default_rng([seed, k]).normal(size=robot.nv)
+
+
+def plain(answer: Any) -> Any:
+    """Return what can be compared, to the last bit, of an answer."""
+    if isinstance(answer, np.ndarray):
+        return answer.shape, answer.tobytes()
+    if isinstance(answer, MobileRobot):
+        return answer, plain(answer.mass_matrix(answer.rest))
+    if isinstance(answer, tuple):
+        return tuple(map(plain, answer))
+    if isinstance(answer, pin.GeometryModel):
+        return [
+            (item.name, item.parentJoint, item.placement.homogeneous.tobytes())
+            for item in answer.geometryObjects
+        ]
+    if isinstance(answer, Body):
+        return answer.mass, plain(answer.com), plain(answer.inertia)
+    return answer
+
+
+def ask(robot: MobileRobot, name: str, k: int) -> Any:
+    """Return the answer of a property, or of a method to arguments made for its parameters."""
+    member = getattr(robot, name)
+    if not inspect.isroutine(member):
+        return plain(member)
+    parameters = inspect.signature(member).parameters.values()
+    missing = [p.name for p in parameters if p.default is p.empty and p.name not in VALUES]
+    assert not missing, f"{name} is new: say in VALUES what to give as {missing}"
+    return plain(member(**{p.name: VALUES[p.name](robot, k) for p in parameters if p.name in VALUES}))
+
+
+@pytest.fixture(autouse=True)
+def restless() -> Iterator[None]:
+    """Let threads take turns as often as they can."""
+    usual = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    yield
+    sys.setswitchinterval(usual)
+
+
+def together(task: Callable[[int], Any]) -> list[Any]:
+    """Return what eight threads that start at once have found."""
+    start = threading.Barrier(THREADS)
+
+    def begin(number: int) -> Any:
+        start.wait()
+        return task(number)
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        return list(pool.map(begin, range(THREADS)))
+
+
+@pytest.mark.parametrize(("kind", "name"), CASES)
+def test_every_answer_is_that_of_one_thread_bit_for_bit(kind: str, name: str) -> None:
+    robot = ROBOTS[kind]
+    # What is no method has one answer, of a copy that has nothing cached; what makes robots takes long.
+    states = STATES if inspect.isroutine(getattr(robot, name)) else 1
+    alone = [ask(robot, name, k) for k in range(states)]
+    rounds = 1 if states == 1 or isinstance(alone[0][0], MobileRobot) else ROUNDS
+    shared = robot if rounds > 1 else copy(robot)
+
+    def task(number: int) -> int:
+        order = [(number + k) % states for k in range(states)] * rounds
+        return sum(ask(shared, name, k) != alone[k] for k in order)
+
+    assert together(task) == [0] * THREADS
+
+
+@pytest.mark.parametrize("name", ["linearize", "frame_placements", "mount_wrench", "inverse_dynamics"])
+def test_many_states_at_once_too(name: str) -> None:
+    robot, rng = ROBOTS["ur5"], np.random.default_rng(5)
+    known = {"q": robot.random_configuration(rng, (5 * THREADS,))}
+    known |= {part: rng.normal(size=(5 * THREADS, robot.nv)) for part in ("v", "a", "tau")}
+    method = getattr(robot, name)
+    given = {part: known[part] for part in inspect.signature(method).parameters if part in known}
+    mine = [{part: value[k::THREADS] for part, value in given.items()} for k in range(THREADS)]
+    alone = [plain(method(**part)) for part in mine]
+    assert together(lambda k: sum(plain(method(**mine[k])) != alone[k] for _ in range(20))) == [0] * THREADS
+
+
+def test_loops_of_one_robot_run_side_by_side() -> None:
+    robot = ROBOTS["lecture"]
+    motion = Tangent(Circle(radius=1, rate=0.5, duration=2))
+
+    def run(number: int) -> Any:
+        def force(t: float, q: Array, v: Array, reference: Any) -> Array:
+            error = reference.q[:2] - robot.frame_placements(q)[-1, :2, 3]
+            error = np.append(error, reference.q[2] - q[2])
+            return robot.inverse_dynamics(q, v, (number + 1) * error + 2 * (reference.v - v))
+
+        return plain(simulate(robot, law(force), motion, dt=0.01).q)
+
+    assert together(run) == [run(number) for number in range(THREADS)]
+
+
+def test_an_ensemble_of_a_law_that_asks_a_robot_is_the_same_on_its_default_threads() -> None:
+    robot = MobileRobot(30, 1.3, com=(0.1, 0.05))
+
+    def force(t: float, q: Array, v: Array, reference: Any) -> Array:
+        place = robot.frame_placements(q)[..., -1, :2, 3]
+        error = np.concatenate([reference.q[..., :2] - place, reference.q[..., 2:] - q[..., 2:]], axis=-1)
+        return np.asarray(120 * error + 120 * (reference.v - v))
+
+    def run(threads: int | None) -> Any:
+        spread = {"mass": Uniform(20, 40), "com_x": Uniform(0, 0.2)}
+        motion = Tangent(Circle(radius=3, rate=0.1, duration=60))
+        runs = ensemble(
+            robot, law(force), motion, n=400, spread=spread, dt=0.02, duration=0.4, threads=threads
+        )
+        return plain((runs.max_error, runs.rms_error, runs.max_force))
+
+    alone = run(1)
+    assert [run(None) for _ in range(2)] == [alone] * 2
+
+
+def test_a_dead_threads_workspace_goes_away() -> None:
+    robot = MobileRobot(10, 1.2)
+    here = weakref.ref(robot._engine.data)
+    with ThreadPoolExecutor(1) as pool:
+        there = pool.submit(lambda: weakref.ref(robot._engine.data)).result()
+        assert there() is not None
+        assert there() is not here()
+    gc.collect()
+    assert there() is None
+    assert here() is robot._engine.data
+
+
+def test_a_robots_workspaces_go_away_with_it() -> None:
+    asked, done = threading.Event(), threading.Event()
+    robots, kept = [MobileRobot(10, 1.2)], []
+
+    def work() -> None:
+        kept.append(weakref.ref(robots[0]._engine.data))
+        asked.set()
+        done.wait()
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    asked.wait()
+    robots.clear()
+    gc.collect()
+    gone = kept[0]() is None
+    done.set()
+    thread.join()
+    assert gone
+
+
+@pytest.mark.parametrize("remade", [copy, deepcopy, lambda robot: pickle.loads(pickle.dumps(robot))])
+def test_a_copy_has_a_workspace_of_its_own(remade: Callable[[MobileRobot], MobileRobot]) -> None:
+    robot = ROBOTS["ur5"]
+    other = remade(robot)
+    assert other == robot
+    assert other._engine.data is not robot._engine.data
+    assert plain(other.mass_matrix(robot.rest)) == plain(robot.mass_matrix(robot.rest))
