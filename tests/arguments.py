@@ -66,6 +66,7 @@ RESULTS = {
         "FileError",
         "InvalidArgument",
         "NotFinite",
+        "NotTraceable",
         "PinmobileError",
         "Reference",
         "Resolved",
