@@ -681,6 +681,7 @@ ROWS: dict[str, Row] = {
 
 # Objects whose methods are called, by the class.
 OWNERS: dict[str, Callable[[], Any]] = {
+    "robot.Stance": lambda: Stance.of_box((0.6, 0.4, 0.2)),
     "EndEffectorTracking": lambda: pm.EndEffectorTracking(WORLD.armed, WORLD.target),
     "Axis": lambda: pm.Axis([1.0, 2.0]),
     "Lissajous": lambda: WORLD.path,
