@@ -79,7 +79,8 @@ def _called(function: Any, *arguments: Any) -> None:
     try:
         function(*arguments)
     except OSError:
-        # What numba has just compiled it could not keep in its file, as on a full disk; it is there all the same.
+        # What numba has just compiled it could not keep in its file, as on a full disk; it is there all
+        # the same.
         function(*arguments)
 
 
