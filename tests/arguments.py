@@ -55,8 +55,20 @@ INNER = {
         "simulation.sample_times",
     ),
     *("simulation.sampled", "simulation.stepped", "sweeps.check_draws", "sweeps.connected", "sweeps.length"),
-    *("trajectories.check_limits", "integrators.RungeKuttaNystrom", "Ensemble.of", "Scenario.holding"),
-    *("robot.Arm", "sweeps.Grid", "viewer.LiveWindow", "viewer.OfflineWindow"),
+    *(
+        "trajectories.check_limits",
+        "integrators.RungeKuttaNystrom",
+        "integrators.check_integrator",
+        "Ensemble.of",
+        "Scenario.holding",
+    ),
+    *(
+        "integrators.check_integrator",
+        "robot.Arm",
+        "sweeps.Grid",
+        "viewer.LiveWindow",
+        "viewer.OfflineWindow",
+    ),
 }
 # What the library makes and users read: nobody calls the class.
 RESULTS = {
@@ -682,6 +694,7 @@ ROWS: dict[str, Row] = {
 
 # Objects whose methods are called, by the class.
 OWNERS: dict[str, Callable[[], Any]] = {
+    "robot.Stance": lambda: Stance.of_box((0.6, 0.4, 0.2)),
     "EndEffectorTracking": lambda: pm.EndEffectorTracking(WORLD.armed, WORLD.target),
     "Axis": lambda: pm.Axis([1.0, 2.0]),
     "Lissajous": lambda: WORLD.path,
