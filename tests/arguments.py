@@ -58,7 +58,6 @@ INNER = {
     *(
         "trajectories.check_limits",
         "integrators.RungeKuttaNystrom",
-        "integrators.check_integrator",
         "Ensemble.of",
         "Scenario.holding",
     ),
