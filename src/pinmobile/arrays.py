@@ -72,6 +72,8 @@ def finite(name: str, value: ArrayLike) -> Array:
         and isfinite(np.vdot(value, value))
     ):
         return value  # what comes in a loop: one call instead of five; where it overflows, look closely
+    if type(value) is float and isfinite(value):
+        return np.asarray(value)  # the other thing that comes often
     array = real(name, value)
     if not np.isfinite(array).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
@@ -80,14 +82,14 @@ def finite(name: str, value: ArrayLike) -> Array:
     return array
 
 
-def finite_answer(answer: Array, /, **arguments: Array) -> Array:
+def finite_answer(answer: Array, /, **arguments: ArrayLike) -> Array:
     """Return an answer as it is, after refusing one that is not finite though its arguments are.
 
     Parameters
     ----------
     answer : ndarray, any shape
         What was computed.
-    **arguments : ndarray, any shape
+    **arguments : array_like, any shape
         From what, by name, for the message.
 
     Raises
@@ -160,8 +162,10 @@ def real(name: str, value: ArrayLike) -> Array:
         raise InvalidArgument(f"{name} is {shown(value)}, expected real numbers")
     if array.ndim > _MOST_AXES:
         raise InvalidArgument(f"{name} has {array.ndim} axes, expected at most {_MOST_AXES}")
+    if array.dtype == np.float64:
+        return np.asarray(array, np.float64)
     with np.errstate(over="ignore"):  # a long double that float64 does not hold becomes infinite
-        return array.astype(np.float64, copy=False)
+        return array.astype(np.float64)
 
 
 def vector(name: str, value: ArrayLike, size: int) -> Array:

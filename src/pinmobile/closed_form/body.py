@@ -40,10 +40,10 @@ def checked_body(
     return m, inertia, x, y
 
 
-def named(body: tuple[Array, ...]) -> dict[str, Array]:
+def named(body: tuple[Array, ...]) -> dict[str, ArrayLike]:
     """Return what `checked_body` returns, by name."""
     mass, yaw_inertia, x, y = body
-    return {"mass": mass, "yaw_inertia": yaw_inertia, "com": np.hypot(x, y)}
+    return {"mass": mass, "yaw_inertia": yaw_inertia, "com": (x, y)}
 
 
 def turned(q: Array, x: Array, y: Array) -> tuple[Array, Array]:
