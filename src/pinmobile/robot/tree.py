@@ -42,7 +42,8 @@ def moves_its_axes(model: pin.Model, joint: int) -> bool:
         data = kind.createData()
         kind.calc(data, q, still)
         axes.append(np.array(data.S))
-    return not np.allclose(*axes, rtol=0, atol=1e-9)
+    before, after = axes
+    return not np.allclose(before, after, rtol=0, atol=1e-9)
 
 
 def children(model: pin.Model) -> list[list[int]]:
