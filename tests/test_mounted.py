@@ -73,6 +73,16 @@ def spherical() -> pin.Model:
     return model
 
 
+def in_series(*joints: pin.JointModel) -> pin.Model:
+    """Return a link on joints one after the other, all at one point and only the last with a body."""
+    model, last = pin.Model(), 0
+    for k, kind in enumerate(joints):
+        last = model.addJoint(last, kind, pin.SE3.Identity(), f"joint{k}")
+    body = pin.Inertia(1.0, np.array([0, 0.1, 0.3]), np.diag([0.02, 0.03, 0.04]))
+    model.appendBodyToJoint(last, body, pin.SE3.Identity())
+    return model
+
+
 def numbers(values: Array) -> str:
     return " ".join(repr(float(value)) for value in np.ravel(values))
 
@@ -456,3 +466,41 @@ def test_loads_weigh_where_they_are() -> None:
     np.testing.assert_allclose(light.gravity(q) - UR5.gravity(q), 2 * 9.81 * moving[:, 2], atol=1e-11)
     assert light.visual_model.geometryObjects[-1].name == "load1"
     assert light.lumped().mass == pytest.approx(UR5.lumped().mass + 2)
+
+
+def _composite() -> pin.JointModel:
+    joint = pin.JointModelComposite(pin.JointModelRX())
+    joint.addJoint(pin.JointModelRY(), pin.SE3.Identity())
+    return joint
+
+
+@pytest.mark.parametrize(
+    "joint",
+    [
+        pin.JointModelSphericalZYX(),
+        pin.JointModelUniversal(np.array([1.0, 0, 0]), np.array([0, 1.0, 0])),
+        _composite(),
+    ],
+    ids=["angles z, y, x", "universal", "composite"],
+)
+def test_joints_whose_axes_move_with_their_own_angles_are_refused(joint: pin.JointModel) -> None:
+    """Pinocchio leaves dS/dt out of its Coriolis matrix and dS/dq out of its derivatives, in silence."""
+    base = MobileRobot.box(mass=10)
+    with pytest.raises(InvalidArgument, match=r"axes move with its own angles.* as many joints in series"):
+        base.mount(in_series(joint))
+    # Locked, they do no harm.
+    base.mount(in_series(pin.JointModelRZ(), joint, pin.JointModelRX()), locked=["joint1"])
+
+
+def test_what_is_said_to_take_instead_has_the_right_derivatives() -> None:
+    robot = MobileRobot.box(mass=10).mount(in_series(pin.JointModelRX(), pin.JointModelRY()))
+    (q, *_), (v, *_), (tau, *_) = states(robot)
+    by_q, by_v, _ = robot.forward_dynamics_derivatives(q, v, tau)
+    assert verify(robot, states=20).passed
+    h = 1e-5  # of central differences: h^2 times the third derivative and 1e-16 / h times a are below 1e-7
+    for k, unit in enumerate(h * np.eye(robot.nv)):
+        ahead, behind = robot.integrate(q, unit), robot.integrate(q, -unit)
+        slope = robot.forward_dynamics(ahead, v, tau) - robot.forward_dynamics(behind, v, tau)
+        np.testing.assert_allclose(by_q[:, k], slope / (2 * h), atol=1e-5)
+        slope = robot.forward_dynamics(q, v + unit, tau) - robot.forward_dynamics(q, v - unit, tau)
+        np.testing.assert_allclose(by_v[:, k], slope / (2 * h), atol=1e-5)

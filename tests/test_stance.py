@@ -294,6 +294,36 @@ def test_the_ground_may_be_given_in_place_of_the_files(tmp_path: Path) -> None:
         read(tmp_path, wheeled.husky(), ground=[0, 0])
 
 
+def test_ground_above_the_centre_of_mass_is_refused(tmp_path: Path) -> None:
+    """The likely slip: the height of Husky's base_link above the ground, in place of the ground's z."""
+    with pytest.raises(
+        InvalidArgument, match=r"ground is 0\.132 m, 0\.07544 m above the robot's centre of mass.* below zero"
+    ):
+        read(tmp_path, wheeled.husky(), ground=0.132)
+    assert read(tmp_path, urdf(link("base", inertial(9))), ground=0).com[2] == 0
+
+
+def test_a_wheel_without_a_radius_leaves_the_footprint_unknown_unless_it_is_inside(tmp_path: Path) -> None:
+    """A rear wheel known by its mesh alone was left out in silence: a triangle for a base on four wheels."""
+
+    def on_wheels(*places: tuple[float, float]) -> MobileRobot:
+        shapes = [ROLLING] * (len(places) - 1) + [shape("mesh", 'filename="rear.stl"')]
+        parts = [
+            link(f"w{k}", inertial(1), shapes[k])
+            + joint(f"j{k}", "continuous", "base", f"w{k}", f"{x} {y} 0.1")
+            for k, (x, y) in enumerate(places)
+        ]
+        return read(tmp_path, urdf(link("base", inertial(9, "0 0 0.2")), *parts))
+
+    robot = on_wheels((0.3, 0.2), (0.3, -0.2), (-0.3, 0.2), (-0.3, -0.2))
+    assert robot.footprint is None
+    assert "j0, j1, j2, but the file does not tell the radius of j3" in robot.source
+    with pytest.raises(InvalidArgument, match="that of the robot is not known"):
+        braking(robot, -1.0)
+    six = on_wheels((0.3, 0.2), (0.3, -0.2), (-0.3, 0.2), (-0.3, -0.2), (0, 0.2), (0, -0.2))
+    stands_on(six, box(0.3, 0.2))
+
+
 def bicycle(low: float, rear: str = ROLLING) -> str:
     front, axle = link("front", inertial(1), ROLLING), joint("f", "continuous", "base", "front", "0.5 0 0.1")
     back = link("back", inertial(1), rear), joint("b", "continuous", "base", "back", f"-0.5 0 {low}")
@@ -354,6 +384,7 @@ def test_wheels_of_no_radius_stand_where_their_axles_are_level(
 ) -> None:
     front = "0.5 0 0.1" if z > 0 else "0.5 0 -0.1"  # below the ground is no place for an axle
     bare = bicycle(z).replace(ROLLING, "").replace("0.5 0 0.1", front)
+    bare = bare.replace(inertial(9), inertial(9, "0 0 0.2"))
     robot = read(tmp_path, bare, ground=0.0)
     assert ("what touches the ground, b, f, has" in robot.source) is standing
     assert ("of all shapes none, has" in robot.source) is not standing

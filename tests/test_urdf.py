@@ -1,4 +1,6 @@
 from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -98,3 +100,13 @@ def test_a_rotated_inertia_is_judged_by_its_principal_moments() -> None:
         Body(1, np.zeros(3), R @ np.diag([1.0, 1.0, 2.01]) @ R.T)
     with pytest.raises(InvalidArgument, match="not symmetric"):
         Body(1, np.zeros(3), np.eye(3) + np.triu(np.full((3, 3), 0.1), 1))
+
+
+@pytest.mark.parametrize("stance", [3, {"top": 3}, {"a b": "3"}, {1: "3"}, {"top": "\0"}, ["top"]])
+def test_attributes_that_no_file_can_have_are_refused(stance: Any) -> None:
+    with pytest.raises(InvalidArgument, match="stance"):
+        write(LECTURE_TABLE, BODY, size=(1, 1, 1), stance=stance)
+    text = write(LECTURE_TABLE, BODY, size=(1, 1, 1), stance={"top": '<&"'})
+    found = ElementTree.fromstring(text).find("pinmobile")
+    assert found is not None
+    assert found.attrib == {"top": '<&"'}

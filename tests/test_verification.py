@@ -112,7 +112,7 @@ PARTS = "Newton-Euler of the parts"
 def test_newton_and_euler_agree_with_what_is_assembled(kind: str) -> None:
     verification = verify(ARMS[kind], states=40)
     assert verification.passed, str(verification)
-    assert [row.quantity for row in verification.rows if row.against == PARTS] == ["M", "n", "tau"]
+    assert [row.quantity for row in verification.rows if row.against == PARTS] == ["M", "n", "tau", "f"]
 
 
 def differing(model: pin.Model, wrong: MobileRobot) -> dict[str, float]:
@@ -144,6 +144,17 @@ def test_a_bases_centre_of_mass_that_contradicts_the_robots_is_seen() -> None:
         found = differing(model, robot)
         assert found["M"] > 1e-3
         assert found["tau"] > 1e-4
+
+
+def test_a_bases_centre_of_mass_at_a_wrong_height_is_seen() -> None:
+    """No generalised force depends on it, but what tips over does."""
+    for kind in ("ur5", "two", "loads alone"):
+        robot = copy(ARMS[kind])
+        model = robot.model
+        model.inertias[3] = moved(model.inertias[3], (0, 0, 1e-6))
+        found = differing(model, robot)
+        assert found.pop("f") > 1e-10
+        assert max(found.values()) < 1e-14
 
 
 def test_gravity_that_is_tilted_is_seen() -> None:

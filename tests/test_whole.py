@@ -535,7 +535,8 @@ def test_in_the_loop_and_asked_from_outside_a_controller_is_the_same(make: Any, 
         ),
         (
             lambda: simulate(UR5, Decoupled(UR5), CIRCLE, dt=0.01),
-            "trajectory gives q of shape (601, 3) for 601 times, expected (601, 9)",
+            "trajectory gives q of shape (601, 3) for 601 times, expected (601, 9): a motion of base and "
+            "arms, WholeBody(robot, base, *joints)",
         ),
     ],
 )

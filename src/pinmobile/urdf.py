@@ -1,5 +1,6 @@
 """A DH chain and the rigid body that it carries, as URDF text."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import atan2, hypot
@@ -167,9 +168,18 @@ def write(
             "  </joint>",
         ]
     if stance is not None:
-        attributes = [f"{key}={quoteattr(value)}" for key, value in stance.items()]
+        if not (isinstance(stance, Mapping) and all(map(_is_attribute, stance))):
+            raise InvalidArgument(
+                f"stance is {shown(stance)}, expected a mapping whose keys are names of XML"
+            )
+        words = {key: text(f"stance[{key!r}]", value) for key, value in stance.items()}
+        attributes = [f"{key}={quoteattr(value)}" for key, value in words.items()]
         lines.append(f"  <{' '.join(['pinmobile', *attributes])}/>")
     return "\n".join([*lines, "</robot>", ""])
+
+
+def _is_attribute(key: object) -> bool:
+    return isinstance(key, str) and re.fullmatch(r"[A-Za-z_][\w.-]*", key) is not None
 
 
 def shipped_urdf(name: str) -> Path:

@@ -10,7 +10,15 @@ import pinocchio as pin
 from pinmobile.arrays import Array, frozen, one_of
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot.sound import check_bodies, check_inertias, check_joint_limits
-from pinmobile.robot.tree import carries_only_wheels, children, joint_kind, parts_of, root_of, tip_of
+from pinmobile.robot.tree import (
+    carries_only_wheels,
+    children,
+    joint_kind,
+    moves_its_axes,
+    parts_of,
+    root_of,
+    tip_of,
+)
 
 __all__ = ["Arm", "Origin", "Picture"]
 
@@ -71,7 +79,7 @@ class Arm:
     ------
     InvalidArgument
         If a joint moves nothing that has inertia, carries what no rigid body is, has limits that limit
-        nothing, or mimics another one.
+        nothing, mimics another one, or has axes that move with its own angles.
     UnknownName
         If a joint to lock is not there.
     """
@@ -100,6 +108,14 @@ class Arm:
                 )
         held = _held(whole, self.locked)
         free = [joint for joint in range(1, whole.njoints) if joint not in held]
+        for joint in free:
+            if moves_its_axes(whole, joint):
+                raise InvalidArgument(
+                    f"arm {self.origin.value!r}: joint {whole.names[joint]!r} is a "
+                    f"{joint_kind(whole, joint)}, whose axes move with its own angles, for which Pinocchio's "
+                    "Coriolis matrix and derivatives are wrong, expected as many joints in series, with one "
+                    "axis each, or a ball joint"
+                )
         check_bodies(whole, self.origin.value)
         check_joint_limits(whole, free, self.origin.value)
         model, _ = _reduced(whole, [], held, rest)

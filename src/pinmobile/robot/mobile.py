@@ -222,10 +222,10 @@ class MobileRobot(Carrier):
         ------
         InvalidArgument
             If the file cannot be read, is malformed, is neither of the two (the joint that is wrong is
-            named), describes a body that cannot exist, its wheels are not within 5 mm of one plane, or it is
-            larger than any robot: more than 8 MiB, 50,000 elements, 2000 links, 1000 visuals, 200 degrees of
-            freedom, or 100 joints in series, which Pinocchio's parser would need more stack for than a thread
-            may have.
+            named), describes a body that cannot exist, its wheels are not within 5 mm of one plane, `ground`
+            is above its centre of mass, or it is larger than any robot: more than 8 MiB, 50,000 elements,
+            2000 links, 1000 visuals, 200 degrees of freedom, or 100 joints in series, which Pinocchio's
+            parser would need more stack for than a thread may have.
 
         Warns
         -----

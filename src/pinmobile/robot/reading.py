@@ -153,6 +153,11 @@ def read_model(
     body = _lump(model, data, base, [root, *locked], name)
     if shown.only is not None and data.oMi[shown.only[0]] == base:
         body = shown.only[1]  # Pinocchio divides by the mass again, and loses the last digit
+    if ground is not None and body.com[2] < -_ALIGNED:
+        raise InvalidArgument(
+            f"ground is {z:g} m, {-body.com[2]:.4g} m above the robot's centre of mass, expected the "
+            "ground's z in the root link's frame, which is below zero where that link is above the ground"
+        )
     parts = [f"{name} {how}"]
     if locked:
         parts += [f"locked at rest: {', '.join(model.names[j] for j in locked)}", LOCKED]

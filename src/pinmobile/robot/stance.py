@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array, ArrayLike, finite, frozen, lengths, positive
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.robot.footprint import checked_footprint, hull, rectangle
+from pinmobile.robot.footprint import checked_footprint, hull, margin_inside, rectangle
 from pinmobile.robot.geometry import Shape
 from pinmobile.robot.meshes import VisualFile
 from pinmobile.robot.tree import children, turns_freely
@@ -252,8 +252,16 @@ def stance_on(
             names.append(shape.link)
     corners = hull(np.concatenate(points)) if points else None
     listed = ", ".join(dict.fromkeys(names)) or "of all shapes none"
-    told = "footprint: {}" if corners is not None else "footprint not known: {}, has no area"
-    words = told.format(f"what touches the ground, {listed}")
+    words = f"what touches the ground, {listed}"
+    # A wheel of which nothing is told may stand on the ground too: that changes nothing inside the others.
+    lost = [] if untold else [wheel for wheel in wheels if wheel.radius is None and wheel.centre[2] > ground]
+    if corners is None:
+        words = f"footprint not known: {words}, has no area"
+    elif any(margin_inside(corners, np.array(wheel.centre[:2])) < -_TOUCH for wheel in lost):
+        corners, radii = None, ", ".join(wheel.name for wheel in lost)
+        words = f"footprint not known: {words}, but the file does not tell the radius of {radii}"
+    else:
+        words = f"footprint: {words}"
     top, why = _top([(shape, pose) for shape, pose in placed if shape.joint == root], file)
     return Stance(corners, top), [words, why]
 

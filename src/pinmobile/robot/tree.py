@@ -5,7 +5,16 @@ import re
 import numpy as np
 import pinocchio as pin
 
-__all__ = ["carries_only_wheels", "children", "joint_kind", "parts_of", "root_of", "tip_of", "turns_freely"]
+__all__ = [
+    "carries_only_wheels",
+    "children",
+    "joint_kind",
+    "moves_its_axes",
+    "parts_of",
+    "root_of",
+    "tip_of",
+    "turns_freely",
+]
 
 _WHEEL_JOINTS = 3  # suspension, steering, wheel
 _TURNS = 1e3 * 2 * np.pi  # [rad]: who can turn so far both ways has no limit
@@ -23,6 +32,18 @@ def parts_of(model: pin.Model, joint: int) -> tuple[slice, slice]:
     """Return a joint's part of a configuration and of a velocity."""
     q, v = model.idx_qs[joint], model.idx_vs[joint]
     return slice(q, q + model.nqs[joint]), slice(v, v + model.nvs[joint])
+
+
+def moves_its_axes(model: pin.Model, joint: int) -> bool:
+    """Tell whether the axes of the joint's rates move with its own angles, as seen from what it carries."""
+    kind, still = model.joints[joint], np.zeros(model.nv)
+    axes = []
+    for q in (pin.neutral(model), pin.integrate(model, pin.neutral(model), np.ones(model.nv))):
+        data = kind.createData()
+        kind.calc(data, q, still)
+        axes.append(np.array(data.S))
+    before, after = axes
+    return not np.allclose(before, after, rtol=0, atol=1e-9)
 
 
 def children(model: pin.Model) -> list[list[int]]:

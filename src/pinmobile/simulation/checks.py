@@ -134,9 +134,11 @@ def sampled(trajectory: Trajectory, t: Array, plant: "Plant") -> Reference:
     for name, size in (("q", plant.nq), ("v", plant.nv), ("a", plant.nv)):
         value = np.asarray(getattr(reference, name, None))
         if value.shape != (len(t), size):
+            of_base = getattr(plant, "mounts", ()) and value.shape == (len(t), _PLANE)
+            how = ": a motion of base and arms, WholeBody(robot, base, *joints)" if of_base else ""
             raise InvalidArgument(
                 f"trajectory gives {name} of shape {value.shape} for {len(t)} times, "
-                f"expected ({len(t)}, {size})"
+                f"expected ({len(t)}, {size}){how}"
             )
     checked = Reference(*(vector(f"trajectory's {n}", getattr(reference, n), s) for n, s in _sizes(plant)))
     if getattr(plant, "mounts", ()):

@@ -29,6 +29,7 @@ def compare_mounted(robot: MobileRobot, states: int, rng: np.random.Generator) -
         ("M", "CRBA", _PARTS): M - np.stack(own, axis=-1),
         ("n", "RNEA", _PARTS): n - parts.forces(0 * a),
         ("tau", "RNEA", _PARTS): tau - parts.forces(a),
+        ("f", "RNEA", _PARTS): robot.ground_wrench(q, v, a) - parts.ground_wrench(a),
         ("M", "CRBA", "RNEA's columns"): M - columns,
         ("M3", "CRBA", "closed form of the lump"): M[:, :3, :3] - _lumped(robot, q),
         ("n", "RNEA", "C(q, v) v + g(q)"): n - _times(robot.coriolis_matrix(q, v), v) - g,
@@ -56,12 +57,14 @@ def _scales(parts: Parts, v: Array, a: Array, M: Array) -> dict[str, Array]:
     push = np.sqrt(parts.nv * np.square(a).sum(-1)) * reach
     felt = np.sqrt(masses * K)
     pair = np.sqrt(K[..., :, None] * K[..., None, :])
-    tau = felt * (_GRAVITY + push + speed)[:, None]
+    accelerated = (_GRAVITY + push + speed)[:, None]
+    tau = felt * accelerated
     return {
         "M": pair + _GRAVITY * felt[..., None],
         "M3": pair[:, :3, :3],
         "n": felt * (_GRAVITY + speed)[:, None],
         "tau": tau,
+        "f": felt[:, [0, 0, 0, 2, 2, 2]] * accelerated,  # the mass for forces, that about psi for moments
         "a": _times(np.abs(np.linalg.inv(M)), tau),
     }
 

@@ -124,6 +124,18 @@ class Parts:
 
     def forces(self, a: Array, *, gravity: bool = True) -> Array:
         """Return the generalised forces that these states and accelerations ask for, shape (n, nv)."""
+        tau = np.zeros((self.count, self.nv))
+        for link, wrench in zip(self.links, self._wrenches(a, gravity), strict=True):
+            own = _times(link.S.transpose(0, 2, 1), wrench)
+            tau[:, link.columns] = own + link.rotors * a[:, link.columns]
+        return tau
+
+    def ground_wrench(self, a: Array) -> Array:
+        """Return what the ground exerts, in the body's frame and about its origin, shape (n, 6)."""
+        return self._wrenches(a, gravity=True)[BODY_JOINT - 1]
+
+    def _wrenches(self, a: Array, gravity: bool) -> list[Array]:
+        """Return what moves each link and all that hangs on it, in its own frame, shape (n, 6) each."""
         rates: list[tuple[Array, Array]] = []  # twist and its derivative, along each link's own axes
         wrenches: list[Array] = []
         ground = np.zeros((self.count, 6))
@@ -135,14 +147,10 @@ class Parts:
             dw = _seen(link.T, rate) + _times(link.S, a[:, link.columns]) + link.bias + _cross(w, own)
             rates.append((w, dw))
             wrenches.append(sum((_inertial(body, w, dw) for body in link.bodies), np.zeros((self.count, 6))))
-        tau = np.zeros((self.count, self.nv))
         for link, wrench in zip(reversed(self.links), reversed(wrenches), strict=True):
-            tau[:, link.columns] = (
-                _times(link.S.transpose(0, 2, 1), wrench) + link.rotors * a[:, link.columns]
-            )
             if link.parent >= 0:
                 wrenches[link.parent] += _carried(link.T, wrench)
-        return tau
+        return wrenches
 
     def beyond(self) -> tuple[Array, Array, Array]:
         """Return what each coordinate moves: mass (nv,), second moment (n, nv), and the reach (n,) [m].

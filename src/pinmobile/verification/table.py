@@ -14,7 +14,8 @@ class Comparison:
     Attributes
     ----------
     quantity : str
-        ``"M"``, ``"n"``, ``"tau"`` or ``"a"``; of a robot with arms also ``"M3"``, its base's block.
+        ``"M"``, ``"n"``, ``"tau"`` or ``"a"``; of a robot with arms also ``"M3"``, its base's block, and
+        ``"f"``, the ground's wrench.
     route, against : str
         The two routes.
     difference : float
