@@ -26,7 +26,7 @@ from pinmobile.cli.many import _answer, _differs
 from pinmobile.cli.scenario_file import _TABLES, EXAMPLE, read_grid
 from pinmobile.ensembles import ARRAYS, PARAMETERS
 from pinmobile.sweeps import length
-from tests.damage import answer, damaged, full_disk
+from tests.damage import answer, damaged, full_disk, little_memory
 from tests.test_cli import typed
 
 CIRCLE = Tangent(Circle(3.0, 0.1, 6.0))
@@ -344,6 +344,13 @@ def test_a_store_keeps_its_chunk(capsys: pytest.CaptureFixture[str], tmp_path: P
     assert code == 2
     assert "--chunk is 30, expected 20 as in the store '" in err
     assert err.endswith("', or no --chunk\n")
+
+
+def test_a_file_that_never_ends_is_answered(capsys: pytest.CaptureFixture[str]) -> None:
+    with little_memory():
+        code, _, err = typed(capsys, "sweep", "/dev/zero")
+    assert code == 2
+    assert err.endswith("zero has more than 8 MiB, expected less\n")
 
 
 def test_a_file_that_is_no_text_is_answered(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

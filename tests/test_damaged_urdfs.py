@@ -1,14 +1,17 @@
 """URDFs that are too large, no tree, or damaged: refused before they end the process."""
 
+import re
 import subprocess
 import sys
 import textwrap
 from pathlib import Path
 
+import numpy as np
 import pinocchio as pin
 import pytest
 
 from pinmobile import InvalidArgument, MobileRobot
+from pinmobile.arrays import Array
 from pinmobile.robot import wellformed
 from tests.test_robot_reading import joint, link, robot, saved
 
@@ -66,6 +69,10 @@ REFUSED = {
     "bytes": (robot(link("a", 1), "<!--", "x" * (8 << 20), "-->"), "has more than 8 MiB"),
     "name": (robot(link("a" * 5000, 1)), "<link> has 'name' of 5000 letters, expected at most 4096"),
     "key": (robot(f'<link {"a" * 5000}="1"/>'), "expected at most 4096"),
+    "attributes": (
+        robot(link("a", 1), "<x ", *(f'a{k}="1" ' for k in range(300_000)), "/>"),
+        "<x> has 300000 attributes, expected at most 64",
+    ),
     "laughs": (LAUGHS, "declares a document type, which no URDF needs"),
     "itself": (looped("ab", "ac", "dd"), "joint 'j2' has link 'd' as its parent and its child"),
     "loop": (looped("ab", "cd", "dc"), "link 'c' hangs on itself, by way of 'd', expected one root"),
@@ -94,6 +101,58 @@ def test_what_is_too_large_or_no_tree_is_refused_before_pinocchio_reads_it(
     assert message in str(caught.value)
     assert str(caught.value).startswith("robot.urdf")
     assert len(str(caught.value)) < 10_000
+
+
+NUMBERS = """<robot name="r">
+<link name="a">
+<inertial><origin xyz="0.1 0.2 0.3" rpy="0.1 0.2 0.3"/><mass value="2.5"/>
+<inertia ixx="1.5" ixy="0.1" ixz="0.2" iyy="1.25" iyz="0.3" izz="1.75"/></inertial>
+<visual><origin xyz="0 0.5 1" rpy="0.1 0 0"/><geometry><box size="1 2 1.5"/></geometry>
+<material name="m"><color rgba="0.5 1 0.25 1"/></material></visual>
+<visual><geometry><cylinder radius="0.5" length="2.5"/></geometry></visual>
+<collision><origin xyz="0 0.5 1" rpy="0.1 0 0"/><geometry><sphere radius="0.5"/></geometry></collision>
+</link>
+<link name="b"><inertial><mass value="1.5"/>
+<inertia ixx="1.5" ixy="0.1" ixz="0.2" iyy="1.25" iyz="0.3" izz="1.75"/></inertial></link>
+<joint name="j" type="revolute"><origin xyz="0.1 0.2 0.3" rpy="0.1 0.2 0.3"/><axis xyz="0 0.5 1"/>
+<parent link="a"/><child link="b"/><limit lower="-1.5" upper="1.5" effort="10.5" velocity="2.5"/>
+<dynamics damping="0.5" friction="0.25"/></joint>
+</robot>"""
+SPELLED = list(re.finditer(r'(\w+)="([-\d. ]+)"', NUMBERS))
+
+
+def respelled(number: "re.Match[str]", text: str) -> str:
+    return NUMBERS[: number.start(2)] + text + NUMBERS[number.end(2) :]
+
+
+def all_of(path: Path) -> list[tuple[float, ...]]:
+    """Return whatever a robot with an arm has from the arm's file, what is drawn included."""
+    made = BOX.mount(path, at=(0, 0, 0.3, 0))
+    q = np.array([0, 0, 0, 0.3])
+    kept: list[Array] = [made.mass_matrix(q), made.frame_pose(q), made.lower, made.upper, made.effort_limit]
+    kept += [made.velocity_limit, made.joint_damping, made.joint_friction]
+    for item in made.visual_model.geometryObjects:
+        kept += [item.placement.homogeneous, item.meshColor]
+    return [tuple(map(float, array.flat)) for array in kept]
+
+
+@pytest.mark.parametrize("number", SPELLED, ids=[f"{k}-{m[1]}" for k, m in enumerate(SPELLED)])
+def test_a_number_is_read_however_it_stands_or_named_and_no_part_is_dropped(
+    number: "re.Match[str]", tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    right = all_of(saved(tmp_path, NUMBERS))
+    words = number[2].split()
+    for same in (f" {number[2]} ", "&#9;".join(["", *words, "&#10;"]), "  ".join(f"{w}e0" for w in words)):
+        assert all_of(saved(tmp_path, respelled(number, same))) == right
+    for wrong in ("1_0", "\u0663", "0x10", "nan", "inf", "1e400", "x", ""):  # Python's float takes some
+        path = saved(tmp_path, respelled(number, " ".join([*words[:-1], wrong])))
+        for read in (MobileRobot.from_urdf, BOX.mount):
+            with pytest.raises(InvalidArgument, match=r"^robot\.urdf: (link '[ab]'|joint 'j') has .* finite"):
+                read(path)
+    for wrong in (",".join([*words, "0"]), f"{number[2]} 0"):
+        with pytest.raises(InvalidArgument, match=r"expected (a finite number|[34] finite numbers)$"):
+            BOX.mount(saved(tmp_path, respelled(number, wrong)))
+    assert capfd.readouterr().err == ""  # nor does another library say anything
 
 
 def test_a_file_that_has_grown_deep_since_is_not_drawn(tmp_path: Path) -> None:

@@ -165,9 +165,9 @@ def test_pipes_and_the_console_are_written_to_as_they_are(tmp_path: Path) -> Non
     assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
     code = "from pinmobile.files import write; write('/dev/stdout', b'x' * 100_000); print('after')"
     words = [sys.executable, "-c", code]
-    assert subprocess.run(words, stdout=subprocess.PIPE, check=True, timeout=100).stdout.endswith(b"xafter\n")
+    assert subprocess.run(words, stdout=subprocess.PIPE, check=True, timeout=600).stdout.endswith(b"xafter\n")
     with (tmp_path / "out").open("wb") as out:
-        subprocess.run(words, stdout=out, check=True, timeout=100)
+        subprocess.run(words, stdout=out, check=True, timeout=600)
         # As `open` does it: the process's own place in the file is still at its beginning.
         assert (tmp_path / "out").read_bytes() == b"after\n" + b"x" * (100_000 - 6)
         assert os.fstat(out.fileno()).st_ino == (tmp_path / "out").stat().st_ino

@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -177,6 +178,16 @@ def test_a_header_that_lies_is_refused_before_anything_is_made_of_it(
         pytest.raises(InvalidArgument, match=r"run.npz', which is no 'pinmobile rollout 1' archive: "),
     ):
         Rollout.load(tmp_path / "run.npz")
+
+
+@pytest.mark.parametrize("name", ["zero", "null", "pipe"])
+def test_what_may_never_end_is_refused_before_it_is_opened(name: str, tmp_path: Path) -> None:
+    if name == "pipe":
+        os.mkfifo(tmp_path / name)  # nobody writes to it: who opens it waits
+    else:
+        (tmp_path / name).symlink_to(f"/dev/{name}")
+    with little_memory(1 << 26), pytest.raises(InvalidArgument, match="it is a device or a pipe, which may"):
+        Rollout.load(tmp_path / name)
 
 
 def test_what_unpacks_to_more_than_it_is_is_refused(tmp_path: Path) -> None:

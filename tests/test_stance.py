@@ -401,7 +401,9 @@ def test_a_link_base_footprint_tells_where_the_ground_is(tmp_path: Path) -> None
 
 
 def test_shapes_that_are_no_shapes_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidArgument, match="link 'base' has collision geometry with radius 'nan'"):
+    with pytest.raises(
+        InvalidArgument, match="link 'base' has <collision/geometry/sphere> with radius 'nan'"
+    ):
         read(tmp_path, urdf(link("base", inertial(9), shape("sphere", 'radius="nan"'))))
 
 

@@ -375,7 +375,7 @@ def test_a_damaged_store_names_the_file_and_the_rest_is_kept(done: Path, tmp_pat
         path = Path(shutil.copytree(done, tmp_path / str(number)))
         damage(path / name)
         told += check_read(path, path / name, good)
-        if number % 3 == 0:  # the most of the time
+        if number % 6 == 0:  # the most of the time
             check_resumed(path, path / name, good, store, (done / name).read_bytes())
         shutil.rmtree(path)
     assert told > len(cases) / 3

@@ -63,7 +63,7 @@ def tell(process: "subprocess.Popen[str]") -> None:
 
 
 def silent(port: int) -> socket.socket:
-    return socket.create_connection(("127.0.0.1", port), timeout=20)
+    return socket.create_connection(("127.0.0.1", port), timeout=120)
 
 
 def websocket(port: int) -> WebSocket:
@@ -89,7 +89,7 @@ def test_300_connections_leave_the_process_its_own_files(
         # A page that comes now is served all the same.
         assert ask(f"http://127.0.0.1:{port}/")[0] == 200
         tell(process)
-        assert process.wait(20) == 0
+        assert process.wait(120) == 0
         assert process.stderr is not None
         assert process.stderr.read() == ""
 
@@ -121,7 +121,7 @@ def test_without_descriptors_it_waits_says_so_once_and_goes_on() -> None:
         assert said(process) == "there are some again"
         assert ask(f"http://127.0.0.1:{port}/")[0] == 200
         tell(process)
-        assert process.wait(20) == 0
+        assert process.wait(120) == 0
         assert process.stderr is not None
         assert process.stderr.read().splitlines() == [
             "the viewer cannot take connections: Too many open files; it goes on trying"
@@ -141,7 +141,7 @@ def test_a_request_that_never_ends_is_ended(request_: bytes, monkeypatch: pytest
 def test_an_answer_that_nobody_reads_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sockets, "_LIFE", 0.3)
     with LiveWindow() as w, WebSocket(w.url) as browser, silent(w.port) as connection:
-        assert w.wait(20)
+        assert w.wait(120)
         asked = f"GET /main.min.js HTTP/1.1\r\nHost: 127.0.0.1:{w.port}\r\n\r\n".encode()
         connection.sendall(asked * 50)
         assert eventually(lambda: len(w._server._http.streams) == 1)
@@ -181,9 +181,9 @@ def frame(size: int, opcode: int) -> bytes:
 )
 def test_an_unasked_message_of_more_than_a_kilobyte_ends_the_connection(words: bytes) -> None:
     with LiveWindow() as w, WebSocket(w.url) as browser:
-        assert w.wait(20)
+        assert w.wait(120)
         browser.put(words)
-        assert browser.closed.wait(20)
+        assert browser.closed.wait(120)
         assert eventually(lambda: w.browsers == 0)
 
 
@@ -213,7 +213,7 @@ def chunk(kind: bytes, data: bytes) -> bytes:
 )
 def test_a_damaged_picture_is_the_librarys_error(data: bytes) -> None:
     with LiveWindow() as w, WebSocket(w.url) as browser:
-        assert w.wait(20)
+        assert w.wait(120)
         threading.Timer(0.2, browser.say, [picture(data)]).start()
         with pytest.raises(ViewerError, match="the browser has sent no picture: "):
             w.get_image()
@@ -225,7 +225,7 @@ def test_a_damaged_picture_is_the_librarys_error(data: bytes) -> None:
 )
 def test_nonsense_beside_a_picture_is_passed_over(nonsense: bytes, capfd: pytest.CaptureFixture[str]) -> None:
     with LiveWindow() as w, WebSocket(w.url) as browser:
-        assert w.wait(20)
+        assert w.wait(120)
         taken: list[Any] = []
         asking = threading.Thread(target=lambda: taken.append(w.get_image()))
         asking.start()
@@ -237,5 +237,5 @@ def test_nonsense_beside_a_picture_is_passed_over(nonsense: bytes, capfd: pytest
         # From now on nothing large is taken.
         with suppress(ConnectionError):
             browser.say(nonsense)
-        assert browser.closed.wait(20)
+        assert browser.closed.wait(120)
     assert capfd.readouterr().err == ""

@@ -4,10 +4,12 @@ Importing it loads Pinocchio, and numpy with it; a module of its own when a name
 """
 
 import sys
-from importlib import import_module
-from typing import TYPE_CHECKING
 
-try:  # at once: whoever lacks it is told by the import, not in the middle of a program
+try:  # Ctrl-C ends the command here as it does later; typing takes long
+    from importlib import import_module
+    from typing import TYPE_CHECKING
+
+    # At once: whoever lacks it is told by the import, not in the middle of a program.
     from pinocchio import Model
 except ImportError as error:
     raise ImportError(

@@ -230,6 +230,10 @@ def arrays_of(
         If the system fails.
     """
     try:
+        with refusals("read", name, path):
+            mode = path.stat().st_mode
+        if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+            raise ValueError("it is a device or a pipe, which may never end, expected a file")
         with refusals("read", name, path), path.open("rb") as file, zipfile.ZipFile(file) as archive:
             members, size = archive.infolist(), sum(info.file_size for info in archive.infolist())
             largest = path.stat().st_size if most is None else most

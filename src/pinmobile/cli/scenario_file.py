@@ -18,6 +18,8 @@ from pinmobile.sweeps import Grid, check_draws
 
 __all__ = ["EXAMPLE", "read_grid"]
 
+_MOST_BYTES = 8 << 20  # as of a URDF
+
 EXAMPLE = """
 [robot]            # base ("lecture", "box") or urdf, ground; mass, yaw_inertia, com
 base = "box"
@@ -118,7 +120,11 @@ def read_grid(path: Path) -> Grid:
 
 def _parsed(path: Path) -> tuple[str, dict[str, Any]]:
     try:
-        text = path.read_text(encoding="utf-8")
+        with path.open("rb") as file:
+            data = file.read(_MOST_BYTES + 1)  # what is no regular file may never end
+        if len(data) > _MOST_BYTES:
+            raise InvalidArgument(f"{path.name} has more than {_MOST_BYTES >> 20} MiB, expected less")
+        text = data.decode("utf-8").replace("\r\n", "\n")
         return text, tomllib.loads(text)
     except UnicodeDecodeError as error:
         why = f"byte {error.start} is not UTF-8"

@@ -1,15 +1,14 @@
 """The shapes of a URDF's links: how far they reach, and what is round about an axle."""
 
 from dataclasses import dataclass
-from math import isfinite
 from xml.etree.ElementTree import Element
 
 import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import Array
-from pinmobile.errors import InvalidArgument
 from pinmobile.robot.meshes import VisualFile, found
+from pinmobile.robot.wellformed import numbers
 
 __all__ = ["ALONG", "Shape", "shapes_of"]
 
@@ -117,7 +116,7 @@ def shapes_of(root: Element, model: pin.Model, name: str) -> list[Shape]:
             where = f"{name}: link {called!r} has {element.tag} geometry with"
             origin = element.find("origin")
             xyz, rpy = (
-                _numbers(None if origin is None else origin.get(key), "0 0 0", 3, f"{where} {key}")
+                numbers("0 0 0" if origin is None else origin.get(key, "0 0 0"), 3, f"{where} {key}")
                 for key in ("xyz", "rpy")
             )
             placement = frame.placement * pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz))
@@ -130,15 +129,15 @@ def shapes_of(root: Element, model: pin.Model, name: str) -> list[Shape]:
 
 def _shape(given: Element, at: tuple[str, int, pin.SE3], *, collides: bool, where: str) -> Shape | None:
     if given.tag == "mesh":
-        scale = _numbers(given.get("scale"), "1 1 1", 3, f"{where} scale")
+        scale = numbers(given.get("scale", "1 1 1"), 3, f"{where} scale")
         return Shape(*at, collides=collides, mesh=given.get("filename", ""), scale=scale)
     words = _DIMENSIONS.get(given.tag, "").split()
     counts = [3 if word == "size" else 1 for word in words]
     read = [
-        _numbers(given.get(word), "", count, f"{where} {word}")
+        numbers(given.get(word, ""), count, f"{where} {word}")
         for word, count in zip(words, counts, strict=True)
     ]
-    sizes = [number for numbers in read for number in numbers]
+    sizes = [number for group in read for number in group]
     if not sizes or min(sizes) <= 0:
         return None  # a placeholder, or a shape that URDFs do not have: it tells nothing
     if given.tag == "box":
@@ -147,14 +146,3 @@ def _shape(given: Element, at: tuple[str, int, pin.SE3], *, collides: bool, wher
     half = (0.0, 0.0, sizes[1] / 2 if len(sizes) > 1 else 0.0)
     radius = "disc" if given.tag == "cylinder" else "ball"
     return Shape(*at, half=half, collides=collides, **{radius: sizes[0]})  # type: ignore[arg-type]
-
-
-def _numbers(text: str | None, default: str, count: int, called: str) -> tuple[float, ...]:
-    try:
-        numbers = tuple(map(float, (default if text is None else text).split()))
-    except ValueError:
-        numbers = ()
-    if len(numbers) != count or not all(map(isfinite, numbers)):
-        expected = "a finite number" if count == 1 else f"{count} finite numbers"
-        raise InvalidArgument(f"{called} {text!r}, expected {expected}")
-    return numbers

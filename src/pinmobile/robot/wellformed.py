@@ -1,5 +1,6 @@
 """What a URDF must have that its readers drop, refuse without a reason, or do not survive."""
 
+import re
 import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -14,11 +15,44 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
 
-__all__ = ["MOMENTS", "check_freedom", "check_urdf", "judge_links", "urdf_text", "urdf_tree"]
+__all__ = ["MOMENTS", "check_freedom", "judge_links", "numbers", "urdf_text", "urdf_tree"]
 
 _JOINTS = {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
 MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 """Attributes of an <inertia>."""
+
+_ORIGIN = {"xyz": 3, "rpy": 3}
+_GEOMETRY = {
+    "box": {"size": 3},
+    "cylinder": {"radius": 1, "length": 1},
+    "capsule": {"radius": 1, "length": 1},
+    "sphere": {"radius": 1},
+    "mesh": {"scale": 3},
+}
+# What is made of numbers in a link and in a joint, and of how many.
+_NUMBERS: dict[str, dict[str, dict[str, int]]] = {
+    "link": {
+        "inertial/origin": _ORIGIN,
+        **{f"{kind}/origin": _ORIGIN for kind in ("visual", "collision")},
+        **{f"{kind}/geometry/{k}": v for kind in ("visual", "collision") for k, v in _GEOMETRY.items()},
+        "visual/material/color": {"rgba": 4},
+        "inertial/mass": {"value": 1},
+        "inertial/inertia": dict.fromkeys(MOMENTS, 1),
+    },
+    "joint": {
+        "origin": _ORIGIN,
+        "axis": {"xyz": 3},
+        "limit": dict.fromkeys(("lower", "upper", "effort", "velocity"), 1),
+        "dynamics": {"damping": 1, "friction": 1},
+        "mimic": {"multiplier": 1, "offset": 1},
+        "safety_controller": dict.fromkeys(
+            ("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity"), 1
+        ),
+        "calibration": {"rising": 1, "falling": 1},
+    },
+    "material": {"color": {"rgba": 4}},
+}
+_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 _ROUNDING = 1e-9
 _SMALL = 1e-3  # of a body's least moment: what one of its links may lack
@@ -30,6 +64,7 @@ _MOST_BYTES = 8 << 20
 _MOST_ELEMENTS = 50_000
 _MOST_NESTED = 64
 _LONGEST = 4096  # letters of an attribute: the longest path there is
+_MOST_ATTRIBUTES = 64  # of an element: the time that urdfdom takes grows with their square
 _MOST_LINKS = 2000
 _MOST_SHAPES = 1000  # the time to draw them grows with the cube
 # Pinocchio and urdfdom recurse along the tree, 2.2 kB for each joint: 100 fit into a stack of 256 kB, half of
@@ -49,12 +84,11 @@ def urdf_text(argument: str, path: Path) -> tuple[str, Element]:
         file.
     """
     root = urdf_tree(argument, path)
-    check_urdf(root, path.name)
     return ElementTree.tostring(root, encoding="unicode"), root
 
 
 def urdf_tree(argument: str, path: Path) -> Element:
-    """Return a file's tree, of which Pinocchio can read what is drawn: links, joints and size are checked.
+    """Return a file's tree, checked.
 
     Raises
     ------
@@ -78,6 +112,7 @@ def urdf_tree(argument: str, path: Path) -> Element:
     except ElementTree.ParseError as error:
         raise InvalidArgument(f"{path.name} is not well-formed XML: {error}") from None
     _check_tree(root, path.name)
+    _check_numbers(root, path.name)
     _complete_limits(root)
     return root
 
@@ -96,6 +131,11 @@ class _Bounded(ElementTree.TreeBuilder):
             raise InvalidArgument(f"{self._name} nests elements more than {_MOST_NESTED} deep, expected less")
         if self._count > _MOST_ELEMENTS:
             raise InvalidArgument(f"{self._name} has more than {_MOST_ELEMENTS} elements, expected less")
+        if len(attributes) > _MOST_ATTRIBUTES:
+            raise InvalidArgument(
+                f"{self._name}: <{tag[:80]}> has {len(attributes)} attributes, "
+                f"expected at most {_MOST_ATTRIBUTES}"
+            )
         for key, value in attributes.items():
             if len(key) + len(value) > _LONGEST:
                 raise InvalidArgument(
@@ -186,8 +226,11 @@ def judge_links(root: Element, name: str, body_of: Callable[[str], Array], stack
         )
 
 
-def check_urdf(root: Element, name: str) -> None:
-    """Refuse a link whose mass or inertia is no number, in a tree that is one.
+def _check_numbers(root: Element, name: str) -> None:
+    """Refuse what should be numbers and is not, in a tree that is one.
+
+    A reader drops what is about it, a link's whole inertia or shape, or refuses the file without a reason;
+    so too where there is a space or a line end that it does not expect, of which the numbers are freed.
 
     Parameters
     ----------
@@ -205,6 +248,40 @@ def check_urdf(root: Element, name: str) -> None:
         inertial = link.find("inertial")
         if inertial is not None:
             _check_inertial(inertial, f"{name}: link {link.get('name')!r}")
+    for part in root:
+        for path, counts in _NUMBERS.get(part.tag, {}).items():
+            for element in part.iterfind(path):
+                for key, count in counts.items():
+                    if (text := element.get(key)) is None:
+                        continue
+                    called = f"{name}: {part.tag} {part.get('name')!r} has <{path}> with {key}"
+                    numbers(text, count, called)
+                    element.set(key, " ".join(text.split()))
+
+
+def numbers(text: str, count: int, called: str) -> tuple[float, ...]:
+    """Return the numbers of an attribute, spelled as the C++ language has them.
+
+    Parameters
+    ----------
+    text : str
+        The attribute.
+    count : int
+        How many there are.
+    called : str
+        What has them, for the message.
+
+    Raises
+    ------
+    InvalidArgument
+        If there are others than that many finite numbers.
+    """
+    words = text.split()
+    found = tuple(map(float, words)) if all(map(_NUMBER.fullmatch, words)) else ()
+    if len(found) != count or not all(map(isfinite, found)):
+        expected = "a finite number" if count == 1 else f"{count} finite numbers"
+        raise InvalidArgument(f"{called} {text!r}, expected {expected}")
+    return found
 
 
 def _check_tree(root: Element, name: str) -> None:
@@ -292,18 +369,10 @@ def _check_inertial(inertial: Element, called: str) -> None:
     if mass is None or inertia is None:
         missing = "mass" if mass is None else "inertia"
         raise InvalidArgument(f"{called} has an <inertial> without <{missing}>, expected both")
-    if _number(mass, "value", f"{called} has mass") < 0:
-        raise InvalidArgument(f"{called} has mass {mass.get('value')} kg, expected >= 0")
-    for key in MOMENTS:
-        _number(inertia, key, f"{called} has inertia {key}")
-
-
-def _number(element: Element, key: str, called: str) -> float:
-    text = element.get(key, "")
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not isfinite(value):
-        raise InvalidArgument(f"{called} {text!r}, expected a finite number")
-    return value
+    for element, key, what in (
+        (mass, "value", "mass"),
+        *((inertia, key, f"inertia {key}") for key in MOMENTS),
+    ):
+        (value,) = numbers(element.get(key, ""), 1, f"{called} has {what}")
+        if element is mass and value < 0:
+            raise InvalidArgument(f"{called} has mass {mass.get('value')} kg, expected >= 0")
