@@ -55,10 +55,21 @@ INNER = {
         "simulation.sample_times",
     ),
     *("simulation.sampled", "simulation.stepped", "sweeps.check_draws", "sweeps.connected", "sweeps.length"),
-    *("trajectories.check_limits", "integrators.RungeKuttaNystrom", "Ensemble.of", "Scenario.holding"),
+    *(
+        "trajectories.check_limits",
+        "integrators.RungeKuttaNystrom",
+        "Ensemble.of",
+        "Scenario.holding",
+    ),
+    *(
+        "integrators.check_integrator",
+        "robot.Arm",
+        "sweeps.Grid",
+        "viewer.LiveWindow",
+        "viewer.OfflineWindow",
+    ),
     *("Rollout.of", "Rollout.arrays", "ensembles.Outline.of", "ensembles.Outline.from_description"),
     *("ensembles.Outline.description", "ensembles.Outline.difference"),
-    *("robot.Arm", "sweeps.Grid", "viewer.LiveWindow", "viewer.OfflineWindow"),
 }
 # What the library makes and users read: nobody calls the class.
 RESULTS = {
@@ -694,6 +705,7 @@ ROWS: dict[str, Row] = {
 
 # Objects whose methods are called, by the class.
 OWNERS: dict[str, Callable[[], Any]] = {
+    "robot.Stance": lambda: Stance.of_box((0.6, 0.4, 0.2)),
     "EndEffectorTracking": lambda: pm.EndEffectorTracking(WORLD.armed, WORLD.target),
     "Axis": lambda: pm.Axis([1.0, 2.0]),
     "Lissajous": lambda: WORLD.path,

@@ -316,6 +316,11 @@ FAULTS = [
         lambda: Viewer(ROBOT, live=True, host="127.0.0.1]"),
         "host is '127.0.0.1]', expected a name",
     ),
+    Fault(
+        "no text",
+        lambda: Viewer(ROBOT, live=True, host="a b"),
+        "host is 'a b', expected a name",
+    ),
     # Parts of a loop that are none, and functions that are called otherwise.
     Fault(
         "another part",
@@ -502,12 +507,13 @@ def test_a_scenario_file_may_be_nested_deep(tmp_path: Path, capsys: pytest.Captu
     assert "deep.toml: its values are nested too deep, expected TOML" in capsys.readouterr().err
 
 
-def test_a_mesh_whose_name_no_file_can_have_is_missing(tmp_path: Path) -> None:
-    mesh = f'<visual><geometry><mesh filename="{"x" * 5_000}.stl"/></geometry></visual>'
+@pytest.mark.parametrize("letters", [300, 4_000])
+def test_a_mesh_whose_name_no_file_can_have_is_missing(tmp_path: Path, letters: int) -> None:
+    mesh = f'<visual><geometry><mesh filename="{"x" * letters}.stl"/></geometry></visual>'
     text = shipped_urdf("box").read_text()
     file = tmp_path / "mesh.urdf"
     file.write_text(re.sub(r"(<link name=\"base_link\">)", rf"\1{mesh}", text))
-    with pytest.warns(UserWarning, match="x{5000}"):
+    with pytest.warns(UserWarning, match=f"x{{{letters}}}"):
         assert MobileRobot.from_urdf(file).visual_model.ngeoms >= 1
 
 

@@ -297,7 +297,7 @@ class TestHeatmap:
             ({"limits": (1, 30)}, r"^limits is \(1, 30\), expected to hold all of values, 40 too$"),
             ({"limits": (50, 1)}, r"^limits is \(50, 1\), expected \(smallest, largest\)$"),
             ({"limits": 3}, r"^limits is 3, expected \(smallest, largest\)$"),
-            ({"y": ("a", "m", [])}, r"^y\[2\] has shape \(0,\), expected \(n,\) with n >= 1$"),
+            ({"y": ("a", "m", [])}, r"^y\[2\] is empty, expected one value at least$"),
         ],
     )
     def test_bad_arguments(self, changes: dict[str, Any], message: str) -> None:

@@ -457,7 +457,10 @@ def test_distributions_check_themselves(make: Any, text: str) -> None:
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        ({"engine": "numba"}, "engine is 'numba', expected COMPILED, ARRAYS or None"),
+        (
+            {"engine": "numba"},
+            "engine is 'numba', expected COMPILED or ARRAYS of pinmobile.ensembles, or None",
+        ),
         ({"threads": 0}, "threads is 0, expected a whole number >= 1"),
         ({"traces": 3}, "traces is 3, expected indices of robots, such as"),
         ({"progress": 3}, "progress is 3, expected a function of done and n"),

@@ -269,8 +269,8 @@ MIMIC = MIMIC.replace("continuous", "revolute").replace(
     [
         ({"at": (0, 0, np.nan, 0)}, "at[2] is nan, expected a finite number"),
         ({"at": (0, 0, 0)}, "at has shape (3,), expected (4,): x, y, z and yaw"),
-        ({"name": "a/b"}, "name is 'a/b', expected a word without a slash"),
-        ({"name": ""}, "name is '', expected a word without a slash"),
+        ({"name": "a/b"}, "name is 'a/b', expected a word without slash"),
+        ({"name": ""}, "name is '', expected a word without slash"),
         ({"arm": 3}, "arm is a int, expected a name, the path of a URDF, or a pinocchio.Model"),
         (
             {"arm": massless()},

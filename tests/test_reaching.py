@@ -360,7 +360,10 @@ class TestTracking:
         assert misses(PANDA, away, run.t, run.q)[0] > 0.05
 
     def test_an_integrator_is_a_step(self) -> None:
-        with pytest.raises(InvalidArgument, match=r"^integrator is 'rk4', expected a step, such as rk4"):
+        with pytest.raises(
+            InvalidArgument,
+            match=r"^integrator is 'rk4', expected one of pinmobile.integrators or such a step",
+        ):
             EndEffectorTracking(UR5, RING, integrator="rk4")  # type: ignore[arg-type]
 
 

@@ -39,6 +39,7 @@ VALUES: dict[str, Callable[[MobileRobot, int], Any]] = {
     "generator": lambda robot, k: np.random.default_rng(k),
     "path": lambda robot, k: shipped_urdf("lecture"),
     "pin_model": lambda robot, k: robot.base.model,
+    "source": lambda robot, k: f"a test, {k}",
     "body": lambda robot, k: Body(10 + k, np.array([0.1, 0, 0.2]), np.diag([1, 1, 1 + k / STATES])),
     "load": lambda robot, k: Load(1.0 + k, (0, 0, 0.1)),
     "arm": lambda robot, k: "double_pendulum",

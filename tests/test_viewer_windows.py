@@ -514,7 +514,7 @@ def test_fault_the_port_is_taken(bounded: Callable[[float], None]) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:the viewer listens")
-@pytest.mark.parametrize("host", ["192.0.2.1", "no.such.host.invalid", "a b", "x" * 300])
+@pytest.mark.parametrize("host", ["192.0.2.1", "no.such.host.invalid", "x" * 300])
 def test_fault_there_is_no_such_address(host: str) -> None:
     with pytest.raises(ViewerError, match="cannot listen on a free port of"):
         LiveWindow(host)

@@ -286,8 +286,8 @@ def location(name: str, value: Any) -> Path:
         named = b"\0"
     if b"\0" in named or max(map(len, named.split(b"/"))) > _LONGEST_NAME:
         raise InvalidArgument(
-            f"{name} is {shown(value)}, expected the path of a file: letters that a file's name can have, "
-            f"at most {_LONGEST_NAME} bytes between two slashes"
+            f"{name} is {shown(str(value))}, expected the path of a file: letters that a file's name can "
+            f"have, at most {_LONGEST_NAME} bytes between two slashes"
         )
     return path
 

@@ -6,14 +6,16 @@ the acceleration have shape (..., n), t [s] and dt [s] are numbers. Any callable
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, callable_as
+from pinmobile.errors import InvalidArgument, shown
 
 __all__ = [
     "Acceleration",
     "Integrator",
     "RungeKuttaNystrom",
+    "check_integrator",
     "constant_acceleration",
     "rk4",
     "semi_implicit_euler",
@@ -29,6 +31,25 @@ class Integrator(Protocol):
         self, acceleration: Acceleration, t: float, q: Array, v: Array, dt: float
     ) -> tuple[Array, Array]:
         """Return configuration and velocity a time `dt` later."""
+
+
+def check_integrator(integrator: Any) -> None:
+    """Refuse what is no step.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is a controller, no function, or one that cannot be called as ``(acceleration, t, q, v, dt)``.
+    """
+    if hasattr(integrator, "initial_state"):
+        raise InvalidArgument(
+            f"integrator is {shown(integrator)}, a controller, expected one of pinmobile.integrators"
+        )
+    callable_as(
+        "integrator(acceleration, t, q, v, dt)",
+        integrator,
+        "one of pinmobile.integrators or such a step",
+    )
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,8 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
+from io import UnsupportedOperation
 from typing import Any
 
 __all__ = ["main"]
@@ -72,7 +74,8 @@ _INTERRUPTED = 130  # as typer says it, and shells
 
 def _silence() -> None:
     """Let what is left to be printed go nowhere, so that Python does not fail of it at its end."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    with suppress(UnsupportedOperation):  # of an output that is no file
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _note(message: Warning | str, *where: Any, **more: Any) -> None:

@@ -19,7 +19,7 @@ from pinmobile.sweeps import Grid, check_draws
 __all__ = ["EXAMPLE", "read_grid"]
 
 EXAMPLE = """
-[robot]            # base ("lecture", "box") or urdf; mass, yaw_inertia, com
+[robot]            # base ("lecture", "box") or urdf, ground; mass, yaw_inertia, com
 base = "box"
 [trajectory]       # type and what it takes in `run`; heading, psi, turn_time
 type = "circle"
@@ -41,7 +41,7 @@ after = 5
 
 _CURVE = ("duration", "radius", "rate", "rx", "ry", "wx", "wy", "start", "via", "end", "t_via")
 _TABLES: Mapping[str, tuple[str, ...]] = {
-    "robot": ("base", "urdf", "mass", "yaw_inertia", "com"),
+    "robot": ("base", "urdf", "ground", "mass", "yaw_inertia", "com"),
     "trajectory": ("type", *_CURVE, "via_velocity", "heading", "psi", "turn_time"),
     "controller": ("type", "kp", "kd", "model_mass", "model_yaw_inertia", "model_com"),
     "loop": ("dt", "integrator", "substeps"),
@@ -67,7 +67,15 @@ _NAMES = ("base", "urdf", "type", "heading", "integrator")
 _UNITS = {
     **{"mass": "kg", "yaw_inertia": "kg m^2", "model_mass": "kg", "model_yaw_inertia": "kg m^2"},
     **{"radius": "m", "rx": "m", "ry": "m", "rate": "rad/s", "wx": "rad/s", "wy": "rad/s", "psi": "rad"},
-    **{"duration": "s", "t_via": "s", "turn_time": "s", "dt": "s", "after": "s", "percent": "%"},
+    **{
+        "duration": "s",
+        "t_via": "s",
+        "turn_time": "s",
+        "dt": "s",
+        "after": "s",
+        "ground": "m",
+        "percent": "%",
+    },
 }
 
 

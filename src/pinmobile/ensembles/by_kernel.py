@@ -55,7 +55,7 @@ def _run(scenario: Scenario, batch: Batch) -> Part:
         clip = 1.0 if any(type(layer) is Saturated for layer in layers_of(scenario.controller)) else None
         step = scenario.dt, float(table[0, 1, 0])
         model = 1.0 if torque else None
-        kernel.lean(inputs, results, reference, *step, *judged, model, clip)
+        _called(kernel.lean, inputs, results, reference, *step, *judged, model, clip)
     else:
         forces, waves, rollings, sines = _forces(scenario, batch)
         noise, delay = _measurement(scenario, batch)
@@ -63,7 +63,7 @@ def _run(scenario: Scenario, batch: Batch) -> Part:
         pushed = forces, waves, rollings, sines
         matrices = _matrices(batch)
         loop = inputs, results, reference, times, h
-        kernel.general(*loop, *judged, torque, matrices, *pushed, noise, delay, table)
+        _called(kernel.general, *loop, *judged, torque, matrices, *pushed, noise, delay, table)
     kept = np.maximum(results[0] - scenario.begin, 1.0)
     return Part(
         lived=results[0].astype(np.int64),
@@ -73,6 +73,15 @@ def _run(scenario: Scenario, batch: Batch) -> Part:
         max_force=results[8:11].T,
         counts=counts,
     )
+
+
+def _called(function: Any, *arguments: Any) -> None:
+    try:
+        function(*arguments)
+    except OSError:
+        # What numba has just compiled it could not keep in its file, as on a full disk; it is there all
+        # the same.
+        function(*arguments)
 
 
 def _is_lean(scenario: Scenario, batch: Batch) -> bool:

@@ -6,8 +6,7 @@ from typing import Any, final
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, non_negative, positive
-from pinmobile.errors import InvalidArgument
-from pinmobile.integrators import Integrator, constant_acceleration
+from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
 from pinmobile.reaching.bounds import Limits, bounded_least_squares, per_coordinate
 from pinmobile.reaching.poses import PosePath, pose_error
 from pinmobile.reaching.resolution import checked_target
@@ -83,8 +82,7 @@ class EndEffectorTracking:
         checked_target(self.robot, self.target)
         own = {name: non_negative(name, getattr(self, name)) for name in _GAINS}
         own |= {name: positive(name, getattr(self, name)) for name in ("damping", "dt")}
-        if not callable(self.integrator):
-            raise InvalidArgument(f"integrator is {self.integrator!r}, expected a step, such as rk4")
+        check_integrator(self.integrator)
         nv = self.robot.nv
         speed = self.robot.velocity_limit if self.velocity_limit is None else self.velocity_limit
         speed = per_coordinate("velocity_limit", speed, nv, zero=True)

@@ -8,6 +8,7 @@ from pinmobile.arrays import Array, affordable, callable_as, positive, vector, w
 from pinmobile.controllers import check_controller
 from pinmobile.disturbances import Force
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.integrators import check_integrator
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
 if TYPE_CHECKING:
@@ -45,15 +46,7 @@ def checked_loop(plant: Any, controller: Any, trajectory: Any, integrator: Any) 
             f"plant is {shown(plant)}, expected something with 'forward_dynamics' and the sizes nq, nv, nu"
         )
     callable_as("trajectory(t)", trajectory)
-    if hasattr(integrator, "initial_state"):
-        raise InvalidArgument(
-            f"integrator is {shown(integrator)}, a controller, expected one of pinmobile.integrators"
-        )
-    callable_as(
-        "integrator(acceleration, t, q, v, dt)",
-        integrator,
-        "one of pinmobile.integrators or such a step",
-    )
+    check_integrator(integrator)
 
 
 def _is_size(value: Any) -> bool:
