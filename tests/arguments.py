@@ -68,6 +68,8 @@ INNER = {
         "viewer.LiveWindow",
         "viewer.OfflineWindow",
     ),
+    *("Rollout.of", "Rollout.arrays", "ensembles.Outline.of", "ensembles.Outline.from_description"),
+    *("ensembles.Outline.description", "ensembles.Outline.difference"),
 }
 # What the library makes and users read: nobody calls the class.
 RESULTS = {
@@ -86,6 +88,7 @@ RESULTS = {
     *("SchedulerError", "Sweep", "UnknownName", "Unreachable", "ViewerError", "JointType"),
     *("accuracy.Convergence", "accuracy.IntegratorReport", "derivation.Derivation", "derivation.Numeric"),
     *("derivation.Step", "ensembles.Bands", "ensembles.Engine", "ensembles.Member", "ensembles.Part"),
+    "ensembles.Outline",
     *("ensembles.Within", "reaching.PoseTarget", "robot.Linearization", "robot.Mount"),
     *("robot.Mountable", "robot.Mountables", "verification.Comparison", "viewer.Recording"),
     "verification.Verification",
@@ -325,6 +328,11 @@ MADE: dict[str, Callable[[], Any]] = {
     "recording": lambda: WORLD.viewer.record(WORLD.rollout, fps=5),
     "body": lambda: urdf.Body(10.0, np.zeros(3), np.eye(3)),
     "urdf": lambda: pm.shipped_urdf("box"),
+    "ensemble_scenario": lambda: WORLD.ensemble.scenario,
+    "saved_ensemble": lambda: (
+        WORLD.ensemble.save(WORLD.folder / "ensemble.npz"),
+        WORLD.folder / "ensemble.npz",
+    )[1],
     "saved": lambda: (WORLD.rollout.save(WORLD.folder / "saved.npz"), WORLD.folder / "saved.npz")[1],
 }
 WORLD: Any = World()
@@ -483,6 +491,10 @@ ROWS: dict[str, Row] = {
     "Scenario": Row(lambda: {k: v for k, v in ENSEMBLE().items() if k not in ("engine", "traces")}),
     "Scenario.draws": row(start=0, stop=2),
     "ensemble": Row(lambda: ENSEMBLE() | {"threads": 1, "progress": lambda done, n: None}, 300),
+    "Ensemble.load": row(path=the("saved_ensemble"), scenario=the("ensemble_scenario")),
+    "Ensemble.save": row(path=partial(lambda: WORLD.folder / "again.npz")),
+    "Ensemble.to_csv": row(path=partial(lambda: WORLD.folder / "again.csv")),
+    "Ensemble.to_xarray": row(),
     "Ensemble.bands": row(levels=[0.5, 0.9]),
     "Ensemble.largest": row(by="distance"),
     "Ensemble.member": row(i=0),

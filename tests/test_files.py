@@ -14,14 +14,30 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import PD, Circle, FileError, InvalidArgument, MobileRobot, Rollout, Tangent, plots, simulate
+from pinmobile import (
+    PD,
+    Circle,
+    Ensemble,
+    FileError,
+    InvalidArgument,
+    MobileRobot,
+    Rollout,
+    Tangent,
+    Uniform,
+    ensemble,
+    plots,
+    simulate,
+)
 from pinmobile.cli.output import Section, index_page, output_folder, save_figure
+from pinmobile.ensembles import ARRAYS
 from pinmobile.files import replacing, write
 from pinmobile.viewer import Recording, Viewer
 from tests.damage import full_disk
 
 ROBOT = MobileRobot.lecture()
-RUN = simulate(ROBOT, PD((120, 120, 0.4), (120, 120, 0.4)), Tangent(Circle(3, 0.1, 6)), dt=0.1)
+LOOP: Any = (ROBOT, PD((120, 120, 0.4), (120, 120, 0.4)), Tangent(Circle(3, 0.1, 6)))
+RUN = simulate(*LOOP, dt=0.1)
+ROBOTS = ensemble(*LOOP, n=30, spread={"mass": Uniform(8, 12)}, dt=0.1, engine=ARRAYS)
 
 
 def recording() -> Recording:
@@ -32,6 +48,8 @@ def recording() -> Recording:
 WRITERS: dict[str, Callable[[Path], object]] = {
     "run.npz": RUN.save,
     "run.csv": RUN.to_csv,
+    "robots.npz": ROBOTS.save,
+    "robots.csv": ROBOTS.to_csv,
     "page.html": lambda path: recording().save_html(path),
     "moving.gif": lambda path: plots.animate(RUN, path, fps=2),
     "film.gif": lambda path: recording().save_gif(path),
@@ -70,7 +88,7 @@ def test_a_full_disk_leaves_the_file_that_was_there(tmp_path: Path, name: str, r
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux alone has a device that is full")
-@pytest.mark.parametrize("write_to", [RUN.save, RUN.to_csv])
+@pytest.mark.parametrize("write_to", [RUN.save, RUN.to_csv, ROBOTS.save, ROBOTS.to_csv])
 def test_a_device_that_is_full_is_named(write_to: Callable[[Path], None]) -> None:
     with pytest.raises(FileError, match="path is '/dev/full', which cannot be written: No space left on dev"):
         write_to(Path("/dev/full"))
@@ -197,8 +215,9 @@ def test_where_no_file_can_be_is_no_failure_of_the_system(tmp_path: Path, name: 
     (tmp_path / "file").touch()
     with pytest.raises(InvalidArgument, match=f"^path is '.*', which cannot be written: {why}$"):
         RUN.save(tmp_path / name)
-    with pytest.raises(InvalidArgument, match=r"^path is '.*', which cannot be read: "):
-        Rollout.load(tmp_path / name)
+    for load in (Rollout.load, Ensemble.load):
+        with pytest.raises(InvalidArgument, match=r"^path is '.*', which cannot be read: "):
+            load(tmp_path / name)
 
 
 def test_a_name_as_long_as_can_be_is_written_and_none_that_is_longer(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from pinmobile import (
     Tangent,
     simulate,
 )
-from tests.damage import answer, damaged, little_memory
+from tests.damage import answer, damaged, little_memory, rewritten
 
 ROBOT = MobileRobot(10, 1.2, com=(0.15, 0.05)).attach(Load(2, (0.1, 0, 0.2)))
 RUN = simulate(ROBOT, PD((8, 8, 1), (8, 8, 1)), Tangent(Circle(3, 0.1, 6)), dt=0.5)
@@ -106,6 +106,12 @@ MOUNT = {"name": "ur5", "at": [0, 0, 0, 0], "arm": "ur5", "package_dirs": [], "l
         (changed("format", lambda _: np.array("pinmobile rollout 2")), "it is of another format"),
         (without("q"), "it holds 'a', .*; expected format, robot, t, q, v, a, tau, error, reference_q"),
         (lambda p: {**members(p), "more": np.zeros(3)}, "it holds .* 'more'"),
+        (changed("robot", lambda _: np.array(0x110000, "<u4").view("<U1")), "codec can't decode"),
+        (
+            changed("robot", lambda _: np.array(3)),
+            r"robot is of type int64 and shape \(\), expected one text",
+        ),
+        (changed("format", lambda text: text[None]), r"format is of type <U19 and shape \(1,\), expected"),
         (text("[" * 100_000), "recursion"),
         (text("{}"), "'dh'"),
         (text("[]"), "list"),
@@ -135,15 +141,6 @@ def test_what_no_rollout_holds_is_refused(
     np.savez(tmp_path / "run.npz", **make(tmp_path))
     with pytest.raises(InvalidArgument, match=rf"^path is '.*run.npz', which .*{why}"):
         Rollout.load(tmp_path / "run.npz")
-
-
-def rewritten(content: bytes, change: Callable[[str, bytes], bytes], **options: Any) -> bytes:
-    """Return an archive with other members; all its checksums are right."""
-    made = io.BytesIO()
-    with zipfile.ZipFile(io.BytesIO(content)) as archive, zipfile.ZipFile(made, "w", **options) as target:
-        for name in archive.namelist():
-            target.writestr(name, change(name, archive.read(name)))
-    return made.getvalue()
 
 
 def header(shape: str, kind: str = "<f8") -> bytes:

@@ -40,10 +40,10 @@ from pinmobile import (
 )
 from pinmobile.ensembles import run_scenario
 from pinmobile.ensembles.histogram import edges
+from pinmobile.ensembles.variables import PER_ROBOT
 from pinmobile.sweeps import length
 from pinmobile.sweeps.axes import placed
 from pinmobile.sweeps.grids import RESERVED, as_grid
-from pinmobile.sweeps.layout import PER_ROBOT
 from pinmobile.sweeps.origin import determined_by, differences
 from pinmobile.sweeps.reading import attributes_of
 from pinmobile.sweeps.store import Store

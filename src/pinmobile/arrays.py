@@ -26,6 +26,7 @@ __all__ = [
     "finite",
     "finite_answer",
     "frozen",
+    "increasing",
     "lengths",
     "location",
     "non_negative",
@@ -431,6 +432,21 @@ def callable_as(form: str, function: Any, expected: str = "") -> Any:
             f"{name} is {shown(function)}, which cannot be called as {form}: {error}, expected one that can"
         ) from None
     return function
+
+
+def increasing(name: str, t: Array) -> None:
+    """Refuse times that are none, or do not increase.
+
+    Raises
+    ------
+    InvalidArgument
+        If `t` is not of shape (N,), N > 0, with each time after the one before.
+    """
+    if t.ndim != 1 or not t.size:
+        raise InvalidArgument(f"{name} has shape {t.shape}, expected one time or more")
+    if not (t[1:] > t[:-1]).all():
+        late = int(np.argmin(t[1:] > t[:-1]))
+        raise InvalidArgument(f"{name}[{late + 1}] is {t[late + 1]} s after {t[late]} s, expected more")
 
 
 def affordable(what: str, numbers: float, instead: str) -> None:

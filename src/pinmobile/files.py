@@ -1,11 +1,13 @@
 """Files written whole or not at all, archives looked at before they are read, and what refuses either."""
 
+import csv
 import errno
 import io
+import json
 import os
 import stat
 import zipfile
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from math import prod
 from os import PathLike
@@ -14,13 +16,23 @@ from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
-from pinmobile.arrays import location
-from pinmobile.errors import FileError, InvalidArgument, PinmobileError
+from pinmobile.arrays import Array, location
+from pinmobile.errors import FileError, InvalidArgument, PinmobileError, shown
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
-__all__ = ["arrays_of", "cannot", "refusals", "replacing", "write", "written"]
+__all__ = [
+    "archive_of",
+    "arrays_of",
+    "cannot",
+    "refusals",
+    "replacing",
+    "unpacking",
+    "write",
+    "write_table",
+    "written",
+]
 
 # What a path is at fault for, and another one mends; all else is the system's: a full disk, a failing device.
 _OF_THE_PATH = frozenset(
@@ -88,6 +100,25 @@ def write(path: str | PathLike[str], data: bytes, *, name: str = "path", through
     """Write a file as a whole; parameters and errors are those of `replacing`."""
     with replacing(path, name=name, through=through) as file:
         file.write(data)
+
+
+def write_table(path: str | PathLike[str], header: Sequence[str], columns: Sequence[Array]) -> None:
+    """Write columns as CSV with 17 significant digits, which tell every float64 from all others.
+
+    Parameters
+    ----------
+    path : str or path-like
+        The file; errors are those of `replacing`.
+    header : sequence of str
+        What stands above the columns.
+    columns : sequence of ndarray, shape (n,) or (n, m)
+        One column, or m of them.
+    """
+    with replacing(path) as file:
+        titles = io.StringIO()
+        csv.writer(titles, lineterminator="\n").writerow(header)  # quotes what a joint's name needs
+        file.write(titles.getvalue().encode())
+        np.savetxt(file, np.column_stack(columns), fmt="%.17g", delimiter=",")
 
 
 def written(path: str | PathLike[str], suffix: str, content: Callable[[], bytes]) -> Path:
@@ -202,6 +233,59 @@ def _dress_as(there: Path, descriptor: int) -> None:
     with suppress(PermissionError):  # it is then the writer's
         os.fchown(descriptor, like.st_uid, like.st_gid)
     os.fchmod(descriptor, stat.S_IMODE(like.st_mode))
+
+
+@contextmanager
+def unpacking(path: Path, form: str) -> Iterator[None]:
+    """Raise what the content of an archive leads to within as an error that names the file."""
+    try:
+        yield
+    except (ValueError, TypeError, LookupError, AttributeError, RecursionError, OverflowError) as error:
+        raise InvalidArgument(f"path is {shown(str(path))}, which is no {form!r} archive: {error}") from error
+
+
+def archive_of(
+    path: Path, form: str, description: str, kinds: Mapping[str, type]
+) -> tuple[dict[str, Any], Any]:
+    """Return the arrays of an archive that says its format, and what it says of itself beside them.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    form : str
+        What its array ``format`` says.
+    description : str
+        Name of the array that holds the description, as JSON.
+    kinds : mapping of str to type
+        All other arrays, and the type of their numbers; these come in this machine's byte order.
+
+    Raises
+    ------
+    InvalidArgument
+        If it cannot be read, is damaged, or holds something else.
+    FileError
+        If the system fails.
+    """
+    named = arrays_of(path, ("format", description, *kinds), kind=f"{form!r} archive")
+    with unpacking(path, form):
+        if _text("format", named.pop("format")) != form:
+            raise ValueError("it is of another format")
+        for name, kind in kinds.items():
+            here = named[name].dtype.newbyteorder("=")
+            if here != kind:
+                raise ValueError(f"{name} is of type {named[name].dtype}, expected {np.dtype(kind)}")
+            named[name] = named[name].astype(here, order="C", copy=False)
+        described = json.loads(_text(description, named.pop(description)))
+    return named, described
+
+
+def _text(name: str, array: Any) -> str:
+    """Return the text of an array; NumPy would make one of what are no letters, at which Python stumbles."""
+    if array.dtype.kind != "U" or array.shape:
+        raise ValueError(f"{name} is of type {array.dtype} and shape {array.shape}, expected one text")
+    letters: str = array.astype(array.dtype.newbyteorder("<")).tobytes().decode("utf-32-le")
+    return letters.rstrip("\0")
 
 
 def arrays_of(

@@ -4,6 +4,7 @@ from pinmobile.ensembles.by_arrays import ARRAYS
 from pinmobile.ensembles.by_kernel import COMPILED
 from pinmobile.ensembles.distributions import TRUE_MODEL, Distribution, Normal, Same, Uniform
 from pinmobile.ensembles.member import Member
+from pinmobile.ensembles.outline import Outline
 from pinmobile.ensembles.parameters import PARAMETERS
 from pinmobile.ensembles.part import Engine, Part
 from pinmobile.ensembles.result import Bands, Ensemble, Within
@@ -21,6 +22,7 @@ __all__ = [
     "Ensemble",
     "Member",
     "Normal",
+    "Outline",
     "Part",
     "Same",
     "Scenario",

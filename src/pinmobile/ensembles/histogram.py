@@ -20,6 +20,7 @@ __all__ = [
     "checked_levels",
     "checked_share",
     "edges",
+    "miscounted",
     "quantiles",
     "share_within",
 ]
@@ -42,6 +43,16 @@ def bins_of(values: Array) -> NDArray[np.int64]:
     """Return the bins of numbers >= 0, infinity included, shape (...)."""
     bits = np.ascontiguousarray(values).view(np.int64) >> SHIFT
     return np.asarray(np.clip(bits - FIRST + 1, 0, BINS - 1))
+
+
+def miscounted(counts: NDArray[Any], times: int, robots: int) -> str:
+    """Return why counts cannot be those of some robots at some times; nothing where they can be."""
+    shape = (times, 2, BINS)
+    if counts.shape != shape or counts.dtype != np.int32:
+        return f"has no counts {shape}"
+    if (counts < 0).any() or (counts.sum(axis=-1, dtype=np.int64) != robots).any():
+        return f"does not count {robots}"
+    return ""
 
 
 def checked_share(value: ArrayLike) -> float:

@@ -1,19 +1,24 @@
 """`Ensemble`: what came of the robots of a scenario, with its own judgement."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from os import PathLike
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, one_of, whole
+from pinmobile.arrays import Array, ArrayLike, location, one_of, whole
+from pinmobile.ensembles.archive import read_ensemble, write_ensemble
 from pinmobile.ensembles.histogram import checked_levels, checked_share, quantiles, share_within
 from pinmobile.ensembles.member import Member, member_of
+from pinmobile.ensembles.outline import Outline, alike
 from pinmobile.ensembles.part import Part
-from pinmobile.ensembles.scenario import Scenario
+from pinmobile.ensembles.scenario import Scenario, checked_scenario
 from pinmobile.ensembles.table import judgement, ranges
+from pinmobile.ensembles.variables import PER_ROBOT, columns_of, dataset_of
 from pinmobile.errors import Diverged, InvalidArgument
+from pinmobile.files import replacing, write_table
 from pinmobile.simulation import Rollout, simulate
 
 __all__ = ["Bands", "Ensemble", "Within"]
@@ -60,8 +65,8 @@ class Ensemble:
 
     Attributes
     ----------
-    scenario : Scenario
-        What was run.
+    scenario : Scenario or Outline
+        What was run; an `Outline`, its parts in words, after loading a file without the scenario.
     draws : dict of str to ndarray, shape (n,)
         What each robot got of each parameter that is spread.
     max_error, rms_error : ndarray, shape (n, 3)
@@ -80,7 +85,7 @@ class Ensemble:
         Everything of the robots that were asked for; of a diverged one until then.
     """
 
-    scenario: Scenario
+    scenario: Any
     draws: Mapping[str, Array]
     max_error: Array
     rms_error: Array
@@ -91,7 +96,7 @@ class Ensemble:
     traces: Mapping[int, Rollout]
 
     def __post_init__(self) -> None:
-        for array in (*self.draws.values(), *(getattr(self, name) for name in _ARRAYS)):
+        for array in (*self.draws.values(), *(getattr(self, name) for name in (*PER_ROBOT, "counts"))):
             array.setflags(write=False)
 
     @classmethod
@@ -131,7 +136,7 @@ class Ensemble:
         return made
 
     def __len__(self) -> int:
-        return self.scenario.n
+        return int(self.scenario.n)
 
     @property
     def diverged(self) -> NDArray[np.bool_]:
@@ -207,15 +212,25 @@ class Ensemble:
         Raises
         ------
         InvalidArgument
-            If there is no such robot.
+            If there is no such robot, or the parts of the scenario are known in words alone.
         """
+        index = self._index(i)
+        if isinstance(self.scenario, Outline):
+            raise InvalidArgument(
+                f"i is {index}, a robot that cannot be made again: a file keeps the scenario in words (its "
+                f"controller is {self.scenario.controller}); expected the ensemble of "
+                "Ensemble.load(path, scenario), with the Scenario that was run"
+            )
+        return member_of(self.scenario, index)
+
+    def _index(self, i: int) -> int:
         index = whole("i", i, least=0)
         if index >= len(self):
             raise InvalidArgument(f"i is {index}, expected 0 to {len(self) - 1}")
-        return member_of(self.scenario, index)
+        return index
 
     def trace(self, i: int) -> Rollout:
-        """Return everything of robot i, made by `simulate`: the same numbers but for rounding.
+        """Return everything of robot i, kept or made by `simulate`: the same numbers but for rounding.
 
         Rounding stays small where the loop holds the robot to its reference. Where the loop is chaotic it
         grows until the two have nothing in common but their bounds, as do any two ways of computing it.
@@ -223,10 +238,12 @@ class Ensemble:
         Raises
         ------
         InvalidArgument
-            If there is no such robot.
+            If there is no such robot, or it is not kept and cannot be made, see `member`.
         Diverged
             If it is beyond the limit from the start.
         """
+        if self._index(i) in self.traces:
+            return self.traces[self._index(i)]
         member = self.member(i)
         try:
             return simulate(*member[:3], **member.options)
@@ -236,19 +253,97 @@ class Ensemble:
             rollout: Rollout = diverged.rollout
             return rollout
 
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write everything, to the last digit, as a NumPy archive (``.npz``); what is there is replaced.
+
+        The parts of the scenario are kept in words, see `Outline`: whoever loads the file needs none of their
+        classes.
+
+        Raises
+        ------
+        InvalidArgument
+            If the file cannot be written.
+        FileError
+            If the system fails, such as of a full disk; what was there is there still.
+        """
+        with replacing(path) as file:
+            write_ensemble(file, self)
+
+    @classmethod
+    def load(cls, path: str | PathLike[str], scenario: Scenario | None = None) -> "Ensemble":
+        """Return what `save` wrote.
+
+        Parameters
+        ----------
+        path : path
+            The file.
+        scenario : Scenario, optional
+            What was run: needed for `member`, and for `trace` of robots that are not kept, since a file
+            holds numbers and words, no objects.
+
+        Raises
+        ------
+        InvalidArgument
+            If the file cannot be read, is damaged, is not such an archive, or is not of that scenario.
+        FileError
+            If the system fails.
+        """
+        file = location("path", path)
+        known = None if scenario is None else Outline.of(checked_scenario(scenario))
+        made = cls(**read_ensemble(file))
+        if scenario is None or known is None:
+            return made
+        found = made.scenario.difference(known)
+        drawn = {} if found else scenario.draws()
+        for name, values in drawn.items():
+            if not alike(made.draws[name], values):
+                found = f"it draws another {name}"
+        if found:
+            raise InvalidArgument(f"scenario is not that of {str(file)!r}: {found}")
+        return replace(made, scenario=scenario)
+
+    def to_xarray(self) -> Any:
+        """Return the records as an xarray.Dataset, with the names that they have in the store of a sweep.
+
+        Returns
+        -------
+        dataset : xarray.Dataset
+            Dimensions ``robot``, ``coordinate``, ``time``, ``channel``, ``level`` and ``bin``; each variable
+            has attributes ``units`` and ``long_name``. What was drawn is ``drawn_mass`` and so on. Attribute
+            ``scenario`` tells in words what was run. The traces, which may differ in length, are not in it.
+
+        Raises
+        ------
+        InvalidArgument
+            If xarray is not installed.
+        """
+        return dataset_of(self, {"scenario": str(Outline.of(self.scenario)), "seed": self.scenario.seed})
+
+    def to_csv(self, path: str | PathLike[str]) -> None:
+        """Write one line per robot, with a header that has the units, and 17 significant digits.
+
+        The columns are the robot's index, what was drawn for it (``drawn_mass [kg]`` and so on), its largest
+        and rms errors, largest forces and distance, and when it diverged; ``nan`` where it did not.
+
+        Raises
+        ------
+        InvalidArgument
+            If the file cannot be written.
+        FileError
+            If the system fails, such as of a full disk; what was there is there still.
+        """
+        write_table(path, *columns_of(self))
+
     def __repr__(self) -> str:
         return f"<Ensemble: {self._judgement()}>"
 
     def __str__(self) -> str:
         samples = f"seed {self.scenario.seed}, {len(self.scenario.t)} samples each"
-        return "\n".join(
-            [self._judgement(), samples, *ranges(self.max_distance, self.max_error, self.max_force)]
-        )
+        rows = ranges(self.max_distance, self.max_error, self.max_force)
+        words = [str(self.scenario)] if isinstance(self.scenario, Outline) else []
+        return "\n".join([self._judgement(), samples, *rows, *words])
 
     def _judgement(self) -> str:
         return judgement(
             len(self), self.scenario.t[-1], self.within(0.99), int(self.diverged.sum()), self.scenario.after
         )
-
-
-_ARRAYS = ("max_error", "rms_error", "max_distance", "max_force", "diverged_at", "counts")

@@ -9,7 +9,7 @@ from pinmobile.ensembles.choosing import chosen_engine
 from pinmobile.ensembles.distributions import Source
 from pinmobile.ensembles.part import Engine, Part
 from pinmobile.ensembles.result import Ensemble
-from pinmobile.ensembles.scenario import Scenario
+from pinmobile.ensembles.scenario import Scenario, checked_scenario
 from pinmobile.ensembles.stretches import Records, divided, processors, results
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.integrators import Integrator, constant_acceleration
@@ -106,8 +106,7 @@ def run_scenario(
     InvalidArgument
         As `ensemble`.
     """
-    if not isinstance(scenario, Scenario):
-        raise InvalidArgument(f"scenario is a {type(scenario).__name__}, expected a Scenario")
+    checked_scenario(scenario)
     chosen = chosen_engine(scenario, engine)
     workers = processors() if threads is None else whole("threads", threads)
     if progress is not None:

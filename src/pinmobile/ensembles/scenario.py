@@ -15,7 +15,7 @@ from pinmobile.ensembles.draws import draw, held
 from pinmobile.ensembles.forces import check_forces, with_spread_forces
 from pinmobile.ensembles.histogram import BINS
 from pinmobile.ensembles.layers import check_layers, core_of
-from pinmobile.ensembles.parameters import PARAMETERS
+from pinmobile.ensembles.parameters import PARAMETERS, Parameter
 from pinmobile.ensembles.spread import check_supports, checked_spread
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.integrators import Integrator, constant_acceleration
@@ -23,7 +23,7 @@ from pinmobile.robot import MobileRobot
 from pinmobile.simulation import checked_forces, checked_loop, checked_substeps, sample_times, sampled
 from pinmobile.trajectories import Reference, Trajectory
 
-__all__ = ["Scenario"]
+__all__ = ["Scenario", "checked_scenario", "first_counted", "time_within"]
 
 _SAME = 1e-6  # of dt: a time that is meant to be a sample's
 _GRID = 60  # intervals between counts, about
@@ -119,7 +119,7 @@ class Scenario:
             "seed": whole("seed", self.seed, least=0),
             "substeps": checked_substeps(self.substeps, len(t)),
             "limit": positive("limit", self.limit),
-            "after": _time("after", self.after, t),
+            "after": time_within("after", self.after, t),
             "every": every,
             "spread": checked_spread(self.spread, n),
             "forces": checked_forces(self.forces, self.robot),
@@ -141,7 +141,12 @@ class Scenario:
     @property
     def begin(self) -> int:
         """First sample whose error is kept."""
-        return int(np.searchsorted(self.t, self.after - _SAME * self.dt))
+        return first_counted(self.t, self.after, self.dt)
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """What is spread, by name."""
+        return {name: PARAMETERS[name] for name in self.spread}
 
     @property
     def grid(self) -> Array:
@@ -201,7 +206,32 @@ class Scenario:
         return values
 
 
-def _time(name: str, value: Any, t: Array) -> float:
+def checked_scenario(scenario: Any) -> Scenario:
+    """Return a scenario, after refusing what is none.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is something else.
+    """
+    if not isinstance(scenario, Scenario):
+        raise InvalidArgument(f"scenario is a {type(scenario).__name__}, expected a Scenario")
+    return scenario
+
+
+def first_counted(t: Array, after: float, dt: float) -> int:
+    """Return the first of the samples at times `t` whose error is kept, those `after` a time."""
+    return int(np.searchsorted(t, after - _SAME * dt))
+
+
+def time_within(name: str, value: Any, t: Array) -> float:
+    """Return a time of a run that has samples at times `t`.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is not.
+    """
     time = scalar(name, value)
     if not 0 <= time <= t[-1]:
         raise InvalidArgument(f"{name} is {time} s, expected from 0 to the duration, {t[-1]:g} s")

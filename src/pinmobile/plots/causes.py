@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, scalar
-from pinmobile.ensembles import PARAMETERS, Ensemble, Same
+from pinmobile.ensembles import Ensemble, Same
 from pinmobile.errors import InvalidArgument
 
 __all__ = ["Cause", "causes", "worst_share"]
@@ -120,7 +120,7 @@ def _parameters(ensemble: Ensemble) -> list[tuple[str, str, Array]]:
         source: Any = ensemble.scenario.spread[name]
         base = ensemble.draws.get(source.name) if isinstance(source, Same) else None
         if base is None:
-            found.append((name, PARAMETERS[name].unit, values))
+            found.append((name, ensemble.scenario.parameters[name].unit, values))
         else:
             ratio = np.divide(values, base, out=np.ones_like(values), where=base != 0)
             found.append((f"{name} / {source.name}", "", ratio))

@@ -1,17 +1,15 @@
 """`Rollout`: everything that a simulation recorded, with its own judgement."""
 
-import csv
-import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, finite, frozen, location
+from pinmobile.arrays import Array, finite, frozen, increasing, location
 from pinmobile.errors import InvalidArgument
-from pinmobile.files import replacing
+from pinmobile.files import replacing, write_table
 from pinmobile.robot import MobileRobot
 from pinmobile.simulation.storage import read_archive, write_archive
 from pinmobile.trajectories import Reference
@@ -21,6 +19,7 @@ __all__ = ["Rollout", "error_text"]
 _NAMES = ("x", "y", "psi")
 _UNITS = ("m", "m", "rad")
 _ROUNDING = 1e-12  # [m, rad]
+_RECORDED = ("t", "q", "v", "a", "tau", "error")
 
 
 def error_text(value: float) -> str:
@@ -66,7 +65,7 @@ class Rollout:
     reference: Reference
 
     def __post_init__(self) -> None:
-        for name in ("t", "q", "v", "a", "tau", "error"):
+        for name in _RECORDED:
             with np.errstate(over="ignore"):  # of the square of a time
                 object.__setattr__(self, name, frozen(finite(name, getattr(self, name))))
         parts = zip(Reference._fields, self.reference, strict=True)
@@ -76,11 +75,7 @@ class Rollout:
 
     def _check_shapes(self) -> None:
         t, desired = self.t, self.reference
-        if t.ndim != 1 or not t.size:
-            raise InvalidArgument(f"t has shape {t.shape}, expected one time or more")
-        if not (t[1:] > t[:-1]).all():
-            late = int(np.argmin(t[1:] > t[:-1]))
-            raise InvalidArgument(f"t[{late + 1}] is {t[late + 1]} s after {t[late]} s, expected more")
+        increasing("t", t)
         of_plant = {"q": self.q, "v": self.v, "a": self.a, "tau": self.tau}
         tracked = {"error": self.error, "reference.v": desired.v, "reference.a": desired.a}
         for name, array in {**of_plant, **tracked, "reference.q": desired.q}.items():
@@ -180,10 +175,19 @@ class Rollout:
         FileError
             If the system fails, such as of a full disk; what was there is there still.
         """
-        arrays = {name: getattr(self, name) for name in ("t", "q", "v", "a", "tau", "error")}
-        arrays |= {f"reference_{name}": array for name, array in self.reference._asdict().items()}
         with replacing(path) as file:
-            write_archive(file, arrays, self.robot)
+            write_archive(file, self.arrays(), self.robot)
+
+    def arrays(self) -> dict[str, Array]:
+        """Return all arrays by the names that they have in a file, those of the reference among them."""
+        reference = {f"reference_{name}": array for name, array in self.reference._asdict().items()}
+        return {name: getattr(self, name) for name in _RECORDED} | reference
+
+    @classmethod
+    def of(cls, robot: Any, arrays: Mapping[str, Array]) -> "Rollout":
+        """Return the rollout of a robot, or of None, that has the arrays of `arrays`."""
+        reference = Reference(*(arrays[f"reference_{name}"] for name in Reference._fields))
+        return cls(robot=robot, reference=reference, **{name: arrays[name] for name in _RECORDED})
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> "Rollout":
@@ -198,9 +202,8 @@ class Rollout:
         """
         file = location("path", path)
         arrays, robot = read_archive(file)
-        reference = Reference(*(arrays.pop(f"reference_{name}") for name in Reference._fields))
         try:
-            return cls(robot=robot, reference=reference, **arrays)
+            return cls.of(robot, arrays)
         except InvalidArgument as error:
             raise InvalidArgument(f"path is {str(file)!r}, which holds no rollout: {error}") from error
 
@@ -220,12 +223,7 @@ class Rollout:
         groups = {"": self.q, "v_": self.v, "a_": self.a, "tau_": self.tau, "error_": self.error}
         groups["desired_"] = self.reference.q
         header = ["t", *(f"{group}{name}" for group, part in groups.items() for name in self._columns(part))]
-        with replacing(path) as file:
-            table = np.column_stack([self.t, *groups.values()])
-            titles = io.StringIO()
-            csv.writer(titles, lineterminator="\n").writerow(header)  # quotes what a joint's name needs
-            file.write(titles.getvalue().encode())
-            np.savetxt(file, table, fmt="%.17g", delimiter=",")
+        write_table(path, header, [self.t, *groups.values()])
 
     def _columns(self, part: Array) -> Sequence[str]:
         """Return the columns' names: x, y, psi and the joints; numbers where they have none."""

@@ -10,19 +10,26 @@ import numpy as np
 
 from pinmobile.arrays import Array, finite
 from pinmobile.dh import DHRow, DHTable, JointType
-from pinmobile.errors import InvalidArgument, PinmobileError, shown
-from pinmobile.files import arrays_of
+from pinmobile.errors import InvalidArgument, PinmobileError
+from pinmobile.files import archive_of, unpacking
 from pinmobile.robot import Load, MobileRobot, Stance
 from pinmobile.robot.sources import kept_arm
 from pinmobile.urdf import Body
 
-__all__ = ["ARRAYS", "read_archive", "why_unknown", "write_archive"]
+__all__ = [
+    "ARRAYS",
+    "check_robot",
+    "described_robot",
+    "read_archive",
+    "restored_robot",
+    "why_unknown",
+    "write_archive",
+]
 
 ARRAYS = ("t", "q", "v", "a", "tau", "error", "reference_q", "reference_v", "reference_a")
 """Names of the arrays of a rollout."""
 
 _FORMAT = "pinmobile rollout 1"
-_KIND = f"{_FORMAT!r} archive"
 _MOUNT: Mapping[str, type] = {
     "name": str,
     "at": list,
@@ -43,10 +50,10 @@ def write_archive(file: IO[bytes], arrays: dict[str, Array], robot: object) -> N
     arrays : dict of str to ndarray
         Those of `ARRAYS`.
     robot : object
-        The plant; any that is not a `MobileRobot`, or carries an arm without a name or a file, is left out.
+        The plant, see `described_robot`.
     """
-    described = _describe(robot) if isinstance(robot, MobileRobot) and _is_known(robot) else None
-    np.savez(file, allow_pickle=False, format=_FORMAT, robot=json.dumps(described), **arrays)
+    described = json.dumps(described_robot(robot))
+    np.savez(file, allow_pickle=False, format=_FORMAT, robot=described, **arrays)
 
 
 def read_archive(path: Path) -> tuple[dict[str, Array], MobileRobot | None]:
@@ -58,10 +65,7 @@ def read_archive(path: Path) -> tuple[dict[str, Array], MobileRobot | None]:
         If the file cannot be read or is no such archive.
     """
     named, described = _read(path)
-    try:
-        return named, _restore(described)
-    except PinmobileError:
-        return named, None
+    return named, restored_robot(described)
 
 
 def why_unknown(path: Path) -> str:
@@ -80,22 +84,36 @@ def why_unknown(path: Path) -> str:
 
 
 def _read(path: Path) -> tuple[dict[str, Array], dict[str, Any] | None]:
-    named = arrays_of(path, ("format", "robot", *ARRAYS), kind=_KIND)
-    try:
-        if str(named.pop("format")) != _FORMAT:
-            raise ValueError("it is of another format")
-        for name in ARRAYS:
-            if named[name].dtype.newbyteorder("=") != np.float64:
-                raise ValueError(f"{name} is of type {named[name].dtype}, expected float64")
-        described = json.loads(str(named.pop("robot")))
-        _check(described)
-    except (ValueError, TypeError, LookupError, AttributeError, RecursionError, OverflowError) as error:
-        raise InvalidArgument(f"path is {shown(str(path))}, which is no {_KIND}: {error}") from error
+    named, described = archive_of(path, _FORMAT, "robot", dict.fromkeys(ARRAYS, np.float64))
+    with unpacking(path, _FORMAT):
+        check_robot(described)
     return named, described
 
 
-def _check(described: dict[str, Any] | None) -> None:
-    """Refuse what `_describe` cannot have given; whether the files of arms are there is not asked."""
+def described_robot(robot: object) -> dict[str, Any] | None:
+    """Return the parameters of a robot, as JSON can hold them.
+
+    None for what is no `MobileRobot`, or carries an arm without a name or a file.
+    """
+    return _describe(robot) if isinstance(robot, MobileRobot) and _is_known(robot) else None
+
+
+def restored_robot(described: dict[str, Any] | None) -> MobileRobot | None:
+    """Return the robot of a description that is checked; None where it cannot be had again."""
+    try:
+        return _restore(described)
+    except PinmobileError:
+        return None
+
+
+def check_robot(described: dict[str, Any] | None) -> None:
+    """Refuse what `described_robot` cannot have given; whether the files of arms are there is not asked.
+
+    Raises
+    ------
+    ValueError, TypeError, LookupError, AttributeError, OverflowError
+        If it is something else, see `unpacking`.
+    """
     if described is None:
         return
     _base(described)

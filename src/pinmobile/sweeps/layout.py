@@ -7,37 +7,14 @@ from typing import Any
 import numpy as np
 
 from pinmobile.ensembles import PARAMETERS
-from pinmobile.ensembles.histogram import BINS, edges
+from pinmobile.ensembles.histogram import BINS
+from pinmobile.ensembles.variables import COORDINATES, LEVELS, NOTE, PER_ROBOT, SUMMED, coordinates, drawn
 from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.grids import Grid
 from pinmobile.sweeps.reading import METADATA, digest_of
 from pinmobile.sweeps.table import axis_of_rivals
 
-__all__ = ["LEVELS", "PER_ROBOT", "empty_store", "spread_names"]
-
-LEVELS = (0.5, 0.9, 0.99)
-"""Shares of the robots of which the store has the quantiles over time."""
-
-_UNTIL = "of a diverged robot until then"
-_SINCE = f"from the scenario's `after` on, {_UNTIL}"
-_OF_POSE, _OF_FORCE = "m, m, rad", "N, N, N m"
-PER_ROBOT: Mapping[str, tuple[tuple[str, ...], str, str]] = {
-    "max_error": (("coordinate",), _OF_POSE, f"largest |error|, {_SINCE}"),
-    "rms_error": (
-        ("coordinate",),
-        _OF_POSE,
-        f"root of the mean squared error, {_SINCE}",
-    ),
-    "max_force": (("coordinate",), _OF_FORCE, f"largest |generalised force|, {_UNTIL}"),
-    "max_distance": ((), "m", f"largest distance from the desired position, {_SINCE}"),
-    "diverged_at": ((), "s", "when the loop diverged; NaN where it did not"),
-}
-"""Of each array with one entry per robot: further dimensions, unit and meaning."""
-
-_OVER_TIME = {
-    "distance_quantile": ("m", "share `level` of the robots is at most this far from the desired position"),
-    "heading_quantile": ("rad", "share `level` of the robots is at most this far from the desired heading"),
-}
+__all__ = ["empty_store", "spread_names"]
 
 
 def spread_names(grid: Grid) -> list[str]:
@@ -69,7 +46,7 @@ def empty_store(grid: Grid, description: Mapping[str, Any], chunk: int) -> dict[
     mine: dict[str, Any] = {"chunk": chunk, "rivals": axis_of_rivals(grid.axes), "determined_by": description}
     mine |= {"arrays": list(nodes)}
     metadata["attributes"] = {
-        "Conventions": "units and long_name of each variable; robot i of a scenario is row i",
+        "Conventions": NOTE,
         "pinmobile_sweep": json.dumps({**mine, "digest": digest_of(mine, nodes, since)}),
         **since,
     }
@@ -80,48 +57,25 @@ def empty_store(grid: Grid, description: Mapping[str, Any], chunk: int) -> dict[
 
 
 def _make_arrays(group: Any, grid: Grid, chunk: int) -> None:
-    for name, values, unit, meaning in _coordinates(grid):
+    swept = [(name, list(axis.values), axis.unit, name) for name, axis in grid.axes.items()]
+    for name, values, unit, meaning in [*swept, *coordinates(grid.scenarios[0].grid)]:
         _coordinate(group, name, values, {**({"units": unit} if unit else {}), "long_name": meaning})
-    outer, ones = tuple(grid.axes), (1,) * len(grid.axes)
-    records = dict(PER_ROBOT)
-    for name in spread_names(grid):
-        parameter = PARAMETERS[name]
-        records[f"drawn_{name}"] = (
-            (),
-            parameter.unit or "1",
-            f"drawn {parameter.meaning}; NaN where not spread",
+    n, times = grid.n, len(grid.scenarios[0].grid)
+    sizes = {"robot": n, "coordinate": len(COORDINATES), "time": times, "channel": 2, "bin": BINS}
+    sizes |= {"level": len(LEVELS)}
+    spread = {name: PARAMETERS[name] for name in spread_names(grid)}
+    for name, variable in {**PER_ROBOT, **drawn(spread), **SUMMED}.items():
+        shape = [sizes[dimension] for dimension in variable.dimensions]
+        chunks = [min(chunk, n) if each == "robot" else sizes[each] for each in variable.dimensions]
+        _array(
+            group,
+            name,
+            (*grid.axes, *variable.dimensions),
+            (*grid.shape, *shape),
+            (*(1 for _ in grid.axes), *chunks),
+            variable.attributes,
+            np.int32 if name == "counts" else np.float64,
         )
-    for name, (inner, unit, meaning) in records.items():
-        dimensions, sizes = (*outer, "robot", *inner), (grid.n, *(3 for _ in inner))
-        chunks = (*ones, min(chunk, grid.n), *(3 for _ in inner))
-        _array(group, name, dimensions, (*grid.shape, *sizes), chunks, {"units": unit, "long_name": meaning})
-    times = len(grid.scenarios[0].grid)
-    counted = times, 2, BINS
-    meaning = "how many robots have an error of this size; what diverged counts in the last bin"
-    dimensions = *outer, "time", "channel", "bin"
-    attrs = {"units": "1", "long_name": meaning}
-    _array(group, "counts", dimensions, (*grid.shape, *counted), (*ones, *counted), attrs, np.int32)
-    for name, (unit, meaning) in _OVER_TIME.items():
-        sizes = len(LEVELS), times
-        attrs = {"units": unit, "long_name": meaning}
-        _array(group, name, (*outer, "level", "time"), (*grid.shape, *sizes), (*ones, *sizes), attrs)
-
-
-def _coordinates(grid: Grid) -> list[tuple[str, Sequence[Any], str, str]]:
-    found = [(name, list(axis.values), axis.unit, name) for name, axis in grid.axes.items()]
-    return [
-        *found,
-        ("time", grid.scenarios[0].grid.tolist(), "s", "time"),
-        ("coordinate", ["x", "y", "psi"], "1", "coordinate"),
-        ("channel", ["distance", "heading"], "1", "distance from the desired position [m], heading [rad]"),
-        ("level", list(LEVELS), "1", "share of the robots"),
-        (
-            "bin",
-            edges()[:-1].tolist(),
-            "m or rad",
-            "lower edge; the upper one is the next bin's lower one",
-        ),
-    ]
 
 
 def _coordinate(group: Any, name: str, values: Sequence[Any], attributes: Mapping[str, Any]) -> None:

@@ -6,8 +6,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from pinmobile.ensembles.histogram import BINS, miscounted
 from pinmobile.errors import InvalidArgument
 from pinmobile.files import arrays_of
 from pinmobile.sweeps.extras import imported
@@ -73,14 +72,14 @@ def coordinates_of(nodes: Mapping[str, Any]) -> list[str]:
     return [f"{name}/c/0" for name, node in nodes.items() if node["dimension_names"] == [name]]
 
 
-def counts_of(marker: Path, *, times: int, bins: int, robots: int) -> Any:
-    """Return the counts in the file that says that a chunk is done, shape (times, 2, bins).
+def counts_of(marker: Path, *, times: int, robots: int) -> Any:
+    """Return the counts in the file that says that a chunk is done, shape (times, 2, BINS).
 
     Parameters
     ----------
     marker : Path
         The file.
-    times, bins : int
+    times : int
         Of the bands.
     robots : int
         In the chunk: at each time, so many are counted.
@@ -92,17 +91,15 @@ def counts_of(marker: Path, *, times: int, bins: int, robots: int) -> Any:
     FileError
         If the system fails.
     """
-    shape = (times, 2, bins)
-    most = 4 * times * 2 * bins + _MOST
+    most = 4 * times * 2 * BINS + _MOST
     try:
         counts = arrays_of(
             marker, ["counts"], kind="record of a chunk", name="a file of the store", most=most
         )
         found = counts["counts"]
-        if found.shape != shape or found.dtype != np.int32:
-            raise InvalidArgument(f"a file of the store is {str(marker)!r}, which has no counts {shape}")
-        if (found < 0).any() or (found.sum(axis=-1, dtype=np.int64) != robots).any():
-            raise InvalidArgument(f"a file of the store is {str(marker)!r}, which does not count {robots}")
+        why = miscounted(found, times, robots)
+        if why:
+            raise InvalidArgument(f"a file of the store is {str(marker)!r}, which {why}")
     except InvalidArgument as error:
         raise InvalidArgument(f"{error}; remove that file, and start the same sweep again") from error
     return found

@@ -12,11 +12,11 @@ import numpy as np
 from pinmobile.arrays import location, whole
 from pinmobile.ensembles import Ensemble
 from pinmobile.ensembles.histogram import checked_share, share_within
+from pinmobile.ensembles.variables import PER_ROBOT
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.sweeps.axes import Axis, place_of
 from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.grids import Grid, as_grid
-from pinmobile.sweeps.layout import PER_ROBOT
 from pinmobile.sweeps.origin import determined_by, differences
 from pinmobile.sweeps.reading import attributes_of, coordinates_of, damaged
 from pinmobile.sweeps.table import answer, since, table

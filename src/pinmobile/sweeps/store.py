@@ -22,13 +22,13 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.ensembles import Ensemble, Part
-from pinmobile.ensembles.histogram import BINS, quantiles
+from pinmobile.ensembles.variables import PER_ROBOT, SUMMED, summed
 from pinmobile.errors import FileError, InvalidArgument
 from pinmobile.files import refusals, write
 from pinmobile.sweeps.cluster import GO_ON
 from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.grids import Grid
-from pinmobile.sweeps.layout import LEVELS, PER_ROBOT, empty_store
+from pinmobile.sweeps.layout import empty_store
 from pinmobile.sweeps.origin import differences
 from pinmobile.sweeps.reading import METADATA, attributes_of, coordinates_of, counts_of
 
@@ -36,7 +36,6 @@ __all__ = ["Job", "Store"]
 
 _PROGRESS, _LOCK, _WRITING = ".progress", "lock", "writing"
 _MARK = b"pinmobile sweep: the process that writes this store has locked this file\n"
-_SUMMED = ("counts", "distance_quantile", "heading_quantile")  # over all robots of a scenario
 
 
 class Job(NamedTuple):
@@ -197,7 +196,7 @@ class Store:
 
     def _counts(self, job: Job) -> Any:
         robots, times = job.stop - job.start, len(self.grid.scenarios[0].grid)
-        return counts_of(self.path / self._marker(job), times=times, bins=BINS, robots=robots)
+        return counts_of(self.path / self._marker(job), times=times, robots=robots)
 
     def _forget(self) -> None:
         """Remove the folder of the way there, unless somebody has put something into it."""
@@ -222,10 +221,8 @@ class Store:
 
     def _sum_up(self, scenario: int, counts: Any) -> None:
         where = self.grid.index(scenario)
-        self._arrays["counts"][where] = counts
-        found = quantiles(counts.astype(np.int64), np.array(LEVELS))
-        self._arrays["distance_quantile"][where] = found[..., 0]
-        self._arrays["heading_quantile"][where] = found[..., 1]
+        for name, values in summed(counts).items():
+            self._arrays[name][where] = values
         self._write_gathered()
 
     def _marker(self, job: Job) -> str:
@@ -247,7 +244,7 @@ class Store:
         """Tell whether all of a scenario is on disk; what is over all its chunks was written last."""
         starts = range(0, self.grid.n, self.chunk)
         names = self._per_robot(scenario)
-        return self._has(_SUMMED, scenario, 0) and all(self._has(names, scenario, k) for k in starts)
+        return self._has(SUMMED, scenario, 0) and all(self._has(names, scenario, k) for k in starts)
 
     def _per_robot(self, scenario: int) -> list[str]:
         return [*PER_ROBOT, *(f"drawn_{name}" for name in self.grid.scenarios[scenario].spread)]
@@ -257,7 +254,7 @@ class Store:
         outer = self.grid.index(scenario)
         for name in names:
             inner = [0] * (self._arrays[name].ndim - len(outer))
-            if name not in _SUMMED:
+            if name not in SUMMED:
                 inner[0] = start // self.chunk
             if not self.path.joinpath(name, "c", *map(str, (*outer, *inner))).is_file():
                 return False

@@ -1,0 +1,210 @@
+"""`Outline`: what is known of a scenario without its parts."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, final
+
+import numpy as np
+
+from pinmobile.arrays import Array, finite, frozen, increasing, positive, text, whole
+from pinmobile.ensembles.distributions import Same
+from pinmobile.ensembles.parameters import Parameter
+from pinmobile.ensembles.scenario import Scenario, checked_scenario, first_counted, time_within
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.trajectories import Reference
+
+__all__ = ["Outline", "alike"]
+
+_PARTS = ("robot", "controller", "trajectory", "integrator")
+_NUMBERS = ("n", "seed", "dt", "substeps", "limit", "after", "every")
+_SAMPLED = ("t", "reference")
+_PRINTED: dict[str, Any] = {  # arrays with all digits, whatever options the user has set
+    **{"precision": 17, "threshold": 1000, "edgeitems": 3, "suppress": False, "floatmode": "maxprec"},
+    **{"sign": "-", "formatter": None, "nanstr": "nan", "infstr": "inf", "legacy": False},
+}
+_CLOSE = 1e-9  # by which numbers differ that another machine or release makes anew, at most
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Outline:
+    """A scenario whose parts are told in words: what an ensemble has that was loaded from a file.
+
+    The attributes are those of `Scenario`.
+
+    Attributes
+    ----------
+    robot, controller, trajectory, integrator : str
+        The parts, as Python shows them.
+    forces : tuple of str
+        So too.
+    spread : dict of str to str or Same
+        From what each parameter was drawn; of a `Same`, the factor in words.
+    parameters : dict of str to Parameter
+        Unit and meaning of what was drawn.
+    n, seed, dt, substeps, limit, after, every : number
+        As given.
+    t : ndarray, shape (N + 1,)
+        Times [s].
+    reference : Reference
+        Desired q, v and a at these times, shape (N + 1, 3) each.
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not finite, times do not increase, or a shape is not what it is above.
+    """
+
+    robot: str
+    controller: str
+    trajectory: str
+    integrator: str
+    forces: tuple[str, ...]
+    spread: Mapping[str, str | Same]
+    parameters: Mapping[str, Parameter]
+    n: int
+    seed: int
+    dt: float
+    substeps: int
+    limit: float
+    after: float
+    every: int
+    t: Array = field(repr=False)
+    reference: Reference = field(repr=False)
+
+    def __post_init__(self) -> None:
+        for name in _PARTS:
+            text(name, getattr(self, name))
+        for force in self.forces:
+            text("forces", force)
+        for name, one in self.parameters.items():
+            source = self.spread[name]
+            told = [source.name, source.factor] if isinstance(source, Same) else [source]
+            for each in (name, one.unit, one.meaning, *told):
+                text("spread", each)
+        for name, least in (("n", 1), ("substeps", 1), ("every", 1), ("seed", 0)):
+            object.__setattr__(self, name, whole(name, getattr(self, name), least=least))
+        for name in ("dt", "limit"):
+            object.__setattr__(self, name, positive(name, getattr(self, name)))
+        object.__setattr__(self, "t", frozen(finite("t", self.t)))
+        increasing("t", self.t)
+        object.__setattr__(self, "after", time_within("after", self.after, self.t))
+        for name, part in self.reference._asdict().items():
+            if finite(f"reference.{name}", part).shape != (len(self.t), 3):
+                raise InvalidArgument(
+                    f"reference.{name} has shape {part.shape}, expected ({len(self.t)}, 3) as t has"
+                )
+        object.__setattr__(self, "reference", Reference(*map(frozen, self.reference)))
+
+    @classmethod
+    def of(cls, scenario: "Scenario | Outline") -> "Outline":
+        """Return the outline of a scenario; one that is an outline comes back as it is.
+
+        Raises
+        ------
+        InvalidArgument
+            If it is something else.
+        """
+        if isinstance(scenario, Outline):
+            return scenario
+        given: Any = checked_scenario(scenario)
+        same: dict[str, Any] = {name: getattr(given, name) for name in (*_NUMBERS, "parameters", *_SAMPLED)}
+        parts: dict[str, Any] = {name: _words(getattr(given, name)) for name in _PARTS}
+        forces, spread = tuple(map(_words, given.forces)), given.spread.items()
+        return cls(**same, **parts, forces=forces, spread={name: _source(source) for name, source in spread})
+
+    @classmethod
+    def from_description(cls, described: Mapping[str, Any], t: Array, reference: Reference) -> "Outline":
+        """Return what `description` told.
+
+        Raises
+        ------
+        InvalidArgument, LookupError, TypeError, AttributeError
+            If it is something else.
+        """
+        spread = {name: dict(one) for name, one in described["spread"].items()}
+        return cls(
+            **{name: described[name] for name in (*_PARTS, *_NUMBERS)},
+            forces=tuple(described["forces"]),
+            spread={
+                name: one["source"] if one["same_as"] is None else Same(one["same_as"], one["source"])
+                for name, one in spread.items()
+            },
+            parameters={name: Parameter(one["unit"], one["meaning"]) for name, one in spread.items()},
+            t=t,
+            reference=reference,
+        )
+
+    def description(self) -> dict[str, Any]:
+        """Return all but times and reference, as JSON can hold it."""
+        spread = {}
+        for name, source in self.spread.items():
+            other, words = (source.name, source.factor) if isinstance(source, Same) else (None, source)
+            one = self.parameters[name]
+            spread[name] = {"unit": one.unit, "meaning": one.meaning, "source": words, "same_as": other}
+        plain = {name: getattr(self, name) for name in (*_PARTS, *_NUMBERS)}
+        return {**plain, "forces": list(self.forces), "spread": spread}
+
+    @property
+    def begin(self) -> int:
+        """First sample whose error is kept."""
+        return first_counted(self.t, self.after, self.dt)
+
+    @property
+    def grid(self) -> Array:
+        """Times of the bands, shape (G,) [s]."""
+        return self.t[:: self.every]
+
+    def difference(self, other: "Outline") -> str:
+        """Return in words how another scenario differs, as far as can be told; "" where it does not."""
+        there, here = self._told(), other._told()
+        for name in {**there, **here}:
+            if there.get(name) != here.get(name):
+                return f"{name} is {there.get(name, 'absent')} there and {here.get(name, 'absent')} here"
+        names = ("t", *(f"reference.{name}" for name in Reference._fields))
+        pairs = zip((self.t, *self.reference), (other.t, *other.reference), strict=True)
+        return next(
+            (f"{name} is another" for name, pair in zip(names, pairs, strict=True) if not alike(*pair)), ""
+        )
+
+    def __str__(self) -> str:
+        told = self._told()
+        numbers = ", ".join(f"{name} {told.pop(name)}" for name in _NUMBERS)
+        return "\n".join([*(f"{name}: {words}" for name, words in told.items()), numbers])
+
+    def _told(self) -> dict[str, str]:
+        """Return everything but times and reference in words, by name."""
+        found = {name: getattr(self, name) for name in _PARTS}
+        found |= {f"forces[{k}]": force for k, force in enumerate(self.forces)}
+        for name, source in self.spread.items():
+            words = f"{source.name} times {source.factor}" if isinstance(source, Same) else source
+            found[f"spread[{name!r}]"] = words
+        return found | {name: f"{getattr(self, name)!r}" for name in _NUMBERS}
+
+
+def alike(one: Array, other: Array) -> bool:
+    """Tell whether arrays are the same but for what another machine or release may change."""
+    size = np.abs(one).max(initial=0.0)
+    return one.shape == other.shape and np.allclose(one, other, rtol=_CLOSE, atol=_CLOSE * size)
+
+
+def _source(source: Any) -> str | Same:
+    """Return in words from what a parameter is drawn."""
+    if isinstance(source, Same):
+        return Same(source.name, _source(source.factor))
+    if isinstance(source, np.ndarray):
+        return f"{source.size} numbers" if source.ndim else repr(float(source))
+    law = None if hasattr(source, "sample") else getattr(source, "dist", None)
+    if law is None:
+        return _words(source)
+    # A frozen distribution of scipy.stats shows nothing of itself.
+    given = [*map(repr, source.args), *(f"{name}={value!r}" for name, value in source.kwds.items())]
+    return f"{law.name}({', '.join(given)})"
+
+
+def _words(value: Any) -> str:
+    """Return a part as Python shows it, on one line, without its address in memory."""
+    with np.printoptions(**_PRINTED):
+        line = " ".join(re.sub(r" at 0x[0-9a-fA-F]+", "", shown(value)).split())
+    return "".join(letter if letter.isprintable() else "?" for letter in line)

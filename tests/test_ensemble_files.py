@@ -1,0 +1,535 @@
+"""Files of ensembles: all comes back bit for bit, without the user's classes; what is damaged is refused."""
+
+import io
+import json
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from pinmobile import (
+    PD,
+    Circle,
+    ComputedTorque,
+    ConstantForce,
+    Ensemble,
+    InvalidArgument,
+    Load,
+    MobileRobot,
+    Normal,
+    Rollout,
+    Same,
+    Saturated,
+    Scenario,
+    Tangent,
+    Uniform,
+    ensemble,
+    law,
+    plots,
+    sweep,
+)
+from pinmobile.ensembles import ARRAYS, Outline, run_scenario
+from pinmobile.ensembles.variables import PER_ROBOT
+from pinmobile.plots.causes import causes, worst_share
+from tests.damage import answer, damaged, little_memory, rewritten
+
+ROBOT = MobileRobot(10, 1.3, com=(0.1, 0.05)).attach(Load(2, (0.1, 0, 0.2)))
+CIRCLE = Tangent(Circle(3, 0.1, 20))
+SPREAD: dict[str, Any] = {
+    "mass": Uniform(4, 12),
+    "model_mass": Same("mass", stats.norm(1.0, scale=0.1)),
+    "com_x": np.linspace(0, 0.1, 60),
+    "force_x": Normal(0, 0.04),
+    "kp": 4.0,
+}
+
+
+def scenario(**more: Any) -> Scenario:
+    loop = {"robot": ROBOT, "controller": ComputedTorque(MobileRobot(30, 1.3)), "trajectory": CIRCLE}
+    return Scenario(**{**loop, "n": 60, "spread": SPREAD, "dt": 0.1, "seed": 7, "after": 2.0, **more})
+
+
+def run(traces: Any = (), **more: Any) -> Ensemble:
+    return run_scenario(scenario(**more), traces=traces, engine=ARRAYS)
+
+
+# A controller that believes in 30 kg where there are 4 to 12 is beyond what the step allows for some.
+DIVERGING = run(traces=[17, 3], spread=SPREAD | {"model_mass": 30.0})
+MADE: dict[str, Ensemble] = {
+    "some diverge, two traced": DIVERGING,
+    "none diverges, none traced": run(),
+    "nothing spread, one robot": run(spread={}, n=1, traces=[0]),
+    "on a bare loop": run(
+        controller=PD(40, 40), spread={"mass": Uniform(9, 11)}, forces=[ConstantForce((0.1, 0, 0))]
+    ),
+}
+
+
+def saved(one: Ensemble, tmp_path: Path) -> Path:
+    one.save(tmp_path / "saved.npz")
+    return tmp_path / "saved.npz"
+
+
+def bits(one: Ensemble) -> dict[str, Any]:
+    """Return all numbers of an ensemble, so that NaN is NaN."""
+    arrays = {name: getattr(one, name) for name in (*PER_ROBOT, "counts")}
+    arrays |= {f"drawn {name}": values for name, values in one.draws.items()}
+    for i, trace in one.traces.items():
+        arrays |= {f"{name} of {i}": array for name, array in trace.arrays().items()}
+    arrays |= {"grid": one.scenario.grid, "t": one.scenario.t}
+    arrays |= {f"reference.{name}": part for name, part in one.scenario.reference._asdict().items()}
+    return {name: (array.shape, array.dtype.str, array.tobytes()) for name, array in arrays.items()}
+
+
+def test_the_trials_are_what_they_say() -> None:
+    assert DIVERGING.diverged.any()
+    assert DIVERGING.diverged[[17, 3]].tolist() == [True, False]
+    assert np.isnan(DIVERGING.max_error).any()
+    assert not MADE["none diverges, none traced"].diverged.any()
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_what_is_loaded_is_what_was_saved_bit_for_bit(tmp_path: Path, name: str) -> None:
+    one = MADE[name]
+    loaded = Ensemble.load(saved(one, tmp_path))
+    assert bits(loaded) == bits(one)
+    assert list(bits(loaded)) == list(bits(one))
+    assert list(loaded.traces) == list(one.traces)
+    for i, trace in one.traces.items():
+        assert loaded.traces[i].robot == trace.robot
+        assert loaded.trace(i) is loaded.traces[i]
+    assert not loaded.max_error.flags.writeable
+    assert not any(values.flags.writeable for values in loaded.draws.values())
+    loaded.save(tmp_path / "again.npz")
+    assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "saved.npz").read_bytes()
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_what_is_loaded_answers_as_what_was_saved(tmp_path: Path, name: str) -> None:
+    one = MADE[name]
+    loaded = Ensemble.load(saved(one, tmp_path))
+    assert len(loaded) == len(one)
+    assert repr(loaded) == repr(one)
+    assert str(loaded) == f"{one}\n{loaded.scenario}"
+    for share in (0.5, 0.99, 1.0):
+        assert loaded.within(share) == one.within(share)
+    for mine, theirs in zip(loaded.bands((0.1, 0.9)), one.bands((0.1, 0.9)), strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+    for by in ("distance", "heading"):
+        np.testing.assert_array_equal(loaded.worst(9, by), one.worst(9, by))
+        np.testing.assert_array_equal(loaded.largest(by), one.largest(by))
+    np.testing.assert_array_equal(loaded.diverged, one.diverged)
+    drawn = [plots.bands({"it": each}).axes[0].get_title(loc="left") for each in (loaded, one)]
+    assert drawn[0] == drawn[1]
+    if len(one) > 1:
+        found = [causes(each, worst_share(each, 0.1)) for each in (loaded, one)]
+        told = [[cause[:2] + cause[3:] for cause in each] for each in found]  # all but the values
+        assert told[0] == told[1]
+        assert plots.drivers(loaded).axes[0].get_title() == plots.drivers(one).axes[0].get_title()
+
+
+USERS = """
+from dataclasses import dataclass
+import numpy as np
+from pinmobile.trajectories import Reference
+
+@dataclass
+class Lazy:
+    gain: float = 3.0
+    def initial_state(self): return None
+    def __call__(self, t, q, v, reference, state):
+        return self.gain * (reference.q - q) + self.gain * (reference.v - v), state
+
+class Wide:
+    def sample(self, generator, size): return generator.uniform(9, 11, size)
+
+class Still:
+    duration = 4.0
+    def __call__(self, t):
+        shape = (*np.shape(t), 3)
+        return Reference(np.ones(shape), np.zeros(shape), np.zeros(shape))
+"""
+
+
+def test_a_file_is_read_where_the_users_classes_are_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there" / "usersown.py").write_text(USERS)
+    monkeypatch.syspath_prepend(tmp_path / "there")
+    import usersown  # type: ignore[import-not-found]
+
+    one = ensemble(
+        ROBOT, usersown.Lazy(), usersown.Still(), n=5, spread={"mass": usersown.Wide()}, dt=0.1, traces=[2]
+    )
+    path = saved(one, tmp_path)
+    code = f"""
+import sys
+from importlib.util import find_spec
+from pinmobile import Ensemble, plots
+assert find_spec("usersown") is None
+one = Ensemble.load({str(path)!r})
+plots.bands(one), plots.drivers(one, share=0.2)
+one.to_csv({str(tmp_path / "robots.csv")!r})
+print(repr(one))
+print(one.traces[2])
+print(one.scenario)
+try:
+    one.member(1)
+except ValueError as error:
+    print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
+    assert not done.stderr
+    assert done.stdout.startswith(f"{one!r}\n{one.traces[2]}\n")
+    controller = "controller: Lazy(gain=3.0)\ntrajectory: <usersown.Still object>\n"
+    assert controller in done.stdout
+    assert "\nspread['mass']: <usersown.Wide object>\nn 5, seed 0, dt 0.1, substeps 1, " in done.stdout
+    assert "i is 1, a robot that cannot be made again: a file keeps the scenario in words" in done.stdout
+    assert (
+        "(its controller is Lazy(gain=3.0)); expected the ensemble of Ensemble.load(path, scenario), with"
+        in done.stdout
+    )
+
+
+def test_words_have_no_addresses_and_all_digits_whatever_is_set() -> None:
+    with np.printoptions(precision=2, threshold=1, legacy="1.13"):
+        told = Outline.of(scenario(controller=Saturated(ComputedTorque(ROBOT, 1 / 3, 4), 50)))
+    assert "kp=array(0.3333333333333333)" in told.controller
+    assert "0x" not in str(told)
+    assert told.spread["com_x"] == "60 numbers"
+    assert told.spread["kp"] == "4.0"
+    assert told.spread["model_mass"] == Same("mass", "norm(1.0, scale=0.1)")
+    assert told.parameters["mass"].unit == "kg"
+
+
+class Odd:
+    """A controller whose repr no file could hold."""
+
+    def __init__(self, words: Callable[[], str]) -> None:
+        self.words = words
+
+    def __repr__(self) -> str:
+        return self.words()
+
+    def initial_state(self) -> None:
+        return None
+
+    def __call__(self, t: float, q: Any, v: Any, reference: Any, state: None) -> Any:
+        return 40 * (reference.q - q) - 40 * v, state
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (lambda: "two\n  lines\t\0", "two lines ?"),
+        (lambda: "half \ud800", "half ?"),
+        (lambda: "x" * 900, f"{'x' * 500}... (900 letters)"),
+        (lambda: f"{1 / 0}", "<Odd without a repr>"),
+    ],
+)
+def test_any_repr_is_kept_as_text(tmp_path: Path, words: Callable[[], str], told: str) -> None:
+    one = run(controller=Odd(words), spread={"mass": Uniform(9, 11)}, n=3)
+    assert Ensemble.load(saved(one, tmp_path)).scenario.controller == told
+
+
+def test_with_its_scenario_a_loaded_ensemble_makes_robots_again(tmp_path: Path) -> None:
+    path = saved(DIVERGING, tmp_path)
+    loaded = Ensemble.load(path, scenario(spread=SPREAD | {"model_mass": 30.0}))
+    assert str(loaded) == str(DIVERGING)
+    assert loaded.member(5).robot == DIVERGING.member(5).robot
+    for name, array in DIVERGING.trace(5).arrays().items():
+        np.testing.assert_array_equal(loaded.trace(5).arrays()[name], array)
+    alone = Ensemble.load(path)
+    with pytest.raises(InvalidArgument, match=r"^i is 60, expected 0 to 59$"):
+        alone.trace(60)
+    with pytest.raises(
+        InvalidArgument, match=r"^i is 5, a robot that cannot be made again: .*ComputedTorque"
+    ):
+        alone.trace(5)
+
+
+@pytest.mark.parametrize(
+    ("changed", "why"),
+    [
+        ({"controller": ComputedTorque(ROBOT)}, r"controller is .*30.0.* there and .*10.0.* here"),
+        (
+            {"controller": ComputedTorque(MobileRobot(30, 1.3), kp=9)},
+            r"controller is .*4.* there and .*9.* here",
+        ),
+        ({"robot": MobileRobot(10, 1.4)}, r"robot is .*1.3.* there and .*1.4.* here"),
+        ({"seed": 8}, "seed is 7 there and 8 here"),
+        ({"n": 61, "spread": SPREAD | {"com_x": 0.0}}, r"spread\['com_x'\] is 60 numbers there and 0.0 here"),
+        (
+            {"spread": {name: SPREAD[name] for name in SPREAD if name != "mass"}},
+            r"spread\['mass'\] is Uniform\(low=4.0, high=12.0\) there and absent here",
+        ),
+        ({"forces": [ConstantForce((1, 0, 0))]}, r"forces\[0\] is Const.* there and Const.* here"),
+        ({"spread": SPREAD | {"com_x": np.linspace(0, 0.2, 60)}}, "it draws another com_x"),
+        ({"duration": 10.0, "every": 3}, "t is another"),
+        ({"every": 2}, "every is 3 there and 2 here"),
+    ],
+)
+def test_another_scenario_is_refused(tmp_path: Path, changed: dict[str, Any], why: str) -> None:
+    path = saved(MADE["none diverges, none traced"], tmp_path)
+    with pytest.raises(InvalidArgument, match=rf"^scenario is not that of '.*saved.npz': {why}$"):
+        Ensemble.load(path, scenario(**changed))
+
+
+def test_another_reference_is_refused(tmp_path: Path) -> None:
+    class Turned:
+        duration = 20.0
+
+        def __init__(self, by: float) -> None:
+            self.by = by
+
+        def __repr__(self) -> str:
+            return "Turned()"
+
+        def __call__(self, t: Any) -> Any:
+            return CIRCLE(t)._replace(q=CIRCLE(t).q + self.by)
+
+    path = saved(run(trajectory=Turned(0.0), n=2, spread={}), tmp_path)
+    with pytest.raises(InvalidArgument, match=r"saved.npz': reference.q is another$"):
+        Ensemble.load(path, scenario(trajectory=Turned(1e-3), n=2, spread={}))
+    with pytest.raises(InvalidArgument, match=r"^scenario is a dict, expected a Scenario$"):
+        Ensemble.load(path, {})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_csv_has_a_row_per_robot_and_every_digit(tmp_path: Path, name: str) -> None:
+    one = MADE[name]
+    one.to_csv(tmp_path / "robots.csv")
+    header = (tmp_path / "robots.csv").read_text().splitlines()[0].split(",")
+    table = np.loadtxt(tmp_path / "robots.csv", delimiter=",", skiprows=1, ndmin=2)
+    columns = dict(zip(header, table.T, strict=True))
+    assert header[0] == "robot"
+    assert header[-2:] == ["max_distance [m]", "diverged_at [s]"]
+    wanted: dict[str, Any] = {"robot": np.arange(len(one)), "max_distance [m]": one.max_distance}
+    units = {"mass": " [kg]", "model_mass": " [kg]", "com_x": " [m]", "force_x": " [N]", "kp": ""}
+    wanted |= {f"drawn_{each}{units[each]}": values for each, values in one.draws.items()}
+    for k, (of, unit, newton) in enumerate((("x", "m", "N"), ("y", "m", "N"), ("psi", "rad", "N m"))):
+        wanted |= {f"max_error_{of} [{unit}]": one.max_error[:, k]}
+        wanted |= {f"rms_error_{of} [{unit}]": one.rms_error[:, k]}
+        wanted |= {f"max_force_{of} [{newton}]": one.max_force[:, k]}
+    wanted["diverged_at [s]"] = one.diverged_at
+    assert set(wanted) == set(header)
+    for each, values in wanted.items():
+        np.testing.assert_array_equal(columns[each], values, err_msg=each)
+
+
+def test_a_dataset_is_what_a_sweep_of_the_same_has(tmp_path: Path) -> None:
+    xarray = pytest.importorskip("xarray")
+    whole = scenario(n=60)
+    stored = sweep(whole, tmp_path / "sweep.zarr")
+    one = stored.ensemble()
+    theirs, mine = stored.dataset.isel(dict.fromkeys(stored.axes, 0), drop=True).load(), one.to_xarray()
+    xarray.testing.assert_equal(mine.drop_vars([]), theirs)
+    for name in theirs.variables:
+        assert mine[name].attrs == theirs[name].attrs
+        assert mine[name].dims == theirs[name].dims
+    assert {"units", "long_name"} == set(mine.drawn_mass.attrs)
+    assert mine.drawn_mass.attrs["units"] == "kg"
+    assert mine.attrs["errors_from_s"] == theirs.attrs["errors_from_s"] == 2.0
+    loaded = Ensemble.load(saved(one, tmp_path)).to_xarray()
+    assert loaded.identical(mine)
+    assert "controller: ComputedTorque(" in loaded.attrs["scenario"]
+    loaded.max_error[:] = 0.0  # it is the reader's own
+    assert one.max_error.any()
+
+
+def test_without_xarray_what_to_install_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(
+        InvalidArgument, match=r"^a Dataset needs xarray, which is not installed: pip install "
+    ):
+        DIVERGING.to_xarray()
+
+
+def members(tmp_path: Path) -> dict[str, Any]:
+    with np.load(saved(DIVERGING, tmp_path)) as archive:
+        return dict(archive)
+
+
+def changed(key: str, change: Callable[[Any], Any]) -> Callable[[Path], dict[str, Any]]:
+    def make(tmp_path: Path) -> dict[str, Any]:
+        given = members(tmp_path)
+        return {**given, key: change(given[key].copy())}
+
+    return make
+
+
+def put(place: Any, value: Any) -> Callable[[Any], Any]:
+    def change(array: Any) -> Any:
+        array[place] = value
+        return array
+
+    return change
+
+
+def told(change: Callable[[Any], Any]) -> Callable[[Path], dict[str, Any]]:
+    """Return what makes an archive with another description; `change` may also return a new one."""
+
+    def make(text: Any) -> Any:
+        tree = json.loads(str(text))
+        new = change(tree)
+        return np.array(json.dumps(tree if new is None else new))
+
+    return changed("description", make)
+
+
+def of_scenario(**given: Any) -> Callable[[Path], dict[str, Any]]:
+    return told(lambda tree: tree["scenario"].update(given))
+
+
+def of_mass(**given: Any) -> Callable[[Path], dict[str, Any]]:
+    return told(lambda tree: tree["scenario"]["spread"]["mass"].update(given))
+
+
+def of_trace(**given: Any) -> Callable[[Path], dict[str, Any]]:
+    return told(lambda tree: tree["traces"][1].update(given))
+
+
+@pytest.mark.parametrize(
+    ("make", "why"),
+    [
+        (changed("format", lambda _: np.array("pinmobile rollout 1")), "it is of another format"),
+        (changed("max_error", put((0, 0), -1.0)), "max_error has -1.0, expected none below 0"),
+        (changed("max_error", lambda x: x[:-1]), r"max_error has shape \(59, 3\), expected \(60, 3\)"),
+        (changed("max_error", lambda x: x.astype("f4")), "max_error is of type float32, expected float64"),
+        (changed("max_force", lambda x: x[:, :2]), r"max_force has shape \(60, 2\), expected \(60, 3\)"),
+        (changed("max_distance", lambda x: x * np.nan), "max_distance has nan of a robot that did not"),
+        (changed("diverged_at", lambda x: x + 0.05), "diverged_at has what is no time of t"),
+        (changed("counts", put((0, 0, 0), -1)), "it does not count 60"),
+        (changed("counts", put((0, 0, 5), 4)), "it does not count 60"),
+        (changed("counts", lambda x: x[:-1]), r"it has no counts \(67, 2, 1410\)"),
+        (changed("counts", lambda x: x.astype("i8")), "counts is of type int64, expected int32"),
+        (changed("draws", put((0, 0), np.inf)), r"draws\[0, 0\] is inf, expected a finite number"),
+        (changed("draws", lambda x: x.T), r"draws has shape \(60, 5\), expected \(5, 60\)"),
+        (changed("t", lambda x: x[::-1]), r"t\[1\] is 19.9\d* s after 20.0 s, expected more"),
+        (changed("t", lambda x: x[:-1]), r"reference.q has shape \(201, 3\), expected \(200, 3\)"),
+        (changed("reference_v", put((0, 0), np.nan)), r"reference.v\[0, 0\] is nan"),
+        (changed("trace_q", put((0, 0), np.nan)), r"q\[0, 0\] is nan"),
+        (changed("trace_q", lambda x: x[:-1]), "trace_q has|q has shape"),
+        (changed("trace_t", lambda x: x[:9]), "trace_t has 9 samples, expected 18 and more"),
+        (told(lambda _: []), "list"),
+        (told(lambda _: 3), "int"),
+        (told(lambda _: {}), "'scenario'"),
+        (told(lambda tree: tree.pop("traces") and None), "'traces'"),
+        (told(lambda tree: tree["traces"].pop() and None), "trace_t has 219 samples, expected 18"),
+        (told(lambda tree: tree["scenario"].pop("robot") and None), "'robot'"),
+        (of_scenario(n=61), r"max_error has shape \(60, 3\), expected \(61, 3\)"),
+        (of_scenario(n=2**60), "n is 1152921504606846976, expected at most"),
+        (of_scenario(n=-1), "n is -1, expected a whole number >= 1"),
+        (of_scenario(seed=0.5), "seed is 0.5, expected a whole number"),
+        (of_scenario(dt="x"), "dt is 'x'"),
+        (of_scenario(after=21), "after is 21.0 s, expected from 0 to the duration, 20 s"),
+        (of_scenario(every=0), "every is 0, expected a whole number >= 1"),
+        (of_scenario(every=7), r"it has no counts \(29, 2, 1410\)"),
+        (of_scenario(robot=3), "robot is 3, expected text"),
+        (of_scenario(robot="\ud800"), "robot is .*, expected text without control characters"),
+        (of_scenario(forces=[3]), "forces is 3, expected text"),
+        (of_scenario(forces=3), "int"),
+        (of_scenario(spread=[]), "list"),
+        (of_scenario(spread={}), r"draws has shape \(5, 60\), expected \(0, 60\)"),
+        (of_mass(unit=3), "spread is 3, expected text"),
+        (of_mass(source=None), "spread is None, expected text"),
+        (of_mass(same_as=3), "name is 3, expected the name of a parameter"),
+        (of_trace(index=60), "it has a trace of robot 60, expected 0 to 59, each once"),
+        (of_trace(index=17), "it has a trace of robot 17, expected 0 to 59, each once"),
+        (of_trace(samples=0), "samples is 0, expected a whole number >= 1"),
+        (of_trace(samples=10**9), "samples, expected 1000000018 and more"),
+        (of_trace(samples=200), r"expected more|expected 2|has .* samples, expected"),
+        (of_trace(robot={"mass": -1}), "'dh'"),
+        (lambda p: {**members(p), "more": np.zeros(3)}, "it holds .*; expected format, .*, each once"),
+    ],
+)
+def test_what_no_ensemble_holds_is_refused(
+    tmp_path: Path, make: Callable[[Path], dict[str, Any]], why: str
+) -> None:
+    np.savez(tmp_path / "robots.npz", **make(tmp_path))
+    with pytest.raises(InvalidArgument, match=rf"^path is '.*robots.npz', which .*({why})"):
+        Ensemble.load(tmp_path / "robots.npz")
+
+
+def test_another_kind_of_file_is_refused_either_way(tmp_path: Path) -> None:
+    path = saved(DIVERGING, tmp_path)
+    DIVERGING.traces[3].save(tmp_path / "run.npz")
+    with pytest.raises(
+        InvalidArgument, match=r"run.npz', which is no 'pinmobile ensemble 1' archive: it holds"
+    ):
+        Ensemble.load(tmp_path / "run.npz")
+    with pytest.raises(
+        InvalidArgument, match=r"saved.npz', which is no 'pinmobile rollout 1' archive: it holds"
+    ):
+        Rollout.load(path)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("layout", ["C", "F"])
+def test_any_byte_order_and_layout_is_read(tmp_path: Path, order: Any, layout: Any) -> None:
+    made: dict[str, Any] = {
+        name: np.asarray(array, array.dtype.newbyteorder(order), order=layout)
+        for name, array in members(tmp_path).items()
+    }
+    np.savez(tmp_path / "robots.npz", **made)
+    assert bits(Ensemble.load(tmp_path / "robots.npz")) == bits(DIVERGING)
+
+
+def test_damaged_bytes_are_refused_or_do_no_harm(tmp_path: Path) -> None:
+    content, path = saved(DIVERGING, tmp_path).read_bytes(), tmp_path / "robots.npz"
+    wanted, words = bits(DIVERGING), str(Ensemble.load(saved(DIVERGING, tmp_path)))
+    read = 0
+    for seed in range(400):
+        path.write_bytes(damaged(content, np.random.default_rng(seed)))
+        with little_memory():
+            loaded = answer(lambda: Ensemble.load(path))
+        if isinstance(loaded, InvalidArgument):
+            assert str(loaded).startswith(f"path is {str(path)!r}, which ")
+        else:
+            assert bits(loaded) == wanted
+            assert str(loaded) == words
+            read += 1
+    assert read < 300
+
+
+def test_damaged_members_with_right_checksums_are_refused_or_an_ensemble(tmp_path: Path) -> None:
+    """Whoever damages what is inside cannot be told from its writer, but for what none writes."""
+    content, path = saved(DIVERGING, tmp_path).read_bytes(), tmp_path / "robots.npz"
+    names = zipfile.ZipFile(io.BytesIO(content)).namelist()
+    outcomes = {True: 0, False: 0}
+    for seed in range(400):
+        rng = np.random.default_rng(seed)
+        chosen = "description.npy" if rng.integers(3) == 0 else rng.choice(names)
+
+        def change(name: str, data: bytes, rng: Any = rng, one: str = chosen) -> bytes:
+            if name != one:
+                return data
+            return damaged(data[:128], rng) + data[128:] if rng.integers(2) else damaged(data, rng)
+
+        path.write_bytes(rewritten(content, change))
+        with little_memory():
+            made = answer(lambda: Ensemble.load(path))
+        outcomes[isinstance(made, Ensemble)] += 1
+        if isinstance(made, InvalidArgument):
+            assert str(made).startswith(f"path is {str(path)!r}, which ")
+        else:
+            assert str(made)
+            made.within(), made.bands(), made.worst()
+            made.to_csv(tmp_path / "robots.csv")
+            made.save(tmp_path / "again.npz")
+            assert bits(Ensemble.load(tmp_path / "again.npz")) == bits(made)
+    assert min(outcomes.values()) > 30
+
+
+def test_a_function_is_a_part_that_words_can_tell(tmp_path: Path) -> None:
+    one = run(
+        controller=law(lambda t, q, v, r: 40 * (r.q - q) - 40 * v), spread={"mass": Uniform(9, 11)}, n=3
+    )
+    assert "<lambda>>" in Ensemble.load(saved(one, tmp_path)).scenario.controller
