@@ -165,10 +165,6 @@ def read_model(
     parts.append(
         f"mass {body.mass:.6g} kg, centre of mass ({com}) m, yaw inertia {body.yaw_inertia:.6g} kg m^2"
     )
-    size = shown.size
-    if size is None:
-        size = _box_of_inertia(body)
-        parts.append("size of the box with the same mass and inertia")
     if shown.stance is not None:
         own = shown.stance
         stance = Stance(own.footprint, own.top and own.top - (z or 0.0), own.grounded or ground is not None)
@@ -181,6 +177,13 @@ def read_model(
     else:
         stance, words = stance_on(model, data, base, wheels, shown.shapes, z, shown.file, root)
         parts += [f"ground {told}, at z = {z:.4g} m in the root link's frame", *words]
+    size = shown.size
+    if size is None:
+        size = _box_of_inertia(body)
+        parts.append("size of the box with the same mass and inertia")
+        if stance.top is not None:  # what stands on it is then drawn on it
+            size = (*size[:2], stance.top)
+            parts[-1] += ", as high as the top"
     pose = tuple(base.homogeneous.ravel().tolist())
     names = tuple(str(model.names[joint]) for joint in locked)
     source = "; ".join(parts)
