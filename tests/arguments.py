@@ -387,15 +387,15 @@ STATES: dict[str, dict[str, Any]] = {
 
 ROWS: dict[str, Row] = {
     "PD": row(kp=1, kd=[1, 2, 3], difference=pm.planar_difference),
-    "ComputedTorque": row(robot=the("robot"), kp=4, kd=4, difference=np.subtract),
+    "ComputedTorque": row(robot=the("robot"), kp=4, kd=4, difference=pm.plain_difference),
     "Decoupled": row(robot=the("robot"), kp=4, kd=4, difference=pm.planar_difference),
     "PDGravity": row(robot=the("robot"), kp=4, kd=4, difference=pm.planar_difference),
     "Saturated": row(controller=pm.PD(1, 1), limits=[1, 2, 3]),
     "Delayed": row(controller=pm.PD(1, 1), samples=2),
     "NoisyMeasurement": row(controller=pm.PD(1, 1), std_q=0.1, std_v=[0.1, 0.1, 0.2], seed=1),
     "law": row(function=lambda t, q, v, reference: np.zeros(3)),
-    "difference_of": row(robot=the("robot")),
-    "planar_difference": row(q_d=Q, q=V),
+    "plain_difference": row(q0=Q, q1=V),
+    "planar_difference": row(q0=Q, q1=V),
     "EndEffectorTracking": row(
         robot=the("armed"),
         target=the("target"),

@@ -43,6 +43,7 @@ from pinmobile import (
     constant_acceleration,
     ensemble,
     law,
+    plain_difference,
     planar_difference,
     rk4,
     semi_implicit_euler,
@@ -175,13 +176,14 @@ class Own:
     """A model of a user's own, of a robot that is heavier than it is."""
 
     nv = 3
+    difference = staticmethod(planar_difference)
 
     def inverse_dynamics(self, q: Any, v: Any, a: Any) -> Any:
         return MobileRobot(40.0, 1.5).inverse_dynamics(q, v, a)
 
 
-def twofold(q_d: Any, q: Any) -> Any:
-    return 2 * planar_difference(q_d, q)
+def twofold(q0: Any, q1: Any) -> Any:
+    return 2 * planar_difference(q0, q1)
 
 
 SOFTLY = PD((40, 50, 4), (60, 50, 4))
@@ -224,7 +226,7 @@ def test_what_is_ones_own_is_not_compiled() -> None:
             run_scenario(made(**changes), engine=COMPILED)
 
 
-@pytest.mark.parametrize("difference", [planar_difference, np.subtract])
+@pytest.mark.parametrize("difference", [planar_difference, plain_difference, ROBOT.difference])
 @pytest.mark.parametrize("delay", [0, 1])
 def test_a_start_that_is_a_turn_ahead_is_seen_as_simulate_and_its_controller_see_it(
     delay: int, difference: Any
@@ -240,7 +242,7 @@ def test_a_start_that_is_a_turn_ahead_is_seen_as_simulate_and_its_controller_see
     assert_close(compiled, run_scenario(scenario, engine=ARRAYS))
     assert_is_simulated(compiled, 1)
     # The lecture's subtraction turns it back by a whole turn: half of one is the farthest.
-    farthest = [0.1, 0.2] if difference is planar_difference else [np.pi, np.pi]
+    farthest = [np.pi, np.pi] if difference is plain_difference else [0.1, 0.2]
     np.testing.assert_allclose(compiled.max_error[:, 2], farthest, atol=0.2)
 
 
@@ -539,8 +541,8 @@ class OwnGains:
     "attributes",
     [
         {},
-        {"difference": np.subtract},
-        {"robot": ROBOT, "difference": np.subtract},
+        {"difference": plain_difference},
+        {"robot": ROBOT, "difference": plain_difference},
         {"robot": ROBOT.mount("ur5")},
         {"robot": "a name", "controller": PD(1, 1), "limits": (1.0, 2.0), "std_q": np.ones(2), "samples": 3},
     ],
@@ -624,7 +626,7 @@ def _failing(t: float, q: Any, v: Any, reference: Any) -> Any:
         ),
         ({"controller": law(_failing)}, "controller failed .* with KeyError: 'gain'; in an ensemble"),
         (
-            {"controller": PD(KP, KD, difference=lambda q_d, q: (q_d - q) / np.linalg.norm(q[:2]))},
+            {"controller": PD(KP, KD, difference=lambda q0, q1: (q1 - q0) / np.linalg.norm(q0[:2]))},
             "controller returned .* for that row alone",
         ),
         ({"forces": (lambda t, q, v: q - q[0],)}, r"forces\[0\] returned .* for that row alone"),

@@ -22,6 +22,8 @@ from pinmobile import (
     Tangent,
     constant_acceleration,
     law,
+    plain_difference,
+    planar_difference,
     rk4,
     semi_implicit_euler,
     simulate,
@@ -105,6 +107,7 @@ class Own:
     """A model of a user's own."""
 
     nv = 3
+    difference = staticmethod(planar_difference)
 
     def inverse_dynamics(self, q: Any, v: Any, a: Any) -> Array:
         return MobileRobot(8, 1).inverse_dynamics(q, v, a)
@@ -409,7 +412,7 @@ class ScalarOnly:
             "controller returned array([0., 0., 0.]) at t = 0 s, expected (tau,",
         ),
         (
-            {"controller": PD(1, 1, difference=np.subtract), "trajectory": ScalarOnly()},
+            {"controller": PD(1, 1, difference=plain_difference), "trajectory": ScalarOnly()},
             "array of 121 times",
         ),
         ({"trajectory": None}, "trajectory is None, expected something with 'duration'"),

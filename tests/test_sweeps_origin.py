@@ -67,8 +67,8 @@ def closure(gain: Any) -> Any:
 
 def dressed(gain: float) -> Any:
     @wraps(planar_difference)
-    def mine(q_d: Array, q: Array) -> Array:
-        return gain * planar_difference(q_d, q)
+    def mine(q0: Array, q1: Array) -> Array:
+        return gain * planar_difference(q0, q1)
 
     return ComputedTorque(MobileRobot.lecture(), difference=mine)
 

@@ -24,7 +24,6 @@ from pinmobile import (
     Reference,
     Saturated,
     WholeBody,
-    difference_of,
     law,
     simulate,
 )
@@ -149,7 +148,7 @@ KINOVA = MobileRobot.box().mount("kinova")  # three of its joints are (cos, sin)
     "inner",
     [
         ComputedTorque(KINOVA, 9, 6),
-        PD(9, 6, difference=difference_of(KINOVA)),
+        PD(9, 6, difference=KINOVA.difference),
         Saturated(Delayed(ComputedTorque(KINOVA, 9, 6), 0), 1e9),
     ],
     ids=["computed torque", "PD", "within others"],

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import ArrayLike, NDArray
 
 from pinmobile.errors import InvalidArgument, NotFinite, UnknownName, shown
@@ -72,6 +73,8 @@ def finite(name: str, value: ArrayLike) -> Array:
         and isfinite(np.vdot(value, value))
     ):
         return value  # what comes in a loop: one call instead of five; where it overflows, look closely
+    if isinstance(value, NDArrayOperatorsMixin):
+        return value  # symbols, which have no numbers yet
     array = real(name, value)
     if not np.isfinite(array).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])

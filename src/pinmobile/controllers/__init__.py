@@ -7,7 +7,7 @@ leading axes. `Saturated`, `Delayed` and `NoisyMeasurement` wrap any of them, an
 """
 
 from pinmobile.controllers.arms import Decoupled, Gravity, PDGravity
-from pinmobile.controllers.feedback import PD, ComputedTorque, difference_of, gain_matrix
+from pinmobile.controllers.feedback import PD, ComputedTorque, gain_matrix, own_difference
 from pinmobile.controllers.law import law
 from pinmobile.controllers.protocol import (
     Controller,
@@ -15,6 +15,8 @@ from pinmobile.controllers.protocol import (
     InverseDynamics,
     State,
     check_controller,
+    check_difference,
+    plain_difference,
     planar_difference,
 )
 from pinmobile.controllers.wrappers import Delayed, NoisyMeasurement, Saturated
@@ -33,8 +35,10 @@ __all__ = [
     "Saturated",
     "State",
     "check_controller",
-    "difference_of",
+    "check_difference",
     "gain_matrix",
     "law",
+    "own_difference",
+    "plain_difference",
     "planar_difference",
 ]

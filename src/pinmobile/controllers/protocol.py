@@ -1,5 +1,6 @@
 """What a controller is, what it asks of a reference and a robot, and how configurations are compared."""
 
+import operator
 from collections.abc import Callable
 from typing import Any, Protocol, TypeAlias
 
@@ -15,6 +16,8 @@ __all__ = [
     "State",
     "answer_of",
     "check_controller",
+    "check_difference",
+    "plain_difference",
     "planar_difference",
 ]
 
@@ -46,6 +49,9 @@ class InverseDynamics(Protocol):
 
     def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return M(q) a + n(q, v)."""
+
+    def difference(self, q0: Array, q1: Array, /) -> Array:
+        """Return the displacement from q0 to q1, shape (..., nv)."""
 
 
 class Controller(Protocol):
@@ -90,33 +96,68 @@ def answer_of(
     return answer
 
 
-def planar_difference(q_d: Array, q: Array) -> Array:
-    """Return q_d - q with the difference of the heading on the circle.
+def planar_difference(q0: Array, q1: Array) -> Array:
+    """Return q1 - q0, the displacement from q0 to q1, with that of the heading on the circle.
 
     Parameters
     ----------
-    q_d, q : array_like, shape (..., n), n >= 3
+    q0, q1 : array_like, shape (..., n), n >= 3
         Configurations; the third coordinate is psi [rad].
 
     Returns
     -------
-    error : ndarray, shape (..., n)
-        Its third coordinate lies in (-pi, pi]. The lecture's own subtraction is `numpy.subtract`.
+    displacement : ndarray, shape (..., n)
+        Its third coordinate lies in (-pi, pi]. The lecture's own subtraction is `plain_difference`.
 
     Raises
     ------
     InvalidArgument
         If there is no third coordinate.
     """
-    if type(q_d) is not np.ndarray or type(q) is not np.ndarray:
-        q_d, q = finite("q_d", q_d), finite("q", q)
-        broadcast(q_d=q_d[..., None], q=q[..., None])
-    error = np.subtract(q_d, q, dtype=np.float64)
-    if not error.ndim or error.shape[-1] < 3:
+    displacement = plain_difference(q0, q1)
+    if not displacement.ndim or displacement.shape[-1] < 3:
         raise InvalidArgument(
-            f"configurations have shape {error.shape}, expected (..., n) with n >= 3; "
-            "without a heading, compare them with difference=numpy.subtract"
+            f"configurations have shape {displacement.shape}, expected (..., n) with n >= 3; "
+            "without a heading, compare them with difference=plain_difference"
         )
-    if error.ndim > 1 or not LEAST_ANGLE < error[2] <= np.pi:
-        error[..., 2] = wrap_angle(error[..., 2])
-    return error
+    # Of one configuration of numbers, a look saves the arithmetic, which would leave the angle as it is.
+    numbers = type(displacement) is np.ndarray and displacement.ndim == 1
+    if not (numbers and LEAST_ANGLE < displacement[2] <= np.pi):
+        displacement[..., 2] = wrap_angle(displacement[..., 2])
+    return displacement
+
+
+def plain_difference(q0: Array, q1: Array) -> Array:
+    """Return q1 - q0, the displacement from q0 to q1 where no coordinate lies on the circle.
+
+    The lecture compares configurations so: a heading that is off by a turn is an error of 2 pi.
+
+    Parameters
+    ----------
+    q0, q1 : array_like, shape (..., n)
+        Configurations.
+
+    Returns
+    -------
+    displacement : ndarray, shape (..., n)
+    """
+    if type(q0) is not np.ndarray or type(q1) is not np.ndarray:
+        q0, q1 = finite("q0", q0), finite("q1", q1)
+        broadcast(q0=q0[..., None], q1=q1[..., None])
+    return np.subtract(q1, q0, dtype=np.float64)
+
+
+def check_difference(difference: Any) -> None:
+    """Refuse what cannot be called as ``difference(q0, q1)``, and a subtraction of q1 from q0.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is such.
+    """
+    if difference is np.subtract or difference is operator.sub:
+        raise InvalidArgument(
+            f"difference is {shown(difference)}, which returns q0 - q1, expected difference(q0, q1), the "
+            "displacement from q0 to q1: write difference=plain_difference"
+        )
+    callable_as("difference(q0, q1)", difference)

@@ -110,7 +110,7 @@ class NoisyMeasurement:
     The noise of sample k depends on the seed and k alone, so that a second run gets the same. Where q and v
     have leading axes, all of them get the same noise. That of q is a displacement: it is added where q has n
     numbers, as v has; an angle that is (cos, sin) in q is turned by it, by the `integrate` of the robot that
-    the wrapped controller, or its ``difference_of(robot)``, knows.
+    the wrapped controller, or its ``difference=robot.difference``, knows.
 
     Parameters
     ----------
@@ -199,7 +199,8 @@ def _displaced(controller: Any, q: Array, dq: Array, n: int) -> Array:
     layer = controller
     while isinstance(layer, Saturated | Delayed | NoisyMeasurement):
         layer = layer.controller
-    robot: Any = getattr(layer, "robot", None) or getattr(getattr(layer, "difference", None), "robot", None)
+    of_difference = getattr(getattr(layer, "difference", None), "__self__", None)
+    robot: Any = getattr(layer, "robot", None) or of_difference
     if not hasattr(robot, "integrate"):
         raise InvalidArgument(
             f"q has shape {np.shape(q)} where v has {n} numbers, expected as many, or a controller with the "

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pinmobile import closed_form
 from pinmobile.arrays import Array
-from pinmobile.controllers import NoisyMeasurement, planar_difference
+from pinmobile.controllers import NoisyMeasurement, own_difference, planar_difference
 from pinmobile.controllers.protocol import answer_of
 from pinmobile.ensembles.batch import Batch, noise_of
 from pinmobile.ensembles.histogram import BINS, bins_of
@@ -75,7 +75,7 @@ def _run(scenario: Scenario, batch: Batch) -> Part:
     with np.errstate(all="ignore"):  # what overflows is judged
         for k, time in enumerate(scenario.t.tolist()):
             at = Reference(*(part[k] for part in scenario.reference))
-            error, rate = planar_difference(at.q, q), at.v - v
+            error, rate = planar_difference(q, at.q), at.v - v
             records.judge(error, rate)
             # A robot that has diverged stays on the trajectory, so that no controller sees what is no number.
             stays = ~records.alive[:, None]
@@ -147,7 +147,7 @@ class _Feedback:
     def __call__(self, t: float, q: Array, v: Array, reference: Any, state: None) -> tuple[Array, None]:
         """Return the force, shape (m, 3), and None."""
         batch, rate = self.batch, reference.v - v
-        tau = _times(batch.kp, self.core.difference(reference.q, q)) + _times(batch.kd, rate)
+        tau = _times(batch.kp, own_difference(self.core)(q, reference.q)) + _times(batch.kd, rate)
         if batch.model is not None:
             tau = closed_form.unchecked_inverse_dynamics(q, v, reference.a + tau, *batch.model)
         return tau, None

@@ -2,6 +2,7 @@
 
 from pinmobile.simulation.checks import checked_forces, checked_loop, checked_substeps, sample_times, sampled
 from pinmobile.simulation.closed_loop import simulate
+from pinmobile.simulation.loop import takes_circle
 from pinmobile.simulation.plant import Plant
 from pinmobile.simulation.rollout import Rollout
 from pinmobile.simulation.steps import stepped
@@ -16,4 +17,5 @@ __all__ = [
     "sampled",
     "simulate",
     "stepped",
+    "takes_circle",
 ]

@@ -18,6 +18,8 @@ from pinmobile.controllers import (
     Controller,
     PDGravity,
     gain_matrix,
+    own_difference,
+    plain_difference,
     planar_difference,
 )
 from pinmobile.disturbances import Force
@@ -35,7 +37,7 @@ from pinmobile.simulation.steps import (
 )
 from pinmobile.trajectories import Reference
 
-__all__ = ["Loop"]
+__all__ = ["Loop", "takes_circle"]
 
 
 class Loop:
@@ -140,9 +142,22 @@ def _is_known(controller: Any, size: int) -> bool:
     return (
         type(controller) in (PD, PDGravity, ComputedTorque)
         # Both act on the third coordinate alone or on none, which is psi in either order.
-        and (controller.difference is planar_difference or controller.difference is np.subtract)
+        and takes_circle(controller, size) is not None
         and (robot is None or (type(robot) is MobileRobot and robot.nq == robot.nv == size))
     )
+
+
+def takes_circle(controller: Any, size: int) -> bool | None:
+    """Tell whether PD or a like takes the difference of the third coordinate on the circle.
+
+    None where its difference of configurations of that size may be any other.
+    """
+    difference = own_difference(controller)
+    robot: Any = getattr(difference, "__self__", None)
+    subtracts = type(robot) is MobileRobot and robot.nq == robot.nv == size
+    if difference is planar_difference or (subtracts and difference == robot.difference):
+        return True
+    return False if difference is plain_difference else None
 
 
 def _asked(
@@ -179,7 +194,7 @@ def _feedback(
     n = len(order)
     kp, kd = (gain_matrix(name, getattr(controller, name), n) for name in ("kp", "kd"))
     gains = np.hstack([matrix[np.ix_(order, order)] for matrix in (kp, kd)])
-    wrapped = controller.difference is planar_difference
+    wrapped = takes_circle(controller, n)
     error, command = np.empty(2 * n), np.empty(n)
     subtract, add, times_gains, pi = np.subtract, np.add, gains.dot, np.pi
     robot: Any = getattr(controller, "robot", None)  # PD has none
