@@ -61,6 +61,7 @@ INNER = {
 # What the library makes and users read: nobody calls the class.
 RESULTS = {
     *(
+        "Context",
         "Diverged",
         "Ensemble",
         "FileError",
@@ -394,6 +395,7 @@ ROWS: dict[str, Row] = {
     "Delayed": row(controller=pm.PD(1, 1), samples=2),
     "NoisyMeasurement": row(controller=pm.PD(1, 1), std_q=0.1, std_v=[0.1, 0.1, 0.2], seed=1),
     "law": row(function=lambda t, q, v, reference: np.zeros(3)),
+    "Context.of": row(plant=the("robot"), dt=0.1, t=[0.0, 0.1]),
     "plain_difference": row(q0=Q, q1=V),
     "planar_difference": row(q0=Q, q1=V),
     "EndEffectorTracking": row(
@@ -772,7 +774,9 @@ def is_part(name: str) -> bool:
     forces = ("ConstantForce", "SinusoidalForce", "NoiseForce", "RollingResistance", "ViscousFriction")
     called = owner in (*parts, *forces, "EndEffectorTracking")
     integrators = ("constant_acceleration", "rk4", "semi_implicit_euler")
-    return name in integrators or (called and method in ("__call__", "initial_state", "acceleration"))
+    return name in integrators or (
+        called and method in ("__call__", "initial_state", "applied", "acceleration")
+    )
 
 
 def resolved(name: str) -> Callable[..., Any]:

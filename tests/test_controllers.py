@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from pinmobile import (
     PD,
     ComputedTorque,
+    Context,
     Decoupled,
     InvalidArgument,
     MobileRobot,
@@ -24,6 +25,12 @@ from pinmobile import (
 from pinmobile.arrays import Array
 
 ROBOT = MobileRobot(10, 1.2, com=(0.15, 0.05))
+CONTEXT = Context.of(ROBOT, dt=0.1)
+
+
+def asked(controller: Any, q: Array, v: Array, reference: Reference) -> Array:
+    """Return the force of a controller at its first sample."""
+    return np.asarray(controller(0.0, q, v, reference, controller.initial_state(CONTEXT))[0])
 
 
 @pytest.fixture
@@ -77,10 +84,11 @@ def test_a_controller_of_another_robot_compares_as_that_one() -> None:
 
 def test_pd_is_the_lectures(states: tuple[Array, ...], reference: Reference) -> None:
     q, v, _, _ = states
-    tau, state = PD((120, 120, 0.4), (10, 20, 0.5))(0.0, q, v, reference, None)
+    controller = PD((120, 120, 0.4), (10, 20, 0.5))
+    tau, state = controller(0.0, q, v, reference, controller.initial_state(CONTEXT))
     expected = planar_difference(q, reference.q) * [120, 120, 0.4] + (reference.v - v) * [10, 20, 0.5]
     np.testing.assert_allclose(tau, expected, rtol=1e-14)
-    assert state is None
+    assert state == ROBOT.difference
 
 
 def test_computed_torque_makes_the_error_linear(states: tuple[Array, ...], reference: Reference) -> None:
@@ -98,20 +106,35 @@ def test_a_scalar_a_vector_and_a_matrix_are_the_same_gain(
     make: Any, states: tuple[Array, ...], reference: Reference
 ) -> None:
     q, v, _, _ = states
-    forces = [make(k, k)(0.0, q, v, reference, None)[0] for k in (2, (2, 2, 2), 2 * np.eye(3))]
+    forces = [asked(make(k, k), q, v, reference) for k in (2, (2, 2, 2), 2 * np.eye(3))]
     np.testing.assert_allclose(forces[1:], [forces[0]] * 2, rtol=1e-14)
 
 
 def test_a_matrix_couples_coordinates() -> None:
     kp = np.array([[0, 1, 0], [0, 0, 0], [0, 0, 0.0]])
     here, there = Reference(*np.zeros((3, 3))), Reference(np.array([0, 5, 0.0]), np.zeros(3), np.zeros(3))
-    tau, _ = PD(kp, 0)(0.0, here.q, here.v, there, None)
+    tau, _ = PD(kp, 0)(0.0, here.q, here.v, there, CONTEXT.difference)
     assert tau.tolist() == [5, 0, 0]  # an error in y pushes along x
+
+
+def test_pd_by_hand_starts_with_the_state_of_its_context() -> None:
+    """A turn ahead is nowhere on the circle, for a robot in the plane and for one with round joints."""
+    for robot in (ROBOT, MobileRobot.box().mount("kinova")):
+        controller, n = PD(2, 1), robot.nv
+        q = robot.integrate(robot.neutral, np.array([0, 0, 2 * np.pi, *np.full(n - 3, 0.1)]))
+        at, rest = Reference(robot.neutral, *np.zeros((2, n))), np.zeros(n)
+        state = controller.initial_state(Context.of(robot, dt=0.01))
+        tau, state = controller(0.0, q, rest, at, state)
+        np.testing.assert_allclose(tau, [0, 0, 0, *np.full(n - 3, -0.2)], atol=1e-12)
+        again, _ = controller(0.01, q, rest, at, state)
+        np.testing.assert_array_equal(again, tau)
+        with pytest.raises(InvalidArgument, match=r"^state is None, .* Context\.of\(robot, dt=\.\.\.\)$"):
+            controller(0.0, q, rest, at, None)  # type: ignore[arg-type]
 
 
 def test_a_law_is_a_controller_without_memory() -> None:
     controller = law(lambda t, q, v, reference: [t, 2, 3])
-    assert controller.initial_state() is None
+    assert controller.initial_state(CONTEXT) is None
     tau, state = controller(1.0, np.zeros(3), np.zeros(3), None, None)
     assert (tau.tolist(), state) == ([1, 2, 3], None)
 
@@ -141,7 +164,7 @@ def test_gains_and_arguments_that_do_not_fit_are_refused(call: Any, text: str) -
 def test_gains_of_another_size_are_refused_when_the_size_is_known() -> None:
     rest = Reference(*np.zeros((3, 3)))
     with pytest.raises(InvalidArgument, match=r"kp has shape \(2,\), expected \(\), \(3,\) or \(3, 3\)"):
-        PD((1, 2), 1)(0.0, rest.q, rest.v, rest, None)
+        asked(PD((1, 2), 1), rest.q, rest.v, rest)
 
 
 def test_integers_are_compared_as_real_numbers() -> None:
@@ -152,7 +175,7 @@ def test_integers_are_compared_as_real_numbers() -> None:
 def test_configurations_that_do_not_fit_are_refused() -> None:
     rest = Reference(*np.zeros((3, 3)))
     with pytest.raises(InvalidArgument, match=r"q has shape \(2,\), the reference's has \(3,\)"):
-        PD(1, 1)(0.0, np.zeros(2), np.zeros(2), rest, None)
+        asked(PD(1, 1), np.zeros(2), np.zeros(2), rest)
     with pytest.raises(InvalidArgument, match=r"expected \(\.\.\., n\) with n >= 3"):
         planar_difference(np.zeros(1), np.zeros(1))
 

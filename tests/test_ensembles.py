@@ -53,6 +53,7 @@ from pinmobile.ensembles import ARRAYS, COMPILED, by_kernel, kernel, part_of, ru
 from pinmobile.ensembles.kernel import _sincos
 from pinmobile.ensembles.table import judgement
 from pinmobile.integrators import RungeKuttaNystrom
+from tests.users import PID
 
 ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.02))
 CIRCLE = Tangent(Circle(3.0, 0.1, 60.0))
@@ -212,6 +213,22 @@ def test_two_of_a_kind_and_what_is_ones_own_are_as_simulated(what: str) -> None:
     run = run_scenario(scenario)  # by the compiled engine wherever it can
     assert_close(run, run_scenario(scenario, engine=ARRAYS))
     assert_is_simulated(run, 2)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_a_users_integral_is_told_what_is_applied_as_in_simulate(noise: float) -> None:
+    """Each robot is told of its own limited force: those that start far away do not wind up."""
+    runs = []
+    for back in (2.0, 0.0):
+        inner = Delayed(Saturated(PID(25.0, 12.0, 30.0, back), (9.0, 9.0, 1.0)), 1)
+        controller = NoisyMeasurement(inner, noise, noise, seed=3)
+        spread = {"start_x": np.array([-4.0, -0.5, 4.0])}
+        runs.append(run_scenario(made(controller=controller, spread=spread, n=3, dt=0.05, duration=10.0)))
+        assert COMPILED.refusal(runs[-1].scenario) == "the controller is PID, neither PD nor ComputedTorque"
+        for i in range(3):
+            assert_is_simulated(runs[-1], i)
+    told, wound = runs
+    assert (np.abs(told.rms_error - wound.rms_error)[[0, 2], 0] > 1e-3).all()
 
 
 def test_what_is_ones_own_is_not_compiled() -> None:
@@ -531,7 +548,7 @@ class OwnGains:
     def __init__(self, **attributes: Any) -> None:
         vars(self).update(kp=KP, kd=KD, **attributes)
 
-    def initial_state(self) -> None: ...
+    def initial_state(self, context: Any) -> None: ...
 
     def __call__(self, t: float, q: Any, v: Any, reference: Any, state: None) -> Any:
         return 0.5 * KP * (reference.q - q) + 0.9 * KD * (reference.v - v), state
@@ -576,7 +593,7 @@ class Summing:
     def __init__(self) -> None:
         self.sum: Any = 0.0
 
-    def initial_state(self) -> None: ...
+    def initial_state(self, context: Any) -> None: ...
 
     def __call__(self, t: float, q: Any, v: Any, reference: Any, state: None) -> Any:
         error = reference.q - q

@@ -23,6 +23,7 @@ from pinmobile import (
     UnknownName,
     constant_acceleration,
     law,
+    planar_difference,
     rk4,
     simulate,
     verify,
@@ -317,14 +318,14 @@ def test_computed_torque_takes_the_short_way_and_is_linear_in_the_error(robot: M
     np.testing.assert_allclose(run.error, offset * (1 + 2 * t) * np.exp(-2 * t), atol=0.02)
 
 
-def test_pd_needs_the_robots_own_difference_where_configurations_do_not_subtract() -> None:
+def test_pd_takes_the_plants_difference_where_configurations_do_not_subtract() -> None:
     goal = KINOVA.integrate(KINOVA.rest, 0.1 * np.ones(9))
     with pytest.raises(InvalidArgument, match=r"by difference=robot\.difference"):
-        simulate(KINOVA, PD(10, 10), Still(goal, 9), dt=0.01)
+        simulate(KINOVA, PD(10, 10, difference=planar_difference), Still(goal, 9), dt=0.01)
     weightless = MobileRobot.box().mount("kinova", AT)
     weightless._engine.model.gravity = pin.Motion.Zero()
     gains = 4 * np.diag(weightless.mass_matrix(goal))
-    held = PD(gains, gains, difference=weightless.difference)
+    held = PD(gains, gains)
     run = simulate(weightless, held, Still(goal, 9), dt=0.002, q0=KINOVA.rest)
     assert np.abs(run.error[-1]).max() < 0.05 * np.abs(run.error[0]).max()
 
@@ -354,7 +355,7 @@ def test_a_difference_of_ones_own_is_taken_and_else_the_controllers_robots(make:
 
 def test_what_diverges_on_the_circle_too_carries_what_was_recorded() -> None:
     with pytest.raises(Diverged) as caught:
-        simulate(KINOVA, PD(400, 400, difference=KINOVA.difference), Still(KINOVA.rest, 9), dt=0.05)
+        simulate(KINOVA, PD(400, 400), Still(KINOVA.rest, 9), dt=0.05)
     assert len(caught.value.rollout) > 1
 
 

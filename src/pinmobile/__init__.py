@@ -66,6 +66,7 @@ if TYPE_CHECKING:
     )
     from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
     from pinmobile.paths import Circle, CubicVia, Hold, Lissajous, RestToRest, Spline
+    from pinmobile.plant import Context
     from pinmobile.reaching import EndEffectorTracking, PosePath, Resolved, resolve
     from pinmobile.robot import Load, MobileRobot, mountable
     from pinmobile.simulation import Rollout, simulate
@@ -85,6 +86,7 @@ __all__ = [
     "Circle",
     "ComputedTorque",
     "ConstantForce",
+    "Context",
     "CubicVia",
     "DHRow",
     "DHTable",
@@ -196,6 +198,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "files": (),
     "integrators": ("constant_acceleration", "rk4", "semi_implicit_euler"),
     "paths": ("Circle", "CubicVia", "Hold", "Lissajous", "RestToRest", "Spline"),
+    "plant": ("Context",),
     "plots": (),
     "reaching": ("EndEffectorTracking", "PosePath", "Resolved", "resolve"),
     "robot": ("Load", "MobileRobot", "mountable"),

@@ -7,15 +7,13 @@ leading axes. `Saturated`, `Delayed` and `NoisyMeasurement` wrap any of them, an
 """
 
 from pinmobile.controllers.arms import Decoupled, Gravity, PDGravity
-from pinmobile.controllers.feedback import PD, ComputedTorque, gain_matrix, own_difference
+from pinmobile.controllers.feedback import PD, ComputedTorque, gain_matrix
 from pinmobile.controllers.law import law
 from pinmobile.controllers.protocol import (
     Controller,
-    Difference,
     InverseDynamics,
     State,
     check_controller,
-    check_difference,
     plain_difference,
     planar_difference,
 )
@@ -27,7 +25,6 @@ __all__ = [
     "Controller",
     "Decoupled",
     "Delayed",
-    "Difference",
     "Gravity",
     "InverseDynamics",
     "NoisyMeasurement",
@@ -35,10 +32,8 @@ __all__ = [
     "Saturated",
     "State",
     "check_controller",
-    "check_difference",
     "gain_matrix",
     "law",
-    "own_difference",
     "plain_difference",
     "planar_difference",
 ]

@@ -7,7 +7,8 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike
 from pinmobile.controllers.feedback import check_gains, check_robot, feedback, own_difference
-from pinmobile.controllers.protocol import Difference, InverseDynamics, State
+from pinmobile.controllers.protocol import InverseDynamics, State
+from pinmobile.plant import Context, Difference
 
 __all__ = ["Decoupled", "Gravity", "PDGravity"]
 
@@ -58,12 +59,12 @@ class PDGravity:
     def __post_init__(self) -> None:
         _check(self, "gravity")
 
-    def initial_state(self) -> None:
+    def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
-        return feedback(self, own_difference(self), q, v, reference) + self.robot.gravity(q), None
+        return feedback(self, own_difference(self, self.robot), q, v, reference) + self.robot.gravity(q), None
 
 
 @final
@@ -102,12 +103,12 @@ class Decoupled:
     def __post_init__(self) -> None:
         _check(self, "inverse_dynamics")
 
-    def initial_state(self) -> None:
+    def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
-        command = reference.a + feedback(self, own_difference(self), q, v, reference)
+        command = reference.a + feedback(self, own_difference(self, self.robot), q, v, reference)
         base = self.robot.inverse_dynamics(q, *map(_of_base, (v, command)))
         arms = self.robot.inverse_dynamics(q, *map(_of_arms, (v, command)))
         return np.concatenate([base[..., :_BASE], arms[..., _BASE:]], axis=-1), None

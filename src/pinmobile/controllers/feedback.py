@@ -7,13 +7,11 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, frozen
 from pinmobile.controllers.protocol import (
-    Difference,
     InverseDynamics,
     State,
-    check_difference,
-    planar_difference,
 )
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.plant import Context, Difference, check_difference
 
 __all__ = [
     "PD",
@@ -37,8 +35,8 @@ class PD:
         Gains: a scalar, one per coordinate, or a matrix. For a force in N and an error in m, [N/m] and
         [N s/m].
     difference : callable
-        ``difference(q0, q1)``: the displacement from q0 to q1; the error is that from q to q_d. The lecture's
-        is `plain_difference`; that of a robot with joints that are (cos, sin) in q is ``robot.difference``.
+        ``difference(q0, q1)``: the displacement from q0 to q1; the error is that from q to q_d. By default
+        the plant's, which the state keeps; the lecture's is `plain_difference`.
 
     Raises
     ------
@@ -48,17 +46,25 @@ class PD:
 
     kp: ArrayLike
     kd: ArrayLike
-    difference: Difference = planar_difference
+    difference: Difference | None = None
 
     def __post_init__(self) -> None:
         check_gains(self, None)
 
-    def initial_state(self) -> None:
-        """Return None: there is no memory."""
+    def initial_state(self, context: Context) -> Difference:
+        """Return the difference of configurations, by default the plant's."""
+        return own_difference(self, context)
 
-    def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
-        """Return the generalised force, shape (..., n), and None."""
-        return feedback(self, self.difference, q, v, reference), None
+    def __call__(
+        self, t: float, q: Array, v: Array, reference: State, state: Difference
+    ) -> tuple[Array, Difference]:
+        """Return the generalised force, shape (..., n), and the state as it is."""
+        if not callable(state):
+            raise InvalidArgument(
+                f"state is {shown(state)}, expected what initial_state(context) returns; called by hand, "
+                "that is of Context.of(robot, dt=...)"
+            )
+        return feedback(self, state, q, v, reference), state
 
 
 @final
@@ -91,12 +97,12 @@ class ComputedTorque:
         check_robot(self, "inverse_dynamics")
         check_gains(self, self.robot.nv)
 
-    def initial_state(self) -> None:
+    def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
-        command = reference.a + feedback(self, own_difference(self), q, v, reference)
+        command = reference.a + feedback(self, own_difference(self, self.robot), q, v, reference)
         return self.robot.inverse_dynamics(q, v, command), None
 
 
@@ -142,10 +148,10 @@ def check_robot(controller: Any, needs: str) -> None:
         )
 
 
-def own_difference(controller: Any) -> Difference:
-    """Return the difference that a controller was given, or else that of its robot."""
-    given: Difference | None = controller.difference
-    return controller.robot.difference if given is None else given
+def own_difference(controller: Any, plant: Any) -> Difference:
+    """Return the difference that a controller was given, else its robot's, else a plant's or context's."""
+    found: Difference | None = controller.difference
+    return getattr(controller, "robot", plant).difference if found is None else found
 
 
 def check_gains(controller: Any, n: int | None) -> None:

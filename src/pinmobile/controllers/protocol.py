@@ -1,8 +1,6 @@
 """What a controller is, what it asks of a reference and a robot, and how configurations are compared."""
 
-import operator
-from collections.abc import Callable
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -11,17 +9,14 @@ from pinmobile.errors import InvalidArgument, shown
 
 __all__ = [
     "Controller",
-    "Difference",
     "InverseDynamics",
     "State",
     "answer_of",
     "check_controller",
-    "check_difference",
     "plain_difference",
     "planar_difference",
+    "told",
 ]
-
-Difference: TypeAlias = Callable[[Array, Array], Array]
 
 
 class State(Protocol):
@@ -55,10 +50,15 @@ class InverseDynamics(Protocol):
 
 
 class Controller(Protocol):
-    """What `simulate` needs of a controller."""
+    """What `simulate` needs of a controller.
 
-    def initial_state(self) -> Any:
-        """Return the state to start with; None where there is no memory."""
+    One with a method ``applied(u, state) -> state`` is told once per sample which input, shape (..., nu), is
+    really applied after all wrappers, and what it returns is the next state: against the windup of an
+    integral, say.
+    """
+
+    def initial_state(self, context: Any, /) -> Any:
+        """Return the state to start with, of a `Context`; None where there is no memory."""
 
     def __call__(self, t: float, q: Array, v: Array, reference: Any, state: Any) -> tuple[Array, Any]:
         """Return the generalised force, shape (..., nu), and the next state."""
@@ -77,7 +77,12 @@ def check_controller(controller: Any) -> None:
             f"controller is {shown(controller)}, expected a controller: wrap a function in law(...)"
         )
     callable_as("controller(t, q, v, reference, state)", controller)
-    callable_as("controller.initial_state()", controller.initial_state)
+    try:
+        callable_as("controller.initial_state(context)", controller.initial_state)
+    except InvalidArgument as error:
+        raise InvalidArgument(f"{error}: write def initial_state(self, context)") from None
+    if hasattr(controller, "applied"):
+        callable_as("controller.applied(u, state)", controller.applied)
 
 
 def answer_of(
@@ -94,6 +99,11 @@ def answer_of(
     if type(answer) is not tuple or len(answer) != 2:
         raise InvalidArgument(f"controller returned {shown(answer)} at t = {t:g} s, expected (tau, state)")
     return answer
+
+
+def told(controller: Any, u: Array, state: Any) -> Any:
+    """Return the state of a controller after it has been told which input is applied, if it wants to know."""
+    return controller.applied(u, state) if hasattr(controller, "applied") else state
 
 
 def planar_difference(q0: Array, q1: Array) -> Array:
@@ -145,19 +155,3 @@ def plain_difference(q0: Array, q1: Array) -> Array:
         q0, q1 = finite("q0", q0), finite("q1", q1)
         broadcast(q0=q0[..., None], q1=q1[..., None])
     return np.subtract(q1, q0, dtype=np.float64)
-
-
-def check_difference(difference: Any) -> None:
-    """Refuse what cannot be called as ``difference(q0, q1)``, and a subtraction of q1 from q0.
-
-    Raises
-    ------
-    InvalidArgument
-        If it is such.
-    """
-    if difference is np.subtract or difference is operator.sub:
-        raise InvalidArgument(
-            f"difference is {shown(difference)}, which returns q0 - q1, expected difference(q0, q1), the "
-            "displacement from q0 to q1: write difference=plain_difference"
-        )
-    callable_as("difference(q0, q1)", difference)

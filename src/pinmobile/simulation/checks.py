@@ -11,7 +11,7 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
 if TYPE_CHECKING:
-    from pinmobile.simulation.plant import Plant
+    from pinmobile.plant import Plant
 
 __all__ = ["checked_forces", "checked_loop", "checked_substeps", "sample_times", "sampled"]
 
