@@ -697,6 +697,7 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "WholeBody": lambda: WORLD.whole,
     "PosePath": lambda: WORLD.target,
     "NoiseForce": lambda: pm.NoiseForce,
+    "Context": lambda: pm.Context,
     "Uniform": lambda: pm.Uniform(1, 2),
     "Normal": lambda: pm.Normal(1, 2),
     "Scenario": lambda: WORLD.scenario,
