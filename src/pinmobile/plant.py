@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
-from pinmobile.arrays import Array, callable_as, frozen, positive
+from pinmobile.arrays import Array, callable_as, finite, frozen, positive, sequence
 from pinmobile.errors import InvalidArgument, shown
 
 __all__ = ["Context", "Coordinate", "Difference", "Input", "Plant", "check_difference"]
@@ -144,23 +144,31 @@ class Context:
         Raises
         ------
         InvalidArgument
-            If the plant cannot compare and move configurations, or `dt` is not above zero.
+            If the plant cannot compare and move configurations, `dt` is not above zero, or `t` is no row.
         """
         missing = [name for name in ("difference", "integrate") if not callable(getattr(plant, name, None))]
         if isinstance(plant, type) or missing:
             what = f", which has no {missing[0]}" if missing else ""
             raise InvalidArgument(f"plant is {shown(plant)}{what}, expected a MobileRobot or other plant")
         check_difference(plant.difference)
-        times = frozen(np.zeros(1) if t is None else t)
+        times = finite("t", np.zeros(1) if t is None else t)
+        if times.ndim != 1:
+            raise InvalidArgument(f"t has shape {times.shape}, expected (N + 1,)")
         named = _coordinates(plant), _inputs(plant)
         return cls(
-            positive("dt", dt, "s"), times, plant.difference, plant.integrate, *named, reference, trajectory
+            positive("dt", dt, "s"),
+            frozen(times),
+            plant.difference,
+            plant.integrate,
+            *named,
+            reference,
+            trajectory,
         )
 
 
 def _coordinates(plant: Any) -> tuple[Coordinate, ...]:
     if hasattr(plant, "coordinates"):
-        return tuple(plant.coordinates)
+        return sequence("plant.coordinates", plant.coordinates, "a sequence of Coordinate")
     names, units = (getattr(plant, f"coordinate_{what}", ()) for what in ("names", "units"))
     return tuple(map(Coordinate, names, units))
 
@@ -168,7 +176,7 @@ def _coordinates(plant: Any) -> tuple[Coordinate, ...]:
 def _inputs(plant: Any) -> tuple[Input, ...]:
     """Return the generalised forces of coordinates, where these are what the plant takes."""
     if hasattr(plant, "inputs"):
-        return tuple(plant.inputs)
+        return sequence("plant.inputs", plant.inputs, "a sequence of Input")
     if getattr(plant, "nu", 0) != getattr(plant, "nv", 0):
         return ()
     forces = {"m": "N", "rad": "N m"}
