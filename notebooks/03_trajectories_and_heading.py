@@ -22,6 +22,7 @@ from pinmobile import (
     Lissajous,
     MobileRobot,
     Tangent,
+    plain_difference,
     plots,
     simulate,
 )
@@ -215,12 +216,14 @@ dress(right)
 
 # %% [markdown]
 # Headings of 0° and 360° are the same, but their difference is not zero, unless it is taken on the
-# circle. The lecture subtracts (`np.subtract`), so the controller sees an error of a whole turn and
+# circle. The lecture subtracts (`plain_difference`), so the controller sees an error of a whole turn and
 # makes the robot spin. Put right, the reference is unwrapped and the error is taken on the circle.
 
 # %%
 robot = MobileRobot.lecture()
-spun = simulate(robot, ComputedTorque(robot, difference=np.subtract), LectureHeading(figure_eight), dt=0.1)
+spun = simulate(
+    robot, ComputedTorque(robot, difference=plain_difference), LectureHeading(figure_eight), dt=0.1
+)
 calm = simulate(robot, ComputedTorque(robot), Tangent(figure_eight), dt=0.1)
 
 figure, (top, bottom) = plt.subplots(2, 1, figsize=(9, 4), sharex=True, layout="constrained")

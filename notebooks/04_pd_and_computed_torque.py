@@ -24,6 +24,7 @@ from pinmobile import (
     LectureHeading,
     MobileRobot,
     Tangent,
+    plain_difference,
     plots,
     simulate,
 )
@@ -45,8 +46,8 @@ paths = {
     "circle": Circle(radius=3, rate=0.1, duration=60),
 }
 controllers = {
-    "PD": PD((120, 120, 0.4), (120, 120, 0.4), difference=np.subtract),
-    "computed torque": ComputedTorque(robot, 4, 4, difference=np.subtract),
+    "PD": PD((120, 120, 0.4), (120, 120, 0.4), difference=plain_difference),
+    "computed torque": ComputedTorque(robot, 4, 4, difference=plain_difference),
 }
 
 found = {}

@@ -74,6 +74,7 @@ INNER = {
 # What the library makes and users read: nobody calls the class.
 RESULTS = {
     *(
+        "Context",
         "Diverged",
         "Ensemble",
         "FileError",
@@ -406,15 +407,16 @@ STATES: dict[str, dict[str, Any]] = {
 
 ROWS: dict[str, Row] = {
     "PD": row(kp=1, kd=[1, 2, 3], difference=pm.planar_difference),
-    "ComputedTorque": row(robot=the("robot"), kp=4, kd=4, difference=np.subtract),
+    "ComputedTorque": row(robot=the("robot"), kp=4, kd=4, difference=pm.plain_difference),
     "Decoupled": row(robot=the("robot"), kp=4, kd=4, difference=pm.planar_difference),
     "PDGravity": row(robot=the("robot"), kp=4, kd=4, difference=pm.planar_difference),
     "Saturated": row(controller=pm.PD(1, 1), limits=[1, 2, 3]),
     "Delayed": row(controller=pm.PD(1, 1), samples=2),
     "NoisyMeasurement": row(controller=pm.PD(1, 1), std_q=0.1, std_v=[0.1, 0.1, 0.2], seed=1),
     "law": row(function=lambda t, q, v, reference: np.zeros(3)),
-    "difference_of": row(robot=the("robot")),
-    "planar_difference": row(q_d=Q, q=V),
+    "Context.of": row(plant=the("robot"), dt=0.1, t=[0.0, 0.1]),
+    "plain_difference": row(q0=Q, q1=V),
+    "planar_difference": row(q0=Q, q1=V),
     "EndEffectorTracking": row(
         robot=the("armed"),
         target=the("target"),
@@ -719,6 +721,7 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "WholeBody": lambda: WORLD.whole,
     "PosePath": lambda: WORLD.target,
     "NoiseForce": lambda: pm.NoiseForce,
+    "Context": lambda: pm.Context,
     "Uniform": lambda: pm.Uniform(1, 2),
     "Normal": lambda: pm.Normal(1, 2),
     "Scenario": lambda: WORLD.scenario,
@@ -796,7 +799,9 @@ def is_part(name: str) -> bool:
     forces = ("ConstantForce", "SinusoidalForce", "NoiseForce", "RollingResistance", "ViscousFriction")
     called = owner in (*parts, *forces, "EndEffectorTracking")
     integrators = ("constant_acceleration", "rk4", "semi_implicit_euler")
-    return name in integrators or (called and method in ("__call__", "initial_state", "acceleration"))
+    return name in integrators or (
+        called and method in ("__call__", "initial_state", "applied", "acceleration")
+    )
 
 
 def resolved(name: str) -> Callable[..., Any]:

@@ -363,7 +363,7 @@ FAULTS = [
     Fault(
         "another signature",
         lambda: PD(1, 1, difference=lambda q: q),  # type: ignore[misc, arg-type]
-        "which cannot be called as difference(q_d, q): too many",
+        "which cannot be called as difference(q0, q1): too many",
     ),
     Fault(
         "another signature",

@@ -75,10 +75,10 @@ def test_rounding_does_not_choose_the_side_of_half_a_turn(turns: int) -> None:
     exact = turns * np.pi
     near = np.array([exact, np.nextafter(exact, 99), np.nextafter(exact, -99), exact + 1e-12, exact - 1e-12])
     np.testing.assert_allclose(arrays.wrap_angle(near), np.pi, rtol=0, atol=2e-9)
-    errors = planar_difference(np.array([0, 0, exact]), np.stack([0 * near, 0 * near, near - exact], axis=-1))
+    errors = planar_difference(np.stack([0 * near, 0 * near, near - exact], axis=-1), np.array([0, 0, exact]))
     np.testing.assert_allclose(errors[:, 2], np.pi, rtol=0, atol=2e-9)
     for row, offset in zip(errors, near - exact, strict=True):
-        assert planar_difference(np.array([0, 0, exact]), np.array([0, 0, offset]))[2] == row[2]
+        assert planar_difference(np.array([0, 0, offset]), np.array([0, 0, exact]))[2] == row[2]
     farther = arrays.wrap_angle(exact + np.array([-1e-6, 1e-6]))
     np.testing.assert_allclose(farther, [np.pi - 1e-6, 1e-6 - np.pi], rtol=0, atol=1e-12)
 

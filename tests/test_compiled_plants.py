@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from pinmobile import errors
+from pinmobile import errors, plain_difference, planar_difference
 from pinmobile.compiled import Cache, Noise, Parameter, Parts, Program, Reference, Trace, robot_keys, traced
 from pinmobile.compiled.loop_tape import initial_memory
 from pinmobile.compiled.parts import one_sample
@@ -75,6 +75,16 @@ def test_a_heading_of_cosine_and_sine_is_turned_by_displacements(integrator: Run
     expected, _ = looped(parts, q, v, TIMES, lifted, DT)
     close({name: x[0] for name, x in found.kept.items()}, expected)
     np.testing.assert_allclose(np.hypot(*found.kept["q"][0, :, 2:].T), 1.0, rtol=1e-13)
+
+
+@pytest.mark.parametrize("difference", [planar_difference, plain_difference])
+def test_the_librarys_differences_are_traced(difference: Any) -> None:
+    """Whole turns apart, and half a turn, where rounding does not choose the side."""
+    plant = Body()
+    plant.difference = difference  # type: ignore[method-assign]
+    for psi in (0.2, 40.0, np.pi, -np.pi, 1e-12 - np.pi):
+        q = np.array([0.1, -0.1, psi])
+        close(*both(Parts(plant, PD(4.0, 3.0), (), constant_acceleration, Trace()), q, np.zeros(3)))
 
 
 class Step(NamedTuple):

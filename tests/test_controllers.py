@@ -1,12 +1,36 @@
+import operator
+from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from pinmobile import PD, ComputedTorque, InvalidArgument, MobileRobot, Reference, law, planar_difference
+from pinmobile import (
+    PD,
+    ComputedTorque,
+    Context,
+    Decoupled,
+    InvalidArgument,
+    MobileRobot,
+    PDGravity,
+    Reference,
+    law,
+    plain_difference,
+    planar_difference,
+)
 from pinmobile.arrays import Array
 
 ROBOT = MobileRobot(10, 1.2, com=(0.15, 0.05))
+CONTEXT = Context.of(ROBOT, dt=0.1)
+
+
+def asked(controller: Any, q: Array, v: Array, reference: Reference) -> Array:
+    """Return the force of a controller at its first sample."""
+    return np.asarray(controller(0.0, q, v, reference, controller.initial_state(CONTEXT))[0])
 
 
 @pytest.fixture
@@ -17,16 +41,54 @@ def reference() -> Reference:
 def test_planar_difference_is_on_the_circle_and_the_lectures_is_not() -> None:
     """Errata: wrapping without wrapping the error gives a spike of 2 pi."""
     ahead, behind = np.array([0, 0, 0.01]), np.array([0, 0, 2 * np.pi - 0.01])
-    assert planar_difference(ahead, behind)[2] == pytest.approx(0.02)
-    assert np.subtract(ahead, behind)[2] == pytest.approx(0.02 - 2 * np.pi)
+    assert planar_difference(behind, ahead)[2] == pytest.approx(0.02)
+    assert plain_difference(behind, ahead)[2] == pytest.approx(0.02 - 2 * np.pi)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.floats(-20, 20), min_size=6, max_size=6), st.sampled_from([0.0, 1.0, -1.0, 3.0, -5.0]))
+def test_the_planes_difference_is_the_robots_bit_for_bit(numbers: list[float], turns: float) -> None:
+    """Also at half a turn, where rounding does not choose the side, for one and for many."""
+    q0, q1 = np.reshape(numbers, (2, 3))
+    for angle in (q1[2], q0[2] + turns * np.pi):
+        q1[2] = angle
+        expected = planar_difference(np.stack([q0, q0]), q1)
+        for found in (planar_difference(q0, q1), ROBOT.difference(q0, q1), ROBOT.difference([q0], [q1])[0]):
+            np.testing.assert_array_equal(found, expected[1])
+        np.testing.assert_array_equal(plain_difference(q0, q1), q1 - q0)
+
+
+@pytest.mark.parametrize("subtraction", [np.subtract, operator.sub])
+@pytest.mark.parametrize(
+    "make", [PD, *(partial(kind, ROBOT) for kind in (ComputedTorque, PDGravity, Decoupled))]
+)
+def test_a_subtraction_of_the_wrong_sign_is_refused(make: Any, subtraction: Any) -> None:
+    with pytest.raises(InvalidArgument, match=r"which returns q0 - q1, .*: write .*=plain_difference$"):
+        make(1, 1, difference=subtraction)
+
+
+def test_a_model_without_a_difference_is_told_to_bring_one() -> None:
+    model: Any = SimpleNamespace(nv=3, inverse_dynamics=ROBOT.inverse_dynamics)
+    with pytest.raises(InvalidArgument, match=r"no difference\(q0, q1\), .*: difference=planar_difference$"):
+        ComputedTorque(model)
+    assert ComputedTorque(model, difference=planar_difference).difference is planar_difference
+
+
+def test_a_controller_of_another_robot_compares_as_that_one() -> None:
+    """A copy of it with another robot takes that robot's."""
+    kinova, goal = MobileRobot.box().mount("kinova"), Reference(*np.zeros((3, 3)))
+    moved = replace(ComputedTorque(kinova), robot=ROBOT, kp=4, kd=4)
+    tau, _ = moved(0.0, np.zeros(3), np.zeros(3), goal, None)
+    np.testing.assert_array_equal(tau, 0)
 
 
 def test_pd_is_the_lectures(states: tuple[Array, ...], reference: Reference) -> None:
     q, v, _, _ = states
-    tau, state = PD((120, 120, 0.4), (10, 20, 0.5))(0.0, q, v, reference, None)
-    expected = planar_difference(reference.q, q) * [120, 120, 0.4] + (reference.v - v) * [10, 20, 0.5]
+    controller = PD((120, 120, 0.4), (10, 20, 0.5))
+    tau, state = controller(0.0, q, v, reference, controller.initial_state(CONTEXT))
+    expected = planar_difference(q, reference.q) * [120, 120, 0.4] + (reference.v - v) * [10, 20, 0.5]
     np.testing.assert_allclose(tau, expected, rtol=1e-14)
-    assert state is None
+    assert state == ROBOT.difference
 
 
 def test_computed_torque_makes_the_error_linear(states: tuple[Array, ...], reference: Reference) -> None:
@@ -34,7 +96,7 @@ def test_computed_torque_makes_the_error_linear(states: tuple[Array, ...], refer
     controller = ComputedTorque(ROBOT, kp=3, kd=2)
     tau, _ = controller(0.0, q, v, reference, None)
     a = ROBOT.forward_dynamics(q, v, tau)
-    expected = reference.a + 3 * planar_difference(reference.q, q) + 2 * (reference.v - v)
+    expected = reference.a + 3 * planar_difference(q, reference.q) + 2 * (reference.v - v)
     # Rounding, amplified by the condition number of M, about 10.
     np.testing.assert_allclose(a, expected, rtol=1e-12, atol=1e-12)
 
@@ -44,20 +106,35 @@ def test_a_scalar_a_vector_and_a_matrix_are_the_same_gain(
     make: Any, states: tuple[Array, ...], reference: Reference
 ) -> None:
     q, v, _, _ = states
-    forces = [make(k, k)(0.0, q, v, reference, None)[0] for k in (2, (2, 2, 2), 2 * np.eye(3))]
+    forces = [asked(make(k, k), q, v, reference) for k in (2, (2, 2, 2), 2 * np.eye(3))]
     np.testing.assert_allclose(forces[1:], [forces[0]] * 2, rtol=1e-14)
 
 
 def test_a_matrix_couples_coordinates() -> None:
     kp = np.array([[0, 1, 0], [0, 0, 0], [0, 0, 0.0]])
     here, there = Reference(*np.zeros((3, 3))), Reference(np.array([0, 5, 0.0]), np.zeros(3), np.zeros(3))
-    tau, _ = PD(kp, 0)(0.0, here.q, here.v, there, None)
+    tau, _ = PD(kp, 0)(0.0, here.q, here.v, there, CONTEXT.difference)
     assert tau.tolist() == [5, 0, 0]  # an error in y pushes along x
+
+
+def test_pd_by_hand_starts_with_the_state_of_its_context() -> None:
+    """A turn ahead is nowhere on the circle, for a robot in the plane and for one with round joints."""
+    for robot in (ROBOT, MobileRobot.box().mount("kinova")):
+        controller, n = PD(2, 1), robot.nv
+        q = robot.integrate(robot.neutral, np.array([0, 0, 2 * np.pi, *np.full(n - 3, 0.1)]))
+        at, rest = Reference(robot.neutral, *np.zeros((2, n))), np.zeros(n)
+        state = controller.initial_state(Context.of(robot, dt=0.01))
+        tau, state = controller(0.0, q, rest, at, state)
+        np.testing.assert_allclose(tau, [0, 0, 0, *np.full(n - 3, -0.2)], atol=1e-12)
+        again, _ = controller(0.01, q, rest, at, state)
+        np.testing.assert_array_equal(again, tau)
+        with pytest.raises(InvalidArgument, match=r"^state is None, .* Context\.of\(robot, dt=\.\.\.\)$"):
+            controller(0.0, q, rest, at, None)  # type: ignore[arg-type]
 
 
 def test_a_law_is_a_controller_without_memory() -> None:
     controller = law(lambda t, q, v, reference: [t, 2, 3])
-    assert controller.initial_state() is None
+    assert controller.initial_state(CONTEXT) is None
     tau, state = controller(1.0, np.zeros(3), np.zeros(3), None, None)
     assert (tau.tolist(), state) == ([1, 2, 3], None)
 
@@ -74,7 +151,7 @@ def test_a_law_is_a_controller_without_memory() -> None:
             "kd has shape (2, 2), expected (), (3,) or (3, 3)",
         ),
         (lambda: ComputedTorque("robot"), "robot is 'robot', expected a MobileRobot"),  # type: ignore[arg-type]
-        (lambda: PD(1, 1, difference=3), "difference is 3, expected a function of q_d and q"),  # type: ignore[arg-type]
+        (lambda: PD(1, 1, difference=3), "difference is 3, expected a function of q0 and q1"),  # type: ignore[arg-type]
         (lambda: law(3), "function is 3, expected a function of t, q, v and reference"),  # type: ignore[arg-type]
     ],
 )
@@ -87,18 +164,18 @@ def test_gains_and_arguments_that_do_not_fit_are_refused(call: Any, text: str) -
 def test_gains_of_another_size_are_refused_when_the_size_is_known() -> None:
     rest = Reference(*np.zeros((3, 3)))
     with pytest.raises(InvalidArgument, match=r"kp has shape \(2,\), expected \(\), \(3,\) or \(3, 3\)"):
-        PD((1, 2), 1)(0.0, rest.q, rest.v, rest, None)
+        asked(PD((1, 2), 1), rest.q, rest.v, rest)
 
 
 def test_integers_are_compared_as_real_numbers() -> None:
-    whole = planar_difference(np.array([0, 0, 7]), np.array([0, 0, 0]))
+    whole = planar_difference(np.array([0, 0, 0]), np.array([0, 0, 7]))
     assert whole[2] == pytest.approx(7 - 2 * np.pi)
 
 
 def test_configurations_that_do_not_fit_are_refused() -> None:
     rest = Reference(*np.zeros((3, 3)))
     with pytest.raises(InvalidArgument, match=r"q has shape \(2,\), the reference's has \(3,\)"):
-        PD(1, 1)(0.0, np.zeros(2), np.zeros(2), rest, None)
+        asked(PD(1, 1), np.zeros(2), np.zeros(2), rest)
     with pytest.raises(InvalidArgument, match=r"expected \(\.\.\., n\) with n >= 3"):
         planar_difference(np.zeros(1), np.zeros(1))
 

@@ -29,6 +29,7 @@ from pinmobile import (
     ViscousFriction,
     ensemble,
     law,
+    planar_difference,
     simulate,
 )
 from pinmobile.ensembles import ARRAYS, PARAMETERS, run_scenario
@@ -43,6 +44,7 @@ class Own:
     """A robot of a user's own."""
 
     nv = 3
+    difference = staticmethod(planar_difference)
 
     def inverse_dynamics(self, q: Any, v: Any, a: Any) -> Any:
         """Return that of a unit mass."""

@@ -43,6 +43,7 @@ from pinmobile import (
     constant_acceleration,
     ensemble,
     law,
+    plain_difference,
     planar_difference,
     rk4,
     semi_implicit_euler,
@@ -52,6 +53,7 @@ from pinmobile.ensembles import ARRAYS, COMPILED, by_kernel, kernel, part_of, ru
 from pinmobile.ensembles.kernel import _sincos
 from pinmobile.ensembles.table import judgement
 from pinmobile.integrators import RungeKuttaNystrom
+from tests.users import PID
 
 ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.02))
 CIRCLE = Tangent(Circle(3.0, 0.1, 60.0))
@@ -175,13 +177,14 @@ class Own:
     """A model of a user's own, of a robot that is heavier than it is."""
 
     nv = 3
+    difference = staticmethod(planar_difference)
 
     def inverse_dynamics(self, q: Any, v: Any, a: Any) -> Any:
         return MobileRobot(40.0, 1.5).inverse_dynamics(q, v, a)
 
 
-def twofold(q_d: Any, q: Any) -> Any:
-    return 2 * planar_difference(q_d, q)
+def twofold(q0: Any, q1: Any) -> Any:
+    return 2 * planar_difference(q0, q1)
 
 
 SOFTLY = PD((40, 50, 4), (60, 50, 4))
@@ -212,6 +215,22 @@ def test_two_of_a_kind_and_what_is_ones_own_are_as_simulated(what: str) -> None:
     assert_is_simulated(run, 2)
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_a_users_integral_is_told_what_is_applied_as_in_simulate(noise: float) -> None:
+    """Each robot is told of its own limited force: those that start far away do not wind up."""
+    runs = []
+    for back in (2.0, 0.0):
+        inner = Delayed(Saturated(PID(25.0, 12.0, 30.0, back), (9.0, 9.0, 1.0)), 1)
+        controller = NoisyMeasurement(inner, noise, noise, seed=3)
+        spread = {"start_x": np.array([-4.0, -0.5, 4.0])}
+        runs.append(run_scenario(made(controller=controller, spread=spread, n=3, dt=0.05, duration=10.0)))
+        assert COMPILED.refusal(runs[-1].scenario) == "the controller is PID, neither PD nor ComputedTorque"
+        for i in range(3):
+            assert_is_simulated(runs[-1], i)
+    told, wound = runs
+    assert (np.abs(told.rms_error - wound.rms_error)[[0, 2], 0] > 1e-3).all()
+
+
 def test_what_is_ones_own_is_not_compiled() -> None:
     stages = tuple((0.0,) * k for k in range(9))
     nine = RungeKuttaNystrom("nine", (0.0,) * 9, stages, stages, (0.5, *[0.0] * 8), (1.0, *[0.0] * 8))
@@ -224,7 +243,7 @@ def test_what_is_ones_own_is_not_compiled() -> None:
             run_scenario(made(**changes), engine=COMPILED)
 
 
-@pytest.mark.parametrize("difference", [planar_difference, np.subtract])
+@pytest.mark.parametrize("difference", [planar_difference, plain_difference, ROBOT.difference])
 @pytest.mark.parametrize("delay", [0, 1])
 def test_a_start_that_is_a_turn_ahead_is_seen_as_simulate_and_its_controller_see_it(
     delay: int, difference: Any
@@ -240,7 +259,7 @@ def test_a_start_that_is_a_turn_ahead_is_seen_as_simulate_and_its_controller_see
     assert_close(compiled, run_scenario(scenario, engine=ARRAYS))
     assert_is_simulated(compiled, 1)
     # The lecture's subtraction turns it back by a whole turn: half of one is the farthest.
-    farthest = [0.1, 0.2] if difference is planar_difference else [np.pi, np.pi]
+    farthest = [np.pi, np.pi] if difference is plain_difference else [0.1, 0.2]
     np.testing.assert_allclose(compiled.max_error[:, 2], farthest, atol=0.2)
 
 
@@ -529,7 +548,7 @@ class OwnGains:
     def __init__(self, **attributes: Any) -> None:
         vars(self).update(kp=KP, kd=KD, **attributes)
 
-    def initial_state(self) -> None: ...
+    def initial_state(self, context: Any) -> None: ...
 
     def __call__(self, t: float, q: Any, v: Any, reference: Any, state: None) -> Any:
         return 0.5 * KP * (reference.q - q) + 0.9 * KD * (reference.v - v), state
@@ -539,8 +558,8 @@ class OwnGains:
     "attributes",
     [
         {},
-        {"difference": np.subtract},
-        {"robot": ROBOT, "difference": np.subtract},
+        {"difference": plain_difference},
+        {"robot": ROBOT, "difference": plain_difference},
         {"robot": ROBOT.mount("ur5")},
         {"robot": "a name", "controller": PD(1, 1), "limits": (1.0, 2.0), "std_q": np.ones(2), "samples": 3},
     ],
@@ -574,7 +593,7 @@ class Summing:
     def __init__(self) -> None:
         self.sum: Any = 0.0
 
-    def initial_state(self) -> None: ...
+    def initial_state(self, context: Any) -> None: ...
 
     def __call__(self, t: float, q: Any, v: Any, reference: Any, state: None) -> Any:
         error = reference.q - q
@@ -624,7 +643,7 @@ def _failing(t: float, q: Any, v: Any, reference: Any) -> Any:
         ),
         ({"controller": law(_failing)}, "controller failed .* with KeyError: 'gain'; in an ensemble"),
         (
-            {"controller": PD(KP, KD, difference=lambda q_d, q: (q_d - q) / np.linalg.norm(q[:2]))},
+            {"controller": PD(KP, KD, difference=lambda q0, q1: (q1 - q0) / np.linalg.norm(q0[:2]))},
             "controller returned .* for that row alone",
         ),
         ({"forces": (lambda t, q, v: q - q[0],)}, r"forces\[0\] returned .* for that row alone"),

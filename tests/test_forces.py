@@ -10,6 +10,7 @@ from pinmobile import (
     Circle,
     ComputedTorque,
     ConstantForce,
+    Context,
     Diverged,
     FixedHeading,
     InvalidArgument,
@@ -89,8 +90,9 @@ def test_every_sample_is_that_of_the_loop_written_by_hand() -> None:
     controller, dt = PD(40, 20), 0.1
     rollout = simulate(ROBOT, controller, CIRCLE, dt=dt, integrator=rk4, forces=FORCES, **START)
     q, v = np.array(START["q0"]), np.array(START["v0"])
+    state = controller.initial_state(Context.of(ROBOT, dt=dt))
     for k in range(40):
-        tau, _ = controller(k * dt, q, v, CIRCLE(k * dt), None)
+        tau, state = controller(k * dt, q, v, CIRCLE(k * dt), state)
 
         def acceleration(t: float, q: Array, v: Array, tau: Array = tau) -> Array:
             push = tau + total(t, q, v) - ROBOT.nonlinear_effects(q, v)

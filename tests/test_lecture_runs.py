@@ -15,6 +15,7 @@ from pinmobile import (
     MobileRobot,
     Rollout,
     Tangent,
+    plain_difference,
     simulate,
 )
 from pinmobile.cli.lecture import EXPECTED
@@ -27,8 +28,8 @@ PATHS: dict[str, Any] = {
     "circle": Circle(3, 0.1, 60),
 }
 CONTROLLERS: dict[str, Any] = {
-    "PD": PD((120, 120, 0.4), (120, 120, 0.4), difference=np.subtract),
-    "computed torque": ComputedTorque(ROBOT, 4, 4, difference=np.subtract),
+    "PD": PD((120, 120, 0.4), (120, 120, 0.4), difference=plain_difference),
+    "computed torque": ComputedTorque(ROBOT, 4, 4, difference=plain_difference),
 }
 
 

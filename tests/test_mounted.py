@@ -19,9 +19,9 @@ from pinmobile import (
     MobileRobot,
     PDGravity,
     Reference,
+    Saturated,
     UnknownName,
     constant_acceleration,
-    difference_of,
     law,
     planar_difference,
     rk4,
@@ -328,14 +328,14 @@ def test_computed_torque_takes_the_short_way_and_is_linear_in_the_error(robot: M
     np.testing.assert_allclose(run.error, offset * (1 + 2 * t) * np.exp(-2 * t), atol=0.02)
 
 
-def test_pd_needs_the_robots_own_difference_where_configurations_do_not_subtract() -> None:
+def test_pd_takes_the_plants_difference_where_configurations_do_not_subtract() -> None:
     goal = KINOVA.integrate(KINOVA.rest, 0.1 * np.ones(9))
-    with pytest.raises(InvalidArgument, match="by difference=difference_of"):
-        simulate(KINOVA, PD(10, 10), Still(goal, 9), dt=0.01)
+    with pytest.raises(InvalidArgument, match=r"by difference=robot\.difference"):
+        simulate(KINOVA, PD(10, 10, difference=planar_difference), Still(goal, 9), dt=0.01)
     weightless = MobileRobot.box().mount("kinova", AT)
     weightless._engine.model.gravity = pin.Motion.Zero()
     gains = 4 * np.diag(weightless.mass_matrix(goal))
-    held = PD(gains, gains, difference=difference_of(weightless))
+    held = PD(gains, gains)
     run = simulate(weightless, held, Still(goal, 9), dt=0.002, q0=KINOVA.rest)
     assert np.abs(run.error[-1]).max() < 0.05 * np.abs(run.error[0]).max()
 
@@ -348,19 +348,24 @@ def test_the_base_carries_neither_arms_nor_loads() -> None:
 
 
 @pytest.mark.parametrize("make", [ComputedTorque, Decoupled, PDGravity])
-def test_a_difference_of_ones_own_is_kept_and_the_planes_gives_way_to_the_robots(make: Any) -> None:
-    def mine(q_d: Array, q: Array) -> Array:
-        return np.asarray(2 * KINOVA.difference(q, q_d))
+def test_a_difference_of_ones_own_is_taken_and_else_the_controllers_robots(make: Any) -> None:
+    def mine(q0: Array, q1: Array) -> Array:
+        return np.asarray(2 * KINOVA.difference(q0, q1))
 
     rest, away = KINOVA.rest, KINOVA.integrate(KINOVA.rest, np.full(9, 0.1))
-    assert make(KINOVA, 1, 1, difference=mine).difference is mine
-    np.testing.assert_allclose(make(KINOVA, 1, 1).difference(away, rest), 0.1, rtol=1e-12)
-    assert make(UR5, 1, 1).difference is planar_difference
+    at, still = Reference(away, *np.zeros((2, 9))), np.zeros(9)
+
+    def force(**options: Any) -> Array:
+        return np.asarray(make(KINOVA, 1, 0, **options)(0.0, rest, still, at, None)[0])
+
+    own, none = force(), force(difference=lambda q0, q1: 0 * KINOVA.difference(q0, q1))
+    np.testing.assert_allclose(force(difference=mine) - none, 2 * (own - none), rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(own, force(difference=KINOVA.difference))
 
 
 def test_what_diverges_on_the_circle_too_carries_what_was_recorded() -> None:
     with pytest.raises(Diverged) as caught:
-        simulate(KINOVA, PD(400, 400, difference=difference_of(KINOVA)), Still(KINOVA.rest, 9), dt=0.05)
+        simulate(KINOVA, PD(400, 400), Still(KINOVA.rest, 9), dt=0.05)
     assert len(caught.value.rollout) > 1
 
 
@@ -504,3 +509,20 @@ def test_what_is_said_to_take_instead_has_the_right_derivatives() -> None:
         np.testing.assert_allclose(by_q[:, k], slope / (2 * h), atol=1e-5)
         slope = robot.forward_dynamics(q, v + unit, tau) - robot.forward_dynamics(q, v - unit, tau)
         np.testing.assert_allclose(by_v[:, k], slope / (2 * h), atol=1e-5)
+
+
+@pytest.mark.parametrize("robot", [MobileRobot.box(), UR5], ids=["base", "ur5"])
+@pytest.mark.parametrize("limited", [lambda c: c, lambda c: Saturated(c, 1e6)], ids=["bare", "wrapped"])
+def test_pd_with_the_robots_difference_is_pd(robot: MobileRobot, limited: Any) -> None:
+    """In the order that Pinocchio has; over a start that is a turn and more away from the reference."""
+    start = robot.integrate(robot.rest, np.full(robot.nv, 0.05))
+    start[2] += 7.0
+    rest = Still(robot.rest, robot.nv)
+    gains = 20 * np.diag(robot.mass_matrix(robot.rest))
+    runs = [
+        simulate(robot, limited(PD(gains, gains, **option)), rest, dt=0.005, q0=start)
+        for option in ({}, {"difference": robot.difference})
+    ]
+    np.testing.assert_array_equal(runs[0].q, runs[1].q)
+    np.testing.assert_array_equal(runs[0].tau, runs[1].tau)
+    assert np.abs(runs[1].error[-1, :3]).max() < 0.5 * np.abs(runs[1].error[0, :3]).max()

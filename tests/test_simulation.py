@@ -3,6 +3,7 @@
 import pickle
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,15 +14,20 @@ from pinmobile import (
     PD,
     Circle,
     ComputedTorque,
+    Context,
     Diverged,
     FixedHeading,
     InvalidArgument,
     MobileRobot,
     Reference,
     Rollout,
+    Saturated,
     Tangent,
+    WholeBody,
     constant_acceleration,
     law,
+    plain_difference,
+    planar_difference,
     rk4,
     semi_implicit_euler,
     simulate,
@@ -29,6 +35,7 @@ from pinmobile import (
 from pinmobile.arrays import Array
 
 ROBOT = MobileRobot(10, 1.2, com=(0.15, 0.05))
+UR5 = MobileRobot.box().mount("ur5")
 CIRCLE = FixedHeading(Circle(1.0, 0.5, 12.0), 0.3)
 START = {"q0": (0.2, -0.1, 0.9), "v0": (0.1, 0.0, -0.4)}
 
@@ -61,8 +68,8 @@ class Asked:
     def __init__(self, inner: Any) -> None:
         self.inner = inner
 
-    def initial_state(self) -> Any:
-        return self.inner.initial_state()
+    def initial_state(self, context: Any) -> Any:
+        return self.inner.initial_state(context)
 
     def __call__(self, t: float, q: Array, v: Array, reference: Any, state: Any) -> tuple[Array, Any]:
         tau, state = self.inner(t, q, v, reference, state)
@@ -105,6 +112,7 @@ class Own:
     """A model of a user's own."""
 
     nv = 3
+    difference = staticmethod(planar_difference)
 
     def inverse_dynamics(self, q: Any, v: Any, a: Any) -> Array:
         return MobileRobot(8, 1).inverse_dynamics(q, v, a)
@@ -276,16 +284,71 @@ def test_the_force_is_held_over_dt_whatever_the_substeps() -> None:
     assert asked == [0.0, 0.5, 1.0, 1.5, 2.0]
 
 
+class Counter:
+    def initial_state(self, context: Any) -> int:
+        return 0
+
+    def __call__(self, t: float, q: Array, v: Array, reference: Any, state: int) -> tuple[Array, int]:
+        return np.array([float(state), 0, 0]), state + 1
+
+
 def test_a_controllers_memory_is_handed_on() -> None:
-    class Counter:
-        def initial_state(self) -> int:
-            return 0
-
-        def __call__(self, t: float, q: Array, v: Array, reference: Any, state: int) -> tuple[Array, int]:
-            return np.array([float(state), 0, 0]), state + 1
-
     rollout = simulate(ROBOT, Counter(), CIRCLE, dt=0.5, duration=2.0)
     assert rollout.tau[:, 0].tolist() == [0, 1, 2, 3, 4]
+
+
+def test_a_controller_is_told_of_its_loop_and_of_nothing_that_the_plant_does() -> None:
+    contexts: list[Context] = []
+
+    class Listening:
+        def initial_state(self, context: Context) -> None:
+            contexts.append(context)
+
+        def __call__(self, t: float, q: Array, v: Array, reference: Any, state: None) -> tuple[Array, None]:
+            return np.zeros(len(v)), None
+
+    for robot, trajectory in ((ROBOT, CIRCLE), (UR5, WholeBody(UR5, CIRCLE, None))):
+        rollout = simulate(robot, Saturated(Listening(), 1.0), trajectory, dt=0.5, duration=2.0, limit=1e9)
+        context = contexts.pop()
+        assert (context.dt, context.t.tolist()) == (0.5, rollout.t.tolist())
+        assert context.trajectory is trajectory
+        np.testing.assert_array_equal(context.reference.q, rollout.reference.q)
+        assert (context.difference, context.integrate) == (robot.difference, robot.integrate)
+        assert [one.name for one in context.coordinates] == list(robot.coordinate_names)
+        assert [one.unit for one in context.coordinates] == list(robot.coordinate_units)
+        assert context.inputs[:3] == (("Fx", "N"), ("Fy", "N"), ("Mz", "N m"))
+        assert all(one.unit == "N m" for one in context.inputs[3:])
+        assert not any(hasattr(context, name) for name in ("plant", "robot", "forward_dynamics"))
+
+
+def test_a_controller_that_asks_for_no_context_is_told_what_to_write() -> None:
+    class Old:
+        def initial_state(self) -> None: ...
+
+        def __call__(self, *_: Any) -> Any:
+            raise AssertionError("the loop was begun")
+
+    class Deaf(Counter):
+        def applied(self, state: Any) -> Any: ...
+
+    text = r"called as controller\.initial_state\(context\).*: write def initial_state\(self, context\)$"
+    old: Any = Old()
+    for call in (lambda: simulate(ROBOT, old, CIRCLE, dt=0.5), lambda: Saturated(old, 1.0)):
+        with pytest.raises(InvalidArgument, match=text):
+            call()
+    with pytest.raises(InvalidArgument, match=r"cannot be called as controller\.applied\(u, state\)"):
+        simulate(ROBOT, Deaf(), CIRCLE, dt=0.5)
+
+
+def test_a_plant_that_cannot_compare_configurations_is_refused_before_the_loop() -> None:
+    def asked(*_: Any) -> Any:
+        raise AssertionError("the loop was begun")
+
+    plant: Any = SimpleNamespace(nq=3, nv=3, nu=3, forward_dynamics=asked, integrate=np.add)
+    for options, text in (({}, "which has no difference"), ({"difference": np.subtract}, "plain_difference")):
+        plant = SimpleNamespace(**vars(plant), **options)
+        with pytest.raises(InvalidArgument, match=text):
+            simulate(plant, law(asked), CIRCLE, dt=0.5)
 
 
 def test_a_controller_cannot_write_into_the_record() -> None:
@@ -301,8 +364,8 @@ def test_what_a_subclass_overrides_is_heard() -> None:
     """The library's own classes take a shorter way through the loop; others must not."""
 
     class Silent(PD):  # type: ignore[misc]  # final, and yet what a user tries first
-        def __call__(self, t: float, q: Array, v: Array, reference: Any, state: None) -> tuple[Array, None]:
-            return np.zeros(3), None
+        def __call__(self, t: float, q: Array, v: Array, reference: Any, state: Any) -> tuple[Array, Any]:
+            return np.zeros(3), state
 
     class Rubbing(MobileRobot):  # type: ignore[misc]
         def forward_dynamics(self, q: Any, v: Any, tau: Any) -> Array:
@@ -366,7 +429,7 @@ def zero(t: float, q: Array, v: Array, reference: Any) -> Array:
 class TauAlone:
     """A controller that forgets to return its state."""
 
-    def initial_state(self) -> None:
+    def initial_state(self, context: Any) -> None:
         return None
 
     def __call__(self, *_: Any) -> Array:
@@ -409,7 +472,7 @@ class ScalarOnly:
             "controller returned array([0., 0., 0.]) at t = 0 s, expected (tau,",
         ),
         (
-            {"controller": PD(1, 1, difference=np.subtract), "trajectory": ScalarOnly()},
+            {"controller": PD(1, 1, difference=plain_difference), "trajectory": ScalarOnly()},
             "array of 121 times",
         ),
         ({"trajectory": None}, "trajectory is None, expected something with 'duration'"),

@@ -37,7 +37,8 @@ ALLOWED: dict[str, set[str]] = {
     "verification": {"robot", "closed_form", "derivation"},
     "paths": {"arrays"},
     "trajectories": {"paths"},
-    "controllers": {"arrays"},
+    "plant": {"arrays"},
+    "controllers": {"plant"},
     "integrators": {"arrays"},
     "disturbances": {"arrays"},
     "simulation": {"files", "robot", "trajectories", "controllers", "integrators", "disturbances"},
@@ -54,7 +55,7 @@ ALLOWED: dict[str, set[str]] = {
     },
     "sweeps": {"files", "ensembles", "extras"},
     "balance": {"robot"},
-    "reaching": {"robot", "trajectories", "integrators"},
+    "reaching": {"robot", "trajectories", "integrators", "plant"},
     "plots": {"files", "simulation", "accuracy", "ensembles", "balance"},
     "viewer": {"files", "robot", "simulation", "extras"},
 }

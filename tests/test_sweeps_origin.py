@@ -67,8 +67,8 @@ def closure(gain: Any) -> Any:
 
 def dressed(gain: float) -> Any:
     @wraps(planar_difference)
-    def mine(q_d: Array, q: Array) -> Array:
-        return gain * planar_difference(q_d, q)
+    def mine(q0: Array, q1: Array) -> Array:
+        return gain * planar_difference(q0, q1)
 
     return ComputedTorque(MobileRobot.lecture(), difference=mine)
 
@@ -85,7 +85,7 @@ class Held:
     def __init__(self, gain: Any) -> None:
         self.gain = gain
 
-    def initial_state(self) -> None: ...
+    def initial_state(self, context: Any) -> None: ...
 
     def __call__(self, t: float, q: Array, v: Array, reference: Any, state: None) -> Any:
         return push(self.gain, t, q, v, reference), state
@@ -102,7 +102,7 @@ class Slotted(Held):
 class Filled:
     table: Any = field(init=False)
 
-    def initial_state(self) -> None: ...
+    def initial_state(self, context: Any) -> None: ...
 
     def __call__(self, t: float, q: Array, v: Array, reference: Any, state: None) -> Any:
         return self.table * q, state

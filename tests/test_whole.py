@@ -381,7 +381,7 @@ def test_whole_body_computed_torque_makes_the_error_linear(robot: MobileRobot) -
     # Rounding, amplified by a condition number of 1e4.
     np.testing.assert_allclose(robot.forward_dynamics(q, v, tau), expected, atol=1e-9)
     if robot is UR5:
-        np.testing.assert_array_equal(robot.difference(q, reference.q), planar_difference(reference.q, q))
+        np.testing.assert_array_equal(robot.difference(q, reference.q), planar_difference(q, reference.q))
 
 
 @ROBOTS
@@ -527,7 +527,7 @@ def test_in_the_loop_and_asked_from_outside_a_controller_is_the_same(make: Any, 
         (lambda: Decoupled(UR5, np.inf, 1), "kp is inf, expected a finite number"),
         (
             lambda: Decoupled(UR5)(0.0, np.zeros(3), np.zeros(3), Reference(*np.zeros((3, 3))), None),
-            "q has shape (3,), expected (..., 9)",
+            "q0 has shape (3,), expected (..., 9)",
         ),
         (
             lambda: PDGravity(UR5, 1, 1)(0.0, np.zeros(9), np.zeros(9), CIRCLE(0.0), None),

@@ -16,31 +16,36 @@ from pinmobile import (
     PD,
     Circle,
     ComputedTorque,
+    Context,
     Delayed,
     FixedHeading,
+    Hold,
     InvalidArgument,
     MobileRobot,
     NoisyMeasurement,
     Reference,
     Saturated,
     WholeBody,
-    difference_of,
     law,
+    rk4,
     simulate,
 )
 from pinmobile.arrays import Array
+from tests.users import PID
 
 ROBOT = MobileRobot(10, 1.2, com=(0.15, 0.05))
 CIRCLE = FixedHeading(Circle(1.0, 0.5, 12.0), 0.3)
 START: dict[str, Any] = {"q0": (0.2, -0.1, 0.9), "v0": (0.1, 0.0, -0.4)}
+HOLD = FixedHeading(Hold((1.0, 0.0), 20.0), 0.3)
 REST = Reference(*np.zeros((3, 3)))
+CONTEXT = Context.of(ROBOT, dt=0.1)
 TOLD = law(lambda t, q, v, reference: q)  # its force is the configuration that it is told of
 
 
 class Counter:
     """A controller with memory: its force is the number of times it was asked before."""
 
-    def initial_state(self) -> int:
+    def initial_state(self, context: Any) -> int:
         return 0
 
     def __call__(self, t: float, q: Array, v: Array, reference: Any, state: int) -> tuple[Array, int]:
@@ -49,7 +54,7 @@ class Counter:
 
 def asked(controller: Any, qs: Array, vs: Array | None = None) -> Array:
     """Return the force at each sample, as a loop of the user's own would get it."""
-    state, forces = controller.initial_state(), []
+    state, forces = controller.initial_state(CONTEXT), []
     for k, q in enumerate(qs):
         tau, state = controller(0.1 * k, q, np.zeros(3) if vs is None else vs[k], REST, state)
         forces.append(tau)
@@ -94,7 +99,7 @@ def test_the_reference_is_not_delayed() -> None:
 
 def test_a_delay_keeps_its_own_copies_and_no_more_than_it_needs() -> None:
     controller, q = Delayed(TOLD, 2), np.zeros(3)
-    state, forces = controller.initial_state(), []
+    state, forces = controller.initial_state(CONTEXT), []
     for k in range(6):
         q[:] = k  # as in a loop that has one array
         tau, state = controller(0.0, q, q, REST, state)
@@ -126,7 +131,7 @@ def test_noise_is_the_table_of_its_seed_however_it_grew() -> None:
     np.testing.assert_array_equal(noisy, QS + table[:, 0] * [0.1, 0.2, 0.3])
     np.testing.assert_array_equal(asked(controller, QS), noisy)  # a second run is the first
     late = NoisyMeasurement(TOLD, (0.1, 0.2, 0.3), 0, seed=7)
-    np.testing.assert_array_equal(late(0.0, QS[599], QS[599], REST, (None, 599))[0], noisy[599])
+    np.testing.assert_array_equal(late(0.0, QS[599], QS[599], REST, (None, 599, None))[0], noisy[599])
     rates = NoisyMeasurement(law(lambda t, q, v, reference: v), 0, 2.0, np.random.SeedSequence(7))
     np.testing.assert_array_equal(asked(rates, QS, VS), VS + 2 * table[:, 1])
 
@@ -149,20 +154,21 @@ KINOVA = MobileRobot.box().mount("kinova")  # three of its joints are (cos, sin)
     "inner",
     [
         ComputedTorque(KINOVA, 9, 6),
-        PD(9, 6, difference=difference_of(KINOVA)),
+        PD(9, 6),
+        law(lambda t, q, v, reference: q),
         Saturated(Delayed(ComputedTorque(KINOVA, 9, 6), 0), 1e9),
     ],
-    ids=["computed torque", "PD", "within others"],
+    ids=["computed torque", "PD", "law", "within others"],
 )
 def test_noise_turns_angles_that_are_cos_and_sin(inner: Any) -> None:
     rng, std = np.random.default_rng(2), np.linspace(0.1, 0.9, 9)
     q, v = KINOVA.random_configuration(rng, (4,)), rng.normal(size=(4, 9))
     at = Reference(KINOVA.neutral, *np.zeros((2, 9)))
     noisy = NoisyMeasurement(inner, std, 0.2, seed=7)
-    tau, _ = noisy(0.0, q, v, at, noisy.initial_state())
+    tau, _ = noisy(0.0, q, v, at, noisy.initial_state(Context.of(KINOVA, dt=0.1)))
     row = np.random.default_rng(7).standard_normal((1, 2, 9))[0]
     told = KINOVA.integrate(q, std * row[0]), v + 0.2 * row[1]
-    expected, _ = inner(0.0, *told, at, inner.initial_state())
+    expected, _ = inner(0.0, *told, at, inner.initial_state(Context.of(KINOVA, dt=0.1)))
     np.testing.assert_array_equal(tau, expected)
 
 
@@ -175,13 +181,10 @@ def test_all_wrappers_together_hold_an_arm_without_limits_at_rest() -> None:
     assert 1e-6 < rollout.max_error()[3:].max() < 1e-3
 
 
-def test_noise_needs_a_robot_where_configurations_do_not_add() -> None:
-    noisy = NoisyMeasurement(TOLD, 1, 1, 0)
-    with pytest.raises(InvalidArgument, match=r"^q has shape \(12,\) where v has 9 numbers, expected"):
-        noisy(0.0, KINOVA.neutral, np.zeros(9), REST, noisy.initial_state())
+def test_noise_has_the_plants_number_of_velocities() -> None:
     long = NoisyMeasurement(ComputedTorque(KINOVA), np.ones(12), 1, 0)
     with pytest.raises(InvalidArgument, match=r"^std_q has shape \(12,\), expected \(\) or \(9,\)$"):
-        long(0.0, KINOVA.neutral, np.zeros(9), REST, long.initial_state())
+        long(0.0, KINOVA.neutral, np.zeros(9), REST, long.initial_state(CONTEXT))
 
 
 def test_threads_that_share_a_noisy_controller_get_the_same() -> None:
@@ -190,7 +193,7 @@ def test_threads_that_share_a_noisy_controller_get_the_same() -> None:
 
     def late(_: int) -> Array:
         together.wait()
-        return controller(0.0, np.zeros(3), np.zeros(3), REST, (None, last))[0]
+        return controller(0.0, np.zeros(3), np.zeros(3), REST, (None, last, None))[0]
 
     with ThreadPoolExecutor(8) as pool:
         rows = list(pool.map(late, range(8)))
@@ -211,8 +214,8 @@ def test_a_noisy_controller_is_pickled_and_copied_without_its_table() -> None:
 def test_leading_axes_are_kept() -> None:
     q, v = np.random.default_rng(1).normal(size=(2, 4, 5, 3))
     nested = Saturated(Delayed(NoisyMeasurement(PD(3, 2), 0.1, 0.2, 5), 1), (1, 2, 3))
-    many, _ = nested(0.0, q, v, REST, nested.initial_state())
-    one, _ = nested(0.0, q[2, 3], v[2, 3], REST, nested.initial_state())
+    many, _ = nested(0.0, q, v, REST, nested.initial_state(CONTEXT))
+    one, _ = nested(0.0, q[2, 3], v[2, 3], REST, nested.initial_state(CONTEXT))
     assert many.shape == (4, 5, 3)
     np.testing.assert_allclose(many[2, 3], one, rtol=1e-14)
 
@@ -226,7 +229,7 @@ def test_they_nest_in_any_order_and_so_do_their_states() -> None:
     inside = asked(NoisyMeasurement(Delayed(TOLD, 2), 1, 0, 7), QS)
     np.testing.assert_array_equal(inside, (QS + noise)[old])
     controller = Saturated(NoisyMeasurement(Delayed(Counter(), 1), 1, 1, 0), 3)
-    assert controller.initial_state() == ((0, ()), 0)
+    assert controller.initial_state(CONTEXT)[:2] == ((0, ()), 0)
     assert asked(controller, QS[:6])[:, 0].tolist() == [0, 1, 2, 3, 3, 3]
 
 
@@ -254,6 +257,48 @@ def test_in_the_loop_each_does_what_it_says() -> None:
         np.testing.assert_allclose(late.tau[k], expected, rtol=0, atol=1e-13)
 
 
+PIDS = {
+    "limits": lambda inner: Saturated(inner, (4.0, 4.0, 1.0)),
+    "limits, delay, noise": lambda inner: NoisyMeasurement(
+        Delayed(Saturated(inner, (4.0, 4.0, 1.0)), 1), 1e-3, 1e-3, 5
+    ),
+    "limits within limits": lambda inner: Saturated(Delayed(Saturated(inner, 9.0), 0), (4.0, 4.0, 1.0)),
+}
+
+
+@pytest.mark.parametrize("wrapped", PIDS.values(), ids=PIDS)
+def test_an_integral_that_is_told_what_is_applied_does_not_wind_up(wrapped: Any) -> None:
+    """Sent from 4 m away with 4 N, an integral grows until it comes by, and throws the robot far beyond."""
+    far: dict[str, Any] = {"dt": 0.02, "q0": CIRCLE(0.0).q - [4.0, 0, 0], "v0": np.zeros(3)}
+    told, wound = (
+        simulate(ROBOT, wrapped(PID(25.0, 12.0, 30.0, back)), HOLD, limit=1e6, **far) for back in (2.0, 0.0)
+    )
+    beyond = [-min(0.0, float(run.error[:, 0].min())) for run in (told, wound)]
+    assert beyond[0] < 0.3 * beyond[1]
+    assert wound.max_force()[0] == pytest.approx(4.0)
+
+
+def test_what_is_applied_is_told_inward_once_a_sample() -> None:
+    seen: list[tuple[float, list[float]]] = []
+
+    class Told:
+        def initial_state(self, context: Context) -> int:
+            return 0
+
+        def __call__(self, t: float, q: Array, v: Array, reference: Any, state: int) -> tuple[Array, int]:
+            return np.array([5.0, -5.0, 0.1]), state
+
+        def applied(self, u: Array, state: int) -> int:
+            seen.append((state, u.tolist()))
+            u[:] = 99  # its own copy
+            return state + 1
+
+    nested = Saturated(Delayed(NoisyMeasurement(Saturated(Told(), 3.0), 0, 0, 1), 2), (2.0, 9.0, 9.0))
+    rollout = simulate(ROBOT, nested, CIRCLE, dt=0.5, duration=2.0, substeps=3, integrator=rk4)
+    assert seen == [(k, [2.0, -3.0, 0.1]) for k in range(5)]
+    np.testing.assert_array_equal(rollout.tau, [[2.0, -3.0, 0.1]] * 5)
+
+
 def test_a_delay_costs_damping() -> None:
     """At x'' = -4 x(t - T) - 2 x'(t - T) a tenth of a second does no harm, and nine are too many."""
     controller = PD(40, 20)
@@ -269,7 +314,7 @@ def test_a_delay_costs_damping() -> None:
 class TauAlone:
     """A controller that forgets to return its state."""
 
-    def initial_state(self) -> None:
+    def initial_state(self, context: Any) -> None:
         return None
 
     def __call__(self, *_: Any) -> Array:
@@ -277,7 +322,7 @@ class TauAlone:
 
 
 def once(controller: Any) -> Any:
-    return controller(0.5, np.zeros(3), np.zeros(3), REST, controller.initial_state())
+    return controller(0.5, np.zeros(3), np.zeros(3), REST, controller.initial_state(CONTEXT))
 
 
 @pytest.mark.parametrize(
@@ -331,7 +376,7 @@ def test_an_infinite_limit_is_none() -> None:
     free = PD(100.0, 0.0)
     limited = Saturated(free, (np.inf, 5.0, np.inf))
     at = Reference(*np.ones((3, 3)))
-    tau, _ = limited(0.0, np.zeros(3), np.zeros(3), at, None)
+    tau, _ = limited(0.0, np.zeros(3), np.zeros(3), at, limited.initial_state(CONTEXT))
     assert tau.tolist() == [100.0, 5.0, 100.0]
     for limits in ((np.nan, 1.0, 1.0), (-np.inf, 1.0, 1.0)):
         with pytest.raises(InvalidArgument, match=r"limits\[0\] is (nan|-inf), expected a finite number"):

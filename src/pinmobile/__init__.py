@@ -41,8 +41,8 @@ if TYPE_CHECKING:
         NoisyMeasurement,
         PDGravity,
         Saturated,
-        difference_of,
         law,
+        plain_difference,
         planar_difference,
     )
     from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHRow, DHTable, JointType
@@ -68,6 +68,7 @@ if TYPE_CHECKING:
     )
     from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
     from pinmobile.paths import Circle, CubicVia, Hold, Lissajous, RestToRest, Spline
+    from pinmobile.plant import Context
     from pinmobile.reaching import EndEffectorTracking, PosePath, Resolved, resolve
     from pinmobile.robot import Load, MobileRobot, mountable
     from pinmobile.simulation import Rollout, simulate
@@ -87,6 +88,7 @@ __all__ = [
     "Circle",
     "ComputedTorque",
     "ConstantForce",
+    "Context",
     "CubicVia",
     "DHRow",
     "DHTable",
@@ -133,12 +135,12 @@ __all__ = [
     "ViscousFriction",
     "WholeBody",
     "constant_acceleration",
-    "difference_of",
     "ensemble",
     "grid",
     "integrator_report",
     "law",
     "mountable",
+    "plain_difference",
     "planar_difference",
     "reaction_wrench",
     "required_friction",
@@ -168,8 +170,8 @@ _NAMES: dict[str, tuple[str, ...]] = {
         "NoisyMeasurement",
         "PDGravity",
         "Saturated",
-        "difference_of",
         "law",
+        "plain_difference",
         "planar_difference",
     ),
     "derivation": (),
@@ -198,6 +200,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "files": (),
     "integrators": ("constant_acceleration", "rk4", "semi_implicit_euler"),
     "paths": ("Circle", "CubicVia", "Hold", "Lissajous", "RestToRest", "Spline"),
+    "plant": ("Context",),
     "plots": (),
     "reaching": ("EndEffectorTracking", "PosePath", "Resolved", "resolve"),
     "robot": ("Load", "MobileRobot", "mountable"),

@@ -75,6 +75,8 @@ def finite(name: str, value: ArrayLike) -> Array:
         return value  # what comes in a loop: one call instead of five; where it overflows, look closely
     if type(value) is float and isfinite(value):
         return np.asarray(value)  # the other thing that comes often
+    if getattr(type(value), "is_symbolic", False):
+        return value  # type: ignore[return-value]  # symbols of `compiled`, which have no numbers yet
     array = real(name, value)
     if not np.isfinite(array).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])

@@ -3,8 +3,6 @@
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
-import numpy as np
-
 from pinmobile import (
     LECTURE_TABLE,
     PD,
@@ -21,6 +19,7 @@ from pinmobile import (
     Tangent,
     UnknownName,
     constant_acceleration,
+    plain_difference,
     planar_difference,
     rk4,
     semi_implicit_euler,
@@ -229,7 +228,7 @@ def closed_loop(**options: Any) -> tuple[MobileRobot, Any, Any, dict[str, Any]]:
     plant = robot(base, **changed, com=numbers("--com", options["com"]))
     model_changed = {name: options[f"model_{name}"] for name in ("mass", "yaw_inertia")}
     model = robot(plant, **model_changed, com=numbers("--model-com", options["model_com"]))
-    difference = np.subtract if options["heading"] == "lecture" else planar_difference
+    difference = plain_difference if options["heading"] == "lecture" else planar_difference
     gains = numbers("--kp", options["kp"]), numbers("--kd", options["kd"])
     law = controller(options["controller"], model, *gains, difference)
     step = choose("integrator", options["integrator"], INTEGRATORS)

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import sympy
 
 from pinmobile import (
@@ -17,6 +16,7 @@ from pinmobile import (
     Rollout,
     Tangent,
     derivation,
+    plain_difference,
     planar_difference,
     plots,
     simulate,
@@ -109,7 +109,7 @@ def _simulate(robot: MobileRobot) -> tuple[Runs, Runs]:
         path = make()
         for name, controller in _CONTROLLERS.items():
             key = trajectory, name
-            lecture[key] = simulate(robot, controller(robot, np.subtract), LectureHeading(path), dt=_DT)
+            lecture[key] = simulate(robot, controller(robot, plain_difference), LectureHeading(path), dt=_DT)
             tangent = Tangent(path, turn_time=_TURN_TIME)
             right[key] = simulate(robot, controller(robot, planar_difference), tangent, dt=_DT)
     return lecture, right

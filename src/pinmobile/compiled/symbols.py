@@ -38,6 +38,7 @@ class Symbols(NDArrayOperatorsMixin):
     """
 
     __hash__ = None  # type: ignore[assignment]
+    is_symbolic = True  # by which `arrays.finite` knows that there is nothing to check yet
 
     def __init__(self, array: Any) -> None:
         self.entries = array

@@ -7,14 +7,14 @@ leading axes. `Saturated`, `Delayed` and `NoisyMeasurement` wrap any of them, an
 """
 
 from pinmobile.controllers.arms import Decoupled, Gravity, PDGravity
-from pinmobile.controllers.feedback import PD, ComputedTorque, difference_of, gain_matrix
+from pinmobile.controllers.feedback import PD, ComputedTorque, gain_matrix
 from pinmobile.controllers.law import law
 from pinmobile.controllers.protocol import (
     Controller,
-    Difference,
     InverseDynamics,
     State,
     check_controller,
+    plain_difference,
     planar_difference,
 )
 from pinmobile.controllers.wrappers import Delayed, NoisyMeasurement, Saturated
@@ -25,7 +25,6 @@ __all__ = [
     "Controller",
     "Decoupled",
     "Delayed",
-    "Difference",
     "Gravity",
     "InverseDynamics",
     "NoisyMeasurement",
@@ -33,8 +32,8 @@ __all__ = [
     "Saturated",
     "State",
     "check_controller",
-    "difference_of",
     "gain_matrix",
     "law",
+    "plain_difference",
     "planar_difference",
 ]

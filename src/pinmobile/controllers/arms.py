@@ -7,7 +7,8 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike
 from pinmobile.controllers.feedback import check_gains, check_robot, feedback, own_difference
-from pinmobile.controllers.protocol import Difference, InverseDynamics, State, planar_difference
+from pinmobile.controllers.protocol import InverseDynamics, State
+from pinmobile.plant import Context, Difference
 
 __all__ = ["Decoupled", "Gravity", "PDGravity"]
 
@@ -24,6 +25,9 @@ class Gravity(Protocol):
     def gravity(self, q: ArrayLike) -> Array:
         """Return g(q)."""
 
+    def difference(self, q0: Array, q1: Array, /) -> Array:
+        """Return the displacement from q0 to q1, shape (..., nv)."""
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -39,7 +43,7 @@ class PDGravity:
     kp, kd : array_like, shape (), (n,) or (n, n)
         Gains as in `PD`: [N/m] and [N s/m] for a way, [N m/rad] and [N m s/rad] for an angle.
     difference : callable
-        ``difference(q_d, q)``: how two configurations are compared; by default the robot's own.
+        ``difference(q0, q1)``: the displacement from q0 to q1; by default the robot's own.
 
     Raises
     ------
@@ -50,17 +54,17 @@ class PDGravity:
     robot: Gravity
     kp: ArrayLike
     kd: ArrayLike
-    difference: Difference = planar_difference
+    difference: Difference | None = None
 
     def __post_init__(self) -> None:
         _check(self, "gravity")
 
-    def initial_state(self) -> None:
+    def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
-        return feedback(self, q, v, reference) + self.robot.gravity(q), None
+        return feedback(self, own_difference(self, self.robot), q, v, reference) + self.robot.gravity(q), None
 
 
 @final
@@ -83,7 +87,7 @@ class Decoupled:
     kp, kd : array_like, shape (), (n,) or (n, n)
         Gains [1/s^2] and [1/s]: a scalar, one per coordinate, or a matrix.
     difference : callable
-        ``difference(q_d, q)``: how two configurations are compared; by default the robot's own.
+        ``difference(q0, q1)``: the displacement from q0 to q1; by default the robot's own.
 
     Raises
     ------
@@ -94,17 +98,17 @@ class Decoupled:
     robot: InverseDynamics
     kp: ArrayLike = 4
     kd: ArrayLike = 4
-    difference: Difference = planar_difference
+    difference: Difference | None = None
 
     def __post_init__(self) -> None:
         _check(self, "inverse_dynamics")
 
-    def initial_state(self) -> None:
+    def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
-        command = reference.a + feedback(self, q, v, reference)
+        command = reference.a + feedback(self, own_difference(self, self.robot), q, v, reference)
         base = self.robot.inverse_dynamics(q, *map(_of_base, (v, command)))
         arms = self.robot.inverse_dynamics(q, *map(_of_arms, (v, command)))
         return np.concatenate([base[..., :_BASE], arms[..., _BASE:]], axis=-1), None
@@ -123,7 +127,5 @@ def _of_arms(rate: Array) -> Array:
 
 
 def _check(controller: PDGravity | Decoupled, needs: str) -> None:
-    robot = controller.robot
-    check_robot(robot, needs)
-    object.__setattr__(controller, "difference", own_difference(robot, controller.difference))
-    check_gains(controller, robot.nv)
+    check_robot(controller, needs)
+    check_gains(controller, controller.robot.nv)

@@ -5,53 +5,29 @@ from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, callable_as, finite, frozen
-from pinmobile.controllers.protocol import Difference, InverseDynamics, State, planar_difference
+from pinmobile.arrays import Array, ArrayLike, finite, frozen
+from pinmobile.controllers.protocol import (
+    InverseDynamics,
+    State,
+)
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.plant import Context, Difference, check_difference
 
 __all__ = [
     "PD",
     "ComputedTorque",
     "check_gains",
     "check_robot",
-    "difference_of",
     "feedback",
     "gain_matrix",
     "own_difference",
 ]
 
 
-@dataclass(frozen=True)
-class _Own:
-    robot: Any
-
-    def __call__(self, q_d: Array, q: Array) -> Array:
-        """Return the displacement from q to q_d."""
-        return np.asarray(self.robot.difference(q, q_d))
-
-
-def difference_of(robot: Any) -> Difference:
-    """Return ``difference(q_d, q)`` as the robot takes it, for joints that are (cos, sin) in q too.
-
-    Parameters
-    ----------
-    robot : MobileRobot or other plant
-        Whose ``difference(q0, q1)`` is the displacement from q0 to q1, shape (..., nv).
-
-    Raises
-    ------
-    InvalidArgument
-        If it has none.
-    """
-    if not hasattr(robot, "difference"):
-        raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot or other plant")
-    return _Own(robot)
-
-
 @final
 @dataclass(frozen=True, eq=False)
 class PD:
-    """Proportional-derivative control, tau = Kp e + Kd e_dot with e = q_d - q (lecture, section 4).
+    """Proportional-derivative control (lecture, section 4): tau = Kp e + Kd e_dot, e = difference(q, q_d).
 
     Parameters
     ----------
@@ -59,8 +35,8 @@ class PD:
         Gains: a scalar, one per coordinate, or a matrix. For a force in N and an error in m, [N/m] and
         [N s/m].
     difference : callable
-        ``difference(q_d, q)``: how two configurations are compared. The lecture's is `numpy.subtract`; that
-        of a robot with joints that are (cos, sin) in q is ``difference_of(robot)``.
+        ``difference(q0, q1)``: the displacement from q0 to q1; the error is that from q to q_d. By default
+        the plant's, which the state keeps; the lecture's is `plain_difference`.
 
     Raises
     ------
@@ -70,17 +46,25 @@ class PD:
 
     kp: ArrayLike
     kd: ArrayLike
-    difference: Difference = planar_difference
+    difference: Difference | None = None
 
     def __post_init__(self) -> None:
         check_gains(self, None)
 
-    def initial_state(self) -> None:
-        """Return None: there is no memory."""
+    def initial_state(self, context: Context) -> Difference:
+        """Return the difference of configurations, by default the plant's."""
+        return own_difference(self, context)
 
-    def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
-        """Return the generalised force, shape (..., n), and None."""
-        return feedback(self, q, v, reference), None
+    def __call__(
+        self, t: float, q: Array, v: Array, reference: State, state: Difference
+    ) -> tuple[Array, Difference]:
+        """Return the generalised force, shape (..., n), and the state as it is."""
+        if not callable(state):
+            raise InvalidArgument(
+                f"state is {shown(state)}, expected what initial_state(context) returns; called by hand, "
+                "that is of Context.of(robot, dt=...)"
+            )
+        return feedback(self, state, q, v, reference), state
 
 
 @final
@@ -95,8 +79,8 @@ class ComputedTorque:
     kp, kd : array_like, shape (), (n,) or (n, n)
         Gains [1/s^2] and [1/s]: a scalar, one per coordinate, or a matrix.
     difference : callable
-        ``difference(q_d, q)``: how two configurations are compared; by default the robot's own. The lecture's
-        is `numpy.subtract`.
+        ``difference(q0, q1)``: the displacement from q0 to q1; by default the robot's own. The lecture's is
+        `plain_difference`.
 
     Raises
     ------
@@ -107,19 +91,18 @@ class ComputedTorque:
     robot: InverseDynamics
     kp: ArrayLike = 4
     kd: ArrayLike = 4
-    difference: Difference = planar_difference
+    difference: Difference | None = None
 
     def __post_init__(self) -> None:
-        check_robot(self.robot, "inverse_dynamics")
-        object.__setattr__(self, "difference", own_difference(self.robot, self.difference))
+        check_robot(self, "inverse_dynamics")
         check_gains(self, self.robot.nv)
 
-    def initial_state(self) -> None:
+    def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
-        command = reference.a + feedback(self, q, v, reference)
+        command = reference.a + feedback(self, own_difference(self, self.robot), q, v, reference)
         return self.robot.inverse_dynamics(q, v, command), None
 
 
@@ -146,23 +129,29 @@ def gain_matrix(name: str, gain: ArrayLike, n: int) -> Array:
     return array if array.ndim == 2 else np.diag(np.broadcast_to(array, n))
 
 
-def check_robot(robot: Any, needs: str) -> None:
-    """Refuse what has no sizes and no method of that name.
+def check_robot(controller: Any, needs: str) -> None:
+    """Refuse a controller's robot that has no sizes, no method of that name, or no difference to use.
 
     Raises
     ------
     InvalidArgument
         If it is no robot.
     """
+    robot = controller.robot
     sizes = getattr(robot, "nv", None), getattr(robot, "nq", getattr(robot, "nv", None))
     if isinstance(robot, type) or not hasattr(robot, needs) or not all(isinstance(n, int) for n in sizes):
         raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot")
+    if controller.difference is None and not hasattr(robot, "difference"):
+        raise InvalidArgument(
+            f"robot is {shown(robot)}, which has no difference(q0, q1), expected one, or to be told how "
+            "configurations are compared: difference=planar_difference"
+        )
 
 
-def own_difference(robot: Any, difference: Difference) -> Difference:
-    """Return the robot's own instead of the plane's where its configurations do not subtract."""
-    subtracts = getattr(robot, "nq", robot.nv) == robot.nv
-    return difference if subtracts or difference is not planar_difference else difference_of(robot)
+def own_difference(controller: Any, plant: Any) -> Difference:
+    """Return the difference that a controller was given, else its robot's, else a plant's or context's."""
+    found: Difference | None = controller.difference
+    return getattr(controller, "robot", plant).difference if found is None else found
 
 
 def check_gains(controller: Any, n: int | None) -> None:
@@ -187,11 +176,12 @@ def check_gains(controller: Any, n: int | None) -> None:
         if n is not None:
             gain_matrix(name, gain, n)
         object.__setattr__(controller, name, frozen(gain))
-    callable_as("difference(q_d, q)", controller.difference)
+    if controller.difference is not None:
+        check_difference(controller.difference)
 
 
-def feedback(controller: Any, q: Array, v: Array, reference: State) -> Array:
-    """Return Kp e + Kd e_dot of a controller that has `kp`, `kd` and `difference`, shape (..., n).
+def feedback(controller: Any, difference: Difference, q: Array, v: Array, reference: State) -> Array:
+    """Return Kp e + Kd e_dot of a controller that has `kp` and `kd`, shape (..., n).
 
     Raises
     ------
@@ -201,11 +191,11 @@ def feedback(controller: Any, q: Array, v: Array, reference: State) -> Array:
     for name, actual, desired in (("q", q, reference.q), ("v", v, reference.v)):
         if actual.shape[-1:] != desired.shape[-1:]:
             raise InvalidArgument(f"{name} has shape {actual.shape}, the reference's has {desired.shape}")
-    error, rate = controller.difference(reference.q, q), np.subtract(reference.v, v)
+    error, rate = difference(q, reference.q), np.subtract(reference.v, v)
     if error.shape[-1:] != rate.shape[-1:]:
         raise InvalidArgument(
             f"difference gives shape {error.shape}, expected {rate.shape}: compare configurations of a robot "
-            "with joints without limits by difference=difference_of(robot)"
+            "with joints without limits by difference=robot.difference"
         )
     return _amplified("kp", controller.kp, error) + _amplified("kd", controller.kd, rate)
 

@@ -9,6 +9,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, callable_as
 from pinmobile.controllers.protocol import Controller
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.plant import Context
 
 __all__ = ["law"]
 
@@ -17,7 +18,7 @@ __all__ = ["law"]
 class _Law:
     function: Callable[[float, Array, Array, Any], ArrayLike]
 
-    def initial_state(self) -> None:
+    def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
 
     def __call__(self, t: float, q: Array, v: Array, reference: Any, state: None) -> tuple[Array, None]:

@@ -1,7 +1,6 @@
 """What a controller is, what it asks of a reference and a robot, and how configurations are compared."""
 
-from collections.abc import Callable
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -10,15 +9,14 @@ from pinmobile.errors import InvalidArgument, shown
 
 __all__ = [
     "Controller",
-    "Difference",
     "InverseDynamics",
     "State",
     "answer_of",
     "check_controller",
+    "plain_difference",
     "planar_difference",
+    "told",
 ]
-
-Difference: TypeAlias = Callable[[Array, Array], Array]
 
 
 class State(Protocol):
@@ -47,12 +45,20 @@ class InverseDynamics(Protocol):
     def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return M(q) a + n(q, v)."""
 
+    def difference(self, q0: Array, q1: Array, /) -> Array:
+        """Return the displacement from q0 to q1, shape (..., nv)."""
+
 
 class Controller(Protocol):
-    """What `simulate` needs of a controller."""
+    """What `simulate` needs of a controller.
 
-    def initial_state(self) -> Any:
-        """Return the state to start with; None where there is no memory."""
+    One with a method ``applied(u, state) -> state`` is told once per sample which input, shape (..., nu), is
+    really applied after all wrappers, and what it returns is the next state: against the windup of an
+    integral, say.
+    """
+
+    def initial_state(self, context: Any, /) -> Any:
+        """Return the state to start with, of a `Context`; None where there is no memory."""
 
     def __call__(self, t: float, q: Array, v: Array, reference: Any, state: Any) -> tuple[Array, Any]:
         """Return the generalised force, shape (..., nu), and the next state."""
@@ -71,7 +77,12 @@ def check_controller(controller: Any) -> None:
             f"controller is {shown(controller)}, expected a controller: wrap a function in law(...)"
         )
     callable_as("controller(t, q, v, reference, state)", controller)
-    callable_as("controller.initial_state()", controller.initial_state)
+    try:
+        callable_as("controller.initial_state(context)", controller.initial_state)
+    except InvalidArgument as error:
+        raise InvalidArgument(f"{error}: write def initial_state(self, context)") from None
+    if hasattr(controller, "applied"):
+        callable_as("controller.applied(u, state)", controller.applied)
 
 
 def answer_of(
@@ -90,33 +101,57 @@ def answer_of(
     return answer
 
 
-def planar_difference(q_d: Array, q: Array) -> Array:
-    """Return q_d - q with the difference of the heading on the circle.
+def told(controller: Any, u: Array, state: Any) -> Any:
+    """Return the state of a controller after it has been told which input is applied, if it wants to know."""
+    return controller.applied(u, state) if hasattr(controller, "applied") else state
+
+
+def planar_difference(q0: Array, q1: Array) -> Array:
+    """Return q1 - q0, the displacement from q0 to q1, with that of the heading on the circle.
 
     Parameters
     ----------
-    q_d, q : array_like, shape (..., n), n >= 3
+    q0, q1 : array_like, shape (..., n), n >= 3
         Configurations; the third coordinate is psi [rad].
 
     Returns
     -------
-    error : ndarray, shape (..., n)
-        Its third coordinate lies in (-pi, pi]. The lecture's own subtraction is `numpy.subtract`.
+    displacement : ndarray, shape (..., n)
+        Its third coordinate lies in (-pi, pi]. The lecture's own subtraction is `plain_difference`.
 
     Raises
     ------
     InvalidArgument
         If there is no third coordinate.
     """
-    if type(q_d) is not np.ndarray or type(q) is not np.ndarray:
-        q_d, q = finite("q_d", q_d), finite("q", q)
-        broadcast(q_d=q_d[..., None], q=q[..., None])
-    error = np.subtract(q_d, q, dtype=np.float64)
-    if not error.ndim or error.shape[-1] < 3:
+    displacement = plain_difference(q0, q1)
+    if not displacement.ndim or displacement.shape[-1] < 3:
         raise InvalidArgument(
-            f"configurations have shape {error.shape}, expected (..., n) with n >= 3; "
-            "without a heading, compare them with difference=numpy.subtract"
+            f"configurations have shape {displacement.shape}, expected (..., n) with n >= 3; "
+            "without a heading, compare them with difference=plain_difference"
         )
-    if error.ndim > 1 or not LEAST_ANGLE < error[2] <= np.pi:
-        error[..., 2] = wrap_angle(error[..., 2])
-    return error
+    # Of one configuration of numbers, a look saves the arithmetic, which would leave the angle as it is.
+    numbers = type(displacement) is np.ndarray and displacement.ndim == 1
+    if not (numbers and LEAST_ANGLE < displacement[2] <= np.pi):
+        displacement[..., 2] = wrap_angle(displacement[..., 2])
+    return displacement
+
+
+def plain_difference(q0: Array, q1: Array) -> Array:
+    """Return q1 - q0, the displacement from q0 to q1 where no coordinate lies on the circle.
+
+    The lecture compares configurations so: a heading that is off by a turn is an error of 2 pi.
+
+    Parameters
+    ----------
+    q0, q1 : array_like, shape (..., n)
+        Configurations.
+
+    Returns
+    -------
+    displacement : ndarray, shape (..., n)
+    """
+    if type(q0) is not np.ndarray or type(q1) is not np.ndarray:
+        q0, q1 = finite("q0", q0), finite("q1", q1)
+        broadcast(q0=q0[..., None], q1=q1[..., None])
+    return np.subtract(q1, q0, dtype=np.float64)

@@ -11,8 +11,9 @@ from typing import Any, final
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen, whole
-from pinmobile.controllers.protocol import Controller, State, answer_of, check_controller
+from pinmobile.controllers.protocol import Controller, State, answer_of, check_controller, told
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.plant import Context
 
 __all__ = ["Delayed", "NoisyMeasurement", "Saturated"]
 
@@ -48,9 +49,13 @@ class Saturated:
             raise InvalidArgument(f"limits is {limits.min()}, expected > 0")
         object.__setattr__(self, "limits", limits)
 
-    def initial_state(self) -> Any:
+    def initial_state(self, context: Context) -> Any:
         """Return the state that the wrapped controller starts with."""
-        return self.controller.initial_state()
+        return self.controller.initial_state(context)
+
+    def applied(self, u: Array, state: Any) -> Any:
+        """Return the wrapped controller's state, told of the input that is applied, shape (..., n)."""
+        return told(self.controller, u, state)
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: Any) -> tuple[Array, Any]:
         """Return the limited force, shape (..., n), and the wrapped controller's next state."""
@@ -86,9 +91,13 @@ class Delayed:
         check_controller(self.controller)
         object.__setattr__(self, "samples", whole("samples", self.samples, least=0))
 
-    def initial_state(self) -> tuple[Any, tuple[tuple[Array, Array], ...]]:
+    def initial_state(self, context: Context) -> tuple[Any, tuple[tuple[Array, Array], ...]]:
         """Return the state that the wrapped controller starts with, and no measurement."""
-        return self.controller.initial_state(), ()
+        return self.controller.initial_state(context), ()
+
+    def applied(self, u: Array, state: Any) -> Any:
+        """Return the state, with the wrapped controller told of the input that is applied, shape (..., n)."""
+        return told(self.controller, u, state[0]), *state[1:]
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: Any
@@ -109,8 +118,7 @@ class NoisyMeasurement:
 
     The noise of sample k depends on the seed and k alone, so that a second run gets the same. Where q and v
     have leading axes, all of them get the same noise. That of q is a displacement: it is added where q has n
-    numbers, as v has; an angle that is (cos, sin) in q is turned by it, by the `integrate` of the robot that
-    the wrapped controller, or its ``difference_of(robot)``, knows.
+    numbers, as v has; an angle that is (cos, sin) in q is turned by it, as the plant's `integrate` does.
 
     Parameters
     ----------
@@ -128,8 +136,7 @@ class NoisyMeasurement:
     ------
     InvalidArgument
         If `controller` is none, a standard deviation has another shape, is not finite or below zero, or
-        `seed` is something else, such as a Generator, which would not repeat; in a call, if q and v differ in
-        size and the wrapped controller knows no robot.
+        `seed` is something else, such as a Generator, which would not repeat.
     """
 
     controller: Controller
@@ -155,24 +162,28 @@ class NoisyMeasurement:
         # The tables are drawn again from the seed.
         return type(self), (self.controller, self.std_q, self.std_v, self.seed)
 
-    def initial_state(self) -> tuple[Any, int]:
-        """Return the state that the wrapped controller starts with, and no samples so far."""
-        return self.controller.initial_state(), 0
+    def initial_state(self, context: Context) -> tuple[Any, int, Any]:
+        """Return the state that the wrapped controller starts with, no samples so far, and how q moves."""
+        return self.controller.initial_state(context), 0, context.integrate
+
+    def applied(self, u: Array, state: Any) -> Any:
+        """Return the state, with the wrapped controller told of the input that is applied, shape (..., n)."""
+        return told(self.controller, u, state[0]), *state[1:]
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: Any
-    ) -> tuple[Array, tuple[Any, int]]:
+    ) -> tuple[Array, tuple[Any, int, Any]]:
         """Return the force, shape (..., n), and the next state: the wrapped one, samples so far."""
-        inner, k = state
+        inner, k, integrate = state
         size = np.shape(v)[-1:]
         std_q, std_v = _fitting("std_q", self.std_q, size), _fitting("std_v", self.std_v, size)
         n = size[0]
         if n not in self._tables:
             self._tables.setdefault(n, _Table(self.seed, n))
         row = self._tables[n].row(k)
-        noisy = _displaced(self.controller, q, std_q * row[0], n), v + std_v * row[1]
+        noisy = _displaced(q, std_q * row[0], n, integrate), v + std_v * row[1]
         tau, inner = answer_of(self.controller, t, *noisy, reference, inner)
-        return tau, (inner, k + 1)
+        return tau, (inner, k + 1, integrate)
 
 
 class _Table:
@@ -192,20 +203,9 @@ class _Table:
         return np.asarray(self._rows[k])
 
 
-def _displaced(controller: Any, q: Array, dq: Array, n: int) -> Array:
-    """Return q moved by dq, shape (n,): the sum where q has n numbers too, else as the robot steps it."""
-    if np.shape(q)[-1] == n:
-        return q + dq
-    layer = controller
-    while isinstance(layer, Saturated | Delayed | NoisyMeasurement):
-        layer = layer.controller
-    robot: Any = getattr(layer, "robot", None) or getattr(getattr(layer, "difference", None), "robot", None)
-    if not hasattr(robot, "integrate"):
-        raise InvalidArgument(
-            f"q has shape {np.shape(q)} where v has {n} numbers, expected as many, or a controller with the "
-            f"attribute `robot`, whose `integrate` moves q; it is {shown(layer)}"
-        )
-    return np.asarray(robot.integrate(q, dq))
+def _displaced(q: Array, dq: Array, n: int, integrate: Any) -> Array:
+    """Return q moved by dq, shape (n,): the sum where q has n numbers too, else as the plant steps it."""
+    return q + dq if np.shape(q)[-1] == n else np.asarray(integrate(q, dq))
 
 
 def _per_coordinate(name: str, value: ArrayLike, *, endless: bool = False) -> Array:

@@ -10,14 +10,16 @@ from numpy.typing import NDArray
 from pinmobile import closed_form
 from pinmobile.arrays import Array
 from pinmobile.controllers import NoisyMeasurement, planar_difference
-from pinmobile.controllers.protocol import answer_of
+from pinmobile.controllers.feedback import own_difference
+from pinmobile.controllers.protocol import answer_of, told
 from pinmobile.ensembles.batch import Batch, noise_of
 from pinmobile.ensembles.histogram import BINS, bins_of
 from pinmobile.ensembles.layers import core_of, layers_of
 from pinmobile.ensembles.part import Engine, Part, empty_counts
-from pinmobile.ensembles.probing import fresh
+from pinmobile.ensembles.probing import context_of, fresh
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.errors import InvalidArgument
+from pinmobile.plant import Context
 from pinmobile.simulation import stepped
 from pinmobile.trajectories import Reference
 
@@ -69,18 +71,20 @@ class _Records:
 
 def _run(scenario: Scenario, batch: Batch) -> Part:
     controller = _controller(scenario, batch)
-    state, records = controller.initial_state(), _Records(scenario, batch.size)
+    context = context_of(scenario)
+    state, records = controller.initial_state(context), _Records(scenario, batch.size)
     q, v = batch.q, batch.v
     last = len(scenario.t) - 1
     with np.errstate(all="ignore"):  # what overflows is judged
         for k, time in enumerate(scenario.t.tolist()):
             at = Reference(*(part[k] for part in scenario.reference))
-            error, rate = planar_difference(at.q, q), at.v - v
+            error, rate = planar_difference(q, at.q), at.v - v
             records.judge(error, rate)
             # A robot that has diverged stays on the trajectory, so that no controller sees what is no number.
             stays = ~records.alive[:, None]
             q, v = np.where(stays, at.q, q), np.where(stays, at.v, v)
             tau, state = asked(controller, time, q, v, at, state)
+            state = told(controller, tau, state)
             a = _accelerations(batch, time, q, v, tau)
             records.take(k, error, tau, a)
             if k < last:
@@ -139,15 +143,16 @@ class _Feedback:
     """PD or computed torque, with gains and a model for each robot."""
 
     core: Any
+    plant: Any
     batch: Batch
 
-    def initial_state(self) -> None:
+    def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
 
     def __call__(self, t: float, q: Array, v: Array, reference: Any, state: None) -> tuple[Array, None]:
         """Return the force, shape (m, 3), and None."""
         batch, rate = self.batch, reference.v - v
-        tau = _times(batch.kp, self.core.difference(reference.q, q)) + _times(batch.kd, rate)
+        tau = _times(batch.kp, own_difference(self.core, self.plant)(q, reference.q)) + _times(batch.kd, rate)
         if batch.model is not None:
             tau = closed_form.unchecked_inverse_dynamics(q, v, reference.a + tau, *batch.model)
         return tau, None
@@ -167,9 +172,13 @@ class _Noisy:
     layer: NoisyMeasurement
     numbers: NDArray[np.float64]
 
-    def initial_state(self) -> tuple[Any, int]:
+    def initial_state(self, context: Context) -> tuple[Any, int]:
         """Return the wrapped controller's state, and no samples so far."""
-        return self.controller.initial_state(), 0
+        return self.controller.initial_state(context), 0
+
+    def applied(self, u: Array, state: Any) -> Any:
+        """Return the state, with the wrapped controller told of the force that is applied."""
+        return told(self.controller, u, state[0]), state[1]
 
     def __call__(self, t: float, q: Array, v: Array, reference: Any, state: Any) -> tuple[Array, Any]:
         """Return the force, shape (m, 3), and the next state."""
@@ -182,7 +191,7 @@ class _Noisy:
 
 def _controller(scenario: Scenario, batch: Batch) -> Any:
     core = core_of(scenario.controller)
-    controller = fresh(core) if batch.kp is None else _Feedback(core, batch)
+    controller = fresh(core) if batch.kp is None else _Feedback(core, scenario.robot, batch)
     noise = noise_of(scenario, batch.start, batch.size)
     for layer in reversed(layers_of(scenario.controller)):
         if type(layer) is NoisyMeasurement:

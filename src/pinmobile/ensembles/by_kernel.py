@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array, affordable
-from pinmobile.controllers import PD, ComputedTorque, Delayed, NoisyMeasurement, Saturated, planar_difference
+from pinmobile.controllers import PD, ComputedTorque, Delayed, NoisyMeasurement, Saturated
 from pinmobile.disturbances import (
     ConstantForce,
     NoiseForce,
@@ -20,6 +20,7 @@ from pinmobile.ensembles.part import Engine, Part, empty_counts
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.integrators import RungeKuttaNystrom
 from pinmobile.robot import MobileRobot
+from pinmobile.simulation.loop import takes_circle
 
 __all__ = ["COMPILED"]
 
@@ -33,7 +34,7 @@ def _refusal(scenario: Scenario) -> str:
         return f"the controller is {type(core).__name__}, neither PD nor ComputedTorque"
     if type(core) is ComputedTorque and type(core.robot) is not MobileRobot:
         return f"the controller's robot is a {type(core.robot).__name__}, no MobileRobot"
-    if core.difference not in (planar_difference, np.subtract):
+    if takes_circle(core, scenario.robot) is None:
         return "the controller's difference is its own"
     if type(scenario.integrator) is not RungeKuttaNystrom or len(scenario.integrator.nodes) > _MOST_STAGES:
         return f"the integrator, {scenario.integrator!r}, is no table of up to {_MOST_STAGES} stages"
@@ -48,7 +49,7 @@ def _run(scenario: Scenario, batch: Batch) -> Part:
     results, counts = np.empty((kernel.RESULTS, batch.size)), empty_counts(scenario)
     reference = np.ascontiguousarray(np.hstack(scenario.reference))
     core: Any = core_of(scenario.controller)
-    wrap, torque = core.difference is planar_difference, batch.model is not None
+    wrap, torque = bool(takes_circle(core, scenario.robot)), batch.model is not None
     table = _table(scenario)
     judged = wrap, scenario.limit, scenario.begin, scenario.stride, counts
     if _is_lean(scenario, batch):

@@ -11,9 +11,10 @@ from pinmobile.controllers import PD, ComputedTorque
 from pinmobile.ensembles.layers import core_of
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.errors import InvalidArgument, PinmobileError
+from pinmobile.plant import Context
 from pinmobile.trajectories import Reference
 
-__all__ = ["Ask", "check_functions", "fresh"]
+__all__ = ["Ask", "check_functions", "context_of", "fresh"]
 
 _ROWS = 4  # of three, rows could be taken for coordinates
 _CLOSE = 1e-9  # of the largest force: rounding, which may depend on how many rows there are
@@ -33,6 +34,17 @@ def fresh(controller: Any) -> Any:
         return deepcopy(controller)
     except Exception:  # whatever it is that it holds
         return controller
+
+
+def context_of(scenario: Scenario) -> Context:
+    """Return what a scenario's controller is told before the first sample."""
+    return Context.of(
+        scenario.robot,
+        dt=scenario.dt,
+        t=scenario.t,
+        reference=scenario.reference,
+        trajectory=scenario.trajectory,
+    )
 
 
 def check_functions(scenario: Scenario, ask: Ask) -> None:
@@ -57,7 +69,7 @@ def check_functions(scenario: Scenario, ask: Ask) -> None:
 
     def force_of_controller(q: Array, v: Array) -> Array:
         copied = fresh(core)
-        return ask(copied, t, q, v, at, copied.initial_state())[0]
+        return ask(copied, t, q, v, at, copied.initial_state(context_of(scenario)))[0]
 
     _check_rows("controller", force_of_controller, t, q, v)
     for k, force in enumerate(scenario.forces):

@@ -7,6 +7,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, non_negative, positive
 from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
+from pinmobile.plant import Context
 from pinmobile.reaching.bounds import Limits, bounded_least_squares, per_coordinate
 from pinmobile.reaching.poses import PosePath, pose_error
 from pinmobile.reaching.resolution import checked_target
@@ -95,7 +96,7 @@ class EndEffectorTracking:
         for name, value in {**own, **fixed, "acceleration_limit": most, "_limits": limits}.items():
             object.__setattr__(self, name, value)
 
-    def initial_state(self) -> None:
+    def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
 
     def __call__(self, t: float, q: Array, v: Array, reference: Any, state: None) -> tuple[Array, None]:

@@ -1,12 +1,13 @@
 """Configurations of a body on the chain and what it carries, their limits and steps, in public order."""
 
 from functools import cached_property
-from math import prod
+from math import isfinite, prod
 
 import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import (
+    LEAST_ANGLE,
     Array,
     ArrayLike,
     affordable,
@@ -207,14 +208,18 @@ class ChainConfigurations:
         That of joints without limits is taken on the circle too, by Pinocchio; others are subtracted.
         """
         q0, q1 = self._q(q0, "q0"), self._q(q1, "q1")
-        broadcast(q0=q0, q1=q1)
-        if self.nq == self.nv:
+        small = q0.ndim == q1.ndim == 1 and isfinite(np.vdot(q0, q0) + np.vdot(q1, q1))
+        if small and self.nq == self.nv:
+            displacement = q1 - q0  # in a loop: it cannot overflow
+        elif self.nq == self.nv:
+            broadcast(q0=q0, q1=q1)
             with np.errstate(over="ignore"):
                 displacement = finite_answer(q1 - q0, q0=q0, q1=q1)
         else:
+            broadcast(q0=q0, q1=q1)
             displacement = self._engine.reorder(self._engine.each(_difference, q0=q0, q1=q1))
         angle = displacement[..., 2]
-        if angle.ndim or not -np.pi < angle <= np.pi:  # in a loop it hardly ever is beyond
+        if angle.ndim or not LEAST_ANGLE < angle <= np.pi:  # in a loop it hardly ever is beyond
             displacement[..., 2] = wrap_angle(angle)
         return displacement
 

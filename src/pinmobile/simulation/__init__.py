@@ -1,8 +1,8 @@
 """The closed loop, recorded: `simulate` and `Rollout`."""
 
+from pinmobile.plant import Plant
 from pinmobile.simulation.checks import checked_forces, checked_loop, checked_substeps, sample_times, sampled
 from pinmobile.simulation.closed_loop import simulate
-from pinmobile.simulation.plant import Plant
 from pinmobile.simulation.rollout import Rollout
 from pinmobile.simulation.steps import stepped
 

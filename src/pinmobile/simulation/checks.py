@@ -12,7 +12,7 @@ from pinmobile.integrators import check_integrator
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
 if TYPE_CHECKING:
-    from pinmobile.simulation.plant import Plant
+    from pinmobile.plant import Plant
 
 __all__ = ["checked_forces", "checked_loop", "checked_substeps", "sample_times", "sampled"]
 

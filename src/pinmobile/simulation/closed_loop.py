@@ -10,9 +10,9 @@ from pinmobile.controllers import Controller
 from pinmobile.disturbances import Force
 from pinmobile.errors import Diverged, InvalidArgument
 from pinmobile.integrators import Integrator, constant_acceleration
+from pinmobile.plant import Context, Plant
 from pinmobile.simulation.checks import checked_forces, checked_loop, checked_substeps, sample_times, sampled
 from pinmobile.simulation.loop import Loop
-from pinmobile.simulation.plant import Plant
 from pinmobile.simulation.rollout import Rollout
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
@@ -89,7 +89,8 @@ def simulate(
     if getattr(plant, "mounts", ()):
         check_limits(plant, *start)
     count, checked = checked_substeps(substeps, len(t)), checked_forces(forces, plant)
-    loop = Loop(plant, controller, integrator, reference, t, dt, count, checked, *start)
+    context = Context.of(plant, dt=dt, t=t, reference=reference, trajectory=trajectory)
+    loop = Loop(plant, controller, integrator, context, count, checked, *start)
     for begin in range(0, len(t), _CHUNK):
         end = min(begin + _CHUNK, len(t))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # the check below tells

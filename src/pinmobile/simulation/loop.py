@@ -18,13 +18,15 @@ from pinmobile.controllers import (
     Controller,
     PDGravity,
     gain_matrix,
+    plain_difference,
     planar_difference,
 )
+from pinmobile.controllers.feedback import own_difference
 from pinmobile.disturbances import Force
 from pinmobile.errors import InvalidArgument, NotFinite, shown
 from pinmobile.integrators import Integrator, RungeKuttaNystrom
+from pinmobile.plant import Context, Plant
 from pinmobile.robot import MobileRobot
-from pinmobile.simulation.plant import Plant
 from pinmobile.simulation.steps import (
     Clock,
     forward_of,
@@ -35,7 +37,7 @@ from pinmobile.simulation.steps import (
 )
 from pinmobile.trajectories import Reference
 
-__all__ = ["Loop"]
+__all__ = ["Loop", "takes_circle"]
 
 
 class Loop:
@@ -43,8 +45,10 @@ class Loop:
 
     Parameters
     ----------
-    plant, controller, integrator, reference, t, dt, substeps, forces
-        As in `simulate`, checked; the reference is sampled at the times `t`, shape (N + 1,).
+    plant, controller, integrator, substeps, forces
+        As in `simulate`, checked.
+    context : Context
+        What the controller is told; the reference is sampled at its times.
     q0, v0 : ndarray, shape (nq,) and (nv,)
         Start.
     """
@@ -54,14 +58,13 @@ class Loop:
         plant: Plant,
         controller: Controller,
         integrator: Integrator,
-        reference: Reference,
-        t: Array,
-        dt: float,
+        context: Context,
         substeps: int,
         forces: tuple[Force, ...],
         q0: Array,
         v0: Array,
     ) -> None:
+        t, reference = context.t, context.reference
         self.nq, self.nv, self.last = plant.nq, plant.nv, len(t) - 1
         # Another class may do it otherwise; joints that are (cos, sin) in q do not add.
         self.adds = type(plant) is MobileRobot and self.nq == self.nv
@@ -73,15 +76,15 @@ class Loop:
         self.rows[0, : self.nq + self.nv] = np.concatenate([self._reordered(q0), self._reordered(v0)])
         self.desired = np.hstack([self._reordered(reference.q), self._reordered(reference.v)])
         self.forward = plant._engine.calls().forward if chained else forward_of(plant)  # type: ignore[attr-defined]
-        if chained and _is_known(controller, self.nq):
+        if chained and _is_known(controller, plant):
             accelerations = self._reordered(reference.a)
-            self.control = _feedback(controller, self.desired, accelerations, np.asarray(self.order))
+            self.control = _feedback(controller, plant, self.desired, accelerations, np.asarray(self.order))
         else:
-            self.control = _asked(controller, reference, t, plant.nu, self.order)
+            self.control = _asked(controller, context, plant.nu, self.order)
         self.times = t.tolist()
         self.stopped: NotFinite | None = None
         self.push = pushed(forces, self.order, self.nv) if forces else None
-        clock = Clock(self.times, dt / substeps, substeps)
+        clock = Clock(self.times, context.dt / substeps, substeps)
         if isinstance(integrator, RungeKuttaNystrom) and self.adds:
             self.advance = tabled_steps(integrator, self.forward, self.push, clock, self.nv)
         elif self.adds:
@@ -134,23 +137,37 @@ class Loop:
         return self.adds and near and isfinite(rows[:, n:].sum() + self.taus[begin:end].sum())
 
 
-def _is_known(controller: Any, size: int) -> bool:
-    """Tell whether the controller is the library's own in every part, for configurations of that size."""
+def _is_known(controller: Any, plant: Plant) -> bool:
+    """Tell whether the controller is the library's own in every part, for configurations of that plant."""
     robot = getattr(controller, "robot", None)
     return (
         type(controller) in (PD, PDGravity, ComputedTorque)
         # Both act on the third coordinate alone or on none, which is psi in either order.
-        and (controller.difference is planar_difference or controller.difference is np.subtract)
-        and (robot is None or (type(robot) is MobileRobot and robot.nq == robot.nv == size))
+        and takes_circle(controller, plant) is not None
+        and (robot is None or (type(robot) is MobileRobot and robot.nq == robot.nv == plant.nq))
     )
 
 
+def takes_circle(controller: Any, plant: Plant) -> bool | None:
+    """Tell whether PD or a like takes the difference of the third coordinate on the circle.
+
+    None where its difference of configurations of that plant may be any other.
+    """
+    difference = own_difference(controller, plant)
+    robot: Any = getattr(difference, "__self__", None)
+    subtracts = type(robot) is MobileRobot and robot.nq == robot.nv == plant.nv
+    if difference is planar_difference or (subtracts and difference == robot.difference):
+        return True
+    return False if difference is plain_difference else None
+
+
 def _asked(
-    controller: Controller, reference: Reference, t: Array, nu: int, order: Any
+    controller: Controller, context: Context, nu: int, order: Any
 ) -> Callable[[int, Array, Array, Array], Array]:
     """Return the force of any controller, which gets copies that are its own, in public order."""
-    times, state = t.tolist(), controller.initial_state()
-    references = map(Reference, *reference)  # `control` is called once per sample, in order
+    times, state = context.t.tolist(), controller.initial_state(context)
+    tell = getattr(controller, "applied", None)
+    references = map(Reference, *context.reference)  # `control` is called once per sample, in order
     shape = (nu,)
 
     def control(k: int, row: Array, q: Array, v: Array) -> Array:
@@ -167,19 +184,21 @@ def _asked(
                 f"controller returned {shown(force)} at t = {times[k]:g} s, "
                 f"expected an array of shape {shape}"
             )
+        if tell is not None:
+            state = tell(force.copy(), state)
         return force if order is None else force[order]
 
     return control
 
 
 def _feedback(
-    controller: Any, desired: Array, accelerations: Array, order: Array
+    controller: Any, plant: Plant, desired: Array, accelerations: Array, order: Array
 ) -> Callable[[int, Array, Array, Array], Array]:
     """Return the force of PD, with gravity or without, or computed torque in the order of the chain."""
     n = len(order)
     kp, kd = (gain_matrix(name, getattr(controller, name), n) for name in ("kp", "kd"))
     gains = np.hstack([matrix[np.ix_(order, order)] for matrix in (kp, kd)])
-    wrapped = controller.difference is planar_difference
+    wrapped = takes_circle(controller, plant)
     error, command = np.empty(2 * n), np.empty(n)
     subtract, add, times_gains, pi = np.subtract, np.add, gains.dot, np.pi
     robot: Any = getattr(controller, "robot", None)  # PD has none

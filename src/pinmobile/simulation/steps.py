@@ -10,8 +10,8 @@ from pinmobile.arrays import Array
 from pinmobile.disturbances import Force
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.integrators import Integrator, RungeKuttaNystrom
+from pinmobile.plant import Plant
 from pinmobile.robot import MobileRobot
-from pinmobile.simulation.plant import Plant
 
 __all__ = [
     "Clock",

@@ -1,0 +1,185 @@
+"""What is simulated, and what its loop tells a controller before the first sample."""
+
+import operator
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol, TypeAlias
+
+import numpy as np
+
+from pinmobile.arrays import Array, callable_as, finite, frozen, positive, sequence
+from pinmobile.errors import InvalidArgument, shown
+
+__all__ = ["Context", "Coordinate", "Difference", "Input", "Plant", "check_difference"]
+
+Difference: TypeAlias = Callable[[Array, Array], Array]
+
+
+def check_difference(difference: Any) -> None:
+    """Refuse what cannot be called as ``difference(q0, q1)``, and a subtraction of q1 from q0.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is such.
+    """
+    if difference is np.subtract or difference is operator.sub:
+        raise InvalidArgument(
+            f"difference is {shown(difference)}, which returns q0 - q1, expected difference(q0, q1), the "
+            "displacement from q0 to q1: write difference=plain_difference"
+        )
+    callable_as("difference(q0, q1)", difference)
+
+
+class Plant(Protocol):
+    """What `simulate` needs of a plant; `MobileRobot` is one.
+
+    One with joints that turn about several axes has ``integrate_jacobian(q, dq)`` and ``neutral`` too, as
+    `MobileRobot` has: without, all integrators are taken for displacements that change at the velocity.
+    """
+
+    @property
+    def nq(self) -> int:
+        """Size of q."""
+
+    @property
+    def nv(self) -> int:
+        """Size of v and a."""
+
+    @property
+    def nu(self) -> int:
+        """Size of the input u."""
+
+    def forward_dynamics(self, q: Array, v: Array, u: Array, /) -> Array:
+        """Return the acceleration, shape (nv,)."""
+
+    def integrate(self, q: Array, dq: Array, /) -> Array:
+        """Return the configuration that the displacement dq leads to, shape (nq,)."""
+
+    def difference(self, q0: Array, q1: Array, /) -> Array:
+        """Return the displacement from q0 to q1, shape (..., nv)."""
+
+
+class Coordinate(NamedTuple):
+    """One of the nv numbers of a displacement.
+
+    Attributes
+    ----------
+    name, unit : str
+        Such as ``"psi"`` and ``"rad"``.
+    """
+
+    name: str
+    unit: str
+
+
+class Input(NamedTuple):
+    """One of the nu numbers of an input.
+
+    Attributes
+    ----------
+    name, unit : str
+        Such as ``"Mz"`` and ``"N m"``.
+    """
+
+    name: str
+    unit: str
+
+
+@dataclass(frozen=True, eq=False)
+class Context:
+    """What a controller is told before the first sample: ``controller.initial_state(context)``.
+
+    It holds no dynamics of what is simulated: a controller whose model is wrong stays wrong. A loop makes it;
+    `Context.of` makes one for calls by hand.
+
+    Attributes
+    ----------
+    dt : float
+        Time between two samples [s].
+    t : ndarray, shape (N + 1,)
+        Times of the samples [s].
+    difference : callable
+        ``difference(q0, q1)``: the displacement from q0 to q1 of the plant, shape (..., nv).
+    integrate : callable
+        ``integrate(q, dq)``: the plant's configuration to which a displacement leads, shape (..., nq).
+    coordinates : tuple of Coordinate
+        The plant's, as far as it names them, in the order of v.
+    inputs : tuple of Input
+        The plant's, as far as it names them, in the order of u.
+    reference : Reference or None
+        The reference at all samples, q, v and a of shape (N + 1, ...); None in calls by hand.
+    trajectory : trajectory or None
+        What it is sampled from, for those who look ahead; None in calls by hand.
+    """
+
+    dt: float
+    t: Array
+    difference: Difference
+    integrate: Callable[[Array, Array], Array]
+    coordinates: tuple[Coordinate, ...] = ()
+    inputs: tuple[Input, ...] = ()
+    reference: Any = None
+    trajectory: Any = None
+
+    @classmethod
+    def of(
+        cls, plant: Any, *, dt: float, t: Array | None = None, reference: Any = None, trajectory: Any = None
+    ) -> "Context":
+        """Return the context of a loop with this plant.
+
+        Parameters
+        ----------
+        plant : MobileRobot or other plant
+            What is simulated, or whose state is measured.
+        dt : float
+            Time between two samples [s].
+        t : ndarray, shape (N + 1,), optional
+            Times of the samples [s]; by default one, at 0.
+        reference : Reference, optional
+            The reference at these times.
+        trajectory : trajectory, optional
+            What it is sampled from.
+
+        Raises
+        ------
+        InvalidArgument
+            If the plant cannot compare and move configurations, `dt` is not above zero, or `t` is no row.
+        """
+        missing = [name for name in ("difference", "integrate") if not callable(getattr(plant, name, None))]
+        if isinstance(plant, type) or missing:
+            what = f", which has no {missing[0]}" if missing else ""
+            raise InvalidArgument(f"plant is {shown(plant)}{what}, expected a MobileRobot or other plant")
+        check_difference(plant.difference)
+        times = finite("t", np.zeros(1) if t is None else t)
+        if times.ndim != 1:
+            raise InvalidArgument(f"t has shape {times.shape}, expected (N + 1,)")
+        named = _coordinates(plant), _inputs(plant)
+        return cls(
+            positive("dt", dt, "s"),
+            frozen(times),
+            plant.difference,
+            plant.integrate,
+            *named,
+            reference,
+            trajectory,
+        )
+
+
+def _coordinates(plant: Any) -> tuple[Coordinate, ...]:
+    if hasattr(plant, "coordinates"):
+        return sequence("plant.coordinates", plant.coordinates, "a sequence of Coordinate")
+    names, units = (getattr(plant, f"coordinate_{what}", ()) for what in ("names", "units"))
+    return tuple(map(Coordinate, names, units))
+
+
+def _inputs(plant: Any) -> tuple[Input, ...]:
+    """Return the generalised forces of coordinates, where these are what the plant takes."""
+    if hasattr(plant, "inputs"):
+        return sequence("plant.inputs", plant.inputs, "a sequence of Input")
+    if getattr(plant, "nu", 0) != getattr(plant, "nv", 0):
+        return ()
+    forces = {"m": "N", "rad": "N m"}
+    known = {"x": "Fx", "y": "Fy", "psi": "Mz"}
+    found = _coordinates(plant)
+    return tuple(Input(known.get(one.name, one.name), forces.get(one.unit, "")) for one in found)
