@@ -142,7 +142,7 @@ from pinmobile.trajectories import Reference
 @dataclass
 class Lazy:
     gain: float = 3.0
-    def initial_state(self): return None
+    def initial_state(self, context): return None
     def __call__(self, t, q, v, reference, state):
         return self.gain * (reference.q - q) + self.gain * (reference.v - v), state
 
@@ -218,7 +218,7 @@ class Odd:
     def __repr__(self) -> str:
         return self.words()
 
-    def initial_state(self) -> None:
+    def initial_state(self, context: Any) -> None:
         return None
 
     def __call__(self, t: float, q: Any, v: Any, reference: Any, state: None) -> Any:
