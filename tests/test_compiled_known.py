@@ -96,6 +96,27 @@ def test_a_changed_global_array_dict_or_attribute_is_noticed(monkeypatch: pytest
     np.testing.assert_allclose(first_input(controller), u + 2, rtol=1e-14)
 
 
+class Obliging:
+    """It has whatever name it is asked for, but for those that Python itself looks for in a class."""
+
+    __slots__ = ()
+
+    def __getattr__(self, name: str) -> Any:
+        return self
+
+
+OBLIGING = Obliging()
+
+
+def test_an_object_that_has_every_name_is_no_obstacle() -> None:
+    class Holding(PD):
+        def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> Any:
+            gain = 3.0 if OBLIGING is not None else 0.0
+            return gain * (reference.q - q), state
+
+    np.testing.assert_allclose(first_input(Holding(1.0, 1.0)), -0.3, rtol=1e-12)
+
+
 def test_a_changed_closure_is_noticed() -> None:
     def made(gain: float) -> tuple[Any, Any]:
         class Closed(PD):

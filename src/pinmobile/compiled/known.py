@@ -141,8 +141,8 @@ def _form(x: Any, leaves: Any = None, depth: int = 0) -> Any:
 def _object_form(x: Any, leaves: Any, depth: int) -> Any:
     if is_foreign(type(x).__module__) and not type(x).__module__.startswith("pinmobile"):
         raise _Unknown
-    attributes = getattr(x, "__dict__", None)
-    if attributes is None:
+    attributes = getattr(x, "__dict__", None)  # some answer to any name with something
+    if not isinstance(attributes, dict):
         raise _Unknown
     stated = names_of(x)
     kept = (

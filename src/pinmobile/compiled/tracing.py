@@ -198,17 +198,18 @@ class Walk:
             for each in thing:
                 self.visit(each)
         elif isinstance(thing, dict):
-            for each in thing.values():
+            for each in list(thing.values()):
                 self.visit(each)
         elif not isinstance(thing, ModuleType):
             self._class(type(thing))
-            for each in getattr(thing, "__dict__", {}).values():
+            own = getattr(thing, "__dict__", None)  # some answer to any name with something
+            for each in list(own.values()) if isinstance(own, dict) else ():
                 self.visit(each)
 
     def _class(self, thing: type) -> None:
         for each in thing.__mro__:
             if not is_foreign(each.__module__):
-                for name, value in vars(each).items():
+                for name, value in list(vars(each).items()):
                     if not name.startswith("__") or name == "__call__":
                         self._met(each, vars(each), name)
                     if not isinstance(value, type) and callable(getattr(value, "__get__", None)):
