@@ -6,10 +6,7 @@ from typing import Any, final
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, frozen
-from pinmobile.controllers.protocol import (
-    InverseDynamics,
-    State,
-)
+from pinmobile.controllers.protocol import InverseDynamics, State
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Context, Difference, check_difference
 
