@@ -2,7 +2,7 @@
 
 import operator
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
@@ -10,7 +10,16 @@ import numpy as np
 from pinmobile.arrays import Array, callable_as, finite, frozen, positive, sequence
 from pinmobile.errors import InvalidArgument, shown
 
-__all__ = ["Context", "Coordinate", "Difference", "Input", "Plant", "check_difference"]
+__all__ = [
+    "Context",
+    "Coordinate",
+    "Difference",
+    "Input",
+    "Parameter",
+    "Plant",
+    "check_difference",
+    "parameters_of",
+]
 
 Difference: TypeAlias = Callable[[Array, Array], Array]
 
@@ -67,10 +76,17 @@ class Coordinate(NamedTuple):
     ----------
     name, unit : str
         Such as ``"psi"`` and ``"rad"``.
+    lower, upper : float
+        Its limits, infinite where there is none.
+    rate : str
+        What its rate is called, such as ``"yaw_rate"``; by default ``"<name>_rate"``.
     """
 
     name: str
     unit: str
+    lower: float = -np.inf
+    upper: float = np.inf
+    rate: str = ""
 
 
 class Input(NamedTuple):
@@ -80,10 +96,89 @@ class Input(NamedTuple):
     ----------
     name, unit : str
         Such as ``"Mz"`` and ``"N m"``.
+    lower, upper : float
+        Its limits, infinite where there is none.
     """
 
     name: str
     unit: str
+    lower: float = -np.inf
+    upper: float = np.inf
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number of a part that may differ from robot to robot: a part lists its own as ``parameters``.
+
+    A spread, a sweep and a scenario file name it; the part's law reads it from its attribute.
+
+    Attributes
+    ----------
+    name : str
+        What a spread calls it, such as ``"viscous_forward"``.
+    unit, meaning : str
+        Its unit, "" for none, and what it is, in words.
+    least : float
+        Values must be above, or for 0 of a parameter that may vanish, at least this.
+    may_vanish : bool
+        Whether `least` itself is allowed.
+    attribute : str
+        The part's attribute that has it; by default, what it is called.
+    entry : int, optional
+        Which number of that attribute it is; None: all of them.
+    write : callable, optional
+        ``write(values, column, size)`` returns the attribute of m robots, shape (m, ...), from what it was,
+        (m, ...), and the numbers of the parameter, (m,); `size` is the number of coordinates that the
+        reference has. By default the numbers take the entry's place.
+    """
+
+    name: str
+    unit: str = ""
+    meaning: str = ""
+    least: float = -np.inf
+    may_vanish: bool = True
+    attribute: str = ""
+    entry: int | None = None
+    write: Callable[[Array, Array, int], Array] | None = None
+
+    @property
+    def bound(self) -> str:
+        """What is expected of its values, such as ``> 0``."""
+        return f"{'>=' if self.may_vanish else '>'} {self.least:g}"
+
+    def allows(self, values: Array) -> Any:
+        """Tell which values are possible, shape (n,)."""
+        return values >= self.least if self.may_vanish else values > self.least
+
+    def written(self, values: Array, column: Array, size: int) -> Array:
+        """Return the attribute of m robots with this parameter's numbers in it, shape (m, ...)."""
+        if self.write is not None:
+            return self.write(values, column, size)
+        new = values.copy()
+        if self.entry is None:
+            new[:] = column.reshape(-1, *(1,) * (values.ndim - 1))
+        else:
+            new[:, self.entry] = column
+        return new
+
+    def nominal(self, value: Any) -> float | None:
+        """Return its number in an attribute of one robot; None where that is not one number."""
+        array = np.asarray(value, np.float64)
+        if self.entry is not None and array.ndim:
+            array = array[self.entry]
+        return float(array) if not array.ndim else None
+
+
+def parameters_of(part: Any) -> tuple[Parameter, ...]:
+    """Return the parameters that a part states; a name alone is one without unit and bound."""
+    stated = getattr(part, "parameters", ())
+    return tuple(
+        Parameter(each, attribute=each) if isinstance(each, str) else _with_attribute(each) for each in stated
+    )
+
+
+def _with_attribute(parameter: Parameter) -> Parameter:
+    return parameter if parameter.attribute else replace(parameter, attribute=parameter.name)
 
 
 @dataclass(frozen=True, eq=False)

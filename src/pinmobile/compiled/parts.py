@@ -16,6 +16,7 @@ from pinmobile.arrays import Array
 from pinmobile.compiled.memory import mapped
 from pinmobile.compiled.recorders import Record, Sample
 from pinmobile.errors import InvalidArgument, UnknownName
+from pinmobile.plant import parameters_of
 
 __all__ = [
     "Memory",
@@ -161,9 +162,8 @@ def _is_part(x: Any) -> bool:
 
 
 def names_of(part: Any) -> tuple[str, ...]:
-    """Return the names of the parameters that a part states."""
-    stated = getattr(part, "parameters", ())
-    return tuple(each if isinstance(each, str) else each.name for each in stated)
+    """Return the attributes that hold the parameters that a part states."""
+    return tuple(dict.fromkeys(parameter.attribute for parameter in parameters_of(part)))
 
 
 def _value(path: str, part: Any, name: str) -> Array:
