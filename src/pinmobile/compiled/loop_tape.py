@@ -9,7 +9,7 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.compiled.memory import Line, leaves
 from pinmobile.compiled.noise import Noise
-from pinmobile.compiled.parts import Memory, Parameter, Parts
+from pinmobile.compiled.parts import Memory, Parts, Place
 from pinmobile.compiled.symbols import entries, has_symbols, symbols
 from pinmobile.compiled.tape import Node, Tape, evaluated
 from pinmobile.compiled.tracing import tracing
@@ -62,7 +62,7 @@ class Loop:
         Nodes of each number of the state: now, and at the next sample; q, v and the memory.
     leaves : list of Leaf
         The arrays of the memory.
-    parameters : dict of Parameter to Leaf
+    parameters : dict of Place to Leaf
         Where each parameter stands.
     uniforms, rows : int
         How many numbers of the run, and of each robot, there are; the first uniform is the step [s].
@@ -76,14 +76,14 @@ class Loop:
         Shape and nodes of what is kept of every sample.
     sizes : (int, int, int, int, int)
         nq, nv, nu, and the numbers of the reference's q and v.
-    unused : list of Parameter
+    unused : list of Place
         Those that no law uses: a spread of one would do nothing.
     """
 
     tape: Tape
     states: list[tuple[int, int]]
     leaves: list[Leaf]
-    parameters: dict[Parameter, Leaf]
+    parameters: dict[Place, Leaf]
     uniforms: int
     rows: int
     keys: list[str]
@@ -91,7 +91,7 @@ class Loop:
     counted: list[int]
     kept: dict[str, tuple[tuple[int, ...], list[int]]]
     sizes: tuple[int, int, int, int, int]
-    unused: list[Parameter]
+    unused: list[Place]
 
     @property
     def outputs(self) -> list[int]:
@@ -140,14 +140,14 @@ def initial_memory(
 
 
 def initial_memories(
-    parts: Parts, context: Any, reference: int, spread: Mapping[Parameter, Array], n: int
+    parts: Parts, context: Any, reference: int, spread: Mapping[Place, Array], n: int
 ) -> list[Array]:
     """Return the arrays of the memory of n robots before the first sample, shape (...) or (n, ...).
 
     Where `initial_state` cannot be run on symbols, it is asked for each robot.
     """
     tape = Tape()
-    on_tape: dict[Parameter, Any] = {}
+    on_tape: dict[Place, Any] = {}
     inputs: dict[Any, Any] = {}
     for name, value in spread.items():
         columns = np.broadcast_to(value, (n, *value.shape[1:])).reshape(n, -1)

@@ -20,8 +20,8 @@ from pinmobile.plant import parameters_of
 
 __all__ = [
     "Memory",
-    "Parameter",
     "Parts",
+    "Place",
     "Reference",
     "Stepped",
     "children",
@@ -54,7 +54,7 @@ class Memory(NamedTuple):
     recorder: Any
 
 
-class Parameter(NamedTuple):
+class Place(NamedTuple):
     """A parameter of a part: where the part stands, and what the parameter is called there.
 
     Attributes
@@ -107,13 +107,13 @@ class Parts:
         """Return the parts as they want to be traced: `traced()`, where their own law is not NumPy."""
         return self.replaced(lambda _, part: part.traced() if hasattr(part, "traced") else part)
 
-    def parameters(self) -> dict[Parameter, Array]:
+    def parameters(self) -> dict[Place, Array]:
         """Return the values of all parameters, those of parts within parts included."""
-        found: dict[Parameter, Array] = {}
+        found: dict[Place, Array] = {}
 
         def visit(path: str, part: Any) -> Any:
             for name in names_of(part):
-                found[Parameter(path, name)] = _value(path, part, name)
+                found[Place(path, name)] = _value(path, part, name)
             for name, child in children(part):
                 visit(f"{path}.{name}", child)
             return part
@@ -122,7 +122,7 @@ class Parts:
             visit(path, part)
         return found
 
-    def with_parameters(self, values: Mapping[Parameter, Any]) -> "Parts":
+    def with_parameters(self, values: Mapping[Place, Any]) -> "Parts":
         """Return copies of the parts with other values of their parameters.
 
         Raises
@@ -133,7 +133,7 @@ class Parts:
         left = dict(values)
 
         def visit(path: str, part: Any) -> Any:
-            mine = {name: left.pop(Parameter(path, name)) for name in names_of(part) if (path, name) in left}
+            mine = {name: left.pop(Place(path, name)) for name in names_of(part) if (path, name) in left}
             inner = {name: (child, visit(f"{path}.{name}", child)) for name, child in children(part)}
             changed = {name: new for name, (old, new) in inner.items() if new is not old}
             return _copied(part, mine, changed) if mine or changed else part

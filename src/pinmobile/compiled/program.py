@@ -13,7 +13,7 @@ from pinmobile.compiled.emit import BINS, Shape, text_of
 from pinmobile.compiled.loop_tape import Loop, initial_memories, initial_memory
 from pinmobile.compiled.machine import Target, function_of
 from pinmobile.compiled.memory import leaves, mapped
-from pinmobile.compiled.parts import Memory, Parameter, Parts, Reference
+from pinmobile.compiled.parts import Memory, Parts, Place, Reference
 from pinmobile.errors import InvalidArgument, UnknownName
 
 __all__ = ["Outcome", "Program", "aligned"]
@@ -70,7 +70,7 @@ class Program:
     ) -> None:
         target = Target.here() if target is None else target
         self.loop = loop
-        self._alike: set[frozenset[Parameter]] = set()  # spreads of these leave the memory alike at first
+        self._alike: set[frozenset[Place]] = set()  # spreads of these leave the memory alike at first
         many = Shape(target.lanes, 2 if len(loop.tape) <= _SMALL else 1)
         self.shape = shape or (Shape(1, 1) if single else many)
         self.text = text_of(loop, self.shape)
@@ -85,7 +85,7 @@ class Program:
         reference: Reference,
         *,
         dt: float,
-        values: Mapping[Parameter, Any] | None = None,
+        values: Mapping[Place, Any] | None = None,
         keys: Mapping[str, NDArray[np.uint64]] | None = None,
         every: int = 1,
         threads: int = 1,
@@ -106,7 +106,7 @@ class Program:
             Of all samples.
         dt : float
             Time between two samples [s].
-        values : mapping of Parameter to ndarray, shape (n, ...)
+        values : mapping of Place to ndarray, shape (n, ...)
             What each robot has of its own, of the parameters that were traced so; or one value for all.
         keys : mapping of str to ndarray of uint64, shape (n,)
             Each robot's key for the noise of a name.
@@ -150,8 +150,8 @@ class Program:
         return n
 
     def _given(
-        self, values: Mapping[Parameter, Any], nominal: Mapping[Parameter, Array], n: int
-    ) -> dict[Parameter, Array]:
+        self, values: Mapping[Place, Any], nominal: Mapping[Place, Array], n: int
+    ) -> dict[Place, Array]:
         """Return the values that were given, of parameters that there are."""
         places, found = self.loop.parameters, {}
         if nominal.keys() != places.keys():
@@ -162,16 +162,16 @@ class Program:
         for (path, name), value in values.items():
             if (path, name) not in places:
                 raise UnknownName("parameter", f"{path}.{name}", map(".".join, places))
-            leaf, array = places[Parameter(path, name)], np.asarray(value, np.float64)
+            leaf, array = places[Place(path, name)], np.asarray(value, np.float64)
             if leaf.kind == "row" and array.shape not in (leaf.shape, (n, *leaf.shape)):
                 raise InvalidArgument(f"{path}.{name} has shape {array.shape}, expected {(n, *leaf.shape)}")
             # One value for all is each robot's.
             alike = leaf.kind == "row" and array.shape == leaf.shape
-            found[Parameter(path, name)] = np.broadcast_to(array, (n, *leaf.shape)) if alike else array
+            found[Place(path, name)] = np.broadcast_to(array, (n, *leaf.shape)) if alike else array
         return found
 
     def _first(
-        self, parts: Parts, context: Any, memory: Memory, given: Mapping[Parameter, Array], n: int
+        self, parts: Parts, context: Any, memory: Memory, given: Mapping[Place, Array], n: int
     ) -> list[Array]:
         """Return the arrays of the memory before the first sample, shape (...), or (n, ...) of each robot."""
         places = self.loop.leaves
@@ -207,7 +207,7 @@ class Program:
         self,
         start: tuple[Array, Array],
         n: int,
-        values: Mapping[Parameter, Array],
+        values: Mapping[Place, Array],
         first: list[Array],
         keys: Mapping[str, NDArray[np.uint64]],
     ) -> Array:
@@ -236,7 +236,7 @@ class Program:
             self.set_rows(blocks, states + loop.rows + i, key.view(np.float64)[None])
         return blocks
 
-    def _uniforms(self, h: float, values: Mapping[Parameter, Array], first: list[Array]) -> Array:
+    def _uniforms(self, h: float, values: Mapping[Place, Array], first: list[Array]) -> Array:
         found = np.empty(self.loop.uniforms)
         found[0] = h
         for parameter, leaf in self.loop.parameters.items():
