@@ -9,7 +9,7 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.compiled.memory import Line, leaves
 from pinmobile.compiled.noise import Noise
-from pinmobile.compiled.parts import Memory, Parts, Place
+from pinmobile.compiled.parts import Memory, Parts, Place, integrate_of
 from pinmobile.compiled.symbols import entries, has_symbols, symbols
 from pinmobile.compiled.tape import Node, Tape, evaluated
 from pinmobile.compiled.tracing import tracing
@@ -105,7 +105,7 @@ class _Context:
     """The context of a controller, whose delays and noise are on the tape, or are numbers."""
 
     def __init__(self, given: Any, plant: Any, line: Any, normal: Any) -> None:
-        self._given, self.difference = given, plant.difference
+        self._given, self.difference, self.integrate = given, plant.difference, integrate_of(plant)
         self.line, self.normal = line, normal
 
     def __getattr__(self, name: str) -> Any:
