@@ -173,7 +173,14 @@ class Parts:
 def _on_symbols(part: Any) -> Any:
     if hasattr(part, "traced"):
         return part.traced()
-    inner = {name: (child, _on_symbols(child)) for name, child in children(part)}
+
+    def own(child: Any) -> Any:
+        try:
+            return _on_symbols(child)
+        except NotTraceable:
+            return child  # a law that asks it says so itself
+
+    inner = {name: (child, own(child)) for name, child in children(part)}
     changed = {name: new for name, (old, new) in inner.items() if new is not old}
     return _copied(part, {}, changed) if changed else part
 
@@ -227,7 +234,7 @@ def _copied(part: Any, values: Mapping[str, Any], parts: Mapping[str, Any]) -> A
             held = [parts.get(f"{name}[{i}]", each) for i, each in enumerate(value)]
             set_[name] = type(value)(*held) if hasattr(value, "_fields") else type(value)(held)
         elif isinstance(value, MethodType) and (name in parts or value.__self__ is part):
-            set_[name] = MethodType(value.__func__, parts.get(name, new))
+            set_[name] = getattr(parts.get(name, new), value.__name__)
         elif name in parts:
             set_[name] = parts[name]
     for name, value in set_.items():

@@ -1,6 +1,5 @@
 """Controllers of a base with arms that know less than computed torque: gravity alone, or no coupling."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar, Protocol, final
 
@@ -59,7 +58,6 @@ class PDGravity:
     kinds: tuple[int, int] = field(init=False, repr=False)
 
     parameters: ClassVar[tuple[Parameter, ...]] = GAINS
-    prefixes: ClassVar[Mapping[str, str]] = {"robot": "model_"}
 
     def __post_init__(self) -> None:
         _check(self, "gravity")
@@ -107,7 +105,6 @@ class Decoupled:
     kinds: tuple[int, int] = field(init=False, repr=False)
 
     parameters: ClassVar[tuple[Parameter, ...]] = GAINS
-    prefixes: ClassVar[Mapping[str, str]] = {"robot": "model_"}
 
     def __post_init__(self) -> None:
         _check(self, "inverse_dynamics")

@@ -1,6 +1,5 @@
 """Feedback of the error in configuration and velocity: PD, and computed torque."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, ClassVar, final
@@ -134,7 +133,6 @@ class ComputedTorque:
     kinds: tuple[int, int] = field(init=False, repr=False)
 
     parameters: ClassVar[tuple[Parameter, ...]] = GAINS
-    prefixes: ClassVar[Mapping[str, str]] = {"robot": "model_"}
 
     def __post_init__(self) -> None:
         check_robot(self, "inverse_dynamics")

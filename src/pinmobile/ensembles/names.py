@@ -2,13 +2,14 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from types import MethodType
 from typing import Any, NamedTuple
 
 from pinmobile import disturbances
 from pinmobile.compiled.parts import Parts, children
 from pinmobile.controllers.feedback import GAINS
 from pinmobile.errors import InvalidArgument, UnknownName
-from pinmobile.plant import Context, Coordinate, Parameter, parameters_of
+from pinmobile.plant import Coordinate, Parameter, parameters_of
 from pinmobile.robot.planar import BODY, PlanarBody
 
 __all__ = ["PARAMETERS", "Stated", "resolved", "start_parameters", "stated_by", "with_spread_forces"]
@@ -74,16 +75,17 @@ def _walked(path: str, part: Any, prefix: str) -> Iterator[tuple[str, Stated]]:
     for parameter in parameters_of(part):
         mine = _of_model(parameter, prefix)
         yield mine.name, Stated(path, mine)
-    prefixes = getattr(part, "prefixes", {})
     for name, child in children(part):
-        yield from _walked(f"{path}.{name}", child, prefix + prefixes.get(name, ""))
+        if not isinstance(getattr(part, name, None), MethodType):
+            model = "model_" if hasattr(child, "forward_dynamics") else ""
+            yield from _walked(f"{path}.{name}", child, prefix + model)
 
 
-def stated_by(parts: Parts, context: Context) -> dict[str, list[Stated]]:
+def stated_by(parts: Parts, coordinates: Sequence[Coordinate]) -> dict[str, list[Stated]]:
     """Return the parameters of a loop by name, and by path and name; several parts may state one name."""
     found: dict[str, list[Stated]] = {}
     every = [each for path, part in parts.by_path() for each in _walked(path, part, "")]
-    for parameter in start_parameters(context.coordinates):
+    for parameter in start_parameters(coordinates):
         every.append((parameter.name, Stated("", parameter)))
     for name, stated in every:
         found.setdefault(name, []).append(stated)

@@ -13,6 +13,7 @@ from pinmobile.arrays import Array, affordable, positive, scalar, whole
 from pinmobile.compiled.loop_tape import initial_memory
 from pinmobile.compiled.noise import Noise
 from pinmobile.compiled.parts import Parts, Place
+from pinmobile.controllers.protocol import check_memory
 from pinmobile.ensembles.distributions import Source
 from pinmobile.ensembles.draws import draw, held, in_blocks
 from pinmobile.ensembles.histogram import BINS
@@ -20,7 +21,7 @@ from pinmobile.ensembles.names import Stated, resolved, start_parameters, stated
 from pinmobile.ensembles.spread import check_mapping, check_supports, checked_spread
 from pinmobile.errors import InvalidArgument
 from pinmobile.integrators import Integrator, constant_acceleration
-from pinmobile.plant import Context, Parameter
+from pinmobile.plant import Context, Coordinate, Parameter
 from pinmobile.simulation import checked_forces, checked_loop, checked_substeps, sample_times, sampled
 from pinmobile.trajectories import Reference, Trajectory
 
@@ -121,6 +122,8 @@ class Scenario:
         )
         self._set(spread=checked_spread(self.spread, n, self._known))
         check_supports(self.spread, self.parameters)
+        q, v = self.starts({}, 1)
+        check_memory(self.controller, self.context, q[0], v[0])
 
     def _set(self, **values: Any) -> None:
         for name, value in values.items():
@@ -159,7 +162,11 @@ class Scenario:
 
     @cached_property
     def _known(self) -> dict[str, list[Stated]]:
-        return stated_by(self._given.on_arrays(), self.context)
+        return stated_by(self._given.on_arrays(), self._coordinates)
+
+    @cached_property
+    def _coordinates(self) -> tuple[Coordinate, ...]:
+        return Context.of(self._given.on_arrays().plant, dt=self.dt).coordinates
 
     @cached_property
     def stated(self) -> dict[str, Stated]:
@@ -245,7 +252,7 @@ class Scenario:
         at = Reference(*(part[0] for part in self.reference))
         q, v = plant.start(at) if hasattr(plant, "start") else (at.q, at.v)
         off = np.zeros((2, count, plant.nv))
-        names = [each.name for each in start_parameters(self.context.coordinates)]
+        names = [each.name for each in start_parameters(self._coordinates)]
         for k, name in enumerate(names):
             if name in draws:
                 off[k // plant.nv, :, k % plant.nv] = draws[name]

@@ -11,7 +11,7 @@ from pinmobile.arrays import Array
 from pinmobile.compiled import Summary, program_of, robot_keys
 from pinmobile.compiled.loop_tape import initial_memory
 from pinmobile.compiled.noise import Noise
-from pinmobile.compiled.parts import Memory, Parts, Reference, one_sample
+from pinmobile.compiled.parts import Memory, Parts, Reference, errors, one_sample
 from pinmobile.compiled.program import Program
 from pinmobile.ensembles.histogram import BINS, bins_of
 from pinmobile.ensembles.member import member_of
@@ -23,7 +23,8 @@ from pinmobile.simulation.engines import ARRAYS, COMPILED, PINOCCHIO, Engine, ch
 
 __all__ = ["Way", "processors", "way_of"]
 
-_AT_ONCE = {COMPILED: 65536, ARRAYS: 4096, PINOCCHIO: 64}
+_AT_ONCE = {ARRAYS: 4096, PINOCCHIO: 16}
+_WORK = 2e7  # robots times samples that are compiled code's at once: some 0.3 s
 _ROWS = 4  # of three, rows could be taken for coordinates
 _CLOSE = 1e-9  # of the largest number: rounding, which may depend on how many rows there are
 
@@ -57,6 +58,8 @@ class Way:
     @property
     def at_once(self) -> int:
         """Robots that are worth running together, at most."""
+        if self.engine is COMPILED:
+            return 256 * max(1, min(256, round(_WORK / len(self.scenario.t) / 256)))
         return _AT_ONCE[self.engine]
 
     def run(self, draws: Mapping[str, Array], start: int, stop: int, threads: int) -> Part:
@@ -108,7 +111,8 @@ def _as_compiled(scenario: Scenario) -> Program:
     program = program_of(parts, scenario.context, (q[0], v[0]), at, dt=scenario.dt, spread=scenario.places)
     unused = set(program.loop.unused)
     for name, stated in scenario.stated.items():
-        if (stated.path, stated.parameter.attribute) in unused:
+        # What the plant has may not matter to one run, as the mass of what nobody pushes; it is its own.
+        if stated.path != "plant" and (stated.path, stated.parameter.attribute) in unused:
             raise InvalidArgument(
                 f"spread has {name!r}, {stated.parameter.meaning}, which no law of this loop uses, "
                 "expected a parameter that matters"
@@ -220,17 +224,20 @@ def _on_arrays(scenario: Scenario, draws: Mapping[str, Array], start: int, stop:
     rows = _rows(scenario, draws, start, stop)
     q, v, memory, h = rows.q, rows.v, rows.memory, scenario.dt / scenario.substeps
     counts = np.zeros((len(scenario.grid), 2, BINS), np.int64)
+    begin = scenario.starts({}, 1)
     with np.errstate(all="ignore"):  # what overflows is judged
         for k, time in enumerate(scenario.t.tolist()):
             at = Reference(*(part[k] for part in scenario.reference))
+            far = np.abs(np.concatenate(errors(rows.parts.plant, q, v, at), axis=-1))
+            alive = (memory.recorder["alive"] > 0.5) & (far <= scenario.limit).all(axis=-1)
+            # What has diverged goes on from the trajectory's start: no law sees what is no number.
+            q, v = np.where(alive[:, None], q, begin[0]), np.where(alive[:, None], v, begin[1])
+            memory = memory._replace(recorder={**memory.recorder, "alive": np.where(alive, 1.0, 0.0)})
             found = one_sample(rows.parts, float(k), time, h, q, v, at, memory)
-            memory = found.memory
+            q, v, memory = found.q, found.v, found.memory
             if k % scenario.stride == 0:
                 for row, size in zip(counts[k // scenario.stride], found.record.counted, strict=True):
                     row += np.bincount(bins_of(np.asarray(size)), minlength=BINS)
-            # A robot that has diverged goes on where it started, so that no law sees what is no number.
-            alive = memory.recorder["alive"][:, None] > 0.5
-            q, v = np.where(alive, found.q, rows.q), np.where(alive, found.v, rows.v)
     return Part.of(scenario, memory.recorder, counts)
 
 
