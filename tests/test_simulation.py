@@ -316,7 +316,11 @@ def test_a_controller_is_told_of_its_loop_and_of_nothing_that_the_plant_does() -
         assert (context.difference, context.integrate) == (robot.difference, robot.integrate)
         assert [one.name for one in context.coordinates] == list(robot.coordinate_names)
         assert [one.unit for one in context.coordinates] == list(robot.coordinate_units)
-        assert context.inputs[:3] == (("Fx", "N"), ("Fy", "N"), ("Mz", "N m"))
+        assert [(one.name, one.unit) for one in context.inputs[:3]] == [
+            ("Fx", "N"),
+            ("Fy", "N"),
+            ("Mz", "N m"),
+        ]
         assert all(one.unit == "N m" for one in context.inputs[3:])
         assert not any(hasattr(context, name) for name in ("plant", "robot", "forward_dynamics"))
 

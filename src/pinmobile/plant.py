@@ -223,7 +223,7 @@ class Context:
         What it is sampled from, for those who look ahead; None in calls by hand.
     nv : int
         Size of v of the plant.
-    seed, robot : int
+    seed, member : int
         What `normal` follows from: the seed of an ensemble, and the robot's number in it.
     """
 
@@ -237,7 +237,7 @@ class Context:
     trajectory: Any = None
     nv: int = 0
     seed: int = 0
-    robot: int = 0
+    member: int = 0
 
     def line(self, samples: int) -> Any:
         """Return a delay to keep in the state: ``old, line = line.push(values)``.
@@ -251,12 +251,12 @@ class Context:
     def normal(self, name: str, n: int) -> Any:
         """Return noise to keep in the state: ``numbers, noise = noise.draw()``.
 
-        The n numbers of a sample are standard normal and independent; they follow from the seed, the robot,
+        The n numbers of a sample are standard normal and independent; they follow from the seed, the member,
         the name and the number of the sample alone, and are the same bits in every engine.
         """
         from pinmobile.compiled.noise import Noise, robot_keys
 
-        return Noise(robot_keys(self.seed, name, range(self.robot, self.robot + 1))[0], whole("n", n))
+        return Noise(robot_keys(self.seed, name, range(self.member, self.member + 1))[0], whole("n", n))
 
     @classmethod
     def of(

@@ -16,7 +16,7 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.compiled.memory import mapped
 from pinmobile.compiled.recorders import Record, Sample
-from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName
+from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
 from pinmobile.plant import attributes_of
 
 __all__ = [
@@ -365,7 +365,13 @@ def _integrated(parts: Parts, t: Any, h: Any, q: Any, v: Any, u: Any, memory: An
             there = integrate(q, moved)
             return plant.forward_dynamics(there, rate, u, _pushed(parts, time, there, rate))
 
-        moved, v = parts.integrator(acceleration, t, np.zeros(plant.nv), v, h)
+        answer = parts.integrator(acceleration, t, np.zeros(plant.nv), v, h)
+        if type(answer) is not tuple or len(answer) != 2:
+            shape = (plant.nv,)
+            raise InvalidArgument(
+                f"integrator returned {shown(answer)} at t = {t} s, expected (q, v) of shapes {shape} and {shape}"
+            )
+        moved, v = answer
         q = integrate(q, moved)
         return q, plant.project(q, v) if hasattr(plant, "project") else v
 

@@ -164,11 +164,15 @@ class NoisyMeasurement:
 
     @property
     def _name(self) -> str:
-        """Name of its noise: another for each seed."""
+        """Name of its noise: another for each seed, and for each of several, one in the other."""
+        within, inner = 0, self.controller
+        while inner is not None:
+            within += isinstance(inner, NoisyMeasurement)
+            inner = getattr(inner, "controller", None)  # type: ignore[assignment]
         sequence = (
             self.seed if isinstance(self.seed, np.random.SeedSequence) else np.random.SeedSequence(self.seed)
         )
-        return f"measurement {sha256(sequence.generate_state(4).tobytes()).hexdigest()[:16]}"
+        return f"measurement {within} {sha256(sequence.generate_state(4).tobytes()).hexdigest()[:16]}"
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any]:
         """Return the state that the wrapped controller starts with, the noise, and how q moves."""

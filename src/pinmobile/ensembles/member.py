@@ -33,11 +33,11 @@ class _OfRobot:
 
     controller: Any
     seed: int
-    robot: int
+    member: int
 
     def initial_state(self, context: Context) -> Any:
         """Return the controller's, told of the robot."""
-        return self.controller.initial_state(replace(context, seed=self.seed, robot=self.robot))
+        return self.controller.initial_state(replace(context, seed=self.seed, member=self.member))
 
     def applied(self, u: Any, state: Any) -> Any:
         """Return the controller's state, told of the input that is applied."""

@@ -122,8 +122,14 @@ class Scenario:
         )
         self._set(spread=checked_spread(self.spread, n, self._known))
         check_supports(self.spread, self.parameters)
-        q, v = self.starts({}, 1)
-        check_memory(self.controller, self.context, q[0], v[0])
+        q, v = (one[0] for one in self.starts({}, 1))
+        check_memory(self.controller, self.context, q, v)
+        for k, force in enumerate(self.forces):
+            shape = np.shape(_asked(force, self._given.on_arrays().plant, q, v))
+            if len(shape) != 1:
+                raise InvalidArgument(
+                    f"forces[{k}] gives shape {shape} for one robot, expected (3,): name in spread what differs"
+                )
 
     def _set(self, **values: Any) -> None:
         for name, value in values.items():
@@ -343,6 +349,12 @@ def time_within(name: str, value: Any, t: Array) -> float:
     if not 0 <= time <= t[-1]:
         raise InvalidArgument(f"{name} is {time} s, expected from 0 to the duration, {t[-1]:g} s")
     return time
+
+
+def _asked(force: Any, plant: Any, q: Array, v: Array) -> Any:
+    if hasattr(force, "on_coordinates"):
+        return force.on_coordinates(0.0, q.copy(), v.copy())
+    return force(0.0, plant.pose(q).copy(), plant.rate(q, v).copy())
 
 
 def _moved(plant: Any, q: Array, displacements: Array) -> Array:
