@@ -367,9 +367,9 @@ def _integrated(parts: Parts, t: Any, h: Any, q: Any, v: Any, u: Any, memory: An
 
         answer = parts.integrator(acceleration, t, np.zeros(plant.nv), v, h)
         if type(answer) is not tuple or len(answer) != 2:
-            shape = (plant.nv,)
             raise InvalidArgument(
-                f"integrator returned {shown(answer)} at t = {t} s, expected (q, v) of shapes {shape} and {shape}"
+                f"integrator returned {shown(answer)} at t = {t} s, expected (q, v) of shapes "
+                f"({plant.nv},) and ({plant.nv},)"
             )
         moved, v = answer
         q = integrate(q, moved)

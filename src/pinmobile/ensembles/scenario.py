@@ -128,7 +128,8 @@ class Scenario:
             shape = np.shape(_asked(force, self._given.on_arrays().plant, q, v))
             if len(shape) != 1:
                 raise InvalidArgument(
-                    f"forces[{k}] gives shape {shape} for one robot, expected (3,): name in spread what differs"
+                    f"forces[{k}] gives shape {shape} for one robot, expected (3,): "
+                    "name in spread what differs"
                 )
 
     def _set(self, **values: Any) -> None:
