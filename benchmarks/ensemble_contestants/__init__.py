@@ -9,14 +9,11 @@ import subprocess
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from contestants import MUJOCO, NUMPY, PINMOBILE, PINOCCHIO, Contestant, Peer
 from fleet import LECTURE, Fleet, Run
-
-import pinmobile
 
 
 @dataclass(frozen=True)
