@@ -54,7 +54,7 @@ def momentum_rate(moving: Any, inertias: dict[int, pin.Inertia]) -> Array:
     With p = T r of a body's points, the sums over its mass of p'' and p x p'' are in T'' J T', where J is the
     sum of r r' (4 x 4): differences of poses in time are all that is needed.
     """
-    robot, h = moving.robot, 2e-3
+    robot, h = moving.plant, 2e-3
 
     def poses(t: float) -> Array:
         displacement = t * moving.v + 0.5 * t * t * moving.a
@@ -73,7 +73,7 @@ def momentum_rate(moving: Any, inertias: dict[int, pin.Inertia]) -> Array:
 
 def seen_from(wrench: Array, moving: Any, point: Array) -> Array:
     """Return a wrench about the world's origin about a point of the body, along the body's axes."""
-    T = moving.robot.frame_placements(moving.q)[..., BODY_JOINT - 1, :, :]
+    T = moving.plant.frame_placements(moving.q)[..., BODY_JOINT - 1, :, :]
     origin = T[..., :3, :3] @ point + T[..., :3, 3]
     moment = wrench[..., 3:] - np.cross(origin, wrench[..., :3])
     return np.concatenate([part[..., None, :] @ T[..., :3, :3] for part in (wrench[..., :3], moment)], -1)[

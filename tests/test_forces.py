@@ -80,7 +80,7 @@ def test_every_way_through_the_loop_is_the_same(integrator: Any, substeps: int) 
     for plant in (ROBOT, OtherPlant()):
         for step in (integrator, users):
             other = simulate(plant, asked(controller), CIRCLE, integrator=step, **options)
-            for name in ("q", "v", "a", "tau"):
+            for name in ("q", "v", "a", "u"):
                 # The same sums in another order, over 80 steps; noise asked at times that differ by rounding.
                 np.testing.assert_allclose(getattr(other, name), getattr(own, name), rtol=0, atol=1e-11)
 
@@ -99,7 +99,7 @@ def test_every_sample_is_that_of_the_loop_written_by_hand() -> None:
             return np.asarray(np.linalg.solve(ROBOT.mass_matrix(q), push))
 
         np.testing.assert_allclose(rollout.q[k], q, rtol=0, atol=1e-11)
-        np.testing.assert_allclose(rollout.tau[k], tau, rtol=0, atol=1e-10)
+        np.testing.assert_allclose(rollout.u[k], tau, rtol=0, atol=1e-10)
         np.testing.assert_allclose(rollout.a[k], acceleration(k * dt, q, v), rtol=0, atol=1e-10)
         k1 = acceleration(k * dt, q, v)
         k2 = acceleration((k + 0.5) * dt, q + dt / 2 * v, v + dt / 2 * k1)
@@ -117,7 +117,7 @@ def test_a_constant_force_makes_a_parabola() -> None:
     rollout = run(ConstantForce((5, -3, 0.6)), constant_acceleration, 0.5)
     a, t = np.array([0.5, -0.3, 0.5]), rollout.t[:, None]
     np.testing.assert_allclose(rollout.q, START["q0"] + START["v0"] * t + a / 2 * t**2, rtol=0, atol=1e-14)
-    assert rollout.max_force().tolist() == [0, 0, 0]
+    assert rollout.max_input().tolist() == [0, 0, 0]
 
 
 def fitted(off: list[float], steps: Array) -> float:

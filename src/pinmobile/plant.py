@@ -84,9 +84,8 @@ class Plant(Protocol):
     ``integrate_jacobian(q, dq)``, ``neutral``
         As `MobileRobot` has them, where joints turn about several axes: without, all integrators are taken
         for displacements that change at the velocity.
-    ``size``, ``visual_model``
-        What is drawn: length, width and height of a box [m]; a `pinocchio.GeometryModel`. An arrowhead
-        without.
+    ``size``
+        Length, width and height of the box that is drawn [m]; without, an arrowhead, or a box of usual size.
     """
 
     @property
@@ -346,7 +345,9 @@ def configuration_names_of(plant: Any) -> tuple[str, ...]:
 
 def leading_of(plant: Any) -> Mapping[int, int]:
     """Return how many numbers of q the first n coordinates have, for each n that a reference may have."""
-    found: Mapping[int, int] = getattr(plant, "leading", None) or {getattr(plant, "nv", 0): getattr(plant, "nq", 0)}
+    found: Mapping[int, int] = getattr(plant, "leading", None) or {
+        getattr(plant, "nv", 0): getattr(plant, "nq", 0)
+    }
     return found
 
 
@@ -370,7 +371,14 @@ def check_plant(plant: Any) -> None:
         ("inputs", "nu", inputs_of(plant)),
     ):
         if len(listed) != sizes[size]:
-            raise InvalidArgument(f"plant has {size} = {sizes[size]} and {len(listed)} {name}, expected as many")
+            raise InvalidArgument(
+                f"plant has {size} = {sizes[size]} and {len(listed)} {name}, expected as many"
+            )
+    if not isinstance(leading_of(plant), Mapping) or not leading_of(plant):
+        raise InvalidArgument(
+            f"plant.leading is {shown(leading_of(plant))}, expected a mapping of n to numbers of q, such as "
+            f"{{{plant.nv}: {plant.nq}}}"
+        )
     for n, numbers in leading_of(plant).items():
         if n > plant.nv or numbers > plant.nq:
             raise InvalidArgument(
@@ -434,11 +442,10 @@ class PlantOutline:
 
     @classmethod
     def of(cls, plant: Any, q: Array) -> "PlantOutline":
-        """Return the outline of a plant, which tells by some configurations, shape (N, nq), where its pose is."""
+        """Return the outline of a plant; configurations q, shape (N, nq), tell where its pose is in q."""
         if isinstance(plant, cls):
             return plant
         size = getattr(plant, "size", None)
-        known = size is not None and np.shape(size) == (3,)
         return cls(
             kind=type(plant).__name__,
             coordinates=tuple(Coordinate(*one) for one in coordinates_of(plant)),
@@ -446,7 +453,7 @@ class PlantOutline:
             inputs=tuple(Input(*one) for one in inputs_of(plant)),
             leading=dict(leading_of(plant)),
             posed=_posed(plant, q),
-            size=tuple(float(x) for x in size) if known else None,
+            size=None if size is None or np.shape(size) != (3,) else tuple(float(x) for x in size),
         )
 
     @property

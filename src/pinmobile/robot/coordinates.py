@@ -44,9 +44,7 @@ def coordinates(model: pin.Model, lower: Array, upper: Array) -> tuple[Coordinat
 def inputs(coordinates: Sequence[Coordinate]) -> tuple[Input, ...]:
     """Return the generalised forces of coordinates: Fx, Fy, Mz, then those of the joints, without limits."""
     names = [*_FORCES, *(one.name for one in coordinates[len(_FORCES) :])]
-    return tuple(
-        Input(name, _FORCE_UNITS[one.unit]) for name, one in zip(names, coordinates, strict=True)
-    )
+    return tuple(Input(name, _FORCE_UNITS[one.unit]) for name, one in zip(names, coordinates, strict=True))
 
 
 def leading(model: pin.Model) -> dict[int, int]:

@@ -66,7 +66,7 @@ class ChainDynamics(ChainKinematics):
         return self._engine.reorder(self._engine.each(pin.rnea, **arguments))
 
     def forward_dynamics(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike, f: ArrayLike = 0.0) -> Array:
-        """Return a = M(q)^-1 (tau + f - n(q, v)), shape (..., nv) [m/s^2, m/s^2, rad/s^2], by Pinocchio's ABA.
+        """Return a = M(q)^-1 (tau + f - n(q, v)), shape (..., nv) [m/s^2, ...], by Pinocchio's ABA.
 
         Parameters
         ----------

@@ -67,8 +67,8 @@ def chosen_integrator(plant: Any, integrator: Any) -> Any:
         return constant_acceleration if chosen is None else chosen
     if integrator is not None:
         raise InvalidArgument(
-            f"integrator is {shown(integrator)}, but the plant, a {type(plant).__name__}, has a step of its own: "
-            "leave integrator out"
+            f"integrator is {shown(integrator)}, but the plant, a {type(plant).__name__}, has a step of its "
+            "own: leave integrator out"
         )
     callable_as("plant.step(t, q, v, u, h, f, memory)", plant.step)
     return None
@@ -153,7 +153,7 @@ def sampled(trajectory: Trajectory, t: Array, plant: "Plant") -> Reference:
             f"trajectory cannot be asked for an array of {len(t)} times: {error}"
         ) from error
     leading = leading_of(plant)
-    count = np.shape(getattr(reference, "v", None))[-1:]
+    count = np.asarray(getattr(reference, "v", None)).shape[-1:]
     n = count[0] if count and count[0] in leading else max(leading)
     sizes = {"q": leading[n], "v": n, "a": n}
     for name, size in sizes.items():

@@ -139,7 +139,9 @@ def _start(
     for name, given, default, size in zip(
         ("q0", "v0"), (q0, v0), on_reference, (plant.nq, plant.nv), strict=True
     ):
-        own = finite(name if given is not None else f"{name} of plant.start", default if given is None else given)
+        own = finite(
+            name if given is not None else f"{name} of plant.start", default if given is None else given
+        )
         if own.shape != (size,):
             raise InvalidArgument(f"{name} has shape {own.shape}, expected ({size},)")
         found.append(own)

@@ -95,7 +95,7 @@ class Loop:
     def _controlled(
         self, plant: Any, controller: Any, context: Context, integrator: Any
     ) -> tuple[Control, Callable[[], Mapping[str, Any]] | None]:
-        """Return the input at each sample within the plant's limits, and what tells the controller's signals."""
+        """Return what gives the input at each sample, and what tells the controller's signals."""
         limits = _limits(context.inputs)
         tabled = self.adds and self.whole and isinstance(integrator, RungeKuttaNystrom)
         if limits is None and tabled and _is_known(controller, plant):
@@ -153,7 +153,9 @@ class Loop:
 def _limits(inputs: Any) -> tuple[Array, Array] | None:
     """Return the least and the largest input, shape (nu,); None where nothing has a limit."""
     sides = [
-        np.array([np.inf * sign if getattr(one, side, None) is None else getattr(one, side) for one in inputs])
+        np.array(
+            [np.inf * sign if getattr(one, side, None) is None else getattr(one, side) for one in inputs]
+        )
         for side, sign in (("lower", -1), ("upper", 1))
     ]
     lower, upper = (np.asarray(side, np.float64) for side in sides)
@@ -207,10 +209,10 @@ def _asked(
             )
         u, state = answer
         if type(u) is not np.ndarray or u.shape != shape:
-            error = InvalidArgument(
+            wrong = InvalidArgument(
                 f"controller returned {shown(u)} at t = {times[k]:g} s, expected an array of shape {shape}"
             )
-            raise _shorter(context, error)
+            raise _shorter(context, wrong)
         if limits is not None:
             u = np.clip(u, *limits)
         if tell is not None:
@@ -226,8 +228,8 @@ def _shorter(context: Context, error: InvalidArgument) -> InvalidArgument:
     if n == count:
         return error
     return InvalidArgument(
-        f"{error}; the reference has the first {n} of {count} coordinates, expected a controller that follows "
-        "these, or a reference of all: a motion of base and arms is WholeBody(robot, base, *joints)"
+        f"{error}; the reference has the first {n} of {count} coordinates, expected a controller that "
+        "follows these, or a reference of all: a motion of base and arms is WholeBody(robot, base, *joints)"
     )
 
 
@@ -254,6 +256,6 @@ def _feedback(controller: Any, plant: Any, desired: Array, accelerations: Array)
             add(command, gravity(q), command)
             return command
         add(command, accelerations[k], command)
-        return inverse(q, v, command)
+        return inverse(q, v, command)  # type: ignore[no-any-return]
 
     return control

@@ -181,15 +181,16 @@ class Rollout:
     @property
     def nq(self) -> int:
         """Size of q."""
-        return self.q.shape[1]
+        return int(self.q.shape[1])
 
     def _poses(self, q: Array) -> Array:
         if self.plant is None and self.nq >= _POSE:
             return q[:, :_POSE]
         if not callable(getattr(self.plant, "pose", None)):
+            kind = getattr(self.plant, "kind", type(self.plant).__name__)
             raise InvalidArgument(
-                f"plant is a {getattr(self.plant, 'kind', type(self.plant).__name__)}, which does not tell where "
-                "its body is, expected one with pose(q), which returns x, y and psi"
+                f"plant is a {kind}, which does not tell where its body is, expected one with pose(q), which "
+                "returns x, y and psi"
             )
         return frozen(all_samples(self.plant, "pose", q))
 
@@ -200,7 +201,7 @@ class Rollout:
 
     @property
     def _by_coordinate(self) -> bool:
-        return self.u.shape[1] == self.error.shape[1] == self.v.shape[1]
+        return bool(self.u.shape[1] == self.error.shape[1] == self.v.shape[1])
 
     def _worst_joint(self) -> str:
         """Return the joint with the largest error, as text; nothing where all stand in one line."""
@@ -221,7 +222,9 @@ class Rollout:
         heads = f"{'joint':{width}} {'largest error':>17} {'rms error':>17}"
         lines = [f"{heads} {'largest input':>14}" if forced else heads]
         columns = (part[led:] for part in (self.max_error(), self.rms_error()))
-        inputs = zip(self.max_input()[led:], self.inputs[led:], strict=True) if forced else [None] * len(labels)
+        inputs = (
+            zip(self.max_input()[led:], self.inputs[led:], strict=True) if forced else [None] * len(labels)
+        )
         for (name, unit), largest, rms, pair in zip(labels, *columns, inputs, strict=True):
             errors = " ".join(f"{error_text(value):>13} {unit:3}" for value in (largest, rms))
             most = "" if pair is None else f"{pair[0]:10.4g} {pair[1].unit:3}"
@@ -264,7 +267,9 @@ class Rollout:
         return {name: getattr(self, name) for name in _RECORDED} | reference
 
     @classmethod
-    def of(cls, plant: Any, arrays: Mapping[str, Array], signals: Mapping[str, Signal] | None = None) -> "Rollout":
+    def of(
+        cls, plant: Any, arrays: Mapping[str, Array], signals: Mapping[str, Signal] | None = None
+    ) -> "Rollout":
         """Return the rollout of a plant, or of None, that has the arrays of `arrays`, and signals."""
         reference = Reference(*(arrays[f"reference_{name}"] for name in Reference._fields))
         named = {name: arrays[name] for name in _RECORDED}

@@ -76,7 +76,9 @@ class Recorder:
             )
         kept = self._units.setdefault(name, (part, unit, value.shape))
         if kept[0] != part:
-            raise InvalidArgument(f"{kept[0]} and {part} both have the signal {name!r}, expected another name")
+            raise InvalidArgument(
+                f"{kept[0]} and {part} both have the signal {name!r}, expected another name"
+            )
         if kept != (part, unit, value.shape):
             raise InvalidArgument(
                 f"{part}.signals[{name!r}] has unit {unit!r} and shape {value.shape} at "

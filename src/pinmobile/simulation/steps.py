@@ -66,13 +66,11 @@ def dynamics_of(plant: Plant, push: Push | None) -> Dynamics:
         f = push(t, q, v)  # type: ignore[misc]
         return forward(q.copy(), v.copy(), u.copy(), f)  # type: ignore[no-any-return]
 
-    return Dynamics(
-        lambda q, v, u: forward(q.copy(), v.copy(), u.copy()), None if push is None else forced
-    )
+    return Dynamics(lambda q, v, u: forward(q.copy(), v.copy(), u.copy()), None if push is None else forced)
 
 
 def pushed(forces: Sequence[Any], plant: Any) -> Push | None:
-    """Return the generalised force of all forces, shape (nv,); they get copies of the state. None: none act."""
+    """Return the generalised force of all forces, shape (nv,), None where none act; they get copies."""
     if not forces:
         return None
     wrenches = [(k, one) for k, one in enumerate(forces) if not hasattr(one, "on_coordinates")]
@@ -264,7 +262,9 @@ def own_steps(plant: Any, push: Push | None, clock: Clock, memory: Any) -> tuple
 
 def _state(found: Any, t: float, *shapes: tuple[int, ...]) -> tuple[Array, Array]:
     if not all(hasattr(found, name) for name in ("q", "v", "memory")):
-        raise InvalidArgument(f"plant.step returned {shown(found)} at t = {t:g} s, expected a Step(q, v, memory)")
+        raise InvalidArgument(
+            f"plant.step returned {shown(found)} at t = {t:g} s, expected a Step(q, v, memory)"
+        )
     q, v = (
         _answer(f"{name} of plant.step", part, t, shape)
         for name, part, shape in zip(("q", "v"), (found.q, found.v), shapes, strict=True)

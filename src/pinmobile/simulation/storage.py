@@ -43,7 +43,9 @@ _MOUNT: Mapping[str, type] = {
 }
 
 
-def write_archive(file: IO[bytes], arrays: dict[str, Array], plant: Any, signals: Mapping[str, Signal]) -> None:
+def write_archive(
+    file: IO[bytes], arrays: dict[str, Array], plant: Any, signals: Mapping[str, Signal]
+) -> None:
     """Write the arrays, the plant in words, and its parameters where it is a `MobileRobot`.
 
     Parameters
@@ -67,7 +69,7 @@ def write_archive(file: IO[bytes], arrays: dict[str, Array], plant: Any, signals
     columns = [values.reshape(rows, -1) for _, values in signals.values()]
     beside = np.hstack(columns) if columns else np.zeros((rows, 0))
     text = json.dumps(described)
-    np.savez(file, allow_pickle=False, format=_FORMAT, plant=text, signals=beside, **arrays)  # type: ignore[arg-type]
+    np.savez(file, allow_pickle=False, format=_FORMAT, plant=text, signals=beside, **arrays)
 
 
 def read_archive(path: Path) -> tuple[dict[str, Array], Any, dict[str, Signal]]:
@@ -90,7 +92,7 @@ def read_archive(path: Path) -> tuple[dict[str, Array], Any, dict[str, Signal]]:
 
 
 def why_unknown(path: Path) -> str:
-    """Return why `read_archive` has no robot though it was one; nothing where it has it, or was another plant.
+    """Return why `read_archive` has no robot though it was one; nothing where it has, or of other plants.
 
     Raises
     ------
@@ -141,10 +143,8 @@ def _outline(described: Mapping[str, Any]) -> PlantOutline:
     ValueError, TypeError, LookupError, AttributeError
         If it is something else, see `unpacking`.
     """
-    coordinates, inputs = (
-        tuple(kind(**_limited(one)) for one in described[name])
-        for name, kind in (("coordinates", Coordinate), ("inputs", Input))
-    )
+    coordinates = tuple(Coordinate(**_limited(one)) for one in described["coordinates"])
+    inputs = tuple(Input(**_limited(one)) for one in described["inputs"])
     names = tuple(text("plant's configuration_names", name) for name in described["configuration_names"])
     posed, size = described["posed"], described["size"]
     for k in posed or ():
