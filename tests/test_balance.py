@@ -266,7 +266,7 @@ def test_what_has_no_arm_or_is_no_robot_is_refused() -> None:
         reaction_wrench(at_rest(UR5, UR5.rest), "arm")
     with pytest.raises(InvalidArgument, match="robot carries no arm, expected one"):
         reaction_wrench(planar((0, 0, 0)))
-    with pytest.raises(InvalidArgument, match="robot is 3, expected a MobileRobot"):
+    with pytest.raises(InvalidArgument, match=r"plant is 3, which does not tell .*, expected a MobileRobot"):
         Motion(3, [0], [0], [0])  # type: ignore[arg-type]
     with pytest.raises(InvalidArgument, match=r"a has shape \(2,\), expected \(..., 3\)"):
         planar((0, 0))

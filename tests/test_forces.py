@@ -49,15 +49,24 @@ class OtherPlant:
         self.nq = self.nv = self.nu = 3 + extra
         self.asked: list[Array] = []
 
-    def forward_dynamics(self, q: Array, v: Array, u: Array) -> Array:
-        self.asked.append(u)
-        return np.append(ROBOT.forward_dynamics(q[:3], v[:3], u[:3]), u[3:])
+    def forward_dynamics(self, q: Array, v: Array, u: Array, f: Any = 0.0) -> Array:
+        self.asked.append(u + f)
+        return np.append(ROBOT.forward_dynamics(q[:3], v[:3], (u + f)[:3]), u[3:])
 
     def integrate(self, q: Array, dq: Array) -> Array:
         return q + dq
 
     def difference(self, q0: Array, q1: Array) -> Array:
         return q1 - q0
+
+    def pose(self, q: Array) -> Array:
+        return q[:3]
+
+    def rate(self, q: Array, v: Array) -> Array:
+        return v[:3]
+
+    def effort(self, q: Array, wrench: Array) -> Array:
+        return np.append(wrench, np.zeros(self.nv - 3))
 
 
 def total(t: float, q: Array, v: Array) -> Array:
@@ -224,12 +233,24 @@ def test_a_force_that_is_not_a_number_is_divergence_with_everything_before_it() 
     assert len(caught.value.rollout) == 11
 
 
-class Unicycle(OtherPlant):
-    """Its input is no generalised force."""
+class Rubber:
+    """A force on coordinates of another number."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.nu = 2
+    def on_coordinates(self, t: float, q: Array, v: Array) -> Array:
+        return np.zeros(2)
+
+
+class Rail(OtherPlant):
+    """A plant whose body cannot be pushed."""
+
+    effort = None  # type: ignore[assignment]
+
+
+class Deaf(OtherPlant):
+    """A plant that takes no forces beside its input."""
+
+    def forward_dynamics(self, q: Array, v: Array, u: Array) -> Array:  # type: ignore[override]
+        return u
 
 
 @pytest.mark.parametrize(
@@ -255,9 +276,18 @@ class Unicycle(OtherPlant):
             "forces[0] returned [1, 2, 3] at t = 0 s, expected an array of shape (3,)",
         ),
         (
-            {"plant": Unicycle(), "forces": FORCES},
-            "forces are given for a plant with nv = 3 and nu = 2, "
-            "expected one whose input is (Fx, Fy, Mz, ...)",
+            {"plant": Rail(), "forces": FORCES},
+            "forces push the body of the plant, a Rail, which has no effort, expected one with pose(q), "
+            "rate(q, v) and effort(q, wrench)",
+        ),
+        (
+            {"plant": Deaf(), "forces": FORCES},
+            "plant is a Deaf, whose forward_dynamics takes no forces f beside the input, expected "
+            "forward_dynamics(q, v, u, f)",
+        ),
+        (
+            {"forces": [Rubber()]},
+            "forces[0].on_coordinates returned array([0., 0.]) at t = 0 s, expected an array of shape (3,)",
         ),
     ],
 )

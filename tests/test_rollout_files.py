@@ -46,7 +46,8 @@ def same(loaded: Rollout) -> bool:
 
 
 def described(tmp_path: Path, **changed: Any) -> Any:
-    return np.array(json.dumps({**json.loads(str(members(tmp_path)["robot"])), **changed}))
+    given = json.loads(str(members(tmp_path)["plant"]))
+    return np.array(json.dumps(given | {"robot": given["robot"] | changed}))
 
 
 def changed(key: str, change: Callable[[Any], Any]) -> Callable[[Path], dict[str, Any]]:
@@ -58,11 +59,20 @@ def changed(key: str, change: Callable[[Any], Any]) -> Callable[[Path], dict[str
 
 
 def robot(**given: Any) -> Callable[[Path], dict[str, Any]]:
-    return lambda tmp_path: {**members(tmp_path), "robot": described(tmp_path, **given)}
+    return lambda tmp_path: {**members(tmp_path), "plant": described(tmp_path, **given)}
+
+
+def outline(name: str, value: Any) -> Callable[[Path], dict[str, Any]]:
+    def make(tmp_path: Path) -> dict[str, Any]:
+        given = json.loads(str(members(tmp_path)["plant"]))
+        given["outline"][name] = value
+        return {**members(tmp_path), "plant": np.array(json.dumps(given))}
+
+    return make
 
 
 def text(value: str) -> Callable[[Path], dict[str, Any]]:
-    return lambda tmp_path: {**members(tmp_path), "robot": np.array(value)}
+    return lambda tmp_path: {**members(tmp_path), "plant": np.array(value)}
 
 
 def put(place: Any, value: Any) -> Callable[[Any], Any]:
@@ -104,16 +114,16 @@ MOUNT = {"name": "ur5", "at": [0, 0, 0, 0], "arm": "ur5", "package_dirs": [], "l
         (changed("q", lambda q: q.view([("x", "f8")])), "expected float64"),
         (changed("q", lambda q: q.astype(object)), "q.npy has .* bytes, expected those of shape"),
         (changed("format", lambda _: np.array("pinmobile rollout 3")), "it is of another format"),
-        (without("q"), "it holds 'a', .*; expected format, robot, t, q, v, a, tau, error, reference_q"),
+        (without("q"), "it holds 'a', .*; expected format, plant, t, q, v, a, u, error, reference_q"),
         (lambda p: {**members(p), "more": np.zeros(3)}, "it holds .* 'more'"),
-        (changed("robot", lambda _: np.array(0x110000, "<u4").view("<U1")), "codec can't decode"),
+        (changed("plant", lambda _: np.array(0x110000, "<u4").view("<U1")), "codec can't decode"),
         (
-            changed("robot", lambda _: np.array(3)),
-            r"robot is of type int64 and shape \(\), expected one text",
+            changed("plant", lambda _: np.array(3)),
+            r"plant is of type int64 and shape \(\), expected one text",
         ),
         (changed("format", lambda text: text[None]), r"format is of type <U19 and shape \(1,\), expected"),
         (text("[" * 100_000), "recursion"),
-        (text("{}"), "'dh'"),
+        (text("{}"), "'robot'"),
         (text("[]"), "list"),
         (text("3"), "int"),
         (text(""), "Expecting value"),
@@ -132,6 +142,14 @@ MOUNT = {"name": "ur5", "at": [0, 0, 0, 0], "arm": "ur5", "package_dirs": [], "l
         (robot(mounts=[{**MOUNT, "at": ["x"]}]), r"robot's at is \['x'\], expected real numbers"),
         (robot(mounts=[{"name": "ur5"}]), "robot has a mount of name, expected name, at, arm"),
         (robot(loads=[["B", -1]]), "mass is -1"),
+        (outline("kind", 3), "plant's kind is 3, expected text"),
+        (outline("coordinates", [3]), "int"),
+        (outline("coordinates", [{"name": "x"}]), "'lower'"),
+        (outline("posed", [0, 1]), "expected three numbers"),
+        (outline("posed", [0, 1, 3]), "plant's posed is 3, expected"),
+        (outline("leading", [[4, 3]]), "plant's leading is 4, expected"),
+        (outline("size", [1, -1, 1]), "size"),
+        (changed("signals", lambda x: np.zeros((13, 2))), r"signals has shape \(13, 2\), expected 0 columns"),
         (robot(loads=[[3, 1, [0, 0, 0], None, None]]), "'int' object has no attribute 'encode'"),
     ],
 )
@@ -206,14 +224,14 @@ def test_a_member_that_is_there_twice_is_refused(tmp_path: Path) -> None:
         pytest.warns(UserWarning, match="Duplicate"),
     ):
         archive.writestr("t.npy", twice)
-    with pytest.raises(InvalidArgument, match=r"'t', 't', 'tau', 'v'; expected format, .*, each once"):
+    with pytest.raises(InvalidArgument, match=r"'t', 't', 'u', 'v'; expected format, .*, each once"):
         Rollout.load(tmp_path / "saved.npz")
 
 
 def test_an_arm_that_is_gone_is_no_damage(tmp_path: Path) -> None:
-    """As documented: the robot is None, and nothing else is missing."""
+    """As documented: what is told of the robot is its names and units, and nothing else is missing."""
     np.savez(tmp_path / "run.npz", **robot(mounts=[{**MOUNT, "arm": "gone.urdf"}])(tmp_path))
-    assert Rollout.load(tmp_path / "run.npz").plant is None
+    assert Rollout.load(tmp_path / "run.npz").plant.coordinates == ROBOT.coordinates
     assert same(Rollout.load(tmp_path / "run.npz"))
 
 

@@ -90,7 +90,7 @@ class ChainConfigurations:
     @property
     def adds(self) -> bool:
         """Whether `integrate` adds displacements to q number by number, in both of which psi is the third."""
-        return self.nq == self.nv
+        return self.nq == self.nv and type(self).integrate is ChainConfigurations.integrate
 
     @property
     def broadcasts(self) -> bool:

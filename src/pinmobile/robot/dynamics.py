@@ -129,8 +129,14 @@ class ChainDynamics(ChainKinematics):
         return self._q(np.append(q, self.rest[q.size :]), "reference.q"), rates
 
     def calls(self) -> Calls:
-        """Return unchecked functions of one state for this thread, for loops: see `Calls`."""
-        return self._engine.calls()
+        """Return unchecked functions of one state for this thread, for loops: see `Calls`.
+
+        What a subclass overrides is as it has it.
+        """
+        own = (
+            name for name in Calls._fields if getattr(type(self), name) is not getattr(ChainDynamics, name)
+        )
+        return self._engine.calls()._replace(**{name: getattr(self, name) for name in own})
 
     def coriolis_matrix(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return C(q, v), shape (..., nv, nv): C v = n(q, v), and dM/dt - 2 C is skew-symmetric."""

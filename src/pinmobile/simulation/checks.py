@@ -200,5 +200,11 @@ def checked_forces(forces: Any, plant: "Plant") -> tuple[Force, ...]:
                 "expected one with pose(q), rate(q, v) and effort(q, wrench)"
             )
     if listed and not hasattr(plant, "step"):
-        callable_as("plant.forward_dynamics(q, v, u, f)", plant.forward_dynamics)
+        try:
+            callable_as("plant.forward_dynamics(q, v, u, f)", plant.forward_dynamics)
+        except InvalidArgument:
+            raise InvalidArgument(
+                f"plant is a {type(plant).__name__}, whose forward_dynamics takes no forces f beside the "
+                "input, expected forward_dynamics(q, v, u, f)"
+            ) from None
     return listed

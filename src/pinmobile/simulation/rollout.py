@@ -172,11 +172,7 @@ class Rollout:
     @property
     def reference_poses(self) -> Array:
         """x, y and psi that the body should have, shape (N + 1, 3) [m, m, rad]; raises as `poses`."""
-        return self._poses(whole_configurations(self._sized, self.q, self.reference.q))
-
-    @property
-    def _sized(self) -> Any:
-        return self if self.plant is None else self.plant
+        return self._poses(whole_configurations(self, self.q, self.reference.q))
 
     @property
     def nq(self) -> int:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from math import isfinite
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -85,7 +86,8 @@ def pushed(forces: Sequence[Any], plant: Any) -> Push | None:
             pose, rate = pose_of(q), rate_of(q, v)  # type: ignore[misc]
             for k, force in wrenches:
                 wrench += _answer(f"forces[{k}]", force(t, pose.copy(), rate.copy()), t, _WRENCH)
-            total += effort(q, wrench)  # type: ignore[misc]
+            # What is no number is for the loop to tell, with all that was before.
+            total += effort(q, wrench) if isfinite(wrench.sum()) else np.nan  # type: ignore[misc]
         for k, on_coordinates in others:
             found = on_coordinates(t, q.copy(), v.copy())
             total += _answer(f"forces[{k}].on_coordinates", found, t, size)
