@@ -40,6 +40,10 @@ class Calls(NamedTuple):
         g(q), shape (nv,).
     integrate : callable
         The configuration, shape (nq,), that a displacement (nv,) leads to from q.
+    pose, rate : callable
+        Those of the body, shape (3,): of q, and of q and v.
+    effort : callable
+        The generalised force, shape (nv,), of q and a wrench (3,).
     """
 
     mass_matrix: Callable[[Array], Array]
@@ -48,6 +52,9 @@ class Calls(NamedTuple):
     forward_dynamics: Callable[[Array, Array, Array], Array]
     gravity: Callable[[Array], Array]
     integrate: Callable[[Array, Array], Array]
+    pose: Callable[[Array], Array]
+    rate: Callable[[Array, Array], Array]
+    effort: Callable[[Array, Array], Array]
 
 
 class _Workspace(local):
@@ -88,6 +95,7 @@ class Engine:
         """Return what a loop calls, all on this thread's data: it is looked up once."""
         model, data, public = self.model, self.data, self._public
         order, square, crba = self.order_q, self._square, partial(pin.crba, model, data)
+        still = np.zeros(self.nv - BODY_JOINT)
         return Calls(
             mass_matrix=lambda q: crba(q[order])[square],
             nonlinear_effects=partial(pin.nonLinearEffects, public, data),
@@ -95,6 +103,11 @@ class Engine:
             forward_dynamics=partial(pin.aba, public, data),
             gravity=partial(pin.computeGeneralizedGravity, public, data),
             integrate=partial(pin.integrate, public),
+            pose=lambda q: q[:BODY_JOINT],
+            rate=lambda q, v: v[:BODY_JOINT],
+            effort=(lambda q, wrench: np.concatenate([wrench, still]))
+            if len(still)
+            else lambda q, wrench: wrench,
         )
 
     def reorder(self, array: Array) -> Array:

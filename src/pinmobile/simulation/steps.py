@@ -76,21 +76,27 @@ def pushed(forces: Sequence[Any], plant: Any) -> Push | None:
         return None
     wrenches = [(k, one) for k, one in enumerate(forces) if not hasattr(one, "on_coordinates")]
     others = [(k, one.on_coordinates) for k, one in enumerate(forces) if hasattr(one, "on_coordinates")]
-    size = (plant.nv,)
-    pose_of, rate_of, effort = (getattr(plant, name, None) for name in ("pose", "rate", "effort"))
+    size, zeros = (plant.nv,), np.zeros(plant.nv)
+    unchecked = hasattr(plant, "calls")
+    calls = plant.calls() if unchecked else plant
+    pose_of, rate_of, effort = (getattr(calls, name, None) for name in ("pose", "rate", "effort"))
 
     def push(t: float, q: Array, v: Array) -> Array:
-        total = np.zeros(size)
+        total = zeros
         if wrenches:
             wrench = np.zeros(_WRENCH)
             pose, rate = pose_of(q), rate_of(q, v)  # type: ignore[misc]
             for k, force in wrenches:
-                wrench += _answer(f"forces[{k}]", force(t, pose.copy(), rate.copy()), t, _WRENCH)
+                found = force(t, pose.copy(), rate.copy())
+                if type(found) is not np.ndarray or found.shape != _WRENCH:
+                    _refuse(f"forces[{k}]", found, t, _WRENCH)
+                wrench += found
             # What is no number is for the loop to tell, with all that was before.
-            total += effort(q, wrench) if isfinite(wrench.sum()) else np.nan  # type: ignore[misc]
+            sound = unchecked or isfinite(wrench.sum())
+            total = effort(q, wrench) if sound else zeros + np.nan  # type: ignore[misc]
         for k, on_coordinates in others:
             found = on_coordinates(t, q.copy(), v.copy())
-            total += _answer(f"forces[{k}].on_coordinates", found, t, size)
+            total = total + _answer(f"forces[{k}].on_coordinates", found, t, size)
         return total
 
     return push
@@ -98,10 +104,14 @@ def pushed(forces: Sequence[Any], plant: Any) -> Push | None:
 
 def _answer(name: str, value: Any, t: float, shape: tuple[int, ...]) -> Array:
     if type(value) is not np.ndarray or value.shape != shape:
-        raise InvalidArgument(
-            f"{name} returned {shown(value)} at t = {t:g} s, expected an array of shape {shape}"
-        )
+        _refuse(name, value, t, shape)
     return value
+
+
+def _refuse(name: str, value: Any, t: float, shape: tuple[int, ...]) -> None:
+    raise InvalidArgument(
+        f"{name} returned {shown(value)} at t = {t:g} s, expected an array of shape {shape}"
+    )
 
 
 def tabled_steps(table: RungeKuttaNystrom, dynamics: Dynamics, clock: Clock, n: int) -> Advance:
