@@ -52,7 +52,7 @@ def write_ensemble(file: IO[bytes], ensemble: "Ensemble") -> None:
         "coordinates": COORDINATES,
         "variables": {name: one._asdict() for name, one in variables.items()},
         "traces": [
-            {"index": i, "samples": len(one), "robot": described_robot(one.robot)}
+            {"index": i, "samples": len(one), "robot": described_robot(one.plant)}
             for i, one in traces.items()
         ],
     }
