@@ -48,7 +48,7 @@ def chromium() -> Iterator["Chromium"]:
 
 
 class Page:
-    """A tab: what it logs and asks for is kept in `console` and `requests`."""
+    """A page in a window: what it logs and asks for is kept in `console` and `requests`."""
 
     def __init__(self, browser: "Chromium", session: str) -> None:
         self._browser, self._session = browser, session
@@ -177,8 +177,12 @@ class Chromium:
         self.kill()
 
     def page(self, width: int = 800, height: int = 600) -> Page:
-        """Return a new tab of a size in pixels."""
-        target = self.call("Target.createTarget", {"url": "about:blank"})["targetId"]
+        """Return a new page of a size in pixels, in a window of its own.
+
+        Of the tabs of one window all but the last made are hidden, and a hidden tab draws no frames: a picture of
+        it waits for a frame that may never come.
+        """
+        target = self.call("Target.createTarget", {"url": "about:blank", "newWindow": True})["targetId"]
         answer = self.call("Target.attachToTarget", {"targetId": target, "flatten": True})
         session = answer["sessionId"]
         self._targets[session] = target
