@@ -182,9 +182,9 @@ class Chromium:
     def page(self, width: int = 800, height: int = 600) -> Page:
         """Return an empty page of a size in pixels, in a window of its own.
 
-        Of the tabs of one window all but the last made are hidden, and a hidden tab draws no frames: a picture of
-        it waits for a frame that may never come. The window of a closed page is used again: its process knows the
-        program that draws, which takes seconds to learn.
+        Of the tabs of one window all but the last made are hidden, and a hidden tab draws no frames: a
+        picture of it waits for a frame that may never come. The window of a closed page is used again: its
+        process knows the program that draws, which takes seconds to learn.
         """
         if self._idle:
             target = self._idle.pop()
