@@ -30,7 +30,7 @@ from pinmobile.arrays import Array
 from pinmobile.robot import BODY_JOINT
 from pinmobile.simulation.storage import why_unknown
 from pinmobile.viewer import Arrows, Overlays, Viewer
-from tests.chromium import chromium
+from tests.chromium import Chromium
 from tests.webclient import eventually
 
 BOX = MobileRobot.box()
@@ -472,7 +472,7 @@ def test_links_are_drawn_where_they_are(name: str) -> None:
         np.testing.assert_allclose(position["values"][-3:], seen[:3, 3], atol=1e-5)  # five digits are kept
 
 
-def test_a_ur5s_recording_is_small_and_plays_in_a_browser(tmp_path: Path) -> None:
+def test_a_ur5s_recording_is_small_and_plays_in_a_browser(browser: Chromium, tmp_path: Path) -> None:
     robot = BOX.mount("ur5", (0.1, 0, 0.2, 0))
     run = driven(robot)
     with Viewer(robot) as viewer:
@@ -485,13 +485,13 @@ def test_a_ur5s_recording_is_small_and_plays_in_a_browser(tmp_path: Path) -> Non
         return viewer.scene.worldToLocal(node.getWorldPosition(new MeshCat.THREE.Vector3())).toArray();
     }}))"""
     paths = [["meshcat", "robot0", "visuals", *item.name.split("/")] for item in items]
-    with chromium() as browser:
-        tab = browser.page(480, 360)
-        tab.open(page.as_uri())
-        assert eventually(lambda: tab.evaluate("pinmobile.ready()"))
-        seen = json.loads(tab.evaluate(script.format(paths=json.dumps(paths))))
-        assert tab.errors == []
-        assert [url for url in tab.requests if not url.startswith("data:")] == [page.as_uri()]
+    tab = browser.page(480, 360)
+    tab.open(page.as_uri())
+    assert eventually(lambda: tab.evaluate("pinmobile.ready()"))
+    seen = json.loads(tab.evaluate(script.format(paths=json.dumps(paths))))
+    assert tab.errors == []
+    assert [url for url in tab.requests if not url.startswith("data:")] == [page.as_uri()]
+    tab.close()
     T = robot.frame_placements(run.q[300])
     there = [T[item.parentJoint - 1] @ np.append(item.placement.translation, 1) for item in items]
     np.testing.assert_allclose(seen, np.array(there)[:, :3], atol=1e-4)  # keys have five digits

@@ -21,7 +21,7 @@ from pinmobile.urdf import Body
 
 THREADS = 8
 STATES = 12
-ROUNDS = 10  # of what answers in numbers; the rest, which makes robots or reads files, has one
+ROUNDS = 5  # of what answers in numbers; the rest, which makes robots or reads files, has one
 ROBOTS = {"lecture": MobileRobot.lecture(), "ur5": MobileRobot.box().mount("ur5")}
 NAMES = [name for name in dir(MobileRobot) if not name.startswith("_")]
 ON_ARMS = {"arm_manipulability", "mount_wrench"}  # of a bare robot they are errors
