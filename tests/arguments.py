@@ -553,6 +553,11 @@ ROWS: dict[str, Row] = {
         )
         for name, named in STATES.items()
     },
+    "MobileRobot.calls": row(),
+    "MobileRobot.effort": row(q=Q, wrench=A),
+    "MobileRobot.pose": row(q=Q),
+    "MobileRobot.rate": row(q=Q, v=V),
+    "MobileRobot.start": row(reference=partial(lambda: WORLD.trajectory(0.0))),
     "MobileRobot.forward_dynamics_derivatives": row(q=Q, v=V, tau=A),
     "MobileRobot.linearize": row(q=Q, v=V, tau=A),
     "MobileRobot.regressor": row(q=Q, v=V, a=A),

@@ -1,11 +1,12 @@
 """Forces on the body that no controller asked for: disturbances, friction, rolling resistance."""
 
 from pinmobile.disturbances.driven import ConstantForce, NoiseForce, SinusoidalForce, noise_frequencies
-from pinmobile.disturbances.protocol import Force
+from pinmobile.disturbances.protocol import CoordinateForce, Force
 from pinmobile.disturbances.resistance import RollingResistance, ViscousFriction
 
 __all__ = [
     "ConstantForce",
+    "CoordinateForce",
     "Force",
     "NoiseForce",
     "RollingResistance",

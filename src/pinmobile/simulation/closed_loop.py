@@ -7,7 +7,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, positive
 from pinmobile.controllers import Controller
-from pinmobile.disturbances import Force
+from pinmobile.disturbances import CoordinateForce, Force
 from pinmobile.errors import Diverged, InvalidArgument
 from pinmobile.integrators import Integrator
 from pinmobile.plant import Context, Plant, all_samples, coordinates_of, whole_configurations
@@ -39,7 +39,7 @@ def simulate(
     v0: ArrayLike | None = None,
     integrator: Integrator | None = None,
     substeps: int = 1,
-    forces: Sequence[Force] = (),
+    forces: Sequence[Force | CoordinateForce] = (),
     limit: float = 1e3,
 ) -> Rollout:
     """Run the closed loop from 0 to `duration` and record every sample.
@@ -95,8 +95,8 @@ def simulate(
         If a number is no longer finite or an error is beyond `limit`; it carries what was recorded before.
     """
     dt, limit = positive("dt", dt, "s"), positive("limit", limit)
-    checked_loop(plant, controller, trajectory, integrator)
     integrator = chosen_integrator(plant, integrator)
+    checked_loop(plant, controller, trajectory, integrator)
     t = sample_times(dt, duration, trajectory.duration)
     reference = sampled(trajectory, t, plant)
     start = _start(plant, reference, q0, v0)
@@ -153,7 +153,7 @@ def _start(
     return q, v
 
 
-def errors_of(plant: Any, q: Array, reference: Reference) -> Array:
+def _errors(plant: Any, q: Array, reference: Reference) -> Array:
     """Return the errors of samples, shape (N, n): from q to the reference's n coordinates."""
     whole = whole_configurations(plant, q, reference.q)
     return all_samples(plant, "difference", q, whole)[:, : reference.v.shape[1]]
@@ -170,7 +170,7 @@ def _first_bad(
         q, v = (part[:good] for part in samples[:2])
         window = Reference(*(part[begin : begin + good] for part in reference))
         n = window.v.shape[1]
-        errors = np.hstack([errors_of(plant, q, window), window.v - v[:, :n]])
+        errors = np.hstack([_errors(plant, q, window), window.v - v[:, :n]])
         beyond = np.abs(errors) > limit
         if beyond.any():
             k, column = map(int, np.argwhere(beyond)[0])
@@ -219,5 +219,5 @@ def _rollout(plant: Plant, t: Array, loop: Loop, reference: Reference, end: int)
     q, v, a, u = loop.samples(0, end)
     kept = Reference(*(part[:end] for part in reference))
     signals = {} if loop.recorder is None else loop.recorder.signals(end)
-    error = errors_of(plant, q, kept)
+    error = _errors(plant, q, kept)
     return Rollout(plant=plant, t=t[:end], q=q, v=v, a=a, u=u, error=error, reference=kept, signals=signals)
