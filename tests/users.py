@@ -62,7 +62,8 @@ class TwoWheels:
         a = (push + (left + right) / self.radius) / (self.mass + 2 * self.spin / self.radius**2)
         w = turning / (self.yaw_inertia + self.track**2 * self.spin / (2 * self.radius**2))
         speed = v[0] * c + v[1] * s
-        return self.rolling(q[2], a, w) + speed * v[2] * np.array([-s, c, 0, 0, 0])
+        turned: Array = speed * v[2] * np.array([-s, c, 0, 0, 0])
+        return self.rolling(q[2], a, w) + turned
 
     def difference(self, q0: Array, q1: Array) -> Array:
         d = q1 - q0

@@ -87,7 +87,7 @@ class Loop:
             first = plant.initial_state(context) if hasattr(plant, "initial_state") else None
             self.own, memory = own_steps(plant, push, clock, first)
         elif tabled:
-            self.advance = tabled_steps(integrator, self.dynamics, clock, self.nv)
+            self.advance = tabled_steps(integrator, self.dynamics, clock, self.nv)  # type: ignore[arg-type]
         elif self.adds:
             self.advance = steps(integrator, self.dynamics, clock)  # type: ignore[arg-type]
         else:
