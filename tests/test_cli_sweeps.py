@@ -419,18 +419,6 @@ def test_the_help_lists_what_may_be_spread(capsys: pytest.CaptureFixture[str], c
     assert "start_vx, start_vy (m/s), start_yaw_rate (rad/s)" in words
 
 
-def test_without_numba_an_ensemble_takes_longer_and_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("pinmobile.cli.many.find_spec", lambda name: None)
-    monkeypatch.setattr("pinmobile.ensembles.choosing.find_spec", lambda name: None)
-    words = ["ensemble", "--n", "20", "--dt", "0.5", "--duration", "2", "--spread", "mass=percent:10"]
-    code, out, _ = typed(capsys, *words, "--out", str(tmp_path))
-    assert code == 0
-    assert "numba is not installed: this takes some ten times longer (extra: ensembles)" in out
-    assert "computed torque" in out
-
-
 def test_a_full_disk_in_a_sweep_is_told_and_it_goes_on(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -466,7 +466,7 @@ def test_another_kind_of_file_is_refused_either_way(tmp_path: Path) -> None:
     ):
         Ensemble.load(tmp_path / "run.npz")
     with pytest.raises(
-        InvalidArgument, match=r"saved.npz', which is no 'pinmobile rollout 1' archive: it holds"
+        InvalidArgument, match=r"saved.npz', which is no 'pinmobile rollout 2' archive: it holds"
     ):
         Rollout.load(path)
 

@@ -510,7 +510,7 @@ def test_no_axis_can_have_the_name_of_anything_in_a_store(done: Sweep) -> None:
 
 def test_the_versions_and_the_machine_that_made_the_numbers_are_told(done: Sweep) -> None:
     there = attributes_of(done.path)["determined_by"]
-    names = ("pinmobile", "numpy", "scipy", "numba", "pin")
+    names = ("pinmobile", "numpy", "scipy", "llvmlite", "pin")
     assert there["versions"] == {name: version(name) for name in names}
     assert there["machine"] == platform.machine()
 
@@ -613,7 +613,7 @@ def test_a_store_is_written_by_one_process_at_a_time_and_read_meanwhile(tmp_path
             early.ensemble(gain=4, error=0)
 
 
-@pytest.mark.parametrize("name", ["zarr", "xarray", "numba"])
+@pytest.mark.parametrize("name", ["zarr", "xarray"])
 def test_a_missing_package_names_the_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
-from pinmobile.arrays import Array, callable_as, finite, frozen, positive, sequence
+from pinmobile.arrays import Array, callable_as, finite, frozen, positive, sequence, whole
 from pinmobile.errors import InvalidArgument, shown
 
 __all__ = [
@@ -187,6 +187,8 @@ class Parameter:
         ``write(values, column, size)`` returns the attribute of m robots, shape (m, ...), from what it was,
         (m, ...), and the numbers of the parameter, (m,); `size` is the number of coordinates that the
         reference has. By default the numbers take the entry's place.
+    neutral : float, optional
+        Its number where it is not spread; by default, what the attribute has there.
     """
 
     name: str
@@ -197,6 +199,7 @@ class Parameter:
     attribute: str = ""
     entry: int | None = None
     write: Callable[[Array, Array, int], Array] | None = None
+    neutral: float | None = None
 
     @property
     def bound(self) -> str:
@@ -211,7 +214,7 @@ class Parameter:
         """Return the attribute of m robots with this parameter's numbers in it, shape (m, ...)."""
         if self.write is not None:
             return self.write(values, column, size)
-        new = values.copy()
+        new = np.array(values, np.float64)
         if self.entry is None:
             new[:] = column.reshape(-1, *(1,) * (values.ndim - 1))
         else:
@@ -219,11 +222,13 @@ class Parameter:
         return new
 
     def nominal(self, value: Any) -> float | None:
-        """Return its number in an attribute of one robot; None where that is not one number."""
+        """Return its number in an attribute of one robot; None where all its numbers are not alike."""
+        if self.neutral is not None:
+            return self.neutral
         array = np.asarray(value, np.float64)
-        if self.entry is not None and array.ndim:
-            array = array[self.entry]
-        return float(array) if not array.ndim else None
+        array = array.diagonal() if array.ndim == 2 else array
+        numbers = array if self.entry is None or not array.ndim else array[self.entry]
+        return float(numbers.flat[0]) if np.ptp(numbers) == 0 else None
 
 
 def parameters_of(part: Any) -> tuple[Parameter, ...]:
@@ -265,6 +270,10 @@ class Context:
         The reference at all samples, q, v and a of shape (N + 1, ...); None in calls by hand.
     trajectory : trajectory or None
         What it is sampled from, for those who look ahead; None in calls by hand.
+    nv : int
+        Size of v of the plant.
+    seed, member : int
+        What `normal` follows from: the seed of an ensemble, and the robot's number in it.
     """
 
     dt: float
@@ -276,6 +285,28 @@ class Context:
     leading: Mapping[int, int] = field(default_factory=dict)
     reference: Any = None
     trajectory: Any = None
+    nv: int = 0
+    seed: int = 0
+    member: int = 0
+
+    def line(self, samples: int) -> Any:
+        """Return a delay to keep in the state: ``old, line = line.push(values)``.
+
+        What is pushed, a tree of arrays, comes back `samples` samples later; until then, the first does.
+        """
+        from pinmobile.compiled.memory import Line
+
+        return Line(whole("samples", samples, least=0))
+
+    def normal(self, name: str, n: int) -> Any:
+        """Return noise to keep in the state: ``numbers, noise = noise.draw()``.
+
+        The n numbers of a sample are standard normal and independent; they follow from the seed, the member,
+        the name and the number of the sample alone, and are the same bits in every engine.
+        """
+        from pinmobile.compiled.noise import Noise, robot_keys
+
+        return Noise(robot_keys(self.seed, name, range(self.member, self.member + 1))[0], whole("n", n))
 
     @classmethod
     def of(
@@ -318,6 +349,7 @@ class Context:
             *named,
             reference,
             trajectory,
+            getattr(plant, "nv", 0),
         )
 
 

@@ -1,7 +1,6 @@
 """Many loops at once: `ensemble` and `sweep`, what came of them, and figures."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from pinmobile.cli.many_figures import ensemble_figures, sweep_figures
 from pinmobile.cli.output import Section, console, index_page, output_folder, progress
 from pinmobile.cli.scenario_file import read_grid
 from pinmobile.cli.spreads import scenario, spread_of_words, without_model
-from pinmobile.ensembles import ARRAYS, Engine, run_scenario
+from pinmobile.ensembles import run_scenario
 from pinmobile.sweeps import connected
 from pinmobile.sweeps.reading import attributes_of
 from pinmobile.sweeps.table import compared, since
@@ -63,7 +62,6 @@ def show_ensemble(
     drawn: dict[str, Any] = {"n": n, "seed": seed, "after": after}
     loops = {_NAMES.get(name, name): _loop(options, wanted, name, drawn, one=one) for name in names}
     _warn_if_alike(loops.values())
-    engine = _engine()
     made: dict[str, Ensemble] = {}
     with progress(n * len(loops)) as bar:
         for k, (label, loop) in enumerate(loops.items()):
@@ -71,7 +69,7 @@ def show_ensemble(
             def advance(done: int, _: int, before: int = k * n, label: str = label) -> None:
                 bar.update(bar.task_ids[0], description=label, completed=before + done)
 
-            made[label] = run_scenario(loop, engine=engine, progress=advance)
+            made[label] = run_scenario(loop, progress=advance)
     text = "\n\n".join(f"{label}\n{ensemble}" for label, ensemble in made.items())
     console.print(text, markup=False)
     answer = since(after) + _answer(made, spread)
@@ -80,14 +78,6 @@ def show_ensemble(
     page = index_page(folder, answer, [Section("What came of it", text, pictures)])
     console.print(f"open {page}", markup=False)
     return 0
-
-
-def _engine() -> Engine | None:
-    """Return the engine of plain numpy where there is no other, after saying so."""
-    if find_spec("numba") is not None:
-        return None
-    console.print("numba is not installed: this takes some ten times longer (extra: ensembles)", markup=False)
-    return ARRAYS
 
 
 def show_sweep(file: Path, out: Path | None, scheduler: str | None, chunk: int | None) -> int:

@@ -19,7 +19,7 @@ from pinmobile.compiled.cache import Cache
 from pinmobile.compiled.loop_tape import initial_memory
 from pinmobile.compiled.memory import Line
 from pinmobile.compiled.noise import Noise
-from pinmobile.compiled.parts import Parts, Place, Reference, names_of
+from pinmobile.compiled.parts import Parts, Place, Reference, attributes_of
 from pinmobile.compiled.passes import traced
 from pinmobile.compiled.program import Program
 from pinmobile.compiled.tracing import Walk, is_foreign
@@ -144,7 +144,7 @@ def _object_form(x: Any, leaves: Any, depth: int) -> Any:
     attributes = getattr(x, "__dict__", None)  # some answer to any name with something
     if not isinstance(attributes, dict):
         raise _Unknown
-    stated = names_of(x)
+    stated = attributes_of(x)
     kept = (
         (name, np.shape(value) if name in stated else _form(value, leaves, depth + 1))
         for name, value in attributes.items()

@@ -7,13 +7,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, affordable
 from pinmobile.compiled.cache import Cache
 from pinmobile.compiled.emit import BINS, Shape, text_of
 from pinmobile.compiled.loop_tape import Loop, initial_memories, initial_memory
 from pinmobile.compiled.machine import Target, function_of
 from pinmobile.compiled.memory import leaves, mapped
 from pinmobile.compiled.parts import Memory, Parts, Place, Reference
+from pinmobile.compiled.tape import COUNT, evaluated
 from pinmobile.errors import InvalidArgument, UnknownName
 
 __all__ = ["Outcome", "Program", "aligned"]
@@ -123,7 +124,7 @@ class Program:
         first = self._first(parts, context, memory, given, n)
         blocks = self._blocks(start, n, {**nominal, **given}, first, keys or {})
         uniforms = self._uniforms(dt / parts.substeps, {**nominal, **given}, first)
-        samples = np.column_stack([t, *reference]).astype(np.float64)
+        samples = self._samples(t, reference, uniforms)
         size = sum(len(nodes) for _, nodes in self.loop.kept.values())
         kept = aligned((len(blocks), len(t), size, self.shape.width))
         counts = self.called(blocks, samples, uniforms, kept, n, every, threads)
@@ -192,6 +193,23 @@ class Program:
             grown = own.reshape((*ahead, *(1,) * missing, *values[i].shape))
             found.append(np.broadcast_to(grown, (*ahead, *leaf.shape)))
         return found
+
+    def _samples(self, t: Array, reference: Reference, uniforms: Array) -> Array:
+        """Return what all robots share of each sample, shape (N + 1, columns)."""
+        given = np.column_stack([t, *reference]).astype(np.float64)
+        tabled = self.loop.tabled
+        if not tabled:
+            return given
+        affordable(
+            f"the tables of {len(t):,} samples",
+            len(t) * self.loop.columns,
+            "give a larger dt, or fewer waves",
+        )
+        inputs: dict[Any, Any] = {COUNT: np.arange(len(t), dtype=np.uint64)}
+        inputs |= {("uniform", i): x for i, x in enumerate(uniforms)}
+        inputs |= {("sample", i): column for i, column in enumerate(given.T)}
+        columns = (np.broadcast_to(x, len(t)) for x in evaluated(self.loop.tape, tabled, inputs))
+        return np.ascontiguousarray(np.column_stack([given, *columns]))
 
     def set_rows(self, blocks: Array, first: int, columns: Array) -> None:
         """Set rows of the blocks from (rows, n); the last robot is repeated to fill the last block."""

@@ -1,14 +1,14 @@
 """Controllers of a base with arms that know less than computed torque: gravity alone, or no coupling."""
 
-from dataclasses import dataclass
-from typing import Protocol, final
+from dataclasses import dataclass, field
+from typing import ClassVar, Protocol, final
 
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike
-from pinmobile.controllers.feedback import check_gains, check_robot, feedback, own_difference
+from pinmobile.controllers.feedback import GAINS, check_gains, check_robot, feedback, own_difference
 from pinmobile.controllers.protocol import InverseDynamics, State
-from pinmobile.plant import Context, Difference
+from pinmobile.plant import Context, Difference, Parameter
 
 __all__ = ["Decoupled", "Gravity", "PDGravity"]
 
@@ -55,6 +55,9 @@ class PDGravity:
     kp: ArrayLike
     kd: ArrayLike
     difference: Difference | None = None
+    kinds: tuple[int, int] = field(init=False, repr=False)
+
+    parameters: ClassVar[tuple[Parameter, ...]] = GAINS
 
     def __post_init__(self) -> None:
         _check(self, "gravity")
@@ -99,6 +102,9 @@ class Decoupled:
     kp: ArrayLike = 4
     kd: ArrayLike = 4
     difference: Difference | None = None
+    kinds: tuple[int, int] = field(init=False, repr=False)
+
+    parameters: ClassVar[tuple[Parameter, ...]] = GAINS
 
     def __post_init__(self) -> None:
         _check(self, "inverse_dynamics")

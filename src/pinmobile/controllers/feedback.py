@@ -1,16 +1,18 @@
 """Feedback of the error in configuration and velocity: PD, and computed torque."""
 
-from dataclasses import dataclass
-from typing import Any, final
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, ClassVar, final
 
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, frozen
 from pinmobile.controllers.protocol import InverseDynamics, State
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.plant import Context, Difference, check_difference
+from pinmobile.plant import Context, Difference, Parameter, check_difference
 
 __all__ = [
+    "GAINS",
     "PD",
     "ComputedTorque",
     "check_gains",
@@ -19,6 +21,42 @@ __all__ = [
     "gain_matrix",
     "own_difference",
 ]
+
+
+def _all(values: Array, column: Array, size: int) -> Array:
+    return np.repeat(column[:, None], size, axis=1)
+
+
+def _one(k: int, values: Array, column: Array, size: int) -> Array:
+    new = values.copy() if values.ndim > 1 else np.repeat(values[:, None], size, axis=1)
+    place: Any = (slice(None), *(k,) * (new.ndim - 1))
+    new[place] = column
+    return new
+
+
+def _times(values: Array, column: Array, size: int) -> Array:
+    return values * column.reshape(-1, *(1,) * (values.ndim - 1))
+
+
+GAINS = tuple(
+    parameter
+    for gain in ("kp", "kd")
+    for parameter in (
+        Parameter(
+            gain, "", f"{gain} of all coordinates, in place of the controller's", attribute=gain, write=_all
+        ),
+        *(
+            Parameter(
+                f"{gain}_{c}", "", f"{gain} of {c} alone", attribute=gain, entry=k, write=partial(_one, k)
+            )
+            for k, c in enumerate(("x", "y", "psi"))
+        ),
+        Parameter(
+            f"{gain}_factor", "", f"by which {gain} is multiplied", attribute=gain, write=_times, neutral=1.0
+        ),
+    )
+)
+"""The parameters of a controller with `kp` and `kd`."""
 
 
 @final
@@ -44,6 +82,9 @@ class PD:
     kp: ArrayLike
     kd: ArrayLike
     difference: Difference | None = None
+    kinds: tuple[int, int] = field(init=False, repr=False)
+
+    parameters: ClassVar[tuple[Parameter, ...]] = GAINS
 
     def __post_init__(self) -> None:
         check_gains(self, None)
@@ -89,6 +130,9 @@ class ComputedTorque:
     kp: ArrayLike = 4
     kd: ArrayLike = 4
     difference: Difference | None = None
+    kinds: tuple[int, int] = field(init=False, repr=False)
+
+    parameters: ClassVar[tuple[Parameter, ...]] = GAINS
 
     def __post_init__(self) -> None:
         check_robot(self, "inverse_dynamics")
@@ -173,6 +217,8 @@ def check_gains(controller: Any, n: int | None) -> None:
         if n is not None:
             gain_matrix(name, gain, n)
         object.__setattr__(controller, name, frozen(gain))
+    # What a gain is for one robot: 0 a number, 1 one for each coordinate, 2 a matrix; many have leading axes.
+    object.__setattr__(controller, "kinds", (controller.kp.ndim, controller.kd.ndim))
     if controller.difference is not None:
         check_difference(controller.difference)
 
@@ -194,13 +240,17 @@ def feedback(controller: Any, difference: Difference, q: Array, v: Array, refere
             f"difference gives shape {error.shape}, expected {rate.shape}: compare configurations of a robot "
             "with joints without limits by difference=robot.difference"
         )
-    return _amplified("kp", controller.kp, error) + _amplified("kd", controller.kd, rate)
+    kinds = controller.kinds
+    return _amplified("kp", controller.kp, kinds[0], error) + _amplified("kd", controller.kd, kinds[1], rate)
 
 
-def _amplified(name: str, gain: Any, error: Array) -> Array:
+def _amplified(name: str, gain: Any, kind: int, error: Array) -> Array:
+    """Return a gain times an error, shape (..., n); before the axes of its kind, the gain may have others."""
     n = error.shape[-1]
-    if gain.ndim == 2:
-        return error @ gain_matrix(name, gain, n).T
-    if gain.shape not in ((), (n,)):
+    if gain.shape[gain.ndim - kind :] not in ((), (n,), (n, n)):
         gain_matrix(name, gain, n)
-    return np.asarray(gain * error)
+    if kind == 2:
+        # Not as a matrix product, whose rounding depends on how many states there are.
+        columns = [gain[..., k] * error[..., k, None] for k in range(n)]
+        return np.asarray(sum(columns[1:], columns[0]))
+    return np.asarray((gain[..., None] if not kind and gain.ndim else gain) * error)

@@ -9,9 +9,9 @@ import numpy as np
 
 from pinmobile.arrays import Array, finite, frozen, increasing, positive, text, whole
 from pinmobile.ensembles.distributions import Same
-from pinmobile.ensembles.parameters import Parameter
 from pinmobile.ensembles.scenario import Scenario, checked_scenario, first_counted, time_within
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.plant import Parameter
 from pinmobile.trajectories import Reference
 
 __all__ = ["Outline", "alike"]
@@ -131,7 +131,7 @@ class Outline:
                 name: one["source"] if one["same_as"] is None else Same(one["same_as"], one["source"])
                 for name, one in spread.items()
             },
-            parameters={name: Parameter(one["unit"], one["meaning"]) for name, one in spread.items()},
+            parameters={name: Parameter(name, one["unit"], one["meaning"]) for name, one in spread.items()},
             t=t,
             reference=reference,
         )

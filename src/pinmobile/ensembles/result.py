@@ -83,6 +83,10 @@ class Ensemble:
         which size, see `pinmobile.ensembles.histogram`.
     traces : dict of int to Rollout
         Everything of the robots that were asked for; of a diverged one until then.
+    engine : str
+        How they were run: ``"COMPILED"``, ``"ARRAYS"``, or ``"PINOCCHIO"``, one after another.
+    why : str
+        Why not by a faster engine; "" where there is none.
     """
 
     scenario: Any
@@ -94,6 +98,8 @@ class Ensemble:
     diverged_at: Array
     counts: NDArray[np.int32]
     traces: Mapping[int, Rollout]
+    engine: str = ""
+    why: str = ""
 
     def __post_init__(self) -> None:
         for array in (*self.draws.values(), *(getattr(self, name) for name in (*PER_ROBOT, "counts"))):
@@ -101,7 +107,12 @@ class Ensemble:
 
     @classmethod
     def of(
-        cls, scenario: Scenario, draws: Mapping[str, Array], part: Part, traces: Iterable[int] = ()
+        cls,
+        scenario: Scenario,
+        draws: Mapping[str, Array],
+        part: Part,
+        traces: Iterable[int] = (),
+        way: Any = None,
     ) -> "Ensemble":
         """Return the ensemble of all records of a scenario.
 
@@ -115,6 +126,8 @@ class Ensemble:
             The records of all n.
         traces : iterable of int
             Robots of which a whole `Rollout` is made.
+        way : Way, optional
+            How they were run.
         """
         for array in (part.max_error, part.max_distance, part.rms_error):
             array[part.lived <= scenario.begin] = np.nan
@@ -131,6 +144,8 @@ class Ensemble:
             diverged_at=times[np.minimum(part.lived, samples)],
             counts=part.counts,
             traces={},
+            engine="" if way is None else repr(way.engine),
+            why="" if way is None else way.why,
         )
         object.__setattr__(made, "traces", {i: made.trace(i) for i in traces})
         return made

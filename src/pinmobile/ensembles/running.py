@@ -2,18 +2,17 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
+from warnings import warn
 
 from pinmobile.arrays import Array, callable_as, whole
-from pinmobile.ensembles.batch import batch_of
-from pinmobile.ensembles.choosing import chosen_engine
 from pinmobile.ensembles.distributions import Source
-from pinmobile.ensembles.part import Engine, Part
+from pinmobile.ensembles.part import Part, Records
 from pinmobile.ensembles.result import Ensemble
 from pinmobile.ensembles.scenario import Scenario, checked_scenario
-from pinmobile.ensembles.stretches import Records, divided, processors, results
-from pinmobile.errors import InvalidArgument, shown
-from pinmobile.integrators import Integrator, constant_acceleration
-from pinmobile.robot import MobileRobot
+from pinmobile.ensembles.ways import Way, processors, way_of
+from pinmobile.errors import InvalidArgument, SlowerEngine, shown
+from pinmobile.integrators import Integrator
+from pinmobile.simulation.engines import Engine
 from pinmobile.trajectories import Trajectory
 
 __all__ = ["ensemble", "part_of", "run_scenario"]
@@ -22,7 +21,7 @@ Progress = Callable[[int, int], None]
 
 
 def ensemble(
-    robot: MobileRobot,
+    robot: Any,
     controller: Any,
     trajectory: Trajectory,
     *,
@@ -31,7 +30,7 @@ def ensemble(
     dt: float,
     seed: int = 0,
     duration: float | None = None,
-    integrator: Integrator = constant_acceleration,
+    integrator: Integrator | None = None,
     substeps: int = 1,
     forces: Sequence[Any] = (),
     limit: float = 1e3,
@@ -107,7 +106,6 @@ def run_scenario(
         As `ensemble`.
     """
     checked_scenario(scenario)
-    chosen = chosen_engine(scenario, engine)
     workers = processors() if threads is None else whole("threads", threads)
     if progress is not None:
         callable_as("progress(done, n)", progress)
@@ -115,14 +113,13 @@ def run_scenario(
         raise InvalidArgument(f"traces is {shown(traces)}, expected indices of robots, such as [0]")
     followed = [_traced(i, scenario.n) for i in traces]
     draws = scenario.draws()
-    records = Records(scenario, 0, scenario.n)
-    run, done = _runner(scenario, chosen, draws, 0), 0
-    for start, stop, part in results(run, divided(scenario, chosen, workers, 0, scenario.n), workers):
-        records.put(start, stop, part)
-        done += stop - start
-        if progress is not None:
-            progress(done, scenario.n)
-    return Ensemble.of(scenario, draws, records.part(), followed)
+    way = way_of(scenario, engine)
+    if way.why and engine is None:
+        warn(
+            f"this ensemble runs by {way.engine!r}, {way.engine.value}; {way.why}", SlowerEngine, stacklevel=3
+        )
+    part = _run(way, draws, 0, scenario.n, workers, progress)
+    return Ensemble.of(scenario, draws, part, followed, way)
 
 
 def part_of(
@@ -151,24 +148,22 @@ def part_of(
     InvalidArgument
         As `ensemble`.
     """
-    chosen, draws = chosen_engine(scenario, engine), scenario.draws(start, stop)
-    records = Records(scenario, start, stop)
-    run = _runner(scenario, chosen, draws, start)
-    for first, last, part in results(run, divided(scenario, chosen, 1, start, stop), 1):
-        records.put(first, last, part)
-    return draws, records.part()
+    way, draws = way_of(scenario, engine), scenario.draws(start, stop)
+    return draws, _run(way, draws, start, stop, 1, None)
 
 
-def _runner(
-    scenario: Scenario, engine: Engine, draws: Mapping[str, Array], begin: int
-) -> Callable[[int, int], Part]:
-    """Return what runs the robots of a stretch, given what is drawn for those from `begin` on."""
-
-    def run(start: int, stop: int) -> Part:
-        mine = {name: column[start - begin : stop - begin] for name, column in draws.items()}
-        return engine.run(scenario, batch_of(scenario, mine, start, stop - start))
-
-    return run
+def _run(
+    way: Way, draws: Mapping[str, Array], start: int, stop: int, threads: int, progress: Progress | None
+) -> Part:
+    """Return the records of the robots from `start` to before `stop`, given what is drawn for these."""
+    records = Records(way.scenario, start, stop)
+    for first in range(start, stop, way.at_once):
+        last = min(first + way.at_once, stop)
+        mine = {name: column[first - start : last - start] for name, column in draws.items()}
+        records.put(first, last, way.run(mine, first, last, threads))
+        if progress is not None:
+            progress(last - start, stop - start)
+    return records.part()
 
 
 def _traced(i: Any, n: int) -> int:

@@ -7,8 +7,8 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.ensembles.histogram import edges, quantiles
-from pinmobile.ensembles.parameters import Parameter
 from pinmobile.extras import imported
+from pinmobile.plant import Parameter
 
 if TYPE_CHECKING:
     from pinmobile.ensembles.result import Ensemble

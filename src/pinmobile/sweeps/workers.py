@@ -9,7 +9,7 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.ensembles import Part, part_of
-from pinmobile.ensembles.stretches import processors
+from pinmobile.ensembles.ways import processors
 from pinmobile.errors import SchedulerError
 from pinmobile.sweeps.cluster import GO_ON, Watch
 from pinmobile.sweeps.extras import imported
