@@ -474,6 +474,8 @@ ROWS: dict[str, Row] = {
     "SinusoidalForce": row(amplitude=[1, 2, 3], frequency=0.5, phase=0.1),
     "NoiseForce": row(std=[1, 2, 3], bandwidth=2, seed=1),
     "NoiseForce.of_phases": row(std=[1, 2, 3], bandwidth=2, phases=np.zeros((16, 3))),
+    "JointFriction": row(viscous=[1, 2, 3], coulomb=[0.1, 0.2, 0.3], speed=0.1),
+    "JointFriction.of": row(robot=the("robot"), speed=0.1),
     "RollingResistance": row(force=[1, 2, 3], speed=0.01),
     "ViscousFriction": row(coefficients=[1, 2, 3]),
     "Load": row(mass=1, com=(0, 0, 0.1), inertia=np.eye(3), size=(0.1, 0.1, 0.1)),

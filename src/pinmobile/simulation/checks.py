@@ -33,7 +33,7 @@ _RECORDED = 16  # numbers for each coordinate of a sample: of the loop, the refe
 
 
 def checked_loop(plant: Any, controller: Any, trajectory: Any, integrator: Any) -> None:
-    """Refuse what is no plant, controller, trajectory or integrator.
+    """Refuse what is no plant, controller, trajectory or integrator; None is the plant's own choice.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def checked_loop(plant: Any, controller: Any, trajectory: Any, integrator: Any) 
         )
     check_plant(plant)
     callable_as("trajectory(t)", trajectory)
-    if integrator is not None or not hasattr(plant, "step"):
+    if integrator is not None:
         check_integrator(integrator)
 
 
