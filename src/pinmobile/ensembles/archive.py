@@ -10,7 +10,7 @@ import numpy as np
 from pinmobile.arrays import Array, finite, whole
 from pinmobile.ensembles.histogram import miscounted
 from pinmobile.ensembles.outline import Outline
-from pinmobile.ensembles.variables import COORDINATES, PER_ROBOT, drawn
+from pinmobile.ensembles.variables import PER_ROBOT, drawn, per_robot
 from pinmobile.files import archive_of, unpacking
 from pinmobile.simulation import Rollout
 from pinmobile.simulation.storage import ARRAYS, check_robot, described_robot, restored_robot
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["read_ensemble", "write_ensemble"]
 
-_FORMAT = "pinmobile ensemble 1"
+_FORMAT = "pinmobile ensemble 2"
 _REFERENCE = tuple(f"reference_{name}" for name in Reference._fields)
 _TRACE = tuple(f"trace_{name}" for name in ARRAYS)
 _KINDS: Mapping[str, type] = {
@@ -46,10 +46,9 @@ def write_ensemble(file: IO[bytes], ensemble: "Ensemble") -> None:
         What is written.
     """
     outline, traces = Outline.of(ensemble.scenario), ensemble.traces
-    variables = {**PER_ROBOT, **drawn(outline.parameters)}
+    variables = {**per_robot(outline.coordinates, outline.inputs), **drawn(outline.parameters)}
     described = {
         "scenario": outline.description(),
-        "coordinates": COORDINATES,
         "variables": {name: one._asdict() for name, one in variables.items()},
         "traces": [
             {"index": i, "samples": len(one), "robot": described_robot(one.robot)}
@@ -57,7 +56,7 @@ def write_ensemble(file: IO[bytes], ensemble: "Ensemble") -> None:
         ],
     }
     recorded = [one.arrays() for one in traces.values()]
-    empty = {name: np.zeros(0 if name == "t" else (0, len(COORDINATES))) for name in ARRAYS}
+    empty = {name: np.zeros(0 if name == "t" else (0, len(outline.coordinates))) for name in ARRAYS}
     np.savez(
         file,
         allow_pickle=False,
@@ -100,8 +99,9 @@ def read_ensemble(path: Path) -> dict[str, Any]:
 def _check(named: Mapping[str, Array], outline: Outline) -> None:
     """Refuse records that no robots have."""
     n, diverged = outline.n, named["diverged_at"]
-    for name, variable in PER_ROBOT.items():
-        values, shape = named[name], (n, *(len(COORDINATES) for _ in variable.dimensions[1:]))
+    sizes = {"coordinate": len(outline.coordinates), "input": len(outline.inputs)}
+    for name, variable in per_robot(outline.coordinates, outline.inputs).items():
+        values, shape = named[name], (n, *(sizes[each] for each in variable.dimensions[1:]))
         if values.shape != shape:
             raise ValueError(f"{name} has shape {values.shape}, expected {shape}")
         if (values < 0).any():

@@ -21,7 +21,7 @@ from pinmobile.ensembles.names import Stated, resolved, start_parameters, stated
 from pinmobile.ensembles.spread import check_mapping, check_supports, checked_spread
 from pinmobile.errors import InvalidArgument
 from pinmobile.integrators import Integrator, constant_acceleration
-from pinmobile.plant import Context, Coordinate, Parameter
+from pinmobile.plant import Context, Coordinate, Input, Parameter
 from pinmobile.simulation import checked_forces, checked_loop, checked_substeps, sample_times, sampled
 from pinmobile.trajectories import Reference, Trajectory
 
@@ -174,6 +174,17 @@ class Scenario:
     @cached_property
     def _coordinates(self) -> tuple[Coordinate, ...]:
         return Context.of(self._given.on_arrays().plant, dt=self.dt).coordinates
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """The coordinates that the reference has; numbered where the plant does not name them."""
+        numbered = (Coordinate(f"[{k}]", "") for k in range(self.size))
+        return self._coordinates[: self.size] or tuple(numbered)
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """The plant's inputs; numbered where it does not name them."""
+        return self.context.inputs or tuple(Input(f"[{k}]", "") for k in range(self.robot.nu))
 
     @cached_property
     def stated(self) -> dict[str, Stated]:
