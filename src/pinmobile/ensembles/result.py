@@ -325,9 +325,10 @@ class Ensemble:
         Returns
         -------
         dataset : xarray.Dataset
-            Dimensions ``robot``, ``coordinate``, ``input``, ``time``, ``channel``, ``level`` and ``bin``; each variable
-            has attributes ``units`` and ``long_name``. What was drawn is ``drawn_mass`` and so on. Attribute
-            ``scenario`` tells in words what was run. The traces, which may differ in length, are not in it.
+            Dimensions ``robot``, ``coordinate``, ``input``, ``time``, ``channel``, ``level`` and ``bin``;
+            each variable has attributes ``units`` and ``long_name``. What was drawn is ``drawn_mass`` and so
+            on. Attribute ``scenario`` tells in words what was run. The traces, which may differ in length,
+            are not in it.
 
         Raises
         ------

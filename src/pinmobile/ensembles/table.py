@@ -71,9 +71,7 @@ def ranges(
         (_titled(f"error of {one.name}", one.unit), column)
         for one, column in zip(coordinates, max_error.T, strict=True)
     ]
-    sizes = [
-        (_titled(one.name, one.unit), column) for one, column in zip(inputs, max_force.T, strict=True)
-    ]
+    sizes = [(_titled(one.name, one.unit), column) for one, column in zip(inputs, max_force.T, strict=True)]
     for pair in zip_longest(errors, sizes):
         columns |= {title: column for title, column in filter(None, pair)}
     rows, width = [], max(_NARROWEST, *map(len, columns))

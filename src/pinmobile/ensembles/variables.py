@@ -118,7 +118,9 @@ def summed(counts: Any) -> dict[str, Any]:
     return {"counts": counts, "distance_quantile": found[..., 0], "heading_quantile": found[..., 1]}
 
 
-def coordinates(times: Array, names: Sequence[str], inputs: Sequence[str]) -> list[tuple[str, Sequence[Any], str, str]]:
+def coordinates(
+    times: Array, names: Sequence[str], inputs: Sequence[str]
+) -> list[tuple[str, Sequence[Any], str, str]]:
     """Return name, values, unit and meaning of the coordinates of all dimensions but ``robot``.
 
     Parameters

@@ -72,7 +72,11 @@ def _make_arrays(group: Any, grid: Grid, chunk: int) -> None:
     n = grid.n
     sizes = {"robot": n, "coordinate": len(first.coordinates), "input": len(first.inputs)}
     sizes |= {"time": len(first.grid), "channel": 2, "bin": BINS, "level": len(LEVELS)}
-    for name, variable in {**per_robot(first.coordinates, first.inputs), **drawn(_spread_of(grid)), **SUMMED}.items():
+    for name, variable in {
+        **per_robot(first.coordinates, first.inputs),
+        **drawn(_spread_of(grid)),
+        **SUMMED,
+    }.items():
         shape = [sizes[dimension] for dimension in variable.dimensions]
         chunks = [min(chunk, n) if each == "robot" else sizes[each] for each in variable.dimensions]
         _array(
