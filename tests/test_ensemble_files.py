@@ -102,7 +102,7 @@ def test_what_is_loaded_is_what_was_saved_bit_for_bit(tmp_path: Path, name: str)
     assert list(bits(loaded)) == list(bits(one))
     assert list(loaded.traces) == list(one.traces)
     for i, trace in one.traces.items():
-        assert loaded.traces[i].robot == trace.robot
+        assert loaded.traces[i].plant == trace.plant
         assert loaded.trace(i) is loaded.traces[i]
     assert not loaded.max_error.flags.writeable
     assert not any(values.flags.writeable for values in loaded.draws.values())

@@ -439,15 +439,15 @@ def test_a_rollout_brings_its_robot_back(tmp_path: Path, urdf: Path) -> None:
     run = driven(robot)
     run.save(path)
     back = Rollout.load(path)
-    assert back.robot == robot
+    assert back.plant == robot
     np.testing.assert_array_equal(back.q, run.q)
     urdf.write_text(urdf.read_text().replace('<mass value="1"/>', '<mass value="1.5"/>'))
-    assert Rollout.load(path).robot is None  # it is no longer what it was
+    assert Rollout.load(path).plant is None  # it is no longer what it was
     urdf.unlink()
-    assert Rollout.load(path).robot is None  # the arrays are there
-    np.testing.assert_array_equal(Rollout.load(path).tau, run.tau)
+    assert Rollout.load(path).plant is None  # the arrays are there
+    np.testing.assert_array_equal(Rollout.load(path).u, run.u)
     driven(BOX.mount(massful())).save(path)
-    assert Rollout.load(path).robot is None
+    assert Rollout.load(path).plant is None
 
 
 @pytest.mark.parametrize("name", ["double_pendulum", "double_pendulum_continuous"])
@@ -550,9 +550,9 @@ def test_a_saved_rollout_knows_whether_damping_and_friction_are_what_they_were(
     robot = BOX.mount(urdf, (0, 0, 0.2, 0))
     file, motion = tmp_path / "run.npz", WholeBody(robot, FixedHeading(Circle(1, 0.1, 1), 0), None)
     simulate(robot, ComputedTorque(robot), motion, dt=0.5).save(file)
-    loaded = Rollout.load(file).robot
+    loaded = Rollout.load(file).plant
     assert loaded == robot
     assert loaded.joint_damping.tolist() == robot.joint_damping.tolist()
     urdf.write_text(RESISTED.replace('friction="0.2"', 'friction="0.4"'))
-    assert Rollout.load(file).robot is None
+    assert Rollout.load(file).plant is None
     assert "its joints' damping, friction and rotors are no longer those that were kept" in why_unknown(file)

@@ -524,5 +524,5 @@ def test_pd_with_the_robots_difference_is_pd(robot: MobileRobot, limited: Any) -
         for option in ({}, {"difference": robot.difference})
     ]
     np.testing.assert_array_equal(runs[0].q, runs[1].q)
-    np.testing.assert_array_equal(runs[0].tau, runs[1].tau)
+    np.testing.assert_array_equal(runs[0].u, runs[1].u)
     assert np.abs(runs[1].error[-1, :3]).max() < 0.5 * np.abs(runs[1].error[0, :3]).max()

@@ -511,10 +511,10 @@ def test_in_the_loop_and_asked_from_outside_a_controller_is_the_same(make: Any, 
         for one in (controller, Saturated(controller, 1e6))
     ]
     # Another order of coordinates, hence of roundings, amplified by a condition number of 1e4.
-    for name in ("q", "v", "tau"):
+    for name in ("q", "v", "u"):
         np.testing.assert_allclose(getattr(runs[0], name), getattr(runs[1], name), rtol=0, atol=1e-9)
     limited = simulate(UR5, Saturated(controller, 5.0), trajectory, dt=0.002, duration=0.1, q0=start)
-    assert np.abs(limited.tau).max() == 5.0
+    assert np.abs(limited.u).max() == 5.0
 
 
 @pytest.mark.parametrize(

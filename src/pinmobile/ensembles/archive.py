@@ -51,7 +51,7 @@ def write_ensemble(file: IO[bytes], ensemble: "Ensemble") -> None:
         "scenario": outline.description(),
         "variables": {name: one._asdict() for name, one in variables.items()},
         "traces": [
-            {"index": i, "samples": len(one), "robot": described_robot(one.robot)}
+            {"index": i, "samples": len(one), "robot": described_robot(one.plant)}
             for i, one in traces.items()
         ],
     }

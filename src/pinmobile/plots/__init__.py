@@ -22,5 +22,6 @@ __all__ = [
     "integrator",
     "path",
     "reaction",
+    "signals",
     "states",
 ]

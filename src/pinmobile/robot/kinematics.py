@@ -5,10 +5,11 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike, finite_answer, one_of
+from pinmobile.arrays import Array, ArrayLike, broadcast, finite_answer, one_of
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot.assembly import named_frames
 from pinmobile.robot.configurations import ChainConfigurations
+from pinmobile.robot.engine import BODY_JOINT
 
 __all__ = ["ChainKinematics"]
 
@@ -18,6 +19,16 @@ class ChainKinematics(ChainConfigurations):
 
     Conventions: see `ChainDynamics`.
     """
+
+    def pose(self, q: ArrayLike) -> Array:
+        """Return x, y and psi of the body, shape (..., 3) [m, m, rad]."""
+        return self._q(q)[..., :BODY_JOINT].copy()
+
+    def rate(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """Return the rates of x, y and psi of the body, shape (..., 3) [m/s, m/s, rad/s]."""
+        q, v = self._q(q), self._v("v", v)
+        lead = broadcast(q=q, v=v)
+        return np.array(np.broadcast_to(v[..., :BODY_JOINT], (*lead, BODY_JOINT)))
 
     @cached_property
     def _frames(self) -> dict[str, int]:

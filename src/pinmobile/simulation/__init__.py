@@ -4,11 +4,13 @@ from pinmobile.plant import Plant
 from pinmobile.simulation.checks import checked_forces, checked_loop, checked_substeps, sample_times, sampled
 from pinmobile.simulation.closed_loop import simulate
 from pinmobile.simulation.rollout import Rollout
+from pinmobile.simulation.signals import Signal
 from pinmobile.simulation.steps import stepped
 
 __all__ = [
     "Plant",
     "Rollout",
+    "Signal",
     "checked_forces",
     "checked_loop",
     "checked_substeps",
