@@ -177,14 +177,13 @@ class Scenario:
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        """The coordinates that the reference has; numbered where the plant does not name them."""
-        numbered = (Coordinate(f"[{k}]", "") for k in range(self.size))
-        return self._coordinates[: self.size] or tuple(numbered)
+        """The coordinates that the reference has."""
+        return self._coordinates[: self.size]
 
     @property
     def inputs(self) -> tuple[Input, ...]:
-        """The plant's inputs; numbered where it does not name them."""
-        return self.context.inputs or tuple(Input(f"[{k}]", "") for k in range(self.robot.nu))
+        """The plant's inputs."""
+        return self.context.inputs
 
     @cached_property
     def stated(self) -> dict[str, Stated]:
