@@ -446,7 +446,7 @@ def of_trace(**given: Any) -> Callable[[Path], dict[str, Any]]:
         (of_trace(samples=0), "samples is 0, expected a whole number >= 1"),
         (of_trace(samples=10**9), "samples, expected 1000000018 and more"),
         (of_trace(samples=200), r"expected more|expected 2|has .* samples, expected"),
-        (of_trace(robot={"mass": -1}), "'dh'"),
+        (of_trace(plant={"robot": {"mass": -1}}), "'dh'"),
         (lambda p: {**members(p), "more": np.zeros(3)}, "it holds .*; expected format, .*, each once"),
     ],
 )
@@ -466,7 +466,7 @@ def test_another_kind_of_file_is_refused_either_way(tmp_path: Path) -> None:
     ):
         Ensemble.load(tmp_path / "run.npz")
     with pytest.raises(
-        InvalidArgument, match=r"saved.npz', which is no 'pinmobile rollout 1' archive: it holds"
+        InvalidArgument, match=r"saved.npz', which is no 'pinmobile rollout 2' archive: it holds"
     ):
         Rollout.load(path)
 

@@ -71,7 +71,7 @@ if TYPE_CHECKING:
     from pinmobile.plant import Context
     from pinmobile.reaching import EndEffectorTracking, PosePath, Resolved, resolve
     from pinmobile.robot import Load, MobileRobot, mountable
-    from pinmobile.simulation import Rollout, simulate
+    from pinmobile.simulation import ARRAYS, COMPILED, PINOCCHIO, Engine, Rollout, simulate
     from pinmobile.sweeps import Axis, Sweep, grid, sweep
     from pinmobile.trajectories import FixedHeading, LectureHeading, Reference, Tangent, WholeBody
     from pinmobile.urdf import shipped_urdf
@@ -80,8 +80,11 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "ARRAYS",
+    "COMPILED",
     "LECTURE_TABLE",
     "PD",
+    "PINOCCHIO",
     "SLIDE_TABLE",
     "TRUE_MODEL",
     "Axis",
@@ -96,6 +99,7 @@ __all__ = [
     "Delayed",
     "Diverged",
     "EndEffectorTracking",
+    "Engine",
     "Ensemble",
     "FileError",
     "FixedHeading",
@@ -204,7 +208,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "plots": (),
     "reaching": ("EndEffectorTracking", "PosePath", "Resolved", "resolve"),
     "robot": ("Load", "MobileRobot", "mountable"),
-    "simulation": ("Rollout", "simulate"),
+    "simulation": ("ARRAYS", "COMPILED", "PINOCCHIO", "Engine", "Rollout", "simulate"),
     "sweeps": ("Axis", "Sweep", "grid", "sweep"),
     "trajectories": ("FixedHeading", "LectureHeading", "Reference", "Tangent", "WholeBody"),
     "urdf": ("shipped_urdf",),

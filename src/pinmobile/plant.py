@@ -20,7 +20,6 @@ __all__ = [
     "PlantOutline",
     "Step",
     "all_samples",
-    "attributes_of",
     "check_difference",
     "check_plant",
     "configuration_names_of",
@@ -230,15 +229,6 @@ class Parameter:
         array = array.diagonal() if array.ndim == 2 else array
         numbers = array if self.entry is None or not array.ndim else array[self.entry]
         return float(numbers.flat[0]) if np.ptp(numbers) == 0 else None
-
-
-def attributes_of(part: Any) -> tuple[str, ...]:
-    """Return the attributes of a part that may differ from robot to robot.
-
-    They hold its parameters, and what each robot draws, which a part lists as ``drawn``.
-    """
-    stated = [parameter.attribute for parameter in parameters_of(part)]
-    return tuple(dict.fromkeys([*stated, *getattr(part, "drawn", ())]))
 
 
 def parameters_of(part: Any) -> tuple[Parameter, ...]:

@@ -7,6 +7,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, positive
 from pinmobile.controllers import Controller
+from pinmobile.controllers.protocol import check_memory
 from pinmobile.disturbances import Force
 from pinmobile.errors import Diverged, InvalidArgument
 from pinmobile.integrators import Integrator
@@ -19,6 +20,7 @@ from pinmobile.simulation.checks import (
     sample_times,
     sampled,
 )
+from pinmobile.simulation.engines import COMPILED, PINOCCHIO, Engine, checked_engine
 from pinmobile.simulation.loop import Loop
 from pinmobile.simulation.rollout import Rollout
 from pinmobile.trajectories import Reference, Trajectory, check_limits
@@ -41,6 +43,7 @@ def simulate(
     substeps: int = 1,
     forces: Sequence[Force] = (),
     limit: float = 1e3,
+    engine: Engine | None = None,
 ) -> Rollout:
     """Run the closed loop from 0 to `duration` and record every sample.
 
@@ -81,6 +84,8 @@ def simulate(
     limit : float
         The loop counts as diverged when an error in a coordinate (psi on the circle) or in a velocity is
         beyond it [m, rad, m/s, rad/s].
+    engine : Engine, optional
+        `PINOCCHIO`, by default, or `COMPILED`: the same laws as machine code, for those who run many.
 
     Returns
     -------
@@ -102,21 +107,27 @@ def simulate(
     start = _start(plant, reference, q0, v0)
     count, checked = checked_substeps(substeps, len(t)), checked_forces(forces, plant)
     context = Context.of(plant, dt=dt, t=t, reference=reference, trajectory=trajectory)
-    loop = Loop(plant, controller, integrator, context, count, checked, *start)
-    for begin in range(0, len(t), _CHUNK):
-        end = min(begin + _CHUNK, len(t))
+    check_memory(controller, context, *start)
+    chosen = checked_engine(engine, PINOCCHIO, COMPILED) or PINOCCHIO
+    kind: Any = Loop
+    if chosen is COMPILED:
+        from pinmobile.simulation.single import CompiledLoop as kind  # and with it, what compiles
+    chunk = len(t) if chosen is COMPILED else _CHUNK
+    loop = kind(plant, controller, integrator, context, count, checked, *start)
+    for begin in range(0, len(t), chunk):
+        end = min(begin + chunk, len(t))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # the check below tells
             loop.run(begin, end)
         if loop.is_fine(begin, end, limit):
             continue
         bad, why = _first_bad(plant, loop, reference, begin, end, limit)
         if bad is not None:
-            kept = _rollout(plant, t, loop, reference, bad) if bad else None
+            kept = _rollout(plant, t, loop, reference, bad, chosen) if bad else None
             q, v, _, _ = loop.samples(bad, bad + 1)
             message = f"the loop diverged at t = {t[bad]:g} s (sample {bad} of {len(t) - 1}): {why}"
             message += _too_stiff(plant, checked, start[0], dt / count)
             raise Diverged(message, time=float(t[bad]), q=q[0], v=v[0], rollout=kept) from loop.stopped
-    return _rollout(plant, t, loop, reference, len(t))
+    return _rollout(plant, t, loop, reference, len(t), chosen)
 
 
 def _start(
@@ -160,7 +171,7 @@ def errors_of(plant: Any, q: Array, reference: Reference) -> Array:
 
 
 def _first_bad(
-    plant: Plant, loop: Loop, reference: Reference, begin: int, end: int, limit: float
+    plant: Plant, loop: Any, reference: Reference, begin: int, end: int, limit: float
 ) -> tuple[int | None, str]:
     """Return the first sample that is not acceptable, or None, and why."""
     samples = loop.samples(begin, end)
@@ -215,9 +226,10 @@ def _too_stiff(plant: Any, forces: Sequence[Any], q: Array, h: float) -> str:
     )
 
 
-def _rollout(plant: Plant, t: Array, loop: Loop, reference: Reference, end: int) -> Rollout:
+def _rollout(plant: Plant, t: Array, loop: Any, reference: Reference, end: int, engine: Engine) -> Rollout:
     q, v, a, u = loop.samples(0, end)
     kept = Reference(*(part[:end] for part in reference))
     signals = {} if loop.recorder is None else loop.recorder.signals(end)
     error = errors_of(plant, q, kept)
-    return Rollout(plant=plant, t=t[:end], q=q, v=v, a=a, u=u, error=error, reference=kept, signals=signals)
+    records = {"t": t[:end], "q": q, "v": v, "a": a, "u": u, "error": error}
+    return Rollout(plant=plant, reference=kept, signals=signals, engine=repr(engine), **records)

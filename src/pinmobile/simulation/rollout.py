@@ -61,6 +61,8 @@ class Rollout:
         Desired q, v and a of the first n coordinates.
     signals : mapping of str to Signal
         What else plant and controller gave at each sample, with its unit.
+    engine : str
+        What ran the loop: ``"PINOCCHIO"``, in Python, or ``"COMPILED"``; "" where that is not known.
 
     Raises
     ------
@@ -77,6 +79,7 @@ class Rollout:
     error: Array
     reference: Reference
     signals: Mapping[str, Signal] = field(default_factory=dict)
+    engine: str = ""
 
     def __post_init__(self) -> None:
         for name in _RECORDED:
@@ -121,7 +124,7 @@ class Rollout:
 
     def __reduce__(self) -> tuple[Any, ...]:
         arrays = (getattr(self, name) for name in _RECORDED)
-        return Rollout, (self.plant, *arrays, self.reference, dict(self.signals))
+        return Rollout, (self.plant, *arrays, self.reference, dict(self.signals), self.engine)
 
     def __repr__(self) -> str:
         errors = self._errors("largest", self.max_error())
@@ -268,7 +271,7 @@ class Rollout:
     ) -> "Rollout":
         """Return the rollout of a plant, or of None, that has the arrays of `arrays`, and signals."""
         reference = Reference(*(arrays[f"reference_{name}"] for name in Reference._fields))
-        named = {name: arrays[name] for name in _RECORDED}
+        named: dict[str, Any] = {name: arrays[name] for name in _RECORDED}
         return cls(plant=plant, reference=reference, signals=signals or {}, **named)
 
     @classmethod

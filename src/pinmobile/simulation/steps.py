@@ -105,7 +105,8 @@ def pushed(forces: Sequence[Any], plant: Any) -> Push | None:
 def _answer(name: str, value: Any, t: float, shape: tuple[int, ...]) -> Array:
     if type(value) is not np.ndarray or value.shape != shape:
         _refuse(name, value, t, shape)
-    return value
+    answer: Array = value
+    return answer
 
 
 def _refuse(name: str, value: Any, t: float, shape: tuple[int, ...]) -> None:
