@@ -89,6 +89,18 @@ class Spring:
 
 
 @dataclass(frozen=True)
+class Axle:
+    """A force on coordinates: the left one of two wheels runs heavily."""
+
+    viscous: float = 0.02  # [N m s]
+
+    parameters: ClassVar[tuple[Any, ...]] = ("viscous",)
+
+    def on_coordinates(self, t: float, q: Any, v: Any) -> Any:
+        return column(-self.viscous * v[..., 3]) * np.array([0.0, 0.0, 0.0, 1.0, 0.0])
+
+
+@dataclass(frozen=True)
 class Smoothed:
     """Any controller, its input led through a low pass."""
 

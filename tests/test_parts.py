@@ -20,7 +20,9 @@ from pinmobile import (
     Saturated,
     Scenario,
     Tangent,
+    ViscousFriction,
     grid,
+    rk4,
     simulate,
     sweep,
 )
@@ -29,6 +31,7 @@ from pinmobile.ensembles.variables import PER_ROBOT
 from tests.looping import TwoWheels
 from tests.parts import (
     PID,
+    Axle,
     Cart,
     CartCircle,
     Eight,
@@ -103,6 +106,15 @@ def test_a_users_part_is_simulated_and_its_rollout_kept(what: str, tmp_path: Pat
     np.testing.assert_array_equal(Rollout.load(tmp_path / "run.npz").q, rollout.q)
     traced = run_scenario(scenario, traces=[2]).traces[2]
     np.testing.assert_array_equal(traced.q, rollout.q)
+    compiled = simulate(*member[:3], **member.options, engine=COMPILED)
+    assert_as_simulated(compiled, rollout)
+
+
+def assert_as_simulated(one: Rollout, other: Rollout) -> None:
+    """Compare all samples to 1e-12 of the largest number of each kind."""
+    for name in ("q", "v", "a", "u", "error"):
+        here, there = getattr(one, name), getattr(other, name)
+        np.testing.assert_allclose(here, there, rtol=0, atol=1e-12 * np.abs(there).max(), err_msg=name)
 
 
 @pytest.mark.parametrize("what", STATED)
@@ -172,22 +184,39 @@ def carted(**changes: Any) -> Scenario:
     return Scenario(**(CART | {"n": N, "spread": OF_CART} | changes))
 
 
-@pytest.mark.parametrize("controller", [Follower(), Smoothed(Follower(), 0.8)])
-def test_a_users_plant_has_the_same_numbers_compiled_and_on_arrays(controller: Any) -> None:
-    scenario = carted(controller=controller)
-    compiled, on_arrays = (run_scenario(scenario, engine=each) for each in (COMPILED, ARRAYS))
-    assert not compiled.diverged.any()
-    assert compiled.max_error.shape == (N, 5)
-    assert compiled.max_force.shape == (N, 2)
-    assert_close(compiled, on_arrays)
+CARTED: dict[str, dict[str, Any]] = {
+    "all coordinates": {},
+    "pose alone": {"trajectory": Tangent(Circle(2.0, 0.5, 6.0))},
+    "wrapped": {"controller": Saturated(Smoothed(Follower(), 0.8), 0.5)},
+    "pushed": {"forces": [Spring(), ViscousFriction((3.0, 3.0, 0.3))], "integrator": rk4, "substeps": 2},
+    "one wheel runs heavily": {"forces": [Axle()], "integrator": midpoint},
+}
+
+
+@pytest.mark.parametrize("what", CARTED)
+def test_a_users_plant_has_the_same_numbers_by_all_engines(what: str) -> None:
+    scenario = carted(**CARTED[what])
+    runs = [run_scenario(scenario, engine=engine) for engine in (COMPILED, ARRAYS, PINOCCHIO)]
+    assert not runs[0].diverged.any()
+    assert runs[0].max_error.shape == (N, 3 if what == "pose alone" else 5)
+    assert runs[0].max_force.shape == (N, 2)
+    for run in runs[:2]:
+        assert_close(run, runs[2])
     assert run_scenario(scenario).engine == "COMPILED"
+    member = runs[0].member(1)
+    of_pinocchio, compiled = (
+        simulate(*member[:3], **member.options, engine=engine) for engine in (PINOCCHIO, COMPILED)
+    )
+    assert_as_simulated(compiled, of_pinocchio)
 
 
 def test_a_plant_for_one_state_is_compiled_and_refused_on_arrays() -> None:
-    spread = {"mass": OF_CART["mass"]}
+    spread = {"mass": OF_CART["mass"], "start_[1]": 0.1}  # it does not name its coordinates
     run = run_scenario(carted(robot=TwoWheels(), spread=spread))
     assert run.engine == "COMPILED"
-    assert_close(run, run_scenario(carted(spread=spread)))  # the same dynamics, written for many
+    assert_close(run, run_scenario(carted(robot=TwoWheels(), spread=spread), engine=PINOCCHIO))
+    same = run_scenario(carted(spread={"mass": OF_CART["mass"], "start_y": 0.1}))
+    assert_close(run, same)  # the same dynamics, written for many
     with pytest.raises(InvalidArgument, match=r"^engine is ARRAYS, which .*write laws for one row per robot"):
         run_scenario(carted(robot=TwoWheels(), spread=spread), engine=ARRAYS)
 
@@ -222,22 +251,26 @@ _WHEELS = ("left [rad]", "right [rad]")
 
 
 def test_a_saved_ensemble_of_a_users_plant_answers_where_its_class_is_not_known(tmp_path: Path) -> None:
-    run = run_scenario(carted())
+    run = run_scenario(carted(), traces=[3, 0])
     run.save(tmp_path / "runs.npz")
     loaded = Ensemble.load(tmp_path / "runs.npz")
     assert_same(loaded, run)
+    assert str(loaded.traces[3]) == str(run.traces[3])
+    assert "left_torque" in str(loaded.traces[3])
     assert str(loaded) == f"{run}\n{loaded.scenario}"
     assert loaded.to_xarray().identical(run.to_xarray())
     again = Ensemble.load(tmp_path / "runs.npz", carted())
     assert again.member(1).robot.mass == 19.0
     code = (
-        "import pinmobile; print(pinmobile.Ensemble.load('runs.npz'));"
-        "pinmobile.Ensemble.load('runs.npz').to_csv('runs.csv')"
+        "import pinmobile; runs = pinmobile.Ensemble.load('runs.npz'); print(runs);"
+        "runs.to_csv('runs.csv'); runs.traces[0].to_csv('run.csv')"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert (done.stdout, done.stderr) == (f"{loaded}\n", "")
+    run.traces[0].to_csv(tmp_path / "here.csv")
+    assert (tmp_path / "run.csv").read_text() == (tmp_path / "here.csv").read_text()
 
 
 def test_a_sweep_of_a_users_plant_has_its_names_and_no_other_plants(tmp_path: Path) -> None:
