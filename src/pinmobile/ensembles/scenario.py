@@ -21,7 +21,7 @@ from pinmobile.ensembles.names import Stated, resolved, start_parameters, stated
 from pinmobile.ensembles.spread import check_mapping, check_supports, checked_spread
 from pinmobile.errors import InvalidArgument
 from pinmobile.integrators import Integrator
-from pinmobile.plant import Context, Coordinate, Parameter
+from pinmobile.plant import Context, Coordinate, Input, Parameter
 from pinmobile.simulation import (
     checked_forces,
     checked_loop,
@@ -182,6 +182,16 @@ class Scenario:
     @cached_property
     def _coordinates(self) -> tuple[Coordinate, ...]:
         return self.context.coordinates
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """The coordinates that the reference has."""
+        return self._coordinates[: self.size]
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """The plant's inputs."""
+        return self.context.inputs
 
     @cached_property
     def stated(self) -> dict[str, Stated]:

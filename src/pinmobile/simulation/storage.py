@@ -21,9 +21,12 @@ from pinmobile.urdf import Body
 __all__ = [
     "ARRAYS",
     "check_robot",
+    "described_plant",
     "described_robot",
     "read_archive",
+    "restored_plant",
     "restored_robot",
+    "signal_columns",
     "why_unknown",
     "write_archive",
 ]
@@ -59,17 +62,58 @@ def write_archive(
     signals : mapping of str to Signal
         They stand side by side in one array, ``signals``.
     """
-    rows = len(arrays["t"])
-    described = {
+    text = json.dumps(described_plant(plant, arrays["q"], signals))
+    beside = signal_columns(signals, len(arrays["t"]))
+    np.savez(file, allow_pickle=False, format=_FORMAT, plant=text, signals=beside, **arrays)
+
+
+def described_plant(plant: Any, q: Array, signals: Mapping[str, Signal]) -> dict[str, Any]:
+    """Return a plant in words, its parameters where it is a `MobileRobot`, and signals' names and units.
+
+    Parameters
+    ----------
+    plant : object
+        What was simulated; None where it is not known.
+    q : ndarray, shape (N + 1, nq)
+        Its configurations.
+    signals : mapping of str to Signal
+        What it told.
+    """
+    return {
         "robot": described_robot(plant),
         "unknown": _unkept(plant),
-        "outline": None if plant is None else _outlined(PlantOutline.of(plant, arrays["q"])),
+        "outline": None if plant is None else _outlined(PlantOutline.of(plant, q)),
         "signals": [[name, unit, list(x.shape[1:])] for name, (unit, x) in signals.items()],
     }
+
+
+def signal_columns(signals: Mapping[str, Signal], rows: int) -> Array:
+    """Return signals side by side, shape (rows, ...)."""
     columns = [values.reshape(rows, -1) for _, values in signals.values()]
-    beside = np.hstack(columns) if columns else np.zeros((rows, 0))
-    text = json.dumps(described)
-    np.savez(file, allow_pickle=False, format=_FORMAT, plant=text, signals=beside, **arrays)
+    return np.hstack(columns) if columns else np.zeros((rows, 0))
+
+
+def restored_plant(described: Mapping[str, Any], beside: Array) -> tuple[Any, dict[str, Signal]]:
+    """Return plant and signals of a description; of a plant that cannot be had again, the outline.
+
+    Parameters
+    ----------
+    described : mapping
+        What `described_plant` returned.
+    beside : ndarray, shape (N + 1, ...)
+        What `signal_columns` returned.
+
+    Raises
+    ------
+    ValueError, TypeError, LookupError, AttributeError, OverflowError
+        If it is something else, see `unpacking`.
+    """
+    check_robot(described["robot"])
+    text("plant's unknown", described["unknown"])
+    outline = None if described["outline"] is None else _outline(described["outline"])
+    signals = _split(beside, described["signals"])
+    robot = restored_robot(described["robot"])
+    return outline if robot is None else robot, signals
 
 
 def read_archive(path: Path) -> tuple[dict[str, Array], Any, dict[str, Signal]]:
@@ -85,10 +129,7 @@ def read_archive(path: Path) -> tuple[dict[str, Array], Any, dict[str, Signal]]:
     named, described = _read(path)
     beside = named.pop("signals")
     with unpacking(path, _FORMAT):
-        outline = None if described["outline"] is None else _outline(described["outline"])
-        signals = _split(beside, described["signals"])
-    robot = restored_robot(described["robot"])
-    return named, outline if robot is None else robot, signals
+        return named, *restored_plant(described, beside)
 
 
 def why_unknown(path: Path) -> str:
