@@ -93,6 +93,12 @@ class ChainConfigurations:
         return self.nq == self.nv and type(self).integrate is ChainConfigurations.integrate
 
     @property
+    def turning(self) -> tuple[int, ...] | None:
+        """Coordinates that `difference` takes on the circle where it subtracts all, else None."""
+        own = type(self).difference is ChainConfigurations.difference
+        return (2,) if own and self.adds else None
+
+    @property
     def broadcasts(self) -> bool:
         """Whether its methods take leading axes, here True."""
         return True
