@@ -250,6 +250,18 @@ class ChainConfigurations:
             displacement[..., 2] = wrap_angle(angle)
         return displacement
 
+    def configuration(self, value: ArrayLike, name: str = "q") -> Array:
+        """Return configurations as float64, shape (..., nq), after refusing what are none.
+
+        Parameters
+        ----------
+        value : array_like, shape (..., nq)
+            Configurations [m, m, rad, ...].
+        name : str
+            What they are called, for the message.
+        """
+        return self._q(value, name)
+
     def _q(self, q: ArrayLike, name: str = "q") -> Array:
         array = vector(name, q, self.nq)
         for part, joint in self._unit_parts:
