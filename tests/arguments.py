@@ -474,6 +474,8 @@ ROWS: dict[str, Row] = {
     "SinusoidalForce": row(amplitude=[1, 2, 3], frequency=0.5, phase=0.1),
     "NoiseForce": row(std=[1, 2, 3], bandwidth=2, seed=1),
     "NoiseForce.of_phases": row(std=[1, 2, 3], bandwidth=2, phases=np.zeros((16, 3))),
+    "JointFriction": row(viscous=[1, 2, 3], coulomb=[0.1, 0.2, 0.3], speed=0.1),
+    "JointFriction.of": row(robot=the("robot"), speed=0.1),
     "RollingResistance": row(force=[1, 2, 3], speed=0.01),
     "ViscousFriction": row(coefficients=[1, 2, 3]),
     "Load": row(mass=1, com=(0, 0, 0.1), inertia=np.eye(3), size=(0.1, 0.1, 0.1)),
@@ -553,6 +555,11 @@ ROWS: dict[str, Row] = {
         )
         for name, named in STATES.items()
     },
+    "MobileRobot.calls": row(),
+    "MobileRobot.effort": row(q=Q, wrench=A),
+    "MobileRobot.pose": row(q=Q),
+    "MobileRobot.rate": row(q=Q, v=V),
+    "MobileRobot.start": row(reference=partial(lambda: WORLD.trajectory(0.0))),
     "MobileRobot.forward_dynamics_derivatives": row(q=Q, v=V, tau=A),
     "MobileRobot.linearize": row(q=Q, v=V, tau=A),
     "MobileRobot.regressor": row(q=Q, v=V, a=A),

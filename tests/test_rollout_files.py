@@ -261,11 +261,11 @@ def loaded_or_refused(path: Path) -> bool:
 def test_damaged_bytes_are_refused_or_do_no_harm(tmp_path: Path) -> None:
     content, path = saved(tmp_path), tmp_path / "run.npz"
     read = 0
-    for seed in range(1500):
+    for seed in range(400):
         path.write_bytes(damaged(content, np.random.default_rng(seed)))
         with little_memory():
             read += loaded_or_refused(path)
-    assert 0 < read < 1000  # dates and the like may be anything, but not much is
+    assert 0 < read < 270  # dates and the like may be anything, but not much is
 
 
 def test_damaged_members_with_right_checksums_are_refused_or_a_rollout(tmp_path: Path) -> None:
@@ -273,7 +273,7 @@ def test_damaged_members_with_right_checksums_are_refused_or_a_rollout(tmp_path:
     content, path = saved(tmp_path), tmp_path / "run.npz"
     names = zipfile.ZipFile(io.BytesIO(content)).namelist()
     outcomes = {True: 0, False: 0}
-    for seed in range(1500):
+    for seed in range(400):
         rng = np.random.default_rng(seed)
         chosen = rng.choice(names)
         swap = rng.integers(8) == 0
@@ -294,7 +294,7 @@ def test_damaged_members_with_right_checksums_are_refused_or_a_rollout(tmp_path:
             assert np.isfinite(np.hstack([made.q, made.v, made.a, made.u, made.error])).all()
             assert (np.diff(made.t) > 0).all()
             made.to_csv(tmp_path / "run.csv")
-    assert min(outcomes.values()) > 100
+    assert min(outcomes.values()) > 30
 
 
 def test_swapped_members_are_a_rollout_of_other_numbers_or_refused(tmp_path: Path) -> None:

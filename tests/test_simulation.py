@@ -228,7 +228,7 @@ def test_the_last_sample_is_at_the_duration_to_the_last_digit(duration: Any, las
 def test_a_rollout_holds_read_only_copies() -> None:
     rollout = simulate(ROBOT, ComputedTorque(ROBOT), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
     names = ("t", "q", "v", "a", "u", "error")
-    given = {name: np.array(getattr(rollout, name)) for name in names}
+    given: Any = {name: np.array(getattr(rollout, name)) for name in names}
     reference = Reference(*map(np.array, rollout.reference))
     copy = replace(rollout, reference=reference, **given)
     for array in (*given.values(), *reference):
@@ -366,7 +366,7 @@ def test_what_a_subclass_overrides_is_heard() -> None:
             return np.zeros(3), state
 
     class Rubbing(MobileRobot):  # type: ignore[misc]
-        def forward_dynamics(self, q: Any, v: Any, tau: Any) -> Array:
+        def forward_dynamics(self, q: Any, v: Any, tau: Any, f: Any = 0.0) -> Array:
             return super().forward_dynamics(q, v, np.asarray(tau) - 5 * np.asarray(v))
 
     assert simulate(ROBOT, Silent(9, 9), CIRCLE, dt=0.1).max_input().tolist() == [0, 0, 0]

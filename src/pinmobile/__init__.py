@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHRow, DHTable, JointType
     from pinmobile.disturbances import (
         ConstantForce,
+        JointFriction,
         NoiseForce,
         RollingResistance,
         SinusoidalForce,
@@ -105,6 +106,7 @@ __all__ = [
     "FixedHeading",
     "Hold",
     "InvalidArgument",
+    "JointFriction",
     "JointType",
     "LectureHeading",
     "Lissajous",
@@ -182,6 +184,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "dh": ("LECTURE_TABLE", "SLIDE_TABLE", "DHRow", "DHTable", "JointType"),
     "disturbances": (
         "ConstantForce",
+        "JointFriction",
         "NoiseForce",
         "RollingResistance",
         "SinusoidalForce",

@@ -82,7 +82,8 @@ def checked_robot(name: str, robot: Any) -> MobileRobot:
     InvalidArgument
         The message names the argument.
     """
-    if not callable(getattr(robot, "ground_wrench", None)) or isinstance(robot, type):
+    known = callable(getattr(robot, "ground_wrench", None)) and isinstance(getattr(robot, "nv", None), int)
+    if isinstance(robot, type) or not known:
         raise InvalidArgument(
             f"{name} is {shown(robot)}, which does not tell the ground's wrench, expected a MobileRobot"
         )

@@ -13,9 +13,9 @@ from pinmobile.cli.interrupted import Interrupted
 from pinmobile.cli.many_figures import ensemble_figures, sweep_figures
 from pinmobile.cli.output import Section, console, index_page, output_folder, progress
 from pinmobile.cli.scenario_file import read_grid
-from pinmobile.cli.spreads import scenario, spread_of_words, without_model
+from pinmobile.cli.spreads import loop_of, scenario, spread_of_words, without_model
 from pinmobile.ensembles import run_scenario
-from pinmobile.sweeps import connected
+from pinmobile.sweeps import Code, Grid, connected
 from pinmobile.sweeps.reading import attributes_of
 from pinmobile.sweeps.table import compared, since
 
@@ -80,9 +80,30 @@ def show_ensemble(
     return 0
 
 
-def show_sweep(file: Path, out: Path | None, scheduler: str | None, chunk: int | None) -> int:
+def show_sweep(
+    file: Path, out: Path | None, scheduler: str | None, chunk: int | None, *, allow_code: bool = False
+) -> int:
     """Run the sweep of a file, print who stays within what, and draw it."""
-    grid = read_grid(file)
+    if not allow_code:
+        return _show_sweep(file, read_grid(file), out, scheduler, chunk)
+    code = Code(file.absolute().parent)
+    with code.errors():
+        grid = read_grid(file, code)
+        _tell_loaded(code)
+        return _show_sweep(file, grid, out, scheduler, chunk)
+
+
+def _tell_loaded(code: Code) -> None:
+    """Say which files were run, and which modules of the same name were not."""
+    hidden = code.hidden()
+    for name, (where, _) in code.sources.items():
+        beside = f", not the installed {name} ({hidden[name]})" if name in hidden else ""
+        console.print(f"ran {where}{beside}", markup=False)
+    for name, where in code.installed.items():
+        console.print(f"ran {where}, the installed {name}", markup=False)
+
+
+def _show_sweep(file: Path, grid: Grid, out: Path | None, scheduler: str | None, chunk: int | None) -> int:
     folder = output_folder(Path("out") / file.stem if out is None else out)
     store = folder / "sweep.zarr"
     size = _size(chunk, store)
@@ -123,7 +144,7 @@ def _loop(
     options = {**options, "controller": name}
     if name == "pd" and not one:
         options, spread = without_model(options, spread)
-    return scenario(options, spread, **drawn)
+    return scenario(loop_of(options), spread, **drawn)
 
 
 def _answer(made: Mapping[str, Ensemble], spread: Sequence[str]) -> str:

@@ -128,7 +128,7 @@ class Scenario:
             t=t,
             reference=sampled(self.trajectory, t, self.robot),
         )
-        self._set(spread=checked_spread(self.spread, n, self._known))
+        self._set(spread=checked_spread(self.spread, n, self.known))
         check_supports(self.spread, self.parameters)
         q, v = (one[0] for one in self.starts({}, 1))
         check_memory(self.controller, self.context, q, v)
@@ -176,7 +176,8 @@ class Scenario:
         return Parts(self.robot, self.controller, tuple(self.forces), self.integrator, None, self.substeps)
 
     @cached_property
-    def _known(self) -> dict[str, list[Stated]]:
+    def known(self) -> dict[str, list[Stated]]:
+        """What its parts and its start state, by name, and by path and name; what a spread may name."""
         return stated_by(self._given.on_arrays(), self._coordinates)
 
     @cached_property
@@ -196,7 +197,7 @@ class Scenario:
     @cached_property
     def stated(self) -> dict[str, Stated]:
         """What is spread, by name, and the part that has it."""
-        return {name: resolved(name, self._known) for name in self.spread}
+        return {name: resolved(name, self.known) for name in self.spread}
 
     @cached_property
     def parts(self) -> Parts:
@@ -214,7 +215,7 @@ class Scenario:
         """Return the attributes of `count` robots that something is drawn of, shape (count, ...)."""
         found: dict[Place, Array] = {}
         # In the order in which parts state them: a factor comes after what it multiplies.
-        for name in sorted(self.stated, key=list(self._known).index):
+        for name in sorted(self.stated, key=list(self.known).index):
             path, parameter = self.stated[name]
             if path:
                 place = Place(path, parameter.attribute)
@@ -293,7 +294,7 @@ class Scenario:
         """The values of the parameters, as far as each is one number."""
         values = self._given.on_arrays().parameters()
         found = {}
-        for name, stated in self._known.items():
+        for name, stated in self.known.items():
             path, parameter = stated[0]
             value = parameter.nominal(values[Place(path, parameter.attribute)]) if path else 0.0
             if len(stated) == 1 and value is not None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, affordable, callable_as, positive, vector, whole
 from pinmobile.controllers import check_controller
-from pinmobile.disturbances import Force
+from pinmobile.disturbances import CoordinateForce, Force
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.integrators import check_integrator, constant_acceleration
 from pinmobile.plant import check_plant, leading_of
@@ -62,7 +62,7 @@ def chosen_integrator(plant: Any, integrator: Any) -> Any:
     InvalidArgument
         If one is given for a plant that has a step of its own.
     """
-    if not hasattr(plant, "step"):
+    if isinstance(plant, type) or not hasattr(plant, "step"):
         chosen = getattr(plant, "integrator", None) if integrator is None else integrator
         return constant_acceleration if chosen is None else chosen
     if integrator is not None:
@@ -171,7 +171,7 @@ def sampled(trajectory: Trajectory, t: Array, plant: "Plant") -> Reference:
     return checked
 
 
-def checked_forces(forces: Any, plant: "Plant") -> tuple[Force, ...]:
+def checked_forces(forces: Any, plant: "Plant") -> tuple[Force | CoordinateForce, ...]:
     """Return the forces, after refusing what is none, or a plant that cannot feel them.
 
     Raises

@@ -8,7 +8,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, finite, positive
 from pinmobile.controllers import Controller
 from pinmobile.controllers.protocol import check_memory
-from pinmobile.disturbances import Force
+from pinmobile.disturbances import CoordinateForce, Force
 from pinmobile.errors import Diverged, InvalidArgument
 from pinmobile.integrators import Integrator
 from pinmobile.plant import Context, Plant, all_samples, coordinates_of, whole_configurations
@@ -25,7 +25,7 @@ from pinmobile.simulation.loop import Loop
 from pinmobile.simulation.rollout import Rollout
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
-__all__ = ["simulate"]
+__all__ = ["errors_of", "simulate"]
 
 _CHUNK = 512  # samples between two looks for divergence
 
@@ -41,7 +41,7 @@ def simulate(
     v0: ArrayLike | None = None,
     integrator: Integrator | None = None,
     substeps: int = 1,
-    forces: Sequence[Force] = (),
+    forces: Sequence[Force | CoordinateForce] = (),
     limit: float = 1e3,
     engine: Engine | None = None,
 ) -> Rollout:
@@ -100,8 +100,8 @@ def simulate(
         If a number is no longer finite or an error is beyond `limit`; it carries what was recorded before.
     """
     dt, limit = positive("dt", dt, "s"), positive("limit", limit)
-    checked_loop(plant, controller, trajectory, integrator)
     integrator = chosen_integrator(plant, integrator)
+    checked_loop(plant, controller, trajectory, integrator)
     t = sample_times(dt, duration, trajectory.duration)
     reference = sampled(trajectory, t, plant)
     start = _start(plant, reference, q0, v0)

@@ -21,7 +21,7 @@ from pinmobile.controllers import (
     planar_difference,
 )
 from pinmobile.controllers.feedback import own_difference
-from pinmobile.disturbances import Force
+from pinmobile.disturbances import CoordinateForce, Force
 from pinmobile.errors import InvalidArgument, NotFinite, shown
 from pinmobile.integrators import Integrator, RungeKuttaNystrom
 from pinmobile.plant import Context, Plant
@@ -63,7 +63,7 @@ class Loop:
         integrator: Integrator | None,
         context: Context,
         substeps: int,
-        forces: tuple[Force, ...],
+        forces: tuple[Force | CoordinateForce, ...],
         q0: Array,
         v0: Array,
     ) -> None:
@@ -79,13 +79,15 @@ class Loop:
         self.stopped: NotFinite | None = None
         push = pushed(forces, plant)
         clock = Clock(self.times, context.dt / substeps, substeps)
-        self.dynamics, self.own, memory = dynamics_of(plant, push), None, lambda: None
+        tabled = isinstance(integrator, RungeKuttaNystrom) and self.adds
+        self.dynamics = dynamics_of(plant, push, kept=not tabled)
+        self.own, memory = None, lambda: None
         self.control, tell = self._controlled(plant, controller, context, integrator)
         if hasattr(plant, "step"):
             first = plant.initial_state(context) if hasattr(plant, "initial_state") else None
             self.own, memory = own_steps(plant, push, clock, first)
-        elif isinstance(integrator, RungeKuttaNystrom) and self.adds:
-            self.advance = tabled_steps(integrator, self.dynamics, clock, self.nv)
+        elif tabled:
+            self.advance = tabled_steps(integrator, self.dynamics, clock, self.nv)  # type: ignore[arg-type]
         elif self.adds:
             self.advance = steps(integrator, self.dynamics, clock)  # type: ignore[arg-type]
         else:

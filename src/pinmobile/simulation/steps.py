@@ -55,11 +55,15 @@ class Dynamics(NamedTuple):
     forced: Callable[[float, Array, Array, Array], Array] | None = None
 
 
-def dynamics_of(plant: Plant, push: Push | None) -> Dynamics:
-    """Return a plant's acceleration, under forces beside its input where there are such."""
+def dynamics_of(plant: Plant, push: Push | None, *, kept: bool) -> Dynamics:
+    """Return a plant's acceleration, under forces beside its input where there are such.
+
+    Where `kept`, an answer outlives the next one, as whoever brings an integrator expects.
+    """
     calls = getattr(plant, "calls", None)
     if calls is not None:
-        free = calls().forward_dynamics
+        raw = calls().forward_dynamics
+        free = (lambda q, v, u: np.array(raw(q, v, u))) if kept else raw
         return Dynamics(free, None if push is None else lambda t, q, v, u: free(q, v, u + push(t, q, v)))
     forward: Any = plant.forward_dynamics  # what it is given is a copy, and its own
 
@@ -97,7 +101,7 @@ def pushed(forces: Sequence[Any], plant: Any) -> Push | None:
         for k, on_coordinates in others:
             found = on_coordinates(t, q.copy(), v.copy())
             total = total + _answer(f"forces[{k}].on_coordinates", found, t, size)
-        return total
+        return np.asarray(total)
 
     return push
 
