@@ -15,6 +15,7 @@ __all__ = [
     "GAINS",
     "PD",
     "ComputedTorque",
+    "check_fits",
     "check_gains",
     "check_robot",
     "feedback",
@@ -140,6 +141,7 @@ class ComputedTorque:
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
+        check_fits(self.robot, context)
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
@@ -181,11 +183,28 @@ def check_robot(controller: Any, needs: str) -> None:
     robot = controller.robot
     sizes = getattr(robot, "nv", None), getattr(robot, "nq", getattr(robot, "nv", None))
     if isinstance(robot, type) or not hasattr(robot, needs) or not all(isinstance(n, int) for n in sizes):
-        raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot")
+        lacks = "" if not hasattr(robot, "nv") or hasattr(robot, needs) else f", which has no {needs}"
+        raise InvalidArgument(f"robot is {shown(robot)}{lacks}, expected a MobileRobot")
     if controller.difference is None and not hasattr(robot, "difference"):
         raise InvalidArgument(
             f"robot is {shown(robot)}, which has no difference(q0, q1), expected one, or to be told how "
             "configurations are compared: difference=planar_difference"
+        )
+
+
+def check_fits(robot: Any, context: Any) -> None:
+    """Refuse a controller's robot that has another number of coordinates than the plant.
+
+    Raises
+    ------
+    InvalidArgument
+        If it does.
+    """
+    nv = getattr(context, "nv", 0)
+    if nv and robot.nv != nv:
+        raise InvalidArgument(
+            f"robot of the controller is {shown(robot)}, which has {robot.nv} coordinates, expected {nv}, as "
+            "the plant has"
         )
 
 
