@@ -209,7 +209,8 @@ def test_a_force_acts_on_the_first_three_coordinates_of_a_plant_with_more() -> N
 
     plant, silent = OtherPlant(extra=2), law(lambda *_: np.arange(5.0))
     simulate(plant, silent, Trajectory(), dt=0.1, duration=0.2, forces=[force])
-    assert {tuple(u) for u in plant.asked} == {(1, 3, 5, 3, 4)}
+    # Before the loop it is asked for the shape of its answer, without input.
+    assert {tuple(u) for u in plant.asked} - {(0, 0, 0, 0, 0)} == {(1, 3, 5, 3, 4)}
     assert set(seen) == {((3,), (3,))}
 
 

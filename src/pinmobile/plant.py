@@ -232,11 +232,24 @@ class Parameter:
 
 
 def parameters_of(part: Any) -> tuple[Parameter, ...]:
-    """Return the parameters that a part states; a name alone is one without unit and bound."""
-    stated = getattr(part, "parameters", ())
-    return tuple(
-        Parameter(each, attribute=each) if isinstance(each, str) else _with_attribute(each) for each in stated
+    """Return the parameters that a part states; a name alone is one without unit and bound.
+
+    Raises
+    ------
+    InvalidArgument
+        If it states one twice.
+    """
+    found = tuple(
+        Parameter(each, attribute=each) if isinstance(each, str) else _with_attribute(each)
+        for each in getattr(part, "parameters", ())
     )
+    names = [each.name for each in found]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InvalidArgument(
+            f"a {type(part).__name__} states the parameter {twice!r} twice, expected names that differ"
+        )
+    return found
 
 
 def _with_attribute(parameter: Parameter) -> Parameter:

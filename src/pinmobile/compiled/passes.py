@@ -149,8 +149,11 @@ class _Trace:
         if one.tape.operations == two.tape.operations and one.outputs == two.outputs:
             return
         told = self._loop(calling_place)
-        known = zip(one.tape.operations, told.tape.operations, strict=False)
-        differ = next((i for i, (a, b) in enumerate(known) if a != b), len(told.tape) - 1)
+        ends = [len(told.tape) - 1]
+        for other in (one, two):  # a law that takes turns is told apart from one of them
+            known = zip(other.tape.operations, told.tape.operations, strict=False)
+            ends += [i for i, (a, b) in enumerate(known) if a != b][:1]
+        differ = min(ends)
         raise NotTraceable(
             "the law computes something else when it is asked again, as one does that counts, draws or "
             "remembers outside its state",

@@ -16,6 +16,7 @@ __all__ = [
     "PD",
     "Compact",
     "ComputedTorque",
+    "check_fits",
     "check_gains",
     "check_robot",
     "compacted",
@@ -197,6 +198,7 @@ class ComputedTorque:
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
+        check_fits(self.robot, context)
 
     def compact(self, plant: Any) -> Compact | None:
         """Return its compact form, where there is one: for loops."""
@@ -242,11 +244,28 @@ def check_robot(controller: Any, needs: str) -> None:
     robot = controller.robot
     sizes = getattr(robot, "nv", None), getattr(robot, "nq", getattr(robot, "nv", None))
     if isinstance(robot, type) or not hasattr(robot, needs) or not all(isinstance(n, int) for n in sizes):
-        raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot")
+        lacks = "" if not hasattr(robot, "nv") or hasattr(robot, needs) else f", which has no {needs}"
+        raise InvalidArgument(f"robot is {shown(robot)}{lacks}, expected a MobileRobot")
     if controller.difference is None and not hasattr(robot, "difference"):
         raise InvalidArgument(
             f"robot is {shown(robot)}, which has no difference(q0, q1), expected one, or to be told how "
             "configurations are compared: difference=planar_difference"
+        )
+
+
+def check_fits(robot: Any, context: Any) -> None:
+    """Refuse a controller's robot that has another number of coordinates than the plant.
+
+    Raises
+    ------
+    InvalidArgument
+        If it does.
+    """
+    nv = getattr(context, "nv", 0)
+    if nv and robot.nv != nv:
+        raise InvalidArgument(
+            f"robot of the controller is {shown(robot)}, which has {robot.nv} coordinates, expected {nv}, as "
+            "the plant has"
         )
 
 

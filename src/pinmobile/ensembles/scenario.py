@@ -23,6 +23,7 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.integrators import Integrator
 from pinmobile.plant import Context, Coordinate, Input, Parameter
 from pinmobile.simulation import (
+    check_answers,
     checked_forces,
     checked_loop,
     checked_substeps,
@@ -130,6 +131,9 @@ class Scenario:
         )
         self._set(spread=checked_spread(self.spread, n, self.known))
         check_supports(self.spread, self.parameters)
+        check_answers(
+            self.robot, self.forces, self.integrator, *self._beginning(self.robot), dt / self.substeps
+        )
         q, v = (one[0] for one in self.starts({}, 1))
         check_memory(self.controller, self.context, q, v)
         for k, force in enumerate(self.forces):
@@ -275,14 +279,18 @@ class Scenario:
     def starts(self, draws: Mapping[str, Array], count: int) -> tuple[Array, Array]:
         """Return where robots start, shape (count, nq) and (count, nv)."""
         plant = self.parts.on_arrays().plant
-        at = Reference(*(part[0] for part in self.reference))
-        q, v = plant.start(at) if hasattr(plant, "start") else (at.q, at.v)
+        q, v = self._beginning(plant)
         off = np.zeros((2, count, plant.nv))
         names = [each.name for each in start_parameters(self._coordinates)]
         for k, name in enumerate(names):
             if name in draws:
                 off[k // plant.nv, :, k % plant.nv] = draws[name]
         return _moved(plant, q, off[0]), v + off[1]
+
+    def _beginning(self, plant: Any) -> tuple[Array, Array]:
+        """Return where a plant is on the trajectory, shape (nq,) and (nv,)."""
+        at = Reference(*(part[0] for part in self.reference))
+        return plant.start(at) if hasattr(plant, "start") else (at.q, at.v)
 
     @property
     def grid(self) -> Array:

@@ -2,6 +2,7 @@
 
 from pinmobile.plant import Plant
 from pinmobile.simulation.checks import (
+    check_answers,
     checked_forces,
     checked_loop,
     checked_substeps,
@@ -23,6 +24,7 @@ __all__ = [
     "Plant",
     "Rollout",
     "Signal",
+    "check_answers",
     "checked_forces",
     "checked_loop",
     "checked_substeps",

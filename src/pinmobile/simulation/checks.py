@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from pinmobile.plant import Plant
 
 __all__ = [
+    "check_answers",
     "checked_forces",
     "checked_loop",
     "checked_substeps",
@@ -29,6 +30,7 @@ _COORDINATES = 3  # of a plant that is not yet looked at
 _MOST = 1e8  # samples
 _SHORTER = "give a larger dt or a shorter duration"
 _MOST_STEPS = 1e11  # of the integrator: days
+_SAME = 1e-9  # to which two answers to the same arguments agree
 _RECORDED = 16  # numbers for each coordinate of a sample: of the loop, the reference and the rollout
 
 
@@ -208,3 +210,90 @@ def checked_forces(forces: Any, plant: "Plant") -> tuple[Force | CoordinateForce
                 "input, expected forward_dynamics(q, v, u, f)"
             ) from None
     return listed
+
+
+def check_answers(plant: Any, forces: Any, integrator: Any, q: Array, v: Array, h: float) -> None:
+    """Refuse a plant whose answers have other sizes than it says, and parts whose answers do not repeat.
+
+    Such a part keeps something in itself or in a closure, or draws numbers of its own: then no two runs are
+    alike. Controllers, which have memory, are asked by `check_memory`.
+
+    Parameters
+    ----------
+    plant, forces, integrator
+        Parts of a loop.
+    q, v : ndarray, shape (nq,), (nv,)
+        A state.
+    h : float
+        A step [s].
+
+    Raises
+    ------
+    InvalidArgument
+        If one is such.
+    """
+    with np.errstate(all="ignore"):
+        _check_sizes(plant, q, v)
+        states = [(x.copy(), w.copy()) for x, w in ((q, v), (plant.integrate(q, 0.01 + 0 * v), v + 0.01))]
+        body = callable(getattr(plant, "pose", None)) and callable(getattr(plant, "rate", None))
+        for k, force in enumerate(forces):
+            if hasattr(force, "on_coordinates"):
+                _check_repeated(f"forces[{k}]", force, lambda x, w: force.on_coordinates(0.0, x, w), states)  # noqa: B023
+            elif body:
+                _check_repeated(
+                    f"forces[{k}]",
+                    force,
+                    lambda x, w: force(0.0, plant.pose(x), plant.rate(x, w)),  # noqa: B023
+                    states,
+                )
+        if hasattr(plant, "step"):
+            return
+        u = np.zeros(plant.nu)
+        _check_repeated("plant", plant, lambda x, w: plant.forward_dynamics(x, w, u.copy()), states)
+        moves = [(np.zeros(plant.nv), w) for _, w in states]
+        _check_repeated(
+            "integrator", integrator, lambda x, w: integrator(lambda t, x, w: -x - w, 0.0, x, w, h), moves
+        )
+
+
+def _check_sizes(plant: Any, q: Array, v: Array) -> None:
+    nq, nv, u, wrench = plant.nq, plant.nv, np.zeros(plant.nu), np.zeros(3)
+    sizes = f"plant is a {type(plant).__name__} with nq = {nq}, nv = {nv} and nu = {plant.nu}"
+    for name, value, size in (("q", q, nq), ("v", v, nv)):
+        if np.shape(value) != (size,):
+            raise InvalidArgument(
+                f"{sizes}, which starts with {name} of shape {np.shape(value)}, expected ({size},)"
+            )
+    asked: dict[str, tuple[str, int, tuple[Array, ...]]] = {
+        "integrate": ("q, dq", nq, (q, np.zeros(nv))),
+        "difference": ("q0, q1", nv, (q, q)),
+        "project": ("q, v", nv, (q, v)),
+        "pose": ("q", 3, (q,)),
+        "rate": ("q, v", 3, (q, v)),
+        "effort": ("q, wrench", nv, (q, wrench)),
+    }
+    if not hasattr(plant, "step"):
+        asked["forward_dynamics"] = ("q, v, u", nv, (q, v, u))
+    for name, (arguments, size, values) in asked.items():
+        method = getattr(plant, name, None)
+        if not callable(method):
+            continue
+        answer = method(*(value.copy() for value in values))
+        if answer is not None and np.shape(answer) != (size,):
+            raise InvalidArgument(
+                f"{sizes}, whose {name}({arguments}) returned {shown(answer)}, "
+                f"expected an array of shape ({size},)"
+            )
+
+
+def _check_repeated(path: str, part: Any, ask: Any, states: Any) -> None:
+    """Refuse a part that answers otherwise when it is asked again, after it was asked something else."""
+    first, _, again = (ask(x.copy(), w.copy()) for x, w in (*states, states[0]))
+    if np.shape(first) != np.shape(again) or not np.allclose(
+        np.asarray(first, float), np.asarray(again, float), rtol=_SAME, atol=_SAME, equal_nan=True
+    ):
+        raise InvalidArgument(
+            f"{path} is {shown(part)}, which returns {shown(first)} and, asked again for the same arguments, "
+            f"{shown(again)}, expected the same: only controllers have memory, in their state, and random "
+            "numbers come from their context.normal(name, n), or from a NoiseForce"
+        )

@@ -13,6 +13,7 @@ from pinmobile.errors import Diverged, InvalidArgument
 from pinmobile.integrators import Integrator
 from pinmobile.plant import Context, Plant, all_samples, coordinates_of, whole_configurations
 from pinmobile.simulation.checks import (
+    check_answers,
     checked_forces,
     checked_loop,
     checked_substeps,
@@ -107,6 +108,7 @@ def simulate(
     start = _start(plant, reference, q0, v0)
     count, checked = checked_substeps(substeps, len(t)), checked_forces(forces, plant)
     context = Context.of(plant, dt=dt, t=t, reference=reference, trajectory=trajectory)
+    check_answers(plant, checked, integrator, *start, dt / count)
     check_memory(controller, context, *start)
     chosen = checked_engine(engine, PINOCCHIO, COMPILED) or PINOCCHIO
     kind: Any = Loop
