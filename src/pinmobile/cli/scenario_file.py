@@ -118,12 +118,11 @@ def read_grid(path: Path, code: Code | None = None) -> Grid:
         reader.check_all_taken()
         check_draws(made)
     except PinmobileError as error:
-        message = str(error)
+        # The library speaks of arguments, the command of options; a file has keys.
+        message = re.sub(r"--spread (\w+)", r"spread of \1", str(error))
+        message = re.sub(r"--([a-z-]+)", lambda found: found[1].replace("-", "_"), message)
         if isinstance(error, UnknownName):
             message = shortened(error)
-        # The library speaks of arguments, the command of options; a file has keys.
-        message = re.sub(r"--spread (\w+)", r"spread of \1", message)
-        message = re.sub(r"--([a-z-]+)", lambda found: found[1].replace("-", "_"), message)
         at = line_of(error, message, text, tree, swept)
         raise InvalidArgument(f"{path.name}{at and ':'}{at or ''}: {message}") from error
     return _in_units(made)
