@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import InvalidArgument, Scenario, Sweep
+from pinmobile import InvalidArgument, Scenario, Sweep, sweep
 from pinmobile.cli.scenario_file import read_grid
+from pinmobile.ensembles import part_of
 from pinmobile.ensembles.ways import way_of
 from pinmobile.simulation.engines import COMPILED
 from pinmobile.sweeps import Code, Grid
@@ -19,6 +20,8 @@ from pinmobile.sweeps.code import packed
 from pinmobile.sweeps.origin import determined_by
 from tests.sweeping import contents
 from tests.test_cli import typed
+
+ROOT = Path(__file__).parents[1]
 
 # The parts of a user, in two modules: one imports the other, which lies beside it.
 PARTS = '''"""Parts of mine."""
@@ -130,6 +133,33 @@ class Turning:
         angles = self.rate * t, np.full_like(t, self.rate), 0 * t
         rows = [np.stack([*self.curve.derivative(t, k).T, a], axis=-1) for k, a in enumerate(angles)]
         return Reference(*rows)
+
+
+class Puck:
+    nq = nv = nu = 3
+    coordinate_names, coordinate_units = ("x", "y", "psi"), ("m", "m", "rad")
+    parameters = ("mass",)
+
+    def __init__(self, mass):
+        self.mass = mass
+
+    def forward_dynamics(self, q, v, u, f=0.0):
+        return (u + f) / np.asarray(self.mass)[..., None]
+
+    def integrate(self, q, dq):
+        return q + dq
+
+    def difference(self, q0, q1):
+        return q1 - q0
+
+    def pose(self, q):
+        return q
+
+    def rate(self, q, v):
+        return v
+
+    def effort(self, q, wrench):
+        return wrench
 
 
 def halfway(acceleration, t, q, v, dt):
@@ -272,6 +302,14 @@ def test_the_parts_are_what_the_file_says_and_are_compiled(file: Path) -> None:
     assert way_of(first).engine is COMPILED
 
 
+def test_the_file_of_the_readme_is_a_grid(file: Path) -> None:
+    (text,) = re.findall(r"```toml\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    (file.parent / "mine.py").write_text(PARTS)
+    made = read_of(file, text)
+    assert [each.forces[0].period for each in made.scenarios] == [1, 2]
+    assert type(made.scenarios[0].controller).__name__ == "Deadband"
+
+
 def test_a_part_that_takes_a_robot_gets_that_of_the_file(file: Path) -> None:
     law = '[controller]\ntype = "parts:Sliding"\nslope = 2\nreach = 3\n[robot]\nmass = 21'
     file.write_text(
@@ -325,7 +363,7 @@ def test_a_users_controller_is_compared_with_the_librarys(file: Path) -> None:
             "parts:Deadband",
             "parts:Deadbond",
             r"^mine.toml:7: unknown name in .*parts\.py 'Deadbond', did you mean 'Deadband'\? available: "
-            "Deadband, PID, Sliding, Gust, Wave, Turning, halfway$",
+            "Deadband, PID, Sliding, Gust, Wave, Turning, Puck, halfway$",
         ),
         ("parts:Wave", "parts:", "^mine.toml:3: 'parts:' names no part, expected 'module:Name'"),
         (
@@ -395,7 +433,7 @@ def line_of(text: str) -> int:
         ),
         (
             "x = 1\ny = x / 0\n",
-            "mine.toml:7: parts:Deadband cannot be loaded: parts.py:2 raises ZeroDivisionError: division by zero",
+            "mine.toml:7: parts:Deadband cannot be loaded: parts.py:2 raises ZeroDivisionError: division",
         ),
         (
             "import sys\nsys.exit(3)\n",
@@ -487,25 +525,56 @@ def test_a_scenario_takes_the_text_of_its_modules_along(file: Path) -> None:
     json.dumps(determined_by(Grid({}, [back])))
 
 
+def test_a_users_robot_stands_in_a_file_and_its_keys_are_swept(file: Path) -> None:
+    text = '[robot]\ntype = "parts:Puck"\nmass = 3\n[controller]\ntype = "pd"\n[trajectory]\nduration = 6\n'
+    made = read_of(
+        file, f'{text}[spread]\nmass = {{percent = 10}}\n[ensemble]\nn = 3\n[grid]\n"robot.mass" = [3, 4]'
+    )
+    assert [each.robot.mass for each in made.scenarios] == [3, 4]
+    assert [each.nominal["mass"] for each in made.scenarios] == [3, 4]
+    draws, part = part_of(made.scenarios[1], 0, 3)
+    assert all(3.6 <= mass <= 4.4 for mass in draws["mass"])
+    assert np.isfinite(part.max_distance).all()
+
+
+def test_a_module_may_lie_in_a_folder_beside_the_file(file: Path) -> None:
+    (file.parent / "laws").mkdir()
+    (file.parent / "parts.py").rename(file.parent / "laws" / "parts.py")
+    file.write_text(FILE.replace("parts:", "laws.parts:"))
+    made: Any = read_grid(file, Code(file.parent)).scenarios[0]
+    assert type(made.trajectory).__name__ == "Turning"
+
+
+def test_a_heading_of_the_library_may_be_a_table(file: Path) -> None:
+    text = "[trajectory]\nduration = 6\nheading = {type = 'fixed', psi = 0.5}\n[ensemble]\nn = 3"
+    (made,) = read_of(file, text).scenarios
+    assert made.reference.q[:, 2].tolist() == [0.5] * 61
+    with pytest.raises(InvalidArgument, match=r"^mine.toml:3: unknown key in heading 'phi'"):
+        read_of(file, text.replace("psi", "phi"))
+
+
 def test_workers_elsewhere_run_the_same_text(capsys: pytest.CaptureFixture[str], file: Path) -> None:
     distributed: Any = pytest.importorskip("distributed")
     options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": ":0", "host": "127.0.0.1"}
-    alone = swept(capsys, file, "--allow-code", "--chunk", "5", out="alone")
+    alone = sweep(read(file, '"controller.controller.ki" = [1, 3]\n'), file.parent / "alone", chunk=5)
     with distributed.LocalCluster(processes=True, silence_logs=50, **options) as cluster:
         words = "--allow-code", "--chunk", "5", "--scheduler", cluster.scheduler_address
-        there = swept(capsys, file, *words, out="there")
+        code, _, err = swept(capsys, file, *words)
         with distributed.Client(cluster) as client:
             ran = client.run(_users_modules)
         failing = PARTS.replace("return dead(u", "return dead(u * math.sqrt(3 - t)")  # from t = 3 s on
         (file.parent / "parts.py").write_text(failing)
         failed = swept(capsys, file, *words, out="failed")
+    assert (code, err) == (0, "")
+    assert contents(file.parent / "out" / "sweep.zarr") == contents(alone.path)
+    assert len(ran) == 2
+    assert {tuple(name.split("__")[0] for name in names) for names in ran.values()} <= {
+        (),
+        ("mending", "parts"),
+    }
+    assert any(ran.values())
     assert (failed[0], failed[2].count("\n")) == (2, 1)
     assert f"parts.py:{line_of('return dead(')} raises ValueError: " in failed[2]
-    assert (alone[0], there[0]) == (0, 0), there
-    for names in ran.values():
-        assert [name.split("__")[0] for name in names] == ["mending", "parts"]
-    stores = [contents(file.parent / name / "sweep.zarr") for name in ("alone", "there")]
-    assert stores[0] == stores[1]
 
 
 def _users_modules() -> list[str]:

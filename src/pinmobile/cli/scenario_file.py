@@ -387,14 +387,14 @@ def _axis(at: str, name: str, values: list[Any]) -> Axis:
 
 def _in_units(made: Grid) -> Grid:
     """Return the grid with the units of parameters whose spread is swept: a loop knows them."""
-    axes = {}
+    axes = dict(made.axes)
     for name, axis in made.axes.items():
         table, _, key = name.partition(".")
-        units = {each.known[key][0].parameter.unit for each in made.scenarios if key in each.known}
-        given: Any = (
-            axis.values if axis.given == axis.values else dict(zip(axis.values, axis.given, strict=True))
-        )
-        axes[name] = Axis(given, units.pop()) if table == "spread" and len(units) == 1 else axis
+        if table == "spread" and "." not in key:  # the value itself, not what is percent of it
+            units = {each.known[key][0].parameter.unit for each in made.scenarios if key in each.known}
+            labelled = dict(zip(axis.values, axis.given, strict=True))
+            given: Any = axis.values if axis.given == axis.values else labelled
+            axes[name] = Axis(given, units.pop()) if len(units) == 1 else axis
     return Grid(axes, made.scenarios)
 
 

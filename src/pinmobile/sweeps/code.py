@@ -3,7 +3,7 @@
 import builtins
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
@@ -133,9 +133,10 @@ class Code:
         """Return the files of installed modules that have the name of one that was loaded here."""
         found = {}
         for name, source in self.sources.items():
-            spec = None if "." in name else find_spec(name)
-            if spec is not None and spec.origin != source.file:
-                found[name] = spec.origin or "a folder"
+            with suppress(ValueError):  # of a module that does not say where it is from
+                spec = None if "." in name else find_spec(name)
+                if spec is not None and spec.origin != source.file:
+                    found[name] = spec.origin or "a folder"
         return found
 
     def _lies_here(self, name: str) -> bool:
