@@ -27,6 +27,7 @@ _FLAGS = (
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
     "--disable-background-networking",
+    "--disable-back-forward-cache",
     "--disable-dev-shm-usage",
     "--no-first-run",
     "--remote-debugging-pipe",
@@ -48,7 +49,7 @@ def chromium() -> Iterator["Chromium"]:
 
 
 class Page:
-    """A tab: what it logs and asks for is kept in `console` and `requests`."""
+    """A page in a window: what it logs and asks for is kept in `console` and `requests`."""
 
     def __init__(self, browser: "Chromium", session: str) -> None:
         self._browser, self._session = browser, session
@@ -58,6 +59,7 @@ class Page:
         self._loads = 0
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
+        self.call("Log.clear")
 
     def call(self, method: str, **params: Any) -> dict[str, Any]:
         return self._browser.call(method, params, self._session)
@@ -166,6 +168,7 @@ class Chromium:
         self._answers: dict[int, dict[str, Any]] = {}
         self._pages: dict[str, Page] = {}
         self._targets: dict[str, str] = {}
+        self._idle: list[str] = []
         self._last = 0
 
     def __enter__(self) -> "Chromium":
@@ -177,8 +180,16 @@ class Chromium:
         self.kill()
 
     def page(self, width: int = 800, height: int = 600) -> Page:
-        """Return a new tab of a size in pixels."""
-        target = self.call("Target.createTarget", {"url": "about:blank"})["targetId"]
+        """Return an empty page of a size in pixels, in a window of its own.
+
+        Of the tabs of one window all but the last made are hidden, and a hidden tab draws no frames: a
+        picture of it waits for a frame that may never come. The window of a closed page is used again: its
+        process knows the program that draws, which takes seconds to learn.
+        """
+        if self._idle:
+            target = self._idle.pop()
+        else:
+            target = self.call("Target.createTarget", {"url": "about:blank", "newWindow": True})["targetId"]
         answer = self.call("Target.attachToTarget", {"targetId": target, "flatten": True})
         session = answer["sessionId"]
         self._targets[session] = target
@@ -188,8 +199,11 @@ class Chromium:
         return page
 
     def close_page(self, session: str) -> None:
-        self.call("Target.closeTarget", {"targetId": self._targets.pop(session)})
+        """Empty a page; with its session end its settings."""
+        self._pages[session].open("about:blank")
         del self._pages[session]
+        self.call("Target.detachFromTarget", {"sessionId": session})
+        self._idle.append(self._targets.pop(session))
 
     def call(self, method: str, params: dict[str, Any], session: str | None = None) -> dict[str, Any]:
         self._last += 1

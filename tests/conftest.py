@@ -24,6 +24,19 @@ settings.register_profile("ci", deadline=None, max_examples=60, derandomize=True
 settings.load_profile("ci" if os.environ.get("CI") else "default")
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add what `.ci/run` says on all Pythons but the first: what a page draws has no part of Python in it."""
+    parser.addoption("--no-page", action="store_true", help="leave out the tests that look at a page")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out the tests of a page in a browser, where that is asked for."""
+    if config.getoption("--no-page"):
+        looking = {item for item in items if "page" in getattr(item, "fixturenames", ())}
+        items[:] = [item for item in items if item not in looking]
+        config.hook.pytest_deselected(items=list(looking))
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Refuse to test with another kernel than the one that is asked for: a misspelt one is passed over."""
     why = refusal(os.environ.get("OPENBLAS_CORETYPE"))
@@ -36,9 +49,9 @@ def pytest_report_header(config: pytest.Config) -> str:
     return f"OpenBLAS: {', '.join(in_force().values()) or 'none'}"
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def browser() -> Iterator[Chromium]:
-    """Return a browser that the tests of a module share."""
+    """Return a browser that all tests share."""
     with chromium() as started:
         yield started
 

@@ -497,7 +497,7 @@ def test_names_of_joints_are_one_column_each_in_a_csv_file(tmp_path: Path) -> No
     with (tmp_path / "a.csv").open(newline="") as file:
         rows = list(csv.reader(file))
     assert [len(row) for row in rows] == [31, 31, 31]
-    assert rows[0][4:6] == ["arm/lift, or\nnot", 'arm/the "elbow"']
+    assert rows[0][4:6] == ["arm/lift, or\nnot [rad]", 'arm/the "elbow" [rad]']
 
 
 def test_a_scenario_file_may_be_nested_deep(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

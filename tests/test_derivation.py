@@ -510,9 +510,10 @@ def balanced(latex: str) -> bool:
 def test_every_step_is_well_formed_latex_and_text(make: Callable[[], Derivation]) -> None:
     derivation = make()
     for step in derivation.steps:
-        assert balanced(step.latex())
-        assert step.latex().startswith(step.symbol)
-        assert step._repr_latex_() == rf"$\displaystyle {step.latex()}$"
+        latex = step.latex()
+        assert balanced(latex)
+        assert latex.startswith(step.symbol)
+        assert step._repr_latex_() == rf"$\displaystyle {latex}$"
         title, explanation, left, *_ = str(step).splitlines()
         assert (title, explanation, left) == (step.title, f"  {step.explanation}", f"{step.name} =")
         assert step.explanation.endswith(".")

@@ -284,7 +284,7 @@ def test_every_parameter_can_be_spread_and_matters() -> None:
             InvalidArgument,
             "std_v has shape (2,), expected () or (3,)",
         ),
-        ({"robot": WITH_ARM}, InvalidArgument, "expected (11, 9): a motion of base and arms, WholeBody("),
+        ({"robot": WITH_ARM}, InvalidArgument, "q has shape (9,), the reference's has (3,)"),
         (
             {"controller": ComputedTorque(WITH_ARM)},
             InvalidArgument,
@@ -317,7 +317,7 @@ def test_every_parameter_can_be_spread_and_matters() -> None:
         (
             {"spread": {"mass": Same("mas")}},
             UnknownName,
-            "unknown parameter in spread 'mas', did you mean 'mass'",
+            "unknown parameter in spread['mass'] 'mas', did you mean 'mass'",
         ),
         (
             {"spread": {"mass": Same("model_mass"), "model_mass": Same("mass")}},

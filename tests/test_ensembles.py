@@ -145,7 +145,7 @@ def assert_is_simulated(run: Ensemble, i: int) -> None:
     force = 1 + run.max_force[i].max()
     np.testing.assert_allclose(rollout.max_error(), run.max_error[i], rtol=0, atol=1e-12 * size)
     np.testing.assert_allclose(rollout.rms_error(), run.rms_error[i], rtol=0, atol=1e-12 * size)
-    np.testing.assert_allclose(rollout.max_force(), run.max_force[i], rtol=0, atol=1e-12 * force)
+    np.testing.assert_allclose(rollout.max_input(), run.max_force[i], rtol=0, atol=1e-12 * force)
     distance = np.hypot(*rollout.error[:, :2].T).max()
     assert distance == pytest.approx(run.max_distance[i], abs=1e-12 * size)
 
@@ -346,7 +346,7 @@ def test_half_a_turn_off_all_robots_turn_left_in_every_engine(engine: Any) -> No
         assert (alone.error[:, 2] > 0).all()
         assert alone.q[-1, 2] > alone.q[0, 2]
         np.testing.assert_allclose(wide.max_error[i], alone.max_error(), rtol=0, atol=1e-8)
-        np.testing.assert_allclose(wide.max_force[i], alone.max_force(), rtol=0, atol=1e-7)
+        np.testing.assert_allclose(wide.max_force[i], alone.max_input(), rtol=0, atol=1e-7)
 
 
 def test_rounding_stays_rounding_but_where_a_loop_is_chaotic() -> None:

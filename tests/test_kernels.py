@@ -2,6 +2,7 @@
 
 import os
 import platform
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +14,7 @@ from tests.kernels import in_force, refusal
 ROOT = Path(__file__).parents[1]
 
 
-def collected(kernel: str) -> subprocess.CompletedProcess[str]:
+def collected(kernel: str, *words: str) -> subprocess.CompletedProcess[str]:
     command = [
         sys.executable,
         "-m",
@@ -22,8 +23,9 @@ def collected(kernel: str) -> subprocess.CompletedProcess[str]:
         "tests/test_errors.py",
         "-p",
         "no:cacheprovider",
+        *words,
     ]
-    environment = os.environ | {"OPENBLAS_CORETYPE": kernel}
+    environment = os.environ | {"OPENBLAS_CORETYPE": kernel, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
     return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
 
 
@@ -101,6 +103,20 @@ def test_ci_runs_each_python_under_another_kernel_and_leaves_none_out(machine: P
         )
     assert all(any(line.endswith(f"under {kernel}") for line in tested) for kernel in kernels)
     assert len(tested) == max(pythons, len(kernels))
+
+
+def test_ci_looks_at_pages_on_the_first_python_alone_and_leaves_nothing_else_out(machine: Path) -> None:
+    lines = [line for line in ran(machine, 3).stdout.splitlines() if "] make test" in line]
+    given = {line[1:5]: re.findall(r"ARGS=(.*) under", line) for line in lines}
+    assert given == {"3.11": [""], "3.12": ["--no-page"], "3.13": ["--no-page"]}
+
+
+def test_without_pages_the_tests_that_look_at_one_are_counted_as_left_out() -> None:
+    asked = os.environ.get("OPENBLAS_CORETYPE", "")
+    done = collected(asked, "-q", "--no-page", "tests/test_viewer_browser.py").stdout
+    assert "test_errors" in done
+    assert "test_viewer_browser" not in done
+    assert re.search(r"^\d+/\d+ tests collected \([1-9]\d* deselected\)", done, re.MULTILINE)
 
 
 def test_ci_fails_where_one_of_the_runs_does(machine: Path) -> None:

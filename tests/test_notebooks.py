@@ -20,7 +20,7 @@ import pytest
 
 from pinmobile import ViewerError
 from pinmobile.viewer.chromium import find_chromium
-from tests.chromium import chromium
+from tests.chromium import Chromium
 
 SOURCES = sorted((Path(__file__).parents[1] / "notebooks").glob("[0-9][0-9]_*.py"))
 each = pytest.mark.parametrize("source", SOURCES, ids=lambda path: path.stem)
@@ -118,7 +118,7 @@ VIEWING = next(source for source in SOURCES if source.stem == "05_viewing")
 
 
 def test_the_notebook_keeps_a_picture_of_the_scene_that_moves_in_the_converted_page(
-    executed: Callable[[Path], Path], tmp_path: Path
+    executed: Callable[[Path], Path], browser: Chromium, tmp_path: Path
 ) -> None:
     scene = 'class="scene"'
     (cell,) = (cell for cell in stored(VIEWING).cells if "scene" in cell.metadata.get("tags", ()))
@@ -131,20 +131,20 @@ def test_the_notebook_keeps_a_picture_of_the_scene_that_moves_in_the_converted_p
     assert scene in frame
     for part in ("pinmobile.play(", "meshcat/robot0", "meshcat/robot1", "computed torque"):
         assert part in unescape(frame)
-    with chromium() as browser:
-        opened = browser.page(900, 700)
-        # What the template wants of the network is not ours, and must not be waited for.
-        opened.call("Network.setBlockedURLs", urls=["http://*", "https://*"])
-        opened.open(page.as_uri())
-        opened.wait_for("frames.length == 1 && !!frames[0].pinmobile && frames[0].pinmobile.ready()")
-        opened.evaluate("document.querySelector('iframe.scene').scrollIntoView()")
-        # The page's policy lets nobody evaluate text in it, not even us.
-        opened.wait_for_changes("Number(frames[0].document.querySelector('input[type=range]').value)", 1)
-        asked = [url for url in opened.requests if not url.startswith(("data:", "blob:", "file:", "about:"))]
-        ours = [url for url in asked if "//cdnjs.cloudflare.com/" not in url]
-        assert not ours
-        opened.frames()
-        assert opened.screenshot().getcolors(50) is None  # something is drawn
+    opened = browser.page(900, 700)
+    # What the template wants of the network is not ours, and must not be waited for.
+    opened.call("Network.setBlockedURLs", urls=["http://*", "https://*"])
+    opened.open(page.as_uri())
+    opened.wait_for("frames.length == 1 && !!frames[0].pinmobile && frames[0].pinmobile.ready()")
+    opened.evaluate("document.querySelector('iframe.scene').scrollIntoView()")
+    # The page's policy lets nobody evaluate text in it, not even us.
+    opened.wait_for_changes("Number(frames[0].document.querySelector('input[type=range]').value)", 1)
+    asked = [url for url in opened.requests if not url.startswith(("data:", "blob:", "file:", "about:"))]
+    ours = [url for url in asked if "//cdnjs.cloudflare.com/" not in url]
+    assert not ours
+    opened.frames()
+    assert opened.screenshot().getcolors(50) is None  # something is drawn
+    opened.close()
 
 
 def test_without_a_chromium_the_viewing_notebook_says_so_and_runs(

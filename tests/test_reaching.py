@@ -179,10 +179,10 @@ def test_a_tolerance_is_of_distance_and_angle_whatever_the_direction(towards: fl
         missed = PosePath(line(START[:3, 3], (0, 0, 0)), START[:3, :3], axis @ START[:3, :3])
     else:
         missed = PosePath(line(START[:3, 3], ahead))
-    resolved = resolve(UR5, missed, q0=BENT, velocity_limit=locked, tolerance=0.0141)
+    resolved = resolve(UR5, missed, q0=BENT, dt=0.05, velocity_limit=locked, tolerance=0.0141)
     assert max(resolved.max_error()) == pytest.approx(0.014, rel=1e-9)
     with pytest.raises(Unreachable, match=r"largest errors are .*0\.014"):
-        resolve(UR5, missed, q0=BENT, velocity_limit=locked, tolerance=0.0139)
+        resolve(UR5, missed, q0=BENT, dt=0.05, velocity_limit=locked, tolerance=0.0139)
 
 
 def test_the_velocity_at_the_start_is_the_targets_but_for_dt_squared(ring: Resolved) -> None:

@@ -62,13 +62,15 @@ def test_the_store_has_named_dimensions_and_units(done: Sweep) -> None:
     xarray = pytest.importorskip("xarray")
     data = xarray.open_zarr(done.path)
     assert dict(data.sizes) == {
-        **{"gain": 2, "error": 2, "robot": 200, "coordinate": 3},
+        **{"gain": 2, "error": 2, "robot": 200, "coordinate": 3, "input": 3},
         **{"time": 61, "channel": 2, "bin": 1410, "level": 3},
     }
     assert data.max_error.dims == ("gain", "error", "robot", "coordinate")
     assert data.gain.attrs["units"] == "1/s^2"
     assert data.drawn_mass.attrs["units"] == "kg"
     assert list(data.coordinate.values) == ["x", "y", "psi"]
+    assert list(data.input.values) == ["Fx", "Fy", "Mz"]
+    assert data.max_force.dims == ("gain", "error", "robot", "input")
     np.testing.assert_array_equal(data.bin.values, edges()[:-1])  # of each the lower one
     named = {name for name, variable in data.variables.items() if "units" in variable.attrs}
     assert named == set(data.variables) - {"error"}, "a plain list has no unit that anybody named"

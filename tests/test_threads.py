@@ -15,13 +15,25 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinmobile import Circle, Load, MobileRobot, Tangent, Uniform, ensemble, law, shipped_urdf, simulate
+from pinmobile import (
+    Circle,
+    Load,
+    MobileRobot,
+    Reference,
+    Tangent,
+    Uniform,
+    ensemble,
+    law,
+    shipped_urdf,
+    simulate,
+)
 from pinmobile.arrays import Array
+from pinmobile.robot import Calls
 from pinmobile.urdf import Body
 
 THREADS = 8
 STATES = 12
-ROUNDS = 10  # of what answers in numbers; the rest, which makes robots or reads files, has one
+ROUNDS = 5  # of what answers in numbers; the rest, which makes robots or reads files, has one
 ROBOTS = {"lecture": MobileRobot.lecture(), "ur5": MobileRobot.box().mount("ur5")}
 NAMES = [name for name in dir(MobileRobot) if not name.startswith("_")]
 ON_ARMS = {"arm_manipulability", "mount_wrench"}  # of a bare robot they are errors
@@ -35,6 +47,10 @@ VALUES: dict[str, Callable[[MobileRobot, int], Any]] = {
     "v": lambda robot, k: rate(robot, 1, k),
     "a": lambda robot, k: rate(robot, 2, k),
     "tau": lambda robot, k: rate(robot, 3, k),
+    "value": lambda robot, k: configuration(robot, k),
+    "f": lambda robot, k: rate(robot, 5, k),
+    "wrench": lambda robot, k: rate(robot, 6, k)[:3],
+    "reference": lambda robot, k: Reference(*(rate(robot, seed, k)[:3] for seed in (7, 8, 9))),
     "dq": lambda robot, k: rate(robot, 4, k),
     "generator": lambda robot, k: np.random.default_rng(k),
     "path": lambda robot, k: shipped_urdf("lecture"),
@@ -81,7 +97,16 @@ def ask(robot: MobileRobot, name: str, k: int) -> Any:
     parameters = inspect.signature(member).parameters.values()
     missing = [p.name for p in parameters if p.default is p.empty and p.name not in VALUES]
     assert not missing, f"{name} is new: say in VALUES what to give as {missing}"
-    return plain(member(**{p.name: VALUES[p.name](robot, k) for p in parameters if p.name in VALUES}))
+    answer = member(**{p.name: VALUES[p.name](robot, k) for p in parameters if p.name in VALUES})
+    if isinstance(answer, Calls):
+        state = [robot.random_configuration(np.random.default_rng(k)), *(rate(robot, s, k) for s in (1, 2))]
+        given = {"integrate": (state[0], state[1]), "effort": (state[0], state[1][:3])}
+        counts = {"mass_matrix": 1, "gravity": 1, "pose": 1, "nonlinear_effects": 2, "rate": 2}
+        return [
+            plain(np.array(call(*given.get(of, state[: counts.get(of, 3)]))))
+            for of, call in answer._asdict().items()
+        ]
+    return plain(answer)
 
 
 @pytest.fixture(autouse=True)

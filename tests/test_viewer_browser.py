@@ -108,7 +108,7 @@ def test_fault_two_browsers(page: Page, browser: Chromium) -> None:
         page.open(window.url)
         assert eventually(lambda: window.browsers == 2)
         draw_box(window, HERE)
-        # Headless tabs are all in front: each draws.
+        assert [shown.evaluate("document.visibilityState") for shown in (page, other)] == ["visible"] * 2
         assert eventually(lambda: colour_at(page, HERE) == RED)
         assert eventually(lambda: colour_at(other, HERE) == RED)
         other.close()

@@ -94,7 +94,7 @@ def test_a_delayed_controller_is_told_of_the_state_that_many_samples_ago() -> No
 def test_the_reference_is_not_delayed() -> None:
     seen = law(lambda t, q, v, reference: reference.q)
     rollout = simulate(ROBOT, Delayed(seen, 4), CIRCLE, dt=0.1, duration=1.0)
-    np.testing.assert_array_equal(rollout.tau, rollout.reference.q)
+    np.testing.assert_array_equal(rollout.u, rollout.reference.q)
 
 
 def test_a_delay_keeps_its_own_copies_and_no_more_than_it_needs() -> None:
@@ -248,7 +248,7 @@ def test_around_what_changes_nothing_the_loop_is_the_same(inner: Any) -> None:
     """`simulate` takes its shorter way for the bare controller, its general one for the wrapped."""
     wrapped = Saturated(Delayed(NoisyMeasurement(inner, 0, 0, 1), 0), 1e6)
     bare, other = (simulate(ROBOT, c, CIRCLE, dt=0.05, **START) for c in (inner, wrapped))
-    for name in ("q", "v", "a", "tau"):
+    for name in ("q", "v", "a", "u"):
         # The same sums in another order, over 240 steps of a stable loop.
         np.testing.assert_allclose(getattr(other, name), getattr(bare, name), rtol=0, atol=1e-12)
 
@@ -256,15 +256,15 @@ def test_around_what_changes_nothing_the_loop_is_the_same(inner: Any) -> None:
 def test_in_the_loop_each_does_what_it_says() -> None:
     inner = ComputedTorque(ROBOT, 4, 4)
     limited = simulate(ROBOT, Saturated(inner, (2, 3, 0.5)), CIRCLE, dt=0.1, **START)
-    assert limited.max_force().tolist() == [2, 3, 0.5]
+    assert limited.max_input().tolist() == [2, 3, 0.5]
     noisy = NoisyMeasurement(inner, 0.01, 0.02, 11)
     first, second = (simulate(ROBOT, noisy, CIRCLE, dt=0.1, **START) for _ in range(2))
-    np.testing.assert_array_equal(first.tau, second.tau)
+    np.testing.assert_array_equal(first.u, second.u)
     late = simulate(ROBOT, Delayed(inner, 3), CIRCLE, dt=0.1, **START)
     for k in (0, 2, 3, 50):
         told = late.q[max(k - 3, 0)], late.v[max(k - 3, 0)]
         expected, _ = inner(0.0, *told, Reference(*(part[k] for part in late.reference)), None)
-        np.testing.assert_allclose(late.tau[k], expected, rtol=0, atol=1e-13)
+        np.testing.assert_allclose(late.u[k], expected, rtol=0, atol=1e-13)
 
 
 PIDS = {
@@ -285,7 +285,7 @@ def test_an_integral_that_is_told_what_is_applied_does_not_wind_up(wrapped: Any)
     )
     beyond = [-min(0.0, float(run.error[:, 0].min())) for run in (told, wound)]
     assert beyond[0] < 0.3 * beyond[1]
-    assert wound.max_force()[0] == pytest.approx(4.0)
+    assert wound.max_input()[0] == pytest.approx(4.0)
 
 
 def test_what_is_applied_is_told_inward_once_a_sample() -> None:
@@ -306,7 +306,7 @@ def test_what_is_applied_is_told_inward_once_a_sample() -> None:
     nested = Saturated(Delayed(NoisyMeasurement(Saturated(Told(), 3.0), 0, 0, 1), 2), (2.0, 9.0, 9.0))
     rollout = simulate(ROBOT, nested, CIRCLE, dt=0.5, duration=2.0, substeps=3, integrator=rk4)
     assert seen == [(k, [2.0, -3.0, 0.1]) for k in range(5)]
-    np.testing.assert_array_equal(rollout.tau, [[2.0, -3.0, 0.1]] * 5)
+    np.testing.assert_array_equal(rollout.u, [[2.0, -3.0, 0.1]] * 5)
 
 
 def test_a_delay_costs_damping() -> None:

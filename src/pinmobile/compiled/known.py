@@ -19,11 +19,10 @@ from pinmobile.compiled.cache import Cache
 from pinmobile.compiled.loop_tape import initial_memory
 from pinmobile.compiled.memory import Line
 from pinmobile.compiled.noise import Noise
-from pinmobile.compiled.parts import Parts, Place, Reference
+from pinmobile.compiled.parts import Parts, Place, Reference, attributes_of
 from pinmobile.compiled.passes import traced
 from pinmobile.compiled.program import Program
 from pinmobile.compiled.tracing import Walk, is_foreign
-from pinmobile.plant import attributes_of
 
 __all__ = ["program_of"]
 

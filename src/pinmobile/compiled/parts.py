@@ -17,7 +17,6 @@ from pinmobile.arrays import Array
 from pinmobile.compiled.memory import mapped
 from pinmobile.compiled.recorders import Record, Sample
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
-from pinmobile.plant import attributes_of
 
 __all__ = [
     "Memory",
@@ -25,6 +24,7 @@ __all__ = [
     "Place",
     "Reference",
     "Stepped",
+    "attributes_of",
     "children",
     "errors",
     "integrate_of",
@@ -201,6 +201,18 @@ def _is_part(x: Any) -> bool:
     return (hasattr(x, "parameters") or hasattr(x, "initial_state")) and not isinstance(x, type)
 
 
+def attributes_of(part: Any) -> tuple[str, ...]:
+    """Return the attributes of a part that may differ from robot to robot.
+
+    They hold its parameters, and what each robot draws, which a part lists as ``drawn``.
+    """
+    stated = (
+        each if isinstance(each, str) else each.attribute or each.name
+        for each in getattr(part, "parameters", ())
+    )
+    return tuple(dict.fromkeys([*stated, *getattr(part, "drawn", ())]))
+
+
 def _value(path: str, part: Any, name: str) -> Array:
     try:
         return np.asarray(getattr(part, name), np.float64)
@@ -368,7 +380,7 @@ def _integrated(parts: Parts, t: Any, h: Any, q: Any, v: Any, u: Any, memory: An
         answer = parts.integrator(acceleration, t, np.zeros(plant.nv), v, h)
         if type(answer) is not tuple or len(answer) != 2:
             raise InvalidArgument(
-                f"integrator returned {shown(answer)} at t = {t} s, expected (q, v) of shapes "
+                f"integrator returned {shown(answer)} at t = {t:g} s, expected (q, v) of shapes "
                 f"({plant.nv},) and ({plant.nv},)"
             )
         moved, v = answer

@@ -168,6 +168,7 @@ class NoiseForce:
         Parameter("noise_moment", "N m", "rms of the noise moment", 0.0, attribute="std", entry=2),
     )
     drawn: ClassVar[tuple[str, ...]] = ("in_phase", "quadrature")
+    determined_by: ClassVar[tuple[str, ...]] = ("std", "bandwidth", "phases")  # its seed may be a Generator
 
     def __post_init__(self) -> None:
         drawn = seeded("seed", self.seed).uniform(0, 2 * np.pi, (self.TERMS, 3))

@@ -93,8 +93,8 @@ def stated_by(parts: Parts, coordinates: Sequence[Coordinate]) -> dict[str, list
     return found
 
 
-def resolved(name: Any, known: Mapping[str, list[Stated]]) -> Stated:
-    """Return the parameter that a spread names.
+def resolved(name: Any, known: Mapping[str, list[Stated]], where: str = "spread") -> Stated:
+    """Return the parameter that a spread names; `where` is told in messages.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def resolved(name: Any, known: Mapping[str, list[Stated]]) -> Stated:
     """
     found = known.get(name) if isinstance(name, str) else None
     if not found:
-        raise UnknownName("parameter in spread", name, [each for each in known if "." not in each])
+        raise UnknownName(f"parameter in {where}", name, [each for each in known if "." not in each])
     if len(found) > 1:
         paths = [stated.path for stated in found]
         raise InvalidArgument(

@@ -11,7 +11,7 @@ from pinmobile.ensembles.result import Ensemble
 from pinmobile.ensembles.scenario import Scenario, checked_scenario
 from pinmobile.ensembles.ways import Way, processors, way_of
 from pinmobile.errors import InvalidArgument, SlowerEngine, shown
-from pinmobile.integrators import Integrator, constant_acceleration
+from pinmobile.integrators import Integrator
 from pinmobile.simulation.engines import Engine
 from pinmobile.trajectories import Trajectory
 
@@ -30,7 +30,7 @@ def ensemble(
     dt: float,
     seed: int = 0,
     duration: float | None = None,
-    integrator: Integrator = constant_acceleration,
+    integrator: Integrator | None = None,
     substeps: int = 1,
     forces: Sequence[Any] = (),
     limit: float = 1e3,

@@ -20,9 +20,16 @@ from pinmobile.ensembles.histogram import BINS
 from pinmobile.ensembles.names import Stated, resolved, start_parameters, stated_by, with_spread_forces
 from pinmobile.ensembles.spread import check_mapping, check_supports, checked_spread
 from pinmobile.errors import InvalidArgument
-from pinmobile.integrators import Integrator, constant_acceleration
-from pinmobile.plant import Context, Coordinate, Parameter
-from pinmobile.simulation import checked_forces, checked_loop, checked_substeps, sample_times, sampled
+from pinmobile.integrators import Integrator
+from pinmobile.plant import Context, Coordinate, Input, Parameter
+from pinmobile.simulation import (
+    checked_forces,
+    checked_loop,
+    checked_substeps,
+    chosen_integrator,
+    sample_times,
+    sampled,
+)
 from pinmobile.trajectories import Reference, Trajectory
 
 __all__ = ["Scenario", "checked_scenario", "first_counted", "time_within"]
@@ -82,7 +89,7 @@ class Scenario:
     dt: float
     seed: int = 0
     duration: float | None = None
-    integrator: Integrator = constant_acceleration
+    integrator: Integrator | None = None
     substeps: int = 1
     forces: Sequence[Any] = ()
     limit: float = 1e3
@@ -93,6 +100,7 @@ class Scenario:
 
     def __post_init__(self) -> None:
         checked_loop(self.robot, self.controller, self.trajectory, self.integrator)
+        self._set(integrator=chosen_integrator(self.robot, self.integrator))
         n = whole("n", self.n)
         if n > _MOST:
             raise InvalidArgument(
@@ -174,7 +182,17 @@ class Scenario:
 
     @cached_property
     def _coordinates(self) -> tuple[Coordinate, ...]:
-        return Context.of(self._given.on_arrays().plant, dt=self.dt).coordinates
+        return self.context.coordinates
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """The coordinates that the reference has."""
+        return self._coordinates[: self.size]
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """The plant's inputs."""
+        return self.context.inputs
 
     @cached_property
     def stated(self) -> dict[str, Stated]:

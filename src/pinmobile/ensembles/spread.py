@@ -94,7 +94,7 @@ def _checked(what: str, source: Any, n: int) -> Any:
 def _follow(name: str, source: Same, spread: Mapping[str, Any], known: Mapping[str, list[Stated]]) -> None:
     seen = [name]
     while isinstance(source, Same):
-        resolved(source.name, known)
+        resolved(source.name, known, f"spread[{seen[-1]!r}]")
         seen.append(source.name)
         if len(set(seen)) < len(seen):
             raise InvalidArgument(f"spread goes in a circle: {' is the same as '.join(seen)}")

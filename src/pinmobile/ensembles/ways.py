@@ -90,7 +90,7 @@ def way_of(scenario: Scenario, engine: Engine | None = None) -> Way:
                 refusal = str(error)
             if asked is not None:
                 raise InvalidArgument(f"engine is {each!r}, which cannot run this: {refusal}")
-            why.append(f"not {each!r}: {refusal}")
+            why.append(" ".join(f"not {each!r}: {refusal}".split()))
     return Way(scenario, PINOCCHIO, "; ".join(why))
 
 
@@ -257,7 +257,7 @@ def _summed(scenario: Scenario, i: int) -> Part:
         rollout = diverged.rollout
     lived, c, nu = 0 if rollout is None else len(rollout.t), scenario.size, scenario.robot.nu
     error = np.zeros((0, c)) if rollout is None else np.abs(rollout.error)
-    force = np.zeros((0, nu)) if rollout is None else np.abs(rollout.tau)
+    force = np.zeros((0, nu)) if rollout is None else np.abs(rollout.u)
     kept = error[scenario.begin :]
     counts = np.zeros((len(scenario.grid), 2, BINS), np.int64)
     sizes = np.full((len(scenario.t), 2), np.inf)

@@ -6,18 +6,26 @@ import numpy as np
 
 from pinmobile.arrays import Array, affordable, callable_as, positive, vector, whole
 from pinmobile.controllers import check_controller
-from pinmobile.disturbances import Force
+from pinmobile.disturbances import CoordinateForce, Force
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.integrators import check_integrator
+from pinmobile.integrators import check_integrator, constant_acceleration
+from pinmobile.plant import check_plant, leading_of
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
 if TYPE_CHECKING:
     from pinmobile.plant import Plant
 
-__all__ = ["checked_forces", "checked_loop", "checked_substeps", "sample_times", "sampled"]
+__all__ = [
+    "checked_forces",
+    "checked_loop",
+    "checked_substeps",
+    "chosen_integrator",
+    "sample_times",
+    "sampled",
+]
 
 _WHOLE = 1e-9  # relative rounding allowed in duration / dt
-_PLANE = 3  # coordinates that a force on the body acts on
+_COORDINATES = 3  # of a plant that is not yet looked at
 _MOST = 1e8  # samples
 _SHORTER = "give a larger dt or a shorter duration"
 _MOST_STEPS = 1e11  # of the integrator: days
@@ -25,7 +33,7 @@ _RECORDED = 16  # numbers for each coordinate of a sample: of the loop, the refe
 
 
 def checked_loop(plant: Any, controller: Any, trajectory: Any, integrator: Any) -> None:
-    """Refuse what is no plant, controller, trajectory or integrator.
+    """Refuse what is no plant, controller, trajectory or integrator; None is the plant's own choice.
 
     Raises
     ------
@@ -40,17 +48,30 @@ def checked_loop(plant: Any, controller: Any, trajectory: Any, integrator: Any) 
             f"trajectory is {shown(trajectory)}, a path, which has no heading, expected a trajectory: "
             "Tangent(path) or FixedHeading(path, psi)"
         )
-    sizes = [getattr(plant, size, None) for size in ("nq", "nv", "nu")]
-    if isinstance(plant, type) or not hasattr(plant, "forward_dynamics") or not all(map(_is_size, sizes)):
-        raise InvalidArgument(
-            f"plant is {shown(plant)}, expected something with 'forward_dynamics' and the sizes nq, nv, nu"
-        )
+    check_plant(plant)
     callable_as("trajectory(t)", trajectory)
-    check_integrator(integrator)
+    if integrator is not None:
+        check_integrator(integrator)
 
 
-def _is_size(value: Any) -> bool:
-    return isinstance(value, int | np.integer)
+def chosen_integrator(plant: Any, integrator: Any) -> Any:
+    """Return the integrator that is given, or the plant's own choice; None for a step of its own.
+
+    Raises
+    ------
+    InvalidArgument
+        If one is given for a plant that has a step of its own.
+    """
+    if isinstance(plant, type) or not hasattr(plant, "step"):
+        chosen = getattr(plant, "integrator", None) if integrator is None else integrator
+        return constant_acceleration if chosen is None else chosen
+    if integrator is not None:
+        raise InvalidArgument(
+            f"integrator is {shown(integrator)}, but the plant, a {type(plant).__name__}, has a step of its "
+            "own: leave integrator out"
+        )
+    callable_as("plant.step(t, q, v, u, h, f, memory)", plant.step)
+    return None
 
 
 def checked_substeps(substeps: Any, samples: int) -> int:
@@ -98,7 +119,7 @@ def sample_times(dt: float, duration: float | None, longest: float) -> Array:
             f"dt is {dt} s, which makes {total / dt:.3g} samples, expected at most {_MOST:g}"
         )
     steps = round(total / dt)
-    affordable(f"the records of {steps + 1:,} samples", _RECORDED * _PLANE * (steps + 1), _SHORTER)
+    affordable(f"the records of {steps + 1:,} samples", _RECORDED * _COORDINATES * (steps + 1), _SHORTER)
     if abs(steps * dt - total) > _WHOLE * total:
         below = int(total / dt)
         raise InvalidArgument(
@@ -131,32 +152,32 @@ def sampled(trajectory: Trajectory, t: Array, plant: "Plant") -> Reference:
         raise InvalidArgument(
             f"trajectory cannot be asked for an array of {len(t)} times: {error}"
         ) from error
-    for name, size in (("q", plant.nq), ("v", plant.nv), ("a", plant.nv)):
+    leading = leading_of(plant)
+    count = np.asarray(getattr(reference, "v", None)).shape[-1:]
+    n = count[0] if count and count[0] in leading else max(leading)
+    sizes = {"q": leading[n], "v": n, "a": n}
+    for name, size in sizes.items():
         value = np.asarray(getattr(reference, name, None))
         if value.shape != (len(t), size):
-            of_base = getattr(plant, "mounts", ()) and value.shape == (len(t), _PLANE)
-            how = ": a motion of base and arms, WholeBody(robot, base, *joints)" if of_base else ""
+            shorter = [k for k in leading if k != n]
+            how = f", or the first of its coordinates: {', '.join(map(str, shorter))}" if shorter else ""
             raise InvalidArgument(
                 f"trajectory gives {name} of shape {value.shape} for {len(t)} times, "
                 f"expected ({len(t)}, {size}){how}"
             )
-    checked = Reference(*(vector(f"trajectory's {n}", getattr(reference, n), s) for n, s in _sizes(plant)))
-    if getattr(plant, "mounts", ()):
+    checked = Reference(*(vector(f"trajectory's {x}", getattr(reference, x), k) for x, k in sizes.items()))
+    if hasattr(plant, "velocity_limit"):
         check_limits(plant, checked.q, checked.v, t)
     return checked
 
 
-def _sizes(plant: "Plant") -> tuple[tuple[str, int], ...]:
-    return ("q", plant.nq), ("v", plant.nv), ("a", plant.nv)
-
-
-def checked_forces(forces: Any, plant: "Plant") -> tuple[Force, ...]:
+def checked_forces(forces: Any, plant: "Plant") -> tuple[Force | CoordinateForce, ...]:
     """Return the forces, after refusing what is none, or a plant that cannot feel them.
 
     Raises
     ------
     InvalidArgument
-        If one is no function, or the plant's input is no generalised force.
+        If one is no function, or the plant lacks what they need.
     """
     if callable(forces):
         raise InvalidArgument(f"forces is {shown(forces)}, expected a sequence of forces, such as [force]")
@@ -164,11 +185,26 @@ def checked_forces(forces: Any, plant: "Plant") -> tuple[Force, ...]:
         listed = tuple(forces)
     except TypeError:
         raise InvalidArgument(f"forces is {shown(forces)}, expected a sequence of forces") from None
+    wrenches = False
     for k, force in enumerate(listed):
-        callable_as(f"forces[{k}](t, q, v)", force)
-    if listed and not plant.nu == plant.nv >= _PLANE:
-        raise InvalidArgument(
-            f"forces are given for a plant with nv = {plant.nv} and nu = {plant.nu}, "
-            "expected one whose input is (Fx, Fy, Mz, ...)"
-        )
+        if hasattr(force, "on_coordinates"):
+            callable_as(f"forces[{k}].on_coordinates(t, q, v)", force.on_coordinates)
+        else:
+            callable_as(f"forces[{k}](t, q, v)", force)
+            wrenches = True
+    if wrenches:
+        missing = [name for name in ("pose", "rate", "effort") if not callable(getattr(plant, name, None))]
+        if missing:
+            raise InvalidArgument(
+                f"forces push the body of the plant, a {type(plant).__name__}, which has no {missing[0]}, "
+                "expected one with pose(q), rate(q, v) and effort(q, wrench)"
+            )
+    if listed and not hasattr(plant, "step"):
+        try:
+            callable_as("plant.forward_dynamics(q, v, u, f)", plant.forward_dynamics)
+        except InvalidArgument:
+            raise InvalidArgument(
+                f"plant is a {type(plant).__name__}, whose forward_dynamics takes no forces f beside the "
+                "input, expected forward_dynamics(q, v, u, f)"
+            ) from None
     return listed

@@ -20,6 +20,7 @@ __all__ = ["Parts"]
 
 _DOWN = np.array([0, 0, -9.81])  # [m/s^2]
 _CHAIN = (1, 0, 2)  # public index of the chain's coordinates y, x, psi
+_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])  # of x, y, z the other two
 
 
 @dataclass
@@ -202,16 +203,18 @@ def _inertial(body: tuple[float, Array, Array], w: Array, dw: Array) -> Array:
     """Return the force and the moment about the link's origin that move a body so, shape (n, 6)."""
     mass, com, inertia = body
     omega, alpha = w[:, 3:], dw[:, 3:]
-    at_origin = dw[:, :3] + np.cross(omega, w[:, :3])
-    force = mass * (at_origin + np.cross(alpha, com) + np.cross(omega, np.cross(omega, com)))
-    moment = alpha @ inertia.T + np.cross(omega, omega @ inertia.T)
-    return np.hstack([force, moment + np.cross(com, force)])
+    at_origin = dw[:, :3] + _vector_product(omega, w[:, :3])
+    force = mass * (
+        at_origin + _vector_product(alpha, com) + _vector_product(omega, _vector_product(omega, com))
+    )
+    moment = alpha @ inertia.T + _vector_product(omega, omega @ inertia.T)
+    return np.hstack([force, moment + _vector_product(com, force)])
 
 
 def _seen(T: Array, twist: Array) -> Array:
     """Return a twist at the origin and along the axes of a frame with pose T."""
     R, p = T[:, :3, :3], T[:, :3, 3]
-    velocity = twist[:, :3] + np.cross(twist[:, 3:], p)
+    velocity = twist[:, :3] + _vector_product(twist[:, 3:], p)
     turned = R.transpose(0, 2, 1)
     return np.hstack([_times(turned, velocity), _times(turned, twist[:, 3:])])
 
@@ -220,13 +223,18 @@ def _carried(T: Array, wrench: Array) -> Array:
     """Return a wrench in a frame with pose T as the parent feels it."""
     R, p = T[:, :3, :3], T[:, :3, 3]
     force = _times(R, wrench[:, :3])
-    return np.hstack([force, _times(R, wrench[:, 3:]) + np.cross(p, force)])
+    return np.hstack([force, _times(R, wrench[:, 3:]) + _vector_product(p, force)])
 
 
 def _cross(w: Array, twist: Array) -> Array:
     """Return the rate of a twist that is fixed in a frame which itself moves with w."""
-    linear = np.cross(w[:, 3:], twist[:, :3]) + np.cross(w[:, :3], twist[:, 3:])
-    return np.hstack([linear, np.cross(w[:, 3:], twist[:, 3:])])
+    linear = _vector_product(w[:, 3:], twist[:, :3]) + _vector_product(w[:, :3], twist[:, 3:])
+    return np.hstack([linear, _vector_product(w[:, 3:], twist[:, 3:])])
+
+
+def _vector_product(a: Array, b: Array) -> Array:
+    """Return a x b, shape (..., 3): np.cross to the last bit, without its search for the axes."""
+    return np.asarray(a.take(_NEXT, -1) * b.take(_LAST, -1) - a.take(_LAST, -1) * b.take(_NEXT, -1))
 
 
 def _times(matrices: Array, vectors: Array) -> Array:
