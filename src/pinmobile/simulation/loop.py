@@ -17,6 +17,7 @@ from pinmobile.disturbances import CoordinateForce, Force
 from pinmobile.errors import InvalidArgument, NotFinite, shown
 from pinmobile.integrators import Integrator, RungeKuttaNystrom
 from pinmobile.plant import Context
+from pinmobile.simulation.checks import shorter
 from pinmobile.simulation.signals import Recorder, recorder
 from pinmobile.simulation.steps import (
     Clock,
@@ -175,7 +176,7 @@ def _asked(
         except InvalidArgument as error:
             if k:
                 raise
-            raise _shorter(context, error) from error
+            raise shorter(context, error) from error
         if type(answer) is not tuple or len(answer) != 2:
             raise InvalidArgument(
                 f"controller returned {shown(answer)} at t = {times[k]:g} s, expected (u, state)"
@@ -185,7 +186,7 @@ def _asked(
             wrong = InvalidArgument(
                 f"controller returned {shown(u)} at t = {times[k]:g} s, expected an array of shape {shape}"
             )
-            raise _shorter(context, wrong)
+            raise shorter(context, wrong)
         if limits is not None:
             u = np.clip(u, *limits)
         if tell is not None:
@@ -193,17 +194,6 @@ def _asked(
         return u  # type: ignore[no-any-return]
 
     return control, (lambda: controller.signals(state)) if hasattr(controller, "signals") else None
-
-
-def _shorter(context: Context, error: InvalidArgument) -> InvalidArgument:
-    """Return an error of a controller; where the reference has not all coordinates, that may be why."""
-    n, count = context.reference.v.shape[1], len(context.coordinates)
-    if n == count:
-        return error
-    return InvalidArgument(
-        f"{error}; the reference has the first {n} of {count} coordinates, expected a controller that "
-        "follows these, or a reference of all: a motion of base and arms is WholeBody(robot, base, *joints)"
-    )
 
 
 def _feedback(compact: Compact, desired: Array, accelerations: Array) -> Control:
