@@ -255,11 +255,6 @@ FAULTS = [
     Fault("too much", of_many(every=1e300), "every is 1e+300, expected at most"),
     Fault("too much", of_many(every=1, dt=6e-6), "the bands of 10,000,001 times, every 1 samples, take "),
     Fault("too much", of_loop(dt=6e-7), "the records of 100,000,001 samples take 38.4 GB"),
-    Fault(
-        "too much",
-        of_many(controller=NoisyMeasurement(PD(1, 1), 1, 1, 0), n=256, dt=6e-5, threads=1),
-        "the noise of 256 robots' measurements at 1,000,001 samples take 36.9 GB",
-    ),
     Fault("too much", lambda: integrator_report(rk4, duration=1e308), "duration is 1e+308 s, which makes"),
     Fault(
         "too much", lambda: Uniform(0, 1).sample(np.random.default_rng(0), 10**12), "1000000000000 draws take"
