@@ -810,8 +810,7 @@ def is_part(name: str) -> bool:
     owner, _, method = name.rpartition(".")
     parts = ("PD", "ComputedTorque", "Decoupled", "PDGravity", "Saturated", "Delayed", "NoisyMeasurement")
     forces = ("ConstantForce", "SinusoidalForce", "NoiseForce", "RollingResistance", "ViscousFriction")
-    forces += ("JointFriction",)
-    called = owner in (*parts, *forces, "EndEffectorTracking")
+    called = owner in (*parts, *forces, "EndEffectorTracking", "JointFriction")
     integrators = ("constant_acceleration", "rk4", "semi_implicit_euler")
     return name in integrators or (
         called and method in ("__call__", "initial_state", "applied", "acceleration", "on_coordinates")
