@@ -733,6 +733,7 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "LectureHeading": lambda: pm.LectureHeading(WORLD.path),
     "WholeBody": lambda: WORLD.whole,
     "PosePath": lambda: WORLD.target,
+    "JointFriction": lambda: pm.JointFriction,
     "NoiseForce": lambda: pm.NoiseForce,
     "Context": lambda: pm.Context,
     "Uniform": lambda: pm.Uniform(1, 2),
