@@ -14,7 +14,7 @@ import tempfile
 import traceback
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from datetime import UTC, datetime
 from decimal import Decimal
 from fractions import Fraction
@@ -52,6 +52,7 @@ INNER = {
         "simulation.checked_forces",
         "simulation.checked_loop",
         "simulation.checked_substeps",
+        "simulation.chosen_integrator",
         "simulation.sample_times",
     ),
     *("simulation.sampled", "simulation.stepped", "sweeps.check_draws", "sweeps.connected", "sweeps.length"),
@@ -73,6 +74,7 @@ INNER = {
 }
 # What the library makes and users read: nobody calls the class.
 RESULTS = {
+    *("robot.Calls", "simulation.Signal"),
     *(
         "Context",
         "Diverged",
@@ -313,6 +315,7 @@ MADE: dict[str, Callable[[], Any]] = {
     "trajectory": lambda: pm.Tangent(WORLD.path),
     "whole": lambda: pm.WholeBody(WORLD.armed, WORLD.trajectory, pm.Hold([0.3, 0.4], 1)),
     "rollout": lambda: pm.simulate(WORLD.robot, pm.PD(40, 20), WORLD.trajectory, dt=0.1),
+    "told": lambda: replace(WORLD.rollout, signals={"margin": ("m", np.zeros(len(WORLD.rollout)))}),
     "arm_rollout": lambda: pm.simulate(WORLD.armed, pm.ComputedTorque(WORLD.armed), WORLD.whole, dt=0.1),
     "motion": lambda: pm.Motion(WORLD.robot, np.zeros(3), np.zeros(3), np.zeros(3)),
     "arm_motion": lambda: pm.Motion(WORLD.armed, np.zeros(5), np.zeros(5), np.zeros(5)),
@@ -680,6 +683,7 @@ ROWS: dict[str, Row] = {
     "plots.integrator": row(60, reports=the("report"), title="a title"),
     "plots.path": row(60, rollouts=the("rollout"), times=[0.1, 0.5], title="a title"),
     "plots.reaction": row(60, rollouts=the("arm_rollout"), mount="arm", title="a title"),
+    "plots.signals": row(rollouts=the("told"), title="a title"),
     "plots.states": row(60, rollouts=the("rollout"), title="a title"),
     "viewer.Arrows": row(force=1, moment=1),
     "viewer.Follow": row(distance=4),
@@ -729,6 +733,7 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "LectureHeading": lambda: pm.LectureHeading(WORLD.path),
     "WholeBody": lambda: WORLD.whole,
     "PosePath": lambda: WORLD.target,
+    "JointFriction": lambda: pm.JointFriction,
     "NoiseForce": lambda: pm.NoiseForce,
     "Context": lambda: pm.Context,
     "Uniform": lambda: pm.Uniform(1, 2),
@@ -806,10 +811,10 @@ def is_part(name: str) -> bool:
     owner, _, method = name.rpartition(".")
     parts = ("PD", "ComputedTorque", "Decoupled", "PDGravity", "Saturated", "Delayed", "NoisyMeasurement")
     forces = ("ConstantForce", "SinusoidalForce", "NoiseForce", "RollingResistance", "ViscousFriction")
-    called = owner in (*parts, *forces, "EndEffectorTracking")
+    called = owner in (*parts, *forces, "EndEffectorTracking", "JointFriction")
     integrators = ("constant_acceleration", "rk4", "semi_implicit_euler")
     return name in integrators or (
-        called and method in ("__call__", "initial_state", "applied", "acceleration")
+        called and method in ("__call__", "initial_state", "applied", "acceleration", "on_coordinates")
     )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, vector
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot.engine import BODY_JOINT, Calls
 from pinmobile.robot.kinematics import ChainKinematics
 
@@ -116,8 +116,10 @@ class ChainDynamics(ChainKinematics):
         Raises
         ------
         InvalidArgument
-            If they are not as many.
+            If it is no reference, or has another number of coordinates.
         """
+        if not (hasattr(reference, "q") and hasattr(reference, "v")):
+            raise InvalidArgument(f"reference is {shown(reference)}, expected a Reference: q, v and a")
         v, q = finite("reference.v", reference.v), finite("reference.q", reference.q)
         if self.leading.get(v.size) != q.size or v.ndim != 1 or q.ndim != 1:
             pairs = ", ".join(f"({numbers},) and ({n},)" for n, numbers in self.leading.items())
