@@ -6,14 +6,7 @@ from typing import ClassVar, Protocol, final
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike
-from pinmobile.controllers.feedback import (
-    GAINS,
-    check_fits,
-    check_gains,
-    check_robot,
-    feedback,
-    own_difference,
-)
+from pinmobile.controllers.feedback import GAINS, check_gains, check_robot, feedback, own_difference
 from pinmobile.controllers.protocol import InverseDynamics, State
 from pinmobile.plant import Context, Difference, Parameter
 
@@ -71,7 +64,6 @@ class PDGravity:
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
-        check_fits(self.robot, context)
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
@@ -119,7 +111,6 @@ class Decoupled:
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
-        check_fits(self.robot, context)
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""

@@ -15,7 +15,6 @@ __all__ = [
     "GAINS",
     "PD",
     "ComputedTorque",
-    "check_fits",
     "check_gains",
     "check_robot",
     "feedback",
@@ -141,7 +140,6 @@ class ComputedTorque:
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
-        check_fits(self.robot, context)
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
@@ -192,22 +190,6 @@ def check_robot(controller: Any, needs: str) -> None:
         )
 
 
-def check_fits(robot: Any, context: Any) -> None:
-    """Refuse a controller's robot that has another number of coordinates than the plant.
-
-    Raises
-    ------
-    InvalidArgument
-        If it does.
-    """
-    nv = getattr(context, "nv", 0)
-    if nv and robot.nv != nv:
-        raise InvalidArgument(
-            f"robot of the controller is {shown(robot)}, which has {robot.nv} coordinates, expected {nv}, as "
-            "the plant has"
-        )
-
-
 def own_difference(controller: Any, plant: Any) -> Difference:
     """Return the difference that a controller was given, else its robot's, else a plant's or context's."""
     found: Difference | None = controller.difference
@@ -253,6 +235,12 @@ def feedback(controller: Any, difference: Difference, q: Array, v: Array, refere
     for name, actual, desired in (("q", q, reference.q), ("v", v, reference.v)):
         if actual.shape[-1:] != desired.shape[-1:]:
             raise InvalidArgument(f"{name} has shape {actual.shape}, the reference's has {desired.shape}")
+    robot = getattr(controller, "robot", None)
+    if robot is not None and robot.nv != v.shape[-1]:
+        raise InvalidArgument(
+            f"robot of the controller is {shown(robot)}, which has {robot.nv} coordinates, expected "
+            f"{v.shape[-1]}, as the plant has"
+        )
     error, rate = difference(q, reference.q), np.subtract(reference.v, v)
     if error.shape[-1:] != rate.shape[-1:]:
         raise InvalidArgument(
