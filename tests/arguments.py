@@ -556,6 +556,8 @@ ROWS: dict[str, Row] = {
         for name, named in STATES.items()
     },
     "MobileRobot.calls": row(),
+    "MobileRobot.configuration": row(value=Q, name="q"),
+    "MobileRobot.frame_name": row(frame="base_link"),
     "MobileRobot.effort": row(q=Q, wrench=A),
     "MobileRobot.pose": row(q=Q),
     "MobileRobot.rate": row(q=Q, v=V),

@@ -47,6 +47,7 @@ VALUES: dict[str, Callable[[MobileRobot, int], Any]] = {
     "v": lambda robot, k: rate(robot, 1, k),
     "a": lambda robot, k: rate(robot, 2, k),
     "tau": lambda robot, k: rate(robot, 3, k),
+    "value": lambda robot, k: configuration(robot, k),
     "f": lambda robot, k: rate(robot, 5, k),
     "wrench": lambda robot, k: rate(robot, 6, k)[:3],
     "reference": lambda robot, k: Reference(*(rate(robot, seed, k)[:3] for seed in (7, 8, 9))),

@@ -73,5 +73,8 @@ def sweep(
     """Run the ensembles of a scenario file along the axes of its grid, and keep them in a Zarr store.
 
     Interrupted, it goes on where it was when it is started again.
+
+    A type may name a part of yours, "module:Name", of a module beside the file; the other keys of its table
+    are the arguments of the class. Code is run with --allow-code alone.
     """
     return show_sweep(file, out, scheduler, chunk, allow_code=allow_code)

@@ -66,12 +66,13 @@ def line_of(
         for name in swept:
             if error.name in name.split("."):
                 return line(text, "grid", name)
-    for reference in re.findall(r"[\w.]+:[\w.]+", message):  # what the name of a user's part is about
+    for reference in re.findall(r"[\w./]+:[\w.]*", message):  # module:Name, or module.py:12
+        module = reference.partition(".py:")[0]
         for name, values in swept.items():
-            if _holds(values, reference):
+            if _holds(values, module):
                 return line(text, "grid", name)
         for table, key, value in _keys(tree):
-            if _holds(value, reference):
+            if _holds(value, module):
                 return line(text, table, key)
     said, _, place = message.partition(" (at ")
     for word in re.findall(r"\w+", f"{said} {place}"):

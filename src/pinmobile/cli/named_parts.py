@@ -108,7 +108,7 @@ class Maker:
             raise InvalidArgument(f"{kind} is {shown(given)}, a table without type, expected type = NAME")
         name = keys.pop("type")
         if not isinstance(name, str):
-            raise InvalidArgument(f"type is {name!r}, expected text in quotes")
+            raise InvalidArgument(f"{kind} has the type {name!r}, expected text in quotes")
         make = self._users(name) if is_code(name) else choices.choose(kind, name, available)
         if is_code(name) and not inspect.isclass(make):
             if taken is None and keys:
@@ -147,7 +147,7 @@ class Maker:
                 raise InvalidArgument(f"{name} lacks {key!r}, expected a key of that name; it takes {takes}")
         if self.code is None:
             return make(**arguments)
-        with self.code.errors(name):
+        with self.code.errors(f"{name} cannot be made"):
             return make(**arguments)
 
     def _value(self, value: Any, beside: Mapping[str, Any]) -> Any:

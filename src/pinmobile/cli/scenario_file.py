@@ -118,12 +118,11 @@ def read_grid(path: Path, code: Code | None = None) -> Grid:
         reader.check_all_taken()
         check_draws(made)
     except PinmobileError as error:
-        message = str(error)
+        # The library speaks of arguments, the command of options; a file has keys.
+        message = re.sub(r"--spread (\w+)", r"spread of \1", str(error))
+        message = re.sub(r"--([a-z-]+)", lambda found: found[1].replace("-", "_"), message)
         if isinstance(error, UnknownName):
             message = shortened(error)
-        # The library speaks of arguments, the command of options; a file has keys.
-        message = re.sub(r"--spread (\w+)", r"spread of \1", message)
-        message = re.sub(r"--([a-z-]+)", lambda found: found[1].replace("-", "_"), message)
         at = line_of(error, message, text, tree, swept)
         raise InvalidArgument(f"{path.name}{at and ':'}{at or ''}: {message}") from error
     return _in_units(made)
@@ -388,14 +387,14 @@ def _axis(at: str, name: str, values: list[Any]) -> Axis:
 
 def _in_units(made: Grid) -> Grid:
     """Return the grid with the units of parameters whose spread is swept: a loop knows them."""
-    axes = {}
+    axes = dict(made.axes)
     for name, axis in made.axes.items():
         table, _, key = name.partition(".")
-        units = {each.known[key][0].parameter.unit for each in made.scenarios if key in each.known}
-        given: Any = (
-            axis.values if axis.given == axis.values else dict(zip(axis.values, axis.given, strict=True))
-        )
-        axes[name] = Axis(given, units.pop()) if table == "spread" and len(units) == 1 else axis
+        if table == "spread" and "." not in key:  # the value itself, not what is percent of it
+            units = {each.known[key][0].parameter.unit for each in made.scenarios if key in each.known}
+            labelled = dict(zip(axis.values, axis.given, strict=True))
+            given: Any = axis.values if axis.given == axis.values else labelled
+            axes[name] = Axis(given, units.pop()) if len(units) == 1 else axis
     return Grid(axes, made.scenarios)
 
 

@@ -1,12 +1,21 @@
 """Controllers of a base with arms that know less than computed torque: gravity alone, or no coupling."""
 
 from dataclasses import dataclass, field
-from typing import ClassVar, Protocol, final
+from typing import Any, ClassVar, Protocol, final
 
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike
-from pinmobile.controllers.feedback import GAINS, check_gains, check_robot, feedback, own_difference
+from pinmobile.controllers.feedback import (
+    GAINS,
+    Compact,
+    check_fits,
+    check_gains,
+    check_robot,
+    compacted,
+    feedback,
+    own_difference,
+)
 from pinmobile.controllers.protocol import InverseDynamics, State
 from pinmobile.plant import Context, Difference, Parameter
 
@@ -64,6 +73,11 @@ class PDGravity:
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
+        check_fits(self.robot, context)
+
+    def compact(self, plant: Any) -> Compact | None:
+        """Return its compact form, where there is one: for loops."""
+        return compacted(self, plant, "gravity")
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
@@ -111,6 +125,7 @@ class Decoupled:
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
+        check_fits(self.robot, context)
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, ClassVar, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 
@@ -14,9 +14,11 @@ from pinmobile.plant import Context, Difference, Parameter, check_difference
 __all__ = [
     "GAINS",
     "PD",
+    "Compact",
     "ComputedTorque",
     "check_gains",
     "check_robot",
+    "compacted",
     "feedback",
     "gain_matrix",
     "own_difference",
@@ -59,6 +61,57 @@ GAINS = tuple(
 """The parameters of a controller with `kp` and `kd`."""
 
 
+class Compact(NamedTuple):
+    """A law of feedback as a loop may compute it without a call: one matrix product, and one call of a robot.
+
+    Attributes
+    ----------
+    gains : ndarray, shape (n, 2 n)
+        Of (e, e_dot).
+    turning : tuple of int
+        Coordinates whose error is on the circle: the third, or none.
+    inverse_dynamics : callable, optional
+        Of the command, a_d added, where the law has one: ``inverse_dynamics(q, v, command)``.
+    gravity : callable, optional
+        What is added where the law has one: ``gravity(q)``.
+    """
+
+    gains: Array
+    turning: tuple[int, ...]
+    inverse_dynamics: Any = None
+    gravity: Any = None
+
+
+def compacted(controller: Any, plant: Any, call: str) -> Compact | None:
+    """Return the compact form of a controller with `kp` and `kd`; None where configurations do not subtract.
+
+    Parameters
+    ----------
+    controller : controller
+        Whose law it is.
+    plant : plant
+        For whose configurations.
+    call : str
+        Which of its robot's unchecked calls it makes; "" for none.
+    """
+    difference, n = own_difference(controller, plant), plant.nv
+    owner = getattr(difference, "__self__", None)
+    bound = getattr(owner, "difference", None) == difference
+    turning = getattr(owner if bound else difference, "turning", None)
+    sizes = [
+        each.nv for each in (controller.robot if call else None, owner if bound else None) if each is not None
+    ]
+    if turning not in ((), (2,)) or any(size != n for size in sizes):
+        return None
+    gains = np.hstack([gain_matrix(name, getattr(controller, name), n) for name in ("kp", "kd")])
+    if not call:
+        return Compact(gains, turning)
+    robot = controller.robot
+    if not (hasattr(robot, "calls") and getattr(robot, "adds", False)):
+        return None
+    return Compact(gains, turning, **{call: getattr(robot.calls(), call)})
+
+
 @final
 @dataclass(frozen=True, eq=False)
 class PD:
@@ -92,6 +145,10 @@ class PD:
     def initial_state(self, context: Context) -> Difference:
         """Return the difference of configurations, by default the plant's."""
         return own_difference(self, context)
+
+    def compact(self, plant: Any) -> Compact | None:
+        """Return its compact form, where there is one: for loops."""
+        return compacted(self, plant, "")
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: Difference
@@ -140,6 +197,10 @@ class ComputedTorque:
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
+
+    def compact(self, plant: Any) -> Compact | None:
+        """Return its compact form, where there is one: for loops."""
+        return compacted(self, plant, "inverse_dynamics")
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""

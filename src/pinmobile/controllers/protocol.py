@@ -199,3 +199,8 @@ def plain_difference(q0: Array, q1: Array) -> Array:
         q0, q1 = finite("q0", q0), finite("q1", q1)
         broadcast(q0=q0[..., None], q1=q1[..., None])
     return np.subtract(q1, q0, dtype=np.float64)
+
+
+# What they take on the circle where they subtract all coordinates, for loops that do so themselves.
+planar_difference.turning = (2,)  # type: ignore[attr-defined]
+plain_difference.turning = ()  # type: ignore[attr-defined]

@@ -7,7 +7,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, finite, whole
+from pinmobile.arrays import Array, finite, text, whole
 from pinmobile.ensembles.histogram import miscounted
 from pinmobile.ensembles.outline import Outline
 from pinmobile.ensembles.variables import PER_ROBOT, drawn, per_robot
@@ -49,6 +49,8 @@ def write_ensemble(file: IO[bytes], ensemble: "Ensemble") -> None:
     variables = {**per_robot(outline.coordinates, outline.inputs), **drawn(outline.parameters)}
     described = {
         "scenario": outline.description(),
+        "engine": ensemble.engine,
+        "why": ensemble.why,
         "variables": {name: one._asdict() for name, one in variables.items()},
         "traces": [
             {"index": i, "samples": len(one), "plant": described_plant(one.plant, one.q, one.signals)}
@@ -92,6 +94,8 @@ def read_ensemble(path: Path) -> dict[str, Any]:
         _check(named, outline)
         return {
             "scenario": outline,
+            "engine": text("engine", described["engine"]),
+            "why": text("why", described["why"]),
             "draws": dict(zip(outline.parameters, named["draws"], strict=True)),
             "traces": _traces(named, described["traces"], outline),
             **{name: named[name] for name in (*PER_ROBOT, "counts")},

@@ -13,7 +13,6 @@ from pinmobile.arrays import Array, affordable, positive, scalar, whole
 from pinmobile.compiled.loop_tape import initial_memory
 from pinmobile.compiled.noise import Noise
 from pinmobile.compiled.parts import Parts, Place
-from pinmobile.controllers.protocol import check_memory
 from pinmobile.ensembles.distributions import Source
 from pinmobile.ensembles.draws import draw, held, in_blocks
 from pinmobile.ensembles.histogram import BINS
@@ -24,6 +23,7 @@ from pinmobile.integrators import Integrator
 from pinmobile.plant import Context, Coordinate, Input, Parameter
 from pinmobile.simulation import (
     check_answers,
+    check_controllers_memory,
     checked_forces,
     checked_loop,
     checked_substeps,
@@ -135,7 +135,7 @@ class Scenario:
             self.robot, self.forces, self.integrator, *self._beginning(self.robot), dt / self.substeps
         )
         q, v = (one[0] for one in self.starts({}, 1))
-        check_memory(self.controller, self.context, q, v)
+        check_controllers_memory(self.controller, self.context, q, v)
         for k, force in enumerate(self.forces):
             shape = np.shape(_asked(force, self._given.on_arrays().plant, q, v))
             if len(shape) != 1:

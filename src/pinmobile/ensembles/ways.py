@@ -90,7 +90,7 @@ def way_of(scenario: Scenario, engine: Engine | None = None) -> Way:
                 refusal = str(error)
             if asked is not None:
                 raise InvalidArgument(f"engine is {each!r}, which cannot run this: {refusal}")
-            why.append(f"not {each!r}: {refusal}")
+            why.append(" ".join(f"not {each!r}: {refusal}".split()))
     return Way(scenario, PINOCCHIO, "; ".join(why))
 
 

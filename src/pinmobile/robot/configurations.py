@@ -93,6 +93,12 @@ class ChainConfigurations:
         return self.nq == self.nv and type(self).integrate is ChainConfigurations.integrate
 
     @property
+    def turning(self) -> tuple[int, ...] | None:
+        """Coordinates that `difference` takes on the circle where it subtracts all, else None."""
+        own = type(self).difference is ChainConfigurations.difference
+        return (2,) if own and self.adds else None
+
+    @property
     def broadcasts(self) -> bool:
         """Whether its methods take leading axes, here True."""
         return True
@@ -243,6 +249,18 @@ class ChainConfigurations:
         if angle.ndim or not LEAST_ANGLE < angle <= np.pi:  # in a loop it hardly ever is beyond
             displacement[..., 2] = wrap_angle(angle)
         return displacement
+
+    def configuration(self, value: ArrayLike, name: str = "q") -> Array:
+        """Return configurations as float64, shape (..., nq), after refusing what are none.
+
+        Parameters
+        ----------
+        value : array_like, shape (..., nq)
+            Configurations [m, m, rad, ...].
+        name : str
+            What they are called, for the message.
+        """
+        return self._q(value, name)
 
     def _q(self, q: ArrayLike, name: str = "q") -> Array:
         array = vector(name, q, self.nq)

@@ -94,10 +94,11 @@ class Engine:
     def calls(self) -> Calls:
         """Return what a loop calls, all on this thread's data: it is looked up once."""
         model, data, public = self.model, self.data, self._public
-        order, square, crba = self.order_q, self._square, partial(pin.crba, model, data)
+        order, crba = self.order_q, partial(pin.crba, model, data)
+        flat = self.order[:, None] * self.nv + self.order
         still = np.zeros(self.nv - BODY_JOINT)
         return Calls(
-            mass_matrix=lambda q: crba(q[order])[square],
+            mass_matrix=lambda q: crba(q[order]).T.take(flat),  # it is symmetric
             nonlinear_effects=partial(pin.nonLinearEffects, public, data),
             inverse_dynamics=partial(pin.rnea, public, data),
             forward_dynamics=partial(pin.aba, public, data),

@@ -44,6 +44,16 @@ class ChainKinematics(ChainConfigurations):
         """Default frame: the tip of the first arm, or the body's frame where there is none."""
         return self.mounts[0].tip if self.mounts else "base_link"
 
+    def frame_name(self, frame: str | None = None) -> str:
+        """Return the name of a frame, by default that of `end_effector`.
+
+        Raises
+        ------
+        UnknownName
+            If there is no such frame.
+        """
+        return self._frame(frame)[0]
+
     def frame_pose(self, q: ArrayLike, frame: str | None = None) -> Array:
         """Return T_0_f, the pose of a frame, shape (..., 4, 4).
 

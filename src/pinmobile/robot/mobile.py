@@ -335,7 +335,7 @@ class MobileRobot(Carrier):
         """
         if self.mounts:
             raise NotTraceable(
-                f"a robot with {len(self.mounts)} arms, whose dynamics are Pinocchio's",
+                "a robot with arms, whose dynamics are Pinocchio's",
                 "run it one state at a time",
             )
         bare = self.lumped() if self.loads else self

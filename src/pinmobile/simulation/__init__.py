@@ -3,6 +3,7 @@
 from pinmobile.plant import Plant
 from pinmobile.simulation.checks import (
     check_answers,
+    check_controllers_memory,
     checked_forces,
     checked_loop,
     checked_substeps,
@@ -25,6 +26,7 @@ __all__ = [
     "Rollout",
     "Signal",
     "check_answers",
+    "check_controllers_memory",
     "checked_forces",
     "checked_loop",
     "checked_substeps",

@@ -6,10 +6,11 @@ import numpy as np
 
 from pinmobile.arrays import Array, affordable, callable_as, positive, vector, whole
 from pinmobile.controllers import check_controller
+from pinmobile.controllers.protocol import check_memory
 from pinmobile.disturbances import CoordinateForce, Force
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.integrators import check_integrator, constant_acceleration
-from pinmobile.plant import check_plant, leading_of
+from pinmobile.plant import Context, check_plant, leading_of
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
 if TYPE_CHECKING:
@@ -17,12 +18,14 @@ if TYPE_CHECKING:
 
 __all__ = [
     "check_answers",
+    "check_controllers_memory",
     "checked_forces",
     "checked_loop",
     "checked_substeps",
     "chosen_integrator",
     "sample_times",
     "sampled",
+    "shorter",
 ]
 
 _WHOLE = 1e-9  # relative rounding allowed in duration / dt
@@ -297,3 +300,28 @@ def _check_repeated(path: str, part: Any, ask: Any, states: Any) -> None:
             f"{shown(again)}, expected the same: only controllers have memory, in their state, and random "
             "numbers come from their context.normal(name, n), or from a NoiseForce"
         )
+
+
+def check_controllers_memory(controller: Any, context: Context, q: Array, v: Array) -> None:
+    """Refuse a controller whose answer to the same arguments is another when it is asked again.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is such; see `pinmobile.controllers.protocol.check_memory`.
+    """
+    try:
+        check_memory(controller, context, q, v)
+    except InvalidArgument as error:
+        raise shorter(context, error) from error
+
+
+def shorter(context: Context, error: InvalidArgument) -> InvalidArgument:
+    """Return an error of a controller; where the reference has not all coordinates, that may be why."""
+    n, count = context.reference.v.shape[1], len(context.coordinates)
+    if n == count:
+        return error
+    return InvalidArgument(
+        f"{error}; the reference has the first {n} of {count} coordinates, expected a controller that "
+        "follows these, or a reference of all: a motion of base and arms is WholeBody(robot, base, *joints)"
+    )

@@ -7,13 +7,13 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, positive
 from pinmobile.controllers import Controller
-from pinmobile.controllers.protocol import check_memory
 from pinmobile.disturbances import CoordinateForce, Force
 from pinmobile.errors import Diverged, InvalidArgument
 from pinmobile.integrators import Integrator
 from pinmobile.plant import Context, Plant, all_samples, coordinates_of, whole_configurations
 from pinmobile.simulation.checks import (
     check_answers,
+    check_controllers_memory,
     checked_forces,
     checked_loop,
     checked_substeps,
@@ -109,7 +109,7 @@ def simulate(
     count, checked = checked_substeps(substeps, len(t)), checked_forces(forces, plant)
     context = Context.of(plant, dt=dt, t=t, reference=reference, trajectory=trajectory)
     check_answers(plant, checked, integrator, *start, dt / count)
-    check_memory(controller, context, *start)
+    check_controllers_memory(controller, context, *start)
     chosen = checked_engine(engine, PINOCCHIO, COMPILED) or PINOCCHIO
     kind: Any = Loop
     if chosen is COMPILED:

@@ -11,21 +11,13 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import LEAST_ANGLE, Array, wrap_angle
-from pinmobile.controllers import (
-    PD,
-    ComputedTorque,
-    Controller,
-    PDGravity,
-    gain_matrix,
-    plain_difference,
-    planar_difference,
-)
-from pinmobile.controllers.feedback import own_difference
+from pinmobile.controllers import Controller
+from pinmobile.controllers.feedback import Compact
 from pinmobile.disturbances import CoordinateForce, Force
 from pinmobile.errors import InvalidArgument, NotFinite, shown
 from pinmobile.integrators import Integrator, RungeKuttaNystrom
-from pinmobile.plant import Context, Plant
-from pinmobile.robot import MobileRobot
+from pinmobile.plant import Context
+from pinmobile.simulation.checks import shorter
 from pinmobile.simulation.signals import Recorder, recorder
 from pinmobile.simulation.steps import (
     Clock,
@@ -38,7 +30,7 @@ from pinmobile.simulation.steps import (
 )
 from pinmobile.trajectories import Reference
 
-__all__ = ["Loop", "takes_circle"]
+__all__ = ["Loop"]
 
 Control = Callable[[int, Array, Array, Array], Array]
 
@@ -100,8 +92,12 @@ class Loop:
         """Return what gives the input at each sample, and what tells the controller's signals."""
         limits = _limits(context.inputs)
         tabled = self.adds and self.whole and isinstance(integrator, RungeKuttaNystrom)
-        if limits is None and tabled and _is_known(controller, plant):
-            return _feedback(controller, plant, self.desired, context.reference.a), None
+        # A controller that wants to tell or to be told something more is asked.
+        heard = hasattr(controller, "signals") or hasattr(controller, "applied")
+        if limits is None and tabled and not heard and hasattr(controller, "compact"):
+            compact = controller.compact(plant)
+            if compact is not None:
+                return _feedback(compact, self.desired, context.reference.a), None
         return _asked(controller, context, limits)
 
     def run(self, begin: int, end: int) -> None:
@@ -164,30 +160,6 @@ def _limits(inputs: Any) -> tuple[Array, Array] | None:
     return (lower, upper) if np.isfinite([lower, upper]).any() else None
 
 
-def _is_known(controller: Any, plant: Plant) -> bool:
-    """Tell whether the controller is the library's own in every part, for configurations of that plant."""
-    robot = getattr(controller, "robot", None)
-    return (
-        type(controller) in (PD, PDGravity, ComputedTorque)
-        # Both act on the third coordinate alone or on none, which is psi in either order.
-        and takes_circle(controller, plant) is not None
-        and (robot is None or (type(robot) is MobileRobot and robot.nq == robot.nv == plant.nq))
-    )
-
-
-def takes_circle(controller: Any, plant: Plant) -> bool | None:
-    """Tell whether PD or a like takes the difference of the third coordinate on the circle.
-
-    None where its difference of configurations of that plant may be any other.
-    """
-    difference = own_difference(controller, plant)
-    robot: Any = getattr(difference, "__self__", None)
-    subtracts = type(robot) is MobileRobot and robot.nq == robot.nv == plant.nv
-    if difference is planar_difference or (subtracts and difference == robot.difference):
-        return True
-    return False if difference is plain_difference else None
-
-
 def _asked(
     controller: Any, context: Context, limits: tuple[Array, Array] | None
 ) -> tuple[Control, Callable[[], Mapping[str, Any]] | None]:
@@ -204,7 +176,7 @@ def _asked(
         except InvalidArgument as error:
             if k:
                 raise
-            raise _shorter(context, error) from error
+            raise shorter(context, error) from error
         if type(answer) is not tuple or len(answer) != 2:
             raise InvalidArgument(
                 f"controller returned {shown(answer)} at t = {times[k]:g} s, expected (u, state)"
@@ -214,7 +186,7 @@ def _asked(
             wrong = InvalidArgument(
                 f"controller returned {shown(u)} at t = {times[k]:g} s, expected an array of shape {shape}"
             )
-            raise _shorter(context, wrong)
+            raise shorter(context, wrong)
         if limits is not None:
             u = np.clip(u, *limits)
         if tell is not None:
@@ -224,38 +196,21 @@ def _asked(
     return control, (lambda: controller.signals(state)) if hasattr(controller, "signals") else None
 
 
-def _shorter(context: Context, error: InvalidArgument) -> InvalidArgument:
-    """Return an error of a controller; where the reference has not all coordinates, that may be why."""
-    n, count = context.reference.v.shape[1], len(context.coordinates)
-    if n == count:
-        return error
-    return InvalidArgument(
-        f"{error}; the reference has the first {n} of {count} coordinates, expected a controller that "
-        "follows these, or a reference of all: a motion of base and arms is WholeBody(robot, base, *joints)"
-    )
-
-
-def _feedback(controller: Any, plant: Any, desired: Array, accelerations: Array) -> Control:
-    """Return the force of PD, with gravity or without, or computed torque."""
-    n = plant.nv
-    gains = np.hstack([gain_matrix(name, getattr(controller, name), n) for name in ("kp", "kd")])
-    wrapped = takes_circle(controller, plant)
+def _feedback(compact: Compact, desired: Array, accelerations: Array) -> Control:
+    """Return the force of a law of feedback."""
+    gains, turning, inverse, gravity = compact
+    n, wrapped = len(gains), bool(turning)
     error, command = np.empty(2 * n), np.empty(n)
     subtract, add, times_gains, pi = np.subtract, np.add, gains.dot, np.pi
-    robot: Any = getattr(controller, "robot", None)  # PD has none
-    calls = None if robot is None else robot.calls()
-    gravity = calls.gravity if calls is not None and type(controller) is PDGravity else None
-    inverse = None if calls is None else calls.inverse_dynamics
 
     def control(k: int, state: Array, q: Array, v: Array) -> Array:
         subtract(desired[k], state, error)
         if wrapped and not LEAST_ANGLE < error[2] <= pi:
             error[2] = wrap_angle(error[2])
         times_gains(error, command)
-        if inverse is None:
-            return command
         if gravity is not None:
             add(command, gravity(q), command)
+        if inverse is None:
             return command
         add(command, accelerations[k], command)
         return inverse(q, v, command)  # type: ignore[no-any-return]

@@ -3,7 +3,7 @@
 import builtins
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
@@ -73,7 +73,7 @@ class Code:
             If there is no such module, or it cannot be run; the message has its file and line.
         """
         where, _, what = name.partition(":")
-        with self.errors():
+        with self.errors(f"{name} cannot be loaded"):
             module = self.module(where) if self._lies_here(where) else self._elsewhere(where)
         found: Any = module
         for part in what.split("."):
@@ -103,13 +103,13 @@ class Code:
             return module
 
     @contextmanager
-    def errors(self, otherwise: str = "") -> Iterator[None]:
+    def errors(self, doing: str = "") -> Iterator[None]:
         """Tell of errors in these modules in one sentence, with file and line.
 
         Parameters
         ----------
-        otherwise : str
-            What raises an error that comes from elsewhere; by default such an error is let through.
+        doing : str
+            What fails, in words that come first; without it, an error from elsewhere is let through.
 
         Raises
         ------
@@ -121,16 +121,23 @@ class Code:
         except PinmobileError:
             raise
         except (Exception, SystemExit) as error:
-            place = self._place(error) or otherwise
-            if not place:
+            place = self._place(error)
+            if not place and not doing:
                 raise
             said = error.msg if isinstance(error, SyntaxError) else str(error)
-            raise InvalidArgument(f"{place} raises {type(error).__name__}{said and ': '}{said}") from error
+            raise InvalidArgument(
+                f"{doing and doing + ': '}{place or 'it'} raises {type(error).__name__}{said and ': '}{said}"
+            ) from error
 
     def hidden(self) -> dict[str, str]:
         """Return the files of installed modules that have the name of one that was loaded here."""
-        specs = {name: find_spec(name) for name in self.sources if "." not in name}
-        return {name: spec.origin or "a module of Python" for name, spec in specs.items() if spec is not None}
+        found = {}
+        for name, source in self.sources.items():
+            with suppress(ValueError):  # of a module that does not say where it is from
+                spec = None if "." in name else find_spec(name)
+                if spec is not None and spec.origin != source.file:
+                    found[name] = spec.origin or "a folder"
+        return found
 
     def _lies_here(self, name: str) -> bool:
         return name in self.sources or (self.folder is not None and self._path(name).is_file())
@@ -192,7 +199,7 @@ def _names(module: ModuleType) -> list[str]:
     def own(value: Any) -> bool:
         if isinstance(value, FunctionType | type):
             return value.__module__ == module.__name__
-        return not isinstance(value, ModuleType)
+        return not isinstance(value, ModuleType) and getattr(value, "__module__", "") != "typing"
 
     return [name for name, value in vars(module).items() if not name.startswith("_") and own(value)]
 
