@@ -28,13 +28,14 @@ OPTIONS: dict[str, Any] = {"dt": 0.02, "duration": 2.0}
 
 
 def in_ensemble(parts: dict[str, Any], **options: Any) -> Any:
-    return ensemble(**parts, **OPTIONS, **({"n": 5, "spread": {}} | options))
+    given: dict[str, Any] = parts | OPTIONS | {"n": 5, "spread": {}} | options
+    return ensemble(**given)
 
 
 def simulated(parts: dict[str, Any], **options: Any) -> Any:
-    given = dict(parts)
-    loop = [given.pop(name) for name in ("robot", "controller", "trajectory")]
-    return simulate(*loop, **given, **OPTIONS, **options)
+    given: dict[str, Any] = parts | OPTIONS | options
+    robot, controller, trajectory = (given.pop(name) for name in ("robot", "controller", "trajectory"))
+    return simulate(robot, controller, trajectory, **given)
 
 
 def assert_refused(parts: dict[str, Any], why: str) -> None:
@@ -148,7 +149,7 @@ class Short(Cart):
 
 
 class Named(Cart):
-    coordinates = Cart.coordinates[:4]
+    coordinates = Cart.coordinates[:4]  # type: ignore[assignment]
 
 
 class Leading(Cart):
@@ -156,7 +157,7 @@ class Leading(Cart):
 
 
 class Inputs(Cart):
-    inputs = Cart.inputs[:1]
+    inputs = Cart.inputs[:1]  # type: ignore[assignment]
 
 
 @pytest.mark.parametrize(
@@ -200,7 +201,7 @@ class Counting:
 class Aging(Cart):
     def __init__(self) -> None:
         super().__init__()
-        self.forward_dynamics = Counting(super().forward_dynamics)  # type: ignore[method-assign]
+        self.forward_dynamics = Counting(super().forward_dynamics)  # type: ignore[assignment, method-assign]
 
 
 def _step(acceleration: Any, t: float, q: Any, v: Any, h: float) -> Any:

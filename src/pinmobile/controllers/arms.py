@@ -9,7 +9,6 @@ from pinmobile.arrays import Array, ArrayLike
 from pinmobile.controllers.feedback import (
     GAINS,
     Compact,
-    check_fits,
     check_gains,
     check_robot,
     compacted,
@@ -73,7 +72,6 @@ class PDGravity:
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
-        check_fits(self.robot, context)
 
     def compact(self, plant: Any) -> Compact | None:
         """Return its compact form, where there is one: for loops."""
@@ -125,7 +123,6 @@ class Decoupled:
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
-        check_fits(self.robot, context)
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""

@@ -16,7 +16,6 @@ __all__ = [
     "PD",
     "Compact",
     "ComputedTorque",
-    "check_fits",
     "check_gains",
     "check_robot",
     "compacted",
@@ -198,7 +197,6 @@ class ComputedTorque:
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
-        check_fits(self.robot, context)
 
     def compact(self, plant: Any) -> Compact | None:
         """Return its compact form, where there is one: for loops."""
@@ -253,22 +251,6 @@ def check_robot(controller: Any, needs: str) -> None:
         )
 
 
-def check_fits(robot: Any, context: Any) -> None:
-    """Refuse a controller's robot that has another number of coordinates than the plant.
-
-    Raises
-    ------
-    InvalidArgument
-        If it does.
-    """
-    nv = getattr(context, "nv", 0)
-    if nv and robot.nv != nv:
-        raise InvalidArgument(
-            f"robot of the controller is {shown(robot)}, which has {robot.nv} coordinates, expected {nv}, as "
-            "the plant has"
-        )
-
-
 def own_difference(controller: Any, plant: Any) -> Difference:
     """Return the difference that a controller was given, else its robot's, else a plant's or context's."""
     found: Difference | None = controller.difference
@@ -314,6 +296,12 @@ def feedback(controller: Any, difference: Difference, q: Array, v: Array, refere
     for name, actual, desired in (("q", q, reference.q), ("v", v, reference.v)):
         if actual.shape[-1:] != desired.shape[-1:]:
             raise InvalidArgument(f"{name} has shape {actual.shape}, the reference's has {desired.shape}")
+    robot = getattr(controller, "robot", None)
+    if robot is not None and robot.nv != v.shape[-1]:
+        raise InvalidArgument(
+            f"robot of the controller is {shown(robot)}, which has {robot.nv} coordinates, expected "
+            f"{v.shape[-1]}, as the plant has"
+        )
     error, rate = difference(q, reference.q), np.subtract(reference.v, v)
     if error.shape[-1:] != rate.shape[-1:]:
         raise InvalidArgument(
