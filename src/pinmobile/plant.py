@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
-from pinmobile.arrays import Array, callable_as, finite, frozen, positive, sequence, whole
+from pinmobile.arrays import Array, callable_as, finite, frozen, positive, sequence, text, whole
 from pinmobile.errors import InvalidArgument, shown
 
 __all__ = [
@@ -231,6 +231,11 @@ class Parameter:
         return float(numbers.flat[0]) if np.ptp(numbers) == 0 else None
 
 
+def _stated(part: Any) -> Any:
+    stated = getattr(part, "parameters", ())
+    return stated if isinstance(stated, list | tuple) else ()  # some answer to any name with something
+
+
 def parameters_of(part: Any) -> tuple[Parameter, ...]:
     """Return the parameters that a part states; a name alone is one without unit and bound.
 
@@ -241,7 +246,7 @@ def parameters_of(part: Any) -> tuple[Parameter, ...]:
     """
     found = tuple(
         Parameter(each, attribute=each) if isinstance(each, str) else _with_attribute(each)
-        for each in getattr(part, "parameters", ())
+        for each in _stated(part)
     )
     names = [each.name for each in found]
     twice = next((name for name in names if names.count(name) > 1), None)
@@ -319,6 +324,7 @@ class Context:
         """
         from pinmobile.compiled.noise import Noise, robot_keys
 
+        text("name", name)
         return Noise(robot_keys(self.seed, name, range(self.member, self.member + 1))[0], whole("n", n))
 
     @classmethod

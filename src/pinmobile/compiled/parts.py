@@ -206,11 +206,12 @@ def attributes_of(part: Any) -> tuple[str, ...]:
 
     They hold its parameters, and what each robot draws, which a part lists as ``drawn``.
     """
-    stated = (
+    stated, drawn = (getattr(part, name, ()) for name in ("parameters", "drawn"))
+    found = [
         each if isinstance(each, str) else each.attribute or each.name
-        for each in getattr(part, "parameters", ())
-    )
-    return tuple(dict.fromkeys([*stated, *getattr(part, "drawn", ())]))
+        for each in (stated if isinstance(stated, list | tuple) else ())
+    ]
+    return tuple(dict.fromkeys([*found, *(drawn if isinstance(drawn, list | tuple) else ())]))
 
 
 def _value(path: str, part: Any, name: str) -> Array:

@@ -22,8 +22,6 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.integrators import Integrator
 from pinmobile.plant import Context, Coordinate, Input, Parameter
 from pinmobile.simulation import (
-    check_answers,
-    check_controllers_memory,
     checked_forces,
     checked_loop,
     checked_substeps,
@@ -31,6 +29,7 @@ from pinmobile.simulation import (
     sample_times,
     sampled,
 )
+from pinmobile.simulation.checks import check_answers, check_controllers_memory
 from pinmobile.trajectories import Reference, Trajectory
 
 __all__ = ["Scenario", "checked_scenario", "first_counted", "time_within"]

@@ -2,8 +2,6 @@
 
 from pinmobile.plant import Plant
 from pinmobile.simulation.checks import (
-    check_answers,
-    check_controllers_memory,
     checked_forces,
     checked_loop,
     checked_substeps,
@@ -25,8 +23,6 @@ __all__ = [
     "Plant",
     "Rollout",
     "Signal",
-    "check_answers",
-    "check_controllers_memory",
     "checked_forces",
     "checked_loop",
     "checked_substeps",
