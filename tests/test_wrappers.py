@@ -366,7 +366,7 @@ def once(controller: Any) -> Any:
         *(
             (
                 lambda wrap=wrap: once(wrap(TauAlone())),
-                "controller returned array([0., 0., 0.]) at t = 0.5 s, expected (tau, state)",
+                "controller returned array([0., 0., 0.]) at t = 0.5 s, expected (u, state)",
             )
             for wrap in (
                 lambda c: Saturated(c, 1),

@@ -101,7 +101,7 @@ def answer_of(
     """
     answer = controller(t, q, v, reference, state)
     if type(answer) is not tuple or len(answer) != 2:
-        raise InvalidArgument(f"controller returned {shown(answer)} at t = {t:g} s, expected (tau, state)")
+        raise InvalidArgument(f"controller returned {shown(answer)} at t = {t:g} s, expected (u, state)")
     return answer
 
 
