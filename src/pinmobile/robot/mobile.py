@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile import urdf
-from pinmobile.arrays import Array, ArrayLike, finite, lengths, location, positive, sequence, text
+from pinmobile.arrays import Array, ArrayLike, finite, lengths, location, positive, scalar, sequence, text
 from pinmobile.dh import LECTURE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
 from pinmobile.plant import Parameter
@@ -368,7 +368,7 @@ class MobileRobot(Carrier):
             "com_x": bare.com[0],
             "com_y": bare.com[1],
         }
-        mass, inertia, x, y = (finite(name, values.get(name, old[name])).item() for name in old)
+        mass, inertia, x, y = (scalar(name, values.get(name, old[name])) for name in old)
         body = urdf.Body(mass, np.array([x, y, bare.com[2]]), np.diag([inertia] * 3))
         return bare.with_body(body, "with other parameters")
 
