@@ -283,6 +283,27 @@ def test_the_force_is_held_over_dt_whatever_the_substeps() -> None:
     assert asked == [0.0, 0.0, 0.0, 0.0, 0.5, 1.0, 1.5, 2.0]
 
 
+@pytest.mark.parametrize("robot", [ROBOT, UR5], ids=["body", "arm"])
+def test_a_users_integrator_may_hold_several_accelerations_at_once(robot: MobileRobot) -> None:
+    """Pinocchio answers in memory that its next answer overwrites; who asks four times keeps four."""
+
+    def own(*given: Any) -> Any:
+        return rk4(*given)
+
+    trajectory = CIRCLE if robot is ROBOT else WholeBody(UR5, CIRCLE, None)
+    runs = [
+        simulate(
+            robot, ComputedTorque(robot, 9, 6), trajectory, dt=0.05, duration=1.0, v0=v0, integrator=step
+        )
+        for step in (rk4, own)
+        for v0 in (None, 1.1 * trajectory(0.0).v)
+    ]
+    for table, called in zip(runs[:2], runs[2:], strict=True):
+        # The same sums in another order, over 20 steps.
+        np.testing.assert_allclose(called.q, table.q, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(called.a, table.a, rtol=0, atol=1e-10)
+
+
 class Counter:
     def initial_state(self, context: Any) -> int:
         return 0
