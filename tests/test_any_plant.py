@@ -310,7 +310,7 @@ def plant_with(**changed: Any) -> Any:
         (plant_with(start=lambda self, reference: ([0], [0])), r"q0 .*has shape \(1,\), expected \(5,\)"),
         (
             plant_with(project=lambda self, q, v: v[:3], start=at_rest),
-            r"plant.project returned .* shape \(5,\)",
+            r"whose project\(q, v\) returned .* shape \(5,\)",
         ),
         (plant_with(step=lambda self, t: t), r"plant.step .* cannot be called as"),
         (plant_with(step=lambda self, *_: 3), r"plant.step returned 3 at t = 0 s, expected a Step"),

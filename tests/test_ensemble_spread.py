@@ -15,6 +15,7 @@ from pinmobile import (
     Context,
     FixedHeading,
     InvalidArgument,
+    JointFriction,
     MobileRobot,
     NoiseForce,
     NoisyMeasurement,
@@ -257,7 +258,7 @@ def test_noise_differs_from_robot_to_robot_and_not_from_run_to_run() -> None:
 
 def test_every_parameter_can_be_spread_and_matters() -> None:
     driven = SinusoidalForce((1, 1, 0.1), 0.5), NoiseForce((1, 1, 0.1), 1.0, seed=0)
-    forces = (*driven, RollingResistance((1, 1, 0.1), 0.05))
+    forces = (*driven, RollingResistance((1, 1, 0.1), 0.05), JointFriction(0.1, 0.1, 0.05))
     base = made(n=2, forces=forces, duration=2.0)
     least = run_scenario(base).max_error
     for name in PARAMETERS:
@@ -288,7 +289,7 @@ def test_every_parameter_can_be_spread_and_matters() -> None:
         (
             {"controller": ComputedTorque(WITH_ARM)},
             InvalidArgument,
-            "q0 has shape (3,), expected (..., 9)",
+            ", which has 9 coordinates, expected 3, as the plant has",
         ),
         (
             {"controller": ComputedTorque(Own()), "spread": {"model_mass": 3}},
@@ -387,10 +388,10 @@ def test_impossible_draws_are_refused_with_their_share(spread: Any, text: str) -
     assert text in str(caught.value)
 
 
-FORCED = (*DRIVEN, RollingResistance((1, 1, 0.1)))
-POSITIVE = {"rolling_speed", "mass", "yaw_inertia", "model_mass", "model_yaw_inertia"}
+FORCED = (*DRIVEN, RollingResistance((1, 1, 0.1)), JointFriction(0.1))
+POSITIVE = {"rolling_speed", "joint_speed", "mass", "yaw_inertia", "model_mass", "model_yaw_inertia"}
 MAY_VANISH = {
-    *("sine_frequency", "noise_x", "noise_y", "noise_moment"),
+    *("joint_viscous", "joint_coulomb", "sine_frequency", "noise_x", "noise_y", "noise_moment"),
     *("viscous_forward", "viscous_left", "viscous_yaw", "rolling_forward", "rolling_left", "rolling_yaw"),
 }
 

@@ -374,7 +374,7 @@ def test_what_diverges_on_the_circle_too_carries_what_was_recorded() -> None:
 
 
 def test_a_bare_bases_controller_is_refused_for_the_whole() -> None:
-    with pytest.raises(InvalidArgument, match="has shape"):
+    with pytest.raises(InvalidArgument, match="has 3 coordinates, expected 9, as the plant"):
         simulate(UR5, ComputedTorque(MobileRobot.box()), Still(UR5.rest, 9), dt=0.01)
 
 

@@ -291,11 +291,11 @@ def test_a_users_integrator_may_hold_several_accelerations_at_once(robot: Mobile
         return rk4(*given)
 
     trajectory = CIRCLE if robot is ROBOT else WholeBody(UR5, CIRCLE, None)
+    given: dict[str, Any] = {"dt": 0.05, "duration": 1.0}
+    integrators: list[Any] = [rk4, own]
     runs = [
-        simulate(
-            robot, ComputedTorque(robot, 9, 6), trajectory, dt=0.05, duration=1.0, v0=v0, integrator=step
-        )
-        for step in (rk4, own)
+        simulate(robot, ComputedTorque(robot, 9, 6), trajectory, **given, v0=v0, integrator=step)
+        for step in integrators
         for v0 in (None, 1.1 * trajectory(0.0).v)
     ]
     for table, called in zip(runs[:2], runs[2:], strict=True):

@@ -527,7 +527,7 @@ def test_in_the_loop_and_asked_from_outside_a_controller_is_the_same(make: Any, 
         (lambda: Decoupled(UR5, np.inf, 1), "kp is inf, expected a finite number"),
         (
             lambda: Decoupled(UR5)(0.0, np.zeros(3), np.zeros(3), Reference(*np.zeros((3, 3))), None),
-            "q0 has shape (3,), expected (..., 9)",
+            f"robot of the controller is {UR5!r}, which has 9 coordinates, expected 3, as the plant has",
         ),
         (
             lambda: PDGravity(UR5, 1, 1)(0.0, np.zeros(9), np.zeros(9), CIRCLE(0.0), None),
