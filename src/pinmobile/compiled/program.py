@@ -32,14 +32,14 @@ class Outcome(NamedTuple):
     memory : Memory
         What the parts kept after the last sample; each array with the robots as its first axis. That of the
         recorder is the result.
-    counts : ndarray of int, shape (times, sizes, BINS)
+    counts : ndarray of int32, shape (times, sizes, BINS)
         How many robots had which size.
     kept : dict of str to ndarray, shape (n, N + 1, ...)
         What was kept of every sample.
     """
 
     memory: Memory
-    counts: NDArray[np.int64]
+    counts: NDArray[np.int32]
     kept: dict[str, Array]
 
 
@@ -273,7 +273,7 @@ class Program:
 
     def called(
         self, blocks: Array, samples: Array, uniforms: Array, kept: Array, n: int, every: int, threads: int
-    ) -> NDArray[np.int64]:
+    ) -> NDArray[np.int32]:
         """Run the blocks, and return the counts; the arguments are those of the machine code, in arrays."""
         loop = self.loop
         work = len(samples) * len(loop.tape) * self.shape.vectors  # of a block
@@ -317,7 +317,8 @@ class Program:
             stopped.set()
             for helper in helpers:
                 helper.join()
-        return np.asarray(counts[:, :times].sum(axis=0, dtype=np.int64))
+        found = counts[:, :times]
+        return np.asarray(found[0] if workers == 1 else found.sum(axis=0, dtype=np.int32))
 
     def _kept_memory(self, memory: Memory, blocks: Array, n: int) -> Memory:
         """Return the memory as it is at last."""

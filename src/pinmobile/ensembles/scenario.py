@@ -136,7 +136,7 @@ class Scenario:
         q, v = (one[0] for one in self.starts({}, 1))
         check_controllers_memory(self.controller, self.context, q, v)
         for k, force in enumerate(self.forces):
-            shape = np.shape(_asked(force, self._given.on_arrays().plant, q, v))
+            shape = np.shape(_asked(force, self._on_arrays.plant, q, v))
             if len(shape) != 1:
                 raise InvalidArgument(
                     f"forces[{k}] gives shape {shape} for one robot, expected (3,): "
@@ -166,7 +166,7 @@ class Scenario:
         """Number of coordinates that the reference has."""
         return int(self.reference.v.shape[-1])
 
-    @property
+    @cached_property
     def context(self) -> Context:
         """What the controller is told before the first sample."""
         context = Context.of(
@@ -179,9 +179,13 @@ class Scenario:
         return Parts(self.robot, self.controller, tuple(self.forces), self.integrator, None, self.substeps)
 
     @cached_property
+    def _on_arrays(self) -> Parts:
+        return self._given.on_arrays()
+
+    @cached_property
     def known(self) -> dict[str, list[Stated]]:
         """What its parts and its start state, by name, and by path and name; what a spread may name."""
-        return stated_by(self._given.on_arrays(), self._coordinates)
+        return stated_by(self._on_arrays, self._coordinates)
 
     @cached_property
     def _coordinates(self) -> tuple[Coordinate, ...]:
@@ -205,7 +209,7 @@ class Scenario:
     @cached_property
     def parts(self) -> Parts:
         """The parts of its loop; what is spread has the shape that it takes for each robot."""
-        values = self._given.on_arrays().parameters()
+        values = self._on_arrays.parameters()
         wanted = self._written(
             {name: np.array([self.nominal.get(name, 1.0)]) for name in self.spread}, values, 1
         )
@@ -299,7 +303,7 @@ class Scenario:
     @cached_property
     def nominal(self) -> dict[str, float]:
         """The values of the parameters, as far as each is one number."""
-        values = self._given.on_arrays().parameters()
+        values = self._on_arrays.parameters()
         found = {}
         for name, stated in self.known.items():
             path, parameter = stated[0]
