@@ -552,7 +552,7 @@ def nan_rollout(run: Rollout) -> Rollout:
         (lambda v, r: v.record(r, fps=1e9), InvalidArgument, "expected at most 200000"),
         (lambda v, r: v.record(r, speed=-1), InvalidArgument, "speed is -1.0, expected > 0"),
         (lambda v, r: v.record(r, overlays="trail"), InvalidArgument, "overlays is a str, expected Overlays"),
-        (lambda v, r: v.play(r), ViewerError, "play needs a live viewer: Viewer(robot, live=True)"),
+        (lambda v, r: v.play(r), ViewerError, "play needs a live viewer: Viewer(plant, live=True)"),
         (lambda v, r: v.wait(1), ViewerError, "wait needs a live viewer"),
         (lambda v, r: v.url, ViewerError, "url needs a live viewer"),
         (lambda v, r: v.screenshot("a.png", t=1), ViewerError, "call record first"),
@@ -576,7 +576,11 @@ def nan_rollout(run: Rollout) -> Rollout:
             InvalidArgument,
             "expected even numbers",
         ),
-        (lambda v, r: untyped(Viewer)("robot"), InvalidArgument, "robot is a str, expected a MobileRobot"),
+        (
+            lambda v, r: untyped(Viewer)("robot"),
+            InvalidArgument,
+            "plant is 'robot', expected a MobileRobot, or a plant with pose(q)",
+        ),
         (
             lambda v, r: untyped(Overlays)(frames=("lecture",)),
             InvalidArgument,

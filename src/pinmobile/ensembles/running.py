@@ -1,6 +1,7 @@
 """`ensemble`, the verb: the robots of a scenario in stretches, on all cores, in any order with one result."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from typing import Any
 from warnings import warn
 
@@ -156,14 +157,36 @@ def _run(
     way: Way, draws: Mapping[str, Array], start: int, stop: int, threads: int, progress: Progress | None
 ) -> Part:
     """Return the records of the robots from `start` to before `stop`, given what is drawn for these."""
-    records = Records(way.scenario, start, stop)
-    for first in range(start, stop, way.at_once):
-        last = min(first + way.at_once, stop)
+    records, done = Records(way.scenario, start, stop), 0
+    stretches = way.divided(start, stop, threads)
+
+    def run(first: int, last: int) -> Part:
         mine = {name: column[first - start : last - start] for name, column in draws.items()}
-        records.put(first, last, way.run(mine, first, last, threads))
+        return way.run(mine, first, last, threads)
+
+    for first, last, part in _results(run, stretches, way.workers(threads)):
+        records.put(first, last, part)
+        done += last - first
         if progress is not None:
-            progress(last - start, stop - start)
+            progress(done, stop - start)
     return records.part()
+
+
+def _results(
+    run: Callable[[int, int], Part], stretches: Sequence[tuple[int, int]], workers: int
+) -> Iterator[tuple[int, int, Part]]:
+    """Yield the stretches with what `run` gives for each, by some threads, in any order."""
+    if workers == 1 or len(stretches) == 1:
+        for stretch in stretches:
+            yield *stretch, run(*stretch)
+        return
+    with ThreadPoolExecutor(workers) as pool:
+        waiting = {pool.submit(run, *stretch): stretch for stretch in stretches}
+        try:
+            for future in as_completed(waiting):
+                yield *waiting.pop(future), future.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
 
 
 def _traced(i: Any, n: int) -> int:

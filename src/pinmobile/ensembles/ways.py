@@ -55,12 +55,18 @@ class Way:
     why: str = ""
     program: Program | None = None
 
-    @property
-    def at_once(self) -> int:
-        """Robots that are worth running together, at most."""
+    def workers(self, threads: int) -> int:
+        """Return how many threads of Python are worth it: compiled code has its own, Pinocchio locks."""
+        return threads if self.engine is ARRAYS else 1
+
+    def divided(self, start: int, stop: int, threads: int) -> list[tuple[int, int]]:
+        """Divide the robots so that every worker has something to do, and none too much at a time."""
         if self.engine is COMPILED:
-            return 256 * max(1, min(256, round(_WORK / len(self.scenario.t) / 256)))
-        return _AT_ONCE[self.engine]
+            each = 256 * max(1, min(256, round(_WORK / len(self.scenario.t) / 256)))
+        else:
+            share = -(-(stop - start) // self.workers(threads))
+            each = min(_AT_ONCE[self.engine], max(_ROWS, share))
+        return [(first, min(first + each, stop)) for first in range(start, stop, each)]
 
     def run(self, draws: Mapping[str, Array], start: int, stop: int, threads: int) -> Part:
         """Return the records of the robots from `start` to before `stop`, given what is drawn for these."""
