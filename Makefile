@@ -43,7 +43,7 @@ $(BIN)/.installed-test: $(BIN)/python pyproject.toml
 	@touch $@ $(BIN)/.installed
 
 $(BIN)/.installed-bench: $(BIN)/python pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[ensembles]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
 	@touch $@ $(BIN)/.installed
 
 $(BIN)/.installed-lint: $(BIN)/python pyproject.toml

@@ -28,6 +28,7 @@ RIGHT = {
 }
 PEOPLE = (
     Contestant("pinmobile", PINMOBILE, "of_pinmobile"),
+    Contestant("pinmobile, unchecked", PINMOBILE, "unchecked"),
     Contestant("Pinocchio", PINOCCHIO, "raw_pinocchio"),
     Contestant("closed form in numpy", NUMPY, "closed_form"),
     Contestant("MuJoCo", MUJOCO, "of_mujoco"),

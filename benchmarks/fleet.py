@@ -170,7 +170,7 @@ def simulated(fleet: Fleet) -> Figures:
     runs = [simulate(plant, controller, trajectory, dt=fleet.task.dt) for plant in plants]
     errors = np.array([run.error for run in runs])
     figures = ([run.max_error() for run in runs], [run.rms_error() for run in runs])
-    forces = np.array([run.max_force() for run in runs])
+    forces = np.array([run.max_input() for run in runs])
     return Figures(*map(np.array, figures), forces, np.linalg.norm(errors[..., :2], axis=-1).max(axis=1))
 
 

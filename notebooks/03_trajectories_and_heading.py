@@ -229,7 +229,7 @@ calm = simulate(robot, ComputedTorque(robot), Tangent(figure_eight), dt=0.1)
 figure, (top, bottom) = plt.subplots(2, 1, figsize=(9, 4), sharex=True, layout="constrained")
 for run, name, index in [(spun, "lecture", 1), (calm, "put right", 0)]:
     top.plot(run.t, run.q[:, 2], color=colour(index), label=name)
-    bottom.plot(run.t, run.tau[:, 2], color=colour(index))
+    bottom.plot(run.t, run.u[:, 2], color=colour(index))
 top.set(ylabel=r"$\psi$ [rad]", title="What the robot does")
 top.legend(loc="upper left")
 bottom.set(xlabel="t [s]", ylabel="$M_z$ [N m]")
@@ -273,7 +273,7 @@ assert np.abs(on_slide - put_right).max() > 0.01, "the slide's velocity is right
 assert abs(Tangent(parabola)(0.5).v[2] + 2) < 1e-9, "the rate at the vertical tangent is not -2 rad/s"
 assert by_the_lecture(0.5) == 0, "the lecture's rate is not lost"
 assert np.abs(measured - Tangent(via_free)(between).a[:, 2]).max() < 1e-7, "not the derivative of the rate"
-assert np.abs(spun.tau[:, 2]).max() > 2, "the lecture's robot does not spin"
-assert np.abs(calm.tau[:, 2]).max() < 0.1, "the moment is not small"
+assert np.abs(spun.u[:, 2]).max() > 2, "the lecture's robot does not spin"
+assert np.abs(calm.u[:, 2]).max() < 0.1, "the moment is not small"
 assert rollout.max_error()[:2].max() < 1e-4, "the robot does not follow"
 print("Shown: the heading is right at rest, on vertical tangents, across 360 deg, and in its acceleration.")

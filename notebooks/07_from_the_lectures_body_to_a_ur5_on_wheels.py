@@ -56,7 +56,7 @@ base = MobileRobot.box(30)
 robot = base.mount("ur5", at=(0.1, -0.05, 0.2, 0.4))
 posture = np.array([0, -1.2, 1.4, -0.2, 0.6, 0])
 q = np.concatenate([[1, 2, 0.7], posture])
-print(f"{robot.nv} coordinates: {', '.join(robot.coordinate_names)}\n")
+print(f"{robot.nv} coordinates: {', '.join(one.name for one in robot.coordinates)}\n")
 print(f"M(q) of the body alone:\n{base.mass_matrix(q[:3])}")
 print(f"M(q) of body and arm:\n{robot.mass_matrix(q)}")
 

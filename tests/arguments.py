@@ -14,7 +14,7 @@ import tempfile
 import traceback
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from datetime import UTC, datetime
 from decimal import Decimal
 from fractions import Fraction
@@ -52,6 +52,7 @@ INNER = {
         "simulation.checked_forces",
         "simulation.checked_loop",
         "simulation.checked_substeps",
+        "simulation.chosen_integrator",
         "simulation.sample_times",
     ),
     *("simulation.sampled", "simulation.stepped", "sweeps.check_draws", "sweeps.connected", "sweeps.length"),
@@ -69,10 +70,14 @@ INNER = {
         "viewer.OfflineWindow",
     ),
     *("Rollout.of", "Rollout.arrays", "ensembles.Outline.of", "ensembles.Outline.from_description"),
-    *("ensembles.Outline.description", "ensembles.Outline.difference"),
+    *("ensembles.Outline.description", "ensembles.Outline.difference", "ensembles.Part.of"),
+    *("PD.compact", "ComputedTorque.compact", "PDGravity.compact", "MobileRobot.traced"),
+    *("NoiseForce.draw", "NoiseForce.with_parameters", "Scenario.starts", "Scenario.values"),
+    "sweeps.Code",
 }
 # What the library makes and users read: nobody calls the class.
 RESULTS = {
+    *("robot.Calls", "simulation.Signal"),
     *(
         "Context",
         "Diverged",
@@ -88,7 +93,7 @@ RESULTS = {
     ),
     *("SchedulerError", "Sweep", "UnknownName", "Unreachable", "ViewerError", "JointType"),
     *("accuracy.Convergence", "accuracy.IntegratorReport", "derivation.Derivation", "derivation.Numeric"),
-    *("derivation.Step", "ensembles.Bands", "ensembles.Engine", "ensembles.Member", "ensembles.Part"),
+    *("derivation.Step", "ensembles.Bands", "Engine", "ensembles.Member", "ensembles.Part"),
     "ensembles.Outline",
     *("ensembles.Within", "reaching.PoseTarget", "robot.Linearization", "robot.Mount"),
     *("robot.Mountable", "robot.Mountables", "verification.Comparison", "viewer.Recording"),
@@ -313,6 +318,7 @@ MADE: dict[str, Callable[[], Any]] = {
     "trajectory": lambda: pm.Tangent(WORLD.path),
     "whole": lambda: pm.WholeBody(WORLD.armed, WORLD.trajectory, pm.Hold([0.3, 0.4], 1)),
     "rollout": lambda: pm.simulate(WORLD.robot, pm.PD(40, 20), WORLD.trajectory, dt=0.1),
+    "told": lambda: replace(WORLD.rollout, signals={"margin": ("m", np.zeros(len(WORLD.rollout)))}),
     "arm_rollout": lambda: pm.simulate(WORLD.armed, pm.ComputedTorque(WORLD.armed), WORLD.whole, dt=0.1),
     "motion": lambda: pm.Motion(WORLD.robot, np.zeros(3), np.zeros(3), np.zeros(3)),
     "arm_motion": lambda: pm.Motion(WORLD.armed, np.zeros(5), np.zeros(5), np.zeros(5)),
@@ -415,6 +421,13 @@ ROWS: dict[str, Row] = {
     "NoisyMeasurement": row(controller=pm.PD(1, 1), std_q=0.1, std_v=[0.1, 0.1, 0.2], seed=1),
     "law": row(function=lambda t, q, v, reference: np.zeros(3)),
     "Context.of": row(plant=the("robot"), dt=0.1, t=[0.0, 0.1]),
+    "Context.line": row(samples=2),
+    "Context.normal": row(name="wheel slip", n=2),
+    "ConstantForce.nothing": row(),
+    "SinusoidalForce.nothing": row(),
+    "ViscousFriction.nothing": row(),
+    "RollingResistance.nothing": row(),
+    "MobileRobot.with_parameters": row(mass=12.0, yaw_inertia=1.1, com_x=0.1, com_y=0.0),
     "plain_difference": row(q0=Q, q1=V),
     "planar_difference": row(q0=Q, q1=V),
     "EndEffectorTracking": row(
@@ -474,10 +487,12 @@ ROWS: dict[str, Row] = {
     "SinusoidalForce": row(amplitude=[1, 2, 3], frequency=0.5, phase=0.1),
     "NoiseForce": row(std=[1, 2, 3], bandwidth=2, seed=1),
     "NoiseForce.of_phases": row(std=[1, 2, 3], bandwidth=2, phases=np.zeros((16, 3))),
+    "JointFriction": row(viscous=[1, 2, 3], coulomb=[0.1, 0.2, 0.3], speed=0.1),
+    "JointFriction.of": row(robot=the("robot"), speed=0.1),
     "RollingResistance": row(force=[1, 2, 3], speed=0.01),
     "ViscousFriction": row(coefficients=[1, 2, 3]),
     "Load": row(mass=1, com=(0, 0, 0.1), inertia=np.eye(3), size=(0.1, 0.1, 0.1)),
-    "Motion": row(robot=the("robot"), q=Q, v=V, a=A),
+    "Motion": row(plant=the("robot"), q=Q, v=V, a=A),
     "reaction_wrench": row(motion=the("arm_motion"), mount="arm"),
     "required_friction": row(motion=the("motion")),
     "balance.footprint_of": row(robot=the("robot"), footprint=[[-1, -1], [1, -1], [1, 1], [-1, 1]]),
@@ -553,6 +568,13 @@ ROWS: dict[str, Row] = {
         )
         for name, named in STATES.items()
     },
+    "MobileRobot.calls": row(),
+    "MobileRobot.configuration": row(value=Q, name="q"),
+    "MobileRobot.frame_name": row(frame="base_link"),
+    "MobileRobot.effort": row(q=Q, wrench=A),
+    "MobileRobot.pose": row(q=Q),
+    "MobileRobot.rate": row(q=Q, v=V),
+    "MobileRobot.start": row(reference=partial(lambda: WORLD.trajectory(0.0))),
     "MobileRobot.forward_dynamics_derivatives": row(q=Q, v=V, tau=A),
     "MobileRobot.linearize": row(q=Q, v=V, tau=A),
     "MobileRobot.regressor": row(q=Q, v=V, a=A),
@@ -578,7 +600,7 @@ ROWS: dict[str, Row] = {
     "Rollout.save": row(path=partial(lambda: WORLD.folder / "again.npz")),
     "Rollout.to_csv": row(path=partial(lambda: WORLD.folder / "again.csv")),
     "Rollout.max_error": row(),
-    "Rollout.max_force": row(),
+    "Rollout.max_input": row(),
     "Rollout.rms_error": row(),
     "integrator_report": row(60, integrator=pm.rk4, robot=the("robot"), steps=(0.1, 0.05), duration=0.2),
     "mountable": row(),
@@ -671,6 +693,7 @@ ROWS: dict[str, Row] = {
     "plots.integrator": row(60, reports=the("report"), title="a title"),
     "plots.path": row(60, rollouts=the("rollout"), times=[0.1, 0.5], title="a title"),
     "plots.reaction": row(60, rollouts=the("arm_rollout"), mount="arm", title="a title"),
+    "plots.signals": row(rollouts=the("told"), title="a title"),
     "plots.states": row(60, rollouts=the("rollout"), title="a title"),
     "viewer.Arrows": row(force=1, moment=1),
     "viewer.Follow": row(distance=4),
@@ -686,7 +709,7 @@ ROWS: dict[str, Row] = {
         arrows=viewer.Arrows(),
         camera=viewer.Follow(),
     ),
-    "viewer.Viewer": row(80, robot=the("robot"), live=False, host="127.0.0.1", port=None, overlays=None),
+    "viewer.Viewer": row(80, plant=the("robot"), live=False, host="127.0.0.1", port=None, overlays=None),
     "viewer.Viewer.close": row(),
     "viewer.Viewer.display": row(q=Q),
     "viewer.Viewer.play": row(rollout=the("rollout"), speed=1, repeat=1, overlays=None),
@@ -720,8 +743,13 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "LectureHeading": lambda: pm.LectureHeading(WORLD.path),
     "WholeBody": lambda: WORLD.whole,
     "PosePath": lambda: WORLD.target,
+    "JointFriction": lambda: pm.JointFriction,
     "NoiseForce": lambda: pm.NoiseForce,
-    "Context": lambda: pm.Context,
+    "Context": lambda: pm.Context.of(WORLD.robot, dt=0.1),
+    "ConstantForce": lambda: pm.ConstantForce,
+    "SinusoidalForce": lambda: pm.SinusoidalForce,
+    "ViscousFriction": lambda: pm.ViscousFriction,
+    "RollingResistance": lambda: pm.RollingResistance,
     "Uniform": lambda: pm.Uniform(1, 2),
     "Normal": lambda: pm.Normal(1, 2),
     "Scenario": lambda: WORLD.scenario,
@@ -797,10 +825,10 @@ def is_part(name: str) -> bool:
     owner, _, method = name.rpartition(".")
     parts = ("PD", "ComputedTorque", "Decoupled", "PDGravity", "Saturated", "Delayed", "NoisyMeasurement")
     forces = ("ConstantForce", "SinusoidalForce", "NoiseForce", "RollingResistance", "ViscousFriction")
-    called = owner in (*parts, *forces, "EndEffectorTracking")
+    called = owner in (*parts, *forces, "EndEffectorTracking", "JointFriction")
     integrators = ("constant_acceleration", "rk4", "semi_implicit_euler")
     return name in integrators or (
-        called and method in ("__call__", "initial_state", "applied", "acceleration")
+        called and method in ("__call__", "initial_state", "applied", "acceleration", "on_coordinates")
     )
 
 

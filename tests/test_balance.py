@@ -54,7 +54,7 @@ def momentum_rate(moving: Any, inertias: dict[int, pin.Inertia]) -> Array:
     With p = T r of a body's points, the sums over its mass of p'' and p x p'' are in T'' J T', where J is the
     sum of r r' (4 x 4): differences of poses in time are all that is needed.
     """
-    robot, h = moving.robot, 2e-3
+    robot, h = moving.plant, 2e-3
 
     def poses(t: float) -> Array:
         displacement = t * moving.v + 0.5 * t * t * moving.a
@@ -73,7 +73,7 @@ def momentum_rate(moving: Any, inertias: dict[int, pin.Inertia]) -> Array:
 
 def seen_from(wrench: Array, moving: Any, point: Array) -> Array:
     """Return a wrench about the world's origin about a point of the body, along the body's axes."""
-    T = moving.robot.frame_placements(moving.q)[..., BODY_JOINT - 1, :, :]
+    T = moving.plant.frame_placements(moving.q)[..., BODY_JOINT - 1, :, :]
     origin = T[..., :3, :3] @ point + T[..., :3, 3]
     moment = wrench[..., 3:] - np.cross(origin, wrench[..., :3])
     return np.concatenate([part[..., None, :] @ T[..., :3, :3] for part in (wrench[..., :3], moment)], -1)[
@@ -266,7 +266,7 @@ def test_what_has_no_arm_or_is_no_robot_is_refused() -> None:
         reaction_wrench(at_rest(UR5, UR5.rest), "arm")
     with pytest.raises(InvalidArgument, match="robot carries no arm, expected one"):
         reaction_wrench(planar((0, 0, 0)))
-    with pytest.raises(InvalidArgument, match="robot is 3, expected a MobileRobot"):
+    with pytest.raises(InvalidArgument, match=r"plant is 3, which does not tell .*, expected a MobileRobot"):
         Motion(3, [0], [0], [0])  # type: ignore[arg-type]
     with pytest.raises(InvalidArgument, match=r"a has shape \(2,\), expected \(..., 3\)"):
         planar((0, 0))

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
-PEERS = ("mujoco", "pydrake", "roboticstoolbox", "pybullet", "jax", "numba")
+PEERS = ("mujoco", "pydrake", "roboticstoolbox", "pybullet", "jax")
 SHORT = 2.0  # s
 
 
@@ -279,7 +279,7 @@ def test_without_the_peers_every_benchmark_starts_and_knows_who_is_missing() -> 
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     peers = json.loads(done.stdout)
-    for name in ("MUJOCO", "DRAKE", "TOOLBOX", "PYBULLET", "JAX", "ENSEMBLES"):  # ours needs numba there
+    for name in ("MUJOCO", "DRAKE", "TOOLBOX", "PYBULLET", "JAX"):
         assert peers[name] == [False, ""], name
     for name, package in (("PINMOBILE", "pinmobile"), ("PINOCCHIO", "pin"), ("NUMPY", "numpy")):
         assert peers[name] == [True, version(package)], name

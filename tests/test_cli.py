@@ -117,7 +117,7 @@ def test_run_is_the_lectures_circle_by_default(capsys: pytest.CaptureFixture[str
     assert f"open {tmp_path / 'a' / 'b' / 'index.html'}" in out
     rollout = Rollout.load(tmp_path / "a" / "b" / "rollout.npz")
     assert rollout.max_error()[0] == pytest.approx(3.491279e-05, rel=1e-6)
-    assert (tmp_path / "a" / "b" / "rollout.csv").read_text().startswith("t,x,y,psi")
+    assert (tmp_path / "a" / "b" / "rollout.csv").read_text().startswith("t [s],x [m],y [m],psi [rad]")
 
 
 def test_run_takes_a_trajectory_a_controller_a_robot_and_their_parameters(

@@ -163,66 +163,66 @@ def test_what_is_swept_has_its_unit(tmp_path: Path, name: str, unit: str) -> Non
         (
             "[loop]",
             "[lop]",
-            "mass.toml:9: unknown table [lop], did you mean 'loop'? available: loop, ",
+            "mass.toml:10: unknown table [lop], did you mean 'loop'? available: loop, ",
         ),
         ("radius = 3", "radius 3", "mass.toml:6: Expected '=' after a key in a key/value pair"),
         ("radius = 3", "radius = -3", "mass.toml:6: radius is -3.0 m, expected > 0 (at "),
         (
             "start_x",
             "start_z",
-            "mass.toml:12: unknown key 'start_z' in [spread], did you mean 'start_y' or 'start_x' or "
+            "mass.toml:13: unknown parameter in spread 'start_z', did you mean 'start_y' or 'start_x' or "
             "'start_vy'? 'pinmobile ensemble --help' lists all\n",
         ),
         (
             "normal =",
             "norml =",
-            "mass.toml:12: unknown form in the spread of start_x 'norml', did you mean 'normal'",
+            "mass.toml:13: unknown form in the spread of start_x 'norml', did you mean 'normal'",
         ),
         (
             "spread.mass",
             "spread.mas",
-            "mass.toml:18: unknown key 'mas' of [spread] in [grid], did you mean 'mass'",
+            "mass.toml:19: unknown parameter in spread 'mas', did you mean 'mass'",
         ),
         (
             "controller.type",
             "controler.type",
-            "mass.toml:19: unknown table 'controler' of 'controler.type' in [grid], did you mean 'control",
+            "mass.toml:20: unknown table 'controler' of 'controler.type' in [grid], did you mean 'control",
         ),
-        ("spread.mass.percent", "spread", "mass.toml:18: 'spread' in [grid] is a table, expected one of its"),
+        ("spread.mass.percent", "spread", "mass.toml:19: 'spread' in [grid] is a table, expected one of its"),
         (
             '"circle"',
             '"circel"',
             "mass.toml:5: unknown trajectory 'circel', did you mean 'circle'? ",
         ),
         ('"box"', '"boxx"', "mass.toml:3: unknown robot 'boxx', did you mean 'box'? available: "),
-        ('"pd", ', '"pdd", ', "mass.toml:19: unknown controller 'pdd', did you mean 'pd'? available: "),
+        ('"pd", ', '"pdd", ', "mass.toml:20: unknown controller 'pdd', did you mean 'pd'? available: "),
         (
             'same = "start_x"',
             'same = "start_z"',
-            "mass.toml:13: unknown parameter in spread['start_y'] ",
+            "mass.toml:14: unknown parameter in spread['start_y'] ",
         ),
         ('"circle"', "3", "mass.toml:5: type is 3, expected text in quotes"),
         (
             '["pd", ',
             "[3, ",
-            "mass.toml:19: controller.type is [3, 'computed-torque'], expected texts in quotes",
+            "mass.toml:20: controller.type is [3, 'computed-torque'], expected texts in quotes",
         ),
-        ("[5, 10, 20]", "5", "mass.toml:18: spread.mass.percent is 5, expected a list of values"),
+        ("[5, 10, 20]", "5", "mass.toml:19: spread.mass.percent is 5, expected a list of values"),
         (
             "[5, 10, 20]",
             "[10, 10]",
-            "mass.toml:18: spread.mass.percent is [10, 10], expected each one once",
+            "mass.toml:19: spread.mass.percent is [10, 10], expected each one once",
         ),
-        ("[5, 10, 20]", "[5, 200]", "mass.toml:18: spread['mass'] reaches -30 kg"),
-        ("n = 40", "n = -1", "mass.toml:15: n is -1, expected a whole number >= 1"),
-        ("n = 40", "n = 100000000000", "mass.toml:15: n is 100,000,000,000, expected at most "),
+        ("[5, 10, 20]", "[5, 200]", "mass.toml:19: spread['mass'] reaches -30 kg"),
+        ("n = 40", "n = -1", "mass.toml:16: n is -1, expected a whole number >= 1"),
+        ("n = 40", "n = 100000000000", "mass.toml:16: n is 100,000,000,000, expected at most "),
         (
             "radius = 3",
             'heading = "fixed"\nturn_time = 3',
             "mass.toml:7: turn_time does not apply beside heading fixed (at ",
         ),
-        ("start_y =", "yaw_inertia =", "mass.toml:13: spread['yaw_inertia'] gives -"),
-        ("[0, 0.001]", "[0, -1]", "mass.toml:12: spread of start_x: std is -1.0, expected >= 0"),
+        ("start_y =", "yaw_inertia =", "mass.toml:14: spread['yaw_inertia'] gives -"),
+        ("[0, 0.001]", "[0, -1]", "mass.toml:13: spread of start_x: std is -1.0, expected >= 0"),
     ],
 )
 def test_a_typo_in_a_scenario_file_is_answered_with_its_line(
@@ -417,18 +417,6 @@ def test_the_help_lists_what_may_be_spread(capsys: pytest.CaptureFixture[str], c
     words = " ".join(shown.split())
     assert "the robot: mass (kg), yaw_inertia (kg m^2), com_x, com_y (m)" in words
     assert "start_vx, start_vy (m/s), start_yaw_rate (rad/s)" in words
-
-
-def test_without_numba_an_ensemble_takes_longer_and_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("pinmobile.cli.many.find_spec", lambda name: None)
-    monkeypatch.setattr("pinmobile.ensembles.choosing.find_spec", lambda name: None)
-    words = ["ensemble", "--n", "20", "--dt", "0.5", "--duration", "2", "--spread", "mass=percent:10"]
-    code, out, _ = typed(capsys, *words, "--out", str(tmp_path))
-    assert code == 0
-    assert "numba is not installed: this takes some ten times longer (extra: ensembles)" in out
-    assert "computed torque" in out
 
 
 def test_a_full_disk_in_a_sweep_is_told_and_it_goes_on(

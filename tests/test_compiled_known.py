@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile.compiled import Parameter, Parts, Program, Reference, Trace, program_of
+from pinmobile.compiled import Parts, Place, Program, Reference, Trace, program_of
 from tests.looping import (
     PD,
     Body,
@@ -67,7 +67,7 @@ def test_another_class_number_of_robots_or_setting_is_another_loop() -> None:
     assert program(loop(PD(4.0, 5.0), rk4)) is not known
     assert program(loop(Scaled(4.0, 5.0))) is not known
     assert program(loop(PD(4.0, 5.0)), single=True) is not known
-    assert program(loop(PD(4.0, 5.0)), spread=[Parameter("plant", "mass")]) is not known
+    assert program(loop(PD(4.0, 5.0)), spread=[Place("plant", "mass")]) is not known
     delayed = program(loop(Delayed(PD(4.0, 5.0), 2)))
     assert program(loop(Delayed(PD(4.0, 5.0), 2))) is delayed
     assert program(loop(Delayed(PD(4.0, 5.0), 3))) is not delayed

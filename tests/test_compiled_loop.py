@@ -15,8 +15,8 @@ from pinmobile.compiled import (
     SHIFT,
     Cache,
     Outcome,
-    Parameter,
     Parts,
+    Place,
     Program,
     Reference,
     Shape,
@@ -98,7 +98,7 @@ COMPOSITIONS: dict[str, Callable[[], Parts]] = {
     "wheels, forces": lambda: Parts(TwoWheels(), WheelFollower(), (*smooth(), AxleFriction(0.01)), rk4),
     "wheels, delayed": lambda: Parts(TwoWheels(), Delayed(WheelFollower(), 3), rough(), semi_implicit),
 }
-MASSES = Parameter("plant", "mass")
+MASSES = Place("plant", "mass")
 
 
 def started(plant: Any, n: int) -> tuple[Any, Any]:
@@ -259,7 +259,7 @@ def test_what_no_law_uses_is_named() -> None:
         color = 3.0
 
     parts = Parts(Body(), Deaf(1.0, 1.0), (), constant_acceleration)
-    assert built(parts).loop.unused == [Parameter("controller", "color")]
+    assert built(parts).loop.unused == [Place("controller", "color")]
 
 
 def test_limits_of_the_plant_are_kept_and_told_to_the_controller() -> None:
@@ -308,15 +308,15 @@ def test_memory_begins_with_what_each_robot_has_of_its_own(controller: Believing
     parts = Parts(Body(), controller, (), constant_acceleration, Trace())
     n = 11
     own = {
-        Parameter("controller", "belief"): np.linspace(-9, 9, n),
-        Parameter("controller", "kp"): np.linspace([10, 10, 5], [20, 30, 40], n),
+        Place("controller", "belief"): np.linspace(-9, 9, n),
+        Place("controller", "kp"): np.linspace([10, 10, 5], [20, 30, 40], n),
     }
     program = built(parts, own)
     kinds = {leaf.path: leaf.kind for leaf in program.loop.leaves}
     assert kinds == {"state['belief']": "state", "state['gain']": "row", "state['rest']": "state"}
     found = ran(program, parts, n, values=own)
     # What depends on no parameter that is spread in one run does in another.
-    alone = Parameter("plant", "mass")
+    alone = Place("plant", "mass")
     known = built(parts, [*own, alone])
     ran(known, parts, n, values={alone: np.full(n, 30.0)})
     again = ran(known, parts, n, values=own)
@@ -518,7 +518,7 @@ def test_a_laws_own_error_comes_as_it_is() -> None:
 def test_names_that_there_are_not_are_answered_with_those_there_are() -> None:
     parts = COMPOSITIONS["computed torque"]()
     with pytest.raises(errors.UnknownName, match=r"'plant.masss', did you mean 'plant.mass'"):
-        built(parts, [Parameter("plant", "masss")])
+        built(parts, [Place("plant", "masss")])
     program = built(COMPOSITIONS["noisy"]())
     with pytest.raises(errors.InvalidArgument, match=r"expected one for the noise 'measurement'"):
         ran(program, COMPOSITIONS["noisy"](), 3, keys={})
@@ -528,7 +528,7 @@ def test_one_value_for_each_robot_is_refused_where_the_loop_has_one_for_all() ->
     parts = COMPOSITIONS["computed torque"]()
     program = built(parts)
     with pytest.raises(errors.InvalidArgument, match=r"controller.kp has shape \(3, 3\), expected \(3,\)"):
-        ran(program, parts, 3, values={Parameter("controller", "kp"): np.ones((3, 3))})
+        ran(program, parts, 3, values={Place("controller", "kp"): np.ones((3, 3))})
 
 
 def test_an_input_of_another_size_is_refused() -> None:
@@ -560,7 +560,7 @@ def test_arrays_of_other_shapes_are_refused_and_not_read_beyond() -> None:
     with pytest.raises(errors.InvalidArgument, match=r"plant.mass has shape \(4,\), expected \(3,\)"):
         run(values={MASSES: np.ones(4)})
     with pytest.raises(errors.UnknownName, match=r"did you mean 'plant\.mass'"):
-        run(values={Parameter("plant", "masss"): np.ones(3)})
+        run(values={Place("plant", "masss"): np.ones(3)})
     other = COMPOSITIONS["saturated"]()
     with pytest.raises(errors.InvalidArgument, match=r"parts differ .* in .*controller\.limits"):
         program.run(other, context(DT), (q, v), TIMES, CIRCLE, dt=DT)
@@ -568,7 +568,7 @@ def test_arrays_of_other_shapes_are_refused_and_not_read_beyond() -> None:
 
 def test_one_value_of_a_parameter_that_is_spread_is_each_robots() -> None:
     parts = Parts(Body(), PD(20.0, 25.0), (), rk4, Trace())
-    gains = Parameter("controller", "kp")
+    gains = Place("controller", "kp")
     program = built(parts, [gains])
     one = ran(program, parts, 3, values={gains: np.array([9.0, 8.0, 7.0])})
     each = ran(program, parts, 3, values={gains: np.tile([9.0, 8.0, 7.0], (3, 1))})

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pinmobile import errors, plain_difference, planar_difference
-from pinmobile.compiled import Cache, Noise, Parameter, Parts, Program, Reference, Trace, robot_keys, traced
+from pinmobile.compiled import Cache, Noise, Parts, Place, Program, Reference, Trace, robot_keys, traced
 from pinmobile.compiled.loop_tape import initial_memory
 from pinmobile.compiled.parts import one_sample
 from pinmobile.integrators import RungeKuttaNystrom, constant_acceleration, rk4, semi_implicit_euler
@@ -127,7 +127,7 @@ class Opaque:
 
 def test_a_plant_that_is_not_numpy_says_what_it_is_in_numpy() -> None:
     parts = Parts(Opaque(22.0), PD(20.0, 30.0), (), constant_acceleration, Trace())
-    mass = Parameter("plant", "mass")
+    mass = Place("plant", "mass")
     q, v = CIRCLE.q[:1] + 0.1, CIRCLE.v[:1]
     loop = traced(parts, context(DT), (q[0], v[0]), FIRST, dt=DT, spread=[mass])
     found = Program(loop, cache=Cache("")).run(
@@ -220,9 +220,9 @@ class Team(PD):
 def test_parameters_of_parts_in_lists_and_behind_methods_are_found(kind: type) -> None:
     parts = Parts(Body(), Team(kind([PD(20.0, 30.0), PD(5.0, 1.0)]), Body(14.0)), (), rk4, Trace())
     own = {
-        Parameter("controller.controllers[1]", "kp"): np.array([[9.0, 8.0, 7.0], [1.0, 2.0, 3.0]]),
-        Parameter("controller.model", "mass"): np.array([3.0, 50.0]),
-        Parameter("controller", "kp"): np.array([[5.0, 8.0, 7.0], [1.0, 7.0, 3.0]]),
+        Place("controller.controllers[1]", "kp"): np.array([[9.0, 8.0, 7.0], [1.0, 2.0, 3.0]]),
+        Place("controller.model", "mass"): np.array([3.0, 50.0]),
+        Place("controller", "kp"): np.array([[5.0, 8.0, 7.0], [1.0, 7.0, 3.0]]),
     }
     q, v = np.tile(CIRCLE.q[0] + 0.1, (2, 1)), np.tile(CIRCLE.v[0], (2, 1))
     loop = traced(parts, context(DT), (q[0], v[0]), FIRST, dt=DT, spread=own)

@@ -11,8 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import pinmobile.ensembles.choosing as choosing
-import pinmobile.ensembles.stretches as stretches
 from pinmobile import (
     PD,
     Circle,
@@ -49,9 +47,9 @@ from pinmobile import (
     semi_implicit_euler,
     simulate,
 )
-from pinmobile.ensembles import ARRAYS, COMPILED, by_kernel, kernel, part_of, run_scenario
-from pinmobile.ensembles.kernel import _sincos
+from pinmobile.ensembles import ARRAYS, COMPILED, PINOCCHIO, part_of, run_scenario
 from pinmobile.ensembles.table import judgement
+from pinmobile.errors import SlowerEngine
 from pinmobile.integrators import RungeKuttaNystrom
 from tests.users import PID
 
@@ -147,7 +145,7 @@ def assert_is_simulated(run: Ensemble, i: int) -> None:
     force = 1 + run.max_force[i].max()
     np.testing.assert_allclose(rollout.max_error(), run.max_error[i], rtol=0, atol=1e-12 * size)
     np.testing.assert_allclose(rollout.rms_error(), run.rms_error[i], rtol=0, atol=1e-12 * size)
-    np.testing.assert_allclose(rollout.max_force(), run.max_force[i], rtol=0, atol=1e-12 * force)
+    np.testing.assert_allclose(rollout.max_input(), run.max_force[i], rtol=0, atol=1e-12 * force)
     distance = np.hypot(*rollout.error[:, :2].T).max()
     assert distance == pytest.approx(run.max_distance[i], abs=1e-12 * size)
 
@@ -210,7 +208,7 @@ TWICE: dict[str, Any] = {
 @pytest.mark.parametrize("what", TWICE)
 def test_two_of_a_kind_and_what_is_ones_own_are_as_simulated(what: str) -> None:
     scenario = made(n=3, duration=10.0, **TWICE[what])
-    run = run_scenario(scenario)  # by the compiled engine wherever it can
+    run = run_scenario(scenario, engine=ARRAYS if "model" in what else COMPILED)
     assert_close(run, run_scenario(scenario, engine=ARRAYS))
     assert_is_simulated(run, 2)
 
@@ -224,23 +222,28 @@ def test_a_users_integral_is_told_what_is_applied_as_in_simulate(noise: float) -
         controller = NoisyMeasurement(inner, noise, noise, seed=3)
         spread = {"start_x": np.array([-4.0, -0.5, 4.0])}
         runs.append(run_scenario(made(controller=controller, spread=spread, n=3, dt=0.05, duration=10.0)))
-        assert COMPILED.refusal(runs[-1].scenario) == "the controller is PID, neither PD nor ComputedTorque"
+        assert runs[-1].engine == "COMPILED"
         for i in range(3):
             assert_is_simulated(runs[-1], i)
     told, wound = runs
     assert (np.abs(told.rms_error - wound.rms_error)[[0, 2], 0] > 1e-3).all()
 
 
-def test_what_is_ones_own_is_not_compiled() -> None:
+def test_what_is_ones_own_is_compiled_where_its_law_is_numpys() -> None:
     stages = tuple((0.0,) * k for k in range(9))
     nine = RungeKuttaNystrom("nine", (0.0,) * 9, stages, stages, (0.5, *[0.0] * 8), (1.0, *[0.0] * 8))
-    for changes, text in (
-        (TWICE["a difference of one's own"], "the controller's difference is its own"),
-        (TWICE["a model of one's own"], "the controller's robot is a Own, no MobileRobot"),
-        ({"integrator": nine}, "the integrator, nine, is no table of up to 8 stages"),
-    ):
-        with pytest.raises(InvalidArgument, match=f"engine is COMPILED, which cannot run this: {text}"):
-            run_scenario(made(**changes), engine=COMPILED)
+    for changes in (TWICE["a difference of one's own"], {"integrator": nine}):
+        run = run_scenario(made(n=2, duration=2.0, **changes))
+        assert (run.engine, run.why) == ("COMPILED", "")
+    # Pinocchio takes numbers alone, one state at a time, or many one after the other.
+    scenario = made(n=2, duration=2.0, **TWICE["a model of one's own"])
+    with pytest.warns(SlowerEngine, match=r"runs by ARRAYS.*not COMPILED: .*build_model") as told:
+        run = run_scenario(scenario)
+    assert len(told) == 1
+    assert run.engine == "ARRAYS"
+    assert run.why in str(told[0].message)
+    with pytest.raises(InvalidArgument, match=r"engine is COMPILED, which cannot .*build_model"):
+        run_scenario(scenario, engine=COMPILED)
 
 
 @pytest.mark.parametrize("difference", [planar_difference, plain_difference, ROBOT.difference])
@@ -343,7 +346,7 @@ def test_half_a_turn_off_all_robots_turn_left_in_every_engine(engine: Any) -> No
         assert (alone.error[:, 2] > 0).all()
         assert alone.q[-1, 2] > alone.q[0, 2]
         np.testing.assert_allclose(wide.max_error[i], alone.max_error(), rtol=0, atol=1e-8)
-        np.testing.assert_allclose(wide.max_force[i], alone.max_force(), rtol=0, atol=1e-7)
+        np.testing.assert_allclose(wide.max_force[i], alone.max_input(), rtol=0, atol=1e-7)
 
 
 def test_rounding_stays_rounding_but_where_a_loop_is_chaotic() -> None:
@@ -439,7 +442,8 @@ def test_no_controller_is_asked_about_a_robot_that_has_diverged() -> None:
         worst.append(np.abs(reference.q - q).max())
         return 1e5 * (q - reference.q)
 
-    run = run_scenario(made(controller=law(repelled), n=3, spread={"start_x": np.array([0, 1, 0])}))
+    spread = {"start_x": np.array([0, 1, 0])}
+    run = run_scenario(made(controller=law(repelled), n=3, spread=spread), engine=ARRAYS)
     assert run.diverged[1]
     assert max(worst) <= run.scenario.limit
 
@@ -520,7 +524,7 @@ def test_the_seed_of_a_noise_enters_that_of_every_robot(engine: Any, seed: Any) 
         assert_is_simulated(other, 1)
 
 
-def test_a_users_own_controller_force_and_integrator_run_on_arrays() -> None:
+def test_a_users_own_controller_force_and_integrator_are_compiled() -> None:
     def drag(t: float, q: Any, v: Any) -> Any:
         return -3.0 * np.asarray(v)
 
@@ -530,16 +534,10 @@ def test_a_users_own_controller_force_and_integrator_run_on_arrays() -> None:
     mine = law(lambda t, q, v, reference: KP * (reference.q - q) + KD * (reference.v - v))
     scenario = made(controller=mine, forces=(drag,), integrator=euler, n=65, dt=0.05)
     run = run_scenario(scenario)
+    assert run.engine == "COMPILED"
     assert not run.diverged.any()
     assert_is_simulated(run, 64)
-    for what, refusal in (
-        ({"controller": mine}, "the controller is _Law, neither PD nor ComputedTorque"),
-        ({"forces": (drag,)}, "the forces have a function of their own"),
-        ({"integrator": euler}, "is no table of up to 8 stages"),
-    ):
-        with pytest.raises(InvalidArgument, match="engine is COMPILED, which cannot run this") as caught:
-            run_scenario(made(**what), engine=COMPILED)
-        assert refusal in str(caught.value)
+    assert_close(run, run_scenario(scenario, engine=ARRAYS))
 
 
 class OwnGains:
@@ -601,23 +599,87 @@ class Summing:
         return KP * error + KD * (reference.v - v) + 0.1 * self.sum, state
 
 
-def test_what_a_controller_keeps_in_itself_is_each_runs_own() -> None:
-    controller = Summing()
-    run = run_scenario(made(controller=controller, n=200, duration=2.0), threads=1)
-    assert controller.sum == 0.0
-    for i in (0, 199, 199):
-        assert_is_simulated(run, i)
-    assert_same(run, run_scenario(made(controller=controller, n=200, duration=2.0), threads=2))
+@pytest.mark.parametrize("engine", [None, COMPILED, ARRAYS, PINOCCHIO])
+def test_what_a_controller_keeps_in_itself_is_refused(engine: Any) -> None:
+    generator = np.random.default_rng(0)
+    drawing = law(lambda t, q, v, r: KP * (r.q - q) + generator.normal(size=3))
+    for controller in (Summing(), Saturated(Summing(), 9.0), drawing):
+        with pytest.raises(InvalidArgument, match=r"asked again .* keep memory in state, and take random"):
+            run_scenario(made(controller=controller, n=2, duration=2.0), engine=engine)
 
 
-def _mixing(t: float, q: Any, v: Any, reference: Any) -> Any:
+class Solver:
+    """A controller that keeps a workspace, on which its answer does not depend."""
+
+    def __init__(self) -> None:
+        self.last: Any = np.zeros(3)
+
+    def initial_state(self, context: Any) -> None: ...
+
+    def __call__(self, t: float, q: Any, v: Any, reference: Any, state: None) -> Any:
+        self.last = np.array(KP * (reference.q - q) + KD * (reference.v - v))
+        return self.last.copy(), state
+
+
+def test_a_workspace_is_allowed_where_the_answer_does_not_depend_on_it() -> None:
+    controller = Solver()
+    run = run_scenario(made(controller=controller, n=3, duration=2.0))
+    assert controller.last.dtype == np.float64
+    assert_is_simulated(run, 2)
+
+
+def _for_one(t: float, q: Any, v: Any, reference: Any) -> Any:
     error = reference.q - q
     return KP * error / (1 + np.linalg.norm(error[:2])) + KD * (reference.v - v)
 
 
-def _for_one(t: float, q: Any, v: Any, reference: Any) -> Any:
+def _unpacking(t: float, q: Any, v: Any, reference: Any) -> Any:
     x, y, psi = reference.q - q
-    return np.array([x, y, psi])
+    u, w, r = reference.v - v
+    return np.array([90 * x + 100 * u, 90 * y + 100 * w, 3 * psi + 4 * r])
+
+
+def _branching(t: float, q: Any, v: Any, reference: Any) -> Any:
+    error = reference.q - q
+    if error[0] > 0:
+        error[0] *= 2
+    return KP * error + KD * (reference.v - v)
+
+
+FOR_ONE: dict[str, dict[str, Any]] = {
+    "mixing": {"controller": law(_for_one)},
+    "unpacking": {"controller": law(_unpacking)},
+    "difference": {"controller": PD(KP, KD, difference=lambda q0, q1: (q1 - q0) / (1 + np.linalg.norm(q0)))},
+    "force": {"forces": (lambda t, q, v: -v[2] * np.ones(3),)},
+}
+
+
+@pytest.mark.parametrize("what", FOR_ONE)
+def test_laws_for_one_robot_are_compiled_and_refused_on_arrays(what: str) -> None:
+    scenario = made(n=3, duration=3.0, **FOR_ONE[what])
+    run = run_scenario(scenario)
+    assert run.engine == "COMPILED"
+    assert_is_simulated(run, 2)
+    with pytest.raises(
+        InvalidArgument, match=r"engine is ARRAYS, which cannot run this: .*one row per robot"
+    ):
+        run_scenario(scenario, engine=ARRAYS)
+
+
+def test_a_law_that_asks_its_state_runs_one_robot_after_another_and_says_so() -> None:
+    scenario = made(controller=law(_branching), n=5, duration=3.0)
+    with pytest.warns(SlowerEngine, match=r"runs by PINOCCHIO") as told:
+        run = run_scenario(scenario)
+    assert run.engine == "PINOCCHIO"
+    for text in ("not COMPILED", "_branching", "np.where", "not ARRAYS", "one row per robot"):
+        assert text in run.why
+        assert text in str(told[0].message)
+    for i in range(5):
+        assert_is_simulated(run, i)
+    same = run_scenario(scenario, engine=PINOCCHIO)
+    assert_same(run, same)
+    np.testing.assert_array_equal(run.counts, same.counts)
+    assert run.counts.sum(axis=-1).tolist() == [[5, 5]] * len(scenario.grid)
 
 
 def _failing(t: float, q: Any, v: Any, reference: Any) -> Any:
@@ -625,37 +687,9 @@ def _failing(t: float, q: Any, v: Any, reference: Any) -> Any:
     return gains["gain"] * q
 
 
-@pytest.mark.parametrize(
-    ("what", "text"),
-    [
-        (
-            {"controller": law(_mixing)},
-            r"controller returned \[.*\] at t = 0 s for q of shape \(4, 3\) in row 0, and \[.*\] for that "
-            "row alone, expected the same: in an ensemble it works on arrays, one row per robot",
-        ),
-        (
-            {"controller": law(lambda t, q, v, r: (r.q - q) - (r.q - q).mean(axis=0))},
-            "controller returned .* for that row alone",
-        ),
-        (
-            {"controller": law(_for_one)},
-            r"controller failed at t = 0 s for q of shape \(4, 3\) with ValueError: too many.*; in an",
-        ),
-        ({"controller": law(_failing)}, "controller failed .* with KeyError: 'gain'; in an ensemble"),
-        (
-            {"controller": PD(KP, KD, difference=lambda q0, q1: (q1 - q0) / np.linalg.norm(q0[:2]))},
-            "controller returned .* for that row alone",
-        ),
-        ({"forces": (lambda t, q, v: q - q[0],)}, r"forces\[0\] returned .* for that row alone"),
-        ({"forces": (lambda t, q, v: -v[2] * np.ones(3),)}, r"forces\[0\] returned shape \(3,\)"),
-        ({"forces": (lambda t, q, v: v @ np.eye(4),)}, r"forces\[0\] failed .* with ValueError: matmul"),
-    ],
-)
-def test_functions_for_one_robot_and_functions_that_mix_rows_are_refused(
-    what: dict[str, Any], text: str
-) -> None:
-    with pytest.raises(InvalidArgument, match=text):
-        run_scenario(made(**what))
+def test_an_error_in_a_law_is_its_own() -> None:
+    with pytest.raises(KeyError, match="gain"):
+        run_scenario(made(controller=law(_failing)))
 
 
 class Column:
@@ -677,11 +711,6 @@ def test_ensemble_takes_what_a_scenario_takes_with_the_same_defaults() -> None:
     own = {"traces", "engine", "threads", "progress"}
     assert set(taken) == {*fields, *own}
     assert {name: taken[name].default for name in fields} == {n: p.default for n, p in fields.items()}
-
-
-def test_the_kernel_and_who_calls_it_agree_on_stages_and_lanes() -> None:
-    assert by_kernel._MOST_STAGES == kernel.STAGES
-    assert stretches._LANES == kernel.LANES
 
 
 def test_traces_are_those_of_simulate() -> None:
@@ -728,14 +757,6 @@ def test_progress_counts_robots() -> None:
     assert [done for done, _ in seen] == sorted(done for done, _ in seen)
 
 
-def test_sine_and_cosine_of_the_kernel() -> None:
-    # Far more turns than any robot makes: the reduction is exact, so what is left is the rounding of the
-    # series, a few units of 2^-53.
-    x = np.concatenate([np.linspace(-10, 10, 4001), np.linspace(-1e4, 1e4, 4001), np.pi * np.arange(-50, 50)])
-    found = np.array([_sincos(value) for value in x])
-    assert np.abs(found - np.column_stack([np.sin(x), np.cos(x)])).max() < 6e-16
-
-
 def test_a_million_robots_fit_in_a_gigabyte() -> None:
     code = (
         "import resource, pinmobile as p; r = p.MobileRobot(30, 1.3); "
@@ -748,23 +769,3 @@ def test_a_million_robots_fit_in_a_gigabyte() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     kilobytes = int(done.stdout) / (1 if sys.platform == "linux" else 1024)
     assert kilobytes < 1e6
-
-
-def test_without_numba_the_message_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(choosing, "find_spec", lambda name: None)
-    with pytest.raises(
-        InvalidArgument, match=r"pip install numba, or choose engine=pinmobile.ensembles.ARRAYS"
-    ):
-        run_scenario(made(n=2))
-    assert len(run_scenario(made(n=2, duration=1.0), engine=ARRAYS).max_error) == 2
-
-
-def test_numba_is_loaded_only_when_it_is_used() -> None:
-    code = (
-        "import sys, pinmobile as p; from pinmobile import ensembles as e; r = p.MobileRobot.lecture(); "
-        "t = p.FixedHeading(p.Circle(1, 1, 1), 0); "
-        "p.ensemble(r, p.PD(9, 9), t, n=2, spread={}, dt=0.1, engine=e.ARRAYS); "
-        "print('numba' in sys.modules)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["False"]

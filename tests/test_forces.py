@@ -49,15 +49,24 @@ class OtherPlant:
         self.nq = self.nv = self.nu = 3 + extra
         self.asked: list[Array] = []
 
-    def forward_dynamics(self, q: Array, v: Array, u: Array) -> Array:
-        self.asked.append(u)
-        return np.append(ROBOT.forward_dynamics(q[:3], v[:3], u[:3]), u[3:])
+    def forward_dynamics(self, q: Array, v: Array, u: Array, f: Any = 0.0) -> Array:
+        self.asked.append(u + f)
+        return np.append(ROBOT.forward_dynamics(q[:3], v[:3], (u + f)[:3]), u[3:])
 
     def integrate(self, q: Array, dq: Array) -> Array:
         return q + dq
 
     def difference(self, q0: Array, q1: Array) -> Array:
         return q1 - q0
+
+    def pose(self, q: Array) -> Array:
+        return q[:3]
+
+    def rate(self, q: Array, v: Array) -> Array:
+        return v[:3]
+
+    def effort(self, q: Array, wrench: Array) -> Array:
+        return np.append(wrench, np.zeros(self.nv - 3))
 
 
 def total(t: float, q: Array, v: Array) -> Array:
@@ -80,7 +89,7 @@ def test_every_way_through_the_loop_is_the_same(integrator: Any, substeps: int) 
     for plant in (ROBOT, OtherPlant()):
         for step in (integrator, users):
             other = simulate(plant, asked(controller), CIRCLE, integrator=step, **options)
-            for name in ("q", "v", "a", "tau"):
+            for name in ("q", "v", "a", "u"):
                 # The same sums in another order, over 80 steps; noise asked at times that differ by rounding.
                 np.testing.assert_allclose(getattr(other, name), getattr(own, name), rtol=0, atol=1e-11)
 
@@ -99,7 +108,7 @@ def test_every_sample_is_that_of_the_loop_written_by_hand() -> None:
             return np.asarray(np.linalg.solve(ROBOT.mass_matrix(q), push))
 
         np.testing.assert_allclose(rollout.q[k], q, rtol=0, atol=1e-11)
-        np.testing.assert_allclose(rollout.tau[k], tau, rtol=0, atol=1e-10)
+        np.testing.assert_allclose(rollout.u[k], tau, rtol=0, atol=1e-10)
         np.testing.assert_allclose(rollout.a[k], acceleration(k * dt, q, v), rtol=0, atol=1e-10)
         k1 = acceleration(k * dt, q, v)
         k2 = acceleration((k + 0.5) * dt, q + dt / 2 * v, v + dt / 2 * k1)
@@ -117,7 +126,7 @@ def test_a_constant_force_makes_a_parabola() -> None:
     rollout = run(ConstantForce((5, -3, 0.6)), constant_acceleration, 0.5)
     a, t = np.array([0.5, -0.3, 0.5]), rollout.t[:, None]
     np.testing.assert_allclose(rollout.q, START["q0"] + START["v0"] * t + a / 2 * t**2, rtol=0, atol=1e-14)
-    assert rollout.max_force().tolist() == [0, 0, 0]
+    assert rollout.max_input().tolist() == [0, 0, 0]
 
 
 def fitted(off: list[float], steps: Array) -> float:
@@ -200,7 +209,8 @@ def test_a_force_acts_on_the_first_three_coordinates_of_a_plant_with_more() -> N
 
     plant, silent = OtherPlant(extra=2), law(lambda *_: np.arange(5.0))
     simulate(plant, silent, Trajectory(), dt=0.1, duration=0.2, forces=[force])
-    assert {tuple(u) for u in plant.asked} == {(1, 3, 5, 3, 4)}
+    # Before the loop it is asked for the shape of its answer, without input.
+    assert {tuple(u) for u in plant.asked} - {(0, 0, 0, 0, 0)} == {(1, 3, 5, 3, 4)}
     assert set(seen) == {((3,), (3,))}
 
 
@@ -224,12 +234,24 @@ def test_a_force_that_is_not_a_number_is_divergence_with_everything_before_it() 
     assert len(caught.value.rollout) == 11
 
 
-class Unicycle(OtherPlant):
-    """Its input is no generalised force."""
+class Rubber:
+    """A force on coordinates of another number."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.nu = 2
+    def on_coordinates(self, t: float, q: Array, v: Array) -> Array:
+        return np.zeros(2)
+
+
+class Rail(OtherPlant):
+    """A plant whose body cannot be pushed."""
+
+    effort = None  # type: ignore[assignment]
+
+
+class Deaf(OtherPlant):
+    """A plant that takes no forces beside its input."""
+
+    def forward_dynamics(self, q: Array, v: Array, u: Array) -> Array:  # type: ignore[override]
+        return u
 
 
 @pytest.mark.parametrize(
@@ -255,9 +277,18 @@ class Unicycle(OtherPlant):
             "forces[0] returned [1, 2, 3] at t = 0 s, expected an array of shape (3,)",
         ),
         (
-            {"plant": Unicycle(), "forces": FORCES},
-            "forces are given for a plant with nv = 3 and nu = 2, "
-            "expected one whose input is (Fx, Fy, Mz, ...)",
+            {"plant": Rail(), "forces": FORCES},
+            "forces push the body of the plant, a Rail, which has no effort, expected one with pose(q), "
+            "rate(q, v) and effort(q, wrench)",
+        ),
+        (
+            {"plant": Deaf(), "forces": FORCES},
+            "plant is a Deaf, whose forward_dynamics takes no forces f beside the input, expected "
+            "forward_dynamics(q, v, u, f)",
+        ),
+        (
+            {"forces": [Rubber()]},
+            "forces[0].on_coordinates returned array([0., 0.]) at t = 0 s, expected an array of shape (3,)",
         ),
     ],
 )

@@ -104,14 +104,14 @@ def test_error_has_no_spike_where_the_heading_crosses_zero() -> None:
     heading = lecture(np.arange(601) * 0.1).q[:, 2]
     assert np.abs(np.diff(heading)).max() > 6
     plain = simulate(robot, ComputedTorque(robot, difference=plain_difference), lecture, dt=0.1)
-    assert np.abs(plain.tau[:, 2]).max() > 2  # Icz Kp 2 pi: the loop unwinds a whole turn
+    assert np.abs(plain.u[:, 2]).max() > 2  # Icz Kp 2 pi: the loop unwinds a whole turn
     right = simulate(robot, ComputedTorque(robot), Tangent(path), dt=0.1)
     assert np.abs(np.diff(right.reference.q[:, 2])).max() < 0.2
-    assert np.abs(right.tau[:, 2]).max() < 0.1
+    assert np.abs(right.u[:, 2]).max() < 0.1
     assert right.max_error()[2] < 0.01
     # Even a wrapped reference does no harm where the error is taken on the circle.
     circle = simulate(robot, ComputedTorque(robot), lecture, dt=0.1)
-    assert np.abs(circle.tau[:, 2]).max() < 0.1
+    assert np.abs(circle.u[:, 2]).max() < 0.1
 
 
 def test_pd_gains_that_are_four_times_m_diverge_with_an_offset_centre_of_mass() -> None:

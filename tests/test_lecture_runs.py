@@ -60,8 +60,8 @@ def test_every_sample_is_the_scripts(file: str, path: str, controller: str) -> N
     np.testing.assert_allclose(errors[:, :2], script[:, 4:6], rtol=0, atol=1e-9)
     np.testing.assert_allclose(errors[moving, 2], script[moving, 6], rtol=0, atol=1e-9)
     scale = np.abs(script[:, 7:]).max()
-    np.testing.assert_allclose(rollout.tau[:, :2], script[:, 7:9], rtol=1e-7, atol=1e-7 * scale)
-    np.testing.assert_allclose(rollout.tau[moving, 2], script[moving, 9], rtol=1e-7, atol=1e-7 * scale)
+    np.testing.assert_allclose(rollout.u[:, :2], script[:, 7:9], rtol=1e-7, atol=1e-7 * scale)
+    np.testing.assert_allclose(rollout.u[moving, 2], script[moving, 9], rtol=1e-7, atol=1e-7 * scale)
 
 
 def test_heading_put_right_leaves_the_error_of_position_and_removes_that_of_heading() -> None:

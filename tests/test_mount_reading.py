@@ -27,6 +27,7 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.arrays import Array
+from pinmobile.plant import PlantOutline
 from pinmobile.robot import BODY_JOINT
 from pinmobile.simulation.storage import why_unknown
 from pinmobile.viewer import Arrows, Overlays, Viewer
@@ -197,7 +198,7 @@ def test_equal_limits_and_limits_of_zero_are_none(urdf: Path) -> None:
 def test_a_joint_that_mimics_another_in_a_file_moves_freely(urdf: Path) -> None:
     mimic = '<mimic joint="shoulder"/><axis xyz="0 1 0"/>'
     urdf.write_text(ARM.format(lower=INERTIAL).replace('<axis xyz="0 1 0"/>', mimic))
-    assert BOX.mount(urdf).coordinate_names[3:] == ("arm/shoulder", "arm/elbow")
+    assert [one.name for one in BOX.mount(urdf).coordinates[3:]] == ["arm/shoulder", "arm/elbow"]
 
 
 def test_a_model_with_a_free_flyer_stands_on_its_feet_and_an_arm_on_its_root() -> None:
@@ -439,15 +440,15 @@ def test_a_rollout_brings_its_robot_back(tmp_path: Path, urdf: Path) -> None:
     run = driven(robot)
     run.save(path)
     back = Rollout.load(path)
-    assert back.robot == robot
+    assert back.plant == robot
     np.testing.assert_array_equal(back.q, run.q)
     urdf.write_text(urdf.read_text().replace('<mass value="1"/>', '<mass value="1.5"/>'))
-    assert Rollout.load(path).robot is None  # it is no longer what it was
+    assert Rollout.load(path).plant == PlantOutline.of(robot, run.q)  # it is no longer what it was
     urdf.unlink()
-    assert Rollout.load(path).robot is None  # the arrays are there
-    np.testing.assert_array_equal(Rollout.load(path).tau, run.tau)
+    assert Rollout.load(path).plant.coordinates == robot.coordinates  # the arrays are there
+    np.testing.assert_array_equal(Rollout.load(path).u, run.u)
     driven(BOX.mount(massful())).save(path)
-    assert Rollout.load(path).robot is None
+    assert Rollout.load(path).plant.kind == "MobileRobot"
 
 
 @pytest.mark.parametrize("name", ["double_pendulum", "double_pendulum_continuous"])
@@ -550,9 +551,9 @@ def test_a_saved_rollout_knows_whether_damping_and_friction_are_what_they_were(
     robot = BOX.mount(urdf, (0, 0, 0.2, 0))
     file, motion = tmp_path / "run.npz", WholeBody(robot, FixedHeading(Circle(1, 0.1, 1), 0), None)
     simulate(robot, ComputedTorque(robot), motion, dt=0.5).save(file)
-    loaded = Rollout.load(file).robot
+    loaded = Rollout.load(file).plant
     assert loaded == robot
     assert loaded.joint_damping.tolist() == robot.joint_damping.tolist()
     urdf.write_text(RESISTED.replace('friction="0.2"', 'friction="0.4"'))
-    assert Rollout.load(file).robot is None
+    assert isinstance(Rollout.load(file).plant, PlantOutline)
     assert "its joints' damping, friction and rotors are no longer those that were kept" in why_unknown(file)

@@ -32,7 +32,7 @@ ROBOTS = {
     "ur5": MobileRobot.box().mount("ur5"),
     "kinova": MobileRobot.box().mount("kinova"),
 }
-STATE = ("q", "q0", "q1", "v", "a", "tau", "dq")
+STATE = ("q", "q0", "q1", "v", "a", "tau", "dq", "wrench")
 
 
 def parameters(function: Any) -> list[str]:
@@ -66,7 +66,10 @@ def test_every_method_answers_in_finite_numbers_or_says_that_it_cannot(kind: str
     robot, method = ROBOTS[kind], getattr(ROBOTS[kind], name)
     given = parameters(method)
     for size, large in itertools.product(HUGE, given):
-        arguments = {p: robot.rest.copy() if p.startswith("q") else np.ones(robot.nv) for p in given}
+        sizes = {"wrench": 3}
+        arguments = {
+            p: robot.rest.copy() if p.startswith("q") else np.ones(sizes.get(p, robot.nv)) for p in given
+        }
         arguments[large][slice(0, 3) if large.startswith("q") else slice(None)] = size
         many = {p: np.stack([value] * 2) for p, value in arguments.items()}
         for asked in (arguments, many):

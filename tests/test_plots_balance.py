@@ -114,8 +114,8 @@ def test_reaction_draws_six_components_with_their_units() -> None:
 def test_what_is_no_rollout_of_a_robot_is_refused(draw: Any) -> None:
     with pytest.raises(InvalidArgument, match="rollouts is a int, expected a Rollout"):
         draw(3)
-    with pytest.raises(InvalidArgument, match=r"rollouts\['a'\].robot is None, expected a MobileRobot"):
-        draw({"a": replace(driven(1.0), robot=None)})
+    with pytest.raises(InvalidArgument, match=r"rollouts\['a'\].plant is None, expected a MobileRobot"):
+        draw({"a": replace(driven(1.0), plant=None)})
 
 
 def test_a_reaction_needs_an_arm_of_that_name() -> None:

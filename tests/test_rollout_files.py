@@ -39,14 +39,15 @@ def members(tmp_path: Path) -> dict[str, Any]:
 
 
 def same(loaded: Rollout) -> bool:
-    names = ("t", "q", "v", "a", "tau", "error")
+    names = ("t", "q", "v", "a", "u", "error")
     pairs = [(getattr(loaded, name), getattr(RUN, name)) for name in names]
     pairs += list(zip(loaded.reference, RUN.reference, strict=True))
     return all(np.array_equal(one, other) for one, other in pairs)
 
 
 def described(tmp_path: Path, **changed: Any) -> Any:
-    return np.array(json.dumps({**json.loads(str(members(tmp_path)["robot"])), **changed}))
+    given = json.loads(str(members(tmp_path)["plant"]))
+    return np.array(json.dumps(given | {"robot": given["robot"] | changed}))
 
 
 def changed(key: str, change: Callable[[Any], Any]) -> Callable[[Path], dict[str, Any]]:
@@ -58,11 +59,20 @@ def changed(key: str, change: Callable[[Any], Any]) -> Callable[[Path], dict[str
 
 
 def robot(**given: Any) -> Callable[[Path], dict[str, Any]]:
-    return lambda tmp_path: {**members(tmp_path), "robot": described(tmp_path, **given)}
+    return lambda tmp_path: {**members(tmp_path), "plant": described(tmp_path, **given)}
+
+
+def outline(name: str, value: Any) -> Callable[[Path], dict[str, Any]]:
+    def make(tmp_path: Path) -> dict[str, Any]:
+        given = json.loads(str(members(tmp_path)["plant"]))
+        given["outline"][name] = value
+        return {**members(tmp_path), "plant": np.array(json.dumps(given))}
+
+    return make
 
 
 def text(value: str) -> Callable[[Path], dict[str, Any]]:
-    return lambda tmp_path: {**members(tmp_path), "robot": np.array(value)}
+    return lambda tmp_path: {**members(tmp_path), "plant": np.array(value)}
 
 
 def put(place: Any, value: Any) -> Callable[[Any], Any]:
@@ -84,7 +94,7 @@ MOUNT = {"name": "ur5", "at": [0, 0, 0, 0], "arm": "ur5", "package_dirs": [], "l
     ("make", "why"),
     [
         (changed("q", put((3, 1), np.nan)), r"q\[3, 1\] is nan, expected a finite number"),
-        (changed("tau", put((0, 0), np.inf)), r"tau\[0, 0\] is inf, expected a finite number"),
+        (changed("u", put((0, 0), np.inf)), r"u\[0, 0\] is inf, expected a finite number"),
         (changed("reference_a", put((0, 0), np.nan)), r"reference.a\[0, 0\] is nan"),
         (changed("t", lambda t: t[::-1]), r"t\[1\] is 5.5 s after 6.0 s, expected more"),
         (changed("t", put(3, 1.0)), r"t\[3\] is 1.0 s after 1.0 s, expected more"),
@@ -93,7 +103,7 @@ MOUNT = {"name": "ur5", "at": [0, 0, 0, 0], "arm": "ur5", "package_dirs": [], "l
         (changed("t", lambda t: t[:-1]), r"q has shape \(13, 3\), expected \(12, ...\) as t has"),
         (changed("q", lambda q: q[:, :2]), r"q has shape \(13, 2\), expected \(13, 3\)"),
         (changed("v", lambda v: np.hstack([v, v])), r"v has shape \(13, 6\), expected \(13, 3\)"),
-        (changed("tau", lambda tau: tau[:, 0]), r"tau has shape \(13,\), expected \(13, ...\)"),
+        (changed("u", lambda u: u[:, 0]), r"u has shape \(13,\), expected \(13, ...\)"),
         (changed("error", lambda error: error[:, :2]), "expected that of error"),
         (changed("reference_q", lambda q: np.hstack([q, q])), r"reference.q has shape \(13, 6\), expected"),
         (changed("q", lambda q: q.astype(str)), "q is of type <U32, expected float64"),
@@ -103,17 +113,17 @@ MOUNT = {"name": "ur5", "at": [0, 0, 0, 0], "arm": "ur5", "package_dirs": [], "l
         (changed("q", lambda q: q.astype("i8")), "q is of type int64, expected float64"),
         (changed("q", lambda q: q.view([("x", "f8")])), "expected float64"),
         (changed("q", lambda q: q.astype(object)), "q.npy has .* bytes, expected those of shape"),
-        (changed("format", lambda _: np.array("pinmobile rollout 2")), "it is of another format"),
-        (without("q"), "it holds 'a', .*; expected format, robot, t, q, v, a, tau, error, reference_q"),
+        (changed("format", lambda _: np.array("pinmobile rollout 3")), "it is of another format"),
+        (without("q"), "it holds 'a', .*; expected format, plant, t, q, v, a, u, error, reference_q"),
         (lambda p: {**members(p), "more": np.zeros(3)}, "it holds .* 'more'"),
-        (changed("robot", lambda _: np.array(0x110000, "<u4").view("<U1")), "codec can't decode"),
+        (changed("plant", lambda _: np.array(0x110000, "<u4").view("<U1")), "codec can't decode"),
         (
-            changed("robot", lambda _: np.array(3)),
-            r"robot is of type int64 and shape \(\), expected one text",
+            changed("plant", lambda _: np.array(3)),
+            r"plant is of type int64 and shape \(\), expected one text",
         ),
         (changed("format", lambda text: text[None]), r"format is of type <U19 and shape \(1,\), expected"),
         (text("[" * 100_000), "recursion"),
-        (text("{}"), "'dh'"),
+        (text("{}"), "'robot'"),
         (text("[]"), "list"),
         (text("3"), "int"),
         (text(""), "Expecting value"),
@@ -132,6 +142,14 @@ MOUNT = {"name": "ur5", "at": [0, 0, 0, 0], "arm": "ur5", "package_dirs": [], "l
         (robot(mounts=[{**MOUNT, "at": ["x"]}]), r"robot's at is \['x'\], expected real numbers"),
         (robot(mounts=[{"name": "ur5"}]), "robot has a mount of name, expected name, at, arm"),
         (robot(loads=[["B", -1]]), "mass is -1"),
+        (outline("kind", 3), "plant's kind is 3, expected text"),
+        (outline("coordinates", [3]), "int"),
+        (outline("coordinates", [{"name": "x"}]), "'lower'"),
+        (outline("posed", [0, 1]), "expected three numbers"),
+        (outline("posed", [0, 1, 3]), "plant's posed is 3, expected"),
+        (outline("leading", [[4, 3]]), "plant's leading is 4, expected"),
+        (outline("size", [1, -1, 1]), "size"),
+        (changed("signals", lambda x: np.zeros((13, 2))), r"signals has shape \(13, 2\), expected 0 columns"),
         (robot(loads=[[3, 1, [0, 0, 0], None, None]]), "'int' object has no attribute 'encode'"),
     ],
 )
@@ -172,7 +190,7 @@ def test_a_header_that_lies_is_refused_before_anything_is_made_of_it(
     (tmp_path / "run.npz").write_bytes(rewritten(saved(tmp_path), lie))
     with (
         little_memory(),
-        pytest.raises(InvalidArgument, match=r"run.npz', which is no 'pinmobile rollout 1' archive: "),
+        pytest.raises(InvalidArgument, match=r"run.npz', which is no 'pinmobile rollout 2' archive: "),
     ):
         Rollout.load(tmp_path / "run.npz")
 
@@ -206,14 +224,14 @@ def test_a_member_that_is_there_twice_is_refused(tmp_path: Path) -> None:
         pytest.warns(UserWarning, match="Duplicate"),
     ):
         archive.writestr("t.npy", twice)
-    with pytest.raises(InvalidArgument, match=r"'t', 't', 'tau', 'v'; expected format, .*, each once"):
+    with pytest.raises(InvalidArgument, match=r"'t', 't', 'u', 'v'; expected format, .*, each once"):
         Rollout.load(tmp_path / "saved.npz")
 
 
 def test_an_arm_that_is_gone_is_no_damage(tmp_path: Path) -> None:
-    """As documented: the robot is None, and nothing else is missing."""
+    """As documented: what is told of the robot is its names and units, and nothing else is missing."""
     np.savez(tmp_path / "run.npz", **robot(mounts=[{**MOUNT, "arm": "gone.urdf"}])(tmp_path))
-    assert Rollout.load(tmp_path / "run.npz").robot is None
+    assert Rollout.load(tmp_path / "run.npz").plant.coordinates == ROBOT.coordinates
     assert same(Rollout.load(tmp_path / "run.npz"))
 
 
@@ -236,7 +254,7 @@ def loaded_or_refused(path: Path) -> bool:
         assert str(loaded).startswith(f"path is {str(path)!r}, which ")
         return False
     assert same(loaded)
-    assert loaded.robot == ROBOT
+    assert loaded.plant == ROBOT
     return True
 
 
@@ -273,7 +291,7 @@ def test_damaged_members_with_right_checksums_are_refused_or_a_rollout(tmp_path:
         if isinstance(made, InvalidArgument):
             assert str(made).startswith(f"path is {str(path)!r}, which ")
         else:
-            assert np.isfinite(np.hstack([made.q, made.v, made.a, made.tau, made.error])).all()
+            assert np.isfinite(np.hstack([made.q, made.v, made.a, made.u, made.error])).all()
             assert (np.diff(made.t) > 0).all()
             made.to_csv(tmp_path / "run.csv")
     assert min(outcomes.values()) > 30

@@ -103,7 +103,7 @@ def test_the_librarys_own_loop_and_a_users_are_the_same(
     own = simulate(ROBOT, controller, CIRCLE, **options)
     for plant in (ROBOT, OtherPlant()):
         users = simulate(plant, Asked(controller), CIRCLE, **options)
-        for name in ("q", "v", "a", "tau", "error"):
+        for name in ("q", "v", "a", "u", "error"):
             # The same sums in another order, over 240 steps of a stable loop.
             np.testing.assert_allclose(getattr(users, name), getattr(own, name), rtol=0, atol=1e-12)
 
@@ -157,7 +157,7 @@ def test_an_integrator_may_write_into_what_it_is_given(plant: MobileRobot, subst
         )
         for step in (heun, careless)
     )
-    for name in ("q", "v", "a", "tau"):
+    for name in ("q", "v", "a", "u"):
         np.testing.assert_allclose(getattr(other, name), getattr(one, name), rtol=0, atol=1e-10)
 
 
@@ -198,7 +198,7 @@ def test_every_sample_is_that_of_the_loop_written_by_hand() -> None:
     rollout = simulate(ROBOT, controller, CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
     q, tau = by_hand(ROBOT, controller, 0.1, 120)
     np.testing.assert_allclose(rollout.q, q, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(rollout.tau, tau, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(rollout.u, tau, rtol=0, atol=1e-11)
 
 
 def test_the_record_is_consistent_and_includes_the_last_sample() -> None:
@@ -207,15 +207,13 @@ def test_the_record_is_consistent_and_includes_the_last_sample() -> None:
     assert (rollout.t[0], rollout.t[-1]) == (0.0, 12.0)
     np.testing.assert_allclose(rollout.t, np.arange(121) * 0.1, rtol=1e-15)
     np.testing.assert_array_equal(rollout.q[0], START["q0"])
-    np.testing.assert_allclose(
-        rollout.a, ROBOT.forward_dynamics(rollout.q, rollout.v, rollout.tau), atol=1e-13
-    )
+    np.testing.assert_allclose(rollout.a, ROBOT.forward_dynamics(rollout.q, rollout.v, rollout.u), atol=1e-13)
     np.testing.assert_array_equal(rollout.error, ROBOT.difference(rollout.q, rollout.reference.q))
     np.testing.assert_array_equal(rollout.reference.q, CIRCLE(rollout.t).q)
     assert rollout.max_error().tolist() == np.abs(rollout.error).max(axis=0).tolist()
     np.testing.assert_allclose(rollout.rms_error(), np.sqrt((rollout.error**2).mean(axis=0)))
-    np.testing.assert_array_equal(rollout.max_force(), np.abs(rollout.tau).max(axis=0))
-    assert (rollout.max_force() > rollout.tau.max(axis=0)).any()
+    np.testing.assert_array_equal(rollout.max_input(), np.abs(rollout.u).max(axis=0))
+    assert (rollout.max_input() > rollout.u.max(axis=0)).any()
     with pytest.raises(ValueError, match="read-only"):
         rollout.q[0, 0] = 1
 
@@ -229,8 +227,8 @@ def test_the_last_sample_is_at_the_duration_to_the_last_digit(duration: Any, las
 
 def test_a_rollout_holds_read_only_copies() -> None:
     rollout = simulate(ROBOT, ComputedTorque(ROBOT), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
-    names = ("t", "q", "v", "a", "tau", "error")
-    given = {name: np.array(getattr(rollout, name)) for name in names}
+    names = ("t", "q", "v", "a", "u", "error")
+    given: Any = {name: np.array(getattr(rollout, name)) for name in names}
     reference = Reference(*map(np.array, rollout.reference))
     copy = replace(rollout, reference=reference, **given)
     for array in (*given.values(), *reference):
@@ -281,7 +279,29 @@ def test_the_force_is_held_over_dt_whatever_the_substeps() -> None:
         return np.array([1.0, 0, 0])
 
     simulate(ROBOT, law(push), CIRCLE, dt=0.5, duration=2.0, substeps=10, integrator=rk4)
-    assert asked == [0.0, 0.5, 1.0, 1.5, 2.0]
+    # Before the loop it is asked three times whether it answers alike.
+    assert asked == [0.0, 0.0, 0.0, 0.0, 0.5, 1.0, 1.5, 2.0]
+
+
+@pytest.mark.parametrize("robot", [ROBOT, UR5], ids=["body", "arm"])
+def test_a_users_integrator_may_hold_several_accelerations_at_once(robot: MobileRobot) -> None:
+    """Pinocchio answers in memory that its next answer overwrites; who asks four times keeps four."""
+
+    def own(*given: Any) -> Any:
+        return rk4(*given)
+
+    trajectory = CIRCLE if robot is ROBOT else WholeBody(UR5, CIRCLE, None)
+    given: dict[str, Any] = {"dt": 0.05, "duration": 1.0}
+    integrators: list[Any] = [rk4, own]
+    runs = [
+        simulate(robot, ComputedTorque(robot, 9, 6), trajectory, **given, v0=v0, integrator=step)
+        for step in integrators
+        for v0 in (None, 1.1 * trajectory(0.0).v)
+    ]
+    for table, called in zip(runs[:2], runs[2:], strict=True):
+        # The same sums in another order, over 20 steps.
+        np.testing.assert_allclose(called.q, table.q, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(called.a, table.a, rtol=0, atol=1e-10)
 
 
 class Counter:
@@ -294,7 +314,7 @@ class Counter:
 
 def test_a_controllers_memory_is_handed_on() -> None:
     rollout = simulate(ROBOT, Counter(), CIRCLE, dt=0.5, duration=2.0)
-    assert rollout.tau[:, 0].tolist() == [0, 1, 2, 3, 4]
+    assert rollout.u[:, 0].tolist() == [0, 1, 2, 3, 4]
 
 
 def test_a_controller_is_told_of_its_loop_and_of_nothing_that_the_plant_does() -> None:
@@ -314,9 +334,9 @@ def test_a_controller_is_told_of_its_loop_and_of_nothing_that_the_plant_does() -
         assert context.trajectory is trajectory
         np.testing.assert_array_equal(context.reference.q, rollout.reference.q)
         assert (context.difference, context.integrate) == (robot.difference, robot.integrate)
-        assert [one.name for one in context.coordinates] == list(robot.coordinate_names)
-        assert [one.unit for one in context.coordinates] == list(robot.coordinate_units)
-        assert context.inputs[:3] == (("Fx", "N"), ("Fy", "N"), ("Mz", "N m"))
+        assert [one.name for one in context.coordinates] == ["x", "y", "psi", *robot.model.names[4:]]
+        assert [one.unit for one in context.coordinates] == ["m", "m", *["rad"] * (robot.nv - 2)]
+        assert tuple(one[:2] for one in context.inputs[:3]) == (("Fx", "N"), ("Fy", "N"), ("Mz", "N m"))
         assert all(one.unit == "N m" for one in context.inputs[3:])
         assert not any(hasattr(context, name) for name in ("plant", "robot", "forward_dynamics"))
 
@@ -368,10 +388,10 @@ def test_what_a_subclass_overrides_is_heard() -> None:
             return np.zeros(3), state
 
     class Rubbing(MobileRobot):  # type: ignore[misc]
-        def forward_dynamics(self, q: Any, v: Any, tau: Any) -> Array:
+        def forward_dynamics(self, q: Any, v: Any, tau: Any, f: Any = 0.0) -> Array:
             return super().forward_dynamics(q, v, np.asarray(tau) - 5 * np.asarray(v))
 
-    assert simulate(ROBOT, Silent(9, 9), CIRCLE, dt=0.1).max_force().tolist() == [0, 0, 0]
+    assert simulate(ROBOT, Silent(9, 9), CIRCLE, dt=0.1).max_input().tolist() == [0, 0, 0]
     smooth, rough = (
         simulate(r, PD(9, 9), CIRCLE, dt=0.1) for r in (ROBOT, Rubbing(10, 1.2, com=(0.15, 0.05)))
     )
@@ -398,7 +418,7 @@ def test_without_a_limit_the_numbers_overflow_and_that_is_reported_too() -> None
     robot = MobileRobot(30, 0.1, com=(0.1, 0.05))
     with pytest.raises(Diverged, match="not finite") as caught:
         simulate(robot, PD((120, 120, 0.4), (120, 120, 0.4)), CIRCLE, dt=0.1, limit=1e300, **START)  # type: ignore[arg-type]
-    assert np.isfinite(caught.value.rollout.tau).all()
+    assert np.isfinite(caught.value.rollout.u).all()
 
 
 def test_a_spinning_heading_is_divergence_though_its_error_stays_on_the_circle() -> None:
@@ -417,7 +437,7 @@ def test_not_a_number_from_a_controller_is_divergence_at_that_sample() -> None:
     def fails(t: float, q: Array, v: Array, reference: Any) -> Array:
         return np.full(3, np.nan if t > 1 else 0.0)
 
-    with pytest.raises(Diverged, match=r"at t = 1.1 s .* tau not finite") as caught:
+    with pytest.raises(Diverged, match=r"at t = 1.1 s .* u not finite") as caught:
         simulate(ROBOT, law(fails), CIRCLE, dt=0.1)
     assert len(caught.value.rollout) == 11
 
@@ -469,7 +489,7 @@ class ScalarOnly:
         ({"controller": ComputedTorque}, "expected a controller"),
         (
             {"controller": TauAlone()},
-            "controller returned array([0., 0., 0.]) at t = 0 s, expected (tau,",
+            "controller returned array([0., 0., 0.]) at t = 0 s, expected (u,",
         ),
         (
             {"controller": PD(1, 1, difference=plain_difference), "trajectory": ScalarOnly()},
@@ -491,28 +511,29 @@ def test_a_rollout_is_saved_and_loaded_without_loss(tmp_path: Path) -> None:
     rollout = simulate(ROBOT, ComputedTorque(ROBOT), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
     rollout.save(tmp_path / "run")
     loaded = Rollout.load(tmp_path / "run")
-    assert loaded.robot == ROBOT
-    assert loaded.robot.source == ROBOT.source
-    for name in ("t", "q", "v", "a", "tau", "error"):
+    assert loaded.plant == ROBOT
+    assert loaded.plant.source == ROBOT.source
+    for name in ("t", "q", "v", "a", "u", "error"):
         np.testing.assert_array_equal(getattr(loaded, name), getattr(rollout, name))
     for kept, original in zip(loaded.reference, rollout.reference, strict=True):
         np.testing.assert_array_equal(kept, original)
 
 
-def test_a_rollout_of_another_plant_is_saved_without_it(tmp_path: Path) -> None:
+def test_a_rollout_of_another_plant_is_saved_with_what_it_says_of_itself(tmp_path: Path) -> None:
     simulate(OtherPlant(), PD(1, 1), CIRCLE, dt=0.1).save(tmp_path / "run.npz")
-    assert Rollout.load(tmp_path / "run.npz").robot is None
+    kept = Rollout.load(tmp_path / "run.npz").plant
+    assert (kept.kind, kept.nq, kept.nv, kept.nu, kept.pose) == ("OtherPlant", 3, 3, 3, None)
 
 
 def test_csv_has_a_header_and_every_digit(tmp_path: Path) -> None:
     rollout = simulate(ROBOT, PD(1, 1), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
     rollout.to_csv(tmp_path / "run.csv")
     header = (tmp_path / "run.csv").read_text().splitlines()[0].split(",")
-    assert header[:5] == ["t", "x", "y", "psi", "v_x"]
+    assert header[:5] == ["t [s]", "x [m]", "y [m]", "psi [rad]", "v_x [m/s]"]
     table = np.loadtxt(tmp_path / "run.csv", delimiter=",", skiprows=1)
     assert table.shape == (121, len(header))
-    np.testing.assert_array_equal(table[:, header.index("tau_psi")], rollout.tau[:, 2])
-    np.testing.assert_array_equal(table[:, header.index("desired_x")], rollout.reference.q[:, 0])
+    np.testing.assert_array_equal(table[:, header.index("u_Mz [N m]")], rollout.u[:, 2])
+    np.testing.assert_array_equal(table[:, header.index("desired_x [m]")], rollout.reference.q[:, 0])
 
 
 def test_csv_columns_fit_a_plant_with_fewer_inputs(tmp_path: Path) -> None:
@@ -525,7 +546,7 @@ def test_csv_columns_fit_a_plant_with_fewer_inputs(tmp_path: Path) -> None:
     simulate(Unicycle(), law(lambda *_: np.array([0.1, 0.2])), CIRCLE, dt=0.1).to_csv(tmp_path / "run.csv")
     header, first = (tmp_path / "run.csv").read_text().splitlines()[:2]
     row = dict(zip(header.split(","), first.split(","), strict=True))
-    assert (row["tau_0"], row["tau_1"]) == ("0.10000000000000001", "0.20000000000000001")
+    assert (row["u_[0]"], row["u_[1]"]) == ("0.10000000000000001", "0.20000000000000001")
 
 
 def test_files_that_cannot_be_written_or_read_are_refused_by_name(tmp_path: Path) -> None:
@@ -540,7 +561,7 @@ def test_files_that_cannot_be_written_or_read_are_refused_by_name(tmp_path: Path
         with pytest.raises(InvalidArgument, match="bad"):
             Rollout.load(tmp_path / "bad")
     np.savez(tmp_path / "other.npz", x=np.zeros(3))
-    with pytest.raises(InvalidArgument, match="which is no 'pinmobile rollout 1' archive"):
+    with pytest.raises(InvalidArgument, match="which is no 'pinmobile rollout 2' archive"):
         Rollout.load(tmp_path / "other.npz")
 
 
@@ -558,5 +579,5 @@ def test_a_rollout_says_what_came_of_it() -> None:
     text = str(simulate(ROBOT, PD(1, 1), CIRCLE, dt=0.1, duration=0.5))
     assert "6 samples over 0.5 s at dt = 0.1 s" in text
     assert "largest error: x " in text
-    assert "largest force: Fx " in text
+    assert "largest input: Fx " in text
     assert repr(simulate(ROBOT, PD(1, 1), CIRCLE, dt=0.1, duration=0.5)).startswith("<Rollout: 6 samples")

@@ -445,7 +445,7 @@ def test_how_it_stands_survives_all_that_keeps_a_robot(tmp_path: Path, name: str
         assert same.locked_joints == robot.locked_joints
     run = simulate(robot, ComputedTorque(robot), Tangent(Circle(1, 0.5, 1)), dt=0.1)
     run.save(tmp_path / "run.npz")
-    kept = Rollout.load(tmp_path / "run.npz").robot
+    kept = Rollout.load(tmp_path / "run.npz").plant
     assert kept == robot
     assert repr(kept) == repr(robot)
     other = robot.with_body(Body(5.0, np.array([0.0, 0, 0.1]), np.eye(3)), "lighter")

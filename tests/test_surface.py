@@ -11,6 +11,7 @@ import sys
 import venv
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -33,14 +34,14 @@ ALLOWED: dict[str, set[str]] = {
     "closed_form": {"arrays"},
     "derivation": {"dh"},
     "compiled": {"arrays"},
-    "robot": {"arrays", "dh", "urdf"},
+    "robot": {"plant", "dh", "urdf", "closed_form"},
     "verification": {"robot", "closed_form", "derivation"},
     "paths": {"arrays"},
     "trajectories": {"paths"},
-    "plant": {"arrays"},
+    "plant": {"compiled"},
     "controllers": {"plant"},
     "integrators": {"arrays"},
-    "disturbances": {"arrays"},
+    "disturbances": {"plant"},
     "simulation": {"files", "robot", "trajectories", "controllers", "integrators", "disturbances"},
     "accuracy": {"robot", "integrators", "simulation", "trajectories", "controllers"},
     "ensembles": {
@@ -320,3 +321,24 @@ def test_the_wheel_works_where_it_is_installed(wheel: Path, tmp_path: Path) -> N
     )
     assert done.returncode == 0, done.stderr
     assert "every route agrees" in done.stdout
+
+
+def test_no_package_reaches_for_what_is_private_in_another() -> None:
+    """A name with an underscore that is read of something else than self is defined in the same package."""
+    trees: dict[str, list[Any]] = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        package = path.relative_to(PACKAGE).parts[0]
+        trees.setdefault(package, []).extend(ast.walk(ast.parse(path.read_text())))
+    of_tuples = {"_asdict", "_fields", "_make", "_replace"}
+    for package, nodes in trees.items():
+        own = {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+        own |= {node.id for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
+        own |= {
+            node.attr for node in nodes if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store)
+        }
+        for node in nodes:
+            if not isinstance(node, ast.Attribute) or node.attr[:1] != "_" or node.attr[-1:] == "_":
+                continue
+            whose = node.value.id if isinstance(node.value, ast.Name) else ""
+            if whose not in ("self", "cls", "sys") and node.attr not in of_tuples:
+                assert node.attr in own, f"{package} reads {ast.unparse(node)}"

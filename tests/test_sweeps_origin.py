@@ -195,6 +195,10 @@ def test_globals_are_told_even_where_only_a_function_inside_reads_them(
     assert "reads.FACTOR is 3.0 there and 4.0 here" in differences(before, account(law(function)))
 
 
+def _passes_on(t: float, q: Array, v: Array, reference: Any) -> Array:
+    return np.asarray(len(vars(FACTOR)) * q)
+
+
 def test_of_a_module_is_told_what_a_function_reads_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
     package: Any = ModuleType("mypackage")
     package.part, package.other = ModuleType("mypackage.part"), object()
@@ -206,7 +210,7 @@ def test_of_a_module_is_told_what_a_function_reads_of_it(monkeypatch: pytest.Mon
         before, account(law(through_a_module))
     )
     with pytest.raises(InvalidArgument, match="it passes on FACTOR, a module"):
-        account(law(read))
+        account(law(_passes_on))
 
 
 def test_forces_are_told_apart_by_their_code() -> None:

@@ -203,10 +203,10 @@ def test_arrows_are_to_scale(viewer: Viewer, apart: dict[str, Rollout]) -> None:
     run = apart["bad"]
     found = tracks(viewer.record(run, fps=20, overlays=Overlays(arrows=Arrows(force=0.5, moment=0.25))))
     scale = np.reshape(found["meshcat/force", ".scale"]["values"], (-1, 3))
-    np.testing.assert_allclose(scale[:, 0], np.maximum(0.5 * np.hypot(*run.tau[:, :2].T), 1e-4), atol=1e-4)
+    np.testing.assert_allclose(scale[:, 0], np.maximum(0.5 * np.hypot(*run.u[:, :2].T), 1e-4), atol=1e-4)
     radius = np.reshape(found["meshcat/moment", ".scale"]["values"], (-1, 3))
-    np.testing.assert_allclose(np.sign(radius[5:, 1]), np.sign(run.tau[5:, 2]))
-    np.testing.assert_allclose(radius[:, 0], np.maximum(0.25 * np.abs(run.tau[:, 2]), 1e-4), atol=1e-4)
+    np.testing.assert_allclose(np.sign(radius[5:, 1]), np.sign(run.u[5:, 2]))
+    np.testing.assert_allclose(radius[:, 0], np.maximum(0.25 * np.abs(run.u[:, 2]), 1e-4), atol=1e-4)
 
 
 def test_captions_tell_time_and_error(viewer: Viewer, runs: dict[str, Rollout]) -> None:
@@ -225,7 +225,7 @@ def test_a_recorded_page_shows_the_robot_where_its_pose_projects(
     for t in (12.0, 41.0):
         page.evaluate(f"pinmobile.seek({t})")
         page.frames()
-        spots.append(projected(page, side(viewer.robot, pose(run, t))))
+        spots.append(projected(page, side(viewer.plant, pose(run, t))))
         assert sees(page, BLUE, spots[-1])
         assert f"t = {t:.1f} s" in page.evaluate("document.getElementById('caption').textContent")
     # Where it was, it is no more.
@@ -273,7 +273,7 @@ def test_a_second_rollout_is_a_ghost(
     page.frames()
     good, bad = (pose(run, t) for run in apart.values())
     assert np.hypot(*(good - bad)[:2]) > 0.7  # apart
-    there = projected(page, side(viewer.robot, good))
+    there = projected(page, side(viewer.plant, good))
     assert sees(page, BLUE, there)
     red, _, blue = np.asarray(page.screenshot())[tuple(map(round, projected(page, (*bad[:2], 0.05))[::-1]))]
     assert red > blue + 30  # the second colour, and the ground shines through
@@ -299,7 +299,7 @@ def test_a_ghost_leaves_what_it_coincides_with_its_colours_whichever_way_its_tri
         "one => { if (one.material) one.material.side = 0; }); viewer.set_dirty()"
     )
     page.frames()
-    there = projected(page, side(viewer.robot, pose(run, 0.0)))
+    there = projected(page, side(viewer.plant, pose(run, 0.0)))
     assert sees(page, BLUE, there)
     page.evaluate("viewer.scene_tree.find(['meshcat', 'robot0']).object.visible = false; viewer.set_dirty()")
     page.frames()
@@ -354,13 +354,13 @@ def test_a_robot_that_stands_can_be_recorded(
     page: Page, viewer: Viewer, runs: dict[str, Rollout], tmp_path: Path, samples: int
 ) -> None:
     run = runs["PD"]
-    parts = {name: getattr(run, name)[:samples] for name in ("t", "v", "a", "tau", "error")}
+    parts = {name: getattr(run, name)[:samples] for name in ("t", "v", "a", "u", "error")}
     still = np.zeros((samples, 3))
-    stands = Rollout(robot=run.robot, q=still, reference=type(run.reference)(still, still, still), **parts)
+    stands = Rollout(plant=run.plant, q=still, reference=type(run.reference)(still, still, still), **parts)
     overlays = Overlays(arrows=Arrows(), desired=True, body_frame=True, frames=(SLIDE_TABLE,))
     opened(page, viewer.record(stands, overlays=overlays), tmp_path)
     page.evaluate("pinmobile.seek(0)")
-    assert sees(page, BLUE, projected(page, side(viewer.robot, np.zeros(3))))
+    assert sees(page, BLUE, projected(page, side(viewer.plant, np.zeros(3))))
 
 
 def test_pages_are_small_and_made_fast(viewer: Viewer, tmp_path: Path) -> None:
@@ -408,7 +408,7 @@ def test_a_live_page_shows_the_robot_where_it_is_displayed(page: Page, live: Vie
         x = "viewer.scene_tree.find(['meshcat', 'robot0']).object.position.x"
         page.wait_for(f"Math.abs({x} - {at[0]}) < 1e-9")
         page.frames()
-        spots.append(projected(page, side(live.robot, np.array(at))))
+        spots.append(projected(page, side(live.plant, np.array(at))))
         assert sees(page, BLUE, spots[-1])
     assert not sees(page, BLUE, spots[0])
 
@@ -427,7 +427,7 @@ def test_play_goes_through_the_rollout_in_its_time(
     assert 4.0 <= time.perf_counter() - began < 20  # 4.0 on a machine that does nothing else
     page.wait_for("document.getElementById('caption').textContent.includes('t = 20.0 s')")
     page.frames()
-    assert sees(page, BLUE, projected(page, side(live.robot, apart["good"].q[-1])))
+    assert sees(page, BLUE, projected(page, side(live.plant, apart["good"].q[-1])))
     live.display((1, 1, 0))  # the same scene, and the robot elsewhere
     page.wait_for("viewer.scene_tree.find(['meshcat', 'robot0']).object.position.y === 1")
     assert page.evaluate("document.getElementById('legend').innerText") == "desired\ntravelled"
@@ -552,7 +552,7 @@ def nan_rollout(run: Rollout) -> Rollout:
         (lambda v, r: v.record(r, fps=1e9), InvalidArgument, "expected at most 200000"),
         (lambda v, r: v.record(r, speed=-1), InvalidArgument, "speed is -1.0, expected > 0"),
         (lambda v, r: v.record(r, overlays="trail"), InvalidArgument, "overlays is a str, expected Overlays"),
-        (lambda v, r: v.play(r), ViewerError, "play needs a live viewer: Viewer(robot, live=True)"),
+        (lambda v, r: v.play(r), ViewerError, "play needs a live viewer: Viewer(plant, live=True)"),
         (lambda v, r: v.wait(1), ViewerError, "wait needs a live viewer"),
         (lambda v, r: v.url, ViewerError, "url needs a live viewer"),
         (lambda v, r: v.screenshot("a.png", t=1), ViewerError, "call record first"),
@@ -576,7 +576,11 @@ def nan_rollout(run: Rollout) -> Rollout:
             InvalidArgument,
             "expected even numbers",
         ),
-        (lambda v, r: untyped(Viewer)("robot"), InvalidArgument, "robot is a str, expected a MobileRobot"),
+        (
+            lambda v, r: untyped(Viewer)("robot"),
+            InvalidArgument,
+            "plant is 'robot', expected a MobileRobot, or a plant with pose(q)",
+        ),
         (
             lambda v, r: untyped(Overlays)(frames=("lecture",)),
             InvalidArgument,

@@ -278,15 +278,15 @@ def ball() -> MobileRobot:
 
 def test_slides_along_three_axes_are_coordinates_of_a_path_and_a_planar_joint_is_not() -> None:
     gantry = with_joint(pin.JointModelTranslation(), "gantry")
-    assert gantry.coordinate_units[3:] == ("m", "m", "m")
+    assert tuple(one.unit for one in gantry.coordinates[3:]) == ("m", "m", "m")
     whole = WholeBody(gantry, CIRCLE, RestToRest(np.zeros(3), (0.1, 0.2, 0.3), 6))
     np.testing.assert_allclose(whole(6.0).q[3:], (0.1, 0.2, 0.3))
     shuttle = with_joint(pin.JointModelRY(), "hinge", pin.JointModelPlanar(), "shuttle")
-    assert shuttle.coordinate_units[4:] == ("m", "m", "rad")
+    assert tuple(one.unit for one in shuttle.coordinates[4:]) == ("m", "m", "rad")
     parts = tuple(f"toy/shuttle:{part}" for part in ("x", "y", "cos", "sin"))
     assert shuttle.configuration_names[4:] == parts
     adrift = with_joint(pin.JointModelRY(), "hinge", pin.JointModelFreeFlyer(), "adrift")
-    assert adrift.coordinate_units[3:] == ("rad", *["m"] * 3, *["rad"] * 3)
+    assert tuple(one.unit for one in adrift.coordinates[3:]) == ("rad", *["m"] * 3, *["rad"] * 3)
     with pytest.raises(InvalidArgument, match="joint 'toy/shuttle' with 3 velocities"):
         WholeBody(shuttle, CIRCLE, None)
 
@@ -511,10 +511,10 @@ def test_in_the_loop_and_asked_from_outside_a_controller_is_the_same(make: Any, 
         for one in (controller, Saturated(controller, 1e6))
     ]
     # Another order of coordinates, hence of roundings, amplified by a condition number of 1e4.
-    for name in ("q", "v", "tau"):
+    for name in ("q", "v", "u"):
         np.testing.assert_allclose(getattr(runs[0], name), getattr(runs[1], name), rtol=0, atol=1e-9)
     limited = simulate(UR5, Saturated(controller, 5.0), trajectory, dt=0.002, duration=0.1, q0=start)
-    assert np.abs(limited.tau).max() == 5.0
+    assert np.abs(limited.u).max() == 5.0
 
 
 @pytest.mark.parametrize(
@@ -527,7 +527,7 @@ def test_in_the_loop_and_asked_from_outside_a_controller_is_the_same(make: Any, 
         (lambda: Decoupled(UR5, np.inf, 1), "kp is inf, expected a finite number"),
         (
             lambda: Decoupled(UR5)(0.0, np.zeros(3), np.zeros(3), Reference(*np.zeros((3, 3))), None),
-            "q0 has shape (3,), expected (..., 9)",
+            f"robot of the controller is {UR5!r}, which has 9 coordinates, expected 3, as the plant has",
         ),
         (
             lambda: PDGravity(UR5, 1, 1)(0.0, np.zeros(9), np.zeros(9), CIRCLE(0.0), None),
@@ -535,8 +535,9 @@ def test_in_the_loop_and_asked_from_outside_a_controller_is_the_same(make: Any, 
         ),
         (
             lambda: simulate(UR5, Decoupled(UR5), CIRCLE, dt=0.01),
-            "trajectory gives q of shape (601, 3) for 601 times, expected (601, 9): a motion of base and "
-            "arms, WholeBody(robot, base, *joints)",
+            "q has shape (9,), the reference's has (3,); the reference has the first 3 of 9 coordinates, "
+            "expected a controller that follows these, or a reference of all: a motion of base and arms is "
+            "WholeBody(robot, base, *joints)",
         ),
     ],
 )

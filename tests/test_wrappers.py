@@ -94,7 +94,7 @@ def test_a_delayed_controller_is_told_of_the_state_that_many_samples_ago() -> No
 def test_the_reference_is_not_delayed() -> None:
     seen = law(lambda t, q, v, reference: reference.q)
     rollout = simulate(ROBOT, Delayed(seen, 4), CIRCLE, dt=0.1, duration=1.0)
-    np.testing.assert_array_equal(rollout.tau, rollout.reference.q)
+    np.testing.assert_array_equal(rollout.u, rollout.reference.q)
 
 
 def test_a_delay_keeps_its_own_copies_and_no_more_than_it_needs() -> None:
@@ -103,7 +103,7 @@ def test_a_delay_keeps_its_own_copies_and_no_more_than_it_needs() -> None:
     for k in range(6):
         q[:] = k  # as in a loop that has one array
         tau, state = controller(0.0, q, q, REST, state)
-        assert len(state[1]) <= 2
+        assert len(state[1].past) <= 2
         forces.append(tau[0])
     assert forces == [0, 0, 0, 1, 2, 3]
 
@@ -124,16 +124,29 @@ def test_two_delays_are_their_sum() -> None:
     np.testing.assert_array_equal(asked(Delayed(Delayed(TOLD, 2), 3), QS), asked(Delayed(TOLD, 5), QS))
 
 
-def test_noise_is_the_table_of_its_seed_however_it_grew() -> None:
-    table = np.random.default_rng(7).standard_normal((600, 2, 3))
+def drawn(controller: Any, samples: int) -> Array:
+    """Return the noise of a controller at each sample, shape (samples, 2 nv)."""
+    noise, rows = controller.initial_state(CONTEXT)[1], []
+    for _ in range(samples):
+        row, noise = noise.draw()
+        rows.append(row)
+    return np.array(rows)
+
+
+def test_noise_is_the_contexts_and_follows_from_its_seed_and_the_sample() -> None:
     controller = NoisyMeasurement(TOLD, (0.1, 0.2, 0.3), 0, seed=7)
-    noisy = asked(controller, QS)
-    np.testing.assert_array_equal(noisy, QS + table[:, 0] * [0.1, 0.2, 0.3])
+    table, noisy = drawn(controller, 600), asked(controller, QS)
+    np.testing.assert_array_equal(noisy, QS + table[:, :3] * [0.1, 0.2, 0.3])
     np.testing.assert_array_equal(asked(controller, QS), noisy)  # a second run is the first
-    late = NoisyMeasurement(TOLD, (0.1, 0.2, 0.3), 0, seed=7)
-    np.testing.assert_array_equal(late(0.0, QS[599], QS[599], REST, (None, 599, None))[0], noisy[599])
-    rates = NoisyMeasurement(law(lambda t, q, v, reference: v), 0, 2.0, np.random.SeedSequence(7))
-    np.testing.assert_array_equal(asked(rates, QS, VS), VS + 2 * table[:, 1])
+    same = law(lambda t, q, v, reference: v)
+    rates = NoisyMeasurement(same, 0, 2.0, np.random.SeedSequence(7))
+    np.testing.assert_array_equal(asked(rates, QS, VS), VS + 2 * table[:, 3:])
+    assert not np.isin(table, drawn(NoisyMeasurement(TOLD, 1, 1, seed=8), 600)).any()
+    # Moments of 3600 standard normal numbers, to four of their own standard deviations.
+    for power, moment, spread in ((1, 0, 1), (2, 1, 2), (3, 0, 15), (4, 3, 96)):
+        assert abs((table**power).mean() - moment) < 4 * np.sqrt(spread / table.size)
+    # No two of the six are correlated.
+    assert np.abs(np.corrcoef(table.T) - np.eye(6)).max() < 4 / np.sqrt(600)
 
 
 def test_parameters_are_read_only_copies() -> None:
@@ -166,8 +179,8 @@ def test_noise_turns_angles_that_are_cos_and_sin(inner: Any) -> None:
     at = Reference(KINOVA.neutral, *np.zeros((2, 9)))
     noisy = NoisyMeasurement(inner, std, 0.2, seed=7)
     tau, _ = noisy(0.0, q, v, at, noisy.initial_state(Context.of(KINOVA, dt=0.1)))
-    row = np.random.default_rng(7).standard_normal((1, 2, 9))[0]
-    told = KINOVA.integrate(q, std * row[0]), v + 0.2 * row[1]
+    row: Any = noisy.initial_state(Context.of(KINOVA, dt=0.1))[1].draw()[0]
+    told = KINOVA.integrate(q, std * row[:9]), v + 0.2 * row[9:]
     expected, _ = inner(0.0, *told, at, inner.initial_state(Context.of(KINOVA, dt=0.1)))
     np.testing.assert_array_equal(tau, expected)
 
@@ -188,17 +201,15 @@ def test_noise_has_the_plants_number_of_velocities() -> None:
 
 
 def test_threads_that_share_a_noisy_controller_get_the_same() -> None:
-    """All grow the table at once; each gets the row that it would have alone."""
-    controller, together, last = NoisyMeasurement(TOLD, 1.0, 1.0, seed=3), Barrier(8), 100_000
+    controller, together = NoisyMeasurement(TOLD, 1.0, 1.0, seed=3), Barrier(8)
 
     def late(_: int) -> Array:
         together.wait()
-        return controller(0.0, np.zeros(3), np.zeros(3), REST, (None, last, None))[0]
+        return drawn(controller, 600)
 
     with ThreadPoolExecutor(8) as pool:
-        rows = list(pool.map(late, range(8)))
-    expected = np.random.default_rng(3).standard_normal((last + 1, 2, 3))[last, 0]
-    np.testing.assert_array_equal(rows, 8 * [expected])
+        tables = list(pool.map(late, range(8)))
+    np.testing.assert_array_equal(tables, 8 * [drawn(controller, 600)])
 
 
 def test_a_noisy_controller_is_pickled_and_copied_without_its_table() -> None:
@@ -222,14 +233,13 @@ def test_leading_axes_are_kept() -> None:
 
 def test_they_nest_in_any_order_and_so_do_their_states() -> None:
     """A delay outside of the noise delays the state and not the noise."""
-    noise = np.random.default_rng(7).standard_normal((600, 2, 3))[:, 0]
+    noise = drawn(NoisyMeasurement(TOLD, 1, 0, 7), 600)[:, :3]
     old = np.maximum(np.arange(600) - 2, 0)
     outside = asked(Delayed(NoisyMeasurement(TOLD, 1, 0, 7), 2), QS)
     np.testing.assert_array_equal(outside, QS[old] + noise)
     inside = asked(NoisyMeasurement(Delayed(TOLD, 2), 1, 0, 7), QS)
     np.testing.assert_array_equal(inside, (QS + noise)[old])
     controller = Saturated(NoisyMeasurement(Delayed(Counter(), 1), 1, 1, 0), 3)
-    assert controller.initial_state(CONTEXT)[:2] == ((0, ()), 0)
     assert asked(controller, QS[:6])[:, 0].tolist() == [0, 1, 2, 3, 3, 3]
 
 
@@ -238,7 +248,7 @@ def test_around_what_changes_nothing_the_loop_is_the_same(inner: Any) -> None:
     """`simulate` takes its shorter way for the bare controller, its general one for the wrapped."""
     wrapped = Saturated(Delayed(NoisyMeasurement(inner, 0, 0, 1), 0), 1e6)
     bare, other = (simulate(ROBOT, c, CIRCLE, dt=0.05, **START) for c in (inner, wrapped))
-    for name in ("q", "v", "a", "tau"):
+    for name in ("q", "v", "a", "u"):
         # The same sums in another order, over 240 steps of a stable loop.
         np.testing.assert_allclose(getattr(other, name), getattr(bare, name), rtol=0, atol=1e-12)
 
@@ -246,15 +256,15 @@ def test_around_what_changes_nothing_the_loop_is_the_same(inner: Any) -> None:
 def test_in_the_loop_each_does_what_it_says() -> None:
     inner = ComputedTorque(ROBOT, 4, 4)
     limited = simulate(ROBOT, Saturated(inner, (2, 3, 0.5)), CIRCLE, dt=0.1, **START)
-    assert limited.max_force().tolist() == [2, 3, 0.5]
+    assert limited.max_input().tolist() == [2, 3, 0.5]
     noisy = NoisyMeasurement(inner, 0.01, 0.02, 11)
     first, second = (simulate(ROBOT, noisy, CIRCLE, dt=0.1, **START) for _ in range(2))
-    np.testing.assert_array_equal(first.tau, second.tau)
+    np.testing.assert_array_equal(first.u, second.u)
     late = simulate(ROBOT, Delayed(inner, 3), CIRCLE, dt=0.1, **START)
     for k in (0, 2, 3, 50):
         told = late.q[max(k - 3, 0)], late.v[max(k - 3, 0)]
         expected, _ = inner(0.0, *told, Reference(*(part[k] for part in late.reference)), None)
-        np.testing.assert_allclose(late.tau[k], expected, rtol=0, atol=1e-13)
+        np.testing.assert_allclose(late.u[k], expected, rtol=0, atol=1e-13)
 
 
 PIDS = {
@@ -275,7 +285,7 @@ def test_an_integral_that_is_told_what_is_applied_does_not_wind_up(wrapped: Any)
     )
     beyond = [-min(0.0, float(run.error[:, 0].min())) for run in (told, wound)]
     assert beyond[0] < 0.3 * beyond[1]
-    assert wound.max_force()[0] == pytest.approx(4.0)
+    assert wound.max_input()[0] == pytest.approx(4.0)
 
 
 def test_what_is_applied_is_told_inward_once_a_sample() -> None:
@@ -296,7 +306,7 @@ def test_what_is_applied_is_told_inward_once_a_sample() -> None:
     nested = Saturated(Delayed(NoisyMeasurement(Saturated(Told(), 3.0), 0, 0, 1), 2), (2.0, 9.0, 9.0))
     rollout = simulate(ROBOT, nested, CIRCLE, dt=0.5, duration=2.0, substeps=3, integrator=rk4)
     assert seen == [(k, [2.0, -3.0, 0.1]) for k in range(5)]
-    np.testing.assert_array_equal(rollout.tau, [[2.0, -3.0, 0.1]] * 5)
+    np.testing.assert_array_equal(rollout.u, [[2.0, -3.0, 0.1]] * 5)
 
 
 def test_a_delay_costs_damping() -> None:
@@ -356,7 +366,7 @@ def once(controller: Any) -> Any:
         *(
             (
                 lambda wrap=wrap: once(wrap(TauAlone())),
-                "controller returned array([0., 0., 0.]) at t = 0.5 s, expected (tau, state)",
+                "controller returned array([0., 0., 0.]) at t = 0.5 s, expected (u, state)",
             )
             for wrap in (
                 lambda c: Saturated(c, 1),

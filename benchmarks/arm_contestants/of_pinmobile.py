@@ -24,7 +24,7 @@ def rollout(task: ArmTask) -> Run:
 
     def run() -> Log:
         done = simulate(robot, controller, trajectory, dt=task.dt, duration=task.duration)
-        return Log(done.q, done.v, done.a, done.tau, done.error)
+        return Log(done.q, done.v, done.a, done.u, done.error)
 
     return run
 

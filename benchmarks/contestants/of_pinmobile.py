@@ -58,7 +58,7 @@ def trajectory_of(task: Task) -> Tangent:
 def simulated(task: Task, robot: MobileRobot, controller: Any, trajectory: Tangent) -> Log:
     integrator = {"lecture": constant_acceleration, "rk4": rk4}[task.step]
     done = simulate(robot, controller, trajectory, dt=task.dt, integrator=integrator)
-    return Log(done.q, done.v, done.a, done.tau, done.error)
+    return Log(done.q, done.v, done.a, done.u, done.error)
 
 
 def calls(body: Body) -> dict[str, Callable[..., Any]]:

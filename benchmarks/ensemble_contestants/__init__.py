@@ -9,14 +9,11 @@ import subprocess
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from contestants import MUJOCO, NUMPY, PINOCCHIO, Contestant, Peer
+from contestants import MUJOCO, NUMPY, PINMOBILE, PINOCCHIO, Contestant, Peer
 from fleet import LECTURE, Fleet, Run
-
-import pinmobile
 
 
 @dataclass(frozen=True)
@@ -33,16 +30,6 @@ class Compiler(Peer):
             return False
         command = ["cc", "-fopenmp", "-include", "omp.h", "-E", "-x", "c", "/dev/null"]
         return subprocess.run(command, capture_output=True, check=False).returncode == 0
-
-
-@dataclass(frozen=True)
-class Ensembles(Peer):
-    """pinmobile with what its ensembles need."""
-
-    @property
-    def installed(self) -> bool:
-        """Whether both are there."""
-        return callable(getattr(pinmobile, "ensemble", None)) and find_spec("numba") is not None
 
 
 @dataclass(frozen=True)
@@ -76,11 +63,10 @@ class Entrant(Contestant):
 NO_COMPILER = "a C compiler with OpenMP (apt-get install gcc), on a processor with {}"
 AVX2 = Compiler("cc()", "", NO_COMPILER.format("AVX2"))
 AVX512 = Compiler("cc()", "", NO_COMPILER.format("AVX-512"), vectors="avx512f")
-ENSEMBLES = Ensembles("pinmobile", "pinmobile", "pip install -e '.[ensembles]'")
 JAX = Peer("jax", "jax", "pip install 'jax[cpu]'")
 NO_COUNTS = "no histograms over time"
 
-OURS = Entrant("pinmobile ensemble", ENSEMBLES, "of_pinmobile")
+OURS = Entrant("pinmobile ensemble", PINMOBILE, "of_pinmobile")
 LIMIT = Entrant("C, AVX2, polynomial sine, cosine", AVX2, "of_c", "avx2")
 MUJOCO_OPEN = Entrant(
     "mujoco.rollout, open loop",

@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHRow, DHTable, JointType
     from pinmobile.disturbances import (
         ConstantForce,
+        JointFriction,
         NoiseForce,
         RollingResistance,
         SinusoidalForce,
@@ -71,7 +72,7 @@ if TYPE_CHECKING:
     from pinmobile.plant import Context
     from pinmobile.reaching import EndEffectorTracking, PosePath, Resolved, resolve
     from pinmobile.robot import Load, MobileRobot, mountable
-    from pinmobile.simulation import Rollout, simulate
+    from pinmobile.simulation import ARRAYS, COMPILED, PINOCCHIO, Engine, Rollout, simulate
     from pinmobile.sweeps import Axis, Sweep, grid, sweep
     from pinmobile.trajectories import FixedHeading, LectureHeading, Reference, Tangent, WholeBody
     from pinmobile.urdf import shipped_urdf
@@ -80,8 +81,11 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "ARRAYS",
+    "COMPILED",
     "LECTURE_TABLE",
     "PD",
+    "PINOCCHIO",
     "SLIDE_TABLE",
     "TRUE_MODEL",
     "Axis",
@@ -96,11 +100,13 @@ __all__ = [
     "Delayed",
     "Diverged",
     "EndEffectorTracking",
+    "Engine",
     "Ensemble",
     "FileError",
     "FixedHeading",
     "Hold",
     "InvalidArgument",
+    "JointFriction",
     "JointType",
     "LectureHeading",
     "Lissajous",
@@ -178,6 +184,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "dh": ("LECTURE_TABLE", "SLIDE_TABLE", "DHRow", "DHTable", "JointType"),
     "disturbances": (
         "ConstantForce",
+        "JointFriction",
         "NoiseForce",
         "RollingResistance",
         "SinusoidalForce",
@@ -204,7 +211,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "plots": (),
     "reaching": ("EndEffectorTracking", "PosePath", "Resolved", "resolve"),
     "robot": ("Load", "MobileRobot", "mountable"),
-    "simulation": ("Rollout", "simulate"),
+    "simulation": ("ARRAYS", "COMPILED", "PINOCCHIO", "Engine", "Rollout", "simulate"),
     "sweeps": ("Axis", "Sweep", "grid", "sweep"),
     "trajectories": ("FixedHeading", "LectureHeading", "Reference", "Tangent", "WholeBody"),
     "urdf": ("shipped_urdf",),

@@ -12,6 +12,7 @@ __all__ = [
     "NotTraceable",
     "PinmobileError",
     "SchedulerError",
+    "SlowerEngine",
     "UnknownName",
     "Unreachable",
     "ViewerError",
@@ -160,6 +161,10 @@ class Unreachable(InvalidArgument):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return partial(type(self), time=self.time, resolved=self.resolved), self.args
+
+
+class SlowerEngine(UserWarning):
+    """A loop runs by a slower engine than it could: the message names the part and what it lacks."""
 
 
 class ViewerError(PinmobileError, RuntimeError):

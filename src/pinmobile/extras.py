@@ -9,8 +9,7 @@ from pinmobile.errors import InvalidArgument
 __all__ = ["EXTRAS", "imported", "installing"]
 
 EXTRAS: Mapping[str, tuple[str, ...]] = {
-    "ensembles": ("numba",),
-    "sweeps": ("dask", "distributed", "xarray", "zarr", "numba"),
+    "sweeps": ("dask", "distributed", "xarray", "zarr"),
     "mp4": ("imageio-ffmpeg",),
 }
 """The packages of each extra, as on PyPI; pyproject.toml has their versions."""

@@ -1,16 +1,34 @@
 """What is simulated, and what its loop tells a controller before the first sample."""
 
 import operator
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
-from pinmobile.arrays import Array, callable_as, finite, frozen, positive, sequence
+from pinmobile.arrays import Array, callable_as, finite, frozen, positive, sequence, text, whole
 from pinmobile.errors import InvalidArgument, shown
 
-__all__ = ["Context", "Coordinate", "Difference", "Input", "Plant", "check_difference"]
+__all__ = [
+    "Context",
+    "Coordinate",
+    "Difference",
+    "Input",
+    "Parameter",
+    "Plant",
+    "PlantOutline",
+    "Step",
+    "all_samples",
+    "check_difference",
+    "check_plant",
+    "configuration_names_of",
+    "coordinates_of",
+    "inputs_of",
+    "leading_of",
+    "parameters_of",
+    "whole_configurations",
+]
 
 Difference: TypeAlias = Callable[[Array, Array], Array]
 
@@ -32,10 +50,42 @@ def check_difference(difference: Any) -> None:
 
 
 class Plant(Protocol):
-    """What `simulate` needs of a plant; `MobileRobot` is one.
+    """What a closed loop asks of a plant; `MobileRobot` is one. Shapes are those of one state.
 
-    One with joints that turn about several axes has ``integrate_jacobian(q, dq)`` and ``neutral`` too, as
-    `MobileRobot` has: without, all integrators are taken for displacements that change at the velocity.
+    Beside this it may have what follows; a loop asks for it by name, and says what is missing:
+
+    ``coordinates``, ``configuration_names``, ``inputs``
+        Tuples of nv `Coordinate` (x, y, psi first), of nq names, and of nu `Input`, whose limits the loop
+        applies. Without them everything has numbers for names.
+    ``leading``
+        Mapping of n to the number of entries of q: the lengths that a reference may have; {nv: nq} without.
+    ``pose(q) -> (3,)``, ``rate(q, v) -> (3,)``
+        x, y, psi of the body, and their rates: for forces on it, for plots and the viewer.
+    ``effort(q, wrench) -> (nv,)``
+        The generalised force of a wrench (Fx, Fy, Mz) on the body; without it no force pushes the body.
+        ``forward_dynamics(q, v, u, f)`` then takes forces f, shape (nv,), beside the input.
+    ``start(reference) -> (q, v)``
+        Completes the first sample of a reference of the first n coordinates.
+    ``check_start(q, v)``
+        Raises where a start is none, such as off the constraints.
+    ``project(q, v) -> v``
+        The velocity that constraints such as rolling leave, after every substep.
+    ``step(t, q, v, u, h, f, memory) -> Step``
+        A step of its own in place of an integrator's; ``initial_state(context)`` is its first memory.
+    ``integrator``
+        That which `simulate` takes where none is given; constant_acceleration without.
+    ``signals(t, q, v, u, f, memory) -> {name: (unit, value)}``
+        What else is worth recording at a sample, such as contact forces: numbers, or rows of them.
+    ``adds``, ``broadcasts``
+        True where ``integrate(q, dq)`` is q + dq; where all methods take leading axes.
+    ``calls()``
+        Unchecked functions of one state, see `pinmobile.robot.Calls`, of a plant whose u is a generalised
+        force, to which forces beside it are added.
+    ``integrate_jacobian(q, dq)``, ``neutral``
+        As `MobileRobot` has them, where joints turn about several axes: without, all integrators are taken
+        for displacements that change at the velocity.
+    ``size``
+        Length, width and height of the box that is drawn [m]; without, an arrowhead, or a box of usual size.
     """
 
     @property
@@ -57,7 +107,23 @@ class Plant(Protocol):
         """Return the configuration that the displacement dq leads to, shape (nq,)."""
 
     def difference(self, q0: Array, q1: Array, /) -> Array:
-        """Return the displacement from q0 to q1, shape (..., nv)."""
+        """Return the displacement from q0 to q1, shape (nv,)."""
+
+
+class Step(NamedTuple):
+    """What a plant's own step leads to.
+
+    Attributes
+    ----------
+    q, v : ndarray, shape (nq,), (nv,)
+        The state at its end.
+    memory : any
+        What the plant keeps, such as which contacts stick.
+    """
+
+    q: Array
+    v: Array
+    memory: Any = None
 
 
 class Coordinate(NamedTuple):
@@ -67,10 +133,17 @@ class Coordinate(NamedTuple):
     ----------
     name, unit : str
         Such as ``"psi"`` and ``"rad"``.
+    lower, upper : float
+        Its limits, infinite where there is none.
+    rate : str
+        What its rate is called, such as ``"yaw_rate"``; by default ``"<name>_rate"``.
     """
 
     name: str
     unit: str
+    lower: float = -np.inf
+    upper: float = np.inf
+    rate: str = ""
 
 
 class Input(NamedTuple):
@@ -80,10 +153,112 @@ class Input(NamedTuple):
     ----------
     name, unit : str
         Such as ``"Mz"`` and ``"N m"``.
+    lower, upper : float
+        Its limits, infinite where there is none.
     """
 
     name: str
     unit: str
+    lower: float = -np.inf
+    upper: float = np.inf
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number of a part that may differ from robot to robot: a part lists its own as ``parameters``.
+
+    A spread, a sweep and a scenario file name it; the part's law reads it from its attribute.
+
+    Attributes
+    ----------
+    name : str
+        What a spread calls it, such as ``"viscous_forward"``.
+    unit, meaning : str
+        Its unit, "" for none, and what it is, in words.
+    least : float
+        Values must be above, or for 0 of a parameter that may vanish, at least this.
+    may_vanish : bool
+        Whether `least` itself is allowed.
+    attribute : str
+        The part's attribute that has it; by default, what it is called.
+    entry : int, optional
+        Which number of that attribute it is; None: all of them.
+    write : callable, optional
+        ``write(values, column, size)`` returns the attribute of m robots, shape (m, ...), from what it was,
+        (m, ...), and the numbers of the parameter, (m,); `size` is the number of coordinates that the
+        reference has. By default the numbers take the entry's place.
+    neutral : float, optional
+        Its number where it is not spread; by default, what the attribute has there.
+    """
+
+    name: str
+    unit: str = ""
+    meaning: str = ""
+    least: float = -np.inf
+    may_vanish: bool = True
+    attribute: str = ""
+    entry: int | None = None
+    write: Callable[[Array, Array, int], Array] | None = None
+    neutral: float | None = None
+
+    @property
+    def bound(self) -> str:
+        """What is expected of its values, such as ``> 0``."""
+        return f"{'>=' if self.may_vanish else '>'} {self.least:g}"
+
+    def allows(self, values: Array) -> Any:
+        """Tell which values are possible, shape (n,)."""
+        return values >= self.least if self.may_vanish else values > self.least
+
+    def written(self, values: Array, column: Array, size: int) -> Array:
+        """Return the attribute of m robots with this parameter's numbers in it, shape (m, ...)."""
+        if self.write is not None:
+            return self.write(values, column, size)
+        new = np.array(values, np.float64)
+        if self.entry is None:
+            new[:] = column.reshape(-1, *(1,) * (values.ndim - 1))
+        else:
+            new[:, self.entry] = column
+        return new
+
+    def nominal(self, value: Any) -> float | None:
+        """Return its number in an attribute of one robot; None where all its numbers are not alike."""
+        if self.neutral is not None:
+            return self.neutral
+        array = np.asarray(value, np.float64)
+        array = array.diagonal() if array.ndim == 2 else array
+        numbers = array if self.entry is None or not array.ndim else array[self.entry]
+        return float(numbers.flat[0]) if np.ptp(numbers) == 0 else None
+
+
+def _stated(part: Any) -> Any:
+    stated = getattr(part, "parameters", ())
+    return stated if isinstance(stated, list | tuple) else ()  # some answer to any name with something
+
+
+def parameters_of(part: Any) -> tuple[Parameter, ...]:
+    """Return the parameters that a part states; a name alone is one without unit and bound.
+
+    Raises
+    ------
+    InvalidArgument
+        If it states one twice.
+    """
+    found = tuple(
+        Parameter(each, attribute=each) if isinstance(each, str) else _with_attribute(each)
+        for each in _stated(part)
+    )
+    names = [each.name for each in found]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InvalidArgument(
+            f"a {type(part).__name__} states the parameter {twice!r} twice, expected names that differ"
+        )
+    return found
+
+
+def _with_attribute(parameter: Parameter) -> Parameter:
+    return parameter if parameter.attribute else replace(parameter, attribute=parameter.name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,13 +279,19 @@ class Context:
     integrate : callable
         ``integrate(q, dq)``: the plant's configuration to which a displacement leads, shape (..., nq).
     coordinates : tuple of Coordinate
-        The plant's, as far as it names them, in the order of v.
+        The plant's, in the order of v.
     inputs : tuple of Input
-        The plant's, as far as it names them, in the order of u.
+        The plant's, in the order of u.
+    leading : mapping of int to int
+        How many numbers of q the first n coordinates have, for each n that a reference may have.
     reference : Reference or None
         The reference at all samples, q, v and a of shape (N + 1, ...); None in calls by hand.
     trajectory : trajectory or None
         What it is sampled from, for those who look ahead; None in calls by hand.
+    nv : int
+        Size of v of the plant.
+    seed, member : int
+        What `normal` follows from: the seed of an ensemble, and the robot's number in it.
     """
 
     dt: float
@@ -119,8 +300,32 @@ class Context:
     integrate: Callable[[Array, Array], Array]
     coordinates: tuple[Coordinate, ...] = ()
     inputs: tuple[Input, ...] = ()
+    leading: Mapping[int, int] = field(default_factory=dict)
     reference: Any = None
     trajectory: Any = None
+    nv: int = 0
+    seed: int = 0
+    member: int = 0
+
+    def line(self, samples: int) -> Any:
+        """Return a delay to keep in the state: ``old, line = line.push(values)``.
+
+        What is pushed, a tree of arrays, comes back `samples` samples later; until then, the first does.
+        """
+        from pinmobile.compiled.memory import Line
+
+        return Line(whole("samples", samples, least=0))
+
+    def normal(self, name: str, n: int) -> Any:
+        """Return noise to keep in the state: ``numbers, noise = noise.draw()``.
+
+        The n numbers of a sample are standard normal and independent; they follow from the seed, the member,
+        the name and the number of the sample alone, and are the same bits in every engine.
+        """
+        from pinmobile.compiled.noise import Noise, robot_keys
+
+        text("name", name)
+        return Noise(robot_keys(self.seed, name, range(self.member, self.member + 1))[0], whole("n", n))
 
     @classmethod
     def of(
@@ -154,7 +359,7 @@ class Context:
         times = finite("t", np.zeros(1) if t is None else t)
         if times.ndim != 1:
             raise InvalidArgument(f"t has shape {times.shape}, expected (N + 1,)")
-        named = _coordinates(plant), _inputs(plant)
+        named = coordinates_of(plant), inputs_of(plant), leading_of(plant)
         return cls(
             positive("dt", dt, "s"),
             frozen(times),
@@ -163,23 +368,175 @@ class Context:
             *named,
             reference,
             trajectory,
+            getattr(plant, "nv", 0),
         )
 
 
-def _coordinates(plant: Any) -> tuple[Coordinate, ...]:
+def coordinates_of(plant: Any) -> tuple[Coordinate, ...]:
+    """Return the coordinates of a plant, in the order of v; numbers where it does not name them."""
     if hasattr(plant, "coordinates"):
         return sequence("plant.coordinates", plant.coordinates, "a sequence of Coordinate")
-    names, units = (getattr(plant, f"coordinate_{what}", ()) for what in ("names", "units"))
-    return tuple(map(Coordinate, names, units))
+    return tuple(Coordinate(f"[{k}]", "") for k in range(getattr(plant, "nv", 0)))
 
 
-def _inputs(plant: Any) -> tuple[Input, ...]:
-    """Return the generalised forces of coordinates, where these are what the plant takes."""
+def inputs_of(plant: Any) -> tuple[Input, ...]:
+    """Return the inputs of a plant, in the order of u; numbers where it does not name them."""
     if hasattr(plant, "inputs"):
         return sequence("plant.inputs", plant.inputs, "a sequence of Input")
-    if getattr(plant, "nu", 0) != getattr(plant, "nv", 0):
-        return ()
-    forces = {"m": "N", "rad": "N m"}
-    known = {"x": "Fx", "y": "Fy", "psi": "Mz"}
-    found = _coordinates(plant)
-    return tuple(Input(known.get(one.name, one.name), forces.get(one.unit, "")) for one in found)
+    return tuple(Input(f"[{k}]", "") for k in range(getattr(plant, "nu", 0)))
+
+
+def configuration_names_of(plant: Any) -> tuple[str, ...]:
+    """Return the name of each number in q: those of the coordinates where it has as many, else numbers."""
+    if hasattr(plant, "configuration_names"):
+        return sequence("plant.configuration_names", plant.configuration_names, "a sequence of names")
+    count, named = getattr(plant, "nq", 0), coordinates_of(plant)
+    return tuple(one.name for one in named) if len(named) == count else tuple(f"[{k}]" for k in range(count))
+
+
+def leading_of(plant: Any) -> Mapping[int, int]:
+    """Return how many numbers of q the first n coordinates have, for each n that a reference may have."""
+    found: Mapping[int, int] = getattr(plant, "leading", None) or {
+        getattr(plant, "nv", 0): getattr(plant, "nq", 0)
+    }
+    return found
+
+
+def check_plant(plant: Any) -> None:
+    """Refuse what is no plant, or one whose sizes contradict each other.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is such.
+    """
+    sizes = {size: getattr(plant, size, None) for size in ("nq", "nv", "nu")}
+    known = all(isinstance(value, int | np.integer) for value in sizes.values())
+    if isinstance(plant, type) or not hasattr(plant, "forward_dynamics") or not known:
+        raise InvalidArgument(
+            f"plant is {shown(plant)}, expected something with 'forward_dynamics' and the sizes nq, nv, nu"
+        )
+    for name, size, listed in (
+        ("coordinates", "nv", coordinates_of(plant)),
+        ("configuration_names", "nq", configuration_names_of(plant)),
+        ("inputs", "nu", inputs_of(plant)),
+    ):
+        if len(listed) != sizes[size]:
+            raise InvalidArgument(
+                f"plant has {size} = {sizes[size]} and {len(listed)} {name}, expected as many"
+            )
+    if not isinstance(leading_of(plant), Mapping) or not leading_of(plant):
+        raise InvalidArgument(
+            f"plant.leading is {shown(leading_of(plant))}, expected a mapping of n to numbers of q, such as "
+            f"{{{plant.nv}: {plant.nq}}}"
+        )
+    for n, numbers in leading_of(plant).items():
+        if n > plant.nv or numbers > plant.nq:
+            raise InvalidArgument(
+                f"plant.leading has {n}: {numbers}, expected at most nv = {plant.nv} and nq = {plant.nq}"
+            )
+
+
+def all_samples(plant: Any, name: str, *rows: Array) -> Array:
+    """Return what a method of the plant gives for each row of arrays (N, ...), stacked: (N, ...).
+
+    Parameters
+    ----------
+    plant : plant
+        One that ``broadcasts`` is asked once, others row by row.
+    name : str
+        Of the method.
+    *rows : ndarray, shape (N, ...)
+        Its arguments, N > 0.
+    """
+    method: Any = getattr(plant, name)
+    if getattr(plant, "broadcasts", False):
+        return np.asarray(method(*rows))
+    return np.stack([method(*(part.copy() for part in row)) for row in zip(*rows, strict=True)])
+
+
+def whole_configurations(plant: Any, q: Array, reference: Array) -> Array:
+    """Return the reference's configurations, shape (..., nq); what has no reference is where q is."""
+    length = reference.shape[-1]
+    if length == plant.nq:
+        return reference
+    return np.concatenate([reference, q[..., length:]], axis=-1)
+
+
+@dataclass(frozen=True)
+class PlantOutline:
+    """A plant in words: what a file keeps of one whose class may not be at hand. It cannot be simulated.
+
+    Attributes
+    ----------
+    kind : str
+        What its class was called.
+    coordinates, inputs : tuple of Coordinate, tuple of Input
+        As the plant had them.
+    configuration_names : tuple of str
+        Of the nq numbers in q.
+    leading : mapping of int to int
+        As the plant had it.
+    posed : tuple of 3 int, or None
+        Which numbers of q are x, y and psi of the body; None where that is not known.
+    size : tuple of 3 float, or None
+        Length, width and height of what is drawn [m]; None: an arrowhead.
+    """
+
+    kind: str
+    coordinates: tuple[Coordinate, ...]
+    configuration_names: tuple[str, ...]
+    inputs: tuple[Input, ...]
+    leading: Mapping[int, int]
+    posed: tuple[int, ...] | None = None
+    size: tuple[float, ...] | None = None
+
+    @classmethod
+    def of(cls, plant: Any, q: Array) -> "PlantOutline":
+        """Return the outline of a plant; configurations q, shape (N, nq), tell where its pose is in q."""
+        if isinstance(plant, cls):
+            return plant
+        size = getattr(plant, "size", None)
+        return cls(
+            kind=type(plant).__name__,
+            coordinates=tuple(Coordinate(*one) for one in coordinates_of(plant)),
+            configuration_names=configuration_names_of(plant),
+            inputs=tuple(Input(*one) for one in inputs_of(plant)),
+            leading=dict(leading_of(plant)),
+            posed=_posed(plant, q),
+            size=None if size is None or np.shape(size) != (3,) else tuple(float(x) for x in size),
+        )
+
+    @property
+    def nq(self) -> int:
+        """Size of q."""
+        return len(self.configuration_names)
+
+    @property
+    def nv(self) -> int:
+        """Size of v and a."""
+        return len(self.coordinates)
+
+    @property
+    def nu(self) -> int:
+        """Size of the input u."""
+        return len(self.inputs)
+
+    @property
+    def broadcasts(self) -> bool:
+        """Whether its methods take leading axes, here True."""
+        return True
+
+    @property
+    def pose(self) -> Callable[[Array], Array] | None:
+        """What returns x, y and psi of the body, shape (..., 3) [m, m, rad], of q; None where not known."""
+        return None if self.posed is None else lambda q: np.asarray(q)[..., list(self.posed or ())]
+
+
+def _posed(plant: Any, q: Array) -> tuple[int, ...] | None:
+    """Return the numbers of q that are the pose, told by numbers that are all different."""
+    if not callable(getattr(plant, "pose", None)) or not len(q):
+        return None
+    poses = all_samples(plant, "pose", q)
+    found = [np.flatnonzero((q == column[:, None]).all(axis=0)) for column in poses.T]
+    return tuple(int(where[0]) for where in found) if all(map(len, found)) else None

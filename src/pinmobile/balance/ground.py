@@ -44,10 +44,10 @@ def zero_moment_point(motion: Moving) -> Array:
         robot is above the ground, since its URDF does not tell.
     """
     point = body_zero_moment_point(motion)
-    q = np.asarray(motion.q, dtype=np.float64)
-    cos, sin = np.cos(q[..., 2]), np.sin(q[..., 2])
+    pose = robot_of(motion).pose(motion.q)
+    cos, sin = np.cos(pose[..., 2]), np.sin(pose[..., 2])
     x, y = point[..., 0], point[..., 1]
-    return np.stack([q[..., 0] + cos * x - sin * y, q[..., 1] + sin * x + cos * y], axis=-1)
+    return np.stack([pose[..., 0] + cos * x - sin * y, pose[..., 1] + sin * x + cos * y], axis=-1)
 
 
 def body_zero_moment_point(motion: Moving) -> Array:
@@ -65,7 +65,7 @@ def body_zero_moment_point(motion: Moving) -> Array:
     """
     if not robot_of(motion).grounded:
         raise InvalidArgument(
-            "motion.robot does not tell how high it is above the ground, expected one that does: "
+            "motion.plant does not tell how high it is above the ground, expected one that does: "
             "MobileRobot.from_urdf(path, ground=...), with the ground's z in the root link's frame [m]"
         )
     wrench, carried = _ground(motion)
@@ -163,6 +163,6 @@ def _ground(motion: Moving) -> tuple[Array, "np.ndarray[tuple[int, ...], np.dtyp
 
 
 def _negligible(motion: Moving) -> float:
-    model = motion.robot.model
+    model = motion.plant.model
     mass = float(sum(inertia.mass for inertia in model.inertias))
     return _WEIGHTLESS * mass * float(np.linalg.norm(model.gravity.linear))

@@ -14,8 +14,8 @@ class Moving(Protocol):
     """What is asked how it feels: a `Rollout`, a `Motion`, or anything with these."""
 
     @property
-    def robot(self) -> Any:
-        """The `MobileRobot`."""
+    def plant(self) -> Any:
+        """What moves: a `MobileRobot`."""
 
     @property
     def q(self) -> ArrayLike:
@@ -36,7 +36,7 @@ class Motion:
 
     Parameters
     ----------
-    robot : MobileRobot
+    plant : MobileRobot
         What moves.
     q : array_like, shape (..., nq)
         Configuration [m, m, rad, ...].
@@ -46,16 +46,16 @@ class Motion:
     Raises
     ------
     InvalidArgument
-        If `robot` is no `MobileRobot`, or an array has another shape or is not finite.
+        If `plant` is no `MobileRobot`, or an array has another shape or is not finite.
     """
 
-    robot: MobileRobot
+    plant: MobileRobot
     q: ArrayLike
     v: ArrayLike
     a: ArrayLike
 
     def __post_init__(self) -> None:
-        robot = checked_robot("robot", self.robot)
+        robot = checked_robot("plant", self.plant)
         for name, size in (("q", robot.nq), ("v", robot.nv), ("a", robot.nv)):
             object.__setattr__(self, name, frozen(vector(name, getattr(self, name), size)))
         broadcast(q=self.q, v=self.v, a=self.a)  # type: ignore[arg-type]
@@ -69,9 +69,9 @@ def robot_of(motion: Any) -> MobileRobot:
     InvalidArgument
         If it is no motion, or its robot is another plant, or none.
     """
-    if not all(hasattr(motion, name) for name in ("robot", "q", "v", "a")):
+    if not all(hasattr(motion, name) for name in ("plant", "q", "v", "a")):
         raise InvalidArgument(f"motion is {shown(motion)}, expected a Rollout or a Motion")
-    return checked_robot("motion.robot", motion.robot)
+    return checked_robot("motion.plant", motion.plant)
 
 
 def checked_robot(name: str, robot: Any) -> MobileRobot:
@@ -82,9 +82,12 @@ def checked_robot(name: str, robot: Any) -> MobileRobot:
     InvalidArgument
         The message names the argument.
     """
-    if not isinstance(robot, MobileRobot):
-        raise InvalidArgument(f"{name} is {shown(robot)}, expected a MobileRobot")
-    return robot
+    known = callable(getattr(robot, "ground_wrench", None)) and isinstance(getattr(robot, "nv", None), int)
+    if isinstance(robot, type) or not known:
+        raise InvalidArgument(
+            f"{name} is {shown(robot)}, which does not tell the ground's wrench, expected a MobileRobot"
+        )
+    return robot  # type: ignore[no-any-return]
 
 
 def reaction_wrench(motion: Moving, mount: str | None = None) -> Array:

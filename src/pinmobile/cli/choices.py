@@ -24,9 +24,11 @@ from pinmobile import (
     rk4,
     semi_implicit_euler,
 )
+from pinmobile.errors import shown
 
 __all__ = [
     "BELIEVED",
+    "CONTROLLERS",
     "HEADINGS",
     "INTEGRATORS",
     "PATHS",
@@ -35,12 +37,16 @@ __all__ = [
     "choose",
     "closed_loop",
     "controller",
+    "controller_of",
     "numbers",
     "path",
+    "path_of",
+    "plant_of",
     "point",
     "refuse_beside",
     "refuse_without",
     "robot",
+    "trajectory_of",
 ]
 
 _T = TypeVar("_T")
@@ -77,7 +83,7 @@ INTEGRATORS: Mapping[str, Any] = {
 BELIEVED = ("model_mass", "model_yaw_inertia", "model_com")
 """Options of what computed torque takes for the robot."""
 
-_CONTROLLERS = ("computed-torque", "pd")
+CONTROLLERS = ("computed-torque", "pd")
 _LECTURE_PD = (120.0, 120.0, 0.4)
 
 
@@ -172,7 +178,7 @@ def path(name: str, given: Mapping[str, Any]) -> Any:
     return make(**parameters)
 
 
-def controller(name: str, model: MobileRobot, kp: Any, kd: Any, difference: Any) -> Any:
+def controller(name: str, model: Any, kp: Any, kd: Any, difference: Any) -> Any:
     """Return the controller of that name; gains that are None are the lecture's.
 
     Raises
@@ -180,18 +186,22 @@ def controller(name: str, model: MobileRobot, kp: Any, kd: Any, difference: Any)
     UnknownName
         If there is no such controller.
     """
-    if name not in _CONTROLLERS:
-        raise UnknownName("controller", name, _CONTROLLERS)
+    if name not in CONTROLLERS:
+        raise UnknownName("controller", name, CONTROLLERS)
     if name == "pd":
         return PD(_LECTURE_PD if kp is None else kp, _LECTURE_PD if kd is None else kd, difference=difference)
     return ComputedTorque(model, 4 if kp is None else kp, 4 if kd is None else kd, difference=difference)
 
 
-def robot(base: MobileRobot, **changed: Any) -> MobileRobot:
+def robot(base: Any, **changed: Any) -> Any:
     """Return the robot with some of mass, yaw inertia and centre of mass changed; None leaves as it is."""
     kept = {name: value for name, value in changed.items() if value is not None}
     if not kept:
         return base
+    if not hasattr(base, "with_body"):
+        raise InvalidArgument(
+            f"{', '.join(kept)} of the model are given beside {shown(base)}, expected a robot of the library"
+        )
     com = kept.get("com")
     if isinstance(com, tuple) and len(com) == 2:
         kept["com"] = (*com, base.com[2])  # who says where it is in the plane leaves it as high as it is
@@ -200,7 +210,7 @@ def robot(base: MobileRobot, **changed: Any) -> MobileRobot:
     return base.with_body(changed_one.body, f"{base.source}; with other {', '.join(kept)}")
 
 
-def closed_loop(**options: Any) -> tuple[MobileRobot, Any, Any, dict[str, Any]]:
+def closed_loop(**options: Any) -> tuple[Any, Any, Any, dict[str, Any]]:
     """Return the plant, the controller, the trajectory and the settings that the options of `run` stand for.
 
     Raises
@@ -208,16 +218,31 @@ def closed_loop(**options: Any) -> tuple[MobileRobot, Any, Any, dict[str, Any]]:
     UnknownName, InvalidArgument
         If an option is not what is expected.
     """
+    trajectory, plant = trajectory_of(options, path_of(options)), plant_of(options)
+    law = controller_of(options, plant)
+    step = choose("integrator", options["integrator"], INTEGRATORS)
+    return plant, law, trajectory, {"dt": options["dt"], "integrator": step, "substeps": options["substeps"]}
+
+
+def path_of(options: Mapping[str, Any]) -> Any:
+    """Return the path that options stand for."""
     plain = ("duration", "radius", "rate", "rx", "ry", "wx", "wy", "t_via")
     given = {name: options[name] for name in plain}
     for name in ("start", "via", "end", "via_velocity"):
         given[name] = numbers(f"--{name.replace('_', '-')}", options[name])
-    curve = path(options["trajectory"], given)
+    return path(options["trajectory"], given)
+
+
+def trajectory_of(options: Mapping[str, Any], curve: Any) -> Any:
+    """Return the trajectory along a path that options stand for."""
     make = choose("heading", options["heading"], HEADINGS)
     if options["heading"] != "fixed":
         refuse_beside(f"--heading {options['heading']}", psi=options["psi"])
-    if options["controller"] == "pd":
-        refuse_beside("--controller pd", **{name: options[name] for name in BELIEVED})
+    return make(curve, options["psi"] or 0.0, options["turn_time"])
+
+
+def plant_of(options: Mapping[str, Any]) -> Any:
+    """Return the robot that options stand for."""
     if options["urdf"] is None:
         refuse_without("--urdf", ground=options["ground"])
         base = choose("robot", options["robot"] or "lecture", ROBOTS)()
@@ -225,12 +250,15 @@ def closed_loop(**options: Any) -> tuple[MobileRobot, Any, Any, dict[str, Any]]:
         refuse_beside("--urdf", robot=options["robot"])
         base = MobileRobot.from_urdf(options["urdf"], ground=options["ground"])
     changed = {name: options[name] for name in ("mass", "yaw_inertia")}
-    plant = robot(base, **changed, com=numbers("--com", options["com"]))
-    model_changed = {name: options[f"model_{name}"] for name in ("mass", "yaw_inertia")}
-    model = robot(plant, **model_changed, com=numbers("--model-com", options["model_com"]))
+    return robot(base, **changed, com=numbers("--com", options["com"]))
+
+
+def controller_of(options: Mapping[str, Any], plant: Any) -> Any:
+    """Return the controller of a robot that options stand for."""
+    if options["controller"] == "pd":
+        refuse_beside("--controller pd", **{name: options[name] for name in BELIEVED})
+    changed = {name: options[f"model_{name}"] for name in ("mass", "yaw_inertia")}
+    model = robot(plant, **changed, com=numbers("--model-com", options["model_com"]))
     difference = plain_difference if options["heading"] == "lecture" else planar_difference
     gains = numbers("--kp", options["kp"]), numbers("--kd", options["kd"])
-    law = controller(options["controller"], model, *gains, difference)
-    step = choose("integrator", options["integrator"], INTEGRATORS)
-    settings = {"dt": options["dt"], "integrator": step, "substeps": options["substeps"]}
-    return plant, law, make(curve, options["psi"] or 0.0, options["turn_time"]), settings
+    return controller(options["controller"], model, *gains, difference)

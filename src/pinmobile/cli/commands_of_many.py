@@ -62,9 +62,19 @@ def sweep(
         typer.Option(help="Dask scheduler to compute on, tcp://HOST:PORT; otherwise all cores here."),
     ] = None,
     chunk: Annotated[int | None, typer.Option(help="Robots in a chunk; 16384.")] = None,
+    allow_code: Annotated[
+        bool,
+        typer.Option(
+            "--allow-code",
+            help="Run the modules whose parts the file names (MODULE:NAME), here and on the workers.",
+        ),
+    ] = False,
 ) -> int:
     """Run the ensembles of a scenario file along the axes of its grid, and keep them in a Zarr store.
 
     Interrupted, it goes on where it was when it is started again.
+
+    A type may name a part of yours, "module:Name", of a module beside the file; the other keys of its table
+    are the arguments of the class. Code is run with --allow-code alone.
     """
-    return show_sweep(file, out, scheduler, chunk)
+    return show_sweep(file, out, scheduler, chunk, allow_code=allow_code)

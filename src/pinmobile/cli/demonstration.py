@@ -74,7 +74,10 @@ def mounted(
 
 def demonstration(robot: MobileRobot, duration: float) -> WholeBody:
     """Return the circle, beside it every joint 0.5 rad (0.1 m) away and back, or as far as it can in time."""
-    rest, units = robot.difference(robot.neutral, robot.rest), np.array(robot.coordinate_units)
+    rest, units = (
+        robot.difference(robot.neutral, robot.rest),
+        np.array([one.unit for one in robot.coordinates]),
+    )
     way = np.select([units == unit for unit in WAY], list(WAY.values()))
     # A cubic from rest to rest is at most 3/2 as fast as on average; it has half the time.
     way = np.minimum(way, robot.velocity_limit * (duration / 2) / 1.5)

@@ -61,7 +61,18 @@ def line_of(
             if _holds(values, error.name):
                 return line(text, "grid", name)
         for table, key, value in _keys(tree):
-            if _holds(value, error.name):
+            if key == error.name or _holds(value, error.name):
+                return line(text, table, key)
+        for name in swept:
+            if error.name in name.split("."):
+                return line(text, "grid", name)
+    for reference in re.findall(r"[\w./]+:[\w.]*", message):  # module:Name, or module.py:12
+        module = reference.partition(".py:")[0]
+        for name, values in swept.items():
+            if _holds(values, module):
+                return line(text, "grid", name)
+        for table, key, value in _keys(tree):
+            if _holds(value, module):
                 return line(text, table, key)
     said, _, place = message.partition(" (at ")
     for word in re.findall(r"\w+", f"{said} {place}"):
@@ -81,4 +92,7 @@ def _keys(tree: Mapping[str, Any]) -> list[tuple[str, str, Any]]:
 def _holds(value: Any, name: str) -> bool:
     if isinstance(value, Mapping):
         return name in value or any(_holds(part, name) for part in value.values())
-    return any(_holds(part, name) for part in value) if isinstance(value, list) else bool(value == name)
+    if isinstance(value, list):
+        return any(_holds(part, name) for part in value)
+    # Of a user's part, the module and the name in it are looked for, too.
+    return bool(value == name) or (isinstance(value, str) and name in value.split(":"))

@@ -1,7 +1,6 @@
 """Many loops at once: `ensemble` and `sweep`, what came of them, and figures."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +13,9 @@ from pinmobile.cli.interrupted import Interrupted
 from pinmobile.cli.many_figures import ensemble_figures, sweep_figures
 from pinmobile.cli.output import Section, console, index_page, output_folder, progress
 from pinmobile.cli.scenario_file import read_grid
-from pinmobile.cli.spreads import scenario, spread_of_words, without_model
-from pinmobile.ensembles import ARRAYS, Engine, run_scenario
-from pinmobile.sweeps import connected
+from pinmobile.cli.spreads import loop_of, scenario, spread_of_words, without_model
+from pinmobile.ensembles import run_scenario
+from pinmobile.sweeps import Code, Grid, connected
 from pinmobile.sweeps.reading import attributes_of
 from pinmobile.sweeps.table import compared, since
 
@@ -63,7 +62,6 @@ def show_ensemble(
     drawn: dict[str, Any] = {"n": n, "seed": seed, "after": after}
     loops = {_NAMES.get(name, name): _loop(options, wanted, name, drawn, one=one) for name in names}
     _warn_if_alike(loops.values())
-    engine = _engine()
     made: dict[str, Ensemble] = {}
     with progress(n * len(loops)) as bar:
         for k, (label, loop) in enumerate(loops.items()):
@@ -71,7 +69,7 @@ def show_ensemble(
             def advance(done: int, _: int, before: int = k * n, label: str = label) -> None:
                 bar.update(bar.task_ids[0], description=label, completed=before + done)
 
-            made[label] = run_scenario(loop, engine=engine, progress=advance)
+            made[label] = run_scenario(loop, progress=advance)
     text = "\n\n".join(f"{label}\n{ensemble}" for label, ensemble in made.items())
     console.print(text, markup=False)
     answer = since(after) + _answer(made, spread)
@@ -82,17 +80,30 @@ def show_ensemble(
     return 0
 
 
-def _engine() -> Engine | None:
-    """Return the engine of plain numpy where there is no other, after saying so."""
-    if find_spec("numba") is not None:
-        return None
-    console.print("numba is not installed: this takes some ten times longer (extra: ensembles)", markup=False)
-    return ARRAYS
-
-
-def show_sweep(file: Path, out: Path | None, scheduler: str | None, chunk: int | None) -> int:
+def show_sweep(
+    file: Path, out: Path | None, scheduler: str | None, chunk: int | None, *, allow_code: bool = False
+) -> int:
     """Run the sweep of a file, print who stays within what, and draw it."""
-    grid = read_grid(file)
+    if not allow_code:
+        return _show_sweep(file, read_grid(file), out, scheduler, chunk)
+    code = Code(file.absolute().parent)
+    with code.errors():
+        grid = read_grid(file, code)
+        _tell_loaded(code)
+        return _show_sweep(file, grid, out, scheduler, chunk)
+
+
+def _tell_loaded(code: Code) -> None:
+    """Say which files were run, and which modules of the same name were not."""
+    hidden = code.hidden()
+    for name, (where, _) in code.sources.items():
+        beside = f", not the installed {name} ({hidden[name]})" if name in hidden else ""
+        console.print(f"ran {where}{beside}", markup=False)
+    for name, where in code.installed.items():
+        console.print(f"ran {where}, the installed {name}", markup=False)
+
+
+def _show_sweep(file: Path, grid: Grid, out: Path | None, scheduler: str | None, chunk: int | None) -> int:
     folder = output_folder(Path("out") / file.stem if out is None else out)
     store = folder / "sweep.zarr"
     size = _size(chunk, store)
@@ -133,7 +144,7 @@ def _loop(
     options = {**options, "controller": name}
     if name == "pd" and not one:
         options, spread = without_model(options, spread)
-    return scenario(options, spread, **drawn)
+    return scenario(loop_of(options), spread, **drawn)
 
 
 def _answer(made: Mapping[str, Ensemble], spread: Sequence[str]) -> str:

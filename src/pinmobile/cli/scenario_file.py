@@ -2,19 +2,19 @@
 
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
 from pinmobile import Axis, InvalidArgument, PinmobileError, Scenario, UnknownName, grid
-from pinmobile.cli.choices import refuse_beside
+from pinmobile.cli.choices import controller_of, path_of, plant_of, refuse_beside, trajectory_of
 from pinmobile.cli.lines import line, line_of, line_of_syntax
+from pinmobile.cli.named_parts import FORCES, STEPS, WRAPPERS, Maker, code_in, is_code
 from pinmobile.cli.spreads import scenario, without_model
-from pinmobile.cli.unknown import SPREAD_NAMES, meant
-from pinmobile.ensembles import PARAMETERS
+from pinmobile.cli.unknown import SPREAD_NAMES, meant, shortened
 from pinmobile.files import cannot
-from pinmobile.sweeps import Grid, check_draws
+from pinmobile.sweeps import Code, Grid, check_draws
 
 __all__ = ["EXAMPLE", "read_grid"]
 
@@ -27,6 +27,7 @@ base = "box"
 type = "circle"
 radius = 3
 [controller]       # type, kp, kd, model_mass, model_yaw_inertia, model_com
+[forces]           # by names of yours, such as wind = {type = "constant", force = [1, 0, 0]}
 [loop]             # dt, integrator, substeps
 dt = 0.1
 [spread]           # uniform, normal, percent (of nominal), same, or a number
@@ -46,8 +47,9 @@ _TABLES: Mapping[str, tuple[str, ...]] = {
     "robot": ("base", "urdf", "ground", "mass", "yaw_inertia", "com"),
     "trajectory": ("type", *_CURVE, "via_velocity", "heading", "psi", "turn_time"),
     "controller": ("type", "kp", "kd", "model_mass", "model_yaw_inertia", "model_com"),
+    "forces": (),
     "loop": ("dt", "integrator", "substeps"),
-    "spread": tuple(PARAMETERS),
+    "spread": (),
     "ensemble": ("n", "seed", "after"),
 }
 _OPTIONS = {
@@ -66,6 +68,10 @@ _DEFAULTS = {
 }
 _TEXTS = ("start", "via", "end", "via_velocity", "kp", "kd", "com", "model_com")  # as on the command line
 _NAMES = ("base", "urdf", "type", "heading", "integrator")
+_OF_PARTS = ("heading", "integrator")  # they may be tables, too
+_TYPED = ("robot", "trajectory", "controller")  # tables that a type may give keys of its own
+_OWN = ("forces", "spread")  # tables whose keys others know
+_PATH_APART = ("heading", "psi", "turn_time")  # of [trajectory], what is not its path's
 _UNITS = {
     **{"mass": "kg", "yaw_inertia": "kg m^2", "model_mass": "kg", "model_yaw_inertia": "kg m^2"},
     **{"radius": "m", "rx": "m", "ry": "m", "rate": "rad/s", "wx": "rad/s", "wy": "rad/s", "psi": "rad"},
@@ -81,41 +87,45 @@ _UNITS = {
 }
 
 
-def read_grid(path: Path) -> Grid:
+def read_grid(path: Path, code: Code | None = None) -> Grid:
     """Return the grid of scenarios that a file describes.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    code : Code, optional
+        The modules beside it, which are run where it names parts of theirs; None: that is refused.
 
     Raises
     ------
     InvalidArgument
-        If it cannot be read, or something in it is not what is expected; the message begins with the file
-        and the line, where there is one.
+        If it cannot be read, something in it is not what is expected, or it names code that must not be run;
+        the message begins with the file and the line, where there is one.
     """
     text, tree = _parsed(path)
     swept = _checked(path, text, tree)
-    both = len(swept.get("controller.type", ())) > 1
-
-    def make(**chosen: Any) -> Scenario:
-        changed = deepcopy(tree)
-        for name, value in chosen.items():
-            _put(changed, name.split("."), value)
-        return _scenario(changed, both=both)
-
+    if code is None:
+        _refuse_code(path, text, tree, swept)
+    reader = _Reader(tree, swept, Maker(code))
     axes = {
         name: _axis(f"{path.name}:{line(text, 'grid', name)}", name, values) for name, values in swept.items()
     }
     try:
-        made = grid(make, **axes) if axes else Grid({"scenario": Axis(["all"])}, [make()])
+        made = (
+            grid(reader.scenario, **axes) if axes else Grid({"scenario": Axis(["all"])}, [reader.scenario()])
+        )
+        reader.check_all_taken()
         check_draws(made)
     except PinmobileError as error:
-        message = str(error)
-        if isinstance(error, UnknownName):
-            message = meant(f"{error.kind} {error.name!r}", error.name, error.available, SPREAD_NAMES)
         # The library speaks of arguments, the command of options; a file has keys.
-        message = re.sub(r"--spread (\w+)", r"spread of \1", message)
+        message = re.sub(r"--spread (\w+)", r"spread of \1", str(error))
         message = re.sub(r"--([a-z-]+)", lambda found: found[1].replace("-", "_"), message)
+        if isinstance(error, UnknownName):
+            message = shortened(error)
         at = line_of(error, message, text, tree, swept)
         raise InvalidArgument(f"{path.name}{at and ':'}{at or ''}: {message}") from error
-    return made
+    return _in_units(made)
 
 
 def _parsed(path: Path) -> tuple[str, dict[str, Any]]:
@@ -138,25 +148,134 @@ def _parsed(path: Path) -> tuple[str, dict[str, Any]]:
         raise InvalidArgument(f"{path.name}:{at}: {message}, expected TOML") from error
 
 
-def _scenario(tree: Mapping[str, Any], *, both: bool) -> Scenario:
-    options: dict[str, Any] = {_OPTIONS.get((t, k), k): None for t, keys in _TABLES.items() for k in keys}
-    given = {
-        _OPTIONS.get((table, key), key): value
-        for table in ("robot", "trajectory", "controller", "loop")
-        for key, value in tree.get(table, {}).items()
-    }
-    options |= _DEFAULTS | given
-    if options["heading"] != "tangent":
-        refuse_beside(f"--heading {options['heading']}", turn_time=given.get("turn_time"))
-    spread = dict(tree.get("spread", {}))
-    if both and options["controller"] == "pd":
-        options, spread = without_model(options, spread)
-    for name in _TEXTS:
-        value = options[name]
-        if value is not None:
-            options[name] = ",".join(map(repr, value)) if isinstance(value, list) else str(value)
-    wanted = {"n": 10_000, "seed": 0} | tree.get("ensemble", {})
-    return scenario(options, spread, **wanted)
+class _Reader:
+    """Makes the scenarios of a file, and keeps in mind what none of them takes."""
+
+    def __init__(self, tree: Mapping[str, Any], swept: Mapping[str, list[Any]], maker: Maker) -> None:
+        self.tree, self.swept, self.maker = tree, swept, maker
+        self.several = {name for name in _TYPED if len(swept.get(f"{name}.type", ())) > 1}
+        self.taken = {name: {"type", *_TABLES[name]} for name in _TYPED}
+        self.lacks: dict[str, UnknownName] = {}
+        self.spread: set[str] = set()
+
+    def scenario(self, **chosen: Any) -> Scenario:
+        """Return the scenario for values of what is swept."""
+        tree = deepcopy(dict(self.tree))
+        for name, value in chosen.items():
+            _put(tree, name.split("."), value)
+        options, given = self._options(tree)
+        spread = dict(tree.get("spread", {}))
+        if "controller" in self.several and options["controller"] == "pd":
+            options, spread = without_model(options, spread)
+        wanted = {"n": 10_000, "seed": 0} | tree.get("ensemble", {})
+        lacks = self.lacks if "controller" in self.several else None
+        made = scenario(self._loop(tree, options, given), spread, lacks=lacks, **wanted)
+        self.spread |= set(made.spread)
+        return made
+
+    def check_all_taken(self) -> None:
+        """Refuse keys that nothing takes, where several types share a table.
+
+        Raises
+        ------
+        UnknownName
+            If there is one.
+        """
+        for name, error in self.lacks.items():
+            if name not in self.spread:
+                raise error
+        for name in self.several:
+            keys = [*self.tree.get(name, ()), *(rest for one in self.swept for rest in _rest(one, name))]
+            for key in keys:
+                if key not in self.taken[name]:
+                    raise UnknownName(
+                        f"key in [{name}], which none of its types takes,", key, self.taken[name]
+                    )
+
+    def _options(self, tree: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Return what tables say in the words of the command line, with its defaults and without."""
+        options: dict[str, Any] = {_OPTIONS.get((t, k), k): None for t, keys in _TABLES.items() for k in keys}
+        given = {
+            _OPTIONS.get((table, key), key): value
+            for table in ("robot", "trajectory", "controller", "loop")
+            for key, value in tree.get(table, {}).items()
+            if key in _TABLES[table] and (not _is_composed(tree, table) or key in _PATH_APART)
+        }
+        heading = given.get("heading")
+        if isinstance(heading, Mapping) and not is_code(heading.get("type")):
+            for key in heading:
+                if key not in ("type", *_PATH_APART[1:]):
+                    raise UnknownName("key in heading", key, ("type", *_PATH_APART[1:]))
+            given |= {"heading": heading.get("type"), **{k: v for k, v in heading.items() if k != "type"}}
+        options |= _DEFAULTS | given
+        for name in _TEXTS:
+            value = options[name]
+            if value is not None:
+                options[name] = ",".join(map(repr, value)) if isinstance(value, list) else str(value)
+        return options, given
+
+    def _loop(
+        self, tree: Mapping[str, Any], options: Mapping[str, Any], given: Mapping[str, Any]
+    ) -> dict[str, Any]:
+        """Return the arguments of a scenario that tables stand for."""
+        part = self.maker.part
+        robot = part("robot", tree["robot"], {}) if _is_composed(tree, "robot") else plant_of(options)
+        beside = {"robot": robot}
+        if _is_composed(tree, "controller"):
+            taken = self.taken["controller"] if "controller" in self.several else None
+            controller = part("controller", tree["controller"], WRAPPERS, beside=beside, taken=taken)
+        else:
+            controller = controller_of(options, robot)
+        return {
+            "robot": robot,
+            "controller": controller,
+            "trajectory": self._trajectory(tree, options, given, beside),
+            "forces": [
+                part(f"forces.{name}", value, FORCES, beside=beside)
+                for name, value in tree.get("forces", {}).items()
+            ],
+            "dt": options["dt"],
+            "integrator": part("integrator", options["integrator"], STEPS, beside=beside),
+            "substeps": options["substeps"],
+        }
+
+    def _trajectory(
+        self,
+        tree: Mapping[str, Any],
+        options: Mapping[str, Any],
+        given: Mapping[str, Any],
+        beside: Mapping[str, Any],
+    ) -> Any:
+        if _is_composed(tree, "trajectory"):
+            table = {key: value for key, value in tree["trajectory"].items() if key not in _PATH_APART}
+            taken = self.taken["trajectory"] if "trajectory" in self.several else None
+            path = self.maker.part("path", table, {}, beside=beside, taken=taken)
+            if not hasattr(path, "derivative"):  # it has a heading of its own
+                said = {key: given.get(key) for key in _PATH_APART}
+                refuse_beside(f"trajectory {table['type']}, which is no path,", **said)
+                return path
+        else:
+            path = path_of(options)
+        heading = options["heading"]
+        name = heading["type"] if isinstance(heading, Mapping) else heading
+        if name != "tangent":
+            refuse_beside(f"--heading {name}", turn_time=given.get("turn_time"))
+        if not is_code(name):
+            return trajectory_of(options, path)
+        refuse_beside(f"--heading {name}", psi=given.get("psi"))
+        return self.maker.part("heading", heading, {}, beside=beside, first=path)
+
+
+def _is_composed(tree: Mapping[str, Any], table: str) -> bool:
+    """Tell whether a table is of a part that takes its keys as the arguments of its class."""
+    name = tree.get(table, {}).get("type")
+    return is_code(name) or (table == "controller" and isinstance(name, str) and name in WRAPPERS)
+
+
+def _rest(name: str, table: str) -> list[str]:
+    """Return the key of a dotted name that is of a table; none where it is not."""
+    first, _, rest = name.partition(".")
+    return [rest.split(".")[0]] if first == table else []
 
 
 def _checked(path: Path, text: str, tree: dict[str, Any]) -> dict[str, list[Any]]:
@@ -166,21 +285,59 @@ def _checked(path: Path, text: str, tree: dict[str, Any]) -> dict[str, list[Any]
         if table not in (*_TABLES, "grid"):
             raise InvalidArgument(f"{at}: {meant(f'table [{table}]', table, [*_TABLES, 'grid'])}")
         if not isinstance(content, Mapping):
-            raise InvalidArgument(f"{at}: {table} is {content!r}, expected a table")
-        for key in content if table != "grid" else ():
-            if key not in _TABLES[table]:
-                at = f"{path.name}:{line(text, table, key)}"
-                raise InvalidArgument(f"{at}: {_no_key(f'key {key!r} in [{table}]', table, key)}")
-            if key in _NAMES and not isinstance(content[key], str):
-                at = f"{path.name}:{line(text, table, key)}"
-                raise InvalidArgument(f"{at}: {key} is {content[key]!r}, expected text in quotes")
+            named = ", such as [forces.wind]" if table == "forces" else ""
+            raise InvalidArgument(f"{at}: {table} is {content!r}, expected a table{named}")
     swept = dict(_leaves(tree.pop("grid", {})))
+    own = {*_OWN, *(table for table in _TYPED if _may_be_composed(tree, swept, table))}
+    for table, content in tree.items():
+        for key in content:
+            at = f"{path.name}:{line(text, table, key)}"
+            if key not in _TABLES[table] and table not in own:
+                raise InvalidArgument(f"{at}: {_no_key(f'key {key!r} in [{table}]', table, key)}")
+            if not _names_well(table, key, content[key]):
+                raise InvalidArgument(f"{at}: {key} is {content[key]!r}, expected text in quotes")
     for name, values in swept.items():
-        _check_swept(f"{path.name}:{line(text, 'grid', name)}", name, values)
+        _check_swept(f"{path.name}:{line(text, 'grid', name)}", name, values, own)
     return swept
 
 
-def _check_swept(at: str, name: str, values: Any) -> None:
+def _may_be_composed(tree: Mapping[str, Any], swept: Mapping[str, Any], table: str) -> bool:
+    values = swept.get(f"{table}.type", ())
+    types = [tree.get(table, {}).get("type"), *(values if isinstance(values, list) else ())]
+    return any(_is_composed({table: {"type": name}}, table) for name in types)
+
+
+def _names_well(table: str, key: str, value: Any) -> bool:
+    """Tell whether a key that names something has a text, or a table where that is possible."""
+    if table in _OWN or key not in _NAMES or isinstance(value, str):
+        return True
+    return key in _OF_PARTS and isinstance(value, Mapping)
+
+
+def _refuse_code(path: Path, text: str, tree: Mapping[str, Any], swept: Mapping[str, Any]) -> None:
+    """Refuse the names of users' parts, before any of their modules is looked at.
+
+    Raises
+    ------
+    InvalidArgument
+        If there is one; the message says what to type.
+    """
+    places: list[tuple[tuple[str, ...], Any]]
+    places = [((table, key), value) for table, keys in tree.items() for key, value in keys.items()]
+    places += [(tuple(name.split(".")), values) for name, values in swept.items()]
+    for (table, *keys), value in places:
+        key = "type" if table == "forces" and len(keys) == 1 else keys[-1]
+        for name in code_in(key, value):
+            dotted = ".".join((table, *keys))
+            at = line(text, "grid", dotted) if dotted in swept else line(text, table, keys[0])
+            raise InvalidArgument(
+                f"{path.name}:{at}: {'.'.join(keys)} of [{table}] is {name!r}, code of the module "
+                f"{name.partition(':')[0]!r}, which is not run unless you allow it: look at that module, "
+                f"then type 'pinmobile sweep {path} --allow-code'"
+            )
+
+
+def _check_swept(at: str, name: str, values: Any, own: Collection[str]) -> None:
     table, _, rest = name.partition(".")
     if table not in _TABLES:
         what = f"table {table!r} of {name!r} in [grid]"
@@ -188,11 +345,11 @@ def _check_swept(at: str, name: str, values: Any) -> None:
     if not rest:
         raise InvalidArgument(f"{at}: {name!r} in [grid] is a table, expected one of its keys, {name}.KEY")
     key = rest.split(".")[0]
-    if key not in _TABLES[table]:
+    if key not in _TABLES[table] and table not in own:
         raise InvalidArgument(f"{at}: {_no_key(f'key {key!r} of [{table}] in [grid]', table, key)}")
     if not isinstance(values, list) or not values:
         raise InvalidArgument(f"{at}: {name} is {values!r}, expected a list of values")
-    if key in _NAMES and not all(isinstance(value, str) for value in values):
+    if key == rest and not all(_names_well(table, key, value) for value in values):
         raise InvalidArgument(f"{at}: {name} is {values!r}, expected texts in quotes")
 
 
@@ -220,16 +377,25 @@ def _put(tree: dict[str, Any], place: list[str], value: Any) -> None:
 
 
 def _axis(at: str, name: str, values: list[Any]) -> Axis:
-    last = name.split(".")[-1]
-    unit = (
-        PARAMETERS[last].unit if name.startswith("spread.") and last in PARAMETERS else _UNITS.get(last, "")
-    )
     try:
         if any(isinstance(value, list | dict) for value in values):
-            return Axis({_label(value): value for value in values}, unit)
-        return Axis(values, unit)
+            return Axis({_label(value): value for value in values}, _UNITS.get(name.split(".")[-1], ""))
+        return Axis(values, _UNITS.get(name.split(".")[-1], ""))
     except InvalidArgument as error:
         raise InvalidArgument(f"{at}: {re.sub('^values', name, str(error))}") from error
+
+
+def _in_units(made: Grid) -> Grid:
+    """Return the grid with the units of parameters whose spread is swept: a loop knows them."""
+    axes = dict(made.axes)
+    for name, axis in made.axes.items():
+        table, _, key = name.partition(".")
+        if table == "spread" and "." not in key:  # the value itself, not what is percent of it
+            units = {each.known[key][0].parameter.unit for each in made.scenarios if key in each.known}
+            labelled = dict(zip(axis.values, axis.given, strict=True))
+            given: Any = axis.values if axis.given == axis.values else labelled
+            axes[name] = Axis(given, units.pop()) if len(units) == 1 else axis
+    return Grid(axes, made.scenarios)
 
 
 def _label(value: Any) -> str:

@@ -6,8 +6,9 @@ from typing import Any
 from pinmobile import InvalidArgument, Normal, Same, Scenario, Uniform, UnknownName
 from pinmobile.cli import choices
 from pinmobile.ensembles import PARAMETERS
+from pinmobile.ensembles.names import resolved, with_spread_forces
 
-__all__ = ["SPREAD_FORMS", "listed", "scenario", "spread_of_words", "without_model"]
+__all__ = ["SPREAD_FORMS", "listed", "loop_of", "scenario", "spread_of_words", "without_model"]
 
 SPREAD_FORMS = "uniform:LOW,HIGH normal:MEAN,STD percent:P (of the nominal) same:NAME[,FACTOR] or a number"
 _KINDS = ("uniform", "normal", "percent", "same")
@@ -78,37 +79,71 @@ def spread_of_words(words: Sequence[str]) -> dict[str, Any]:
     return found
 
 
-def scenario(
-    options: Mapping[str, Any], spread: Mapping[str, Any], *, n: Any, seed: Any, after: Any = 0.0
-) -> Scenario:
-    """Return the scenario that options of `run` and a spread in words stand for.
-
-    Parameters
-    ----------
-    options : mapping
-        As `choices.closed_loop` takes them.
-    spread : mapping
-        By parameter a number, a list, or a table such as ``{uniform = [20, 40]}``.
-    n, seed : int
-        Robots, and the seed of what is drawn.
-    after : float
-        Time from which on errors count [s].
+def loop_of(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of a `Scenario` that options of `run` stand for.
 
     Raises
     ------
     InvalidArgument, UnknownName
         If something is not what is expected.
     """
-    for name in spread:
-        if name not in PARAMETERS:
-            raise UnknownName("parameter in spread", name, PARAMETERS)
-        if name.startswith("model_") and options["controller"] == "pd":
-            raise InvalidArgument(f"--spread {name} does not apply: PD believes in no model")
     plant, law, trajectory, settings = choices.closed_loop(**options)
-    shared: dict[str, Any] = {"robot": plant, "controller": law, "trajectory": trajectory, **settings}
-    nominal = Scenario(**shared, n=1, spread={}).nominal
-    sources = {name: _source(name, value, nominal.get(name, 0.0)) for name, value in spread.items()}
-    return Scenario(**shared, n=n, seed=seed, after=after, spread=sources)
+    return {"robot": plant, "controller": law, "trajectory": trajectory, **settings}
+
+
+def scenario(
+    loop: Mapping[str, Any],
+    spread: Mapping[str, Any],
+    *,
+    n: Any,
+    seed: Any,
+    after: Any = 0.0,
+    lacks: dict[str, UnknownName] | None = None,
+) -> Scenario:
+    """Return the scenario of a loop and a spread in words.
+
+    Parameters
+    ----------
+    loop : mapping
+        Arguments of `Scenario`.
+    spread : mapping
+        By parameter a number, a list, or a table such as ``{uniform = [20, 40]}``.
+    n, seed : int
+        Robots, and the seed of what is drawn.
+    after : float
+        Time from which on errors count [s].
+    lacks : dict of str to UnknownName, optional
+        Where several loops share a spread: takes the names that this one does not have, which are left out.
+
+    Raises
+    ------
+    InvalidArgument, UnknownName
+        If something is not what is expected.
+    """
+    forces = with_spread_forces(loop.get("forces", ()), spread)
+    bare = Scenario(**{**loop, "forces": forces}, n=1, spread={})
+    own = [name for name in bare.known if "." not in name and name not in PARAMETERS]
+    left, lacking = {}, {}
+    for name, value in spread.items():
+        if name in bare.known:
+            resolved(name, bare.known)  # of one part alone
+            left[name] = value
+        elif lacks is None and name.startswith("model_") and name in PARAMETERS:
+            law = type(loop["controller"]).__name__
+            raise InvalidArgument(f"--spread {name} does not apply: {law} believes in no model")
+        else:
+            lacking[name] = UnknownName("parameter in spread", name, [*own, *PARAMETERS])
+            if lacks is None:
+                raise lacking[name]
+    for name, value in left.items():
+        other = value.get("same") if isinstance(value, Mapping) else None
+        if isinstance(other, str) and other not in bare.known:
+            kind = f"parameter in spread[{name!r}]"
+            raise lacking.get(other, UnknownName(kind, other, [*own, *PARAMETERS]))
+    if lacks is not None:
+        lacks |= lacking
+    sources = {name: _source(name, value, bare.nominal.get(name, 0.0)) for name, value in left.items()}
+    return Scenario(**loop, n=n, seed=seed, after=after, spread=sources)
 
 
 def without_model(

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 
+from pinmobile.ensembles import PARAMETERS
 from pinmobile.errors import UnknownName
 
 __all__ = ["SPREAD_NAMES", "meant", "shortened"]
@@ -36,4 +37,6 @@ def shortened(error: UnknownName) -> str:
     """Return the message of an error; where its list is too long to be read, the nearest names."""
     if not error.kind.startswith("parameter in spread"):
         return str(error)
-    return meant(f"{error.kind} {error.name!r}", error.name, error.available, SPREAD_NAMES)
+    own = [name for name in error.available if name not in PARAMETERS]
+    rest = f"this loop has {', '.join(own)}, and {SPREAD_NAMES} of the library" if own else SPREAD_NAMES
+    return meant(f"{error.kind} {error.name!r}", str(error.name), error.available, rest)

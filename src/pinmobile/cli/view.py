@@ -30,14 +30,12 @@ from pinmobile.simulation.storage import why_unknown
 
 __all__ = ["chosen_runs", "overlays_of", "save_page", "saved_runs", "show_live"]
 
-_POSE = 3  # numbers in q of a bare base
-
 
 def save_page(rollouts: Mapping[str, Rollout], path: Path, title: str, *, speed: float = 1.0) -> None:
     """Write a page that shows the rollouts in one scene: the first solid, the others as ghosts."""
     from pinmobile.viewer import Viewer  # meshcat is not needed by the other commands
 
-    with Viewer(_robot(rollouts)) as viewer:
+    with Viewer(_plant(rollouts)) as viewer:
         viewer.record(rollouts, speed=speed, title=title).save_html(path)
 
 
@@ -56,11 +54,12 @@ def saved_runs(paths: Sequence[Path], words: Sequence[str]) -> dict[str, Rollout
 
 
 def _known(path: Path, run: Rollout) -> Rollout:
-    """Return the run, after refusing one of arms whose robot is not known: there is nothing to draw."""
-    if run.robot is None and run.q.shape[1:] != (_POSE,):
+    """Return the run, after refusing one of a robot whose arm cannot be had again: it would be missing."""
+    why = why_unknown(path)
+    if why:
         raise InvalidArgument(
-            f"--rollout {str(path)!r} does not know its robot: {why_unknown(path)}; in Python, "
-            "dataclasses.replace(rollout, robot=...) tells it"
+            f"--rollout {str(path)!r} does not know its robot: {why}; in Python, "
+            "dataclasses.replace(rollout, plant=...) tells it"
         )
     return run
 
@@ -109,7 +108,7 @@ def show_live(
     positive("--speed", speed)
     with (
         _until_ended(),
-        Viewer(_robot(rollouts), live=True, host=host, port=port, overlays=overlays) as viewer,
+        Viewer(_plant(rollouts), live=True, host=host, port=port, overlays=overlays) as viewer,
     ):
         served = viewer.url.split("://")[1].split("/")[0].rpartition(":")[2]
         console.print(f"open {viewer.url}", markup=False)
@@ -139,6 +138,6 @@ def _until_ended() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _robot(rollouts: Mapping[str, Rollout]) -> MobileRobot:
-    robot = next(iter(rollouts.values())).robot
-    return robot if isinstance(robot, MobileRobot) else MobileRobot.lecture()
+def _plant(rollouts: Mapping[str, Rollout]) -> Any:
+    plant = next(iter(rollouts.values())).plant
+    return MobileRobot.lecture() if plant is None else plant

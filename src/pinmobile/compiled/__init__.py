@@ -8,7 +8,7 @@ from pinmobile.compiled.loop_tape import Loop
 from pinmobile.compiled.machine import Target
 from pinmobile.compiled.memory import Line
 from pinmobile.compiled.noise import Noise, robot_keys
-from pinmobile.compiled.parts import Memory, Parameter, Parts, Reference, Stepped, one_sample
+from pinmobile.compiled.parts import Memory, Parts, Place, Reference, Stepped, one_sample
 from pinmobile.compiled.passes import traced
 from pinmobile.compiled.program import Outcome, Program
 from pinmobile.compiled.recorders import Record, Sample, Summary, Trace
@@ -24,8 +24,8 @@ __all__ = [
     "Memory",
     "Noise",
     "Outcome",
-    "Parameter",
     "Parts",
+    "Place",
     "Program",
     "Record",
     "Reference",

@@ -246,13 +246,16 @@ def text_of(loop: Loop, shape: Shape) -> str:
 
     Its function ``pinmobile_loop(blocks, begin, end, samples, count, uniforms, ring, counts, every, n,
     kept)`` runs the blocks from `begin` to before `end` of an array (blocks, rows, width): states, rows and
-    keys of the robots. A row of `samples` has t and the reference. The n robots' sizes are counted every so
-    many samples in `counts`, (times, sizes, BINS); what is kept of each sample stands in `kept`, (blocks,
-    samples, numbers, width).
+    keys of the robots. A row of `samples` has t, the reference and what is tabled. The n robots' sizes are
+    counted every so many samples in `counts`, (times, sizes, BINS); what is kept of each sample stands in
+    `kept`, (blocks, samples, numbers, width).
     """
     code = _Code(loop, shape)
     for j, (now, _) in enumerate(loop.states):
         code.values[now] = [f"%s{j}_{u}" for u in code.vectors()]
+    for j, node in enumerate(loop.tabled, loop.columns - len(loop.tabled)):
+        place = code.put("sample", f"getelementptr double, ptr %at, i64 {j}")
+        code.values[node] = [code.put("sample", f"load double, ptr {place}, align 8")]
     for ring in loop.rings:
         code.emit(ring.node)
     for _, after in loop.states:
@@ -339,7 +342,7 @@ def _function(code: _Code, following: list[list[str]]) -> list[str]:
         "  %k = phi i64 [ 0, %each ], [ %k1, %latch ]",
         "  %due = phi i64 [ 0, %each ], [ %due2, %latch ]",
         *carried,
-        f"  %row = mul i64 %k, {1 + loop.sizes[3] + 2 * loop.sizes[4]}",
+        f"  %row = mul i64 %k, {loop.columns}",
         "  %at = getelementptr double, ptr %samples, i64 %row",
         f"  %line = mul i64 %k, {kept * width}",
         "  %keep = getelementptr double, ptr %mine, i64 %line",

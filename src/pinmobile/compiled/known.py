@@ -19,7 +19,7 @@ from pinmobile.compiled.cache import Cache
 from pinmobile.compiled.loop_tape import initial_memory
 from pinmobile.compiled.memory import Line
 from pinmobile.compiled.noise import Noise
-from pinmobile.compiled.parts import Parameter, Parts, Reference, names_of
+from pinmobile.compiled.parts import Parts, Place, Reference, attributes_of
 from pinmobile.compiled.passes import traced
 from pinmobile.compiled.program import Program
 from pinmobile.compiled.tracing import Walk, is_foreign
@@ -46,7 +46,7 @@ def program_of(
     reference: Reference,
     *,
     dt: float,
-    spread: Iterable[Parameter] = (),
+    spread: Iterable[Place] = (),
     single: bool = False,
 ) -> Program:
     """Return the program of a loop: one that is known, else a new one.
@@ -65,7 +65,7 @@ def program_of(
     UnknownName
         If there is no such parameter.
     """
-    spread = frozenset(Parameter(*name) for name in spread)
+    spread = frozenset(Place(*name) for name in spread)
     own = parts.on_symbols()
     try:
         key: Any = _key(own, context, reference, spread, single)
@@ -91,7 +91,7 @@ def program_of(
     return program
 
 
-def _key(parts: Parts, context: Any, reference: Reference, spread: frozenset[Parameter], single: bool) -> Any:
+def _key(parts: Parts, context: Any, reference: Reference, spread: frozenset[Place], single: bool) -> Any:
     names: list[str] = []
 
     def noise(name: str, n: int) -> Noise:
@@ -144,7 +144,7 @@ def _object_form(x: Any, leaves: Any, depth: int) -> Any:
     attributes = getattr(x, "__dict__", None)  # some answer to any name with something
     if not isinstance(attributes, dict):
         raise _Unknown
-    stated = names_of(x)
+    stated = attributes_of(x)
     kept = (
         (name, np.shape(value) if name in stated else _form(value, leaves, depth + 1))
         for name, value in attributes.items()

@@ -1,5 +1,6 @@
 """A closed loop on a tape: what stands where, and what its memory is before the first sample."""
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -9,13 +10,16 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.compiled.memory import Line, leaves
 from pinmobile.compiled.noise import Noise
-from pinmobile.compiled.parts import Memory, Parameter, Parts
+from pinmobile.compiled.parts import Memory, Parts, Place, integrate_of
 from pinmobile.compiled.symbols import entries, has_symbols, symbols
-from pinmobile.compiled.tape import Node, Tape, evaluated
+from pinmobile.compiled.tape import ROBOT, SAMPLE, STATE, Node, Tape, evaluated, needed, operands
 from pinmobile.compiled.tracing import tracing
 from pinmobile.errors import NotTraceable
 
 __all__ = ["Leaf", "Loop", "Ring", "arrays_of", "initial_memories", "initial_memory"]
+
+
+_WORTH_A_TABLE = 32  # operations of a sample
 
 
 @dataclass(frozen=True)
@@ -62,7 +66,7 @@ class Loop:
         Nodes of each number of the state: now, and at the next sample; q, v and the memory.
     leaves : list of Leaf
         The arrays of the memory.
-    parameters : dict of Parameter to Leaf
+    parameters : dict of Place to Leaf
         Where each parameter stands.
     uniforms, rows : int
         How many numbers of the run, and of each robot, there are; the first uniform is the step [s].
@@ -76,14 +80,14 @@ class Loop:
         Shape and nodes of what is kept of every sample.
     sizes : (int, int, int, int, int)
         nq, nv, nu, and the numbers of the reference's q and v.
-    unused : list of Parameter
+    unused : list of Place
         Those that no law uses: a spread of one would do nothing.
     """
 
     tape: Tape
     states: list[tuple[int, int]]
     leaves: list[Leaf]
-    parameters: dict[Parameter, Leaf]
+    parameters: dict[Place, Leaf]
     uniforms: int
     rows: int
     keys: list[str]
@@ -91,7 +95,31 @@ class Loop:
     counted: list[int]
     kept: dict[str, tuple[tuple[int, ...], list[int]]]
     sizes: tuple[int, int, int, int, int]
-    unused: list[Parameter]
+    unused: list[Place]
+
+    @functools.cached_property
+    def tabled(self) -> list[int]:
+        """Nodes of time and reference alone that are computed once, as further columns of the samples.
+
+        All robots have the same, so what takes many operations, such as the waves of a noise force, is not
+        worth computing again for each block of them.
+        """
+        tape = self.tape
+        wanted = needed(tape, self.outputs)
+        shared = {i for i in wanted if tape.depends[i] & SAMPLE and not tape.depends[i] & (ROBOT | STATE)}
+        used = {i for j in wanted if j not in shared for i in operands(tape.operations[j])}
+        found = [
+            i
+            for i in sorted(shared & (used | set(self.outputs)))
+            if tape.types[i] == "f" and operands(tape.operations[i])
+        ]
+        saved = len(shared & set(needed(tape, found)))
+        return found if saved > _WORTH_A_TABLE + 2 * len(found) else []
+
+    @property
+    def columns(self) -> int:
+        """Numbers of a sample: its time, the reference, and what is tabled."""
+        return 1 + self.sizes[3] + 2 * self.sizes[4] + len(self.tabled)
 
     @property
     def outputs(self) -> list[int]:
@@ -105,7 +133,7 @@ class _Context:
     """The context of a controller, whose delays and noise are on the tape, or are numbers."""
 
     def __init__(self, given: Any, plant: Any, line: Any, normal: Any) -> None:
-        self._given, self.difference = given, plant.difference
+        self._given, self.difference, self.integrate = given, plant.difference, integrate_of(plant)
         self.line, self.normal = line, normal
 
     def __getattr__(self, name: str) -> Any:
@@ -140,14 +168,14 @@ def initial_memory(
 
 
 def initial_memories(
-    parts: Parts, context: Any, reference: int, spread: Mapping[Parameter, Array], n: int
+    parts: Parts, context: Any, reference: int, spread: Mapping[Place, Array], n: int
 ) -> list[Array]:
     """Return the arrays of the memory of n robots before the first sample, shape (...) or (n, ...).
 
     Where `initial_state` cannot be run on symbols, it is asked for each robot.
     """
     tape = Tape()
-    on_tape: dict[Parameter, Any] = {}
+    on_tape: dict[Place, Any] = {}
     inputs: dict[Any, Any] = {}
     for name, value in spread.items():
         columns = np.broadcast_to(value, (n, *value.shape[1:])).reshape(n, -1)

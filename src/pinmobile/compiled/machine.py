@@ -1,15 +1,14 @@
 """Machine code from LLVM's text, for this processor or another of its family."""
 
 import ctypes
+import functools
 import hashlib
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.metadata import version
 from typing import Any
-
-import llvmlite
-import llvmlite.binding as llvm
 
 from pinmobile.compiled.cache import Cache
 from pinmobile.compiled.emit import ENTRY
@@ -20,8 +19,15 @@ _LOADED = 64  # functions that stay loaded though nobody holds them
 _lock = threading.Lock()
 _known: "OrderedDict[str, Callable[..., None]]" = OrderedDict()
 
-llvm.initialize_native_target()
-llvm.initialize_native_asmprinter()
+
+@functools.cache
+def _llvm() -> Any:
+    """Return LLVM's binding, which is loaded when something is compiled for the first time."""
+    import llvmlite.binding
+
+    llvmlite.binding.initialize_native_target()
+    llvmlite.binding.initialize_native_asmprinter()
+    return llvmlite.binding
 
 
 @dataclass(frozen=True)
@@ -43,15 +49,15 @@ class Target:
     @classmethod
     def here(cls) -> "Target":
         """Return this machine's."""
+        llvm = _llvm()
         features = llvm.get_host_cpu_features()
         lanes = 8 if features.get("avx512f") else 4 if features.get("avx") else 2
         return cls(llvm.get_host_cpu_name(), features.flatten(), lanes)
 
     def key(self, text: str) -> str:
         """Return what names the object of a text: the text, the processor, and who builds."""
-        words = "\0".join(
-            (text, self.processor, self.features, llvmlite.__version__, llvm.get_default_triple())
-        )
+        made_by = version("llvmlite"), _llvm().get_default_triple()
+        words = "\0".join((text, self.processor, self.features, *made_by))
         return hashlib.sha256(words.encode()).hexdigest()
 
     def build(self, text: str) -> bytes:
@@ -59,11 +65,12 @@ class Target:
 
         LLVM's passes are left out: what they could find, the tape has found, and they take as long again.
         """
-        module = llvm.parse_assembly(text)
+        module = _llvm().parse_assembly(text)
         return bytes(self._machine().emit_object(module))
 
     def load(self, code: bytes) -> Callable[..., None]:
         """Return the function of an object; it runs without the interpreter's lock."""
+        llvm = _llvm()
         engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), self._machine())
         file = llvm.ObjectFileRef.from_data(code)
         engine.add_object_file(file)
@@ -75,8 +82,12 @@ class Target:
         return function
 
     def _machine(self) -> Any:
-        return llvm.Target.from_default_triple().create_target_machine(
-            cpu=self.processor, features=self.features, opt=3, jit=True, codemodel="jitdefault"
+        return (
+            _llvm()
+            .Target.from_default_triple()
+            .create_target_machine(
+                cpu=self.processor, features=self.features, opt=3, jit=True, codemodel="jitdefault"
+            )
         )
 
 

@@ -106,17 +106,17 @@ class Line:
     samples : int
         How late the values come back; until there are that many, the first ones do.
     past : iterable
-        Values so far, the oldest first.
+        Values so far, the oldest first: no more than it needs.
     """
 
     goes_on = True  # a new one takes its place at each sample
 
     def __init__(self, samples: int, past: Iterable[Any] = ()) -> None:
         self.samples = samples
-        self._past = deque(past, samples + 1)
+        self.past = deque(past, samples + 1)
 
     def push(self, values: Any) -> tuple[Any, "Line"]:
         """Return what was pushed `samples` ago, a tree of arrays, and the line for the next sample."""
         kept = mapped(values, lambda x: np.array(x, np.float64))
-        past = (*self._past, kept)
+        past = (*self.past, kept)
         return mapped(past[0], np.copy), Line(self.samples, past[-self.samples :] if self.samples else ())

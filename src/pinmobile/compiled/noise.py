@@ -6,6 +6,7 @@ basic operations. So the same robot gets the same bits at the same sample in eve
 beside it.
 """
 
+import functools
 import hashlib
 from typing import Any
 
@@ -20,6 +21,7 @@ __all__ = ["Noise", "normals", "robot_keys"]
 
 _GOLDEN = 0x9E3779B97F4A7C15
 _ONE = float_bits(1.0)
+_BLOCK = 256  # samples
 
 
 def _mixed(x: Any) -> Any:
@@ -98,7 +100,22 @@ class Noise:
         self.key, self.n, self.k = key, n, k
 
     def draw(self) -> tuple[Array, "Noise"]:
-        """Return n numbers, shape (n,), and the noise for the next sample."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            one = np.asarray(self.key, np.uint64).reshape(-1), np.asarray([self.k], np.uint64)
-            return np.concatenate(normals(*one, self.n)), Noise(self.key, self.n, self.k + 1)
+        """Return n numbers, shape (..., n) for keys of shape (...), and the noise for the next sample."""
+        after = Noise(self.key, self.n, self.k + 1)
+        if not np.ndim(self.key):
+            block, row = divmod(int(self.k), _BLOCK)
+            return _block(int(self.key), self.n, block)[row].copy(), after
+        return _numbers(np.asarray(self.key, np.uint64), np.uint64(self.k), self.n), after
+
+
+def _numbers(key: Any, k: Any, n: int) -> Array:
+    with np.errstate(over="ignore", invalid="ignore"):
+        keys, samples = np.broadcast_arrays(key, k)
+        return np.stack(normals(keys, samples, n), axis=-1)
+
+
+@functools.lru_cache(64)
+def _block(key: int, n: int, block: int) -> Array:
+    """Return the numbers of `_BLOCK` samples, for which it takes hardly longer than for one."""
+    k = np.arange(block * _BLOCK, (block + 1) * _BLOCK, dtype=np.uint64)
+    return _numbers(np.uint64(key), k, n)

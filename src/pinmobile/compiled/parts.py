@@ -4,6 +4,7 @@
 """
 
 import copy
+import dataclasses
 import functools
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -15,18 +16,19 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.compiled.memory import mapped
 from pinmobile.compiled.recorders import Record, Sample
-from pinmobile.errors import InvalidArgument, UnknownName
+from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
 
 __all__ = [
     "Memory",
-    "Parameter",
     "Parts",
+    "Place",
     "Reference",
     "Stepped",
+    "attributes_of",
     "children",
     "errors",
+    "integrate_of",
     "limited",
-    "names_of",
     "one_sample",
 ]
 
@@ -53,7 +55,7 @@ class Memory(NamedTuple):
     recorder: Any
 
 
-class Parameter(NamedTuple):
+class Place(NamedTuple):
     """A parameter of a part: where the part stands, and what the parameter is called there.
 
     Attributes
@@ -103,16 +105,30 @@ class Parts:
         return Parts(**named, forces=forces, substeps=self.substeps)
 
     def on_symbols(self) -> "Parts":
-        """Return the parts as they want to be traced: `traced()`, where their own law is not NumPy."""
-        return self.replaced(lambda _, part: part.traced() if hasattr(part, "traced") else part)
+        """Return the parts, and those within them, as they want to be traced.
 
-    def parameters(self) -> dict[Parameter, Array]:
+        That is ``traced()`` of a part whose own law is not NumPy.
+        """
+        return self.replaced(lambda _, part: _on_symbols(part))
+
+    def on_arrays(self) -> "Parts":
+        """Return the parts as `on_symbols` does; those that cannot be traced, as they are."""
+
+        def own(path: str, part: Any) -> Any:
+            try:
+                return _on_symbols(part)
+            except NotTraceable:
+                return part
+
+        return self.replaced(own)
+
+    def parameters(self) -> dict[Place, Array]:
         """Return the values of all parameters, those of parts within parts included."""
-        found: dict[Parameter, Array] = {}
+        found: dict[Place, Array] = {}
 
         def visit(path: str, part: Any) -> Any:
-            for name in names_of(part):
-                found[Parameter(path, name)] = _value(path, part, name)
+            for name in attributes_of(part):
+                found[Place(path, name)] = _value(path, part, name)
             for name, child in children(part):
                 visit(f"{path}.{name}", child)
             return part
@@ -121,8 +137,16 @@ class Parts:
             visit(path, part)
         return found
 
-    def with_parameters(self, values: Mapping[Parameter, Any]) -> "Parts":
+    def with_parameters(self, values: Mapping[Place, Any], *, remade: bool = False) -> "Parts":
         """Return copies of the parts with other values of their parameters.
+
+        Parameters
+        ----------
+        values : mapping of Place to array
+            What takes their place, whatever its shape.
+        remade : bool
+            Whether parts are made again, which check themselves and derive what follows from the values: by
+            ``with_parameters(**values)`` of those that have it, by `dataclasses.replace` of dataclasses.
 
         Raises
         ------
@@ -132,9 +156,11 @@ class Parts:
         left = dict(values)
 
         def visit(path: str, part: Any) -> Any:
-            mine = {name: left.pop(Parameter(path, name)) for name in names_of(part) if (path, name) in left}
+            mine = {name: left.pop(Place(path, name)) for name in attributes_of(part) if (path, name) in left}
             inner = {name: (child, visit(f"{path}.{name}", child)) for name, child in children(part)}
             changed = {name: new for name, (old, new) in inner.items() if new is not old}
+            if remade and mine:
+                return _remade(_copied(part, {}, changed), mine)
             return _copied(part, mine, changed) if mine or changed else part
 
         new = self.replaced(visit)
@@ -142,6 +168,21 @@ class Parts:
             available = (f"{path}.{name}" for path, name in self.parameters())
             raise UnknownName("parameter", f"{parameter[0]}.{parameter[1]}", available)
         return new
+
+
+def _on_symbols(part: Any) -> Any:
+    if hasattr(part, "traced"):
+        return part.traced()
+
+    def own(child: Any) -> Any:
+        try:
+            return _on_symbols(child)
+        except NotTraceable:
+            return child  # a law that asks it says so itself
+
+    inner = {name: (child, own(child)) for name, child in children(part)}
+    changed = {name: new for name, (old, new) in inner.items() if new is not old}
+    return _copied(part, {}, changed) if changed else part
 
 
 def children(part: Any) -> Iterator[tuple[str, Any]]:
@@ -160,10 +201,17 @@ def _is_part(x: Any) -> bool:
     return (hasattr(x, "parameters") or hasattr(x, "initial_state")) and not isinstance(x, type)
 
 
-def names_of(part: Any) -> tuple[str, ...]:
-    """Return the names of the parameters that a part states."""
-    stated = getattr(part, "parameters", ())
-    return tuple(each if isinstance(each, str) else each.name for each in stated)
+def attributes_of(part: Any) -> tuple[str, ...]:
+    """Return the attributes of a part that may differ from robot to robot.
+
+    They hold its parameters, and what each robot draws, which a part lists as ``drawn``.
+    """
+    stated, drawn = (getattr(part, name, ()) for name in ("parameters", "drawn"))
+    found = [
+        each if isinstance(each, str) else each.attribute or each.name
+        for each in (stated if isinstance(stated, list | tuple) else ())
+    ]
+    return tuple(dict.fromkeys([*found, *(drawn if isinstance(drawn, list | tuple) else ())]))
 
 
 def _value(path: str, part: Any, name: str) -> Array:
@@ -176,6 +224,14 @@ def _value(path: str, part: Any, name: str) -> Array:
     except (TypeError, ValueError):
         value = getattr(part, name)
         raise InvalidArgument(f"{path}.{name} is {value!r}, expected a number or an array") from None
+
+
+def _remade(part: Any, values: Mapping[str, Any]) -> Any:
+    if hasattr(part, "with_parameters"):
+        return part.with_parameters(**values)
+    if dataclasses.is_dataclass(part) and not isinstance(part, type):
+        return dataclasses.replace(part, **values)
+    return _copied(part, values, {})
 
 
 def _copied(part: Any, values: Mapping[str, Any], parts: Mapping[str, Any]) -> Any:
@@ -191,7 +247,7 @@ def _copied(part: Any, values: Mapping[str, Any], parts: Mapping[str, Any]) -> A
             held = [parts.get(f"{name}[{i}]", each) for i, each in enumerate(value)]
             set_[name] = type(value)(*held) if hasattr(value, "_fields") else type(value)(held)
         elif isinstance(value, MethodType) and (name in parts or value.__self__ is part):
-            set_[name] = MethodType(value.__func__, parts.get(name, new))
+            set_[name] = getattr(parts.get(name, new), value.__name__)
         elif name in parts:
             set_[name] = parts[name]
     for name, value in set_.items():
@@ -251,8 +307,9 @@ def one_sample(
     if type(answer) is not tuple or len(answer) != 2:
         raise InvalidArgument(f"controller returned {answer!r}, expected (u, state)")
     u, inner = np.asarray(answer[0]), answer[1]
-    if np.shape(u) != (plant.nu,):
-        raise InvalidArgument(f"controller returned an input of shape {np.shape(u)}, expected ({plant.nu},)")
+    expected = (*np.shape(v)[:-1], plant.nu)
+    if np.shape(u) != expected:
+        raise InvalidArgument(f"controller returned an input of shape {np.shape(u)}, expected {expected}")
     u = limited(plant, u)
     if hasattr(controller, "applied"):
         inner = controller.applied(u, inner)
@@ -271,8 +328,10 @@ def _copy(x: Any) -> Any:
 def errors(plant: Any, q: Any, v: Any, reference: Reference) -> tuple[Any, Any]:
     """Return the error of the reference's coordinates, and its rate, shape (n,) each."""
     n, length = reference.v.shape[-1], reference.q.shape[-1]
-    # What has no reference is where it should be.
-    whole = reference.q if length == plant.nq else np.concatenate([reference.q, q[length:]])
+    whole = reference.q
+    if length != plant.nq:  # what has no reference is where it should be
+        ahead = np.shape(q)[:-1]
+        whole = np.concatenate([np.broadcast_to(whole, (*ahead, length)), q[..., length:]], axis=-1)
     return plant.difference(q, whole)[..., :n], reference.v - v[..., :n]
 
 
@@ -304,17 +363,28 @@ def _pushed(parts: Parts, t: Any, q: Any, v: Any) -> Any:
     return sum((force.on_coordinates(t, q, v) for force in others), total)
 
 
+def integrate_of(plant: Any) -> Any:
+    """Return how a displacement moves a plant's configuration: as it says, else by addition."""
+    return getattr(plant, "integrate", None) or np.add
+
+
 def _integrated(parts: Parts, t: Any, h: Any, q: Any, v: Any, u: Any, memory: Any) -> Any:
     """Return the acceleration, and the state after the substeps, by the integrator on displacements."""
     plant = parts.plant
-    integrate = getattr(plant, "integrate", None) or np.add
+    integrate = integrate_of(plant)
 
     def advanced(t: Any, q: Any, v: Any) -> tuple[Any, Any]:
         def acceleration(time: Any, moved: Any, rate: Any) -> Any:
             there = integrate(q, moved)
             return plant.forward_dynamics(there, rate, u, _pushed(parts, time, there, rate))
 
-        moved, v = parts.integrator(acceleration, t, np.zeros(plant.nv), v, h)
+        answer = parts.integrator(acceleration, t, np.zeros(plant.nv), v, h)
+        if type(answer) is not tuple or len(answer) != 2:
+            raise InvalidArgument(
+                f"integrator returned {shown(answer)} at t = {t:g} s, expected (q, v) of shapes "
+                f"({plant.nv},) and ({plant.nv},)"
+            )
+        moved, v = answer
         q = integrate(q, moved)
         return q, plant.project(q, v) if hasattr(plant, "project") else v
 

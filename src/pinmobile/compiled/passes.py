@@ -9,7 +9,7 @@ from pinmobile.arrays import Array
 from pinmobile.compiled.loop_tape import Leaf, Loop, Ring, arrays_of, initial_memory
 from pinmobile.compiled.memory import leaves, mapped, matched
 from pinmobile.compiled.noise import normals
-from pinmobile.compiled.parts import Memory, Parameter, Parts, Reference, Stepped, one_sample
+from pinmobile.compiled.parts import Memory, Parts, Place, Reference, Stepped, one_sample
 from pinmobile.compiled.symbols import Symbols, entries, symbols
 from pinmobile.compiled.tape import COUNT, LARGEST, Node, Tape, evaluated, float_bits, needed, real
 from pinmobile.compiled.tracing import calling_place, tracing
@@ -25,7 +25,7 @@ def traced(
     reference: Reference,
     *,
     dt: float,
-    spread: Iterable[Parameter] = (),
+    spread: Iterable[Place] = (),
     largest: int = LARGEST,
 ) -> Loop:
     """Return a closed loop as a tape.
@@ -45,7 +45,7 @@ def traced(
         Its first sample.
     dt : float
         Time between two samples [s].
-    spread : iterable of Parameter
+    spread : iterable of Place
         Those that each robot has a value of its own for; the others are numbers of the run.
     largest : int
         Most nodes of the tape.
@@ -61,7 +61,7 @@ def traced(
     given = Reference(*(np.asarray(x, np.float64) for x in reference))
     parts = parts.on_symbols()
     trace = _Trace(
-        parts, context, q, v, given, dt / parts.substeps, frozenset(Parameter(*x) for x in spread), largest
+        parts, context, q, v, given, dt / parts.substeps, frozenset(Place(*x) for x in spread), largest
     )
     return trace.result()
 
@@ -77,7 +77,7 @@ class _Trace:
         v: Array,
         reference: Reference,
         h: float,
-        spread: frozenset[Parameter],
+        spread: frozenset[Place],
         largest: int,
     ) -> None:
         self.parts, self.context, self.h = parts, context, h
@@ -149,8 +149,11 @@ class _Trace:
         if one.tape.operations == two.tape.operations and one.outputs == two.outputs:
             return
         told = self._loop(calling_place)
-        known = zip(one.tape.operations, told.tape.operations, strict=False)
-        differ = next((i for i, (a, b) in enumerate(known) if a != b), len(told.tape) - 1)
+        ends = [len(told.tape) - 1]
+        for other in (one, two):  # a law that takes turns is told apart from one of them
+            known = zip(other.tape.operations, told.tape.operations, strict=False)
+            ends += [i for i, (a, b) in enumerate(known) if a != b][:1]
+        differ = min(ends)
         raise NotTraceable(
             "the law computes something else when it is asked again, as one does that counts, draws or "
             "remembers outside its state",
@@ -203,7 +206,7 @@ class _Pass:
         self.asked: list[str] = []
         self.rings: list[Ring] = []
         self.leaves: list[Leaf] = []
-        self.parameters: dict[Parameter, Leaf] = {}
+        self.parameters: dict[Place, Leaf] = {}
         self.now: list[int] = []
 
     def _new(self, kind: str, shape: tuple[int, ...]) -> Symbols:

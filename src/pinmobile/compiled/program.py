@@ -7,13 +7,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, affordable
 from pinmobile.compiled.cache import Cache
 from pinmobile.compiled.emit import BINS, Shape, text_of
 from pinmobile.compiled.loop_tape import Loop, initial_memories, initial_memory
 from pinmobile.compiled.machine import Target, function_of
 from pinmobile.compiled.memory import leaves, mapped
-from pinmobile.compiled.parts import Memory, Parameter, Parts, Reference
+from pinmobile.compiled.parts import Memory, Parts, Place, Reference
+from pinmobile.compiled.tape import COUNT, evaluated
 from pinmobile.errors import InvalidArgument, UnknownName
 
 __all__ = ["Outcome", "Program", "aligned"]
@@ -31,14 +32,14 @@ class Outcome(NamedTuple):
     memory : Memory
         What the parts kept after the last sample; each array with the robots as its first axis. That of the
         recorder is the result.
-    counts : ndarray of int, shape (times, sizes, BINS)
+    counts : ndarray of int32, shape (times, sizes, BINS)
         How many robots had which size.
     kept : dict of str to ndarray, shape (n, N + 1, ...)
         What was kept of every sample.
     """
 
     memory: Memory
-    counts: NDArray[np.int64]
+    counts: NDArray[np.int32]
     kept: dict[str, Array]
 
 
@@ -70,7 +71,7 @@ class Program:
     ) -> None:
         target = Target.here() if target is None else target
         self.loop = loop
-        self._alike: set[frozenset[Parameter]] = set()  # spreads of these leave the memory alike at first
+        self._alike: set[frozenset[Place]] = set()  # spreads of these leave the memory alike at first
         many = Shape(target.lanes, 2 if len(loop.tape) <= _SMALL else 1)
         self.shape = shape or (Shape(1, 1) if single else many)
         self.text = text_of(loop, self.shape)
@@ -85,7 +86,7 @@ class Program:
         reference: Reference,
         *,
         dt: float,
-        values: Mapping[Parameter, Any] | None = None,
+        values: Mapping[Place, Any] | None = None,
         keys: Mapping[str, NDArray[np.uint64]] | None = None,
         every: int = 1,
         threads: int = 1,
@@ -106,7 +107,7 @@ class Program:
             Of all samples.
         dt : float
             Time between two samples [s].
-        values : mapping of Parameter to ndarray, shape (n, ...)
+        values : mapping of Place to ndarray, shape (n, ...)
             What each robot has of its own, of the parameters that were traced so; or one value for all.
         keys : mapping of str to ndarray of uint64, shape (n,)
             Each robot's key for the noise of a name.
@@ -123,7 +124,7 @@ class Program:
         first = self._first(parts, context, memory, given, n)
         blocks = self._blocks(start, n, {**nominal, **given}, first, keys or {})
         uniforms = self._uniforms(dt / parts.substeps, {**nominal, **given}, first)
-        samples = np.column_stack([t, *reference]).astype(np.float64)
+        samples = self._samples(t, reference, uniforms)
         size = sum(len(nodes) for _, nodes in self.loop.kept.values())
         kept = aligned((len(blocks), len(t), size, self.shape.width))
         counts = self.called(blocks, samples, uniforms, kept, n, every, threads)
@@ -150,8 +151,8 @@ class Program:
         return n
 
     def _given(
-        self, values: Mapping[Parameter, Any], nominal: Mapping[Parameter, Array], n: int
-    ) -> dict[Parameter, Array]:
+        self, values: Mapping[Place, Any], nominal: Mapping[Place, Array], n: int
+    ) -> dict[Place, Array]:
         """Return the values that were given, of parameters that there are."""
         places, found = self.loop.parameters, {}
         if nominal.keys() != places.keys():
@@ -162,16 +163,16 @@ class Program:
         for (path, name), value in values.items():
             if (path, name) not in places:
                 raise UnknownName("parameter", f"{path}.{name}", map(".".join, places))
-            leaf, array = places[Parameter(path, name)], np.asarray(value, np.float64)
+            leaf, array = places[Place(path, name)], np.asarray(value, np.float64)
             if leaf.kind == "row" and array.shape not in (leaf.shape, (n, *leaf.shape)):
                 raise InvalidArgument(f"{path}.{name} has shape {array.shape}, expected {(n, *leaf.shape)}")
             # One value for all is each robot's.
             alike = leaf.kind == "row" and array.shape == leaf.shape
-            found[Parameter(path, name)] = np.broadcast_to(array, (n, *leaf.shape)) if alike else array
+            found[Place(path, name)] = np.broadcast_to(array, (n, *leaf.shape)) if alike else array
         return found
 
     def _first(
-        self, parts: Parts, context: Any, memory: Memory, given: Mapping[Parameter, Array], n: int
+        self, parts: Parts, context: Any, memory: Memory, given: Mapping[Place, Array], n: int
     ) -> list[Array]:
         """Return the arrays of the memory before the first sample, shape (...), or (n, ...) of each robot."""
         places = self.loop.leaves
@@ -193,6 +194,23 @@ class Program:
             found.append(np.broadcast_to(grown, (*ahead, *leaf.shape)))
         return found
 
+    def _samples(self, t: Array, reference: Reference, uniforms: Array) -> Array:
+        """Return what all robots share of each sample, shape (N + 1, columns)."""
+        given = np.column_stack([t, *reference]).astype(np.float64)
+        tabled = self.loop.tabled
+        if not tabled:
+            return given
+        affordable(
+            f"the tables of {len(t):,} samples",
+            len(t) * self.loop.columns,
+            "give a larger dt, or fewer waves",
+        )
+        inputs: dict[Any, Any] = {COUNT: np.arange(len(t), dtype=np.uint64)}
+        inputs |= {("uniform", i): x for i, x in enumerate(uniforms)}
+        inputs |= {("sample", i): column for i, column in enumerate(given.T)}
+        columns = (np.broadcast_to(x, len(t)) for x in evaluated(self.loop.tape, tabled, inputs))
+        return np.ascontiguousarray(np.column_stack([given, *columns]))
+
     def set_rows(self, blocks: Array, first: int, columns: Array) -> None:
         """Set rows of the blocks from (rows, n); the last robot is repeated to fill the last block."""
         width, n = self.shape.width, columns.shape[1]
@@ -207,7 +225,7 @@ class Program:
         self,
         start: tuple[Array, Array],
         n: int,
-        values: Mapping[Parameter, Array],
+        values: Mapping[Place, Array],
         first: list[Array],
         keys: Mapping[str, NDArray[np.uint64]],
     ) -> Array:
@@ -236,7 +254,7 @@ class Program:
             self.set_rows(blocks, states + loop.rows + i, key.view(np.float64)[None])
         return blocks
 
-    def _uniforms(self, h: float, values: Mapping[Parameter, Array], first: list[Array]) -> Array:
+    def _uniforms(self, h: float, values: Mapping[Place, Array], first: list[Array]) -> Array:
         found = np.empty(self.loop.uniforms)
         found[0] = h
         for parameter, leaf in self.loop.parameters.items():
@@ -255,7 +273,7 @@ class Program:
 
     def called(
         self, blocks: Array, samples: Array, uniforms: Array, kept: Array, n: int, every: int, threads: int
-    ) -> NDArray[np.int64]:
+    ) -> NDArray[np.int32]:
         """Run the blocks, and return the counts; the arguments are those of the machine code, in arrays."""
         loop = self.loop
         work = len(samples) * len(loop.tape) * self.shape.vectors  # of a block
@@ -299,7 +317,8 @@ class Program:
             stopped.set()
             for helper in helpers:
                 helper.join()
-        return np.asarray(counts[:, :times].sum(axis=0, dtype=np.int64))
+        found = counts[:, :times]
+        return np.asarray(found[0] if workers == 1 else found.sum(axis=0, dtype=np.int32))
 
     def _kept_memory(self, memory: Memory, blocks: Array, n: int) -> Memory:
         """Return the memory as it is at last."""

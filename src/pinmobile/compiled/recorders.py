@@ -97,29 +97,29 @@ class Summary:
     def __call__(self, sample: Sample, state: Any) -> Record:
         """Return the record with one more sample."""
         error, rate = np.abs(sample.error), np.abs(sample.error_rate)
-        near = np.all(np.concatenate([error, rate]) <= self.limit)
-        moving = np.abs(np.sum(sample.u) + np.sum(sample.a)) < np.inf
+        near = np.all(np.concatenate([error, rate], axis=-1) <= self.limit, axis=-1)
+        moving = np.abs(np.sum(sample.u, axis=-1) + np.sum(sample.a, axis=-1)) < np.inf
         alive = (state["alive"] > 0.5) & near & moving
         one = np.where(alive, 1.0, 0.0)
-        error = np.where(alive, error, 0.0)
+        error = np.where(alive[..., None], error, 0.0)
         keep = 1.0 if self.begin is None else np.where(sample.k == self.begin, 0.0, 1.0)
         squares = error * error
-        groups = [sum(squares[i] for i in group) for group in self.distances]
-        far = np.array(
-            [square for square, group in zip(groups, self.distances, strict=True) if len(group) > 1]
-        )
+        groups = [sum(squares[..., i] for i in group) for group in self.distances]
+        far = [square for square, group in zip(groups, self.distances, strict=True) if len(group) > 1]
         new = {
             "alive": one,
             "lived": state["lived"] + one,
             "largest": _larger(error, state["largest"] * keep),
-            "farthest": _larger(far, state["farthest"] * keep) if len(far) else state["farthest"],
+            "farthest": _larger(np.stack(far, axis=-1), state["farthest"] * keep)
+            if far
+            else state["farthest"],
             "squares": state["squares"] * keep + squares,
-            "inputs": _larger(np.where(alive, np.abs(sample.u), 0.0), state["inputs"]),
+            "inputs": _larger(np.where(alive[..., None], np.abs(sample.u), 0.0), state["inputs"]),
         }
         sizes = [
             np.sqrt(np.where(alive, square, np.inf))
             if len(group) > 1
-            else np.where(alive, error[group[0]], np.inf)
+            else np.where(alive, error[..., group[0]], np.inf)
             for square, group in zip(groups, self.distances, strict=True)
         ]
         return Record(new, sizes)

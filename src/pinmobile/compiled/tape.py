@@ -53,7 +53,9 @@ __all__ = [
 
 
 LARGEST = 20_000
-"""Most nodes of a tape: building takes about 0.1 ms for each."""
+"""Most nodes of a tape that differ from robot to robot: building takes about 0.1 ms for each."""
+
+_SHARED = 10  # times as many may be of time alone
 
 
 Operation: TypeAlias = tuple[Any, ...]
@@ -118,7 +120,7 @@ class Tape:
         self.places: list[Any] = []
         self._known: dict[Operation, int] = {}
         self._applied: dict[tuple[Any, ...], int] = {}  # what has been asked for, before it was simplified
-        self._largest, self._where = largest, where
+        self._largest, self._where, self._own = largest, where, 0
 
     def __len__(self) -> int:
         return len(self.operations)
@@ -206,7 +208,9 @@ class Tape:
         index = self._known.get(operation)
         if index is None:
             index = len(self.operations)
-            if index >= self._largest:
+            # What all robots share is computed before the loop, and costs little.
+            self._own += bool(depends & (ROBOT | STATE))
+            if self._own >= self._largest or index >= _SHARED * self._largest:
                 raise NotTraceable(
                     f"the law has more than {self._largest} operations, its loops unrolled",
                     "take fewer rounds, or run it with engine=ARRAYS",

@@ -20,6 +20,7 @@ __all__ = ["Walk", "calling_place", "is_foreign", "place_of", "reached", "tracin
 _lock = threading.RLock()
 _local = threading.local()
 _HERE = str(Path(__file__).parent)
+_MADE_BY_CODE = 1 << 9  # of a class's flags: it comes of a class statement
 _OURS = (_HERE, str(Path(np.__file__).parent), "<__array_function__", "<frozen")
 _LAWS = ("pinmobile.compiled.parts", "pinmobile.compiled.recorders")
 _FOREIGN = (
@@ -208,7 +209,7 @@ class Walk:
 
     def _class(self, thing: type) -> None:
         for each in thing.__mro__:
-            if not is_foreign(each.__module__):
+            if _is_own(each.__module__, bool(each.__flags__ & _MADE_BY_CODE)):
                 for name, value in list(vars(each).items()):
                     if not name.startswith("__") or name == "__call__":
                         self._met(each, vars(each), name)
@@ -218,7 +219,7 @@ class Walk:
     def _function(self, function: FunctionType) -> None:
         if hasattr(function, "__wrapped__"):
             self.visit(function.__wrapped__)
-        if is_foreign(function.__module__ or ""):
+        if not _is_own(function.__module__ or "", True):
             return
         self.namespaces[id(function.__globals__)] = function.__globals__
         for cell in function.__closure__ or ():
@@ -245,6 +246,11 @@ class Walk:
 def _names(code: CodeType) -> frozenset[str]:
     inner = (const for const in code.co_consts if isinstance(const, CodeType))
     return frozenset(code.co_names).union(*map(_names, inner))
+
+
+def _is_own(module: str, is_code: bool) -> bool:
+    """Tell whether code of a module may be a law's; what `exec` runs without a name counts as builtins."""
+    return not is_foreign(module) or (is_code and module == "builtins")
 
 
 def is_foreign(module: str) -> bool:

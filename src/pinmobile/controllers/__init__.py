@@ -1,6 +1,6 @@
 """Controllers: from state and reference to generalised force.
 
-A controller is called as ``controller(t, q, v, reference, state) -> (tau, state)``: it takes its own state
+A controller is called as ``controller(t, q, v, reference, state) -> (u, state)``: it takes its own state
 and returns the next one (None where it has no memory, see `initial_state`). q, v and tau have shape
 (..., n); a reference has the attributes q, v and a of that shape. Those of this module broadcast over
 leading axes. `Saturated`, `Delayed` and `NoisyMeasurement` wrap any of them, and each other.

@@ -1,14 +1,22 @@
 """Controllers of a base with arms that know less than computed torque: gravity alone, or no coupling."""
 
-from dataclasses import dataclass
-from typing import Protocol, final
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Protocol, final
 
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike
-from pinmobile.controllers.feedback import check_gains, check_robot, feedback, own_difference
+from pinmobile.controllers.feedback import (
+    GAINS,
+    Compact,
+    check_gains,
+    check_robot,
+    compacted,
+    feedback,
+    own_difference,
+)
 from pinmobile.controllers.protocol import InverseDynamics, State
-from pinmobile.plant import Context, Difference
+from pinmobile.plant import Context, Difference, Parameter
 
 __all__ = ["Decoupled", "Gravity", "PDGravity"]
 
@@ -55,12 +63,19 @@ class PDGravity:
     kp: ArrayLike
     kd: ArrayLike
     difference: Difference | None = None
+    kinds: tuple[int, int] = field(init=False, repr=False)
+
+    parameters: ClassVar[tuple[Parameter, ...]] = GAINS
 
     def __post_init__(self) -> None:
         _check(self, "gravity")
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
+
+    def compact(self, plant: Any) -> Compact | None:
+        """Return its compact form, where there is one: for loops."""
+        return compacted(self, plant, "gravity")
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
@@ -99,6 +114,9 @@ class Decoupled:
     kp: ArrayLike = 4
     kd: ArrayLike = 4
     difference: Difference | None = None
+    kinds: tuple[int, int] = field(init=False, repr=False)
+
+    parameters: ClassVar[tuple[Parameter, ...]] = GAINS
 
     def __post_init__(self) -> None:
         _check(self, "inverse_dynamics")

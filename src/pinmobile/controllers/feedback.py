@@ -1,24 +1,115 @@
 """Feedback of the error in configuration and velocity: PD, and computed torque."""
 
-from dataclasses import dataclass
-from typing import Any, final
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, frozen
 from pinmobile.controllers.protocol import InverseDynamics, State
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.plant import Context, Difference, check_difference
+from pinmobile.plant import Context, Difference, Parameter, check_difference
 
 __all__ = [
+    "GAINS",
     "PD",
+    "Compact",
     "ComputedTorque",
     "check_gains",
     "check_robot",
+    "compacted",
     "feedback",
     "gain_matrix",
     "own_difference",
 ]
+
+
+def _all(values: Array, column: Array, size: int) -> Array:
+    return np.repeat(column[:, None], size, axis=1)
+
+
+def _one(k: int, values: Array, column: Array, size: int) -> Array:
+    new = values.copy() if values.ndim > 1 else np.repeat(values[:, None], size, axis=1)
+    place: Any = (slice(None), *(k,) * (new.ndim - 1))
+    new[place] = column
+    return new
+
+
+def _times(values: Array, column: Array, size: int) -> Array:
+    return values * column.reshape(-1, *(1,) * (values.ndim - 1))
+
+
+GAINS = tuple(
+    parameter
+    for gain in ("kp", "kd")
+    for parameter in (
+        Parameter(
+            gain, "", f"{gain} of all coordinates, in place of the controller's", attribute=gain, write=_all
+        ),
+        *(
+            Parameter(
+                f"{gain}_{c}", "", f"{gain} of {c} alone", attribute=gain, entry=k, write=partial(_one, k)
+            )
+            for k, c in enumerate(("x", "y", "psi"))
+        ),
+        Parameter(
+            f"{gain}_factor", "", f"by which {gain} is multiplied", attribute=gain, write=_times, neutral=1.0
+        ),
+    )
+)
+"""The parameters of a controller with `kp` and `kd`."""
+
+
+class Compact(NamedTuple):
+    """A law of feedback as a loop may compute it without a call: one matrix product, and one call of a robot.
+
+    Attributes
+    ----------
+    gains : ndarray, shape (n, 2 n)
+        Of (e, e_dot).
+    turning : tuple of int
+        Coordinates whose error is on the circle: the third, or none.
+    inverse_dynamics : callable, optional
+        Of the command, a_d added, where the law has one: ``inverse_dynamics(q, v, command)``.
+    gravity : callable, optional
+        What is added where the law has one: ``gravity(q)``.
+    """
+
+    gains: Array
+    turning: tuple[int, ...]
+    inverse_dynamics: Any = None
+    gravity: Any = None
+
+
+def compacted(controller: Any, plant: Any, call: str) -> Compact | None:
+    """Return the compact form of a controller with `kp` and `kd`; None where configurations do not subtract.
+
+    Parameters
+    ----------
+    controller : controller
+        Whose law it is.
+    plant : plant
+        For whose configurations.
+    call : str
+        Which of its robot's unchecked calls it makes; "" for none.
+    """
+    difference, n = own_difference(controller, plant), plant.nv
+    owner = getattr(difference, "__self__", None)
+    bound = getattr(owner, "difference", None) == difference
+    turning = getattr(owner if bound else difference, "turning", None)
+    sizes = [
+        each.nv for each in (controller.robot if call else None, owner if bound else None) if each is not None
+    ]
+    if turning not in ((), (2,)) or any(size != n for size in sizes):
+        return None
+    gains = np.hstack([gain_matrix(name, getattr(controller, name), n) for name in ("kp", "kd")])
+    if not call:
+        return Compact(gains, turning)
+    robot = controller.robot
+    if not (hasattr(robot, "calls") and getattr(robot, "adds", False)):
+        return None
+    return Compact(gains, turning, **{call: getattr(robot.calls(), call)})
 
 
 @final
@@ -44,6 +135,9 @@ class PD:
     kp: ArrayLike
     kd: ArrayLike
     difference: Difference | None = None
+    kinds: tuple[int, int] = field(init=False, repr=False)
+
+    parameters: ClassVar[tuple[Parameter, ...]] = GAINS
 
     def __post_init__(self) -> None:
         check_gains(self, None)
@@ -51,6 +145,10 @@ class PD:
     def initial_state(self, context: Context) -> Difference:
         """Return the difference of configurations, by default the plant's."""
         return own_difference(self, context)
+
+    def compact(self, plant: Any) -> Compact | None:
+        """Return its compact form, where there is one: for loops."""
+        return compacted(self, plant, "")
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: Difference
@@ -89,6 +187,9 @@ class ComputedTorque:
     kp: ArrayLike = 4
     kd: ArrayLike = 4
     difference: Difference | None = None
+    kinds: tuple[int, int] = field(init=False, repr=False)
+
+    parameters: ClassVar[tuple[Parameter, ...]] = GAINS
 
     def __post_init__(self) -> None:
         check_robot(self, "inverse_dynamics")
@@ -96,6 +197,10 @@ class ComputedTorque:
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
+
+    def compact(self, plant: Any) -> Compact | None:
+        """Return its compact form, where there is one: for loops."""
+        return compacted(self, plant, "inverse_dynamics")
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
@@ -137,7 +242,8 @@ def check_robot(controller: Any, needs: str) -> None:
     robot = controller.robot
     sizes = getattr(robot, "nv", None), getattr(robot, "nq", getattr(robot, "nv", None))
     if isinstance(robot, type) or not hasattr(robot, needs) or not all(isinstance(n, int) for n in sizes):
-        raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot")
+        lacks = "" if not hasattr(robot, "nv") or hasattr(robot, needs) else f", which has no {needs}"
+        raise InvalidArgument(f"robot is {shown(robot)}{lacks}, expected a MobileRobot")
     if controller.difference is None and not hasattr(robot, "difference"):
         raise InvalidArgument(
             f"robot is {shown(robot)}, which has no difference(q0, q1), expected one, or to be told how "
@@ -173,6 +279,8 @@ def check_gains(controller: Any, n: int | None) -> None:
         if n is not None:
             gain_matrix(name, gain, n)
         object.__setattr__(controller, name, frozen(gain))
+    # What a gain is for one robot: 0 a number, 1 one for each coordinate, 2 a matrix; many have leading axes.
+    object.__setattr__(controller, "kinds", (controller.kp.ndim, controller.kd.ndim))
     if controller.difference is not None:
         check_difference(controller.difference)
 
@@ -188,19 +296,29 @@ def feedback(controller: Any, difference: Difference, q: Array, v: Array, refere
     for name, actual, desired in (("q", q, reference.q), ("v", v, reference.v)):
         if actual.shape[-1:] != desired.shape[-1:]:
             raise InvalidArgument(f"{name} has shape {actual.shape}, the reference's has {desired.shape}")
+    robot = getattr(controller, "robot", None)
+    if robot is not None and robot.nv != v.shape[-1]:
+        raise InvalidArgument(
+            f"robot of the controller is {shown(robot)}, which has {robot.nv} coordinates, expected "
+            f"{v.shape[-1]}, as the plant has"
+        )
     error, rate = difference(q, reference.q), np.subtract(reference.v, v)
     if error.shape[-1:] != rate.shape[-1:]:
         raise InvalidArgument(
             f"difference gives shape {error.shape}, expected {rate.shape}: compare configurations of a robot "
             "with joints without limits by difference=robot.difference"
         )
-    return _amplified("kp", controller.kp, error) + _amplified("kd", controller.kd, rate)
+    kinds = controller.kinds
+    return _amplified("kp", controller.kp, kinds[0], error) + _amplified("kd", controller.kd, kinds[1], rate)
 
 
-def _amplified(name: str, gain: Any, error: Array) -> Array:
+def _amplified(name: str, gain: Any, kind: int, error: Array) -> Array:
+    """Return a gain times an error, shape (..., n); before the axes of its kind, the gain may have others."""
     n = error.shape[-1]
-    if gain.ndim == 2:
-        return error @ gain_matrix(name, gain, n).T
-    if gain.shape not in ((), (n,)):
+    if gain.shape[gain.ndim - kind :] not in ((), (n,), (n, n)):
         gain_matrix(name, gain, n)
-    return np.asarray(gain * error)
+    if kind == 2:
+        # Not as a matrix product, whose rounding depends on how many states there are.
+        columns = [gain[..., k] * error[..., k, None] for k in range(n)]
+        return np.asarray(sum(columns[1:], columns[0]))
+    return np.asarray((gain[..., None] if not kind and gain.ndim else gain) * error)

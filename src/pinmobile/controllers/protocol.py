@@ -13,10 +13,14 @@ __all__ = [
     "State",
     "answer_of",
     "check_controller",
+    "check_memory",
     "plain_difference",
     "planar_difference",
     "told",
 ]
+
+
+_SAME = 1e-9  # to which two answers to the same arguments agree
 
 
 class State(Protocol):
@@ -97,8 +101,48 @@ def answer_of(
     """
     answer = controller(t, q, v, reference, state)
     if type(answer) is not tuple or len(answer) != 2:
-        raise InvalidArgument(f"controller returned {shown(answer)} at t = {t:g} s, expected (tau, state)")
+        raise InvalidArgument(f"controller returned {shown(answer)} at t = {t:g} s, expected (u, state)")
     return answer
+
+
+def check_memory(controller: Any, context: Any, q: Array, v: Array) -> None:
+    """Refuse a controller whose answer to the same arguments is another when it is asked again.
+
+    It keeps something in itself or in a closure, or draws numbers of its own: then no two runs are alike,
+    and no robot of several its own. A solver's workspace is allowed where the answer does not depend on it.
+
+    Parameters
+    ----------
+    controller : controller
+        What is asked, three times.
+    context : Context
+        With the reference.
+    q, v : ndarray, shape (nq,), (nv,)
+        A state.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is such.
+    """
+    at = type(context.reference)(*(np.array(part[0]) for part in context.reference))
+    t, wave = float(context.t[0]), np.cos(np.arange(len(v)))
+    # Beside the reference, where an integral grows; then elsewhere, then there again.
+    here, there = ((context.integrate(q, off * wave), v + off * wave) for off in (0.01, -0.02))
+    answers = []
+    with np.errstate(all="ignore"):
+        for place in (here, there, here):
+            copies = type(at)(*map(np.copy, at))
+            state = controller.initial_state(context)
+            answer = answer_of(controller, t, place[0].copy(), place[1].copy(), copies, state)
+            answers.append(np.array(answer[0], np.float64))
+    first, _, again = answers
+    if first.shape != again.shape or not np.allclose(first, again, rtol=_SAME, atol=_SAME, equal_nan=True):
+        raise InvalidArgument(
+            f"controller is {shown(controller)}, which returns {first.tolist()} and, asked again for the "
+            f"same arguments, {again.tolist()}, expected the same: keep memory in state, and take random "
+            "numbers from context.normal(name, n)"
+        )
 
 
 def told(controller: Any, u: Array, state: Any) -> Any:
@@ -155,3 +199,8 @@ def plain_difference(q0: Array, q1: Array) -> Array:
         q0, q1 = finite("q0", q0), finite("q1", q1)
         broadcast(q0=q0[..., None], q1=q1[..., None])
     return np.subtract(q1, q0, dtype=np.float64)
+
+
+# What they take on the circle where they subtract all coordinates, for loops that do so themselves.
+planar_difference.turning = (2,)  # type: ignore[attr-defined]
+plain_difference.turning = ()  # type: ignore[attr-defined]

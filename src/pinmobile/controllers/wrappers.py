@@ -4,20 +4,18 @@ Each wraps a controller and is one. They nest in any order; the outer one sees t
 the force last.
 """
 
-from dataclasses import dataclass, field
-from threading import Lock
-from typing import Any, final
+from dataclasses import dataclass
+from hashlib import sha256
+from typing import Any, ClassVar, final
 
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen, whole
 from pinmobile.controllers.protocol import Controller, State, answer_of, check_controller, told
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.plant import Context
+from pinmobile.plant import Context, Parameter
 
 __all__ = ["Delayed", "NoisyMeasurement", "Saturated"]
-
-_FIRST = 256  # samples of noise drawn at first
 
 
 @final
@@ -41,6 +39,10 @@ class Saturated:
 
     controller: Controller
     limits: ArrayLike
+
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("limits", "N, N m", "largest force of each coordinate", 0.0, may_vanish=False),
+    )
 
     def __post_init__(self) -> None:
         check_controller(self.controller)
@@ -91,9 +93,9 @@ class Delayed:
         check_controller(self.controller)
         object.__setattr__(self, "samples", whole("samples", self.samples, least=0))
 
-    def initial_state(self, context: Context) -> tuple[Any, tuple[tuple[Array, Array], ...]]:
-        """Return the state that the wrapped controller starts with, and no measurement."""
-        return self.controller.initial_state(context), ()
+    def initial_state(self, context: Context) -> tuple[Any, Any]:
+        """Return the state that the wrapped controller starts with, and a line without measurements."""
+        return self.controller.initial_state(context), context.line(self.samples)
 
     def applied(self, u: Array, state: Any) -> Any:
         """Return the state, with the wrapped controller told of the input that is applied, shape (..., n)."""
@@ -101,14 +103,12 @@ class Delayed:
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: Any
-    ) -> tuple[Array, tuple[Any, tuple[tuple[Array, Array], ...]]]:
+    ) -> tuple[Array, tuple[Any, Any]]:
         """Return the force, shape (..., n), and the next state: the wrapped one, past measurements."""
-        inner, past = state
-        past = (*past, (np.array(q), np.array(v)))
-        old_q, old_v = past[0]
-        # What is kept is nobody else's to write into.
-        tau, inner = answer_of(self.controller, t, old_q.copy(), old_v.copy(), reference, inner)
-        return tau, (inner, past[max(len(past) - self.samples, 0) :])
+        inner, line = state
+        (old_q, old_v), line = line.push((q, v))
+        tau, inner = answer_of(self.controller, t, old_q, old_v, reference, inner)
+        return tau, (inner, line)
 
 
 @final
@@ -116,9 +116,10 @@ class Delayed:
 class NoisyMeasurement:
     """A controller that is told of the state with white Gaussian noise added.
 
-    The noise of sample k depends on the seed and k alone, so that a second run gets the same. Where q and v
-    have leading axes, all of them get the same noise. That of q is a displacement: it is added where q has n
-    numbers, as v has; an angle that is (cos, sin) in q is turned by it, as the plant's `integrate` does.
+    The noise of sample k depends on the seed and k alone, so that a second run gets the same; it is
+    `Context.normal`, the same in every engine. Where q and v have leading axes, all of them get the same
+    noise, and in an ensemble each robot its own. That of q is a displacement, by which the plant's
+    `integrate` moves q: an angle that is (cos, sin) in q is turned by it.
 
     Parameters
     ----------
@@ -128,9 +129,8 @@ class NoisyMeasurement:
         Standard deviation of each coordinate [m, m, rad, ...] and its rate [m/s, m/s, rad/s, ...], >= 0;
         n is the robot's nv: 3 and one for each degree of freedom of its arms.
     seed : int or SeedSequence
-        Of the noise: row k of ``default_rng(seed).standard_normal((m, 2, n))`` is that of q and of v at
-        sample k, in units of the standard deviation. In an ensemble, each robot has numbers of its own,
-        which follow from this seed and the ensemble's.
+        Of the noise. In an ensemble, each robot has numbers of its own, which follow from this seed and the
+        ensemble's.
 
     Raises
     ------
@@ -143,7 +143,11 @@ class NoisyMeasurement:
     std_q: ArrayLike
     std_v: ArrayLike
     seed: Any
-    _tables: dict[int, "_Table"] = field(init=False, repr=False, default_factory=dict)
+
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("measured_std_q", "m, rad", "deviation of the measured q", 0.0, attribute="std_q"),
+        Parameter("measured_std_v", "m/s, rad/s", "deviation of the measured v", 0.0, attribute="std_v"),
+    )
 
     def __post_init__(self) -> None:
         check_controller(self.controller)
@@ -158,13 +162,22 @@ class NoisyMeasurement:
                 f"seed is {shown(self.seed)}, expected a whole number >= 0 or a SeedSequence"
             )
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        # The tables are drawn again from the seed.
-        return type(self), (self.controller, self.std_q, self.std_v, self.seed)
+    @property
+    def _name(self) -> str:
+        """Name of its noise: another for each seed, and for each of several, one in the other."""
+        within, inner = 0, self.controller
+        while inner is not None:
+            within += isinstance(inner, NoisyMeasurement)
+            inner = getattr(inner, "controller", None)  # type: ignore[assignment]
+        sequence = (
+            self.seed if isinstance(self.seed, np.random.SeedSequence) else np.random.SeedSequence(self.seed)
+        )
+        return f"measurement {within} {sha256(sequence.generate_state(4).tobytes()).hexdigest()[:16]}"
 
-    def initial_state(self, context: Context) -> tuple[Any, int, Any]:
-        """Return the state that the wrapped controller starts with, no samples so far, and how q moves."""
-        return self.controller.initial_state(context), 0, context.integrate
+    def initial_state(self, context: Context) -> tuple[Any, Any, Any]:
+        """Return the state that the wrapped controller starts with, the noise, and how q moves."""
+        noise = context.normal(self._name, 2 * context.nv)
+        return self.controller.initial_state(context), noise, context.integrate
 
     def applied(self, u: Array, state: Any) -> Any:
         """Return the state, with the wrapped controller told of the input that is applied, shape (..., n)."""
@@ -172,40 +185,15 @@ class NoisyMeasurement:
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: Any
-    ) -> tuple[Array, tuple[Any, int, Any]]:
-        """Return the force, shape (..., n), and the next state: the wrapped one, samples so far."""
-        inner, k, integrate = state
-        size = np.shape(v)[-1:]
-        std_q, std_v = _fitting("std_q", self.std_q, size), _fitting("std_v", self.std_v, size)
-        n = size[0]
-        if n not in self._tables:
-            self._tables.setdefault(n, _Table(self.seed, n))
-        row = self._tables[n].row(k)
-        noisy = _displaced(q, std_q * row[0], n, integrate), v + std_v * row[1]
+    ) -> tuple[Array, tuple[Any, Any, Any]]:
+        """Return the force, shape (..., n), and the next state: the wrapped one, the noise."""
+        inner, noise, integrate = state
+        n = np.shape(v)[-1]
+        std_q, std_v = _fitting("std_q", self.std_q, (n,)), _fitting("std_v", self.std_v, (n,))
+        numbers, noise = noise.draw()
+        noisy = integrate(q, std_q * numbers[..., :n]), v + std_v * numbers[..., n:]
         tau, inner = answer_of(self.controller, t, *noisy, reference, inner)
-        return tau, (inner, k + 1, integrate)
-
-
-class _Table:
-    """Rows of standard normal numbers, shape (m, 2, n), that grows; a row stays as it is."""
-
-    def __init__(self, seed: Any, n: int) -> None:
-        self._rng, self._lock = np.random.default_rng(seed), Lock()
-        self._rows = self._rng.standard_normal((_FIRST, 2, n))
-
-    def row(self, k: int) -> Array:
-        """Return row k, shape (2, n)."""
-        if k >= len(self._rows):
-            with self._lock:  # two threads that draw at once would share out the rows
-                while k >= len(self._rows):
-                    more = self._rng.standard_normal(self._rows.shape)
-                    self._rows = np.concatenate([self._rows, more])
-        return np.asarray(self._rows[k])
-
-
-def _displaced(q: Array, dq: Array, n: int, integrate: Any) -> Array:
-    """Return q moved by dq, shape (n,): the sum where q has n numbers too, else as the plant steps it."""
-    return q + dq if np.shape(q)[-1] == n else np.asarray(integrate(q, dq))
+        return tau, (inner, noise, integrate)
 
 
 def _per_coordinate(name: str, value: ArrayLike, *, endless: bool = False) -> Array:
@@ -217,6 +205,6 @@ def _per_coordinate(name: str, value: ArrayLike, *, endless: bool = False) -> Ar
 
 def _fitting(name: str, value: Any, size: tuple[int, ...]) -> Array:
     """Return a checked parameter, after refusing one that belongs to another number of coordinates."""
-    if value.shape not in ((), size):
+    if value.shape[-1:] not in ((), size):
         raise InvalidArgument(f"{name} has shape {value.shape}, expected () or {size}")
     return np.asarray(value)

@@ -1,12 +1,15 @@
-"""Forces on the body that no controller asked for: disturbances, friction, rolling resistance."""
+"""Forces that no controller asked for: disturbances, friction, rolling resistance."""
 
 from pinmobile.disturbances.driven import ConstantForce, NoiseForce, SinusoidalForce, noise_frequencies
-from pinmobile.disturbances.protocol import Force
+from pinmobile.disturbances.joints import JointFriction
+from pinmobile.disturbances.protocol import CoordinateForce, Force
 from pinmobile.disturbances.resistance import RollingResistance, ViscousFriction
 
 __all__ = [
     "ConstantForce",
+    "CoordinateForce",
     "Force",
+    "JointFriction",
     "NoiseForce",
     "RollingResistance",
     "SinusoidalForce",

@@ -1,5 +1,6 @@
 """Forces that are functions of time alone: constant, sinusoidal, noise."""
 
+from copy import copy
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Self, final
 
@@ -8,6 +9,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, representable, seeded
 from pinmobile.disturbances.protocol import not_below_zero, numbers, spread, triple
 from pinmobile.errors import InvalidArgument
+from pinmobile.plant import Parameter
 
 __all__ = ["ConstantForce", "NoiseForce", "SinusoidalForce", "noise_frequencies"]
 
@@ -32,8 +34,19 @@ class ConstantForce:
 
     force: ArrayLike
 
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("force_x", "N", "constant force along x", attribute="force", entry=0),
+        Parameter("force_y", "N", "constant force along y", attribute="force", entry=1),
+        Parameter("moment_z", "N m", "constant moment", attribute="force", entry=2),
+    )
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "force", triple("force", self.force))
+
+    @classmethod
+    def nothing(cls) -> Self:
+        """Return the force that is none, which a spread gives its size."""
+        return cls(np.zeros(3))
 
     def __call__(self, t: ArrayLike, q: Array, v: Array) -> Array:
         """Return the force, shape (..., 3) [N, N, N m]."""
@@ -64,6 +77,20 @@ class SinusoidalForce:
     amplitude: ArrayLike
     frequency: ArrayLike
     phase: ArrayLike = 0.0
+
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("sine_x", "N", "amplitude of the sinusoidal force along x", attribute="amplitude", entry=0),
+        Parameter("sine_y", "N", "amplitude of the sinusoidal force along y", attribute="amplitude", entry=1),
+        Parameter("sine_moment", "N m", "amplitude of the sinusoidal moment", attribute="amplitude", entry=2),
+        Parameter("sine_frequency", "Hz", "its frequency", 0.0, attribute="frequency"),
+        Parameter("sine_phase", "rad", "its phase", attribute="phase"),
+    )
+    needs: ClassVar[str] = "sine_frequency"
+
+    @classmethod
+    def nothing(cls) -> Self:
+        """Return the force that is none, which a spread gives its size and its frequency."""
+        return cls(np.zeros(3), 0.0)
 
     def __post_init__(self) -> None:
         amplitude = triple("amplitude", self.amplitude)
@@ -116,6 +143,8 @@ class NoiseForce:
     ----------
     phases : ndarray, shape (..., TERMS, 3)
         Phases of the cosines, uniform on [0, 2 pi) [rad].
+    in_phase, quadrature : ndarray, shape (..., TERMS, 3)
+        Their cosines and sines.
 
     Raises
     ------
@@ -129,7 +158,17 @@ class NoiseForce:
     bandwidth: float
     seed: Any
     phases: Array = field(init=False, repr=False)
+    in_phase: Array = field(init=False, repr=False)
+    quadrature: Array = field(init=False, repr=False)
     _rates: Array = field(init=False, repr=False)  # 2 pi f_kj [rad/s], shape (TERMS, 3)
+
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("noise_x", "N", "rms of the noise force along x", 0.0, attribute="std", entry=0),
+        Parameter("noise_y", "N", "rms of the noise force along y", 0.0, attribute="std", entry=1),
+        Parameter("noise_moment", "N m", "rms of the noise moment", 0.0, attribute="std", entry=2),
+    )
+    drawn: ClassVar[tuple[str, ...]] = ("in_phase", "quadrature")
+    determined_by: ClassVar[tuple[str, ...]] = ("std", "bandwidth", "phases")  # its seed may be a Generator
 
     def __post_init__(self) -> None:
         drawn = seeded("seed", self.seed).uniform(0, 2 * np.pi, (self.TERMS, 3))
@@ -170,15 +209,36 @@ class NoiseForce:
         object.__setattr__(self, "std", deviation)
         object.__setattr__(self, "bandwidth", positive("bandwidth", bandwidth, "Hz"))
         object.__setattr__(self, "phases", frozen(angles))
+        object.__setattr__(self, "in_phase", frozen(np.cos(angles)))
+        object.__setattr__(self, "quadrature", frozen(np.sin(angles)))
         with np.errstate(over="ignore"):
             rates = representable("2 pi bandwidth", 2 * np.pi * noise_frequencies(self.bandwidth))
         object.__setattr__(self, "_rates", frozen(rates))
 
     def __call__(self, t: ArrayLike, q: Array, v: Array) -> Array:
         """Return the force, shape (..., 3) [N, N, N m]."""
-        turned = np.multiply.outer(t, self._rates)  # (..., K, 3)
-        waves = np.cos(turned + self.phases).sum(axis=-2)
-        return spread(np.asarray(self.std) * np.sqrt(2 / self.TERMS) * waves, t, q)
+        turned = np.asarray(t)[..., None, None] * self._rates  # (..., K, 3), the same for all robots
+        waves = self.in_phase * np.cos(turned) - self.quadrature * np.sin(turned)
+        return spread(np.asarray(self.std) * np.sqrt(2 / self.TERMS) * waves.sum(axis=-2), t, q)
+
+    def draw(self, generator: np.random.Generator, count: int) -> dict[str, Array]:
+        """Return phases for robots that have their own, as `in_phase` and `quadrature`, (count, TERMS, 3)."""
+        phases = generator.uniform(0, 2 * np.pi, (count, self.TERMS, 3))
+        return {"in_phase": np.cos(phases), "quadrature": np.sin(phases)}
+
+    def with_parameters(self, **values: Array) -> Self:
+        """Return it with another `std`, `in_phase` or `quadrature`."""
+        new = copy(self)
+        for name, value in values.items():
+            object.__setattr__(new, name, frozen(np.asarray(value, np.float64)))
+        if "in_phase" in values:
+            object.__setattr__(new, "phases", frozen(np.arctan2(new.quadrature, new.in_phase)))
+        return new
+
+    @property
+    def stream(self) -> bytes:
+        """What the drawn phases of robots follow from, beside their ensemble's seed."""
+        return self.phases.tobytes()
 
 
 def noise_frequencies(bandwidth: float) -> Array:

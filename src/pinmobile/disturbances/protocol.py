@@ -7,7 +7,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, finite, frozen, vector
 from pinmobile.errors import InvalidArgument
 
-__all__ = ["Force", "not_below_zero", "numbers", "spread", "triple"]
+__all__ = ["CoordinateForce", "Force", "not_below_zero", "numbers", "spread", "triple"]
 
 
 class Force(Protocol):
@@ -25,6 +25,21 @@ class Force(Protocol):
             Time [s].
         q, v : ndarray, shape (..., 3)
             Pose [m, m, rad] and its rate [m/s, m/s, rad/s].
+        """
+
+
+class CoordinateForce(Protocol):
+    """A generalised force on all coordinates of a plant, such as friction in its joints."""
+
+    def on_coordinates(self, t: float, q: Array, v: Array, /) -> Array:
+        """Return the force, shape (..., nv), in the units of the plant's coordinates.
+
+        Parameters
+        ----------
+        t : float or ndarray, shape (...)
+            Time [s].
+        q, v : ndarray, shape (..., nq) and (..., nv)
+            Configuration and velocity.
         """
 
 

@@ -1,13 +1,14 @@
 """Forces that oppose the body's motion along its own axes: viscous friction, rolling resistance."""
 
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, ClassVar, Self, final
 
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike
 from pinmobile.disturbances.protocol import not_below_zero, numbers, spread, triple
 from pinmobile.errors import InvalidArgument
+from pinmobile.plant import Parameter
 
 __all__ = ["RollingResistance", "ViscousFriction"]
 
@@ -29,6 +30,18 @@ class ViscousFriction:
     """
 
     coefficients: ArrayLike
+
+    parameters: ClassVar[tuple[Parameter, ...]] = tuple(
+        Parameter(
+            f"viscous_{axis}", unit, f"viscous friction, {axis}", 0.0, attribute="coefficients", entry=k
+        )
+        for k, (axis, unit) in enumerate((("forward", "N s/m"), ("left", "N s/m"), ("yaw", "N m s")))
+    )
+
+    @classmethod
+    def nothing(cls) -> Self:
+        """Return the force that is none, which a spread gives its size."""
+        return cls(np.zeros(3))
 
     def __post_init__(self) -> None:
         checked = not_below_zero("coefficients", triple("coefficients", self.coefficients))
@@ -72,6 +85,21 @@ class RollingResistance:
 
     force: ArrayLike
     speed: ArrayLike = 0.01
+
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        *(
+            Parameter(f"rolling_{axis}", unit, f"rolling resistance, {axis}", 0.0, attribute="force", entry=k)
+            for k, (axis, unit) in enumerate((("forward", "N"), ("left", "N"), ("yaw", "N m")))
+        ),
+        Parameter(
+            "rolling_speed", "m/s, rad/s", "where it has 71 % of its size", 0.0, False, attribute="speed"
+        ),
+    )
+
+    @classmethod
+    def nothing(cls) -> Self:
+        """Return the force that is none, which a spread gives its size."""
+        return cls(np.zeros(3))
 
     def __post_init__(self) -> None:
         force = not_below_zero("force", triple("force", self.force))

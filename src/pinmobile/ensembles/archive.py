@@ -7,13 +7,13 @@ from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, finite, whole
+from pinmobile.arrays import Array, finite, text, whole
 from pinmobile.ensembles.histogram import miscounted
 from pinmobile.ensembles.outline import Outline
-from pinmobile.ensembles.variables import COORDINATES, PER_ROBOT, drawn
+from pinmobile.ensembles.variables import PER_ROBOT, drawn, per_robot
 from pinmobile.files import archive_of, unpacking
 from pinmobile.simulation import Rollout
-from pinmobile.simulation.storage import ARRAYS, check_robot, described_robot, restored_robot
+from pinmobile.simulation.storage import ARRAYS, described_plant, restored_plant, signal_columns
 from pinmobile.trajectories import Reference
 
 if TYPE_CHECKING:
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 
 __all__ = ["read_ensemble", "write_ensemble"]
 
-_FORMAT = "pinmobile ensemble 1"
+_FORMAT = "pinmobile ensemble 2"
 _REFERENCE = tuple(f"reference_{name}" for name in Reference._fields)
 _TRACE = tuple(f"trace_{name}" for name in ARRAYS)
 _KINDS: Mapping[str, type] = {
     **dict.fromkeys(("t", *_REFERENCE, "draws", *PER_ROBOT), np.float64),
     "counts": np.int32,
-    **dict.fromkeys(_TRACE, np.float64),
+    **dict.fromkeys((*_TRACE, "trace_signals"), np.float64),
 }
 
 
@@ -46,18 +46,20 @@ def write_ensemble(file: IO[bytes], ensemble: "Ensemble") -> None:
         What is written.
     """
     outline, traces = Outline.of(ensemble.scenario), ensemble.traces
-    variables = {**PER_ROBOT, **drawn(outline.parameters)}
+    variables = {**per_robot(outline.coordinates, outline.inputs), **drawn(outline.parameters)}
     described = {
         "scenario": outline.description(),
-        "coordinates": COORDINATES,
+        "engine": ensemble.engine,
+        "why": ensemble.why,
         "variables": {name: one._asdict() for name, one in variables.items()},
         "traces": [
-            {"index": i, "samples": len(one), "robot": described_robot(one.robot)}
+            {"index": i, "samples": len(one), "plant": described_plant(one.plant, one.q, one.signals)}
             for i, one in traces.items()
         ],
     }
     recorded = [one.arrays() for one in traces.values()]
-    empty = {name: np.zeros(0 if name == "t" else (0, len(COORDINATES))) for name in ARRAYS}
+    beside = [signal_columns(one.signals, len(one)) for one in traces.values()]
+    empty = {name: np.zeros(0 if name == "t" else (0, len(outline.coordinates))) for name in ARRAYS}
     np.savez(
         file,
         allow_pickle=False,
@@ -71,6 +73,7 @@ def write_ensemble(file: IO[bytes], ensemble: "Ensemble") -> None:
             of: np.concatenate([one[name] for one in recorded or [empty]])
             for of, name in zip(_TRACE, ARRAYS, strict=True)
         },
+        trace_signals=np.concatenate(beside or [np.zeros((0, 0))]),
     )
 
 
@@ -91,6 +94,8 @@ def read_ensemble(path: Path) -> dict[str, Any]:
         _check(named, outline)
         return {
             "scenario": outline,
+            "engine": text("engine", described["engine"]),
+            "why": text("why", described["why"]),
             "draws": dict(zip(outline.parameters, named["draws"], strict=True)),
             "traces": _traces(named, described["traces"], outline),
             **{name: named[name] for name in (*PER_ROBOT, "counts")},
@@ -100,8 +105,9 @@ def read_ensemble(path: Path) -> dict[str, Any]:
 def _check(named: Mapping[str, Array], outline: Outline) -> None:
     """Refuse records that no robots have."""
     n, diverged = outline.n, named["diverged_at"]
-    for name, variable in PER_ROBOT.items():
-        values, shape = named[name], (n, *(len(COORDINATES) for _ in variable.dimensions[1:]))
+    sizes = {"coordinate": len(outline.coordinates), "input": len(outline.inputs)}
+    for name, variable in per_robot(outline.coordinates, outline.inputs).items():
+        values, shape = named[name], (n, *(sizes[each] for each in variable.dimensions[1:]))
         if values.shape != shape:
             raise ValueError(f"{name} has shape {values.shape}, expected {shape}")
         if (values < 0).any():
@@ -129,11 +135,11 @@ def _traces(named: Mapping[str, Array], described: Any, outline: Outline) -> dic
             raise ValueError(f"it has a trace of robot {index}, expected 0 to {outline.n - 1}, each once")
         if stop > len(named["trace_t"]):
             raise ValueError(f"trace_t has {len(named['trace_t'])} samples, expected {stop} and more")
-        check_robot(one["robot"])
         arrays = {name: named[of][start:stop] for of, name in zip(_TRACE, ARRAYS, strict=True)}
-        found[index] = Rollout.of(restored_robot(one["robot"]), arrays)
+        plant, signals = restored_plant(one["plant"], named["trace_signals"][start:stop])
+        found[index] = Rollout.of(plant, arrays, signals)
         start = stop
-    for name in _TRACE:
+    for name in (*_TRACE, "trace_signals"):
         if len(named[name]) != start:
             raise ValueError(f"{name} has {len(named[name])} samples, expected {start}")
     return found

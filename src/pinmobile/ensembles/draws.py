@@ -9,6 +9,7 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.ensembles.distributions import Same, drawn
+from pinmobile.errors import InvalidArgument
 
 __all__ = ["draw", "held", "in_blocks", "stream"]
 
@@ -46,6 +47,10 @@ def draw(
     def of(name: str) -> Array:
         if name not in values:
             if name not in spread:
+                if name not in nominal:
+                    raise InvalidArgument(
+                        f"spread refers to {name!r}, which has several numbers, expected one that has one"
+                    )
                 return np.full(stop - start, nominal[name])
             source = spread[name]
             if isinstance(source, Same):

@@ -9,9 +9,9 @@ import numpy as np
 
 from pinmobile.arrays import Array, finite, frozen, increasing, positive, text, whole
 from pinmobile.ensembles.distributions import Same
-from pinmobile.ensembles.parameters import Parameter
 from pinmobile.ensembles.scenario import Scenario, checked_scenario, first_counted, time_within
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.plant import Coordinate, Input, Parameter
 from pinmobile.trajectories import Reference
 
 __all__ = ["Outline", "alike"]
@@ -43,12 +43,16 @@ class Outline:
         From what each parameter was drawn; of a `Same`, the factor in words.
     parameters : dict of str to Parameter
         Unit and meaning of what was drawn.
+    coordinates : tuple of Coordinate
+        Name and unit of those that the reference has.
+    inputs : tuple of Input
+        Name and unit of the plant's.
     n, seed, dt, substeps, limit, after, every : number
         As given.
     t : ndarray, shape (N + 1,)
         Times [s].
     reference : Reference
-        Desired q, v and a at these times, shape (N + 1, 3) each.
+        Desired q, v and a at these times, shape (N + 1, ...), v and a of as many as there are coordinates.
 
     Raises
     ------
@@ -63,6 +67,8 @@ class Outline:
     forces: tuple[str, ...]
     spread: Mapping[str, str | Same]
     parameters: Mapping[str, Parameter]
+    coordinates: tuple[Coordinate, ...]
+    inputs: tuple[Input, ...]
     n: int
     seed: int
     dt: float
@@ -83,6 +89,10 @@ class Outline:
             told = [source.name, source.factor] if isinstance(source, Same) else [source]
             for each in (name, one.unit, one.meaning, *told):
                 text("spread", each)
+        for name in ("coordinates", "inputs"):
+            for one in getattr(self, name):
+                for each in (one.name, one.unit):
+                    text(name, each)
         for name, least in (("n", 1), ("substeps", 1), ("every", 1), ("seed", 0)):
             object.__setattr__(self, name, whole(name, getattr(self, name), least=least))
         for name in ("dt", "limit"):
@@ -91,9 +101,11 @@ class Outline:
         increasing("t", self.t)
         object.__setattr__(self, "after", time_within("after", self.after, self.t))
         for name, part in self.reference._asdict().items():
-            if finite(f"reference.{name}", part).shape != (len(self.t), 3):
+            width = part.shape[-1:] if name == "q" else (len(self.coordinates),)
+            if finite(f"reference.{name}", part).shape != (len(self.t), *width):
                 raise InvalidArgument(
-                    f"reference.{name} has shape {part.shape}, expected ({len(self.t)}, 3) as t has"
+                    f"reference.{name} has shape {part.shape}, expected {(len(self.t), *width)}: as many as "
+                    "times in t, and coordinates"
                 )
         object.__setattr__(self, "reference", Reference(*map(frozen, self.reference)))
 
@@ -112,7 +124,14 @@ class Outline:
         same: dict[str, Any] = {name: getattr(given, name) for name in (*_NUMBERS, "parameters", *_SAMPLED)}
         parts: dict[str, Any] = {name: _words(getattr(given, name)) for name in _PARTS}
         forces, spread = tuple(map(_words, given.forces)), given.spread.items()
-        return cls(**same, **parts, forces=forces, spread={name: _source(source) for name, source in spread})
+        return cls(
+            **same,
+            **parts,
+            forces=forces,
+            spread={name: _source(source) for name, source in spread},
+            coordinates=tuple(Coordinate(*one[:2]) for one in given.coordinates),
+            inputs=tuple(Input(*one[:2]) for one in given.inputs),
+        )
 
     @classmethod
     def from_description(cls, described: Mapping[str, Any], t: Array, reference: Reference) -> "Outline":
@@ -131,7 +150,9 @@ class Outline:
                 name: one["source"] if one["same_as"] is None else Same(one["same_as"], one["source"])
                 for name, one in spread.items()
             },
-            parameters={name: Parameter(one["unit"], one["meaning"]) for name, one in spread.items()},
+            parameters={name: Parameter(name, one["unit"], one["meaning"]) for name, one in spread.items()},
+            coordinates=tuple(Coordinate(name, unit) for name, unit in described["coordinates"]),
+            inputs=tuple(Input(name, unit) for name, unit in described["inputs"]),
             t=t,
             reference=reference,
         )
@@ -144,7 +165,8 @@ class Outline:
             one = self.parameters[name]
             spread[name] = {"unit": one.unit, "meaning": one.meaning, "source": words, "same_as": other}
         plain = {name: getattr(self, name) for name in (*_PARTS, *_NUMBERS)}
-        return {**plain, "forces": list(self.forces), "spread": spread}
+        named = {name: [one[:2] for one in getattr(self, name)] for name in ("coordinates", "inputs")}
+        return {**plain, **named, "forces": list(self.forces), "spread": spread}
 
     @property
     def begin(self) -> int:

@@ -1,19 +1,15 @@
-"""What is kept of a stretch of an ensemble, and how an engine makes it."""
+"""What is kept of some robots of an ensemble."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
-from pinmobile.ensembles.batch import Batch
 from pinmobile.ensembles.histogram import BINS
 from pinmobile.ensembles.scenario import Scenario
 
-__all__ = ["Engine", "Part", "empty_counts"]
+__all__ = ["Part", "Records"]
 
 
 class Part(NamedTuple):
@@ -23,14 +19,14 @@ class Part(NamedTuple):
     ----------
     lived : ndarray of int, shape (m,)
         Samples before the loop diverged; all of them where it did not.
-    max_error : ndarray, shape (m, 3)
-        Largest |error| of x, y, psi in those of these samples from `Scenario.after` on [m, m, rad].
+    max_error : ndarray, shape (m, c)
+        Largest |error| of the reference's c coordinates in those of these samples from `Scenario.after` on.
     max_distance : ndarray, shape (m,)
         Largest distance from the desired position [m].
-    rms_error : ndarray, shape (m, 3)
-        Root of the mean squared error [m, m, rad].
-    max_force : ndarray, shape (m, 3)
-        Largest |tau| [N, N, N m].
+    rms_error : ndarray, shape (m, c)
+        Root of the mean squared error.
+    max_force : ndarray, shape (m, nu)
+        Largest |input|.
     counts : ndarray of int, shape (G, 2, BINS)
         At each time of the grid, how many robots have a distance, and an error of the heading, of which size.
     """
@@ -42,40 +38,49 @@ class Part(NamedTuple):
     max_force: Array
     counts: NDArray[np.int32]
 
+    @classmethod
+    def of(cls, scenario: Scenario, record: Any, counts: Any) -> "Part":
+        """Return what a `Summary` kept of m robots, its arrays with the robots as their first axis."""
+        lived = record["lived"].astype(np.int64)
+        kept = np.maximum(lived - scenario.begin, 1)[:, None]
+        return cls(
+            lived,
+            record["largest"],
+            np.sqrt(record["farthest"][:, 0]),
+            np.sqrt(record["squares"] / kept),
+            record["inputs"],
+            counts,
+        )
 
-@dataclass(frozen=True)
-class Engine:
-    """A way to run the robots of an ensemble.
 
-    Attributes
+class Records:
+    """The records of the robots from `start` to before `stop`, put together from stretches in any order.
+
+    Parameters
     ----------
-    name : str
-        Its name, for people.
-    run : callable
-        ``run(scenario, batch) -> Part``.
-    refusal : callable
-        ``refusal(scenario) -> str``: why it cannot run the scenario; "" where it can.
-    largest : int
-        Robots that it takes at a time, at most.
+    scenario : Scenario
+        Whose robots.
+    start, stop : int
+        Which of them.
     """
 
-    name: str
-    run: Callable[[Scenario, Batch], Part]
-    refusal: Callable[[Scenario], str]
-    largest: int
+    def __init__(self, scenario: Scenario, start: int, stop: int) -> None:
+        self.start, size = start, stop - start
+        self.arrays = {
+            "lived": np.empty(size, np.int64),
+            "max_error": np.empty((size, scenario.size)),
+            "max_distance": np.empty(size),
+            "rms_error": np.empty((size, scenario.size)),
+            "max_force": np.empty((size, scenario.robot.nu)),
+        }
+        self.counts = np.zeros((len(scenario.grid), 2, BINS), np.int32)
 
-    def __repr__(self) -> str:
-        return self.name
+    def put(self, start: int, stop: int, part: Part) -> None:
+        """Put the records of the robots from `start` to before `stop` in their place."""
+        for name, array in self.arrays.items():
+            array[start - self.start : stop - self.start] = getattr(part, name)
+        self.counts += part.counts.astype(np.int32)
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        # It comes back as itself, from another process too: there is one of each.
-        return _engine_of, (self.run.__module__, self.name)
-
-
-def _engine_of(module: str, name: str) -> Any:
-    return getattr(import_module(module), name)
-
-
-def empty_counts(scenario: Scenario) -> NDArray[np.int32]:
-    """Return counts of nothing, shape (G, 2, BINS)."""
-    return np.zeros((len(scenario.grid), 2, BINS), np.int32)
+    def part(self) -> Part:
+        """Return all records."""
+        return Part(counts=self.counts, **self.arrays)

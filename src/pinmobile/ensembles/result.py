@@ -69,13 +69,15 @@ class Ensemble:
         What was run; an `Outline`, its parts in words, after loading a file without the scenario.
     draws : dict of str to ndarray, shape (n,)
         What each robot got of each parameter that is spread.
-    max_error, rms_error : ndarray, shape (n, 3)
-        Largest, and root of the mean squared, error of x, y and psi from `Scenario.after` on [m, m, rad]; of
-        a diverged robot until then, NaN where it diverged before that time or at the start.
+    max_error, rms_error : ndarray, shape (n, c)
+        Largest, and root of the mean squared, error of the reference's coordinates, x, y and psi first, from
+        `Scenario.after` on [m, m, rad, ...]; of a diverged robot until then, NaN where it diverged before
+        that time or at the start.
     max_distance : ndarray, shape (n,)
         Largest distance from the desired position [m]; so too.
-    max_force : ndarray, shape (n, 3)
-        Largest |tau| from the start on [N, N, N m]; of a diverged robot until then, NaN where there is none.
+    max_force : ndarray, shape (n, nu)
+        Largest |input| from the start on, such as [N, N, N m]; of a diverged robot until then, NaN where
+        there is none. `Scenario.coordinates` and `Scenario.inputs` have names and units.
     diverged_at : ndarray, shape (n,)
         When the loop diverged [s]; NaN where it did not.
     counts : ndarray of int, shape (G, 2, BINS)
@@ -83,6 +85,10 @@ class Ensemble:
         which size, see `pinmobile.ensembles.histogram`.
     traces : dict of int to Rollout
         Everything of the robots that were asked for; of a diverged one until then.
+    engine : str
+        How they were run: ``"COMPILED"``, ``"ARRAYS"``, or ``"PINOCCHIO"``, one after another.
+    why : str
+        Why not by a faster engine; "" where there is none.
     """
 
     scenario: Any
@@ -94,6 +100,8 @@ class Ensemble:
     diverged_at: Array
     counts: NDArray[np.int32]
     traces: Mapping[int, Rollout]
+    engine: str = ""
+    why: str = ""
 
     def __post_init__(self) -> None:
         for array in (*self.draws.values(), *(getattr(self, name) for name in (*PER_ROBOT, "counts"))):
@@ -101,7 +109,12 @@ class Ensemble:
 
     @classmethod
     def of(
-        cls, scenario: Scenario, draws: Mapping[str, Array], part: Part, traces: Iterable[int] = ()
+        cls,
+        scenario: Scenario,
+        draws: Mapping[str, Array],
+        part: Part,
+        traces: Iterable[int] = (),
+        way: Any = None,
     ) -> "Ensemble":
         """Return the ensemble of all records of a scenario.
 
@@ -115,6 +128,8 @@ class Ensemble:
             The records of all n.
         traces : iterable of int
             Robots of which a whole `Rollout` is made.
+        way : Way, optional
+            How they were run.
         """
         for array in (part.max_error, part.max_distance, part.rms_error):
             array[part.lived <= scenario.begin] = np.nan
@@ -131,6 +146,8 @@ class Ensemble:
             diverged_at=times[np.minimum(part.lived, samples)],
             counts=part.counts,
             traces={},
+            engine="" if way is None else repr(way.engine),
+            why="" if way is None else way.why,
         )
         object.__setattr__(made, "traces", {i: made.trace(i) for i in traces})
         return made
@@ -308,9 +325,10 @@ class Ensemble:
         Returns
         -------
         dataset : xarray.Dataset
-            Dimensions ``robot``, ``coordinate``, ``time``, ``channel``, ``level`` and ``bin``; each variable
-            has attributes ``units`` and ``long_name``. What was drawn is ``drawn_mass`` and so on. Attribute
-            ``scenario`` tells in words what was run. The traces, which may differ in length, are not in it.
+            Dimensions ``robot``, ``coordinate``, ``input``, ``time``, ``channel``, ``level`` and ``bin``;
+            each variable has attributes ``units`` and ``long_name``. What was drawn is ``drawn_mass`` and so
+            on. Attribute ``scenario`` tells in words what was run. The traces, which may differ in length,
+            are not in it.
 
         Raises
         ------
@@ -339,7 +357,8 @@ class Ensemble:
 
     def __str__(self) -> str:
         samples = f"seed {self.scenario.seed}, {len(self.scenario.t)} samples each"
-        rows = ranges(self.max_distance, self.max_error, self.max_force)
+        named = self.scenario.coordinates, self.scenario.inputs
+        rows = ranges(self.max_distance, self.max_error, self.max_force, *named)
         words = [str(self.scenario)] if isinstance(self.scenario, Outline) else []
         return "\n".join([self._judgement(), samples, *rows, *words])
 

@@ -1,19 +1,19 @@
 """`ensemble`, the verb: the robots of a scenario in stretches, on all cores, in any order with one result."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from typing import Any
+from warnings import warn
 
 from pinmobile.arrays import Array, callable_as, whole
-from pinmobile.ensembles.batch import batch_of
-from pinmobile.ensembles.choosing import chosen_engine
 from pinmobile.ensembles.distributions import Source
-from pinmobile.ensembles.part import Engine, Part
+from pinmobile.ensembles.part import Part, Records
 from pinmobile.ensembles.result import Ensemble
 from pinmobile.ensembles.scenario import Scenario, checked_scenario
-from pinmobile.ensembles.stretches import Records, divided, processors, results
-from pinmobile.errors import InvalidArgument, shown
-from pinmobile.integrators import Integrator, constant_acceleration
-from pinmobile.robot import MobileRobot
+from pinmobile.ensembles.ways import Way, processors, way_of
+from pinmobile.errors import InvalidArgument, SlowerEngine, shown
+from pinmobile.integrators import Integrator
+from pinmobile.simulation.engines import Engine
 from pinmobile.trajectories import Trajectory
 
 __all__ = ["ensemble", "part_of", "run_scenario"]
@@ -22,7 +22,7 @@ Progress = Callable[[int, int], None]
 
 
 def ensemble(
-    robot: MobileRobot,
+    robot: Any,
     controller: Any,
     trajectory: Trajectory,
     *,
@@ -31,7 +31,7 @@ def ensemble(
     dt: float,
     seed: int = 0,
     duration: float | None = None,
-    integrator: Integrator = constant_acceleration,
+    integrator: Integrator | None = None,
     substeps: int = 1,
     forces: Sequence[Any] = (),
     limit: float = 1e3,
@@ -107,7 +107,6 @@ def run_scenario(
         As `ensemble`.
     """
     checked_scenario(scenario)
-    chosen = chosen_engine(scenario, engine)
     workers = processors() if threads is None else whole("threads", threads)
     if progress is not None:
         callable_as("progress(done, n)", progress)
@@ -115,14 +114,13 @@ def run_scenario(
         raise InvalidArgument(f"traces is {shown(traces)}, expected indices of robots, such as [0]")
     followed = [_traced(i, scenario.n) for i in traces]
     draws = scenario.draws()
-    records = Records(scenario, 0, scenario.n)
-    run, done = _runner(scenario, chosen, draws, 0), 0
-    for start, stop, part in results(run, divided(scenario, chosen, workers, 0, scenario.n), workers):
-        records.put(start, stop, part)
-        done += stop - start
-        if progress is not None:
-            progress(done, scenario.n)
-    return Ensemble.of(scenario, draws, records.part(), followed)
+    way = way_of(scenario, engine)
+    if way.why and engine is None:
+        warn(
+            f"this ensemble runs by {way.engine!r}, {way.engine.value}; {way.why}", SlowerEngine, stacklevel=3
+        )
+    part = _run(way, draws, 0, scenario.n, workers, progress)
+    return Ensemble.of(scenario, draws, part, followed, way)
 
 
 def part_of(
@@ -151,24 +149,44 @@ def part_of(
     InvalidArgument
         As `ensemble`.
     """
-    chosen, draws = chosen_engine(scenario, engine), scenario.draws(start, stop)
-    records = Records(scenario, start, stop)
-    run = _runner(scenario, chosen, draws, start)
-    for first, last, part in results(run, divided(scenario, chosen, 1, start, stop), 1):
+    way, draws = way_of(scenario, engine), scenario.draws(start, stop)
+    return draws, _run(way, draws, start, stop, 1, None)
+
+
+def _run(
+    way: Way, draws: Mapping[str, Array], start: int, stop: int, threads: int, progress: Progress | None
+) -> Part:
+    """Return the records of the robots from `start` to before `stop`, given what is drawn for these."""
+    records, done = Records(way.scenario, start, stop), 0
+    stretches = way.divided(start, stop, threads)
+
+    def run(first: int, last: int) -> Part:
+        mine = {name: column[first - start : last - start] for name, column in draws.items()}
+        return way.run(mine, first, last, threads)
+
+    for first, last, part in _results(run, stretches, way.workers(threads)):
         records.put(first, last, part)
-    return draws, records.part()
+        done += last - first
+        if progress is not None:
+            progress(done, stop - start)
+    return records.part()
 
 
-def _runner(
-    scenario: Scenario, engine: Engine, draws: Mapping[str, Array], begin: int
-) -> Callable[[int, int], Part]:
-    """Return what runs the robots of a stretch, given what is drawn for those from `begin` on."""
-
-    def run(start: int, stop: int) -> Part:
-        mine = {name: column[start - begin : stop - begin] for name, column in draws.items()}
-        return engine.run(scenario, batch_of(scenario, mine, start, stop - start))
-
-    return run
+def _results(
+    run: Callable[[int, int], Part], stretches: Sequence[tuple[int, int]], workers: int
+) -> Iterator[tuple[int, int, Part]]:
+    """Yield the stretches with what `run` gives for each, by some threads, in any order."""
+    if workers == 1 or len(stretches) == 1:
+        for stretch in stretches:
+            yield *stretch, run(*stretch)
+        return
+    with ThreadPoolExecutor(workers) as pool:
+        waiting = {pool.submit(run, *stretch): stretch for stretch in stretches}
+        try:
+            for future in as_completed(waiting):
+                yield *waiting.pop(future), future.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
 
 
 def _traced(i: Any, n: int) -> int:

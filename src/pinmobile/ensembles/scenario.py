@@ -1,26 +1,35 @@
 """`Scenario`, the noun: one loop, how often it is run, and what differs from run to run."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, final
+from zlib import crc32
 
 import numpy as np
 
 from pinmobile.arrays import Array, affordable, positive, scalar, whole
-from pinmobile.controllers import PD, ComputedTorque, Decoupled, PDGravity, gain_matrix
+from pinmobile.compiled.loop_tape import initial_memory
+from pinmobile.compiled.noise import Noise
+from pinmobile.compiled.parts import Parts, Place
 from pinmobile.ensembles.distributions import Source
-from pinmobile.ensembles.draws import draw, held
-from pinmobile.ensembles.forces import check_forces, with_spread_forces
+from pinmobile.ensembles.draws import draw, held, in_blocks
 from pinmobile.ensembles.histogram import BINS
-from pinmobile.ensembles.layers import check_layers, core_of
-from pinmobile.ensembles.parameters import PARAMETERS, Parameter
-from pinmobile.ensembles.spread import check_supports, checked_spread
-from pinmobile.errors import InvalidArgument, shown
-from pinmobile.integrators import Integrator, constant_acceleration
-from pinmobile.robot import MobileRobot
-from pinmobile.simulation import checked_forces, checked_loop, checked_substeps, sample_times, sampled
+from pinmobile.ensembles.names import Stated, resolved, start_parameters, stated_by, with_spread_forces
+from pinmobile.ensembles.spread import check_mapping, check_supports, checked_spread
+from pinmobile.errors import InvalidArgument
+from pinmobile.integrators import Integrator
+from pinmobile.plant import Context, Coordinate, Input, Parameter
+from pinmobile.simulation import (
+    checked_forces,
+    checked_loop,
+    checked_substeps,
+    chosen_integrator,
+    sample_times,
+    sampled,
+)
+from pinmobile.simulation.checks import check_answers, check_controllers_memory
 from pinmobile.trajectories import Reference, Trajectory
 
 __all__ = ["Scenario", "checked_scenario", "first_counted", "time_within"]
@@ -39,20 +48,20 @@ class Scenario:
 
     Parameters
     ----------
-    robot : MobileRobot
-        The nominal robot, without arms. Loads that are attached to it are part of its body.
+    robot : MobileRobot or other plant
+        The nominal one. Loads that are attached to a robot without arms are part of its body.
     controller : controller
-        One of the library's, or a user's that works on arrays: it is called with `q` and `v` of shape
-        (m, 3) and the reference of shape (3,), and returns a force of shape (m, 3).
+        As in `simulate`.
     trajectory : trajectory
         The same for all.
     n : int
         Number of robots.
     spread : mapping of str to Distribution, number or array of shape (n,)
-        What differs, by the names in `PARAMETERS`. What is not named is nominal; the controller believes in
-        its own robot unless ``model_mass`` and the like are named (`TRUE_MODEL`: it knows the truth).
-        ``force_x``, ``viscous_left``, ... stand for what the one force of their kind in `forces` has; a
-        constant force, friction or rolling resistance that is not there is added, and a sinusoidal force
+        What differs, by the names of the parameters that the parts state; of the library's own, see
+        `PARAMETERS`. Where two parts have one of a name, the part is named too:
+        ``"forces[1].viscous_forward"``. What is not named is nominal; the controller believes in its own
+        robot unless ``model_mass`` and the like are named (`TRUE_MODEL`: it knows the truth). A constant
+        force, friction or rolling resistance that is named and not there is added, and a sinusoidal force
         where ``sine_frequency`` is named.
     seed : int
         All draws follow from it; robot i's do not depend on n.
@@ -72,7 +81,7 @@ class Scenario:
         If an argument is not what is expected, or draws are impossible (with their share).
     """
 
-    robot: MobileRobot
+    robot: Any
     controller: Any
     trajectory: Trajectory
     n: int
@@ -80,7 +89,7 @@ class Scenario:
     dt: float
     seed: int = 0
     duration: float | None = None
-    integrator: Integrator = constant_acceleration
+    integrator: Integrator | None = None
     substeps: int = 1
     forces: Sequence[Any] = ()
     limit: float = 1e3
@@ -90,15 +99,8 @@ class Scenario:
     reference: Reference = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if type(self.robot) is not MobileRobot or self.robot.nv != 3:
-            raise InvalidArgument(f"robot is {shown(self.robot)}, expected a MobileRobot without arms")
         checked_loop(self.robot, self.controller, self.trajectory, self.integrator)
-        core: Any = core_of(self.controller)
-        believed = core.robot if type(core) in (ComputedTorque, PDGravity, Decoupled) else None
-        if type(believed) is MobileRobot and believed.nv != self.robot.nv:
-            raise InvalidArgument(
-                f"controller believes in {believed!r} of {believed.nv} coordinates, expected {self.robot.nv}"
-            )
+        self._set(integrator=chosen_integrator(self.robot, self.integrator))
         n = whole("n", self.n)
         if n > _MOST:
             raise InvalidArgument(
@@ -112,26 +114,42 @@ class Scenario:
         affordable(
             f"the bands of {bands:,} times, every {every} samples,", _BANDS * bands, "give a larger `every`"
         )
-        for name, value in {
-            "n": n,
-            "dt": dt,
-            "duration": duration,
-            "seed": whole("seed", self.seed, least=0),
-            "substeps": checked_substeps(self.substeps, len(t)),
-            "limit": positive("limit", self.limit),
-            "after": time_within("after", self.after, t),
-            "every": every,
-            "spread": checked_spread(self.spread, n),
-            "forces": checked_forces(self.forces, self.robot),
-            "t": t,
-            "reference": sampled(self.trajectory, t, self.robot),
-        }.items():
+        check_mapping(self.spread)
+        self._set(
+            n=n,
+            dt=dt,
+            duration=duration,
+            seed=whole("seed", self.seed, least=0),
+            substeps=checked_substeps(self.substeps, len(t)),
+            limit=positive("limit", self.limit),
+            after=time_within("after", self.after, t),
+            every=every,
+            forces=with_spread_forces(checked_forces(self.forces, self.robot), self.spread),
+            t=t,
+            reference=sampled(self.trajectory, t, self.robot),
+        )
+        self._set(spread=checked_spread(self.spread, n, self.known))
+        check_supports(self.spread, self.parameters)
+        check_answers(
+            self.robot, self.forces, self.integrator, *self._beginning(self.robot), dt / self.substeps
+        )
+        q, v = (one[0] for one in self.starts({}, 1))
+        check_controllers_memory(self.controller, self.context, q, v)
+        for k, force in enumerate(self.forces):
+            shape = np.shape(_asked(force, self._on_arrays.plant, q, v))
+            if len(shape) != 1:
+                raise InvalidArgument(
+                    f"forces[{k}] gives shape {shape} for one robot, expected (3,): "
+                    "name in spread what differs"
+                )
+
+    def _set(self, **values: Any) -> None:
+        for name, value in values.items():
             object.__setattr__(self, name, value)
-        check_forces(self.forces)
-        object.__setattr__(self, "forces", with_spread_forces(self.forces, self.spread))
-        _check_names(self)
-        check_layers(self.controller)
-        check_supports(self.spread)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # What is made of the fields is made again.
+        return {each.name: getattr(self, each.name) for each in fields(self)}
 
     @property
     def stride(self) -> int:
@@ -144,9 +162,138 @@ class Scenario:
         return first_counted(self.t, self.after, self.dt)
 
     @property
+    def size(self) -> int:
+        """Number of coordinates that the reference has."""
+        return int(self.reference.v.shape[-1])
+
+    @cached_property
+    def context(self) -> Context:
+        """What the controller is told before the first sample."""
+        context = Context.of(
+            self.robot, dt=self.dt, t=self.t, reference=self.reference, trajectory=self.trajectory
+        )
+        return replace(context, seed=self.seed)
+
+    @cached_property
+    def _given(self) -> Parts:
+        return Parts(self.robot, self.controller, tuple(self.forces), self.integrator, None, self.substeps)
+
+    @cached_property
+    def _on_arrays(self) -> Parts:
+        return self._given.on_arrays()
+
+    @cached_property
+    def known(self) -> dict[str, list[Stated]]:
+        """What its parts and its start state, by name, and by path and name; what a spread may name."""
+        return stated_by(self._on_arrays, self._coordinates)
+
+    @cached_property
+    def _coordinates(self) -> tuple[Coordinate, ...]:
+        return self.context.coordinates
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """The coordinates that the reference has."""
+        return self._coordinates[: self.size]
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """The plant's inputs."""
+        return self.context.inputs
+
+    @cached_property
+    def stated(self) -> dict[str, Stated]:
+        """What is spread, by name, and the part that has it."""
+        return {name: resolved(name, self.known) for name in self.spread}
+
+    @cached_property
+    def parts(self) -> Parts:
+        """The parts of its loop; what is spread has the shape that it takes for each robot."""
+        values = self._on_arrays.parameters()
+        wanted = self._written(
+            {name: np.array([self.nominal.get(name, 1.0)]) for name in self.spread}, values, 1
+        )
+        grown = {place: one[0] for place, one in wanted.items() if one.shape[1:] != values[place].shape}
+        return self._given.with_parameters(grown, remade=True) if grown else self._given
+
+    def _written(
+        self, draws: Mapping[str, Array], values: Mapping[Place, Array], count: int
+    ) -> dict[Place, Array]:
+        """Return the attributes of `count` robots that something is drawn of, shape (count, ...)."""
+        found: dict[Place, Array] = {}
+        # In the order in which parts state them: a factor comes after what it multiplies.
+        for name in sorted(self.stated, key=list(self.known).index):
+            path, parameter = self.stated[name]
+            if path:
+                place = Place(path, parameter.attribute)
+                before = found.get(place, np.broadcast_to(values[place], (count, *values[place].shape)))
+                found[place] = parameter.written(before, draws[name], self.size)
+        return found
+
+    @property
     def parameters(self) -> dict[str, Parameter]:
         """What is spread, by name."""
-        return {name: PARAMETERS[name] for name in self.spread}
+        return {name: stated.parameter for name, stated in self.stated.items()}
+
+    @cached_property
+    def is_noisy(self) -> bool:
+        """Whether its controller asks its context for noise."""
+        asked = []
+
+        def normal(name: str, n: int) -> Noise:
+            asked.append(name)
+            return Noise(0, n)
+
+        initial_memory(self.parts.on_arrays(), self.context, self.size, normal=normal)
+        return bool(asked)
+
+    @property
+    def places(self) -> tuple[Place, ...]:
+        """What each robot has of its own: attributes that are spread, and those that it draws."""
+        spread = [Place(one.path, one.parameter.attribute) for one in self.stated.values() if one.path]
+        drawn = [Place(path, name) for path, _, name in self._drawn()]
+        return tuple(dict.fromkeys([*spread, *drawn]))
+
+    def _drawn(self) -> Iterator[tuple[str, Any, str]]:
+        """Return path, part and name of the attributes that each robot draws."""
+        for path, part in self._given.by_path():
+            yield from ((path, part, name) for name in getattr(part, "drawn", ()))
+
+    def values(self, draws: Mapping[str, Array], start: int, stop: int) -> dict[Place, Array]:
+        """Return what the robots from `start` to before `stop` have of their own, shape (stop - start, ...).
+
+        Parameters
+        ----------
+        draws : mapping of str to ndarray, shape (stop - start,)
+            What `draws` gives for them.
+        start, stop : int
+            Which robots.
+        """
+        found = self._written(draws, self.parts.on_arrays().parameters(), stop - start)
+        for path, part, name in self._drawn():
+
+            def own(generator: np.random.Generator, count: int, part: Any = part, name: str = name) -> Array:
+                return np.asarray(part.draw(generator, count)[name])
+
+            stream = f"{path} of {crc32(part.stream)}"
+            found[Place(path, name)] = in_blocks(stream, own, self.seed, start, stop)
+        return found
+
+    def starts(self, draws: Mapping[str, Array], count: int) -> tuple[Array, Array]:
+        """Return where robots start, shape (count, nq) and (count, nv)."""
+        plant = self.parts.on_arrays().plant
+        q, v = self._beginning(plant)
+        off = np.zeros((2, count, plant.nv))
+        names = [each.name for each in start_parameters(self._coordinates)]
+        for k, name in enumerate(names):
+            if name in draws:
+                off[k // plant.nv, :, k % plant.nv] = draws[name]
+        return _moved(plant, q, off[0]), v + off[1]
+
+    def _beginning(self, plant: Any) -> tuple[Array, Array]:
+        """Return where a plant is on the trajectory, shape (nq,) and (nv,)."""
+        at = Reference(*(part[0] for part in self.reference))
+        return plant.start(at) if hasattr(plant, "start") else (at.q, at.v)
 
     @property
     def grid(self) -> Array:
@@ -155,17 +302,14 @@ class Scenario:
 
     @cached_property
     def nominal(self) -> dict[str, float]:
-        """The values of the parameters that are not spread."""
-        found = dict.fromkeys(PARAMETERS, 0.0) | {"kp_factor": 1.0, "kd_factor": 1.0}
-        found |= _of_robot("", self.robot)
-        core = core_of(self.controller)
-        if type(core) is ComputedTorque and type(core.robot) is MobileRobot:
-            found |= _of_robot("model_", core.robot)
-        if type(core) in (PD, ComputedTorque):
-            for name in ("kp", "kd"):
-                diagonal = np.diag(gain_matrix(name, getattr(core, name), 3))
-                found |= {f"{name}_{c}": float(g) for c, g in zip(("x", "y", "psi"), diagonal, strict=True)}
-                found[name] = float(diagonal[0])
+        """The values of the parameters, as far as each is one number."""
+        values = self._on_arrays.parameters()
+        found = {}
+        for name, stated in self.known.items():
+            path, parameter = stated[0]
+            value = parameter.nominal(values[Place(path, parameter.attribute)]) if path else 0.0
+            if len(stated) == 1 and value is not None:
+                found[name] = value
         return found
 
     def holding(self, start: int, stop: int) -> "Scenario":
@@ -195,7 +339,7 @@ class Scenario:
             raise InvalidArgument(f"start is {first} and stop {last}, expected 0 <= start < stop <= {self.n}")
         values = draw(self.spread, self.seed, first, last, self.nominal)
         for name, column in values.items():
-            parameter = PARAMETERS[name]
+            parameter = self.parameters[name]
             wrong = ~parameter.allows(column)
             if wrong.any():
                 raise InvalidArgument(
@@ -238,31 +382,19 @@ def time_within(name: str, value: Any, t: Array) -> float:
     return time
 
 
-def _of_robot(prefix: str, robot: MobileRobot) -> dict[str, float]:
-    bare = robot.lumped() if robot.loads else robot  # loads count as the body's
-    values = bare.mass, bare.body.yaw_inertia, *bare.com[:2]
-    return dict(
-        zip((f"{prefix}{name}" for name in ("mass", "yaw_inertia", "com_x", "com_y")), values, strict=True)
-    )
+def _asked(force: Any, plant: Any, q: Array, v: Array) -> Any:
+    if hasattr(force, "on_coordinates"):
+        return force.on_coordinates(0.0, q.copy(), v.copy())
+    return force(0.0, plant.pose(q).copy(), plant.rate(q, v).copy())
 
 
-def _check_names(scenario: Scenario) -> None:
-    core = core_of(scenario.controller)
-    believed = getattr(core, "robot", None)
-    if type(core) is ComputedTorque and type(believed) is not MobileRobot:
-        for name in scenario.spread:
-            if name.startswith(("model_", "kp", "kd")):
-                raise InvalidArgument(
-                    f"spread has {name!r} but the controller's robot is a {type(believed).__name__}, "
-                    "expected a MobileRobot"
-                )
-    for name in scenario.spread:
-        if name.startswith("model_") and type(core) is not ComputedTorque:
-            raise InvalidArgument(
-                f"spread has {name!r} but the controller is {type(core).__name__}, expected ComputedTorque"
-            )
-        if name.startswith(("kp", "kd")) and type(core) not in (PD, ComputedTorque):
-            kind = type(core).__name__
-            raise InvalidArgument(
-                f"spread has {name!r} but the controller is {kind}, expected PD or ComputedTorque"
-            )
+def _moved(plant: Any, q: Array, displacements: Array) -> Array:
+    """Return where displacements, shape (m, nv), lead to, shape (m, nq): at once where the plant can."""
+    ends = [plant.integrate(q, displacements[k]) for k in (0, -1)]
+    try:
+        found = np.asarray(plant.integrate(q, displacements), np.float64)
+        if found.shape == (len(displacements), plant.nq) and np.array_equal(found[[0, -1]], ends):
+            return found
+    except (TypeError, ValueError, IndexError):
+        pass  # it is for one state
+    return np.array([plant.integrate(q, each) for each in displacements], np.float64)

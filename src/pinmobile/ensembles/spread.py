@@ -7,14 +7,24 @@ import numpy as np
 
 from pinmobile.arrays import finite
 from pinmobile.ensembles.distributions import Same, Uniform
-from pinmobile.ensembles.parameters import PARAMETERS
-from pinmobile.errors import InvalidArgument, UnknownName, shown
+from pinmobile.ensembles.names import Stated, resolved
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.plant import Parameter
 
-__all__ = ["check_supports", "checked_spread"]
+__all__ = ["check_mapping", "check_supports", "checked_spread"]
 
 
-def checked_spread(spread: Any, n: int) -> dict[str, Any]:
+def checked_spread(spread: Any, n: int, known: Mapping[str, list[Stated]]) -> dict[str, Any]:
     """Return a spread whose names and sources are what is expected; arrays are checked and copied.
+
+    Parameters
+    ----------
+    spread : mapping
+        As a user gives it.
+    n : int
+        Number of robots.
+    known : mapping
+        The parameters that there are, by name.
 
     Raises
     ------
@@ -23,19 +33,29 @@ def checked_spread(spread: Any, n: int) -> dict[str, Any]:
     InvalidArgument
         If a source is no distribution, number, array of shape (n,) or `Same`, or refers in a circle.
     """
-    if not isinstance(spread, Mapping):
-        raise InvalidArgument(f"spread is {shown(spread)}, expected a mapping of parameters to distributions")
+    check_mapping(spread)
     found = {}
     for name, source in spread.items():
-        if name not in PARAMETERS:
-            raise UnknownName("parameter in spread", str(name), PARAMETERS)
+        resolved(name, known)
         found[name] = _checked(f"spread[{name!r}]", source, n)
         if isinstance(source, Same):
-            _follow(name, source, spread)
+            _follow(name, source, spread, known)
     return found
 
 
-def check_supports(spread: Mapping[str, Any]) -> None:
+def check_mapping(spread: Any) -> None:
+    """Refuse a spread that is no mapping.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is not.
+    """
+    if not isinstance(spread, Mapping):
+        raise InvalidArgument(f"spread is {shown(spread)}, expected a mapping of parameters to distributions")
+
+
+def check_supports(spread: Mapping[str, Any], parameters: Mapping[str, Parameter]) -> None:
     """Refuse distributions that reach below what is possible, whatever happens to be drawn.
 
     Raises
@@ -44,7 +64,7 @@ def check_supports(spread: Mapping[str, Any]) -> None:
         If one does; the message tells the share of its draws.
     """
     for name, source in spread.items():
-        parameter = PARAMETERS[name]
+        parameter = parameters[name]
         told = isinstance(source, Uniform) or (hasattr(source, "rvs") and not hasattr(source, "sample"))
         low = float(source.support()[0]) if told else np.nan
         if np.isfinite(low) and low < parameter.least:
@@ -71,11 +91,10 @@ def _checked(what: str, source: Any, n: int) -> Any:
     return values.copy()
 
 
-def _follow(name: str, source: Same, spread: Mapping[str, Any]) -> None:
+def _follow(name: str, source: Same, spread: Mapping[str, Any], known: Mapping[str, list[Stated]]) -> None:
     seen = [name]
     while isinstance(source, Same):
-        if source.name not in PARAMETERS:
-            raise UnknownName(f"parameter in spread[{seen[-1]!r}]", str(source.name), PARAMETERS)
+        resolved(source.name, known, f"spread[{seen[-1]!r}]")
         seen.append(source.name)
         if len(set(seen)) < len(seen):
             raise InvalidArgument(f"spread goes in a circle: {' is the same as '.join(seen)}")

@@ -1,12 +1,16 @@
 """An ensemble in words: what its robots stay within, and how large errors and forces are."""
 
+from collections.abc import Sequence
+from itertools import zip_longest
+
 import numpy as np
 
 from pinmobile.arrays import Array
+from pinmobile.plant import Coordinate, Input
 
 __all__ = ["judgement", "percent", "ranges"]
 
-_COORDINATES = (("x", "m", "Fx", "N"), ("y", "m", "Fy", "N"), ("psi", "rad", "Mz", "N m"))
+_NARROWEST = 28  # letters of a row's name
 
 
 def judgement(n: int, duration: float, within: tuple[float, float], diverged: int, after: float) -> str:
@@ -44,24 +48,40 @@ def percent(part: int, n: int) -> str:
     return f"{share:.2g} % of" if share < 99 else "more than 99 % of"
 
 
-def ranges(max_distance: Array, max_error: Array, max_force: Array) -> list[str]:
-    """Return a row for each error and force: the least, the median and the largest over the robots.
+def ranges(
+    max_distance: Array,
+    max_error: Array,
+    max_force: Array,
+    coordinates: Sequence[Coordinate],
+    inputs: Sequence[Input],
+) -> list[str]:
+    """Return a row for each error and input: the least, the median and the largest over the robots.
 
     Parameters
     ----------
     max_distance : ndarray, shape (n,)
         Largest distance from the desired position [m].
-    max_error, max_force : ndarray, shape (n, 3)
-        Largest error [m, m, rad] and force [N, N, N m].
+    max_error, max_force : ndarray, shape (n, c), (n, nu)
+        Largest error and input.
+    coordinates, inputs : sequence of Coordinate, sequence of Input
+        Their names and units.
     """
     columns = {"largest distance [m]": max_distance}
-    for k, (name, unit, force, newton) in enumerate(_COORDINATES):
-        columns[f"largest error of {name} [{unit}]"] = max_error[:, k]
-        columns[f"largest {force} [{newton}]"] = max_force[:, k]
-    rows = []
+    errors = [
+        (_titled(f"error of {one.name}", one.unit), column)
+        for one, column in zip(coordinates, max_error.T, strict=True)
+    ]
+    sizes = [(_titled(one.name, one.unit), column) for one, column in zip(inputs, max_force.T, strict=True)]
+    for pair in zip_longest(errors, sizes):
+        columns |= {title: column for title, column in filter(None, pair)}
+    rows, width = [], max(_NARROWEST, *map(len, columns))
     for name, values in columns.items():
         good = values[np.isfinite(values)]
         if len(good):
             low, middle, high = np.quantile(good, (0.0, 0.5, 1.0))
-            rows.append(f"{name:<28} least {low:.4g}, median {middle:.4g}, largest {high:.4g}")
+            rows.append(f"{name:<{width}} least {low:.4g}, median {middle:.4g}, largest {high:.4g}")
     return rows
+
+
+def _titled(name: str, unit: str) -> str:
+    return f"largest {name} [{unit}]" if unit else f"largest {name}"

@@ -7,14 +7,13 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.ensembles.histogram import edges, quantiles
-from pinmobile.ensembles.parameters import Parameter
 from pinmobile.extras import imported
+from pinmobile.plant import Coordinate, Input, Parameter
 
 if TYPE_CHECKING:
     from pinmobile.ensembles.result import Ensemble
 
 __all__ = [
-    "COORDINATES",
     "LEVELS",
     "NOTE",
     "PER_ROBOT",
@@ -24,11 +23,9 @@ __all__ = [
     "coordinates",
     "dataset_of",
     "drawn",
+    "per_robot",
     "summed",
 ]
-
-COORDINATES = ("x", "y", "psi")
-"""Names of the coordinates."""
 
 LEVELS = (0.5, 0.9, 0.99)
 """Shares of the robots of which the quantiles over time are told."""
@@ -45,7 +42,7 @@ class Variable(NamedTuple):
     dimensions : tuple of str
         Of its axes.
     units : str
-        Its unit, "1" for none; where its last axis is ``coordinate``, those of x, y and psi.
+        Its unit, "1" for none; where its last axis is ``coordinate`` or ``input``, that of each.
     meaning : str
         What it is, in words.
     """
@@ -62,16 +59,30 @@ class Variable(NamedTuple):
 
 _UNTIL = "of a diverged robot until then"
 _SINCE = f"from the scenario's `after` on, {_UNTIL}"
-_OF_POSE, _OF_FORCE = "m, m, rad", "N, N, N m"
-_EACH, _EACH_COORDINATE = ("robot",), ("robot", "coordinate")
-PER_ROBOT: Mapping[str, Variable] = {
-    "max_error": Variable(_EACH_COORDINATE, _OF_POSE, f"largest |error|, {_SINCE}"),
-    "rms_error": Variable(_EACH_COORDINATE, _OF_POSE, f"root of the mean squared error, {_SINCE}"),
-    "max_force": Variable(_EACH_COORDINATE, _OF_FORCE, f"largest |generalised force|, {_UNTIL}"),
-    "max_distance": Variable(_EACH, "m", f"largest distance from the desired position, {_SINCE}"),
-    "diverged_at": Variable(_EACH, "s", "when the loop diverged; NaN where it did not"),
-}
-"""The arrays with one entry per robot, beside what was drawn."""
+_EACH, _EACH_COORDINATE, _EACH_INPUT = ("robot",), ("robot", "coordinate"), ("robot", "input")
+PER_ROBOT = ("max_error", "rms_error", "max_force", "max_distance", "diverged_at")
+"""Names of the arrays with one entry per robot, beside what was drawn."""
+
+
+def per_robot(coordinates: Sequence[Coordinate], inputs: Sequence[Input]) -> dict[str, Variable]:
+    """Return the arrays of `PER_ROBOT`.
+
+    Parameters
+    ----------
+    coordinates : sequence of Coordinate
+        Those that the reference has.
+    inputs : sequence of Input
+        Those of the plant.
+    """
+    errors, sizes = (", ".join(one.unit or "1" for one in each) for each in (coordinates, inputs))
+    return {
+        "max_error": Variable(_EACH_COORDINATE, errors, f"largest |error|, {_SINCE}"),
+        "rms_error": Variable(_EACH_COORDINATE, errors, f"root of the mean squared error, {_SINCE}"),
+        "max_force": Variable(_EACH_INPUT, sizes, f"largest |input|, {_UNTIL}"),
+        "max_distance": Variable(_EACH, "m", f"largest distance from the desired position, {_SINCE}"),
+        "diverged_at": Variable(_EACH, "s", "when the loop diverged; NaN where it did not"),
+    }
+
 
 _OVER_TIME = ("level", "time")
 _FAR = "share `level` of the robots is at most this far from the desired"
@@ -107,17 +118,22 @@ def summed(counts: Any) -> dict[str, Any]:
     return {"counts": counts, "distance_quantile": found[..., 0], "heading_quantile": found[..., 1]}
 
 
-def coordinates(times: Array) -> list[tuple[str, Sequence[Any], str, str]]:
+def coordinates(
+    times: Array, names: Sequence[str], inputs: Sequence[str]
+) -> list[tuple[str, Sequence[Any], str, str]]:
     """Return name, values, unit and meaning of the coordinates of all dimensions but ``robot``.
 
     Parameters
     ----------
     times : ndarray, shape (G,)
         Of the counts [s].
+    names, inputs : sequence of str
+        Of the coordinates that the reference has, and of the plant's inputs.
     """
     return [
         ("time", times.tolist(), "s", "time"),
-        ("coordinate", list(COORDINATES), "1", "coordinate"),
+        ("coordinate", list(names), "1", "coordinate"),
+        ("input", list(inputs), "1", "input"),
         ("channel", ["distance", "heading"], "1", "distance from the desired position [m], heading [rad]"),
         ("level", list(LEVELS), "1", "share of the robots"),
         (
@@ -145,36 +161,39 @@ def dataset_of(ensemble: "Ensemble", attributes: Mapping[str, Any]) -> Any:
         If xarray is not installed.
     """
     xarray = imported("xarray", "sweeps", "a Dataset")
-    variables = {**_per_robot(ensemble), **SUMMED}
+    scenario, variables = ensemble.scenario, {**_per_robot(ensemble), **SUMMED}
+    named = ([one.name for one in each] for each in (scenario.coordinates, scenario.inputs))
     arrays = {name: array for name, _, array in _arrays(ensemble)} | summed(ensemble.counts)
     axes = {
         name: (name, values, {"units": unit, "long_name": meaning})
-        for name, values, unit, meaning in coordinates(ensemble.scenario.grid)
+        for name, values, unit, meaning in coordinates(scenario.grid, *named)
     }
     return xarray.Dataset(
         # Copied, because what xarray hands out may be written into.
         {name: (one.dimensions, arrays[name].copy(), one.attributes) for name, one in variables.items()},
         axes,
-        {"Conventions": NOTE, "errors_from_s": ensemble.scenario.after, **attributes},
+        {"Conventions": NOTE, "errors_from_s": scenario.after, **attributes},
     )
 
 
 def columns_of(ensemble: "Ensemble") -> tuple[list[str], list[Array]]:
     """Return the arrays with one entry per robot as the columns of a table, and their names with units."""
     header, columns = ["robot"], [np.arange(len(ensemble), dtype=np.float64)]
+    named: Mapping[str, Sequence[Any]] = {
+        "coordinate": ensemble.scenario.coordinates,
+        "input": ensemble.scenario.inputs,
+    }
     for name, one, array in _arrays(ensemble):
-        of_each = [f"_{each}" for each in COORDINATES] if "coordinate" in one.dimensions else [""]
-        units = one.units.split(", ")
-        header += [
-            f"{name}{of} [{unit}]" if unit != "1" else f"{name}{of}"
-            for of, unit in zip(of_each, units, strict=True)
-        ]
+        each = [(f"{name}_{part.name}", part.unit) for part in named.get(one.dimensions[-1], ())]
+        known = each or [(name, one.units)]
+        header += [f"{of} [{unit}]" if unit not in ("", "1") else of for of, unit in known]
         columns.append(array)
     return header, columns
 
 
 def _per_robot(ensemble: "Ensemble") -> dict[str, Variable]:
-    return {**drawn(ensemble.scenario.parameters), **PER_ROBOT}
+    scenario = ensemble.scenario
+    return {**drawn(scenario.parameters), **per_robot(scenario.coordinates, scenario.inputs)}
 
 
 def _arrays(ensemble: "Ensemble") -> Iterator[tuple[str, Variable, Array]]:

@@ -6,7 +6,7 @@ from pinmobile.plots.ground import balance, reaction
 from pinmobile.plots.lines import curves
 from pinmobile.plots.plane import path
 from pinmobile.plots.quantiles import bands
-from pinmobile.plots.series import errors, forces, states
+from pinmobile.plots.series import errors, forces, signals, states
 from pinmobile.plots.swept import heatmap
 from pinmobile.plots.worst import drivers
 
@@ -22,5 +22,6 @@ __all__ = [
     "integrator",
     "path",
     "reaction",
+    "signals",
     "states",
 ]

@@ -109,7 +109,7 @@ class _Scene:
         place = self.figure.subplotpars.right, heading.get_position()[1]
         self.clock = self.figure.text(*place, "", ha="right", va="top", fontsize=14, color=INK, animated=True)
         self.movers = [
-            _Mover(run, times, panel, Body(panel, run.robot, shade, ARROW * window.extent, animated=True))
+            _Mover(run, times, panel, Body(panel, run.plant, shade, ARROW * window.extent, animated=True))
             for run, panel, shade in zip(runs.values(), axes, map(colour, range(len(runs))), strict=True)
         ]
         self.canvas.draw()
@@ -130,8 +130,9 @@ class _Mover:
     """A robot in its panel, and the line behind it."""
 
     def __init__(self, run: Rollout, times: Array, axes: Axes, body: Body) -> None:
-        kept = thinned(run.q[:, 0], run.q[:, 1])
-        self.xy, self.reached = run.q[kept, :2], np.searchsorted(run.t[kept], times)
+        xy = run.poses[:, :2]
+        kept = thinned(xy[:, 0], xy[:, 1])
+        self.xy, self.reached = xy[kept], np.searchsorted(run.t[kept], times)
         self.poses, self.axes, self.body = poses(run, times), axes, body
         (self.desired,) = axes.lines  # drawn again, above what is travelled
         (self.line,) = axes.plot([], [], color=body.colour, animated=True, **TRAVELLED)

@@ -21,7 +21,6 @@ from pinmobile.plots.layout import stacked
 from pinmobile.plots.runs import Rollouts, labelled, thinned
 from pinmobile.plots.series import draw
 from pinmobile.plots.style import INK, ShownFigure, colour, dress, headed, legend, line_style
-from pinmobile.robot import MobileRobot
 from pinmobile.simulation import Rollout
 
 __all__ = ["balance", "reaction"]
@@ -132,9 +131,9 @@ def reaction(rollouts: Rollouts, *, mount: str | None = None, title: str | None 
 def _of_robots(rollouts: Any) -> dict[str, Rollout]:
     runs = labelled(rollouts)
     for label, run in runs.items():
-        if not isinstance(run.robot, MobileRobot):
+        if not hasattr(run.plant, "ground_wrench"):
             name = f"rollouts[{label!r}]" if label else "rollouts"
-            raise InvalidArgument(f"{name}.robot is {shown(run.robot)}, expected a MobileRobot")
+            raise InvalidArgument(f"{name}.plant is {shown(run.plant)}, expected a MobileRobot")
     return runs
 
 
@@ -164,7 +163,7 @@ def _from_above(axes: Axes, runs: dict[str, Rollout], footprint: ArrayLike | Non
     dress(axes)
     outlines = {
         corners.tobytes(): corners
-        for corners in (footprint_of(run.robot, footprint) for run in runs.values())
+        for corners in (footprint_of(run.plant, footprint) for run in runs.values())
     }
     for corners in outlines.values():
         axes.add_patch(Polygon(corners, label="footprint", **_OUTLINE))

@@ -61,11 +61,12 @@ def path(rollouts: Rollouts, *, times: ArrayLike | None = None, title: str | Non
     )
     figure, window, axes = panels(runs, headed(title, "Desired and travelled path"))
     for index, (label, run) in enumerate(runs.items()):
-        xy = run.q[thinned(run.q[:, 0], run.q[:, 1])]
+        xy = run.poses
+        xy = xy[thinned(xy[:, 0], xy[:, 1])]
         axes[index].plot(xy[:, 0], xy[:, 1], color=colour(index), label="travelled", **TRAVELLED)
         for t, pose in zip(instants[label], poses(run, instants[label]), strict=True):
-            Body(axes[index], run.robot, colour(index), ARROW * window.extent, zorder=5).move(pose)
-            _write_time(axes[index], t, pose, 0.5 * diagonal(run.robot, ARROW * window.extent))
+            Body(axes[index], run.plant, colour(index), ARROW * window.extent, zorder=5).move(pose)
+            _write_time(axes[index], t, pose, 0.5 * diagonal(run.plant, ARROW * window.extent))
     return figure
 
 
@@ -80,7 +81,8 @@ def panels(runs: Mapping[str, Rollout], title: str) -> tuple[Figure, Window, lis
         off = si(float(np.hypot(run.error[:, 0], run.error[:, 1]).max()), "m")
         axes.set_title(f"position error at most {off}", fontsize=10, color=INK)
         axes.annotate(label, (0.5, 1), (0, 21), ha="center", **heading(index))
-        xy = run.reference.q[thinned(run.reference.q[:, 0], run.reference.q[:, 1])]
+        xy = run.reference_poses
+        xy = xy[thinned(xy[:, 0], xy[:, 1])]
         axes.plot(xy[:, 0], xy[:, 1], label="desired", **DESIRED)
     for axes in grid[len(runs) :]:
         axes.remove()
@@ -111,7 +113,8 @@ def _sheet(rows: int, columns: int, window: Window) -> tuple[Figure, list[Axes]]
 
 def poses(run: Rollout, times: Array) -> Array:
     """Return the actual poses at `times`, shape (n, 3) [m, m, rad], straight between two samples."""
-    columns = run.q[:, 0], run.q[:, 1], np.unwrap(run.q[:, 2])
+    poses = run.poses
+    columns = poses[:, 0], poses[:, 1], np.unwrap(poses[:, 2])
     return np.stack([np.interp(times, run.t, column) for column in columns], axis=-1)
 
 
@@ -123,10 +126,12 @@ def _keys(count: int) -> Iterator[Patch | Line2D]:
 
 
 def _window(runs: Mapping[str, Rollout]) -> Window:
-    points = np.concatenate([part[:, :2] for run in runs.values() for part in (run.q, run.reference.q)])
+    points = np.concatenate(
+        [part[:, :2] for run in runs.values() for part in (run.poses, run.reference_poses)]
+    )
     low, high = points.min(axis=0), points.max(axis=0)
     extent = float((high - low).max())
-    robot = max(diagonal(run.robot, ARROW * extent) for run in runs.values())
+    robot = max(diagonal(run.plant, ARROW * extent) for run in runs.values())
     margin = 0.5 * robot + 0.12 * max(extent, robot) or 1.0
     room = np.maximum(0.25 * extent - 0.5 * (high - low), 0.0)  # a straight line gets a panel, not a slit
     return Window(low - margin - room, high + margin + room)
@@ -162,8 +167,8 @@ def _instants(runs: Mapping[str, Rollout]) -> dict[str, Array]:
 
 def _spread(run: Rollout) -> Array:
     """Return times between which the robot has moved on by so much that its drawings do not overlap."""
-    xy = run.q[:, :2]
-    robot = diagonal(run.robot, ARROW * float(np.ptp(xy, axis=0).max()))
+    xy = run.poses[:, :2]
+    robot = diagonal(run.plant, ARROW * float(np.ptp(xy, axis=0).max()))
     travelled = np.append(0.0, np.cumsum(np.hypot(*np.diff(xy, axis=0).T)))
     count = int(min(_BOXES - 1, travelled[-1] / (1.5 * robot))) if robot else 0
     between = np.searchsorted(travelled, np.linspace(0.0, travelled[-1], count + 1)[1:-1])

@@ -77,13 +77,15 @@ def planar(rollouts: Any) -> dict[str, Rollout]:
     Raises
     ------
     InvalidArgument
-        If one has fewer coordinates, or as `labelled` does.
+        If the plant of one does not tell where its body is, or as `labelled` does.
     """
     runs = labelled(rollouts)
     for label, run in runs.items():
-        if run.q.shape[1] < 3:
+        try:
+            _ = run.poses
+        except InvalidArgument as error:
             name = f"rollouts[{label!r}]" if label else "rollouts"
-            raise InvalidArgument(f"{name}.q has shape {run.q.shape}, expected (..., 3) or more: x, y, psi")
+            raise InvalidArgument(f"{name}.{error}") from None
     return runs
 
 

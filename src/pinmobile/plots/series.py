@@ -1,6 +1,6 @@
-"""What a rollout recorded, over time: states, errors and forces."""
+"""What a rollout recorded, over time: states, errors, inputs and signals."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,17 +9,19 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from pinmobile.arrays import Array
+from pinmobile.errors import InvalidArgument
+from pinmobile.plant import all_samples, configuration_names_of, coordinates_of, leading_of
 from pinmobile.plots.layout import TALL, laid_out, stacked, titled
 from pinmobile.plots.runs import Rollouts, labelled, same_references, thinned
 from pinmobile.plots.style import DESIRED, colour, headed, heading, legend, line_style
-from pinmobile.robot import MobileRobot
 from pinmobile.simulation import Rollout
 
-__all__ = ["draw", "errors", "forces", "states"]
+__all__ = ["draw", "errors", "forces", "signals", "states"]
 
-_POSE = (("$x$", "m"), ("$y$", "m"), (r"$\psi$", "rad"))
-_FORCE = (("$F_x$", "N"), ("$F_y$", "N"), ("$M_z$", "N m"))
-_NEWTON = {"m": "N", "rad": "N m"}
+_SYMBOLS = {
+    **{"x": "$x$", "y": "$y$", "psi": r"$\psi$"},
+    **{"Fx": "$F_x$", "Fy": "$F_y$", "Mz": "$M_z$"},
+}
 _ROUNDING = 1e-12  # what is smaller is drawn as the zero that it is
 
 
@@ -44,7 +46,7 @@ def states(rollouts: Rollouts, *, title: str | None = None) -> Figure:
     """
     runs = labelled(rollouts)
     drawn = {label: _displacement(run, run.q) for label, run in runs.items()}
-    names = _names(_POSE, runs, drawn.values(), "q")
+    names = _names((runs[label].plant, _named(runs[label].plant, x.shape[1])) for label, x in drawn.items())
     figure, panels = laid_out(names, headed(title, "Desired and actual pose"))
     for index, (label, run) in enumerate(runs.items()):
         draw(panels, run.t, drawn[label], label=label or "actual", **line_style(index, len(runs)))
@@ -78,7 +80,7 @@ def errors(rollouts: Rollouts, *, title: str | None = None) -> Figure:
         If `rollouts` is something else.
     """
     runs = labelled(rollouts)
-    names = _names(_POSE, runs, [run.error for run in runs.values()], "q")
+    names = _names((run.plant, run.labels) for run in runs.values())
     note = "; each panel has its own scale" if len(runs) > 1 else ""
     heads = headed(title, f"Error: desired minus actual{note}")
     if len(names) > TALL:
@@ -95,7 +97,7 @@ def errors(rollouts: Rollouts, *, title: str | None = None) -> Figure:
 
 
 def forces(rollouts: Rollouts, *, title: str | None = None) -> Figure:
-    """Draw the generalised force over time, held from one sample to the next.
+    """Draw the plant's inputs over time, forces and torques, held from one sample to the next.
 
     Parameters
     ----------
@@ -114,51 +116,111 @@ def forces(rollouts: Rollouts, *, title: str | None = None) -> Figure:
         If `rollouts` is something else.
     """
     runs = labelled(rollouts)
-    # Only a force that belongs to v is Fx, Fy, Mz: other plants' inputs are their own.
-    generalised = all(run.tau.shape == run.v.shape for run in runs.values())
-    symbols = _FORCE if generalised else ()
-    names = _names(symbols, runs, [run.tau for run in runs.values()], "u", force=True)
-    figure, panels = laid_out(names, headed(title, "Force, held from one sample to the next"))
+    names = _names((run.plant, [(one.name, one.unit) for one in run.inputs]) for run in runs.values())
+    figure, panels = laid_out(names, headed(title, "Input, held from one sample to the next"))
     for index, (label, run) in enumerate(runs.items()):
-        draw(panels, run.t, run.tau, label=label, drawstyle="steps-post", **line_style(index, len(runs)))
+        draw(panels, run.t, run.u, label=label, drawstyle="steps-post", **line_style(index, len(runs)))
     if len(runs) > 1:
         legend(figure, panels[0].lines)
     return figure
 
 
-def _names(
-    known: Sequence[tuple[str, str]],
-    runs: Mapping[str, Rollout],
-    arrays: Iterable[Array],
-    letter: str,
-    *,
-    force: bool = False,
-) -> list[tuple[str, str]]:
-    """Return symbol and unit for the columns of the widest array; other units are unknown."""
-    count = max(array.shape[1] for array in arrays)
-    names = [*known[:count], *((f"${letter}_{{{k}}}$", "") for k in range(len(known), count))]
-    robot = next((run.robot for run in runs.values() if run.error.shape[1] == count), None)
-    if not known or not isinstance(robot, MobileRobot) or robot.nv != count:
-        return names
-    single = len(robot.mounts) == 1
-    for k in range(len(known), count):
-        name, unit = robot.coordinate_names[k], robot.coordinate_units[k]
-        short = name.partition("/")[2] if single else name
-        short = short.removesuffix("_joint").replace("_joint:", ":").replace("_", " ").replace("$", r"\$")
-        names[k] = short, _NEWTON[unit] if force else unit
-    return names
+def signals(rollouts: Rollouts, *, title: str | None = None) -> Figure:
+    """Draw the signals that plant and controller gave, each with its unit.
+
+    Parameters
+    ----------
+    rollouts : Rollout or mapping of str to Rollout
+        All are drawn in the same axes; each signal of any has a panel.
+    title : str, optional
+        Heading of the figure.
+
+    Returns
+    -------
+    figure : matplotlib.figure.Figure
+
+    Raises
+    ------
+    InvalidArgument
+        If `rollouts` is something else, or has no signals.
+    """
+    runs = labelled(rollouts)
+    units = {name: unit for run in runs.values() for name, (unit, _) in run.signals.items()}
+    if not units:
+        raise InvalidArgument("rollouts have no signals, expected at least one: see Rollout.signals")
+    names = [(_symbol(name), unit) for name, unit in units.items()]
+    figure, panels = laid_out(names, headed(title, "Signals"))
+    for axes, name in zip(panels, units, strict=True):
+        for index, (label, run) in enumerate(runs.items()):
+            if name not in run.signals:
+                continue
+            values = run.signals[name].values.reshape(len(run), -1)
+            many = values.shape[1] > 1
+            for k, column in enumerate(values.T):
+                style = (
+                    line_style(k, values.shape[1])
+                    if many and len(runs) == 1
+                    else line_style(index, len(runs))
+                )
+                draw(
+                    [axes], run.t, column[:, None], label=f"{label} [{k}]".strip() if many else label, **style
+                )
+        if any(run.signals[name].values.ndim > 1 for run in runs.values() if name in run.signals):
+            axes.legend(fontsize=9)
+    if len(runs) > 1:
+        legend(
+            figure, [Line2D([], [], label=label, **line_style(k, len(runs))) for k, label in enumerate(runs)]
+        )
+    return figure
+
+
+def _names(named: Iterable[tuple[Any, Sequence[tuple[str, str]]]]) -> list[tuple[str, str]]:
+    """Return symbol and unit for each panel: those of the first of the plants with the most columns."""
+    plant, pairs = max(named, key=lambda one: len(one[1]))
+    single = len(getattr(plant, "mounts", ())) == 1
+    return [(_symbol(name.partition("/")[2] or name if single else name), unit) for name, unit in pairs]
+
+
+def _symbol(name: str) -> str:
+    """Return how a name is written beside axes."""
+    short = name.removesuffix("_joint").replace("_joint:", ":").replace("_", " ").replace("$", r"\$")
+    return _SYMBOLS.get(name, short)
+
+
+def _named(plant: Any, count: int) -> list[tuple[str, str]]:
+    """Return name and unit of each number of what `_displacement` returns."""
+    coordinates = coordinates_of(plant)
+    if len(coordinates) == count:
+        return [(one.name, one.unit) for one in coordinates]
+    units = {one.name: one.unit for one in coordinates}
+    names = configuration_names_of(plant) or [f"[{k}]" for k in range(count)]
+    return [(name, units.get(name, "")) for name in names]
 
 
 def _displacement(run: Rollout, q: Array) -> Array:
-    """Return x, y, psi and the arms' angles and ways, shape (N, nv), of configurations, shape (N, nq).
+    """Return x, y, psi and the arms' angles and ways, shape (N, n), of configurations, shape (N, m).
 
-    Angles of joints that are (cos, sin) in q are unwrapped; a configuration of an unknown robot is as it is.
+    Angles of joints that are (cos, sin) in q are unwrapped; a configuration of a plant that has no neutral
+    one to compare with is as it is.
     """
-    robot = run.robot
-    if not isinstance(robot, MobileRobot) or robot.nq == robot.nv:
+    plant = run.plant
+    if getattr(plant, "nq", 0) == getattr(plant, "nv", 0) or not hasattr(plant, "neutral"):
         return q
-    angles = robot.difference(robot.neutral, q)
-    return np.hstack([q[:, :3], np.unwrap(angles[:, 3:], axis=0)])
+    length = q.shape[1]
+    whole = np.hstack([q, np.broadcast_to(plant.neutral[length:], (len(q), plant.nq - length))])
+    angles = all_samples(plant, "difference", np.broadcast_to(plant.neutral, whole.shape), whole)
+    unwrapped = np.where(_wrapped(plant), np.unwrap(angles, axis=0), angles)
+    leading = {numbers: n for n, numbers in leading_of(plant).items()}
+    # psi, and what adds, is unwrapped in q already.
+    names = {name: k for k, name in enumerate(configuration_names_of(plant))}
+    for k, one in enumerate(plant.coordinates):
+        if one.name in names:
+            unwrapped[:, k] = whole[:, names[one.name]]
+    return unwrapped[:, : leading[length]]
+
+
+def _wrapped(plant: Any) -> Any:
+    return np.array([one.unit == "rad" for one in coordinates_of(plant)])
 
 
 def draw(column: Iterable[Axes], t: Array, values: Array, **style: Any) -> None:

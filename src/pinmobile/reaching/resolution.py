@@ -83,7 +83,7 @@ def resolve(
         If an error is beyond the tolerance; it carries the trajectory.
     """
     checked_target(robot, target)
-    name, _ = robot._frame(frame)
+    name = robot.frame_name(frame)
     speed = robot.velocity_limit if velocity_limit is None else velocity_limit
     limits = Limits(
         robot,

@@ -175,7 +175,7 @@ def checked_configuration(robot: MobileRobot, name: str, value: ArrayLike) -> Ar
     InvalidArgument
         If it has another shape, is not finite, or is outside.
     """
-    q = robot._q(value, name)
+    q = robot.configuration(value, name)
     if q.shape != (robot.nq,):
         raise InvalidArgument(f"{name} has shape {q.shape}, expected ({robot.nq},)")
     outside = (q < robot.lower) | (q > robot.upper)

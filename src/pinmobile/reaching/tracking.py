@@ -88,7 +88,7 @@ class EndEffectorTracking:
         speed = self.robot.velocity_limit if self.velocity_limit is None else self.velocity_limit
         speed = per_coordinate("velocity_limit", speed, nv, zero=True)
         most = per_coordinate("acceleration_limit", self.acceleration_limit, nv)
-        fixed = {"frame": self.robot._frame(self.frame)[0], "velocity_limit": speed}
+        fixed = {"frame": self.robot.frame_name(self.frame), "velocity_limit": speed}
         limits = Limits(self.robot, speed, most)
         # Where the acceleration at the start of a step holds through it, the bounds of `ramps` are exact.
         held = [getattr(self.integrator, name, ()) for name in ("weights_q", "weights_v")] == [(0.5,), (1.0,)]

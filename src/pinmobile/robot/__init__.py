@@ -2,7 +2,7 @@
 
 from pinmobile.robot.arms import Arm
 from pinmobile.robot.dynamics import ChainDynamics, Linearization
-from pinmobile.robot.engine import BODY_JOINT
+from pinmobile.robot.engine import BODY_JOINT, Calls
 from pinmobile.robot.library import EXCEPTIONS, Mountable, Mountables, mountable
 from pinmobile.robot.mobile import MobileRobot
 from pinmobile.robot.mounts import Load, Mount
@@ -12,6 +12,7 @@ __all__ = [
     "BODY_JOINT",
     "EXCEPTIONS",
     "Arm",
+    "Calls",
     "ChainDynamics",
     "Linearization",
     "Load",

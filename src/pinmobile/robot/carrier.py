@@ -51,9 +51,9 @@ class Carrier(ChainWrenches):
 
         A root of its own (free-flyer, planar) is replaced by the chain, and wheels are locked. Its joints and
         frames are called ``name/...``; its limits, its rotors and its reference posture are kept, and so are
-        its joints' damping and friction, though nothing acts by these yet: see `joint_damping`. Equal
-        position limits, as lower = upper = 0, and a velocity or effort limit of 0 are none: that is what
-        files write, some of the loaders' too, where they know none. A joint that mimics another in a URDF,
+        its joints' damping and friction, by which `JointFriction.of(robot)` acts. Equal position limits, as
+        lower = upper = 0, and a velocity or effort limit of 0 are none: that is what files write, some of the
+        loaders' too, where they know none. A joint that mimics another in a URDF,
         as the panda's second finger, moves freely, since Pinocchio's forward dynamics knows no mimic joints;
         a `pin.Model` that has them is refused. To keep such a joint still, name it in `locked`.
 

@@ -1,7 +1,9 @@
 """Configurations of a body on the chain and what it carries, their limits and steps, in public order."""
 
+from collections.abc import Mapping
 from functools import cached_property
 from math import isfinite, prod
+from types import MappingProxyType
 
 import numpy as np
 import pinocchio as pin
@@ -20,8 +22,9 @@ from pinmobile.arrays import (
     wrap_angle,
 )
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.plant import Coordinate, Input
 from pinmobile.robot.assembly import limits, resistances
-from pinmobile.robot.coordinates import configuration_names, units, velocity_names
+from pinmobile.robot.coordinates import configuration_names, coordinates, inputs, leading
 from pinmobile.robot.engine import Engine
 from pinmobile.robot.mounts import Load, Mount
 from pinmobile.robot.tree import joint_kind, parts_of
@@ -67,14 +70,38 @@ class ChainConfigurations:
         return self.nv
 
     @cached_property
-    def coordinate_names(self) -> tuple[str, ...]:
-        """Name of each of the nv numbers in v, a and tau: x, y, psi, then those of the arms' joints."""
-        return velocity_names(self._model)
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """Each of the nv numbers of a displacement: x, y, psi, then those of the arms' joints."""
+        return coordinates(self._model, self.lower, self.upper)
 
     @cached_property
-    def coordinate_units(self) -> tuple[str, ...]:
-        """Unit of each of them in a displacement: m or rad; that of its force is then N or N m."""
-        return units(self._model)
+    def inputs(self) -> tuple[Input, ...]:
+        """Each of the nu numbers of an input: Fx, Fy, Mz, then the forces and torques at the arms' joints.
+
+        They have no limits: what motors can do, `effort_limit` knows, and `Saturated` holds a controller to.
+        """
+        return inputs(self.coordinates)
+
+    @cached_property
+    def leading(self) -> Mapping[int, int]:
+        """How many numbers of q the first n coordinates have, for each n that a reference may have."""
+        return MappingProxyType(leading(self._model))
+
+    @property
+    def adds(self) -> bool:
+        """Whether `integrate` adds displacements to q number by number, in both of which psi is the third."""
+        return self.nq == self.nv and type(self).integrate is ChainConfigurations.integrate
+
+    @property
+    def turning(self) -> tuple[int, ...] | None:
+        """Coordinates that `difference` takes on the circle where it subtracts all, else None."""
+        own = type(self).difference is ChainConfigurations.difference
+        return (2,) if own and self.adds else None
+
+    @property
+    def broadcasts(self) -> bool:
+        """Whether its methods take leading axes, here True."""
+        return True
 
     @cached_property
     def configuration_names(self) -> tuple[str, ...]:
@@ -115,7 +142,7 @@ class ChainConfigurations:
     def joint_damping(self) -> Array:
         """Viscous damping of the arms' joints, shape (nv,) [N s/m, N m s/rad], as their files have it.
 
-        Kept for who wants it: nothing acts by it yet, neither the dynamics nor `simulate`. Zero for the base.
+        Zero for the base. The dynamics leave it out; in a loop it acts where `JointFriction.of(robot)` does.
         """
         return self._resistances[0]
 
@@ -123,7 +150,7 @@ class ChainConfigurations:
     def joint_friction(self) -> Array:
         """Dry friction of the arms' joints, shape (nv,) [N, N m], as their files have it.
 
-        Kept for who wants it: nothing acts by it yet, neither the dynamics nor `simulate`. Zero for the base.
+        Zero for the base. The dynamics leave it out; in a loop it acts where `JointFriction.of(robot)` does.
         """
         return self._resistances[1]
 
@@ -222,6 +249,18 @@ class ChainConfigurations:
         if angle.ndim or not LEAST_ANGLE < angle <= np.pi:  # in a loop it hardly ever is beyond
             displacement[..., 2] = wrap_angle(angle)
         return displacement
+
+    def configuration(self, value: ArrayLike, name: str = "q") -> Array:
+        """Return configurations as float64, shape (..., nq), after refusing what are none.
+
+        Parameters
+        ----------
+        value : array_like, shape (..., nq)
+            Configurations [m, m, rad, ...].
+        name : str
+            What they are called, for the message.
+        """
+        return self._q(value, name)
 
     def _q(self, q: ArrayLike, name: str = "q") -> Array:
         array = vector(name, q, self.nq)

@@ -1,12 +1,13 @@
 """The dynamics of a body on the chain, in public order, checked, for many states at once."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike
-from pinmobile.robot.engine import BODY_JOINT
+from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, vector
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.robot.engine import BODY_JOINT, Calls
 from pinmobile.robot.kinematics import ChainKinematics
 
 __all__ = ["ChainDynamics", "Linearization"]
@@ -64,10 +65,80 @@ class ChainDynamics(ChainKinematics):
         arguments = {"q": self._q(q), "v": self._v("v", v), "a": self._v("a", a)}
         return self._engine.reorder(self._engine.each(pin.rnea, **arguments))
 
-    def forward_dynamics(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Array:
-        """Return a = M(q)^-1 (tau - n(q, v)), shape (..., nv) [m/s^2, m/s^2, rad/s^2], by Pinocchio's ABA."""
+    def forward_dynamics(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike, f: ArrayLike = 0.0) -> Array:
+        """Return a = M(q)^-1 (tau + f - n(q, v)), shape (..., nv) [m/s^2, ...], by Pinocchio's ABA.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        v : array_like, shape (..., nv)
+            Velocity [m/s, m/s, rad/s, ...].
+        tau : array_like, shape (..., nv)
+            The input, a generalised force [N, N, N m, ...].
+        f : array_like, shape (..., nv), optional
+            Generalised forces beside it; 0: none.
+        """
         arguments = {"q": self._q(q), "v": self._v("v", v), "tau": self._v("tau", tau)}
+        if np.ndim(f) or f:
+            force, beside = arguments["tau"], self._v("f", f)
+            broadcast(tau=force, f=beside)
+            with np.errstate(over="ignore"):
+                arguments["tau"] = finite_answer(force + beside, tau=force, f=beside)
         return self._engine.reorder(self._engine.each(pin.aba, **arguments))
+
+    def effort(self, q: ArrayLike, wrench: ArrayLike) -> Array:
+        """Return the generalised force of a wrench on the body, shape (..., nv) [N, N, N m, ...].
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        wrench : array_like, shape (..., 3)
+            Force along the inertial axes on the origin of the body's frame, and moment about it, (Fx, Fy, Mz)
+            [N, N, N m].
+        """
+        q, wrench = self._q(q), vector("wrench", wrench, BODY_JOINT)
+        whole = np.zeros((*broadcast(q=q, wrench=wrench), self.nv))
+        whole[..., :BODY_JOINT] = wrench
+        return whole
+
+    def start(self, reference: Any) -> tuple[Array, Array]:
+        """Return the q and v with which a reference begins, shape (nq,) and (nv,).
+
+        What it does not lead rests where `rest` has it.
+
+        Parameters
+        ----------
+        reference : Reference
+            Its first sample: q and v of the first n coordinates, n one of `leading`.
+
+        Raises
+        ------
+        InvalidArgument
+            If it is no reference, or has another number of coordinates.
+        """
+        if not (hasattr(reference, "q") and hasattr(reference, "v")):
+            raise InvalidArgument(f"reference is {shown(reference)}, expected a Reference: q, v and a")
+        v, q = finite("reference.v", reference.v), finite("reference.q", reference.q)
+        if self.leading.get(v.size) != q.size or v.ndim != 1 or q.ndim != 1:
+            pairs = ", ".join(f"({numbers},) and ({n},)" for n, numbers in self.leading.items())
+            raise InvalidArgument(
+                f"reference has q and v of shapes {q.shape} and {v.shape}, expected one of {pairs}"
+            )
+        rates = np.zeros(self.nv)
+        rates[: v.size] = v
+        return self._q(np.append(q, self.rest[q.size :]), "reference.q"), rates
+
+    def calls(self) -> Calls:
+        """Return unchecked functions of one state for this thread, for loops: see `Calls`.
+
+        What a subclass overrides is as it has it.
+        """
+        own = (
+            name for name in Calls._fields if getattr(type(self), name) is not getattr(ChainDynamics, name)
+        )
+        return self._engine.calls()._replace(**{name: getattr(self, name) for name in own})
 
     def coriolis_matrix(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return C(q, v), shape (..., nv, nv): C v = n(q, v), and dM/dt - 2 C is skew-symmetric."""

@@ -21,24 +21,40 @@ BODY_JOINT = 3
 
 
 class Calls(NamedTuple):
-    """Unchecked Pinocchio calls for one state in chain order, for the thread alone that asked for them.
+    """Unchecked functions of one state in public order, for the thread alone that asked for them.
+
+    For loops that run millions of times: they take float64 arrays of shape (nq,) and (nv,), and nothing else.
+    What one returns is overwritten by the next call of any of them: copy what is kept.
 
     Attributes
     ----------
-    inverse : callable
-        tau by RNEA, shape (nv,), of q, v and a.
-    forward : callable
-        The acceleration by ABA, shape (nv,), of q, v and tau.
+    mass_matrix : callable
+        M(q), shape (nv, nv), by CRBA.
+    nonlinear_effects : callable
+        n(q, v), shape (nv,), by RNEA without acceleration.
+    inverse_dynamics : callable
+        tau(q, v, a), shape (nv,), by RNEA.
+    forward_dynamics : callable
+        The acceleration a(q, v, tau), shape (nv,), by ABA. Forces beside the input are added to it.
     gravity : callable
         g(q), shape (nv,).
     integrate : callable
         The configuration, shape (nq,), that a displacement (nv,) leads to from q.
+    pose, rate : callable
+        Those of the body, shape (3,): of q, and of q and v.
+    effort : callable
+        The generalised force, shape (nv,), of q and a wrench (3,).
     """
 
-    inverse: Callable[[Array, Array, Array], Array]
-    forward: Callable[[Array, Array, Array], Array]
+    mass_matrix: Callable[[Array], Array]
+    nonlinear_effects: Callable[[Array, Array], Array]
+    inverse_dynamics: Callable[[Array, Array, Array], Array]
+    forward_dynamics: Callable[[Array, Array, Array], Array]
     gravity: Callable[[Array], Array]
     integrate: Callable[[Array, Array], Array]
+    pose: Callable[[Array], Array]
+    rate: Callable[[Array, Array], Array]
+    effort: Callable[[Array, Array], Array]
 
 
 class _Workspace(local):
@@ -68,6 +84,7 @@ class Engine:
         self.order[:2] = self.order_q[:2] = 1, 0
         self._orders = {self.nv: self.order, self.nq: self.order_q}
         self._square = self.order[:, None], self.order
+        self._public = _in_public_order(model)
 
     @property
     def data(self) -> pin.Data:
@@ -76,12 +93,22 @@ class Engine:
 
     def calls(self) -> Calls:
         """Return what a loop calls, all on this thread's data: it is looked up once."""
-        model, data = self.model, self.data
+        model, data, public = self.model, self.data, self._public
+        order, crba = self.order_q, partial(pin.crba, model, data)
+        flat = self.order[:, None] * self.nv + self.order
+        still = np.zeros(self.nv - BODY_JOINT)
         return Calls(
-            inverse=partial(pin.rnea, model, data),
-            forward=partial(pin.aba, model, data),
-            gravity=partial(pin.computeGeneralizedGravity, model, data),
-            integrate=partial(pin.integrate, model),
+            mass_matrix=lambda q: crba(q[order]).T.take(flat),  # it is symmetric
+            nonlinear_effects=partial(pin.nonLinearEffects, public, data),
+            inverse_dynamics=partial(pin.rnea, public, data),
+            forward_dynamics=partial(pin.aba, public, data),
+            gravity=partial(pin.computeGeneralizedGravity, public, data),
+            integrate=partial(pin.integrate, public),
+            pose=lambda q: q[:BODY_JOINT],
+            rate=lambda q, v: v[:BODY_JOINT],
+            effort=(lambda q, wrench: np.concatenate([wrench, still]))
+            if len(still)
+            else lambda q, wrench: wrench,
         )
 
     def reorder(self, array: Array) -> Array:
@@ -137,3 +164,15 @@ class Engine:
             return np.empty((*lead, *shape))
         results = [np.array(function(model, data, *row)) for row in zip(*stacked, strict=True)]
         return finite_answer(np.stack(results).reshape((*lead, *results[0].shape)), **arguments)
+
+
+def _in_public_order(model: pin.Model) -> pin.Model:
+    """Return the same joints, y and x reading each other's number of q and v.
+
+    What goes from joint to joint, as RNEA and ABA do, so takes and gives public order at no cost. What takes
+    the numbers of a subtree for one stretch, as CRBA and all derivatives do, needs the chain's own.
+    """
+    public = model.copy()
+    public.joints[1].setIndexes(1, 1, 1)
+    public.joints[2].setIndexes(2, 0, 0)
+    return public

@@ -5,10 +5,11 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike, finite_answer, one_of
+from pinmobile.arrays import Array, ArrayLike, broadcast, finite_answer, one_of
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot.assembly import named_frames
 from pinmobile.robot.configurations import ChainConfigurations
+from pinmobile.robot.engine import BODY_JOINT
 
 __all__ = ["ChainKinematics"]
 
@@ -18,6 +19,16 @@ class ChainKinematics(ChainConfigurations):
 
     Conventions: see `ChainDynamics`.
     """
+
+    def pose(self, q: ArrayLike) -> Array:
+        """Return x, y and psi of the body, shape (..., 3) [m, m, rad]."""
+        return self._q(q)[..., :BODY_JOINT].copy()
+
+    def rate(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """Return the rates of x, y and psi of the body, shape (..., 3) [m/s, m/s, rad/s]."""
+        q, v = self._q(q), self._v("v", v)
+        lead = broadcast(q=q, v=v)
+        return np.array(np.broadcast_to(v[..., :BODY_JOINT], (*lead, BODY_JOINT)))
 
     @cached_property
     def _frames(self) -> dict[str, int]:
@@ -32,6 +43,16 @@ class ChainKinematics(ChainConfigurations):
     def end_effector(self) -> str:
         """Default frame: the tip of the first arm, or the body's frame where there is none."""
         return self.mounts[0].tip if self.mounts else "base_link"
+
+    def frame_name(self, frame: str | None = None) -> str:
+        """Return the name of a frame, by default that of `end_effector`.
+
+        Raises
+        ------
+        UnknownName
+            If there is no such frame.
+        """
+        return self._frame(frame)[0]
 
     def frame_pose(self, q: ArrayLike, frame: str | None = None) -> Array:
         """Return T_0_f, the pose of a frame, shape (..., 4, 4).

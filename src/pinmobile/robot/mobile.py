@@ -11,9 +11,10 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile import urdf
-from pinmobile.arrays import Array, ArrayLike, finite, lengths, location, positive, sequence, text
+from pinmobile.arrays import Array, ArrayLike, finite, lengths, location, positive, scalar, sequence, text
 from pinmobile.dh import LECTURE_TABLE, DHTable
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
+from pinmobile.plant import Parameter
 from pinmobile.robot.assembly import assemble
 from pinmobile.robot.carrier import Carrier
 from pinmobile.robot.chain import build_model, check_chain
@@ -21,6 +22,7 @@ from pinmobile.robot.engine import BODY_JOINT, Engine
 from pinmobile.robot.meshes import VisualFile
 from pinmobile.robot.mounts import Load, Mount
 from pinmobile.robot.pictures import add_carried
+from pinmobile.robot.planar import BODY, PlanarBody
 from pinmobile.robot.reading import LOCKED, Reading, read_model, read_urdf
 from pinmobile.robot.sound import check_whole
 from pinmobile.robot.sources import existing_folders
@@ -317,6 +319,58 @@ class MobileRobot(Carrier):
             Where they come from, in words.
         """
         return _restored(*self._own(body, source))
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What an ensemble may spread of it: with arms, nothing yet."""
+        return () if self.mounts else BODY
+
+    def traced(self) -> PlanarBody:
+        """Return its dynamics in NumPy, for laws on symbols or on arrays; loads count as the body's.
+
+        Raises
+        ------
+        NotTraceable
+            If it carries arms, whose dynamics are Pinocchio's alone.
+        """
+        if self.mounts:
+            raise NotTraceable(
+                "a robot with arms, whose dynamics are Pinocchio's",
+                "run it one state at a time",
+            )
+        bare = self.lumped() if self.loads else self
+        return PlanarBody(bare.mass, bare.body.yaw_inertia, *bare.com[:2])
+
+    def with_parameters(self, **values: float) -> "MobileRobot":
+        """Return the bare robot with other values of its `parameters`; loads count as the body's.
+
+        Parameters
+        ----------
+        **values : float
+            By attribute: mass, yaw_inertia, com_x, com_y.
+
+        Raises
+        ------
+        InvalidArgument
+            If it carries arms, or a body with these values cannot exist.
+        UnknownName
+            If there is no such parameter.
+        """
+        for name in values:
+            if name not in (known := [parameter.name for parameter in BODY]):
+                raise UnknownName("parameter of a robot", name, known)
+        if self.mounts:
+            raise InvalidArgument(f"robot carries {len(self.mounts)} arms, expected none to change its body")
+        bare = self.lumped() if self.loads else self
+        old = {
+            "mass": bare.mass,
+            "yaw_inertia": bare.body.yaw_inertia,
+            "com_x": bare.com[0],
+            "com_y": bare.com[1],
+        }
+        mass, inertia, x, y = (scalar(name, values.get(name, old[name])) for name in old)
+        body = urdf.Body(mass, np.array([x, y, bare.com[2]]), np.diag([inertia] * 3))
+        return bare.with_body(body, "with other parameters")
 
     def _carrying(self, mounts: tuple[Mount, ...], loads: tuple[tuple[str, Load], ...]) -> "MobileRobot":
         return _restored(*self._own(self.body, self.source), mounts, loads)

@@ -6,26 +6,39 @@ import numpy as np
 
 from pinmobile.arrays import Array, affordable, callable_as, positive, vector, whole
 from pinmobile.controllers import check_controller
-from pinmobile.disturbances import Force
+from pinmobile.controllers.protocol import check_memory
+from pinmobile.disturbances import CoordinateForce, Force
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.integrators import check_integrator
+from pinmobile.integrators import check_integrator, constant_acceleration
+from pinmobile.plant import Context, check_plant, leading_of
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
 if TYPE_CHECKING:
     from pinmobile.plant import Plant
 
-__all__ = ["checked_forces", "checked_loop", "checked_substeps", "sample_times", "sampled"]
+__all__ = [
+    "check_answers",
+    "check_controllers_memory",
+    "checked_forces",
+    "checked_loop",
+    "checked_substeps",
+    "chosen_integrator",
+    "sample_times",
+    "sampled",
+    "shorter",
+]
 
 _WHOLE = 1e-9  # relative rounding allowed in duration / dt
-_PLANE = 3  # coordinates that a force on the body acts on
+_COORDINATES = 3  # of a plant that is not yet looked at
 _MOST = 1e8  # samples
 _SHORTER = "give a larger dt or a shorter duration"
 _MOST_STEPS = 1e11  # of the integrator: days
+_SAME = 1e-9  # to which two answers to the same arguments agree
 _RECORDED = 16  # numbers for each coordinate of a sample: of the loop, the reference and the rollout
 
 
 def checked_loop(plant: Any, controller: Any, trajectory: Any, integrator: Any) -> None:
-    """Refuse what is no plant, controller, trajectory or integrator.
+    """Refuse what is no plant, controller, trajectory or integrator; None is the plant's own choice.
 
     Raises
     ------
@@ -40,17 +53,30 @@ def checked_loop(plant: Any, controller: Any, trajectory: Any, integrator: Any) 
             f"trajectory is {shown(trajectory)}, a path, which has no heading, expected a trajectory: "
             "Tangent(path) or FixedHeading(path, psi)"
         )
-    sizes = [getattr(plant, size, None) for size in ("nq", "nv", "nu")]
-    if isinstance(plant, type) or not hasattr(plant, "forward_dynamics") or not all(map(_is_size, sizes)):
-        raise InvalidArgument(
-            f"plant is {shown(plant)}, expected something with 'forward_dynamics' and the sizes nq, nv, nu"
-        )
+    check_plant(plant)
     callable_as("trajectory(t)", trajectory)
-    check_integrator(integrator)
+    if integrator is not None:
+        check_integrator(integrator)
 
 
-def _is_size(value: Any) -> bool:
-    return isinstance(value, int | np.integer)
+def chosen_integrator(plant: Any, integrator: Any) -> Any:
+    """Return the integrator that is given, or the plant's own choice; None for a step of its own.
+
+    Raises
+    ------
+    InvalidArgument
+        If one is given for a plant that has a step of its own.
+    """
+    if isinstance(plant, type) or not hasattr(plant, "step"):
+        chosen = getattr(plant, "integrator", None) if integrator is None else integrator
+        return constant_acceleration if chosen is None else chosen
+    if integrator is not None:
+        raise InvalidArgument(
+            f"integrator is {shown(integrator)}, but the plant, a {type(plant).__name__}, has a step of its "
+            "own: leave integrator out"
+        )
+    callable_as("plant.step(t, q, v, u, h, f, memory)", plant.step)
+    return None
 
 
 def checked_substeps(substeps: Any, samples: int) -> int:
@@ -98,7 +124,7 @@ def sample_times(dt: float, duration: float | None, longest: float) -> Array:
             f"dt is {dt} s, which makes {total / dt:.3g} samples, expected at most {_MOST:g}"
         )
     steps = round(total / dt)
-    affordable(f"the records of {steps + 1:,} samples", _RECORDED * _PLANE * (steps + 1), _SHORTER)
+    affordable(f"the records of {steps + 1:,} samples", _RECORDED * _COORDINATES * (steps + 1), _SHORTER)
     if abs(steps * dt - total) > _WHOLE * total:
         below = int(total / dt)
         raise InvalidArgument(
@@ -131,32 +157,32 @@ def sampled(trajectory: Trajectory, t: Array, plant: "Plant") -> Reference:
         raise InvalidArgument(
             f"trajectory cannot be asked for an array of {len(t)} times: {error}"
         ) from error
-    for name, size in (("q", plant.nq), ("v", plant.nv), ("a", plant.nv)):
+    leading = leading_of(plant)
+    count = np.asarray(getattr(reference, "v", None)).shape[-1:]
+    n = count[0] if count and count[0] in leading else max(leading)
+    sizes = {"q": leading[n], "v": n, "a": n}
+    for name, size in sizes.items():
         value = np.asarray(getattr(reference, name, None))
         if value.shape != (len(t), size):
-            of_base = getattr(plant, "mounts", ()) and value.shape == (len(t), _PLANE)
-            how = ": a motion of base and arms, WholeBody(robot, base, *joints)" if of_base else ""
+            shorter = [k for k in leading if k != n]
+            how = f", or the first of its coordinates: {', '.join(map(str, shorter))}" if shorter else ""
             raise InvalidArgument(
                 f"trajectory gives {name} of shape {value.shape} for {len(t)} times, "
                 f"expected ({len(t)}, {size}){how}"
             )
-    checked = Reference(*(vector(f"trajectory's {n}", getattr(reference, n), s) for n, s in _sizes(plant)))
-    if getattr(plant, "mounts", ()):
+    checked = Reference(*(vector(f"trajectory's {x}", getattr(reference, x), k) for x, k in sizes.items()))
+    if hasattr(plant, "velocity_limit"):
         check_limits(plant, checked.q, checked.v, t)
     return checked
 
 
-def _sizes(plant: "Plant") -> tuple[tuple[str, int], ...]:
-    return ("q", plant.nq), ("v", plant.nv), ("a", plant.nv)
-
-
-def checked_forces(forces: Any, plant: "Plant") -> tuple[Force, ...]:
+def checked_forces(forces: Any, plant: "Plant") -> tuple[Force | CoordinateForce, ...]:
     """Return the forces, after refusing what is none, or a plant that cannot feel them.
 
     Raises
     ------
     InvalidArgument
-        If one is no function, or the plant's input is no generalised force.
+        If one is no function, or the plant lacks what they need.
     """
     if callable(forces):
         raise InvalidArgument(f"forces is {shown(forces)}, expected a sequence of forces, such as [force]")
@@ -164,11 +190,138 @@ def checked_forces(forces: Any, plant: "Plant") -> tuple[Force, ...]:
         listed = tuple(forces)
     except TypeError:
         raise InvalidArgument(f"forces is {shown(forces)}, expected a sequence of forces") from None
+    wrenches = False
     for k, force in enumerate(listed):
-        callable_as(f"forces[{k}](t, q, v)", force)
-    if listed and not plant.nu == plant.nv >= _PLANE:
-        raise InvalidArgument(
-            f"forces are given for a plant with nv = {plant.nv} and nu = {plant.nu}, "
-            "expected one whose input is (Fx, Fy, Mz, ...)"
-        )
+        if hasattr(force, "on_coordinates"):
+            callable_as(f"forces[{k}].on_coordinates(t, q, v)", force.on_coordinates)
+        else:
+            callable_as(f"forces[{k}](t, q, v)", force)
+            wrenches = True
+    if wrenches:
+        missing = [name for name in ("pose", "rate", "effort") if not callable(getattr(plant, name, None))]
+        if missing:
+            raise InvalidArgument(
+                f"forces push the body of the plant, a {type(plant).__name__}, which has no {missing[0]}, "
+                "expected one with pose(q), rate(q, v) and effort(q, wrench)"
+            )
+    if listed and not hasattr(plant, "step"):
+        try:
+            callable_as("plant.forward_dynamics(q, v, u, f)", plant.forward_dynamics)
+        except InvalidArgument:
+            raise InvalidArgument(
+                f"plant is a {type(plant).__name__}, whose forward_dynamics takes no forces f beside the "
+                "input, expected forward_dynamics(q, v, u, f)"
+            ) from None
     return listed
+
+
+def check_answers(plant: Any, forces: Any, integrator: Any, q: Array, v: Array, h: float) -> None:
+    """Refuse a plant whose answers have other sizes than it says, and parts whose answers do not repeat.
+
+    Such a part keeps something in itself or in a closure, or draws numbers of its own: then no two runs are
+    alike. Controllers, which have memory, are asked by `check_memory`.
+
+    Parameters
+    ----------
+    plant, forces, integrator
+        Parts of a loop.
+    q, v : ndarray, shape (nq,), (nv,)
+        A state.
+    h : float
+        A step [s].
+
+    Raises
+    ------
+    InvalidArgument
+        If one is such.
+    """
+    with np.errstate(all="ignore"):
+        _check_sizes(plant, q, v)
+        states = [(x.copy(), w.copy()) for x, w in ((q, v), (plant.integrate(q, 0.01 + 0 * v), v + 0.01))]
+        body = callable(getattr(plant, "pose", None)) and callable(getattr(plant, "rate", None))
+        for k, force in enumerate(forces):
+            if hasattr(force, "on_coordinates"):
+                _check_repeated(f"forces[{k}]", force, lambda x, w: force.on_coordinates(0.0, x, w), states)  # noqa: B023
+            elif body:
+                _check_repeated(
+                    f"forces[{k}]",
+                    force,
+                    lambda x, w: force(0.0, plant.pose(x), plant.rate(x, w)),  # noqa: B023
+                    states,
+                )
+        if hasattr(plant, "step"):
+            return
+        u = np.zeros(plant.nu)
+        _check_repeated("plant", plant, lambda x, w: plant.forward_dynamics(x, w, u.copy()), states)
+        moves = [(np.zeros(plant.nv), w) for _, w in states]
+        _check_repeated(
+            "integrator", integrator, lambda x, w: integrator(lambda t, x, w: -x - w, 0.0, x, w, h), moves
+        )
+
+
+def _check_sizes(plant: Any, q: Array, v: Array) -> None:
+    nq, nv, u, wrench = plant.nq, plant.nv, np.zeros(plant.nu), np.zeros(3)
+    sizes = f"plant is a {type(plant).__name__} with nq = {nq}, nv = {nv} and nu = {plant.nu}"
+    for name, value, size in (("q", q, nq), ("v", v, nv)):
+        if np.shape(value) != (size,):
+            raise InvalidArgument(
+                f"{sizes}, which starts with {name} of shape {np.shape(value)}, expected ({size},)"
+            )
+    asked: dict[str, tuple[str, int, tuple[Array, ...]]] = {
+        "integrate": ("q, dq", nq, (q, np.zeros(nv))),
+        "difference": ("q0, q1", nv, (q, q)),
+        "project": ("q, v", nv, (q, v)),
+        "pose": ("q", 3, (q,)),
+        "rate": ("q, v", 3, (q, v)),
+        "effort": ("q, wrench", nv, (q, wrench)),
+    }
+    if not hasattr(plant, "step"):
+        asked["forward_dynamics"] = ("q, v, u", nv, (q, v, u))
+    for name, (arguments, size, values) in asked.items():
+        method = getattr(plant, name, None)
+        if not callable(method):
+            continue
+        answer = method(*(value.copy() for value in values))
+        if answer is not None and np.shape(answer) != (size,):
+            raise InvalidArgument(
+                f"{sizes}, whose {name}({arguments}) returned {shown(answer)}, "
+                f"expected an array of shape ({size},)"
+            )
+
+
+def _check_repeated(path: str, part: Any, ask: Any, states: Any) -> None:
+    """Refuse a part that answers otherwise when it is asked again, after it was asked something else."""
+    first, _, again = (ask(x.copy(), w.copy()) for x, w in (*states, states[0]))
+    if np.shape(first) != np.shape(again) or not np.allclose(
+        np.asarray(first, float), np.asarray(again, float), rtol=_SAME, atol=_SAME, equal_nan=True
+    ):
+        raise InvalidArgument(
+            f"{path} is {shown(part)}, which returns {shown(first)} and, asked again for the same arguments, "
+            f"{shown(again)}, expected the same: only controllers have memory, in their state, and random "
+            "numbers come from their context.normal(name, n), or from a NoiseForce"
+        )
+
+
+def check_controllers_memory(controller: Any, context: Context, q: Array, v: Array) -> None:
+    """Refuse a controller whose answer to the same arguments is another when it is asked again.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is such; see `pinmobile.controllers.protocol.check_memory`.
+    """
+    try:
+        check_memory(controller, context, q, v)
+    except InvalidArgument as error:
+        raise shorter(context, error) from error
+
+
+def shorter(context: Context, error: InvalidArgument) -> InvalidArgument:
+    """Return an error of a controller; where the reference has not all coordinates, that may be why."""
+    n, count = context.reference.v.shape[1], len(context.coordinates)
+    if n == count:
+        return error
+    return InvalidArgument(
+        f"{error}; the reference has the first {n} of {count} coordinates, expected a controller that "
+        "follows these, or a reference of all: a motion of base and arms is WholeBody(robot, base, *joints)"
+    )

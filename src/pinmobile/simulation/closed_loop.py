@@ -7,16 +7,26 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, positive
 from pinmobile.controllers import Controller
-from pinmobile.disturbances import Force
+from pinmobile.disturbances import CoordinateForce, Force
 from pinmobile.errors import Diverged, InvalidArgument
-from pinmobile.integrators import Integrator, constant_acceleration
-from pinmobile.plant import Context, Plant
-from pinmobile.simulation.checks import checked_forces, checked_loop, checked_substeps, sample_times, sampled
+from pinmobile.integrators import Integrator
+from pinmobile.plant import Context, Plant, all_samples, coordinates_of, whole_configurations
+from pinmobile.simulation.checks import (
+    check_answers,
+    check_controllers_memory,
+    checked_forces,
+    checked_loop,
+    checked_substeps,
+    chosen_integrator,
+    sample_times,
+    sampled,
+)
+from pinmobile.simulation.engines import COMPILED, PINOCCHIO, Engine, checked_engine
 from pinmobile.simulation.loop import Loop
 from pinmobile.simulation.rollout import Rollout
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
-__all__ = ["simulate"]
+__all__ = ["errors_of", "simulate"]
 
 _CHUNK = 512  # samples between two looks for divergence
 
@@ -30,44 +40,53 @@ def simulate(
     duration: float | None = None,
     q0: ArrayLike | None = None,
     v0: ArrayLike | None = None,
-    integrator: Integrator = constant_acceleration,
+    integrator: Integrator | None = None,
     substeps: int = 1,
-    forces: Sequence[Force] = (),
+    forces: Sequence[Force | CoordinateForce] = (),
     limit: float = 1e3,
+    engine: Engine | None = None,
 ) -> Rollout:
     """Run the closed loop from 0 to `duration` and record every sample.
 
-    The controller is asked at t = 0, dt, 2 dt, ...; its force is held in between, as a digital controller's
-    is. The integrator divides each dt into `substeps`. Force and acceleration are recorded at the last
-    sample too. The other `forces` act on the body in continuous time: each stage of the integrator sees them
-    at its own time and state. They are part of the recorded acceleration, not of the recorded tau.
+    The controller is asked at t = 0, dt, 2 dt, ...; its input is held in between, as a digital controller's
+    is, within the limits that the plant states of its `inputs`. The integrator divides each dt into
+    `substeps`. Input and acceleration are recorded at the last sample too. The other `forces` act in
+    continuous time: each stage of the integrator sees them at its own time and state. They are part of the
+    recorded acceleration, not of the recorded u. A plant with a step of its own takes that in place of an
+    integrator's; its acceleration is the mean of the first substep.
 
     Parameters
     ----------
     plant : MobileRobot or other plant
-        What is simulated.
+        What is simulated: see `pinmobile.plant.Plant`.
     controller : controller
         See `pinmobile.controllers`; `law(f)` makes one of a plain function.
     trajectory : trajectory
-        Gives the reference: ``trajectory(t)`` with `t` of shape (N + 1,), and a ``duration`` [s].
+        Gives the reference: ``trajectory(t)`` with `t` of shape (N + 1,), and a ``duration`` [s]. It has as
+        many of the plant's first coordinates as its ``leading`` allows.
     dt : float
         Sampling time of the controller [s].
     duration : float, optional
         [s]; a whole number of dt, at most the trajectory's, which is the default.
     q0, v0 : array_like, shape (nq,) and (nv,), optional
-        Start, within the joint limits of the plant's arms; by default on the trajectory.
-    integrator : callable
-        One step of the plant, see `pinmobile.integrators`. The library's keep their order for joints that
+        Start, within the joint limits of the plant's arms; by default on the trajectory, completed by the
+        plant's ``start``.
+    integrator : callable, optional
+        One step of the plant, see `pinmobile.integrators`; by default the plant's own choice, and of one that
+        has none constant_acceleration. The library's keep their order for joints that
         turn about several axes; a callable of one's own sees their displacement as if it changed at the
         velocity, and is of order 2 at most for these.
     substeps : int
         Steps of the integrator per dt.
     forces : sequence of callables
-        What acts besides the controller, see `pinmobile.disturbances`: each ``force(t, q, v)`` gets the pose
-        (x, y, psi) and its rate, shape (3,), and returns (Fx, Fy, Mz) [N, N, N m].
+        What acts besides the controller, see `pinmobile.disturbances`. Each ``force(t, pose, rate)`` gets the
+        body's (x, y, psi) and their rates, shape (3,), and returns the wrench (Fx, Fy, Mz) [N, N, N m]; one
+        that has ``on_coordinates(t, q, v)`` returns a generalised force, shape (nv,).
     limit : float
         The loop counts as diverged when an error in a coordinate (psi on the circle) or in a velocity is
         beyond it [m, rad, m/s, rad/s].
+    engine : Engine, optional
+        `PINOCCHIO`, by default, or `COMPILED`: the same laws as machine code, for those who run many.
 
     Returns
     -------
@@ -82,42 +101,79 @@ def simulate(
         If a number is no longer finite or an error is beyond `limit`; it carries what was recorded before.
     """
     dt, limit = positive("dt", dt, "s"), positive("limit", limit)
+    integrator = chosen_integrator(plant, integrator)
     checked_loop(plant, controller, trajectory, integrator)
     t = sample_times(dt, duration, trajectory.duration)
     reference = sampled(trajectory, t, plant)
-    start = _start("q0", q0, reference.q[0]), _start("v0", v0, reference.v[0])
-    if getattr(plant, "mounts", ()):
-        check_limits(plant, *start)
+    start = _start(plant, reference, q0, v0)
     count, checked = checked_substeps(substeps, len(t)), checked_forces(forces, plant)
     context = Context.of(plant, dt=dt, t=t, reference=reference, trajectory=trajectory)
-    loop = Loop(plant, controller, integrator, context, count, checked, *start)
-    for begin in range(0, len(t), _CHUNK):
-        end = min(begin + _CHUNK, len(t))
+    check_answers(plant, checked, integrator, *start, dt / count)
+    check_controllers_memory(controller, context, *start)
+    chosen = checked_engine(engine, PINOCCHIO, COMPILED) or PINOCCHIO
+    kind: Any = Loop
+    if chosen is COMPILED:
+        from pinmobile.simulation.single import CompiledLoop as kind  # and with it, what compiles
+    chunk = len(t) if chosen is COMPILED else _CHUNK
+    loop = kind(plant, controller, integrator, context, count, checked, *start)
+    for begin in range(0, len(t), chunk):
+        end = min(begin + chunk, len(t))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # the check below tells
             loop.run(begin, end)
         if loop.is_fine(begin, end, limit):
             continue
         bad, why = _first_bad(plant, loop, reference, begin, end, limit)
         if bad is not None:
-            kept = _rollout(plant, t, loop, reference, bad) if bad else None
+            kept = _rollout(plant, t, loop, reference, bad, chosen) if bad else None
             q, v, _, _ = loop.samples(bad, bad + 1)
             message = f"the loop diverged at t = {t[bad]:g} s (sample {bad} of {len(t) - 1}): {why}"
             message += _too_stiff(plant, checked, start[0], dt / count)
             raise Diverged(message, time=float(t[bad]), q=q[0], v=v[0], rollout=kept) from loop.stopped
-    return _rollout(plant, t, loop, reference, len(t))
+    return _rollout(plant, t, loop, reference, len(t), chosen)
 
 
-def _start(name: str, value: ArrayLike | None, default: Array) -> Array:
-    if value is None:
-        return default
-    start = finite(name, value)
-    if start.shape != default.shape:
-        raise InvalidArgument(f"{name} has shape {start.shape}, expected {default.shape}")
-    return start
+def _start(
+    plant: Any, reference: Reference, q0: ArrayLike | None, v0: ArrayLike | None
+) -> tuple[Array, Array]:
+    """Return the state to start with: as given, or on the reference as the plant completes it."""
+    first = Reference(*(part[0] for part in reference))
+    if hasattr(plant, "start"):
+        on_reference = plant.start(first)
+    elif first.v.size == plant.nv:
+        on_reference = first.q, first.v
+    elif q0 is None or v0 is None:
+        raise InvalidArgument(
+            f"reference has the first {first.v.size} of {plant.nv} coordinates, and the plant, a "
+            f"{type(plant).__name__}, has no start(reference), which completes them: give q0 and v0"
+        )
+    else:
+        on_reference = np.zeros(plant.nq), np.zeros(plant.nv)
+    found = []
+    for name, given, default, size in zip(
+        ("q0", "v0"), (q0, v0), on_reference, (plant.nq, plant.nv), strict=True
+    ):
+        own = finite(
+            name if given is not None else f"{name} of plant.start", default if given is None else given
+        )
+        if own.shape != (size,):
+            raise InvalidArgument(f"{name} has shape {own.shape}, expected ({size},)")
+        found.append(own)
+    q, v = found
+    if hasattr(plant, "velocity_limit"):
+        check_limits(plant, q, v)
+    if hasattr(plant, "check_start"):
+        plant.check_start(q.copy(), v.copy())
+    return q, v
+
+
+def errors_of(plant: Any, q: Array, reference: Reference) -> Array:
+    """Return the errors of samples, shape (N, n): from q to the reference's n coordinates."""
+    whole = whole_configurations(plant, q, reference.q)
+    return all_samples(plant, "difference", q, whole)[:, : reference.v.shape[1]]
 
 
 def _first_bad(
-    plant: Plant, loop: Loop, reference: Reference, begin: int, end: int, limit: float
+    plant: Plant, loop: Any, reference: Reference, begin: int, end: int, limit: float
 ) -> tuple[int | None, str]:
     """Return the first sample that is not acceptable, or None, and why."""
     samples = loop.samples(begin, end)
@@ -125,17 +181,17 @@ def _first_bad(
     good = int(np.argmin(finite)) if not finite.all() else end - begin
     if good:
         q, v = (part[:good] for part in samples[:2])
-        window = slice(begin, begin + good)
-        errors = np.hstack([plant.difference(q, reference.q[window]), reference.v[window] - v])
+        window = Reference(*(part[begin : begin + good] for part in reference))
+        n = window.v.shape[1]
+        errors = np.hstack([errors_of(plant, q, window), window.v - v[:, :n]])
         beyond = np.abs(errors) > limit
         if beyond.any():
             k, column = map(int, np.argwhere(beyond)[0])
-            numbered = [*("x", "y", "psi"), *(f"v[{j}]" for j in range(3, plant.nv))]
-            names = getattr(plant, "coordinate_names", numbered)
-            what = f"the error in {'the rate of ' if column >= plant.nv else ''}{names[column % plant.nv]}"
+            named = coordinates_of(plant)[column % n].name
+            what = f"the error in {'the rate of ' if column >= n else ''}{named}"
             return begin + k, f"{what} is {errors[k, column]:.4g}, beyond the limit {limit:g}"
     if good < end - begin:
-        parts = ("q", "v", "a", "tau")
+        parts = ("q", "v", "a", "u")
         which = [n for n, part in zip(parts, samples, strict=True) if not np.isfinite(part[good]).all()]
         return begin + good, f"{', '.join(which)} not finite"
     return None, ""
@@ -144,14 +200,25 @@ def _first_bad(
 def _too_stiff(plant: Any, forces: Sequence[Any], q: Array, h: float) -> str:
     """Return what frictions ask of the step, where that is not met: such a loop shakes itself to pieces.
 
-    With the damping C of the body's axes, explicit steps are stable up to 2 / max eig(M^-1 C), or some more.
+    With the damping C of all coordinates, explicit steps are stable up to 2 / max eig(M^-1 C), or some more.
     """
-    dampings = [force.damping for force in forces if hasattr(force, "damping")]
-    if not dampings or not hasattr(plant, "mass_matrix"):
+    if not hasattr(plant, "mass_matrix"):
         return ""
-    ahead = np.array(q)
-    ahead[2] = 0.0  # where the inertial axes are the body's
-    rates = np.linalg.eigvals(np.linalg.solve(plant.mass_matrix(ahead)[:3, :3], np.diag(sum(dampings))))
+    C = np.zeros((plant.nv, plant.nv))
+    for force in forces:
+        if not hasattr(force, "damping"):
+            continue
+        if hasattr(force, "on_coordinates"):
+            C += np.diag(np.broadcast_to(force.damping, plant.nv))
+            continue
+        psi = plant.pose(q)[2]
+        cos, sin = np.cos(psi), np.sin(psi)
+        axes = np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])  # of the body
+        J = np.stack([plant.effort(q, axis) for axis in axes])
+        C += J.T @ np.diag(force.damping) @ J
+    if not C.any():
+        return ""
+    rates = np.linalg.eigvals(np.linalg.solve(plant.mass_matrix(q), C))
     longest = 2 / max(float(np.abs(rates).max()), 1e-300)
     if h <= longest:
         return ""
@@ -161,8 +228,10 @@ def _too_stiff(plant: Any, forces: Sequence[Any], q: Array, h: float) -> str:
     )
 
 
-def _rollout(plant: Plant, t: Array, loop: Loop, reference: Reference, end: int) -> Rollout:
-    q, v, a, tau = loop.samples(0, end)
-    error: Any = plant.difference(q, reference.q[:end])
+def _rollout(plant: Plant, t: Array, loop: Any, reference: Reference, end: int, engine: Engine) -> Rollout:
+    q, v, a, u = loop.samples(0, end)
     kept = Reference(*(part[:end] for part in reference))
-    return Rollout(robot=plant, t=t[:end], q=q, v=v, a=a, tau=tau, error=error, reference=kept)
+    signals = {} if loop.recorder is None else loop.recorder.signals(end)
+    error = errors_of(plant, q, kept)
+    records = {"t": t[:end], "q": q, "v": v, "a": a, "u": u, "error": error}
+    return Rollout(plant=plant, reference=kept, signals=signals, engine=repr(engine), **records)

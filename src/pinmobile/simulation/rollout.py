@@ -1,25 +1,35 @@
 """`Rollout`: everything that a simulation recorded, with its own judgement."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from os import PathLike
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, finite, frozen, increasing, location
+from pinmobile.arrays import Array, finite, frozen, increasing, location, real
 from pinmobile.errors import InvalidArgument
 from pinmobile.files import replacing, write_table
-from pinmobile.robot import MobileRobot
+from pinmobile.plant import (
+    Coordinate,
+    Input,
+    all_samples,
+    configuration_names_of,
+    coordinates_of,
+    inputs_of,
+    leading_of,
+    whole_configurations,
+)
+from pinmobile.simulation.signals import Signal
 from pinmobile.simulation.storage import read_archive, write_archive
 from pinmobile.trajectories import Reference
 
 __all__ = ["Rollout", "error_text"]
 
-_NAMES = ("x", "y", "psi")
-_UNITS = ("m", "m", "rad")
+_POSE = 3  # x, y, psi
 _ROUNDING = 1e-12  # [m, rad]
-_RECORDED = ("t", "q", "v", "a", "tau", "error")
+_RECORDED = ("t", "q", "v", "a", "u", "error")
 
 
 def error_text(value: float) -> str:
@@ -33,21 +43,26 @@ class Rollout:
 
     Attributes
     ----------
-    robot : MobileRobot or other plant
-        What was simulated; None after loading the file of a plant that is no `MobileRobot`, or of one whose
-        arm is no loader's and has no URDF that is still there.
+    plant : MobileRobot or other plant
+        What was simulated. Of a file whose plant is no `MobileRobot`, or one whose arm is no loader's and has
+        no URDF that is still there, a `pinmobile.plant.PlantOutline`: its names and units.
     t : ndarray, shape (N + 1,)
         Times [s].
     q : ndarray, shape (N + 1, nq)
-        Configuration; nq = nv = 3 where no arm is mounted.
+        Configuration.
     v, a : ndarray, shape (N + 1, nv)
         Velocity and acceleration; `a` is that at the start of each step.
-    tau : ndarray, shape (N + 1, nv)
-        Generalised force (Fx, Fy, Mz, ...) [N, N, N m, ...], held until the next sample.
-    error : ndarray, shape (N + 1, nv)
-        From the configuration to the reference, psi on the circle [m, m, rad, ...].
+    u : ndarray, shape (N + 1, nu)
+        Input, within the plant's limits, held until the next sample; of a body that is pushed its generalised
+        force (Fx, Fy, Mz, ...) [N, N, N m, ...].
+    error : ndarray, shape (N + 1, n)
+        From the configuration to the reference's n coordinates, psi on the circle [m, m, rad, ...].
     reference : Reference
-        Desired q, v and a, of the same shapes.
+        Desired q, v and a of the first n coordinates.
+    signals : mapping of str to Signal
+        What else plant and controller gave at each sample, with its unit.
+    engine : str
+        What ran the loop: ``"PINOCCHIO"``, in Python, or ``"COMPILED"``; "" where that is not known.
 
     Raises
     ------
@@ -55,14 +70,16 @@ class Rollout:
         If a number is not finite, times do not increase, or a shape is not what it is above.
     """
 
-    robot: Any
+    plant: Any
     t: Array
     q: Array
     v: Array
     a: Array
-    tau: Array
+    u: Array
     error: Array
     reference: Reference
+    signals: Mapping[str, Signal] = field(default_factory=dict)
+    engine: str = ""
 
     def __post_init__(self) -> None:
         for name in _RECORDED:
@@ -72,17 +89,24 @@ class Rollout:
         desired = Reference(*(frozen(finite(f"reference.{name}", part)) for name, part in parts))
         object.__setattr__(self, "reference", desired)
         self._check_shapes()
+        signals = {name: Signal(unit, frozen(real(name, x))) for name, (unit, x) in self.signals.items()}
+        for name, (_, values) in signals.items():
+            if values.ndim not in (1, 2) or len(values) != len(self.t):
+                raise InvalidArgument(
+                    f"signals[{name!r}] has shape {values.shape}, expected ({len(self.t)},) or more columns"
+                )
+        object.__setattr__(self, "signals", MappingProxyType(signals))
 
     def _check_shapes(self) -> None:
         t, desired = self.t, self.reference
         increasing("t", t)
-        of_plant = {"q": self.q, "v": self.v, "a": self.a, "tau": self.tau}
+        of_plant = {"q": self.q, "v": self.v, "a": self.a, "u": self.u}
         tracked = {"error": self.error, "reference.v": desired.v, "reference.a": desired.a}
         for name, array in {**of_plant, **tracked, "reference.q": desired.q}.items():
             if array.ndim != 2 or len(array) != len(t):
                 raise InvalidArgument(f"{name} has shape {array.shape}, expected ({len(t)}, ...) as t has")
-        for name, size in (("q", "nq"), ("v", "nv"), ("a", "nv"), ("tau", "nu")):
-            width = getattr(self.robot, size, (self.v if size == "nv" else of_plant[name]).shape[1])
+        for name, size in (("q", "nq"), ("v", "nv"), ("a", "nv"), ("u", "nu")):
+            width = getattr(self.plant, size, (self.v if size == "nv" else of_plant[name]).shape[1])
             if of_plant[name].shape[1] != width:
                 raise InvalidArgument(
                     f"{name} has shape {of_plant[name].shape}, expected ({len(t)}, {width})"
@@ -98,72 +122,130 @@ class Rollout:
     def __len__(self) -> int:
         return len(self.t)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        arrays = (getattr(self, name) for name in _RECORDED)
+        return Rollout, (self.plant, *arrays, self.reference, dict(self.signals), self.engine)
+
     def __repr__(self) -> str:
         errors = self._errors("largest", self.max_error())
         return f"<Rollout: {len(self)} samples over {self.t[-1]:g} s, {errors}{self._worst_joint()}>"
 
     def __str__(self) -> str:
         step = f" at dt = {self.t[1]:g} s" if len(self) > 1 else ""
-        forces = zip(("Fx", "Fy", "Mz"), self.max_force(), ("N", "N", "N m"), strict=False)
+        listed = zip(self.inputs, self.max_input(), strict=True)
+        inputs = [f"{one.name} {value:.4g} {one.unit}".rstrip() for one, value in listed]
         return "\n".join(
             [
                 f"{len(self)} samples over {self.t[-1]:g} s{step}",
                 self._errors("largest", self.max_error()),
                 self._errors("rms", self.rms_error()),
-                "largest force: " + ", ".join(f"{name} {value:.4g} {unit}" for name, value, unit in forces),
+                "largest input: " + ", ".join(inputs[: self._led] if self._by_coordinate else inputs),
                 *self._of_joints(),
             ]
         )
 
     @property
-    def labels(self) -> tuple[tuple[str, str], ...]:
-        """Name and unit of each column of `error`, shape (nv,); numbers where the robot is not known."""
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """The coordinates that the reference has, one for each column of `error`."""
         count = self.error.shape[1]
-        if isinstance(self.robot, MobileRobot) and self.robot.nv == count:
-            return tuple(zip(self.robot.coordinate_names, self.robot.coordinate_units, strict=True))
-        known = tuple(zip(_NAMES, _UNITS, strict=True))
-        return known[:count] + tuple((f"[{k}]", "") for k in range(len(known), count))
+        named = coordinates_of(self.plant) or tuple(Coordinate(f"[{k}]", "") for k in range(count))
+        return named[:count]
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """The plant's inputs, one for each column of `u`."""
+        return inputs_of(self.plant) or tuple(Input(f"[{k}]", "") for k in range(self.u.shape[1]))
+
+    @property
+    def labels(self) -> tuple[tuple[str, str], ...]:
+        """Name and unit of each column of `error`, shape (n,)."""
+        return tuple((one.name, one.unit) for one in self.coordinates)
+
+    @property
+    def poses(self) -> Array:
+        """x, y and psi of the body, shape (N + 1, 3) [m, m, rad].
+
+        Raises
+        ------
+        InvalidArgument
+            If the plant does not tell where its body is.
+        """
+        return self._poses(self.q)
+
+    @property
+    def reference_poses(self) -> Array:
+        """x, y and psi that the body should have, shape (N + 1, 3) [m, m, rad]; raises as `poses`."""
+        return self._poses(whole_configurations(self, self.q, self.reference.q))
+
+    @property
+    def nq(self) -> int:
+        """Size of q."""
+        return int(self.q.shape[1])
+
+    def _poses(self, q: Array) -> Array:
+        if self.plant is None and self.nq >= _POSE:
+            return q[:, :_POSE]
+        if not callable(getattr(self.plant, "pose", None)):
+            kind = getattr(self.plant, "kind", type(self.plant).__name__)
+            raise InvalidArgument(
+                f"plant is a {kind}, which does not tell where its body is, expected one with pose(q), which "
+                "returns x, y and psi"
+            )
+        return frozen(all_samples(self.plant, "pose", q))
+
+    @property
+    def _led(self) -> int:
+        """How many coordinates stand in one line of text: the fewest that a reference may have."""
+        return min(*leading_of(self.plant), self.error.shape[1]) if self.plant is not None else _POSE
+
+    @property
+    def _by_coordinate(self) -> bool:
+        return bool(self.u.shape[1] == self.error.shape[1] == self.v.shape[1])
 
     def _worst_joint(self) -> str:
-        """Return the joint with the largest error, as text; nothing where no arm is mounted."""
-        largest = self.max_error()[len(_NAMES) :]
+        """Return the joint with the largest error, as text; nothing where all stand in one line."""
+        largest = self.max_error()[self._led :]
         if not largest.size:
             return ""
         worst = int(largest.argmax())
-        name, unit = self.labels[len(_NAMES) + worst]
+        name, unit = self.labels[self._led + worst]
         return f", {name} {error_text(largest[worst])} {unit}".rstrip()
 
     def _of_joints(self) -> list[str]:
-        """Return a table of the arms' joints; nothing where there are none."""
-        labels = self.labels[len(_NAMES) :]
-        if not labels or self.tau.shape != self.error.shape:
+        """Return a table of what stands in no line, the arms' joints; nothing where there are none."""
+        led = self._led
+        labels, forced = self.labels[led:], self._by_coordinate
+        if not labels:
             return []
         width = max(len(name) for name, _ in labels)
-        lines = [f"{'joint':{width}} {'largest error':>17} {'rms error':>17} {'largest force':>14}"]
-        columns = (part[len(_NAMES) :] for part in (self.max_error(), self.rms_error(), self.max_force()))
-        for (name, unit), largest, rms, force in zip(labels, *columns, strict=True):
-            newton = {"m": "N  ", "rad": "N m"}.get(unit, "   ")
+        heads = f"{'joint':{width}} {'largest error':>17} {'rms error':>17}"
+        lines = [f"{heads} {'largest input':>14}" if forced else heads]
+        columns = (part[led:] for part in (self.max_error(), self.rms_error()))
+        inputs = (
+            zip(self.max_input()[led:], self.inputs[led:], strict=True) if forced else [None] * len(labels)
+        )
+        for (name, unit), largest, rms, pair in zip(labels, *columns, inputs, strict=True):
             errors = " ".join(f"{error_text(value):>13} {unit:3}" for value in (largest, rms))
-            lines.append(f"{name:{width}} {errors} {force:10.4g} {newton}".rstrip())
+            most = "" if pair is None else f"{pair[0]:10.4g} {pair[1].unit:3}"
+            lines.append(f"{name:{width}} {errors} {most}".rstrip())
         return lines
 
-    @staticmethod
-    def _errors(what: str, values: Array) -> str:
-        named = zip(_NAMES, values, _UNITS, strict=False)
-        listed = ", ".join(f"{name} {error_text(value)} {unit}" for name, value, unit in named)
+    def _errors(self, what: str, values: Array) -> str:
+        named = list(zip(self.labels, values, strict=True))[: self._led]
+        listed = ", ".join(f"{name} {error_text(value)} {unit}".rstrip() for (name, unit), value in named)
         return f"{what} error: {listed}"
 
     def max_error(self) -> Array:
-        """Return the largest |error| of each coordinate, shape (nv,) [m, m, rad, ...]."""
+        """Return the largest |error| of each coordinate, shape (n,) [m, m, rad, ...]."""
         return np.asarray(np.abs(self.error).max(axis=0))
 
     def rms_error(self) -> Array:
-        """Return the root of the mean squared error of each coordinate, shape (nv,) [m, m, rad, ...]."""
+        """Return the root of the mean squared error of each coordinate, shape (n,) [m, m, rad, ...]."""
         return np.asarray(np.sqrt(np.square(self.error).mean(axis=0)))
 
-    def max_force(self) -> Array:
-        """Return the largest |tau| of each coordinate, shape (nv,) [N, N, N m, ...]."""
-        return np.asarray(np.abs(self.tau).max(axis=0))
+    def max_input(self) -> Array:
+        """Return the largest |u| of each input, shape (nu,), in its unit."""
+        return np.asarray(np.abs(self.u).max(axis=0))
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write everything, to the last digit, as a NumPy archive (``.npz``); what is there is replaced.
@@ -176,7 +258,7 @@ class Rollout:
             If the system fails, such as of a full disk; what was there is there still.
         """
         with replacing(path) as file:
-            write_archive(file, self.arrays(), self.robot)
+            write_archive(file, self.arrays(), self.plant, self.signals)
 
     def arrays(self) -> dict[str, Array]:
         """Return all arrays by the names that they have in a file, those of the reference among them."""
@@ -184,10 +266,13 @@ class Rollout:
         return {name: getattr(self, name) for name in _RECORDED} | reference
 
     @classmethod
-    def of(cls, robot: Any, arrays: Mapping[str, Array]) -> "Rollout":
-        """Return the rollout of a robot, or of None, that has the arrays of `arrays`."""
+    def of(
+        cls, plant: Any, arrays: Mapping[str, Array], signals: Mapping[str, Signal] | None = None
+    ) -> "Rollout":
+        """Return the rollout of a plant, or of None, that has the arrays of `arrays`, and signals."""
         reference = Reference(*(arrays[f"reference_{name}"] for name in Reference._fields))
-        return cls(robot=robot, reference=reference, **{name: arrays[name] for name in _RECORDED})
+        named: dict[str, Any] = {name: arrays[name] for name in _RECORDED}
+        return cls(plant=plant, reference=reference, signals=signals or {}, **named)
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> "Rollout":
@@ -201,17 +286,17 @@ class Rollout:
             If the system fails.
         """
         file = location("path", path)
-        arrays, robot = read_archive(file)
+        arrays, plant, signals = read_archive(file)
         try:
-            return cls.of(robot, arrays)
+            return cls.of(plant, arrays, signals)
         except InvalidArgument as error:
             raise InvalidArgument(f"path is {str(file)!r}, which holds no rollout: {error}") from error
 
     def to_csv(self, path: str | PathLike[str]) -> None:
         """Write one line per sample, with a header and 17 significant digits.
 
-        The columns are t, then q, v, a, tau, error and the desired q, each as x, y, psi and the names of
-        the arms' joints; those have numbers where the robot is not known.
+        The columns are t, then q, v, a, u, error, the desired q, and the signals, each with the plant's names
+        and units, such as ``v_x [m/s]`` and ``u_Fx [N]``; numbers where the plant names none.
 
         Raises
         ------
@@ -220,17 +305,31 @@ class Rollout:
         FileError
             If the system fails, such as of a full disk; what was there is there still.
         """
-        groups = {"": self.q, "v_": self.v, "a_": self.a, "tau_": self.tau, "error_": self.error}
-        groups["desired_"] = self.reference.q
-        header = ["t", *(f"{group}{name}" for group, part in groups.items() for name in self._columns(part))]
-        write_table(path, header, [self.t, *groups.values()])
+        coordinates, known = coordinates_of(self.plant), self.plant is not None
+        units = {one.name: one.unit for one in coordinates}
+        of_q = [(name, units.get(name, "")) for name in configuration_names_of(self.plant)]
+        of_v = [(one.name, one.unit) for one in coordinates]
+        of_u = [(one.name, one.unit) for one in self.inputs]
+        groups: list[tuple[str, str, Array, Sequence[tuple[str, str]]]] = [
+            ("", "", self.q, of_q),
+            ("v_", "/s", self.v, of_v),
+            ("a_", "/s^2", self.a, of_v),
+            ("u_", "", self.u, of_u),
+            ("error_", "", self.error, of_v),
+            ("desired_", "", self.reference.q, of_q),
+        ]
+        header, columns = ["t [s]"], [self.t]
+        for group, per, part, named in groups:
+            width = part.shape[1]
+            listed = named[:width] if known or group == "u_" else [(f"[{k}]", "") for k in range(width)]
+            header += [_head(f"{group}{name}", f"{unit}{per}" if unit else "") for name, unit in listed]
+            columns.append(part)
+        for name, (unit, values) in self.signals.items():
+            entries = [""] if values.ndim == 1 else [f"[{k}]" for k in range(values.shape[1])]
+            header += [_head(f"signal_{name}{entry}", unit) for entry in entries]
+            columns.append(values)
+        write_table(path, header, columns)
 
-    def _columns(self, part: Array) -> Sequence[str]:
-        """Return the columns' names: x, y, psi and the joints; numbers where they have none."""
-        width = part.shape[1]
-        if isinstance(self.robot, MobileRobot):
-            for named in (self.robot.configuration_names, self.robot.coordinate_names):
-                if len(named) == width:
-                    return named
-        names = list(_NAMES) if width >= len(_NAMES) else []
-        return [*names, *(str(k) for k in range(len(names), width))]
+
+def _head(name: str, unit: str) -> str:
+    return f"{name} [{unit}]" if unit else name

@@ -1,22 +1,22 @@
-"""Steps of the plant between two samples, under a held force and under those that act in between."""
+"""Steps of the plant between two samples, under a held input and under forces that act in between."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
+from math import isfinite
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.disturbances import Force
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.integrators import Integrator, RungeKuttaNystrom
 from pinmobile.plant import Plant
-from pinmobile.robot import MobileRobot
 
 __all__ = [
     "Clock",
-    "forward_of",
-    "integrate_of",
+    "Dynamics",
+    "dynamics_of",
+    "own_steps",
     "pushed",
     "stepped",
     "steps",
@@ -24,12 +24,12 @@ __all__ = [
     "tabled_steps",
 ]
 
-_PLANE = 3  # coordinates that a force on the body acts on
+_WRENCH = (3,)
 _STRAIGHT = 1e-6  # where a Jacobian is the identity it is so exactly, and of a ball joint it is off by tenths
 
-Forward: TypeAlias = Callable[[Array, Array, Array], Array]
 Push: TypeAlias = Callable[[float, Array, Array], Array]
 Advance: TypeAlias = Callable[[int, Array, Array, Array, Array, Array, Array], None]
+OwnStep: TypeAlias = Callable[[int, Array, Array, Array, Array, Array], None]
 
 
 class Clock(NamedTuple):
@@ -40,52 +40,91 @@ class Clock(NamedTuple):
     substeps: int
 
 
-def forward_of(plant: Plant) -> Forward:
-    """Return forward dynamics in public order, unchecked where the plant allows."""
-    if type(plant) is not MobileRobot:
-        return plant.forward_dynamics
-    engine = plant._engine
-    forward, order, order_q = engine.calls().forward, engine.order, engine.order_q
-    return lambda q, v, tau: forward(q[order_q], v[order], tau[order])[order]
+class Dynamics(NamedTuple):
+    """The acceleration of a plant under its input, unchecked where the plant offers it.
+
+    Attributes
+    ----------
+    free : callable
+        Of q, v and u, where no other forces are given.
+    forced : callable or None
+        Of t, q, v and u, under the other forces; None where there are none.
+    """
+
+    free: Callable[[Array, Array, Array], Array]
+    forced: Callable[[float, Array, Array, Array], Array] | None = None
 
 
-def integrate_of(plant: "Plant") -> Callable[[Array, Array], Array]:
-    """Return the plant's step from a configuration, unchecked where the plant allows."""
-    if type(plant) is not MobileRobot:
-        return plant.integrate
-    engine = plant._engine
-    integrate, order, order_q = engine.calls().integrate, engine.order, engine.order_q
-    return lambda q, dq: integrate(q[order_q], dq[order])[order_q]
+def dynamics_of(plant: Plant, push: Push | None, *, kept: bool) -> Dynamics:
+    """Return a plant's acceleration, under forces beside its input where there are such.
+
+    Where `kept`, an answer outlives the next one, as whoever brings an integrator expects.
+    """
+    calls = getattr(plant, "calls", None)
+    if calls is not None:
+        raw = calls().forward_dynamics
+        free = (lambda q, v, u: np.array(raw(q, v, u))) if kept else raw
+        return Dynamics(free, None if push is None else lambda t, q, v, u: free(q, v, u + push(t, q, v)))
+    forward: Any = plant.forward_dynamics  # what it is given is a copy, and its own
+
+    def forced(t: float, q: Array, v: Array, u: Array) -> Array:
+        f = push(t, q, v)  # type: ignore[misc]
+        return forward(q.copy(), v.copy(), u.copy(), f)  # type: ignore[no-any-return]
+
+    return Dynamics(lambda q, v, u: forward(q.copy(), v.copy(), u.copy()), None if push is None else forced)
 
 
-def pushed(forces: tuple[Force, ...], order: Any, nv: int) -> Push:
-    """Return the sum of the forces, shape (nv,), in the order of the loop; they get copies of the state."""
-    pose = np.arange(_PLANE) if order is None else order[:_PLANE]
+def pushed(forces: Sequence[Any], plant: Any) -> Push | None:
+    """Return the generalised force of all forces, shape (nv,), None where none act; they get copies."""
+    if not forces:
+        return None
+    wrenches = [(k, one) for k, one in enumerate(forces) if not hasattr(one, "on_coordinates")]
+    others = [(k, one.on_coordinates) for k, one in enumerate(forces) if hasattr(one, "on_coordinates")]
+    size, zeros = (plant.nv,), np.zeros(plant.nv)
+    unchecked = hasattr(plant, "calls")
+    calls = plant.calls() if unchecked else plant
+    pose_of, rate_of, effort = (getattr(calls, name, None) for name in ("pose", "rate", "effort"))
 
     def push(t: float, q: Array, v: Array) -> Array:
-        total = np.zeros(nv)
-        plane = total[:_PLANE]
-        for k, force in enumerate(forces):
-            own_q, own_v = q[pose], v[pose]  # copies
-            tau = force(t, own_q, own_v)
-            if type(tau) is not np.ndarray or tau.shape != (3,):
-                raise InvalidArgument(
-                    f"forces[{k}] returned {shown(tau)} at t = {t:g} s, expected an array of shape (3,)"
-                )
-            plane += tau
-        return total if order is None else total[order]
+        total = zeros
+        if wrenches:
+            wrench = np.zeros(_WRENCH)
+            pose, rate = pose_of(q), rate_of(q, v)  # type: ignore[misc]
+            for k, force in wrenches:
+                found = force(t, pose.copy(), rate.copy())
+                if type(found) is not np.ndarray or found.shape != _WRENCH:
+                    _refuse(f"forces[{k}]", found, t, _WRENCH)
+                wrench += found
+            # What is no number is for the loop to tell, with all that was before.
+            sound = unchecked or isfinite(wrench.sum())
+            total = effort(q, wrench) if sound else zeros + np.nan  # type: ignore[misc]
+        for k, on_coordinates in others:
+            found = on_coordinates(t, q.copy(), v.copy())
+            total = total + _answer(f"forces[{k}].on_coordinates", found, t, size)
+        return np.asarray(total)
 
     return push
 
 
-def tabled_steps(
-    table: RungeKuttaNystrom, forward: Forward, push: Push | None, clock: Clock, n: int
-) -> Advance:
+def _answer(name: str, value: Any, t: float, shape: tuple[int, ...]) -> Array:
+    if type(value) is not np.ndarray or value.shape != shape:
+        _refuse(name, value, t, shape)
+    answer: Array = value
+    return answer
+
+
+def _refuse(name: str, value: Any, t: float, shape: tuple[int, ...]) -> None:
+    raise InvalidArgument(
+        f"{name} returned {shown(value)} at t = {t:g} s, expected an array of shape {shape}"
+    )
+
+
+def tabled_steps(table: RungeKuttaNystrom, dynamics: Dynamics, clock: Clock, n: int) -> Advance:
     """Return the steps of a tabled method, one matrix product per stage.
 
     The work row is (q, v, a_1, ..., a_s); each matrix maps the part that is known to a state.
     """
-    times, h, substeps = clock
+    (times, h, substeps), (free, forced) = clock, dynamics
     work, state = np.empty((2 + len(table.nodes)) * n), np.empty(2 * n)
     stages = [
         (c, _state_matrix(c, by_q, by_v, h, n), work[: (2 + i) * n], work[(2 + i) * n : (3 + i) * n])
@@ -95,20 +134,22 @@ def tabled_steps(
     stage_q, stage_v = state[:n], state[n:]
     start, first = work[: 2 * n], work[2 * n : 3 * n]
 
-    def one_product(k: int, row: Array, q: Array, v: Array, force: Array, a: Array, after: Array) -> None:
+    def one_product(k: int, row: Array, q: Array, v: Array, u: Array, a: Array, after: Array) -> None:
         finish(row, after)
 
-    def advance(k: int, row: Array, q: Array, v: Array, force: Array, a: Array, after: Array) -> None:
+    def advance(k: int, row: Array, q: Array, v: Array, u: Array, a: Array, after: Array) -> None:
         work[: 3 * n] = row
         for j in range(substeps):
             if j:
                 start[:] = after
                 q, v = start[:n], start[n:]
-                first[:] = forward(q, v, force if push is None else force + push(times[k] + j * h, q, v))
+                first[:] = free(q, v, u) if forced is None else forced(times[k] + j * h, q, v, u)
             for c, product, known, found in stages:
                 product(known, state)
-                applied = force if push is None else force + push(times[k] + (j + c) * h, stage_q, stage_v)
-                found[:] = forward(stage_q, stage_v, applied)
+                if forced is None:
+                    found[:] = free(stage_q, stage_v, u)
+                else:
+                    found[:] = forced(times[k] + (j + c) * h, stage_q, stage_v, u)
             finish(work, after)
 
     return advance if stages or substeps > 1 else one_product
@@ -145,19 +186,19 @@ def stepped(
     return after
 
 
-def steps(integrator: Integrator, forward: Forward, push: Push | None, clock: Clock) -> Advance:
+def steps(integrator: Integrator, dynamics: Dynamics, clock: Clock) -> Advance:
     """Return the steps of any integrator, for configurations that simply add."""
-    times, h, substeps = clock
+    (times, h, substeps), (free, forced) = clock, dynamics
 
-    def advance(k: int, row: Array, q: Array, v: Array, force: Array, a: Array, after: Array) -> None:
+    def advance(k: int, row: Array, q: Array, v: Array, u: Array, a: Array, after: Array) -> None:
         now, x, w = times[k], q.copy(), v.copy()  # the record is nobody's to write into
         start = x, w
 
         def acceleration(time: float, x: Array, w: Array) -> Array:
-            known = x is start[0] and w is start[1] and (push is None or time == now)
+            known = x is start[0] and w is start[1] and (forced is None or time == now)
             if known and (x == q).all() and (w == v).all():  # unless it was written into
                 return a
-            return forward(x, w, force if push is None else force + push(time, x, w))
+            return free(x, w, u) if forced is None else forced(time, x, w, u)
 
         for j in range(substeps):
             x, w = stepped(integrator, acceleration, now + j * h, x, w, h)
@@ -176,31 +217,73 @@ def _turns(plant: Any) -> bool:
 
 
 def steps_between_configurations(
-    integrator: Integrator, plant: Plant, push: Push | None, clock: Clock
+    integrator: Integrator, plant: Any, dynamics: Dynamics, clock: Clock
 ) -> Advance:
     """Return the steps of any integrator, which sees the displacement from the start of its step.
 
     Where that does not change at the velocity, as of a ball joint, a table is told at which rate it does.
+    What constraints leave of the velocity is what is left after each step.
     """
-    (times, h, substeps), rest = clock, np.zeros(plant.nv)
-    forward, integrate = forward_of(plant), integrate_of(plant)
+    (times, h, substeps), (free, forced), rest = clock, dynamics, np.zeros(plant.nv)
+    # What is given to a plant is a copy, but to what says that it is unchecked.
+    calls = getattr(plant, "calls", None)
+    integrate = calls().integrate if calls is not None else plant.integrate
+    project = getattr(plant, "project", None)
     turning: Any = plant if isinstance(integrator, RungeKuttaNystrom) and _turns(plant) else None
 
-    def advance(k: int, row: Array, q: Array, v: Array, force: Array, a: Array, after: Array) -> None:
+    def advance(k: int, row: Array, q: Array, v: Array, u: Array, a: Array, after: Array) -> None:
         def acceleration(time: float, displacement: Array, w: Array) -> Array:
-            x = integrate(base, displacement)
-            return forward(x, w, force if push is None else force + push(time, x, w))
+            x = np.asarray(integrate(base.copy(), displacement))
+            return free(x, w, u) if forced is None else forced(time, x, w, u)
 
         def rate(displacement: Array, w: Array) -> Array:
             J: Any = turning.integrate_jacobian(base, displacement)
             return np.asarray(np.linalg.solve(J, w))
 
         step: Any = partial(integrator, rate=rate) if turning is not None else integrator  # type: ignore[call-arg]
-        base, w = q, v.copy()  # the record is nobody's to write into
+        base, w = q.copy(), v.copy()  # the record is nobody's to write into
         for j in range(substeps):
             displacement, w = stepped(step, acceleration, times[k] + j * h, rest.copy(), w, h)
-            base = integrate(base, displacement)
+            base = np.array(integrate(base, displacement))
+            if project is not None:
+                w = _answer("plant.project", project(base.copy(), w), times[k], rest.shape)
         after[: len(q)] = base
         after[len(q) :] = w
 
     return advance
+
+
+def own_steps(plant: Any, push: Push | None, clock: Clock, memory: Any) -> tuple[OwnStep, Callable[[], Any]]:
+    """Return the steps of a plant that has its own, and what tells the memory that it has.
+
+    The acceleration is the mean of the first substep's.
+    """
+    times, h, substeps = clock
+
+    def advance(k: int, q: Array, v: Array, u: Array, a: Array, after: Array) -> None:
+        nonlocal memory
+        x, w = q, v
+        for j in range(substeps):
+            time = times[k] + j * h
+            f = 0.0 if push is None else push(time, x, w)
+            found = plant.step(time, x.copy(), w.copy(), u.copy(), h, f, memory)
+            x, w = _state(found, time, q.shape, v.shape)
+            memory = found.memory
+            if j == 0:
+                a[:] = (w - v) / h
+        after[: len(q)] = x
+        after[len(q) :] = w
+
+    return advance, lambda: memory
+
+
+def _state(found: Any, t: float, *shapes: tuple[int, ...]) -> tuple[Array, Array]:
+    if not all(hasattr(found, name) for name in ("q", "v", "memory")):
+        raise InvalidArgument(
+            f"plant.step returned {shown(found)} at t = {t:g} s, expected a Step(q, v, memory)"
+        )
+    q, v = (
+        _answer(f"{name} of plant.step", part, t, shape)
+        for name, part, shape in zip(("q", "v"), (found.q, found.v), shapes, strict=True)
+    )
+    return q, v

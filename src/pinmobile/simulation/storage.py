@@ -1,35 +1,41 @@
-"""Arrays and the robot of a rollout, to and from a NumPy archive."""
+"""Arrays, plant and signals of a rollout, to and from a NumPy archive."""
 
 import json
 from collections.abc import Mapping
-from dataclasses import astuple
+from dataclasses import asdict, astuple
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, finite
+from pinmobile.arrays import Array, finite, lengths, scalar, text, whole
 from pinmobile.dh import DHRow, DHTable, JointType
 from pinmobile.errors import InvalidArgument, PinmobileError
 from pinmobile.files import archive_of, unpacking
+from pinmobile.plant import Coordinate, Input, PlantOutline
 from pinmobile.robot import Load, MobileRobot, Stance
 from pinmobile.robot.sources import kept_arm
+from pinmobile.simulation.signals import Signal
 from pinmobile.urdf import Body
 
 __all__ = [
     "ARRAYS",
     "check_robot",
+    "described_plant",
     "described_robot",
     "read_archive",
+    "restored_plant",
     "restored_robot",
+    "signal_columns",
     "why_unknown",
     "write_archive",
 ]
 
-ARRAYS = ("t", "q", "v", "a", "tau", "error", "reference_q", "reference_v", "reference_a")
+ARRAYS = ("t", "q", "v", "a", "u", "error", "reference_q", "reference_v", "reference_a")
 """Names of the arrays of a rollout."""
 
-_FORMAT = "pinmobile rollout 1"
+_POSE = 3  # x, y, psi
+_FORMAT = "pinmobile rollout 2"
 _MOUNT: Mapping[str, type] = {
     "name": str,
     "at": list,
@@ -40,8 +46,10 @@ _MOUNT: Mapping[str, type] = {
 }
 
 
-def write_archive(file: IO[bytes], arrays: dict[str, Array], robot: object) -> None:
-    """Write the arrays, and the parameters of the robot where it is a `MobileRobot`.
+def write_archive(
+    file: IO[bytes], arrays: dict[str, Array], plant: Any, signals: Mapping[str, Signal]
+) -> None:
+    """Write the arrays, the plant in words, and its parameters where it is a `MobileRobot`.
 
     Parameters
     ----------
@@ -49,15 +57,69 @@ def write_archive(file: IO[bytes], arrays: dict[str, Array], robot: object) -> N
         Where to.
     arrays : dict of str to ndarray
         Those of `ARRAYS`.
-    robot : object
-        The plant, see `described_robot`.
+    plant : object
+        What was simulated, see `described_robot`; None where it is not known.
+    signals : mapping of str to Signal
+        They stand side by side in one array, ``signals``.
     """
-    described = json.dumps(described_robot(robot))
-    np.savez(file, allow_pickle=False, format=_FORMAT, robot=described, **arrays)
+    text = json.dumps(described_plant(plant, arrays["q"], signals))
+    beside = signal_columns(signals, len(arrays["t"]))
+    np.savez(file, allow_pickle=False, format=_FORMAT, plant=text, signals=beside, **arrays)
 
 
-def read_archive(path: Path) -> tuple[dict[str, Array], MobileRobot | None]:
-    """Return what `write_archive` wrote; None for a robot that cannot be had again, see `why_unknown`.
+def described_plant(plant: Any, q: Array, signals: Mapping[str, Signal]) -> dict[str, Any]:
+    """Return a plant in words, its parameters where it is a `MobileRobot`, and signals' names and units.
+
+    Parameters
+    ----------
+    plant : object
+        What was simulated; None where it is not known.
+    q : ndarray, shape (N + 1, nq)
+        Its configurations.
+    signals : mapping of str to Signal
+        What it told.
+    """
+    return {
+        "robot": described_robot(plant),
+        "unknown": _unkept(plant),
+        "outline": None if plant is None else _outlined(PlantOutline.of(plant, q)),
+        "signals": [[name, unit, list(x.shape[1:])] for name, (unit, x) in signals.items()],
+    }
+
+
+def signal_columns(signals: Mapping[str, Signal], rows: int) -> Array:
+    """Return signals side by side, shape (rows, ...)."""
+    columns = [values.reshape(rows, -1) for _, values in signals.values()]
+    return np.hstack(columns) if columns else np.zeros((rows, 0))
+
+
+def restored_plant(described: Mapping[str, Any], beside: Array) -> tuple[Any, dict[str, Signal]]:
+    """Return plant and signals of a description; of a plant that cannot be had again, the outline.
+
+    Parameters
+    ----------
+    described : mapping
+        What `described_plant` returned.
+    beside : ndarray, shape (N + 1, ...)
+        What `signal_columns` returned.
+
+    Raises
+    ------
+    ValueError, TypeError, LookupError, AttributeError, OverflowError
+        If it is something else, see `unpacking`.
+    """
+    check_robot(described["robot"])
+    text("plant's unknown", described["unknown"])
+    outline = None if described["outline"] is None else _outline(described["outline"])
+    signals = _split(beside, described["signals"])
+    robot = restored_robot(described["robot"])
+    return outline if robot is None else robot, signals
+
+
+def read_archive(path: Path) -> tuple[dict[str, Array], Any, dict[str, Signal]]:
+    """Return what `write_archive` wrote: arrays, plant and signals.
+
+    Of a plant that cannot be had again, see `why_unknown`, it is the outline; None where none was known.
 
     Raises
     ------
@@ -65,29 +127,109 @@ def read_archive(path: Path) -> tuple[dict[str, Array], MobileRobot | None]:
         If the file cannot be read or is no such archive.
     """
     named, described = _read(path)
-    return named, restored_robot(described)
+    beside = named.pop("signals")
+    with unpacking(path, _FORMAT):
+        return named, *restored_plant(described, beside)
 
 
 def why_unknown(path: Path) -> str:
-    """Return why `read_archive` has no robot; nothing where it has one.
+    """Return why `read_archive` has no robot though it was one; nothing where it has, or of other plants.
 
     Raises
     ------
     InvalidArgument
         If the file cannot be read or is no such archive.
     """
+    described = _read(path)[1]
+    if described["robot"] is None:
+        return str(described["unknown"])
     try:
-        _restore(_read(path)[1])
+        _restore(described["robot"])
     except PinmobileError as error:
         return str(error)
     return ""
 
 
-def _read(path: Path) -> tuple[dict[str, Array], dict[str, Any] | None]:
-    named, described = archive_of(path, _FORMAT, "robot", dict.fromkeys(ARRAYS, np.float64))
+def _read(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
+    named, described = archive_of(path, _FORMAT, "plant", dict.fromkeys((*ARRAYS, "signals"), np.float64))
     with unpacking(path, _FORMAT):
-        check_robot(described)
+        check_robot(described["robot"])
+        text("plant's unknown", described["unknown"])
     return named, described
+
+
+def _unkept(plant: Any) -> str:
+    """Return why an archive does not keep a robot; nothing where it does, or it is another plant."""
+    if isinstance(plant, MobileRobot) and not _is_known(plant):
+        return "it had an arm of a pin.Model, which an archive cannot keep"
+    return ""
+
+
+def _outlined(outline: PlantOutline) -> dict[str, Any]:
+    """Return an outline as JSON can hold it; a limit that is none is null."""
+    found = asdict(outline)
+    for name in ("coordinates", "inputs"):
+        found[name] = [
+            {key: None if value in (np.inf, -np.inf) else value for key, value in one._asdict().items()}
+            for one in getattr(outline, name)
+        ]
+    return found | {"leading": list(outline.leading.items())}
+
+
+def _outline(described: Mapping[str, Any]) -> PlantOutline:
+    """Return the outline that `_outlined` described.
+
+    Raises
+    ------
+    ValueError, TypeError, LookupError, AttributeError
+        If it is something else, see `unpacking`.
+    """
+    coordinates = tuple(Coordinate(**_limited(one)) for one in described["coordinates"])
+    inputs = tuple(Input(**_limited(one)) for one in described["inputs"])
+    names = tuple(text("plant's configuration_names", name) for name in described["configuration_names"])
+    posed, size = described["posed"], described["size"]
+    for k in posed or ():
+        whole("plant's posed", k, least=0, most=len(names) - 1)
+    if posed is not None and len(posed) != _POSE:
+        raise ValueError(f"plant has posed = {posed}, expected three numbers")
+    return PlantOutline(
+        kind=text("plant's kind", described["kind"]),
+        coordinates=coordinates,
+        configuration_names=names,
+        inputs=inputs,
+        leading={
+            whole("plant's leading", n, most=len(coordinates)): whole("plant's leading", m, most=len(names))
+            for n, m in described["leading"]
+        }
+        or {len(coordinates): len(names)},
+        posed=None if posed is None else tuple(posed),
+        size=None if size is None else tuple(lengths(size).tolist()),
+    )
+
+
+def _limited(one: Mapping[str, Any]) -> dict[str, Any]:
+    found = dict(one)
+    for key in ("name", "unit", "rate"):
+        if key in found:
+            text(f"plant's {key}", found[key])
+    for key, none in (("lower", -np.inf), ("upper", np.inf)):
+        found[key] = none if found[key] is None else scalar(f"plant's {key}", found[key])
+    return found
+
+
+def _split(columns: Array, described: Any) -> dict[str, Signal]:
+    """Return the signals that stand side by side."""
+    found: dict[str, Signal] = {}
+    start = 0
+    for name, unit, more in described:
+        text("signals", name), text("signals", unit)
+        stop = start + (whole("signals", more[0], least=0) if more else 1)
+        part = columns[:, start:stop]
+        found[name] = Signal(unit, part if more else part[:, 0])
+        start = stop
+    if columns.ndim != 2 or columns.shape[1] != start:
+        raise ValueError(f"signals has shape {columns.shape}, expected {start} columns")
+    return found
 
 
 def described_robot(robot: object) -> dict[str, Any] | None:
@@ -168,9 +310,7 @@ def _restore(described: dict[str, Any] | None) -> MobileRobot:
         If there is none, or a file of an arm is no longer there, or no longer what it was.
     """
     if described is None:
-        raise InvalidArgument(
-            "it was no MobileRobot, or had an arm of a pin.Model, which an archive cannot keep"
-        )
+        raise InvalidArgument("it was no MobileRobot, or had an arm of a pin.Model")
     robot = _base(described)
     mounts = described.get("mounts", ())
     for mount in mounts:
@@ -190,7 +330,7 @@ def _restore(described: dict[str, Any] | None) -> MobileRobot:
 
 
 def _of_joints(robot: MobileRobot) -> Array:
-    return np.stack([robot.joint_damping, robot.joint_friction, robot._model.armature])
+    return np.stack([robot.joint_damping, robot.joint_friction, robot.model.armature])
 
 
 def _base(described: Mapping[str, Any]) -> MobileRobot:

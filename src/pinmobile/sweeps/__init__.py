@@ -2,9 +2,10 @@
 
 from pinmobile.sweeps.axes import Axis
 from pinmobile.sweeps.cluster import connected
+from pinmobile.sweeps.code import Code
 from pinmobile.sweeps.grids import Grid, grid
 from pinmobile.sweeps.result import Sweep
 from pinmobile.sweeps.running import check_draws, sweep
 from pinmobile.sweeps.table import length
 
-__all__ = ["Axis", "Grid", "Sweep", "check_draws", "connected", "grid", "length", "sweep"]
+__all__ = ["Axis", "Code", "Grid", "Sweep", "check_draws", "connected", "grid", "length", "sweep"]

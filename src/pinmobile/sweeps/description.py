@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pinmobile.ensembles import Scenario
-from pinmobile.ensembles.choosing import chosen_engine
+from pinmobile.ensembles.ways import way_of
 from pinmobile.errors import InvalidArgument
 from pinmobile.sweeps.functions import known_name
 from pinmobile.sweeps.values import Described, array_of
@@ -36,7 +36,7 @@ def described(scenario: Scenario) -> dict[str, Any]:
     made = Described()
     found = {name: made.of(name, value) for name, value in given.items()}
     found["duration"] = float(scenario.t[-1])
-    found["engine"] = repr(chosen_engine(scenario, None))
+    found["engine"] = repr(way_of(scenario).engine)
     found["times"] = array_of("t", scenario.t)
     found["trajectory"] = {
         "type": type(scenario.trajectory).__qualname__,

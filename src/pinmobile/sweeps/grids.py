@@ -18,7 +18,7 @@ __all__ = ["RESERVED", "Grid", "as_grid", "grid"]
 
 RESERVED = frozenset(
     {
-        *("robot", "coordinate", "time", "channel", "bin", "level", "counts"),
+        *("robot", "coordinate", "input", "time", "channel", "bin", "level", "counts"),
         *("max_error", "rms_error", "max_force", "max_distance", "diverged_at"),
         *("distance_quantile", "heading_quantile"),
         *(f"drawn_{name}" for name in PARAMETERS),
@@ -185,3 +185,11 @@ def _check_alike(grid: Grid) -> None:
                 f"{first.dt * first.stride:g} s) and {grid.place(k)} (to {scenario.t[-1]:g} s in steps of "
                 f"{scenario.dt * scenario.stride:g} s), expected the same duration, dt and every"
             )
+        for name in ("coordinates", "inputs"):
+            here, there = ([each[:2] for each in getattr(one, name)] for one in (first, scenario))
+            if here != there:
+                told = (", ".join(f"{each} [{unit}]" for each, unit in listed) for listed in (here, there))
+                raise InvalidArgument(
+                    f"{name} are {next(told)} at {grid.place(0)} and {next(told)} at {grid.place(k)}, "
+                    "expected the same: sweep such plants each in a store of its own"
+                )

@@ -8,7 +8,8 @@ import numpy as np
 
 from pinmobile.ensembles import PARAMETERS
 from pinmobile.ensembles.histogram import BINS
-from pinmobile.ensembles.variables import COORDINATES, LEVELS, NOTE, PER_ROBOT, SUMMED, coordinates, drawn
+from pinmobile.ensembles.variables import LEVELS, NOTE, SUMMED, coordinates, drawn, per_robot
+from pinmobile.plant import Parameter
 from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.grids import Grid
 from pinmobile.sweeps.reading import METADATA, digest_of
@@ -18,8 +19,14 @@ __all__ = ["empty_store", "spread_names"]
 
 
 def spread_names(grid: Grid) -> list[str]:
-    """Return the parameters that are spread in at least one scenario, in the order of `PARAMETERS`."""
-    return [name for name in PARAMETERS if any(name in scenario.spread for scenario in grid.scenarios)]
+    """Return the parameters that are spread in at least one scenario; the library's own come first."""
+    return list(_spread_of(grid))
+
+
+def _spread_of(grid: Grid) -> dict[str, Parameter]:
+    found = {name: one for scenario in grid.scenarios for name, one in scenario.parameters.items()}
+    known = {name: found[name] for name in PARAMETERS if name in found}
+    return known | {name: found[name] for name in sorted(found)}
 
 
 def empty_store(grid: Grid, description: Mapping[str, Any], chunk: int) -> dict[str, bytes]:
@@ -58,13 +65,18 @@ def empty_store(grid: Grid, description: Mapping[str, Any], chunk: int) -> dict[
 
 def _make_arrays(group: Any, grid: Grid, chunk: int) -> None:
     swept = [(name, list(axis.values), axis.unit, name) for name, axis in grid.axes.items()]
-    for name, values, unit, meaning in [*swept, *coordinates(grid.scenarios[0].grid)]:
+    first = grid.scenarios[0]
+    named = [[one.name for one in each] for each in (first.coordinates, first.inputs)]
+    for name, values, unit, meaning in [*swept, *coordinates(first.grid, *named)]:
         _coordinate(group, name, values, {**({"units": unit} if unit else {}), "long_name": meaning})
-    n, times = grid.n, len(grid.scenarios[0].grid)
-    sizes = {"robot": n, "coordinate": len(COORDINATES), "time": times, "channel": 2, "bin": BINS}
-    sizes |= {"level": len(LEVELS)}
-    spread = {name: PARAMETERS[name] for name in spread_names(grid)}
-    for name, variable in {**PER_ROBOT, **drawn(spread), **SUMMED}.items():
+    n = grid.n
+    sizes = {"robot": n, "coordinate": len(first.coordinates), "input": len(first.inputs)}
+    sizes |= {"time": len(first.grid), "channel": 2, "bin": BINS, "level": len(LEVELS)}
+    for name, variable in {
+        **per_robot(first.coordinates, first.inputs),
+        **drawn(_spread_of(grid)),
+        **SUMMED,
+    }.items():
         shape = [sizes[dimension] for dimension in variable.dimensions]
         chunks = [min(chunk, n) if each == "robot" else sizes[each] for each in variable.dimensions]
         _array(

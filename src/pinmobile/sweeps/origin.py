@@ -33,7 +33,7 @@ def determined_by(grid: Grid) -> dict[str, Any]:
     found: dict[str, Any] = {
         "format": _FORMAT,
         "machine": machine(),
-        "versions": {name: _version(name) for name in ("pinmobile", "numpy", "scipy", "pin", "numba")},
+        "versions": {name: _version(name) for name in ("pinmobile", "numpy", "scipy", "pin", "llvmlite")},
         "axes": {name: {"values": list(axis.values), "unit": axis.unit} for name, axis in grid.axes.items()},
         "all": common,
         "each": {name: [one.get(name) for one in each] for name in names if name not in common},

@@ -181,12 +181,13 @@ class Sweep:
             raise InvalidArgument(
                 f"scenario {labels} has no records yet: start the same sweep again to go on"
             )
+        per_robot: dict[str, Any] = {name: np.array(data[name]) for name in PER_ROBOT}
         return Ensemble(
             scenario=scenario,
             draws={name: np.array(data[f"drawn_{name}"]) for name in scenario.spread},
             counts=counts,
             traces={},
-            **{name: np.array(data[name]) for name in PER_ROBOT},
+            **per_robot,
         )
 
     def __repr__(self) -> str:

@@ -69,7 +69,7 @@ def sweep(
     SchedulerError
         If the cluster has no worker, or is lost; what is done is kept.
     """
-    for package in ("zarr", "xarray", "numba"):
+    for package in ("zarr", "xarray"):
         imported(package)
     grid, path = as_grid(scenarios), location("store", store)
     size = _CHUNK if chunk is None else whole("chunk", chunk)

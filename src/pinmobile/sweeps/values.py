@@ -18,7 +18,6 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from pinmobile.disturbances import NoiseForce
 from pinmobile.errors import InvalidArgument
 from pinmobile.sweeps.functions import digest_of, known_name, read_by, state_of
 
@@ -177,10 +176,10 @@ def _held_by_ours(where: str, value: Any) -> dict[str, Any]:
             return {"of": name, "args": value.args, "kwds": value.kwds}
     if isinstance(value, Enum):
         return {"name": value._name_}
+    if hasattr(kind, "_fields"):
+        return dict(zip(kind._fields, value, strict=True))
     if is_dataclass(value):
-        names = [each.name for each in fields(value) if each.init]
-        if kind is NoiseForce:  # its seed may be a Generator, of which the phases are what came
-            names = ["std", "bandwidth", "phases"]
+        names = getattr(kind, "determined_by", None) or [each.name for each in fields(value) if each.init]
         return {name: getattr(value, name) for name in names}
     state = state_of(value) if kind.__module__.split(".")[0] in sys.stdlib_module_names else None
     if state is None:

@@ -9,9 +9,10 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.ensembles import Part, part_of
-from pinmobile.ensembles.stretches import processors
+from pinmobile.ensembles.ways import processors
 from pinmobile.errors import SchedulerError
 from pinmobile.sweeps.cluster import GO_ON, Watch
+from pinmobile.sweeps.code import packed, part_of_packed
 from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.grids import Grid
 from pinmobile.sweeps.store import Job
@@ -53,7 +54,10 @@ def on_cluster(grid: Grid, jobs: Sequence[Job], client: Any) -> Results:
     def submit(job: Job) -> Any:
         seen.connected()
         scenario = grid.scenarios[job.scenario].holding(job.start, job.stop)
-        return client.submit(part_of, scenario, job.start, job.stop, pure=False)
+        with_code = packed(scenario)
+        if with_code is None:
+            return client.submit(part_of, scenario, job.start, job.stop, pure=False)
+        return client.submit(part_of_packed, with_code, job.start, job.stop, pure=False)
 
     def answer(future: Any) -> Any:
         while True:

@@ -19,10 +19,10 @@ def check_limits(robot: Any, q: Array, v: Array, t: Array | None = None) -> None
     ----------
     robot : MobileRobot
         Whose `lower`, `upper` and `velocity_limit` are meant.
-    q : ndarray, shape (..., nq)
-        Configurations.
-    v : ndarray, shape (..., nv)
-        Velocities.
+    q : ndarray, shape (..., n), n <= nq
+        Configurations, or their first numbers.
+    v : ndarray, shape (..., m), m <= nv
+        Velocities, or their first numbers.
     t : ndarray, shape (...), optional
         Their times where they are a reference, for the message [s]; without, they are a start (q0, v0).
 
@@ -31,7 +31,8 @@ def check_limits(robot: Any, q: Array, v: Array, t: Array | None = None) -> None
     InvalidArgument
         If one is outside; the message names the joint, its value and limits, and the time.
     """
-    lower, upper, most = robot.lower, robot.upper, robot.velocity_limit
+    n, m = q.shape[-1], v.shape[-1]
+    lower, upper, most = robot.lower[:n], robot.upper[:n], robot.velocity_limit[:m]
     outside = (q < lower - _SLACK) | (q > upper + _SLACK)
     if outside.any():
         where, column = _first(outside)
@@ -65,4 +66,4 @@ def _joint(robot: Any, column: int, *, of_q: bool = False) -> tuple[str, str]:
     starts, sizes = (model.idx_qs, model.nqs) if of_q else (model.idx_vs, model.nvs)
     joint = next(j for j in range(1, model.njoints) if 0 <= column - starts[j] < sizes[j])
     # Joints with limits of q have as many numbers in v.
-    return str(model.names[joint]), robot.coordinate_units[model.idx_vs[joint] + column - starts[joint]]
+    return str(model.names[joint]), robot.coordinates[model.idx_vs[joint] + column - starts[joint]].unit

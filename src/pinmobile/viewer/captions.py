@@ -10,6 +10,8 @@ from pinmobile.viewer.motion import sampled
 
 __all__ = ["captions"]
 
+_POSE = ("x", "y", "psi")
+
 
 def captions(runs: Mapping[str, Rollout], times: Array) -> list[str]:
     """Return time and position errors for each frame, changing ten times a second at most.
@@ -44,7 +46,7 @@ def captions(runs: Mapping[str, Rollout], times: Array) -> list[str]:
 
 def _sizes(run: Rollout) -> list[Array]:
     """Return the position error [m] and the largest of a joint that turns [rad], if there is one."""
-    turning = [k for k, (_, unit) in enumerate(run.labels) if k > 2 and unit == "rad"]
+    turning = [k for k, one in enumerate(run.coordinates) if one.name not in _POSE and one.unit == "rad"]
     place = np.hypot(run.error[:, 0], run.error[:, 1])
     return [place, np.abs(run.error[:, turning]).max(axis=1)] if turning else [place]
 

@@ -45,7 +45,7 @@ def draw_grid(stage: Stage, extent: Extent) -> None:
 
 def draw_path(stage: Stage, run: Rollout, extent: Extent) -> None:
     """Draw the reference path of a rollout, dashed."""
-    points = run.reference.q[:: max(len(run) // 4000, 1), :2]
+    points = run.reference_poses[:: max(len(run) // 4000, 1), :2]
     dash = max(0.028 * extent.radius, 0.05 * extent.unit)
     bands = shapes.dashes(points, 0.025 * extent.unit, dash, 0.8 * dash)
     stage.put("meshcat/path", shapes.flat(bands, INK, order=_PATH))

@@ -1,14 +1,38 @@
 """What moves on the body: links of arms, over the frames of a recording, and the room that they take."""
 
+from typing import Any
+
 import numpy as np
 
 from pinmobile.arrays import Array
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot import BODY_JOINT, MobileRobot
 from pinmobile.viewer.motion import Channel, poses_of, sampled
 
-__all__ = ["configurations", "envelope", "links"]
+__all__ = ["configurations", "envelope", "figure", "links"]
 
 _THICK = 0.1  # what a link has around the origin of its joint [m]
+
+
+def figure(plant: Any) -> MobileRobot:
+    """Return what is drawn of a plant: itself, or a box of its size where it does not say what it looks like.
+
+    Raises
+    ------
+    InvalidArgument
+        If it does not tell where its body is.
+    """
+    if isinstance(plant, type):
+        raise InvalidArgument(f"plant is {shown(plant)}, expected a plant, not its class")
+    if hasattr(plant, "frame_placements"):
+        return plant  # type: ignore[no-any-return]
+    if not callable(getattr(plant, "pose", None)):
+        raise InvalidArgument(
+            f"plant is {shown(plant)}, expected a MobileRobot, or a plant with pose(q), which returns x, y "
+            "and psi"
+        )
+    size = getattr(plant, "size", None)
+    return MobileRobot.box() if size is None else MobileRobot.box(size=size)
 
 
 def configurations(robot: MobileRobot, t: Array, q: Array, times: Array) -> Array:
@@ -55,7 +79,7 @@ def links(path: str, robot: MobileRobot, q: Array) -> list[Channel]:
     q : ndarray, shape (n, nq)
         Its configurations.
     """
-    moving = [item for item in robot._visuals.geometryObjects if item.parentJoint > BODY_JOINT]
+    moving = [item for item in robot.visual_model.geometryObjects if item.parentJoint > BODY_JOINT]
     if not moving:
         return []
     frames = _seen_from_body(robot, q)

@@ -4,15 +4,24 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeAlias
 
-import numpy as np
-
 from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, sequence
 from pinmobile.dh import DHTable
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.robot import MobileRobot
 from pinmobile.simulation import Rollout
 
-__all__ = ["Arrows", "Follow", "Overlays", "Rollouts", "Stay", "View", "checked_overlays", "checked_runs"]
+__all__ = [
+    "Arrows",
+    "Follow",
+    "Overlays",
+    "Rollouts",
+    "Stay",
+    "View",
+    "checked_overlays",
+    "checked_runs",
+    "pushing",
+]
+
+_BASE_FORCES = ("Fx", "Fy", "Mz")
 
 Rollouts: TypeAlias = Rollout | Mapping[str, Rollout]
 
@@ -66,6 +75,8 @@ class Follow:
 @dataclass(frozen=True)
 class Arrows:
     """Force on the base as an arrow and moment as an arc, to scale; those of arms are not drawn.
+
+    They are the inputs Fx, Fy and Mz of the plant: one that has others is refused.
 
     Parameters
     ----------
@@ -130,6 +141,24 @@ class Overlays:
                 raise InvalidArgument(f"{name} is {shown(getattr(self, name))}, expected {kind}")
 
 
+def pushing(run: Rollout) -> list[int]:
+    """Return which of the inputs are the force and the moment on the base.
+
+    Raises
+    ------
+    InvalidArgument
+        If the plant has no such inputs.
+    """
+    names = [one.name for one in run.inputs]
+    missing = [name for name in _BASE_FORCES if name not in names]
+    if missing:
+        raise InvalidArgument(
+            f"overlays has arrows, of the inputs {', '.join(_BASE_FORCES)}, and the plant's inputs are "
+            f"{', '.join(names)}: leave arrows out"
+        )
+    return [names.index(name) for name in _BASE_FORCES]
+
+
 def checked_overlays(overlays: Overlays | None, default: Overlays) -> Overlays:
     """Return the overlays that are asked for.
 
@@ -151,7 +180,7 @@ def checked_runs(rollouts: Any) -> dict[str, Rollout]:
     Raises
     ------
     InvalidArgument
-        If it is something else, holds nothing, or one has no poses (x, y, psi) or such that are not finite.
+        If it is something else, holds nothing, or the plant of one does not tell where its body is.
     """
     runs = {"": rollouts} if isinstance(rollouts, Rollout) else rollouts
     if not isinstance(runs, Mapping) or not runs:
@@ -162,12 +191,8 @@ def checked_runs(rollouts: Any) -> dict[str, Rollout]:
         where = f"rollout[{label!r}]" if label else "rollout"
         if not isinstance(run, Rollout):
             raise InvalidArgument(f"{where} is a {type(run).__name__}, expected a Rollout")
-        for name, poses in ((f"{where}.q", run.q), (f"{where}.reference.q", run.reference.q)):
-            size = run.robot.nq if isinstance(run.robot, MobileRobot) else 3
-            if poses.ndim != 2 or poses.shape[1] not in (3, size) or not len(poses):
-                raise InvalidArgument(f"{name} has shape {poses.shape}, expected (N + 1, 3): x, y, psi")
-            finite(name, poses)
-        finite(f"{where}.t", run.t)
-        if np.any(np.diff(run.t) <= 0):
-            raise InvalidArgument(f"{where}.t does not increase")
+        try:
+            _ = run.poses, run.reference_poses
+        except InvalidArgument as error:
+            raise InvalidArgument(f"{where}.{error}") from None
     return dict(runs)

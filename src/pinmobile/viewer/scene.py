@@ -13,9 +13,9 @@ from pinmobile.simulation import Rollout
 from pinmobile.viewer import shapes
 from pinmobile.viewer.captions import captions
 from pinmobile.viewer.ground import ABOVE, TRAIL, draw_grid, draw_path, draw_triad
-from pinmobile.viewer.links import configurations, envelope, links
+from pinmobile.viewer.links import configurations, envelope, figure, links
 from pinmobile.viewer.motion import Channel, along, poses_of
-from pinmobile.viewer.overlays import Arrows, Follow, Overlays, Stay, View
+from pinmobile.viewer.overlays import Arrows, Follow, Overlays, Stay, View, pushing
 from pinmobile.viewer.palette import INK, QUIET, colour
 from pinmobile.viewer.stage import Extent, Stage, overview
 
@@ -38,7 +38,7 @@ class Scene:
     stage : Stage
         Where.
     robot : MobileRobot
-        Drawn where a rollout's plant is none.
+        Drawn where a rollout does not know its plant.
     overlays : Overlays
         What is shown beside it.
 
@@ -91,11 +91,11 @@ class Scene:
         times : ndarray, shape (n,)
             Of the frames [s].
         """
-        points = np.concatenate([q[:, :2] for run in runs.values() for q in (run.q, run.reference.q)])
+        points = np.concatenate([q[:, :2] for run in runs.values() for q in (run.poses, run.reference_poses)])
         main = next(iter(runs.values()))
-        robots = [run.robot if isinstance(run.robot, MobileRobot) else self.robot for run in runs.values()]
+        robots = [self.robot if run.plant is None else figure(run.plant) for run in runs.values()]
         poses = [
-            configurations(robot, run.t, run.q, times)
+            configurations(robot, run.t, run.q if robot is run.plant else run.poses, times)
             for robot, run in zip(robots, runs.values(), strict=True)
         ]
         reach, height = envelope(robots[0], poses[0])
@@ -116,9 +116,12 @@ class Scene:
                 self._trail(index, len(runs), run, times, extent)
             self.legend.append([label or "travelled", colour(index), "", 0.0 if index == 0 else 0.55])
         if self.overlays.desired:
-            self.stage.robot("meshcat/desired", self.robot, QUIET, ghost=True)
-            desired = configurations(self.robot, main.t, main.reference.q, times)
-            self.channels += _ridden("meshcat/desired", self.robot, desired)
+            ghost = robots[0]
+            self.stage.robot("meshcat/desired", ghost, QUIET, ghost=True)
+            whole = ghost is main.plant and main.reference.q.shape == main.q.shape
+            wanted = main.reference.q if whole else main.reference_poses
+            desired = configurations(ghost, main.t, wanted, times)
+            self.channels += _ridden("meshcat/desired", ghost, desired)
             self.legend.append(["desired pose", QUIET, "", 0.5])
         if self.overlays.arrows is not None:
             self._arrows(main, times, poses[0], extent, self.overlays.arrows)
@@ -148,7 +151,7 @@ class Scene:
     def _trail(self, index: int, count: int, run: Rollout, times: Array, extent: Extent) -> None:
         kept = np.unique(np.append(np.arange(0, len(run), -(-len(run) // _SPREAD)), len(run) - 1))
         width = 0.05 * extent.unit * (1 + 0.9 * (count - 1 - index))
-        band = shapes.ribbon(run.q[kept, :2], width)
+        band = shapes.ribbon(run.poses[kept, :2], width)
         path = f"meshcat/trail{index}/<object>"
         self.stage.put(
             path.removesuffix("/<object>"), shapes.flat(band, colour(index), order=TRAIL + index, trail=True)
@@ -181,7 +184,7 @@ class Scene:
     def _arrows(self, run: Rollout, times: Array, poses: Array, extent: Extent, arrows: Arrows) -> None:
         now = times + 1e-9 * max(abs(times[-1]), 1.0)  # a frame at a sample is not before it
         held = np.clip(np.searchsorted(run.t, now, side="right") - 1, 0, len(run) - 1)
-        fx, fy, moment = run.tau[held, :3].T  # those of the arms are not drawn
+        fx, fy, moment = run.u[np.ix_(held, pushing(run))].T
         heading = np.column_stack([poses[:, :2], np.unwrap(np.arctan2(fy, fx))])
         flat = poses[:, :3] * (1, 1, 0)
         unit = extent.unit

@@ -156,7 +156,7 @@ class Stage:
         ghost : bool
             Translucent, and a little larger.
         """
-        shown, items = pin.GeometryModel(), robot._visuals.geometryObjects
+        shown, items = pin.GeometryModel(), robot.visual_model.geometryObjects
         triangles = sum(getattr(item.geometry, "num_tris", 0) for item in items)
         share = (_MOST_OF_GHOST if ghost else _MOST) / max(triangles, 1)
         for item in items:

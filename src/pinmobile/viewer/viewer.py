@@ -4,11 +4,14 @@ from os import PathLike
 from pathlib import Path
 from threading import RLock
 from time import monotonic, sleep
+from typing import Any
+
+import numpy as np
 
 from pinmobile.arrays import ArrayLike, positive, text, vector
 from pinmobile.errors import InvalidArgument, ViewerError, shown
 from pinmobile.files import written
-from pinmobile.robot import MobileRobot
+from pinmobile.viewer.links import figure
 from pinmobile.viewer.live import LiveWindow
 from pinmobile.viewer.motion import frame_times, tracks
 from pinmobile.viewer.offline import OfflineWindow
@@ -27,15 +30,15 @@ _HELD = 1.0  # [s] that a recording stands at its end before it begins again
 
 
 class Viewer:
-    """A robot on meshcat's stage.
+    """A robot or other plant on meshcat's stage.
 
     Without `live` it opens nothing: no process, no port; it records and takes pictures. A live one serves
     a page at `url` until it is closed. It may be called from several threads.
 
     Parameters
     ----------
-    robot : MobileRobot
-        Whose `visual_model` is drawn.
+    plant : MobileRobot or other plant
+        Whose `visual_model` is drawn; of one without, a box of its ``size`` at its ``pose(q)``.
     live : bool
         Serve a page.
     host : str
@@ -55,18 +58,17 @@ class Viewer:
 
     def __init__(
         self,
-        robot: MobileRobot,
+        plant: Any,
         *,
         live: bool = False,
         host: str = "127.0.0.1",
         port: int | None = None,
         overlays: Overlays | None = None,
     ) -> None:
-        if not isinstance(robot, MobileRobot):
-            raise InvalidArgument(f"robot is a {type(robot).__name__}, expected a MobileRobot")
         if not isinstance(live, bool):
             raise InvalidArgument(f"live is {shown(live)}, expected True or False")
-        self.robot, self.overlays = robot, checked_overlays(overlays, Overlays())
+        self.plant, self.overlays = plant, checked_overlays(overlays, Overlays())
+        self._figure = figure(plant)
         self._lock, self._closed = RLock(), False
         self._scene: Scene | None = None
         self._recording: Recording | None = None
@@ -118,9 +120,10 @@ class Viewer:
         ViewerError
             If the viewer is closed.
         """
-        pose = vector("q", q, self.robot.nq)
-        if pose.ndim != 1:
-            raise InvalidArgument(f"q has shape {pose.shape}, expected ({self.robot.nq},)")
+        given = vector("q", q, self.plant.nq)
+        if given.ndim != 1:
+            raise InvalidArgument(f"q has shape {given.shape}, expected ({self.plant.nq},)")
+        pose = given if self._figure is self.plant else np.asarray(self.plant.pose(given))
         if abs(pose[:2]).max() > _FARTHEST:
             raise InvalidArgument(f"q is {pose.tolist()}, expected x and y within {_FARTHEST:g} m")
         with self._lock:
@@ -146,7 +149,7 @@ class Viewer:
         Parameters
         ----------
         rollout : Rollout or mapping of str to Rollout
-            The first is solid, the others are ghosts. Each is drawn as its own robot, the viewer's where it
+            The first is solid, the others are ghosts. Each is drawn as its own plant, the viewer's where it
             has none.
         speed : float
             Seconds of the rollout per second.
@@ -195,7 +198,7 @@ class Viewer:
         Parameters
         ----------
         rollout : Rollout or mapping of str to Rollout
-            The first is solid, the others are ghosts. Each is drawn as its own robot, the viewer's where it
+            The first is solid, the others are ghosts. Each is drawn as its own plant, the viewer's where it
             has none.
         fps : float
             Frames per second.
@@ -219,7 +222,7 @@ class Viewer:
         with self._lock:
             self._check_open()
             window = OfflineWindow()
-            scene = Scene(Stage(window), self.robot, checked_overlays(overlays, self.overlays))
+            scene = Scene(Stage(window), self._figure, checked_overlays(overlays, self.overlays))
             scene.play(runs, times)
             scene.show(0)
             since = times - times[0]
@@ -279,12 +282,12 @@ class Viewer:
     def _new_scene(self, overlays: Overlays) -> Scene:
         stage = Stage(self._window)
         stage.remove("meshcat")
-        return Scene(stage, self.robot, overlays)
+        return Scene(stage, self._figure, overlays)
 
     def _live(self, what: str) -> LiveWindow:
         self._check_open()
         if isinstance(self._window, OfflineWindow):
-            raise ViewerError(f"{what} needs a live viewer: Viewer(robot, live=True)")
+            raise ViewerError(f"{what} needs a live viewer: Viewer(plant, live=True)")
         return self._window
 
     def _check_open(self) -> None:

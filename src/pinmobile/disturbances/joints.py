@@ -1,0 +1,105 @@
+"""Friction in the joints of a plant: a force on its coordinates."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self, final
+
+import numpy as np
+
+from pinmobile.arrays import Array, ArrayLike
+from pinmobile.disturbances.protocol import not_below_zero, numbers
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.plant import Parameter
+
+__all__ = ["JointFriction"]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class JointFriction:
+    """Viscous and dry friction of each coordinate, the dry one regularised about rest.
+
+    Coordinate i feels ``-viscous_i v_i - coulomb_i v_i / sqrt(v_i^2 + speed_i^2)``: smooth, so that a joint
+    on which a smaller force acts creeps instead of standing still. About rest the dry part is as stiff as a
+    damper of coulomb / speed: an explicit step must be shorter than about 2 inertia speed / coulomb.
+
+    Parameters
+    ----------
+    viscous : array_like, shape () or (..., nv)
+        Of each coordinate [N s/m or N m s/rad], not below zero.
+    coulomb : array_like, shape () or (..., nv)
+        Size of the dry friction [N or N m], not below zero.
+    speed : array_like, shape () or (..., nv)
+        Where the dry friction has reached 71 % of its size [m/s or rad/s], above zero.
+
+    Raises
+    ------
+    InvalidArgument
+        If a shape does not fit, a value is not finite, a friction below zero, or a speed not above it.
+    """
+
+    viscous: ArrayLike
+    coulomb: ArrayLike = 0.0
+    speed: ArrayLike = 0.01
+
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("joint_viscous", "N s/m, N m s/rad", "viscous friction", 0.0, attribute="viscous"),
+        Parameter("joint_coulomb", "N, N m", "dry friction", 0.0, attribute="coulomb"),
+        Parameter("joint_speed", "m/s, rad/s", "where dry friction has 71 %", 0.0, False, attribute="speed"),
+    )
+
+    def __post_init__(self) -> None:
+        given = {name: numbers(name, getattr(self, name)) for name in ("viscous", "coulomb", "speed")}
+        for name in ("viscous", "coulomb"):
+            not_below_zero(name, given[name])
+        if not (given["speed"] > 0).all():
+            raise InvalidArgument(f"speed is {given['speed'].min()}, expected > 0")
+        try:
+            np.broadcast_shapes(*(value.shape for value in given.values()))
+        except ValueError:
+            shapes = ", ".join(f"{name} {value.shape}" for name, value in given.items())
+            raise InvalidArgument(f"shapes are {shapes}, expected shapes that broadcast") from None
+        for name, value in given.items():
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def of(cls, robot: Any, speed: ArrayLike = 0.01) -> Self:
+        """Return the friction that the files of a robot's arms have.
+
+        Parameters
+        ----------
+        robot : MobileRobot
+            Its `joint_damping` and `joint_friction` are taken; the base has none.
+        speed : array_like, shape () or (nv,)
+            As in the class.
+
+        Raises
+        ------
+        InvalidArgument
+            If it has no such properties.
+        """
+        missing = [name for name in ("joint_damping", "joint_friction") if not hasattr(robot, name)]
+        if isinstance(robot, type) or missing:
+            raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot")
+        return cls(robot.joint_damping, robot.joint_friction, speed)
+
+    @property
+    def damping(self) -> Array:
+        """What velocities are multiplied by, shape () or (..., nv) [N s/m or N m s/rad]."""
+        return np.asarray(self.viscous)
+
+    def on_coordinates(self, t: ArrayLike, q: Array, v: Array) -> Array:
+        """Return the force, shape (..., nv) [N or N m].
+
+        Raises
+        ------
+        InvalidArgument
+            If it is the friction of another number of coordinates.
+        """
+        viscous, coulomb, speed = (np.asarray(x) for x in (self.viscous, self.coulomb, self.speed))
+        for name, value in (("viscous", viscous), ("coulomb", coulomb), ("speed", speed)):
+            if value.ndim and value.shape[-1] != v.shape[-1]:
+                raise InvalidArgument(
+                    f"{name} has shape {value.shape}, expected () or (..., {v.shape[-1]}), as v has"
+                )
+        found: Array = -viscous * v - coulomb * v / np.hypot(v, speed)
+        return found

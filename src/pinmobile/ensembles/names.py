@@ -1,0 +1,145 @@
+"""What a spread may name: the parameters that the parts of a loop state, and those of its start."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from types import MethodType
+from typing import Any, NamedTuple
+
+from pinmobile import disturbances
+from pinmobile.compiled.parts import Parts, children
+from pinmobile.controllers.feedback import GAINS
+from pinmobile.errors import InvalidArgument, UnknownName
+from pinmobile.plant import Coordinate, Parameter, parameters_of
+from pinmobile.robot.planar import BODY, PlanarBody
+
+__all__ = ["PARAMETERS", "Stated", "resolved", "start_parameters", "stated_by", "with_spread_forces"]
+
+_FORCES = tuple(
+    kind for kind in map(vars(disturbances).get, disturbances.__all__) if hasattr(kind, "parameters")
+)
+
+
+class Stated(NamedTuple):
+    """A parameter, and the part that states it.
+
+    Attributes
+    ----------
+    path : str
+        Where the part stands, such as ``"controller.robot"``; ``""`` of the start.
+    parameter : Parameter
+        As the spread knows it.
+    """
+
+    path: str
+    parameter: Parameter
+
+
+def start_parameters(coordinates: Sequence[Coordinate]) -> tuple[Parameter, ...]:
+    """Return the parameters of a start: how it is off the trajectory's, in each coordinate and its rate."""
+    places = [
+        Parameter(f"start_{each.name}", each.unit, f"start of {each.name}, from the trajectory's")
+        for each in coordinates
+    ]
+    rates = [
+        Parameter(
+            f"start_{each.rate or f'{each.name}_rate'}",
+            f"{each.unit}/s",
+            f"start of the rate of {each.name}, from the trajectory's",
+        )
+        for each in coordinates
+    ]
+    return (*places, *rates)
+
+
+def _of_model(parameter: Parameter, prefix: str) -> Parameter:
+    meaning = (
+        parameter.meaning.replace("the robot", "the controller's model") if prefix else parameter.meaning
+    )
+    return replace(parameter, name=prefix + parameter.name, meaning=meaning)
+
+
+PARAMETERS: Mapping[str, Parameter] = {
+    parameter.name: parameter
+    for parameter in (
+        *BODY,
+        *(_of_model(each, "model_") for each in BODY),
+        *start_parameters(PlanarBody.coordinates),
+        *GAINS,
+        *(each for kind in _FORCES for each in parameters_of(kind)),
+    )
+}
+"""The parameters of the library's own parts, by name: a spread may name these, and those of users' parts."""
+
+
+def _walked(path: str, part: Any, prefix: str) -> Iterator[tuple[str, Stated]]:
+    for parameter in parameters_of(part):
+        mine = _of_model(parameter, prefix)
+        yield mine.name, Stated(path, mine)
+    for name, child in children(part):
+        if not isinstance(getattr(part, name, None), MethodType):
+            model = "model_" if hasattr(child, "forward_dynamics") else ""
+            yield from _walked(f"{path}.{name}", child, prefix + model)
+
+
+def stated_by(parts: Parts, coordinates: Sequence[Coordinate]) -> dict[str, list[Stated]]:
+    """Return the parameters of a loop by name, and by path and name; several parts may state one name."""
+    found: dict[str, list[Stated]] = {}
+    every = [each for path, part in parts.by_path() for each in _walked(path, part, "")]
+    for parameter in start_parameters(coordinates):
+        every.append((parameter.name, Stated("", parameter)))
+    for name, stated in every:
+        found.setdefault(name, []).append(stated)
+        found.setdefault(f"{stated.path}.{name}" if stated.path else name, [stated])
+    return found
+
+
+def resolved(name: Any, known: Mapping[str, list[Stated]], where: str = "spread") -> Stated:
+    """Return the parameter that a spread names; `where` is told in messages.
+
+    Raises
+    ------
+    UnknownName
+        If there is none of that name.
+    InvalidArgument
+        If several parts have one.
+    """
+    found = known.get(name) if isinstance(name, str) else None
+    if not found:
+        raise UnknownName(f"parameter in {where}", name, [each for each in known if "." not in each])
+    if len(found) > 1:
+        paths = [stated.path for stated in found]
+        raise InvalidArgument(
+            f"spread has {name!r}, which {' and '.join(paths)} have, expected one of them: "
+            f"{' or '.join(repr(f'{path}.{name}') for path in paths)}"
+        )
+    return found[0]
+
+
+def _has(force: Any, name: str) -> bool:
+    return any(name == each.name for each in parameters_of(force))
+
+
+def with_spread_forces(forces: Sequence[Any], spread: Mapping[str, Any]) -> tuple[Any, ...]:
+    """Return the forces, with those of the library that a spread names and that need no more to be known.
+
+    Raises
+    ------
+    InvalidArgument
+        If more must be known of one.
+    """
+    found = list(forces)
+    for name in spread:
+        kind = next(
+            (kind for kind in _FORCES if any(name == each.name for each in parameters_of(kind))), None
+        )
+        if kind is None or any(name == each.name for force in found for each in parameters_of(force)):
+            continue
+        needs = getattr(kind, "needs", None)
+        if not hasattr(kind, "nothing") or (needs is not None and needs not in spread):
+            also = f"no {needs!r} and " if needs else ""
+            raise InvalidArgument(
+                f"spread has {name!r} but {also}forces no {kind.__name__}, expected "
+                f"{'one of them' if needs else 'one'}"
+            )
+        found.append(kind.nothing())
+    return tuple(found)

@@ -1,0 +1,280 @@
+"""How the robots of a scenario are run: compiled, on arrays, or one after another."""
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pinmobile.arrays import Array
+from pinmobile.compiled import Summary, program_of, robot_keys
+from pinmobile.compiled.loop_tape import initial_memory
+from pinmobile.compiled.noise import Noise
+from pinmobile.compiled.parts import Memory, Parts, Reference, errors, one_sample
+from pinmobile.compiled.program import Program
+from pinmobile.ensembles.histogram import BINS, bins_of
+from pinmobile.ensembles.member import member_of
+from pinmobile.ensembles.part import Part
+from pinmobile.ensembles.scenario import Scenario
+from pinmobile.errors import Diverged, InvalidArgument, NotTraceable
+from pinmobile.simulation import simulate
+from pinmobile.simulation.engines import ARRAYS, COMPILED, PINOCCHIO, Engine, checked_engine
+
+__all__ = ["Way", "processors", "way_of"]
+
+_AT_ONCE = {ARRAYS: 4096, PINOCCHIO: 16}
+_WORK = 2e7  # robots times samples that are compiled code's at once: some 0.3 s
+_ROWS = 4  # of three, rows could be taken for coordinates
+_CLOSE = 1e-9  # of the largest number: rounding, which may depend on how many rows there are
+
+
+def processors() -> int:
+    """Return how many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """How a scenario is run.
+
+    Attributes
+    ----------
+    scenario : Scenario
+        What is run.
+    engine : Engine
+        By which engine.
+    why : str
+        Why not by a faster one; "" where there is none, or it was asked for.
+    program : Program or None
+        Its compiled loop.
+    """
+
+    scenario: Scenario
+    engine: Engine
+    why: str = ""
+    program: Program | None = None
+
+    def workers(self, threads: int) -> int:
+        """Return how many threads of Python are worth it: compiled code has its own, Pinocchio locks."""
+        return threads if self.engine is ARRAYS else 1
+
+    def divided(self, start: int, stop: int, threads: int) -> list[tuple[int, int]]:
+        """Divide the robots so that every worker has something to do, and none too much at a time."""
+        if self.engine is COMPILED:
+            each = 256 * max(1, min(256, round(_WORK / len(self.scenario.t) / 256)))
+        else:
+            share = -(-(stop - start) // self.workers(threads))
+            each = min(_AT_ONCE[self.engine], max(_ROWS, share))
+        return [(first, min(first + each, stop)) for first in range(start, stop, each)]
+
+    def run(self, draws: Mapping[str, Array], start: int, stop: int, threads: int) -> Part:
+        """Return the records of the robots from `start` to before `stop`, given what is drawn for these."""
+        if self.engine is COMPILED:
+            return _compiled(self, draws, start, stop, threads)
+        if self.engine is ARRAYS:
+            return _on_arrays(self.scenario, draws, start, stop)
+        return _one_by_one(self.scenario, start, stop)
+
+
+def way_of(scenario: Scenario, engine: Engine | None = None) -> Way:
+    """Return how a scenario is run: as asked for, by default the fastest way that its parts allow.
+
+    Raises
+    ------
+    InvalidArgument
+        If the engine that is asked for cannot run it, or a parameter is spread that no law uses.
+    """
+    asked = checked_engine(engine, COMPILED, ARRAYS, PINOCCHIO)
+    why: list[str] = []
+    for each, way in ((COMPILED, _as_compiled), (ARRAYS, _as_arrays)):
+        if asked is each or (asked is None and not (each is ARRAYS and _is_single(scenario))):
+            try:
+                found = way(scenario)
+                return Way(scenario, each, "; ".join(why), found)
+            except NotTraceable as error:
+                refusal = str(error)
+            if asked is not None:
+                raise InvalidArgument(f"engine is {each!r}, which cannot run this: {refusal}")
+            why.append(" ".join(f"not {each!r}: {refusal}".split()))
+    return Way(scenario, PINOCCHIO, "; ".join(why))
+
+
+def _is_single(scenario: Scenario) -> bool:
+    return scenario.n == 1
+
+
+def _with_recorder(scenario: Scenario) -> Parts:
+    begin = float(scenario.begin) if scenario.begin else None
+    parts = scenario.parts
+    recorder = Summary(limit=scenario.limit, begin=begin)
+    return Parts(parts.plant, parts.controller, parts.forces, parts.integrator, recorder, parts.substeps)
+
+
+def _as_compiled(scenario: Scenario) -> Program:
+    parts, at = _with_recorder(scenario), Reference(*(part[0] for part in scenario.reference))
+    q, v = scenario.starts({}, 1)
+    program = program_of(parts, scenario.context, (q[0], v[0]), at, dt=scenario.dt, spread=scenario.places)
+    unused = set(program.loop.unused)
+    for name, stated in scenario.stated.items():
+        # What the plant has may not matter to one run, as the mass of what nobody pushes; it is its own.
+        if stated.path != "plant" and (stated.path, stated.parameter.attribute) in unused:
+            raise InvalidArgument(
+                f"spread has {name!r}, {stated.parameter.meaning}, which no law of this loop uses, "
+                "expected a parameter that matters"
+            )
+    return program
+
+
+def _compiled(way: Way, draws: Mapping[str, Array], start: int, stop: int, threads: int) -> Part:
+    scenario, program = way.scenario, way.program
+    assert program is not None
+    keys = {name: robot_keys(scenario.seed, name, range(start, stop)) for name in program.loop.keys}
+    outcome = program.run(
+        _with_recorder(scenario),
+        scenario.context,
+        scenario.starts(draws, stop - start),
+        scenario.t,
+        Reference(*scenario.reference),
+        dt=scenario.dt,
+        values=scenario.values(draws, start, stop),
+        keys=keys,
+        every=scenario.stride,
+        threads=threads,
+    )
+    return Part.of(scenario, outcome.memory.recorder, outcome.counts)
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """A loop of several robots on arrays."""
+
+    parts: Parts
+    context: Any
+    memory: Memory
+    q: Array
+    v: Array
+
+
+def _rows(scenario: Scenario, draws: Mapping[str, Array], start: int, stop: int) -> _Rows:
+    given = _with_recorder(scenario)
+    parts = given.on_arrays().with_parameters(scenario.values(draws, start, stop))
+
+    def normal(name: str, n: int) -> Noise:
+        return Noise(robot_keys(scenario.seed, name, range(start, stop)), n)
+
+    memory = initial_memory(parts, scenario.context, scenario.size, normal=normal)
+    return _Rows(parts, scenario.context, memory, *scenario.starts(draws, stop - start))
+
+
+def _as_arrays(scenario: Scenario) -> None:
+    """Refuse parts that are written for one robot, or that mix the rows of several.
+
+    Raises
+    ------
+    NotTraceable
+        If a part returns another shape, fails, or gives a robot beside others another number than alone.
+    """
+    count = min(_ROWS, scenario.n)
+    draws = scenario.draws(0, count)
+    at = Reference(*(part[0] for part in scenario.reference))
+    h = scenario.dt / scenario.substeps
+    steps = np.arange(1.0, 1 + count * scenario.robot.nv).reshape(count, -1) * 1e-2  # no two rows alike
+
+    def sampled(first: int, last: int) -> tuple[Array, ...]:
+        mine = {name: column[first:last] for name, column in draws.items()}
+        rows = _rows(scenario, mine, first, last)
+        q = np.stack(
+            [
+                rows.parts.plant.integrate(*each)
+                for each in zip(rows.q, np.sin(7 * steps[first:last]) * 0.1, strict=True)
+            ]
+        )
+        v = rows.v + np.sin(11 * steps[first:last]) * 0.1
+        with np.errstate(all="ignore"):
+            found = one_sample(rows.parts, 0.0, float(scenario.t[0]), h, q, v, at, rows.memory)
+        shapes = {
+            "u": (found.sample.u, (last - first, rows.parts.plant.nu)),
+            "q": (found.q, (last - first, rows.parts.plant.nq)),
+            "v": (found.v, (last - first, rows.parts.plant.nv)),
+        }
+        for name, (array, shape) in shapes.items():
+            if np.shape(array) != shape:
+                raise NotTraceable(
+                    f"{name} of {last - first} robots at once has shape {np.shape(array)}, expected {shape}",
+                    "write laws for one row per robot: [..., i] and axis=-1",
+                )
+        return tuple(np.asarray(array, np.float64) for array, _ in shapes.values())
+
+    try:
+        together = sampled(0, count)
+        alone = [sampled(i, i + 1) for i in range(count)]
+    except NotTraceable:
+        raise
+    except Exception as error:
+        raise NotTraceable(
+            f"with {count} robots at once a law raises {type(error).__name__} ({error})",
+            "write laws for one row per robot: [..., i] and axis=-1",
+        ) from error
+    for k, name in enumerate(("u", "q", "v")):
+        single = np.concatenate([each[k] for each in alone])
+        size = np.abs(np.nan_to_num(single)).max(initial=0.0)
+        if not np.allclose(together[k], single, rtol=_CLOSE, atol=_CLOSE * size, equal_nan=True):
+            raise NotTraceable(
+                f"{name} of {count} robots at once is not what each has alone",
+                "write laws for one row per robot: [..., i] and axis=-1",
+            )
+
+
+def _on_arrays(scenario: Scenario, draws: Mapping[str, Array], start: int, stop: int) -> Part:
+    rows = _rows(scenario, draws, start, stop)
+    q, v, memory, h = rows.q, rows.v, rows.memory, scenario.dt / scenario.substeps
+    counts = np.zeros((len(scenario.grid), 2, BINS), np.int64)
+    begin = scenario.starts({}, 1)
+    with np.errstate(all="ignore"):  # what overflows is judged
+        for k, time in enumerate(scenario.t.tolist()):
+            at = Reference(*(part[k] for part in scenario.reference))
+            far = np.abs(np.concatenate(errors(rows.parts.plant, q, v, at), axis=-1))
+            alive = (memory.recorder["alive"] > 0.5) & (far <= scenario.limit).all(axis=-1)
+            # What has diverged goes on from the trajectory's start: no law sees what is no number.
+            q, v = np.where(alive[:, None], q, begin[0]), np.where(alive[:, None], v, begin[1])
+            memory = memory._replace(recorder={**memory.recorder, "alive": np.where(alive, 1.0, 0.0)})
+            found = one_sample(rows.parts, float(k), time, h, q, v, at, memory)
+            q, v, memory = found.q, found.v, found.memory
+            if k % scenario.stride == 0:
+                for row, size in zip(counts[k // scenario.stride], found.record.counted, strict=True):
+                    row += np.bincount(bins_of(np.asarray(size)), minlength=BINS)
+    return Part.of(scenario, memory.recorder, counts)
+
+
+def _one_by_one(scenario: Scenario, start: int, stop: int) -> Part:
+    """Return the records of robots that `simulate` runs one after another."""
+    found = [_summed(scenario, i) for i in range(start, stop)]
+    counts = np.sum([each.counts for each in found], axis=0)
+    columns = (np.concatenate([getattr(each, name) for each in found]) for name in Part._fields[:-1])
+    return Part(*columns, counts)  # type: ignore[call-arg]
+
+
+def _summed(scenario: Scenario, i: int) -> Part:
+    member = member_of(scenario, i)
+    try:
+        rollout: Any = simulate(*member[:3], **member.options)
+    except Diverged as diverged:
+        rollout = diverged.rollout
+    lived, c, nu = 0 if rollout is None else len(rollout.t), scenario.size, scenario.robot.nu
+    error = np.zeros((0, c)) if rollout is None else np.abs(rollout.error)
+    force = np.zeros((0, nu)) if rollout is None else np.abs(rollout.u)
+    kept = error[scenario.begin :]
+    counts = np.zeros((len(scenario.grid), 2, BINS), np.int64)
+    sizes = np.full((len(scenario.t), 2), np.inf)
+    sizes[:lived] = np.column_stack([np.hypot(error[:, 0], error[:, 1]), error[:, 2]])
+    for row, size in zip(counts, sizes[:: scenario.stride], strict=True):
+        row[range(2), bins_of(size)] += 1
+    return Part(
+        np.array([lived]),
+        kept.max(axis=0, initial=0.0)[None],
+        np.sqrt(np.square(kept[:, :2]).sum(axis=1)).max(initial=0.0)[None],
+        np.sqrt(np.square(kept).sum(axis=0) / max(len(kept), 1))[None],
+        force.max(axis=0, initial=0.0)[None],
+        counts.astype(np.int32),
+    )

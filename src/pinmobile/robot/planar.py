@@ -1,0 +1,99 @@
+"""`PlanarBody`: the dynamics of a body that is pushed in the plane, in NumPy, for one state or many.
+
+It is what a `MobileRobot` without arms is to compiled loops and to loops on arrays, where Pinocchio, which
+takes numbers and one state at a time, cannot be called.
+"""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, final
+
+import numpy as np
+
+from pinmobile.arrays import Array, wrap_angle
+from pinmobile.closed_form import unchecked_forward_dynamics, unchecked_inverse_dynamics
+from pinmobile.plant import Coordinate, Input, Parameter
+
+__all__ = ["BODY", "PlanarBody"]
+
+BODY = (
+    Parameter("mass", "kg", "mass of the robot", 0.0, may_vanish=False),
+    Parameter("yaw_inertia", "kg m^2", "yaw inertia of the robot", 0.0, may_vanish=False),
+    Parameter("com_x", "m", "centre of mass of the robot, forward"),
+    Parameter("com_y", "m", "centre of mass of the robot, left"),
+)
+"""The parameters of a body in the plane."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class PlanarBody:
+    """A body in the plane, by the closed forms of `pinmobile.closed_form`, unchecked.
+
+    Parameters
+    ----------
+    mass, yaw_inertia, com_x, com_y : float or ndarray, shape (...)
+        Mass [kg], inertia about the vertical through the centre of mass [kg m^2], and centre of mass in the
+        body frame [m].
+    """
+
+    mass: Any
+    yaw_inertia: Any
+    com_x: Any = 0.0
+    com_y: Any = 0.0
+
+    nq: ClassVar[int] = 3
+    nv: ClassVar[int] = 3
+    nu: ClassVar[int] = 3
+    parameters: ClassVar[tuple[Parameter, ...]] = BODY
+    leading: ClassVar[dict[int, int]] = {3: 3}
+    coordinates: ClassVar[tuple[Coordinate, ...]] = (
+        Coordinate("x", "m", rate="vx"),
+        Coordinate("y", "m", rate="vy"),
+        Coordinate("psi", "rad", rate="yaw_rate"),
+    )
+    inputs: ClassVar[tuple[Input, ...]] = (Input("Fx", "N"), Input("Fy", "N"), Input("Mz", "N m"))
+
+    @property
+    def _body(self) -> tuple[Any, ...]:
+        return self.mass, self.yaw_inertia, self.com_x, self.com_y
+
+    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
+        """Return the acceleration, shape (..., 3)."""
+        return unchecked_forward_dynamics(q, v, u + f, *self._body)
+
+    def inverse_dynamics(self, q: Any, v: Any, a: Any) -> Any:
+        """Return M(q) a + n(q, v), shape (..., 3)."""
+        return unchecked_inverse_dynamics(q, v, a, *self._body)
+
+    def nonlinear_effects(self, q: Any, v: Any) -> Any:
+        """Return n(q, v), shape (..., 3)."""
+        return unchecked_inverse_dynamics(q, v, np.zeros(np.shape(v)), *self._body)
+
+    def gravity(self, q: Any) -> Any:
+        """Return zeros, shape (..., 3): the ground is level."""
+        return np.zeros(np.shape(q))
+
+    def integrate(self, q: Any, dq: Any) -> Any:
+        """Return q + dq."""
+        return q + dq
+
+    def difference(self, q0: Any, q1: Any) -> Any:
+        """Return q1 - q0, shape (..., 3), with that of the heading on the circle."""
+        d = q1 - q0
+        return np.stack([d[..., 0], d[..., 1], wrap_angle(d[..., 2])], axis=-1)
+
+    def pose(self, q: Any) -> Any:
+        """Return q."""
+        return q
+
+    def rate(self, q: Any, v: Any) -> Any:
+        """Return v."""
+        return v
+
+    def effort(self, q: Any, wrench: Any) -> Any:
+        """Return the wrench."""
+        return wrench
+
+    def start(self, reference: Any) -> tuple[Array, Array]:
+        """Return the reference's configuration and velocity."""
+        return reference.q, reference.v

@@ -1,0 +1,106 @@
+"""What CONTRIBUTING says of adding a part: its examples run, and its file and package alone know its name."""
+
+import ast
+import contextlib
+import io
+import re
+from pathlib import Path
+
+import pytest
+
+import pinmobile
+from pinmobile import controllers, disturbances
+
+ROOT = Path(__file__).parents[1]
+CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text()
+SOURCE = Path(pinmobile.__file__).parent
+PARTS = [
+    name
+    for package in (controllers, disturbances)
+    for name in package.__all__
+    if isinstance(getattr(package, name), type) and not getattr(getattr(package, name), "_is_protocol", False)
+]
+# Parts that a file uses to get its own work done, as a user does, not to know them from others.
+USERS = {"accuracy/held_force.py": {"ComputedTorque"}}
+
+
+def test_the_examples_print_what_follows_them() -> None:
+    names: dict[str, object] = {}
+    blocks = re.findall(r"```python\n(.*?)```(?:\n\n```text\n(.*?)```)?", CONTRIBUTING, re.DOTALL)
+    assert sum(bool(printed) for _, printed in blocks) == 7
+    for code, printed in blocks:
+        out = io.StringIO()
+        with contextlib.redirect_stdout(out):
+            exec(code, names)
+        assert out.getvalue() == printed
+
+
+def test_each_kind_of_part_has_a_short_example() -> None:
+    sections = dict(re.findall(r"### An? (\w+)\n(.*?)(?=\n### |\Z)", CONTRIBUTING, re.DOTALL))
+    assert list(sections) == ["controller", "wrapper", "force", "integrator", "path", "heading", "plant"]
+    for text in sections.values():
+        assert text.count("```python") == 1
+        assert len(text.splitlines()) < 75
+
+
+def test_every_file_and_folder_that_is_named_is_there() -> None:
+    named = re.findall(r"`((?:src|tests|pinmobile)/[\w/.]*|\.ci/run|CHANGELOG\.md)`", CONTRIBUTING)
+    assert len(named) > 8
+    for path in named:
+        assert (ROOT / path).exists() or (ROOT / "src" / path).exists(), path
+
+
+def names_in(file: Path) -> set[str]:
+    """Return the names that a module's code has: imported, read, or asked of another; not words of text."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.Name):
+            found.add(node.id)
+        elif isinstance(node, ast.Attribute):
+            found.add(node.attr)
+        elif isinstance(node, ast.ImportFrom):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ClassDef):
+            found.add(node.name)
+    return found
+
+
+def where(name: str) -> set[str]:
+    """Return the files that know a name, beside those of the command."""
+    files = (file for file in SOURCE.rglob("*.py") if "cli" not in file.relative_to(SOURCE).parts)
+    return {file.relative_to(SOURCE).as_posix() for file in files if name in names_in(file)}
+
+
+def test_the_parts_are_those_of_the_library() -> None:
+    assert {"PD", "ComputedTorque", "Saturated", "Delayed", "NoiseForce", "RollingResistance"} <= set(PARTS)
+    assert len(PARTS) >= 12
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_a_part_is_known_by_its_own_file_and_its_package_alone(name: str) -> None:
+    part = getattr(pinmobile, name)
+    own = Path(*part.__module__.split(".")[1:]).with_suffix(".py")
+    allowed = {own.as_posix(), (own.parent / "__init__.py").as_posix(), "__init__.py"}
+    allowed |= {file for file, used in USERS.items() if name in used}
+    assert where(name) <= allowed
+    assert {own.as_posix(), (own.parent / "__init__.py").as_posix()} <= where(name)
+
+
+def test_no_file_asks_a_part_what_it_is() -> None:
+    """``type(x) is PD`` and ``isinstance(x, PD)`` would be a registry of one."""
+    asked = []
+    for file in SOURCE.rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.Compare) and "type" in {
+                call.func.id
+                for call in ast.walk(node.left)
+                if isinstance(call, ast.Call) and isinstance(call.func, ast.Name)
+            }:
+                compared = {
+                    each.id
+                    for side in node.comparators
+                    for each in ast.walk(side)
+                    if isinstance(each, ast.Name)
+                }
+                asked += [(file.name, name) for name in compared & set(PARTS)]
+    assert not asked

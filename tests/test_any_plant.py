@@ -1,0 +1,395 @@
+"""Plants that are no `MobileRobot`: all that the library does with them, by what they say of themselves."""
+
+import csv
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pinmobile import (
+    PD,
+    Circle,
+    Context,
+    InvalidArgument,
+    MobileRobot,
+    Rollout,
+    Tangent,
+    ViscousFriction,
+    constant_acceleration,
+    law,
+    plots,
+    rk4,
+    simulate,
+)
+from pinmobile.arrays import Array
+from pinmobile.compiled import Parts
+from pinmobile.compiled import Reference as OnSymbols
+from pinmobile.plant import Coordinate, Input, PlantOutline, Step
+from pinmobile.viewer import Arrows, Overlays, Viewer
+from pinmobile.viewer.links import configurations, figure
+from tests.looping import AxleFriction, looped
+from tests.users import Follower, TwoWheels
+
+PATH = Tangent(Circle(2, 0.25, 20))
+FORCES = (ViscousFriction([2, 0, 0.1]), AxleFriction(0.01))
+RUN = simulate(TwoWheels(), Follower(), PATH, dt=0.02, forces=FORCES, integrator=rk4)
+NAMES = ["x", "y", "psi", "left wheel", "right wheel"]
+
+
+def test_two_wheels_follow_a_circle_and_roll_all_the_way() -> None:
+    assert (RUN.max_error() < 0.05).all()
+    plant = TwoWheels()
+    rolled = np.array([plant.project(q, v) for q, v in zip(RUN.q, RUN.v, strict=True)])
+    np.testing.assert_allclose(RUN.v, rolled, rtol=0, atol=1e-13)
+    assert RUN.error.shape == RUN.reference.q.shape == (1001, 3)
+    np.testing.assert_allclose(RUN.error[:, :2], RUN.reference.q[:, :2] - RUN.q[:, :2], rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("integrator", [constant_acceleration, rk4])
+@pytest.mark.parametrize("substeps", [1, 3])
+@pytest.mark.parametrize("pushed", [False, True])
+def test_the_loop_is_the_one_that_is_compiled(integrator: Any, substeps: int, pushed: bool) -> None:
+    """`simulate` and the loop that is run on symbols do the same, step for step."""
+    plant, forces = TwoWheels(), FORCES if pushed else ()
+    options: dict[str, Any] = {"substeps": substeps, "integrator": integrator, "forces": forces}
+    run = simulate(plant, Follower(), PATH, dt=0.02, duration=2, **options)
+    parts = Parts(plant, Follower(), forces, integrator, substeps=substeps)
+    rows, _ = looped(parts, run.q[0], run.v[0], run.t, OnSymbols(*run.reference), 0.02)
+    for name in ("q", "v", "u", "a"):
+        largest = np.abs(rows[name]).max()
+        np.testing.assert_allclose(getattr(run, name), rows[name], rtol=0, atol=1e-12 * largest)
+
+
+def test_the_plant_names_what_is_printed() -> None:
+    text = str(RUN)
+    for name, most in zip(("left torque", "right torque"), RUN.max_input(), strict=True):
+        assert f"{name} {most:.4g} N m" in text
+    assert [line.split(": x ")[0] for line in text.splitlines()[1:3]] == ["largest error", "rms error"]
+    assert "Fx" not in text
+
+
+def test_csv_has_its_names_and_units(tmp_path: Path) -> None:
+    RUN.to_csv(tmp_path / "run.csv")
+    with (tmp_path / "run.csv").open(newline="") as file:
+        header, *rows = list(csv.reader(file))
+    units = ["m", "m", "rad", "rad", "rad"]
+    named = list(zip(NAMES, units, strict=True))
+    assert header == [
+        "t [s]",
+        *(f"{name} [{unit}]" for name, unit in named),
+        *(f"v_{name} [{unit}/s]" for name, unit in named),
+        *(f"a_{name} [{unit}/s^2]" for name, unit in named),
+        *("u_left torque [N m]", "u_right torque [N m]"),
+        *(f"error_{name} [{unit}]" for name, unit in named[:3]),
+        *(f"desired_{name} [{unit}]" for name, unit in named[:3]),
+        "signal_error across [m]",
+    ]
+    table = np.array(rows, float)
+    np.testing.assert_array_equal(table[:, header.index("u_right torque [N m]")], RUN.u[:, 1])
+    np.testing.assert_array_equal(table[:, -1], RUN.signals["error across"].values)
+
+
+def test_figures_have_its_names_and_units() -> None:
+    labels = {
+        draw.__name__: [axes.get_ylabel() for axes in draw(RUN).axes]
+        for draw in (plots.states, plots.errors, plots.forces, plots.signals)
+    }
+    assert labels == {
+        "states": ["$x$ [m]", "$y$ [m]", r"$\psi$ [rad]", "left wheel [rad]", "right wheel [rad]"],
+        "errors": ["error in $x$ [m]", "error in $y$ [m]", r"error in $\psi$ [rad]"],
+        "forces": ["left torque [N m]", "right torque [N m]"],
+        "signals": ["error across [m]"],
+    }
+    (axes,) = plots.path({"two wheels": RUN}).axes
+    travelled = next(line for line in axes.lines if line.get_label() == "travelled")
+    np.testing.assert_array_equal(np.array(travelled.get_data()).T, RUN.q[:, :2])
+
+
+def test_it_is_read_where_its_class_is_not(tmp_path: Path) -> None:
+    """In another process, which cannot import the tests."""
+    RUN.save(tmp_path / "run.npz")
+    program = (
+        "from pinmobile import Rollout, plots\n"
+        "from pinmobile.viewer import Viewer\n"
+        "run = Rollout.load('run.npz')\n"
+        "run.to_csv('again.csv')\n"
+        "labels = [axes.get_ylabel() for axes in plots.forces(run).axes]\n"
+        "Viewer(run.plant).record(run).save_html('run.html')\n"
+        "print(run, run.plant.kind, labels, len(plots.path(run).axes), sep='\\n')"
+    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == f"{RUN}\nTwoWheels\n['left torque [N m]', 'right torque [N m]']\n1\n"
+    RUN.to_csv(tmp_path / "first.csv")
+    assert (tmp_path / "again.csv").read_bytes() == (tmp_path / "first.csv").read_bytes()
+    assert (
+        "application" in (tmp_path / "run.html").read_text() or (tmp_path / "run.html").stat().st_size > 1e5
+    )
+
+
+def test_a_file_keeps_every_number_name_and_limit(tmp_path: Path) -> None:
+    RUN.save(tmp_path / "run.npz")
+    kept = Rollout.load(tmp_path / "run.npz")
+    for name, array in RUN.arrays().items():
+        np.testing.assert_array_equal(kept.arrays()[name], array)
+    assert kept.plant == PlantOutline.of(TwoWheels(), RUN.q)
+    assert (kept.plant.coordinates, kept.plant.inputs) == (TwoWheels.coordinates, TwoWheels.inputs)
+    np.testing.assert_array_equal(kept.poses, RUN.poses)
+    assert kept.signals["error across"].unit == "m"
+    np.testing.assert_array_equal(kept.signals["error across"].values, RUN.signals["error across"].values)
+    kept.save(tmp_path / "again.npz")
+    assert Rollout.load(tmp_path / "again.npz").plant == kept.plant
+
+
+class Boxed(TwoWheels):
+    size = (0.4, 0.3, 0.15)
+
+
+def test_the_viewer_draws_a_box_at_its_pose() -> None:
+    assert figure(Boxed()).size == Boxed.size
+    with Viewer(Boxed()) as viewer:
+        viewer.display(RUN.q[10])
+        page = viewer.static_html()
+        viewer.record(RUN)
+    assert page
+    times = RUN.t[::50]
+    expected = np.column_stack([RUN.q[::50, :2], np.unwrap(RUN.q[:, 2])[::50]])
+    np.testing.assert_allclose(
+        configurations(figure(RUN.plant), RUN.t, RUN.poses, times), expected, atol=1e-12
+    )
+
+
+def test_a_plant_that_does_not_tell_where_it_is_is_not_drawn() -> None:
+    class Nowhere(TwoWheels):
+        pose = None  # type: ignore[assignment]
+
+    run = simulate(Nowhere(), Follower(), PATH, dt=0.1, duration=1)
+    for draw in (
+        lambda: Viewer(Nowhere()),
+        lambda: Viewer(MobileRobot.box()).record(run),
+        lambda: plots.path(run),
+    ):
+        with pytest.raises(InvalidArgument, match=r"pose\(q\), which returns x, y and psi"):
+            draw()
+
+
+def test_arrows_need_a_force_on_the_base() -> None:
+    with (
+        Viewer(TwoWheels()) as viewer,
+        pytest.raises(InvalidArgument, match="of the inputs Fx, Fy, Mz"),
+    ):
+        viewer.record(RUN, overlays=Overlays(arrows=Arrows()))
+
+
+def test_limits_hold_after_wrappers_and_are_what_is_applied() -> None:
+    told: list[Array] = []
+
+    class Loud(Follower):
+        def __call__(self, t: float, q: Array, v: Array, reference: Any, state: Any) -> tuple[Array, Any]:
+            return np.array([5.0, -0.5]), state
+
+        def applied(self, u: Array, state: Any) -> Any:
+            told.append(u.copy())
+            return state
+
+    run = simulate(TwoWheels(), Loud(), PATH, dt=0.1, duration=0.5)
+    assert np.array_equal(run.u, [[2.0, -0.5]] * 6)
+    np.testing.assert_array_equal(told, run.u)
+    acceleration = TwoWheels().forward_dynamics(run.q[3], run.v[3], run.u[3])
+    np.testing.assert_allclose(run.a[3], acceleration, rtol=1e-14)
+
+
+def test_a_start_is_completed_and_checked() -> None:
+    class Held(TwoWheels):
+        def check_start(self, q: Array, v: Array) -> None:
+            if np.abs(self.project(q, v) - v).max() > 1e-9:
+                raise InvalidArgument("v0 does not roll")
+
+    np.testing.assert_allclose(RUN.v[0, 3:] * 0.1, [0.5 - 0.0625, 0.5 + 0.0625], atol=1e-12)
+    sliding: Any = {"v0": [0.5, 0.2, 0.25, 0, 0]}
+    with pytest.raises(InvalidArgument, match="v0 does not roll"):
+        simulate(Held(), Follower(), PATH, dt=0.1, **sliding)
+    free = simulate(TwoWheels(), Follower(), PATH, dt=0.1, duration=0.1, **sliding)
+    assert free.v[0].tolist() == sliding["v0"]
+    with pytest.raises(InvalidArgument, match=r"q0 has shape \(3,\), expected \(5,\)"):
+        simulate(Held(), Follower(), PATH, dt=0.1, q0=np.zeros(3))
+
+
+class Sliding:
+    """A mass under a stop: a step of its own, memory of what it hit, and a signal."""
+
+    nq = nv = nu = 1
+    coordinates = (Coordinate("way", "m"),)
+    inputs = (Input("push", "N"),)
+
+    def forward_dynamics(self, q: Array, v: Array, u: Array, f: Any = 0.0) -> Array:
+        raise AssertionError("it has a step of its own")
+
+    def integrate(self, q: Array, dq: Array) -> Array:
+        return q + dq
+
+    def difference(self, q0: Array, q1: Array) -> Array:
+        return q1 - q0
+
+    def initial_state(self, context: Context) -> int:
+        return 0
+
+    def step(self, t: float, q: Array, v: Array, u: Array, h: float, f: Any, memory: int) -> Step:
+        v = v + h * (u + f)
+        hit = bool(q[0] + h * v[0] > 1)
+        return Step(np.minimum(q + h * v, 1.0), v * (not hit), memory + hit)
+
+    def signals(self, t: float, q: Array, v: Array, u: Array, f: Any, memory: int) -> Any:
+        return {"hits": ("", memory), "state": ("m", [q[0], v[0]])}
+
+
+class Still:
+    duration = 1.0
+
+    def __call__(self, t: Any) -> Any:
+        zero = np.zeros((*np.shape(t), 1))
+        return type(PATH(0.0))(zero, zero, zero)
+
+
+class Spring:
+    def on_coordinates(self, t: float, q: Array, v: Array) -> Array:
+        return -4 * q
+
+
+def test_a_step_of_its_own_is_taken_with_its_memory_and_signals() -> None:
+    push = law(lambda *_: np.array([3.0]))
+    run = simulate(Sliding(), push, Still(), dt=0.1, substeps=2, forces=[Spring()], q0=[0.5], v0=[1.0])
+    parts = Parts(Sliding(), push, (Spring(),), None, substeps=2)
+    rows, _ = looped(parts, run.q[0], run.v[0], run.t, OnSymbols(*run.reference), 0.1)
+    for name in ("q", "v", "u", "a"):
+        np.testing.assert_allclose(getattr(run, name), rows[name], rtol=0, atol=1e-14)
+    assert run.a[0, 0] == pytest.approx(3 - 4 * 0.5)
+    hits = run.signals["hits"].values
+    assert (hits[0], np.diff(hits).min()) == (0, 0)
+    assert hits[-1] > 0
+    np.testing.assert_array_equal(run.signals["state"].values, np.hstack([run.q, run.v]))
+    assert "push 3 N" in str(run)
+    for chosen in (rk4, constant_acceleration):
+        with pytest.raises(InvalidArgument, match="a Sliding, has a step of its own: leave integrator out"):
+            simulate(Sliding(), push, Still(), dt=0.1, integrator=chosen)
+
+
+def test_a_plant_chooses_its_integrator() -> None:
+    class Precise(TwoWheels):
+        integrator = rk4
+
+    chosen, given, usual = (
+        simulate(plant, Follower(), PATH, dt=0.1, integrator=integrator).q
+        for plant, integrator in ((Precise(), None), (TwoWheels(), rk4), (TwoWheels(), None))
+    )
+    np.testing.assert_array_equal(chosen, given)
+    assert np.abs(chosen - usual).max() > 1e-9
+
+
+def at_rest(self: Any, reference: Any) -> tuple[Array, Array]:
+    return np.zeros(5), np.zeros(5)
+
+
+def plant_with(**changed: Any) -> Any:
+    return type("Changed", (TwoWheels,), changed)()
+
+
+@pytest.mark.parametrize(
+    ("plant", "why"),
+    [
+        (plant_with(nv=4), "nv = 4 and 5 coordinates"),
+        (plant_with(nu=3), "nu = 3 and 2 inputs"),
+        (plant_with(configuration_names=("x",)), "nq = 5 and 1 configuration_names"),
+        (plant_with(leading={6: 6}), "plant.leading has 6: 6, expected at most nv = 5 and nq = 5"),
+        (plant_with(leading=3), "plant.leading is 3, expected a mapping"),
+        (plant_with(coordinates=3), "plant.coordinates is 3, expected a sequence of Coordinate"),
+        (plant_with(leading={5: 5}), r"trajectory gives q of shape \(201, 3\) .*, expected \(201, 5\)"),
+        (plant_with(start=lambda self, reference: ([0], [0])), r"q0 .*has shape \(1,\), expected \(5,\)"),
+        (
+            plant_with(project=lambda self, q, v: v[:3], start=at_rest),
+            r"whose project\(q, v\) returned .* shape \(5,\)",
+        ),
+        (plant_with(step=lambda self, t: t), r"plant.step .* cannot be called as"),
+        (plant_with(step=lambda self, *_: 3), r"plant.step returned 3 at t = 0 s, expected a Step"),
+    ],
+)
+def test_a_plant_that_contradicts_itself_is_refused(plant: Any, why: str) -> None:
+    with pytest.raises(InvalidArgument, match=why):
+        simulate(plant, Follower(), PATH, dt=0.1)
+
+
+def test_a_shorter_reference_without_a_start_needs_one() -> None:
+    plant: Any = plant_with()
+    del_start = type("NoStart", (TwoWheels,), {"start": property(lambda self: self.nothing)})()
+    assert not hasattr(del_start, "start")
+    with pytest.raises(InvalidArgument, match=r"has no start\(reference\), .*: give q0 and v0"):
+        simulate(del_start, Follower(), PATH, dt=0.1)
+    q0, v0 = plant.start(PATH(0.0))
+    begun = simulate(del_start, Follower(), PATH, dt=0.1, q0=q0, v0=v0)
+    np.testing.assert_array_equal(begun.q, simulate(TwoWheels(), Follower(), PATH, dt=0.1).q)
+
+
+def test_a_base_with_an_arm_follows_a_reference_of_the_base() -> None:
+    robot = MobileRobot.box().mount("ur5")
+
+    def held(t: float, q: Array, v: Array, reference: Any) -> Array:
+        whole = np.append(reference.q, robot.rest[3:])
+        rates = np.append(reference.v, np.zeros(6))
+        a = 25 * robot.difference(q, whole) + 10 * (rates - v)
+        a[:3] += reference.a
+        return robot.inverse_dynamics(q, v, a)
+
+    run = simulate(robot, law(held), PATH, dt=0.01, duration=1)
+    assert run.error.shape == (101, 3)
+    assert (run.max_error() < 1e-3).all()
+    assert run.q[0, 3:].tolist() == robot.rest[3:].tolist()
+    assert len(str(run).splitlines()) == 4
+    assert plots.errors(run).axes[0].get_ylabel() == "error in $x$ [m]"
+    with pytest.raises(InvalidArgument, match=r"has the first 3 of 9 coordinates, .* WholeBody"):
+        simulate(robot, PD(1, 1), PATH, dt=0.1)
+
+
+class Telling(Follower):
+    def __init__(self, *answers: Any) -> None:
+        self.answers = answers
+
+    def initial_state(self, context: Context) -> Any:
+        return {"across": 0.0, "k": 0}
+
+    def __call__(self, t: float, q: Array, v: Array, reference: Any, state: Any) -> tuple[Array, Any]:
+        return np.zeros(2), state | {"k": state["k"] + 1}
+
+    def signals(self, state: Any) -> Any:
+        return self.answers[min(state["k"], len(self.answers)) - 1]
+
+
+@pytest.mark.parametrize(
+    ("answers", "why"),
+    [
+        (([1],), r"controller.signals returned \[1\], expected a dict"),
+        (({"a": 3},), r"controller.signals has 'a': 3, expected a name and \(unit, value\)"),
+        (({3: ("m", 3)},), r"controller.signals has 3: "),
+        (({"a": ("m", "x")},), r"controller.signals\['a'\] is 'x', expected"),
+        (({"a": ("m", np.eye(2))},), r"controller.signals\['a'\] has shape \(2, 2\), expected a number or"),
+        (({"a": ("m", 1)}, {}), r"controller.signals has none at t = 0.1 s, expected the same .*: a"),
+        (({"a": ("m", 1)}, {"a": ("s", 1)}), r"has unit 's' and shape \(\) at t = 0.1 s, expected 'm'"),
+        (({"a": ("m", 1)}, {"a": ("m", [1, 2])}), r"has unit 'm' and shape \(2,\) at t = 0.1 s"),
+        (({"tread": ("m", 1)},), "plant and controller both have the signal 'tread'"),
+    ],
+)
+def test_signals_that_are_none_are_refused(answers: Any, why: str) -> None:
+    def signals(self: Any, t: float, q: Array, v: Array, u: Array, f: Any, memory: Any) -> Any:
+        return {"tread": ("N", 1.0)}
+
+    with pytest.raises(InvalidArgument, match=why):
+        simulate(plant_with(signals=signals), Telling(*answers), PATH, dt=0.1, duration=1)
+
+
+def test_rollouts_without_signals_have_none_to_draw() -> None:
+    run = simulate(MobileRobot.box(), PD(9, 9), PATH, dt=0.1)
+    assert dict(run.signals) == {}
+    with pytest.raises(InvalidArgument, match="rollouts have no signals"):
+        plots.signals(run)

@@ -1,0 +1,236 @@
+"""The three engines side by side, over compositions in which every two parts that fit meet at least once."""
+
+from collections.abc import Iterator, Mapping
+from functools import cache
+from itertools import combinations, product
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pinmobile import (
+    PD,
+    ComputedTorque,
+    ConstantForce,
+    Decoupled,
+    Delayed,
+    Ensemble,
+    Load,
+    MobileRobot,
+    NoiseForce,
+    NoisyMeasurement,
+    PDGravity,
+    RollingResistance,
+    Saturated,
+    Scenario,
+    SinusoidalForce,
+    Tangent,
+    Uniform,
+    ViscousFriction,
+    constant_acceleration,
+    law,
+    rk4,
+    semi_implicit_euler,
+)
+from pinmobile.ensembles import ARRAYS, COMPILED, PINOCCHIO, part_of, run_scenario
+from tests.parts import PID, Cart, Eight, Follower, Nodding, SlidingMode, Smoothed, Spring, midpoint
+
+N, DT, DURATION = 3, 0.01, 3.0  # 301 samples
+MOST = 80
+ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.05))
+WRONG = MobileRobot(27.0, 1.1, com=(0.05, 0.0))
+
+
+def _law(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return np.array([40.0, 50.0, 4.0]) * (reference.q - q) + 40.0 * np.tanh(reference.v - v)
+
+
+PLANTS: dict[str, Any] = {
+    "offset": ROBOT,
+    "loaded": ROBOT.attach(Load(4.0, com=(0.1, -0.1, 0.2))),
+    "cart": Cart(),
+}
+CONTROLLERS: dict[str, Any] = {
+    "PD": PD(40.0, 40.0),
+    "PD, vector": PD((60.0, 50.0, 4.0), (60.0, 50.0, 4.0)),
+    "PD, matrix": PD([[60.0, 5.0, 0.0], [3.0, 50.0, 1.0], [0.0, -1.0, 4.0]], 30.0),
+    "computed torque": ComputedTorque(ROBOT),
+    "computed torque, wrong": ComputedTorque(WRONG, kp=(3.0, 4.0, 5.0)),
+    "PDGravity": PDGravity(ROBOT, (60.0, 50.0, 4.0), (60.0, 50.0, 4.0)),
+    "Decoupled": Decoupled(WRONG),
+    "PID": PID(50.0, 10.0, 50.0),
+    "sliding mode": SlidingMode(),
+    "law": law(_law),
+    "follower": Follower(),
+}
+WRAPPERS: dict[str, Any] = {
+    "bare": lambda controller, limits: controller,
+    "saturated": Saturated,
+    "delayed": lambda controller, limits: Delayed(controller, 2),
+    "noisy": lambda controller, limits: NoisyMeasurement(controller, 1e-3, 2e-3, seed=3),
+    "smoothed": lambda controller, limits: Smoothed(controller, 0.8),
+    "nested": lambda controller, limits: Saturated(Delayed(controller, 1), limits),
+}
+# Rolling: stiff as 1 N m / (0.1 rad/s) about rest, for which 2 * 1.3 * 0.1 / 0.3 s is the longest step.
+STEADY: dict[str, Any] = {
+    "free": (),
+    "constant": (ConstantForce((3.0, -2.0, 0.1)),),
+    "viscous": (ViscousFriction((5.0, 9.0, 0.4)),),
+    "rolling": (RollingResistance((2.0, 3.0, 0.3), 0.1),),
+    "spring": (Spring(),),
+}
+WAVING: dict[str, Any] = {
+    "calm": (),
+    "sine": (SinusoidalForce((2.0, 1.0, 0.1), 0.5, 0.3),),
+    "noise": (NoiseForce((1.0, 2.0, 0.1), 2.0, seed=5),),
+    "two sines": (SinusoidalForce((2.0, 1.0, 0.1), 0.5), SinusoidalForce((0.0, 1.0, 0.2), 1.5)),
+}
+INTEGRATORS: dict[str, Any] = {
+    "acceleration": constant_acceleration,
+    "semi-implicit": semi_implicit_euler,
+    "rk4": rk4,
+    "midpoint": midpoint,
+}
+GAINS: Mapping[str, str] = {"PID": "pid_kp", "sliding mode": "layer", "follower": "along"}
+FORCES: Mapping[str, str] = {
+    "constant": "force_x",
+    "viscous": "viscous_forward",
+    "rolling": "rolling_left",
+    "spring": "stiffness",
+}
+MODELS = ("computed torque", "computed torque, wrong", "Decoupled")
+STARTS = {"start_x": Uniform(-0.2, 0.2), "start_psi": Uniform(-0.3, 0.3)}
+SPREADS = ("nothing", "mass", "gains", "model", "forces", "start")
+FACTORS: dict[str, tuple[str, ...]] = {
+    "controller": tuple(CONTROLLERS),
+    "wrapper": tuple(WRAPPERS),
+    "spread": SPREADS,
+    "steady": tuple(STEADY),
+    "waving": tuple(WAVING),
+    "integrator": tuple(INTEGRATORS),
+    "plant": tuple(PLANTS),
+    "substeps": ("1", "3"),
+}
+
+
+def fits(choice: Mapping[str, str]) -> bool:
+    """Tell whether parts, as far as they are chosen, can be together."""
+    plant, controller = choice.get("plant"), choice.get("controller")
+    spread, steady = choice.get("spread"), choice.get("steady")
+    if plant and controller and (plant == "cart") != (controller == "follower"):
+        return False
+    if spread == "model":
+        return plant != "cart" and (controller is None or controller in MODELS)
+    return not (spread == "gains" and controller == "law") and not (spread == "forces" and steady == "free")
+
+
+def pairs(choice: Mapping[str, str]) -> Iterator[tuple[tuple[str, str], ...]]:
+    """Return every two parts of those that are chosen."""
+    yield from combinations(sorted(choice.items()), 2)
+
+
+def every_pair() -> dict[tuple[tuple[str, str], ...], None]:
+    """Return every two parts that fit, in order."""
+    found: dict[tuple[tuple[str, str], ...], None] = {}
+    for one, other in combinations(FACTORS, 2):
+        for here, there in product(FACTORS[one], FACTORS[other]):
+            choice = {one: here, other: there}
+            found |= dict.fromkeys(pairs(choice)) if fits(choice) else {}
+    return found
+
+
+@cache
+def compositions() -> list[dict[str, str]]:
+    """Return choices of all factors that have every pair: each the best that a few greedy ways come to."""
+    left, found = every_pair(), []
+    while left:
+        best: dict[str, str] = {}
+        for first in list(left)[:: max(1, len(left) // 12)]:
+            choice = dict(first)
+            for factor, names in FACTORS.items():
+                allowed = [choice | {factor: name} for name in names if fits(choice | {factor: name})]
+                if factor not in choice:
+                    choice = max(allowed, key=lambda one: sum(pair in left for pair in pairs(one)))
+            if sum(pair in left for pair in pairs(choice)) > sum(pair in left for pair in pairs(best)):
+                best = choice
+        found.append(best)
+        for pair in pairs(best):
+            left.pop(pair, None)
+    return found
+
+
+def spread_of(choice: Mapping[str, str]) -> dict[str, Any]:
+    controller, steady = choice["controller"], choice["steady"]
+    nominal = {"force_x": 3.0, "viscous_forward": 5.0, "rolling_left": 3.0, "stiffness": 8.0}
+    gains = {"pid_kp": 50.0, "layer": 0.5, "along": 8.0, "kp_factor": 1.0}
+    gain = GAINS.get(controller, "kp_factor")
+    found: dict[str, dict[str, Any]] = {
+        "nothing": {},
+        "mass": {"mass": Uniform(20.0, 35.0)},
+        "gains": {gain: Uniform(0.8 * gains[gain], 1.2 * gains[gain])},
+        "model": {"model_mass": Uniform(25.0, 35.0), "model_com_x": Uniform(0.0, 0.1)},
+        "start": STARTS,
+    }
+    if steady in FORCES:
+        found["forces"] = {f"forces[0].{FORCES[steady]}": Uniform(0.5, nominal[FORCES[steady]])}
+    return found[choice["spread"]]
+
+
+def made(choice: Mapping[str, str], n: int = N) -> Scenario:
+    cart = choice["plant"] == "cart"
+    limits = 0.2 if cart else (15.0, 12.0, 1.5)
+    return Scenario(
+        robot=PLANTS[choice["plant"]],
+        controller=WRAPPERS[choice["wrapper"]](CONTROLLERS[choice["controller"]], limits),
+        trajectory=Tangent(Eight()) if cart else Nodding(Eight()),
+        n=n,
+        spread=spread_of(choice),
+        dt=DT,
+        seed=4,
+        duration=DURATION,
+        integrator=INTEGRATORS[choice["integrator"]],
+        substeps=int(choice["substeps"]),
+        forces=(*STEADY[choice["steady"]], *WAVING[choice["waving"]]),
+    )
+
+
+def test_every_two_parts_that_fit_meet() -> None:
+    met = {pair for choice in compositions() for pair in pairs(choice)}
+    assert met == set(every_pair())
+    assert all(map(fits, compositions()))
+    assert len(compositions()) <= MOST
+
+
+@cache
+def compiled(k: int) -> tuple[Scenario, Ensemble]:
+    """Return a composition and its ensemble by compiled code, one thread's."""
+    scenario = made(compositions()[k])
+    return scenario, run_scenario(scenario, engine=COMPILED, threads=1)
+
+
+@pytest.mark.parametrize("k", range(len(compositions())))
+def test_the_engines_agree(k: int) -> None:
+    scenario, run = compiled(k)
+    on_arrays, alone = (run_scenario(scenario, engine=engine) for engine in (ARRAYS, PINOCCHIO))
+    assert not alone.diverged.any()
+    place, force = np.abs(scenario.reference.q).max(), alone.max_force.max()
+    sizes = {"max_error": place, "rms_error": place, "max_distance": place, "max_force": force}
+    for one in (run, on_arrays):
+        for name, size in sizes.items():  # an error is a difference of coordinates, and rounded as these are
+            here, there = getattr(one, name), getattr(alone, name)
+            np.testing.assert_allclose(
+                here, there, rtol=0, atol=1e-12 * size, err_msg=f"{name}, {one.engine}"
+            )
+
+
+@pytest.mark.parametrize("k", range(len(compositions())))
+def test_the_bits_hang_on_no_thread_chunk_or_number_of_robots(
+    k: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pinmobile.compiled.program._WORTH", 1.0)  # every block is worth a thread
+    scenario, run = compiled(k)
+    many = run_scenario(made(compositions()[k], 20 * N), engine=COMPILED, threads=3)
+    chunk = part_of(scenario, 1, N, COMPILED)[1]
+    for name in ("max_error", "rms_error", "max_distance", "max_force"):
+        np.testing.assert_array_equal(getattr(many, name)[:N], getattr(run, name), err_msg=name)
+        np.testing.assert_array_equal(getattr(chunk, name), getattr(run, name)[1:], err_msg=name)

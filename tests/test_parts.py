@@ -1,0 +1,292 @@
+"""Parts that are a user's own run wherever the library's do, with the same numbers and their own names."""
+
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pinmobile import (
+    PD,
+    Circle,
+    ComputedTorque,
+    Ensemble,
+    InvalidArgument,
+    MobileRobot,
+    Rollout,
+    Saturated,
+    Scenario,
+    Tangent,
+    ViscousFriction,
+    grid,
+    rk4,
+    simulate,
+    sweep,
+)
+from pinmobile.ensembles import ARRAYS, COMPILED, PINOCCHIO, part_of, run_scenario
+from pinmobile.ensembles.variables import PER_ROBOT
+from tests.looping import TwoWheels
+from tests.parts import (
+    PID,
+    Axle,
+    Cart,
+    CartCircle,
+    Eight,
+    Follower,
+    Nodding,
+    SlidingMode,
+    Smoothed,
+    Spring,
+    midpoint,
+)
+
+ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.05))
+N = 4
+LIMITS = (120.0, 110.0, 6.0)  # which all robots reach at first
+STARTS = {"start_x": np.array([0.1, -0.1, 0.3, 0.0]), "start_psi": np.array([0.2, 0.5, -0.3, 0.1])}
+PARTS: dict[str, dict[str, Any]] = {
+    "controller with memory": {"controller": Saturated(PID(), LIMITS)},
+    "controller": {"controller": SlidingMode()},
+    "force": {"controller": PD(100, 120), "forces": [Spring()]},
+    "wrapper": {"controller": Smoothed(ComputedTorque(ROBOT))},
+    "wrappers of a user's": {"controller": Saturated(Smoothed(PID()), LIMITS)},
+    "integrator": {"controller": PD(100, 120), "integrator": midpoint},
+    "path": {"controller": ComputedTorque(ROBOT), "trajectory": Tangent(Eight())},
+    "heading": {"controller": ComputedTorque(ROBOT), "trajectory": Nodding(Circle(1.0, 0.5, 12.0))},
+}
+# What each part states: its name, the path to it, values, and the unit that files tell.
+STATED: dict[str, tuple[str, str, Any, str]] = {
+    "controller with memory": ("pid_ki", "controller.controller", [5.0, 10.0, 15.0, 20.0], "N/(m s)"),
+    "controller": ("layer", "controller", [0.3, 0.4, 0.5, 0.6], "m/s"),
+    "force": ("spring_x", "forces[0]", [-1.0, 0.0, 1.0, 2.0], "m"),
+    "wrapper": ("share", "controller", [0.6, 0.7, 0.8, 0.9], ""),
+    "wrappers of a user's": ("back", "controller.controller.controller", [0.0, 1.0, 2.0, 3.0], ""),
+}
+
+
+def made(what: str, spread: Any = STARTS, **options: Any) -> Scenario:
+    chosen: dict[str, Any] = {"robot": ROBOT, "trajectory": Nodding(Eight()), "dt": 0.02, "duration": 6.0}
+    return Scenario(**(chosen | PARTS[what] | {"n": N, "spread": spread} | options))
+
+
+def assert_close(one: Ensemble, other: Ensemble) -> None:
+    """Compare all records to 1e-12 of the largest number of each."""
+    for name in PER_ROBOT:
+        here, there = getattr(one, name), getattr(other, name)
+        size = np.abs(np.nan_to_num(there)).max()
+        np.testing.assert_allclose(here, there, rtol=0, atol=1e-12 * size, err_msg=name)
+
+
+def assert_same(one: Ensemble, other: Ensemble) -> None:
+    for name in (*PER_ROBOT, "counts"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+
+
+@pytest.mark.parametrize("what", PARTS)
+def test_a_users_part_has_the_same_numbers_by_all_engines(what: str) -> None:
+    name, _, values, _ = STATED.get(what, ("mass", "", [25.0, 28.0, 31.0, 34.0], ""))
+    scenario = made(what, {**STARTS, name: np.array(values)})
+    runs = [run_scenario(scenario, engine=engine) for engine in (COMPILED, ARRAYS, PINOCCHIO)]
+    assert [run.engine for run in runs] == ["COMPILED", "ARRAYS", "PINOCCHIO"]
+    assert not runs[0].diverged.any()
+    for run in runs[:2]:
+        assert_close(run, runs[2])
+    assert run_scenario(scenario).engine == "COMPILED"
+
+
+@pytest.mark.parametrize("what", PARTS)
+def test_a_users_part_is_simulated_and_its_rollout_kept(what: str, tmp_path: Path) -> None:
+    scenario = made(what)
+    member = run_scenario(scenario, traces=[2]).member(2)
+    rollout = simulate(*member[:3], **member.options)
+    rollout.save(tmp_path / "run.npz")
+    np.testing.assert_array_equal(Rollout.load(tmp_path / "run.npz").q, rollout.q)
+    traced = run_scenario(scenario, traces=[2]).traces[2]
+    np.testing.assert_array_equal(traced.q, rollout.q)
+    compiled = simulate(*member[:3], **member.options, engine=COMPILED)
+    assert_as_simulated(compiled, rollout)
+
+
+def assert_as_simulated(one: Rollout, other: Rollout) -> None:
+    """Compare all samples to 1e-12 of the largest number of each kind."""
+    for name in ("q", "v", "a", "u", "error"):
+        here, there = getattr(one, name), getattr(other, name)
+        np.testing.assert_allclose(here, there, rtol=0, atol=1e-12 * np.abs(there).max(), err_msg=name)
+
+
+@pytest.mark.parametrize("what", STATED)
+def test_what_a_users_part_states_is_spread_by_name_and_by_path(what: str, tmp_path: Path) -> None:
+    name, path, values, unit = STATED[what]
+    by_name = run_scenario(made(what, {name: np.array(values)}))
+    by_path = run_scenario(made(what, {f"{path}.{name}": np.array(values)}))
+    assert_same(by_name, by_path)
+    assert len(np.unique(by_name.rms_error[:, 0])) == N, "each robot has a value of its own"
+    assert by_name.draws[name].tolist() == by_path.draws[f"{path}.{name}"].tolist() == values
+    by_name.save(tmp_path / "runs.npz")
+    loaded = Ensemble.load(tmp_path / "runs.npz")
+    assert loaded.draws[name].tolist() == values
+    assert loaded.scenario.parameters[name].unit == unit
+    by_name.to_csv(tmp_path / "runs.csv")
+    title = f"drawn_{name} [{unit}]" if unit else f"drawn_{name}"
+    header = (tmp_path / "runs.csv").read_text().splitlines()[0].split(",")
+    table = np.loadtxt(tmp_path / "runs.csv", delimiter=",", skiprows=1)
+    assert table[:, header.index(title)].tolist() == values
+
+
+def test_a_parameter_that_a_user_bounds_is_refused_beyond() -> None:
+    with pytest.raises(InvalidArgument, match=r"spread\['layer'\] gives 0 m/s as the width .*expected > 0"):
+        run_scenario(made("controller", {"layer": np.array([0.5, 0.0, 0.5, 0.5])}))
+
+
+def test_a_sweep_over_users_parts_has_the_bits_of_their_ensembles(tmp_path: Path) -> None:
+    controllers = {"PID": Smoothed(PID()), "sliding mode": SlidingMode()}
+
+    def scenario(controller: Any) -> Scenario:
+        return made("force", controller=controller)
+
+    result = sweep(grid(scenario, controller=controllers), tmp_path / "store", chunk=2)
+    for label, controller in controllers.items():
+        assert_same(result.ensemble(controller=label), run_scenario(scenario(controller)))
+
+
+def test_a_worker_that_imports_users_parts_has_the_same_bits(tmp_path: Path) -> None:
+    scenario = made("wrappers of a user's", forces=[Spring()], integrator=midpoint)
+    (tmp_path / "chunk.pkl").write_bytes(pickle.dumps(scenario.holding(1, 3)))
+    code = (
+        "import pathlib, pickle; from pinmobile.ensembles import part_of;"
+        f"scenario = pickle.loads(pathlib.Path({str(tmp_path / 'chunk.pkl')!r}).read_bytes());"
+        f"part = part_of(scenario, 1, 3);"
+        f"pathlib.Path({str(tmp_path / 'part.pkl')!r}).write_bytes(pickle.dumps(tuple(part[1])))"
+    )
+    root = Path(__file__).parents[1]
+    done = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False)
+    assert not done.stderr
+    theirs = pickle.loads((tmp_path / "part.pkl").read_bytes())
+    for mine, other in zip(part_of(scenario, 1, 3)[1], theirs, strict=True):
+        np.testing.assert_array_equal(mine, other)
+
+
+# A plant.
+
+CART: dict[str, Any] = {"robot": Cart(), "controller": Follower(), "trajectory": CartCircle(), "dt": 0.01}
+OF_CART: dict[str, Any] = {
+    "mass": np.array([17.0, 19.0, 21.0, 23.0]),
+    "along": np.array([6.0, 7.0, 8.0, 9.0]),
+    "start_y": np.array([0.2, -0.2, 0.3, -0.3]),
+}
+NAMES, INPUTS = ["x", "y", "psi", "left", "right"], ["left_torque", "right_torque"]
+
+
+def carted(**changes: Any) -> Scenario:
+    return Scenario(**(CART | {"n": N, "spread": OF_CART} | changes))
+
+
+CARTED: dict[str, dict[str, Any]] = {
+    "all coordinates": {},
+    "pose alone": {"trajectory": Tangent(Circle(2.0, 0.5, 6.0))},
+    "wrapped": {"controller": Saturated(Smoothed(Follower(), 0.8), 0.5)},
+    "pushed": {"forces": [Spring(), ViscousFriction((3.0, 3.0, 0.3))], "integrator": rk4, "substeps": 2},
+    "one wheel runs heavily": {"forces": [Axle()], "integrator": midpoint},
+}
+
+
+@pytest.mark.parametrize("what", CARTED)
+def test_a_users_plant_has_the_same_numbers_by_all_engines(what: str) -> None:
+    scenario = carted(**CARTED[what])
+    runs = [run_scenario(scenario, engine=engine) for engine in (COMPILED, ARRAYS, PINOCCHIO)]
+    assert not runs[0].diverged.any()
+    assert runs[0].max_error.shape == (N, 3 if what == "pose alone" else 5)
+    assert runs[0].max_force.shape == (N, 2)
+    for run in runs[:2]:
+        assert_close(run, runs[2])
+    assert run_scenario(scenario).engine == "COMPILED"
+    member = runs[0].member(1)
+    of_pinocchio, compiled = (
+        simulate(*member[:3], **member.options, engine=engine) for engine in (PINOCCHIO, COMPILED)
+    )
+    assert_as_simulated(compiled, of_pinocchio)
+
+
+def test_a_plant_for_one_state_is_compiled_and_refused_on_arrays() -> None:
+    spread = {"mass": OF_CART["mass"], "start_[1]": 0.1}  # it does not name its coordinates
+    run = run_scenario(carted(robot=TwoWheels(), spread=spread))
+    assert run.engine == "COMPILED"
+    assert_close(run, run_scenario(carted(robot=TwoWheels(), spread=spread), engine=PINOCCHIO))
+    same = run_scenario(carted(spread={"mass": OF_CART["mass"], "start_y": 0.1}))
+    assert_close(run, same)  # the same dynamics, written for many
+    with pytest.raises(InvalidArgument, match=r"^engine is ARRAYS, which .*write laws for one row per robot"):
+        run_scenario(carted(robot=TwoWheels(), spread=spread), engine=ARRAYS)
+
+
+def test_an_ensemble_of_a_users_plant_is_told_by_its_names_and_units(tmp_path: Path) -> None:
+    run = run_scenario(carted())
+    rows = [line.partition("least")[0].rstrip() for line in str(run).splitlines()[2:]]
+    assert rows == [
+        "largest distance [m]",
+        "largest error of x [m]",
+        "largest left_torque [N m]",
+        "largest error of y [m]",
+        "largest right_torque [N m]",
+        "largest error of psi [rad]",
+        "largest error of left [rad]",
+        "largest error of right [rad]",
+    ]
+    run.to_csv(tmp_path / "runs.csv")
+    header = (tmp_path / "runs.csv").read_text().splitlines()[0].split(",")
+    assert header[1:4] == ["drawn_mass [kg]", "drawn_along", "drawn_start_y [m]"]
+    assert header[4:9] == ["max_error_" + each for each in ("x [m]", "y [m]", "psi [rad]", *_WHEELS)]
+    assert header[14:16] == ["max_force_left_torque [N m]", "max_force_right_torque [N m]"]
+    table = np.loadtxt(tmp_path / "runs.csv", delimiter=",", skiprows=1)
+    np.testing.assert_array_equal(table[:, 14:16], run.max_force)
+    data = run.to_xarray()
+    assert data.coordinate.values.tolist() == NAMES
+    assert data.input.values.tolist() == INPUTS
+    assert data.max_force.attrs["units"] == "N m, N m"
+
+
+_WHEELS = ("left [rad]", "right [rad]")
+
+
+def test_a_saved_ensemble_of_a_users_plant_answers_where_its_class_is_not_known(tmp_path: Path) -> None:
+    run = run_scenario(carted(), traces=[3, 0])
+    run.save(tmp_path / "runs.npz")
+    loaded = Ensemble.load(tmp_path / "runs.npz")
+    assert_same(loaded, run)
+    assert str(loaded.traces[3]) == str(run.traces[3])
+    assert "left_torque" in str(loaded.traces[3])
+    assert str(loaded) == f"{run}\n{loaded.scenario}"
+    assert loaded.to_xarray().identical(run.to_xarray())
+    again = Ensemble.load(tmp_path / "runs.npz", carted())
+    assert again.member(1).robot.mass == 19.0
+    code = (
+        "import pinmobile; runs = pinmobile.Ensemble.load('runs.npz'); print(runs);"
+        "runs.to_csv('runs.csv'); runs.traces[0].to_csv('run.csv')"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert (done.stdout, done.stderr) == (f"{loaded}\n", "")
+    run.traces[0].to_csv(tmp_path / "here.csv")
+    assert (tmp_path / "run.csv").read_text() == (tmp_path / "here.csv").read_text()
+
+
+def test_a_sweep_of_a_users_plant_has_its_names_and_no_other_plants(tmp_path: Path) -> None:
+    result = sweep(carted(), tmp_path / "store")
+    assert result.dataset.coordinate.values.tolist() == NAMES
+    assert result.dataset.input.values.tolist() == INPUTS
+    assert_same(result.ensemble(), run_scenario(carted()))
+    other = made("controller", spread={}, dt=0.01)
+    with pytest.raises(
+        InvalidArgument, match=r"^coordinates are x \[m\], .* at scenario = 1, expected the same"
+    ):
+        sweep([carted(spread={}), other], tmp_path / "both")
+
+
+def test_plants_without_names_have_numbers_for_names(tmp_path: Path) -> None:
+    run = run_scenario(carted(robot=TwoWheels(), spread={"mass": OF_CART["mass"]}))
+    assert "largest error of [3] " in str(run)
+    run.to_csv(tmp_path / "runs.csv")
+    assert "max_force_[1]" in (tmp_path / "runs.csv").read_text().splitlines()[0].split(",")

@@ -1,0 +1,331 @@
+"""What is wrong with a part of a loop is told at once, by its own error, in every engine."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pinmobile import (
+    PD,
+    ComputedTorque,
+    InvalidArgument,
+    MobileRobot,
+    Uniform,
+    ensemble,
+    law,
+    simulate,
+)
+from pinmobile.ensembles import ARRAYS, COMPILED, PINOCCHIO
+from pinmobile.errors import SlowerEngine
+from pinmobile.plant import Parameter
+from tests.parts import Cart, CartCircle, Eight, Follower, Nodding, Spring
+
+ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.05))
+BODY: dict[str, Any] = {"robot": ROBOT, "controller": PD(100, 120), "trajectory": Nodding(Eight())}
+CART: dict[str, Any] = {"robot": Cart(), "controller": Follower(), "trajectory": CartCircle()}
+OPTIONS: dict[str, Any] = {"dt": 0.02, "duration": 2.0}
+
+
+def in_ensemble(parts: dict[str, Any], **options: Any) -> Any:
+    given: dict[str, Any] = parts | OPTIONS | {"n": 5, "spread": {}} | options
+    return ensemble(**given)
+
+
+def simulated(parts: dict[str, Any], **options: Any) -> Any:
+    given: dict[str, Any] = parts | OPTIONS | options
+    robot, controller, trajectory = (given.pop(name) for name in ("robot", "controller", "trajectory"))
+    return simulate(robot, controller, trajectory, **given)
+
+
+def assert_refused(parts: dict[str, Any], why: str) -> None:
+    """Check that parts are refused for the same reason wherever they are run."""
+    for engine in (None, COMPILED, ARRAYS, PINOCCHIO):
+        with pytest.raises(InvalidArgument, match=why):
+            in_ensemble(parts, engine=engine)
+    for engine in (None, COMPILED):
+        with pytest.raises(InvalidArgument, match=why):
+            simulated(parts, engine=engine)
+
+
+# A part without what the loop needs.
+
+
+class Stateless:
+    def __call__(self, t: float, q: Any, v: Any, reference: Any, state: Any) -> Any:
+        return -q, state
+
+
+class NoDynamics:
+    nq = nv = nu = 3
+
+
+class Plain:
+    """What no more than a loop without forces needs."""
+
+    nq, nv, nu = 3, 3, 3
+
+    def forward_dynamics(self, q: Any, v: Any, u: Any) -> Any:
+        return u / 30.0
+
+    def integrate(self, q: Any, dq: Any) -> Any:
+        return q + dq
+
+    def difference(self, q0: Any, q1: Any) -> Any:
+        return q1 - q0
+
+
+def without(name: str, kind: type = Cart) -> Any:
+    return type(f"Without{name}", (kind,), {name: None})()
+
+
+class Posed(Plain):
+    def pose(self, q: Any) -> Any:
+        return q
+
+    def rate(self, q: Any, v: Any) -> Any:
+        return v
+
+    def effort(self, q: Any, wrench: Any) -> Any:
+        return wrench
+
+
+LACKING: dict[str, tuple[dict[str, Any], str]] = {
+    "controller without a state": (
+        BODY | {"controller": Stateless()},
+        r"controller is .*Stateless.*expected a controller: wrap a function in law",
+    ),
+    "path for a trajectory": (BODY | {"trajectory": Eight()}, "a path, which has no heading, .* Tangent"),
+    "plant without dynamics": (BODY | {"robot": NoDynamics()}, "expected something with 'forward_dynamics'"),
+    "plant without a difference": (CART | {"robot": without("difference")}, "which has no difference"),
+    "plant without a displacement": (CART | {"robot": without("integrate")}, "which has no integrate"),
+    "no pose to push": (
+        BODY | {"robot": Plain(), "forces": [Spring()]},
+        r"the plant, a Plain, which has no pose, expected one with pose\(q\), rate\(q, v\) and effort",
+    ),
+    "no effort to push": (
+        CART | {"robot": without("effort"), "forces": [Spring()]},
+        "the plant, a Withouteffort, which has no effort",
+    ),
+    "no place for forces": (
+        BODY | {"robot": Posed(), "forces": [Spring()]},
+        r"a Posed, whose forward_dynamics takes no forces f .* expected forward_dynamics\(q, v, u, f\)",
+    ),
+    "a model of another plant": (
+        CART | {"controller": ComputedTorque(ROBOT)},
+        "robot of the controller is MobileRobot.* has 3 coordinates, expected 5, as the plant has",
+    ),
+    "an input of another size": (
+        CART | {"controller": PD(1.0, 1.0)},
+        r"controller returned .*, expected .*2,?\)",
+    ),
+    "a reference of more coordinates": (
+        BODY | {"trajectory": CartCircle()},
+        r"trajectory gives q of shape \(101, 5\) for 101 times, expected \(101, 3\)",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", LACKING)
+def test_a_part_without_what_the_loop_needs_is_told_so(what: str) -> None:
+    assert_refused(*LACKING[what])
+
+
+def test_a_controllers_robot_without_its_dynamics_is_told_so() -> None:
+    with pytest.raises(InvalidArgument, match=r"^robot is .*Cart.*, which has no inverse_dynamics, expected"):
+        ComputedTorque(Cart())  # type: ignore[arg-type]
+
+
+# A plant whose sizes contradict each other.
+
+
+class Short(Cart):
+    """Three numbers where there should be five."""
+
+    def __init__(self, wrong: str) -> None:
+        super().__init__()
+        method = getattr(super(), wrong)
+        setattr(self, wrong, lambda *given: method(*given)[..., :2])
+
+
+class Named(Cart):
+    coordinates = Cart.coordinates[:4]  # type: ignore[assignment]
+
+
+class Leading(Cart):
+    leading = {7: 7}  # noqa: RUF012
+
+
+class Inputs(Cart):
+    inputs = Cart.inputs[:1]  # type: ignore[assignment]
+
+
+@pytest.mark.parametrize(
+    ("plant", "why"),
+    [
+        (Named(), "plant has nv = 5 and 4 coordinates, expected as many"),
+        (Inputs(), "plant has nu = 2 and 1 inputs, expected as many"),
+        (Leading(), "plant.leading has 7: 7, expected at most nv = 5 and nq = 5"),
+        *(
+            (
+                Short(name),
+                rf"a Short with nq = 5, nv = 5 and nu = 2, whose {name}\(.*\) returned .*\({size},\)$",
+            )
+            for name, size in (
+                *(("forward_dynamics", 5), ("integrate", 5), ("difference", 5)),
+                *(("pose", 3), ("rate", 3), ("effort", 5)),
+            )
+        ),
+        (Short("project"), r"which starts with v of shape \(2,\), expected \(5,\)|v0 has shape \(2,\)"),
+    ],
+)
+def test_a_plant_that_contradicts_itself_is_refused(plant: Any, why: str) -> None:
+    assert_refused(CART | {"robot": plant}, why)
+
+
+# Memory outside the state, and random numbers of one's own.
+
+
+class Counting:
+    """A function that returns more each time."""
+
+    def __init__(self, function: Any) -> None:
+        self.function, self.count = function, 1.0
+
+    def __call__(self, *given: Any) -> Any:
+        self.count += 0.1
+        answer = self.function(*given)
+        return tuple(self.count * x for x in answer) if type(answer) is tuple else self.count * answer
+
+
+class Aging(Cart):
+    def __init__(self) -> None:
+        super().__init__()
+        self.forward_dynamics = Counting(super().forward_dynamics)  # type: ignore[assignment, method-assign]
+
+
+def _step(acceleration: Any, t: float, q: Any, v: Any, h: float) -> Any:
+    return q + h * v, v + h * acceleration(t, q, v)
+
+
+GENERATOR = np.random.default_rng(0)
+FORGETFUL: dict[str, dict[str, Any]] = {
+    "controller": BODY | {"controller": law(lambda t, q, v, r: np.random.normal(size=3))},  # noqa: NPY002
+    "counter": BODY | {"controller": law(Counting(lambda t, q, v, r: r.q - q))},
+    "force": BODY | {"forces": [lambda t, pose, rate: GENERATOR.normal(size=3)]},
+    "np.random": BODY | {"forces": [lambda t, pose, rate: np.random.normal(size=3)]},  # noqa: NPY002
+    "counting force": BODY | {"forces": [Spring(), Counting(lambda t, pose, rate: np.ones(3))]},
+    "integrator": BODY | {"integrator": Counting(_step)},
+    "plant": CART | {"robot": Aging()},
+}
+
+
+@pytest.mark.parametrize("what", FORGETFUL)
+def test_what_answers_otherwise_when_it_is_asked_again_is_refused(what: str) -> None:
+    assert_refused(
+        FORGETFUL[what],
+        r"^(controller|forces\[[01]\]|integrator|plant) is .*, asked again for the same arguments, .*"
+        r"state, and\s.*random numbers",
+    )
+
+
+def test_a_tape_that_is_another_each_time_though_its_numbers_are_not_is_refused_when_compiled() -> None:
+    count = [0]
+
+    def spelled(t: float, q: Any, v: Any, reference: Any) -> Any:
+        count[0] += 1
+        error = 100.0 * (reference.q - q) + 120.0 * (reference.v - v)
+        return error + 1e-15 * (np.sin(q) if count[0] % 2 else np.tanh(q))
+
+    parts = BODY | {"controller": law(spelled)}
+    with pytest.raises(InvalidArgument, match=r"spelled, line .*asked again.*keep memory in state"):
+        in_ensemble(parts, engine=COMPILED)
+    with pytest.warns(SlowerEngine, match=r"by ARRAYS.*not COMPILED.*spelled, line .*keep memory in state"):
+        run = in_ensemble(parts)
+    assert (run.engine, "keep memory in state" in run.why) == ("ARRAYS", True)
+
+
+# Laws that cannot be traced.
+
+
+def _branching(t: float, q: Any, v: Any, reference: Any) -> Any:
+    error = reference.q - q
+    if error[0] > 0.0:
+        error[0] *= 2.0
+    return 100.0 * error + 120.0 * (reference.v - v)
+
+
+def _by_math(t: float, pose: Any, rate: Any) -> Any:
+    return np.array([math.sin(pose[2]), 0.0, 0.0])
+
+
+def _by_eigenvalues(t: float, q: Any, v: Any, reference: Any) -> Any:
+    largest = np.linalg.eigvalsh(q[..., :, None] * q[..., None, :])
+    return 100.0 * (reference.q - q) + 120.0 * (reference.v - v) + largest
+
+
+UNTRACED: dict[str, tuple[dict[str, Any], Any, str]] = {
+    "if": (BODY | {"controller": law(_branching)}, PINOCCHIO, r"_branching, line \d+ of test_.*np\.where"),
+    "math": (BODY | {"forces": [_by_math]}, PINOCCHIO, r"_by_math, line \d+ of test_.*NumPy's function"),
+    "eigenvalues": (
+        BODY | {"controller": law(_by_eigenvalues)},
+        ARRAYS,
+        r"_by_eigenvalues, line \d+ of test_.*np\.where",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", UNTRACED)
+def test_a_law_that_cannot_be_traced_runs_slower_and_says_so_or_is_refused(what: str) -> None:
+    parts, engine, why = UNTRACED[what]
+    with pytest.raises(InvalidArgument, match=rf"^engine is COMPILED, which cannot run this: .*{why}"):
+        in_ensemble(parts, engine=COMPILED)
+    with pytest.raises(InvalidArgument, match=rf"^engine is COMPILED, which cannot run this: .*{why}"):
+        simulated(parts, engine=COMPILED)
+    with pytest.warns(SlowerEngine, match=rf"runs by {engine!r}, .*not COMPILED: .*{why}") as told:
+        run = in_ensemble(parts)
+    assert len(told) == 1
+    assert run.engine == repr(engine)
+    assert run.why in str(told[0].message)
+    alone = simulated(parts)
+    assert alone.engine == "PINOCCHIO"
+    np.testing.assert_allclose(run.max_error[0], alone.max_error(), rtol=1e-12)
+
+
+# Names of parameters.
+
+
+class Twice:
+    parameters = (Parameter("gain", attribute="a"), Parameter("gain", attribute="b"))
+    a = b = 1.0
+
+    def __call__(self, t: float, pose: Any, rate: Any) -> Any:
+        return np.array([self.a, self.b, 0.0])
+
+
+class Stating:
+    parameters = ("stiff",)
+
+    def __call__(self, t: float, pose: Any, rate: Any) -> Any:
+        return 0.0 * pose
+
+
+def test_names_that_two_parts_claim_are_asked_for_by_path() -> None:
+    parts = BODY | {"forces": [Spring(), Spring(4.0)]}
+    with pytest.raises(
+        InvalidArgument,
+        match=r"^spread has 'stiffness', which forces\[0\] and forces\[1\] have, expected one of them: "
+        r"'forces\[0\].stiffness' or 'forces\[1\].stiffness'$",
+    ):
+        in_ensemble(parts, spread={"stiffness": Uniform(1, 2)})
+    run = in_ensemble(parts, spread={"forces[1].stiffness": Uniform(1, 2)})
+    assert len(np.unique(run.max_error[:, 0])) == 5
+
+
+def test_a_part_that_states_a_name_twice_or_what_it_has_not_is_refused() -> None:
+    with pytest.raises(InvalidArgument, match=r"^a Twice states the parameter 'gain' twice, expected names"):
+        in_ensemble(BODY | {"forces": [Twice()]}, spread={"gain": Uniform(1, 2)})
+    with pytest.raises(
+        InvalidArgument, match=r"^forces\[0\], a Stating, states the parameter 'stiff' and has"
+    ):
+        in_ensemble(BODY | {"forces": [Stating()]})

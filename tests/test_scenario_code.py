@@ -1,0 +1,581 @@
+"""Scenario files that name a user's parts: refused, allowed, and the same on workers elsewhere."""
+
+import json
+import pickle
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pinmobile import InvalidArgument, Scenario, Sweep, sweep
+from pinmobile.cli.scenario_file import read_grid
+from pinmobile.ensembles import part_of
+from pinmobile.ensembles.ways import way_of
+from pinmobile.simulation.engines import COMPILED
+from pinmobile.sweeps import Code, Grid
+from pinmobile.sweeps.code import packed
+from pinmobile.sweeps.origin import determined_by
+from tests.sweeping import contents
+from tests.test_cli import typed
+
+ROOT = Path(__file__).parents[1]
+
+# The parts of a user, in two modules: one imports the other, which lies beside it.
+PARTS = '''"""Parts of mine."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from mending import dead
+
+from pinmobile.plant import Parameter
+from pinmobile.trajectories import Reference
+
+with Path(__file__).with_name("ran").open("a") as _file:
+    _file.write("x")
+
+
+@dataclass(frozen=True)
+class PID:
+    kp: Any
+    kd: Any
+    ki: float = 1.0
+    parameters: ClassVar[Any] = (Parameter("ki", "1/s", "gain of the integral"),)
+
+    def initial_state(self, context):
+        return {"sum": np.zeros(3), "u": np.zeros(3), "dt": context.dt, "difference": context.difference}
+
+    def __call__(self, t, q, v, reference, state):
+        error = state["difference"](q, reference.q)
+        u = self.kp * error + self.kd * (reference.v - v) + state["sum"]
+        return u, state | {"sum": state["sum"] + state["dt"] * self.ki * error, "u": u}
+
+    def applied(self, u, state):
+        return state | {"sum": state["sum"] + state["dt"] * 2.0 * (u - state["u"])}
+
+
+@dataclass(frozen=True)
+class Sliding:
+    robot: Any
+    slope: float
+    reach: float
+    parameters = ("reach",)
+
+    def initial_state(self, context):
+        return context.difference
+
+    def __call__(self, t, q, v, reference, state):
+        rate = reference.v - v
+        surface = rate + self.slope * state(q, reference.q)
+        a = reference.a + self.slope * rate + self.reach * np.tanh(surface / 0.1)
+        return self.robot.inverse_dynamics(q, v, a), state
+
+
+@dataclass(frozen=True)
+class Deadband:
+    controller: Any
+    width: float = 0.0
+
+    def __post_init__(self):
+        if self.width < 0:
+            raise ValueError("width must not be below zero")
+
+    def initial_state(self, context):
+        return self.controller.initial_state(context)
+
+    def __call__(self, t, q, v, reference, state):
+        u, state = self.controller(t, q, v, reference, state)
+        return dead(u, self.width), state
+
+
+@dataclass(frozen=True)
+class Gust:
+    strength: float
+    period: float = 2.0
+    parameters: ClassVar[Any] = (Parameter("strength", "N", "largest force of the gust", 0.0),)
+
+    def __call__(self, t, pose, rate):
+        push = self.strength * np.sin(2 * np.pi * t / self.period) + 0 * pose[..., 0]
+        return np.stack([push, 0 * push, 0 * push], axis=-1)
+
+
+@dataclass(frozen=True)
+class Wave:
+    amplitude: float
+    duration: float = 6.0
+
+    def __call__(self, t):
+        return self.derivative(t, 0)
+
+    def derivative(self, t, order):
+        t = np.asarray(t, float)
+        along = t if order == 0 else np.full_like(t, float(order == 1))
+        return np.stack([along, self.amplitude * np.sin(t + order * np.pi / 2)], axis=-1)
+
+
+@dataclass(frozen=True)
+class Turning:
+    curve: Any
+    rate: float
+
+    @property
+    def duration(self):
+        return self.curve.duration
+
+    def __call__(self, t):
+        t = np.asarray(t, float)
+        angles = self.rate * t, np.full_like(t, self.rate), 0 * t
+        rows = [np.stack([*self.curve.derivative(t, k).T, a], axis=-1) for k, a in enumerate(angles)]
+        return Reference(*rows)
+
+
+class Puck:
+    nq = nv = nu = 3
+    coordinate_names, coordinate_units = ("x", "y", "psi"), ("m", "m", "rad")
+    parameters = ("mass",)
+
+    def __init__(self, mass):
+        self.mass = mass
+
+    def forward_dynamics(self, q, v, u, f=0.0):
+        return (u + f) / np.asarray(self.mass)[..., None]
+
+    def integrate(self, q, dq):
+        return q + dq
+
+    def difference(self, q0, q1):
+        return q1 - q0
+
+    def pose(self, q):
+        return q
+
+    def rate(self, q, v):
+        return v
+
+    def effort(self, q, wrench):
+        return wrench
+
+
+def halfway(acceleration, t, q, v, dt):
+    middle = v + 0.5 * dt * acceleration(t, q, v)
+    return q + dt * middle, v + dt * acceleration(t + 0.5 * dt, q + 0.5 * dt * v, middle)
+
+
+_HIDDEN = Wave(1.0)
+'''
+MENDING = "import numpy as np\n\n\ndef dead(u, width):\n    return np.where(np.abs(u) < width, 0.0, u)\n"
+FILE = """
+[trajectory]
+type = "parts:Wave"
+amplitude = 0.5
+heading = {type = "parts:Turning", rate = 0.2}
+[controller]
+type = "parts:Deadband"
+width = 0.01
+controller = {type = "parts:PID", kp = [120, 120, 4], kd = [120, 120, 4], ki = 3}
+[forces.gust]
+type = "parts:Gust"
+strength = 2
+[loop]
+integrator = "parts:halfway"
+[spread]
+ki = {percent = 20}
+strength = {uniform = [1, 2]}
+mass = {percent = 10}
+[ensemble]
+n = 12
+[grid]
+"controller.controller.ki" = [1, 3]
+"forces.gust.period" = [1, 2]
+"""
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    (tmp_path / "parts.py").write_text(PARTS)
+    (tmp_path / "mending.py").write_text(MENDING)
+    (tmp_path / "mine.toml").write_text(FILE)
+    return tmp_path / "mine.toml"
+
+
+def read(file: Path, old: str = "", new: str = "") -> Grid:
+    """Return the grid of the file, changed, with its code allowed."""
+    file.write_text(FILE.replace(old, new) if old else FILE)
+    return read_grid(file, Code(file.parent))
+
+
+def swept(
+    capsys: pytest.CaptureFixture[str], file: Path, *words: str, out: str = "out"
+) -> tuple[int, str, str]:
+    return typed(capsys, "sweep", str(file), "--out", str(file.parent / out), *words)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        (
+            "",
+            "",
+            "mine.toml:3: type of [trajectory] is 'parts:Wave', code of the module 'parts', which is not",
+        ),
+        ('type = "parts:Wave"\namplitude = 0.5', "duration = 6", "mine.toml:4: heading of [trajectory] is "),
+    ],
+)
+def test_code_is_refused_before_anything_of_it_is_run(
+    capsys: pytest.CaptureFixture[str], file: Path, old: str, new: str, text: str
+) -> None:
+    file.write_text(FILE.replace(old, new))
+    modules, path = set(sys.modules), list(sys.path)
+    code, out, err = swept(capsys, file)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert text in err
+    assert f"look at that module, then type 'pinmobile sweep {file} --allow-code'" in err
+    assert not (file.parent / "ran").exists()
+    assert not (file.parent / "out").exists()
+    assert (not {name for name in set(sys.modules) - modules if "parts" in name}, sys.path) == (True, path)
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        '[controller]\ntype = "parts:PID"',
+        '[controller]\ntype = "saturated"\nlimits = 3\ncontroller = {type = "parts:PID"}',
+        '[controller]\ntype = "saturated"\nlimits = [{type = "parts:PID"}]',
+        '[robot]\ntype = "parts:Robot"',
+        '[loop]\nintegrator = "parts:halfway"',
+        '[loop]\nintegrator = {type = "parts:Halfway", order = 2}',
+        '[forces]\nwind = "parts:gust"',
+        '[forces]\nwind = {type = "parts:gust"}',
+        '[grid]\n"controller.type" = ["pd", "parts:PID"]',
+        '[grid]\n"controller.controller.type" = ["parts:PID"]\n[controller]\ntype = "saturated"',
+        '[grid]\n"loop.integrator" = ["rk4", "parts:PID"]',
+        '[grid]\n"forces.wind" = ["parts:PID"]',
+        '[grid]\n"trajectory.heading" = [{type = "parts:PID"}]',
+    ],
+)
+def test_code_is_refused_wherever_it_is_named(file: Path, lines: str) -> None:
+    file.write_text(lines + "\n")
+    with pytest.raises(
+        InvalidArgument, match=r"^mine\.toml:\d: .* is 'parts:\w+', code of the module 'parts'"
+    ):
+        read_grid(file)
+    assert not (file.parent / "ran").exists()
+
+
+def test_a_users_parts_run_from_a_scenario_file(capsys: pytest.CaptureFixture[str], file: Path) -> None:
+    path = list(sys.path)
+    code, out, err = swept(capsys, file, "--allow-code", "--chunk", "5")
+    assert (code, err) == (0, "")
+    assert out.startswith(f"ran {file.parent / 'parts.py'}\nran {file.parent / 'mending.py'}\n")
+    found = Sweep.open(file.parent / "out" / "sweep.zarr")
+    assert dict(found.dataset.sizes)["forces.gust.period"] == 2
+    assert np.isnan(found.dataset.diverged_at).all()
+    assert found.dataset.max_distance.max() < 0.2
+    assert sys.path == path
+    assert not {"parts", "mending"} & set(sys.modules)
+    again = swept(capsys, file, "--allow-code")
+    assert again[:2] == (0, out)
+
+
+def test_the_parts_are_what_the_file_says_and_are_compiled(file: Path) -> None:
+    made = read(file)
+    first: Any = made.scenarios[0]
+    last: Any = made.scenarios[-1]
+    assert [
+        type(part).__name__ for part in (first.controller, first.controller.controller, first.trajectory)
+    ] == [*("Deadband", "PID", "Turning")]
+    assert (first.controller.width, first.controller.controller.kp) == (0.01, [120, 120, 4])
+    assert [(each.controller.controller.ki, each.forces[0].period) for each in (first, last)] == [
+        (1, 1),
+        (3, 2),
+    ]
+    assert (type(first.trajectory.curve).__name__, first.trajectory.curve.amplitude) == ("Wave", 0.5)
+    assert first.integrator.__name__ == "halfway"
+    assert np.ptp(last.draws()["ki"]) < 1.2
+    assert all(2.4 <= ki <= 3.6 for ki in last.draws()["ki"])
+    assert way_of(first).engine is COMPILED
+
+
+def test_the_file_of_the_readme_is_a_grid(file: Path) -> None:
+    (text,) = re.findall(r"```toml\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    (file.parent / "mine.py").write_text(PARTS)
+    made = read_of(file, text)
+    assert [each.forces[0].period for each in made.scenarios] == [1, 2]
+    assert type(made.scenarios[0].controller).__name__ == "Deadband"
+
+
+def test_a_part_that_takes_a_robot_gets_that_of_the_file(file: Path) -> None:
+    law = '[controller]\ntype = "parts:Sliding"\nslope = 2\nreach = 3\n[robot]\nmass = 21'
+    file.write_text(
+        f"{law}\n[trajectory]\nduration = 6\n[spread]\nreach = {{percent = 10}}\n[ensemble]\nn = 3"
+    )
+    (made,) = read_grid(file, Code(file.parent)).scenarios
+    assert (made.controller.robot is made.robot, made.robot.mass) == (True, 21)
+    assert set(made.spread) == {"reach"}
+
+
+def test_the_librarys_parts_stand_within_a_users_and_around_one(file: Path) -> None:
+    law = 'type = "parts:Deadband"\ncontroller = {type = "computed-torque", kp = 9, model_mass = 33}'
+    (made,) = read_of(file, f"[controller]\n{law}\n[trajectory]\nduration = 6\n[ensemble]\nn = 3").scenarios
+    assert (made.controller.controller.kp, made.controller.controller.robot.mass) == (9, 33)
+    law = 'type = "saturated"\nlimits = 50\ncontroller = {type = "pd", kp = 9, kd = [9, 9, 1]}'
+    force = '[forces]\nwind = {type = "constant", force = [1, 0, 0]}'
+    file.write_text(f"[controller]\n{law}\n{force}\n[trajectory]\nduration = 6\n[ensemble]\nn = 3")
+    (made,) = read_grid(file).scenarios  # no code in it
+    assert (made.controller.limits, made.controller.controller.kp) == (50, 9)
+    assert made.forces[0].force.tolist() == [1, 0, 0]
+
+
+def read_of(file: Path, text: str) -> Grid:
+    file.write_text(text)
+    return read_grid(file, Code(file.parent))
+
+
+def test_a_users_controller_is_compared_with_the_librarys(file: Path) -> None:
+    made = read_of(
+        file,
+        "[controller]\nkp = 100\nkd = [100, 100, 1]\nki = 2\nmodel_mass = 31\n[trajectory]\nduration = 6\n"
+        "[spread]\nki = {percent = 5}\nmodel_mass = {percent = 5}\n[ensemble]\nn = 3\n"
+        '[grid]\n"controller.type" = ["pd", "computed-torque", "parts:PID"]',
+    )
+    pd, torque, pid = made.scenarios
+    assert [type(each.controller).__name__ for each in made.scenarios] == ["PD", "ComputedTorque", "PID"]
+    assert (pid.controller.ki, torque.controller.robot.mass) == (2, 31)
+    assert [set(each.spread) for each in (pd, torque, pid)] == [set(), {"model_mass"}, {"ki"}]
+    for key, text in (("ki = 2", "kl = 2"), ("ki = {", "kl = {")):
+        file.write_text(file.read_text().replace(key, text))
+        with pytest.raises(InvalidArgument, match=r"^mine\.toml:\d+: unknown .* 'kl'"):
+            read_grid(file, Code(file.parent))
+        file.write_text(file.read_text().replace(text, key))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        ("parts:Wave", "parst:Wave", r"^mine.toml:3: unknown module .* 'parst', did you mean 'parts'\?"),
+        (
+            "parts:Deadband",
+            "parts:Deadbond",
+            r"^mine.toml:7: unknown name in .*parts\.py 'Deadbond', did you mean 'Deadband'\? available: "
+            "Deadband, PID, Sliding, Gust, Wave, Turning, Puck, halfway$",
+        ),
+        ("parts:Wave", "parts:", "^mine.toml:3: 'parts:' names no part, expected 'module:Name'"),
+        (
+            "parts:Wave",
+            "../parts:Wave",
+            "^mine.toml:3: '../parts:Wave' names no part, expected 'module:Name'",
+        ),
+        (
+            "width = 0.01",
+            "wdth = 0.01",
+            r"^mine.toml:8: unknown argument of parts:Deadband 'wdth', did you mean 'width'\? available: wi",
+        ),
+        (
+            "amplitude = 0.5\n",
+            "",
+            "^mine.toml:3: parts:Wave lacks 'amplitude', expected a key of that name; it takes",
+        ),
+        (
+            "width = 0.01",
+            "width = -1",
+            r"^mine.toml:7: parts:Deadband cannot be made: parts.py:\d+ raises ValueError: width must not",
+        ),
+        ('"parts:Gust"', "3", r"^mine.toml:\d+: forces.gust has the type 3, expected"),
+        (
+            'type = "parts:Gust"\n',
+            "",
+            r"^mine.toml:\d+: forces.gust is .*, a table without type, expected type =",
+        ),
+        ("halfway", "_HIDDEN", "integrator is Wave"),
+        ("kd = [", "kb = [", "^mine.toml:9: unknown argument of parts:PID 'kb'"),
+        (
+            "strength = {uni",
+            "strenght = {uni",
+            r"^mine.toml:17: unknown parameter in spread 'strenght', did you mean 'strength'\? "
+            "this loop has ki, strength, and 'pinmobile ensemble --help' lists all of the library",
+        ),
+        (
+            "strength = {uniform = [1, 2]}",
+            "strength = {uniform = [-1, 2]}",
+            r"spread\['strength'\] reaches -1 N",
+        ),
+        ('"halfway"', '"halfway"\nsteps = 2', "unknown key 'steps' in .loop."),
+    ],
+)
+def test_what_is_wrong_with_a_users_part_is_said_in_one_sentence(
+    file: Path, old: str, new: str, text: str
+) -> None:
+    assert old in FILE or old == '"halfway"'
+    with pytest.raises(InvalidArgument, match=text) as refused:
+        read(
+            file, old if old in FILE else 'integrator = "parts:halfway"', new if old in FILE else "steps = 2"
+        )
+    assert "\n" not in str(refused.value)
+
+
+def line_of(text: str) -> int:
+    """Return the line of the parts that has a text."""
+    return 1 + PARTS[: PARTS.index(text)].count("\n")
+
+
+@pytest.mark.parametrize(
+    ("module", "text"),
+    [
+        (
+            "def (:\n",
+            "mine.toml:7: parts:Deadband cannot be loaded: parts.py:1 raises SyntaxError: invalid syntax",
+        ),
+        (
+            "x = 1\ny = x / 0\n",
+            "mine.toml:7: parts:Deadband cannot be loaded: parts.py:2 raises ZeroDivisionError: division",
+        ),
+        (
+            "import sys\nsys.exit(3)\n",
+            "mine.toml:7: parts:Deadband cannot be loaded: parts.py:2 raises SystemExit: 3",
+        ),
+        (
+            "\nimport nowhere_at_all\n",
+            "mine.toml:7: parts:Deadband cannot be loaded: parts.py:2 raises ModuleNotFoundError: No module",
+        ),
+        ("x = '\xff'\n".encode("latin-1"), "parts.py:1 raises SyntaxError: "),
+        (
+            PARTS.replace("* np.sin(2 * np.pi", "/ 0 * np.sin(2 * np.pi"),
+            f"parts.py:{line_of('push = self')} raises ZeroDivisionError: ",
+        ),
+        (
+            PARTS.replace("return dead(u", "return dead(1 / 0, u"),
+            f"parts.py:{line_of('return dead(')} raises ZeroDivisionError: ",
+        ),
+    ],
+)
+def test_an_error_in_a_users_module_is_told_with_its_line(
+    capsys: pytest.CaptureFixture[str], file: Path, module: Any, text: str
+) -> None:
+    (file.parent / "parts.py").write_bytes(module if isinstance(module, bytes) else module.encode())
+    code, _, err = swept(capsys, file, "--allow-code")
+    assert (code, err.count("\n")) == (2, 1)
+    assert text in err
+
+
+def test_a_module_that_has_the_name_of_another_is_told_and_hides_it_from_nobody(
+    capsys: pytest.CaptureFixture[str], file: Path
+) -> None:
+    (file.parent / "colorsys.py").write_text(PARTS)
+    file.write_text(FILE.replace("parts:", "colorsys:"))
+    code, out, _ = swept(capsys, file, "--allow-code")
+    assert code == 0
+    first = out.splitlines()[0]
+    assert first.startswith(f"ran {file.parent / 'colorsys.py'}, not the installed colorsys (")
+    import colorsys
+
+    assert hasattr(colorsys, "rgb_to_hsv")
+
+
+def test_an_installed_module_is_named_too(capsys: pytest.CaptureFixture[str], file: Path) -> None:
+    file.write_text(
+        '[controller]\ntype = "tests.users:PID"\nkp = 100\nki = 1\nkd = 9\n'
+        "[trajectory]\nduration = 6\n[ensemble]\nn = 3\n"
+    )
+    code, out, err = swept(capsys, file, "--allow-code")
+    assert (code, err) == (0, "")
+    assert re.match(r"ran .*users\.py, the installed tests\.users\n", out)
+
+
+def test_what_is_swept_of_a_users_parameter_has_its_unit(file: Path) -> None:
+    made = read(file, '"forces.gust.period" = [1, 2]', '"spread.strength" = [1, 2]')
+    assert made.axes["spread.strength"].unit == "N"
+    assert [each.draws()["strength"].max() for each in made.scenarios] == [1, 2, 1, 2]
+
+
+def test_a_store_tells_other_code_from_its_own(capsys: pytest.CaptureFixture[str], file: Path) -> None:
+    assert swept(capsys, file, "--allow-code")[0] == 0
+    there = determined_by(read(file))["fingerprint"]
+    (file.parent / "parts.py").write_text(f'"""Other words."""\n{PARTS}')
+    assert determined_by(read(file))["fingerprint"] == there  # what no part uses does not matter
+    (file.parent / "mending.py").write_text(MENDING.replace("0.0, u", "0.5, u"))
+    assert determined_by(read(file))["fingerprint"] != there  # nor does only the module that is named
+    code, _, err = swept(capsys, file, "--allow-code")
+    assert code == 2
+    assert "sweep.zarr" in err
+    (file.parent / "mending.py").write_text(MENDING)
+    assert swept(capsys, file, "--allow-code")[0] == 0
+
+
+def test_a_scenario_takes_the_text_of_its_modules_along(file: Path) -> None:
+    scenario = read(file).scenarios[0]
+    sent: Any = packed(scenario)
+    ((token, sources),) = sent.sources.items()
+    assert list(sources) == ["parts", "mending"]
+    assert sources["parts"].text == PARTS.encode()
+    for name in sources:
+        del sys.modules[f"{name}__{token}"]
+    for name in ("parts.py", "mending.py"):
+        (file.parent / name).unlink()
+    sent = pickle.loads(pickle.dumps(sent))  # as through a scheduler, which runs nothing of it
+    assert f"parts__{token}" not in sys.modules
+    back: Scenario = sent.unpacked()
+    assert type(back.controller) is not type(scenario.controller)
+    assert determined_by(Grid({}, [back])) == determined_by(Grid({}, [scenario]))
+    json.dumps(determined_by(Grid({}, [back])))
+
+
+def test_a_users_robot_stands_in_a_file_and_its_keys_are_swept(file: Path) -> None:
+    text = '[robot]\ntype = "parts:Puck"\nmass = 3\n[controller]\ntype = "pd"\n[trajectory]\nduration = 6\n'
+    made = read_of(
+        file, f'{text}[spread]\nmass = {{percent = 10}}\n[ensemble]\nn = 3\n[grid]\n"robot.mass" = [3, 4]'
+    )
+    assert [each.robot.mass for each in made.scenarios] == [3, 4]
+    assert [each.nominal["mass"] for each in made.scenarios] == [3, 4]
+    draws, part = part_of(made.scenarios[1], 0, 3)
+    assert all(3.6 <= mass <= 4.4 for mass in draws["mass"])
+    assert np.isfinite(part.max_distance).all()
+
+
+def test_a_module_may_lie_in_a_folder_beside_the_file(file: Path) -> None:
+    (file.parent / "laws").mkdir()
+    (file.parent / "parts.py").rename(file.parent / "laws" / "parts.py")
+    file.write_text(FILE.replace("parts:", "laws.parts:"))
+    made: Any = read_grid(file, Code(file.parent)).scenarios[0]
+    assert type(made.trajectory).__name__ == "Turning"
+
+
+def test_a_heading_of_the_library_may_be_a_table(file: Path) -> None:
+    text = "[trajectory]\nduration = 6\nheading = {type = 'fixed', psi = 0.5}\n[ensemble]\nn = 3"
+    (made,) = read_of(file, text).scenarios
+    assert made.reference.q[:, 2].tolist() == [0.5] * 61
+    with pytest.raises(InvalidArgument, match=r"^mine.toml:3: unknown key in heading 'phi'"):
+        read_of(file, text.replace("psi", "phi"))
+
+
+def test_workers_elsewhere_run_the_same_text(capsys: pytest.CaptureFixture[str], file: Path) -> None:
+    distributed: Any = pytest.importorskip("distributed")
+    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": ":0", "host": "127.0.0.1"}
+    alone = sweep(read(file, '"controller.controller.ki" = [1, 3]\n'), file.parent / "alone", chunk=5)
+    with distributed.LocalCluster(processes=True, silence_logs=50, **options) as cluster:
+        words = "--allow-code", "--chunk", "5", "--scheduler", cluster.scheduler_address
+        code, _, err = swept(capsys, file, *words)
+        with distributed.Client(cluster) as client:
+            ran = client.run(_users_modules)
+        failing = PARTS.replace("return dead(u", "return dead(u * math.sqrt(3 - t)")  # from t = 3 s on
+        (file.parent / "parts.py").write_text(failing)
+        failed = swept(capsys, file, *words, out="failed")
+    assert (code, err) == (0, "")
+    assert contents(file.parent / "out" / "sweep.zarr") == contents(alone.path)
+    assert len(ran) == 2
+    assert {tuple(name.split("__")[0] for name in names) for names in ran.values()} <= {
+        (),
+        ("mending", "parts"),
+    }
+    assert any(ran.values())
+    assert (failed[0], failed[2].count("\n")) == (2, 1)
+    assert f"parts.py:{line_of('return dead(')} raises ValueError: " in failed[2]
+
+
+def _users_modules() -> list[str]:
+    return sorted(name for name in sys.modules if name.startswith(("parts__", "mending__")))
