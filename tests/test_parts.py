@@ -3,6 +3,7 @@
 import pickle
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +22,16 @@ from pinmobile import (
     Scenario,
     Tangent,
     ViscousFriction,
+    ensemble,
     grid,
+    law,
     rk4,
     simulate,
     sweep,
 )
 from pinmobile.ensembles import ARRAYS, COMPILED, PINOCCHIO, part_of, run_scenario
 from pinmobile.ensembles.variables import PER_ROBOT
+from pinmobile.errors import SlowerEngine
 from tests.looping import TwoWheels
 from tests.parts import (
     PID,
@@ -290,3 +294,78 @@ def test_plants_without_names_have_numbers_for_names(tmp_path: Path) -> None:
     assert "largest error of [3] " in str(run)
     run.to_csv(tmp_path / "runs.csv")
     assert "max_force_[1]" in (tmp_path / "runs.csv").read_text().splitlines()[0].split(",")
+
+
+@dataclass(frozen=True)
+class Derived:
+    """A controller that makes a number of its parameter when it is made."""
+
+    gain: float = 20.0
+    parameters = ("gain",)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "twice", 2 * self.gain)
+
+    def initial_state(self, context: Any) -> None: ...
+
+    def __call__(self, t: float, q: Any, v: Any, reference: Any, state: None) -> Any:
+        return self.twice * (reference.q - q) + self.gain * (reference.v - v), state  # type: ignore[attr-defined]
+
+
+def test_what_a_part_derives_when_it_is_made_follows_its_parameter() -> None:
+    spread: dict[str, Any] = {"gain": np.array([10.0, 30.0]), "start_x": 0.1}
+    motion = Tangent(Circle(2.0, 0.5, 1.0))
+    with pytest.warns(SlowerEngine, match="makes twice of gain once.*compute it in the law"):
+        run = ensemble(ROBOT, Derived(), motion, n=2, spread=spread, dt=0.02)
+    for i, gain in enumerate((10.0, 30.0)):
+        start = motion(0.0).q + np.array([0.1, 0, 0])
+        alone = simulate(ROBOT, Derived(gain), motion, dt=0.02, q0=start)
+        np.testing.assert_allclose(run.max_error[i], alone.max_error(), rtol=0, atol=1e-12)
+
+
+class Remembered:
+    """A controller whose parameter enters its state alone."""
+
+    parameters = ("push",)
+
+    def __init__(self, push: float = 1.0) -> None:
+        self.push = push
+
+    def initial_state(self, context: Any) -> Any:
+        return self.push * np.ones(3)
+
+    def __call__(self, t: float, q: Any, v: Any, reference: Any, state: Any) -> Any:
+        return 50 * (reference.q - q) + 50 * (reference.v - v) + state, state
+
+
+def test_a_parameter_of_the_first_state_alone_matters() -> None:
+    motion = Tangent(Circle(2.0, 0.5, 1.0))
+    run = ensemble(ROBOT, Remembered(), motion, n=2, spread={"push": np.array([0.0, 2.0])}, dt=0.02)
+    assert run.engine == "COMPILED"
+    for i, push in enumerate((0.0, 2.0)):
+        alone = simulate(ROBOT, Remembered(push), motion, dt=0.02)
+        np.testing.assert_allclose(run.max_error[i], alone.max_error(), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("answer", [5.0, [1, 0, 0], None, np.zeros(2), np.array([5.0])], ids=str)
+@pytest.mark.parametrize("engine", [None, COMPILED], ids=str)
+def test_a_force_of_another_shape_is_refused_by_every_engine(answer: Any, engine: Any) -> None:
+    with pytest.raises(InvalidArgument, match=r"forces\[0\].*expected an array of shape \(3,\)"):
+        simulate(
+            ROBOT, PD(9, 9), Tangent(Circle(2.0, 0.5, 1.0)), dt=0.1, forces=[lambda *_: answer], engine=engine
+        )
+
+
+def test_a_law_may_write_into_the_reference_that_it_is_told() -> None:
+    def careless(t: float, q: Any, v: Any, reference: Any) -> Any:
+        error = reference.q
+        error -= q
+        return 120 * error - 10 * v
+
+    def careful(t: float, q: Any, v: Any, reference: Any) -> Any:
+        return 120 * (reference.q - q) - 10 * v
+
+    motion = Tangent(Circle(2.0, 0.5, 1.0))
+    one, other = (simulate(ROBOT, law(function), motion, dt=0.02) for function in (careless, careful))
+    np.testing.assert_array_equal(one.q, other.q)
+    np.testing.assert_array_equal(one.reference.q, other.reference.q)

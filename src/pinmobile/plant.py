@@ -233,6 +233,8 @@ class Parameter:
 
 def _stated(part: Any) -> Any:
     stated = getattr(part, "parameters", ())
+    if isinstance(stated, str):
+        raise InvalidArgument(f"parameters of {shown(part)} is {stated!r}, expected a tuple: ({stated!r},)")
     return stated if isinstance(stated, list | tuple) else ()  # some answer to any name with something
 
 

@@ -353,14 +353,22 @@ def _pushed(parts: Parts, t: Any, q: Any, v: Any) -> Any:
     wrenches = [force for force in parts.forces if not hasattr(force, "on_coordinates")]
     if wrenches:
         pose, rate = plant.pose(q), plant.rate(q, v)
-        wrench = sum((force(t, pose, rate) for force in wrenches), 0.0)
+        wrench = sum((_answer(parts, force, force(t, pose, rate), np.shape(pose)) for force in wrenches), 0.0)
         total = plant.effort(q, wrench)
         if total is None:
             raise InvalidArgument(
                 f"plant is a {type(plant).__name__}, whose body cannot be pushed, and forces push it"
             )
     others = [force for force in parts.forces if hasattr(force, "on_coordinates")]
-    return sum((force.on_coordinates(t, q, v) for force in others), total)
+    return sum((_answer(parts, force, force.on_coordinates(t, q, v), np.shape(v)) for force in others), total)
+
+
+def _answer(parts: Parts, force: Any, found: Any, shape: tuple[int, ...]) -> Any:
+    """Return what a force returned, after refusing what is no array of its shape."""
+    if not hasattr(found, "shape") or np.shape(found) != shape:
+        k = next(i for i, each in enumerate(parts.forces) if each is force)
+        raise InvalidArgument(f"forces[{k}] returned {shown(found)}, expected an array of shape {shape}")
+    return found
 
 
 def integrate_of(plant: Any) -> Any:

@@ -9,9 +9,18 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.compiled import Summary, program_of, robot_keys
-from pinmobile.compiled.loop_tape import initial_memory
+from pinmobile.compiled.loop_tape import arrays_of, initial_memory
 from pinmobile.compiled.noise import Noise
-from pinmobile.compiled.parts import Memory, Parts, Reference, errors, one_sample
+from pinmobile.compiled.parts import (
+    Memory,
+    Parts,
+    Place,
+    Reference,
+    attributes_of,
+    children,
+    errors,
+    one_sample,
+)
 from pinmobile.compiled.program import Program
 from pinmobile.ensembles.histogram import BINS, bins_of
 from pinmobile.ensembles.member import member_of
@@ -111,17 +120,73 @@ def _with_recorder(scenario: Scenario) -> Parts:
     return Parts(parts.plant, parts.controller, parts.forces, parts.integrator, recorder, parts.substeps)
 
 
+def _moved(scenario: Scenario, place: Place) -> Parts:
+    """Return the parts of a scenario, made again with another value of one parameter."""
+    parts = scenario.parts
+    value = parts.on_arrays().parameters()[place]
+    return parts.with_parameters({place: value * 1.001 + 1e-6}, remade=True)
+
+
+def _starts_otherwise(scenario: Scenario, place: Place) -> bool:
+    """Tell whether a parameter changes what the parts keep before the first sample."""
+    before, after = (
+        arrays_of(initial_memory(parts.on_arrays(), scenario.context, scenario.size))
+        for parts in (scenario.parts, _moved(scenario, place))
+    )
+    return any(not np.array_equal(one, other) for one, other in zip(before, after, strict=True))
+
+
+def _check_derived(scenario: Scenario) -> None:
+    """Refuse parts that derive something of a spread parameter when they are made, which a copy has not.
+
+    Raises
+    ------
+    NotTraceable
+        If there is one.
+    """
+    for stated in scenario.stated.values():
+        if not stated.path:
+            continue
+        place = Place(stated.path, stated.parameter.attribute)
+        try:
+            pair = [_part_at(parts, stated.path) for parts in (scenario.parts, _moved(scenario, place))]
+        except InvalidArgument:
+            continue  # a value beside the nominal one is not allowed
+        if hasattr(pair[0], "traced") or not all(hasattr(each, "__dict__") for each in pair):
+            continue
+        own = attributes_of(pair[0])
+        for name, value in vars(pair[0]).items():
+            numeric = isinstance(value, int | float | np.ndarray) and name not in own
+            other = vars(pair[1]).get(name, value)
+            if numeric and not np.array_equal(value, other):
+                raise NotTraceable(
+                    f"{stated.path}, a {type(pair[0]).__name__}, makes {name} of {place.name} once",
+                    "compute it in the law",
+                )
+
+
+def _part_at(parts: Parts, path: str) -> Any:
+    """Return the part that stands at a path."""
+    first, *names = path.split(".")
+    found = dict(parts.by_path())[first]
+    for name in names:
+        found = dict(children(found))[name]
+    return found
+
+
 def _as_compiled(scenario: Scenario) -> Program:
+    _check_derived(scenario)
     parts, at = _with_recorder(scenario), Reference(*(part[0] for part in scenario.reference))
     q, v = scenario.starts({}, 1)
     program = program_of(parts, scenario.context, (q[0], v[0]), at, dt=scenario.dt, spread=scenario.places)
     unused = set(program.loop.unused)
     for name, stated in scenario.stated.items():
         # What the plant has may not matter to one run, as the mass of what nobody pushes; it is its own.
-        if stated.path != "plant" and (stated.path, stated.parameter.attribute) in unused:
+        place = Place(stated.path, stated.parameter.attribute)
+        if stated.path != "plant" and place in unused and not _starts_otherwise(scenario, place):
+            of = f", {stated.parameter.meaning}" if stated.parameter.meaning else ""
             raise InvalidArgument(
-                f"spread has {name!r}, {stated.parameter.meaning}, which no law of this loop uses, "
-                "expected a parameter that matters"
+                f"spread has {name!r}{of}, which no law of this loop uses, expected a parameter that matters"
             )
     return program
 
@@ -206,6 +271,7 @@ def _as_arrays(scenario: Scenario) -> None:
                 )
         return tuple(np.asarray(array, np.float64) for array, _ in shapes.values())
 
+    _check_derived(scenario)
     try:
         together = sampled(0, count)
         alone = [sampled(i, i + 1) for i in range(count)]

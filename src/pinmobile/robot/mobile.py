@@ -336,7 +336,7 @@ class MobileRobot(Carrier):
         if self.mounts:
             raise NotTraceable(
                 "a robot with arms, whose dynamics are Pinocchio's",
-                "run it one state at a time",
+                "loops with it run one state at a time",
             )
         bare = self.lumped() if self.loads else self
         return PlanarBody(bare.mass, bare.body.yaw_inertia, *bare.com[:2])

@@ -168,7 +168,8 @@ def _asked(
     """Return the input of any controller, which gets copies that are its own, and what tells its signals."""
     times, state = context.t.tolist(), controller.initial_state(context)
     tell = getattr(controller, "applied", None)
-    references = map(Reference, *context.reference)  # `control` is called once per sample, in order
+    # `control` is called once per sample, in order; what it is told is its own to write into.
+    references = (Reference(*(part.copy() for part in row)) for row in zip(*context.reference, strict=True))
     shape = (len(context.inputs),)
 
     def control(k: int, row: Array, q: Array, v: Array) -> Array:
