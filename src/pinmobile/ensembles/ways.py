@@ -102,10 +102,10 @@ def way_of(scenario: Scenario, engine: Engine | None = None) -> Way:
                 found = way(scenario)
                 return Way(scenario, each, "; ".join(why), found)
             except NotTraceable as error:
-                refusal = str(error)
+                refusal = " ".join(str(error).split())
             if asked is not None:
                 raise InvalidArgument(f"engine is {each!r}, which cannot run this: {refusal}")
-            why.append(" ".join(f"not {each!r}: {refusal}".split()))
+            why.append(f"not {each!r}: {refusal}")
     return Way(scenario, PINOCCHIO, "; ".join(why))
 
 
