@@ -93,7 +93,7 @@ def show_first_calls(out: Console, quick: bool) -> bool:
 def first_call(cache: str) -> tuple[float, float] | str:
     """Return the import's and the call's time [s] in a fresh process, or the word on why it failed."""
     command = [sys.executable, "-W", "ignore", "-c", FIRST]
-    environment = {**os.environ, "NUMBA_CACHE_DIR": cache}
+    environment = {**os.environ, "PINMOBILE_CACHE": cache}
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     if done.returncode:
         return f"FAILED: {(done.stderr.strip().splitlines() or [f'exit {done.returncode}'])[-1]}"

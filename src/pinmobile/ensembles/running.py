@@ -57,7 +57,7 @@ def ensemble(
     traces : iterable of int
         Robots of which a whole `Rollout` is kept, made by `simulate`.
     engine : Engine, optional
-        `COMPILED` or `ARRAYS`; by default the compiled one wherever it can.
+        `COMPILED`, `ARRAYS` or `PINOCCHIO`, one robot after another; by default the first of these that can.
     threads : int, optional
         By default one for each processor.
     progress : callable, optional
@@ -70,7 +70,13 @@ def ensemble(
     Raises
     ------
     InvalidArgument, UnknownName
-        If an argument is not what is expected, draws are impossible, or numba is missing.
+        If an argument is not what is expected, draws are impossible, or the engine that is asked for cannot
+        run the loop.
+
+    Warns
+    -----
+    SlowerEngine
+        If a part keeps the loop from the fastest engine; it names the part and what to write instead.
     """
     scenario = Scenario(
         robot=robot,

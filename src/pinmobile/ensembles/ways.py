@@ -215,7 +215,6 @@ class _Rows:
     """A loop of several robots on arrays."""
 
     parts: Parts
-    context: Any
     memory: Memory
     q: Array
     v: Array
@@ -229,7 +228,7 @@ def _rows(scenario: Scenario, draws: Mapping[str, Array], start: int, stop: int)
         return Noise(robot_keys(scenario.seed, name, range(start, stop)), n)
 
     memory = initial_memory(parts, scenario.context, scenario.size, normal=normal)
-    return _Rows(parts, scenario.context, memory, *scenario.starts(draws, stop - start))
+    return _Rows(parts, memory, *scenario.starts(draws, stop - start))
 
 
 def _as_arrays(scenario: Scenario) -> None:
