@@ -67,7 +67,8 @@ def executed(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path], Path]
     def execute(source: Path) -> Path:
         with TemporaryDirectory() as short:  # a short path; TCP ports are taken by others now and then
             sockets = "--KernelManager.transport=ipc", f"--KernelManager.ip={short}/kernel"
-            converted(source.with_suffix(".ipynb"), "notebook", folder, "--execute", *sockets)
+            whole = "--ExecutePreprocessor.coalesce_streams=True"  # a slow kernel sends a line in parts
+            converted(source.with_suffix(".ipynb"), "notebook", folder, "--execute", whole, *sockets)
         return folder / source.with_suffix(".ipynb").name
 
     return execute
