@@ -4,6 +4,7 @@ import ast
 import contextlib
 import io
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -50,6 +51,7 @@ def test_every_file_and_folder_that_is_named_is_there() -> None:
         assert (ROOT / path).exists() or (ROOT / "src" / path).exists(), path
 
 
+@cache
 def names_in(file: Path) -> set[str]:
     """Return the names that a module's code has: imported, read, or asked of another; not words of text."""
     found: set[str] = set()
