@@ -54,7 +54,7 @@ class Still:
 
 
 def without_gravity(robot: MobileRobot) -> MobileRobot:
-    for model in (robot._engine.model, robot._engine._public):
+    for model in (robot._engine.model, robot._engine.public):
         model.gravity = pin.Motion.Zero()
     return robot
 

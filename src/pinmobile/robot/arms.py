@@ -25,6 +25,10 @@ __all__ = ["Arm", "Origin", "Picture"]
 Picture: TypeAlias = Callable[[pin.Model], pin.GeometryModel]
 
 
+_RIGHT = 2e-11  # that angles of eleven digits leave of a right one, two of them at most
+_ORTHONORMAL = 1e-15
+
+
 @dataclass(frozen=True)
 class Origin:
     """Where an arm comes from, so that it can be read again.
@@ -74,6 +78,9 @@ class Arm:
         Its reference posture.
     tip : str
         Its end effector's frame.
+    squared : tuple of str
+        Joints of `whole` whose placement was turned by a right angle but for its last digits, as by a file's
+        1.57079632679, and is so by an exact one.
 
     Raises
     ------
@@ -96,6 +103,7 @@ class Arm:
     _model: pin.Model = field(init=False, repr=False)
     posture: Array = field(init=False)
     tip: str = field(init=False)
+    squared: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
         whole = _whole(self._whole)
@@ -118,6 +126,7 @@ class Arm:
                 )
         check_bodies(whole, self.origin.value)
         check_joint_limits(whole, free, self.origin.value)
+        squared = _squared(whole)
         model, _ = _reduced(whole, [], held, rest)
         parts = [rest[parts_of(whole, joint)[0]] for joint in free]
         posture = np.concatenate(parts) if parts else np.zeros(0)
@@ -129,6 +138,7 @@ class Arm:
             "model": model,
             "posture": frozen(posture),
             "tip": tip_of(model),
+            "squared": squared,
             "stands": self.stands or any("FreeFlyer" in joint_kind(whole, j) for j in root_of(whole)),
         }.items():
             object.__setattr__(self, name, value)
@@ -217,6 +227,31 @@ def _reduced(
     for frame in model.frames:
         frame.name = names.get(frame.name, frame.name)
     return model, list(kept)
+
+
+def _squared(model: pin.Model) -> tuple[str, ...]:
+    """Make right angles of rotations exact where their rounding hides them, and return the joints' names.
+
+    A rotation with entries of 5e-12 costs as much as any other, and no two ways to compute with it agree to
+    the last digits as they do of zeros.
+    """
+    found = []
+    for joint in range(1, model.njoints):
+        place = model.jointPlacements[joint]
+        R = _without_rounding(place.rotation)
+        if np.abs(R - place.rotation).max() > _ORTHONORMAL:
+            found.append(str(model.names[joint]))
+        model.jointPlacements[joint] = pin.SE3(R, place.translation)
+    for frame in model.frames:
+        frame.placement = pin.SE3(_without_rounding(frame.placement.rotation), frame.placement.translation)
+    return tuple(found)
+
+
+def _without_rounding(R: Array) -> Array:
+    """Return a rotation with exact zeros and ones, where that is a rotation, too."""
+    whole = np.rint(R)
+    near = np.where(np.abs(R - whole) < _RIGHT, whole, R) + 0.0
+    return near if np.abs(near @ near.T - np.eye(3)).max() < _ORTHONORMAL else np.array(R)
 
 
 def _without_root_pose(model: pin.Model, rest: Array) -> Array:

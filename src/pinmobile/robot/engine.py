@@ -84,7 +84,7 @@ class Engine:
         self.order[:2] = self.order_q[:2] = 1, 0
         self._orders = {self.nv: self.order, self.nq: self.order_q}
         self._square = self.order[:, None], self.order
-        self._public = _in_public_order(model)
+        self.public = _in_public_order(model)
 
     @property
     def data(self) -> pin.Data:
@@ -93,7 +93,7 @@ class Engine:
 
     def calls(self) -> Calls:
         """Return what a loop calls, all on this thread's data: it is looked up once."""
-        model, data, public = self.model, self.data, self._public
+        model, data, public = self.model, self.data, self.public
         order, crba = self.order_q, partial(pin.crba, model, data)
         flat = self.order[:, None] * self.nv + self.order
         still = np.zeros(self.nv - BODY_JOINT)

@@ -1,7 +1,7 @@
 """`MobileRobot`, the noun: parameters that check themselves, and the dynamics that follow from them."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -15,12 +15,13 @@ from pinmobile.arrays import Array, ArrayLike, finite, lengths, location, positi
 from pinmobile.dh import LECTURE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
 from pinmobile.plant import Parameter
+from pinmobile.robot.articulated import ArticulatedBody
 from pinmobile.robot.assembly import assemble
 from pinmobile.robot.carrier import Carrier
 from pinmobile.robot.chain import build_model, check_chain
 from pinmobile.robot.engine import BODY_JOINT, Engine
 from pinmobile.robot.meshes import VisualFile
-from pinmobile.robot.mounts import Load, Mount
+from pinmobile.robot.mounts import LinkNumbers, Load, Mount, placed
 from pinmobile.robot.pictures import add_carried
 from pinmobile.robot.planar import BODY, PlanarBody
 from pinmobile.robot.reading import LOCKED, Reading, read_model, read_urdf
@@ -89,6 +90,7 @@ class MobileRobot(Carrier):
     loads: tuple[tuple[str, Load], ...] = field(default=(), init=False)
     _engine: Engine = field(init=False)
     _looks: VisualFile | None = field(default=None, init=False)
+    _varied: frozenset[str] = field(default=frozenset(), init=False)
 
     def __post_init__(self) -> None:
         com = finite("com", self.com)
@@ -116,6 +118,7 @@ class MobileRobot(Carrier):
         table = "" if self.dh == LECTURE_TABLE else f", dh={self.dh!r}"
         mounted = "".join(map(repr, self.mounts))
         attached = "".join(f".attach({load!r}, frame={frame!r})" for frame, load in self.loads)
+        attached += f".with_parameters(**{changed!r})" if (changed := self._changed()) else ""
         return (
             f"MobileRobot(mass={self.mass!r}, yaw_inertia={self.yaw_inertia!r}, com={self.com!r}, "
             f"size={self.size!r}{table}){mounted}{attached}"
@@ -133,10 +136,11 @@ class MobileRobot(Carrier):
 
     def __reduce__(self) -> tuple[object, ...]:
         # A pin.Data is not worth keeping: it is made again from the parameters.
-        return _restored, (*self._own(self.body, self.source), self.mounts, self.loads)
+        return _restored, (*self._own(self.body), self.mounts, self.loads)
 
-    def _own(self, body: urdf.Body, source: str) -> _Bare:
-        return body, self.size, self.dh, source, self.stance, self.locked_joints, self._looks
+    def _own(self, body: urdf.Body, source: str | None = None) -> _Bare:
+        bare = self.source.removesuffix(_of_files(self.mounts)) if source is None else source
+        return body, self.size, self.dh, bare, self.stance, self.locked_joints, self._looks
 
     @property
     def footprint(self) -> Array | None:
@@ -322,45 +326,65 @@ class MobileRobot(Carrier):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """What an ensemble may spread of it: with arms, nothing yet."""
-        return () if self.mounts else BODY
+        """What an ensemble may spread of it.
 
-    def traced(self) -> PlanarBody:
-        """Return its dynamics in NumPy, for laws on symbols or on arrays; loads count as the body's.
+        Of the base its mass, yaw inertia and centre of mass; with arms also those of each link and load, what
+        motors add to joints, and where the arms stand. With a ball joint among its joints, nothing.
+        """
+        if not self.mounts:
+            return BODY
+        try:
+            return self._articulated.parameters
+        except NotTraceable:
+            return ()
+
+    def traced(self) -> PlanarBody | ArticulatedBody:
+        """Return its dynamics over symbols or arrays; without arms, loads count as the body's.
 
         Raises
         ------
         NotTraceable
-            If it carries arms, whose dynamics are Pinocchio's alone.
+            If a joint of it has more than one coordinate.
         """
         if self.mounts:
-            raise NotTraceable(
-                "a robot with arms, whose dynamics are Pinocchio's",
-                "loops with it run one state at a time",
-            )
+            return self._articulated
         bare = self.lumped() if self.loads else self
         return PlanarBody(bare.mass, bare.body.yaw_inertia, *bare.com[:2])
 
-    def with_parameters(self, **values: float) -> "MobileRobot":
-        """Return the bare robot with other values of its `parameters`; loads count as the body's.
+    @cached_property
+    def _articulated(self) -> ArticulatedBody:
+        found = ArticulatedBody.of(self, self._engine.public)
+        return found.varying(self._varied) if self._varied else found
+
+    def varying(self, names: frozenset[str]) -> "MobileRobot":
+        """Return it, told which of its `parameters` differ from robot to robot; other zeros stay."""
+        new = object.__new__(MobileRobot)
+        vars(new).update(vars(self), _varied=names)
+        vars(new).pop("_articulated", None)
+        return new
+
+    def with_parameters(self, **values: ArrayLike) -> "MobileRobot":
+        """Return the robot with other values of its `parameters`; without arms, loads count as the body's.
 
         Parameters
         ----------
-        **values : float
-            By attribute: mass, yaw_inertia, com_x, com_y.
+        **values : float or array_like
+            By the name of a parameter, or of an attribute of what `traced` returns, with all its numbers.
 
         Raises
         ------
         InvalidArgument
-            If it carries arms, or a body with these values cannot exist.
+            If a body with these values cannot exist, or an array has another shape.
         UnknownName
             If there is no such parameter.
         """
+        named = {parameter.name: parameter for parameter in self.parameters}
+        attributes = {parameter.attribute or parameter.name for parameter in named.values()}
         for name in values:
-            if name not in (known := [parameter.name for parameter in BODY]):
-                raise UnknownName("parameter of a robot", name, known)
+            if name not in named and name not in attributes:
+                raise UnknownName("parameter of a robot", name, named)
         if self.mounts:
-            raise InvalidArgument(f"robot carries {len(self.mounts)} arms, expected none to change its body")
+            return self._with_numbers(self._articulated.numbers_with(values))
         bare = self.lumped() if self.loads else self
         old = {
             "mass": bare.mass,
@@ -372,8 +396,49 @@ class MobileRobot(Carrier):
         body = urdf.Body(mass, np.array([x, y, bare.com[2]]), np.diag([inertia] * 3))
         return bare.with_body(body, "with other parameters")
 
+    def _changed(self) -> dict[str, float]:
+        """Return by name the parameters of its arms' links and motors that are not the arms' own."""
+        if all(mount.numbers is None for mount in self.mounts):
+            return {}
+        own = self._carrying(tuple(replace(mount, numbers=None) for mount in self.mounts), self.loads)
+        ours, theirs, found = self._articulated, own._articulated, {}
+        for one in ours.parameters:
+            entry = one.entry or 0
+            new, old = (np.ravel(getattr(each, one.attribute))[entry] for each in (ours, theirs))
+            if new != old:
+                found[one.name] = float(new)
+        return found
+
+    def _with_numbers(self, new: Mapping[str, Array]) -> "MobileRobot":
+        """Return the robot with arms that has other numbers, by attribute of what `traced` returns."""
+        inertia = self.body.inertia * (float(new["yaw_inertia"]) / self.body.yaw_inertia)
+        com = np.array([new["com_x"], new["com_y"], self.body.com[2]])
+        body = urdf.Body(float(new["mass"]), com, inertia)
+        mounts, link = [], 0
+        for mount, at in zip(self.mounts, new["places"].reshape(-1, 4), strict=True):
+            end = link + len(mount.links)
+            each = (("masses", 1), ("coms", 3), ("inertias", 6))
+            masses, coms, inertias = (new[name][k * link : k * end] for name, k in each)
+            rotors = new["rotors"][mount.v.start - BODY_JOINT : mount.v.stop - BODY_JOINT]
+            numbers = LinkNumbers(masses, coms.reshape(-1, 3), inertias.reshape(-1, 6), rotors)
+            same = all(map(np.array_equal, numbers, LinkNumbers.of(mount.arm._model)))
+            mounts.append(replace(mount, at=placed(at), numbers=None if same else numbers))
+            link = end
+        loads = [
+            (frame, load.with_numbers(float(mass), com, six))
+            for (frame, load), mass, com, six in zip(
+                self.loads,
+                new["load_masses"],
+                new["load_coms"].reshape(-1, 3),
+                new["load_inertias"].reshape(-1, 6),
+                strict=True,
+            )
+        ]
+        own = self._own(body, f"{self._own(body)[3]}; with other parameters")
+        return _restored(*own, tuple(mounts), tuple(loads))
+
     def _carrying(self, mounts: tuple[Mount, ...], loads: tuple[tuple[str, Load], ...]) -> "MobileRobot":
-        return _restored(*self._own(self.body, self.source), mounts, loads)
+        return _restored(*self._own(self.body), mounts, loads)
 
     @property
     def visual_model(self) -> pin.GeometryModel:
@@ -412,6 +477,16 @@ def _read(reading: Reading, looks: VisualFile | None) -> MobileRobot:
     return _restored(*own, looks)
 
 
+def _of_files(mounts: Sequence[Mount]) -> str:
+    """Return what was made of the arms' files, in words."""
+    told = ((mount.name, mount.arm.squared) for mount in mounts)
+    return "".join(
+        f"; {name}: right angles that its file rounds are exact ({', '.join(joints)})"
+        for name, joints in told
+        if joints
+    )
+
+
 def _restored(
     body: urdf.Body,
     size: tuple[float, float, float],
@@ -427,6 +502,7 @@ def _restored(
     carrying = {"mounts": mounts, "loads": loads}
     if mounts or loads:
         carrying["_engine"] = Engine(assemble(robot._model, mounts, loads))  # type: ignore[assignment]
+    carrying["source"] = source + _of_files(mounts)  # type: ignore[assignment]
     for name, value in {"_looks": looks, **carrying}.items():
         object.__setattr__(robot, name, value)
     if mounts or loads:

@@ -2,24 +2,70 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import ArrayLike, finite, lengths, positive, text
+from pinmobile.arrays import Array, ArrayLike, finite, lengths, positive, text
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot.arms import Arm
 from pinmobile.urdf import Body, box_inertia
 
 __all__ = [
+    "LinkNumbers",
     "Load",
     "Mount",
     "checked_name",
     "free_name",
+    "matrix_of",
     "mount_after",
     "on_top",
     "placed",
 ]
+
+
+class LinkNumbers(NamedTuple):
+    """Masses, centres of mass and inertias of an arm's root and links, and what its motors add.
+
+    Attributes
+    ----------
+    masses, coms, inertias : ndarray, shape (links,), (links, 3), (links, 6)
+        Inertias are (xx, yy, zz, xy, xz, yz) about the centres of mass [kg, m, kg m^2].
+    rotors : ndarray, shape (nv,)
+        [kg m^2, kg].
+    """
+
+    masses: Array
+    coms: Array
+    inertias: Array
+    rotors: Array
+
+    @classmethod
+    def of(cls, model: pin.Model) -> "LinkNumbers":
+        """Return those of a model."""
+        bodies = [model.inertias[joint] for joint in range(model.njoints)]
+        masses, coms = np.array([body.mass for body in bodies]), np.array([body.lever for body in bodies])
+        inertias = np.array([_six(body.inertia) for body in bodies])
+        return cls(masses, coms, inertias, np.array(model.armature))
+
+    def put_into(self, model: pin.Model) -> pin.Model:
+        """Return a copy of the model that has them."""
+        new = model.copy()
+        for joint, (mass, com, six) in enumerate(zip(*self[:3], strict=True)):
+            new.inertias[joint] = pin.Inertia(mass, com, matrix_of(six))
+        new.armature = self.rotors
+        return new
+
+
+def _six(inertia: Array) -> Array:
+    return inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+
+
+def matrix_of(six: Array) -> Array:
+    """Return the matrix of (xx, yy, zz, xy, xz, yz)."""
+    return six[[[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -38,6 +84,8 @@ class Mount:
         Its part of a configuration and of a velocity.
     joints : slice
         Its part of the joints of the robot's `model`.
+    numbers : LinkNumbers, optional
+        What its links and motors have in place of what the arm has.
     """
 
     name: str
@@ -46,6 +94,7 @@ class Mount:
     q: slice
     v: slice
     joints: slice
+    numbers: LinkNumbers | None = None
 
     @property
     def tip(self) -> str:
@@ -55,12 +104,22 @@ class Mount:
     @property
     def model(self) -> pin.Model:
         """A copy of its own model, on a fixed base and with its own names."""
-        return self.arm.model
+        return self._model.copy()
 
-    @property
+    @cached_property
     def _model(self) -> pin.Model:
         """The model itself, which is only read."""
-        return self.arm._model
+        return self.arm._model if self.numbers is None else self.numbers.put_into(self.arm._model)
+
+    @property
+    def links(self) -> tuple[str, ...]:
+        """What moves together, by the name of its first link: first what is fixed to the root."""
+        model = self._model
+        found = [f"{self.name}/{name}" for name in model.names]
+        for frame in reversed(model.frames.tolist()):
+            if frame.type == pin.FrameType.BODY:
+                found[frame.parentJoint] = f"{self.name}/{frame.name}"
+        return tuple(found)
 
     @property
     def placement(self) -> pin.SE3:
@@ -73,7 +132,8 @@ class Mount:
         return f".mount({self.arm.origin.value!r}, {listed})"
 
     def _key(self) -> tuple[object, ...]:
-        return self.name, self.at, self.arm.key()
+        own = () if self.numbers is None else tuple(map(np.ndarray.tobytes, self.numbers))
+        return self.name, self.at, self.arm.key(), own
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Mount) and self._key() == other._key() and self._model == other._model
@@ -130,6 +190,19 @@ class Load:
     def body(self) -> pin.Inertia:
         """A copy of its inertia, seen from the frame."""
         return pin.Inertia(self._body)
+
+    @property
+    def six(self) -> Array:
+        """Its inertia (xx, yy, zz, xy, xz, yz) about the centre of mass [kg m^2]."""
+        return _six(self._body.inertia)
+
+    def with_numbers(self, mass: float, com: Array, six: Array) -> "Load":
+        """Return the load with another mass, centre of mass and inertia (xx, yy, zz, xy, xz, yz) about it."""
+        if mass == self.mass and np.array_equal(com, self.com) and np.array_equal(six, self.six):
+            return self
+        own = tuple(map(tuple, matrix_of(six).tolist())) if six.any() else None
+        x, y, z = com.tolist()
+        return Load(mass, (x, y, z), own, self.size)
 
     def __reduce__(self) -> tuple[object, ...]:
         return Load, (self.mass, self.com, self.inertia, self.size)

@@ -281,7 +281,7 @@ def _describe(robot: MobileRobot) -> dict[str, Any]:
         "inertia": robot.body.inertia.tolist(),
         "size": robot.size,
         "dh": [(*astuple(row)[:4], row.joint.value, row.variable) for row in robot.dh],
-        "source": robot.source,
+        "source": robot.base.source,
         "stance": [None if robot.footprint is None else robot.footprint.tolist(), robot.top, robot.grounded],
         "locked_joints": robot.locked_joints,
         "mounts": [

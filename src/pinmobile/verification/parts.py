@@ -96,9 +96,12 @@ class Parts:
 
     def _mount(self, mount: Mount, q: Array) -> None:
         """Add the links of an arm as it was read; a joint that is locked has no coordinates."""
-        whole, held, on_base = mount.arm.whole, mount.arm.held(), BODY_JOINT - 1
+        arm, on_base = mount.arm, BODY_JOINT - 1
+        whole, held, rest = arm.whole, arm.held(), arm.rest
+        if mount.numbers is not None:  # which are those of what moves
+            whole, held, rest = mount.model, [], arm.posture
         free = [joint for joint in range(1, whole.njoints) if joint not in held]
-        own_q, own_v = np.tile(mount.arm.rest, (self.count, 1)), np.zeros((self.count, whole.nv))
+        own_q, own_v = np.tile(rest, (self.count, 1)), np.zeros((self.count, whole.nv))
         at_q, at_v, columns = mount.q.start, mount.v.start, {}
         for joint in free:
             nq, nv = whole.nqs[joint], whole.nvs[joint]

@@ -1,0 +1,500 @@
+"""`ArticulatedBody`: the dynamics of a body with arms in the plane, for one state, many, or symbols.
+
+It is what a `MobileRobot` with arms is to compiled loops and to loops on arrays: see `PlanarBody`.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple, Self, final
+
+import numpy as np
+import pinocchio as pin
+
+from pinmobile.arrays import Array, finite, one_of, scalar, wrap_angle
+from pinmobile.compiled.symbols import plain, symbols
+from pinmobile.compiled.tape import Node
+from pinmobile.errors import InvalidArgument
+from pinmobile.plant import Coordinate, Input, Parameter
+from pinmobile.robot.assembly import named_frames
+from pinmobile.robot.linkage import Body, Linkage, Place, regrouped, without_rounding
+from pinmobile.robot.mounts import LinkNumbers, Mount
+from pinmobile.robot.planar import BODY
+from pinmobile.robot.recursions import Moving, Posture, by_matrix, operations
+from pinmobile.robot.scalars import ZERO, Vector, exact, number
+
+__all__ = ["EXPECTED", "ArticulatedBody", "Fixed"]
+
+_BASE = 3  # joints, coordinates and numbers of q of the base; the last carries its body
+_OF_BASE = ("mass", "yaw_inertia", "com_x", "com_y")
+_OF_BODIES = ("masses", "coms", "inertias")
+_OTHERS = (*_OF_BODIES, *(f"load_{name}" for name in _OF_BODIES), "rotors", "places")
+_COM = ("com_x", "com_y", "com_z")
+_INERTIA = ("inertia_xx", "inertia_yy", "inertia_zz", "inertia_xy", "inertia_xz", "inertia_yz")
+_PLACE = {"at_x": "m", "at_y": "m", "at_z": "m", "at_yaw": "rad"}
+EXPECTED = "expected principal moments >= 0, none above the sum of the other two"
+_SLACK = 1e-9  # of the moments of inertia, relative, and of the mass [m^2]: files carry as many digits
+
+
+class Fixed(NamedTuple):
+    """A frame that is fixed to a joint.
+
+    Attributes
+    ----------
+    name : str
+        Of the frame.
+    joint : int
+        Of the linkage.
+    arm : int
+        Which arm it is a part of, if it stands on the base where that does; else -1.
+    R, p : ndarray, shape (3, 3), (3,)
+        Its orientation and origin in the joint's frame [m].
+    """
+
+    name: str
+    joint: int
+    arm: int
+    R: Array
+    p: Array
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class ArticulatedBody:
+    """A body in the plane that carries arms and loads, by recursions over its joints, unchecked.
+
+    What is each robot's own has leading axes before the shapes below.
+
+    Parameters
+    ----------
+    linkage : Linkage
+        Its joints; the first three are the base's.
+    links, loads, frames : tuple of Fixed
+        Where the bodies below stand, and what has a name.
+    arms : mapping of str to (float, float, float, float)
+        Where the arms stand, unless `places` are varied: x, y, z and yaw [m, m, m, rad].
+    coordinates, inputs, leading
+        As of a plant.
+    rest : ndarray, shape (nq,)
+        Where what has no reference starts.
+    mass, yaw_inertia, com_x, com_y : float
+        Of the base's own body, as in `PlanarBody`.
+    masses, coms, inertias : ndarray, shape (links,), (3 links,), (6 links,)
+        Of each link, along the axes of its frame: mass, centre of mass, and inertia (xx, yy, zz, xy, xz, yz)
+        about that [kg, m, kg m^2].
+    load_masses, load_coms, load_inertias : ndarray
+        The same of the loads.
+    rotors : ndarray, shape (nv - 3,)
+        What the motors of the arms' joints add to their inertias [kg m^2, kg].
+    places : ndarray, shape (4 arms,)
+        Where the arms stand.
+    varied : frozenset of str
+        Names of the parameters that differ from robot to robot; of others, what is zero is left out.
+    """
+
+    linkage: Linkage
+    links: tuple[Fixed, ...]
+    loads: tuple[Fixed, ...]
+    frames: tuple[Fixed, ...]
+    arms: Mapping[str, tuple[float, ...]]
+    coordinates: tuple[Coordinate, ...]
+    inputs: tuple[Input, ...]
+    leading: Mapping[int, int]
+    rest: Array
+    mass: Any
+    yaw_inertia: Any
+    com_x: Any
+    com_y: Any
+    masses: Any
+    coms: Any
+    inertias: Any
+    load_masses: Any
+    load_coms: Any
+    load_inertias: Any
+    rotors: Any
+    places: Any
+    varied: frozenset[str] = frozenset()
+    matter: tuple[tuple[bool, ...], ...] = ()
+
+    broadcasts: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        differ = {(one.attribute, one.entry) for one in self.parameters if one.name in self.varied}
+        matter = (
+            tuple(bool(x) or (name, k) in differ for k, x in enumerate(getattr(self, name)))
+            for name in _OTHERS
+        )
+        object.__setattr__(self, "matter", tuple(matter))
+
+    @classmethod
+    def of(cls, robot: Any, model: pin.Model) -> Self:
+        """Return that of a robot with arms.
+
+        Parameters
+        ----------
+        robot : MobileRobot
+            Its names, its body, and what it carries.
+        model : pin.Model
+            Its tree, whose numbers of q and v are public.
+
+        Raises
+        ------
+        NotTraceable
+            If a joint has other than one coordinate.
+        """
+        linkage, numbers = Linkage.of(model), [LinkNumbers.of(mount._model) for mount in robot.mounts]
+        frames = {
+            name: _fixed(linkage, name, model.frames[k], robot.mounts)
+            for name, k in named_frames(model).items()
+            if model.frames[k].parentJoint
+        }
+        links = []
+        for k, mount in enumerate(robot.mounts):
+            place, (root, *others) = mount.placement, mount.links
+            links.append(Fixed(root, _BASE - 1, k, place.rotation, place.translation))
+            for joint, name in enumerate(others, mount.joints.start - 1):
+                links.append(Fixed(name, joint, -1, linkage.axes[joint].T, np.zeros(3)))
+        loads = [load for _, load in robot.loads]
+        masses, coms, inertias = (np.concatenate([each[k].ravel() for each in numbers]) for k in range(3))
+        return cls(
+            linkage=linkage,
+            links=tuple(links),
+            loads=tuple(frames[name] for name, _ in robot.loads),
+            frames=tuple(frames.values()),
+            arms={mount.name: mount.at for mount in robot.mounts},
+            coordinates=robot.coordinates,
+            inputs=robot.inputs,
+            leading=dict(robot.leading),
+            rest=np.array(robot.rest),
+            mass=robot.mass,
+            yaw_inertia=robot.body.yaw_inertia,
+            com_x=float(robot.body.com[0]),
+            com_y=float(robot.body.com[1]),
+            masses=masses,
+            coms=coms,
+            inertias=inertias,
+            load_masses=np.array([load.mass for load in loads]),
+            load_coms=np.array([load.com for load in loads]).ravel(),
+            load_inertias=np.array([load.six for load in loads]).ravel(),
+            rotors=np.concatenate([each.rotors for each in numbers]),
+            places=np.array([mount.at for mount in robot.mounts]).ravel(),
+        )
+
+    def varying(self, names: frozenset[str]) -> Self:
+        """Return it, told which of its parameters differ from robot to robot."""
+        return replace(self, varied=names)
+
+    @property
+    def nq(self) -> int:
+        """Size of q."""
+        return len(self.rest)
+
+    @property
+    def nv(self) -> int:
+        """Size of v and a."""
+        return len(self.linkage)
+
+    @property
+    def nu(self) -> int:
+        """Size of the input."""
+        return self.nv
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What may be spread: of the base, of links and loads, of motors, and where arms stand."""
+        found = [replace(each, attribute=each.name) for each in BODY]
+        for k, link in enumerate(self.links):
+            found += _of_body(k, "", f"_{link.name}", link.name)
+        for k, load in enumerate(self.loads):
+            after = f"_{k + 1}" if k else ""
+            found += _of_body(k, "load_", after, f"the load at {load.name}")
+        for k, joint in enumerate(self.coordinates[_BASE:]):
+            unit, meaning = "kg" if joint.unit == "m" else "kg m^2", f"inertia that the motor of {joint.name}"
+            name = f"rotor_{joint.name}"
+            found.append(
+                Parameter(name, unit, f"{meaning} adds, of the robot", 0.0, attribute="rotors", entry=k)
+            )
+        for k, arm in enumerate(self.arms):
+            for j, (name, unit) in enumerate(_PLACE.items()):
+                meaning = f"{name.removeprefix('at_')} of where {arm} stands on the robot"
+                entry = len(_PLACE) * k + j
+                found.append(Parameter(f"{name}_{arm}", unit, meaning, attribute="places", entry=entry))
+        return tuple(found)
+
+    def _numbers(self, name: str) -> Vector:
+        """Return the entries of an attribute; what is zero for all robots, as such."""
+        entries, matter = _scalars(getattr(self, name)), self.matter[_OTHERS.index(name)]
+        return [x if own else ZERO for x, own in zip(entries, matter, strict=True)]
+
+    @cached_property
+    def _stands(self) -> list[Place | None]:
+        """Where the arms stand; None where that is the same for all robots."""
+        numbers, found = self._numbers("places"), []
+        for k, arm in enumerate(self.arms):
+            *origin, yaw = numbers[4 * k : 4 * k + 4]
+            moves = any(f"{name}_{arm}" in self.varied for name in _PLACE)
+            found.append(Place.about_z(yaw, origin) if moves else None)
+        return found
+
+    def _placed(self, arm: int, R: Array, p: Array) -> Place:
+        """Return where something stands in its joint's frame, on an arm or not."""
+        stand = self._stands[arm] if arm >= 0 else None
+        if stand is None:
+            return Place.of(R, p)
+        x, y, z, yaw = list(self.arms.values())[arm]
+        c, s = np.cos(yaw), np.sin(yaw)
+        back = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        return Place.of(*map(without_rounding, (back @ R, back @ (p - [x, y, z])))).within(stand)
+
+    @cached_property
+    def _joints(self) -> list[Place]:
+        """Where the joints stand in those that they hang on."""
+        tree, found = self.linkage, []
+        for i, above in enumerate(tree.parents):
+            name = tree.names[i].partition("/")[0]
+            arm = list(self.arms).index(name) if above == _BASE - 1 else -1
+            found.append(self._placed(arm, tree.rotations[i], tree.offsets[i]))
+        return found
+
+    @cached_property
+    def _bodies(self) -> list[Body]:
+        """What is fixed to each joint, grouped so that least is to compute."""
+        mass, inertia, x, y = (exact(_item(plain(getattr(self, name)))) for name in _OF_BASE)
+        found = [Body.none() for _ in self.coordinates]
+        found[_BASE - 1] = Body.of(mass, [x, y, ZERO], [ZERO, ZERO, inertia, ZERO, ZERO, ZERO])
+        for prefix, frames in (("", self.links), ("load_", self.loads)):
+            masses, coms, inertias = (self._numbers(f"{prefix}{name}") for name in _OF_BODIES)
+            for k, (_, joint, arm, R, p) in enumerate(frames):
+                body = Body.of(masses[k], coms[3 * k : 3 * k + 3], inertias[6 * k : 6 * k + 6])
+                place = self._placed(arm, R, p)
+                found[joint] = found[joint].joined(body.turned(place.R).moved(place.p))
+        return regrouped(self.linkage, self._joints, found)
+
+    @cached_property
+    def _motors(self) -> Vector:
+        """What motors add to the inertias of the joints, in the order of the linkage."""
+        numbers = [*[ZERO] * _BASE, *self._numbers("rotors")]
+        return [numbers[k] for k in self.linkage.v]
+
+    @cached_property
+    def _by_matrix(self) -> bool:
+        """Whether the mass matrix takes fewer operations than articulated bodies."""
+        known, key = self.linkage.counted, (self.varied, self.matter)
+        if key not in known:
+            by_bodies, by_mass_matrix = operations(self.linkage, self._joints, self._bodies, self._motors)
+            known[key] = by_mass_matrix < by_bodies
+        return known[key]
+
+    def _posture(self, q: Any) -> Posture:
+        return Posture(self.linkage, self._joints, _scalars(q))
+
+    def _moving(self, q: Any, v: Any) -> Moving:
+        return Moving(self.linkage, self._joints, _scalars(q), _scalars(v))
+
+    def _in_joints(self, x: Any) -> Vector:
+        numbers = _scalars(x)
+        return [numbers[k] for k in self.linkage.v]
+
+    def _public(self, values: Sequence[Any], q: Any) -> Any:
+        """Return numbers of the joints as an array in public order, shape (..., nv), at configurations q."""
+        found = [ZERO] * self.nv
+        for k, value in zip(self.linkage.v, values, strict=True):
+            found[k] = value
+        return _stacked(found, q)
+
+    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
+        """Return the acceleration, shape (..., nv)."""
+        way = by_matrix if self._by_matrix else Moving.accelerations
+        return self._public(way(self._moving(q, v), self._bodies, self._motors, self._in_joints(u + f)), q)
+
+    def inverse_dynamics(self, q: Any, v: Any, a: Any) -> Any:
+        """Return M(q) a + n(q, v), shape (..., nv)."""
+        rates = self._in_joints(a)
+        efforts = self._moving(q, v).efforts(self._bodies, rates)
+        pairs = zip(efforts, self._motors, rates, strict=True)
+        return self._public([effort + motor * rate for effort, motor, rate in pairs], q)
+
+    def nonlinear_effects(self, q: Any, v: Any) -> Any:
+        """Return n(q, v), shape (..., nv)."""
+        return self._public(self._moving(q, v).efforts(self._bodies, [ZERO] * self.nv), q)
+
+    def gravity(self, q: Any) -> Any:
+        """Return g(q), shape (..., nv)."""
+        still = [ZERO] * self.nv
+        moving = Moving(self.linkage, self._joints, _scalars(q), still)
+        return self._public(moving.efforts(self._bodies, still), q)
+
+    def mass_matrix(self, q: Any) -> Any:
+        """Return M(q), shape (..., nv, nv)."""
+        M = self._posture(q).mass_matrix(self._bodies)
+        rows: list[Any] = [None] * self.nv
+        for i, k in enumerate(self.linkage.v):
+            M[i][i] = M[i][i] + self._motors[i]
+            rows[k] = self._public(M[i], q)
+        return _rows(rows)
+
+    def frame_pose(self, q: Any, frame: str) -> Any:
+        """Return T_0_f, the pose of a frame, shape (..., 4, 4)."""
+        fixed = self._frame(frame)
+        R, p = self._posture(q).placed(fixed.joint, self._placed(*fixed[2:]))
+        last = np.array([0.0, 0.0, 0.0, 1.0])
+        return _rows([*(_stacked([*row, x], q) for row, x in zip(R, p, strict=True)), last])
+
+    def frame_jacobian(self, q: Any, frame: str) -> Any:
+        """Return J, shape (..., 6, nv): of the frame's origin, and angular, along the inertial axes."""
+        fixed = self._frame(frame)
+        J = self._posture(q).jacobian(fixed.joint, self._placed(*fixed[2:]).p)
+        return _rows([_stacked(row, q) for row in J])
+
+    def _frame(self, name: str) -> Fixed:
+        known = {fixed.name: fixed for fixed in self.frames}
+        return known[one_of("frame", name, known)]
+
+    def _ways(self) -> Iterator[tuple[int, int, bool]]:
+        """Return of each joint its place in q and in v, and whether q has cosine and sine."""
+        return zip(self.linkage.q, self.linkage.v, self.linkage.circles, strict=True)
+
+    def integrate(self, q: Any, dq: Any) -> Any:
+        """Return the configuration that a displacement leads to, shape (..., nq)."""
+        if self.nq == self.nv:
+            return q + dq
+        found: list[Any] = [None] * self.nq
+        for at, k, circle in self._ways():
+            if circle:
+                c, s = np.cos(dq[..., k]), np.sin(dq[..., k])
+                x, y = c * q[..., at] - s * q[..., at + 1], s * q[..., at] + c * q[..., at + 1]
+                near = 0.5 * (3.0 - (x * x + y * y))  # 1 / length, which is one but for rounding
+                found[at], found[at + 1] = near * x, near * y
+            else:
+                found[at] = q[..., at] + dq[..., k]
+        return np.stack(np.broadcast_arrays(*found), axis=-1)
+
+    def difference(self, q0: Any, q1: Any) -> Any:
+        """Return the displacement from q0 to q1, shape (..., nv); angles without end on the circle."""
+        found: list[Any] = [None] * self.nv
+        for at, k, circle in self._ways():
+            if circle:
+                c0, s0, c1, s1 = q0[..., at], q0[..., at + 1], q1[..., at], q1[..., at + 1]
+                found[k] = np.arctan2(c0 * s1 - s0 * c1, c0 * c1 + s0 * s1)
+            else:
+                found[k] = q1[..., at] - q0[..., at]
+        found[_BASE - 1] = wrap_angle(found[_BASE - 1])
+        return np.stack(np.broadcast_arrays(*found), axis=-1)
+
+    def pose(self, q: Any) -> Any:
+        """Return x, y and psi of the body, shape (..., 3)."""
+        return q[..., :_BASE]
+
+    def rate(self, q: Any, v: Any) -> Any:
+        """Return the rates of x, y and psi, shape (..., 3)."""
+        return v[..., :_BASE]
+
+    def effort(self, q: Any, wrench: Any) -> Any:
+        """Return the generalised force of a wrench on the body, shape (..., nv)."""
+        return np.concatenate([wrench, np.zeros((*np.shape(wrench)[:-1], self.nv - _BASE))], axis=-1)
+
+    def start(self, reference: Any) -> tuple[Array, Array]:
+        """Return the q and v with which a reference begins; what it does not lead rests."""
+        size, n = reference.q.shape[-1], reference.v.shape[-1]
+        return np.append(reference.q, self.rest[size:]), np.append(reference.v, np.zeros(self.nv - n))
+
+    def numbers_with(self, values: Mapping[str, Any]) -> dict[str, Array]:
+        """Return the numbers of all attributes; some, by name of attribute or parameter, are others.
+
+        Raises
+        ------
+        InvalidArgument
+            If an array has another shape, a number is not what is expected, or no body has such an inertia.
+        """
+        found = {name: np.array(getattr(self, name), np.float64) for name in (*_OF_BASE, *_OTHERS)}
+        for name, value in values.items():
+            if name in found:
+                array = finite(name, value)
+                if array.shape != found[name].shape:
+                    raise InvalidArgument(f"{name} has shape {array.shape}, expected {found[name].shape}")
+                found[name] = array
+        for parameter in self.parameters:
+            array, entry = found[parameter.attribute], parameter.entry if parameter.entry is not None else ()
+            if parameter.name in values and parameter.name not in found:
+                array[entry] = scalar(parameter.name, values[parameter.name])
+            if not parameter.allows(array[entry]):
+                raise InvalidArgument(f"{parameter.name} is {array[entry]:g}, expected {parameter.bound}")
+        for name, _ in self.impossible({name: array[None] for name, array in found.items()}):
+            raise InvalidArgument(f"inertia of {name} is one that no body has, {EXPECTED}")
+        return found
+
+    def impossible(self, values: Mapping[str, Array]) -> Iterator[tuple[str, Array]]:
+        """Return the bodies that are drawn as no body is: their names, and of which of m robots, shape (m,).
+
+        Parameters
+        ----------
+        values : mapping of str to ndarray, shape (m, ...)
+            Attributes that differ.
+        """
+        for prefix, frames in (("", self.links), ("load_", self.loads)):
+            drawn, masses = values.get(f"{prefix}inertias"), values.get(f"{prefix}masses")
+            if drawn is not None and frames:
+                own = getattr(self, f"{prefix}masses") if masses is None else masses
+                wrong = _is_none(drawn.reshape(len(drawn), len(frames), len(_INERTIA)), own)
+                yield from ((fixed.name, wrong[:, k]) for k, fixed in enumerate(frames) if wrong[:, k].any())
+
+
+def _fixed(linkage: Linkage, name: str, frame: pin.Frame, mounts: Sequence[Mount]) -> Fixed:
+    joint = frame.parentJoint - 1
+    turn, place = linkage.axes[joint].T, frame.placement
+    own = [k for k, mount in enumerate(mounts) if name.startswith(f"{mount.name}/") and joint == _BASE - 1]
+    return Fixed(name, joint, own[0] if own else -1, turn @ place.rotation, turn @ place.translation)
+
+
+def _of_body(k: int, before: str, after: str, of: str) -> list[Parameter]:
+    """Return the parameters of the k-th link or load."""
+    named = [("mass", "masses", k, "kg", "mass", 0.0)]
+    named += [
+        (name, "coms", 3 * k + j, "m", f"{name[-1]} of the centre of mass", -np.inf)
+        for j, name in enumerate(_COM)
+    ]
+    for j, name in enumerate(_INERTIA):
+        least = 0.0 if j < 3 else -np.inf
+        named.append((name, "inertias", 6 * k + j, "kg m^2", f"{name[-2:]} of the inertia", least))
+    return [
+        Parameter(
+            f"{before}{name}{after}",
+            unit,
+            f"{meaning} of {of}, of the robot",
+            least,
+            may_vanish=not (before and name == "mass"),
+            attribute=f"{before}{attribute}",
+            entry=entry,
+        )
+        for name, attribute, entry, unit, meaning, least in named
+    ]
+
+
+def _is_none(inertias: Array, masses: Array) -> Any:
+    """Tell which inertias (xx, yy, zz, xy, xz, yz) about a centre of mass no body has, shape (...)."""
+    xx, yy, zz, xy, xz, yz = np.moveaxis(inertias, -1, 0)
+    full = np.stack([np.stack(row, -1) for row in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))], -2)
+    moments = np.linalg.eigvalsh(full)
+    slack = _SLACK * (np.abs(moments).max(axis=-1) + masses)
+    return (moments[..., 0] < -slack) | (moments[..., 2] > moments[..., 0] + moments[..., 1] + slack)
+
+
+def _item(x: Any) -> Any:
+    return x.item() if isinstance(x, np.ndarray) and not x.ndim else x
+
+
+def _scalars(x: Any) -> Vector:
+    """Return the entries of the last axis."""
+    return [exact(_item(y)) for y in np.moveaxis(plain(x), -1, 0)]
+
+
+def _stacked(values: Sequence[Any], q: Any) -> Any:
+    """Return scalars at configurations q as the last axis of an array, or of symbols."""
+    numbers = [number(x) for x in values]
+    if any(type(x) is Node for x in numbers):
+        return symbols(numbers, (len(numbers),))
+    return np.stack(np.broadcast_arrays(q[..., 0], *numbers)[1:], axis=-1)
+
+
+def _rows(rows: Sequence[Any]) -> Any:
+    return np.stack(np.broadcast_arrays(*rows), axis=-2)

@@ -1,0 +1,409 @@
+"""Recursions over a linkage: kinematics, inverse and forward dynamics, and the mass matrix.
+
+They are Featherstone's (2008), over scalars of any kind: see `scalars`. Vectors are in each joint's frame.
+"""
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+from pinmobile.compiled.tape import STATE, Tape, needed
+from pinmobile.errors import NotTraceable
+from pinmobile.robot.linkage import Body, Linkage, Place
+from pinmobile.robot.scalars import (
+    ENTRIES,
+    ONE,
+    ZERO,
+    Exact,
+    Matrix,
+    Vector,
+    added,
+    applied,
+    cross,
+    dot,
+    exact,
+    plus,
+    product,
+    scaled,
+    sine_and_cosine,
+    skew,
+    symmetric,
+    transposed,
+    turned,
+)
+
+__all__ = ["Moving", "Posture", "by_matrix", "operations", "solved"]
+
+
+class Posture:
+    """A linkage at a configuration.
+
+    Parameters
+    ----------
+    linkage : Linkage
+        The tree.
+    places : sequence of Place
+        Of each joint's frame in that of the joint it hangs on, at zero.
+    q : list of scalars
+        Configuration, in public order.
+    """
+
+    def __init__(self, linkage: Linkage, places: Sequence[Place], q: Vector) -> None:
+        self.linkage, self.R = linkage, [place.R for place in places]
+        self.back = [transposed(R) for R in self.R]
+        self.angles: list[tuple[Any, Any] | None] = []  # sine and cosine of those that turn
+        self.p: list[Vector] = []  # origins
+        for i, (R, p) in enumerate(places):
+            at = linkage.q[i]
+            if linkage.circles[i]:
+                self.angles.append((q[at + 1], q[at]))
+            else:
+                self.angles.append(sine_and_cosine(q[at]) if linkage.turns[i] else None)
+            self.p.append(p if linkage.turns[i] else plus(p, [row[2] * q[at] for row in R]))
+
+    def down(self, i: int, x: Vector) -> Vector:
+        """Return a vector of the parent's frame in that of joint i."""
+        x, angle = applied(self.back[i], x), self.angles[i]
+        if angle is None:
+            return x
+        s, c = angle
+        return [c * x[0] + s * x[1], c * x[1] - s * x[0], x[2]]
+
+    def up(self, i: int, x: Vector) -> Vector:
+        """Return a vector of the frame of joint i in the parent's."""
+        angle = self.angles[i]
+        if angle is not None:
+            s, c = angle
+            x = [c * x[0] - s * x[1], s * x[0] + c * x[1], x[2]]
+        return applied(self.R[i], x)
+
+    def up_symmetric(self, i: int, J: Matrix) -> Matrix:
+        """Return a symmetric matrix of the frame of joint i in the parent's."""
+        angle = self.angles[i]
+        if angle is not None:
+            s, c = angle
+            xy, d = J[0][1], s * (J[0][0] - J[1][1])
+            twice = c * xy
+            grown = s * (d + (twice + twice))
+            J = symmetric(
+                [
+                    J[0][0] - grown,
+                    J[1][1] + grown,
+                    J[2][2],
+                    c * d + xy * (c * c - s * s),
+                    c * J[0][2] - s * J[1][2],
+                    s * J[0][2] + c * J[1][2],
+                ]
+            )
+        return turned(self.R[i], J)
+
+    def up_matrix(self, i: int, B: Matrix) -> Matrix:
+        """Return any matrix of the frame of joint i in the parent's."""
+        columns = [self.up(i, column) for column in transposed(B)]
+        return [self.up(i, row) for row in transposed(columns)]
+
+    def ancestors(self, i: int) -> list[int]:
+        """Return joint i and those it hangs on, up to the root."""
+        found = []
+        while i >= 0:
+            found.append(i)
+            i = self.linkage.parents[i]
+        return found
+
+    def placed(self, i: int, place: Place) -> Place:
+        """Return where a frame that is fixed to joint i stands in the world."""
+        columns, p = transposed(place.R), place.p
+        for j in self.ancestors(i):
+            columns, p = [self.up(j, x) for x in columns], plus(self.p[j], self.up(j, p))
+        return Place(transposed(columns), p)
+
+    def jacobian(self, i: int, p: Vector) -> Matrix:
+        """Return the velocity of a point that is fixed to joint i, and the angular velocity, 6 rows of n."""
+        columns, ancestors, z = [[ZERO] * 6 for _ in self.R], self.ancestors(i), [ZERO, ZERO, ONE]
+        for at, j in enumerate(ancestors):
+            way, turn = ([-p[1], p[0], ZERO], z) if self.linkage.turns[j] else (z, [ZERO] * 3)
+            for above in ancestors[at:]:
+                way, turn = self.up(above, way), self.up(above, turn)
+            columns[self.linkage.v[j]] = [*way, *turn]
+            p = plus(self.p[j], self.up(j, p))
+        return transposed(columns)
+
+    def mass_matrix(self, bodies: Sequence[Body]) -> Matrix:
+        """Return M, in the order of the joints, by composite rigid bodies."""
+        linkage, n = self.linkage, len(self.R)
+        whole, M = list(bodies), [[ZERO] * n for _ in range(n)]
+        for i in reversed(range(n)):
+            m, h, J = whole[i]
+            if linkage.turns[i]:
+                force, moment = [-h[1], h[0], ZERO], [row[2] for row in J]
+            else:
+                force, moment = [ZERO, ZERO, m], [h[1], -h[0], ZERO]
+            for j in self.ancestors(i):
+                M[i][j] = M[j][i] = moment[2] if linkage.turns[j] else force[2]
+                if linkage.parents[j] >= 0:
+                    force = self.up(j, force)
+                    moment = plus(self.up(j, moment), cross(self.p[j], force))
+            above = linkage.parents[i]
+            if above >= 0:
+                up = Body(m, self.up(i, h), self.up_symmetric(i, J))
+                whole[above] = whole[above].joined(up.moved(self.p[i]))
+        return M
+
+
+class Moving(Posture):
+    """A linkage at a configuration and a velocity, which is given in public order, too."""
+
+    def __init__(self, linkage: Linkage, places: Sequence[Place], q: Vector, v: Vector) -> None:
+        super().__init__(linkage, places, q)
+        self.v = [v[k] for k in linkage.v]
+        self.w: list[Vector] = []  # angular velocities
+        for i, above in enumerate(linkage.parents):
+            w = self.down(i, self.w[above]) if above >= 0 else [ZERO] * 3
+            self.w.append([w[0], w[1], w[2] + self.v[i]] if linkage.turns[i] else w)
+
+    def efforts(self, bodies: Sequence[Body], a: Vector) -> Vector:
+        """Return forces and torques of the joints, of accelerations in their order, by Newton and Euler."""
+        linkage, n = self.linkage, len(self.R)
+        forces, moments = self._inertial(bodies, a)
+        found = [ZERO] * n
+        for i in reversed(range(n)):
+            found[i] = moments[i][2] if linkage.turns[i] else forces[i][2]
+            above = linkage.parents[i]
+            if above >= 0:
+                force = self.up(i, forces[i])
+                moment = plus(self.up(i, moments[i]), cross(self.p[i], force))
+                forces[above], moments[above] = plus(forces[above], force), plus(moments[above], moment)
+        return found
+
+    def _inertial(self, bodies: Sequence[Body], a: Vector) -> tuple[list[Vector], list[Vector]]:
+        """Return what moves each body alone: force, and moment about the origin of its frame."""
+        linkage = self.linkage
+        lines: list[Vector] = []  # of the origins
+        spins: list[Vector] = []
+        fields: list[Matrix] = []  # acceleration of a point of the body, over its place
+        forces, moments = [], []
+        for i, above in enumerate(linkage.parents):
+            if above < 0:
+                spin, line = [ZERO] * 3, [exact(-g) for g in linkage.gravity.tolist()]
+            else:
+                spin, line = spins[above], plus(lines[above], applied(fields[above], self.p[i]))
+            spin, line = self.down(i, spin), self.down(i, line)
+            w, rate = self.w[i], self.v[i]
+            if linkage.turns[i]:
+                spin = [spin[0] + w[1] * rate, spin[1] - w[0] * rate, spin[2] + a[i]]
+            else:
+                twice = rate + rate
+                line = [line[0] + w[1] * twice, line[1] - w[0] * twice, line[2] + a[i]]
+            field = _field(w, spin)
+            m, h, J = bodies[i]
+            forces.append(plus(scaled(m, line), applied(field, h)))
+            turning = plus(applied(J, spin), cross(w, applied(J, w)))
+            moments.append(plus(turning, cross(h, line)))
+            spins.append(spin)
+            lines.append(line)
+            fields.append(field)
+        return forces, moments
+
+    def accelerations(self, bodies: Sequence[Body], rotors: Vector, efforts: Vector) -> Vector:
+        """Return the accelerations of the joints, all in their order, by articulated bodies.
+
+        Accelerations are those of points of the bodies, not spatial ones, which saves products.
+        """
+        linkage, n = self.linkage, len(self.R)
+        pieces = [_Articulated.of(body, w) for body, w in zip(bodies, self.w, strict=True)]
+        drifts = [self._drift(i) for i in range(n)]
+        ways: list[_Way] = []
+        for i in reversed(range(n)):
+            way = pieces[i].along(linkage.turns[i], rotors[i], efforts[i])
+            ways.append(way)
+            above = linkage.parents[i]
+            if above >= 0:
+                free = (5 if linkage.turns[i] else 2) if rotors[i] is ZERO else None
+                rest = pieces[i].without(way, *drifts[i], free)
+                pieces[above] = pieces[above].joined(rest.up(self, i))
+        ways.reverse()
+        found: Vector = []
+        lines: list[Vector] = []
+        spins: list[Vector] = []
+        for i, above in enumerate(linkage.parents):
+            if above < 0:
+                line, spin = [exact(-g) for g in linkage.gravity.tolist()], [ZERO] * 3
+            else:
+                spin = spins[above]
+                line = plus(lines[above], cross(spin, self.p[i]))
+            line, spin = (
+                plus(self.down(i, x), extra) for x, extra in zip((line, spin), drifts[i], strict=True)
+            )
+            force, moment, inverse, left = ways[i]
+            a = (left - dot(force, line) - dot(moment, spin)) * inverse
+            found.append(a)
+            if linkage.turns[i]:
+                spin = [spin[0], spin[1], spin[2] + a]
+            else:
+                line = [line[0], line[1], line[2] + a]
+            lines.append(line)
+            spins.append(spin)
+        return found
+
+    def _drift(self, i: int) -> tuple[Vector, Vector]:
+        """Return the accelerations that a joint has from velocities: of its origin, and angular."""
+        above, w, rate = self.linkage.parents[i], self.w[i], self.v[i]
+        line = [ZERO] * 3
+        if above >= 0:
+            line = self.down(i, cross(self.w[above], cross(self.w[above], self.p[i])))
+        if self.linkage.turns[i]:
+            return line, [w[1] * rate, -(w[0] * rate), ZERO]
+        twice = rate + rate
+        return [line[0] + w[1] * twice, line[1] - w[0] * twice, line[2]], [ZERO] * 3
+
+
+def _field(w: Vector, spin: Vector) -> Matrix:
+    """Return [spin x] + [w x]^2."""
+    xx, yy, zz = (x * x for x in w)
+    xy, xz, yz = w[0] * w[1], w[0] * w[2], w[1] * w[2]
+    return [
+        [-(yy + zz), xy - spin[2], xz + spin[1]],
+        [xy + spin[2], -(xx + zz), yz - spin[0]],
+        [xz - spin[1], yz + spin[0], -(xx + yy)],
+    ]
+
+
+class _Way(NamedTuple):
+    """What a joint's own coordinate feels: force and moment of a unit, 1 / inertia, and effort left."""
+
+    force: Vector
+    moment: Vector
+    inverse: Any
+    left: Any
+
+
+class _Articulated(NamedTuple):
+    """An articulated body: force = A line + B spin + f, moment = B' line + C spin + m."""
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    force: Vector
+    moment: Vector
+
+    @classmethod
+    def of(cls, body: Body, w: Vector) -> "_Articulated":
+        m, h, J = body
+        A = [[m if r == c else ZERO for c in range(3)] for r in range(3)]
+        return cls(A, skew([-x for x in h]), J, cross(w, cross(w, h)), cross(w, applied(J, w)))
+
+    def along(self, turns: bool, rotor: Any, effort: Any) -> _Way:
+        if turns:
+            force, moment = [row[2] for row in self.B], [row[2] for row in self.C]
+            return _Way(force, moment, 1.0 / (moment[2] + rotor), effort - self.moment[2])
+        force, moment = [row[2] for row in self.A], list(self.B[2])
+        return _Way(force, moment, 1.0 / (force[2] + rotor), effort - self.force[2])
+
+    def without(self, way: _Way, line: Vector, spin: Vector, free: int | None) -> "_Articulated":
+        """Return what is left where the joint gives way; `line` and `spin` are what velocities make.
+
+        Of the six directions, nothing is left along `free`, that of a joint without rotor.
+        """
+        unit = [*way.force, *way.moment]
+        share = scaled(way.inverse, unit)
+
+        def left(r: int, c: int, value: Any) -> Any:
+            return ZERO if free in (r, c) else value - unit[r] * share[c]
+
+        A, B, C = ([[ZERO] * 3 for _ in range(3)] for _ in range(3))
+        for r, c in ENTRIES:
+            A[r][c] = A[c][r] = left(r, c, self.A[r][c])
+            C[r][c] = C[c][r] = left(3 + r, 3 + c, self.C[r][c])
+        for r in range(3):
+            B[r] = [left(r, 3 + c, self.B[r][c]) for c in range(3)]
+        pushed = scaled(way.left, share)
+        force = plus(plus(self.force, plus(applied(A, line), applied(B, spin))), pushed[:3])
+        moment = plus(plus(self.moment, plus(applied(transposed(B), line), applied(C, spin))), pushed[3:])
+        return _Articulated(A, B, C, force, moment)
+
+    def joined(self, other: "_Articulated") -> "_Articulated":
+        A, B, C = (added(a, b) for a, b in zip(self[:3], other[:3], strict=True))
+        return _Articulated(A, B, C, plus(self.force, other.force), plus(self.moment, other.moment))
+
+    def up(self, moving: Posture, i: int) -> "_Articulated":
+        """Return it at the origin of the parent's frame."""
+        A, C, B = moving.up_symmetric(i, self.A), moving.up_symmetric(i, self.C), moving.up_matrix(i, self.B)
+        P = skew(moving.p[i])
+        pairs = zip(B, product(A, P), strict=True)
+        moved = [[b - x for b, x in zip(*rows, strict=True)] for rows in pairs]
+        right, left = product(P, moved), product(P, B)
+        for r, c in ENTRIES:
+            C[r][c] = C[c][r] = C[r][c] + right[r][c] + left[c][r]
+        force = moving.up(i, self.force)
+        moment = plus(moving.up(i, self.moment), cross(moving.p[i], force))
+        return _Articulated(A, moved, C, force, moment)
+
+
+def by_matrix(moving: Moving, bodies: Sequence[Body], rotors: Vector, efforts: Vector) -> Vector:
+    """Return what `Moving.accelerations` does by the mass matrix, factored from the leaves of the tree."""
+    n = len(efforts)
+    still, M = moving.efforts(bodies, [ZERO] * n), moving.mass_matrix(bodies)
+    for i, rotor in enumerate(rotors):
+        M[i][i] = M[i][i] + rotor
+    right = [effort - own for effort, own in zip(efforts, still, strict=True)]
+    return solved(M, right, range(n - 1, -1, -1))
+
+
+def operations(
+    linkage: Linkage, places: Sequence[Place], bodies: Sequence[Body], rotors: Vector
+) -> tuple[float, float]:
+    """Return how many operations accelerations take: by articulated bodies, and by the mass matrix.
+
+    What does not change with the state is not counted, as it is computed once. Infinite: too many to count.
+    """
+    return _count(Moving.accelerations, linkage, places, bodies, rotors), _count(
+        by_matrix, linkage, places, bodies, rotors
+    )
+
+
+def _count(
+    way: Callable[..., Vector],
+    linkage: Linkage,
+    places: Sequence[Place],
+    bodies: Sequence[Body],
+    rotors: Vector,
+) -> float:
+    tape, numbers = Tape(), itertools.count()
+
+    def known(x: Any) -> Any:
+        if isinstance(x, list | tuple):
+            return [known(each) for each in x]
+        return x if isinstance(x, Exact) else tape.input("row", next(numbers))
+
+    def state(count: int) -> Vector:
+        return [tape.input("state", next(numbers)) for _ in range(count)]
+
+    n = len(linkage)
+    try:
+        at = [Place(*known(place)) for place in places]
+        moving = Moving(linkage, at, state(2 * n), state(n))
+        found = way(moving, [Body(*known(body)) for body in bodies], known(rotors), state(n))
+    except NotTraceable:
+        return math.inf
+    return sum(bool(tape.depends[i] & STATE) for i in needed(tape, [x.index for x in found]))
+
+
+def solved(M: Matrix, right: Vector, order: Sequence[int]) -> Vector:
+    """Return the solution of M x = right by L D L', the unknowns eliminated in this order; zeros stay."""
+    M, x, inverse = [list(row) for row in M], list(right), [ZERO] * len(right)
+    for done, i in enumerate(order, 1):
+        inverse[i] = 1.0 / M[i][i]
+        rest = order[done:]
+        factors = {j: M[j][i] * inverse[i] for j in rest}
+        for at, j in enumerate(rest):
+            for k in rest[: at + 1]:
+                M[j][k] = M[k][j] = M[j][k] - factors[j] * M[k][i]
+            x[j] = x[j] - factors[j] * x[i]
+        for j in rest:
+            M[j][i] = factors[j]
+    x = [value * inverse[i] for i, value in enumerate(x)]
+    for k, i in reversed(list(enumerate(order))):
+        for j in order[k + 1 :]:
+            x[i] = x[i] - M[j][i] * x[j]
+    return x

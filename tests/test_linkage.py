@@ -1,0 +1,260 @@
+"""Recursions over scalars: against Pinocchio, for every robot that can be mounted and for random trees."""
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pinmobile import InvalidArgument, Load, MobileRobot, UnknownName, mountable, verify
+from pinmobile.arrays import Array
+from pinmobile.compiled.tape import Tape, needed
+from pinmobile.errors import NotTraceable
+from pinmobile.robot.articulated import ArticulatedBody
+from pinmobile.robot.linkage import Linkage, Place
+from pinmobile.robot.recursions import by_matrix, operations
+from pinmobile.robot.scalars import exact
+
+AT = (0.1, -0.05, 0.5, 0.4)
+CLOSE = 1e-10  # of the largest number; forward dynamics lose the digits of M's condition
+JOINTS = (
+    pin.JointModelRX,
+    pin.JointModelRY,
+    pin.JointModelRZ,
+    pin.JointModelPX,
+    pin.JointModelPY,
+    pin.JointModelPZ,
+    pin.JointModelRUBX,
+    pin.JointModelRUBZ,
+    lambda: pin.JointModelRevoluteUnaligned(1.0, -2.0, 0.5),
+    lambda: pin.JointModelPrismaticUnaligned(0.0, 0.6, 0.8),
+    lambda: pin.JointModelRevoluteUnboundedUnaligned(),
+)
+
+
+def turn(rng: np.random.Generator) -> Array:
+    """Return a random rotation."""
+    return np.array(pin.Quaternion(*rng.normal(size=4)).normalized().matrix())
+
+
+def arm_of(seed: int, joints: int) -> pin.Model:
+    """Return a random tree, with rotors, of bodies that exist."""
+    rng, model = np.random.default_rng(seed), pin.Model()
+    model.name = f"tree{seed}"
+    for k in range(joints):
+        turned = turn(rng) if k % 3 else np.eye(3)
+        # Pinocchio wants branches one after the other: on the last joint, or on one that it hangs on.
+        above, kind = k, JOINTS[rng.integers(len(JOINTS))]
+        while above and rng.uniform() < 0.3:
+            above = int(model.parents[above])
+        joint = model.addJoint(above, kind(), pin.SE3(turned, rng.normal(size=3)), f"j{k}")
+        R = turn(rng)
+        inertia = R @ np.diag(rng.uniform(0.1, 0.15, 3)) @ R.T
+        body = pin.Inertia(rng.uniform(0.5, 3), rng.normal(size=3) * 0.2, inertia)
+        model.appendBodyToJoint(joint, body, pin.SE3.Identity())
+        model.addJointFrame(joint)
+        model.addBodyFrame(f"link{k}", joint, pin.SE3(np.eye(3), rng.normal(size=3)), -1)
+    model.armature = rng.uniform(0, 0.2, model.nv)
+    return model
+
+
+def body_of(robot: MobileRobot) -> ArticulatedBody:
+    found = robot.traced()
+    assert isinstance(found, ArticulatedBody)
+    return found
+
+
+def assert_agrees(robot: MobileRobot, states: int = 2) -> None:
+    """Compare all that is computed twice, for several states at once."""
+    body, rng = body_of(robot), np.random.default_rng(5)
+    q = robot.random_configuration(rng, (states,))
+    v, a, d = rng.normal(size=(3, states, robot.nv))
+    tau, frame = robot.inverse_dynamics(q, v, a), robot.end_effector
+    for name, found, expected in (
+        ("M", body.mass_matrix(q), robot.mass_matrix(q)),
+        ("n", body.nonlinear_effects(q, v), robot.nonlinear_effects(q, v)),
+        ("g", body.gravity(q), robot.gravity(q)),
+        ("tau", body.inverse_dynamics(q, v, a), tau),
+        ("a", body.forward_dynamics(q, v, tau), a),
+        ("pose", body.frame_pose(q, frame), robot.frame_pose(q, frame)),
+        ("J", body.frame_jacobian(q, frame), robot.frame_jacobian(q, frame)),
+        ("q", body.integrate(q, d), robot.integrate(q, d)),
+        ("d", body.difference(q, robot.integrate(q, d)), robot.difference(q, robot.integrate(q, d))),
+    ):
+        assert found.shape == expected.shape, name
+        assert np.abs(found - expected).max() < CLOSE * (1 + np.abs(expected).max()), name
+
+
+@pytest.mark.parametrize("name", mountable().names)
+def test_every_robot_that_can_be_mounted_moves_as_pinocchio_says(name: str) -> None:
+    robot = MobileRobot.box(size=(1, 1, 0.5)).mount(name, AT)
+    if robot.nv > 3:  # what has no joints is a load
+        assert_agrees(robot)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_random_trees_move_as_pinocchio_says(seed: int) -> None:
+    robot = (
+        MobileRobot(30.0, 1.1, com=(0.1, -0.05, 0.2))
+        .mount(arm_of(seed, 9), AT)
+        .mount("ur5", (-0.3, 0, 0.2, -2.0))
+    )
+    assert_agrees(
+        robot.attach(Load(1.5, (0.1, 0, 0.2), size=(0.1, 0.2, 0.3))).attach(Load(2.0), "ur5/base_link"), 3
+    )
+
+
+def test_one_state_and_leading_axes_give_the_same() -> None:
+    robot = MobileRobot.box().mount("kinova", AT)
+    body, rng = body_of(robot), np.random.default_rng(1)
+    q, v = robot.random_configuration(rng, (2, 3)), rng.normal(size=(2, 3, robot.nv))
+    together = body.nonlinear_effects(q, v)
+    assert together.shape == (2, 3, robot.nv)
+    np.testing.assert_allclose(
+        together[1, 2], body.nonlinear_effects(q[1, 2], v[1, 2]), rtol=1e-12, atol=1e-12
+    )
+
+
+def test_the_way_with_fewer_operations_is_taken() -> None:
+    ways = {}
+    for name in ("ur5", "talos"):
+        body = body_of(MobileRobot.box(size=(1, 1, 0.5)).mount(name))
+        bodies, matrix = operations(body.linkage, body._joints, body._bodies, body._motors)
+        ways[name] = bodies, matrix
+        assert body._by_matrix == (matrix < bodies)
+    # Of a chain of nine joints the two are as good as each other; of a humanoid M alone takes more.
+    assert 0.8 < ways["ur5"][0] / ways["ur5"][1] < 1.25
+    assert ways["talos"][0] < ways["talos"][1]
+
+
+def nodes(robot: MobileRobot) -> int:
+    """Return how many operations on the state inverse dynamics are on a tape."""
+    from pinmobile.compiled.symbols import symbols
+
+    body, tape = body_of(robot), Tape()
+    count = iter(range(10**6))
+    q, v, a = (
+        symbols([tape.input("state", next(count)) for _ in range(n)], (n,))
+        for n in (robot.nq, robot.nv, robot.nv)
+    )
+    found = body.inverse_dynamics(q, v, a)
+    return len(needed(tape, [x.index for x in found.entries]))
+
+
+def test_what_is_zero_costs_nothing() -> None:
+    # RNEA of a chain of nine joints in general takes some 1400 operations (Featherstone, 2008, table 10.1).
+    assert nodes(MobileRobot.box().mount("ur5")) < 1000
+
+
+def test_right_angles_that_a_file_rounds_are_exact_and_said_to_be() -> None:
+    robot = MobileRobot.box().mount("ur5")
+    assert robot.source == (
+        "a homogeneous box; ur5: right angles that its file rounds are exact "
+        "(shoulder_lift_joint, wrist_1_joint)"
+    )
+    assert robot.base.source == "a homogeneous box"
+    for place in robot.model.jointPlacements:
+        assert set(np.abs(place.rotation).ravel()) <= {0.0, 1.0}
+    model = pin.Model()
+    for k, angle in enumerate((1.57079632679, 1.5708, 0.3)):
+        joint = model.addJoint(
+            k, pin.JointModelRZ(), pin.SE3(pin.utils.rotate("x", angle), np.zeros(3)), f"j{k}"
+        )
+        model.appendBodyToJoint(joint, pin.Inertia(1.0, np.ones(3), np.eye(3)), pin.SE3.Identity())
+    (mount,) = MobileRobot.box().mount(model, AT).mounts
+    assert mount.arm.squared == ("j0",)  # 1.5708 is not a rounding: it is what its file says
+    assert mount.model.jointPlacements[2].rotation[1, 1] == np.cos(1.5708)
+    assert model.jointPlacements[1].rotation[1, 1] != 0
+
+
+def test_a_joint_with_several_coordinates_is_refused_by_name() -> None:
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "ball")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.ones(3), np.eye(3)), pin.SE3.Identity())
+    with pytest.raises(NotTraceable, match="joint 'ball' is a JointModelSpherical, which has no single axis"):
+        Linkage.of(model)
+    assert MobileRobot.box().mount(model, AT).parameters == ()
+
+
+def test_scalars_that_are_known_cost_nothing() -> None:
+    zero, one = exact(0.0), exact(-1)
+    array = np.arange(3.0)
+    np.testing.assert_array_equal(array * one, -array)
+    assert zero + array is array
+    assert array * zero is zero
+    assert float(one - one) == 0
+    assert np.float64(2.0) - one == 3.0
+    assert 6.0 / one == -6.0
+    assert Place.about_z(zero, []).R[0][0] is exact(1.0)
+
+
+def changed() -> MobileRobot:
+    robot = MobileRobot.box().mount("ur5", AT).attach(Load(1.0, size=(0.1, 0.1, 0.1)))
+    return robot.with_parameters(
+        **{
+            "mass": 40.0,
+            "yaw_inertia": 2.0,
+            "mass_ur5/forearm_link": 5.0,
+            "com_y_ur5/forearm_link": 0.02,
+            "inertia_xx_ur5/forearm_link": 0.05,
+            "rotor_ur5/elbow_joint": 0.3,
+            "at_yaw_ur5": 1.0,
+            "load_mass": 2.5,
+        }
+    )
+
+
+def test_other_parameters_make_another_robot() -> None:
+    robot = changed()
+    assert_agrees(robot)
+    assert verify(robot, states=5).passed
+    model = robot.model
+    forearm = model.inertias[model.getJointId("ur5/elbow_joint")]
+    assert (forearm.mass, forearm.lever[1], forearm.inertia[0, 0]) == (5.0, 0.02, 0.05)
+    assert model.armature[5] == 0.3
+    assert (robot.mass, robot.loads[0][1].mass) == (40.0, 2.5)
+    assert robot.body.yaw_inertia == pytest.approx(2.0)
+    assert robot.mounts[0].at == (*AT[:3], 1.0)
+    assert robot.source.startswith("a homogeneous box; with other parameters; ur5: right angles")
+    assert eval(repr(robot), {"MobileRobot": MobileRobot, "Load": Load}).mounts == robot.mounts
+    assert robot != robot.with_parameters(**{"mass_ur5/forearm_link": 6.0})
+
+
+def test_leading_numbers_by_attribute_are_those_of_the_parameters() -> None:
+    robot = MobileRobot.box().mount("ur5", AT)
+    body = body_of(robot)
+    masses = body.masses * 1.5
+    assert robot.with_parameters(masses=masses).model.inertias[4].mass == masses[1]
+    with pytest.raises(InvalidArgument, match=r"^masses has shape \(2,\), expected \(7,\)$"):
+        robot.with_parameters(masses=[1, 2])
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        ({"mass_ur5/forearm_link": -1.0}, "mass_ur5/forearm_link is -1, expected >= 0"),
+        (
+            {"inertia_xx_ur5/forearm_link": 9.0},
+            "inertia of ur5/forearm_link is one that no body has, expected",
+        ),
+        ({"mass": 0.0}, "mass is 0"),
+    ],
+)
+def test_what_no_body_has_is_refused(values: dict[str, float], told: str) -> None:
+    with pytest.raises(InvalidArgument, match=told):
+        MobileRobot.box().mount("ur5").with_parameters(**values)
+
+
+def test_an_unknown_link_is_named_with_the_nearest() -> None:
+    with pytest.raises(UnknownName, match="did you mean 'mass_ur5/forearm_link'"):
+        MobileRobot.box().mount("ur5").with_parameters(**{"mass_ur5/forearm": 1.0})
+
+
+def test_elimination_leaves_zeros_of_branches_alone() -> None:
+    body: Any = body_of(MobileRobot.box(size=(1, 1, 0.5)).mount("solo8"))
+    rng = np.random.default_rng(0)
+    q, v, u = rng.normal(size=(3, body.nv))
+    moving = body._moving(q, v)
+    direct: Array = np.linalg.solve(body.mass_matrix(q), u - body.nonlinear_effects(q, v))
+    found = by_matrix(moving, body._bodies, body._motors, body._in_joints(u))
+    np.testing.assert_allclose(body._public(found, q), direct, rtol=1e-10)
