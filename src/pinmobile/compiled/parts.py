@@ -6,7 +6,7 @@
 import copy
 import dataclasses
 import functools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MethodType
 from typing import Any, NamedTuple
@@ -97,12 +97,45 @@ class Parts:
                 yield name, getattr(self, name)
         yield from ((f"forces[{i}]", force) for i, force in enumerate(self.forces))
 
+    def at(self, path: str) -> Any:
+        """Return the part that stands at a path, such as ``"controller.robot"``."""
+        first, *names = path.split(".")
+        found = dict(self.by_path())[first]
+        for name in names:
+            found = dict(children(found))[name]
+        return found
+
     def replaced(self, function: Callable[[str, Any], Any]) -> "Parts":
         """Return the parts with a function of path and part in their place."""
         new = {path: function(path, part) for path, part in self.by_path()}
         forces = tuple(new[f"forces[{i}]"] for i in range(len(self.forces)))
         named = {name: new.get(name) for name in ("plant", "controller", "integrator", "recorder")}
         return Parts(**named, forces=forces, substeps=self.substeps)
+
+    def _rebuilt(self, function: Callable[[str, Any, Mapping[str, Any]], Any]) -> "Parts":
+        """Return the parts with a function of path, part and changed inner parts in the place of each."""
+
+        def visit(path: str, part: Any) -> Any:
+            inner = {name: (child, visit(f"{path}.{name}", child)) for name, child in children(part)}
+            return function(path, part, {name: new for name, (old, new) in inner.items() if new is not old})
+
+        return self.replaced(visit)
+
+    def varying(self, entries: Iterable[tuple[Place, int | None]]) -> "Parts":
+        """Return the parts, told what differs from robot to robot, if they want to know.
+
+        One with ``varying(entries)`` is called with attributes and entries of its parameters, and returns
+        itself for that: it may take what else it has for constant.
+        """
+        found: dict[str, list[tuple[str, int | None]]] = {}
+        for place, entry in entries:
+            found.setdefault(place.path, []).append((place.name, entry))
+
+        def own(path: str, part: Any, changed: Mapping[str, Any]) -> Any:
+            new = _copied(part, {}, changed) if changed else part
+            return new.varying(found[path]) if path in found and hasattr(new, "varying") else new
+
+        return self._rebuilt(own)
 
     def on_symbols(self) -> "Parts":
         """Return the parts, and those within them, as they want to be traced.
@@ -155,15 +188,13 @@ class Parts:
         """
         left = dict(values)
 
-        def visit(path: str, part: Any) -> Any:
+        def own(path: str, part: Any, changed: Mapping[str, Any]) -> Any:
             mine = {name: left.pop(Place(path, name)) for name in attributes_of(part) if (path, name) in left}
-            inner = {name: (child, visit(f"{path}.{name}", child)) for name, child in children(part)}
-            changed = {name: new for name, (old, new) in inner.items() if new is not old}
             if remade and mine:
                 return _remade(_copied(part, {}, changed), mine)
             return _copied(part, mine, changed) if mine or changed else part
 
-        new = self.replaced(visit)
+        new = self._rebuilt(own)
         for parameter in left:
             available = (f"{path}.{name}" for path, name in self.parameters())
             raise UnknownName("parameter", f"{parameter[0]}.{parameter[1]}", available)

@@ -214,7 +214,9 @@ class Scenario:
             {name: np.array([self.nominal.get(name, 1.0)]) for name in self.spread}, values, 1
         )
         grown = {place: one[0] for place, one in wanted.items() if one.shape[1:] != values[place].shape}
-        return self._given.with_parameters(grown, remade=True) if grown else self._given
+        given = self._given.with_parameters(grown, remade=True) if grown else self._given
+        stated = [one for one in self.stated.values() if one.path]
+        return given.varying((Place(one.path, one.parameter.attribute), one.parameter.entry) for one in stated)
 
     def _written(
         self, draws: Mapping[str, Array], values: Mapping[Place, Array], count: int
@@ -347,7 +349,23 @@ class Scenario:
                     f"{parameter.meaning}, and {np.count_nonzero(wrong)} of {len(column)} draws "
                     f"({wrong.mean():.2%}) are impossible; expected {parameter.bound}"
                 )
+        self._check_bodies(values, last - first)
         return values
+
+    def _check_bodies(self, draws: Mapping[str, Array], count: int) -> None:
+        """Refuse numbers that are possible each, but not together: a part with ``impossible(values)`` knows."""
+        parts = self.parts.on_arrays()
+        if not any(hasattr(parts.at(one.path), "impossible") for one in self.stated.values() if one.path):
+            return
+        written = self._written(draws, parts.parameters(), count)
+        for path in dict.fromkeys(place.path for place in written):
+            part = parts.at(path)
+            own = {place.name: array for place, array in written.items() if place.path == path}
+            for name, wrong in part.impossible(own) if hasattr(part, "impossible") else ():
+                raise InvalidArgument(
+                    f"spread gives the {name} of {path} in {np.count_nonzero(wrong)} of {count} draws "
+                    f"({wrong.mean():.2%}) an inertia that no body has, {part.EXPECTED}"
+                )
 
 
 def checked_scenario(scenario: Any) -> Scenario:

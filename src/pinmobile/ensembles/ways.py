@@ -17,7 +17,6 @@ from pinmobile.compiled.parts import (
     Place,
     Reference,
     attributes_of,
-    children,
     errors,
     one_sample,
 )
@@ -149,7 +148,7 @@ def _check_derived(scenario: Scenario) -> None:
             continue
         place = Place(stated.path, stated.parameter.attribute)
         try:
-            pair = [_part_at(parts, stated.path) for parts in (scenario.parts, _moved(scenario, place))]
+            pair = [parts.at(stated.path) for parts in (scenario.parts, _moved(scenario, place))]
         except InvalidArgument:
             continue  # a value beside the nominal one is not allowed
         if hasattr(pair[0], "traced") or not all(hasattr(each, "__dict__") for each in pair):
@@ -163,15 +162,6 @@ def _check_derived(scenario: Scenario) -> None:
                     f"{stated.path}, a {type(pair[0]).__name__}, makes {name} of {place.name} once",
                     "compute it in the law",
                 )
-
-
-def _part_at(parts: Parts, path: str) -> Any:
-    """Return the part that stands at a path."""
-    first, *names = path.split(".")
-    found = dict(parts.by_path())[first]
-    for name in names:
-        found = dict(children(found))[name]
-    return found
 
 
 def _as_compiled(scenario: Scenario) -> Program:

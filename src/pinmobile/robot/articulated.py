@@ -3,7 +3,7 @@
 It is what a `MobileRobot` with arms is to compiled loops and to loops on arrays: see `PlanarBody`.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, Self, final
@@ -23,7 +23,7 @@ from pinmobile.robot.planar import BODY
 from pinmobile.robot.recursions import Moving, Posture, by_matrix, operations
 from pinmobile.robot.scalars import ZERO, Vector, exact, number
 
-__all__ = ["EXPECTED", "ArticulatedBody", "Fixed"]
+__all__ = ["ArticulatedBody", "Fixed"]
 
 _BASE = 3  # joints, coordinates and numbers of q of the base; the last carries its body
 _OF_BASE = ("mass", "yaw_inertia", "com_x", "com_y")
@@ -32,7 +32,6 @@ _OTHERS = (*_OF_BODIES, *(f"load_{name}" for name in _OF_BODIES), "rotors", "pla
 _COM = ("com_x", "com_y", "com_z")
 _INERTIA = ("inertia_xx", "inertia_yy", "inertia_zz", "inertia_xy", "inertia_xz", "inertia_yz")
 _PLACE = {"at_x": "m", "at_y": "m", "at_z": "m", "at_yaw": "rad"}
-EXPECTED = "expected principal moments >= 0, none above the sum of the other two"
 _SLACK = 1e-9  # of the moments of inertia, relative, and of the mass [m^2]: files carry as many digits
 
 
@@ -88,8 +87,8 @@ class ArticulatedBody:
         What the motors of the arms' joints add to their inertias [kg m^2, kg].
     places : ndarray, shape (4 arms,)
         Where the arms stand.
-    varied : frozenset of str
-        Names of the parameters that differ from robot to robot; of others, what is zero is left out.
+    varied : frozenset of (str, int)
+        Attributes and entries that differ from robot to robot; of others, what is zero is left out.
     """
 
     linkage: Linkage
@@ -113,15 +112,15 @@ class ArticulatedBody:
     load_inertias: Any
     rotors: Any
     places: Any
-    varied: frozenset[str] = frozenset()
+    varied: frozenset[tuple[str, int | None]] = frozenset()
     matter: tuple[tuple[bool, ...], ...] = ()
 
     broadcasts: ClassVar[bool] = True
+    EXPECTED: ClassVar[str] = "expected principal moments >= 0, none above the sum of the other two"
 
     def __post_init__(self) -> None:
-        differ = {(one.attribute, one.entry) for one in self.parameters if one.name in self.varied}
         matter = (
-            tuple(bool(x) or (name, k) in differ for k, x in enumerate(getattr(self, name)))
+            tuple(bool(x) or (name, k) in self.varied for k, x in enumerate(getattr(self, name)))
             for name in _OTHERS
         )
         object.__setattr__(self, "matter", tuple(matter))
@@ -180,9 +179,9 @@ class ArticulatedBody:
             places=np.array([mount.at for mount in robot.mounts]).ravel(),
         )
 
-    def varying(self, names: frozenset[str]) -> Self:
-        """Return it, told which of its parameters differ from robot to robot."""
-        return replace(self, varied=names)
+    def varying(self, entries: Iterable[tuple[str, int | None]]) -> Self:
+        """Return it, told which attributes and entries of its parameters differ from robot to robot."""
+        return replace(self, varied=frozenset(entries))
 
     @property
     def nq(self) -> int:
@@ -230,9 +229,9 @@ class ArticulatedBody:
     def _stands(self) -> list[Place | None]:
         """Where the arms stand; None where that is the same for all robots."""
         numbers, found = self._numbers("places"), []
-        for k, arm in enumerate(self.arms):
-            *origin, yaw = numbers[4 * k : 4 * k + 4]
-            moves = any(f"{name}_{arm}" in self.varied for name in _PLACE)
+        for k in range(0, len(numbers), 4):
+            *origin, yaw = numbers[k : k + 4]
+            moves = any(("places", k + j) in self.varied for j in range(4))
             found.append(Place.about_z(yaw, origin) if moves else None)
         return found
 
@@ -420,7 +419,7 @@ class ArticulatedBody:
             if not parameter.allows(array[entry]):
                 raise InvalidArgument(f"{parameter.name} is {array[entry]:g}, expected {parameter.bound}")
         for name, _ in self.impossible({name: array[None] for name, array in found.items()}):
-            raise InvalidArgument(f"inertia of {name} is one that no body has, {EXPECTED}")
+            raise InvalidArgument(f"inertia of {name} is one that no body has, {self.EXPECTED}")
         return found
 
     def impossible(self, values: Mapping[str, Array]) -> Iterator[tuple[str, Array]]:

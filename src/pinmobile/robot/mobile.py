@@ -1,6 +1,6 @@
 """`MobileRobot`, the noun: parameters that check themselves, and the dynamics that follow from them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from os import PathLike
@@ -90,7 +90,7 @@ class MobileRobot(Carrier):
     loads: tuple[tuple[str, Load], ...] = field(default=(), init=False)
     _engine: Engine = field(init=False)
     _looks: VisualFile | None = field(default=None, init=False)
-    _varied: frozenset[str] = field(default=frozenset(), init=False)
+    _varied: frozenset[tuple[str, int | None]] = field(default=frozenset(), init=False)
 
     def __post_init__(self) -> None:
         com = finite("com", self.com)
@@ -356,10 +356,18 @@ class MobileRobot(Carrier):
         found = ArticulatedBody.of(self, self._engine.public)
         return found.varying(self._varied) if self._varied else found
 
-    def varying(self, names: frozenset[str]) -> "MobileRobot":
-        """Return it, told which of its `parameters` differ from robot to robot; other zeros stay."""
+    def varying(self, entries: Iterable[tuple[str, int | None]]) -> "MobileRobot":
+        """Return it, told which of its `parameters` differ from robot to robot.
+
+        Compiled dynamics have what else is zero built in, and where arms stand.
+
+        Parameters
+        ----------
+        entries : iterable of (str, int)
+            Attribute and entry of each.
+        """
         new = object.__new__(MobileRobot)
-        vars(new).update(vars(self), _varied=names)
+        vars(new).update(vars(self), _varied=frozenset(entries))
         vars(new).pop("_articulated", None)
         return new
 
