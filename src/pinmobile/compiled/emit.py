@@ -8,7 +8,7 @@ every operation rounds once, and none are contracted, so that the bits are those
 from dataclasses import dataclass
 
 from pinmobile.compiled.loop_tape import Loop
-from pinmobile.compiled.tape import ROBOT, SAMPLE, STATE, operands
+from pinmobile.compiled.tape import ROBOT, SAMPLE, STATE, needed, operands
 
 __all__ = ["BINS", "ENTRY", "FIRST", "SHIFT", "Shape", "text_of"]
 
@@ -258,8 +258,9 @@ def text_of(loop: Loop, shape: Shape) -> str:
         code.values[node] = [code.put("sample", f"load double, ptr {place}, align 8")]
     for ring in loop.rings:
         code.emit(ring.node)
-    for _, after in loop.states:
-        code.emit(after)
+    # In the order of the tape: what a law computes for its next line is still in a register there.
+    for node in needed(code.tape, [after for _, after in loop.states]):
+        code.emit(node)
     following = [[code.argument(after, u, "sample") for u in code.vectors()] for _, after in loop.states]
     _keep(code)
     code.lines["sample"] += code.late

@@ -124,8 +124,8 @@ class Parts:
     def varying(self, entries: Iterable[tuple[Place, int | None]]) -> "Parts":
         """Return the parts, told what differs from robot to robot, if they want to know.
 
-        One with ``varying(entries)`` is called with attributes and entries of its parameters, and returns
-        itself for that: it may take what else it has for constant.
+        One with ``varying(entries)`` is called with attributes and entries of its parameters, none where it
+        has nothing that differs, and returns itself for that: it may leave out what else is zero.
         """
         found: dict[str, list[tuple[str, int | None]]] = {}
         for place, entry in entries:
@@ -133,7 +133,7 @@ class Parts:
 
         def own(path: str, part: Any, changed: Mapping[str, Any]) -> Any:
             new = _copied(part, {}, changed) if changed else part
-            return new.varying(found[path]) if path in found and hasattr(new, "varying") else new
+            return new.varying(found.get(path, ())) if hasattr(new, "varying") else new
 
         return self._rebuilt(own)
 

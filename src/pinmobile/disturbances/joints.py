@@ -1,6 +1,7 @@
 """Friction in the joints of a plant: a force on its coordinates."""
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Self, final
 
 import numpy as np
@@ -40,6 +41,7 @@ class JointFriction:
     viscous: ArrayLike
     coulomb: ArrayLike = 0.0
     speed: ArrayLike = 0.01
+    dry: bool = field(default=True, init=False, repr=False)
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("joint_viscous", "N s/m, N m s/rad", "viscous friction", 0.0, attribute="viscous"),
@@ -82,6 +84,19 @@ class JointFriction:
             raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot")
         return cls(robot.joint_damping, robot.joint_friction, speed)
 
+    def varying(self, entries: Iterable[tuple[str, int | None]]) -> Self:
+        """Return it, told what differs from robot to robot: where dry friction is zero for all, without it.
+
+        Parameters
+        ----------
+        entries : iterable of (str, int)
+            Attribute and entry of each.
+        """
+        found = replace(self)
+        dry = bool(np.any(self.coulomb)) or any(name == "coulomb" for name, _ in entries)
+        object.__setattr__(found, "dry", dry)
+        return found
+
     @property
     def damping(self) -> Array:
         """What velocities are multiplied by, shape () or (..., nv) [N s/m or N m s/rad]."""
@@ -101,5 +116,5 @@ class JointFriction:
                 raise InvalidArgument(
                     f"{name} has shape {value.shape}, expected () or (..., {v.shape[-1]}), as v has"
                 )
-        found: Array = -viscous * v - coulomb * v / np.hypot(v, speed)
-        return found
+        found: Array = -viscous * v
+        return found - coulomb * v / np.hypot(v, speed) if self.dry else found

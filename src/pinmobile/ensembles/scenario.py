@@ -216,7 +216,9 @@ class Scenario:
         grown = {place: one[0] for place, one in wanted.items() if one.shape[1:] != values[place].shape}
         given = self._given.with_parameters(grown, remade=True) if grown else self._given
         stated = [one for one in self.stated.values() if one.path]
-        return given.varying((Place(one.path, one.parameter.attribute), one.parameter.entry) for one in stated)
+        return given.varying(
+            (Place(one.path, one.parameter.attribute), one.parameter.entry) for one in stated
+        )
 
     def _written(
         self, draws: Mapping[str, Array], values: Mapping[Place, Array], count: int
@@ -353,9 +355,10 @@ class Scenario:
         return values
 
     def _check_bodies(self, draws: Mapping[str, Array], count: int) -> None:
-        """Refuse numbers that are possible each, but not together: a part with ``impossible(values)`` knows."""
+        """Refuse what is possible number by number, but not together, as parts know that are asked."""
         parts = self.parts.on_arrays()
-        if not any(hasattr(parts.at(one.path), "impossible") for one in self.stated.values() if one.path):
+        paths = {one.path for one in self.stated.values() if one.path}
+        if not any(hasattr(parts.at(path), "impossible") for path in paths):
             return
         written = self._written(draws, parts.parameters(), count)
         for path in dict.fromkeys(place.path for place in written):

@@ -146,12 +146,14 @@ def _check_derived(scenario: Scenario) -> None:
     for stated in scenario.stated.values():
         if not stated.path:
             continue
-        place = Place(stated.path, stated.parameter.attribute)
+        place, part = Place(stated.path, stated.parameter.attribute), scenario.parts.at(stated.path)
+        if hasattr(part, "traced"):
+            continue
         try:
-            pair = [parts.at(stated.path) for parts in (scenario.parts, _moved(scenario, place))]
+            pair = [part, _moved(scenario, place).at(stated.path)]
         except InvalidArgument:
             continue  # a value beside the nominal one is not allowed
-        if hasattr(pair[0], "traced") or not all(hasattr(each, "__dict__") for each in pair):
+        if not all(hasattr(each, "__dict__") for each in pair):
             continue
         own = attributes_of(pair[0])
         for name, value in vars(pair[0]).items():

@@ -23,7 +23,7 @@ from pinmobile.robot.planar import BODY
 from pinmobile.robot.recursions import Moving, Posture, by_matrix, operations
 from pinmobile.robot.scalars import ZERO, Vector, exact, number
 
-__all__ = ["ArticulatedBody", "Fixed"]
+__all__ = ["ArticulatedBody", "Fixed", "articulated"]
 
 _BASE = 3  # joints, coordinates and numbers of q of the base; the last carries its body
 _OF_BASE = ("mass", "yaw_inertia", "com_x", "com_y")
@@ -87,8 +87,9 @@ class ArticulatedBody:
         What the motors of the arms' joints add to their inertias [kg m^2, kg].
     places : ndarray, shape (4 arms,)
         Where the arms stand.
-    varied : frozenset of (str, int)
-        Attributes and entries that differ from robot to robot; of others, what is zero is left out.
+    varied : frozenset of (str, int), optional
+        Attributes and entries that differ from robot to robot; of others, what is zero is left out, and where
+        an arm stands is a constant. By default, all may differ.
     """
 
     linkage: Linkage
@@ -112,7 +113,7 @@ class ArticulatedBody:
     load_inertias: Any
     rotors: Any
     places: Any
-    varied: frozenset[tuple[str, int | None]] = frozenset()
+    varied: frozenset[tuple[str, int | None]] | None = None
     matter: tuple[tuple[bool, ...], ...] = ()
 
     broadcasts: ClassVar[bool] = True
@@ -120,64 +121,13 @@ class ArticulatedBody:
 
     def __post_init__(self) -> None:
         matter = (
-            tuple(bool(x) or (name, k) in self.varied for k, x in enumerate(getattr(self, name)))
+            tuple(bool(x) or self._differs(name, k) for k, x in enumerate(getattr(self, name)))
             for name in _OTHERS
         )
         object.__setattr__(self, "matter", tuple(matter))
 
-    @classmethod
-    def of(cls, robot: Any, model: pin.Model) -> Self:
-        """Return that of a robot with arms.
-
-        Parameters
-        ----------
-        robot : MobileRobot
-            Its names, its body, and what it carries.
-        model : pin.Model
-            Its tree, whose numbers of q and v are public.
-
-        Raises
-        ------
-        NotTraceable
-            If a joint has other than one coordinate.
-        """
-        linkage, numbers = Linkage.of(model), [LinkNumbers.of(mount._model) for mount in robot.mounts]
-        frames = {
-            name: _fixed(linkage, name, model.frames[k], robot.mounts)
-            for name, k in named_frames(model).items()
-            if model.frames[k].parentJoint
-        }
-        links = []
-        for k, mount in enumerate(robot.mounts):
-            place, (root, *others) = mount.placement, mount.links
-            links.append(Fixed(root, _BASE - 1, k, place.rotation, place.translation))
-            for joint, name in enumerate(others, mount.joints.start - 1):
-                links.append(Fixed(name, joint, -1, linkage.axes[joint].T, np.zeros(3)))
-        loads = [load for _, load in robot.loads]
-        masses, coms, inertias = (np.concatenate([each[k].ravel() for each in numbers]) for k in range(3))
-        return cls(
-            linkage=linkage,
-            links=tuple(links),
-            loads=tuple(frames[name] for name, _ in robot.loads),
-            frames=tuple(frames.values()),
-            arms={mount.name: mount.at for mount in robot.mounts},
-            coordinates=robot.coordinates,
-            inputs=robot.inputs,
-            leading=dict(robot.leading),
-            rest=np.array(robot.rest),
-            mass=robot.mass,
-            yaw_inertia=robot.body.yaw_inertia,
-            com_x=float(robot.body.com[0]),
-            com_y=float(robot.body.com[1]),
-            masses=masses,
-            coms=coms,
-            inertias=inertias,
-            load_masses=np.array([load.mass for load in loads]),
-            load_coms=np.array([load.com for load in loads]).ravel(),
-            load_inertias=np.array([load.six for load in loads]).ravel(),
-            rotors=np.concatenate([each.rotors for each in numbers]),
-            places=np.array([mount.at for mount in robot.mounts]).ravel(),
-        )
+    def _differs(self, name: str, entry: int) -> bool:
+        return self.varied is None or (name, entry) in self.varied
 
     def varying(self, entries: Iterable[tuple[str, int | None]]) -> Self:
         """Return it, told which attributes and entries of its parameters differ from robot to robot."""
@@ -231,7 +181,7 @@ class ArticulatedBody:
         numbers, found = self._numbers("places"), []
         for k in range(0, len(numbers), 4):
             *origin, yaw = numbers[k : k + 4]
-            moves = any(("places", k + j) in self.varied for j in range(4))
+            moves = any(self._differs("places", k + j) for j in range(4))
             found.append(Place.about_z(yaw, origin) if moves else None)
         return found
 
@@ -436,6 +386,60 @@ class ArticulatedBody:
                 own = getattr(self, f"{prefix}masses") if masses is None else masses
                 wrong = _is_none(drawn.reshape(len(drawn), len(frames), len(_INERTIA)), own)
                 yield from ((fixed.name, wrong[:, k]) for k, fixed in enumerate(frames) if wrong[:, k].any())
+
+
+def articulated(robot: Any, model: pin.Model) -> ArticulatedBody:
+    """Return the dynamics of a robot with arms.
+
+    Parameters
+    ----------
+    robot : MobileRobot
+        Its names, its body, and what it carries.
+    model : pin.Model
+        Its tree, whose numbers of q and v are public.
+
+    Raises
+    ------
+    NotTraceable
+        If a joint has other than one coordinate.
+    """
+    linkage, numbers = Linkage.of(model), [LinkNumbers.of(mount._model) for mount in robot.mounts]
+    frames = {
+        name: _fixed(linkage, name, model.frames[k], robot.mounts)
+        for name, k in named_frames(model).items()
+        if model.frames[k].parentJoint
+    }
+    links = []
+    for k, mount in enumerate(robot.mounts):
+        place, (root, *others) = mount.placement, mount.links
+        links.append(Fixed(root, _BASE - 1, k, place.rotation, place.translation))
+        for joint, name in enumerate(others, mount.joints.start - 1):
+            links.append(Fixed(name, joint, -1, linkage.axes[joint].T, np.zeros(3)))
+    loads = [load for _, load in robot.loads]
+    masses, coms, inertias = (np.concatenate([each[k].ravel() for each in numbers]) for k in range(3))
+    return ArticulatedBody(
+        linkage=linkage,
+        links=tuple(links),
+        loads=tuple(frames[name] for name, _ in robot.loads),
+        frames=tuple(frames.values()),
+        arms={mount.name: mount.at for mount in robot.mounts},
+        coordinates=robot.coordinates,
+        inputs=robot.inputs,
+        leading=dict(robot.leading),
+        rest=np.array(robot.rest),
+        mass=robot.mass,
+        yaw_inertia=robot.body.yaw_inertia,
+        com_x=float(robot.body.com[0]),
+        com_y=float(robot.body.com[1]),
+        masses=masses,
+        coms=coms,
+        inertias=inertias,
+        load_masses=np.array([load.mass for load in loads]),
+        load_coms=np.array([load.com for load in loads]).ravel(),
+        load_inertias=np.array([load.six for load in loads]).ravel(),
+        rotors=np.concatenate([each.rotors for each in numbers]),
+        places=np.array([mount.at for mount in robot.mounts]).ravel(),
+    )
 
 
 def _fixed(linkage: Linkage, name: str, frame: pin.Frame, mounts: Sequence[Mount]) -> Fixed:

@@ -15,7 +15,7 @@ from pinmobile.arrays import Array, ArrayLike, finite, lengths, location, positi
 from pinmobile.dh import LECTURE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
 from pinmobile.plant import Parameter
-from pinmobile.robot.articulated import ArticulatedBody
+from pinmobile.robot.articulated import ArticulatedBody, articulated
 from pinmobile.robot.assembly import assemble
 from pinmobile.robot.carrier import Carrier
 from pinmobile.robot.chain import build_model, check_chain
@@ -90,7 +90,7 @@ class MobileRobot(Carrier):
     loads: tuple[tuple[str, Load], ...] = field(default=(), init=False)
     _engine: Engine = field(init=False)
     _looks: VisualFile | None = field(default=None, init=False)
-    _varied: frozenset[tuple[str, int | None]] = field(default=frozenset(), init=False)
+    _varied: frozenset[tuple[str, int | None]] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         com = finite("com", self.com)
@@ -353,13 +353,13 @@ class MobileRobot(Carrier):
 
     @cached_property
     def _articulated(self) -> ArticulatedBody:
-        found = ArticulatedBody.of(self, self._engine.public)
-        return found.varying(self._varied) if self._varied else found
+        found = articulated(self, self._engine.public)
+        return found if self._varied is None else found.varying(self._varied)
 
     def varying(self, entries: Iterable[tuple[str, int | None]]) -> "MobileRobot":
         """Return it, told which of its `parameters` differ from robot to robot.
 
-        Compiled dynamics have what else is zero built in, and where arms stand.
+        What `traced` returns then has built in what else is zero, and where arms stand.
 
         Parameters
         ----------

@@ -46,7 +46,6 @@ ENTRIES = (0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)
 class Exact:
     """0, 1 or -1 that stands in a formula: products with it cost nothing."""
 
-    __slots__ = ("value",)
     __array_ufunc__ = None  # arrays leave the operation to it
 
     def __init__(self, value: float) -> None:

@@ -50,7 +50,7 @@ class CompiledLoop:
                     f"engine is COMPILED, which keeps no signals, and a {type(part).__name__} gives some, "
                     "expected engine=PINOCCHIO"
                 )
-        parts = Parts(plant, controller, forces, integrator, Trace(), substeps)
+        parts = Parts(plant, controller, forces, integrator, Trace(), substeps).varying(())
         reference = Reference(*context.reference)
         first = Reference(*(part[0] for part in reference))
         try:
