@@ -72,6 +72,7 @@ INNER = {
     *("Rollout.of", "Rollout.arrays", "ensembles.Outline.of", "ensembles.Outline.from_description"),
     *("ensembles.Outline.description", "ensembles.Outline.difference", "ensembles.Part.of"),
     *("PD.compact", "ComputedTorque.compact", "PDGravity.compact", "MobileRobot.traced"),
+    *("MobileRobot.varying", "JointFriction.varying", "Load.with_numbers"),
     *("NoiseForce.draw", "NoiseForce.with_parameters", "Scenario.starts", "Scenario.values"),
     "sweeps.Code",
 }

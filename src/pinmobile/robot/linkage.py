@@ -139,7 +139,7 @@ class Linkage:
             if not _ONE_COORDINATE.fullmatch(joint_kind(model, j)):
                 raise NotTraceable(
                     f"joint {model.names[j]!r} is a {joint_kind(model, j)}, which has no single axis",
-                    "give joints in series with one axis each; loops with it run one state at a time",
+                    "give joints in series with one axis each, or run it with engine=ARRAYS",
                 )
         axes = [np.eye(3), *(_to_z(_axis(model, j)) for j in joints)]
         places = [model.jointPlacements[j] for j in joints]

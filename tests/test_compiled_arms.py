@@ -1,0 +1,224 @@
+"""Robots with arms as compiled plants: ensembles of them against `simulate`, one by one."""
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pinmobile import (
+    ARRAYS,
+    COMPILED,
+    PINOCCHIO,
+    ComputedTorque,
+    Decoupled,
+    Delayed,
+    InvalidArgument,
+    JointFriction,
+    Load,
+    MobileRobot,
+    NoisyMeasurement,
+    Normal,
+    PDGravity,
+    Reference,
+    Same,
+    Saturated,
+    Uniform,
+    UnknownName,
+    ensemble,
+    rk4,
+    simulate,
+)
+from pinmobile.arrays import Array
+from pinmobile.compiled import Parts, program_of
+from pinmobile.compiled.loop_tape import Loop
+from pinmobile.errors import SlowerEngine
+from pinmobile.robot.articulated import ArticulatedBody
+
+AT = (0.1, -0.05, 0.2, 0.4)
+LOAD = Load(1.0, (0, 0.01, 0.05), size=(0.1, 0.1, 0.1))
+UR5 = MobileRobot.box().mount("ur5", AT).attach(LOAD)
+PENDULUM = MobileRobot.box().mount("double_pendulum_continuous", AT)  # whose q has cosines and sines
+CLOSE = 1e-10
+
+
+class Swing:
+    """All coordinates to and fro."""
+
+    duration = 0.6
+
+    def __init__(self, robot: MobileRobot) -> None:
+        self.robot, self.way = robot, 0.2 * np.arange(1, robot.nv + 1) / robot.nv
+
+    def __call__(self, t: Any) -> Reference:
+        angle = 3.0 * np.asarray(t)[..., None]
+        off = self.way * (1 - np.cos(angle))
+        q = self.robot.integrate(np.broadcast_to(self.robot.rest, (*off.shape[:-1], self.robot.nq)), off)
+        return Reference(q, self.way * 3 * np.sin(angle), self.way * 9 * np.cos(angle))
+
+
+SPREAD: dict[str, Any] = {
+    "mass": Uniform(24, 36),
+    "com_x": Normal(0, 0.02),
+    "mass_ur5/forearm_link": Uniform(2, 3),
+    "com_y_ur5/forearm_link": Normal(0, 0.01),  # which is zero but for this
+    "inertia_zz_ur5/forearm_link": Uniform(0.004, 0.005),
+    "rotor_ur5/elbow_joint": Uniform(0.0, 0.2),
+    "at_x_ur5": Uniform(0.05, 0.15),
+    "at_yaw_ur5": Normal(0.4, 0.1),
+    "load_mass": Uniform(0.5, 3),
+    "load_com_z": Normal(0.05, 0.01),
+    "model_load_mass": Same("load_mass"),
+    "model_mass_ur5/forearm_link": Uniform(2, 3),
+    "joint_viscous": Uniform(0, 0.3),
+    "kp_factor": Uniform(0.9, 1.1),
+}
+
+
+def run(robot: MobileRobot = UR5, controller: Any = None, spread: Any = SPREAD, **options: Any) -> Any:
+    controller = ComputedTorque(robot, 100, 20) if controller is None else controller
+    options = {"n": 5, "dt": 0.02, "seed": 3, "forces": [JointFriction(np.zeros(robot.nv))], **options}
+    return ensemble(robot, controller, Swing(robot), spread=spread, **options)
+
+
+def assert_members(runs: Any, *which: int) -> None:
+    """Compare robots of an ensemble with what `simulate` makes of them, by Pinocchio."""
+    for i in which:
+        member = runs.member(i)
+        alone = simulate(*member[:3], **member.options)
+        assert alone.engine == "PINOCCHIO"
+        np.testing.assert_allclose(runs.max_error[i], alone.max_error(), rtol=CLOSE, atol=CLOSE)
+        np.testing.assert_allclose(runs.max_force[i], alone.max_input(), rtol=CLOSE, atol=1e-8)
+
+
+def test_each_robot_of_an_ensemble_is_what_simulate_makes_of_it() -> None:
+    runs = run()
+    assert runs.engine == COMPILED.name
+    assert_members(runs, 0, 4)
+    assert np.ptp(runs.max_error, axis=0).min() > 0
+
+
+@pytest.mark.parametrize(
+    "controller",
+    [
+        PDGravity(UR5, 20, 2),
+        Decoupled(UR5, 25, 10),
+        Saturated(Delayed(NoisyMeasurement(ComputedTorque(UR5, 20, 8), 1e-4, 1e-4, seed=1), 1), UR5.effort_limit),
+    ],
+    ids=["PDGravity", "Decoupled", "wrapped"],
+)
+def test_controllers_and_wrappers_of_arms_are_compiled(controller: Any) -> None:
+    runs = run(controller=controller, spread={"load_mass": Uniform(0.5, 3)}, n=2, dt=0.004)
+    assert runs.engine == COMPILED.name
+    assert_members(runs, 1)
+
+
+def test_rk4_substeps_and_pushes_on_the_base_are_compiled() -> None:
+    spread = {"mass": Uniform(24, 36), "force_x": Uniform(-5, 5), "viscous_forward": Uniform(0, 5)}
+    runs = run(spread=spread, n=2, integrator=rk4, substeps=2)
+    assert runs.engine == COMPILED.name
+    assert_members(runs, 1)
+
+
+def test_joints_without_limits_are_compiled() -> None:
+    link = PENDULUM.mounts[0].links[-1]
+    runs = run(PENDULUM, spread={f"mass_{link}": Uniform(0.2, 0.4)}, n=2)
+    assert runs.engine == COMPILED.name
+    assert_members(runs, 1)
+
+
+def test_the_engines_agree_and_the_bits_hang_on_nothing() -> None:
+    runs, few = run(n=20, threads=2), run(n=3, threads=1)
+    for engine in (ARRAYS, PINOCCHIO):
+        other = run(n=3, engine=engine)
+        assert other.engine == engine.name
+        np.testing.assert_allclose(other.max_error, few.max_error, rtol=1e-9, atol=CLOSE)
+    np.testing.assert_array_equal(runs.max_error[:3], few.max_error)
+    np.testing.assert_array_equal(runs.max_force[:3], few.max_force)
+
+
+def test_one_robot_runs_compiled_too() -> None:
+    controller, options = ComputedTorque(UR5.base.mount("ur5", AT), 100, 20), {"dt": 0.02}
+    compiled = simulate(UR5, controller, Swing(UR5), engine=COMPILED, **options)
+    usual = simulate(UR5, controller, Swing(UR5), **options)
+    for name in ("q", "v", "a", "u"):
+        np.testing.assert_allclose(getattr(compiled, name), getattr(usual, name), rtol=CLOSE, atol=1e-9)
+
+
+def loop_of(robot: MobileRobot, **parameters: float) -> Loop:
+    from pinmobile.integrators import constant_acceleration
+    from pinmobile.plant import Context
+
+    other = robot.with_parameters(**parameters) if parameters else robot
+    parts = Parts(other, ComputedTorque(robot, 100, 20), (), constant_acceleration).varying(())
+    first = Swing(robot)(0.0)
+    context = Context.of(robot, dt=0.02, reference=Swing(robot)(np.zeros(1)))
+    return program_of(parts, context, (first.q, first.v), first, dt=0.02).loop
+
+
+def test_only_other_kinematics_are_compiled_anew() -> None:
+    loop = loop_of(UR5)
+    assert loop_of(UR5, load_mass=2.0, mass=40.0) is loop
+    assert loop_of(UR5, at_x_ur5=0.2) is not loop
+    assert loop_of(UR5, **{"com_y_ur5/forearm_link": 0.01}) is not loop  # a zero that was left out
+
+
+def test_inertias_that_no_body_has_are_refused_with_their_share() -> None:
+    spread = {"inertia_zz_ur5/forearm_link": Uniform(0.05, 0.15)}  # above 0.0989 a body has none
+    with pytest.raises(InvalidArgument) as caught:
+        run(spread=spread, n=200)
+    assert str(caught.value).startswith("spread gives the ur5/forearm_link of plant in ")
+    assert " of 200 draws (" in str(caught.value)
+    assert str(caught.value).endswith("expected principal moments >= 0, none above the sum of the other two")
+    with pytest.raises(InvalidArgument, match="load_mass"):
+        run(spread={"load_mass": Uniform(-1, 1)})
+
+
+def test_a_link_that_is_not_there_is_named_with_the_nearest() -> None:
+    with pytest.raises(
+        UnknownName, match=r"unknown parameter in spread 'mass_ur5/fore_arm_link', did you mean 'mass_ur5"
+    ):
+        run(spread={"mass_ur5/fore_arm_link": Uniform(1, 2)})
+
+
+def test_a_tree_that_is_too_large_runs_on_arrays_and_says_so() -> None:
+    robot = MobileRobot.box(size=(1, 1, 0.5)).mount("tiago_dual", AT)
+    with pytest.warns(SlowerEngine, match="runs by ARRAYS.*not COMPILED.*more than 20000 operations"):
+        runs = run(robot, spread={"mass": Uniform(24, 36)}, n=2, dt=0.3)
+    assert runs.engine == ARRAYS.name
+
+
+def test_a_ball_joint_runs_one_state_at_a_time_and_says_why() -> None:
+    model = pin.Model()
+    model.name = "ball"
+    joint = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "socket")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.array([0, 0, 0.3]), np.eye(3)), pin.SE3.Identity())
+    robot = MobileRobot.box().mount(model, AT)
+    with pytest.warns(
+        SlowerEngine, match="joint 'ball/socket' is a JointModelSpherical, which has no single axis"
+    ):
+        runs = run(robot, spread={"kp_factor": Uniform(0.9, 1.1)}, n=2)
+    assert runs.engine == ARRAYS.name
+
+
+def test_what_nobody_was_told_of_may_differ() -> None:
+    body = UR5.traced()
+    told = UR5.varying([("masses", 1)]).traced()
+    assert isinstance(body, ArticulatedBody)
+    assert isinstance(told, ArticulatedBody)
+    assert all(map(all, body.matter))
+    assert not all(map(all, told.matter))
+    q, v = np.array(UR5.rest), np.ones(UR5.nv)
+    found: Array = told.nonlinear_effects(q, v)
+    np.testing.assert_allclose(found, body.nonlinear_effects(q, v), rtol=1e-12, atol=1e-12)
+
+
+def test_friction_that_is_not_dry_is_not_computed() -> None:
+    friction = JointFriction(0.2)
+    v = np.linspace(-1, 1, 9)
+    assert friction.dry
+    assert not friction.varying([]).dry
+    assert friction.varying([("coulomb", None)]).dry
+    np.testing.assert_array_equal(
+        friction.on_coordinates(0.0, v, v), friction.varying([]).on_coordinates(0.0, v, v)
+    )
