@@ -181,11 +181,11 @@ def test_a_link_that_is_not_there_is_named_with_the_nearest() -> None:
         run(spread={"mass_ur5/fore_arm_link": Uniform(1, 2)})
 
 
-def test_a_tree_that_is_too_large_runs_on_arrays_and_says_so() -> None:
+def test_a_tree_that_is_too_large_runs_slower_and_says_so() -> None:
     robot = MobileRobot.box(size=(1, 1, 0.5)).mount("tiago_dual", AT)
-    with pytest.warns(SlowerEngine, match="runs by ARRAYS.*not COMPILED.*more than 20000 operations"):
+    with pytest.warns(SlowerEngine, match="runs by PINOCCHIO.*not COMPILED.*more than 30000 operations"):
         runs = run(robot, spread={"mass": Uniform(24, 36)}, n=2, dt=0.3)
-    assert runs.engine == ARRAYS.name
+    assert runs.engine == PINOCCHIO.name  # few robots are faster one by one than side by side
 
 
 def test_a_ball_joint_runs_one_state_at_a_time_and_says_why() -> None:

@@ -52,7 +52,7 @@ __all__ = [
 ]
 
 
-LARGEST = 20_000
+LARGEST = 30_000
 """Most nodes of a tape that differ from robot to robot: building takes about 0.1 ms for each."""
 
 _SHARED = 10  # times as many may be of time alone

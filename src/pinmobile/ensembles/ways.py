@@ -96,7 +96,7 @@ def way_of(scenario: Scenario, engine: Engine | None = None) -> Way:
     asked = checked_engine(engine, COMPILED, ARRAYS, PINOCCHIO)
     why: list[str] = []
     for each, way in ((COMPILED, _as_compiled), (ARRAYS, _as_arrays)):
-        if asked is each or (asked is None and not (each is ARRAYS and _is_single(scenario))):
+        if asked is each or (asked is None and not (each is ARRAYS and _are_few(scenario))):
             try:
                 found = way(scenario)
                 return Way(scenario, each, "; ".join(why), found)
@@ -108,8 +108,9 @@ def way_of(scenario: Scenario, engine: Engine | None = None) -> Way:
     return Way(scenario, PINOCCHIO, "; ".join(why))
 
 
-def _is_single(scenario: Scenario) -> bool:
-    return scenario.n == 1
+def _are_few(scenario: Scenario) -> bool:
+    """Tell whether robots one after another are faster than arrays of so few."""
+    return scenario.n < getattr(scenario.parts.on_arrays().plant, "worth_arrays", 2)
 
 
 def _with_recorder(scenario: Scenario) -> Parts:

@@ -148,6 +148,11 @@ class ArticulatedBody:
         """Size of the input."""
         return self.nv
 
+    @property
+    def worth_arrays(self) -> int:
+        """Number of robots from which on arrays of them are faster than Pinocchio one after another."""
+        return 15 * self.nv
+
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """What may be spread: of the base, of links and loads, of motors, and where arms stand."""
