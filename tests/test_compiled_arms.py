@@ -1,5 +1,6 @@
 """Robots with arms as compiled plants: ensembles of them against `simulate`, one by one."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from pinmobile import (
     Normal,
     PDGravity,
     Reference,
+    Rollout,
     Same,
     Saturated,
     Uniform,
@@ -31,6 +33,7 @@ from pinmobile import (
 )
 from pinmobile.arrays import Array
 from pinmobile.compiled import Parts, program_of
+from pinmobile.compiled import Reference as CompiledReference
 from pinmobile.compiled.loop_tape import Loop
 from pinmobile.errors import SlowerEngine
 from pinmobile.robot.articulated import ArticulatedBody
@@ -103,7 +106,9 @@ def test_each_robot_of_an_ensemble_is_what_simulate_makes_of_it() -> None:
     [
         PDGravity(UR5, 20, 2),
         Decoupled(UR5, 25, 10),
-        Saturated(Delayed(NoisyMeasurement(ComputedTorque(UR5, 20, 8), 1e-4, 1e-4, seed=1), 1), UR5.effort_limit),
+        Saturated(
+            Delayed(NoisyMeasurement(ComputedTorque(UR5, 20, 8), 1e-4, 1e-4, seed=1), 1), UR5.effort_limit
+        ),
     ],
     ids=["PDGravity", "Decoupled", "wrapped"],
 )
@@ -118,6 +123,18 @@ def test_rk4_substeps_and_pushes_on_the_base_are_compiled() -> None:
     runs = run(spread=spread, n=2, integrator=rk4, substeps=2)
     assert runs.engine == COMPILED.name
     assert_members(runs, 1)
+
+
+def test_each_joint_has_a_friction_of_its_own() -> None:
+    friction = JointFriction.of(UR5)
+    spread = {
+        "joint_viscous_ur5/elbow_joint": Uniform(0, 2),
+        "joint_coulomb_ur5/wrist_1_joint": Uniform(0, 1),
+    }
+    runs = run(spread=spread, forces=[friction], n=2)
+    assert_members(runs, 0, 1)
+    with pytest.raises(InvalidArgument, match=r"^viscous has shape \(2,\), expected \(\) or \(3,\)$"):
+        JointFriction([1.0, 2.0], names=["x", "y", "psi"])
 
 
 def test_joints_without_limits_are_compiled() -> None:
@@ -138,11 +155,20 @@ def test_the_engines_agree_and_the_bits_hang_on_nothing() -> None:
 
 
 def test_one_robot_runs_compiled_too() -> None:
-    controller, options = ComputedTorque(UR5.base.mount("ur5", AT), 100, 20), {"dt": 0.02}
-    compiled = simulate(UR5, controller, Swing(UR5), engine=COMPILED, **options)
-    usual = simulate(UR5, controller, Swing(UR5), **options)
+    controller = ComputedTorque(UR5.base.mount("ur5", AT), 100, 20)
+    compiled = simulate(UR5, controller, Swing(UR5), dt=0.02, engine=COMPILED)
+    usual = simulate(UR5, controller, Swing(UR5), dt=0.02)
     for name in ("q", "v", "a", "u"):
         np.testing.assert_allclose(getattr(compiled, name), getattr(usual, name), rtol=CLOSE, atol=1e-9)
+
+
+def test_a_member_whose_links_differ_is_kept_in_a_file(tmp_path: Path) -> None:
+    member = run(n=1).member(0)
+    alone = simulate(*member[:3], **member.options)
+    alone.save(tmp_path / "run.npz")
+    again = Rollout.load(tmp_path / "run.npz").plant
+    assert again == member.robot
+    np.testing.assert_array_equal(again.inertial_parameters, member.robot.inertial_parameters)
 
 
 def loop_of(robot: MobileRobot, **parameters: float) -> Loop:
@@ -151,7 +177,7 @@ def loop_of(robot: MobileRobot, **parameters: float) -> Loop:
 
     other = robot.with_parameters(**parameters) if parameters else robot
     parts = Parts(other, ComputedTorque(robot, 100, 20), (), constant_acceleration).varying(())
-    first = Swing(robot)(0.0)
+    first = CompiledReference(*Swing(robot)(0.0))
     context = Context.of(robot, dt=0.02, reference=Swing(robot)(np.zeros(1)))
     return program_of(parts, context, (first.q, first.v), first, dt=0.02).loop
 

@@ -1,5 +1,6 @@
 """Recursions over scalars: against Pinocchio, for every robot that can be mounted and for random trees."""
 
+import pickle
 from typing import Any
 
 import numpy as np
@@ -218,6 +219,10 @@ def test_other_parameters_make_another_robot() -> None:
     assert robot.source.startswith("a homogeneous box; with other parameters; ur5: right angles")
     assert eval(repr(robot), {"MobileRobot": MobileRobot, "Load": Load}).mounts == robot.mounts
     assert robot != robot.with_parameters(**{"mass_ur5/forearm_link": 6.0})
+    assert robot.changes["rotor_ur5/elbow_joint"] == 0.3
+    again = pickle.loads(pickle.dumps(robot))
+    assert again == robot
+    assert again.source == robot.source
 
 
 def test_leading_numbers_by_attribute_are_those_of_the_parameters() -> None:

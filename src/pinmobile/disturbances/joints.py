@@ -1,17 +1,34 @@
 """Friction in the joints of a plant: a force on its coordinates."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Self, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike
+from pinmobile.arrays import Array, ArrayLike, sequence, text
 from pinmobile.disturbances.protocol import not_below_zero, numbers
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.plant import Parameter
+from pinmobile.plant import Parameter, coordinates_of
 
 __all__ = ["JointFriction"]
+
+
+_OF_ALL = (
+    Parameter("joint_viscous", "N s/m, N m s/rad", "viscous friction", 0.0, attribute="viscous"),
+    Parameter("joint_coulomb", "N, N m", "dry friction", 0.0, attribute="coulomb"),
+    Parameter("joint_speed", "m/s, rad/s", "where dry friction has 71 %", 0.0, False, attribute="speed"),
+)
+
+
+def _parameters(names: Sequence[str]) -> tuple[Parameter, ...]:
+    """Return the parameters of all coordinates together, then of each that has a name."""
+    own = (
+        replace(each, name=f"{each.name}_{name}", meaning=f"{each.meaning} of {name}", entry=k)
+        for each in _OF_ALL[:2]
+        for k, name in enumerate(names)
+    )
+    return (*_OF_ALL, *own)
 
 
 @final
@@ -31,6 +48,8 @@ class JointFriction:
         Size of the dry friction [N or N m], not below zero.
     speed : array_like, shape () or (..., nv)
         Where the dry friction has reached 71 % of its size [m/s or rad/s], above zero.
+    names : sequence of str
+        Of the coordinates: each then has parameters of its own, such as ``"joint_viscous_psi"``.
 
     Raises
     ------
@@ -41,13 +60,10 @@ class JointFriction:
     viscous: ArrayLike
     coulomb: ArrayLike = 0.0
     speed: ArrayLike = 0.01
+    names: Sequence[str] = ()
     dry: bool = field(default=True, init=False, repr=False)
 
-    parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("joint_viscous", "N s/m, N m s/rad", "viscous friction", 0.0, attribute="viscous"),
-        Parameter("joint_coulomb", "N, N m", "dry friction", 0.0, attribute="coulomb"),
-        Parameter("joint_speed", "m/s, rad/s", "where dry friction has 71 %", 0.0, False, attribute="speed"),
-    )
+    parameters: ClassVar[tuple[Parameter, ...]] = _OF_ALL
 
     def __post_init__(self) -> None:
         given = {name: numbers(name, getattr(self, name)) for name in ("viscous", "coulomb", "speed")}
@@ -60,7 +76,13 @@ class JointFriction:
         except ValueError:
             shapes = ", ".join(f"{name} {value.shape}" for name, value in given.items())
             raise InvalidArgument(f"shapes are {shapes}, expected shapes that broadcast") from None
-        for name, value in given.items():
+        names = sequence("names", self.names, "names of the coordinates")
+        own = [text(f"names[{k}]", name) for k, name in enumerate(names)]
+        for name in ("viscous", "coulomb") if own else ():
+            if given[name].shape not in ((), (len(own),)):
+                raise InvalidArgument(f"{name} has shape {given[name].shape}, expected () or ({len(own)},)")
+            given[name] = np.broadcast_to(given[name], len(own))
+        for name, value in {**given, "names": tuple(own), "parameters": _parameters(own)}.items():
             object.__setattr__(self, name, value)
 
     @classmethod
@@ -70,7 +92,8 @@ class JointFriction:
         Parameters
         ----------
         robot : MobileRobot
-            Its `joint_damping` and `joint_friction` are taken; the base has none.
+            Its `joint_damping` and `joint_friction` are taken, and the names of its coordinates; the base has
+        none.
         speed : array_like, shape () or (nv,)
             As in the class.
 
@@ -79,10 +102,12 @@ class JointFriction:
         InvalidArgument
             If it has no such properties.
         """
-        missing = [name for name in ("joint_damping", "joint_friction") if not hasattr(robot, name)]
+        asked = ("joint_damping", "joint_friction", "coordinates")
+        missing = [name for name in asked if not hasattr(robot, name)]
         if isinstance(robot, type) or missing:
             raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot")
-        return cls(robot.joint_damping, robot.joint_friction, speed)
+        names = [one.name for one in coordinates_of(robot)]
+        return cls(robot.joint_damping, robot.joint_friction, speed, names)
 
     def varying(self, entries: Iterable[tuple[str, int | None]]) -> Self:
         """Return it, told what differs from robot to robot: where dry friction is zero for all, without it.

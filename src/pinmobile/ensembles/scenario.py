@@ -49,7 +49,8 @@ class Scenario:
     Parameters
     ----------
     robot : MobileRobot or other plant
-        The nominal one. Loads that are attached to a robot without arms are part of its body.
+        The nominal one. Loads that are attached to a robot without arms are part of its body; with arms,
+        they, each link and motor, and where arms stand may be spread, see `MobileRobot.parameters`.
     controller : controller
         As in `simulate`.
     trajectory : trajectory

@@ -393,22 +393,17 @@ class ArticulatedBody:
                 yield from ((fixed.name, wrong[:, k]) for k, fixed in enumerate(frames) if wrong[:, k].any())
 
 
-def articulated(robot: Any, model: pin.Model) -> ArticulatedBody:
+def articulated(robot: Any, linkage: Linkage) -> ArticulatedBody:
     """Return the dynamics of a robot with arms.
 
     Parameters
     ----------
     robot : MobileRobot
         Its names, its body, and what it carries.
-    model : pin.Model
+    linkage : Linkage
         Its tree, whose numbers of q and v are public.
-
-    Raises
-    ------
-    NotTraceable
-        If a joint has other than one coordinate.
     """
-    linkage, numbers = Linkage.of(model), [LinkNumbers.of(mount._model) for mount in robot.mounts]
+    model, numbers = robot._model, [LinkNumbers.of(mount._model) for mount in robot.mounts]
     frames = {
         name: _fixed(linkage, name, model.frames[k], robot.mounts)
         for name, k in named_frames(model).items()

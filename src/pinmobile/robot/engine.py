@@ -4,7 +4,7 @@ This is the one place that knows that the chain's first joint is y while the lib
 """
 
 from collections.abc import Callable
-from functools import partial
+from functools import cached_property, partial
 from math import isfinite
 from threading import local
 from typing import NamedTuple
@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import Array, broadcast, finite_answer
+from pinmobile.robot.linkage import Linkage
 
 __all__ = ["BODY_JOINT", "Calls", "Engine"]
 
@@ -85,6 +86,11 @@ class Engine:
         self._orders = {self.nv: self.order, self.nq: self.order_q}
         self._square = self.order[:, None], self.order
         self.public = _in_public_order(model)
+
+    @cached_property
+    def linkage(self) -> Linkage:
+        """Its tree, over scalars; raises `NotTraceable` where a joint has other than one coordinate."""
+        return Linkage.of(self.public)
 
     @property
     def data(self) -> pin.Data:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import TypeAlias, final
+from typing import Any, TypeAlias, final
 
 import numpy as np
 import pinocchio as pin
@@ -91,6 +91,7 @@ class MobileRobot(Carrier):
     _engine: Engine = field(init=False)
     _looks: VisualFile | None = field(default=None, init=False)
     _varied: frozenset[tuple[str, int | None]] | None = field(default=None, init=False)
+    _tracings: dict[Any, ArticulatedBody] = field(init=False)
 
     def __post_init__(self) -> None:
         com = finite("com", self.com)
@@ -111,6 +112,7 @@ class MobileRobot(Carrier):
             "body": body,
             "stance": Stance.of_box(size) if stance is None else stance,
             "_engine": Engine(build_model(self.dh, body)),
+            "_tracings": {},
         }.items():
             object.__setattr__(self, name, value)
 
@@ -118,7 +120,7 @@ class MobileRobot(Carrier):
         table = "" if self.dh == LECTURE_TABLE else f", dh={self.dh!r}"
         mounted = "".join(map(repr, self.mounts))
         attached = "".join(f".attach({load!r}, frame={frame!r})" for frame, load in self.loads)
-        attached += f".with_parameters(**{changed!r})" if (changed := self._changed()) else ""
+        attached += f".with_parameters(**{changed!r})" if (changed := self.changes) else ""
         return (
             f"MobileRobot(mass={self.mass!r}, yaw_inertia={self.yaw_inertia!r}, com={self.com!r}, "
             f"size={self.size!r}{table}){mounted}{attached}"
@@ -351,10 +353,14 @@ class MobileRobot(Carrier):
         bare = self.lumped() if self.loads else self
         return PlanarBody(bare.mass, bare.body.yaw_inertia, *bare.com[:2])
 
-    @cached_property
+    @property
     def _articulated(self) -> ArticulatedBody:
-        found = articulated(self, self._engine.public)
-        return found if self._varied is None else found.varying(self._varied)
+        found = self._tracings.get(self._varied)
+        if found is None:
+            found = articulated(self, self._engine.linkage)
+            found = found if self._varied is None else found.varying(self._varied)
+            self._tracings[self._varied] = found
+        return found
 
     def varying(self, entries: Iterable[tuple[str, int | None]]) -> "MobileRobot":
         """Return it, told which of its `parameters` differ from robot to robot.
@@ -368,7 +374,6 @@ class MobileRobot(Carrier):
         """
         new = object.__new__(MobileRobot)
         vars(new).update(vars(self), _varied=frozenset(entries))
-        vars(new).pop("_articulated", None)
         return new
 
     def with_parameters(self, **values: ArrayLike) -> "MobileRobot":
@@ -404,8 +409,9 @@ class MobileRobot(Carrier):
         body = urdf.Body(mass, np.array([x, y, bare.com[2]]), np.diag([inertia] * 3))
         return bare.with_body(body, "with other parameters")
 
-    def _changed(self) -> dict[str, float]:
-        """Return by name the parameters of its arms' links and motors that are not the arms' own."""
+    @property
+    def changes(self) -> dict[str, float]:
+        """The parameters of its arms' links and motors that are not the arms' own, by name."""
         if all(mount.numbers is None for mount in self.mounts):
             return {}
         own = self._carrying(tuple(replace(mount, numbers=None) for mount in self.mounts), self.loads)

@@ -267,6 +267,8 @@ def check_robot(described: dict[str, Any] | None) -> None:
     for frame, *load in described.get("loads", ()):
         Load(*load)
         frame.encode()
+    for name, value in described.get("changes", {}).items():
+        finite(f"robot's {name}", value)
 
 
 def _is_known(robot: MobileRobot) -> bool:
@@ -297,6 +299,7 @@ def _describe(robot: MobileRobot) -> dict[str, Any]:
         ],
         "inertias": robot.inertial_parameters.tolist(),
         "joints": _of_joints(robot).tolist(),
+        "changes": robot.changes,
         "loads": [[frame, load.mass, load.com, load.inertia, load.size] for frame, load in robot.loads],
     }
 
@@ -318,6 +321,8 @@ def _restore(described: dict[str, Any] | None) -> MobileRobot:
         robot = robot.mount(kept_arm(**mount), at, name=name)
     for frame, mass, com, inertia, size in described.get("loads", ()):
         robot = robot.attach(Load(mass, com, inertia, size), frame)
+    changes = described.get("changes", {})
+    robot = robot.with_parameters(**changes) if changes else robot
     files = ", ".join(mount["arm"] for mount in mounts)
     for what, key, found in (
         ("masses and inertias", "inertias", robot.inertial_parameters),
