@@ -60,11 +60,7 @@ def begun(path: Path, robots: int) -> Path:
 
 @pytest.mark.parametrize(
     ("room", "before"),
-    [
-        (room, before)
-        for k, room in enumerate([0, 30, 300, 600, 1000, 4000, 9000])
-        for before in BEFORE[k % 2]
-    ],
+    [(room, before) for room, two in zip(ROOM, cycle(BEFORE), strict=False) for before in two],
 )
 def test_a_full_disk_leaves_the_store_as_good_as_it_was(
     done: Path, tmp_path: Path, room: int, before: int | None
