@@ -948,8 +948,8 @@ def dressed(name: str) -> Iterator[tuple[str, str, str]]:
                 yield argument, clothes, "another answer"
 
 
-def trials(name: str) -> Iterator[tuple[str, str, str]]:
-    """Yield argument, kind and what is wrong, for each wrong value that is tried of a callable."""
+def trials(name: str, share: int = 1) -> Iterator[tuple[str, str, str]]:
+    """Yield argument, kind and what is wrong, for each wrong value of a callable, or one of so many."""
     line, function = ROWS[name], resolved(name)
     valid = line.arguments()
     try:
@@ -964,6 +964,7 @@ def trials(name: str) -> Iterator[tuple[str, str, str]]:
     pairs = [(argument, kind) for argument in valid for kind in KINDS]
     if line.tries and line.tries < len(pairs):
         pairs = Random(SEED + crc32(name.encode())).sample(pairs, line.tries)
+    pairs = pairs[crc32(name.encode()) % share :: share]
     for argument, kind in pairs:
         yield argument, kind, attempt(function, line.arguments() | {argument: KINDS[kind]()})
 
@@ -984,9 +985,10 @@ def main(names: list[str]) -> None:
         most = pages * resource.getpagesize() + MEMORY
         resource.setrlimit(resource.RLIMIT_AS, (most, most))
     warnings.simplefilter("error")
+    share = int(names.pop(0).removeprefix("--share=")) if names[:1] and "=" in names[0] else 1
     for name in names or sorted(ROWS):
         found, count, begin = [], 0, time.process_time()
-        for argument, kind, wrong in trials(name):
+        for argument, kind, wrong in trials(name, share):
             count += 1
             if wrong:
                 found.append(f"{argument} = {kind}: {wrong}")

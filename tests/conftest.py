@@ -1,5 +1,6 @@
 """Settings for all tests, and what several of them take."""
 
+import gc
 import os
 import signal
 from collections.abc import Iterator
@@ -21,17 +22,19 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 matplotlib.use("Agg")
 settings.register_profile("default", deadline=None, max_examples=60)
 settings.register_profile("ci", deadline=None, max_examples=60, derandomize=True)
+settings.register_profile("repeated", settings.get_profile("ci"), max_examples=20)
 settings.load_profile("ci" if os.environ.get("CI") else "default")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add what `.ci/run` says on all Pythons but the first: what a page draws has no part of Python in it."""
-    parser.addoption("--no-page", action="store_true", help="leave out the tests that look at a page")
+    """Add what `.ci/run` says on all Pythons but the first."""
+    words = "another Python of this machine tests all: leave out what a page draws, take fewer random cases"
+    parser.addoption("--repeated", action="store_true", help=words)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave out the tests of a page in a browser, where that is asked for."""
-    if config.getoption("--no-page"):
+    if config.getoption("--repeated"):
         looking = {item for item in items if "page" in getattr(item, "fixturenames", ())}
         items[:] = [item for item in items if item not in looking]
         config.hook.pytest_deselected(items=list(looking))
@@ -42,11 +45,25 @@ def pytest_configure(config: pytest.Config) -> None:
     why = refusal(os.environ.get("OPENBLAS_CORETYPE"))
     if why:
         raise pytest.UsageError(why)
+    if config.getoption("--repeated"):
+        settings.load_profile("repeated")
+
+
+def pytest_collection_finish() -> None:
+    """Let the garbage collector pass over what was imported: it lives to the end of the tests."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_report_header(config: pytest.Config) -> str:
     """Return the kernels of the linear algebra, on which no result may hang."""
     return f"OpenBLAS: {', '.join(in_force().values()) or 'none'}"
+
+
+@pytest.fixture(scope="session")
+def share(request: pytest.FixtureRequest) -> int:
+    """Return of how many random cases one is taken."""
+    return 4 if request.config.getoption("--repeated") else 1
 
 
 @pytest.fixture(scope="session")

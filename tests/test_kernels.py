@@ -108,12 +108,12 @@ def test_ci_runs_each_python_under_another_kernel_and_leaves_none_out(machine: P
 def test_ci_looks_at_pages_on_the_first_python_alone_and_leaves_nothing_else_out(machine: Path) -> None:
     lines = [line for line in ran(machine, 3).stdout.splitlines() if "] make test" in line]
     given = {line[1:5]: re.findall(r"ARGS=(.*) under", line) for line in lines}
-    assert given == {"3.11": [""], "3.12": ["--no-page"], "3.13": ["--no-page"]}
+    assert given == {"3.11": [""], "3.12": ["--repeated"], "3.13": ["--repeated"]}
 
 
 def test_without_pages_the_tests_that_look_at_one_are_counted_as_left_out() -> None:
     asked = os.environ.get("OPENBLAS_CORETYPE", "")
-    done = collected(asked, "-q", "--no-page", "tests/test_viewer_browser.py").stdout
+    done = collected(asked, "-q", "--repeated", "tests/test_viewer_browser.py").stdout
     assert "test_errors" in done
     assert "test_viewer_browser" not in done
     assert re.search(r"^\d+/\d+ tests collected \([1-9]\d* deselected\)", done, re.MULTILINE)
