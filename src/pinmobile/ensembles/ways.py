@@ -145,22 +145,20 @@ def _check_derived(scenario: Scenario) -> None:
         If there is one.
     """
     for stated in scenario.stated.values():
-        if not stated.path:
+        nominal = _part_at(scenario.parts, stated.path) if stated.path else None
+        if nominal is None or hasattr(nominal, "traced") or not hasattr(nominal, "__dict__"):
             continue
         place = Place(stated.path, stated.parameter.attribute)
         try:
-            pair = [_part_at(parts, stated.path) for parts in (scenario.parts, _moved(scenario, place))]
+            moved = _part_at(_moved(scenario, place), stated.path)
         except InvalidArgument:
             continue  # a value beside the nominal one is not allowed
-        if hasattr(pair[0], "traced") or not all(hasattr(each, "__dict__") for each in pair):
-            continue
-        own = attributes_of(pair[0])
-        for name, value in vars(pair[0]).items():
+        own = attributes_of(nominal)
+        for name, value in vars(nominal).items():
             numeric = isinstance(value, int | float | np.ndarray) and name not in own
-            other = vars(pair[1]).get(name, value)
-            if numeric and not np.array_equal(value, other):
+            if numeric and not np.array_equal(value, vars(moved).get(name, value)):
                 raise NotTraceable(
-                    f"{stated.path}, a {type(pair[0]).__name__}, makes {name} of {place.name} once",
+                    f"{stated.path}, a {type(nominal).__name__}, makes {name} of {place.name} once",
                     "compute it in the law",
                 )
 
