@@ -292,7 +292,7 @@ def _as_arrays(scenario: Scenario) -> None:
 def _on_arrays(scenario: Scenario, draws: Mapping[str, Array], start: int, stop: int) -> Part:
     rows = _rows(scenario, draws, start, stop)
     q, v, memory, h = rows.q, rows.v, rows.memory, scenario.dt / scenario.substeps
-    counts = np.zeros((len(scenario.grid), 2, BINS), np.int64)
+    counts = np.zeros((len(scenario.grid), 2, BINS), np.int32)
     begin = scenario.starts({}, 1)
     with np.errstate(all="ignore"):  # what overflows is judged
         for k, time in enumerate(scenario.t.tolist()):
@@ -313,7 +313,7 @@ def _on_arrays(scenario: Scenario, draws: Mapping[str, Array], start: int, stop:
 def _one_by_one(scenario: Scenario, start: int, stop: int) -> Part:
     """Return the records of robots that `simulate` runs one after another."""
     found = [_summed(scenario, i) for i in range(start, stop)]
-    counts = np.sum([each.counts for each in found], axis=0)
+    counts = np.sum([each.counts for each in found], axis=0, dtype=np.int32)
     columns = (np.concatenate([getattr(each, name) for each in found]) for name in Part._fields[:-1])
     return Part(*columns, counts)  # type: ignore[call-arg]
 
@@ -328,7 +328,7 @@ def _summed(scenario: Scenario, i: int) -> Part:
     error = np.zeros((0, c)) if rollout is None else np.abs(rollout.error)
     force = np.zeros((0, nu)) if rollout is None else np.abs(rollout.u)
     kept = error[scenario.begin :]
-    counts = np.zeros((len(scenario.grid), 2, BINS), np.int64)
+    counts = np.zeros((len(scenario.grid), 2, BINS), np.int32)
     sizes = np.full((len(scenario.t), 2), np.inf)
     sizes[:lived] = np.column_stack([np.hypot(error[:, 0], error[:, 1]), error[:, 2]])
     for row, size in zip(counts, sizes[:: scenario.stride], strict=True):
@@ -339,5 +339,5 @@ def _summed(scenario: Scenario, i: int) -> Part:
         np.sqrt(np.square(kept[:, :2]).sum(axis=1)).max(initial=0.0)[None],
         np.sqrt(np.square(kept).sum(axis=0) / max(len(kept), 1))[None],
         force.max(axis=0, initial=0.0)[None],
-        counts.astype(np.int32),
+        counts,
     )
