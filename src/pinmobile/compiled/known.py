@@ -2,13 +2,15 @@
 
 A program belongs to the form of its parts: their classes, what their parameters' shapes are, and the values
 of all else that they hold. Whether the code still is what it was, with the globals and closures that it
-refers to, is looked at each time, which takes some microseconds.
+refers to, is looked at each time, which takes some microseconds. What else follows from a loop of constant
+parts is remembered with them for as long as the code stays.
 """
 
 import functools
 import threading
+import weakref
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
 from typing import Any
 
@@ -23,13 +25,16 @@ from pinmobile.compiled.parts import Parts, Place, Reference, attributes_of
 from pinmobile.compiled.passes import traced
 from pinmobile.compiled.program import Program
 from pinmobile.compiled.tracing import Walk, is_foreign
+from pinmobile.constancy import is_constant, known
+from pinmobile.errors import NotTraceable
 
-__all__ = ["program_of"]
+__all__ = ["memory_of", "program_of"]
 
 _MOST = 64
 _DEEP = 24
 _lock = threading.Lock()
 _known: "OrderedDict[Any, tuple[_Witness, Program]]" = OrderedDict()
+_memories: "OrderedDict[Any, tuple[_Witness, dict[Any, Any]]]" = OrderedDict()
 
 _BY_IDENTITY = (FunctionType, BuiltinFunctionType, ModuleType, type, np.ufunc, np.dtype)
 _BY_VALUE = (bool, int, float, complex, str, bytes, np.generic)
@@ -72,23 +77,66 @@ def program_of(
     except _Unknown:
         key = None
     if key is not None:
-        with _lock:
-            found = _known.get(key)
-        if found is not None and found[0].holds():
-            return found[1]
+        found = _held(_known, key)
+        if found is not None:
+            return found
     loop = traced(own, context, start, reference, dt=dt, spread=spread)
     program = Program(loop, single=single, cache=Cache())
     if key is not None:
-        try:
-            witness = _Witness(own)
-        except _Unknown:
-            return program
-        with _lock:
-            _known[key] = witness, program
-            _known.move_to_end(key)
-            while len(_known) > _MOST:
-                _known.popitem(last=False)
+        _hold(_known, key, own, program)
     return program
+
+
+def memory_of(parts: Parts, *others: Any) -> dict[Any, Any]:
+    """Return where what follows from the parts of a loop is remembered; of parts that may change, nowhere.
+
+    It is empty at first, and again after anything changed that the parts' code refers to.
+
+    Parameters
+    ----------
+    parts : Parts
+        The loop.
+    *others
+        What else it follows from, such as the trajectory.
+    """
+    each = (*(part for _, part in parts.by_path()), *others)
+    numbers = [own.number for part in each if (own := known(part)) is not None]
+    if len(numbers) < len(each):
+        return {}
+    key = len(parts.forces), parts.integrator is None, *numbers
+    found: dict[Any, Any] | None = _held(_memories, key)
+    if found is not None and len(found) < _MOST:
+        return found
+    try:
+        own = parts.on_symbols()
+    except NotTraceable:
+        return {}
+    return _hold(_memories, key, own, {}, others)  # type: ignore[no-any-return]
+
+
+def _held(table: "OrderedDict[Any, tuple[_Witness, Any]]", key: Any) -> Any:
+    """Return what a table has of a key; None where it has nothing, or the code is not what it was."""
+    with _lock:
+        found = table.get(key)
+        if found is not None:
+            table.move_to_end(key)
+    return found[1] if found is not None and found[0].holds() else None
+
+
+def _hold(
+    table: "OrderedDict[Any, tuple[_Witness, Any]]", key: Any, own: Parts, value: Any, others: Any = ()
+) -> Any:
+    """Return a value, after keeping it in a table where all can be told that it hangs on."""
+    try:
+        witness = _Witness((*(part for _, part in own.by_path()), *others))
+    except _Unknown:
+        return value
+    with _lock:
+        table[key] = witness, value
+        table.move_to_end(key)
+        while len(table) > _MOST:
+            table.popitem(last=False)
+    return value
 
 
 def _key(parts: Parts, context: Any, reference: Reference, spread: frozenset[Place], single: bool) -> Any:
@@ -101,8 +149,17 @@ def _key(parts: Parts, context: Any, reference: Reference, spread: frozenset[Pla
     shapes = tuple(np.shape(x) for x in reference)
     memory = initial_memory(parts, context, shapes[1][-1], normal=noise)
     form = _form(memory, parts.plant)
-    forms = tuple((path, _form(part)) for path, part in parts.by_path())
+    forms = tuple((path, _part_form(part)) for path, part in parts.by_path())
     return forms, parts.substeps, form, tuple(names), shapes, spread, single
+
+
+def _part_form(part: Any) -> Any:
+    own = known(part)
+    if own is None:
+        return _form(part)
+    if "form" not in own.memory:
+        own.memory["form"] = _form(part)
+    return own.memory["form"]
 
 
 def _form(x: Any, leaves: Any = None, depth: int = 0) -> Any:
@@ -112,6 +169,8 @@ def _form(x: Any, leaves: Any = None, depth: int = 0) -> Any:
     """
     if depth > _DEEP:
         raise _Unknown
+    if isinstance(x, FunctionType) and (own := known(x)) is not None:
+        return FunctionType, own.number  # the function itself would keep what it closes over
     if x is None or isinstance(x, _BY_IDENTITY):
         return x
     if isinstance(x, _BY_VALUE):
@@ -154,23 +213,32 @@ def _object_form(x: Any, leaves: Any, depth: int) -> Any:
 
 
 class _Witness:
-    """What code refers to, as it was when a loop was traced."""
+    """What code refers to, as it was when a loop was traced. It keeps no part of the loop alive."""
 
-    def __init__(self, parts: Parts) -> None:
-        walk = Walk(part for _, part in parts.by_path())
-        self._kept = walk.seen  # so that no other object gets one of their places in memory
-        self._names = [(mapping, name, mapping[name]) for mapping, name in walk.names.values()]
-        self._cells = [(cell, cell.cell_contents) for cell in walk.cells.values()]
-        values = [*(value for _, _, value in self._names), *(value for _, value in self._cells)]
-        self._forms = [(value, _form(value)) for value in values if _can_change(value)]
+    def __init__(self, things: Iterable[Any]) -> None:
+        walk = Walk(things)
+        names = [(mapping, name, mapping[name]) for mapping, name in walk.names.values()]
+        cells = [(cell, cell.cell_contents) for cell in walk.cells.values()]
+        values = [*(value for _, _, value in names), *(value for _, value in cells)]
+        self._gone: list[Any] = []  # what has died cannot be what a name stands for
+        self._names = [(mapping, name, self._referred(value)) for mapping, name, value in names]
+        self._cells = [(cell, self._referred(value)) for cell, value in cells]
+        self._forms = [(self._referred(value), _form(value)) for value in values if _can_change(value)]
+
+    def _referred(self, value: Any) -> Callable[[], Any]:
+        """Return what returns a value, without keeping it alive where that can be helped."""
+        try:
+            return weakref.ref(value, self._gone.append)
+        except TypeError:
+            return lambda: value
 
     def holds(self) -> bool:
         """Tell whether all that is as it was."""
         try:
-            return (
-                all(mapping.get(name) is value for mapping, name, value in self._names)
-                and all(cell.cell_contents is value for cell, value in self._cells)
-                and all(_form(value) == form for value, form in self._forms)
+            return not self._gone and (
+                all([mapping.get(name, self) is value() for mapping, name, value in self._names])
+                and all([cell.cell_contents is value() for cell, value in self._cells])
+                and all([_form(value()) == form for value, form in self._forms])
             )
         except (_Unknown, ValueError):
             return False
@@ -178,7 +246,7 @@ class _Witness:
 
 def _can_change(x: Any) -> bool:
     fixed = (*_BY_IDENTITY, *_BY_VALUE, property, staticmethod, classmethod, functools.cached_property)
-    if x is None or isinstance(x, fixed) or hasattr(type(x), "__get__"):
+    if x is None or isinstance(x, fixed) or hasattr(type(x), "__get__") or is_constant(x):
         return False
     # Marks of typing and the like.
     return not (is_foreign(type(x).__module__) and not isinstance(x, list | dict | set | tuple | np.ndarray))

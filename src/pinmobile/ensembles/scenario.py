@@ -1,6 +1,6 @@
 """`Scenario`, the noun: one loop, how often it is run, and what differs from run to run."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -10,6 +10,7 @@ from zlib import crc32
 import numpy as np
 
 from pinmobile.arrays import Array, affordable, positive, scalar, whole
+from pinmobile.compiled.known import memory_of
 from pinmobile.compiled.loop_tape import initial_memory
 from pinmobile.compiled.noise import Noise
 from pinmobile.compiled.parts import Parts, Place
@@ -130,9 +131,12 @@ class Scenario:
         )
         self._set(spread=checked_spread(self.spread, n, self.known))
         check_supports(self.spread, self.parameters)
-        check_answers(
-            self.robot, self.forces, self.integrator, *self._beginning(self.robot), dt / self.substeps
-        )
+        self._once(("answers", self.substeps, dt, len(t), t[-1]), self._check_answers)
+
+    def _check_answers(self) -> None:
+        """Refuse parts whose answers have other shapes than they should, or are others when asked again."""
+        h = self.dt / self.substeps
+        check_answers(self.robot, self.forces, self.integrator, *self._beginning(self.robot), h)
         q, v = (one[0] for one in self.starts({}, 1))
         check_controllers_memory(self.controller, self.context, q, v)
         for k, force in enumerate(self.forces):
@@ -142,6 +146,16 @@ class Scenario:
                     f"forces[{k}] gives shape {shape} for one robot, expected (3,): "
                     "name in spread what differs"
                 )
+
+    def _once(self, what: Any, make: Callable[[], Any]) -> Any:
+        """Return what a function makes of the parts alone; of constant parts, what it made of them before."""
+        if what not in self._memory:
+            self._memory[what] = make()
+        return self._memory[what]
+
+    @cached_property
+    def _memory(self) -> dict[Any, Any]:
+        return memory_of(self._given, self.trajectory)
 
     def _set(self, **values: Any) -> None:
         for name, value in values.items():
@@ -185,7 +199,7 @@ class Scenario:
     @cached_property
     def known(self) -> dict[str, list[Stated]]:
         """What its parts and its start state, by name, and by path and name; what a spread may name."""
-        return stated_by(self._on_arrays, self._coordinates)
+        return self._once("known", lambda: stated_by(self._on_arrays, self._coordinates))  # type: ignore[no-any-return]
 
     @cached_property
     def _coordinates(self) -> tuple[Coordinate, ...]:
@@ -303,6 +317,9 @@ class Scenario:
     @cached_property
     def nominal(self) -> dict[str, float]:
         """The values of the parameters, as far as each is one number."""
+        return self._once("nominal", self._nominal)  # type: ignore[no-any-return]
+
+    def _nominal(self) -> dict[str, float]:
         values = self._on_arrays.parameters()
         found = {}
         for name, stated in self.known.items():
