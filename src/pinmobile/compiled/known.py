@@ -30,7 +30,9 @@ from pinmobile.errors import NotTraceable
 
 __all__ = ["memory_of", "program_of"]
 
-_MOST = 64
+_MOST = 64  # programs
+_MEMORIES = 16  # loops, each with a reference of at most some MB
+_THINGS = 64  # that are remembered of one
 _DEEP = 24
 _lock = threading.Lock()
 _known: "OrderedDict[Any, tuple[_Witness, Program]]" = OrderedDict()
@@ -105,13 +107,15 @@ def memory_of(parts: Parts, *others: Any) -> dict[Any, Any]:
         return {}
     key = len(parts.forces), parts.integrator is None, *numbers
     found: dict[Any, Any] | None = _held(_memories, key)
-    if found is not None and len(found) < _MOST:
+    if found is not None:
+        if len(found) > _THINGS:
+            found.clear()
         return found
     try:
         own = parts.on_symbols()
     except NotTraceable:
         return {}
-    return _hold(_memories, key, own, {}, others)  # type: ignore[no-any-return]
+    return _hold(_memories, key, own, {}, _MEMORIES, others)  # type: ignore[no-any-return]
 
 
 def _held(table: "OrderedDict[Any, tuple[_Witness, Any]]", key: Any) -> Any:
@@ -124,7 +128,12 @@ def _held(table: "OrderedDict[Any, tuple[_Witness, Any]]", key: Any) -> Any:
 
 
 def _hold(
-    table: "OrderedDict[Any, tuple[_Witness, Any]]", key: Any, own: Parts, value: Any, others: Any = ()
+    table: "OrderedDict[Any, tuple[_Witness, Any]]",
+    key: Any,
+    own: Parts,
+    value: Any,
+    most: int = _MOST,
+    others: Any = (),
 ) -> Any:
     """Return a value, after keeping it in a table where all can be told that it hangs on."""
     try:
@@ -134,7 +143,7 @@ def _hold(
     with _lock:
         table[key] = witness, value
         table.move_to_end(key)
-        while len(table) > _MOST:
+        while len(table) > most:
             table.popitem(last=False)
     return value
 

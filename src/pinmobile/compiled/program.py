@@ -196,7 +196,7 @@ class Program:
 
     def _samples(self, t: Array, reference: Reference, uniforms: Array) -> Array:
         """Return what all robots share of each sample, shape (N + 1, columns)."""
-        given = np.column_stack([t, *reference]).astype(np.float64)
+        given = np.column_stack([t, *reference])
         tabled = self.loop.tabled
         if not tabled:
             return given

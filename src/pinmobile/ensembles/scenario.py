@@ -10,7 +10,7 @@ from zlib import crc32
 import numpy as np
 
 from pinmobile.arrays import Array, affordable, positive, scalar, whole
-from pinmobile.compiled.known import memory_of
+from pinmobile.compiled import memory_of
 from pinmobile.compiled.loop_tape import initial_memory
 from pinmobile.compiled.noise import Noise
 from pinmobile.compiled.parts import Parts, Place
@@ -108,6 +108,8 @@ class Scenario:
                 f"n is {n:,}, expected at most {_MOST:,}, whose records take {_MOST * _RECORD / 1e9:.0f} GB"
             )
         dt = positive("dt", self.dt, "s")
+        check_mapping(self.spread)
+        self._set(forces=with_spread_forces(checked_forces(self.forces, self.robot), self.spread))
         duration = None if self.duration is None else positive("duration", self.duration, "s")
         t = sample_times(dt, duration, self.trajectory.duration)
         every = max(1, round((len(t) - 1) / _GRID)) if self.every is None else whole("every", self.every)
@@ -115,7 +117,6 @@ class Scenario:
         affordable(
             f"the bands of {bands:,} times, every {every} samples,", _BANDS * bands, "give a larger `every`"
         )
-        check_mapping(self.spread)
         self._set(
             n=n,
             dt=dt,
@@ -125,15 +126,14 @@ class Scenario:
             limit=positive("limit", self.limit),
             after=time_within("after", self.after, t),
             every=every,
-            forces=with_spread_forces(checked_forces(self.forces, self.robot), self.spread),
             t=t,
-            reference=sampled(self.trajectory, t, self.robot),
         )
+        self._set(reference=sampled(self.trajectory, t, self.robot, self._memory))
         self._set(spread=checked_spread(self.spread, n, self.known))
         check_supports(self.spread, self.parameters)
         self._once(("answers", self.substeps, dt, len(t), t[-1]), self._check_answers)
 
-    def _check_answers(self) -> None:
+    def _check_answers(self) -> bool:
         """Refuse parts whose answers have other shapes than they should, or are others when asked again."""
         h = self.dt / self.substeps
         check_answers(self.robot, self.forces, self.integrator, *self._beginning(self.robot), h)
@@ -146,12 +146,14 @@ class Scenario:
                     f"forces[{k}] gives shape {shape} for one robot, expected (3,): "
                     "name in spread what differs"
                 )
+        return True
 
     def _once(self, what: Any, make: Callable[[], Any]) -> Any:
         """Return what a function makes of the parts alone; of constant parts, what it made of them before."""
-        if what not in self._memory:
-            self._memory[what] = make()
-        return self._memory[what]
+        found = self._memory.get(what)
+        if found is None:
+            found = self._memory[what] = make()
+        return found
 
     @cached_property
     def _memory(self) -> dict[Any, Any]:

@@ -104,16 +104,21 @@ def simulate(
     integrator = chosen_integrator(plant, integrator)
     checked_loop(plant, controller, trajectory, integrator)
     t = sample_times(dt, duration, trajectory.duration)
-    reference = sampled(trajectory, t, plant)
-    start = _start(plant, reference, q0, v0)
     count, checked = checked_substeps(substeps, len(t)), checked_forces(forces, plant)
-    context = Context.of(plant, dt=dt, t=t, reference=reference, trajectory=trajectory)
-    check_answers(plant, checked, integrator, *start, dt / count)
-    check_controllers_memory(controller, context, *start)
     chosen = checked_engine(engine, PINOCCHIO, COMPILED) or PINOCCHIO
     kind: Any = Loop
+    memory: dict[Any, Any] = {}
     if chosen is COMPILED:
-        from pinmobile.simulation.single import CompiledLoop as kind  # and with it, what compiles
+        from pinmobile.simulation.single import CompiledLoop as kind, remembered  # and with it, what compiles
+
+        memory = remembered(plant, controller, integrator, count, checked, trajectory)
+    reference = sampled(trajectory, t, plant, memory)
+    start = _start(plant, reference, q0, v0)
+    context = Context.of(plant, dt=dt, t=t, reference=reference, trajectory=trajectory)
+    if ("simulated", count, dt, t[-1]) not in memory:
+        check_answers(plant, checked, integrator, *start, dt / count)
+        check_controllers_memory(controller, context, *start)
+        memory["simulated", count, dt, t[-1]] = True
     chunk = len(t) if chosen is COMPILED else _CHUNK
     loop = kind(plant, controller, integrator, context, count, checked, *start)
     for begin in range(0, len(t), chunk):
