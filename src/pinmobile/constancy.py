@@ -53,9 +53,9 @@ def known(thing: Any) -> Known | None:
         return None
     place = id(thing)
 
-    def gone(reference: Any) -> None:
-        if _known.get(place, (None,))[0] is reference:
-            del _known[place]
+    def gone(reference: Any, table: dict[int, Any] = _known) -> None:  # when Python ends, globals are gone
+        if table.get(place, (None,))[0] is reference:
+            del table[place]
 
     try:
         entry = weakref.ref(thing, gone), Known(next(_numbers))

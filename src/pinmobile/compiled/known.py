@@ -11,6 +11,7 @@ import threading
 import weakref
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
+from operator import is_, itemgetter
 from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
 from typing import Any
 
@@ -28,7 +29,7 @@ from pinmobile.compiled.tracing import Walk, is_foreign
 from pinmobile.constancy import is_constant, known
 from pinmobile.errors import NotTraceable
 
-__all__ = ["memory_of", "program_of"]
+__all__ = ["memory_of", "once", "program_of"]
 
 _MOST = 64  # programs
 _MEMORIES = 16  # loops, each with a reference of at most some MB
@@ -39,6 +40,8 @@ _known: "OrderedDict[Any, tuple[_Witness, Program]]" = OrderedDict()
 _memories: "OrderedDict[Any, tuple[_Witness, dict[Any, Any]]]" = OrderedDict()
 
 _BY_IDENTITY = (FunctionType, BuiltinFunctionType, ModuleType, type, np.ufunc, np.dtype)
+_NUMBERS = frozenset((bool, int, float, complex))
+_CODE = (FunctionType, BuiltinFunctionType, ModuleType, type, property)
 _BY_VALUE = (bool, int, float, complex, str, bytes, np.generic)
 
 
@@ -118,6 +121,14 @@ def memory_of(parts: Parts, *others: Any) -> dict[Any, Any]:
     return _hold(_memories, key, own, {}, _MEMORIES, others)  # type: ignore[no-any-return]
 
 
+def once(memory: dict[Any, Any], what: Any, make: Callable[[], Any]) -> Any:
+    """Return what a memory has of something, which is made where it has nothing."""
+    found = memory.get(what)
+    if found is None:
+        found = memory[what] = make()
+    return found
+
+
 def _held(table: "OrderedDict[Any, tuple[_Witness, Any]]", key: Any) -> Any:
     """Return what a table has of a key; None where it has nothing, or the code is not what it was."""
     with _lock:
@@ -176,6 +187,8 @@ def _form(x: Any, leaves: Any = None, depth: int = 0) -> Any:
 
     Of parameters of parts that is their shape; where `leaves` is not None, it is so for all numbers.
     """
+    if type(x) in _NUMBERS:  # the most
+        return type(x) if leaves is not None else (type(x), x)
     if depth > _DEEP:
         raise _Unknown
     if isinstance(x, FunctionType) and (own := known(x)) is not None:
@@ -230,7 +243,13 @@ class _Witness:
         cells = [(cell, cell.cell_contents) for cell in walk.cells.values()]
         values = [*(value for _, _, value in names), *(value for _, value in cells)]
         self._gone: list[Any] = []  # what has died cannot be what a name stands for
-        self._names = [(mapping, name, self._referred(value)) for mapping, name, value in names]
+        code = [each for each in names if isinstance(each[2], _CODE)]
+        self._code = [
+            (mapping, itemgetter(*chosen, *chosen[:1]), [*map(mapping.__getitem__, chosen)])
+            for mapping, chosen in _by_mapping(code)
+        ]
+        others = [each for each in names if not isinstance(each[2], _CODE)]
+        self._names = [(mapping, name, self._referred(value)) for mapping, name, value in others]
         self._cells = [(cell, self._referred(value)) for cell, value in cells]
         self._forms = [(self._referred(value), _form(value)) for value in values if _can_change(value)]
 
@@ -245,12 +264,21 @@ class _Witness:
         """Tell whether all that is as it was."""
         try:
             return not self._gone and (
-                all([mapping.get(name, self) is value() for mapping, name, value in self._names])
+                all(all(map(is_, found(mapping), values)) for mapping, found, values in self._code)
+                and all([mapping[name] is value() for mapping, name, value in self._names])
                 and all([cell.cell_contents is value() for cell, value in self._cells])
                 and all([_form(value()) == form for value, form in self._forms])
             )
-        except (_Unknown, ValueError):
+        except (_Unknown, KeyError, ValueError):
             return False
+
+
+def _by_mapping(names: Iterable[tuple[Any, str, Any]]) -> list[tuple[Any, list[str]]]:
+    """Return the names of each mapping."""
+    found: dict[int, tuple[Any, list[str]]] = {}
+    for mapping, name, _ in names:
+        found.setdefault(id(mapping), (mapping, []))[1].append(name)
+    return list(found.values())
 
 
 def _can_change(x: Any) -> bool:

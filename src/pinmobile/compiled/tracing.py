@@ -210,10 +210,12 @@ class Walk:
     def _class(self, thing: type) -> None:
         for each in thing.__mro__:
             if _is_own(each.__module__, bool(each.__flags__ & _MADE_BY_CODE)):
-                for name, value in list(vars(each).items()):
+                own = vars(each)  # another object each time
+                for name, value in list(own.items()):
                     if not name.startswith("__") or name == "__call__":
-                        self._met(each, vars(each), name)
-                    if not isinstance(value, type) and callable(getattr(value, "__get__", None)):
+                        self._met(each, own, name)
+                    law = name != "__repr__" and not isinstance(value, type)
+                    if law and callable(getattr(value, "__get__", None)):
                         self.visit(value)
 
     def _function(self, function: FunctionType) -> None:

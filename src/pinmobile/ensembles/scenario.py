@@ -10,7 +10,7 @@ from zlib import crc32
 import numpy as np
 
 from pinmobile.arrays import Array, affordable, positive, scalar, whole
-from pinmobile.compiled import memory_of
+from pinmobile.compiled import memory_of, once
 from pinmobile.compiled.loop_tape import initial_memory
 from pinmobile.compiled.noise import Noise
 from pinmobile.compiled.parts import Parts, Place
@@ -131,13 +131,13 @@ class Scenario:
         self._set(reference=sampled(self.trajectory, t, self.robot, self._memory))
         self._set(spread=checked_spread(self.spread, n, self.known))
         check_supports(self.spread, self.parameters)
-        self._once(("answers", self.substeps, dt, len(t), t[-1]), self._check_answers)
+        once(self._memory, ("answers", *self.told), self._check_answers)
 
     def _check_answers(self) -> bool:
         """Refuse parts whose answers have other shapes than they should, or are others when asked again."""
         h = self.dt / self.substeps
         check_answers(self.robot, self.forces, self.integrator, *self._beginning(self.robot), h)
-        q, v = (one[0] for one in self.starts({}, 1))
+        q, v = self.start
         check_controllers_memory(self.controller, self.context, q, v)
         for k, force in enumerate(self.forces):
             shape = np.shape(_asked(force, self._on_arrays.plant, q, v))
@@ -148,20 +148,22 @@ class Scenario:
                 )
         return True
 
-    def _once(self, what: Any, make: Callable[[], Any]) -> Any:
-        """Return what a function makes of the parts alone; of constant parts, what it made of them before."""
-        found = self._memory.get(what)
-        if found is None:
-            found = self._memory[what] = make()
-        return found
-
-    @cached_property
-    def _memory(self) -> dict[Any, Any]:
-        return memory_of(self._given, self.trajectory)
-
     def _set(self, **values: Any) -> None:
         for name, value in values.items():
             object.__setattr__(self, name, value)
+
+    @property
+    def told(self) -> tuple[Any, ...]:
+        """What its laws may ask for beside the parts: substeps, times and the seed."""
+        return self.substeps, self.dt, len(self.t), float(self.t[-1]), self.seed
+
+    def memory(self) -> dict[Any, Any]:
+        """Return where what follows from its parts is remembered as long as they stay; see `memory_of`."""
+        return memory_of(self._given, self.trajectory)
+
+    @cached_property
+    def _memory(self) -> dict[Any, Any]:
+        return self.memory()
 
     def __getstate__(self) -> dict[str, Any]:
         # What is made of the fields is made again.
@@ -201,7 +203,7 @@ class Scenario:
     @cached_property
     def known(self) -> dict[str, list[Stated]]:
         """What its parts and its start state, by name, and by path and name; what a spread may name."""
-        return self._once("known", lambda: stated_by(self._on_arrays, self._coordinates))  # type: ignore[no-any-return]
+        return once(self._memory, "known", lambda: stated_by(self._on_arrays, self._coordinates))  # type: ignore[no-any-return]
 
     @cached_property
     def _coordinates(self) -> tuple[Coordinate, ...]:
@@ -298,13 +300,18 @@ class Scenario:
     def starts(self, draws: Mapping[str, Array], count: int) -> tuple[Array, Array]:
         """Return where robots start, shape (count, nq) and (count, nv)."""
         plant = self.parts.on_arrays().plant
-        q, v = self._beginning(plant)
+        q, v = self.start
         off = np.zeros((2, count, plant.nv))
-        names = [each.name for each in start_parameters(self._coordinates)]
+        names = once(self._memory, "starts", lambda: [each.name for each in start_parameters(self._coordinates)])
         for k, name in enumerate(names):
             if name in draws:
                 off[k // plant.nv, :, k % plant.nv] = draws[name]
         return _moved(plant, q, off[0]), v + off[1]
+
+    @property
+    def start(self) -> tuple[Array, Array]:
+        """Where the nominal robot starts, shape (nq,) and (nv,)."""
+        return once(self._memory, "start", lambda: self._beginning(self.parts.on_arrays().plant))  # type: ignore[no-any-return]
 
     def _beginning(self, plant: Any) -> tuple[Array, Array]:
         """Return where a plant is on the trajectory, shape (nq,) and (nv,)."""
@@ -319,7 +326,7 @@ class Scenario:
     @cached_property
     def nominal(self) -> dict[str, float]:
         """The values of the parameters, as far as each is one number."""
-        return self._once("nominal", self._nominal)  # type: ignore[no-any-return]
+        return once(self._memory, "nominal", self._nominal)  # type: ignore[no-any-return]
 
     def _nominal(self) -> dict[str, float]:
         values = self._on_arrays.parameters()

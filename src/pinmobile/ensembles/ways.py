@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import Summary, program_of, robot_keys
+from pinmobile.compiled import Summary, once, program_of, robot_keys
 from pinmobile.compiled.loop_tape import arrays_of, initial_memory
 from pinmobile.compiled.noise import Noise
 from pinmobile.compiled.parts import (
@@ -173,10 +173,18 @@ def _part_at(parts: Parts, path: str) -> Any:
 
 
 def _as_compiled(scenario: Scenario) -> Program:
+    begins = scenario.begin > 0
+    return once(  # type: ignore[no-any-return]
+        scenario.memory(),
+        ("program", tuple(scenario.spread), begins, *scenario.told),
+        lambda: _program(scenario),
+    )
+
+
+def _program(scenario: Scenario) -> Program:
     _check_derived(scenario)
     parts, at = _with_recorder(scenario), Reference(*(part[0] for part in scenario.reference))
-    q, v = scenario.starts({}, 1)
-    program = program_of(parts, scenario.context, (q[0], v[0]), at, dt=scenario.dt, spread=scenario.places)
+    program = program_of(parts, scenario.context, scenario.start, at, dt=scenario.dt, spread=scenario.places)
     unused = set(program.loop.unused)
     for name, stated in scenario.stated.items():
         # What the plant has may not matter to one run, as the mass of what nobody pushes; it is its own.
@@ -293,7 +301,7 @@ def _on_arrays(scenario: Scenario, draws: Mapping[str, Array], start: int, stop:
     rows = _rows(scenario, draws, start, stop)
     q, v, memory, h = rows.q, rows.v, rows.memory, scenario.dt / scenario.substeps
     counts = np.zeros((len(scenario.grid), 2, BINS), np.int32)
-    begin = scenario.starts({}, 1)
+    begin = scenario.start
     with np.errstate(all="ignore"):  # what overflows is judged
         for k, time in enumerate(scenario.t.tolist()):
             at = Reference(*(part[k] for part in scenario.reference))

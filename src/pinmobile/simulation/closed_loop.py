@@ -1,6 +1,7 @@
 """`simulate`: a controller in the loop with a plant, checked before, judged after."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -107,12 +108,13 @@ def simulate(
     count, checked = checked_substeps(substeps, len(t)), checked_forces(forces, plant)
     chosen = checked_engine(engine, PINOCCHIO, COMPILED) or PINOCCHIO
     kind: Any = Loop
-    memory: dict[Any, Any] = {}
+    memory: dict[Any, Any] = {}  # of this call alone, where nothing is remembered
     if chosen is COMPILED:
-        from pinmobile.simulation.single import CompiledLoop as kind, remembered  # and with it, what compiles
+        from pinmobile.simulation.single import CompiledLoop, remembered  # and with them, what compiles
 
         memory = remembered(plant, controller, integrator, count, checked, trajectory)
-    reference = sampled(trajectory, t, plant, memory)
+        kind = partial(CompiledLoop, memory=memory)
+    reference = sampled(trajectory, t, plant, memory if chosen is COMPILED else None)
     start = _start(plant, reference, q0, v0)
     context = Context.of(plant, dt=dt, t=t, reference=reference, trajectory=trajectory)
     if ("simulated", count, dt, t[-1]) not in memory:

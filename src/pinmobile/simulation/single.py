@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import Parts, Reference, Trace, memory_of, program_of, robot_keys
+from pinmobile.compiled import Parts, Reference, Trace, memory_of, once, program_of, robot_keys
 from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.plant import Context
 
@@ -31,6 +31,8 @@ class CompiledLoop:
         What the controller is told; the reference is sampled at its times.
     q0, v0 : ndarray, shape (nq,) and (nv,)
         Start.
+    memory : dict
+        What `remembered` returned of the parts.
 
     Raises
     ------
@@ -51,6 +53,7 @@ class CompiledLoop:
         forces: tuple[Any, ...],
         q0: Array,
         v0: Array,
+        memory: dict[Any, Any],
     ) -> None:
         for part in (plant, controller):
             if hasattr(part, "signals"):
@@ -63,8 +66,12 @@ class CompiledLoop:
         whole = reference.q.shape[1] == plant.nq and reference.v.shape[1] == plant.nv
         self._adds = whole and getattr(plant, "adds", False)
         first = Reference(*(part[0] for part in reference))
+
+        def known() -> Any:
+            return program_of(parts, context, (q0, v0), first, dt=context.dt, single=True)
+
         try:
-            program = program_of(parts, context, (q0, v0), first, dt=context.dt, single=True)
+            program = once(memory, ("single", substeps, context.dt, len(context.t), context.t[-1]), known)
         except NotTraceable as error:
             raise InvalidArgument(f"engine is COMPILED, which cannot run this: {error}") from error
         member = range(context.member, context.member + 1)
