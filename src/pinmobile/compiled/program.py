@@ -200,7 +200,8 @@ class Program:
 
     def _samples(self, t: Array, reference: Reference, uniforms: Array) -> Array:
         """Return what all robots share of each sample, shape (N + 1, columns)."""
-        given = np.column_stack([t, *reference])
+        given = np.empty((len(t), 1 + sum(part.shape[1] for part in reference)))
+        np.concatenate([t[:, None], *reference], axis=1, out=given)
         tabled = self.loop.tabled
         if not tabled:
             return given

@@ -227,12 +227,16 @@ class Scenario:
     @cached_property
     def parts(self) -> Parts:
         """The parts of its loop; what is spread has the shape that it takes for each robot."""
+        grown = once(self._memory, ("grown", tuple(self.spread)), self._grown)
+        return self._given.with_parameters(grown, remade=True) if grown else self._given
+
+    def _grown(self) -> dict[Place, Array]:
+        """Return the attributes that take another shape when they are spread."""
         values = self._on_arrays.parameters()
         wanted = self._written(
             {name: np.array([self.nominal.get(name, 1.0)]) for name in self.spread}, values, 1
         )
-        grown = {place: one[0] for place, one in wanted.items() if one.shape[1:] != values[place].shape}
-        return self._given.with_parameters(grown, remade=True) if grown else self._given
+        return {place: one[0] for place, one in wanted.items() if one.shape[1:] != values[place].shape}
 
     def _written(
         self, draws: Mapping[str, Array], values: Mapping[Place, Array], count: int
