@@ -61,7 +61,8 @@ def known(thing: Any) -> Known | None:
         entry = weakref.ref(thing, gone), Known(next(_numbers))
     except TypeError:
         return None
-    return _known.setdefault(place, entry)[1]
+    _known[place] = entry
+    return entry[1]
 
 
 def is_constant(thing: Any, depth: int = 0) -> bool:
@@ -90,8 +91,7 @@ def is_constant(thing: Any, depth: int = 0) -> bool:
     if isinstance(thing, tuple | frozenset):
         return not attributes and all(is_constant(each, depth + 1) for each in thing)
     frozen = getattr(vars(kind).get("__dataclass_params__"), "frozen", False)
-    return bool(frozen and attributes) and all(
-        is_constant(value, depth + 1)
-        for name, value in attributes.items()
-        if not isinstance(getattr(kind, name, None), cached_property)
-    )
+    if not (frozen and isinstance(attributes, dict)):
+        return False
+    own = (x for name, x in attributes.items() if not isinstance(getattr(kind, name, None), cached_property))
+    return all(is_constant(value, depth + 1) for value in own)

@@ -82,7 +82,7 @@ def program_of(
     except _Unknown:
         key = None
     if key is not None:
-        found = _held(_known, key)
+        found: Program | None = _held(_known, key)
         if found is not None:
             return found
     loop = traced(own, context, start, reference, dt=dt, spread=spread)
@@ -105,7 +105,8 @@ def memory_of(parts: Parts, *others: Any) -> dict[Any, Any]:
         What else it follows from, such as the trajectory.
     """
     each = (*(part for _, part in parts.by_path()), *others)
-    numbers = [own.number for part in each if (own := known(part)) is not None]
+    entries = [known(part) for part in each]
+    numbers = [entry.number for entry in entries if entry is not None]
     if len(numbers) < len(each):
         return {}
     key = len(parts.forces), parts.integrator is None, *numbers
@@ -118,7 +119,9 @@ def memory_of(parts: Parts, *others: Any) -> dict[Any, Any]:
         own = parts.on_symbols()
     except NotTraceable:
         return {}
-    return _hold(_memories, key, own, {}, _MEMORIES, others)  # type: ignore[no-any-return]
+    made: dict[Any, Any] = {}
+    _hold(_memories, key, own, made, _MEMORIES, others)
+    return made
 
 
 def once(memory: dict[Any, Any], what: Any, make: Callable[[], Any]) -> Any:
@@ -145,18 +148,17 @@ def _hold(
     value: Any,
     most: int = _MOST,
     others: Any = (),
-) -> Any:
-    """Return a value, after keeping it in a table where all can be told that it hangs on."""
+) -> None:
+    """Keep a value in a table, where all can be told that it hangs on."""
     try:
         witness = _Witness((*(part for _, part in own.by_path()), *others))
     except _Unknown:
-        return value
+        return
     with _lock:
         table[key] = witness, value
         table.move_to_end(key)
         while len(table) > most:
             table.popitem(last=False)
-    return value
 
 
 def _key(parts: Parts, context: Any, reference: Reference, spread: frozenset[Place], single: bool) -> Any:
@@ -211,7 +213,7 @@ def _form(x: Any, leaves: Any = None, depth: int = 0) -> Any:
         # In a memory it is the plant's `difference`, whose form is known by another way.
         return x.__func__, None if x.__self__ is leaves else _form(x.__self__, None, depth + 1)
     if isinstance(x, functools.partial):
-        return x.func, _form((x.args, x.keywords), None, depth + 1)
+        return _form((x.func, x.args, x.keywords), None, depth + 1)
     if isinstance(x, Line):
         return Line, x.samples
     if isinstance(x, Noise):

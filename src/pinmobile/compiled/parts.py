@@ -180,14 +180,8 @@ def _parameters(path: str, part: Any) -> Sequence[tuple[str, str, Array]]:
 
 
 def _on_symbols(part: Any) -> Any:
-    own, law = known(part), getattr(type(part), "traced", None)
     if hasattr(part, "traced"):
-        if own is None or own.memory.get("traced", (own,))[0] is not law:
-            found = law, part.traced()
-            if own is None:
-                return found[1]
-            own.memory["traced"] = found
-        return own.memory["traced"][1]
+        return part.traced()
 
     def symbolic(child: Any) -> Any:
         try:
@@ -199,8 +193,13 @@ def _on_symbols(part: Any) -> Any:
     changed = {name: new for name, (old, new) in inner.items() if new is not old}
     if not changed:
         return part
+    own = known(part)
     before = own and own.memory.get("copied")
-    if before and list(before[0]) == list(changed) and all(before[0][name] is changed[name] for name in changed):
+    if (
+        before
+        and list(before[0]) == list(changed)
+        and all(before[0][name] is changed[name] for name in changed)
+    ):
         return before[1]
     copied = _copied(part, {}, changed)
     if own is not None:

@@ -27,7 +27,8 @@ __all__ = [
 class Distribution(Protocol):
     """What a spread may hold; a frozen distribution of `scipy.stats` (with ``rvs``) is as good.
 
-    One whose fewer draws are the beginning of more may say so, ``in_order = True``: no more are drawn than needed.
+    One whose fewer draws are the beginning of more may say so, ``in_order = True``: then no more are drawn
+    than needed.
     """
 
     def sample(self, generator: np.random.Generator, size: int) -> Array:

@@ -1,6 +1,6 @@
 """`Scenario`, the noun: one loop, how often it is run, and what differs from run to run."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -306,7 +306,9 @@ class Scenario:
         plant = self.parts.on_arrays().plant
         q, v = self.start
         off = np.zeros((2, count, plant.nv))
-        names = once(self._memory, "starts", lambda: [each.name for each in start_parameters(self._coordinates)])
+        names = once(
+            self._memory, "starts", lambda: [each.name for each in start_parameters(self._coordinates)]
+        )
         for k, name in enumerate(names):
             if name in draws:
                 off[k // plant.nv, :, k % plant.nv] = draws[name]

@@ -167,8 +167,8 @@ class Engine:
 def _in_public_order(model: pin.Model) -> pin.Model:
     """Return the same body on a chain whose first joint is x and whose second is y.
 
-    Translations commute: P1 Ty P2 Tx P3 = (P1 P2) Tx (P1 P2)^-1 P1 Ty (P2 P3). The joints are of the same kinds,
-    so one `pin.Data` serves both models.
+    Translations commute: P1 Ty P2 Tx P3 = (P1 P2) Tx (P1 P2)^-1 P1 Ty (P2 P3). The joints are of the same
+    kinds, so one `pin.Data` serves both models.
     """
     public = model.copy()
     first, second, third = (model.jointPlacements[joint] for joint in range(1, BODY_JOINT + 1))

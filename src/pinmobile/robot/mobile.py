@@ -340,6 +340,10 @@ class MobileRobot(Carrier):
                 "a robot with arms, whose dynamics are Pinocchio's",
                 "loops with it run one state at a time",
             )
+        return self._planar
+
+    @cached_property
+    def _planar(self) -> PlanarBody:
         bare = self.lumped() if self.loads else self
         return PlanarBody(bare.mass, bare.body.yaw_inertia, *bare.com[:2])
 
