@@ -317,7 +317,8 @@ class Scenario:
     @property
     def start(self) -> tuple[Array, Array]:
         """Where the nominal robot starts, shape (nq,) and (nv,)."""
-        return once(self._memory, "start", lambda: self._beginning(self.parts.on_arrays().plant))  # type: ignore[no-any-return]
+        q, v = once(self._memory, "start", lambda: self._beginning(self.parts.on_arrays().plant))
+        return np.array(q, np.float64), np.array(v, np.float64)
 
     def _beginning(self, plant: Any) -> tuple[Array, Array]:
         """Return where a plant is on the trajectory, shape (nq,) and (nv,)."""

@@ -192,7 +192,7 @@ def sampled(
         check_limits(plant, checked.q, checked.v, t)
     if memory is not None and len(t) * n <= _KEPT:
         checked = Reference(*map(frozen, checked))
-        memory["reference"] = t, checked
+        memory["reference"] = frozen(t), checked
     return checked
 
 
