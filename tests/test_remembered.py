@@ -39,6 +39,7 @@ from pinmobile.arrays import callable_as, frozen
 from pinmobile.compiled.known import _memories
 from pinmobile.constancy import is_constant, known
 from pinmobile.ensembles import COMPILED, scenario
+from pinmobile.simulation.checks import check_answers
 from pinmobile.trajectories import Reference
 
 ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.05))
@@ -65,10 +66,6 @@ class Global:
             CALLS = CALLS + STEP
         bias = self.table[0] if len(self.table) else 0.0
         return GAIN * self.kp * (reference.q - q) - 50.0 * v + CALLS + bias, state
-
-
-class Plain(Global):
-    """The same as a class whose objects may change."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +106,7 @@ CONSTANT: dict[str, Any] = {
     "rk4": rk4,
     "step": constant_acceleration,
     "tangent": CIRCLE,
-    "spline": Tangent(Spline([[0.0, 0], [1, 1], [2, 0]], [0, 1, 2])),
+    "spline": Tangent(Spline([[0.0, 0.0], [1.0, 1.0], [2.0, 0.0]], [0, 1, 2])),
     "lecture": LectureHeading(Circle(2, 0.2, 10)),
     "fixed": FixedHeading(Circle(2, 0.2, 10), 0.0),
     "frozen dataclass": Global(),
@@ -123,7 +120,8 @@ def test_the_librarys_parts_are_constant_and_have_one_number(name: str) -> None:
     thing = CONSTANT[name]
     assert is_constant(thing)
     entry = known(thing)
-    assert entry is not None and known(thing) is entry
+    assert entry is not None
+    assert known(thing) is entry
 
 
 def attributed(function: Any, **attributes: Any) -> Any:
@@ -143,6 +141,10 @@ class Undecorated(Global):
 
 class Child(Undecorated):
     """No dataclass of its own: other attributes may be set."""
+
+
+class Melting(Global):
+    __setattr__ = object.__setattr__
 
 
 @dataclass
@@ -234,6 +236,9 @@ def test_a_closure_that_changed_is_run_as_it_is() -> None:
     assert errors(controller)[0] < 0.5 * before[0]
 
 
+def _raise(part: Any) -> None:
+    part.kp = 400.0
+
 
 def _fill(part: Any) -> None:
     part.table[0] = 20.0
@@ -242,7 +247,7 @@ def _fill(part: Any) -> None:
 @pytest.mark.parametrize(
     ("make", "change"),
     [
-        (lambda: Child(40.0), lambda part: vars(part).update(kp=400.0)),
+        (lambda: Melting(40.0), _raise),
         (lambda: Global(40.0, [0.0]), _fill),
         (lambda: Global(40.0, np.zeros(1)), _fill),
     ],
@@ -296,8 +301,13 @@ def test_other_times_steps_and_spreads_are_not_taken_for_the_last() -> None:
 
 def test_constant_parts_are_checked_once_and_others_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
-    true = scenario.check_answers
-    monkeypatch.setattr(scenario, "check_answers", lambda *given: asked.append(1) or true(*given))
+    true = check_answers
+
+    def counting(*given: Any) -> None:
+        asked.append(given)
+        true(*given)
+
+    monkeypatch.setattr(scenario, "check_answers", counting)
     constant, other = Global(43.0), Global(43.0, [0.0])
     for controller, expected in ((constant, 1), (other, 3)):
         asked.clear()
@@ -306,20 +316,22 @@ def test_constant_parts_are_checked_once_and_others_each_time(monkeypatch: pytes
         assert len(asked) == expected
 
 
-def test_nothing_that_was_run_is_kept_alive() -> None:
-    _memories.clear()
-    robot = MobileRobot(31.0, 1.4)
-    large = np.ones(1_000_000)
-    controller = law(lambda t, q, v, reference: -(large[0] * 9.0) * (q - reference.q) - 9.0 * v)
-    trajectory, force = Tangent(Circle(2.0, 0.1, 5.0)), ViscousFriction([1, 2, 3])
+def _run_and_forgotten() -> list[weakref.ref[Any]]:
+    robot, large = MobileRobot(31.0, 1.4), np.ones(1_000_000)
+    controller = law(lambda t, q, v, reference: large[0] * 9.0 * (reference.q - q) - 9.0 * v)
     torque = Saturated(ComputedTorque(robot, 4, 5), [50, 50, 50])
+    trajectory, force = Tangent(Circle(2.0, 0.1, 5.0)), ViscousFriction([1, 2, 3])
+    spread: dict[str, Any] = {"mass": Normal(31, 1)}
     for each in (controller, torque):
-        ensemble(robot, each, trajectory, n=2, spread={"mass": Normal(31, 1)}, dt=0.1, forces=[force])
+        ensemble(robot, each, trajectory, n=2, spread=spread, dt=0.1, forces=[force])
         simulate(robot, each, trajectory, dt=0.1, forces=[force], engine=COMPILED)
-    died = [weakref.ref(x) for x in (robot, large, controller, trajectory, force, torque)]
-    del robot, large, controller, trajectory, force, torque, each
+    return [weakref.ref(x) for x in (robot, large, controller, torque, trajectory, force)]
+
+
+def test_nothing_that_was_run_is_kept_alive() -> None:
+    died = _run_and_forgotten()
     gc.collect()
-    assert [reference() for reference in died] == [None] * len(died)
+    assert [type(reference()) for reference in died] == [type(None)] * len(died)
 
 
 def test_memories_are_few() -> None:
@@ -368,7 +380,9 @@ class Pairs:
         return 30 + generator.uniform(0, 1, size) + generator.uniform(0, 1, size)
 
 
-@pytest.mark.parametrize("source", [Pairs(), Uniform(20, 40), Normal(30, 1)], ids=str)
+@pytest.mark.parametrize(
+    "source", [Pairs(), Uniform(20, 40), Normal(30, 1)], ids=["pairs", "uniform", "normal"]
+)
 def test_the_first_robots_are_the_same_for_every_number_of_robots(source: Any) -> None:
     several = {
         n: scenario.Scenario(

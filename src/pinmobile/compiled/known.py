@@ -242,8 +242,7 @@ class _Witness:
     def __init__(self, things: Iterable[Any]) -> None:
         walk = Walk(things)
         names = [(mapping, name, mapping[name]) for mapping, name in walk.names.values()]
-        cells = [(cell, cell.cell_contents) for cell in walk.cells.values()]
-        values = [*(value for _, _, value in names), *(value for _, value in cells)]
+        values = [value for _, _, value in names] + [cell.cell_contents for cell in walk.cells.values()]
         self._gone: list[Any] = []  # what has died cannot be what a name stands for
         code = [each for each in names if isinstance(each[2], _CODE)]
         self._code = [
@@ -252,7 +251,11 @@ class _Witness:
         ]
         others = [each for each in names if not isinstance(each[2], _CODE)]
         self._names = [(mapping, name, self._referred(value)) for mapping, name, value in others]
-        self._cells = [(cell, self._referred(value)) for cell, value in cells]
+        # By its function, since a cell itself would keep what is in it.
+        self._cells = [
+            (self._referred(function), place, self._referred(walk.cells[cell].cell_contents))
+            for cell, (function, place) in walk.closures.items()
+        ]
         self._forms = [(self._referred(value), _form(value)) for value in values if _can_change(value)]
 
     def _referred(self, value: Any) -> Callable[[], Any]:
@@ -268,10 +271,10 @@ class _Witness:
             return not self._gone and (
                 all(all(map(is_, found(mapping), values)) for mapping, found, values in self._code)
                 and all([mapping[name] is value() for mapping, name, value in self._names])
-                and all([cell.cell_contents is value() for cell, value in self._cells])
+                and all([f().__closure__[i].cell_contents is value() for f, i, value in self._cells])
                 and all([_form(value()) == form for value, form in self._forms])
             )
-        except (_Unknown, KeyError, ValueError):
+        except (_Unknown, AttributeError, KeyError, ValueError):
             return False
 
 

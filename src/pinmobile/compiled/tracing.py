@@ -159,7 +159,9 @@ class Walk:
     namespaces : dict of int to dict
         Globals of the functions, by identity.
     cells : dict of int to cell
-        Closures.
+        What functions close over.
+    closures : dict of int to (function, int)
+        A function that closes over a cell, and the cell's place in its closure.
     names : dict of (int, str) to (mapping, str)
         Where the code looks up what: globals, modules and classes.
     """
@@ -168,6 +170,7 @@ class Walk:
         self.seen: dict[int, Any] = {}
         self.namespaces: dict[int, dict[str, Any]] = {}
         self.cells: dict[int, CellType] = {}
+        self.closures: dict[int, tuple[FunctionType, int]] = {}
         self.names: dict[tuple[int, str], tuple[Mapping[str, Any], str]] = {}
         for part in parts:
             self.visit(part)
@@ -224,10 +227,11 @@ class Walk:
         if not _is_own(function.__module__ or "", True):
             return
         self.namespaces[id(function.__globals__)] = function.__globals__
-        for cell in function.__closure__ or ():
+        for place, cell in enumerate(function.__closure__ or ()):
             with contextlib.suppress(ValueError):  # not set yet
                 self.visit(cell.cell_contents)
                 self.cells[id(cell)] = cell
+                self.closures[id(cell)] = function, place
         for name in _names(function.__code__):
             if name in function.__globals__:
                 self._met(function.__globals__, function.__globals__, name)
