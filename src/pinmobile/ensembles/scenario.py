@@ -131,7 +131,7 @@ class Scenario:
         self._set(reference=sampled(self.trajectory, t, self.robot, self._memory))
         self._set(spread=checked_spread(self.spread, n, self.known))
         check_supports(self.spread, self.parameters)
-        once(self._memory, ("answers", *self.told), self._check_answers)
+        once(self._memory, ("answers", *self._told), self._check_answers)
 
     def _check_answers(self) -> bool:
         """Refuse parts whose answers have other shapes than they should, or are others when asked again."""
@@ -153,17 +153,17 @@ class Scenario:
             object.__setattr__(self, name, value)
 
     @property
-    def told(self) -> tuple[Any, ...]:
+    def _told(self) -> tuple[Any, ...]:
         """What its laws may ask for beside the parts: substeps, times and the seed."""
         return self.substeps, self.dt, len(self.t), float(self.t[-1]), self.seed
 
-    def memory(self) -> dict[Any, Any]:
+    def _memory_now(self) -> dict[Any, Any]:
         """Return where what follows from its parts is remembered as long as they stay; see `memory_of`."""
         return memory_of(self._given, self.trajectory)
 
     @cached_property
     def _memory(self) -> dict[Any, Any]:
-        return self.memory()
+        return self._memory_now()
 
     def __getstate__(self) -> dict[str, Any]:
         # What is made of the fields is made again.

@@ -175,8 +175,8 @@ def _part_at(parts: Parts, path: str) -> Any:
 def _as_compiled(scenario: Scenario) -> Program:
     begins = scenario.begin > 0
     return once(  # type: ignore[no-any-return]
-        scenario.memory(),
-        ("program", tuple(scenario.spread), begins, *scenario.told),
+        scenario._memory_now(),
+        ("program", tuple(scenario.spread), begins, *scenario._told),
         lambda: _program(scenario),
     )
 
