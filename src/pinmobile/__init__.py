@@ -168,6 +168,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "balance": ("Motion", "reaction_wrench", "required_friction", "tip_over_margin", "zero_moment_point"),
     "closed_form": (),
     "compiled": (),
+    "constancy": (),
     "controllers": (
         "PD",
         "ComputedTorque",

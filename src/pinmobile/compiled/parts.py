@@ -6,7 +6,7 @@
 import copy
 import dataclasses
 import functools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MethodType
 from typing import Any, NamedTuple
@@ -16,6 +16,7 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.compiled.memory import mapped
 from pinmobile.compiled.recorders import Record, Sample
+from pinmobile.constancy import known
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
 
 __all__ = [
@@ -124,18 +125,11 @@ class Parts:
 
     def parameters(self) -> dict[Place, Array]:
         """Return the values of all parameters, those of parts within parts included."""
-        found: dict[Place, Array] = {}
-
-        def visit(path: str, part: Any) -> Any:
-            for name in attributes_of(part):
-                found[Place(path, name)] = _value(path, part, name)
-            for name, child in children(part):
-                visit(f"{path}.{name}", child)
-            return part
-
-        for path, part in self.by_path():
-            visit(path, part)
-        return found
+        return {
+            Place(path + inner, name): value
+            for path, part in self.by_path()
+            for inner, name, value in _parameters(path, part)
+        }
 
     def with_parameters(self, values: Mapping[Place, Any], *, remade: bool = False) -> "Parts":
         """Return copies of the parts with other values of their parameters.
@@ -170,23 +164,60 @@ class Parts:
         return new
 
 
+def _parameters(path: str, part: Any) -> Sequence[tuple[str, str, Array]]:
+    """Return path within a part, name and value of its parameters and of those of parts within it."""
+    own, stated = known(part), getattr(type(part), "parameters", None)
+    if own is not None and own.memory.get("parameters", (own,))[0] is stated:
+        return own.memory["parameters"][1]  # type: ignore[no-any-return]
+    found = [("", name, _value(path, part, name)) for name in attributes_of(part)]
+    for child, inner in children(part):
+        found += [
+            (f".{child}{below}", name, value) for below, name, value in _parameters(f"{path}.{child}", inner)
+        ]
+    if own is not None:
+        own.memory["parameters"] = stated, found
+    return found
+
+
 def _on_symbols(part: Any) -> Any:
     if hasattr(part, "traced"):
         return part.traced()
 
-    def own(child: Any) -> Any:
+    def symbolic(child: Any) -> Any:
         try:
             return _on_symbols(child)
         except NotTraceable:
             return child  # a law that asks it says so itself
 
-    inner = {name: (child, own(child)) for name, child in children(part)}
+    inner = {name: (child, symbolic(child)) for name, child in children(part)}
     changed = {name: new for name, (old, new) in inner.items() if new is not old}
-    return _copied(part, {}, changed) if changed else part
+    if not changed:
+        return part
+    own = known(part)
+    before = own and own.memory.get("copied")
+    if (
+        before
+        and list(before[0]) == list(changed)
+        and all(before[0][name] is changed[name] for name in changed)
+    ):
+        return before[1]
+    copied = _copied(part, {}, changed)
+    if own is not None:
+        own.memory["copied"] = changed, copied
+    return copied
 
 
-def children(part: Any) -> Iterator[tuple[str, Any]]:
+def children(part: Any) -> Sequence[tuple[str, Any]]:
     """Return the parts that a part holds: as attributes, in lists, and behind methods, by name."""
+    own = known(part)
+    if own is None:
+        return list(_children(part))
+    if "children" not in own.memory:
+        own.memory["children"] = list(_children(part))
+    return own.memory["children"]  # type: ignore[no-any-return]
+
+
+def _children(part: Any) -> Iterator[tuple[str, Any]]:
     for name, value in getattr(part, "__dict__", {}).items():
         if isinstance(value, list | tuple):
             yield from ((f"{name}[{i}]", each) for i, each in enumerate(value) if _is_part(each))

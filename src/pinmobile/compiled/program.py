@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Mapping
+from math import prod
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -188,6 +189,9 @@ class Program:
         found = []
         for i, leaf in enumerate(places):
             own = each[i] if each else values[i]
+            if own.ndim == values[i].ndim and own.shape == leaf.shape:
+                found.append(own)
+                continue
             ahead = (n,) if own.ndim > values[i].ndim else ()
             missing = len(leaf.shape) - values[i].ndim
             grown = own.reshape((*ahead, *(1,) * missing, *values[i].shape))
@@ -196,7 +200,8 @@ class Program:
 
     def _samples(self, t: Array, reference: Reference, uniforms: Array) -> Array:
         """Return what all robots share of each sample, shape (N + 1, columns)."""
-        given = np.column_stack([t, *reference]).astype(np.float64)
+        given = np.empty((len(t), 1 + sum(part.shape[1] for part in reference)))
+        np.concatenate([t[:, None], *reference], axis=1, out=given)
         tabled = self.loop.tabled
         if not tabled:
             return given
@@ -245,7 +250,8 @@ class Program:
         for parameter, leaf in loop.parameters.items():
             if leaf.kind == "row":
                 value = values[parameter]
-                columns = np.broadcast_to(value, (n, *leaf.shape)).reshape(n, -1).T
+                columns = np.broadcast_to(value, (n, *leaf.shape)) if value.shape == leaf.shape else value
+                columns = columns.reshape(n, -1).T
                 self.set_rows(blocks, states + leaf.first, columns)
         for i, name in enumerate(loop.keys):
             if name not in keys:
@@ -328,7 +334,7 @@ class Program:
 
         def last(value: Any) -> Array:
             leaf = next(places)
-            size = int(np.prod(leaf.shape))
+            size = prod(leaf.shape)
             if leaf.kind == "uniform":
                 return np.broadcast_to(value, (n, *leaf.shape))
             first = leaf.first + (len(self.loop.states) if leaf.kind == "row" else 0)
@@ -351,7 +357,7 @@ class Program:
 
 def aligned(shape: tuple[int, ...]) -> Array:
     """Return an array of zeros at an address that vectors can be stored at."""
-    size = int(np.prod(shape))
+    size = prod(shape)
     raw = np.zeros(size + 8)
     first = (-raw.ctypes.data % 64) // 8
     return raw[first : first + size].reshape(shape)

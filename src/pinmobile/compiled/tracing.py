@@ -159,7 +159,9 @@ class Walk:
     namespaces : dict of int to dict
         Globals of the functions, by identity.
     cells : dict of int to cell
-        Closures.
+        What functions close over.
+    closures : dict of int to (function, int)
+        A function that closes over a cell, and the cell's place in its closure.
     names : dict of (int, str) to (mapping, str)
         Where the code looks up what: globals, modules and classes.
     """
@@ -168,6 +170,7 @@ class Walk:
         self.seen: dict[int, Any] = {}
         self.namespaces: dict[int, dict[str, Any]] = {}
         self.cells: dict[int, CellType] = {}
+        self.closures: dict[int, tuple[FunctionType, int]] = {}
         self.names: dict[tuple[int, str], tuple[Mapping[str, Any], str]] = {}
         for part in parts:
             self.visit(part)
@@ -210,10 +213,12 @@ class Walk:
     def _class(self, thing: type) -> None:
         for each in thing.__mro__:
             if _is_own(each.__module__, bool(each.__flags__ & _MADE_BY_CODE)):
-                for name, value in list(vars(each).items()):
+                own = vars(each)  # another object each time
+                for name, value in list(own.items()):
                     if not name.startswith("__") or name == "__call__":
-                        self._met(each, vars(each), name)
-                    if not isinstance(value, type) and callable(getattr(value, "__get__", None)):
+                        self._met(each, own, name)
+                    law = name != "__repr__" and not isinstance(value, type)
+                    if law and callable(getattr(value, "__get__", None)):
                         self.visit(value)
 
     def _function(self, function: FunctionType) -> None:
@@ -222,10 +227,11 @@ class Walk:
         if not _is_own(function.__module__ or "", True):
             return
         self.namespaces[id(function.__globals__)] = function.__globals__
-        for cell in function.__closure__ or ():
+        for place, cell in enumerate(function.__closure__ or ()):
             with contextlib.suppress(ValueError):  # not set yet
                 self.visit(cell.cell_contents)
                 self.cells[id(cell)] = cell
+                self.closures[id(cell)] = function, place
         for name in _names(function.__code__):
             if name in function.__globals__:
                 self._met(function.__globals__, function.__globals__, name)

@@ -19,6 +19,9 @@ _FORCES = tuple(
 )
 
 
+_FORCE_OF = {each.name: kind for kind in reversed(_FORCES) for each in parameters_of(kind)}
+
+
 class Stated(NamedTuple):
     """A parameter, and the part that states it.
 
@@ -115,10 +118,6 @@ def resolved(name: Any, known: Mapping[str, list[Stated]], where: str = "spread"
     return found[0]
 
 
-def _has(force: Any, name: str) -> bool:
-    return any(name == each.name for each in parameters_of(force))
-
-
 def with_spread_forces(forces: Sequence[Any], spread: Mapping[str, Any]) -> tuple[Any, ...]:
     """Return the forces, with those of the library that a spread names and that need no more to be known.
 
@@ -129,9 +128,7 @@ def with_spread_forces(forces: Sequence[Any], spread: Mapping[str, Any]) -> tupl
     """
     found = list(forces)
     for name in spread:
-        kind = next(
-            (kind for kind in _FORCES if any(name == each.name for each in parameters_of(kind))), None
-        )
+        kind = _FORCE_OF.get(name)
         if kind is None or any(name == each.name for force in found for each in parameters_of(force)):
             continue
         needs = getattr(kind, "needs", None)

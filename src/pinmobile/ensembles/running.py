@@ -163,13 +163,19 @@ def _run(
     way: Way, draws: Mapping[str, Array], start: int, stop: int, threads: int, progress: Progress | None
 ) -> Part:
     """Return the records of the robots from `start` to before `stop`, given what is drawn for these."""
-    records, done = Records(way.scenario, start, stop), 0
     stretches = way.divided(start, stop, threads)
 
     def run(first: int, last: int) -> Part:
-        mine = {name: column[first - start : last - start] for name, column in draws.items()}
+        whole = (first, last) == (start, stop)
+        mine = draws if whole else {name: x[first - start : last - start] for name, x in draws.items()}
         return way.run(mine, first, last, threads)
 
+    if len(stretches) == 1:
+        part = run(start, stop)
+        if progress is not None:
+            progress(stop - start, stop - start)
+        return part
+    records, done = Records(way.scenario, start, stop), 0
     for first, last, part in _results(run, stretches, way.workers(threads)):
         records.put(first, last, part)
         done += last - first
@@ -182,7 +188,7 @@ def _results(
     run: Callable[[int, int], Part], stretches: Sequence[tuple[int, int]], workers: int
 ) -> Iterator[tuple[int, int, Part]]:
     """Yield the stretches with what `run` gives for each, by some threads, in any order."""
-    if workers == 1 or len(stretches) == 1:
+    if workers == 1:
         for stretch in stretches:
             yield *stretch, run(*stretch)
         return

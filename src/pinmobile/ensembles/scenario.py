@@ -10,6 +10,7 @@ from zlib import crc32
 import numpy as np
 
 from pinmobile.arrays import Array, affordable, positive, scalar, whole
+from pinmobile.compiled import memory_of, once
 from pinmobile.compiled.loop_tape import initial_memory
 from pinmobile.compiled.noise import Noise
 from pinmobile.compiled.parts import Parts, Place
@@ -107,6 +108,8 @@ class Scenario:
                 f"n is {n:,}, expected at most {_MOST:,}, whose records take {_MOST * _RECORD / 1e9:.0f} GB"
             )
         dt = positive("dt", self.dt, "s")
+        check_mapping(self.spread)
+        self._set(forces=with_spread_forces(checked_forces(self.forces, self.robot), self.spread))
         duration = None if self.duration is None else positive("duration", self.duration, "s")
         t = sample_times(dt, duration, self.trajectory.duration)
         every = max(1, round((len(t) - 1) / _GRID)) if self.every is None else whole("every", self.every)
@@ -114,7 +117,6 @@ class Scenario:
         affordable(
             f"the bands of {bands:,} times, every {every} samples,", _BANDS * bands, "give a larger `every`"
         )
-        check_mapping(self.spread)
         self._set(
             n=n,
             dt=dt,
@@ -124,16 +126,18 @@ class Scenario:
             limit=positive("limit", self.limit),
             after=time_within("after", self.after, t),
             every=every,
-            forces=with_spread_forces(checked_forces(self.forces, self.robot), self.spread),
             t=t,
-            reference=sampled(self.trajectory, t, self.robot),
         )
+        self._set(reference=sampled(self.trajectory, t, self.robot, self._memory))
         self._set(spread=checked_spread(self.spread, n, self.known))
         check_supports(self.spread, self.parameters)
-        check_answers(
-            self.robot, self.forces, self.integrator, *self._beginning(self.robot), dt / self.substeps
-        )
-        q, v = (one[0] for one in self.starts({}, 1))
+        once(self._memory, ("answers", *self._told), self._check_answers)
+
+    def _check_answers(self) -> bool:
+        """Refuse parts whose answers have other shapes than they should, or are others when asked again."""
+        h = self.dt / self.substeps
+        check_answers(self.robot, self.forces, self.integrator, *self._beginning(self.robot), h)
+        q, v = self.start
         check_controllers_memory(self.controller, self.context, q, v)
         for k, force in enumerate(self.forces):
             shape = np.shape(_asked(force, self._on_arrays.plant, q, v))
@@ -142,10 +146,24 @@ class Scenario:
                     f"forces[{k}] gives shape {shape} for one robot, expected (3,): "
                     "name in spread what differs"
                 )
+        return True
 
     def _set(self, **values: Any) -> None:
         for name, value in values.items():
             object.__setattr__(self, name, value)
+
+    @property
+    def _told(self) -> tuple[Any, ...]:
+        """What its laws may ask for beside the parts: substeps, times and the seed."""
+        return self.substeps, self.dt, len(self.t), float(self.t[-1]), self.seed
+
+    def _memory_now(self) -> dict[Any, Any]:
+        """Return where what follows from its parts is remembered as long as they stay; see `memory_of`."""
+        return memory_of(self._given, self.trajectory)
+
+    @cached_property
+    def _memory(self) -> dict[Any, Any]:
+        return self._memory_now()
 
     def __getstate__(self) -> dict[str, Any]:
         # What is made of the fields is made again.
@@ -185,7 +203,7 @@ class Scenario:
     @cached_property
     def known(self) -> dict[str, list[Stated]]:
         """What its parts and its start state, by name, and by path and name; what a spread may name."""
-        return stated_by(self._on_arrays, self._coordinates)
+        return once(self._memory, "known", lambda: stated_by(self._on_arrays, self._coordinates))  # type: ignore[no-any-return]
 
     @cached_property
     def _coordinates(self) -> tuple[Coordinate, ...]:
@@ -209,12 +227,16 @@ class Scenario:
     @cached_property
     def parts(self) -> Parts:
         """The parts of its loop; what is spread has the shape that it takes for each robot."""
+        grown = once(self._memory, ("grown", tuple(self.spread)), self._grown)
+        return self._given.with_parameters(grown, remade=True) if grown else self._given
+
+    def _grown(self) -> dict[Place, Array]:
+        """Return the attributes that take another shape when they are spread."""
         values = self._on_arrays.parameters()
         wanted = self._written(
             {name: np.array([self.nominal.get(name, 1.0)]) for name in self.spread}, values, 1
         )
-        grown = {place: one[0] for place, one in wanted.items() if one.shape[1:] != values[place].shape}
-        return self._given.with_parameters(grown, remade=True) if grown else self._given
+        return {place: one[0] for place, one in wanted.items() if one.shape[1:] != values[place].shape}
 
     def _written(
         self, draws: Mapping[str, Array], values: Mapping[Place, Array], count: int
@@ -282,13 +304,21 @@ class Scenario:
     def starts(self, draws: Mapping[str, Array], count: int) -> tuple[Array, Array]:
         """Return where robots start, shape (count, nq) and (count, nv)."""
         plant = self.parts.on_arrays().plant
-        q, v = self._beginning(plant)
+        q, v = self.start
         off = np.zeros((2, count, plant.nv))
-        names = [each.name for each in start_parameters(self._coordinates)]
+        names = once(
+            self._memory, "starts", lambda: [each.name for each in start_parameters(self._coordinates)]
+        )
         for k, name in enumerate(names):
             if name in draws:
                 off[k // plant.nv, :, k % plant.nv] = draws[name]
         return _moved(plant, q, off[0]), v + off[1]
+
+    @property
+    def start(self) -> tuple[Array, Array]:
+        """Where the nominal robot starts, shape (nq,) and (nv,)."""
+        q, v = once(self._memory, "start", lambda: self._beginning(self.parts.on_arrays().plant))
+        return np.array(q, np.float64), np.array(v, np.float64)
 
     def _beginning(self, plant: Any) -> tuple[Array, Array]:
         """Return where a plant is on the trajectory, shape (nq,) and (nv,)."""
@@ -303,6 +333,9 @@ class Scenario:
     @cached_property
     def nominal(self) -> dict[str, float]:
         """The values of the parameters, as far as each is one number."""
+        return once(self._memory, "nominal", self._nominal)  # type: ignore[no-any-return]
+
+    def _nominal(self) -> dict[str, float]:
         values = self._on_arrays.parameters()
         found = {}
         for name, stated in self.known.items():

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import Summary, program_of, robot_keys
+from pinmobile.compiled import Summary, once, program_of, robot_keys
 from pinmobile.compiled.loop_tape import arrays_of, initial_memory
 from pinmobile.compiled.noise import Noise
 from pinmobile.compiled.parts import (
@@ -145,22 +145,20 @@ def _check_derived(scenario: Scenario) -> None:
         If there is one.
     """
     for stated in scenario.stated.values():
-        if not stated.path:
+        nominal = _part_at(scenario.parts, stated.path) if stated.path else None
+        if nominal is None or hasattr(nominal, "traced") or not hasattr(nominal, "__dict__"):
             continue
         place = Place(stated.path, stated.parameter.attribute)
         try:
-            pair = [_part_at(parts, stated.path) for parts in (scenario.parts, _moved(scenario, place))]
+            moved = _part_at(_moved(scenario, place), stated.path)
         except InvalidArgument:
             continue  # a value beside the nominal one is not allowed
-        if hasattr(pair[0], "traced") or not all(hasattr(each, "__dict__") for each in pair):
-            continue
-        own = attributes_of(pair[0])
-        for name, value in vars(pair[0]).items():
+        own = attributes_of(nominal)
+        for name, value in vars(nominal).items():
             numeric = isinstance(value, int | float | np.ndarray) and name not in own
-            other = vars(pair[1]).get(name, value)
-            if numeric and not np.array_equal(value, other):
+            if numeric and not np.array_equal(value, vars(moved).get(name, value)):
                 raise NotTraceable(
-                    f"{stated.path}, a {type(pair[0]).__name__}, makes {name} of {place.name} once",
+                    f"{stated.path}, a {type(nominal).__name__}, makes {name} of {place.name} once",
                     "compute it in the law",
                 )
 
@@ -175,10 +173,18 @@ def _part_at(parts: Parts, path: str) -> Any:
 
 
 def _as_compiled(scenario: Scenario) -> Program:
+    begins = scenario.begin > 0
+    return once(  # type: ignore[no-any-return]
+        scenario._memory_now(),
+        ("program", tuple(scenario.spread), begins, *scenario._told),
+        lambda: _program(scenario),
+    )
+
+
+def _program(scenario: Scenario) -> Program:
     _check_derived(scenario)
     parts, at = _with_recorder(scenario), Reference(*(part[0] for part in scenario.reference))
-    q, v = scenario.starts({}, 1)
-    program = program_of(parts, scenario.context, (q[0], v[0]), at, dt=scenario.dt, spread=scenario.places)
+    program = program_of(parts, scenario.context, scenario.start, at, dt=scenario.dt, spread=scenario.places)
     unused = set(program.loop.unused)
     for name, stated in scenario.stated.items():
         # What the plant has may not matter to one run, as the mass of what nobody pushes; it is its own.
@@ -294,8 +300,8 @@ def _as_arrays(scenario: Scenario) -> None:
 def _on_arrays(scenario: Scenario, draws: Mapping[str, Array], start: int, stop: int) -> Part:
     rows = _rows(scenario, draws, start, stop)
     q, v, memory, h = rows.q, rows.v, rows.memory, scenario.dt / scenario.substeps
-    counts = np.zeros((len(scenario.grid), 2, BINS), np.int64)
-    begin = scenario.starts({}, 1)
+    counts = np.zeros((len(scenario.grid), 2, BINS), np.int32)
+    begin = scenario.start
     with np.errstate(all="ignore"):  # what overflows is judged
         for k, time in enumerate(scenario.t.tolist()):
             at = Reference(*(part[k] for part in scenario.reference))
@@ -315,7 +321,7 @@ def _on_arrays(scenario: Scenario, draws: Mapping[str, Array], start: int, stop:
 def _one_by_one(scenario: Scenario, start: int, stop: int) -> Part:
     """Return the records of robots that `simulate` runs one after another."""
     found = [_summed(scenario, i) for i in range(start, stop)]
-    counts = np.sum([each.counts for each in found], axis=0)
+    counts = np.sum([each.counts for each in found], axis=0, dtype=np.int32)
     columns = (np.concatenate([getattr(each, name) for each in found]) for name in Part._fields[:-1])
     return Part(*columns, counts)  # type: ignore[call-arg]
 
@@ -330,7 +336,7 @@ def _summed(scenario: Scenario, i: int) -> Part:
     error = np.zeros((0, c)) if rollout is None else np.abs(rollout.error)
     force = np.zeros((0, nu)) if rollout is None else np.abs(rollout.u)
     kept = error[scenario.begin :]
-    counts = np.zeros((len(scenario.grid), 2, BINS), np.int64)
+    counts = np.zeros((len(scenario.grid), 2, BINS), np.int32)
     sizes = np.full((len(scenario.t), 2), np.inf)
     sizes[:lived] = np.column_stack([np.hypot(error[:, 0], error[:, 1]), error[:, 2]])
     for row, size in zip(counts, sizes[:: scenario.stride], strict=True):
@@ -341,5 +347,5 @@ def _summed(scenario: Scenario, i: int) -> Part:
         np.sqrt(np.square(kept[:, :2]).sum(axis=1)).max(initial=0.0)[None],
         np.sqrt(np.square(kept).sum(axis=0) / max(len(kept), 1))[None],
         force.max(axis=0, initial=0.0)[None],
-        counts.astype(np.int32),
+        counts,
     )

@@ -12,6 +12,7 @@ import pinocchio as pin
 
 from pinmobile import urdf
 from pinmobile.arrays import Array, ArrayLike, finite, lengths, location, positive, scalar, sequence, text
+from pinmobile.constancy import constant
 from pinmobile.dh import LECTURE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
 from pinmobile.plant import Parameter
@@ -37,6 +38,7 @@ _Bare: TypeAlias = tuple[urdf.Body, _Size, DHTable, str, Stance, tuple[str, ...]
 
 
 @final
+@constant
 @dataclass(frozen=True, eq=False, repr=False)
 class MobileRobot(Carrier):
     """A rigid body on the chain prismatic y, prismatic x, revolute z, with Pinocchio's dynamics.
@@ -338,6 +340,10 @@ class MobileRobot(Carrier):
                 "a robot with arms, whose dynamics are Pinocchio's",
                 "loops with it run one state at a time",
             )
+        return self._planar
+
+    @cached_property
+    def _planar(self) -> PlanarBody:
         bare = self.lumped() if self.loads else self
         return PlanarBody(bare.mass, bare.body.yaw_inertia, *bare.com[:2])
 

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, affordable, callable_as, positive, vector, whole
+from pinmobile.arrays import Array, affordable, callable_as, frozen, positive, vector, whole
 from pinmobile.controllers import check_controller
 from pinmobile.controllers.protocol import check_memory
 from pinmobile.disturbances import CoordinateForce, Force
@@ -33,6 +33,7 @@ _COORDINATES = 3  # of a plant that is not yet looked at
 _MOST = 1e8  # samples
 _SHORTER = "give a larger dt or a shorter duration"
 _MOST_STEPS = 1e11  # of the integrator: days
+_KEPT = 1e5  # numbers of a reference that are kept for the next run
 _SAME = 1e-9  # to which two answers to the same arguments agree
 _RECORDED = 16  # numbers for each coordinate of a sample: of the loop, the reference and the rollout
 
@@ -136,14 +137,30 @@ def sample_times(dt: float, duration: float | None, longest: float) -> Array:
     return np.asarray(np.minimum(t, longest))
 
 
-def sampled(trajectory: Trajectory, t: Array, plant: "Plant") -> Reference:
+def sampled(
+    trajectory: Trajectory, t: Array, plant: "Plant", memory: dict[Any, Any] | None = None
+) -> Reference:
     """Return the reference at the times `t`, shape (N + 1,) [s].
+
+    Parameters
+    ----------
+    trajectory : trajectory
+        What is asked.
+    t : ndarray, shape (N + 1,)
+        Times [s].
+    plant : plant
+        What the reference must fit.
+    memory : dict, optional
+        Where that of the last times is kept, for trajectory and plant that stay as they are.
 
     Raises
     ------
     InvalidArgument
         If what the trajectory gives does not fit the plant, or leaves its joint limits where it has any.
     """
+    before = None if memory is None else memory.get("reference")
+    if before is not None and np.array_equal(before[0], t):
+        return before[1]  # type: ignore[no-any-return]
     affordable(
         f"the records of {len(t):,} samples of {plant.nv} coordinates",
         _RECORDED * len(t) * plant.nv,
@@ -173,6 +190,9 @@ def sampled(trajectory: Trajectory, t: Array, plant: "Plant") -> Reference:
     checked = Reference(*(vector(f"trajectory's {x}", getattr(reference, x), k) for x, k in sizes.items()))
     if hasattr(plant, "velocity_limit"):
         check_limits(plant, checked.q, checked.v, t)
+    if memory is not None and len(t) * n <= _KEPT:
+        checked = Reference(*map(frozen, checked))
+        memory["reference"] = frozen(t), checked
     return checked
 
 

@@ -1,6 +1,7 @@
 """`simulate`: a controller in the loop with a plant, checked before, judged after."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -104,16 +105,22 @@ def simulate(
     integrator = chosen_integrator(plant, integrator)
     checked_loop(plant, controller, trajectory, integrator)
     t = sample_times(dt, duration, trajectory.duration)
-    reference = sampled(trajectory, t, plant)
-    start = _start(plant, reference, q0, v0)
     count, checked = checked_substeps(substeps, len(t)), checked_forces(forces, plant)
-    context = Context.of(plant, dt=dt, t=t, reference=reference, trajectory=trajectory)
-    check_answers(plant, checked, integrator, *start, dt / count)
-    check_controllers_memory(controller, context, *start)
     chosen = checked_engine(engine, PINOCCHIO, COMPILED) or PINOCCHIO
     kind: Any = Loop
+    memory: dict[Any, Any] = {}  # of this call alone, where nothing is remembered
     if chosen is COMPILED:
-        from pinmobile.simulation.single import CompiledLoop as kind  # and with it, what compiles
+        from pinmobile.simulation.single import CompiledLoop, remembered  # and with them, what compiles
+
+        memory = remembered(plant, controller, integrator, count, checked, trajectory)
+        kind = partial(CompiledLoop, memory=memory)
+    reference = sampled(trajectory, t, plant, memory if chosen is COMPILED else None)
+    start = _start(plant, reference, q0, v0)
+    context = Context.of(plant, dt=dt, t=t, reference=reference, trajectory=trajectory)
+    if ("simulated", count, dt, t[-1]) not in memory:
+        check_answers(plant, checked, integrator, *start, dt / count)
+        check_controllers_memory(controller, context, *start)
+        memory["simulated", count, dt, t[-1]] = True
     chunk = len(t) if chosen is COMPILED else _CHUNK
     loop = kind(plant, controller, integrator, context, count, checked, *start)
     for begin in range(0, len(t), chunk):
