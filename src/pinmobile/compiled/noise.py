@@ -1,8 +1,9 @@
 """White Gaussian noise as a function of a robot's key and the sample's number: no table, no generator.
 
-A stream of 64 bits is SplitMix64 (Steele, Lea and Flood, Fast splittable pseudorandom number generators, 2014)
-of the key and a counter; of each 64 come two normal numbers by Box and Muller's transform (1958), from basic
-operations. So the same robot gets the same bits at the same sample in every engine, however many run beside it.
+A stream of 64 bits is SplitMix64 (Steele, Lea and Flood, Fast splittable pseudorandom number generators,
+2014) of the key and a counter; of each 64 come two normal numbers by Box and Muller's transform (1958), from
+basic operations. So the same robot gets the same bits at the same sample in every engine, however many run
+beside it.
 """
 
 import functools
