@@ -123,10 +123,7 @@ def show_loops(out: Console, found: Mapping[str, Mapping[str, Row]], quick: bool
         shown.add_row(name, "", *times, *shares, *faster(found, name))
     out.print(shown)
     if "before" in found:
-        say(
-            out,
-            [f"a loop that would take more than {LONGEST:g} s is timed over its first {SHORT} steps"],
-        )
+        say(out, [f"{SHORT} steps first, ten times as many where they take at most {LONGEST:g} s, then all"])
 
 
 def show_runs(out: Console, found: Mapping[str, Mapping[str, Row]]) -> None:

@@ -11,6 +11,7 @@ import sys
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from time import perf_counter
 from typing import Any
 
@@ -21,10 +22,7 @@ from task import GAIN, PD_GAINS, RADIUS, RATE, Task
 
 ROBOTS, QUICK_ROBOTS = 10_000, 100
 STEPS, QUICK_STEPS = 1_200, 40
-SHORT, LONGEST = (
-    12,
-    4.0,
-)  # steps of a first run; where all would take longer than that [s], it stays at these
+SHORT, LONGEST = 12, 1.0  # steps to begin with; ten times as many follow on what takes no longer [s]
 SAMPLES = 6_001  # of a rollout
 DT, FINE = 0.05, 0.01  # of an ensemble, of a rollout [s]
 
@@ -99,11 +97,15 @@ class Work:
     def many(self, controller: Any = None, **options: Any) -> float:
         """Return the seconds of a robot-step; of fewer steps where this version needs too long for all."""
         n, steps = (QUICK_ROBOTS, QUICK_STEPS) if self.quick else (ROBOTS, STEPS)
-        self.ensemble(n, SHORT, controller, **options)
-        short = seconds(lambda: self.ensemble(n, SHORT, controller, **options))
-        if short * steps / SHORT > LONGEST:
-            return short / (n * (SHORT + 1))
-        return self.timed(lambda: self.ensemble(n, steps, controller, **options)) / (n * (steps + 1))
+
+        def run(steps: int) -> None:
+            self.ensemble(n, steps, controller, **options)
+
+        run(SHORT)  # which compiles
+        tried = SHORT
+        while tried < steps and seconds(partial(run, tried)) <= LONGEST:
+            tried = min(10 * tried, steps)
+        return self.timed(partial(run, tried)) / (n * (tried + 1))
 
     def few(self, n: int) -> float:
         """Return the seconds of an ensemble of n robots."""

@@ -470,7 +470,7 @@ def test_a_loop_that_takes_too_long_is_timed_over_a_part(
     asked: list[int] = []
     work = bench.loop_work.Work(quick=False, least=0.0)
     monkeypatch.setattr(work, "ensemble", lambda n, steps, *_: asked.append(steps))
-    for longest, steps in ((1e3, [12, 12, 1_200, 1_200]), (0.0, [12, 12])):
+    for longest, steps in ((1e3, [12, 12, 120, 1_200, 1_200]), (0.0, [12, 12, 12, 12])):
         monkeypatch.setattr(bench.loop_work, "LONGEST", longest)
         work.many()
         assert asked == steps
