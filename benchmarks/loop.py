@@ -8,6 +8,7 @@ In each round each version has a process of its own, in turn; it runs every row 
 
 import json
 import os
+import shutil
 import statistics
 import subprocess
 import sys
@@ -49,6 +50,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = selecting(__doc__.splitlines()[0])
     parser.add_argument("--before", metavar="PYTHON", help="interpreter that has the other version")
     chosen = parser.parse_args(arguments)
+    if chosen.before and shutil.which(chosen.before) is None:
+        parser.error(
+            f"--before: {chosen.before} is no program, expected an interpreter such as .venv/bin/python"
+        )
     rounds = chosen.rounds or (1 if chosen.quick else 5)
     names = [work.name for work in picked(EVERYONE, chosen.only)]
     if set(names) & set(LOOPS) and BASE not in names:

@@ -26,8 +26,6 @@ SHORT, LONGEST = 12, 1.0  # steps to begin with; ten times as many follow on wha
 SAMPLES = 6_001  # of a rollout
 DT, FINE = 0.05, 0.01  # of an ensemble, of a rollout [s]
 
-Seconds = Callable[[], float]
-
 
 class Lacking(Exception):
     """What a row needs is not in a version."""
@@ -72,7 +70,7 @@ class SlidingMode:
 
 
 class Work:
-    """Robot, trajectory and loops of one size; each method returns what a row runs, after a first run."""
+    """Robot, trajectory and loops of one size, and what they take."""
 
     def __init__(self, quick: bool, least: float) -> None:
         import pinmobile

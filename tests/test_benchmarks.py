@@ -495,7 +495,11 @@ def test_the_loop_is_printed_beside_another_version(
         times = {name: (16e-9 if name == "rk4" else 4e-9) / (1 if older else 2) for name in names}
         return times | ({"simulate, compiled": "it has no engine COMPILED"} if older else {})
 
+    with pytest.raises(SystemExit):
+        bench.loop.main(["--before", "older"])
+    assert "--before: older is no program" in capsys.readouterr().err
     monkeypatch.setattr(bench.loop, "told", told)
+    monkeypatch.setattr(bench.loop.shutil, "which", str)
     assert bench.loop.main(["--rounds", "2", "--before", "older", "--only", "rk4", "compiled"]) == 0
     assert asked == ["older", sys.executable] * 2
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
