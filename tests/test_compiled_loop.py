@@ -351,6 +351,13 @@ def targets() -> dict[str, tuple[Target, Shape]]:
     return {name: each for name, each in TARGETS.items() if has.get(each[0].lanes, True)}
 
 
+def test_what_is_tabled_for_all_robots_does_not_make_a_loop_too_large_for_two_vectors() -> None:
+    waves = tuple(Sinusoidal(np.array([3.0, 2.0, 1.0]), f) for f in np.linspace(0.1, 2.0, 60))
+    program = built(Parts(Body(), torque(), waves, constant_acceleration))
+    assert len(program.loop.tape) > 2500 > 2 * program.loop.own
+    assert program.shape.vectors == 2
+
+
 @pytest.mark.parametrize("name", ["all", "pid", "sliding, tanh", "wheels, delayed"])
 def test_the_bits_are_those_of_every_processor(name: str) -> None:
     parts = COMPOSITIONS[name]()

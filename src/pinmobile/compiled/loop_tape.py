@@ -116,6 +116,11 @@ class Loop:
         saved = len(shared & set(needed(tape, found)))
         return found if saved > _WORTH_A_TABLE + 2 * len(found) else []
 
+    @functools.cached_property
+    def own(self) -> int:
+        """How many operations each robot has of its own at a sample: what is tabled is done once for all."""
+        return sum(bool(self.tape.depends[i] & (ROBOT | STATE)) for i in needed(self.tape, self.outputs))
+
     @property
     def columns(self) -> int:
         """Numbers of a sample: its time, the reference, and what is tabled."""

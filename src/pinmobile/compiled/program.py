@@ -22,7 +22,7 @@ __all__ = ["Outcome", "Program", "aligned"]
 
 _SLICE = 2e8  # operations of a vector in one call, some 0.1 s: Ctrl-C is answered in between
 _WORTH = 4e6  # operations of a vector for which a thread is worth starting
-_SMALL = 2500  # nodes: beyond, a second vector takes longer to build than it saves
+_SMALL = 2500  # operations: beyond, a second vector takes longer to build than it saves
 
 
 class Outcome(NamedTuple):
@@ -73,7 +73,7 @@ class Program:
         target = Target.here() if target is None else target
         self.loop = loop
         self._alike: set[frozenset[Place]] = set()  # spreads of these leave the memory alike at first
-        many = Shape(target.lanes, 2 if len(loop.tape) <= _SMALL else 1)
+        many = Shape(target.lanes, 2 if loop.own <= _SMALL else 1)
         self.shape = shape or (Shape(1, 1) if single else many)
         self.text = text_of(loop, self.shape)
         self._function = function_of(self.text, target, Cache() if cache is None else cache)
@@ -282,7 +282,7 @@ class Program:
     ) -> NDArray[np.int32]:
         """Run the blocks, and return the counts; the arguments are those of the machine code, in arrays."""
         loop = self.loop
-        work = len(samples) * len(loop.tape) * self.shape.vectors  # of a block
+        work = len(samples) * max(1, loop.own) * self.shape.vectors  # of a block
         workers = max(1, min(threads, len(blocks), int(work * len(blocks) / _WORTH)))
         step = max(1, min(int(_SLICE / work), -(-len(blocks) // (4 * workers))))
         counted = len(loop.counted), BINS
