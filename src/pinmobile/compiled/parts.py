@@ -16,7 +16,9 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.compiled.memory import mapped
 from pinmobile.compiled.recorders import Record, Sample
+from pinmobile.compiled.symbols import entries, has_symbols
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
+from pinmobile.signals import claimed, number, signals_of
 
 __all__ = [
     "Memory",
@@ -316,9 +318,30 @@ def one_sample(
     error, error_rate = errors(plant, q, v, reference)
     step = _own_step if hasattr(plant, "step") else _integrated
     acceleration, q1, v1, kept = step(parts, t, h, q, v, u, memory.plant)
-    sample = Sample(k, t, q, v, u, acceleration, error, error_rate)
+    signals = {}
+    if getattr(parts.recorder, "signals", False):
+        signals = claimed(_told(parts, t, q, v, u, memory.plant, inner), _signal)
+    sample = Sample(k, t, q, v, u, acceleration, error, error_rate, signals)
     record = Record(None) if parts.recorder is None else parts.recorder(sample, memory.recorder)
     return Stepped(sample, q1, v1, Memory(kept, inner, record.state), record)
+
+
+def _told(parts: Parts, t: Any, q: Any, v: Any, u: Any, memory: Any, inner: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the signals of the parts at a sample, each with what the part is called."""
+    plant = parts.plant
+    if hasattr(plant, "signals"):
+        f = _pushed(parts, t, q, v) + np.zeros(plant.nv)
+        yield "plant", plant.signals(t, q.copy(), v.copy(), u.copy(), f, memory)
+    yield "controller", signals_of(parts.controller, inner)
+    for i, force in enumerate(parts.forces):
+        if hasattr(force, "on_coordinates"):
+            yield f"forces[{i}]", signals_of(force, t, q.copy(), v.copy())
+        elif hasattr(force, "signals"):
+            yield f"forces[{i}]", force.signals(t, plant.pose(q), plant.rate(q, v))
+
+
+def _signal(name: str, value: Any) -> Any:
+    return entries(value) if has_symbols(value) else number(name, value)
 
 
 def _copy(x: Any) -> Any:

@@ -58,7 +58,8 @@ class Controller(Protocol):
 
     One with a method ``applied(u, state) -> state`` is told once per sample which input, shape (..., nu), is
     really applied after all wrappers, and what it returns is the next state: against the windup of an
-    integral, say.
+    integral, say. One with ``signals(state) -> {name: (unit, value)}`` then tells what else is worth
+    recording, such as an estimate: numbers, or rows of them. Wrappers pass both inward.
     """
 
     def initial_state(self, context: Any, /) -> Any:

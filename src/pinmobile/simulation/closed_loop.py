@@ -231,7 +231,6 @@ def _too_stiff(plant: Any, forces: Sequence[Any], q: Array, h: float) -> str:
 def _rollout(plant: Plant, t: Array, loop: Any, reference: Reference, end: int, engine: Engine) -> Rollout:
     q, v, a, u = loop.samples(0, end)
     kept = Reference(*(part[:end] for part in reference))
-    signals = {} if loop.recorder is None else loop.recorder.signals(end)
     error = errors_of(plant, q, kept)
     records = {"t": t[:end], "q": q, "v": v, "a": a, "u": u, "error": error}
-    return Rollout(plant=plant, reference=kept, signals=signals, engine=repr(engine), **records)
+    return Rollout(plant=plant, reference=kept, signals=loop.signals(end), engine=repr(engine), **records)

@@ -17,8 +17,8 @@ from pinmobile.disturbances import CoordinateForce, Force
 from pinmobile.errors import InvalidArgument, NotFinite, shown
 from pinmobile.integrators import Integrator, RungeKuttaNystrom
 from pinmobile.plant import Context
+from pinmobile.signals import Recorder, Signal, recorder
 from pinmobile.simulation.checks import shorter
-from pinmobile.simulation.signals import Recorder, recorder
 from pinmobile.simulation.steps import (
     Clock,
     dynamics_of,
@@ -84,7 +84,7 @@ class Loop:
             self.advance = steps(integrator, self.dynamics, clock)  # type: ignore[arg-type]
         else:
             self.advance = steps_between_configurations(integrator, plant, self.dynamics, clock)  # type: ignore[arg-type]
-        self.recorder: Recorder | None = recorder(plant, push, memory, tell, self.times)
+        self.recorder: Recorder | None = recorder(plant, forces, push, memory, tell, self.times)
 
     def _controlled(
         self, plant: Any, controller: Any, context: Context, integrator: Any
@@ -139,6 +139,10 @@ class Loop:
         parts = rows[:, :nq], rows[:, nq:n], rows[:, n:], self.inputs[begin:end]
         q, v, a, u = (part.copy() for part in parts)
         return q, v, a, u
+
+    def signals(self, end: int) -> dict[str, Signal]:
+        """Return what parts told beside states and inputs at the samples before `end`, by name."""
+        return {} if self.recorder is None else self.recorder.signals(end)
 
     def is_fine(self, begin: int, end: int, limit: float) -> bool:
         """Tell whether the samples are finite and near the reference; if in doubt, False."""

@@ -21,7 +21,7 @@ from pinmobile.plant import (
     leading_of,
     whole_configurations,
 )
-from pinmobile.simulation.signals import Signal
+from pinmobile.signals import Signal
 from pinmobile.simulation.storage import read_archive, write_archive
 from pinmobile.trajectories import Reference
 
@@ -60,7 +60,7 @@ class Rollout:
     reference : Reference
         Desired q, v and a of the first n coordinates.
     signals : mapping of str to Signal
-        What else plant and controller gave at each sample, with its unit.
+        What else parts of the loop told at each sample, with its unit.
     engine : str
         What ran the loop: ``"PINOCCHIO"``, in Python, or ``"COMPILED"``; "" where that is not known.
 

@@ -15,7 +15,7 @@ from pinmobile.files import archive_of, unpacking
 from pinmobile.plant import Coordinate, Input, PlantOutline
 from pinmobile.robot import Load, MobileRobot, Stance
 from pinmobile.robot.sources import kept_arm
-from pinmobile.simulation.signals import Signal
+from pinmobile.signals import Signal
 from pinmobile.urdf import Body
 
 __all__ = [
