@@ -25,6 +25,7 @@ from tests.parts import PID, Axle, Cart, CartCircle, Eight, Follower, Nodding, S
 
 ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.05))
 BODY: Any = (Nodding(Eight()), {"dt": 0.02, "duration": 3.0})
+FOLLOWER: Any = Follower()
 CART: Any = (CartCircle(), {"dt": 0.02, "duration": 3.0})
 
 
@@ -88,7 +89,7 @@ def test_every_part_tells_the_same_in_each_engine(
 
 
 def test_they_are_what_the_laws_say() -> None:
-    run = simulate(TellingCart(), Follower(), CART[0], forces=[TellingAxle()], engine=COMPILED, **CART[1])
+    run = simulate(TellingCart(), FOLLOWER, CART[0], forces=[TellingAxle()], engine=COMPILED, **CART[1])
     np.testing.assert_allclose(run.signals["power"].values, run.u * run.v[:, 3:], rtol=1e-14)
     np.testing.assert_allclose(run.signals["axle torque"].values, -0.02 * run.v[:, 3], rtol=1e-14)
     np.testing.assert_array_equal(run.signals["pushed"].values[:, 3], run.signals["axle torque"].values)
@@ -176,7 +177,7 @@ def test_signals_that_cannot_be_compiled_are_told_with_their_line() -> None:
     # An ensemble keeps no signals, and asks for none.
     assert ensemble(ROBOT, Branching(), BODY[0], n=2, spread={}, **BODY[1]).engine == "COMPILED"
     with pytest.raises(InvalidArgument, match=r"plant, a TracedAlone, has signals, .*traced\(\) returns has"):
-        simulate(TracedAlone(), Follower(), CART[0], engine=COMPILED, **CART[1])
+        simulate(TracedAlone(), FOLLOWER, CART[0], engine=COMPILED, **CART[1])
 
 
 def test_files_and_figures_have_their_names_and_units(tmp_path: Path) -> None:

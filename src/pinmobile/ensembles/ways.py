@@ -102,7 +102,7 @@ def way_of(scenario: Scenario, engine: Engine | None = None) -> Way:
                 found = way(scenario)
                 return Way(scenario, each, "; ".join(why), found)
             except NotTraceable as error:
-                refusal = " ".join(str(error).split())
+                refusal = error.reason
             if asked is not None:
                 raise InvalidArgument(f"engine is {each!r}, which cannot run this: {refusal}")
             why.append(f"not {each!r}: {refusal}")

@@ -335,8 +335,8 @@ class MobileRobot(Carrier):
         """
         if self.mounts:
             raise NotTraceable(
-                "a robot with arms, whose dynamics are Pinocchio's",
-                "loops with it run one state at a time",
+                "a robot with arms has the dynamics of Pinocchio, no laws in NumPy",
+                "its loops run by PINOCCHIO, its ensembles by ARRAYS",
             )
         bare = self.lumped() if self.loads else self
         return PlanarBody(bare.mass, bare.body.yaw_inertia, *bare.com[:2])

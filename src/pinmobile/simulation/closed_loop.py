@@ -29,6 +29,7 @@ from pinmobile.trajectories import Reference, Trajectory, check_limits
 __all__ = ["errors_of", "simulate"]
 
 _CHUNK = 512  # samples between two looks for divergence
+_NOT_ASKED = f"not {COMPILED!r}, which runs what can be compiled where engine={COMPILED!r} asks for it"
 
 
 def simulate(
@@ -110,7 +111,9 @@ def simulate(
     context = Context.of(plant, dt=dt, t=t, reference=reference, trajectory=trajectory)
     check_answers(plant, checked, integrator, *start, dt / count)
     check_controllers_memory(controller, context, *start)
-    chosen = checked_engine(engine, PINOCCHIO, COMPILED) or PINOCCHIO
+    asked = checked_engine(engine, PINOCCHIO, COMPILED)
+    chosen = asked or PINOCCHIO
+    made = {"engine": repr(chosen), "why": _NOT_ASKED if asked is None else ""}
     kind: Any = Loop
     if chosen is COMPILED:
         from pinmobile.simulation.single import CompiledLoop as kind  # and with it, what compiles
@@ -124,12 +127,12 @@ def simulate(
             continue
         bad, why = _first_bad(plant, loop, reference, begin, end, limit)
         if bad is not None:
-            kept = _rollout(plant, t, loop, reference, bad, chosen) if bad else None
+            kept = _rollout(plant, t, loop, reference, bad, made) if bad else None
             q, v, _, _ = loop.samples(bad, bad + 1)
             message = f"the loop diverged at t = {t[bad]:g} s (sample {bad} of {len(t) - 1}): {why}"
             message += _too_stiff(plant, checked, start[0], dt / count)
             raise Diverged(message, time=float(t[bad]), q=q[0], v=v[0], rollout=kept) from loop.stopped
-    return _rollout(plant, t, loop, reference, len(t), chosen)
+    return _rollout(plant, t, loop, reference, len(t), made)
 
 
 def _start(
@@ -228,9 +231,11 @@ def _too_stiff(plant: Any, forces: Sequence[Any], q: Array, h: float) -> str:
     )
 
 
-def _rollout(plant: Plant, t: Array, loop: Any, reference: Reference, end: int, engine: Engine) -> Rollout:
+def _rollout(
+    plant: Plant, t: Array, loop: Any, reference: Reference, end: int, made: dict[str, str]
+) -> Rollout:
     q, v, a, u = loop.samples(0, end)
     kept = Reference(*(part[:end] for part in reference))
     error = errors_of(plant, q, kept)
     records = {"t": t[:end], "q": q, "v": v, "a": a, "u": u, "error": error}
-    return Rollout(plant=plant, reference=kept, signals=loop.signals(end), engine=repr(engine), **records)
+    return Rollout(plant=plant, reference=kept, signals=loop.signals(end), **made, **records)

@@ -51,7 +51,7 @@ class CompiledLoop:
             _check_telling(parts)
             program = program_of(parts, context, (q0, v0), first, dt=context.dt, single=True)
         except NotTraceable as error:
-            raise InvalidArgument(f"engine is COMPILED, which cannot run this: {error}") from error
+            raise InvalidArgument(f"engine is COMPILED, which cannot run this: {error.reason}") from error
         member = range(context.member, context.member + 1)
         keys = {name: robot_keys(context.seed, name, member) for name in program.loop.keys}
         start = q0[None], v0[None]
