@@ -20,6 +20,8 @@ __all__ = [
     "Array",
     "ArrayLike",
     "affordable",
+    "answered",
+    "are_real",
     "broadcast",
     "callable_as",
     "endless_or_finite",
@@ -48,6 +50,7 @@ Array: TypeAlias = NDArray[np.float64]
 MEMORY = 16e9
 """What one call may ask for in arrays of its own [bytes]: more is refused, with the number, before it is."""
 
+_FLOAT = np.dtype(np.float64)
 _MOST_AXES = 24  # room for some more within the 32 that NumPy broadcasts
 
 
@@ -169,6 +172,28 @@ def real(name: str, value: ArrayLike) -> Array:
         return np.asarray(array, np.float64)
     with np.errstate(over="ignore"):  # a long double that float64 does not hold becomes infinite
         return array.astype(np.float64)
+
+
+def are_real(answer: Any) -> bool:
+    """Tell whether what a part returned holds real numbers: no complex ones, no text, no other objects.
+
+    Of what is no array, such as a symbol, nothing is asked.
+    """
+    return type(answer) is not np.ndarray or answer.dtype is _FLOAT or answer.dtype.kind in "fiub"
+
+
+def answered(what: str, answer: Any) -> Array:
+    """Return what a part returned as float64.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is not made of real numbers.
+    """
+    found = _array(answer)
+    if not are_real(found):
+        raise InvalidArgument(f"{what} returned {shown(answer)}, expected real numbers")
+    return np.array(found, np.float64)
 
 
 def vector(name: str, value: ArrayLike, size: int) -> Array:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, are_real
 from pinmobile.compiled.memory import mapped
 from pinmobile.compiled.recorders import Record, Sample
 from pinmobile.compiled.symbols import entries, has_symbols
@@ -27,6 +27,7 @@ __all__ = [
     "Reference",
     "Stepped",
     "attributes_of",
+    "check_numbers",
     "children",
     "errors",
     "integrate_of",
@@ -224,8 +225,22 @@ def _value(path: str, part: Any, name: str) -> Array:
             f"{path}, a {type(part).__name__}, states the parameter {name!r} and has no such attribute"
         ) from None
     except (TypeError, ValueError):
-        value = getattr(part, name)
-        raise InvalidArgument(f"{path}.{name} is {value!r}, expected a number or an array") from None
+        check_numbers(f"{path}.{name}", getattr(part, name))
+        raise
+
+
+def check_numbers(name: str, value: Any) -> None:
+    """Refuse the value of a parameter that is no number and no array of numbers.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is such.
+    """
+    try:
+        np.asarray(value, np.float64)
+    except (TypeError, ValueError):
+        raise InvalidArgument(f"{name} is {shown(value)}, expected a number or an array") from None
 
 
 def _remade(part: Any, values: Mapping[str, Any]) -> Any:
@@ -312,12 +327,15 @@ def one_sample(
     expected = (*np.shape(v)[:-1], plant.nu)
     if np.shape(u) != expected:
         raise InvalidArgument(f"controller returned an input of shape {np.shape(u)}, expected {expected}")
+    _check_real("controller", u)
     u = limited(plant, u)
     if hasattr(controller, "applied"):
         inner = controller.applied(u, inner)
     error, error_rate = errors(plant, q, v, reference)
     step = _own_step if hasattr(plant, "step") else _integrated
     acceleration, q1, v1, kept = step(parts, t, h, q, v, u, memory.plant)
+    for name, found in (("plant", acceleration), ("step of the plant", q1), ("step of the plant", v1)):
+        _check_real(name, found)
     signals = {}
     if getattr(parts.recorder, "signals", False):
         signals = claimed(_told(parts, t, q, v, u, memory.plant, inner), _signal)
@@ -342,6 +360,11 @@ def _told(parts: Parts, t: Any, q: Any, v: Any, u: Any, memory: Any, inner: Any)
 
 def _signal(name: str, value: Any) -> Any:
     return entries(value) if has_symbols(value) else number(name, value)
+
+
+def _check_real(name: str, found: Any) -> None:
+    if not are_real(found):
+        raise InvalidArgument(f"{name} returned {shown(found)}, expected real numbers")
 
 
 def _copy(x: Any) -> Any:
@@ -391,6 +414,9 @@ def _answer(parts: Parts, force: Any, found: Any, shape: tuple[int, ...]) -> Any
     if not hasattr(found, "shape") or np.shape(found) != shape:
         k = next(i for i, each in enumerate(parts.forces) if each is force)
         raise InvalidArgument(f"forces[{k}] returned {shown(found)}, expected an array of shape {shape}")
+    if not are_real(found):
+        k = next(i for i, each in enumerate(parts.forces) if each is force)
+        _check_real(f"forces[{k}]", found)
     return found
 
 

@@ -115,7 +115,7 @@ class _Trace:
             for owner, before, after in zip(Memory._fields, memory, found.memory, strict=True):
                 for path, old, new in matched(before, after, "state"):
                     if np.shape(old) != np.shape(new):
-                        self.shapes[owner, path] = np.broadcast_shapes(np.shape(old), np.shape(new))
+                        self.shapes[owner, path] = _wider(owner, path, np.shape(old), np.shape(new))
                         grew = True
             if not grew:
                 return [(self.q, self.v, found), self._elsewhere(memory)]
@@ -372,6 +372,18 @@ class _SymbolicNoise:
             raise NotTraceable("noise is drawn twice in a sample", "ask the context for more numbers at once")
         numbers = normals(self.key, self.tape.input(*COUNT), self.n)
         return symbols(numbers, (self.n,)), _SymbolicNoise(self.tape, self.key, self.n, drawn=True)
+
+
+def _wider(owner: str, path: str, old: tuple[int, ...], new: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the shape that numbers of two shapes broadcast to, as a number and the row that it becomes."""
+    try:
+        return np.broadcast_shapes(old, new)
+    except ValueError:
+        raise NotTraceable(
+            f"{path} of the {owner} has shape {old} and a sample later {new}",
+            "let initial_state return arrays of the shapes that they keep, and take delays from "
+            "context.line(samples)",
+        ) from None
 
 
 def _flat_numbers(values: Iterable[Any]) -> list[float]:

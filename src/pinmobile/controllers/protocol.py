@@ -4,7 +4,16 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from pinmobile.arrays import LEAST_ANGLE, Array, ArrayLike, broadcast, callable_as, finite, wrap_angle
+from pinmobile.arrays import (
+    LEAST_ANGLE,
+    Array,
+    ArrayLike,
+    answered,
+    broadcast,
+    callable_as,
+    finite,
+    wrap_angle,
+)
 from pinmobile.errors import InvalidArgument, shown
 
 __all__ = [
@@ -136,7 +145,7 @@ def check_memory(controller: Any, context: Any, q: Array, v: Array) -> None:
             copies = type(at)(*map(np.copy, at))
             state = controller.initial_state(context)
             answer = answer_of(controller, t, place[0].copy(), place[1].copy(), copies, state)
-            answers.append(np.array(answer[0], np.float64))
+            answers.append(answered("controller", answer[0]))
     first, _, again = answers
     if first.shape != again.shape or not np.allclose(first, again, rtol=_SAME, atol=_SAME, equal_nan=True):
         raise InvalidArgument(

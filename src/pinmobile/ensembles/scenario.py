@@ -9,7 +9,7 @@ from zlib import crc32
 
 import numpy as np
 
-from pinmobile.arrays import Array, affordable, positive, scalar, whole
+from pinmobile.arrays import Array, affordable, finite, positive, scalar, whole
 from pinmobile.compiled.loop_tape import initial_memory
 from pinmobile.compiled.noise import Noise
 from pinmobile.compiled.parts import Parts, Place
@@ -29,7 +29,7 @@ from pinmobile.simulation import (
     sample_times,
     sampled,
 )
-from pinmobile.simulation.checks import check_answers, check_controllers_memory
+from pinmobile.simulation.checks import check_answers, check_controllers_memory, started
 from pinmobile.trajectories import Reference, Trajectory
 
 __all__ = ["Scenario", "checked_scenario", "first_counted", "time_within"]
@@ -293,7 +293,10 @@ class Scenario:
     def _beginning(self, plant: Any) -> tuple[Array, Array]:
         """Return where a plant is on the trajectory, shape (nq,) and (nv,)."""
         at = Reference(*(part[0] for part in self.reference))
-        return plant.start(at) if hasattr(plant, "start") else (at.q, at.v)
+        if not hasattr(plant, "start"):
+            return at.q, at.v
+        q, v = (finite(f"{name} of plant.start", x) for name, x in zip("qv", started(plant, at), strict=True))
+        return q, v
 
     @property
     def grid(self) -> Array:

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, affordable, callable_as, positive, vector, whole
+from pinmobile.arrays import Array, affordable, answered, callable_as, positive, vector, whole
 from pinmobile.controllers import check_controller
 from pinmobile.controllers.protocol import check_memory
 from pinmobile.disturbances import CoordinateForce, Force
@@ -26,6 +26,7 @@ __all__ = [
     "sample_times",
     "sampled",
     "shorter",
+    "started",
 ]
 
 _WHOLE = 1e-9  # relative rounding allowed in duration / dt
@@ -176,6 +177,20 @@ def sampled(trajectory: Trajectory, t: Array, plant: "Plant") -> Reference:
     return checked
 
 
+def started(plant: Any, reference: Reference) -> tuple[Any, Any]:
+    """Return where a plant's ``start`` puts it for the first sample of a reference: q and v.
+
+    Raises
+    ------
+    InvalidArgument
+        If it returns something else than two.
+    """
+    answer = plant.start(reference)
+    if type(answer) is not tuple or len(answer) != 2:
+        raise InvalidArgument(f"plant.start(reference) returned {shown(answer)}, expected (q, v)")
+    return answer
+
+
 def checked_forces(forces: Any, plant: "Plant") -> tuple[Force | CoordinateForce, ...]:
     """Return the forces, after refusing what is none, or a plant that cannot feel them.
 
@@ -287,14 +302,15 @@ def _check_sizes(plant: Any, q: Array, v: Array) -> None:
                 f"{sizes}, whose {name}({arguments}) returned {shown(answer)}, "
                 f"expected an array of shape ({size},)"
             )
+        if answer is not None:
+            answered(f"{sizes}, whose {name}({arguments})", answer)
 
 
 def _check_repeated(path: str, part: Any, ask: Any, states: Any) -> None:
     """Refuse a part that answers otherwise when it is asked again, after it was asked something else."""
     first, _, again = (ask(x.copy(), w.copy()) for x, w in (*states, states[0]))
-    if np.shape(first) != np.shape(again) or not np.allclose(
-        np.asarray(first, float), np.asarray(again, float), rtol=_SAME, atol=_SAME, equal_nan=True
-    ):
+    one, other = (answered(path, answer) for answer in (first, again))
+    if one.shape != other.shape or not np.allclose(one, other, rtol=_SAME, atol=_SAME, equal_nan=True):
         raise InvalidArgument(
             f"{path} is {shown(part)}, which returns {shown(first)} and, asked again for the same arguments, "
             f"{shown(again)}, expected the same: only controllers have memory, in their state, and random "

@@ -20,6 +20,7 @@ from pinmobile.simulation.checks import (
     chosen_integrator,
     sample_times,
     sampled,
+    started,
 )
 from pinmobile.simulation.engines import COMPILED, PINOCCHIO, Engine, checked_engine
 from pinmobile.simulation.loop import Loop
@@ -141,7 +142,7 @@ def _start(
     """Return the state to start with: as given, or on the reference as the plant completes it."""
     first = Reference(*(part[0] for part in reference))
     if hasattr(plant, "start"):
-        on_reference = plant.start(first)
+        on_reference = started(plant, first)
     elif first.v.size == plant.nv:
         on_reference = first.q, first.v
     elif q0 is None or v0 is None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import LEAST_ANGLE, Array, wrap_angle
+from pinmobile.arrays import LEAST_ANGLE, Array, are_real, wrap_angle
 from pinmobile.controllers import Controller
 from pinmobile.controllers.feedback import Compact
 from pinmobile.disturbances import CoordinateForce, Force
@@ -189,9 +189,10 @@ def _asked(
                 f"controller returned {shown(answer)} at t = {times[k]:g} s, expected (u, state)"
             )
         u, state = answer
-        if type(u) is not np.ndarray or u.shape != shape:
+        if type(u) is not np.ndarray or u.shape != shape or not are_real(u):
             wrong = InvalidArgument(
                 f"controller returned {shown(u)} at t = {times[k]:g} s, expected an array of shape {shape}"
+                f"{'' if are_real(u) else ' of real numbers'}"
             )
             raise shorter(context, wrong)
         if limits is not None:
