@@ -3,9 +3,6 @@
 `one_sample` runs on numbers as on symbols: it is what the compiled loop repeats.
 """
 
-import copy
-import dataclasses
-import functools
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MethodType
@@ -14,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pinmobile.arrays import Array, are_real
+from pinmobile.compiled.copies import copied, is_part, made_again
 from pinmobile.compiled.memory import mapped
 from pinmobile.compiled.recorders import Record, Sample
 from pinmobile.compiled.symbols import entries, has_symbols
@@ -100,6 +98,15 @@ class Parts:
                 yield name, getattr(self, name)
         yield from ((f"forces[{i}]", force) for i, force in enumerate(self.forces))
 
+    def on_the_way(self, path: str) -> Iterator[tuple[str, Any]]:
+        """Yield the parts that stand on the way to a path, the outermost first, each with its own path."""
+        first, *names = path.split(".")
+        found = dict(self.by_path())[first]
+        yield first, found
+        for name in names:
+            found, first = dict(children(found))[name], f"{first}.{name}"
+            yield first, found
+
     def replaced(self, function: Callable[[str, Any], Any]) -> "Parts":
         """Return the parts with a function of path and part in their place."""
         new = {path: function(path, part) for path, part in self.by_path()}
@@ -149,7 +156,8 @@ class Parts:
             What takes their place, whatever its shape.
         remade : bool
             Whether parts are made again, which check themselves and derive what follows from the values: by
-            ``with_parameters(**values)`` of those that have it, by `dataclasses.replace` of dataclasses.
+            ``with_parameters(**values)`` of those that have it, by `dataclasses.replace` of dataclasses, by
+            their class of others.
 
         Raises
         ------
@@ -162,9 +170,9 @@ class Parts:
             mine = {name: left.pop(Place(path, name)) for name in attributes_of(part) if (path, name) in left}
             inner = {name: (child, visit(f"{path}.{name}", child)) for name, child in children(part)}
             changed = {name: new for name, (old, new) in inner.items() if new is not old}
-            if remade and mine:
-                return _remade(_copied(part, {}, changed), mine)
-            return _copied(part, mine, changed) if mine or changed else part
+            if not (mine or changed):
+                return part
+            return (made_again if remade else copied)(part, mine, changed)
 
         new = self.replaced(visit)
         for parameter in left:
@@ -185,23 +193,19 @@ def _on_symbols(part: Any) -> Any:
 
     inner = {name: (child, own(child)) for name, child in children(part)}
     changed = {name: new for name, (old, new) in inner.items() if new is not old}
-    return _copied(part, {}, changed) if changed else part
+    return copied(part, {}, changed) if changed else part
 
 
 def children(part: Any) -> Iterator[tuple[str, Any]]:
     """Return the parts that a part holds: as attributes, in lists, and behind methods, by name."""
     for name, value in getattr(part, "__dict__", {}).items():
         if isinstance(value, list | tuple):
-            yield from ((f"{name}[{i}]", each) for i, each in enumerate(value) if _is_part(each))
+            yield from ((f"{name}[{i}]", each) for i, each in enumerate(value) if is_part(each))
         elif isinstance(value, MethodType):
-            if value.__self__ is not part and _is_part(value.__self__):
+            if value.__self__ is not part and is_part(value.__self__):
                 yield name, value.__self__
-        elif _is_part(value):
+        elif is_part(value):
             yield name, value
-
-
-def _is_part(x: Any) -> bool:
-    return (hasattr(x, "parameters") or hasattr(x, "initial_state")) and not isinstance(x, type)
 
 
 def attributes_of(part: Any) -> tuple[str, ...]:
@@ -241,40 +245,6 @@ def check_numbers(name: str, value: Any) -> None:
         np.asarray(value, np.float64)
     except (TypeError, ValueError):
         raise InvalidArgument(f"{name} is {shown(value)}, expected a number or an array") from None
-
-
-def _remade(part: Any, values: Mapping[str, Any]) -> Any:
-    if hasattr(part, "with_parameters"):
-        return part.with_parameters(**values)
-    if dataclasses.is_dataclass(part) and not isinstance(part, type):
-        return dataclasses.replace(part, **values)
-    return _copied(part, values, {})
-
-
-def _copied(part: Any, values: Mapping[str, Any], parts: Mapping[str, Any]) -> Any:
-    """Return a copy of a part with other values of attributes, and other parts in it."""
-    new = copy.copy(part)
-    for each in type(part).__mro__:
-        for name, attribute in vars(each).items():
-            if isinstance(attribute, functools.cached_property):
-                new.__dict__.pop(name, None)  # it belongs to the old values
-    set_ = dict(values)
-    for name, value in getattr(part, "__dict__", {}).items():
-        if isinstance(value, list | tuple) and any(f"{name}[{i}]" in parts for i in range(len(value))):
-            held = [parts.get(f"{name}[{i}]", each) for i, each in enumerate(value)]
-            set_[name] = type(value)(*held) if hasattr(value, "_fields") else type(value)(held)
-        elif isinstance(value, MethodType) and (name in parts or value.__self__ is part):
-            set_[name] = getattr(parts.get(name, new), value.__name__)
-        elif name in parts:
-            set_[name] = parts[name]
-    for name, value in set_.items():
-        try:
-            object.__setattr__(new, name, value)
-        except AttributeError:
-            raise InvalidArgument(
-                f"{name} of a {type(part).__name__} is computed and cannot be set, expected an attribute"
-            ) from None
-    return new
 
 
 class Stepped(NamedTuple):

@@ -10,6 +10,7 @@ from zlib import crc32
 import numpy as np
 
 from pinmobile.arrays import Array, affordable, finite, positive, scalar, whole
+from pinmobile.compiled.copies import check_made_again
 from pinmobile.compiled.loop_tape import initial_memory
 from pinmobile.compiled.noise import Noise
 from pinmobile.compiled.parts import Parts, Place
@@ -130,6 +131,10 @@ class Scenario:
         )
         self._set(spread=checked_spread(self.spread, n, self.known))
         check_supports(self.spread, self.parameters)
+        for stated in self.stated.values():
+            if stated.path:
+                *_, (_, part) = self._given.on_the_way(stated.path)
+                check_made_again(stated.path, part, [stated.parameter.attribute])
         check_answers(
             self.robot, self.forces, self.integrator, *self._beginning(self.robot), dt / self.substeps
         )

@@ -9,6 +9,7 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.compiled import Summary, program_of, robot_keys
+from pinmobile.compiled.copies import derived
 from pinmobile.compiled.loop_tape import arrays_of, initial_memory
 from pinmobile.compiled.noise import Noise
 from pinmobile.compiled.parts import (
@@ -16,7 +17,6 @@ from pinmobile.compiled.parts import (
     Parts,
     Place,
     Reference,
-    attributes_of,
     children,
     errors,
     one_sample,
@@ -149,29 +149,21 @@ def _check_derived(scenario: Scenario) -> None:
             continue
         place = Place(stated.path, stated.parameter.attribute)
         try:
-            pair = [_part_at(parts, stated.path) for parts in (scenario.parts, _moved(scenario, place))]
+            moved = _moved(scenario, place)
         except InvalidArgument:
             continue  # a value beside the nominal one is not allowed
-        if hasattr(pair[0], "traced") or not all(hasattr(each, "__dict__") for each in pair):
-            continue
-        own = attributes_of(pair[0])
-        for name, value in vars(pair[0]).items():
-            numeric = isinstance(value, int | float | np.ndarray) and name not in own
-            other = vars(pair[1]).get(name, value)
-            if numeric and not np.array_equal(value, other):
+        # A part may derive from what stands in it, too.
+        for path, part in scenario.parts.on_the_way(place.path):
+            if hasattr(part, "traced"):
+                continue  # it is traced as it is then
+            *_, (_, other) = moved.on_the_way(path)
+            inner = {name.partition("[")[0] for name, _ in children(part)}
+            name = derived(part, other, inner | ({place.name} if path == place.path else set()))
+            if name:
                 raise NotTraceable(
-                    f"{stated.path}, a {type(pair[0]).__name__}, makes {name} of {place.name} once",
+                    f"{path}, a {type(part).__name__}, makes {name} of {place.name} once",
                     "compute it in the law",
                 )
-
-
-def _part_at(parts: Parts, path: str) -> Any:
-    """Return the part that stands at a path."""
-    first, *names = path.split(".")
-    found = dict(parts.by_path())[first]
-    for name in names:
-        found = dict(children(found))[name]
-    return found
 
 
 def _as_compiled(scenario: Scenario) -> Program:
