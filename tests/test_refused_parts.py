@@ -392,11 +392,11 @@ UNREAL: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "complex force": (
         BODY | {"forces": [Spring(), lambda t, pose, rate: 1j * pose]},
-        r"(?s)^forces\[1\] returned .*j.*, expected real numbers$",
+        r"(?s)^forces\[1\] returned .*j.*, expected an array of shape \(3,\) of real num",
     ),
     "complex force on coordinates": (
         BODY | {"forces": [Pushing()]},
-        r"(?s)^forces\[0\] returned .*j.*, expected real numbers$",
+        r"(?s)^forces\[0\] returned .*j.*, expected an array of shape \(3,\) of real num",
     ),
     "complex integrator": (
         BODY | {"integrator": lambda a, t, q, v, h: (q + h * v, v + h * a(t, q, v) + 0j)},
@@ -474,3 +474,72 @@ def test_a_state_that_changes_its_shape_is_named_and_runs_in_python() -> None:
     with pytest.warns(SlowerEngine, match=rf"runs by PINOCCHIO, .*not COMPILED: {why}"):
         runs = in_ensemble(parts, n=2)
     np.testing.assert_allclose(runs.max_error[0], simulated(parts).max_error(), rtol=1e-12)
+
+
+# Memory outside the state whose effect comes late, after all that is asked before a run.
+
+
+class Tiring:
+    """A function that gives less from its hundredth call on."""
+
+    def __init__(self, function: Any) -> None:
+        self.function, self.calls = function, 0
+
+    def __call__(self, *given: Any) -> Any:
+        self.calls += 1
+        return (1.0 if self.calls < 100 else 0.9) * self.function(*given)
+
+
+class Tired(Cart):
+    def __init__(self) -> None:
+        super().__init__()
+        self.forward_dynamics = Tiring(super().forward_dynamics)  # type: ignore[assignment, method-assign]
+
+
+class Latched:
+    """A controller that remembers in itself that a second has gone by."""
+
+    def __init__(self) -> None:
+        self.late = False
+
+    def initial_state(self, context: Any) -> Any:
+        return [0.0]  # which it writes into, as it may
+
+    def __call__(self, t: float, q: Any, v: Any, reference: Any, state: Any) -> Any:
+        self.late = self.late or t > 1
+        state[0] += 1.0
+        return (90.0 if self.late else 100.0) * (reference.q - q) + 120.0 * (reference.v - v), state
+
+
+def _pull(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return 100.0 * (reference.q - q) + 120.0 * (reference.v - v)
+
+
+TIRING: dict[str, tuple[Any, str]] = {
+    "controller": (lambda: BODY | {"controller": law(Tiring(_pull))}, "controller"),
+    "latch": (lambda: BODY | {"controller": Latched()}, "controller"),
+    "force": (lambda: BODY | {"forces": [Tiring(lambda t, pose, rate: 1.0 + 0 * pose)]}, "plant or forces"),
+    "plant": (lambda: CART | {"robot": Tired()}, "plant"),
+}
+
+
+@pytest.mark.parametrize("what", TIRING)
+def test_memory_that_acts_late_is_seen_at_the_end_of_the_run(what: str) -> None:
+    make, part = TIRING[what]
+    why = rf"(?s)^{part} returned .* at t = .* s and, asked again for the same arguments at the end of the "
+    for run in (simulated, lambda parts: in_ensemble(parts, n=1, engine=PINOCCHIO)):
+        with pytest.raises(InvalidArgument, match=why + r".*expected the same: only controllers have memory"):
+            run(make())
+    if what != "latch":  # which asks what a symbol is
+        with pytest.raises(InvalidArgument, match=rf"^{part}.* answers otherwise for t = 0.02 s"):
+            in_ensemble(make(), engine=ARRAYS)
+
+
+def test_a_state_that_is_written_into_and_a_workspace_are_allowed() -> None:
+    class Working(Latched):
+        def __call__(self, t: float, q: Any, v: Any, reference: Any, state: Any) -> Any:
+            self.late = q.copy()  # what a solver would start from the next time
+            state[0] += 0.5 * float(np.sum(q))
+            return _pull(t, q, v, reference) + 1e-3 * state[0], state
+
+    assert simulated(BODY | {"controller": Working()}).engine == "PINOCCHIO"

@@ -182,8 +182,8 @@ def are_real(answer: Any) -> bool:
     return type(answer) is not np.ndarray or answer.dtype is _FLOAT or answer.dtype.kind in "fiub"
 
 
-def answered(what: str, answer: Any) -> Array:
-    """Return what a part returned as float64.
+def answered(what: str, answer: Any, expected: str = "real numbers") -> Array:
+    """Return what a part returned as float64; `expected` is said where it is something else.
 
     Raises
     ------
@@ -192,7 +192,7 @@ def answered(what: str, answer: Any) -> Array:
     """
     found = _array(answer)
     if not are_real(found):
-        raise InvalidArgument(f"{what} returned {shown(answer)}, expected real numbers")
+        raise InvalidArgument(f"{what} returned {shown(answer)}, expected {expected}")
     return np.array(found, np.float64)
 
 

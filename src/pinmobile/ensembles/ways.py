@@ -17,6 +17,7 @@ from pinmobile.compiled.parts import (
     Parts,
     Place,
     Reference,
+    Stepped,
     children,
     errors,
     one_sample,
@@ -287,7 +288,7 @@ def _on_arrays(scenario: Scenario, draws: Mapping[str, Array], start: int, stop:
     rows = _rows(scenario, draws, start, stop)
     q, v, memory, h = rows.q, rows.v, rows.memory, scenario.dt / scenario.substeps
     counts = np.zeros((len(scenario.grid), 2, BINS), np.int64)
-    begin = scenario.starts({}, 1)
+    begin, looked_at = scenario.starts({}, 1), None
     with np.errstate(all="ignore"):  # what overflows is judged
         for k, time in enumerate(scenario.t.tolist()):
             at = Reference(*(part[k] for part in scenario.reference))
@@ -296,12 +297,40 @@ def _on_arrays(scenario: Scenario, draws: Mapping[str, Array], start: int, stop:
             # What has diverged goes on from the trajectory's start: no law sees what is no number.
             q, v = np.where(alive[:, None], q, begin[0]), np.where(alive[:, None], v, begin[1])
             memory = memory._replace(recorder={**memory.recorder, "alive": np.where(alive, 1.0, 0.0)})
-            found = one_sample(rows.parts, float(k), time, h, q, v, at, memory)
+            asked = rows.parts, float(k), time, h, q, v, at, memory
+            found = one_sample(*asked)
+            if k <= 1:  # the first is on the trajectory, where many laws give nothing
+                looked_at = asked, found
             q, v, memory = found.q, found.v, found.memory
             if k % scenario.stride == 0:
                 for row, size in zip(counts[k // scenario.stride], found.record.counted, strict=True):
                     row += np.bincount(bins_of(np.asarray(size)), minlength=BINS)
+        if looked_at is not None:
+            _check_again(*looked_at)
     return Part.of(scenario, memory.recorder, counts)
+
+
+def _check_again(asked: Any, found: Stepped) -> None:
+    """Refuse parts that answer otherwise for a sample when they are asked again after the last one.
+
+    Raises
+    ------
+    InvalidArgument
+        If there is such a part.
+    """
+    again = one_sample(*asked)
+    pairs = {
+        "controller": (found.sample.u, again.sample.u),
+        "plant or forces": (found.sample.a, again.sample.a),
+        "integrator": (np.hstack([found.q, found.v]), np.hstack([again.q, again.v])),
+    }
+    for part, (before, after) in pairs.items():
+        if not np.allclose(before, after, rtol=_CLOSE, atol=_CLOSE, equal_nan=True):
+            raise InvalidArgument(
+                f"{part} answers otherwise for t = {found.sample.t:g} s when asked again at the end, "
+                "expected the same: only controllers have memory, in their state, and random numbers come "
+                "from context.normal(name, n)"
+            )
 
 
 def _one_by_one(scenario: Scenario, start: int, stop: int) -> Part:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from pinmobile.plant import Plant
 
 __all__ = [
+    "SAME",
     "check_answers",
     "check_controllers_memory",
     "checked_forces",
@@ -34,7 +35,9 @@ _COORDINATES = 3  # of a plant that is not yet looked at
 _MOST = 1e8  # samples
 _SHORTER = "give a larger dt or a shorter duration"
 _MOST_STEPS = 1e11  # of the integrator: days
-_SAME = 1e-9  # to which two answers to the same arguments agree
+SAME = 1e-9
+"""To which two answers to the same arguments agree."""
+
 _RECORDED = 16  # numbers for each coordinate of a sample: of the loop, the reference and the rollout
 
 
@@ -256,13 +259,22 @@ def check_answers(plant: Any, forces: Any, integrator: Any, q: Array, v: Array, 
         body = callable(getattr(plant, "pose", None)) and callable(getattr(plant, "rate", None))
         for k, force in enumerate(forces):
             if hasattr(force, "on_coordinates"):
-                _check_repeated(f"forces[{k}]", force, lambda x, w: force.on_coordinates(0.0, x, w), states)  # noqa: B023
+                on_coordinates = force.on_coordinates
+                shape = f"an array of shape ({plant.nv},) of real numbers"
+                _check_repeated(
+                    f"forces[{k}]",
+                    force,
+                    lambda x, w: on_coordinates(0.0, x, w),  # noqa: B023
+                    states,
+                    shape,
+                )
             elif body:
                 _check_repeated(
                     f"forces[{k}]",
                     force,
                     lambda x, w: force(0.0, plant.pose(x), plant.rate(x, w)),  # noqa: B023
                     states,
+                    "an array of shape (3,) of real numbers",
                 )
         if hasattr(plant, "step"):
             return
@@ -306,11 +318,11 @@ def _check_sizes(plant: Any, q: Array, v: Array) -> None:
             answered(f"{sizes}, whose {name}({arguments})", answer)
 
 
-def _check_repeated(path: str, part: Any, ask: Any, states: Any) -> None:
+def _check_repeated(path: str, part: Any, ask: Any, states: Any, expected: str = "real numbers") -> None:
     """Refuse a part that answers otherwise when it is asked again, after it was asked something else."""
     first, _, again = (ask(x.copy(), w.copy()) for x, w in (*states, states[0]))
-    one, other = (answered(path, answer) for answer in (first, again))
-    if one.shape != other.shape or not np.allclose(one, other, rtol=_SAME, atol=_SAME, equal_nan=True):
+    one, other = (answered(path, answer, expected) for answer in (first, again))
+    if one.shape != other.shape or not np.allclose(one, other, rtol=SAME, atol=SAME, equal_nan=True):
         raise InvalidArgument(
             f"{path} is {shown(part)}, which returns {shown(first)} and, asked again for the same arguments, "
             f"{shown(again)}, expected the same: only controllers have memory, in their state, and random "

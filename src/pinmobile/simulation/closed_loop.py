@@ -133,6 +133,7 @@ def simulate(
             message = f"the loop diverged at t = {t[bad]:g} s (sample {bad} of {len(t) - 1}): {why}"
             message += _too_stiff(plant, checked, start[0], dt / count)
             raise Diverged(message, time=float(t[bad]), q=q[0], v=v[0], rollout=kept) from loop.stopped
+    loop.check_again()
     return _rollout(plant, t, loop, reference, len(t), made)
 
 

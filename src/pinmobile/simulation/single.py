@@ -67,6 +67,9 @@ class CompiledLoop:
         """Return False: it is not known yet whether the samples are finite and near the reference."""
         return False
 
+    def check_again(self) -> None:
+        """Do nothing: compiled laws have no memory but their state."""
+
     def samples(self, begin: int, end: int) -> tuple[Array, Array, Array, Array]:
         """Return q, v, a and u of the samples, one row each."""
         q, v, a, u = (np.array(part[begin:end]) for part in self._kept)
