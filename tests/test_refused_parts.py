@@ -400,7 +400,7 @@ UNREAL: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "complex integrator": (
         BODY | {"integrator": lambda a, t, q, v, h: (q + h * v, v + h * a(t, q, v) + 0j)},
-        r"(?s)^integrator returned .*j.*, expected real numbers$",
+        r"(?s)^integrator returned .*j.* at t = 0 s, expected \(q, v\) of shapes .*, of real numbers$",
     ),
     **{
         f"complex {name}": (

@@ -11,6 +11,7 @@ from pinmobile.disturbances import CoordinateForce, Force
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.integrators import check_integrator, constant_acceleration
 from pinmobile.plant import Context, check_plant, leading_of
+from pinmobile.simulation.steps import stepped
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
 if TYPE_CHECKING:
@@ -282,7 +283,10 @@ def check_answers(plant: Any, forces: Any, integrator: Any, q: Array, v: Array, 
         _check_repeated("plant", plant, lambda x, w: plant.forward_dynamics(x, w, u.copy()), states)
         moves = [(np.zeros(plant.nv), w) for _, w in states]
         _check_repeated(
-            "integrator", integrator, lambda x, w: integrator(lambda t, x, w: -x - w, 0.0, x, w, h), moves
+            "integrator",
+            integrator,
+            lambda x, w: stepped(integrator, lambda t, x, w: -x - w, 0.0, x, w, h),
+            moves,
         )
 
 
