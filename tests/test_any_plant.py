@@ -222,7 +222,7 @@ def test_a_plant_draws_itself_live_recorded_and_as_a_ghost() -> None:
 
 
 def scene_text(viewer: Viewer) -> str:
-    return "".join(repr(command) for command in viewer._window.commands())  # type: ignore[union-attr]
+    return "".join(repr(command) for command in viewer._window.commands())
 
 
 def test_members_of_an_ensemble_are_drawn_as_they_are() -> None:
@@ -243,7 +243,7 @@ def test_members_of_an_ensemble_are_drawn_as_they_are() -> None:
 
     options: Any = {"n": 2, "spread": {"track": [0.4, 0.6]}, "dt": 0.05, "duration": 0.5}
     runs = ensemble(Wide(), Follower(), PATH, **options)
-    aside = []
+    aside: list[Any] = []
     for i in range(2):
         run = runs.trace(i)
         channels = links("", figure(run.plant), configurations(figure(run.plant), run.t, run.q, run.t[:1]))

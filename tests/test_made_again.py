@@ -50,7 +50,7 @@ class Stating(Damped):
 class Listing(Damped):
     def __init__(self, kp: float) -> None:
         super().__init__(kp)
-        self.gains = [kp, {"kd": self.kd}]
+        self.gains: Any = [kp, {"kd": self.kd}]
         self.kd = 0.0
 
     def __call__(self, t: float, q: Any, v: Any, reference: Any, difference: Any) -> Any:
@@ -63,7 +63,8 @@ class Closing(Stateless):
 
     def __init__(self, kp: float) -> None:
         kd = 2 * np.sqrt(30.0 * kp)
-        self.kp, self.damping = kp, lambda rate: kd * rate
+        damping: Any = lambda rate: kd * rate  # noqa: E731
+        self.kp, self.damping = kp, damping
 
     def __call__(self, t: float, q: Any, v: Any, reference: Any, difference: Any) -> Any:
         return self.kp * difference(q, reference.q) + self.damping(reference.v - v), difference
@@ -159,15 +160,16 @@ def test_a_class_that_cannot_be_made_again_is_told_what_to_write(controller: Any
 
 
 class Remaking(Hidden):
-    def with_parameters(self, kp: float) -> "Remaking":
+    def with_parameters(self, kp: float) -> Any:
         return Remaking(kp)
 
 
 def test_a_class_may_say_itself_how_it_is_made_again() -> None:
+    remade: Any = Remaking
     with pytest.warns(SlowerEngine, match="makes kd of kp once"):
         runs = ensemble(ROBOT, Remaking(100.0), PATH, n=3, spread={"kp": KP}, **OPTIONS)
     for i, kp in enumerate(KP):
-        np.testing.assert_array_equal(runs.trace(i).u, simulate(ROBOT, Remaking(kp), PATH, **OPTIONS).u)
+        np.testing.assert_array_equal(runs.trace(i).u, simulate(ROBOT, remade(kp), PATH, **OPTIONS).u)
 
 
 class OfOne(Stateless):

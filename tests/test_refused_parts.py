@@ -449,9 +449,10 @@ def _late_integrator(acceleration: Any, t: float, q: Any, v: Any, h: float) -> A
     ],
 )
 def test_what_stops_being_real_is_told_when_it_does(parts: dict[str, Any], why: str) -> None:
-    for run in (lambda: simulated(parts), lambda: in_ensemble(parts, n=1, engine=PINOCCHIO)):
+    runs: Any = simulated, lambda parts: in_ensemble(parts, n=1, engine=PINOCCHIO)
+    for run in runs:
         with pytest.raises(InvalidArgument, match=why):
-            run()
+            run(parts)
 
 
 class Growing:

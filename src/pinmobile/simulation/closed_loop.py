@@ -239,5 +239,5 @@ def _rollout(
     q, v, a, u = loop.samples(0, end)
     kept = Reference(*(part[:end] for part in reference))
     error = errors_of(plant, q, kept)
-    records = {"t": t[:end], "q": q, "v": v, "a": a, "u": u, "error": error}
-    return Rollout(plant=plant, reference=kept, signals=loop.signals(end), **made, **records)
+    records: dict[str, Any] = {"t": t[:end], "q": q, "v": v, "a": a, "u": u, "error": error}
+    return Rollout(plant=plant, reference=kept, signals=loop.signals(end), **records | made)

@@ -106,7 +106,7 @@ def figure(plant: Any) -> Any:
     if isinstance(plant, type):
         raise InvalidArgument(f"plant is {shown(plant)}, expected a plant, not its class")
     if hasattr(plant, "frame_placements"):
-        return plant  # type: ignore[no-any-return]
+        return plant
     if not callable(getattr(plant, "pose", None)):
         raise InvalidArgument(
             f"plant is {shown(plant)}, expected a MobileRobot, or a plant with pose(q), which returns x, y "
