@@ -31,7 +31,7 @@ from pinmobile.simulation.steps import (
 )
 from pinmobile.trajectories import Reference
 
-__all__ = ["Loop"]
+__all__ = ["Asked", "Loop"]
 
 Control = Callable[[int, Array, Array, Array], Array]
 
