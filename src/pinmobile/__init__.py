@@ -212,6 +212,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "plots": (),
     "reaching": ("EndEffectorTracking", "PosePath", "Resolved", "resolve"),
     "robot": ("Load", "MobileRobot", "mountable"),
+    "signals": (),
     "simulation": ("ARRAYS", "COMPILED", "PINOCCHIO", "Engine", "Rollout", "simulate"),
     "sweeps": ("Axis", "Sweep", "grid", "sweep"),
     "trajectories": ("FixedHeading", "LectureHeading", "Reference", "Tangent", "WholeBody"),

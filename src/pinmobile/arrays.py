@@ -22,6 +22,8 @@ __all__ = [
     "Array",
     "ArrayLike",
     "affordable",
+    "answered",
+    "are_real",
     "broadcast",
     "callable_as",
     "endless_or_finite",
@@ -51,6 +53,7 @@ MEMORY = 16e9
 """What one call may ask for in arrays of its own [bytes]: more is refused, with the number, before it is."""
 
 _FEW = 1000  # numbers whose product takes less than a look at each; of many, BLAS would start threads
+_FLOAT = np.dtype(np.float64)
 _MOST_AXES = 24  # room for some more within the 32 that NumPy broadcasts
 
 
@@ -174,6 +177,28 @@ def real(name: str, value: ArrayLike) -> Array:
         return np.asarray(array, np.float64)
     with np.errstate(over="ignore"):  # a long double that float64 does not hold becomes infinite
         return array.astype(np.float64)
+
+
+def are_real(answer: Any) -> bool:
+    """Tell whether what a part returned holds real numbers: no complex ones, no text, no other objects.
+
+    Of what is no array, such as a symbol, nothing is asked.
+    """
+    return type(answer) is not np.ndarray or answer.dtype is _FLOAT or answer.dtype.kind in "fiub"
+
+
+def answered(what: str, answer: Any, expected: str = "real numbers") -> Array:
+    """Return what a part returned as float64; `expected` is said where it is something else.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is not made of real numbers.
+    """
+    found = _array(answer)
+    if not are_real(found):
+        raise InvalidArgument(f"{what} returned {shown(answer)}, expected {expected}")
+    return np.array(found, np.float64)
 
 
 def vector(name: str, value: ArrayLike, size: int) -> Array:

@@ -84,8 +84,11 @@ class Plant(Protocol):
     ``integrate_jacobian(q, dq)``, ``neutral``
         As `MobileRobot` has them, where joints turn about several axes: without, all integrators are taken
         for displacements that change at the velocity.
+    ``drawing(q) -> (k, 4, 4)``, ``visual_model``
+        Placements in the inertial frame of the k objects of a `pin.GeometryModel`, which the viewer draws.
     ``size``
-        Length, width and height of the box that is drawn [m]; without, an arrowhead, or a box of usual size.
+        Length, width and height of the box that is drawn [m], or of what ``drawing`` draws; without, an
+        arrowhead, or a box of usual size.
     """
 
     @property

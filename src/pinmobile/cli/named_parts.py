@@ -19,6 +19,7 @@ from pinmobile import (
     ViscousFriction,
 )
 from pinmobile.cli import choices
+from pinmobile.compiled.parts import attributes_of, check_numbers
 from pinmobile.errors import shown
 from pinmobile.sweeps import Code
 
@@ -121,11 +122,20 @@ class Maker:
         if taken is not None:
             keys = {key: value for key, value in keys.items() if _takes(parameters, key)}
             taken |= set(keys)
-        arguments = {key: self._value(value, beside) for key, value in keys.items()}
+        arguments = {key: self._value(f"{kind}.{key}", value, beside) for key, value in keys.items()}
         more = {key: value for key, value in beside.items() if key in parameters and key not in arguments}
         if first is not None and parameters:
             more = {next(iter(parameters)): first, **more}
-        return self._called(name, make, parameters, {**more, **arguments})
+        try:
+            made = self._called(name, make, parameters, {**more, **arguments})
+        except InvalidArgument as error:
+            if "." in kind and str(error).split(" ")[0] in arguments:  # as one of several parts of a table
+                raise InvalidArgument(f"{kind}.{error}") from error
+            raise
+        for key in attributes_of(made):
+            if key in arguments:
+                check_numbers(f"{kind}.{key}", arguments[key])
+        return made
 
     def _users(self, name: str) -> Any:
         if not _REFERENCE.fullmatch(name):
@@ -150,13 +160,13 @@ class Maker:
         with self.code.errors(f"{name} cannot be made"):
             return make(**arguments)
 
-    def _value(self, value: Any, beside: Mapping[str, Any]) -> Any:
+    def _value(self, kind: str, value: Any, beside: Mapping[str, Any]) -> Any:
         """Return an argument: a table with a type is a part, and others may hold such."""
         if isinstance(value, Mapping):
             if "type" in value:
-                return self.part("part", value, self._library(beside), beside=beside)
-            return {key: self._value(part, beside) for key, part in value.items()}
-        return [self._value(part, beside) for part in value] if isinstance(value, list) else value
+                return self.part(kind, value, self._library(beside), beside=beside)
+            return {key: self._value(f"{kind}.{key}", part, beside) for key, part in value.items()}
+        return [self._value(kind, part, beside) for part in value] if isinstance(value, list) else value
 
     def _library(self, beside: Mapping[str, Any]) -> dict[str, Callable[..., Any]]:
         """Return all parts of the library that a table within a table may name."""

@@ -3,6 +3,7 @@
 import re
 import tomllib
 from collections.abc import Collection, Iterator, Mapping
+from contextlib import nullcontext
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -112,9 +113,12 @@ def read_grid(path: Path, code: Code | None = None) -> Grid:
         name: _axis(f"{path.name}:{line(text, 'grid', name)}", name, values) for name, values in swept.items()
     }
     try:
-        made = (
-            grid(reader.scenario, **axes) if axes else Grid({"scenario": Axis(["all"])}, [reader.scenario()])
-        )
+        with nullcontext() if code is None else code.errors():
+            made = (
+                grid(reader.scenario, **axes)
+                if axes
+                else Grid({"scenario": Axis(["all"])}, [reader.scenario()])
+            )
         reader.check_all_taken()
         check_draws(made)
     except PinmobileError as error:
@@ -124,7 +128,7 @@ def read_grid(path: Path, code: Code | None = None) -> Grid:
         if isinstance(error, UnknownName):
             message = shortened(error)
         at = line_of(error, message, text, tree, swept)
-        raise InvalidArgument(f"{path.name}{at and ':'}{at or ''}: {message}") from error
+        raise InvalidArgument(f"{path.name}{f':{at}' if at else ''}: {message}") from error
     return _in_units(made)
 
 

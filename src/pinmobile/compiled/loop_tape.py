@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -82,6 +82,8 @@ class Loop:
         nq, nv, nu, and the numbers of the reference's q and v.
     unused : list of Place
         Those that no law uses: a spread of one would do nothing.
+    units : dict of str to str
+        Of the signals among what is kept, by name.
     """
 
     tape: Tape
@@ -96,6 +98,7 @@ class Loop:
     kept: dict[str, tuple[tuple[int, ...], list[int]]]
     sizes: tuple[int, int, int, int, int]
     unused: list[Place]
+    units: dict[str, str] = field(default_factory=dict)
 
     @functools.cached_property
     def tabled(self) -> list[int]:

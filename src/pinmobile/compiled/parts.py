@@ -3,9 +3,6 @@
 `one_sample` runs on numbers as on symbols: it is what the compiled loop repeats.
 """
 
-import copy
-import dataclasses
-import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MethodType
@@ -13,11 +10,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, are_real
+from pinmobile.compiled.copies import copied, is_part, made_again
 from pinmobile.compiled.memory import mapped
 from pinmobile.compiled.recorders import Record, Sample
+from pinmobile.compiled.symbols import entries, has_symbols
 from pinmobile.constancy import known
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
+from pinmobile.signals import claimed, number, signals_of
 
 __all__ = [
     "Memory",
@@ -26,6 +26,7 @@ __all__ = [
     "Reference",
     "Stepped",
     "attributes_of",
+    "check_numbers",
     "children",
     "errors",
     "integrate_of",
@@ -98,6 +99,15 @@ class Parts:
                 yield name, getattr(self, name)
         yield from ((f"forces[{i}]", force) for i, force in enumerate(self.forces))
 
+    def on_the_way(self, path: str) -> Iterator[tuple[str, Any]]:
+        """Yield the parts that stand on the way to a path, the outermost first, each with its own path."""
+        first, *names = path.split(".")
+        found = dict(self.by_path())[first]
+        yield first, found
+        for name in names:
+            found, first = dict(children(found))[name], f"{first}.{name}"
+            yield first, found
+
     def replaced(self, function: Callable[[str, Any], Any]) -> "Parts":
         """Return the parts with a function of path and part in their place."""
         new = {path: function(path, part) for path, part in self.by_path()}
@@ -140,7 +150,8 @@ class Parts:
             What takes their place, whatever its shape.
         remade : bool
             Whether parts are made again, which check themselves and derive what follows from the values: by
-            ``with_parameters(**values)`` of those that have it, by `dataclasses.replace` of dataclasses.
+            ``with_parameters(**values)`` of those that have it, by `dataclasses.replace` of dataclasses, by
+            their class of others.
 
         Raises
         ------
@@ -153,9 +164,9 @@ class Parts:
             mine = {name: left.pop(Place(path, name)) for name in attributes_of(part) if (path, name) in left}
             inner = {name: (child, visit(f"{path}.{name}", child)) for name, child in children(part)}
             changed = {name: new for name, (old, new) in inner.items() if new is not old}
-            if remade and mine:
-                return _remade(_copied(part, {}, changed), mine)
-            return _copied(part, mine, changed) if mine or changed else part
+            if not (mine or changed):
+                return part
+            return (made_again if remade else copied)(part, mine, changed)
 
         new = self.replaced(visit)
         for parameter in left:
@@ -201,10 +212,10 @@ def _on_symbols(part: Any) -> Any:
         and all(before[0][name] is changed[name] for name in changed)
     ):
         return before[1]
-    copied = _copied(part, {}, changed)
+    made = copied(part, {}, changed)
     if own is not None:
-        own.memory["copied"] = changed, copied
-    return copied
+        own.memory["copied"] = changed, made
+    return made
 
 
 def children(part: Any) -> Sequence[tuple[str, Any]]:
@@ -220,16 +231,12 @@ def children(part: Any) -> Sequence[tuple[str, Any]]:
 def _children(part: Any) -> Iterator[tuple[str, Any]]:
     for name, value in getattr(part, "__dict__", {}).items():
         if isinstance(value, list | tuple):
-            yield from ((f"{name}[{i}]", each) for i, each in enumerate(value) if _is_part(each))
+            yield from ((f"{name}[{i}]", each) for i, each in enumerate(value) if is_part(each))
         elif isinstance(value, MethodType):
-            if value.__self__ is not part and _is_part(value.__self__):
+            if value.__self__ is not part and is_part(value.__self__):
                 yield name, value.__self__
-        elif _is_part(value):
+        elif is_part(value):
             yield name, value
-
-
-def _is_part(x: Any) -> bool:
-    return (hasattr(x, "parameters") or hasattr(x, "initial_state")) and not isinstance(x, type)
 
 
 def attributes_of(part: Any) -> tuple[str, ...]:
@@ -253,42 +260,22 @@ def _value(path: str, part: Any, name: str) -> Array:
             f"{path}, a {type(part).__name__}, states the parameter {name!r} and has no such attribute"
         ) from None
     except (TypeError, ValueError):
-        value = getattr(part, name)
-        raise InvalidArgument(f"{path}.{name} is {value!r}, expected a number or an array") from None
+        check_numbers(f"{path}.{name}", getattr(part, name))
+        raise
 
 
-def _remade(part: Any, values: Mapping[str, Any]) -> Any:
-    if hasattr(part, "with_parameters"):
-        return part.with_parameters(**values)
-    if dataclasses.is_dataclass(part) and not isinstance(part, type):
-        return dataclasses.replace(part, **values)
-    return _copied(part, values, {})
+def check_numbers(name: str, value: Any) -> None:
+    """Refuse the value of a parameter that is no number and no array of numbers.
 
-
-def _copied(part: Any, values: Mapping[str, Any], parts: Mapping[str, Any]) -> Any:
-    """Return a copy of a part with other values of attributes, and other parts in it."""
-    new = copy.copy(part)
-    for each in type(part).__mro__:
-        for name, attribute in vars(each).items():
-            if isinstance(attribute, functools.cached_property):
-                new.__dict__.pop(name, None)  # it belongs to the old values
-    set_ = dict(values)
-    for name, value in getattr(part, "__dict__", {}).items():
-        if isinstance(value, list | tuple) and any(f"{name}[{i}]" in parts for i in range(len(value))):
-            held = [parts.get(f"{name}[{i}]", each) for i, each in enumerate(value)]
-            set_[name] = type(value)(*held) if hasattr(value, "_fields") else type(value)(held)
-        elif isinstance(value, MethodType) and (name in parts or value.__self__ is part):
-            set_[name] = getattr(parts.get(name, new), value.__name__)
-        elif name in parts:
-            set_[name] = parts[name]
-    for name, value in set_.items():
-        try:
-            object.__setattr__(new, name, value)
-        except AttributeError:
-            raise InvalidArgument(
-                f"{name} of a {type(part).__name__} is computed and cannot be set, expected an attribute"
-            ) from None
-    return new
+    Raises
+    ------
+    InvalidArgument
+        If it is such.
+    """
+    try:
+        np.asarray(value, np.float64)
+    except (TypeError, ValueError):
+        raise InvalidArgument(f"{name} is {shown(value)}, expected a number or an array") from None
 
 
 class Stepped(NamedTuple):
@@ -341,15 +328,44 @@ def one_sample(
     expected = (*np.shape(v)[:-1], plant.nu)
     if np.shape(u) != expected:
         raise InvalidArgument(f"controller returned an input of shape {np.shape(u)}, expected {expected}")
+    _check_real("controller", u)
     u = limited(plant, u)
     if hasattr(controller, "applied"):
         inner = controller.applied(u, inner)
     error, error_rate = errors(plant, q, v, reference)
     step = _own_step if hasattr(plant, "step") else _integrated
     acceleration, q1, v1, kept = step(parts, t, h, q, v, u, memory.plant)
-    sample = Sample(k, t, q, v, u, acceleration, error, error_rate)
+    for name, found in (("plant", acceleration), ("step of the plant", q1), ("step of the plant", v1)):
+        _check_real(name, found)
+    signals = {}
+    if getattr(parts.recorder, "signals", False):
+        signals = claimed(_told(parts, t, q, v, u, memory.plant, inner), _signal)
+    sample = Sample(k, t, q, v, u, acceleration, error, error_rate, signals)
     record = Record(None) if parts.recorder is None else parts.recorder(sample, memory.recorder)
     return Stepped(sample, q1, v1, Memory(kept, inner, record.state), record)
+
+
+def _told(parts: Parts, t: Any, q: Any, v: Any, u: Any, memory: Any, inner: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the signals of the parts at a sample, each with what the part is called."""
+    plant = parts.plant
+    if hasattr(plant, "signals"):
+        f = _pushed(parts, t, q, v) + np.zeros(plant.nv)
+        yield "plant", plant.signals(t, q.copy(), v.copy(), u.copy(), f, memory)
+    yield "controller", signals_of(parts.controller, inner)
+    for i, force in enumerate(parts.forces):
+        if hasattr(force, "on_coordinates"):
+            yield f"forces[{i}]", signals_of(force, t, q.copy(), v.copy())
+        elif hasattr(force, "signals"):
+            yield f"forces[{i}]", force.signals(t, plant.pose(q), plant.rate(q, v))
+
+
+def _signal(name: str, value: Any) -> Any:
+    return entries(value) if has_symbols(value) else number(name, value)
+
+
+def _check_real(name: str, found: Any) -> None:
+    if not are_real(found):
+        raise InvalidArgument(f"{name} returned {shown(found)}, expected real numbers")
 
 
 def _copy(x: Any) -> Any:
@@ -399,6 +415,9 @@ def _answer(parts: Parts, force: Any, found: Any, shape: tuple[int, ...]) -> Any
     if not hasattr(found, "shape") or np.shape(found) != shape:
         k = next(i for i, each in enumerate(parts.forces) if each is force)
         raise InvalidArgument(f"forces[{k}] returned {shown(found)}, expected an array of shape {shape}")
+    if not are_real(found):
+        k = next(i for i, each in enumerate(parts.forces) if each is force)
+        _check_real(f"forces[{k}]", found)
     return found
 
 

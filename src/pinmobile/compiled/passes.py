@@ -115,7 +115,7 @@ class _Trace:
             for owner, before, after in zip(Memory._fields, memory, found.memory, strict=True):
                 for path, old, new in matched(before, after, "state"):
                     if np.shape(old) != np.shape(new):
-                        self.shapes[owner, path] = np.broadcast_shapes(np.shape(old), np.shape(new))
+                        self.shapes[owner, path] = _wider(owner, path, np.shape(old), np.shape(new))
                         grew = True
             if not grew:
                 return [(self.q, self.v, found), self._elsewhere(memory)]
@@ -168,15 +168,18 @@ class _Trace:
             expected = _flat_numbers([found.q, found.v])
             for leaf, value in zip(loop.leaves, arrays_of(found.memory), strict=True):
                 expected += _flat_numbers([value]) if leaf.kind == "state" else []
+            expected += _flat_numbers(found.record.kept.values())
+            wanted = [after for _, after in loop.states]
+            wanted += [node for _, nodes in loop.kept.values() for node in nodes]
             with np.errstate(all="ignore"):
-                got = evaluated(loop.tape, [after for _, after in loop.states], inputs)
+                got = evaluated(loop.tape, wanted, inputs)
                 near = np.isclose(
                     np.array(got, float), np.array(expected), rtol=1e-7, atol=1e-9, equal_nan=True
                 )
             if not near.all():
                 i = int(np.argmin(near))
                 raise NotTraceable(
-                    f"on symbols, {_state_name(loop, i)} is {got[i]:g} after a sample, and on numbers "
+                    f"on symbols, {_name(loop, i)} is {got[i]:g} after a sample, and on numbers "
                     f"{expected[i]:g}",
                     "let the law do the same for every kind of array, without isinstance or try",
                 )
@@ -252,6 +255,7 @@ class _Pass:
             rings=self.rings,
             counted=counted,
             kept=kept,
+            units=dict(found.record.units),
             sizes=(
                 len(trace.q),
                 len(trace.v),
@@ -370,6 +374,18 @@ class _SymbolicNoise:
         return symbols(numbers, (self.n,)), _SymbolicNoise(self.tape, self.key, self.n, drawn=True)
 
 
+def _wider(owner: str, path: str, old: tuple[int, ...], new: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the shape that numbers of two shapes broadcast to, as a number and the row that it becomes."""
+    try:
+        return np.broadcast_shapes(old, new)
+    except ValueError:
+        raise NotTraceable(
+            f"{path} of the {owner} has shape {old} and a sample later {new}",
+            "let initial_state return arrays of the shapes that they keep, and take delays from "
+            "context.line(samples)",
+        ) from None
+
+
 def _flat_numbers(values: Iterable[Any]) -> list[float]:
     return [float(x) for value in values for x in np.asarray(value, np.float64).reshape(-1)]
 
@@ -379,7 +395,13 @@ def _stays(loop: Loop, leaf: Leaf) -> bool:
     return all(now == after for now, after in pairs)
 
 
-def _state_name(loop: Loop, i: int) -> str:
+def _name(loop: Loop, i: int) -> str:
+    """Return what the numbers of the state, and after these what is kept, are called."""
+    end = len(loop.states)
+    for name, (_, nodes) in loop.kept.items():
+        end += len(nodes)
+        if len(loop.states) <= i < end:
+            return name
     nq, nv = loop.sizes[:2]
     if i < nq + nv:
         return f"q[{i}]" if i < nq else f"v[{i - nq}]"

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 from pinmobile.controllers.protocol import told
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.plant import Context
+from pinmobile.signals import signals_of
 
 __all__ = ["Member", "member_of"]
 
@@ -42,6 +43,10 @@ class _OfRobot:
     def applied(self, u: Any, state: Any) -> Any:
         """Return the controller's state, told of the input that is applied."""
         return told(self.controller, u, state)
+
+    def signals(self, state: Any) -> Any:
+        """Return the controller's signals."""
+        return signals_of(self.controller, state)
 
     def __call__(self, t: float, q: Any, v: Any, reference: Any, state: Any) -> tuple[Any, Any]:
         """Return the controller's input and next state."""

@@ -9,8 +9,9 @@ from zlib import crc32
 
 import numpy as np
 
-from pinmobile.arrays import Array, affordable, positive, scalar, whole
+from pinmobile.arrays import Array, affordable, finite, positive, scalar, whole
 from pinmobile.compiled import memory_of, once
+from pinmobile.compiled.copies import check_made_again
 from pinmobile.compiled.loop_tape import initial_memory
 from pinmobile.compiled.noise import Noise
 from pinmobile.compiled.parts import Parts, Place
@@ -30,7 +31,7 @@ from pinmobile.simulation import (
     sample_times,
     sampled,
 )
-from pinmobile.simulation.checks import check_answers, check_controllers_memory
+from pinmobile.simulation.checks import check_answers, check_controllers_memory, started
 from pinmobile.trajectories import Reference, Trajectory
 
 __all__ = ["Scenario", "checked_scenario", "first_counted", "time_within"]
@@ -131,7 +132,16 @@ class Scenario:
         self._set(reference=sampled(self.trajectory, t, self.robot, self._memory))
         self._set(spread=checked_spread(self.spread, n, self.known))
         check_supports(self.spread, self.parameters)
+        once(self._memory, ("made again", *sorted(self.spread)), self._check_made_again)
         once(self._memory, ("answers", *self._told), self._check_answers)
+
+    def _check_made_again(self) -> bool:
+        """Refuse parts with a spread parameter that keep what may follow from it and cannot be made again."""
+        for stated in self.stated.values():
+            if stated.path:
+                *_, (_, part) = self._given.on_the_way(stated.path)
+                check_made_again(stated.path, part, [stated.parameter.attribute])
+        return True
 
     def _check_answers(self) -> bool:
         """Refuse parts whose answers have other shapes than they should, or are others when asked again."""
@@ -323,7 +333,10 @@ class Scenario:
     def _beginning(self, plant: Any) -> tuple[Array, Array]:
         """Return where a plant is on the trajectory, shape (nq,) and (nv,)."""
         at = Reference(*(part[0] for part in self.reference))
-        return plant.start(at) if hasattr(plant, "start") else (at.q, at.v)
+        if not hasattr(plant, "start"):
+            return at.q, at.v
+        q, v = (finite(f"{name} of plant.start", x) for name, x in zip("qv", started(plant, at), strict=True))
+        return q, v
 
     @property
     def grid(self) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.compiled import Summary, once, program_of, robot_keys
+from pinmobile.compiled.copies import derived
 from pinmobile.compiled.loop_tape import arrays_of, initial_memory
 from pinmobile.compiled.noise import Noise
 from pinmobile.compiled.parts import (
@@ -16,7 +17,7 @@ from pinmobile.compiled.parts import (
     Parts,
     Place,
     Reference,
-    attributes_of,
+    Stepped,
     children,
     errors,
     one_sample,
@@ -102,7 +103,7 @@ def way_of(scenario: Scenario, engine: Engine | None = None) -> Way:
                 found = way(scenario)
                 return Way(scenario, each, "; ".join(why), found)
             except NotTraceable as error:
-                refusal = " ".join(str(error).split())
+                refusal = error.reason
             if asked is not None:
                 raise InvalidArgument(f"engine is {each!r}, which cannot run this: {refusal}")
             why.append(f"not {each!r}: {refusal}")
@@ -145,31 +146,25 @@ def _check_derived(scenario: Scenario) -> None:
         If there is one.
     """
     for stated in scenario.stated.values():
-        nominal = _part_at(scenario.parts, stated.path) if stated.path else None
-        if nominal is None or hasattr(nominal, "traced") or not hasattr(nominal, "__dict__"):
+        if not stated.path:
             continue
         place = Place(stated.path, stated.parameter.attribute)
         try:
-            moved = _part_at(_moved(scenario, place), stated.path)
+            moved = _moved(scenario, place)
         except InvalidArgument:
             continue  # a value beside the nominal one is not allowed
-        own = attributes_of(nominal)
-        for name, value in vars(nominal).items():
-            numeric = isinstance(value, int | float | np.ndarray) and name not in own
-            if numeric and not np.array_equal(value, vars(moved).get(name, value)):
+        # A part may derive of what stands in it, too.
+        for path, part in scenario.parts.on_the_way(place.path):
+            if hasattr(part, "traced"):
+                continue  # it is traced as it is then
+            *_, (_, other) = moved.on_the_way(path)
+            inner = {name.partition("[")[0] for name, _ in children(part)}
+            name = derived(part, other, inner | ({place.name} if path == place.path else set()))
+            if name:
                 raise NotTraceable(
-                    f"{stated.path}, a {type(nominal).__name__}, makes {name} of {place.name} once",
+                    f"{path}, a {type(part).__name__}, makes {name} of {place.name} once",
                     "compute it in the law",
                 )
-
-
-def _part_at(parts: Parts, path: str) -> Any:
-    """Return the part that stands at a path."""
-    first, *names = path.split(".")
-    found = dict(parts.by_path())[first]
-    for name in names:
-        found = dict(children(found))[name]
-    return found
 
 
 def _as_compiled(scenario: Scenario) -> Program:
@@ -301,7 +296,7 @@ def _on_arrays(scenario: Scenario, draws: Mapping[str, Array], start: int, stop:
     rows = _rows(scenario, draws, start, stop)
     q, v, memory, h = rows.q, rows.v, rows.memory, scenario.dt / scenario.substeps
     counts = np.zeros((len(scenario.grid), 2, BINS), np.int32)
-    begin = scenario.start
+    begin, looked_at = scenario.start, None
     with np.errstate(all="ignore"):  # what overflows is judged
         for k, time in enumerate(scenario.t.tolist()):
             at = Reference(*(part[k] for part in scenario.reference))
@@ -310,12 +305,40 @@ def _on_arrays(scenario: Scenario, draws: Mapping[str, Array], start: int, stop:
             # What has diverged goes on from the trajectory's start: no law sees what is no number.
             q, v = np.where(alive[:, None], q, begin[0]), np.where(alive[:, None], v, begin[1])
             memory = memory._replace(recorder={**memory.recorder, "alive": np.where(alive, 1.0, 0.0)})
-            found = one_sample(rows.parts, float(k), time, h, q, v, at, memory)
+            asked = rows.parts, float(k), time, h, q, v, at, memory
+            found = one_sample(*asked)
+            if k <= 1:  # the first is on the trajectory, where many laws give nothing
+                looked_at = asked, found
             q, v, memory = found.q, found.v, found.memory
             if k % scenario.stride == 0:
                 for row, size in zip(counts[k // scenario.stride], found.record.counted, strict=True):
                     row += np.bincount(bins_of(np.asarray(size)), minlength=BINS)
+        if looked_at is not None:
+            _check_again(*looked_at)
     return Part.of(scenario, memory.recorder, counts)
+
+
+def _check_again(asked: Any, found: Stepped) -> None:
+    """Refuse parts that answer otherwise for a sample when they are asked again after the last one.
+
+    Raises
+    ------
+    InvalidArgument
+        If there is such a part.
+    """
+    again = one_sample(*asked)
+    pairs = {
+        "controller": (found.sample.u, again.sample.u),
+        "plant or forces": (found.sample.a, again.sample.a),
+        "integrator": (np.hstack([found.q, found.v]), np.hstack([again.q, again.v])),
+    }
+    for part, (before, after) in pairs.items():
+        if not np.allclose(before, after, rtol=_CLOSE, atol=_CLOSE, equal_nan=True):
+            raise InvalidArgument(
+                f"{part} answers otherwise for t = {found.sample.t:g} s when asked again at the end, "
+                "expected the same: only controllers have memory, in their state, and random numbers come "
+                "from context.normal(name, n)"
+            )
 
 
 def _one_by_one(scenario: Scenario, start: int, stop: int) -> Part:

@@ -337,8 +337,8 @@ class MobileRobot(Carrier):
         """
         if self.mounts:
             raise NotTraceable(
-                "a robot with arms, whose dynamics are Pinocchio's",
-                "loops with it run one state at a time",
+                "a robot with arms has the dynamics of Pinocchio, no laws in NumPy",
+                "its loops run by PINOCCHIO, its ensembles by ARRAYS",
             )
         return self._planar
 

@@ -21,6 +21,7 @@ from pinmobile.simulation.checks import (
     chosen_integrator,
     sample_times,
     sampled,
+    started,
 )
 from pinmobile.simulation.engines import COMPILED, PINOCCHIO, Engine, checked_engine
 from pinmobile.simulation.loop import Loop
@@ -30,6 +31,7 @@ from pinmobile.trajectories import Reference, Trajectory, check_limits
 __all__ = ["errors_of", "simulate"]
 
 _CHUNK = 512  # samples between two looks for divergence
+_NOT_ASKED = f"not {COMPILED!r}, which runs what can be compiled where engine={COMPILED!r} asks for it"
 
 
 def simulate(
@@ -106,7 +108,9 @@ def simulate(
     checked_loop(plant, controller, trajectory, integrator)
     t = sample_times(dt, duration, trajectory.duration)
     count, checked = checked_substeps(substeps, len(t)), checked_forces(forces, plant)
-    chosen = checked_engine(engine, PINOCCHIO, COMPILED) or PINOCCHIO
+    asked = checked_engine(engine, PINOCCHIO, COMPILED)
+    chosen = asked or PINOCCHIO
+    made = {"engine": repr(chosen), "why": _NOT_ASKED if asked is None else ""}
     kind: Any = Loop
     memory: dict[Any, Any] = {}  # of this call alone, where nothing is remembered
     if chosen is COMPILED:
@@ -131,12 +135,13 @@ def simulate(
             continue
         bad, why = _first_bad(plant, loop, reference, begin, end, limit)
         if bad is not None:
-            kept = _rollout(plant, t, loop, reference, bad, chosen) if bad else None
+            kept = _rollout(plant, t, loop, reference, bad, made) if bad else None
             q, v, _, _ = loop.samples(bad, bad + 1)
             message = f"the loop diverged at t = {t[bad]:g} s (sample {bad} of {len(t) - 1}): {why}"
             message += _too_stiff(plant, checked, start[0], dt / count)
             raise Diverged(message, time=float(t[bad]), q=q[0], v=v[0], rollout=kept) from loop.stopped
-    return _rollout(plant, t, loop, reference, len(t), chosen)
+    loop.check_again()
+    return _rollout(plant, t, loop, reference, len(t), made)
 
 
 def _start(
@@ -145,7 +150,7 @@ def _start(
     """Return the state to start with: as given, or on the reference as the plant completes it."""
     first = Reference(*(part[0] for part in reference))
     if hasattr(plant, "start"):
-        on_reference = plant.start(first)
+        on_reference = started(plant, first)
     elif first.v.size == plant.nv:
         on_reference = first.q, first.v
     elif q0 is None or v0 is None:
@@ -235,10 +240,11 @@ def _too_stiff(plant: Any, forces: Sequence[Any], q: Array, h: float) -> str:
     )
 
 
-def _rollout(plant: Plant, t: Array, loop: Any, reference: Reference, end: int, engine: Engine) -> Rollout:
+def _rollout(
+    plant: Plant, t: Array, loop: Any, reference: Reference, end: int, made: dict[str, str]
+) -> Rollout:
     q, v, a, u = loop.samples(0, end)
     kept = Reference(*(part[:end] for part in reference))
-    signals = {} if loop.recorder is None else loop.recorder.signals(end)
     error = errors_of(plant, q, kept)
-    records = {"t": t[:end], "q": q, "v": v, "a": a, "u": u, "error": error}
-    return Rollout(plant=plant, reference=kept, signals=signals, engine=repr(engine), **records)
+    records: dict[str, Any] = {"t": t[:end], "q": q, "v": v, "a": a, "u": u, "error": error}
+    return Rollout(plant=plant, reference=kept, signals=loop.signals(end), **records | made)
