@@ -45,6 +45,7 @@ MEMORY = 6 << 30  # of address space; libraries that only reserve it have some 3
 INNER = {
     *("balance.checked_footprint", "balance.margin_inside", "balance.rectangle", "controllers.gain_matrix"),
     *("balance.body_zero_moment_point", "closed_form.unchecked_forward_dynamics", "paths.within"),
+    *("closed_form.unchecked_mass_matrix", "closed_form.unchecked_coriolis_matrix"),
     *("closed_form.unchecked_inverse_dynamics", "controllers.check_controller", "derivation.difference"),
     *("derivation.lagrange", "disturbances.noise_frequencies", "ensembles.part_of", "paths.pieces_of"),
     *("ensembles.run_scenario", "paths.Whole", "reaching.pose_error", "robot.ChainDynamics"),

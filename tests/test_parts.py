@@ -3,6 +3,7 @@
 import pickle
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,8 @@ from pinmobile import (
     simulate,
     sweep,
 )
+from pinmobile.compiled.symbols import Symbols
+from pinmobile.compiled.tracing import tracing
 from pinmobile.ensembles import ARRAYS, COMPILED, PINOCCHIO, part_of, run_scenario
 from pinmobile.ensembles.variables import PER_ROBOT
 from pinmobile.errors import SlowerEngine
@@ -369,3 +372,80 @@ def test_a_law_may_write_into_the_reference_that_it_is_told() -> None:
     one, other = (simulate(ROBOT, law(function), motion, dt=0.02) for function in (careless, careful))
     np.testing.assert_array_equal(one.q, other.q)
     np.testing.assert_array_equal(one.reference.q, other.reference.q)
+
+
+# A law that reaches a robot which is no attribute of a part.
+
+MASSES = {"mass": np.array([27.0, 33.0])}
+HELD = {"model": ROBOT}
+BOUND = ROBOT.nonlinear_effects
+
+
+def _by_global(t: float, q: Any, v: Any, reference: Any) -> Any:
+    command = reference.a + 4.0 * (reference.q - q) + 4.0 * (reference.v - v)
+    return ROBOT.mass_matrix(q) @ command + BOUND(q, v)
+
+
+def _by_dict(t: float, q: Any, v: Any, reference: Any) -> Any:
+    command = reference.a + 4.0 * (reference.q - q) + 4.0 * (reference.v - v)
+    return HELD["model"].mass_matrix(q) @ command + HELD["model"].coriolis_matrix(q, v) @ v
+
+
+def _closed_over(robot: Any) -> Any:
+    def function(t: float, q: Any, v: Any, reference: Any) -> Any:
+        return robot.inverse_dynamics(q, v, reference.a + 4.0 * (reference.q - q) + 4.0 * (reference.v - v))
+
+    return function
+
+
+@pytest.mark.parametrize("function", [_by_global, _by_dict, _closed_over(ROBOT)])
+def test_a_law_that_reaches_a_robot_by_a_name_is_compiled(function: Any) -> None:
+    motion = Tangent(Circle(2.0, 0.5, 1.0))
+    given: dict[str, Any] = {"n": 2, "spread": MASSES | {"start_x": 0.1}, "dt": 0.02}
+    run = ensemble(ROBOT, law(function), motion, **given)
+    assert run.engine == "COMPILED"
+    assert_close(run, ensemble(ROBOT, law(function), motion, **given, engine=PINOCCHIO))
+    assert_close(run, ensemble(ROBOT, ComputedTorque(ROBOT), motion, **given))
+    other = _closed_over(MobileRobot(50.0, 1.3))  # the same code, another robot
+    runs = [ensemble(ROBOT, law(other), motion, **given, engine=engine) for engine in (COMPILED, PINOCCHIO)]
+    assert_close(*runs)
+
+
+def test_what_a_robot_does_by_pinocchio_alone_is_refused_with_the_line() -> None:
+    def function(t: float, q: Any, v: Any, reference: Any) -> Any:
+        return ROBOT.jacobian(q).T[:, :3] @ (reference.q - q)
+
+    instead = r"line \d+ of test_parts\.py .*: jacobian of a MobileRobot, .*asks it for coriolis_matrix, "
+    with pytest.raises(InvalidArgument, match=instead):
+        ensemble(
+            ROBOT, law(function), Tangent(Circle(2.0, 0.5, 1.0)), n=2, spread={}, dt=0.1, engine=COMPILED
+        )
+
+
+def test_only_the_thread_that_traces_sees_a_robots_law_in_its_place() -> None:
+    def asked() -> Any:
+        return ROBOT.mass_matrix(np.zeros(3))
+
+    before = asked()
+    with tracing([asked]), ThreadPoolExecutor(1) as pool:
+        assert isinstance(asked(), Symbols)
+        elsewhere = pool.submit(asked).result()
+    assert type(elsewhere) is np.ndarray
+    for each in (elsewhere, asked()):
+        np.testing.assert_array_equal(each, before)
+    assert "mass_matrix" not in vars(MobileRobot)
+
+
+def test_the_law_of_a_robot_is_its_dynamics() -> None:
+    q, v, a = np.array([0.3, -0.2, 0.7]), np.array([0.5, 0.1, -0.4]), np.array([0.2, 0.3, 0.1])
+    own = ROBOT.traced()
+    for name, given in {
+        "mass_matrix": (q,),
+        "coriolis_matrix": (q, v),
+        "kinetic_energy": (q, v),
+        "nonlinear_effects": (q, v),
+        "inverse_dynamics": (q, v, a),
+        "forward_dynamics": (q, v, a),
+    }.items():
+        expected = getattr(ROBOT, name)(*given)
+        np.testing.assert_allclose(getattr(own, name)(*given), expected, rtol=1e-12, atol=1e-13, err_msg=name)

@@ -5,6 +5,7 @@ of all else that they hold. Whether the code still is what it was, with the glob
 refers to, is looked at each time, which takes some microseconds.
 """
 
+import contextlib
 import functools
 import threading
 from collections import OrderedDict
@@ -23,6 +24,7 @@ from pinmobile.compiled.parts import Parts, Place, Reference, attributes_of
 from pinmobile.compiled.passes import traced
 from pinmobile.compiled.program import Program
 from pinmobile.compiled.tracing import Walk, is_foreign
+from pinmobile.errors import NotTraceable
 
 __all__ = ["program_of"]
 
@@ -105,10 +107,11 @@ def _key(parts: Parts, context: Any, reference: Reference, spread: frozenset[Pla
     return forms, parts.substeps, form, tuple(names), shapes, spread, single
 
 
-def _form(x: Any, leaves: Any = None, depth: int = 0) -> Any:
+def _form(x: Any, leaves: Any = None, depth: int = 0, constant: bool = False) -> Any:
     """Return what makes a value another one, as something that can be compared and hashed.
 
-    Of parameters of parts that is their shape; where `leaves` is not None, it is so for all numbers.
+    Of parameters of parts that is their shape, unless they are `constant`, as of a part that a law reaches as
+    a global; where `leaves` is not None, it is so for all numbers.
     """
     if depth > _DEEP:
         raise _Unknown
@@ -121,36 +124,49 @@ def _form(x: Any, leaves: Any = None, depth: int = 0) -> Any:
             raise _Unknown
         return x.shape, x.dtype.str, None if leaves is not None else x.tobytes()
     if isinstance(x, list | tuple):
-        return type(x), tuple(_form(each, leaves, depth + 1) for each in x)
+        return type(x), tuple(_form(each, leaves, depth + 1, constant) for each in x)
     if isinstance(x, dict):
-        return type(x), tuple((_form(k, None, depth + 1), _form(v, leaves, depth + 1)) for k, v in x.items())
+        return type(x), tuple(
+            (_form(k, None, depth + 1, constant), _form(v, leaves, depth + 1, constant)) for k, v in x.items()
+        )
     if isinstance(x, set | frozenset):
-        return type(x), frozenset(_form(each, None, depth + 1) for each in x)
+        return type(x), frozenset(_form(each, None, depth + 1, constant) for each in x)
     if isinstance(x, MethodType):
         # In a memory it is the plant's `difference`, whose form is known by another way.
-        return x.__func__, None if x.__self__ is leaves else _form(x.__self__, None, depth + 1)
+        return x.__func__, None if x.__self__ is leaves else _form(x.__self__, None, depth + 1, constant)
     if isinstance(x, functools.partial):
-        return x.func, _form((x.args, x.keywords), None, depth + 1)
+        return x.func, _form((x.args, x.keywords), None, depth + 1, constant)
     if isinstance(x, Line):
         return Line, x.samples
     if isinstance(x, Noise):
         return Noise, x.n
-    return _object_form(x, leaves, depth)
+    return _object_form(x, leaves, depth, constant)
 
 
-def _object_form(x: Any, leaves: Any, depth: int) -> Any:
+def _object_form(x: Any, leaves: Any, depth: int, constant: bool) -> Any:
     if is_foreign(type(x).__module__) and not type(x).__module__.startswith("pinmobile"):
         raise _Unknown
     attributes = getattr(x, "__dict__", None)  # some answer to any name with something
     if not isinstance(attributes, dict):
         raise _Unknown
-    stated = attributes_of(x)
+    if constant and hasattr(type(x), "traced"):
+        return type(x), id(x), *_model_form(x, attributes, depth)
+    stated = () if constant else attributes_of(x)
     kept = (
-        (name, np.shape(value) if name in stated else _form(value, leaves, depth + 1))
+        (name, np.shape(value) if name in stated else _form(value, leaves, depth + 1, constant))
         for name, value in attributes.items()
         if not isinstance(getattr(type(x), name, None), functools.cached_property)
     )
     return type(x), tuple(kept)
+
+
+def _model_form(x: Any, attributes: dict[str, Any], depth: int) -> Any:
+    """Yield the numbers of a model that a law reaches as a global; what is not known, as Pinocchio's, stays."""
+    with contextlib.suppress(NotTraceable):  # as with arms: then its law is asked nothing
+        yield _form(x.traced(), None, depth + 1, True)
+    for name, value in attributes.items():
+        with contextlib.suppress(_Unknown):
+            yield name, _form(value, None, depth + 1, True)
 
 
 class _Witness:
@@ -162,7 +178,7 @@ class _Witness:
         self._names = [(mapping, name, mapping[name]) for mapping, name in walk.names.values()]
         self._cells = [(cell, cell.cell_contents) for cell in walk.cells.values()]
         values = [*(value for _, _, value in self._names), *(value for _, value in self._cells)]
-        self._forms = [(value, _form(value)) for value in values if _can_change(value)]
+        self._forms = [(value, _form(value, constant=True)) for value in values if _can_change(value)]
 
     def holds(self) -> bool:
         """Tell whether all that is as it was."""
@@ -170,7 +186,7 @@ class _Witness:
             return (
                 all(mapping.get(name) is value for mapping, name, value in self._names)
                 and all(cell.cell_contents is value for cell, value in self._cells)
-                and all(_form(value) == form for value, form in self._forms)
+                and all(_form(value, constant=True) == form for value, form in self._forms)
             )
         except (_Unknown, ValueError):
             return False
