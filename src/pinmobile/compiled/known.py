@@ -50,12 +50,13 @@ def program_of(
     dt: float,
     spread: Iterable[Place] = (),
     single: bool = False,
+    own_reference: bool = False,
 ) -> Program:
     """Return the program of a loop: one that is known, else a new one.
 
     Parameters
     ----------
-    parts, context, start, reference, dt, spread
+    parts, context, start, reference, dt, spread, own_reference
         As in `traced`.
     single : bool
         Whether it is for one robot.
@@ -70,7 +71,7 @@ def program_of(
     spread = frozenset(Place(*name) for name in spread)
     own = parts.on_symbols()
     try:
-        key: Any = _key(own, context, reference, spread, single)
+        key: Any = (*_key(own, context, reference, spread, single), own_reference)
     except _Unknown:
         key = None
     if key is not None:
@@ -78,7 +79,7 @@ def program_of(
             found = _known.get(key)
         if found is not None and found[0].holds():
             return found[1]
-    loop = traced(own, context, start, reference, dt=dt, spread=spread)
+    loop = traced(own, context, start, reference, dt=dt, spread=spread, own_reference=own_reference)
     program = Program(loop, single=single, cache=Cache())
     if key is not None:
         try:
@@ -161,7 +162,7 @@ def _object_form(x: Any, leaves: Any, depth: int, constant: bool) -> Any:
 
 
 def _model_form(x: Any, attributes: dict[str, Any], depth: int) -> Any:
-    """Yield the numbers of a model that a law reaches as a global; what is not known, as Pinocchio's, stays."""
+    """Yield the numbers of a model that a law reaches as a global; what is not known of it stays as it is."""
     with contextlib.suppress(NotTraceable):  # as with arms: then its law is asked nothing
         yield _form(x.traced(), None, depth + 1, True)
     for name, value in attributes.items():

@@ -16,7 +16,7 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.compiled.memory import mapped
 from pinmobile.compiled.recorders import Record, Sample
-from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
+from pinmobile.errors import InvalidArgument, NotTraceable, PinmobileError, UnknownName, shown
 
 __all__ = [
     "Memory",
@@ -26,11 +26,15 @@ __all__ = [
     "Stepped",
     "attributes_of",
     "children",
+    "children_at",
     "errors",
     "integrate_of",
     "limited",
     "one_sample",
 ]
+
+
+_NAMED = ("plant", "controller", "integrator", "recorder", "trajectory")
 
 
 class Reference(NamedTuple):
@@ -81,6 +85,8 @@ class Parts:
         ``on_coordinates(t, q, v)``, which returns a force on the coordinates.
     substeps : int
         Steps of the plant in a sample.
+    trajectory : trajectory, optional
+        What the reference is sampled from; it is made again, not traced, where a parameter of it differs.
     """
 
     plant: Any
@@ -89,10 +95,11 @@ class Parts:
     integrator: Any = None
     recorder: Any = None
     substeps: int = 1
+    trajectory: Any = None
 
     def by_path(self) -> Iterator[tuple[str, Any]]:
         """Return the parts, each with its path."""
-        for name in ("plant", "controller", "integrator", "recorder"):
+        for name in _NAMED:
             if getattr(self, name) is not None:
                 yield name, getattr(self, name)
         yield from ((f"forces[{i}]", force) for i, force in enumerate(self.forces))
@@ -101,7 +108,7 @@ class Parts:
         """Return the parts with a function of path and part in their place."""
         new = {path: function(path, part) for path, part in self.by_path()}
         forces = tuple(new[f"forces[{i}]"] for i in range(len(self.forces)))
-        named = {name: new.get(name) for name in ("plant", "controller", "integrator", "recorder")}
+        named = {name: new.get(name) for name in _NAMED}
         return Parts(**named, forces=forces, substeps=self.substeps)
 
     def on_symbols(self) -> "Parts":
@@ -109,12 +116,14 @@ class Parts:
 
         That is ``traced()`` of a part whose own law is not NumPy.
         """
-        return self.replaced(lambda _, part: _on_symbols(part))
+        return self.replaced(lambda path, part: part if path == "trajectory" else _on_symbols(part))
 
     def on_arrays(self) -> "Parts":
         """Return the parts as `on_symbols` does; those that cannot be traced, as they are."""
 
         def own(path: str, part: Any) -> Any:
+            if path == "trajectory":
+                return part
             try:
                 return _on_symbols(part)
             except NotTraceable:
@@ -129,7 +138,7 @@ class Parts:
         def visit(path: str, part: Any) -> Any:
             for name in attributes_of(part):
                 found[Place(path, name)] = _value(path, part, name)
-            for name, child in children(part):
+            for name, child in children_at(path, part):
                 visit(f"{path}.{name}", child)
             return part
 
@@ -145,8 +154,9 @@ class Parts:
         values : mapping of Place to array
             What takes their place, whatever its shape.
         remade : bool
-            Whether parts are made again, which check themselves and derive what follows from the values: by
-            ``with_parameters(**values)`` of those that have it, by `dataclasses.replace` of dataclasses.
+            Whether parts are made again, and those that hold them, which check themselves and derive what
+            follows from the values: by ``with_parameters(**values)`` of those that have it, by
+            `dataclasses.replace` of dataclasses.
 
         Raises
         ------
@@ -157,9 +167,9 @@ class Parts:
 
         def visit(path: str, part: Any) -> Any:
             mine = {name: left.pop(Place(path, name)) for name in attributes_of(part) if (path, name) in left}
-            inner = {name: (child, visit(f"{path}.{name}", child)) for name, child in children(part)}
+            inner = {name: (child, visit(f"{path}.{name}", child)) for name, child in children_at(path, part)}
             changed = {name: new for name, (old, new) in inner.items() if new is not old}
-            if remade and mine:
+            if remade and (mine or changed):
                 return _remade(_copied(part, {}, changed), mine)
             return _copied(part, mine, changed) if mine or changed else part
 
@@ -197,6 +207,16 @@ def children(part: Any) -> Iterator[tuple[str, Any]]:
             yield name, value
 
 
+def children_at(path: str, part: Any) -> Iterator[tuple[str, Any]]:
+    """Return the parts that a part at a path holds and whose parameters are the loop's.
+
+    A trajectory may know a robot, whose limits it keeps; nothing follows from that robot's parameters.
+    """
+    for name, child in children(part):
+        if not (path.startswith("trajectory") and hasattr(child, "forward_dynamics")):
+            yield name, child
+
+
 def _is_part(x: Any) -> bool:
     return (hasattr(x, "parameters") or hasattr(x, "initial_state")) and not isinstance(x, type)
 
@@ -230,7 +250,15 @@ def _remade(part: Any, values: Mapping[str, Any]) -> Any:
     if hasattr(part, "with_parameters"):
         return part.with_parameters(**values)
     if dataclasses.is_dataclass(part) and not isinstance(part, type):
-        return dataclasses.replace(part, **values)
+        try:
+            return dataclasses.replace(part, **values)
+        except PinmobileError:
+            raise
+        except (TypeError, ValueError) as error:  # its constructor takes other arguments than its fields
+            raise InvalidArgument(
+                f"a {type(part).__name__} cannot be made again by dataclasses.replace: {error}; expected "
+                "fields that its constructor takes, or with_parameters(**values)"
+            ) from error
     return _copied(part, values, {})
 
 

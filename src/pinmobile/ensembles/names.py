@@ -6,7 +6,7 @@ from types import MethodType
 from typing import Any, NamedTuple
 
 from pinmobile import disturbances
-from pinmobile.compiled.parts import Parts, children
+from pinmobile.compiled.parts import Parts, children_at
 from pinmobile.controllers.feedback import GAINS
 from pinmobile.errors import InvalidArgument, UnknownName
 from pinmobile.plant import Coordinate, Parameter, parameters_of
@@ -75,7 +75,7 @@ def _walked(path: str, part: Any, prefix: str) -> Iterator[tuple[str, Stated]]:
     for parameter in parameters_of(part):
         mine = _of_model(parameter, prefix)
         yield mine.name, Stated(path, mine)
-    for name, child in children(part):
+    for name, child in children_at(path, part):
         if not isinstance(getattr(part, name, None), MethodType):
             model = "model_" if hasattr(child, "forward_dynamics") else ""
             yield from _walked(f"{path}.{name}", child, prefix + model)

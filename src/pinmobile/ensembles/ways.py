@@ -27,6 +27,7 @@ from pinmobile.ensembles.member import member_of
 from pinmobile.ensembles.part import Part
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.errors import Diverged, InvalidArgument, NotTraceable
+from pinmobile.plant import Context
 from pinmobile.simulation import simulate
 from pinmobile.simulation.engines import ARRAYS, COMPILED, PINOCCHIO, Engine, checked_engine
 
@@ -34,6 +35,7 @@ __all__ = ["Way", "processors", "way_of"]
 
 _AT_ONCE = {ARRAYS: 4096, PINOCCHIO: 16}
 _WORK = 2e7  # robots times samples that are compiled code's at once: some 0.3 s
+_SAMPLED = 1e6  # the same where each robot has a reference of its own: some 200 MB of them
 _ROWS = 4  # of three, rows could be taken for coordinates
 _CLOSE = 1e-9  # of the largest number: rounding, which may depend on how many rows there are
 
@@ -71,10 +73,14 @@ class Way:
     def divided(self, start: int, stop: int, threads: int) -> list[tuple[int, int]]:
         """Divide the robots so that every worker has something to do, and none too much at a time."""
         if self.engine is COMPILED:
-            each = 256 * max(1, min(256, round(_WORK / len(self.scenario.t) / 256)))
+            work = _SAMPLED if self.scenario.has_own_references else _WORK
+            each = 256 * max(1, min(256, round(work / len(self.scenario.t) / 256)))
         else:
             share = -(-(stop - start) // self.workers(threads))
-            each = min(_AT_ONCE[self.engine], max(_ROWS, share))
+            most = _AT_ONCE[self.engine]
+            if self.scenario.has_own_references:
+                most = min(most, max(_ROWS, int(_SAMPLED / len(self.scenario.t))))
+            each = min(most, max(_ROWS, share))
         return [(first, min(first + each, stop)) for first in range(start, stop, each)]
 
     def run(self, draws: Mapping[str, Array], start: int, stop: int, threads: int) -> Part:
@@ -120,6 +126,37 @@ def _with_recorder(scenario: Scenario) -> Parts:
     return Parts(parts.plant, parts.controller, parts.forces, parts.integrator, recorder, parts.substeps)
 
 
+class _Blind:
+    """The context of robots that have references of their own: it shows none, as there is no one of all."""
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+
+    def __getattr__(self, name: str) -> Any:
+        if name in ("reference", "trajectory"):
+            raise NotTraceable(
+                f"the controller asks its context for the {name}, which each robot has of its own",
+                "let it follow the reference of each sample, or spread no parameter of the trajectory",
+            )
+        return getattr(self._context, name)
+
+
+def _context(scenario: Scenario) -> Any:
+    """Return what the controller of many robots at once is told."""
+    return _Blind(scenario.context) if scenario.has_own_references else scenario.context
+
+
+def _values(scenario: Scenario, draws: Mapping[str, Array], start: int, stop: int) -> dict[Place, Array]:
+    """Return what the loops of robots have of their own."""
+    values, places = scenario.values(draws, start, stop), set(scenario.places)
+    return {place: value for place, value in values.items() if place in places}
+
+
+def _own_references(scenario: Scenario, draws: Mapping[str, Array], start: int, stop: int) -> Any:
+    """Return the references of robots that have their own, else None."""
+    return scenario.references(draws, stop - start, start) if scenario.has_own_references else None
+
+
 def _moved(scenario: Scenario, place: Place) -> Parts:
     """Return the parts of a scenario, made again with another value of one parameter."""
     parts = scenario.parts
@@ -145,11 +182,11 @@ def _check_derived(scenario: Scenario) -> None:
         If there is one.
     """
     for stated in scenario.stated.values():
-        if not stated.path:
-            continue
         place = Place(stated.path, stated.parameter.attribute)
+        if place not in scenario.places:
+            continue
         try:
-            pair = [_part_at(parts, stated.path) for parts in (scenario.parts, _moved(scenario, place))]
+            pair = [_part_at(parts, place.path) for parts in (scenario.parts, _moved(scenario, place))]
         except InvalidArgument:
             continue  # a value beside the nominal one is not allowed
         if hasattr(pair[0], "traced") or not all(hasattr(each, "__dict__") for each in pair):
@@ -160,7 +197,7 @@ def _check_derived(scenario: Scenario) -> None:
             other = vars(pair[1]).get(name, value)
             if numeric and not np.array_equal(value, other):
                 raise NotTraceable(
-                    f"{stated.path}, a {type(pair[0]).__name__}, makes {name} of {place.name} once",
+                    f"{place.path}, a {type(pair[0]).__name__}, makes {name} of {place.name} once",
                     "compute it in the law",
                 )
 
@@ -178,7 +215,12 @@ def _as_compiled(scenario: Scenario) -> Program:
     _check_derived(scenario)
     parts, at = _with_recorder(scenario), Reference(*(part[0] for part in scenario.reference))
     q, v = scenario.starts({}, 1)
-    program = program_of(parts, scenario.context, (q[0], v[0]), at, dt=scenario.dt, spread=scenario.places)
+    program = program_of(
+        *(parts, _context(scenario), (q[0], v[0]), at),
+        dt=scenario.dt,
+        spread=scenario.places,
+        own_reference=scenario.has_own_references,
+    )
     unused = set(program.loop.unused)
     for name, stated in scenario.stated.items():
         # What the plant has may not matter to one run, as the mass of what nobody pushes; it is its own.
@@ -195,14 +237,16 @@ def _compiled(way: Way, draws: Mapping[str, Array], start: int, stop: int, threa
     scenario, program = way.scenario, way.program
     assert program is not None
     keys = {name: robot_keys(scenario.seed, name, range(start, stop)) for name in program.loop.keys}
+    own = _own_references(scenario, draws, start, stop)
     outcome = program.run(
         _with_recorder(scenario),
-        scenario.context,
-        scenario.starts(draws, stop - start),
+        _context(scenario),
+        scenario.starts(draws, stop - start, own),
         scenario.t,
         Reference(*scenario.reference),
         dt=scenario.dt,
-        values=scenario.values(draws, start, stop),
+        tracks=None if own is None else Reference(*own),
+        values=_values(scenario, draws, start, stop),
         keys=keys,
         every=scenario.stride,
         threads=threads,
@@ -218,17 +262,23 @@ class _Rows:
     memory: Memory
     q: Array
     v: Array
+    references: Any = None  # where each has its own
+
+    def at(self, k: int, all_have: Reference) -> Reference:
+        """Return the reference of sample k."""
+        return Reference(*(part[k] for part in self.references or all_have))
 
 
 def _rows(scenario: Scenario, draws: Mapping[str, Array], start: int, stop: int) -> _Rows:
     given = _with_recorder(scenario)
-    parts = given.on_arrays().with_parameters(scenario.values(draws, start, stop))
+    parts = given.on_arrays().with_parameters(_values(scenario, draws, start, stop))
+    own = _own_references(scenario, draws, start, stop)
 
     def normal(name: str, n: int) -> Noise:
         return Noise(robot_keys(scenario.seed, name, range(start, stop)), n)
 
-    memory = initial_memory(parts, scenario.context, scenario.size, normal=normal)
-    return _Rows(parts, memory, *scenario.starts(draws, stop - start))
+    memory = initial_memory(parts, _context(scenario), scenario.size, normal=normal)
+    return _Rows(parts, memory, *scenario.starts(draws, stop - start, own), own)
 
 
 def _as_arrays(scenario: Scenario) -> None:
@@ -241,7 +291,6 @@ def _as_arrays(scenario: Scenario) -> None:
     """
     count = min(_ROWS, scenario.n)
     draws = scenario.draws(0, count)
-    at = Reference(*(part[0] for part in scenario.reference))
     h = scenario.dt / scenario.substeps
     steps = np.arange(1.0, 1 + count * scenario.robot.nv).reshape(count, -1) * 1e-2  # no two rows alike
 
@@ -255,6 +304,7 @@ def _as_arrays(scenario: Scenario) -> None:
             ]
         )
         v = rows.v + np.sin(11 * steps[first:last]) * 0.1
+        at = rows.at(0, Reference(*scenario.reference))
         with np.errstate(all="ignore"):
             found = one_sample(rows.parts, 0.0, float(scenario.t[0]), h, q, v, at, rows.memory)
         shapes = {
@@ -298,7 +348,7 @@ def _on_arrays(scenario: Scenario, draws: Mapping[str, Array], start: int, stop:
     begin = scenario.starts({}, 1)
     with np.errstate(all="ignore"):  # what overflows is judged
         for k, time in enumerate(scenario.t.tolist()):
-            at = Reference(*(part[k] for part in scenario.reference))
+            at = rows.at(k, Reference(*scenario.reference))
             far = np.abs(np.concatenate(errors(rows.parts.plant, q, v, at), axis=-1))
             alive = (memory.recorder["alive"] > 0.5) & (far <= scenario.limit).all(axis=-1)
             # What has diverged goes on from the trajectory's start: no law sees what is no number.

@@ -7,12 +7,15 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, frozen, positive
 from pinmobile.errors import InvalidArgument
 from pinmobile.paths import Path, within
+from pinmobile.plant import Parameter
 from pinmobile.trajectories.hodograph import Hodograph, heading, hodograph
 from pinmobile.trajectories.reference import Reference, joined, plane_path
 from pinmobile.trajectories.turns import TurnsOnTheSpot
 from pinmobile.trajectories.winding import Jump, Winding
 
 __all__ = ["Tangent"]
+
+_TURN_TIME = Parameter("turn_time", "s", "time of each turn on the spot", 0.0, may_vanish=False)
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,11 @@ class Tangent:
         for name, value in (("_hodograph", direction), ("_winding", winding), ("_stops", stops)):
             object.__setattr__(self, name, value)
         object.__setattr__(self, "turns", frozen(stops.starts))
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """How long turns on the spot take, where there may be any."""
+        return () if self.turn_time is None else (_TURN_TIME,)
 
     @property
     def duration(self) -> float:
