@@ -529,7 +529,8 @@ def changed(part: Any, parameter: Any, value: float) -> Any:
             for name in ("start", "end", "point")
             if hasattr(part, name)
         ]
-        return type(part)(*points, part.duration)
+        kind: Any = type(part)
+        return kind(*points, part.duration)
     return replace(part, **{parameter.attribute: given[()] if given.ndim else float(given)})
 
 
@@ -584,8 +585,10 @@ def test_a_controller_that_looks_ahead_sees_its_own_robots_reference() -> None:
 
 def test_the_models_that_a_trajectory_knows_are_no_parameters_of_it() -> None:
     motion = WholeBody(ROBOT, Tangent(Circle(2.0, 0.5, 1.0)))
+    given: dict[str, Any] = {"controller": ComputedTorque(ROBOT), "trajectory": motion, "n": 2, "dt": 0.05}
     scenario = Scenario(
-        **{"robot": ROBOT, "controller": ComputedTorque(ROBOT), "trajectory": motion, "n": 2, "dt": 0.05},
+        robot=ROBOT,
+        **given,
         spread={"model_mass": np.array([25.0, 30.0]), "circle_radius": np.array([1.0, 2.0])},
     )
     assert scenario.stated["model_mass"].path == "controller.robot"

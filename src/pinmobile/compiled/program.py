@@ -142,7 +142,7 @@ class Program:
             raise InvalidArgument(
                 f"there are {n} robots, {count} samples, and counts every {every}, expected >= 1"
             )
-        expected = {
+        expected: dict[str, tuple[Array, tuple[int, ...]]] = {
             "q": (start[0], (n, nq)),
             "v": (start[1], (n, nv)),
             "reference.q": (reference.q, (count, length)),

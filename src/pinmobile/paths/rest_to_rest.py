@@ -33,7 +33,9 @@ class _Timed(PiecewisePath):
     def with_parameters(self, **values: ArrayLike) -> Self:
         """Return the path of the same duration with other values of its `parameters`, by attribute."""
         points = {each.name: getattr(self, each.name) for each in fields(self) if each.init}
-        return type(self)(**{**points, **values}, duration=self.duration)
+        kind: Any = type(self)
+        made: Self = kind(**{**points, **values}, duration=self.duration)
+        return made
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)

@@ -1,6 +1,7 @@
 """A path driven along its tangent, with turns on the spot where the tangent jumps."""
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -14,8 +15,6 @@ from pinmobile.trajectories.turns import TurnsOnTheSpot
 from pinmobile.trajectories.winding import Jump, Winding
 
 __all__ = ["Tangent"]
-
-_TURN_TIME = Parameter("turn_time", "s", "time of each turn on the spot", 0.0, may_vanish=False)
 
 
 @dataclass(frozen=True)
@@ -52,6 +51,11 @@ class Tangent:
 
     path: Path
     turn_time: float | None = None
+
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("turn_time", "s", "time of each turn on the spot", 0.0, may_vanish=False),
+    )
+
     turns: Array = field(init=False, repr=False, compare=False)
     _hodograph: Hodograph = field(init=False, repr=False, compare=False)
     _winding: Winding = field(init=False, repr=False, compare=False)
@@ -59,7 +63,9 @@ class Tangent:
 
     def __post_init__(self) -> None:
         plane_path(self.path)
-        if self.turn_time is not None:
+        if self.turn_time is None:
+            object.__setattr__(self, "parameters", ())
+        else:
             object.__setattr__(self, "turn_time", positive("turn_time", self.turn_time, "s"))
         direction = hodograph(self.path)
         winding = Winding(direction)
@@ -69,11 +75,6 @@ class Tangent:
         for name, value in (("_hodograph", direction), ("_winding", winding), ("_stops", stops)):
             object.__setattr__(self, name, value)
         object.__setattr__(self, "turns", frozen(stops.starts))
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """How long turns on the spot take, where there may be any."""
-        return () if self.turn_time is None else (_TURN_TIME,)
 
     @property
     def duration(self) -> float:
