@@ -3,6 +3,7 @@
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -33,7 +34,10 @@ from pinmobile.simulation.engines import ARRAYS, COMPILED, PINOCCHIO, Engine, ch
 
 __all__ = ["Way", "processors", "way_of"]
 
-_AT_ONCE = {ARRAYS: 4096, PINOCCHIO: 16}
+_AT_ONCE = 4096  # robots on arrays
+_ONE_BY_ONE = 16  # robots between two reports of progress
+_STEP = 2e-5  # seconds of a step of one of many robots by Pinocchio, at least
+_ANSWER = 0.5  # seconds between two answers of a process that runs robots one after another, about
 _WORK = 2e7  # robots times samples that are compiled code's at once: some 0.3 s
 _SAMPLED = 1e6  # the same where each robot has a reference of its own: some 200 MB of them
 _ROWS = 4  # of three, rows could be taken for coordinates
@@ -68,20 +72,48 @@ class Way:
 
     def workers(self, threads: int) -> int:
         """Return how many threads of Python are worth it: compiled code has its own, Pinocchio locks."""
-        return threads if self.engine is ARRAYS else 1
+        return threads if self.engine is ARRAYS and not self.locks else 1
+
+    @property
+    def alone(self) -> bool:
+        """Whether robots run one after another, so that the first tells what each costs."""
+        return self.engine is PINOCCHIO
+
+    @property
+    def cost(self) -> float:
+        """Seconds that a robot takes at least, of many at once whose model is Pinocchio's."""
+        return len(self.scenario.t) * self.scenario.substeps * _STEP
+
+    def shared(self, start: int, stop: int, workers: int, cost: float) -> list[tuple[int, int]]:
+        """Divide the robots among processes; `cost` is what one takes alone [s]."""
+        share = -(-(stop - start) // workers)
+        if not self.alone:
+            return self._each(start, stop, share)
+        return self._each(start, stop, max(1, min(round(_ANSWER / cost), -(-share // 4))))
+
+    def _each(self, start: int, stop: int, each: int) -> list[tuple[int, int]]:
+        if self.engine is ARRAYS:
+            most = _AT_ONCE
+            if self.scenario.has_own_references:
+                most = min(most, int(_SAMPLED / len(self.scenario.t)))
+            each = max(_ROWS, min(each, most))
+        return [(first, min(first + each, stop)) for first in range(start, stop, each)]
+
+    @cached_property
+    def locks(self) -> bool:
+        """Whether its robots' laws hold the interpreter's lock, so that other processes would help."""
+        return self.engine is PINOCCHIO or (self.engine is ARRAYS and _asks_pinocchio(self.scenario.parts))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"scenario": self.scenario, "engine": self.engine, "why": self.why, "program": None}
 
     def divided(self, start: int, stop: int, threads: int) -> list[tuple[int, int]]:
         """Divide the robots so that every worker has something to do, and none too much at a time."""
         if self.engine is COMPILED:
             work = _SAMPLED if self.scenario.has_own_references else _WORK
-            each = 256 * max(1, min(256, round(work / len(self.scenario.t) / 256)))
-        else:
-            share = -(-(stop - start) // self.workers(threads))
-            most = _AT_ONCE[self.engine]
-            if self.scenario.has_own_references:
-                most = min(most, max(_ROWS, int(_SAMPLED / len(self.scenario.t))))
-            each = min(most, max(_ROWS, share))
-        return [(first, min(first + each, stop)) for first in range(start, stop, each)]
+            return self._each(start, stop, 256 * max(1, min(256, round(work / len(self.scenario.t) / 256))))
+        share = -(-(stop - start) // self.workers(threads))
+        return self._each(start, stop, share if self.engine is ARRAYS else _ONE_BY_ONE)
 
     def run(self, draws: Mapping[str, Array], start: int, stop: int, threads: int) -> Part:
         """Return the records of the robots from `start` to before `stop`, given what is drawn for these."""
@@ -90,6 +122,21 @@ class Way:
         if self.engine is ARRAYS:
             return _on_arrays(self.scenario, draws, start, stop)
         return _one_by_one(self.scenario, start, stop)
+
+
+def _asks_pinocchio(parts: Parts) -> bool:
+    """Tell whether a part has a model whose law is no NumPy."""
+
+    def asks(part: Any) -> bool:
+        try:
+            if hasattr(part, "traced"):
+                part.traced()
+                return False
+        except NotTraceable:
+            return True
+        return any(asks(child) for _, child in children(part))
+
+    return any(asks(part) for path, part in parts.by_path() if path != "trajectory")
 
 
 def way_of(scenario: Scenario, engine: Engine | None = None) -> Way:
@@ -364,10 +411,24 @@ def _on_arrays(scenario: Scenario, draws: Mapping[str, Array], start: int, stop:
 
 def _one_by_one(scenario: Scenario, start: int, stop: int) -> Part:
     """Return the records of robots that `simulate` runs one after another."""
-    found = [_summed(scenario, i) for i in range(start, stop)]
+    found = [_summed_alone(scenario, i) for i in range(start, stop)]
     counts = np.sum([each.counts for each in found], axis=0)
     columns = (np.concatenate([getattr(each, name) for each in found]) for name in Part._fields[:-1])
     return Part(*columns, counts)  # type: ignore[call-arg]
+
+
+def _summed_alone(scenario: Scenario, i: int) -> Part:
+    """Return the records of robot i, whose number its errors tell."""
+    try:
+        return _summed(scenario, i)
+    except InvalidArgument as error:
+        if type(error) is InvalidArgument and not str(error).startswith("robot "):
+            raise InvalidArgument(f"robot {i}: {error}") from error
+        error.add_note(f"robot {i} of the ensemble")
+        raise
+    except Exception as error:
+        error.add_note(f"robot {i} of the ensemble")
+        raise
 
 
 def _summed(scenario: Scenario, i: int) -> Part:
