@@ -14,6 +14,7 @@ from pinmobile.cli.mount import list_mountable, show_mount
 from pinmobile.cli.output import console, output_folder, progress
 from pinmobile.cli.run import show_run
 from pinmobile.cli.view import chosen_runs, overlays_of, saved_runs, show_live
+from pinmobile.plant import parameters_of
 
 __all__ = ["app"]
 
@@ -37,7 +38,7 @@ _GROUND = "z of the ground in the root link's frame (m); what the file tells"
 def _of_path(name: str) -> Any:
     """Return the option of what paths take: which, what it is, its unit, and the lecture's number."""
     kinds = {kind: (make, given[name]) for kind, (make, given) in choices.PATHS.items() if name in given}
-    stated = [each for make, _ in kinds.values() for each in make.parameters if each.attribute == name]
+    stated = [each for make, _ in kinds.values() for each in parameters_of(make) if each.attribute == name]
     meaning = stated[0].meaning.split(", ")[0] if stated else f"{name} of the path"
     unit = stated[0].unit if stated else choices.UNITS[name]
     value = next(iter(kinds.values()))[1]

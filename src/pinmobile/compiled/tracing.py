@@ -6,7 +6,7 @@ import inspect
 import linecache
 import sys
 import threading
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from types import CellType, CodeType, FunctionType, MethodType, ModuleType, TracebackType
 from typing import Any
@@ -87,8 +87,7 @@ def _by_its_law(name: str, of: Any = None) -> Callable[..., Any]:
     return asked
 
 
-@functools.cache
-def _methods(kind: Hashable) -> tuple[str, ...]:
+def _methods(kind: type) -> tuple[str, ...]:
     """Return the names of a class's methods, but of `traced` itself."""
     found = (name for name in dir(kind) if not name.startswith("_") and name != "traced")
     return tuple(name for name in found if isinstance(inspect.getattr_static(kind, name), FunctionType))
