@@ -12,6 +12,7 @@ import pytest
 
 import pinmobile
 from pinmobile import controllers, disturbances, paths, trajectories
+from pinmobile.cli import choices, named_parts
 
 ROOT = Path(__file__).parents[1]
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text()
@@ -120,3 +121,27 @@ def test_no_file_asks_a_part_what_it_is() -> None:
                 }
                 asked += [(file.name, name) for name in compared & set(PARTS)]
     assert not asked
+
+
+def test_the_command_knows_parts_by_their_classes_and_units_by_what_they_state() -> None:
+    assert {
+        "delayed": pinmobile.Delayed,
+        "noisy-measurement": pinmobile.NoisyMeasurement,
+        "saturated": pinmobile.Saturated,
+    } == named_parts.WRAPPERS
+    assert {"constant", "joint-friction", "noise", "viscous-friction"} <= named_parts.FORCES.keys()
+    assert [kind.__name__ for kind in named_parts.FORCES.values()] == [  # type: ignore[attr-defined]
+        name for name in disturbances.__all__ if name in PARTS
+    ]
+    stated = {each.attribute: each.unit for each in pinmobile.Circle.parameters}
+    assert stated == {name: choices.UNITS[name] for name in ("radius", "rate")}
+    assert set(choices.OF_PATHS) == set(choices.POINTS) | {
+        "duration",
+        "radius",
+        "rate",
+        "rx",
+        "ry",
+        "wx",
+        "wy",
+        "t_via",
+    }

@@ -36,7 +36,7 @@ ALLOWED: dict[str, set[str]] = {
     "compiled": {"arrays"},
     "robot": {"plant", "dh", "urdf", "closed_form"},
     "verification": {"robot", "closed_form", "derivation"},
-    "paths": {"arrays"},
+    "paths": {"plant"},
     "trajectories": {"paths"},
     "plant": {"compiled"},
     "controllers": {"plant"},
