@@ -130,7 +130,7 @@ def test_the_command_knows_parts_by_their_classes_and_units_by_what_they_state()
         "saturated": pinmobile.Saturated,
     } == named_parts.WRAPPERS
     assert {"constant", "joint-friction", "noise", "viscous-friction"} <= named_parts.FORCES.keys()
-    assert [kind.__name__ for kind in named_parts.FORCES.values()] == [  # type: ignore[attr-defined]
+    assert [kind.__name__ for kind in named_parts.FORCES.values()] == [
         name for name in disturbances.__all__ if name in PARTS
     ]
     stated = {each.attribute: each.unit for each in pinmobile.Circle.parameters}
