@@ -45,6 +45,7 @@ MEMORY = 6 << 30  # of address space; libraries that only reserve it have some 3
 INNER = {
     *("balance.checked_footprint", "balance.margin_inside", "balance.rectangle", "controllers.gain_matrix"),
     *("balance.body_zero_moment_point", "closed_form.unchecked_forward_dynamics", "paths.within"),
+    *("closed_form.unchecked_mass_matrix", "closed_form.unchecked_coriolis_matrix"),
     *("closed_form.unchecked_inverse_dynamics", "controllers.check_controller", "derivation.difference"),
     *("derivation.lagrange", "disturbances.noise_frequencies", "ensembles.part_of", "paths.pieces_of"),
     *("ensembles.run_scenario", "paths.Whole", "reaching.pose_error", "robot.ChainDynamics"),
@@ -72,7 +73,14 @@ INNER = {
     *("Rollout.of", "Rollout.arrays", "ensembles.Outline.of", "ensembles.Outline.from_description"),
     *("ensembles.Outline.description", "ensembles.Outline.difference", "ensembles.Part.of"),
     *("PD.compact", "ComputedTorque.compact", "PDGravity.compact", "MobileRobot.traced"),
-    *("NoiseForce.draw", "NoiseForce.with_parameters", "Scenario.starts", "Scenario.values"),
+    *("Hold.with_parameters", "RestToRest.with_parameters", "WholeBody.with_parameters"),
+    *(
+        "Scenario.references",
+        "NoiseForce.draw",
+        "NoiseForce.with_parameters",
+        "Scenario.starts",
+        "Scenario.values",
+    ),
     "sweeps.Code",
 }
 # What the library makes and users read: nobody calls the class.
@@ -448,6 +456,8 @@ ROWS: dict[str, Row] = {
     "Axis.index": row(name="gain", label=1.0),
     "Circle": row(radius=1, rate=0.5, duration=1),
     "Lissajous": row(rx=1, ry=2, wx=0.5, wy=1, duration=1),
+    "Circle.__call__": row(t=[0.1, 0.2]),
+    "Circle.derivative": row(t=[0.1, 0.2], order=1),
     "Lissajous.__call__": row(t=[0.1, 0.2]),
     "Lissajous.derivative": row(t=[0.1, 0.2], order=1),
     "CubicVia": row(
@@ -733,7 +743,8 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "robot.Stance": lambda: Stance.of_box((0.6, 0.4, 0.2)),
     "EndEffectorTracking": lambda: pm.EndEffectorTracking(WORLD.armed, WORLD.target),
     "Axis": lambda: pm.Axis([1.0, 2.0]),
-    "Lissajous": lambda: WORLD.path,
+    "Circle": lambda: WORLD.path,
+    "Lissajous": lambda: pm.Lissajous(1, 2, 0.5, 1, 1),
     "CubicVia": lambda: pm.CubicVia([0, 0], [1, 1], [2, 0], 1, 2),
     "Hold": lambda: pm.Hold([1, 2], 1),
     "RestToRest": lambda: pm.RestToRest([0, 0], [1, 1], 1),

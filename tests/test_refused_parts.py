@@ -432,19 +432,19 @@ def _late_integrator(acceleration: Any, t: float, q: Any, v: Any, h: float) -> A
     [
         (
             BODY | {"controller": law(lambda t, q, v, r: (1j if t > 1 else 1.0) * (r.q - q))},
-            r"(?s)^function of the law returned .*j.* at t = 1.02 s, expected a force",
+            r"(?s)^(robot 0: )?function of the law returned .*j.* at t = 1.02 s, expected a force",
         ),
         (
             BODY | {"forces": [lambda t, pose, rate: (1j if t > 1 else 1.0) * pose]},
-            r"(?s)^forces\[0\] returned .*j.* at t = 1.0\d s, expected an array of shape \(3,\) of real",
+            r"(?s)^(robot 0: )?forces\[0\] returned .*j.* at t = 1.0\d s, expected an array of shape \(3,\) of real",
         ),
         (
             BODY | {"integrator": _late_integrator},
-            r"(?s)^integrator returned .*j.* at t = 1.02 s, expected \(q,",
+            r"(?s)^(robot 0: )?integrator returned .*j.* at t = 1.02 s, expected \(q,",
         ),
         (
             CART | {"robot": Late()},
-            r"(?s)^plant.forward_dynamics returned .*j.*, expected an array of real num",
+            r"(?s)^(robot 0: )?plant.forward_dynamics returned .*j.*, expected an array of real num",
         ),
     ],
 )

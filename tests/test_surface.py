@@ -38,7 +38,7 @@ ALLOWED: dict[str, set[str]] = {
     "compiled": {"constancy", "signals"},
     "robot": {"plant", "dh", "urdf", "closed_form"},
     "verification": {"robot", "closed_form", "derivation"},
-    "paths": {"arrays"},
+    "paths": {"plant"},
     "trajectories": {"paths", "constancy"},
     "plant": {"compiled"},
     "controllers": {"plant"},

@@ -177,4 +177,4 @@ class ViewerError(PinmobileError, RuntimeError):
 
 
 class SchedulerError(PinmobileError, ConnectionError):
-    """A Dask cluster does not answer, has no worker, or is lost."""
+    """A Dask cluster does not answer, has no worker, or is lost; or a process that ran robots is."""

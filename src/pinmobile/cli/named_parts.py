@@ -6,18 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
-from pinmobile import (
-    ConstantForce,
-    Delayed,
-    InvalidArgument,
-    NoiseForce,
-    NoisyMeasurement,
-    RollingResistance,
-    Saturated,
-    SinusoidalForce,
-    UnknownName,
-    ViscousFriction,
-)
+from pinmobile import InvalidArgument, UnknownName, controllers, disturbances
 from pinmobile.cli import choices
 from pinmobile.compiled.parts import attributes_of, check_numbers
 from pinmobile.errors import shown
@@ -25,18 +14,30 @@ from pinmobile.sweeps import Code
 
 __all__ = ["FORCES", "STEPS", "WRAPPERS", "Maker", "code_in", "is_code"]
 
-WRAPPERS: Mapping[str, Callable[..., Any]] = {
-    "saturated": Saturated,
-    "delayed": Delayed,
-    "noisy-measurement": NoisyMeasurement,
-}
-FORCES: Mapping[str, Callable[..., Any]] = {
-    "constant": ConstantForce,
-    "sinusoidal": SinusoidalForce,
-    "noise": NoiseForce,
-    "viscous-friction": ViscousFriction,
-    "rolling-resistance": RollingResistance,
-}
+
+def _parameters(make: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:
+    try:
+        return inspect.signature(make).parameters
+    except (ValueError, TypeError):  # as of some that are built in
+        return {"arguments": inspect.Parameter("arguments", inspect.Parameter.VAR_KEYWORD)}
+
+
+def _short(kind: type) -> str:
+    """Return the short name of a class: ``"noisy-measurement"`` of NoisyMeasurement, without Force."""
+    return "-".join(re.findall(r"[A-Z]+(?![a-z])|[A-Z][a-z]+", kind.__name__.removesuffix("Force"))).lower()
+
+
+def _classes(package: Any, wanted: Callable[[type], bool]) -> dict[str, Callable[..., Any]]:
+    """Return the classes of a package that are wanted, by short names; protocols are none."""
+    kinds = [getattr(package, name) for name in package.__all__]
+    real = [kind for kind in kinds if isinstance(kind, type) and not getattr(kind, "_is_protocol", False)]
+    return {_short(kind): kind for kind in real if wanted(kind)}
+
+
+WRAPPERS: Mapping[str, Callable[..., Any]] = _classes(
+    controllers, lambda kind: "controller" in _parameters(kind)
+)
+FORCES: Mapping[str, Callable[..., Any]] = _classes(disturbances, lambda kind: True)
 STEPS: Mapping[str, Callable[..., Any]] = {
     name: partial(lambda step: step, step) for name, step in choices.INTEGRATORS.items()
 }
@@ -205,13 +206,6 @@ def _path(name: str, /, **given: Any) -> Any:
 
 def _gain(value: Any) -> Any:
     return tuple(value) if isinstance(value, list) else value
-
-
-def _parameters(make: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:
-    try:
-        return inspect.signature(make).parameters
-    except (ValueError, TypeError):  # as of some that are built in
-        return {"arguments": inspect.Parameter("arguments", inspect.Parameter.VAR_KEYWORD)}
 
 
 def _takes(parameters: Mapping[str, inspect.Parameter], key: str) -> bool:

@@ -9,7 +9,16 @@ from pathlib import Path
 from typing import Any
 
 from pinmobile import Axis, InvalidArgument, PinmobileError, Scenario, UnknownName, grid
-from pinmobile.cli.choices import controller_of, path_of, plant_of, refuse_beside, trajectory_of
+from pinmobile.cli.choices import (
+    OF_PATHS,
+    POINTS,
+    UNITS,
+    controller_of,
+    path_of,
+    plant_of,
+    refuse_beside,
+    trajectory_of,
+)
 from pinmobile.cli.lines import line, line_of, line_of_syntax
 from pinmobile.cli.named_parts import FORCES, STEPS, WRAPPERS, Maker, code_in, is_code
 from pinmobile.cli.spreads import scenario, without_model
@@ -43,10 +52,9 @@ after = 5
 """
 """A file that runs."""
 
-_CURVE = ("duration", "radius", "rate", "rx", "ry", "wx", "wy", "start", "via", "end", "t_via")
 _TABLES: Mapping[str, tuple[str, ...]] = {
     "robot": ("base", "urdf", "ground", "mass", "yaw_inertia", "com"),
-    "trajectory": ("type", *_CURVE, "via_velocity", "heading", "psi", "turn_time"),
+    "trajectory": ("type", *OF_PATHS, "heading", "psi", "turn_time"),
     "controller": ("type", "kp", "kd", "model_mass", "model_yaw_inertia", "model_com"),
     "forces": (),
     "loop": ("dt", "integrator", "substeps"),
@@ -67,25 +75,12 @@ _DEFAULTS = {
     "integrator": "constant-acceleration",
     "substeps": 1,
 }
-_TEXTS = ("start", "via", "end", "via_velocity", "kp", "kd", "com", "model_com")  # as on the command line
+_TEXTS = (*POINTS, "kp", "kd", "com", "model_com")  # as on the command line
 _NAMES = ("base", "urdf", "type", "heading", "integrator")
 _OF_PARTS = ("heading", "integrator")  # they may be tables, too
 _TYPED = ("robot", "trajectory", "controller")  # tables that a type may give keys of its own
 _OWN = ("forces", "spread")  # tables whose keys others know
 _PATH_APART = ("heading", "psi", "turn_time")  # of [trajectory], what is not its path's
-_UNITS = {
-    **{"mass": "kg", "yaw_inertia": "kg m^2", "model_mass": "kg", "model_yaw_inertia": "kg m^2"},
-    **{"radius": "m", "rx": "m", "ry": "m", "rate": "rad/s", "wx": "rad/s", "wy": "rad/s", "psi": "rad"},
-    **{
-        "duration": "s",
-        "t_via": "s",
-        "turn_time": "s",
-        "dt": "s",
-        "after": "s",
-        "ground": "m",
-        "percent": "%",
-    },
-}
 
 
 def read_grid(path: Path, code: Code | None = None) -> Grid:
@@ -383,8 +378,8 @@ def _put(tree: dict[str, Any], place: list[str], value: Any) -> None:
 def _axis(at: str, name: str, values: list[Any]) -> Axis:
     try:
         if any(isinstance(value, list | dict) for value in values):
-            return Axis({_label(value): value for value in values}, _UNITS.get(name.split(".")[-1], ""))
-        return Axis(values, _UNITS.get(name.split(".")[-1], ""))
+            return Axis({_label(value): value for value in values}, UNITS.get(name.split(".")[-1], ""))
+        return Axis(values, UNITS.get(name.split(".")[-1], ""))
     except InvalidArgument as error:
         raise InvalidArgument(f"{at}: {re.sub('^values', name, str(error))}") from error
 

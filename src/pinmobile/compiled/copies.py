@@ -12,7 +12,7 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.compiled.memory import is_leaf
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, PinmobileError
 
 __all__ = ["check_made_again", "copied", "derived", "is_part", "made_again"]
 
@@ -60,7 +60,15 @@ def made_again(part: Any, values: Mapping[str, Any], parts: Mapping[str, Any]) -
     if hasattr(part, "with_parameters"):
         return other.with_parameters(**values) if values else other
     if dataclasses.is_dataclass(part) and not isinstance(part, type):
-        return dataclasses.replace(other, **values)
+        try:
+            return dataclasses.replace(other, **values)
+        except PinmobileError:
+            raise
+        except (TypeError, ValueError) as error:  # its constructor takes other arguments than its fields
+            raise InvalidArgument(
+                f"a {type(part).__name__} cannot be made again by dataclasses.replace: {error}; expected "
+                "fields that its constructor takes, or with_parameters(**values)"
+            ) from error
     if _can_be_called(part) and values.keys() <= _arguments(part):
         return _called(other, values)
     check_made_again(type(part).__name__, part, values)

@@ -6,6 +6,7 @@ refers to, is looked at each time, which takes some microseconds. What else foll
 parts is remembered with them for as long as the code stays.
 """
 
+import contextlib
 import functools
 import threading
 import weakref
@@ -58,12 +59,13 @@ def program_of(
     dt: float,
     spread: Iterable[Place] = (),
     single: bool = False,
+    own_reference: bool = False,
 ) -> Program:
     """Return the program of a loop: one that is known, else a new one.
 
     Parameters
     ----------
-    parts, context, start, reference, dt, spread
+    parts, context, start, reference, dt, spread, own_reference
         As in `traced`.
     single : bool
         Whether it is for one robot.
@@ -78,14 +80,14 @@ def program_of(
     spread = frozenset(Place(*name) for name in spread)
     own = parts.on_symbols()
     try:
-        key: Any = _key(own, context, reference, spread, single)
+        key: Any = (*_key(own, context, reference, spread, single), own_reference)
     except _Unknown:
         key = None
     if key is not None:
         found: Program | None = _held(_known, key)
         if found is not None:
             return found
-    loop = traced(own, context, start, reference, dt=dt, spread=spread)
+    loop = traced(own, context, start, reference, dt=dt, spread=spread, own_reference=own_reference)
     program = Program(loop, single=single, cache=Cache())
     if key is not None:
         _hold(_known, key, own, program)
@@ -184,10 +186,11 @@ def _part_form(part: Any) -> Any:
     return own.memory["form"]
 
 
-def _form(x: Any, leaves: Any = None, depth: int = 0) -> Any:
+def _form(x: Any, leaves: Any = None, depth: int = 0, constant: bool = False) -> Any:
     """Return what makes a value another one, as something that can be compared and hashed.
 
-    Of parameters of parts that is their shape; where `leaves` is not None, it is so for all numbers.
+    Of parameters of parts that is their shape, unless they are `constant`, as of a part that a law reaches as
+    a global; where `leaves` is not None, it is so for all numbers.
     """
     if type(x) in _NUMBERS:  # the most
         return type(x) if leaves is not None else (type(x), x)
@@ -204,36 +207,49 @@ def _form(x: Any, leaves: Any = None, depth: int = 0) -> Any:
             raise _Unknown
         return x.shape, x.dtype.str, None if leaves is not None else x.tobytes()
     if isinstance(x, list | tuple):
-        return type(x), tuple(_form(each, leaves, depth + 1) for each in x)
+        return type(x), tuple(_form(each, leaves, depth + 1, constant) for each in x)
     if isinstance(x, dict):
-        return type(x), tuple((_form(k, None, depth + 1), _form(v, leaves, depth + 1)) for k, v in x.items())
+        return type(x), tuple(
+            (_form(k, None, depth + 1, constant), _form(v, leaves, depth + 1, constant)) for k, v in x.items()
+        )
     if isinstance(x, set | frozenset):
-        return type(x), frozenset(_form(each, None, depth + 1) for each in x)
+        return type(x), frozenset(_form(each, None, depth + 1, constant) for each in x)
     if isinstance(x, MethodType):
         # In a memory it is the plant's `difference`, whose form is known by another way.
-        return x.__func__, None if x.__self__ is leaves else _form(x.__self__, None, depth + 1)
+        return x.__func__, None if x.__self__ is leaves else _form(x.__self__, None, depth + 1, constant)
     if isinstance(x, functools.partial):
-        return _form((x.func, x.args, x.keywords), None, depth + 1)
+        return _form((x.func, x.args, x.keywords), None, depth + 1, constant)
     if isinstance(x, Line):
         return Line, x.samples
     if isinstance(x, Noise):
         return Noise, x.n
-    return _object_form(x, leaves, depth)
+    return _object_form(x, leaves, depth, constant)
 
 
-def _object_form(x: Any, leaves: Any, depth: int) -> Any:
+def _object_form(x: Any, leaves: Any, depth: int, constant: bool) -> Any:
     if is_foreign(type(x).__module__) and not type(x).__module__.startswith("pinmobile"):
         raise _Unknown
     attributes = getattr(x, "__dict__", None)  # some answer to any name with something
     if not isinstance(attributes, dict):
         raise _Unknown
-    stated = attributes_of(x)
+    if constant and hasattr(type(x), "traced"):
+        return type(x), id(x), *_model_form(x, attributes, depth)
+    stated = () if constant else attributes_of(x)
     kept = (
-        (name, np.shape(value) if name in stated else _form(value, leaves, depth + 1))
+        (name, np.shape(value) if name in stated else _form(value, leaves, depth + 1, constant))
         for name, value in attributes.items()
         if not isinstance(getattr(type(x), name, None), functools.cached_property)
     )
     return type(x), tuple(kept)
+
+
+def _model_form(x: Any, attributes: dict[str, Any], depth: int) -> Any:
+    """Yield the numbers of a model that a law reaches as a global; what is not known of it stays as it is."""
+    with contextlib.suppress(NotTraceable):  # as with arms: then its law is asked nothing
+        yield _form(x.traced(), None, depth + 1, True)
+    for name, value in attributes.items():
+        with contextlib.suppress(_Unknown):
+            yield name, _form(value, None, depth + 1, True)
 
 
 class _Witness:
@@ -256,7 +272,9 @@ class _Witness:
             (self._referred(function), place, self._referred(walk.cells[cell].cell_contents))
             for cell, (function, place) in walk.closures.items()
         ]
-        self._forms = [(self._referred(value), _form(value)) for value in values if _can_change(value)]
+        self._forms = [
+            (self._referred(value), _form(value, constant=True)) for value in values if _can_change(value)
+        ]
 
     def _referred(self, value: Any) -> Callable[[], Any]:
         """Return what returns a value, without keeping it alive where that can be helped."""
@@ -272,7 +290,7 @@ class _Witness:
                 all(all(map(is_, found(mapping), values)) for mapping, found, values in self._code)
                 and all([mapping[name] is value() for mapping, name, value in self._names])
                 and all([f().__closure__[i].cell_contents is value() for f, i, value in self._cells])
-                and all([_form(value()) == form for value, form in self._forms])
+                and all([_form(value(), constant=True) == form for value, form in self._forms])
             )
         except (_Unknown, AttributeError, KeyError, ValueError):
             return False

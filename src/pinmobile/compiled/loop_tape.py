@@ -82,6 +82,8 @@ class Loop:
         nq, nv, nu, and the numbers of the reference's q and v.
     unused : list of Place
         Those that no law uses: a spread of one would do nothing.
+    tracks : int
+        How many numbers the reference of a sample has, where each robot has its own; 0: all have the same.
     units : dict of str to str
         Of the signals among what is kept, by name.
     """
@@ -98,7 +100,13 @@ class Loop:
     kept: dict[str, tuple[tuple[int, ...], list[int]]]
     sizes: tuple[int, int, int, int, int]
     unused: list[Place]
+    tracks: int = 0
     units: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def outputs_kept(self) -> int:
+        """How many numbers are kept of each sample."""
+        return sum(len(nodes) for _, nodes in self.kept.values())
 
     @functools.cached_property
     def tabled(self) -> list[int]:

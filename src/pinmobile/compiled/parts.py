@@ -28,11 +28,15 @@ __all__ = [
     "attributes_of",
     "check_numbers",
     "children",
+    "children_at",
     "errors",
     "integrate_of",
     "limited",
     "one_sample",
 ]
+
+
+_NAMED = ("plant", "controller", "integrator", "recorder", "trajectory")
 
 
 class Reference(NamedTuple):
@@ -83,6 +87,8 @@ class Parts:
         ``on_coordinates(t, q, v)``, which returns a force on the coordinates.
     substeps : int
         Steps of the plant in a sample.
+    trajectory : trajectory, optional
+        What the reference is sampled from; it is made again, not traced, where a parameter of it differs.
     """
 
     plant: Any
@@ -91,10 +97,11 @@ class Parts:
     integrator: Any = None
     recorder: Any = None
     substeps: int = 1
+    trajectory: Any = None
 
     def by_path(self) -> Iterator[tuple[str, Any]]:
         """Return the parts, each with its path."""
-        for name in ("plant", "controller", "integrator", "recorder"):
+        for name in _NAMED:
             if getattr(self, name) is not None:
                 yield name, getattr(self, name)
         yield from ((f"forces[{i}]", force) for i, force in enumerate(self.forces))
@@ -112,7 +119,7 @@ class Parts:
         """Return the parts with a function of path and part in their place."""
         new = {path: function(path, part) for path, part in self.by_path()}
         forces = tuple(new[f"forces[{i}]"] for i in range(len(self.forces)))
-        named = {name: new.get(name) for name in ("plant", "controller", "integrator", "recorder")}
+        named = {name: new.get(name) for name in _NAMED}
         return Parts(**named, forces=forces, substeps=self.substeps)
 
     def on_symbols(self) -> "Parts":
@@ -120,12 +127,14 @@ class Parts:
 
         That is ``traced()`` of a part whose own law is not NumPy.
         """
-        return self.replaced(lambda _, part: _on_symbols(part))
+        return self.replaced(lambda path, part: part if path == "trajectory" else _on_symbols(part))
 
     def on_arrays(self) -> "Parts":
         """Return the parts as `on_symbols` does; those that cannot be traced, as they are."""
 
         def own(path: str, part: Any) -> Any:
+            if path == "trajectory":
+                return part
             try:
                 return _on_symbols(part)
             except NotTraceable:
@@ -149,9 +158,9 @@ class Parts:
         values : mapping of Place to array
             What takes their place, whatever its shape.
         remade : bool
-            Whether parts are made again, which check themselves and derive what follows from the values: by
-            ``with_parameters(**values)`` of those that have it, by `dataclasses.replace` of dataclasses, by
-            their class of others.
+            Whether parts are made again, and those that hold them, which check themselves and derive what
+            follows from the values: by ``with_parameters(**values)`` of those that have it, by
+            `dataclasses.replace` of dataclasses, by their class of others.
 
         Raises
         ------
@@ -162,7 +171,7 @@ class Parts:
 
         def visit(path: str, part: Any) -> Any:
             mine = {name: left.pop(Place(path, name)) for name in attributes_of(part) if (path, name) in left}
-            inner = {name: (child, visit(f"{path}.{name}", child)) for name, child in children(part)}
+            inner = {name: (child, visit(f"{path}.{name}", child)) for name, child in children_at(path, part)}
             changed = {name: new for name, (old, new) in inner.items() if new is not old}
             if not (mine or changed):
                 return part
@@ -178,15 +187,16 @@ class Parts:
 def _parameters(path: str, part: Any) -> Sequence[tuple[str, str, Array]]:
     """Return path within a part, name and value of its parameters and of those of parts within it."""
     own, stated = known(part), getattr(type(part), "parameters", None)
-    if own is not None and own.memory.get("parameters", (own,))[0] is stated:
-        return own.memory["parameters"][1]  # type: ignore[no-any-return]
+    name_of_memory = "parameters", path.startswith("trajectory")
+    if own is not None and own.memory.get(name_of_memory, (own,))[0] is stated:
+        return own.memory[name_of_memory][1]  # type: ignore[no-any-return]
     found = [("", name, _value(path, part, name)) for name in attributes_of(part)]
-    for child, inner in children(part):
+    for child, inner in children_at(path, part):
         found += [
             (f".{child}{below}", name, value) for below, name, value in _parameters(f"{path}.{child}", inner)
         ]
     if own is not None:
-        own.memory["parameters"] = stated, found
+        own.memory[name_of_memory] = stated, found
     return found
 
 
@@ -237,6 +247,16 @@ def _children(part: Any) -> Iterator[tuple[str, Any]]:
                 yield name, value.__self__
         elif is_part(value):
             yield name, value
+
+
+def children_at(path: str, part: Any) -> Iterator[tuple[str, Any]]:
+    """Return the parts that a part at a path holds and whose parameters are the loop's.
+
+    A trajectory may know a robot, whose limits it keeps; nothing follows from that robot's parameters.
+    """
+    for name, child in children(part):
+        if not (path.startswith("trajectory") and hasattr(child, "forward_dynamics")):
+            yield name, child
 
 
 def attributes_of(part: Any) -> tuple[str, ...]:

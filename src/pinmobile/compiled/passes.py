@@ -27,6 +27,7 @@ def traced(
     dt: float,
     spread: Iterable[Place] = (),
     largest: int = LARGEST,
+    own_reference: bool = False,
 ) -> Loop:
     """Return a closed loop as a tape.
 
@@ -49,6 +50,8 @@ def traced(
         Those that each robot has a value of its own for; the others are numbers of the run.
     largest : int
         Most nodes of the tape.
+    own_reference : bool
+        Whether each robot has a reference of its own.
 
     Raises
     ------
@@ -63,6 +66,7 @@ def traced(
     trace = _Trace(
         parts, context, q, v, given, dt / parts.substeps, frozenset(Place(*x) for x in spread), largest
     )
+    trace.own_reference = own_reference
     return trace.result()
 
 
@@ -86,7 +90,7 @@ class _Trace:
         for parameter in spread - set(self.values):
             names = (f"{path}.{name}" for path, name in self.values)
             raise UnknownName("parameter", f"{parameter[0]}.{parameter[1]}", names)
-        self.spread, self.largest = spread, largest
+        self.spread, self.largest, self.own_reference = spread, largest, False
         self.fixed: frozenset[tuple[str, str]] = frozenset()
         self.shapes: dict[tuple[str, str], tuple[int, ...]] = {}
 
@@ -189,6 +193,7 @@ class _Trace:
         inputs: dict[Any, Any] = {COUNT: np.uint64(0), ("uniform", 0): self.h}
         samples = _flat_numbers([0.0, *self.reference])
         inputs |= {("sample", i): x for i, x in enumerate(samples)}
+        inputs |= {("track", i): x for i, x in enumerate(samples[1:])}
         inputs |= {("key", i): np.uint64(0) for i in range(len(loop.keys))}
         inputs |= {("state", i): x for i, x in enumerate(_flat_numbers([q, v]))}
         for parameter, leaf in loop.parameters.items():
@@ -204,7 +209,7 @@ class _Pass:
 
     def __init__(self, trace: _Trace, tape: Tape) -> None:
         self.trace, self.tape = trace, tape
-        self.next = {"uniform": 0, "row": 0, "state": 0, "sample": 0}
+        self.next = {"uniform": 0, "row": 0, "state": 0, "sample": 0, "track": 0}
         self.keys: list[str] = []
         self.asked: list[str] = []
         self.rings: list[Ring] = []
@@ -226,7 +231,9 @@ class _Pass:
         parts = self._symbolic()
         q, v = self._new("state", trace.q.shape), self._new("state", trace.v.shape)
         t = self._new("sample", ())
-        reference = Reference(*(self._new("sample", x.shape) for x in trace.reference))
+        reference = Reference(
+            *(self._new("track" if trace.own_reference else "sample", x.shape) for x in trace.reference)
+        )
         k = symbols([real(tape.input(*COUNT) | float_bits(2.0**52)) - 2.0**52], ())
         numbers = trace._grown(
             initial_memory(trace.parts, trace.context, len(trace.reference.v), self._line, self._noise)
@@ -263,6 +270,7 @@ class _Pass:
                 len(trace.reference.q),
                 len(trace.reference.v),
             ),
+            tracks=self.next["track"],
             unused=[
                 name
                 for name, leaf in self.parameters.items()

@@ -87,6 +87,7 @@ class Program:
         reference: Reference,
         *,
         dt: float,
+        tracks: Reference | None = None,
         values: Mapping[Place, Any] | None = None,
         keys: Mapping[str, NDArray[np.uint64]] | None = None,
         every: int = 1,
@@ -105,7 +106,9 @@ class Program:
         t : ndarray, shape (N + 1,)
             Times of the samples [s].
         reference : Reference
-            Of all samples.
+            Of all samples, of all robots.
+        tracks : Reference, optional
+            Each robot's own, shape (N + 1, n, ...), where the loop was traced so.
         dt : float
             Time between two samples [s].
         values : mapping of Place to ndarray, shape (n, ...)
@@ -117,7 +120,7 @@ class Program:
         threads : int
             Most threads.
         """
-        n = self._checked(start, t, reference, every)
+        n = self._checked(start, t, reference, tracks, every)
         parts = parts.on_symbols()
         nominal = parts.parameters()
         given = self._given(values or {}, nominal, n)
@@ -126,12 +129,13 @@ class Program:
         blocks = self._blocks(start, n, {**nominal, **given}, first, keys or {})
         uniforms = self._uniforms(dt / parts.substeps, {**nominal, **given}, first)
         samples = self._samples(t, reference, uniforms)
-        size = sum(len(nodes) for _, nodes in self.loop.kept.values())
-        kept = aligned((len(blocks), len(t), size, self.shape.width))
+        kept = self._kept(tracks, len(blocks), len(t))
         counts = self.called(blocks, samples, uniforms, kept, n, every, threads)
         return Outcome(self._kept_memory(memory, blocks, n), counts, self.kept_samples(kept, n))
 
-    def _checked(self, start: tuple[Array, Array], t: Array, reference: Reference, every: int) -> int:
+    def _checked(
+        self, start: tuple[Array, Array], t: Array, reference: Reference, tracks: Reference | None, every: int
+    ) -> int:
         """Return the number of robots, after refusing arrays that the machine code would read beyond."""
         nq, nv, _, length, size = self.loop.sizes
         n, count = len(start[0]), len(t)
@@ -139,13 +143,17 @@ class Program:
             raise InvalidArgument(
                 f"there are {n} robots, {count} samples, and counts every {every}, expected >= 1"
             )
-        expected = {
+        expected: dict[str, tuple[Array, tuple[int, ...]]] = {
             "q": (start[0], (n, nq)),
             "v": (start[1], (n, nv)),
             "reference.q": (reference.q, (count, length)),
             "reference.v": (reference.v, (count, size)),
             "reference.a": (reference.a, (count, size)),
         }
+        if (tracks is None) != (self.loop.tracks == 0):
+            raise InvalidArgument(f"tracks is {tracks}, expected references as the loop was traced with")
+        for name, array in () if tracks is None else tracks._asdict().items():
+            expected[f"tracks.{name}"] = (array, (count, n, length if name == "q" else size))
         for name, (array, shape) in expected.items():
             if np.shape(array) != shape:
                 raise InvalidArgument(f"{name} has shape {np.shape(array)}, expected {shape}")
@@ -215,6 +223,16 @@ class Program:
         inputs |= {("sample", i): column for i, column in enumerate(given.T)}
         columns = (np.broadcast_to(x, len(t)) for x in evaluated(self.loop.tape, tabled, inputs))
         return np.ascontiguousarray(np.column_stack([given, *columns]))
+
+    def _kept(self, tracks: Reference | None, blocks: int, samples: int) -> Array:
+        """Return the array of what is kept of every sample, with the robots' own references behind it."""
+        loop, first = self.loop, self.loop.outputs_kept
+        kept = aligned((blocks, samples, first + loop.tracks, self.shape.width))
+        if tracks is not None:
+            numbers = np.concatenate(tracks, axis=-1).swapaxes(1, 2)  # (samples, tracks, n)
+            for k, columns in enumerate(numbers):
+                self.set_rows(kept[:, k], first, columns)
+        return kept
 
     def set_rows(self, blocks: Array, first: int, columns: Array) -> None:
         """Set rows of the blocks from (rows, n); the last robot is repeated to fill the last block."""

@@ -66,13 +66,14 @@ def member_of(scenario: Scenario, i: int) -> Member:
     draws = scenario.draws(i, i + 1)
     values = {place: value[0] for place, value in scenario.values(draws, i, i + 1).items()}
     parts = scenario.parts.with_parameters(values, remade=True)
-    q, v = scenario.starts(draws, 1)
+    own = scenario.references(draws, 1, i) if scenario.has_own_references else None
+    q, v = scenario.starts(draws, 1, own)
     controller = parts.controller
     if scenario.is_noisy:
         controller = _OfRobot(controller, scenario.seed, i)
     options = {
         "dt": scenario.dt,
-        "duration": scenario.duration,
+        "duration": scenario.duration if own is None else float(scenario.t[-1]),
         "q0": q[0],
         "v0": v[0],
         "integrator": scenario.integrator,
@@ -80,4 +81,4 @@ def member_of(scenario: Scenario, i: int) -> Member:
         "forces": parts.forces,
         "limit": scenario.limit,
     }
-    return Member(parts.plant, controller, scenario.trajectory, options)
+    return Member(parts.plant, controller, parts.trajectory, options)

@@ -55,7 +55,8 @@ class Scenario:
     controller : controller
         As in `simulate`.
     trajectory : trajectory
-        The same for all.
+        The same for all, unless a parameter of it or of its path is spread: then it is made again for each
+        robot, whose errors are those to its own reference. All are sampled at the same times.
     n : int
         Number of robots.
     spread : mapping of str to Distribution, number or array of shape (n,)
@@ -204,7 +205,10 @@ class Scenario:
 
     @cached_property
     def _given(self) -> Parts:
-        return Parts(self.robot, self.controller, tuple(self.forces), self.integrator, None, self.substeps)
+        forces = tuple(self.forces)
+        return Parts(
+            *(self.robot, self.controller, forces, self.integrator, None, self.substeps, self.trajectory)
+        )
 
     @cached_property
     def _on_arrays(self) -> Parts:
@@ -256,8 +260,8 @@ class Scenario:
         # In the order in which parts state them: a factor comes after what it multiplies.
         for name in sorted(self.stated, key=list(self.known).index):
             path, parameter = self.stated[name]
-            if path:
-                place = Place(path, parameter.attribute)
+            place = Place(path, parameter.attribute)
+            if place in values:
                 before = found.get(place, np.broadcast_to(values[place], (count, *values[place].shape)))
                 found[place] = parameter.written(before, draws[name], self.size)
         return found
@@ -280,9 +284,64 @@ class Scenario:
         return bool(asked)
 
     @property
+    def has_own_references(self) -> bool:
+        """Whether a parameter of the trajectory is spread, so that each robot has a reference of its own."""
+        return any(_is_of_trajectory(one.path) for one in self.stated.values())
+
+    def references(self, draws: Mapping[str, Array], count: int, first: int = 0) -> Reference:
+        """Return each robot's own reference, q, v and a of shape (N + 1, count, ...).
+
+        Parameters
+        ----------
+        draws : mapping of str to ndarray, shape (count,)
+            What was drawn for them.
+        count, first : int
+            How many robots, and the number of the first, for messages.
+
+        Raises
+        ------
+        InvalidArgument
+            If a robot's trajectory cannot be made, is too short, or does not fit the plant.
+        """
+        alone = Parts(None, None, trajectory=self.parts.trajectory)
+        own = self._written(draws, alone.parameters(), count)
+        known: dict[bytes, Reference] = {}
+        found = Reference(*(np.empty((len(self.t), count, part.shape[1])) for part in self.reference))
+        for i in range(count):
+            values = {place: value[i] for place, value in own.items()}
+            key = b"".join(value.tobytes() for value in values.values())
+            try:
+                if key not in known:
+                    made = alone.with_parameters(values, remade=True).trajectory
+                    known[key] = self._sampled(made)
+            except InvalidArgument as error:
+                raise InvalidArgument(f"robot {first + i}: {error}") from error
+            for rows, part in zip(found, known[key], strict=True):
+                rows[:, i] = part
+        return found
+
+    def _sampled(self, trajectory: Trajectory) -> Reference:
+        """Return the reference that a robot's own trajectory gives, which must have the shape of all."""
+        longest = float(trajectory.duration)
+        if longest < self.t[-1] * (1 - _SAME):
+            raise InvalidArgument(
+                f"its trajectory lasts {longest:.9g} s, expected at least {self.t[-1]:.9g} s, as the ensemble"
+            )
+        reference = sampled(trajectory, np.minimum(self.t, longest), self.robot)
+        if reference.v.shape != self.reference.v.shape:
+            raise InvalidArgument(
+                f"its trajectory has {reference.v.shape[1]} coordinates, expected {self.size}, as of all"
+            )
+        return reference
+
+    @property
     def places(self) -> tuple[Place, ...]:
-        """What each robot has of its own: attributes that are spread, and those that it draws."""
-        spread = [Place(one.path, one.parameter.attribute) for one in self.stated.values() if one.path]
+        """What each robot's loop has of its own: attributes that are spread, and those that it draws."""
+        spread = [
+            Place(one.path, one.parameter.attribute)
+            for one in self.stated.values()
+            if one.path and not _is_of_trajectory(one.path)
+        ]
         drawn = [Place(path, name) for path, _, name in self._drawn()]
         return tuple(dict.fromkeys([*spread, *drawn]))
 
@@ -300,6 +359,11 @@ class Scenario:
             What `draws` gives for them.
         start, stop : int
             Which robots.
+
+        Returns
+        -------
+        values : dict of Place to ndarray
+            Those of the trajectory too, which is no part of the loop.
         """
         found = self._written(draws, self.parts.on_arrays().parameters(), stop - start)
         for path, part, name in self._drawn():
@@ -311,10 +375,21 @@ class Scenario:
             found[Place(path, name)] = in_blocks(stream, own, self.seed, start, stop)
         return found
 
-    def starts(self, draws: Mapping[str, Array], count: int) -> tuple[Array, Array]:
-        """Return where robots start, shape (count, nq) and (count, nv)."""
+    def starts(
+        self, draws: Mapping[str, Array], count: int, references: Reference | None = None
+    ) -> tuple[Array, Array]:
+        """Return where robots start, shape (count, nq) and (count, nv).
+
+        Parameters
+        ----------
+        draws : mapping of str to ndarray, shape (count,)
+            What was drawn for them.
+        count : int
+            How many.
+        references : Reference, optional
+            Their own, as `references` returns them.
+        """
         plant = self.parts.on_arrays().plant
-        q, v = self.start
         off = np.zeros((2, count, plant.nv))
         names = once(
             self._memory, "starts", lambda: [each.name for each in start_parameters(self._coordinates)]
@@ -322,7 +397,13 @@ class Scenario:
         for k, name in enumerate(names):
             if name in draws:
                 off[k // plant.nv, :, k % plant.nv] = draws[name]
-        return _moved(plant, q, off[0]), v + off[1]
+        if references is None:
+            q, v = self.start
+            return _moved(plant, q, off[0]), v + off[1]
+        firsts = (Reference(*(part[0, i] for part in references)) for i in range(count))
+        begun = [self._beginning(plant, at) for at in firsts]
+        moved = [plant.integrate(q, dq) for (q, _), dq in zip(begun, off[0], strict=True)]
+        return np.array(moved, np.float64), np.array([v for _, v in begun]) + off[1]
 
     @property
     def start(self) -> tuple[Array, Array]:
@@ -330,9 +411,9 @@ class Scenario:
         q, v = once(self._memory, "start", lambda: self._beginning(self.parts.on_arrays().plant))
         return np.array(q, np.float64), np.array(v, np.float64)
 
-    def _beginning(self, plant: Any) -> tuple[Array, Array]:
-        """Return where a plant is on the trajectory, shape (nq,) and (nv,)."""
-        at = Reference(*(part[0] for part in self.reference))
+    def _beginning(self, plant: Any, at: Reference | None = None) -> tuple[Array, Array]:
+        """Return where a plant is at the first sample of a reference, by default of all, (nq,) and (nv,)."""
+        at = Reference(*(part[0] for part in self.reference)) if at is None else at
         if not hasattr(plant, "start"):
             return at.q, at.v
         q, v = (finite(f"{name} of plant.start", x) for name, x in zip("qv", started(plant, at), strict=True))
@@ -394,6 +475,10 @@ class Scenario:
                     f"({wrong.mean():.2%}) are impossible; expected {parameter.bound}"
                 )
         return values
+
+
+def _is_of_trajectory(path: str) -> bool:
+    return path.partition(".")[0] == "trajectory"
 
 
 def checked_scenario(scenario: Any) -> Scenario:

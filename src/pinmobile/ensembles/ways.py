@@ -3,6 +3,7 @@
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -28,13 +29,18 @@ from pinmobile.ensembles.member import member_of
 from pinmobile.ensembles.part import Part
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.errors import Diverged, InvalidArgument, NotTraceable
+from pinmobile.plant import Context
 from pinmobile.simulation import simulate
 from pinmobile.simulation.engines import ARRAYS, COMPILED, PINOCCHIO, Engine, checked_engine
 
 __all__ = ["Way", "processors", "way_of"]
 
-_AT_ONCE = {ARRAYS: 4096, PINOCCHIO: 16}
+_AT_ONCE = 4096  # robots on arrays
+_ONE_BY_ONE = 16  # robots between two reports of progress
+_STEP = 2e-5  # seconds of a step of one of many robots by Pinocchio, at least
+_ANSWER = 0.5  # seconds between two answers of a process that runs robots one after another, about
 _WORK = 2e7  # robots times samples that are compiled code's at once: some 0.3 s
+_SAMPLED = 1e6  # the same where each robot has a reference of its own: some 200 MB of them
 _ROWS = 4  # of three, rows could be taken for coordinates
 _CLOSE = 1e-9  # of the largest number: rounding, which may depend on how many rows there are
 
@@ -67,16 +73,48 @@ class Way:
 
     def workers(self, threads: int) -> int:
         """Return how many threads of Python are worth it: compiled code has its own, Pinocchio locks."""
-        return threads if self.engine is ARRAYS else 1
+        return threads if self.engine is ARRAYS and not self.locks else 1
+
+    @property
+    def alone(self) -> bool:
+        """Whether robots run one after another, so that the first tells what each costs."""
+        return self.engine is PINOCCHIO
+
+    @property
+    def cost(self) -> float:
+        """Seconds that a robot takes at least, of many at once whose model is Pinocchio's."""
+        return len(self.scenario.t) * self.scenario.substeps * _STEP
+
+    def shared(self, start: int, stop: int, workers: int, cost: float) -> list[tuple[int, int]]:
+        """Divide the robots among processes; `cost` is what one takes alone [s]."""
+        share = -(-(stop - start) // workers)
+        if not self.alone:
+            return self._each(start, stop, share)
+        return self._each(start, stop, max(1, min(round(_ANSWER / cost), -(-share // 4))))
+
+    def _each(self, start: int, stop: int, each: int) -> list[tuple[int, int]]:
+        if self.engine is ARRAYS:
+            most = _AT_ONCE
+            if self.scenario.has_own_references:
+                most = min(most, int(_SAMPLED / len(self.scenario.t)))
+            each = max(_ROWS, min(each, most))
+        return [(first, min(first + each, stop)) for first in range(start, stop, each)]
+
+    @cached_property
+    def locks(self) -> bool:
+        """Whether its robots' laws hold the interpreter's lock, so that other processes would help."""
+        return self.engine is PINOCCHIO or (self.engine is ARRAYS and _asks_pinocchio(self.scenario.parts))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"scenario": self.scenario, "engine": self.engine, "why": self.why, "program": None}
 
     def divided(self, start: int, stop: int, threads: int) -> list[tuple[int, int]]:
         """Divide the robots so that every worker has something to do, and none too much at a time."""
         if self.engine is COMPILED:
-            each = 256 * max(1, min(256, round(_WORK / len(self.scenario.t) / 256)))
-        else:
-            share = -(-(stop - start) // self.workers(threads))
-            each = min(_AT_ONCE[self.engine], max(_ROWS, share))
-        return [(first, min(first + each, stop)) for first in range(start, stop, each)]
+            work = _SAMPLED if self.scenario.has_own_references else _WORK
+            return self._each(start, stop, 256 * max(1, min(256, round(work / len(self.scenario.t) / 256))))
+        share = -(-(stop - start) // self.workers(threads))
+        return self._each(start, stop, share if self.engine is ARRAYS else _ONE_BY_ONE)
 
     def run(self, draws: Mapping[str, Array], start: int, stop: int, threads: int) -> Part:
         """Return the records of the robots from `start` to before `stop`, given what is drawn for these."""
@@ -85,6 +123,21 @@ class Way:
         if self.engine is ARRAYS:
             return _on_arrays(self.scenario, draws, start, stop)
         return _one_by_one(self.scenario, start, stop)
+
+
+def _asks_pinocchio(parts: Parts) -> bool:
+    """Tell whether a part has a model whose law is no NumPy."""
+
+    def asks(part: Any) -> bool:
+        try:
+            if hasattr(part, "traced"):
+                part.traced()
+                return False
+        except NotTraceable:
+            return True
+        return any(asks(child) for _, child in children(part))
+
+    return any(asks(part) for path, part in parts.by_path() if path != "trajectory")
 
 
 def way_of(scenario: Scenario, engine: Engine | None = None) -> Way:
@@ -121,6 +174,37 @@ def _with_recorder(scenario: Scenario) -> Parts:
     return Parts(parts.plant, parts.controller, parts.forces, parts.integrator, recorder, parts.substeps)
 
 
+class _Blind:
+    """The context of robots that have references of their own: it shows none, as there is no one of all."""
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+
+    def __getattr__(self, name: str) -> Any:
+        if name in ("reference", "trajectory"):
+            raise NotTraceable(
+                f"the controller asks its context for the {name}, which each robot has of its own",
+                "let it follow the reference of each sample, or spread no parameter of the trajectory",
+            )
+        return getattr(self._context, name)
+
+
+def _context(scenario: Scenario) -> Any:
+    """Return what the controller of many robots at once is told."""
+    return _Blind(scenario.context) if scenario.has_own_references else scenario.context
+
+
+def _values(scenario: Scenario, draws: Mapping[str, Array], start: int, stop: int) -> dict[Place, Array]:
+    """Return what the loops of robots have of their own."""
+    values, places = scenario.values(draws, start, stop), set(scenario.places)
+    return {place: value for place, value in values.items() if place in places}
+
+
+def _own_references(scenario: Scenario, draws: Mapping[str, Array], start: int, stop: int) -> Any:
+    """Return the references of robots that have their own, else None."""
+    return scenario.references(draws, stop - start, start) if scenario.has_own_references else None
+
+
 def _moved(scenario: Scenario, place: Place) -> Parts:
     """Return the parts of a scenario, made again with another value of one parameter."""
     parts = scenario.parts
@@ -146,9 +230,9 @@ def _check_derived(scenario: Scenario) -> None:
         If there is one.
     """
     for stated in scenario.stated.values():
-        if not stated.path:
-            continue
         place = Place(stated.path, stated.parameter.attribute)
+        if place not in scenario.places:
+            continue
         try:
             moved = _moved(scenario, place)
         except InvalidArgument:
@@ -179,7 +263,12 @@ def _as_compiled(scenario: Scenario) -> Program:
 def _program(scenario: Scenario) -> Program:
     _check_derived(scenario)
     parts, at = _with_recorder(scenario), Reference(*(part[0] for part in scenario.reference))
-    program = program_of(parts, scenario.context, scenario.start, at, dt=scenario.dt, spread=scenario.places)
+    program = program_of(
+        *(parts, _context(scenario), scenario.start, at),
+        dt=scenario.dt,
+        spread=scenario.places,
+        own_reference=scenario.has_own_references,
+    )
     unused = set(program.loop.unused)
     for name, stated in scenario.stated.items():
         # What the plant has may not matter to one run, as the mass of what nobody pushes; it is its own.
@@ -196,14 +285,16 @@ def _compiled(way: Way, draws: Mapping[str, Array], start: int, stop: int, threa
     scenario, program = way.scenario, way.program
     assert program is not None
     keys = {name: robot_keys(scenario.seed, name, range(start, stop)) for name in program.loop.keys}
+    own = _own_references(scenario, draws, start, stop)
     outcome = program.run(
         _with_recorder(scenario),
-        scenario.context,
-        scenario.starts(draws, stop - start),
+        _context(scenario),
+        scenario.starts(draws, stop - start, own),
         scenario.t,
         Reference(*scenario.reference),
         dt=scenario.dt,
-        values=scenario.values(draws, start, stop),
+        tracks=None if own is None else Reference(*own),
+        values=_values(scenario, draws, start, stop),
         keys=keys,
         every=scenario.stride,
         threads=threads,
@@ -219,17 +310,23 @@ class _Rows:
     memory: Memory
     q: Array
     v: Array
+    references: Any = None  # where each has its own
+
+    def at(self, k: int, all_have: Reference) -> Reference:
+        """Return the reference of sample k."""
+        return Reference(*(part[k] for part in self.references or all_have))
 
 
 def _rows(scenario: Scenario, draws: Mapping[str, Array], start: int, stop: int) -> _Rows:
     given = _with_recorder(scenario)
-    parts = given.on_arrays().with_parameters(scenario.values(draws, start, stop))
+    parts = given.on_arrays().with_parameters(_values(scenario, draws, start, stop))
+    own = _own_references(scenario, draws, start, stop)
 
     def normal(name: str, n: int) -> Noise:
         return Noise(robot_keys(scenario.seed, name, range(start, stop)), n)
 
-    memory = initial_memory(parts, scenario.context, scenario.size, normal=normal)
-    return _Rows(parts, memory, *scenario.starts(draws, stop - start))
+    memory = initial_memory(parts, _context(scenario), scenario.size, normal=normal)
+    return _Rows(parts, memory, *scenario.starts(draws, stop - start, own), own)
 
 
 def _as_arrays(scenario: Scenario) -> None:
@@ -242,7 +339,6 @@ def _as_arrays(scenario: Scenario) -> None:
     """
     count = min(_ROWS, scenario.n)
     draws = scenario.draws(0, count)
-    at = Reference(*(part[0] for part in scenario.reference))
     h = scenario.dt / scenario.substeps
     steps = np.arange(1.0, 1 + count * scenario.robot.nv).reshape(count, -1) * 1e-2  # no two rows alike
 
@@ -256,6 +352,7 @@ def _as_arrays(scenario: Scenario) -> None:
             ]
         )
         v = rows.v + np.sin(11 * steps[first:last]) * 0.1
+        at = rows.at(0, Reference(*scenario.reference))
         with np.errstate(all="ignore"):
             found = one_sample(rows.parts, 0.0, float(scenario.t[0]), h, q, v, at, rows.memory)
         shapes = {
@@ -299,7 +396,7 @@ def _on_arrays(scenario: Scenario, draws: Mapping[str, Array], start: int, stop:
     begin, looked_at = scenario.start, None
     with np.errstate(all="ignore"):  # what overflows is judged
         for k, time in enumerate(scenario.t.tolist()):
-            at = Reference(*(part[k] for part in scenario.reference))
+            at = rows.at(k, Reference(*scenario.reference))
             far = np.abs(np.concatenate(errors(rows.parts.plant, q, v, at), axis=-1))
             alive = (memory.recorder["alive"] > 0.5) & (far <= scenario.limit).all(axis=-1)
             # What has diverged goes on from the trajectory's start: no law sees what is no number.
@@ -343,10 +440,24 @@ def _check_again(asked: Any, found: Stepped) -> None:
 
 def _one_by_one(scenario: Scenario, start: int, stop: int) -> Part:
     """Return the records of robots that `simulate` runs one after another."""
-    found = [_summed(scenario, i) for i in range(start, stop)]
+    found = [_summed_alone(scenario, i) for i in range(start, stop)]
     counts = np.sum([each.counts for each in found], axis=0, dtype=np.int32)
     columns = (np.concatenate([getattr(each, name) for each in found]) for name in Part._fields[:-1])
     return Part(*columns, counts)  # type: ignore[call-arg]
+
+
+def _summed_alone(scenario: Scenario, i: int) -> Part:
+    """Return the records of robot i, whose number its errors tell."""
+    try:
+        return _summed(scenario, i)
+    except InvalidArgument as error:
+        if type(error) is InvalidArgument and not str(error).startswith("robot "):
+            raise InvalidArgument(f"robot {i}: {error}") from error
+        error.add_note(f"robot {i} of the ensemble")
+        raise
+    except Exception as error:
+        error.add_note(f"robot {i} of the ensemble")
+        raise
 
 
 def _summed(scenario: Scenario, i: int) -> Part:
