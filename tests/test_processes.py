@@ -106,7 +106,9 @@ def test_the_bits_are_those_of_one_process_and_the_result_says_how(
     assert_ended(always, 2)
     run.save(tmp_path / "runs.npz")
     assert Ensemble.load(tmp_path / "runs.npz").why == run.why
-    assert_same(sweep(scenario(Branching()), tmp_path / "store", chunk=5).ensemble(), alone)
+    with pytest.warns(SlowerEngine):
+        swept = sweep(scenario(Branching()), tmp_path / "store", chunk=5)
+    assert_same(swept.ensemble(), alone)
 
 
 def test_little_work_starts_no_process(monkeypatch: pytest.MonkeyPatch) -> None:
