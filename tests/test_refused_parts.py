@@ -436,7 +436,7 @@ def _late_integrator(acceleration: Any, t: float, q: Any, v: Any, h: float) -> A
         ),
         (
             BODY | {"forces": [lambda t, pose, rate: (1j if t > 1 else 1.0) * pose]},
-            r"(?s)^(robot 0: )?forces\[0\] returned .*j.* at t = 1.0\d s, expected an array of shape \(3,\) of ",
+            r"(?s)^(robot 0: )?forces\[0\] returned .*j.* at t = 1.0\d s, expected an array of shape \(3,\)",
         ),
         (
             BODY | {"integrator": _late_integrator},
@@ -527,9 +527,11 @@ TIRING: dict[str, tuple[Any, str]] = {
 @pytest.mark.parametrize("what", TIRING)
 def test_memory_that_acts_late_is_seen_at_the_end_of_the_run(what: str) -> None:
     make, part = TIRING[what]
-    why = rf"(?s)^(robot 0: )?{part} returned .* at t = .* s and, asked again for the same arguments at the end of the "
+    why = rf"(?s)^(robot 0: )?{part} returned .* at t = .* s and, asked again for the same arguments at the "
     for run in (simulated, lambda parts: in_ensemble(parts, n=1, engine=PINOCCHIO)):
-        with pytest.raises(InvalidArgument, match=why + r".*expected the same: only controllers have memory"):
+        with pytest.raises(
+            InvalidArgument, match=why + r"end of .*expected the same: only controllers have memory"
+        ):
             run(make())
     if what != "latch":  # which asks what a symbol is
         with pytest.raises(InvalidArgument, match=rf"^{part}.* answers otherwise for t = 0.02 s"):
