@@ -529,9 +529,7 @@ def test_memory_that_acts_late_is_seen_at_the_end_of_the_run(what: str) -> None:
     make, part = TIRING[what]
     why = rf"(?s)^(robot 0: )?{part} returned .* at t = .* s and, asked again for the same arguments at the "
     for run in (simulated, lambda parts: in_ensemble(parts, n=1, engine=PINOCCHIO)):
-        with pytest.raises(
-            InvalidArgument, match=why + r"end of .*expected the same: only controllers have memory"
-        ):
+        with pytest.raises(InvalidArgument, match=why + r"end of .*expected the same: only controllers"):
             run(make())
     if what != "latch":  # which asks what a symbol is
         with pytest.raises(InvalidArgument, match=rf"^{part}.* answers otherwise for t = 0.02 s"):
