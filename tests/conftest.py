@@ -3,6 +3,8 @@
 import gc
 import os
 import signal
+import sys
+from collections import Counter
 from collections.abc import Iterator
 
 import matplotlib
@@ -26,18 +28,33 @@ settings.register_profile("repeated", settings.get_profile("ci"), max_examples=2
 settings.load_profile("ci" if os.environ.get("CI") else "default")
 
 
+SHARE = 4  # one of so many alike cases is taken where another Python takes all
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add what `.ci/run` says on all Pythons but the first."""
-    words = "another Python of this machine tests all: leave out what a page draws, take fewer random cases"
+    words = "all is tested by another Python: leave out what a page draws, take a quarter of alike cases"
     parser.addoption("--repeated", action="store_true", help=words)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out the tests of a page in a browser, where that is asked for."""
-    if config.getoption("--repeated"):
-        looking = {item for item in items if "page" in getattr(item, "fixturenames", ())}
-        items[:] = [item for item in items if item not in looking]
-        config.hook.pytest_deselected(items=list(looking))
+    """Leave out pages, and all but every fourth of many alike cases, where that is asked for."""
+    if not config.getoption("--repeated"):
+        return
+    seen: Counter[str] = Counter()
+
+    def taken(item: pytest.Item) -> bool:
+        if item.get_closest_marker("alike"):
+            test = item.nodeid.partition("[")[0]
+            seen[test] += 1
+            return seen[test] % SHARE == sys.version_info.minor % SHARE  # each Python takes others
+        return "page" not in getattr(item, "fixturenames", ())
+
+    kept: dict[bool, list[pytest.Item]] = {True: [], False: []}
+    for item in items:
+        kept[taken(item)].append(item)
+    config.hook.pytest_deselected(items=kept[False])
+    items[:] = kept[True]
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -63,7 +80,7 @@ def pytest_report_header(config: pytest.Config) -> str:
 @pytest.fixture(scope="session")
 def share(request: pytest.FixtureRequest) -> int:
     """Return of how many random cases one is taken."""
-    return 4 if request.config.getoption("--repeated") else 1
+    return SHARE if request.config.getoption("--repeated") else 1
 
 
 @pytest.fixture(scope="session")

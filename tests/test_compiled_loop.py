@@ -126,6 +126,7 @@ def ran(program: Program, parts: Parts, n: int, **options: Any) -> Outcome:
     return program.run(parts, context(DT), started(parts.plant, n), TIMES, CIRCLE, dt=DT, **given)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("name", COMPOSITIONS)
 def test_a_compiled_loop_is_the_loop_in_numpy(name: str) -> None:
     parts = COMPOSITIONS[name]()

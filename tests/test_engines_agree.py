@@ -209,6 +209,7 @@ def compiled(k: int) -> tuple[Scenario, Ensemble]:
     return scenario, run_scenario(scenario, engine=COMPILED, threads=1)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("k", range(len(compositions())))
 def test_the_engines_agree(k: int) -> None:
     scenario, run = compiled(k)
@@ -224,6 +225,7 @@ def test_the_engines_agree(k: int) -> None:
             )
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("k", range(len(compositions())))
 def test_the_bits_hang_on_no_thread_chunk_or_number_of_robots(
     k: int, monkeypatch: pytest.MonkeyPatch

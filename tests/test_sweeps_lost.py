@@ -58,6 +58,7 @@ def begun(path: Path, robots: int) -> Path:
     return path
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize(
     ("room", "before"),
     [(room, before) for room, two in zip(ROOM, cycle(BEFORE), strict=False) for before in two],
