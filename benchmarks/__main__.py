@@ -1,6 +1,7 @@
 """Every benchmark, one after the other: `python benchmarks [--quick] [--rounds N] [--only WORD ...]`.
 
-With `--only`, just those in which somebody has such a word in the name, and of these the ones who have.
+With `--only`, just those in which somebody has such a word in the name, and of these the ones who have. With
+`--before PYTHON`, just the loop of parts, beside the version of pinmobile that this interpreter has.
 """
 
 import sys
@@ -10,16 +11,18 @@ import arm
 import calls
 import ensembles
 import imports
+import loop
 import memory
 import rollout
 import viewing
 from measuring import picked, selecting
 
-PARTS = (rollout, arm, ensembles, calls, memory, viewing, imports)
+PARTS = (rollout, arm, ensembles, loop, calls, memory, viewing, imports)
 PEOPLE = {
     rollout: rollout.EVERYONE,
     arm: arm.EVERYONE,
     ensembles: ensembles.EVERYONE,
+    loop: loop.EVERYONE,
     calls: calls.PEOPLE,
     memory: memory.EVERYONE,
 }
@@ -28,8 +31,12 @@ PEOPLE = {
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = selecting(__doc__.splitlines()[0])
     given = sys.argv[1:] if arguments is None else arguments
-    words = parser.parse_args(given).only
+    parser.add_argument("--before", metavar="PYTHON", help="an interpreter that has another version")
+    chosen = parser.parse_args(given)
+    words = chosen.only
     parts = [part for part in PARTS if not words or picked(PEOPLE.get(part, ()), words)]
+    if chosen.before is not None:
+        parts = [part for part in parts if part is loop]
     if not parts:
         parser.error(f"--only: nobody has {' or '.join(map(repr, words))} in the name")
     return max(part.main(given) for part in parts)

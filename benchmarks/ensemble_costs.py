@@ -90,10 +90,11 @@ def show_first_calls(out: Console, quick: bool) -> bool:
     return True
 
 
-def first_call(cache: str) -> tuple[float, float] | str:
+def first_call(cache: str, interpreter: Sequence[str] = (sys.executable,)) -> tuple[float, float] | str:
     """Return the import's and the call's time [s] in a fresh process, or the word on why it failed."""
-    command = [sys.executable, "-W", "ignore", "-c", FIRST]
-    environment = {**os.environ, "PINMOBILE_CACHE": cache}
+    command = [*interpreter, "-W", "ignore", "-c", FIRST]
+    # An older version's compiler keeps its files by the second name.
+    environment = {**os.environ, "PINMOBILE_CACHE": cache, "NUMBA_CACHE_DIR": cache}
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     if done.returncode:
         return f"FAILED: {(done.stderr.strip().splitlines() or [f'exit {done.returncode}'])[-1]}"

@@ -1,7 +1,10 @@
 """Settings for all tests, and what several of them take."""
 
+import gc
 import os
 import signal
+import sys
+from collections import Counter
 from collections.abc import Iterator
 
 import matplotlib
@@ -21,20 +24,37 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 matplotlib.use("Agg")
 settings.register_profile("default", deadline=None, max_examples=60)
 settings.register_profile("ci", deadline=None, max_examples=60, derandomize=True)
+settings.register_profile("repeated", settings.get_profile("ci"), max_examples=20)
 settings.load_profile("ci" if os.environ.get("CI") else "default")
 
 
+SHARE = 4  # one of so many alike cases is taken where another Python takes all
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add what `.ci/run` says on all Pythons but the first: what a page draws has no part of Python in it."""
-    parser.addoption("--no-page", action="store_true", help="leave out the tests that look at a page")
+    """Add what `.ci/run` says on all Pythons but the first."""
+    words = "all is tested by another Python: leave out what a page draws, take a quarter of alike cases"
+    parser.addoption("--repeated", action="store_true", help=words)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out the tests of a page in a browser, where that is asked for."""
-    if config.getoption("--no-page"):
-        looking = {item for item in items if "page" in getattr(item, "fixturenames", ())}
-        items[:] = [item for item in items if item not in looking]
-        config.hook.pytest_deselected(items=list(looking))
+    """Leave out pages, and all but every fourth of many alike cases, where that is asked for."""
+    if not config.getoption("--repeated"):
+        return
+    seen: Counter[str] = Counter()
+
+    def taken(item: pytest.Item) -> bool:
+        if item.get_closest_marker("alike"):
+            test = item.nodeid.partition("[")[0]
+            seen[test] += 1
+            return seen[test] % SHARE == sys.version_info.minor % SHARE  # each Python takes others
+        return "page" not in getattr(item, "fixturenames", ())
+
+    kept: dict[bool, list[pytest.Item]] = {True: [], False: []}
+    for item in items:
+        kept[taken(item)].append(item)
+    config.hook.pytest_deselected(items=kept[False])
+    items[:] = kept[True]
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -42,11 +62,25 @@ def pytest_configure(config: pytest.Config) -> None:
     why = refusal(os.environ.get("OPENBLAS_CORETYPE"))
     if why:
         raise pytest.UsageError(why)
+    if config.getoption("--repeated"):
+        settings.load_profile("repeated")
+
+
+def pytest_collection_finish() -> None:
+    """Let the garbage collector pass over what was imported: it lives to the end of the tests."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_report_header(config: pytest.Config) -> str:
     """Return the kernels of the linear algebra, on which no result may hang."""
     return f"OpenBLAS: {', '.join(in_force().values()) or 'none'}"
+
+
+@pytest.fixture(scope="session")
+def share(request: pytest.FixtureRequest) -> int:
+    """Return of how many random cases one is taken."""
+    return SHARE if request.config.getoption("--repeated") else 1
 
 
 @pytest.fixture(scope="session")

@@ -137,6 +137,10 @@ class Eight:
     size: float = 2.0  # [m]
     duration: float = 12.0  # [s]
 
+    parameters: ClassVar[tuple[Any, ...]] = (
+        Parameter("eight_size", "m", "of the eight", 0.0, attribute="size"),
+    )
+
     def __call__(self, t: Any) -> Any:
         return self.derivative(t, 0)
 
@@ -154,6 +158,8 @@ class Nodding:
     path: Any
     angle: float = 0.4  # [rad]
     rate: float = 0.8  # [rad/s]
+
+    parameters: ClassVar[tuple[Any, ...]] = ("angle", "rate")
 
     @property
     def duration(self) -> float:

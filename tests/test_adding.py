@@ -6,23 +6,37 @@ import io
 import re
 from functools import cache
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 import pinmobile
-from pinmobile import controllers, disturbances
+from pinmobile import controllers, disturbances, paths, trajectories
+from pinmobile.cli import choices, named_parts
 
 ROOT = Path(__file__).parents[1]
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text()
 SOURCE = Path(pinmobile.__file__).parent
-PARTS = [
-    name
-    for package in (controllers, disturbances)
-    for name in package.__all__
-    if isinstance(getattr(package, name), type) and not getattr(getattr(package, name), "_is_protocol", False)
-]
+
+
+def _parts(*packages: ModuleType) -> list[str]:
+    kinds = [(name, getattr(package, name)) for package in packages for name in package.__all__]
+    classes = [(name, kind) for name, kind in kinds if isinstance(kind, type) and name in pinmobile.__all__]
+    return [name for name, kind in classes if not getattr(kind, "_is_protocol", False)]
+
+
+PARTS = _parts(controllers, disturbances)
+REFERENCES = [name for name in _parts(paths, trajectories) if name != "Reference"]
 # Parts that a file uses to get its own work done, as a user does, not to know them from others.
-USERS = {"accuracy/held_force.py": {"ComputedTorque"}}
+USERS = {
+    "accuracy/held_force.py": {"ComputedTorque", "Circle", "Tangent"},
+    "cli/choices.py": {"PD", "ComputedTorque"},  # with the lecture's gains, which no part knows
+    "cli/lecture.py": {"PD", "ComputedTorque"},
+    "cli/view.py": {"PD", "ComputedTorque"},
+    "cli/mount.py": {"Decoupled", "ComputedTorque"},
+    "cli/demonstration.py": {"Decoupled", "ComputedTorque"},
+    "trajectories/whole.py": {"Hold"},
+}
 
 
 def test_the_examples_print_what_follows_them() -> None:
@@ -68,9 +82,8 @@ def names_in(file: Path) -> set[str]:
 
 
 def where(name: str) -> set[str]:
-    """Return the files that know a name, beside those of the command."""
-    files = (file for file in SOURCE.rglob("*.py") if "cli" not in file.relative_to(SOURCE).parts)
-    return {file.relative_to(SOURCE).as_posix() for file in files if name in names_in(file)}
+    """Return the files that know a name."""
+    return {file.relative_to(SOURCE).as_posix() for file in SOURCE.rglob("*.py") if name in names_in(file)}
 
 
 def test_the_parts_are_those_of_the_library() -> None:
@@ -78,13 +91,15 @@ def test_the_parts_are_those_of_the_library() -> None:
     assert len(PARTS) >= 12
 
 
-@pytest.mark.parametrize("name", PARTS)
+@pytest.mark.parametrize("name", [*PARTS, *REFERENCES])
 def test_a_part_is_known_by_its_own_file_and_its_package_alone(name: str) -> None:
+    """Of paths and headings the command has a list: what they are called, and the lecture's numbers."""
     part = getattr(pinmobile, name)
     own = Path(*part.__module__.split(".")[1:]).with_suffix(".py")
     allowed = {own.as_posix(), (own.parent / "__init__.py").as_posix(), "__init__.py"}
     allowed |= {file for file, used in USERS.items() if name in used}
-    assert where(name) <= allowed
+    known = {file for file in where(name) if name in PARTS or not file.startswith("cli/")}
+    assert known <= allowed
     assert {own.as_posix(), (own.parent / "__init__.py").as_posix()} <= where(name)
 
 
@@ -106,3 +121,27 @@ def test_no_file_asks_a_part_what_it_is() -> None:
                 }
                 asked += [(file.name, name) for name in compared & set(PARTS)]
     assert not asked
+
+
+def test_the_command_knows_parts_by_their_classes_and_units_by_what_they_state() -> None:
+    assert {
+        "delayed": pinmobile.Delayed,
+        "noisy-measurement": pinmobile.NoisyMeasurement,
+        "saturated": pinmobile.Saturated,
+    } == named_parts.WRAPPERS
+    assert {"constant", "joint-friction", "noise", "viscous-friction"} <= named_parts.FORCES.keys()
+    assert [kind.__name__ for kind in named_parts.FORCES.values()] == [
+        name for name in disturbances.__all__ if name in PARTS
+    ]
+    stated = {each.attribute: each.unit for each in pinmobile.Circle.parameters}
+    assert stated == {name: choices.UNITS[name] for name in ("radius", "rate")}
+    assert set(choices.OF_PATHS) == set(choices.POINTS) | {
+        "duration",
+        "radius",
+        "rate",
+        "rx",
+        "ry",
+        "wx",
+        "wy",
+        "t_via",
+    }

@@ -6,7 +6,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import coal
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from pinmobile import (
@@ -19,6 +21,7 @@ from pinmobile import (
     Tangent,
     ViscousFriction,
     constant_acceleration,
+    ensemble,
     law,
     plots,
     rk4,
@@ -27,9 +30,9 @@ from pinmobile import (
 from pinmobile.arrays import Array
 from pinmobile.compiled import Parts
 from pinmobile.compiled import Reference as OnSymbols
-from pinmobile.plant import Coordinate, Input, PlantOutline, Step
+from pinmobile.plant import Coordinate, Input, Parameter, PlantOutline, Step
 from pinmobile.viewer import Arrows, Overlays, Viewer
-from pinmobile.viewer.links import configurations, figure
+from pinmobile.viewer.links import configurations, figure, links
 from tests.looping import AxleFriction, looped
 from tests.users import Follower, TwoWheels
 
@@ -160,6 +163,115 @@ def test_the_viewer_draws_a_box_at_its_pose() -> None:
     np.testing.assert_allclose(
         configurations(figure(RUN.plant), RUN.t, RUN.poses, times), expected, atol=1e-12
     )
+
+
+class Drawn(TwoWheels):
+    """Two wheels that are seen to turn: a body, and a wheel on each side."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.visual_model = pin.GeometryModel()
+        for name, shape in (
+            ("body", coal.Box(0.4, 0.3, 0.1)),
+            ("left", coal.Cylinder(0.1, 0.04)),
+            ("right", coal.Cylinder(0.1, 0.04)),
+        ):
+            self.visual_model.addGeometryObject(pin.GeometryObject(name, 0, pin.SE3.Identity(), shape))
+
+    def drawing(self, q: Array) -> Any:
+        body = pin.SE3(pin.utils.rotate("z", q[2]), np.array([q[0], q[1], 0.1]))
+        lying = pin.utils.rotate("x", -np.pi / 2)
+        wheels = (
+            body * pin.SE3(pin.utils.rotate("y", angle) @ lying, np.array([0.0, side, 0.0]))
+            for angle, side in ((q[3], 0.25), (q[4], -0.25))
+        )
+        return [body, *wheels]
+
+
+def test_a_plant_draws_itself_live_recorded_and_as_a_ghost() -> None:
+    run = simulate(Drawn(), Follower(), PATH, dt=0.02, duration=4)
+    drawn = figure(run.plant)
+    times = np.array([0.0, 1.013, 4.0])
+    rows = configurations(drawn, run.t, run.q, times)
+    channels = links("meshcat/robot0", drawn, rows)
+    assert [(one.path, one.name) for one in channels] == [
+        (f"meshcat/robot0/visuals/{name}", what)
+        for name in ("body", "left", "right")
+        for what in ("position", "quaternion")
+    ]
+    for k in (0, 2):  # node and object together are where the plant says
+        pose, expected = rows[k, :3], run.plant.drawing(run.q[0 if k == 0 else -1])
+        node = pin.SE3(pin.utils.rotate("z", pose[2]), np.array([pose[0], pose[1], 0.0]))
+        for i, placement in enumerate(expected):
+            position, turned = channels[2 * i].values[k], channels[2 * i + 1].values[k]
+            found = node * pin.SE3(pin.Quaternion(*np.roll(turned, 1)).matrix(), np.asarray(position))
+            np.testing.assert_allclose(found.homogeneous, placement.homogeneous, rtol=0, atol=1e-12)
+    half = (run.q[50] + 0.65 * (run.q[51] - run.q[50]))[3:]
+    np.testing.assert_allclose(rows[1, 6:], half, rtol=0, atol=1e-12)
+    with Viewer(Drawn()) as viewer:
+        viewer.display(run.q[10])
+        assert "robot0/visuals/left" in scene_text(viewer)
+        before = scene_text(viewer)
+        viewer.display(np.append(run.q[10, :3], [1.0, 0.0]))  # a wheel alone
+        assert scene_text(viewer) != before
+        recorded = viewer.record({"one": run, "two": RUN}, overlays=Overlays(desired=True))
+    moving = {track["path"] for track in recorded.tracks}
+    assert {f"meshcat/robot0/visuals/{name}" for name in ("body", "left", "right")} <= moving
+    assert "meshcat/desired/visuals/left" in moving
+    assert "meshcat/robot1/visuals/left" not in moving  # which has no drawing, and is a box
+
+
+def scene_text(viewer: Viewer) -> str:
+    return "".join(repr(command) for command in viewer._window.commands())
+
+
+def test_members_of_an_ensemble_are_drawn_as_they_are() -> None:
+    class Wide(Drawn):
+        parameters = (Parameter("track", "m", "distance of the wheels"),)
+
+        def __init__(self, track: float = 0.5) -> None:
+            super().__init__()
+            self.track = track
+
+        def drawing(self, q: Array) -> Any:
+            body, *_ = found = super().drawing(q)
+            for wheel, side in zip(found[1:], (0.5, -0.5), strict=True):
+                wheel.translation = (
+                    body * pin.SE3(np.eye(3), np.array([0.0, side * self.track, 0]))
+                ).translation
+            return found
+
+    options: Any = {"n": 2, "spread": {"track": [0.4, 0.6]}, "dt": 0.05, "duration": 0.5}
+    runs = ensemble(Wide(), Follower(), PATH, **options)
+    aside: list[Any] = []
+    for i in range(2):
+        run = runs.trace(i)
+        channels = links("", figure(run.plant), configurations(figure(run.plant), run.t, run.q, run.t[:1]))
+        aside.append(channels[2].values[0][1])
+    np.testing.assert_allclose(aside, [0.2, 0.3], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("changed", "why"),
+    [
+        (
+            {"visual_model": None},
+            r"which has drawing\(q\) and visual_model None, expected a pin",
+        ),
+        ({"drawing": lambda self, q: [np.eye(4)]}, r"(?s)drawing\(q\) returned .*, shape \(3, 4, 4\)"),
+        (
+            {"drawing": lambda self, q: "here"},
+            r"drawing\(q\) returned 'here', expected the placements",
+        ),
+        ({"drawing": lambda self, q: np.full((3, 4, 4), np.nan)}, r"plant.drawing\(q\)\[0, 0, 0\] is nan"),
+    ],
+)
+def test_a_drawing_that_is_none_is_refused(changed: dict[str, Any], why: str) -> None:
+    plant = type("Changed", (Drawn,), {k: v for k, v in changed.items() if k != "visual_model"})()
+    if "visual_model" in changed:
+        plant.visual_model = changed["visual_model"]
+    with pytest.raises(InvalidArgument, match=why), Viewer(plant) as viewer:
+        viewer.display(RUN.q[0])
 
 
 def test_a_plant_that_does_not_tell_where_it_is_is_not_drawn() -> None:

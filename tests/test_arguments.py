@@ -423,9 +423,9 @@ def test_every_public_callable_has_a_row() -> None:
 
 
 @pytest.fixture(scope="module")
-def fuzzed() -> dict[str, Any]:
+def fuzzed(share: int) -> dict[str, Any]:
     """Run the fuzz in a process of its own: a crash, or memory without bound, is a failure, not the end."""
-    words = [sys.executable, "-W", "ignore::DeprecationWarning", "-m", "tests.arguments"]
+    words = [sys.executable, "-W", "ignore::DeprecationWarning", "-m", "tests.arguments", f"--share={share}"]
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False, timeout=1800)
     found = {line["name"]: line for line in map(json.loads, done.stdout.splitlines())}
     assert done.returncode == 0, f"{done.returncode} after {list(found)[-1:]}: {done.stderr[-2000:]}"

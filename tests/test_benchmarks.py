@@ -32,6 +32,8 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         "calls",
         "contestants",
         "imports",
+        "loop",
+        "loop_work",
         "memory",
         "rollout",
         "stock_server",
@@ -218,15 +220,15 @@ def asked(bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, capsys: pytes
 
 
 def test_every_benchmark_is_run_and_understands_what_it_is_given(asked: Any) -> None:
-    every = ["rollout", "arm", "ensembles", "calls", "memory", "viewing", "imports"]
+    every = ["rollout", "arm", "ensembles", "loop", "calls", "memory", "viewing", "imports"]
     assert list(asked()) == list(asked("--quick", "--rounds", "2")) == every
 
 
 @pytest.mark.parametrize(
     ("words", "parts"),
     [
-        (["ensemble"], ["ensembles"]),
-        (["Raw"], ["rollout", "arm", "memory"]),
+        (["ensemble"], ["ensembles", "loop"]),
+        (["Raw"], ["rollout", "arm", "loop", "memory"]),
         (["closed form", "jax"], ["rollout", "ensembles", "calls", "memory"]),
     ],
 )
@@ -234,6 +236,10 @@ def test_only_those_benchmarks_are_run_in_which_somebody_has_the_name(
     asked: Any, words: list[str], parts: list[str]
 ) -> None:
     assert list(asked("--quick", "--only", *words)) == parts
+
+
+def test_another_version_is_beside_the_loop_alone(asked: Any) -> None:
+    assert list(asked("--before", "python3")) == ["loop"]
 
 
 def test_a_name_that_nobody_has_is_refused_before_anything_is_run(
@@ -443,3 +449,63 @@ def test_a_first_call_that_fails_is_named_with_its_error(
 ) -> None:
     monkeypatch.setattr(bench.ensemble_costs, "FIRST", "raise RuntimeError('no compiler')")
     assert bench.ensemble_costs.first_call(str(tmp_path)) == "FAILED: RuntimeError: no compiler"
+
+
+def test_every_row_of_the_loop_is_timed(bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bench.loop_work, "SAMPLES", 61)
+    monkeypatch.setattr(bench.loop_work, "QUICK_STEPS", bench.loop_work.SHORT)
+    work = bench.loop_work.Work(quick=True, least=0.0)
+    for row in (*bench.loop_work.LOOPS, *bench.loop_work.RUNS):
+        found = bench.loop_work.measured(work, row)
+        assert isinstance(found, float), f"{row}: {found}"
+        assert found > 0
+    work.of = SimpleNamespace()  # an older version
+    assert bench.loop_work.measured(work, "simulate, compiled") == "it has no engine COMPILED"
+    assert bench.loop_work.measured(work, "rk4").startswith("FAILED: AttributeError: ")
+
+
+def test_a_loop_that_takes_too_long_is_timed_over_a_part(
+    bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[int] = []
+    work = bench.loop_work.Work(quick=False, least=0.0)
+    monkeypatch.setattr(work, "ensemble", lambda n, steps, *_: asked.append(steps))
+    for longest, steps in ((1e3, [12, 12, 120, 1_200, 1_200]), (0.0, [12, 12, 12, 12])):
+        monkeypatch.setattr(bench.loop_work, "LONGEST", longest)
+        work.many()
+        assert asked == steps
+        asked.clear()
+
+
+def test_a_version_is_asked_in_a_process_of_its_own(bench: SimpleNamespace, tmp_path: Path) -> None:
+    row = "raw Pinocchio loop"
+    assert 0 < bench.loop.told([sys.executable], str(tmp_path), [row], True)[row] < 60
+    failed = bench.loop.told([sys.executable, "--unknown"], str(tmp_path), [row], True)[row]
+    assert failed.startswith("FAILED: ")
+
+
+def test_the_loop_is_printed_beside_another_version(
+    bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked: list[str] = []
+
+    def told(interpreter: list[str], folder: str, names: list[str], quick: bool) -> dict[str, Any]:
+        older = interpreter[0] == "older"
+        asked.append(interpreter[0])
+        times = {name: (16e-9 if name == "rk4" else 4e-9) / (1 if older else 2) for name in names}
+        return times | ({"simulate, compiled": "it has no engine COMPILED"} if older else {})
+
+    with pytest.raises(SystemExit):
+        bench.loop.main(["--before", "older"])
+    assert "--before: older is no program" in capsys.readouterr().err
+    monkeypatch.setattr(bench.loop, "told", told)
+    monkeypatch.setattr(bench.loop.shutil, "which", str)
+    assert bench.loop.main(["--rounds", "2", "--before", "older", "--only", "rk4", "compiled"]) == 0
+    assert asked == ["older", sys.executable] * 2
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["computed", "torque", "4", "2", "1.00", "1.00", "2.00"] in rows
+    assert ["rk4", "16", "8", "0.25", "0.25", "2.00"] in rows
+    assert ["simulate,", "compiled", "2e-06"] in rows
+    assert ["-", "simulate,", "compiled,", "before:", "it", "has", "no", "engine", "COMPILED"] in rows
+    assert bench.loop.main(["--only", "rk4", "compiled"]) == 0
+    assert "--before ../venv/bin/python" in " ".join(capsys.readouterr().out.split())

@@ -152,6 +152,7 @@ def test_verify_takes_arms(capsys: pytest.CaptureFixture[str]) -> None:
     assert out.endswith("every route agrees\n")
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("name", mountable().names)
 def test_there_is_a_demonstration_of_every_name(name: str) -> None:
     robot = MobileRobot.box().mount(name)

@@ -1,12 +1,14 @@
 """Own elementary functions and noise: near the true ones, and with the same bits wherever they run."""
 
+import math
+
 import mpmath
 import numpy as np
 import pytest
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import Noise, Shape, Target, elementary, robot_keys
-from pinmobile.compiled.noise import normals
+from pinmobile.compiled import Noise, elementary, robot_keys
+from pinmobile.compiled.noise import _minus_two_log, normals
 from pinmobile.compiled.tape import COUNT, Tape, evaluated
 from tests.tapes import compiled
 from tests.test_compiled_loop import targets
@@ -109,9 +111,40 @@ def test_noise_has_the_same_bits_in_numpy_and_compiled() -> None:
         for _ in range(k + 1):
             numbers, noise = noise.draw()
         np.testing.assert_array_equal(numbers, [value[3] for value in values])
-    by_machine = compiled(tape, nodes[1].index, keys, Target.here(), Shape(Target.here().lanes, 2), key=True)
     first = evaluated(tape, [nodes[1].index], {("key", 0): keys, COUNT: np.uint64(0)})
-    np.testing.assert_array_equal(by_machine, first[0])
+    for label, (target, shape) in targets().items():
+        by_machine = compiled(tape, nodes[1].index, keys, target, shape, key=True)
+        np.testing.assert_array_equal(by_machine, first[0], err_msg=label)
+
+
+def split_mix(word: int) -> int:
+    """Return the output of SplitMix64 at a state, as its authors write it, in Python's whole numbers."""
+    word = (word ^ (word >> 30)) * 0xBF58476D1CE4E5B9 % 2**64
+    word = (word ^ (word >> 27)) * 0x94D049BB133111EB % 2**64
+    return word ^ (word >> 31)
+
+
+def test_noise_is_box_and_mullers_of_split_mix_64() -> None:
+    assert split_mix(0x9E3779B97F4A7C15) == 0xE220A8397B1DCDAF  # the first output of its seed 0
+    keys = robot_keys(4, "measurement", range(300))
+    k, pairs = 7, 3
+    with np.errstate(over="ignore"):
+        found = np.array(normals(keys, np.uint64(k), 2 * pairs)).reshape(pairs, 2, len(keys))
+    for j, (x, y) in enumerate(found):
+        for i, key in enumerate(keys.tolist()):
+            word = split_mix((key + (k * pairs + j + 1) * 0x9E3779B97F4A7C15) % 2**64)
+            sign, size, where, mirrored = word >> 63, (word >> 23) % 2**40, (word >> 1) % 2**22, word % 2
+            radius = math.sqrt(-2 * math.log1p(-size / 2**40))
+            angle = (where + 0.5 - 2**21) * math.pi / 2**23
+            angle = (math.pi / 2 - angle if mirrored else angle) + math.pi * sign
+            assert math.isclose(x[i], radius * math.cos(angle), rel_tol=0, abs_tol=2e-9 * radius)
+            assert math.isclose(y[i], radius * math.sin(angle), rel_tol=0, abs_tol=2e-9 * radius)
+
+
+@pytest.mark.parametrize("size", [0, 1, 2**39, 2**40 - 1])
+def test_the_smallest_and_the_largest_noise_are_right(size: int) -> None:
+    u = 1 - size / 2**40
+    np.testing.assert_allclose(_minus_two_log(np.float64(u)), -2 * math.log(u), rtol=5e-11, atol=0)
 
 
 def test_noise_is_white_and_normal() -> None:
@@ -128,6 +161,13 @@ def test_noise_is_white_and_normal() -> None:
     for other in (x[1:] * x[:-1], x[:, 1:] * x[:, :-1], x[:, :, 1:] * x[:, :, :-1]):
         assert abs(other.mean() * other.size**0.5) < 4
     assert 4 < np.abs(flat).max() < 6
+    # Of a pair, size and direction are independent, and no direction is preferred.
+    one, two = x[:, ::2].ravel(), x[:, 1::2].ravel()
+    size, angle = one**2 + two**2 - 2, np.arctan2(two, one)
+    for harmonic in (1, 2, 3, 4, 8):
+        for wave in (np.cos(harmonic * angle), np.sin(harmonic * angle)):
+            assert abs(wave.mean() * (2 * wave.size) ** 0.5) < 4
+            assert abs((wave * size).mean() * (wave.size / 2) ** 0.5) < 4
 
 
 def test_keys_follow_from_seed_name_and_robot() -> None:

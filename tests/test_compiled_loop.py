@@ -126,6 +126,7 @@ def ran(program: Program, parts: Parts, n: int, **options: Any) -> Outcome:
     return program.run(parts, context(DT), started(parts.plant, n), TIMES, CIRCLE, dt=DT, **given)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("name", COMPOSITIONS)
 def test_a_compiled_loop_is_the_loop_in_numpy(name: str) -> None:
     parts = COMPOSITIONS[name]()
@@ -349,6 +350,13 @@ def targets() -> dict[str, tuple[Target, Shape]]:
         return {str(shape): (here, shape) for _, shape in TARGETS.values()}
     has = {8: "+avx512f" in here.features, 4: "+avx2" in here.features}
     return {name: each for name, each in TARGETS.items() if has.get(each[0].lanes, True)}
+
+
+def test_what_is_tabled_for_all_robots_does_not_make_a_loop_too_large_for_two_vectors() -> None:
+    waves = tuple(Sinusoidal(np.array([3.0, 2.0, 1.0]), f) for f in np.linspace(0.1, 2.0, 60))
+    program = built(Parts(Body(), torque(), waves, constant_acceleration))
+    assert len(program.loop.tape) > 2500 > 2 * program.loop.own
+    assert program.shape.vectors == 2
 
 
 @pytest.mark.parametrize("name", ["all", "pid", "sliding, tanh", "wheels, delayed"])

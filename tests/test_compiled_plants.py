@@ -249,13 +249,13 @@ def test_many_threads_trace_and_use_numpy_at_once() -> None:
     def trace() -> None:
         try:
             parts = Parts(Body(), PD(20.0, 30.0), (Sinusoidal(np.ones(3), 0.5),), rk4, Trace())
-            for _ in range(3):
+            for _ in range(2):
                 traced(parts, context(DT), (CIRCLE.q[0], CIRCLE.v[0]), FIRST, dt=DT)
         except Exception as error:
             wrong.append(error)
 
     user = threading.Thread(target=use_numpy)
-    tracers = [threading.Thread(target=trace) for _ in range(4)]
+    tracers = [threading.Thread(target=trace) for _ in range(3)]
     for thread in (user, *tracers):
         thread.start()
     for thread in tracers:

@@ -100,7 +100,7 @@ FORCES: Mapping[str, str] = {
 }
 MODELS = ("computed torque", "computed torque, wrong", "Decoupled")
 STARTS = {"start_x": Uniform(-0.2, 0.2), "start_psi": Uniform(-0.3, 0.3)}
-SPREADS = ("nothing", "mass", "gains", "model", "forces", "start")
+SPREADS = ("nothing", "mass", "gains", "model", "forces", "start", "reference")
 FACTORS: dict[str, tuple[str, ...]] = {
     "controller": tuple(CONTROLLERS),
     "wrapper": tuple(WRAPPERS),
@@ -170,6 +170,7 @@ def spread_of(choice: Mapping[str, str]) -> dict[str, Any]:
         "gains": {gain: Uniform(0.8 * gains[gain], 1.2 * gains[gain])},
         "model": {"model_mass": Uniform(25.0, 35.0), "model_com_x": Uniform(0.0, 0.1)},
         "start": STARTS,
+        "reference": {"eight_size": Uniform(1.8, 2.2)},
     }
     if steady in FORCES:
         found["forces"] = {f"forces[0].{FORCES[steady]}": Uniform(0.5, nominal[FORCES[steady]])}
@@ -208,6 +209,7 @@ def compiled(k: int) -> tuple[Scenario, Ensemble]:
     return scenario, run_scenario(scenario, engine=COMPILED, threads=1)
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("k", range(len(compositions())))
 def test_the_engines_agree(k: int) -> None:
     scenario, run = compiled(k)
@@ -223,6 +225,7 @@ def test_the_engines_agree(k: int) -> None:
             )
 
 
+@pytest.mark.alike
 @pytest.mark.parametrize("k", range(len(compositions())))
 def test_the_bits_hang_on_no_thread_chunk_or_number_of_robots(
     k: int, monkeypatch: pytest.MonkeyPatch

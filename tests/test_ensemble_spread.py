@@ -13,13 +13,17 @@ from pinmobile import (
     ComputedTorque,
     ConstantForce,
     Context,
+    CubicVia,
     FixedHeading,
+    Hold,
     InvalidArgument,
     JointFriction,
+    Lissajous,
     MobileRobot,
     NoiseForce,
     NoisyMeasurement,
     Normal,
+    RestToRest,
     RollingResistance,
     Same,
     Saturated,
@@ -256,15 +260,34 @@ def test_noise_differs_from_robot_to_robot_and_not_from_run_to_run() -> None:
     assert not np.array_equal(*phases)
 
 
+VIA = CubicVia((0, 0), (0.2, 0.2), (0, 0.4), 1.0, 2.0, (0, 0))
+MOTIONS: dict[str, Any] = {  # by what the names of their parameters begin with
+    "via_": FixedHeading(VIA, 0.3),
+    "turn_time": Tangent(VIA, 0.5),
+    "hold_": FixedHeading(Hold([0, 0], 2.0), 0.3),
+    "lissajous_": FixedHeading(Lissajous(1, 2, 0.5, 1.0, 2.0), 0.3),
+    "rest_": FixedHeading(RestToRest([0, 0], [1, 1], 2.0), 0.3),
+    "fixed_heading": FixedHeading(Circle(3.0, 0.1, 2.0), 0.3),
+}
+
+
+def motion_with(name: str) -> Any:
+    """Return a trajectory that has a parameter, where one has."""
+    return next((motion for start, motion in MOTIONS.items() if name.startswith(start)), TRAJECTORY)
+
+
 def test_every_parameter_can_be_spread_and_matters() -> None:
     driven = SinusoidalForce((1, 1, 0.1), 0.5), NoiseForce((1, 1, 0.1), 1.0, seed=0)
     forces = (*driven, RollingResistance((1, 1, 0.1), 0.05), JointFriction(0.1, 0.1, 0.05))
-    base = made(n=2, forces=forces, duration=2.0)
-    least = run_scenario(base).max_error
-    for name in PARAMETERS:
-        value = base.nominal.get(name, 1.0) * 1.5 + 0.01
-        run = run_scenario(made(n=2, forces=forces, spread={name: value}, duration=2.0))
-        assert not np.array_equal(run.max_error, least), name
+    for motion in (TRAJECTORY, *MOTIONS.values()):
+        base = made(n=2, forces=forces, duration=2.0, trajectory=motion)
+        least = run_scenario(base).max_error
+        for name in (each for each in PARAMETERS if motion_with(each) is motion):
+            value = base.nominal.get(name, 1.0) * 1.5 + 0.01
+            run = run_scenario(
+                made(n=2, forces=forces, spread={name: value}, duration=2.0, trajectory=motion)
+            )
+            assert not np.array_equal(run.max_error, least), name
 
 
 @pytest.mark.parametrize(
@@ -389,7 +412,15 @@ def test_impossible_draws_are_refused_with_their_share(spread: Any, text: str) -
 
 
 FORCED = (*DRIVEN, RollingResistance((1, 1, 0.1)), JointFriction(0.1))
-POSITIVE = {"rolling_speed", "joint_speed", "mass", "yaw_inertia", "model_mass", "model_yaw_inertia"}
+POSITIVE = {
+    *("circle_radius", "via_time", "turn_time"),
+    "rolling_speed",
+    "joint_speed",
+    "mass",
+    "yaw_inertia",
+    "model_mass",
+    "model_yaw_inertia",
+}
 MAY_VANISH = {
     *("joint_viscous", "joint_coulomb", "sine_frequency", "noise_x", "noise_y", "noise_moment"),
     *("viscous_forward", "viscous_left", "viscous_yaw", "rolling_forward", "rolling_left", "rolling_yaw"),
@@ -399,7 +430,7 @@ MAY_VANISH = {
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_what_must_not_be_negative_is_refused_below_zero_and_what_must_be_positive_at_zero(name: str) -> None:
     for value, refused in ((-1e-9, POSITIVE | MAY_VANISH), (0.0, POSITIVE), (1e-9, set())):
-        scenario = made(n=1, spread={name: value}, forces=FORCED)
+        scenario = made(n=1, spread={name: value}, forces=FORCED, duration=2.0, trajectory=motion_with(name))
         if name in refused:
             sign = ">=" if name in MAY_VANISH else ">"
             with pytest.raises(InvalidArgument, match=rf"spread\['{name}'\] gives .*; expected {sign} 0$"):
@@ -410,7 +441,8 @@ def test_what_must_not_be_negative_is_refused_below_zero_and_what_must_be_positi
 
 @pytest.mark.parametrize("name", sorted(POSITIVE | MAY_VANISH))
 def test_a_distribution_may_begin_at_zero(name: str) -> None:
-    assert (made(spread={name: Uniform(0, 30)}, forces=FORCED).draws()[name] > 0).all()
+    scenario = made(spread={name: Uniform(0, 30)}, forces=FORCED, duration=2.0, trajectory=motion_with(name))
+    assert (scenario.draws()[name] > 0).all()
 
 
 @pytest.mark.parametrize(

@@ -105,18 +105,22 @@ def test_ci_runs_each_python_under_another_kernel_and_leaves_none_out(machine: P
     assert len(tested) == max(pythons, len(kernels))
 
 
-def test_ci_looks_at_pages_on_the_first_python_alone_and_leaves_nothing_else_out(machine: Path) -> None:
+def test_ci_takes_all_tests_on_the_first_python_and_says_so_to_the_others(machine: Path) -> None:
     lines = [line for line in ran(machine, 3).stdout.splitlines() if "] make test" in line]
     given = {line[1:5]: re.findall(r"ARGS=(.*) under", line) for line in lines}
-    assert given == {"3.11": [""], "3.12": ["--no-page"], "3.13": ["--no-page"]}
+    assert given == {"3.11": [""], "3.12": ["--repeated"], "3.13": ["--repeated"]}
 
 
-def test_without_pages_the_tests_that_look_at_one_are_counted_as_left_out() -> None:
+def test_where_all_is_tested_elsewhere_pages_and_three_of_four_alike_cases_are_counted_as_left_out() -> None:
     asked = os.environ.get("OPENBLAS_CORETYPE", "")
-    done = collected(asked, "-q", "--no-page", "tests/test_viewer_browser.py").stdout
+    done = collected(asked, "-q", "--repeated", "tests/test_viewer_browser.py").stdout
     assert "test_errors" in done
     assert "test_viewer_browser" not in done
     assert re.search(r"^\d+/\d+ tests collected \([1-9]\d* deselected\)", done, re.MULTILINE)
+    words = "-q", "tests/test_mountable.py", "-k", "test_each_mounts"
+    some, all_ = (collected(asked, *more, *words).stdout.count("::") for more in (("--repeated",), ()))
+    assert all_ > 50
+    assert abs(some - all_ / 4) < 1
 
 
 def test_ci_fails_where_one_of_the_runs_does(machine: Path) -> None:

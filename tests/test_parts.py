@@ -3,7 +3,8 @@
 import pickle
 import subprocess
 import sys
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +15,23 @@ from pinmobile import (
     PD,
     Circle,
     ComputedTorque,
+    CubicVia,
     Ensemble,
+    FixedHeading,
+    Hold,
     InvalidArgument,
+    LectureHeading,
+    Lissajous,
     MobileRobot,
+    RestToRest,
     Rollout,
     Saturated,
     Scenario,
+    Spline,
     Tangent,
+    Uniform,
     ViscousFriction,
+    WholeBody,
     ensemble,
     grid,
     law,
@@ -29,6 +39,8 @@ from pinmobile import (
     simulate,
     sweep,
 )
+from pinmobile.compiled.symbols import Symbols
+from pinmobile.compiled.tracing import tracing
 from pinmobile.ensembles import ARRAYS, COMPILED, PINOCCHIO, part_of, run_scenario
 from pinmobile.ensembles.variables import PER_ROBOT
 from pinmobile.errors import SlowerEngine
@@ -68,6 +80,8 @@ STATED: dict[str, tuple[str, str, Any, str]] = {
     "force": ("spring_x", "forces[0]", [-1.0, 0.0, 1.0, 2.0], "m"),
     "wrapper": ("share", "controller", [0.6, 0.7, 0.8, 0.9], ""),
     "wrappers of a user's": ("back", "controller.controller.controller", [0.0, 1.0, 2.0, 3.0], ""),
+    "path": ("eight_size", "trajectory.path", [1.0, 1.5, 2.0, 2.5], "m"),
+    "heading": ("angle", "trajectory", [0.0, 0.2, 0.4, 0.6], ""),
 }
 
 
@@ -127,7 +141,7 @@ def test_what_a_users_part_states_is_spread_by_name_and_by_path(what: str, tmp_p
     by_name = run_scenario(made(what, {name: np.array(values)}))
     by_path = run_scenario(made(what, {f"{path}.{name}": np.array(values)}))
     assert_same(by_name, by_path)
-    assert len(np.unique(by_name.rms_error[:, 0])) == N, "each robot has a value of its own"
+    assert len(np.unique(by_name.rms_error, axis=0)) == N, "each robot has a value of its own"
     assert by_name.draws[name].tolist() == by_path.draws[f"{path}.{name}"].tolist() == values
     by_name.save(tmp_path / "runs.npz")
     loaded = Ensemble.load(tmp_path / "runs.npz")
@@ -369,3 +383,225 @@ def test_a_law_may_write_into_the_reference_that_it_is_told() -> None:
     one, other = (simulate(ROBOT, law(function), motion, dt=0.02) for function in (careless, careful))
     np.testing.assert_array_equal(one.q, other.q)
     np.testing.assert_array_equal(one.reference.q, other.reference.q)
+
+
+# A law that reaches a robot which is no attribute of a part.
+
+MASSES = {"mass": np.array([27.0, 33.0])}
+HELD = {"model": ROBOT}
+BOUND = ROBOT.nonlinear_effects
+
+
+def _by_global(t: float, q: Any, v: Any, reference: Any) -> Any:
+    command = reference.a + 4.0 * (reference.q - q) + 4.0 * (reference.v - v)
+    return ROBOT.mass_matrix(q) @ command + BOUND(q, v)
+
+
+def _by_dict(t: float, q: Any, v: Any, reference: Any) -> Any:
+    command = reference.a + 4.0 * (reference.q - q) + 4.0 * (reference.v - v)
+    return HELD["model"].mass_matrix(q) @ command + HELD["model"].coriolis_matrix(q, v) @ v
+
+
+def _closed_over(robot: Any) -> Any:
+    def function(t: float, q: Any, v: Any, reference: Any) -> Any:
+        return robot.inverse_dynamics(q, v, reference.a + 4.0 * (reference.q - q) + 4.0 * (reference.v - v))
+
+    return function
+
+
+@pytest.mark.parametrize("function", [_by_global, _by_dict, _closed_over(ROBOT)])
+def test_a_law_that_reaches_a_robot_by_a_name_is_compiled(function: Any) -> None:
+    motion = Tangent(Circle(2.0, 0.5, 1.0))
+    given: dict[str, Any] = {"n": 2, "spread": MASSES | {"start_x": 0.1}, "dt": 0.02}
+    run = ensemble(ROBOT, law(function), motion, **given)
+    assert run.engine == "COMPILED"
+    assert_close(run, ensemble(ROBOT, law(function), motion, **given, engine=PINOCCHIO))
+    assert_close(run, ensemble(ROBOT, ComputedTorque(ROBOT), motion, **given))
+    other = _closed_over(MobileRobot(50.0, 1.3))  # the same code, another robot
+    runs = [ensemble(ROBOT, law(other), motion, **given, engine=engine) for engine in (COMPILED, PINOCCHIO)]
+    assert_close(*runs)
+
+
+def test_what_a_robot_does_by_pinocchio_alone_is_refused_with_the_line() -> None:
+    def function(t: float, q: Any, v: Any, reference: Any) -> Any:
+        return ROBOT.jacobian(q).T[:, :3] @ (reference.q - q)
+
+    instead = r"line \d+ of test_parts\.py .*: jacobian of a MobileRobot, .*asks it for coriolis_matrix, "
+    with pytest.raises(InvalidArgument, match=instead):
+        ensemble(
+            ROBOT, law(function), Tangent(Circle(2.0, 0.5, 1.0)), n=2, spread={}, dt=0.1, engine=COMPILED
+        )
+
+
+def test_only_the_thread_that_traces_sees_a_robots_law_in_its_place() -> None:
+    def asked() -> Any:
+        return ROBOT.mass_matrix(np.zeros(3))
+
+    before = asked()
+    with tracing([asked]), ThreadPoolExecutor(1) as pool:
+        assert isinstance(asked(), Symbols)
+        elsewhere = pool.submit(asked).result()
+    assert type(elsewhere) is np.ndarray
+    for each in (elsewhere, asked()):
+        np.testing.assert_array_equal(each, before)
+    assert "mass_matrix" not in vars(MobileRobot)
+
+
+def test_the_law_of_a_robot_is_its_dynamics() -> None:
+    q, v, a = np.array([0.3, -0.2, 0.7]), np.array([0.5, 0.1, -0.4]), np.array([0.2, 0.3, 0.1])
+    own = ROBOT.traced()
+    for name, given in {
+        "mass_matrix": (q,),
+        "coriolis_matrix": (q, v),
+        "kinetic_energy": (q, v),
+        "nonlinear_effects": (q, v),
+        "inverse_dynamics": (q, v, a),
+        "forward_dynamics": (q, v, a),
+    }.items():
+        expected = getattr(ROBOT, name)(*given)
+        np.testing.assert_allclose(getattr(own, name)(*given), expected, rtol=1e-12, atol=1e-13, err_msg=name)
+
+
+# Parameters of paths and headings: each robot has a reference of its own.
+
+STEADY = PD((100, 100, 5), (100, 100, 5))
+VIA = CubicVia((0, 0), (2, 2), (0, 4), 3.0, 6.0, via_velocity=(0, 0))
+OWN: dict[str, tuple[Any, dict[str, Any]]] = {
+    "circle": (Tangent(Circle(2.0, 0.5, 6.0)), {"circle_radius": (1.0, 3.0), "circle_rate": (0.3, 0.6)}),
+    "figure": (
+        FixedHeading(Lissajous(2, 1, 0.5, 1.0, 6.0), 0.2),
+        {"lissajous_ry": (0.5, -1), "fixed_heading": (0, 3)},
+    ),
+    "turns": (Tangent(VIA, 1.0), {"via_x": (1.0, 3.0), "via_time": (2.5, 4.0), "turn_time": (1.5, 1.0)}),
+    "spline": (Tangent(Spline([[0, 0], [1, 1], [2, 0]], [0, 3, 6])), {"waypoint_1_y": (0.5, 1.5)}),
+    "way": (FixedHeading(RestToRest([0, 0], [1, 1], 6.0), 0.0), {"rest_end_y": (0.5, 1.5)}),
+    "point": (FixedHeading(Hold([0, 0], 6.0), 0.0), {"hold_x": (0.5, 1.5)}),
+    "lecture's heading": (LectureHeading(Circle(2.0, 0.5, 6.0)), {"circle_radius": (1.0, 3.0)}),
+    "user's": (Nodding(Eight(2.0, 6.0)), {"eight_size": (1.0, 2.0), "angle": (0.1, 0.3)}),
+}
+
+
+def owned(what: str, **changes: Any) -> Scenario:
+    motion, spread = OWN[what]
+    spread = {name: np.array(values, float) for name, values in spread.items()}
+    given: dict[str, Any] = {
+        "robot": ROBOT,
+        "controller": STEADY,
+        "trajectory": motion,
+        "n": 2,
+        "dt": 0.03,
+    }
+    return Scenario(**(given | {"duration": 6.0, "spread": spread | {"start_y": 0.1}} | changes))
+
+
+@pytest.mark.parametrize("what", OWN)
+def test_each_robot_follows_a_reference_of_its_own_by_all_engines(what: str) -> None:
+    scenario = owned(what)
+    runs = [run_scenario(scenario, engine=engine) for engine in (COMPILED, ARRAYS, PINOCCHIO)]
+    for run in runs[:2]:
+        assert_close(run, runs[2])
+    assert run_scenario(scenario).engine == "COMPILED"
+    motion, spread = OWN[what]
+    for i in range(2):
+        own = motion
+        for name, values in spread.items():  # made by hand, as a user would
+            stated = scenario.stated[name]
+            holder = own if stated.path == "trajectory" else own.path
+            new = changed(holder, stated.parameter, values[i])
+            own = new if holder is own else replace(own, path=new)
+        begun = own(0.0)
+        alone = simulate(
+            *(ROBOT, STEADY, own),
+            **{"dt": 0.03, "duration": 6.0, "q0": begun.q + np.array([0, 0.1, 0]), "v0": begun.v},
+        )
+        size = alone.max_error().max()
+        np.testing.assert_allclose(runs[0].max_error[i], alone.max_error(), rtol=0, atol=1e-12 * size)
+        np.testing.assert_array_equal(scenario_member_reference(runs[0], i).q, alone.reference.q)
+
+
+def changed(part: Any, parameter: Any, value: float) -> Any:
+    """Return a path or heading with another number, by its constructor."""
+    given = np.array(getattr(part, parameter.attribute), float)
+    given[() if parameter.entry is None else parameter.entry] = value
+    if isinstance(part, Hold | RestToRest):
+        points = [
+            given if name == parameter.attribute else getattr(part, name)
+            for name in ("start", "end", "point")
+            if hasattr(part, name)
+        ]
+        kind: Any = type(part)
+        return kind(*points, part.duration)
+    return replace(part, **{parameter.attribute: given[()] if given.ndim else float(given)})
+
+
+def scenario_member_reference(run: Ensemble, i: int) -> Any:
+    member = run.member(i)
+    return simulate(*member[:3], **member.options).reference
+
+
+def test_own_references_have_the_same_bits_however_the_robots_are_divided(tmp_path: Path) -> None:
+    scenario = owned("circle", n=7, spread={"circle_radius": Uniform(1, 3), "mass": Uniform(25, 35)})
+    whole = run_scenario(scenario, threads=1)
+    for other in (run_scenario(scenario, threads=3), sweep(scenario, tmp_path / "store", chunk=3).ensemble()):
+        assert_same(other, whole)
+    pieces = [part_of(pickle.loads(pickle.dumps(scenario.holding(k, k + 1))), k, k + 1)[1] for k in range(7)]
+    np.testing.assert_array_equal(np.concatenate([each.max_error for each in pieces]), whole.max_error)
+
+
+def test_a_trajectory_that_cannot_be_made_is_told_with_the_robots_number() -> None:
+    with pytest.raises(InvalidArgument, match=r"^robot 1: t_via is 7.0 s, expected 0 < t_via < t_end"):
+        run_scenario(owned("turns", spread={"via_time": np.array([3.0, 7.0])}))
+    with pytest.raises(
+        InvalidArgument, match=r"^robot 0: its trajectory lasts 6.25 s, expected at least 7 s"
+    ):
+        run_scenario(owned("turns", duration=7.0, dt=0.1, spread={"turn_time": np.array([0.25, 1.0])}))
+    with pytest.raises(InvalidArgument, match=r"reaches -1 m as the radius of the circle, .* expected > 0"):
+        owned("circle", spread={"circle_radius": Uniform(-1, 1)})
+
+
+@dataclass(frozen=True)
+class Ahead:
+    """A controller that looks where the reference ends."""
+
+    def initial_state(self, context: Any) -> Any:
+        return context.reference.q[-1]
+
+    def __call__(self, t: float, q: Any, v: Any, reference: Any, state: Any) -> Any:
+        return 9.0 * (state - q) - 30.0 * v, state
+
+
+def test_a_controller_that_looks_ahead_sees_its_own_robots_reference() -> None:
+    with pytest.warns(
+        SlowerEngine, match="asks its context for the reference, which each robot has of its own"
+    ):
+        run = ensemble(
+            *(ROBOT, Ahead(), OWN["way"][0]), n=2, spread={"rest_end_y": np.array([0.5, 1.5])}, dt=0.05
+        )
+    assert run.engine == "PINOCCHIO"
+    for i, y in enumerate((0.5, 1.5)):
+        motion = FixedHeading(RestToRest([0, 0], [1, y], 6.0), 0.0)
+        np.testing.assert_array_equal(run.max_error[i], simulate(ROBOT, Ahead(), motion, dt=0.05).max_error())
+
+
+def test_the_models_that_a_trajectory_knows_are_no_parameters_of_it() -> None:
+    motion = WholeBody(ROBOT, Tangent(Circle(2.0, 0.5, 1.0)))
+    given: dict[str, Any] = {"controller": ComputedTorque(ROBOT), "trajectory": motion, "n": 2, "dt": 0.05}
+    scenario = Scenario(
+        robot=ROBOT,
+        **given,
+        spread={"model_mass": np.array([25.0, 30.0]), "circle_radius": np.array([1.0, 2.0])},
+    )
+    assert scenario.stated["model_mass"].path == "controller.robot"
+    assert scenario.stated["circle_radius"].path == "trajectory.base.path"
+    runs = [run_scenario(scenario, engine=engine) for engine in (COMPILED, PINOCCHIO)]
+    assert_close(*runs)
+    assert runs[0].member(1).trajectory == WholeBody(ROBOT, Tangent(Circle(2.0, 0.5, 1.0)))
+
+
+def test_a_sweep_knows_another_trajectory_of_the_same_nominal_reference(tmp_path: Path) -> None:
+    still = {"trajectory": FixedHeading(Lissajous(0, 0, 0.5, 1.0, 6.0), 0.0)}
+    sweep(owned("figure", **still), tmp_path / "store")
+    with pytest.raises(InvalidArgument, match=r"belongs to another sweep.*trajectory.*wx"):
+        sweep(
+            owned("figure", trajectory=FixedHeading(Lissajous(0, 0, 0.7, 1.0, 6.0), 0.0)), tmp_path / "store"
+        )

@@ -322,7 +322,7 @@ def test_repr_says_what_was_given() -> None:
         "CubicVia(start=(0.0, 0.0), via=(2.0, 2.0), end=(0.0, 4.0), t_via=30.0, t_end=60.0, "
         "via_velocity=None, start_velocity=(0.0, 0.0), end_velocity=(0.0, 0.0))"
     )
-    assert repr(Circle(3, 0.1, 60)) == "Lissajous(rx=3.0, ry=3.0, wx=0.1, wy=0.1, duration=60.0)"
+    assert repr(Circle(3, 0.1, 60)) == "Circle(radius=3.0, rate=0.1, duration=60.0)"
     assert repr(Spline([[0], [1]], [0, 1])) == (
         "Spline(waypoints=((0.0,), (1.0,)), times=(0.0, 1.0), start_velocity=(0.0,), end_velocity=(0.0,))"
     )

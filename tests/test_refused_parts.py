@@ -329,3 +329,218 @@ def test_a_part_that_states_a_name_twice_or_what_it_has_not_is_refused() -> None
         InvalidArgument, match=r"^forces\[0\], a Stating, states the parameter 'stiff' and has"
     ):
         in_ensemble(BODY | {"forces": [Stating()]})
+
+
+# What is no row of real numbers, or not two of them.
+
+
+class Tripled(Cart):
+    def start(self, reference: Any) -> Any:
+        return (*super().start(reference), 3)
+
+
+class Starting(Cart):
+    def start(self, reference: Any) -> Any:
+        q, v = super().start(reference)
+        return q * (1 + 0j), v
+
+
+class Turning(Cart):
+    """A plant one of whose methods returns complex numbers."""
+
+    def __init__(self, wrong: str) -> None:
+        super().__init__()
+        method = getattr(super(), wrong)
+        setattr(self, wrong, lambda *given: method(*given) * (1 + 0j))
+
+
+class Complex:
+    """A controller that is none of the library's `law`."""
+
+    def initial_state(self, context: Any) -> None:
+        return None
+
+    def __call__(self, t: float, q: Any, v: Any, reference: Any, state: Any) -> Any:
+        return np.sqrt(reference.q - q + 0j), state
+
+
+class Pushing:
+    def on_coordinates(self, t: float, q: Any, v: Any) -> Any:
+        return 1j * v
+
+
+UNREAL: dict[str, tuple[dict[str, Any], str]] = {
+    "a start of three": (
+        CART | {"robot": Tripled()},
+        r"(?s)^plant.start\(reference\) returned \(array.*, 3\), expected \(q, v\)$",
+    ),
+    "complex start": (
+        CART | {"robot": Starting()},
+        r"(?s)^q0? of plant.start is .*j.*, expected real numbers$",
+    ),
+    "complex input": (
+        BODY | {"controller": Complex()},
+        r"(?s)^controller returned .*j.*, expected real numbers$",
+    ),
+    "complex law": (
+        BODY | {"controller": law(lambda t, q, v, r: 1j * q)},
+        r"(?s)^function of the law returned .*j.*, expected a force: nu numbers$",
+    ),
+    "no numbers": (
+        BODY | {"controller": law(lambda t, q, v, r: np.array([1, 2, None]))},
+        r"(?s)^function of the law returned .*None.*, expected a force: nu numbers$",
+    ),
+    "complex force": (
+        BODY | {"forces": [Spring(), lambda t, pose, rate: 1j * pose]},
+        r"(?s)^forces\[1\] returned .*j.*, expected an array of shape \(3,\) of real num",
+    ),
+    "complex force on coordinates": (
+        BODY | {"forces": [Pushing()]},
+        r"(?s)^forces\[0\] returned .*j.*, expected an array of shape \(3,\) of real num",
+    ),
+    "complex integrator": (
+        BODY | {"integrator": lambda a, t, q, v, h: (q + h * v, v + h * a(t, q, v) + 0j)},
+        r"(?s)^integrator returned .*j.* at t = 0 s, expected \(q, v\) of shapes .*, of real numbers$",
+    ),
+    **{
+        f"complex {name}": (
+            CART | {"robot": Turning(name)},
+            rf"(?s)^plant is a Turning .*, whose {name}\(.*\) returned .*j.*, expected real numbers$",
+        )
+        for name in ("forward_dynamics", "integrate", "difference", "pose", "rate", "effort")
+    },
+}
+
+
+@pytest.mark.parametrize("what", UNREAL)
+def test_what_is_not_made_of_real_numbers_is_refused(what: str) -> None:
+    assert_refused(*UNREAL[what])
+
+
+class Late(Cart):
+    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
+        found = super().forward_dynamics(q, v, u, f)
+        return found if v[0] > 0.9 else found * (1 + 0j)
+
+
+def _late_integrator(acceleration: Any, t: float, q: Any, v: Any, h: float) -> Any:
+    return q + h * v, v + h * acceleration(t, q, v) + (0j if t > 1 else 0.0)
+
+
+@pytest.mark.parametrize(
+    ("parts", "why"),
+    [
+        (
+            BODY | {"controller": law(lambda t, q, v, r: (1j if t > 1 else 1.0) * (r.q - q))},
+            r"(?s)^(robot 0: )?function of the law returned .*j.* at t = 1.02 s, expected a force",
+        ),
+        (
+            BODY | {"forces": [lambda t, pose, rate: (1j if t > 1 else 1.0) * pose]},
+            r"(?s)^(robot 0: )?forces\[0\] returned .*j.* at t = 1.0\d s, expected an array of shape \(3,\)",
+        ),
+        (
+            BODY | {"integrator": _late_integrator},
+            r"(?s)^(robot 0: )?integrator returned .*j.* at t = 1.02 s, expected \(q,",
+        ),
+        (
+            CART | {"robot": Late()},
+            r"(?s)^(robot 0: )?plant.forward_dynamics returned .*j.*, expected an array of real num",
+        ),
+    ],
+)
+def test_what_stops_being_real_is_told_when_it_does(parts: dict[str, Any], why: str) -> None:
+    runs: Any = simulated, lambda parts: in_ensemble(parts, n=1, engine=PINOCCHIO)
+    for run in runs:
+        with pytest.raises(InvalidArgument, match=why):
+            run(parts)
+
+
+class Growing:
+    """A controller that keeps all that it has seen, which is possible in Python alone."""
+
+    def initial_state(self, context: Any) -> Any:
+        return {"seen": np.zeros((1, 3))}
+
+    def __call__(self, t: float, q: Any, v: Any, reference: Any, state: Any) -> Any:
+        u = 100 * (reference.q - q) + 120 * (reference.v - v) + 1e-3 * state["seen"].mean(axis=0)
+        return u, {"seen": np.concatenate([state["seen"], q[None]])}
+
+
+def test_a_state_that_changes_its_shape_is_named_and_runs_in_python() -> None:
+    parts = BODY | {"controller": Growing()}
+    why = r"state\['seen'\] of the controller has shape \(2, 3\) and a sample later \(3, 3\); let init"
+    for run in (simulated, in_ensemble):
+        with pytest.raises(InvalidArgument, match=rf"^engine is COMPILED, which cannot run this: {why}"):
+            run(parts, engine=COMPILED)
+    with pytest.warns(SlowerEngine, match=rf"runs by PINOCCHIO, .*not COMPILED: {why}"):
+        runs = in_ensemble(parts, n=2)
+    np.testing.assert_allclose(runs.max_error[0], simulated(parts).max_error(), rtol=1e-12)
+
+
+# Memory outside the state whose effect comes late, after all that is asked before a run.
+
+
+class Tiring:
+    """A function that gives less from its hundredth call on."""
+
+    def __init__(self, function: Any) -> None:
+        self.function, self.calls = function, 0
+
+    def __call__(self, *given: Any) -> Any:
+        self.calls += 1
+        return (1.0 if self.calls < 100 else 0.9) * self.function(*given)
+
+
+class Tired(Cart):
+    def __init__(self) -> None:
+        super().__init__()
+        self.forward_dynamics = Tiring(super().forward_dynamics)  # type: ignore[assignment, method-assign]
+
+
+class Latched:
+    """A controller that remembers in itself that a second has gone by."""
+
+    def __init__(self) -> None:
+        self.late = False
+
+    def initial_state(self, context: Any) -> Any:
+        return [0.0]  # which it writes into, as it may
+
+    def __call__(self, t: float, q: Any, v: Any, reference: Any, state: Any) -> Any:
+        self.late = self.late or t > 1
+        state[0] += 1.0
+        return (90.0 if self.late else 100.0) * (reference.q - q) + 120.0 * (reference.v - v), state
+
+
+def _pull(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return 100.0 * (reference.q - q) + 120.0 * (reference.v - v)
+
+
+TIRING: dict[str, tuple[Any, str]] = {
+    "controller": (lambda: BODY | {"controller": law(Tiring(_pull))}, "controller"),
+    "latch": (lambda: BODY | {"controller": Latched()}, "controller"),
+    "force": (lambda: BODY | {"forces": [Tiring(lambda t, pose, rate: 1.0 + 0 * pose)]}, "plant or forces"),
+    "plant": (lambda: CART | {"robot": Tired()}, "plant"),
+}
+
+
+@pytest.mark.parametrize("what", TIRING)
+def test_memory_that_acts_late_is_seen_at_the_end_of_the_run(what: str) -> None:
+    make, part = TIRING[what]
+    why = rf"(?s)^(robot 0: )?{part} returned .* at t = .* s and, asked again for the same arguments at the "
+    for run in (simulated, lambda parts: in_ensemble(parts, n=1, engine=PINOCCHIO)):
+        with pytest.raises(InvalidArgument, match=why + r"end of .*expected the same: only controllers"):
+            run(make())
+    if what != "latch":  # which asks what a symbol is
+        with pytest.raises(InvalidArgument, match=rf"^{part}.* answers otherwise for t = 0.02 s"):
+            in_ensemble(make(), engine=ARRAYS)
+
+
+def test_a_state_that_is_written_into_and_a_workspace_are_allowed() -> None:
+    class Working(Latched):
+        def __call__(self, t: float, q: Any, v: Any, reference: Any, state: Any) -> Any:
+            self.late = q.copy()  # what a solver would start from the next time
+            state[0] += 0.5 * float(np.sum(q))
+            return _pull(t, q, v, reference) + 1e-3 * state[0], state
+
+    assert simulated(BODY | {"controller": Working()}).engine == "PINOCCHIO"

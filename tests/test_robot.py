@@ -161,6 +161,24 @@ def test_leading_axes_broadcast_and_none_is_empty(offset_robot: MobileRobot) -> 
     assert offset_robot.kinetic_energy(np.empty((0, 3)), np.empty((0, 3))).shape == (0,)
 
 
+@pytest.mark.parametrize("arms", [0, 1, 2])
+def test_unchecked_calls_are_the_methods_in_public_order(offset_robot: MobileRobot, arms: int) -> None:
+    robot = offset_robot
+    for k in range(arms):
+        robot = robot.mount("ur5", at=(0.2 - 0.4 * k, 0.1, 0.3, 0.4))
+    calls, generator = robot.calls(), np.random.default_rng(3)
+    for _ in range(5):
+        q, v, a = generator.normal(size=(3, robot.nv))
+        pairs = (
+            (calls.mass_matrix(q).copy(), robot.mass_matrix(q)),
+            (calls.nonlinear_effects(q, v).copy(), robot.nonlinear_effects(q, v)),
+            (calls.inverse_dynamics(q, v, a).copy(), robot.inverse_dynamics(q, v, a)),
+            (calls.forward_dynamics(q, v, a).copy(), robot.forward_dynamics(q, v, a)),
+        )
+        for found, expected in pairs:
+            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
 def test_results_are_the_callers_own(offset_robot: MobileRobot) -> None:
     first = offset_robot.mass_matrix([0, 0, 0.3])
     kept = first.copy()

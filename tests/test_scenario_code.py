@@ -4,6 +4,7 @@ import json
 import pickle
 import re
 import sys
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from pinmobile import InvalidArgument, Scenario, Sweep, sweep
 from pinmobile.cli.scenario_file import read_grid
 from pinmobile.ensembles import part_of
 from pinmobile.ensembles.ways import way_of
+from pinmobile.errors import SlowerEngine
 from pinmobile.simulation.engines import COMPILED
 from pinmobile.sweeps import Code, Grid
 from pinmobile.sweeps.code import packed
@@ -564,7 +566,9 @@ def test_workers_elsewhere_run_the_same_text(capsys: pytest.CaptureFixture[str],
             ran = client.run(_users_modules)
         failing = PARTS.replace("return dead(u", "return dead(u * math.sqrt(3 - t)")  # from t = 3 s on
         (file.parent / "parts.py").write_text(failing)
-        failed = swept(capsys, file, *words, out="failed")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SlowerEngine)  # math.sqrt cannot be compiled
+            failed = swept(capsys, file, *words, out="failed")
     assert (code, err) == (0, "")
     assert contents(file.parent / "out" / "sweep.zarr") == contents(alone.path)
     assert len(ran) == 2
@@ -579,3 +583,38 @@ def test_workers_elsewhere_run_the_same_text(capsys: pytest.CaptureFixture[str],
 
 def _users_modules() -> list[str]:
     return sorted(name for name in sys.modules if name.startswith(("parts__", "mending__")))
+
+
+PLAIN = """
+[controller]
+type = "parts:Deadband"
+width = 0.01
+controller = {type = "parts:PID", kp = 120, kd = 120, ki = 3}
+[forces.first]
+type = "constant"
+force = [1, 0, 0]
+[forces.gust]
+type = "parts:Gust"
+strength = 2
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "at", "text"),
+    [
+        ("strength = 2", 'strength = "x"', 11, "forces.gust.strength is 'x', expected a number or an array"),
+        ("strength = 2", "strength = {a = 1}", 11, "forces.gust.strength is {'a': 1}, expected a number"),
+        ("strength = 2", "strength = [1, 2]", 9, "parts:Gust: parts.py:"),
+        ("[1, 0, 0]", '"x"', 8, "forces.first.force is 'x', expected real numbers"),
+        ("[1, 0, 0]", "[1, 2]", 8, "forces.first.force has shape (2,), expected"),
+        ("ki = 3", 'ki = "x"', 5, "controller.controller.ki is 'x', expected a number or an array"),
+        ("ki = 3", "ki = [1, 2]", 5, "parts:PID: parts.py:"),
+    ],
+)
+def test_an_argument_of_the_wrong_kind_is_told_with_its_key_and_line(
+    file: Path, old: str, new: str, at: int, text: str
+) -> None:
+    assert PLAIN.count(old) == 1
+    with pytest.raises(InvalidArgument) as refused:
+        read_of(file, PLAIN.replace(old, new))
+    assert str(refused.value).startswith(f"mine.toml:{at}: {text}")

@@ -405,7 +405,7 @@ def test_what_determines_the_numbers_is_told_the_same_way_in_every_process(done:
         (lambda: _grid(dt=0.05, every=2), "dt is 0.1 there and 0.05 here"),
         (
             lambda: _grid(trajectory=Tangent(Circle(2, 0.1, 6.0))),
-            r"sweep: trajectory\.path\.rx is 3\.0 there and 2\.0 here; trajectory\.path\.ry is 3[^;]*$",
+            r"sweep: trajectory\.path\.radius is 3\.0 there and 2\.0 here$",
         ),
     ],
 )

@@ -6,6 +6,7 @@ import shutil
 import threading
 from collections.abc import Callable
 from functools import partial
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,11 @@ def copy(done: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(done, tmp_path / "store"))
 
 
+# Bytes that the disk has left, and how many robots are done when it is full (None: no store is there).
+ROOM = 0, 30, 300, 600, 1000, 4000, 9000
+BEFORE: tuple[tuple[int | None, ...], ...] = (None, 16), (0, 40)
+
+
 class Stop(Exception):
     pass
 
@@ -52,8 +58,11 @@ def begun(path: Path, robots: int) -> Path:
     return path
 
 
-@pytest.mark.parametrize("room", [0, 30, 300, 600, 1000, 4000, 9000])
-@pytest.mark.parametrize("before", [None, 0, 16, 40])
+@pytest.mark.alike
+@pytest.mark.parametrize(
+    ("room", "before"),
+    [(room, before) for room, two in zip(ROOM, cycle(BEFORE), strict=False) for before in two],
+)
 def test_a_full_disk_leaves_the_store_as_good_as_it_was(
     done: Path, tmp_path: Path, room: int, before: int | None
 ) -> None:
@@ -365,20 +374,20 @@ DAMAGES: list[Callable[[Path], object]] = [
 ]
 
 
-def test_a_damaged_store_names_the_file_and_the_rest_is_kept(done: Path, tmp_path: Path) -> None:
+def test_a_damaged_store_names_the_file_and_the_rest_is_kept(done: Path, tmp_path: Path, share: int) -> None:
     good, store = numbers(done), contents(done)
     # Of the metadata, which are all alike, a few: others are damaged above.
     names = [name for k, name in enumerate(files_of(done)) if not name.endswith("zarr.json") or k % 3 == 0]
     cases = [(name, DAMAGES[k % len(DAMAGES)]) for k, name in enumerate(names)]
     told = 0
-    for number, (name, damage) in enumerate(cases):
+    for number, (name, damage) in enumerate(cases[::share]):
         path = Path(shutil.copytree(done, tmp_path / str(number)))
         damage(path / name)
         told += check_read(path, path / name, good)
-        if number % 6 == 0:  # the most of the time
+        if number % 12 == 0:  # the most of the time
             check_resumed(path, path / name, good, store, (done / name).read_bytes())
         shutil.rmtree(path)
-    assert told > len(cases) / 3
+    assert told > len(cases) / share / 3
 
 
 def test_damaged_records_of_what_is_done_are_named_and_the_rest_is_kept(done: Path, tmp_path: Path) -> None:

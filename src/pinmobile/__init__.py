@@ -168,6 +168,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "balance": ("Motion", "reaction_wrench", "required_friction", "tip_over_margin", "zero_moment_point"),
     "closed_form": (),
     "compiled": (),
+    "constancy": (),
     "controllers": (
         "PD",
         "ComputedTorque",
@@ -211,6 +212,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "plots": (),
     "reaching": ("EndEffectorTracking", "PosePath", "Resolved", "resolve"),
     "robot": ("Load", "MobileRobot", "mountable"),
+    "signals": (),
     "simulation": ("ARRAYS", "COMPILED", "PINOCCHIO", "Engine", "Rollout", "simulate"),
     "sweeps": ("Axis", "Sweep", "grid", "sweep"),
     "trajectories": ("FixedHeading", "LectureHeading", "Reference", "Tangent", "WholeBody"),

@@ -7,7 +7,9 @@ from collections.abc import Collection, Iterable, Sequence
 from math import isfinite
 from os import PathLike
 from pathlib import Path
+from types import CodeType, FunctionType, MethodType
 from typing import Any, TypeAlias
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +22,8 @@ __all__ = [
     "Array",
     "ArrayLike",
     "affordable",
+    "answered",
+    "are_real",
     "broadcast",
     "callable_as",
     "endless_or_finite",
@@ -48,6 +52,8 @@ Array: TypeAlias = NDArray[np.float64]
 MEMORY = 16e9
 """What one call may ask for in arrays of its own [bytes]: more is refused, with the number, before it is."""
 
+_FEW = 1000  # numbers whose product takes less than a look at each; of many, BLAS would start threads
+_FLOAT = np.dtype(np.float64)
 _MOST_AXES = 24  # room for some more within the 32 that NumPy broadcasts
 
 
@@ -70,6 +76,7 @@ def finite(name: str, value: ArrayLike) -> Array:
         type(value) is np.ndarray
         and value.dtype == np.float64
         and value.ndim == 1
+        and value.size <= _FEW
         and isfinite(np.vdot(value, value))
     ):
         return value  # what comes in a loop: one call instead of five; where it overflows, look closely
@@ -101,7 +108,8 @@ def finite_answer(answer: Array, /, **arguments: ArrayLike) -> Array:
         If it holds NaN or infinity.
     """
     # One product, which unlike that of `dot` does not warn, instead of a look at each number.
-    if isfinite(np.vdot(answer, answer)) or np.isfinite(answer).all():
+    few = answer.size <= _FEW
+    if (few and isfinite(np.vdot(answer, answer))) or np.isfinite(answer).all():
         return answer
     bad = answer[~np.isfinite(answer)][0]
     sizes = ", ".join(f"|{name}| up to {np.abs(value).max():.3g}" for name, value in arguments.items())
@@ -169,6 +177,28 @@ def real(name: str, value: ArrayLike) -> Array:
         return np.asarray(array, np.float64)
     with np.errstate(over="ignore"):  # a long double that float64 does not hold becomes infinite
         return array.astype(np.float64)
+
+
+def are_real(answer: Any) -> bool:
+    """Tell whether what a part returned holds real numbers: no complex ones, no text, no other objects.
+
+    Of what is no array, such as a symbol, nothing is asked.
+    """
+    return type(answer) is not np.ndarray or answer.dtype is _FLOAT or answer.dtype.kind in "fiub"
+
+
+def answered(what: str, answer: Any, expected: str = "real numbers") -> Array:
+    """Return what a part returned as float64; `expected` is said where it is something else.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is not made of real numbers.
+    """
+    found = _array(answer)
+    if not are_real(found):
+        raise InvalidArgument(f"{what} returned {shown(answer)}, expected {expected}")
+    return np.array(found, np.float64)
 
 
 def vector(name: str, value: ArrayLike, size: int) -> Array:
@@ -423,6 +453,10 @@ def callable_as(form: str, function: Any, expected: str = "") -> Any:
     if isinstance(function, type) or not callable(function):
         wanted = expected or f"a function of {', '.join(arguments[:-1])} and {arguments[-1]}"
         raise InvalidArgument(f"{name} is {shown(function)}, expected {wanted}")
+    code, *rest = _code_of(function)
+    call = form, *rest
+    if code is not None and call in _fitting.get(code, ()):
+        return function
     try:
         signature = inspect.signature(function)
     except (TypeError, ValueError):  # as of some that are built in
@@ -433,7 +467,26 @@ def callable_as(form: str, function: Any, expected: str = "") -> Any:
         raise InvalidArgument(
             f"{name} is {shown(function)}, which cannot be called as {form}: {error}, expected one that can"
         ) from None
+    if code is not None:
+        _fitting.setdefault(code, set()).add(call)
     return function
+
+
+def _code_of(function: Any) -> tuple[Any, ...]:
+    """Return the code of a function, method or callable object, and what else its signature hangs on.
+
+    None comes first where that is more than its code and its defaults.
+    """
+    bound, law = not isinstance(function, FunctionType), function
+    if bound:
+        law = function.__func__ if isinstance(function, MethodType) else type(function).__call__
+    if not isinstance(law, FunctionType) or vars(law) or hasattr(function, "__signature__"):
+        return (None,)
+    return law.__code__, bound, len(law.__defaults__ or ()), *sorted(law.__kwdefaults__ or ())
+
+
+# Calls that are known to fit a code: to look closely takes some 50 us.
+_fitting: WeakKeyDictionary[CodeType, set[tuple[Any, ...]]] = WeakKeyDictionary()
 
 
 def increasing(name: str, t: Array) -> None:

@@ -59,6 +59,11 @@ class NotTraceable(InvalidArgument):
         self.what, self.instead, self.place = what, instead, place
         super().__init__(f"{place and place + ': '}{what}, which cannot be compiled; {instead}")
 
+    @property
+    def reason(self) -> str:
+        """What it does, where, and what to write instead, on one line and without a word of engines."""
+        return " ".join(f"{self.place and self.place + ': '}{self.what}; {self.instead}".split())
+
     def __reduce__(self) -> tuple[type["NotTraceable"], tuple[str, str, str]]:
         return type(self), (self.what, self.instead, self.place)
 
@@ -172,4 +177,4 @@ class ViewerError(PinmobileError, RuntimeError):
 
 
 class SchedulerError(PinmobileError, ConnectionError):
-    """A Dask cluster does not answer, has no worker, or is lost."""
+    """A Dask cluster does not answer, has no worker, or is lost; or a process that ran robots is."""

@@ -84,8 +84,11 @@ class Plant(Protocol):
     ``integrate_jacobian(q, dq)``, ``neutral``
         As `MobileRobot` has them, where joints turn about several axes: without, all integrators are taken
         for displacements that change at the velocity.
+    ``drawing(q) -> (k, 4, 4)``, ``visual_model``
+        Placements in the inertial frame of the k objects of a `pin.GeometryModel`, which the viewer draws.
     ``size``
-        Length, width and height of the box that is drawn [m]; without, an arrowhead, or a box of usual size.
+        Length, width and height of the box that is drawn [m], or of what ``drawing`` draws; without, an
+        arrowhead, or a box of usual size.
     """
 
     @property
@@ -181,7 +184,7 @@ class Parameter:
         Whether `least` itself is allowed.
     attribute : str
         The part's attribute that has it; by default, what it is called.
-    entry : int, optional
+    entry : int or tuple of int, optional
         Which number of that attribute it is; None: all of them.
     write : callable, optional
         ``write(values, column, size)`` returns the attribute of m robots, shape (m, ...), from what it was,
@@ -197,7 +200,7 @@ class Parameter:
     least: float = -np.inf
     may_vanish: bool = True
     attribute: str = ""
-    entry: int | None = None
+    entry: int | tuple[int, ...] | None = None
     write: Callable[[Array, Array, int], Array] | None = None
     neutral: float | None = None
 
@@ -218,7 +221,8 @@ class Parameter:
         if self.entry is None:
             new[:] = column.reshape(-1, *(1,) * (values.ndim - 1))
         else:
-            new[:, self.entry] = column
+            where: Any = (slice(None), *np.atleast_1d(self.entry))
+            new[where] = column
         return new
 
     def nominal(self, value: Any) -> float | None:
@@ -226,6 +230,8 @@ class Parameter:
         if self.neutral is not None:
             return self.neutral
         array = np.asarray(value, np.float64)
+        if isinstance(self.entry, tuple):
+            return float(array[self.entry])
         array = array.diagonal() if array.ndim == 2 else array
         numbers = array if self.entry is None or not array.ndim else array[self.entry]
         return float(numbers.flat[0]) if np.ptp(numbers) == 0 else None

@@ -24,6 +24,7 @@ from pinmobile import (
     rk4,
     semi_implicit_euler,
 )
+from pinmobile.ensembles import PARAMETERS
 from pinmobile.errors import shown
 
 __all__ = [
@@ -31,9 +32,12 @@ __all__ = [
     "CONTROLLERS",
     "HEADINGS",
     "INTEGRATORS",
+    "OF_PATHS",
     "PATHS",
+    "POINTS",
     "ROBOTS",
     "TABLES",
+    "UNITS",
     "choose",
     "closed_loop",
     "controller",
@@ -68,6 +72,20 @@ PATHS: Mapping[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     ),
     "via-free": (CubicVia, {"start": (0, 0), "via": (2, 2), "end": (0, 4), "t_via": 30.0, "duration": 60.0}),
 }
+OF_PATHS: Mapping[str, Any] = {name: value for _, given in PATHS.values() for name, value in given.items()}
+"""What paths take, with the lecture's numbers."""
+
+POINTS = tuple(name for name, value in OF_PATHS.items() if isinstance(value, tuple))
+"""What of that is a point or velocity, told as X,Y."""
+
+UNITS: Mapping[str, str] = {
+    **{each.attribute: each.unit for each in PARAMETERS.values() if each.attribute and each.entry is None},
+    **{name: each.unit for name, each in PARAMETERS.items()},
+    **dict.fromkeys(("duration", "dt", "after"), "s"),
+    **{"com": PARAMETERS["com_x"].unit, "ground": "m", "percent": "%"},
+}
+"""Units of what options and files name: as the parts state them, and of the command's own."""
+
 HEADINGS: Mapping[str, Callable[..., Any]] = {
     "tangent": lambda path, psi, turn_time: Tangent(path, turn_time=turn_time),
     "fixed": lambda path, psi, turn_time: FixedHeading(path, psi),
@@ -226,9 +244,8 @@ def closed_loop(**options: Any) -> tuple[Any, Any, Any, dict[str, Any]]:
 
 def path_of(options: Mapping[str, Any]) -> Any:
     """Return the path that options stand for."""
-    plain = ("duration", "radius", "rate", "rx", "ry", "wx", "wy", "t_via")
-    given = {name: options[name] for name in plain}
-    for name in ("start", "via", "end", "via_velocity"):
+    given = {name: options[name] for name in OF_PATHS}
+    for name in POINTS:
         given[name] = numbers(f"--{name.replace('_', '-')}", options[name])
     return path(options["trajectory"], given)
 

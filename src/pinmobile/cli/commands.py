@@ -1,7 +1,7 @@
 """The commands and their options."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -14,6 +14,7 @@ from pinmobile.cli.mount import list_mountable, show_mount
 from pinmobile.cli.output import console, output_folder, progress
 from pinmobile.cli.run import show_run
 from pinmobile.cli.view import chosen_runs, overlays_of, saved_runs, show_live
+from pinmobile.plant import parameters_of
 
 __all__ = ["app"]
 
@@ -28,9 +29,24 @@ app = typer.Typer(
 )
 
 _ROBOT, _PATH, _CONTROL, _LOOP = "Robot", "Trajectory", "Controller", "Loop and output"
+_UNITS = choices.UNITS
 Text = str | None
 Number = float | None
 _GROUND = "z of the ground in the root link's frame (m); what the file tells"
+
+
+def _of_path(name: str) -> Any:
+    """Return the option of what paths take: which, what it is, its unit, and the lecture's number."""
+    kinds = {kind: (make, given[name]) for kind, (make, given) in choices.PATHS.items() if name in given}
+    stated = [each for make, _ in kinds.values() for each in parameters_of(make) if each.attribute == name]
+    meaning = stated[0].meaning.split(", ")[0] if stated else f"{name} of the path"
+    unit = stated[0].unit if stated else choices.UNITS[name]
+    value = next(iter(kinds.values()))[1]
+    several = isinstance(value, tuple)
+    told = ",".join(f"{each:g}" for each in (value if several else (value,)))
+    which = "" if len(kinds) == len(choices.PATHS) else f"{', '.join(kinds)}: "
+    text = f"{which}{meaning}{' X,Y' if several else ''} ({unit}); {told}."
+    return typer.Option(help=text[0].upper() + text[1:] if not which else text, rich_help_panel=_PATH)
 
 
 def _version(wanted: bool) -> None:
@@ -126,29 +142,30 @@ def run(
     trajectory: Annotated[
         str, typer.Option(help=f"One of {', '.join(choices.PATHS)}.", rich_help_panel=_PATH)
     ] = "circle",
-    duration: Annotated[
-        Number, typer.Option(help="Duration of the path (s); 60.", rich_help_panel=_PATH)
-    ] = None,
-    radius: Annotated[Number, typer.Option(help="circle: radius (m); 3.", rich_help_panel=_PATH)] = None,
-    rate: Annotated[Number, typer.Option(help="circle: (rad/s); 0.1.", rich_help_panel=_PATH)] = None,
-    rx: Annotated[Number, typer.Option(help="lissajous: x amplitude (m); 3.", rich_help_panel=_PATH)] = None,
-    ry: Annotated[Number, typer.Option(help="lissajous: y amplitude (m); 3.", rich_help_panel=_PATH)] = None,
-    wx: Annotated[Number, typer.Option(help="lissajous: (rad/s); 0.2.", rich_help_panel=_PATH)] = None,
-    wy: Annotated[Number, typer.Option(help="lissajous: (rad/s); 0.1.", rich_help_panel=_PATH)] = None,
-    start: Annotated[Text, typer.Option(help="via: start X,Y (m); 0,0.", rich_help_panel=_PATH)] = None,
-    via: Annotated[Text, typer.Option(help="via: via point X,Y (m); 2,2.", rich_help_panel=_PATH)] = None,
-    end: Annotated[Text, typer.Option(help="via: end X,Y (m); 0,4.", rich_help_panel=_PATH)] = None,
-    t_via: Annotated[Number, typer.Option(help="via: time at it (s); 30.", rich_help_panel=_PATH)] = None,
-    via_velocity: Annotated[
-        Text, typer.Option(help="via-stop: velocity X,Y at it (m/s); 0,0.", rich_help_panel=_PATH)
-    ] = None,
+    duration: Annotated[Number, _of_path("duration")] = None,
+    radius: Annotated[Number, _of_path("radius")] = None,
+    rate: Annotated[Number, _of_path("rate")] = None,
+    rx: Annotated[Number, _of_path("rx")] = None,
+    ry: Annotated[Number, _of_path("ry")] = None,
+    wx: Annotated[Number, _of_path("wx")] = None,
+    wy: Annotated[Number, _of_path("wy")] = None,
+    start: Annotated[Text, _of_path("start")] = None,
+    via: Annotated[Text, _of_path("via")] = None,
+    end: Annotated[Text, _of_path("end")] = None,
+    t_via: Annotated[Number, _of_path("t_via")] = None,
+    via_velocity: Annotated[Text, _of_path("via_velocity")] = None,
     heading: Annotated[
         str, typer.Option(help=f"One of {', '.join(choices.HEADINGS)}.", rich_help_panel=_PATH)
     ] = "tangent",
-    psi: Annotated[Number, typer.Option(help="fixed: heading (rad); 0.", rich_help_panel=_PATH)] = None,
+    psi: Annotated[
+        Number, typer.Option(help=f"fixed: heading ({_UNITS['psi']}); 0.", rich_help_panel=_PATH)
+    ] = None,
     turn_time: Annotated[
         float,
-        typer.Option(help="For each turn on the spot, where the tangent jumps (s).", rich_help_panel=_PATH),
+        typer.Option(
+            help=f"For each turn on the spot, where the tangent jumps ({_UNITS['turn_time']}).",
+            rich_help_panel=_PATH,
+        ),
     ] = 2.0,
     controller: Annotated[
         str, typer.Option(help="computed-torque or pd.", rich_help_panel=_CONTROL)
@@ -161,13 +178,17 @@ def run(
     ] = None,
     model_mass: Annotated[
         Number,
-        typer.Option(help="Mass the controller believes in (kg); the robot's.", rich_help_panel=_CONTROL),
+        typer.Option(
+            help=f"Mass the controller believes in ({_UNITS['mass']}); the robot's.", rich_help_panel=_CONTROL
+        ),
     ] = None,
     model_yaw_inertia: Annotated[
-        Number, typer.Option(help="Yaw inertia it believes in (kg m^2).", rich_help_panel=_CONTROL)
+        Number,
+        typer.Option(help=f"Yaw inertia it believes in ({_UNITS['yaw_inertia']}).", rich_help_panel=_CONTROL),
     ] = None,
     model_com: Annotated[
-        Text, typer.Option(help="Centre of mass X,Y it believes in (m).", rich_help_panel=_CONTROL)
+        Text,
+        typer.Option(help=f"Centre of mass X,Y it believes in ({_UNITS['com']}).", rich_help_panel=_CONTROL),
     ] = None,
     robot: Annotated[
         Text, typer.Option(help="lecture (Icz = 0.1) or box (homogeneous); lecture.", rich_help_panel=_ROBOT)
@@ -176,11 +197,16 @@ def run(
         Path | None, typer.Option(help="The chain, or a bare base, instead.", rich_help_panel=_ROBOT)
     ] = None,
     ground: Annotated[Number, typer.Option(help=f"Beside --urdf: {_GROUND}.", rich_help_panel=_ROBOT)] = None,
-    mass: Annotated[Number, typer.Option(help="Mass in its place (kg).", rich_help_panel=_ROBOT)] = None,
-    yaw_inertia: Annotated[
-        Number, typer.Option(help="Yaw inertia in its place (kg m^2).", rich_help_panel=_ROBOT)
+    mass: Annotated[
+        Number, typer.Option(help=f"Mass in its place ({_UNITS['mass']}).", rich_help_panel=_ROBOT)
     ] = None,
-    com: Annotated[Text, typer.Option(help="Centre of mass X,Y (m).", rich_help_panel=_ROBOT)] = None,
+    yaw_inertia: Annotated[
+        Number,
+        typer.Option(help=f"Yaw inertia in its place ({_UNITS['yaw_inertia']}).", rich_help_panel=_ROBOT),
+    ] = None,
+    com: Annotated[
+        Text, typer.Option(help=f"Centre of mass X,Y ({_UNITS['com']}).", rich_help_panel=_ROBOT)
+    ] = None,
     dt: Annotated[float, typer.Option(help="Sampling time (s).", rich_help_panel=_LOOP)] = 0.1,
     integrator: Annotated[
         str, typer.Option(help=f"One of {', '.join(choices.INTEGRATORS)}.", rich_help_panel=_LOOP)

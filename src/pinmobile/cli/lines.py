@@ -56,6 +56,9 @@ def line_of(
     swept : mapping
         What is swept, by dotted names.
     """
+    at = _line_of_dotted(message, text, tree, swept)
+    if at:
+        return at
     if isinstance(error, UnknownName):
         for name, values in swept.items():
             if _holds(values, error.name):
@@ -82,6 +85,25 @@ def line_of(
         for table, key, _ in _keys(tree):
             if word == key:
                 return line(text, table, key)
+    return 0
+
+
+def _line_of_dotted(message: str, text: str, tree: Mapping[str, Any], swept: Mapping[str, Any]) -> int:
+    """Return the line of the key that a message begins with, such as ``forces.wind.force``, else 0."""
+    dotted = re.match(r"\w+(\.\w+)+", message)
+    if dotted is None:
+        return 0
+    table, *keys = dotted[0].split(".")
+    while keys:
+        if ".".join((table, *keys)) in swept:
+            return line(text, "grid", ".".join((table, *keys)))
+        found = tree.get(table)
+        for key in keys:
+            found = found.get(key) if isinstance(found, Mapping) else None
+        at = 0 if found is None else line(text, table, ".".join(keys))
+        if at > line(text, table):  # a row of its own; within a table on one line, that of the table
+            return at
+        keys.pop()
     return 0
 
 

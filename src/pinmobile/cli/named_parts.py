@@ -6,36 +6,38 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
-from pinmobile import (
-    ConstantForce,
-    Delayed,
-    InvalidArgument,
-    NoiseForce,
-    NoisyMeasurement,
-    RollingResistance,
-    Saturated,
-    SinusoidalForce,
-    UnknownName,
-    ViscousFriction,
-)
+from pinmobile import InvalidArgument, UnknownName, controllers, disturbances
 from pinmobile.cli import choices
+from pinmobile.compiled.parts import attributes_of, check_numbers
 from pinmobile.errors import shown
 from pinmobile.sweeps import Code
 
 __all__ = ["FORCES", "STEPS", "WRAPPERS", "Maker", "code_in", "is_code"]
 
-WRAPPERS: Mapping[str, Callable[..., Any]] = {
-    "saturated": Saturated,
-    "delayed": Delayed,
-    "noisy-measurement": NoisyMeasurement,
-}
-FORCES: Mapping[str, Callable[..., Any]] = {
-    "constant": ConstantForce,
-    "sinusoidal": SinusoidalForce,
-    "noise": NoiseForce,
-    "viscous-friction": ViscousFriction,
-    "rolling-resistance": RollingResistance,
-}
+
+def _parameters(make: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:
+    try:
+        return inspect.signature(make).parameters
+    except (ValueError, TypeError):  # as of some that are built in
+        return {"arguments": inspect.Parameter("arguments", inspect.Parameter.VAR_KEYWORD)}
+
+
+def _short(kind: type) -> str:
+    """Return the short name of a class: ``"noisy-measurement"`` of NoisyMeasurement, without Force."""
+    return "-".join(re.findall(r"[A-Z]+(?![a-z])|[A-Z][a-z]+", kind.__name__.removesuffix("Force"))).lower()
+
+
+def _classes(package: Any, wanted: Callable[[type], bool]) -> dict[str, Callable[..., Any]]:
+    """Return the classes of a package that are wanted, by short names; protocols are none."""
+    kinds = [getattr(package, name) for name in package.__all__]
+    real = [kind for kind in kinds if isinstance(kind, type) and not getattr(kind, "_is_protocol", False)]
+    return {_short(kind): kind for kind in real if wanted(kind)}
+
+
+WRAPPERS: Mapping[str, Callable[..., Any]] = _classes(
+    controllers, lambda kind: "controller" in _parameters(kind)
+)
+FORCES: Mapping[str, Callable[..., Any]] = _classes(disturbances, lambda kind: True)
 STEPS: Mapping[str, Callable[..., Any]] = {
     name: partial(lambda step: step, step) for name, step in choices.INTEGRATORS.items()
 }
@@ -121,11 +123,20 @@ class Maker:
         if taken is not None:
             keys = {key: value for key, value in keys.items() if _takes(parameters, key)}
             taken |= set(keys)
-        arguments = {key: self._value(value, beside) for key, value in keys.items()}
+        arguments = {key: self._value(f"{kind}.{key}", value, beside) for key, value in keys.items()}
         more = {key: value for key, value in beside.items() if key in parameters and key not in arguments}
         if first is not None and parameters:
             more = {next(iter(parameters)): first, **more}
-        return self._called(name, make, parameters, {**more, **arguments})
+        try:
+            made = self._called(name, make, parameters, {**more, **arguments})
+        except InvalidArgument as error:
+            if "." in kind and str(error).split(" ")[0] in arguments:  # as one of several parts of a table
+                raise InvalidArgument(f"{kind}.{error}") from error
+            raise
+        for key in attributes_of(made):
+            if key in arguments:
+                check_numbers(f"{kind}.{key}", arguments[key])
+        return made
 
     def _users(self, name: str) -> Any:
         if not _REFERENCE.fullmatch(name):
@@ -150,13 +161,13 @@ class Maker:
         with self.code.errors(f"{name} cannot be made"):
             return make(**arguments)
 
-    def _value(self, value: Any, beside: Mapping[str, Any]) -> Any:
+    def _value(self, kind: str, value: Any, beside: Mapping[str, Any]) -> Any:
         """Return an argument: a table with a type is a part, and others may hold such."""
         if isinstance(value, Mapping):
             if "type" in value:
-                return self.part("part", value, self._library(beside), beside=beside)
-            return {key: self._value(part, beside) for key, part in value.items()}
-        return [self._value(part, beside) for part in value] if isinstance(value, list) else value
+                return self.part(kind, value, self._library(beside), beside=beside)
+            return {key: self._value(f"{kind}.{key}", part, beside) for key, part in value.items()}
+        return [self._value(kind, part, beside) for part in value] if isinstance(value, list) else value
 
     def _library(self, beside: Mapping[str, Any]) -> dict[str, Callable[..., Any]]:
         """Return all parts of the library that a table within a table may name."""
@@ -195,13 +206,6 @@ def _path(name: str, /, **given: Any) -> Any:
 
 def _gain(value: Any) -> Any:
     return tuple(value) if isinstance(value, list) else value
-
-
-def _parameters(make: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:
-    try:
-        return inspect.signature(make).parameters
-    except (ValueError, TypeError):  # as of some that are built in
-        return {"arguments": inspect.Parameter("arguments", inspect.Parameter.VAR_KEYWORD)}
 
 
 def _takes(parameters: Mapping[str, inspect.Parameter], key: str) -> bool:

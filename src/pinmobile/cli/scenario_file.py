@@ -3,12 +3,22 @@
 import re
 import tomllib
 from collections.abc import Collection, Iterator, Mapping
+from contextlib import nullcontext
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
 from pinmobile import Axis, InvalidArgument, PinmobileError, Scenario, UnknownName, grid
-from pinmobile.cli.choices import controller_of, path_of, plant_of, refuse_beside, trajectory_of
+from pinmobile.cli.choices import (
+    OF_PATHS,
+    POINTS,
+    UNITS,
+    controller_of,
+    path_of,
+    plant_of,
+    refuse_beside,
+    trajectory_of,
+)
 from pinmobile.cli.lines import line, line_of, line_of_syntax
 from pinmobile.cli.named_parts import FORCES, STEPS, WRAPPERS, Maker, code_in, is_code
 from pinmobile.cli.spreads import scenario, without_model
@@ -42,10 +52,9 @@ after = 5
 """
 """A file that runs."""
 
-_CURVE = ("duration", "radius", "rate", "rx", "ry", "wx", "wy", "start", "via", "end", "t_via")
 _TABLES: Mapping[str, tuple[str, ...]] = {
     "robot": ("base", "urdf", "ground", "mass", "yaw_inertia", "com"),
-    "trajectory": ("type", *_CURVE, "via_velocity", "heading", "psi", "turn_time"),
+    "trajectory": ("type", *OF_PATHS, "heading", "psi", "turn_time"),
     "controller": ("type", "kp", "kd", "model_mass", "model_yaw_inertia", "model_com"),
     "forces": (),
     "loop": ("dt", "integrator", "substeps"),
@@ -66,25 +75,12 @@ _DEFAULTS = {
     "integrator": "constant-acceleration",
     "substeps": 1,
 }
-_TEXTS = ("start", "via", "end", "via_velocity", "kp", "kd", "com", "model_com")  # as on the command line
+_TEXTS = (*POINTS, "kp", "kd", "com", "model_com")  # as on the command line
 _NAMES = ("base", "urdf", "type", "heading", "integrator")
 _OF_PARTS = ("heading", "integrator")  # they may be tables, too
 _TYPED = ("robot", "trajectory", "controller")  # tables that a type may give keys of its own
 _OWN = ("forces", "spread")  # tables whose keys others know
 _PATH_APART = ("heading", "psi", "turn_time")  # of [trajectory], what is not its path's
-_UNITS = {
-    **{"mass": "kg", "yaw_inertia": "kg m^2", "model_mass": "kg", "model_yaw_inertia": "kg m^2"},
-    **{"radius": "m", "rx": "m", "ry": "m", "rate": "rad/s", "wx": "rad/s", "wy": "rad/s", "psi": "rad"},
-    **{
-        "duration": "s",
-        "t_via": "s",
-        "turn_time": "s",
-        "dt": "s",
-        "after": "s",
-        "ground": "m",
-        "percent": "%",
-    },
-}
 
 
 def read_grid(path: Path, code: Code | None = None) -> Grid:
@@ -112,9 +108,12 @@ def read_grid(path: Path, code: Code | None = None) -> Grid:
         name: _axis(f"{path.name}:{line(text, 'grid', name)}", name, values) for name, values in swept.items()
     }
     try:
-        made = (
-            grid(reader.scenario, **axes) if axes else Grid({"scenario": Axis(["all"])}, [reader.scenario()])
-        )
+        with nullcontext() if code is None else code.errors():
+            made = (
+                grid(reader.scenario, **axes)
+                if axes
+                else Grid({"scenario": Axis(["all"])}, [reader.scenario()])
+            )
         reader.check_all_taken()
         check_draws(made)
     except PinmobileError as error:
@@ -124,7 +123,7 @@ def read_grid(path: Path, code: Code | None = None) -> Grid:
         if isinstance(error, UnknownName):
             message = shortened(error)
         at = line_of(error, message, text, tree, swept)
-        raise InvalidArgument(f"{path.name}{at and ':'}{at or ''}: {message}") from error
+        raise InvalidArgument(f"{path.name}{f':{at}' if at else ''}: {message}") from error
     return _in_units(made)
 
 
@@ -379,8 +378,8 @@ def _put(tree: dict[str, Any], place: list[str], value: Any) -> None:
 def _axis(at: str, name: str, values: list[Any]) -> Axis:
     try:
         if any(isinstance(value, list | dict) for value in values):
-            return Axis({_label(value): value for value in values}, _UNITS.get(name.split(".")[-1], ""))
-        return Axis(values, _UNITS.get(name.split(".")[-1], ""))
+            return Axis({_label(value): value for value in values}, UNITS.get(name.split(".")[-1], ""))
+        return Axis(values, UNITS.get(name.split(".")[-1], ""))
     except InvalidArgument as error:
         raise InvalidArgument(f"{at}: {re.sub('^values', name, str(error))}") from error
 

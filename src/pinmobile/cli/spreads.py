@@ -6,7 +6,8 @@ from typing import Any
 from pinmobile import InvalidArgument, Normal, Same, Scenario, Uniform, UnknownName
 from pinmobile.cli import choices
 from pinmobile.ensembles import PARAMETERS
-from pinmobile.ensembles.names import resolved, with_spread_forces
+from pinmobile.ensembles.names import GROUPS, resolved, with_spread_forces
+from pinmobile.plant import Parameter
 
 __all__ = ["SPREAD_FORMS", "listed", "loop_of", "scenario", "spread_of_words", "without_model"]
 
@@ -14,38 +15,17 @@ SPREAD_FORMS = "uniform:LOW,HIGH normal:MEAN,STD percent:P (of the nominal) same
 _KINDS = ("uniform", "normal", "percent", "same")
 
 
-# What the names of each group begin with; the rest are the robot's.
-_GROUPS = {
-    "the controller's model": ("model_",),
-    "the start, from the trajectory's": ("start_",),
-    "gains, one for all coordinates, of each, or a factor": ("kp", "kd"),
-    "forces on the body, the sinusoidal one with its frequency": (
-        "force_",
-        "moment_",
-        "sine_",
-        "viscous_",
-        "rolling_",
-    ),
-    "in Python alone, with such a force": ("noise_",),
-}
-
-
 def listed() -> str:
-    """Return the names of all that may be spread, in groups, with their units."""
-    groups: dict[str, list[str]] = {title: [] for title in ("the robot", *_GROUPS)}
-    for name in PARAMETERS:
-        found = (title for title, prefixes in _GROUPS.items() if name.startswith(prefixes))
-        groups[next(found, "the robot")].append(name)
-    return "\n".join(f"{title}: {_with_units(names)}" for title, names in groups.items())
+    """Return the names of all that may be spread, by what has them, with their units."""
+    return "\n".join(f"{title}: {_with_units(group)}" for title, group in GROUPS.items())
 
 
-def _with_units(names: Sequence[str]) -> str:
+def _with_units(parameters: Sequence[Parameter]) -> str:
     """Return names, the unit told once for those that follow each other."""
     words = []
-    for name, following in zip(names, (*names[1:], ""), strict=True):
-        unit = PARAMETERS[name].unit
-        last = not following or PARAMETERS[following].unit != unit
-        words.append(f"{name} ({unit})" if last and unit else name)
+    for each, following in zip(parameters, (*parameters[1:], None), strict=True):
+        last = following is None or following.unit != each.unit
+        words.append(f"{each.name} ({each.unit})" if last and each.unit else each.name)
     return ", ".join(words)
 
 

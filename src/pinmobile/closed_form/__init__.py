@@ -15,7 +15,13 @@ from pinmobile.closed_form.dynamics import (
     unchecked_forward_dynamics,
     unchecked_inverse_dynamics,
 )
-from pinmobile.closed_form.terms import coriolis_matrix, mass_matrix, nonlinear_effects
+from pinmobile.closed_form.terms import (
+    coriolis_matrix,
+    mass_matrix,
+    nonlinear_effects,
+    unchecked_coriolis_matrix,
+    unchecked_mass_matrix,
+)
 
 __all__ = [
     "coriolis_matrix",
@@ -23,6 +29,8 @@ __all__ = [
     "inverse_dynamics",
     "mass_matrix",
     "nonlinear_effects",
+    "unchecked_coriolis_matrix",
     "unchecked_forward_dynamics",
     "unchecked_inverse_dynamics",
+    "unchecked_mass_matrix",
 ]

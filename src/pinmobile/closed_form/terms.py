@@ -5,7 +5,13 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite_answer, vector
 from pinmobile.closed_form.body import checked_body, named, quietly, stacked, turned
 
-__all__ = ["coriolis_matrix", "mass_matrix", "nonlinear_effects"]
+__all__ = [
+    "coriolis_matrix",
+    "mass_matrix",
+    "nonlinear_effects",
+    "unchecked_coriolis_matrix",
+    "unchecked_mass_matrix",
+]
 
 
 @quietly
@@ -34,14 +40,27 @@ def mass_matrix(q: ArrayLike, *, mass: ArrayLike, yaw_inertia: ArrayLike, com: A
         If the answer is beyond the numbers that a computer has.
     """
     q = vector("q", q, 3)
-    m, inertia, x, y = body = checked_body(q, mass, yaw_inertia, com)
-    dx, dy = turned(q, x, y)
+    body = checked_body(q, mass, yaw_inertia, com)
+    return finite_answer(unchecked_mass_matrix(q, *body), **named(body))
+
+
+def unchecked_mass_matrix(q: Array, mass: Array, yaw_inertia: Array, com_x: Array, com_y: Array) -> Array:
+    """Return `mass_matrix` without a look at the arguments: for laws that run on symbols or arrays.
+
+    Parameters
+    ----------
+    q : ndarray, shape (..., 3)
+        As in `mass_matrix`.
+    mass, yaw_inertia, com_x, com_y : ndarray, shape (...)
+        As in `mass_matrix`, with the leading axes of q.
+    """
+    dx, dy = turned(q, com_x, com_y)
     M = np.zeros((*dx.shape, 3, 3))
-    M[..., 0, 0] = M[..., 1, 1] = m
-    M[..., 0, 2] = M[..., 2, 0] = -m * dy
-    M[..., 1, 2] = M[..., 2, 1] = m * dx
-    M[..., 2, 2] = m * (dx * dx + dy * dy) + inertia
-    return finite_answer(M, **named(body))
+    M[..., 0, 0] = M[..., 1, 1] = mass
+    M[..., 0, 2] = M[..., 2, 0] = -mass * dy
+    M[..., 1, 2] = M[..., 2, 1] = mass * dx
+    M[..., 2, 2] = mass * (dx * dx + dy * dy) + yaw_inertia
+    return M
 
 
 @quietly
@@ -72,12 +91,25 @@ def coriolis_matrix(q: ArrayLike, v: ArrayLike, *, mass: ArrayLike, com: ArrayLi
     q, v = vector("q", q, 3), vector("v", v, 3)
     broadcast(q=q, v=v)
     m, _, x, y = body = checked_body(q, mass, 1.0, com, v=v)
-    dx, dy = turned(q, x, y)
+    return finite_answer(unchecked_coriolis_matrix(q, v, m, x, y), v=v, **named(body))
+
+
+def unchecked_coriolis_matrix(q: Array, v: Array, mass: Array, com_x: Array, com_y: Array) -> Array:
+    """Return `coriolis_matrix` without a look at the arguments: for laws that run on symbols or arrays.
+
+    Parameters
+    ----------
+    q, v : ndarray, shape (..., 3)
+        As in `coriolis_matrix`.
+    mass, com_x, com_y : ndarray, shape (...)
+        As in `coriolis_matrix`, with the leading axes of q.
+    """
+    dx, dy = turned(q, com_x, com_y)
     rate = v[..., 2]
     C = np.zeros((*np.broadcast_shapes(dx.shape, rate.shape), 3, 3))
-    C[..., 0, 2] = -m * dx * rate
-    C[..., 1, 2] = -m * dy * rate
-    return finite_answer(C, v=v, **named(body))
+    C[..., 0, 2] = -mass * dx * rate
+    C[..., 1, 2] = -mass * dy * rate
+    return C
 
 
 @quietly

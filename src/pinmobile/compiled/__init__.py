@@ -3,7 +3,7 @@
 from pinmobile.compiled.batched import Batched
 from pinmobile.compiled.cache import Cache
 from pinmobile.compiled.emit import BINS, FIRST, SHIFT, Shape
-from pinmobile.compiled.known import program_of
+from pinmobile.compiled.known import memory_of, once, program_of
 from pinmobile.compiled.loop_tape import Loop
 from pinmobile.compiled.machine import Target
 from pinmobile.compiled.memory import Line
@@ -35,6 +35,8 @@ __all__ = [
     "Summary",
     "Target",
     "Trace",
+    "memory_of",
+    "once",
     "one_sample",
     "program_of",
     "robot_keys",

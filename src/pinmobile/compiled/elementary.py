@@ -24,13 +24,12 @@ __all__ = [
     "floor",
     "log",
     "log1p",
-    "log_of_normal",
     "of_floats",
+    "polynomial",
     "power",
     "rounded",
     "sin",
     "sincos",
-    "sincos_of_half_turns",
     "sinh",
     "tan",
     "tanh",
@@ -80,17 +79,7 @@ def sincos(x: Any) -> tuple[Any, Any]:
     """Return sine and cosine: reduced to |r| <= pi/2, then Taylor's series to less than 2e-17."""
     shifted = x * _PER_PI + _ROUNDER
     k = shifted - _ROUNDER
-    return _reduced(shifted, ((x - k * _PI1) - k * _PI2) - k * _PI3)
-
-
-def sincos_of_half_turns(w: Any) -> tuple[Any, Any]:
-    """Return sine and cosine of pi w, which has nothing to lose when it is reduced."""
-    shifted = w + _ROUNDER
-    return _reduced(shifted, (w - (shifted - _ROUNDER)) * math.pi)
-
-
-def _reduced(shifted: Any, r: Any) -> tuple[Any, Any]:
-    """Return sine and cosine of an angle r that was reduced by half turns; `shifted` has their number."""
+    r = ((x - k * _PI1) - k * _PI2) - k * _PI3
     # The last bit of k, which says whether both change their sign, becomes the bit of the sign.
     flip = bits(shifted) << 63
     z = r * r
@@ -114,7 +103,7 @@ def tan(x: Any) -> Any:
     return s / c
 
 
-def _polynomial(c: Sequence[float], z: Any) -> Any:
+def polynomial(c: Sequence[float], z: Any) -> Any:
     """Return c[0] + c[1] z + ... by Estrin's scheme: four at a time."""
     z2 = z * z
     z4 = z2 * z2
@@ -150,12 +139,12 @@ def _exp_inside(inside: Any) -> Any:
     r = (inside - k * _LN2_HIGH) - k * _LN2_LOW
     # 2^1024 is no float: half of the power, and the rest by a product.
     power_of_two = real((bits(shifted) + 1022) << 52)
-    return (_polynomial(_TAYLOR[:14], r) * power_of_two) * 2.0
+    return (polynomial(_TAYLOR[:14], r) * power_of_two) * 2.0
 
 
 def expm1(x: Any) -> Any:
     """Return exp(x) - 1, accurate about zero too."""
-    return select(absolute(x) < 0.35, x * _polynomial(_TAYLOR[1:], x), exp(x) - 1.0)
+    return select(absolute(x) < 0.35, x * polynomial(_TAYLOR[1:], x), exp(x) - 1.0)
 
 
 def sinh(x: Any) -> Any:
@@ -208,14 +197,14 @@ _LOG = (
 def log(x: Any) -> Any:
     """Return the natural logarithm; minus infinity at 0, and what is no number below."""
     tiny = x < 2.0**-1022  # its exponent is not that of its bits
-    found = log_of_normal(
+    found = _log_of_normal(
         select(tiny, x * 2.0**54, x), select(tiny, 2.0**52 + 1023.0 + 54.0, 2.0**52 + 1023.0)
     )
     found = select(x == 0.0, -math.inf, select(x > 0.0, found, math.nan))
     return select(x == math.inf, math.inf, found)
 
 
-def log_of_normal(x: Any, shift: Any = 2.0**52 + 1023.0) -> Any:
+def _log_of_normal(x: Any, shift: Any = 2.0**52 + 1023.0) -> Any:
     """Return the natural logarithm of a normal number above 0, its exponent counted from `shift`."""
     word = bits(x)
     fraction = real((word & _TOP) | _ONE)
@@ -228,7 +217,7 @@ def log_of_normal(x: Any, shift: Any = 2.0**52 + 1023.0) -> Any:
     f = fraction - 1.0
     s = f / (2.0 + f)
     z = s * s
-    rest = z * _polynomial(_LOG, z)
+    rest = z * polynomial(_LOG, z)
     half = (0.5 * f) * f
     return exponent * _LN2_HIGH - ((half - (s * (half + rest) + exponent * _LN2_LOW)) - f)
 
@@ -264,7 +253,7 @@ def _angle(y: Any, x: Any) -> Any:
     nothing = bottom == 0.0
     t = select(nothing, 0.0, top) / select(nothing, 1.0, bottom)
     z = t * t
-    series = t + (t * z) * (_polynomial(_ARCTAN_P, z) / _polynomial(_ARCTAN_Q, z))
+    series = t + (t * z) * (polynomial(_ARCTAN_P, z) / polynomial(_ARCTAN_Q, z))
     rest = select(steep, 6.123233995736765886130e-17, select(middle, 3.061616997868382943065e-17, 0.0))
     return select(steep, math.pi / 2, select(middle, math.pi / 4, 0.0)) + (series + rest)
 

@@ -156,6 +156,9 @@ class _Code:
             base = "%uniforms" if name == "uniform" else "%at"
             place = self.put(region, f"getelementptr double, ptr {base}, i64 {operation[1]}")
             return [self.put(region, f"load double, ptr {place}, align 8")]
+        if name == "track":
+            first = self.loop.outputs_kept + operation[1]
+            return [self.load("%keep", first * self.shape.width, u, region, kind) for u in self.vectors()]
         if name in ("row", "key"):
             first = self.vector_rows + operation[1] + (self.loop.rows if name == "key" else 0)
             return [self.load("%block", first * self.shape.width, u, region, kind) for u in self.vectors()]
@@ -248,7 +251,7 @@ def text_of(loop: Loop, shape: Shape) -> str:
     kept)`` runs the blocks from `begin` to before `end` of an array (blocks, rows, width): states, rows and
     keys of the robots. A row of `samples` has t, the reference and what is tabled. The n robots' sizes are
     counted every so many samples in `counts`, (times, sizes, BINS); what is kept of each sample stands in
-    `kept`, (blocks, samples, numbers, width).
+    `kept`, (blocks, samples, numbers, width), and behind it the robots' references where each has its own.
     """
     code = _Code(loop, shape)
     for j, (now, _) in enumerate(loop.states):
@@ -309,7 +312,7 @@ def _function(code: _Code, following: list[list[str]]) -> list[str]:
     loop, shape = code.loop, code.shape
     width, whole, align = shape.width, code.type("f"), 8 * shape.lanes
     rows = len(loop.states) + loop.rows + len(loop.keys)
-    kept = sum(len(nodes) for _, nodes in loop.kept.values())
+    kept = loop.outputs_kept + loop.tracks
     begun, carried, ended = [], [], []
     for j in range(len(loop.states)):
         for u in code.vectors():

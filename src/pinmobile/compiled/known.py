@@ -2,13 +2,17 @@
 
 A program belongs to the form of its parts: their classes, what their parameters' shapes are, and the values
 of all else that they hold. Whether the code still is what it was, with the globals and closures that it
-refers to, is looked at each time, which takes some microseconds.
+refers to, is looked at each time, which takes some microseconds. What else follows from a loop of constant
+parts is remembered with them for as long as the code stays.
 """
 
+import contextlib
 import functools
 import threading
+import weakref
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from operator import is_, itemgetter
 from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
 from typing import Any
 
@@ -23,15 +27,22 @@ from pinmobile.compiled.parts import Parts, Place, Reference, attributes_of
 from pinmobile.compiled.passes import traced
 from pinmobile.compiled.program import Program
 from pinmobile.compiled.tracing import Walk, is_foreign
+from pinmobile.constancy import is_constant, known
+from pinmobile.errors import NotTraceable
 
-__all__ = ["program_of"]
+__all__ = ["memory_of", "once", "program_of"]
 
-_MOST = 64
+_MOST = 64  # programs
+_MEMORIES = 16  # loops, each with a reference of at most some MB
+_THINGS = 64  # that are remembered of one
 _DEEP = 24
 _lock = threading.Lock()
 _known: "OrderedDict[Any, tuple[_Witness, Program]]" = OrderedDict()
+_memories: "OrderedDict[Any, tuple[_Witness, dict[Any, Any]]]" = OrderedDict()
 
 _BY_IDENTITY = (FunctionType, BuiltinFunctionType, ModuleType, type, np.ufunc, np.dtype)
+_NUMBERS = frozenset((bool, int, float, complex))
+_CODE = (FunctionType, BuiltinFunctionType, ModuleType, type, property)
 _BY_VALUE = (bool, int, float, complex, str, bytes, np.generic)
 
 
@@ -48,12 +59,13 @@ def program_of(
     dt: float,
     spread: Iterable[Place] = (),
     single: bool = False,
+    own_reference: bool = False,
 ) -> Program:
     """Return the program of a loop: one that is known, else a new one.
 
     Parameters
     ----------
-    parts, context, start, reference, dt, spread
+    parts, context, start, reference, dt, spread, own_reference
         As in `traced`.
     single : bool
         Whether it is for one robot.
@@ -68,27 +80,87 @@ def program_of(
     spread = frozenset(Place(*name) for name in spread)
     own = parts.on_symbols()
     try:
-        key: Any = _key(own, context, reference, spread, single)
+        key: Any = (*_key(own, context, reference, spread, single), own_reference)
     except _Unknown:
         key = None
     if key is not None:
-        with _lock:
-            found = _known.get(key)
-        if found is not None and found[0].holds():
-            return found[1]
-    loop = traced(own, context, start, reference, dt=dt, spread=spread)
+        found: Program | None = _held(_known, key)
+        if found is not None:
+            return found
+    loop = traced(own, context, start, reference, dt=dt, spread=spread, own_reference=own_reference)
     program = Program(loop, single=single, cache=Cache())
     if key is not None:
-        try:
-            witness = _Witness(own)
-        except _Unknown:
-            return program
-        with _lock:
-            _known[key] = witness, program
-            _known.move_to_end(key)
-            while len(_known) > _MOST:
-                _known.popitem(last=False)
+        _hold(_known, key, own, program)
     return program
+
+
+def memory_of(parts: Parts, *others: Any) -> dict[Any, Any]:
+    """Return where what follows from the parts of a loop is remembered; of parts that may change, nowhere.
+
+    It is empty at first, and again after anything changed that the parts' code refers to.
+
+    Parameters
+    ----------
+    parts : Parts
+        The loop.
+    *others
+        What else it follows from, such as the trajectory.
+    """
+    each = (*(part for _, part in parts.by_path()), *others)
+    entries = [known(part) for part in each]
+    numbers = [entry.number for entry in entries if entry is not None]
+    if len(numbers) < len(each):
+        return {}
+    key = len(parts.forces), parts.integrator is None, *numbers
+    found: dict[Any, Any] | None = _held(_memories, key)
+    if found is not None:
+        if len(found) > _THINGS:
+            found.clear()
+        return found
+    try:
+        own = parts.on_symbols()
+    except NotTraceable:
+        return {}
+    made: dict[Any, Any] = {}
+    _hold(_memories, key, own, made, _MEMORIES, others)
+    return made
+
+
+def once(memory: dict[Any, Any], what: Any, make: Callable[[], Any]) -> Any:
+    """Return what a memory has of something, which is made where it has nothing."""
+    found = memory.get(what)
+    if found is None:
+        found = memory[what] = make()
+    return found
+
+
+def _held(table: "OrderedDict[Any, tuple[_Witness, Any]]", key: Any) -> Any:
+    """Return what a table has of a key; None where it has nothing, or the code is not what it was."""
+    with _lock:
+        found = table.get(key)
+        if found is not None:
+            table.move_to_end(key)
+    return found[1] if found is not None and found[0].holds() else None
+
+
+def _hold(
+    table: "OrderedDict[Any, tuple[_Witness, Any]]",
+    key: Any,
+    own: Parts,
+    value: Any,
+    most: int = _MOST,
+    others: Any = (),
+) -> None:
+    """Keep a value in a table, where all can be told that it hangs on."""
+    try:
+        witness = _Witness((*(part for _, part in own.by_path()), *others))
+    except _Unknown:
+        return
+    with _lock:
+        table[key] = witness, value
+        table.move_to_end(key)
+        while len(table) > most:
+            table.popitem(last=False)
 
 
 def _key(parts: Parts, context: Any, reference: Reference, spread: frozenset[Place], single: bool) -> Any:
@@ -101,17 +173,31 @@ def _key(parts: Parts, context: Any, reference: Reference, spread: frozenset[Pla
     shapes = tuple(np.shape(x) for x in reference)
     memory = initial_memory(parts, context, shapes[1][-1], normal=noise)
     form = _form(memory, parts.plant)
-    forms = tuple((path, _form(part)) for path, part in parts.by_path())
+    forms = tuple((path, _part_form(part)) for path, part in parts.by_path())
     return forms, parts.substeps, form, tuple(names), shapes, spread, single
 
 
-def _form(x: Any, leaves: Any = None, depth: int = 0) -> Any:
+def _part_form(part: Any) -> Any:
+    own = known(part)
+    if own is None:
+        return _form(part)
+    if "form" not in own.memory:
+        own.memory["form"] = _form(part)
+    return own.memory["form"]
+
+
+def _form(x: Any, leaves: Any = None, depth: int = 0, constant: bool = False) -> Any:
     """Return what makes a value another one, as something that can be compared and hashed.
 
-    Of parameters of parts that is their shape; where `leaves` is not None, it is so for all numbers.
+    Of parameters of parts that is their shape, unless they are `constant`, as of a part that a law reaches as
+    a global; where `leaves` is not None, it is so for all numbers.
     """
+    if type(x) in _NUMBERS:  # the most
+        return type(x) if leaves is not None else (type(x), x)
     if depth > _DEEP:
         raise _Unknown
+    if isinstance(x, FunctionType) and (own := known(x)) is not None:
+        return FunctionType, own.number  # the function itself would keep what it closes over
     if x is None or isinstance(x, _BY_IDENTITY):
         return x
     if isinstance(x, _BY_VALUE):
@@ -121,64 +207,106 @@ def _form(x: Any, leaves: Any = None, depth: int = 0) -> Any:
             raise _Unknown
         return x.shape, x.dtype.str, None if leaves is not None else x.tobytes()
     if isinstance(x, list | tuple):
-        return type(x), tuple(_form(each, leaves, depth + 1) for each in x)
+        return type(x), tuple(_form(each, leaves, depth + 1, constant) for each in x)
     if isinstance(x, dict):
-        return type(x), tuple((_form(k, None, depth + 1), _form(v, leaves, depth + 1)) for k, v in x.items())
+        return type(x), tuple(
+            (_form(k, None, depth + 1, constant), _form(v, leaves, depth + 1, constant)) for k, v in x.items()
+        )
     if isinstance(x, set | frozenset):
-        return type(x), frozenset(_form(each, None, depth + 1) for each in x)
+        return type(x), frozenset(_form(each, None, depth + 1, constant) for each in x)
     if isinstance(x, MethodType):
         # In a memory it is the plant's `difference`, whose form is known by another way.
-        return x.__func__, None if x.__self__ is leaves else _form(x.__self__, None, depth + 1)
+        return x.__func__, None if x.__self__ is leaves else _form(x.__self__, None, depth + 1, constant)
     if isinstance(x, functools.partial):
-        return x.func, _form((x.args, x.keywords), None, depth + 1)
+        return _form((x.func, x.args, x.keywords), None, depth + 1, constant)
     if isinstance(x, Line):
         return Line, x.samples
     if isinstance(x, Noise):
         return Noise, x.n
-    return _object_form(x, leaves, depth)
+    return _object_form(x, leaves, depth, constant)
 
 
-def _object_form(x: Any, leaves: Any, depth: int) -> Any:
+def _object_form(x: Any, leaves: Any, depth: int, constant: bool) -> Any:
     if is_foreign(type(x).__module__) and not type(x).__module__.startswith("pinmobile"):
         raise _Unknown
     attributes = getattr(x, "__dict__", None)  # some answer to any name with something
     if not isinstance(attributes, dict):
         raise _Unknown
-    stated = attributes_of(x)
+    if constant and hasattr(type(x), "traced"):
+        return type(x), id(x), *_model_form(x, attributes, depth)
+    stated = () if constant else attributes_of(x)
     kept = (
-        (name, np.shape(value) if name in stated else _form(value, leaves, depth + 1))
+        (name, np.shape(value) if name in stated else _form(value, leaves, depth + 1, constant))
         for name, value in attributes.items()
         if not isinstance(getattr(type(x), name, None), functools.cached_property)
     )
     return type(x), tuple(kept)
 
 
-class _Witness:
-    """What code refers to, as it was when a loop was traced."""
+def _model_form(x: Any, attributes: dict[str, Any], depth: int) -> Any:
+    """Yield the numbers of a model that a law reaches as a global; what is not known of it stays as it is."""
+    with contextlib.suppress(NotTraceable):  # as with arms: then its law is asked nothing
+        yield _form(x.traced(), None, depth + 1, True)
+    for name, value in attributes.items():
+        with contextlib.suppress(_Unknown):
+            yield name, _form(value, None, depth + 1, True)
 
-    def __init__(self, parts: Parts) -> None:
-        walk = Walk(part for _, part in parts.by_path())
-        self._kept = walk.seen  # so that no other object gets one of their places in memory
-        self._names = [(mapping, name, mapping[name]) for mapping, name in walk.names.values()]
-        self._cells = [(cell, cell.cell_contents) for cell in walk.cells.values()]
-        values = [*(value for _, _, value in self._names), *(value for _, value in self._cells)]
-        self._forms = [(value, _form(value)) for value in values if _can_change(value)]
+
+class _Witness:
+    """What code refers to, as it was when a loop was traced. It keeps no part of the loop alive."""
+
+    def __init__(self, things: Iterable[Any]) -> None:
+        walk = Walk(things)
+        names = [(mapping, name, mapping[name]) for mapping, name in walk.names.values()]
+        values = [value for _, _, value in names] + [cell.cell_contents for cell in walk.cells.values()]
+        self._gone: list[Any] = []  # what has died cannot be what a name stands for
+        code = [each for each in names if isinstance(each[2], _CODE)]
+        self._code = [
+            (mapping, itemgetter(*chosen, *chosen[:1]), [*map(mapping.__getitem__, chosen)])
+            for mapping, chosen in _by_mapping(code)
+        ]
+        others = [each for each in names if not isinstance(each[2], _CODE)]
+        self._names = [(mapping, name, self._referred(value)) for mapping, name, value in others]
+        # By its function, since a cell itself would keep what is in it.
+        self._cells = [
+            (self._referred(function), place, self._referred(walk.cells[cell].cell_contents))
+            for cell, (function, place) in walk.closures.items()
+        ]
+        self._forms = [
+            (self._referred(value), _form(value, constant=True)) for value in values if _can_change(value)
+        ]
+
+    def _referred(self, value: Any) -> Callable[[], Any]:
+        """Return what returns a value, without keeping it alive where that can be helped."""
+        try:
+            return weakref.ref(value, self._gone.append)
+        except TypeError:
+            return lambda: value
 
     def holds(self) -> bool:
         """Tell whether all that is as it was."""
         try:
-            return (
-                all(mapping.get(name) is value for mapping, name, value in self._names)
-                and all(cell.cell_contents is value for cell, value in self._cells)
-                and all(_form(value) == form for value, form in self._forms)
+            return not self._gone and (
+                all(all(map(is_, found(mapping), values)) for mapping, found, values in self._code)
+                and all([mapping[name] is value() for mapping, name, value in self._names])
+                and all([f().__closure__[i].cell_contents is value() for f, i, value in self._cells])
+                and all([_form(value(), constant=True) == form for value, form in self._forms])
             )
-        except (_Unknown, ValueError):
+        except (_Unknown, AttributeError, KeyError, ValueError):
             return False
+
+
+def _by_mapping(names: Iterable[tuple[Any, str, Any]]) -> list[tuple[Any, list[str]]]:
+    """Return the names of each mapping."""
+    found: dict[int, tuple[Any, list[str]]] = {}
+    for mapping, name, _ in names:
+        found.setdefault(id(mapping), (mapping, []))[1].append(name)
+    return list(found.values())
 
 
 def _can_change(x: Any) -> bool:
     fixed = (*_BY_IDENTITY, *_BY_VALUE, property, staticmethod, classmethod, functools.cached_property)
-    if x is None or isinstance(x, fixed) or hasattr(type(x), "__get__"):
+    if x is None or isinstance(x, fixed) or hasattr(type(x), "__get__") or is_constant(x):
         return False
     # Marks of typing and the like.
     return not (is_foreign(type(x).__module__) and not isinstance(x, list | dict | set | tuple | np.ndarray))

@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -82,6 +82,10 @@ class Loop:
         nq, nv, nu, and the numbers of the reference's q and v.
     unused : list of Place
         Those that no law uses: a spread of one would do nothing.
+    tracks : int
+        How many numbers the reference of a sample has, where each robot has its own; 0: all have the same.
+    units : dict of str to str
+        Of the signals among what is kept, by name.
     """
 
     tape: Tape
@@ -96,6 +100,13 @@ class Loop:
     kept: dict[str, tuple[tuple[int, ...], list[int]]]
     sizes: tuple[int, int, int, int, int]
     unused: list[Place]
+    tracks: int = 0
+    units: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def outputs_kept(self) -> int:
+        """How many numbers are kept of each sample."""
+        return sum(len(nodes) for _, nodes in self.kept.values())
 
     @functools.cached_property
     def tabled(self) -> list[int]:
@@ -115,6 +126,11 @@ class Loop:
         ]
         saved = len(shared & set(needed(tape, found)))
         return found if saved > _WORTH_A_TABLE + 2 * len(found) else []
+
+    @functools.cached_property
+    def own(self) -> int:
+        """How many operations each robot has of its own at a sample: what is tabled is done once for all."""
+        return sum(bool(self.tape.depends[i] & (ROBOT | STATE)) for i in needed(self.tape, self.outputs))
 
     @property
     def columns(self) -> int:

@@ -7,7 +7,6 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import version
 from typing import Any
 
 from pinmobile.compiled.cache import Cache
@@ -56,7 +55,9 @@ class Target:
 
     def key(self, text: str) -> str:
         """Return what names the object of a text: the text, the processor, and who builds."""
-        made_by = version("llvmlite"), _llvm().get_default_triple()
+        import llvmlite
+
+        made_by = llvmlite.__version__, _llvm().get_default_triple()
         words = "\0".join((text, self.processor, self.features, *made_by))
         return hashlib.sha256(words.encode()).hexdigest()
 

@@ -15,12 +15,13 @@ from pinmobile.compiled.symbols import Symbols
 from pinmobile.compiled.tape import Node
 from pinmobile.errors import NotTraceable
 
-__all__ = ["Line", "leaves", "mapped", "matched"]
+__all__ = ["Line", "is_leaf", "leaves", "mapped", "matched"]
 
 _STATE = "keep memory in state as floats and arrays, in a tree that stays as `initial_state` returns it"
 
 
-def _is_leaf(x: Any) -> bool:
+def is_leaf(x: Any) -> bool:
+    """Tell whether a value is a number, an array of numbers, or a symbol."""
     numeric = isinstance(x, np.ndarray) and (x.dtype.kind in "fiub" or x.dtype == object)
     return numeric or isinstance(x, Symbols | Node | bool | int | float | np.number | np.bool_)
 
@@ -38,14 +39,14 @@ def _children(tree: Any) -> Iterator[tuple[str, Any]] | None:
 
 def leaves(tree: Any, path: str = "state") -> list[tuple[str, Any]]:
     """Return the numbers and arrays of a tree, each with its path."""
-    if _is_leaf(tree):
+    if is_leaf(tree):
         return [(path, tree)]
     return [leaf for name, value in _children(tree) or () for leaf in leaves(value, path + name)]
 
 
 def mapped(tree: Any, function: Callable[[Any], Any]) -> Any:
     """Return the tree with a function of its numbers and arrays in their place."""
-    if _is_leaf(tree):
+    if is_leaf(tree):
         return function(tree)
     if isinstance(tree, dict):
         return {key: mapped(value, function) for key, value in tree.items()}
@@ -69,11 +70,11 @@ def matched(before: Any, after: Any, path: str = "state") -> Iterator[tuple[str,
     NotTraceable
         If the trees differ in anything else.
     """
-    if _is_leaf(before) and _is_leaf(after):
+    if is_leaf(before) and is_leaf(after):
         yield path, before, after
         return
     old, new = _children(before), _children(after)
-    if old is None or new is None or _is_leaf(before) or _is_leaf(after):
+    if old is None or new is None or is_leaf(before) or is_leaf(after):
         if not _same(before, after):
             raise NotTraceable(f"{path} was {_told(before)} and is {_told(after)} a sample later", _STATE)
         return
@@ -95,7 +96,7 @@ def _same(a: Any, b: Any) -> bool:
 
 
 def _told(x: Any) -> str:
-    return f"an array of shape {np.shape(x)}" if _is_leaf(x) else repr(x) if x is None else type(x).__name__
+    return f"an array of shape {np.shape(x)}" if is_leaf(x) else repr(x) if x is None else type(x).__name__
 
 
 class Line:

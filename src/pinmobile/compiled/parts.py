@@ -3,20 +3,21 @@
 `one_sample` runs on numbers as on symbols: it is what the compiled loop repeats.
 """
 
-import copy
-import dataclasses
-import functools
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MethodType
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, are_real
+from pinmobile.compiled.copies import copied, is_part, made_again
 from pinmobile.compiled.memory import mapped
 from pinmobile.compiled.recorders import Record, Sample
+from pinmobile.compiled.symbols import entries, has_symbols
+from pinmobile.constancy import known
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
+from pinmobile.signals import claimed, number, signals_of
 
 __all__ = [
     "Memory",
@@ -25,12 +26,17 @@ __all__ = [
     "Reference",
     "Stepped",
     "attributes_of",
+    "check_numbers",
     "children",
+    "children_at",
     "errors",
     "integrate_of",
     "limited",
     "one_sample",
 ]
+
+
+_NAMED = ("plant", "controller", "integrator", "recorder", "trajectory")
 
 
 class Reference(NamedTuple):
@@ -81,6 +87,8 @@ class Parts:
         ``on_coordinates(t, q, v)``, which returns a force on the coordinates.
     substeps : int
         Steps of the plant in a sample.
+    trajectory : trajectory, optional
+        What the reference is sampled from; it is made again, not traced, where a parameter of it differs.
     """
 
     plant: Any
@@ -89,50 +97,57 @@ class Parts:
     integrator: Any = None
     recorder: Any = None
     substeps: int = 1
+    trajectory: Any = None
 
     def by_path(self) -> Iterator[tuple[str, Any]]:
         """Return the parts, each with its path."""
-        for name in ("plant", "controller", "integrator", "recorder"):
+        for name in _NAMED:
             if getattr(self, name) is not None:
                 yield name, getattr(self, name)
         yield from ((f"forces[{i}]", force) for i, force in enumerate(self.forces))
 
-    def at(self, path: str) -> Any:
-        """Return the part that stands at a path, such as ``"controller.robot"``."""
+    def on_the_way(self, path: str) -> Iterator[tuple[str, Any]]:
+        """Yield the parts that stand on the way to a path, the outermost first, each with its own path."""
         first, *names = path.split(".")
         found = dict(self.by_path())[first]
+        yield first, found
         for name in names:
-            found = dict(children(found))[name]
+            found, first = dict(children(found))[name], f"{first}.{name}"
+            yield first, found
+
+    def at(self, path: str) -> Any:
+        """Return the part that stands at a path, such as ``"controller.robot"``."""
+        *_, (_, found) = self.on_the_way(path)
         return found
 
     def replaced(self, function: Callable[[str, Any], Any]) -> "Parts":
         """Return the parts with a function of path and part in their place."""
         new = {path: function(path, part) for path, part in self.by_path()}
         forces = tuple(new[f"forces[{i}]"] for i in range(len(self.forces)))
-        named = {name: new.get(name) for name in ("plant", "controller", "integrator", "recorder")}
+        named = {name: new.get(name) for name in _NAMED}
         return Parts(**named, forces=forces, substeps=self.substeps)
 
     def _rebuilt(self, function: Callable[[str, Any, Mapping[str, Any]], Any]) -> "Parts":
         """Return the parts with a function of path, part and changed inner parts in the place of each."""
 
         def visit(path: str, part: Any) -> Any:
-            inner = {name: (child, visit(f"{path}.{name}", child)) for name, child in children(part)}
+            inner = {name: (child, visit(f"{path}.{name}", child)) for name, child in children_at(path, part)}
             return function(path, part, {name: new for name, (old, new) in inner.items() if new is not old})
 
         return self.replaced(visit)
 
-    def varying(self, entries: Iterable[tuple[Place, int | None]]) -> "Parts":
+    def varying(self, entries: Iterable[tuple[Place, Any]]) -> "Parts":
         """Return the parts, told what differs from robot to robot, if they want to know.
 
         One with ``varying(entries)`` is called with attributes and entries of its parameters, none where it
         has nothing that differs, and returns itself for that: it may leave out what else is zero.
         """
-        found: dict[str, list[tuple[str, int | None]]] = {}
+        found: dict[str, list[tuple[str, Any]]] = {}
         for place, entry in entries:
             found.setdefault(place.path, []).append((place.name, entry))
 
         def own(path: str, part: Any, changed: Mapping[str, Any]) -> Any:
-            new = _copied(part, {}, changed) if changed else part
+            new = copied(part, {}, changed) if changed else part
             return new.varying(found.get(path, ())) if hasattr(new, "varying") else new
 
         return self._rebuilt(own)
@@ -142,12 +157,14 @@ class Parts:
 
         That is ``traced()`` of a part whose own law is not NumPy.
         """
-        return self.replaced(lambda _, part: _on_symbols(part))
+        return self.replaced(lambda path, part: part if path == "trajectory" else _on_symbols(part))
 
     def on_arrays(self) -> "Parts":
         """Return the parts as `on_symbols` does; those that cannot be traced, as they are."""
 
         def own(path: str, part: Any) -> Any:
+            if path == "trajectory":
+                return part
             try:
                 return _on_symbols(part)
             except NotTraceable:
@@ -157,18 +174,11 @@ class Parts:
 
     def parameters(self) -> dict[Place, Array]:
         """Return the values of all parameters, those of parts within parts included."""
-        found: dict[Place, Array] = {}
-
-        def visit(path: str, part: Any) -> Any:
-            for name in attributes_of(part):
-                found[Place(path, name)] = _value(path, part, name)
-            for name, child in children(part):
-                visit(f"{path}.{name}", child)
-            return part
-
-        for path, part in self.by_path():
-            visit(path, part)
-        return found
+        return {
+            Place(path + inner, name): value
+            for path, part in self.by_path()
+            for inner, name, value in _parameters(path, part)
+        }
 
     def with_parameters(self, values: Mapping[Place, Any], *, remade: bool = False) -> "Parts":
         """Return copies of the parts with other values of their parameters.
@@ -178,8 +188,9 @@ class Parts:
         values : mapping of Place to array
             What takes their place, whatever its shape.
         remade : bool
-            Whether parts are made again, which check themselves and derive what follows from the values: by
-            ``with_parameters(**values)`` of those that have it, by `dataclasses.replace` of dataclasses.
+            Whether parts are made again, and those that hold them, which check themselves and derive what
+            follows from the values: by ``with_parameters(**values)`` of those that have it, by
+            `dataclasses.replace` of dataclasses, by their class of others.
 
         Raises
         ------
@@ -190,9 +201,9 @@ class Parts:
 
         def own(path: str, part: Any, changed: Mapping[str, Any]) -> Any:
             mine = {name: left.pop(Place(path, name)) for name in attributes_of(part) if (path, name) in left}
-            if remade and mine:
-                return _remade(_copied(part, {}, changed), mine)
-            return _copied(part, mine, changed) if mine or changed else part
+            if not (mine or changed):
+                return part
+            return (made_again if remade else copied)(part, mine, changed)
 
         new = self._rebuilt(own)
         for parameter in left:
@@ -201,35 +212,79 @@ class Parts:
         return new
 
 
+def _parameters(path: str, part: Any) -> Sequence[tuple[str, str, Array]]:
+    """Return path within a part, name and value of its parameters and of those of parts within it."""
+    own, stated = known(part), getattr(type(part), "parameters", None)
+    name_of_memory = "parameters", path.startswith("trajectory")
+    if own is not None and own.memory.get(name_of_memory, (own,))[0] is stated:
+        return own.memory[name_of_memory][1]  # type: ignore[no-any-return]
+    found = [("", name, _value(path, part, name)) for name in attributes_of(part)]
+    for child, inner in children_at(path, part):
+        found += [
+            (f".{child}{below}", name, value) for below, name, value in _parameters(f"{path}.{child}", inner)
+        ]
+    if own is not None:
+        own.memory[name_of_memory] = stated, found
+    return found
+
+
 def _on_symbols(part: Any) -> Any:
     if hasattr(part, "traced"):
         return part.traced()
 
-    def own(child: Any) -> Any:
+    def symbolic(child: Any) -> Any:
         try:
             return _on_symbols(child)
         except NotTraceable:
             return child  # a law that asks it says so itself
 
-    inner = {name: (child, own(child)) for name, child in children(part)}
+    inner = {name: (child, symbolic(child)) for name, child in children(part)}
     changed = {name: new for name, (old, new) in inner.items() if new is not old}
-    return _copied(part, {}, changed) if changed else part
+    if not changed:
+        return part
+    own = known(part)
+    before = own and own.memory.get("copied")
+    if (
+        before
+        and list(before[0]) == list(changed)
+        and all(before[0][name] is changed[name] for name in changed)
+    ):
+        return before[1]
+    made = copied(part, {}, changed)
+    if own is not None:
+        own.memory["copied"] = changed, made
+    return made
 
 
-def children(part: Any) -> Iterator[tuple[str, Any]]:
+def children(part: Any) -> Sequence[tuple[str, Any]]:
     """Return the parts that a part holds: as attributes, in lists, and behind methods, by name."""
+    own = known(part)
+    if own is None:
+        return list(_children(part))
+    if "children" not in own.memory:
+        own.memory["children"] = list(_children(part))
+    return own.memory["children"]  # type: ignore[no-any-return]
+
+
+def _children(part: Any) -> Iterator[tuple[str, Any]]:
     for name, value in getattr(part, "__dict__", {}).items():
         if isinstance(value, list | tuple):
-            yield from ((f"{name}[{i}]", each) for i, each in enumerate(value) if _is_part(each))
+            yield from ((f"{name}[{i}]", each) for i, each in enumerate(value) if is_part(each))
         elif isinstance(value, MethodType):
-            if value.__self__ is not part and _is_part(value.__self__):
+            if value.__self__ is not part and is_part(value.__self__):
                 yield name, value.__self__
-        elif _is_part(value):
+        elif is_part(value):
             yield name, value
 
 
-def _is_part(x: Any) -> bool:
-    return (hasattr(x, "parameters") or hasattr(x, "initial_state")) and not isinstance(x, type)
+def children_at(path: str, part: Any) -> Iterator[tuple[str, Any]]:
+    """Return the parts that a part at a path holds and whose parameters are the loop's.
+
+    A trajectory may know a robot, whose limits it keeps; nothing follows from that robot's parameters.
+    """
+    for name, child in children(part):
+        if not (path.startswith("trajectory") and hasattr(child, "forward_dynamics")):
+            yield name, child
 
 
 def attributes_of(part: Any) -> tuple[str, ...]:
@@ -253,42 +308,22 @@ def _value(path: str, part: Any, name: str) -> Array:
             f"{path}, a {type(part).__name__}, states the parameter {name!r} and has no such attribute"
         ) from None
     except (TypeError, ValueError):
-        value = getattr(part, name)
-        raise InvalidArgument(f"{path}.{name} is {value!r}, expected a number or an array") from None
+        check_numbers(f"{path}.{name}", getattr(part, name))
+        raise
 
 
-def _remade(part: Any, values: Mapping[str, Any]) -> Any:
-    if hasattr(part, "with_parameters"):
-        return part.with_parameters(**values)
-    if dataclasses.is_dataclass(part) and not isinstance(part, type):
-        return dataclasses.replace(part, **values)
-    return _copied(part, values, {})
+def check_numbers(name: str, value: Any) -> None:
+    """Refuse the value of a parameter that is no number and no array of numbers.
 
-
-def _copied(part: Any, values: Mapping[str, Any], parts: Mapping[str, Any]) -> Any:
-    """Return a copy of a part with other values of attributes, and other parts in it."""
-    new = copy.copy(part)
-    for each in type(part).__mro__:
-        for name, attribute in vars(each).items():
-            if isinstance(attribute, functools.cached_property):
-                new.__dict__.pop(name, None)  # it belongs to the old values
-    set_ = dict(values)
-    for name, value in getattr(part, "__dict__", {}).items():
-        if isinstance(value, list | tuple) and any(f"{name}[{i}]" in parts for i in range(len(value))):
-            held = [parts.get(f"{name}[{i}]", each) for i, each in enumerate(value)]
-            set_[name] = type(value)(*held) if hasattr(value, "_fields") else type(value)(held)
-        elif isinstance(value, MethodType) and (name in parts or value.__self__ is part):
-            set_[name] = getattr(parts.get(name, new), value.__name__)
-        elif name in parts:
-            set_[name] = parts[name]
-    for name, value in set_.items():
-        try:
-            object.__setattr__(new, name, value)
-        except AttributeError:
-            raise InvalidArgument(
-                f"{name} of a {type(part).__name__} is computed and cannot be set, expected an attribute"
-            ) from None
-    return new
+    Raises
+    ------
+    InvalidArgument
+        If it is such.
+    """
+    try:
+        np.asarray(value, np.float64)
+    except (TypeError, ValueError):
+        raise InvalidArgument(f"{name} is {shown(value)}, expected a number or an array") from None
 
 
 class Stepped(NamedTuple):
@@ -341,15 +376,44 @@ def one_sample(
     expected = (*np.shape(v)[:-1], plant.nu)
     if np.shape(u) != expected:
         raise InvalidArgument(f"controller returned an input of shape {np.shape(u)}, expected {expected}")
+    _check_real("controller", u)
     u = limited(plant, u)
     if hasattr(controller, "applied"):
         inner = controller.applied(u, inner)
     error, error_rate = errors(plant, q, v, reference)
     step = _own_step if hasattr(plant, "step") else _integrated
     acceleration, q1, v1, kept = step(parts, t, h, q, v, u, memory.plant)
-    sample = Sample(k, t, q, v, u, acceleration, error, error_rate)
+    for name, found in (("plant", acceleration), ("step of the plant", q1), ("step of the plant", v1)):
+        _check_real(name, found)
+    signals = {}
+    if getattr(parts.recorder, "signals", False):
+        signals = claimed(_told(parts, t, q, v, u, memory.plant, inner), _signal)
+    sample = Sample(k, t, q, v, u, acceleration, error, error_rate, signals)
     record = Record(None) if parts.recorder is None else parts.recorder(sample, memory.recorder)
     return Stepped(sample, q1, v1, Memory(kept, inner, record.state), record)
+
+
+def _told(parts: Parts, t: Any, q: Any, v: Any, u: Any, memory: Any, inner: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the signals of the parts at a sample, each with what the part is called."""
+    plant = parts.plant
+    if hasattr(plant, "signals"):
+        f = _pushed(parts, t, q, v) + np.zeros(plant.nv)
+        yield "plant", plant.signals(t, q.copy(), v.copy(), u.copy(), f, memory)
+    yield "controller", signals_of(parts.controller, inner)
+    for i, force in enumerate(parts.forces):
+        if hasattr(force, "on_coordinates"):
+            yield f"forces[{i}]", signals_of(force, t, q.copy(), v.copy())
+        elif hasattr(force, "signals"):
+            yield f"forces[{i}]", force.signals(t, plant.pose(q), plant.rate(q, v))
+
+
+def _signal(name: str, value: Any) -> Any:
+    return entries(value) if has_symbols(value) else number(name, value)
+
+
+def _check_real(name: str, found: Any) -> None:
+    if not are_real(found):
+        raise InvalidArgument(f"{name} returned {shown(found)}, expected real numbers")
 
 
 def _copy(x: Any) -> Any:
@@ -399,6 +463,9 @@ def _answer(parts: Parts, force: Any, found: Any, shape: tuple[int, ...]) -> Any
     if not hasattr(found, "shape") or np.shape(found) != shape:
         k = next(i for i, each in enumerate(parts.forces) if each is force)
         raise InvalidArgument(f"forces[{k}] returned {shown(found)}, expected an array of shape {shape}")
+    if not are_real(found):
+        k = next(i for i, each in enumerate(parts.forces) if each is force)
+        _check_real(f"forces[{k}]", found)
     return found
 
 

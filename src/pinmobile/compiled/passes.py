@@ -27,6 +27,7 @@ def traced(
     dt: float,
     spread: Iterable[Place] = (),
     largest: int = LARGEST,
+    own_reference: bool = False,
 ) -> Loop:
     """Return a closed loop as a tape.
 
@@ -49,6 +50,8 @@ def traced(
         Those that each robot has a value of its own for; the others are numbers of the run.
     largest : int
         Most nodes of the tape.
+    own_reference : bool
+        Whether each robot has a reference of its own.
 
     Raises
     ------
@@ -63,6 +66,7 @@ def traced(
     trace = _Trace(
         parts, context, q, v, given, dt / parts.substeps, frozenset(Place(*x) for x in spread), largest
     )
+    trace.own_reference = own_reference
     return trace.result()
 
 
@@ -86,7 +90,7 @@ class _Trace:
         for parameter in spread - set(self.values):
             names = (f"{path}.{name}" for path, name in self.values)
             raise UnknownName("parameter", f"{parameter[0]}.{parameter[1]}", names)
-        self.spread, self.largest = spread, largest
+        self.spread, self.largest, self.own_reference = spread, largest, False
         self.fixed: frozenset[tuple[str, str]] = frozenset()
         self.shapes: dict[tuple[str, str], tuple[int, ...]] = {}
 
@@ -115,7 +119,7 @@ class _Trace:
             for owner, before, after in zip(Memory._fields, memory, found.memory, strict=True):
                 for path, old, new in matched(before, after, "state"):
                     if np.shape(old) != np.shape(new):
-                        self.shapes[owner, path] = np.broadcast_shapes(np.shape(old), np.shape(new))
+                        self.shapes[owner, path] = _wider(owner, path, np.shape(old), np.shape(new))
                         grew = True
             if not grew:
                 return [(self.q, self.v, found), self._elsewhere(memory)]
@@ -168,15 +172,18 @@ class _Trace:
             expected = _flat_numbers([found.q, found.v])
             for leaf, value in zip(loop.leaves, arrays_of(found.memory), strict=True):
                 expected += _flat_numbers([value]) if leaf.kind == "state" else []
+            expected += _flat_numbers(found.record.kept.values())
+            wanted = [after for _, after in loop.states]
+            wanted += [node for _, nodes in loop.kept.values() for node in nodes]
             with np.errstate(all="ignore"):
-                got = evaluated(loop.tape, [after for _, after in loop.states], inputs)
+                got = evaluated(loop.tape, wanted, inputs)
                 near = np.isclose(
                     np.array(got, float), np.array(expected), rtol=1e-7, atol=1e-9, equal_nan=True
                 )
             if not near.all():
                 i = int(np.argmin(near))
                 raise NotTraceable(
-                    f"on symbols, {_state_name(loop, i)} is {got[i]:g} after a sample, and on numbers "
+                    f"on symbols, {_name(loop, i)} is {got[i]:g} after a sample, and on numbers "
                     f"{expected[i]:g}",
                     "let the law do the same for every kind of array, without isinstance or try",
                 )
@@ -186,6 +193,7 @@ class _Trace:
         inputs: dict[Any, Any] = {COUNT: np.uint64(0), ("uniform", 0): self.h}
         samples = _flat_numbers([0.0, *self.reference])
         inputs |= {("sample", i): x for i, x in enumerate(samples)}
+        inputs |= {("track", i): x for i, x in enumerate(samples[1:])}
         inputs |= {("key", i): np.uint64(0) for i in range(len(loop.keys))}
         inputs |= {("state", i): x for i, x in enumerate(_flat_numbers([q, v]))}
         for parameter, leaf in loop.parameters.items():
@@ -201,7 +209,7 @@ class _Pass:
 
     def __init__(self, trace: _Trace, tape: Tape) -> None:
         self.trace, self.tape = trace, tape
-        self.next = {"uniform": 0, "row": 0, "state": 0, "sample": 0}
+        self.next = {"uniform": 0, "row": 0, "state": 0, "sample": 0, "track": 0}
         self.keys: list[str] = []
         self.asked: list[str] = []
         self.rings: list[Ring] = []
@@ -223,7 +231,9 @@ class _Pass:
         parts = self._symbolic()
         q, v = self._new("state", trace.q.shape), self._new("state", trace.v.shape)
         t = self._new("sample", ())
-        reference = Reference(*(self._new("sample", x.shape) for x in trace.reference))
+        reference = Reference(
+            *(self._new("track" if trace.own_reference else "sample", x.shape) for x in trace.reference)
+        )
         k = symbols([real(tape.input(*COUNT) | float_bits(2.0**52)) - 2.0**52], ())
         numbers = trace._grown(
             initial_memory(trace.parts, trace.context, len(trace.reference.v), self._line, self._noise)
@@ -252,6 +262,7 @@ class _Pass:
             rings=self.rings,
             counted=counted,
             kept=kept,
+            units=dict(found.record.units),
             sizes=(
                 len(trace.q),
                 len(trace.v),
@@ -259,6 +270,7 @@ class _Pass:
                 len(trace.reference.q),
                 len(trace.reference.v),
             ),
+            tracks=self.next["track"],
             unused=[
                 name
                 for name, leaf in self.parameters.items()
@@ -370,6 +382,18 @@ class _SymbolicNoise:
         return symbols(numbers, (self.n,)), _SymbolicNoise(self.tape, self.key, self.n, drawn=True)
 
 
+def _wider(owner: str, path: str, old: tuple[int, ...], new: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the shape that numbers of two shapes broadcast to, as a number and the row that it becomes."""
+    try:
+        return np.broadcast_shapes(old, new)
+    except ValueError:
+        raise NotTraceable(
+            f"{path} of the {owner} has shape {old} and a sample later {new}",
+            "let initial_state return arrays of the shapes that they keep, and take delays from "
+            "context.line(samples)",
+        ) from None
+
+
 def _flat_numbers(values: Iterable[Any]) -> list[float]:
     return [float(x) for value in values for x in np.asarray(value, np.float64).reshape(-1)]
 
@@ -379,7 +403,13 @@ def _stays(loop: Loop, leaf: Leaf) -> bool:
     return all(now == after for now, after in pairs)
 
 
-def _state_name(loop: Loop, i: int) -> str:
+def _name(loop: Loop, i: int) -> str:
+    """Return what the numbers of the state, and after these what is kept, are called."""
+    end = len(loop.states)
+    for name, (_, nodes) in loop.kept.items():
+        end += len(nodes)
+        if len(loop.states) <= i < end:
+            return name
     nq, nv = loop.sizes[:2]
     if i < nq + nv:
         return f"q[{i}]" if i < nq else f"v[{i - nq}]"

@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Mapping
+from math import prod
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ __all__ = ["Outcome", "Program", "aligned"]
 
 _SLICE = 2e8  # operations of a vector in one call, some 0.1 s: Ctrl-C is answered in between
 _WORTH = 4e6  # operations of a vector for which a thread is worth starting
-_SMALL = 2500  # nodes: beyond, a second vector takes longer to build than it saves
+_SMALL = 2500  # operations: beyond, a second vector takes longer to build than it saves
 
 
 class Outcome(NamedTuple):
@@ -72,7 +73,7 @@ class Program:
         target = Target.here() if target is None else target
         self.loop = loop
         self._alike: set[frozenset[Place]] = set()  # spreads of these leave the memory alike at first
-        many = Shape(target.lanes, 2 if len(loop.tape) <= _SMALL else 1)
+        many = Shape(target.lanes, 2 if loop.own <= _SMALL else 1)
         self.shape = shape or (Shape(1, 1) if single else many)
         self.text = text_of(loop, self.shape)
         self._function = function_of(self.text, target, Cache() if cache is None else cache)
@@ -86,6 +87,7 @@ class Program:
         reference: Reference,
         *,
         dt: float,
+        tracks: Reference | None = None,
         values: Mapping[Place, Any] | None = None,
         keys: Mapping[str, NDArray[np.uint64]] | None = None,
         every: int = 1,
@@ -104,7 +106,9 @@ class Program:
         t : ndarray, shape (N + 1,)
             Times of the samples [s].
         reference : Reference
-            Of all samples.
+            Of all samples, of all robots.
+        tracks : Reference, optional
+            Each robot's own, shape (N + 1, n, ...), where the loop was traced so.
         dt : float
             Time between two samples [s].
         values : mapping of Place to ndarray, shape (n, ...)
@@ -116,7 +120,7 @@ class Program:
         threads : int
             Most threads.
         """
-        n = self._checked(start, t, reference, every)
+        n = self._checked(start, t, reference, tracks, every)
         parts = parts.on_symbols()
         nominal = parts.parameters()
         given = self._given(values or {}, nominal, n)
@@ -125,12 +129,13 @@ class Program:
         blocks = self._blocks(start, n, {**nominal, **given}, first, keys or {})
         uniforms = self._uniforms(dt / parts.substeps, {**nominal, **given}, first)
         samples = self._samples(t, reference, uniforms)
-        size = sum(len(nodes) for _, nodes in self.loop.kept.values())
-        kept = aligned((len(blocks), len(t), size, self.shape.width))
+        kept = self._kept(tracks, len(blocks), len(t))
         counts = self.called(blocks, samples, uniforms, kept, n, every, threads)
         return Outcome(self._kept_memory(memory, blocks, n), counts, self.kept_samples(kept, n))
 
-    def _checked(self, start: tuple[Array, Array], t: Array, reference: Reference, every: int) -> int:
+    def _checked(
+        self, start: tuple[Array, Array], t: Array, reference: Reference, tracks: Reference | None, every: int
+    ) -> int:
         """Return the number of robots, after refusing arrays that the machine code would read beyond."""
         nq, nv, _, length, size = self.loop.sizes
         n, count = len(start[0]), len(t)
@@ -138,13 +143,17 @@ class Program:
             raise InvalidArgument(
                 f"there are {n} robots, {count} samples, and counts every {every}, expected >= 1"
             )
-        expected = {
+        expected: dict[str, tuple[Array, tuple[int, ...]]] = {
             "q": (start[0], (n, nq)),
             "v": (start[1], (n, nv)),
             "reference.q": (reference.q, (count, length)),
             "reference.v": (reference.v, (count, size)),
             "reference.a": (reference.a, (count, size)),
         }
+        if (tracks is None) != (self.loop.tracks == 0):
+            raise InvalidArgument(f"tracks is {tracks}, expected references as the loop was traced with")
+        for name, array in () if tracks is None else tracks._asdict().items():
+            expected[f"tracks.{name}"] = (array, (count, n, length if name == "q" else size))
         for name, (array, shape) in expected.items():
             if np.shape(array) != shape:
                 raise InvalidArgument(f"{name} has shape {np.shape(array)}, expected {shape}")
@@ -188,6 +197,9 @@ class Program:
         found = []
         for i, leaf in enumerate(places):
             own = each[i] if each else values[i]
+            if own.ndim == values[i].ndim and own.shape == leaf.shape:
+                found.append(own)
+                continue
             ahead = (n,) if own.ndim > values[i].ndim else ()
             missing = len(leaf.shape) - values[i].ndim
             grown = own.reshape((*ahead, *(1,) * missing, *values[i].shape))
@@ -196,7 +208,8 @@ class Program:
 
     def _samples(self, t: Array, reference: Reference, uniforms: Array) -> Array:
         """Return what all robots share of each sample, shape (N + 1, columns)."""
-        given = np.column_stack([t, *reference]).astype(np.float64)
+        given = np.empty((len(t), 1 + sum(part.shape[1] for part in reference)))
+        np.concatenate([t[:, None], *reference], axis=1, out=given)
         tabled = self.loop.tabled
         if not tabled:
             return given
@@ -210,6 +223,16 @@ class Program:
         inputs |= {("sample", i): column for i, column in enumerate(given.T)}
         columns = (np.broadcast_to(x, len(t)) for x in evaluated(self.loop.tape, tabled, inputs))
         return np.ascontiguousarray(np.column_stack([given, *columns]))
+
+    def _kept(self, tracks: Reference | None, blocks: int, samples: int) -> Array:
+        """Return the array of what is kept of every sample, with the robots' own references behind it."""
+        loop, first = self.loop, self.loop.outputs_kept
+        kept = aligned((blocks, samples, first + loop.tracks, self.shape.width))
+        if tracks is not None:
+            numbers = np.concatenate(tracks, axis=-1).swapaxes(1, 2)  # (samples, tracks, n)
+            for k, columns in enumerate(numbers):
+                self.set_rows(kept[:, k], first, columns)
+        return kept
 
     def set_rows(self, blocks: Array, first: int, columns: Array) -> None:
         """Set rows of the blocks from (rows, n); the last robot is repeated to fill the last block."""
@@ -245,7 +268,8 @@ class Program:
         for parameter, leaf in loop.parameters.items():
             if leaf.kind == "row":
                 value = values[parameter]
-                columns = np.broadcast_to(value, (n, *leaf.shape)).reshape(n, -1).T
+                columns = np.broadcast_to(value, (n, *leaf.shape)) if value.shape == leaf.shape else value
+                columns = columns.reshape(n, -1).T
                 self.set_rows(blocks, states + leaf.first, columns)
         for i, name in enumerate(loop.keys):
             if name not in keys:
@@ -276,7 +300,7 @@ class Program:
     ) -> NDArray[np.int32]:
         """Run the blocks, and return the counts; the arguments are those of the machine code, in arrays."""
         loop = self.loop
-        work = len(samples) * len(loop.tape) * self.shape.vectors  # of a block
+        work = len(samples) * max(1, loop.own) * self.shape.vectors  # of a block
         workers = max(1, min(threads, len(blocks), int(work * len(blocks) / _WORTH)))
         step = max(1, min(int(_SLICE / work), -(-len(blocks) // (4 * workers))))
         counted = len(loop.counted), BINS
@@ -328,7 +352,7 @@ class Program:
 
         def last(value: Any) -> Array:
             leaf = next(places)
-            size = int(np.prod(leaf.shape))
+            size = prod(leaf.shape)
             if leaf.kind == "uniform":
                 return np.broadcast_to(value, (n, *leaf.shape))
             first = leaf.first + (len(self.loop.states) if leaf.kind == "row" else 0)
@@ -351,7 +375,7 @@ class Program:
 
 def aligned(shape: tuple[int, ...]) -> Array:
     """Return an array of zeros at an address that vectors can be stored at."""
-    size = int(np.prod(shape))
+    size = prod(shape)
     raw = np.zeros(size + 8)
     first = (-raw.ctypes.data % 64) // 8
     return raw[first : first + size].reshape(shape)

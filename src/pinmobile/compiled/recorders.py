@@ -25,6 +25,8 @@ class Sample(NamedTuple):
         State, input after all limits, and acceleration.
     error, error_rate : ndarray, shape (n,)
         Of the coordinates that the reference has.
+    signals : dict of str to Claim
+        What parts tell, by name, where the recorder has ``signals = True``; nothing otherwise.
     """
 
     k: Any
@@ -35,6 +37,7 @@ class Sample(NamedTuple):
     a: Any
     error: Any
     error_rate: Any
+    signals: Any = {}  # noqa: RUF012 (nobody writes into it)
 
 
 class Record(NamedTuple):
@@ -48,11 +51,14 @@ class Record(NamedTuple):
         Sizes, >= 0 or infinite, that are counted in bins.
     kept : dict of str to ndarray
         What is kept of every sample.
+    units : dict of str to str
+        Of what of it are signals, by name; they are kept as ``"signal <name>"``.
     """
 
     state: Any
     counted: Any = ()
     kept: Any = {}  # noqa: RUF012 (nobody writes into it)
+    units: Any = {}  # noqa: RUF012
 
 
 @dataclass(frozen=True)
@@ -132,13 +138,16 @@ def _larger(a: Any, b: Any) -> Any:
 
 @dataclass(frozen=True)
 class Trace:
-    """All samples: configuration, velocity, input and acceleration."""
+    """All samples: configuration, velocity, input and acceleration, and what parts tell."""
 
     parameters: ClassVar[tuple[str, ...]] = ()
+    signals: ClassVar[bool] = True
 
     def initial_state(self, n: int, nu: int) -> None:
         """Return None: nothing is kept from one sample to the next."""
 
     def __call__(self, sample: Sample, state: Any) -> Record:
         """Return the sample."""
-        return Record(state, (), {"q": sample.q, "v": sample.v, "u": sample.u, "a": sample.a})
+        kept = {"q": sample.q, "v": sample.v, "u": sample.u, "a": sample.a}
+        kept |= {f"signal {name}": claim.value for name, claim in sample.signals.items()}
+        return Record(state, (), kept, {name: claim.unit for name, claim in sample.signals.items()})

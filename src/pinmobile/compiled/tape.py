@@ -67,6 +67,7 @@ _INPUTS = {
     "row": (ROBOT, "f"),
     "key": (ROBOT, "u"),
     "sample": (SAMPLE, "f"),
+    "track": (SAMPLE | ROBOT, "f"),
     "count": (SAMPLE, "u"),
     "state": (STATE, "f"),
 }

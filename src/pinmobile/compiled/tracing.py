@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import inspect
 import linecache
 import sys
 import threading
@@ -15,13 +16,14 @@ import numpy as np
 from pinmobile.compiled.functions import constructors
 from pinmobile.errors import NotTraceable
 
-__all__ = ["Walk", "calling_place", "is_foreign", "place_of", "reached", "tracing"]
+__all__ = ["Walk", "calling_place", "is_foreign", "place_of", "tracing"]
 
 _lock = threading.RLock()
 _local = threading.local()
 _HERE = str(Path(__file__).parent)
 _MADE_BY_CODE = 1 << 9  # of a class's flags: it comes of a class statement
 _OURS = (_HERE, str(Path(np.__file__).parent), "<__array_function__", "<frozen")
+_OPENED = (FunctionType, MethodType, type, dict, list, tuple)  # Python's own that a law's things stand in
 _LAWS = ("pinmobile.compiled.parts", "pinmobile.compiled.recorders")
 _FOREIGN = (
     frozenset(("numpy", "scipy", "pinocchio", "llvmlite", "sympy", "matplotlib")) | sys.stdlib_module_names
@@ -64,6 +66,63 @@ vars(_numpy).update(_replaced)
 _others = {id(getattr(np, name)): other for name, other in _replaced.items()} | {id(np): _numpy}
 
 
+def _by_its_law(name: str, of: Any = None) -> Callable[..., Any]:
+    """Return a method of what has `traced`: that of what this returns; of `of`, or of its first argument."""
+
+    def asked(*given: Any, **options: Any) -> Any:
+        robot, arguments = (given[0], given[1:]) if of is None else (of, given)
+        depth, _local.depth = _local.depth, 0  # it is made of numbers
+        try:
+            own = robot.traced()
+        finally:
+            _local.depth = depth
+        if not hasattr(own, name):
+            known = [each for each in _methods(type(robot)) if hasattr(own, each)]
+            raise NotTraceable(
+                f"{name} of a {type(robot).__name__}, which takes numbers alone",
+                f"a law that is compiled asks it for {', '.join(known)}",
+            )
+        return getattr(own, name)(*arguments, **options)
+
+    return asked
+
+
+def _methods(kind: type) -> tuple[str, ...]:
+    """Return the names of a class's methods, but of `traced` itself."""
+    found = (name for name in dir(kind) if not name.startswith("_") and name != "traced")
+    return tuple(name for name in found if isinstance(inspect.getattr_static(kind, name), FunctionType))
+
+
+def _replacement(value: Any) -> Any:
+    """Return what stands for a global or closed over value while a law is traced; None: itself."""
+    if id(value) in _others:
+        return _others[id(value)]
+    if isinstance(value, MethodType) and hasattr(type(value.__self__), "traced"):
+        return _guarded(value, _by_its_law(value.__name__, value.__self__))
+    return None
+
+
+@contextlib.contextmanager
+def _by_their_laws(kinds: Iterable[type]) -> Iterator[None]:
+    """Let the methods of classes that have `traced` answer as what it returns does, in threads that trace.
+
+    So a law reaches a robot that is no attribute of a part: a global, or what a function closes over.
+    """
+    put: list[tuple[type, str, Any]] = []
+    try:
+        for kind in kinds:
+            for name in _methods(kind):
+                put.append((kind, name, vars(kind).get(name)))
+                setattr(kind, name, _guarded(getattr(kind, name), _by_its_law(name)))
+        yield
+    finally:
+        for kind, name, before in reversed(put):
+            if before is None:
+                delattr(kind, name)
+            else:
+                setattr(kind, name, before)
+
+
 @contextlib.contextmanager
 def tracing(parts: Iterable[Any]) -> Iterator[None]:
     """Let the laws of these parts run on symbols, in this thread.
@@ -74,21 +133,26 @@ def tracing(parts: Iterable[Any]) -> Iterator[None]:
         If a law does what cannot be done with symbols; it names the line.
     """
     with _lock:
-        namespaces, cells = reached(parts)
+        walk = Walk(parts)
         changed = [
-            (names, name, value)
-            for names in namespaces
+            (names, name, value, other)
+            for names in walk.namespaces.values()
             for name, value in names.items()
-            if id(value) in _others
+            if (other := _replacement(value)) is not None
         ]
-        shut = [(cell, cell.cell_contents) for cell in cells if id(cell.cell_contents) in _others]
-        for names, name, value in changed:
-            names[name] = _others[id(value)]
-        for cell, value in shut:
-            cell.cell_contents = _others[id(value)]
+        shut = [
+            (cell, cell.cell_contents, other)
+            for cell in walk.cells.values()
+            if (other := _replacement(cell.cell_contents)) is not None
+        ]
+        for names, name, _, other in changed:
+            names[name] = other
+        for cell, _, other in shut:
+            cell.cell_contents = other
         _local.depth = getattr(_local, "depth", 0) + 1
         try:
-            yield
+            with _by_their_laws(walk.modelled):
+                yield
         except NotTraceable as error:
             if error.place:
                 raise
@@ -104,9 +168,9 @@ def tracing(parts: Iterable[Any]) -> Iterator[None]:
             ) from error
         finally:
             _local.depth -= 1
-            for names, name, value in changed:
+            for names, name, value, _ in changed:
                 names[name] = value
-            for cell, value in shut:
+            for cell, value, _ in shut:
                 cell.cell_contents = value
 
 
@@ -139,18 +203,6 @@ def _told(code: CodeType, line: int) -> str:
     )
 
 
-def reached(parts: Iterable[Any]) -> tuple[list[dict[str, Any]], list[CellType]]:
-    """Return the namespaces and closures of all functions that the parts' laws can call.
-
-    Parameters
-    ----------
-    parts : iterable
-        Objects, functions and classes. What NumPy, the standard library and the like define is left out.
-    """
-    walk = Walk(parts)
-    return list(walk.namespaces.values()), list(walk.cells.values())
-
-
 class Walk:
     """Everything that the code of some parts refers to by name, found by reading the code.
 
@@ -159,16 +211,22 @@ class Walk:
     namespaces : dict of int to dict
         Globals of the functions, by identity.
     cells : dict of int to cell
-        Closures.
+        What functions close over.
+    closures : dict of int to (function, int)
+        A function that closes over a cell, and the cell's place in its closure.
     names : dict of (int, str) to (mapping, str)
         Where the code looks up what: globals, modules and classes.
+    modelled : list of type
+        Classes of things that have `traced`, whose own methods are no NumPy.
     """
 
     def __init__(self, parts: Iterable[Any]) -> None:
         self.seen: dict[int, Any] = {}
         self.namespaces: dict[int, dict[str, Any]] = {}
         self.cells: dict[int, CellType] = {}
+        self.closures: dict[int, tuple[FunctionType, int]] = {}
         self.names: dict[tuple[int, str], tuple[Mapping[str, Any], str]] = {}
+        self.modelled: list[type] = []
         for part in parts:
             self.visit(part)
 
@@ -202,6 +260,8 @@ class Walk:
             for each in list(thing.values()):
                 self.visit(each)
         elif not isinstance(thing, ModuleType):
+            if hasattr(type(thing), "traced") and type(thing) not in self.modelled:
+                self.modelled.append(type(thing))
             self._class(type(thing))
             own = getattr(thing, "__dict__", None)  # some answer to any name with something
             for each in list(own.values()) if isinstance(own, dict) else ():
@@ -210,10 +270,12 @@ class Walk:
     def _class(self, thing: type) -> None:
         for each in thing.__mro__:
             if _is_own(each.__module__, bool(each.__flags__ & _MADE_BY_CODE)):
-                for name, value in list(vars(each).items()):
+                own = vars(each)  # another object each time
+                for name, value in list(own.items()):
                     if not name.startswith("__") or name == "__call__":
-                        self._met(each, vars(each), name)
-                    if not isinstance(value, type) and callable(getattr(value, "__get__", None)):
+                        self._met(each, own, name)
+                    law = name != "__repr__" and not isinstance(value, type)
+                    if law and callable(getattr(value, "__get__", None)):
                         self.visit(value)
 
     def _function(self, function: FunctionType) -> None:
@@ -222,10 +284,11 @@ class Walk:
         if not _is_own(function.__module__ or "", True):
             return
         self.namespaces[id(function.__globals__)] = function.__globals__
-        for cell in function.__closure__ or ():
+        for place, cell in enumerate(function.__closure__ or ()):
             with contextlib.suppress(ValueError):  # not set yet
                 self.visit(cell.cell_contents)
                 self.cells[id(cell)] = cell
+                self.closures[id(cell)] = function, place
         for name in _names(function.__code__):
             if name in function.__globals__:
                 self._met(function.__globals__, function.__globals__, name)
@@ -238,7 +301,7 @@ class Walk:
                 for name in _names(code) & vars(value).keys():
                     self._met(value, vars(value), name)
                     self.visit(vars(value)[name])
-        elif isinstance(value, FunctionType | type) or not is_foreign(type(value).__module__):
+        elif isinstance(value, _OPENED) or not is_foreign(type(value).__module__):
             self.visit(value)
 
 

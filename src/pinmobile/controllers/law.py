@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, callable_as
+from pinmobile.arrays import Array, ArrayLike, are_real, callable_as
 from pinmobile.controllers.protocol import Controller
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Context
@@ -25,6 +25,8 @@ class _Law:
         """Return what the function returns, and None."""
         force = self.function(t, q, v, reference)
         try:
+            if not are_real(force):
+                raise TypeError
             return np.asarray(force if force is not None else "nothing", np.float64), None
         except (TypeError, ValueError):
             raise InvalidArgument(

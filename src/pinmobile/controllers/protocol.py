@@ -4,7 +4,16 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from pinmobile.arrays import LEAST_ANGLE, Array, ArrayLike, broadcast, callable_as, finite, wrap_angle
+from pinmobile.arrays import (
+    LEAST_ANGLE,
+    Array,
+    ArrayLike,
+    answered,
+    broadcast,
+    callable_as,
+    finite,
+    wrap_angle,
+)
 from pinmobile.errors import InvalidArgument, shown
 
 __all__ = [
@@ -58,7 +67,8 @@ class Controller(Protocol):
 
     One with a method ``applied(u, state) -> state`` is told once per sample which input, shape (..., nu), is
     really applied after all wrappers, and what it returns is the next state: against the windup of an
-    integral, say.
+    integral, say. One with ``signals(state) -> {name: (unit, value)}`` then tells what else is worth
+    recording, such as an estimate: numbers, or rows of them. Wrappers pass both inward.
     """
 
     def initial_state(self, context: Any, /) -> Any:
@@ -135,7 +145,7 @@ def check_memory(controller: Any, context: Any, q: Array, v: Array) -> None:
             copies = type(at)(*map(np.copy, at))
             state = controller.initial_state(context)
             answer = answer_of(controller, t, place[0].copy(), place[1].copy(), copies, state)
-            answers.append(np.array(answer[0], np.float64))
+            answers.append(answered("controller", answer[0]))
     first, _, again = answers
     if first.shape != again.shape or not np.allclose(first, again, rtol=_SAME, atol=_SAME, equal_nan=True):
         raise InvalidArgument(

@@ -14,6 +14,7 @@ from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen
 from pinmobile.controllers.protocol import Controller, State, answer_of, check_controller, told
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Context, Parameter
+from pinmobile.signals import signals_of
 
 __all__ = ["Delayed", "NoisyMeasurement", "Saturated"]
 
@@ -59,6 +60,10 @@ class Saturated:
         """Return the wrapped controller's state, told of the input that is applied, shape (..., n)."""
         return told(self.controller, u, state)
 
+    def signals(self, state: Any) -> Any:
+        """Return what the wrapped controller tells beside its input: name to (unit, value)."""
+        return signals_of(self.controller, state)
+
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: Any) -> tuple[Array, Any]:
         """Return the limited force, shape (..., n), and the wrapped controller's next state."""
         tau, state = answer_of(self.controller, t, q, v, reference, state)
@@ -100,6 +105,10 @@ class Delayed:
     def applied(self, u: Array, state: Any) -> Any:
         """Return the state, with the wrapped controller told of the input that is applied, shape (..., n)."""
         return told(self.controller, u, state[0]), *state[1:]
+
+    def signals(self, state: Any) -> Any:
+        """Return what the wrapped controller tells beside its input: name to (unit, value)."""
+        return signals_of(self.controller, state[0])
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: Any
@@ -182,6 +191,10 @@ class NoisyMeasurement:
     def applied(self, u: Array, state: Any) -> Any:
         """Return the state, with the wrapped controller told of the input that is applied, shape (..., n)."""
         return told(self.controller, u, state[0]), *state[1:]
+
+    def signals(self, state: Any) -> Any:
+        """Return what the wrapped controller tells beside its input: name to (unit, value)."""
+        return signals_of(self.controller, state[0])
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: Any

@@ -109,7 +109,7 @@ class JointFriction:
         names = [one.name for one in coordinates_of(robot)]
         return cls(robot.joint_damping, robot.joint_friction, speed, names)
 
-    def varying(self, entries: Iterable[tuple[str, int | None]]) -> Self:
+    def varying(self, entries: Iterable[tuple[str, Any]]) -> Self:
         """Return it, told what differs from robot to robot: where dry friction is zero for all, without it.
 
         Parameters
@@ -117,10 +117,23 @@ class JointFriction:
         entries : iterable of (str, int)
             Attribute and entry of each.
         """
-        found = replace(self)
         dry = bool(np.any(self.coulomb)) or any(name == "coulomb" for name, _ in entries)
-        object.__setattr__(found, "dry", dry)
-        return found
+        return self if dry == self.dry else self._kept(replace(self), dry)
+
+    def _kept(self, other: Self, dry: bool) -> Self:
+        object.__setattr__(other, "dry", dry)
+        return other
+
+    def with_parameters(self, **values: Any) -> Self:
+        """Return it with other values; what was told of what differs stays.
+
+        Parameters
+        ----------
+        **values : array_like
+            By attribute: viscous, coulomb, speed.
+        """
+        other = replace(self, **values)
+        return self._kept(other, self.dry or bool(np.any(other.coulomb)))
 
     @property
     def damping(self) -> Array:

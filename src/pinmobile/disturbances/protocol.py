@@ -13,7 +13,8 @@ __all__ = ["CoordinateForce", "Force", "not_below_zero", "numbers", "spread", "t
 class Force(Protocol):
     """A generalised force on the body, as a function of time and state.
 
-    Any callable of this form will do in `simulate`, which asks it at every stage of the integrator.
+    Any callable of this form will do in `simulate`, which asks it at every stage of the integrator. One with
+    ``signals(t, q, v) -> {name: (unit, value)}`` tells once per sample what is worth recording.
     """
 
     def __call__(self, t: float, q: Array, v: Array, /) -> Array:

@@ -13,7 +13,7 @@ from pinmobile.ensembles.outline import Outline
 from pinmobile.ensembles.variables import PER_ROBOT, drawn, per_robot
 from pinmobile.files import archive_of, unpacking
 from pinmobile.simulation import Rollout
-from pinmobile.simulation.storage import ARRAYS, described_plant, restored_plant, signal_columns
+from pinmobile.simulation.storage import ARRAYS, described_run, restored_run, signal_columns
 from pinmobile.trajectories import Reference
 
 if TYPE_CHECKING:
@@ -53,8 +53,7 @@ def write_ensemble(file: IO[bytes], ensemble: "Ensemble") -> None:
         "why": ensemble.why,
         "variables": {name: one._asdict() for name, one in variables.items()},
         "traces": [
-            {"index": i, "samples": len(one), "plant": described_plant(one.plant, one.q, one.signals)}
-            for i, one in traces.items()
+            {"index": i, "samples": len(one), "plant": described_run(one)} for i, one in traces.items()
         ],
     }
     recorded = [one.arrays() for one in traces.values()]
@@ -136,8 +135,8 @@ def _traces(named: Mapping[str, Array], described: Any, outline: Outline) -> dic
         if stop > len(named["trace_t"]):
             raise ValueError(f"trace_t has {len(named['trace_t'])} samples, expected {stop} and more")
         arrays = {name: named[of][start:stop] for of, name in zip(_TRACE, ARRAYS, strict=True)}
-        plant, signals = restored_plant(one["plant"], named["trace_signals"][start:stop])
-        found[index] = Rollout.of(plant, arrays, signals)
+        made = restored_run(one["plant"], named["trace_signals"][start:stop])
+        found[index] = Rollout.of(arrays, **made)
         start = stop
     for name in (*_TRACE, "trace_signals"):
         if len(named[name]) != start:

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from math import isfinite
-from typing import Any, Protocol, TypeAlias, final, runtime_checkable
+from typing import Any, ClassVar, Protocol, TypeAlias, final, runtime_checkable
 
 import numpy as np
 
@@ -25,7 +25,11 @@ __all__ = [
 
 @runtime_checkable
 class Distribution(Protocol):
-    """What a spread may hold; a frozen distribution of `scipy.stats` (with ``rvs``) is as good."""
+    """What a spread may hold; a frozen distribution of `scipy.stats` (with ``rvs``) is as good.
+
+    One whose fewer draws are the beginning of more may say so, ``in_order = True``: then no more are drawn
+    than needed.
+    """
 
     def sample(self, generator: np.random.Generator, size: int) -> Array:
         """Return `size` independent draws, shape (size,)."""
@@ -49,6 +53,7 @@ class Uniform:
 
     low: float
     high: float
+    in_order: ClassVar[bool] = True  # fewer draws are the beginning of more
 
     def __post_init__(self) -> None:
         for name in ("low", "high"):
@@ -92,6 +97,7 @@ class Normal:
 
     mean: float
     std: float
+    in_order: ClassVar[bool] = True  # fewer draws are the beginning of more
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "mean", scalar("mean", self.mean))

@@ -98,7 +98,11 @@ def _values(name: str, source: Any, seed: int, start: int, stop: int) -> Array:
         return source.values[start - source.start : stop - source.start].copy()
     if isinstance(source, np.ndarray):
         return np.array(source[start:stop] if source.ndim else np.full(stop - start, source))
-    return in_blocks(name, lambda generator, size: drawn(name, source, generator, size), seed, start, stop)
+
+    def own(generator: np.random.Generator, size: int) -> Array:
+        return drawn(name, source, generator, size)
+
+    return in_blocks(name, own, seed, start, stop, whole=not getattr(source, "in_order", False))
 
 
 def in_blocks(
@@ -107,6 +111,7 @@ def in_blocks(
     seed: int,
     start: int,
     stop: int,
+    whole: bool = True,
 ) -> Array:
     """Return draws for the robots from `start` to before `stop`, whatever else is drawn.
 
@@ -120,10 +125,16 @@ def in_blocks(
         The seed of the ensemble.
     start, stop : int
         Which robots.
+    whole : bool
+        Whether blocks are drawn to their end; no need to, where fewer draws are the beginning of more.
     """
     first = start // _BLOCK
     blocks = [
-        draws(np.random.default_rng(stream(seed, what, block)), _BLOCK)
+        draws(
+            np.random.default_rng(stream(seed, what, block)),
+            _BLOCK if whole else min(_BLOCK, stop - block * _BLOCK),
+        )
         for block in range(first, -(-stop // _BLOCK))
     ]
-    return np.concatenate(blocks)[start - first * _BLOCK : stop - first * _BLOCK]
+    found = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
+    return found[start - first * _BLOCK : stop - first * _BLOCK]

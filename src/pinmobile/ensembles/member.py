@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 from pinmobile.controllers.protocol import told
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.plant import Context
+from pinmobile.signals import signals_of
 
 __all__ = ["Member", "member_of"]
 
@@ -43,6 +44,10 @@ class _OfRobot:
         """Return the controller's state, told of the input that is applied."""
         return told(self.controller, u, state)
 
+    def signals(self, state: Any) -> Any:
+        """Return the controller's signals."""
+        return signals_of(self.controller, state)
+
     def __call__(self, t: float, q: Any, v: Any, reference: Any, state: Any) -> tuple[Any, Any]:
         """Return the controller's input and next state."""
         return self.controller(t, q, v, reference, state)  # type: ignore[no-any-return]
@@ -61,13 +66,14 @@ def member_of(scenario: Scenario, i: int) -> Member:
     draws = scenario.draws(i, i + 1)
     values = {place: value[0] for place, value in scenario.values(draws, i, i + 1).items()}
     parts = scenario.parts.with_parameters(values, remade=True)
-    q, v = scenario.starts(draws, 1)
+    own = scenario.references(draws, 1, i) if scenario.has_own_references else None
+    q, v = scenario.starts(draws, 1, own)
     controller = parts.controller
     if scenario.is_noisy:
         controller = _OfRobot(controller, scenario.seed, i)
     options = {
         "dt": scenario.dt,
-        "duration": scenario.duration,
+        "duration": scenario.duration if own is None else float(scenario.t[-1]),
         "q0": q[0],
         "v0": v[0],
         "integrator": scenario.integrator,
@@ -75,4 +81,4 @@ def member_of(scenario: Scenario, i: int) -> Member:
         "forces": parts.forces,
         "limit": scenario.limit,
     }
-    return Member(parts.plant, controller, scenario.trajectory, options)
+    return Member(parts.plant, controller, parts.trajectory, options)

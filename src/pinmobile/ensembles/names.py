@@ -5,18 +5,33 @@ from dataclasses import replace
 from types import MethodType
 from typing import Any, NamedTuple
 
-from pinmobile import disturbances
-from pinmobile.compiled.parts import Parts, children
+from pinmobile import disturbances, paths, trajectories
+from pinmobile.compiled.parts import Parts, children_at
 from pinmobile.controllers.feedback import GAINS
 from pinmobile.errors import InvalidArgument, UnknownName
 from pinmobile.plant import Coordinate, Parameter, parameters_of
 from pinmobile.robot.planar import BODY, PlanarBody
 
-__all__ = ["PARAMETERS", "Stated", "resolved", "start_parameters", "stated_by", "with_spread_forces"]
+__all__ = [
+    "GROUPS",
+    "PARAMETERS",
+    "Stated",
+    "resolved",
+    "start_parameters",
+    "stated_by",
+    "with_spread_forces",
+]
 
-_FORCES = tuple(
-    kind for kind in map(vars(disturbances).get, disturbances.__all__) if hasattr(kind, "parameters")
-)
+
+def _stating(package: Any) -> tuple[Any, ...]:
+    """Return the kinds of parts of a package that state parameters."""
+    return tuple(kind for kind in map(vars(package).get, package.__all__) if hasattr(kind, "parameters"))
+
+
+_FORCES = _stating(disturbances)
+
+
+_FORCE_OF = {each.name: kind for kind in reversed(_FORCES) for each in parameters_of(kind)}
 
 
 class Stated(NamedTuple):
@@ -58,24 +73,33 @@ def _of_model(parameter: Parameter, prefix: str) -> Parameter:
     return replace(parameter, name=prefix + parameter.name, meaning=meaning)
 
 
-PARAMETERS: Mapping[str, Parameter] = {
-    parameter.name: parameter
-    for parameter in (
-        *BODY,
-        *(_of_model(each, "model_") for each in BODY),
-        *start_parameters(PlanarBody.coordinates),
-        *GAINS,
-        *(each for kind in _FORCES for each in parameters_of(kind)),
-    )
+def _of_kinds() -> Iterator[tuple[str, tuple[Parameter, ...]]]:
+    for package in (disturbances, paths, trajectories):
+        for kind in _stating(package):
+            with_ = f", with {kind.needs}" if hasattr(kind, "needs") else ""
+            how = f"added where there is none{with_}" if hasattr(kind, "nothing") else "where there is one"
+            if parameters_of(kind):  # of a Spline they hang on how many points it has
+                yield f"{kind.__name__}, {how}", parameters_of(kind)
+
+
+GROUPS: Mapping[str, tuple[Parameter, ...]] = {
+    "the robot": BODY,
+    "the controller's model": tuple(_of_model(each, "model_") for each in BODY),
+    "the start, from the trajectory's": start_parameters(PlanarBody.coordinates),
+    "gains, one for all coordinates, of each, or a factor": GAINS,
+    **dict(_of_kinds()),
 }
-"""The parameters of the library's own parts, by name: a spread may name these, and those of users' parts."""
+"""The parameters of the library's own parts, by what has them."""
+
+PARAMETERS: Mapping[str, Parameter] = {each.name: each for group in GROUPS.values() for each in group}
+"""The same by name: a spread may name these, and those of users' parts."""
 
 
 def _walked(path: str, part: Any, prefix: str) -> Iterator[tuple[str, Stated]]:
     for parameter in parameters_of(part):
         mine = _of_model(parameter, prefix)
         yield mine.name, Stated(path, mine)
-    for name, child in children(part):
+    for name, child in children_at(path, part):
         if not isinstance(getattr(part, name, None), MethodType):
             model = "model_" if hasattr(child, "forward_dynamics") else ""
             yield from _walked(f"{path}.{name}", child, prefix + model)
@@ -115,10 +139,6 @@ def resolved(name: Any, known: Mapping[str, list[Stated]], where: str = "spread"
     return found[0]
 
 
-def _has(force: Any, name: str) -> bool:
-    return any(name == each.name for each in parameters_of(force))
-
-
 def with_spread_forces(forces: Sequence[Any], spread: Mapping[str, Any]) -> tuple[Any, ...]:
     """Return the forces, with those of the library that a spread names and that need no more to be known.
 
@@ -129,9 +149,7 @@ def with_spread_forces(forces: Sequence[Any], spread: Mapping[str, Any]) -> tupl
     """
     found = list(forces)
     for name in spread:
-        kind = next(
-            (kind for kind in _FORCES if any(name == each.name for each in parameters_of(kind))), None
-        )
+        kind = _FORCE_OF.get(name)
         if kind is None or any(name == each.name for force in found for each in parameters_of(force)):
             continue
         needs = getattr(kind, "needs", None)

@@ -45,10 +45,10 @@ class Part(NamedTuple):
         kept = np.maximum(lived - scenario.begin, 1)[:, None]
         return cls(
             lived,
-            record["largest"],
+            record["largest"].copy(),  # not a view of all that the robots kept
             np.sqrt(record["farthest"][:, 0]),
             np.sqrt(record["squares"] / kept),
-            record["inputs"],
+            record["inputs"].copy(),
             counts,
         )
 
@@ -79,7 +79,7 @@ class Records:
         """Put the records of the robots from `start` to before `stop` in their place."""
         for name, array in self.arrays.items():
             array[start - self.start : stop - self.start] = getattr(part, name)
-        self.counts += part.counts.astype(np.int32)
+        self.counts += part.counts
 
     def part(self) -> Part:
         """Return all records."""

@@ -2,12 +2,15 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import replace
+from time import perf_counter
 from typing import Any
 from warnings import warn
 
 from pinmobile.arrays import Array, callable_as, whole
 from pinmobile.ensembles.distributions import Source
 from pinmobile.ensembles.part import Part, Records
+from pinmobile.ensembles.processes import START, Workers, packed_way
 from pinmobile.ensembles.result import Ensemble
 from pinmobile.ensembles.scenario import Scenario, checked_scenario
 from pinmobile.ensembles.ways import Way, processors, way_of
@@ -17,6 +20,8 @@ from pinmobile.simulation.engines import Engine
 from pinmobile.trajectories import Trajectory
 
 __all__ = ["ensemble", "part_of", "run_scenario"]
+
+_WORTH = 3  # starts of a worker that the rest must take: then two save a sixth of it at least
 
 Progress = Callable[[int, int], None]
 
@@ -59,7 +64,8 @@ def ensemble(
     engine : Engine, optional
         `COMPILED`, `ARRAYS` or `PINOCCHIO`, one robot after another; by default the first of these that can.
     threads : int, optional
-        By default one for each processor.
+        By default one for each processor. Of laws that hold the interpreter's lock, as Pinocchio's, that many
+        processes, where the work is worth starting them and all parts can be pickled.
     progress : callable, optional
         Called as ``progress(done, n)`` from time to time.
 
@@ -125,12 +131,18 @@ def run_scenario(
         warn(
             f"this ensemble runs by {way.engine!r}, {way.engine.value}; {way.why}", SlowerEngine, stacklevel=3
         )
-    part = _run(way, draws, 0, scenario.n, workers, progress)
+    with Workers(workers) as processes:
+        part, how = _run(way, draws, 0, scenario.n, workers, progress, processes)
+    way = replace(way, why="; ".join(filter(None, (way.why, how))))
     return Ensemble.of(scenario, draws, part, followed, way)
 
 
 def part_of(
-    scenario: Scenario, start: int, stop: int, engine: Engine | None = None
+    scenario: Scenario,
+    start: int,
+    stop: int,
+    engine: Engine | None = None,
+    processes: Workers | None = None,
 ) -> tuple[dict[str, Array], Part]:
     """Return the draws and records of the robots from `start` to before `stop`: a chunk of a sweep.
 
@@ -142,6 +154,8 @@ def part_of(
         Which of them, 0 <= start < stop <= n.
     engine : Engine, optional
         As in `ensemble`.
+    processes : Workers, optional
+        Where laws that hold the interpreter's lock may run.
 
     Returns
     -------
@@ -156,33 +170,83 @@ def part_of(
         As `ensemble`.
     """
     way, draws = way_of(scenario, engine), scenario.draws(start, stop)
-    return draws, _run(way, draws, start, stop, 1, None)
+    return draws, _run(way, draws, start, stop, 1, None, processes)[0]
 
 
 def _run(
-    way: Way, draws: Mapping[str, Array], start: int, stop: int, threads: int, progress: Progress | None
-) -> Part:
-    """Return the records of the robots from `start` to before `stop`, given what is drawn for these."""
-    records, done = Records(way.scenario, start, stop), 0
-    stretches = way.divided(start, stop, threads)
+    way: Way,
+    draws: Mapping[str, Array],
+    start: int,
+    stop: int,
+    threads: int,
+    progress: Progress | None,
+    processes: Workers | None,
+) -> tuple[Part, str]:
+    """Return the records of the robots from `start` to before `stop`, given what is drawn for these.
+
+    The string says how, where that is worth telling.
+    """
+
+    def drawn(first: int, last: int) -> Mapping[str, Array]:
+        if (first, last) == (start, stop):
+            return draws
+        return {name: column[first - start : last - start] for name, column in draws.items()}
 
     def run(first: int, last: int) -> Part:
-        mine = {name: column[first - start : last - start] for name, column in draws.items()}
-        return way.run(mine, first, last, threads)
+        return way.run(drawn(first, last), first, last, threads)
 
-    for first, last, part in _results(run, stretches, way.workers(threads)):
+    stretches = way.divided(start, stop, threads)
+    shared = way.locks and processes is not None and processes.count > 1
+    if len(stretches) == 1 and not shared:
+        part = run(start, stop)
+        if progress is not None:
+            progress(stop - start, stop - start)
+        return part, ""
+    records, done, how = Records(way.scenario, start, stop), 0, ""
+
+    def put(first: int, last: int, part: Part) -> None:
+        nonlocal done
         records.put(first, last, part)
         done += last - first
         if progress is not None:
             progress(done, stop - start)
-    return records.part()
+
+    begin, workers = start, way.workers(threads)
+    if shared:
+        assert processes is not None
+        began = perf_counter()
+        if way.alone:  # the first robot tells what one costs
+            begin = start + 1
+            put(start, begin, run(start, begin))
+            stretches = way.divided(begin, stop, threads)
+        cost = perf_counter() - began if way.alone else way.cost
+        if cost * (stop - begin) > _WORTH * START:
+            try:
+                sent = packed_way(way)
+            except InvalidArgument as error:
+                how = f"in one process, as {error}"
+            else:
+                stretches = way.shared(begin, stop, processes.count, cost)
+                workers = min(processes.count, len(stretches))
+                how = f"in {workers} processes"
+
+                def run(first: int, last: int) -> Part:
+                    return processes.part(sent, drawn(first, last), first, last)
+
+    give_up = None if processes is None else processes.end
+    for first, last, part in _results(run, stretches, workers, give_up):
+        put(first, last, part)
+    return records.part(), how
 
 
 def _results(
-    run: Callable[[int, int], Part], stretches: Sequence[tuple[int, int]], workers: int
+    run: Callable[[int, int], Part],
+    stretches: Sequence[tuple[int, int]],
+    workers: int,
+    give_up: Callable[[], None] | None,
 ) -> Iterator[tuple[int, int, Part]]:
     """Yield the stretches with what `run` gives for each, by some threads, in any order."""
-    if workers == 1 or len(stretches) == 1:
+    if workers == 1:
         for stretch in stretches:
             yield *stretch, run(*stretch)
         return
@@ -191,6 +255,10 @@ def _results(
         try:
             for future in as_completed(waiting):
                 yield *waiting.pop(future), future.result()
+        except BaseException:
+            if give_up is not None:
+                give_up()  # nobody waits for what they are doing
+            raise
         finally:
             pool.shutdown(cancel_futures=True)
 

@@ -9,7 +9,9 @@ from zlib import crc32
 
 import numpy as np
 
-from pinmobile.arrays import Array, affordable, positive, scalar, whole
+from pinmobile.arrays import Array, affordable, finite, positive, scalar, whole
+from pinmobile.compiled import memory_of, once
+from pinmobile.compiled.copies import check_made_again
 from pinmobile.compiled.loop_tape import initial_memory
 from pinmobile.compiled.noise import Noise
 from pinmobile.compiled.parts import Parts, Place
@@ -29,7 +31,7 @@ from pinmobile.simulation import (
     sample_times,
     sampled,
 )
-from pinmobile.simulation.checks import check_answers, check_controllers_memory
+from pinmobile.simulation.checks import check_answers, check_controllers_memory, started
 from pinmobile.trajectories import Reference, Trajectory
 
 __all__ = ["Scenario", "checked_scenario", "first_counted", "time_within"]
@@ -54,7 +56,8 @@ class Scenario:
     controller : controller
         As in `simulate`.
     trajectory : trajectory
-        The same for all.
+        The same for all, unless a parameter of it or of its path is spread: then it is made again for each
+        robot, whose errors are those to its own reference. All are sampled at the same times.
     n : int
         Number of robots.
     spread : mapping of str to Distribution, number or array of shape (n,)
@@ -108,6 +111,8 @@ class Scenario:
                 f"n is {n:,}, expected at most {_MOST:,}, whose records take {_MOST * _RECORD / 1e9:.0f} GB"
             )
         dt = positive("dt", self.dt, "s")
+        check_mapping(self.spread)
+        self._set(forces=with_spread_forces(checked_forces(self.forces, self.robot), self.spread))
         duration = None if self.duration is None else positive("duration", self.duration, "s")
         t = sample_times(dt, duration, self.trajectory.duration)
         every = max(1, round((len(t) - 1) / _GRID)) if self.every is None else whole("every", self.every)
@@ -115,7 +120,6 @@ class Scenario:
         affordable(
             f"the bands of {bands:,} times, every {every} samples,", _BANDS * bands, "give a larger `every`"
         )
-        check_mapping(self.spread)
         self._set(
             n=n,
             dt=dt,
@@ -125,16 +129,27 @@ class Scenario:
             limit=positive("limit", self.limit),
             after=time_within("after", self.after, t),
             every=every,
-            forces=with_spread_forces(checked_forces(self.forces, self.robot), self.spread),
             t=t,
-            reference=sampled(self.trajectory, t, self.robot),
         )
+        self._set(reference=sampled(self.trajectory, t, self.robot, self._memory))
         self._set(spread=checked_spread(self.spread, n, self.known))
         check_supports(self.spread, self.parameters)
-        check_answers(
-            self.robot, self.forces, self.integrator, *self._beginning(self.robot), dt / self.substeps
-        )
-        q, v = (one[0] for one in self.starts({}, 1))
+        once(self._memory, ("made again", *sorted(self.spread)), self._check_made_again)
+        once(self._memory, ("answers", *self._told), self._check_answers)
+
+    def _check_made_again(self) -> bool:
+        """Refuse parts with a spread parameter that keep what may follow from it and cannot be made again."""
+        for stated in self.stated.values():
+            if stated.path:
+                *_, (_, part) = self._given.on_the_way(stated.path)
+                check_made_again(stated.path, part, [stated.parameter.attribute])
+        return True
+
+    def _check_answers(self) -> bool:
+        """Refuse parts whose answers have other shapes than they should, or are others when asked again."""
+        h = self.dt / self.substeps
+        check_answers(self.robot, self.forces, self.integrator, *self._beginning(self.robot), h)
+        q, v = self.start
         check_controllers_memory(self.controller, self.context, q, v)
         for k, force in enumerate(self.forces):
             shape = np.shape(_asked(force, self._on_arrays.plant, q, v))
@@ -143,10 +158,24 @@ class Scenario:
                     f"forces[{k}] gives shape {shape} for one robot, expected (3,): "
                     "name in spread what differs"
                 )
+        return True
 
     def _set(self, **values: Any) -> None:
         for name, value in values.items():
             object.__setattr__(self, name, value)
+
+    @property
+    def _told(self) -> tuple[Any, ...]:
+        """What its laws may ask for beside the parts: substeps, times and the seed."""
+        return self.substeps, self.dt, len(self.t), float(self.t[-1]), self.seed
+
+    def _memory_now(self) -> dict[Any, Any]:
+        """Return where what follows from its parts is remembered as long as they stay; see `memory_of`."""
+        return memory_of(self._given, self.trajectory)
+
+    @cached_property
+    def _memory(self) -> dict[Any, Any]:
+        return self._memory_now()
 
     def __getstate__(self) -> dict[str, Any]:
         # What is made of the fields is made again.
@@ -177,7 +206,10 @@ class Scenario:
 
     @cached_property
     def _given(self) -> Parts:
-        return Parts(self.robot, self.controller, tuple(self.forces), self.integrator, None, self.substeps)
+        forces = tuple(self.forces)
+        return Parts(
+            *(self.robot, self.controller, forces, self.integrator, None, self.substeps, self.trajectory)
+        )
 
     @cached_property
     def _on_arrays(self) -> Parts:
@@ -186,7 +218,7 @@ class Scenario:
     @cached_property
     def known(self) -> dict[str, list[Stated]]:
         """What its parts and its start state, by name, and by path and name; what a spread may name."""
-        return stated_by(self._on_arrays, self._coordinates)
+        return once(self._memory, "known", lambda: stated_by(self._on_arrays, self._coordinates))  # type: ignore[no-any-return]
 
     @cached_property
     def _coordinates(self) -> tuple[Coordinate, ...]:
@@ -210,16 +242,20 @@ class Scenario:
     @cached_property
     def parts(self) -> Parts:
         """The parts of its loop; what is spread has the shape that it takes for each robot."""
-        values = self._on_arrays.parameters()
-        wanted = self._written(
-            {name: np.array([self.nominal.get(name, 1.0)]) for name in self.spread}, values, 1
-        )
-        grown = {place: one[0] for place, one in wanted.items() if one.shape[1:] != values[place].shape}
+        grown = once(self._memory, ("grown", tuple(self.spread)), self._grown)
         given = self._given.with_parameters(grown, remade=True) if grown else self._given
         stated = [one for one in self.stated.values() if one.path]
         return given.varying(
             (Place(one.path, one.parameter.attribute), one.parameter.entry) for one in stated
         )
+
+    def _grown(self) -> dict[Place, Array]:
+        """Return the attributes that take another shape when they are spread."""
+        values = self._on_arrays.parameters()
+        wanted = self._written(
+            {name: np.array([self.nominal.get(name, 1.0)]) for name in self.spread}, values, 1
+        )
+        return {place: one[0] for place, one in wanted.items() if one.shape[1:] != values[place].shape}
 
     def _written(
         self, draws: Mapping[str, Array], values: Mapping[Place, Array], count: int
@@ -229,8 +265,8 @@ class Scenario:
         # In the order in which parts state them: a factor comes after what it multiplies.
         for name in sorted(self.stated, key=list(self.known).index):
             path, parameter = self.stated[name]
-            if path:
-                place = Place(path, parameter.attribute)
+            place = Place(path, parameter.attribute)
+            if place in values:
                 before = found.get(place, np.broadcast_to(values[place], (count, *values[place].shape)))
                 found[place] = parameter.written(before, draws[name], self.size)
         return found
@@ -253,9 +289,64 @@ class Scenario:
         return bool(asked)
 
     @property
+    def has_own_references(self) -> bool:
+        """Whether a parameter of the trajectory is spread, so that each robot has a reference of its own."""
+        return any(_is_of_trajectory(one.path) for one in self.stated.values())
+
+    def references(self, draws: Mapping[str, Array], count: int, first: int = 0) -> Reference:
+        """Return each robot's own reference, q, v and a of shape (N + 1, count, ...).
+
+        Parameters
+        ----------
+        draws : mapping of str to ndarray, shape (count,)
+            What was drawn for them.
+        count, first : int
+            How many robots, and the number of the first, for messages.
+
+        Raises
+        ------
+        InvalidArgument
+            If a robot's trajectory cannot be made, is too short, or does not fit the plant.
+        """
+        alone = Parts(None, None, trajectory=self.parts.trajectory)
+        own = self._written(draws, alone.parameters(), count)
+        known: dict[bytes, Reference] = {}
+        found = Reference(*(np.empty((len(self.t), count, part.shape[1])) for part in self.reference))
+        for i in range(count):
+            values = {place: value[i] for place, value in own.items()}
+            key = b"".join(value.tobytes() for value in values.values())
+            try:
+                if key not in known:
+                    made = alone.with_parameters(values, remade=True).trajectory
+                    known[key] = self._sampled(made)
+            except InvalidArgument as error:
+                raise InvalidArgument(f"robot {first + i}: {error}") from error
+            for rows, part in zip(found, known[key], strict=True):
+                rows[:, i] = part
+        return found
+
+    def _sampled(self, trajectory: Trajectory) -> Reference:
+        """Return the reference that a robot's own trajectory gives, which must have the shape of all."""
+        longest = float(trajectory.duration)
+        if longest < self.t[-1] * (1 - _SAME):
+            raise InvalidArgument(
+                f"its trajectory lasts {longest:.9g} s, expected at least {self.t[-1]:.9g} s, as the ensemble"
+            )
+        reference = sampled(trajectory, np.minimum(self.t, longest), self.robot)
+        if reference.v.shape != self.reference.v.shape:
+            raise InvalidArgument(
+                f"its trajectory has {reference.v.shape[1]} coordinates, expected {self.size}, as of all"
+            )
+        return reference
+
+    @property
     def places(self) -> tuple[Place, ...]:
-        """What each robot has of its own: attributes that are spread, and those that it draws."""
-        spread = [Place(one.path, one.parameter.attribute) for one in self.stated.values() if one.path]
+        """What each robot's loop has of its own: attributes that are spread, and those that it draws."""
+        spread = [
+            Place(one.path, one.parameter.attribute)
+            for one in self.stated.values()
+            if one.path and not _is_of_trajectory(one.path)
+        ]
         drawn = [Place(path, name) for path, _, name in self._drawn()]
         return tuple(dict.fromkeys([*spread, *drawn]))
 
@@ -273,6 +364,11 @@ class Scenario:
             What `draws` gives for them.
         start, stop : int
             Which robots.
+
+        Returns
+        -------
+        values : dict of Place to ndarray
+            Those of the trajectory too, which is no part of the loop.
         """
         found = self._written(draws, self.parts.on_arrays().parameters(), stop - start)
         for path, part, name in self._drawn():
@@ -284,21 +380,49 @@ class Scenario:
             found[Place(path, name)] = in_blocks(stream, own, self.seed, start, stop)
         return found
 
-    def starts(self, draws: Mapping[str, Array], count: int) -> tuple[Array, Array]:
-        """Return where robots start, shape (count, nq) and (count, nv)."""
+    def starts(
+        self, draws: Mapping[str, Array], count: int, references: Reference | None = None
+    ) -> tuple[Array, Array]:
+        """Return where robots start, shape (count, nq) and (count, nv).
+
+        Parameters
+        ----------
+        draws : mapping of str to ndarray, shape (count,)
+            What was drawn for them.
+        count : int
+            How many.
+        references : Reference, optional
+            Their own, as `references` returns them.
+        """
         plant = self.parts.on_arrays().plant
-        q, v = self._beginning(plant)
         off = np.zeros((2, count, plant.nv))
-        names = [each.name for each in start_parameters(self._coordinates)]
+        names = once(
+            self._memory, "starts", lambda: [each.name for each in start_parameters(self._coordinates)]
+        )
         for k, name in enumerate(names):
             if name in draws:
                 off[k // plant.nv, :, k % plant.nv] = draws[name]
-        return _moved(plant, q, off[0]), v + off[1]
+        if references is None:
+            q, v = self.start
+            return _moved(plant, q, off[0]), v + off[1]
+        firsts = (Reference(*(part[0, i] for part in references)) for i in range(count))
+        begun = [self._beginning(plant, at) for at in firsts]
+        moved = [plant.integrate(q, dq) for (q, _), dq in zip(begun, off[0], strict=True)]
+        return np.array(moved, np.float64), np.array([v for _, v in begun]) + off[1]
 
-    def _beginning(self, plant: Any) -> tuple[Array, Array]:
-        """Return where a plant is on the trajectory, shape (nq,) and (nv,)."""
-        at = Reference(*(part[0] for part in self.reference))
-        return plant.start(at) if hasattr(plant, "start") else (at.q, at.v)
+    @property
+    def start(self) -> tuple[Array, Array]:
+        """Where the nominal robot starts, shape (nq,) and (nv,)."""
+        q, v = once(self._memory, "start", lambda: self._beginning(self.parts.on_arrays().plant))
+        return np.array(q, np.float64), np.array(v, np.float64)
+
+    def _beginning(self, plant: Any, at: Reference | None = None) -> tuple[Array, Array]:
+        """Return where a plant is at the first sample of a reference, by default of all, (nq,) and (nv,)."""
+        at = Reference(*(part[0] for part in self.reference)) if at is None else at
+        if not hasattr(plant, "start"):
+            return at.q, at.v
+        q, v = (finite(f"{name} of plant.start", x) for name, x in zip("qv", started(plant, at), strict=True))
+        return q, v
 
     @property
     def grid(self) -> Array:
@@ -308,6 +432,9 @@ class Scenario:
     @cached_property
     def nominal(self) -> dict[str, float]:
         """The values of the parameters, as far as each is one number."""
+        return once(self._memory, "nominal", self._nominal)  # type: ignore[no-any-return]
+
+    def _nominal(self) -> dict[str, float]:
         values = self._on_arrays.parameters()
         found = {}
         for name, stated in self.known.items():
@@ -358,18 +485,20 @@ class Scenario:
     def _check_bodies(self, draws: Mapping[str, Array], count: int) -> None:
         """Refuse what is possible number by number, but not together, as parts know that are asked."""
         parts = self.parts.on_arrays()
-        paths = {one.path for one in self.stated.values() if one.path}
-        if not any(hasattr(parts.at(path), "impossible") for path in paths):
-            return
-        written = self._written(draws, parts.parameters(), count)
-        for path in dict.fromkeys(place.path for place in written):
-            part = parts.at(path)
+        paths = dict.fromkeys(one.path for one in self.stated.values() if one.path)
+        knowing = {path: part for path in paths if hasattr(part := parts.at(path), "impossible")}
+        written = self._written(draws, parts.parameters(), count) if knowing else {}
+        for path, part in knowing.items():
             own = {place.name: array for place, array in written.items() if place.path == path}
-            for name, wrong in part.impossible(own) if hasattr(part, "impossible") else ():
+            for name, wrong in part.impossible(own):
                 raise InvalidArgument(
                     f"spread gives the {name} of {path} in {np.count_nonzero(wrong)} of {count} draws "
                     f"({wrong.mean():.2%}) an inertia that no body has, {part.EXPECTED}"
                 )
+
+
+def _is_of_trajectory(path: str) -> bool:
+    return path.partition(".")[0] == "trajectory"
 
 
 def checked_scenario(scenario: Any) -> Scenario:

@@ -3,12 +3,14 @@
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import Summary, program_of, robot_keys
+from pinmobile.compiled import Summary, once, program_of, robot_keys
+from pinmobile.compiled.copies import derived
 from pinmobile.compiled.loop_tape import arrays_of, initial_memory
 from pinmobile.compiled.noise import Noise
 from pinmobile.compiled.parts import (
@@ -16,7 +18,8 @@ from pinmobile.compiled.parts import (
     Parts,
     Place,
     Reference,
-    attributes_of,
+    Stepped,
+    children,
     errors,
     one_sample,
 )
@@ -26,13 +29,18 @@ from pinmobile.ensembles.member import member_of
 from pinmobile.ensembles.part import Part
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.errors import Diverged, InvalidArgument, NotTraceable
+from pinmobile.plant import Context
 from pinmobile.simulation import simulate
 from pinmobile.simulation.engines import ARRAYS, COMPILED, PINOCCHIO, Engine, checked_engine
 
 __all__ = ["Way", "processors", "way_of"]
 
-_AT_ONCE = {ARRAYS: 4096, PINOCCHIO: 16}
+_AT_ONCE = 4096  # robots on arrays
+_ONE_BY_ONE = 16  # robots between two reports of progress
+_STEP = 2e-5  # seconds of a step of one of many robots by Pinocchio, at least
+_ANSWER = 0.5  # seconds between two answers of a process that runs robots one after another, about
 _WORK = 2e7  # robots times samples that are compiled code's at once: some 0.3 s
+_SAMPLED = 1e6  # the same where each robot has a reference of its own: some 200 MB of them
 _ROWS = 4  # of three, rows could be taken for coordinates
 _CLOSE = 1e-9  # of the largest number: rounding, which may depend on how many rows there are
 
@@ -65,16 +73,48 @@ class Way:
 
     def workers(self, threads: int) -> int:
         """Return how many threads of Python are worth it: compiled code has its own, Pinocchio locks."""
-        return threads if self.engine is ARRAYS else 1
+        return threads if self.engine is ARRAYS and not self.locks else 1
+
+    @property
+    def alone(self) -> bool:
+        """Whether robots run one after another, so that the first tells what each costs."""
+        return self.engine is PINOCCHIO
+
+    @property
+    def cost(self) -> float:
+        """Seconds that a robot takes at least, of many at once whose model is Pinocchio's."""
+        return len(self.scenario.t) * self.scenario.substeps * _STEP
+
+    def shared(self, start: int, stop: int, workers: int, cost: float) -> list[tuple[int, int]]:
+        """Divide the robots among processes; `cost` is what one takes alone [s]."""
+        share = -(-(stop - start) // workers)
+        if not self.alone:
+            return self._each(start, stop, share)
+        return self._each(start, stop, max(1, min(round(_ANSWER / cost), -(-share // 4))))
+
+    def _each(self, start: int, stop: int, each: int) -> list[tuple[int, int]]:
+        if self.engine is ARRAYS:
+            most = _AT_ONCE
+            if self.scenario.has_own_references:
+                most = min(most, int(_SAMPLED / len(self.scenario.t)))
+            each = max(_ROWS, min(each, most))
+        return [(first, min(first + each, stop)) for first in range(start, stop, each)]
+
+    @cached_property
+    def locks(self) -> bool:
+        """Whether its robots' laws hold the interpreter's lock, so that other processes would help."""
+        return self.engine is PINOCCHIO or (self.engine is ARRAYS and _asks_pinocchio(self.scenario.parts))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"scenario": self.scenario, "engine": self.engine, "why": self.why, "program": None}
 
     def divided(self, start: int, stop: int, threads: int) -> list[tuple[int, int]]:
         """Divide the robots so that every worker has something to do, and none too much at a time."""
         if self.engine is COMPILED:
-            each = 256 * max(1, min(256, round(_WORK / len(self.scenario.t) / 256)))
-        else:
-            share = -(-(stop - start) // self.workers(threads))
-            each = min(_AT_ONCE[self.engine], max(_ROWS, share))
-        return [(first, min(first + each, stop)) for first in range(start, stop, each)]
+            work = _SAMPLED if self.scenario.has_own_references else _WORK
+            return self._each(start, stop, 256 * max(1, min(256, round(work / len(self.scenario.t) / 256))))
+        share = -(-(stop - start) // self.workers(threads))
+        return self._each(start, stop, share if self.engine is ARRAYS else _ONE_BY_ONE)
 
     def run(self, draws: Mapping[str, Array], start: int, stop: int, threads: int) -> Part:
         """Return the records of the robots from `start` to before `stop`, given what is drawn for these."""
@@ -83,6 +123,21 @@ class Way:
         if self.engine is ARRAYS:
             return _on_arrays(self.scenario, draws, start, stop)
         return _one_by_one(self.scenario, start, stop)
+
+
+def _asks_pinocchio(parts: Parts) -> bool:
+    """Tell whether a part has a model whose law is no NumPy."""
+
+    def asks(part: Any) -> bool:
+        try:
+            if hasattr(part, "traced"):
+                part.traced()
+                return False
+        except NotTraceable:
+            return True
+        return any(asks(child) for _, child in children(part))
+
+    return any(asks(part) for path, part in parts.by_path() if path != "trajectory")
 
 
 def way_of(scenario: Scenario, engine: Engine | None = None) -> Way:
@@ -101,7 +156,7 @@ def way_of(scenario: Scenario, engine: Engine | None = None) -> Way:
                 found = way(scenario)
                 return Way(scenario, each, "; ".join(why), found)
             except NotTraceable as error:
-                refusal = " ".join(str(error).split())
+                refusal = error.reason
             if asked is not None:
                 raise InvalidArgument(f"engine is {each!r}, which cannot run this: {refusal}")
             why.append(f"not {each!r}: {refusal}")
@@ -118,6 +173,37 @@ def _with_recorder(scenario: Scenario) -> Parts:
     parts = scenario.parts
     recorder = Summary(limit=scenario.limit, begin=begin)
     return Parts(parts.plant, parts.controller, parts.forces, parts.integrator, recorder, parts.substeps)
+
+
+class _Blind:
+    """The context of robots that have references of their own: it shows none, as there is no one of all."""
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+
+    def __getattr__(self, name: str) -> Any:
+        if name in ("reference", "trajectory"):
+            raise NotTraceable(
+                f"the controller asks its context for the {name}, which each robot has of its own",
+                "let it follow the reference of each sample, or spread no parameter of the trajectory",
+            )
+        return getattr(self._context, name)
+
+
+def _context(scenario: Scenario) -> Any:
+    """Return what the controller of many robots at once is told."""
+    return _Blind(scenario.context) if scenario.has_own_references else scenario.context
+
+
+def _values(scenario: Scenario, draws: Mapping[str, Array], start: int, stop: int) -> dict[Place, Array]:
+    """Return what the loops of robots have of their own."""
+    values, places = scenario.values(draws, start, stop), set(scenario.places)
+    return {place: value for place, value in values.items() if place in places}
+
+
+def _own_references(scenario: Scenario, draws: Mapping[str, Array], start: int, stop: int) -> Any:
+    """Return the references of robots that have their own, else None."""
+    return scenario.references(draws, stop - start, start) if scenario.has_own_references else None
 
 
 def _moved(scenario: Scenario, place: Place) -> Parts:
@@ -145,33 +231,45 @@ def _check_derived(scenario: Scenario) -> None:
         If there is one.
     """
     for stated in scenario.stated.values():
-        if not stated.path:
-            continue
-        place, part = Place(stated.path, stated.parameter.attribute), scenario.parts.at(stated.path)
-        if hasattr(part, "traced"):
+        place = Place(stated.path, stated.parameter.attribute)
+        if place not in scenario.places:
             continue
         try:
-            pair = [part, _moved(scenario, place).at(stated.path)]
+            moved = _moved(scenario, place)
         except InvalidArgument:
             continue  # a value beside the nominal one is not allowed
-        if not all(hasattr(each, "__dict__") for each in pair):
-            continue
-        own = attributes_of(pair[0])
-        for name, value in vars(pair[0]).items():
-            numeric = isinstance(value, int | float | np.ndarray) and name not in own
-            other = vars(pair[1]).get(name, value)
-            if numeric and not np.array_equal(value, other):
+        # A part may derive of what stands in it, too.
+        for path, part in scenario.parts.on_the_way(place.path):
+            if hasattr(part, "traced"):
+                continue  # it is traced as it is then
+            *_, (_, other) = moved.on_the_way(path)
+            inner = {name.partition("[")[0] for name, _ in children(part)}
+            name = derived(part, other, inner | ({place.name} if path == place.path else set()))
+            if name:
                 raise NotTraceable(
-                    f"{stated.path}, a {type(pair[0]).__name__}, makes {name} of {place.name} once",
+                    f"{path}, a {type(part).__name__}, makes {name} of {place.name} once",
                     "compute it in the law",
                 )
 
 
 def _as_compiled(scenario: Scenario) -> Program:
+    begins = scenario.begin > 0
+    return once(  # type: ignore[no-any-return]
+        scenario._memory_now(),
+        ("program", tuple(scenario.spread), begins, *scenario._told),
+        lambda: _program(scenario),
+    )
+
+
+def _program(scenario: Scenario) -> Program:
     _check_derived(scenario)
     parts, at = _with_recorder(scenario), Reference(*(part[0] for part in scenario.reference))
-    q, v = scenario.starts({}, 1)
-    program = program_of(parts, scenario.context, (q[0], v[0]), at, dt=scenario.dt, spread=scenario.places)
+    program = program_of(
+        *(parts, _context(scenario), scenario.start, at),
+        dt=scenario.dt,
+        spread=scenario.places,
+        own_reference=scenario.has_own_references,
+    )
     unused = set(program.loop.unused)
     for name, stated in scenario.stated.items():
         # What the plant has may not matter to one run, as the mass of what nobody pushes; it is its own.
@@ -188,14 +286,16 @@ def _compiled(way: Way, draws: Mapping[str, Array], start: int, stop: int, threa
     scenario, program = way.scenario, way.program
     assert program is not None
     keys = {name: robot_keys(scenario.seed, name, range(start, stop)) for name in program.loop.keys}
+    own = _own_references(scenario, draws, start, stop)
     outcome = program.run(
         _with_recorder(scenario),
-        scenario.context,
-        scenario.starts(draws, stop - start),
+        _context(scenario),
+        scenario.starts(draws, stop - start, own),
         scenario.t,
         Reference(*scenario.reference),
         dt=scenario.dt,
-        values=scenario.values(draws, start, stop),
+        tracks=None if own is None else Reference(*own),
+        values=_values(scenario, draws, start, stop),
         keys=keys,
         every=scenario.stride,
         threads=threads,
@@ -211,17 +311,23 @@ class _Rows:
     memory: Memory
     q: Array
     v: Array
+    references: Any = None  # where each has its own
+
+    def at(self, k: int, all_have: Reference) -> Reference:
+        """Return the reference of sample k."""
+        return Reference(*(part[k] for part in self.references or all_have))
 
 
 def _rows(scenario: Scenario, draws: Mapping[str, Array], start: int, stop: int) -> _Rows:
     given = _with_recorder(scenario)
-    parts = given.on_arrays().with_parameters(scenario.values(draws, start, stop))
+    parts = given.on_arrays().with_parameters(_values(scenario, draws, start, stop))
+    own = _own_references(scenario, draws, start, stop)
 
     def normal(name: str, n: int) -> Noise:
         return Noise(robot_keys(scenario.seed, name, range(start, stop)), n)
 
-    memory = initial_memory(parts, scenario.context, scenario.size, normal=normal)
-    return _Rows(parts, memory, *scenario.starts(draws, stop - start))
+    memory = initial_memory(parts, _context(scenario), scenario.size, normal=normal)
+    return _Rows(parts, memory, *scenario.starts(draws, stop - start, own), own)
 
 
 def _as_arrays(scenario: Scenario) -> None:
@@ -234,7 +340,6 @@ def _as_arrays(scenario: Scenario) -> None:
     """
     count = min(_ROWS, scenario.n)
     draws = scenario.draws(0, count)
-    at = Reference(*(part[0] for part in scenario.reference))
     h = scenario.dt / scenario.substeps
     steps = np.arange(1.0, 1 + count * scenario.robot.nv).reshape(count, -1) * 1e-2  # no two rows alike
 
@@ -248,6 +353,7 @@ def _as_arrays(scenario: Scenario) -> None:
             ]
         )
         v = rows.v + np.sin(11 * steps[first:last]) * 0.1
+        at = rows.at(0, Reference(*scenario.reference))
         with np.errstate(all="ignore"):
             found = one_sample(rows.parts, 0.0, float(scenario.t[0]), h, q, v, at, rows.memory)
         shapes = {
@@ -287,30 +393,72 @@ def _as_arrays(scenario: Scenario) -> None:
 def _on_arrays(scenario: Scenario, draws: Mapping[str, Array], start: int, stop: int) -> Part:
     rows = _rows(scenario, draws, start, stop)
     q, v, memory, h = rows.q, rows.v, rows.memory, scenario.dt / scenario.substeps
-    counts = np.zeros((len(scenario.grid), 2, BINS), np.int64)
-    begin = scenario.starts({}, 1)
+    counts = np.zeros((len(scenario.grid), 2, BINS), np.int32)
+    begin, looked_at = scenario.start, None
     with np.errstate(all="ignore"):  # what overflows is judged
         for k, time in enumerate(scenario.t.tolist()):
-            at = Reference(*(part[k] for part in scenario.reference))
+            at = rows.at(k, Reference(*scenario.reference))
             far = np.abs(np.concatenate(errors(rows.parts.plant, q, v, at), axis=-1))
             alive = (memory.recorder["alive"] > 0.5) & (far <= scenario.limit).all(axis=-1)
             # What has diverged goes on from the trajectory's start: no law sees what is no number.
             q, v = np.where(alive[:, None], q, begin[0]), np.where(alive[:, None], v, begin[1])
             memory = memory._replace(recorder={**memory.recorder, "alive": np.where(alive, 1.0, 0.0)})
-            found = one_sample(rows.parts, float(k), time, h, q, v, at, memory)
+            asked = rows.parts, float(k), time, h, q, v, at, memory
+            found = one_sample(*asked)
+            if k <= 1:  # the first is on the trajectory, where many laws give nothing
+                looked_at = asked, found
             q, v, memory = found.q, found.v, found.memory
             if k % scenario.stride == 0:
                 for row, size in zip(counts[k // scenario.stride], found.record.counted, strict=True):
                     row += np.bincount(bins_of(np.asarray(size)), minlength=BINS)
+        if looked_at is not None:
+            _check_again(*looked_at)
     return Part.of(scenario, memory.recorder, counts)
+
+
+def _check_again(asked: Any, found: Stepped) -> None:
+    """Refuse parts that answer otherwise for a sample when they are asked again after the last one.
+
+    Raises
+    ------
+    InvalidArgument
+        If there is such a part.
+    """
+    again = one_sample(*asked)
+    pairs = {
+        "controller": (found.sample.u, again.sample.u),
+        "plant or forces": (found.sample.a, again.sample.a),
+        "integrator": (np.hstack([found.q, found.v]), np.hstack([again.q, again.v])),
+    }
+    for part, (before, after) in pairs.items():
+        if not np.allclose(before, after, rtol=_CLOSE, atol=_CLOSE, equal_nan=True):
+            raise InvalidArgument(
+                f"{part} answers otherwise for t = {found.sample.t:g} s when asked again at the end, "
+                "expected the same: only controllers have memory, in their state, and random numbers come "
+                "from context.normal(name, n)"
+            )
 
 
 def _one_by_one(scenario: Scenario, start: int, stop: int) -> Part:
     """Return the records of robots that `simulate` runs one after another."""
-    found = [_summed(scenario, i) for i in range(start, stop)]
-    counts = np.sum([each.counts for each in found], axis=0)
+    found = [_summed_alone(scenario, i) for i in range(start, stop)]
+    counts = np.sum([each.counts for each in found], axis=0, dtype=np.int32)
     columns = (np.concatenate([getattr(each, name) for each in found]) for name in Part._fields[:-1])
     return Part(*columns, counts)  # type: ignore[call-arg]
+
+
+def _summed_alone(scenario: Scenario, i: int) -> Part:
+    """Return the records of robot i, whose number its errors tell."""
+    try:
+        return _summed(scenario, i)
+    except InvalidArgument as error:
+        if type(error) is InvalidArgument and not str(error).startswith("robot "):
+            raise InvalidArgument(f"robot {i}: {error}") from error
+        error.add_note(f"robot {i} of the ensemble")
+        raise
+    except Exception as error:
+        error.add_note(f"robot {i} of the ensemble")
+        raise
 
 
 def _summed(scenario: Scenario, i: int) -> Part:
@@ -323,7 +471,7 @@ def _summed(scenario: Scenario, i: int) -> Part:
     error = np.zeros((0, c)) if rollout is None else np.abs(rollout.error)
     force = np.zeros((0, nu)) if rollout is None else np.abs(rollout.u)
     kept = error[scenario.begin :]
-    counts = np.zeros((len(scenario.grid), 2, BINS), np.int64)
+    counts = np.zeros((len(scenario.grid), 2, BINS), np.int32)
     sizes = np.full((len(scenario.t), 2), np.inf)
     sizes[:lived] = np.column_stack([np.hypot(error[:, 0], error[:, 1]), error[:, 2]])
     for row, size in zip(counts, sizes[:: scenario.stride], strict=True):
@@ -334,5 +482,5 @@ def _summed(scenario: Scenario, i: int) -> Part:
         np.sqrt(np.square(kept[:, :2]).sum(axis=1)).max(initial=0.0)[None],
         np.sqrt(np.square(kept).sum(axis=0) / max(len(kept), 1))[None],
         force.max(axis=0, initial=0.0)[None],
-        counts.astype(np.int32),
+        counts,
     )

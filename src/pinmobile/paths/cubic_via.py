@@ -1,6 +1,7 @@
 """Two cubics that meet at a via point."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -8,10 +9,26 @@ from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, scalar
 from pinmobile.errors import InvalidArgument
 from pinmobile.paths.piecewise import PiecewisePath
 from pinmobile.paths.polynomials import PiecewisePolynomial, hermite, stretch
+from pinmobile.paths.values import of_point
+from pinmobile.plant import Parameter
 
 __all__ = ["CubicVia"]
 
 _REST = (0.0, 0.0)
+
+
+def _parameters(size: int, *, has_velocity: bool) -> tuple[Parameter, ...]:
+    return (
+        *of_point("via_start", "start", "start of the path", size),
+        *of_point("via", "via", "via point of the path", size),
+        *of_point("via_end", "end", "end of the path", size),
+        Parameter("via_time", "s", "time at the via point", 0.0, may_vanish=False, attribute="t_via"),
+        *(
+            of_point("via_velocity", "via_velocity", "velocity at the via point", size, unit="m/s")
+            if has_velocity
+            else ()
+        ),
+    )
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -51,6 +68,8 @@ class CubicVia(PiecewisePath):
     start_velocity: Array
     end_velocity: Array
 
+    parameters: ClassVar[tuple[Parameter, ...]] = _parameters(2, has_velocity=True)
+
     def __init__(
         self,
         start: ArrayLike,
@@ -83,6 +102,8 @@ class CubicVia(PiecewisePath):
         stretch("t_via", self.t_via)
         stretch("t_end - t_via", self.t_end - self.t_via)
         object.__setattr__(self, "_curve", self._solve())
+        stated = _parameters(n, has_velocity=self.via_velocity is not None)
+        object.__setattr__(self, "parameters", stated)  # in place of those in the plane
 
     def _solve(self) -> PiecewisePolynomial:
         velocity = self._free_velocity() if self.via_velocity is None else self.via_velocity

@@ -8,6 +8,8 @@ from pinmobile.arrays import Array, ArrayLike, finite, frozen
 from pinmobile.errors import InvalidArgument
 from pinmobile.paths.piecewise import PiecewisePath
 from pinmobile.paths.polynomials import PiecewisePolynomial, stretch
+from pinmobile.paths.values import of_point
+from pinmobile.plant import Parameter
 
 __all__ = ["Spline"]
 
@@ -56,6 +58,13 @@ class Spline(PiecewisePath):
         for name, value in keep.items():
             object.__setattr__(self, name, value)
         object.__setattr__(self, "_curve", self._solve())
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Its waypoints, from 0."""
+        count, n = self.waypoints.shape
+        points = (of_point(f"waypoint_{k}", "waypoints", f"waypoint {k}", n, row=k) for k in range(count))
+        return tuple(each for point in points for each in point)
 
     def _solve(self) -> PiecewisePolynomial:
         # Here, because scipy is heavy and no other path needs it.

@@ -1,11 +1,46 @@
-"""Nouns that hold arrays, compared, hashed and printed by value."""
+"""What nouns that hold points have in common: compared, hashed and printed by value; their parameters."""
 
 from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
-__all__ = ["Value"]
+from pinmobile.plant import Parameter
+
+__all__ = ["Value", "of_point"]
+
+
+def of_point(
+    name: str, attribute: str, meaning: str, size: int = 2, *, unit: str = "m", row: int | None = None
+) -> tuple[Parameter, ...]:
+    """Return the parameters of a point or velocity that a path has: x and y, or numbers of joints.
+
+    Parameters
+    ----------
+    name : str
+        What they begin with, such as ``"via"``: ``"via_x"``.
+    attribute : str
+        The path's attribute.
+    meaning : str
+        What it is, in words.
+    size : int
+        Number of coordinates.
+    unit : str
+        Of each in the plane; of joints, that is as the joint is.
+    row : int, optional
+        Which of several points that the attribute holds.
+    """
+    coordinates = ("x", "y") if size == 2 else tuple(map(str, range(size)))
+    return tuple(
+        Parameter(
+            f"{name}_{each}",
+            unit if size == 2 else "",
+            f"{meaning}, {each if size == 2 else f'coordinate {each}'}",
+            attribute=attribute,
+            entry=k if row is None else (row, k),
+        )
+        for k, each in enumerate(coordinates)
+    )
 
 
 class Value:

@@ -126,7 +126,7 @@ def forces(rollouts: Rollouts, *, title: str | None = None) -> Figure:
 
 
 def signals(rollouts: Rollouts, *, title: str | None = None) -> Figure:
-    """Draw the signals that plant and controller gave, each with its unit.
+    """Draw the signals that the parts of the loop gave, each with its unit.
 
     Parameters
     ----------

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, NamedTuple, Self, final
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, finite, one_of, scalar, wrap_angle
+from pinmobile.arrays import Array, finite, frozen, one_of, scalar, wrap_angle
 from pinmobile.compiled.symbols import plain, symbols
 from pinmobile.compiled.tape import Node
 from pinmobile.errors import InvalidArgument
@@ -70,10 +70,12 @@ class ArticulatedBody:
         Its joints; the first three are the base's.
     links, loads, frames : tuple of Fixed
         Where the bodies below stand, and what has a name.
-    arms : mapping of str to (float, float, float, float)
-        Where the arms stand, unless `places` are varied: x, y, z and yaw [m, m, m, rad].
-    coordinates, inputs, leading
+    arms : tuple of (str, (float, float, float, float))
+        Names of the arms, and where they stand unless `places` are varied: x, y, z and yaw [m, m, m, rad].
+    coordinates, inputs
         As of a plant.
+    ends : tuple of (int, int)
+        Items of `leading`.
     rest : ndarray, shape (nq,)
         Where what has no reference starts.
     mass, yaw_inertia, com_x, com_y : float
@@ -96,10 +98,10 @@ class ArticulatedBody:
     links: tuple[Fixed, ...]
     loads: tuple[Fixed, ...]
     frames: tuple[Fixed, ...]
-    arms: Mapping[str, tuple[float, ...]]
+    arms: tuple[tuple[str, tuple[float, ...]], ...]
     coordinates: tuple[Coordinate, ...]
     inputs: tuple[Input, ...]
-    leading: Mapping[int, int]
+    ends: tuple[tuple[int, int], ...]
     rest: Array
     mass: Any
     yaw_inertia: Any
@@ -113,7 +115,7 @@ class ArticulatedBody:
     load_inertias: Any
     rotors: Any
     places: Any
-    varied: frozenset[tuple[str, int | None]] | None = None
+    varied: frozenset[tuple[str, Any]] | None = None
     matter: tuple[tuple[bool, ...], ...] = ()
 
     broadcasts: ClassVar[bool] = True
@@ -129,9 +131,14 @@ class ArticulatedBody:
     def _differs(self, name: str, entry: int) -> bool:
         return self.varied is None or (name, entry) in self.varied
 
-    def varying(self, entries: Iterable[tuple[str, int | None]]) -> Self:
+    def varying(self, entries: Iterable[tuple[str, Any]]) -> Self:
         """Return it, told which attributes and entries of its parameters differ from robot to robot."""
         return replace(self, varied=frozenset(entries))
+
+    @property
+    def leading(self) -> dict[int, int]:
+        """How many numbers of q the first n coordinates have, for each n that a reference may have."""
+        return dict(self.ends)
 
     @property
     def nq(self) -> int:
@@ -168,7 +175,7 @@ class ArticulatedBody:
             found.append(
                 Parameter(name, unit, f"{meaning} adds, of the robot", 0.0, attribute="rotors", entry=k)
             )
-        for k, arm in enumerate(self.arms):
+        for k, (arm, _) in enumerate(self.arms):
             for j, (name, unit) in enumerate(_PLACE.items()):
                 meaning = f"{name.removeprefix('at_')} of where {arm} stands on the robot"
                 entry = len(_PLACE) * k + j
@@ -195,7 +202,7 @@ class ArticulatedBody:
         stand = self._stands[arm] if arm >= 0 else None
         if stand is None:
             return Place.of(R, p)
-        x, y, z, yaw = list(self.arms.values())[arm]
+        x, y, z, yaw = self.arms[arm][1]
         c, s = np.cos(yaw), np.sin(yaw)
         back = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         return Place.of(*map(without_rounding, (back @ R, back @ (p - [x, y, z])))).within(stand)
@@ -203,10 +210,10 @@ class ArticulatedBody:
     @cached_property
     def _joints(self) -> list[Place]:
         """Where the joints stand in those that they hang on."""
-        tree, found = self.linkage, []
+        tree, arms, found = self.linkage, [name for name, _ in self.arms], []
         for i, above in enumerate(tree.parents):
             name = tree.names[i].partition("/")[0]
-            arm = list(self.arms).index(name) if above == _BASE - 1 else -1
+            arm = arms.index(name) if above == _BASE - 1 else -1
             found.append(self._placed(arm, tree.rotations[i], tree.offsets[i]))
         return found
 
@@ -412,21 +419,22 @@ def articulated(robot: Any, linkage: Linkage) -> ArticulatedBody:
     links = []
     for k, mount in enumerate(robot.mounts):
         place, (root, *others) = mount.placement, mount.links
-        links.append(Fixed(root, _BASE - 1, k, place.rotation, place.translation))
+        links.append(Fixed(root, _BASE - 1, k, frozen(place.rotation), frozen(place.translation)))
         for joint, name in enumerate(others, mount.joints.start - 1):
-            links.append(Fixed(name, joint, -1, linkage.axes[joint].T, np.zeros(3)))
+            links.append(Fixed(name, joint, -1, frozen(linkage.axes[joint].T), frozen(np.zeros(3))))
     loads = [load for _, load in robot.loads]
-    masses, coms, inertias = (np.concatenate([each[k].ravel() for each in numbers]) for k in range(3))
+    of_links = (np.concatenate([each[k].ravel() for each in numbers]) for k in range(3))
+    masses, coms, inertias = map(frozen, of_links)
     return ArticulatedBody(
         linkage=linkage,
         links=tuple(links),
         loads=tuple(frames[name] for name, _ in robot.loads),
         frames=tuple(frames.values()),
-        arms={mount.name: mount.at for mount in robot.mounts},
+        arms=tuple((mount.name, mount.at) for mount in robot.mounts),
         coordinates=robot.coordinates,
         inputs=robot.inputs,
-        leading=dict(robot.leading),
-        rest=np.array(robot.rest),
+        ends=tuple(robot.leading.items()),
+        rest=robot.rest,
         mass=robot.mass,
         yaw_inertia=robot.body.yaw_inertia,
         com_x=float(robot.body.com[0]),
@@ -434,11 +442,11 @@ def articulated(robot: Any, linkage: Linkage) -> ArticulatedBody:
         masses=masses,
         coms=coms,
         inertias=inertias,
-        load_masses=np.array([load.mass for load in loads]),
-        load_coms=np.array([load.com for load in loads]).ravel(),
-        load_inertias=np.array([load.six for load in loads]).ravel(),
-        rotors=np.concatenate([each.rotors for each in numbers]),
-        places=np.array([mount.at for mount in robot.mounts]).ravel(),
+        load_masses=frozen([load.mass for load in loads]),
+        load_coms=frozen(np.ravel([load.com for load in loads])),
+        load_inertias=frozen(np.ravel([load.six for load in loads])),
+        rotors=frozen(np.concatenate([each.rotors for each in numbers])),
+        places=frozen(np.ravel([mount.at for mount in robot.mounts])),
     )
 
 
@@ -446,7 +454,9 @@ def _fixed(linkage: Linkage, name: str, frame: pin.Frame, mounts: Sequence[Mount
     joint = frame.parentJoint - 1
     turn, place = linkage.axes[joint].T, frame.placement
     own = [k for k, mount in enumerate(mounts) if name.startswith(f"{mount.name}/") and joint == _BASE - 1]
-    return Fixed(name, joint, own[0] if own else -1, turn @ place.rotation, turn @ place.translation)
+    return Fixed(
+        name, joint, own[0] if own else -1, frozen(turn @ place.rotation), frozen(turn @ place.translation)
+    )
 
 
 def _of_body(k: int, before: str, after: str, of: str) -> list[Parameter]:

@@ -99,12 +99,10 @@ class Engine:
 
     def calls(self) -> Calls:
         """Return what a loop calls, all on this thread's data: it is looked up once."""
-        model, data, public = self.model, self.data, self.public
-        order, crba = self.order_q, partial(pin.crba, model, data)
-        flat = self.order[:, None] * self.nv + self.order
+        data, public = self.data, self.public
         still = np.zeros(self.nv - BODY_JOINT)
         return Calls(
-            mass_matrix=lambda q: crba(q[order]).T.take(flat),  # it is symmetric
+            mass_matrix=partial(pin.crba, public, data),
             nonlinear_effects=partial(pin.nonLinearEffects, public, data),
             inverse_dynamics=partial(pin.rnea, public, data),
             forward_dynamics=partial(pin.aba, public, data),
@@ -173,12 +171,14 @@ class Engine:
 
 
 def _in_public_order(model: pin.Model) -> pin.Model:
-    """Return the same joints, y and x reading each other's number of q and v.
+    """Return the same body on a chain whose first joint is x and whose second is y.
 
-    What goes from joint to joint, as RNEA and ABA do, so takes and gives public order at no cost. What takes
-    the numbers of a subtree for one stretch, as CRBA and all derivatives do, needs the chain's own.
+    Translations commute: P1 Ty P2 Tx P3 = (P1 P2) Tx (P1 P2)^-1 P1 Ty (P2 P3). The joints are of the same
+    kinds, so one `pin.Data` serves both models.
     """
     public = model.copy()
-    public.joints[1].setIndexes(1, 1, 1)
-    public.joints[2].setIndexes(2, 0, 0)
+    first, second, third = (model.jointPlacements[joint] for joint in range(1, BODY_JOINT + 1))
+    swapped = first * second, (first * second).inverse() * first, second * third
+    for joint, placement in enumerate(swapped, 1):
+        public.jointPlacements[joint] = placement
     return public

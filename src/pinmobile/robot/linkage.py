@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, frozen
 from pinmobile.errors import NotTraceable
 from pinmobile.robot.scalars import (
     ENTRIES,
@@ -139,7 +139,7 @@ class Linkage:
             if not _ONE_COORDINATE.fullmatch(joint_kind(model, j)):
                 raise NotTraceable(
                     f"joint {model.names[j]!r} is a {joint_kind(model, j)}, which has no single axis",
-                    "give joints in series with one axis each, or run it with engine=ARRAYS",
+                    "give joints in series with one axis each",
                 )
         axes = [np.eye(3), *(_to_z(_axis(model, j)) for j in joints)]
         places = [model.jointPlacements[j] for j in joints]
@@ -154,10 +154,10 @@ class Linkage:
             circles=tuple(joint.nq == 2 for joint in own),
             q=tuple(int(joint.idx_q) for joint in own),
             v=tuple(int(joint.idx_v) for joint in own),
-            rotations=without_rounding(np.array(rotations)),
-            offsets=without_rounding(np.array(offsets)),
-            axes=np.array(axes[1:]),
-            gravity=np.array(model.gravity.linear),
+            rotations=frozen(without_rounding(np.array(rotations))),
+            offsets=frozen(without_rounding(np.array(offsets))),
+            axes=frozen(axes[1:]),
+            gravity=frozen(model.gravity.linear),
         )
 
     def __len__(self) -> int:

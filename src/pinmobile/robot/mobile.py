@@ -12,6 +12,7 @@ import pinocchio as pin
 
 from pinmobile import urdf
 from pinmobile.arrays import Array, ArrayLike, finite, lengths, location, positive, scalar, sequence, text
+from pinmobile.constancy import constant
 from pinmobile.dh import LECTURE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
 from pinmobile.plant import Parameter
@@ -38,6 +39,7 @@ _Bare: TypeAlias = tuple[urdf.Body, _Size, DHTable, str, Stance, tuple[str, ...]
 
 
 @final
+@constant
 @dataclass(frozen=True, eq=False, repr=False)
 class MobileRobot(Carrier):
     """A rigid body on the chain prismatic y, prismatic x, revolute z, with Pinocchio's dynamics.
@@ -90,7 +92,7 @@ class MobileRobot(Carrier):
     loads: tuple[tuple[str, Load], ...] = field(default=(), init=False)
     _engine: Engine = field(init=False)
     _looks: VisualFile | None = field(default=None, init=False)
-    _varied: frozenset[tuple[str, int | None]] | None = field(default=None, init=False)
+    _varied: frozenset[tuple[str, Any]] | None = field(default=None, init=False)
     _tracings: dict[Any, ArticulatedBody] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -350,6 +352,10 @@ class MobileRobot(Carrier):
         """
         if self.mounts:
             return self._articulated
+        return self._planar
+
+    @cached_property
+    def _planar(self) -> PlanarBody:
         bare = self.lumped() if self.loads else self
         return PlanarBody(bare.mass, bare.body.yaw_inertia, *bare.com[:2])
 
@@ -362,7 +368,7 @@ class MobileRobot(Carrier):
             self._tracings[self._varied] = found
         return found
 
-    def varying(self, entries: Iterable[tuple[str, int | None]]) -> "MobileRobot":
+    def varying(self, entries: Iterable[tuple[str, Any]]) -> "MobileRobot":
         """Return it, told which of its `parameters` differ from robot to robot.
 
         What `traced` returns then has built in what else is zero, and where arms stand.
@@ -372,8 +378,11 @@ class MobileRobot(Carrier):
         entries : iterable of (str, int)
             Attribute and entry of each.
         """
+        told = frozenset(entries)
+        if not self.mounts or told == self._varied:
+            return self
         new = object.__new__(MobileRobot)
-        vars(new).update(vars(self), _varied=frozenset(entries))
+        vars(new).update(vars(self), _varied=told)
         return new
 
     def with_parameters(self, **values: ArrayLike) -> "MobileRobot":

@@ -10,7 +10,12 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from pinmobile.arrays import Array, wrap_angle
-from pinmobile.closed_form import unchecked_forward_dynamics, unchecked_inverse_dynamics
+from pinmobile.closed_form import (
+    unchecked_coriolis_matrix,
+    unchecked_forward_dynamics,
+    unchecked_inverse_dynamics,
+    unchecked_mass_matrix,
+)
 from pinmobile.plant import Coordinate, Input, Parameter
 
 __all__ = ["BODY", "PlanarBody"]
@@ -60,6 +65,18 @@ class PlanarBody:
     def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
         """Return the acceleration, shape (..., 3)."""
         return unchecked_forward_dynamics(q, v, u + f, *self._body)
+
+    def mass_matrix(self, q: Any) -> Any:
+        """Return M(q), shape (..., 3, 3)."""
+        return unchecked_mass_matrix(q, *self._body)
+
+    def coriolis_matrix(self, q: Any, v: Any) -> Any:
+        """Return C(q, v), shape (..., 3, 3), with C v = n."""
+        return unchecked_coriolis_matrix(q, v, self.mass, self.com_x, self.com_y)
+
+    def kinetic_energy(self, q: Any, v: Any) -> Any:
+        """Return v . M(q) v / 2, shape (...)."""
+        return np.sum(v * self.inverse_dynamics(q, 0.0 * v, v), axis=-1) / 2
 
     def inverse_dynamics(self, q: Any, v: Any, a: Any) -> Any:
         """Return M(q) a + n(q, v), shape (..., 3)."""

@@ -1,6 +1,7 @@
 """The closed loop, recorded: `simulate` and `Rollout`."""
 
 from pinmobile.plant import Plant
+from pinmobile.signals import Signal
 from pinmobile.simulation.checks import (
     checked_forces,
     checked_loop,
@@ -12,7 +13,6 @@ from pinmobile.simulation.checks import (
 from pinmobile.simulation.closed_loop import simulate
 from pinmobile.simulation.engines import ARRAYS, COMPILED, PINOCCHIO, Engine
 from pinmobile.simulation.rollout import Rollout
-from pinmobile.simulation.signals import Signal
 from pinmobile.simulation.steps import stepped
 
 __all__ = [

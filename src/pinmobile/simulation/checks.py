@@ -4,19 +4,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, affordable, callable_as, positive, vector, whole
+from pinmobile.arrays import Array, affordable, answered, callable_as, frozen, positive, vector, whole
 from pinmobile.controllers import check_controller
 from pinmobile.controllers.protocol import check_memory
 from pinmobile.disturbances import CoordinateForce, Force
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.integrators import check_integrator, constant_acceleration
 from pinmobile.plant import Context, check_plant, leading_of
+from pinmobile.simulation.steps import stepped
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
 if TYPE_CHECKING:
     from pinmobile.plant import Plant
 
 __all__ = [
+    "SAME",
     "check_answers",
     "check_controllers_memory",
     "checked_forces",
@@ -26,6 +28,7 @@ __all__ = [
     "sample_times",
     "sampled",
     "shorter",
+    "started",
 ]
 
 _WHOLE = 1e-9  # relative rounding allowed in duration / dt
@@ -33,7 +36,10 @@ _COORDINATES = 3  # of a plant that is not yet looked at
 _MOST = 1e8  # samples
 _SHORTER = "give a larger dt or a shorter duration"
 _MOST_STEPS = 1e11  # of the integrator: days
-_SAME = 1e-9  # to which two answers to the same arguments agree
+_KEPT = 1e5  # numbers of a reference that are kept for the next run
+SAME = 1e-9
+"""To which two answers to the same arguments agree."""
+
 _RECORDED = 16  # numbers for each coordinate of a sample: of the loop, the reference and the rollout
 
 
@@ -136,14 +142,30 @@ def sample_times(dt: float, duration: float | None, longest: float) -> Array:
     return np.asarray(np.minimum(t, longest))
 
 
-def sampled(trajectory: Trajectory, t: Array, plant: "Plant") -> Reference:
+def sampled(
+    trajectory: Trajectory, t: Array, plant: "Plant", memory: dict[Any, Any] | None = None
+) -> Reference:
     """Return the reference at the times `t`, shape (N + 1,) [s].
+
+    Parameters
+    ----------
+    trajectory : trajectory
+        What is asked.
+    t : ndarray, shape (N + 1,)
+        Times [s].
+    plant : plant
+        What the reference must fit.
+    memory : dict, optional
+        Where that of the last times is kept, for trajectory and plant that stay as they are.
 
     Raises
     ------
     InvalidArgument
         If what the trajectory gives does not fit the plant, or leaves its joint limits where it has any.
     """
+    before = None if memory is None else memory.get("reference")
+    if before is not None and np.array_equal(before[0], t):
+        return before[1]  # type: ignore[no-any-return]
     affordable(
         f"the records of {len(t):,} samples of {plant.nv} coordinates",
         _RECORDED * len(t) * plant.nv,
@@ -173,7 +195,24 @@ def sampled(trajectory: Trajectory, t: Array, plant: "Plant") -> Reference:
     checked = Reference(*(vector(f"trajectory's {x}", getattr(reference, x), k) for x, k in sizes.items()))
     if hasattr(plant, "velocity_limit"):
         check_limits(plant, checked.q, checked.v, t)
+    if memory is not None and len(t) * n <= _KEPT:
+        checked = Reference(*map(frozen, checked))
+        memory["reference"] = frozen(t), checked
     return checked
+
+
+def started(plant: Any, reference: Reference) -> tuple[Any, Any]:
+    """Return where a plant's ``start`` puts it for the first sample of a reference: q and v.
+
+    Raises
+    ------
+    InvalidArgument
+        If it returns something else than two.
+    """
+    answer = plant.start(reference)
+    if type(answer) is not tuple or len(answer) != 2:
+        raise InvalidArgument(f"plant.start(reference) returned {shown(answer)}, expected (q, v)")
+    return answer
 
 
 def checked_forces(forces: Any, plant: "Plant") -> tuple[Force | CoordinateForce, ...]:
@@ -241,13 +280,22 @@ def check_answers(plant: Any, forces: Any, integrator: Any, q: Array, v: Array, 
         body = callable(getattr(plant, "pose", None)) and callable(getattr(plant, "rate", None))
         for k, force in enumerate(forces):
             if hasattr(force, "on_coordinates"):
-                _check_repeated(f"forces[{k}]", force, lambda x, w: force.on_coordinates(0.0, x, w), states)  # noqa: B023
+                on_coordinates = force.on_coordinates
+                shape = f"an array of shape ({plant.nv},) of real numbers"
+                _check_repeated(
+                    f"forces[{k}]",
+                    force,
+                    lambda x, w: on_coordinates(0.0, x, w),  # noqa: B023
+                    states,
+                    shape,
+                )
             elif body:
                 _check_repeated(
                     f"forces[{k}]",
                     force,
                     lambda x, w: force(0.0, plant.pose(x), plant.rate(x, w)),  # noqa: B023
                     states,
+                    "an array of shape (3,) of real numbers",
                 )
         if hasattr(plant, "step"):
             return
@@ -255,7 +303,10 @@ def check_answers(plant: Any, forces: Any, integrator: Any, q: Array, v: Array, 
         _check_repeated("plant", plant, lambda x, w: plant.forward_dynamics(x, w, u.copy()), states)
         moves = [(np.zeros(plant.nv), w) for _, w in states]
         _check_repeated(
-            "integrator", integrator, lambda x, w: integrator(lambda t, x, w: -x - w, 0.0, x, w, h), moves
+            "integrator",
+            integrator,
+            lambda x, w: stepped(integrator, lambda t, x, w: -x - w, 0.0, x, w, h),
+            moves,
         )
 
 
@@ -287,14 +338,15 @@ def _check_sizes(plant: Any, q: Array, v: Array) -> None:
                 f"{sizes}, whose {name}({arguments}) returned {shown(answer)}, "
                 f"expected an array of shape ({size},)"
             )
+        if answer is not None:
+            answered(f"{sizes}, whose {name}({arguments})", answer)
 
 
-def _check_repeated(path: str, part: Any, ask: Any, states: Any) -> None:
+def _check_repeated(path: str, part: Any, ask: Any, states: Any, expected: str = "real numbers") -> None:
     """Refuse a part that answers otherwise when it is asked again, after it was asked something else."""
     first, _, again = (ask(x.copy(), w.copy()) for x, w in (*states, states[0]))
-    if np.shape(first) != np.shape(again) or not np.allclose(
-        np.asarray(first, float), np.asarray(again, float), rtol=_SAME, atol=_SAME, equal_nan=True
-    ):
+    one, other = (answered(path, answer, expected) for answer in (first, again))
+    if one.shape != other.shape or not np.allclose(one, other, rtol=SAME, atol=SAME, equal_nan=True):
         raise InvalidArgument(
             f"{path} is {shown(part)}, which returns {shown(first)} and, asked again for the same arguments, "
             f"{shown(again)}, expected the same: only controllers have memory, in their state, and random "

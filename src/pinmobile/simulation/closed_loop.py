@@ -1,6 +1,7 @@
 """`simulate`: a controller in the loop with a plant, checked before, judged after."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from pinmobile.simulation.checks import (
     chosen_integrator,
     sample_times,
     sampled,
+    started,
 )
 from pinmobile.simulation.engines import COMPILED, PINOCCHIO, Engine, checked_engine
 from pinmobile.simulation.loop import Loop
@@ -29,6 +31,7 @@ from pinmobile.trajectories import Reference, Trajectory, check_limits
 __all__ = ["errors_of", "simulate"]
 
 _CHUNK = 512  # samples between two looks for divergence
+_NOT_ASKED = f"not {COMPILED!r}, which runs what can be compiled where engine={COMPILED!r} asks for it"
 
 
 def simulate(
@@ -104,16 +107,24 @@ def simulate(
     integrator = chosen_integrator(plant, integrator)
     checked_loop(plant, controller, trajectory, integrator)
     t = sample_times(dt, duration, trajectory.duration)
-    reference = sampled(trajectory, t, plant)
-    start = _start(plant, reference, q0, v0)
     count, checked = checked_substeps(substeps, len(t)), checked_forces(forces, plant)
-    context = Context.of(plant, dt=dt, t=t, reference=reference, trajectory=trajectory)
-    check_answers(plant, checked, integrator, *start, dt / count)
-    check_controllers_memory(controller, context, *start)
-    chosen = checked_engine(engine, PINOCCHIO, COMPILED) or PINOCCHIO
+    asked = checked_engine(engine, PINOCCHIO, COMPILED)
+    chosen = asked or PINOCCHIO
+    made = {"engine": repr(chosen), "why": _NOT_ASKED if asked is None else ""}
     kind: Any = Loop
+    memory: dict[Any, Any] = {}  # of this call alone, where nothing is remembered
     if chosen is COMPILED:
-        from pinmobile.simulation.single import CompiledLoop as kind  # and with it, what compiles
+        from pinmobile.simulation.single import CompiledLoop, remembered  # and with them, what compiles
+
+        memory = remembered(plant, controller, integrator, count, checked, trajectory)
+        kind = partial(CompiledLoop, memory=memory)
+    reference = sampled(trajectory, t, plant, memory if chosen is COMPILED else None)
+    start = _start(plant, reference, q0, v0)
+    context = Context.of(plant, dt=dt, t=t, reference=reference, trajectory=trajectory)
+    if ("simulated", count, dt, t[-1]) not in memory:
+        check_answers(plant, checked, integrator, *start, dt / count)
+        check_controllers_memory(controller, context, *start)
+        memory["simulated", count, dt, t[-1]] = True
     chunk = len(t) if chosen is COMPILED else _CHUNK
     loop = kind(plant, controller, integrator, context, count, checked, *start)
     for begin in range(0, len(t), chunk):
@@ -124,12 +135,13 @@ def simulate(
             continue
         bad, why = _first_bad(plant, loop, reference, begin, end, limit)
         if bad is not None:
-            kept = _rollout(plant, t, loop, reference, bad, chosen) if bad else None
+            kept = _rollout(plant, t, loop, reference, bad, made) if bad else None
             q, v, _, _ = loop.samples(bad, bad + 1)
             message = f"the loop diverged at t = {t[bad]:g} s (sample {bad} of {len(t) - 1}): {why}"
             message += _too_stiff(plant, checked, start[0], dt / count)
             raise Diverged(message, time=float(t[bad]), q=q[0], v=v[0], rollout=kept) from loop.stopped
-    return _rollout(plant, t, loop, reference, len(t), chosen)
+    loop.check_again()
+    return _rollout(plant, t, loop, reference, len(t), made)
 
 
 def _start(
@@ -138,7 +150,7 @@ def _start(
     """Return the state to start with: as given, or on the reference as the plant completes it."""
     first = Reference(*(part[0] for part in reference))
     if hasattr(plant, "start"):
-        on_reference = plant.start(first)
+        on_reference = started(plant, first)
     elif first.v.size == plant.nv:
         on_reference = first.q, first.v
     elif q0 is None or v0 is None:
@@ -228,10 +240,11 @@ def _too_stiff(plant: Any, forces: Sequence[Any], q: Array, h: float) -> str:
     )
 
 
-def _rollout(plant: Plant, t: Array, loop: Any, reference: Reference, end: int, engine: Engine) -> Rollout:
+def _rollout(
+    plant: Plant, t: Array, loop: Any, reference: Reference, end: int, made: dict[str, str]
+) -> Rollout:
     q, v, a, u = loop.samples(0, end)
     kept = Reference(*(part[:end] for part in reference))
-    signals = {} if loop.recorder is None else loop.recorder.signals(end)
     error = errors_of(plant, q, kept)
-    records = {"t": t[:end], "q": q, "v": v, "a": a, "u": u, "error": error}
-    return Rollout(plant=plant, reference=kept, signals=signals, engine=repr(engine), **records)
+    records: dict[str, Any] = {"t": t[:end], "q": q, "v": v, "a": a, "u": u, "error": error}
+    return Rollout(plant=plant, reference=kept, signals=loop.signals(end), **records | made)

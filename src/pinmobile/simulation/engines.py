@@ -41,4 +41,10 @@ def checked_engine(engine: object, *known: Engine) -> Engine | None:
     if engine is None or (isinstance(engine, Engine) and engine in known):
         return engine
     names = [repr(each) for each in known]
+    meant = str(engine).strip().upper()
+    if meant in names:
+        raise InvalidArgument(
+            f"engine is {shown(engine)}, expected {meant} itself: write engine={meant} after "
+            f"'from pinmobile import {meant}'"
+        )
     raise InvalidArgument(f"engine is {shown(engine)}, expected {', '.join(names)} of pinmobile, or None")

@@ -5,20 +5,21 @@ displacements, feedback and step of the library's own are one matrix product eac
 """
 
 from collections.abc import Callable, Mapping
+from copy import deepcopy
 from math import isfinite
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from pinmobile.arrays import LEAST_ANGLE, Array, wrap_angle
+from pinmobile.arrays import LEAST_ANGLE, Array, are_real, wrap_angle
 from pinmobile.controllers import Controller
 from pinmobile.controllers.feedback import Compact
 from pinmobile.disturbances import CoordinateForce, Force
 from pinmobile.errors import InvalidArgument, NotFinite, shown
 from pinmobile.integrators import Integrator, RungeKuttaNystrom
 from pinmobile.plant import Context
-from pinmobile.simulation.checks import shorter
-from pinmobile.simulation.signals import Recorder, recorder
+from pinmobile.signals import Recorder, Signal, recorder
+from pinmobile.simulation.checks import SAME, shorter
 from pinmobile.simulation.steps import (
     Clock,
     dynamics_of,
@@ -30,7 +31,7 @@ from pinmobile.simulation.steps import (
 )
 from pinmobile.trajectories import Reference
 
-__all__ = ["Loop"]
+__all__ = ["Asked", "Loop"]
 
 Control = Callable[[int, Array, Array, Array], Array]
 
@@ -74,6 +75,8 @@ class Loop:
         tabled = isinstance(integrator, RungeKuttaNystrom) and self.adds
         self.dynamics = dynamics_of(plant, push, kept=not tabled)
         self.own, memory = None, lambda: None
+        self.acting = "plant or forces" if forces else "plant"
+        self.asked: list[Asked] = []
         self.control, tell = self._controlled(plant, controller, context, integrator)
         if hasattr(plant, "step"):
             first = plant.initial_state(context) if hasattr(plant, "initial_state") else None
@@ -84,7 +87,7 @@ class Loop:
             self.advance = steps(integrator, self.dynamics, clock)  # type: ignore[arg-type]
         else:
             self.advance = steps_between_configurations(integrator, plant, self.dynamics, clock)  # type: ignore[arg-type]
-        self.recorder: Recorder | None = recorder(plant, push, memory, tell, self.times)
+        self.recorder: Recorder | None = recorder(plant, forces, push, memory, tell, self.times)
 
     def _controlled(
         self, plant: Any, controller: Any, context: Context, integrator: Any
@@ -100,7 +103,8 @@ class Loop:
             compact = controller.compact(plant)
             if compact is not None:
                 return _feedback(compact, self.desired, context.reference.a), None
-        return _asked(controller, context, limits)
+        own_parts = {id(part): part for part in (plant, controller)}
+        return _asked(controller, context, limits, self.asked, own_parts)
 
     def run(self, begin: int, end: int) -> None:
         """Fill the samples from `begin` to before `end`, and the state at `end`."""
@@ -132,6 +136,27 @@ class Loop:
             if np.isfinite(self.rows[k, :n]).all():
                 raise
 
+    def check_again(self) -> None:
+        """Refuse parts that answer otherwise for some samples when they are asked again after the last one.
+
+        They keep something in themselves whose effect came late, after all that is asked before a run.
+
+        Raises
+        ------
+        InvalidArgument
+            If there is such a part.
+        """
+        nq, n = self.nq, self.nq + self.nv
+        free, forced = self.dynamics
+        with np.errstate(all="ignore"):
+            for one in self.asked:
+                q, v = self.rows[one.k, :nq], self.rows[one.k, nq:n]
+                _compare("controller", self.times[one.k], one.u, one.ask(q.copy(), v.copy()))
+            for k in _looked_at(self.last) if self.own is None else ():
+                t, (q, v, a), u = self.times[k], np.split(self.rows[k], [nq, n]), self.inputs[k]
+                again = free(q, v, u) if forced is None else forced(t, q, v, u)
+                _compare(self.acting, t, a, again)
+
     def samples(self, begin: int, end: int) -> tuple[Array, Array, Array, Array]:
         """Return q, v, a and u of the samples, one row each."""
         nq, n = self.nq, self.nq + self.nv
@@ -139,6 +164,10 @@ class Loop:
         parts = rows[:, :nq], rows[:, nq:n], rows[:, n:], self.inputs[begin:end]
         q, v, a, u = (part.copy() for part in parts)
         return q, v, a, u
+
+    def signals(self, end: int) -> dict[str, Signal]:
+        """Return what parts told beside states and inputs at the samples before `end`, by name."""
+        return {} if self.recorder is None else self.recorder.signals(end)
 
     def is_fine(self, begin: int, end: int, limit: float) -> bool:
         """Tell whether the samples are finite and near the reference; if in doubt, False."""
@@ -148,6 +177,31 @@ class Loop:
         n = self.nq + self.nv
         near = bool(np.abs(self.desired[begin:end] - rows[:, :n]).max() <= limit)  # on the circle it is less
         return near and isfinite(rows[:, n:].sum() + self.inputs[begin:end].sum())
+
+
+class Asked(NamedTuple):
+    """What a controller answered at sample k, and what asks it that again with its state of then."""
+
+    k: int
+    u: Array
+    ask: Callable[[Array, Array], Any]
+
+
+def _looked_at(last: int) -> set[int]:
+    """Return the samples whose answers are asked for again: an early one, the middle one and the last.
+
+    The very first is on the trajectory, where many laws give nothing.
+    """
+    return {min(1, last), last // 2, last}
+
+
+def _compare(part: str, t: float, first: Array, again: Any) -> None:
+    if np.shape(again) != first.shape or not np.allclose(again, first, rtol=SAME, atol=SAME, equal_nan=True):
+        raise InvalidArgument(
+            f"{part} returned {shown(first)} at t = {t:g} s and, asked again for the same arguments at the "
+            f"end of the run, {shown(again)}, expected the same: only controllers have memory, in their "
+            "state, and random numbers come from context.normal(name, n)"
+        )
 
 
 def _limits(inputs: Any) -> tuple[Array, Array] | None:
@@ -163,17 +217,33 @@ def _limits(inputs: Any) -> tuple[Array, Array] | None:
 
 
 def _asked(
-    controller: Any, context: Context, limits: tuple[Array, Array] | None
+    controller: Any,
+    context: Context,
+    limits: tuple[Array, Array] | None,
+    asked: list[Asked],
+    own_parts: Mapping[int, Any],
 ) -> tuple[Control, Callable[[], Mapping[str, Any]] | None]:
-    """Return the input of any controller, which gets copies that are its own, and what tells its signals."""
+    """Return the input of any controller, which gets copies that are its own, and what tells its signals.
+
+    Of some samples it is written down in `asked` what would ask the controller again.
+    """
     times, state = context.t.tolist(), controller.initial_state(context)
     tell = getattr(controller, "applied", None)
     # `control` is called once per sample, in order; what it is told is its own to write into.
     references = (Reference(*(part.copy() for part in row)) for row in zip(*context.reference, strict=True))
-    shape = (len(context.inputs),)
+    shape, looked_at = (len(context.inputs),), _looked_at(len(times) - 1)
+
+    def again(k: int, state: Any) -> Callable[[Array, Array], Any] | None:
+        try:
+            kept = deepcopy(state, dict(own_parts))
+        except Exception:  # whatever an object says that cannot be copied: it is not asked again
+            return None
+        row = Reference(*(part[k].copy() for part in context.reference))
+        return lambda q, v: controller(times[k], q, v, row, kept)[0]
 
     def control(k: int, row: Array, q: Array, v: Array) -> Array:
         nonlocal state
+        ask = again(k, state) if k in looked_at else None
         try:
             answer = controller(times[k], q.copy(), v.copy(), next(references), state)
         except InvalidArgument as error:
@@ -185,11 +255,14 @@ def _asked(
                 f"controller returned {shown(answer)} at t = {times[k]:g} s, expected (u, state)"
             )
         u, state = answer
-        if type(u) is not np.ndarray or u.shape != shape:
+        if type(u) is not np.ndarray or u.shape != shape or not are_real(u):
             wrong = InvalidArgument(
                 f"controller returned {shown(u)} at t = {times[k]:g} s, expected an array of shape {shape}"
+                f"{'' if are_real(u) else ' of real numbers'}"
             )
             raise shorter(context, wrong)
+        if ask is not None:
+            asked.append(Asked(k, u.copy(), ask))
         if limits is not None:
             u = np.clip(u, *limits)
         if tell is not None:

@@ -21,7 +21,7 @@ from pinmobile.plant import (
     leading_of,
     whole_configurations,
 )
-from pinmobile.simulation.signals import Signal
+from pinmobile.signals import Signal
 from pinmobile.simulation.storage import read_archive, write_archive
 from pinmobile.trajectories import Reference
 
@@ -60,9 +60,11 @@ class Rollout:
     reference : Reference
         Desired q, v and a of the first n coordinates.
     signals : mapping of str to Signal
-        What else plant and controller gave at each sample, with its unit.
+        What else parts of the loop told at each sample, with its unit.
     engine : str
         What ran the loop: ``"PINOCCHIO"``, in Python, or ``"COMPILED"``; "" where that is not known.
+    why : str
+        Why not a faster engine; "" where there is none, or it was asked for.
 
     Raises
     ------
@@ -80,6 +82,7 @@ class Rollout:
     reference: Reference
     signals: Mapping[str, Signal] = field(default_factory=dict)
     engine: str = ""
+    why: str = ""
 
     def __post_init__(self) -> None:
         for name in _RECORDED:
@@ -124,7 +127,7 @@ class Rollout:
 
     def __reduce__(self) -> tuple[Any, ...]:
         arrays = (getattr(self, name) for name in _RECORDED)
-        return Rollout, (self.plant, *arrays, self.reference, dict(self.signals), self.engine)
+        return Rollout, (self.plant, *arrays, self.reference, dict(self.signals), self.engine, self.why)
 
     def __repr__(self) -> str:
         errors = self._errors("largest", self.max_error())
@@ -258,7 +261,7 @@ class Rollout:
             If the system fails, such as of a full disk; what was there is there still.
         """
         with replacing(path) as file:
-            write_archive(file, self.arrays(), self.plant, self.signals)
+            write_archive(file, self)
 
     def arrays(self) -> dict[str, Array]:
         """Return all arrays by the names that they have in a file, those of the reference among them."""
@@ -266,13 +269,11 @@ class Rollout:
         return {name: getattr(self, name) for name in _RECORDED} | reference
 
     @classmethod
-    def of(
-        cls, plant: Any, arrays: Mapping[str, Array], signals: Mapping[str, Signal] | None = None
-    ) -> "Rollout":
-        """Return the rollout of a plant, or of None, that has the arrays of `arrays`, and signals."""
+    def of(cls, arrays: Mapping[str, Array], **made: Any) -> "Rollout":
+        """Return the rollout that has the arrays of `arrays`; plant, signals and the rest by name."""
         reference = Reference(*(arrays[f"reference_{name}"] for name in Reference._fields))
         named: dict[str, Any] = {name: arrays[name] for name in _RECORDED}
-        return cls(plant=plant, reference=reference, signals=signals or {}, **named)
+        return cls(reference=reference, **named, **made)
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> "Rollout":
@@ -286,9 +287,9 @@ class Rollout:
             If the system fails.
         """
         file = location("path", path)
-        arrays, plant, signals = read_archive(file)
+        arrays, made = read_archive(file)
         try:
-            return cls.of(plant, arrays, signals)
+            return cls.of(arrays, **made)
         except InvalidArgument as error:
             raise InvalidArgument(f"path is {str(file)!r}, which holds no rollout: {error}") from error
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, are_real
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.integrators import Integrator, RungeKuttaNystrom
 from pinmobile.plant import Plant
@@ -65,13 +65,19 @@ def dynamics_of(plant: Plant, push: Push | None, *, kept: bool) -> Dynamics:
         raw = calls().forward_dynamics
         free = (lambda q, v, u: np.array(raw(q, v, u))) if kept else raw
         return Dynamics(free, None if push is None else lambda t, q, v, u: free(q, v, u + push(t, q, v)))
-    forward: Any = plant.forward_dynamics  # what it is given is a copy, and its own
+
+    def forward(q: Array, v: Array, u: Array, *f: Array) -> Array:
+        found: Array = plant.forward_dynamics(q.copy(), v.copy(), u.copy(), *f)  # its own to write into
+        if not are_real(found):
+            raise InvalidArgument(
+                f"plant.forward_dynamics returned {shown(found)}, expected an array of real numbers"
+            )
+        return found
 
     def forced(t: float, q: Array, v: Array, u: Array) -> Array:
-        f = push(t, q, v)  # type: ignore[misc]
-        return forward(q.copy(), v.copy(), u.copy(), f)  # type: ignore[no-any-return]
+        return forward(q, v, u, push(t, q, v))  # type: ignore[misc]
 
-    return Dynamics(lambda q, v, u: forward(q.copy(), v.copy(), u.copy()), None if push is None else forced)
+    return Dynamics(forward, None if push is None else forced)
 
 
 def pushed(forces: Sequence[Any], plant: Any) -> Push | None:
@@ -92,7 +98,7 @@ def pushed(forces: Sequence[Any], plant: Any) -> Push | None:
             pose, rate = pose_of(q), rate_of(q, v)  # type: ignore[misc]
             for k, force in wrenches:
                 found = force(t, pose.copy(), rate.copy())
-                if type(found) is not np.ndarray or found.shape != _WRENCH:
+                if type(found) is not np.ndarray or found.shape != _WRENCH or not are_real(found):
                     _refuse(f"forces[{k}]", found, t, _WRENCH)
                 wrench += found
             # What is no number is for the loop to tell, with all that was before.
@@ -107,7 +113,7 @@ def pushed(forces: Sequence[Any], plant: Any) -> Push | None:
 
 
 def _answer(name: str, value: Any, t: float, shape: tuple[int, ...]) -> Array:
-    if type(value) is not np.ndarray or value.shape != shape:
+    if type(value) is not np.ndarray or value.shape != shape or not are_real(value):
         _refuse(name, value, t, shape)
     answer: Array = value
     return answer
@@ -116,6 +122,7 @@ def _answer(name: str, value: Any, t: float, shape: tuple[int, ...]) -> Array:
 def _refuse(name: str, value: Any, t: float, shape: tuple[int, ...]) -> None:
     raise InvalidArgument(
         f"{name} returned {shown(value)} at t = {t:g} s, expected an array of shape {shape}"
+        f"{'' if are_real(value) else ' of real numbers'}"
     )
 
 
@@ -178,10 +185,11 @@ def stepped(
         type(after) is not tuple
         or len(after) != 2
         or [np.shape(part) for part in after] != [q.shape, v.shape]
+        or not all(map(are_real, after))
     ):
         raise InvalidArgument(
             f"integrator returned {shown(after)} at t = {t:g} s, "
-            f"expected (q, v) of shapes {q.shape} and {v.shape}"
+            f"expected (q, v) of shapes {q.shape} and {v.shape}, of real numbers"
         )
     return after
 

@@ -15,17 +15,17 @@ from pinmobile.files import archive_of, unpacking
 from pinmobile.plant import Coordinate, Input, PlantOutline
 from pinmobile.robot import Load, MobileRobot, Stance
 from pinmobile.robot.sources import kept_arm
-from pinmobile.simulation.signals import Signal
+from pinmobile.signals import Signal
 from pinmobile.urdf import Body
 
 __all__ = [
     "ARRAYS",
     "check_robot",
-    "described_plant",
     "described_robot",
+    "described_run",
     "read_archive",
-    "restored_plant",
     "restored_robot",
+    "restored_run",
     "signal_columns",
     "why_unknown",
     "write_archive",
@@ -46,40 +46,30 @@ _MOUNT: Mapping[str, type] = {
 }
 
 
-def write_archive(
-    file: IO[bytes], arrays: dict[str, Array], plant: Any, signals: Mapping[str, Signal]
-) -> None:
-    """Write the arrays, the plant in words, and its parameters where it is a `MobileRobot`.
+def write_archive(file: IO[bytes], rollout: Any) -> None:
+    """Write a rollout's arrays, and in words what `described_run` returns.
 
     Parameters
     ----------
     file : binary file
         Where to.
-    arrays : dict of str to ndarray
-        Those of `ARRAYS`.
-    plant : object
-        What was simulated, see `described_robot`; None where it is not known.
-    signals : mapping of str to Signal
-        They stand side by side in one array, ``signals``.
+    rollout : Rollout
+        What is written; its signals stand side by side in one array, ``signals``.
     """
-    text = json.dumps(described_plant(plant, arrays["q"], signals))
-    beside = signal_columns(signals, len(arrays["t"]))
-    np.savez(file, allow_pickle=False, format=_FORMAT, plant=text, signals=beside, **arrays)
+    text, beside = json.dumps(described_run(rollout)), signal_columns(rollout.signals, len(rollout))
+    np.savez(file, allow_pickle=False, format=_FORMAT, plant=text, signals=beside, **rollout.arrays())
 
 
-def described_plant(plant: Any, q: Array, signals: Mapping[str, Signal]) -> dict[str, Any]:
-    """Return a plant in words, its parameters where it is a `MobileRobot`, and signals' names and units.
+def described_run(rollout: Any) -> dict[str, Any]:
+    """Return what a rollout has beside its arrays, as JSON can hold it.
 
-    Parameters
-    ----------
-    plant : object
-        What was simulated; None where it is not known.
-    q : ndarray, shape (N + 1, nq)
-        Its configurations.
-    signals : mapping of str to Signal
-        What it told.
+    That is the plant in words, its parameters where it is a `MobileRobot`, the names and units of signals,
+    and how it was made.
     """
+    plant, q, signals = rollout.plant, rollout.q, rollout.signals
     return {
+        "engine": rollout.engine,
+        "why": rollout.why,
         "robot": described_robot(plant),
         "unknown": _unkept(plant),
         "outline": None if plant is None else _outlined(PlantOutline.of(plant, q)),
@@ -93,13 +83,13 @@ def signal_columns(signals: Mapping[str, Signal], rows: int) -> Array:
     return np.hstack(columns) if columns else np.zeros((rows, 0))
 
 
-def restored_plant(described: Mapping[str, Any], beside: Array) -> tuple[Any, dict[str, Signal]]:
-    """Return plant and signals of a description; of a plant that cannot be had again, the outline.
+def restored_run(described: Mapping[str, Any], beside: Array) -> dict[str, Any]:
+    """Return plant, signals, engine and why of a description; of a plant that is not at hand, the outline.
 
     Parameters
     ----------
     described : mapping
-        What `described_plant` returned.
+        What `described_run` returned; a file of before may say nothing of how it was made.
     beside : ndarray, shape (N + 1, ...)
         What `signal_columns` returned.
 
@@ -113,11 +103,12 @@ def restored_plant(described: Mapping[str, Any], beside: Array) -> tuple[Any, di
     outline = None if described["outline"] is None else _outline(described["outline"])
     signals = _split(beside, described["signals"])
     robot = restored_robot(described["robot"])
-    return outline if robot is None else robot, signals
+    made = {name: text(name, described.get(name, "")) for name in ("engine", "why")}
+    return {"plant": outline if robot is None else robot, "signals": signals, **made}
 
 
-def read_archive(path: Path) -> tuple[dict[str, Array], Any, dict[str, Signal]]:
-    """Return what `write_archive` wrote: arrays, plant and signals.
+def read_archive(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
+    """Return what `write_archive` wrote: arrays, and what `restored_run` returns.
 
     Of a plant that cannot be had again, see `why_unknown`, it is the outline; None where none was known.
 
@@ -129,7 +120,7 @@ def read_archive(path: Path) -> tuple[dict[str, Array], Any, dict[str, Signal]]:
     named, described = _read(path)
     beside = named.pop("signals")
     with unpacking(path, _FORMAT):
-        return named, *restored_plant(described, beside)
+        return named, restored_run(described, beside)
 
 
 def why_unknown(path: Path) -> str:

@@ -121,9 +121,10 @@ class Code:
         except PinmobileError:
             raise
         except (Exception, SystemExit) as error:
-            place = self._place(error)
+            name, place = self._place(error)
             if not place and not doing:
                 raise
+            doing = doing or name
             said = error.msg if isinstance(error, SyntaxError) else str(error)
             raise InvalidArgument(
                 f"{doing and doing + ': '}{place or 'it'} raises {type(error).__name__}{said and ': '}{said}"
@@ -174,15 +175,19 @@ class Code:
             return self.module(name)
         return __import__(name, globals, locals, fromlist, level)
 
-    def _place(self, error: BaseException) -> str:
-        """Return file and line of the last step in these modules that led to an error; "" if none did."""
+    def _place(self, error: BaseException) -> tuple[str, str]:
+        """Return where in these modules an error came from: ``module:Class``, and file and line.
+
+        That is the last step in them that led to it; "" where there is none, or it is in no class.
+        """
         files = self._files | set(self.installed.values())
         if isinstance(error, SyntaxError) and error.filename in files:
-            return f"{Path(error.filename).name}:{error.lineno}"
-        found = ""
+            return "", f"{Path(error.filename).name}:{error.lineno}"
+        found = "", ""
         for frame, line in walk_tb(error.__traceback__):
             if frame.f_code.co_filename in files:
-                found = f"{Path(frame.f_code.co_filename).name}:{line}"
+                file, (kind, dot, _) = Path(frame.f_code.co_filename), frame.f_code.co_qualname.partition(".")
+                found = f"{file.stem}:{kind}" if dot else "", f"{file.name}:{line}"
         return found
 
 

@@ -1,6 +1,7 @@
 """What determines the numbers of a scenario, in words that are the same in every process.
 
-Of a trajectory that is the sampled reference, which is all that the robots see of it.
+Of a trajectory that is the sampled reference, which is all that the robots see of it, and where a parameter
+of it is spread, all that it is made of.
 """
 
 from collections.abc import Mapping
@@ -43,6 +44,8 @@ def described(scenario: Scenario) -> dict[str, Any]:
         **_fields_of_ours(scenario.trajectory),
         "reference": array_of("reference", np.hstack(scenario.reference)),
     }
+    if scenario.has_own_references:  # of others than this it gives the references, too
+        found["trajectory"]["made of"] = made.of("trajectory", scenario.trajectory)
     return flat(found)
 
 

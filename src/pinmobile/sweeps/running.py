@@ -3,10 +3,12 @@
 from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from typing import Any
+from warnings import warn
 
 from pinmobile.arrays import callable_as, location, whole
 from pinmobile.ensembles import Scenario
-from pinmobile.errors import InvalidArgument
+from pinmobile.ensembles.ways import way_of
+from pinmobile.errors import InvalidArgument, SlowerEngine
 from pinmobile.sweeps.cluster import check_client
 from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.grids import Grid, as_grid
@@ -68,6 +70,11 @@ def sweep(
         If the system fails, such as of a full disk; what is done is kept.
     SchedulerError
         If the cluster has no worker, or is lost; what is done is kept.
+
+    Warns
+    -----
+    SlowerEngine
+        If parts keep what is left to run from the fastest engine; it names them and what to write instead.
     """
     for package in ("zarr", "xarray"):
         imported(package)
@@ -85,6 +92,7 @@ def sweep(
             raise InvalidArgument(f"chunk is {size}, expected {opened.chunk} as in the store, or None")
         waiting = opened.waiting()
         done, total = len(grid) * grid.n - sum(map(_robots, waiting)), len(grid) * grid.n
+        _warn_if_slower(grid, waiting)
         if progress is not None:
             progress(done, total)
         for job, draws, part in _results(grid, waiting, client):
@@ -109,6 +117,21 @@ def check_draws(grid: Grid) -> None:
             scenario.draws()
         except InvalidArgument as error:
             raise InvalidArgument(f"{error} (at {grid.place(k)})") from error
+
+
+def _warn_if_slower(grid: Grid, jobs: Sequence[Job]) -> None:
+    """Tell once, here and not where chunks are computed, which parts keep what is to run from the fastest."""
+    reasons: dict[str, list[int]] = {}
+    for k in sorted({job.scenario for job in jobs}):
+        way = way_of(grid.scenarios[k])
+        if way.why:
+            reasons.setdefault(f"by {way.engine!r}, {way.engine.value}; {way.why}", []).append(k)
+    told = []
+    for reason, places in reasons.items():
+        more = f" and {len(places) - 1} more" if len(places) > 1 else ""
+        told.append(f"{reason} (at {grid.place(places[0])}{more})")
+    if told:
+        warn(f"this sweep runs {'; '.join(told)}", SlowerEngine, stacklevel=3)
 
 
 def _results(grid: Grid, jobs: Sequence[Job], client: Any) -> Any:

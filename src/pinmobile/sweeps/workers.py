@@ -9,6 +9,7 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.ensembles import Part, part_of
+from pinmobile.ensembles.processes import Workers
 from pinmobile.ensembles.ways import processors
 from pinmobile.errors import SchedulerError
 from pinmobile.sweeps.cluster import GO_ON, Watch
@@ -25,16 +26,21 @@ Results: TypeAlias = Iterator[tuple[Job, dict[str, Array], Part]]
 
 
 def in_process(grid: Grid, jobs: Sequence[Job]) -> Results:
-    """Yield the draws and records of the jobs, in any order, by a thread for each processor."""
+    """Yield the draws and records of the jobs, in any order, by a thread for each processor.
+
+    Laws that hold the interpreter's lock run in as many processes, which all jobs share.
+    """
     workers = processors()
-    with ThreadPoolExecutor(workers) as pool:
+    with Workers(workers) as processes, ThreadPoolExecutor(workers) as pool:
 
         def submit(job: Job) -> Any:
-            return pool.submit(part_of, grid.scenarios[job.scenario], job.start, job.stop)
+            scenario = grid.scenarios[job.scenario]
+            return pool.submit(part_of, scenario, job.start, job.stop, processes=processes)
 
         def drop(futures: Iterable[Any]) -> None:
             for future in futures:
                 future.cancel()
+            processes.end()
 
         yield from _collected(submit, jobs, workers + 1, lambda future: future.result(), lambda: None, drop)
 

@@ -1,11 +1,13 @@
 """A path driven with the heading held."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from pinmobile.arrays import ArrayLike, scalar
 from pinmobile.paths import Path, within
+from pinmobile.plant import Parameter
 from pinmobile.trajectories.reference import Reference, joined, plane_path
 
 __all__ = ["FixedHeading"]
@@ -30,6 +32,10 @@ class FixedHeading:
 
     path: Path
     psi: float
+
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("fixed_heading", "rad", "heading that is held", attribute="psi"),
+    )
 
     def __post_init__(self) -> None:
         plane_path(self.path)

@@ -7,6 +7,7 @@ from math import factorial, inf
 import numpy as np
 
 from pinmobile.arrays import Array
+from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument
 from pinmobile.paths import Path, Piece, pieces_of
 from pinmobile.trajectories.rests import inner_rests, rest_order
@@ -49,6 +50,7 @@ class Leg:
     tail: Limit
 
 
+@constant
 class Hodograph:
     """The direction of motion along a path, a vector u(t) that is never zero and turns as the velocity.
 

@@ -1,12 +1,14 @@
 """A path driven along its tangent, with turns on the spot where the tangent jumps."""
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, frozen, positive
 from pinmobile.errors import InvalidArgument
 from pinmobile.paths import Path, within
+from pinmobile.plant import Parameter
 from pinmobile.trajectories.hodograph import Hodograph, heading, hodograph
 from pinmobile.trajectories.reference import Reference, joined, plane_path
 from pinmobile.trajectories.turns import TurnsOnTheSpot
@@ -49,6 +51,11 @@ class Tangent:
 
     path: Path
     turn_time: float | None = None
+
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("turn_time", "s", "time of each turn on the spot", 0.0, may_vanish=False),
+    )
+
     turns: Array = field(init=False, repr=False, compare=False)
     _hodograph: Hodograph = field(init=False, repr=False, compare=False)
     _winding: Winding = field(init=False, repr=False, compare=False)
@@ -56,7 +63,9 @@ class Tangent:
 
     def __post_init__(self) -> None:
         plane_path(self.path)
-        if self.turn_time is not None:
+        if self.turn_time is None:
+            object.__setattr__(self, "parameters", ())
+        else:
             object.__setattr__(self, "turn_time", positive("turn_time", self.turn_time, "s"))
         direction = hodograph(self.path)
         winding = Winding(direction)

@@ -5,12 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from pinmobile.arrays import Array
+from pinmobile.constancy import constant
 from pinmobile.trajectories.reference import Reference
 from pinmobile.trajectories.winding import Jump
 
 __all__ = ["TurnsOnTheSpot"]
 
 
+@constant
 class TurnsOnTheSpot:
     """The clock of a trajectory that holds its path at some times to turn.
 

@@ -98,6 +98,10 @@ class WholeBody:
         check_limits(self.robot, q, v, times)
         return Reference(q, v, a)
 
+    def with_parameters(self) -> "WholeBody":
+        """Return the motion made again of its parts, which have what may differ: it has no parameters."""
+        return WholeBody(self.robot, self.base, *self.joints)
+
     def _parts(self) -> dict[str, tuple[Callable[[Array], Reference], float]]:
         paths = {f"joints[{k}]": (partial(_along, p), float(p.duration)) for k, p in enumerate(self.joints)}
         return {"base": (self.base, float(self.base.duration)), **paths}

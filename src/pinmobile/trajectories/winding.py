@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 
 from pinmobile.arrays import LEAST_ANGLE, Array
+from pinmobile.constancy import constant
 from pinmobile.trajectories.cells import halve
 from pinmobile.trajectories.hodograph import Hodograph, Leg, Limit, heading
 
@@ -38,6 +39,7 @@ class Jump:
     speed: float
 
 
+@constant
 class Winding:
     """The heading along a path, unwrapped from a table made once: no time asked for matters to another.
 

@@ -3,12 +3,13 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable
-from pinmobile.robot import MobileRobot
+from pinmobile.plant import whole_configurations
 from pinmobile.simulation import Rollout
 from pinmobile.viewer import shapes
 from pinmobile.viewer.captions import captions
@@ -37,7 +38,7 @@ class Scene:
     ----------
     stage : Stage
         Where.
-    robot : MobileRobot
+    robot : MobileRobot or Drawing
         Drawn where a rollout does not know its plant.
     overlays : Overlays
         What is shown beside it.
@@ -51,7 +52,7 @@ class Scene:
     """
 
     stage: Stage
-    robot: MobileRobot
+    robot: Any
     overlays: Overlays
     channels: list[Channel] = field(default_factory=list)
     riders: list[Rider] = field(default_factory=list)
@@ -95,7 +96,7 @@ class Scene:
         main = next(iter(runs.values()))
         robots = [self.robot if run.plant is None else figure(run.plant) for run in runs.values()]
         poses = [
-            configurations(robot, run.t, run.q if robot is run.plant else run.poses, times)
+            configurations(robot, run.t, run.q if _is_of(robot, run.plant) else run.poses, times)
             for robot, run in zip(robots, runs.values(), strict=True)
         ]
         reach, height = envelope(robots[0], poses[0])
@@ -118,8 +119,10 @@ class Scene:
         if self.overlays.desired:
             ghost = robots[0]
             self.stage.robot("meshcat/desired", ghost, QUIET, ghost=True)
-            whole = ghost is main.plant and main.reference.q.shape == main.q.shape
+            whole = _is_of(ghost, main.plant) and main.reference.q.shape == main.q.shape
             wanted = main.reference.q if whole else main.reference_poses
+            if hasattr(ghost, "drawing"):  # what has no reference is drawn as it is
+                wanted = whole_configurations(ghost.plant, main.q, main.reference.q)
             desired = configurations(ghost, main.t, wanted, times)
             self.channels += _ridden("meshcat/desired", ghost, desired)
             self.legend.append(["desired pose", QUIET, "", 0.5])
@@ -217,6 +220,11 @@ def _frame(table: DHTable, k: int, poses: Array) -> Array:
     return table.placements(poses[:, [1, 0, 2]])[:, k - 1]
 
 
-def _ridden(path: str, robot: MobileRobot, configurations: Array) -> list[Channel]:
+def _is_of(robot: Any, plant: Any) -> bool:
+    """Tell whether what is drawn takes all configurations, as of its own plant, or those of the body."""
+    return robot is plant or hasattr(robot, "drawing")
+
+
+def _ridden(path: str, robot: Any, configurations: Array) -> list[Channel]:
     """Return the channels of a robot, body and links."""
     return [*along(path, configurations), *links(path, robot, configurations)]

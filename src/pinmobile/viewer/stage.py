@@ -7,7 +7,6 @@ import pinocchio as pin
 from pinocchio.visualize import MeshcatVisualizer
 
 from pinmobile.arrays import Array
-from pinmobile.robot import MobileRobot
 from pinmobile.robot.visual import BODY
 from pinmobile.viewer.coarse import coarse
 from pinmobile.viewer.motion import Channel
@@ -142,14 +141,14 @@ class Stage:
         self.tell("eye", view.eye.tolist())
         self.tell("target", view.target.tolist())
 
-    def robot(self, path: str, robot: MobileRobot, colour: str | None, *, ghost: bool = False) -> None:
+    def robot(self, path: str, robot: Any, colour: str | None, *, ghost: bool = False) -> None:
         """Load a robot's geometry below a node, whose pose is then the robot's.
 
         Parameters
         ----------
         path : str
             The node.
-        robot : MobileRobot
+        robot : MobileRobot or Drawing
             Whose ``visual_model`` is drawn, its meshes coarser where they have very many triangles.
         colour : str, optional
             Of its box, or of all of a ghost; by default its own.

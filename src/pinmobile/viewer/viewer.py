@@ -38,7 +38,8 @@ class Viewer:
     Parameters
     ----------
     plant : MobileRobot or other plant
-        Whose `visual_model` is drawn; of one without, a box of its ``size`` at its ``pose(q)``.
+        Whose `visual_model` is drawn, where its ``drawing(q)`` puts the objects; of one without, a box of its
+        ``size`` at its ``pose(q)``.
     live : bool
         Serve a page.
     host : str
@@ -123,7 +124,11 @@ class Viewer:
         given = vector("q", q, self.plant.nq)
         if given.ndim != 1:
             raise InvalidArgument(f"q has shape {given.shape}, expected ({self.plant.nq},)")
-        pose = given if self._figure is self.plant else np.asarray(self.plant.pose(given))
+        pose = given
+        if hasattr(self._figure, "row"):
+            pose = self._figure.row(given)
+        elif self._figure is not self.plant:
+            pose = np.asarray(self.plant.pose(given))
         if abs(pose[:2]).max() > _FARTHEST:
             raise InvalidArgument(f"q is {pose.tolist()}, expected x and y within {_FARTHEST:g} m")
         with self._lock:

@@ -1,0 +1,189 @@
+"""What is timed of the loop of parts, by the pinmobile of the interpreter that runs this: `loop.py` asks.
+
+Usage: python benchmarks/loop_work.py [--quick] [--least SECONDS] ROW ...
+
+Prints, as JSON, the seconds of each row, or a word on why there are none. It uses what older versions have.
+"""
+
+import argparse
+import json
+import sys
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from contestants import raw_pinocchio
+from measuring import median_time
+from task import GAIN, PD_GAINS, RADIUS, RATE, Task
+
+ROBOTS, QUICK_ROBOTS = 10_000, 100
+STEPS, QUICK_STEPS = 1_200, 40
+SHORT, LONGEST = 12, 1.0  # steps to begin with; ten times as many follow on what takes no longer [s]
+SAMPLES = 6_001  # of a rollout
+DT, FINE = 0.05, 0.01  # of an ensemble, of a rollout [s]
+
+
+class Lacking(Exception):
+    """What a row needs is not in a version."""
+
+
+@dataclass(frozen=True)
+class PID:
+    """PID as a user writes it, with memory."""
+
+    gains: np.ndarray = field(default_factory=PD_GAINS.copy)
+    share: float = 0.1  # of the integral
+    dt: float = DT
+
+    def initial_state(self, context: Any) -> Any:
+        """Return the integral of the error at first."""
+        return np.zeros(3)
+
+    def __call__(self, t: float, q: Any, v: Any, reference: Any, state: Any) -> Any:
+        """Return the force and the integral."""
+        error = reference.q - q
+        state = state + self.dt * error
+        return self.gains * (error + reference.v - v + self.share * state), state
+
+
+@dataclass(frozen=True)
+class SlidingMode:
+    """A sliding mode as a user writes it, with a boundary layer."""
+
+    gains: np.ndarray = field(default_factory=PD_GAINS.copy)
+    slope: float = 1.0
+    reach: float = 0.5
+    width: float = 0.2
+
+    def initial_state(self, context: Any) -> Any:
+        """Return None: it has no memory."""
+        return None
+
+    def __call__(self, t: float, q: Any, v: Any, reference: Any, state: Any) -> Any:
+        """Return the force and the memory."""
+        surface = (reference.v - v) + self.slope * (reference.q - q)
+        return self.gains * (self.reach * surface + self.width * np.tanh(surface / self.width)), state
+
+
+class Work:
+    """Robot, trajectory and loops of one size, and what they take."""
+
+    def __init__(self, quick: bool, least: float) -> None:
+        import pinmobile
+
+        self.of, self.quick, self.least = pinmobile, quick, least
+        self.robot = pinmobile.MobileRobot.lecture()
+        self.computed = pinmobile.ComputedTorque(self.robot, kp=GAIN, kd=GAIN)
+        self.spread = {"mass": pinmobile.Uniform(20, 40), "start_x": pinmobile.Normal(0, 0.1)}
+
+    def trajectory(self, duration: float) -> Any:
+        """Return the circle, for some time [s]."""
+        return self.of.Tangent(self.of.Circle(RADIUS, RATE, duration))
+
+    def ensemble(self, n: int, steps: int, controller: Any = None, **options: Any) -> None:
+        """Run n robots over some steps; none may diverge."""
+        controller, trajectory = controller or self.computed, self.trajectory(steps * DT)
+        loop = {"spread": self.spread, "dt": DT, "threads": 1, **options}
+        found = self.of.ensemble(self.robot, controller, trajectory, n=n, **loop)
+        if np.any(found.diverged):
+            raise ArithmeticError(f"{np.sum(found.diverged)} robots diverged")
+
+    def many(self, controller: Any = None, **options: Any) -> float:
+        """Return the seconds of a robot-step; of fewer steps where this version needs too long for all."""
+        n, steps = (QUICK_ROBOTS, QUICK_STEPS) if self.quick else (ROBOTS, STEPS)
+
+        def run(steps: int) -> None:
+            self.ensemble(n, steps, controller, **options)
+
+        run(SHORT)  # which compiles
+        tried = SHORT
+        while tried < steps and seconds(partial(run, tried)) <= LONGEST:
+            tried = min(10 * tried, steps)
+        return self.timed(partial(run, tried)) / (n * (tried + 1))
+
+    def few(self, n: int) -> float:
+        """Return the seconds of an ensemble of n robots."""
+        return self.timed(lambda: self.ensemble(n, QUICK_STEPS if self.quick else STEPS))
+
+    def rollout(self, **options: Any) -> float:
+        """Return the seconds of a rollout."""
+        trajectory = self.trajectory((SAMPLES - 1) * FINE)
+        return self.timed(lambda: self.of.simulate(self.robot, self.computed, trajectory, dt=FINE, **options))
+
+    def compiled(self) -> float:
+        """Return the seconds of a compiled rollout."""
+        if not hasattr(self.of, "COMPILED"):
+            raise Lacking("it has no engine COMPILED")
+        return self.rollout(engine=self.of.COMPILED)
+
+    def raw(self) -> float:
+        """Return the seconds of a raw Pinocchio loop that does the same as the rollout."""
+        return self.timed(raw_pinocchio.rollout(Task(FINE, (SAMPLES - 1) * FINE)))
+
+    def timed(self, run: Callable[[], Any]) -> float:
+        """Return the median time of a run, after a first one [s]."""
+        run()
+        return median_time(lambda: seconds(run), self.least)
+
+
+def seconds(run: Callable[[], Any]) -> float:
+    start = perf_counter()
+    run()
+    return perf_counter() - start
+
+
+LOOPS: dict[str, Callable[[Work], float]] = {
+    "computed torque": lambda w: w.many(),
+    "saturation": lambda w: w.many(w.of.Saturated(w.computed, [50, 50, 10])),
+    "viscous and sinusoidal force": lambda w: w.many(
+        forces=[w.of.ViscousFriction([3, 3, 1]), w.of.SinusoidalForce([1, 2, 0.1], 0.5)]
+    ),
+    "delay of 3 samples": lambda w: w.many(w.of.Delayed(w.computed, 3)),
+    "rolling resistance": lambda w: w.many(forces=[w.of.RollingResistance([5, 5, 1])]),
+    "rk4": lambda w: w.many(integrator=w.of.rk4),
+    "a user's PID": lambda w: w.many(PID()),
+    "a user's sliding mode": lambda w: w.many(SlidingMode()),
+    "noise force": lambda w: w.many(forces=[w.of.NoiseForce([1, 1, 0.1], 2.0, 5)]),
+    "noisy measurement": lambda w: w.many(w.of.NoisyMeasurement(w.computed, 1e-3, 1e-3, 3)),
+}
+"""Rows of many robots: seconds of a robot-step."""
+
+RUNS: dict[str, Callable[[Work], float]] = {
+    "ensemble, n = 1": lambda w: w.few(1),
+    "ensemble, n = 16": lambda w: w.few(16),
+    "ensemble, n = 100": lambda w: w.few(100),
+    "simulate, compiled": lambda w: w.compiled(),
+    "simulate, Pinocchio": lambda w: w.rollout(),
+    "raw Pinocchio loop": lambda w: w.raw(),
+}
+"""Rows of one run: its seconds."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="few robots, few steps")
+    parser.add_argument("--least", type=float, default=0.5, help="seconds for which a row is repeated")
+    parser.add_argument("rows", nargs="+", choices=[*LOOPS, *RUNS], metavar="ROW")
+    chosen = parser.parse_args(arguments)
+    warnings.simplefilter("ignore")  # an older version says why it is slow
+    work = Work(chosen.quick, chosen.least)
+    print("\n" + json.dumps({row: measured(work, row) for row in chosen.rows}))
+    return 0
+
+
+def measured(work: Work, row: str) -> float | str:
+    """Return the seconds of a row, or the word on why there are none."""
+    try:
+        return (LOOPS | RUNS)[row](work)
+    except Lacking as lack:
+        return str(lack)
+    except Exception as error:  # whatever an older version raises: the other rows go on
+        return f"FAILED: {type(error).__name__}: {error}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,204 @@
+"""Named series with units that parts of a loop give beside states and inputs."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pinmobile.arrays import Array, frozen, real
+from pinmobile.errors import InvalidArgument, shown
+
+__all__ = ["Claim", "Recorder", "Signal", "claimed", "number", "recorder", "signals_of"]
+
+Ask = Callable[[int, Array, Array, Array], Any]
+
+
+class Signal(NamedTuple):
+    """A series that a part gives, one value per sample.
+
+    Attributes
+    ----------
+    unit : str
+        Such as ``"N"``, "" for none.
+    values : ndarray, shape (N + 1,) or (N + 1, k)
+        Numbers, or rows of them.
+    """
+
+    unit: str
+    values: Array
+
+
+class Claim(NamedTuple):
+    """What a part tells at a sample under a name.
+
+    Attributes
+    ----------
+    part, unit : str
+        Whose it is, such as ``"forces[1]"``, and its unit.
+    value : ndarray, shape () or (k,)
+        What it is.
+    """
+
+    part: str
+    unit: str
+    value: Any
+
+
+def signals_of(part: Any, *given: Any) -> Any:
+    """Return the signals of a part that may have some: a dict of name to (unit, value), else nothing."""
+    return part.signals(*given) if hasattr(part, "signals") else {}
+
+
+def number(name: str, value: Any) -> Array:
+    """Return the value of a signal, shape () or (k,).
+
+    Raises
+    ------
+    InvalidArgument
+        If it is something else.
+    """
+    found = np.array(real(name, value))
+    if found.ndim > 1:
+        raise InvalidArgument(f"{name} has shape {found.shape}, expected a number or a row of them")
+    return found
+
+
+def claimed(
+    told: Iterable[tuple[str, Any]], value_of: Callable[[str, Any], Any] = number
+) -> dict[str, Claim]:
+    """Return what parts tell at a sample, by name.
+
+    Parameters
+    ----------
+    told : iterable of (str, mapping)
+        Each part by what it is called in messages, and its signals.
+    value_of : callable
+        Checks a value, given what it is called.
+
+    Raises
+    ------
+    InvalidArgument
+        If signals are none, or two parts have one of a name.
+    """
+    found: dict[str, Claim] = {}
+    for part, signals in told:
+        if not isinstance(signals, Mapping):
+            raise InvalidArgument(
+                f"{part}.signals returned {shown(signals)}, expected a dict of name to (unit, value)"
+            )
+        for name, pair in signals.items():
+            ok = isinstance(name, str) and name and type(pair) is tuple and len(pair) == 2
+            if not ok or not isinstance(pair[0], str):
+                raise InvalidArgument(
+                    f"{part}.signals has {shown(name)}: {shown(pair)}, expected a name and (unit, value)"
+                )
+            if name in found:
+                raise InvalidArgument(
+                    f"{found[name].part} and {part} both have the signal {name!r}, expected another name"
+                )
+            found[name] = Claim(part, pair[0], value_of(f"{part}.signals[{name!r}]", pair[1]))
+    return found
+
+
+class Recorder:
+    """Asks at each sample for what parts tell beside states and inputs.
+
+    Parameters
+    ----------
+    sources : mapping of str to callable
+        By what the part is called in messages: the signals of sample k with state q, v and input u.
+    times : list of float
+        Of the samples [s].
+    """
+
+    def __init__(self, sources: Mapping[str, Ask], times: list[float]) -> None:
+        self._sources, self._times = sources, times
+        self._first: dict[str, Claim] = {}
+        self._rows: dict[str, list[Array]] = {}
+
+    def __call__(self, k: int, q: Array, v: Array, u: Array) -> None:
+        """Record a sample."""
+        told = [(part, ask(k, q, v, u)) for part, ask in self._sources.items()]
+        if k and not self._first and all(type(signals) is dict and not signals for _, signals in told):
+            return  # as of wrappers of what tells nothing, which this costs least
+        found = claimed(told)
+        if not k:
+            self._first, self._rows = found, {name: [] for name in found}
+        elif list(found) != list(self._first):
+            self._refuse(found, k)
+        for name, claim in found.items():
+            first = self._first[name]
+            if (claim.unit, claim.value.shape) != (first.unit, first.value.shape):
+                raise InvalidArgument(
+                    f"{claim.part}.signals[{name!r}] has unit {claim.unit!r} and shape {claim.value.shape} "
+                    f"at t = {self._times[k]:g} s, expected {first.unit!r} and {first.value.shape} as at "
+                    "first"
+                )
+            self._rows[name].append(claim.value)
+
+    def _refuse(self, found: Mapping[str, Claim], k: int) -> None:
+        for part in self._sources:
+            now, before = (
+                [n for n, claim in each.items() if claim.part == part] for each in (found, self._first)
+            )
+            if now != before:
+                raise InvalidArgument(
+                    f"{part}.signals has {', '.join(now) or 'none'} at t = {self._times[k]:g} s, "
+                    f"expected the same as at first: {', '.join(before) or 'none'}"
+                )
+
+    def signals(self, end: int) -> dict[str, Signal]:
+        """Return what was recorded of the samples before `end`, by name."""
+        return {
+            name: Signal(self._first[name].unit, frozen(np.array(rows[:end])))
+            for name, rows in self._rows.items()
+        }
+
+
+def recorder(
+    plant: Any,
+    forces: Sequence[Any],
+    push: Callable[[float, Array, Array], Array] | None,
+    memory: Callable[[], Any],
+    tell: Callable[[], Mapping[str, Any]] | None,
+    times: list[float],
+) -> Recorder | None:
+    """Return what asks plant, controller and forces for their signals; None where none has any.
+
+    Parameters
+    ----------
+    plant : plant
+        Asked for ``signals(t, q, v, u, f, memory)``.
+    forces : sequence of forces
+        Asked for ``signals`` of what their law gets: (t, pose, rate), or (t, q, v) on coordinates.
+    push : callable or None
+        The generalised force beside the input.
+    memory : callable
+        What the plant keeps.
+    tell : callable or None
+        The controller's signals at the sample that it was asked about last.
+    times : list of float
+        Of the samples [s].
+    """
+    sources: dict[str, Ask] = {}
+    if hasattr(plant, "signals"):
+
+        def of_plant(k: int, q: Array, v: Array, u: Array) -> Any:
+            f = np.zeros(plant.nv) if push is None else push(times[k], q, v)
+            return plant.signals(times[k], q.copy(), v.copy(), u.copy(), f, memory())
+
+        sources["plant"] = of_plant
+    if tell is not None:
+        sources["controller"] = lambda k, q, v, u: tell()
+    for i, force in enumerate(forces):
+        if hasattr(force, "signals"):
+            sources[f"forces[{i}]"] = _of_force(plant, force, times)
+    return Recorder(sources, times) if sources else None
+
+
+def _of_force(plant: Any, force: Any, times: list[float]) -> Ask:
+    if hasattr(force, "on_coordinates"):
+        return lambda k, q, v, u: force.signals(times[k], q.copy(), v.copy())
+    return lambda k, q, v, u: force.signals(
+        times[k], np.array(plant.pose(q.copy())), np.array(plant.rate(q.copy(), v.copy()))
+    )

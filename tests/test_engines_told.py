@@ -1,0 +1,157 @@
+"""What results and warnings say of the engine that ran a loop, and of why it was no faster one."""
+
+import json
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pinmobile import (
+    ARRAYS,
+    COMPILED,
+    PD,
+    PINOCCHIO,
+    Circle,
+    ComputedTorque,
+    Ensemble,
+    Hold,
+    InvalidArgument,
+    MobileRobot,
+    Rollout,
+    Scenario,
+    Tangent,
+    Uniform,
+    WholeBody,
+    ensemble,
+    grid,
+    law,
+    simulate,
+    sweep,
+)
+from pinmobile.cli import main
+from pinmobile.errors import SlowerEngine
+
+CIRCLE = Tangent(Circle(2, 0.25, 2))
+NOT_ASKED = "not COMPILED, which runs what can be compiled where engine=COMPILED asks for it"
+
+
+def branching(t: float, q: Any, v: Any, reference: Any) -> Any:
+    error = reference.q - q
+    if error[0] > 0.0:
+        error[0] *= 2.0
+    return 100.0 * error + 120.0 * (reference.v - v)
+
+
+def scenario(controller: Any, width: float) -> Scenario:
+    spread = {"start_x": Uniform(-width, width)}
+    return Scenario(
+        robot=MobileRobot.box(), controller=controller, trajectory=CIRCLE, n=12, spread=spread, dt=0.2
+    )
+
+
+def test_a_sweep_tells_once_which_part_makes_it_slower_and_where(tmp_path: Path) -> None:
+    plan = grid(scenario, controller={"branching": law(branching), "PD": PD(100, 120)}, width=[0.01, 0.02])
+    with pytest.warns(SlowerEngine, match="^this sweep runs by PINOCCHIO") as told:
+        sweep(plan, tmp_path / "store", chunk=4)
+    assert len(told) == 1
+    text = str(told[0].message)
+    assert told[0].filename == __file__
+    for words in ("not COMPILED: branching, line", "np.where", "not ARRAYS", "(at controller = branching, w"):
+        assert text.count(words) == 1
+    assert text.endswith("width = 0.01 and 1 more)")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sweep(plan, tmp_path / "store", chunk=4)  # nothing is left to run
+
+
+def test_the_command_prints_it_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "own.py").write_text(
+        "class Sign:\n"
+        "    def initial_state(self, context):\n"
+        "        return None\n"
+        "    def __call__(self, t, q, v, reference, state):\n"
+        "        pull = 9.0 if q[0] > reference.q[0] else 10.0\n"
+        "        return pull * (reference.q - q) - v, state\n"
+    )
+    (tmp_path / "plan.toml").write_text(
+        '[controller]\ntype = "own:Sign"\n[trajectory]\nduration = 1\n[ensemble]\nn = 6\n'
+        '[spread]\nstart_x = {uniform = [0, 0.1]}\n[grid]\n"loop.substeps" = [1, 2]\n'
+    )
+    words = ["sweep", str(tmp_path / "plan.toml"), "--out", str(tmp_path / "out"), "--chunk", "3"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")  # as outside of the tests, where warnings are no errors
+        assert main([*words, "--allow-code"]) == 0
+    printed = capsys.readouterr().err
+    assert printed.count("runs by PINOCCHIO") == 1
+    assert "own.py" in printed
+
+
+def test_a_rollout_says_why_and_its_file_keeps_it(tmp_path: Path) -> None:
+    robot = MobileRobot.box()
+    made = {engine: simulate(robot, PD(9, 9), CIRCLE, dt=0.2, engine=engine) for engine in (None, COMPILED)}
+    made[PINOCCHIO] = simulate(robot, PD(9, 9), CIRCLE, dt=0.2, engine=PINOCCHIO)
+    told = {engine: (run.engine, run.why) for engine, run in made.items()}
+    assert told == {
+        None: ("PINOCCHIO", NOT_ASKED),
+        COMPILED: ("COMPILED", ""),
+        PINOCCHIO: ("PINOCCHIO", ""),
+    }
+    for run in made.values():
+        run.save(tmp_path / "run.npz")
+        kept = Rollout.load(tmp_path / "run.npz")
+        assert (kept.engine, kept.why) == (run.engine, run.why)
+    # A file that was written before files told it.
+    with np.load(tmp_path / "run.npz") as file:
+        arrays = dict(file)
+    described = json.loads(str(arrays["plant"]))
+    del described["engine"], described["why"]
+    np.savez(tmp_path / "old.npz", **arrays | {"plant": np.array(json.dumps(described))})
+    old = Rollout.load(tmp_path / "old.npz")
+    assert (old.engine, old.why) == ("", "")
+    np.testing.assert_array_equal(old.q, run.q)
+
+
+def test_traces_of_an_ensembles_file_say_it_too(tmp_path: Path) -> None:
+    runs = ensemble(MobileRobot.box(), PD(9, 9), CIRCLE, n=2, spread={}, dt=0.2, traces=[1])
+    runs.save(tmp_path / "runs.npz")
+    kept = Ensemble.load(tmp_path / "runs.npz").traces[1]
+    assert (kept.engine, kept.why) == ("PINOCCHIO", NOT_ASKED)
+
+
+def test_each_engine_that_is_left_has_its_own_reason() -> None:
+    with pytest.warns(SlowerEngine) as told:
+        runs = ensemble(MobileRobot.box(), law(branching), CIRCLE, n=3, spread={}, dt=0.2)
+    compiled, arrays = runs.why.split("; not ARRAYS: ")
+    assert compiled.startswith("not COMPILED: branching, line")
+    assert "np.where" in compiled
+    assert "with 3 robots at once a law raises ValueError" in arrays
+    assert "compiled" not in arrays
+    robot = MobileRobot.box().mount("ur5")
+    motion = WholeBody(robot, CIRCLE, Hold(np.zeros(6), 2))
+    with pytest.warns(SlowerEngine) as told:
+        runs = ensemble(robot, ComputedTorque(robot), motion, n=2, spread={}, dt=0.5)
+    assert runs.engine == "ARRAYS"
+    assert runs.why == (
+        "not COMPILED: a robot with arms has the dynamics of Pinocchio, no laws in NumPy; its loops run by "
+        "PINOCCHIO, its ensembles by ARRAYS"
+    )
+    assert runs.why in str(told[0].message)
+    with pytest.raises(InvalidArgument, match=r"^engine is COMPILED, which cannot run this: a robot with"):
+        simulate(robot, ComputedTorque(robot), motion, dt=0.5, engine=COMPILED)
+
+
+@pytest.mark.parametrize("engine", [COMPILED, PINOCCHIO])
+def test_an_engine_as_a_string_is_told_what_to_write(engine: Any) -> None:
+    why = rf"^engine is '{engine!r}', expected {engine!r} itself: write engine={engine!r} after 'from "
+    given: Any = repr(engine)
+    for run in (
+        lambda: simulate(MobileRobot.box(), PD(9, 9), CIRCLE, dt=0.2, engine=given),
+        lambda: ensemble(MobileRobot.box(), PD(9, 9), CIRCLE, n=2, spread={}, dt=0.2, engine=given),
+    ):
+        with pytest.raises(InvalidArgument, match=why):
+            run()
+    unknown: Any = repr(ARRAYS)
+    with pytest.raises(InvalidArgument, match=r"^engine is 'ARRAYS', expected PINOCCHIO, COMPILED of "):
+        simulate(MobileRobot.box(), PD(9, 9), CIRCLE, dt=0.2, engine=unknown)

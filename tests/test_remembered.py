@@ -1,0 +1,394 @@
+"""What is remembered of constant parts: what changes is seen all the same, and nothing is kept alive."""
+
+import gc
+import weakref
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pinmobile import (
+    PD,
+    Circle,
+    ComputedTorque,
+    Delayed,
+    FixedHeading,
+    InvalidArgument,
+    LectureHeading,
+    MobileRobot,
+    NoiseForce,
+    NoisyMeasurement,
+    Normal,
+    RollingResistance,
+    Saturated,
+    Spline,
+    Tangent,
+    Uniform,
+    ViscousFriction,
+    constant_acceleration,
+    ensemble,
+    law,
+    rk4,
+    simulate,
+)
+from pinmobile.arrays import callable_as, frozen
+from pinmobile.compiled.known import _memories
+from pinmobile.constancy import is_constant, known
+from pinmobile.ensembles import COMPILED, scenario
+from pinmobile.simulation.checks import check_answers
+from pinmobile.trajectories import Reference
+
+ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.05))
+CIRCLE = Tangent(Circle(2.0, 0.2, 4.0))
+GAIN = 1.0
+STEP = 0.0
+CALLS = 0.0
+
+
+@dataclass(frozen=True)
+class Global:
+    """A controller whose law reads a global, and counts in another one when it is told to."""
+
+    kp: Any = 40.0
+    table: Any = ()
+    parameters = ("kp",)
+
+    def initial_state(self, context: Any) -> None:
+        return None
+
+    def __call__(self, t: float, q: Any, v: Any, reference: Any, state: Any) -> Any:
+        global CALLS
+        if STEP:
+            CALLS = CALLS + STEP
+        bias = self.table[0] if len(self.table) else 0.0
+        return GAIN * self.kp * (reference.q - q) - 50.0 * v + CALLS + bias, state
+
+
+@dataclass(frozen=True)
+class Swaying:
+    """A trajectory that reads a global."""
+
+    duration: float = 4.0
+
+    def __call__(self, t: Any) -> Reference:
+        q = np.zeros((*np.shape(t), 3))
+        q[..., 0] = 0.1 * GAIN * np.asarray(t)
+        v = np.zeros_like(q)
+        v[..., 0] = 0.1 * GAIN
+        return Reference(q, v, np.zeros_like(q))
+
+
+def errors(controller: Any, trajectory: Any = CIRCLE, **options: Any) -> Any:
+    found = ensemble(ROBOT, controller, trajectory, n=3, spread={}, dt=0.02, engine=COMPILED, **options)
+    run = simulate(ROBOT, controller, trajectory, dt=0.02, engine=COMPILED, **options)
+    np.testing.assert_allclose(found.max_error[0], run.max_error(), rtol=1e-9)
+    by_pinocchio = simulate(ROBOT, controller, trajectory, dt=0.02, **options)
+    np.testing.assert_allclose(run.q, by_pinocchio.q, rtol=1e-9, atol=1e-9)
+    return run.max_error()
+
+
+# What may change is not taken for constant.
+
+
+CONSTANT: dict[str, Any] = {
+    "robot": ROBOT,
+    "computed torque": ComputedTorque(ROBOT, 4, 5),
+    "PD with a robot's difference": PD(100, np.eye(3), difference=ROBOT.difference),
+    "wrappers": NoisyMeasurement(Delayed(Saturated(PD(100, 20), [1, 2, 3]), 2), 0.1, 0.1, 3),
+    "a plain function": law(lambda t, q, v, reference: -q),
+    "friction": ViscousFriction([1, 2, 3]),
+    "noise": NoiseForce([1, 2, 3], 2.0, 5),
+    "rolling": RollingResistance([1, 2, 3]),
+    "rk4": rk4,
+    "step": constant_acceleration,
+    "tangent": CIRCLE,
+    "spline": Tangent(Spline([[0.0, 0.0], [1.0, 1.0], [2.0, 0.0]], [0, 1, 2])),
+    "lecture": LectureHeading(Circle(2, 0.2, 10)),
+    "fixed": FixedHeading(Circle(2, 0.2, 10), 0.0),
+    "frozen dataclass": Global(),
+    "partial": partial(np.add, 1.0),
+    "frozen array": frozen([1.0, 2.0]),
+}
+
+
+@pytest.mark.parametrize("name", CONSTANT)
+def test_the_librarys_parts_are_constant_and_have_one_number(name: str) -> None:
+    thing = CONSTANT[name]
+    assert is_constant(thing)
+    entry = known(thing)
+    assert entry is not None
+    assert known(thing) is entry
+
+
+def attributed(function: Any, **attributes: Any) -> Any:
+    vars(function).update(attributes)
+    return function
+
+
+class Counting(SimpleNamespace):
+    def count(self, *given: Any) -> Any:
+        return given
+
+
+@dataclass(frozen=True)
+class Undecorated(Global):
+    pass
+
+
+class Child(Undecorated):
+    """No dataclass of its own: other attributes may be set."""
+
+
+class Melting(Global):
+    __setattr__ = object.__setattr__
+
+
+@dataclass
+class Melted:
+    kp: float = 1.0
+
+
+@dataclass(frozen=True)
+class Holder:
+    held: Any
+    made: Any = field(default=None, init=False)
+
+
+MAY_CHANGE: dict[str, Any] = {
+    "list": [1.0],
+    "dict": {"a": 1.0},
+    "array": np.ones(3),
+    "dataclass": Melted(),
+    "child of a frozen one": Child(),
+    "function with attributes": attributed(lambda t: t, kp=1.0),
+    "method": Counting().count,
+    "built-in method": [].append,
+    "generator's method": np.random.default_rng(1).normal,
+    "partial": partial(np.add, np.ones(3)),
+    "objects": np.array([None, None], dtype=object),
+}
+
+
+@pytest.mark.parametrize("name", MAY_CHANGE)
+def test_what_may_change_is_not_constant_wherever_it_is_held(name: str) -> None:
+    for thing in (MAY_CHANGE[name], (1.0, MAY_CHANGE[name]), Holder(MAY_CHANGE[name])):
+        assert not is_constant(thing)
+        assert known(thing) is None
+
+
+def test_an_array_that_is_locked_by_hand_is_not_constant() -> None:
+    mine = np.ones(3)
+    mine.setflags(write=False)
+    assert not is_constant(mine)  # its owner unlocks it
+    assert not is_constant(mine[:2])
+
+
+def test_a_number_is_never_given_again() -> None:
+    numbers = set()
+    for k in range(50):
+        entry = known(Holder(float(k)))  # each at the place of the one before
+        assert entry is not None
+        numbers.add(entry.number)
+    assert len(numbers) == 50
+
+
+# What changed is seen.
+
+
+def test_a_law_and_a_trajectory_whose_global_changed_are_run_as_they_are(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    controller = Global()
+    before = errors(controller), errors(PD(100, 120), Swaying())
+    assert np.array_equal(errors(controller), before[0])
+    monkeypatch.setitem(globals(), "GAIN", 3.0)
+    assert errors(controller)[0] < 0.5 * before[0][0]
+    assert errors(PD(100, 120), Swaying())[0] > 1.5 * before[1][0]
+    monkeypatch.setitem(globals(), "GAIN", 1.0)
+    assert np.array_equal(errors(controller), before[0])
+
+
+def test_a_law_that_is_replaced_in_its_class_is_run_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    controller = Global()
+    before = errors(controller)
+
+    def stronger(self: Any, t: float, q: Any, v: Any, reference: Any, state: Any) -> Any:
+        return 400.0 * (reference.q - q) + 50.0 * (reference.v - v), state
+
+    monkeypatch.setattr(Global, "__call__", stronger)
+    assert errors(controller)[0] < 0.5 * before[0]
+
+
+def test_a_closure_that_changed_is_run_as_it_is() -> None:
+    gain = 40.0
+
+    def change(other: float) -> None:
+        nonlocal gain
+        gain = other
+
+    controller = law(lambda t, q, v, reference: gain * (reference.q - q) + 50.0 * (reference.v - v))
+    before = errors(controller)
+    change(400.0)
+    assert errors(controller)[0] < 0.5 * before[0]
+
+
+def _raise(part: Any) -> None:
+    part.kp = 400.0
+
+
+def _fill(part: Any) -> None:
+    part.table[0] = 20.0
+
+
+@pytest.mark.parametrize(
+    ("make", "change"),
+    [
+        (lambda: Melting(40.0), _raise),
+        (lambda: Global(40.0, [0.0]), _fill),
+        (lambda: Global(40.0, np.zeros(1)), _fill),
+    ],
+    ids=["attribute", "list in a frozen dataclass", "array in a frozen dataclass"],
+)
+def test_a_part_that_is_changed_between_two_calls_is_run_as_it_is(
+    make: Callable[[], Any], change: Callable[[Any], None]
+) -> None:
+    part = make()
+    before = errors(part)
+    change(part)
+    assert np.abs(errors(part) - before).max() > 0.1 * before.max()
+
+
+def test_gains_of_another_object_are_those_that_are_run() -> None:
+    found = [errors(Global(kp))[0] for kp in (40.0, 400.0, 40.0)]
+    assert found[0] == found[2] > 2 * found[1]
+
+
+def test_a_part_that_turned_bad_is_refused_though_it_was_good_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    controller = Global(41.0)
+    errors(controller)
+    monkeypatch.setitem(globals(), "STEP", 0.5)
+    monkeypatch.setitem(globals(), "CALLS", 0.0)
+    with pytest.raises(InvalidArgument, match="asked again for the same arguments"):
+        ensemble(ROBOT, controller, CIRCLE, n=3, spread={}, dt=0.02)
+    with pytest.raises(InvalidArgument, match="asked again for the same arguments"):
+        simulate(ROBOT, controller, CIRCLE, dt=0.02, engine=COMPILED)
+
+
+def test_other_times_steps_and_spreads_are_not_taken_for_the_last() -> None:
+    controller = ComputedTorque(ROBOT, 4, 5)
+    lengths = [
+        len(simulate(ROBOT, controller, CIRCLE, dt=dt, duration=duration, engine=COMPILED))
+        for dt, duration in ((0.1, 4.0), (0.2, 4.0), (0.1, 2.0), (0.1, 4.0))
+    ]
+    assert lengths == [41, 21, 21, 41]
+    spreads: tuple[dict[str, Any], ...] = ({"kp": Uniform(3, 5)}, {"kp_x": Uniform(3, 5)}, {"mass": 31.0})
+    for spread in (*spreads, *spreads):
+        made = ensemble(ROBOT, controller, CIRCLE, n=4, spread=spread, dt=0.1, engine=COMPILED)
+        assert list(made.draws) == list(spread)
+        np.testing.assert_allclose(made.max_error[3], made.trace(3).max_error(), rtol=1e-6, atol=1e-12)
+    delayed = [errors(Delayed(controller, k))[0] for k in (1, 3, 1)]
+    assert delayed[0] == delayed[2] < delayed[1]
+
+
+# What is known is not asked again, and nothing is kept.
+
+
+def test_constant_parts_are_checked_once_and_others_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    true = check_answers
+
+    def counting(*given: Any) -> None:
+        asked.append(given)
+        true(*given)
+
+    monkeypatch.setattr(scenario, "check_answers", counting)
+    constant, other = Global(43.0), Global(43.0, [0.0])
+    for controller, expected in ((constant, 1), (other, 3)):
+        asked.clear()
+        for seed in (1, 1, 1):
+            ensemble(ROBOT, controller, CIRCLE, n=2, spread={}, dt=0.1, seed=seed)
+        assert len(asked) == expected
+
+
+def _run_and_forgotten() -> list[weakref.ref[Any]]:
+    robot, large = MobileRobot(31.0, 1.4), np.ones(1_000_000)
+    controller = law(lambda t, q, v, reference: large[0] * 9.0 * (reference.q - q) - 9.0 * v)
+    torque = Saturated(ComputedTorque(robot, 4, 5), [50, 50, 50])
+    trajectory, force = Tangent(Circle(2.0, 0.1, 5.0)), ViscousFriction([1, 2, 3])
+    spread: dict[str, Any] = {"mass": Normal(31, 1)}
+    for each in (controller, torque):
+        ensemble(robot, each, trajectory, n=2, spread=spread, dt=0.1, forces=[force])
+        simulate(robot, each, trajectory, dt=0.1, forces=[force], engine=COMPILED)
+    return [weakref.ref(x) for x in (robot, large, controller, torque, trajectory, force)]
+
+
+def test_nothing_that_was_run_is_kept_alive() -> None:
+    died = _run_and_forgotten()
+    gc.collect()
+    assert [type(reference()) for reference in died] == [type(None)] * len(died)
+
+
+def test_memories_are_few() -> None:
+    for k in range(40):
+        simulate(ROBOT, PD(1.0 + 0.01 * k, 1.0), CIRCLE, dt=0.5, engine=COMPILED)
+    assert len(_memories) <= 16
+    controller = PD(1.0, 1.0)
+    for k in range(100):
+        simulate(ROBOT, controller, CIRCLE, dt=0.5, duration=0.5 * (1 + k % 8), engine=COMPILED)
+        ensemble(ROBOT, controller, CIRCLE, n=1, spread={}, dt=0.5, seed=k)
+    assert max(len(memory) for _, memory in _memories.values()) <= 100
+
+
+# Calls that are known to fit are those of the same signature alone.
+
+
+def test_a_call_is_looked_at_again_where_the_signature_is_another() -> None:
+    def function(a: Any, b: Any, c: Any = 0) -> Any:
+        return a
+
+    callable_as("f(a, b)", function)
+    function.__defaults__ = None
+    with pytest.raises(InvalidArgument, match="missing a required argument: 'c'"):
+        callable_as("f(a, b)", function)
+
+    class Made:
+        pass
+
+    def method(self: Any, a: Any) -> Any:
+        return a
+
+    Made.method = method  # type: ignore[attr-defined]
+    callable_as("f(a, b)", method)
+    with pytest.raises(InvalidArgument, match="too many positional arguments"):
+        callable_as("f(a, b)", Made().method)  # type: ignore[attr-defined]
+    callable_as("f(a)", Made().method)  # type: ignore[attr-defined]
+
+
+# Fewer draws.
+
+
+class Pairs:
+    """A distribution of two draws for each number, all the first before all the second."""
+
+    def sample(self, generator: np.random.Generator, size: int) -> Any:
+        return 30 + generator.uniform(0, 1, size) + generator.uniform(0, 1, size)
+
+
+@pytest.mark.parametrize(
+    "source", [Pairs(), Uniform(20, 40), Normal(30, 1)], ids=["pairs", "uniform", "normal"]
+)
+def test_the_first_robots_are_the_same_for_every_number_of_robots(source: Any) -> None:
+    several = {
+        n: scenario.Scenario(
+            robot=ROBOT, controller=PD(100, 20), trajectory=CIRCLE, n=n, spread={"mass": source}, dt=0.5
+        ).draws()["mass"]
+        for n in (1, 7, 4096, 4097, 5000)
+    }
+    for n, values in several.items():
+        assert np.array_equal(values, several[5000][:n])

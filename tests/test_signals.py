@@ -1,0 +1,201 @@
+"""Signals: what any part of a loop tells beside states and inputs, the same in every engine."""
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pinmobile import (
+    COMPILED,
+    PINOCCHIO,
+    Delayed,
+    InvalidArgument,
+    MobileRobot,
+    NoisyMeasurement,
+    Rollout,
+    Saturated,
+    Uniform,
+    ensemble,
+    plots,
+    simulate,
+)
+from tests.parts import PID, Axle, Cart, CartCircle, Eight, Follower, Nodding, Smoothed, Spring
+
+ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.05))
+BODY: Any = (Nodding(Eight()), {"dt": 0.02, "duration": 3.0})
+FOLLOWER: Any = Follower()
+CART: Any = (CartCircle(), {"dt": 0.02, "duration": 3.0})
+
+
+class TellingPID(PID):
+    def signals(self, state: Any) -> Any:
+        return {"integral": ("N", state["sum"]), "applied": ("N", state["u"][0])}
+
+
+class TellingSpring(Spring):
+    def signals(self, t: float, pose: Any, rate: Any) -> Any:
+        return {"pull": ("N", self(t, pose, rate)[:2]), "sine": ("", np.sin(t))}
+
+
+class TellingAxle(Axle):
+    def signals(self, t: float, q: Any, v: Any) -> Any:
+        return {"axle torque": ("N m", self.on_coordinates(t, q, v)[3])}
+
+
+class TellingCart(Cart):
+    def signals(self, t: float, q: Any, v: Any, u: Any, f: Any, memory: Any) -> Any:
+        return {"pushed": ("N", f), "power": ("W", [u[0] * v[3], u[1] * v[4]]), "wheels": ("", 2)}
+
+
+class TellingSmoothed(Smoothed):
+    def signals(self, state: Any) -> Any:
+        return {"smooth": ("N", state[1]), **self.controller.signals(state[0])}
+
+
+WRAPPED = NoisyMeasurement(Delayed(Saturated(TellingPID(), 40.0), 2), 1e-3, 1e-3, 5)
+
+
+@pytest.mark.parametrize(
+    ("plant", "controller", "where", "forces", "units"),
+    [
+        (ROBOT, WRAPPED, BODY, [TellingSpring()], {"integral": "N", "applied": "N", "pull": "N", "sine": ""}),
+        (ROBOT, TellingSmoothed(WRAPPED), BODY, [], {"smooth": "N", "integral": "N", "applied": "N"}),
+        (
+            TellingCart(),
+            Follower(),
+            CART,
+            [Spring(), TellingAxle()],
+            {"pushed": "N", "power": "W", "wheels": "", "axle torque": "N m"},
+        ),
+    ],
+)
+def test_every_part_tells_the_same_in_each_engine(
+    plant: Any, controller: Any, where: Any, forces: Any, units: dict[str, str]
+) -> None:
+    trajectory, options = where
+    runs = [
+        simulate(plant, controller, trajectory, forces=forces, engine=engine, **options)
+        for engine in (PINOCCHIO, COMPILED)
+    ]
+    for run in runs:
+        assert {name: signal.unit for name, signal in run.signals.items()} == units
+    for name in units:
+        one, other = (run.signals[name].values for run in runs)
+        assert one.shape == other.shape
+        assert not other.flags.writeable
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * np.abs(one).max())
+
+
+def test_they_are_what_the_laws_say() -> None:
+    run = simulate(TellingCart(), FOLLOWER, CART[0], forces=[TellingAxle()], engine=COMPILED, **CART[1])
+    np.testing.assert_allclose(run.signals["power"].values, run.u * run.v[:, 3:], rtol=1e-14)
+    np.testing.assert_allclose(run.signals["axle torque"].values, -0.02 * run.v[:, 3], rtol=1e-14)
+    np.testing.assert_array_equal(run.signals["pushed"].values[:, 3], run.signals["axle torque"].values)
+    told = simulate(ROBOT, Saturated(TellingPID(), 15.0), BODY[0], engine=COMPILED, **BODY[1])
+    assert np.abs(told.u).max() == 15.0
+    assert np.abs(told.signals["applied"].values).max() > 15.0  # what it asked for
+
+
+def test_members_of_an_ensemble_tell_what_their_controllers_tell() -> None:
+    options: Any = {"n": 3, "spread": {"mass": Uniform(25, 35)}, "traces": [1]} | BODY[1]
+    runs = ensemble(ROBOT, WRAPPED, BODY[0], **options)
+    assert list(runs.traces[1].signals) == ["integral", "applied"]
+    member = runs.member(2)
+    np.testing.assert_array_equal(
+        runs.trace(2).signals["integral"].values,
+        simulate(*member[:3], **member.options).signals["integral"].values,
+    )
+
+
+class Claiming(TellingSpring):
+    def signals(self, t: float, pose: Any, rate: Any) -> Any:
+        return {"applied": ("N", 1.0)}
+
+
+class TracedAlone(Cart):
+    def traced(self) -> Any:
+        return Cart(self.mass, self.yaw_inertia)
+
+    def signals(self, *given: Any) -> Any:
+        return {"one": ("", 1.0)}
+
+
+class Branching(TellingPID):
+    def signals(self, state: Any) -> Any:
+        return {"integral": ("N", 1.0 if state["sum"][0] > 0 else 0.0)}
+
+
+@pytest.mark.parametrize("engine", [PINOCCHIO, COMPILED])
+@pytest.mark.parametrize(
+    ("controller", "forces", "why"),
+    [
+        (
+            PID(),
+            [TellingSpring(), TellingSpring()],
+            r"forces\[0\] and forces\[1\] both have the signal '",
+        ),
+        (
+            Saturated(TellingPID(), 9.0),
+            [Claiming()],
+            r"controller and forces\[0\] both have the signal '",
+        ),
+    ],
+)
+def test_a_name_that_two_parts_claim_is_refused(controller: Any, forces: Any, why: str, engine: Any) -> None:
+    with pytest.raises(InvalidArgument, match=why):
+        simulate(ROBOT, controller, BODY[0], forces=forces, engine=engine, **BODY[1])
+
+
+@pytest.mark.parametrize("engine", [PINOCCHIO, COMPILED])
+@pytest.mark.parametrize(
+    ("answer", "why"),
+    [
+        ([1], r"forces\[0\].signals returned \[1\], expected a dict of name to \(unit, value\)"),
+        ({"a": 3}, r"forces\[0\].signals has 'a': 3, expected a name and \(unit, value\)"),
+        ({"a": ("m", "x")}, r"forces\[0\].signals\['a'\] is 'x', expected"),
+        ({"a": ("m", 1j)}, r"forces\[0\].signals\['a'\] is 1j, expected real numbers"),
+        (
+            {"a": ("m", np.eye(2))},
+            r"forces\[0\].signals\['a'\] has shape \(2, 2\), expected a number",
+        ),
+    ],
+)
+def test_what_is_no_signal_is_refused(answer: Any, why: str, engine: Any) -> None:
+    class Answering(Spring):
+        def signals(self, t: float, pose: Any, rate: Any) -> Any:
+            return answer
+
+    with pytest.raises(InvalidArgument, match=why):
+        simulate(ROBOT, PID(), BODY[0], forces=[Answering()], engine=engine, **BODY[1])
+
+
+def test_signals_that_cannot_be_compiled_are_told_with_their_line() -> None:
+    with pytest.raises(InvalidArgument, match=r"^engine is COMPILED, .*Branching.signals, line \d+.*where"):
+        simulate(ROBOT, Branching(), BODY[0], engine=COMPILED, **BODY[1])
+    # An ensemble keeps no signals, and asks for none.
+    assert ensemble(ROBOT, Branching(), BODY[0], n=2, spread={}, **BODY[1]).engine == "COMPILED"
+    with pytest.raises(InvalidArgument, match=r"plant, a TracedAlone, has signals, .*traced\(\) returns has"):
+        simulate(TracedAlone(), FOLLOWER, CART[0], engine=COMPILED, **CART[1])
+
+
+def test_files_and_figures_have_their_names_and_units(tmp_path: Path) -> None:
+    run = simulate(ROBOT, WRAPPED, BODY[0], forces=[TellingSpring()], engine=COMPILED, **BODY[1])
+    run.save(tmp_path / "run.npz")
+    kept = Rollout.load(tmp_path / "run.npz")
+    for name, (unit, values) in run.signals.items():
+        assert kept.signals[name].unit == unit
+        np.testing.assert_array_equal(kept.signals[name].values, values)
+    run.to_csv(tmp_path / "run.csv")
+    with (tmp_path / "run.csv").open(newline="") as file:
+        header, *rows = list(csv.reader(file))
+    assert header[-7:] == [
+        *(f"signal_integral[{k}] [N]" for k in range(3)),
+        "signal_applied [N]",
+        *(f"signal_pull[{k}] [N]" for k in range(2)),
+        "signal_sine",
+    ]
+    np.testing.assert_array_equal(np.array(rows, float)[:, -3:-1], run.signals["pull"].values)
+    labels = [axes.get_ylabel() for axes in plots.signals(kept).axes]
+    assert labels == ["integral [N]", "applied [N]", "pull [N]", "sine"]
