@@ -841,7 +841,8 @@ def is_part(name: str) -> bool:
     called = owner in (*parts, *forces, "EndEffectorTracking", "JointFriction")
     integrators = ("constant_acceleration", "rk4", "semi_implicit_euler")
     return name in integrators or (
-        called and method in ("__call__", "initial_state", "applied", "acceleration", "on_coordinates")
+        called
+        and method in ("__call__", "initial_state", "applied", "signals", "acceleration", "on_coordinates")
     )
 
 

@@ -335,7 +335,7 @@ FAULTS = [
     Fault(
         "another part",
         of_many(engine="ARRAYS"),
-        "expected COMPILED, ARRAYS, PINOCCHIO of pinmobile, or None",
+        "expected ARRAYS itself: write engine=ARRAYS after 'from pinmobile import ARRAYS'",
     ),
     Fault(
         "another signature",

@@ -1,3 +1,5 @@
+import sys
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -91,3 +93,10 @@ def test_a_seed_is_what_numpy_takes_for_one_but_never_nothing() -> None:
     for seed in (None, -1, 1.5, "a", True):
         with pytest.raises(InvalidArgument, match=r"^seed is .*, expected a whole number >= 0 or a Gen"):
             arrays.seeded("seed", seed)
+
+
+def test_a_number_is_one_while_another_thread_loads_what_masks_numbers(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "numpy.ma", ModuleType("numpy.ma"))
+    assert arrays.finite("q", [1.0, 2.0]).tolist() == [1.0, 2.0]

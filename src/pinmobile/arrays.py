@@ -139,13 +139,14 @@ def _array(value: Any) -> "np.ndarray[Any, Any]":
 
 def _hides(value: Any) -> bool:
     """Tell whether a value is a masked array, or a list in which there is one."""
-    masked = sys.modules.get("numpy.ma")  # where it is not loaded, there is none
+    # Where it is not loaded, or another thread is about to, there is none.
+    masked = getattr(sys.modules.get("numpy.ma"), "MaskedArray", None)
     if masked is None:
         return False
     waiting, seen = [value], set()
     while waiting:
         part = waiting.pop()
-        if isinstance(part, masked.MaskedArray):
+        if isinstance(part, masked):
             return True
         if isinstance(part, list | tuple) and id(part) not in seen and not set(map(type, part)) <= _PLAIN:
             seen.add(id(part))  # a list may hold itself
