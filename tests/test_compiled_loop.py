@@ -498,7 +498,7 @@ def test_a_law_with_too_many_operations_is_refused() -> None:
         return reference.q - x, state
 
     error = refused(endless)
-    assert "20000 operations" in error.what
+    assert "30000 operations" in error.what
     assert "ARRAYS" in error.instead
     assert "endless, line" in error.place
 

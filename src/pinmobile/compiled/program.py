@@ -23,6 +23,7 @@ __all__ = ["Outcome", "Program", "aligned"]
 _SLICE = 2e8  # operations of a vector in one call, some 0.1 s: Ctrl-C is answered in between
 _WORTH = 4e6  # operations of a vector for which a thread is worth starting
 _SMALL = 2500  # operations: beyond, a second vector takes longer to build than it saves
+_FEW = 32  # numbers of the state, as there are registers: beyond, as of arms, a second vector costs time
 
 
 class Outcome(NamedTuple):
@@ -73,7 +74,8 @@ class Program:
         target = Target.here() if target is None else target
         self.loop = loop
         self._alike: set[frozenset[Place]] = set()  # spreads of these leave the memory alike at first
-        many = Shape(target.lanes, 2 if loop.own <= _SMALL else 1)
+        small = loop.own <= _SMALL and len(loop.states) <= _FEW
+        many = Shape(target.lanes, 2 if small else 1)
         self.shape = shape or (Shape(1, 1) if single else many)
         self.text = text_of(loop, self.shape)
         self._function = function_of(self.text, target, Cache() if cache is None else cache)
