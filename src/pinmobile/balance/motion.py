@@ -37,8 +37,8 @@ class Motion:
     Parameters
     ----------
     plant : MobileRobot or plant
-        What moves: it has ``ground_wrench(q, v, a)``, the wrench (fx, fy, fz, mx, my, mz) of the ground on the
-        body along and about the body's frame, shape (..., 6) [N, N m], and may have ``footprint``, its
+        What moves: it has ``ground_wrench(q, v, a)``, the wrench (fx, fy, fz, mx, my, mz) of the ground on
+        the body along and about the body's frame, shape (..., 6) [N, N m], and may have ``footprint``, its
         corners, shape (k, 2) [m].
     q : array_like, shape (..., nq)
         Configuration [m, m, rad, ...].
