@@ -17,6 +17,7 @@ from pinmobile import (
     UnknownName,
     reaction_wrench,
     required_friction,
+    rk4,
     simulate,
     tip_over_margin,
     zero_moment_point,
@@ -24,6 +25,7 @@ from pinmobile import (
 from pinmobile.arrays import Array
 from pinmobile.balance import body_zero_moment_point, margin_inside
 from pinmobile.robot import BODY_JOINT
+from tests.users import Follower, TwoWheels
 
 G = 9.81
 AT = (0.1, -0.05, 0.2, 0.4)
@@ -259,6 +261,36 @@ def test_a_footprint_is_in_the_bodys_frame() -> None:
 def test_a_footprint_that_is_none_is_refused(footprint: Any, text: str) -> None:
     with pytest.raises(InvalidArgument, match=text):
         tip_over_margin(planar((0, 0, 0)), footprint)
+
+
+class Standing(TwoWheels):
+    """Two wheels and a castor that tell what the ground bears, the centre of mass 0.3 m above it."""
+
+    footprint = np.array([(-0.3, 0.0), (0.1, -0.2), (0.1, 0.2)])
+
+    def pose(self, q: Array) -> Array:
+        return q[..., :3]
+
+    def ground_wrench(self, q: Array, v: Array, a: Array) -> Array:
+        psi = q[..., 2]
+        ahead = self.mass * (np.cos(psi) * a[..., 0] + np.sin(psi) * a[..., 1])
+        left = self.mass * (np.cos(psi) * a[..., 1] - np.sin(psi) * a[..., 0])
+        weight = np.full_like(ahead, self.mass * G)
+        turning = self.yaw_inertia * a[..., 2]
+        return np.stack([ahead, left, weight, -0.3 * left, 0.3 * ahead, turning], axis=-1)
+
+
+def test_a_plant_of_ones_own_that_tells_what_the_ground_bears_stands_or_tips() -> None:
+    path = Tangent(Circle(2, 0.25, 2))
+    run = simulate(Standing(), Follower(), path, dt=0.02, integrator=rk4)
+    inward = run.a[:, 1] * np.cos(run.q[:, 2]) - run.a[:, 0] * np.sin(run.q[:, 2])
+    ahead = run.a[:, 0] * np.cos(run.q[:, 2]) + run.a[:, 1] * np.sin(run.q[:, 2])
+    point = np.stack([-0.3 * ahead / G, -0.3 * inward / G], axis=-1)
+    np.testing.assert_allclose(body_zero_moment_point(run), point, rtol=0, atol=1e-13)
+    np.testing.assert_array_equal(tip_over_margin(run), margin_inside(Standing.footprint, point))
+    np.testing.assert_allclose(required_friction(run), np.hypot(ahead, inward) / G, rtol=0, atol=1e-13)
+    with pytest.raises(InvalidArgument, match="which has no arm, expected a MobileRobot with one"):
+        reaction_wrench(run)
 
 
 def test_what_has_no_arm_or_is_no_robot_is_refused() -> None:

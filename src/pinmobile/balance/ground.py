@@ -63,7 +63,7 @@ def body_zero_moment_point(motion: Moving) -> Array:
     InvalidArgument
         As `zero_moment_point`.
     """
-    if not robot_of(motion).grounded:
+    if not getattr(robot_of(motion), "grounded", True):
         raise InvalidArgument(
             "motion.plant does not tell how high it is above the ground, expected one that does: "
             "MobileRobot.from_urdf(path, ground=...), with the ground's z in the root link's frame [m]"
@@ -106,7 +106,7 @@ def footprint_of(robot: MobileRobot, footprint: ArrayLike | None = None) -> Arra
 
     Parameters
     ----------
-    robot : MobileRobot
+    robot : MobileRobot or plant
         Whose footprint it is.
     footprint : array_like, shape (k, 2), optional
         In place of its own.
@@ -118,7 +118,7 @@ def footprint_of(robot: MobileRobot, footprint: ArrayLike | None = None) -> Arra
     """
     if footprint is not None:
         return checked_footprint(footprint)
-    corners = checked_robot("robot", robot).footprint
+    corners: Array | None = getattr(checked_robot("robot", robot), "footprint", None)
     if corners is None:
         raise InvalidArgument(
             "footprint is not given, and that of the robot is not known, expected the corners of what it "
@@ -163,6 +163,9 @@ def _ground(motion: Moving) -> tuple[Array, "np.ndarray[tuple[int, ...], np.dtyp
 
 
 def _negligible(motion: Moving) -> float:
-    model = motion.plant.model
-    mass = float(sum(inertia.mass for inertia in model.inertias))
-    return _WEIGHTLESS * mass * float(np.linalg.norm(model.gravity.linear))
+    plant, q = motion.plant, np.asarray(motion.q, np.float64)
+    if not q.size:
+        return 0.0
+    still = np.zeros(plant.nv)
+    weight = plant.ground_wrench(q.reshape(-1, q.shape[-1])[0], still, still)[..., :3]
+    return _WEIGHTLESS * float(np.linalg.norm(weight))

@@ -15,7 +15,7 @@ class Moving(Protocol):
 
     @property
     def plant(self) -> Any:
-        """What moves: a `MobileRobot`."""
+        """What moves: a `MobileRobot`, or a plant with ``ground_wrench(q, v, a) -> (..., 6)``."""
 
     @property
     def q(self) -> ArrayLike:
@@ -36,8 +36,10 @@ class Motion:
 
     Parameters
     ----------
-    plant : MobileRobot
-        What moves.
+    plant : MobileRobot or plant
+        What moves: it has ``ground_wrench(q, v, a)``, the wrench (fx, fy, fz, mx, my, mz) of the ground on
+        the body along and about the body's frame, shape (..., 6) [N, N m], and may have ``footprint``, its
+        corners, shape (k, 2) [m].
     q : array_like, shape (..., nq)
         Configuration [m, m, rad, ...].
     v, a : array_like, shape (..., nv)
@@ -46,7 +48,7 @@ class Motion:
     Raises
     ------
     InvalidArgument
-        If `plant` is no `MobileRobot`, or an array has another shape or is not finite.
+        If `plant` has no ``ground_wrench``, or an array has another shape or is not finite.
     """
 
     plant: MobileRobot
@@ -85,7 +87,8 @@ def checked_robot(name: str, robot: Any) -> MobileRobot:
     known = callable(getattr(robot, "ground_wrench", None)) and isinstance(getattr(robot, "nv", None), int)
     if isinstance(robot, type) or not known:
         raise InvalidArgument(
-            f"{name} is {shown(robot)}, which does not tell the ground's wrench, expected a MobileRobot"
+            f"{name} is {shown(robot)}, which does not tell the ground's wrench, expected a MobileRobot, or "
+            "a plant with ground_wrench(q, v, a)"
         )
     return robot  # type: ignore[no-any-return]
 
@@ -118,4 +121,9 @@ def reaction_wrench(motion: Moving, mount: str | None = None) -> Array:
     UnknownName
         If nothing is mounted by that name.
     """
-    return robot_of(motion).mount_wrench(motion.q, motion.v, motion.a, mount)
+    plant: Any = robot_of(motion)
+    if not hasattr(plant, "mount_wrench"):
+        raise InvalidArgument(
+            f"motion.plant is {shown(plant)}, which has no arm, expected a MobileRobot with one"
+        )
+    return plant.mount_wrench(motion.q, motion.v, motion.a, mount)  # type: ignore[no-any-return]

@@ -133,7 +133,10 @@ def _of_robots(rollouts: Any) -> dict[str, Rollout]:
     for label, run in runs.items():
         if not hasattr(run.plant, "ground_wrench"):
             name = f"rollouts[{label!r}]" if label else "rollouts"
-            raise InvalidArgument(f"{name}.plant is {shown(run.plant)}, expected a MobileRobot")
+            raise InvalidArgument(
+                f"{name}.plant is {shown(run.plant)}, expected a MobileRobot, or a plant with "
+                "ground_wrench(q, v, a)"
+            )
     return runs
 
 
