@@ -250,6 +250,13 @@ def test_what_no_body_has_is_refused(values: dict[str, float], told: str) -> Non
         MobileRobot.box().mount("ur5").with_parameters(**values)
 
 
+def test_what_moves_together_is_called_by_its_first_link_with_a_mass() -> None:
+    (mount,) = MobileRobot.box().mount("ur5").mounts
+    assert mount.links[0] == "ur5/base_link"  # and not the world that it is fixed to
+    assert mount.links[-1] == "ur5/wrist_3_link"
+    assert len(mount.links) == 7
+
+
 def test_an_unknown_link_is_named_with_the_nearest() -> None:
     with pytest.raises(UnknownName, match="did you mean 'mass_ur5/forearm_link'"):
         MobileRobot.box().mount("ur5").with_parameters(**{"mass_ur5/forearm": 1.0})

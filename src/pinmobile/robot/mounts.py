@@ -113,13 +113,14 @@ class Mount:
 
     @property
     def links(self) -> tuple[str, ...]:
-        """What moves together, by the name of its first link: first what is fixed to the root."""
+        """What moves together, by the name of its first link with a mass: first what is fixed to the root."""
         model = self._model
-        found = [f"{self.name}/{name}" for name in model.names]
-        for frame in reversed(model.frames.tolist()):
-            if frame.type == pin.FrameType.BODY:
-                found[frame.parentJoint] = f"{self.name}/{frame.name}"
-        return tuple(found)
+        found = [str(name) for name in model.names]
+        links = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
+        # Those that come later here are taken: what has a mass, and of these the first.
+        for frame in sorted(reversed(links), key=lambda frame: frame.inertia.mass > 0):
+            found[frame.parentJoint] = str(frame.name)
+        return tuple(f"{self.name}/{name}" for name in found)
 
     @property
     def placement(self) -> pin.SE3:
