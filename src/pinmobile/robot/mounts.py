@@ -117,8 +117,14 @@ class Mount:
         model = self._model
         found = [str(name) for name in model.names]
         links = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
-        # Those that come later here are taken: what has a mass, and of these the first.
-        for frame in sorted(reversed(links), key=lambda frame: frame.inertia.mass > 0):
+
+        def has_mass(link: pin.Frame) -> bool:
+            # Pinocchio keeps a link's mass with the joint that it hangs on, if that is a fixed one.
+            above = model.frames[link.parentFrame] if link.parentFrame < model.nframes else link
+            return bool(above.type == pin.FrameType.JOINT or above.inertia.mass > 0)
+
+        # What comes later here is taken: what has a mass, and of that the first.
+        for frame in sorted(reversed(links), key=has_mass):
             found[frame.parentJoint] = str(frame.name)
         return tuple(f"{self.name}/{name}" for name in found)
 
