@@ -25,16 +25,20 @@ from pinmobile import (
     Rollout,
     Same,
     Saturated,
+    Scenario,
     Uniform,
     UnknownName,
     ensemble,
+    grid,
     rk4,
     simulate,
+    sweep,
 )
 from pinmobile.arrays import Array
 from pinmobile.compiled import Parts, program_of
 from pinmobile.compiled import Reference as CompiledReference
 from pinmobile.compiled.loop_tape import Loop
+from pinmobile.ensembles import run_scenario
 from pinmobile.errors import SlowerEngine
 from pinmobile.robot.articulated import ArticulatedBody
 
@@ -169,6 +173,21 @@ def test_a_member_whose_links_differ_is_kept_in_a_file(tmp_path: Path) -> None:
     again = Rollout.load(tmp_path / "run.npz").plant
     assert again == member.robot
     np.testing.assert_array_equal(again.inertial_parameters, member.robot.inertial_parameters)
+
+
+def test_sweeps_keep_what_links_were_drawn(tmp_path: Path) -> None:
+    def scenario(error: float) -> Scenario:
+        masses = {"mass_ur5/forearm_link": Uniform(2 - error, 2 + error)}
+        controller = ComputedTorque(UR5, 100, 20)
+        return Scenario(
+            robot=UR5, controller=controller, trajectory=Swing(UR5), n=3, spread=masses, dt=0.1, seed=1
+        )
+
+    found = sweep(grid(scenario, error=[0.1, 0.2]), tmp_path / "store.zarr")
+    alone = run_scenario(scenario(0.2))
+    kept = found.ensemble(error=0.2)
+    np.testing.assert_array_equal(kept.draws["mass_ur5/forearm_link"], alone.draws["mass_ur5/forearm_link"])
+    assert "drawn_mass_ur5.forearm_link" in alone.to_xarray()  # where a slash would be a group of its own
 
 
 def loop_of(robot: MobileRobot, **parameters: float) -> Loop:

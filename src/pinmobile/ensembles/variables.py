@@ -23,6 +23,7 @@ __all__ = [
     "coordinates",
     "dataset_of",
     "drawn",
+    "drawn_name",
     "per_robot",
     "summed",
 ]
@@ -98,10 +99,15 @@ SUMMED: Mapping[str, Variable] = {
 """The arrays that are summed up over all robots."""
 
 
+def drawn_name(parameter: str) -> str:
+    """Return what the array of a parameter's draws is called: a slash would make a group of a store of it."""
+    return f"drawn_{parameter.replace('/', '.')}"
+
+
 def drawn(parameters: Mapping[str, Parameter]) -> dict[str, Variable]:
     """Return the arrays of what was drawn for each robot."""
     return {
-        f"drawn_{name}": Variable(_EACH, one.unit or "1", f"drawn {one.meaning}; NaN where not spread")
+        drawn_name(name): Variable(_EACH, one.unit or "1", f"drawn {one.meaning}; NaN where not spread")
         for name, one in parameters.items()
     }
 
@@ -197,6 +203,6 @@ def _per_robot(ensemble: "Ensemble") -> dict[str, Variable]:
 
 
 def _arrays(ensemble: "Ensemble") -> Iterator[tuple[str, Variable, Array]]:
+    draws = {drawn_name(name): values for name, values in ensemble.draws.items()}
     for name, one in _per_robot(ensemble).items():
-        of_draw = name.removeprefix("drawn_")
-        yield name, one, getattr(ensemble, name) if name in PER_ROBOT else ensemble.draws[of_draw]
+        yield name, one, getattr(ensemble, name) if name in PER_ROBOT else draws[name]

@@ -12,7 +12,7 @@ import numpy as np
 from pinmobile.arrays import location, whole
 from pinmobile.ensembles import Ensemble
 from pinmobile.ensembles.histogram import checked_share, share_within
-from pinmobile.ensembles.variables import PER_ROBOT
+from pinmobile.ensembles.variables import PER_ROBOT, drawn_name
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.sweeps.axes import Axis, place_of
 from pinmobile.sweeps.extras import imported
@@ -184,7 +184,7 @@ class Sweep:
         per_robot: dict[str, Any] = {name: np.array(data[name]) for name in PER_ROBOT}
         return Ensemble(
             scenario=scenario,
-            draws={name: np.array(data[f"drawn_{name}"]) for name in scenario.spread},
+            draws={name: np.array(data[drawn_name(name)]) for name in scenario.spread},
             counts=counts,
             traces={},
             **per_robot,

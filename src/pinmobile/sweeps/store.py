@@ -22,7 +22,7 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.ensembles import Ensemble, Part
-from pinmobile.ensembles.variables import PER_ROBOT, SUMMED, summed
+from pinmobile.ensembles.variables import PER_ROBOT, SUMMED, drawn_name, summed
 from pinmobile.errors import FileError, InvalidArgument
 from pinmobile.files import refusals, write
 from pinmobile.sweeps.cluster import GO_ON
@@ -165,7 +165,7 @@ class Store:
         for name in PER_ROBOT:
             self._arrays[name][where] = getattr(records, name)
         for name, values in draws.items():
-            self._arrays[f"drawn_{name}"][where] = values
+            self._arrays[drawn_name(name)][where] = values
         self._write_gathered()
         counts = BytesIO()
         np.savez_compressed(counts, counts=part.counts)
@@ -247,7 +247,7 @@ class Store:
         return self._has(SUMMED, scenario, 0) and all(self._has(names, scenario, k) for k in starts)
 
     def _per_robot(self, scenario: int) -> list[str]:
-        return [*PER_ROBOT, *(f"drawn_{name}" for name in self.grid.scenarios[scenario].spread)]
+        return [*PER_ROBOT, *(drawn_name(name) for name in self.grid.scenarios[scenario].spread)]
 
     def _has(self, names: Iterable[str], scenario: int, start: int) -> bool:
         """Tell whether the chunks of some arrays that hold robot `start` of a scenario are on disk."""
