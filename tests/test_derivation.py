@@ -371,7 +371,12 @@ rows = st.tuples(angles, lengths, angles, lengths, st.sampled_from([R, P]))
 
 
 # Not shrunk: a failure would take minutes.
-@settings(max_examples=12, derandomize=True, deadline=None, phases=[Phase.explicit, Phase.generate])
+@settings(
+    max_examples=settings().max_examples // 5,
+    derandomize=True,
+    deadline=None,
+    phases=[Phase.explicit, Phase.generate],
+)
 @given(
     st.one_of(st.lists(rows, min_size=1, max_size=2), st.lists(rows, min_size=4, max_size=4)),
     st.integers(0, 2**32 - 1),

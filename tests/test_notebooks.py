@@ -5,6 +5,8 @@ import re
 import runpy
 import subprocess
 import sys
+from collections.abc import Callable
+from functools import cache
 from html import unescape
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -47,9 +49,9 @@ def pictures_expected(source: Path) -> int:
     return len(figures(outputs(stored(source))))
 
 
-def converted(notebooks: list[Path], to: str, folder: Path, *more: str) -> None:
-    """Let nbconvert write the notebooks to a folder, without a screen."""
-    words = [sys.executable, "-m", "nbconvert", "--to", to, "--output-dir", str(folder), *map(str, notebooks)]
+def converted(notebook: Path, to: str, folder: Path, *more: str) -> None:
+    """Let nbconvert write the notebook to a folder, without a screen."""
+    words = [sys.executable, "-m", "nbconvert", "--to", to, "--output-dir", str(folder), str(notebook)]
     screen = ("DISPLAY", "WAYLAND_DISPLAY", "MPLBACKEND")
     screenless = {name: value for name, value in os.environ.items() if name not in screen}
     done = subprocess.run(
@@ -59,14 +61,19 @@ def converted(notebooks: list[Path], to: str, folder: Path, *more: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def executed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder with all notebooks executed, by one process: nbconvert takes long to start."""
-    folder, notebooks = tmp_path_factory.mktemp("executed"), [s.with_suffix(".ipynb") for s in SOURCES]
-    with TemporaryDirectory() as short:  # a short path; TCP ports are taken by others now and then
-        sockets = "--KernelManager.transport=ipc", f"--KernelManager.ip={short}/kernel"
-        whole = "--ExecutePreprocessor.coalesce_streams=True"  # a slow kernel sends a line in parts
-        converted(notebooks, "notebook", folder, "--execute", whole, *sockets)
-    return folder
+def executed(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path], Path]:
+    """Return what gives the notebook of a source, executed; each is executed once."""
+    folder = tmp_path_factory.mktemp("executed")
+
+    @cache
+    def execute(source: Path) -> Path:
+        with TemporaryDirectory() as short:  # a short path; TCP ports are taken by others now and then
+            sockets = "--KernelManager.transport=ipc", f"--KernelManager.ip={short}/kernel"
+            whole = "--ExecutePreprocessor.coalesce_streams=True"  # a slow kernel sends a line in parts
+            converted(source.with_suffix(".ipynb"), "notebook", folder, "--execute", whole, *sockets)
+        return folder / source.with_suffix(".ipynb").name
+
+    return execute
 
 
 def test_every_notebook_has_its_source() -> None:
@@ -100,11 +107,12 @@ def test_the_notebook_can_be_read_without_running_it(source: Path) -> None:
     assert not [folder for folder in ("/home/", "/root/", "/tmp/", "/Users/") if folder in texts]
 
 
+@pytest.mark.alike
 @each
 def test_nbconvert_executes_it_without_a_screen_and_a_warning_and_its_claim_holds(
-    source: Path, executed: Path
+    source: Path, executed: Callable[[Path], Path]
 ) -> None:
-    again = outputs(jupytext.read(executed / source.with_suffix(".ipynb").name))
+    again = outputs(jupytext.read(executed(source)))
     assert not [output for output in again if output.get("name") == "stderr"]
     assert again[-1].text.splitlines()[-1].startswith("Shown: ")
     assert len(figures(again)) == pictures_expected(source)
@@ -114,13 +122,13 @@ VIEWING = next(source for source in SOURCES if source.stem == "05_viewing")
 
 
 def test_the_notebook_keeps_a_picture_of_the_scene_that_moves_in_the_converted_page(
-    executed: Path, browser: Chromium, tmp_path: Path
+    executed: Callable[[Path], Path], browser: Chromium, tmp_path: Path
 ) -> None:
     scene = 'class="scene"'
     (cell,) = (cell for cell in stored(VIEWING).cells if "scene" in cell.metadata.get("tags", ()))
     (output,) = cell.outputs
     assert set(output.data) == {"image/png", "text/plain"}
-    converted([executed / VIEWING.with_suffix(".ipynb").name], "html", tmp_path)
+    converted(executed(VIEWING), "html", tmp_path)
     page = tmp_path / VIEWING.with_suffix(".html").name
     text = page.read_text(encoding="utf-8")
     (frame,) = re.findall(r"<iframe [^>]*>", text)
