@@ -2,6 +2,7 @@
 
 import gc
 import weakref
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
@@ -392,3 +393,92 @@ def test_the_first_robots_are_the_same_for_every_number_of_robots(source: Any) -
     }
     for n, values in several.items():
         assert np.array_equal(values, several[5000][:n])
+
+
+BOX, GAINS, QUEUE = SimpleNamespace(w=2.0), [100.0], deque([2.0])
+
+
+class Plan:
+    k = 2.0
+
+    def gain(self) -> float:
+        return self.k
+
+
+PLAN = Plan()
+BOUND = PLAN.gain
+
+
+def halved(settings: dict[str, float]) -> float:
+    return settings["w"] / 2
+
+
+SETTINGS = {"w": 2.0}
+HALVED = partial(halved, SETTINGS)
+
+
+@dataclass(slots=True)
+class Slotted:
+    k: float = 2.0
+
+
+class Beside(Slotted):
+    """It has slots of its base and a dictionary beside these."""
+
+    def __call__(self, t: float, q: Any, v: Any, reference: Any) -> Any:
+        return self.k * (reference.q - q) - v
+
+
+BESIDE = Beside()
+
+
+def by_namespace(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return BOX.w * (reference.q - q) - v
+
+
+def by_queue(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return QUEUE[0] * (reference.q - q) - v
+
+
+def by_default(t: float, q: Any, v: Any, reference: Any, gains: Any = GAINS) -> Any:
+    return gains[0] * (reference.q - q) - v
+
+
+def by_keyword(t: float, q: Any, v: Any, reference: Any, *, gains: Any = GAINS) -> Any:
+    return gains[0] * (reference.q - q) - v
+
+
+def by_attribute(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return by_attribute.gain * (reference.q - q) - v  # type: ignore[attr-defined]
+
+
+def by_bound_method(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return BOUND() * (reference.q - q) - v
+
+
+def by_partial(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return HALVED() * (reference.q - q) - v
+
+
+CHANGES: dict[str, tuple[Any, Callable[[float], Any]]] = {
+    "namespace": (by_namespace, lambda x: setattr(BOX, "w", x)),
+    "deque": (by_queue, lambda x: QUEUE.__setitem__(0, x)),
+    "entry of a default": (by_default, lambda x: GAINS.__setitem__(0, x)),
+    "default": (by_default, lambda x: setattr(by_default, "__defaults__", ([x],))),
+    "default by keyword": (by_keyword, lambda x: setattr(by_keyword, "__kwdefaults__", {"gains": [x]})),
+    "attribute of a function": (by_attribute, lambda x: setattr(by_attribute, "gain", x)),
+    "bound method": (by_bound_method, lambda x: setattr(PLAN, "k", x)),
+    "partial": (by_partial, lambda x: SETTINGS.__setitem__("w", x)),
+    "slots and a dictionary": (BESIDE, lambda x: setattr(BESIDE, "k", x)),
+}
+
+
+@pytest.mark.parametrize("what", CHANGES)
+def test_what_a_law_reaches_in_any_way_is_seen_when_it_changes(what: str) -> None:
+    function, change = CHANGES[what]
+    for value in (2.0, 20.0):
+        change(value)
+        one = ensemble(ROBOT, law(function), CIRCLE, n=1, spread={}, dt=0.1)
+        assert one.engine == "COMPILED"
+        alone = simulate(ROBOT, law(function), CIRCLE, dt=0.1)
+        np.testing.assert_allclose(one.max_error[0], alone.max_error(), rtol=1e-12, atol=1e-12)

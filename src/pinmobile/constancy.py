@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-__all__ = ["Known", "constant", "is_constant", "known"]
+__all__ = ["Known", "constant", "has_slots", "is_constant", "known"]
 
 _DEEP = 24
 _ATOMS = (bool, int, float, complex, str, bytes, np.generic, np.dtype, np.ufunc, type, ModuleType, type(None))
@@ -91,7 +91,14 @@ def is_constant(thing: Any, depth: int = 0) -> bool:
     if isinstance(thing, tuple | frozenset):
         return not attributes and all(is_constant(each, depth + 1) for each in thing)
     frozen = getattr(vars(kind).get("__dataclass_params__"), "frozen", False)
-    if not (frozen and isinstance(attributes, dict)):
+    if not (frozen and isinstance(attributes, dict)) or has_slots(kind):
         return False
     own = (x for name, x in attributes.items() if not isinstance(getattr(kind, name, None), cached_property))
     return all(is_constant(value, depth + 1) for value in own)
+
+
+def has_slots(kind: type) -> bool:
+    """Tell whether objects of a class keep values in slots, beside what they have by name in a dictionary."""
+    slots = (vars(each).get("__slots__", ()) for each in kind.__mro__)
+    names = ({each} if isinstance(each, str) else set(each) for each in slots)
+    return any(each - {"__dict__", "__weakref__"} for each in names)

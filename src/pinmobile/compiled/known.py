@@ -9,6 +9,7 @@ parts is remembered with them for as long as the code stays.
 import contextlib
 import functools
 import threading
+import types
 import weakref
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
@@ -27,7 +28,7 @@ from pinmobile.compiled.parts import Parts, Place, Reference, attributes_of
 from pinmobile.compiled.passes import traced
 from pinmobile.compiled.program import Program
 from pinmobile.compiled.tracing import Walk, is_foreign
-from pinmobile.constancy import is_constant, known
+from pinmobile.constancy import has_slots, is_constant, known
 from pinmobile.errors import NotTraceable
 
 __all__ = ["memory_of", "once", "program_of"]
@@ -43,6 +44,19 @@ _memories: "OrderedDict[Any, tuple[_Witness, dict[Any, Any]]]" = OrderedDict()
 _BY_IDENTITY = (FunctionType, BuiltinFunctionType, ModuleType, type, np.ufunc, np.dtype)
 _NUMBERS = frozenset((bool, int, float, complex))
 _CODE = (FunctionType, BuiltinFunctionType, ModuleType, type, property)
+_FIXED = (
+    "typing",
+    "_abc",
+    "re",
+    "decimal",
+    "fractions",
+    "datetime",
+    "pathlib",
+    "enum",
+    "dataclasses",
+    "operator",
+)
+_MARKS = (types.GenericAlias, types.UnionType, type(...), type(NotImplemented), range, slice)
 _BY_VALUE = (bool, int, float, complex, str, bytes, np.generic)
 
 
@@ -230,7 +244,7 @@ def _object_form(x: Any, leaves: Any, depth: int, constant: bool) -> Any:
     if is_foreign(type(x).__module__) and not type(x).__module__.startswith("pinmobile"):
         raise _Unknown
     attributes = getattr(x, "__dict__", None)  # some answer to any name with something
-    if not isinstance(attributes, dict):
+    if not isinstance(attributes, dict) or has_slots(type(x)):
         raise _Unknown
     if constant and hasattr(type(x), "traced"):
         return type(x), id(x), *_model_form(x, attributes, depth)
@@ -258,7 +272,10 @@ class _Witness:
     def __init__(self, things: Iterable[Any]) -> None:
         walk = Walk(things)
         names = [(mapping, name, mapping[name]) for mapping, name in walk.names.values()]
+        kept = [own for f in walk.functions for own in (vars(f), f.__kwdefaults__ or {})]
+        names += [(own, name, own[name]) for own in kept for name in own if name != "__wrapped__"]
         values = [value for _, _, value in names] + [cell.cell_contents for cell in walk.cells.values()]
+        values += [value for f in walk.functions for value in f.__defaults__ or ()]
         self._gone: list[Any] = []  # what has died cannot be what a name stands for
         code = [each for each in names if isinstance(each[2], _CODE)]
         self._code = [
@@ -271,6 +288,11 @@ class _Witness:
         self._cells = [
             (self._referred(function), place, self._referred(walk.cells[cell].cell_contents))
             for cell, (function, place) in walk.closures.items()
+        ]
+        self._defaults = [
+            (self._referred(f), f.__defaults__, f.__kwdefaults__)
+            for f in walk.functions
+            if f.__defaults__ or f.__kwdefaults__
         ]
         self._forms = [
             (self._referred(value), _form(value, constant=True)) for value in values if _can_change(value)
@@ -290,6 +312,7 @@ class _Witness:
                 all(all(map(is_, found(mapping), values)) for mapping, found, values in self._code)
                 and all([mapping[name] is value() for mapping, name, value in self._names])
                 and all([f().__closure__[i].cell_contents is value() for f, i, value in self._cells])
+                and all([f().__defaults__ is a and f().__kwdefaults__ is b for f, a, b in self._defaults])
                 and all([_form(value(), constant=True) == form for value, form in self._forms])
             )
         except (_Unknown, AttributeError, KeyError, ValueError):
@@ -305,8 +328,12 @@ def _by_mapping(names: Iterable[tuple[Any, str, Any]]) -> list[tuple[Any, list[s
 
 
 def _can_change(x: Any) -> bool:
+    """Tell whether a value may become another without being replaced; what nobody can look into may."""
+    if isinstance(x, MethodType):
+        return _can_change(x.__self__)
     fixed = (*_BY_IDENTITY, *_BY_VALUE, property, staticmethod, classmethod, functools.cached_property)
     if x is None or isinstance(x, fixed) or hasattr(type(x), "__get__") or is_constant(x):
         return False
-    # Marks of typing and the like.
-    return not (is_foreign(type(x).__module__) and not isinstance(x, list | dict | set | tuple | np.ndarray))
+    module = type(x).__module__
+    machinery = module.startswith("pinmobile.") and is_foreign(module)
+    return not (machinery or module.partition(".")[0] in _FIXED or isinstance(x, _MARKS))

@@ -218,6 +218,8 @@ class Walk:
         Where the code looks up what: globals, modules and classes.
     modelled : list of type
         Classes of things that have `traced`, whose own methods are no NumPy.
+    functions : list of function
+        Whose code it is.
     """
 
     def __init__(self, parts: Iterable[Any]) -> None:
@@ -227,6 +229,7 @@ class Walk:
         self.closures: dict[int, tuple[FunctionType, int]] = {}
         self.names: dict[tuple[int, str], tuple[Mapping[str, Any], str]] = {}
         self.modelled: list[type] = []
+        self.functions: list[FunctionType] = []
         for part in parts:
             self.visit(part)
 
@@ -283,7 +286,10 @@ class Walk:
             self.visit(function.__wrapped__)
         if not _is_own(function.__module__ or "", True):
             return
+        self.functions.append(function)
         self.namespaces[id(function.__globals__)] = function.__globals__
+        for value in (*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values()):
+            self._named(value, function.__code__)
         for place, cell in enumerate(function.__closure__ or ()):
             with contextlib.suppress(ValueError):  # not set yet
                 self.visit(cell.cell_contents)
