@@ -291,6 +291,17 @@ def test_a_plant_of_ones_own_that_tells_what_the_ground_bears_stands_or_tips() -
     np.testing.assert_allclose(required_friction(run), np.hypot(ahead, inward) / G, rtol=0, atol=1e-13)
     with pytest.raises(InvalidArgument, match="which has no arm, expected a MobileRobot with one"):
         reaction_wrench(run)
+    plant: Any = run.plant
+    plant.footprint = Standing.footprint[::-1]  # clockwise
+    np.testing.assert_array_equal(tip_over_margin(run), margin_inside(Standing.footprint, point))
+    for answer, why in (
+        (np.zeros(3), "has shape"),
+        (np.full((101, 6), np.nan), "is nan"),
+        (np.full((101, 6), 1j), "expected real numbers"),
+    ):
+        plant.ground_wrench = lambda q, v, a, answer=answer: answer
+        with pytest.raises(InvalidArgument, match=f"(?s)ground_wrench of motion.plant.*{why}"):
+            required_friction(run)
 
 
 def test_what_has_no_arm_or_is_no_robot_is_refused() -> None:

@@ -776,3 +776,18 @@ def test_a_million_robots_fit_in_a_gigabyte() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     kilobytes = int(done.stdout) / (1 if sys.platform == "linux" else 1024)
     assert kilobytes < 1e6
+
+
+def test_a_law_that_mixes_robots_only_later_runs_one_after_another() -> None:
+    def late(t: float, q: Any, v: Any, reference: Any) -> Any:
+        error = reference.q - q
+        if t > 1:
+            error = error / (1 + np.linalg.norm(error))  # of all robots, where there are several
+        return 100 * error + 120 * (reference.v - v)
+
+    with pytest.warns(SlowerEngine, match="robots at once is not what each has alone at .* s"):
+        run = ensemble(
+            ROBOT, law(late), CIRCLE, n=3, dt=0.02, duration=4.0, spread={"start_x": Uniform(-1, 1)}
+        )
+    assert run.engine == "PINOCCHIO"
+    assert_is_simulated(run, 2)

@@ -37,7 +37,9 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.arrays import callable_as, frozen
+from pinmobile.compiled import known as compiled
 from pinmobile.compiled.known import _memories
+from pinmobile.compiled.passes import traced
 from pinmobile.constancy import is_constant, known
 from pinmobile.ensembles import COMPILED, scenario
 from pinmobile.simulation.checks import check_answers
@@ -482,3 +484,20 @@ def test_what_a_law_reaches_in_any_way_is_seen_when_it_changes(what: str) -> Non
         assert one.engine == "COMPILED"
         alone = simulate(ROBOT, law(function), CIRCLE, dt=0.1)
         np.testing.assert_allclose(one.max_error[0], alone.max_error(), rtol=1e-12, atol=1e-12)
+
+
+def test_what_the_library_has_is_compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[Any] = []
+
+    def counted(*args: Any, **named: Any) -> Any:
+        calls.append(args)
+        return traced(*args, **named)
+
+    monkeypatch.setattr(compiled, "traced", counted)
+    for controller in (ComputedTorque(ROBOT), Saturated(Delayed(PD(4.0, 5.0), 1), 9.0)):
+        forces = NoiseForce((1, 1, 0.1), 1.0, seed=0), RollingResistance((1, 1, 0.1), 0.05)
+        for _ in range(2):
+            ensemble(
+                ROBOT, controller, CIRCLE, n=2, spread={"mass": 30.0}, dt=0.1, forces=forces, integrator=rk4
+            )
+    assert len(calls) == 2

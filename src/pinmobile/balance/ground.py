@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike
+from pinmobile.arrays import Array, ArrayLike, finite
 from pinmobile.balance.motion import Moving, checked_robot, robot_of
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot import MobileRobot
@@ -124,7 +124,7 @@ def footprint_of(robot: MobileRobot, footprint: ArrayLike | None = None) -> Arra
             "footprint is not given, and that of the robot is not known, expected the corners of what it "
             "stands on, shape (k, 2); robot.source says what its file lacks"
         )
-    return corners
+    return checked_footprint(corners)
 
 
 def required_friction(motion: Moving) -> Array:
@@ -158,7 +158,13 @@ def required_friction(motion: Moving) -> Array:
 def _ground(motion: Moving) -> tuple[Array, "np.ndarray[tuple[int, ...], np.dtype[np.bool_]]"]:
     """Return the ground's wrench, shape (..., 6), and where it carries the robot, shape (...)."""
     robot = robot_of(motion)
-    wrench = robot.ground_wrench(motion.q, motion.v, motion.a)
+    wrench = finite("ground_wrench of motion.plant", robot.ground_wrench(motion.q, motion.v, motion.a))
+    expected = (*np.broadcast_shapes(*(np.shape(x)[:-1] for x in (motion.q, motion.v, motion.a))), 6)
+    if wrench.shape != expected:
+        raise InvalidArgument(
+            f"ground_wrench of motion.plant has shape {wrench.shape} for all samples at once, expected "
+            f"{expected}: write it with [..., i] and axis=-1"
+        )
     return wrench, wrench[..., 2] > _negligible(motion)
 
 

@@ -44,7 +44,8 @@ _memories: "OrderedDict[Any, tuple[_Witness, dict[Any, Any]]]" = OrderedDict()
 _BY_IDENTITY = (FunctionType, BuiltinFunctionType, ModuleType, type, np.ufunc, np.dtype)
 _NUMBERS = frozenset((bool, int, float, complex))
 _CODE = (FunctionType, BuiltinFunctionType, ModuleType, type, property)
-_FIXED = (
+# Of the standard library: what cannot change, and what only remembers.
+_FIXED = {
     "typing",
     "_abc",
     "re",
@@ -54,8 +55,8 @@ _FIXED = (
     "pathlib",
     "enum",
     "dataclasses",
-    "operator",
-)
+    "weakref",
+}
 _MARKS = (types.GenericAlias, types.UnionType, type(...), type(NotImplemented), range, slice)
 _BY_VALUE = (bool, int, float, complex, str, bytes, np.generic)
 

@@ -343,7 +343,7 @@ def _as_arrays(scenario: Scenario) -> None:
     h = scenario.dt / scenario.substeps
     steps = np.arange(1.0, 1 + count * scenario.robot.nv).reshape(count, -1) * 1e-2  # no two rows alike
 
-    def sampled(first: int, last: int) -> tuple[Array, ...]:
+    def sampled(first: int, last: int, sample: int) -> tuple[Array, ...]:
         mine = {name: column[first:last] for name, column in draws.items()}
         rows = _rows(scenario, mine, first, last)
         q = np.stack(
@@ -353,9 +353,9 @@ def _as_arrays(scenario: Scenario) -> None:
             ]
         )
         v = rows.v + np.sin(11 * steps[first:last]) * 0.1
-        at = rows.at(0, Reference(*scenario.reference))
+        at, time = rows.at(sample, Reference(*scenario.reference)), float(scenario.t[sample])
         with np.errstate(all="ignore"):
-            found = one_sample(rows.parts, 0.0, float(scenario.t[0]), h, q, v, at, rows.memory)
+            found = one_sample(rows.parts, float(sample), time, h, q, v, at, rows.memory)
         shapes = {
             "u": (found.sample.u, (last - first, rows.parts.plant.nu)),
             "q": (found.q, (last - first, rows.parts.plant.nq)),
@@ -370,24 +370,27 @@ def _as_arrays(scenario: Scenario) -> None:
         return tuple(np.asarray(array, np.float64) for array, _ in shapes.values())
 
     _check_derived(scenario)
-    try:
-        together = sampled(0, count)
-        alone = [sampled(i, i + 1) for i in range(count)]
-    except NotTraceable:
-        raise
-    except Exception as error:
-        raise NotTraceable(
-            f"with {count} robots at once a law raises {type(error).__name__} ({error})",
-            "write laws for one row per robot: [..., i] and axis=-1",
-        ) from error
-    for k, name in enumerate(("u", "q", "v")):
-        single = np.concatenate([each[k] for each in alone])
-        size = np.abs(np.nan_to_num(single)).max(initial=0.0)
-        if not np.allclose(together[k], single, rtol=_CLOSE, atol=_CLOSE * size, equal_nan=True):
+    last = len(scenario.t) - 1
+    for sample in sorted({0, last // 2, last}):  # a law may be another one later
+        time = scenario.t[sample]
+        try:
+            together = sampled(0, count, sample)
+            alone = [sampled(i, i + 1, sample) for i in range(count)]
+        except NotTraceable:
+            raise
+        except Exception as error:
             raise NotTraceable(
-                f"{name} of {count} robots at once is not what each has alone",
+                f"with {count} robots at once a law raises {type(error).__name__} ({error})",
                 "write laws for one row per robot: [..., i] and axis=-1",
-            )
+            ) from error
+        for k, name in enumerate(("u", "q", "v")):
+            single = np.concatenate([each[k] for each in alone])
+            size = np.abs(np.nan_to_num(single)).max(initial=0.0)
+            if not np.allclose(together[k], single, rtol=_CLOSE, atol=_CLOSE * size, equal_nan=True):
+                raise NotTraceable(
+                    f"{name} of {count} robots at once is not what each has alone at {time:g} s",
+                    "write laws for one row per robot: [..., i] and axis=-1",
+                )
 
 
 def _on_arrays(scenario: Scenario, draws: Mapping[str, Array], start: int, stop: int) -> Part:
