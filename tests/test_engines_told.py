@@ -14,16 +14,13 @@ from pinmobile import (
     PD,
     PINOCCHIO,
     Circle,
-    ComputedTorque,
     Ensemble,
-    Hold,
     InvalidArgument,
     MobileRobot,
     Rollout,
     Scenario,
     Tangent,
     Uniform,
-    WholeBody,
     ensemble,
     grid,
     law,
@@ -121,25 +118,13 @@ def test_traces_of_an_ensembles_file_say_it_too(tmp_path: Path) -> None:
 
 
 def test_each_engine_that_is_left_has_its_own_reason() -> None:
-    with pytest.warns(SlowerEngine) as told:
+    with pytest.warns(SlowerEngine):
         runs = ensemble(MobileRobot.box(), law(branching), CIRCLE, n=3, spread={}, dt=0.2)
     compiled, arrays = runs.why.split("; not ARRAYS: ")
     assert compiled.startswith("not COMPILED: branching, line")
     assert "np.where" in compiled
     assert "with 3 robots at once a law raises ValueError" in arrays
     assert "compiled" not in arrays
-    robot = MobileRobot.box().mount("ur5")
-    motion = WholeBody(robot, CIRCLE, Hold(np.zeros(6), 2))
-    with pytest.warns(SlowerEngine) as told:
-        runs = ensemble(robot, ComputedTorque(robot), motion, n=2, spread={}, dt=0.5)
-    assert runs.engine == "ARRAYS"
-    assert runs.why == (
-        "not COMPILED: a robot with arms has the dynamics of Pinocchio, no laws in NumPy; its loops run by "
-        "PINOCCHIO, its ensembles by ARRAYS"
-    )
-    assert runs.why in str(told[0].message)
-    with pytest.raises(InvalidArgument, match=r"^engine is COMPILED, which cannot run this: a robot with"):
-        simulate(robot, ComputedTorque(robot), motion, dt=0.5, engine=COMPILED)
 
 
 @pytest.mark.parametrize("engine", [COMPILED, PINOCCHIO])

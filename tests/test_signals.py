@@ -88,6 +88,19 @@ def test_every_part_tells_the_same_in_each_engine(
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * np.abs(one).max())
 
 
+class Silent(PID):
+    """It has a signal without a number."""
+
+    def signals(self, state: Any) -> dict[str, Any]:
+        return {"contacts": ("N", np.zeros(0))}
+
+
+@pytest.mark.parametrize("engine", [PINOCCHIO, COMPILED])
+def test_a_signal_may_have_no_number(engine: Any) -> None:
+    run = simulate(ROBOT, Silent(), BODY[0], engine=engine, **BODY[1])
+    assert run.signals["contacts"].values.shape == (len(run.t), 0)
+
+
 def test_they_are_what_the_laws_say() -> None:
     run = simulate(TellingCart(), FOLLOWER, CART[0], forces=[TellingAxle()], engine=COMPILED, **CART[1])
     np.testing.assert_allclose(run.signals["power"].values, run.u * run.v[:, 3:], rtol=1e-14)

@@ -369,7 +369,9 @@ class Program:
         found, first = {}, 0
         for name, (shape, nodes) in self.loop.kept.items():
             block = kept[:, :, first : first + len(nodes)]  # (blocks, samples, numbers, width)
-            robots = np.moveaxis(block, 3, 1).reshape(-1, kept.shape[1], len(nodes))[:n]
+            robots = np.moveaxis(block, 3, 1).reshape(len(kept) * kept.shape[3], kept.shape[1], len(nodes))[
+                :n
+            ]
             found[name] = np.ascontiguousarray(robots).reshape(n, kept.shape[1], *shape)
             first += len(nodes)
         return found
