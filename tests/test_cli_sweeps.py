@@ -515,7 +515,7 @@ def test_a_damaged_scenario_file_is_a_grid_or_refused_by_its_name(tmp_path: Path
     ]
     words += [b"2020-01-01", b"{}", b"[]", b"\xff", b"\0", b"a.b.c = 1\n", b"[robot.mass]\n", b"0x7fffffff"]
     made, refused = 0, 0
-    for seed in range(0, 400, share):
+    for seed in range(0, 240, share):
         rng = np.random.default_rng(seed)
         kind, given = rng.integers(4), list(lines)
         if kind == 0:
@@ -541,4 +541,4 @@ def test_a_damaged_scenario_file_is_a_grid_or_refused_by_its_name(tmp_path: Path
         else:
             made += 1
             assert found.n * len(found) < 1e6
-    assert min(made, refused) > 50 / share
+    assert min(made, refused) > 30 / share
