@@ -332,6 +332,8 @@ def _can_change(x: Any) -> bool:
     """Tell whether a value may become another without being replaced; what nobody can look into may."""
     if isinstance(x, MethodType):
         return _can_change(x.__self__)
+    if isinstance(x, functools.partial):  # a descriptor from Python 3.13 on
+        return not is_constant(x)
     fixed = (*_BY_IDENTITY, *_BY_VALUE, property, staticmethod, classmethod, functools.cached_property)
     if x is None or isinstance(x, fixed) or hasattr(type(x), "__get__") or is_constant(x):
         return False
