@@ -310,7 +310,7 @@ def test_what_has_no_arm_or_is_no_robot_is_refused() -> None:
     with pytest.raises(InvalidArgument, match="robot carries no arm, expected one"):
         reaction_wrench(planar((0, 0, 0)))
     with pytest.raises(InvalidArgument, match=r"plant is 3, which does not tell .*, expected a MobileRobot"):
-        Motion(3, [0], [0], [0])  # type: ignore[arg-type]
+        Motion(3, [0], [0], [0])
     with pytest.raises(InvalidArgument, match=r"a has shape \(2,\), expected \(..., 3\)"):
         planar((0, 0))
     with pytest.raises(InvalidArgument, match="expected leading axes that broadcast"):

@@ -673,6 +673,12 @@ def test_laws_for_one_robot_are_compiled_and_refused_on_arrays(what: str) -> Non
         run_scenario(scenario, engine=ARRAYS)
 
 
+def test_one_robot_alone_is_asked_for_rows_too() -> None:
+    for what in ("mixing", "force"):
+        with pytest.raises(InvalidArgument, match=r"ARRAYS, which cannot run this: .*one row per robot"):
+            run_scenario(made(n=1, duration=0.1, **FOR_ONE[what]), engine=ARRAYS)
+
+
 def test_a_law_that_asks_its_state_runs_one_robot_after_another_and_says_so() -> None:
     scenario = made(controller=law(_branching), n=5, duration=3.0)
     with pytest.warns(SlowerEngine, match=r"runs by PINOCCHIO") as told:

@@ -397,7 +397,11 @@ def test_the_first_robots_are_the_same_for_every_number_of_robots(source: Any) -
         assert np.array_equal(values, several[5000][:n])
 
 
-BOX, GAINS, QUEUE = SimpleNamespace(w=2.0), [100.0], deque([2.0])
+class Queue(deque[float]):
+    pass
+
+
+BOX, GAINS, QUEUE, OWN_QUEUE = SimpleNamespace(w=2.0), [100.0], deque([2.0]), Queue([2.0])
 
 
 class Plan:
@@ -442,6 +446,10 @@ def by_queue(t: float, q: Any, v: Any, reference: Any) -> Any:
     return QUEUE[0] * (reference.q - q) - v
 
 
+def by_own_queue(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return OWN_QUEUE[0] * (reference.q - q) - v
+
+
 def by_default(t: float, q: Any, v: Any, reference: Any, gains: Any = GAINS) -> Any:
     return gains[0] * (reference.q - q) - v
 
@@ -465,6 +473,7 @@ def by_partial(t: float, q: Any, v: Any, reference: Any) -> Any:
 CHANGES: dict[str, tuple[Any, Callable[[float], Any]]] = {
     "namespace": (by_namespace, lambda x: setattr(BOX, "w", x)),
     "deque": (by_queue, lambda x: QUEUE.__setitem__(0, x)),
+    "subclass of a deque": (by_own_queue, lambda x: OWN_QUEUE.__setitem__(0, x)),
     "entry of a default": (by_default, lambda x: GAINS.__setitem__(0, x)),
     "default": (by_default, lambda x: setattr(by_default, "__defaults__", ([x],))),
     "default by keyword": (by_keyword, lambda x: setattr(by_keyword, "__kwdefaults__", {"gains": [x]})),

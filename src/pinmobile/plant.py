@@ -86,6 +86,10 @@ class Plant(Protocol):
         for displacements that change at the velocity.
     ``drawing(q) -> (k, 4, 4)``, ``visual_model``
         Placements in the inertial frame of the k objects of a `pin.GeometryModel`, which the viewer draws.
+    ``ground_wrench(q, v, a) -> (..., 6)``, ``footprint``
+        What `pinmobile.balance` asks, of many states at once: the wrench (fx, fy, fz, mx, my, mz) of the
+        ground on the body, along and about the body's frame [N, N m]; and the corners (k, 2) of what it
+        stands on [m].
     ``size``
         Length, width and height of the box that is drawn [m], or of what ``drawing`` draws; without, an
         arrowhead, or a box of usual size.

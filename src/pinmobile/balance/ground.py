@@ -1,11 +1,12 @@
 """The ground's reaction: where it acts, how far that is from tipping over, and what friction it takes."""
 
+from typing import Any
+
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite
 from pinmobile.balance.motion import Moving, checked_robot, robot_of
 from pinmobile.errors import InvalidArgument
-from pinmobile.robot import MobileRobot
 from pinmobile.robot.footprint import checked_footprint, margin_inside
 
 __all__ = [
@@ -40,8 +41,8 @@ def zero_moment_point(motion: Moving) -> Array:
     Raises
     ------
     InvalidArgument
-        If the motion is not that of a `MobileRobot`, or does not fit it; or if it is not known how high the
-        robot is above the ground, since its URDF does not tell.
+        If the plant has no ``ground_wrench``, or the motion does not fit it; or if it is not known how high
+        the robot is above the ground, since its URDF does not tell.
     """
     point = body_zero_moment_point(motion)
     pose = robot_of(motion).pose(motion.q)
@@ -101,7 +102,7 @@ def tip_over_margin(motion: Moving, footprint: ArrayLike | None = None) -> Array
     return np.where(np.isnan(margin), -np.inf, margin)
 
 
-def footprint_of(robot: MobileRobot, footprint: ArrayLike | None = None) -> Array:
+def footprint_of(robot: Any, footprint: ArrayLike | None = None) -> Array:
     """Return the corners of what a robot stands on, counter-clockwise, shape (k, 2) [m].
 
     Parameters

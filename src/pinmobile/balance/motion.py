@@ -5,7 +5,6 @@ from typing import Any, Protocol
 
 from pinmobile.arrays import Array, ArrayLike, broadcast, frozen, vector
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.robot import MobileRobot
 
 __all__ = ["Motion", "Moving", "checked_robot", "reaction_wrench", "robot_of"]
 
@@ -51,7 +50,7 @@ class Motion:
         If `plant` has no ``ground_wrench``, or an array has another shape or is not finite.
     """
 
-    plant: MobileRobot
+    plant: Any
     q: ArrayLike
     v: ArrayLike
     a: ArrayLike
@@ -63,21 +62,21 @@ class Motion:
         broadcast(q=self.q, v=self.v, a=self.a)  # type: ignore[arg-type]
 
 
-def robot_of(motion: Any) -> MobileRobot:
-    """Return the robot of a motion.
+def robot_of(motion: Any) -> Any:
+    """Return the plant of a motion.
 
     Raises
     ------
     InvalidArgument
-        If it is no motion, or its robot is another plant, or none.
+        If it is no motion, or its plant does not tell the ground's wrench.
     """
     if not all(hasattr(motion, name) for name in ("plant", "q", "v", "a")):
         raise InvalidArgument(f"motion is {shown(motion)}, expected a Rollout or a Motion")
     return checked_robot("motion.plant", motion.plant)
 
 
-def checked_robot(name: str, robot: Any) -> MobileRobot:
-    """Return the robot, after refusing what is none.
+def checked_robot(name: str, robot: Any) -> Any:
+    """Return the plant, after refusing one that does not tell the ground's wrench.
 
     Raises
     ------
@@ -90,7 +89,7 @@ def checked_robot(name: str, robot: Any) -> MobileRobot:
             f"{name} is {shown(robot)}, which does not tell the ground's wrench, expected a MobileRobot, or "
             "a plant with ground_wrench(q, v, a)"
         )
-    return robot  # type: ignore[no-any-return]
+    return robot
 
 
 def reaction_wrench(motion: Moving, mount: str | None = None) -> Array:
@@ -121,7 +120,7 @@ def reaction_wrench(motion: Moving, mount: str | None = None) -> Array:
     UnknownName
         If nothing is mounted by that name.
     """
-    plant: Any = robot_of(motion)
+    plant = robot_of(motion)
     if not hasattr(plant, "mount_wrench"):
         raise InvalidArgument(
             f"motion.plant is {shown(plant)}, which has no arm, expected a MobileRobot with one"

@@ -57,6 +57,7 @@ _FIXED = {
     "dataclasses",
     "weakref",
 }
+_PLAIN = {"typing", "abc", "collections.abc", "enum"}  # whose classes as bases keep no numbers
 _MARKS = (types.GenericAlias, types.UnionType, type(...), type(NotImplemented), range, slice)
 _BY_VALUE = (bool, int, float, complex, str, bytes, np.generic)
 
@@ -245,7 +246,7 @@ def _object_form(x: Any, leaves: Any, depth: int, constant: bool) -> Any:
     if is_foreign(type(x).__module__) and not type(x).__module__.startswith("pinmobile"):
         raise _Unknown
     attributes = getattr(x, "__dict__", None)  # some answer to any name with something
-    if not isinstance(attributes, dict) or has_slots(type(x)):
+    if not isinstance(attributes, dict) or has_slots(type(x)) or _is_made_of_another(type(x)):
         raise _Unknown
     if constant and hasattr(type(x), "traced"):
         return type(x), id(x), *_model_form(x, attributes, depth)
@@ -256,6 +257,12 @@ def _object_form(x: Any, leaves: Any, depth: int, constant: bool) -> Any:
         if not isinstance(getattr(type(x), name, None), functools.cached_property)
     )
     return type(x), tuple(kept)
+
+
+def _is_made_of_another(kind: type) -> bool:
+    """Tell whether a class builds on one that may keep what no attribute shows, as a deque does."""
+    modules = {each.__module__ for each in kind.__mro__ if each is not object} - _PLAIN
+    return any(is_foreign(name) and not name.startswith("pinmobile.") for name in modules)
 
 
 def _model_form(x: Any, attributes: dict[str, Any], depth: int) -> Any:

@@ -366,12 +366,10 @@ class Program:
 
     def kept_samples(self, kept: Array, n: int) -> dict[str, Array]:
         """Return what was kept of the samples of n robots, by name, from the blocks of it."""
-        found, first = {}, 0
+        found, first, count = {}, 0, len(kept) * kept.shape[3]
         for name, (shape, nodes) in self.loop.kept.items():
             block = kept[:, :, first : first + len(nodes)]  # (blocks, samples, numbers, width)
-            robots = np.moveaxis(block, 3, 1).reshape(len(kept) * kept.shape[3], kept.shape[1], len(nodes))[
-                :n
-            ]
+            robots = np.moveaxis(block, 3, 1).reshape(count, kept.shape[1], len(nodes))[:n]
             found[name] = np.ascontiguousarray(robots).reshape(n, kept.shape[1], *shape)
             first += len(nodes)
         return found

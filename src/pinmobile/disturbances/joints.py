@@ -92,8 +92,8 @@ class JointFriction:
         Parameters
         ----------
         robot : MobileRobot
-            Its `joint_damping` and `joint_friction` are taken, and the names of its coordinates; the base has
-        none.
+            Its `joint_damping` and `joint_friction` are taken, and the names of its coordinates; the base
+            has none.
         speed : array_like, shape () or (nv,)
             As in the class.
 

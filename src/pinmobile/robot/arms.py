@@ -238,16 +238,16 @@ def _squared(model: pin.Model) -> tuple[str, ...]:
     found = []
     for joint in range(1, model.njoints):
         place = model.jointPlacements[joint]
-        R = _without_rounding(place.rotation)
+        R = _squared_rotation(place.rotation)
         if np.abs(R - place.rotation).max() > _ORTHONORMAL:
             found.append(str(model.names[joint]))
         model.jointPlacements[joint] = pin.SE3(R, place.translation)
     for frame in model.frames:
-        frame.placement = pin.SE3(_without_rounding(frame.placement.rotation), frame.placement.translation)
+        frame.placement = pin.SE3(_squared_rotation(frame.placement.rotation), frame.placement.translation)
     return tuple(found)
 
 
-def _without_rounding(R: Array) -> Array:
+def _squared_rotation(R: Array) -> Array:
     """Return a rotation with exact zeros and ones, where that is a rotation, too."""
     whole = np.rint(R)
     near = np.where(np.abs(R - whole) < _RIGHT, whole, R) + 0.0

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from pinmobile.plant import Plant
 
 __all__ = [
-    "SAME",
     "check_answers",
     "check_controllers_memory",
+    "check_same",
     "checked_forces",
     "checked_loop",
     "checked_substeps",
@@ -37,9 +37,7 @@ _MOST = 1e8  # samples
 _SHORTER = "give a larger dt or a shorter duration"
 _MOST_STEPS = 1e11  # of the integrator: days
 _KEPT = 1e5  # numbers of a reference that are kept for the next run
-SAME = 1e-9
-"""To which two answers to the same arguments agree."""
-
+_SAME = 1e-9  # to which two answers to the same arguments agree
 _RECORDED = 16  # numbers for each coordinate of a sample: of the loop, the reference and the rollout
 
 
@@ -346,7 +344,7 @@ def _check_repeated(path: str, part: Any, ask: Any, states: Any, expected: str =
     """Refuse a part that answers otherwise when it is asked again, after it was asked something else."""
     first, _, again = (ask(x.copy(), w.copy()) for x, w in (*states, states[0]))
     one, other = (answered(path, answer, expected) for answer in (first, again))
-    if one.shape != other.shape or not np.allclose(one, other, rtol=SAME, atol=SAME, equal_nan=True):
+    if not _are_same(one, other):
         raise InvalidArgument(
             f"{path} is {shown(part)}, which returns {shown(first)} and, asked again for the same arguments, "
             f"{shown(again)}, expected the same: only controllers have memory, in their state, and random "
@@ -366,6 +364,38 @@ def check_controllers_memory(controller: Any, context: Context, q: Array, v: Arr
         check_memory(controller, context, q, v)
     except InvalidArgument as error:
         raise shorter(context, error) from error
+
+
+def check_same(part: str, t: float, first: Array, again: Any) -> None:
+    """Refuse a part that answered otherwise when it was asked again after a run.
+
+    Parameters
+    ----------
+    part : str
+        What it is called in messages.
+    t : float
+        The time of what it was asked [s].
+    first, again : ndarray
+        What it answered then, and at the end.
+
+    Raises
+    ------
+    InvalidArgument
+        If they differ by more than rounding.
+    """
+    if not _are_same(first, again):
+        raise InvalidArgument(
+            f"{part} returned {shown(first)} at t = {t:g} s and, asked again for the same arguments at the "
+            f"end of the run, {shown(again)}, expected the same: only controllers have memory, in their "
+            "state, and random numbers come from context.normal(name, n)"
+        )
+
+
+def _are_same(one: Any, other: Any) -> bool:
+    """Tell whether two answers to the same arguments agree."""
+    return np.shape(one) == np.shape(other) and np.allclose(
+        one, other, rtol=_SAME, atol=_SAME, equal_nan=True
+    )
 
 
 def shorter(context: Context, error: InvalidArgument) -> InvalidArgument:

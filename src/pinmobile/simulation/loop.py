@@ -19,7 +19,7 @@ from pinmobile.errors import InvalidArgument, NotFinite, shown
 from pinmobile.integrators import Integrator, RungeKuttaNystrom
 from pinmobile.plant import Context
 from pinmobile.signals import Recorder, Signal, recorder
-from pinmobile.simulation.checks import SAME, shorter
+from pinmobile.simulation.checks import check_same, shorter
 from pinmobile.simulation.steps import (
     Clock,
     dynamics_of,
@@ -151,11 +151,11 @@ class Loop:
         with np.errstate(all="ignore"):
             for one in self.asked:
                 q, v = self.rows[one.k, :nq], self.rows[one.k, nq:n]
-                _compare("controller", self.times[one.k], one.u, one.ask(q.copy(), v.copy()))
+                check_same("controller", self.times[one.k], one.u, one.ask(q.copy(), v.copy()))
             for k in _looked_at(self.last) if self.own is None else ():
                 t, (q, v, a), u = self.times[k], np.split(self.rows[k], [nq, n]), self.inputs[k]
                 again = free(q, v, u) if forced is None else forced(t, q, v, u)
-                _compare(self.acting, t, a, again)
+                check_same(self.acting, t, a, again)
 
     def samples(self, begin: int, end: int) -> tuple[Array, Array, Array, Array]:
         """Return q, v, a and u of the samples, one row each."""
@@ -193,15 +193,6 @@ def _looked_at(last: int) -> set[int]:
     The very first is on the trajectory, where many laws give nothing.
     """
     return {min(1, last), last // 2, last}
-
-
-def _compare(part: str, t: float, first: Array, again: Any) -> None:
-    if np.shape(again) != first.shape or not np.allclose(again, first, rtol=SAME, atol=SAME, equal_nan=True):
-        raise InvalidArgument(
-            f"{part} returned {shown(first)} at t = {t:g} s and, asked again for the same arguments at the "
-            f"end of the run, {shown(again)}, expected the same: only controllers have memory, in their "
-            "state, and random numbers come from context.normal(name, n)"
-        )
 
 
 def _limits(inputs: Any) -> tuple[Array, Array] | None:
