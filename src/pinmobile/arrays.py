@@ -88,7 +88,7 @@ def finite(name: str, value: ArrayLike) -> Array:
     if not np.isfinite(array).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         place = f"[{', '.join(map(str, where))}]" if where else ""
-        raise InvalidArgument(f"{name}{place} is {array[where]}, expected a finite number")
+        raise InvalidArgument(f"{name}{place} is {array[where]}, expected a finite number", name)
     return array
 
 

@@ -39,7 +39,23 @@ class PinmobileError(Exception):
 
 
 class InvalidArgument(PinmobileError, ValueError):
-    """An argument is not what is expected; the message names it, what came and what was expected."""
+    """An argument is not what is expected; the message names it first, then what came and what was expected.
+
+    Parameters
+    ----------
+    message : str
+        All of it.
+    argument : str, optional
+        Name of the argument; by default the first word of the message.
+    """
+
+    def __init__(self, message: str = "", argument: str | None = None) -> None:
+        super().__init__(message)
+        self.argument = message.partition(" ")[0] if argument is None else argument
+
+    def calling(self, name: str) -> "InvalidArgument":
+        """Return the error about the same argument where that is called otherwise."""
+        return InvalidArgument(name + str(self).removeprefix(self.argument), name)
 
 
 class NotTraceable(InvalidArgument):
@@ -102,6 +118,13 @@ class UnknownName(PinmobileError, KeyError):
         The name that came; what is no text is shown as it is.
     available : iterable of str
         The names there are.
+
+    Attributes
+    ----------
+    meant : str
+        The question for the nearest names, "" where none is near.
+    listed : tuple of str
+        The names there are, the nearest first.
     """
 
     def __init__(self, kind: str, name: Any, available: Iterable[str]) -> None:
@@ -111,9 +134,9 @@ class UnknownName(PinmobileError, KeyError):
         plain = {known.casefold(): known for known in self.available}
         asked = name.casefold()[:_LONGEST] if isinstance(name, str) else ""
         near = [plain[match] for match in get_close_matches(asked, plain, n=3)]
-        listed = [*near, *(known for known in self.available if known not in near)]
+        self.listed = (*near, *(known for known in self.available if known not in near))
         self.meant = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
-        super().__init__(f"unknown {kind} {shown(name)}, {self.meant}available: {', '.join(listed)}")
+        super().__init__(f"unknown {kind} {shown(name)}, {self.meant}available: {', '.join(self.listed)}")
 
     def __str__(self) -> str:
         # KeyError would show the repr of the message.

@@ -3,12 +3,24 @@
 import os
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from io import UnsupportedOperation
 from typing import Any
 
-__all__ = ["main"]
+from pinmobile.errors import InvalidArgument, PinmobileError, UnknownName
+
+__all__ = ["SPREAD_NAMES", "Interrupted", "main", "shortened", "unknown"]
+
+SPREAD_NAMES = "'pinmobile ensemble --help' lists all"
+"""Where to see what may be spread."""
+
+_INTERRUPTED = 130  # as typer says it, and shells
+_READABLE = 20  # names in a list
+
+
+class Interrupted(PinmobileError):
+    """A command was stopped; the message tells how it goes on."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -36,10 +48,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(arguments: Sequence[str] | None) -> int:
     import typer
 
-    from pinmobile.cli.commands_of_many import app
-    from pinmobile.cli.interrupted import Interrupted
-    from pinmobile.cli.unknown import shortened
-    from pinmobile.errors import Diverged, FileError, PinmobileError, UnknownName
+    from pinmobile.cli.commands import app, as_typed
+    from pinmobile.errors import Diverged, FileError
 
     try:
         with warnings.catch_warnings():
@@ -52,10 +62,14 @@ def _run(arguments: Sequence[str] | None) -> int:
         )
     except (Diverged, FileError) as error:
         return _refuse(str(error), 1)
+    except Interrupted as error:
+        return _refuse(str(error), _INTERRUPTED)
     except UnknownName as error:
         return _refuse(shortened(error))
+    except InvalidArgument as error:
+        return _refuse(str(as_typed(error)))
     except PinmobileError as error:
-        return _refuse(str(error), _INTERRUPTED if isinstance(error, Interrupted) else 2)
+        return _refuse(str(error))
     except typer.Abort:
         return _refuse("interrupted", _INTERRUPTED)
     except BrokenPipeError:
@@ -67,9 +81,6 @@ def _run(arguments: Sequence[str] | None) -> int:
         _silence()
         return _refuse(f"the output cannot be written: {error}", 1)
     return _refuse("interrupted", _INTERRUPTED) if code == _INTERRUPTED else int(code or 0)
-
-
-_INTERRUPTED = 130  # as typer says it, and shells
 
 
 def _silence() -> None:
@@ -86,3 +97,34 @@ def _note(message: Warning | str, *where: Any, **more: Any) -> None:
 def _refuse(message: str, code: int = 2) -> int:
     print(f"pinmobile: {' '.join(message.split())}", file=sys.stderr)
     return code
+
+
+def unknown(what: str, name: str, available: Iterable[str], rest: str = "") -> str:
+    """Return the message about a name that is not there: the nearest, and a list that can be read.
+
+    Parameters
+    ----------
+    what : str
+        What is unknown, such as ``"key 'mas' in [robot]"``.
+    name : str
+        The name that came.
+    available : iterable of str
+        The names there are.
+    rest : str
+        Where to see the names when they are too many to be listed.
+    """
+    error = UnknownName("", name, available)
+    if len(error.listed) <= _READABLE:
+        rest = f"available: {', '.join(error.listed)}"
+    return f"unknown {what}, {error.meant}{rest}".rstrip()
+
+
+def shortened(error: UnknownName) -> str:
+    """Return the message of an error; where its list is too long to be read, the nearest names."""
+    if not error.kind.startswith("parameter in spread"):
+        return str(error)
+    from pinmobile.ensembles import PARAMETERS
+
+    own = [name for name in error.available if name not in PARAMETERS]
+    rest = f"this loop has {', '.join(own)}, and {SPREAD_NAMES} of the library" if own else SPREAD_NAMES
+    return unknown(f"{error.kind} {error.name!r}", str(error.name), error.available, rest)

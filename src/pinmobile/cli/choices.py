@@ -1,7 +1,10 @@
-"""From the words of the command line to trajectories, controllers and robots."""
+"""What the command and scenario files offer: parts by name, and options as the parts state them."""
 
-from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from inspect import signature
+from pathlib import Path
+from typing import Any, NamedTuple
 
 from pinmobile import (
     LECTURE_TABLE,
@@ -12,270 +15,255 @@ from pinmobile import (
     CubicVia,
     DHTable,
     FixedHeading,
-    InvalidArgument,
     LectureHeading,
     Lissajous,
     MobileRobot,
     Tangent,
-    UnknownName,
     constant_acceleration,
-    plain_difference,
-    planar_difference,
     rk4,
     semi_implicit_euler,
 )
 from pinmobile.ensembles import PARAMETERS
-from pinmobile.errors import shown
+from pinmobile.ensembles.names import GROUPS
+from pinmobile.integrators import Integrator
+from pinmobile.plant import Parameter, parameters_of
 
-__all__ = [
-    "BELIEVED",
-    "CONTROLLERS",
-    "HEADINGS",
-    "INTEGRATORS",
-    "OF_PATHS",
-    "PATHS",
-    "POINTS",
-    "ROBOTS",
-    "TABLES",
-    "UNITS",
-    "choose",
-    "closed_loop",
-    "controller",
-    "controller_of",
-    "numbers",
-    "path",
-    "path_of",
-    "plant_of",
-    "point",
-    "refuse_beside",
-    "refuse_without",
-    "robot",
-    "trajectory_of",
-]
 
-_T = TypeVar("_T")
+@dataclass(frozen=True)
+class Choice:
+    """What a name stands for.
 
-# The lecture's own numbers are the defaults.
-PATHS: Mapping[str, tuple[Callable[..., Any], dict[str, Any]]] = {
-    "circle": (Circle, {"radius": 3.0, "rate": 0.1, "duration": 60.0}),
-    "lissajous": (Lissajous, {"rx": 3.0, "ry": 3.0, "wx": 0.2, "wy": 0.1, "duration": 60.0}),
-    "via-stop": (
-        CubicVia,
-        {
-            "start": (0, 0),
-            "via": (2, 2),
-            "end": (0, 4),
-            "t_via": 30.0,
-            "duration": 60.0,
-            "via_velocity": (0, 0),
-        },
-    ),
-    "via-free": (CubicVia, {"start": (0, 0), "via": (2, 2), "end": (0, 4), "t_via": 30.0, "duration": 60.0}),
+    Attributes
+    ----------
+    make : callable
+        What makes it.
+    takes : mapping of str to number or tuple
+        The options that it takes, and the lecture's own numbers, which are the defaults.
+    called : mapping of str to str
+        Options by the arguments of `make` that are called otherwise.
+    label : str
+        What it is called in words.
+    """
+
+    make: Callable[..., Any]
+    takes: Mapping[str, Any] = field(default_factory=dict)
+    called: Mapping[str, str] = field(default_factory=dict)
+    label: str = ""
+
+    @property
+    def believes(self) -> bool:
+        """Whether it is made with a robot, which need not be the simulated one."""
+        return "robot" in signature(self.make).parameters
+
+
+_VIA = {"duration": 60.0, "start": (0, 0), "via": (2, 2), "end": (0, 4), "t_via": 30.0}
+_END = {"t_end": "duration"}
+PATHS: Mapping[str, Choice] = {
+    "circle": Choice(Circle, {"duration": 60.0, "radius": 3.0, "rate": 0.1}),
+    "lissajous": Choice(Lissajous, {"duration": 60.0, "rx": 3.0, "ry": 3.0, "wx": 0.2, "wy": 0.1}),
+    "via-stop": Choice(CubicVia, {**_VIA, "via_velocity": (0, 0)}, _END),
+    "via-free": Choice(CubicVia, _VIA, _END),
 }
-OF_PATHS: Mapping[str, Any] = {name: value for _, given in PATHS.values() for name, value in given.items()}
-"""What paths take, with the lecture's numbers."""
-
-POINTS = tuple(name for name, value in OF_PATHS.items() if isinstance(value, tuple))
-"""What of that is a point or velocity, told as X,Y."""
-
-UNITS: Mapping[str, str] = {
-    **{each.attribute: each.unit for each in PARAMETERS.values() if each.attribute and each.entry is None},
-    **{name: each.unit for name, each in PARAMETERS.items()},
-    **dict.fromkeys(("duration", "dt", "after"), "s"),
-    **{"com": PARAMETERS["com_x"].unit, "ground": "m", "percent": "%"},
+HEADINGS: Mapping[str, Choice] = {
+    "tangent": Choice(Tangent, {"turn_time": 2.0}),
+    "fixed": Choice(FixedHeading, {"psi": 0.0}),
+    "lecture": Choice(LectureHeading),
 }
-"""Units of what options and files name: as the parts state them, and of the command's own."""
-
-HEADINGS: Mapping[str, Callable[..., Any]] = {
-    "tangent": lambda path, psi, turn_time: Tangent(path, turn_time=turn_time),
-    "fixed": lambda path, psi, turn_time: FixedHeading(path, psi),
-    "lecture": lambda path, psi, turn_time: LectureHeading(path),
+_PD = (120.0, 120.0, 0.4)
+CONTROLLERS: Mapping[str, Choice] = {
+    "computed-torque": Choice(ComputedTorque, {"kp": 4.0, "kd": 4.0}, label="computed torque"),
+    "pd": Choice(PD, {"kp": _PD, "kd": _PD}, label="PD"),
 }
-ROBOTS: Mapping[str, Callable[[], MobileRobot]] = {"lecture": MobileRobot.lecture, "box": MobileRobot.box}
+COMPARED = ("pd", "computed-torque")
+"""Controllers that run side by side where none is named."""
+
+ROBOTS: Mapping[str, Choice] = {
+    "lecture": Choice(MobileRobot.lecture, label="Icz = 0.1"),
+    "box": Choice(MobileRobot.box, label="homogeneous"),
+}
 TABLES: Mapping[str, DHTable] = {"lecture": LECTURE_TABLE, "slide": SLIDE_TABLE}
-INTEGRATORS: Mapping[str, Any] = {
+INTEGRATORS: Mapping[str, Integrator] = {
     "constant-acceleration": constant_acceleration,
     "semi-implicit-euler": semi_implicit_euler,
     "rk4": rk4,
 }
-BELIEVED = ("model_mass", "model_yaw_inertia", "model_com")
-"""Options of what computed torque takes for the robot."""
-
-CONTROLLERS = ("computed-torque", "pd")
-_LECTURE_PD = (120.0, 120.0, 0.4)
 
 
-def choose(kind: str, name: str, available: Mapping[str, _T]) -> _T:
-    """Return what the name stands for.
+@dataclass(frozen=True)
+class Option:
+    """An option of the command, and a key of a scenario file.
 
-    Raises
-    ------
-    UnknownName
-        If there is no such name; the message lists those there are, the nearest first.
+    Attributes
+    ----------
+    name : str
+        As the argument of a function: ``"model_mass"`` of ``--model-mass``.
+    text : str
+        What it is, its unit, and what it is where it is not given.
+    kind : type
+        Of its values; tuple: a number, or several with commas.
+    default : any
+        What it is where it is not given; None where that hangs on other options.
+    table, key : str
+        Where it stands in a scenario file; by default, the key is the name.
+    unit : str
+        "" for none.
     """
-    if name not in available:
-        raise UnknownName(kind, name, available)
-    return available[name]
+
+    name: str
+    text: str
+    kind: type = float
+    default: Any = None
+    table: str = ""
+    key: str = ""
+    unit: str = ""
+
+    @property
+    def place(self) -> str:
+        """Where it stands in a scenario file, such as ``"controller.kp"``."""
+        return f"{self.table}.{self.key or self.name}"
 
 
-def numbers(option: str, text: str | None) -> float | tuple[float, ...] | None:
-    """Return the number, or the tuple of numbers separated by commas.
+class _Own(NamedTuple):
+    """What no part states of an option: its unit and meaning."""
 
-    Raises
-    ------
-    InvalidArgument
-        If the text is something else.
-    """
-    if text is None:
-        return None
-    try:
-        values = tuple(float(word) for word in text.split(","))
-    except ValueError:
-        raise InvalidArgument(f"{option} is {text!r}, expected a number, or numbers with commas") from None
-    return values[0] if len(values) == 1 else values
+    unit: str
+    meaning: str
 
 
-def point(option: str, text: str) -> tuple[float, ...]:
-    """Return the numbers of a point.
-
-    Raises
-    ------
-    InvalidArgument
-        If the text is something else.
-    """
-    values = numbers(option, text)
-    return values if isinstance(values, tuple) else (values or 0.0,)
+# Not parameters, which a spread may name: of them hang how many samples there are, or the shape of the gains.
+_OWN = {
+    "duration": _Own("s", "duration of the path"),
+    "kp": _Own("", "K or KX,KY,KPSI"),
+    "kd": _Own("", "K or KX,KY,KPSI"),
+}
 
 
-def refuse_beside(option: str, **given: Any) -> None:
-    """Refuse options that do not apply beside another.
-
-    Raises
-    ------
-    InvalidArgument
-        If one of them was given.
-    """
-    for name, value in given.items():
-        if value is not None:
-            raise InvalidArgument(f"--{name.replace('_', '-')} does not apply beside {option}")
+def _told(value: Any) -> str:
+    return ",".join(f"{each:g}" for each in (value if isinstance(value, tuple) else (value,)))
 
 
-def refuse_without(option: str, **given: Any) -> None:
-    """Refuse options that apply beside another one alone, which is not given.
-
-    Raises
-    ------
-    InvalidArgument
-        If one of them was given.
-    """
-    for name, value in given.items():
-        if value is not None:
-            raise InvalidArgument(f"--{name.replace('_', '-')} applies beside {option} alone")
+def _sentence(text: str) -> str:
+    return text[0].upper() + text[1:]
 
 
-def path(name: str, given: Mapping[str, Any]) -> Any:
-    """Return the path of that name with the parameters that were given in place of the lecture's.
-
-    Raises
-    ------
-    InvalidArgument
-        If a parameter does not apply to the path.
-    """
-    make, defaults = choose("trajectory", name, PATHS)
-    chosen = {key: value for key, value in given.items() if value is not None}
-    for key in chosen:
-        if key not in defaults:
-            options = ", ".join(f"--{option.replace('_', '-')}" for option in defaults)
-            option = f"--{key.replace('_', '-')}"
-            raise InvalidArgument(
-                f"{option} does not apply to the trajectory {name!r}, which takes {options}"
-            )
-    parameters = {**defaults, **chosen}
-    if make is CubicVia:
-        parameters["t_end"] = parameters.pop("duration")
-    return make(**parameters)
+def _one_of(name: str, choices: Mapping[str, Any], default: str, **where: str) -> Option:
+    *names, last = choices
+    text = f"One of {', '.join(choices)}." if len(choices) > 2 else f"{', '.join(names)} or {last}."
+    return Option(name, text, str, default, **where)
 
 
-def controller(name: str, model: Any, kp: Any, kd: Any, difference: Any) -> Any:
-    """Return the controller of that name; gains that are None are the lecture's.
-
-    Raises
-    ------
-    UnknownName
-        If there is no such controller.
-    """
-    if name not in CONTROLLERS:
-        raise UnknownName("controller", name, CONTROLLERS)
-    if name == "pd":
-        return PD(_LECTURE_PD if kp is None else kp, _LECTURE_PD if kd is None else kd, difference=difference)
-    return ComputedTorque(model, 4 if kp is None else kp, 4 if kd is None else kd, difference=difference)
-
-
-def robot(base: Any, **changed: Any) -> Any:
-    """Return the robot with some of mass, yaw inertia and centre of mass changed; None leaves as it is."""
-    kept = {name: value for name, value in changed.items() if value is not None}
-    if not kept:
-        return base
-    if not hasattr(base, "with_body"):
-        raise InvalidArgument(
-            f"{', '.join(kept)} of the model are given beside {shown(base)}, expected a robot of the library"
+def _taken(choices: Mapping[str, Choice], table: str) -> Iterator[Option]:
+    """Yield the options that choices take, as their parts state them, with the lecture's numbers."""
+    for name in dict.fromkeys(each for choice in choices.values() for each in choice.takes):
+        having = {kind: choice for kind, choice in choices.items() if name in choice.takes}
+        stated = [
+            _Own(each.unit, each.meaning.split(", ")[0])
+            for choice in having.values()
+            for each in parameters_of(choice.make)
+            if each.attribute == name
+        ]
+        unit, meaning = _OWN[name] if name in _OWN else stated[0]
+        first, *others = values = [choice.takes[name] for choice in having.values()]
+        which = "" if len(having) == len(choices) else f"{', '.join(having)}: "
+        of_others = [
+            f", for {kind} {_told(value)}"
+            for kind, value in zip([*having][1:], others, strict=True)
+            if value != first
+        ]
+        axes, in_units = " X,Y" if isinstance(first, tuple) else "", f" ({unit})" if unit else ""
+        text = f"{meaning}{axes}{in_units}; {_told(first)}{''.join(of_others)}."
+        several = any(isinstance(value, tuple) for value in values)
+        yield Option(
+            name,
+            which + text if which else _sentence(text),
+            tuple if several else float,
+            table=table,
+            unit=unit,
         )
-    com = kept.get("com")
-    if isinstance(com, tuple) and len(com) == 2:
-        kept["com"] = (*com, base.com[2])  # who says where it is in the plane leaves it as high as it is
-    parameters = {"mass": base.mass, "yaw_inertia": base.yaw_inertia, "com": base.com}
-    changed_one = MobileRobot(**{**parameters, **kept}, size=base.size, dh=base.dh)
-    return base.with_body(changed_one.body, f"{base.source}; with other {', '.join(kept)}")
 
 
-def closed_loop(**options: Any) -> tuple[Any, Any, Any, dict[str, Any]]:
-    """Return the plant, the controller, the trajectory and the settings that the options of `run` stand for.
+def body(prefix: str = "", table: str = "", rest: str = "", **numbers: Any) -> Iterator[Option]:
+    """Yield the options of a body in the plane, as it states them.
 
-    Raises
-    ------
-    UnknownName, InvalidArgument
-        If an option is not what is expected.
+    Parameters
+    ----------
+    prefix : str
+        ``"model_"`` of the controller's.
+    table : str
+        Where they stand in a scenario file.
+    rest : str
+        What they are where they are not given, in words.
+    **numbers : float or tuple
+        The same, as numbers.
     """
-    trajectory, plant = trajectory_of(options, path_of(options)), plant_of(options)
-    law = controller_of(options, plant)
-    step = choose("integrator", options["integrator"], INTEGRATORS)
-    return plant, law, trajectory, {"dt": options["dt"], "integrator": step, "substeps": options["substeps"]}
+    for name in ("mass", "yaw_inertia", "com"):
+        stated = PARAMETERS[f"{prefix}{'com_x' if name == 'com' else name}"]
+        axes = " X,Y" if name == "com" else ""
+        last = rest or (f"; {_told(numbers[name])}" if name in numbers else "")
+        text = _sentence(f"{stated.meaning.split(', ')[0]}{axes} ({stated.unit}){last}.")
+        yield Option(prefix + name, text, tuple if name == "com" else float, table=table, unit=stated.unit)
 
 
-def path_of(options: Mapping[str, Any]) -> Any:
-    """Return the path that options stand for."""
-    given = {name: options[name] for name in OF_PATHS}
-    for name in POINTS:
-        given[name] = numbers(f"--{name.replace('_', '-')}", options[name])
-    return path(options["trajectory"], given)
+GROUND = Option(
+    "ground",
+    "Beside --urdf: z of the ground in the root link's frame (m); what the file tells.",
+    table="robot",
+    unit="m",
+)
+_KINDS_OF_ROBOTS = " or ".join(f"{name} ({choice.label})" for name, choice in ROBOTS.items())
+OPTIONS: Mapping[str, Option] = {
+    option.name: option
+    for option in (
+        _one_of("trajectory", PATHS, "circle", table="trajectory", key="type"),
+        *_taken(PATHS, "trajectory"),
+        _one_of("heading", HEADINGS, "tangent", table="trajectory"),
+        *_taken(HEADINGS, "trajectory"),
+        _one_of("controller", CONTROLLERS, "computed-torque", table="controller", key="type"),
+        *_taken(CONTROLLERS, "controller"),
+        *body("model_", "controller", "; the robot's"),
+        Option("robot", f"{_KINDS_OF_ROBOTS}; lecture.", str, table="robot", key="base"),
+        Option("urdf", "The chain, or a bare base, instead.", Path, table="robot"),
+        GROUND,
+        *body("", "robot", "; that of --robot or --urdf"),
+        Option("dt", "Sampling time (s).", float, 0.1, "loop", unit="s"),
+        _one_of("integrator", INTEGRATORS, "constant-acceleration", table="loop"),
+        Option("substeps", "Steps of the plant per dt.", int, 1, "loop"),
+        Option("n", "Number of robots.", int, 10_000, "ensemble"),
+        Option("seed", "Seed of what is drawn.", int, 0, "ensemble"),
+        Option(
+            "after",
+            "Time [s] when the start is over: errors count from then on.",
+            *(float, 0.0, "ensemble"),
+            unit="s",
+        ),
+    )
+}
+"""All options that a scenario file has as keys, too, by name."""
+
+OF_ENSEMBLES = tuple(option for option in OPTIONS.values() if option.table == "ensemble")
+OF_LOOPS = tuple(option for option in OPTIONS.values() if option.table != "ensemble")
+BODY, BELIEVED = (tuple(each.name for each in body(prefix)) for prefix in ("", "model_"))
+
+UNITS: Mapping[str, str] = {
+    **{each.attribute: each.unit for each in PARAMETERS.values() if each.attribute and each.entry is None},
+    **{name: each.unit for name, each in PARAMETERS.items()},
+    **{name: option.unit for name, option in OPTIONS.items() if option.unit},
+    "percent": "%",
+}
+"""Units of what options and files name: as the parts state them, and of the command's own."""
+
+SPREAD_FORMS = "uniform:LOW,HIGH normal:MEAN,STD percent:P (of the nominal) same:NAME[,FACTOR] or a number"
 
 
-def trajectory_of(options: Mapping[str, Any], curve: Any) -> Any:
-    """Return the trajectory along a path that options stand for."""
-    make = choose("heading", options["heading"], HEADINGS)
-    if options["heading"] != "fixed":
-        refuse_beside(f"--heading {options['heading']}", psi=options["psi"])
-    return make(curve, options["psi"] or 0.0, options["turn_time"])
+def spreadable() -> str:
+    """Return the names of all that may be spread, by what has them, with their units."""
+    return "\n".join(f"{title}: {_with_units(group)}" for title, group in GROUPS.items())
 
 
-def plant_of(options: Mapping[str, Any]) -> Any:
-    """Return the robot that options stand for."""
-    if options["urdf"] is None:
-        refuse_without("--urdf", ground=options["ground"])
-        base = choose("robot", options["robot"] or "lecture", ROBOTS)()
-    else:
-        refuse_beside("--urdf", robot=options["robot"])
-        base = MobileRobot.from_urdf(options["urdf"], ground=options["ground"])
-    changed = {name: options[name] for name in ("mass", "yaw_inertia")}
-    return robot(base, **changed, com=numbers("--com", options["com"]))
-
-
-def controller_of(options: Mapping[str, Any], plant: Any) -> Any:
-    """Return the controller of a robot that options stand for."""
-    if options["controller"] == "pd":
-        refuse_beside("--controller pd", **{name: options[name] for name in BELIEVED})
-    changed = {name: options[f"model_{name}"] for name in ("mass", "yaw_inertia")}
-    model = robot(plant, **changed, com=numbers("--model-com", options["model_com"]))
-    difference = plain_difference if options["heading"] == "lecture" else planar_difference
-    gains = numbers("--kp", options["kp"]), numbers("--kd", options["kd"])
-    return controller(options["controller"], model, *gains, difference)
+def _with_units(parameters: Sequence[Parameter]) -> str:
+    """Return names, the unit told once for those that follow each other."""
+    words = []
+    for each, following in zip(parameters, (*parameters[1:], None), strict=True):
+        last = following is None or following.unit != each.unit
+        words.append(f"{each.name} ({each.unit})" if last and each.unit else each.name)
+    return ", ".join(words)

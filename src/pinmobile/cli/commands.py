@@ -1,22 +1,28 @@
-"""The commands and their options."""
+"""The commands and their options; each imports what it runs, since that takes a while."""
 
+import inspect
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import typer
+from rich.markup import escape
 
 import pinmobile
-from pinmobile import InvalidArgument
-from pinmobile.cli import choices
-from pinmobile.cli.demonstration import mounted
-from pinmobile.cli.lecture import show_lecture
-from pinmobile.cli.mount import list_mountable, show_mount
+from pinmobile.cli.choices import (
+    GROUND,
+    OF_ENSEMBLES,
+    OF_LOOPS,
+    SPREAD_FORMS,
+    TABLES,
+    Option,
+    body,
+    spreadable,
+)
+from pinmobile.cli.options import Options, as_option, calling, choose
 from pinmobile.cli.output import console, output_folder, progress
-from pinmobile.cli.run import show_run
-from pinmobile.cli.view import chosen_runs, overlays_of, saved_runs, show_live
-from pinmobile.plant import parameters_of
-
-__all__ = ["app"]
+from pinmobile.cli.scenario_file import EXAMPLE
+from pinmobile.errors import InvalidArgument
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -28,25 +34,74 @@ app = typer.Typer(
     "2 options or files are wrong; 130 interrupted.",
 )
 
-_ROBOT, _PATH, _CONTROL, _LOOP = "Robot", "Trajectory", "Controller", "Loop and output"
-_UNITS = choices.UNITS
-Text = str | None
-Number = float | None
-_GROUND = "z of the ground in the root link's frame (m); what the file tells"
+_Command = TypeVar("_Command", bound=Callable[..., int])
+_LOOP = "Loop and output"
+_PANELS = {"robot": "Robot", "trajectory": "Trajectory", "controller": "Controller", "loop": _LOOP}
+_WRITING = ("--out", "--gif", "--no-gif", "--html", "--no-html")  # options of `run` that others do not take
+_VERIFIED: dict[str, Any] = {"mass": 10.0, "yaw_inertia": 1.2, "com": (0.15, 0.05)}
+_TAKES_RUNS = {"allow_extra_args": True, "ignore_unknown_options": True}
 
 
-def _of_path(name: str) -> Any:
-    """Return the option of what paths take: which, what it is, its unit, and the lecture's number."""
-    kinds = {kind: (make, given[name]) for kind, (make, given) in choices.PATHS.items() if name in given}
-    stated = [each for make, _ in kinds.values() for each in parameters_of(make) if each.attribute == name]
-    meaning = stated[0].meaning.split(", ")[0] if stated else f"{name} of the path"
-    unit = stated[0].unit if stated else choices.UNITS[name]
-    value = next(iter(kinds.values()))[1]
-    several = isinstance(value, tuple)
-    told = ",".join(f"{each:g}" for each in (value if several else (value,)))
-    which = "" if len(kinds) == len(choices.PATHS) else f"{', '.join(kinds)}: "
-    text = f"{which}{meaning}{' X,Y' if several else ''} ({unit}); {told}."
-    return typer.Option(help=text[0].upper() + text[1:] if not which else text, rich_help_panel=_PATH)
+def _taking(options: Iterable[Option]) -> Callable[[_Command], _Command]:
+    """Put options before those that a command states itself; it takes them by their names, as ``**typed``."""
+
+    def with_options(command: _Command) -> _Command:
+        own = inspect.signature(command)
+        stated = [each for each in own.parameters.values() if each.kind is not each.VAR_KEYWORD]
+        last = [each.replace(kind=each.KEYWORD_ONLY) for each in stated if each.name != "context"]
+        first = [each for each in stated if each.name == "context"]
+        parameters = [*first, *map(_parameter, options), *last]
+        command.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
+        return command
+
+    return with_options
+
+
+def _parameter(option: Option) -> inspect.Parameter:
+    kind: Any = str if option.kind is tuple else option.kind
+    shown = typer.Option(as_option(option.name), help=option.text, rich_help_panel=_PANELS.get(option.table))
+    return inspect.Parameter(
+        option.name,
+        inspect.Parameter.KEYWORD_ONLY,
+        default=option.default,
+        annotation=Annotated[kind if option.default is not None else kind | None, shown],
+    )
+
+
+def as_typed(error: InvalidArgument) -> InvalidArgument:
+    """Return an error of the library; where its argument is an option, that is called as it was typed."""
+    command: Any = typer.main.get_command(app)
+    options = {
+        option.name
+        for each in command.commands.values()
+        for option in each.params
+        if option.opts[0].startswith("--")
+    }
+    return error.calling(as_option(error.argument)) if error.argument in options else error
+
+
+def _of_run(words: Sequence[str], name: str, why: str) -> tuple[Options, bool]:
+    """Return the options of `run` in the words of another command, and whether a controller is among them.
+
+    Parameters
+    ----------
+    words : sequence of str
+        What the command itself does not take.
+    name, why : str
+        Of the command, and why it takes none of the options that write files.
+
+    Raises
+    ------
+    InvalidArgument
+        If one of those is among them.
+    """
+    for word in words:
+        if word.split("=")[0] in _WRITING:
+            raise InvalidArgument(f"{word} does not apply to {name}, which {why}")
+    command: Any = typer.main.get_command(app)
+    context = command.commands["run"].make_context(name, list(words))
+    given = context.get_parameter_source("controller")
+    return Options(context.params), given is not None and given.name == "COMMANDLINE"
 
 
 def _version(wanted: bool) -> None:
@@ -75,45 +130,46 @@ def lecture(
     {via stop, via free, circle} x {PD, computed torque} with the lecture's numbers, prints the largest
     errors beside the lecture's, and writes every figure with an index page.
     """
+    from pinmobile.cli.run import show_lecture
+
     return show_lecture(output_folder(out), gif=gif)
 
 
 @app.command()
+@_taking((GROUND, *body(**_VERIFIED)))
 def verify(
     urdf: Annotated[
         Path | None, typer.Option(help="Verify the robot of this URDF: the chain, or a bare base.")
     ] = None,
-    ground: Annotated[Number, typer.Option(help=f"Beside --urdf: {_GROUND}.")] = None,
-    mass: Annotated[Number, typer.Option(help="Mass (kg); 10.")] = None,
-    yaw_inertia: Annotated[
-        Number, typer.Option(help="Inertia about the centre of mass (kg m^2); 1.2.")
-    ] = None,
-    com: Annotated[Text, typer.Option(help="Centre of mass X,Y in the body frame (m); 0.15,0.05.")] = None,
-    table: Annotated[Text, typer.Option(help="DH table: lecture or slide; lecture.")] = None,
+    table: Annotated[str | None, typer.Option(help="DH table: lecture or slide; lecture.")] = None,
     mount: Annotated[
         list[str] | None, typer.Option(help="Arm on it, as of `pinmobile mount`; repeat it.")
     ] = None,
     states: Annotated[int, typer.Option(help="Number of random states.")] = 200,
     seed: Annotated[int, typer.Option(help="Seed of the states.")] = 0,
+    **typed: Any,
 ) -> int:
     """Compare closed form, Pinocchio, symbolic Newton-Euler and Lagrange for M, n, tau and accelerations.
 
     With an arm on it (--mount ur5), Pinocchio's algorithms against each other, and the base against the
     closed form.
     """
+    options = Options({**typed, "urdf": urdf, "table": table})
     if urdf is None:
-        choices.refuse_without("--urdf", ground=ground)
+        options.refuse(["ground"], "applies beside --urdf alone")
     if mount:
-        own = {"mass": mass, "yaw_inertia": yaw_inertia, "com": com, "table": table}
-        choices.refuse_beside("--mount", urdf=urdf, **own)
+        from pinmobile.cli.mount import mounted
+
+        options.refuse(["urdf", *_VERIFIED, "table"], "does not apply beside --mount")
         robot = mounted(mount)
     elif urdf is not None:
-        choices.refuse_beside("--urdf", mass=mass, yaw_inertia=yaw_inertia, com=com, table=table)
-        robot = pinmobile.MobileRobot.from_urdf(urdf, ground=ground)
+        options.refuse([*_VERIFIED, "table"], "does not apply beside --urdf")
+        with calling(path="--urdf"):
+            robot = pinmobile.MobileRobot.from_urdf(urdf, ground=options["ground"])
     else:
-        dh = choices.choose("table", table or "lecture", choices.TABLES)
-        parameters = 10.0 if mass is None else mass, 1.2 if yaw_inertia is None else yaw_inertia
-        robot = pinmobile.MobileRobot(*parameters, com=choices.point("--com", com or "0.15,0.05"), dh=dh)
+        dh = choose("table", table or "lecture", TABLES)
+        numbers = {name: options[name] for name in _VERIFIED if options[name] is not None}
+        robot = pinmobile.MobileRobot(**{**_VERIFIED, **numbers}, dh=dh)
     with progress(1) as bar:
         bar.update(bar.task_ids[0], description="deriving and comparing")
         verification = pinmobile.verify(robot, states=states, seed=seed)
@@ -129,7 +185,7 @@ def derive(
     latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX instead of text.")] = False,
 ) -> int:
     """Derive the equations of motion from the DH table, every step of the lecture's symbolic script."""
-    dh = choices.choose("table", table, choices.TABLES)
+    dh = choose("table", table, TABLES)
     with progress(1) as bar:
         bar.update(bar.task_ids[0], description="deriving")
         derivation = pinmobile.derivation.lecture(dh)
@@ -138,80 +194,8 @@ def derive(
 
 
 @app.command()
+@_taking(OF_LOOPS)
 def run(
-    trajectory: Annotated[
-        str, typer.Option(help=f"One of {', '.join(choices.PATHS)}.", rich_help_panel=_PATH)
-    ] = "circle",
-    duration: Annotated[Number, _of_path("duration")] = None,
-    radius: Annotated[Number, _of_path("radius")] = None,
-    rate: Annotated[Number, _of_path("rate")] = None,
-    rx: Annotated[Number, _of_path("rx")] = None,
-    ry: Annotated[Number, _of_path("ry")] = None,
-    wx: Annotated[Number, _of_path("wx")] = None,
-    wy: Annotated[Number, _of_path("wy")] = None,
-    start: Annotated[Text, _of_path("start")] = None,
-    via: Annotated[Text, _of_path("via")] = None,
-    end: Annotated[Text, _of_path("end")] = None,
-    t_via: Annotated[Number, _of_path("t_via")] = None,
-    via_velocity: Annotated[Text, _of_path("via_velocity")] = None,
-    heading: Annotated[
-        str, typer.Option(help=f"One of {', '.join(choices.HEADINGS)}.", rich_help_panel=_PATH)
-    ] = "tangent",
-    psi: Annotated[
-        Number, typer.Option(help=f"fixed: heading ({_UNITS['psi']}); 0.", rich_help_panel=_PATH)
-    ] = None,
-    turn_time: Annotated[
-        float,
-        typer.Option(
-            help=f"For each turn on the spot, where the tangent jumps ({_UNITS['turn_time']}).",
-            rich_help_panel=_PATH,
-        ),
-    ] = 2.0,
-    controller: Annotated[
-        str, typer.Option(help="computed-torque or pd.", rich_help_panel=_CONTROL)
-    ] = "computed-torque",
-    kp: Annotated[
-        Text, typer.Option(help="K or KX,KY,KPSI; 4, for pd 120,120,0.4.", rich_help_panel=_CONTROL)
-    ] = None,
-    kd: Annotated[
-        Text, typer.Option(help="K or KX,KY,KPSI; 4, for pd 120,120,0.4.", rich_help_panel=_CONTROL)
-    ] = None,
-    model_mass: Annotated[
-        Number,
-        typer.Option(
-            help=f"Mass the controller believes in ({_UNITS['mass']}); the robot's.", rich_help_panel=_CONTROL
-        ),
-    ] = None,
-    model_yaw_inertia: Annotated[
-        Number,
-        typer.Option(help=f"Yaw inertia it believes in ({_UNITS['yaw_inertia']}).", rich_help_panel=_CONTROL),
-    ] = None,
-    model_com: Annotated[
-        Text,
-        typer.Option(help=f"Centre of mass X,Y it believes in ({_UNITS['com']}).", rich_help_panel=_CONTROL),
-    ] = None,
-    robot: Annotated[
-        Text, typer.Option(help="lecture (Icz = 0.1) or box (homogeneous); lecture.", rich_help_panel=_ROBOT)
-    ] = None,
-    urdf: Annotated[
-        Path | None, typer.Option(help="The chain, or a bare base, instead.", rich_help_panel=_ROBOT)
-    ] = None,
-    ground: Annotated[Number, typer.Option(help=f"Beside --urdf: {_GROUND}.", rich_help_panel=_ROBOT)] = None,
-    mass: Annotated[
-        Number, typer.Option(help=f"Mass in its place ({_UNITS['mass']}).", rich_help_panel=_ROBOT)
-    ] = None,
-    yaw_inertia: Annotated[
-        Number,
-        typer.Option(help=f"Yaw inertia in its place ({_UNITS['yaw_inertia']}).", rich_help_panel=_ROBOT),
-    ] = None,
-    com: Annotated[
-        Text, typer.Option(help=f"Centre of mass X,Y ({_UNITS['com']}).", rich_help_panel=_ROBOT)
-    ] = None,
-    dt: Annotated[float, typer.Option(help="Sampling time (s).", rich_help_panel=_LOOP)] = 0.1,
-    integrator: Annotated[
-        str, typer.Option(help=f"One of {', '.join(choices.INTEGRATORS)}.", rich_help_panel=_LOOP)
-    ] = "constant-acceleration",
-    substeps: Annotated[int, typer.Option(help="Steps of the plant per dt.", rich_help_panel=_LOOP)] = 1,
     out: Annotated[Path, typer.Option(help="Folder for records and figures.", rich_help_panel=_LOOP)] = Path(
         "out/run"
     ),
@@ -219,6 +203,7 @@ def run(
     html: Annotated[
         bool, typer.Option("--html", help="Also write a page that shows it move.", rich_help_panel=_LOOP)
     ] = False,
+    **typed: Any,
 ) -> int:
     """Run one closed loop: a trajectory, a controller, a robot. Without options, the lecture's circle.
 
@@ -226,9 +211,9 @@ def run(
 
     pinmobile run --com 0.1,0.05 --model-com 0,0 --yaw-inertia 1.3 --dt 0.01
     """
-    options = locals().copy()
-    folder = output_folder(out)
-    return show_run(choices.closed_loop(**options), folder, controller, gif=gif, html=html)
+    from pinmobile.cli.run import show_run
+
+    return show_run(Options(typed), output_folder(out), gif=gif, html=html)
 
 
 @app.command()
@@ -236,6 +221,7 @@ def mount(
     arm: Annotated[
         list[str] | None, typer.Argument(help="Names of example-robot-data: one, or more.")
     ] = None,
+    *,
     listed: Annotated[
         bool, typer.Option("--list", help="Print the names, and those that do not mount, with the reason.")
     ] = False,
@@ -267,23 +253,27 @@ def mount(
 
     Example: pinmobile mount ur5 --html out/ur5.html
     """
+    from pinmobile.cli.mount import list_mountable, mounted, show_mount
+
     if listed:
         if arm:
             raise InvalidArgument(f"--list stands alone, but there is {arm[0]!r} too")
         several = {"at": at or None, "lock": lock or None, "package_dir": package_dir or None}
-        choices.refuse_beside("--list", urdf=urdf, html=html, out=out, **several)
+        others = Options({"urdf": urdf, "html": html, "out": out, **several})
+        others.refuse([*others.values], "does not apply beside --list")
         return list_mountable()
     robot = mounted(arm or (), urdf, at or (), package_dir or (), lock or ())
     return show_mount(robot, dt=dt, duration=duration, html=html, out=out)
 
 
-@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+@app.command(context_settings=_TAKES_RUNS)
 def view(
     context: typer.Context,
     rollout: Annotated[
         list[Path] | None,
         typer.Option(help="File that `run` or Rollout.save wrote; repeat it for a ghost beside it."),
     ] = None,
+    *,
     host: Annotated[str, typer.Option(help="Address to serve at.")] = "127.0.0.1",
     port: Annotated[int | None, typer.Option(help="Port; by default one that is free.")] = None,
     speed: Annotated[float, typer.Option(help="Seconds of the run per second.")] = 4.0,
@@ -298,6 +288,72 @@ def view(
 
     Example: pinmobile view --trajectory via-free --controller pd
     """
-    rollouts = saved_runs(rollout, context.args) if rollout else chosen_runs(context.args, app)
+    from pinmobile.cli.run import chosen_runs, overlays_of, saved_runs, show_live
+
+    words = context.args
+    if rollout:
+        rollouts = saved_runs(rollout, words)
+    else:
+        rollouts = chosen_runs(_of_run(words, "view", "writes no files")[0] if words else None)
     overlays = overlays_of(follow=follow, frames=frames, arrows=arrows)
     return show_live(rollouts, overlays, host=host, port=port, speed=speed)
+
+
+@app.command(context_settings=_TAKES_RUNS, epilog=f"What may be spread (unit):\n\n{spreadable()}")
+@_taking(OF_ENSEMBLES)
+def ensemble(
+    context: typer.Context,
+    spread: Annotated[
+        list[str] | None,
+        typer.Option(help=f"NAME=FORM, what differs; the form is {SPREAD_FORMS}. Repeat it for more."),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for figures and their index page.")] = Path(
+        "out/ensemble"
+    ),
+    **drawn: Any,
+) -> int:
+    """Run one closed loop many times, each time with another robot, start or disturbance.
+
+    It compares PD and computed torque, or runs the one that --controller names. It takes the options of
+    [bold]pinmobile run[/bold] too.
+
+    Example: pinmobile ensemble --spread mass=percent:20 --spread start_x=normal:0,0.02 --after 5
+    """
+    from pinmobile.cli.many import show_ensemble
+
+    options, one = _of_run(context.args, "ensemble", "draws no single robot")
+    return show_ensemble(options, spread or [], output_folder(out), one=one, **drawn)
+
+
+@app.command(
+    epilog=f"A scenario file, which runs as it is:\n\n{escape(EXAMPLE)}\n\nWhat may be spread (unit):\n\n"
+    + spreadable()
+)
+def sweep(
+    file: Annotated[Path, typer.Argument(help="Scenario file (TOML).")],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the store and figures; out/ and the file's name.")
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="Dask scheduler to compute on, tcp://HOST:PORT; otherwise all cores here."),
+    ] = None,
+    chunk: Annotated[int | None, typer.Option(help="Robots in a chunk; 16384.")] = None,
+    allow_code: Annotated[
+        bool,
+        typer.Option(
+            "--allow-code",
+            help="Run the modules whose parts the file names (MODULE:NAME), here and on the workers.",
+        ),
+    ] = False,
+) -> int:
+    """Run the ensembles of a scenario file along the axes of its grid, and keep them in a Zarr store.
+
+    Interrupted, it goes on where it was when it is started again.
+
+    A type may name a part of yours, "module:Name", of a module beside the file; the other keys of its table
+    are the arguments of the class. Code is run with --allow-code alone.
+    """
+    from pinmobile.cli.many import show_sweep
+
+    return show_sweep(file, out, scheduler, chunk, allow_code=allow_code)

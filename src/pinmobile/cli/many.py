@@ -1,66 +1,96 @@
-"""Many loops at once: `ensemble` and `sweep`, what came of them, and figures."""
+"""Many loops at once: `ensemble` and `sweep`, what they answer, and their figures."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import typer
+from matplotlib.figure import Figure
 
-from pinmobile import Ensemble, InvalidArgument, Same, Scenario, sweep
+from pinmobile import Ensemble, InvalidArgument, Same, Scenario, plots, sweep
 from pinmobile.arrays import whole
-from pinmobile.cli.interrupted import Interrupted
-from pinmobile.cli.many_figures import ensemble_figures, sweep_figures
-from pinmobile.cli.output import Section, console, index_page, output_folder, progress
+from pinmobile.cli import Interrupted
+from pinmobile.cli.choices import COMPARED, CONTROLLERS, SPREAD_FORMS
+from pinmobile.cli.options import (
+    Options,
+    as_option,
+    closed_loop,
+    numbers,
+    scenario,
+    without_model,
+)
+from pinmobile.cli.output import Picture, Section, console, index_page, output_folder, progress, save_figure
 from pinmobile.cli.scenario_file import read_grid
-from pinmobile.cli.spreads import loop_of, scenario, spread_of_words, without_model
 from pinmobile.ensembles import run_scenario
-from pinmobile.sweeps import Code, Grid, connected
+from pinmobile.sweeps import Code, Grid, Sweep, connected
 from pinmobile.sweeps.reading import attributes_of
 from pinmobile.sweeps.table import compared, since
 
-__all__ = ["run_options", "show_ensemble", "show_sweep"]
-
-_NAMES = {"pd": "PD", "computed-torque": "computed torque"}
-_OF_ONE = ("kp", "kd")
+_MOST = 12  # figures of a sweep
+_UNITS = (("m", 1.0), ("mm", 1e-3), ("um", 1e-6))
 
 
-def run_options(words: Sequence[str], app: typer.Typer, name: str) -> tuple[dict[str, Any], bool]:
-    """Return the options of `run` in some words, and whether a controller is among them.
+def spread_of_words(words: Sequence[str]) -> dict[str, Any]:
+    """Return what ``name=kind:numbers`` stands for, in the form of a scenario file.
 
     Raises
     ------
     InvalidArgument
-        If one does not apply to many robots.
+        If the words are something else.
     """
+    found: dict[str, Any] = {}
     for word in words:
-        if word.split("=")[0] in ("--gif", "--no-gif", "--html", "--no-html"):
-            raise InvalidArgument(f"{word} does not apply to {name}, which draws no single robot")
-    command: Any = typer.main.get_command(app)
-    context = command.commands["run"].make_context(name, list(words))
-    given = context.get_parameter_source("controller")
-    return context.params, given is not None and given.name == "COMMANDLINE"
+        name, equals, rest = word.partition("=")
+        kind, colon, values = rest.partition(":")
+        if not equals or not rest or (colon and not values):
+            raise InvalidArgument(f"--spread is {word!r}, expected NAME=FORM with the form {SPREAD_FORMS}")
+        if name in found:
+            times = sum(other.partition("=")[0] == name for other in words)
+            raise InvalidArgument(f"--spread {name} is given {times} times, expected once")
+        told = as_option(f"spread.{name}")
+        if not colon:
+            found[name] = numbers(told, kind)
+        elif kind == "same":
+            other, _, factor = values.partition(",")
+            found[name] = {"same": other, **({"factor": numbers(told, factor)} if factor else {})}
+        else:
+            listed = numbers(told, values)
+            found[name] = {kind: list(listed) if isinstance(listed, tuple) else listed}
+    return found
 
 
 def show_ensemble(
-    options: Mapping[str, Any],
+    options: Options,
     spread: Sequence[str],
     folder: Path,
     *,
+    one: bool,
     n: int,
     seed: int,
     after: float,
-    one: bool,
 ) -> int:
-    """Run the ensembles of one controller or of both, print who stays within what, and draw it."""
+    """Run the ensembles of one controller or of both, print who stays within what, and draw it.
+
+    Parameters
+    ----------
+    options : Options
+        Those of `run`.
+    spread : sequence of str
+        What differs, as it was typed.
+    folder : Path
+        Where figures and their index page go.
+    one : bool
+        Whether one controller was asked for.
+    n, seed, after
+        As of a `Scenario`.
+    """
     wanted = spread_of_words(spread)
-    names = [str(options["controller"])] if one else list(_NAMES)
+    names = [str(options["controller"])] if one else list(COMPARED)
     if not one:
-        for name in _OF_ONE:
-            if options[name] is not None:
-                raise InvalidArgument(f"--{name} does not apply to both controllers, expected --controller")
+        gains = [name for choice in CONTROLLERS.values() for name in choice.takes]
+        options.refuse(gains, "does not apply to both controllers, expected --controller")
     drawn: dict[str, Any] = {"n": n, "seed": seed, "after": after}
-    loops = {_NAMES.get(name, name): _loop(options, wanted, name, drawn, one=one) for name in names}
+    loops = {_label(name): _loop(options, wanted, name, drawn, one=one) for name in names}
     _warn_if_alike(loops.values())
     made: dict[str, Ensemble] = {}
     with progress(n * len(loops)) as bar:
@@ -133,18 +163,17 @@ def _show_sweep(file: Path, grid: Grid, out: Path | None, scheduler: str | None,
     return 0
 
 
+def _label(name: str) -> str:
+    return CONTROLLERS[name].label if name in CONTROLLERS else name
+
+
 def _loop(
-    options: Mapping[str, Any],
-    spread: Mapping[str, Any],
-    name: str,
-    drawn: Mapping[str, Any],
-    *,
-    one: bool,
+    options: Options, spread: Mapping[str, Any], name: str, drawn: Mapping[str, Any], *, one: bool
 ) -> Scenario:
-    options = {**options, "controller": name}
-    if name == "pd" and not one:
+    options = options.with_values(controller=name)
+    if not one and not CONTROLLERS[name].believes:
         options, spread = without_model(options, spread)
-    return scenario(loop_of(options), spread, **drawn)
+    return scenario(closed_loop(options), spread, as_option, **drawn)
 
 
 def _answer(made: Mapping[str, Ensemble], spread: Sequence[str]) -> str:
@@ -185,3 +214,88 @@ def _size(chunk: int | None, store: Path) -> int | None:
                 f"--chunk is {size}, expected {there} as in the store {str(store)!r}, or no --chunk"
             )
     return size
+
+
+def ensemble_figures(made: Mapping[str, Ensemble], folder: Path) -> list[Picture]:
+    """Draw the bands of all ensembles, and of each what its worst robots have in common."""
+    save_figure(plots.bands(made), folder / "bands.png")
+    found = [Picture("bands.png", "Errors over time: what half, 90 % and 99 % of the robots stay within.")]
+    for label, ensemble in made.items():
+        file = f"drivers-{label.lower().replace(' ', '-')}.png"
+        try:
+            figure = plots.drivers(ensemble, share=max(0.05, 1 / len(ensemble)))
+        except InvalidArgument:  # the robots are alike, or too few
+            continue
+        figure.suptitle(f"{label}: {figure.get_suptitle()}", fontsize=14)
+        save_figure(figure, folder / file)
+        found.append(Picture(file, f"{label}: what the robots that strayed farthest have in common."))
+    return found
+
+
+def sweep_figures(found: Sweep, folder: Path) -> list[Picture]:
+    """Draw what 99 % of the robots stay within: curves over one axis of numbers, otherwise maps of two.
+
+    Of further axes there is a figure for each value; maps have the same colours for the same numbers.
+    """
+    within = found.within()
+    long = [name for name, axis in found.axes.items() if len(axis) > 1]
+    numeric = [name for name in long if within[name].dtype.kind in "fiu"]
+    named = [name for name in long if name not in numeric]
+    curved = len(numeric) == 1
+    drawn = [*named[-1:], *numeric] if curved else (numeric if len(numeric) > 1 else long)[-2:]
+    if not drawn or (not curved and len(drawn) < 2):
+        return []
+    values = within.isel({name: 0 for name in found.axes if name not in long})
+    unit, size = _unit(values.values)
+    known = values.values[np.isfinite(values.values)] / size
+    limits = (float(known.min()), float(known.max())) if known.size else None
+    pictures = []
+    for k, (where, part) in enumerate(_slices(values / size, [name for name in long if name not in drawn])):
+        if k == _MOST:
+            break
+        label = f"99 % stay within [{unit}]"
+        part = part.transpose(*drawn)
+        if curved:
+            figure = _curves(found, part, drawn, title=where or None, label=label)
+        else:
+            figure = _map(found, part, drawn, title=where or label, label=label, limits=limits)
+        save_figure(figure, folder / f"within-{k}.png")
+        caption = f"{where}{where and ': '}{label}, over {' and '.join(drawn[::-1])}."
+        pictures.append(Picture(f"within-{k}.png", caption))
+    return pictures
+
+
+def _curves(found: Sweep, part: Any, drawn: list[str], *, title: str | None, label: str) -> Figure:
+    *named, x = drawn
+    names = [str(one) for one in found.axes[named[0]].values] if named else [""]
+    rows = dict(zip(names, np.reshape(part.values, (len(names), -1)), strict=True))
+    return plots.curves(rows, x=_axis(found, x), label=label, title=title)
+
+
+def _map(found: Sweep, part: Any, drawn: list[str], **options: Any) -> Figure:
+    y, x = (_axis(found, name) for name in drawn)
+    return plots.heatmap(part.values, x=x, y=y, **options)
+
+
+def _axis(found: Sweep, name: str) -> tuple[str, str, Any]:
+    axis = found.axes[name]
+    return name, axis.unit, list(axis.values)
+
+
+def _slices(values: Any, names: list[str]) -> Iterator[tuple[str, Any]]:
+    """Yield the parts for each value of some axes, and in words which they are."""
+    for index in np.ndindex(*(values.sizes[name] for name in names)):
+        where = dict(zip(names, index, strict=True))
+        words = [_told(name, np.asarray(values[name])[i]) for name, i in where.items()]
+        yield ", ".join(words), values.isel(where)
+
+
+def _told(name: str, value: Any) -> str:
+    return str(value) if isinstance(value, str) else f"{name} = {value:g}"
+
+
+def _unit(values: Any) -> tuple[str, float]:
+    """Return the unit in which the largest number that is bounded is read best, and its size [m]."""
+    known = values[np.isfinite(values)]
+    largest = float(known.max()) if known.size else 1.0
+    return next(((unit, size) for unit, size in _UNITS if largest >= size), _UNITS[-1])

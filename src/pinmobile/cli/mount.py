@@ -1,18 +1,22 @@
-"""What came of a demonstration of `mount`: what the coupling costs, and what the base feels."""
+"""A box with arms on it, a motion that couples base and arms, what the coupling costs and the base feels."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.progress import Progress
 
 from pinmobile import (
+    Circle,
     ComputedTorque,
+    CubicVia,
     Decoupled,
     Diverged,
     InvalidArgument,
     MobileRobot,
     Rollout,
+    Tangent,
     WholeBody,
     mountable,
     plots,
@@ -21,8 +25,8 @@ from pinmobile import (
     simulate,
     tip_over_margin,
 )
-from pinmobile.arrays import positive
-from pinmobile.cli.demonstration import RADIUS, RATE, WAY, demonstration
+from pinmobile.arrays import Array, positive
+from pinmobile.cli.options import calling, point
 from pinmobile.cli.output import (
     Picture,
     Section,
@@ -33,11 +37,11 @@ from pinmobile.cli.output import (
     progress,
     save_figure,
 )
-from pinmobile.cli.run import FIGURES, draw
-from pinmobile.cli.view import save_page
+from pinmobile.cli.run import FIGURES, draw, save_page
+from pinmobile.robot.tree import parts_of
 
-__all__ = ["list_mountable", "show_mount"]
-
+_RADIUS, _RATE = 1.0, 0.5  # of the circle [m], [rad/s]
+_WAY = {"rad": 0.5, "m": 0.1}  # that each joint goes and comes back
 _GAINS = 100.0, 20.0
 _HEAVY = 6e6  # bytes of a page that is no longer light
 
@@ -45,6 +49,99 @@ _BALANCE = {
     "balance": "Tip-over margin, friction that the ground must offer, and the zero-moment point.",
     "reaction": "Force and moment of the arm on the base, at its mount.",
 }
+
+
+def mounted(
+    arms: Sequence[str],
+    urdf: Path | None = None,
+    at: Sequence[str] = (),
+    dirs: Sequence[Path] = (),
+    locked: Sequence[str] = (),
+) -> MobileRobot:
+    """Return the box of 30 kg with the arms on it.
+
+    Parameters
+    ----------
+    arms : sequence of str
+        Names, mounted one after the other.
+    urdf : Path, optional
+        A file with an arm, in place of names.
+    at : sequence of str
+        ``X,Y,Z,YAW`` of each arm [m, m, m, rad], or none at all.
+    dirs : sequence of Path
+        Where the file's ``package://`` is.
+    locked : sequence of str
+        Joints of the only arm that shall not move.
+
+    Raises
+    ------
+    InvalidArgument, UnknownName
+        If there is no arm, or an option is not what is expected.
+    """
+    if urdf is not None and arms:
+        raise InvalidArgument(f"--urdf stands for an arm, but there is {arms[0]!r} too")
+    if dirs and urdf is None:
+        raise InvalidArgument("--package-dir applies beside --urdf alone")
+    wanted: list[Any] = [urdf] if urdf is not None else list(arms)
+    if not wanted:
+        raise InvalidArgument(
+            "mount needs an arm: 'pinmobile mount ur5 --html out/ur5.html', or a file by --urdf; "
+            "'pinmobile mount --list' prints the names"
+        )
+    if at and len(at) != len(wanted):
+        raise InvalidArgument(
+            f"--at is given {len(at)} times for {len(wanted)} arms, expected once for each arm"
+        )
+    if locked and len(wanted) > 1:
+        raise InvalidArgument(f"--lock applies to one arm, but there are {len(wanted)}")
+    box = MobileRobot.box()
+    with calling(**({} if urdf is None else {"arm": "--urdf"})):
+        ready = [box.mount(arm, package_dirs=dirs, locked=locked).mounts[0] for arm in wanted]
+    length = box.size[0] if len(wanted) > 1 else 0.0
+    places = [
+        (x, *mount.at[1:])
+        for x, mount in zip(np.linspace(length, -length, len(ready)) / 3, ready, strict=True)
+    ]
+    for mount, place in zip(ready, [point("--at", text) for text in at] or places, strict=True):
+        box = box.mount(mount.arm, place)
+    return box
+
+
+def demonstration(robot: MobileRobot, duration: float) -> WholeBody:
+    """Return the circle, beside it every joint 0.5 rad (0.1 m) away and back, or as far as it can in time."""
+    rest, units = (
+        robot.difference(robot.neutral, robot.rest),
+        np.array([one.unit for one in robot.coordinates]),
+    )
+    way = np.select([units == unit for unit in _WAY], list(_WAY.values()))
+    # A cubic from rest to rest is at most 3/2 as fast as on average; it has half the time.
+    way = np.minimum(way, robot.velocity_limit * (duration / 2) / 1.5)
+    up, down = (np.minimum(room, way) for room in _room(robot))
+    upwards = np.where(np.isclose(up, down), _lifts(robot, way), up > down)
+    target = rest + np.where(upwards, up, -down)
+    paths = [
+        CubicVia(rest[m.v], target[m.v], rest[m.v], duration / 2, duration) if rest[m.v].size else None
+        for m in robot.mounts
+    ]
+    return WholeBody(robot, Tangent(Circle(_RADIUS, _RATE, duration)), *paths)
+
+
+def _lifts(robot: MobileRobot, way: Array) -> Any:
+    """Tell of which coordinates a larger one lifts the arm, rather than pressing it into the base."""
+    moves = np.diag(way)
+    higher, lower = (robot.potential_energy(robot.integrate(robot.rest, sign * moves)) for sign in (1, -1))
+    return higher >= lower - 1e-9
+
+
+def _room(robot: MobileRobot) -> tuple[Array, Array]:
+    """Return how far each coordinate can go up and down from rest, within its limits, shape (nv,)."""
+    up, down = np.full(robot.nv, np.inf), np.full(robot.nv, np.inf)
+    model = robot.model
+    for joint in range(1, model.njoints):
+        if model.nqs[joint] == model.nvs[joint]:
+            q, v = parts_of(model, joint)
+            up[v], down[v] = robot.upper[q] - robot.rest[q], robot.rest[q] - robot.lower[q]
+    return up, down
 
 
 def list_mountable() -> int:
@@ -83,7 +180,7 @@ def show_mount(robot: MobileRobot, *, dt: float, duration: float, html: Path | N
 
 
 def _both(
-    robot: MobileRobot, laws: Mapping[str, Any], reference: WholeBody, dt: float, bar: Any
+    robot: MobileRobot, laws: Mapping[str, Any], reference: WholeBody, dt: float, bar: Progress
 ) -> tuple[dict[str, Rollout], list[str]]:
     """Return the runs, of one that diverged what came before, and what is to be said of those."""
     runs, failures = {}, []
@@ -117,8 +214,8 @@ def _head(robot: MobileRobot, names: str, reference: WholeBody, dt: float) -> st
             f"{names} on a box of {robot.mass:g} kg: {joints}, {total:.1f} kg in all, "
             f"M(q) is {robot.nv} x {robot.nv}",
             f"{reference.duration:g} s at dt = {dt:g} s, by rk4 in between: the base drives a circle of "
-            f"{RADIUS:g} m at {RATE:g} rad/s,",
-            f"each joint goes {WAY['rad']:g} rad (a slide {WAY['m']:g} m) and back, or as far as its "
+            f"{_RADIUS:g} m at {_RATE:g} rad/s,",
+            f"each joint goes {_WAY['rad']:g} rad (a slide {_WAY['m']:g} m) and back, or as far as its "
             "limits allow",
         ]
     )
@@ -136,7 +233,7 @@ def _table(runs: Mapping[str, Rollout]) -> str:
 def _judged(run: Rollout) -> dict[str, str]:
     errors, units = run.max_error(), np.array([unit for _, unit in run.labels])
     rows = {f"largest error in {name} [{unit}]": errors[k] for k, (name, unit) in enumerate(run.labels[:3])}
-    for unit in WAY:
+    for unit in _WAY:
         of_joints = errors[3:][units[3:] == unit]
         if of_joints.size:
             rows[f"largest error of a joint [{unit}]"] = of_joints.max()
@@ -154,7 +251,7 @@ def _said(margin: float) -> str:
     return f"{margin:.3f}" if margin >= 0 else f"{margin:.3f}, tips over"
 
 
-def _figures(runs: dict[str, Rollout], folder: Path, names: str, text: str, bar: Any) -> Path:
+def _figures(runs: dict[str, Rollout], folder: Path, names: str, text: str, bar: Progress) -> Path:
     """Write records, figures and their index page, and return its path."""
     begin(bar, "recording")
     for label, run in runs.items():

@@ -14,8 +14,6 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 
 from pinmobile.files import refusals, write
 
-__all__ = ["Picture", "Section", "begin", "console", "index_page", "output_folder", "progress", "save_figure"]
-
 console = Console(highlight=False, soft_wrap=True)
 
 

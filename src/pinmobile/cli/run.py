@@ -1,13 +1,38 @@
-"""One closed loop: run it, record it, draw it, say what came of it."""
+"""Closed loops, run, recorded and drawn: one of the user's, the lecture's, and those shown live."""
 
+import math
+import signal
+import socket
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from types import FrameType
+from typing import TYPE_CHECKING, Any
 
-from pinmobile import Diverged, MobileRobot, Rollout, plots, simulate
+from rich.progress import Progress
+
+from pinmobile import (
+    LECTURE_TABLE,
+    SLIDE_TABLE,
+    Diverged,
+    InvalidArgument,
+    MobileRobot,
+    Rollout,
+    plots,
+    simulate,
+)
+from pinmobile.arrays import positive
+from pinmobile.cli.choices import COMPARED, CONTROLLERS, HEADINGS
+from pinmobile.cli.options import LECTURE, Options, closed_loop
 from pinmobile.cli.output import Picture, Section, begin, console, index_page, progress, save_figure
-from pinmobile.cli.view import save_page
+from pinmobile.files import write
+from pinmobile.simulation.rollout import error_text
+from pinmobile.simulation.storage import why_unknown
 
-__all__ = ["FIGURES", "draw", "show_run"]
+if TYPE_CHECKING:
+    from pinmobile.derivation import Derivation
+    from pinmobile.verification import Verification
+    from pinmobile.viewer import Overlays
 
 _PLANE = 3  # coordinates of a bare base
 
@@ -19,7 +44,7 @@ FIGURES = {
 }
 
 
-def draw(rollouts: dict[str, Rollout], folder: Path, prefix: str, bar: Any) -> list[Picture]:
+def draw(rollouts: dict[str, Rollout], folder: Path, prefix: str, bar: Progress) -> list[Picture]:
     """Write the four figures of some rollouts, one step of the progress bar each.
 
     Parameters
@@ -43,16 +68,15 @@ def draw(rollouts: dict[str, Rollout], folder: Path, prefix: str, bar: Any) -> l
     return pictures
 
 
-def show_run(
-    loop: tuple[MobileRobot, Any, Any, dict[str, Any]], folder: Path, label: str, *, gif: bool, html: bool
-) -> int:
+def show_run(options: Options, folder: Path, *, gif: bool, html: bool) -> int:
     """Run, print the judgement, and write records, figures and their index; a diverged run too."""
-    plant, law, trajectory, options = loop
+    loop, label = closed_loop(options), options["controller"]
+    plant = loop["robot"]
     with progress(len(FIGURES) + 2 + gif + html) as bar:
         begin(bar, "simulating")
         diverged: Diverged | None = None
         try:
-            rollout = simulate(plant, law, trajectory, **options)
+            rollout = _simulated(loop)
         except Diverged as error:
             if error.rollout is None:
                 raise
@@ -85,3 +109,244 @@ def show_run(
     if diverged is not None:
         raise diverged
     return 0
+
+
+def _simulated(loop: Mapping[str, Any]) -> Rollout:
+    """Return the run of what `closed_loop` returns."""
+    return simulate(loop["robot"], **{name: part for name, part in loop.items() if name != "robot"})
+
+
+def save_page(rollouts: Mapping[str, Rollout], path: Path, title: str, *, speed: float = 1.0) -> None:
+    """Write a page that shows the rollouts in one scene: the first solid, the others as ghosts."""
+    from pinmobile.viewer import Viewer  # meshcat is not needed by the other commands
+
+    with Viewer(_plant(rollouts)) as viewer:
+        viewer.record(rollouts, speed=speed, title=title).save_html(path)
+
+
+def saved_runs(paths: Sequence[Path], words: Sequence[str]) -> dict[str, Rollout]:
+    """Return the rollouts in files, by the files' names.
+
+    Raises
+    ------
+    InvalidArgument
+        If one cannot be read or drawn, or there are options of `run` too.
+    """
+    if words:
+        raise InvalidArgument(f"--rollout stands alone, but there is {words[0]!r} too")
+    names = [path.stem if len({p.stem for p in paths}) == len(paths) else str(path) for path in paths]
+    return {name: _known(path, Rollout.load(path)) for name, path in zip(names, paths, strict=True)}
+
+
+def _known(path: Path, run: Rollout) -> Rollout:
+    """Return the run; check that its robot's arm can be had again: it would be missing."""
+    why = why_unknown(path)
+    if why:
+        raise InvalidArgument(
+            f"--rollout {str(path)!r} does not know its robot: {why}; in Python, "
+            "dataclasses.replace(rollout, plant=...) tells it"
+        )
+    return run
+
+
+def chosen_runs(options: Options | None) -> dict[str, Rollout]:
+    """Return the run that options of `run` stand for; without any, the lecture's circle, twice."""
+    if options is not None:
+        return {options["controller"]: _simulated(closed_loop(options))}
+    return {CONTROLLERS[name].label: _run_of_lecture(controller=name) for name in COMPARED}
+
+
+def _run_of_lecture(**chosen: str) -> Rollout:
+    return _simulated(closed_loop(LECTURE.with_values(**chosen)))
+
+
+def overlays_of(*, follow: bool, frames: bool, arrows: bool) -> "Overlays":
+    """Return the overlays that were asked for."""
+    from pinmobile.viewer import Arrows, Follow, Overlays, Stay
+
+    return Overlays(
+        camera=Follow() if follow else Stay(),
+        frames=(LECTURE_TABLE, SLIDE_TABLE) if frames else (),
+        arrows=Arrows() if arrows else None,
+    )
+
+
+def show_live(
+    rollouts: Mapping[str, Rollout], overlays: "Overlays", *, host: str, port: int | None, speed: float
+) -> int:
+    """Serve the rollouts again and again until Ctrl-C or SIGTERM; both are the way to end it."""
+    from pinmobile.viewer import Viewer
+
+    positive("--speed", speed)
+    with (
+        _until_ended(),
+        Viewer(_plant(rollouts), live=True, host=host, port=port, overlays=overlays) as viewer,
+    ):
+        served = viewer.url.split("://")[1].split("/")[0].rpartition(":")[2]
+        console.print(f"open {viewer.url}", markup=False)
+        console.print(
+            f"from another machine: ssh -L {served}:{host}:{served} {socket.gethostname()}\n"
+            "and open the same address there, with 127.0.0.1 as its host; Ctrl-C ends it",
+            markup=False,
+        )
+        console.file.flush()
+        viewer.play(rollouts, speed=speed, repeat=math.inf)
+    return 0
+
+
+@contextmanager
+def _until_ended() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM end what is within, in order."""
+
+    def end(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    except KeyboardInterrupt:
+        console.print("\nended", markup=False)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _plant(rollouts: Mapping[str, Rollout]) -> Any:
+    plant = next(iter(rollouts.values())).plant
+    return MobileRobot.lecture() if plant is None else plant
+
+
+_PATHS = {name.replace("-", " "): name for name in ("via-stop", "via-free", "circle")}
+_CONTROLLERS = {CONTROLLERS[name].label: name for name in COMPARED}
+_TURN_TIME = HEADINGS["tangent"].takes["turn_time"]
+_OFFSET = (0.1, 0.05)
+_STEPS = Picture("derivation.txt", "Every step of the derivation.")
+
+EXPECTED = {
+    ("via stop", "PD"): ("3.219048e-03", "3.121481e-03"),
+    ("via stop", "computed torque"): ("1.037037e-05", "1.037037e-05"),
+    ("via free", "PD"): ("3.219048e-03", "1.613704e-03"),
+    ("via free", "computed torque"): ("1.037037e-05", "2.592593e-06"),
+    ("circle", "PD"): ("7.481303e-03", "7.481287e-03"),
+    ("circle", "computed torque"): ("3.491279e-05", "3.491278e-05"),
+}
+"""Largest |error| in x and y [m] of the lecture's script, run in an independent interpreter."""
+
+Runs = dict[tuple[str, str], Rollout]
+
+
+def show_lecture(folder: Path, *, gif: bool) -> int:
+    """Print the lecture's results and write its figures; return 0 if every number is the lecture's."""
+    from pinmobile import derivation, verify  # sympy is not needed by the other commands
+
+    robot = MobileRobot.lecture()
+    steps = 4 + len(_PATHS) * (len(FIGURES) + 1 + gif)
+    with progress(steps) as bar:
+        begin(bar, "deriving")
+        derived = derivation.lecture()
+        console.print("[bold]1  Derivation[/bold], from the DH table by recursive Newton-Euler")
+        console.print(_equations(derived), markup=False)
+        begin(bar, "verifying")
+        # Away from the lecture's com = (0, 0), where half of the terms vanish.
+        verification = verify(MobileRobot(robot.mass, robot.yaw_inertia, com=_OFFSET))
+        console.print(f"\n[bold]2  Verification[/bold], with the centre of mass at {_OFFSET} m")
+        console.print(str(verification), markup=False)
+        begin(bar, "simulating")
+        lecture_runs, right_runs = _six_loops()
+        console.print("\n[bold]3  Six closed loops[/bold], m = 30 kg, Icz = 0.1 kg m^2, dt = 0.1 s, 60 s")
+        table, same = _table(lecture_runs, right_runs)
+        console.print(table, markup=False)
+        begin(bar, "drawing")
+        sections = _sections(folder, right_runs, gif, bar)
+    summary = _summary(verification, same)
+    write(folder / "derivation.txt", str(derived).encode("utf-8"))
+    texts = [
+        Section("1  Derivation: M(q) and n(q, v)", _equations(derived), pages=[_STEPS]),
+        Section(f"2  Verification, with the centre of mass at {_OFFSET} m", str(verification)),
+        Section("3  Six closed loops", table),
+    ]
+    page = index_page(folder, "The lecture: a mobile robot as a DH chain", [*texts, *sections])
+    console.print(f"\n{summary}\nevery step of the derivation: {folder / 'derivation.txt'}", markup=False)
+    console.print(f"figures: open {page}", markup=False)
+    console.print(f"see it move: open {folder / 'circle.html'}", markup=False)
+    return 0 if same and verification.passed else 1
+
+
+def _equations(derived: "Derivation") -> str:
+    """Return the distinct entries of M(q) and n(q, v), a line each."""
+    import sympy
+
+    M, n = derived.mass_matrix, derived.nonlinear_effects
+    names = ("x", "y", "psi")
+    entries = {f"M[{names[i]}, {names[j]}]": M[i, j] for i in range(3) for j in range(i, 3)}
+    entries |= {f"n[{name}]": entry for name, entry in zip(names, n, strict=True)}
+    return "\n".join(f"  {name:11} = {sympy.sstr(entry)}" for name, entry in entries.items())
+
+
+def _six_loops() -> tuple[Runs, Runs]:
+    """Return the runs as the lecture has them, slips included, and with its heading put right."""
+    lecture: Runs = {}
+    right: Runs = {}
+    for path, trajectory in _PATHS.items():
+        for label, controller in _CONTROLLERS.items():
+            for runs, heading in ((lecture, "lecture"), (right, "tangent")):
+                runs[path, label] = _run_of_lecture(
+                    trajectory=trajectory, controller=controller, heading=heading
+                )
+    return lecture, right
+
+
+def _table(lecture: Runs, right: Runs) -> tuple[str, bool]:
+    """Return the largest errors beside the lecture's, as text, and whether all are the same."""
+    found = {key: tuple(map(error_text, run.max_error())) for key, run in lecture.items()}
+    same = all(found[key][:2] == expected for key, expected in EXPECTED.items())
+    head = ("trajectory", "controller", "x [m]", "lecture", "y [m]", "lecture")
+    lines = ["largest |error|", "{:10} {:15} {:>12} {:>12} {:>13} {:>12}".format(*head)]
+    for key, (x, y) in EXPECTED.items():
+        mark = "" if found[key][:2] == (x, y) else "  DIFFERS"
+        lines.append(f"{key[0]:10} {key[1]:15} {found[key][0]:>12} {x:>12} {found[key][1]:>13} {y:>12}{mark}")
+    lines += [
+        "",
+        "{:10} {:15} {:>25} {:>26}".format("trajectory", "controller", "psi [rad]", "psi, put right"),
+    ]
+    for key in EXPECTED:
+        lines.append(
+            f"{key[0]:10} {key[1]:15} {found[key][2]:>25} {error_text(right[key].max_error()[2]):>26}"
+        )
+    lines += [
+        "the lecture's heading jumps where the robot rests; put right, it follows the",
+        f"tangent's limits, and turns on the spot for {_TURN_TIME:g} s where the path bends at rest",
+    ]
+    return "\n".join(lines), same
+
+
+def _summary(verification: "Verification", same: bool) -> str:
+    largest = ", ".join(f"{name} {value:.0e}" for name, value in verification.largest.items())
+    return "\n".join(
+        [
+            f"the routes {'' if verification.passed else 'do NOT '}agree; largest differences: {largest}",
+            "all twelve numbers are the lecture's, to every digit"
+            if same
+            else "some numbers are NOT the lecture's: see the rows marked DIFFERS",
+        ]
+    )
+
+
+def _sections(folder: Path, right: Runs, gif: bool, bar: Progress) -> list[Section]:
+    sections = []
+    for number, trajectory in enumerate(_PATHS, start=4):
+        prefix = f"{_PATHS[trajectory]}-"
+        rollouts = {name: right[trajectory, name] for name in _CONTROLLERS}
+        pictures = draw(rollouts, folder, prefix, bar)
+        if gif:
+            begin(bar, f"drawing {prefix}animation")
+            plots.animate(rollouts, folder / f"{prefix}animation.gif")
+            pictures.insert(
+                0, Picture(f"{prefix}animation.gif", "The robot as it moves: PD, computed torque.")
+            )
+        begin(bar, f"recording {prefix}scene")
+        name = f"{_PATHS[trajectory]}.html"
+        save_page(rollouts, folder / name, f"{trajectory.capitalize()}: PD and computed torque", speed=4)
+        title = f"{number}  {trajectory.capitalize()}: PD beside computed torque"
+        pages = [Picture(name, "See it move: both robots in one scene.")]
+        sections.append(Section(title, "with the heading put right", pictures, pages))
+    return sections

@@ -1,6 +1,5 @@
 """Scenario files: TOML in, a grid of scenarios out, and the line of what is wrong."""
 
-import re
 import tomllib
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import nullcontext
@@ -9,24 +8,34 @@ from pathlib import Path
 from typing import Any
 
 from pinmobile import Axis, InvalidArgument, PinmobileError, Scenario, UnknownName, grid
-from pinmobile.cli.choices import (
-    OF_PATHS,
-    POINTS,
-    UNITS,
+from pinmobile.cli import SPREAD_NAMES, shortened, unknown
+from pinmobile.cli.choices import CONTROLLERS, HEADINGS, OPTIONS, UNITS
+from pinmobile.cli.options import (
+    Options,
+    Refused,
+    as_key,
     controller_of,
     path_of,
     plant_of,
-    refuse_beside,
+    scenario,
     trajectory_of,
+    without_model,
 )
-from pinmobile.cli.lines import line, line_of, line_of_syntax
-from pinmobile.cli.named_parts import FORCES, STEPS, WRAPPERS, Maker, code_in, is_code
-from pinmobile.cli.spreads import scenario, without_model
-from pinmobile.cli.unknown import SPREAD_NAMES, meant, shortened
+from pinmobile.cli.tables import (
+    FORCES,
+    NONE,
+    STEPS,
+    WRAPPERS,
+    Maker,
+    Table,
+    code_in,
+    is_code,
+    line,
+    line_of,
+    line_of_syntax,
+)
 from pinmobile.files import cannot
 from pinmobile.sweeps import Code, Grid, check_draws
-
-__all__ = ["EXAMPLE", "read_grid"]
 
 _MOST_BYTES = 8 << 20  # as of a URDF
 
@@ -52,35 +61,21 @@ after = 5
 """
 """A file that runs."""
 
+
+def _keys(table: str) -> tuple[str, ...]:
+    return tuple(option.key or option.name for option in OPTIONS.values() if option.table == table)
+
+
+_OWN = ("forces", "spread")  # tables whose keys others know
+_TYPED = ("robot", "trajectory", "controller")  # tables that a type may give keys of its own
 _TABLES: Mapping[str, tuple[str, ...]] = {
-    "robot": ("base", "urdf", "ground", "mass", "yaw_inertia", "com"),
-    "trajectory": ("type", *OF_PATHS, "heading", "psi", "turn_time"),
-    "controller": ("type", "kp", "kd", "model_mass", "model_yaw_inertia", "model_com"),
-    "forces": (),
-    "loop": ("dt", "integrator", "substeps"),
-    "spread": (),
-    "ensemble": ("n", "seed", "after"),
+    table: _keys(table) for table in (*_TYPED, "forces", "loop", "spread", "ensemble")
 }
-_OPTIONS = {
-    ("robot", "base"): "robot",
-    ("trajectory", "type"): "trajectory",
-    ("controller", "type"): "controller",
-}
-_DEFAULTS = {
-    "trajectory": "circle",
-    "heading": "tangent",
-    "turn_time": 2.0,
-    "controller": "computed-torque",
-    "dt": 0.1,
-    "integrator": "constant-acceleration",
-    "substeps": 1,
-}
-_TEXTS = (*POINTS, "kp", "kd", "com", "model_com")  # as on the command line
 _NAMES = ("base", "urdf", "type", "heading", "integrator")
 _OF_PARTS = ("heading", "integrator")  # they may be tables, too
-_TYPED = ("robot", "trajectory", "controller")  # tables that a type may give keys of its own
-_OWN = ("forces", "spread")  # tables whose keys others know
-_PATH_APART = ("heading", "psi", "turn_time")  # of [trajectory], what is not its path's
+# Of [trajectory], what is not its path's.
+_OF_HEADINGS = tuple(dict.fromkeys(each for heading in HEADINGS.values() for each in heading.takes))
+_PATH_APART = ("heading", *_OF_HEADINGS)
 
 
 def read_grid(path: Path, code: Code | None = None) -> Grid:
@@ -104,10 +99,8 @@ def read_grid(path: Path, code: Code | None = None) -> Grid:
     if code is None:
         _refuse_code(path, text, tree, swept)
     reader = _Reader(tree, swept, Maker(code))
-    axes = {
-        name: _axis(f"{path.name}:{line(text, 'grid', name)}", name, values) for name, values in swept.items()
-    }
     try:
+        axes = {name: _axis(name, values) for name, values in swept.items()}
         with nullcontext() if code is None else code.errors():
             made = (
                 grid(reader.scenario, **axes)
@@ -117,12 +110,8 @@ def read_grid(path: Path, code: Code | None = None) -> Grid:
         reader.check_all_taken()
         check_draws(made)
     except PinmobileError as error:
-        # The library speaks of arguments, the command of options; a file has keys.
-        message = re.sub(r"--spread (\w+)", r"spread of \1", str(error))
-        message = re.sub(r"--([a-z-]+)", lambda found: found[1].replace("-", "_"), message)
-        if isinstance(error, UnknownName):
-            message = shortened(error)
-        at = line_of(error, message, text, tree, swept)
+        at = line_of(error, text, tree, swept)
+        message = shortened(error) if isinstance(error, UnknownName) else str(error)
         raise InvalidArgument(f"{path.name}{f':{at}' if at else ''}: {message}") from error
     return _in_units(made)
 
@@ -150,7 +139,7 @@ def _parsed(path: Path) -> tuple[str, dict[str, Any]]:
 class _Reader:
     """Makes the scenarios of a file, and keeps in mind what none of them takes."""
 
-    def __init__(self, tree: Mapping[str, Any], swept: Mapping[str, list[Any]], maker: Maker) -> None:
+    def __init__(self, tree: Table, swept: Mapping[str, list[Any]], maker: Maker) -> None:
         self.tree, self.swept, self.maker = tree, swept, maker
         self.several = {name for name in _TYPED if len(swept.get(f"{name}.type", ())) > 1}
         self.taken = {name: {"type", *_TABLES[name]} for name in _TYPED}
@@ -162,13 +151,13 @@ class _Reader:
         tree = deepcopy(dict(self.tree))
         for name, value in chosen.items():
             _put(tree, name.split("."), value)
-        options, given = self._options(tree)
-        spread = dict(tree.get("spread", {}))
-        if "controller" in self.several and options["controller"] == "pd":
+        options, spread = _options(tree), dict(tree.get("spread", {}))
+        law = CONTROLLERS.get(options["controller"]) if "controller" in self.several else None
+        if law is not None and not law.believes:
             options, spread = without_model(options, spread)
-        wanted = {"n": 10_000, "seed": 0} | tree.get("ensemble", {})
+        drawn = {key: options[key] for key in _TABLES["ensemble"]}
         lacks = self.lacks if "controller" in self.several else None
-        made = scenario(self._loop(tree, options, given), spread, lacks=lacks, **wanted)
+        made = scenario(self._loop(tree, options), spread, as_key, lacks=lacks, **drawn)
         self.spread |= set(made.spread)
         return made
 
@@ -191,34 +180,10 @@ class _Reader:
                         f"key in [{name}], which none of its types takes,", key, self.taken[name]
                     )
 
-    def _options(self, tree: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Return what tables say in the words of the command line, with its defaults and without."""
-        options: dict[str, Any] = {_OPTIONS.get((t, k), k): None for t, keys in _TABLES.items() for k in keys}
-        given = {
-            _OPTIONS.get((table, key), key): value
-            for table in ("robot", "trajectory", "controller", "loop")
-            for key, value in tree.get(table, {}).items()
-            if key in _TABLES[table] and (not _is_composed(tree, table) or key in _PATH_APART)
-        }
-        heading = given.get("heading")
-        if isinstance(heading, Mapping) and not is_code(heading.get("type")):
-            for key in heading:
-                if key not in ("type", *_PATH_APART[1:]):
-                    raise UnknownName("key in heading", key, ("type", *_PATH_APART[1:]))
-            given |= {"heading": heading.get("type"), **{k: v for k, v in heading.items() if k != "type"}}
-        options |= _DEFAULTS | given
-        for name in _TEXTS:
-            value = options[name]
-            if value is not None:
-                options[name] = ",".join(map(repr, value)) if isinstance(value, list) else str(value)
-        return options, given
-
-    def _loop(
-        self, tree: Mapping[str, Any], options: Mapping[str, Any], given: Mapping[str, Any]
-    ) -> dict[str, Any]:
+    def _loop(self, tree: Table, options: Options) -> dict[str, Any]:
         """Return the arguments of a scenario that tables stand for."""
         part = self.maker.part
-        robot = part("robot", tree["robot"], {}) if _is_composed(tree, "robot") else plant_of(options)
+        robot = part("robot", tree["robot"], NONE) if _is_composed(tree, "robot") else plant_of(options)
         beside = {"robot": robot}
         if _is_composed(tree, "controller"):
             taken = self.taken["controller"] if "controller" in self.several else None
@@ -228,7 +193,7 @@ class _Reader:
         return {
             "robot": robot,
             "controller": controller,
-            "trajectory": self._trajectory(tree, options, given, beside),
+            "trajectory": self._trajectory(tree, options, beside),
             "forces": [
                 part(f"forces.{name}", value, FORCES, beside=beside)
                 for name, value in tree.get("forces", {}).items()
@@ -238,34 +203,42 @@ class _Reader:
             "substeps": options["substeps"],
         }
 
-    def _trajectory(
-        self,
-        tree: Mapping[str, Any],
-        options: Mapping[str, Any],
-        given: Mapping[str, Any],
-        beside: Mapping[str, Any],
-    ) -> Any:
+    def _trajectory(self, tree: Table, options: Options, beside: Table) -> Any:
         if _is_composed(tree, "trajectory"):
             table = {key: value for key, value in tree["trajectory"].items() if key not in _PATH_APART}
             taken = self.taken["trajectory"] if "trajectory" in self.several else None
-            path = self.maker.part("path", table, {}, beside=beside, taken=taken)
+            path = self.maker.part("path", table, NONE, beside=beside, taken=taken)
             if not hasattr(path, "derivative"):  # it has a heading of its own
-                said = {key: given.get(key) for key in _PATH_APART}
-                refuse_beside(f"trajectory {table['type']}, which is no path,", **said)
+                said = [key for key in _PATH_APART if key in tree["trajectory"]]
+                options.refuse(said, f"does not apply beside trajectory {table['type']}, which is no path,")
                 return path
         else:
             path = path_of(options)
         heading = options["heading"]
         name = heading["type"] if isinstance(heading, Mapping) else heading
-        if name != "tangent":
-            refuse_beside(f"--heading {name}", turn_time=given.get("turn_time"))
         if not is_code(name):
             return trajectory_of(options, path)
-        refuse_beside(f"--heading {name}", psi=given.get("psi"))
-        return self.maker.part("heading", heading, {}, beside=beside, first=path)
+        options.refuse(_OF_HEADINGS, f"does not apply beside heading {name}")
+        return self.maker.part("heading", heading, NONE, beside=beside, first=path)
 
 
-def _is_composed(tree: Mapping[str, Any], table: str) -> bool:
+def _options(tree: Table) -> Options:
+    """Return what tables say beside the keys of users' parts, which are arguments of these."""
+    values = {name: option.default for name, option in OPTIONS.items()}
+    for name, option in OPTIONS.items():
+        key, table = option.key or name, tree.get(option.table, {})
+        if key in table and (not _is_composed(tree, option.table) or key in _PATH_APART):
+            values[name] = table[key]
+    heading = values["heading"]
+    if isinstance(heading, Mapping) and not is_code(heading.get("type")):
+        for key in heading:
+            if key not in ("type", *_OF_HEADINGS):
+                raise UnknownName("key in heading", key, ("type", *_OF_HEADINGS))
+        values |= {**heading, "heading": heading.get("type")}
+    return Options(values, as_key)
+
+
+def _is_composed(tree: Table, table: str) -> bool:
     """Tell whether a table is of a part that takes its keys as the arguments of its class."""
     name = tree.get(table, {}).get("type")
     return is_code(name) or (table == "controller" and isinstance(name, str) and name in WRAPPERS)
@@ -278,11 +251,11 @@ def _rest(name: str, table: str) -> list[str]:
 
 
 def _checked(path: Path, text: str, tree: dict[str, Any]) -> dict[str, list[Any]]:
-    """Refuse what has no meaning, and return what is swept, by dotted names."""
+    """Check that all tables and keys have a meaning, and return what is swept, by dotted names."""
     for table, content in tree.items():
         at = f"{path.name}:{line(text, table)}"
         if table not in (*_TABLES, "grid"):
-            raise InvalidArgument(f"{at}: {meant(f'table [{table}]', table, [*_TABLES, 'grid'])}")
+            raise InvalidArgument(f"{at}: {unknown(f'table [{table}]', table, [*_TABLES, 'grid'])}")
         if not isinstance(content, Mapping):
             named = ", such as [forces.wind]" if table == "forces" else ""
             raise InvalidArgument(f"{at}: {table} is {content!r}, expected a table{named}")
@@ -300,7 +273,7 @@ def _checked(path: Path, text: str, tree: dict[str, Any]) -> dict[str, list[Any]
     return swept
 
 
-def _may_be_composed(tree: Mapping[str, Any], swept: Mapping[str, Any], table: str) -> bool:
+def _may_be_composed(tree: Table, swept: Table, table: str) -> bool:
     values = swept.get(f"{table}.type", ())
     types = [tree.get(table, {}).get("type"), *(values if isinstance(values, list) else ())]
     return any(_is_composed({table: {"type": name}}, table) for name in types)
@@ -313,7 +286,7 @@ def _names_well(table: str, key: str, value: Any) -> bool:
     return key in _OF_PARTS and isinstance(value, Mapping)
 
 
-def _refuse_code(path: Path, text: str, tree: Mapping[str, Any], swept: Mapping[str, Any]) -> None:
+def _refuse_code(path: Path, text: str, tree: Table, swept: Table) -> None:
     """Refuse the names of users' parts, before any of their modules is looked at.
 
     Raises
@@ -340,7 +313,7 @@ def _check_swept(at: str, name: str, values: Any, own: Collection[str]) -> None:
     table, _, rest = name.partition(".")
     if table not in _TABLES:
         what = f"table {table!r} of {name!r} in [grid]"
-        raise InvalidArgument(f"{at}: {meant(what, table, _TABLES)}")
+        raise InvalidArgument(f"{at}: {unknown(what, table, _TABLES)}")
     if not rest:
         raise InvalidArgument(f"{at}: {name!r} in [grid] is a table, expected one of its keys, {name}.KEY")
     key = rest.split(".")[0]
@@ -353,7 +326,7 @@ def _check_swept(at: str, name: str, values: Any, own: Collection[str]) -> None:
 
 
 def _no_key(what: str, table: str, key: str) -> str:
-    return meant(what, key, _TABLES[table], SPREAD_NAMES)
+    return unknown(what, key, _TABLES[table], SPREAD_NAMES)
 
 
 def _leaves(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -375,13 +348,15 @@ def _put(tree: dict[str, Any], place: list[str], value: Any) -> None:
     tree[key] = value
 
 
-def _axis(at: str, name: str, values: list[Any]) -> Axis:
+def _axis(name: str, values: list[Any]) -> Axis:
+    labelled = any(isinstance(value, list | dict) for value in values)
     try:
-        if any(isinstance(value, list | dict) for value in values):
-            return Axis({_label(value): value for value in values}, UNITS.get(name.split(".")[-1], ""))
-        return Axis(values, UNITS.get(name.split(".")[-1], ""))
+        return Axis(
+            {_label(value): value for value in values} if labelled else values,
+            UNITS.get(name.split(".")[-1], ""),
+        )
     except InvalidArgument as error:
-        raise InvalidArgument(f"{at}: {re.sub('^values', name, str(error))}") from error
+        raise Refused(str(error.calling(name)), name) from error
 
 
 def _in_units(made: Grid) -> Grid:

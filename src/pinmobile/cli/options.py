@@ -1,0 +1,431 @@
+"""What somebody typed, as options or in a file, and the closed loops and spreads that it stands for."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+from pinmobile import (
+    InvalidArgument,
+    MobileRobot,
+    Normal,
+    Same,
+    Scenario,
+    Uniform,
+    UnknownName,
+    plain_difference,
+    planar_difference,
+)
+from pinmobile.cli.choices import (
+    BELIEVED,
+    BODY,
+    CONTROLLERS,
+    HEADINGS,
+    INTEGRATORS,
+    OPTIONS,
+    PATHS,
+    ROBOTS,
+    Choice,
+)
+from pinmobile.ensembles import PARAMETERS
+from pinmobile.ensembles.names import resolved, with_spread_forces
+from pinmobile.errors import shown
+
+_T = TypeVar("_T")
+Numbers = float | tuple[float, ...] | None
+Told = Callable[[str], str]
+
+
+def as_option(name: str) -> str:
+    """Return how an option is typed: ``"--model-com"`` of ``"model_com"``."""
+    table, dot, key = name.partition(".")
+    return f"--{table} {key}" if dot else f"--{name.replace('_', '-')}"
+
+
+def as_key(name: str) -> str:
+    """Return what an option is called in a scenario file: its key, or of a type what it is the type of."""
+    table, dot, key = name.partition(".")
+    if dot:
+        return f"{table} of {key}"
+    option = OPTIONS[name]
+    return name if option.key in ("", "type") else option.key
+
+
+class Refused(InvalidArgument):
+    """What somebody typed is not what is expected; the message calls it as it was typed.
+
+    Attributes
+    ----------
+    place : str
+        Where it stands in a scenario file, such as ``"controller.kp"``.
+    """
+
+    def __init__(self, message: str, place: str) -> None:
+        super().__init__(message, argument="")
+        self.place = place
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (str(self), self.place)
+
+
+def place_of(name: str) -> str:
+    """Return where an option stands in a scenario file: ``"controller.kp"``."""
+    return OPTIONS[name].place if name in OPTIONS else name
+
+
+@dataclass(frozen=True)
+class Options:
+    """What somebody typed.
+
+    Attributes
+    ----------
+    values : mapping of str to any
+        By the names of the options; None where nothing was typed and other options tell.
+    told : callable
+        How an option was typed, for messages: `as_option`, or `as_key` of a file.
+    place : callable
+        Where it stands in the file.
+    """
+
+    values: Mapping[str, Any]
+    told: Told = as_option
+    place: Told = place_of
+
+    def __getitem__(self, name: str) -> Any:
+        value = self.values.get(name)
+        if OPTIONS[name].kind is not tuple:
+            return value
+        try:
+            return numbers(self.told(name), value)
+        except InvalidArgument as error:
+            raise Refused(str(error), self.place(name)) from error
+
+    def with_values(self, **values: Any) -> "Options":
+        """Return these options, some of them others."""
+        return replace(self, values={**self.values, **values})
+
+    def chosen(self, name: str, available: Mapping[str, _T]) -> _T:
+        """Return what the value of an option stands for."""
+        return choose(name, self[name], available)
+
+    def made(self, choice: Choice, *first: Any, **more: Any) -> Any:
+        """Return what a choice makes of these options; those that were not typed are the lecture's."""
+        arguments = {option: argument for argument, option in choice.called.items()}
+        given = {name: self[name] for name in choice.takes}
+        taken = {
+            arguments.get(name, name): choice.takes[name] if value is None else value
+            for name, value in given.items()
+        }
+        with self.naming(**choice.called):
+            return choice.make(*first, **more, **taken)
+
+    def refuse(self, names: Sequence[str], why: str) -> None:
+        """Refuse options that do not apply, where one was typed.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Which.
+        why : str
+            What the message says of the first.
+
+        Raises
+        ------
+        Refused
+            If one was typed.
+        """
+        for name in names:
+            if self.values.get(name) is not None:
+                raise Refused(f"{self.told(name)} {why}", self.place(name))
+
+    @contextmanager
+    def naming(self, **called: str) -> Iterator[None]:
+        """Let an error of the library call its argument as it was typed.
+
+        Parameters
+        ----------
+        **called : str
+            Options by the names of arguments that are called otherwise.
+
+        Raises
+        ------
+        Refused
+            If the library raises `InvalidArgument` about an option.
+        """
+        try:
+            yield
+        except InvalidArgument as error:
+            name = called.get(error.argument, error.argument)
+            if name not in OPTIONS:
+                raise
+            raise Refused(str(error.calling(self.told(name))), self.place(name)) from error
+
+
+LECTURE = Options({name: option.default for name, option in OPTIONS.items()})
+"""The lecture's own loop: nothing was typed."""
+
+
+@contextmanager
+def calling(**names: str) -> Iterator[None]:
+    """Let an error of the library call its argument otherwise, as it was typed: ``arm="--urdf"``.
+
+    Raises
+    ------
+    InvalidArgument
+        If the library raises one.
+    """
+    try:
+        yield
+    except InvalidArgument as error:
+        if error.argument not in names:
+            raise
+        raise error.calling(names[error.argument]) from error
+
+
+def choose(kind: str, name: str, available: Mapping[str, _T]) -> _T:
+    """Return what the name stands for.
+
+    Raises
+    ------
+    UnknownName
+        If there is no such name; the message lists those there are, the nearest first.
+    """
+    if name not in available:
+        raise UnknownName(kind, name, available)
+    return available[name]
+
+
+def numbers(told: str, value: Any) -> Numbers:
+    """Return the number, or the tuple of numbers, that a text with commas or a list has.
+
+    Parameters
+    ----------
+    told : str
+        How the option was typed, for the message.
+    value : str, list, number or None
+        What was.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is something else.
+    """
+    if value is None:
+        return None
+    listed = value.split(",") if isinstance(value, str) else value
+    listed = listed if isinstance(listed, list | tuple) else [listed]
+    typed = str if isinstance(value, str) else int | float
+    try:
+        if not all(isinstance(each, typed) and not isinstance(each, bool) for each in listed):
+            raise ValueError
+        first, *others = map(float, listed)
+    except (ValueError, OverflowError):
+        raise InvalidArgument(
+            f"{told} is {shown(value)}, expected a number, or numbers with commas"
+        ) from None
+    return (first, *others) if others else first
+
+
+def point(told: str, text: str) -> tuple[float, ...]:
+    """Return the numbers of a point; parameters and errors are those of `numbers`."""
+    return as_point(numbers(told, text)) or ()
+
+
+def as_point(found: Numbers) -> tuple[float, ...] | None:
+    """Return what `numbers` returns as a tuple, one number alone, too."""
+    return (found,) if isinstance(found, float) else found
+
+
+def robot(base: Any, **changed: Any) -> Any:
+    """Return the robot with some of mass, yaw inertia and centre of mass changed; None leaves as it is."""
+    kept = {name: value for name, value in changed.items() if value is not None}
+    if not kept:
+        return base
+    if not hasattr(base, "with_body"):
+        raise InvalidArgument(
+            f"{', '.join(kept)} of the model are given beside {shown(base)}, expected a robot of the library"
+        )
+    com = kept.get("com")
+    if isinstance(com, tuple) and len(com) == 2:
+        kept["com"] = (*com, base.com[2])  # who says where it is in the plane leaves it as high as it is
+    parameters = {"mass": base.mass, "yaw_inertia": base.yaw_inertia, "com": base.com}
+    changed_one = MobileRobot(**{**parameters, **kept}, size=base.size, dh=base.dh)
+    return base.with_body(changed_one.body, f"{base.source}; with other {', '.join(kept)}")
+
+
+def path_of(options: Options) -> Any:
+    """Return the path that options stand for.
+
+    Raises
+    ------
+    UnknownName, InvalidArgument
+        If an option does not apply to it, or is not what is expected.
+    """
+    name = options["trajectory"]
+    path = options.chosen("trajectory", PATHS)
+    others = [each for kind in PATHS.values() for each in kind.takes if each not in path.takes]
+    takes = ", ".join(map(options.told, path.takes))
+    options.refuse(others, f"does not apply to the trajectory {name!r}, which takes {takes}")
+    return options.made(path)
+
+
+def trajectory_of(options: Options, curve: Any) -> Any:
+    """Return the trajectory along a path that options stand for."""
+    heading = options.chosen("heading", HEADINGS)
+    others = [each for kind in HEADINGS.values() for each in kind.takes if each not in heading.takes]
+    options.refuse(others, f"does not apply beside {options.told('heading')} {options['heading']}")
+    return options.made(heading, curve)
+
+
+def plant_of(options: Options) -> Any:
+    """Return the robot that options stand for."""
+    urdf = options["urdf"]
+    if urdf is None:
+        options.refuse(["ground"], f"applies beside {options.told('urdf')} alone")
+        base = options.made(choose("robot", options["robot"] or "lecture", ROBOTS))
+    else:
+        options.refuse(["robot"], f"does not apply beside {options.told('urdf')}")
+        with options.naming(path="urdf"):
+            base = MobileRobot.from_urdf(urdf, ground=options["ground"])
+    return _changed(options, base, "")
+
+
+def _changed(options: Options, base: Any, prefix: str) -> Any:
+    changed = {name: options[prefix + name] for name in BODY}
+    changed["com"] = as_point(changed["com"])
+    with options.naming(**{name: prefix + name for name in BODY}):
+        return robot(base, **changed)
+
+
+def controller_of(options: Options, plant: Any) -> Any:
+    """Return the controller of a robot that options stand for."""
+    name = options["controller"]
+    law = options.chosen("controller", CONTROLLERS)
+    difference = plain_difference if options["heading"] == "lecture" else planar_difference
+    more = {"difference": difference if options["heading"] else None}
+    if law.believes:
+        more["robot"] = _changed(options, plant, "model_")
+    else:
+        options.refuse(BELIEVED, f"does not apply beside {options.told('controller')} {name}")
+    return options.made(law, **more)
+
+
+def closed_loop(options: Options) -> dict[str, Any]:
+    """Return the arguments of a `Scenario` that the options of `run` stand for.
+
+    Raises
+    ------
+    UnknownName, InvalidArgument
+        If an option is not what is expected.
+    """
+    trajectory, plant = trajectory_of(options, path_of(options)), plant_of(options)
+    return {
+        "robot": plant,
+        "controller": controller_of(options, plant),
+        "trajectory": trajectory,
+        "integrator": options.chosen("integrator", INTEGRATORS),
+        **{name: options[name] for name in ("dt", "substeps")},
+    }
+
+
+def scenario(
+    loop: Mapping[str, Any],
+    spread: Mapping[str, Any],
+    told: Told,
+    *,
+    lacks: dict[str, UnknownName] | None = None,
+    **drawn: Any,
+) -> Scenario:
+    """Return the scenario of a loop and a spread in words.
+
+    Parameters
+    ----------
+    loop : mapping
+        Arguments of `Scenario`.
+    spread : mapping
+        By parameter a number, a list, or a table such as ``{uniform = [20, 40]}``.
+    told : callable
+        How ``"spread.mass"`` was typed, for messages: `as_option` or `as_key`.
+    lacks : dict of str to UnknownName, optional
+        Where several loops share a spread: takes the names that this one does not have, which are left out.
+    **drawn
+        Other arguments of `Scenario`: n, seed, after.
+
+    Raises
+    ------
+    InvalidArgument, UnknownName
+        If something is not what is expected.
+    """
+    forces = with_spread_forces(loop.get("forces", ()), spread)
+    bare = Scenario(**{**loop, "forces": forces}, n=1, spread={})
+    own = [name for name in bare.known if "." not in name and name not in PARAMETERS]
+    left, lacking = {}, {}
+    for name, value in spread.items():
+        if name in bare.known:
+            resolved(name, bare.known)  # of one part alone
+            left[name] = value
+        elif lacks is None and name.startswith("model_") and name in PARAMETERS:
+            law = type(loop["controller"]).__name__
+            raise _unfit(told, name, f"does not apply: {law} believes in no model")
+        else:
+            lacking[name] = UnknownName("parameter in spread", name, [*own, *PARAMETERS])
+            if lacks is None:
+                raise lacking[name]
+    for name, value in left.items():
+        other = value.get("same") if isinstance(value, Mapping) else None
+        if isinstance(other, str) and other not in bare.known:
+            kind = f"parameter in spread[{name!r}]"
+            raise lacking.get(other, UnknownName(kind, other, [*own, *PARAMETERS]))
+    if lacks is not None:
+        lacks |= lacking
+    sources = {name: _source(told, name, value, bare.nominal.get(name, 0.0)) for name, value in left.items()}
+    return Scenario(**loop, **drawn, spread=sources)
+
+
+_KINDS = ("uniform", "normal", "percent", "same")
+
+
+def _unfit(told: Told, name: str, why: str) -> Refused:
+    return Refused(f"{told(f'spread.{name}')} {why}", f"spread.{name.removesuffix(' factor')}")
+
+
+def _source(told: Told, name: str, value: Any, nominal: float) -> Any:
+    """Return the distribution or number that a value in words stands for."""
+    if not isinstance(value, Mapping):
+        return value
+    kinds = [kind for kind in value if kind != "factor"]
+    if len(kinds) != 1:
+        raise _unfit(told, name, f"is {dict(value)!r}, expected one of {', '.join(_KINDS)}")
+    kind = kinds[0]
+    if kind not in _KINDS:
+        raise UnknownName(f"form in the spread of {name}", kind, _KINDS)
+    if kind == "same":
+        factor = _source(told, f"{name} factor", value.get("factor", 1.0), 1.0)
+        return Same(str(value["same"]), factor)
+    if "factor" in value:
+        raise _unfit(told, name, f"has a factor beside {kind}, expected one beside same alone")
+    if kind == "percent":
+        return _around(told, name, value["percent"], nominal)
+    bounds = value[kind]
+    if not isinstance(bounds, list) or len(bounds) != 2:
+        raise _unfit(told, name, f"is {kind} of {bounds!r}, expected two numbers")
+    try:
+        return Uniform(*bounds) if kind == "uniform" else Normal(*bounds)
+    except InvalidArgument as error:
+        raise Refused(f"{told(f'spread.{name}')}: {error}", f"spread.{name}") from error
+
+
+def _around(told: Told, name: str, percent: Any, nominal: float) -> Uniform:
+    if not isinstance(percent, int | float) or not percent >= 0:
+        raise _unfit(told, name, f"is percent of {percent!r}, expected a number >= 0")
+    if nominal == 0:
+        raise _unfit(told, name, f"is {percent:g} percent of 0, expected uniform or normal")
+    share = percent / 100
+    low, high = sorted((nominal * (1 - share), nominal * (1 + share)))
+    return Uniform(low, high)
+
+
+def without_model(options: Options, spread: Mapping[str, Any]) -> tuple[Options, dict[str, Any]]:
+    """Return options and spread without what one controller believes, for another that has no model."""
+    kept = {name: value for name, value in spread.items() if not name.startswith("model_")}
+    return options.with_values(**dict.fromkeys(BELIEVED)), kept
