@@ -12,7 +12,7 @@ import pytest
 
 import pinmobile
 from pinmobile import controllers, disturbances, paths, trajectories
-from pinmobile.cli import choices, named_parts
+from pinmobile.cli import choices, tables
 
 ROOT = Path(__file__).parents[1]
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text()
@@ -31,10 +31,7 @@ REFERENCES = [name for name in _parts(paths, trajectories) if name != "Reference
 USERS = {
     "accuracy/held_force.py": {"ComputedTorque", "Circle", "Tangent"},
     "cli/choices.py": {"PD", "ComputedTorque"},  # with the lecture's gains, which no part knows
-    "cli/lecture.py": {"PD", "ComputedTorque"},
-    "cli/view.py": {"PD", "ComputedTorque"},
     "cli/mount.py": {"Decoupled", "ComputedTorque"},
-    "cli/demonstration.py": {"Decoupled", "ComputedTorque"},
     "trajectories/whole.py": {"Hold"},
 }
 
@@ -123,25 +120,21 @@ def test_no_file_asks_a_part_what_it_is() -> None:
     assert not asked
 
 
+POINTS = {"start", "via", "end", "via_velocity"}
+
+
 def test_the_command_knows_parts_by_their_classes_and_units_by_what_they_state() -> None:
     assert {
         "delayed": pinmobile.Delayed,
         "noisy-measurement": pinmobile.NoisyMeasurement,
         "saturated": pinmobile.Saturated,
-    } == named_parts.WRAPPERS
-    assert {"constant", "joint-friction", "noise", "viscous-friction"} <= named_parts.FORCES.keys()
-    assert [kind.__name__ for kind in named_parts.FORCES.values()] == [
+    } == tables.WRAPPERS
+    assert {"constant", "joint-friction", "noise", "viscous-friction"} <= tables.FORCES.keys()
+    assert [kind.__name__ for kind in tables.FORCES.values()] == [
         name for name in disturbances.__all__ if name in PARTS
     ]
     stated = {each.attribute: each.unit for each in pinmobile.Circle.parameters}
     assert stated == {name: choices.UNITS[name] for name in ("radius", "rate")}
-    assert set(choices.OF_PATHS) == set(choices.POINTS) | {
-        "duration",
-        "radius",
-        "rate",
-        "rx",
-        "ry",
-        "wx",
-        "wy",
-        "t_via",
-    }
+    taken = {name for path in choices.PATHS.values() for name in path.takes}
+    assert taken == {*POINTS, "duration", "radius", "rate", "rx", "ry", "wx", "wy", "t_via"}
+    assert {name for name in taken if choices.OPTIONS[name].kind is tuple} == POINTS

@@ -10,8 +10,8 @@ import pytest
 
 import pinmobile
 from pinmobile import MobileRobot, Rollout
-from pinmobile.cli import choices, main
-from pinmobile.cli.lecture import EXPECTED
+from pinmobile.cli import main, options
+from pinmobile.cli.run import EXPECTED
 from tests.damage import full_disk
 from tests.wheeled import husky
 
@@ -67,7 +67,7 @@ def test_lecture_says_no_when_a_number_is_not_the_lectures(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(EXPECTED, ("circle", "PD"), ("7.481304e-03", "7.481287e-03"))
-    monkeypatch.setattr("pinmobile.cli.lecture.draw", lambda *_: [])
+    monkeypatch.setattr("pinmobile.cli.run.draw", lambda *_: [])
     code, out, _ = typed(capsys, "lecture", "--no-gif", "--out", str(tmp_path))
     assert code == 1
     assert "some numbers are NOT the lecture's: see the rows marked DIFFERS" in out
@@ -95,7 +95,7 @@ def test_other_numbers_leave_how_the_robot_of_a_file_stands(tmp_path: Path) -> N
     path = tmp_path / "husky.urdf"
     path.write_text(husky())
     read = MobileRobot.from_urdf(path)
-    changed = choices.robot(read, mass=70.0, com=(0.1, 0.0))
+    changed = options.robot(read, mass=70.0, com=(0.1, 0.0))
     assert (changed.mass, changed.com) == (70.0, (0.1, 0.0, read.com[2]))
     assert changed.stance == read.stance
     assert "with other mass, com" in changed.source
@@ -183,11 +183,11 @@ def test_a_run_that_diverges_keeps_what_came_before(
         (["run", "--dt", "fast"], "--dt"),
         (["run", "--dt", "0.07"], "expected a whole number of steps dt = 0.07 s"),
         (["run", "--mass", "-1"], "mass is -1.0 kg, expected > 0"),
-        (["run", "--urdf", "missing.urdf"], "path is 'missing.urdf', which cannot be read"),
+        (["run", "--urdf", "missing.urdf"], "--urdf is 'missing.urdf', which cannot be read"),
         (["run", "--ground", "-0.1"], "--ground applies beside --urdf alone"),
         (["verify", "--ground", "-0.1"], "--ground applies beside --urdf alone"),
         (["run", "--radios", "1"], "No such option"),
-        (["verify", "--urdf", "missing.urdf"], "path is 'missing.urdf', which cannot be read"),
+        (["verify", "--urdf", "missing.urdf"], "--urdf is 'missing.urdf', which cannot be read"),
         (["verify", "--com", "1"], "com has shape (1,), expected (2,) or (3,)"),
         (["view", "--speed", "0"], "--speed is 0.0, expected > 0"),
         (["view", "--html"], "--html does not apply to view, which writes no files"),
@@ -238,7 +238,7 @@ def test_an_interrupt_ends_quietly(
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("pinmobile.cli.commands.show_lecture", interrupt)
+    monkeypatch.setattr("pinmobile.cli.run.show_lecture", interrupt)
     code, _, err = typed(capsys, "lecture")
     assert (code, err) == (130, "pinmobile: interrupted\n")
 

@@ -23,8 +23,7 @@ from pinmobile import (
     simulate,
     tip_over_margin,
 )
-from pinmobile.cli.demonstration import demonstration, mounted
-from pinmobile.cli.mount import _judged
+from pinmobile.cli.mount import _judged, demonstration, mounted
 from pinmobile.robot import EXCEPTIONS
 from tests.test_cli import typed
 

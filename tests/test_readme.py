@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import pinmobile
-from pinmobile.cli.lecture import EXPECTED
+from pinmobile.cli.run import EXPECTED
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()

@@ -78,8 +78,8 @@ def test_all_lists_every_public_name_that_the_module_defines(name: str) -> None:
         for node in ast.parse(Path(module.__file__).read_text()).body
         if isinstance(node, ast.ClassDef | ast.FunctionDef) and not node.name.startswith("_")
     }
-    if name.startswith("pinmobile.cli.commands"):
-        defined = set()  # its functions are the commands
+    if name.startswith("pinmobile.cli."):
+        return  # the package's own `__all__` is what is public of the command
     assert defined <= set(module.__all__)
     assert all(hasattr(module, entry) for entry in module.__all__)
 

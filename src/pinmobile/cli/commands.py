@@ -19,7 +19,7 @@ from pinmobile.cli.choices import (
     body,
     spreadable,
 )
-from pinmobile.cli.options import Options, as_option, calling, choose
+from pinmobile.cli.options import Options, as_option, body_of, choose, plant_of
 from pinmobile.cli.output import console, output_folder, progress
 from pinmobile.cli.scenario_file import EXAMPLE
 from pinmobile.errors import InvalidArgument
@@ -104,6 +104,10 @@ def _of_run(words: Sequence[str], name: str, why: str) -> tuple[Options, bool]:
     return Options(context.params), given is not None and given.name == "COMMANDLINE"
 
 
+def _help(text: str, *names: str, panel: str | None = None) -> Any:
+    return typer.Option(*names, help=text, rich_help_panel=panel)
+
+
 def _version(wanted: bool) -> None:
     if wanted:
         console.print(f"pinmobile {pinmobile.__version__}")
@@ -121,8 +125,8 @@ def _options(
 
 @app.command()
 def lecture(
-    out: Annotated[Path, typer.Option(help="Folder for the figures and their index page.")] = Path("out"),
-    gif: Annotated[bool, typer.Option(help="Also draw the moving robot.")] = True,
+    out: Annotated[Path, _help("Folder for the figures and their index page.")] = Path("out"),
+    gif: Annotated[bool, _help("Also draw the moving robot.")] = True,
 ) -> int:
     """Work through the whole lecture: derive, verify, run, and draw.
 
@@ -138,15 +142,11 @@ def lecture(
 @app.command()
 @_taking((GROUND, *body(**_VERIFIED)))
 def verify(
-    urdf: Annotated[
-        Path | None, typer.Option(help="Verify the robot of this URDF: the chain, or a bare base.")
-    ] = None,
-    table: Annotated[str | None, typer.Option(help="DH table: lecture or slide; lecture.")] = None,
-    mount: Annotated[
-        list[str] | None, typer.Option(help="Arm on it, as of `pinmobile mount`; repeat it.")
-    ] = None,
-    states: Annotated[int, typer.Option(help="Number of random states.")] = 200,
-    seed: Annotated[int, typer.Option(help="Seed of the states.")] = 0,
+    urdf: Annotated[Path | None, _help("Verify the robot of this URDF: the chain, or a bare base.")] = None,
+    table: Annotated[str | None, _help("DH table: lecture or slide; lecture.")] = None,
+    mount: Annotated[list[str] | None, _help("Arm on it, as of `pinmobile mount`; repeat it.")] = None,
+    states: Annotated[int, _help("Number of random states.")] = 200,
+    seed: Annotated[int, _help("Seed of the states.")] = 0,
     **typed: Any,
 ) -> int:
     """Compare closed form, Pinocchio, symbolic Newton-Euler and Lagrange for M, n, tau and accelerations.
@@ -164,12 +164,10 @@ def verify(
         robot = mounted(mount)
     elif urdf is not None:
         options.refuse([*_VERIFIED, "table"], "does not apply beside --urdf")
-        with calling(path="--urdf"):
-            robot = pinmobile.MobileRobot.from_urdf(urdf, ground=options["ground"])
+        robot = plant_of(options)
     else:
         dh = choose("table", table or "lecture", TABLES)
-        numbers = {name: options[name] for name in _VERIFIED if options[name] is not None}
-        robot = pinmobile.MobileRobot(**{**_VERIFIED, **numbers}, dh=dh)
+        robot = pinmobile.MobileRobot(**{**_VERIFIED, **body_of(options)}, dh=dh)
     with progress(1) as bar:
         bar.update(bar.task_ids[0], description="deriving and comparing")
         verification = pinmobile.verify(robot, states=states, seed=seed)
@@ -181,8 +179,8 @@ def verify(
 
 @app.command()
 def derive(
-    table: Annotated[str, typer.Option(help="DH table: lecture or slide.")] = "lecture",
-    latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX instead of text.")] = False,
+    table: Annotated[str, _help("DH table: lecture or slide.")] = "lecture",
+    latex: Annotated[bool, _help("Print LaTeX instead of text.", "--latex")] = False,
 ) -> int:
     """Derive the equations of motion from the DH table, every step of the lecture's symbolic script."""
     dh = choose("table", table, TABLES)
@@ -196,13 +194,9 @@ def derive(
 @app.command()
 @_taking(OF_LOOPS)
 def run(
-    out: Annotated[Path, typer.Option(help="Folder for records and figures.", rich_help_panel=_LOOP)] = Path(
-        "out/run"
-    ),
-    gif: Annotated[bool, typer.Option(help="Also draw the moving robot.", rich_help_panel=_LOOP)] = False,
-    html: Annotated[
-        bool, typer.Option("--html", help="Also write a page that shows it move.", rich_help_panel=_LOOP)
-    ] = False,
+    out: Annotated[Path, _help("Folder for records and figures.", panel=_LOOP)] = Path("out/run"),
+    gif: Annotated[bool, _help("Also draw the moving robot.", panel=_LOOP)] = False,
+    html: Annotated[bool, _help("Also write a page that shows it move.", "--html", panel=_LOOP)] = False,
     **typed: Any,
 ) -> int:
     """Run one closed loop: a trajectory, a controller, a robot. Without options, the lecture's circle.
@@ -223,11 +217,11 @@ def mount(
     ] = None,
     *,
     listed: Annotated[
-        bool, typer.Option("--list", help="Print the names, and those that do not mount, with the reason.")
+        bool, _help("Print the names, and those that do not mount, with the reason.", "--list")
     ] = False,
-    urdf: Annotated[Path | None, typer.Option(help="An arm of your own instead.")] = None,
+    urdf: Annotated[Path | None, _help("An arm of your own instead.")] = None,
     package_dir: Annotated[
-        list[Path] | None, typer.Option(help="Folder that package:// in it refers to; repeat it.")
+        list[Path] | None, _help("Folder that package:// in it refers to; repeat it.")
     ] = None,
     at: Annotated[
         list[str] | None,
@@ -236,15 +230,13 @@ def mount(
             "behind the other."
         ),
     ] = None,
-    lock: Annotated[
-        list[str] | None, typer.Option(help="Joint of the arm that shall not move; repeat it.")
-    ] = None,
-    dt: Annotated[float, typer.Option(help="Sampling time (s).")] = 0.001,
-    duration: Annotated[float, typer.Option(help="Of the motion (s).")] = 6.0,
+    lock: Annotated[list[str] | None, _help("Joint of the arm that shall not move; repeat it.")] = None,
+    dt: Annotated[float, _help("Sampling time (s).")] = 0.001,
+    duration: Annotated[float, _help("Of the motion (s).")] = 6.0,
     html: Annotated[
-        Path | None, typer.Option(help="File: a page that shows it move, the decoupled one as a ghost.")
+        Path | None, _help("File: a page that shows it move, the decoupled one as a ghost.")
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for records and figures.")] = None,
+    out: Annotated[Path | None, _help("Folder for records and figures.")] = None,
 ) -> int:
     """Put an arm on the base, drive a circle while it moves, and say what the coupling costs.
 
@@ -270,16 +262,15 @@ def mount(
 def view(
     context: typer.Context,
     rollout: Annotated[
-        list[Path] | None,
-        typer.Option(help="File that `run` or Rollout.save wrote; repeat it for a ghost beside it."),
+        list[Path] | None, _help("File that `run` or Rollout.save wrote; repeat it for a ghost beside it.")
     ] = None,
     *,
-    host: Annotated[str, typer.Option(help="Address to serve at.")] = "127.0.0.1",
-    port: Annotated[int | None, typer.Option(help="Port; by default one that is free.")] = None,
-    speed: Annotated[float, typer.Option(help="Seconds of the run per second.")] = 4.0,
-    follow: Annotated[bool, typer.Option(help="Let the camera follow the robot.")] = False,
-    frames: Annotated[bool, typer.Option(help="Draw the frames of both DH tables.")] = False,
-    arrows: Annotated[bool, typer.Option(help="Draw force and moment.")] = False,
+    host: Annotated[str, _help("Address to serve at.")] = "127.0.0.1",
+    port: Annotated[int | None, _help("Port; by default one that is free.")] = None,
+    speed: Annotated[float, _help("Seconds of the run per second.")] = 4.0,
+    follow: Annotated[bool, _help("Let the camera follow the robot.")] = False,
+    frames: Annotated[bool, _help("Draw the frames of both DH tables.")] = False,
+    arrows: Annotated[bool, _help("Draw force and moment.")] = False,
 ) -> int:
     """Serve a page that shows a run again and again, also on a machine without a screen, until Ctrl-C.
 
@@ -304,12 +295,9 @@ def view(
 def ensemble(
     context: typer.Context,
     spread: Annotated[
-        list[str] | None,
-        typer.Option(help=f"NAME=FORM, what differs; the form is {SPREAD_FORMS}. Repeat it for more."),
+        list[str] | None, _help(f"NAME=FORM, what differs; the form is {SPREAD_FORMS}. Repeat it for more.")
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for figures and their index page.")] = Path(
-        "out/ensemble"
-    ),
+    out: Annotated[Path, _help("Folder for figures and their index page.")] = Path("out/ensemble"),
     **drawn: Any,
 ) -> int:
     """Run one closed loop many times, each time with another robot, start or disturbance.
@@ -331,19 +319,16 @@ def ensemble(
 )
 def sweep(
     file: Annotated[Path, typer.Argument(help="Scenario file (TOML).")],
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for the store and figures; out/ and the file's name.")
-    ] = None,
+    out: Annotated[Path | None, _help("Folder for the store and figures; out/ and the file's name.")] = None,
     scheduler: Annotated[
-        str | None,
-        typer.Option(help="Dask scheduler to compute on, tcp://HOST:PORT; otherwise all cores here."),
+        str | None, _help("Dask scheduler to compute on, tcp://HOST:PORT; otherwise all cores here.")
     ] = None,
-    chunk: Annotated[int | None, typer.Option(help="Robots in a chunk; 16384.")] = None,
+    chunk: Annotated[int | None, _help("Robots in a chunk; 16384.")] = None,
     allow_code: Annotated[
         bool,
-        typer.Option(
+        _help(
+            "Run the modules whose parts the file names (MODULE:NAME), here and on the workers.",
             "--allow-code",
-            help="Run the modules whose parts the file names (MODULE:NAME), here and on the workers.",
         ),
     ] = False,
 ) -> int:

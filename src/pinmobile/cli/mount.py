@@ -26,7 +26,7 @@ from pinmobile import (
     tip_over_margin,
 )
 from pinmobile.arrays import Array, positive
-from pinmobile.cli.options import calling, point
+from pinmobile.cli.options import LECTURE, point
 from pinmobile.cli.output import (
     Picture,
     Section,
@@ -86,7 +86,8 @@ def mounted(
     if not wanted:
         raise InvalidArgument(
             "mount needs an arm: 'pinmobile mount ur5 --html out/ur5.html', or a file by --urdf; "
-            "'pinmobile mount --list' prints the names"
+            "'pinmobile mount --list' prints the names",
+            argument="",
         )
     if at and len(at) != len(wanted):
         raise InvalidArgument(
@@ -95,7 +96,7 @@ def mounted(
     if locked and len(wanted) > 1:
         raise InvalidArgument(f"--lock applies to one arm, but there are {len(wanted)}")
     box = MobileRobot.box()
-    with calling(**({} if urdf is None else {"arm": "--urdf"})):
+    with LECTURE.naming("urdf", **({} if urdf is None else {"arm": "urdf"})):
         ready = [box.mount(arm, package_dirs=dirs, locked=locked).mounts[0] for arm in wanted]
     length = box.size[0] if len(wanted) > 1 else 0.0
     places = [

@@ -108,16 +108,16 @@ class Options:
         """Return what the value of an option stands for."""
         return choose(name, self[name], available)
 
-    def made(self, choice: Choice, *first: Any, **more: Any) -> Any:
-        """Return what a choice makes of these options; those that were not typed are the lecture's."""
+    def made(self, name: str, choice: Choice, *first: Any, **more: Any) -> Any:
+        """Return what the choice of an option makes of these; those that were not typed are the lecture's."""
+        taken = {each: self[each] for each in choice.takes}
         arguments = {option: argument for argument, option in choice.called.items()}
-        given = {name: self[name] for name in choice.takes}
-        taken = {
-            arguments.get(name, name): choice.takes[name] if value is None else value
-            for name, value in given.items()
+        given = {
+            arguments.get(each, each): choice.takes[each] if value is None else value
+            for each, value in taken.items()
         }
-        with self.naming(**choice.called):
-            return choice.make(*first, **more, **taken)
+        with self.naming(name, **choice.called):
+            return choice.make(*first, **more, **given)
 
     def refuse(self, names: Sequence[str], why: str) -> None:
         """Refuse options that do not apply, where one was typed.
@@ -139,47 +139,34 @@ class Options:
                 raise Refused(f"{self.told(name)} {why}", self.place(name))
 
     @contextmanager
-    def naming(self, **called: str) -> Iterator[None]:
+    def naming(self, about: str, **called: str) -> Iterator[None]:
         """Let an error of the library call its argument as it was typed.
 
         Parameters
         ----------
+        about : str
+            The option that an error about none is about.
         **called : str
             Options by the names of arguments that are called otherwise.
 
         Raises
         ------
         Refused
-            If the library raises `InvalidArgument` about an option.
+            If the library raises `InvalidArgument`.
         """
         try:
             yield
+        except Refused:
+            raise
         except InvalidArgument as error:
             name = called.get(error.argument, error.argument)
-            if name not in OPTIONS:
-                raise
-            raise Refused(str(error.calling(self.told(name))), self.place(name)) from error
+            if name in OPTIONS:
+                raise Refused(str(error.calling(self.told(name))), self.place(name)) from error
+            raise Refused(str(error), self.place(about)) from error
 
 
 LECTURE = Options({name: option.default for name, option in OPTIONS.items()})
 """The lecture's own loop: nothing was typed."""
-
-
-@contextmanager
-def calling(**names: str) -> Iterator[None]:
-    """Let an error of the library call its argument otherwise, as it was typed: ``arm="--urdf"``.
-
-    Raises
-    ------
-    InvalidArgument
-        If the library raises one.
-    """
-    try:
-        yield
-    except InvalidArgument as error:
-        if error.argument not in names:
-            raise
-        raise error.calling(names[error.argument]) from error
 
 
 def choose(kind: str, name: str, available: Mapping[str, _T]) -> _T:
@@ -237,20 +224,20 @@ def as_point(found: Numbers) -> tuple[float, ...] | None:
 
 
 def robot(base: Any, **changed: Any) -> Any:
-    """Return the robot with some of mass, yaw inertia and centre of mass changed; None leaves as it is."""
-    kept = {name: value for name, value in changed.items() if value is not None}
-    if not kept:
+    """Return the robot with another mass, yaw inertia or centre of mass."""
+    if not changed:
         return base
     if not hasattr(base, "with_body"):
         raise InvalidArgument(
-            f"{', '.join(kept)} of the model are given beside {shown(base)}, expected a robot of the library"
+            f"{', '.join(changed)} of the model are given beside {shown(base)}, expected a robot of the "
+            "library",
+            argument="",
         )
-    com = kept.get("com")
-    if isinstance(com, tuple) and len(com) == 2:
-        kept["com"] = (*com, base.com[2])  # who says where it is in the plane leaves it as high as it is
-    parameters = {"mass": base.mass, "yaw_inertia": base.yaw_inertia, "com": base.com}
-    changed_one = MobileRobot(**{**parameters, **kept}, size=base.size, dh=base.dh)
-    return base.with_body(changed_one.body, f"{base.source}; with other {', '.join(kept)}")
+    own = {name: getattr(base, name) for name in BODY}
+    if len(changed.get("com", ())) == 2:  # who says where it is in the plane leaves it as high as it is
+        changed["com"] = (*changed["com"], base.com[2])
+    other = MobileRobot(**{**own, **changed}, size=base.size, dh=base.dh)
+    return base.with_body(other.body, f"{base.source}; with other {', '.join(changed)}")
 
 
 def path_of(options: Options) -> Any:
@@ -266,7 +253,7 @@ def path_of(options: Options) -> Any:
     others = [each for kind in PATHS.values() for each in kind.takes if each not in path.takes]
     takes = ", ".join(map(options.told, path.takes))
     options.refuse(others, f"does not apply to the trajectory {name!r}, which takes {takes}")
-    return options.made(path)
+    return options.made("trajectory", path)
 
 
 def trajectory_of(options: Options, curve: Any) -> Any:
@@ -274,7 +261,7 @@ def trajectory_of(options: Options, curve: Any) -> Any:
     heading = options.chosen("heading", HEADINGS)
     others = [each for kind in HEADINGS.values() for each in kind.takes if each not in heading.takes]
     options.refuse(others, f"does not apply beside {options.told('heading')} {options['heading']}")
-    return options.made(heading, curve)
+    return options.made("heading", heading, curve)
 
 
 def plant_of(options: Options) -> Any:
@@ -282,19 +269,24 @@ def plant_of(options: Options) -> Any:
     urdf = options["urdf"]
     if urdf is None:
         options.refuse(["ground"], f"applies beside {options.told('urdf')} alone")
-        base = options.made(choose("robot", options["robot"] or "lecture", ROBOTS))
+        base = options.made("robot", choose("robot", options["robot"] or "lecture", ROBOTS))
     else:
         options.refuse(["robot"], f"does not apply beside {options.told('urdf')}")
-        with options.naming(path="urdf"):
+        with options.naming("urdf", path="urdf"):
             base = MobileRobot.from_urdf(urdf, ground=options["ground"])
     return _changed(options, base, "")
 
 
+def body_of(options: Options, prefix: str = "") -> dict[str, Any]:
+    """Return what was typed of a body, by the arguments of a `MobileRobot`."""
+    typed = {name: options[prefix + name] for name in BODY}
+    typed["com"] = as_point(typed["com"])
+    return {name: value for name, value in typed.items() if value is not None}
+
+
 def _changed(options: Options, base: Any, prefix: str) -> Any:
-    changed = {name: options[prefix + name] for name in BODY}
-    changed["com"] = as_point(changed["com"])
-    with options.naming(**{name: prefix + name for name in BODY}):
-        return robot(base, **changed)
+    with options.naming(f"{prefix}mass", **{name: prefix + name for name in BODY}):
+        return robot(base, **body_of(options, prefix))
 
 
 def controller_of(options: Options, plant: Any) -> Any:
@@ -307,7 +299,7 @@ def controller_of(options: Options, plant: Any) -> Any:
         more["robot"] = _changed(options, plant, "model_")
     else:
         options.refuse(BELIEVED, f"does not apply beside {options.told('controller')} {name}")
-    return options.made(law, **more)
+    return options.made("controller", law, **more)
 
 
 def closed_loop(options: Options) -> dict[str, Any]:

@@ -30,10 +30,10 @@ from pinmobile.cli.tables import (
     Table,
     code_in,
     is_code,
-    line,
     line_of,
     line_of_syntax,
 )
+from pinmobile.errors import shown
 from pinmobile.files import cannot
 from pinmobile.sweeps import Code, Grid, check_draws
 
@@ -95,18 +95,18 @@ def read_grid(path: Path, code: Code | None = None) -> Grid:
         the message begins with the file and the line, where there is one.
     """
     text, tree = _parsed(path)
-    swept = _checked(path, text, tree)
-    if code is None:
-        _refuse_code(path, text, tree, swept)
-    reader = _Reader(tree, swept, Maker(code))
+    swept: dict[str, list[Any]] = {}
     try:
+        swept = _checked(tree)
+        if code is None:
+            _refuse_code(path, tree, swept)
+        reader = _Reader(tree, swept, Maker(code))
         axes = {name: _axis(name, values) for name, values in swept.items()}
         with nullcontext() if code is None else code.errors():
-            made = (
-                grid(reader.scenario, **axes)
-                if axes
-                else Grid({"scenario": Axis(["all"])}, [reader.scenario()])
-            )
+            if axes:
+                made = grid(reader.scenario, **axes)
+            else:
+                made = Grid({"scenario": Axis(["all"])}, [reader.scenario()])
         reader.check_all_taken()
         check_draws(made)
     except PinmobileError as error:
@@ -231,6 +231,11 @@ def _options(tree: Table) -> Options:
             values[name] = table[key]
     heading = values["heading"]
     if isinstance(heading, Mapping) and not is_code(heading.get("type")):
+        if "type" not in heading:
+            raise Refused(
+                f"heading is {shown(heading)}, a table without type, expected type = NAME",
+                "trajectory.heading",
+            )
         for key in heading:
             if key not in ("type", *_OF_HEADINGS):
                 raise UnknownName("key in heading", key, ("type", *_OF_HEADINGS))
@@ -250,27 +255,29 @@ def _rest(name: str, table: str) -> list[str]:
     return [rest.split(".")[0]] if first == table else []
 
 
-def _checked(path: Path, text: str, tree: dict[str, Any]) -> dict[str, list[Any]]:
+def _checked(tree: dict[str, Any]) -> dict[str, list[Any]]:
     """Check that all tables and keys have a meaning, and return what is swept, by dotted names."""
     for table, content in tree.items():
-        at = f"{path.name}:{line(text, table)}"
         if table not in (*_TABLES, "grid"):
-            raise InvalidArgument(f"{at}: {unknown(f'table [{table}]', table, [*_TABLES, 'grid'])}")
+            raise Refused(unknown(f"table [{table}]", table, [*_TABLES, "grid"]), table)
         if not isinstance(content, Mapping):
             named = ", such as [forces.wind]" if table == "forces" else ""
-            raise InvalidArgument(f"{at}: {table} is {content!r}, expected a table{named}")
+            raise Refused(f"{table} is {content!r}, expected a table{named}", table)
     swept = dict(_leaves(tree.pop("grid", {})))
     own = {*_OWN, *(table for table in _TYPED if _may_be_composed(tree, swept, table))}
     for table, content in tree.items():
-        for key in content:
-            at = f"{path.name}:{line(text, table, key)}"
-            if key not in _TABLES[table] and table not in own:
-                raise InvalidArgument(f"{at}: {_no_key(f'key {key!r} in [{table}]', table, key)}")
-            if not _names_well(table, key, content[key]):
-                raise InvalidArgument(f"{at}: {key} is {content[key]!r}, expected text in quotes")
+        for key, value in content.items():
+            _check_key(f"key {key!r} in [{table}]", table, key, own)
+            if not _names_well(table, key, value):
+                raise Refused(f"{key} is {value!r}, expected text in quotes", f"{table}.{key}")
     for name, values in swept.items():
-        _check_swept(f"{path.name}:{line(text, 'grid', name)}", name, values, own)
+        _check_swept(name, values, own)
     return swept
+
+
+def _check_key(what: str, table: str, key: str, own: Collection[str], place: str = "") -> None:
+    if key not in _TABLES[table] and table not in own:
+        raise Refused(unknown(what, key, _TABLES[table], SPREAD_NAMES), place or f"{table}.{key}")
 
 
 def _may_be_composed(tree: Table, swept: Table, table: str) -> bool:
@@ -286,47 +293,38 @@ def _names_well(table: str, key: str, value: Any) -> bool:
     return key in _OF_PARTS and isinstance(value, Mapping)
 
 
-def _refuse_code(path: Path, text: str, tree: Table, swept: Table) -> None:
+def _refuse_code(path: Path, tree: Table, swept: Table) -> None:
     """Refuse the names of users' parts, before any of their modules is looked at.
 
     Raises
     ------
-    InvalidArgument
+    Refused
         If there is one; the message says what to type.
     """
-    places: list[tuple[tuple[str, ...], Any]]
-    places = [((table, key), value) for table, keys in tree.items() for key, value in keys.items()]
-    places += [(tuple(name.split(".")), values) for name, values in swept.items()]
-    for (table, *keys), value in places:
-        key = "type" if table == "forces" and len(keys) == 1 else keys[-1]
-        for name in code_in(key, value):
-            dotted = ".".join((table, *keys))
-            at = line(text, "grid", dotted) if dotted in swept else line(text, table, keys[0])
-            raise InvalidArgument(
-                f"{path.name}:{at}: {'.'.join(keys)} of [{table}] is {name!r}, code of the module "
-                f"{name.partition(':')[0]!r}, which is not run unless you allow it: look at that module, "
-                f"then type 'pinmobile sweep {path} --allow-code'"
+    named = {f"{table}.{key}": value for table, keys in tree.items() for key, value in keys.items()}
+    for dotted, value in {**named, **swept}.items():
+        table, *keys = dotted.split(".")
+        for name in code_in("type" if table == "forces" and len(keys) == 1 else keys[-1], value):
+            raise Refused(
+                f"{'.'.join(keys)} of [{table}] is {name!r}, code of the module {name.partition(':')[0]!r}, "
+                "which is not run unless you allow it: look at that module, then type "
+                f"'pinmobile sweep {path} --allow-code'",
+                dotted,
             )
 
 
-def _check_swept(at: str, name: str, values: Any, own: Collection[str]) -> None:
+def _check_swept(name: str, values: Any, own: Collection[str]) -> None:
     table, _, rest = name.partition(".")
     if table not in _TABLES:
-        what = f"table {table!r} of {name!r} in [grid]"
-        raise InvalidArgument(f"{at}: {unknown(what, table, _TABLES)}")
+        raise Refused(unknown(f"table {table!r} of {name!r} in [grid]", table, _TABLES), name)
     if not rest:
-        raise InvalidArgument(f"{at}: {name!r} in [grid] is a table, expected one of its keys, {name}.KEY")
+        raise Refused(f"{name!r} in [grid] is a table, expected one of its keys, {name}.KEY", name)
     key = rest.split(".")[0]
-    if key not in _TABLES[table] and table not in own:
-        raise InvalidArgument(f"{at}: {_no_key(f'key {key!r} of [{table}] in [grid]', table, key)}")
+    _check_key(f"key {key!r} of [{table}] in [grid]", table, key, own, name)
     if not isinstance(values, list) or not values:
-        raise InvalidArgument(f"{at}: {name} is {values!r}, expected a list of values")
+        raise Refused(f"{name} is {values!r}, expected a list of values", name)
     if key == rest and not all(_names_well(table, key, value) for value in values):
-        raise InvalidArgument(f"{at}: {name} is {values!r}, expected texts in quotes")
-
-
-def _no_key(what: str, table: str, key: str) -> str:
-    return unknown(what, key, _TABLES[table], SPREAD_NAMES)
+        raise Refused(f"{name} is {values!r}, expected texts in quotes", name)
 
 
 def _leaves(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

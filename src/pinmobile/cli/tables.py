@@ -64,27 +64,25 @@ def line_of(error: PinmobileError, text: str, tree: Table, swept: Table) -> int:
     """
     if isinstance(error, UnknownName):
         return _line_of_name(error.name, text, tree, swept)
-    cause: BaseException | None = error
-    while cause is not None and not isinstance(cause, Refused):
-        cause = cause.__cause__
-    argument = error.argument if isinstance(error, InvalidArgument) else ""
-    # Of the argument spread['mass'].factor it is the key spread.mass.
-    place = ".".join(re.findall(r"\w+", argument)) if cause is None else cause.place
-    # A user's part names itself: parts:Gust.
+    told: BaseException | None = error
+    if not isinstance(error, Refused) and isinstance(error.__cause__, InvalidArgument):
+        told = error.__cause__  # which a grid has told of, and for which values it was
+    argument = told.argument if isinstance(told, InvalidArgument) else ""
+    # Of the argument spread['mass'].factor it is the key spread.mass; a user's part names itself: parts:Gust.
+    place = told.place if isinstance(told, Refused) else ".".join(re.findall(r"\w+", argument))
     return _line_of_place(place, text, tree, swept) or _line_of_name(
         argument.rstrip(":"), text, tree, swept, among_keys=False
     )
 
 
 def _line_of_place(place: str, text: str, tree: Table, swept: Table) -> int:
-    """Return the line of a dotted name such as ``forces.wind.force``, or of what it stands in, else 0."""
+    """Return the line of a dotted name such as ``forces.wind.force``, or of what it stands in, else 0.
+
+    The name of a key alone will do, too.
+    """
+    if place in swept:
+        return line(text, "grid", place)
     table, *keys = place.split(".")
-    if not keys:  # a key alone, which one table has
-        for name in swept:
-            if place in name.split(".")[1:]:
-                return line(text, "grid", name)
-        where = next((each for each, keys in tree.items() if place in keys), "")
-        return line(text, where, place) if where else (line(text, place) if place in tree else 0)
     while keys:
         dotted = ".".join((table, *keys))
         for name in swept:
@@ -97,7 +95,12 @@ def _line_of_place(place: str, text: str, tree: Table, swept: Table) -> int:
         if at > line(text, table):  # a row of its own; within a table on one line, that of the table
             return at
         keys.pop()
-    return line(text, table) if table in tree else 0
+    if table in tree:
+        return line(text, table)
+    for name in swept:
+        if table in name.split("."):
+            return line(text, "grid", name)
+    return next((line(text, where, table) for where, content in tree.items() if table in content), 0)
 
 
 def _line_of_name(name: Any, text: str, tree: Table, swept: Table, *, among_keys: bool = True) -> int:
@@ -121,7 +124,7 @@ def _holds(value: Any, name: Any) -> bool:
     if isinstance(value, list):
         return any(_holds(part, name) for part in value)
     # Of a user's part, the module and the name in it are looked for, too.
-    return bool(value == name) or (isinstance(value, str) and name in value.split(":"))
+    return str(value) == name or (isinstance(value, str) and name in value.split(":"))
 
 
 def _parameters(make: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:
