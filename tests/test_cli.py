@@ -4,14 +4,18 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from typer.main import get_command
 
 import pinmobile
 from pinmobile import MobileRobot, Rollout
-from pinmobile.cli import main, options
+from pinmobile.cli import choices, main, options
+from pinmobile.cli.commands import app
 from pinmobile.cli.run import EXPECTED
+from pinmobile.plant import parameters_of
 from tests.damage import full_disk
 from tests.wheeled import husky
 
@@ -193,6 +197,12 @@ def test_a_run_that_diverges_keeps_what_came_before(
         (["view", "--html"], "--html does not apply to view, which writes no files"),
         (["view", "--trajectory", "circel"], "unknown trajectory 'circel'"),
         (["lectur"], "No such command"),
+        (["run", "--model-mass", "-3"], "--model-mass is -3.0 kg, expected > 0"),
+        (["run", "--model-com", "1,nan"], "--model-com[1] is nan, expected a finite number"),
+        (["run", "--trajectory", "via-stop", "--duration", "-3"], "--duration is -3.0 s, expected > 0"),
+        (["run", "--t-via", "90", "--trajectory", "via-free"], "--t-via is 90.0 s, expected 0 < t_via"),
+        (["run", "--heading", "fixed", "--turn-time", "3"], "--turn-time does not apply beside --heading f"),
+        (["verify", "--states", "0"], "--states is 0, expected a whole number >= 1"),
     ],
 )
 def test_wrong_options_are_answered_in_one_line(
@@ -226,6 +236,27 @@ def test_help_teaches(capsys: pytest.CaptureFixture[str]) -> None:
     assert "Example" in out
     assert "(m/s)" in out
     assert "[/" not in out
+
+
+def test_options_are_what_the_parts_state_with_the_lectures_numbers() -> None:
+    names = set()
+    for offered in (choices.PATHS, choices.HEADINGS):
+        for choice in offered.values():
+            for each in parameters_of(choice.make):
+                if each.attribute in choice.takes:
+                    option = choices.OPTIONS[each.attribute]
+                    assert f"{each.meaning.split(',')[0]}".lower() in option.text.lower()
+                    assert f" ({each.unit}); " in option.text
+                    names.add(option.name)
+    assert {"radius", "rx", "via", "turn_time", "psi"} <= names
+    circle = choices.PATHS["circle"].takes
+    assert choices.OPTIONS["radius"].text == f"circle: radius of the circle (m); {circle['radius']:g}."
+    assert choices.OPTIONS["model_mass"].text == "Mass of the controller's model (kg); the robot's."
+    command: Any = get_command(app)
+    own = {"out", "gif", "html", "help"}
+    assert {each.name for each in command.commands["run"].params} - own == {
+        option.name for option in choices.OF_LOOPS
+    }
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:

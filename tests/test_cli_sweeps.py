@@ -222,6 +222,14 @@ def test_what_is_swept_has_its_unit(tmp_path: Path, name: str, unit: str) -> Non
             "mass.toml:7: turn_time does not apply beside heading fixed (at ",
         ),
         ("start_y =", "yaw_inertia =", "mass.toml:14: spread['yaw_inertia'] gives -"),
+        ("[forces]", "model_mass = -1\n[forces]", "mass.toml:9: model_mass is -1.0 kg, expected > 0 (at "),
+        ("[forces]", "model_com = [1]\n[forces]", "mass.toml:9: model_com has shape (1,), expected (2,) or"),
+        ('"circle"', '"via-free"\nt_via = 90', "mass.toml:7: radius does not apply to the trajectory "),
+        (
+            "[forces]       ",
+            "[forces.wind]\ntype = 'constant'\nforce = [nan, 0, 0]  ",
+            "mass.toml:11: forces.wind.force[0] is nan, expected a finite number (at ",
+        ),
         ("[0, 0.001]", "[0, -1]", "mass.toml:13: spread of start_x: std is -1.0, expected >= 0"),
     ],
 )

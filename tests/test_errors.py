@@ -1,7 +1,9 @@
 import pickle
 
+import numpy as np
 import pytest
 
+from pinmobile.arrays import finite
 from pinmobile.errors import Diverged, FileError, InvalidArgument, PinmobileError, UnknownName, ViewerError
 
 
@@ -28,6 +30,16 @@ def test_unknown_name_lists_the_names_there_are_the_nearest_first() -> None:
     copy = pickle.loads(pickle.dumps(error))
     assert str(copy) == str(error)
     assert copy.available == ("via-stop", "circle")
+
+
+def test_an_argument_is_known_by_name_and_may_be_called_otherwise() -> None:
+    with pytest.raises(InvalidArgument) as refused:
+        finite("com", [0.0, np.nan])
+    error = refused.value
+    assert (error.argument, str(error)) == ("com", "com[1] is nan, expected a finite number")
+    copy = pickle.loads(pickle.dumps(error.calling("--model-com")))
+    assert (copy.argument, str(copy)) == ("--model-com", "--model-com[1] is nan, expected a finite number")
+    assert InvalidArgument("kp has shape (2,), expected ()").argument == "kp"
 
 
 def test_diverged_carries_time_state_and_what_was_recorded() -> None:

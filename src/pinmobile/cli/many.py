@@ -13,6 +13,7 @@ from pinmobile.cli import Interrupted
 from pinmobile.cli.choices import COMPARED, CONTROLLERS, SPREAD_FORMS
 from pinmobile.cli.options import (
     Options,
+    alone,
     as_option,
     closed_loop,
     numbers,
@@ -49,13 +50,13 @@ def spread_of_words(words: Sequence[str]) -> dict[str, Any]:
             raise InvalidArgument(f"--spread {name} is given {times} times, expected once")
         told = as_option(f"spread.{name}")
         if not colon:
-            found[name] = numbers(told, kind)
+            found[name] = alone(numbers(told, kind))
         elif kind == "same":
             other, _, factor = values.partition(",")
-            found[name] = {"same": other, **({"factor": numbers(told, factor)} if factor else {})}
+            found[name] = {"same": other, **({"factor": alone(numbers(told, factor))} if factor else {})}
         else:
-            listed = numbers(told, values)
-            found[name] = {kind: list(listed) if isinstance(listed, tuple) else listed}
+            first, *others = numbers(told, values)
+            found[name] = {kind: [first, *others] if others else first}
     return found
 
 

@@ -26,7 +26,7 @@ from pinmobile import (
     tip_over_margin,
 )
 from pinmobile.arrays import Array, positive
-from pinmobile.cli.options import LECTURE, point
+from pinmobile.cli.options import LECTURE, numbers
 from pinmobile.cli.output import (
     Picture,
     Section,
@@ -103,7 +103,7 @@ def mounted(
         (x, *mount.at[1:])
         for x, mount in zip(np.linspace(length, -length, len(ready)) / 3, ready, strict=True)
     ]
-    for mount, place in zip(ready, [point("--at", text) for text in at] or places, strict=True):
+    for mount, place in zip(ready, [numbers("--at", text) for text in at] or places, strict=True):
         box = box.mount(mount.arm, place)
     return box
 

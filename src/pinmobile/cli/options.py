@@ -32,7 +32,6 @@ from pinmobile.ensembles.names import resolved, with_spread_forces
 from pinmobile.errors import shown
 
 _T = TypeVar("_T")
-Numbers = float | tuple[float, ...] | None
 Told = Callable[[str], str]
 
 
@@ -93,20 +92,13 @@ class Options:
 
     def __getitem__(self, name: str) -> Any:
         value = self.values.get(name)
-        if OPTIONS[name].kind is not tuple:
+        if value is None or OPTIONS[name].kind is not tuple:
             return value
-        try:
-            return numbers(self.told(name), value)
-        except InvalidArgument as error:
-            raise Refused(str(error), self.place(name)) from error
+        return alone(numbers(self.told(name), value, self.place(name)))
 
     def with_values(self, **values: Any) -> "Options":
         """Return these options, some of them others."""
         return replace(self, values={**self.values, **values})
-
-    def chosen(self, name: str, available: Mapping[str, _T]) -> _T:
-        """Return what the value of an option stands for."""
-        return choose(name, self[name], available)
 
     def made(self, name: str, choice: Choice, *first: Any, **more: Any) -> Any:
         """Return what the choice of an option makes of these; those that were not typed are the lecture's."""
@@ -182,45 +174,39 @@ def choose(kind: str, name: str, available: Mapping[str, _T]) -> _T:
     return available[name]
 
 
-def numbers(told: str, value: Any) -> Numbers:
-    """Return the number, or the tuple of numbers, that a text with commas or a list has.
+def numbers(told: str, value: Any, place: str = "") -> tuple[float, ...]:
+    """Return the numbers of a text with commas, of a list, or of one number.
 
     Parameters
     ----------
     told : str
         How the option was typed, for the message.
-    value : str, list, number or None
+    value : str, list or number
         What was.
+    place : str
+        Where it stands in a scenario file.
 
     Raises
     ------
-    InvalidArgument
+    Refused
         If it is something else.
     """
-    if value is None:
-        return None
-    listed = value.split(",") if isinstance(value, str) else value
-    listed = listed if isinstance(listed, list | tuple) else [listed]
-    typed = str if isinstance(value, str) else int | float
+    listed = value.split(",") if isinstance(value, str) else value if isinstance(value, list) else [value]
     try:
-        if not all(isinstance(each, typed) and not isinstance(each, bool) for each in listed):
+        if not isinstance(value, str) and any(
+            isinstance(each, bool) or not isinstance(each, int | float) for each in listed
+        ):
             raise ValueError
         first, *others = map(float, listed)
     except (ValueError, OverflowError):
-        raise InvalidArgument(
-            f"{told} is {shown(value)}, expected a number, or numbers with commas"
-        ) from None
-    return (first, *others) if others else first
+        message = f"{told} is {shown(value)}, expected a number, or numbers with commas"
+        raise Refused(message, place) from None
+    return first, *others
 
 
-def point(told: str, text: str) -> tuple[float, ...]:
-    """Return the numbers of a point; parameters and errors are those of `numbers`."""
-    return as_point(numbers(told, text)) or ()
-
-
-def as_point(found: Numbers) -> tuple[float, ...] | None:
-    """Return what `numbers` returns as a tuple, one number alone, too."""
-    return (found,) if isinstance(found, float) else found
+def alone(found: tuple[float, ...]) -> float | tuple[float, ...]:
+    """Return the only number of some, otherwise all."""
+    return found if len(found) > 1 else found[0]
 
 
 def robot(base: Any, **changed: Any) -> Any:
@@ -249,7 +235,7 @@ def path_of(options: Options) -> Any:
         If an option does not apply to it, or is not what is expected.
     """
     name = options["trajectory"]
-    path = options.chosen("trajectory", PATHS)
+    path = choose("trajectory", options["trajectory"], PATHS)
     others = [each for kind in PATHS.values() for each in kind.takes if each not in path.takes]
     takes = ", ".join(map(options.told, path.takes))
     options.refuse(others, f"does not apply to the trajectory {name!r}, which takes {takes}")
@@ -258,7 +244,7 @@ def path_of(options: Options) -> Any:
 
 def trajectory_of(options: Options, curve: Any) -> Any:
     """Return the trajectory along a path that options stand for."""
-    heading = options.chosen("heading", HEADINGS)
+    heading = choose("heading", options["heading"], HEADINGS)
     others = [each for kind in HEADINGS.values() for each in kind.takes if each not in heading.takes]
     options.refuse(others, f"does not apply beside {options.told('heading')} {options['heading']}")
     return options.made("heading", heading, curve)
@@ -279,9 +265,10 @@ def plant_of(options: Options) -> Any:
 
 def body_of(options: Options, prefix: str = "") -> dict[str, Any]:
     """Return what was typed of a body, by the arguments of a `MobileRobot`."""
-    typed = {name: options[prefix + name] for name in BODY}
-    typed["com"] = as_point(typed["com"])
-    return {name: value for name, value in typed.items() if value is not None}
+    typed = {name: options[prefix + name] for name in BODY if options[prefix + name] is not None}
+    if isinstance(typed.get("com"), float):
+        typed["com"] = (typed["com"],)  # a point, if not one of as many numbers as it should have
+    return typed
 
 
 def _changed(options: Options, base: Any, prefix: str) -> Any:
@@ -292,7 +279,7 @@ def _changed(options: Options, base: Any, prefix: str) -> Any:
 def controller_of(options: Options, plant: Any) -> Any:
     """Return the controller of a robot that options stand for."""
     name = options["controller"]
-    law = options.chosen("controller", CONTROLLERS)
+    law = choose("controller", options["controller"], CONTROLLERS)
     difference = plain_difference if options["heading"] == "lecture" else planar_difference
     more = {"difference": difference if options["heading"] else None}
     if law.believes:
@@ -315,7 +302,7 @@ def closed_loop(options: Options) -> dict[str, Any]:
         "robot": plant,
         "controller": controller_of(options, plant),
         "trajectory": trajectory,
-        "integrator": options.chosen("integrator", INTEGRATORS),
+        "integrator": choose("integrator", options["integrator"], INTEGRATORS),
         **{name: options[name] for name in ("dt", "substeps")},
     }
 

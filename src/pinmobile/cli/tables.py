@@ -161,7 +161,6 @@ FORCES: Parts = _classes(disturbances, lambda kind: True)
 STEPS: Parts = {name: partial(lambda step: step, step) for name, step in INTEGRATORS.items()}
 NONE: Parts = {}
 _NAMED = ("type", "heading", "integrator")  # keys whose text names a part
-_NOTHING: Table = {}
 _REFERENCE = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*(\.[^\W\d]\w*)*")
 _PLACES = {"path": "trajectory", "heading": "trajectory.heading", "integrator": "loop.integrator"}
 
@@ -261,7 +260,7 @@ class Maker:
         given: Any,
         available: Parts,
         *,
-        beside: Table = _NOTHING,
+        beside: Table = NONE,
         first: Any = None,
         taken: set[str] | None = None,
     ) -> Any:
