@@ -1,4 +1,4 @@
-"""The `pinmobile` command: it reads options, calls the library, and prints what came and what to do next."""
+"""The `pinmobile` command: it reads options, calls the library, and prints the answer and what to do next."""
 
 import os
 import sys

@@ -232,7 +232,7 @@ OPTIONS: Mapping[str, Option] = {
         Option("seed", "Seed of what is drawn.", int, 0, "ensemble"),
         Option(
             "after",
-            "Time [s] when the start is over: errors count from then on.",
+            "Time (s) when the start is over: errors count from then on.",
             *(float, 0.0, "ensemble"),
             unit="s",
         ),

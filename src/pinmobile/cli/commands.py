@@ -1,7 +1,7 @@
 """The commands and their options; each imports what it runs, since that takes a while."""
 
 import inspect
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -42,7 +42,7 @@ _VERIFIED: dict[str, Any] = {"mass": 10.0, "yaw_inertia": 1.2, "com": (0.15, 0.0
 _TAKES_RUNS = {"allow_extra_args": True, "ignore_unknown_options": True}
 
 
-def _taking(options: Iterable[Option]) -> Callable[[_Command], _Command]:
+def _taking(options: Iterable[Option], *, panels: bool = False) -> Callable[[_Command], _Command]:
     """Put options before those that a command states itself; it takes them by their names, as ``**typed``."""
 
     def with_options(command: _Command) -> _Command:
@@ -50,16 +50,16 @@ def _taking(options: Iterable[Option]) -> Callable[[_Command], _Command]:
         stated = [each for each in own.parameters.values() if each.kind is not each.VAR_KEYWORD]
         last = [each.replace(kind=each.KEYWORD_ONLY) for each in stated if each.name != "context"]
         first = [each for each in stated if each.name == "context"]
-        parameters = [*first, *map(_parameter, options), *last]
+        parameters = [*first, *(_parameter(each, _PANELS if panels else {}) for each in options), *last]
         command.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
         return command
 
     return with_options
 
 
-def _parameter(option: Option) -> inspect.Parameter:
+def _parameter(option: Option, panels: Mapping[str, str]) -> inspect.Parameter:
     kind: Any = str if option.kind is tuple else option.kind
-    shown = typer.Option(as_option(option.name), help=option.text, rich_help_panel=_PANELS.get(option.table))
+    shown = typer.Option(as_option(option.name), help=option.text, rich_help_panel=panels.get(option.table))
     return inspect.Parameter(
         option.name,
         inspect.Parameter.KEYWORD_ONLY,
@@ -192,7 +192,7 @@ def derive(
 
 
 @app.command()
-@_taking(OF_LOOPS)
+@_taking(OF_LOOPS, panels=True)
 def run(
     out: Annotated[Path, _help("Folder for records and figures.", panel=_LOOP)] = Path("out/run"),
     gif: Annotated[bool, _help("Also draw the moving robot.", panel=_LOOP)] = False,

@@ -156,7 +156,7 @@ def list_mountable() -> int:
 
 
 def show_mount(robot: MobileRobot, *, dt: float, duration: float, html: Path | None, out: Path | None) -> int:
-    """Run both controllers, print what came, and write the page and the figures that were asked for."""
+    """Run both controllers, print the table, and write the page and the figures that were asked for."""
     folder = None if out is None else output_folder(out)
     positive("--duration", duration, "s")
     if html is not None:
@@ -183,7 +183,7 @@ def show_mount(robot: MobileRobot, *, dt: float, duration: float, html: Path | N
 def _both(
     robot: MobileRobot, laws: Mapping[str, Any], reference: WholeBody, dt: float, bar: Progress
 ) -> tuple[dict[str, Rollout], list[str]]:
-    """Return the runs, of one that diverged what came before, and what is to be said of those."""
+    """Return the runs, of one that diverged its records until then, and what is to be said of those."""
     runs, failures = {}, []
     for name, law in laws.items():
         begin(bar, f"simulating {name}")

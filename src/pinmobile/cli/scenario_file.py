@@ -95,9 +95,9 @@ def read_grid(path: Path, code: Code | None = None) -> Grid:
         the message begins with the file and the line, where there is one.
     """
     text, tree = _parsed(path)
-    swept: dict[str, list[Any]] = {}
+    swept = dict(_leaves(tree.pop("grid"))) if isinstance(tree.get("grid"), Mapping) else {}
     try:
-        swept = _checked(tree)
+        _check(tree, swept)
         if code is None:
             _refuse_code(path, tree, swept)
         reader = _Reader(tree, swept, Maker(code))
@@ -255,15 +255,14 @@ def _rest(name: str, table: str) -> list[str]:
     return [rest.split(".")[0]] if first == table else []
 
 
-def _checked(tree: dict[str, Any]) -> dict[str, list[Any]]:
-    """Check that all tables and keys have a meaning, and return what is swept, by dotted names."""
+def _check(tree: Table, swept: Table) -> None:
+    """Check that all tables and keys, and the dotted names of what is swept, have a meaning."""
     for table, content in tree.items():
         if table not in (*_TABLES, "grid"):
             raise Refused(unknown(f"table [{table}]", table, [*_TABLES, "grid"]), table)
         if not isinstance(content, Mapping):
             named = ", such as [forces.wind]" if table == "forces" else ""
             raise Refused(f"{table} is {content!r}, expected a table{named}", table)
-    swept = dict(_leaves(tree.pop("grid", {})))
     own = {*_OWN, *(table for table in _TYPED if _may_be_composed(tree, swept, table))}
     for table, content in tree.items():
         for key, value in content.items():
@@ -272,7 +271,6 @@ def _checked(tree: dict[str, Any]) -> dict[str, list[Any]]:
                 raise Refused(f"{key} is {value!r}, expected text in quotes", f"{table}.{key}")
     for name, values in swept.items():
         _check_swept(name, values, own)
-    return swept
 
 
 def _check_key(what: str, table: str, key: str, own: Collection[str], place: str = "") -> None:
