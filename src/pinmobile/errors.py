@@ -51,7 +51,7 @@ class InvalidArgument(PinmobileError, ValueError):
 
     def __init__(self, message: str = "", argument: str | None = None) -> None:
         super().__init__(message)
-        self.argument = message.partition(" ")[0] if argument is None else argument
+        self.argument = str(message).partition(" ")[0] if argument is None else argument
 
     def calling(self, name: str) -> "InvalidArgument":
         """Return the error about the same argument where that is called otherwise."""
