@@ -222,6 +222,11 @@ def test_what_is_swept_has_its_unit(tmp_path: Path, name: str, unit: str) -> Non
             "mass.toml:7: turn_time does not apply beside heading fixed (at ",
         ),
         ("start_y =", "yaw_inertia =", "mass.toml:14: spread['yaw_inertia'] gives -"),
+        (
+            'same = "start_x"',
+            "same = 3",
+            "mass.toml:14: spread of start_y is the same as 3, expected the name",
+        ),
         ("[forces]", "model_mass = -1\n[forces]", "mass.toml:9: model_mass is -1.0 kg, expected > 0 (at "),
         ("[forces]", "model_com = [1]\n[forces]", "mass.toml:9: model_com has shape (1,), expected (2,) or"),
         ('"circle"', '"via-free"\nt_via = 90', "mass.toml:7: radius does not apply to the trajectory "),

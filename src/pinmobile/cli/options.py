@@ -379,8 +379,10 @@ def _source(told: Told, name: str, value: Any, nominal: float) -> Any:
     if kind not in _KINDS:
         raise UnknownName(f"form in the spread of {name}", kind, _KINDS)
     if kind == "same":
+        if not isinstance(value[kind], str):
+            raise _unfit(told, name, f"is the same as {value[kind]!r}, expected the name of a parameter")
         factor = _source(told, f"{name} factor", value.get("factor", 1.0), 1.0)
-        return Same(str(value["same"]), factor)
+        return Same(value[kind], factor)
     if "factor" in value:
         raise _unfit(told, name, f"has a factor beside {kind}, expected one beside same alone")
     if kind == "percent":

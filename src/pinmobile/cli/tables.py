@@ -124,7 +124,7 @@ def _holds(value: Any, name: Any) -> bool:
     if isinstance(value, list):
         return any(_holds(part, name) for part in value)
     # Of a user's part, the module and the name in it are looked for, too.
-    return str(value) == name or (isinstance(value, str) and name in value.split(":"))
+    return bool(value == name) or (isinstance(value, str) and name in value.split(":"))
 
 
 def _parameters(make: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:
