@@ -42,7 +42,7 @@ from pinmobile import (
 from pinmobile.arrays import Array
 from pinmobile.viewer import Arrows, Follow, Overlays, Recording, Stay, Viewer, palette
 from pinmobile.viewer.chromium import Browser
-from pinmobile.viewer.encoding import gif as encoded_gif
+from pinmobile.viewer.recording import gif as encoded_gif
 from tests.chromium import Chromium, Page
 
 BLUE = (0, 114, 178)

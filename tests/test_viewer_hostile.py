@@ -19,7 +19,7 @@ from PIL import Image
 
 from pinmobile.errors import ViewerError
 from pinmobile.viewer import server, sockets
-from pinmobile.viewer.live import LiveWindow
+from pinmobile.viewer.live.window import LiveWindow
 from tests.webclient import WebSocket, ask, eventually
 
 _FEW = 256  # descriptors of a process, macOS's default
@@ -31,7 +31,7 @@ def few_descriptors(script: str) -> Iterator["subprocess.Popen[str]"]:
     lines = f"""
         import os, resource, socket, sys, time
         resource.setrlimit(resource.RLIMIT_NOFILE, ({_FEW}, resource.getrlimit(resource.RLIMIT_NOFILE)[1]))
-        from pinmobile.viewer.live import LiveWindow
+        from pinmobile.viewer.live.window import LiveWindow
         w = LiveWindow()
         print(w.port, flush=True)
     """

@@ -1,16 +1,106 @@
-"""The algebra of polynomials in sines and cosines: a normal form, a short form and a readable one."""
+"""Expressions in sines and cosines without rounding: a normal form, a short form and a readable one."""
 
 from collections import defaultdict
-from collections.abc import Sequence
-from math import gcd
-from typing import Any
+from collections.abc import Mapping, Sequence
+from math import gcd, isclose, pi
+from types import MappingProxyType
+from typing import Any, Protocol
 
+import numpy as np
 import sympy
-from sympy import Expr, Symbol
+from sympy import Expr, ImmutableMatrix, Symbol
 from sympy.polys.rings import PolyElement, PolyRing
 from sympy.simplify.fu import TR10i
 
-__all__ = ["grouped", "normal", "reduced"]
+from pinmobile.derivation.chain import Chain
+from pinmobile.errors import InvalidArgument, shown
+
+
+def exact(name: str, value: Any) -> Expr:
+    """Return `value` as an expression without floating-point numbers.
+
+    A float becomes the fraction that its shortest decimal form spells (0.3 becomes 3/10) and evaluates to the
+    same float again. With rounding inside, equal expressions would not cancel.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : float or sympy.Expr
+        The argument, in any unit.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is neither a finite real number nor an expression.
+    """
+    try:
+        expression = sympy.sympify(value, strict=True)
+    except Exception:  # whatever the value itself raises when it is asked for its numbers
+        expression = None
+    if not isinstance(expression, Expr) or expression.has(sympy.nan, sympy.zoo, sympy.oo, sympy.I):
+        raise InvalidArgument(
+            f"{name} is {shown(value)}, expected a finite real number or a sympy expression"
+        )
+    floats = expression.atoms(sympy.Float)
+    return expression.xreplace({number: sympy.Rational(repr(float(number))) for number in floats})
+
+
+def exact_matrix(name: str, value: Any, shape: tuple[int, int]) -> ImmutableMatrix:
+    """Return `value` as a matrix of expressions without floating-point numbers.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : nested sequence, array or sympy.Matrix
+        The entries, in any unit; a flat sequence is a column.
+    shape : (int, int)
+        What is expected.
+
+    Raises
+    ------
+    InvalidArgument
+        If it has another shape, or an entry is neither a finite real number nor an expression.
+    """
+    rows = value.tolist() if isinstance(value, sympy.MatrixBase | np.ndarray) else value
+    flat = shape[1] == 1 and isinstance(rows, list | tuple) and not any(map(_is_row, rows))
+    rows = [[row] for row in rows] if flat else rows
+    fits = isinstance(rows, list | tuple) and len(rows) == shape[0]
+    if isinstance(value, np.ma.MaskedArray) or not fits or not all(map(_is_row, rows)):
+        rows = ((),)
+    if any(len(row) != shape[1] for row in rows):
+        wanted = f"{shape[0]} entries" if shape[1] == 1 else f"shape {shape}"
+        raise InvalidArgument(f"{name} is {shown(value)}, expected {wanted}")
+    return ImmutableMatrix(*shape, [exact(name, entry) for row in rows for entry in row])
+
+
+def _is_row(value: Any) -> bool:
+    return isinstance(value, list | tuple)
+
+
+def exact_angle(name: str, value: float) -> Expr:
+    """Return a multiple of pi/12 [rad] as such, any other angle as `exact` does.
+
+    The sines and cosines of these multiples are sums of square roots, which sympy cancels by itself.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : float
+        The angle [rad].
+
+    Raises
+    ------
+    InvalidArgument
+        If it is not a finite real number.
+    """
+    twelfths = round(value * 12 / pi)
+    if isclose(value, twelfths * pi / 12, rel_tol=1e-14, abs_tol=1e-15):
+        return sympy.Rational(twelfths, 12) * sympy.pi
+    return exact(name, value)
+
 
 _READABLE = 8  # terms; in a longer bracket nobody sees cos(q1 + q2), and to look for it takes seconds
 
@@ -145,3 +235,69 @@ def _traded(polynomial: PolyElement, out: int, into: int) -> PolyElement:
     for count, terms in squares.items():
         result += ring.from_dict(terms) * (1 - ring.gens[into] ** 2) ** count
     return result
+
+
+Matrices = tuple[ImmutableMatrix, ImmutableMatrix]
+
+
+class Treatment(Protocol):
+    """What becomes of each result."""
+
+    @property
+    def meanings(self) -> Mapping[Symbol, Expr]:
+        """The symbols that stand for results, in the order in which they came up, and what they stand for."""
+
+    def take(self, name: str, result: ImmutableMatrix) -> Matrices:
+        """Return what later steps are to use in the place of `result`, and what the reader is to see."""
+
+
+class Simplified:
+    """Every result is written in few terms; the reader sees them grouped by motion, then by mass."""
+
+    meanings: Mapping[Symbol, Expr] = MappingProxyType({})
+
+    def __init__(self, chain: Chain) -> None:
+        self._levels = (chain.v + chain.a, chain.masses)
+
+    def take(self, name: str, result: ImmutableMatrix) -> Matrices:
+        """Return `result` expanded, and with common factors before brackets."""
+        few = result.applyfunc(reduced)
+        return few, few.applyfunc(lambda entry: grouped(entry, self._levels))
+
+
+class Named:
+    """Every entry of a result that is not a symbol gets a name, and later steps use the name.
+
+    The expressions grow in proportion to the number of joints so; written out, they grow exponentially.
+
+    Attributes
+    ----------
+    meanings : dict of sympy.Symbol to sympy.Expr
+        The names and what they stand for, each in terms of earlier ones.
+    """
+
+    def __init__(self, chain: Chain) -> None:
+        self.meanings: dict[Symbol, Expr] = {}
+        self._taken = {symbol.name for symbol in (*chain.q, *chain.v, *chain.a, *chain.parameters)}
+        self._known: dict[Expr, Expr] = {}
+
+    def take(self, name: str, result: ImmutableMatrix) -> Matrices:
+        """Return names for the entries of `result`, and `result`."""
+        rows, columns = result.shape
+        if columns == 1:
+            places = {1: [""], 3: list("xyz")}.get(rows, [f"_{i}" for i in range(1, rows + 1)])
+        else:
+            places = [f"_{i}{j}" for i in range(1, rows + 1) for j in range(1, columns + 1)]
+        entries = [self._named(name + place, entry) for place, entry in zip(places, result, strict=True)]
+        return ImmutableMatrix(rows, columns, entries), result
+
+    def _named(self, name: str, entry: Expr) -> Expr:
+        if entry.is_Atom or (-entry).is_Atom:
+            return entry
+        if entry not in self._known:
+            while name in self._taken:
+                name += "_"
+            self._taken.add(name)
+            self.meanings[Symbol(name)] = entry
+            self._known |= {entry: Symbol(name), -entry: -Symbol(name)}
+        return self._known[entry]
