@@ -13,7 +13,7 @@ from sympy import Expr, ImmutableMatrix, Symbol
 from pinmobile.arrays import one_of, sequence, whole
 from pinmobile.derivation import wording as say
 from pinmobile.derivation.algebra import exact, exact_angle, exact_matrix
-from pinmobile.derivation.equations import Record
+from pinmobile.derivation.record import Record
 from pinmobile.dh import DHTable, JointType
 from pinmobile.errors import InvalidArgument, shown
 

@@ -9,82 +9,13 @@ import sympy
 from sympy import Expr, ImmutableMatrix, Symbol
 
 from pinmobile.derivation import wording as say
-from pinmobile.derivation.algebra import Named, Simplified, Treatment, normal
+from pinmobile.derivation.algebra import normal
 from pinmobile.derivation.chain import ZERO, Chain, Joint, Link, joints, placements
-from pinmobile.derivation.steps import Derivation, Step
+from pinmobile.derivation.record import SIMPLIFIED_JOINTS, Record
+from pinmobile.derivation.steps import Derivation
 from pinmobile.derivation.wording import Wording
 from pinmobile.dh import LECTURE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument, shown
-
-SIMPLIFIED_JOINTS = 3
-"""Up to so many joints results are simplified; beyond, they are told in named intermediate results."""
-
-
-class Record:
-    """Takes down each step of a derivation.
-
-    Parameters
-    ----------
-    chain : Chain
-        What is derived.
-
-    Attributes
-    ----------
-    steps : list of Step
-        What was taken down so far.
-    treatment : Treatment
-        What becomes of each result.
-    """
-
-    def __init__(self, chain: Chain) -> None:
-        self.chain, self._tag = chain, ""
-        self.steps: list[Step] = []
-        self.treatment: Treatment = Simplified(chain) if len(chain) <= SIMPLIFIED_JOINTS else Named(chain)
-
-    def aside(self, tag: str) -> "Record":
-        """Return an empty record of the same names, for what is computed but not told.
-
-        `tag` goes into new names, as the same quantities occur in this record.
-        """
-        other = Record(self.chain)
-        other.treatment, other._tag = self.treatment, tag
-        return other
-
-    def matrix(self, wording: Wording, result: ImmutableMatrix, k: int = 0, **texts: str) -> ImmutableMatrix:
-        """Take down the step of `wording` for index `k` and return what stands for `result` from now on."""
-        row = self.chain.table.rows[max(k - 1, 0)]
-        name, title, explanation, symbol = wording.at(k, len(self.chain), row, **texts)
-        kept, shown = self.treatment.take(self._tagged(name), ImmutableMatrix(result))
-        self.steps.append(Step(name, title, explanation, symbol, shown))
-        return kept
-
-    def scalar(self, wording: Wording, result: Expr, k: int = 0, **texts: str) -> Expr:
-        """Take down a step whose result is one expression; see `matrix`."""
-        kept = self.matrix(wording, ImmutableMatrix([[result]]), k, **texts)
-        self.steps[-1] = replace(self.steps[-1], expression=self.steps[-1].expression[0])
-        return kept[0]
-
-    def named(self, name: str, result: Expr) -> Expr:
-        """Return what stands for `result` from now on, without a step of its own."""
-        return self.treatment.take(self._tagged(name), ImmutableMatrix([[result]]))[0][0]
-
-    def finished(self, M: Sequence[Sequence[Expr]], n: Sequence[Expr]) -> Derivation:
-        """Take down M and n, given in the order of the rows, and return the derivation."""
-        order, variables = self.chain.order, self.chain.table.variables
-        names = [f"tau_{variables.index(name) + 1}" for name in order]
-        texts = {"order": ", ".join(order), "inputs": ", ".join(names)}
-        rows = self.chain.ordered([self.chain.ordered(row) for row in M])
-        self.matrix(say.MASS_MATRIX, ImmutableMatrix(rows), 0, **texts)
-        self.matrix(say.NONLINEAR_EFFECTS, ImmutableMatrix(self.chain.ordered(n)), 0, **texts)
-        shown = {step.name: step.expression for step in self.steps}
-        inputs = ImmutableMatrix([shown[name] for name in names])
-        meanings = tuple(self.treatment.meanings.items())
-        return Derivation(self.chain, tuple(self.steps), inputs, shown["M"], shown["n_v"], meanings)
-
-    def _tagged(self, name: str) -> str:
-        # as sympy reads names, __ begins a superscript and _ a subscript
-        return name.replace("_", f"__{self._tag}_", 1) if self._tag else name
-
 
 Vectors = list[ImmutableMatrix]
 
