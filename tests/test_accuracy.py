@@ -26,7 +26,7 @@ from pinmobile import (
 from pinmobile.accuracy import Convergence, IntegratorReport
 from pinmobile.accuracy.convergence import conserved, free_body, free_motion, guarded
 from pinmobile.arrays import Array
-from pinmobile.plots.style import colour
+from pinmobile.palette import colour
 
 ROBOT = MobileRobot(10, 1.2, com=(0.15, 0.05))
 ORDERS = {"constant_acceleration": 1, "semi_implicit_euler": 1, "rk4": 4}

@@ -29,13 +29,13 @@ PARTS = _parts(controllers, forces)
 REFERENCES = [name for name in _parts(paths, trajectories) if name != "Reference"]
 # Parts that a file uses to get its own work done, as a user does, not to know them from others.
 USERS = {
-    "accuracy/held_force.py": {"ComputedTorque", "Circle", "Tangent"},
+    "accuracy/report.py": {"ComputedTorque", "Circle", "Tangent"},
     "cli/choices.py": {"PD", "ComputedTorque"},  # with the lecture's gains, which no part knows
     "cli/lecture.py": {"PD", "ComputedTorque"},
     "cli/view.py": {"PD", "ComputedTorque"},
     "cli/mount.py": {"Decoupled", "ComputedTorque"},
     "cli/demonstration.py": {"Decoupled", "ComputedTorque"},
-    "trajectories/whole.py": {"Hold"},
+    "trajectories/reference.py": {"Hold"},
 }
 
 

@@ -59,8 +59,9 @@ ALLOWED: dict[str, set[str]] = {
     "sweeps": {"files", "ensembles", "extras"},
     "balance": {"robot"},
     "reaching": {"robot", "trajectories", "integrators", "plant"},
-    "plots": {"files", "simulation", "accuracy", "ensembles", "balance"},
-    "viewer": {"files", "robot", "simulation", "extras"},
+    "palette": set(),
+    "plots": {"palette", "files", "simulation", "accuracy", "ensembles", "balance"},
+    "viewer": {"palette", "files", "robot", "simulation", "extras"},
 }
 
 

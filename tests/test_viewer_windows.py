@@ -19,7 +19,8 @@ import pytest
 import umsgpack
 
 from pinmobile import InvalidArgument, ViewerError
-from pinmobile.viewer import handlers, live, server
+from pinmobile.viewer.live import handlers, server
+from pinmobile.viewer.live import window as live
 from pinmobile.viewer.live.window import LiveWindow
 from pinmobile.viewer.offline import OfflineWindow
 from pinmobile.viewer.page import Visualizer

@@ -10,26 +10,13 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable
+from pinmobile.palette import AXES, INK, QUIET, colour
 from pinmobile.plant import whole_configurations
 from pinmobile.simulation import Rollout
 from pinmobile.viewer import shapes
 from pinmobile.viewer.motion import Channel, along, configurations, envelope, figure, links, poses_of, sampled
 from pinmobile.viewer.overlays import Arrows, Follow, Overlays, Stay, View, pushing
 from pinmobile.viewer.stage import Extent, Stage, overview
-
-INK = "#222222"
-QUIET = "#8a8f94"
-AXES = ("#D55E00", "#009E73", "#0072B2")
-"""Of x, y and z."""
-
-# Okabe and Ito, "Color universal design", 2008, without black (the desired) and yellow (too pale for a line).
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-
-
-def colour(index: int) -> str:
-    """Return the colour of the rollout with this index."""
-    return _COLOURS[index % len(_COLOURS)]
-
 
 _POSE = ("x", "y", "psi")
 
