@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 from arm_task import AT, KD, KP, MASS, PERIOD, RADIUS, RATE, SIZE, WAY
 from ensemble_contestants import Entrant
-from example_robot_data import load as robot_of
+from example_robot_data import load
 from fleet import Figures
 
 DT = 0.001  # [s]
@@ -110,16 +110,17 @@ class ArmEntrant(Entrant):
 
 def motion(arm: str) -> tuple[np.ndarray, np.ndarray]:
     """Return where the joints begin [rad], and how far they go and back."""
-    rest = rests()[arm]
+    _, rest = loaded(arm)
     way = np.full(len(rest), WAY)
     way[len(way) - FINGERS[arm] :] = 0.0
     return rest, way
 
 
 @cache
-def rests() -> dict[str, np.ndarray]:
-    """Return the arms' reference postures."""
-    return {arm: np.array(robot_of(arm).q0) for arm in TIPS}
+def loaded(arm: str) -> tuple[pin.Model, np.ndarray]:
+    """Return an arm's model and its reference posture; its meshes take a second to read."""
+    robot = load(arm)
+    return robot.model, np.array(robot.q0)
 
 
 @lru_cache(maxsize=8)
@@ -150,7 +151,7 @@ def references(task: Task) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 @lru_cache(maxsize=64)
-def built(arm: str, load: float = PAYLOAD, mass: float = MASS) -> pin.Model:
+def built(arm: str, held: float = PAYLOAD, mass: float = MASS) -> pin.Model:
     """Return the planar chain x, y, psi with plain angles, the base at its end, the arm, and its payload."""
     model, joint = pin.Model(), 0
     for kind, name in ((pin.JointModelPX(), "x"), (pin.JointModelPY(), "y"), (pin.JointModelRZ(), "psi")):
@@ -159,9 +160,9 @@ def built(arm: str, load: float = PAYLOAD, mass: float = MASS) -> pin.Model:
     model.appendBodyToJoint(joint, pin.Inertia(mass, np.array(MIDDLE), inertia), pin.SE3.Identity())
     frame = model.addFrame(pin.Frame("body", joint, 0, pin.SE3.Identity(), pin.FrameType.BODY))
     place = pin.SE3(pin.utils.rotate("z", AT[3]), np.array(AT[:3]))
-    whole = pin.appendModel(model, robot_of(arm).model, frame, place)
+    whole = pin.appendModel(model, loaded(arm)[0], frame, place)
     tip = whole.frames[whole.getFrameId(TIPS[arm])]
-    whole.appendBodyToJoint(tip.parentJoint, payload(load), tip.placement)
+    whole.appendBodyToJoint(tip.parentJoint, payload(held), tip.placement)
     return whole
 
 

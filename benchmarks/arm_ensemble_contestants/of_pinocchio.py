@@ -9,6 +9,8 @@ from arm_fleet import DT, ArmFleet, built, references
 from arm_task import KD, KP
 from fleet import Figures, Run, on_circle
 
+FEW = 50  # robots, to whom a thread of their own is worth its start
+
 
 def one_by_one(fleet: ArmFleet) -> Run:
     """Loop over the robots, each by rnea and aba; a sample's errors and forces are judged at the end."""
@@ -40,7 +42,7 @@ def one_by_one(fleet: ArmFleet) -> Run:
 
 def rollout(fleet: ArmFleet) -> Run:
     """Call both in parallel for all robots: the pool has one model, so all are alike but for friction."""
-    task, threads = fleet.task, max(1, min(os.cpu_count() or 1, fleet.n))
+    task, threads = fleet.task, max(1, min(os.cpu_count() or 1, fleet.n // FEW))
     known = built(task.arm)
     plant = built(task.arm, fleet.payload[0], fleet.mass[0])
     plants, models = pin.ModelPool(plant, threads), pin.ModelPool(known, threads)
