@@ -15,8 +15,10 @@ from pinmobile.arrays import Array, finite, frozen, one_of, scalar, wrap_angle
 from pinmobile.compiled.symbols import plain, symbols
 from pinmobile.compiled.tape import Node
 from pinmobile.errors import InvalidArgument
+from pinmobile.measures import Measure
 from pinmobile.plant import Coordinate, Input, Parameter
 from pinmobile.robot.assembly import named_frames
+from pinmobile.robot.judgement import Judgement
 from pinmobile.robot.linkage import Body, Linkage, Place, regrouped, without_rounding
 from pinmobile.robot.mounts import LinkNumbers, Mount
 from pinmobile.robot.planar import BODY
@@ -82,7 +84,7 @@ class ArticulatedBody:
         Of the base's own body, as in `PlanarBody`.
     upright : tuple of 3 floats
         Of the same body, what the ground alone feels: height of the centre of mass [m], and inertia xz and yz
-        about it [kg m^2].
+        about it, as shares of the yaw inertia, with which they grow.
     masses, coms, inertias : ndarray, shape (links,), (3 links,), (6 links,)
         Of each link, along the axes of its frame: mass, centre of mass, and inertia (xx, yy, zz, xy, xz, yz)
         about that [kg, m, kg m^2].
@@ -92,6 +94,8 @@ class ArticulatedBody:
         What the motors of the arms' joints add to their inertias [kg m^2, kg].
     places : ndarray, shape (4 arms,)
         Where the arms stand.
+    judgement : Judgement
+        What is worth judging about it.
     varied : frozenset of (str, int), optional
         Attributes and entries that differ from robot to robot; of others, what is zero is left out, and where
         an arm stands is a constant. By default, all may differ.
@@ -119,6 +123,7 @@ class ArticulatedBody:
     rotors: Any
     places: Any
     upright: tuple[float, float, float]
+    judgement: Judgement
     varied: frozenset[tuple[str, Any]] | None = None
     matter: tuple[tuple[bool, ...], ...] = ()
 
@@ -233,7 +238,7 @@ class ArticulatedBody:
         """What is fixed to each joint, grouped so that the base's still feels what it does of the ground."""
         mass, inertia, x, y = (exact(_item(plain(getattr(self, name)))) for name in _OF_BASE)
         z, xz, yz = map(exact, self.upright)
-        base = Body.of(mass, [x, y, z], [ZERO, ZERO, inertia, ZERO, xz, yz])
+        base = Body.of(mass, [x, y, z], [ZERO, ZERO, inertia, ZERO, xz * inertia, yz * inertia])
         return regrouped(self.linkage, self._joints, self._carried(base), _BASE - 1)
 
     def _carried(self, base: Body, before: str = "") -> list[Body]:
@@ -323,6 +328,24 @@ class ArticulatedBody:
         turn = Place.of(self.linkage.axes[base], np.zeros(3)).R
         force, moment = (applied(turn, each[base]) for each in forces)
         return force, moment
+
+    @property
+    def weight(self) -> Any:
+        """Weight of all that it is made of [N]."""
+        total = exact(_item(plain(self.mass)))
+        for name in ("masses", "load_masses"):
+            for mass in self._numbers(name):
+                total = total + mass
+        return number(total * float(np.linalg.norm(self.linkage.gravity)))
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        """What is worth judging about it: see `MobileRobot.measures`."""
+        return self.judgement.measures
+
+    def measured(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
+        """Return its measures, shape (..., m)."""
+        return self.judgement.measured(self, q, v, a, u, reference)
 
     def frame_pose(self, q: Any, frame: str) -> Any:
         """Return T_0_f, the pose of a frame, shape (..., 4, 4)."""
@@ -477,7 +500,8 @@ def articulated(robot: Any, linkage: Linkage) -> ArticulatedBody:
         load_inertias=frozen(np.ravel([load.six for load in loads])),
         rotors=frozen(np.concatenate([each.rotors for each in numbers])),
         places=frozen(np.ravel([mount.at for mount in robot.mounts])),
-        upright=(float(robot.body.com[2]), *robot.body.inertia[2, :2].tolist()),
+        upright=(float(robot.body.com[2]), *(robot.body.inertia[2, :2] / robot.body.yaw_inertia).tolist()),
+        judgement=Judgement.of(robot),
     )
 
 
