@@ -8,7 +8,16 @@ import numpy as np
 from pinmobile.arrays import Array, are_real, callable_as, one_of, sequence, text
 from pinmobile.errors import InvalidArgument, shown
 
-__all__ = ["Measure", "chosen", "measured_of", "measures_of", "size_of", "value_of"]
+__all__ = [
+    "Measure",
+    "channels_of",
+    "check_measured",
+    "chosen",
+    "measured_of",
+    "measures_of",
+    "size_of",
+    "value_of",
+]
 
 _WORST = ("largest", "smallest")
 _SCALE = 2.0**-12  # of margins: below this, differences count; above it, ratios
@@ -125,10 +134,56 @@ def chosen(plant: Any, names: Any, taken: Sequence[str]) -> tuple[Measure, ...]:
     if isinstance(names, str):
         raise InvalidArgument(f"measures is {names!r}, expected a sequence of names: [{names!r}]")
     known = {one.name: one for one in stated}
-    wanted = [
-        one_of("measure", name, known) for name in sequence("measures", names, "a sequence of names")
-    ]
+    wanted = [one_of("measure", name, known) for name in sequence("measures", names, "a sequence of names")]
     return tuple(one for one in stated if one.name in wanted)
+
+
+def channels_of(coordinates: Sequence[Any], measures: Sequence[Measure]) -> tuple[Measure, ...]:
+    """Return what robots are compared by: errors of the reference's coordinates, and measures.
+
+    Parameters
+    ----------
+    coordinates : sequence of Coordinate
+        Those that the reference has, x, y and psi first.
+    measures : sequence of Measure
+        Those that are judged.
+    """
+    errors = [Measure(one.name, one.unit, f"error of {one.name}") for one in coordinates[3:]]
+    return (
+        Measure("distance", "m", "distance from the desired position"),
+        Measure("heading", "rad", "error of the heading"),
+        *errors,
+        *measures,
+    )
+
+
+def check_measured(plant: Any, q: Array, v: Array, reference: Any) -> None:
+    """Refuse a plant whose measures, at rest where it starts, have another shape or are no numbers.
+
+    Parameters
+    ----------
+    plant : plant
+        One that states measures.
+    q, v : ndarray, shape (nq,), (nv,)
+        Where it starts.
+    reference : Reference
+        Of all samples.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is such; infinity is a number.
+    """
+    first = type(reference)(*(x[0] for x in reference))
+    asked = np.zeros(()), q, v, np.zeros(plant.nv), np.zeros(plant.nu), first
+    found, again = (measured_of(plant, *asked) for _ in range(2))
+    for one, number, other in zip(measures_of(plant), found, again, strict=True):
+        if np.isnan(number) or number != other:
+            what = "NaN" if np.isnan(number) else f"{number:g} and, asked again, {other:g}"
+            raise InvalidArgument(
+                f"plant is a {type(plant).__name__}, whose measured(t, q, v, a, u, reference) returned "
+                f"{what} as {one.name!r} where it starts, expected a number, the same each time"
+            )
 
 
 def measured_of(plant: Any, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
@@ -156,7 +211,9 @@ def measured_of(plant: Any, t: Any, q: Any, v: Any, a: Any, u: Any, reference: A
     asked = f"plant is a {type(plant).__name__}, whose measured(t, q, v, a, u, reference) returned"
     if not hasattr(found, "shape") or np.shape(found) != expected:
         what = f"shape {np.shape(found)}" if hasattr(found, "shape") else shown(found)
-        raise InvalidArgument(f"{asked} {what}, expected an array of shape {expected}: a number for each measure")
+        raise InvalidArgument(
+            f"{asked} {what}, expected an array of shape {expected}: a number for each measure"
+        )
     if not are_real(found):
         raise InvalidArgument(f"{asked} {shown(found)}, expected real numbers")
     return found

@@ -325,7 +325,7 @@ class ArticulatedBody:
     def _felt(self, bodies: Sequence[Body], q: Any, v: Any, a: Any) -> tuple[Vector, Vector]:
         """Return the force and the moment, along and about the base's frame, that let bodies move so."""
         base, forces = _BASE - 1, self._moving(q, v).wrenches(bodies, self._in_joints(a))
-        turn = Place.of(self.linkage.axes[base], np.zeros(3)).R
+        turn = [[exact(x) for x in row] for row in self.linkage.axes[base].tolist()]
         force, moment = (applied(turn, each[base]) for each in forces)
         return force, moment
 

@@ -77,11 +77,11 @@ class Judgement:
         rest = self.rest[np.shape(reference.q)[-1] :]
         rest = np.broadcast_to(rest, (*np.shape(reference.q)[:-1], len(rest)))
         desired = np.concatenate([reference.q, rest], axis=-1)
-        found = []
+        found: list[Any] = []
         for _, tip in self.tips:
             found += _apart(robot.frame_pose(q, tip), robot.frame_pose(desired, tip))
         if self._limited:
-            shares = np.abs(u[..., self._limited]) / self.effort_limit[self._limited]
+            shares = np.abs(u[..., self._limited]) * (1.0 / self.effort_limit[self._limited])
             found.append(np.max(shares, axis=-1))
         if self.footprint is not None:
             wrench = robot.ground_wrench(q, v, a)
