@@ -207,6 +207,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "extras": (),
     "files": (),
     "integrators": ("constant_acceleration", "rk4", "semi_implicit_euler"),
+    "measures": (),
     "paths": ("Circle", "CubicVia", "Hold", "Lissajous", "RestToRest", "Spline"),
     "plant": ("Context",),
     "plots": (),
