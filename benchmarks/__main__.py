@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 
 import arm
+import arm_ensembles
 import calls
 import ensembles
 import imports
@@ -17,11 +18,12 @@ import rollout
 import viewing
 from measuring import picked, selecting
 
-PARTS = (rollout, arm, ensembles, loop, calls, memory, viewing, imports)
+PARTS = (rollout, arm, ensembles, arm_ensembles, loop, calls, memory, viewing, imports)
 PEOPLE = {
     rollout: rollout.EVERYONE,
     arm: arm.EVERYONE,
     ensembles: ensembles.EVERYONE,
+    arm_ensembles: arm_ensembles.EVERYONE,
     loop: loop.EVERYONE,
     calls: calls.PEOPLE,
     memory: memory.EVERYONE,

@@ -77,6 +77,7 @@ def assert_agrees(robot: MobileRobot, states: int = 2) -> None:
         ("g", body.gravity(q), robot.gravity(q)),
         ("tau", body.inverse_dynamics(q, v, a), tau),
         ("a", body.forward_dynamics(q, v, tau), a),
+        ("ground", body.ground_wrench(q, v, a), robot.ground_wrench(q, v, a)),
         ("pose", body.frame_pose(q, frame), robot.frame_pose(q, frame)),
         ("J", body.frame_jacobian(q, frame), robot.frame_jacobian(q, frame)),
         ("q", body.integrate(q, d), robot.integrate(q, d)),

@@ -207,6 +207,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
         "ViscousFriction",
     ),
     "integrators": ("constant_acceleration", "rk4", "semi_implicit_euler"),
+    "measures": (),
     "palette": (),
     "paths": ("Circle", "CubicVia", "Hold", "Lissajous", "RestToRest", "Spline"),
     "plant": ("Context",),

@@ -15,13 +15,15 @@ from pinmobile.arrays import Array, finite, frozen, one_of, scalar, wrap_angle
 from pinmobile.compiled.symbols import plain, symbols
 from pinmobile.compiled.tape import Node
 from pinmobile.errors import InvalidArgument
+from pinmobile.measures import Measure
 from pinmobile.plant import Coordinate, Input, Parameter
 from pinmobile.robot.assembly import named_frames
+from pinmobile.robot.judgement import Judgement
 from pinmobile.robot.linkage import Body, Linkage, Place, regrouped, without_rounding
 from pinmobile.robot.mounts import LinkNumbers, Mount
 from pinmobile.robot.planar import BODY
 from pinmobile.robot.recursions import Moving, Posture, by_matrix, operations
-from pinmobile.robot.scalars import ZERO, Vector, exact, number
+from pinmobile.robot.scalars import ZERO, Vector, applied, exact, number
 
 __all__ = ["ArticulatedBody", "Fixed", "articulated"]
 
@@ -80,6 +82,9 @@ class ArticulatedBody:
         Where what has no reference starts.
     mass, yaw_inertia, com_x, com_y : float
         Of the base's own body, as in `PlanarBody`.
+    upright : tuple of 3 floats
+        Of the same body, what the ground alone feels: height of the centre of mass [m], and inertia xz and yz
+        about it, as shares of the yaw inertia, with which they grow.
     masses, coms, inertias : ndarray, shape (links,), (3 links,), (6 links,)
         Of each link, along the axes of its frame: mass, centre of mass, and inertia (xx, yy, zz, xy, xz, yz)
         about that [kg, m, kg m^2].
@@ -89,6 +94,8 @@ class ArticulatedBody:
         What the motors of the arms' joints add to their inertias [kg m^2, kg].
     places : ndarray, shape (4 arms,)
         Where the arms stand.
+    judgement : Judgement
+        What is worth judging about it.
     varied : frozenset of (str, int), optional
         Attributes and entries that differ from robot to robot; of others, what is zero is left out, and where
         an arm stands is a constant. By default, all may differ.
@@ -115,6 +122,8 @@ class ArticulatedBody:
     load_inertias: Any
     rotors: Any
     places: Any
+    upright: tuple[float, float, float]
+    judgement: Judgement
     varied: frozenset[tuple[str, Any]] | None = None
     matter: tuple[tuple[bool, ...], ...] = ()
 
@@ -221,15 +230,29 @@ class ArticulatedBody:
     def _bodies(self) -> list[Body]:
         """What is fixed to each joint, grouped so that least is to compute."""
         mass, inertia, x, y = (exact(_item(plain(getattr(self, name)))) for name in _OF_BASE)
+        base = Body.of(mass, [x, y, ZERO], [ZERO, ZERO, inertia, ZERO, ZERO, ZERO])
+        return regrouped(self.linkage, self._joints, self._carried(base))
+
+    @cached_property
+    def _bodies_on_ground(self) -> list[Body]:
+        """What is fixed to each joint, grouped so that the base's still feels what it does of the ground."""
+        mass, inertia, x, y = (exact(_item(plain(getattr(self, name)))) for name in _OF_BASE)
+        z, xz, yz = map(exact, self.upright)
+        base = Body.of(mass, [x, y, z], [ZERO, ZERO, inertia, ZERO, xz * inertia, yz * inertia])
+        return regrouped(self.linkage, self._joints, self._carried(base), _BASE - 1)
+
+    def _carried(self, base: Body, before: str = "") -> list[Body]:
+        """Return what is fixed to each joint: the base's body, and links and loads whose names begin so."""
         found = [Body.none() for _ in self.coordinates]
-        found[_BASE - 1] = Body.of(mass, [x, y, ZERO], [ZERO, ZERO, inertia, ZERO, ZERO, ZERO])
+        found[_BASE - 1] = base
         for prefix, frames in (("", self.links), ("load_", self.loads)):
             masses, coms, inertias = (self._numbers(f"{prefix}{name}") for name in _OF_BODIES)
-            for k, (_, joint, arm, R, p) in enumerate(frames):
-                body = Body.of(masses[k], coms[3 * k : 3 * k + 3], inertias[6 * k : 6 * k + 6])
-                place = self._placed(arm, R, p)
-                found[joint] = found[joint].joined(body.turned(place.R).moved(place.p))
-        return regrouped(self.linkage, self._joints, found)
+            for k, (name, joint, arm, R, p) in enumerate(frames):
+                if name.startswith(before):
+                    body = Body.of(masses[k], coms[3 * k : 3 * k + 3], inertias[6 * k : 6 * k + 6])
+                    place = self._placed(arm, R, p)
+                    found[joint] = found[joint].joined(body.turned(place.R).moved(place.p))
+        return found
 
     @cached_property
     def _motors(self) -> Vector:
@@ -293,6 +316,36 @@ class ArticulatedBody:
             M[i][i] = M[i][i] + self._motors[i]
             rows[k] = self._public(M[i], q)
         return _rows(rows)
+
+    def ground_wrench(self, q: Any, v: Any, a: Any) -> Any:
+        """Return what the ground exerts on the robot, shape (..., 6): force, moment, along and about B."""
+        force, moment = self._felt(self._bodies_on_ground, q, v, a)
+        return _stacked([*force, *moment], q)
+
+    def _felt(self, bodies: Sequence[Body], q: Any, v: Any, a: Any) -> tuple[Vector, Vector]:
+        """Return the force and the moment, along and about the base's frame, that let bodies move so."""
+        base, forces = _BASE - 1, self._moving(q, v).wrenches(bodies, self._in_joints(a))
+        turn = [[exact(x) for x in row] for row in self.linkage.axes[base].tolist()]
+        force, moment = (applied(turn, each[base]) for each in forces)
+        return force, moment
+
+    @property
+    def weight(self) -> Any:
+        """Weight of all that it is made of [N]."""
+        total = exact(_item(plain(self.mass)))
+        for name in ("masses", "load_masses"):
+            for mass in self._numbers(name):
+                total = total + mass
+        return number(total * float(np.linalg.norm(self.linkage.gravity)))
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        """What is worth judging about it: see `MobileRobot.measures`."""
+        return self.judgement.measures
+
+    def measured(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
+        """Return its measures, shape (..., m)."""
+        return self.judgement.measured(self, q, v, a, u, reference)
 
     def frame_pose(self, q: Any, frame: str) -> Any:
         """Return T_0_f, the pose of a frame, shape (..., 4, 4)."""
@@ -447,6 +500,8 @@ def articulated(robot: Any, linkage: Linkage) -> ArticulatedBody:
         load_inertias=frozen(np.ravel([load.six for load in loads])),
         rotors=frozen(np.concatenate([each.rotors for each in numbers])),
         places=frozen(np.ravel([mount.at for mount in robot.mounts])),
+        upright=(float(robot.body.com[2]), *(robot.body.inertia[2, :2] / robot.body.yaw_inertia).tolist()),
+        judgement=Judgement.of(robot),
     )
 
 

@@ -15,12 +15,14 @@ from pinmobile.arrays import Array, ArrayLike, finite, lengths, location, positi
 from pinmobile.constancy import constant
 from pinmobile.dh import LECTURE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
+from pinmobile.measures import Measure
 from pinmobile.plant import Parameter
 from pinmobile.robot.articulated import ArticulatedBody, articulated
 from pinmobile.robot.assembly import assemble
 from pinmobile.robot.carrier import Carrier
 from pinmobile.robot.chain import build_model, check_chain
 from pinmobile.robot.engine import BODY_JOINT, Engine
+from pinmobile.robot.judgement import Judgement
 from pinmobile.robot.meshes import VisualFile
 from pinmobile.robot.mounts import LinkNumbers, Load, Mount, placed
 from pinmobile.robot.pictures import add_carried
@@ -341,6 +343,51 @@ class MobileRobot(Carrier):
             return self._articulated.parameters
         except NotTraceable:
             return ()
+
+    @cached_property
+    def _judgement(self) -> Judgement:
+        return Judgement.of(self)
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        """What is worth judging about it beside errors, none without arms: what `measured` returns.
+
+        Of each arm how far its end effector is from where the reference puts it, and by what angle; where
+        joints have limits, the largest effort of what they allow; and the tip-over margin, where footprint
+        and ground are known.
+        """
+        return self._judgement.measures if self.mounts else ()
+
+    def measured(
+        self, t: ArrayLike, q: ArrayLike, v: ArrayLike, a: ArrayLike, u: ArrayLike, reference: Any
+    ) -> Array:
+        """Return its `measures`, shape (..., m).
+
+        What the reference does not lead it puts where `rest` has it, as `start` does.
+
+        Parameters
+        ----------
+        t : array_like, shape (...)
+            Time [s], on which nothing depends.
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        v, a : array_like, shape (..., nv)
+            Velocity and acceleration [m/s, m/s, rad/s, ...; per s].
+        u : array_like, shape (..., nv)
+            Input [N, N, N m, ...].
+        reference : Reference
+            Where the first coordinates should be.
+
+        Raises
+        ------
+        InvalidArgument
+            If the robot has no arms, and therefore no measures, or an argument has another shape.
+        """
+        if not self.mounts:
+            raise InvalidArgument("robot carries no arm, expected one: robot.mount(...)")
+        state = self._q(q), self._v("v", v), self._v("a", a), self._v("u", u)
+        found: Array = self._judgement.measured(self, *state, reference)
+        return found
 
     def traced(self) -> PlanarBody | ArticulatedBody:
         """Return its dynamics over symbols or arrays; without arms, loads count as the body's.

@@ -164,17 +164,19 @@ class Moving(Posture):
 
     def efforts(self, bodies: Sequence[Body], a: Vector) -> Vector:
         """Return forces and torques of the joints, of accelerations in their order, by Newton and Euler."""
-        linkage, n = self.linkage, len(self.R)
+        wrenches = zip(*self.wrenches(bodies, a), self.linkage.turns, strict=True)
+        return [moment[2] if turns else force[2] for force, moment, turns in wrenches]
+
+    def wrenches(self, bodies: Sequence[Body], a: Vector) -> tuple[list[Vector], list[Vector]]:
+        """Return what each joint exerts on all that hangs on it: force, and moment about its origin."""
         forces, moments = self._inertial(bodies, a)
-        found = [ZERO] * n
-        for i in reversed(range(n)):
-            found[i] = moments[i][2] if linkage.turns[i] else forces[i][2]
-            above = linkage.parents[i]
+        for i in reversed(range(len(self.R))):
+            above = self.linkage.parents[i]
             if above >= 0:
                 force = self.up(i, forces[i])
                 moment = plus(self.up(i, moments[i]), cross(self.p[i], force))
                 forces[above], moments[above] = plus(forces[above], force), plus(moments[above], moment)
-        return found
+        return forces, moments
 
     def _inertial(self, bodies: Sequence[Body], a: Vector) -> tuple[list[Vector], list[Vector]]:
         """Return what moves each body alone: force, and moment about the origin of its frame."""

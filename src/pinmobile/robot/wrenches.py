@@ -1,5 +1,7 @@
 """Wrenches inside a robot and between it and the ground, in the body's frame."""
 
+from functools import cached_property
+
 import numpy as np
 import pinocchio as pin
 
@@ -18,6 +20,11 @@ class ChainWrenches(ChainDynamics):
     A wrench is (fx, fy, fz, mx, my, mz) [N, N, N, N m, N m, N m]. What rotors add to a joint's torque by
     their own spin is not in it. Other conventions: see `ChainDynamics`.
     """
+
+    @cached_property
+    def weight(self) -> float:
+        """Weight of the robot with all that it carries [N]."""
+        return float(pin.computeTotalMass(self._model) * np.linalg.norm(self._model.gravity.linear))
 
     def ground_wrench(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return what the ground exerts on the robot that moves so, shape (..., 6).

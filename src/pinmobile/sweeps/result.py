@@ -181,13 +181,14 @@ class Sweep:
             raise InvalidArgument(
                 f"scenario {labels} has no records yet: start the same sweep again to go on"
             )
-        per_robot: dict[str, Any] = {name: np.array(data[name]) for name in PER_ROBOT}
+        none = np.zeros((scenario.n, 0))
+        records: dict[str, Any] = {name: np.array(data[name]) if name in data else none for name in PER_ROBOT}
         return Ensemble(
             scenario=scenario,
             draws={name: np.array(data[drawn_name(name)]) for name in scenario.spread},
             counts=counts,
             traces={},
-            **per_robot,
+            **records,
         )
 
     def __repr__(self) -> str:
