@@ -220,6 +220,8 @@ class Walk:
         Classes of things that have `traced`, whose own methods are no NumPy.
     functions : list of function
         Whose code it is.
+    kinds : dict of type to None
+        Classes that were met, in order.
     """
 
     def __init__(self, parts: Iterable[Any]) -> None:
@@ -230,6 +232,7 @@ class Walk:
         self.names: dict[tuple[int, str], tuple[Mapping[str, Any], str]] = {}
         self.modelled: list[type] = []
         self.functions: list[FunctionType] = []
+        self.kinds: dict[type, None] = {}
         for part in parts:
             self.visit(part)
 
@@ -272,6 +275,9 @@ class Walk:
 
     def _class(self, thing: type) -> None:
         for each in thing.__mro__:
+            if each in self.kinds:
+                continue
+            self.kinds[each] = None
             if _is_own(each.__module__, bool(each.__flags__ & _MADE_BY_CODE)):
                 own = vars(each)  # another object each time
                 for name, value in list(own.items()):
