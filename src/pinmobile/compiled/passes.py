@@ -12,7 +12,7 @@ from pinmobile.compiled.noise import normals
 from pinmobile.compiled.parts import Memory, Parts, Place, Reference, Stepped, one_sample
 from pinmobile.compiled.symbols import Symbols, entries, symbols
 from pinmobile.compiled.tape import COUNT, LARGEST, Node, Tape, evaluated, float_bits, needed, real
-from pinmobile.compiled.tracing import calling_place, tracing
+from pinmobile.compiled.tracing import Walk, calling_place, tracing
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName
 
 __all__ = ["traced"]
@@ -31,8 +31,8 @@ def traced(
 ) -> Loop:
     """Return a closed loop as a tape.
 
-    The laws run once on numbers, so that their own errors come as they are, and at least twice on symbols;
-    both tapes must be the same, and give the numbers.
+    The laws run once on numbers, so that their own errors come as they are, and then on symbols: those that
+    are not the library's own at least twice. Both tapes must be the same, and give the numbers.
 
     Parameters
     ----------
@@ -93,6 +93,7 @@ class _Trace:
         self.spread, self.largest, self.own_reference = spread, largest, False
         self.fixed: frozenset[tuple[str, str]] = frozenset()
         self.shapes: dict[tuple[str, str], tuple[int, ...]] = {}
+        self.walk = Walk([one_sample, *(part for _, part in parts.by_path())])
 
     def result(self) -> Loop:
         """Return the tape, after it has been compared with itself and with numbers."""
@@ -104,7 +105,8 @@ class _Trace:
         if fixed:
             self.fixed = fixed
             loop = self._loop()
-        self._compare_tapes(loop, self._loop())
+        if not self.walk.is_ours:
+            self._compare_tapes(loop, self._loop())
         self._compare_numbers(loop, number)
         return loop
 
@@ -241,8 +243,7 @@ class _Pass:
         memory = Memory(
             *(self._remembered(owner, tree) for owner, tree in zip(Memory._fields, numbers, strict=True))
         )
-        inside = [one_sample, *(part for _, part in trace.parts.by_path())]
-        with tracing(inside):
+        with tracing(trace.walk):
             found = one_sample(parts, k, t, h, q, v, reference, memory)
             after = self._after(memory, found)
         kept = {

@@ -121,6 +121,7 @@ class Tape:
         self.places: list[Any] = []
         self._known: dict[Operation, int] = {}
         self._applied: dict[tuple[Any, ...], int] = {}  # what has been asked for, before it was simplified
+        self._values: dict[int, Any] = {}  # of constants
         self._largest, self._where, self._own = largest, where, 0
 
     def __len__(self) -> int:
@@ -147,10 +148,7 @@ class Tape:
 
     def known(self, index: int) -> Any:
         """Return the value of a constant, and None of any other node."""
-        operation = self.operations[index]
-        if operation[0] != "const":
-            return None
-        return _bits_float(operation[2]) if operation[1] == "f" else operation[2]
+        return self._values.get(index)
 
     def apply(self, name: str, *given: Any) -> "Node":
         """Return the node of an operation on nodes and plain numbers, folded where it can be."""
@@ -174,13 +172,13 @@ class Tape:
             name = ON_WHOLES[name]
         wanted = kinds_before(name, kinds)
         nodes = [self._as(x, kind) for x, kind in zip(given, wanted, strict=True)]
-        values = [self.known(node.index) for node in nodes]
+        indices = [node.index for node in nodes]
+        values = [*map(self._values.get, indices)]
         if None not in values:
             return self._folded(name, wanted, values)
         simpler: Node | None = simplified(self, name, nodes, values)
         if simpler is not None:
             return simpler
-        indices = [node.index for node in nodes]
         if name in COMMUTE:
             indices.sort()
         depends = 0
@@ -217,6 +215,8 @@ class Tape:
                     "take fewer rounds, or run it with engine=ARRAYS",
                 )
             self._known[operation] = index
+            if operation[0] == "const":
+                self._values[index] = _bits_float(operation[2]) if operation[1] == "f" else operation[2]
             self.operations.append(operation)
             self.types.append(kind)
             self.depends.append(depends)
@@ -359,9 +359,10 @@ def evaluated(
             elif name == "ring":
                 values[index] = values[operation[3]] if first else inputs[operation]
             elif name in _INPUTS:
-                values[index] = np.asarray(inputs[operation], DTYPES[tape.types[index]])
+                # Of one number NumPy's scalar, whose sums are faster than those of an array without axes.
+                values[index] = np.asarray(inputs[operation], DTYPES[tape.types[index]])[()]
             else:
-                values[index] = NUMPY[name](*(values[i] for i in operation[1:]))
+                values[index] = NUMPY[name](*[values[i] for i in operation[1:]])
     return [values[index] for index in wanted]
 
 

@@ -25,6 +25,7 @@ _MADE_BY_CODE = 1 << 9  # of a class's flags: it comes of a class statement
 _OURS = (_HERE, str(Path(np.__file__).parent), "<__array_function__", "<frozen")
 _OPENED = (FunctionType, MethodType, type, dict, list, tuple)  # Python's own that a law's things stand in
 _LAWS = ("pinmobile.compiled.parts", "pinmobile.compiled.recorders")
+_OWN = "pinmobile.", "namedtuple_"  # the second is what Python makes for named tuples
 _FOREIGN = (
     frozenset(("numpy", "scipy", "pinocchio", "llvmlite", "sympy", "matplotlib")) | sys.stdlib_module_names
 )
@@ -124,8 +125,8 @@ def _by_their_laws(kinds: Iterable[type]) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def tracing(parts: Iterable[Any]) -> Iterator[None]:
-    """Let the laws of these parts run on symbols, in this thread.
+def tracing(parts: "Iterable[Any] | Walk") -> Iterator[None]:
+    """Let the laws of these parts, or those that a walk has met, run on symbols, in this thread.
 
     Raises
     ------
@@ -133,7 +134,7 @@ def tracing(parts: Iterable[Any]) -> Iterator[None]:
         If a law does what cannot be done with symbols; it names the line.
     """
     with _lock:
-        walk = Walk(parts)
+        walk = parts if isinstance(parts, Walk) else Walk(parts)
         changed = [
             (names, name, value, other)
             for names in walk.namespaces.values()
@@ -235,6 +236,11 @@ class Walk:
         self.kinds: dict[type, None] = {}
         for part in parts:
             self.visit(part)
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether all that code is this library's, which asks nothing but its arguments."""
+        return all((f.__module__ or "").startswith(_OWN) for f in self.functions)
 
     def _met(self, where: Any, mapping: Mapping[str, Any], name: str) -> None:
         self.names[id(where), name] = mapping, name
