@@ -368,11 +368,12 @@ def evaluated(
 
 def needed(tape: Tape, wanted: Iterable[int]) -> list[int]:
     """Return the nodes that some nodes need, themselves included, in the order of the tape."""
-    found: set[int] = set()
-    todo = list(wanted)
-    while todo:
-        index = todo.pop()
-        if index not in found:
-            found.add(index)
-            todo += operands(tape.operations[index])
-    return sorted(found)
+    last = max(wanted := list(wanted), default=-1)
+    found = bytearray(last + 1)
+    for index in wanted:
+        found[index] = 1
+    for index in range(last, -1, -1):  # an operand comes before what it is an operand of
+        if found[index]:
+            for operand in operands(tape.operations[index]):
+                found[operand] = 1
+    return [index for index, is_needed in enumerate(found) if is_needed]
