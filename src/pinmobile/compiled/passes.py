@@ -15,7 +15,7 @@ from pinmobile.compiled.tape import COUNT, LARGEST, Node, Tape, evaluated, float
 from pinmobile.compiled.tracing import Walk, calling_place, tracing
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName
 
-__all__ = ["traced"]
+__all__ = ["traced", "walk_of"]
 
 
 def traced(
@@ -28,6 +28,7 @@ def traced(
     spread: Iterable[Place] = (),
     largest: int = LARGEST,
     own_reference: bool = False,
+    walk: Walk | None = None,
 ) -> Loop:
     """Return a closed loop as a tape.
 
@@ -52,6 +53,8 @@ def traced(
         Most nodes of the tape.
     own_reference : bool
         Whether each robot has a reference of its own.
+    walk : Walk, optional
+        Through the parts as they are on symbols, and `one_sample`, where there is one.
 
     Raises
     ------
@@ -66,12 +69,19 @@ def traced(
     trace = _Trace(
         parts, context, q, v, given, dt / parts.substeps, frozenset(Place(*x) for x in spread), largest
     )
-    trace.own_reference = own_reference
+    trace.own_reference, trace.walk = own_reference, walk or walk_of(parts)
     return trace.result()
+
+
+def walk_of(parts: Parts) -> Walk:
+    """Return a walk through all that a loop's code refers to."""
+    return Walk([one_sample, *(part for _, part in parts.by_path())])
 
 
 class _Trace:
     """The way from parts to a tape."""
+
+    walk: Walk
 
     def __init__(
         self,
@@ -93,7 +103,6 @@ class _Trace:
         self.spread, self.largest, self.own_reference = spread, largest, False
         self.fixed: frozenset[tuple[str, str]] = frozenset()
         self.shapes: dict[tuple[str, str], tuple[int, ...]] = {}
-        self.walk = Walk([one_sample, *(part for _, part in parts.by_path())])
 
     def result(self) -> Loop:
         """Return the tape, after it has been compared with itself and with numbers."""

@@ -124,6 +124,20 @@ class Tape:
         self._values: dict[int, Any] = {}  # of constants
         self._largest, self._where, self._own = largest, where, 0
 
+    @classmethod
+    def of(cls, operations: list[Operation], types: list[str], depends: list[int]) -> "Tape":
+        """Return one that has these nodes, as from a file."""
+        tape = cls()
+        tape.operations, tape.types, tape.depends = operations, types, depends
+        for index, operation in enumerate(operations):
+            if operation[0] == "const":
+                tape._keep(index, operation)
+        return tape
+
+    def _keep(self, index: int, operation: Operation) -> None:
+        """Keep the value of a constant."""
+        self._values[index] = _bits_float(operation[2]) if operation[1] == "f" else operation[2]
+
     def __len__(self) -> int:
         return len(self.operations)
 
@@ -216,7 +230,7 @@ class Tape:
                 )
             self._known[operation] = index
             if operation[0] == "const":
-                self._values[index] = _bits_float(operation[2]) if operation[1] == "f" else operation[2]
+                self._keep(index, operation)
             self.operations.append(operation)
             self.types.append(kind)
             self.depends.append(depends)

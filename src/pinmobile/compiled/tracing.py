@@ -8,6 +8,7 @@ import linecache
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from operator import itemgetter
 from pathlib import Path
 from types import CellType, CodeType, FunctionType, MethodType, ModuleType, TracebackType
 from typing import Any
@@ -17,7 +18,7 @@ import numpy as np
 from pinmobile.compiled.functions import constructors
 from pinmobile.errors import NotTraceable
 
-__all__ = ["Walk", "calling_place", "is_foreign", "place_of", "tracing"]
+__all__ = ["Walk", "calling_place", "is_foreign", "names_of", "place_of", "tracing", "uncollected"]
 
 _lock = threading.RLock()
 _local = threading.local()
@@ -126,6 +127,18 @@ def _by_their_laws(kinds: Iterable[type]) -> Iterator[None]:
 
 
 @contextlib.contextmanager
+def uncollected() -> Iterator[None]:
+    """Look for no garbage: where thousands of small objects are made that stay, it takes a third of the time."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
+
+
+@contextlib.contextmanager
 def tracing(parts: "Iterable[Any] | Walk") -> Iterator[None]:
     """Let the laws of these parts, or those that a walk has met, run on symbols, in this thread.
 
@@ -152,12 +165,8 @@ def tracing(parts: "Iterable[Any] | Walk") -> Iterator[None]:
         for cell, _, other in shut:
             cell.cell_contents = other
         _local.depth = getattr(_local, "depth", 0) + 1
-        # A tape is thousands of small objects that all stay: looking for garbage among them takes a third
-        # of the time.
-        collects = gc.isenabled()
-        gc.disable()
         try:
-            with _by_their_laws(walk.modelled):
+            with uncollected(), _by_their_laws(walk.modelled):
                 yield
         except NotTraceable as error:
             if error.place:
@@ -173,8 +182,6 @@ def tracing(parts: "Iterable[Any] | Walk") -> Iterator[None]:
                 place_of(error.__traceback__),
             ) from error
         finally:
-            if collects:
-                gc.enable()
             _local.depth -= 1
             for names, name, value, _ in changed:
                 names[name] = value
@@ -293,7 +300,7 @@ class Walk:
             self.kinds[each] = None
             if _is_own(each.__module__, bool(each.__flags__ & _MADE_BY_CODE)):
                 own = vars(each)  # another object each time
-                for name, value in list(own.items()):
+                for name, value in sorted(own.items(), key=itemgetter(0)):
                     if not name.startswith("__") or name == "__call__":
                         self._met(each, own, name)
                     law = name != "__repr__" and not isinstance(value, type)
@@ -314,7 +321,7 @@ class Walk:
                 self.visit(cell.cell_contents)
                 self.cells[id(cell)] = cell
                 self.closures[id(cell)] = function, place
-        for name in _names(function.__code__):
+        for name in sorted(names_of(function.__code__)):
             if name in function.__globals__:
                 self._met(function.__globals__, function.__globals__, name)
                 self._named(function.__globals__[name], function.__code__)
@@ -323,7 +330,7 @@ class Walk:
         """Visit what a name stands for; of a module, what the code can mean in it."""
         if isinstance(value, ModuleType):
             if not is_foreign(value.__name__):
-                for name in _names(code) & vars(value).keys():
+                for name in sorted(names_of(code) & vars(value).keys()):
                     self._met(value, vars(value), name)
                     self.visit(vars(value)[name])
         elif isinstance(value, _OPENED) or not is_foreign(type(value).__module__):
@@ -331,9 +338,10 @@ class Walk:
 
 
 @functools.lru_cache(4096)
-def _names(code: CodeType) -> frozenset[str]:
+def names_of(code: CodeType) -> frozenset[str]:
+    """Return the names that code and the code inside it look up: globals and attributes."""
     inner = (const for const in code.co_consts if isinstance(const, CodeType))
-    return frozenset(code.co_names).union(*map(_names, inner))
+    return frozenset(code.co_names).union(*map(names_of, inner))
 
 
 def _is_own(module: str, is_code: bool) -> bool:
