@@ -17,7 +17,9 @@ _MOST = 512  # files of 5 to 200 kB
 
 
 class Cache:
-    """A folder of bytes by key: machine code, and loops. Nothing that goes wrong in it is an error: what is not found is built.
+    """A folder of machine code and loops by key.
+
+    Nothing that goes wrong in it is an error: what is not found is made.
 
     Parameters
     ----------

@@ -30,7 +30,6 @@ import numpy as np
 from pinmobile.compiled.functions import constructors
 from pinmobile.compiled.loop_tape import Leaf, Loop, Ring
 from pinmobile.compiled.parts import Place
-from pinmobile.compiled.symbols import REFUSED
 from pinmobile.compiled.tape import Tape
 from pinmobile.compiled.tracing import Walk, is_foreign, names_of
 from pinmobile.constancy import known
@@ -39,19 +38,24 @@ __all__ = ["Unknown", "key_of", "packed", "unpacked"]
 
 _BEGAN = time.time()
 _FORMAT = 1  # of `packed`
-_PURE = frozenset(
-    "abc builtins cmath collections collections.abc dataclasses enum functools itertools math numbers operator types "
-    "typing".split()
-)
+# Of Python's modules those that only compute.
+_PURE = {
+    *("abc", "builtins", "cmath", "collections", "collections.abc", "dataclasses", "enum", "functools"),
+    *("itertools", "math", "numbers", "operator", "typing"),
+}
 _MAKERS = frozenset(constructors()) | {"arange"}
-_ASK = frozenset(  # of Python's own names, what looks up others, or asks what is no object
-    "__build_class__ __import__ breakpoint compile delattr eval exec exit getattr globals hash help id input "
-    "locals memoryview open print quit setattr vars".split()
-)
+# Of Python's own names those that look up others, or ask what is no object.
+_ASK = {
+    *("__build_class__", "__import__", "breakpoint", "compile", "delattr", "eval", "exec", "exit", "getattr"),
+    *("globals", "hash", "help", "id", "input", "locals", "memoryview", "open", "print", "quit", "setattr"),
+    "vars",
+}
+# By what this library's own code reads files.
+_READS = {"open", "environ", "read_text", "read_bytes", "buildModelFromUrdf", "buildModelFromXML", "json"}
 _IMPORTS = "IMPORT_NAME"
 _KINDS = (type, ABCMeta, type(Protocol), type(Any))
 _PLAIN = (type(None), bool, int, float, complex, str, bytes, type(...), type(NotImplemented))
-_FIELDS = type(NamedTuple("_One", [("first", int)]).first)
+_BUILT_IN = (bool, int, float, complex, str, bytes, object)
 _DESCRIBED = (staticmethod, classmethod, MethodType)
 
 
@@ -66,6 +70,9 @@ class _Labels(NamedTuple):
     kinds: dict[int, int]
     spaces: dict[int, int]
     numbers: dict[int, int]  # of functions, as forms have them
+
+
+_FIELDS = type(vars(_Labels)["kinds"])  # of named tuples
 
 
 def key_of(walk: Walk, form: Any, form_of: Callable[[Any], Any], *others: str) -> str:
@@ -92,9 +99,10 @@ def key_of(walk: Walk, form: Any, form_of: Callable[[Any], Any], *others: str) -
         spaces.setdefault(where, len(spaces))
     functions = {id(f): i for i, f in enumerate(walk.functions)}
     numbers = {own.number: i for i, f in enumerate(walk.functions) if (own := known(f)) is not None}
-    labels = _Labels(functions, {id(kind): i for i, kind in enumerate(walk.kinds)}, spaces, numbers)
+    kinds = [kind for kind in walk.kinds if not is_foreign(kind.__module__)]
+    labels = _Labels(functions, {id(kind): i for i, kind in enumerate(kinds)}, spaces, numbers)
     found = [_machinery(), *others]
-    found += [_kind(kind) for kind in walk.kinds]
+    found += [_kind(kind) for kind in kinds]
     found += [_function(f, labels, form_of) for f in walk.functions]
     for (where, name), (mapping, _) in walk.names.items():
         space = str(mapping.get("__module__") or mapping.get("__name__"))
@@ -131,7 +139,10 @@ def _is_ours(module: str | None) -> bool:
 def _function(function: FunctionType, labels: _Labels, form_of: Callable[[Any], Any]) -> str:
     """Return the form of a function: its code, and all that it brings along."""
     module, code = function.__module__ or "", function.__code__
-    if not (_is_ours(module) or module.startswith("namedtuple_")):
+    if _is_ours(module):
+        if names_of(code) & _READS:
+            raise Unknown
+    elif not module.startswith("namedtuple_"):
         _check_asks_nothing(function)
     brought = [*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).items()]
     brought += [item for item in vars(function).items() if item[0] != "__wrapped__"]
@@ -168,20 +179,10 @@ def _constant(x: Any) -> str:
 def _check_asks_nothing(function: FunctionType) -> None:
     """Refuse code that could ask for what is not looked at here: files, the time, the environment."""
     names = names_of(function.__code__)
-    if _imports(function.__code__):
+    if _imports(function.__code__) or (names - function.__globals__.keys()) & _ASK:
         raise Unknown
-    for name in names - function.__globals__.keys():
-        if name in _ASK:
-            raise Unknown
-    for name in names & function.__globals__.keys():
-        value = function.__globals__[name]
-        if value is np or value is np.linalg:
-            for inner in names & vars(value).keys():
-                _check_pure(inner, getattr(value, inner))
-            if value is np and names & {"random", "testing", "ctypeslib", "lib", "ma", "rec", "char", "core"}:
-                raise Unknown
-        elif isinstance(value, ModuleType) and is_foreign(value.__name__) and value.__name__ not in _PURE:
-            raise Unknown
+    for name in names & vars(np).keys():  # by whatever way it comes to NumPy
+        _check_pure(name, getattr(np, name))
 
 
 def _imports(code: CodeType) -> bool:
@@ -193,13 +194,15 @@ def _imports(code: CodeType) -> bool:
 
 def _check_pure(name: str, value: Any) -> None:
     """Refuse what NumPy has beside sums, products and arrays."""
-    if isinstance(value, ModuleType):
+    if isinstance(value, type):
+        fine = issubclass(value, np.generic) or value in (np.ndarray, np.dtype, np.errstate, *_BUILT_IN)
+    elif isinstance(value, ModuleType):
         fine = value is np.linalg
-    elif callable(value) and not isinstance(value, type | np.ufunc):
+    elif callable(value) and not isinstance(value, np.ufunc):
         dispatched = type(value).__name__ == "_ArrayFunctionDispatcher" and "save" not in name
-        fine = name in _MAKERS or (dispatched and value not in REFUSED)
+        fine = name in _MAKERS or dispatched
     else:
-        fine = not isinstance(value, np.ufunc) or getattr(np, name, None) is value
+        fine = True
     if not fine:
         raise Unknown
 
@@ -215,6 +218,7 @@ def _value(value: Any, labels: _Labels, form_of: Callable[[Any], Any], space: st
     if isinstance(value, functools.cached_property):
         return f"cached {_value(value.func, labels, form_of, space)}"
     if isinstance(value, ModuleType):
+        _check_module(value, space)
         return f"module {value.__name__}"
     if isinstance(value, _FIELDS):
         return repr(value)  # its number
@@ -231,30 +235,35 @@ def _value(value: Any, labels: _Labels, form_of: Callable[[Any], Any], space: st
         raise
 
 
+def _check_module(module: ModuleType, space: str) -> None:
+    """Refuse modules of others that do more than compute; of a law's own, what it uses is looked at."""
+    foreign = is_foreign(module.__name__) and not _is_ours(module.__name__)
+    if foreign and not (_is_ours(space) or module in (np, np.linalg) or module.__name__ in _PURE):
+        raise Unknown
+
+
 def _named(value: Any, labels: _Labels, space: str = "") -> str:
     """Return what a function or class is called, which a name of some module stands for."""
-    if id(value) in labels.functions:
-        return f"function {labels.functions[id(value)]}"
-    if id(value) in labels.kinds:
-        return f"class {labels.kinds[id(value)]}"
+    name = str(getattr(value, "__name__", value))
+    for known_ones in (labels.functions, labels.kinds):
+        if id(value) in known_ones:
+            return f"{type(value).__name__} {known_ones[id(value)]}"
     if isinstance(value, np.ufunc):
-        if getattr(np, value.__name__, None) is not value:
+        if getattr(np, name, None) is not value:
             raise Unknown
-        return f"ufunc {value.__name__}"
-    module = getattr(value, "__module__", None) or ""
+        return f"ufunc {name}"
     of = getattr(value, "__self__", None) if isinstance(value, BuiltinFunctionType) else None
-    if of is tuple:
-        return f"tuple.{value.__name__}"  # named tuples have it among their names
-    if not isinstance(of, ModuleType | type(None)):
-        raise Unknown  # a method of an object
-    fine = module in _PURE and not (module == "builtins" and value.__name__ in _ASK)
-    if module.partition(".")[0] == "numpy" and getattr(np, value.__name__, None) is value:
-        _check_pure(value.__name__, value)
+    module = "builtins" if of is tuple else getattr(value, "__module__", None) or ""
+    if not isinstance(of, ModuleType | type(None)) and of is not tuple:
+        raise Unknown  # a method of an object; named tuples have that of a tuple among their names
+    fine = module in _PURE and not (module == "builtins" and name in _ASK)
+    if module.partition(".")[0] == "numpy" and getattr(np, name, None) is value:
+        _check_pure(name, value)
         fine = True
     # The library's own code asks for no files; what it uses of Python's changes with the version alone.
     if not (fine or _is_ours(module) or (_is_ours(space) and is_foreign(module))):
         raise Unknown
-    return f"{module}.{value.__qualname__}"
+    return f"{module}.{getattr(value, '__qualname__', value)}"
 
 
 def _encoded(form: Any, labels: _Labels) -> str:
@@ -276,8 +285,6 @@ def _encoded(form: Any, labels: _Labels) -> str:
         return repr(form)
     if isinstance(form, FunctionType | BuiltinFunctionType | type | np.ufunc):
         return _named(form, labels)
-    if isinstance(form, ModuleType):
-        return f"module {form.__name__}"
     raise Unknown
 
 

@@ -92,9 +92,7 @@ class Target:
         )
 
 
-def function_of(
-    key: str, text: Callable[[], str], target: Target, cache: Cache
-) -> Callable[..., None]:
+def function_of(key: str, text: Callable[[], str], target: Target, cache: Cache) -> Callable[..., None]:
     """Return the function of a target's key: known, read from the cache, or built of the key's text."""
     with _lock:
         found = _known.get(key)

@@ -128,7 +128,7 @@ def _by_their_laws(kinds: Iterable[type]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def uncollected() -> Iterator[None]:
-    """Look for no garbage: where thousands of small objects are made that stay, it takes a third of the time."""
+    """Look for no garbage: where thousands of small objects are made that stay, it takes a third as long."""
     collects = gc.isenabled()
     gc.disable()
     try:
