@@ -72,11 +72,14 @@ class _Code:
         self.late: list[str] = []
         self.rings: dict[int, tuple[str, str, str]] = {}
         self.named = 0
+        self.constants: dict[tuple[int, bool], str] = {}
+        self.shared = [not depends & (ROBOT | STATE) for depends in self.tape.depends]
+        lanes = shape.lanes
+        self.whole = {k: one if lanes == 1 else f"<{lanes} x {one}>" for k, one in _SCALAR.items()}
 
     def type(self, kind: str, scalar: bool = False) -> str:
         """Return LLVM's type of a value: a vector, unless all lanes share it."""
-        lanes = self.shape.lanes
-        return _SCALAR[kind] if scalar or lanes == 1 else f"<{lanes} x {_SCALAR[kind]}>"
+        return _SCALAR[kind] if scalar else self.whole[kind]
 
     def constant(self, kind: str, literal: str, scalar: bool = False) -> str:
         """Return a constant, repeated for each lane."""
@@ -93,7 +96,7 @@ class _Code:
 
     def is_shared(self, node: int) -> bool:
         """Tell whether all robots have the same value."""
-        return not self.tape.depends[node] & (ROBOT | STATE)
+        return self.shared[node]
 
     def region(self, node: int, default: str) -> str:
         """Return where a node is computed: as seldom as can be."""
@@ -104,16 +107,11 @@ class _Code:
 
     def argument(self, node: int, vector: int, region: str, scalar: bool = False) -> str:
         """Return the value of a node for one vector."""
+        if not self.shared[node]:
+            return self.values[node][vector]
         operation, kind = self.tape.operations[node], self.tape.types[node]
         if operation[0] == "const":
-            literal = str(operation[2])
-            if kind == "f":
-                literal = f"0x{operation[2]:016X}"
-            elif kind == "b":
-                literal = "true" if operation[2] else "false"
-            return self.constant(kind, literal, scalar)
-        if not self.is_shared(node):
-            return self.values[node][vector]
+            return self._literal(node, scalar)
         value = self.values[node][0]
         if scalar or self.shape.lanes == 1:
             return value
@@ -126,6 +124,18 @@ class _Code:
                 where, f"shufflevector {whole} {first}, {whole} poison, {mask}"
             )
         return self.spread[node, where]
+
+    def _literal(self, node: int, scalar: bool) -> str:
+        """Return a constant of the tape."""
+        if (node, scalar) not in self.constants:
+            _, kind, value = self.tape.operations[node]
+            literal = str(value)
+            if kind == "f":
+                literal = f"0x{value:016X}"
+            elif kind == "b":
+                literal = "true" if value else "false"
+            self.constants[node, scalar] = self.constant(kind, literal, scalar)
+        return self.constants[node, scalar]
 
     def emit(self, wanted: int, default: str = "sample") -> None:
         """Write what a node needs, and the node."""

@@ -92,15 +92,14 @@ class Target:
         )
 
 
-def function_of(text: str, target: Target, cache: Cache) -> Callable[..., None]:
-    """Return the function of a text: known, read from the cache, or built."""
-    key = target.key(text)
+def function_of(key: str, text: Callable[[], str], target: Target, cache: Cache) -> Callable[..., None]:
+    """Return the function of a target's key: known, read from the cache, or built of the key's text."""
     with _lock:
         found = _known.get(key)
         if found is None:
             code = cache.read(key)
             if code is None:
-                code = target.build(text)
+                code = target.build(text())
                 cache.write(key, code)
             found = _known[key] = target.load(code)
         _known.move_to_end(key)

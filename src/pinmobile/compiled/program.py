@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Mapping
+from functools import cached_property
 from math import prod
 from typing import Any, NamedTuple
 
@@ -61,6 +62,8 @@ class Program:
         Whether it is for one robot: scalar code then.
     cache : Cache, optional
         Where objects are kept.
+    key : str, optional
+        That of its machine code, where it is known.
     """
 
     def __init__(
@@ -70,6 +73,7 @@ class Program:
         shape: Shape | None = None,
         single: bool = False,
         cache: Cache | None = None,
+        key: str | None = None,
     ) -> None:
         target = Target.here() if target is None else target
         self.loop = loop
@@ -77,8 +81,14 @@ class Program:
         small = loop.own <= _SMALL and len(loop.states) <= _FEW
         many = Shape(target.lanes, 2 if small else 1)
         self.shape = shape or (Shape(1, 1) if single else many)
-        self.text = text_of(loop, self.shape)
-        self._function = function_of(self.text, target, Cache() if cache is None else cache)
+        self.key = target.key(self.text) if key is None else key
+        cache = Cache() if cache is None else cache
+        self._function = function_of(self.key, lambda: self.text, target, cache)
+
+    @cached_property
+    def text(self) -> str:
+        """Its code as LLVM's text."""
+        return text_of(self.loop, self.shape)
 
     def run(
         self,

@@ -262,14 +262,16 @@ def _check_derived(scenario: Scenario) -> None:
         place = Place(stated.path, stated.parameter.attribute)
         if place not in scenario.places:
             continue
+        # A part may derive of what stands in it, too; one that has `traced` is traced as it is then.
+        way = scenario.parts.on_the_way(place.path)
+        asked = [(path, part) for path, part in way if not hasattr(part, "traced")]
+        if not asked:
+            continue
         try:
             moved = _moved(scenario, place)
         except InvalidArgument:
             continue  # a value beside the nominal one is not allowed
-        # A part may derive of what stands in it, too.
-        for path, part in scenario.parts.on_the_way(place.path):
-            if hasattr(part, "traced"):
-                continue  # it is traced as it is then
+        for path, part in asked:
             *_, (_, other) = moved.on_the_way(path)
             inner = {name.partition("[")[0] for name, _ in children(part)}
             name = derived(part, other, inner | ({place.name} if path == place.path else set()))

@@ -34,6 +34,7 @@ _OTHERS = (*_OF_BODIES, *(f"load_{name}" for name in _OF_BODIES), "rotors", "pla
 _COM = ("com_x", "com_y", "com_z")
 _INERTIA = ("inertia_xx", "inertia_yy", "inertia_zz", "inertia_xy", "inertia_xz", "inertia_yz")
 _PLACE = {"at_x": "m", "at_y": "m", "at_z": "m", "at_yaw": "rad"}
+_SHARED = 1.05  # the way by the mass matrix shares products of velocities with a controller's own dynamics
 _SLACK = 1e-9  # of the moments of inertia, relative, and of the mass [m^2]: files carry as many digits
 
 
@@ -262,11 +263,11 @@ class ArticulatedBody:
 
     @cached_property
     def _by_matrix(self) -> bool:
-        """Whether the mass matrix takes fewer operations than articulated bodies."""
+        """Whether accelerations come by the mass matrix, or else by articulated bodies: as takes less."""
         known, key = self.linkage.counted, (self.varied, self.matter)
         if key not in known:
             by_bodies, by_mass_matrix = operations(self.linkage, self._joints, self._bodies, self._motors)
-            known[key] = by_mass_matrix < by_bodies
+            known[key] = by_mass_matrix < _SHARED * by_bodies
         return known[key]
 
     def _posture(self, q: Any) -> Posture:

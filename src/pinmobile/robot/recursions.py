@@ -3,13 +3,9 @@
 They are Featherstone's (2008), over scalars of any kind: see `scalars`. Vectors are in each joint's frame.
 """
 
-import itertools
-import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from pinmobile.compiled.tape import STATE, Tape, needed
-from pinmobile.errors import NotTraceable
 from pinmobile.robot.linkage import Body, Linkage, Place
 from pinmobile.robot.scalars import (
     ENTRIES,
@@ -354,14 +350,43 @@ def by_matrix(moving: Moving, bodies: Sequence[Body], rotors: Vector, efforts: V
 
 def operations(
     linkage: Linkage, places: Sequence[Place], bodies: Sequence[Body], rotors: Vector
-) -> tuple[float, float]:
+) -> tuple[int, int]:
     """Return how many operations accelerations take: by articulated bodies, and by the mass matrix.
 
-    What does not change with the state is not counted, as it is computed once. Infinite: too many to count.
+    What does not change with the state is not counted, as it is computed once. Equal operations are counted
+    each time, of which both ways have few, so that no tape is needed.
     """
-    return _count(Moving.accelerations, linkage, places, bodies, rotors), _count(
-        by_matrix, linkage, places, bodies, rotors
+    count, by_mass_matrix = (
+        _count(way, linkage, places, bodies, rotors) for way in (Moving.accelerations, by_matrix)
     )
+    return count, by_mass_matrix
+
+
+class _Counted:
+    """A scalar that only counts what is done with it, where it is `late`, that is changes with the state."""
+
+    __slots__ = ("late", "tally")
+
+    def __init__(self, tally: list[int], late: bool) -> None:
+        self.tally, self.late = tally, late
+
+    def _with(self, other: Any) -> Any:
+        if isinstance(other, Exact):
+            return NotImplemented  # it knows better
+        late = other if getattr(other, "late", False) else self
+        self.tally[0] += late.late
+        return late
+
+    __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = __truediv__ = __rtruediv__ = _with
+
+    def __neg__(self) -> "_Counted":
+        return self
+
+    def sin(self) -> "_Counted":
+        """Return it, as NumPy asks for it; both ways take as many sines."""
+        return self
+
+    cos = sin
 
 
 def _count(
@@ -370,25 +395,19 @@ def _count(
     places: Sequence[Place],
     bodies: Sequence[Body],
     rotors: Vector,
-) -> float:
-    tape, numbers = Tape(), itertools.count()
+) -> int:
+    tally, n = [0], len(linkage)
+    early, late = _Counted(tally, False), _Counted(tally, True)
 
     def known(x: Any) -> Any:
         if isinstance(x, list | tuple):
             return [known(each) for each in x]
-        return x if isinstance(x, Exact) else tape.input("row", next(numbers))
+        return x if isinstance(x, Exact) else early
 
-    def state(count: int) -> Vector:
-        return [tape.input("state", next(numbers)) for _ in range(count)]
-
-    n = len(linkage)
-    try:
-        at = [Place(*known(place)) for place in places]
-        moving = Moving(linkage, at, state(2 * n), state(n))
-        found = way(moving, [Body(*known(body)) for body in bodies], known(rotors), state(n))
-    except NotTraceable:
-        return math.inf
-    return sum(bool(tape.depends[i] & STATE) for i in needed(tape, [x.index for x in found]))
+    at = [Place(*known(place)) for place in places]
+    moving = Moving(linkage, at, [late] * (2 * n), [late] * n)
+    way(moving, [Body(*known(body)) for body in bodies], known(rotors), [late] * n)
+    return tally[0]
 
 
 def solved(M: Matrix, right: Vector, order: Sequence[int]) -> Vector:

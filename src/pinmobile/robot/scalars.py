@@ -106,7 +106,7 @@ def sine_and_cosine(x: Any) -> tuple[Any, Any]:
 
 def plus(a: Vector, b: Vector) -> Vector:
     """Return a + b."""
-    return [x + y for x, y in zip(a, b, strict=True)]
+    return [y if x is ZERO else x if y is ZERO else x + y for x, y in zip(a, b, strict=True)]
 
 
 def scaled(k: Any, a: Vector) -> Vector:
@@ -116,7 +116,11 @@ def scaled(k: Any, a: Vector) -> Vector:
 
 def dot(a: Iterable[Any], b: Iterable[Any]) -> Any:
     """Return a . b."""
-    return sum((x * y for x, y in zip(a, b, strict=True)), ZERO)
+    found: Any = ZERO
+    for x, y in zip(a, b, strict=True):
+        if x is not ZERO and y is not ZERO:
+            found = x * y if found is ZERO else found + x * y
+    return found
 
 
 def cross(a: Vector, b: Vector) -> Vector:
