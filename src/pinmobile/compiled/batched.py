@@ -18,7 +18,7 @@ from pinmobile.compiled.loop_tape import Loop
 from pinmobile.compiled.machine import Target, function_of
 from pinmobile.compiled.program import aligned, shared_out
 from pinmobile.compiled.symbols import entries, symbols
-from pinmobile.compiled.tape import Node, Tape, needed
+from pinmobile.compiled.tape import LARGEST, Node, Tape, needed
 from pinmobile.compiled.tracing import tracing
 from pinmobile.errors import InvalidArgument, NotTraceable
 
@@ -40,6 +40,10 @@ class Batched:
     alike : int
         How many of them, the last ones, are the same for all states: what follows from these alone is
         computed once.
+    pure : bool
+        Whether it is known to depend on its arguments alone; if not, it is traced twice to see.
+    largest : int
+        Most operations of a state.
     target, cache
         As in `Program`.
 
@@ -51,7 +55,7 @@ class Batched:
     Raises
     ------
     NotTraceable
-        If the law cannot be run on symbols, or is another one when it is asked again.
+        If the law cannot be run on symbols, has more operations, or is another one when it is asked again.
     """
 
     def __init__(
@@ -60,13 +64,18 @@ class Batched:
         shapes: Sequence[tuple[int, ...]],
         *,
         alike: int = 0,
+        pure: bool = False,
+        largest: int = LARGEST,
         target: Target | None = None,
         cache: Cache | None = None,
     ) -> None:
         self.shapes = tuple(map(tuple, shapes))
         self._own = len(self.shapes) - alike
-        loop, self._is_tuple = _traced(law, self.shapes, self._own)
-        if loop.tape.operations != _traced(law, self.shapes, self._own)[0].tape.operations:
+        loop, self._is_tuple = _traced(law, self.shapes, self._own, largest)
+        if (
+            not pure
+            and loop.tape.operations != _traced(law, self.shapes, self._own, largest)[0].tape.operations
+        ):
             raise NotTraceable(
                 f"{getattr(law, '__qualname__', law)} computes something else when it is asked again",
                 "let it depend on its arguments alone",
@@ -143,8 +152,10 @@ def _rows(array: Array, lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
     return np.ascontiguousarray(np.broadcast_to(array, (*lead, *shape)).reshape(prod(lead), size))
 
 
-def _traced(law: Callable[..., Any], shapes: Sequence[tuple[int, ...]], own: int) -> tuple[Loop, bool]:
-    tape, given, counts = Tape(), [], {"row": 0, "uniform": 1}  # the first uniform is a loop's step
+def _traced(
+    law: Callable[..., Any], shapes: Sequence[tuple[int, ...]], own: int, largest: int
+) -> tuple[Loop, bool]:
+    tape, given, counts = Tape(largest), [], {"row": 0, "uniform": 1}  # the first uniform is a loop's step
     for k, shape in enumerate(shapes):
         kind, size = "row" if k < own else "uniform", prod(shape)
         given.append(symbols([tape.input(kind, counts[kind] + i) for i in range(size)], shape))

@@ -24,6 +24,7 @@ __all__ = ["MANY", "answers"]
 MANY = 500
 """Number of states from which on they are compiled."""
 
+_LARGEST = 12_000  # operations: building takes a second or two
 _MOST = 128  # programs that stay
 _FAR = 1e5  # [rad]: beyond, sine and cosine of compiled code lose digits
 _lock = threading.Lock()
@@ -90,7 +91,7 @@ def _made(body: ArticulatedBody, law: Law, sizes: list[int]) -> Batched | None:
 
     shapes = [*((size,) for size in sizes), *(x.shape for x in numbers)]
     try:
-        return Batched(of_one, shapes, alike=len(names))
+        return Batched(of_one, shapes, alike=len(names), pure=True, largest=_LARGEST)
     except NotTraceable:
         return None
 

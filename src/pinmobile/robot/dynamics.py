@@ -195,7 +195,8 @@ def _turning(model: pin.Model, data: pin.Data, q: Array, v: Array) -> Array:
 
 def _kinetic_energy(model: pin.Model, data: pin.Data, q: Array, v: Array) -> Any:
     # Pinocchio's own leaves out the motors of joints that turn about an axis of their own.
-    return np.vdot(v, pin.crba(model, data, q) @ v) / 2
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.vdot(v, pin.crba(model, data, q) @ v) / 2
 
 
 def _derivatives(model: pin.Model, data: pin.Data, q: Array, v: Array, tau: Array) -> Array:
