@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pinmobile.compiled.loop_tape import Loop
 from pinmobile.compiled.tape import ROBOT, SAMPLE, STATE, needed, operands
 
-__all__ = ["BINS", "ENTRY", "FIRST", "SHIFT", "Shape", "text_of"]
+__all__ = ["BINS", "ENTRY", "FIRST", "SHIFT", "Code", "Shape", "text_of"]
 
 ENTRY = "pinmobile_loop"
 
@@ -60,8 +60,16 @@ class Shape:
         return self.lanes * self.vectors
 
 
-class _Code:
-    """Lines of the function, by the place where they stand."""
+class Code:
+    """Lines of a function, by the place where they stand.
+
+    Parameters
+    ----------
+    loop : Loop
+        What is computed.
+    shape : Shape
+        How the robots are laid out.
+    """
 
     def __init__(self, loop: Loop, shape: Shape) -> None:
         self.loop, self.tape, self.shape = loop, loop.tape, shape
@@ -263,7 +271,7 @@ def text_of(loop: Loop, shape: Shape) -> str:
     counted every so many samples in `counts`, (times, sizes, BINS); what is kept of each sample stands in
     `kept`, (blocks, samples, numbers, width), and behind it the robots' references where each has its own.
     """
-    code = _Code(loop, shape)
+    code = Code(loop, shape)
     for j, (now, _) in enumerate(loop.states):
         code.values[now] = [f"%s{j}_{u}" for u in code.vectors()]
     for j, node in enumerate(loop.tabled, loop.columns - len(loop.tabled)):
@@ -281,7 +289,7 @@ def text_of(loop: Loop, shape: Shape) -> str:
     return "\n".join([*_declarations(code), *_function(code, following)])
 
 
-def _keep(code: _Code) -> None:
+def _keep(code: Code) -> None:
     nodes = [node for _, nodes in code.loop.kept.values() for node in nodes]
     for j, node in enumerate(nodes):
         code.emit(node)
@@ -290,7 +298,7 @@ def _keep(code: _Code) -> None:
             code.lines["sample"].append(code.store(code.argument(node, u, "sample"), place))
 
 
-def _count_places(code: _Code) -> None:
+def _count_places(code: Code) -> None:
     """Write which bins the sizes belong to."""
     whole, truth = code.type("u"), code.type("b")
 
@@ -310,7 +318,7 @@ def _count_places(code: _Code) -> None:
             code.lines["count"].append(code.store(word, place, "u"))
 
 
-def _declarations(code: _Code) -> list[str]:
+def _declarations(code: Code) -> list[str]:
     lines = ["declare double @llvm.sqrt.f64(double)"]
     if code.shape.lanes > 1:
         whole = code.type("f")
@@ -318,7 +326,7 @@ def _declarations(code: _Code) -> list[str]:
     return lines
 
 
-def _function(code: _Code, following: list[list[str]]) -> list[str]:
+def _function(code: Code, following: list[list[str]]) -> list[str]:
     loop, shape = code.loop, code.shape
     width, whole, align = shape.width, code.type("f"), 8 * shape.lanes
     rows = len(loop.states) + loop.rows + len(loop.keys)
@@ -380,7 +388,7 @@ def _function(code: _Code, following: list[list[str]]) -> list[str]:
     ]
 
 
-def _counting(code: _Code) -> list[str]:
+def _counting(code: Code) -> list[str]:
     """Return the loop that counts, one robot after the other."""
     counted, width = len(code.loop.counted), code.shape.width
     if not counted:

@@ -1,6 +1,5 @@
 """How the robots of a scenario are run: compiled, on arrays, or one after another."""
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,6 +11,7 @@ from pinmobile.arrays import Array
 from pinmobile.compiled import Summary, once, program_of, robot_keys
 from pinmobile.compiled.copies import derived
 from pinmobile.compiled.loop_tape import arrays_of, initial_memory
+from pinmobile.compiled.machine import processors
 from pinmobile.compiled.noise import Noise
 from pinmobile.compiled.parts import (
     Memory,
@@ -45,11 +45,6 @@ _WORK = 2e7  # robots times samples that are compiled code's at once: some 0.3 s
 _SAMPLED = 1e6  # the same where each robot has a reference of its own: some 200 MB of them
 _ROWS = 4  # of three, rows could be taken for coordinates
 _CLOSE = 1e-9  # of the largest number: rounding, which may depend on how many rows there are
-
-
-def processors() -> int:
-    """Return how many processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @dataclass(frozen=True, eq=False)

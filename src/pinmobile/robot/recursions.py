@@ -6,6 +6,7 @@ They are Featherstone's (2008), over scalars of any kind: see `scalars`. Vectors
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+from pinmobile.compiled.tape import maximum, root
 from pinmobile.robot.linkage import Body, Linkage, Place
 from pinmobile.robot.scalars import (
     ENTRIES,
@@ -19,6 +20,7 @@ from pinmobile.robot.scalars import (
     cross,
     dot,
     exact,
+    number,
     plus,
     product,
     scaled,
@@ -29,7 +31,9 @@ from pinmobile.robot.scalars import (
     turned,
 )
 
-__all__ = ["Moving", "Posture", "by_matrix", "operations", "solved"]
+__all__ = ["Moving", "Posture", "by_matrix", "operations", "solved", "volume"]
+
+_LEAST = 1e-300  # a square that is zero
 
 
 class Posture:
@@ -125,6 +129,19 @@ class Posture:
             p = plus(self.p[j], self.up(j, p))
         return transposed(columns)
 
+    def first_moment(self, bodies: Sequence[Body]) -> Vector:
+        """Return mass times centre of mass of all, in the world."""
+        masses, moments = [body.mass for body in bodies], [body.first for body in bodies]
+        whole = [ZERO] * 3
+        for i in reversed(range(len(self.R))):
+            moved = plus(self.up(i, moments[i]), scaled(masses[i], self.p[i]))
+            above = self.linkage.parents[i]
+            if above >= 0:
+                masses[above], moments[above] = masses[above] + masses[i], plus(moments[above], moved)
+            else:
+                whole = plus(whole, moved)
+        return whole
+
     def mass_matrix(self, bodies: Sequence[Body]) -> Matrix:
         """Return M, in the order of the joints, by composite rigid bodies."""
         linkage, n = self.linkage, len(self.R)
@@ -158,14 +175,19 @@ class Moving(Posture):
             w = self.down(i, self.w[above]) if above >= 0 else [ZERO] * 3
             self.w.append([w[0], w[1], w[2] + self.v[i]] if linkage.turns[i] else w)
 
-    def efforts(self, bodies: Sequence[Body], a: Vector) -> Vector:
-        """Return forces and torques of the joints, of accelerations in their order, by Newton and Euler."""
-        wrenches = zip(*self.wrenches(bodies, a), self.linkage.turns, strict=True)
+    def efforts(self, bodies: Sequence[Body], a: Vector, falling: bool = True) -> Vector:
+        """Return forces and torques of the joints, of accelerations in their order, by Newton and Euler.
+
+        Where nothing falls, gravity is left out.
+        """
+        wrenches = zip(*self.wrenches(bodies, a, falling), self.linkage.turns, strict=True)
         return [moment[2] if turns else force[2] for force, moment, turns in wrenches]
 
-    def wrenches(self, bodies: Sequence[Body], a: Vector) -> tuple[list[Vector], list[Vector]]:
+    def wrenches(
+        self, bodies: Sequence[Body], a: Vector, falling: bool = True
+    ) -> tuple[list[Vector], list[Vector]]:
         """Return what each joint exerts on all that hangs on it: force, and moment about its origin."""
-        forces, moments = self._inertial(bodies, a)
+        forces, moments = self._inertial(bodies, a, falling)
         for i in reversed(range(len(self.R))):
             above = self.linkage.parents[i]
             if above >= 0:
@@ -174,18 +196,28 @@ class Moving(Posture):
                 forces[above], moments[above] = plus(forces[above], force), plus(moments[above], moment)
         return forces, moments
 
-    def _inertial(self, bodies: Sequence[Body], a: Vector) -> tuple[list[Vector], list[Vector]]:
+    def _inertial(
+        self, bodies: Sequence[Body], a: Vector, falling: bool
+    ) -> tuple[list[Vector], list[Vector]]:
         """Return what moves each body alone: force, and moment about the origin of its frame."""
-        linkage = self.linkage
-        lines: list[Vector] = []  # of the origins
-        spins: list[Vector] = []
-        fields: list[Matrix] = []  # acceleration of a point of the body, over its place
         forces, moments = [], []
+        for (m, h, J), w, (line, spin) in zip(bodies, self.w, self._driven(a, falling), strict=True):
+            forces.append(plus(scaled(m, line), applied(_field(w, spin), h)))
+            turning = plus(applied(J, spin), cross(w, applied(J, w)))
+            moments.append(plus(turning, cross(h, line)))
+        return forces, moments
+
+    def _driven(self, a: Vector, falling: bool) -> list[tuple[Vector, Vector]]:
+        """Return the accelerations of each joint's frame: of its origin, less gravity, and angular."""
+        linkage = self.linkage
+        found: list[tuple[Vector, Vector]] = []
         for i, above in enumerate(linkage.parents):
             if above < 0:
-                spin, line = [ZERO] * 3, [exact(-g) for g in linkage.gravity.tolist()]
+                spin = [ZERO] * 3
+                line = [exact(-g) for g in linkage.gravity.tolist()] if falling else [ZERO] * 3
             else:
-                spin, line = spins[above], plus(lines[above], applied(fields[above], self.p[i]))
+                line, spin = found[above]
+                line = plus(line, applied(_field(self.w[above], spin), self.p[i]))
             spin, line = self.down(i, spin), self.down(i, line)
             w, rate = self.w[i], self.v[i]
             if linkage.turns[i]:
@@ -193,15 +225,47 @@ class Moving(Posture):
             else:
                 twice = rate + rate
                 line = [line[0] + w[1] * twice, line[1] - w[0] * twice, line[2] + a[i]]
-            field = _field(w, spin)
-            m, h, J = bodies[i]
-            forces.append(plus(scaled(m, line), applied(field, h)))
-            turning = plus(applied(J, spin), cross(w, applied(J, w)))
-            moments.append(plus(turning, cross(h, line)))
-            spins.append(spin)
-            lines.append(line)
-            fields.append(field)
-        return forces, moments
+            found.append((line, spin))
+        return found
+
+    def drift(self, i: int, p: Vector) -> tuple[Vector, Vector]:
+        """Return the accelerations of a point fixed to joint i, and its frame, that velocities alone make."""
+        line, spin = self._driven([ZERO] * len(self.R), False)[i]
+        line = plus(line, applied(_field(self.w[i], spin), p))
+        for j in self.ancestors(i):
+            line, spin = self.up(j, line), self.up(j, spin)
+        return line, spin
+
+    def regressor(self, axes: Sequence[Matrix], first: int, a: Vector) -> list[Vector]:
+        """Return what efforts are over the ten numbers of each body, from that of joint `first` on.
+
+        Those are m, m c, and xx, xy, yy, xz, yz, zz of the inertia about the origin of the joint's frame,
+        along axes in which that frame has the orientations `axes`.
+        """
+        linkage, n = self.linkage, len(self.R)
+        found = [[ZERO] * (10 * (n - first)) for _ in range(n)]
+        driven = self._driven(a, True)
+        ways: list[dict[int, tuple[Vector, Vector]]] = []  # how joint j moves the frame of joint i
+        for i, above in enumerate(linkage.parents):
+            moved = {
+                i: ([ZERO] * 3, [ZERO, ZERO, ONE]) if linkage.turns[i] else ([ZERO, ZERO, ONE], [ZERO] * 3)
+            }
+            for j, (line, turn) in (ways[above] if above >= 0 else {}).items():
+                moved[j] = self.down(i, plus(line, cross(turn, self.p[i]))), self.down(i, turn)
+            ways.append(moved)
+            if i >= first:
+                w, line, spin = (applied(axes[i], x) for x in (self.w[i], *driven[i]))
+                field = transposed(_field(w, spin))
+                for j, way in moved.items():
+                    by, turn = (applied(axes[i], x) for x in way)
+                    numbers = [dot(by, line), *plus(applied(field, by), cross(line, turn))]
+                    felt = zip((turn, cross(turn, w)), (spin, w), strict=True)
+                    squares = [[[x * y for y in right] for x in left] for left, right in felt]
+                    Q = added(*squares)
+                    numbers += [Q[0][0], Q[0][1] + Q[1][0], Q[1][1]]
+                    numbers += [Q[0][2] + Q[2][0], Q[1][2] + Q[2][1], Q[2][2]]
+                    found[j][10 * (i - first) : 10 * (i - first) + 10] = numbers
+        return found
 
     def accelerations(self, bodies: Sequence[Body], rotors: Vector, efforts: Vector) -> Vector:
         """Return the accelerations of the joints, all in their order, by articulated bodies.
@@ -428,3 +492,18 @@ def solved(M: Matrix, right: Vector, order: Sequence[int]) -> Vector:
         for j in order[k + 1 :]:
             x[i] = x[i] - M[j][i] * x[j]
     return x
+
+
+def volume(rows: Matrix) -> Any:
+    """Return the volume that some vectors span, at least zero, by orthogonalising one after another."""
+    rest, found = [list(row) for row in rows], ONE
+    if len(rest) > len(rest[0]):
+        return ZERO
+    while rest:
+        first, *rest = rest
+        square = dot(first, first)
+        found = found * root(number(square))
+        # What is zero spans nothing, whatever comes after it.
+        inverse = 1.0 / maximum(number(square), _LEAST)
+        rest = [plus(row, scaled(-dot(first, row) * inverse, first)) for row in rest]
+    return found
