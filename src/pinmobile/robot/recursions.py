@@ -201,23 +201,26 @@ class Moving(Posture):
     ) -> tuple[list[Vector], list[Vector]]:
         """Return what moves each body alone: force, and moment about the origin of its frame."""
         forces, moments = [], []
-        for (m, h, J), w, (line, spin) in zip(bodies, self.w, self._driven(a, falling), strict=True):
-            forces.append(plus(scaled(m, line), applied(_field(w, spin), h)))
+        for (m, h, J), w, (line, spin, field) in zip(bodies, self.w, self._driven(a, falling), strict=True):
+            forces.append(plus(scaled(m, line), applied(field, h)))
             turning = plus(applied(J, spin), cross(w, applied(J, w)))
             moments.append(plus(turning, cross(h, line)))
         return forces, moments
 
-    def _driven(self, a: Vector, falling: bool) -> list[tuple[Vector, Vector]]:
-        """Return the accelerations of each joint's frame: of its origin, less gravity, and angular."""
+    def _driven(self, a: Vector, falling: bool) -> list[tuple[Vector, Vector, Matrix]]:
+        """Return the accelerations of each joint's frame: of its origin, less gravity, angular, and the field.
+
+        The field is the acceleration of a point fixed to it, less that of its origin, over its place.
+        """
         linkage = self.linkage
-        found: list[tuple[Vector, Vector]] = []
+        found: list[tuple[Vector, Vector, Matrix]] = []
         for i, above in enumerate(linkage.parents):
             if above < 0:
                 spin = [ZERO] * 3
                 line = [exact(-g) for g in linkage.gravity.tolist()] if falling else [ZERO] * 3
             else:
-                line, spin = found[above]
-                line = plus(line, applied(_field(self.w[above], spin), self.p[i]))
+                line, spin, field = found[above]
+                line = plus(line, applied(field, self.p[i]))
             spin, line = self.down(i, spin), self.down(i, line)
             w, rate = self.w[i], self.v[i]
             if linkage.turns[i]:
@@ -225,13 +228,13 @@ class Moving(Posture):
             else:
                 twice = rate + rate
                 line = [line[0] + w[1] * twice, line[1] - w[0] * twice, line[2] + a[i]]
-            found.append((line, spin))
+            found.append((line, spin, _field(w, spin)))
         return found
 
     def drift(self, i: int, p: Vector) -> tuple[Vector, Vector]:
         """Return the accelerations of a point fixed to joint i, and its frame, that velocities alone make."""
-        line, spin = self._driven([ZERO] * len(self.R), False)[i]
-        line = plus(line, applied(_field(self.w[i], spin), p))
+        line, spin, field = self._driven([ZERO] * len(self.R), False)[i]
+        line = plus(line, applied(field, p))
         for j in self.ancestors(i):
             line, spin = self.up(j, line), self.up(j, spin)
         return line, spin
@@ -254,7 +257,7 @@ class Moving(Posture):
                 moved[j] = self.down(i, plus(line, cross(turn, self.p[i]))), self.down(i, turn)
             ways.append(moved)
             if i >= first:
-                w, line, spin = (applied(axes[i], x) for x in (self.w[i], *driven[i]))
+                w, line, spin = (applied(axes[i], x) for x in (self.w[i], *driven[i][:2]))
                 field = transposed(_field(w, spin))
                 for j, way in moved.items():
                     by, turn = (applied(axes[i], x) for x in way)
