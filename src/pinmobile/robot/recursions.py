@@ -449,11 +449,9 @@ class _Counted:
     def __neg__(self) -> "_Counted":
         return self
 
-    def sin(self) -> "_Counted":
-        """Return it, as NumPy asks for it; both ways take as many sines."""
-        return self
-
-    cos = sin
+    def sine_and_cosine(self) -> tuple["_Counted", "_Counted"]:
+        """Return it twice: both ways take as many sines."""
+        return self, self
 
 
 def _count(

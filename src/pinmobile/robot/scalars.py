@@ -101,6 +101,8 @@ def sine_and_cosine(x: Any) -> tuple[Any, Any]:
     """Return sine and cosine of a scalar."""
     if isinstance(x, Exact | float | int):
         return exact(math.sin(x)), exact(math.cos(x))
+    if hasattr(x, "sine_and_cosine"):
+        return x.sine_and_cosine()  # type: ignore[no-any-return]
     return sincos(x) if type(x) is Node else (np.sin(x), np.cos(x))
 
 
