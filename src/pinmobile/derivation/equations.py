@@ -8,7 +8,7 @@ from typing import Any
 import sympy
 from sympy import Expr, ImmutableMatrix, Symbol
 
-from pinmobile.derivation import wording as say
+import pinmobile.derivation.wording as say
 from pinmobile.derivation.algebra import exact, exact_angle, normal
 from pinmobile.derivation.chain import Chain, Link
 from pinmobile.derivation.record import SIMPLIFIED_JOINTS, Record

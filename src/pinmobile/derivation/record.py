@@ -7,7 +7,7 @@ from typing import Protocol
 
 from sympy import Expr, ImmutableMatrix, Symbol
 
-from pinmobile.derivation import wording as say
+import pinmobile.derivation.wording as say
 from pinmobile.derivation.algebra import grouped, reduced
 from pinmobile.derivation.chain import Chain
 from pinmobile.derivation.steps import Derivation, Step

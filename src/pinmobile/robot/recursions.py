@@ -208,7 +208,7 @@ class Moving(Posture):
         return forces, moments
 
     def _driven(self, a: Vector, falling: bool) -> list[tuple[Vector, Vector, Matrix]]:
-        """Return the accelerations of each joint's frame: of its origin, less gravity, angular, and the field.
+        """Return each joint's accelerations: of its origin, less gravity, angular, and the field.
 
         The field is the acceleration of a point fixed to it, less that of its origin, over its place.
         """

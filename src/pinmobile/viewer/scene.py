@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
+import pinmobile.viewer.shapes as shapes
 from pinmobile.arrays import Array
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable
 from pinmobile.palette import AXES, INK, QUIET, colour
 from pinmobile.plant import whole_configurations
 from pinmobile.simulation import Rollout
-from pinmobile.viewer import shapes
 from pinmobile.viewer.motion import Channel, along, configurations, envelope, figure, links, poses_of, sampled
 from pinmobile.viewer.overlays import Arrows, Follow, Overlays, Stay, View, pushing
 from pinmobile.viewer.stage import Extent, Stage, overview
