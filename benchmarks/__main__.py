@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 
 import arm
+import batches
 import calls
 import ensembles
 import imports
@@ -17,13 +18,14 @@ import rollout
 import viewing
 from measuring import picked, selecting
 
-PARTS = (rollout, arm, ensembles, loop, calls, memory, viewing, imports)
+PARTS = (rollout, arm, ensembles, loop, calls, batches, memory, viewing, imports)
 PEOPLE = {
     rollout: rollout.EVERYONE,
     arm: arm.EVERYONE,
     ensembles: ensembles.EVERYONE,
     loop: loop.EVERYONE,
     calls: calls.PEOPLE,
+    batches: batches.EVERYONE,
     memory: memory.EVERYONE,
 }
 

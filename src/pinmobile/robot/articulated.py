@@ -83,7 +83,7 @@ class ArticulatedBody:
         Of the base's own body, as in `PlanarBody`.
     upright : ndarray, shape (3,)
         Of the same body, what the ground alone feels: height of the centre of mass [m], and inertia xz and yz
-        about it [kg m^2].
+        about it, as shares of the yaw inertia, with which they grow.
     masses, coms, inertias : ndarray, shape (links,), (3 links,), (6 links,)
         Of each link, along the axes of its frame: mass, centre of mass, and inertia (xx, yy, zz, xy, xz, yz)
         about that [kg, m, kg m^2].
@@ -274,7 +274,7 @@ class ArticulatedBody:
         """What is fixed to each joint, grouped so that the base's still feels what it does of the ground."""
         mass, inertia, x, y = (exact(_item(plain(getattr(self, name)))) for name in _OF_BASE)
         z, xz, yz = self._numbers("upright")
-        base = Body.of(mass, [x, y, z], [ZERO, ZERO, inertia, ZERO, xz, yz])
+        base = Body.of(mass, [x, y, z], [ZERO, ZERO, inertia, ZERO, xz * inertia, yz * inertia])
         return regrouped(self.linkage, self._joints, self._carried(base), _BASE - 1)
 
     def _carried(self, base: Body, before: str = "") -> list[Body]:
@@ -565,7 +565,7 @@ def articulated(robot: Any, linkage: Linkage) -> ArticulatedBody:
         load_inertias=frozen(np.ravel([load.six for load in loads])),
         rotors=frozen(np.concatenate([[], *(each.rotors for each in numbers)])),
         places=frozen(np.ravel([mount.at for mount in robot.mounts])),
-        upright=frozen([robot.body.com[2], *robot.body.inertia[2, :2]]),
+        upright=frozen([robot.body.com[2], *(robot.body.inertia[2, :2] / robot.body.yaw_inertia)]),
     )
 
 
