@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import arm
 import arm_ensembles
+import batches
 import calls
 import ensembles
 import imports
@@ -18,7 +19,7 @@ import rollout
 import viewing
 from measuring import picked, selecting
 
-PARTS = (rollout, arm, ensembles, arm_ensembles, loop, calls, memory, viewing, imports)
+PARTS = (rollout, arm, ensembles, arm_ensembles, loop, calls, batches, memory, viewing, imports)
 PEOPLE = {
     rollout: rollout.EVERYONE,
     arm: arm.EVERYONE,
@@ -26,6 +27,7 @@ PEOPLE = {
     arm_ensembles: arm_ensembles.EVERYONE,
     loop: loop.EVERYONE,
     calls: calls.PEOPLE,
+    batches: batches.EVERYONE,
     memory: memory.EVERYONE,
 }
 

@@ -30,6 +30,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     arms = ("arm", "arm_contestants", "arm_ensemble_contestants", "arm_ensembles", "arm_fleet", "arm_task")
     names = (
         *arms,
+        "batches",
         "calls",
         "contestants",
         "imports",
@@ -186,6 +187,29 @@ def test_the_table_of_the_arm_is_printed(bench: SimpleNamespace, capsys: pytest.
     assert re.search(r"whole body \d\.\de-06, decoupled \d\.\de-03", printed)
 
 
+def test_batches_are_right_of_all_who_are_there(
+    bench: SimpleNamespace, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert bench.batches.main(["--quick"]) == 0
+    printed = capsys.readouterr().out
+    assert "WRONG" not in printed
+    assert printed.count("pinmobile, batches: the first ") == 3
+    assert re.search(r"pinmobile, one state after another +\S+( +[\d.]+ \(1\.0 x\)){3}", printed)
+
+
+def test_a_batch_that_is_wrong_is_not_timed(bench: SimpleNamespace) -> None:
+    given = bench.batches.states(3)
+    right = bench.batches.expected(given)
+    peer = stand_in("a peer", None).peer
+    wrong = {"M": lambda q: right["M"] * (1 + 1e-6), "inverse": lambda q, v, a: right["inverse"]}
+    one = bench.batches.Batcher("a peer", peer, lambda: wrong)
+    run, word = bench.batches.check(one, "M", given, right)
+    assert run is None
+    assert word.startswith("WRONG, not timed: M is off by ")
+    assert bench.batches.check(one, "inverse", given, right)[1] == ""
+    assert bench.batches.check(one, "forward", given, right) == (None, "none")
+
+
 def test_calls_of_pinmobile_are_right(bench: SimpleNamespace) -> None:
     assert "WRONG" not in bench.calls.calls_of(bench.calls.PEOPLE[0]).values()
 
@@ -222,7 +246,8 @@ def asked(bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, capsys: pytes
 
 
 def test_every_benchmark_is_run_and_understands_what_it_is_given(asked: Any) -> None:
-    every = ["rollout", "arm", "ensembles", "arm_ensembles", "loop", "calls", "memory", "viewing", "imports"]
+    every = ["rollout", "arm", "ensembles", "arm_ensembles", "loop", "calls", "batches"]
+    every += ["memory", "viewing", "imports"]
     assert list(asked()) == list(asked("--quick", "--rounds", "2")) == every
 
 

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from pinmobile import (
@@ -95,6 +96,10 @@ def errors(controller: Any, trajectory: Any = CIRCLE, **options: Any) -> Any:
 
 
 # What may change is not taken for constant.
+
+
+def test_functions_of_pinocchio_are_constant() -> None:
+    assert is_constant((pin.rnea, "inverse_dynamics"))
 
 
 CONSTANT: dict[str, Any] = {

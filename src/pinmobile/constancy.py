@@ -81,7 +81,8 @@ def is_constant(thing: Any, depth: int = 0) -> bool:
     if isinstance(thing, np.ndarray):
         return not thing.flags.writeable and thing.dtype != object and isinstance(thing.base, bytes)
     if isinstance(thing, MethodType | BuiltinFunctionType):
-        return is_constant(thing.__self__, depth + 1)
+        # Pinocchio's functions say that they are built in, and belong to nothing.
+        return is_constant(getattr(thing, "__self__", None), depth + 1)
     attributes = getattr(thing, "__dict__", None)
     if isinstance(thing, partial):
         held = thing.func, thing.args, *thing.keywords.values()

@@ -71,11 +71,9 @@ class Batched:
     ) -> None:
         self.shapes = tuple(map(tuple, shapes))
         self._own = len(self.shapes) - alike
-        loop, self._is_tuple = _traced(law, self.shapes, self._own, largest)
-        if (
-            not pure
-            and loop.tape.operations != _traced(law, self.shapes, self._own, largest)[0].tape.operations
-        ):
+        form = self.shapes, self._own, largest
+        loop, self._is_tuple = _traced(law, *form)
+        if not pure and loop.tape.operations != _traced(law, *form)[0].tape.operations:
             raise NotTraceable(
                 f"{getattr(law, '__qualname__', law)} computes something else when it is asked again",
                 "let it depend on its arguments alone",
@@ -120,7 +118,12 @@ class Batched:
         if n:
             uniforms = np.concatenate([np.zeros(1), *(x.ravel() for x in alike)])
             rows = [_rows(x, lead, s) for x, s in zip(own, self.shapes, strict=False)]
-            self._run(rows, uniforms, [x.reshape(n, -1) for x in found], threads)
+            self._run(
+                rows,
+                uniforms,
+                [x.reshape(n, prod(s)) for x, s in zip(found, self._answers, strict=True)],
+                threads,
+            )
         return found if self._is_tuple else found[0]
 
     def _run(self, rows: list[Array], uniforms: Array, found: list[Array], threads: int) -> None:

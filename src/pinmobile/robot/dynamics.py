@@ -38,9 +38,19 @@ class ChainDynamics(ChainKinematics):
     q = (x, y, psi) [m, m, rad], velocity v = dq/dt [m/s, m/s, rad/s], acceleration a [m/s^2, m/s^2, rad/s^2]
     and generalised force tau = (Fx, Fy, Mz) [N, N, N m]; after these come the arms' joints, one after the
     other, in their units. A joint without limits is (cos, sin) in q and one number in v. Leading axes
-    broadcast; Pinocchio takes one configuration at a time, so they are looped over. All raise
-    `InvalidArgument` for arguments of another last axis or that are not finite, and `NotFinite` where
-    the answer would not be. They may be called by several threads at once.
+    broadcast. All raise `InvalidArgument` for arguments of another last axis or that are not finite, and
+    `NotFinite` where the answer would not be. They may be called by several threads at once.
+
+    Pinocchio takes one state at a time, some 5 to 20 microseconds each. From 500 states in a call on, they
+    are compiled and run on all processors, in some 0.1 microseconds each, with the same answers but for
+    rounding. The number of states alone decides, so the same call has the same bits at any time, and each
+    state has its own whatever others there are. The first such call of a method takes 0.1 to 0.5 s for an arm
+    and up to some seconds for a humanoid, less where its machine code is in the folder of an earlier process
+    (``PINMOBILE_CACHE``); robots with other numbers on the same joints, as `with_parameters` makes them,
+    share it, unless a number that was zero no longer is. However many they are, one after another go the
+    states of `coriolis_matrix`, `forward_dynamics_derivatives`, `linearize`, `integrate_jacobian` and
+    `frame_placements`; of robots with a ball joint; and of methods that take more than 12,000 operations, as
+    forward dynamics of some 40 joints and the regressor of some 20 do.
     """
 
     @property
