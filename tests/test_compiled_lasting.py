@@ -30,7 +30,8 @@ from pinmobile import (
     rk4,
     simulate,
 )
-from pinmobile.compiled import known, lasting, machine
+from pinmobile.compiled import Cache, known, lasting, machine
+from pinmobile.compiled.cache import LOOP
 from pinmobile.compiled.passes import traced
 from pinmobile.controllers import feedback
 from tests.test_compiled_arms import Swing
@@ -250,6 +251,16 @@ def test_a_damaged_loop_is_traced_again(damage: Any, process: Process) -> None:
     assert np.array_equal(run(PD(100, 20)).max_error, before)
     assert process.traced == 1
     assert (process.folder / name).read_bytes() == whole
+
+
+@pytest.mark.parametrize("text", [b"{}", b"[", b"[1]", b'{"loop": {}}'])
+def test_a_whole_file_that_holds_no_loop_is_written_again(text: bytes, process: Process) -> None:
+    before = run(PD(100, 20)).max_error
+    (name,) = process.loops
+    Cache(process.folder).write(name.removesuffix(".loop"), text, LOOP)
+    process.begin()
+    assert np.array_equal(run(PD(100, 20)).max_error, before)
+    assert process.traced == 1
 
 
 def test_a_loop_whose_machine_code_is_gone_is_built_and_not_traced(process: Process) -> None:

@@ -125,7 +125,7 @@ def test_one_state_and_leading_axes_give_the_same() -> None:
 def test_the_way_that_takes_less_is_taken() -> None:
     ways = {}
     for name in ("ur5", "talos"):
-        body = body_of(MobileRobot.box(size=(1, 1, 0.5)).mount(name))
+        body = body_of(MobileRobot.box(size=(1, 1, 0.5)).mount(name, AT))
         bodies, matrix = operations(body.linkage, body._joints, body._bodies, body._motors)
         ways[name] = bodies, matrix
         assert body._by_matrix == (name == "ur5")

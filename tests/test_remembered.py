@@ -507,6 +507,7 @@ def test_what_the_library_has_is_compiled_once(monkeypatch: pytest.MonkeyPatch) 
         calls.append(args)
         return traced(*args, **named)
 
+    monkeypatch.setenv("PINMOBILE_CACHE", "")  # what another process left in files is another question
     monkeypatch.setattr(compiled, "traced", counted)
     for controller in (ComputedTorque(ROBOT), Saturated(Delayed(PD(4.0, 5.0), 1), 9.0)):
         forces = NoiseForce((1, 1, 0.1), 1.0, seed=0), RollingResistance((1, 1, 0.1), 0.05)

@@ -3,6 +3,7 @@
 import itertools
 import weakref
 from dataclasses import dataclass, field
+from enum import Enum
 from functools import cached_property, partial
 from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
 from typing import Any, TypeVar
@@ -12,7 +13,8 @@ import numpy as np
 __all__ = ["Known", "constant", "has_slots", "is_constant", "known"]
 
 _DEEP = 24
-_ATOMS = (bool, int, float, complex, str, bytes, np.generic, np.dtype, np.ufunc, type, ModuleType, type(None))
+_NUMBERS = bool, int, float, complex, str, bytes, np.generic
+_ATOMS = (*_NUMBERS, np.dtype, np.ufunc, type, ModuleType, type(None), Enum)
 _MARK = "__pinmobile_constant__"
 
 _Kind = TypeVar("_Kind", bound=type)

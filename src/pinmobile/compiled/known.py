@@ -140,8 +140,12 @@ def _read(cache: Cache, key: str, target: Target) -> Program | None:
     data = cache.read(key, LOOP)
     if data is None:
         return None
-    loop, beside = unpacked(data)
-    return Program(loop, target, Shape(*beside["shape"]), cache=cache, key=beside["key"])
+    try:
+        loop, beside = unpacked(data)
+        shape, key = Shape(*beside["shape"]), str(beside["key"])
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return None  # somebody wrote it by hand
+    return Program(loop, target, shape, cache=cache, key=key)
 
 
 def memory_of(parts: Parts, *others: Any) -> dict[Any, Any]:

@@ -54,7 +54,7 @@ _ASK = {
 _READS = {"open", "environ", "read_text", "read_bytes", "buildModelFromUrdf", "buildModelFromXML", "json"}
 _IMPORTS = "IMPORT_NAME"
 _KINDS = (type, ABCMeta, type(Protocol), type(Any))
-_PLAIN = (type(None), bool, int, float, complex, str, bytes, type(...), type(NotImplemented))
+_PLAIN = {type(None), bool, int, float, complex, str, bytes, type(...), type(NotImplemented)}
 _BUILT_IN = (bool, int, float, complex, str, bytes, object)
 _DESCRIBED = (staticmethod, classmethod, MethodType)
 
@@ -70,6 +70,7 @@ class _Labels(NamedTuple):
     kinds: dict[int, int]
     spaces: dict[int, int]
     numbers: dict[int, int]  # of functions, as forms have them
+    named: dict[int, str]  # what forms refer to
 
 
 _FIELDS = type(vars(_Labels)["kinds"])  # of named tuples
@@ -100,7 +101,7 @@ def key_of(walk: Walk, form: Any, form_of: Callable[[Any], Any], *others: str) -
     functions = {id(f): i for i, f in enumerate(walk.functions)}
     numbers = {own.number: i for i, f in enumerate(walk.functions) if (own := known(f)) is not None}
     kinds = [kind for kind in walk.kinds if not is_foreign(kind.__module__)]
-    labels = _Labels(functions, {id(kind): i for i, kind in enumerate(kinds)}, spaces, numbers)
+    labels = _Labels(functions, {id(kind): i for i, kind in enumerate(kinds)}, spaces, numbers, {})
     found = [_machinery(), *others]
     found += [_kind(kind) for kind in kinds]
     found += [_function(f, labels, form_of) for f in walk.functions]
@@ -269,14 +270,14 @@ def _named(value: Any, labels: _Labels, space: str = "") -> str:
 def _encoded(form: Any, labels: _Labels) -> str:
     """Return a form as text, the same in all processes."""
     kind = type(form)
+    if kind in _PLAIN:
+        return f"{kind.__name__} {form!r}"
     if kind is tuple or kind is list or issubclass(kind, Place):
         if len(form) == 2 and form[0] is FunctionType and type(form[1]) is int:
             if form[1] not in labels.numbers:
                 raise Unknown
             return f"function {labels.numbers[form[1]]}"
         return f"({','.join([_encoded(each, labels) for each in form])})"
-    if kind in _PLAIN:
-        return f"{kind.__name__} {form!r}"
     if isinstance(form, frozenset):
         return f"{{{','.join(sorted(_encoded(each, labels) for each in form))}}}"
     if isinstance(form, np.generic | np.dtype):
@@ -284,7 +285,9 @@ def _encoded(form: Any, labels: _Labels) -> str:
     if isinstance(form, GenericAlias):
         return repr(form)
     if isinstance(form, FunctionType | BuiltinFunctionType | type | np.ufunc):
-        return _named(form, labels)
+        if id(form) not in labels.named:
+            labels.named[id(form)] = _named(form, labels)
+        return labels.named[id(form)]
     raise Unknown
 
 

@@ -96,6 +96,7 @@ class MobileRobot(Carrier):
     _looks: VisualFile | None = field(default=None, init=False)
     _varied: frozenset[tuple[str, Any]] | None = field(default=None, init=False)
     _tracings: dict[Any, ArticulatedBody] = field(init=False)
+    _variants: "dict[Any, MobileRobot]" = field(init=False)
 
     def __post_init__(self) -> None:
         com = finite("com", self.com)
@@ -117,6 +118,7 @@ class MobileRobot(Carrier):
             "stance": Stance.of_box(size) if stance is None else stance,
             "_engine": Engine(build_model(self.dh, body)),
             "_tracings": {},
+            "_variants": {},
         }.items():
             object.__setattr__(self, name, value)
 
@@ -435,9 +437,11 @@ class MobileRobot(Carrier):
         told = frozenset(entries)
         if not self.mounts or told == self._varied:
             return self
-        new = object.__new__(MobileRobot)
-        vars(new).update(vars(self), _varied=told)
-        return new
+        if told not in self._variants:  # one object, of which what follows is remembered
+            new = object.__new__(MobileRobot)
+            vars(new).update(vars(self), _varied=told)
+            self._variants[told] = new
+        return self._variants[told]
 
     def with_parameters(self, **values: ArrayLike) -> "MobileRobot":
         """Return the robot with other values of its `parameters`; without arms, loads count as the body's.

@@ -12,6 +12,7 @@ import numpy as np
 
 from pinmobile.compiled.elementary import sincos
 from pinmobile.compiled.tape import Node
+from pinmobile.constancy import constant
 
 __all__ = [
     "ENTRIES",
@@ -43,6 +44,7 @@ ENTRIES = (0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)
 """The entries of a symmetric matrix that differ."""
 
 
+@constant
 class Exact:
     """0, 1 or -1 that stands in a formula: products with it cost nothing."""
 
