@@ -11,7 +11,19 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile import urdf
-from pinmobile.arrays import Array, ArrayLike, finite, lengths, location, positive, scalar, sequence, text
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    broadcast,
+    finite,
+    finite_answer,
+    lengths,
+    location,
+    positive,
+    scalar,
+    sequence,
+    text,
+)
 from pinmobile.constancy import constant
 from pinmobile.dh import LECTURE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
@@ -385,8 +397,19 @@ class MobileRobot(Carrier):
         """
         if not self.mounts:
             raise InvalidArgument("robot carries no arm, expected one: robot.mount(...)")
-        state = self._q(q), self._v("v", v), self._v("a", a), self._v("u", u)
-        found: Array = self._judgement.measured(self, *state, reference)
+        if not hasattr(reference, "q"):
+            raise InvalidArgument(f"reference is {shown(reference)}, expected a Reference: q, v and a")
+        desired = finite("reference.q", reference.q)
+        if desired.shape[-1:] not in {(numbers,) for numbers in self.leading.values()}:
+            sizes = ", ".join(map(str, self.leading.values()))
+            raise InvalidArgument(
+                f"reference.q has shape {desired.shape}, expected (..., k), k one of {sizes}"
+            )
+        state = {"q": self._q(q), "v": self._v("v", v), "a": self._v("a", a), "u": self._v("u", u)}
+        broadcast(**state, **{"reference.q": desired})
+        with np.errstate(over="ignore"):
+            found: Array = self._judgement.measured(self, *state.values(), desired)
+        finite_answer(np.where(found == -np.inf, 0.0, found), **state)  # a margin may be minus infinity
         return found
 
     def traced(self) -> PlanarBody | ArticulatedBody:
