@@ -600,12 +600,7 @@ ROWS: dict[str, Row] = {
     "MobileRobot.ground_wrench": row(q=Q, v=V, a=A),
     "MobileRobot.mount_wrench": row(q=np.zeros(5), v=np.zeros(5), a=np.zeros(5), mount=None),
     "MobileRobot.measured": row(
-        t=0.0,
-        q=np.zeros(5),
-        v=np.zeros(5),
-        a=np.zeros(5),
-        u=np.zeros(5),
-        reference=partial(lambda: WORLD.trajectory(0.0)),
+        **dict.fromkeys("qvau", np.zeros(5)), t=0.0, reference=partial(lambda: WORLD.trajectory(0.0))
     ),
     "MobileRobot.frame_drift": row(q=Q, v=V, frame=None),
     "MobileRobot.frame_jacobian": row(q=Q, frame=None),

@@ -393,22 +393,21 @@ class MobileRobot(Carrier):
         Raises
         ------
         InvalidArgument
-            If the robot has no arms, and therefore no measures, or an argument has another shape.
+            If an argument has another shape or is not finite.
         """
-        if not self.mounts:
-            raise InvalidArgument("robot carries no arm, expected one: robot.mount(...)")
         if not hasattr(reference, "q"):
             raise InvalidArgument(f"reference is {shown(reference)}, expected a Reference: q, v and a")
-        desired = finite("reference.q", reference.q)
-        if desired.shape[-1:] not in {(numbers,) for numbers in self.leading.values()}:
-            sizes = ", ".join(map(str, self.leading.values()))
-            raise InvalidArgument(
-                f"reference.q has shape {desired.shape}, expected (..., k), k one of {sizes}"
-            )
+        desired, sizes = finite("reference.q", reference.q), self.leading.values()
+        if desired.shape[-1:] not in {(size,) for size in sizes}:
+            listed = ", ".join(map(str, sizes))
+            raise InvalidArgument(f"reference.q has shape {desired.shape}, expected (..., k), k of {listed}")
         state = {"q": self._q(q), "v": self._v("v", v), "a": self._v("a", a), "u": self._v("u", u)}
-        broadcast(**state, **{"reference.q": desired})
+        lead = broadcast(**state, **{"reference.q": desired})
+        if not self.mounts:
+            return np.zeros((*lead, 0))
+        numbers = state["q"], state["v"], state["a"], state["u"]
         with np.errstate(over="ignore"):
-            found: Array = self._judgement.measured(self, *state.values(), desired)
+            found: Array = self._judgement.measured(self, *numbers, desired)
         finite_answer(np.where(found == -np.inf, 0.0, found), **state)  # a margin may be minus infinity
         return found
 
