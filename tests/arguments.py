@@ -543,7 +543,7 @@ ROWS: dict[str, Row] = {
     "Sweep.ensemble": row(gain=1.0),
     "Sweep.open": row(path=partial(lambda: WORLD.sweep.path), scenarios=None),
     "Sweep.table": row(share=0.9, most=3),
-    "Sweep.within": row(share=0.9),
+    "Sweep.within": row(share=0.9, by="distance"),
     "MobileRobot": row(mass=10, yaw_inertia=1, com=(0.1, 0.05), size=(0.6, 0.4, 0.2), dh=pm.LECTURE_TABLE),
     "MobileRobot.box": row(mass=10, size=(0.6, 0.4, 0.2)),
     "MobileRobot.lecture": row(),
