@@ -42,6 +42,7 @@ from pinmobile.errors import SlowerEngine
 from pinmobile.measures import Measure, measures_of, size_of, value_of
 from pinmobile.reaching.poses import error_sizes, pose_error
 from pinmobile.urdf import Body
+from pinmobile.viewer import Viewer
 from tests.looping import Body as Pushed
 from tests.test_compiled_arms import Swing
 
@@ -253,6 +254,18 @@ def test_a_sweeps_store_keeps_measures(runs: Ensemble, tmp_path: Path) -> None:
         sweep({"a": scenario(), "b": scenario(measures=())}, tmp_path / "other")
 
 
+def test_members_are_drawn_and_viewed(runs: Ensemble) -> None:
+    chosen = {"worst": int(runs.worst(1, by="tip-over margin")[0]), "first": 0}
+    traces = {label: runs.trace(i) for label, i in chosen.items()}
+    figure = plots.balance(traces)
+    drawn = [np.asarray(line.get_ydata()) for line in figure.axes[0].lines]
+    lowest = [values.min() for values in drawn if len(values) == len(traces["first"])]
+    margins = [tip_over_margin(trace).min() for trace in traces.values()]
+    np.testing.assert_allclose(sorted(lowest)[:2], sorted(margins), rtol=1e-9)
+    with Viewer(traces["worst"].plant) as shown:
+        assert shown.record(traces, fps=5)
+
+
 def test_figures_show_measures(runs: Ensemble) -> None:
     figure = plots.bands({"UR5": runs})
     assert [axes.get_ylabel().partition(" [")[0] for axes in figure.axes][2:] == NAMES
@@ -451,3 +464,6 @@ def test_names_of_limits_and_links_that_there_are_not_come_with_the_nearest() ->
             scenario(spread={name: Uniform(1, 2)})
     with pytest.raises(InvalidArgument, match=r"^n is 200,000,000, expected at most 100,000,000"):
         scenario(n=2 * 10**8)
+    words = r"^the records of 100,000,000 robots take 34.4 GB, expected at most 16 GB: give a smaller n$"
+    with pytest.raises(InvalidArgument, match=words):
+        scenario(n=10**8)
