@@ -79,8 +79,8 @@ class Scenario:
     every : int, optional
         Samples between two entries of the bands over time; by default there are some 60.
     measures : sequence of str, optional
-        Names of what the robot states as ``measures`` that is judged beside errors; by default all. Those of
-        a UR5 on a base take some 1.4 times as long as none, ``()``, two thirds of that the tip-over margin.
+        Names of what the robot states as ``measures`` that is judged beside errors; by default all. Robots
+        with arms, compiled, then take some 1.4 times as long as with none, ``()``.
 
     Raises
     ------
