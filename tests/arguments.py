@@ -543,7 +543,7 @@ ROWS: dict[str, Row] = {
     "Sweep.ensemble": row(gain=1.0),
     "Sweep.open": row(path=partial(lambda: WORLD.sweep.path), scenarios=None),
     "Sweep.table": row(share=0.9, most=3),
-    "Sweep.within": row(share=0.9),
+    "Sweep.within": row(share=0.9, by="distance"),
     "MobileRobot": row(mass=10, yaw_inertia=1, com=(0.1, 0.05), size=(0.6, 0.4, 0.2), dh=pm.LECTURE_TABLE),
     "MobileRobot.box": row(mass=10, size=(0.6, 0.4, 0.2)),
     "MobileRobot.lecture": row(),
@@ -599,6 +599,9 @@ ROWS: dict[str, Row] = {
     "MobileRobot.kinetic_energy": row(q=Q, v=V),
     "MobileRobot.ground_wrench": row(q=Q, v=V, a=A),
     "MobileRobot.mount_wrench": row(q=np.zeros(5), v=np.zeros(5), a=np.zeros(5), mount=None),
+    "MobileRobot.measured": row(
+        **dict.fromkeys("qvau", np.zeros(5)), t=0.0, reference=partial(lambda: WORLD.trajectory(0.0))
+    ),
     "MobileRobot.frame_drift": row(q=Q, v=V, frame=None),
     "MobileRobot.frame_jacobian": row(q=Q, frame=None),
     "MobileRobot.frame_placements": row(q=Q),
@@ -612,6 +615,7 @@ ROWS: dict[str, Row] = {
     "Rollout.save": row(path=partial(lambda: WORLD.folder / "again.npz")),
     "Rollout.to_csv": row(path=partial(lambda: WORLD.folder / "again.csv")),
     "Rollout.max_error": row(),
+    "Rollout.measures": row(),
     "Rollout.max_input": row(),
     "Rollout.rms_error": row(),
     "integrator_report": row(60, integrator=pm.rk4, robot=the("robot"), steps=(0.1, 0.05), duration=0.2),
@@ -688,7 +692,7 @@ ROWS: dict[str, Row] = {
         progress=lambda done, n: None,
     ),
     "plots.balance": row(60, rollouts=the("rollout"), footprint=None, title="a title"),
-    "plots.bands": row(60, ensembles=the("ensemble"), levels=(0.5, 0.9), title="a title"),
+    "plots.bands": row(60, ensembles=the("ensemble"), levels=(0.5, 0.9), by=["distance"], title="a title"),
     "plots.curves": row(120, values={"a": [1, 2]}, x=("a", "m", [1, 2]), label="b", title="a title"),
     "plots.drivers": row(60, ensemble=the("ensemble"), share=0.5, by="distance", title="a title"),
     "plots.errors": row(60, rollouts=the("rollout"), title="a title"),
@@ -781,7 +785,7 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "viewer.Recording": lambda: WORLD.recording,
 }
 # Those of which a valid call needs an arm.
-ARMED = {"mount_wrench", "manipulability", "arm_manipulability"}
+ARMED = {"measured", "mount_wrench", "manipulability", "arm_manipulability"}
 # Those of which a valid call is refused here: there is no live page, no file of that ending is made.
 REFUSED = {
     "viewer.Viewer.play",

@@ -49,16 +49,20 @@ class Variable(NamedTuple):
         Its unit, "1" for none; where its last axis is ``coordinate`` or ``input``, that of each.
     meaning : str
         What it is, in words.
+    worst : str
+        Of measures, whether the largest or the smallest of each is the worst.
     """
 
     dimensions: tuple[str, ...]
     units: str
     meaning: str
+    worst: str = ""
 
     @property
     def attributes(self) -> dict[str, str]:
         """Unit and meaning, as xarray and others name them."""
-        return {"units": self.units, "long_name": self.meaning}
+        found = {"units": self.units, "long_name": self.meaning}
+        return found | ({"worst": self.worst} if self.worst else {})
 
 
 _UNTIL = "of a diverged robot until then"
@@ -91,7 +95,8 @@ def per_robot(scenario: Any) -> dict[str, Variable]:
     }
     if scenario.judged:
         worst = f"largest size, or smallest margin, of what else is judged, {_SINCE}"
-        found["worst_measure"] = Variable(_EACH_MEASURE, units, worst)
+        each = ", ".join(one.worst for one in scenario.judged)
+        found["worst_measure"] = Variable(_EACH_MEASURE, units, worst, each)
         found["rms_measure"] = Variable(_EACH_MEASURE, units, f"root of its mean square, {_SINCE}")
     return found
 

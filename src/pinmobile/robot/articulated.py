@@ -345,7 +345,7 @@ class ArticulatedBody:
 
     def measured(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
         """Return its measures, shape (..., m)."""
-        return self.judgement.measured(self, q, v, a, u, reference)
+        return self.judgement.measured(self, q, v, a, u, reference.q)
 
     def frame_pose(self, q: Any, frame: str) -> Any:
         """Return T_0_f, the pose of a frame, shape (..., 4, 4)."""

@@ -62,7 +62,7 @@ class Judgement:
             found.append(Measure("tip-over margin", "m", words, "smallest"))
         return tuple(found)
 
-    def measured(self, robot: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
+    def measured(self, robot: Any, q: Any, v: Any, a: Any, u: Any, desired: Any) -> Any:
         """Return the measures of a robot that moves so, shape (..., m).
 
         Parameters
@@ -71,12 +71,12 @@ class Judgement:
             Whose kinematics and dynamics they are.
         q, v, a, u : ndarray, shape (..., nq), (..., nv), (..., nv), (..., nv)
             State, acceleration and input.
-        reference : Reference
-            Where the first coordinates should be.
+        desired : ndarray, shape (..., k)
+            Where the reference has the first numbers of q.
         """
-        rest = self.rest[np.shape(reference.q)[-1] :]
-        rest = np.broadcast_to(rest, (*np.shape(reference.q)[:-1], len(rest)))
-        desired = np.concatenate([reference.q, rest], axis=-1)
+        rest = self.rest[np.shape(desired)[-1] :]
+        rest = np.broadcast_to(rest, (*np.shape(desired)[:-1], len(rest)))
+        desired = np.concatenate([desired, rest], axis=-1)
         found: list[Any] = []
         for _, tip in self.tips:
             found += _apart(robot.frame_pose(q, tip), robot.frame_pose(desired, tip))

@@ -11,7 +11,19 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile import urdf
-from pinmobile.arrays import Array, ArrayLike, finite, lengths, location, positive, scalar, sequence, text
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    broadcast,
+    finite,
+    finite_answer,
+    lengths,
+    location,
+    positive,
+    scalar,
+    sequence,
+    text,
+)
 from pinmobile.constancy import constant
 from pinmobile.dh import LECTURE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
@@ -381,12 +393,22 @@ class MobileRobot(Carrier):
         Raises
         ------
         InvalidArgument
-            If the robot has no arms, and therefore no measures, or an argument has another shape.
+            If an argument has another shape or is not finite.
         """
+        if not hasattr(reference, "q"):
+            raise InvalidArgument(f"reference is {shown(reference)}, expected a Reference: q, v and a")
+        desired, sizes = finite("reference.q", reference.q), self.leading.values()
+        if desired.shape[-1:] not in {(size,) for size in sizes}:
+            listed = ", ".join(map(str, sizes))
+            raise InvalidArgument(f"reference.q has shape {desired.shape}, expected (..., k), k of {listed}")
+        state = {"q": self._q(q), "v": self._v("v", v), "a": self._v("a", a), "u": self._v("u", u)}
+        lead = broadcast(**state, **{"reference.q": desired})
         if not self.mounts:
-            raise InvalidArgument("robot carries no arm, expected one: robot.mount(...)")
-        state = self._q(q), self._v("v", v), self._v("a", a), self._v("u", u)
-        found: Array = self._judgement.measured(self, *state, reference)
+            return np.zeros((*lead, 0))
+        numbers = state["q"], state["v"], state["a"], state["u"]
+        with np.errstate(over="ignore"):
+            found: Array = self._judgement.measured(self, *numbers, desired)
+        finite_answer(np.where(found == -np.inf, 0.0, found), **state)  # a margin may be minus infinity
         return found
 
     def traced(self) -> PlanarBody | ArticulatedBody:
