@@ -372,6 +372,7 @@ def ENSEMBLE() -> dict[str, Any]:
         "limit": 1e3,
         "after": 0.0,
         "every": 2,
+        "measures": [],
         "traces": [0],
         "engine": ensembles.ARRAYS,
     }

@@ -132,7 +132,7 @@ def chosen(plant: Any, names: Any, taken: Sequence[str]) -> tuple[Measure, ...]:
     if names is None:
         return stated
     if isinstance(names, str):
-        raise InvalidArgument(f"measures is {names!r}, expected a sequence of names: [{names!r}]")
+        raise InvalidArgument(f"measures is {shown(names)}, expected a sequence of names: [{shown(names)}]")
     known = {one.name: one for one in stated}
     wanted = [one_of("measure", name, known) for name in sequence("measures", names, "a sequence of names")]
     return tuple(one for one in stated if one.name in wanted)

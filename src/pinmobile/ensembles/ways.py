@@ -289,7 +289,24 @@ def _as_compiled(scenario: Scenario) -> Program:
     )
 
 
+def _check_judged(scenario: Scenario) -> None:
+    """Refuse a plant that states measures which what is run in its place does not.
+
+    Raises
+    ------
+    NotTraceable
+        If it is such.
+    """
+    plant = scenario.parts.plant
+    if scenario.judged and measures_of(scenario.parts.on_arrays().plant) != measures_of(plant):
+        raise NotTraceable(
+            f"plant, a {type(plant).__name__}, states measures that what its traced() returns does not",
+            "give that the same measures",
+        )
+
+
 def _program(scenario: Scenario) -> Program:
+    _check_judged(scenario)
     _check_derived(scenario)
     parts, at = _with_recorder(scenario), Reference(*(part[0] for part in scenario.reference))
     program = program_of(
@@ -366,6 +383,7 @@ def _as_arrays(scenario: Scenario) -> None:
     NotTraceable
         If a part returns another shape, fails, or gives a robot beside others another number than alone.
     """
+    _check_judged(scenario)
     several = min(_ROWS, scenario.n)
     count = max(2, several)  # one alone is asked beside itself
     draws = {name: np.resize(column, count) for name, column in scenario.draws(0, several).items()}
