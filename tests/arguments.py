@@ -33,7 +33,7 @@ from pinmobile import PinmobileError, derivation, ensembles, urdf, viewer
 from pinmobile.robot import Stance
 
 MODULES = (
-    *("accuracy", "balance", "closed_form", "controllers", "derivation", "dh", "disturbances", "ensembles"),
+    *("accuracy", "balance", "closed_form", "controllers", "derivation", "dh", "forces", "ensembles"),
     *("integrators", "paths", "plots", "reaching", "robot", "simulation", "sweeps", "trajectories", "urdf"),
     *("verification", "viewer"),
 )
@@ -47,7 +47,7 @@ INNER = {
     *("balance.body_zero_moment_point", "closed_form.unchecked_forward_dynamics", "paths.within"),
     *("closed_form.unchecked_mass_matrix", "closed_form.unchecked_coriolis_matrix"),
     *("closed_form.unchecked_inverse_dynamics", "controllers.check_controller", "derivation.difference"),
-    *("derivation.lagrange", "disturbances.noise_frequencies", "ensembles.part_of", "paths.pieces_of"),
+    *("derivation.lagrange", "forces.noise_frequencies", "ensembles.part_of", "paths.pieces_of"),
     *("ensembles.run_scenario", "paths.Whole", "reaching.pose_error", "robot.ChainDynamics"),
     *(
         "simulation.checked_forces",
@@ -802,12 +802,22 @@ CALLED: dict[str, Callable[..., Any]] = {
 }
 
 
+def public(module: Any) -> list[str]:
+    """Return the public names: of a package those that it lists, of one module those that it defines."""
+    if hasattr(module, "__all__"):
+        return list(module.__all__)
+    defined = (
+        name for name, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__
+    )
+    return sorted(name for name in defined if not name.startswith("_"))
+
+
 def callables() -> Iterator[str]:
     """Yield the names of all public callables: of functions, classes and their methods."""
     seen: set[int] = set()
     for module in ("", *MODULES):
         home = importlib.import_module(f"pinmobile.{module}".rstrip("."))
-        for name in home.__all__:
+        for name in public(home):
             value = getattr(home, name)
             full = f"{module}.{name}".lstrip(".")
             if not callable(value) or id(value) in seen or not _ours(value):

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
-from pinmobile import InvalidArgument, UnknownName, controllers, disturbances
+from pinmobile import InvalidArgument, UnknownName, controllers, forces
 from pinmobile.cli import choices
 from pinmobile.compiled.parts import attributes_of, check_numbers
 from pinmobile.errors import shown
@@ -37,7 +37,7 @@ def _classes(package: Any, wanted: Callable[[type], bool]) -> dict[str, Callable
 WRAPPERS: Mapping[str, Callable[..., Any]] = _classes(
     controllers, lambda kind: "controller" in _parameters(kind)
 )
-FORCES: Mapping[str, Callable[..., Any]] = _classes(disturbances, lambda kind: True)
+FORCES: Mapping[str, Callable[..., Any]] = _classes(forces, lambda kind: True)
 STEPS: Mapping[str, Callable[..., Any]] = {
     name: partial(lambda step: step, step) for name, step in choices.INTEGRATORS.items()
 }

@@ -1,6 +1,5 @@
 """How the robots of a scenario are run: compiled, on arrays, or one after another."""
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,6 +11,7 @@ from pinmobile.arrays import Array
 from pinmobile.compiled import Summary, once, program_of, robot_keys
 from pinmobile.compiled.copies import derived
 from pinmobile.compiled.loop_tape import arrays_of, initial_memory
+from pinmobile.compiled.machine import processors
 from pinmobile.compiled.noise import Noise
 from pinmobile.compiled.parts import (
     Memory,
@@ -45,11 +45,6 @@ _WORK = 2e7  # robots times samples that are compiled code's at once: some 0.3 s
 _SAMPLED = 1e6  # the same where each robot has a reference of its own: some 200 MB of them
 _ROWS = 4  # of three, rows could be taken for coordinates
 _CLOSE = 1e-9  # of the largest number: rounding, which may depend on how many rows there are
-
-
-def processors() -> int:
-    """Return how many processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,14 +257,16 @@ def _check_derived(scenario: Scenario) -> None:
         place = Place(stated.path, stated.parameter.attribute)
         if place not in scenario.places:
             continue
+        # A part may derive of what stands in it, too; one that has `traced` is traced as it is then.
+        way = scenario.parts.on_the_way(place.path)
+        asked = [(path, part) for path, part in way if not hasattr(part, "traced")]
+        if not asked:
+            continue
         try:
             moved = _moved(scenario, place)
         except InvalidArgument:
             continue  # a value beside the nominal one is not allowed
-        # A part may derive of what stands in it, too.
-        for path, part in scenario.parts.on_the_way(place.path):
-            if hasattr(part, "traced"):
-                continue  # it is traced as it is then
+        for path, part in asked:
             *_, (_, other) = moved.on_the_way(path)
             inner = {name.partition("[")[0] for name, _ in children(part)}
             name = derived(part, other, inner | ({place.name} if path == place.path else set()))

@@ -14,8 +14,9 @@ from pinmobile.ensembles import Bands, Ensemble
 from pinmobile.ensembles.histogram import edges
 from pinmobile.errors import InvalidArgument
 from pinmobile.measures import Measure
+from pinmobile.palette import INK, colour
 from pinmobile.plots.runs import named
-from pinmobile.plots.style import INK, ShownFigure, colour, dress, headed, heading, legend, percent, si, tint
+from pinmobile.plots.style import ShownFigure, dress, headed, heading, legend, percent, si, tint
 
 __all__ = ["bands"]
 

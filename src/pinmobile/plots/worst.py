@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from pinmobile.ensembles import Ensemble
 from pinmobile.errors import InvalidArgument
 from pinmobile.measures import Measure
+from pinmobile.palette import INK, colour
 from pinmobile.plots.beyond import strip_above
 from pinmobile.plots.causes import Cause, causes, worst_share
-from pinmobile.plots.style import INK, ShownFigure, colour, dress, headed, legend, percent
+from pinmobile.plots.style import ShownFigure, dress, headed, legend, percent
 
 __all__ = ["drivers"]
 

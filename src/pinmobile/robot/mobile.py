@@ -437,6 +437,13 @@ class MobileRobot(Carrier):
             self._tracings[self._varied] = found
         return found
 
+    @cached_property
+    def _for_many(self) -> ArticulatedBody | None:
+        try:
+            return articulated(self, self._engine.linkage).each_its_own()
+        except NotTraceable:
+            return None
+
     def varying(self, entries: Iterable[tuple[str, Any]]) -> "MobileRobot":
         """Return it, told which of its `parameters` differ from robot to robot.
 
