@@ -9,10 +9,11 @@ NO_STATISTICS = "the largest |e| and |force| alone"
 
 
 def everyone(arm: str) -> tuple[ArmEntrant, ...]:
-    """Return those who run ensembles of an arm, ours first, with the numbers that are asked for."""
+    """Return those who run ensembles of an arm, ours first."""
     return (
         ArmEntrant(f"{arm}: pinmobile ensemble", PINMOBILE, "of_pinmobile"),
         ArmEntrant(f"{arm}: pinmobile ensemble, rk4", PINMOBILE, "of_pinmobile"),
+        ArmEntrant(f"{arm}: pinmobile ensemble, all measures", PINMOBILE, "of_pinmobile", "judged"),
         ArmEntrant(f"{arm}: pinmobile ensemble, code for AVX2", PINMOBILE, "of_pinmobile", "for_avx2"),
         ArmEntrant(f"{arm}: C of the same tape, AVX-512", CC, "of_c"),
         ArmEntrant(

@@ -41,12 +41,23 @@ def words(fleet: ArmFleet) -> dict[str, object]:
         "duration": fleet.task.duration,
         "integrator": rk4 if fleet.task.step == "rk4" else None,
         "forces": [JointFriction(0.0)],
+        "measures": (),
     }
 
 
 def rollout(fleet: ArmFleet) -> Run:
-    """Make robot, controller and trajectory first."""
-    told = words(fleet)
+    """Make and compile robot, controller and trajectory first."""
+    return ensembles(words(fleet))
+
+
+def judged(fleet: ArmFleet) -> Run:
+    """Judge end effector, effort and tip-over margin too, as is the default."""
+    return ensembles({**words(fleet), "measures": None})
+
+
+def ensembles(told: dict[str, object]) -> Run:
+    """Return what runs an ensemble, compiled."""
+    way_of(Scenario(**told))
 
     def run() -> Figures:
         done = ensemble(**told)

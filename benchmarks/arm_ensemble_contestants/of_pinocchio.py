@@ -9,7 +9,7 @@ from arm_fleet import DT, ArmFleet, built, references
 from arm_task import KD, KP
 from fleet import Figures, Run, on_circle
 
-FEW = 50  # robots, to whom a thread of their own is worth its start
+FEW = 100  # robots, to whom a thread of their own is worth its start
 
 
 def one_by_one(fleet: ArmFleet) -> Run:
