@@ -8,6 +8,8 @@ import sys
 from collections.abc import Sequence
 
 import arm
+import arm_ensembles
+import batches
 import calls
 import ensembles
 import imports
@@ -17,13 +19,15 @@ import rollout
 import viewing
 from measuring import picked, selecting
 
-PARTS = (rollout, arm, ensembles, loop, calls, memory, viewing, imports)
+PARTS = (rollout, arm, ensembles, arm_ensembles, loop, calls, batches, memory, viewing, imports)
 PEOPLE = {
     rollout: rollout.EVERYONE,
     arm: arm.EVERYONE,
     ensembles: ensembles.EVERYONE,
+    arm_ensembles: arm_ensembles.EVERYONE,
     loop: loop.EVERYONE,
     calls: calls.PEOPLE,
+    batches: batches.EVERYONE,
     memory: memory.EVERYONE,
 }
 

@@ -29,7 +29,10 @@ print("\\n", imported - start, now() - imported)
 
 
 def show_memory(
-    out: Console, weighed: Sequence[tuple[Entrant, Mapping[int, Fleet]]], sizes: Sequence[int]
+    out: Console,
+    weighed: Sequence[tuple[Entrant, Mapping[int, Fleet]]],
+    sizes: Sequence[int],
+    program: str = "ensembles.py",
 ) -> bool:
     """Print the peaks of each contestant at its sizes; return whether all could be weighed."""
     columns = (f"{what}, n = {n:,}" for n in sizes for what in ("peak", "run"))
@@ -39,7 +42,7 @@ def show_memory(
         cells: list[str] = []
         for n in sizes:
             with out.status(f"weighing {one.name}, n = {n:,}"):
-                found = in_fresh_process(one, fleets[n]) if n in fleets else ("", "")
+                found = in_fresh_process(one, fleets[n], program) if n in fleets else ("", "")
             if isinstance(found, str):
                 failed.append(f"{one.name}, n = {n:,}: {found}")
                 found = ("", "")
@@ -51,11 +54,10 @@ def show_memory(
     return not failed
 
 
-def in_fresh_process(one: Entrant, fleet: Fleet) -> tuple[str, str] | str:
+def in_fresh_process(one: Entrant, fleet: Fleet, program: str) -> tuple[str, str] | str:
     """Return the cells of a contestant, or the word on why there are none."""
-    program = str(Path(__file__).with_name("ensembles.py"))
     work = ("--robots", str(fleet.n), "--duration", str(fleet.task.duration))
-    command = [sys.executable, program, "--one", one.name, *work]
+    command = [sys.executable, str(Path(__file__).with_name(program)), "--one", one.name, *work]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         return f"FAILED: {(done.stderr.strip().splitlines() or [f'exit {done.returncode}'])[-1]}"

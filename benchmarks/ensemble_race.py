@@ -4,9 +4,10 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from time import perf_counter
+from typing import Any
 
 from ensemble_contestants import Entrant
-from fleet import LECTURE, Figures, Fleet, Run, difference
+from fleet import Figures, Run
 from measuring import Row, interleaved, median_time
 from task import TOLERANCE
 
@@ -20,7 +21,7 @@ class Line:
 
     one: Entrant
     rows: dict[int, Row] = field(default_factory=dict)
-    fleets: dict[int, Fleet] = field(default_factory=dict)
+    fleets: dict[int, Any] = field(default_factory=dict)
     apart: float = 0.0
 
     @property
@@ -33,7 +34,7 @@ class Line:
         row = self.rows.get(n)
         return self.fleets[n].steps / row.median / 1e6 if row and row.times else None
 
-    def estimate(self, fleet: Fleet) -> float:
+    def estimate(self, fleet: Any) -> float:
         """Return what a turn will take [s], by the largest ensemble so far that is not overhead alone."""
         known = [rate for n in self.rows if n >= 100 and (rate := self.rate(n))]
         return fleet.steps / known[-1] / 1e6 if known else 0.0
@@ -43,7 +44,7 @@ class Line:
         timed = any(row.times for row in self.rows.values())
         if timed and self.one.easier:
             yield f"easier work: {self.one.easier}"
-        parts = [f"{n:,}" for n, fleet in self.fleets.items() if fleet.task != LECTURE]
+        parts = [f"{n:,}" for n, fleet in self.fleets.items() if fleet != self.one.work(n)]
         if parts:
             yield f"n = {' and '.join(parts)}: the first {PART:.0%} of the steps"
         for n, row in self.rows.items():
@@ -106,15 +107,15 @@ def enter(line: Line, n: int, longest: float) -> Run | None:
     if not line.one.peer.installed:
         row.word = f"not installed: {line.one.peer.install}"
         return None
-    fleets = (line.one.fleet_of(n, part * LECTURE.duration) for part in (1, PART))
+    fleets = (line.one.work(n, part) for part in (1, PART))
     fleet = next((fleet for fleet in fleets if line.estimate(fleet) <= longest), None)
     if fleet is None:
-        row.word = f"left out: about {line.estimate(line.one.fleet_of(n)):.0f} s a turn"
+        row.word = f"left out: about {line.estimate(line.one.work(n)):.0f} s a turn"
         return None
     try:
         run = line.one.prepare(fleet)
         took, figures = timed(run)
-        apart = difference(figures, fleet)
+        apart = line.one.apart(figures, fleet)
     except Exception as error:  # whatever a peer raises: the others go on
         row.word = f"FAILED: {type(error).__name__}: {error}"
         return None

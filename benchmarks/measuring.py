@@ -4,9 +4,11 @@ import argparse
 import gc
 import os
 import platform
+import re
 import statistics
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from time import perf_counter
 from typing import Protocol, TypeVar
 
@@ -14,6 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 Turn = Callable[[], float]
+VECTORS = {"avx512f": "AVX-512", "avx2": "AVX2", "avx": "AVX", "sse2": "SSE2", "asimd": "NEON"}
 
 
 class Named(Protocol):
@@ -110,4 +113,12 @@ def say(out: Console, lines: Iterable[str]) -> None:
 
 def about() -> str:
     """Return what the numbers were measured on."""
-    return f"Python {platform.python_version()}, {platform.machine()}, {os.cpu_count()} processors"
+    machine = f"{platform.machine()}{vectors() and ' with ' + vectors()}"
+    return f"Python {platform.python_version()}, {machine}, {os.cpu_count()} processors"
+
+
+def vectors() -> str:
+    """Return the processor's widest vectors, where the system tells."""
+    told = Path("/proc/cpuinfo")
+    flags = set(re.findall(r"\w+", told.read_text())) if told.exists() else set()
+    return next((name for flag, name in VECTORS.items() if flag in flags), "")

@@ -33,7 +33,7 @@ from pinmobile import PinmobileError, derivation, ensembles, urdf, viewer
 from pinmobile.robot import Stance
 
 MODULES = (
-    *("accuracy", "balance", "closed_form", "controllers", "derivation", "dh", "disturbances", "ensembles"),
+    *("accuracy", "balance", "closed_form", "controllers", "derivation", "dh", "forces", "ensembles"),
     *("integrators", "paths", "plots", "reaching", "robot", "simulation", "sweeps", "trajectories", "urdf"),
     *("verification", "viewer"),
 )
@@ -47,7 +47,7 @@ INNER = {
     *("balance.body_zero_moment_point", "closed_form.unchecked_forward_dynamics", "paths.within"),
     *("closed_form.unchecked_mass_matrix", "closed_form.unchecked_coriolis_matrix"),
     *("closed_form.unchecked_inverse_dynamics", "controllers.check_controller", "derivation.difference"),
-    *("derivation.lagrange", "disturbances.noise_frequencies", "ensembles.part_of", "paths.pieces_of"),
+    *("derivation.lagrange", "forces.noise_frequencies", "ensembles.part_of", "paths.pieces_of"),
     *("ensembles.run_scenario", "paths.Whole", "reaching.pose_error", "robot.ChainDynamics"),
     *(
         "simulation.checked_forces",
@@ -372,6 +372,7 @@ def ENSEMBLE() -> dict[str, Any]:
         "limit": 1e3,
         "after": 0.0,
         "every": 2,
+        "measures": [],
         "traces": [0],
         "engine": ensembles.ARRAYS,
     }
@@ -543,7 +544,7 @@ ROWS: dict[str, Row] = {
     "Sweep.ensemble": row(gain=1.0),
     "Sweep.open": row(path=partial(lambda: WORLD.sweep.path), scenarios=None),
     "Sweep.table": row(share=0.9, most=3),
-    "Sweep.within": row(share=0.9),
+    "Sweep.within": row(share=0.9, by="distance"),
     "MobileRobot": row(mass=10, yaw_inertia=1, com=(0.1, 0.05), size=(0.6, 0.4, 0.2), dh=pm.LECTURE_TABLE),
     "MobileRobot.box": row(mass=10, size=(0.6, 0.4, 0.2)),
     "MobileRobot.lecture": row(),
@@ -599,6 +600,9 @@ ROWS: dict[str, Row] = {
     "MobileRobot.kinetic_energy": row(q=Q, v=V),
     "MobileRobot.ground_wrench": row(q=Q, v=V, a=A),
     "MobileRobot.mount_wrench": row(q=np.zeros(5), v=np.zeros(5), a=np.zeros(5), mount=None),
+    "MobileRobot.measured": row(
+        **dict.fromkeys("qvau", np.zeros(5)), t=0.0, reference=partial(lambda: WORLD.trajectory(0.0))
+    ),
     "MobileRobot.frame_drift": row(q=Q, v=V, frame=None),
     "MobileRobot.frame_jacobian": row(q=Q, frame=None),
     "MobileRobot.frame_placements": row(q=Q),
@@ -612,6 +616,7 @@ ROWS: dict[str, Row] = {
     "Rollout.save": row(path=partial(lambda: WORLD.folder / "again.npz")),
     "Rollout.to_csv": row(path=partial(lambda: WORLD.folder / "again.csv")),
     "Rollout.max_error": row(),
+    "Rollout.measures": row(),
     "Rollout.max_input": row(),
     "Rollout.rms_error": row(),
     "integrator_report": row(60, integrator=pm.rk4, robot=the("robot"), steps=(0.1, 0.05), duration=0.2),
@@ -688,7 +693,7 @@ ROWS: dict[str, Row] = {
         progress=lambda done, n: None,
     ),
     "plots.balance": row(60, rollouts=the("rollout"), footprint=None, title="a title"),
-    "plots.bands": row(60, ensembles=the("ensemble"), levels=(0.5, 0.9), title="a title"),
+    "plots.bands": row(60, ensembles=the("ensemble"), levels=(0.5, 0.9), by=["distance"], title="a title"),
     "plots.curves": row(120, values={"a": [1, 2]}, x=("a", "m", [1, 2]), label="b", title="a title"),
     "plots.drivers": row(60, ensemble=the("ensemble"), share=0.5, by="distance", title="a title"),
     "plots.errors": row(60, rollouts=the("rollout"), title="a title"),
@@ -781,7 +786,7 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "viewer.Recording": lambda: WORLD.recording,
 }
 # Those of which a valid call needs an arm.
-ARMED = {"mount_wrench", "manipulability", "arm_manipulability"}
+ARMED = {"measured", "mount_wrench", "manipulability", "arm_manipulability"}
 # Those of which a valid call is refused here: there is no live page, no file of that ending is made.
 REFUSED = {
     "viewer.Viewer.play",
@@ -797,12 +802,22 @@ CALLED: dict[str, Callable[..., Any]] = {
 }
 
 
+def public(module: Any) -> list[str]:
+    """Return the public names: of a package those that it lists, of one module those that it defines."""
+    if hasattr(module, "__all__"):
+        return list(module.__all__)
+    defined = (
+        name for name, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__
+    )
+    return sorted(name for name in defined if not name.startswith("_"))
+
+
 def callables() -> Iterator[str]:
     """Yield the names of all public callables: of functions, classes and their methods."""
     seen: set[int] = set()
     for module in ("", *MODULES):
         home = importlib.import_module(f"pinmobile.{module}".rstrip("."))
-        for name in home.__all__:
+        for name in public(home):
             value = getattr(home, name)
             full = f"{module}.{name}".lstrip(".")
             if not callable(value) or id(value) in seen or not _ours(value):

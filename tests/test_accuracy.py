@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
 
-import pinmobile.accuracy.held_force as held_force
+import pinmobile.accuracy.report as held_force
 from pinmobile import (
     Diverged,
     InvalidArgument,
@@ -24,10 +24,9 @@ from pinmobile import (
     semi_implicit_euler,
 )
 from pinmobile.accuracy import Convergence, IntegratorReport
-from pinmobile.accuracy.free_body import conserved, free_body, free_motion
-from pinmobile.accuracy.guarded import guarded
+from pinmobile.accuracy.convergence import conserved, free_body, free_motion, guarded
 from pinmobile.arrays import Array
-from pinmobile.plots.style import colour
+from pinmobile.palette import colour
 
 ROBOT = MobileRobot(10, 1.2, com=(0.15, 0.05))
 ORDERS = {"constant_acceleration": 1, "semi_implicit_euler": 1, "rk4": 4}

@@ -11,7 +11,7 @@ from types import ModuleType
 import pytest
 
 import pinmobile
-from pinmobile import controllers, disturbances, paths, trajectories
+from pinmobile import controllers, forces, paths, trajectories
 from pinmobile.cli import choices, tables
 
 ROOT = Path(__file__).parents[1]
@@ -25,14 +25,14 @@ def _parts(*packages: ModuleType) -> list[str]:
     return [name for name, kind in classes if not getattr(kind, "_is_protocol", False)]
 
 
-PARTS = _parts(controllers, disturbances)
+PARTS = _parts(controllers, forces)
 REFERENCES = [name for name in _parts(paths, trajectories) if name != "Reference"]
 # Parts that a file uses to get its own work done, as a user does, not to know them from others.
 USERS = {
-    "accuracy/held_force.py": {"ComputedTorque", "Circle", "Tangent"},
+    "accuracy/report.py": {"ComputedTorque", "Circle", "Tangent"},
     "cli/choices.py": {"PD", "ComputedTorque"},  # with the lecture's gains, which no part knows
     "cli/mount.py": {"Decoupled", "ComputedTorque"},
-    "trajectories/whole.py": {"Hold"},
+    "trajectories/reference.py": {"Hold"},
 }
 
 
@@ -131,7 +131,7 @@ def test_the_command_knows_parts_by_their_classes_and_units_by_what_they_state()
     } == tables.WRAPPERS
     assert {"constant", "joint-friction", "noise", "viscous-friction"} <= tables.FORCES.keys()
     assert [kind.__name__ for kind in tables.FORCES.values()] == [
-        name for name in disturbances.__all__ if name in PARTS
+        name for name in forces.__all__ if name in PARTS
     ]
     stated = {each.attribute: each.unit for each in pinmobile.Circle.parameters}
     assert stated == {name: choices.UNITS[name] for name in ("radius", "rate")}

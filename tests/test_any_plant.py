@@ -32,7 +32,7 @@ from pinmobile.compiled import Parts
 from pinmobile.compiled import Reference as OnSymbols
 from pinmobile.plant import Coordinate, Input, Parameter, PlantOutline, Step
 from pinmobile.viewer import Arrows, Overlays, Viewer
-from pinmobile.viewer.links import configurations, figure, links
+from pinmobile.viewer.motion import configurations, figure, links
 from tests.looping import AxleFriction, looped
 from tests.users import Follower, TwoWheels
 

@@ -1,4 +1,5 @@
 import json
+import platform
 import re
 import socket
 import subprocess
@@ -26,14 +27,16 @@ SHORT = 2.0  # s
 def bench(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     monkeypatch.syspath_prepend(BENCHMARKS)
     ensembles = ("ensemble_contestants", "ensemble_costs", "ensemble_race", "ensembles", "fleet")
-    arms = ("arm", "arm_contestants", "arm_task")
+    arms = ("arm", "arm_contestants", "arm_ensemble_contestants", "arm_ensembles", "arm_fleet", "arm_task")
     names = (
         *arms,
+        "batches",
         "calls",
         "contestants",
         "imports",
         "loop",
         "loop_work",
+        "measuring",
         "memory",
         "rollout",
         "stock_server",
@@ -184,6 +187,29 @@ def test_the_table_of_the_arm_is_printed(bench: SimpleNamespace, capsys: pytest.
     assert re.search(r"whole body \d\.\de-06, decoupled \d\.\de-03", printed)
 
 
+def test_batches_are_right_of_all_who_are_there(
+    bench: SimpleNamespace, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert bench.batches.main(["--quick"]) == 0
+    printed = capsys.readouterr().out
+    assert "WRONG" not in printed
+    assert printed.count("pinmobile, batches: the first ") == 3
+    assert re.search(r"pinmobile, one state after another +\S+( +[\d.]+ \(1\.0 x\)){3}", printed)
+
+
+def test_a_batch_that_is_wrong_is_not_timed(bench: SimpleNamespace) -> None:
+    given = bench.batches.states(3)
+    right = bench.batches.expected(given)
+    peer = stand_in("a peer", None).peer
+    wrong = {"M": lambda q: right["M"] * (1 + 1e-6), "inverse": lambda q, v, a: right["inverse"]}
+    one = bench.batches.Batcher("a peer", peer, lambda: wrong)
+    run, word = bench.batches.check(one, "M", given, right)
+    assert run is None
+    assert word.startswith("WRONG, not timed: M is off by ")
+    assert bench.batches.check(one, "inverse", given, right)[1] == ""
+    assert bench.batches.check(one, "forward", given, right) == (None, "none")
+
+
 def test_calls_of_pinmobile_are_right(bench: SimpleNamespace) -> None:
     assert "WRONG" not in bench.calls.calls_of(bench.calls.PEOPLE[0]).values()
 
@@ -220,14 +246,15 @@ def asked(bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, capsys: pytes
 
 
 def test_every_benchmark_is_run_and_understands_what_it_is_given(asked: Any) -> None:
-    every = ["rollout", "arm", "ensembles", "loop", "calls", "memory", "viewing", "imports"]
+    every = ["rollout", "arm", "ensembles", "arm_ensembles", "loop", "calls", "batches"]
+    every += ["memory", "viewing", "imports"]
     assert list(asked()) == list(asked("--quick", "--rounds", "2")) == every
 
 
 @pytest.mark.parametrize(
     ("words", "parts"),
     [
-        (["ensemble"], ["ensembles", "loop"]),
+        (["ensemble"], ["ensembles", "arm_ensembles", "loop"]),
         (["Raw"], ["rollout", "arm", "loop", "memory"]),
         (["closed form", "jax"], ["rollout", "ensembles", "calls", "memory"]),
     ],
@@ -383,6 +410,77 @@ def test_ensembles_are_right(bench: SimpleNamespace, module: str) -> None:
         fleet = one.fleet_of(70, SHORT)  # a block of 64 and a part of one
         apart = bench.fleet.difference(one.prepare(fleet)(), fleet)
         assert apart <= bench.task.TOLERANCE, one.name
+
+
+@pytest.mark.parametrize(
+    ("arm", "modules"),
+    [
+        ("UR5", ["of_pinmobile", "of_c", "of_pinocchio", "of_mujoco"]),
+        ("panda", ["of_pinocchio", "of_mujoco"]),
+    ],
+)
+def test_ensembles_of_arms_are_right(bench: SimpleNamespace, arm: str, modules: list[str]) -> None:
+    for one in bench.arm_ensemble_contestants.ARMS[arm]:
+        others = "rk4", "all measures"  # which take as long again to compile
+        if one.peer.installed and one.module in modules and not one.name.endswith(others):
+            work = one.lasting(9, 0.01)  # a block of eight and a part of one
+            assert one.apart(one.prepare(work)(), work) <= bench.task.TOLERANCE, one.name
+
+
+def test_an_arm_with_another_payload_is_not_taken_for_right(bench: SimpleNamespace) -> None:
+    (one,) = (one for one in bench.arm_ensemble_contestants.EVERYONE if one.name == "UR5: pinmobile ensemble")
+    work = one.lasting(3, 0.03)
+    right = bench.arm_fleet.expected(work)
+    assert one.apart(right, work) == 0
+    work.payload[2] += 0.01
+    assert one.apart(right, work) > 1e3 * bench.task.TOLERANCE
+    assert one.apart(right._replace(max_force=right.max_force[:2]), work) == np.inf
+
+
+def test_the_tables_of_arms_are_printed(
+    bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(bench.arm_ensembles, "QUICK_SIZES", (1, 3))
+    monkeypatch.setattr(
+        bench.arm_ensembles, "ASKED", [(bench.arm_ensembles.STEP, bench.arm_ensembles.LOOP, 1, 15)]
+    )
+    monkeypatch.setattr(
+        bench.arm_ensembles, "show_memory", lambda out, weighed, sizes, program: bool(weighed)
+    )
+    monkeypatch.setattr(bench.arm_fleet, "LONG", 0.03)
+    assert bench.arm_ensembles.main(["--quick", "--only", "UR5: pinmobile ensemble", "loop in Python"]) == 0
+    printed = capsys.readouterr().out
+    assert "WRONG" not in printed
+    assert re.search(r"pinmobile ensemble +Pinocchio, loop in Python +1 +[\d.,]+ +15", printed)
+    assert printed.count("code for AVX2") == 1  # of the UR5 alone
+    assert "million robot-steps a second" in printed
+
+
+def test_the_first_result_of_arms_is_timed_or_its_failure_named(
+    bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "old").touch()
+    monkeypatch.setattr(bench.arm_ensembles, "FIRST", "raise RuntimeError('no compiler')")
+    assert bench.arm_ensembles.first_result("UR5", str(tmp_path), True) == "FAILED: RuntimeError: no compiler"
+    assert not list(tmp_path.iterdir())
+    monkeypatch.setattr(bench.arm_ensembles, "FIRST", "print('{arm}', 1, 2, 3, 4)")
+    assert bench.arm_ensembles.first_result("UR5", str(tmp_path), False) == (1, 2, 3, 4)
+
+
+def test_the_processors_vectors_are_stated(bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
+    for flags, said in (
+        ("sse2 avx avx2 avx512f", " with AVX-512,"),
+        ("sse2 avx avx2", " with AVX2,"),
+        ("", ","),
+    ):
+        monkeypatch.setattr(
+            bench.measuring,
+            "Path",
+            lambda _, text=flags: SimpleNamespace(
+                exists=lambda: True, read_text=lambda: f"flags : fpu {text}"
+            ),
+        )
+        assert f"{platform.machine()}{said} " in bench.measuring.about()
 
 
 @pytest.mark.parametrize("figure", ["max_error", "rms_error", "max_force", "max_distance", "histogram"])

@@ -1,8 +1,10 @@
-"""Robots with arms as compiled plants: ensembles of them against `simulate`, one by one."""
+"""Robots with arms as compiled plants: against Pinocchio, MuJoCo and `simulate`, one by one."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -28,6 +30,7 @@ from pinmobile import (
     Scenario,
     Uniform,
     UnknownName,
+    ViscousFriction,
     ensemble,
     grid,
     rk4,
@@ -35,27 +38,32 @@ from pinmobile import (
     sweep,
 )
 from pinmobile.arrays import Array
-from pinmobile.compiled import Parts, program_of
+from pinmobile.compiled import Batched, Cache, Parts, Program, program_of
 from pinmobile.compiled import Reference as CompiledReference
 from pinmobile.compiled.loop_tape import Loop
 from pinmobile.ensembles import run_scenario
+from pinmobile.ensembles.ways import way_of
 from pinmobile.errors import SlowerEngine
 from pinmobile.robot.articulated import ArticulatedBody
+from tests.test_compiled_loop import targets
+from tests.test_mounted import mjcf
 
 AT = (0.1, -0.05, 0.2, 0.4)
 LOAD = Load(1.0, (0, 0.01, 0.05), size=(0.1, 0.1, 0.1))
 UR5 = MobileRobot.box().mount("ur5", AT).attach(LOAD)
 PENDULUM = MobileRobot.box().mount("double_pendulum_continuous", AT)  # whose q has cosines and sines
 CLOSE = 1e-10
+WRAPPED = Saturated(
+    Delayed(NoisyMeasurement(ComputedTorque(UR5, 20, 8), 1e-4, 1e-4, seed=1), 1), UR5.effort_limit
+)
 
 
 class Swing:
     """All coordinates to and fro."""
 
-    duration = 0.6
-
-    def __init__(self, robot: MobileRobot) -> None:
-        self.robot, self.way = robot, 0.2 * np.arange(1, robot.nv + 1) / robot.nv
+    def __init__(self, robot: MobileRobot, duration: float = 0.6) -> None:
+        self.robot, self.duration = robot, duration
+        self.way = 0.2 * np.arange(1, robot.nv + 1) / robot.nv
 
     def __call__(self, t: Any) -> Reference:
         angle = 3.0 * np.asarray(t)[..., None]
@@ -82,10 +90,16 @@ SPREAD: dict[str, Any] = {
 }
 
 
-def run(robot: MobileRobot = UR5, controller: Any = None, spread: Any = SPREAD, **options: Any) -> Any:
+def given(robot: MobileRobot = UR5, controller: Any = None, spread: Any = SPREAD, **options: Any) -> Any:
+    """Return the words of a scenario."""
     controller = ComputedTorque(robot, 100, 20) if controller is None else controller
-    options = {"n": 5, "dt": 0.02, "seed": 3, "forces": [JointFriction(np.zeros(robot.nv))], **options}
-    return ensemble(robot, controller, Swing(robot), spread=spread, **options)
+    trajectory = Swing(robot, options.pop("lasts", 0.6))
+    words = {"robot": robot, "controller": controller, "trajectory": trajectory, "spread": spread}
+    return {"n": 5, "dt": 0.02, "seed": 3, "forces": [JointFriction(np.zeros(robot.nv))], **words, **options}
+
+
+def run(*parts: Any, **options: Any) -> Any:
+    return ensemble(**given(*parts, **options))
 
 
 def assert_members(runs: Any, *which: int) -> None:
@@ -96,6 +110,76 @@ def assert_members(runs: Any, *which: int) -> None:
         assert alone.engine == "PINOCCHIO"
         np.testing.assert_allclose(runs.max_error[i], alone.max_error(), rtol=CLOSE, atol=CLOSE)
         np.testing.assert_allclose(runs.max_force[i], alone.max_input(), rtol=CLOSE, atol=1e-8)
+
+
+def answers(body: Any, frame: str) -> Any:
+    """Return what gives M, n, tau, a, pose and Jacobian for a state, an acceleration and a force."""
+
+    def law(q: Any, v: Any, a: Any, tau: Any) -> Any:
+        return (
+            body.mass_matrix(q),
+            body.nonlinear_effects(q, v),
+            body.inverse_dynamics(q, v, a),
+            body.forward_dynamics(q, v, tau),
+            body.frame_pose(q, frame),
+            body.frame_jacobian(q, frame),
+        )
+
+    return law
+
+
+def by_mujoco(robot: MobileRobot, states: Any, force: Array) -> Any:
+    """Return the same of each state by MuJoCo, for a robot with one arm."""
+    (mount,) = robot.mounts
+    frame = mount.model.frames[mount.model.getFrameId(robot.end_effector.partition("/")[2])]
+    model = mujoco.MjModel.from_xml_string(mjcf(robot, mount))
+    data = mujoco.MjData(model)
+
+    for q, v, a, tau in zip(*states, force, strict=True):
+        data.qpos[:], data.qvel[:], data.qacc[:], data.qfrc_applied[:] = q, v, a, 0
+        mujoco.mj_inverse(model, data)
+        asked = data.qfrc_inverse.copy()
+        data.qfrc_applied[:] = tau
+        mujoco.mj_forward(model, data)
+        M, pose, J = np.zeros((model.nv, model.nv)), np.eye(4), np.zeros((6, model.nv))
+        mujoco.mj_fullM(model, data, M)
+        link = frame.parentJoint + 2  # of the bodies, after the world, the base and the arm's foot
+        R = data.xmat[link].reshape(3, 3)
+        pose[:3, :3], pose[:3, 3] = (
+            R @ frame.placement.rotation,
+            data.xpos[link] + R @ frame.placement.translation,
+        )
+        mujoco.mj_jac(model, data, J[:3], J[3:], pose[:3, 3], link)
+        yield M, data.qfrc_bias.copy(), asked, data.qacc.copy(), pose, J
+
+
+ALL_KINDS = {
+    "ur5": MobileRobot.box().mount("ur5", AT),
+    "panda": MobileRobot.box().mount("panda", AT),  # fingers that slide
+    "kinova": MobileRobot.box().mount("kinova", AT),  # cosines and sines
+    "solo8": MobileRobot.box(size=(1, 1, 0.5)).mount("solo8", AT),  # branches
+    "loaded": UR5.with_parameters(**{"rotor_ur5/elbow_joint": 0.3, "mass_ur5/forearm_link": 5.0}),
+}
+
+
+@pytest.mark.parametrize("kind", ALL_KINDS)
+def test_compiled_dynamics_are_those_of_pinocchio_and_of_mujoco(kind: str) -> None:
+    robot, rng = ALL_KINDS[kind], np.random.default_rng(2)
+    q, (v, a, tau) = robot.random_configuration(rng, (7,)), rng.normal(size=(3, 7, robot.nv))
+    q[:, 2] = rng.uniform(-12, 12, 7)
+    tau *= robot.inverse_dynamics(q, v, a)
+    law = answers(robot.varying(()).traced(), robot.end_effector)
+    found = Batched(law, [(x.shape[1],) for x in (q, v, a, tau)], cache=Cache(""))(q, v, a, tau)
+    rows = [answers(robot, robot.end_effector)(*state) for state in zip(q, v, a, tau, strict=True)]
+    everybody = {"Pinocchio": rows}
+    if kind in ("ur5", "panda"):
+        everybody["MuJoCo"] = list(by_mujoco(robot, (q, v, a), tau))
+    for who, theirs in everybody.items():
+        for name, x, y in zip(
+            ("M", "n", "tau", "a", "T", "J"), found, zip(*theirs, strict=True), strict=True
+        ):
+            off = np.abs(x - np.array(y)).max() / np.abs(y).max()
+            assert off < CLOSE, f"{name}, {who}: {off}"
 
 
 def test_each_robot_of_an_ensemble_is_what_simulate_makes_of_it() -> None:
@@ -110,9 +194,7 @@ def test_each_robot_of_an_ensemble_is_what_simulate_makes_of_it() -> None:
     [
         PDGravity(UR5, 20, 2),
         Decoupled(UR5, 25, 10),
-        Saturated(
-            Delayed(NoisyMeasurement(ComputedTorque(UR5, 20, 8), 1e-4, 1e-4, seed=1), 1), UR5.effort_limit
-        ),
+        WRAPPED,
     ],
     ids=["PDGravity", "Decoupled", "wrapped"],
 )
@@ -156,6 +238,48 @@ def test_the_engines_agree_and_the_bits_hang_on_nothing() -> None:
         np.testing.assert_allclose(other.max_error, few.max_error, rtol=1e-9, atol=CLOSE)
     np.testing.assert_array_equal(runs.max_error[:3], few.max_error)
     np.testing.assert_array_equal(runs.max_force[:3], few.max_force)
+
+
+@pytest.mark.parametrize("robot", [UR5, ALL_KINDS["kinova"]], ids=["ur5", "kinova"])
+def test_six_seconds_of_a_closed_loop_are_those_of_pinocchio(robot: MobileRobot) -> None:
+    runs = run(
+        robot, n=2, dt=0.01, lasts=6.0, spread={"mass": Uniform(24, 36), "joint_viscous": Uniform(0, 0.05)}
+    )
+    assert runs.engine == COMPILED.name
+    assert_members(runs, 1)
+    member = runs.member(1)
+    compiled, usual = (
+        simulate(*member[:3], **member.options, engine=engine) for engine in (COMPILED, PINOCCHIO)
+    )
+    assert len(usual.t) == 601
+    for name in ("q", "v", "a", "u"):
+        x, y = getattr(compiled, name), getattr(usual, name)
+        assert np.abs(x - y).max() < CLOSE * np.abs(y).max(), name
+
+
+def test_rk4_wrappers_and_forces_together_are_those_of_pinocchio_for_six_seconds() -> None:
+    forces = [JointFriction.of(UR5), ViscousFriction((5, 5, 1))]
+    runs = run(controller=WRAPPED, forces=forces, integrator=rk4, n=2, dt=0.01, lasts=6.0)
+    assert runs.engine == COMPILED.name
+    assert_members(runs, 1)
+
+
+def test_the_bits_of_arms_are_those_of_every_processor() -> None:
+    controller = Saturated(NoisyMeasurement(ComputedTorque(PENDULUM, 20, 8), 1e-4, 1e-4, seed=1), 50)
+    spread = {f"mass_{PENDULUM.mounts[0].links[-1]}": Uniform(0.2, 0.4)}
+    way = way_of(Scenario(**given(PENDULUM, controller, spread, n=11)))
+    assert way.program is not None
+    draws, found = way.scenario.draws(), []
+    for target, shape in targets().values():
+        if shape.vectors > 1:
+            continue
+        built = Program(way.program.loop, target, shape, cache=Cache(""))
+        found.append(replace(way, program=built).run(draws, 0, 11, 1))
+    assert len(found) > 2
+    assert np.ptp(found[0].max_error, axis=0).min() > 0
+    for other in found[1:]:
+        for one, same in zip(found[0], other, strict=True):
+            np.testing.assert_array_equal(one, same)
 
 
 def test_one_robot_runs_compiled_too() -> None:

@@ -39,6 +39,27 @@ def test_leading_axes_broadcast_and_several_arrays_come_back() -> None:
     assert one(x[:0]).shape == (0, 3)
 
 
+def test_what_is_the_same_for_all_states_is_handed_over_once() -> None:
+    def law(x: Any, A: Any, b: Any) -> Any:
+        return A @ x + b, np.zeros(0), 3.0
+
+    A, b, x = RNG.normal(size=(11, 3)), RNG.normal(size=11), RNG.normal(size=(21, 3))
+    affine = Batched(law, [(3,), (11, 3), (11,)], alike=2, cache=NONE)
+    assert affine.size == 12
+    for n in (1, 3, 8, 21):
+        found, nothing, three = affine(x[:n], A, b)
+        np.testing.assert_allclose(found, x[:n] @ A.T + b, rtol=1e-13, atol=1e-13)
+        assert nothing.shape == (n, 0)
+        np.testing.assert_array_equal(three, np.full(n, 3.0))
+    with pytest.raises(errors.InvalidArgument, match=r"expected \(\.\.\., 3\), \(11, 3\), \(11,\)$"):
+        affine(x, A[None], b)
+
+
+def test_a_law_of_too_many_operations_is_refused() -> None:
+    with pytest.raises(errors.NotTraceable, match="more than 20 operations"):
+        Batched(lambda x: np.sin(x), [(3,)], largest=20, cache=NONE)
+
+
 def test_the_bits_are_those_of_every_processor() -> None:
     body = Body(12.0, 0.9, (0.2, -0.1))
     given = RNG.normal(size=(3, 101, 3))

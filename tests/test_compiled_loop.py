@@ -26,6 +26,7 @@ from pinmobile.compiled import (
     robot_keys,
     traced,
 )
+from pinmobile.compiled.cache import CODE
 from tests.looping import (
     PD,
     PID,
@@ -208,7 +209,7 @@ def test_one_object_serves_all_numbers_that_are_not_spread() -> None:
     class Counting(Cache):
         written = 0
 
-        def write(self, key: str, code: bytes) -> None:
+        def write(self, key: str, code: bytes, kind: str = CODE) -> None:
             Counting.written += 1
 
     for gain, step, mass, limit in ((4.0, 0.01, 31.0, 50.0), (9.0, 0.005, 17.0, 3.0)):

@@ -427,8 +427,8 @@ class TestDrivers:
             np.asarray(line.get_ydata()) for line in scatter.lines if len(np.asarray(line.get_xdata())) == 15
         )
         np.testing.assert_array_equal(np.sort(worst), np.sort(made.max_error[:, 2])[-15:])
-        with pytest.raises(UnknownName, match="unknown error 'x', available: distance, heading"):
-            plots.drivers(made, by="x")
+        with pytest.raises(UnknownName, match="unknown error 'z', available: distance, heading, psi, x, y"):
+            plots.drivers(made, by="z")
 
     def test_diverged_robots_are_the_worst(self, diverging: Ensemble) -> None:
         figure = plots.drivers(diverging, share=0.1)

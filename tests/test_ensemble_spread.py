@@ -38,7 +38,7 @@ from pinmobile import (
     planar_difference,
     simulate,
 )
-from pinmobile.ensembles import ARRAYS, PARAMETERS, run_scenario
+from pinmobile.ensembles import ARRAYS, PARAMETERS, Within, run_scenario
 from pinmobile.ensembles.histogram import BINS, bins_of, edges, quantiles
 
 ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.02))
@@ -549,8 +549,8 @@ def test_a_share_of_whole_robots_is_that_many(n: int) -> None:
     run = run_scenario(made(n=n, spread={"mass": Uniform(20, 40)}))
     distance, heading = np.sort(run.max_distance), np.sort(run.max_error[:, 2])
     for k in range(1, n + 1):
-        assert run.within(k / n) == (distance[k - 1], heading[k - 1])
-    assert run.within(0) == (distance[0], heading[0])
+        assert run.within(k / n) == Within({"distance": distance[k - 1], "heading": heading[k - 1]})
+    assert run.within(0) == Within({"distance": distance[0], "heading": heading[0]})
     # In bins too: seven apart from the rest.
     apart = np.concatenate([np.full(7, 0.001), np.full(93, 1.0)])
     counts = np.bincount(bins_of(apart), minlength=BINS)

@@ -94,7 +94,7 @@ def assert_close(one: Ensemble, other: Ensemble) -> None:
     """Compare all records to 1e-12 of the largest number of each."""
     for name in PER_ROBOT:
         here, there = getattr(one, name), getattr(other, name)
-        size = np.abs(np.nan_to_num(there)).max()
+        size = np.abs(np.nan_to_num(there)).max(initial=0.0)
         np.testing.assert_allclose(here, there, rtol=0, atol=1e-12 * size, err_msg=name)
 
 

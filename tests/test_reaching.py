@@ -26,8 +26,7 @@ from pinmobile import (
 )
 from pinmobile.arrays import Array
 from pinmobile.reaching import pose_error
-from pinmobile.reaching.bounds import Limits, bounded_least_squares
-from pinmobile.reaching.solver import Solver
+from pinmobile.reaching.solver import Limits, Solver, bounded_least_squares
 
 BOX = MobileRobot.box()
 UR5 = BOX.mount("ur5", (0.1, -0.05, 0.2, 0.4))

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from pinmobile import (
@@ -95,6 +96,10 @@ def errors(controller: Any, trajectory: Any = CIRCLE, **options: Any) -> Any:
 
 
 # What may change is not taken for constant.
+
+
+def test_functions_of_pinocchio_are_constant() -> None:
+    assert is_constant((pin.rnea, "inverse_dynamics"))
 
 
 CONSTANT: dict[str, Any] = {
@@ -502,6 +507,7 @@ def test_what_the_library_has_is_compiled_once(monkeypatch: pytest.MonkeyPatch) 
         calls.append(args)
         return traced(*args, **named)
 
+    monkeypatch.setenv("PINMOBILE_CACHE", "")  # what another process left in files is another question
     monkeypatch.setattr(compiled, "traced", counted)
     for controller in (ComputedTorque(ROBOT), Saturated(Delayed(PD(4.0, 5.0), 1), 9.0)):
         forces = NoiseForce((1, 1, 0.1), 1.0, seed=0), RollingResistance((1, 1, 0.1), 0.05)

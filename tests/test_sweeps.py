@@ -86,8 +86,8 @@ def test_a_sweep_holds_the_ensembles_bit_for_bit(done: Sweep) -> None:
         np.testing.assert_array_equal(getattr(mine, name), getattr(alone, name))
     for name, values in alone.draws.items():
         np.testing.assert_array_equal(mine.draws[name], values)
-    for quantile, channel in (("distance_quantile", "distance"), ("heading_quantile", "heading")):
-        there = done.dataset[quantile].sel(gain=16, error=0.2).values
+    for channel in ("distance", "heading"):
+        there = done.dataset.quantiles.sel(gain=16, error=0.2, channel=channel).values
         np.testing.assert_array_equal(there, getattr(alone.bands(), channel))
     assert float(done.within(0.9).sel(gain=16, error=0.2)) == alone.within(0.9).distance
 
@@ -312,7 +312,7 @@ def test_a_sweep_killed_while_it_tidies_up_is_done(done: Sweep, tmp_path: Path) 
         ("diverged_at/c/0/1/0", 600),
         ("drawn_mass/c/1/1/3", 600),
         ("counts/c/0/0/0/0/0", 600),
-        ("heading_quantile/c/1/1/0/0", 600),
+        ("quantiles/c/1/1/0/0/0", 600),
         ("gain/c/0", 800),
     ],
 )

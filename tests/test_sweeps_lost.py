@@ -299,10 +299,8 @@ def numbers(path: Path) -> dict[str, Any]:
         read |= {f"{name} {gain}": np.asarray(getattr(one, name)) for name in ("max_error", "rms_error")}
         read |= {f"{name} {gain}": np.asarray(getattr(one, name)) for name in ("max_force", "counts")}
         read |= {f"{name} {gain}": values for name, values in one.draws.items()}
-    data = found.dataset[["gain", "time", "distance_quantile", "heading_quantile"]].load()
-    return read | {
-        name: data[name].values for name in ("gain", "time", "distance_quantile", "heading_quantile")
-    }
+    data = found.dataset[["gain", "time", "quantiles"]].load()
+    return read | {name: data[name].values for name in ("gain", "time", "quantiles")}
 
 
 def same(one: dict[str, Any], other: dict[str, Any]) -> bool:

@@ -1,5 +1,6 @@
 from collections.abc import Callable
 from copy import copy
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -19,6 +20,8 @@ from pinmobile import (
 )
 from pinmobile.arrays import Array
 from pinmobile.robot.engine import Engine
+from pinmobile.verification import routes
+from pinmobile.verification.routes import COMPILED
 
 
 @given(
@@ -36,12 +39,12 @@ def test_every_route_agrees_for_any_robot(
     assert verification.passed, str(verification)
 
 
-def test_four_quantities_are_compared_on_three_routes() -> None:
+def test_four_quantities_are_compared_on_four_routes() -> None:
     verification = verify(MobileRobot(10, 1.2, com=(0.15, 0.05)))
-    assert [row.quantity for row in verification.rows] == ["M"] * 3 + ["n"] * 3 + ["tau"] * 3 + ["a"] * 3
+    assert [row.quantity for row in verification.rows] == ["M"] * 4 + ["n"] * 4 + ["tau"] * 4 + ["a"] * 4
     assert set(verification.largest) == {"M", "n", "tau", "a"}
     assert verification.largest["tau"] < 1e-14
-    assert {row.bound for row in verification.rows[:9]} == {1e-12}
+    assert {row.bound for row in verification.rows[:12]} == {1e-12}
 
 
 @pytest.mark.parametrize(
@@ -78,7 +81,7 @@ def test_the_same_seed_gives_the_same_numbers() -> None:
 def test_printed_it_is_a_table() -> None:
     lines = str(verify(MobileRobot(10, 1.2), states=5)).splitlines()
     assert lines[0] == "5 random states, each route against the closed form"
-    assert len(lines) == 14
+    assert len(lines) == 18
     assert lines[2].startswith("M   Pinocchio (CRBA, RNEA, ABA)")
 
 
@@ -113,6 +116,39 @@ def test_newton_and_euler_agree_with_what_is_assembled(kind: str) -> None:
     verification = verify(ARMS[kind], states=40)
     assert verification.passed, str(verification)
     assert [row.quantity for row in verification.rows if row.against == PARTS] == ["M", "n", "tau", "f"]
+
+
+@pytest.mark.parametrize(
+    "robot",
+    [MobileRobot(10, 1.2, com=(0.15, 0.05)), ARMS["ur5"], ARMS["loads alone"]],
+    ids=["base", "ur5", "loads"],
+)
+def test_machine_code_that_is_off_by_little_is_seen(
+    robot: MobileRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    right = routes._dynamics
+
+    def off(*given: Any) -> Any:
+        return tuple(x * (1 + 1e-9) for x in right(*given))
+
+    for law, seen in ((right, []), (off, ["M", "n", "tau", "a"])):
+        routes._planar.cache_clear()
+        monkeypatch.setattr(routes, "_dynamics", law)
+        rows = verify(robot, states=20).rows
+        assert [row.quantity for row in rows if not row.agrees] == seen
+        assert [row.quantity for row in rows if row.route == COMPILED] == ["M", "n", "tau", "a"]
+    routes._planar.cache_clear()
+
+
+def test_where_there_is_no_machine_code_the_table_says_why() -> None:
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "ball")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.ones(3) / 10, np.eye(3)), pin.SE3.Identity())
+    verification = verify(MobileRobot.box().mount(model), states=5)
+    assert verification.passed
+    assert COMPILED not in {row.route for row in verification.rows}
+    assert str(verification).splitlines()[-1].startswith(f"left out, {COMPILED}: joint ")
+    assert "JointModelSpherical, which has no single axis" in verification.missing
 
 
 def differing(model: pin.Model, wrong: MobileRobot) -> dict[str, float]:

@@ -36,13 +36,12 @@ from pinmobile import (
     Rollout,
     Tangent,
     ViewerError,
-    plots,
     simulate,
 )
 from pinmobile.arrays import Array
-from pinmobile.viewer import Arrows, Follow, Overlays, Recording, Stay, Viewer, palette
+from pinmobile.viewer import Arrows, Follow, Overlays, Recording, Stay, Viewer
 from pinmobile.viewer.chromium import Browser
-from pinmobile.viewer.encoding import gif as encoded_gif
+from pinmobile.viewer.recording import gif as encoded_gif
 from tests.chromium import Chromium, Page
 
 BLUE = (0, 114, 178)
@@ -754,11 +753,6 @@ def _shipped() -> Path:
     from pinmobile import shipped_urdf
 
     return shipped_urdf("lecture")
-
-
-def test_colours_are_those_of_the_figures() -> None:
-    assert [palette.colour(k) for k in range(7)] == [plots.style.colour(k) for k in range(7)]
-    assert plots.style.INK == palette.INK
 
 
 # The command

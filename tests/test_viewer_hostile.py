@@ -18,8 +18,8 @@ import pytest
 from PIL import Image
 
 from pinmobile.errors import ViewerError
-from pinmobile.viewer import server, sockets
-from pinmobile.viewer.live import LiveWindow
+from pinmobile.viewer.live import server
+from pinmobile.viewer.live.window import LiveWindow
 from tests.webclient import WebSocket, ask, eventually
 
 _FEW = 256  # descriptors of a process, macOS's default
@@ -31,7 +31,7 @@ def few_descriptors(script: str) -> Iterator["subprocess.Popen[str]"]:
     lines = f"""
         import os, resource, socket, sys, time
         resource.setrlimit(resource.RLIMIT_NOFILE, ({_FEW}, resource.getrlimit(resource.RLIMIT_NOFILE)[1]))
-        from pinmobile.viewer.live import LiveWindow
+        from pinmobile.viewer.live.window import LiveWindow
         w = LiveWindow()
         print(w.port, flush=True)
     """
@@ -139,7 +139,7 @@ def test_a_request_that_never_ends_is_ended(request_: bytes, monkeypatch: pytest
 
 
 def test_an_answer_that_nobody_reads_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sockets, "_LIFE", 0.3)
+    monkeypatch.setattr(server, "_LIFE", 0.3)
     with LiveWindow() as w, WebSocket(w.url) as browser, silent(w.port) as connection:
         assert w.wait(120)
         asked = f"GET /main.min.js HTTP/1.1\r\nHost: 127.0.0.1:{w.port}\r\n\r\n".encode()

@@ -19,10 +19,11 @@ import pytest
 import umsgpack
 
 from pinmobile import InvalidArgument, ViewerError
-from pinmobile.viewer import handlers, live, server
-from pinmobile.viewer.live import LiveWindow
+from pinmobile.viewer.live import handlers, server
+from pinmobile.viewer.live import window as live
+from pinmobile.viewer.live.window import LiveWindow
 from pinmobile.viewer.offline import OfflineWindow
-from pinmobile.viewer.stock import Visualizer
+from pinmobile.viewer.page import Visualizer
 from tests.webclient import WebSocket, ask, eventually, listens, resident
 
 Window = OfflineWindow | LiveWindow
@@ -89,7 +90,9 @@ def bounded() -> Callable[[float], None]:
 
 def run(script: str, **options: Any) -> "subprocess.Popen[str]":
     """Start a script that has a window `w` and says its port first."""
-    lines = "from pinmobile.viewer.live import LiveWindow\nw = LiveWindow()\nprint(w.port, flush=True)\n"
+    lines = (
+        "from pinmobile.viewer.live.window import LiveWindow\nw = LiveWindow()\nprint(w.port, flush=True)\n"
+    )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     command = [sys.executable, "-W", "error", "-c", lines + textwrap.dedent(script)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment, **options)
@@ -217,7 +220,7 @@ def test_what_cannot_be_drawn_is_refused_before_it_is_sent(
 
 
 def test_vertices_that_are_not_finite_are_refused(window: Window) -> None:
-    from pinmobile.viewer.stock import packed_array
+    from pinmobile.viewer.page import packed_array
 
     with pytest.raises(InvalidArgument, match=r"position\.array\[1\] is nan"):
         window.send(shape("a", {"position": packed_array(np.array([0.0, np.nan, 1.0]))}))
@@ -712,7 +715,7 @@ def test_a_forked_child_has_no_part_in_the_window() -> None:
 def test_importing_it_starts_nothing_and_warns_of_nothing() -> None:
     script = """
         import threading, os
-        from pinmobile.viewer.live import LiveWindow
+        from pinmobile.viewer.live.window import LiveWindow
         links = [os.readlink(f"/proc/self/fd/{fd}") for fd in os.listdir("/proc/self/fd") if fd.isdigit()
                  and os.path.islink(f"/proc/self/fd/{fd}")]
         print(threading.active_count(), any("socket:" in link for link in links))

@@ -20,9 +20,9 @@ MODEL = """
 """
 
 
-def build(dt: float) -> tuple[mujoco.MjModel, mujoco.MjData]:
+def build(dt: float, bodies: pin.Model | None = None) -> tuple[mujoco.MjModel, mujoco.MjData]:
     """Return the model of the same bodies at the same places."""
-    text = MODEL.format(dt=dt, body=_body(of_pinocchio.build(), 1))
+    text = MODEL.format(dt=dt, body=_body(bodies or of_pinocchio.build(), 1))
     model = mujoco.MjModel.from_xml_string(text)
     return model, mujoco.MjData(model)
 

@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from contestants import MUJOCO, NUMPY, PINMOBILE, PINOCCHIO, Contestant, Peer
-from fleet import LECTURE, Fleet, Run
+from fleet import LECTURE, Figures, Fleet, Run, difference
 
 
 @dataclass(frozen=True)
@@ -51,13 +51,23 @@ class Entrant(Contestant):
         """Return its robots."""
         return Fleet(n, task=replace(LECTURE, duration=duration), **dict.fromkeys(self.fleet, True))
 
-    def prepare(self, fleet: Fleet) -> Run:
+    package: ClassVar[str] = "ensemble_contestants"
+
+    def work(self, n: int, part: float = 1.0) -> Any:
+        """Return its robots, who do a part of the whole."""
+        return self.fleet_of(n, part * LECTURE.duration)
+
+    def apart(self, figures: Figures, fleet: Any) -> float:
+        """Return the largest difference of its figures from what must come out."""
+        return difference(figures, fleet)
+
+    def prepare(self, fleet: Any) -> Run:
         """Return what runs the ensemble, set up."""
         run: Run = self._attribute(self.function)(fleet)
         return run
 
     def _attribute(self, name: str) -> Any:
-        return getattr(import_module(f"ensemble_contestants.{self.module}"), name)
+        return getattr(import_module(f"{self.package}.{self.module}"), name)
 
 
 NO_COMPILER = "a C compiler with OpenMP (apt-get install gcc), on a processor with {}"

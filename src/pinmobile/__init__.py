@@ -46,14 +46,6 @@ if TYPE_CHECKING:
         planar_difference,
     )
     from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHRow, DHTable, JointType
-    from pinmobile.disturbances import (
-        ConstantForce,
-        JointFriction,
-        NoiseForce,
-        RollingResistance,
-        SinusoidalForce,
-        ViscousFriction,
-    )
     from pinmobile.ensembles import TRUE_MODEL, Ensemble, Normal, Same, Scenario, Uniform, ensemble
     from pinmobile.errors import (
         Diverged,
@@ -66,6 +58,14 @@ if TYPE_CHECKING:
         UnknownName,
         Unreachable,
         ViewerError,
+    )
+    from pinmobile.forces import (
+        ConstantForce,
+        JointFriction,
+        NoiseForce,
+        RollingResistance,
+        SinusoidalForce,
+        ViscousFriction,
     )
     from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
     from pinmobile.paths import Circle, CubicVia, Hold, Lissajous, RestToRest, Spline
@@ -183,14 +183,6 @@ _NAMES: dict[str, tuple[str, ...]] = {
     ),
     "derivation": (),
     "dh": ("LECTURE_TABLE", "SLIDE_TABLE", "DHRow", "DHTable", "JointType"),
-    "disturbances": (
-        "ConstantForce",
-        "JointFriction",
-        "NoiseForce",
-        "RollingResistance",
-        "SinusoidalForce",
-        "ViscousFriction",
-    ),
     "ensembles": ("TRUE_MODEL", "Ensemble", "Normal", "Same", "Scenario", "Uniform", "ensemble"),
     "errors": (
         "Diverged",
@@ -206,7 +198,17 @@ _NAMES: dict[str, tuple[str, ...]] = {
     ),
     "extras": (),
     "files": (),
+    "forces": (
+        "ConstantForce",
+        "JointFriction",
+        "NoiseForce",
+        "RollingResistance",
+        "SinusoidalForce",
+        "ViscousFriction",
+    ),
     "integrators": ("constant_acceleration", "rk4", "semi_implicit_euler"),
+    "measures": (),
+    "palette": (),
     "paths": ("Circle", "CubicVia", "Hold", "Lissajous", "RestToRest", "Spline"),
     "plant": ("Context",),
     "plots": (),

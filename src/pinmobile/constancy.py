@@ -3,6 +3,7 @@
 import itertools
 import weakref
 from dataclasses import dataclass, field
+from enum import Enum
 from functools import cached_property, partial
 from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
 from typing import Any, TypeVar
@@ -12,7 +13,8 @@ import numpy as np
 __all__ = ["Known", "constant", "has_slots", "is_constant", "known"]
 
 _DEEP = 24
-_ATOMS = (bool, int, float, complex, str, bytes, np.generic, np.dtype, np.ufunc, type, ModuleType, type(None))
+_NUMBERS = bool, int, float, complex, str, bytes, np.generic
+_ATOMS = (*_NUMBERS, np.dtype, np.ufunc, type, ModuleType, type(None), Enum)
 _MARK = "__pinmobile_constant__"
 
 _Kind = TypeVar("_Kind", bound=type)
@@ -81,7 +83,8 @@ def is_constant(thing: Any, depth: int = 0) -> bool:
     if isinstance(thing, np.ndarray):
         return not thing.flags.writeable and thing.dtype != object and isinstance(thing.base, bytes)
     if isinstance(thing, MethodType | BuiltinFunctionType):
-        return is_constant(thing.__self__, depth + 1)
+        # Pinocchio's functions say that they are built in, and belong to nothing.
+        return is_constant(getattr(thing, "__self__", None), depth + 1)
     attributes = getattr(thing, "__dict__", None)
     if isinstance(thing, partial):
         held = thing.func, thing.args, *thing.keywords.values()

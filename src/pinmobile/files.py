@@ -34,6 +34,8 @@ __all__ = [
     "written",
 ]
 
+_SHORT = 4096  # bytes of an array of one text
+
 # What a path is at fault for, and another one mends; all else is the system's: a full disk, a failing device.
 _OF_THE_PATH = frozenset(
     {
@@ -322,6 +324,11 @@ def arrays_of(
             members, size = archive.infolist(), sum(info.file_size for info in archive.infolist())
             largest = path.stat().st_size if most is None else most
             if sorted(info.filename for info in members) != sorted(f"{each}.npy" for each in wanted):
+                for info in members:
+                    short = info.filename == "format.npy" and info.file_size < _SHORT
+                    told = repr(_text("format", _array(archive, info))) if short else kind
+                    if told not in kind:
+                        raise ValueError(f"it is of another format, {told}")
                 held = ", ".join(sorted(repr(info.filename.removesuffix(".npy")) for info in members[:20]))
                 raise ValueError(f"it holds {held}; expected {', '.join(wanted)}, each once")
             if size > largest:

@@ -90,6 +90,9 @@ class Plant(Protocol):
         What `pinmobile.balance` asks, of many states at once: the wrench (fx, fy, fz, mx, my, mz) of the
         ground on the body, along and about the body's frame [N, N m]; and the corners (k, 2) of what it
         stands on [m].
+    ``measures``, ``measured(t, q, v, a, u, reference) -> (m,)``
+        What is worth judging about a sample beside errors, a tuple of m `pinmobile.measures.Measure`, and the
+        law that gives them, all numbers the plant's own: ensembles keep the worst of each.
     ``size``
         Length, width and height of the box that is drawn [m], or of what ``drawing`` draws; without, an
         arrowhead, or a box of usual size.

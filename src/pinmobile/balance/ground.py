@@ -7,7 +7,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, finite
 from pinmobile.balance.motion import Moving, checked_robot, robot_of
 from pinmobile.errors import InvalidArgument
-from pinmobile.robot.footprint import checked_footprint, margin_inside
+from pinmobile.robot.footprint import WEIGHTLESS, checked_footprint, margin_inside, pressed_at
 
 __all__ = [
     "body_zero_moment_point",
@@ -16,8 +16,6 @@ __all__ = [
     "tip_over_margin",
     "zero_moment_point",
 ]
-
-_WEIGHTLESS = 1e-9  # of the weight: a vertical force that only rounding made
 
 
 def zero_moment_point(motion: Moving) -> Array:
@@ -69,9 +67,8 @@ def body_zero_moment_point(motion: Moving) -> Array:
             "motion.plant does not tell how high it is above the ground, expected one that does: "
             "MobileRobot.from_urdf(path, ground=...), with the ground's z in the root link's frame [m]"
         )
-    wrench, carried = _ground(motion)
-    vertical = np.where(carried, wrench[..., 2], np.nan)
-    return np.stack([-wrench[..., 4] / vertical, wrench[..., 3] / vertical], axis=-1)
+    found: Array = pressed_at(*_ground(motion))
+    return found
 
 
 def tip_over_margin(motion: Moving, footprint: ArrayLike | None = None) -> Array:
@@ -175,4 +172,4 @@ def _negligible(motion: Moving) -> float:
         return 0.0
     still = np.zeros(plant.nv)
     weight = plant.ground_wrench(q.reshape(-1, q.shape[-1])[0], still, still)[..., :3]
-    return _WEIGHTLESS * float(np.linalg.norm(weight))
+    return WEIGHTLESS * float(np.linalg.norm(weight))

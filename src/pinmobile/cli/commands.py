@@ -130,7 +130,7 @@ def lecture(
 ) -> int:
     """Work through the whole lecture: derive, verify, run, and draw.
 
-    It derives M(q) and n(q, v) from the Denavit-Hartenberg table, compares four routes to them, runs
+    It derives M(q) and n(q, v) from the Denavit-Hartenberg table, compares five routes to them, runs
     {via stop, via free, circle} x {PD, computed torque} with the lecture's numbers, prints the largest
     errors beside the lecture's, and writes every figure with an index page.
     """
@@ -149,10 +149,10 @@ def verify(
     seed: Annotated[int, _help("Seed of the states.")] = 0,
     **typed: Any,
 ) -> int:
-    """Compare closed form, Pinocchio, symbolic Newton-Euler and Lagrange for M, n, tau and accelerations.
+    """Compare closed form, Pinocchio, symbolic Newton-Euler, Lagrange and machine code: M, n, tau, a.
 
-    With an arm on it (--mount ur5), Pinocchio's algorithms against each other, and the base against the
-    closed form.
+    With an arm on it (--mount ur5), Pinocchio's algorithms against each other, against Newton's and Euler's
+    laws for its parts and against machine code, and the base against the closed form.
     """
     options = Options({**typed, "urdf": urdf, "table": table})
     if urdf is None:

@@ -9,7 +9,7 @@ from functools import partial
 from types import ModuleType
 from typing import Any
 
-from pinmobile import InvalidArgument, PinmobileError, UnknownName, controllers, disturbances
+from pinmobile import InvalidArgument, PinmobileError, UnknownName, controllers, forces
 from pinmobile.cli.choices import BELIEVED, BODY, CONTROLLERS, INTEGRATORS, PATHS, ROBOTS
 from pinmobile.cli.options import Options, Refused, choose, controller_of, path_of, plant_of
 from pinmobile.compiled.parts import attributes_of, check_numbers
@@ -157,7 +157,7 @@ def _classes(package: ModuleType, wanted: Callable[[type], bool]) -> dict[str, C
 
 Parts = Mapping[str, Callable[..., Any]]
 WRAPPERS: Parts = _classes(controllers, lambda kind: "controller" in _parameters(kind))
-FORCES: Parts = _classes(disturbances, lambda kind: True)
+FORCES: Parts = _classes(forces, lambda kind: True)
 STEPS: Parts = {name: partial(lambda step: step, step) for name, step in INTEGRATORS.items()}
 NONE: Parts = {}
 _NAMED = ("type", "heading", "integrator")  # keys whose text names a part

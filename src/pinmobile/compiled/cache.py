@@ -1,4 +1,4 @@
-"""Files of machine code, so that a loop that was built once is read in a millisecond."""
+"""Files of tapes and machine code, so that a loop that was built once is read in some milliseconds."""
 
 import contextlib
 import hashlib
@@ -7,14 +7,19 @@ import sys
 import tempfile
 from pathlib import Path
 
-__all__ = ["Cache"]
+__all__ = ["CODE", "LOOP", "Cache"]
+
+CODE, LOOP = ".o", ".loop"
+"""Endings of files."""
 
 _MAGIC = b"pinmobile object 1\n"
-_MOST = 512  # files; an object has 5 to 200 kB
+_MOST = 512  # files of 5 to 200 kB
 
 
 class Cache:
-    """A folder of objects by key. Nothing that goes wrong in it is an error: what is not found is built.
+    """A folder of machine code and loops by key.
+
+    Nothing that goes wrong in it is an error: what is not found is made.
 
     Parameters
     ----------
@@ -26,12 +31,12 @@ class Cache:
     def __init__(self, folder: str | os.PathLike[str] | None = None) -> None:
         self.folder = _default() if folder is None else Path(folder) if os.fspath(folder) else None
 
-    def read(self, key: str) -> bytes | None:
-        """Return the object of a key; None where there is none, or it is damaged or somebody else's."""
+    def read(self, key: str, kind: str = CODE) -> bytes | None:
+        """Return what a key has; None where there is none, or it is damaged or somebody else's."""
         if self.folder is None:
             return None
         try:
-            with self._file(key).open("rb") as file:
+            with self._file(key, kind).open("rb") as file:
                 if hasattr(os, "getuid") and os.fstat(file.fileno()).st_uid != os.getuid():
                     return None  # code that another user could write is not run
                 found = file.read()
@@ -40,8 +45,8 @@ class Cache:
         head, code = found[: len(_MAGIC) + 32], found[len(_MAGIC) + 32 :]
         return code if head == _MAGIC + hashlib.sha256(code).digest() else None
 
-    def write(self, key: str, code: bytes) -> None:
-        """Keep the object of a key, all of it or nothing."""
+    def write(self, key: str, code: bytes, kind: str = CODE) -> None:
+        """Keep what a key has, all of it or nothing."""
         if self.folder is None:
             return
         with contextlib.suppress(OSError):
@@ -51,20 +56,20 @@ class Cache:
             try:
                 with os.fdopen(handle, "wb") as file:
                     file.write(_MAGIC + hashlib.sha256(code).digest() + code)
-                os.replace(name, self._file(key))
+                os.replace(name, self._file(key, kind))
             except BaseException:
                 with contextlib.suppress(OSError):
                     os.unlink(name)
                 raise
 
-    def _file(self, key: str) -> Path:
+    def _file(self, key: str, kind: str) -> Path:
         assert self.folder is not None
-        return self.folder / f"{key}.o"
+        return self.folder / f"{key}{kind}"
 
     def _thin(self) -> None:
         """Remove the oldest files where there are too many."""
         assert self.folder is not None
-        files = [entry for entry in os.scandir(self.folder) if entry.name.endswith((".o", ".part"))]
+        files = [entry for entry in os.scandir(self.folder) if entry.name.endswith((CODE, LOOP, ".part"))]
         if len(files) >= _MOST:
             for entry in sorted(files, key=lambda entry: entry.stat().st_mtime)[: _MOST // 4]:
                 with contextlib.suppress(OSError):

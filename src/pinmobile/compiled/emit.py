@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pinmobile.compiled.loop_tape import Loop
 from pinmobile.compiled.tape import ROBOT, SAMPLE, STATE, needed, operands
 
-__all__ = ["BINS", "ENTRY", "FIRST", "SHIFT", "Shape", "text_of"]
+__all__ = ["BINS", "ENTRY", "FIRST", "SHIFT", "Code", "Shape", "text_of"]
 
 ENTRY = "pinmobile_loop"
 
@@ -60,8 +60,16 @@ class Shape:
         return self.lanes * self.vectors
 
 
-class _Code:
-    """Lines of the function, by the place where they stand."""
+class Code:
+    """Lines of a function, by the place where they stand.
+
+    Parameters
+    ----------
+    loop : Loop
+        What is computed.
+    shape : Shape
+        How the robots are laid out.
+    """
 
     def __init__(self, loop: Loop, shape: Shape) -> None:
         self.loop, self.tape, self.shape = loop, loop.tape, shape
@@ -72,11 +80,14 @@ class _Code:
         self.late: list[str] = []
         self.rings: dict[int, tuple[str, str, str]] = {}
         self.named = 0
+        self.constants: dict[tuple[int, bool], str] = {}
+        self.shared = [not depends & (ROBOT | STATE) for depends in self.tape.depends]
+        lanes = shape.lanes
+        self.whole = {k: one if lanes == 1 else f"<{lanes} x {one}>" for k, one in _SCALAR.items()}
 
     def type(self, kind: str, scalar: bool = False) -> str:
         """Return LLVM's type of a value: a vector, unless all lanes share it."""
-        lanes = self.shape.lanes
-        return _SCALAR[kind] if scalar or lanes == 1 else f"<{lanes} x {_SCALAR[kind]}>"
+        return _SCALAR[kind] if scalar else self.whole[kind]
 
     def constant(self, kind: str, literal: str, scalar: bool = False) -> str:
         """Return a constant, repeated for each lane."""
@@ -93,7 +104,7 @@ class _Code:
 
     def is_shared(self, node: int) -> bool:
         """Tell whether all robots have the same value."""
-        return not self.tape.depends[node] & (ROBOT | STATE)
+        return self.shared[node]
 
     def region(self, node: int, default: str) -> str:
         """Return where a node is computed: as seldom as can be."""
@@ -104,16 +115,11 @@ class _Code:
 
     def argument(self, node: int, vector: int, region: str, scalar: bool = False) -> str:
         """Return the value of a node for one vector."""
+        if not self.shared[node]:
+            return self.values[node][vector]
         operation, kind = self.tape.operations[node], self.tape.types[node]
         if operation[0] == "const":
-            literal = str(operation[2])
-            if kind == "f":
-                literal = f"0x{operation[2]:016X}"
-            elif kind == "b":
-                literal = "true" if operation[2] else "false"
-            return self.constant(kind, literal, scalar)
-        if not self.is_shared(node):
-            return self.values[node][vector]
+            return self._literal(node, scalar)
         value = self.values[node][0]
         if scalar or self.shape.lanes == 1:
             return value
@@ -126,6 +132,18 @@ class _Code:
                 where, f"shufflevector {whole} {first}, {whole} poison, {mask}"
             )
         return self.spread[node, where]
+
+    def _literal(self, node: int, scalar: bool) -> str:
+        """Return a constant of the tape."""
+        if (node, scalar) not in self.constants:
+            _, kind, value = self.tape.operations[node]
+            literal = str(value)
+            if kind == "f":
+                literal = f"0x{value:016X}"
+            elif kind == "b":
+                literal = "true" if value else "false"
+            self.constants[node, scalar] = self.constant(kind, literal, scalar)
+        return self.constants[node, scalar]
 
     def emit(self, wanted: int, default: str = "sample") -> None:
         """Write what a node needs, and the node."""
@@ -253,7 +271,7 @@ def text_of(loop: Loop, shape: Shape) -> str:
     counted every so many samples in `counts`, (times, sizes, BINS); what is kept of each sample stands in
     `kept`, (blocks, samples, numbers, width), and behind it the robots' references where each has its own.
     """
-    code = _Code(loop, shape)
+    code = Code(loop, shape)
     for j, (now, _) in enumerate(loop.states):
         code.values[now] = [f"%s{j}_{u}" for u in code.vectors()]
     for j, node in enumerate(loop.tabled, loop.columns - len(loop.tabled)):
@@ -271,7 +289,7 @@ def text_of(loop: Loop, shape: Shape) -> str:
     return "\n".join([*_declarations(code), *_function(code, following)])
 
 
-def _keep(code: _Code) -> None:
+def _keep(code: Code) -> None:
     nodes = [node for _, nodes in code.loop.kept.values() for node in nodes]
     for j, node in enumerate(nodes):
         code.emit(node)
@@ -280,7 +298,7 @@ def _keep(code: _Code) -> None:
             code.lines["sample"].append(code.store(code.argument(node, u, "sample"), place))
 
 
-def _count_places(code: _Code) -> None:
+def _count_places(code: Code) -> None:
     """Write which bins the sizes belong to."""
     whole, truth = code.type("u"), code.type("b")
 
@@ -300,7 +318,7 @@ def _count_places(code: _Code) -> None:
             code.lines["count"].append(code.store(word, place, "u"))
 
 
-def _declarations(code: _Code) -> list[str]:
+def _declarations(code: Code) -> list[str]:
     lines = ["declare double @llvm.sqrt.f64(double)"]
     if code.shape.lanes > 1:
         whole = code.type("f")
@@ -308,7 +326,7 @@ def _declarations(code: _Code) -> list[str]:
     return lines
 
 
-def _function(code: _Code, following: list[list[str]]) -> list[str]:
+def _function(code: Code, following: list[list[str]]) -> list[str]:
     loop, shape = code.loop, code.shape
     width, whole, align = shape.width, code.type("f"), 8 * shape.lanes
     rows = len(loop.states) + loop.rows + len(loop.keys)
@@ -370,7 +388,7 @@ def _function(code: _Code, following: list[list[str]]) -> list[str]:
     ]
 
 
-def _counting(code: _Code) -> list[str]:
+def _counting(code: Code) -> list[str]:
     """Return the loop that counts, one robot after the other."""
     counted, width = len(code.loop.counted), code.shape.width
     if not counted:

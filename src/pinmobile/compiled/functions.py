@@ -7,7 +7,23 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.compiled import elementary as own
+from pinmobile.compiled.elementary import (
+    arccos,
+    arcsin,
+    arctan,
+    arctan2,
+    cos,
+    cosh,
+    exp,
+    expm1,
+    log,
+    log1p,
+    of_floats,
+    sin,
+    sinh,
+    tan,
+    tanh,
+)
 from pinmobile.compiled.symbols import FUNCTIONS, REFUSED, Symbols, entries, has_symbols, plain, put, wrapped
 from pinmobile.compiled.tape import absolute, maximum, minimum, root, select
 from pinmobile.compiled.ufuncs import UFUNCS, between, boxed, choose, elementwise, larger, of_truths, smaller
@@ -303,9 +319,9 @@ def _filling(true: Callable[..., Any]) -> Callable[..., Any]:
     return run
 
 
-def _own(name: str) -> Callable[..., Any]:
+def _own(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return a function of numbers that has the bits of the compiled one; of symbols, NumPy comes here."""
-    true, floats = getattr(np, name), own.of_floats(getattr(own, name))
+    true, floats = getattr(np, function.__name__), of_floats(function)
 
     def run(*given: Any, **options: Any) -> Any:
         if options or any(has_symbols(x) for x in given):
@@ -315,6 +331,7 @@ def _own(name: str) -> Callable[..., Any]:
     return run
 
 
+_ELEMENTARY = (sin, cos, tan, exp, expm1, log, log1p, sinh, cosh, tanh, arcsin, arccos, arctan, arctan2)
 _MADE = ("zeros", "empty", "ones", "full", "eye", "identity", "zeros_like", "empty_like", "ones_like")
 
 
@@ -326,10 +343,7 @@ def constructors() -> dict[str, Callable[..., Any]]:
         if hasattr(np, name)
     }
     filling = {name: _filling(getattr(np, name)) for name in _MADE}
-    hyperbolic = "sinh", "cosh", "tanh"
-    angles = "arcsin", "arccos", "arctan", "arctan2"
-    functions = ("sin", "cos", "tan", "exp", "expm1", "log", "log1p", *hyperbolic, *angles)
-    return making | filling | {name: _own(name) for name in functions}
+    return making | filling | {function.__name__: _own(function) for function in _ELEMENTARY}
 
 
 FUNCTIONS.update(_OWN)

@@ -20,14 +20,17 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled.cache import Cache
+from pinmobile.compiled.cache import LOOP, Cache
+from pinmobile.compiled.emit import Shape
+from pinmobile.compiled.lasting import Unknown, key_of, packed, unpacked
 from pinmobile.compiled.loop_tape import initial_memory
+from pinmobile.compiled.machine import Target
 from pinmobile.compiled.memory import Line
 from pinmobile.compiled.noise import Noise
 from pinmobile.compiled.parts import Parts, Place, Reference, attributes_of
-from pinmobile.compiled.passes import traced
+from pinmobile.compiled.passes import traced, walk_of
 from pinmobile.compiled.program import Program
-from pinmobile.compiled.tracing import Walk, is_foreign
+from pinmobile.compiled.tracing import Walk, is_foreign, uncollected
 from pinmobile.constancy import has_slots, is_constant, known
 from pinmobile.errors import NotTraceable
 
@@ -62,8 +65,8 @@ _MARKS = (types.GenericAlias, types.UnionType, type(...), type(NotImplemented), 
 _BY_VALUE = (bool, int, float, complex, str, bytes, np.generic)
 
 
-class _Unknown(Exception):
-    """Something of which nobody can tell whether it is the same as before."""
+class _Identity(int):
+    """What is the same only in this process."""
 
 
 def program_of(
@@ -97,17 +100,52 @@ def program_of(
     own = parts.on_symbols()
     try:
         key: Any = (*_key(own, context, reference, spread, single), own_reference)
-    except _Unknown:
+    except Unknown:
         key = None
     if key is not None:
         found: Program | None = _held(_known, key)
         if found is not None:
             return found
-    loop = traced(own, context, start, reference, dt=dt, spread=spread, own_reference=own_reference)
-    program = Program(loop, single=single, cache=Cache())
-    if key is not None:
-        _hold(_known, key, own, program)
+    with uncollected():
+        walk, cache, target = walk_of(own), Cache(), Target.here()
+        lasting = None if key is None or cache.folder is None else _lasting(walk, key, target)
+        program = None if lasting is None else _read(cache, lasting, target)
+        if program is None:
+            loop = traced(
+                *(own, context, start, reference),
+                dt=dt,
+                spread=spread,
+                own_reference=own_reference,
+                walk=walk,
+            )
+            program = Program(loop, target, single=single, cache=cache)
+            # A law that changes what it refers to is not the one that the key is of.
+            if lasting is not None and lasting == _lasting(walk_of(own), key, target):
+                beside = {"shape": [program.shape.lanes, program.shape.vectors], "key": program.key}
+                cache.write(lasting, packed(program.loop, **beside), LOOP)
+        if key is not None:
+            _hold(_known, key, walk, program)
     return program
+
+
+def _lasting(walk: Walk, key: Any, target: Target) -> str | None:
+    """Return what names a loop in any process; None where something has no lasting name."""
+    try:
+        return key_of(walk, key, functools.partial(_form, constant=True), target.key(""))
+    except Unknown:
+        return None
+
+
+def _read(cache: Cache, key: str, target: Target) -> Program | None:
+    data = cache.read(key, LOOP)
+    if data is None:
+        return None
+    try:
+        loop, beside = unpacked(data)
+        shape, key = Shape(*beside["shape"]), str(beside["key"])
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return None  # somebody wrote it by hand
+    return Program(loop, target, shape, cache=cache, key=key)
 
 
 def memory_of(parts: Parts, *others: Any) -> dict[Any, Any]:
@@ -138,7 +176,7 @@ def memory_of(parts: Parts, *others: Any) -> dict[Any, Any]:
     except NotTraceable:
         return {}
     made: dict[Any, Any] = {}
-    _hold(_memories, key, own, made, _MEMORIES, others)
+    _hold(_memories, key, Walk((*(part for _, part in own.by_path()), *others)), made, _MEMORIES)
     return made
 
 
@@ -162,15 +200,14 @@ def _held(table: "OrderedDict[Any, tuple[_Witness, Any]]", key: Any) -> Any:
 def _hold(
     table: "OrderedDict[Any, tuple[_Witness, Any]]",
     key: Any,
-    own: Parts,
+    walk: Walk,
     value: Any,
     most: int = _MOST,
-    others: Any = (),
 ) -> None:
     """Keep a value in a table, where all can be told that it hangs on."""
     try:
-        witness = _Witness((*(part for _, part in own.by_path()), *others))
-    except _Unknown:
+        witness = _Witness(walk)
+    except Unknown:
         return
     with _lock:
         table[key] = witness, value
@@ -211,7 +248,7 @@ def _form(x: Any, leaves: Any = None, depth: int = 0, constant: bool = False) ->
     if type(x) in _NUMBERS:  # the most
         return type(x) if leaves is not None else (type(x), x)
     if depth > _DEEP:
-        raise _Unknown
+        raise Unknown
     if isinstance(x, FunctionType) and (own := known(x)) is not None:
         return FunctionType, own.number  # the function itself would keep what it closes over
     if x is None or isinstance(x, _BY_IDENTITY):
@@ -220,7 +257,7 @@ def _form(x: Any, leaves: Any = None, depth: int = 0, constant: bool = False) ->
         return type(x) if leaves is not None and not isinstance(x, str | bytes) else (type(x), x)
     if isinstance(x, np.ndarray):
         if x.dtype == object:
-            raise _Unknown
+            raise Unknown
         return x.shape, x.dtype.str, None if leaves is not None else x.tobytes()
     if isinstance(x, list | tuple):
         return type(x), tuple(_form(each, leaves, depth + 1, constant) for each in x)
@@ -244,12 +281,12 @@ def _form(x: Any, leaves: Any = None, depth: int = 0, constant: bool = False) ->
 
 def _object_form(x: Any, leaves: Any, depth: int, constant: bool) -> Any:
     if is_foreign(type(x).__module__) and not type(x).__module__.startswith("pinmobile"):
-        raise _Unknown
+        raise Unknown
     attributes = getattr(x, "__dict__", None)  # some answer to any name with something
     if not isinstance(attributes, dict) or has_slots(type(x)) or _is_made_of_another(type(x)):
-        raise _Unknown
+        raise Unknown
     if constant and hasattr(type(x), "traced"):
-        return type(x), id(x), *_model_form(x, attributes, depth)
+        return type(x), _Identity(id(x)), *_model_form(x, attributes, depth)
     stated = () if constant else attributes_of(x)
     kept = (
         (name, np.shape(value) if name in stated else _form(value, leaves, depth + 1, constant))
@@ -270,15 +307,14 @@ def _model_form(x: Any, attributes: dict[str, Any], depth: int) -> Any:
     with contextlib.suppress(NotTraceable):  # as with arms: then its law is asked nothing
         yield _form(x.traced(), None, depth + 1, True)
     for name, value in attributes.items():
-        with contextlib.suppress(_Unknown):
+        with contextlib.suppress(Unknown):
             yield name, _form(value, None, depth + 1, True)
 
 
 class _Witness:
     """What code refers to, as it was when a loop was traced. It keeps no part of the loop alive."""
 
-    def __init__(self, things: Iterable[Any]) -> None:
-        walk = Walk(things)
+    def __init__(self, walk: Walk) -> None:
         names = [(mapping, name, mapping[name]) for mapping, name in walk.names.values()]
         kept = [own for f in walk.functions for own in (vars(f), f.__kwdefaults__ or {})]
         names += [(own, name, own[name]) for own in kept for name in own if name != "__wrapped__"]
@@ -323,7 +359,7 @@ class _Witness:
                 and all([f().__defaults__ is a and f().__kwdefaults__ is b for f, a, b in self._defaults])
                 and all([_form(value(), constant=True) == form for value, form in self._forms])
             )
-        except (_Unknown, AttributeError, KeyError, ValueError):
+        except (Unknown, AttributeError, KeyError, ValueError):
             return False
 
 

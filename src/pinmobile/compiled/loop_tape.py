@@ -201,7 +201,7 @@ def initial_memories(
             [tape.input("row", first + i) for i in range(columns.shape[1])], value.shape[1:]
         )
     try:
-        with tracing([part for _, part in parts.by_path()]):
+        with tracing(part for _, part in parts.by_path()):
             memory = initial_memory(parts.with_parameters(on_tape), context, reference)
     except NotTraceable:
         rows = []

@@ -3,6 +3,7 @@
 import ctypes
 import functools
 import hashlib
+import os
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
@@ -12,7 +13,7 @@ from typing import Any
 from pinmobile.compiled.cache import Cache
 from pinmobile.compiled.emit import ENTRY
 
-__all__ = ["Target", "function_of"]
+__all__ = ["Target", "function_of", "processors"]
 
 _LOADED = 64  # functions that stay loaded though nobody holds them
 _lock = threading.Lock()
@@ -27,6 +28,11 @@ def _llvm() -> Any:
     llvmlite.binding.initialize_native_target()
     llvmlite.binding.initialize_native_asmprinter()
     return llvmlite.binding
+
+
+def processors() -> int:
+    """Return how many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @dataclass(frozen=True)
@@ -92,15 +98,14 @@ class Target:
         )
 
 
-def function_of(text: str, target: Target, cache: Cache) -> Callable[..., None]:
-    """Return the function of a text: known, read from the cache, or built."""
-    key = target.key(text)
+def function_of(key: str, text: Callable[[], str], target: Target, cache: Cache) -> Callable[..., None]:
+    """Return the function of a target's key: known, read from the cache, or built of the key's text."""
     with _lock:
         found = _known.get(key)
         if found is None:
             code = cache.read(key)
             if code is None:
-                code = target.build(text)
+                code = target.build(text())
                 cache.write(key, code)
             found = _known[key] = target.load(code)
         _known.move_to_end(key)

@@ -17,6 +17,7 @@ from pinmobile.compiled.recorders import Record, Sample
 from pinmobile.compiled.symbols import entries, has_symbols
 from pinmobile.constancy import known
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
+from pinmobile.measures import measured_of
 from pinmobile.signals import claimed, number, signals_of
 
 __all__ = [
@@ -388,7 +389,10 @@ def one_sample(
     signals = {}
     if getattr(parts.recorder, "signals", False):
         signals = claimed(_told(parts, t, q, v, u, memory.plant, inner), _signal)
-    sample = Sample(k, t, q, v, u, acceleration, error, error_rate, signals)
+    measured: Any = ()
+    if getattr(parts.recorder, "measures", ()):
+        measured = measured_of(plant, t, q, v, acceleration, u, reference)
+    sample = Sample(k, t, q, v, u, acceleration, error, error_rate, signals, measured)
     record = Record(None) if parts.recorder is None else parts.recorder(sample, memory.recorder)
     return Stepped(sample, q1, v1, Memory(kept, inner, record.state), record)
 

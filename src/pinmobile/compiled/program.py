@@ -1,7 +1,8 @@
 """A compiled loop, and its runs: robots in blocks, blocks on threads."""
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import cached_property
 from math import prod
 from typing import Any, NamedTuple
 
@@ -18,7 +19,7 @@ from pinmobile.compiled.parts import Memory, Parts, Place, Reference
 from pinmobile.compiled.tape import COUNT, evaluated
 from pinmobile.errors import InvalidArgument, UnknownName
 
-__all__ = ["Outcome", "Program", "aligned"]
+__all__ = ["Outcome", "Program", "aligned", "shared_out"]
 
 _SLICE = 2e8  # operations of a vector in one call, some 0.1 s: Ctrl-C is answered in between
 _WORTH = 4e6  # operations of a vector for which a thread is worth starting
@@ -61,6 +62,8 @@ class Program:
         Whether it is for one robot: scalar code then.
     cache : Cache, optional
         Where objects are kept.
+    key : str, optional
+        That of its machine code, where it is known.
     """
 
     def __init__(
@@ -70,6 +73,7 @@ class Program:
         shape: Shape | None = None,
         single: bool = False,
         cache: Cache | None = None,
+        key: str | None = None,
     ) -> None:
         target = Target.here() if target is None else target
         self.loop = loop
@@ -77,8 +81,14 @@ class Program:
         small = loop.own <= _SMALL and len(loop.states) <= _FEW
         many = Shape(target.lanes, 2 if small else 1)
         self.shape = shape or (Shape(1, 1) if single else many)
-        self.text = text_of(loop, self.shape)
-        self._function = function_of(self.text, target, Cache() if cache is None else cache)
+        self.key = target.key(self.text) if key is None else key
+        cache = Cache() if cache is None else cache
+        self._function = function_of(self.key, lambda: self.text, target, cache)
+
+    @cached_property
+    def text(self) -> str:
+        """Its code as LLVM's text."""
+        return text_of(self.loop, self.shape)
 
     def run(
         self,
@@ -311,38 +321,23 @@ class Program:
         rings = [
             aligned((max(1, sum(ring.samples for ring in loop.rings)), self.shape.width)) for _ in counts
         ]
-        starts = iter(range(0, len(blocks), step))
-        lock, stopped = threading.Lock(), threading.Event()
 
-        def work_off(worker: int) -> None:
-            while not stopped.is_set():
-                with lock:
-                    begin = next(starts, None)
-                if begin is None:
-                    return
-                self._function(
-                    blocks.ctypes.data,
-                    begin,
-                    min(begin + step, len(blocks)),
-                    samples.ctypes.data,
-                    len(samples),
-                    uniforms.ctypes.data,
-                    rings[worker].ctypes.data,
-                    counts[worker].ctypes.data,
-                    every,
-                    n,
-                    kept.ctypes.data,
-                )
+        def run(worker: int, begin: int, end: int) -> None:
+            self._function(
+                blocks.ctypes.data,
+                begin,
+                end,
+                samples.ctypes.data,
+                len(samples),
+                uniforms.ctypes.data,
+                rings[worker].ctypes.data,
+                counts[worker].ctypes.data,
+                every,
+                n,
+                kept.ctypes.data,
+            )
 
-        helpers = [threading.Thread(target=work_off, args=(i,)) for i in range(1, workers)]
-        for helper in helpers:
-            helper.start()
-        try:
-            work_off(0)
-        finally:
-            stopped.set()
-            for helper in helpers:
-                helper.join()
+        shared_out(run, len(blocks), step, workers)
         found = counts[:, :times]
         return np.asarray(found[0] if workers == 1 else found.sum(axis=0, dtype=np.int32))
 
@@ -375,9 +370,43 @@ class Program:
         return found
 
 
-def aligned(shape: tuple[int, ...]) -> Array:
-    """Return an array of zeros at an address that vectors can be stored at."""
+def shared_out(run: Callable[[int, int, int], None], count: int, step: int, workers: int) -> None:
+    """Run pieces of some work on threads, of which this one is the first; Ctrl-C comes between two pieces.
+
+    Parameters
+    ----------
+    run : callable
+        ``run(worker, begin, end)`` does what is from `begin` to before `end`.
+    count, step : int
+        How much there is, and how much a piece has.
+    workers : int
+        How many threads.
+    """
+    starts = iter(range(0, count, step))
+    lock, stopped = threading.Lock(), threading.Event()
+
+    def work_off(worker: int) -> None:
+        while not stopped.is_set():
+            with lock:
+                begin = next(starts, None)
+            if begin is None:
+                return
+            run(worker, begin, min(begin + step, count))
+
+    helpers = [threading.Thread(target=work_off, args=(i,)) for i in range(1, workers)]
+    for helper in helpers:
+        helper.start()
+    try:
+        work_off(0)
+    finally:
+        stopped.set()
+        for helper in helpers:
+            helper.join()
+
+
+def aligned(shape: tuple[int, ...], empty: bool = False) -> Array:
+    """Return an array of zeros, or of anything, at an address that vectors can be stored at."""
     size = prod(shape)
-    raw = np.zeros(size + 8)
+    raw = (np.empty if empty else np.zeros)(size + 8)
     first = (-raw.ctypes.data % 64) // 8
     return raw[first : first + size].reshape(shape)

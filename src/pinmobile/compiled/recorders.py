@@ -10,6 +10,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from pinmobile.arrays import Array
+from pinmobile.measures import size_of
 
 __all__ = ["Record", "Sample", "Summary", "Trace"]
 
@@ -27,6 +28,8 @@ class Sample(NamedTuple):
         Of the coordinates that the reference has.
     signals : dict of str to Claim
         What parts tell, by name, where the recorder has ``signals = True``; nothing otherwise.
+    measured : ndarray, shape (m,)
+        What the plant's ``measured`` gives, where the recorder has ``measures``; nothing otherwise.
     """
 
     k: Any
@@ -38,6 +41,7 @@ class Sample(NamedTuple):
     error: Any
     error_rate: Any
     signals: Any = {}  # noqa: RUF012 (nobody writes into it)
+    measured: Any = ()
 
 
 class Record(NamedTuple):
@@ -77,11 +81,15 @@ class Summary:
     distances : tuple of tuples of int
         Coordinates whose errors make a distance together; of each distance the largest is kept, and its sizes
         are counted.
+    measures : tuple of (int, bool)
+        Which of the plant's measures are kept and counted, and whether it is a margin, of which the smallest
+        is the worst: see `pinmobile.measures`.
     """
 
     limit: float = np.inf
     begin: float | None = None
     distances: tuple[tuple[int, ...], ...] = ((0, 1), (2,))
+    measures: tuple[tuple[int, bool], ...] = ()
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -98,7 +106,14 @@ class Summary:
             "farthest": np.zeros(farthest),  # squared
             "squares": np.zeros(n),
             "inputs": np.zeros(nu),
+            **self._unmeasured(),
         }
+
+    def _unmeasured(self) -> dict[str, Array]:
+        if not self.measures:
+            return {}
+        worst = np.array([-np.inf if is_margin else 0.0 for _, is_margin in self.measures])
+        return {"worst": worst, "measure_squares": np.zeros(len(worst))}  # margins: the largest -m
 
     def __call__(self, sample: Sample, state: Any) -> Record:
         """Return the record with one more sample."""
@@ -128,7 +143,31 @@ class Summary:
             else np.where(alive, error[..., group[0]], np.inf)
             for square, group in zip(groups, self.distances, strict=True)
         ]
-        return Record(new, sizes)
+        if not self.measures:
+            return Record(new, sizes)
+        kept, found = self._measured(sample, state, alive)
+        return Record(new | kept, sizes + found)
+
+    def _measured(self, sample: Sample, state: Any, alive: Any) -> tuple[dict[str, Any], list[Any]]:
+        """Return what is kept of the plant's measures, and their sizes."""
+        columns = [(sample.measured[..., i], is_margin) for i, is_margin in self.measures]
+        bad = [-x if is_margin else np.abs(x) for x, is_margin in columns]
+        before = {name: state[name] for name in ("worst", "measure_squares")}
+        if self.begin is not None:  # what was infinite before is forgotten, too
+            first = self._unmeasured()
+            before = {name: np.where(sample.k == self.begin, first[name], x) for name, x in before.items()}
+        lives = alive[..., None]
+        worst = np.where(lives, np.stack(bad, axis=-1), self._unmeasured()["worst"])
+        squares = np.where(lives, np.stack([x * x for x, _ in columns], axis=-1), 0.0)
+        kept = {
+            "worst": _larger(worst, before["worst"]),
+            "measure_squares": before["measure_squares"] + squares,
+        }
+        sizes = [
+            np.where(alive, size_of(x) if is_margin else y, 0.0 if is_margin else np.inf)
+            for (x, is_margin), y in zip(columns, bad, strict=True)
+        ]
+        return kept, sizes
 
 
 def _larger(a: Any, b: Any) -> Any:

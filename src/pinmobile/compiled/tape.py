@@ -121,7 +121,22 @@ class Tape:
         self.places: list[Any] = []
         self._known: dict[Operation, int] = {}
         self._applied: dict[tuple[Any, ...], int] = {}  # what has been asked for, before it was simplified
+        self._values: dict[int, Any] = {}  # of constants
         self._largest, self._where, self._own = largest, where, 0
+
+    @classmethod
+    def of(cls, operations: list[Operation], types: list[str], depends: list[int]) -> "Tape":
+        """Return one that has these nodes, as from a file."""
+        tape = cls()
+        tape.operations, tape.types, tape.depends = operations, types, depends
+        for index, operation in enumerate(operations):
+            if operation[0] == "const":
+                tape._keep(index, operation)
+        return tape
+
+    def _keep(self, index: int, operation: Operation) -> None:
+        """Keep the value of a constant."""
+        self._values[index] = _bits_float(operation[2]) if operation[1] == "f" else operation[2]
 
     def __len__(self) -> int:
         return len(self.operations)
@@ -147,10 +162,7 @@ class Tape:
 
     def known(self, index: int) -> Any:
         """Return the value of a constant, and None of any other node."""
-        operation = self.operations[index]
-        if operation[0] != "const":
-            return None
-        return _bits_float(operation[2]) if operation[1] == "f" else operation[2]
+        return self._values.get(index)
 
     def apply(self, name: str, *given: Any) -> "Node":
         """Return the node of an operation on nodes and plain numbers, folded where it can be."""
@@ -174,13 +186,13 @@ class Tape:
             name = ON_WHOLES[name]
         wanted = kinds_before(name, kinds)
         nodes = [self._as(x, kind) for x, kind in zip(given, wanted, strict=True)]
-        values = [self.known(node.index) for node in nodes]
+        indices = [node.index for node in nodes]
+        values = [*map(self._values.get, indices)]
         if None not in values:
             return self._folded(name, wanted, values)
         simpler: Node | None = simplified(self, name, nodes, values)
         if simpler is not None:
             return simpler
-        indices = [node.index for node in nodes]
         if name in COMMUTE:
             indices.sort()
         depends = 0
@@ -217,6 +229,8 @@ class Tape:
                     "take fewer rounds, or run it with engine=ARRAYS",
                 )
             self._known[operation] = index
+            if operation[0] == "const":
+                self._keep(index, operation)
             self.operations.append(operation)
             self.types.append(kind)
             self.depends.append(depends)
@@ -359,19 +373,21 @@ def evaluated(
             elif name == "ring":
                 values[index] = values[operation[3]] if first else inputs[operation]
             elif name in _INPUTS:
-                values[index] = np.asarray(inputs[operation], DTYPES[tape.types[index]])
+                # Of one number NumPy's scalar, whose sums are faster than those of an array without axes.
+                values[index] = np.asarray(inputs[operation], DTYPES[tape.types[index]])[()]
             else:
-                values[index] = NUMPY[name](*(values[i] for i in operation[1:]))
+                values[index] = NUMPY[name](*[values[i] for i in operation[1:]])
     return [values[index] for index in wanted]
 
 
 def needed(tape: Tape, wanted: Iterable[int]) -> list[int]:
     """Return the nodes that some nodes need, themselves included, in the order of the tape."""
-    found: set[int] = set()
-    todo = list(wanted)
-    while todo:
-        index = todo.pop()
-        if index not in found:
-            found.add(index)
-            todo += operands(tape.operations[index])
-    return sorted(found)
+    last = max(wanted := list(wanted), default=-1)
+    found = bytearray(last + 1)
+    for index in wanted:
+        found[index] = 1
+    for index in range(last, -1, -1):  # an operand comes before what it is an operand of
+        if found[index]:
+            for operand in operands(tape.operations[index]):
+                found[operand] = 1
+    return [index for index, is_needed in enumerate(found) if is_needed]

@@ -6,7 +6,25 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.compiled import elementary as own
+from pinmobile.compiled.elementary import (
+    arccos,
+    arcsin,
+    arctan,
+    arctan2,
+    cos,
+    cosh,
+    exp,
+    expm1,
+    floor,
+    log,
+    log1p,
+    power,
+    rounded,
+    sin,
+    sinh,
+    tan,
+    tanh,
+)
 from pinmobile.compiled.tape import Node, absolute, bits, maximum, minimum, real, root, select
 from pinmobile.errors import NotTraceable
 
@@ -84,12 +102,12 @@ def _sign(x: Any) -> Any:
 
 
 def _truncated(x: Any) -> Any:
-    size = own.floor(absolute(x))
+    size = floor(absolute(x))
     return select(x < 0.0, -size, size)
 
 
 def _remainder(a: Any, b: Any) -> Any:
-    return a - b * own.floor(a / b)
+    return a - b * floor(a / b)
 
 
 def of_truths(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -120,39 +138,39 @@ _UFUNCS: dict[Any, Callable[..., Any]] = {
     np.absolute: absolute,
     np.fabs: absolute,
     np.sqrt: root,
-    np.cbrt: lambda x: _copied_sign(own.exp(own.log(absolute(x)) * (1 / 3)), x),
+    np.cbrt: lambda x: _copied_sign(exp(log(absolute(x)) * (1 / 3)), x),
     np.square: lambda x: x * x,
     np.reciprocal: lambda x: 1.0 / x,
-    np.power: own.power,
-    np.float_power: own.power,
-    np.sin: own.sin,
-    np.cos: own.cos,
-    np.tan: own.tan,
-    np.exp: own.exp,
-    np.exp2: lambda x: own.exp(x * float(np.log(2.0))),
-    np.expm1: own.expm1,
-    np.log: own.log,
-    np.log2: lambda x: own.log(x) * float(1 / np.log(2.0)),
-    np.log10: lambda x: own.log(x) * float(1 / np.log(10.0)),
-    np.log1p: own.log1p,
-    np.sinh: own.sinh,
-    np.cosh: own.cosh,
-    np.tanh: own.tanh,
-    np.arcsin: own.arcsin,
-    np.arccos: own.arccos,
-    np.arctan: own.arctan,
-    np.arctan2: own.arctan2,
+    np.power: power,
+    np.float_power: power,
+    np.sin: sin,
+    np.cos: cos,
+    np.tan: tan,
+    np.exp: exp,
+    np.exp2: lambda x: exp(x * float(np.log(2.0))),
+    np.expm1: expm1,
+    np.log: log,
+    np.log2: lambda x: log(x) * float(1 / np.log(2.0)),
+    np.log10: lambda x: log(x) * float(1 / np.log(10.0)),
+    np.log1p: log1p,
+    np.sinh: sinh,
+    np.cosh: cosh,
+    np.tanh: tanh,
+    np.arcsin: arcsin,
+    np.arccos: arccos,
+    np.arctan: arctan,
+    np.arctan2: arctan2,
     np.hypot: lambda a, b: root(a * a + b * b),
     np.sign: _sign,
     np.maximum: larger,
     np.minimum: smaller,
     np.fmax: lambda a, b: select(b == b, maximum(a, b), a),
     np.fmin: lambda a, b: select(b == b, minimum(a, b), a),
-    np.rint: own.rounded,
-    np.floor: own.floor,
-    np.ceil: lambda x: -own.floor(-x),
+    np.rint: rounded,
+    np.floor: floor,
+    np.ceil: lambda x: -floor(-x),
     np.trunc: _truncated,
-    np.floor_divide: lambda a, b: own.floor(a / b),
+    np.floor_divide: lambda a, b: floor(a / b),
     np.remainder: _remainder,
     np.fmod: lambda a, b: a - b * _truncated(a / b),
     np.copysign: _copied_sign,
@@ -225,4 +243,4 @@ for _ufunc, _function in _UFUNCS.items():
         setattr(Node, _ufunc.__name__, _function)
 
 
-setattr(Node, "__pow__", own.power)  # noqa: B010 (elementary functions are made of nodes)
+setattr(Node, "__pow__", power)  # noqa: B010 (elementary functions are made of nodes)

@@ -6,17 +6,16 @@ and returns the next one (None where it has no memory, see `initial_state`). q, 
 leading axes. `Saturated`, `Delayed` and `NoisyMeasurement` wrap any of them, and each other.
 """
 
-from pinmobile.controllers.arms import Decoupled, Gravity, PDGravity
-from pinmobile.controllers.feedback import PD, ComputedTorque, gain_matrix
-from pinmobile.controllers.law import law
-from pinmobile.controllers.protocol import (
+from pinmobile.controllers.controller import (
     Controller,
     InverseDynamics,
     State,
     check_controller,
+    law,
     plain_difference,
     planar_difference,
 )
+from pinmobile.controllers.feedback import PD, ComputedTorque, Decoupled, Gravity, PDGravity, gain_matrix
 from pinmobile.controllers.wrappers import Delayed, NoisyMeasurement, Saturated
 
 __all__ = [

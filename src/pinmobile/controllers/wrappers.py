@@ -11,12 +11,10 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen, whole
-from pinmobile.controllers.protocol import Controller, State, answer_of, check_controller, told
+from pinmobile.controllers.controller import Controller, State, answer_of, check_controller, told
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Context, Parameter
 from pinmobile.signals import signals_of
-
-__all__ = ["Delayed", "NoisyMeasurement", "Saturated"]
 
 
 @final

@@ -10,11 +10,9 @@ from typing import Any
 from sympy import Expr, ImmutableMatrix, Symbol
 
 from pinmobile.arrays import one_of, sequence, whole
-from pinmobile.derivation.exact import exact, exact_matrix
+from pinmobile.derivation.algebra import exact, exact_matrix
 from pinmobile.dh import DHTable
 from pinmobile.errors import InvalidArgument, shown
-
-__all__ = ["Chain", "Link"]
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,6 @@ from string import Template
 
 from pinmobile.dh import DHRow, JointType
 
-__all__ = ["Wording"]
-
 
 @dataclass(frozen=True)
 class Wording:

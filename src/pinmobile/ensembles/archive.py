@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["read_ensemble", "write_ensemble"]
 
-_FORMAT = "pinmobile ensemble 2"
+_FORMAT = "pinmobile ensemble 3"
 _REFERENCE = tuple(f"reference_{name}" for name in Reference._fields)
 _TRACE = tuple(f"trace_{name}" for name in ARRAYS)
 _KINDS: Mapping[str, type] = {
@@ -46,7 +46,7 @@ def write_ensemble(file: IO[bytes], ensemble: "Ensemble") -> None:
         What is written.
     """
     outline, traces = Outline.of(ensemble.scenario), ensemble.traces
-    variables = {**per_robot(outline.coordinates, outline.inputs), **drawn(outline.parameters)}
+    variables = {**per_robot(outline), **drawn(outline.parameters)}
     described = {
         "scenario": outline.description(),
         "engine": ensemble.engine,
@@ -104,12 +104,15 @@ def read_ensemble(path: Path) -> dict[str, Any]:
 def _check(named: Mapping[str, Array], outline: Outline) -> None:
     """Refuse records that no robots have."""
     n, diverged = outline.n, named["diverged_at"]
-    sizes = {"coordinate": len(outline.coordinates), "input": len(outline.inputs)}
-    for name, variable in per_robot(outline.coordinates, outline.inputs).items():
-        values, shape = named[name], (n, *(sizes[each] for each in variable.dimensions[1:]))
+    sizes = {"diverged_at": (), "max_distance": (), "max_force": (len(outline.inputs),)}
+    sizes |= dict.fromkeys(("max_error", "rms_error"), (len(outline.coordinates),))
+    sizes |= dict.fromkeys(("worst_measure", "rms_measure"), (len(outline.judged),))
+    margins = [one.is_margin for one in outline.judged]
+    for name in PER_ROBOT:
+        values, shape = named[name], (n, *sizes[name])
         if values.shape != shape:
             raise ValueError(f"{name} has shape {values.shape}, expected {shape}")
-        if (values < 0).any():
+        if (values < 0).any(where=~np.array(margins, bool) if name == "worst_measure" else True):
             raise ValueError(f"{name} has {np.nanmin(values)}, expected none below 0")
     for name in PER_ROBOT:
         if name != "diverged_at" and np.isnan(named[name][np.isnan(diverged)]).any():
@@ -119,7 +122,7 @@ def _check(named: Mapping[str, Array], outline: Outline) -> None:
     if named["draws"].shape != (len(outline.parameters), n):
         raise ValueError(f"draws has shape {named['draws'].shape}, expected {(len(outline.parameters), n)}")
     finite("draws", named["draws"])
-    why = miscounted(named["counts"], len(outline.grid), n)
+    why = miscounted(named["counts"], len(outline.grid), len(outline.channels), n)
     if why:
         raise ValueError(f"it {why}")
 

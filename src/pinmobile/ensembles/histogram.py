@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, finite, scalar
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.measures import value_of
 
 __all__ = [
     "BINS",
@@ -45,9 +46,9 @@ def bins_of(values: Array) -> NDArray[np.int64]:
     return np.asarray(np.clip(bits - FIRST + 1, 0, BINS - 1))
 
 
-def miscounted(counts: NDArray[Any], times: int, robots: int) -> str:
+def miscounted(counts: NDArray[Any], times: int, channels: int, robots: int) -> str:
     """Return why counts cannot be those of some robots at some times; nothing where they can be."""
-    shape = (times, 2, BINS)
+    shape = (times, channels, BINS)
     if counts.shape != shape or counts.dtype != np.int32:
         return f"has no counts {shape}"
     if (counts < 0).any() or (counts.sum(axis=-1, dtype=np.int64) != robots).any():
@@ -106,8 +107,8 @@ def _rank(share: float, count: Any) -> Any:
     return np.where(np.abs(rank - np.round(rank)) <= _ROUNDING * rank, np.round(rank), rank)
 
 
-def quantiles(counts: NDArray[np.int64], wanted: Array) -> Array:
-    """Return quantiles from counts.
+def quantiles(counts: NDArray[np.int64], wanted: Array, *, margins: bool = False) -> Array:
+    """Return quantiles from counts: what shares of the robots are within.
 
     Within a bin the numbers are taken to lie evenly in the logarithm: a quantile is off by the width of its
     bin, 2 to 3 %, at most.
@@ -118,14 +119,20 @@ def quantiles(counts: NDArray[np.int64], wanted: Array) -> Array:
         How many are in each bin; at least one in all.
     wanted : ndarray, shape (m,)
         Levels from 0 to 1.
+    margins : bool
+        Whether these are sizes of margins, see `pinmobile.measures.size_of`: then a share of the robots has
+        at least what is returned, in numbers of the margin.
 
     Returns
     -------
     quantiles : ndarray, shape (m, ...)
-        Infinite where it falls in the last bin.
+        Infinite where it falls in the last bin, of margins minus infinity in the first.
     """
-    total = counts.cumsum(axis=-1)
     bounds = edges()
+    if margins:
+        # From the best to the worst; of what is in the best bin only its lower edge is known.
+        counts, bounds = counts[..., ::-1], np.append(bounds[-2], bounds[-2::-1])
+    total = counts.cumsum(axis=-1)
     found = np.empty((len(wanted), *counts.shape[:-1]))
     for k, level in enumerate(wanted):
         rank = _rank(level, total[..., -1:])
@@ -137,5 +144,8 @@ def quantiles(counts: NDArray[np.int64], wanted: Array) -> Array:
         low, high = bounds[bin_], bounds[bin_ + 1]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             between = low * (high / low) ** part
+        if margins:
+            found[k] = value_of(np.where(bin_ == BINS - 1, 0.0, between))
+            continue
         found[k] = np.where(bin_ == 0, _LEAST * part, np.where(bin_ == BINS - 1, np.inf, between))
     return found

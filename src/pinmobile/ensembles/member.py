@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-from pinmobile.controllers.protocol import told
+from pinmobile.controllers.controller import told
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.plant import Context
 from pinmobile.signals import signals_of

@@ -5,7 +5,7 @@ from dataclasses import replace
 from types import MethodType
 from typing import Any, NamedTuple
 
-from pinmobile import disturbances, paths, trajectories
+from pinmobile import forces, paths, trajectories
 from pinmobile.compiled.parts import Parts, children_at
 from pinmobile.controllers.feedback import GAINS
 from pinmobile.errors import InvalidArgument, UnknownName
@@ -28,7 +28,7 @@ def _stating(package: Any) -> tuple[Any, ...]:
     return tuple(kind for kind in map(vars(package).get, package.__all__) if hasattr(kind, "parameters"))
 
 
-_FORCES = _stating(disturbances)
+_FORCES = _stating(forces)
 
 
 _FORCE_OF = {each.name: kind for kind in reversed(_FORCES) for each in parameters_of(kind)}
@@ -74,7 +74,7 @@ def _of_model(parameter: Parameter, prefix: str) -> Parameter:
 
 
 def _of_kinds() -> Iterator[tuple[str, tuple[Parameter, ...]]]:
-    for package in (disturbances, paths, trajectories):
+    for package in (forces, paths, trajectories):
         for kind in _stating(package):
             with_ = f", with {kind.needs}" if hasattr(kind, "needs") else ""
             how = f"added where there is none{with_}" if hasattr(kind, "nothing") else "where there is one"

@@ -11,6 +11,7 @@ from pinmobile.arrays import Array, finite, frozen, increasing, positive, text, 
 from pinmobile.ensembles.distributions import Same
 from pinmobile.ensembles.scenario import Scenario, checked_scenario, first_counted, time_within
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.measures import Measure, channels_of
 from pinmobile.plant import Coordinate, Input, Parameter
 from pinmobile.trajectories import Reference
 
@@ -47,6 +48,8 @@ class Outline:
         Name and unit of those that the reference has.
     inputs : tuple of Input
         Name and unit of the plant's.
+    judged : tuple of Measure
+        What of the plant is judged beside errors.
     n, seed, dt, substeps, limit, after, every : number
         As given.
     t : ndarray, shape (N + 1,)
@@ -69,6 +72,7 @@ class Outline:
     parameters: Mapping[str, Parameter]
     coordinates: tuple[Coordinate, ...]
     inputs: tuple[Input, ...]
+    judged: tuple[Measure, ...]
     n: int
     seed: int
     dt: float
@@ -93,6 +97,9 @@ class Outline:
             for one in getattr(self, name):
                 for each in (one.name, one.unit):
                     text(name, each)
+        for measure in self.judged:
+            for each in measure:
+                text("judged", each)
         for name, least in (("n", 1), ("substeps", 1), ("every", 1), ("seed", 0)):
             object.__setattr__(self, name, whole(name, getattr(self, name), least=least))
         for name in ("dt", "limit"):
@@ -131,6 +138,7 @@ class Outline:
             spread={name: _source(source) for name, source in spread},
             coordinates=tuple(Coordinate(*one[:2]) for one in given.coordinates),
             inputs=tuple(Input(*one[:2]) for one in given.inputs),
+            judged=given.judged,
         )
 
     @classmethod
@@ -153,6 +161,7 @@ class Outline:
             parameters={name: Parameter(name, one["unit"], one["meaning"]) for name, one in spread.items()},
             coordinates=tuple(Coordinate(name, unit) for name, unit in described["coordinates"]),
             inputs=tuple(Input(name, unit) for name, unit in described["inputs"]),
+            judged=tuple(Measure(*one) for one in described["judged"]),
             t=t,
             reference=reference,
         )
@@ -166,7 +175,8 @@ class Outline:
             spread[name] = {"unit": one.unit, "meaning": one.meaning, "source": words, "same_as": other}
         plain = {name: getattr(self, name) for name in (*_PARTS, *_NUMBERS)}
         named = {name: [one[:2] for one in getattr(self, name)] for name in ("coordinates", "inputs")}
-        return {**plain, **named, "forces": list(self.forces), "spread": spread}
+        judged = [list(one) for one in self.judged]
+        return {**plain, **named, "judged": judged, "forces": list(self.forces), "spread": spread}
 
     @property
     def begin(self) -> int:
@@ -177,6 +187,11 @@ class Outline:
     def grid(self) -> Array:
         """Times of the bands, shape (G,) [s]."""
         return self.t[:: self.every]
+
+    @property
+    def channels(self) -> tuple[Measure, ...]:
+        """What is counted over time."""
+        return channels_of(self.coordinates, self.judged)
 
     def difference(self, other: "Outline") -> str:
         """Return in words how another scenario differs, as far as can be told; "" where it does not."""
@@ -202,6 +217,8 @@ class Outline:
         for name, source in self.spread.items():
             words = f"{source.name} times {source.factor}" if isinstance(source, Same) else source
             found[f"spread[{name!r}]"] = words
+        if self.judged:
+            found["measures"] = ", ".join(one.name for one in self.judged)
         return found | {name: f"{getattr(self, name)!r}" for name in _NUMBERS}
 
 

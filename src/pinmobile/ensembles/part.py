@@ -27,8 +27,11 @@ class Part(NamedTuple):
         Root of the mean squared error.
     max_force : ndarray, shape (m, nu)
         Largest |input|.
-    counts : ndarray of int, shape (G, 2, BINS)
-        At each time of the grid, how many robots have a distance, and an error of the heading, of which size.
+    worst_measure, rms_measure : ndarray, shape (m, j)
+        Worst, and root of the mean square, of each measure, in the samples of which errors are kept.
+    counts : ndarray of int, shape (G, channels, BINS)
+        At each time of the grid, how many robots have a distance, and so on, of which size; see
+        `Scenario.channels`.
     """
 
     lived: NDArray[np.int64]
@@ -36,6 +39,8 @@ class Part(NamedTuple):
     max_distance: Array
     rms_error: Array
     max_force: Array
+    worst_measure: Array
+    rms_measure: Array
     counts: NDArray[np.int32]
 
     @classmethod
@@ -43,12 +48,16 @@ class Part(NamedTuple):
         """Return what a `Summary` kept of m robots, its arrays with the robots as their first axis."""
         lived = record["lived"].astype(np.int64)
         kept = np.maximum(lived - scenario.begin, 1)[:, None]
+        none = np.zeros((len(lived), 0))
+        signs = np.array([-1.0 if one.is_margin else 1.0 for one in scenario.judged])
         return cls(
             lived,
             record["largest"].copy(),  # not a view of all that the robots kept
             np.sqrt(record["farthest"][:, 0]),
             np.sqrt(record["squares"] / kept),
             record["inputs"].copy(),
+            record.get("worst", none) * signs,
+            np.sqrt(record.get("measure_squares", none) / kept),
             counts,
         )
 
@@ -72,8 +81,10 @@ class Records:
             "max_distance": np.empty(size),
             "rms_error": np.empty((size, scenario.size)),
             "max_force": np.empty((size, scenario.robot.nu)),
+            "worst_measure": np.empty((size, len(scenario.judged))),
+            "rms_measure": np.empty((size, len(scenario.judged))),
         }
-        self.counts = np.zeros((len(scenario.grid), 2, BINS), np.int32)
+        self.counts = np.zeros((len(scenario.grid), len(scenario.channels), BINS), np.int32)
 
     def put(self, start: int, stop: int, part: Part) -> None:
         """Put the records of the robots from `start` to before `stop` in their place."""

@@ -3,20 +3,20 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from os import PathLike
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, location, one_of, whole
 from pinmobile.ensembles.archive import read_ensemble, write_ensemble
-from pinmobile.ensembles.histogram import checked_levels, checked_share, quantiles, share_within
+from pinmobile.ensembles.histogram import checked_levels, checked_share, share_within
 from pinmobile.ensembles.member import Member, member_of
 from pinmobile.ensembles.outline import Outline, alike
 from pinmobile.ensembles.part import Part
 from pinmobile.ensembles.scenario import Scenario, checked_scenario
 from pinmobile.ensembles.table import judgement, ranges
-from pinmobile.ensembles.variables import PER_ROBOT, columns_of, dataset_of
+from pinmobile.ensembles.variables import PER_ROBOT, columns_of, dataset_of, quantiles_of
 from pinmobile.errors import Diverged, InvalidArgument
 from pinmobile.files import replacing, write_table
 from pinmobile.simulation import Rollout, simulate
@@ -24,8 +24,13 @@ from pinmobile.simulation import Rollout, simulate
 __all__ = ["Bands", "Ensemble", "Within"]
 
 
-class Bands(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Bands:
     """Quantiles over the robots, as functions of time.
+
+    ``bands["end effector"]``, shape (L, G), are those of one of `Scenario.channels`: that share of the robots
+    errs at most by this, or has at least this margin; infinite, or minus infinity, where fewer have not
+    diverged.
 
     Attributes
     ----------
@@ -33,30 +38,55 @@ class Bands(NamedTuple):
         Times [s].
     levels : ndarray, shape (L,)
         Shares of the robots.
-    distance, heading : ndarray, shape (L, G)
-        That share of the robots is at most this far from the desired position [m] and heading [rad];
-        infinite where fewer have not diverged.
+    quantiles : mapping of str to ndarray, shape (L, G)
+        All of them by name.
     """
 
     t: Array
     levels: Array
-    distance: Array
-    heading: Array
+    quantiles: Mapping[str, Array]
+
+    def __getitem__(self, name: str) -> Array:
+        return self.quantiles[one_of("band", name, self.quantiles)]
+
+    @property
+    def distance(self) -> Array:
+        """Those of the distance from the desired position, shape (L, G) [m]."""
+        return self["distance"]
+
+    @property
+    def heading(self) -> Array:
+        """Those of the error of the heading, shape (L, G) [rad]."""
+        return self["heading"]
 
 
-class Within(NamedTuple):
-    """What a share of the robots stays within, all the time: infinite where fewer have not diverged.
+@dataclass(frozen=True)
+class Within:
+    """What a share of the robots stays within, all the time.
+
+    ``within["tip-over margin"]`` is that of one of `Scenario.channels`: the share errs at most by this, or
+    has at least this margin; infinite, or minus infinity, where fewer have not diverged.
 
     Attributes
     ----------
-    distance : float
-        From the desired position [m].
-    heading : float
-        From the desired heading [rad].
+    sizes : mapping of str to float
+        All of them by name.
     """
 
-    distance: float
-    heading: float
+    sizes: Mapping[str, float]
+
+    def __getitem__(self, name: str) -> float:
+        return self.sizes[one_of("size", name, self.sizes)]
+
+    @property
+    def distance(self) -> float:
+        """That from the desired position [m]."""
+        return self["distance"]
+
+    @property
+    def heading(self) -> float:
+        """That from the desired heading [rad]."""
+        return self["heading"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -78,11 +108,14 @@ class Ensemble:
     max_force : ndarray, shape (n, nu)
         Largest |input| from the start on, such as [N, N, N m]; of a diverged robot until then, NaN where
         there is none. `Scenario.coordinates` and `Scenario.inputs` have names and units.
+    worst_measure, rms_measure : ndarray, shape (n, j)
+        Worst, and root of the mean square, of what else is judged, `Scenario.judged`: the largest size, or
+        the smallest margin. From `Scenario.after` on; so too.
     diverged_at : ndarray, shape (n,)
         When the loop diverged [s]; NaN where it did not.
-    counts : ndarray of int, shape (G, 2, BINS)
-        At each time of `Scenario.grid`, how many robots have a distance, and an error of the heading, of
-        which size, see `pinmobile.ensembles.histogram`.
+    counts : ndarray of int, shape (G, channels, BINS)
+        At each time of `Scenario.grid`, how many robots have a distance, an error of the heading, and so on
+        of `Scenario.channels`, of which size, see `pinmobile.ensembles.histogram`.
     traces : dict of int to Rollout
         Everything of the robots that were asked for; of a diverged one until then.
     engine : str
@@ -97,6 +130,8 @@ class Ensemble:
     rms_error: Array
     max_distance: Array
     max_force: Array
+    worst_measure: Array
+    rms_measure: Array
     diverged_at: Array
     counts: NDArray[np.int32]
     traces: Mapping[int, Rollout]
@@ -131,7 +166,10 @@ class Ensemble:
         way : Way, optional
             How they were run.
         """
-        for array in (part.max_error, part.max_distance, part.rms_error):
+        for array in (
+            *(part.max_error, part.max_distance, part.rms_error),
+            *(part.worst_measure, part.rms_measure),
+        ):
             array[part.lived <= scenario.begin] = np.nan
         part.max_force[part.lived == 0] = np.nan
         samples = len(scenario.t)
@@ -143,6 +181,8 @@ class Ensemble:
             rms_error=part.rms_error,
             max_distance=part.max_distance,
             max_force=part.max_force,
+            worst_measure=part.worst_measure,
+            rms_measure=part.rms_measure,
             diverged_at=times[np.minimum(part.lived, samples)],
             counts=part.counts,
             traces={},
@@ -170,9 +210,17 @@ class Ensemble:
         InvalidArgument
             If `share` is not between 0 and 1.
         """
-        level = checked_share(share)
-        sizes = (np.where(self.diverged, np.inf, self.largest(by)) for by in Within._fields)
-        return Within(*(float(share_within(x, level)) for x in sizes))
+        level, found = checked_share(share), {}
+        for one in self.scenario.channels:
+            size = float(share_within(self._badness(one.name), level))
+            found[one.name] = -size if one.is_margin else size
+        return Within(found)
+
+    def _badness(self, by: str) -> Array:
+        """Return what is the larger the worse a robot is, shape (n,), infinite where it diverged."""
+        values = self.largest(by)
+        margins = [one.name for one in self.scenario.judged if one.is_margin]
+        return np.where(self.diverged, np.inf, -values if by in margins else values)
 
     def bands(self, levels: ArrayLike = (0.5, 0.9, 0.99)) -> Bands:
         """Return quantiles of the errors over time, to the width of a bin, 2 to 3 %.
@@ -188,20 +236,21 @@ class Ensemble:
             If one is not.
         """
         wanted = checked_levels(levels)
-        found = quantiles(self.counts.astype(np.int64), wanted)
-        return Bands(self.scenario.grid, wanted, found[..., 0], found[..., 1])
+        found = quantiles_of(self.counts, wanted, self.scenario.channels)
+        return Bands(self.scenario.grid, wanted, found)
 
     def worst(self, count: int = 5, by: str = "distance") -> NDArray[np.intp]:
         """Return the robots that did worst, the worst first, shape (count,), or (n,) where there are fewer.
 
-        Those that diverged come first, in order of time; then those whose largest error is largest.
+        Those that diverged come first, in order of time; then those whose largest error is largest, or whose
+        smallest margin is smallest.
 
         Parameters
         ----------
         count : int
             How many, at the most.
         by : str
-            Which error: "distance" from the desired position, or "heading".
+            By what, see `largest`.
 
         Raises
         ------
@@ -209,11 +258,16 @@ class Ensemble:
             If `count` is no whole number >= 1, or there is no such error.
         """
         earliest = np.where(self.diverged, self.diverged_at, np.inf)
-        farthest = np.where(self.diverged, np.inf, self.largest(by))
-        return np.lexsort((-farthest, earliest))[: whole("count", count)]
+        return np.lexsort((-self._badness(by), earliest))[: whole("count", count)]
 
     def largest(self, by: str = "distance") -> Array:
-        """Return each robot's largest error, shape (n,): "distance" [m] or "heading" [rad].
+        """Return each robot's largest error, or smallest margin, shape (n,).
+
+        Parameters
+        ----------
+        by : str
+            "distance" from the desired position [m], "heading" [rad], a coordinate of the reference by its
+            name, or one of `Scenario.judged`, such as "end effector" [m] and "tip-over margin" [m].
 
         Raises
         ------
@@ -221,6 +275,10 @@ class Ensemble:
             If there is no such error.
         """
         errors = {"distance": self.max_distance, "heading": self.max_error[:, 2]}
+        coordinates = zip(self.scenario.coordinates, self.max_error.T, strict=True)
+        errors |= {one.name: column for one, column in coordinates}
+        measures = zip(self.scenario.judged, self.worst_measure.T, strict=True)
+        errors |= {one.name: column for one, column in measures}
         return errors[one_of("error", by, errors)]
 
     def member(self, i: int) -> Member:
@@ -325,7 +383,8 @@ class Ensemble:
         Returns
         -------
         dataset : xarray.Dataset
-            Dimensions ``robot``, ``coordinate``, ``input``, ``time``, ``channel``, ``level`` and ``bin``;
+            Dimensions ``robot``, ``coordinate``, ``input``, ``measure`` (where there is one), ``time``,
+            ``channel``, ``level`` and ``bin``;
             each variable has attributes ``units`` and ``long_name``. What was drawn is ``drawn_mass`` and so
             on. Attribute ``scenario`` tells in words what was run. The traces, which may differ in length,
             are not in it.
@@ -341,7 +400,8 @@ class Ensemble:
         """Write one line per robot, with a header that has the units, and 17 significant digits.
 
         The columns are the robot's index, what was drawn for it (``drawn_mass [kg]`` and so on), its largest
-        and rms errors, largest forces and distance, and when it diverged; ``nan`` where it did not.
+        and rms errors, largest forces and distance, when it diverged, ``nan`` where it did not, and what else
+        is judged, worst and rms.
 
         Raises
         ------
@@ -358,11 +418,11 @@ class Ensemble:
     def __str__(self) -> str:
         samples = f"seed {self.scenario.seed}, {len(self.scenario.t)} samples each"
         named = self.scenario.coordinates, self.scenario.inputs
-        rows = ranges(self.max_distance, self.max_error, self.max_force, *named)
+        judged = self.worst_measure, self.scenario.judged
+        rows = ranges(self.max_distance, self.max_error, self.max_force, *named, *judged)
         words = [str(self.scenario)] if isinstance(self.scenario, Outline) else []
         return "\n".join([self._judgement(), samples, *rows, *words])
 
     def _judgement(self) -> str:
-        return judgement(
-            len(self), self.scenario.t[-1], self.within(0.99), int(self.diverged.sum()), self.scenario.after
-        )
+        within, counted = self.within(0.99), (int(self.diverged.sum()), self.scenario.after)
+        return judgement(len(self), self.scenario.t[-1], (within.distance, within.heading), *counted)

@@ -42,6 +42,7 @@ def ensemble(
     limit: float = 1e3,
     after: float = 0.0,
     every: int | None = None,
+    measures: Sequence[str] | None = None,
     traces: Iterable[int] = (),
     engine: Engine | None = None,
     threads: int | None = None,
@@ -59,6 +60,8 @@ def ensemble(
         Time from which on errors are kept [s].
     every : int, optional
         Samples between two entries of the bands over time.
+    measures : sequence of str, optional
+        What the robot states that is judged beside errors, by name; by default all, see `Scenario`.
     traces : iterable of int
         Robots of which a whole `Rollout` is kept, made by `simulate`.
     engine : Engine, optional
@@ -99,6 +102,7 @@ def ensemble(
         limit=limit,
         after=after,
         every=every,
+        measures=measures,
     )
     return run_scenario(scenario, traces=traces, engine=engine, threads=threads, progress=progress)
 

@@ -6,6 +6,7 @@ from itertools import zip_longest
 import numpy as np
 
 from pinmobile.arrays import Array
+from pinmobile.measures import Measure
 from pinmobile.plant import Coordinate, Input
 
 __all__ = ["judgement", "percent", "ranges"]
@@ -54,8 +55,10 @@ def ranges(
     max_force: Array,
     coordinates: Sequence[Coordinate],
     inputs: Sequence[Input],
+    worst_measure: Array,
+    measures: Sequence[Measure],
 ) -> list[str]:
-    """Return a row for each error and input: the least, the median and the largest over the robots.
+    """Return a row for each error, input and measure: the least, the median and the largest over the robots.
 
     Parameters
     ----------
@@ -65,6 +68,10 @@ def ranges(
         Largest error and input.
     coordinates, inputs : sequence of Coordinate, sequence of Input
         Their names and units.
+    worst_measure : ndarray, shape (n, j)
+        Worst of what else is judged.
+    measures : sequence of Measure
+        Its names and units.
     """
     columns = {"largest distance [m]": max_distance}
     errors = [
@@ -74,11 +81,13 @@ def ranges(
     sizes = [(_titled(one.name, one.unit), column) for one, column in zip(inputs, max_force.T, strict=True)]
     for pair in zip_longest(errors, sizes):
         columns |= {title: column for title, column in filter(None, pair)}
+    each = zip(measures, worst_measure.T, strict=True)
+    columns |= {f"{one.worst} {one.title}": column for one, column in each}
     rows, width = [], max(_NARROWEST, *map(len, columns))
     for name, values in columns.items():
-        good = values[np.isfinite(values)]
+        good = values[~np.isnan(values)]
         if len(good):
-            low, middle, high = np.quantile(good, (0.0, 0.5, 1.0))
+            low, middle, high = good.min(), np.median(good), good.max()
             rows.append(f"{name:<{width}} least {low:.4g}, median {middle:.4g}, largest {high:.4g}")
     return rows
 

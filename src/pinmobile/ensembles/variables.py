@@ -8,7 +8,8 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.ensembles.histogram import edges, quantiles
 from pinmobile.extras import imported
-from pinmobile.plant import Coordinate, Input, Parameter
+from pinmobile.measures import Measure
+from pinmobile.plant import Parameter
 
 if TYPE_CHECKING:
     from pinmobile.ensembles.result import Ensemble
@@ -24,7 +25,9 @@ __all__ = [
     "dataset_of",
     "drawn",
     "drawn_name",
+    "over_all",
     "per_robot",
+    "quantiles_of",
     "summed",
 ]
 
@@ -46,57 +49,77 @@ class Variable(NamedTuple):
         Its unit, "1" for none; where its last axis is ``coordinate`` or ``input``, that of each.
     meaning : str
         What it is, in words.
+    worst : str
+        Of measures, whether the largest or the smallest of each is the worst.
     """
 
     dimensions: tuple[str, ...]
     units: str
     meaning: str
+    worst: str = ""
 
     @property
     def attributes(self) -> dict[str, str]:
         """Unit and meaning, as xarray and others name them."""
-        return {"units": self.units, "long_name": self.meaning}
+        found = {"units": self.units, "long_name": self.meaning}
+        return found | ({"worst": self.worst} if self.worst else {})
 
 
 _UNTIL = "of a diverged robot until then"
 _SINCE = f"from the scenario's `after` on, {_UNTIL}"
 _EACH, _EACH_COORDINATE, _EACH_INPUT = ("robot",), ("robot", "coordinate"), ("robot", "input")
-PER_ROBOT = ("max_error", "rms_error", "max_force", "max_distance", "diverged_at")
+_EACH_MEASURE = ("robot", "measure")
+PER_ROBOT = (
+    *("max_error", "rms_error", "max_force", "max_distance", "diverged_at"),
+    *("worst_measure", "rms_measure"),
+)
 """Names of the arrays with one entry per robot, beside what was drawn."""
 
 
-def per_robot(coordinates: Sequence[Coordinate], inputs: Sequence[Input]) -> dict[str, Variable]:
-    """Return the arrays of `PER_ROBOT`.
+def per_robot(scenario: Any) -> dict[str, Variable]:
+    """Return the arrays of `PER_ROBOT`; those of measures where there are any.
 
     Parameters
     ----------
-    coordinates : sequence of Coordinate
-        Those that the reference has.
-    inputs : sequence of Input
-        Those of the plant.
+    scenario : Scenario or Outline
+        Whose.
     """
-    errors, sizes = (", ".join(one.unit or "1" for one in each) for each in (coordinates, inputs))
-    return {
+    named = scenario.coordinates, scenario.inputs, scenario.judged
+    errors, sizes, units = (", ".join(one.unit or "1" for one in each) for each in named)
+    found = {
         "max_error": Variable(_EACH_COORDINATE, errors, f"largest |error|, {_SINCE}"),
         "rms_error": Variable(_EACH_COORDINATE, errors, f"root of the mean squared error, {_SINCE}"),
         "max_force": Variable(_EACH_INPUT, sizes, f"largest |input|, {_UNTIL}"),
         "max_distance": Variable(_EACH, "m", f"largest distance from the desired position, {_SINCE}"),
         "diverged_at": Variable(_EACH, "s", "when the loop diverged; NaN where it did not"),
     }
+    if scenario.judged:
+        worst = f"largest size, or smallest margin, of what else is judged, {_SINCE}"
+        each = ", ".join(one.worst for one in scenario.judged)
+        found["worst_measure"] = Variable(_EACH_MEASURE, units, worst, each)
+        found["rms_measure"] = Variable(_EACH_MEASURE, units, f"root of its mean square, {_SINCE}")
+    return found
 
 
-_OVER_TIME = ("level", "time")
-_FAR = "share `level` of the robots is at most this far from the desired"
-SUMMED: Mapping[str, Variable] = {
-    "counts": Variable(
-        ("time", "channel", "bin"),
-        "1",
-        "how many robots have an error of this size; what diverged counts in the last bin",
-    ),
-    "distance_quantile": Variable(_OVER_TIME, "m", f"{_FAR} position"),
-    "heading_quantile": Variable(_OVER_TIME, "rad", f"{_FAR} heading"),
-}
-"""The arrays that are summed up over all robots."""
+SUMMED = ("counts", "quantiles")
+"""Names of the arrays that are summed up over all robots."""
+
+
+def over_all(channels: Sequence[Measure]) -> dict[str, Variable]:
+    """Return the arrays of `SUMMED`.
+
+    Parameters
+    ----------
+    channels : sequence of Measure
+        What is counted.
+    """
+    counted = "how many robots have this size; what diverged counts in the last bin, of margins in the first"
+    within = "share `level` of the robots errs at most by this, or has at least this margin"
+    units = ", ".join(one.unit or "1" for one in channels)
+    return {
+        "counts": Variable(("time", "channel", "bin"), "1", counted),
+        "quantiles": Variable(("channel", "level", "time"), units, within),
+    }
 
 
 def drawn_name(parameter: str) -> str:
@@ -112,42 +135,56 @@ def drawn(parameters: Mapping[str, Parameter]) -> dict[str, Variable]:
     }
 
 
-def summed(counts: Any) -> dict[str, Any]:
-    """Return the arrays of `SUMMED`.
+def quantiles_of(counts: Any, levels: Array, channels: Sequence[Measure]) -> dict[str, Array]:
+    """Return the quantiles over time of each channel, shape (L, G), by name.
 
     Parameters
     ----------
-    counts : ndarray of int, shape (G, 2, BINS)
+    counts : ndarray of int, shape (G, channels, BINS)
         Of all robots.
+    levels : ndarray, shape (L,)
+        Shares of the robots.
+    channels : sequence of Measure
+        What is counted.
     """
-    found = quantiles(counts.astype(np.int64), np.array(LEVELS))
-    return {"counts": counts, "distance_quantile": found[..., 0], "heading_quantile": found[..., 1]}
+    return {
+        one.name: quantiles(counts[:, k].astype(np.int64), levels, margins=one.is_margin)
+        for k, one in enumerate(channels)
+    }
 
 
-def coordinates(
-    times: Array, names: Sequence[str], inputs: Sequence[str]
-) -> list[tuple[str, Sequence[Any], str, str]]:
+def summed(counts: Any, channels: Sequence[Measure]) -> dict[str, Any]:
+    """Return the arrays of `SUMMED`; the arguments are those of `quantiles_of`."""
+    found = quantiles_of(counts, np.array(LEVELS), channels)
+    return {"counts": counts, "quantiles": np.array(list(found.values()))}
+
+
+def coordinates(scenario: Any) -> list[tuple[str, Sequence[Any], str, str]]:
     """Return name, values, unit and meaning of the coordinates of all dimensions but ``robot``.
 
     Parameters
     ----------
-    times : ndarray, shape (G,)
-        Of the counts [s].
-    names, inputs : sequence of str
-        Of the coordinates that the reference has, and of the plant's inputs.
+    scenario : Scenario or Outline
+        Whose.
     """
+    names, inputs, measures = (
+        [one.name for one in each] for each in (scenario.coordinates, scenario.inputs, scenario.judged)
+    )
+    told = ", ".join(f"{one.meaning} [{one.unit or '1'}]" for one in scenario.channels)
+    judged = ", ".join(one.meaning for one in scenario.judged)
     return [
-        ("time", times.tolist(), "s", "time"),
+        ("time", scenario.grid.tolist(), "s", "time"),
         ("coordinate", list(names), "1", "coordinate"),
         ("input", list(inputs), "1", "input"),
-        ("channel", ["distance", "heading"], "1", "distance from the desired position [m], heading [rad]"),
+        ("channel", [one.name for one in scenario.channels], "1", told),
         ("level", list(LEVELS), "1", "share of the robots"),
         (
             "bin",
             edges()[:-1].tolist(),
-            "m or rad",
-            "lower edge; the upper one is the next bin's lower one",
+            "as of the channel",
+            "lower edge; the upper one is the next bin's lower one; of a margin m, of m + sqrt(m^2 + 2^-24)",
         ),
+        *([("measure", measures, "1", judged)] if measures else []),
     ]
 
 
@@ -167,12 +204,13 @@ def dataset_of(ensemble: "Ensemble", attributes: Mapping[str, Any]) -> Any:
         If xarray is not installed.
     """
     xarray = imported("xarray", "sweeps", "a Dataset")
-    scenario, variables = ensemble.scenario, {**_per_robot(ensemble), **SUMMED}
-    named = ([one.name for one in each] for each in (scenario.coordinates, scenario.inputs))
-    arrays = {name: array for name, _, array in _arrays(ensemble)} | summed(ensemble.counts)
+    scenario = ensemble.scenario
+    variables = {**_per_robot(ensemble), **over_all(scenario.channels)}
+    arrays = {name: array for name, _, array in _arrays(ensemble)}
+    arrays |= summed(ensemble.counts, scenario.channels)
     axes = {
         name: (name, values, {"units": unit, "long_name": meaning})
-        for name, values, unit, meaning in coordinates(scenario.grid, *named)
+        for name, values, unit, meaning in coordinates(scenario)
     }
     return xarray.Dataset(
         # Copied, because what xarray hands out may be written into.
@@ -188,6 +226,7 @@ def columns_of(ensemble: "Ensemble") -> tuple[list[str], list[Array]]:
     named: Mapping[str, Sequence[Any]] = {
         "coordinate": ensemble.scenario.coordinates,
         "input": ensemble.scenario.inputs,
+        "measure": ensemble.scenario.judged,
     }
     for name, one, array in _arrays(ensemble):
         each = [(f"{name}_{part.name}", part.unit) for part in named.get(one.dimensions[-1], ())]
@@ -199,7 +238,7 @@ def columns_of(ensemble: "Ensemble") -> tuple[list[str], list[Array]]:
 
 def _per_robot(ensemble: "Ensemble") -> dict[str, Variable]:
     scenario = ensemble.scenario
-    return {**drawn(scenario.parameters), **per_robot(scenario.coordinates, scenario.inputs)}
+    return {**drawn(scenario.parameters), **per_robot(scenario)}
 
 
 def _arrays(ensemble: "Ensemble") -> Iterator[tuple[str, Variable, Array]]:

@@ -1,6 +1,5 @@
 """How the robots of a scenario are run: compiled, on arrays, or one after another."""
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,6 +11,7 @@ from pinmobile.arrays import Array
 from pinmobile.compiled import Summary, once, program_of, robot_keys
 from pinmobile.compiled.copies import derived
 from pinmobile.compiled.loop_tape import arrays_of, initial_memory
+from pinmobile.compiled.machine import processors
 from pinmobile.compiled.noise import Noise
 from pinmobile.compiled.parts import (
     Memory,
@@ -29,6 +29,7 @@ from pinmobile.ensembles.member import member_of
 from pinmobile.ensembles.part import Part
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.errors import Diverged, InvalidArgument, NotTraceable
+from pinmobile.measures import measures_of, size_of
 from pinmobile.plant import Context
 from pinmobile.simulation import simulate
 from pinmobile.simulation.checks import check_same
@@ -44,11 +45,6 @@ _WORK = 2e7  # robots times samples that are compiled code's at once: some 0.3 s
 _SAMPLED = 1e6  # the same where each robot has a reference of its own: some 200 MB of them
 _ROWS = 4  # of three, rows could be taken for coordinates
 _CLOSE = 1e-9  # of the largest number: rounding, which may depend on how many rows there are
-
-
-def processors() -> int:
-    """Return how many processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,10 +116,30 @@ class Way:
     def run(self, draws: Mapping[str, Array], start: int, stop: int, threads: int) -> Part:
         """Return the records of the robots from `start` to before `stop`, given what is drawn for these."""
         if self.engine is COMPILED:
-            return _compiled(self, draws, start, stop, threads)
-        if self.engine is ARRAYS:
-            return _on_arrays(self.scenario, draws, start, stop)
-        return _one_by_one(self.scenario, start, stop)
+            part = _compiled(self, draws, start, stop, threads)
+        elif self.engine is ARRAYS:
+            part = _on_arrays(self.scenario, draws, start, stop)
+        else:
+            part = _one_by_one(self.scenario, start, stop)
+        _check_measured(self.scenario, part, start)
+        return part
+
+
+def _check_measured(scenario: Scenario, part: Part, start: int) -> None:
+    """Refuse measures that became no numbers, of which nothing but the mean square tells.
+
+    Raises
+    ------
+    InvalidArgument
+        If there is one.
+    """
+    for one, column in zip(scenario.judged, part.rms_measure.T, strict=True):
+        wrong = np.flatnonzero(np.isnan(column))
+        if wrong.size:
+            raise InvalidArgument(
+                f"robot {start + wrong[0]}: plant is a {type(scenario.robot).__name__}, whose measured(t, q, "
+                f"v, a, u, reference) returned NaN as {one.name!r}, expected a number"
+            )
 
 
 def _asks_pinocchio(parts: Parts) -> bool:
@@ -172,7 +188,13 @@ def _are_few(scenario: Scenario) -> bool:
 def _with_recorder(scenario: Scenario) -> Parts:
     begin = float(scenario.begin) if scenario.begin else None
     parts = scenario.parts
-    recorder = Summary(limit=scenario.limit, begin=begin)
+    stated = [one.name for one in measures_of(parts.plant)]
+    recorder = Summary(
+        limit=scenario.limit,
+        begin=begin,
+        distances=((0, 1), (2,), *((k,) for k in range(3, scenario.size))),
+        measures=tuple((stated.index(one.name), one.is_margin) for one in scenario.judged),
+    )
     return Parts(parts.plant, parts.controller, parts.forces, parts.integrator, recorder, parts.substeps)
 
 
@@ -235,14 +257,16 @@ def _check_derived(scenario: Scenario) -> None:
         place = Place(stated.path, stated.parameter.attribute)
         if place not in scenario.places:
             continue
+        # A part may derive of what stands in it, too; one that has `traced` is traced as it is then.
+        way = scenario.parts.on_the_way(place.path)
+        asked = [(path, part) for path, part in way if not hasattr(part, "traced")]
+        if not asked:
+            continue
         try:
             moved = _moved(scenario, place)
         except InvalidArgument:
             continue  # a value beside the nominal one is not allowed
-        # A part may derive of what stands in it, too.
-        for path, part in scenario.parts.on_the_way(place.path):
-            if hasattr(part, "traced"):
-                continue  # it is traced as it is then
+        for path, part in asked:
             *_, (_, other) = moved.on_the_way(path)
             inner = {name.partition("[")[0] for name, _ in children(part)}
             name = derived(part, other, inner | ({place.name} if path == place.path else set()))
@@ -262,7 +286,24 @@ def _as_compiled(scenario: Scenario) -> Program:
     )
 
 
+def _check_judged(scenario: Scenario) -> None:
+    """Refuse a plant that states measures which what is run in its place does not.
+
+    Raises
+    ------
+    NotTraceable
+        If it is such.
+    """
+    plant = scenario.parts.plant
+    if scenario.judged and measures_of(scenario.parts.on_arrays().plant) != measures_of(plant):
+        raise NotTraceable(
+            f"plant, a {type(plant).__name__}, states measures that what its traced() returns does not",
+            "give that the same measures",
+        )
+
+
 def _program(scenario: Scenario) -> Program:
+    _check_judged(scenario)
     _check_derived(scenario)
     parts, at = _with_recorder(scenario), Reference(*(part[0] for part in scenario.reference))
     program = program_of(
@@ -339,6 +380,7 @@ def _as_arrays(scenario: Scenario) -> None:
     NotTraceable
         If a part returns another shape, fails, or gives a robot beside others another number than alone.
     """
+    _check_judged(scenario)
     several = min(_ROWS, scenario.n)
     count = max(2, several)  # one alone is asked beside itself
     draws = {name: np.resize(column, count) for name, column in scenario.draws(0, several).items()}
@@ -363,6 +405,9 @@ def _as_arrays(scenario: Scenario) -> None:
             "q": (found.q, (last - first, rows.parts.plant.nq)),
             "v": (found.v, (last - first, rows.parts.plant.nv)),
         }
+        if scenario.judged:
+            measures = (last - first, len(rows.parts.plant.measures))
+            shapes["measured"] = found.sample.measured, measures
         for name, (array, shape) in shapes.items():
             if np.shape(array) != shape:
                 raise NotTraceable(
@@ -385,7 +430,7 @@ def _as_arrays(scenario: Scenario) -> None:
                 f"with {count} robots at once a law raises {type(error).__name__} ({error})",
                 "write laws for one row per robot: [..., i] and axis=-1",
             ) from error
-        for k, name in enumerate(("u", "q", "v")):
+        for k, name in enumerate(("u", "q", "v", "measured")[: len(together)]):
             single = np.concatenate([each[k] for each in alone])
             size = np.abs(np.nan_to_num(single)).max(initial=0.0)
             if not np.allclose(together[k], single, rtol=_CLOSE, atol=_CLOSE * size, equal_nan=True):
@@ -398,7 +443,7 @@ def _as_arrays(scenario: Scenario) -> None:
 def _on_arrays(scenario: Scenario, draws: Mapping[str, Array], start: int, stop: int) -> Part:
     rows = _rows(scenario, draws, start, stop)
     q, v, memory, h = rows.q, rows.v, rows.memory, scenario.dt / scenario.substeps
-    counts = np.zeros((len(scenario.grid), 2, BINS), np.int32)
+    counts = np.zeros((len(scenario.grid), len(scenario.channels), BINS), np.int32)
     begin, looked_at = scenario.start, None
     with np.errstate(all="ignore"):  # what overflows is judged
         for k, time in enumerate(scenario.t.tolist()):
@@ -433,7 +478,7 @@ def _check_again(asked: Any, found: Stepped) -> None:
 def _one_by_one(scenario: Scenario, start: int, stop: int) -> Part:
     """Return the records of robots that `simulate` runs one after another."""
     found = [_summed_alone(scenario, i) for i in range(start, stop)]
-    counts = np.sum([each.counts for each in found], axis=0, dtype=np.int32)
+    counts = sum((each.counts for each in found[1:]), found[0].counts)
     columns = (np.concatenate([getattr(each, name) for each in found]) for name in Part._fields[:-1])
     return Part(*columns, counts)  # type: ignore[call-arg]
 
@@ -461,17 +506,32 @@ def _summed(scenario: Scenario, i: int) -> Part:
     lived, c, nu = 0 if rollout is None else len(rollout.t), scenario.size, scenario.robot.nu
     error = np.zeros((0, c)) if rollout is None else np.abs(rollout.error)
     force = np.zeros((0, nu)) if rollout is None else np.abs(rollout.u)
-    kept = error[scenario.begin :]
-    counts = np.zeros((len(scenario.grid), 2, BINS), np.int32)
-    sizes = np.full((len(scenario.t), 2), np.inf)
-    sizes[:lived] = np.column_stack([np.hypot(error[:, 0], error[:, 1]), error[:, 2]])
+    kept, margins = error[scenario.begin :], [one.is_margin for one in scenario.judged]
+    measured = np.zeros((0, len(margins))) if rollout is None else _measured(scenario, rollout)
+    bad, after = np.where(margins, -measured, np.abs(measured)), measured[scenario.begin :]
+    worst = bad[scenario.begin :].max(axis=0, initial=-np.inf)
+    channels = scenario.channels
+    counts = np.zeros((len(scenario.grid), len(channels), BINS), np.int32)
+    sizes = np.where([one.is_margin for one in channels], 0.0, np.full((len(scenario.t), 1), np.inf))
+    strayed = np.where(margins, size_of(measured), bad)
+    sizes[:lived] = np.column_stack([np.hypot(error[:, 0], error[:, 1]), error[:, 2:], strayed])
     for row, size in zip(counts, sizes[:: scenario.stride], strict=True):
-        row[range(2), bins_of(size)] += 1
+        row[range(len(channels)), bins_of(size)] += 1
     return Part(
         np.array([lived]),
         kept.max(axis=0, initial=0.0)[None],
         np.sqrt(np.square(kept[:, :2]).sum(axis=1)).max(initial=0.0)[None],
         np.sqrt(np.square(kept).sum(axis=0) / max(len(kept), 1))[None],
         force.max(axis=0, initial=0.0)[None],
+        np.where(margins, -worst, np.maximum(worst, 0.0))[None],
+        np.sqrt(np.square(after).sum(axis=0) / max(len(after), 1))[None],
         counts,
     )
+
+
+def _measured(scenario: Scenario, rollout: Any) -> Array:
+    """Return what is judged of a robot beside errors at all its samples, shape (N, j)."""
+    if not scenario.judged:
+        return np.zeros((len(rollout), 0))
+    found = rollout.measures()
+    return np.column_stack([found[one.name].values for one in scenario.judged])

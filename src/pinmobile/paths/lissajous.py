@@ -6,10 +6,8 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, positive, representable, scalar
-from pinmobile.paths.protocol import Whole, checked_order, within
+from pinmobile.paths.path import Whole, checked_order, within
 from pinmobile.plant import Parameter
-
-__all__ = ["Circle", "Lissajous"]
 
 
 class _Figure:

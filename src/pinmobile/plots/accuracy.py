@@ -12,8 +12,9 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter, NullLocator
 
 from pinmobile.accuracy import Convergence, IntegratorReport
+from pinmobile.palette import INK, colour
 from pinmobile.plots.runs import named
-from pinmobile.plots.style import INK, ShownFigure, colour, dress, headed, legend, line_style
+from pinmobile.plots.style import ShownFigure, dress, headed, legend, line_style
 
 __all__ = ["integrator"]
 

@@ -15,10 +15,11 @@ from PIL import Image
 from pinmobile.arrays import Array, callable_as, positive
 from pinmobile.errors import InvalidArgument
 from pinmobile.files import written
+from pinmobile.palette import INK, colour
 from pinmobile.plots.body import ARROW, Body
 from pinmobile.plots.plane import TRAVELLED, panels, poses
 from pinmobile.plots.runs import Rollouts, planar, thinned
-from pinmobile.plots.style import INK, colour, headed
+from pinmobile.plots.style import headed
 from pinmobile.simulation import Rollout
 
 __all__ = ["animate"]

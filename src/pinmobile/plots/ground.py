@@ -17,10 +17,11 @@ from pinmobile.balance import (
     tip_over_margin,
 )
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.palette import INK, colour
 from pinmobile.plots.layout import stacked
 from pinmobile.plots.runs import Rollouts, labelled, thinned
 from pinmobile.plots.series import draw
-from pinmobile.plots.style import INK, ShownFigure, colour, dress, headed, legend, line_style
+from pinmobile.plots.style import ShownFigure, dress, headed, legend, line_style
 from pinmobile.simulation import Rollout
 
 __all__ = ["balance", "reaction"]

@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
 from numpy.typing import NDArray
 
-from pinmobile.plots.style import INK, ShownFigure, dress
+from pinmobile.palette import INK
+from pinmobile.plots.style import ShownFigure, dress
 
 __all__ = ["TALL", "laid_out", "stacked", "titled"]
 

@@ -11,8 +11,9 @@ from matplotlib.lines import Line2D
 
 from pinmobile.arrays import Array, ArrayLike, finite, real, text
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.palette import INK, colour
 from pinmobile.plots.beyond import strip_above
-from pinmobile.plots.style import INK, ShownFigure, colour, dress, headed, legend
+from pinmobile.plots.style import ShownFigure, dress, headed, legend
 
 __all__ = ["curves"]
 

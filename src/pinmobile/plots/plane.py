@@ -11,9 +11,10 @@ from matplotlib.patches import Patch
 
 from pinmobile.arrays import Array, ArrayLike, finite
 from pinmobile.errors import InvalidArgument
+from pinmobile.palette import INK, colour
 from pinmobile.plots.body import ARROW, Body, diagonal
 from pinmobile.plots.runs import Rollouts, planar, same_references, thinned
-from pinmobile.plots.style import DESIRED, INK, ShownFigure, colour, dress, headed, heading, legend, si
+from pinmobile.plots.style import DESIRED, ShownFigure, dress, headed, heading, legend, si
 from pinmobile.simulation import Rollout
 
 __all__ = ["TRAVELLED", "Window", "panels", "path", "poses"]

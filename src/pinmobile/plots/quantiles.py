@@ -1,4 +1,4 @@
-"""How far the robots of ensembles stray, over time: bands of quantiles, controllers side by side."""
+"""How far the robots of ensembles stray, and what else is judged, over time: quantiles side by side."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -9,16 +9,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from pinmobile.arrays import Array, ArrayLike, finite
+from pinmobile.arrays import Array, ArrayLike, finite, one_of, sequence
 from pinmobile.ensembles import Bands, Ensemble
 from pinmobile.ensembles.histogram import edges
 from pinmobile.errors import InvalidArgument
+from pinmobile.measures import Measure
+from pinmobile.palette import INK, colour
 from pinmobile.plots.runs import named
-from pinmobile.plots.style import INK, ShownFigure, colour, dress, headed, heading, legend, percent, si, tint
+from pinmobile.plots.style import ShownFigure, dress, headed, heading, legend, percent, si, tint
 
 __all__ = ["bands"]
 
-_ROWS = (("distance", "distance from\ndesired position", "m"), ("heading", "error of\nheading", "rad"))
+_ALWAYS = "distance", "heading"
 _LINEAR = 40.0  # by how much the largest of all may exceed the smallest median on a linear axis
 _ROUNDING = 1e-9  # of the largest of all: less is next to nothing on a logarithmic axis
 _GREY = "#777777"
@@ -32,19 +34,22 @@ class _Scale(NamedTuple):
     low: float
     high: float
     logarithmic: bool
+    is_margin: bool = False
 
 
 def bands(
     ensembles: Ensemble | Mapping[str, Ensemble],
     *,
     levels: ArrayLike = (0.5, 0.9, 0.99),
+    by: Sequence[str] | None = None,
     title: str | None = None,
 ) -> Figure:
     """Draw what shares of the robots stay within, over time: distance from the desired position, and heading.
 
-    All ensembles have the same axes; where one's errors are far larger than another's, they are
-    logarithmic. Where so many robots have diverged that a band has no end, it leaves the axes at the top.
-    Above each panel stands what the largest share stays within all the time.
+    And so on of what else is judged, a row for each. All ensembles have the same axes; where one's errors are
+    far larger than another's, they are logarithmic. Where so many robots have diverged that a band has no
+    end, it leaves the axes at the top. Above each panel stands what the largest share stays within all the
+    time. Of a margin the shares of the robots have at least what is drawn; the axes are linear.
 
     Parameters
     ----------
@@ -52,6 +57,9 @@ def bands(
         Each gets a column.
     levels : array_like, shape (L,)
         Shares of the robots, from 0 to 1.
+    by : sequence of str, optional
+        What is drawn of `Scenario.channels`, such as ``["end effector", "ur5/elbow_joint"]``; by default the
+        distance, the heading, and what all ensembles judge beside errors.
     title : str, optional
         Heading of the figure.
 
@@ -61,45 +69,81 @@ def bands(
 
     Raises
     ------
-    InvalidArgument
-        If `ensembles` is something else, or a level is not a share.
+    InvalidArgument, UnknownName
+        If `ensembles` is something else, a level is not a share, or an ensemble counts nothing of a name.
     """
     known: dict[str, Ensemble] = named("ensembles", ensembles, Ensemble)
     shares = np.unique(finite("levels", levels))
     if not shares.size:
         raise InvalidArgument("levels is empty, expected at least one share of the robots")
-    drawn = [_drawn(one, shares) for one in known.values()]
-    figure = ShownFigure(figsize=(max(7.5, 3.6 * len(known)), 6.4), dpi=100, layout="constrained")
+    rows = _rows(list(known.values()), by)
+    drawn = [_drawn(one, shares, [row.name for row in rows]) for one in known.values()]
+    size = max(7.5, 3.6 * len(known)), 1.2 + max(2.2 * len(rows), 5.2)
+    figure = ShownFigure(figsize=size, dpi=100, layout="constrained")
     figure.suptitle(headed(title, "How far the robots stray"), fontsize=14, color=INK)
-    grid = figure.subplots(2, len(known), squeeze=False, sharex="col", sharey="row")
-    for row, (attribute, words, unit) in zip(grid, _ROWS, strict=True):
-        quantiles = [getattr(one, attribute) for one in drawn]
-        scale = _scale(quantiles, unit)
-        row[0].set_ylabel(f"{words} [{scale.unit}]", fontsize=11)
+    grid = figure.subplots(len(rows), len(known), squeeze=False, sharex="col", sharey="row")
+    for row, channel in zip(grid, rows, strict=True):
+        quantiles = [one[channel.name] for one in drawn]
+        scale = _margins(quantiles, channel.unit) if channel.is_margin else _scale(quantiles, channel.unit)
+        row[0].set_ylabel(f"{_words(channel)} [{scale.unit}]" if scale.unit else _words(channel), fontsize=11)
         for index, (axes, values) in enumerate(zip(row, quantiles, strict=True)):
             _panel(axes, drawn[index].t, values, scale, index)
     for index, (label, one) in enumerate(known.items()):
-        _headings(grid[:, index], label, one, float(drawn[index].levels[-1]), index)
-        grid[1, index].set_xlabel("t [s]", fontsize=11)
+        _headings(grid[:, index], rows, label, one, float(drawn[index].levels[-1]), index)
+        grid[-1, index].set_xlabel("t [s]", fontsize=11)
     figure.align_ylabels(grid[:, 0])
     legend(figure, list(_keys(drawn[0], list(known.values()))))
     return figure
 
 
-def _drawn(ensemble: Ensemble, levels: Array) -> Bands:
+def _rows(ensembles: Sequence[Ensemble], by: Any) -> list[Measure]:
+    """Return what has a row.
+
+    Raises
+    ------
+    InvalidArgument, UnknownName
+        If that is no sequence, or an ensemble counts nothing of a name.
+    """
+    known = [{each.name: each for each in one.scenario.channels} for one in ensembles]
+    if by is None:
+        judged = [each.name for each in ensembles[0].scenario.judged]
+        names = [*_ALWAYS, *(name for name in judged if all(name in each for each in known))]
+    else:
+        names = list(sequence("by", by, "a sequence of names, such as ['distance']"))
+    if not names:
+        raise InvalidArgument("by is empty, expected at least one name, such as 'distance'")
+    for each in known:
+        for name in names:
+            one_of("band", name, each)
+    return [known[0][name] for name in names]
+
+
+def _words(channel: Measure) -> str:
+    """Return what is told beside the axes of a row."""
+    words = {"distance": "distance from\ndesired position", "heading": "error of\nheading"}
+    if channel.meaning == f"error of {channel.name}":
+        return f"error of\n{channel.name}"
+    return words.get(channel.name, channel.name.replace(" of ", "\nof "))
+
+
+def _drawn(ensemble: Ensemble, levels: Array, names: Sequence[str]) -> Bands:
     """Return the quantiles that are drawn, none above what its share of the robots stays within.
 
     That holds from `Scenario.after` on. The counts know an error to the width of a bin alone,
     `Ensemble.within` exactly. What they cannot tell from zero is zero.
     """
     found = ensemble.bands(levels)
-    most = np.array([ensemble.within(level) for level in levels])
+    most = [ensemble.within(level) for level in levels]
     begun = found.t >= ensemble.scenario.t[ensemble.scenario.begin]
-    distance, heading = (
-        np.where(one < edges()[1], 0.0, np.where(begun, np.minimum(one, bound[:, None]), one))
-        for one, bound in zip((found.distance, found.heading), most.T, strict=True)
-    )
-    return found._replace(distance=distance, heading=heading)
+    drawn = {}
+    for name in names:
+        one, bound = found[name], np.array([each[name] for each in most])[:, None]
+        if any(each.is_margin for each in ensemble.scenario.channels if each.name == name):
+            drawn[name] = np.where(begun, np.maximum(one, bound), one)
+        else:
+            held = np.where(begun, np.minimum(one, bound), one)
+            drawn[name] = np.where(one < edges()[1], 0.0, held)
+    return Bands(found.t, found.levels, drawn)
 
 
 def _scale(quantiles: Sequence[Array], unit: str) -> _Scale:
@@ -108,11 +152,28 @@ def _scale(quantiles: Sequence[Array], unit: str) -> _Scale:
     highest = [float(np.nanmax(one, initial=0.0)) for one in finite]
     smallest = [float(np.nanmax(one[0], initial=0.0)) for one in finite]
     top = max(highest) or 1e-3
-    prefix, per_si = ("", 1.0) if top >= 1 else ("m", 1e3) if top >= 1e-3 else ("µ", 1e6)
+    prefix, per_si = _prefix(top, unit)
     logarithmic = top > _LINEAR * min((value for value in smallest if value > 0), default=top)
     least = min(float(one[one > 0].min(initial=top)) for one in finite)
     low, high = (max(least, _ROUNDING * top) / 2, 2 * top) if logarithmic else (0.0, 1.08 * top)
     return _Scale(f"{prefix}{unit}", per_si, low * per_si, high * per_si, logarithmic)
+
+
+def _margins(quantiles: Sequence[Array], unit: str) -> _Scale:
+    """Return linear axes that hold all that is finite, and zero, each of shape (L, G)."""
+    known = np.concatenate([one[np.isfinite(one)] for one in quantiles])
+    lowest, highest = float(known.min(initial=0.0)), float(known.max(initial=0.0))
+    prefix, per_si = _prefix(max(highest, -lowest) or 1e-3, unit)
+    room = 0.08 * ((highest - lowest) or 1e-3)
+    low, high = lowest - (room if lowest < 0 else 0.0), highest + room
+    return _Scale(f"{prefix}{unit}", per_si, low * per_si, high * per_si, False, True)
+
+
+def _prefix(top: float, unit: str) -> tuple[str, float]:
+    """Return the prefix of a unit that suits numbers up to `top`, and how many of it are one."""
+    if not unit or top >= 1:
+        return "", 1.0
+    return ("m", 1e3) if top >= 1e-3 else ("µ", 1e6)
 
 
 def _panel(axes: Axes, t: Array, quantiles: Array, scale: _Scale, index: int) -> None:
@@ -122,12 +183,16 @@ def _panel(axes: Axes, t: Array, quantiles: Array, scale: _Scale, index: int) ->
     if scale.logarithmic:
         axes.set_yscale("log")
     axes.set_ylim(scale.low, scale.high)
-    beyond = 10 * scale.high  # where infinity is drawn: out of the axes
+    size = scale.high - scale.low
+    beyond = scale.low - 10 * size if scale.is_margin else 10 * scale.high  # infinity is out of the axes
     lines = np.where(np.isfinite(quantiles), quantiles * scale.per_si, beyond)
-    below = np.full(len(t), scale.low)
+    edge = np.full(len(t), scale.high if scale.is_margin else scale.low)
     for shade, line in zip(_shades(colour(index), len(lines)), lines, strict=True):
-        axes.fill_between(t, below, np.maximum(line, scale.low), color=shade, linewidth=0, zorder=2)
-        below = np.maximum(line, scale.low)
+        end = np.clip(line, scale.low, None)
+        axes.fill_between(t, edge, end, color=shade, linewidth=0, zorder=2)
+        edge = end
+    if scale.is_margin:
+        axes.axhline(0.0, color=_GREY, linewidth=1.0, linestyle=":", zorder=1)
     for k, line in enumerate(lines):
         axes.plot(t, line, color=colour(index), linewidth=2.0 if k == 0 else 0.8, zorder=3)
 
@@ -137,20 +202,32 @@ def _shades(base: str, count: int) -> list[tuple[float, float, float]]:
     return [tint(base, share) for share in np.linspace(0.75, 0.15, count)]
 
 
-def _headings(column: Iterable[Axes], label: str, one: Ensemble, level: float, index: int) -> None:
+def _headings(
+    column: Iterable[Axes], rows: Sequence[Measure], label: str, one: Ensemble, level: float, index: int
+) -> None:
     count = int(one.diverged.sum())
     fate = f"{count:,} of {len(one):,} diverged" if count else f"none of {len(one):,} diverged"
     first, *_ = column
     after = one.scenario.after
     when = f"from {after:g} s on" if after else "throughout"
-    for axes, size, (_, _, unit) in zip(column, one.within(level), _ROWS, strict=True):
-        stays = f"within {si(size, unit)} {when}" if np.isfinite(size) else "within no bound"
-        axes.set_title(f"{percent(level)} stay {stays}", fontsize=10.5, color=INK, loc="left")
+    within = one.within(level)
+    for axes, channel in zip(column, rows, strict=True):
+        size = within[channel.name]
+        stay = "have at least" if channel.is_margin else "stay within"
+        bound = f"{_size(size, channel.unit)} {when}" if np.isfinite(size) else "no bound"
+        axes.set_title(f"{percent(level)} {stay} {bound}", fontsize=10.5, color=INK, loc="left")
         if after:
             axes.axvline(after, color=_GREY, linewidth=1.0, linestyle=":", zorder=1)
     first.annotate(fate, (0, 1), (0, 21), xycoords="axes fraction", textcoords="offset points",
                        fontsize=10.5, color=INK)  # fmt: skip
     first.annotate(label, (0, 1), (0, 38), **heading(index))
+
+
+def _size(value: float, unit: str) -> str:
+    """Return a size of two digits, with its sign."""
+    if not unit:
+        return f"{value:.2g}"
+    return f"-{si(-value, unit)}" if value < 0 else si(value, unit)
 
 
 def _keys(drawn: Bands, ensembles: Sequence[Ensemble]) -> Iterator[Artist]:

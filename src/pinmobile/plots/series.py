@@ -10,10 +10,11 @@ from matplotlib.lines import Line2D
 
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
+from pinmobile.palette import colour
 from pinmobile.plant import all_samples, configuration_names_of, coordinates_of, leading_of
 from pinmobile.plots.layout import TALL, laid_out, stacked, titled
 from pinmobile.plots.runs import Rollouts, labelled, same_references, thinned
-from pinmobile.plots.style import DESIRED, colour, headed, heading, legend, line_style
+from pinmobile.plots.style import DESIRED, headed, heading, legend, line_style
 from pinmobile.simulation import Rollout
 
 __all__ = ["draw", "errors", "forces", "signals", "states"]

@@ -10,12 +10,11 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from pinmobile.arrays import text
+from pinmobile.palette import INK, colour
 
 __all__ = [
     "DESIRED",
-    "INK",
     "ShownFigure",
-    "colour",
     "dress",
     "headed",
     "heading",
@@ -26,11 +25,8 @@ __all__ = [
     "tint",
 ]
 
-INK = "#222222"
 DESIRED: dict[str, Any] = {"color": INK, "linestyle": (0, (5, 4)), "linewidth": 1.2, "zorder": 4}
 
-# Okabe and Ito, "Color universal design", 2008, without black (the desired) and yellow (too pale for a line).
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _DASHES = ("-", "-", (0, (8, 2)), (0, (5, 2, 1.5, 2)), (0, (1.5, 1.5)))
 _PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 
@@ -53,11 +49,6 @@ def headed(title: Any, default: str) -> str:
         If it is no text.
     """
     return default if title is None or (isinstance(title, str) and not title) else text("title", title)
-
-
-def colour(index: int) -> str:
-    """Return the colour of the rollout with this index."""
-    return _COLOURS[index % len(_COLOURS)]
 
 
 def line_style(index: int, count: int) -> dict[str, Any]:

@@ -12,7 +12,8 @@ from matplotlib.patches import Rectangle
 
 from pinmobile.arrays import Array, ArrayLike, finite, real, sequence, text
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.plots.style import INK, ShownFigure, headed
+from pinmobile.palette import INK
+from pinmobile.plots.style import ShownFigure, headed
 
 __all__ = ["heatmap"]
 

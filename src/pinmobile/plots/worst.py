@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 
 from pinmobile.ensembles import Ensemble
 from pinmobile.errors import InvalidArgument
+from pinmobile.measures import Measure
+from pinmobile.palette import INK, colour
 from pinmobile.plots.beyond import strip_above
 from pinmobile.plots.causes import Cause, causes, worst_share
-from pinmobile.plots.style import INK, ShownFigure, colour, dress, headed, legend, percent
+from pinmobile.plots.style import ShownFigure, dress, headed, legend, percent
 
 __all__ = ["drivers"]
 
@@ -51,7 +53,8 @@ def drivers(
     share : float
         Share of the robots that are called the worst, above 0 and below 1.
     by : str
-        Which error makes them the worst: "distance" from the desired position, or "heading".
+        What makes them the worst, see `Ensemble.largest`: "distance" from the desired position, "heading", a
+        coordinate by its name, or a measure, such as "tip-over margin", of which the smallest is the worst.
     title : str, optional
         Heading of the figure, which by default names what drives them.
 
@@ -82,10 +85,10 @@ def drivers(
         Patch(label="the others", **_OTHERS),
         Patch(label="where the worst are", **_WHERE),
     ]
-    if ensemble.diverged.any():
+    if _lost(ensemble, by).any():
         room, place = _WORD / figure.get_figwidth(), scatter.get_position()
         scatter.set_position((place.x0 + room, place.y0, place.width - room, place.height))
-        keys.append(Line2D([], [], color=INK, marker="x", linestyle="", label="diverged"))
+        keys.append(Line2D([], [], color=INK, marker="x", linestyle="", label=_fate(ensemble, by)))
     legend(figure, keys)
     return figure
 
@@ -106,7 +109,8 @@ def _sheet(rows: int, columns: int) -> tuple[Figure, GridSpec]:
 def _answer(found: Sequence[Cause], share: float, by: str) -> str:
     """Return in words what matters most."""
     names = [one.name for one in found if one.visible]
-    worst = f"the worst {percent(share)}{' of headings' if by == 'heading' else ''}"
+    of = {"distance": "", "heading": " of headings"}.get(by, f" by {by}")
+    worst = f"the worst {percent(share)}{of}"
     if not names:
         return f"Nothing that was spread drives {worst}"
     return ", then ".join([f"{names[0]} drives {worst} most", *names[1:3]])
@@ -137,12 +141,13 @@ def _distribution(axes: Axes, one: Cause, worst: NDArray[np.bool_]) -> None:
 def _scatter(axes: Axes, ensemble: Ensemble, one: Cause, worst: NDArray[np.bool_], by: str) -> None:
     """Draw each robot's largest error over what matters most; the diverged ones in a strip of their own."""
     dress(axes)
-    lost, errors = ensemble.diverged, ensemble.largest(by)
+    judged, errors = _judged(ensemble, by), ensemble.largest(by)
+    lost = _lost(ensemble, by)
     kept = errors[~lost]
-    farthest, median = (float(kept.max()), float(np.median(kept))) if len(kept) else (0.0, 0.0)
-    small = by == "distance" and 0 < farthest < 1
-    scale, unit = (1e3, "mm") if small else (1.0, "m" if by == "distance" else "rad")
-    if 0 < _LINEAR * median < farthest:
+    farthest, median = (float(np.abs(kept).max()), float(np.median(kept))) if len(kept) else (0.0, 0.0)
+    small = judged.unit == "m" and 0 < farthest < 1
+    scale, unit = (1e3, "mm") if small else (1.0, judged.unit)
+    if 0 < _LINEAR * median < farthest and not judged.is_margin:
         axes.set_yscale("log")
     for mine, style in ((~worst, _OTHERS), (worst, _WORST)):
         chosen = _dots(mine & ~lost)
@@ -150,20 +155,35 @@ def _scatter(axes: Axes, ensemble: Ensemble, one: Cause, worst: NDArray[np.bool_
             one.values[chosen], errors[chosen] * scale, ".", markersize=4, zorder=3, color=style["color"]
         )
     if lost.any():
-        height = strip_above(axes, "diverged", numbers=bool(len(kept)))
+        height = strip_above(axes, _fate(ensemble, by), numbers=bool(len(kept)))
         for mine, style in ((~worst, _OTHERS), (worst, _WORST)):
             chosen = _dots(mine & lost)
             heights = np.full(len(chosen), height)
             axes.plot(one.values[chosen], heights, "x", markersize=4, zorder=3, color=style["color"])
-    axes.set_title(
-        "How far each robot strays" if by == "distance" else "How far each robot turns away",
-        fontsize=10.5,
-        color=INK,
-        loc="left",
-    )
+    titles = {"distance": "How far each robot strays", "heading": "How far each robot turns away"}
+    title = titles.get(by, f"The {judged.worst} {by} of each robot")
+    axes.set_title(title, fontsize=10.5, color=INK, loc="left")
     axes.xaxis.set_major_locator(MaxNLocator(5))
     axes.set_xlabel(one.label, fontsize=10)
-    axes.set_ylabel(f"largest {_ERRORS[by]} [{unit}]", fontsize=10)
+    words = _ERRORS.get(by, by)
+    axes.set_ylabel(f"{judged.worst} {words} [{unit}]" if unit else f"{judged.worst} {words}", fontsize=10)
+
+
+def _lost(ensemble: Ensemble, by: str) -> NDArray[np.bool_]:
+    """Tell which robots have no size that could be drawn, shape (n,)."""
+    return ensemble.diverged | ~np.isfinite(ensemble.largest(by))
+
+
+def _fate(ensemble: Ensemble, by: str) -> str:
+    """Return in a word what has no size: a margin may have none of a robot that the ground did not carry."""
+    return "diverged" if ensemble.diverged[_lost(ensemble, by)].all() else "no bound"
+
+
+def _judged(ensemble: Ensemble, by: str) -> Measure:
+    """Return what is told of a name of `Ensemble.largest`."""
+    known = {one.name: Measure(one.name, one.unit, "") for one in ensemble.scenario.coordinates}
+    known |= {one.name: one for one in ensemble.scenario.channels}
+    return known[by]
 
 
 def _dots(chosen: NDArray[np.bool_]) -> NDArray[np.intp]:

@@ -15,23 +15,27 @@ from pinmobile.arrays import Array, finite, frozen, one_of, scalar, wrap_angle
 from pinmobile.compiled.symbols import plain, symbols
 from pinmobile.compiled.tape import Node
 from pinmobile.errors import InvalidArgument
+from pinmobile.measures import Measure
 from pinmobile.plant import Coordinate, Input, Parameter
 from pinmobile.robot.assembly import named_frames
+from pinmobile.robot.judgement import Judgement
 from pinmobile.robot.linkage import Body, Linkage, Place, regrouped, without_rounding
 from pinmobile.robot.mounts import LinkNumbers, Mount
 from pinmobile.robot.planar import BODY
-from pinmobile.robot.recursions import Moving, Posture, by_matrix, operations
-from pinmobile.robot.scalars import ZERO, Vector, exact, number
+from pinmobile.robot.recursions import Moving, Posture, by_matrix, operations, volume
+from pinmobile.robot.scalars import ZERO, Matrix, Vector, applied, cross, dot, exact, number, plus
 
 __all__ = ["ArticulatedBody", "Fixed", "articulated"]
 
 _BASE = 3  # joints, coordinates and numbers of q of the base; the last carries its body
 _OF_BASE = ("mass", "yaw_inertia", "com_x", "com_y")
 _OF_BODIES = ("masses", "coms", "inertias")
-_OTHERS = (*_OF_BODIES, *(f"load_{name}" for name in _OF_BODIES), "rotors", "places")
+_OTHERS = (*_OF_BODIES, *(f"load_{name}" for name in _OF_BODIES), "rotors", "places", "upright")
 _COM = ("com_x", "com_y", "com_z")
 _INERTIA = ("inertia_xx", "inertia_yy", "inertia_zz", "inertia_xy", "inertia_xz", "inertia_yz")
 _PLACE = {"at_x": "m", "at_y": "m", "at_z": "m", "at_yaw": "rad"}
+_SHARED = 1.05  # the way by the mass matrix shares products of velocities with a controller's own dynamics
+_DIGITS = 15  # of places on an arm [m], and of what is turned there
 _SLACK = 1e-9  # of the moments of inertia, relative, and of the mass [m^2]: files carry as many digits
 
 
@@ -80,6 +84,9 @@ class ArticulatedBody:
         Where what has no reference starts.
     mass, yaw_inertia, com_x, com_y : float
         Of the base's own body, as in `PlanarBody`.
+    upright : ndarray, shape (3,)
+        Of the same body, what the ground alone feels: height of the centre of mass [m], and inertia xz and yz
+        about it, as shares of the yaw inertia, with which they grow.
     masses, coms, inertias : ndarray, shape (links,), (3 links,), (6 links,)
         Of each link, along the axes of its frame: mass, centre of mass, and inertia (xx, yy, zz, xy, xz, yz)
         about that [kg, m, kg m^2].
@@ -89,6 +96,8 @@ class ArticulatedBody:
         What the motors of the arms' joints add to their inertias [kg m^2, kg].
     places : ndarray, shape (4 arms,)
         Where the arms stand.
+    judgement : Judgement
+        What is worth judging about it.
     varied : frozenset of (str, int), optional
         Attributes and entries that differ from robot to robot; of others, what is zero is left out, and where
         an arm stands is a constant. By default, all may differ.
@@ -115,6 +124,8 @@ class ArticulatedBody:
     load_inertias: Any
     rotors: Any
     places: Any
+    upright: Any
+    judgement: Judgement
     varied: frozenset[tuple[str, Any]] | None = None
     matter: tuple[tuple[bool, ...], ...] = ()
 
@@ -134,6 +145,32 @@ class ArticulatedBody:
     def varying(self, entries: Iterable[tuple[str, Any]]) -> Self:
         """Return it, told which attributes and entries of its parameters differ from robot to robot."""
         return replace(self, varied=frozenset(entries))
+
+    def each_its_own(self) -> Self:
+        """Return it with all numbers varying that are not zero: robots with such others have its `form`."""
+        names = ((name, k) for name in _OTHERS for k, x in enumerate(getattr(self, name)) if x)
+        return self.varying(names)
+
+    @cached_property
+    def form(self) -> tuple[Any, ...]:
+        """What its laws are made of beside its `numbers`: kinematics, and which numbers are zero."""
+        tree, base = self.linkage, [bool(getattr(self, name)) for name in _OF_BASE]
+        arrays = tree.gravity, tree.axes, *(x for i in range(self.nv) for x in self._joint_own(i))
+        fixed = [self.form_of(each) for each in (*self.links, *self.loads)]
+        shape = tree.parents, tree.turns, tree.circles, tree.q, tree.v, len(self.links), self.matter
+        return *shape, *base, *(x.tobytes() for x in arrays), *fixed
+
+    def form_of(self, fixed: Fixed) -> tuple[Any, ...]:
+        """Return what the laws know of something that stands still on a joint."""
+        name = fixed.name.partition("/")[0]
+        owner = [arm for arm, _ in self.arms].index(name) if "/" in fixed.name else -1
+        return owner, fixed.joint, fixed.arm, *(x.tobytes() for x in self._own_place(*fixed[2:]))
+
+    @property
+    def numbers(self) -> dict[str, Array]:
+        """What differs between robots of one `form`, by attribute."""
+        base = {name: np.asarray(getattr(self, name)) for name in _OF_BASE if getattr(self, name)}
+        return base | {name: getattr(self, name) for name in _OTHERS}
 
     @property
     def leading(self) -> dict[int, int]:
@@ -191,45 +228,78 @@ class ArticulatedBody:
     def _stands(self) -> list[Place | None]:
         """Where the arms stand; None where that is the same for all robots."""
         numbers, found = self._numbers("places"), []
-        for k in range(0, len(numbers), 4):
-            *origin, yaw = numbers[k : k + 4]
-            moves = any(self._differs("places", k + j) for j in range(4))
-            found.append(Place.about_z(yaw, origin) if moves else None)
+        for arm in range(len(self.arms)):
+            *origin, yaw = numbers[4 * arm : 4 * arm + 4]
+            found.append(Place.about_z(yaw, origin) if self._moves(arm) else None)
         return found
 
-    def _placed(self, arm: int, R: Array, p: Array) -> Place:
-        """Return where something stands in its joint's frame, on an arm or not."""
-        stand = self._stands[arm] if arm >= 0 else None
-        if stand is None:
-            return Place.of(R, p)
+    def _moves(self, arm: int) -> bool:
+        """Tell whether an arm stands elsewhere on other robots."""
+        return any(self._differs("places", 4 * arm + j) for j in range(4))
+
+    def _own_place(self, arm: int, R: Array, p: Array) -> tuple[Array, Array]:
+        """Return where something stands in its joint's frame, or on its arm, where that moves."""
+        if arm < 0 or not self._moves(arm):
+            return R, p
         x, y, z, yaw = self.arms[arm][1]
         c, s = np.cos(yaw), np.sin(yaw)
         back = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        return Place.of(*map(without_rounding, (back @ R, back @ (p - [x, y, z])))).within(stand)
+        # Rounded, it is the same wherever the arm stands.
+        turn, origin = (np.round(array, _DIGITS) for array in (back @ R, back @ (p - [x, y, z])))
+        return without_rounding(turn), without_rounding(origin)
+
+    def _placed(self, arm: int, R: Array, p: Array) -> Place:
+        """Return where something stands in its joint's frame, on an arm or not."""
+        place, stand = Place.of(*self._own_place(arm, R, p)), self._stands[arm] if arm >= 0 else None
+        return place if stand is None else place.within(stand)
+
+    def _joint_own(self, i: int) -> tuple[Array, Array]:
+        return self._own_place(*self._joint(i))
+
+    def _joint(self, i: int) -> tuple[int, Array, Array]:
+        """Return where a joint stands in that which it hangs on: its arm, if that stands there, and how."""
+        tree = self.linkage
+        name, on_base = tree.names[i].partition("/")[0], tree.parents[i] == _BASE - 1
+        arm = [arm for arm, _ in self.arms].index(name) if on_base else -1
+        return arm, tree.rotations[i], tree.offsets[i]
 
     @cached_property
     def _joints(self) -> list[Place]:
         """Where the joints stand in those that they hang on."""
-        tree, arms, found = self.linkage, [name for name, _ in self.arms], []
-        for i, above in enumerate(tree.parents):
-            name = tree.names[i].partition("/")[0]
-            arm = arms.index(name) if above == _BASE - 1 else -1
-            found.append(self._placed(arm, tree.rotations[i], tree.offsets[i]))
-        return found
+        return [self._placed(*self._joint(i)) for i in range(self.nv)]
 
     @cached_property
     def _bodies(self) -> list[Body]:
         """What is fixed to each joint, grouped so that least is to compute."""
         mass, inertia, x, y = (exact(_item(plain(getattr(self, name)))) for name in _OF_BASE)
+        base = Body.of(mass, [x, y, ZERO], [ZERO, ZERO, inertia, ZERO, ZERO, ZERO])
+        return regrouped(self.linkage, self._joints, self._carried(base))
+
+    @cached_property
+    def _bodies_on_ground(self) -> list[Body]:
+        """What is fixed to each joint, grouped so that the base's still feels what it does of the ground."""
+        mass, inertia, x, y = (exact(_item(plain(getattr(self, name)))) for name in _OF_BASE)
+        z, xz, yz = self._numbers("upright")
+        base = Body.of(mass, [x, y, z], [ZERO, ZERO, inertia, ZERO, xz * inertia, yz * inertia])
+        return regrouped(self.linkage, self._joints, self._carried(base), _BASE - 1)
+
+    def _carried(self, base: Body, before: str = "") -> list[Body]:
+        """Return what is fixed to each joint: the base's body, and links and loads whose names begin so."""
         found = [Body.none() for _ in self.coordinates]
-        found[_BASE - 1] = Body.of(mass, [x, y, ZERO], [ZERO, ZERO, inertia, ZERO, ZERO, ZERO])
+        found[_BASE - 1] = base
         for prefix, frames in (("", self.links), ("load_", self.loads)):
             masses, coms, inertias = (self._numbers(f"{prefix}{name}") for name in _OF_BODIES)
-            for k, (_, joint, arm, R, p) in enumerate(frames):
-                body = Body.of(masses[k], coms[3 * k : 3 * k + 3], inertias[6 * k : 6 * k + 6])
-                place = self._placed(arm, R, p)
-                found[joint] = found[joint].joined(body.turned(place.R).moved(place.p))
-        return regrouped(self.linkage, self._joints, found)
+            for k, (name, joint, arm, R, p) in enumerate(frames):
+                if name.startswith(before):
+                    body = Body.of(masses[k], coms[3 * k : 3 * k + 3], inertias[6 * k : 6 * k + 6])
+                    place = self._placed(arm, R, p)
+                    found[joint] = found[joint].joined(body.turned(place.R).moved(place.p))
+        return found
+
+    @cached_property
+    def _axes(self) -> list[Matrix]:
+        """How the joints' frames are turned in Pinocchio's."""
+        return [[[exact(x) for x in row] for row in turn] for turn in self.linkage.axes.tolist()]
 
     @cached_property
     def _motors(self) -> Vector:
@@ -239,11 +309,11 @@ class ArticulatedBody:
 
     @cached_property
     def _by_matrix(self) -> bool:
-        """Whether the mass matrix takes fewer operations than articulated bodies."""
+        """Whether accelerations come by the mass matrix, or else by articulated bodies: as takes less."""
         known, key = self.linkage.counted, (self.varied, self.matter)
         if key not in known:
             by_bodies, by_mass_matrix = operations(self.linkage, self._joints, self._bodies, self._motors)
-            known[key] = by_mass_matrix < by_bodies
+            known[key] = by_mass_matrix < _SHARED * by_bodies
         return known[key]
 
     def _posture(self, q: Any) -> Posture:
@@ -265,8 +335,9 @@ class ArticulatedBody:
 
     def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
         """Return the acceleration, shape (..., nv)."""
+        moving, bodies, motors = self._moving(q, v), self._bodies, self._motors
         way = by_matrix if self._by_matrix else Moving.accelerations
-        return self._public(way(self._moving(q, v), self._bodies, self._motors, self._in_joints(u + f)), q)
+        return self._public(way(moving, bodies, motors, self._in_joints(u + f)), q)
 
     def inverse_dynamics(self, q: Any, v: Any, a: Any) -> Any:
         """Return M(q) a + n(q, v), shape (..., nv)."""
@@ -285,6 +356,24 @@ class ArticulatedBody:
         moving = Moving(self.linkage, self._joints, _scalars(q), still)
         return self._public(moving.efforts(self._bodies, still), q)
 
+    def kinetic_energy(self, q: Any, v: Any) -> Any:
+        """Return v' M(q) v / 2, shape (...)."""
+        moving, rates = self._moving(q, np.zeros(self.nv)), self._in_joints(v)
+        momenta = moving.efforts(self._bodies, rates, falling=False)
+        pairs = zip(momenta, self._motors, rates, strict=True)
+        return _alone(0.5 * dot(rates, [momentum + motor * rate for momentum, motor, rate in pairs]), q)
+
+    def potential_energy(self, q: Any) -> Any:
+        """Return the energy in the field of gravity, shape (...)."""
+        moment = self._posture(q).first_moment(self._bodies_on_ground)
+        return _alone(-dot(moment, map(exact, self.linkage.gravity.tolist())), q)
+
+    def regressor(self, q: Any, v: Any, a: Any) -> Any:
+        """Return Y(q, v, a), shape (..., nv, 10 bodies): of the base's body, and of each joint's after it."""
+        found = self._moving(q, v).regressor(self._axes, _BASE - 1, self._in_joints(a))
+        rows = sorted(zip(self.linkage.v, found, strict=True), key=lambda row: row[0])
+        return _rows([_stacked(row, q) for _, row in rows])
+
     def mass_matrix(self, q: Any) -> Any:
         """Return M(q), shape (..., nv, nv)."""
         M = self._posture(q).mass_matrix(self._bodies)
@@ -293,6 +382,45 @@ class ArticulatedBody:
             M[i][i] = M[i][i] + self._motors[i]
             rows[k] = self._public(M[i], q)
         return _rows(rows)
+
+    def ground_wrench(self, q: Any, v: Any, a: Any) -> Any:
+        """Return what the ground exerts on the robot, shape (..., 6): force, moment, along and about B."""
+        force, moment = self._felt(self._bodies_on_ground, q, v, a)
+        return _stacked([*force, *moment], q)
+
+    def mount_wrench(self, q: Any, v: Any, a: Any, mount: str) -> Any:
+        """Return what an arm exerts on the base, shape (..., 6), along the base's axes, about the mount."""
+        arm = [name for name, _ in self.arms].index(mount)
+        bodies = regrouped(self.linkage, self._joints, self._carried(Body.none(), f"{mount}/"), _BASE - 1)
+        force, moment = self._felt(bodies, q, v, a)
+        stand = self._stands[arm]
+        at = [exact(x) for x in self.arms[arm][1][:3]] if stand is None else stand.p
+        about = plus(moment, cross(force, at))
+        return _stacked([-x for x in (*force, *about)], q)
+
+    def _felt(self, bodies: Sequence[Body], q: Any, v: Any, a: Any) -> tuple[Vector, Vector]:
+        """Return the force and the moment, along and about the base's frame, that let bodies move so."""
+        base, forces = _BASE - 1, self._moving(q, v).wrenches(bodies, self._in_joints(a))
+        force, moment = (applied(self._axes[base], each[base]) for each in forces)
+        return force, moment
+
+    @property
+    def weight(self) -> Any:
+        """Weight of all that it is made of [N]."""
+        total = exact(_item(plain(self.mass)))
+        for name in ("masses", "load_masses"):
+            for mass in self._numbers(name):
+                total = total + mass
+        return number(total * float(np.linalg.norm(self.linkage.gravity)))
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        """What is worth judging about it: see `MobileRobot.measures`."""
+        return self.judgement.measures
+
+    def measured(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
+        """Return its measures, shape (..., m)."""
+        return self.judgement.measured(self, q, v, a, u, reference.q)
 
     def frame_pose(self, q: Any, frame: str) -> Any:
         """Return T_0_f, the pose of a frame, shape (..., 4, 4)."""
@@ -306,6 +434,20 @@ class ArticulatedBody:
         fixed = self._frame(frame)
         J = self._posture(q).jacobian(fixed.joint, self._placed(*fixed[2:]).p)
         return _rows([_stacked(row, q) for row in J])
+
+    def manipulability(self, q: Any, frame: str, arm: str = "") -> Any:
+        """Return sqrt(det J J'), shape (...), of all coordinates, or of those of an arm alone."""
+        fixed, names = self._frame(frame), self.linkage.names
+        J = self._posture(q).jacobian(fixed.joint, self._placed(*fixed[2:]).p)
+        ahead = arm and f"{arm}/"
+        own = [k for k, name in zip(self.linkage.v, names, strict=True) if name.startswith(ahead)]
+        return _alone(volume([[row[k] for k in own] for row in J]), q)
+
+    def frame_drift(self, q: Any, v: Any, frame: str) -> Any:
+        """Return dJ/dt v, shape (..., 6), J as in `frame_jacobian`."""
+        fixed = self._frame(frame)
+        line, spin = self._moving(q, v).drift(fixed.joint, self._placed(*fixed[2:]).p)
+        return _stacked([*line, *spin], q)
 
     def _frame(self, name: str) -> Fixed:
         known = {fixed.name: fixed for fixed in self.frames}
@@ -414,7 +556,7 @@ def articulated(robot: Any, linkage: Linkage) -> ArticulatedBody:
     frames = {
         name: _fixed(linkage, name, model.frames[k], robot.mounts)
         for name, k in named_frames(model).items()
-        if model.frames[k].parentJoint
+        if model.frames[k].parentJoint >= _BASE  # those of the virtual links move with a part of the pose
     }
     links = []
     for k, mount in enumerate(robot.mounts):
@@ -423,7 +565,7 @@ def articulated(robot: Any, linkage: Linkage) -> ArticulatedBody:
         for joint, name in enumerate(others, mount.joints.start - 1):
             links.append(Fixed(name, joint, -1, frozen(linkage.axes[joint].T), frozen(np.zeros(3))))
     loads = [load for _, load in robot.loads]
-    of_links = (np.concatenate([each[k].ravel() for each in numbers]) for k in range(3))
+    of_links = (np.concatenate([[], *(each[k].ravel() for each in numbers)]) for k in range(3))
     masses, coms, inertias = map(frozen, of_links)
     return ArticulatedBody(
         linkage=linkage,
@@ -445,8 +587,10 @@ def articulated(robot: Any, linkage: Linkage) -> ArticulatedBody:
         load_masses=frozen([load.mass for load in loads]),
         load_coms=frozen(np.ravel([load.com for load in loads])),
         load_inertias=frozen(np.ravel([load.six for load in loads])),
-        rotors=frozen(np.concatenate([each.rotors for each in numbers])),
+        rotors=frozen(np.concatenate([[], *(each.rotors for each in numbers)])),
         places=frozen(np.ravel([mount.at for mount in robot.mounts])),
+        upright=frozen([robot.body.com[2], *(robot.body.inertia[2, :2] / robot.body.yaw_inertia)]),
+        judgement=Judgement.of(robot),
     )
 
 
@@ -507,6 +651,10 @@ def _stacked(values: Sequence[Any], q: Any) -> Any:
     if any(type(x) is Node for x in numbers):
         return symbols(numbers, (len(numbers),))
     return np.stack(np.broadcast_arrays(q[..., 0], *numbers)[1:], axis=-1)
+
+
+def _alone(value: Any, q: Any) -> Any:
+    return _stacked([value], q)[..., 0]
 
 
 def _rows(rows: Sequence[Any]) -> Any:

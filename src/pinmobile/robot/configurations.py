@@ -1,5 +1,6 @@
 """Configurations of a body on the chain and what it carries, their limits and steps, in public order."""
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from functools import cached_property
 from math import isfinite, prod
@@ -23,9 +24,11 @@ from pinmobile.arrays import (
 )
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Coordinate, Input
+from pinmobile.robot.articulated import ArticulatedBody
 from pinmobile.robot.assembly import limits, resistances
+from pinmobile.robot.batches import MANY, answers
 from pinmobile.robot.coordinates import configuration_names, coordinates, inputs, leading
-from pinmobile.robot.engine import Engine
+from pinmobile.robot.engine import Engine, Law
 from pinmobile.robot.mounts import Load, Mount
 from pinmobile.robot.tree import joint_kind, parts_of
 
@@ -210,7 +213,7 @@ class ChainConfigurations:
         if self.nq == self.nv:
             with np.errstate(over="ignore"):
                 return finite_answer(q + dq, q=q, dq=dq)
-        return self._engine.reorder(self._engine.each(_integrated, q=q, dq=dq))
+        return self._each(_INTEGRATED, q=q, dq=dq)
 
     def integrate_jacobian(self, q: ArrayLike, dq: ArrayLike) -> Array:
         """Return how `integrate` turns rates of `dq` into velocities, shape (..., nv, nv).
@@ -227,7 +230,7 @@ class ChainConfigurations:
             Displacement [m, m, rad, ...].
         """
         q, dq = self._q(q), self._v("dq", dq)
-        return self._engine.reorder_square(self._engine.each(_integrate_jacobian, q=q, dq=dq))
+        return self._each(_INTEGRATE_JACOBIAN, q=q, dq=dq)
 
     def difference(self, q0: ArrayLike, q1: ArrayLike) -> Array:
         """Return the displacement from `q0` to `q1`, shape (..., nv); that of psi lies in (-pi, pi].
@@ -244,11 +247,57 @@ class ChainConfigurations:
                 displacement = finite_answer(q1 - q0, q0=q0, q1=q1)
         else:
             broadcast(q0=q0, q1=q1)
-            displacement = self._engine.reorder(self._engine.each(_difference, q0=q0, q1=q1))
+            displacement = self._each(_DIFFERENCE, q0=q0, q1=q1)
         angle = displacement[..., 2]
         if angle.ndim or not LEAST_ANGLE < angle <= np.pi:  # in a loop it hardly ever is beyond
             displacement[..., 2] = wrap_angle(angle)
         return displacement
+
+    def _each(self, law: Law, **arguments: Array) -> Array:
+        """Return what a law gives for each row of the arguments, in public order.
+
+        Leading axes broadcast; what comes back is stacked along them. From `MANY` states on it is compiled.
+
+        Raises
+        ------
+        NotFinite
+            If what comes back is not finite.
+        """
+        engine, rows = self._engine, []
+        for argument in arguments.values():
+            if argument.ndim != 1:
+                return self._stacked(law, **arguments)
+            rows.append(argument[engine.orders[len(argument)]])
+        # A copy: Pinocchio hands out views of its data.
+        answer = law.order(engine, np.array(law.run(engine.model, engine.data, *rows)))
+        return answer if isfinite(np.vdot(answer, answer)) else finite_answer(answer, **arguments)
+
+    def _stacked(self, law: Law, **arguments: Array) -> Array:
+        """Return what `_each` does of arguments with leading axes."""
+        engine, lead = self._engine, broadcast(**arguments)
+        model, data, n = engine.model, engine.data, prod(lead)
+        if n >= MANY and law.name:
+            found = answers(self._for_many, law, **arguments)
+            if found is not None:
+                return found
+        stacked = [
+            engine.reorder(np.broadcast_to(argument, (*lead, argument.shape[-1]))).reshape(
+                n, argument.shape[-1]
+            )
+            for argument in arguments.values()
+        ]
+        if not n:
+            probes = (np.zeros(row.shape[1]) for row in stacked[1:])
+            shape = np.shape(law.order(engine, np.asarray(law.run(model, data, pin.neutral(model), *probes))))
+            return np.empty((*lead, *shape))
+        rows = [np.array(law.run(model, data, *row)) for row in zip(*stacked, strict=True)]
+        found = law.order(engine, np.stack(rows).reshape((*lead, *rows[0].shape)))
+        return finite_answer(found, **arguments)
+
+    @property
+    @abstractmethod
+    def _for_many(self) -> ArticulatedBody | None:
+        """What does the same for many states at once; None where a joint has more than one coordinate."""
 
     def configuration(self, value: ArrayLike, name: str = "q") -> Array:
         """Return configurations as float64, shape (..., nq), after refusing what are none.
@@ -310,3 +359,8 @@ def _integrate_jacobian(model: pin.Model, data: pin.Data, q: Array, dq: Array) -
 
 def _difference(model: pin.Model, data: pin.Data, q0: Array, q1: Array) -> Array:
     return np.asarray(pin.difference(model, q0, q1))
+
+
+_INTEGRATED = Law(_integrated, "integrate", order=Engine.reorder, turns=False)
+_INTEGRATE_JACOBIAN = Law(_integrate_jacobian, order=Engine.reorder_square)
+_DIFFERENCE = Law(_difference, "difference", order=Engine.reorder, turns=False)

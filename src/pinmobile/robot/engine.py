@@ -5,17 +5,16 @@ This is the one place that knows that the chain's first joint is y while the lib
 
 from collections.abc import Callable
 from functools import cached_property, partial
-from math import isfinite
 from threading import local
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, broadcast, finite_answer
+from pinmobile.arrays import Array
 from pinmobile.robot.linkage import Linkage
 
-__all__ = ["BODY_JOINT", "Calls", "Engine"]
+__all__ = ["BODY_JOINT", "Calls", "Engine", "Law"]
 
 BODY_JOINT = 3
 """The joint of the chain that carries the body; those before it carry nothing."""
@@ -58,6 +57,30 @@ class Calls(NamedTuple):
     effort: Callable[[Array, Array], Array]
 
 
+class Law(NamedTuple):
+    """What is computed of one state, and of many.
+
+    Attributes
+    ----------
+    run : callable
+        ``run(model, data, *row)`` returns an array; in the chain's order, as its arguments are.
+    name : str
+        Of the method by which `ArticulatedBody` does it, if many states are compiled.
+    options : tuple of str
+        What that takes after the state.
+    order : callable
+        ``order(engine, array)`` puts what `run` returns into public order.
+    turns : bool
+        Whether an angle and the same some turns on are the same to it.
+    """
+
+    run: Callable[..., Any]
+    name: str = ""
+    options: tuple[str, ...] = ()
+    order: Callable[[Any, Array], Array] = lambda engine, array: array
+    turns: bool = True
+
+
 class _Workspace(local):
     """A `pin.Data` for each thread, made when it first asks; it goes away with the thread."""
 
@@ -83,7 +106,7 @@ class Engine:
         # Public index of each coordinate of the chain. Swapping two, it is its own inverse.
         self.order, self.order_q = np.arange(self.nv), np.arange(self.nq)
         self.order[:2] = self.order_q[:2] = 1, 0
-        self._orders = {self.nv: self.order, self.nq: self.order_q}
+        self.orders = {self.nv: self.order, self.nq: self.order_q}
         self._square = self.order[:, None], self.order
         self.public = _in_public_order(model)
 
@@ -117,7 +140,7 @@ class Engine:
 
     def reorder(self, array: Array) -> Array:
         """Return an array (..., nv) or (..., nq) in chain order from public order, or the other way round."""
-        order = self._orders[array.shape[-1]]
+        order = self.orders[array.shape[-1]]
         return array[order] if array.ndim == 1 else array[..., order]  # the first is six times as fast
 
     def reorder_square(self, matrices: Array) -> Array:
@@ -133,41 +156,6 @@ class Engine:
         for joint in range(BODY_JOINT + 1, model.njoints):
             total += (to_body * data.oMi[joint]).act(model.inertias[joint])
         return total
-
-    def each(self, function: Callable[..., Array], **arguments: Array) -> Array:
-        """Call `function(model, data, *row)` for each row of the arguments, in chain order.
-
-        Leading axes broadcast; what comes back is stacked along them, still in chain order.
-
-        Raises
-        ------
-        NotFinite
-            If what comes back is not finite.
-        """
-        rows = []
-        for argument in arguments.values():
-            if argument.ndim != 1:
-                return self._stacked(function, **arguments)
-            rows.append(argument[self._orders[len(argument)]])
-        # A copy: Pinocchio hands out views of its data.
-        answer = np.array(function(self.model, self._workspace.data, *rows))
-        return answer if isfinite(np.vdot(answer, answer)) else finite_answer(answer, **arguments)
-
-    def _stacked(self, function: Callable[..., Array], **arguments: Array) -> Array:
-        """Return what `each` does of arguments with leading axes."""
-        model, data, lead = self.model, self.data, broadcast(**arguments)
-        stacked = [
-            self.reorder(np.broadcast_to(argument, (*lead, argument.shape[-1]))).reshape(
-                -1, argument.shape[-1]
-            )
-            for argument in arguments.values()
-        ]
-        if stacked[0].shape[0] == 0:
-            probes = (np.zeros(row.shape[1]) for row in stacked[1:])
-            shape = np.asarray(function(model, data, pin.neutral(model), *probes)).shape
-            return np.empty((*lead, *shape))
-        results = [np.array(function(model, data, *row)) for row in zip(*stacked, strict=True)]
-        return finite_answer(np.stack(results).reshape((*lead, *results[0].shape)), **arguments)
 
 
 def _in_public_order(model: pin.Model) -> pin.Model:

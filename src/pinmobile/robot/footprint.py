@@ -1,11 +1,16 @@
 """The polygon on which a body stands, the hull of what touches the ground, and how far inside a point is."""
 
+from typing import Any
+
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite
 from pinmobile.errors import InvalidArgument
 
-__all__ = ["checked_footprint", "hull", "margin_inside", "rectangle"]
+__all__ = ["WEIGHTLESS", "checked_footprint", "hull", "margin_inside", "pressed_at", "rectangle"]
+
+WEIGHTLESS = 1e-9
+"""Share of the weight: a vertical force of the ground that only rounding made."""
 
 _FLAT = 1e-12  # of the area of a square about the footprint: what rounding leaves of a straight corner
 
@@ -84,7 +89,7 @@ def hull(points: ArrayLike) -> Array | None:
     return np.array(halves) if len(halves) > 2 else None
 
 
-def margin_inside(corners: Array, points: Array) -> Array:
+def margin_inside(corners: Array, points: Any) -> Any:
     """Return the signed distance of points from the edge of a polygon, positive inside, shape (...) [m].
 
     Parameters
@@ -95,13 +100,28 @@ def margin_inside(corners: Array, points: Array) -> Array:
         In the same frame [m].
     """
     edges = np.roll(corners, -1, axis=0) - corners  # (k, 2)
+    shares = edges / np.square(edges).sum(axis=-1, keepdims=True)
     from_corner = points[..., None, :] - corners  # (..., k, 2)
-    along = (from_corner * edges).sum(axis=-1) / np.square(edges).sum(axis=-1)
-    nearest = np.clip(along, 0, 1)[..., None] * edges
-    distance = np.linalg.norm(from_corner - nearest, axis=-1).min(axis=-1)
-    inside = (_cross(edges, from_corner) >= 0).all(axis=-1)
-    return np.asarray(np.where(inside, distance, -distance))
+    along = np.clip((from_corner * shares).sum(axis=-1), 0.0, 1.0)
+    square = np.square(from_corner - along[..., None] * edges).sum(axis=-1)
+    distance = np.sqrt(np.min(square, axis=-1))
+    inside = np.all(_cross(edges, from_corner) >= 0, axis=-1)
+    return np.where(inside, distance, -distance)
 
 
-def _cross(a: Array, b: Array) -> Array:
-    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+def pressed_at(wrench: Any, carried: Any) -> Any:
+    """Return the point of the ground about which its wrench has no level moment, shape (..., 2) [m].
+
+    Parameters
+    ----------
+    wrench : ndarray, shape (..., 6)
+        Of the ground on the body, along and about the axes of its frame, whose origin lies on the ground.
+    carried : ndarray of bool, shape (...)
+        Whether the ground carries the body; NaN where it does not.
+    """
+    vertical = np.where(carried, wrench[..., 2], np.nan)
+    return np.stack([-wrench[..., 4] / vertical, wrench[..., 3] / vertical], axis=-1)
+
+
+def _cross(a: Any, b: Any) -> Any:
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

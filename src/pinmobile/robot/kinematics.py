@@ -1,15 +1,16 @@
 """Frames of a body on the chain and what it carries, in public order."""
 
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike, broadcast, finite_answer, one_of
+from pinmobile.arrays import Array, ArrayLike, broadcast, one_of
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot.assembly import named_frames
 from pinmobile.robot.configurations import ChainConfigurations
-from pinmobile.robot.engine import BODY_JOINT
+from pinmobile.robot.engine import BODY_JOINT, Engine, Law
 
 __all__ = ["ChainKinematics"]
 
@@ -69,13 +70,13 @@ class ChainKinematics(ChainConfigurations):
         UnknownName
             If there is no such frame.
         """
-        _, number = self._frame(frame)
+        name, number = self._frame(frame)
 
         def pose(model: pin.Model, data: pin.Data, q: Array) -> Array:
             pin.forwardKinematics(model, data, q)
             return np.asarray(pin.updateFramePlacement(model, data, number).homogeneous)
 
-        return self._engine.each(pose, q=self._q(q))
+        return self._each(Law(pose, "frame_pose", (name,)), q=self._q(q))
 
     def frame_jacobian(self, q: ArrayLike, frame: str | None = None) -> Array:
         """Return J, shape (..., 6, nv): J v is the velocity of the frame's origin and the angular velocity.
@@ -94,13 +95,13 @@ class ChainKinematics(ChainConfigurations):
         UnknownName
             If there is no such frame.
         """
-        _, number = self._frame(frame)
+        name, number = self._frame(frame)
 
         def jacobian(model: pin.Model, data: pin.Data, q: Array) -> Array:
             J = pin.computeFrameJacobian(model, data, q, number, pin.LOCAL_WORLD_ALIGNED)
             return np.asarray(J)
 
-        return self._engine.reorder(self._engine.each(jacobian, q=self._here(q)))
+        return self._each(Law(jacobian, "frame_jacobian", (name,), Engine.reorder), q=self._here(q))
 
     def frame_drift(self, q: ArrayLike, v: ArrayLike, frame: str | None = None) -> Array:
         """Return dJ/dt v, shape (..., 6): a frame's acceleration where no coordinate accelerates.
@@ -122,14 +123,14 @@ class ChainKinematics(ChainConfigurations):
         UnknownName
             If there is no such frame.
         """
-        _, number = self._frame(frame)
+        name, number = self._frame(frame)
 
         def drift(model: pin.Model, data: pin.Data, q: Array, v: Array) -> Array:
             pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
             reference = pin.LOCAL_WORLD_ALIGNED
             return np.asarray(pin.getFrameClassicalAcceleration(model, data, number, reference).vector)
 
-        return self._engine.each(drift, q=self._q(q), v=self._v("v", v))
+        return self._each(Law(drift, "frame_drift", (name,)), q=self._q(q), v=self._v("v", v))
 
     def manipulability(self, q: ArrayLike, frame: str | None = None) -> Array:
         """Return sqrt(det J J'), shape (...), of base and arm together (Yoshikawa, 1985).
@@ -149,7 +150,9 @@ class ChainKinematics(ChainConfigurations):
         UnknownName
             If there is no such frame.
         """
-        return _volume(self.frame_jacobian(q, frame))
+        name, number = self._frame(frame)
+        law = Law(partial(_volume, number, slice(None)), "manipulability", (name,))
+        return self._each(law, q=self._here(q))
 
     def arm_manipulability(self, q: ArrayLike, frame: str | None = None) -> Array:
         """Return `manipulability` of the arm that carries the frame alone, the base held, shape (...).
@@ -161,11 +164,12 @@ class ChainKinematics(ChainConfigurations):
         UnknownName
             If there is no such frame.
         """
-        name, _ = self._frame(frame)
+        name, number = self._frame(frame)
         arms = [mount for mount in self.mounts if name.startswith(f"{mount.name}/")]
         if not arms:
             raise InvalidArgument(f"frame is {shown(name)}, expected one of an arm")
-        return _volume(self.frame_jacobian(q, name)[..., arms[0].v])
+        law = Law(partial(_volume, number, arms[0].v), "manipulability", (name, arms[0].name))
+        return self._each(law, q=self._here(q))
 
     def _frame(self, name: str | None) -> tuple[str, int]:
         name = self.end_effector if name is None else name
@@ -181,7 +185,7 @@ class ChainKinematics(ChainConfigurations):
             pin.forwardKinematics(model, data, q)
             return np.stack([data.oMi[k].homogeneous for k in range(1, model.njoints)])
 
-        return self._engine.each(placements, q=self._q(q))
+        return self._each(Law(placements), q=self._q(q))
 
     def jacobian(self, q: ArrayLike) -> Array:
         """Return J(psi), shape (..., nv, nv): v = J twist, with the body twist (forward, left, yaw rate).
@@ -197,10 +201,8 @@ class ChainKinematics(ChainConfigurations):
         return J
 
 
-def _volume(J: Array) -> Array:
-    """Return sqrt(det J J'), shape (...), of J, shape (..., 6, n)."""
-    if J.shape[-1] < J.shape[-2]:
-        return np.zeros(J.shape[:-2])
+def _volume(frame: int, part: slice, model: pin.Model, data: pin.Data, q: Array) -> Any:
+    """Return sqrt(det J J') of some columns of a frame's Jacobian."""
+    J = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)[:, part]
     # The product of the singular values: det squares what is small.
-    with np.errstate(over="ignore"):
-        return finite_answer(np.asarray(np.linalg.svd(J, compute_uv=False).prod(axis=-1)), J=J)
+    return np.linalg.svd(J, compute_uv=False).prod() if J.shape[1] >= len(J) else 0.0

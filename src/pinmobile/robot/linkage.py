@@ -217,17 +217,20 @@ class Place(NamedTuple):
         return Place(product(other.R, self.R), plus(other.p, applied(other.R, self.p)))
 
 
-def regrouped(linkage: Linkage, places: Sequence[Place], bodies: Sequence[Body]) -> list[Body]:
+def regrouped(
+    linkage: Linkage, places: Sequence[Place], bodies: Sequence[Body], least: int = 0
+) -> list[Body]:
     """Return bodies that move as these do, with fewer numbers that are not zero (Khalil and Dombre, 2002).
 
     What of a body its own joint does not move goes to what it hangs on: of one that turns its mass, first
-    moment along the axis and inertia yy; of one that slides its inertia. Joint torques are the same, forces
-    between the links are not.
+    moment along the axis and inertia yy; of one that slides its inertia. Joint torques are the same, and so
+    is what a body feels of all that hangs on it, if nothing of its own went on; other forces between the
+    links are not. `least` is the first joint whose body takes what comes: those before it get nothing.
     """
     found = list(bodies)
     for i in reversed(range(len(linkage))):
         above = linkage.parents[i]
-        if above < 0:
+        if above < least:
             continue
         m, h, J = found[i]
         if linkage.turns[i]:

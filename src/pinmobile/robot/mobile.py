@@ -11,16 +11,30 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile import urdf
-from pinmobile.arrays import Array, ArrayLike, finite, lengths, location, positive, scalar, sequence, text
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    broadcast,
+    finite,
+    finite_answer,
+    lengths,
+    location,
+    positive,
+    scalar,
+    sequence,
+    text,
+)
 from pinmobile.constancy import constant
 from pinmobile.dh import LECTURE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
+from pinmobile.measures import Measure
 from pinmobile.plant import Parameter
 from pinmobile.robot.articulated import ArticulatedBody, articulated
 from pinmobile.robot.assembly import assemble
 from pinmobile.robot.carrier import Carrier
 from pinmobile.robot.chain import build_model, check_chain
 from pinmobile.robot.engine import BODY_JOINT, Engine
+from pinmobile.robot.judgement import Judgement
 from pinmobile.robot.meshes import VisualFile
 from pinmobile.robot.mounts import LinkNumbers, Load, Mount, placed
 from pinmobile.robot.pictures import add_carried
@@ -94,6 +108,7 @@ class MobileRobot(Carrier):
     _looks: VisualFile | None = field(default=None, init=False)
     _varied: frozenset[tuple[str, Any]] | None = field(default=None, init=False)
     _tracings: dict[Any, ArticulatedBody] = field(init=False)
+    _variants: "dict[Any, MobileRobot]" = field(init=False)
 
     def __post_init__(self) -> None:
         com = finite("com", self.com)
@@ -115,6 +130,7 @@ class MobileRobot(Carrier):
             "stance": Stance.of_box(size) if stance is None else stance,
             "_engine": Engine(build_model(self.dh, body)),
             "_tracings": {},
+            "_variants": {},
         }.items():
             object.__setattr__(self, name, value)
 
@@ -342,6 +358,61 @@ class MobileRobot(Carrier):
         except NotTraceable:
             return ()
 
+    @cached_property
+    def _judgement(self) -> Judgement:
+        return Judgement.of(self)
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        """What is worth judging about it beside errors, none without arms: what `measured` returns.
+
+        Of each arm how far its end effector is from where the reference puts it, and by what angle; where
+        joints have limits, the largest effort of what they allow; and the tip-over margin, where footprint
+        and ground are known.
+        """
+        return self._judgement.measures if self.mounts else ()
+
+    def measured(
+        self, t: ArrayLike, q: ArrayLike, v: ArrayLike, a: ArrayLike, u: ArrayLike, reference: Any
+    ) -> Array:
+        """Return its `measures`, shape (..., m).
+
+        What the reference does not lead it puts where `rest` has it, as `start` does.
+
+        Parameters
+        ----------
+        t : array_like, shape (...)
+            Time [s], on which nothing depends.
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        v, a : array_like, shape (..., nv)
+            Velocity and acceleration [m/s, m/s, rad/s, ...; per s].
+        u : array_like, shape (..., nv)
+            Input [N, N, N m, ...].
+        reference : Reference
+            Where the first coordinates should be.
+
+        Raises
+        ------
+        InvalidArgument
+            If an argument has another shape or is not finite.
+        """
+        if not hasattr(reference, "q"):
+            raise InvalidArgument(f"reference is {shown(reference)}, expected a Reference: q, v and a")
+        desired, sizes = finite("reference.q", reference.q), self.leading.values()
+        if desired.shape[-1:] not in {(size,) for size in sizes}:
+            listed = ", ".join(map(str, sizes))
+            raise InvalidArgument(f"reference.q has shape {desired.shape}, expected (..., k), k of {listed}")
+        state = {"q": self._q(q), "v": self._v("v", v), "a": self._v("a", a), "u": self._v("u", u)}
+        lead = broadcast(**state, **{"reference.q": desired})
+        if not self.mounts:
+            return np.zeros((*lead, 0))
+        numbers = state["q"], state["v"], state["a"], state["u"]
+        with np.errstate(over="ignore"):
+            found: Array = self._judgement.measured(self, *numbers, desired)
+        finite_answer(np.where(found == -np.inf, 0.0, found), **state)  # a margin may be minus infinity
+        return found
+
     def traced(self) -> PlanarBody | ArticulatedBody:
         """Return its dynamics over symbols or arrays; without arms, loads count as the body's.
 
@@ -368,6 +439,13 @@ class MobileRobot(Carrier):
             self._tracings[self._varied] = found
         return found
 
+    @cached_property
+    def _for_many(self) -> ArticulatedBody | None:
+        try:
+            return articulated(self, self._engine.linkage).each_its_own()
+        except NotTraceable:
+            return None
+
     def varying(self, entries: Iterable[tuple[str, Any]]) -> "MobileRobot":
         """Return it, told which of its `parameters` differ from robot to robot.
 
@@ -381,9 +459,11 @@ class MobileRobot(Carrier):
         told = frozenset(entries)
         if not self.mounts or told == self._varied:
             return self
-        new = object.__new__(MobileRobot)
-        vars(new).update(vars(self), _varied=told)
-        return new
+        if told not in self._variants:  # one object, of which what follows is remembered
+            new = object.__new__(MobileRobot)
+            vars(new).update(vars(self), _varied=told)
+            self._variants[told] = new
+        return self._variants[told]
 
     def with_parameters(self, **values: ArrayLike) -> "MobileRobot":
         """Return the robot with other values of its `parameters`; without arms, loads count as the body's.

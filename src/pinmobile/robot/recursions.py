@@ -3,13 +3,10 @@
 They are Featherstone's (2008), over scalars of any kind: see `scalars`. Vectors are in each joint's frame.
 """
 
-import itertools
-import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from pinmobile.compiled.tape import STATE, Tape, needed
-from pinmobile.errors import NotTraceable
+from pinmobile.compiled.tape import maximum, root
 from pinmobile.robot.linkage import Body, Linkage, Place
 from pinmobile.robot.scalars import (
     ENTRIES,
@@ -23,6 +20,7 @@ from pinmobile.robot.scalars import (
     cross,
     dot,
     exact,
+    number,
     plus,
     product,
     scaled,
@@ -33,7 +31,9 @@ from pinmobile.robot.scalars import (
     turned,
 )
 
-__all__ = ["Moving", "Posture", "by_matrix", "operations", "solved"]
+__all__ = ["Moving", "Posture", "by_matrix", "operations", "solved", "volume"]
+
+_LEAST = 1e-300  # a square that is zero
 
 
 class Posture:
@@ -129,6 +129,19 @@ class Posture:
             p = plus(self.p[j], self.up(j, p))
         return transposed(columns)
 
+    def first_moment(self, bodies: Sequence[Body]) -> Vector:
+        """Return mass times centre of mass of all, in the world."""
+        masses, moments = [body.mass for body in bodies], [body.first for body in bodies]
+        whole = [ZERO] * 3
+        for i in reversed(range(len(self.R))):
+            moved = plus(self.up(i, moments[i]), scaled(masses[i], self.p[i]))
+            above = self.linkage.parents[i]
+            if above >= 0:
+                masses[above], moments[above] = masses[above] + masses[i], plus(moments[above], moved)
+            else:
+                whole = plus(whole, moved)
+        return whole
+
     def mass_matrix(self, bodies: Sequence[Body]) -> Matrix:
         """Return M, in the order of the joints, by composite rigid bodies."""
         linkage, n = self.linkage, len(self.R)
@@ -162,32 +175,52 @@ class Moving(Posture):
             w = self.down(i, self.w[above]) if above >= 0 else [ZERO] * 3
             self.w.append([w[0], w[1], w[2] + self.v[i]] if linkage.turns[i] else w)
 
-    def efforts(self, bodies: Sequence[Body], a: Vector) -> Vector:
-        """Return forces and torques of the joints, of accelerations in their order, by Newton and Euler."""
-        linkage, n = self.linkage, len(self.R)
-        forces, moments = self._inertial(bodies, a)
-        found = [ZERO] * n
-        for i in reversed(range(n)):
-            found[i] = moments[i][2] if linkage.turns[i] else forces[i][2]
-            above = linkage.parents[i]
+    def efforts(self, bodies: Sequence[Body], a: Vector, falling: bool = True) -> Vector:
+        """Return forces and torques of the joints, of accelerations in their order, by Newton and Euler.
+
+        Where nothing falls, gravity is left out.
+        """
+        wrenches = zip(*self.wrenches(bodies, a, falling), self.linkage.turns, strict=True)
+        return [moment[2] if turns else force[2] for force, moment, turns in wrenches]
+
+    def wrenches(
+        self, bodies: Sequence[Body], a: Vector, falling: bool = True
+    ) -> tuple[list[Vector], list[Vector]]:
+        """Return what each joint exerts on all that hangs on it: force, and moment about its origin."""
+        forces, moments = self._inertial(bodies, a, falling)
+        for i in reversed(range(len(self.R))):
+            above = self.linkage.parents[i]
             if above >= 0:
                 force = self.up(i, forces[i])
                 moment = plus(self.up(i, moments[i]), cross(self.p[i], force))
                 forces[above], moments[above] = plus(forces[above], force), plus(moments[above], moment)
-        return found
+        return forces, moments
 
-    def _inertial(self, bodies: Sequence[Body], a: Vector) -> tuple[list[Vector], list[Vector]]:
+    def _inertial(
+        self, bodies: Sequence[Body], a: Vector, falling: bool
+    ) -> tuple[list[Vector], list[Vector]]:
         """Return what moves each body alone: force, and moment about the origin of its frame."""
-        linkage = self.linkage
-        lines: list[Vector] = []  # of the origins
-        spins: list[Vector] = []
-        fields: list[Matrix] = []  # acceleration of a point of the body, over its place
         forces, moments = [], []
+        for (m, h, J), w, (line, spin, field) in zip(bodies, self.w, self._driven(a, falling), strict=True):
+            forces.append(plus(scaled(m, line), applied(field, h)))
+            turning = plus(applied(J, spin), cross(w, applied(J, w)))
+            moments.append(plus(turning, cross(h, line)))
+        return forces, moments
+
+    def _driven(self, a: Vector, falling: bool) -> list[tuple[Vector, Vector, Matrix]]:
+        """Return each joint's accelerations: of its origin, less gravity, angular, and the field.
+
+        The field is the acceleration of a point fixed to it, less that of its origin, over its place.
+        """
+        linkage = self.linkage
+        found: list[tuple[Vector, Vector, Matrix]] = []
         for i, above in enumerate(linkage.parents):
             if above < 0:
-                spin, line = [ZERO] * 3, [exact(-g) for g in linkage.gravity.tolist()]
+                spin = [ZERO] * 3
+                line = [exact(-g) for g in linkage.gravity.tolist()] if falling else [ZERO] * 3
             else:
-                spin, line = spins[above], plus(lines[above], applied(fields[above], self.p[i]))
+                line, spin, field = found[above]
+                line = plus(line, applied(field, self.p[i]))
             spin, line = self.down(i, spin), self.down(i, line)
             w, rate = self.w[i], self.v[i]
             if linkage.turns[i]:
@@ -195,15 +228,47 @@ class Moving(Posture):
             else:
                 twice = rate + rate
                 line = [line[0] + w[1] * twice, line[1] - w[0] * twice, line[2] + a[i]]
-            field = _field(w, spin)
-            m, h, J = bodies[i]
-            forces.append(plus(scaled(m, line), applied(field, h)))
-            turning = plus(applied(J, spin), cross(w, applied(J, w)))
-            moments.append(plus(turning, cross(h, line)))
-            spins.append(spin)
-            lines.append(line)
-            fields.append(field)
-        return forces, moments
+            found.append((line, spin, _field(w, spin)))
+        return found
+
+    def drift(self, i: int, p: Vector) -> tuple[Vector, Vector]:
+        """Return the accelerations of a point fixed to joint i, and its frame, that velocities alone make."""
+        line, spin, field = self._driven([ZERO] * len(self.R), False)[i]
+        line = plus(line, applied(field, p))
+        for j in self.ancestors(i):
+            line, spin = self.up(j, line), self.up(j, spin)
+        return line, spin
+
+    def regressor(self, axes: Sequence[Matrix], first: int, a: Vector) -> list[Vector]:
+        """Return what efforts are over the ten numbers of each body, from that of joint `first` on.
+
+        Those are m, m c, and xx, xy, yy, xz, yz, zz of the inertia about the origin of the joint's frame,
+        along axes in which that frame has the orientations `axes`.
+        """
+        linkage, n = self.linkage, len(self.R)
+        found = [[ZERO] * (10 * (n - first)) for _ in range(n)]
+        driven = self._driven(a, True)
+        ways: list[dict[int, tuple[Vector, Vector]]] = []  # how joint j moves the frame of joint i
+        for i, above in enumerate(linkage.parents):
+            moved = {
+                i: ([ZERO] * 3, [ZERO, ZERO, ONE]) if linkage.turns[i] else ([ZERO, ZERO, ONE], [ZERO] * 3)
+            }
+            for j, (line, turn) in (ways[above] if above >= 0 else {}).items():
+                moved[j] = self.down(i, plus(line, cross(turn, self.p[i]))), self.down(i, turn)
+            ways.append(moved)
+            if i >= first:
+                w, line, spin = (applied(axes[i], x) for x in (self.w[i], *driven[i][:2]))
+                field = transposed(_field(w, spin))
+                for j, way in moved.items():
+                    by, turn = (applied(axes[i], x) for x in way)
+                    numbers = [dot(by, line), *plus(applied(field, by), cross(line, turn))]
+                    felt = zip((turn, cross(turn, w)), (spin, w), strict=True)
+                    squares = [[[x * y for y in right] for x in left] for left, right in felt]
+                    Q = added(*squares)
+                    numbers += [Q[0][0], Q[0][1] + Q[1][0], Q[1][1]]
+                    numbers += [Q[0][2] + Q[2][0], Q[1][2] + Q[2][1], Q[2][2]]
+                    found[j][10 * (i - first) : 10 * (i - first) + 10] = numbers
+        return found
 
     def accelerations(self, bodies: Sequence[Body], rotors: Vector, efforts: Vector) -> Vector:
         """Return the accelerations of the joints, all in their order, by articulated bodies.
@@ -352,14 +417,41 @@ def by_matrix(moving: Moving, bodies: Sequence[Body], rotors: Vector, efforts: V
 
 def operations(
     linkage: Linkage, places: Sequence[Place], bodies: Sequence[Body], rotors: Vector
-) -> tuple[float, float]:
+) -> tuple[int, int]:
     """Return how many operations accelerations take: by articulated bodies, and by the mass matrix.
 
-    What does not change with the state is not counted, as it is computed once. Infinite: too many to count.
+    What does not change with the state is not counted, as it is computed once. Equal operations are counted
+    each time, of which both ways have few, so that no tape is needed.
     """
-    return _count(Moving.accelerations, linkage, places, bodies, rotors), _count(
-        by_matrix, linkage, places, bodies, rotors
+    count, by_mass_matrix = (
+        _count(way, linkage, places, bodies, rotors) for way in (Moving.accelerations, by_matrix)
     )
+    return count, by_mass_matrix
+
+
+class _Counted:
+    """A scalar that only counts what is done with it, where it is `late`, that is changes with the state."""
+
+    __slots__ = ("late", "tally")
+
+    def __init__(self, tally: list[int], late: bool) -> None:
+        self.tally, self.late = tally, late
+
+    def _with(self, other: Any) -> Any:
+        if isinstance(other, Exact):
+            return NotImplemented  # it knows better
+        late = other if getattr(other, "late", False) else self
+        self.tally[0] += late.late
+        return late
+
+    __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = __truediv__ = __rtruediv__ = _with
+
+    def __neg__(self) -> "_Counted":
+        return self
+
+    def sine_and_cosine(self) -> tuple["_Counted", "_Counted"]:
+        """Return it twice: both ways take as many sines."""
+        return self, self
 
 
 def _count(
@@ -368,25 +460,19 @@ def _count(
     places: Sequence[Place],
     bodies: Sequence[Body],
     rotors: Vector,
-) -> float:
-    tape, numbers = Tape(), itertools.count()
+) -> int:
+    tally, n = [0], len(linkage)
+    early, late = _Counted(tally, False), _Counted(tally, True)
 
     def known(x: Any) -> Any:
         if isinstance(x, list | tuple):
             return [known(each) for each in x]
-        return x if isinstance(x, Exact) else tape.input("row", next(numbers))
+        return x if isinstance(x, Exact) else early
 
-    def state(count: int) -> Vector:
-        return [tape.input("state", next(numbers)) for _ in range(count)]
-
-    n = len(linkage)
-    try:
-        at = [Place(*known(place)) for place in places]
-        moving = Moving(linkage, at, state(2 * n), state(n))
-        found = way(moving, [Body(*known(body)) for body in bodies], known(rotors), state(n))
-    except NotTraceable:
-        return math.inf
-    return sum(bool(tape.depends[i] & STATE) for i in needed(tape, [x.index for x in found]))
+    at = [Place(*known(place)) for place in places]
+    moving = Moving(linkage, at, [late] * (2 * n), [late] * n)
+    way(moving, [Body(*known(body)) for body in bodies], known(rotors), [late] * n)
+    return tally[0]
 
 
 def solved(M: Matrix, right: Vector, order: Sequence[int]) -> Vector:
@@ -407,3 +493,18 @@ def solved(M: Matrix, right: Vector, order: Sequence[int]) -> Vector:
         for j in order[k + 1 :]:
             x[i] = x[i] - M[j][i] * x[j]
     return x
+
+
+def volume(rows: Matrix) -> Any:
+    """Return the volume that some vectors span, at least zero, by orthogonalising one after another."""
+    rest, found = [list(row) for row in rows], ONE
+    if len(rest) > len(rest[0]):
+        return ZERO
+    while rest:
+        first, *rest = rest
+        square = dot(first, first)
+        found = found * root(number(square))
+        # What is zero spans nothing, whatever comes after it.
+        inverse = 1.0 / maximum(number(square), _LEAST)
+        rest = [plus(row, scaled(-dot(first, row) * inverse, first)) for row in rest]
+    return found

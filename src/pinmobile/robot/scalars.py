@@ -12,6 +12,7 @@ import numpy as np
 
 from pinmobile.compiled.elementary import sincos
 from pinmobile.compiled.tape import Node
+from pinmobile.constancy import constant
 
 __all__ = [
     "ENTRIES",
@@ -43,6 +44,7 @@ ENTRIES = (0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)
 """The entries of a symmetric matrix that differ."""
 
 
+@constant
 class Exact:
     """0, 1 or -1 that stands in a formula: products with it cost nothing."""
 
@@ -101,12 +103,14 @@ def sine_and_cosine(x: Any) -> tuple[Any, Any]:
     """Return sine and cosine of a scalar."""
     if isinstance(x, Exact | float | int):
         return exact(math.sin(x)), exact(math.cos(x))
+    if hasattr(x, "sine_and_cosine"):
+        return x.sine_and_cosine()  # type: ignore[no-any-return]
     return sincos(x) if type(x) is Node else (np.sin(x), np.cos(x))
 
 
 def plus(a: Vector, b: Vector) -> Vector:
     """Return a + b."""
-    return [x + y for x, y in zip(a, b, strict=True)]
+    return [y if x is ZERO else x if y is ZERO else x + y for x, y in zip(a, b, strict=True)]
 
 
 def scaled(k: Any, a: Vector) -> Vector:
@@ -116,7 +120,11 @@ def scaled(k: Any, a: Vector) -> Vector:
 
 def dot(a: Iterable[Any], b: Iterable[Any]) -> Any:
     """Return a . b."""
-    return sum((x * y for x, y in zip(a, b, strict=True)), ZERO)
+    found: Any = ZERO
+    for x, y in zip(a, b, strict=True):
+        if x is not ZERO and y is not ZERO:
+            found = x * y if found is ZERO else found + x * y
+    return found
 
 
 def cross(a: Vector, b: Vector) -> Vector:

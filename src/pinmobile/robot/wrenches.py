@@ -1,12 +1,14 @@
 """Wrenches inside a robot and between it and the ground, in the body's frame."""
 
+from functools import cached_property
+
 import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import Array, ArrayLike, one_of
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot.dynamics import ChainDynamics
-from pinmobile.robot.engine import BODY_JOINT
+from pinmobile.robot.engine import BODY_JOINT, Law
 from pinmobile.robot.mounts import Mount
 
 __all__ = ["ChainWrenches"]
@@ -19,18 +21,18 @@ class ChainWrenches(ChainDynamics):
     their own spin is not in it. Other conventions: see `ChainDynamics`.
     """
 
+    @cached_property
+    def weight(self) -> float:
+        """Weight of the robot with all that it carries [N]."""
+        return float(pin.computeTotalMass(self._model) * np.linalg.norm(self._model.gravity.linear))
+
     def ground_wrench(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return what the ground exerts on the robot that moves so, shape (..., 6).
 
         Along the axes of the body's frame B, with the moment about its origin, which lies on the ground: the
         rate of the momentum of all bodies, less gravity. Whatever else acts from outside is in it.
         """
-
-        def wrench(model: pin.Model, data: pin.Data, q: Array, v: Array, a: Array) -> Array:
-            pin.rnea(model, data, q, v, a)
-            return np.asarray(data.f[BODY_JOINT].vector)
-
-        return self._engine.each(wrench, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
+        return self._each(_GROUND_WRENCH, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
 
     def mount_wrench(self, q: ArrayLike, v: ArrayLike, a: ArrayLike, mount: str | None = None) -> Array:
         """Return what an arm, with the loads on it, exerts on the body at its mount, shape (..., 6).
@@ -68,7 +70,8 @@ class ChainWrenches(ChainDynamics):
                 held += data.liMi[joint].act(data.f[joint])
             return 0.0 - np.asarray(to_mount.act(held).vector)
 
-        return self._engine.each(wrench, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
+        law = Law(wrench, "mount_wrench", (arm.name,))
+        return self._each(law, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
 
     def _mount(self, name: str | None) -> Mount:
         if not self.mounts:
@@ -85,6 +88,14 @@ class ChainWrenches(ChainDynamics):
             if frame.parentJoint == BODY_JOINT and name.startswith(f"{mount.name}/"):
                 fixed += frame.placement.act(load.body)
         return fixed
+
+
+def _ground_wrench(model: pin.Model, data: pin.Data, q: Array, v: Array, a: Array) -> Array:
+    pin.rnea(model, data, q, v, a)
+    return np.asarray(data.f[BODY_JOINT].vector)
+
+
+_GROUND_WRENCH = Law(_ground_wrench, "ground_wrench")
 
 
 def _joints(mount: Mount) -> range:

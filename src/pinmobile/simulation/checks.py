@@ -6,9 +6,9 @@ import numpy as np
 
 from pinmobile.arrays import Array, affordable, answered, callable_as, frozen, positive, vector, whole
 from pinmobile.controllers import check_controller
-from pinmobile.controllers.protocol import check_memory
-from pinmobile.disturbances import CoordinateForce, Force
+from pinmobile.controllers.controller import check_memory
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import check_integrator, constant_acceleration
 from pinmobile.plant import Context, check_plant, leading_of
 from pinmobile.simulation.steps import stepped
@@ -358,7 +358,7 @@ def check_controllers_memory(controller: Any, context: Context, q: Array, v: Arr
     Raises
     ------
     InvalidArgument
-        If it is such; see `pinmobile.controllers.protocol.check_memory`.
+        If it is such; see `pinmobile.controllers.controller.check_memory`.
     """
     try:
         check_memory(controller, context, q, v)

@@ -8,8 +8,8 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, positive
 from pinmobile.controllers import Controller
-from pinmobile.disturbances import CoordinateForce, Force
 from pinmobile.errors import Diverged, InvalidArgument
+from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator
 from pinmobile.plant import Context, Plant, all_samples, coordinates_of, whole_configurations
 from pinmobile.simulation.checks import (
@@ -82,7 +82,7 @@ def simulate(
     substeps : int
         Steps of the integrator per dt.
     forces : sequence of callables
-        What acts besides the controller, see `pinmobile.disturbances`. Each ``force(t, pose, rate)`` gets the
+        What acts besides the controller, see `pinmobile.forces`. Each ``force(t, pose, rate)`` gets the
         body's (x, y, psi) and their rates, shape (3,), and returns the wrench (Fx, Fy, Mz) [N, N, N m]; one
         that has ``on_coordinates(t, q, v)`` returns a generalised force, shape (nv,).
     limit : float

@@ -14,8 +14,8 @@ import numpy as np
 from pinmobile.arrays import LEAST_ANGLE, Array, are_real, wrap_angle
 from pinmobile.controllers import Controller
 from pinmobile.controllers.feedback import Compact
-from pinmobile.disturbances import CoordinateForce, Force
 from pinmobile.errors import InvalidArgument, NotFinite, shown
+from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator, RungeKuttaNystrom
 from pinmobile.plant import Context
 from pinmobile.signals import Recorder, Signal, recorder

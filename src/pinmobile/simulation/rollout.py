@@ -11,6 +11,7 @@ import numpy as np
 from pinmobile.arrays import Array, finite, frozen, increasing, location, real
 from pinmobile.errors import InvalidArgument
 from pinmobile.files import replacing, write_table
+from pinmobile.measures import measured_of, measures_of
 from pinmobile.plant import (
     Coordinate,
     Input,
@@ -195,6 +196,26 @@ class Rollout:
                 "returns x, y and psi"
             )
         return frozen(all_samples(self.plant, "pose", q))
+
+    def measures(self) -> dict[str, Signal]:
+        """Return what the plant states as ``measures``, with units, at all samples, by name.
+
+        Raises
+        ------
+        InvalidArgument
+            If the plant's ``measured`` returns another shape, or no real numbers.
+        """
+        stated = measures_of(self.plant)
+        if not stated:
+            return {}
+        recorded = self.t, self.q, self.v, self.a, self.u
+        if getattr(self.plant, "broadcasts", False):
+            found = measured_of(self.plant, *recorded, self.reference)
+        else:
+            samples = zip(*recorded, *self.reference, strict=True)
+            rows = (measured_of(self.plant, t, q, v, a, u, Reference(*at)) for t, q, v, a, u, *at in samples)
+            found = np.stack(list(rows))
+        return {one.name: Signal(one.unit, frozen(found[:, k])) for k, one in enumerate(stated)}
 
     @property
     def _led(self) -> int:

@@ -20,7 +20,7 @@ RESERVED = frozenset(
     {
         *("robot", "coordinate", "input", "time", "channel", "bin", "level", "counts"),
         *("max_error", "rms_error", "max_force", "max_distance", "diverged_at"),
-        *("distance_quantile", "heading_quantile"),
+        *("worst_measure", "rms_measure", "measure", "quantiles"),
         *(f"drawn_{name}" for name in PARAMETERS),
     }
 )
@@ -185,10 +185,13 @@ def _check_alike(grid: Grid) -> None:
                 f"{first.dt * first.stride:g} s) and {grid.place(k)} (to {scenario.t[-1]:g} s in steps of "
                 f"{scenario.dt * scenario.stride:g} s), expected the same duration, dt and every"
             )
-        for name in ("coordinates", "inputs"):
+        for name in ("coordinates", "inputs", "judged"):
             here, there = ([each[:2] for each in getattr(one, name)] for one in (first, scenario))
             if here != there:
-                told = (", ".join(f"{each} [{unit}]" for each, unit in listed) for listed in (here, there))
+                told = (
+                    ", ".join(f"{each} [{unit}]" for each, unit in listed) or "none"
+                    for listed in (here, there)
+                )
                 raise InvalidArgument(
                     f"{name} are {next(told)} at {grid.place(0)} and {next(told)} at {grid.place(k)}, "
                     "expected the same: sweep such plants each in a store of its own"

@@ -8,7 +8,7 @@ import numpy as np
 
 from pinmobile.ensembles import PARAMETERS
 from pinmobile.ensembles.histogram import BINS
-from pinmobile.ensembles.variables import LEVELS, NOTE, SUMMED, coordinates, drawn, per_robot
+from pinmobile.ensembles.variables import LEVELS, NOTE, coordinates, drawn, over_all, per_robot
 from pinmobile.plant import Parameter
 from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.grids import Grid
@@ -66,16 +66,16 @@ def empty_store(grid: Grid, description: Mapping[str, Any], chunk: int) -> dict[
 def _make_arrays(group: Any, grid: Grid, chunk: int) -> None:
     swept = [(name, list(axis.values), axis.unit, name) for name, axis in grid.axes.items()]
     first = grid.scenarios[0]
-    named = [[one.name for one in each] for each in (first.coordinates, first.inputs)]
-    for name, values, unit, meaning in [*swept, *coordinates(first.grid, *named)]:
+    for name, values, unit, meaning in [*swept, *coordinates(first)]:
         _coordinate(group, name, values, {**({"units": unit} if unit else {}), "long_name": meaning})
     n = grid.n
     sizes = {"robot": n, "coordinate": len(first.coordinates), "input": len(first.inputs)}
-    sizes |= {"time": len(first.grid), "channel": 2, "bin": BINS, "level": len(LEVELS)}
+    sizes |= {"time": len(first.grid), "bin": BINS, "level": len(LEVELS)}
+    sizes |= {"measure": len(first.judged), "channel": len(first.channels)}
     for name, variable in {
-        **per_robot(first.coordinates, first.inputs),
+        **per_robot(first),
         **drawn(_spread_of(grid)),
-        **SUMMED,
+        **over_all(first.channels),
     }.items():
         shape = [sizes[dimension] for dimension in variable.dimensions]
         chunks = [min(chunk, n) if each == "robot" else sizes[each] for each in variable.dimensions]

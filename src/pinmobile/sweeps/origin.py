@@ -13,7 +13,7 @@ from pinmobile.sweeps.grids import Grid
 
 __all__ = ["determined_by", "differences"]
 
-_FORMAT = 1
+_FORMAT = 2
 
 
 def determined_by(grid: Grid) -> dict[str, Any]:

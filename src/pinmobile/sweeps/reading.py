@@ -72,15 +72,15 @@ def coordinates_of(nodes: Mapping[str, Any]) -> list[str]:
     return [f"{name}/c/0" for name, node in nodes.items() if node["dimension_names"] == [name]]
 
 
-def counts_of(marker: Path, *, times: int, robots: int) -> Any:
-    """Return the counts in the file that says that a chunk is done, shape (times, 2, BINS).
+def counts_of(marker: Path, shape: tuple[int, int], *, robots: int) -> Any:
+    """Return the counts in the file that says that a chunk is done, shape (times, channels, BINS).
 
     Parameters
     ----------
     marker : Path
         The file.
-    times : int
-        Of the bands.
+    shape : (int, int)
+        How many times of the bands, and channels.
     robots : int
         In the chunk: at each time, so many are counted.
 
@@ -91,13 +91,13 @@ def counts_of(marker: Path, *, times: int, robots: int) -> Any:
     FileError
         If the system fails.
     """
-    most = 4 * times * 2 * BINS + _MOST
+    most = 4 * shape[0] * shape[1] * BINS + _MOST
     try:
         counts = arrays_of(
             marker, ["counts"], kind="record of a chunk", name="a file of the store", most=most
         )
         found = counts["counts"]
-        why = miscounted(found, times, robots)
+        why = miscounted(found, *shape, robots)
         if why:
             raise InvalidArgument(f"a file of the store is {str(marker)!r}, which {why}")
     except InvalidArgument as error:

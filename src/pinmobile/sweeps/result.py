@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import location, whole
+from pinmobile.arrays import location, one_of, whole
 from pinmobile.ensembles import Ensemble
 from pinmobile.ensembles.histogram import checked_share, share_within
 from pinmobile.ensembles.variables import PER_ROBOT, drawn_name
@@ -89,32 +89,54 @@ class Sweep:
             dataset = imported("xarray").open_zarr(folder, chunks=None, consolidated=True)
         return cls(folder, axes, dataset, grid, attributes["rivals"])
 
-    def within(self, share: float = 0.99) -> Any:
-        """Return the distance that a share of the robots stays within from `Scenario.after` on, exactly.
+    def within(self, share: float = 0.99, by: str = "distance") -> Any:
+        """Return what a share of the robots stays within from `Scenario.after` on, exactly.
 
         Parameters
         ----------
         share : float
             From 0 to 1.
+        by : str
+            Of what, as in `Ensemble.largest`.
 
         Returns
         -------
         within : xarray.DataArray, of the shape of the axes
-            Distance from the desired position [m]: infinite where fewer have not diverged, NaN where it is
-            not known yet.
+            Such as the distance from the desired position [m]: infinite where fewer have not diverged, of a
+            margin, which the share has at least, minus infinity; NaN where it is not known yet.
 
         Raises
         ------
         InvalidArgument
             If `share` is not between 0 and 1, or a file of the store cannot be read.
+        UnknownName
+            If there is no such error.
         """
-        level = checked_share(share)
+        level, known = checked_share(share), self._judged()
+        name, place, unit, sign = known[one_of("error", by, known)]
         with _reading(self.path):
-            data = self.dataset[["max_distance", "diverged_at"]].load()
-        sizes = data.max_distance.where(data.diverged_at.isnull(), np.inf)
-        found = sizes.reduce(share_within, "robot", share=level)
-        meaning = f"distance from the desired position that {level * 100:g} % of the robots stay within"
-        return found.rename("within").assign_attrs(units="m", long_name=meaning)
+            data = self.dataset[[name, "diverged_at"]].isel(place).load()
+        sizes = (sign * data[name]).where(data.diverged_at.isnull(), np.inf)
+        found = sign * sizes.reduce(share_within, "robot", share=level)
+        what = "distance from the desired position" if by == "distance" else by
+        stay = "stay within" if sign > 0 else "have at least"
+        meaning = f"{what} that {level * 100:g} % of the robots {stay}"
+        attributes = {"units": unit, "long_name": meaning}
+        return found.rename("within").drop_vars(list(place)).assign_attrs(attributes)
+
+    def _judged(self) -> dict[str, tuple[str, dict[str, int], str, float]]:
+        """Return by name of what is judged its array, where it is in that, its unit, and -1 of margins."""
+        found = {"distance": ("max_distance", dict[str, int](), "m", 1.0)}
+        for name, dimension in (("max_error", "coordinate"), ("worst_measure", "measure")):
+            if name in self.dataset:
+                attributes, labels = self.dataset[name].attrs, self.dataset[dimension].values.tolist()
+                units = attributes["units"].split(", ")
+                worst = attributes["worst"].split(", ") if "worst" in attributes else len(labels) * [""]
+                for k, label in enumerate(labels):
+                    unit = units[k] if len(units) == len(labels) else ""
+                    found[label] = name, {dimension: k}, unit, -1.0 if worst[k] == "smallest" else 1.0
+        found["heading"] = "max_error", {"coordinate": 2}, "rad", 1.0
+        return found
 
     def table(self, share: float = 0.99, most: int = 40) -> str:
         """Return a row for each of the first `most` scenarios: its values, `within` and how many diverged.
@@ -181,13 +203,14 @@ class Sweep:
             raise InvalidArgument(
                 f"scenario {labels} has no records yet: start the same sweep again to go on"
             )
-        per_robot: dict[str, Any] = {name: np.array(data[name]) for name in PER_ROBOT}
+        none = np.zeros((scenario.n, 0))
+        records: dict[str, Any] = {name: np.array(data[name]) if name in data else none for name in PER_ROBOT}
         return Ensemble(
             scenario=scenario,
             draws={name: np.array(data[drawn_name(name)]) for name in scenario.spread},
             counts=counts,
             traces={},
-            **per_robot,
+            **records,
         )
 
     def __repr__(self) -> str:

@@ -22,7 +22,7 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.ensembles import Ensemble, Part
-from pinmobile.ensembles.variables import PER_ROBOT, SUMMED, drawn_name, summed
+from pinmobile.ensembles.variables import SUMMED, drawn_name, per_robot, summed
 from pinmobile.errors import FileError, InvalidArgument
 from pinmobile.files import refusals, write
 from pinmobile.sweeps.cluster import GO_ON
@@ -162,7 +162,7 @@ class Store:
         where = (*self.grid.index(job.scenario), slice(job.start, job.stop))
         # Of a chunk as of a whole ensemble: what diverged, and when.
         records = Ensemble.of(self.grid.scenarios[job.scenario], draws, part)
-        for name in PER_ROBOT:
+        for name in per_robot(records.scenario):
             self._arrays[name][where] = getattr(records, name)
         for name, values in draws.items():
             self._arrays[drawn_name(name)][where] = values
@@ -195,8 +195,9 @@ class Store:
             self._forget()
 
     def _counts(self, job: Job) -> Any:
-        robots, times = job.stop - job.start, len(self.grid.scenarios[0].grid)
-        return counts_of(self.path / self._marker(job), times=times, robots=robots)
+        first, robots = self.grid.scenarios[0], job.stop - job.start
+        shape = len(first.grid), len(first.channels)
+        return counts_of(self.path / self._marker(job), shape, robots=robots)
 
     def _forget(self) -> None:
         """Remove the folder of the way there, unless somebody has put something into it."""
@@ -221,7 +222,7 @@ class Store:
 
     def _sum_up(self, scenario: int, counts: Any) -> None:
         where = self.grid.index(scenario)
-        for name, values in summed(counts).items():
+        for name, values in summed(counts, self.grid.scenarios[scenario].channels).items():
             self._arrays[name][where] = values
         self._write_gathered()
 
@@ -247,7 +248,8 @@ class Store:
         return self._has(SUMMED, scenario, 0) and all(self._has(names, scenario, k) for k in starts)
 
     def _per_robot(self, scenario: int) -> list[str]:
-        return [*PER_ROBOT, *(drawn_name(name) for name in self.grid.scenarios[scenario].spread)]
+        one = self.grid.scenarios[scenario]
+        return [*per_robot(one), *map(drawn_name, one.spread)]
 
     def _has(self, names: Iterable[str], scenario: int, start: int) -> bool:
         """Tell whether the chunks of some arrays that hold robot `start` of a scenario are on disk."""

@@ -1,16 +1,16 @@
-"""What a trajectory is and gives, and what it asks of its path."""
+"""What a trajectory is and gives, within the limits of joints; and motions of base and arms as one."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, positive
-from pinmobile.errors import InvalidArgument
-from pinmobile.paths import Path, pieces_of
-from pinmobile.paths.protocol import checked_path
-
-__all__ = ["Reference", "Trajectory", "joined", "plane_path"]
+from pinmobile.arrays import Array, ArrayLike, finite, positive
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.paths import Hold, Path, pieces_of, within
+from pinmobile.paths.path import checked_path
 
 
 class Reference(NamedTuple):
@@ -73,3 +73,218 @@ def plane_path(path: Any) -> Path:
             f"path.pieces has (start, end) {ends}, expected end to end from 0 to {duration}"
         )
     return plane
+
+
+_SLACK = 1e-9  # [m, rad], of velocities relative: a path that ends at a limit comes there but for rounding
+
+
+def check_limits(robot: Any, q: Array, v: Array, t: Array | None = None) -> None:
+    """Refuse configurations and velocities outside the joint limits of a robot.
+
+    Parameters
+    ----------
+    robot : MobileRobot
+        Whose `lower`, `upper` and `velocity_limit` are meant.
+    q : ndarray, shape (..., n), n <= nq
+        Configurations, or their first numbers.
+    v : ndarray, shape (..., m), m <= nv
+        Velocities, or their first numbers.
+    t : ndarray, shape (...), optional
+        Their times where they are a reference, for the message [s]; without, they are a start (q0, v0).
+
+    Raises
+    ------
+    InvalidArgument
+        If one is outside; the message names the joint, its value and limits, and the time.
+    """
+    n, m = q.shape[-1], v.shape[-1]
+    lower, upper, most = robot.lower[:n], robot.upper[:n], robot.velocity_limit[:m]
+    outside = (q < lower - _SLACK) | (q > upper + _SLACK)
+    if outside.any():
+        where, column = _first(outside)
+        name, unit = _joint(robot, column, of_q=True)
+        raise InvalidArgument(
+            f"{'q0' if t is None else 'reference'} has joint {name!r} at {q[where][column]:.9g} {unit}"
+            f"{_when(t, where)}, expected {lower[column]:.9g} to {upper[column]:.9g} {unit}"
+        )
+    fast = np.abs(v) > most * (1 + _SLACK)
+    if fast.any():
+        where, column = _first(fast)
+        name, unit = _joint(robot, column)
+        raise InvalidArgument(
+            f"{'v0' if t is None else 'reference'} moves joint {name!r} at {v[where][column]:.9g} {unit}/s"
+            f"{_when(t, where)}, expected at most {most[column]:.9g} {unit}/s"
+        )
+
+
+def _when(t: Array | None, where: tuple[int, ...]) -> str:
+    return "" if t is None else f" at t = {t[where]:g} s"
+
+
+def _first(found: Any) -> tuple[tuple[int, ...], int]:
+    *row, column = (int(i) for i in np.argwhere(found)[0])
+    return tuple(row), column
+
+
+def _joint(robot: Any, column: int, *, of_q: bool = False) -> tuple[str, str]:
+    """Return the name of the joint that a number of q or v belongs to, and its unit."""
+    model = robot.model
+    starts, sizes = (model.idx_qs, model.nqs) if of_q else (model.idx_vs, model.nvs)
+    joint = next(j for j in range(1, model.njoints) if 0 <= column - starts[j] < sizes[j])
+    # Joints with limits of q have as many numbers in v.
+    return str(model.names[joint]), robot.coordinates[model.idx_vs[joint] + column - starts[joint]].unit
+
+
+_SAME = 1e-9  # relative difference of two durations that are meant to be one
+_STANDSTILL = 1e-9  # [m/s, rad/s]: the rounding of what ends at rest
+_PROBES = 33  # per analytic piece of a path, its ends included
+
+
+@dataclass(frozen=True, init=False, repr=False)
+class WholeBody:
+    """A trajectory of the base beside one path per arm, on one clock.
+
+    The coordinates of an arm's path are those of its joints in v: of each its angle [rad] or way [m], of one
+    that is (cos, sin) in q too. Any path of that many coordinates will do: `CubicVia` and `Spline` through
+    postures, `Hold`, `RestToRest`. Those of a configuration q are ``robot.difference(robot.neutral, q)[3:]``.
+
+    It lasts as long as the longest of them. What ends before that must end at rest, and is held there.
+
+    Parameters
+    ----------
+    robot : MobileRobot
+        Whose base and arms these are. No reference leaves its joint limits, or moves faster than they allow.
+    base : trajectory
+        Of x, y and psi, such as `Tangent` or `FixedHeading`.
+    *joints : Path or None
+        One per arm, in the order of ``robot.mounts``; None holds the arm's reference posture.
+
+    Raises
+    ------
+    InvalidArgument
+        If `robot`, `base` or a path is something else; there are more or fewer paths than arms; one has
+        other coordinates than its arm, leaves the joint limits of position or velocity, or ends before the
+        others while it moves; or a joint turns about more than one axis, or turns and slides.
+    """
+
+    robot: Any
+    base: Trajectory
+    joints: tuple[Path, ...]
+    duration: float = field(compare=False)
+
+    def __init__(self, robot: Any, base: Trajectory, *joints: Path | None) -> None:
+        _check_robot(robot)
+        _check_base(base)
+        if len(joints) != len(robot.mounts):
+            raise InvalidArgument(
+                f"joints has {len(joints)} paths, expected {len(robot.mounts)}, one per arm of the robot"
+            )
+        paths = tuple(_checked(robot, k, path, float(base.duration)) for k, path in enumerate(joints))
+        longest = max([float(base.duration), *(float(path.duration) for path in paths)])
+        for name, value in {"robot": robot, "base": base, "joints": paths, "duration": longest}.items():
+            object.__setattr__(self, name, value)
+        for name, (motion, end) in self._parts().items():
+            _check_end(name, motion, end, longest)
+        # What leaves the limits between these times is refused when it is asked for.
+        for path in paths:
+            self(np.concatenate([np.linspace(p.start, p.end, _PROBES) for p in pieces_of(path)]))
+
+    def __repr__(self) -> str:
+        return f"WholeBody({', '.join(map(repr, (self.robot, self.base, *self.joints)))})"
+
+    def __call__(self, t: ArrayLike) -> Reference:
+        """Return the reference.
+
+        Parameters
+        ----------
+        t : array_like, shape (...)
+            Times, 0 <= t <= duration [s].
+
+        Returns
+        -------
+        reference : Reference
+            q of shape (..., nq), v and a of shape (..., nv), in the robot's own order.
+
+        Raises
+        ------
+        InvalidArgument
+            If a time is outside, or the reference leaves the joint limits; the message names the joint.
+        """
+        times = within("t", t, self.duration)
+        parts = [_held(motion, end, times) for motion, end in self._parts().values()]
+        moved, v, a = (np.concatenate(arrays, axis=-1) for arrays in zip(*parts, strict=True))
+        simple = self.robot.nq == self.robot.nv
+        q = moved if simple else self.robot.integrate(self.robot.neutral, moved)
+        check_limits(self.robot, q, v, times)
+        return Reference(q, v, a)
+
+    def with_parameters(self) -> "WholeBody":
+        """Return the motion made again of its parts, which have what may differ: it has no parameters."""
+        return WholeBody(self.robot, self.base, *self.joints)
+
+    def _parts(self) -> dict[str, tuple[Callable[[Array], Reference], float]]:
+        paths = {f"joints[{k}]": (partial(_along, p), float(p.duration)) for k, p in enumerate(self.joints)}
+        return {"base": (self.base, float(self.base.duration)), **paths}
+
+
+def _along(path: Path, t: Array) -> Reference:
+    return Reference(*(path.derivative(t, order) for order in range(3)))
+
+
+def _held(motion: Callable[[Array], Reference], end: float, t: Array) -> Reference:
+    """Return a motion at the times `t`, after its end at rest where it ended."""
+    q, v, a = motion(np.minimum(t, end))
+    over = (t > end * (1 + _SAME))[..., None]
+    return Reference(q, *(np.where(over, 0.0, rate) for rate in (v, a))) if over.any() else Reference(q, v, a)
+
+
+def _check_robot(robot: Any) -> None:
+    if not isinstance(getattr(robot, "mounts", None), tuple):
+        raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot")
+    model = robot.model
+    for joint in range(1, model.njoints):
+        # Slides along three axes add up as one does.
+        if model.nvs[joint] > 1 and model.joints[joint].shortname() != "JointModelTranslation":
+            raise InvalidArgument(
+                f"robot has joint {model.names[joint]!r} with {model.nvs[joint]} velocities, expected joints "
+                "of one, or slides: turns about several axes, or beside slides, are no coordinates of a path"
+            )
+
+
+def _check_base(base: Any) -> None:
+    known = isinstance(base, Trajectory) and not isinstance(base, type)
+    start: Any = base(0.0) if known else None
+    if not hasattr(start, "q"):  # a path has a duration and can be called, too
+        raise InvalidArgument(
+            f"base is {shown(base)}, expected a trajectory of x, y and psi, such as Tangent(path)"
+        )
+    positive("base.duration", base.duration, "s")
+    shape = np.shape(start.q)
+    if shape != (3,):
+        raise InvalidArgument(f"base has configurations of shape {shape}, expected (3,): x, y and psi")
+
+
+def _checked(robot: Any, k: int, path: Any, duration: float) -> Path:
+    mount = robot.mounts[k]
+    size = mount.v.stop - mount.v.start
+    if path is None:
+        return Hold(robot.difference(robot.neutral, robot.rest)[mount.v], duration)
+    if isinstance(path, type) or not isinstance(path, Path):
+        raise InvalidArgument(f"joints[{k}] is {shown(path)}, expected a path of {size} coordinates, or None")
+    point = finite(f"joints[{k}](0)", path(0.0))
+    if point.shape != (size,):
+        raise InvalidArgument(
+            f"joints[{k}] has points of shape {point.shape}, expected ({size},), "
+            f"one coordinate per joint of {mount.name!r}"
+        )
+    positive(f"joints[{k}].duration", path.duration, "s")
+    return path
+
+
+def _check_end(name: str, motion: Callable[[Array], Reference], end: float, longest: float) -> None:
+    speed = float(np.abs(motion(np.array(end)).v).max(initial=0.0))
+    if longest > end * (1 + _SAME) and not speed <= _STANDSTILL:
+        raise InvalidArgument(
+            f"{name} ends after {end:g} s of {longest:g} s while it moves at {speed:.3g}, expected it to "
+            "end at rest or last as long"
+        )

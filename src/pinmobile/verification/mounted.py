@@ -1,11 +1,13 @@
-"""A body that carries arms: Pinocchio against Newton and Euler, itself, and of the base the closed form."""
+"""A body that carries arms: Pinocchio against Newton and Euler, itself, machine code, and a closed form."""
 
 import numpy as np
 
 from pinmobile import closed_form
 from pinmobile.arrays import Array
+from pinmobile.errors import NotTraceable
 from pinmobile.robot import MobileRobot
 from pinmobile.verification.parts import Parts
+from pinmobile.verification.routes import COMPILED, by_machine_code, by_pinocchio, each
 from pinmobile.verification.table import Comparison
 
 __all__ = ["compare_mounted"]
@@ -15,33 +17,45 @@ _GRAVITY = 9.81  # [m/s^2]
 _PARTS = "Newton-Euler of the parts"
 
 
-def compare_mounted(robot: MobileRobot, states: int, rng: np.random.Generator) -> tuple[Comparison, ...]:
-    """Return the routes of a robot with arms against each other, see `verify`."""
+def compare_mounted(
+    robot: MobileRobot, states: int, rng: np.random.Generator
+) -> tuple[tuple[Comparison, ...], str]:
+    """Return the routes of a robot with arms against each other, see `verify`, and which is missing."""
     q = robot.random_configuration(rng, (states,))
     q[:, 2] = rng.uniform(-4 * np.pi, 4 * np.pi, states)
     v, a = rng.normal(size=(2, states, robot.nv))
-    M, n, g = robot.mass_matrix(q), robot.nonlinear_effects(q, v), robot.gravity(q)
-    tau = robot.inverse_dynamics(q, v, a)
-    columns = np.stack([robot.inverse_dynamics(q, 0 * v, unit) - g for unit in np.eye(robot.nv)], axis=-1)
+    units = [np.broadcast_to(unit, v.shape) for unit in np.eye(robot.nv)]
+    tau, g = each(robot.inverse_dynamics, q, v, a), each(robot.gravity, q)
+    own = by_pinocchio(robot, q, v, a, tau)
+    M, n = own["M"], own["n"]
+    columns = np.stack([each(robot.inverse_dynamics, q, 0 * v, unit) - g for unit in units], axis=-1)
     parts, still = Parts(robot, q, v), Parts(robot, q, 0 * v)
-    own = [still.forces(np.broadcast_to(unit, v.shape), gravity=False) for unit in np.eye(robot.nv)]
+    by_parts = [still.forces(unit, gravity=False) for unit in units]
     routes = {
-        ("M", "CRBA", _PARTS): M - np.stack(own, axis=-1),
+        ("M", "CRBA", _PARTS): M - np.stack(by_parts, axis=-1),
         ("n", "RNEA", _PARTS): n - parts.forces(0 * a),
         ("tau", "RNEA", _PARTS): tau - parts.forces(a),
-        ("f", "RNEA", _PARTS): robot.ground_wrench(q, v, a) - parts.ground_wrench(a),
+        ("f", "RNEA", _PARTS): each(robot.ground_wrench, q, v, a) - parts.ground_wrench(a),
         ("M", "CRBA", "RNEA's columns"): M - columns,
         ("M3", "CRBA", "closed form of the lump"): M[:, :3, :3] - _lumped(robot, q),
-        ("n", "RNEA", "C(q, v) v + g(q)"): n - _times(robot.coriolis_matrix(q, v), v) - g,
+        ("n", "RNEA", "C(q, v) v + g(q)"): n - _times(each(robot.coriolis_matrix, q, v), v) - g,
         ("tau", "RNEA", "M a + n"): tau - _times(M, a) - n,
-        ("a", "ABA", "M^-1 (tau - n)"): robot.forward_dynamics(q, v, tau)
-        - np.linalg.solve(M, (tau - n)[..., None])[..., 0],
+        ("a", "ABA", "M^-1 (tau - n)"): own["a"] - np.linalg.solve(M, (tau - n)[..., None])[..., 0],
     }
+    missing = ""
+    try:
+        compiled = by_machine_code(robot, q, v, a, tau)
+    except NotTraceable as error:
+        missing = f"{COMPILED}: {error.reason}"
+    else:
+        against = {"M": "CRBA", "n": "RNEA", "tau": "RNEA", "a": "ABA"}
+        routes |= {(x, COMPILED, against[x]): compiled[x] - own[x] for x in against}
     scales = _scales(parts, v, a, M)
-    return tuple(
+    rows = (
         Comparison(*names, float((np.abs(off) / scales[names[0]]).max()), _TOLERANCE)
         for names, off in routes.items()
     )
+    return tuple(rows), missing
 
 
 def _scales(parts: Parts, v: Array, a: Array, M: Array) -> dict[str, Array]:

@@ -1,4 +1,4 @@
-"""A bare body: closed form, Pinocchio, and the two symbolic derivations."""
+"""A bare body: closed form, Pinocchio, the two symbolic derivations, and machine code."""
 
 from collections.abc import Callable
 from functools import lru_cache
@@ -10,14 +10,13 @@ from pinmobile.arrays import Array
 from pinmobile.derivation import Numeric, lagrange, lecture
 from pinmobile.dh import DHTable
 from pinmobile.robot import MobileRobot
+from pinmobile.verification.routes import COMPILED, Dynamics, by_machine_code, by_pinocchio
 from pinmobile.verification.table import Comparison
 
 __all__ = ["compare_planar"]
 
 _EPS = float(np.finfo(np.float64).eps)
 _TOLERANCE = 1e-12  # some thousand roundings, relative to the scale of the terms
-
-Dynamics = dict[str, Array]
 
 
 def compare_planar(robot: MobileRobot, states: int, rng: np.random.Generator) -> tuple[Comparison, ...]:
@@ -29,9 +28,10 @@ def compare_planar(robot: MobileRobot, states: int, rng: np.random.Generator) ->
     tau = truth["tau"]
     scales = _scales(robot, truth, v, a)
     routes: dict[str, Callable[..., Dynamics]] = {
-        "Pinocchio (CRBA, RNEA, ABA)": _pinocchio,
+        "Pinocchio (CRBA, RNEA, ABA)": by_pinocchio,
         "symbolic Newton-Euler": _newton_euler,
         "symbolic Lagrange": _lagrange,
+        COMPILED: by_machine_code,
     }
     found = {name: route(robot, q, v, a, tau) for name, route in routes.items()}
     bounds = dict.fromkeys(("M", "n", "tau"), _TOLERANCE)
@@ -65,15 +65,6 @@ def _closed_form(robot: MobileRobot, q: Array, v: Array, a: Array) -> Dynamics:
         "n": closed_form.nonlinear_effects(q, v, mass=mass, com=com),
         "tau": tau,
         "a": closed_form.forward_dynamics(q, v, tau, mass=mass, yaw_inertia=inertia, com=com),
-    }
-
-
-def _pinocchio(robot: MobileRobot, q: Array, v: Array, a: Array, tau: Array) -> Dynamics:
-    return {
-        "M": robot.mass_matrix(q),
-        "n": robot.nonlinear_effects(q, v),
-        "tau": robot.inverse_dynamics(q, v, a),
-        "a": robot.forward_dynamics(q, v, tau),
     }
 
 

@@ -48,11 +48,14 @@ class Verification:
         Number of random states.
     rows : tuple of Comparison
         One per quantity and route.
+    missing : str
+        Which route there is none of, and why; empty where all are there.
     """
 
     robot: MobileRobot
     states: int
     rows: tuple[Comparison, ...]
+    missing: str = ""
 
     @property
     def passed(self) -> bool:
@@ -76,4 +79,5 @@ class Verification:
             for name, row in zip(names, self.rows, strict=True)
         ]
         what = f"the {against.pop()}" if len(against) == 1 else "another"
-        return "\n".join([f"{self.states} random states, each route against {what}", head, *lines])
+        left_out = [f"left out, {self.missing}"] if self.missing else []
+        return "\n".join([f"{self.states} random states, each route against {what}", head, *lines, *left_out])

@@ -1,9 +1,21 @@
 """See the robot move: meshcat, live in a browser or recorded as a page, a GIF, a film or a picture."""
 
-from pinmobile.viewer.live import LiveWindow
+from typing import TYPE_CHECKING
+
 from pinmobile.viewer.offline import OfflineWindow
 from pinmobile.viewer.overlays import Arrows, Follow, Overlays, Stay
 from pinmobile.viewer.recording import Recording
 from pinmobile.viewer.viewer import Viewer
 
+if TYPE_CHECKING:
+    from pinmobile.viewer.live import LiveWindow
+
 __all__ = ["Arrows", "Follow", "LiveWindow", "OfflineWindow", "Overlays", "Recording", "Stay", "Viewer"]
+
+
+def __getattr__(name: str) -> object:
+    if name == "LiveWindow":  # a recording needs no server
+        from pinmobile.viewer.live import LiveWindow
+
+        return LiveWindow
+    raise AttributeError(f"module 'pinmobile.viewer' has no attribute {name!r}")

@@ -17,8 +17,6 @@ from typing import Any
 
 from pinmobile.errors import ViewerError
 
-__all__ = ["Browser", "find_chromium"]
-
 _NAMES = (
     "chromium",
     "chromium-browser",

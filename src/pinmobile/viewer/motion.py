@@ -1,4 +1,4 @@
-"""What moves: properties of nodes over the frames of a recording, and as compact animation tracks."""
+"""What moves over the frames of a recording: links of robots, properties of nodes, animation tracks."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -6,12 +6,13 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
-from pinmobile.arrays import Array
-from pinmobile.errors import InvalidArgument
+from pinmobile.arrays import Array, finite
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.plant import all_samples
+from pinmobile.robot import BODY_JOINT, MobileRobot
 from pinmobile.simulation import Rollout
-
-__all__ = ["Channel", "along", "frame_times", "poses_of", "sampled", "tracks"]
 
 _KINDS = {"position": "vector3", "scale": "vector3", "quaternion": "quaternion"}
 _DIGITS = {"position": 5, "scale": 5, "quaternion": 6, "drawn": 1}
@@ -161,3 +162,200 @@ def _continuous(quaternions: Array) -> Array:
     turns = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0
     signs = np.concatenate([[1.0], np.where(np.cumsum(turns) % 2, -1.0, 1.0)])
     return np.asarray(quaternions * signs[:, None])
+
+
+_THICK = 0.1  # what a link has around the origin of its joint [m]
+
+
+class Drawing:
+    """What a plant draws of itself: the objects of its ``visual_model`` where its ``drawing(q)`` puts them.
+
+    A scene moves its node by x, y and psi of the body, and the objects below that by what they do beside it.
+    Its configurations are therefore rows of (x, y, psi, q).
+
+    Parameters
+    ----------
+    plant : plant
+        With ``visual_model``, ``drawing`` and ``pose``.
+
+    Raises
+    ------
+    InvalidArgument
+        If it has no such model.
+    """
+
+    mounts, top = (), None
+
+    def __init__(self, plant: Any) -> None:
+        self.plant, self.size = plant, getattr(plant, "size", MobileRobot.box().size)
+        given = getattr(plant, "visual_model", None)
+        if not isinstance(given, pin.GeometryModel) or not given.ngeoms:
+            raise InvalidArgument(
+                f"plant is a {type(plant).__name__}, which has drawing(q) and visual_model {shown(given)}, "
+                "expected a pin.GeometryModel of what is drawn"
+            )
+        self.model, self.visual_model = pin.Model(), pin.GeometryModel()
+        for item in given.geometryObjects:
+            copy = item.copy()
+            copy.parentJoint, copy.placement = 0, pin.SE3.Identity()
+            self.visual_model.addGeometryObject(copy)
+
+    def drawing(self, q: Array) -> Array:
+        """Return the placements of the objects in the inertial frame, shape (k, 4, 4).
+
+        Raises
+        ------
+        InvalidArgument
+            If the plant gives something else.
+        """
+        answer, count = self.plant.drawing(q.copy()), self.visual_model.ngeoms
+        try:
+            found = np.asarray([getattr(each, "homogeneous", each) for each in answer], np.float64)
+        except (TypeError, ValueError):
+            found = np.empty(0)
+        if found.shape != (count, 4, 4):
+            raise InvalidArgument(
+                f"plant.drawing(q) returned {shown(answer)}, expected the placements of its {count} objects, "
+                f"shape ({count}, 4, 4)"
+            )
+        return finite("plant.drawing(q)", found)
+
+    def row(self, q: Array) -> Array:
+        """Return a configuration of the plant, shape (nq,), as a scene has it, shape (3 + nq,)."""
+        return np.append(np.asarray(self.plant.pose(q.copy()), np.float64), q)
+
+    def rows(self, t: Array, q: Array, times: Array) -> Array:
+        """Return configurations at other times, shape (n, 3 + nq), straight between two of t, shape (N,)."""
+        if q.shape[1] != self.plant.nq:
+            raise InvalidArgument(
+                f"rollout has q of shape {q.shape}, expected (N + 1, {self.plant.nq}) as the plant has"
+            )
+        poses = all_samples(self.plant, "pose", q)
+        base = sampled(times, t, np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])]))
+        before, after, share = _between(t, times)
+        ways = all_samples(self.plant, "difference", q[before], q[after])
+        return np.hstack([base, all_samples(self.plant, "integrate", q[before], share * ways)])
+
+    def seen_from_body(self, rows: Array) -> Array:
+        """Return the placements of the objects below the body's node, shape (n, k, 4, 4)."""
+        body = np.zeros((len(rows), 4, 4))
+        c, s = np.cos(rows[:, 2]), np.sin(rows[:, 2])
+        body[:, 0, 0], body[:, 0, 1], body[:, 1, 0], body[:, 1, 1] = c, s, -s, c
+        body[:, 0, 3], body[:, 1, 3] = -c * rows[:, 0] - s * rows[:, 1], s * rows[:, 0] - c * rows[:, 1]
+        body[:, 2, 2] = body[:, 3, 3] = 1.0
+        return np.asarray(body[:, None] @ np.stack([self.drawing(q) for q in rows[:, 3:]]))
+
+
+def figure(plant: Any) -> Any:
+    """Return what is drawn of a plant: itself, its `Drawing`, or a box of its size where it has none.
+
+    Raises
+    ------
+    InvalidArgument
+        If it does not tell where its body is.
+    """
+    if isinstance(plant, type):
+        raise InvalidArgument(f"plant is {shown(plant)}, expected a plant, not its class")
+    if hasattr(plant, "frame_placements"):
+        return plant
+    if not callable(getattr(plant, "pose", None)):
+        raise InvalidArgument(
+            f"plant is {shown(plant)}, expected a MobileRobot, or a plant with pose(q), which returns x, y "
+            "and psi"
+        )
+    if hasattr(plant, "drawing"):
+        return Drawing(plant)
+    size = getattr(plant, "size", None)
+    return MobileRobot.box() if size is None else MobileRobot.box(size=size)
+
+
+def configurations(robot: Any, t: Array, q: Array, times: Array) -> Array:
+    """Return a robot's configurations at other times, psi unwrapped, straight between two samples.
+
+    Parameters
+    ----------
+    robot : MobileRobot or Drawing
+        What is drawn. Of a motion that is not its own it follows x, y and psi alone, its arms at rest.
+    t, q : ndarray, shape (N,) and (N, m)
+        The motion.
+    times : ndarray, shape (n,)
+        Where it is wanted.
+
+    Returns
+    -------
+    configurations : ndarray, shape (n, nq)
+    """
+    if hasattr(robot, "drawing"):
+        return np.asarray(robot.rows(t, q, times))
+    base = sampled(times, t, np.column_stack([q[:, :2], np.unwrap(q[:, 2])]))
+    if robot.nq == len(base.T):
+        return base
+    if robot.nq != q.shape[1]:
+        return np.hstack([base, np.broadcast_to(robot.rest[3:], (len(times), robot.nq - 3))])
+    if robot.nq == robot.nv:
+        return np.hstack([base, sampled(times, t, q[:, 3:])])
+    before, after, share = _between(t, times)
+    full: Array = robot.integrate(q[before], share * robot.difference(q[before], q[after]))
+    full[:, :3] = base
+    return full
+
+
+def _between(t: Array, times: Array) -> tuple[Any, Any, Array]:
+    """Return the samples before and after each of the times, and how far on the way it is, shape (n, 1)."""
+    before = np.clip(np.searchsorted(t, times, side="right") - 1, 0, max(len(t) - 2, 0))
+    after = np.minimum(before + 1, len(t) - 1)
+    span = np.where(after > before, t[after] - t[before], 1.0)
+    return before, after, np.clip((times - t[before]) / span, 0, 1)[:, None]
+
+
+def links(path: str, robot: Any, q: Array) -> list[Channel]:
+    """Return the channels of a robot's links below the node of its body.
+
+    Parameters
+    ----------
+    path : str
+        The node, which is where the body is.
+    robot : MobileRobot or Drawing
+        Whose `visual_model` was loaded there.
+    q : ndarray, shape (n, nq)
+        Its configurations.
+    """
+    if hasattr(robot, "drawing"):
+        placed = robot.seen_from_body(q)
+        return [
+            channel
+            for k, item in enumerate(robot.visual_model.geometryObjects)
+            for channel in poses_of(f"{path}/visuals/{item.name}", placed[:, k])
+        ]
+    moving = [item for item in robot.visual_model.geometryObjects if item.parentJoint > BODY_JOINT]
+    if not moving:
+        return []
+    frames = _seen_from_body(robot, q)
+    channels: list[Channel] = []
+    for item in moving:
+        placements = frames[:, item.parentJoint - 1] @ item.placement.homogeneous
+        channels += poses_of(f"{path}/visuals/{item.name}", placements)
+    return channels
+
+
+def envelope(robot: Any, q: Array) -> tuple[float, float]:
+    """Return how far its joints reach from the body's origin and above the ground [m], at least the body.
+
+    Parameters
+    ----------
+    robot : MobileRobot or Drawing
+        What is drawn.
+    q : ndarray, shape (n, nq)
+        Its configurations.
+    """
+    length, _, height = robot.size
+    height = height if robot.top is None else robot.top
+    if not robot.mounts:
+        return length, height
+    origins = _seen_from_body(robot, q)[:, :, :3, 3]
+    aside = float(np.hypot(origins[..., 0], origins[..., 1]).max())
+    return max(length, aside + _THICK), max(height, float(origins[..., 2].max()) + _THICK)
+
+
+def _seen_from_body(robot: MobileRobot, q: Array) -> Array:
+    return robot.frame_placements(np.hstack([np.zeros((len(q), 3)), q[:, 3:]]))

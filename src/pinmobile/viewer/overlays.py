@@ -9,18 +9,6 @@ from pinmobile.dh import DHTable
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.simulation import Rollout
 
-__all__ = [
-    "Arrows",
-    "Follow",
-    "Overlays",
-    "Rollouts",
-    "Stay",
-    "View",
-    "checked_overlays",
-    "checked_runs",
-    "pushing",
-]
-
 _BASE_FORCES = ("Fx", "Fy", "Mz")
 
 Rollouts: TypeAlias = Rollout | Mapping[str, Rollout]

@@ -3,17 +3,30 @@
 import base64
 import json
 import re
+import warnings
 from collections.abc import Iterable
 from functools import cache
 from hashlib import sha256
 from html import escape
 from importlib.resources import files
+from pathlib import Path
 from string import Template
 from typing import Any
 
-from pinmobile.viewer.stock import ENGINE
+with warnings.catch_warnings():
+    # Its client imports parts of zmq that zmq warns about.
+    warnings.simplefilter("ignore", DeprecationWarning)
+    import meshcat
+    import umsgpack
 
-__all__ = ["live_page", "loading", "recorded_page", "sealed"]
+
+Visualizer = meshcat.Visualizer
+packed_array = meshcat.geometry.pack_numpy_array
+packed_command = umsgpack.packb
+
+ENGINE = Path(meshcat.__file__).parent / "viewer" / "dist" / "main.min.js"
+"""Meshcat's viewer with three.js in it."""
+
 
 # Meshcat's controls bring styles of their own, which have no hash that could be known.
 _POLICY = (

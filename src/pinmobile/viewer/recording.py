@@ -1,6 +1,10 @@
 """`Recording`: a scene and its motion, to be kept as a page, a GIF, a film or a picture."""
 
-from collections.abc import Iterator
+import importlib
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from io import BytesIO
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -8,14 +12,164 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from pinmobile.arrays import positive, scalar
-from pinmobile.errors import InvalidArgument
-from pinmobile.files import written
-from pinmobile.viewer.encoding import film, film_encoder, gif
+from pinmobile.arrays import positive, scalar, whole
+from pinmobile.errors import InvalidArgument, ViewerError, shown
+from pinmobile.extras import installing
+from pinmobile.files import write, written
+from pinmobile.viewer.chromium import Browser
 from pinmobile.viewer.page import recorded_page
-from pinmobile.viewer.pictures import Progress, checked_size, picture_of, pictures_of
 
-__all__ = ["Recording"]
+_HELD = 1.0  # [s] for which the last frame stands
+_COLOURS = 128
+_SAMPLED = 8  # frames whose colours a GIF has
+
+
+def gif(frames: Iterator[Image.Image], rate: float) -> bytes:
+    """Return a GIF, all frames in the colours of some from its beginning to its end.
+
+    Parameters
+    ----------
+    frames : iterator of Image
+        All of one size.
+    rate : float
+        Frames per second.
+    """
+    pictures = list(frames)  # not decoded yet: some ten kilobytes each
+    sampled = [pictures[k] for k in np.unique(np.linspace(0, len(pictures) - 1, _SAMPLED).astype(int))]
+    width, height = pictures[0].size
+    mosaic = Image.new("RGB", (width, height * len(sampled)))
+    for k, picture in enumerate(sampled):
+        mosaic.paste(picture.convert("RGB"), (0, height * k))
+    palette = mosaic.quantize(_COLOURS, dither=Image.Dither.NONE)
+    images = [p.convert("RGB").quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures]
+    ticks = np.round(100 * np.arange(len(images) + 1) / rate).astype(int)
+    durations = [int(10 * tick) for tick in np.diff(ticks)]
+    durations[-1] = round(1000 * _HELD)
+    buffer = BytesIO()
+    images[0].save(buffer, "GIF", save_all=True, append_images=images[1:], duration=durations, loop=0)
+    return buffer.getvalue()
+
+
+def film_encoder() -> Any:
+    """Return imageio-ffmpeg, of the extra ``pinmobile[mp4]``.
+
+    Raises
+    ------
+    ViewerError
+        If it is not installed.
+    """
+    try:
+        return importlib.import_module("imageio_ffmpeg")
+    except ImportError:
+        raise ViewerError(
+            f"a film needs imageio-ffmpeg, which is not installed: {installing('mp4')}"
+        ) from None
+
+
+def film(encoder: Any, frames: Iterator[Image.Image], rate: float, size: tuple[int, int]) -> bytes:
+    """Return a film (MP4).
+
+    Parameters
+    ----------
+    encoder : module
+        As `film_encoder` returns it.
+    frames : iterator of Image
+        All of the size.
+    rate : float
+        Frames per second.
+    size : tuple of 2 int
+        Width and height [px], even.
+    """
+    with tempfile.TemporaryDirectory(prefix="pinmobile-") as folder:
+        file = Path(folder) / "film.mp4"
+        writer = encoder.write_frames(str(file), size, fps=rate, macro_block_size=2, ffmpeg_log_level="error")
+        writer.send(None)
+        try:
+            for frame in frames:
+                writer.send(frame.convert("RGB").tobytes())
+        finally:
+            writer.close()
+        return file.read_bytes()
+
+
+Progress = Callable[[int, int], object]
+
+
+def checked_size(size: tuple[int, int]) -> tuple[int, int]:
+    """Return width and height [px], at least 16 each.
+
+    Raises
+    ------
+    InvalidArgument
+        If they are something else.
+    """
+    try:
+        width, height = size
+    except (TypeError, ValueError):
+        raise InvalidArgument(f"size is {shown(size)}, expected width and height") from None
+    return whole("size[0]", width, least=16), whole("size[1]", height, least=16)
+
+
+def picture_of(html: str, size: tuple[int, int], time: float) -> bytes:
+    """Return a page at a time, as a PNG.
+
+    Parameters
+    ----------
+    html : str
+        The page, as `recorded_page` makes it.
+    size : tuple of 2 int
+        Width and height [px].
+    time : float
+        From the rollout's start [s].
+
+    Raises
+    ------
+    InvalidArgument
+        If the size is none.
+    ViewerError
+        If there is no Chromium, or it fails.
+    """
+    with _opened(html, size) as browser:
+        return _picture(browser, time)
+
+
+def pictures_of(
+    html: str, size: tuple[int, int], times: Sequence[float], progress: Progress | None
+) -> Iterator[Image.Image]:
+    """Yield a page at some times; other parameters and errors are those of `picture_of`.
+
+    Parameters
+    ----------
+    html, size
+        As in `picture_of`.
+    times : sequence of float
+        From the rollout's start [s].
+    progress : callable or None
+        Called as ``progress(done, total)`` after each picture.
+    """
+    with _opened(html, size) as browser:
+        for done, time in enumerate(times, start=1):
+            yield Image.open(BytesIO(_picture(browser, time)))
+            if progress is not None:
+                progress(done, len(times))
+
+
+def _picture(browser: Browser, time: float) -> bytes:
+    browser.evaluate(f"pinmobile.seek({float(time)!r})")
+    return browser.picture()
+
+
+@contextmanager
+def _opened(html: str, size: tuple[int, int]) -> Iterator[Browser]:
+    with tempfile.TemporaryDirectory(prefix="pinmobile-") as folder:
+        page = Path(folder) / "page.html"
+        write(page, html.encode("utf-8"), name="the page to be drawn")
+        with Browser(checked_size(size)) as browser:
+            browser.open(page.as_uri())
+            browser.wait_for("pinmobile.ready()")
+            browser.evaluate("document.body.classList.add('bare')")
+            yield browser
+
 
 _FASTEST = 50.0  # [1/s]; browsers slow down GIFs that are faster
 

@@ -1,29 +1,145 @@
-"""What stands and moves on the stage: robots, paths, trails, frames, arrows, words."""
+"""What stands and moves on the stage: robots, ground, paths, trails, frames, arrows, captions."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
+import pinmobile.viewer.shapes as shapes
 from pinmobile.arrays import Array
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable
+from pinmobile.palette import AXES, INK, QUIET, colour
 from pinmobile.plant import whole_configurations
 from pinmobile.simulation import Rollout
-from pinmobile.viewer import shapes
-from pinmobile.viewer.captions import captions
-from pinmobile.viewer.ground import ABOVE, TRAIL, draw_grid, draw_path, draw_triad
-from pinmobile.viewer.links import configurations, envelope, figure, links
-from pinmobile.viewer.motion import Channel, along, poses_of
+from pinmobile.viewer.motion import Channel, along, configurations, envelope, figure, links, poses_of, sampled
 from pinmobile.viewer.overlays import Arrows, Follow, Overlays, Stay, View, pushing
-from pinmobile.viewer.palette import INK, QUIET, colour
 from pinmobile.viewer.stage import Extent, Stage, overview
+
+_POSE = ("x", "y", "psi")
+
+
+def captions(runs: Mapping[str, Rollout], times: Array) -> list[str]:
+    """Return time and position errors for each frame, changing ten times a second at most.
+
+    Beside a position error stands the largest of a joint that turns, where there are any.
+
+    Parameters
+    ----------
+    runs : mapping of str to Rollout
+        By label.
+    times : ndarray, shape (n,)
+        Of the frames [s].
+    """
+    ticks = np.floor(10 * (times - times[0]) + 1e-6)
+    first = np.searchsorted(ticks, ticks)  # the frame in which the tick began
+    at = times[first]
+    rows = {
+        f"{label}  " if label else "": sampled(at, run.t, np.column_stack(_sizes(run)))
+        for label, run in runs.items()
+    }
+    joints = any(values.shape[1] > 1 for values in rows.values())
+    what = "position error, largest of a joint" if joints else "position error"
+    written: dict[int, str] = {}
+    for k in np.unique(first):
+        errors = [
+            label + ", ".join(_short(*pair) for pair in zip(values[k].tolist(), ("m", "rad"), strict=False))
+            for label, values in rows.items()
+        ]
+        written[int(k)] = "\n".join([f"t = {times[k]:.1f} s", what, *errors])
+    return [written[int(k)] for k in first]
+
+
+def _sizes(run: Rollout) -> list[Array]:
+    """Return the position error [m] and the largest of a joint that turns [rad], if there is one."""
+    turning = [k for k, one in enumerate(run.coordinates) if one.name not in _POSE and one.unit == "rad"]
+    place = np.hypot(run.error[:, 0], run.error[:, 1])
+    return [place, np.abs(run.error[:, turning]).max(axis=1)] if turning else [place]
+
+
+def _short(value: float, unit: str) -> str:
+    for scale, prefix in ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n")):
+        if value >= 0.9995 * scale or prefix == "n":
+            break
+    digits = 2 if value < 9.995 * scale else 1 if value < 99.95 * scale else 0
+    return f"{value / scale:.{digits}f} {prefix}{unit}"
+
+
+TRAIL, ABOVE = 2, 40
+"""What is painted over what: the grid, trails, the path, words, and what shows through everything."""
+_GRID, _PATH, _WORDS = 1, 8, 9
+
+# Where the name of frame k stands, in lengths of the robot: frames 2 and 3 have one origin.
+_AWAY = np.array([[-0.45, -0.35, 0.0], [-0.45, -0.35, 0.0], [-1.1, -0.6, 0.0], [1.2, 0.5, 0.0]])
+_TO_AXIS = (
+    np.eye(3),
+    np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]),
+    np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]]),
+)
+
+
+def draw_grid(stage: Stage, extent: Extent) -> None:
+    """Draw the grid, and write x and y at its edges."""
+    xs, ys, tall = extent.lines(0), extent.lines(1), extent.tall
+    # WebGL's lines are a pixel wide, and a software one drops those that cross the camera's plane.
+    lines = [np.array([[x, y0], [x, y1]]) for x in xs for y0, y1 in pairwise(ys)]
+    lines += [np.array([[x0, y], [x1, y]]) for y in ys for x0, x1 in pairwise(xs)]
+    bands = shapes.joined([shapes.ribbon(line, 0.04 * tall) for line in lines])
+    stage.put("meshcat/grid", shapes.flat(bands, "#c9cdd1", order=_GRID))
+    words = [("x [m]", (xs[-1] + 1.6 * tall, ys[0])), ("y [m]", (xs[0] + 1.4 * tall, ys[-1] + 0.7 * tall))]
+    longest = max(len(f"{x:g}") for x in xs)
+    apart = int(np.ceil(0.7 * tall * longest / extent.step))  # lines from one word to the next
+    words += [(f"{x:g}", (x, ys[0] - 0.75 * tall)) for x in xs if round(x / extent.step) % apart == 0]
+    words += [(f"{y:g}", (xs[0] - (0.4 + 0.25 * len(f"{y:g}")) * tall, y)) for y in ys]
+    for k, (text, (x, y)) in enumerate(words):
+        stage.put(f"meshcat/scale/{k}", shapes.word(text, QUIET, tall, lying=True, order=_WORDS))
+        stage.set(f"meshcat/scale/{k}", "position", [float(x), float(y), 0.0])
+
+
+def draw_path(stage: Stage, run: Rollout, extent: Extent) -> None:
+    """Draw the reference path of a rollout, dashed."""
+    points = run.reference_poses[:: max(len(run) // 4000, 1), :2]
+    dash = max(0.028 * extent.radius, 0.05 * extent.unit)
+    bands = shapes.dashes(points, 0.025 * extent.unit, dash, 0.8 * dash)
+    stage.put("meshcat/path", shapes.flat(bands, INK, order=_PATH))
+
+
+def draw_triad(stage: Stage, path: str, label: str, extent: Extent, place: tuple[int, int]) -> Array:
+    """Draw the axes of a frame at a node, and its name at another, and return by how much that stands aside.
+
+    Parameters
+    ----------
+    stage : Stage
+        Where.
+    path : str
+        Node of the axes; that of the name is called ``path + "name"``.
+    label : str
+        The name.
+    extent : Extent
+        Tells how large things are.
+    place : tuple of 2 int
+        Number of the table, and of the frame in it.
+
+    Returns
+    -------
+    away : ndarray, shape (3,)
+        From the origin of the frame to its name [m].
+    """
+    number, k = place
+    vertices, faces = shapes.arrow(0.07 - 0.02 * min(number, 2))
+    length = (0.9 + 0.3 * number) * extent.unit
+    for axis, turned in enumerate(_TO_AXIS):
+        arrow = length * vertices @ turned.T, faces
+        stage.put(f"{path}/{'xyz'[axis]}", shapes.over(arrow, AXES[axis], order=ABOVE + axis))
+    stage.put(f"{path}name", shapes.word(label, INK, 0.42 * extent.unit, lying=False, order=ABOVE + 5))
+    return np.asarray(extent.unit * (_AWAY[min(k, 3)] + np.array([0, -0.5 * number, 0])))
+
 
 Rider = Callable[[Array], list[Channel]]
 Where = Callable[[Array], Array]  # from poses (n, 3) to placements (n, 4, 4)
 
-__all__ = ["Rider", "Scene", "Where"]
 
 _SPREAD = 2500  # points of a trail at most
 _NO_FORCE = 1e-9  # [N or N m]; less is rounding

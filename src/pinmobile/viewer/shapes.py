@@ -11,21 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from pinmobile.arrays import Array, ArrayLike
-from pinmobile.viewer.stock import packed_array
-
-__all__ = [
-    "Shape",
-    "Triangles",
-    "arc_arrow",
-    "arrow",
-    "dashes",
-    "flat",
-    "joined",
-    "over",
-    "ribbon",
-    "shadows",
-    "word",
-]
+from pinmobile.viewer.page import packed_array
 
 Shape = dict[str, Any]
 Triangles = tuple[Array, NDArray[np.uint32]]  # vertices (n, 3) [m], faces (m, 3)

@@ -4,25 +4,23 @@ from os import PathLike
 from pathlib import Path
 from threading import RLock
 from time import monotonic, sleep
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pinmobile.arrays import ArrayLike, positive, text, vector
 from pinmobile.errors import InvalidArgument, ViewerError, shown
 from pinmobile.files import written
-from pinmobile.viewer.links import figure
-from pinmobile.viewer.live import LiveWindow
-from pinmobile.viewer.motion import frame_times, tracks
+from pinmobile.viewer.motion import figure, frame_times, tracks
 from pinmobile.viewer.offline import OfflineWindow
 from pinmobile.viewer.overlays import Overlays, Rollouts, checked_overlays, checked_runs
 from pinmobile.viewer.page import recorded_page
-from pinmobile.viewer.pictures import picture_of
-from pinmobile.viewer.recording import Recording
+from pinmobile.viewer.recording import Recording, picture_of
 from pinmobile.viewer.scene import Scene
 from pinmobile.viewer.stage import Stage
 
-__all__ = ["Viewer"]
+if TYPE_CHECKING:
+    from pinmobile.viewer.live import LiveWindow
 
 _FARTHEST = 1e9  # m; beyond, there is nothing to be seen
 _LIVE_FPS = 50.0
@@ -73,7 +71,7 @@ class Viewer:
         self._lock, self._closed = RLock(), False
         self._scene: Scene | None = None
         self._recording: Recording | None = None
-        self._window: LiveWindow | OfflineWindow = LiveWindow(host, port) if live else OfflineWindow()
+        self._window: LiveWindow | OfflineWindow = _live_window(host, port) if live else OfflineWindow()
 
     def __enter__(self) -> "Viewer":
         return self
@@ -289,7 +287,7 @@ class Viewer:
         stage.remove("meshcat")
         return Scene(stage, self._figure, overlays)
 
-    def _live(self, what: str) -> LiveWindow:
+    def _live(self, what: str) -> "LiveWindow":
         self._check_open()
         if isinstance(self._window, OfflineWindow):
             raise ViewerError(f"{what} needs a live viewer: Viewer(plant, live=True)")
@@ -298,3 +296,9 @@ class Viewer:
     def _check_open(self) -> None:
         if self._closed:
             raise ViewerError("the viewer is closed")
+
+
+def _live_window(host: str, port: int | None) -> "LiveWindow":
+    from pinmobile.viewer.live import LiveWindow  # here, since a recording needs no server
+
+    return LiveWindow(host, port)

@@ -1,0 +1,85 @@
+"""pinmobile, by its public names; and its compiled loop as code for another processor."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from arm_fleet import DT, LEVER, PAYLOAD, SIDE, ArmFleet, motion
+from arm_task import AT, KD, KP, MASS, PERIOD, RADIUS, RATE, SIZE
+from fleet import Figures, Run
+
+from pinmobile import (
+    Circle,
+    ComputedTorque,
+    CubicVia,
+    JointFriction,
+    Load,
+    MobileRobot,
+    Scenario,
+    Tangent,
+    WholeBody,
+    ensemble,
+    rk4,
+)
+from pinmobile.compiled import Program, Shape, Target
+from pinmobile.ensembles.ways import Way, processors, way_of
+
+
+def words(fleet: ArmFleet) -> dict[str, object]:
+    """Return what `ensemble` and `Scenario` are told."""
+    arm = fleet.task.arm
+    robot = MobileRobot.box(MASS, SIZE).mount(arm, AT).attach(Load(PAYLOAD, LEVER, size=(SIDE,) * 3))
+    start, way = motion(arm)
+    joints = CubicVia(start, start + way, start, PERIOD / 2, PERIOD)
+    spread = {"load_mass": fleet.payload, "mass": fleet.mass, "joint_viscous": fleet.friction}
+    return {
+        "robot": robot,
+        "controller": ComputedTorque(robot, KP, KD),
+        "trajectory": WholeBody(robot, Tangent(Circle(RADIUS, RATE, PERIOD)), joints),
+        "n": fleet.n,
+        "spread": spread,
+        "dt": DT,
+        "duration": fleet.task.duration,
+        "integrator": rk4 if fleet.task.step == "rk4" else None,
+        "forces": [JointFriction(0.0)],
+        "measures": (),
+    }
+
+
+def rollout(fleet: ArmFleet) -> Run:
+    """Make and compile robot, controller and trajectory first."""
+    return ensembles(words(fleet))
+
+
+def judged(fleet: ArmFleet) -> Run:
+    """Judge end effector, effort and tip-over margin too, as is the default."""
+    return ensembles({**words(fleet), "measures": None})
+
+
+def ensembles(told: dict[str, object]) -> Run:
+    """Return what runs an ensemble, compiled."""
+    way_of(Scenario(**told))
+
+    def run() -> Figures:
+        done = ensemble(**told)
+        return Figures(done.max_error, done.rms_error, done.max_force)
+
+    return run
+
+
+def for_avx2(fleet: ArmFleet) -> Run:
+    """Run what an ensemble runs, without its quantiles, as code for a processor without AVX-512."""
+    return kernel(fleet, lambda way: Program(way.program.loop, Target("haswell", "", 4), Shape(4, 1)))
+
+
+def kernel(fleet: ArmFleet, made: Callable[[Way], Program]) -> Run:
+    """Return what runs a scenario by another program of its loop."""
+    scenario = Scenario(**words(fleet))
+    way = way_of(scenario)
+    way = replace(way, program=made(way))
+    threads = processors()
+
+    def run() -> Figures:
+        done = way.run(scenario.draws(), 0, fleet.n, threads)
+        return Figures(done.max_error, done.rms_error, done.max_force)
+
+    return run

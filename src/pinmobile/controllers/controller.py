@@ -1,0 +1,243 @@
+"""What a controller is, what it asks of a reference and a robot, and a plain function as one."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from pinmobile.arrays import (
+    LEAST_ANGLE,
+    Array,
+    ArrayLike,
+    answered,
+    are_real,
+    broadcast,
+    callable_as,
+    finite,
+    wrap_angle,
+)
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.plant import Context
+
+_SAME = 1e-9  # to which two answers to the same arguments agree
+
+
+class State(Protocol):
+    """A configuration, a velocity and an acceleration, each of shape (..., n)."""
+
+    @property
+    def q(self) -> Array:
+        """Configuration."""
+
+    @property
+    def v(self) -> Array:
+        """Velocity."""
+
+    @property
+    def a(self) -> Array:
+        """Acceleration."""
+
+
+class InverseDynamics(Protocol):
+    """What `ComputedTorque` needs of a robot."""
+
+    @property
+    def nv(self) -> int:
+        """Size of v."""
+
+    def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
+        """Return M(q) a + n(q, v)."""
+
+    def difference(self, q0: Array, q1: Array, /) -> Array:
+        """Return the displacement from q0 to q1, shape (..., nv)."""
+
+
+class Controller(Protocol):
+    """What `simulate` needs of a controller.
+
+    One with a method ``applied(u, state) -> state`` is told once per sample which input, shape (..., nu), is
+    really applied after all wrappers, and what it returns is the next state: against the windup of an
+    integral, say. One with ``signals(state) -> {name: (unit, value)}`` then tells what else is worth
+    recording, such as an estimate: numbers, or rows of them. Wrappers pass both inward.
+    """
+
+    def initial_state(self, context: Any, /) -> Any:
+        """Return the state to start with, of a `Context`; None where there is no memory."""
+
+    def __call__(self, t: float, q: Array, v: Array, reference: Any, state: Any) -> tuple[Array, Any]:
+        """Return the generalised force, shape (..., nu), and the next state."""
+
+
+def check_controller(controller: Any) -> None:
+    """Refuse what is no controller, such as a plain function or a class.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is none.
+    """
+    if isinstance(controller, type) or not hasattr(controller, "initial_state"):
+        raise InvalidArgument(
+            f"controller is {shown(controller)}, expected a controller: wrap a function in law(...)"
+        )
+    callable_as("controller(t, q, v, reference, state)", controller)
+    try:
+        callable_as("controller.initial_state(context)", controller.initial_state)
+    except InvalidArgument as error:
+        raise InvalidArgument(f"{error}: write def initial_state(self, context)") from None
+    if hasattr(controller, "applied"):
+        callable_as("controller.applied(u, state)", controller.applied)
+
+
+def answer_of(
+    controller: Controller, t: float, q: Array, v: Array, reference: Any, state: Any
+) -> tuple[Array, Any]:
+    """Return the force and the next state of a controller.
+
+    Raises
+    ------
+    InvalidArgument
+        If it returns something else than two.
+    """
+    answer = controller(t, q, v, reference, state)
+    if type(answer) is not tuple or len(answer) != 2:
+        raise InvalidArgument(f"controller returned {shown(answer)} at t = {t:g} s, expected (u, state)")
+    return answer
+
+
+def check_memory(controller: Any, context: Any, q: Array, v: Array) -> None:
+    """Refuse a controller whose answer to the same arguments is another when it is asked again.
+
+    It keeps something in itself or in a closure, or draws numbers of its own: then no two runs are alike,
+    and no robot of several its own. A solver's workspace is allowed where the answer does not depend on it.
+
+    Parameters
+    ----------
+    controller : controller
+        What is asked, three times.
+    context : Context
+        With the reference.
+    q, v : ndarray, shape (nq,), (nv,)
+        A state.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is such.
+    """
+    at = type(context.reference)(*(np.array(part[0]) for part in context.reference))
+    t, wave = float(context.t[0]), np.cos(np.arange(len(v)))
+    # Beside the reference, where an integral grows; then elsewhere, then there again.
+    here, there = ((context.integrate(q, off * wave), v + off * wave) for off in (0.01, -0.02))
+    answers = []
+    with np.errstate(all="ignore"):
+        for place in (here, there, here):
+            copies = type(at)(*map(np.copy, at))
+            state = controller.initial_state(context)
+            answer = answer_of(controller, t, place[0].copy(), place[1].copy(), copies, state)
+            answers.append(answered("controller", answer[0]))
+    first, _, again = answers
+    if first.shape != again.shape or not np.allclose(first, again, rtol=_SAME, atol=_SAME, equal_nan=True):
+        raise InvalidArgument(
+            f"controller is {shown(controller)}, which returns {first.tolist()} and, asked again for the "
+            f"same arguments, {again.tolist()}, expected the same: keep memory in state, and take random "
+            "numbers from context.normal(name, n)"
+        )
+
+
+def told(controller: Any, u: Array, state: Any) -> Any:
+    """Return the state of a controller after it has been told which input is applied, if it wants to know."""
+    return controller.applied(u, state) if hasattr(controller, "applied") else state
+
+
+def planar_difference(q0: Array, q1: Array) -> Array:
+    """Return q1 - q0, the displacement from q0 to q1, with that of the heading on the circle.
+
+    Parameters
+    ----------
+    q0, q1 : array_like, shape (..., n), n >= 3
+        Configurations; the third coordinate is psi [rad].
+
+    Returns
+    -------
+    displacement : ndarray, shape (..., n)
+        Its third coordinate lies in (-pi, pi]. The lecture's own subtraction is `plain_difference`.
+
+    Raises
+    ------
+    InvalidArgument
+        If there is no third coordinate.
+    """
+    displacement = plain_difference(q0, q1)
+    if not displacement.ndim or displacement.shape[-1] < 3:
+        raise InvalidArgument(
+            f"configurations have shape {displacement.shape}, expected (..., n) with n >= 3; "
+            "without a heading, compare them with difference=plain_difference"
+        )
+    # Of one configuration of numbers, a look saves the arithmetic, which would leave the angle as it is.
+    numbers = type(displacement) is np.ndarray and displacement.ndim == 1
+    if not (numbers and LEAST_ANGLE < displacement[2] <= np.pi):
+        displacement[..., 2] = wrap_angle(displacement[..., 2])
+    return displacement
+
+
+def plain_difference(q0: Array, q1: Array) -> Array:
+    """Return q1 - q0, the displacement from q0 to q1 where no coordinate lies on the circle.
+
+    The lecture compares configurations so: a heading that is off by a turn is an error of 2 pi.
+
+    Parameters
+    ----------
+    q0, q1 : array_like, shape (..., n)
+        Configurations.
+
+    Returns
+    -------
+    displacement : ndarray, shape (..., n)
+    """
+    if type(q0) is not np.ndarray or type(q1) is not np.ndarray:
+        q0, q1 = finite("q0", q0), finite("q1", q1)
+        broadcast(q0=q0[..., None], q1=q1[..., None])
+    return np.subtract(q1, q0, dtype=np.float64)
+
+
+# What they take on the circle where they subtract all coordinates, for loops that do so themselves.
+planar_difference.turning = (2,)  # type: ignore[attr-defined]
+plain_difference.turning = ()  # type: ignore[attr-defined]
+
+
+@dataclass(frozen=True)
+class _Law:
+    function: Callable[[float, Array, Array, Any], ArrayLike]
+
+    def initial_state(self, context: Context) -> None:
+        """Return None: there is no memory."""
+
+    def __call__(self, t: float, q: Array, v: Array, reference: Any, state: None) -> tuple[Array, None]:
+        """Return what the function returns, and None."""
+        force = self.function(t, q, v, reference)
+        try:
+            if not are_real(force):
+                raise TypeError
+            return np.asarray(force if force is not None else "nothing", np.float64), None
+        except (TypeError, ValueError):
+            raise InvalidArgument(
+                f"function of the law returned {shown(force)} at t = {t:g} s, expected a force: nu numbers"
+            ) from None
+
+
+def law(function: Callable[[float, Array, Array, Any], ArrayLike]) -> Controller:
+    """Return a controller without memory made of a plain function.
+
+    Parameters
+    ----------
+    function : callable
+        ``function(t, q, v, reference) -> tau``, with `reference` a `Reference`.
+
+    Raises
+    ------
+    InvalidArgument
+        If it cannot be called so.
+    """
+    return _Law(callable_as("function(t, q, v, reference)", function))

@@ -1,0 +1,219 @@
+"""`Measure`: what a plant states of a sample beside the error of its reference, such as a tip-over margin."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pinmobile.arrays import Array, are_real, callable_as, one_of, sequence, text
+from pinmobile.errors import InvalidArgument, shown
+
+__all__ = [
+    "Measure",
+    "channels_of",
+    "check_measured",
+    "chosen",
+    "measured_of",
+    "measures_of",
+    "size_of",
+    "value_of",
+]
+
+_WORST = ("largest", "smallest")
+_SCALE = 2.0**-12  # of margins: below this, differences count; above it, ratios
+_BEYOND = 2.0**20  # margins below minus this are as bad as any
+
+
+class Measure(NamedTuple):
+    """One of the numbers that a plant's ``measured`` gives for a sample.
+
+    Attributes
+    ----------
+    name : str
+        Such as ``"end effector"``: what `Ensemble.worst` and others call it.
+    unit, meaning : str
+        Its unit, "" for none, and what it is, in words.
+    worst : str
+        ``"largest"`` of a size, which is the worse the larger it is, whatever its sign; its sizes over time
+        are told apart from 6e-11 to 1024. ``"smallest"`` of a margin, which is the worse the smaller it is,
+        and may be negative; told apart from -512 to 512, near zero to 5e-6, elsewhere to 2 or 3 %. Choose
+        the unit so that it fits.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    worst: str = "largest"
+
+    @property
+    def is_margin(self) -> bool:
+        """Whether it is the worse the smaller it is."""
+        return self.worst == "smallest"
+
+    @property
+    def title(self) -> str:
+        """Its name, with its unit where it has one."""
+        return f"{self.name} [{self.unit}]" if self.unit not in ("", "1") else self.name
+
+
+def size_of(margin: Any) -> Any:
+    """Return a size > 0 that grows with a margin of any sign, to be counted in bins of a logarithm.
+
+    That is m + sqrt(m^2 + c^2): its logarithm is asinh(m / c), near zero as a line and far from it as the
+    logarithm of m or of -1 / m. So margins from -512 to 512 fall into the bins from 2^-34 to 2^10.
+    """
+    m = np.maximum(margin, -_BEYOND)
+    return m + np.sqrt(m * m + _SCALE**2)
+
+
+def value_of(size: Array) -> Array:
+    """Return the margins whose `size_of` this is; of 0 minus infinity."""
+    with np.errstate(divide="ignore"):
+        return np.asarray((size - _SCALE**2 / size) / 2)
+
+
+def measures_of(plant: Any) -> tuple[Measure, ...]:
+    """Return the measures that a plant states, none where it does not.
+
+    Raises
+    ------
+    InvalidArgument
+        If they are something else, two have one name, or there is no ``measured`` to ask for them.
+    """
+    stated = getattr(plant, "measures", None)
+    if stated is None:
+        return ()
+    name = f"measures of the plant, a {type(plant).__name__},"
+    found = sequence(name.removesuffix(","), stated, "a sequence of Measure")
+    for one in found:
+        if not isinstance(one, Measure):
+            raise InvalidArgument(f"{name} has {shown(one)}, expected a Measure(name, unit, meaning)")
+        for each, value in zip(("name", "unit", "meaning"), one, strict=False):
+            text(f"{each} of a measure", value)
+        if not one.name or one.worst not in _WORST:
+            raise InvalidArgument(
+                f"{name} has {shown(one)}, expected a name, and worst='largest' or 'smallest'"
+            )
+    names = [one.name for one in found]
+    twice = next((each for each in names if names.count(each) > 1), None)
+    if twice is not None:
+        raise InvalidArgument(f"{name} has {twice!r} twice, expected names that differ")
+    if found:
+        callable_as("plant.measured(t, q, v, a, u, reference)", getattr(plant, "measured", None))
+    return tuple(found)
+
+
+def chosen(plant: Any, names: Any, taken: Sequence[str]) -> tuple[Measure, ...]:
+    """Return the measures of a plant that are asked for, in its order.
+
+    Parameters
+    ----------
+    plant : plant
+        Whose they are.
+    names : sequence of str, or None
+        Which; None: all.
+    taken : sequence of str
+        What else is called by a name, and judged.
+
+    Raises
+    ------
+    InvalidArgument
+        If `names` is something else, or a measure is called as something else is.
+    UnknownName
+        If the plant states no measure of a name.
+    """
+    stated = measures_of(plant)
+    for one in stated:
+        if one.name in taken:
+            raise InvalidArgument(
+                f"measures of the plant, a {type(plant).__name__}, has {one.name!r}, expected another name "
+                f"than those of errors: {', '.join(taken)}"
+            )
+    if names is None:
+        return stated
+    if isinstance(names, str):
+        raise InvalidArgument(f"measures is {shown(names)}, expected a sequence of names: [{shown(names)}]")
+    known = {one.name: one for one in stated}
+    wanted = [one_of("measure", name, known) for name in sequence("measures", names, "a sequence of names")]
+    return tuple(one for one in stated if one.name in wanted)
+
+
+def channels_of(coordinates: Sequence[Any], measures: Sequence[Measure]) -> tuple[Measure, ...]:
+    """Return what robots are compared by: errors of the reference's coordinates, and measures.
+
+    Parameters
+    ----------
+    coordinates : sequence of Coordinate
+        Those that the reference has, x, y and psi first.
+    measures : sequence of Measure
+        Those that are judged.
+    """
+    errors = [Measure(one.name, one.unit, f"error of {one.name}") for one in coordinates[3:]]
+    return (
+        Measure("distance", "m", "distance from the desired position"),
+        Measure("heading", "rad", "error of the heading"),
+        *errors,
+        *measures,
+    )
+
+
+def check_measured(plant: Any, q: Array, v: Array, reference: Any) -> None:
+    """Refuse a plant whose measures, at rest where it starts, have another shape or are no numbers.
+
+    Parameters
+    ----------
+    plant : plant
+        One that states measures.
+    q, v : ndarray, shape (nq,), (nv,)
+        Where it starts.
+    reference : Reference
+        Of all samples.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is such; infinity is a number.
+    """
+    first = type(reference)(*(x[0] for x in reference))
+    asked = np.zeros(()), q, v, np.zeros(plant.nv), np.zeros(plant.nu), first
+    found, again = (measured_of(plant, *asked) for _ in range(2))
+    for one, number, other in zip(measures_of(plant), found, again, strict=True):
+        if np.isnan(number) or number != other:
+            what = "NaN" if np.isnan(number) else f"{number:g} and, asked again, {other:g}"
+            raise InvalidArgument(
+                f"plant is a {type(plant).__name__}, whose measured(t, q, v, a, u, reference) returned "
+                f"{what} as {one.name!r} where it starts, expected a number, the same each time"
+            )
+
+
+def measured_of(plant: Any, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
+    """Return the measures of a sample, shape (..., m), as the plant has them.
+
+    Parameters
+    ----------
+    plant : plant
+        One that states measures.
+    t : float
+        Time [s].
+    q, v, a, u : ndarray, shape (..., nq), (..., nv), (..., nv), (..., nu)
+        State, acceleration and input.
+    reference : Reference
+        Of this sample.
+
+    Raises
+    ------
+    InvalidArgument
+        If it returns another shape, or no real numbers.
+    """
+    copies = type(reference)(*(x.copy() for x in reference))
+    found = plant.measured(t, q.copy(), v.copy(), a.copy(), u.copy(), copies)
+    expected = (*np.shape(v)[:-1], len(plant.measures))
+    asked = f"plant is a {type(plant).__name__}, whose measured(t, q, v, a, u, reference) returned"
+    if not hasattr(found, "shape") or np.shape(found) != expected:
+        what = f"shape {np.shape(found)}" if hasattr(found, "shape") else shown(found)
+        raise InvalidArgument(
+            f"{asked} {what}, expected an array of shape {expected}: a number for each measure"
+        )
+    if not are_real(found):
+        raise InvalidArgument(f"{asked} {shown(found)}, expected real numbers")
+    return found

@@ -1,0 +1,427 @@
+"""The direction of motion along a path, with its limits where the path rests."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from math import factorial, inf
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinmobile.arrays import Array
+from pinmobile.constancy import constant
+from pinmobile.errors import InvalidArgument
+from pinmobile.paths import Path, Piece, pieces_of
+
+Field: TypeAlias = Callable[[Array], tuple[Array, Array, Array]]
+"""Vectors and their first two derivatives, each of shape (m, 2), at times of shape (m,)."""
+
+_MOST = 2**22
+
+
+def halve(field: Field, cells: Array, levels: int) -> tuple[Array, Array]:
+    """Halve cells until within each the field stays in a cone of half-angle 30 deg.
+
+    A cell of width h around t is done once |u(t)| > h (|u'(t)| + h/2 |u''(t)|): the field then leaves
+    u(t) by half its length at most (but for what the third derivative adds, and there is a factor of
+    two to spare). No oscillation escapes: where the samples of u' vanish, those of u'' do not.
+
+    Parameters
+    ----------
+    field : callable
+        The field; see `Field`.
+    cells : ndarray, shape (m, 2)
+        Start and end of each cell [s].
+    levels : int
+        How often a cell may be halved.
+
+    Returns
+    -------
+    done, left : ndarray, shape (..., 2)
+        The cells that are done, in order of time, and those that still are not, in order too.
+
+    Raises
+    ------
+    InvalidArgument
+        If the number of cells runs away.
+    """
+    done = [cells[:0]]
+    for _ in range(levels):
+        if not len(cells):
+            break
+        good = _turns_little(field, cells)
+        done.append(cells[good])
+        cells = cells[~good]
+        middle = cells.mean(axis=-1)
+        cells = np.concatenate([[cells[:, 0], middle], [middle, cells[:, 1]]], axis=-1).T
+        if len(cells) > _MOST:
+            raise InvalidArgument(f"path turns more than {_MOST} times between t = 0 and its end")
+    finished = np.concatenate(done)
+    return finished[np.argsort(finished[:, 0])], cells[np.argsort(cells[:, 0])]
+
+
+def _turns_little(field: Field, cells: Array) -> NDArray[np.bool_]:
+    width = cells[:, 1] - cells[:, 0]
+    u, du, ddu = (np.linalg.norm(vectors, axis=-1) for vectors in field(cells.mean(axis=-1)))
+    return np.asarray(u > width * (du + width / 2 * ddu))
+
+
+STANDSTILL = 1e-12
+"""Below this part of the largest speed on a path, a speed is rounding (lecture model, section 7)."""
+
+_SAMPLES = 64
+_EPS = float(np.finfo(np.float64).eps)
+
+
+def largest(path: Path, order: int) -> Array:
+    """Return the largest length of a derivative on each piece of a path, as seen by samples.
+
+    Parameters
+    ----------
+    path : Path
+        A path of k pieces.
+    order : int
+        Order of the derivative.
+
+    Returns
+    -------
+    lengths : ndarray, shape (k,)
+        Close to the suprema [m/s^order], and the same whatever else is asked.
+
+    Raises
+    ------
+    InvalidArgument
+        If a derivative is not finite.
+    """
+    # Steps of the golden ratio fall into step with no oscillation of the path, as even ones may.
+    fractions = (np.arange(1, _SAMPLES + 1) * (np.sqrt(5.0) - 1) / 2) % 1.0
+    ends = np.array([(piece.start, piece.end) for piece in pieces_of(path)])  # (k, 2)
+    times = ends[:, :1] + fractions * np.diff(ends)
+    lengths = np.linalg.norm(path.derivative(times, order), axis=-1)  # (k, samples)
+    if not np.isfinite(lengths).all():
+        late = times[~np.isfinite(lengths)][0]
+        raise InvalidArgument(f"path has no finite derivative of order {order} at t = {late} s")
+    return np.asarray(lengths.max(axis=-1))
+
+
+class Scales:
+    """What is large and what is rounding in the derivatives of a path, on each of its k pieces.
+
+    Parameters
+    ----------
+    path : Path
+        The path.
+
+    Attributes
+    ----------
+    top : float
+        Largest speed on the path [m/s].
+    dwells : ndarray of bool, shape (k,)
+        The pieces on which it does not move.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._ends = np.array([piece.end for piece in pieces_of(path)])
+        self._largest: dict[int, Array] = {}
+        speeds = largest(path, 1)
+        self.top = float(speeds.max())
+        self.dwells = speeds <= STANDSTILL * self.top
+
+    def tolerance(self, order: int) -> Array:
+        """Return the length below which a derivative is rounding, shape (k,) [m/s^order]."""
+        # The second term is what the rounding of the time itself makes of the next derivative.
+        drift = 8 * _EPS * self._ends * self._scale(order + 1)
+        return np.asarray(STANDSTILL * self._scale(order) + drift)
+
+    def _scale(self, order: int) -> Array:
+        if order not in self._largest:
+            # A speed is measured by the path's, also on a slow piece; a later derivative by its own.
+            of_path = np.full_like(self._ends, self.top)
+            self._largest[order] = of_path if order == 1 else largest(self._path, order)
+        return self._largest[order]
+
+
+_CELLS = 8
+_LEVELS = 17  # a cell left over is a millionth of its piece
+_HIGHEST = 6
+_STEPS = 60
+_NOISE = 1e-13  # a good deal above rounding, and below what counts as standstill
+
+
+def rest_order(piece: Piece, t: float, scales: Scales, index: int) -> int:
+    """Return how fast the speed vanishes: as |t - t_rest|^order, with 0 for one that does not.
+
+    Parameters
+    ----------
+    piece : Piece
+        An analytic piece that moves.
+    t : float
+        Time on it [s].
+    scales : Scales
+        Those of the path.
+    index : int
+        Which of the path's pieces it is.
+
+    Raises
+    ------
+    InvalidArgument
+        If so many derivatives vanish that there is no telling where the path goes.
+    """
+    for order in range(_HIGHEST + 1):
+        if np.linalg.norm(piece.derivative(t, order + 1)) > scales.tolerance(order + 1)[index]:
+            return order
+    raise InvalidArgument(
+        f"path has no direction at t = {t} s: its first {_HIGHEST + 1} derivatives vanish there"
+    )
+
+
+def inner_rests(path: Path, scales: Scales) -> list[list[float]]:
+    """Return the times inside each piece at which the path rests [s], in order.
+
+    Parameters
+    ----------
+    path : Path
+        A path of two coordinates.
+    scales : Scales
+        Its scales.
+    """
+    pieces = pieces_of(path)
+    edges = [
+        np.linspace(p.start, p.end, _CELLS + 1)
+        for p, dwells in zip(pieces, scales.dwells, strict=True)
+        if not dwells
+    ]
+    cells = np.concatenate([np.stack([e[:-1], e[1:]], axis=-1) for e in edges])
+    _, slow = halve(lambda t: _velocity(path, t, scales.top), cells, _LEVELS)
+    starts = np.array([piece.start for piece in pieces])
+    owners = np.searchsorted(starts, slow.mean(axis=-1), side="right") - 1
+    found: list[list[float]] = [[] for _ in pieces]
+    for first, last, owner in _clusters(slow, owners):
+        rest = _refined(pieces[owner], first, last, scales, owner)
+        if rest is not None:
+            found[owner].append(rest)
+    return found
+
+
+def _velocity(path: Path, t: Array, top: float) -> tuple[Array, Array, Array]:
+    v, a, jerk = (np.asarray(path.derivative(t, order)) for order in (1, 2, 3))
+    # Rounding has a direction too, and would pass for motion where the speed is flat around a rest.
+    still = np.linalg.norm(v, axis=-1, keepdims=True) < _NOISE * top
+    return np.where(still, 0.0, v), a, jerk
+
+
+def _clusters(cells: Array, owners: Array) -> list[tuple[float, float, int]]:
+    if not len(cells):
+        return []
+    apart = (cells[1:, 0] > cells[:-1, 1]) | (owners[1:] != owners[:-1])
+    breaks = [0, *(np.flatnonzero(apart) + 1).tolist(), len(cells)]
+    return [(float(cells[i, 0]), float(cells[j - 1, 1]), int(owners[i])) for i, j in pairwise(breaks)]
+
+
+def _refined(piece: Piece, first: float, last: float, scales: Scales, index: int) -> float | None:
+    # A rest at an end of the piece is that end, and known already.
+    for end in (piece.start, piece.end):
+        if first <= end <= last and rest_order(piece, end, scales, index):
+            return None
+    # At a rest of order k the speed is too flat to say where it is; the k-th derivative is not.
+    for order in range(_HIGHEST, 0, -1):
+        t = _zero(piece, order, first, last)
+        if t is not None and rest_order(piece, t, scales, index) >= order:
+            return t
+    return None
+
+
+def _zero(piece: Piece, order: int, first: float, last: float) -> float | None:
+    # Gauss-Newton for derivative(t, order) = 0, two equations in one unknown.
+    t, room = (first + last) / 2, last - first
+    for _ in range(_STEPS):
+        value, slope = piece.derivative(t, order), piece.derivative(t, order + 1)
+        square = float(slope @ slope)
+        if not square:
+            return None
+        step = float(value @ slope) / square
+        t -= step
+        if not max(piece.start, first - room) < t < min(piece.end, last + room):
+            return None
+        if abs(step) <= np.spacing(t):
+            break
+    return t
+
+
+_TERMS = 13
+_TRUNCATION = 1e-17
+
+
+@dataclass(frozen=True, eq=False)
+class Limit:
+    """The direction of motion at one end of a leg, and near it where the path rests there.
+
+    Parameters
+    ----------
+    time : float
+        The end [s].
+    series : ndarray, shape (m, 2)
+        Taylor coefficients of u(t) in powers of t - time; u is a positive multiple of the velocity.
+    window : float
+        Up to this distance the series stands for u [s]; negative where the path moves and its velocity
+        does itself.
+    speed : float
+        Speed in that limit [m/s]; 0 where the path rests.
+    """
+
+    time: float
+    series: Array
+    window: float
+    speed: float
+
+
+@dataclass(frozen=True, eq=False)
+class Leg:
+    """A stretch of path between knots and rests."""
+
+    head: Limit
+    tail: Limit
+
+
+@constant
+class Hodograph:
+    """The direction of motion along a path, a vector u(t) that is never zero and turns as the velocity.
+
+    The velocity v itself is a hodograph but where the path rests. There v = tau^k w(tau) with w(0) not
+    zero, tau the time since the rest, and u = w (its opposite before a rest of odd k, since there the
+    velocity is) takes its place, by its Taylor series.
+
+    Parameters
+    ----------
+    path : Path
+        The path.
+    legs : sequence of Leg, length L
+        Its legs, in order.
+    top : float
+        The largest speed on it [m/s].
+    """
+
+    def __init__(self, path: Path, legs: list[Leg], top: float) -> None:
+        self.path = path
+        self.legs = tuple(legs)
+        self.top = top
+        self._starts = np.array([leg.head.time for leg in legs])
+        self._limits = [limit for leg in legs for limit in (leg.head, leg.tail)]
+        self._times = np.array([limit.time for limit in self._limits])
+        self._windows = np.array([limit.window for limit in self._limits])
+        series = np.zeros((len(self._limits), _TERMS, 2))
+        for row, limit in zip(series, self._limits, strict=True):
+            row[: len(limit.series)] = limit.series
+        terms = np.flatnonzero(series.any(axis=(0, 2)))[-1] + 1
+        self._series = series[:, :terms]
+
+    def __call__(self, t: Array) -> tuple[Array, Array, Array]:
+        """Return u and its first two derivatives, each of shape (..., 2), at `t`, shape (...) [s]."""
+        return self.along(t, *(self.path.derivative(t, order) for order in (1, 2, 3)))
+
+    def along(self, t: Array, v: Array, a: Array, jerk: Array) -> tuple[Array, Array, Array]:
+        """As a call, for those who have velocity, acceleration and jerk at hand."""
+        head = 2 * (np.searchsorted(self._starts, t, side="right") - 1)
+        late = self._times[head + 1] - t < self._windows[head + 1]
+        limit = head + late
+        near = late | (t - self._times[head] < self._windows[head])
+        if not near.any():
+            return v, a, jerk
+        u = np.stack([v, a, jerk])
+        u[:, near] = self._expanded(limit[near], t[near])
+        return u[0], u[1], u[2]
+
+    def _expanded(self, limit: Array, t: Array) -> Array:
+        tau = (t - self._times[limit])[..., None]
+        series = self._series[limit]  # (..., terms, 2)
+        u, du, half = np.zeros((3, *t.shape, 2))
+        for k in range(series.shape[-2] - 1, -1, -1):
+            half = half * tau + du
+            du = du * tau + u
+            u = u * tau + series[..., k, :]
+        return np.stack([u, du, 2 * half])
+
+
+def heading(u: Array, du: Array, ddu: Array) -> tuple[Array, Array, Array]:
+    """Return the heading in [-pi, pi] and its first two derivatives, each of shape (...).
+
+    psi = atan2(u_y, u_x), psi_dot = u x u' / u.u, psi_ddot = u x u'' / u.u - 2 psi_dot u.u' / u.u.
+
+    Parameters
+    ----------
+    u, du, ddu : ndarray, shape (..., 2)
+        A vector along the direction of motion and its first two derivatives by time.
+    """
+    (x, dx, ddx), (y, dy, ddy) = np.moveaxis(np.stack([u, du, ddu]), -1, 0)
+    square = x * x + y * y
+    rate = (x * dy - y * dx) / square
+    acceleration = (x * ddy - y * ddx - 2 * rate * (x * dx + y * dy)) / square
+    return np.arctan2(y, x), rate, acceleration
+
+
+def hodograph(path: Path) -> Hodograph:
+    """Return the hodograph of a path of two coordinates.
+
+    Raises
+    ------
+    InvalidArgument
+        If the path does not move at all, or at a rest so many derivatives vanish that there is no
+        telling where it goes.
+    """
+    scales = Scales(path)
+    if not scales.top:
+        raise InvalidArgument(
+            "path never moves, so it has no tangent; expected one that does, or FixedHeading"
+        )
+    rests = inner_rests(path, scales)
+    legs: list[Leg | None] = []
+    spans: list[tuple[float, float]] = []
+    for index, piece in enumerate(pieces_of(path)):
+        times = [float(piece.start), *rests[index], float(piece.end)]
+        for start, end in pairwise(times):
+            spans.append((start, end))
+            legs.append(None if scales.dwells[index] else _leg(piece, start, end, scales, index))
+    return Hodograph(path, _with_dwells(legs, spans), scales.top)
+
+
+def _leg(piece: Piece, start: float, end: float, scales: Scales, index: int) -> Leg:
+    half = (end - start) / 2
+    return Leg(*(_limit(piece, t, side, half, scales, index) for t, side in ((start, 1), (end, -1))))
+
+
+def _limit(piece: Piece, t: float, side: int, room: float, scales: Scales, index: int) -> Limit:
+    k = rest_order(piece, t, scales, index)
+    if not k:
+        v, a, jerk = (piece.derivative(t, order) for order in (1, 2, 3))
+        return Limit(t, np.array([v, a, jerk / 2]), -1.0, float(np.linalg.norm(v)))
+    orders = range(k, k + _TERMS)
+    series = np.array([piece.derivative(t, m + 1) / factorial(m) for m in orders]) * side**k
+    series = series / np.linalg.norm(series[0])
+    return Limit(t, series, min(room, _reach(series)), 0.0)
+
+
+def _reach(series: Array) -> float:
+    # The last terms are what is left out, give or take; three of them, because of odd and even series.
+    powers = np.arange(len(series))[-3:]
+    sizes = np.linalg.norm(series[-3:], axis=-1)
+    return min(
+        (
+            float((_TRUNCATION / size) ** (1 / power))
+            for size, power in zip(sizes, powers, strict=True)
+            if size
+        ),
+        default=inf,
+    )
+
+
+def _with_dwells(legs: list[Leg | None], spans: list[tuple[float, float]]) -> list[Leg]:
+    # Where the path dwells the heading is that before, or at first that to come.
+    held = next(leg for leg in legs if leg is not None).head.series[:1]
+    whole: list[Leg] = []
+    for leg, (start, end) in zip(legs, spans, strict=True):
+        filled = leg or Leg(Limit(start, held, inf, 0.0), Limit(end, held, -1.0, 0.0))
+        held = filled.tail.series[:1]
+        whole.append(filled)
+    return whole

@@ -1,0 +1,335 @@
+"""A path and a heading law as a reference: tangent with turns on the spot, fixed, the lecture's."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from pinmobile.arrays import Array, ArrayLike, frozen, positive, scalar
+from pinmobile.constancy import constant
+from pinmobile.errors import InvalidArgument
+from pinmobile.paths import Path, within
+from pinmobile.plant import Parameter
+from pinmobile.trajectories.direction import STANDSTILL, Hodograph, heading, hodograph, largest
+from pinmobile.trajectories.reference import Reference, joined, plane_path
+from pinmobile.trajectories.unwrapping import Jump, Winding
+
+
+@dataclass(frozen=True)
+class FixedHeading:
+    """Along a path with one heading throughout: a holonomic robot can.
+
+    Parameters
+    ----------
+    path : Path
+        A path of two coordinates.
+    psi : float
+        The heading [rad].
+
+    Raises
+    ------
+    InvalidArgument
+        If `path` is no path in the plane, or `psi` not one finite number.
+    """
+
+    path: Path
+    psi: float
+
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("fixed_heading", "rad", "heading that is held", attribute="psi"),
+    )
+
+    def __post_init__(self) -> None:
+        plane_path(self.path)
+        object.__setattr__(self, "psi", scalar("psi", self.psi))
+
+    @property
+    def duration(self) -> float:
+        """The path's duration [s]."""
+        return float(self.path.duration)
+
+    def __call__(self, t: ArrayLike) -> Reference:
+        """Return the reference.
+
+        Parameters
+        ----------
+        t : array_like, shape (...)
+            Times, 0 <= t <= duration [s].
+
+        Returns
+        -------
+        reference : Reference
+            Arrays of shape (..., 3); the heading's derivatives are zero.
+
+        Raises
+        ------
+        InvalidArgument
+            If a time is outside.
+        """
+        times = within("t", t, self.duration)
+        still = np.zeros(times.shape)
+        return joined(
+            (self.path.derivative(times, order) for order in range(3)), (still + self.psi, still, still)
+        )
+
+
+@dataclass(frozen=True)
+class LectureHeading:
+    """Along a path with the lecture's desired heading; `Tangent` has it right.
+
+        psi       = wrapTo2Pi(atan2(y', x'))                            in [0, 2 pi)
+        psi_dot   = (y''/x' - y' x''/x'^2) / (y'^2/x'^2 + 1)
+        psi_ddot  = 0
+
+    So the heading jumps by a whole turn where it passes zero, and by whatever it takes where the path
+    rests, for which atan2(0, 0) = 0 and the rate is 0; the acceleration is lost everywhere. The error on the
+    circle that `planar_difference` takes was not the lecture's either.
+
+    Below 1e-12 of the path's largest speed a speed is rounding, which differs from machine to machine: the
+    path rests there, and a y' of that size does not turn the heading of a path that runs along x from 0 to a
+    whole turn. Where x' alone vanishes the rate is the formula's limit, whatever is left of x'; the lecture's
+    script has that or 0 there, as the rounding of its linear solver falls.
+
+    Parameters
+    ----------
+    path : Path
+        A path of two coordinates.
+
+    Raises
+    ------
+    InvalidArgument
+        If `path` is no path in the plane.
+    """
+
+    path: Path
+    _still: float = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_still", STANDSTILL * float(largest(plane_path(self.path), 1).max()))
+
+    @property
+    def duration(self) -> float:
+        """The path's duration [s]."""
+        return float(self.path.duration)
+
+    def __call__(self, t: ArrayLike) -> Reference:
+        """Return the reference.
+
+        Parameters
+        ----------
+        t : array_like, shape (...)
+            Times, 0 <= t <= duration [s].
+
+        Returns
+        -------
+        reference : Reference
+            Arrays of shape (..., 3).
+
+        Raises
+        ------
+        InvalidArgument
+            If a time is outside.
+        """
+        times = within("t", t, self.duration)
+        position, velocity, acceleration = (self.path.derivative(times, order) for order in range(3))
+        x_dot, y_dot = np.moveaxis(velocity, -1, 0)
+        speed = np.hypot(x_dot, y_dot)
+        still = speed < self._still
+        along_x = (x_dot > self._still) & (y_dot < 0) & (y_dot > -self._still)
+        psi = np.where(still | along_x, 0.0, np.mod(np.arctan2(y_dot, x_dot), 2 * np.pi))
+        # By x'^2 above and below, the formula needs no x'. In two steps, because squares may underflow.
+        speed = np.where(still, 1.0, speed)
+        cos, sin = x_dot / speed, y_dot / speed
+        rate = np.where(still, 0.0, (cos * acceleration[..., 1] - sin * acceleration[..., 0]) / speed)
+        return joined((position, velocity, acceleration), (psi, rate, np.zeros_like(rate)))
+
+
+@constant
+class TurnsOnTheSpot:
+    """The clock of a trajectory that holds its path at some times to turn.
+
+    Parameters
+    ----------
+    jumps : sequence of Jump, length m
+        Where the heading jumps, in order.
+    turn_time : float
+        How long each turn lasts [s].
+    path_duration : float
+        Duration of the path [s].
+
+    Attributes
+    ----------
+    starts : ndarray, shape (m,)
+        When the turns start, on the trajectory's clock [s].
+    duration : float
+        Duration of the trajectory [s].
+    """
+
+    def __init__(self, jumps: Sequence[Jump], turn_time: float, path_duration: float) -> None:
+        self._turn_time = turn_time
+        held = np.array([jump.time for jump in jumps])
+        self.starts = held + turn_time * np.arange(len(jumps))
+        self.duration = path_duration + turn_time * len(jumps)
+        self._ends = self.starts + turn_time
+        # Of the path's times between turns the one at which the next turn starts belongs to what follows.
+        self._first = np.append(0.0, held)
+        self._last = np.append(np.nextafter(held, 0.0), path_duration)
+        # In powers of the part of the turn time that has passed, the constant first.
+        self._quintics = np.array([_quintic(j.before, j.after, turn_time) for j in jumps]).reshape(-1, 6).T
+
+    def path_times(self, t: Array) -> Array:
+        """Return the time of the path, shape (...) [s], at the trajectory's `t`, shape (...) [s]."""
+        if not len(self.starts):
+            return t
+        begun = np.searchsorted(self.starts, t, side="right")
+        s = t - self._turn_time * begun
+        return np.asarray(np.minimum(np.maximum(s, self._first[begun]), self._last[begun]))
+
+    def filled(self, t: Array, reference: Reference) -> Reference:
+        """Return the reference with the turns in their place.
+
+        Parameters
+        ----------
+        t : ndarray, shape (...)
+            Times of the trajectory [s].
+        reference : Reference
+            That of the held path, arrays of shape (..., 3); written to.
+        """
+        if not len(self.starts):
+            return reference
+        turn = np.searchsorted(self.starts, t, side="right") - 1
+        turning = (turn >= 0) & (t < self._ends[turn])
+        turn = turn[turning]
+        part = (t[turning] - self.starts[turn]) / self._turn_time
+        psi, rate, half = np.zeros((3, *part.shape))
+        for coefficients in self._quintics[::-1]:
+            half = half * part + rate
+            rate = rate * part + psi
+            psi = psi * part + coefficients[turn]
+        reference.v[turning] = 0.0
+        reference.a[turning] = 0.0
+        reference.q[turning, 2] = psi
+        reference.v[turning, 2] = rate / self._turn_time
+        reference.a[turning, 2] = 2 * half / self._turn_time**2
+        return reference
+
+
+def _quintic(before: Array, after: Array, duration: float) -> Array:
+    scale = np.array([1.0, duration, duration**2])
+    (p, v, a), (p1, v1, a1) = before * scale, after * scale
+    d = p1 - p
+    return np.array(
+        [
+            p,
+            v,
+            a / 2,
+            10 * d - 6 * v - 4 * v1 - (3 * a - a1) / 2,
+            -15 * d + 8 * v + 7 * v1 + (3 * a - 2 * a1) / 2,
+            6 * d - 3 * (v + v1) - (a - a1) / 2,
+        ]
+    )
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """Along a path with the heading along its tangent (lecture, section 5.4, and its errata).
+
+        psi      = atan2(y', x'), unwrapped from (-pi, pi] at the start
+        psi_dot  = (x' y'' - y' x'') / (x'^2 + y'^2),   psi_ddot its derivative
+
+    Where the path rests these are the limits from the right (at its end from the left), exactly. Where
+    the tangent jumps at a rest the path is held for `turn_time` while the heading turns on the spot, by
+    the shorter way, a half turn to the left: the quintic that meets psi, psi_dot and psi_ddot on both
+    sides. The trajectory lasts longer than the path by these turns. While the path dwells the heading
+    stays.
+
+    Parameters
+    ----------
+    path : Path
+        A path of two coordinates. Derivatives of order 0 to 3 are asked for, higher ones where it rests.
+    turn_time : float, optional
+        How long each turn on the spot lasts [s], > 0. Without it a path that needs one is refused.
+
+    Attributes
+    ----------
+    turns : ndarray, shape (m,)
+        Times at which a turn on the spot begins, on the clock of the trajectory [s].
+
+    Raises
+    ------
+    InvalidArgument
+        If `path` is no path in the plane; never moves; has a corner that it does not rest at; needs to
+        turn on the spot but has no `turn_time`; or `turn_time` is not above zero.
+    """
+
+    path: Path
+    turn_time: float | None = None
+
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("turn_time", "s", "time of each turn on the spot", 0.0, may_vanish=False),
+    )
+
+    turns: Array = field(init=False, repr=False, compare=False)
+    _hodograph: Hodograph = field(init=False, repr=False, compare=False)
+    _winding: Winding = field(init=False, repr=False, compare=False)
+    _stops: TurnsOnTheSpot = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        plane_path(self.path)
+        if self.turn_time is None:
+            object.__setattr__(self, "parameters", ())
+        else:
+            object.__setattr__(self, "turn_time", positive("turn_time", self.turn_time, "s"))
+        direction = hodograph(self.path)
+        winding = Winding(direction)
+        for jump in winding.jumps:
+            _check(jump, self.turn_time)
+        stops = TurnsOnTheSpot(winding.jumps, self.turn_time or 0.0, float(self.path.duration))
+        for name, value in (("_hodograph", direction), ("_winding", winding), ("_stops", stops)):
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "turns", frozen(stops.starts))
+
+    @property
+    def duration(self) -> float:
+        """The path's duration and that of all turns on the spot [s]."""
+        return self._stops.duration
+
+    def __call__(self, t: ArrayLike) -> Reference:
+        """Return the reference.
+
+        Parameters
+        ----------
+        t : array_like, shape (...)
+            Times, 0 <= t <= duration [s].
+
+        Returns
+        -------
+        reference : Reference
+            Arrays of shape (..., 3).
+
+        Raises
+        ------
+        InvalidArgument
+            If a time is outside.
+        """
+        clock = within("t", t, self.duration)
+        s = self._stops.path_times(clock)
+        position, v, a, jerk = (np.asarray(self.path.derivative(s, order)) for order in range(4))
+        angle, rate, acceleration = heading(*self._hodograph.along(s, v, a, jerk))
+        headings = (self._winding.unwrap(s, angle), rate, acceleration)
+        return self._stops.filled(clock, joined((position, v, a), headings))
+
+
+def _check(jump: Jump, turn_time: float | None) -> None:
+    before, after = np.degrees([jump.before[0], jump.after[0]])
+    if jump.speed:
+        raise InvalidArgument(
+            f"path has a corner at t = {jump.time} s, from {before:.6g} deg to {after:.6g} deg, taken at "
+            f"{jump.speed:.6g} m/s; expected no corner, or one that the path rests at"
+        )
+    if turn_time is None:
+        raise InvalidArgument(
+            f"turn_time is None, expected > 0 s: the path rests at t = {jump.time} s and its direction "
+            f"jumps there, from {before:.6g} deg to {after:.6g} deg"
+        )

@@ -1,0 +1,226 @@
+"""What the live window's server answers: the page, its script, and a websocket to each browser."""
+
+import asyncio
+import logging
+import re
+from collections import deque
+from time import monotonic
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, cast
+
+from tornado.iostream import IOStream
+from tornado.web import Application, HTTPError, RequestHandler
+from tornado.websocket import WebSocketClosedError, WebSocketHandler
+
+from pinmobile.errors import ViewerError
+from pinmobile.viewer.page import packed_command
+
+if TYPE_CHECKING:
+    from pinmobile.viewer.live.server import Server
+
+
+_LOG = logging.getLogger(__name__)
+_MOST_UNANSWERED = 4  # batches on their way to a browser; more would only be older news
+_PATIENCE = 2.0  # [s] in which a browser should answer
+_MOST_CAPTURES = 4
+_LARGEST_PICTURE = 64 << 20  # [byte]
+_LARGEST_MESSAGE = 1 << 10  # [byte], where no picture was asked for
+# Not read as JSON: what came may be of any depth, and a tree of it take a hundred times its size.
+_PICTURE = re.compile(r'"data" *: *"(data:image/png;base64,[A-Za-z0-9+/=]*)"')
+_POLICY = (
+    "default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'unsafe-inline'; "
+    "img-src 'self' data: blob:; worker-src blob:; connect-src 'self' data: blob: ws://{0} wss://{0}"
+)
+
+
+class _Answer(RequestHandler):
+    """A request; without a right to it, it is refused before anything else is looked at."""
+
+    server: "Server"
+
+    def initialize(self, server: "Server") -> None:
+        self.server = server
+
+    def prepare(self) -> None:
+        refusal = self.server.access.refusal(
+            self.request.headers, self.request.query_arguments.get("token", [])
+        )
+        if refusal is not None:
+            self.refuse(403, refusal)
+
+    def refuse(self, status: int, reason: str) -> None:
+        self.set_status(status)
+        self.set_header("Content-Type", "text/plain; charset=utf-8")
+        self.finish(f"{status}: {reason}\n")
+
+    def set_default_headers(self) -> None:
+        self.clear_header("Server")
+        self.set_header("Cache-Control", "no-store")
+        self.set_header("Cross-Origin-Resource-Policy", "same-origin")
+        self.set_header("Referrer-Policy", "no-referrer")  # the address may hold a token
+        self.set_header("X-Content-Type-Options", "nosniff")
+
+    def write_error(self, status_code: int, **_: Any) -> None:
+        self.refuse(status_code, self._reason)
+
+    def log_exception(
+        self,
+        typ: type[BaseException] | None,
+        value: BaseException | None,
+        tb: TracebackType | None,
+    ) -> None:
+        # What a request asks for wrongly is its own affair: nobody may read what would be printed. Of others
+        # the path alone is told: the whole address may hold a token.
+        if typ is not None and value is not None and not isinstance(value, HTTPError):
+            _LOG.error("the viewer failed at %s", self.request.path, exc_info=(typ, value, tb))
+
+
+class _Page(_Answer):
+    def get(self) -> None:
+        self.set_header("Content-Security-Policy", _POLICY.format(self.request.headers["Host"]))
+        self.finish(self.server.page)
+
+    head = get
+
+
+class _Script(_Answer):
+    def get(self) -> None:
+        self.set_header("Content-Type", "text/javascript; charset=utf-8")
+        self.finish(self.server.script)
+
+    head = get
+
+
+class _Nothing(_Answer):
+    def prepare(self) -> None:
+        super().prepare()
+        if not self._finished:
+            self.refuse(404, "there is no such page here")
+
+
+class Browser(_Answer, WebSocketHandler):
+    """A browser that shows the page.
+
+    It gets one batch of commands at a time and answers each with a pong. One that is behind gets no
+    more until it has answered; then the newest state. What is kept for it is at most one whole scene.
+
+    Attributes
+    ----------
+    seen, taken : int
+        Number of the newest command that was sent to it, and that it has received.
+    stream : IOStream
+        Its connection.
+    """
+
+    seen = taken = 0
+
+    def prepare(self) -> None:
+        """Refuse it where too many are connected."""
+        super().prepare()
+        if not self._finished and self.server.full:
+            self.refuse(503, f"{len(self.server.browsers)} browsers are connected")
+
+    def check_origin(self, origin: str) -> bool:
+        """Return True: `prepare` has looked at it, which tornado does not do for every request."""
+        return True
+
+    def open(self, *_: str, **__: str) -> None:
+        """Begin with nothing seen."""
+        self._writing, self._fed = False, monotonic()
+        self._unanswered: deque[int] = deque()
+        self._captures: deque[asyncio.Future[str]] = deque()
+        self.set_nodelay(True)
+        self._connection = cast(Any, self.ws_connection)
+        self._bound()
+        self.stream: IOStream = self._connection.stream
+        self.server.join(self)
+
+    def on_close(self) -> None:
+        """Give up what was asked of it."""
+        for capture in self._captures:
+            if not capture.done():
+                capture.set_exception(ViewerError("the browser was closed"))
+        self.server.leave(self)
+
+    def on_pong(self, data: bytes) -> None:
+        """Take the answer to a batch; nothing else is one."""
+        if self._unanswered and data == b"%d" % self._unanswered[0]:
+            self.taken = self._unanswered.popleft()
+            self.server.news()
+
+    def on_message(self, message: str | bytes) -> None:
+        """Take a picture that was asked for; nothing else is listened to."""
+        if self._captures and isinstance(message, str) and (picture := _PICTURE.search(message)):
+            capture = self._captures.popleft()
+            self._bound()
+            if not capture.done():
+                capture.set_result(picture[1])
+
+    @property
+    def ready(self) -> bool:
+        """Whether it can take a batch."""
+        return not self._writing and len(self._unanswered) < _MOST_UNANSWERED
+
+    @property
+    def stalled(self) -> bool:
+        """Whether it has not been ready for a while."""
+        return not self.ready and monotonic() - self._fed > _PATIENCE
+
+    async def feed(self) -> None:
+        """Send what it has not seen."""
+        if not self.ready:
+            return
+        commands, latest = self.server.backlog.since(self.seen)
+        self.seen = latest
+        if not commands:
+            # Everything since was deleted again.
+            if not self._unanswered and self.taken < latest:
+                self.taken = latest
+                self.server.news()
+            return
+        self._writing, self._fed = True, monotonic()
+        try:
+            writes = [self.write_message(command, binary=True) for command in commands]
+            self._unanswered.append(latest)
+            self.ping(b"%d" % latest)
+            await asyncio.gather(*writes, return_exceptions=True)
+        except WebSocketClosedError:
+            pass
+        finally:
+            self._writing = False
+            self.server.news()
+
+    async def capture(self) -> str:
+        """Return a picture of the scene as it is when this is called, as a data URL."""
+        latest = self.server.backlog.latest
+        while self.seen < latest or self._writing:
+            await asyncio.sleep(0.01)
+        if len(self._captures) >= _MOST_CAPTURES:
+            raise ViewerError("the browser does not answer")
+        picture = asyncio.get_running_loop().create_future()
+        # One that is given up stays here: its answer may still come, and is not the next one's.
+        self._captures.append(picture)
+        self._bound()
+        await self.write_message(packed_command({"type": "capture_image"}), binary=True)
+        return str(await picture)
+
+    def _bound(self) -> None:
+        """Let a message be as large as a picture where one was asked for."""
+        largest = _LARGEST_PICTURE if self._captures else _LARGEST_MESSAGE
+        self._connection.params.max_message_size = largest
+
+    def abort(self) -> None:
+        """End the connection without waiting for the browser."""
+        if self.ws_connection is not None and self.ws_connection.stream is not None:
+            self.ws_connection.stream.close()
+
+
+def application(server: "Server") -> Application:
+    """Return what answers a server's requests."""
+    own = {"server": server}
+    return Application(
+        [(r"/", _Page, own), (r"/main\.min\.js", _Script, own), (r"/socket", Browser, own)],
+        default_handler_class=_Nothing,
+        default_handler_args=own,
+        log_function=lambda _: None,
+    )

@@ -1,0 +1,469 @@
+"""What plants state beside errors: end effectors, efforts, margins; in ensembles, files and figures."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pinmobile import (
+    ARRAYS,
+    COMPILED,
+    PD,
+    PINOCCHIO,
+    ComputedTorque,
+    Engine,
+    Ensemble,
+    FixedHeading,
+    Hold,
+    InvalidArgument,
+    Load,
+    MobileRobot,
+    Motion,
+    Reference,
+    RestToRest,
+    Scenario,
+    Sweep,
+    Uniform,
+    UnknownName,
+    WholeBody,
+    plots,
+    simulate,
+    sweep,
+    tip_over_margin,
+)
+from pinmobile.arrays import Array
+from pinmobile.ensembles import run_scenario
+from pinmobile.ensembles.histogram import BINS, bins_of, quantiles
+from pinmobile.ensembles.processes import packed_way
+from pinmobile.ensembles.ways import way_of
+from pinmobile.errors import SlowerEngine
+from pinmobile.measures import Measure, measures_of, size_of, value_of
+from pinmobile.reaching.poses import error_sizes, pose_error
+from pinmobile.urdf import Body
+from pinmobile.viewer import Viewer
+from tests.looping import Body as Pushed
+from tests.test_compiled_arms import Swing
+
+CLOSE = 1e-10
+# The base's products of inertia, which the ground alone feels, and its height.
+INERTIA = np.array([[0.6, 0.05, 0.08], [0.05, 1.2, -0.06], [0.08, -0.06, 1.4]])
+UR5 = MobileRobot.from_body(Body(30.0, np.array([0.02, 0.01, 0.1]), INERTIA)).mount(
+    "ur5", (0.1, -0.05, 0.2, 0.4)
+)
+UR5 = UR5.attach(Load(1.0, (0, 0.01, 0.05), size=(0.1, 0.1, 0.1)))
+NAMES = ["end effector", "end effector angle", "effort", "tip-over margin"]
+ELBOW = "ur5/elbow_joint"
+SPREAD: dict[str, Any] = {
+    "yaw_inertia": Uniform(1.3, 1.5),
+    "com_x": Uniform(-0.02, 0.02),
+    "load_mass": Uniform(0.5, 5),
+    "at_x_ur5": Uniform(0.0, 0.1),
+    "kp_factor": Uniform(0.9, 1.1),
+}
+
+
+def scenario(**options: Any) -> Scenario:
+    given = {"n": 3, "dt": 0.02, "seed": 3, "after": 0.1, "spread": SPREAD, **options}
+    return Scenario(robot=UR5, controller=ComputedTorque(UR5, 100, 20), trajectory=Swing(UR5), **given)
+
+
+@pytest.fixture(scope="module")
+def runs() -> Ensemble:
+    return run_scenario(scenario(n=40))
+
+
+def random_states(robot: MobileRobot, count: int) -> tuple[Array, ...]:
+    numbers = np.random.default_rng(4)
+    q, desired = (robot.random_configuration(numbers, (count,)) for _ in range(2))
+    v, a, u = (numbers.normal(size=(count, robot.nv)) for _ in range(3))
+    return q, v, a, 20 * u, desired
+
+
+def test_measures_of_an_arm_are_those_of_its_own_kinematics_limits_and_balance() -> None:
+    q, v, a, u, desired = random_states(UR5, 20)
+    assert [one.name for one in UR5.measures] == NAMES
+    found = UR5.measured(0.0, q, v, a, u, Reference(desired, v, a))
+    apart = error_sizes(pose_error(UR5.frame_pose(desired), UR5.frame_pose(q)))
+    np.testing.assert_allclose(found[:, :2], apart, atol=CLOSE)
+    np.testing.assert_allclose(found[:, 2], (np.abs(u) / UR5.effort_limit).max(axis=1), rtol=CLOSE)
+    np.testing.assert_allclose(found[:, 3], tip_over_margin(Motion(UR5, q, v, a)), rtol=CLOSE, atol=CLOSE)
+    symbolic = UR5.traced().measured(0.0, q, v, a, u, Reference(desired, v, a))  # type: ignore[union-attr]
+    np.testing.assert_allclose(symbolic, found, rtol=CLOSE, atol=CLOSE)
+
+
+def test_what_the_reference_does_not_lead_is_taken_at_rest() -> None:
+    q, v, a, u, _ = random_states(UR5, 3)
+    found = UR5.measured(0.0, q, v, a, u, Reference(q[:, :3], v[:, :3], a[:, :3]))
+    desired = np.concatenate([q[:, :3], np.broadcast_to(UR5.rest[3:], (3, 6))], axis=1)
+    np.testing.assert_array_equal(found, UR5.measured(0.0, q, v, a, u, Reference(desired, v, a)))
+
+
+def test_each_arm_has_an_end_effector_and_a_bare_robot_no_measure() -> None:
+    two = MobileRobot.box().mount("double_pendulum").mount("double_pendulum", (0.2, 0, 0.2, 0))
+    names = [one.name for one in two.measures]
+    assert names[:2] == NAMES[:2]
+    assert names[2:4] == [f"{name} of {two.mounts[1].name}" for name in NAMES[:2]]
+    assert names[-1] == NAMES[-1]
+    bare = MobileRobot.box()
+    assert bare.measures == ()
+    at = Reference(*np.zeros((3, 3)))
+    assert bare.measured(0.0, *np.zeros((4, 3)), at).shape == (0,)  # type: ignore[call-arg]
+    unknown = MobileRobot.from_model(MobileRobot.box().model).mount("double_pendulum", (0, 0, 0.2, 0))
+    assert NAMES[-1] not in [one.name for one in unknown.measures]  # whose footprint is not known
+
+
+@pytest.mark.parametrize("engine", [ARRAYS, PINOCCHIO])
+def test_all_engines_judge_alike(engine: Engine) -> None:
+    fast, slow = (run_scenario(scenario(), engine=each) for each in (COMPILED, engine))
+    for name in ("worst_measure", "rms_measure", "max_error", "rms_error"):
+        np.testing.assert_allclose(getattr(slow, name), getattr(fast, name), rtol=CLOSE, atol=CLOSE)
+    for name, values in fast.bands().quantiles.items():
+        # Where a number is next to the edge of a bin, rounding may put it into the next: 3 %.
+        np.testing.assert_allclose(slow.bands()[name], values, rtol=0.03, atol=1e-9)
+
+
+def test_a_member_is_judged_as_its_rollout_is(runs: Ensemble) -> None:
+    member = runs.member(7)
+    alone: Any = simulate(*member[:3], **member.options)
+    robot, begin = alone.plant, runs.scenario.begin
+    apart = error_sizes(pose_error(robot.frame_pose(alone.reference.q), robot.frame_pose(alone.q)))
+    effort = (np.abs(alone.u) / robot.effort_limit).max(axis=1)
+    expected = np.column_stack([apart, effort, tip_over_margin(alone)])[begin:]
+    worst = [*expected[:, :3].max(axis=0), expected[:, 3].min()]
+    np.testing.assert_allclose(runs.worst_measure[7], worst, rtol=CLOSE, atol=CLOSE)
+    rms = np.sqrt(np.square(expected).mean(axis=0))
+    np.testing.assert_allclose(runs.rms_measure[7], rms, rtol=CLOSE, atol=CLOSE)
+    told = alone.measures()
+    assert [(name, signal.unit) for name, signal in told.items()] == list(
+        zip(NAMES, ("m", "rad", "", "m"), strict=True)
+    )
+    np.testing.assert_allclose(told[NAMES[3]].values[begin:], expected[:, 3], rtol=CLOSE)
+
+
+def test_robots_are_compared_by_measures_and_joints(runs: Ensemble) -> None:
+    joints = [one.name for one in runs.scenario.coordinates[3:]]
+    assert list(runs.within().sizes) == ["distance", "heading", *joints, *NAMES]
+    assert list(runs.bands().quantiles) == list(runs.within().sizes)
+    margin = runs.largest("tip-over margin")
+    np.testing.assert_array_equal(margin, runs.worst_measure[:, 3])
+    assert runs.worst(1, by="tip-over margin") == margin.argmin()
+    np.testing.assert_array_equal(runs.largest(ELBOW), runs.max_error[:, 5])
+    assert runs.worst(1, by=ELBOW) == runs.max_error[:, 5].argmax()
+    within = runs.within(0.75)
+    assert within["tip-over margin"] == np.sort(margin)[10]  # 30 of 40 have at least that
+    assert within["effort"] == np.sort(runs.largest("effort"))[29]
+    bands = runs.bands([0.25, 1.0])
+    assert (bands["tip-over margin"][0] > bands["tip-over margin"][1]).all()
+    begun = bands.t >= 0.1
+    for name in ("end effector", "effort", ELBOW):
+        assert bands[name][1][begun].max() == pytest.approx(runs.within(1.0)[name], rel=2**-5)
+    assert bands["tip-over margin"][1][begun].min() == pytest.approx(margin.min(), rel=2**-5)
+    words = str(runs)
+    assert f"largest end effector [m] {'':21} least {runs.largest('end effector').min():.4g}" in words
+    assert "\nsmallest tip-over margin [m]" in words
+    for ask in (runs.largest, lambda by: runs.worst(1, by), runs.within(), runs.bands()):
+        get = ask if callable(ask) else ask.__getitem__
+        with pytest.raises(UnknownName, match=r"'tip-over margn'.*'tip-over margin'"):
+            get("tip-over margn")
+
+
+def test_a_choice_judges_that_alone(runs: Ensemble) -> None:
+    some = run_scenario(scenario(measures=["tip-over margin", "end effector"]))
+    np.testing.assert_array_equal(some.worst_measure, runs.worst_measure[:3, [0, 3]])
+    assert [one.name for one in some.scenario.judged] == ["end effector", "tip-over margin"]
+    none = run_scenario(scenario(measures=()))
+    assert none.worst_measure.shape == (3, 0)
+    np.testing.assert_array_equal(none.max_error, some.max_error)
+    bare = replace(
+        scenario(spread={"mass": Uniform(20, 30)}),
+        robot=MobileRobot.box(),
+        controller=PD(40, 20),
+        trajectory=FixedHeading(RestToRest((0, 0), (0.1, 0), 0.6), psi=0),
+    )
+    assert bare.judged == ()
+
+
+@pytest.mark.parametrize(
+    ("measures", "error", "words"),
+    [
+        (["efort"], UnknownName, "unknown measure 'efort'.*'effort'"),
+        ("effort", InvalidArgument, r"^measures is 'effort', expected a sequence of names: \['effort'\]$"),
+        (7, InvalidArgument, r"^measures is 7, expected a sequence of names$"),
+        ([7], UnknownName, "measure 7"),
+    ],
+)
+def test_measures_that_there_are_not_are_refused(measures: Any, error: Any, words: str) -> None:
+    with pytest.raises(error, match=words):
+        scenario(measures=measures)
+
+
+def test_files_and_tables_keep_measures(runs: Ensemble, tmp_path: Path) -> None:
+    runs.save(tmp_path / "runs.npz")
+    for loaded in (
+        Ensemble.load(tmp_path / "runs.npz"),
+        Ensemble.load(tmp_path / "runs.npz", runs.scenario),
+    ):
+        np.testing.assert_array_equal(loaded.worst_measure, runs.worst_measure)
+        np.testing.assert_array_equal(loaded.rms_measure, runs.rms_measure)
+        assert loaded.scenario.judged == runs.scenario.judged
+        assert loaded.within() == runs.within()
+        np.testing.assert_equal(vars(loaded.bands()), vars(runs.bands()))
+    other = replace(runs.scenario, measures=["effort"])
+    with pytest.raises(InvalidArgument, match=r"^scenario is not that of .*: measures is end effector, "):
+        Ensemble.load(tmp_path / "runs.npz", other)
+    runs.to_csv(tmp_path / "runs.csv")
+    header, first = (tmp_path / "runs.csv").read_text().splitlines()[:2]
+    columns = dict(zip(header.split(","), first.split(","), strict=True))
+    assert float(columns["worst_measure_tip-over margin [m]"]) == runs.worst_measure[0, 3]
+    assert float(columns["rms_measure_effort"]) == runs.rms_measure[0, 2]
+    data = runs.to_xarray()
+    assert data.worst_measure.sel(measure="effort").values.tolist() == runs.largest("effort").tolist()
+    assert data.worst_measure.attrs["units"] == "m, rad, 1, m"
+    np.testing.assert_array_equal(
+        data.quantiles.sel(channel="tip-over margin"), runs.bands()["tip-over margin"]
+    )
+
+
+def test_a_file_of_an_older_format_is_refused_with_the_reason(runs: Ensemble, tmp_path: Path) -> None:
+    runs.save(tmp_path / "runs.npz")
+    with np.load(tmp_path / "runs.npz") as archive:
+        arrays = {name: archive[name] for name in archive.files if "measure" not in name}
+    np.savez(tmp_path / "old.npz", **arrays | {"format": np.array("pinmobile ensemble 2")})
+    with pytest.raises(InvalidArgument, match=r"it is of another format, 'pinmobile ensemble 2'$"):
+        Ensemble.load(tmp_path / "old.npz")
+
+
+def test_a_sweeps_store_keeps_measures(runs: Ensemble, tmp_path: Path) -> None:
+    heavy = {**SPREAD, "load_mass": Uniform(5, 8)}
+    found = sweep(
+        {"light": scenario(n=10), "heavy": scenario(n=10, spread=heavy)}, tmp_path / "store", chunk=4
+    )
+    light = found.ensemble(scenario="light")
+    np.testing.assert_array_equal(light.worst_measure, runs.worst_measure[:10])
+    np.testing.assert_array_equal(light.counts, run_scenario(scenario(n=10)).counts)
+    for by in ("tip-over margin", "effort", ELBOW, "heading", "distance"):
+        assert float(found.within(0.8, by).sel(scenario="light")) == light.within(0.8)[by]
+    margins = Sweep.open(tmp_path / "store").within(by="tip-over margin")
+    assert float(margins.sel(scenario="heavy")) < float(margins.sel(scenario="light"))
+    assert margins.attrs["long_name"] == "tip-over margin that 99 % of the robots have at least"
+    with pytest.raises(UnknownName, match=r"'margin'"):
+        found.within(by="margin")
+    with pytest.raises(InvalidArgument, match=r"^judged are end effector \[m\], .* and none at scenario = b"):
+        sweep({"a": scenario(), "b": scenario(measures=())}, tmp_path / "other")
+
+
+def test_members_are_drawn_and_viewed(runs: Ensemble) -> None:
+    chosen = {"worst": int(runs.worst(1, by="tip-over margin")[0]), "first": 0}
+    traces = {label: runs.trace(i) for label, i in chosen.items()}
+    figure = plots.balance(traces)
+    drawn = [np.asarray(line.get_ydata()) for line in figure.axes[0].lines]
+    lowest = [values.min() for values in drawn if len(values) == len(traces["first"])]
+    margins = [tip_over_margin(trace).min() for trace in traces.values()]
+    np.testing.assert_allclose(sorted(lowest)[:2], sorted(margins), rtol=1e-9)
+    with Viewer(traces["worst"].plant) as shown:
+        assert shown.record(traces, fps=5)
+
+
+def test_figures_show_measures(runs: Ensemble) -> None:
+    figure = plots.bands({"UR5": runs})
+    assert [axes.get_ylabel().partition(" [")[0] for axes in figure.axes][2:] == NAMES
+    stays = f"99 % have at least {1e3 * runs.within()['tip-over margin']:.0f} mm from 0.1 s on"
+    assert figure.axes[-1].get_title(loc="left") == stays
+    (joint,) = plots.bands(runs, by=[ELBOW]).axes
+    assert joint.get_ylabel().startswith(f"error of\n{ELBOW} [")
+    with pytest.raises(UnknownName, match=r"unknown band 'effort!'"):
+        plots.bands(runs, by=["effort!"])
+    drivers = plots.drivers(runs, share=0.1, by="tip-over margin")
+    assert drivers.get_suptitle() == "load_mass drives the worst 10 % by tip-over margin most"
+    assert drivers.axes[-1].get_ylabel() == "smallest tip-over margin [mm]"
+
+
+def test_a_robot_that_diverges_has_no_margin() -> None:
+    wild = replace(scenario(), limit=2e-4)
+    runs = run_scenario(wild)
+    assert runs.diverged.all()
+    assert runs.within()["tip-over margin"] == -np.inf
+    assert runs.within()["effort"] == np.inf
+    bands = runs.bands([0.5])
+    assert bands["tip-over margin"][0, -1] == -np.inf
+    assert bands["effort"][0, -1] == np.inf
+
+
+def test_sizes_of_margins_grow_with_them_and_lead_back() -> None:
+    near = np.linspace(-1e-3, 1e-3, 401)
+    far = np.geomspace(1.1e-3, 500, 200)
+    margins = np.concatenate([-far[::-1], near, far])
+    sizes = size_of(margins)
+    assert (np.diff(sizes) > 0).all()
+    np.testing.assert_allclose(value_of(sizes), margins, rtol=1e-2, atol=1e-9)
+    bins = bins_of(sizes)
+    assert bins.min() > 0
+    assert bins.max() < BINS - 1
+    assert bins_of(size_of(np.array([-np.inf, -1e300, np.inf]))).tolist() == [0, 0, BINS - 1]
+
+
+def test_quantiles_of_margins_are_those_of_the_sorted_ones_to_a_bin() -> None:
+    margins = np.sort(np.random.default_rng(2).normal(0.02, 0.05, 1000))
+    counts = np.bincount(bins_of(size_of(margins)), minlength=BINS)
+    levels = np.array([0.0, 0.25, 0.5, 0.9, 0.999, 1.0])
+    found = quantiles(counts, levels, margins=True)
+    exact = margins[1000 - np.maximum(1, np.ceil(levels * 1000)).astype(int)]
+    np.testing.assert_allclose(found, exact, rtol=2**-4, atol=2e-5)
+    assert quantiles(np.eye(BINS, dtype=int)[0], levels, margins=True).tolist() == [-np.inf] * 6
+    assert (quantiles(np.eye(BINS, dtype=int)[-1], levels, margins=True) >= 511).all()
+
+
+class Fenced(Pushed):
+    """A body between two walls, which states how far it is from them and how fast it is, in plain NumPy."""
+
+    measures = (
+        Measure("clearance", "m", "from the walls", "smallest"),
+        Measure("speed", "m/s", "of the body"),
+    )
+    wall = 0.33
+
+    def measured(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
+        speed = np.sqrt(v[..., 0] ** 2 + v[..., 1] ** 2)
+        return np.stack([self.wall - np.abs(q[..., 0]), speed], axis=-1)
+
+
+def fenced(plant: Any, **options: Any) -> Scenario:
+    given = {"n": 6, "dt": 0.01, "spread": {"mass": Uniform(20, 60)}, **options}
+    path = FixedHeading(RestToRest((0, 0), (0.29, 0.1), 1.0), psi=0.3)
+    return Scenario(robot=plant, controller=PD(2000, 100), trajectory=path, **given)
+
+
+@pytest.mark.parametrize("after", [0.0, 0.6])
+def test_a_plant_of_ones_own_states_measures_in_plain_numpy(after: float) -> None:
+    made = [
+        run_scenario(fenced(Fenced(), after=after), engine=each) for each in (COMPILED, ARRAYS, PINOCCHIO)
+    ]
+    for other in made[1:]:
+        np.testing.assert_allclose(other.worst_measure, made[0].worst_measure, rtol=CLOSE, atol=CLOSE)
+        np.testing.assert_allclose(other.rms_measure, made[0].rms_measure, rtol=CLOSE, atol=CLOSE)
+    clearance = made[0].largest("clearance")
+    assert clearance.min() < 0 < clearance.max()  # some overshoot into the wall
+    trace = made[0].trace(2)
+    begin = made[0].scenario.begin
+    assert clearance[2] == pytest.approx((0.33 - np.abs(trace.q[begin:, 0])).min(), abs=CLOSE)
+    assert made[0].within(1.0)["clearance"] == clearance.min()
+
+
+def test_what_is_infinite_before_errors_count_is_forgotten() -> None:
+    class Late(Fenced):
+        def measured(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
+            found = super().measured(t, q, v, a, u, reference)
+            early = np.array([-np.inf, np.inf])
+            return np.where(np.asarray(t < 0.3)[..., None], early, found)
+
+    for engine in (COMPILED, PINOCCHIO):
+        late, usual = (run_scenario(fenced(x, after=0.6), engine=engine) for x in (Late(), Fenced()))
+        np.testing.assert_allclose(late.worst_measure, usual.worst_measure, rtol=CLOSE)
+        np.testing.assert_allclose(late.rms_measure, usual.rms_measure, rtol=CLOSE)
+    assert late.bands([0.5])["clearance"][0, 0] == -np.inf
+
+
+def stating(measures: Any, found: Any = None) -> Any:
+    """Return a plant that states some measures, and gives something for them."""
+
+    class Stating(Pushed):
+        pass
+
+    plant: Any = Stating()
+    Stating.measures = measures  # type: ignore[attr-defined]
+    if found is not None:
+        Stating.measured = lambda self, t, q, v, a, u, reference: found(q)  # type: ignore[attr-defined]
+    return plant
+
+
+ONE = Measure("clearance", "m", "from the walls", "smallest")
+OF = r"measures of the plant, a Stating,?"
+ASKED = r"^plant is a Stating, whose measured\(t, q, v, a, u, reference\) returned"
+
+
+@pytest.mark.parametrize(
+    ("plant", "words"),
+    [
+        (stating("clearance"), f"^{OF} is 'clearance', expected a sequence of Measure$"),
+        (stating(["clearance"]), f"^{OF} has 'clearance', expected a Measure"),
+        (
+            stating([ONE._replace(worst="least")]),
+            f"^{OF} has Measure.*expected a name, and worst=",
+        ),
+        (stating([ONE._replace(name="")]), f"^{OF} has Measure.*expected a name"),
+        (stating([ONE._replace(unit=7)]), r"^unit of a measure is 7, expected text"),  # type: ignore[arg-type]
+        (stating([ONE, ONE]), f"^{OF} has 'clearance' twice, expected names that differ$"),
+        (
+            stating([ONE._replace(name="heading")], lambda q: q[..., :1]),
+            f"^{OF} has 'heading', expected another name than",
+        ),
+        (stating([ONE]), r"^plant.measured is None, expected a function of t, q, v, a, u and reference$"),
+        (stating([ONE], lambda q: q[..., :2]), ASKED + r" shape \(2,\), expected an array of shape \(1,\)"),
+        (stating([ONE], lambda q: 1.0), ASKED + r" 1.0, expected an array of shape \(1,\)"),
+        (stating([ONE], lambda q: q[..., :1] + 0j), ASKED + r" .*, expected real numbers$"),
+        (stating([ONE], lambda q: q[..., :1] * np.nan), ASKED + " NaN as 'clearance' where it starts"),
+    ],
+)
+def test_measures_that_are_not_what_is_expected_are_refused(plant: Any, words: str) -> None:
+    with pytest.raises(InvalidArgument, match=words):
+        fenced(plant)
+
+
+@pytest.mark.parametrize("engine", [COMPILED, ARRAYS, PINOCCHIO])
+def test_a_measure_that_becomes_nan_is_refused(engine: Engine) -> None:
+    late = stating([ONE], lambda q: np.sqrt(0.1 - q[..., :1]))
+    with (
+        np.errstate(invalid="ignore"),
+        pytest.raises(InvalidArgument, match=r"^robot \d: plant is a Stating, .* NaN as"),
+    ):
+        run_scenario(fenced(late), engine=engine)
+
+
+def test_measures_for_one_robot_at_a_time_run_compiled_and_are_told_on_arrays() -> None:
+    def alone(q: Any) -> Any:
+        return np.array([0.3 - q[0]])  # of several robots at once the first's x
+
+    plant = stating([ONE], alone)
+    assert way_of(fenced(plant)).engine is COMPILED
+    with pytest.raises(InvalidArgument, match=r"^engine is ARRAYS, which cannot run this: "):
+        way_of(fenced(plant), ARRAYS)
+
+
+def test_a_plant_that_is_traced_as_another_needs_the_same_measures() -> None:
+    class Traced(Fenced):
+        def traced(self) -> Any:
+            return Pushed(self.mass, self.yaw_inertia, self.com)
+
+    with pytest.warns(SlowerEngine, match=r"plant, a Traced, states measures that what its traced"):
+        runs = run_scenario(fenced(Traced(), n=2))
+    assert runs.engine == "PINOCCHIO"
+    assert runs.worst_measure.shape == (2, 2)
+
+
+def test_measures_survive_processes_and_pickles() -> None:
+    way = way_of(scenario(n=2), PINOCCHIO)
+    assert packed_way(way)
+    assert measures_of(UR5) == way.scenario.judged
+
+
+def test_joints_are_held_against_limits_that_they_have() -> None:
+    motion = WholeBody(UR5, FixedHeading(Hold((0, 0), 0.2), psi=0), Hold(UR5.rest[3:], 0.2))
+    held = simulate(UR5, ComputedTorque(UR5, 100, 20), motion, dt=0.1)
+    shares = np.abs(UR5.gravity(UR5.rest))[3:] / UR5.effort_limit[3:]
+    np.testing.assert_allclose(held.measures()["effort"].values, shares.max(), rtol=1e-9)
+
+
+def test_names_of_limits_and_links_that_there_are_not_come_with_the_nearest() -> None:
+    for name, near in (
+        ("mass_ur5/forearm_lnk", "'mass_ur5/forearm_link'"),
+        ("effort_limit_ur5/elbow_joint", "parameter in spread 'effort_limit_ur5/elbow_joint'"),
+    ):
+        with pytest.raises(UnknownName, match=near):
+            scenario(spread={name: Uniform(1, 2)})
+    with pytest.raises(InvalidArgument, match=r"^n is 200,000,000, expected at most 100,000,000"):
+        scenario(n=2 * 10**8)
+    words = r"^the records of 100,000,000 robots take 34.4 GB, expected at most 16 GB: give a smaller n$"
+    with pytest.raises(InvalidArgument, match=words):
+        scenario(n=10**8)
