@@ -19,6 +19,7 @@ from pinmobile import (
     ComputedTorque,
     Delayed,
     FixedHeading,
+    Hold,
     InvalidArgument,
     LectureHeading,
     MobileRobot,
@@ -31,6 +32,7 @@ from pinmobile import (
     Tangent,
     Uniform,
     ViscousFriction,
+    WholeBody,
     constant_acceleration,
     ensemble,
     law,
@@ -322,6 +324,17 @@ def test_constant_parts_are_checked_once_and_others_each_time(monkeypatch: pytes
         for seed in (1, 1, 1):
             ensemble(ROBOT, controller, CIRCLE, n=2, spread={}, dt=0.1, seed=seed)
         assert len(asked) == expected
+
+
+def test_parts_of_a_robot_with_an_arm_are_checked_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot, asked = MobileRobot.box().mount("double_pendulum"), []
+    true = check_answers
+    monkeypatch.setattr(scenario, "check_answers", lambda *given: (asked.append(given), true(*given)))
+    controller, motion = ComputedTorque(robot, 9, 6), WholeBody(robot, CIRCLE, Hold(robot.rest[3:], 4))
+    for _ in range(3):
+        ensemble(robot, controller, motion, n=2, spread={"mass": 30.0}, dt=0.1, duration=0.2)
+        robot.mass_matrix(np.tile(robot.rest, (600, 1)))  # what is compiled for these is none of its laws
+    assert len(asked) == 1
 
 
 def _run_and_forgotten() -> list[weakref.ref[Any]]:
