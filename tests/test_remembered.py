@@ -327,14 +327,15 @@ def test_constant_parts_are_checked_once_and_others_each_time(monkeypatch: pytes
 
 
 def test_parts_of_a_robot_with_an_arm_are_checked_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    robot, asked = MobileRobot.box().mount("double_pendulum"), []
+    robot = MobileRobot.box().mount("double_pendulum")
+    asked: list[Any] = []
     true = check_answers
 
-    def looked(*given: Any) -> None:
+    def counting(*given: Any) -> None:
         asked.append(given)
         true(*given)
 
-    monkeypatch.setattr(scenario, "check_answers", looked)
+    monkeypatch.setattr(scenario, "check_answers", counting)
     controller, motion = ComputedTorque(robot, 9, 6), WholeBody(robot, CIRCLE, Hold(robot.rest[3:], 4))
     for _ in range(3):
         ensemble(robot, controller, motion, n=2, spread={"mass": 30.0}, dt=0.1, duration=0.2)
