@@ -220,6 +220,14 @@ def test_two_of_a_kind_and_what_is_ones_own_are_as_simulated(what: str) -> None:
     assert_is_simulated(run, 2)
 
 
+def test_a_noisy_robot_is_run_alone_by_any_engine() -> None:
+    member = run_scenario(made(controller=CONTROLLERS["noisy"], n=3, duration=3.0)).member(2)
+    alone = [simulate(*member[:3], **member.options, engine=engine) for engine in (PINOCCHIO, COMPILED)]
+    np.testing.assert_allclose(alone[1].q, alone[0].q, rtol=0, atol=1e-12)
+    other = simulate(*member[:3], **{**member.options, "member": 1})
+    assert np.abs(other.u - alone[0].u).max() > 1e-3
+
+
 @pytest.mark.parametrize("noise", [0.0, 1e-3])
 def test_a_users_integral_is_told_what_is_applied_as_in_simulate(noise: float) -> None:
     """Each robot is told of its own limited force: those that start far away do not wind up."""

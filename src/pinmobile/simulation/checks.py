@@ -363,7 +363,7 @@ def check_controllers_memory(controller: Any, context: Context, q: Array, v: Arr
     try:
         check_memory(controller, context, q, v)
     except InvalidArgument as error:
-        raise shorter(context, error) from error
+        raise shorter(context, error) from error.__cause__
 
 
 def check_same(part: str, t: float, first: Array, again: Any) -> None:

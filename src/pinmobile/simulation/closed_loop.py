@@ -1,12 +1,13 @@
 """`simulate`: a controller in the loop with a plant, checked before, judged after."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, positive
+from pinmobile.arrays import Array, ArrayLike, finite, positive, whole
 from pinmobile.controllers import Controller
 from pinmobile.errors import Diverged, InvalidArgument
 from pinmobile.forces import CoordinateForce, Force
@@ -48,6 +49,8 @@ def simulate(
     forces: Sequence[Force | CoordinateForce] = (),
     limit: float = 1e3,
     engine: Engine | None = None,
+    seed: int = 0,
+    member: int = 0,
 ) -> Rollout:
     """Run the closed loop from 0 to `duration` and record every sample.
 
@@ -90,6 +93,8 @@ def simulate(
         beyond it [m, rad, m/s, rad/s].
     engine : Engine, optional
         `PINOCCHIO`, by default, or `COMPILED`: the same laws as machine code, for those who run many.
+    seed, member : int
+        What the noise of controllers follows from: the seed of an ensemble, and the robot's number in it.
 
     Returns
     -------
@@ -121,6 +126,7 @@ def simulate(
     reference = sampled(trajectory, t, plant, memory if chosen is COMPILED else None)
     start = _start(plant, reference, q0, v0)
     context = Context.of(plant, dt=dt, t=t, reference=reference, trajectory=trajectory)
+    context = replace(context, seed=whole("seed", seed, least=0), member=whole("member", member, least=0))
     if ("simulated", count, dt, t[-1]) not in memory:
         check_answers(plant, checked, integrator, *start, dt / count)
         check_controllers_memory(controller, context, *start)

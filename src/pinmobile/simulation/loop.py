@@ -240,7 +240,7 @@ def _asked(
         except InvalidArgument as error:
             if k:
                 raise
-            raise shorter(context, error) from error
+            raise shorter(context, error) from error.__cause__
         if type(answer) is not tuple or len(answer) != 2:
             raise InvalidArgument(
                 f"controller returned {shown(answer)} at t = {times[k]:g} s, expected (u, state)"
