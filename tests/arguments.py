@@ -48,7 +48,7 @@ INNER = {
     *("closed_form.unchecked_mass_matrix", "closed_form.unchecked_coriolis_matrix"),
     *("closed_form.unchecked_inverse_dynamics", "controllers.check_controller", "derivation.difference"),
     *("derivation.lagrange", "forces.noise_frequencies", "ensembles.part_of", "paths.pieces_of"),
-    *("ensembles.run_scenario", "paths.Whole", "reaching.pose_error", "robot.ChainDynamics"),
+    *("ensembles.run_scenario", "paths.Whole", "reaching.pose_error", "robot.System"),
     *(
         "simulation.checked_forces",
         "simulation.checked_loop",

@@ -23,8 +23,9 @@ from pinmobile import (
     zero_moment_point,
 )
 from pinmobile.arrays import Array
-from pinmobile.balance import body_zero_moment_point, margin_inside
+from pinmobile.balance import body_zero_moment_point
 from pinmobile.robot import BODY_JOINT
+from pinmobile.robot.stance import margin_inside
 from tests.users import Follower, TwoWheels
 
 G = 9.81

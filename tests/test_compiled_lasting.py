@@ -31,7 +31,7 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.compiled import Cache, known, lasting, machine
-from pinmobile.compiled.cache import LOOP
+from pinmobile.compiled.machine import LOOP
 from pinmobile.compiled.passes import traced
 from pinmobile.controllers import feedback
 from tests.test_compiled_arms import Swing

@@ -36,7 +36,7 @@ from pinmobile import (
 )
 from pinmobile.ensembles import ARRAYS, Outline, run_scenario
 from pinmobile.ensembles.variables import PER_ROBOT
-from pinmobile.plots.causes import causes, worst_share
+from pinmobile.plots.drivers import causes, worst_share
 from tests.damage import answer, damaged, little_memory, rewritten
 
 ROBOT = MobileRobot(10, 1.3, com=(0.1, 0.05)).attach(Load(2, (0.1, 0, 0.2)))

@@ -30,9 +30,9 @@ from pinmobile import (
     plots,
 )
 from pinmobile.ensembles import ARRAYS
-from pinmobile.plots.beyond import strip_above
-from pinmobile.plots.causes import causes, worst_share
+from pinmobile.plots.drivers import causes, worst_share
 from pinmobile.plots.style import percent
+from pinmobile.plots.swept import strip_above
 
 ROBOT = MobileRobot(30, 1.3)
 TRUE = ComputedTorque(ROBOT)

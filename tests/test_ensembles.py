@@ -49,7 +49,7 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.ensembles import ARRAYS, COMPILED, PINOCCHIO, part_of, run_scenario
-from pinmobile.ensembles.table import judgement
+from pinmobile.ensembles.outline import judgement
 from pinmobile.errors import SlowerEngine
 from pinmobile.integrators import RungeKuttaNystrom
 from tests.users import PID

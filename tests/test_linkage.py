@@ -12,9 +12,8 @@ from pinmobile.arrays import Array
 from pinmobile.compiled.tape import Tape, needed
 from pinmobile.errors import NotTraceable
 from pinmobile.robot.articulated import ArticulatedBody
-from pinmobile.robot.linkage import Linkage, Place
+from pinmobile.robot.linkage import Linkage, Place, exact
 from pinmobile.robot.recursions import by_matrix, operations
-from pinmobile.robot.scalars import exact
 
 AT = (0.1, -0.05, 0.5, 0.4)
 CLOSE = 1e-10  # of the largest number; forward dynamics lose the digits of M's condition

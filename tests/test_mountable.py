@@ -23,9 +23,9 @@ from pinmobile import (
 )
 from pinmobile.arrays import Array
 from pinmobile.errors import NotTraceable
-from pinmobile.robot import BODY_JOINT, EXCEPTIONS, meshes, pictures
-from pinmobile.robot.meshes import VisualFile
-from pinmobile.verification import mounted
+from pinmobile.robot import BODY_JOINT, EXCEPTIONS, visuals
+from pinmobile.robot.visuals import VisualFile
+from pinmobile.verification import routes
 from pinmobile.viewer import Viewer
 
 NAMES = sorted(example_robot_data.ROBOTS)
@@ -39,7 +39,7 @@ MASSLESS = tuple(
     )
     if part != "Finger11"
 )
-READABLE = meshes.readable
+READABLE = visuals.readable
 
 
 class Drive:
@@ -98,14 +98,14 @@ def test_each_mounts_drives_and_draws(name: str, monkeypatch: pytest.MonkeyPatch
     assert robot.nv > 3 or name in ("hector", "iris")  # a quadrotor without an arm is a load
     assert all(joint.startswith(f"{name}/") for joint in list(robot.model.names)[BODY_JOINT + 1 :])
     # Building machine code of all takes minutes; test_linkage has it of some.
-    monkeypatch.setattr(mounted, "by_machine_code", mock.Mock(side_effect=NotTraceable("not", "asked for")))
+    monkeypatch.setattr(routes, "by_machine_code", mock.Mock(side_effect=NotTraceable("not", "asked for")))
     assert verify(robot, states=2).passed
     rollout = simulate(robot, ComputedTorque(robot, 100, 20), Drive(robot), dt=0.02)
     # The step is exact where the acceleration is constant: what is left is its change, h^3 / 6, per step,
     # damped with 1 / kd, some 1e-6 m; the arm has nothing to do but to hold.
     assert rollout.max_error()[:3].max() < 1e-4
     assert rollout.max_error()[3:].max(initial=0) < 1e-9
-    monkeypatch.setattr(pictures, "readable", boxes)
+    monkeypatch.setattr(visuals, "readable", boxes)
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # of meshes that are missing
         shown = [item for item in robot.visual_model.geometryObjects if item.name.startswith(f"{name}/")]

@@ -25,8 +25,7 @@ from pinmobile.arrays import Array
 from pinmobile.controllers import PD, ComputedTorque
 from pinmobile.errors import InvalidArgument
 from pinmobile.paths import Circle, CubicVia
-from pinmobile.plots.runs import thinned
-from pinmobile.plots.style import si
+from pinmobile.plots.style import si, thinned
 from pinmobile.robot import MobileRobot
 from pinmobile.simulation import Rollout, simulate
 from pinmobile.trajectories import Reference, Tangent, Trajectory

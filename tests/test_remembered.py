@@ -45,7 +45,7 @@ from pinmobile.compiled.known import _memories
 from pinmobile.compiled.passes import traced
 from pinmobile.constancy import is_constant, known
 from pinmobile.ensembles import COMPILED, scenario
-from pinmobile.simulation.checks import check_answers
+from pinmobile.simulation.setup import check_answers
 from pinmobile.trajectories import Reference
 
 ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.05))

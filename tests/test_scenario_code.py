@@ -16,10 +16,10 @@ from pinmobile.cli.scenario_file import read_grid
 from pinmobile.ensembles import part_of
 from pinmobile.ensembles.ways import way_of
 from pinmobile.errors import SlowerEngine
-from pinmobile.simulation.engines import COMPILED
+from pinmobile.simulation.closed_loop import COMPILED
 from pinmobile.sweeps import Code, Grid
 from pinmobile.sweeps.code import packed
-from pinmobile.sweeps.origin import determined_by
+from pinmobile.sweeps.fingerprint import determined_by
 from tests.sweeping import contents
 from tests.test_cli import typed
 

@@ -42,10 +42,9 @@ from pinmobile.ensembles import run_scenario
 from pinmobile.ensembles.histogram import edges
 from pinmobile.ensembles.variables import PER_ROBOT
 from pinmobile.sweeps import length
-from pinmobile.sweeps.axes import placed
-from pinmobile.sweeps.grids import RESERVED, as_grid
-from pinmobile.sweeps.origin import determined_by, differences
-from pinmobile.sweeps.reading import attributes_of
+from pinmobile.sweeps.fingerprint import determined_by, differences
+from pinmobile.sweeps.grids import RESERVED, as_grid, placed
+from pinmobile.sweeps.layout import attributes_of
 from pinmobile.sweeps.store import Store
 from pinmobile.sweeps.table import answer, axis_of_rivals, compared, table
 from tests.sweeping import CHUNK, contents, gains_and_errors, scenario
@@ -384,10 +383,8 @@ def test_a_mark_of_what_is_done_that_cannot_be_read_is_named(tmp_path: Path) -> 
 
 
 def test_what_determines_the_numbers_is_told_the_same_way_in_every_process(done: Sweep) -> None:
-    code = (
-        "from tests.sweeping import *; from pinmobile.sweeps.origin import determined_by as d; import json; "
-    )
-    code += "print(json.dumps(d(gains_and_errors())))"
+    code = "from tests.sweeping import *; from pinmobile.sweeps.fingerprint import determined_by as d; "
+    code += "import json; print(json.dumps(d(gains_and_errors())))"
     words = [sys.executable, "-c", code]
     other = subprocess.run(words, cwd=ROOT, check=True, capture_output=True, text=True, timeout=100).stdout
     assert json.loads(other) == json.loads(json.dumps(determined_by(gains_and_errors())))

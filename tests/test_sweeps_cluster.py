@@ -126,7 +126,7 @@ def test_what_is_no_scheduler_is_told(cluster: Any) -> None:
 def test_a_closed_client_and_a_cluster_without_workers_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pinmobile.sweeps.cluster._ANSWER", 0.5)
+    monkeypatch.setattr("pinmobile.sweeps.workers._ANSWER", 0.5)
     with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=":0") as empty:
         client = distributed.Client(empty)
         with client, pytest.raises(SchedulerError, match=r"has no worker after 0\.5 s"):

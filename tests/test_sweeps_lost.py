@@ -15,7 +15,7 @@ import pytest
 
 from pinmobile import FileError, InvalidArgument, Sweep, grid, sweep
 from pinmobile.sweeps import Grid
-from pinmobile.sweeps.origin import determined_by
+from pinmobile.sweeps.fingerprint import determined_by
 from pinmobile.sweeps.store import Store
 from tests.damage import answer, damaged, full_disk, little_memory
 from tests.sweeping import contents, scenario

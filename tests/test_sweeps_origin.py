@@ -28,8 +28,8 @@ from pinmobile import (
     sweep,
 )
 from pinmobile.arrays import Array
+from pinmobile.sweeps.fingerprint import determined_by, differences
 from pinmobile.sweeps.grids import as_grid
-from pinmobile.sweeps.origin import determined_by, differences
 from tests.sweeping import scenario
 
 ROOT = Path(__file__).parents[1]

@@ -24,7 +24,7 @@ from pinmobile.cli.output import Picture, Section, console, index_page, output_f
 from pinmobile.cli.scenario_file import read_grid
 from pinmobile.ensembles import run_scenario
 from pinmobile.sweeps import Code, Grid, Sweep, connected
-from pinmobile.sweeps.reading import attributes_of
+from pinmobile.sweeps.layout import attributes_of
 from pinmobile.sweeps.table import compared, since
 
 _MOST = 12  # figures of a sweep

@@ -1,11 +1,10 @@
 """Laws on symbols: a loop's parts, written in NumPy for one state, as vector code for many robots."""
 
 from pinmobile.compiled.batched import Batched
-from pinmobile.compiled.cache import Cache
 from pinmobile.compiled.emit import BINS, FIRST, SHIFT, Shape
 from pinmobile.compiled.known import memory_of, once, program_of
 from pinmobile.compiled.loop_tape import Loop
-from pinmobile.compiled.machine import Target
+from pinmobile.compiled.machine import Cache, Target
 from pinmobile.compiled.memory import Line
 from pinmobile.compiled.noise import Noise, robot_keys
 from pinmobile.compiled.parts import Memory, Parts, Place, Reference, Stepped, one_sample

@@ -12,17 +12,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled.cache import Cache
 from pinmobile.compiled.emit import ENTRY, Code, Shape
 from pinmobile.compiled.loop_tape import Loop
-from pinmobile.compiled.machine import Target, function_of
+from pinmobile.compiled.machine import Cache, Target, function_of
 from pinmobile.compiled.program import aligned, shared_out
 from pinmobile.compiled.symbols import entries, symbols
 from pinmobile.compiled.tape import LARGEST, Node, Tape, needed
 from pinmobile.compiled.tracing import tracing
 from pinmobile.errors import InvalidArgument, NotTraceable
-
-__all__ = ["Batched"]
 
 _SLICE = 1e8  # operations of a vector in one call, some 0.1 s: Ctrl-C is answered in between
 _WORTH = 3e5  # operations of a vector, some 0.2 ms, for which a thread is worth starting

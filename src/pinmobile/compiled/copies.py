@@ -14,8 +14,6 @@ from pinmobile.arrays import Array
 from pinmobile.compiled.memory import is_leaf
 from pinmobile.errors import InvalidArgument, PinmobileError
 
-__all__ = ["check_made_again", "copied", "derived", "is_part", "made_again"]
-
 _DEEP = 8  # objects within objects that a part holds
 
 

@@ -12,29 +12,6 @@ import numpy as np
 
 from pinmobile.compiled.tape import Node, absolute, bits, float_bits, maximum, minimum, real, root, select
 
-__all__ = [
-    "arccos",
-    "arcsin",
-    "arctan",
-    "arctan2",
-    "cos",
-    "cosh",
-    "exp",
-    "expm1",
-    "floor",
-    "log",
-    "log1p",
-    "of_floats",
-    "polynomial",
-    "power",
-    "rounded",
-    "sin",
-    "sincos",
-    "sinh",
-    "tan",
-    "tanh",
-]
-
 _ROUNDER = 1.5 * 2.0**52
 _TOP = 2**52 - 1  # all bits of a float's fraction
 _ONE = float_bits(1.0)

@@ -7,10 +7,9 @@ every operation rounds once, and none are contracted, so that the bits are those
 
 from dataclasses import dataclass
 
+from pinmobile.compiled.folding import ROBOT, SAMPLE, STATE
 from pinmobile.compiled.loop_tape import Loop
-from pinmobile.compiled.tape import ROBOT, SAMPLE, STATE, needed, operands
-
-__all__ = ["BINS", "ENTRY", "FIRST", "SHIFT", "Code", "Shape", "text_of"]
+from pinmobile.compiled.tape import needed, operands
 
 ENTRY = "pinmobile_loop"
 

@@ -6,21 +6,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = [
-    "COMMUTE",
-    "DTYPES",
-    "NUMPY",
-    "ON_WHOLES",
-    "ROBOT",
-    "SAMPLE",
-    "STATE",
-    "UNIFORM",
-    "kind_after",
-    "kind_of",
-    "kinds_before",
-    "simplified",
-]
-
 UNIFORM, ROBOT, SAMPLE, STATE = 1, 2, 4, 8
 """What a node depends on, as bits: a number of the whole run, of a robot, of a sample, of the state."""
 

@@ -29,8 +29,6 @@ from pinmobile.compiled.tape import absolute, maximum, minimum, root, select
 from pinmobile.compiled.ufuncs import UFUNCS, between, boxed, choose, elementwise, larger, of_truths, smaller
 from pinmobile.errors import NotTraceable
 
-__all__ = ["constructors"]
-
 
 def _where(condition: Any, *choice: Any) -> Any:
     if not choice:

@@ -20,11 +20,10 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled.cache import LOOP, Cache
 from pinmobile.compiled.emit import Shape
 from pinmobile.compiled.lasting import Unknown, key_of, packed, unpacked
 from pinmobile.compiled.loop_tape import initial_memory
-from pinmobile.compiled.machine import Target
+from pinmobile.compiled.machine import LOOP, Cache, Target
 from pinmobile.compiled.memory import Line
 from pinmobile.compiled.noise import Noise
 from pinmobile.compiled.parts import Parts, Place, Reference, attributes_of
@@ -33,8 +32,6 @@ from pinmobile.compiled.program import Program
 from pinmobile.compiled.tracing import Walk, is_foreign, uncollected
 from pinmobile.constancy import has_slots, is_constant, known
 from pinmobile.errors import NotTraceable
-
-__all__ = ["memory_of", "once", "program_of"]
 
 _MOST = 64  # programs
 _MEMORIES = 16  # loops, each with a reference of at most some MB

@@ -34,8 +34,6 @@ from pinmobile.compiled.tape import Tape
 from pinmobile.compiled.tracing import Walk, is_foreign, names_of
 from pinmobile.constancy import known
 
-__all__ = ["Unknown", "key_of", "packed", "unpacked"]
-
 _BEGAN = time.time()
 _FORMAT = 1  # of `packed`
 # Of Python's modules those that only compute.

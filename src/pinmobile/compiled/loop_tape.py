@@ -8,16 +8,14 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array
+from pinmobile.compiled.folding import ROBOT, SAMPLE, STATE
 from pinmobile.compiled.memory import Line, leaves
 from pinmobile.compiled.noise import Noise
 from pinmobile.compiled.parts import Memory, Parts, Place, integrate_of
 from pinmobile.compiled.symbols import entries, has_symbols, symbols
-from pinmobile.compiled.tape import ROBOT, SAMPLE, STATE, Node, Tape, evaluated, needed, operands
+from pinmobile.compiled.tape import Node, Tape, evaluated, needed, operands
 from pinmobile.compiled.tracing import tracing
 from pinmobile.errors import NotTraceable
-
-__all__ = ["Leaf", "Loop", "Ring", "arrays_of", "initial_memories", "initial_memory"]
-
 
 _WORTH_A_TABLE = 32  # operations of a sample
 

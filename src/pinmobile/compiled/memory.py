@@ -15,8 +15,6 @@ from pinmobile.compiled.symbols import Symbols
 from pinmobile.compiled.tape import Node
 from pinmobile.errors import NotTraceable
 
-__all__ = ["Line", "is_leaf", "leaves", "mapped", "matched"]
-
 _STATE = "keep memory in state as floats and arrays, in a tree that stays as `initial_state` returns it"
 
 

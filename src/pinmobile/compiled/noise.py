@@ -18,8 +18,6 @@ from pinmobile.arrays import Array
 from pinmobile.compiled.elementary import polynomial
 from pinmobile.compiled.tape import bits, float_bits, real, root, select
 
-__all__ = ["Noise", "normals", "robot_keys"]
-
 _GOLDEN = 0x9E3779B97F4A7C15
 _BLOCK = 256  # samples
 _ONE = float_bits(1.0)

@@ -20,23 +20,6 @@ from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
 from pinmobile.measures import measured_of
 from pinmobile.signals import claimed, number, signals_of
 
-__all__ = [
-    "Memory",
-    "Parts",
-    "Place",
-    "Reference",
-    "Stepped",
-    "attributes_of",
-    "check_numbers",
-    "children",
-    "children_at",
-    "errors",
-    "integrate_of",
-    "limited",
-    "one_sample",
-]
-
-
 _NAMED = ("plant", "controller", "integrator", "recorder", "trajectory")
 
 

@@ -15,8 +15,6 @@ from pinmobile.compiled.tape import COUNT, LARGEST, Node, Tape, evaluated, float
 from pinmobile.compiled.tracing import Walk, calling_place, tracing
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName
 
-__all__ = ["traced", "walk_of"]
-
 
 def traced(
     parts: Parts,

@@ -10,16 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, affordable
-from pinmobile.compiled.cache import Cache
 from pinmobile.compiled.emit import BINS, Shape, text_of
 from pinmobile.compiled.loop_tape import Loop, initial_memories, initial_memory
-from pinmobile.compiled.machine import Target, function_of
+from pinmobile.compiled.machine import Cache, Target, function_of
 from pinmobile.compiled.memory import leaves, mapped
 from pinmobile.compiled.parts import Memory, Parts, Place, Reference
 from pinmobile.compiled.tape import COUNT, evaluated
 from pinmobile.errors import InvalidArgument, UnknownName
-
-__all__ = ["Outcome", "Program", "aligned", "shared_out"]
 
 _SLICE = 2e8  # operations of a vector in one call, some 0.1 s: Ctrl-C is answered in between
 _WORTH = 4e6  # operations of a vector for which a thread is worth starting

@@ -12,8 +12,6 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.measures import size_of
 
-__all__ = ["Record", "Sample", "Summary", "Trace"]
-
 
 class Sample(NamedTuple):
     """One sample of a closed loop.

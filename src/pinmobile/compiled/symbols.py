@@ -16,8 +16,6 @@ from pinmobile.compiled.tape import Node
 from pinmobile.compiled.ufuncs import as_float, boxed, choose, computed, elementwise, is_truth
 from pinmobile.errors import NotTraceable
 
-__all__ = ["FUNCTIONS", "REFUSED", "Symbols", "entries", "has_symbols", "plain", "put", "symbols", "wrapped"]
-
 FUNCTIONS: dict[Any, Callable[..., Any]] = {}
 """NumPy's functions that are done otherwise than on an array of objects; `functions` fills it."""
 

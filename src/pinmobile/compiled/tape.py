@@ -28,30 +28,6 @@ from pinmobile.compiled.folding import (
 )
 from pinmobile.errors import NotTraceable
 
-__all__ = [
-    "COUNT",
-    "LARGEST",
-    "ROBOT",
-    "SAMPLE",
-    "STATE",
-    "UNIFORM",
-    "Node",
-    "Operation",
-    "Tape",
-    "absolute",
-    "bits",
-    "evaluated",
-    "float_bits",
-    "maximum",
-    "minimum",
-    "needed",
-    "operands",
-    "real",
-    "root",
-    "select",
-]
-
-
 LARGEST = 30_000
 """Most nodes of a tape that differ from robot to robot: building takes about 0.1 ms for each."""
 

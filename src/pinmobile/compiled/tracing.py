@@ -18,8 +18,6 @@ import numpy as np
 from pinmobile.compiled.functions import constructors
 from pinmobile.errors import NotTraceable
 
-__all__ = ["Walk", "calling_place", "is_foreign", "names_of", "place_of", "tracing", "uncollected"]
-
 _lock = threading.RLock()
 _local = threading.local()
 _HERE = str(Path(__file__).parent)

@@ -28,20 +28,6 @@ from pinmobile.compiled.elementary import (
 from pinmobile.compiled.tape import Node, absolute, bits, maximum, minimum, real, root, select
 from pinmobile.errors import NotTraceable
 
-__all__ = [
-    "UFUNCS",
-    "as_float",
-    "between",
-    "boxed",
-    "choose",
-    "computed",
-    "elementwise",
-    "is_truth",
-    "larger",
-    "of_truths",
-    "smaller",
-]
-
 
 def boxed(x: Any) -> Any:
     """Return one entry as an array of shape ()."""

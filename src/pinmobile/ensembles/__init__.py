@@ -8,7 +8,7 @@ from pinmobile.ensembles.part import Part
 from pinmobile.ensembles.result import Bands, Ensemble, Within
 from pinmobile.ensembles.running import ensemble, part_of, run_scenario
 from pinmobile.ensembles.scenario import Scenario
-from pinmobile.simulation.engines import ARRAYS, COMPILED, PINOCCHIO, Engine
+from pinmobile.simulation.closed_loop import ARRAYS, COMPILED, PINOCCHIO, Engine
 
 __all__ = [
     "ARRAYS",

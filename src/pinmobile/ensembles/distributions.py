@@ -1,26 +1,17 @@
-"""From what the numbers of an ensemble's robots are drawn."""
+"""From what the numbers of an ensemble's robots are drawn, and the draws."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any, ClassVar, Protocol, TypeAlias, final, runtime_checkable
+from zlib import crc32
 
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, affordable, finite, non_negative, scalar, whole
+from pinmobile.ensembles.names import Stated, resolved
 from pinmobile.errors import InvalidArgument, shown
-
-__all__ = [
-    "TRUE_MODEL",
-    "Distribution",
-    "Normal",
-    "Same",
-    "Source",
-    "Uniform",
-    "checked_generator",
-    "checked_size",
-    "drawn",
-]
+from pinmobile.plant import Parameter
 
 
 @runtime_checkable
@@ -218,3 +209,217 @@ def drawn(name: str, source: Any, generator: np.random.Generator, size: int) -> 
     if draws.shape != (size,):
         raise InvalidArgument(f"spread[{name!r}] draws shape {draws.shape}, expected ({size},)")
     return draws
+
+
+def checked_spread(spread: Any, n: int, known: Mapping[str, list[Stated]]) -> dict[str, Any]:
+    """Return a spread whose names and sources are what is expected; arrays are checked and copied.
+
+    Parameters
+    ----------
+    spread : mapping
+        As a user gives it.
+    n : int
+        Number of robots.
+    known : mapping
+        The parameters that there are, by name.
+
+    Raises
+    ------
+    UnknownName
+        If there is no such parameter.
+    InvalidArgument
+        If a source is no distribution, number, array of shape (n,) or `Same`, or refers in a circle.
+    """
+    check_mapping(spread)
+    found = {}
+    for name, source in spread.items():
+        resolved(name, known)
+        found[name] = _checked(f"spread[{name!r}]", source, n)
+        if isinstance(source, Same):
+            _follow(name, source, spread, known)
+    return found
+
+
+def check_mapping(spread: Any) -> None:
+    """Refuse a spread that is no mapping.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is not.
+    """
+    if not isinstance(spread, Mapping):
+        raise InvalidArgument(f"spread is {shown(spread)}, expected a mapping of parameters to distributions")
+
+
+def check_supports(spread: Mapping[str, Any], parameters: Mapping[str, Parameter]) -> None:
+    """Refuse distributions that reach below what is possible, whatever happens to be drawn.
+
+    Raises
+    ------
+    InvalidArgument
+        If one does; the message tells the share of its draws.
+    """
+    for name, source in spread.items():
+        parameter = parameters[name]
+        told = isinstance(source, Uniform) or (hasattr(source, "rvs") and not hasattr(source, "sample"))
+        low = float(source.support()[0]) if told else np.nan
+        if np.isfinite(low) and low < parameter.least:
+            raise InvalidArgument(
+                f"spread[{name!r}] reaches {low:.6g} {parameter.unit} as the {parameter.meaning}, and "
+                f"{float(source.cdf(parameter.least)):.2%} of its draws are impossible; "
+                f"expected {parameter.bound}"
+            )
+
+
+def _checked(what: str, source: Any, n: int) -> Any:
+    if isinstance(source, Same):
+        return Same(source.name, _checked(f"{what}.factor", source.factor, n))
+    if isinstance(source, type):
+        raise InvalidArgument(
+            f"{what} is the class {source.__name__}, expected one of it, such as Uniform(1, 2)"
+        )
+    numbers = hasattr(source, "__array__")  # as of a column of pandas, which has a `sample` too
+    if not numbers and (hasattr(source, "sample") or hasattr(source, "rvs")):
+        return source
+    values = finite(what, source)
+    if values.shape not in ((), (n,)):
+        raise InvalidArgument(f"{what} has shape {values.shape}, expected () or ({n},)")
+    return values.copy()
+
+
+def _follow(name: str, source: Same, spread: Mapping[str, Any], known: Mapping[str, list[Stated]]) -> None:
+    seen = [name]
+    while isinstance(source, Same):
+        resolved(source.name, known, f"spread[{seen[-1]!r}]")
+        seen.append(source.name)
+        if len(set(seen)) < len(seen):
+            raise InvalidArgument(f"spread goes in a circle: {' is the same as '.join(seen)}")
+        source = spread.get(source.name)  # type: ignore[assignment]
+
+
+_BLOCK = 4096  # robots that are drawn from one stream of random numbers
+
+
+def stream(seed: int, what: str, *where: int) -> np.random.SeedSequence:
+    """Return the seed of a stream of its own for `what`, and for a robot or block of robots."""
+    return np.random.SeedSequence(seed, spawn_key=(crc32(what.encode()), *where))
+
+
+def draw(
+    spread: Mapping[str, Any], seed: int, start: int, stop: int, nominal: Mapping[str, float]
+) -> dict[str, Array]:
+    """Return the values of the robots from `start` to before `stop`, shape (stop - start,) each.
+
+    Parameters
+    ----------
+    spread : mapping
+        As `checked_spread` returns it.
+    seed : int
+        The seed of the ensemble.
+    start, stop : int
+        Which robots.
+    nominal : mapping of str to float
+        The values of what is not spread, for `Same`.
+
+    Raises
+    ------
+    InvalidArgument
+        If a distribution gives what is no number.
+    """
+    values: dict[str, Array] = {}
+
+    def of(name: str) -> Array:
+        if name not in values:
+            if name not in spread:
+                if name not in nominal:
+                    raise InvalidArgument(
+                        f"spread refers to {name!r}, which has several numbers, expected one that has one"
+                    )
+                return np.full(stop - start, nominal[name])
+            source = spread[name]
+            if isinstance(source, Same):
+                values[name] = of(source.name) * _values(f"{name} factor", source.factor, seed, start, stop)
+            else:
+                values[name] = _values(name, source, seed, start, stop)
+        return values[name]
+
+    for name in spread:
+        of(name)
+    return {name: values[name] for name in spread}
+
+
+@dataclass(frozen=True)
+class _Held:
+    """What an explicit array has for the robots from `start` on."""
+
+    start: int
+    values: Array
+
+
+def held(spread: Mapping[str, Any], start: int, stop: int) -> dict[str, Any]:
+    """Return a spread that knows, of explicit arrays, the robots from `start` to before `stop` alone.
+
+    Parameters
+    ----------
+    spread : mapping
+        As `checked_spread` returns it.
+    start, stop : int
+        Which robots.
+    """
+
+    def part(source: Any) -> Any:
+        if isinstance(source, Same):
+            return Same(source.name, part(source.factor))
+        if isinstance(source, np.ndarray) and source.ndim:
+            return _Held(start, source[start:stop])
+        return source
+
+    return {name: part(source) for name, source in spread.items()}
+
+
+def _values(name: str, source: Any, seed: int, start: int, stop: int) -> Array:
+    if isinstance(source, _Held):
+        return source.values[start - source.start : stop - source.start].copy()
+    if isinstance(source, np.ndarray):
+        return np.array(source[start:stop] if source.ndim else np.full(stop - start, source))
+
+    def own(generator: np.random.Generator, size: int) -> Array:
+        return drawn(name, source, generator, size)
+
+    return in_blocks(name, own, seed, start, stop, whole=not getattr(source, "in_order", False))
+
+
+def in_blocks(
+    what: str,
+    draws: Callable[[np.random.Generator, int], Array],
+    seed: int,
+    start: int,
+    stop: int,
+    whole: bool = True,
+) -> Array:
+    """Return draws for the robots from `start` to before `stop`, whatever else is drawn.
+
+    Parameters
+    ----------
+    what : str
+        Name of the stream of random numbers.
+    draws : callable
+        ``draws(generator, size)`` returns an array of shape (size, ...).
+    seed : int
+        The seed of the ensemble.
+    start, stop : int
+        Which robots.
+    whole : bool
+        Whether blocks are drawn to their end; no need to, where fewer draws are the beginning of more.
+    """
+    first = start // _BLOCK
+    blocks = [
+        draws(
+            np.random.default_rng(stream(seed, what, block)),
+            _BLOCK if whole else min(_BLOCK, stop - block * _BLOCK),
+        )
+        for block in range(first, -(-stop // _BLOCK))
+    ]
+    found = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
+    return found[start - first * _BLOCK : stop - first * _BLOCK]

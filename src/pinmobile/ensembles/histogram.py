@@ -13,19 +13,6 @@ from pinmobile.arrays import Array, ArrayLike, finite, scalar
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.measures import value_of
 
-__all__ = [
-    "BINS",
-    "FIRST",
-    "SHIFT",
-    "bins_of",
-    "checked_levels",
-    "checked_share",
-    "edges",
-    "miscounted",
-    "quantiles",
-    "share_within",
-]
-
 SHIFT = 47  # leaves the exponent and 5 bits of the mantissa
 _OCTAVES = 44
 _LEAST = 2.0**-34

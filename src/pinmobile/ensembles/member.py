@@ -4,8 +4,6 @@ from typing import Any, NamedTuple
 
 from pinmobile.ensembles.scenario import Scenario
 
-__all__ = ["Member", "member_of"]
-
 
 class Member(NamedTuple):
     """One robot of an ensemble: ``simulate(*member[:3], **member.options)`` runs it alone.

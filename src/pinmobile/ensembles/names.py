@@ -12,16 +12,6 @@ from pinmobile.errors import InvalidArgument, UnknownName
 from pinmobile.plant import Coordinate, Parameter, parameters_of
 from pinmobile.robot.planar import BODY, PlanarBody
 
-__all__ = [
-    "GROUPS",
-    "PARAMETERS",
-    "Stated",
-    "resolved",
-    "start_parameters",
-    "stated_by",
-    "with_spread_forces",
-]
-
 
 def _stating(package: Any) -> tuple[Any, ...]:
     """Return the kinds of parts of a package that state parameters."""

@@ -9,8 +9,6 @@ from pinmobile.arrays import Array
 from pinmobile.ensembles.histogram import BINS
 from pinmobile.ensembles.scenario import Scenario
 
-__all__ = ["Part", "Records"]
-
 
 class Part(NamedTuple):
     """The records of m robots.

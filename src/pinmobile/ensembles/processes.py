@@ -20,8 +20,6 @@ from pinmobile.arrays import Array
 from pinmobile.ensembles.part import Part
 from pinmobile.errors import InvalidArgument, SchedulerError
 
-__all__ = ["START", "Workers", "packed_way", "serve"]
-
 START = 1.5
 """Seconds of a processor until a worker runs its first robot: to start Python and to import Pinocchio."""
 

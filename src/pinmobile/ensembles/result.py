@@ -9,19 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, location, one_of, whole
-from pinmobile.ensembles.archive import read_ensemble, write_ensemble
 from pinmobile.ensembles.histogram import checked_levels, checked_share, share_within
 from pinmobile.ensembles.member import Member, member_of
-from pinmobile.ensembles.outline import Outline, alike
+from pinmobile.ensembles.outline import Outline, alike, judgement, ranges
 from pinmobile.ensembles.part import Part
 from pinmobile.ensembles.scenario import Scenario, checked_scenario
-from pinmobile.ensembles.table import judgement, ranges
-from pinmobile.ensembles.variables import PER_ROBOT, columns_of, dataset_of, quantiles_of
+from pinmobile.ensembles.variables import (
+    PER_ROBOT,
+    columns_of,
+    dataset_of,
+    quantiles_of,
+    read_ensemble,
+    write_ensemble,
+)
 from pinmobile.errors import Diverged, InvalidArgument
 from pinmobile.files import replacing, write_table
 from pinmobile.simulation import Rollout, simulate
-
-__all__ = ["Bands", "Ensemble", "Within"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,11 +15,17 @@ from pinmobile.compiled.copies import check_made_again
 from pinmobile.compiled.loop_tape import initial_memory
 from pinmobile.compiled.noise import Noise
 from pinmobile.compiled.parts import Parts, Place
-from pinmobile.ensembles.distributions import Source
-from pinmobile.ensembles.draws import draw, held, in_blocks
+from pinmobile.ensembles.distributions import (
+    Source,
+    check_mapping,
+    check_supports,
+    checked_spread,
+    draw,
+    held,
+    in_blocks,
+)
 from pinmobile.ensembles.histogram import BINS
 from pinmobile.ensembles.names import Stated, resolved, start_parameters, stated_by, with_spread_forces
-from pinmobile.ensembles.spread import check_mapping, check_supports, checked_spread
 from pinmobile.errors import InvalidArgument
 from pinmobile.integrators import Integrator
 from pinmobile.measures import Measure, channels_of, check_measured, chosen
@@ -32,10 +38,8 @@ from pinmobile.simulation import (
     sample_times,
     sampled,
 )
-from pinmobile.simulation.checks import check_answers, check_controllers_memory, started
+from pinmobile.simulation.setup import check_answers, check_controllers_memory, started
 from pinmobile.trajectories import Reference, Trajectory
-
-__all__ = ["Scenario", "checked_scenario", "first_counted", "time_within"]
 
 _SAME = 1e-6  # of dt: a time that is meant to be a sample's
 _GRID = 60  # intervals between counts, about

@@ -11,7 +11,6 @@ from pinmobile.arrays import Array
 from pinmobile.compiled import Summary, once, program_of, robot_keys
 from pinmobile.compiled.copies import derived
 from pinmobile.compiled.loop_tape import arrays_of, initial_memory
-from pinmobile.compiled.machine import processors
 from pinmobile.compiled.noise import Noise
 from pinmobile.compiled.parts import (
     Memory,
@@ -32,10 +31,8 @@ from pinmobile.errors import Diverged, InvalidArgument, NotTraceable
 from pinmobile.measures import measures_of, size_of
 from pinmobile.plant import Context
 from pinmobile.simulation import simulate
-from pinmobile.simulation.checks import check_same
-from pinmobile.simulation.engines import ARRAYS, COMPILED, PINOCCHIO, Engine, checked_engine
-
-__all__ = ["Way", "processors", "way_of"]
+from pinmobile.simulation.closed_loop import ARRAYS, COMPILED, PINOCCHIO, Engine, checked_engine
+from pinmobile.simulation.setup import check_same
 
 _AT_ONCE = 4096  # robots on arrays
 _ONE_BY_ONE = 16  # robots between two reports of progress

@@ -1,14 +1,12 @@
 """Figures of rollouts, reports and ensembles: matplotlib without pyplot, so no window is needed."""
 
-from pinmobile.plots.accuracy import integrator
-from pinmobile.plots.animation import animate
-from pinmobile.plots.ground import balance, reaction
-from pinmobile.plots.lines import curves
-from pinmobile.plots.plane import path
-from pinmobile.plots.quantiles import bands
+from pinmobile.plots.bands import bands
+from pinmobile.plots.drivers import drivers
+from pinmobile.plots.integrator import integrator
+from pinmobile.plots.plane import animate, path
 from pinmobile.plots.series import errors, forces, signals, states
-from pinmobile.plots.swept import heatmap
-from pinmobile.plots.worst import drivers
+from pinmobile.plots.support import balance, reaction
+from pinmobile.plots.swept import curves, heatmap
 
 __all__ = [
     "animate",

@@ -12,12 +12,22 @@ from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
 from pinmobile.palette import colour
 from pinmobile.plant import all_samples, configuration_names_of, coordinates_of, leading_of
-from pinmobile.plots.layout import TALL, laid_out, stacked, titled
-from pinmobile.plots.runs import Rollouts, labelled, same_references, thinned
-from pinmobile.plots.style import DESIRED, headed, heading, legend, line_style
+from pinmobile.plots.style import (
+    DESIRED,
+    TALL,
+    Rollouts,
+    headed,
+    heading,
+    labelled,
+    laid_out,
+    legend,
+    line_style,
+    same_references,
+    stacked,
+    thinned,
+    titled,
+)
 from pinmobile.simulation import Rollout
-
-__all__ = ["draw", "errors", "forces", "signals", "states"]
 
 _SYMBOLS = {
     **{"x": "$x$", "y": "$y$", "psi": r"$\psi$"},

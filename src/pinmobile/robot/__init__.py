@@ -1,19 +1,18 @@
 """`MobileRobot`: a Pinocchio model whose root is the DH chain, and what it carries."""
 
 from pinmobile.robot.arms import Arm
-from pinmobile.robot.dynamics import ChainDynamics, Linearization
 from pinmobile.robot.engine import BODY_JOINT, Calls
-from pinmobile.robot.library import EXCEPTIONS, Mountable, Mountables, mountable
 from pinmobile.robot.mobile import MobileRobot
 from pinmobile.robot.mounts import Load, Mount
+from pinmobile.robot.sources import EXCEPTIONS, Mountable, Mountables, mountable
 from pinmobile.robot.stance import Stance
+from pinmobile.robot.system import Linearization, System
 
 __all__ = [
     "BODY_JOINT",
     "EXCEPTIONS",
     "Arm",
     "Calls",
-    "ChainDynamics",
     "Linearization",
     "Load",
     "MobileRobot",
@@ -21,5 +20,6 @@ __all__ = [
     "Mountable",
     "Mountables",
     "Stance",
+    "System",
     "mountable",
 ]

@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array, frozen, one_of
 from pinmobile.errors import InvalidArgument
-from pinmobile.robot.sound import check_bodies, check_inertias, check_joint_limits
+from pinmobile.robot.checks import check_bodies, check_inertias, check_joint_limits
 from pinmobile.robot.tree import (
     carries_only_wheels,
     children,
@@ -19,8 +19,6 @@ from pinmobile.robot.tree import (
     root_of,
     tip_of,
 )
-
-__all__ = ["Arm", "Origin", "Picture"]
 
 Picture: TypeAlias = Callable[[pin.Model], pin.GeometryModel]
 

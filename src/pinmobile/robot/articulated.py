@@ -17,15 +17,27 @@ from pinmobile.compiled.tape import Node
 from pinmobile.errors import InvalidArgument
 from pinmobile.measures import Measure
 from pinmobile.plant import Coordinate, Input, Parameter
-from pinmobile.robot.assembly import named_frames
+from pinmobile.robot.engine import named_frames
 from pinmobile.robot.judgement import Judgement
-from pinmobile.robot.linkage import Body, Linkage, Place, regrouped, without_rounding
+from pinmobile.robot.linkage import (
+    ZERO,
+    Body,
+    Linkage,
+    Matrix,
+    Place,
+    Vector,
+    applied,
+    cross,
+    dot,
+    exact,
+    number,
+    plus,
+    regrouped,
+    without_rounding,
+)
 from pinmobile.robot.mounts import LinkNumbers, Mount
 from pinmobile.robot.planar import BODY
 from pinmobile.robot.recursions import Moving, Posture, by_matrix, operations, volume
-from pinmobile.robot.scalars import ZERO, Matrix, Vector, applied, cross, dot, exact, number, plus
-
-__all__ = ["ArticulatedBody", "Fixed", "articulated"]
 
 _BASE = 3  # joints, coordinates and numbers of q of the base; the last carries its body
 _OF_BASE = ("mass", "yaw_inertia", "com_x", "com_y")

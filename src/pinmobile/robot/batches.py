@@ -19,8 +19,6 @@ from pinmobile.errors import NotTraceable
 from pinmobile.robot.articulated import ArticulatedBody
 from pinmobile.robot.engine import Law
 
-__all__ = ["MANY", "answers"]
-
 MANY = 500
 """Number of states from which on they are compiled."""
 

@@ -1,9 +1,6 @@
-"""Pinocchio on the DH chain for one configuration at a time, and the order of the coordinates.
+"""Pinocchio on the DH chain: the model of a body, its arms and loads, and its calls in public order."""
 
-This is the one place that knows that the chain's first joint is y while the library says x first.
-"""
-
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property, partial
 from threading import local
 from typing import Any, NamedTuple
@@ -12,9 +9,139 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import Array
+from pinmobile.dh import LECTURE_TABLE, DHTable, JointType
+from pinmobile.errors import InvalidArgument
 from pinmobile.robot.linkage import Linkage
+from pinmobile.robot.mounts import Load, Mount, free_name
+from pinmobile.robot.tree import parts_of
+from pinmobile.urdf import Body
 
-__all__ = ["BODY_JOINT", "Calls", "Engine", "Law"]
+_BODY_LINK = "base_link"
+
+
+def check_chain(table: DHTable) -> None:
+    """Refuse a table whose last frame is not the planar pose (x, y, psi) for joint variables (y, x, psi).
+
+    Raises
+    ------
+    InvalidArgument
+        If it is one, or no table at all.
+    """
+    if not isinstance(table, DHTable):
+        raise InvalidArgument(f"dh is a {type(table).__name__}, expected a DHTable")
+    kinds = [row.joint for row in table]
+    planar = kinds == [row.joint for row in LECTURE_TABLE]
+    probes = np.array([[0, 0, 0], [0.7, -0.3, 1.1], [-1.0, 2.0, -2.5]])
+    if planar:
+        pose, expected = (dh.placements(probes)[:, -1] for dh in (table, LECTURE_TABLE))
+        planar = bool(np.abs(pose - expected).max() < 1e-12)
+    if not planar:
+        raise InvalidArgument(
+            f"dh with variables {table.variables} does not put its last frame at (x, y, psi), expected "
+            "a chain of prismatic y, prismatic x, revolute psi whose last frame is the body's"
+        )
+
+
+def build_model(table: DHTable, body: Body) -> pin.Model:
+    """Return the chain with the body on its last link as a Pinocchio model.
+
+    It is the model that Pinocchio reads from `urdf.write`, but with rotations that are exact where the
+    table's angles are multiples of pi / 2, so that gravity does not leak into the plane.
+    """
+    model = pin.Model()
+    model.name = "pinmobile"
+    parent = 0
+    for row, placement in zip(table, table.transforms(np.zeros(len(table))), strict=True):
+        joint = pin.JointModelPZ() if row.joint is JointType.PRISMATIC else pin.JointModelRZ()
+        parent = model.addJoint(parent, joint, pin.SE3(placement), row.variable)
+        model.addJointFrame(parent)
+    model.appendBodyToJoint(parent, pin.Inertia(body.mass, body.com, body.inertia), pin.SE3.Identity())
+    model.addBodyFrame(_BODY_LINK, parent, pin.SE3.Identity(), -1)
+    return model
+
+
+_FAR = 1e8  # beyond, a limit is none
+
+
+def assemble(base: pin.Model, mounts: Sequence[Mount], loads: Sequence[tuple[str, Load]]) -> pin.Model:
+    """Return the model of a body that carries arms, and loads at frames of either.
+
+    Parameters
+    ----------
+    base : pin.Model
+        The chain with the body; the body's frame is its last.
+    mounts : sequence of Mount
+        One after the other.
+    loads : sequence of (str, Load)
+        Each with the frame it is fixed to.
+    """
+    model, body = base.copy(), base.nframes - 1
+    for mount in mounts:
+        model = pin.appendModel(model, prefixed(mount._model, mount.name), body, mount.placement)
+    for mount in mounts:
+        # Pinocchio forgets it when it appends; each arm keeps its own, joint by joint.
+        model.armature[mount.v] = mount._model.armature
+    model.name = base.name
+    for frame, load in loads:
+        fixed = model.frames[named_frames(model)[frame]]
+        model.appendBodyToJoint(fixed.parentJoint, load.body, fixed.placement)
+    return model
+
+
+def named_frames(model: pin.Model) -> dict[str, int]:
+    """Return the frames by name, links before joints of the same name."""
+    ids: dict[str, int] = {}
+    for number in range(1, model.nframes):
+        frame = model.frames[number]
+        if frame.name not in ids or frame.type == pin.FrameType.BODY:
+            ids[frame.name] = number
+    return ids
+
+
+def prefixed(model: pin.Model, name: str) -> pin.Model:
+    """Return a copy with all names ``name/...``; a frame is numbered where a link has its name."""
+    copy = model.copy()
+    for joint in range(1, copy.njoints):
+        copy.names[joint] = f"{name}/{copy.names[joint]}"
+    taken = {frame.name for frame in copy.frames if frame.type == pin.FrameType.BODY}
+    for frame in copy.frames:
+        own = str(frame.name)
+        if frame.type != pin.FrameType.BODY:
+            # Pinocchio finds a link by its name alone.
+            own = free_name(own, taken)
+            taken.add(own)
+        frame.name = f"{name}/{own}"
+    return copy
+
+
+def limits(model: pin.Model, mounts: Sequence[Mount]) -> tuple[Array, Array, Array, Array]:
+    """Return lower and upper limits, shape (nq,), and those of velocity and effort, shape (nv,).
+
+    Infinite where there is none, as of the whole base: the order of its coordinates does not matter.
+    """
+    lower, upper = np.full(model.nq, -np.inf), np.full(model.nq, np.inf)
+    speed, effort = np.full(model.nv, np.inf), np.full(model.nv, np.inf)
+    for mount in mounts:
+        for joint in range(mount.joints.start, mount.joints.stop):
+            q, v = parts_of(model, joint)
+            least, most = model.lowerPositionLimit[q], model.upperPositionLimit[q]
+            # Files write equal limits, or zero, where they know none.
+            if model.nqs[joint] == model.nvs[joint]:
+                known = least < most
+                lower[q] = np.where(known & (least > -_FAR), least, -np.inf)
+                upper[q] = np.where(known & (most < _FAR), most, np.inf)
+            for target, source in ((speed, model.velocityLimit), (effort, model.effortLimit)):
+                target[v] = np.where((source[v] > 0) & (source[v] < _FAR), source[v], np.inf)
+    return lower, upper, speed, effort
+
+
+def resistances(nv: int, mounts: Sequence[Mount]) -> tuple[Array, Array]:
+    """Return damping and friction of the joints, each of shape (nv,); the base has none."""
+    damping, friction = np.zeros((2, nv))
+    for mount in mounts:
+        damping[mount.v], friction[mount.v] = mount._model.damping, mount._model.friction
+    return damping, friction
+
 
 BODY_JOINT = 3
 """The joint of the chain that carries the body; those before it carry nothing."""

@@ -7,10 +7,8 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import Array
-from pinmobile.robot.meshes import VisualFile, found
+from pinmobile.robot.visuals import VisualFile, found
 from pinmobile.robot.wellformed import numbers
-
-__all__ = ["ALONG", "Shape", "shapes_of"]
 
 ALONG = 0.995
 """Cosine beyond which two directions are the same: files have angles such as 1.57."""

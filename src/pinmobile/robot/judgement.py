@@ -8,9 +8,7 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.measures import Measure
-from pinmobile.robot.footprint import WEIGHTLESS, margin_inside, pressed_at
-
-__all__ = ["Judgement"]
+from pinmobile.robot.stance import WEIGHTLESS, margin_inside, pressed_at
 
 
 @dataclass(frozen=True, eq=False)

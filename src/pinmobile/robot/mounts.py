@@ -13,18 +13,6 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot.arms import Arm
 from pinmobile.urdf import Body, box_inertia
 
-__all__ = [
-    "LinkNumbers",
-    "Load",
-    "Mount",
-    "checked_name",
-    "free_name",
-    "matrix_of",
-    "mount_after",
-    "on_top",
-    "placed",
-]
-
 
 class LinkNumbers(NamedTuple):
     """Masses, centres of mass and inertias of an arm's root and links, and what its motors add.

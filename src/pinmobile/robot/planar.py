@@ -18,8 +18,6 @@ from pinmobile.closed_form import (
 )
 from pinmobile.plant import Coordinate, Input, Parameter
 
-__all__ = ["BODY", "PlanarBody"]
-
 BODY = (
     Parameter("mass", "kg", "mass of the robot", 0.0, may_vanish=False),
     Parameter("yaw_inertia", "kg m^2", "yaw inertia of the robot", 0.0, may_vanish=False),

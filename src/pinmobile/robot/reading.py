@@ -13,13 +13,11 @@ from pinmobile.arrays import Array, ArrayLike
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot.geometry import Shape, shapes_of
-from pinmobile.robot.meshes import VisualFile
 from pinmobile.robot.stance import Stance, WheelReading, ground_below, stance_on, stance_written, wheels_of
 from pinmobile.robot.tree import carries_only_wheels, joint_kind
+from pinmobile.robot.visuals import VisualFile
 from pinmobile.robot.wellformed import MOMENTS, judge_links, urdf_text
 from pinmobile.urdf import Body
-
-__all__ = ["LOCKED", "Reading", "Shown", "read_model", "read_urdf"]
 
 LOCKED = "wheels locked: they do not roll, and it can be pushed sideways"
 """What is said of a base with wheels."""

@@ -7,13 +7,15 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from pinmobile.compiled.tape import maximum, root
-from pinmobile.robot.linkage import Body, Linkage, Place
-from pinmobile.robot.scalars import (
+from pinmobile.robot.linkage import (
     ENTRIES,
     ONE,
     ZERO,
+    Body,
     Exact,
+    Linkage,
     Matrix,
+    Place,
     Vector,
     added,
     applied,
@@ -30,8 +32,6 @@ from pinmobile.robot.scalars import (
     transposed,
     turned,
 )
-
-__all__ = ["Moving", "Posture", "by_matrix", "operations", "solved", "volume"]
 
 _LEAST = 1e-300  # a square that is zero
 

@@ -15,8 +15,6 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
 
-__all__ = ["MOMENTS", "check_freedom", "judge_links", "numbers", "urdf_text", "urdf_tree"]
-
 _JOINTS = {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
 MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 """Attributes of an <inertia>."""

@@ -2,7 +2,9 @@
 
 from pinmobile.plant import Plant
 from pinmobile.signals import Signal
-from pinmobile.simulation.checks import (
+from pinmobile.simulation.closed_loop import ARRAYS, COMPILED, PINOCCHIO, Engine, simulate
+from pinmobile.simulation.rollout import Rollout
+from pinmobile.simulation.setup import (
     checked_forces,
     checked_loop,
     checked_substeps,
@@ -10,9 +12,6 @@ from pinmobile.simulation.checks import (
     sample_times,
     sampled,
 )
-from pinmobile.simulation.closed_loop import simulate
-from pinmobile.simulation.engines import ARRAYS, COMPILED, PINOCCHIO, Engine
-from pinmobile.simulation.rollout import Rollout
 from pinmobile.simulation.steps import stepped
 
 __all__ = [

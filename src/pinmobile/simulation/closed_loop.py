@@ -1,7 +1,8 @@
-"""`simulate`: a controller in the loop with a plant, checked before, judged after."""
+"""`simulate`: a controller in the loop with a plant, checked before, judged after; and its engines."""
 
 from collections.abc import Sequence
 from dataclasses import replace
+from enum import Enum
 from functools import partial
 from typing import Any
 
@@ -9,11 +10,13 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, positive, whole
 from pinmobile.controllers import Controller
-from pinmobile.errors import Diverged, InvalidArgument
+from pinmobile.errors import Diverged, InvalidArgument, shown
 from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator
 from pinmobile.plant import Context, Plant, all_samples, coordinates_of, whole_configurations
-from pinmobile.simulation.checks import (
+from pinmobile.simulation.loop import Loop
+from pinmobile.simulation.rollout import Rollout
+from pinmobile.simulation.setup import (
     check_answers,
     check_controllers_memory,
     checked_forces,
@@ -24,12 +27,51 @@ from pinmobile.simulation.checks import (
     sampled,
     started,
 )
-from pinmobile.simulation.engines import COMPILED, PINOCCHIO, Engine, checked_engine
-from pinmobile.simulation.loop import Loop
-from pinmobile.simulation.rollout import Rollout
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
-__all__ = ["errors_of", "simulate"]
+
+class Engine(Enum):
+    """A way to run a closed loop."""
+
+    PINOCCHIO = "one state at a time, in Python, with Pinocchio's dynamics: any parts"
+    ARRAYS = "many robots at once, by NumPy: parts that work on arrays"
+    COMPILED = "laws run on symbols and compiled: parts written in NumPy"
+
+    def __repr__(self) -> str:
+        return self.name
+
+    __str__ = __repr__
+
+
+PINOCCHIO = Engine.PINOCCHIO
+"""One state at a time, in Python, with Pinocchio's dynamics: any parts."""
+
+ARRAYS = Engine.ARRAYS
+"""Many robots at once, by NumPy: parts that work on arrays."""
+
+COMPILED = Engine.COMPILED
+"""Laws run on symbols and compiled: parts written in NumPy."""
+
+
+def checked_engine(engine: object, *known: Engine) -> Engine | None:
+    """Return an engine, or None, after refusing what is neither or not among those that are known.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is something else.
+    """
+    if engine is None or (isinstance(engine, Engine) and engine in known):
+        return engine
+    names = [repr(each) for each in known]
+    meant = str(engine).strip().upper()
+    if meant in names:
+        raise InvalidArgument(
+            f"engine is {shown(engine)}, expected {meant} itself: write engine={meant} after "
+            f"'from pinmobile import {meant}'"
+        )
+    raise InvalidArgument(f"engine is {shown(engine)}, expected {', '.join(names)} of pinmobile, or None")
+
 
 _CHUNK = 512  # samples between two looks for divergence
 _NOT_ASKED = f"not {COMPILED!r}, which runs what can be compiled where engine={COMPILED!r} asks for it"

@@ -19,7 +19,7 @@ from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator, RungeKuttaNystrom
 from pinmobile.plant import Context
 from pinmobile.signals import Recorder, Signal, recorder
-from pinmobile.simulation.checks import check_same, shorter
+from pinmobile.simulation.setup import check_same, shorter
 from pinmobile.simulation.steps import (
     Clock,
     dynamics_of,
@@ -30,8 +30,6 @@ from pinmobile.simulation.steps import (
     tabled_steps,
 )
 from pinmobile.trajectories import Reference
-
-__all__ = ["Asked", "Loop"]
 
 Control = Callable[[int, Array, Array, Array], Array]
 

@@ -26,8 +26,6 @@ from pinmobile.signals import Signal
 from pinmobile.simulation.storage import read_archive, write_archive
 from pinmobile.trajectories import Reference
 
-__all__ = ["Rollout", "error_text"]
-
 _POSE = 3  # x, y, psi
 _ROUNDING = 1e-12  # [m, rad]
 _RECORDED = ("t", "q", "v", "a", "u", "error")

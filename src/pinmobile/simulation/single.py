@@ -11,8 +11,6 @@ from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.plant import Context
 from pinmobile.signals import Signal
 
-__all__ = ["CompiledLoop", "remembered"]
-
 
 def remembered(
     plant: Any, controller: Any, integrator: Any, substeps: int, forces: tuple[Any, ...], trajectory: Any

@@ -12,18 +12,6 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.integrators import Integrator, RungeKuttaNystrom
 from pinmobile.plant import Plant
 
-__all__ = [
-    "Clock",
-    "Dynamics",
-    "dynamics_of",
-    "own_steps",
-    "pushed",
-    "stepped",
-    "steps",
-    "steps_between_configurations",
-    "tabled_steps",
-]
-
 _WRENCH = (3,)
 _STRAIGHT = 1e-6  # where a Jacobian is the identity it is so exactly, and of a ball joint it is off by tenths
 

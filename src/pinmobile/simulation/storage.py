@@ -18,19 +18,6 @@ from pinmobile.robot.sources import kept_arm
 from pinmobile.signals import Signal
 from pinmobile.urdf import Body
 
-__all__ = [
-    "ARRAYS",
-    "check_robot",
-    "described_robot",
-    "described_run",
-    "read_archive",
-    "restored_robot",
-    "restored_run",
-    "signal_columns",
-    "why_unknown",
-    "write_archive",
-]
-
 ARRAYS = ("t", "q", "v", "a", "u", "error", "reference_q", "reference_v", "reference_a")
 """Names of the arrays of a rollout."""
 

@@ -1,11 +1,9 @@
 """Ensembles along named axes: run anywhere, kept in a store that outlives any interruption."""
 
-from pinmobile.sweeps.axes import Axis
-from pinmobile.sweeps.cluster import connected
 from pinmobile.sweeps.code import Code
-from pinmobile.sweeps.grids import Grid, grid
+from pinmobile.sweeps.grids import Axis, Grid, grid
 from pinmobile.sweeps.result import Sweep
-from pinmobile.sweeps.running import check_draws, sweep
 from pinmobile.sweeps.table import length
+from pinmobile.sweeps.workers import check_draws, connected, sweep
 
 __all__ = ["Axis", "Code", "Grid", "Sweep", "check_draws", "connected", "grid", "length", "sweep"]

@@ -21,8 +21,6 @@ from pinmobile.errors import InvalidArgument, PinmobileError, UnknownName
 from pinmobile.files import cannot
 from pinmobile.sweeps.extras import imported
 
-__all__ = ["Code", "Packed", "Source", "packed", "part_of_packed"]
-
 _LOADING = RLock()
 
 

@@ -4,6 +4,4 @@ from functools import partial
 
 from pinmobile import extras
 
-__all__ = ["imported"]
-
 imported = partial(extras.imported, extra="sweeps", what="a sweep")

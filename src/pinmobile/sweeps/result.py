@@ -14,14 +14,11 @@ from pinmobile.ensembles import Ensemble
 from pinmobile.ensembles.histogram import checked_share, share_within
 from pinmobile.ensembles.variables import PER_ROBOT, drawn_name
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.sweeps.axes import Axis, place_of
 from pinmobile.sweeps.extras import imported
-from pinmobile.sweeps.grids import Grid, as_grid
-from pinmobile.sweeps.origin import determined_by, differences
-from pinmobile.sweeps.reading import attributes_of, coordinates_of, damaged
+from pinmobile.sweeps.fingerprint import determined_by, differences
+from pinmobile.sweeps.grids import Axis, Grid, as_grid, place_of
+from pinmobile.sweeps.layout import attributes_of, coordinates_of, damaged
 from pinmobile.sweeps.table import answer, since, table
-
-__all__ = ["Sweep"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

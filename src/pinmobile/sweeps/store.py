@@ -25,14 +25,13 @@ from pinmobile.ensembles import Ensemble, Part
 from pinmobile.ensembles.variables import SUMMED, drawn_name, per_robot, summed
 from pinmobile.errors import FileError, InvalidArgument
 from pinmobile.files import refusals, write
-from pinmobile.sweeps.cluster import GO_ON
 from pinmobile.sweeps.extras import imported
+from pinmobile.sweeps.fingerprint import differences
 from pinmobile.sweeps.grids import Grid
-from pinmobile.sweeps.layout import empty_store
-from pinmobile.sweeps.origin import differences
-from pinmobile.sweeps.reading import METADATA, attributes_of, coordinates_of, counts_of
+from pinmobile.sweeps.layout import METADATA, attributes_of, coordinates_of, counts_of, empty_store
 
-__all__ = ["Job", "Store"]
+GO_ON = "what is done is in the store: start the same sweep again to go on"
+"""What to do when a disk is full, or a cluster lost."""
 
 _PROGRESS, _LOCK, _WRITING = ".progress", "lock", "writing"
 _MARK = b"pinmobile sweep: the process that writes this store has locked this file\n"

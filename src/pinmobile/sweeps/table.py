@@ -7,10 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
-from pinmobile.ensembles.table import percent
-from pinmobile.sweeps.axes import Axis, Label, told
-
-__all__ = ["answer", "axis_of_rivals", "compared", "length", "since", "table"]
+from pinmobile.ensembles.outline import percent
+from pinmobile.sweeps.grids import Axis, Label, told
 
 _MOST = 40  # rows of a table
 _ROUNDING = 1e-9  # relative; that of a run is less by some orders, and what people tell apart is more

@@ -5,9 +5,7 @@ import numpy as np
 from pinmobile.arrays import seeded, whole
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot import MobileRobot
-from pinmobile.verification.mounted import compare_mounted
-from pinmobile.verification.planar import compare_planar
-from pinmobile.verification.table import Comparison, Verification
+from pinmobile.verification.routes import Comparison, Verification, compare_mounted, compare_planar
 
 _MOST = 1_000_000  # states
 

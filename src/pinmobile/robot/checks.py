@@ -9,8 +9,6 @@ from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot.tree import parts_of
 
-__all__ = ["check_bodies", "check_inertias", "check_joint_limits", "check_whole"]
-
 _ROUNDING = 1e-9  # of the moments of inertia, relative: files carry as many digits
 _GYRATION = 1e-9  # and of mass [m^2]: exporters leave noise of the size of 1e-18 where a moment is zero
 _SINGULAR = 1e-9  # what is left of a joint's inertia when all joints beyond it give way, as a share of it

@@ -18,13 +18,19 @@ from pinmobile.balance import (
 )
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.palette import INK, colour
-from pinmobile.plots.layout import stacked
-from pinmobile.plots.runs import Rollouts, labelled, thinned
 from pinmobile.plots.series import draw
-from pinmobile.plots.style import ShownFigure, dress, headed, legend, line_style
+from pinmobile.plots.style import (
+    Rollouts,
+    ShownFigure,
+    dress,
+    headed,
+    labelled,
+    legend,
+    line_style,
+    stacked,
+    thinned,
+)
 from pinmobile.simulation import Rollout
-
-__all__ = ["balance", "reaction"]
 
 _WRENCH = (
     ("$f_x$", "N"),

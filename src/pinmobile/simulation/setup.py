@@ -17,19 +17,6 @@ from pinmobile.trajectories import Reference, Trajectory, check_limits
 if TYPE_CHECKING:
     from pinmobile.plant import Plant
 
-__all__ = [
-    "check_answers",
-    "check_controllers_memory",
-    "check_same",
-    "checked_forces",
-    "checked_loop",
-    "checked_substeps",
-    "chosen_integrator",
-    "sample_times",
-    "sampled",
-    "shorter",
-    "started",
-]
 
 _WHOLE = 1e-9  # relative rounding allowed in duration / dt
 _COORDINATES = 3  # of a plant that is not yet looked at

@@ -15,10 +15,7 @@ from pinmobile.ensembles.histogram import edges
 from pinmobile.errors import InvalidArgument
 from pinmobile.measures import Measure
 from pinmobile.palette import INK, colour
-from pinmobile.plots.runs import named
-from pinmobile.plots.style import ShownFigure, dress, headed, heading, legend, percent, si, tint
-
-__all__ = ["bands"]
+from pinmobile.plots.style import ShownFigure, dress, headed, heading, legend, named, percent, si, tint
 
 _ALWAYS = "distance", "heading"
 _LINEAR = 40.0  # by how much the largest of all may exceed the smallest median on a linear axis

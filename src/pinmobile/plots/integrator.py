@@ -13,10 +13,7 @@ from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter, NullLocat
 
 from pinmobile.accuracy import Convergence, IntegratorReport
 from pinmobile.palette import INK, colour
-from pinmobile.plots.runs import named
-from pinmobile.plots.style import ShownFigure, dress, headed, legend, line_style
-
-__all__ = ["integrator"]
+from pinmobile.plots.style import ShownFigure, dress, headed, legend, line_style, named
 
 _PANELS = (
     (0, 0, "position", "Free body: position at the end"),

@@ -1,0 +1,840 @@
+"""`System`: a tree of joints on the DH chain: configurations, frames, dynamics, wrenches, in public order."""
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from functools import cached_property, partial
+from math import isfinite, prod
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from pinmobile.arrays import (
+    LEAST_ANGLE,
+    Array,
+    ArrayLike,
+    affordable,
+    broadcast,
+    finite,
+    finite_answer,
+    frozen,
+    one_of,
+    sequence,
+    vector,
+    whole,
+    wrap_angle,
+)
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.plant import Coordinate, Input
+from pinmobile.robot.articulated import ArticulatedBody
+from pinmobile.robot.batches import MANY, answers
+from pinmobile.robot.engine import BODY_JOINT, Calls, Engine, Law, limits, named_frames, resistances
+from pinmobile.robot.mounts import Load, Mount
+from pinmobile.robot.tree import configuration_names, coordinates, inputs, joint_kind, leading, parts_of
+
+_UNIT = 1e-6  # how far (cos, sin) or a quaternion may be from length one
+
+
+_STEP = 1e-4  # [s], of a central difference: its error is of the order of 1e-8 |v|^3 and 1e-12
+
+
+class Linearization(NamedTuple):
+    """First-order model of forward dynamics about a state: d(dq, dv)/dt = A (dq, dv) + B dtau.
+
+    Attributes
+    ----------
+    A : ndarray, shape (..., 2 nv, 2 nv)
+        ``[[0, I], [da/dq, da/dv]]``.
+    B : ndarray, shape (..., 2 nv, nv)
+        ``[[0], [M^-1]]``.
+    """
+
+    A: Array
+    B: Array
+
+
+class System:
+    """Abstract base: what follows from the Pinocchio model that its maker has set.
+
+    All methods take and return, along the last axis and in the inertial frame: configuration
+    q = (x, y, psi) [m, m, rad], velocity v = dq/dt [m/s, m/s, rad/s], acceleration a [m/s^2, m/s^2, rad/s^2]
+    and generalised force tau = (Fx, Fy, Mz) [N, N, N m]; after these come the arms' joints, one after the
+    other, in their units. A joint without limits is (cos, sin) in q and one number in v. Leading axes
+    broadcast. All raise `InvalidArgument` for arguments of another last axis or that are not finite, and
+    `NotFinite` where the answer would not be. They may be called by several threads at once.
+
+    Pinocchio takes one state at a time, some 5 to 20 microseconds each. From 500 states in a call on, they
+    are compiled and run on all processors, in some 0.1 microseconds each, with the same answers but for
+    rounding. The number of states alone decides, so the same call has the same bits at any time, and each
+    state has its own whatever others there are. The first such call of a method takes 0.1 to 0.5 s for an arm
+    and up to some seconds for a humanoid, less where its machine code is in the folder of an earlier process
+    (``PINMOBILE_CACHE``); robots with other numbers on the same joints, as `with_parameters` makes them,
+    share it, unless a number that was zero no longer is. However many they are, one after another go the
+    states of `coriolis_matrix`, `forward_dynamics_derivatives`, `linearize`, `integrate_jacobian` and
+    `frame_placements`; of robots with a ball joint; and of methods that take more than 12,000 operations, as
+    forward dynamics of some 40 joints and the regressor of some 20 do.
+    """
+
+    _engine: Engine
+    mounts: tuple[Mount, ...]
+    loads: tuple[tuple[str, Load], ...]
+
+    @property
+    def model(self) -> pin.Model:
+        """A copy of the Pinocchio model, in the chain's order (y, x, psi, ...): write into it as you like."""
+        return self._model.copy()
+
+    @property
+    def _model(self) -> pin.Model:
+        """The model itself, which is only read."""
+        return self._engine.model
+
+    @property
+    def nq(self) -> int:
+        """Size of q."""
+        return self._engine.nq
+
+    @property
+    def nv(self) -> int:
+        """Size of v and a."""
+        return self._engine.nv
+
+    @property
+    def nu(self) -> int:
+        """Size of the input, here the generalised force."""
+        return self.nv
+
+    @cached_property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """Each of the nv numbers of a displacement: x, y, psi, then those of the arms' joints."""
+        return coordinates(self._model, self.lower, self.upper)
+
+    @cached_property
+    def inputs(self) -> tuple[Input, ...]:
+        """Each of the nu numbers of an input: Fx, Fy, Mz, then the forces and torques at the arms' joints.
+
+        They have no limits: what motors can do, `effort_limit` knows, and `Saturated` holds a controller to.
+        """
+        return inputs(self.coordinates)
+
+    @cached_property
+    def leading(self) -> Mapping[int, int]:
+        """How many numbers of q the first n coordinates have, for each n that a reference may have."""
+        return MappingProxyType(leading(self._model))
+
+    @property
+    def adds(self) -> bool:
+        """Whether `integrate` adds displacements to q number by number, in both of which psi is the third."""
+        return self.nq == self.nv and type(self).integrate is System.integrate
+
+    @property
+    def turning(self) -> tuple[int, ...] | None:
+        """Coordinates that `difference` takes on the circle where it subtracts all, else None."""
+        own = type(self).difference is System.difference
+        return (2,) if own and self.adds else None
+
+    @property
+    def broadcasts(self) -> bool:
+        """Whether its methods take leading axes, here True."""
+        return True
+
+    @cached_property
+    def configuration_names(self) -> tuple[str, ...]:
+        """Name of each of the nq numbers in q; of a joint without limits ``name:cos`` and ``name:sin``."""
+        return configuration_names(self._model)
+
+    @cached_property
+    def _limits(self) -> tuple[Array, Array, Array, Array]:
+        lower, upper, speed, effort = map(frozen, limits(self._model, self.mounts))
+        return lower, upper, speed, effort
+
+    @property
+    def lower(self) -> Array:
+        """Least configuration, shape (nq,) [m, m, rad, ...]; -inf where there is no limit."""
+        return self._limits[0]
+
+    @property
+    def upper(self) -> Array:
+        """Largest configuration, shape (nq,) [m, m, rad, ...]; inf where there is no limit."""
+        return self._limits[1]
+
+    @property
+    def velocity_limit(self) -> Array:
+        """Largest |v|, shape (nv,) [m/s, m/s, rad/s, ...]; inf where there is no limit."""
+        return self._limits[2]
+
+    @property
+    def effort_limit(self) -> Array:
+        """Largest |tau|, shape (nv,) [N, N, N m, ...]; inf where there is no limit."""
+        return self._limits[3]
+
+    @cached_property
+    def _resistances(self) -> tuple[Array, Array]:
+        damping, friction = map(frozen, resistances(self.nv, self.mounts))
+        return damping, friction
+
+    @property
+    def joint_damping(self) -> Array:
+        """Viscous damping of the arms' joints, shape (nv,) [N s/m, N m s/rad], as their files have it.
+
+        Zero for the base. The dynamics leave it out; in a loop it acts where `JointFriction.of(robot)` does.
+        """
+        return self._resistances[0]
+
+    @property
+    def joint_friction(self) -> Array:
+        """Dry friction of the arms' joints, shape (nv,) [N, N m], as their files have it.
+
+        Zero for the base. The dynamics leave it out; in a loop it acts where `JointFriction.of(robot)` does.
+        """
+        return self._resistances[1]
+
+    @cached_property
+    def neutral(self) -> Array:
+        """Configuration with all coordinates at zero, angles that are (cos, sin) among them, shape (nq,)."""
+        return frozen(self._engine.reorder(pin.neutral(self._model)))
+
+    @cached_property
+    def rest(self) -> Array:
+        """Configuration at the origin with each arm in its reference posture, shape (nq,).
+
+        Where its description has none, its neutral one. All is brought within the limits.
+        """
+        q = self.neutral.copy()
+        for mount in self.mounts:
+            q[mount.q] = mount.arm.posture
+        return frozen(np.clip(q, self.lower, self.upper))
+
+    def random_configuration(self, generator: "np.random.Generator", shape: tuple[int, ...] = ()) -> Array:
+        """Return configurations within the limits, shape (*shape, nq); without a limit, up to pi or 1 m.
+
+        Parameters
+        ----------
+        generator : numpy.random.Generator
+            Where the numbers come from.
+        shape : tuple of int
+            Leading axes.
+
+        Raises
+        ------
+        InvalidArgument
+            If an argument is something else, or the configurations would not fit into memory.
+        """
+        if not isinstance(generator, np.random.Generator):
+            raise InvalidArgument(f"generator is {shown(generator)}, expected a numpy.random.Generator")
+        shape = tuple(
+            whole("shape", n, least=0) for n in sequence("shape", shape, "a tuple of whole numbers")
+        )
+        affordable("random configurations", 4.0 * self.nq * prod(shape), "draw fewer at a time")
+        free = generator.uniform(-np.pi, np.pi, (*shape, self.nv))
+        free[..., :2] /= np.pi
+        q = self.integrate(np.broadcast_to(self.neutral, (*shape, self.nq)), free)
+        limited = np.isfinite(self.lower) & np.isfinite(self.upper)
+        q[..., limited] = generator.uniform(
+            self.lower[limited], self.upper[limited], (*shape, np.count_nonzero(limited))
+        )
+        return q
+
+    def integrate(self, q: ArrayLike, dq: ArrayLike) -> Array:
+        """Return the configuration that the displacement `dq` leads to from `q`, shape (..., nq).
+
+        x, y, psi and joints with one number each add, psi beyond pi too; other joints by Pinocchio.
+        """
+        q, dq = self._q(q), self._v("dq", dq)
+        broadcast(q=q, dq=dq)
+        if self.nq == self.nv:
+            with np.errstate(over="ignore"):
+                return finite_answer(q + dq, q=q, dq=dq)
+        return self._each(_INTEGRATED, q=q, dq=dq)
+
+    def integrate_jacobian(self, q: ArrayLike, dq: ArrayLike) -> Array:
+        """Return how `integrate` turns rates of `dq` into velocities, shape (..., nv, nv).
+
+        Where a displacement dq changes at the rate r, the configuration ``integrate(q, dq)`` moves with the
+        velocity J r. J is the identity but for joints that turn about several axes, or turn and slide: of a
+        ball joint it is the right Jacobian of the exponential map.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        dq : array_like, shape (..., nv)
+            Displacement [m, m, rad, ...].
+        """
+        q, dq = self._q(q), self._v("dq", dq)
+        return self._each(_INTEGRATE_JACOBIAN, q=q, dq=dq)
+
+    def difference(self, q0: ArrayLike, q1: ArrayLike) -> Array:
+        """Return the displacement from `q0` to `q1`, shape (..., nv); that of psi lies in (-pi, pi].
+
+        That of joints without limits is taken on the circle too, by Pinocchio; others are subtracted.
+        """
+        q0, q1 = self._q(q0, "q0"), self._q(q1, "q1")
+        small = q0.ndim == q1.ndim == 1 and isfinite(np.vdot(q0, q0) + np.vdot(q1, q1))
+        if small and self.nq == self.nv:
+            displacement = q1 - q0  # in a loop: it cannot overflow
+        elif self.nq == self.nv:
+            broadcast(q0=q0, q1=q1)
+            with np.errstate(over="ignore"):
+                displacement = finite_answer(q1 - q0, q0=q0, q1=q1)
+        else:
+            broadcast(q0=q0, q1=q1)
+            displacement = self._each(_DIFFERENCE, q0=q0, q1=q1)
+        angle = displacement[..., 2]
+        if angle.ndim or not LEAST_ANGLE < angle <= np.pi:  # in a loop it hardly ever is beyond
+            displacement[..., 2] = wrap_angle(angle)
+        return displacement
+
+    def _each(self, law: Law, **arguments: Array) -> Array:
+        """Return what a law gives for each row of the arguments, in public order.
+
+        Leading axes broadcast; what comes back is stacked along them. From `MANY` states on it is compiled.
+
+        Raises
+        ------
+        NotFinite
+            If what comes back is not finite.
+        """
+        engine, rows = self._engine, []
+        for argument in arguments.values():
+            if argument.ndim != 1:
+                return self._stacked(law, **arguments)
+            rows.append(argument[engine.orders[len(argument)]])
+        # A copy: Pinocchio hands out views of its data.
+        answer = law.order(engine, np.array(law.run(engine.model, engine.data, *rows)))
+        return answer if isfinite(np.vdot(answer, answer)) else finite_answer(answer, **arguments)
+
+    def _stacked(self, law: Law, **arguments: Array) -> Array:
+        """Return what `_each` does of arguments with leading axes."""
+        engine, lead = self._engine, broadcast(**arguments)
+        model, data, n = engine.model, engine.data, prod(lead)
+        if n >= MANY and law.name:
+            found = answers(self._for_many, law, **arguments)
+            if found is not None:
+                return found
+        stacked = [
+            engine.reorder(np.broadcast_to(argument, (*lead, argument.shape[-1]))).reshape(
+                n, argument.shape[-1]
+            )
+            for argument in arguments.values()
+        ]
+        if not n:
+            probes = (np.zeros(row.shape[1]) for row in stacked[1:])
+            shape = np.shape(law.order(engine, np.asarray(law.run(model, data, pin.neutral(model), *probes))))
+            return np.empty((*lead, *shape))
+        rows = [np.array(law.run(model, data, *row)) for row in zip(*stacked, strict=True)]
+        found = law.order(engine, np.stack(rows).reshape((*lead, *rows[0].shape)))
+        return finite_answer(found, **arguments)
+
+    @property
+    @abstractmethod
+    def _for_many(self) -> ArticulatedBody | None:
+        """What does the same for many states at once; None where a joint has more than one coordinate."""
+
+    def configuration(self, value: ArrayLike, name: str = "q") -> Array:
+        """Return configurations as float64, shape (..., nq), after refusing what are none.
+
+        Parameters
+        ----------
+        value : array_like, shape (..., nq)
+            Configurations [m, m, rad, ...].
+        name : str
+            What they are called, for the message.
+        """
+        return self._q(value, name)
+
+    def _q(self, q: ArrayLike, name: str = "q") -> Array:
+        array = vector(name, q, self.nq)
+        for part, joint in self._unit_parts:
+            off = np.abs(np.linalg.norm(array[..., part], axis=-1) - 1)
+            if off.size and not off.max() <= _UNIT:
+                raise InvalidArgument(
+                    f"{name}[..., {part.start}:{part.stop}] of joint {joint!r} has a length off by "
+                    f"{off.max():.3g}, expected length one: step it with `integrate`"
+                )
+        return array
+
+    def _here(self, q: ArrayLike) -> Array:
+        """Return q, checked, with x = y = 0.
+
+        Where Pinocchio works in the inertial frame, what depends on neither loses digits to both far away.
+        """
+        moved = self._q(q).copy()
+        moved[..., :2] = 0.0
+        return moved
+
+    def _v(self, name: str, value: ArrayLike) -> Array:
+        return vector(name, value, self.nv)
+
+    @cached_property
+    def _unit_parts(self) -> tuple[tuple[slice, str], ...]:
+        """The parts of q that lie on a circle or a sphere, and their joints' names."""
+        model, parts = self._model, []
+        for j in range(1, model.njoints):
+            # In Pinocchio's order: (cos, sin), a quaternion, (x, y, cos, sin), (x, y, z, quaternion).
+            circle = (model.nqs[j], model.nvs[j]) == (2, 1) or "Planar" in joint_kind(model, j)
+            sphere = (model.nqs[j], model.nvs[j]) in ((4, 3), (7, 6))
+            width = 2 if circle else 4 if sphere else 0
+            end = parts_of(model, j)[0].stop
+            if width:
+                parts.append((slice(end - width, end), str(model.names[j])))
+        return tuple(parts)
+
+    def pose(self, q: ArrayLike) -> Array:
+        """Return x, y and psi of the body, shape (..., 3) [m, m, rad]."""
+        return self._q(q)[..., :BODY_JOINT].copy()
+
+    def rate(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """Return the rates of x, y and psi of the body, shape (..., 3) [m/s, m/s, rad/s]."""
+        q, v = self._q(q), self._v("v", v)
+        lead = broadcast(q=q, v=v)
+        return np.array(np.broadcast_to(v[..., :BODY_JOINT], (*lead, BODY_JOINT)))
+
+    @cached_property
+    def _frames(self) -> dict[str, int]:
+        return named_frames(self._model)
+
+    @property
+    def frame_names(self) -> tuple[str, ...]:
+        """Names of the frames: the chain's, ``base_link``, and ``name/...`` of each arm."""
+        return tuple(self._frames)
+
+    @property
+    def end_effector(self) -> str:
+        """Default frame: the tip of the first arm, or the body's frame where there is none."""
+        return self.mounts[0].tip if self.mounts else "base_link"
+
+    def frame_name(self, frame: str | None = None) -> str:
+        """Return the name of a frame, by default that of `end_effector`.
+
+        Raises
+        ------
+        UnknownName
+            If there is no such frame.
+        """
+        return self._frame(frame)[0]
+
+    def frame_pose(self, q: ArrayLike, frame: str | None = None) -> Array:
+        """Return T_0_f, the pose of a frame, shape (..., 4, 4).
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        frame : str, optional
+            One of `frame_names`; by default `end_effector`.
+
+        Raises
+        ------
+        UnknownName
+            If there is no such frame.
+        """
+        name, number = self._frame(frame)
+
+        def pose(model: pin.Model, data: pin.Data, q: Array) -> Array:
+            pin.forwardKinematics(model, data, q)
+            return np.asarray(pin.updateFramePlacement(model, data, number).homogeneous)
+
+        return self._each(Law(pose, "frame_pose", (name,)), q=self._q(q))
+
+    def frame_jacobian(self, q: ArrayLike, frame: str | None = None) -> Array:
+        """Return J, shape (..., 6, nv): J v is the velocity of the frame's origin and the angular velocity.
+
+        Both are along the axes of the inertial frame [m/s, rad/s].
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        frame : str, optional
+            One of `frame_names`; by default `end_effector`.
+
+        Raises
+        ------
+        UnknownName
+            If there is no such frame.
+        """
+        name, number = self._frame(frame)
+
+        def jacobian(model: pin.Model, data: pin.Data, q: Array) -> Array:
+            J = pin.computeFrameJacobian(model, data, q, number, pin.LOCAL_WORLD_ALIGNED)
+            return np.asarray(J)
+
+        return self._each(Law(jacobian, "frame_jacobian", (name,), Engine.reorder), q=self._here(q))
+
+    def frame_drift(self, q: ArrayLike, v: ArrayLike, frame: str | None = None) -> Array:
+        """Return dJ/dt v, shape (..., 6): a frame's acceleration where no coordinate accelerates.
+
+        Of its origin, and angular, along the axes of the inertial frame [m/s^2, rad/s^2]: J a + dJ/dt v is
+        the derivative of J v, see `frame_jacobian`.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        v : array_like, shape (..., nv)
+            Velocity [m/s, m/s, rad/s, ...].
+        frame : str, optional
+            One of `frame_names`; by default `end_effector`.
+
+        Raises
+        ------
+        UnknownName
+            If there is no such frame.
+        """
+        name, number = self._frame(frame)
+
+        def drift(model: pin.Model, data: pin.Data, q: Array, v: Array) -> Array:
+            pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
+            reference = pin.LOCAL_WORLD_ALIGNED
+            return np.asarray(pin.getFrameClassicalAcceleration(model, data, number, reference).vector)
+
+        return self._each(Law(drift, "frame_drift", (name,)), q=self._q(q), v=self._v("v", v))
+
+    def manipulability(self, q: ArrayLike, frame: str | None = None) -> Array:
+        """Return sqrt(det J J'), shape (...), of base and arm together (Yoshikawa, 1985).
+
+        The volume of the twists that velocities of length one give, in mixed units; zero where a direction
+        is lost, so always for fewer than six coordinates.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        frame : str, optional
+            One of `frame_names`; by default `end_effector`.
+
+        Raises
+        ------
+        UnknownName
+            If there is no such frame.
+        """
+        name, number = self._frame(frame)
+        law = Law(partial(_volume, number, slice(None)), "manipulability", (name,))
+        return self._each(law, q=self._here(q))
+
+    def arm_manipulability(self, q: ArrayLike, frame: str | None = None) -> Array:
+        """Return `manipulability` of the arm that carries the frame alone, the base held, shape (...).
+
+        Raises
+        ------
+        InvalidArgument
+            If the frame is on no arm.
+        UnknownName
+            If there is no such frame.
+        """
+        name, number = self._frame(frame)
+        arms = [mount for mount in self.mounts if name.startswith(f"{mount.name}/")]
+        if not arms:
+            raise InvalidArgument(f"frame is {shown(name)}, expected one of an arm")
+        law = Law(partial(_volume, number, arms[0].v), "manipulability", (name, arms[0].name))
+        return self._each(law, q=self._here(q))
+
+    def _frame(self, name: str | None) -> tuple[str, int]:
+        name = self.end_effector if name is None else name
+        return one_of("frame", name, self._frames), self._frames[name]
+
+    def frame_placements(self, q: ArrayLike) -> Array:
+        """Return T_0_k, the pose of each joint's frame, shape (..., joints, 4, 4).
+
+        The third is the body's; it is the last one where nothing is mounted.
+        """
+
+        def placements(model: pin.Model, data: pin.Data, q: Array) -> Array:
+            pin.forwardKinematics(model, data, q)
+            return np.stack([data.oMi[k].homogeneous for k in range(1, model.njoints)])
+
+        return self._each(Law(placements), q=self._q(q))
+
+    def jacobian(self, q: ArrayLike) -> Array:
+        """Return J(psi), shape (..., nv, nv): v = J twist, with the body twist (forward, left, yaw rate).
+
+        What comes after the base is taken over as it is.
+        """
+        psi = self._q(q)[..., 2]
+        J = np.zeros((*psi.shape, self.nv, self.nv))
+        J[...] = np.eye(self.nv)
+        J[..., 0, 0] = J[..., 1, 1] = np.cos(psi)
+        J[..., 1, 0] = np.sin(psi)
+        J[..., 0, 1] = -J[..., 1, 0]
+        return J
+
+    @property
+    def inertial_parameters(self) -> Array:
+        """What `regressor` multiplies, shape (10 bodies,), those of the body and then of each joint's.
+
+        m, m c, and Ixx, Ixy, Iyy, Ixz, Iyz, Izz about the origin of the joint's frame [SI].
+        """
+        moving = range(BODY_JOINT, self._model.njoints)
+        return np.concatenate([self._model.inertias[joint].toDynamicParameters() for joint in moving])
+
+    def mass_matrix(self, q: ArrayLike) -> Array:
+        """Return M(q), shape (..., nv, nv) [kg, kg m, kg m^2], by Pinocchio's CRBA."""
+        return self._each(_MASS_MATRIX, q=self._q(q))
+
+    def nonlinear_effects(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """Return n(q, v), shape (..., nv) [N, N, N m], by Pinocchio's RNEA without acceleration."""
+        return self._each(_NONLINEAR_EFFECTS, q=self._q(q), v=self._v("v", v))
+
+    def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
+        """Return tau = M(q) a + n(q, v), shape (..., nv) [N, N, N m], by Pinocchio's RNEA."""
+        return self._each(_INVERSE_DYNAMICS, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
+
+    def forward_dynamics(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike, f: ArrayLike = 0.0) -> Array:
+        """Return a = M(q)^-1 (tau + f - n(q, v)), shape (..., nv) [m/s^2, ...], by Pinocchio's ABA.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        v : array_like, shape (..., nv)
+            Velocity [m/s, m/s, rad/s, ...].
+        tau : array_like, shape (..., nv)
+            The input, a generalised force [N, N, N m, ...].
+        f : array_like, shape (..., nv), optional
+            Generalised forces beside it; 0: none.
+        """
+        arguments = {"q": self._q(q), "v": self._v("v", v), "tau": self._v("tau", tau)}
+        if np.ndim(f) or f:
+            force, beside = arguments["tau"], self._v("f", f)
+            broadcast(tau=force, f=beside)
+            with np.errstate(over="ignore"):
+                arguments["tau"] = finite_answer(force + beside, tau=force, f=beside)
+        return self._each(_FORWARD_DYNAMICS, **arguments)
+
+    def effort(self, q: ArrayLike, wrench: ArrayLike) -> Array:
+        """Return the generalised force of a wrench on the body, shape (..., nv) [N, N, N m, ...].
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        wrench : array_like, shape (..., 3)
+            Force along the inertial axes on the origin of the body's frame, and moment about it, (Fx, Fy, Mz)
+            [N, N, N m].
+        """
+        q, wrench = self._q(q), vector("wrench", wrench, BODY_JOINT)
+        whole = np.zeros((*broadcast(q=q, wrench=wrench), self.nv))
+        whole[..., :BODY_JOINT] = wrench
+        return whole
+
+    def start(self, reference: Any) -> tuple[Array, Array]:
+        """Return the q and v with which a reference begins, shape (nq,) and (nv,).
+
+        What it does not lead rests where `rest` has it.
+
+        Parameters
+        ----------
+        reference : Reference
+            Its first sample: q and v of the first n coordinates, n one of `leading`.
+
+        Raises
+        ------
+        InvalidArgument
+            If it is no reference, or has another number of coordinates.
+        """
+        if not (hasattr(reference, "q") and hasattr(reference, "v")):
+            raise InvalidArgument(f"reference is {shown(reference)}, expected a Reference: q, v and a")
+        v, q = finite("reference.v", reference.v), finite("reference.q", reference.q)
+        if self.leading.get(v.size) != q.size or v.ndim != 1 or q.ndim != 1:
+            pairs = ", ".join(f"({numbers},) and ({n},)" for n, numbers in self.leading.items())
+            raise InvalidArgument(
+                f"reference has q and v of shapes {q.shape} and {v.shape}, expected one of {pairs}"
+            )
+        rates = np.zeros(self.nv)
+        rates[: v.size] = v
+        return self._q(np.append(q, self.rest[q.size :]), "reference.q"), rates
+
+    def calls(self) -> Calls:
+        """Return unchecked functions of one state for this thread, for loops: see `Calls`.
+
+        What a subclass overrides is as it has it.
+        """
+        own = (name for name in Calls._fields if getattr(type(self), name) is not getattr(System, name))
+        return self._engine.calls()._replace(**{name: getattr(self, name) for name in own})
+
+    def coriolis_matrix(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """Return C(q, v), shape (..., nv, nv): C v = n(q, v), and dM/dt - 2 C is skew-symmetric."""
+        return self._each(_CORIOLIS_MATRIX, q=self._here(q), v=self._v("v", v))
+
+    def kinetic_energy(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """Return v' M(q) v / 2, shape (...) [J]."""
+        return self._each(_KINETIC_ENERGY, q=self._q(q), v=self._v("v", v))
+
+    def potential_energy(self, q: ArrayLike) -> Array:
+        """Return the energy in the field of gravity, shape (...) [J]; zero where all is on the ground."""
+        return self._each(_POTENTIAL_ENERGY, q=self._q(q))
+
+    def gravity(self, q: ArrayLike) -> Array:
+        """Return g(q), shape (..., nv) [N, N, N m]: what holds the robot at rest; none of it for the base."""
+        return self._each(_GRAVITY, q=self._q(q))
+
+    def regressor(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
+        """Return Y(q, v, a), shape (..., nv, 10 bodies): tau = Y `inertial_parameters`, rotors left out."""
+        return self._each(_REGRESSOR, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
+
+    def forward_dynamics_derivatives(
+        self, q: ArrayLike, v: ArrayLike, tau: ArrayLike
+    ) -> tuple[Array, Array, Array]:
+        """Return da/dq, da/dv, da/dtau = M^-1, each of shape (..., nv, nv), by Pinocchio's ABA derivatives.
+
+        The first is by the displacement that `integrate` takes.
+        """
+        arguments = {"q": self._here(q), "v": self._v("v", v), "tau": self._v("tau", tau)}
+        stacked = self._each(_DERIVATIVES, **arguments)
+        return stacked[..., 0, :, :], stacked[..., 1, :, :], stacked[..., 2, :, :]
+
+    def linearize(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Linearization:
+        """Return the first-order model of forward dynamics about (q, v, tau).
+
+        dq is the displacement that `integrate` takes. Where a joint turns about more than one axis, it turns
+        itself while the robot moves: the first block of A is then -ad(v) instead of zero.
+        """
+        by_q, by_v, by_tau = self.forward_dynamics_derivatives(q, v, tau)
+        A = np.zeros((*by_q.shape[:-2], 2 * self.nv, 2 * self.nv))
+        B = np.zeros((*by_q.shape[:-2], 2 * self.nv, self.nv))
+        A[..., : self.nv, self.nv :] = np.eye(self.nv)
+        if self.nq != self.nv:
+            A[..., : self.nv, : self.nv] = self._each(_TURNING, q=self._q(q), v=self._v("v", v))
+        A[..., self.nv :, : self.nv], A[..., self.nv :, self.nv :] = by_q, by_v
+        B[..., self.nv :, :] = by_tau
+        return Linearization(A, B)
+
+    @cached_property
+    def weight(self) -> float:
+        """Weight of the robot with all that it carries [N]."""
+        return float(pin.computeTotalMass(self._model) * np.linalg.norm(self._model.gravity.linear))
+
+    def ground_wrench(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
+        """Return what the ground exerts on the robot that moves so, shape (..., 6).
+
+        Along the axes of the body's frame B, with the moment about its origin, which lies on the ground: the
+        rate of the momentum of all bodies, less gravity. Whatever else acts from outside is in it.
+        """
+        return self._each(_GROUND_WRENCH, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
+
+    def mount_wrench(self, q: ArrayLike, v: ArrayLike, a: ArrayLike, mount: str | None = None) -> Array:
+        """Return what an arm, with the loads on it, exerts on the body at its mount, shape (..., 6).
+
+        Along the axes of the body's frame B (not turned by the mount's yaw), with the moment about the point
+        of the mount. An arm at rest exerts its weight, (0, 0, -m g), and the moment of that,
+        (-m g y, m g x, 0) with its centre of mass at x and y from the mount.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        v, a : array_like, shape (..., nv)
+            Velocity and acceleration [m/s, m/s, rad/s, ...; per s].
+        mount : str, optional
+            Name of one of `mounts`; by default that of the first.
+
+        Raises
+        ------
+        InvalidArgument
+            If no arm is mounted.
+        UnknownName
+            If nothing is mounted by that name.
+        """
+        arm = self._mount(mount)
+        roots = [joint for joint in _joints(arm) if self._model.parents[joint] == BODY_JOINT]
+        fixed = self._fixed(arm)
+        to_mount = pin.SE3(np.eye(3), np.array(arm.at[:3])).inverse()
+
+        def wrench(model: pin.Model, data: pin.Data, q: Array, v: Array, a: Array) -> Array:
+            pin.rnea(model, data, q, v, a)
+            twist = data.v[BODY_JOINT]
+            held = fixed * data.a_gf[BODY_JOINT] + twist.cross(fixed * twist)
+            for joint in roots:
+                held += data.liMi[joint].act(data.f[joint])
+            return 0.0 - np.asarray(to_mount.act(held).vector)
+
+        law = Law(wrench, "mount_wrench", (arm.name,))
+        return self._each(law, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
+
+    def _mount(self, name: str | None) -> Mount:
+        if not self.mounts:
+            raise InvalidArgument("robot carries no arm, expected one: robot.mount(...)")
+        known = {mount.name: mount for mount in self.mounts}
+        wanted = self.mounts[0].name if name is None else name
+        return known[one_of("mount", wanted, known)]
+
+    def _fixed(self, mount: Mount) -> pin.Inertia:
+        """Return the inertia, in the body's frame, of what of an arm does not move on the body."""
+        fixed = mount.placement.act(mount._model.inertias[0])
+        for name, load in self.loads:
+            frame = self._model.frames[self._frames[name]]
+            if frame.parentJoint == BODY_JOINT and name.startswith(f"{mount.name}/"):
+                fixed += frame.placement.act(load.body)
+        return fixed
+
+
+def _integrated(model: pin.Model, data: pin.Data, q: Array, dq: Array) -> Array:
+    return np.asarray(pin.integrate(model, q, dq))
+
+
+def _integrate_jacobian(model: pin.Model, data: pin.Data, q: Array, dq: Array) -> Array:
+    return np.asarray(pin.dIntegrate(model, q, dq, pin.ArgumentPosition.ARG1))
+
+
+def _difference(model: pin.Model, data: pin.Data, q0: Array, q1: Array) -> Array:
+    return np.asarray(pin.difference(model, q0, q1))
+
+
+_INTEGRATED = Law(_integrated, "integrate", order=Engine.reorder, turns=False)
+_INTEGRATE_JACOBIAN = Law(_integrate_jacobian, order=Engine.reorder_square)
+_DIFFERENCE = Law(_difference, "difference", order=Engine.reorder, turns=False)
+
+
+def _volume(frame: int, part: slice, model: pin.Model, data: pin.Data, q: Array) -> Any:
+    """Return sqrt(det J J') of some columns of a frame's Jacobian."""
+    J = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)[:, part]
+    # The product of the singular values: det squares what is small.
+    return np.linalg.svd(J, compute_uv=False).prod() if J.shape[1] >= len(J) else 0.0
+
+
+def _turning(model: pin.Model, data: pin.Data, q: Array, v: Array) -> Array:
+    """Return how a displacement from a configuration that moves with v changes by itself."""
+    ahead, behind = (pin.dIntegrate(model, q, h * v, pin.ARG0) for h in (_STEP, -_STEP))
+    return np.asarray((ahead - behind) / (2 * _STEP))
+
+
+def _kinetic_energy(model: pin.Model, data: pin.Data, q: Array, v: Array) -> Any:
+    # Pinocchio's own leaves out the motors of joints that turn about an axis of their own.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.vdot(v, pin.crba(model, data, q) @ v) / 2
+
+
+def _derivatives(model: pin.Model, data: pin.Data, q: Array, v: Array, tau: Array) -> Array:
+    return np.stack(pin.computeABADerivatives(model, data, q, v, tau))
+
+
+def _of_bodies(engine: Engine, Y: Array) -> Array:
+    """Return a regressor in public order without the columns of what is not there: the virtual links."""
+    return Y[..., engine.order, 10 * (BODY_JOINT - 1) :]
+
+
+_MASS_MATRIX = Law(pin.crba, "mass_matrix", order=Engine.reorder_square)
+_NONLINEAR_EFFECTS = Law(pin.nonLinearEffects, "nonlinear_effects", order=Engine.reorder)
+_INVERSE_DYNAMICS = Law(pin.rnea, "inverse_dynamics", order=Engine.reorder)
+_FORWARD_DYNAMICS = Law(pin.aba, "forward_dynamics", order=Engine.reorder)
+_GRAVITY = Law(pin.computeGeneralizedGravity, "gravity", order=Engine.reorder)
+_KINETIC_ENERGY = Law(_kinetic_energy, "kinetic_energy")
+_POTENTIAL_ENERGY = Law(pin.computePotentialEnergy, "potential_energy")
+_REGRESSOR = Law(pin.computeJointTorqueRegressor, "regressor", order=_of_bodies)
+_CORIOLIS_MATRIX = Law(pin.computeCoriolisMatrix, order=Engine.reorder_square)
+_DERIVATIVES = Law(_derivatives, order=Engine.reorder_square)
+_TURNING = Law(_turning, order=Engine.reorder_square)
+
+
+def _ground_wrench(model: pin.Model, data: pin.Data, q: Array, v: Array, a: Array) -> Array:
+    pin.rnea(model, data, q, v, a)
+    return np.asarray(data.f[BODY_JOINT].vector)
+
+
+_GROUND_WRENCH = Law(_ground_wrench, "ground_wrench")
+
+
+def _joints(mount: Mount) -> range:
+    return range(mount.joints.start, mount.joints.stop)

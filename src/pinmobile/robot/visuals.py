@@ -1,0 +1,325 @@
+"""How a robot looks: what its URDF shows, or a box with a front, and what the body carries."""
+
+import re
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from os.path import isfile
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pinocchio as pin
+
+from pinmobile.arrays import Array
+from pinmobile.errors import InvalidArgument
+from pinmobile.robot.engine import BODY_JOINT, named_frames
+from pinmobile.robot.mounts import Load, Mount
+from pinmobile.robot.wellformed import urdf_tree
+
+_INDICES = re.compile(rb"<(?:p|v|vcount)(?=[\s/>])")
+_WHOLE_INDICES = re.compile(rb"<(p|v|vcount)(?=[\s/>])(?:[^<>]*/>|[^<>]*>[\d+\- \t\r\n]*</\1\s*>)")
+
+
+@dataclass(frozen=True)
+class VisualFile:
+    """The file that says how a robot looks.
+
+    Parameters
+    ----------
+    path : Path
+        A URDF.
+    package_dirs : tuple of Path
+        Folders that ``package://`` refers to.
+    base : tuple of 16 floats
+        Pose of the body in the file's root with all joints at rest, row by row.
+    """
+
+    path: Path
+    package_dirs: tuple[Path, ...]
+    base: tuple[float, ...]
+
+
+def readable(file: VisualFile, stacklevel: int) -> tuple[ElementTree.Element, list[str]]:
+    """Return the file's tree without the visuals whose meshes are missing, and those files' names.
+
+    Parameters
+    ----------
+    file : VisualFile
+        The file.
+    stacklevel : int
+        Of the warning that names them: how far up the user's call is.
+
+    Raises
+    ------
+    InvalidArgument
+        If the file cannot be read any more, or is no URDF by now.
+    """
+    root = urdf_tree("path", file.path)  # again, since the file may be another one by now
+    missing = _without_meshes(root, lambda mesh: _is_missing(mesh, file))
+    if missing:
+        listed = ", ".join(dict.fromkeys(missing))
+        warnings.warn(f"{file.path.name}: not drawn, since missing: {listed}", stacklevel=stacklevel)
+    return root, missing
+
+
+def shown(
+    model: pin.Model, root: ElementTree.Element, file: VisualFile, stacklevel: int
+) -> tuple[pin.GeometryModel, list[str]]:
+    """Return what a tree shows of its model, and the mesh files that cannot be read, taken out of the tree.
+
+    Parameters
+    ----------
+    model : pin.Model
+        The file's.
+    root, file, stacklevel
+        From `readable`, and as there.
+
+    Raises
+    ------
+    InvalidArgument
+        If the geometry cannot be read whatever the meshes.
+    """
+    broken = _without_meshes(root, _is_endless)
+    try:
+        seen = _geometry(model, root)
+    except (ValueError, RuntimeError) as error:
+        # Pinocchio does not say which of the files it was.
+        damaged = _without_meshes(root, _is_broken)
+        if not damaged:
+            raise InvalidArgument(f"path is {str(file.path)!r}, which cannot be drawn: {error}") from None
+        broken += damaged
+        seen = _geometry(model, root)
+    if broken:
+        listed = ", ".join(dict.fromkeys(broken))
+        warnings.warn(
+            f"{file.path.name}: not drawn, since damaged or of a format that is not read: {listed}",
+            stacklevel=stacklevel,
+        )
+    return seen, broken
+
+
+def _geometry(model: pin.Model, root: ElementTree.Element) -> pin.GeometryModel:
+    text = ElementTree.tostring(root, encoding="unicode")
+    return pin.buildGeomFromUrdfString(model, text, pin.GeometryType.VISUAL)
+
+
+def _without_meshes(root: ElementTree.Element, unusable: Callable[[ElementTree.Element], bool]) -> list[str]:
+    """Take visuals whose meshes are unusable out of the tree and return the files' names."""
+    names: list[str] = []
+    for link in root.iterfind("link"):
+        for visual in link.findall("visual"):
+            mesh = visual.find("geometry/mesh")
+            if mesh is not None and unusable(mesh):
+                names.append(mesh.get("filename", ""))
+                link.remove(visual)
+    return names
+
+
+def _is_missing(mesh: ElementTree.Element, file: VisualFile) -> bool:
+    """Tell whether there is no file of that name; where there is one, write into the mesh where it lies."""
+    path = found(mesh.get("filename", ""), file)
+    if path is not None:
+        mesh.set("filename", str(path))
+    return path is None
+
+
+def _is_endless(mesh: ElementTree.Element) -> bool:
+    """Tell whether a Collada file has other than whole numbers among its indices.
+
+    At such a letter assimp, by which Pinocchio reads meshes, stays for ever and takes more and more memory.
+    """
+    try:
+        data = Path(mesh.get("filename", "")).read_bytes()
+    except OSError:
+        return False
+    if not re.search(b"<collada", data.replace(b"\0", b""), re.IGNORECASE):
+        return False
+    # What is written in two bytes for each letter would have to be read in another way.
+    return b"\0" in data or len(_INDICES.findall(data)) != len(_WHOLE_INDICES.findall(data))
+
+
+def _is_broken(mesh: ElementTree.Element) -> bool:
+    import coal
+
+    try:
+        coal.MeshLoader().load(mesh.get("filename", ""))
+    except (ValueError, RuntimeError):
+        return True
+    return False
+
+
+def found(name: str, file: VisualFile) -> Path | None:
+    """Return where a mesh of the file lies, or None where it is not there."""
+    scheme, apart, rest = name.rpartition("://")
+    rest = rest.lstrip("/") if scheme == "package" else rest
+    folders = (*file.package_dirs, file.path.parent) if scheme == "package" else (file.path.parent,)
+    candidates = (folder / (rest if apart else name) for folder in folders)
+    # Not `Path.is_file`, which raises where a name is longer than a file system allows.
+    return next((path.resolve() for path in candidates if isfile(path)), None)
+
+
+BODY = "body"
+"""Name of the box, the one geometry object that may be coloured as one likes."""
+
+_THERE = 1e-9  # [m]: what is so near a place is at it
+_BODY_RGBA = (0.90, 0.62, 0.0, 1.0)
+_DARK_RGBA = (0.16, 0.16, 0.18, 1.0)
+
+
+def read_visuals(file: VisualFile, size: Sequence[float], joint: int) -> pin.GeometryModel:
+    """Return what the file shows, riding on `joint`, its own joints at rest.
+
+    Mesh files that are missing or cannot be read are named in a warning; if no mesh is left, the box stands
+    for them. Of a file that shows nothing but a box which stands about the origin it is our own, which has a
+    front.
+
+    Raises
+    ------
+    InvalidArgument
+        If the file cannot be read any more.
+    """
+    root, left_out = readable(file, stacklevel=6)
+    model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
+    seen, broken = shown(model, root, file, stacklevel=6)
+    shapes = [shape.tag for shape in root.iterfind("./link/visual/geometry/*")]
+    data = model.createData()
+    pin.forwardKinematics(model, data, pin.neutral(model))
+    base = pin.SE3(np.reshape(file.base, (4, 4))).inverse()
+    placed = [(base * data.oMi[item.parentJoint] * item.placement, item) for item in seen.geometryObjects]
+    ours = pin.SE3(np.eye(3), np.array([0.0, 0.0, size[2] / 2]))
+    if not shapes or (shapes == ["box"] and placed[0][0].isApprox(ours, _THERE)):
+        return box_visuals(size, joint)
+    lost = (left_out or broken) and "mesh" not in shapes
+    visuals = box_visuals(size, joint) if lost else pin.GeometryModel()
+    for placement, item in placed:
+        visuals.addGeometryObject(drawn(item.name, joint, placement, item))
+    return visuals
+
+
+def drawn(name: str, joint: int, placement: pin.SE3, item: pin.GeometryObject) -> pin.GeometryObject:
+    """Return the object on another joint, its mesh as Pinocchio has read and scaled it."""
+    moved = pin.GeometryObject(name, joint, placement, item.geometry)
+    # Of a file with materials meshcat draws holes.
+    moved.meshColor, moved.meshScale, moved.meshPath = item.meshColor, np.ones(3), ""
+    return moved
+
+
+def box_visuals(size: Sequence[float], joint: int) -> pin.GeometryModel:
+    """Return a box that stands on the ground, with a dark front and a wedge on top that points forward.
+
+    Parameters
+    ----------
+    size : sequence of 3 floats
+        Length, width and height [m].
+    joint : int
+        What it rides on.
+    """
+    import coal
+
+    length, width, height = size
+    depth, lift = 0.04 * length, 0.14 * height
+    front = coal.Box(depth, 0.9 * width, 0.62 * height)
+    #  y_B          seen from above; the wedge is `lift` high
+    #   |  ______________
+    #   | |    |\        ||
+    #   | |    |  \      ||
+    #   | |    |  /      ||---- x_B
+    #   | |____|/________||
+    corners = np.array([[-0.1, -0.36], [0.42, 0.0], [-0.1, 0.36]]) * (length, width)
+    low, high = (np.column_stack([corners, np.full(3, z)]) for z in (0.0, lift))
+    visuals = pin.GeometryModel()
+    for name, shape, at, colour in (
+        (BODY, coal.Box(length, width, height), (0, 0, height / 2), _BODY_RGBA),
+        ("front", front, ((length + 0.5 * depth) / 2, 0, 0.5 * height), _DARK_RGBA),
+        ("wedge", _prism(np.concatenate([low, high])), (0, 0, height), _DARK_RGBA),
+    ):
+        item = pin.GeometryObject(name, joint, pin.SE3(np.eye(3), np.array(at, np.float64)), shape)
+        item.meshColor = np.array(colour)
+        visuals.addGeometryObject(item)
+    return visuals
+
+
+def _prism(corners: Array) -> object:
+    """Return the prism with corners 0, 1, 2 below and 3, 4, 5 above, every face with corners of its own."""
+    import coal
+
+    quads = ((0, 1, 4), (0, 4, 3), (1, 2, 5), (1, 5, 4), (2, 0, 3), (2, 3, 5), (0, 2, 1), (3, 4, 5))
+    mesh = coal.BVHModelOBBRSS()
+    mesh.beginModel(len(quads), 3 * len(quads))
+    for a, b, c in quads:
+        mesh.addTriangle(corners[a], corners[b], corners[c])
+    mesh.endModel()
+    return mesh
+
+
+_LOAD_RGBA = (0.55, 0.55, 0.58, 1.0)
+
+
+@dataclass(frozen=True)
+class FilePicture:
+    """What a URDF shows, each object on its own joint; read when it is called.
+
+    Parameters
+    ----------
+    path, package_dirs
+        As in `VisualFile`.
+    """
+
+    path: Path
+    package_dirs: tuple[Path, ...]
+
+    def __call__(self, model: pin.Model) -> pin.GeometryModel:
+        """Return the geometry of the file's model; meshes that are missing or broken are named in a warning.
+
+        Raises
+        ------
+        InvalidArgument
+            If the file cannot be read any more.
+        """
+        file = VisualFile(self.path, self.package_dirs, ())
+        root, _ = readable(file, stacklevel=8)
+        return shown(model, root, file, stacklevel=8)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class GivenPicture:
+    """Geometry that is there already.
+
+    Parameters
+    ----------
+    visual : pin.GeometryModel
+        What is drawn.
+    """
+
+    visual: pin.GeometryModel
+
+    def __call__(self, model: pin.Model) -> pin.GeometryModel:
+        """Return it."""
+        return self.visual
+
+
+def add_carried(
+    visuals: pin.GeometryModel,
+    model: pin.Model,
+    mounts: Sequence[Mount],
+    loads: Sequence[tuple[str, Load]],
+) -> None:
+    """Add what is drawn of arms and loads, on the joints of the whole model."""
+    import coal
+
+    for mount in mounts:
+        for item in mount.arm.visuals().geometryObjects:
+            own = item.parentJoint
+            joint = mount.joints.start + own - 1 if own else BODY_JOINT
+            placement = item.placement if own else mount.placement * item.placement
+            visuals.addGeometryObject(drawn(f"{mount.name}/{item.name}", joint, placement, item))
+    frames = named_frames(model)
+    for number, (name, load) in enumerate(loads, start=1):
+        if load.size is None:
+            continue
+        frame = model.frames[frames[name]]
+        placement = frame.placement * pin.SE3(np.eye(3), np.array(load.com))
+        box = pin.GeometryObject(f"load{number}", frame.parentJoint, placement, coal.Box(*load.size))
+        box.meshColor = np.array(_LOAD_RGBA)
+        visuals.addGeometryObject(box)
