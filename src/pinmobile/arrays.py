@@ -12,40 +12,9 @@ from typing import Any, TypeAlias
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike as ArrayLike, NDArray
 
 from pinmobile.errors import InvalidArgument, NotFinite, UnknownName, shown
-
-__all__ = [
-    "HALF_TURN",
-    "LEAST_ANGLE",
-    "Array",
-    "ArrayLike",
-    "affordable",
-    "answered",
-    "are_real",
-    "broadcast",
-    "callable_as",
-    "endless_or_finite",
-    "finite",
-    "finite_answer",
-    "frozen",
-    "increasing",
-    "lengths",
-    "location",
-    "non_negative",
-    "one_of",
-    "positive",
-    "real",
-    "representable",
-    "scalar",
-    "seeded",
-    "sequence",
-    "text",
-    "vector",
-    "whole",
-    "wrap_angle",
-]
 
 Array: TypeAlias = NDArray[np.float64]
 

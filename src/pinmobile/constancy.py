@@ -10,8 +10,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-__all__ = ["Known", "constant", "has_slots", "is_constant", "known"]
-
 _DEEP = 24
 _NUMBERS = bool, int, float, complex, str, bytes, np.generic
 _ATOMS = (*_NUMBERS, np.dtype, np.ufunc, type, ModuleType, type(None), Enum)

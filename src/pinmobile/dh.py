@@ -10,8 +10,6 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite, scalar, sequence, vector
 from pinmobile.errors import InvalidArgument, shown
 
-__all__ = ["LECTURE_TABLE", "SLIDE_TABLE", "DHRow", "DHTable", "JointType", "transform"]
-
 
 class JointType(Enum):
     """What a joint variable adds to: `d` of its row (prismatic) or `theta` (revolute)."""

@@ -4,21 +4,6 @@ from collections.abc import Iterable
 from functools import partial
 from typing import Any
 
-__all__ = [
-    "Diverged",
-    "FileError",
-    "InvalidArgument",
-    "NotFinite",
-    "NotTraceable",
-    "PinmobileError",
-    "SchedulerError",
-    "SlowerEngine",
-    "UnknownName",
-    "Unreachable",
-    "ViewerError",
-    "shown",
-]
-
 _LONGEST = 500  # letters of a value that a message shows
 
 

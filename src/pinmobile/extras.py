@@ -6,8 +6,6 @@ from typing import Any
 
 from pinmobile.errors import InvalidArgument
 
-__all__ = ["EXTRAS", "imported", "installing"]
-
 EXTRAS: Mapping[str, tuple[str, ...]] = {
     "sweeps": ("dask", "distributed", "xarray", "zarr"),
     "mp4": ("imageio-ffmpeg",),

@@ -22,18 +22,6 @@ from pinmobile.errors import FileError, InvalidArgument, PinmobileError, shown
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
-__all__ = [
-    "archive_of",
-    "arrays_of",
-    "cannot",
-    "refusals",
-    "replacing",
-    "unpacking",
-    "write",
-    "write_table",
-    "written",
-]
-
 _SHORT = 4096  # bytes of an array of one text
 
 # What a path is at fault for, and another one mends; all else is the system's: a full disk, a failing device.

@@ -11,16 +11,6 @@ from typing import Any, Protocol, TypeAlias
 from pinmobile.arrays import Array, callable_as
 from pinmobile.errors import InvalidArgument, shown
 
-__all__ = [
-    "Acceleration",
-    "Integrator",
-    "RungeKuttaNystrom",
-    "check_integrator",
-    "constant_acceleration",
-    "rk4",
-    "semi_implicit_euler",
-]
-
 Acceleration: TypeAlias = Callable[[float, Array, Array], Array]
 
 

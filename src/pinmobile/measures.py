@@ -8,17 +8,6 @@ import numpy as np
 from pinmobile.arrays import Array, are_real, callable_as, one_of, sequence, text
 from pinmobile.errors import InvalidArgument, shown
 
-__all__ = [
-    "Measure",
-    "channels_of",
-    "check_measured",
-    "chosen",
-    "measured_of",
-    "measures_of",
-    "size_of",
-    "value_of",
-]
-
 _WORST = ("largest", "smallest")
 _SCALE = 2.0**-12  # of margins: below this, differences count; above it, ratios
 _BEYOND = 2.0**20  # margins below minus this are as bad as any

@@ -10,26 +10,6 @@ import numpy as np
 from pinmobile.arrays import Array, callable_as, finite, frozen, positive, sequence, text, whole
 from pinmobile.errors import InvalidArgument, shown
 
-__all__ = [
-    "Context",
-    "Coordinate",
-    "Difference",
-    "Input",
-    "Parameter",
-    "Plant",
-    "PlantOutline",
-    "Step",
-    "all_samples",
-    "check_difference",
-    "check_plant",
-    "configuration_names_of",
-    "coordinates_of",
-    "inputs_of",
-    "leading_of",
-    "parameters_of",
-    "whole_configurations",
-]
-
 Difference: TypeAlias = Callable[[Array, Array], Array]
 
 

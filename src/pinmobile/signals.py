@@ -8,8 +8,6 @@ import numpy as np
 from pinmobile.arrays import Array, frozen, real
 from pinmobile.errors import InvalidArgument, shown
 
-__all__ = ["Claim", "Recorder", "Signal", "claimed", "number", "recorder", "signals_of"]
-
 Ask = Callable[[int, Array, Array, Array], Any]
 
 

@@ -13,8 +13,6 @@ from pinmobile.arrays import Array, ArrayLike, finite, frozen, lengths, one_of, 
 from pinmobile.dh import DHTable, JointType, transform
 from pinmobile.errors import InvalidArgument, shown
 
-__all__ = ["Body", "box_inertia", "shipped_urdf", "write"]
-
 _INERTIA_ROUNDING = 1e-9  # files carry eight digits or so: a broken triangle is one broken by more
 # Dynamics about B's origin take the yaw inertia from a difference to m |com|^2: six digits of it are left.
 _DIGITS = 1e-9

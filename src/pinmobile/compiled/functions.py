@@ -24,7 +24,7 @@ from pinmobile.compiled.elementary import (
     tan,
     tanh,
 )
-from pinmobile.compiled.symbols import FUNCTIONS, REFUSED, Symbols, entries, has_symbols, plain, put, wrapped
+from pinmobile.compiled.symbolic import FUNCTIONS, REFUSED, Symbols, entries, has_symbols, plain, put, wrapped
 from pinmobile.compiled.tape import absolute, maximum, minimum, root, select
 from pinmobile.compiled.ufuncs import UFUNCS, between, boxed, choose, elementwise, larger, of_truths, smaller
 from pinmobile.errors import NotTraceable

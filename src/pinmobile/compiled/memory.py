@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.compiled.symbols import Symbols
+from pinmobile.compiled.symbolic import Symbols
 from pinmobile.compiled.tape import Node
 from pinmobile.errors import NotTraceable
 

@@ -14,7 +14,7 @@ from pinmobile.arrays import Array, are_real
 from pinmobile.compiled.copies import copied, is_part, made_again
 from pinmobile.compiled.memory import mapped
 from pinmobile.compiled.recorders import Record, Sample
-from pinmobile.compiled.symbols import entries, has_symbols
+from pinmobile.compiled.symbolic import entries, has_symbols
 from pinmobile.constancy import known
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
 from pinmobile.measures import measured_of

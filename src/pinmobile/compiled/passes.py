@@ -10,7 +10,7 @@ from pinmobile.compiled.loop_tape import Leaf, Loop, Ring, arrays_of, initial_me
 from pinmobile.compiled.memory import leaves, mapped, matched
 from pinmobile.compiled.noise import normals
 from pinmobile.compiled.parts import Memory, Parts, Place, Reference, Stepped, one_sample
-from pinmobile.compiled.symbols import Symbols, entries, symbols
+from pinmobile.compiled.symbolic import Symbols, entries, symbols
 from pinmobile.compiled.tape import COUNT, LARGEST, Node, Tape, evaluated, float_bits, needed, real
 from pinmobile.compiled.tracing import Walk, calling_place, tracing
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, location, one_of, whole
 from pinmobile.ensembles.histogram import checked_levels, checked_share, share_within
-from pinmobile.ensembles.member import Member, member_of
 from pinmobile.ensembles.outline import Outline, alike, judgement, ranges
-from pinmobile.ensembles.part import Part
+from pinmobile.ensembles.part import Member, Part, member_of
 from pinmobile.ensembles.scenario import Scenario, checked_scenario
 from pinmobile.ensembles.variables import (
     PER_ROBOT,

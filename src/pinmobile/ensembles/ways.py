@@ -28,8 +28,7 @@ from pinmobile.compiled import (
     tracking_errors,
 )
 from pinmobile.ensembles.histogram import BINS, bins_of
-from pinmobile.ensembles.member import member_of
-from pinmobile.ensembles.part import Part
+from pinmobile.ensembles.part import Part, member_of
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.errors import Diverged, InvalidArgument, NotTraceable
 from pinmobile.measures import measures_of, size_of

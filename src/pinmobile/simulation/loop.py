@@ -19,7 +19,7 @@ from pinmobile.integrators import Integrator, RungeKuttaNystrom
 from pinmobile.plant import Context
 from pinmobile.signals import Recorder, Signal, recorder
 from pinmobile.simulation.setup import check_same, shorter
-from pinmobile.simulation.steps import (
+from pinmobile.simulation.substeps import (
     Clock,
     dynamics_of,
     own_steps,

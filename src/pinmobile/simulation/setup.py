@@ -10,7 +10,7 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import check_integrator, constant_acceleration
 from pinmobile.plant import Context, check_plant, leading_of
-from pinmobile.simulation.steps import stepped
+from pinmobile.simulation.substeps import stepped
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from pinmobile.arrays import Array
 from pinmobile.ensembles import Part, Scenario, part_of
 from pinmobile.errors import InvalidArgument, PinmobileError, UnknownName
 from pinmobile.files import cannot
-from pinmobile.sweeps.extras import imported
+from pinmobile.sweeps.grids import imported
 
 _LOADING = RLock()
 

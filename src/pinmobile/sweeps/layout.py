@@ -22,8 +22,7 @@ from pinmobile.ensembles import (
 from pinmobile.errors import InvalidArgument
 from pinmobile.files import arrays_of
 from pinmobile.plant import Parameter
-from pinmobile.sweeps.extras import imported
-from pinmobile.sweeps.grids import Grid
+from pinmobile.sweeps.grids import Grid, imported
 from pinmobile.sweeps.table import axis_of_rivals
 
 METADATA = "zarr.json"

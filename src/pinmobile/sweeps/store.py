@@ -24,9 +24,8 @@ from pinmobile.arrays import Array
 from pinmobile.ensembles import SUMMED, Ensemble, Part, drawn_name, per_robot, summed
 from pinmobile.errors import FileError, InvalidArgument
 from pinmobile.files import refusals, write
-from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.fingerprint import differences
-from pinmobile.sweeps.grids import Grid
+from pinmobile.sweeps.grids import Grid, imported
 from pinmobile.sweeps.layout import METADATA, attributes_of, coordinates_of, counts_of, empty_store
 
 GO_ON = "what is done is in the store: start the same sweep again to go on"

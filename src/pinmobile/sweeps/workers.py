@@ -15,11 +15,10 @@ from pinmobile.compiled import processors
 from pinmobile.ensembles import Part, Scenario, Workers, part_of, way_of
 from pinmobile.errors import InvalidArgument, SchedulerError, SlowerEngine, shown
 from pinmobile.sweeps.code import packed, part_of_packed
-from pinmobile.sweeps.extras import imported
+from pinmobile.sweeps.contents import Sweep
 from pinmobile.sweeps.fingerprint import determined_by
-from pinmobile.sweeps.grids import Grid, as_grid
+from pinmobile.sweeps.grids import Grid, as_grid, imported
 from pinmobile.sweeps.layout import METADATA
-from pinmobile.sweeps.result import Sweep
 from pinmobile.sweeps.store import GO_ON, Job, Store
 
 _ANSWER = 10.0  # seconds that a scheduler has to answer, and to have a worker

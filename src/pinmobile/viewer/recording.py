@@ -17,7 +17,7 @@ from pinmobile.errors import InvalidArgument, ViewerError, shown
 from pinmobile.extras import installing
 from pinmobile.files import write, written
 from pinmobile.viewer.chromium import Browser
-from pinmobile.viewer.page import recorded_page
+from pinmobile.viewer.offline import recorded_page
 
 _HELD = 1.0  # [s] for which the last frame stands
 _COLOURS = 128

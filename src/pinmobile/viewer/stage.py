@@ -9,8 +9,8 @@ from pinocchio.visualize import MeshcatVisualizer
 from pinmobile.arrays import Array
 from pinmobile.robot import BODY
 from pinmobile.viewer.motion import Channel
+from pinmobile.viewer.offline import Visualizer
 from pinmobile.viewer.overlays import View
-from pinmobile.viewer.page import Visualizer
 from pinmobile.viewer.shapes import Shape, shadows
 
 _FEW = 300  # triangles that a mesh keeps: a wedge of eight would be gone

@@ -12,9 +12,8 @@ from pinmobile.arrays import ArrayLike, positive, text, vector
 from pinmobile.errors import InvalidArgument, ViewerError, shown
 from pinmobile.files import written
 from pinmobile.viewer.motion import figure, frame_times, tracks
-from pinmobile.viewer.offline import OfflineWindow
+from pinmobile.viewer.offline import OfflineWindow, recorded_page
 from pinmobile.viewer.overlays import Overlays, Rollouts, checked_overlays, checked_runs
-from pinmobile.viewer.page import recorded_page
 from pinmobile.viewer.recording import Recording, picture_of
 from pinmobile.viewer.scene import Scene
 from pinmobile.viewer.stage import Stage

@@ -9,9 +9,9 @@ from PIL import Image, ImageOps
 
 from pinmobile.arrays import non_negative, whole
 from pinmobile.errors import InvalidArgument, ViewerError
-from pinmobile.viewer.live.server import Server, access_for, listening
-from pinmobile.viewer.offline import static_page
-from pinmobile.viewer.page import ENGINE, live_page
+from pinmobile.viewer.live.handlers import access_for
+from pinmobile.viewer.live.server import Server, listening
+from pinmobile.viewer.offline import ENGINE, live_page, static_page
 
 _CAPTURE = 20.0  # [s] that a browser has to draw a picture
 _SCRIPT, _CONNECT = 'src="main.min.js"', "viewer.connect()"

@@ -12,9 +12,8 @@ import numpy as np
 from pinmobile.arrays import location, one_of, whole
 from pinmobile.ensembles import PER_ROBOT, Ensemble, checked_share, drawn_name, share_within
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.fingerprint import determined_by, differences
-from pinmobile.sweeps.grids import Axis, Grid, as_grid, place_of
+from pinmobile.sweeps.grids import Axis, Grid, as_grid, imported, place_of
 from pinmobile.sweeps.layout import attributes_of, coordinates_of, damaged
 from pinmobile.sweeps.table import answer, since, table
 
