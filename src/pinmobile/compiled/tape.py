@@ -34,7 +34,7 @@ LARGEST = 30_000
 _SHARED = 10  # times as many may be of time alone
 
 
-Operation: TypeAlias = tuple[Any, ...]
+_Operation: TypeAlias = tuple[Any, ...]
 
 
 # Names of inputs, with what they depend on and their type: f is a float, u 64 bits, b a truth value.
@@ -49,7 +49,7 @@ _INPUTS = {
 }
 
 
-COUNT: Operation = ("count",)
+COUNT: _Operation = ("count",)
 
 
 def float_bits(x: float) -> int:
@@ -61,7 +61,7 @@ def _bits_float(x: int) -> float:
     return float(struct.unpack("<d", x.to_bytes(8, "little"))[0])
 
 
-def operands(operation: Operation) -> tuple[int, ...]:
+def operands(operation: _Operation) -> tuple[int, ...]:
     """Return the nodes that an operation is of."""
     name = operation[0]
     if name == "const" or name in _INPUTS:
@@ -91,17 +91,17 @@ class Tape:
     """
 
     def __init__(self, largest: int = LARGEST, where: Callable[[], Any] | None = None) -> None:
-        self.operations: list[Operation] = []
+        self.operations: list[_Operation] = []
         self.types: list[str] = []
         self.depends: list[int] = []
         self.places: list[Any] = []
-        self._known: dict[Operation, int] = {}
+        self._known: dict[_Operation, int] = {}
         self._applied: dict[tuple[Any, ...], int] = {}  # what has been asked for, before it was simplified
         self._values: dict[int, Any] = {}  # of constants
         self._largest, self._where, self._own = largest, where, 0
 
     @classmethod
-    def of(cls, operations: list[Operation], types: list[str], depends: list[int]) -> "Tape":
+    def of(cls, operations: list[_Operation], types: list[str], depends: list[int]) -> "Tape":
         """Return one that has these nodes, as from a file."""
         tape = cls()
         tape.operations, tape.types, tape.depends = operations, types, depends
@@ -110,7 +110,7 @@ class Tape:
                 tape._keep(index, operation)
         return tape
 
-    def _keep(self, index: int, operation: Operation) -> None:
+    def _keep(self, index: int, operation: _Operation) -> None:
         """Keep the value of a constant."""
         self._values[index] = _bits_float(operation[2]) if operation[1] == "f" else operation[2]
 
@@ -193,7 +193,7 @@ class Tape:
             value = NUMPY[name](*(DTYPES[k](v) for k, v in zip(kinds, values, strict=True)))
         return self.const(value, kind_after(name, kinds))
 
-    def _node(self, kind: str, depends: int, operation: Operation) -> "Node":
+    def _node(self, kind: str, depends: int, operation: _Operation) -> "Node":
         index = self._known.get(operation)
         if index is None:
             index = len(self.operations)
@@ -322,7 +322,7 @@ maximum, minimum = _primitive("max"), _primitive("min")
 
 
 def evaluated(
-    tape: Tape, wanted: Iterable[int], inputs: Mapping[Operation, Any], first: bool = True
+    tape: Tape, wanted: Iterable[int], inputs: Mapping[_Operation, Any], first: bool = True
 ) -> list[Any]:
     """Return the values of some nodes, computed with NumPy: the bits that the compiled code gives.
 

@@ -197,7 +197,7 @@ def _rounded(expression: Expr) -> Expr:
     return expression.xreplace({c: c.evalf(17) for c in constants if c.is_number})
 
 
-Assignments = tuple[tuple[Symbol, Expr], ...]
+_Assignments = tuple[tuple[Symbol, Expr], ...]
 
 
 def _latex(expression: Expr | ImmutableMatrix) -> str:
@@ -288,7 +288,7 @@ class Derivation:
     inputs: ImmutableMatrix = field(repr=False)
     mass_matrix: ImmutableMatrix = field(repr=False)
     nonlinear_effects: ImmutableMatrix = field(repr=False)
-    assignments: Assignments = field(repr=False)
+    assignments: _Assignments = field(repr=False)
 
     @property
     def q(self) -> tuple[Symbol, ...]:

@@ -58,7 +58,7 @@ class Uniform:
 
     def sample(self, generator: np.random.Generator, size: int) -> Array:
         """Return `size` independent draws, shape (size,)."""
-        return checked_generator(generator).uniform(self.low, self.high, checked_size(size))
+        return _checked_generator(generator).uniform(self.low, self.high, checked_size(size))
 
     def support(self) -> tuple[float, float]:
         """Return the bounds, as a frozen distribution of `scipy.stats` does."""
@@ -96,7 +96,7 @@ class Normal:
 
     def sample(self, generator: np.random.Generator, size: int) -> Array:
         """Return `size` independent draws, shape (size,)."""
-        return checked_generator(generator).normal(self.mean, self.std, checked_size(size))
+        return _checked_generator(generator).normal(self.mean, self.std, checked_size(size))
 
 
 @final
@@ -156,7 +156,7 @@ TRUE_MODEL: Mapping[str, Same] = _TrueModel(("mass", "yaw_inertia", "com_x", "co
 Source: TypeAlias = Distribution | Same | ArrayLike
 
 
-def checked_generator(generator: Any) -> np.random.Generator:
+def _checked_generator(generator: Any) -> np.random.Generator:
     """Return a generator, after refusing what is none.
 
     Raises

@@ -42,7 +42,7 @@ class LinkNumbers(NamedTuple):
         """Return a copy of the model that has them."""
         new = model.copy()
         for joint, (mass, com, six) in enumerate(zip(*self[:3], strict=True)):
-            new.inertias[joint] = pin.Inertia(mass, com, matrix_of(six))
+            new.inertias[joint] = pin.Inertia(mass, com, _matrix_of(six))
         new.armature = self.rotors
         return new
 
@@ -51,7 +51,7 @@ def _six(inertia: Array) -> Array:
     return inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 
-def matrix_of(six: Array) -> Array:
+def _matrix_of(six: Array) -> Array:
     """Return the matrix of (xx, yy, zz, xy, xz, yz)."""
     return six[[[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
 
@@ -195,7 +195,7 @@ class Load:
         """Return the load with another mass, centre of mass and inertia (xx, yy, zz, xy, xz, yz) about it."""
         if mass == self.mass and np.array_equal(com, self.com) and np.array_equal(six, self.six):
             return self
-        own = tuple(map(tuple, matrix_of(six).tolist())) if six.any() else None
+        own = tuple(map(tuple, _matrix_of(six).tolist())) if six.any() else None
         x, y, z = com.tolist()
         return Load(mass, (x, y, z), own, self.size)
 

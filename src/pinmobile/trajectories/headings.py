@@ -32,7 +32,7 @@ _ROUNDING = 1e-14
 
 
 @dataclass(frozen=True, eq=False)
-class Jump:
+class _Jump:
     """A jump of the heading at a knot or rest.
 
     Parameters
@@ -52,7 +52,7 @@ class Jump:
 
 
 @constant
-class Winding:
+class _Winding:
     """The heading along a path, unwrapped from a table made once: no time asked for matters to another.
 
     Between two times of the table the heading turns by less than 60 deg, so that the entry before a
@@ -109,9 +109,9 @@ def _first_cells(leg: Leg) -> Array:
     return np.stack([edges[:-1], edges[1:]], axis=-1)
 
 
-def _jump(before: Leg, after: Leg, psi_before: float, psi_after: float) -> Jump:
+def _jump(before: Leg, after: Leg, psi_before: float, psi_after: float) -> _Jump:
     left, right = before.tail, after.head
-    return Jump(
+    return _Jump(
         right.time,
         _derivatives(left, psi_before),
         _derivatives(right, psi_after),
@@ -265,7 +265,7 @@ class LectureHeading:
 
 
 @constant
-class TurnsOnTheSpot:
+class _TurnsOnTheSpot:
     """The clock of a trajectory that holds its path at some times to turn.
 
     Parameters
@@ -285,7 +285,7 @@ class TurnsOnTheSpot:
         Duration of the trajectory [s].
     """
 
-    def __init__(self, jumps: Sequence[Jump], turn_time: float, path_duration: float) -> None:
+    def __init__(self, jumps: Sequence[_Jump], turn_time: float, path_duration: float) -> None:
         self._turn_time = turn_time
         held = np.array([jump.time for jump in jumps])
         self.starts = held + turn_time * np.arange(len(jumps))
@@ -391,8 +391,8 @@ class Tangent:
 
     turns: Array = field(init=False, repr=False, compare=False)
     _hodograph: Hodograph = field(init=False, repr=False, compare=False)
-    _winding: Winding = field(init=False, repr=False, compare=False)
-    _stops: TurnsOnTheSpot = field(init=False, repr=False, compare=False)
+    _winding: _Winding = field(init=False, repr=False, compare=False)
+    _stops: _TurnsOnTheSpot = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         plane_path(self.path)
@@ -401,10 +401,10 @@ class Tangent:
         else:
             object.__setattr__(self, "turn_time", positive("turn_time", self.turn_time, "s"))
         direction = hodograph(self.path)
-        winding = Winding(direction)
+        winding = _Winding(direction)
         for jump in winding.jumps:
             _check(jump, self.turn_time)
-        stops = TurnsOnTheSpot(winding.jumps, self.turn_time or 0.0, float(self.path.duration))
+        stops = _TurnsOnTheSpot(winding.jumps, self.turn_time or 0.0, float(self.path.duration))
         for name, value in (("_hodograph", direction), ("_winding", winding), ("_stops", stops)):
             object.__setattr__(self, name, value)
         object.__setattr__(self, "turns", frozen(stops.starts))
@@ -440,7 +440,7 @@ class Tangent:
         return self._stops.filled(clock, joined((position, v, a), headings))
 
 
-def _check(jump: Jump, turn_time: float | None) -> None:
+def _check(jump: _Jump, turn_time: float | None) -> None:
     before, after = np.degrees([jump.before[0], jump.after[0]])
     if jump.speed:
         raise InvalidArgument(

@@ -73,7 +73,7 @@ def recorded_page(title: str, commands: Iterable[bytes], animation: dict[str, An
     """
     packed = json.dumps(animation, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     scene = Template(_LOAD).substitute(animation=packed, loading=loading(commands))
-    return sealed(_filled(title, f"<script>\n{_engine()}\n</script>", scene))
+    return _sealed(_filled(title, f"<script>\n{_engine()}\n</script>", scene))
 
 
 def loading(commands: Iterable[bytes]) -> str:
@@ -85,7 +85,7 @@ def loading(commands: Iterable[bytes]) -> str:
     )
 
 
-def sealed(page: str) -> str:
+def _sealed(page: str) -> str:
     """Return a page that holds everything it shows with a policy: its own scripts run, and ask for nothing.
 
     Parameters
@@ -133,14 +133,14 @@ class Key(NamedTuple):
     name: str = ""
 
 
-class Update(NamedTuple):
+class _Update(NamedTuple):
     """A command as it is sent."""
 
     key: Key
     data: bytes
 
 
-def packed(command: Any) -> Update:
+def packed(command: Any) -> _Update:
     """Return a command as it is sent.
 
     Parameters
@@ -166,7 +166,7 @@ def packed(command: Any) -> Update:
     if kind == "set_transform" and len(payload) != 16:
         raise InvalidArgument(f"the transform of {key.path} has {len(payload)} numbers, expected 16")
     try:
-        return Update(key, packed_command(content))
+        return _Update(key, packed_command(content))
     except Exception as error:  # the packer's own errors have no common base
         raise InvalidArgument(f"{kind} of {key.path or '/'} cannot be sent: {error}") from error
 
@@ -294,7 +294,7 @@ class Backlog:
 
     # In these three, an interrupt may leave what is in the index but not in the entries, not the reverse.
 
-    def _append(self, update: Update) -> None:
+    def _append(self, update: _Update) -> None:
         if update.key not in self._entries:
             for path in _up(update.key.path):
                 self._below.setdefault(path, set()).add(update.key)
@@ -303,7 +303,7 @@ class Backlog:
         self._entries.move_to_end(update.key)
         self._latest += 1
 
-    def _delete(self, update: Update) -> None:
+    def _delete(self, update: _Update) -> None:
         path = update.key.path
         self._drop(path)
         self._append(update)
@@ -413,4 +413,4 @@ def static_page(commands: list[bytes]) -> str:
         raise ViewerError(f"the page of the installed meshcat has changed: {ENGINE.with_name('index.html')}")
     head, _, rest = page.partition(_SCRIPT)
     body = rest.replace(_CONNECTING, loading(commands))
-    return sealed(f"{head}<script>\n{ENGINE.read_text(encoding='utf-8')}\n{body}")
+    return _sealed(f"{head}<script>\n{ENGINE.read_text(encoding='utf-8')}\n{body}")

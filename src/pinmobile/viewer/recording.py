@@ -133,7 +133,7 @@ def picture_of(html: str, size: tuple[int, int], time: float) -> bytes:
         return _picture(browser, time)
 
 
-def pictures_of(
+def _pictures_of(
     html: str, size: tuple[int, int], times: Sequence[float], progress: Progress | None
 ) -> Iterator[Image.Image]:
     """Yield a page at some times; other parameters and errors are those of `picture_of`.
@@ -325,4 +325,4 @@ class Recording:
 
     def _frames(self, rate: float, size: tuple[int, int], progress: Progress | None) -> Iterator[Image.Image]:
         times = np.append(np.arange(0.0, self.duration, self.speed / rate), self.duration)
-        return pictures_of(self.html(), size, times.tolist(), progress)
+        return _pictures_of(self.html(), size, times.tolist(), progress)

@@ -145,7 +145,7 @@ _POLICY = (
 )
 
 
-class Serving(Protocol):
+class _Serving(Protocol):
     """A server, as far as its answers ask it."""
 
     access: Access
@@ -172,9 +172,9 @@ class Serving(Protocol):
 class _Answer(RequestHandler):
     """A request; without a right to it, it is refused before anything else is looked at."""
 
-    server: Serving
+    server: _Serving
 
-    def initialize(self, server: Serving) -> None:
+    def initialize(self, server: _Serving) -> None:
         self.server = server
 
     def prepare(self) -> None:
@@ -351,7 +351,7 @@ class Browser(_Answer, WebSocketHandler):
             self.ws_connection.stream.close()
 
 
-def application(server: Serving) -> Application:
+def application(server: _Serving) -> Application:
     """Return what answers a server's requests."""
     own = {"server": server}
     return Application(

@@ -47,7 +47,7 @@ def listening(host: str, port: int | None) -> socket.socket:
     return server
 
 
-class GuardedServer(HTTPServer):
+class _GuardedServer(HTTPServer):
     """A server that knows its connections, and holds no more of them than it can afford.
 
     Half of them are for pages: the websockets that are kept. Where all others are taken, a new one takes the
@@ -250,7 +250,7 @@ class Server:
     async def _serve(self) -> None:
         self._loop = asyncio.get_running_loop()
         self._work, self._end = asyncio.Event(), asyncio.Event()
-        http = self._http = GuardedServer(
+        http = self._http = _GuardedServer(
             application(self),
             max_header_size=_LARGEST_HEADER,
             max_body_size=_LARGEST_BODY,
