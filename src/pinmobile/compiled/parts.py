@@ -333,7 +333,7 @@ class Stepped(NamedTuple):
 
 
 def one_sample(
-    parts: Parts, k: Any, t: Any, h: Any, q: Any, v: Any, reference: Reference, memory: Memory
+    parts: Parts, k: Any, t: Any, h: Any, state: tuple[Any, Any], reference: Reference, memory: Memory
 ) -> Stepped:
     """Return one sample of the closed loop, and the state at the next.
 
@@ -343,13 +343,14 @@ def one_sample(
         The loop.
     k, t, h : float
         Number and time of the sample, and length of a substep [s].
-    q, v : ndarray, shape (nq,), (nv,)
-        State.
+    state : tuple of ndarray, shape (nq,), (nv,)
+        Configuration and velocity.
     reference : Reference
         Of this sample.
     memory : Memory
         What the parts keep.
     """
+    q, v = state
     plant, controller = parts.plant, parts.controller
     # What is the loop's own is not a controller's to write into.
     own = mapped(memory.controller, _copy)

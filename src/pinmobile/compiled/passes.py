@@ -65,7 +65,14 @@ def traced(
     given = Reference(*(np.asarray(x, np.float64) for x in reference))
     parts = parts.on_symbols()
     trace = _Trace(
-        parts, context, q, v, given, dt / parts.substeps, frozenset(Place(*x) for x in spread), largest
+        parts,
+        context,
+        q,
+        v,
+        given,
+        dt / parts.substeps,
+        spread=frozenset(Place(*x) for x in spread),
+        largest=largest,
     )
     trace.own_reference, trace.walk = own_reference, walk or walk_of(parts)
     return trace.result()
@@ -89,6 +96,7 @@ class _Trace:
         v: Array,
         reference: Reference,
         h: float,
+        *,
         spread: frozenset[Place],
         largest: int,
     ) -> None:
@@ -122,7 +130,7 @@ class _Trace:
         for _ in range(4):
             memory = self._grown(initial_memory(self.parts, self.context, len(self.reference.v)))
             found = one_sample(
-                self.parts, 0.0, 0.0, self.h, self.q.copy(), self.v.copy(), self.reference, memory
+                self.parts, 0.0, 0.0, self.h, (self.q.copy(), self.v.copy()), self.reference, memory
             )
             grew = False
             for owner, before, after in zip(Memory._fields, memory, found.memory, strict=True):
@@ -140,7 +148,7 @@ class _Trace:
         moved = 0.07 * np.cos(2.0 + np.arange(len(self.v)))
         integrate = getattr(self.parts.plant, "integrate", None) or np.add
         q = np.asarray(integrate(self.q, moved), np.float64)
-        return q, v, one_sample(self.parts, 0.0, 0.0, self.h, q.copy(), v.copy(), self.reference, memory)
+        return q, v, one_sample(self.parts, 0.0, 0.0, self.h, (q.copy(), v.copy()), self.reference, memory)
 
     def _grown(self, memory: Memory) -> Memory:
         """Return the memory with arrays of the shapes that they come to have."""
@@ -251,7 +259,7 @@ class _Pass:
             *(self._remembered(owner, tree) for owner, tree in zip(Memory._fields, numbers, strict=True))
         )
         with tracing(trace.walk):
-            found = one_sample(parts, k, t, h, q, v, reference, memory)
+            found = one_sample(parts, k, t, h, (q, v), reference, memory)
             after = self._after(memory, found)
         kept = {
             name: (np.shape(x), [self._node(y) for y in entries(x).reshape(-1)])

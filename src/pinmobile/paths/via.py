@@ -74,6 +74,7 @@ class CubicVia(PiecewisePath):
         t_via: float,
         t_end: float,
         via_velocity: ArrayLike | None = None,
+        *,
         start_velocity: ArrayLike = _REST,
         end_velocity: ArrayLike = _REST,
     ) -> None:

@@ -160,7 +160,7 @@ class MobileRobot(System):
 
     def __reduce__(self) -> tuple[object, ...]:
         # A pin.Data is not worth keeping: it is made again from the parameters.
-        return _restored, (*self._own(self.body), self.mounts, self.loads)
+        return _restored, (self._own(self.body), self.mounts, self.loads)
 
     def _own(self, body: urdf.Body, source: str | None = None) -> _Bare:
         bare = self.source.removesuffix(_of_files(self.mounts)) if source is None else source
@@ -346,7 +346,7 @@ class MobileRobot(System):
         source : str
             Where they come from, in words.
         """
-        return _restored(*self._own(body, source))
+        return _restored(self._own(body, source))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -542,10 +542,10 @@ class MobileRobot(System):
             )
         ]
         own = self._own(body, f"{self._own(body)[3]}; with other parameters")
-        return _restored(*own, tuple(mounts), tuple(loads))
+        return _restored(own, tuple(mounts), tuple(loads))
 
     def _carrying(self, mounts: tuple[Mount, ...], loads: tuple[tuple[str, Load], ...]) -> "MobileRobot":
-        return _restored(*self._own(self.body), mounts, loads)
+        return _restored(self._own(self.body), mounts, loads)
 
     def mount(
         self,
@@ -710,7 +710,7 @@ class MobileRobot(System):
 
 def _read(reading: Reading, looks: VisualFile | None) -> MobileRobot:
     own = reading.body, reading.size, reading.table, reading.source, reading.stance, reading.locked
-    return _restored(*own, looks)
+    return _restored((*own, looks))
 
 
 def _of_files(mounts: Sequence[Mount]) -> str:
@@ -724,16 +724,9 @@ def _of_files(mounts: Sequence[Mount]) -> str:
 
 
 def _restored(
-    body: urdf.Body,
-    size: tuple[float, float, float],
-    dh: DHTable,
-    source: str,
-    stance: Stance,
-    locked_joints: tuple[str, ...],
-    looks: VisualFile | None,
-    mounts: tuple[Mount, ...] = (),
-    loads: tuple[tuple[str, Load], ...] = (),
+    bare: _Bare, mounts: tuple[Mount, ...] = (), loads: tuple[tuple[str, Load], ...] = ()
 ) -> MobileRobot:
+    body, size, dh, source, stance, locked_joints, looks = bare
     robot = MobileRobot.from_body(body, size, dh, source, stance=stance, locked_joints=locked_joints)
     carrying = {"mounts": mounts, "loads": loads}
     if mounts or loads:

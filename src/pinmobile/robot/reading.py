@@ -173,7 +173,7 @@ def read_model(
             "give ground=, its z there [m]"
         )
     else:
-        stance, words = stance_on(model, data, base, wheels, shown.shapes, z, shown.file, root)
+        stance, words = stance_on(model, data, base, wheels, shown.shapes, z, file=shown.file, root=root)
         parts += [f"ground {told}, at z = {z:.4g} m in the root link's frame", *words]
     size = shown.size
     if size is None:

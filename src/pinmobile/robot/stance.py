@@ -335,6 +335,7 @@ def stance_on(
     wheels: Sequence[WheelReading],
     shapes: Sequence[Shape],
     ground: float,
+    *,
     file: VisualFile | None,
     root: int,
 ) -> tuple[Stance, list[str]]:

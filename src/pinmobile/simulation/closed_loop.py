@@ -174,7 +174,7 @@ def simulate(
         check_controllers_memory(controller, context, *start)
         memory["simulated", count, dt, t[-1]] = True
     chunk = len(t) if chosen is COMPILED else _CHUNK
-    loop = kind(plant, controller, integrator, context, count, checked, *start)
+    loop = kind(plant, controller, integrator, context, count, checked, q0=start[0], v0=start[1])
     for begin in range(0, len(t), chunk):
         end = min(begin + chunk, len(t))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # the check below tells

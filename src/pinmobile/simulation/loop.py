@@ -54,6 +54,7 @@ class Loop:
         context: Context,
         substeps: int,
         forces: tuple[Force | CoordinateForce, ...],
+        *,
         q0: Array,
         v0: Array,
     ) -> None:

@@ -49,6 +49,7 @@ class CompiledLoop:
         context: Context,
         substeps: int,
         forces: tuple[Any, ...],
+        *,
         q0: Array,
         v0: Array,
         memory: dict[Any, Any],
