@@ -194,6 +194,19 @@ def test_no_name_of_a_file_occurs_twice() -> None:
     assert packages & set(names) <= ALONE
 
 
+def test_no_function_takes_more_than_seven_arguments_by_position() -> None:
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+                given = [each.arg for each in (*node.args.posonlyargs, *node.args.args)]
+                assert len(given) - (given[:1] in (["self"], ["cls"])) <= 7, f"{path}:{node.lineno}"
+
+
+@pytest.mark.parametrize("name", sorted(pinmobile.__all__))
+def test_help_names_types_as_they_are_called(name: str) -> None:
+    assert "numpy._typing" not in pydoc.render_doc(getattr(pinmobile, name)), "ArrayLike is spelled out"
+
+
 # Files of few lines that one other imports, each with what keeps it apart.
 APART = {
     "simulation/single.py": "it loads what compiles, and is loaded when that is asked for",

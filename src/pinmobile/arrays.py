@@ -1,5 +1,7 @@
 """The array type, angles on the circle, and the one place where arguments are checked."""
 
+from __future__ import annotations
+
 import inspect
 import os
 import sys
@@ -98,7 +100,7 @@ def endless_or_finite(name: str, value: ArrayLike) -> Array:
     return np.where(endless, np.inf, finite(name, np.where(endless, 0.0, array)))
 
 
-def _array(value: Any) -> "np.ndarray[Any, Any]":
+def _array(value: Any) -> np.ndarray[Any, Any]:
     """Return a value as an array; of what has no numbers, one of objects."""
     try:
         return np.asarray(float(value) if type(value) is int else value)  # 10**22 is no integer of NumPy's
@@ -248,7 +250,7 @@ def whole(name: str, value: Any, *, least: int = 1, most: int = 2**53) -> int:
     return int(number)
 
 
-def seeded(name: str, seed: Any) -> "np.random.Generator":
+def seeded(name: str, seed: Any) -> np.random.Generator:
     """Return the generator of a seed; one that is a generator comes back as it is.
 
     Parameters

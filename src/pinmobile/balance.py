@@ -1,5 +1,7 @@
 """What the base feels: the arm's reaction, where the ground carries it, and what friction that takes."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -264,7 +266,7 @@ def required_friction(motion: Moving) -> Array:
     return np.where(carried, horizontal / np.where(carried, wrench[..., 2], 1.0), lifted)
 
 
-def _ground(motion: Moving) -> tuple[Array, "np.ndarray[tuple[int, ...], np.dtype[np.bool_]]"]:
+def _ground(motion: Moving) -> tuple[Array, np.ndarray[tuple[int, ...], np.dtype[np.bool_]]]:
     """Return the ground's wrench, shape (..., 6), and where it carries the robot, shape (...)."""
     robot = _robot_of(motion)
     wrench = finite("ground_wrench of motion.plant", robot.ground_wrench(motion.q, motion.v, motion.a))

@@ -1,5 +1,7 @@
 """What is constant, known by its identity, and what is remembered of it as long as it lives."""
 
+from __future__ import annotations
+
 import itertools
 import weakref
 from dataclasses import dataclass, field

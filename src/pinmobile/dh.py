@@ -1,5 +1,7 @@
 """Modified-DH rows, transforms and tables, and the lecture's two tables of the same robot."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum

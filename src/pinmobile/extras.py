@@ -1,5 +1,7 @@
 """Packages that only some need: imported when they are used, and named where they are missing."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from importlib import import_module
 from typing import Any

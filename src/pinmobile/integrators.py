@@ -4,6 +4,8 @@ A step is called as ``step(acceleration, t, q, v, dt) -> (q, v)`` with ``acceler
 the acceleration have shape (..., n), t [s] and dt [s] are numbers. Any callable of that form will do.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias

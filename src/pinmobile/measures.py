@@ -1,5 +1,7 @@
 """`Measure`: what a plant states of a sample beside the error of its reference, such as a tip-over margin."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 

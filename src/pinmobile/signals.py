@@ -1,5 +1,7 @@
 """Named series with units that parts of a loop give beside states and inputs."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 

@@ -1,5 +1,7 @@
 """A DH chain and the rigid body that it carries, as URDF text."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,5 +1,7 @@
 """How an integrator's error shrinks with its step, and what it keeps of a body that nothing acts on."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, final

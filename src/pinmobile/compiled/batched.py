@@ -5,6 +5,8 @@ in a vector: rows are turned into vectors, and back, in registers. Answers go pa
 the memory: it is the memory that limits.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from math import prod
 from typing import Any, NamedTuple

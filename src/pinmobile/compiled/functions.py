@@ -1,5 +1,7 @@
 """NumPy's functions on arrays of symbols, those that make arrays, and those that cannot be compiled."""
 
+from __future__ import annotations
+
 import operator
 from collections.abc import Callable
 from functools import reduce

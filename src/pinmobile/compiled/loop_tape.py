@@ -1,5 +1,7 @@
 """A closed loop on a tape: what stands where, and what its memory is before the first sample."""
 
+from __future__ import annotations
+
 import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field

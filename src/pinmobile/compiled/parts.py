@@ -3,6 +3,8 @@
 `one_sample` runs on numbers as on symbols: it is what the compiled loop repeats.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MethodType
@@ -104,14 +106,14 @@ class Parts:
         *_, (_, found) = self.on_the_way(path)
         return found
 
-    def replaced(self, function: Callable[[str, Any], Any]) -> "Parts":
+    def replaced(self, function: Callable[[str, Any], Any]) -> Parts:
         """Return the parts with a function of path and part in their place."""
         new = {path: function(path, part) for path, part in self.by_path()}
         forces = tuple(new[f"forces[{i}]"] for i in range(len(self.forces)))
         named = {name: new.get(name) for name in _NAMED}
         return Parts(**named, forces=forces, substeps=self.substeps)
 
-    def _rebuilt(self, function: Callable[[str, Any, Mapping[str, Any]], Any]) -> "Parts":
+    def _rebuilt(self, function: Callable[[str, Any, Mapping[str, Any]], Any]) -> Parts:
         """Return the parts with a function of path, part and changed inner parts in the place of each."""
 
         def visit(path: str, part: Any) -> Any:
@@ -120,7 +122,7 @@ class Parts:
 
         return self.replaced(visit)
 
-    def varying(self, entries: Iterable[tuple[Place, Any]]) -> "Parts":
+    def varying(self, entries: Iterable[tuple[Place, Any]]) -> Parts:
         """Return the parts, told what differs from robot to robot, if they want to know.
 
         One with ``varying(entries)`` is called with attributes and entries of its parameters, none where it
@@ -136,14 +138,14 @@ class Parts:
 
         return self._rebuilt(own)
 
-    def on_symbols(self) -> "Parts":
+    def on_symbols(self) -> Parts:
         """Return the parts, and those within them, as they want to be traced.
 
         That is ``traced()`` of a part whose own law is not NumPy.
         """
         return self.replaced(lambda path, part: part if path == "trajectory" else _on_symbols(part))
 
-    def on_arrays(self) -> "Parts":
+    def on_arrays(self) -> Parts:
         """Return the parts as `on_symbols` does; those that cannot be traced, as they are."""
 
         def own(path: str, part: Any) -> Any:
@@ -164,7 +166,7 @@ class Parts:
             for inner, name, value in _parameters(path, part)
         }
 
-    def with_parameters(self, values: Mapping[Place, Any], *, remade: bool = False) -> "Parts":
+    def with_parameters(self, values: Mapping[Place, Any], *, remade: bool = False) -> Parts:
         """Return copies of the parts with other values of their parameters.
 
         Parameters

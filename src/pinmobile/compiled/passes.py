@@ -1,5 +1,7 @@
 """From the parts of a closed loop to its tape: their laws run on symbols, and compared with themselves."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -347,10 +349,10 @@ class _Pass:
         node = x if type(x) is Node else self.tape.const(x)
         return self.tape.apply("select", node, 1.0, 0.0).index if node.kind == "b" else node.index
 
-    def _line(self, samples: int) -> "_SymbolicLine":
+    def _line(self, samples: int) -> _SymbolicLine:
         return _SymbolicLine(self, int(samples))
 
-    def _noise(self, name: str, n: int) -> "_SymbolicNoise":
+    def _noise(self, name: str, n: int) -> _SymbolicNoise:
         self.asked.append(name)
         again = self.asked.count(name) - 1
         self.keys.append(f"{name} {again}" if again else name)
@@ -365,7 +367,7 @@ class _SymbolicLine:
     def __init__(self, owner: _Pass, samples: int, pushed: bool = False) -> None:
         self.owner, self.samples, self.pushed = owner, samples, pushed
 
-    def push(self, values: Any) -> tuple[Any, "_SymbolicLine"]:
+    def push(self, values: Any) -> tuple[Any, _SymbolicLine]:
         if self.pushed:
             raise NotTraceable("a delay is pushed twice in a sample", "push all values at once, as a tuple")
         owner = self.owner
@@ -391,7 +393,7 @@ class _SymbolicNoise:
     def __init__(self, tape: Tape, key: Node, n: int, drawn: bool = False) -> None:
         self.tape, self.key, self.n, self.drawn = tape, key, n, drawn
 
-    def draw(self) -> tuple[Symbols, "_SymbolicNoise"]:
+    def draw(self) -> tuple[Symbols, _SymbolicNoise]:
         if self.drawn:
             raise NotTraceable("noise is drawn twice in a sample", "ask the context for more numbers at once")
         numbers = normals(self.key, self.tape.input(*COUNT), self.n)

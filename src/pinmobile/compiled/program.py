@@ -1,5 +1,7 @@
 """A compiled loop, and its runs: robots in blocks, blocks on threads."""
 
+from __future__ import annotations
+
 import threading
 from collections.abc import Callable, Mapping
 from functools import cached_property

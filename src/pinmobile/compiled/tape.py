@@ -6,6 +6,8 @@ known is folded. A product with a zero that stands in the law is zero, and a div
 in the law, or that is the same at all samples, is a product with its reciprocal.
 """
 
+from __future__ import annotations
+
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, TypeAlias
@@ -101,7 +103,7 @@ class Tape:
         self._largest, self._where, self._own = largest, where, 0
 
     @classmethod
-    def of(cls, operations: list[_Operation], types: list[str], depends: list[int]) -> "Tape":
+    def of(cls, operations: list[_Operation], types: list[str], depends: list[int]) -> Tape:
         """Return one that has these nodes, as from a file."""
         tape = cls()
         tape.operations, tape.types, tape.depends = operations, types, depends
@@ -117,22 +119,22 @@ class Tape:
     def __len__(self) -> int:
         return len(self.operations)
 
-    def input(self, *operation: Any) -> "Node":
+    def input(self, *operation: Any) -> Node:
         """Return an input, such as ``("row", 2)``."""
         depends, kind = _INPUTS[operation[0]]
         return self._node(kind, depends, operation)
 
-    def ring(self, number: int, samples: int, pushed: "Node") -> "Node":
+    def ring(self, number: int, samples: int, pushed: Node) -> Node:
         """Return what `pushed` was `samples` ago; until there is that much, what it was at first."""
         return self._node("f", STATE, ("ring", number, samples, pushed.index))
 
-    def const(self, value: Any, kind: str = "f") -> "Node":
+    def const(self, value: Any, kind: str = "f") -> Node:
         """Return a number, a truth value or 64 bits that are known."""
         if kind == "f":
             return self._node("f", 0, ("const", "f", float_bits(float(value))))
         return self._node(kind, 0, ("const", kind, bool(value) if kind == "b" else int(value) & (2**64 - 1)))
 
-    def at(self, index: int) -> "Node":
+    def at(self, index: int) -> Node:
         """Return the node of an index."""
         return Node(self, index)
 
@@ -140,7 +142,7 @@ class Tape:
         """Return the value of a constant, and None of any other node."""
         return self._values.get(index)
 
-    def apply(self, name: str, *given: Any) -> "Node":
+    def apply(self, name: str, *given: Any) -> Node:
         """Return the node of an operation on nodes and plain numbers, folded where it can be."""
         key: list[Any] = [name]
         for x in given:
@@ -156,7 +158,7 @@ class Tape:
             found = self._applied[tuple(key)] = node.index
         return Node(self, found)
 
-    def _applied_anew(self, name: str, given: Sequence[Any]) -> "Node":
+    def _applied_anew(self, name: str, given: Sequence[Any]) -> Node:
         kinds = [self.types[x.index] if type(x) is Node else kind_of(x) for x in given]
         if "u" in kinds and name in ON_WHOLES:
             name = ON_WHOLES[name]
@@ -176,7 +178,7 @@ class Tape:
             depends |= self.depends[index]
         return self._node(kind_after(name, wanted), depends, (name, *indices))
 
-    def _as(self, x: Any, kind: str) -> "Node":
+    def _as(self, x: Any, kind: str) -> Node:
         if type(x) is not Node:
             return self.const(x, kind)
         if x.tape is not self:
@@ -188,12 +190,12 @@ class Tape:
             return x
         return self.apply("select", x, 1.0, 0.0) if kind == "f" else self.apply("ne", x, 0.0)
 
-    def _folded(self, name: str, kinds: Sequence[str], values: Sequence[Any]) -> "Node":
+    def _folded(self, name: str, kinds: Sequence[str], values: Sequence[Any]) -> Node:
         with np.errstate(all="ignore"):
             value = NUMPY[name](*(DTYPES[k](v) for k, v in zip(kinds, values, strict=True)))
         return self.const(value, kind_after(name, kinds))
 
-    def _node(self, kind: str, depends: int, operation: _Operation) -> "Node":
+    def _node(self, kind: str, depends: int, operation: _Operation) -> Node:
         index = self._known.get(operation)
         if index is None:
             index = len(self.operations)
@@ -215,8 +217,8 @@ class Tape:
         return Node(self, index)
 
 
-def _operator(name: str, turned: bool = False) -> Callable[["Node", Any], Any]:
-    def apply(self: "Node", other: Any) -> Any:
+def _operator(name: str, turned: bool = False) -> Callable[[Node, Any], Any]:
+    def apply(self: Node, other: Any) -> Any:
         if type(other) is not Node and not isinstance(other, int | float | np.generic):
             return NotImplemented
         return self.tape.apply(name, *((other, self) if turned else (self, other)))
@@ -224,7 +226,7 @@ def _operator(name: str, turned: bool = False) -> Callable[["Node", Any], Any]:
     return apply
 
 
-def _unary(name: str) -> Callable[["Node"], "Node"]:
+def _unary(name: str) -> Callable[[Node], Node]:
     return lambda self: self.tape.apply(name, self)
 
 
@@ -291,7 +293,7 @@ class Node:
     def __repr__(self) -> str:
         return f"<symbol {self.index}>"
 
-    def conjugate(self) -> "Node":
+    def conjugate(self) -> Node:
         """Return itself; NumPy asks for it in products of vectors."""
         return self
 

@@ -1,5 +1,7 @@
 """Feedback of the error in configuration and velocity: PD, computed torque, and between them."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, ClassVar, NamedTuple, Protocol, final

@@ -4,6 +4,8 @@ Each wraps a controller and is one. They nest in any order; the outer one sees t
 the force last.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from hashlib import sha256
 from typing import Any, ClassVar, final

@@ -1,5 +1,7 @@
 """Expressions in sines and cosines without rounding: a normal form, a short form and a readable one."""
 
+from __future__ import annotations
+
 from collections import defaultdict
 from collections.abc import Sequence
 from math import gcd, isclose, pi

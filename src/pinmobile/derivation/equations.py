@@ -1,5 +1,7 @@
 """The equations of motion, derived by Newton and Euler out and back along the chain, and by Lagrange."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -367,7 +369,7 @@ def difference(first: Derivation, second: Derivation) -> ImmutableMatrix:
     return (first.inputs - second.inputs).applyfunc(normal)
 
 
-def _energies(record: Record, in_time: "_Slope") -> tuple[Expr, Expr]:
+def _energies(record: Record, in_time: _Slope) -> tuple[Expr, Expr]:
     """Return kinetic and potential energy [J]."""
     chain, T = record.chain, placements(joints(record), record)
     kinetic = potential = sympy.S.Zero

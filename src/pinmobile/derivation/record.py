@@ -1,5 +1,7 @@
 """Two ways to keep the expressions of a derivation small: simplify them, or give them names."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
@@ -104,7 +106,7 @@ class Record:
         self.steps: list[Step] = []
         self.treatment: _Treatment = _Simplified(chain) if len(chain) <= SIMPLIFIED_JOINTS else Named(chain)
 
-    def aside(self, tag: str) -> "Record":
+    def aside(self, tag: str) -> Record:
         """Return an empty record of the same names, for what is computed but not told.
 
         `tag` goes into new names, as the same quantities occur in this record.

@@ -1,5 +1,7 @@
 """A derivation and its steps: what is looked up, read, typeset and turned into numbers."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -34,9 +36,9 @@ class Numeric:
         The equations.
     """
 
-    derivation: "Derivation"
+    derivation: Derivation
 
-    def __reduce__(self) -> tuple[type["Numeric"], tuple["Derivation"]]:
+    def __reduce__(self) -> tuple[type[Numeric], tuple[Derivation]]:
         # compiled functions do not travel to other processes
         return type(self), (self.derivation,)
 

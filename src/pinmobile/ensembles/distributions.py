@@ -1,5 +1,7 @@
 """From what the numbers of an ensemble's robots are drawn, and the draws."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from math import isfinite

@@ -1,5 +1,7 @@
 """Some robots of an ensemble: what is kept of them, and one of them alone."""
 
+from __future__ import annotations
+
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -42,7 +44,7 @@ class Part(NamedTuple):
     counts: NDArray[np.int32]
 
     @classmethod
-    def of(cls, scenario: Scenario, record: Any, counts: Any) -> "Part":
+    def of(cls, scenario: Scenario, record: Any, counts: Any) -> Part:
         """Return what a `Summary` kept of m robots, its arrays with the robots as their first axis."""
         lived = record["lived"].astype(np.int64)
         kept = np.maximum(lived - scenario.begin, 1)[:, None]

@@ -1,5 +1,7 @@
 """`Ensemble`: what came of the robots of a scenario, with its own judgement."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from os import PathLike
@@ -152,7 +154,7 @@ class Ensemble:
         part: Part,
         traces: Iterable[int] = (),
         way: Any = None,
-    ) -> "Ensemble":
+    ) -> Ensemble:
         """Return the ensemble of all records of a scenario.
 
         Parameters
@@ -347,7 +349,7 @@ class Ensemble:
             write_ensemble(file, self)
 
     @classmethod
-    def load(cls, path: str | PathLike[str], scenario: Scenario | None = None) -> "Ensemble":
+    def load(cls, path: str | PathLike[str], scenario: Scenario | None = None) -> Ensemble:
         """Return what `save` wrote.
 
         Parameters

@@ -1,5 +1,7 @@
 """An ensemble as named arrays with units and meanings: in an archive, a store and a Dataset."""
 
+from __future__ import annotations
+
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path

@@ -1,5 +1,7 @@
 """How the robots of a scenario are run: compiled, on arrays, or one after another."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,5 +1,7 @@
 """What a force is, and those that are functions of time alone: constant, sinusoidal, noise."""
 
+from __future__ import annotations
+
 from copy import copy
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Protocol, Self, final

@@ -1,5 +1,7 @@
 """What a path is; paths made of polynomials end to end, and their parameters."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field, fields
 from math import perm
 from typing import Any, Protocol, runtime_checkable

@@ -1,5 +1,7 @@
 """Ways between points: cubics by a via point, splines by many, and from rest to rest."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar, Self
 

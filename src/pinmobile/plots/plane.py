@@ -1,5 +1,7 @@
 """The lecture's figure: where the robot should go, where it went and how it stood there; and as a GIF."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator, Mapping
 from io import BytesIO
 from os import PathLike

@@ -1,5 +1,7 @@
 """What a rollout recorded, over time: states, errors, inputs, signals, and what the base feels."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Sequence
 from typing import Any
 

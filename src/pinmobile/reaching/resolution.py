@@ -1,5 +1,7 @@
 """Inverse kinematics along a path of poses, base and arm together, planned or by feedback."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, final

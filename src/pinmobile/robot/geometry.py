@@ -1,5 +1,7 @@
 """The shapes of a URDF's links: how far they reach, and what is round about an axle."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 

@@ -1,5 +1,7 @@
 """What rides on the body: arms and loads."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -31,7 +33,7 @@ class LinkNumbers(NamedTuple):
     rotors: Array
 
     @classmethod
-    def of(cls, model: pin.Model) -> "LinkNumbers":
+    def of(cls, model: pin.Model) -> LinkNumbers:
         """Return those of a model."""
         bodies = [model.inertias[joint] for joint in range(model.njoints)]
         masses, coms = np.array([body.mass for body in bodies]), np.array([body.lever for body in bodies])
@@ -191,7 +193,7 @@ class Load:
         """Its inertia (xx, yy, zz, xy, xz, yz) about the centre of mass [kg m^2]."""
         return _six(self._body.inertia)
 
-    def with_numbers(self, mass: float, com: Array, six: Array) -> "Load":
+    def with_numbers(self, mass: float, com: Array, six: Array) -> Load:
         """Return the load with another mass, centre of mass and inertia (xx, yy, zz, xy, xz, yz) about it."""
         if mass == self.mass and np.array_equal(com, self.com) and np.array_equal(six, self.six):
             return self

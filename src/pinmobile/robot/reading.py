@@ -1,5 +1,7 @@
 """What a pin.Model or a URDF says of a mobile robot: its chain, its body, and what was taken for them."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass

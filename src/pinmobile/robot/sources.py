@@ -1,5 +1,7 @@
 """What `MobileRobot.mount` is given: a loader's name, a URDF, or a `pin.Model`; and which can be mounted."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache

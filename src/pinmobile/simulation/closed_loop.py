@@ -1,5 +1,7 @@
 """`simulate`: a controller in the loop with a plant, checked before, judged after; and its engines."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import replace
 from enum import Enum

@@ -4,6 +4,8 @@ It asks the plant alone, for what it has. Of a plant that offers unchecked calls
 displacements, feedback and step of the library's own are one matrix product each.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from math import isfinite

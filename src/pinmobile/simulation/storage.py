@@ -1,5 +1,7 @@
 """Arrays, plant and signals of a rollout, to and from a NumPy archive."""
 
+from __future__ import annotations
+
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, astuple

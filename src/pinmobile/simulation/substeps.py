@@ -1,5 +1,7 @@
 """Steps of the plant between two samples, under a held input and under forces that act in between."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from functools import partial
 from math import isfinite

@@ -1,5 +1,7 @@
 """Users' modules that lie beside a file: loaded from there, and from the same text on workers elsewhere."""
 
+from __future__ import annotations
+
 import builtins
 import sys
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,5 +1,7 @@
 """`Sweep`: what a store holds, with its own judgement."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -45,7 +47,7 @@ class Sweep:
     rivals: str | None
 
     @classmethod
-    def open(cls, path: str | PathLike[str], scenarios: Any = None) -> "Sweep":
+    def open(cls, path: str | PathLike[str], scenarios: Any = None) -> Sweep:
         """Return the sweep of a store, complete or not.
 
         Parameters

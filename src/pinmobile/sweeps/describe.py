@@ -1,5 +1,7 @@
 """What a function's code is and what it reads, what a library has by name, and what an object holds."""
 
+from __future__ import annotations
+
 import builtins
 import dis
 import inspect

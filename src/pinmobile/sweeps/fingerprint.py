@@ -4,6 +4,8 @@ Of a trajectory that is the sampled reference, which is all that the robots see 
 of it is spread, all that it is made of.
 """
 
+from __future__ import annotations
+
 import json
 import re
 from collections.abc import Mapping

@@ -1,5 +1,7 @@
 """`grid`: scenarios along named axes."""
 
+from __future__ import annotations
+
 import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence

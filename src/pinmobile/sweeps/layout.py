@@ -1,5 +1,7 @@
 """The files of a sweep's Zarr store: its arrays, their chunks, and what is read of them by themselves."""
 
+from __future__ import annotations
+
 import json
 from collections.abc import Mapping, Sequence
 from hashlib import sha256

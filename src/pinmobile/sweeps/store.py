@@ -8,6 +8,8 @@ Where files of a finished store are gone, those of their scenario are computed a
 folders is touched.
 """
 
+from __future__ import annotations
+
 import errno
 import fcntl
 import json
@@ -130,7 +132,7 @@ class Store:
             _check_node(self.path / name / METADATA, node)
         self._whole = {k for k in range(len(self.grid)) if self._has_all(k)}
 
-    def __enter__(self) -> "Store":
+    def __enter__(self) -> Store:
         return self
 
     def __exit__(self, *error: object) -> None:

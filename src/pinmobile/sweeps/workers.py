@@ -1,5 +1,7 @@
 """`sweep`: chunks of ensembles, computed by this process or a Dask cluster, into a store."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from os import PathLike
@@ -250,7 +252,7 @@ def _collected(
         drop(under_way.values())
 
 
-def _next(done: "SimpleQueue[Job]", look: Callable[[], None]) -> Job:
+def _next(done: SimpleQueue[Job], look: Callable[[], None]) -> Job:
     while True:
         try:
             return done.get(timeout=_LOOK)

@@ -1,5 +1,7 @@
 """The direction of motion along a path, with its limits where the path rests."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,5 +1,7 @@
 """A path and a heading law as a reference: tangent with turns on the spot, fixed, the lecture's."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise

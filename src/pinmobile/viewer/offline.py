@@ -1,5 +1,7 @@
 """A scene in memory, as the commands that make it, and the page that shows it, recorded or live."""
 
+from __future__ import annotations
+
 import base64
 import json
 import re
@@ -346,7 +348,7 @@ class OfflineWindow:
     def __init__(self) -> None:
         self._backlog, self._closed = Backlog(), False
 
-    def __enter__(self) -> "OfflineWindow":
+    def __enter__(self) -> OfflineWindow:
         return self
 
     def __exit__(self, *error: object) -> None:

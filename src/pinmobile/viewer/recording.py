@@ -1,5 +1,7 @@
 """`Recording`: a scene and its motion, to be kept as a page, a GIF, a film or a picture."""
 
+from __future__ import annotations
+
 import importlib
 import tempfile
 from collections.abc import Callable, Iterator, Sequence

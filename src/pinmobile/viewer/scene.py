@@ -1,5 +1,7 @@
 """What stands and moves on the stage: robots, ground, paths, trails, frames, arrows, captions."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial

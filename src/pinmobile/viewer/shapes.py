@@ -1,5 +1,7 @@
 """Shapes as three.js reads them: meshes that stand, ribbons and words that lie flat on the ground."""
 
+from __future__ import annotations
+
 import base64
 from collections.abc import Sequence
 from functools import lru_cache

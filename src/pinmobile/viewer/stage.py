@@ -1,5 +1,7 @@
 """The stage: nodes of meshcat's scene by path, and what every scene has: light, ground, a camera."""
 
+from __future__ import annotations
+
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np

@@ -1,5 +1,7 @@
 """`Viewer`: a robot and its rollouts on meshcat's stage, live or recorded."""
 
+from __future__ import annotations
+
 from os import PathLike
 from pathlib import Path
 from threading import RLock
@@ -72,7 +74,7 @@ class Viewer:
         self._recording: Recording | None = None
         self._window: LiveWindow | OfflineWindow = _live_window(host, port) if live else OfflineWindow()
 
-    def __enter__(self) -> "Viewer":
+    def __enter__(self) -> Viewer:
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -286,7 +288,7 @@ class Viewer:
         stage.remove("meshcat")
         return Scene(stage, self._figure, overlays)
 
-    def _live(self, what: str) -> "LiveWindow":
+    def _live(self, what: str) -> LiveWindow:
         self._check_open()
         if isinstance(self._window, OfflineWindow):
             raise ViewerError(f"{what} needs a live viewer: Viewer(plant, live=True)")
@@ -297,7 +299,7 @@ class Viewer:
             raise ViewerError("the viewer is closed")
 
 
-def _live_window(host: str, port: int | None) -> "LiveWindow":
+def _live_window(host: str, port: int | None) -> LiveWindow:
     from pinmobile.viewer.live import LiveWindow  # here, since a recording needs no server
 
     return LiveWindow(host, port)

@@ -1,5 +1,7 @@
 """What the live window's server answers, and whom: the page, its script, and a websocket to each browser."""
 
+from __future__ import annotations
+
 import asyncio
 import logging
 import re
@@ -152,17 +154,17 @@ class _Serving(Protocol):
     page: bytes
     script: bytes
     backlog: Backlog
-    browsers: "list[Browser]"
+    browsers: list[Browser]
 
     @property
     def full(self) -> bool:
         """Whether there are as many browsers as there may be."""
         ...
 
-    def join(self, browser: "Browser") -> None:
+    def join(self, browser: Browser) -> None:
         """Take in a browser."""
 
-    def leave(self, browser: "Browser") -> None:
+    def leave(self, browser: Browser) -> None:
         """Forget a browser."""
 
     def news(self) -> None:

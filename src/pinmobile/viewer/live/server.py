@@ -1,5 +1,7 @@
 """The live window's server: a thread of this process with an event loop in it, and its sockets."""
 
+from __future__ import annotations
+
 import asyncio
 import logging
 import os
@@ -104,7 +106,7 @@ class _GuardedServer(HTTPServer):
             self._loop.call_later(_LIFE, self._end, ref(stream))
             self.handle_stream(stream, address)
 
-    def _end(self, reference: "ref[IOStream]") -> None:
+    def _end(self, reference: ref[IOStream]) -> None:
         stream = reference()
         if stream is not None and not self._streams.get(stream):
             stream.close()

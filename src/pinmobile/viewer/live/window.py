@@ -1,5 +1,7 @@
 """`LiveWindow`: a scene in the browsers that look at it, served by this process."""
 
+from __future__ import annotations
+
 import base64
 import weakref
 from io import BytesIO
@@ -68,7 +70,7 @@ class LiveWindow:
         # Also at the interpreter's exit, and when nobody holds the window any more.
         self._finish = weakref.finalize(self, self._server.stop)
 
-    def __enter__(self) -> "LiveWindow":
+    def __enter__(self) -> LiveWindow:
         return self
 
     def __exit__(self, *error: object) -> None:
