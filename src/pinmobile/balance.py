@@ -79,7 +79,7 @@ def _robot_of(motion: Any) -> Any:
 
 
 def _checked_robot(name: str, robot: Any) -> Any:
-    """Return the plant, after refusing one that does not tell the ground's wrench.
+    """Check that a plant tells the wrench of the ground, and return it.
 
     Raises
     ------

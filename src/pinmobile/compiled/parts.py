@@ -449,7 +449,7 @@ def _pushed(parts: Parts, t: Any, q: Any, v: Any) -> Any:
 
 
 def _answer(parts: Parts, force: Any, found: Any, shape: tuple[int, ...]) -> Any:
-    """Return what a force returned, after refusing what is no array of its shape."""
+    """Check that a force returned an array of its shape, and return that."""
     if not hasattr(found, "shape") or np.shape(found) != shape:
         k = next(i for i, each in enumerate(parts.forces) if each is force)
         raise InvalidArgument(f"forces[{k}] returned {shown(found)}, expected an array of shape {shape}")

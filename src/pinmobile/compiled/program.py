@@ -147,7 +147,7 @@ class Program:
     def _checked(
         self, start: tuple[Array, Array], t: Array, reference: Reference, tracks: Reference | None, every: int
     ) -> int:
-        """Return the number of robots, after refusing arrays that the machine code would read beyond."""
+        """Check that the machine code reads within the arrays, and return the number of robots."""
         nq, nv, _, length, size = self.loop.sizes
         n, count = len(start[0]), len(t)
         if n < 1 or count < 1 or every < 1:

@@ -159,7 +159,7 @@ Source: TypeAlias = Distribution | Same | ArrayLike
 
 
 def _checked_generator(generator: Any) -> np.random.Generator:
-    """Return a generator, after refusing what is none.
+    """Check that this is a generator, and return it.
 
     Raises
     ------

@@ -22,7 +22,7 @@ _NARROWEST = 28  # letters of a row's name
 
 
 def judgement(n: int, duration: float, within: tuple[float, float], diverged: int, after: float) -> str:
-    """Return in one line what came of n robots.
+    """Return the result of n robots in one line.
 
     Parameters
     ----------

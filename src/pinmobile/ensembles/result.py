@@ -1,4 +1,4 @@
-"""`Ensemble`: what came of the robots of a scenario, with its own judgement."""
+"""`Ensemble`: the results of the robots of a scenario, which judge themselves."""
 
 from __future__ import annotations
 
@@ -108,13 +108,13 @@ class Ensemble:
         `Scenario.after` on [m, m, rad, ...]; of a diverged robot until then, NaN where it diverged before
         that time or at the start.
     max_distance : ndarray, shape (n,)
-        Largest distance from the desired position [m]; so too.
+        Largest distance from the desired position [m], likewise.
     max_force : ndarray, shape (n, nu)
         Largest |input| from the start on, such as [N, N, N m]; of a diverged robot until then, NaN where
         there is none. `Scenario.coordinates` and `Scenario.inputs` have names and units.
     worst_measure, rms_measure : ndarray, shape (n, j)
         Worst, and root of the mean square, of what else is judged, `Scenario.judged`: the largest size, or
-        the smallest margin. From `Scenario.after` on; so too.
+        the smallest margin, likewise from `Scenario.after` on.
     diverged_at : ndarray, shape (n,)
         When the loop diverged [s]; NaN where it did not.
     counts : ndarray of int, shape (G, channels, BINS)

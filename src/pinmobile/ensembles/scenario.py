@@ -526,7 +526,7 @@ def _is_of_trajectory(path: str) -> bool:
 
 
 def checked_scenario(scenario: Any) -> Scenario:
-    """Return a scenario, after refusing what is none.
+    """Check that this is a scenario, and return it.
 
     Raises
     ------

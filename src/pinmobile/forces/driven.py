@@ -70,7 +70,7 @@ def numbers(name: str, value: ArrayLike) -> Array:
 
 
 def not_below_zero(name: str, value: Array) -> Array:
-    """Return `value`, shape (...), after refusing an entry below zero.
+    """Check that no entry is below zero, and return `value`, shape (...).
 
     Raises
     ------

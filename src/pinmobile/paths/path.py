@@ -123,7 +123,7 @@ _HIGHEST = 1000  # order of a derivative: beyond, a figure's rates and their pow
 
 
 def within(name: str, t: ArrayLike, duration: float) -> Array:
-    """Return the times as float64, after refusing those outside [0, duration].
+    """Check that times are within [0, duration], and return them as float64.
 
     A few units of rounding beyond either end are allowed and cut off.
 

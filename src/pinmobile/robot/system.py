@@ -335,7 +335,7 @@ class System:
         """What does the same for many states at once; None where a joint has more than one coordinate."""
 
     def configuration(self, value: ArrayLike, name: str = "q") -> Array:
-        """Return configurations as float64, shape (..., nq), after refusing what are none.
+        """Check configurations, and return them as float64, shape (..., nq).
 
         Parameters
         ----------

@@ -56,7 +56,7 @@ COMPILED = Engine.COMPILED
 
 
 def checked_engine(engine: object, *known: Engine) -> Engine | None:
-    """Return an engine, or None, after refusing what is neither or not among those that are known.
+    """Check that this is None or one of the engines, and return it.
 
     Raises
     ------

@@ -202,7 +202,7 @@ def started(plant: Any, reference: Reference) -> tuple[Any, Any]:
 
 
 def checked_forces(forces: Any, plant: Plant) -> tuple[Force | CoordinateForce, ...]:
-    """Return the forces, after refusing what is none, or a plant that cannot feel them.
+    """Check that these are forces, and that the plant can feel them; return them.
 
     Raises
     ------

@@ -58,7 +58,7 @@ def joined(plane: Iterable[Array], headings: Iterable[Array]) -> Reference:
 
 
 def plane_path(path: Any) -> Path:
-    """Return `path`, after refusing what is not a path of two coordinates.
+    """Check that `path` is a path of two coordinates, and return it.
 
     Raises
     ------
