@@ -13,6 +13,7 @@ import types
 import weakref
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
+from itertools import chain
 from operator import is_, itemgetter
 from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
 from typing import Any
@@ -59,6 +60,7 @@ _FIXED = {
 }
 _PLAIN = {"typing", "abc", "collections.abc", "enum"}  # whose classes as bases keep no numbers
 _MARKS = (types.GenericAlias, types.UnionType, type(...), type(NotImplemented), range, slice)
+_CONTAINERS = (dict, list, set)
 _BY_VALUE = (bool, int, float, complex, str, bytes, np.generic)
 
 
@@ -335,9 +337,14 @@ class _Witness:
             for f in walk.functions
             if f.__defaults__ or f.__kwdefaults__
         ]
-        self._forms = [
-            (self._referred(value), _form(value, constant=True)) for value in values if _can_change(value)
+        changing = [value for value in values if _can_change(value)]
+        self._plain = [
+            (self._referred(value), [*map(self._referred, _held_by(value))])
+            for value in changing
+            if _is_plain(value)
         ]
+        left = (value for value in changing if not _is_plain(value))
+        self._forms = [(self._referred(value), _form(value, constant=True)) for value in left]
 
     def _referred(self, value: Any) -> Callable[[], Any]:
         """Return what returns a value, without keeping it alive where that can be helped."""
@@ -354,6 +361,7 @@ class _Witness:
                 and all([mapping[name] is value() for mapping, name, value in self._names])
                 and all([f().__closure__[i].cell_contents is value() for f, i, value in self._cells])
                 and all([f().__defaults__ is a and f().__kwdefaults__ is b for f, a, b in self._defaults])
+                and all([_are(_held_by(value()), each) for value, each in self._plain])
                 and all([_form(value(), constant=True) == form for value, form in self._forms])
             )
         except (Unknown, AttributeError, KeyError, ValueError):
@@ -366,6 +374,26 @@ def _by_mapping(names: Iterable[tuple[Any, str, Any]]) -> list[tuple[Any, list[s
     for mapping, name, _ in names:
         found.setdefault(id(mapping), (mapping, []))[1].append(name)
     return list(found.values())
+
+
+def _is_plain(x: Any) -> bool:
+    """Tell whether a value is a container of what cannot change: then it is what it was while that stays."""
+    return type(x) in _CONTAINERS and all(type(y) in _CONTAINERS or is_constant(y) for y in _held_by(x))
+
+
+def _held_by(x: Any, depth: int = 0) -> list[Any]:
+    """Return what a container holds, keys included, and what those in it hold."""
+    if depth > _DEEP:
+        raise Unknown
+    held = [*x, *x.values()] if isinstance(x, dict) else [*x]
+    inner = [_held_by(each, depth + 1) for each in held if type(each) in _CONTAINERS]
+    return [*held, *chain.from_iterable(inner)]
+
+
+def _are(things: list[Any], values: list[Callable[[], Any]]) -> bool:
+    return len(things) == len(values) and all(
+        [one is value() for one, value in zip(things, values, strict=True)]
+    )
 
 
 def _can_change(x: Any) -> bool:
