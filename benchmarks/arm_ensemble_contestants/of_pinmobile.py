@@ -21,7 +21,8 @@ from pinmobile import (
     rk4,
 )
 from pinmobile.compiled import Program, Shape, Target
-from pinmobile.ensembles.ways import Way, processors, way_of
+from pinmobile.compiled.machine import processors
+from pinmobile.ensembles.ways import Way, way_of
 
 
 def words(fleet: ArmFleet) -> dict[str, object]:
