@@ -7,7 +7,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite, frozen, vector
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.robot.stance import WEIGHTLESS, checked_footprint, margin_inside, pressed_at
+from pinmobile.robot import WEIGHTLESS, checked_footprint, margin_inside, pressed_at
 
 
 class Moving(Protocol):

@@ -327,7 +327,7 @@ class Context:
 
         What is pushed, a tree of arrays, comes back `samples` samples later; until then, the first does.
         """
-        from pinmobile.compiled.memory import Line
+        from pinmobile.compiled import Line
 
         return Line(whole("samples", samples, least=0))
 
@@ -337,7 +337,7 @@ class Context:
         The n numbers of a sample are standard normal and independent; they follow from the seed, the member,
         the name and the number of the sample alone, and are the same bits in every engine.
         """
-        from pinmobile.compiled.noise import Noise, robot_keys
+        from pinmobile.compiled import Noise, robot_keys
 
         text("name", name)
         return Noise(robot_keys(self.seed, name, range(self.member, self.member + 1))[0], whole("n", n))

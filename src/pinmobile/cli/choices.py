@@ -23,8 +23,7 @@ from pinmobile import (
     rk4,
     semi_implicit_euler,
 )
-from pinmobile.ensembles import PARAMETERS
-from pinmobile.ensembles.names import GROUPS
+from pinmobile.ensembles import GROUPS, PARAMETERS
 from pinmobile.integrators import Integrator
 from pinmobile.plant import Parameter, parameters_of
 

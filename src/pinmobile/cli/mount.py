@@ -38,7 +38,7 @@ from pinmobile.cli.output import (
     save_figure,
 )
 from pinmobile.cli.run import FIGURES, draw, save_page
-from pinmobile.robot.tree import parts_of
+from pinmobile.robot import parts_of
 
 _RADIUS, _RATE = 1.0, 0.5  # of the circle [m], [rad/s]
 _WAY = {"rad": 0.5, "m": 0.1}  # that each joint goes and comes back

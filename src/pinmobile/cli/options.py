@@ -27,8 +27,7 @@ from pinmobile.cli.choices import (
     ROBOTS,
     Choice,
 )
-from pinmobile.ensembles import PARAMETERS
-from pinmobile.ensembles.names import resolved, with_spread_forces
+from pinmobile.ensembles import PARAMETERS, resolved, with_spread_forces
 from pinmobile.errors import shown
 
 _T = TypeVar("_T")

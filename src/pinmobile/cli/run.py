@@ -26,8 +26,7 @@ from pinmobile.cli.choices import COMPARED, CONTROLLERS, HEADINGS
 from pinmobile.cli.options import LECTURE, Options, closed_loop
 from pinmobile.cli.output import Picture, Section, begin, console, index_page, progress, save_figure
 from pinmobile.files import write
-from pinmobile.simulation.rollout import error_text
-from pinmobile.simulation.storage import why_unknown
+from pinmobile.simulation import error_text, why_unknown
 
 if TYPE_CHECKING:
     from pinmobile.derivation import Derivation

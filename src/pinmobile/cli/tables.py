@@ -12,7 +12,7 @@ from typing import Any
 from pinmobile import InvalidArgument, PinmobileError, UnknownName, controllers, forces
 from pinmobile.cli.choices import BELIEVED, BODY, CONTROLLERS, INTEGRATORS, PATHS, ROBOTS
 from pinmobile.cli.options import Options, Refused, choose, controller_of, path_of, plant_of
-from pinmobile.compiled.parts import attributes_of, check_numbers
+from pinmobile.compiled import attributes_of, check_numbers
 from pinmobile.errors import shown
 from pinmobile.sweeps import Code
 

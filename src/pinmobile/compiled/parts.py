@@ -364,7 +364,7 @@ def one_sample(
     u = limited(plant, u)
     if hasattr(controller, "applied"):
         inner = controller.applied(u, inner)
-    error, error_rate = errors(plant, q, v, reference)
+    error, error_rate = tracking_errors(plant, q, v, reference)
     step = _own_step if hasattr(plant, "step") else _integrated
     acceleration, q1, v1, kept = step(parts, t, h, q, v, u, memory.plant)
     for name, found in (("plant", acceleration), ("step of the plant", q1), ("step of the plant", v1)):
@@ -407,7 +407,7 @@ def _copy(x: Any) -> Any:
     return x.copy() if hasattr(x, "copy") else x
 
 
-def errors(plant: Any, q: Any, v: Any, reference: Reference) -> tuple[Any, Any]:
+def tracking_errors(plant: Any, q: Any, v: Any, reference: Reference) -> tuple[Any, Any]:
     """Return the error of the reference's coordinates, and its rate, shape (n,) each."""
     n, length = reference.v.shape[-1], reference.q.shape[-1]
     whole = reference.q

@@ -15,7 +15,10 @@ from pinmobile.controllers.controller import (
     plain_difference,
     planar_difference,
 )
+from pinmobile.controllers.controller import check_memory as check_memory
+from pinmobile.controllers.feedback import GAINS as GAINS
 from pinmobile.controllers.feedback import PD, ComputedTorque, Decoupled, Gravity, PDGravity, gain_matrix
+from pinmobile.controllers.feedback import Compact as Compact
 from pinmobile.controllers.wrappers import Delayed, NoisyMeasurement, Saturated
 
 __all__ = [

@@ -6,11 +6,11 @@ from types import MethodType
 from typing import Any, NamedTuple
 
 from pinmobile import forces, paths, trajectories
-from pinmobile.compiled.parts import Parts, children_at
-from pinmobile.controllers.feedback import GAINS
+from pinmobile.compiled import Parts, children_at
+from pinmobile.controllers import GAINS
 from pinmobile.errors import InvalidArgument, UnknownName
 from pinmobile.plant import Coordinate, Parameter, parameters_of
-from pinmobile.robot.planar import BODY, PlanarBody
+from pinmobile.robot import BODY_PARAMETERS, PlanarBody
 
 
 def _stating(package: Any) -> tuple[Any, ...]:
@@ -73,8 +73,8 @@ def _of_kinds() -> Iterator[tuple[str, tuple[Parameter, ...]]]:
 
 
 GROUPS: Mapping[str, tuple[Parameter, ...]] = {
-    "the robot": BODY,
-    "the controller's model": tuple(_of_model(each, "model_") for each in BODY),
+    "the robot": BODY_PARAMETERS,
+    "the controller's model": tuple(_of_model(each, "model_") for each in BODY_PARAMETERS),
     "the start, from the trajectory's": start_parameters(PlanarBody.coordinates),
     "gains, one for all coordinates, of each, or a factor": GAINS,
     **dict(_of_kinds()),

@@ -8,7 +8,7 @@ from typing import Any
 from warnings import warn
 
 from pinmobile.arrays import Array, callable_as, whole
-from pinmobile.compiled.machine import processors
+from pinmobile.compiled import processors
 from pinmobile.ensembles.distributions import Source
 from pinmobile.ensembles.part import Part, Records
 from pinmobile.ensembles.processes import START, Workers, packed_way
@@ -17,7 +17,7 @@ from pinmobile.ensembles.scenario import Scenario, checked_scenario
 from pinmobile.ensembles.ways import Way, way_of
 from pinmobile.errors import InvalidArgument, SlowerEngine, shown
 from pinmobile.integrators import Integrator
-from pinmobile.simulation.closed_loop import Engine
+from pinmobile.simulation import Engine
 from pinmobile.trajectories import Trajectory
 
 _WORTH = 3  # starts of a worker that the rest must take: then two save a sixth of it at least

@@ -10,11 +10,7 @@ from zlib import crc32
 import numpy as np
 
 from pinmobile.arrays import Array, affordable, finite, positive, scalar, whole
-from pinmobile.compiled import memory_of, once
-from pinmobile.compiled.copies import check_made_again
-from pinmobile.compiled.loop_tape import initial_memory
-from pinmobile.compiled.noise import Noise
-from pinmobile.compiled.parts import Parts, Place
+from pinmobile.compiled import Noise, Parts, Place, check_made_again, initial_memory, memory_of, once
 from pinmobile.ensembles.distributions import (
     Source,
     check_mapping,
@@ -31,14 +27,16 @@ from pinmobile.integrators import Integrator
 from pinmobile.measures import Measure, channels_of, check_measured, chosen
 from pinmobile.plant import Context, Coordinate, Input, Parameter
 from pinmobile.simulation import (
+    check_answers,
+    check_controllers_memory,
     checked_forces,
     checked_loop,
     checked_substeps,
     chosen_integrator,
     sample_times,
     sampled,
+    started,
 )
-from pinmobile.simulation.setup import check_answers, check_controllers_memory, started
 from pinmobile.trajectories import Reference, Trajectory
 
 _SAME = 1e-6  # of dt: a time that is meant to be a sample's

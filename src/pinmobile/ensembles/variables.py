@@ -14,8 +14,7 @@ from pinmobile.extras import imported
 from pinmobile.files import archive_of, unpacking
 from pinmobile.measures import Measure
 from pinmobile.plant import Parameter
-from pinmobile.simulation import Rollout
-from pinmobile.simulation.storage import ARRAYS, described_run, restored_run, signal_columns
+from pinmobile.simulation import RECORDED, Rollout, described_run, restored_run, signal_columns
 from pinmobile.trajectories import Reference
 
 if TYPE_CHECKING:
@@ -240,7 +239,7 @@ def _arrays(ensemble: "Ensemble") -> Iterator[tuple[str, Variable, Array]]:
 
 _FORMAT = "pinmobile ensemble 3"
 _REFERENCE = tuple(f"reference_{name}" for name in Reference._fields)
-_TRACE = tuple(f"trace_{name}" for name in ARRAYS)
+_TRACE = tuple(f"trace_{name}" for name in RECORDED)
 _KINDS: Mapping[str, type] = {
     **dict.fromkeys(("t", *_REFERENCE, "draws", *PER_ROBOT), np.float64),
     "counts": np.int32,
@@ -275,7 +274,7 @@ def write_ensemble(file: IO[bytes], ensemble: "Ensemble") -> None:
     }
     recorded = [one.arrays() for one in traces.values()]
     beside = [signal_columns(one.signals, len(one)) for one in traces.values()]
-    empty = {name: np.zeros(0 if name == "t" else (0, len(outline.coordinates))) for name in ARRAYS}
+    empty = {name: np.zeros(0 if name == "t" else (0, len(outline.coordinates))) for name in RECORDED}
     np.savez(
         file,
         allow_pickle=False,
@@ -287,7 +286,7 @@ def write_ensemble(file: IO[bytes], ensemble: "Ensemble") -> None:
         **{name: getattr(ensemble, name) for name in (*PER_ROBOT, "counts")},
         **{
             of: np.concatenate([one[name] for one in recorded or [empty]])
-            for of, name in zip(_TRACE, ARRAYS, strict=True)
+            for of, name in zip(_TRACE, RECORDED, strict=True)
         },
         trace_signals=np.concatenate(beside or [np.zeros((0, 0))]),
     )
@@ -354,7 +353,7 @@ def _traces(named: Mapping[str, Array], described: Any, outline: Outline) -> dic
             raise ValueError(f"it has a trace of robot {index}, expected 0 to {outline.n - 1}, each once")
         if stop > len(named["trace_t"]):
             raise ValueError(f"trace_t has {len(named['trace_t'])} samples, expected {stop} and more")
-        arrays = {name: named[of][start:stop] for of, name in zip(_TRACE, ARRAYS, strict=True)}
+        arrays = {name: named[of][start:stop] for of, name in zip(_TRACE, RECORDED, strict=True)}
         made = restored_run(one["plant"], named["trace_signals"][start:stop])
         found[index] = Rollout.of(arrays, **made)
         start = stop

@@ -8,21 +8,25 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import Summary, once, program_of, robot_keys
-from pinmobile.compiled.copies import derived
-from pinmobile.compiled.loop_tape import arrays_of, initial_memory
-from pinmobile.compiled.noise import Noise
-from pinmobile.compiled.parts import (
+from pinmobile.compiled import (
     Memory,
+    Noise,
     Parts,
     Place,
+    Program,
     Reference,
     Stepped,
+    Summary,
+    arrays_of,
     children,
-    errors,
+    derived,
+    initial_memory,
+    once,
     one_sample,
+    program_of,
+    robot_keys,
+    tracking_errors,
 )
-from pinmobile.compiled.program import Program
 from pinmobile.ensembles.histogram import BINS, bins_of
 from pinmobile.ensembles.member import member_of
 from pinmobile.ensembles.part import Part
@@ -30,9 +34,7 @@ from pinmobile.ensembles.scenario import Scenario
 from pinmobile.errors import Diverged, InvalidArgument, NotTraceable
 from pinmobile.measures import measures_of, size_of
 from pinmobile.plant import Context
-from pinmobile.simulation import simulate
-from pinmobile.simulation.closed_loop import ARRAYS, COMPILED, PINOCCHIO, Engine, checked_engine
-from pinmobile.simulation.setup import check_same
+from pinmobile.simulation import ARRAYS, COMPILED, PINOCCHIO, Engine, check_same, checked_engine, simulate
 
 _AT_ONCE = 4096  # robots on arrays
 _ONE_BY_ONE = 16  # robots between two reports of progress
@@ -446,7 +448,7 @@ def _on_arrays(scenario: Scenario, draws: Mapping[str, Array], start: int, stop:
     with np.errstate(all="ignore"):  # what overflows is judged
         for k, time in enumerate(scenario.t.tolist()):
             at = rows.at(k, Reference(*scenario.reference))
-            far = np.abs(np.concatenate(errors(rows.parts.plant, q, v, at), axis=-1))
+            far = np.abs(np.concatenate(tracking_errors(rows.parts.plant, q, v, at), axis=-1))
             alive = (memory.recorder["alive"] > 0.5) & (far <= scenario.limit).all(axis=-1)
             # What has diverged goes on from the trajectory's start: no law sees what is no number.
             q, v = np.where(alive[:, None], q, begin[0]), np.where(alive[:, None], v, begin[1])

@@ -2,6 +2,7 @@
 
 from pinmobile.paths.lissajous import Circle, Lissajous
 from pinmobile.paths.path import Path, Piece, Whole, pieces_of, within
+from pinmobile.paths.path import checked_path as checked_path
 from pinmobile.paths.via import CubicVia, Hold, RestToRest, Spline
 
 __all__ = [

@@ -10,8 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from pinmobile.arrays import Array, ArrayLike, finite, one_of, sequence
-from pinmobile.ensembles import Bands, Ensemble
-from pinmobile.ensembles.histogram import edges
+from pinmobile.ensembles import Bands, Ensemble, edges
 from pinmobile.errors import InvalidArgument
 from pinmobile.measures import Measure
 from pinmobile.palette import INK, colour

@@ -8,8 +8,7 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array, ArrayLike, finite, frozen
 from pinmobile.errors import InvalidArgument
-from pinmobile.paths import Path, within
-from pinmobile.paths.path import checked_path
+from pinmobile.paths import Path, checked_path, within
 
 _ORTHOGONAL = 1e-6  # how far R' R may be from the identity
 _HALF_TURN = 1e-6  # [rad]; nearer to it, which way round is rounding's choice

@@ -12,8 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import Array, finite, frozen, one_of, scalar, wrap_angle
-from pinmobile.compiled.symbols import plain, symbols
-from pinmobile.compiled.tape import Node
+from pinmobile.compiled import Node, plain, symbols
 from pinmobile.errors import InvalidArgument
 from pinmobile.measures import Measure
 from pinmobile.plant import Coordinate, Input, Parameter
@@ -36,7 +35,7 @@ from pinmobile.robot.linkage import (
     without_rounding,
 )
 from pinmobile.robot.mounts import LinkNumbers, Mount
-from pinmobile.robot.planar import BODY
+from pinmobile.robot.planar import BODY_PARAMETERS
 from pinmobile.robot.recursions import Moving, Posture, by_matrix, operations, volume
 
 _BASE = 3  # joints, coordinates and numbers of q of the base; the last carries its body
@@ -212,7 +211,7 @@ class ArticulatedBody:
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """What may be spread: of the base, of links and loads, of motors, and where arms stand."""
-        found = [replace(each, attribute=each.name) for each in BODY]
+        found = [replace(each, attribute=each.name) for each in BODY_PARAMETERS]
         for k, link in enumerate(self.links):
             found += _of_body(k, "", f"_{link.name}", link.name)
         for k, load in enumerate(self.loads):

@@ -12,9 +12,7 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array, affordable, broadcast, finite_answer
-from pinmobile.compiled.batched import Batched
-from pinmobile.compiled.copies import copied
-from pinmobile.compiled.machine import processors
+from pinmobile.compiled import Batched, copied, processors
 from pinmobile.errors import NotTraceable
 from pinmobile.robot.articulated import ArticulatedBody
 from pinmobile.robot.engine import Law

@@ -11,8 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import Array, frozen
-from pinmobile.compiled.elementary import sincos
-from pinmobile.compiled.tape import Node
+from pinmobile.compiled import Node, sincos
 from pinmobile.constancy import constant
 from pinmobile.errors import NotTraceable
 from pinmobile.robot.tree import joint_kind

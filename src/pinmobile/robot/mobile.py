@@ -44,7 +44,7 @@ from pinmobile.robot.mounts import (
     on_top,
     placed,
 )
-from pinmobile.robot.planar import BODY, PlanarBody
+from pinmobile.robot.planar import BODY_PARAMETERS, PlanarBody
 from pinmobile.robot.reading import LOCKED, Reading, read_model, read_urdf
 from pinmobile.robot.sources import existing_folders, read_arm
 from pinmobile.robot.stance import Stance
@@ -356,7 +356,7 @@ class MobileRobot(System):
         motors add to joints, and where the arms stand. With a ball joint among its joints, nothing.
         """
         if not self.mounts:
-            return BODY
+            return BODY_PARAMETERS
         try:
             return self._articulated.parameters
         except NotTraceable:

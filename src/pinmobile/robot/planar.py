@@ -18,7 +18,7 @@ from pinmobile.closed_form import (
 )
 from pinmobile.plant import Coordinate, Input, Parameter
 
-BODY = (
+BODY_PARAMETERS = (
     Parameter("mass", "kg", "mass of the robot", 0.0, may_vanish=False),
     Parameter("yaw_inertia", "kg m^2", "yaw inertia of the robot", 0.0, may_vanish=False),
     Parameter("com_x", "m", "centre of mass of the robot, forward"),
@@ -47,7 +47,7 @@ class PlanarBody:
     nq: ClassVar[int] = 3
     nv: ClassVar[int] = 3
     nu: ClassVar[int] = 3
-    parameters: ClassVar[tuple[Parameter, ...]] = BODY
+    parameters: ClassVar[tuple[Parameter, ...]] = BODY_PARAMETERS
     leading: ClassVar[dict[int, int]] = {3: 3}
     coordinates: ClassVar[tuple[Coordinate, ...]] = (
         Coordinate("x", "m", rate="vx"),

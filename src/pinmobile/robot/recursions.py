@@ -6,7 +6,7 @@ They are Featherstone's (2008), over scalars of any kind: see `scalars`. Vectors
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from pinmobile.compiled.tape import maximum, root
+from pinmobile.compiled import maximum, root
 from pinmobile.robot.linkage import (
     ENTRIES,
     ONE,

@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pinmobile.arrays import LEAST_ANGLE, Array, are_real, wrap_angle
-from pinmobile.controllers import Controller
-from pinmobile.controllers.feedback import Compact
+from pinmobile.controllers import Compact, Controller
 from pinmobile.errors import InvalidArgument, NotFinite, shown
 from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator, RungeKuttaNystrom

@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pinmobile.arrays import Array, affordable, answered, callable_as, frozen, positive, vector, whole
-from pinmobile.controllers import check_controller
-from pinmobile.controllers.controller import check_memory
+from pinmobile.controllers import check_controller, check_memory
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import check_integrator, constant_acceleration

@@ -13,12 +13,11 @@ from pinmobile.dh import DHRow, DHTable, JointType
 from pinmobile.errors import InvalidArgument, PinmobileError
 from pinmobile.files import archive_of, unpacking
 from pinmobile.plant import Coordinate, Input, PlantOutline
-from pinmobile.robot import Load, MobileRobot, Stance
-from pinmobile.robot.sources import kept_arm
+from pinmobile.robot import Load, MobileRobot, Stance, kept_arm
 from pinmobile.signals import Signal
 from pinmobile.urdf import Body
 
-ARRAYS = ("t", "q", "v", "a", "u", "error", "reference_q", "reference_v", "reference_a")
+RECORDED = ("t", "q", "v", "a", "u", "error", "reference_q", "reference_v", "reference_a")
 """Names of the arrays of a rollout."""
 
 _POSE = 3  # x, y, psi
@@ -129,7 +128,7 @@ def why_unknown(path: Path) -> str:
 
 
 def _read(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
-    named, described = archive_of(path, _FORMAT, "plant", dict.fromkeys((*ARRAYS, "signals"), np.float64))
+    named, described = archive_of(path, _FORMAT, "plant", dict.fromkeys((*RECORDED, "signals"), np.float64))
     with unpacking(path, _FORMAT):
         check_robot(described["robot"])
         text("plant's unknown", described["unknown"])

@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.ensembles import Scenario
-from pinmobile.ensembles.ways import way_of
+from pinmobile.ensembles import Scenario, way_of
 from pinmobile.errors import InvalidArgument
 from pinmobile.sweeps.describe import Described, array_of, known_name
 from pinmobile.sweeps.grids import Grid

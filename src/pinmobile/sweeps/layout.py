@@ -8,9 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.ensembles import PARAMETERS
-from pinmobile.ensembles.histogram import BINS, miscounted
-from pinmobile.ensembles.variables import LEVELS, NOTE, coordinates, drawn, over_all, per_robot
+from pinmobile.ensembles import (
+    BINS,
+    LEVELS,
+    NOTE,
+    PARAMETERS,
+    coordinates,
+    drawn,
+    miscounted,
+    over_all,
+    per_robot,
+)
 from pinmobile.errors import InvalidArgument
 from pinmobile.files import arrays_of
 from pinmobile.plant import Parameter

@@ -10,9 +10,7 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import location, one_of, whole
-from pinmobile.ensembles import Ensemble
-from pinmobile.ensembles.histogram import checked_share, share_within
-from pinmobile.ensembles.variables import PER_ROBOT, drawn_name
+from pinmobile.ensembles import PER_ROBOT, Ensemble, checked_share, drawn_name, share_within
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.fingerprint import determined_by, differences

@@ -21,8 +21,7 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.ensembles import Ensemble, Part
-from pinmobile.ensembles.variables import SUMMED, drawn_name, per_robot, summed
+from pinmobile.ensembles import SUMMED, Ensemble, Part, drawn_name, per_robot, summed
 from pinmobile.errors import FileError, InvalidArgument
 from pinmobile.files import refusals, write
 from pinmobile.sweeps.extras import imported

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
-from pinmobile.ensembles.outline import percent
+from pinmobile.ensembles import percent
 from pinmobile.sweeps.grids import Axis, Label, told
 
 _MOST = 40  # rows of a table

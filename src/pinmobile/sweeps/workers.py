@@ -11,10 +11,8 @@ from warnings import warn
 import numpy as np
 
 from pinmobile.arrays import Array, callable_as, location, whole
-from pinmobile.compiled.machine import processors
-from pinmobile.ensembles import Part, Scenario, part_of
-from pinmobile.ensembles.processes import Workers
-from pinmobile.ensembles.ways import way_of
+from pinmobile.compiled import processors
+from pinmobile.ensembles import Part, Scenario, Workers, part_of, way_of
 from pinmobile.errors import InvalidArgument, SchedulerError, SlowerEngine, shown
 from pinmobile.sweeps.code import packed, part_of_packed
 from pinmobile.sweeps.extras import imported

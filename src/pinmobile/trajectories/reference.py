@@ -9,8 +9,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, positive
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.paths import Hold, Path, pieces_of, within
-from pinmobile.paths.path import checked_path
+from pinmobile.paths import Hold, Path, checked_path, pieces_of, within
 
 
 class Reference(NamedTuple):

@@ -13,8 +13,7 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array
 from pinmobile.dh import JointType
-from pinmobile.robot import BODY_JOINT, MobileRobot, Mount
-from pinmobile.robot.engine import named_frames, prefixed
+from pinmobile.robot import BODY_JOINT, MobileRobot, Mount, named_frames, prefixed
 
 _DOWN = np.array([0, 0, -9.81])  # [m/s^2]
 _CHAIN = (1, 0, 2)  # public index of the chain's coordinates y, x, psi

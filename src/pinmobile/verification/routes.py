@@ -13,8 +13,7 @@ from pinmobile.compiled import Batched, Cache
 from pinmobile.derivation import Numeric, lagrange, lecture
 from pinmobile.dh import DHTable
 from pinmobile.errors import NotTraceable
-from pinmobile.robot import MobileRobot
-from pinmobile.robot.planar import PlanarBody
+from pinmobile.robot import MobileRobot, PlanarBody
 from pinmobile.verification.bodies import Parts
 
 

@@ -7,7 +7,7 @@ import pinocchio as pin
 from pinocchio.visualize import MeshcatVisualizer
 
 from pinmobile.arrays import Array
-from pinmobile.robot.visuals import BODY
+from pinmobile.robot import BODY
 from pinmobile.viewer.motion import Channel
 from pinmobile.viewer.overlays import View
 from pinmobile.viewer.page import Visualizer
