@@ -20,8 +20,7 @@ from pinmobile import (
     ensemble,
     rk4,
 )
-from pinmobile.compiled import Program, Shape, Target
-from pinmobile.compiled.machine import processors
+from pinmobile.compiled import Program, Shape, Target, processors
 from pinmobile.ensembles.ways import Way, way_of
 
 
