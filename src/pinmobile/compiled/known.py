@@ -175,7 +175,8 @@ def memory_of(parts: Parts, *others: Any) -> dict[Any, Any]:
     except NotTraceable:
         return {}
     made: dict[Any, Any] = {}
-    _hold(_memories, key, Walk((*(part for _, part in own.by_path()), *others)), made, _MEMORIES)
+    with uncollected():
+        _hold(_memories, key, Walk((*(part for _, part in own.by_path()), *others)), made, _MEMORIES)
     return made
 
 
@@ -339,19 +340,24 @@ class _Witness:
         ]
         changing = [value for value in values if _can_change(value)]
         self._plain = [
-            (self._referred(value), [*map(self._referred, _held_by(value))])
+            (self._referred(value), [*map(self._weakly, _held_by(value))])
             for value in changing
             if _is_plain(value)
         ]
         left = (value for value in changing if not _is_plain(value))
         self._forms = [(self._referred(value), _form(value, constant=True)) for value in left]
 
-    def _referred(self, value: Any) -> Callable[[], Any]:
-        """Return what returns a value, without keeping it alive where that can be helped."""
+    def _weakly(self, value: Any) -> Any:
+        """Return a weak reference to a value; itself, where it has none."""
         try:
             return weakref.ref(value, self._gone.append)
         except TypeError:
-            return lambda: value
+            return value
+
+    def _referred(self, value: Any) -> Callable[[], Any]:
+        """Return what returns a value, without keeping it alive where that can be helped."""
+        found = self._weakly(value)
+        return (lambda: value) if found is value else found
 
     def holds(self) -> bool:
         """Tell whether all that is as it was."""
@@ -390,9 +396,10 @@ def _held_by(x: Any, depth: int = 0) -> list[Any]:
     return [*held, *chain.from_iterable(inner)]
 
 
-def _are(things: list[Any], values: list[Callable[[], Any]]) -> bool:
+def _are(things: list[Any], values: list[Any]) -> bool:
+    """Tell whether things are the values, of which some are known by weak references."""
     return len(things) == len(values) and all(
-        [one is value() for one, value in zip(things, values, strict=True)]
+        [x is y or (isinstance(y, weakref.ref) and y() is x) for x, y in zip(things, values, strict=True)]
     )
 
 
