@@ -4,7 +4,8 @@ import gc
 import weakref
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -21,6 +22,7 @@ from pinmobile import (
     FixedHeading,
     Hold,
     InvalidArgument,
+    JointFriction,
     LectureHeading,
     MobileRobot,
     NoiseForce,
@@ -42,7 +44,11 @@ from pinmobile import (
 from pinmobile.arrays import callable_as, frozen
 from pinmobile.compiled import known as compiled
 from pinmobile.compiled.known import _memories
+from pinmobile.compiled.lasting import Unknown as Undecided
+from pinmobile.compiled.parts import Parts, Place
 from pinmobile.compiled.passes import traced
+from pinmobile.compiled.program import Program
+from pinmobile.compiled.tracing import Walk
 from pinmobile.constancy import is_constant, known
 from pinmobile.ensembles import COMPILED, scenario
 from pinmobile.simulation.setup import check_answers
@@ -343,6 +349,147 @@ def test_parts_of_a_robot_with_an_arm_are_checked_once(monkeypatch: pytest.Monke
     assert len(asked) == 1
 
 
+def counted(monkeypatch: pytest.MonkeyPatch, owner: Any, name: str) -> list[Any]:
+    """Return what a function or method is given from now on."""
+    calls: list[Any] = []
+    true = getattr(owner, name)
+
+    def counting(*given: Any, **named: Any) -> Any:
+        calls.append(given)
+        return true(*given, **named)
+
+    monkeypatch.setattr(owner, name, counting)
+    return calls
+
+
+def test_what_robots_share_of_a_sample_is_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = MobileRobot.box().mount("double_pendulum")
+    controller, motion = ComputedTorque(robot, 9, 6), WholeBody(robot, CIRCLE, Hold(robot.rest[3:], 4))
+    waves = [NoiseForce([1, 2, 3], 2.0, 5)]
+    made = counted(monkeypatch, Program, "_samples")
+    # Options, and how often it has been made then: other times and another step make it anew.
+    runs: list[tuple[dict[str, Any], int]] = [
+        ({}, 1),
+        ({}, 1),
+        ({"dt": 0.05}, 2),
+        ({"dt": 0.05}, 2),
+        ({"dt": 0.05, "substeps": 2}, 3),
+        ({}, 4),
+    ]
+    for options, expected in runs:
+        options = {"dt": 0.1, "duration": 0.4, "forces": waves, **options}
+        found = ensemble(robot, controller, motion, n=2, spread={"mass": 30.0}, **options)
+        assert len(made) == expected
+        fresh = ensemble(robot, Changing(controller), motion, n=2, spread={"mass": 30.0}, **options)
+        np.testing.assert_array_equal(found.max_error, fresh.max_error)
+        np.testing.assert_array_equal(found.worst_measure, fresh.worst_measure)
+        made.pop()
+    made.clear()
+    runs_alone = [simulate(robot, controller, motion, dt=0.1, duration=0.4, engine=COMPILED) for _ in "12"]
+    assert len(made) == 1
+    np.testing.assert_array_equal(runs_alone[0].q, runs_alone[1].q)
+
+
+class Changing:
+    """A controller of which nothing is remembered, as it may change."""
+
+    def __init__(self, inner: Any) -> None:
+        self.inner = inner
+
+    def initial_state(self, context: Any) -> Any:
+        return self.inner.initial_state(context)
+
+    def __call__(self, t: float, q: Any, v: Any, reference: Any, state: Any) -> Any:
+        return self.inner(t, q, v, reference, state)
+
+
+def test_copies_that_hold_the_same_are_one_object() -> None:
+    robot = MobileRobot.box().mount("double_pendulum")
+    parts = Parts(robot, Saturated(ComputedTorque(robot, 9, 6), [500] * 5))
+    once, again = parts.varying(()), parts.varying(())
+    assert once.controller is again.controller is not parts.controller
+    assert once.on_symbols().controller is again.on_symbols().controller
+    told = parts.varying([(Place("controller.controller.robot", "mass"), 0)])
+    assert told.controller is not once.controller
+
+
+def test_a_part_that_is_known_is_not_looked_at_again_in_another() -> None:
+    inner = Global(44.0)
+    assert known(inner) is not None
+    object.__setattr__(inner, "table", [0.0])  # by force: whoever looks sees what may change
+    assert not is_constant(replace(inner))
+    assert is_constant((inner, 1.0))
+
+
+def test_nothing_is_collected_while_code_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    collected: list[bool] = []
+
+    class Watched(Walk):
+        def __init__(self, parts: Any) -> None:
+            collected.append(gc.isenabled())
+            super().__init__(parts)
+
+    monkeypatch.setattr(compiled, "Walk", Watched)
+    simulate(ROBOT, Global(45.0), CIRCLE, dt=0.02, engine=COMPILED)
+    assert collected == [False]
+    assert gc.isenabled()
+
+
+TABLE: dict[str, Any] = {
+    "kp": 2.0,
+    "inner": {"kd": [1.0, (3, "a")]},
+    "kinds": {"a", "b"},
+    "part": Global(1.0),
+}
+
+
+def by_table(t: float, q: Any, v: Any, reference: Any) -> Any:
+    return TABLE["kp"] * (reference.q - q) - TABLE["inner"]["kd"][0] * v
+
+
+TABLE_CHANGES: dict[str, Callable[[], Any]] = {
+    "a value": lambda: TABLE.__setitem__("kp", 3.0),
+    "a new name": lambda: TABLE.__setitem__("new", 1.0),
+    "a name that is gone": lambda: TABLE.pop("part"),
+    "a value further in": lambda: TABLE["inner"]["kd"].__setitem__(0, 2.0),
+    "one more further in": lambda: TABLE["inner"]["kd"].append(4.0),
+    "a set": lambda: TABLE["kinds"].add("c"),
+    "another part": lambda: TABLE.__setitem__("part", Global(2.0)),
+}
+
+
+@pytest.mark.parametrize("what", TABLE_CHANGES)
+def test_a_table_of_constants_is_looked_at_without_its_form(
+    what: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in deepcopy(TABLE).items():
+        monkeypatch.setitem(TABLE, name, value)
+    witness = compiled._Witness(Walk([by_table]))
+    forms = counted(monkeypatch, compiled, "_form")
+    assert witness.holds()
+    assert not forms
+    TABLE_CHANGES[what]()
+    assert not witness.holds()
+    TABLE.pop("new", None)
+
+
+def test_a_part_in_a_table_is_not_kept_alive() -> None:
+    TABLE["gone"] = Global(3.0)
+    witness, part = compiled._Witness(Walk([by_table])), weakref.ref(TABLE["gone"])
+    assert witness.holds()
+    del TABLE["gone"]
+    gc.collect()
+    assert part() is None
+    assert not witness.holds()
+
+
+def test_a_table_that_holds_itself_is_refused() -> None:
+    own: list[Any] = []
+    own.append(own)
+    with pytest.raises(Undecided):
+        compiled._held_by(own)
+
+
 def _run_and_forgotten() -> list[weakref.ref[Any]]:
     robot, large = MobileRobot(31.0, 1.4), np.ones(1_000_000)
     controller = law(lambda t, q, v, reference: large[0] * 9.0 * (reference.q - q) - 9.0 * v)
@@ -352,7 +499,16 @@ def _run_and_forgotten() -> list[weakref.ref[Any]]:
     for each in (controller, torque):
         ensemble(robot, each, trajectory, n=2, spread=spread, dt=0.1, forces=[force])
         simulate(robot, each, trajectory, dt=0.1, forces=[force], engine=COMPILED)
-    return [weakref.ref(x) for x in (robot, large, controller, torque, trajectory, force)]
+    return [weakref.ref(x) for x in (robot, large, controller, torque, trajectory, force, *_with_an_arm())]
+
+
+def _with_an_arm() -> tuple[Any, ...]:
+    robot = MobileRobot.box().mount("double_pendulum")
+    controller, friction = Saturated(ComputedTorque(robot, 9, 6), [500] * 5), JointFriction(0.1)
+    motion = WholeBody(robot, Tangent(Circle(2.0, 0.1, 5.0)), Hold(robot.rest[3:], 5))
+    ensemble(robot, controller, motion, n=2, spread={"mass": 30.0}, dt=0.1, duration=0.2, forces=[friction])
+    simulate(robot, controller, motion, dt=0.1, duration=0.2, forces=[friction], engine=COMPILED)
+    return robot, controller, motion, friction
 
 
 def test_nothing_that_was_run_is_kept_alive() -> None:

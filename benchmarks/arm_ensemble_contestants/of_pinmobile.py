@@ -20,8 +20,8 @@ from pinmobile import (
     ensemble,
     rk4,
 )
-from pinmobile.compiled import Program, Shape, Target
-from pinmobile.ensembles.ways import Way, processors, way_of
+from pinmobile.compiled import Program, Shape, Target, processors
+from pinmobile.ensembles.ways import Way, way_of
 
 
 def words(fleet: ArmFleet) -> dict[str, object]:

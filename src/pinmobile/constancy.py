@@ -48,9 +48,9 @@ def constant(kind: _Kind) -> _Kind:
 
 def known(thing: Any) -> Known | None:
     """Return what is known of an object; None of one that may change, or that has no weak references."""
-    found = _known.get(id(thing))
-    if found is not None and found[0]() is thing:
-        return found[1]
+    found = _found(thing)
+    if found is not None:
+        return found
     if not is_constant(thing):
         return None
     place = id(thing)
@@ -65,6 +65,12 @@ def known(thing: Any) -> Known | None:
         return None
     _known[place] = entry
     return entry[1]
+
+
+def _found(thing: Any) -> Known | None:
+    """Return what is known of an object that was asked for before."""
+    found = _known.get(id(thing))
+    return found[1] if found is not None and found[0]() is thing else None
 
 
 def is_constant(thing: Any, depth: int = 0) -> bool:
@@ -96,6 +102,8 @@ def is_constant(thing: Any, depth: int = 0) -> bool:
     frozen = getattr(vars(kind).get("__dataclass_params__"), "frozen", False)
     if not (frozen and isinstance(attributes, dict)) or has_slots(kind):
         return False
+    if _found(thing) is not None:
+        return True
     own = (x for name, x in attributes.items() if not isinstance(getattr(kind, name, None), cached_property))
     return all(is_constant(value, depth + 1) for value in own)
 

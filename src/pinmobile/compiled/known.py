@@ -15,6 +15,7 @@ import types
 import weakref
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
+from itertools import chain
 from operator import is_, itemgetter
 from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
 from typing import Any
@@ -61,6 +62,7 @@ _FIXED = {
 }
 _PLAIN = {"typing", "abc", "collections.abc", "enum"}  # whose classes as bases keep no numbers
 _MARKS = (types.GenericAlias, types.UnionType, type(...), type(NotImplemented), range, slice)
+_CONTAINERS = (dict, list, set)
 _BY_VALUE = (bool, int, float, complex, str, bytes, np.generic)
 
 
@@ -175,7 +177,8 @@ def memory_of(parts: Parts, *others: Any) -> dict[Any, Any]:
     except NotTraceable:
         return {}
     made: dict[Any, Any] = {}
-    _hold(_memories, key, Walk((*(part for _, part in own.by_path()), *others)), made, _MEMORIES)
+    with uncollected():
+        _hold(_memories, key, Walk((*(part for _, part in own.by_path()), *others)), made, _MEMORIES)
     return made
 
 
@@ -337,16 +340,26 @@ class _Witness:
             for f in walk.functions
             if f.__defaults__ or f.__kwdefaults__
         ]
-        self._forms = [
-            (self._referred(value), _form(value, constant=True)) for value in values if _can_change(value)
+        changing = [value for value in values if _can_change(value)]
+        self._plain = [
+            (self._referred(value), [*map(self._weakly, _held_by(value))])
+            for value in changing
+            if _is_plain(value)
         ]
+        left = (value for value in changing if not _is_plain(value))
+        self._forms = [(self._referred(value), _form(value, constant=True)) for value in left]
 
-    def _referred(self, value: Any) -> Callable[[], Any]:
-        """Return what returns a value, without keeping it alive where that can be helped."""
+    def _weakly(self, value: Any) -> Any:
+        """Return a weak reference to a value; itself, where it has none."""
         try:
             return weakref.ref(value, self._gone.append)
         except TypeError:
-            return lambda: value
+            return value
+
+    def _referred(self, value: Any) -> Callable[[], Any]:
+        """Return what returns a value, without keeping it alive where that can be helped."""
+        found = self._weakly(value)
+        return (lambda: value) if found is value else found
 
     def holds(self) -> bool:
         """Tell whether all that is as it was."""
@@ -356,6 +369,7 @@ class _Witness:
                 and all([mapping[name] is value() for mapping, name, value in self._names])
                 and all([f().__closure__[i].cell_contents is value() for f, i, value in self._cells])
                 and all([f().__defaults__ is a and f().__kwdefaults__ is b for f, a, b in self._defaults])
+                and all([_are(_held_by(value()), each) for value, each in self._plain])
                 and all([_form(value(), constant=True) == form for value, form in self._forms])
             )
         except (Unknown, AttributeError, KeyError, ValueError):
@@ -368,6 +382,27 @@ def _by_mapping(names: Iterable[tuple[Any, str, Any]]) -> list[tuple[Any, list[s
     for mapping, name, _ in names:
         found.setdefault(id(mapping), (mapping, []))[1].append(name)
     return list(found.values())
+
+
+def _is_plain(x: Any) -> bool:
+    """Tell whether a value is a container of what cannot change: then it is what it was while that stays."""
+    return type(x) in _CONTAINERS and all(type(y) in _CONTAINERS or is_constant(y) for y in _held_by(x))
+
+
+def _held_by(x: Any, depth: int = 0) -> list[Any]:
+    """Return what a container holds, keys included, and what those in it hold."""
+    if depth > _DEEP:
+        raise Unknown
+    held = [*x, *x.values()] if isinstance(x, dict) else [*x]
+    inner = [_held_by(each, depth + 1) for each in held if type(each) in _CONTAINERS]
+    return [*held, *chain.from_iterable(inner)]
+
+
+def _are(things: list[Any], values: list[Any]) -> bool:
+    """Tell whether things are the values, of which some are known by weak references."""
+    return len(things) == len(values) and all(
+        [x is y or (isinstance(y, weakref.ref) and y() is x) for x, y in zip(things, values, strict=True)]
+    )
 
 
 def _can_change(x: Any) -> bool:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from operator import is_
 from types import MethodType
 from typing import Any, NamedTuple
 
@@ -133,7 +134,7 @@ class Parts:
             found.setdefault(place.path, []).append((place.name, entry))
 
         def own(path: str, part: Any, changed: Mapping[str, Any]) -> Any:
-            new = copied(part, {}, changed) if changed else part
+            new = _holding("varying", part, changed) if changed else part
             return new.varying(found.get(path, ())) if hasattr(new, "varying") else new
 
         return self._rebuilt(own)
@@ -226,19 +227,18 @@ def _on_symbols(part: Any) -> Any:
 
     inner = {name: (child, symbolic(child)) for name, child in children(part)}
     changed = {name: new for name, (old, new) in inner.items() if new is not old}
-    if not changed:
-        return part
+    return _holding("on symbols", part, changed) if changed else part
+
+
+def _holding(why: str, part: Any, changed: Mapping[str, Any]) -> Any:
+    """Return a copy of a part that holds others: the one of last time where these are the same."""
     own = known(part)
-    before = own and own.memory.get("copied")
-    if (
-        before
-        and list(before[0]) == list(changed)
-        and all(before[0][name] is changed[name] for name in changed)
-    ):
+    before = own and own.memory.get(why)
+    if before and list(before[0]) == list(changed) and all(map(is_, before[0].values(), changed.values())):
         return before[1]
     made = copied(part, {}, changed)
     if own is not None:
-        own.memory["copied"] = changed, made
+        own.memory[why] = changed, made
     return made
 
 

@@ -341,6 +341,7 @@ def _compiled(way: Way, draws: Mapping[str, Array], start: int, stop: int, threa
         keys=keys,
         every=scenario.stride,
         threads=threads,
+        memory=scenario._memory,
     )
     return Part.of(scenario, outcome.memory.recorder, outcome.counts)
 

@@ -73,7 +73,9 @@ class CompiledLoop:
         member = range(context.member, context.member + 1)
         keys = {name: robot_keys(context.seed, name, member) for name in program.loop.keys}
         start = q0[None], v0[None]
-        run = program.run(parts, context, start, context.t, reference, dt=context.dt, keys=keys)
+        run = program.run(
+            parts, context, start, context.t, reference, dt=context.dt, keys=keys, memory=memory
+        )
         self._kept = [run.kept[name][0] for name in ("q", "v", "a", "u")]
         units = program.loop.units
         self._signals = {name: Signal(unit, run.kept[f"signal {name}"][0]) for name, unit in units.items()}
