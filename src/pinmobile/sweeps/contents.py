@@ -16,7 +16,7 @@ from pinmobile.ensembles import PER_ROBOT, Ensemble, checked_share, drawn_name, 
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.sweeps.fingerprint import determined_by, differences
 from pinmobile.sweeps.grids import Axis, Grid, as_grid, imported, place_of
-from pinmobile.sweeps.layout import attributes_of, coordinates_of, damaged
+from pinmobile.sweeps.layout import attributes_of, coordinates_of, damaged, other_format
 from pinmobile.sweeps.table import answer, since, table
 
 
@@ -56,12 +56,13 @@ class Sweep:
             Its folder.
         scenarios : Grid, mapping, sequence or Scenario, optional
             What was run, as given to `sweep`: needed for `ensemble`, since a store holds numbers, no objects.
+            What was told by `sweep`'s ``version`` alone is taken to be the same.
 
         Raises
         ------
         InvalidArgument
-            If there is no store of a sweep, or not of these scenarios, a file of it cannot be read, or a
-            package of the extra is missing.
+            If there is no store of a sweep, or not of these scenarios (of a store of an earlier format nobody
+            can tell), a file of it cannot be read, or a package of the extra is missing.
         """
         for package in ("zarr", "xarray"):
             imported(package)
@@ -71,7 +72,10 @@ class Sweep:
         grid = None
         if scenarios is not None:
             grid = as_grid(scenarios)
-            found = differences(there, determined_by(grid))
+            other = other_format(folder, there)
+            if other:
+                raise InvalidArgument(f"{other}; without scenarios, Sweep.open reads it")
+            found = differences(there, determined_by(grid, there.get("version")))
             if found:
                 raise InvalidArgument(f"scenarios are not those of {str(folder)!r}: {found}")
         for place in coordinates_of(attributes["nodes"]):

@@ -28,7 +28,14 @@ from pinmobile.errors import FileError, InvalidArgument
 from pinmobile.files import refusals, write
 from pinmobile.sweeps.fingerprint import differences
 from pinmobile.sweeps.grids import Grid, imported
-from pinmobile.sweeps.layout import METADATA, attributes_of, coordinates_of, counts_of, empty_store
+from pinmobile.sweeps.layout import (
+    METADATA,
+    attributes_of,
+    coordinates_of,
+    counts_of,
+    empty_store,
+    other_format,
+)
 
 GO_ON = "what is done is in the store: start the same sweep again to go on"
 """What to do when a disk is full, or a cluster lost."""
@@ -108,6 +115,9 @@ class Store:
 
     def _open(self, description: Mapping[str, Any]) -> None:
         there = attributes_of(self.path)
+        other = other_format(self.path, there["determined_by"])
+        if other:
+            raise InvalidArgument(other)
         found = differences(there["determined_by"], description)
         if found:
             raise InvalidArgument(f"store is {str(self.path)!r}, which belongs to another sweep: {found}")
