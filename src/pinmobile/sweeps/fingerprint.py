@@ -281,7 +281,7 @@ class _Forms:
             f"{where} is {what}, of which a store cannot tell whether it is the same the next time"
             f"{reason and ': '}{reason}; expected numbers, arrays, functions with a source, dataclasses or "
             'objects with such attributes, or sweep(..., version="1"), a word that you change whenever it '
-            "changes"
+            "changes (pinmobile sweep --version-word 1)"
         )
 
 
