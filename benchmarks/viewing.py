@@ -167,7 +167,7 @@ def show_beside_stock(out: Console, rounds: int, count: int) -> None:
     from pinocchio.visualize import MeshcatVisualizer
 
     from pinmobile.viewer.live.window import LiveWindow
-    from pinmobile.viewer.page import Visualizer
+    from pinmobile.viewer.offline import Visualizer
 
     robot, poses = MobileRobot.lecture(), circle(count)
     columns = [robot.model.names.tolist().index(name) - 1 for name in ("x", "y", "psi")]

@@ -539,6 +539,7 @@ ROWS: dict[str, Row] = {
         client=None,
         chunk=2,
         progress=lambda done, n: None,
+        version="1",
     ),
     "Sweep.answer": row(share=0.9),
     "Sweep.ensemble": row(gain=1.0),

@@ -366,7 +366,7 @@ def looped(
     rows: dict[str, Any] = {"q": [], "v": [], "u": [], "a": []}
     for k, time in enumerate(t):
         now = Reference(*(x[k] for x in reference))
-        found = one_sample(parts, float(k), time, dt / parts.substeps, q, v, now, memory)
+        found = one_sample(parts, float(k), time, dt / parts.substeps, (q, v), now, memory)
         for name, row in rows.items():
             row.append(getattr(found.sample, name))
         q, v, memory = found.q, found.v, found.memory

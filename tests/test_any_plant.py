@@ -28,8 +28,7 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.arrays import Array
-from pinmobile.compiled import Parts
-from pinmobile.compiled import Reference as OnSymbols
+from pinmobile.compiled import Parts, Reference as OnSymbols
 from pinmobile.plant import Coordinate, Input, Parameter, PlantOutline, Step
 from pinmobile.viewer import Arrows, Overlays, Viewer
 from pinmobile.viewer.motion import configurations, figure, links

@@ -38,8 +38,7 @@ from pinmobile import (
     sweep,
 )
 from pinmobile.arrays import Array
-from pinmobile.compiled import Batched, Cache, Parts, Program, program_of
-from pinmobile.compiled import Reference as CompiledReference
+from pinmobile.compiled import Batched, Cache, Parts, Program, Reference as CompiledReference, program_of
 from pinmobile.compiled.loop_tape import Loop
 from pinmobile.ensembles import run_scenario
 from pinmobile.ensembles.ways import way_of

@@ -9,7 +9,7 @@ import pytest
 from numpy import linalg
 
 from pinmobile import errors
-from pinmobile.compiled.symbols import entries, symbols
+from pinmobile.compiled.symbolic import entries, symbols
 from pinmobile.compiled.tape import Node, Tape, evaluated
 from pinmobile.compiled.tracing import tracing
 

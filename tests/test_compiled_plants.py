@@ -165,7 +165,7 @@ def test_noises_of_one_name_have_numbers_of_their_own() -> None:
     memory = initial_memory(parts, context(DT), 3, normal=lambda name, n: Noise(next(asked)[0], n))
     for k in range(3):
         now = Reference(*(x[k] for x in CIRCLE))
-        step = one_sample(parts, float(k), TIMES[k], DT, q, v, now, memory)
+        step = one_sample(parts, float(k), TIMES[k], DT, (q, v), now, memory)
         np.testing.assert_allclose(found.kept["u"][0, k], step.sample.u, rtol=1e-11)
         q, v, memory = step.q, step.v, step.memory
 

@@ -10,8 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import sympy
-from hypothesis import Phase, given, settings
-from hypothesis import strategies as st
+from hypothesis import Phase, given, settings, strategies as st
 from sympy import Expr, ImmutableMatrix, Matrix, cos, sin, symbols, zeros
 
 from pinmobile.arrays import Array

@@ -49,7 +49,9 @@ def test_heading_rate_on_a_vertical_tangent() -> None:
     assert Tangent(upwards)(t).q[:, 2].tolist() == [np.pi / 2] * 3
     assert Tangent(upwards)(t).v[:, 2].tolist() == [0] * 3
     # Where x_dot passes through an exact zero and the path bends, the lecture's formula has no number.
-    parabola = CubicVia((0.25, 0), (0, 0.5), (0.25, 1), 0.5, 1, (0, 1), (-1, 1), (1, 1))
+    parabola = CubicVia(
+        (0.25, 0), (0, 0.5), (0.25, 1), 0.5, 1, (0, 1), start_velocity=(-1, 1), end_velocity=(1, 1)
+    )
     assert parabola.derivative(0.5, 1).tolist() == [0, 1]
     expected = -parabola.derivative(0.5, 2)[0]
     assert abs(expected) > 0.1

@@ -135,7 +135,7 @@ def test_the_way_that_takes_less_is_taken() -> None:
 
 def nodes(robot: MobileRobot) -> int:
     """Return how many operations on the state inverse dynamics are on a tape."""
-    from pinmobile.compiled.symbols import symbols
+    from pinmobile.compiled.symbolic import symbols
 
     body, tape = body_of(robot), Tape()
     count = iter(range(10**6))

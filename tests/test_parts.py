@@ -39,7 +39,7 @@ from pinmobile import (
     simulate,
     sweep,
 )
-from pinmobile.compiled.symbols import Symbols
+from pinmobile.compiled.symbolic import Symbols
 from pinmobile.compiled.tracing import tracing
 from pinmobile.ensembles import ARRAYS, COMPILED, PINOCCHIO, part_of, run_scenario
 from pinmobile.ensembles.variables import PER_ROBOT

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from pinmobile.arrays import Array, ArrayLike
 from pinmobile.errors import InvalidArgument
@@ -34,8 +33,10 @@ def cubics(draw: st.DrawFn) -> CubicVia:
     start, via, end, *velocities = (draw(st.lists(number, min_size=n, max_size=n)) for _ in range(6))
     t_via, rest = (draw(st.floats(0.1, 100)) for _ in range(2))
     if draw(st.booleans()):
-        return CubicVia(start, via, end, t_via, t_via + rest, None, *velocities[1:])
-    return CubicVia(start, via, end, t_via, t_via + rest, *velocities)
+        velocities[0] = None  # type: ignore[call-overload]
+    through, *ends = velocities
+    own = dict(zip(("start_velocity", "end_velocity"), ends, strict=True))
+    return CubicVia(start, via, end, t_via, t_via + rest, through, **own)
 
 
 # -- two cubics ------------------------------------------------------------------------------------
@@ -152,7 +153,13 @@ def test_a_spline_is_c2_through_its_waypoints(k: int, n: int, data: st.DataObjec
 @given(cubics())
 def test_a_free_via_cubic_is_the_spline_of_three_points(path: CubicVia) -> None:
     free = CubicVia(
-        path.start, path.via, path.end, path.t_via, path.t_end, None, path.start_velocity, path.end_velocity
+        path.start,
+        path.via,
+        path.end,
+        path.t_via,
+        path.t_end,
+        start_velocity=path.start_velocity,
+        end_velocity=path.end_velocity,
     )
     spline = Spline(
         [path.start, path.via, path.end],

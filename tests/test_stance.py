@@ -33,8 +33,7 @@ from pinmobile.robot.reading import read_urdf
 from pinmobile.robot.stance import hull
 from pinmobile.urdf import Body
 from tests import wheeled
-from tests.wheeled import HALF_PI, inertial, joint, link, shape
-from tests.wheeled import robot as urdf
+from tests.wheeled import HALF_PI, inertial, joint, link, robot as urdf, shape
 
 G = 9.81
 ROLLING = shape("cylinder", 'radius="0.1" length="0.04"', rpy=f"{HALF_PI} 0 0")

@@ -10,6 +10,8 @@ import subprocess
 import sys
 import venv
 import zipfile
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,8 @@ PACKAGE = ROOT / "src" / "pinmobile"
 MODULES = sorted(
     m.name for m in pkgutil.walk_packages(pinmobile.__path__, "pinmobile.") if "__main__" not in m.name
 )
+
+FILES = sorted(PACKAGE.rglob("*.py"))
 
 # Each module of the design, and what it may import of the others.
 ALLOWED: dict[str, set[str]] = {
@@ -72,9 +76,9 @@ def below(module: str) -> set[str]:
 
 
 @pytest.mark.parametrize("name", MODULES)
-def test_a_package_lists_its_public_names_and_nothing_else_does(name: str) -> None:
+def test_a_package_lists_its_public_names_and_no_module_does(name: str) -> None:
     module = importlib.import_module(name)
-    assert hasattr(module, "__all__") or not hasattr(module, "__path__")
+    assert hasattr(module, "__all__") == hasattr(module, "__path__")
     assert all(hasattr(module, entry) for entry in getattr(module, "__all__", ()))
 
 
@@ -118,28 +122,106 @@ def test_every_module_is_found_in_the_package_and_none_hides_a_name() -> None:
     assert not set(pinmobile.__all__) & on_disk
 
 
+def imports(path: Path) -> Iterator[str]:
+    """Yield the modules that a file imports, in its functions and for its types too."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            named = {f"{node.module}.{alias.name}" for alias in node.names}
+            modules = named if node.module == "pinmobile" else named & {module_of(each) for each in FILES}
+            yield from modules or [node.module]
+        elif isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+
+
 def test_a_module_imports_only_what_the_design_allows() -> None:
     checked = 0
-    for path in sorted((PACKAGE).rglob("*.py")):
+    for path in FILES:
         part = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
         if part not in ALLOWED:
             assert part in ("__init__", "__main__", "cli")
             continue
-        for node in ast.walk(ast.parse(path.read_text())):
-            names: list[str] = []
-            if isinstance(node, ast.ImportFrom) and node.module:
-                names = (
-                    [node.module]
-                    if node.module != "pinmobile"
-                    else [f"pinmobile.{a.name}" for a in node.names]
-                )
-            elif isinstance(node, ast.Import):
-                names = [alias.name for alias in node.names]
-            for name in names:
-                if name.startswith("pinmobile."):
-                    assert name.split(".")[1] in below(part), f"{path} imports {name}"
-                    checked += 1
+        for name in imports(path):
+            if name.startswith("pinmobile."):
+                assert name.split(".")[1] in below(part), f"{path} imports {name}"
+                checked += 1
     assert checked > 50
+
+
+def test_packages_are_imported_as_a_whole() -> None:
+    """What crosses packages is what an __init__ tells: no thread waits for a package that waits for it."""
+    for path in FILES:
+        own = ("pinmobile", *path.relative_to(PACKAGE).parent.parts)
+        for name in imports(path):
+            parts = tuple(name.split("."))
+            assert len(parts) <= 2 or parts[:2] == own[:2] or parts[0] != "pinmobile", (
+                f"{path} imports {name}"
+            )
+
+
+def test_no_modules_import_each_other() -> None:
+    known = {module_of(path): path for path in FILES}
+    asked: dict[str, set[str]] = {}
+    for name, path in known.items():
+        found = {other for other in imports(path) if other in known and other not in (name, "pinmobile")}
+        # A package's modules may be imported by it, which imports nobody who imports it.
+        asked[name] = {other for other in found if not name.startswith(f"{other}.")}
+        assert asked[name] == found, f"{name} imports the package that it is in"
+    done: set[str] = set()
+
+    def visit(name: str, above: tuple[str, ...]) -> None:
+        assert name not in above, " imports ".join((*above[above.index(name) :], name))
+        if name not in done:
+            for other in sorted(asked[name]):
+                visit(other, (*above, name))
+            done.add(name)
+
+    for name in known:
+        visit(name, ())
+
+
+def module_of(path: Path) -> str:
+    parts = ("pinmobile", *path.relative_to(PACKAGE).with_suffix("").parts)
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+ALONE = {"derivation", "viewer"}  # packages with a module of the same name
+
+
+def test_no_name_of_a_file_occurs_twice() -> None:
+    names = Counter(path.stem for path in FILES if path.stem not in ("__init__", "__main__"))
+    assert [name for name, count in names.items() if count > 1] == []
+    packages = {path.parent.name for path in FILES if path.name == "__init__.py"}
+    assert packages & set(names) <= ALONE
+
+
+def test_no_function_takes_more_than_seven_arguments_by_position() -> None:
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+                given = [each.arg for each in (*node.args.posonlyargs, *node.args.args)]
+                assert len(given) - (given[:1] in (["self"], ["cls"])) <= 7, f"{path}:{node.lineno}"
+
+
+@pytest.mark.parametrize("name", sorted(pinmobile.__all__))
+def test_help_names_types_as_they_are_called(name: str) -> None:
+    assert "numpy._typing" not in pydoc.render_doc(getattr(pinmobile, name)), "ArrayLike is spelled out"
+
+
+# Files of few lines that one other imports, each with what keeps it apart.
+APART = {
+    "simulation/single.py": "it loads what compiles, and is loaded when that is asked for",
+    "robot/batches.py": "the way of many states, beside that of one",
+}
+
+
+def test_a_small_file_has_several_who_import_it() -> None:
+    known = {module_of(path): path for path in FILES if path.name not in ("__init__.py", "__main__.py")}
+    users: Counter[str] = Counter()
+    for path in FILES:
+        users.update({name for name in imports(path) if name in known})
+    for name, path in known.items():
+        small = len(path.read_text().splitlines()) < 120 and users[name] <= 1
+        assert small == (path.relative_to(PACKAGE).as_posix() in APART), name
 
 
 HEAVY = ("IPython", "asyncio", "dask", "llvmlite", "matplotlib", "meshcat", "numba", "scipy", "sympy", "zarr")

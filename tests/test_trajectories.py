@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import assume, example, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, example, given, settings, strategies as st
 
 from pinmobile.arrays import Array, ArrayLike
 from pinmobile.errors import InvalidArgument
@@ -156,7 +155,7 @@ def near(times: list[float], duration: float) -> Array:
 
 
 @pytest.mark.parametrize(
-    "path", [VIA_FREE, CubicVia((1, 1), (2, 3), (5, -4), 1, 4, (1, 0.5), (0.5, 1))], ids=repr
+    "path", [VIA_FREE, CubicVia((1, 1), (2, 3), (5, -4), 1, 4, (1, 0.5), start_velocity=(0.5, 1))], ids=repr
 )
 def test_heading_rate_and_acceleration_on_cubics_are_exact_up_to_their_rests(path: CubicVia) -> None:
     trajectory = Tangent(path)
@@ -342,10 +341,13 @@ def test_the_via_stop_turns_a_quarter_to_the_left() -> None:
     np.testing.assert_allclose(trajectory(12.5).q[:2], VIA_STOP(12.5), rtol=0, atol=0)
 
 
+CUBIC = CubicVia((0, 0), (1, 1), (3, 4), 1, 3, (0, 0), start_velocity=(2, 0), end_velocity=(1, 5))
+
+
 @pytest.mark.parametrize("turn_time", [0.1, 1.0, 30.0])
 @pytest.mark.parametrize(
     "path",
-    [REVERSING, Cycloid(20.0), CubicVia((0, 0), (1, 1), (3, 4), 1, 3, (0, 0), (2, 0), (1, 5))],
+    [REVERSING, Cycloid(20.0), CUBIC],
     ids=["3:2", "cycloid", "cubic"],
 )
 def test_a_turn_meets_heading_rate_and_acceleration_on_both_sides(path: Path, turn_time: float) -> None:

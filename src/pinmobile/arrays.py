@@ -1,5 +1,7 @@
 """The array type, angles on the circle, and the one place where arguments are checked."""
 
+from __future__ import annotations
+
 import inspect
 import os
 import sys
@@ -12,40 +14,9 @@ from typing import Any, TypeAlias
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike as ArrayLike, NDArray
 
 from pinmobile.errors import InvalidArgument, NotFinite, UnknownName, shown
-
-__all__ = [
-    "HALF_TURN",
-    "LEAST_ANGLE",
-    "Array",
-    "ArrayLike",
-    "affordable",
-    "answered",
-    "are_real",
-    "broadcast",
-    "callable_as",
-    "endless_or_finite",
-    "finite",
-    "finite_answer",
-    "frozen",
-    "increasing",
-    "lengths",
-    "location",
-    "non_negative",
-    "one_of",
-    "positive",
-    "real",
-    "representable",
-    "scalar",
-    "seeded",
-    "sequence",
-    "text",
-    "vector",
-    "whole",
-    "wrap_angle",
-]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -58,7 +29,7 @@ _MOST_AXES = 24  # room for some more within the 32 that NumPy broadcasts
 
 
 def finite(name: str, value: ArrayLike) -> Array:
-    """Return `value` as float64, after refusing what is not made of finite real numbers.
+    """Check that `value` is made of finite real numbers, and return it as float64.
 
     Parameters
     ----------
@@ -93,7 +64,7 @@ def finite(name: str, value: ArrayLike) -> Array:
 
 
 def finite_answer(answer: Array, /, **arguments: ArrayLike) -> Array:
-    """Return an answer as it is, after refusing one that is not finite though its arguments are.
+    """Check that an answer is finite where its arguments are, and return it.
 
     Parameters
     ----------
@@ -129,7 +100,7 @@ def endless_or_finite(name: str, value: ArrayLike) -> Array:
     return np.where(endless, np.inf, finite(name, np.where(endless, 0.0, array)))
 
 
-def _array(value: Any) -> "np.ndarray[Any, Any]":
+def _array(value: Any) -> np.ndarray[Any, Any]:
     """Return a value as an array; of what has no numbers, one of objects."""
     try:
         return np.asarray(float(value) if type(value) is int else value)  # 10**22 is no integer of NumPy's
@@ -158,7 +129,7 @@ _PLAIN = {float, int, np.float64}
 
 
 def real(name: str, value: ArrayLike) -> Array:
-    """Return `value` as float64, NaN and infinity among it, after refusing what is not made of real numbers.
+    """Check that `value` is made of real numbers, NaN and infinity allowed, and return it as float64.
 
     Raises
     ------
@@ -279,7 +250,7 @@ def whole(name: str, value: Any, *, least: int = 1, most: int = 2**53) -> int:
     return int(number)
 
 
-def seeded(name: str, seed: Any) -> "np.random.Generator":
+def seeded(name: str, seed: Any) -> np.random.Generator:
     """Return the generator of a seed; one that is a generator comes back as it is.
 
     Parameters
@@ -333,7 +304,7 @@ _LONGEST_NAME = 255  # on all file systems of Linux and macOS
 
 
 def text(name: str, value: Any) -> str:
-    """Return `value` as it is, after refusing what is no text, or none that can be written to a file.
+    """Check that `value` is text that can be written to a file, and return it.
 
     Raises
     ------
@@ -351,7 +322,7 @@ _UNWRITTEN = {"Cs", "Cc"}  # surrogates and control characters
 
 
 def representable(what: str, array: Array) -> Array:
-    """Return a result, after refusing one that went beyond the largest number on its way.
+    """Check that a result has not overflowed on its way, and return it.
 
     Parameters
     ----------
@@ -371,7 +342,7 @@ def representable(what: str, array: Array) -> Array:
 
 
 def one_of(kind: str, value: Any, available: Iterable[str]) -> str:
-    """Return `value`, a name, after refusing one that is not among those there are.
+    """Check that `value` is one of the names there are, and return it.
 
     Parameters
     ----------
@@ -432,7 +403,7 @@ def sequence(name: str, value: Any, expected: str) -> tuple[Any, ...]:
 
 
 def callable_as(form: str, function: Any, expected: str = "") -> Any:
-    """Return a user's function, after refusing one that cannot be called so.
+    """Check that a user's function can be called in this way, and return it.
 
     Parameters
     ----------

@@ -1,5 +1,7 @@
 """What the base feels: the arm's reaction, where the ground carries it, and what friction that takes."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -57,13 +59,13 @@ class Motion:
     a: ArrayLike
 
     def __post_init__(self) -> None:
-        robot = checked_robot("plant", self.plant)
+        robot = _checked_robot("plant", self.plant)
         for name, size in (("q", robot.nq), ("v", robot.nv), ("a", robot.nv)):
             object.__setattr__(self, name, frozen(vector(name, getattr(self, name), size)))
         broadcast(q=self.q, v=self.v, a=self.a)  # type: ignore[arg-type]
 
 
-def robot_of(motion: Any) -> Any:
+def _robot_of(motion: Any) -> Any:
     """Return the plant of a motion.
 
     Raises
@@ -73,11 +75,11 @@ def robot_of(motion: Any) -> Any:
     """
     if not all(hasattr(motion, name) for name in ("plant", "q", "v", "a")):
         raise InvalidArgument(f"motion is {shown(motion)}, expected a Rollout or a Motion")
-    return checked_robot("motion.plant", motion.plant)
+    return _checked_robot("motion.plant", motion.plant)
 
 
-def checked_robot(name: str, robot: Any) -> Any:
-    """Return the plant, after refusing one that does not tell the ground's wrench.
+def _checked_robot(name: str, robot: Any) -> Any:
+    """Check that a plant tells the wrench of the ground, and return it.
 
     Raises
     ------
@@ -121,7 +123,7 @@ def reaction_wrench(motion: Moving, mount: str | None = None) -> Array:
     UnknownName
         If nothing is mounted by that name.
     """
-    plant = robot_of(motion)
+    plant = _robot_of(motion)
     if not hasattr(plant, "mount_wrench"):
         raise InvalidArgument(
             f"motion.plant is {shown(plant)}, which has no arm, expected a MobileRobot with one"
@@ -154,7 +156,7 @@ def zero_moment_point(motion: Moving) -> Array:
         the robot is above the ground, since its URDF does not tell.
     """
     point = body_zero_moment_point(motion)
-    pose = robot_of(motion).pose(motion.q)
+    pose = _robot_of(motion).pose(motion.q)
     cos, sin = np.cos(pose[..., 2]), np.sin(pose[..., 2])
     x, y = point[..., 0], point[..., 1]
     return np.stack([pose[..., 0] + cos * x - sin * y, pose[..., 1] + sin * x + cos * y], axis=-1)
@@ -173,7 +175,7 @@ def body_zero_moment_point(motion: Moving) -> Array:
     InvalidArgument
         As `zero_moment_point`.
     """
-    if not getattr(robot_of(motion), "grounded", True):
+    if not getattr(_robot_of(motion), "grounded", True):
         raise InvalidArgument(
             "motion.plant does not tell how high it is above the ground, expected one that does: "
             "MobileRobot.from_urdf(path, ground=...), with the ground's z in the root link's frame [m]"
@@ -205,7 +207,7 @@ def tip_over_margin(motion: Moving, footprint: ArrayLike | None = None) -> Array
         If `footprint` is no convex polygon with an area, or is not given and the robot's own is not known; or
         as `zero_moment_point`.
     """
-    corners = footprint_of(robot_of(motion), footprint)
+    corners = footprint_of(_robot_of(motion), footprint)
     margin = margin_inside(corners, body_zero_moment_point(motion))
     return np.where(np.isnan(margin), -np.inf, margin)
 
@@ -227,7 +229,7 @@ def footprint_of(robot: Any, footprint: ArrayLike | None = None) -> Array:
     """
     if footprint is not None:
         return checked_footprint(footprint)
-    corners: Array | None = getattr(checked_robot("robot", robot), "footprint", None)
+    corners: Array | None = getattr(_checked_robot("robot", robot), "footprint", None)
     if corners is None:
         raise InvalidArgument(
             "footprint is not given, and that of the robot is not known, expected the corners of what it "
@@ -264,9 +266,9 @@ def required_friction(motion: Moving) -> Array:
     return np.where(carried, horizontal / np.where(carried, wrench[..., 2], 1.0), lifted)
 
 
-def _ground(motion: Moving) -> tuple[Array, "np.ndarray[tuple[int, ...], np.dtype[np.bool_]]"]:
+def _ground(motion: Moving) -> tuple[Array, np.ndarray[tuple[int, ...], np.dtype[np.bool_]]]:
     """Return the ground's wrench, shape (..., 6), and where it carries the robot, shape (...)."""
-    robot = robot_of(motion)
+    robot = _robot_of(motion)
     wrench = finite("ground_wrench of motion.plant", robot.ground_wrench(motion.q, motion.v, motion.a))
     expected = (*np.broadcast_shapes(*(np.shape(x)[:-1] for x in (motion.q, motion.v, motion.a))), 6)
     if wrench.shape != expected:

@@ -9,6 +9,8 @@ body's origin, along the inertial axes. In these terms (lecture, section 3 of it
            [ -m d_y   m d_x    m |d|^2 + Icz  ]                               [  0  ]
 """
 
+from __future__ import annotations
+
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, vector

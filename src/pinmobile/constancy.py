@@ -1,5 +1,7 @@
 """What is constant, known by its identity, and what is remembered of it as long as it lives."""
 
+from __future__ import annotations
+
 import itertools
 import weakref
 from dataclasses import dataclass, field
@@ -9,8 +11,6 @@ from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
 from typing import Any, TypeVar
 
 import numpy as np
-
-__all__ = ["Known", "constant", "has_slots", "is_constant", "known"]
 
 _DEEP = 24
 _NUMBERS = bool, int, float, complex, str, bytes, np.generic

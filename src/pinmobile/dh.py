@@ -1,5 +1,7 @@
 """Modified-DH rows, transforms and tables, and the lecture's two tables of the same robot."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
@@ -9,8 +11,6 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite, scalar, sequence, vector
 from pinmobile.errors import InvalidArgument, shown
-
-__all__ = ["LECTURE_TABLE", "SLIDE_TABLE", "DHRow", "DHTable", "JointType", "transform"]
 
 
 class JointType(Enum):

@@ -1,23 +1,10 @@
 """Every error that pinmobile raises on purpose."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable
 from functools import partial
 from typing import Any
-
-__all__ = [
-    "Diverged",
-    "FileError",
-    "InvalidArgument",
-    "NotFinite",
-    "NotTraceable",
-    "PinmobileError",
-    "SchedulerError",
-    "SlowerEngine",
-    "UnknownName",
-    "Unreachable",
-    "ViewerError",
-    "shown",
-]
 
 _LONGEST = 500  # letters of a value that a message shows
 
@@ -53,7 +40,7 @@ class InvalidArgument(PinmobileError, ValueError):
         super().__init__(message)
         self.argument = str(message).partition(" ")[0] if argument is None else argument
 
-    def calling(self, name: str) -> "InvalidArgument":
+    def calling(self, name: str) -> InvalidArgument:
         """Return the error about the same argument where that is called otherwise."""
         return InvalidArgument(name + str(self).removeprefix(self.argument), name)
 
@@ -80,7 +67,7 @@ class NotTraceable(InvalidArgument):
         """What it does, where, and what to write instead, on one line and without a word of engines."""
         return " ".join(f"{self.place and self.place + ': '}{self.what}; {self.instead}".split())
 
-    def __reduce__(self) -> tuple[type["NotTraceable"], tuple[str, str, str]]:
+    def __reduce__(self) -> tuple[type[NotTraceable], tuple[str, str, str]]:
         return type(self), (self.what, self.instead, self.place)
 
 
@@ -142,7 +129,7 @@ class UnknownName(PinmobileError, KeyError):
         # KeyError would show the repr of the message.
         return str(self.args[0])
 
-    def __reduce__(self) -> tuple[type["UnknownName"], tuple[str, Any, tuple[str, ...]]]:
+    def __reduce__(self) -> tuple[type[UnknownName], tuple[str, Any, tuple[str, ...]]]:
         return type(self), (self.kind, self.name, self.available)
 
 

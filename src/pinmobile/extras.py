@@ -1,12 +1,12 @@
 """Packages that only some need: imported when they are used, and named where they are missing."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from importlib import import_module
 from typing import Any
 
 from pinmobile.errors import InvalidArgument
-
-__all__ = ["EXTRAS", "imported", "installing"]
 
 EXTRAS: Mapping[str, tuple[str, ...]] = {
     "sweeps": ("dask", "distributed", "xarray", "zarr"),

@@ -1,5 +1,7 @@
 """Files written whole or not at all, archives looked at before they are read, and what refuses either."""
 
+from __future__ import annotations
+
 import csv
 import errno
 import io
@@ -21,18 +23,6 @@ from pinmobile.errors import FileError, InvalidArgument, PinmobileError, shown
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
-
-__all__ = [
-    "archive_of",
-    "arrays_of",
-    "cannot",
-    "refusals",
-    "replacing",
-    "unpacking",
-    "write",
-    "write_table",
-    "written",
-]
 
 _SHORT = 4096  # bytes of an array of one text
 
@@ -188,7 +178,7 @@ class _Sink(io.FileIO):
     def __init__(self, descriptor: int) -> None:
         super().__init__(descriptor, "wb")
 
-    def write(self, data: "ReadableBuffer", /) -> int:
+    def write(self, data: ReadableBuffer, /) -> int:
         try:
             return super().write(data)
         except OSError as error:

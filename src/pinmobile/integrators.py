@@ -4,22 +4,14 @@ A step is called as ``step(acceleration, t, q, v, dt) -> (q, v)`` with ``acceler
 the acceleration have shape (..., n), t [s] and dt [s] are numbers. Any callable of that form will do.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias
 
 from pinmobile.arrays import Array, callable_as
 from pinmobile.errors import InvalidArgument, shown
-
-__all__ = [
-    "Acceleration",
-    "Integrator",
-    "RungeKuttaNystrom",
-    "check_integrator",
-    "constant_acceleration",
-    "rk4",
-    "semi_implicit_euler",
-]
 
 Acceleration: TypeAlias = Callable[[float, Array, Array], Array]
 

@@ -1,5 +1,7 @@
 """`Measure`: what a plant states of a sample beside the error of its reference, such as a tip-over margin."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -7,17 +9,6 @@ import numpy as np
 
 from pinmobile.arrays import Array, are_real, callable_as, one_of, sequence, text
 from pinmobile.errors import InvalidArgument, shown
-
-__all__ = [
-    "Measure",
-    "channels_of",
-    "check_measured",
-    "chosen",
-    "measured_of",
-    "measures_of",
-    "size_of",
-    "value_of",
-]
 
 _WORST = ("largest", "smallest")
 _SCALE = 2.0**-12  # of margins: below this, differences count; above it, ratios

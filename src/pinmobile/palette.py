@@ -1,5 +1,7 @@
 """Colours that the colour-blind tell apart, of figures and scenes."""
 
+from __future__ import annotations
+
 INK = "#222222"
 QUIET = "#8a8f94"
 AXES = ("#D55E00", "#009E73", "#0072B2")

@@ -1,5 +1,7 @@
 """What is simulated, and what its loop tells a controller before the first sample."""
 
+from __future__ import annotations
+
 import operator
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -9,26 +11,6 @@ import numpy as np
 
 from pinmobile.arrays import Array, callable_as, finite, frozen, positive, sequence, text, whole
 from pinmobile.errors import InvalidArgument, shown
-
-__all__ = [
-    "Context",
-    "Coordinate",
-    "Difference",
-    "Input",
-    "Parameter",
-    "Plant",
-    "PlantOutline",
-    "Step",
-    "all_samples",
-    "check_difference",
-    "check_plant",
-    "configuration_names_of",
-    "coordinates_of",
-    "inputs_of",
-    "leading_of",
-    "parameters_of",
-    "whole_configurations",
-]
 
 Difference: TypeAlias = Callable[[Array, Array], Array]
 
@@ -345,7 +327,7 @@ class Context:
     @classmethod
     def of(
         cls, plant: Any, *, dt: float, t: Array | None = None, reference: Any = None, trajectory: Any = None
-    ) -> "Context":
+    ) -> Context:
         """Return the context of a loop with this plant.
 
         Parameters
@@ -507,7 +489,7 @@ class PlantOutline:
     size: tuple[float, ...] | None = None
 
     @classmethod
-    def of(cls, plant: Any, q: Array) -> "PlantOutline":
+    def of(cls, plant: Any, q: Array) -> PlantOutline:
         """Return the outline of a plant; configurations q, shape (N, nq), tell where its pose is in q."""
         if isinstance(plant, cls):
             return plant

@@ -1,5 +1,7 @@
 """Named series with units that parts of a loop give beside states and inputs."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -7,8 +9,6 @@ import numpy as np
 
 from pinmobile.arrays import Array, frozen, real
 from pinmobile.errors import InvalidArgument, shown
-
-__all__ = ["Claim", "Recorder", "Signal", "claimed", "number", "recorder", "signals_of"]
 
 Ask = Callable[[int, Array, Array, Array], Any]
 

@@ -1,5 +1,7 @@
 """A DH chain and the rigid body that it carries, as URDF text."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,8 +14,6 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, finite, frozen, lengths, one_of, positive, representable, text
 from pinmobile.dh import DHTable, JointType, transform
 from pinmobile.errors import InvalidArgument, shown
-
-__all__ = ["Body", "box_inertia", "shipped_urdf", "write"]
 
 _INERTIA_ROUNDING = 1e-9  # files carry eight digits or so: a broken triangle is one broken by more
 # Dynamics about B's origin take the yaw inertia from a difference to m |com|^2: six digits of it are left.

@@ -1,5 +1,7 @@
 """How an integrator's error shrinks with its step, and what it keeps of a body that nothing acts on."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, final
@@ -110,7 +112,7 @@ _HEADING, _SPIN = 0.4, 1.0  # [rad, rad/s]
 _WALK = 64.0  # eps; over n steps, roundings add up as sqrt(n)
 
 
-class Conserved(NamedTuple):
+class _Conserved(NamedTuple):
     """What no motion of the free body changes.
 
     Attributes
@@ -128,7 +130,7 @@ class Conserved(NamedTuple):
     energy: Array
 
 
-def conserved(robot: MobileRobot, q: Array, v: Array) -> Conserved:
+def conserved(robot: MobileRobot, q: Array, v: Array) -> _Conserved:
     """Return momentum and energy, by the motion of the centre of mass.
 
     Parameters
@@ -142,7 +144,7 @@ def conserved(robot: MobileRobot, q: Array, v: Array) -> Conserved:
     centre, speed = q[..., :2] + arm, v[..., :2] + spin[..., None] * _left(arm)
     about = robot.mass * (centre[..., 0] * speed[..., 1] - centre[..., 1] * speed[..., 0])
     energy = (robot.mass * np.square(speed).sum(-1) + robot.yaw_inertia * spin**2) / 2
-    return Conserved(robot.mass * speed, about + robot.yaw_inertia * spin, energy)
+    return _Conserved(robot.mass * speed, about + robot.yaw_inertia * spin, energy)
 
 
 def free_motion(robot: MobileRobot, t: Array) -> tuple[Array, Array]:

@@ -1,5 +1,7 @@
 """`integrator_report`: what is measured of an integrator, alone and in a loop, as a table and in words."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial

@@ -3,24 +3,17 @@
 import os
 import sys
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from io import UnsupportedOperation
 from typing import Any
 
+from pinmobile.cli.messages import Interrupted, shortened
 from pinmobile.errors import InvalidArgument, PinmobileError, UnknownName
 
-__all__ = ["SPREAD_NAMES", "Interrupted", "main", "shortened", "unknown"]
-
-SPREAD_NAMES = "'pinmobile ensemble --help' lists all"
-"""Where to see what may be spread."""
+__all__ = ["main"]
 
 _INTERRUPTED = 130  # as typer says it, and shells
-_READABLE = 20  # names in a list
-
-
-class Interrupted(PinmobileError):
-    """A command was stopped; the message tells how it goes on."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -97,34 +90,3 @@ def _note(message: Warning | str, *where: Any, **more: Any) -> None:
 def _refuse(message: str, code: int = 2) -> int:
     print(f"pinmobile: {' '.join(message.split())}", file=sys.stderr)
     return code
-
-
-def unknown(what: str, name: str, available: Iterable[str], rest: str = "") -> str:
-    """Return the message about a name that is not there: the nearest, and a list that can be read.
-
-    Parameters
-    ----------
-    what : str
-        What is unknown, such as ``"key 'mas' in [robot]"``.
-    name : str
-        The name that came.
-    available : iterable of str
-        The names there are.
-    rest : str
-        Where to see the names when they are too many to be listed.
-    """
-    error = UnknownName("", name, available)
-    if len(error.listed) <= _READABLE:
-        rest = f"available: {', '.join(error.listed)}"
-    return f"unknown {what}, {error.meant}{rest}".rstrip()
-
-
-def shortened(error: UnknownName) -> str:
-    """Return the message of an error; where its list is too long to be read, the nearest names."""
-    if not error.kind.startswith("parameter in spread"):
-        return str(error)
-    from pinmobile.ensembles import PARAMETERS
-
-    own = [name for name in error.available if name not in PARAMETERS]
-    rest = f"this loop has {', '.join(own)}, and {SPREAD_NAMES} of the library" if own else SPREAD_NAMES
-    return unknown(f"{error.kind} {error.name!r}", str(error.name), error.available, rest)

@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 
 from pinmobile import Ensemble, InvalidArgument, Same, Scenario, plots, sweep
 from pinmobile.arrays import whole
-from pinmobile.cli import Interrupted
 from pinmobile.cli.choices import COMPARED, CONTROLLERS, SPREAD_FORMS
+from pinmobile.cli.messages import Interrupted
 from pinmobile.cli.options import (
     Options,
     alone,

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from pinmobile import Axis, InvalidArgument, PinmobileError, Scenario, UnknownName, grid
-from pinmobile.cli import SPREAD_NAMES, shortened, unknown
 from pinmobile.cli.choices import CONTROLLERS, HEADINGS, OPTIONS, UNITS
+from pinmobile.cli.messages import SPREAD_NAMES, shortened, unknown
 from pinmobile.cli.options import (
     Options,
     Refused,

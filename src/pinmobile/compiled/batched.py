@@ -5,6 +5,8 @@ in a vector: rows are turned into vectors, and back, in registers. Answers go pa
 the memory: it is the memory that limits.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from math import prod
 from typing import Any, NamedTuple
@@ -16,7 +18,7 @@ from pinmobile.compiled.emit import ENTRY, Code, Shape
 from pinmobile.compiled.loop_tape import Loop
 from pinmobile.compiled.machine import Cache, Target, function_of
 from pinmobile.compiled.program import aligned, shared_out
-from pinmobile.compiled.symbols import entries, symbols
+from pinmobile.compiled.symbolic import entries, symbols
 from pinmobile.compiled.tape import LARGEST, Node, Tape, needed
 from pinmobile.compiled.tracing import tracing
 from pinmobile.errors import InvalidArgument, NotTraceable

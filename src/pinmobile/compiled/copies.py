@@ -1,5 +1,7 @@
 """Copies of parts with other numbers: as they stand, or made again, which checks and derives what follows."""
 
+from __future__ import annotations
+
 import copy
 import dataclasses
 import functools

@@ -4,6 +4,8 @@ Written once, for nodes of a tape and for NumPy's float64 numbers and arrays, wi
 every processor. The errors are a few units of the last place; `sincos` is meant for |x| < 1e5.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Sequence
 from typing import Any

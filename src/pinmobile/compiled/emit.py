@@ -5,6 +5,8 @@ once for all lanes, what is a robot's own before its first sample. The code has 
 every operation rounds once, and none are contracted, so that the bits are those of `tape.evaluated`.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 from pinmobile.compiled.folding import ROBOT, SAMPLE, STATE

@@ -1,5 +1,7 @@
 """What operations are in NumPy, of what types they are, and what they come to where they need not be done."""
 
+from __future__ import annotations
+
 import operator
 from collections.abc import Callable, Sequence
 from typing import Any

@@ -1,5 +1,7 @@
 """NumPy's functions on arrays of symbols, those that make arrays, and those that cannot be compiled."""
 
+from __future__ import annotations
+
 import operator
 from collections.abc import Callable
 from functools import reduce
@@ -24,7 +26,7 @@ from pinmobile.compiled.elementary import (
     tan,
     tanh,
 )
-from pinmobile.compiled.symbols import FUNCTIONS, REFUSED, Symbols, entries, has_symbols, plain, put, wrapped
+from pinmobile.compiled.symbolic import FUNCTIONS, REFUSED, Symbols, entries, has_symbols, plain, put, wrapped
 from pinmobile.compiled.tape import absolute, maximum, minimum, root, select
 from pinmobile.compiled.ufuncs import UFUNCS, between, boxed, choose, elementwise, larger, of_truths, smaller
 from pinmobile.errors import NotTraceable

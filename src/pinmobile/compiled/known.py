@@ -6,6 +6,8 @@ refers to, is looked at each time, which takes some microseconds. What else foll
 parts is remembered with them for as long as the code stays.
 """
 
+from __future__ import annotations
+
 import contextlib
 import functools
 import threading
@@ -39,8 +41,8 @@ _MEMORIES = 16  # loops, each with a reference and what all robots share of it, 
 _THINGS = 64  # that are remembered of one
 _DEEP = 24
 _lock = threading.Lock()
-_known: "OrderedDict[Any, tuple[_Witness, Program]]" = OrderedDict()
-_memories: "OrderedDict[Any, tuple[_Witness, dict[Any, Any]]]" = OrderedDict()
+_known: OrderedDict[Any, tuple[_Witness, Program]] = OrderedDict()
+_memories: OrderedDict[Any, tuple[_Witness, dict[Any, Any]]] = OrderedDict()
 
 _BY_IDENTITY = (FunctionType, BuiltinFunctionType, ModuleType, type, np.ufunc, np.dtype)
 _NUMBERS = frozenset((bool, int, float, complex))
@@ -188,7 +190,7 @@ def once(memory: dict[Any, Any], what: Any, make: Callable[[], Any]) -> Any:
     return found
 
 
-def _held(table: "OrderedDict[Any, tuple[_Witness, Any]]", key: Any) -> Any:
+def _held(table: OrderedDict[Any, tuple[_Witness, Any]], key: Any) -> Any:
     """Return what a table has of a key; None where it has nothing, or the code is not what it was."""
     with _lock:
         found = table.get(key)
@@ -198,7 +200,7 @@ def _held(table: "OrderedDict[Any, tuple[_Witness, Any]]", key: Any) -> Any:
 
 
 def _hold(
-    table: "OrderedDict[Any, tuple[_Witness, Any]]",
+    table: OrderedDict[Any, tuple[_Witness, Any]],
     key: Any,
     walk: Walk,
     value: Any,

@@ -6,6 +6,8 @@ something has no such form there is no key, and the loop is traced: where a law 
 named or looked into, and where it could ask for what is outside Python's objects, such as a file or the time.
 """
 
+from __future__ import annotations
+
 import functools
 import hashlib
 import json

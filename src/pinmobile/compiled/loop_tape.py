@@ -1,5 +1,7 @@
 """A closed loop on a tape: what stands where, and what its memory is before the first sample."""
 
+from __future__ import annotations
+
 import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,7 +14,7 @@ from pinmobile.compiled.folding import ROBOT, SAMPLE, STATE
 from pinmobile.compiled.memory import Line, leaves
 from pinmobile.compiled.noise import Noise
 from pinmobile.compiled.parts import Memory, Parts, Place, integrate_of
-from pinmobile.compiled.symbols import entries, has_symbols, symbols
+from pinmobile.compiled.symbolic import entries, has_symbols, symbols
 from pinmobile.compiled.tape import Node, Tape, evaluated, needed, operands
 from pinmobile.compiled.tracing import tracing
 from pinmobile.errors import NotTraceable

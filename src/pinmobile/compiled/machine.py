@@ -1,5 +1,7 @@
 """Files of tapes and machine code, so that a loop that was built once is read in some milliseconds."""
 
+from __future__ import annotations
+
 import contextlib
 import ctypes
 import functools
@@ -98,7 +100,7 @@ def _default() -> Path | None:
 
 _LOADED = 64  # functions that stay loaded though nobody holds them
 _lock = threading.Lock()
-_known: "OrderedDict[str, Callable[..., None]]" = OrderedDict()
+_known: OrderedDict[str, Callable[..., None]] = OrderedDict()
 
 
 @functools.cache
@@ -133,7 +135,7 @@ class Target:
     lanes: int
 
     @classmethod
-    def here(cls) -> "Target":
+    def here(cls) -> Target:
         """Return this machine's."""
         llvm = _llvm()
         features = llvm.get_host_cpu_features()

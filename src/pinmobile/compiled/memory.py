@@ -3,6 +3,8 @@
 The rest that stands in such a tree (a function, a name, None) must stay as it is.
 """
 
+from __future__ import annotations
+
 import copy
 import dataclasses
 from collections import deque
@@ -11,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.compiled.symbols import Symbols
+from pinmobile.compiled.symbolic import Symbols
 from pinmobile.compiled.tape import Node
 from pinmobile.errors import NotTraceable
 
@@ -114,7 +116,7 @@ class Line:
         self.samples = samples
         self.past = deque(past, samples + 1)
 
-    def push(self, values: Any) -> tuple[Any, "Line"]:
+    def push(self, values: Any) -> tuple[Any, Line]:
         """Return what was pushed `samples` ago, a tree of arrays, and the line for the next sample."""
         kept = mapped(values, lambda x: np.array(x, np.float64))
         past = (*self.past, kept)

@@ -6,6 +6,8 @@ basic operations. So the same robot gets the same bits at the same sample in eve
 beside it.
 """
 
+from __future__ import annotations
+
 import functools
 import hashlib
 import math
@@ -127,7 +129,7 @@ class Noise:
     def __init__(self, key: Any, n: int, k: Any = 0) -> None:
         self.key, self.n, self.k = key, n, k
 
-    def draw(self) -> tuple[Array, "Noise"]:
+    def draw(self) -> tuple[Array, Noise]:
         """Return n numbers, shape (..., n) for keys of shape (...), and the noise for the next sample."""
         after = Noise(self.key, self.n, self.k + 1)
         if not np.ndim(self.key):

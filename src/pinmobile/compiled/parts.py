@@ -3,6 +3,8 @@
 `one_sample` runs on numbers as on symbols: it is what the compiled loop repeats.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from operator import is_
@@ -15,7 +17,7 @@ from pinmobile.arrays import Array, are_real
 from pinmobile.compiled.copies import copied, is_part, made_again
 from pinmobile.compiled.memory import mapped
 from pinmobile.compiled.recorders import Record, Sample
-from pinmobile.compiled.symbols import entries, has_symbols
+from pinmobile.compiled.symbolic import entries, has_symbols
 from pinmobile.constancy import known
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
 from pinmobile.measures import measured_of
@@ -105,14 +107,14 @@ class Parts:
         *_, (_, found) = self.on_the_way(path)
         return found
 
-    def replaced(self, function: Callable[[str, Any], Any]) -> "Parts":
+    def replaced(self, function: Callable[[str, Any], Any]) -> Parts:
         """Return the parts with a function of path and part in their place."""
         new = {path: function(path, part) for path, part in self.by_path()}
         forces = tuple(new[f"forces[{i}]"] for i in range(len(self.forces)))
         named = {name: new.get(name) for name in _NAMED}
         return Parts(**named, forces=forces, substeps=self.substeps)
 
-    def _rebuilt(self, function: Callable[[str, Any, Mapping[str, Any]], Any]) -> "Parts":
+    def _rebuilt(self, function: Callable[[str, Any, Mapping[str, Any]], Any]) -> Parts:
         """Return the parts with a function of path, part and changed inner parts in the place of each."""
 
         def visit(path: str, part: Any) -> Any:
@@ -121,7 +123,7 @@ class Parts:
 
         return self.replaced(visit)
 
-    def varying(self, entries: Iterable[tuple[Place, Any]]) -> "Parts":
+    def varying(self, entries: Iterable[tuple[Place, Any]]) -> Parts:
         """Return the parts, told what differs from robot to robot, if they want to know.
 
         One with ``varying(entries)`` is called with attributes and entries of its parameters, none where it
@@ -137,14 +139,14 @@ class Parts:
 
         return self._rebuilt(own)
 
-    def on_symbols(self) -> "Parts":
+    def on_symbols(self) -> Parts:
         """Return the parts, and those within them, as they want to be traced.
 
         That is ``traced()`` of a part whose own law is not NumPy.
         """
         return self.replaced(lambda path, part: part if path == "trajectory" else _on_symbols(part))
 
-    def on_arrays(self) -> "Parts":
+    def on_arrays(self) -> Parts:
         """Return the parts as `on_symbols` does; those that cannot be traced, as they are."""
 
         def own(path: str, part: Any) -> Any:
@@ -165,7 +167,7 @@ class Parts:
             for inner, name, value in _parameters(path, part)
         }
 
-    def with_parameters(self, values: Mapping[Place, Any], *, remade: bool = False) -> "Parts":
+    def with_parameters(self, values: Mapping[Place, Any], *, remade: bool = False) -> Parts:
         """Return copies of the parts with other values of their parameters.
 
         Parameters
@@ -333,7 +335,7 @@ class Stepped(NamedTuple):
 
 
 def one_sample(
-    parts: Parts, k: Any, t: Any, h: Any, q: Any, v: Any, reference: Reference, memory: Memory
+    parts: Parts, k: Any, t: Any, h: Any, state: tuple[Any, Any], reference: Reference, memory: Memory
 ) -> Stepped:
     """Return one sample of the closed loop, and the state at the next.
 
@@ -343,13 +345,14 @@ def one_sample(
         The loop.
     k, t, h : float
         Number and time of the sample, and length of a substep [s].
-    q, v : ndarray, shape (nq,), (nv,)
-        State.
+    state : tuple of ndarray, shape (nq,), (nv,)
+        Configuration and velocity.
     reference : Reference
         Of this sample.
     memory : Memory
         What the parts keep.
     """
+    q, v = state
     plant, controller = parts.plant, parts.controller
     # What is the loop's own is not a controller's to write into.
     own = mapped(memory.controller, _copy)
@@ -446,7 +449,7 @@ def _pushed(parts: Parts, t: Any, q: Any, v: Any) -> Any:
 
 
 def _answer(parts: Parts, force: Any, found: Any, shape: tuple[int, ...]) -> Any:
-    """Return what a force returned, after refusing what is no array of its shape."""
+    """Check that a force returned an array of its shape, and return that."""
     if not hasattr(found, "shape") or np.shape(found) != shape:
         k = next(i for i, each in enumerate(parts.forces) if each is force)
         raise InvalidArgument(f"forces[{k}] returned {shown(found)}, expected an array of shape {shape}")

@@ -1,5 +1,7 @@
 """From the parts of a closed loop to its tape: their laws run on symbols, and compared with themselves."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -10,7 +12,7 @@ from pinmobile.compiled.loop_tape import Leaf, Loop, Ring, arrays_of, initial_me
 from pinmobile.compiled.memory import leaves, mapped, matched
 from pinmobile.compiled.noise import normals
 from pinmobile.compiled.parts import Memory, Parts, Place, Reference, Stepped, one_sample
-from pinmobile.compiled.symbols import Symbols, entries, symbols
+from pinmobile.compiled.symbolic import Symbols, entries, symbols
 from pinmobile.compiled.tape import COUNT, LARGEST, Node, Tape, evaluated, float_bits, needed, real
 from pinmobile.compiled.tracing import Walk, calling_place, tracing
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName
@@ -65,7 +67,14 @@ def traced(
     given = Reference(*(np.asarray(x, np.float64) for x in reference))
     parts = parts.on_symbols()
     trace = _Trace(
-        parts, context, q, v, given, dt / parts.substeps, frozenset(Place(*x) for x in spread), largest
+        parts,
+        context,
+        q,
+        v,
+        given,
+        dt / parts.substeps,
+        spread=frozenset(Place(*x) for x in spread),
+        largest=largest,
     )
     trace.own_reference, trace.walk = own_reference, walk or walk_of(parts)
     return trace.result()
@@ -89,6 +98,7 @@ class _Trace:
         v: Array,
         reference: Reference,
         h: float,
+        *,
         spread: frozenset[Place],
         largest: int,
     ) -> None:
@@ -122,7 +132,7 @@ class _Trace:
         for _ in range(4):
             memory = self._grown(initial_memory(self.parts, self.context, len(self.reference.v)))
             found = one_sample(
-                self.parts, 0.0, 0.0, self.h, self.q.copy(), self.v.copy(), self.reference, memory
+                self.parts, 0.0, 0.0, self.h, (self.q.copy(), self.v.copy()), self.reference, memory
             )
             grew = False
             for owner, before, after in zip(Memory._fields, memory, found.memory, strict=True):
@@ -140,7 +150,7 @@ class _Trace:
         moved = 0.07 * np.cos(2.0 + np.arange(len(self.v)))
         integrate = getattr(self.parts.plant, "integrate", None) or np.add
         q = np.asarray(integrate(self.q, moved), np.float64)
-        return q, v, one_sample(self.parts, 0.0, 0.0, self.h, q.copy(), v.copy(), self.reference, memory)
+        return q, v, one_sample(self.parts, 0.0, 0.0, self.h, (q.copy(), v.copy()), self.reference, memory)
 
     def _grown(self, memory: Memory) -> Memory:
         """Return the memory with arrays of the shapes that they come to have."""
@@ -251,7 +261,7 @@ class _Pass:
             *(self._remembered(owner, tree) for owner, tree in zip(Memory._fields, numbers, strict=True))
         )
         with tracing(trace.walk):
-            found = one_sample(parts, k, t, h, q, v, reference, memory)
+            found = one_sample(parts, k, t, h, (q, v), reference, memory)
             after = self._after(memory, found)
         kept = {
             name: (np.shape(x), [self._node(y) for y in entries(x).reshape(-1)])
@@ -339,10 +349,10 @@ class _Pass:
         node = x if type(x) is Node else self.tape.const(x)
         return self.tape.apply("select", node, 1.0, 0.0).index if node.kind == "b" else node.index
 
-    def _line(self, samples: int) -> "_SymbolicLine":
+    def _line(self, samples: int) -> _SymbolicLine:
         return _SymbolicLine(self, int(samples))
 
-    def _noise(self, name: str, n: int) -> "_SymbolicNoise":
+    def _noise(self, name: str, n: int) -> _SymbolicNoise:
         self.asked.append(name)
         again = self.asked.count(name) - 1
         self.keys.append(f"{name} {again}" if again else name)
@@ -357,7 +367,7 @@ class _SymbolicLine:
     def __init__(self, owner: _Pass, samples: int, pushed: bool = False) -> None:
         self.owner, self.samples, self.pushed = owner, samples, pushed
 
-    def push(self, values: Any) -> tuple[Any, "_SymbolicLine"]:
+    def push(self, values: Any) -> tuple[Any, _SymbolicLine]:
         if self.pushed:
             raise NotTraceable("a delay is pushed twice in a sample", "push all values at once, as a tuple")
         owner = self.owner
@@ -383,7 +393,7 @@ class _SymbolicNoise:
     def __init__(self, tape: Tape, key: Node, n: int, drawn: bool = False) -> None:
         self.tape, self.key, self.n, self.drawn = tape, key, n, drawn
 
-    def draw(self) -> tuple[Symbols, "_SymbolicNoise"]:
+    def draw(self) -> tuple[Symbols, _SymbolicNoise]:
         if self.drawn:
             raise NotTraceable("noise is drawn twice in a sample", "ask the context for more numbers at once")
         numbers = normals(self.key, self.tape.input(*COUNT), self.n)

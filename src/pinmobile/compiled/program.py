@@ -1,5 +1,7 @@
 """A compiled loop, and its runs: robots in blocks, blocks on threads."""
 
+from __future__ import annotations
+
 import threading
 from collections.abc import Callable, Mapping
 from functools import cached_property
@@ -150,7 +152,7 @@ class Program:
     def _checked(
         self, start: tuple[Array, Array], t: Array, reference: Reference, tracks: Reference | None, every: int
     ) -> int:
-        """Return the number of robots, after refusing arrays that the machine code would read beyond."""
+        """Check that the machine code reads within the arrays, and return the number of robots."""
         nq, nv, _, length, size = self.loop.sizes
         n, count = len(start[0]), len(t)
         if n < 1 or count < 1 or every < 1:

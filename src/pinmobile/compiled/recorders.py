@@ -4,6 +4,8 @@ A recorder is a part like any other: its law is NumPy for one state. It is calle
 ``recorder(sample, state) -> Record``, once per sample, after the controller and before the step.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 

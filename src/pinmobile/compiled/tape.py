@@ -6,6 +6,8 @@ known is folded. A product with a zero that stands in the law is zero, and a div
 in the law, or that is the same at all samples, is a product with its reciprocal.
 """
 
+from __future__ import annotations
+
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, TypeAlias
@@ -34,7 +36,7 @@ LARGEST = 30_000
 _SHARED = 10  # times as many may be of time alone
 
 
-Operation: TypeAlias = tuple[Any, ...]
+_Operation: TypeAlias = tuple[Any, ...]
 
 
 # Names of inputs, with what they depend on and their type: f is a float, u 64 bits, b a truth value.
@@ -49,7 +51,7 @@ _INPUTS = {
 }
 
 
-COUNT: Operation = ("count",)
+COUNT: _Operation = ("count",)
 
 
 def float_bits(x: float) -> int:
@@ -61,7 +63,7 @@ def _bits_float(x: int) -> float:
     return float(struct.unpack("<d", x.to_bytes(8, "little"))[0])
 
 
-def operands(operation: Operation) -> tuple[int, ...]:
+def operands(operation: _Operation) -> tuple[int, ...]:
     """Return the nodes that an operation is of."""
     name = operation[0]
     if name == "const" or name in _INPUTS:
@@ -91,17 +93,17 @@ class Tape:
     """
 
     def __init__(self, largest: int = LARGEST, where: Callable[[], Any] | None = None) -> None:
-        self.operations: list[Operation] = []
+        self.operations: list[_Operation] = []
         self.types: list[str] = []
         self.depends: list[int] = []
         self.places: list[Any] = []
-        self._known: dict[Operation, int] = {}
+        self._known: dict[_Operation, int] = {}
         self._applied: dict[tuple[Any, ...], int] = {}  # what has been asked for, before it was simplified
         self._values: dict[int, Any] = {}  # of constants
         self._largest, self._where, self._own = largest, where, 0
 
     @classmethod
-    def of(cls, operations: list[Operation], types: list[str], depends: list[int]) -> "Tape":
+    def of(cls, operations: list[_Operation], types: list[str], depends: list[int]) -> Tape:
         """Return one that has these nodes, as from a file."""
         tape = cls()
         tape.operations, tape.types, tape.depends = operations, types, depends
@@ -110,29 +112,29 @@ class Tape:
                 tape._keep(index, operation)
         return tape
 
-    def _keep(self, index: int, operation: Operation) -> None:
+    def _keep(self, index: int, operation: _Operation) -> None:
         """Keep the value of a constant."""
         self._values[index] = _bits_float(operation[2]) if operation[1] == "f" else operation[2]
 
     def __len__(self) -> int:
         return len(self.operations)
 
-    def input(self, *operation: Any) -> "Node":
+    def input(self, *operation: Any) -> Node:
         """Return an input, such as ``("row", 2)``."""
         depends, kind = _INPUTS[operation[0]]
         return self._node(kind, depends, operation)
 
-    def ring(self, number: int, samples: int, pushed: "Node") -> "Node":
+    def ring(self, number: int, samples: int, pushed: Node) -> Node:
         """Return what `pushed` was `samples` ago; until there is that much, what it was at first."""
         return self._node("f", STATE, ("ring", number, samples, pushed.index))
 
-    def const(self, value: Any, kind: str = "f") -> "Node":
+    def const(self, value: Any, kind: str = "f") -> Node:
         """Return a number, a truth value or 64 bits that are known."""
         if kind == "f":
             return self._node("f", 0, ("const", "f", float_bits(float(value))))
         return self._node(kind, 0, ("const", kind, bool(value) if kind == "b" else int(value) & (2**64 - 1)))
 
-    def at(self, index: int) -> "Node":
+    def at(self, index: int) -> Node:
         """Return the node of an index."""
         return Node(self, index)
 
@@ -140,7 +142,7 @@ class Tape:
         """Return the value of a constant, and None of any other node."""
         return self._values.get(index)
 
-    def apply(self, name: str, *given: Any) -> "Node":
+    def apply(self, name: str, *given: Any) -> Node:
         """Return the node of an operation on nodes and plain numbers, folded where it can be."""
         key: list[Any] = [name]
         for x in given:
@@ -156,7 +158,7 @@ class Tape:
             found = self._applied[tuple(key)] = node.index
         return Node(self, found)
 
-    def _applied_anew(self, name: str, given: Sequence[Any]) -> "Node":
+    def _applied_anew(self, name: str, given: Sequence[Any]) -> Node:
         kinds = [self.types[x.index] if type(x) is Node else kind_of(x) for x in given]
         if "u" in kinds and name in ON_WHOLES:
             name = ON_WHOLES[name]
@@ -176,7 +178,7 @@ class Tape:
             depends |= self.depends[index]
         return self._node(kind_after(name, wanted), depends, (name, *indices))
 
-    def _as(self, x: Any, kind: str) -> "Node":
+    def _as(self, x: Any, kind: str) -> Node:
         if type(x) is not Node:
             return self.const(x, kind)
         if x.tape is not self:
@@ -188,12 +190,12 @@ class Tape:
             return x
         return self.apply("select", x, 1.0, 0.0) if kind == "f" else self.apply("ne", x, 0.0)
 
-    def _folded(self, name: str, kinds: Sequence[str], values: Sequence[Any]) -> "Node":
+    def _folded(self, name: str, kinds: Sequence[str], values: Sequence[Any]) -> Node:
         with np.errstate(all="ignore"):
             value = NUMPY[name](*(DTYPES[k](v) for k, v in zip(kinds, values, strict=True)))
         return self.const(value, kind_after(name, kinds))
 
-    def _node(self, kind: str, depends: int, operation: Operation) -> "Node":
+    def _node(self, kind: str, depends: int, operation: _Operation) -> Node:
         index = self._known.get(operation)
         if index is None:
             index = len(self.operations)
@@ -215,8 +217,8 @@ class Tape:
         return Node(self, index)
 
 
-def _operator(name: str, turned: bool = False) -> Callable[["Node", Any], Any]:
-    def apply(self: "Node", other: Any) -> Any:
+def _operator(name: str, turned: bool = False) -> Callable[[Node, Any], Any]:
+    def apply(self: Node, other: Any) -> Any:
         if type(other) is not Node and not isinstance(other, int | float | np.generic):
             return NotImplemented
         return self.tape.apply(name, *((other, self) if turned else (self, other)))
@@ -224,7 +226,7 @@ def _operator(name: str, turned: bool = False) -> Callable[["Node", Any], Any]:
     return apply
 
 
-def _unary(name: str) -> Callable[["Node"], "Node"]:
+def _unary(name: str) -> Callable[[Node], Node]:
     return lambda self: self.tape.apply(name, self)
 
 
@@ -291,7 +293,7 @@ class Node:
     def __repr__(self) -> str:
         return f"<symbol {self.index}>"
 
-    def conjugate(self) -> "Node":
+    def conjugate(self) -> Node:
         """Return itself; NumPy asks for it in products of vectors."""
         return self
 
@@ -322,7 +324,7 @@ maximum, minimum = _primitive("max"), _primitive("min")
 
 
 def evaluated(
-    tape: Tape, wanted: Iterable[int], inputs: Mapping[Operation, Any], first: bool = True
+    tape: Tape, wanted: Iterable[int], inputs: Mapping[_Operation, Any], first: bool = True
 ) -> list[Any]:
     """Return the values of some nodes, computed with NumPy: the bits that the compiled code gives.
 

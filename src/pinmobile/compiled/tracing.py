@@ -1,5 +1,7 @@
 """Running a law on symbols: NumPy replaced by name where its parts stand, and refusals that name the line."""
 
+from __future__ import annotations
+
 import contextlib
 import functools
 import gc
@@ -138,7 +140,7 @@ def uncollected() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def tracing(parts: "Iterable[Any] | Walk") -> Iterator[None]:
+def tracing(parts: Iterable[Any] | Walk) -> Iterator[None]:
     """Let the laws of these parts, or those that a walk has met, run on symbols, in this thread.
 
     Raises

@@ -1,5 +1,7 @@
 """NumPy's elementwise functions on single entries: nodes and known numbers."""
 
+from __future__ import annotations
+
 import operator
 from collections.abc import Callable
 from typing import Any

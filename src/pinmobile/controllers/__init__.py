@@ -11,14 +11,21 @@ from pinmobile.controllers.controller import (
     InverseDynamics,
     State,
     check_controller,
+    check_memory as check_memory,
     law,
     plain_difference,
     planar_difference,
 )
-from pinmobile.controllers.controller import check_memory as check_memory
-from pinmobile.controllers.feedback import GAINS as GAINS
-from pinmobile.controllers.feedback import PD, ComputedTorque, Decoupled, Gravity, PDGravity, gain_matrix
-from pinmobile.controllers.feedback import Compact as Compact
+from pinmobile.controllers.feedback import (
+    GAINS as GAINS,
+    PD,
+    Compact as Compact,
+    ComputedTorque,
+    Decoupled,
+    Gravity,
+    PDGravity,
+    gain_matrix,
+)
 from pinmobile.controllers.wrappers import Delayed, NoisyMeasurement, Saturated
 
 __all__ = [

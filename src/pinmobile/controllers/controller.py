@@ -1,5 +1,7 @@
 """What a controller is, what it asks of a reference and a robot, and a plain function as one."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol

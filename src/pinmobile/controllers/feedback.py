@@ -1,5 +1,7 @@
 """Feedback of the error in configuration and velocity: PD, computed torque, and between them."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, ClassVar, NamedTuple, Protocol, final
@@ -69,7 +71,7 @@ class Compact(NamedTuple):
     gravity: Any = None
 
 
-def compacted(controller: Any, plant: Any, call: str) -> Compact | None:
+def _compacted(controller: Any, plant: Any, call: str) -> Compact | None:
     """Return the compact form of a controller with `kp` and `kd`; None where configurations do not subtract.
 
     Parameters
@@ -81,7 +83,7 @@ def compacted(controller: Any, plant: Any, call: str) -> Compact | None:
     call : str
         Which of its robot's unchecked calls it makes; "" for none.
     """
-    difference, n = own_difference(controller, plant), plant.nv
+    difference, n = _own_difference(controller, plant), plant.nv
     owner = getattr(difference, "__self__", None)
     bound = getattr(owner, "difference", None) == difference
     turning = getattr(owner if bound else difference, "turning", None)
@@ -127,15 +129,15 @@ class PD:
     parameters: ClassVar[tuple[Parameter, ...]] = GAINS
 
     def __post_init__(self) -> None:
-        check_gains(self, None)
+        _check_gains(self, None)
 
     def initial_state(self, context: Context) -> Difference:
         """Return the difference of configurations, by default the plant's."""
-        return own_difference(self, context)
+        return _own_difference(self, context)
 
     def compact(self, plant: Any) -> Compact | None:
         """Return its compact form, where there is one: for loops."""
-        return compacted(self, plant, "")
+        return _compacted(self, plant, "")
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: Difference
@@ -180,18 +182,18 @@ class ComputedTorque:
 
     def __post_init__(self) -> None:
         check_robot(self, "inverse_dynamics")
-        check_gains(self, self.robot.nv)
+        _check_gains(self, self.robot.nv)
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
 
     def compact(self, plant: Any) -> Compact | None:
         """Return its compact form, where there is one: for loops."""
-        return compacted(self, plant, "inverse_dynamics")
+        return _compacted(self, plant, "inverse_dynamics")
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
-        command = reference.a + feedback(self, own_difference(self, self.robot), q, v, reference)
+        command = reference.a + feedback(self, _own_difference(self, self.robot), q, v, reference)
         return self.robot.inverse_dynamics(q, v, command), None
 
 
@@ -238,13 +240,13 @@ def check_robot(controller: Any, needs: str) -> None:
         )
 
 
-def own_difference(controller: Any, plant: Any) -> Difference:
+def _own_difference(controller: Any, plant: Any) -> Difference:
     """Return the difference that a controller was given, else its robot's, else a plant's or context's."""
     found: Difference | None = controller.difference
     return getattr(controller, "robot", plant).difference if found is None else found
 
 
-def check_gains(controller: Any, n: int | None) -> None:
+def _check_gains(controller: Any, n: int | None) -> None:
     """Check and freeze `kp` and `kd`, and check `difference`, of a controller that is being made.
 
     Parameters
@@ -366,11 +368,13 @@ class PDGravity:
 
     def compact(self, plant: Any) -> Compact | None:
         """Return its compact form, where there is one: for loops."""
-        return compacted(self, plant, "gravity")
+        return _compacted(self, plant, "gravity")
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
-        return feedback(self, own_difference(self, self.robot), q, v, reference) + self.robot.gravity(q), None
+        return feedback(self, _own_difference(self, self.robot), q, v, reference) + self.robot.gravity(
+            q
+        ), None
 
 
 @final
@@ -417,7 +421,7 @@ class Decoupled:
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
-        command = reference.a + feedback(self, own_difference(self, self.robot), q, v, reference)
+        command = reference.a + feedback(self, _own_difference(self, self.robot), q, v, reference)
         base = self.robot.inverse_dynamics(q, *map(_of_base, (v, command)))
         arms = self.robot.inverse_dynamics(q, *map(_of_arms, (v, command)))
         return np.concatenate([base[..., :_BASE], arms[..., _BASE:]], axis=-1), None
@@ -437,4 +441,4 @@ def _of_arms(rate: Array) -> Array:
 
 def _check(controller: PDGravity | Decoupled, needs: str) -> None:
     check_robot(controller, needs)
-    check_gains(controller, controller.robot.nv)
+    _check_gains(controller, controller.robot.nv)

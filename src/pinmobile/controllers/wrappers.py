@@ -4,6 +4,8 @@ Each wraps a controller and is one. They nest in any order; the outer one sees t
 the force last.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from hashlib import sha256
 from typing import Any, ClassVar, final
@@ -215,7 +217,7 @@ def _per_coordinate(name: str, value: ArrayLike, *, endless: bool = False) -> Ar
 
 
 def _fitting(name: str, value: Any, size: tuple[int, ...]) -> Array:
-    """Return a checked parameter, after refusing one that belongs to another number of coordinates."""
+    """Check that a parameter is of this number of coordinates, and return it."""
     if value.shape[-1:] not in ((), size):
         raise InvalidArgument(f"{name} has shape {value.shape}, expected () or {size}")
     return np.asarray(value)

@@ -1,5 +1,7 @@
 """Expressions in sines and cosines without rounding: a normal form, a short form and a readable one."""
 
+from __future__ import annotations
+
 from collections import defaultdict
 from collections.abc import Sequence
 from math import gcd, isclose, pi
@@ -102,7 +104,7 @@ def exact_angle(name: str, value: float) -> Expr:
 
 _READABLE = 8  # terms; in a longer bracket nobody sees cos(q1 + q2), and to look for it takes seconds
 
-Powers = tuple[int, ...]
+_Powers = tuple[int, ...]
 
 
 def normal(expression: Expr) -> Expr:
@@ -155,7 +157,7 @@ def grouped(expression: Expr, levels: Sequence[Sequence[Symbol]]) -> Expr:
 def _gathered(polynomial: PolyElement, levels: Sequence[set[int]]) -> Expr:
     if not levels:
         return _bracket(polynomial)
-    brackets: dict[Powers, dict[Powers, Any]] = defaultdict(dict)
+    brackets: dict[_Powers, dict[_Powers, Any]] = defaultdict(dict)
     for powers, coefficient in polynomial.items():
         common = tuple(power if i in levels[0] else 0 for i, power in enumerate(powers))
         brackets[common][tuple(p - c for p, c in zip(powers, common, strict=True))] = coefficient
@@ -225,7 +227,7 @@ def _generators(expression: Expr) -> list[Expr]:
 
 def _traded(polynomial: PolyElement, out: int, into: int) -> PolyElement:
     """Return `polynomial` with each square of generator `out` replaced by 1 minus that of `into`."""
-    squares: dict[int, dict[Powers, Any]] = defaultdict(dict)
+    squares: dict[int, dict[_Powers, Any]] = defaultdict(dict)
     for powers, coefficient in polynomial.items():
         count, rest = divmod(powers[out], 2)
         squares[count][(*powers[:out], rest, *powers[out + 1 :])] = coefficient

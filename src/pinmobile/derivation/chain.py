@@ -1,5 +1,7 @@
 """What is derived: links, their chain and the symbols of its motion."""
 
+from __future__ import annotations
+
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -49,7 +51,7 @@ class Link:
             raise InvalidArgument(f"inertia is {self.inertia.tolist()}, expected a symmetric matrix")
 
     @classmethod
-    def general(cls, k: int) -> "Link":
+    def general(cls, k: int) -> Link:
         """Return link `k` with every quantity a symbol: m1, xc1, yc1, zc1, Ixx1, Ixy1, ... for k = 1."""
         k = whole("k", k, least=0)
         inertia = [[Symbol(f"I{min(i, j)}{max(i, j)}{k}") for j in "xyz"] for i in "xyz"]

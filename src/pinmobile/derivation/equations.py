@@ -1,5 +1,7 @@
 """The equations of motion, derived by Newton and Euler out and back along the chain, and by Lagrange."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -76,7 +78,7 @@ Vectors = list[ImmutableMatrix]
 
 
 @dataclass(frozen=True)
-class Recursion:
+class _Recursion:
     """Newton-Euler's recursion over a chain, for one motion.
 
     In every list, item k belongs to frame k and is expressed in it; item 0 is the ground.
@@ -268,7 +270,7 @@ def _coefficients(record: Record, tau: Sequence[Expr]) -> Derivation:
     )
 
 
-def _columns(told: Recursion) -> Derivation:
+def _columns(told: _Recursion) -> Derivation:
     """Take for column k of M the inputs of a unit acceleration of joint k, at rest and without gravity.
 
     To read coefficients off, the inputs would have to be written out.
@@ -289,13 +291,13 @@ def _columns(told: Recursion) -> Derivation:
     return told.record.finished(M, inputs("n", a=zeros))
 
 
-def _told(record: Record) -> tuple[Recursion, tuple[Expr, ...]]:
+def _told(record: Record) -> tuple[_Recursion, tuple[Expr, ...]]:
     """Take all steps up to the inputs, in the lecture's order; return the inputs in the order of the rows."""
     chain, links = record.chain, joints(record)
     pose = placements(links, record)[-1]
     for words, column in ((say.POSITION, 3), (say.NORMAL, 0), (say.SLIDING, 1), (say.APPROACH, 2)):
         record.matrix(words, pose[:3, column])
-    recursion = Recursion(links, chain.v, chain.a, -chain.gravity, record)
+    recursion = _Recursion(links, chain.v, chain.a, -chain.gravity, record)
 
     def in_base(words: Wording, vectors: Vectors) -> Vectors:
         record.matrix(words, pose[:3, :3] * vectors[-1])
@@ -367,7 +369,7 @@ def difference(first: Derivation, second: Derivation) -> ImmutableMatrix:
     return (first.inputs - second.inputs).applyfunc(normal)
 
 
-def _energies(record: Record, in_time: "_Slope") -> tuple[Expr, Expr]:
+def _energies(record: Record, in_time: _Slope) -> tuple[Expr, Expr]:
     """Return kinetic and potential energy [J]."""
     chain, T = record.chain, placements(joints(record), record)
     kinetic = potential = sympy.S.Zero

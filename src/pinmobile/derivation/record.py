@@ -1,5 +1,7 @@
 """Two ways to keep the expressions of a derivation small: simplify them, or give them names."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
@@ -13,21 +15,21 @@ from pinmobile.derivation.chain import Chain
 from pinmobile.derivation.steps import Derivation, Step
 from pinmobile.derivation.wording import Wording
 
-Matrices = tuple[ImmutableMatrix, ImmutableMatrix]
+_Matrices = tuple[ImmutableMatrix, ImmutableMatrix]
 
 
-class Treatment(Protocol):
+class _Treatment(Protocol):
     """What becomes of each result."""
 
     @property
     def meanings(self) -> Mapping[Symbol, Expr]:
         """The symbols that stand for results, in the order in which they came up, and what they stand for."""
 
-    def take(self, name: str, result: ImmutableMatrix) -> Matrices:
+    def take(self, name: str, result: ImmutableMatrix) -> _Matrices:
         """Return what later steps are to use in the place of `result`, and what the reader is to see."""
 
 
-class Simplified:
+class _Simplified:
     """Every result is written in few terms; the reader sees them grouped by motion, then by mass."""
 
     meanings: Mapping[Symbol, Expr] = MappingProxyType({})
@@ -35,7 +37,7 @@ class Simplified:
     def __init__(self, chain: Chain) -> None:
         self._levels = (chain.v + chain.a, chain.masses)
 
-    def take(self, name: str, result: ImmutableMatrix) -> Matrices:
+    def take(self, name: str, result: ImmutableMatrix) -> _Matrices:
         """Return `result` expanded, and with common factors before brackets."""
         few = result.applyfunc(reduced)
         return few, few.applyfunc(lambda entry: grouped(entry, self._levels))
@@ -57,7 +59,7 @@ class Named:
         self._taken = {symbol.name for symbol in (*chain.q, *chain.v, *chain.a, *chain.parameters)}
         self._known: dict[Expr, Expr] = {}
 
-    def take(self, name: str, result: ImmutableMatrix) -> Matrices:
+    def take(self, name: str, result: ImmutableMatrix) -> _Matrices:
         """Return names for the entries of `result`, and `result`."""
         rows, columns = result.shape
         if columns == 1:
@@ -102,9 +104,9 @@ class Record:
     def __init__(self, chain: Chain) -> None:
         self.chain, self._tag = chain, ""
         self.steps: list[Step] = []
-        self.treatment: Treatment = Simplified(chain) if len(chain) <= SIMPLIFIED_JOINTS else Named(chain)
+        self.treatment: _Treatment = _Simplified(chain) if len(chain) <= SIMPLIFIED_JOINTS else Named(chain)
 
-    def aside(self, tag: str) -> "Record":
+    def aside(self, tag: str) -> Record:
         """Return an empty record of the same names, for what is computed but not told.
 
         `tag` goes into new names, as the same quantities occur in this record.

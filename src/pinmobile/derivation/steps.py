@@ -1,5 +1,7 @@
 """A derivation and its steps: what is looked up, read, typeset and turned into numbers."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -34,9 +36,9 @@ class Numeric:
         The equations.
     """
 
-    derivation: "Derivation"
+    derivation: Derivation
 
-    def __reduce__(self) -> tuple[type["Numeric"], tuple["Derivation"]]:
+    def __reduce__(self) -> tuple[type[Numeric], tuple[Derivation]]:
         # compiled functions do not travel to other processes
         return type(self), (self.derivation,)
 
@@ -197,7 +199,7 @@ def _rounded(expression: Expr) -> Expr:
     return expression.xreplace({c: c.evalf(17) for c in constants if c.is_number})
 
 
-Assignments = tuple[tuple[Symbol, Expr], ...]
+_Assignments = tuple[tuple[Symbol, Expr], ...]
 
 
 def _latex(expression: Expr | ImmutableMatrix) -> str:
@@ -288,7 +290,7 @@ class Derivation:
     inputs: ImmutableMatrix = field(repr=False)
     mass_matrix: ImmutableMatrix = field(repr=False)
     nonlinear_effects: ImmutableMatrix = field(repr=False)
-    assignments: Assignments = field(repr=False)
+    assignments: _Assignments = field(repr=False)
 
     @property
     def q(self) -> tuple[Symbol, ...]:

@@ -1,5 +1,7 @@
 """What each kind of step is called, in words and in LaTeX."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from string import Template
 

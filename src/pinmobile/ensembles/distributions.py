@@ -1,5 +1,7 @@
 """From what the numbers of an ensemble's robots are drawn, and the draws."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from math import isfinite
@@ -58,7 +60,7 @@ class Uniform:
 
     def sample(self, generator: np.random.Generator, size: int) -> Array:
         """Return `size` independent draws, shape (size,)."""
-        return checked_generator(generator).uniform(self.low, self.high, checked_size(size))
+        return _checked_generator(generator).uniform(self.low, self.high, checked_size(size))
 
     def support(self) -> tuple[float, float]:
         """Return the bounds, as a frozen distribution of `scipy.stats` does."""
@@ -96,7 +98,7 @@ class Normal:
 
     def sample(self, generator: np.random.Generator, size: int) -> Array:
         """Return `size` independent draws, shape (size,)."""
-        return checked_generator(generator).normal(self.mean, self.std, checked_size(size))
+        return _checked_generator(generator).normal(self.mean, self.std, checked_size(size))
 
 
 @final
@@ -156,8 +158,8 @@ TRUE_MODEL: Mapping[str, Same] = _TrueModel(("mass", "yaw_inertia", "com_x", "co
 Source: TypeAlias = Distribution | Same | ArrayLike
 
 
-def checked_generator(generator: Any) -> np.random.Generator:
-    """Return a generator, after refusing what is none.
+def _checked_generator(generator: Any) -> np.random.Generator:
+    """Check that this is a generator, and return it.
 
     Raises
     ------

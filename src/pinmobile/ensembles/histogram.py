@@ -4,6 +4,8 @@ The bin of a number is read off the bits of its float64: 32 bins per octave, fro
 below is counted in the first bin, what is above, or belongs to a diverged robot, in the last.
 """
 
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np

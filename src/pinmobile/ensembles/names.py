@@ -1,5 +1,7 @@
 """What a spread may name: the parameters that the parts of a loop state, and those of its start."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from types import MethodType

@@ -1,5 +1,7 @@
 """Ensembles and scenarios in words: what is known of them without their parts."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,7 +22,7 @@ _NARROWEST = 28  # letters of a row's name
 
 
 def judgement(n: int, duration: float, within: tuple[float, float], diverged: int, after: float) -> str:
-    """Return in one line what came of n robots.
+    """Return the result of n robots in one line.
 
     Parameters
     ----------
@@ -201,7 +203,7 @@ class Outline:
         object.__setattr__(self, "reference", Reference(*map(frozen, self.reference)))
 
     @classmethod
-    def of(cls, scenario: "Scenario | Outline") -> "Outline":
+    def of(cls, scenario: Scenario | Outline) -> Outline:
         """Return the outline of a scenario; one that is an outline comes back as it is.
 
         Raises
@@ -226,7 +228,7 @@ class Outline:
         )
 
     @classmethod
-    def from_description(cls, described: Mapping[str, Any], t: Array, reference: Reference) -> "Outline":
+    def from_description(cls, described: Mapping[str, Any], t: Array, reference: Reference) -> Outline:
         """Return what `description` told.
 
         Raises
@@ -277,7 +279,7 @@ class Outline:
         """What is counted over time."""
         return channels_of(self.coordinates, self.judged)
 
-    def difference(self, other: "Outline") -> str:
+    def difference(self, other: Outline) -> str:
         """Return in words how another scenario differs, as far as can be told; "" where it does not."""
         there, here = self._told(), other._told()
         for name in {**there, **here}:

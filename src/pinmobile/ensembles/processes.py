@@ -4,6 +4,8 @@ A worker is an interpreter of its own that runs no file of the user's: it import
 nothing is forked, and a script needs no guard around what it does.
 """
 
+from __future__ import annotations
+
 import pickle
 import subprocess
 import sys

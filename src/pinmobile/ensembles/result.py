@@ -1,4 +1,6 @@
-"""`Ensemble`: what came of the robots of a scenario, with its own judgement."""
+"""`Ensemble`: the results of the robots of a scenario, which judge themselves."""
+
+from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -10,9 +12,8 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, location, one_of, whole
 from pinmobile.ensembles.histogram import checked_levels, checked_share, share_within
-from pinmobile.ensembles.member import Member, member_of
 from pinmobile.ensembles.outline import Outline, alike, judgement, ranges
-from pinmobile.ensembles.part import Part
+from pinmobile.ensembles.part import Member, Part, member_of
 from pinmobile.ensembles.scenario import Scenario, checked_scenario
 from pinmobile.ensembles.variables import (
     PER_ROBOT,
@@ -107,13 +108,13 @@ class Ensemble:
         `Scenario.after` on [m, m, rad, ...]; of a diverged robot until then, NaN where it diverged before
         that time or at the start.
     max_distance : ndarray, shape (n,)
-        Largest distance from the desired position [m]; so too.
+        Largest distance from the desired position [m], likewise.
     max_force : ndarray, shape (n, nu)
         Largest |input| from the start on, such as [N, N, N m]; of a diverged robot until then, NaN where
         there is none. `Scenario.coordinates` and `Scenario.inputs` have names and units.
     worst_measure, rms_measure : ndarray, shape (n, j)
         Worst, and root of the mean square, of what else is judged, `Scenario.judged`: the largest size, or
-        the smallest margin. From `Scenario.after` on; so too.
+        the smallest margin, likewise from `Scenario.after` on.
     diverged_at : ndarray, shape (n,)
         When the loop diverged [s]; NaN where it did not.
     counts : ndarray of int, shape (G, channels, BINS)
@@ -153,7 +154,7 @@ class Ensemble:
         part: Part,
         traces: Iterable[int] = (),
         way: Any = None,
-    ) -> "Ensemble":
+    ) -> Ensemble:
         """Return the ensemble of all records of a scenario.
 
         Parameters
@@ -348,7 +349,7 @@ class Ensemble:
             write_ensemble(file, self)
 
     @classmethod
-    def load(cls, path: str | PathLike[str], scenario: Scenario | None = None) -> "Ensemble":
+    def load(cls, path: str | PathLike[str], scenario: Scenario | None = None) -> Ensemble:
         """Return what `save` wrote.
 
         Parameters

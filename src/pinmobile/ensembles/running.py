@@ -1,5 +1,7 @@
 """`ensemble`, the verb: the robots of a scenario in stretches, on all cores, in any order with one result."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import replace

@@ -1,5 +1,7 @@
 """`Scenario`, the noun: one loop, how often it is run, and what differs from run to run."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, fields, replace
@@ -466,7 +468,7 @@ class Scenario:
                 found[name] = value
         return found
 
-    def holding(self, start: int, stop: int) -> "Scenario":
+    def holding(self, start: int, stop: int) -> Scenario:
         """Return what another process needs of this to run the robots from `start` to before `stop`.
 
         Explicit arrays of a spread are cut to those robots; all else, and what it draws, is the same.
@@ -524,7 +526,7 @@ def _is_of_trajectory(path: str) -> bool:
 
 
 def checked_scenario(scenario: Any) -> Scenario:
-    """Return a scenario, after refusing what is none.
+    """Check that this is a scenario, and return it.
 
     Raises
     ------

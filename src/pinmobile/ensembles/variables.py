@@ -1,11 +1,14 @@
 """An ensemble as named arrays with units and meanings: in an archive, a store and a Dataset."""
 
+from __future__ import annotations
+
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, NamedTuple
+from typing import IO, Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, finite, text, whole
 from pinmobile.ensembles.histogram import edges, miscounted, quantiles
@@ -16,10 +19,6 @@ from pinmobile.measures import Measure
 from pinmobile.plant import Parameter
 from pinmobile.simulation import RECORDED, Rollout, described_run, restored_run, signal_columns
 from pinmobile.trajectories import Reference
-
-if TYPE_CHECKING:
-    from pinmobile.ensembles.result import Ensemble
-
 
 LEVELS = (0.5, 0.9, 0.99)
 """Shares of the robots of which the quantiles over time are told."""
@@ -178,7 +177,43 @@ def coordinates(scenario: Any) -> list[tuple[str, Sequence[Any], str, str]]:
     ]
 
 
-def dataset_of(ensemble: "Ensemble", attributes: Mapping[str, Any]) -> Any:
+class Recorded(Protocol):
+    """An `Ensemble`, as far as it is told here."""
+
+    @property
+    def scenario(self) -> Any:
+        """What was run, or its outline."""
+        ...
+
+    @property
+    def draws(self) -> Mapping[str, Array]:
+        """What each robot got."""
+        ...
+
+    @property
+    def counts(self) -> NDArray[np.int32]:
+        """Bins over time."""
+        ...
+
+    @property
+    def traces(self) -> Mapping[int, Rollout]:
+        """Whole rollouts."""
+        ...
+
+    @property
+    def engine(self) -> str:
+        """How it was run."""
+        ...
+
+    @property
+    def why(self) -> str:
+        """Why not faster."""
+        ...
+
+    def __len__(self) -> int: ...
+
+
+def dataset_of(ensemble: Recorded, attributes: Mapping[str, Any]) -> Any:
     """Return an ensemble as an xarray.Dataset.
 
     Parameters
@@ -210,7 +245,7 @@ def dataset_of(ensemble: "Ensemble", attributes: Mapping[str, Any]) -> Any:
     )
 
 
-def columns_of(ensemble: "Ensemble") -> tuple[list[str], list[Array]]:
+def columns_of(ensemble: Recorded) -> tuple[list[str], list[Array]]:
     """Return the arrays with one entry per robot as the columns of a table, and their names with units."""
     header, columns = ["robot"], [np.arange(len(ensemble), dtype=np.float64)]
     named: Mapping[str, Sequence[Any]] = {
@@ -226,12 +261,12 @@ def columns_of(ensemble: "Ensemble") -> tuple[list[str], list[Array]]:
     return header, columns
 
 
-def _per_robot(ensemble: "Ensemble") -> dict[str, Variable]:
+def _per_robot(ensemble: Recorded) -> dict[str, Variable]:
     scenario = ensemble.scenario
     return {**drawn(scenario.parameters), **per_robot(scenario)}
 
 
-def _arrays(ensemble: "Ensemble") -> Iterator[tuple[str, Variable, Array]]:
+def _arrays(ensemble: Recorded) -> Iterator[tuple[str, Variable, Array]]:
     draws = {drawn_name(name): values for name, values in ensemble.draws.items()}
     for name, one in _per_robot(ensemble).items():
         yield name, one, getattr(ensemble, name) if name in PER_ROBOT else draws[name]
@@ -247,7 +282,7 @@ _KINDS: Mapping[str, type] = {
 }
 
 
-def write_ensemble(file: IO[bytes], ensemble: "Ensemble") -> None:
+def write_ensemble(file: IO[bytes], ensemble: Recorded) -> None:
     """Write an ensemble.
 
     The archive has the arrays of `PER_ROBOT` and ``counts``; ``draws`` with a row for each parameter; the

@@ -1,5 +1,7 @@
 """How the robots of a scenario are run: compiled, on arrays, or one after another."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -28,8 +30,7 @@ from pinmobile.compiled import (
     tracking_errors,
 )
 from pinmobile.ensembles.histogram import BINS, bins_of
-from pinmobile.ensembles.member import member_of
-from pinmobile.ensembles.part import Part
+from pinmobile.ensembles.part import Part, member_of
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.errors import Diverged, InvalidArgument, NotTraceable
 from pinmobile.measures import measures_of, size_of
@@ -405,7 +406,7 @@ def _as_arrays(scenario: Scenario) -> None:
         v = rows.v + np.sin(11 * steps[first:last]) * 0.1
         at, time = rows.at(sample, Reference(*scenario.reference)), float(scenario.t[sample])
         with np.errstate(all="ignore"):
-            found = one_sample(rows.parts, float(sample), time, h, q, v, at, rows.memory)
+            found = one_sample(rows.parts, float(sample), time, h, (q, v), at, rows.memory)
         shapes = {
             "u": (found.sample.u, (last - first, rows.parts.plant.nu)),
             "q": (found.q, (last - first, rows.parts.plant.nq)),
@@ -459,7 +460,7 @@ def _on_arrays(scenario: Scenario, draws: Mapping[str, Array], start: int, stop:
             # What has diverged goes on from the trajectory's start: no law sees what is no number.
             q, v = np.where(alive[:, None], q, begin[0]), np.where(alive[:, None], v, begin[1])
             memory = memory._replace(recorder={**memory.recorder, "alive": np.where(alive, 1.0, 0.0)})
-            asked = rows.parts, float(k), time, h, q, v, at, memory
+            asked = rows.parts, float(k), time, h, (q, v), at, memory
             found = one_sample(*asked)
             if k <= 1:  # the first is on the trajectory, where many laws give nothing
                 looked_at = asked, found

@@ -1,5 +1,7 @@
 """What a force is, and those that are functions of time alone: constant, sinusoidal, noise."""
 
+from __future__ import annotations
+
 from copy import copy
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Protocol, Self, final
@@ -68,7 +70,7 @@ def numbers(name: str, value: ArrayLike) -> Array:
 
 
 def not_below_zero(name: str, value: Array) -> Array:
-    """Return `value`, shape (...), after refusing an entry below zero.
+    """Check that no entry is below zero, and return `value`, shape (...).
 
     Raises
     ------

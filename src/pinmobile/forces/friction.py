@@ -1,5 +1,7 @@
 """Forces that oppose motion: viscous friction, rolling resistance, friction in joints."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Self, final

@@ -1,5 +1,7 @@
 """Lissajous figures, circles and ellipses among them."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import Any, ClassVar, final
 

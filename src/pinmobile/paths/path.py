@@ -1,5 +1,7 @@
 """What a path is; paths made of polynomials end to end, and their parameters."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field, fields
 from math import perm
 from typing import Any, Protocol, runtime_checkable
@@ -121,7 +123,7 @@ _HIGHEST = 1000  # order of a derivative: beyond, a figure's rates and their pow
 
 
 def within(name: str, t: ArrayLike, duration: float) -> Array:
-    """Return the times as float64, after refusing those outside [0, duration].
+    """Check that times are within [0, duration], and return them as float64.
 
     A few units of rounding beyond either end are allowed and cut off.
 

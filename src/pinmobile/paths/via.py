@@ -1,5 +1,7 @@
 """Ways between points: cubics by a via point, splines by many, and from rest to rest."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar, Self
 
@@ -74,6 +76,7 @@ class CubicVia(PiecewisePath):
         t_via: float,
         t_end: float,
         via_velocity: ArrayLike | None = None,
+        *,
         start_velocity: ArrayLike = _REST,
         end_velocity: ArrayLike = _REST,
     ) -> None:

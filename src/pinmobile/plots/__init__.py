@@ -4,8 +4,7 @@ from pinmobile.plots.bands import bands
 from pinmobile.plots.drivers import drivers
 from pinmobile.plots.integrator import integrator
 from pinmobile.plots.plane import animate, path
-from pinmobile.plots.series import errors, forces, signals, states
-from pinmobile.plots.support import balance, reaction
+from pinmobile.plots.series import balance, errors, forces, reaction, signals, states
 from pinmobile.plots.swept import curves, heatmap
 
 __all__ = [

@@ -1,5 +1,7 @@
 """How far the robots of ensembles stray, and what else is judged, over time: quantiles side by side."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 

@@ -1,5 +1,7 @@
 """What drives the worst robots of an ensemble: the parameters that they have in common."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 

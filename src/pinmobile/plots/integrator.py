@@ -1,5 +1,7 @@
 """How an integrator's errors shrink with its step."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 

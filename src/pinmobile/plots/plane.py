@@ -1,5 +1,7 @@
 """The lecture's figure: where the robot should go, where it went and how it stood there; and as a GIF."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator, Mapping
 from io import BytesIO
 from os import PathLike
@@ -33,7 +35,7 @@ from pinmobile.plots.style import (
 )
 from pinmobile.simulation import Rollout
 
-ARROW = 0.06  # of what the axes show; length of the arrowhead of a plant without size
+_ARROW = 0.06  # of what the axes show; length of the arrowhead of a plant without size
 
 #         ______________
 #        |    |\        |
@@ -110,7 +112,7 @@ def _rgb(colour: str) -> tuple[float, ...]:
 
 
 _BOXES = 8
-TRAVELLED: dict[str, Any] = {"linewidth": 3.6, "zorder": 3}
+_TRAVELLED: dict[str, Any] = {"linewidth": 3.6, "zorder": 3}
 
 
 class Window(NamedTuple):
@@ -154,10 +156,10 @@ def path(rollouts: Rollouts, *, times: ArrayLike | None = None, title: str | Non
     for index, (label, run) in enumerate(runs.items()):
         xy = run.poses
         xy = xy[thinned(xy[:, 0], xy[:, 1])]
-        axes[index].plot(xy[:, 0], xy[:, 1], color=colour(index), label="travelled", **TRAVELLED)
+        axes[index].plot(xy[:, 0], xy[:, 1], color=colour(index), label="travelled", **_TRAVELLED)
         for t, pose in zip(instants[label], poses(run, instants[label]), strict=True):
-            Body(axes[index], run.plant, colour(index), ARROW * window.extent, zorder=5).move(pose)
-            _write_time(axes[index], t, pose, 0.5 * diagonal(run.plant, ARROW * window.extent))
+            Body(axes[index], run.plant, colour(index), _ARROW * window.extent, zorder=5).move(pose)
+            _write_time(axes[index], t, pose, 0.5 * diagonal(run.plant, _ARROW * window.extent))
     return figure
 
 
@@ -212,7 +214,7 @@ def poses(run: Rollout, times: Array) -> Array:
 def _keys(count: int) -> Iterator[Patch | Line2D]:
     shade = colour(0) if count == 1 else "#777777"
     yield Line2D([], [], label="desired", **DESIRED)
-    yield Line2D([], [], label="travelled", color=shade, **TRAVELLED)
+    yield Line2D([], [], label="travelled", color=shade, **_TRAVELLED)
     yield Patch(facecolor=(*(0.6,) * 3, 0.4), edgecolor=shade, label="robot")
 
 
@@ -222,7 +224,7 @@ def _window(runs: Mapping[str, Rollout]) -> Window:
     )
     low, high = points.min(axis=0), points.max(axis=0)
     extent = float((high - low).max())
-    robot = max(diagonal(run.plant, ARROW * extent) for run in runs.values())
+    robot = max(diagonal(run.plant, _ARROW * extent) for run in runs.values())
     margin = 0.5 * robot + 0.12 * max(extent, robot) or 1.0
     room = np.maximum(0.25 * extent - 0.5 * (high - low), 0.0)  # a straight line gets a panel, not a slit
     return Window(low - margin - room, high + margin + room)
@@ -259,7 +261,7 @@ def _instants(runs: Mapping[str, Rollout]) -> dict[str, Array]:
 def _spread(run: Rollout) -> Array:
     """Return times between which the robot has moved on by so much that its drawings do not overlap."""
     xy = run.poses[:, :2]
-    robot = diagonal(run.plant, ARROW * float(np.ptp(xy, axis=0).max()))
+    robot = diagonal(run.plant, _ARROW * float(np.ptp(xy, axis=0).max()))
     travelled = np.append(0.0, np.cumsum(np.hypot(*np.diff(xy, axis=0).T)))
     count = int(min(_BOXES - 1, travelled[-1] / (1.5 * robot))) if robot else 0
     between = np.searchsorted(travelled, np.linspace(0.0, travelled[-1], count + 1)[1:-1])
@@ -366,7 +368,7 @@ class _Scene:
         place = self.figure.subplotpars.right, heading.get_position()[1]
         self.clock = self.figure.text(*place, "", ha="right", va="top", fontsize=14, color=INK, animated=True)
         self.movers = [
-            _Mover(run, times, panel, Body(panel, run.plant, shade, ARROW * window.extent, animated=True))
+            _Mover(run, times, panel, Body(panel, run.plant, shade, _ARROW * window.extent, animated=True))
             for run, panel, shade in zip(runs.values(), axes, map(colour, range(len(runs))), strict=True)
         ]
         self.canvas.draw()
@@ -392,7 +394,7 @@ class _Mover:
         self.xy, self.reached = xy[kept], np.searchsorted(run.t[kept], times)
         self.poses, self.axes, self.body = poses(run, times), axes, body
         (self.desired,) = axes.lines  # drawn again, above what is travelled
-        (self.line,) = axes.plot([], [], color=body.colour, animated=True, **TRAVELLED)
+        (self.line,) = axes.plot([], [], color=body.colour, animated=True, **_TRAVELLED)
 
     def draw(self, index: int) -> None:
         """Draw both at the time with this index."""

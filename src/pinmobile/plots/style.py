@@ -1,5 +1,7 @@
 """How figures look and where their axes stand: colours, line styles, legends, and the lines of rollouts."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from io import BytesIO
 from typing import Any, Literal, TypeAlias, TypeVar

@@ -1,5 +1,7 @@
 """Numbers over one or two parameters that were swept."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,5 +1,7 @@
 """Where an end effector shall be and how it shall stand, as a function of time."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 from typing import NamedTuple
 

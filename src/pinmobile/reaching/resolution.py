@@ -1,5 +1,7 @@
 """Inverse kinematics along a path of poses, base and arm together, planned or by feedback."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, final
@@ -189,7 +191,7 @@ def resolve(
     Unreachable
         If an error is beyond the tolerance; it carries the trajectory.
     """
-    checked_target(robot, target)
+    _checked_target(robot, target)
     name = robot.frame_name(frame)
     speed = robot.velocity_limit if velocity_limit is None else velocity_limit
     limits = Limits(
@@ -204,7 +206,7 @@ def resolve(
     tolerance = float(most)
     solver = Solver(robot, target, name, limits, weights)
     start = solver.start(q0)
-    tending = start if posture is None else checked_posture(robot, posture)
+    tending = start if posture is None else _checked_posture(robot, posture)
     gain = non_negative("posture_gain", posture_gain, "1/s")
     wanted = target.duration / positive("dt", dt, "s")
     if not wanted <= _MOST_STEPS:
@@ -217,7 +219,7 @@ def resolve(
     return resolved
 
 
-def checked_target(robot: MobileRobot, target: PosePath) -> None:
+def _checked_target(robot: MobileRobot, target: PosePath) -> None:
     """Refuse what is no robot or no path of poses.
 
     Raises
@@ -230,7 +232,7 @@ def checked_target(robot: MobileRobot, target: PosePath) -> None:
             raise InvalidArgument(f"{name} is {shown(value)}, expected a {kind.__name__}")
 
 
-def checked_posture(robot: MobileRobot, posture: ArrayLike) -> Array:
+def _checked_posture(robot: MobileRobot, posture: ArrayLike) -> Array:
     """Return a configuration whose arms are in a posture, shape (nq,).
 
     Raises
@@ -326,7 +328,7 @@ class EndEffectorTracking:
     _corrections: int = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        checked_target(self.robot, self.target)
+        _checked_target(self.robot, self.target)
         own = {name: non_negative(name, getattr(self, name)) for name in _GAINS}
         own |= {name: positive(name, getattr(self, name)) for name in ("damping", "dt")}
         check_integrator(self.integrator)

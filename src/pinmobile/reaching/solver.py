@@ -1,5 +1,7 @@
 """Configurations from poses, step by step, within the limits of the joints."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 
 import numpy as np

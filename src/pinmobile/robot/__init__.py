@@ -1,20 +1,18 @@
 """`MobileRobot`: a Pinocchio model whose root is the DH chain, and what it carries."""
 
 from pinmobile.robot.arms import Arm
-from pinmobile.robot.engine import BODY_JOINT, Calls
-from pinmobile.robot.engine import named_frames as named_frames
-from pinmobile.robot.engine import prefixed as prefixed
+from pinmobile.robot.engine import BODY_JOINT, Calls, named_frames as named_frames, prefixed as prefixed
 from pinmobile.robot.mobile import MobileRobot
 from pinmobile.robot.mounts import Load, Mount
-from pinmobile.robot.planar import BODY_PARAMETERS as BODY_PARAMETERS
-from pinmobile.robot.planar import PlanarBody as PlanarBody
-from pinmobile.robot.sources import EXCEPTIONS, Mountable, Mountables, mountable
-from pinmobile.robot.sources import kept_arm as kept_arm
-from pinmobile.robot.stance import WEIGHTLESS as WEIGHTLESS
-from pinmobile.robot.stance import Stance
-from pinmobile.robot.stance import checked_footprint as checked_footprint
-from pinmobile.robot.stance import margin_inside as margin_inside
-from pinmobile.robot.stance import pressed_at as pressed_at
+from pinmobile.robot.planar import BODY_PARAMETERS as BODY_PARAMETERS, PlanarBody as PlanarBody
+from pinmobile.robot.sources import EXCEPTIONS, Mountable, Mountables, kept_arm as kept_arm, mountable
+from pinmobile.robot.stance import (
+    WEIGHTLESS as WEIGHTLESS,
+    Stance,
+    checked_footprint as checked_footprint,
+    margin_inside as margin_inside,
+    pressed_at as pressed_at,
+)
 from pinmobile.robot.system import Linearization, System
 from pinmobile.robot.tree import parts_of as parts_of
 from pinmobile.robot.visuals import BODY as BODY

@@ -1,5 +1,7 @@
 """What can be mounted, made ready: a model without a root of its own, its wheels locked, its rest posture."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias

@@ -3,6 +3,8 @@
 It is what a `MobileRobot` with arms is to compiled loops and to loops on arrays: see `PlanarBody`.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

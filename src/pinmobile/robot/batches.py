@@ -4,6 +4,8 @@ What is compiled belongs to the form of a robot, which is its kinematics and whi
 Masses, centres of mass, inertias, rotors and places of arms are handed over.
 """
 
+from __future__ import annotations
+
 import threading
 from collections import OrderedDict
 from math import prod
@@ -24,7 +26,7 @@ _LARGEST = 12_000  # operations: building takes a second or two
 _MOST = 128  # programs that stay
 _FAR = 1e5  # [rad]: beyond, sine and cosine of compiled code lose digits
 _lock = threading.Lock()
-_known: "OrderedDict[Any, Batched | None]" = OrderedDict()
+_known: OrderedDict[Any, Batched | None] = OrderedDict()
 
 
 def answers(body: ArticulatedBody | None, law: Law, **arguments: Array) -> Array | None:

@@ -1,5 +1,7 @@
 """What no arm has: limits the wrong way round, bodies that cannot exist, joints that nothing resists."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Iterator
 
 import numpy as np

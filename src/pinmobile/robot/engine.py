@@ -1,5 +1,7 @@
 """Pinocchio on the DH chain: the model of a body, its arms and loads, and its calls in public order."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from functools import cached_property, partial
 from threading import local

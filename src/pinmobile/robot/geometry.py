@@ -1,5 +1,7 @@
 """The shapes of a URDF's links: how far they reach, and what is round about an axle."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
@@ -10,7 +12,7 @@ from pinmobile.arrays import Array
 from pinmobile.robot.visuals import VisualFile, found
 from pinmobile.robot.wellformed import numbers
 
-ALONG = 0.995
+_ALONG = 0.995
 """Cosine beyond which two directions are the same: files have angles such as 1.57."""
 _DIMENSIONS = {"box": "size", "cylinder": "radius length", "capsule": "radius length", "sphere": "radius"}
 
@@ -57,13 +59,13 @@ class Shape:
     def radius_about(self, axis: Array) -> float | None:
         """Return its radius about an axis in its frame, or None where it is not round about it [m]."""
         if self.disc:
-            return self.disc if abs(axis[2]) > ALONG else None
+            return self.disc if abs(axis[2]) > _ALONG else None
         return self.ball if self.ball and not self.half[2] else None
 
     def corners_below(self, pose: pin.SE3) -> Array | None:
         """Return the corners of the lower face of a box that lies level at a pose, shape (4, 2) [m]."""
         steep = np.abs(pose.rotation[2])
-        if not self.half[0] or steep.max() < ALONG:
+        if not self.half[0] or steep.max() < _ALONG:
             return None
         edges = pose.rotation * self.half  # (3, 3), a column for each
         a, b = np.delete(edges[:2], int(steep.argmax()), axis=1).T

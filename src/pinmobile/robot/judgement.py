@@ -1,5 +1,7 @@
 """`Judgement`: what is worth judging about a robot with arms beside the errors of its coordinates."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -33,7 +35,7 @@ class Judgement:
     rest: Array
 
     @classmethod
-    def of(cls, robot: Any) -> "Judgement":
+    def of(cls, robot: Any) -> Judgement:
         """Return that of a `MobileRobot`."""
         tips = tuple((mount.name, mount.tip) for mount in robot.mounts)
         stands = robot.footprint if robot.grounded else None

@@ -1,5 +1,7 @@
 """`Linkage`: a tree of joints with one coordinate each, and what is fixed to them, over scalars."""
 
+from __future__ import annotations
+
 import math
 import re
 from collections.abc import Iterable, Sequence
@@ -50,7 +52,7 @@ class Exact:
     def __rsub__(self, other: Any) -> Any:
         return other + -self
 
-    def __neg__(self) -> "Exact":
+    def __neg__(self) -> Exact:
         return _EXACT[-self.value]
 
     def __truediv__(self, other: Any) -> Any:
@@ -173,20 +175,20 @@ class Body(NamedTuple):
     inertia: Matrix
 
     @classmethod
-    def none(cls) -> "Body":
+    def none(cls) -> Body:
         """Return a body without mass."""
         return cls(ZERO, [ZERO] * 3, [[ZERO] * 3 for _ in range(3)])
 
     @classmethod
-    def of(cls, mass: Any, com: Vector, inertia: Sequence[Any]) -> "Body":
+    def of(cls, mass: Any, com: Vector, inertia: Sequence[Any]) -> Body:
         """Return that of a centre of mass, and an inertia (xx, yy, zz, xy, xz, yz) about it."""
         return cls(mass, [ZERO] * 3, symmetric(inertia)).moved(com)
 
-    def turned(self, R: Matrix) -> "Body":
+    def turned(self, R: Matrix) -> Body:
         """Return it in a frame in which its own has the orientation R."""
         return Body(self.mass, applied(R, self.first), turned(R, self.inertia))
 
-    def moved(self, p: Vector) -> "Body":
+    def moved(self, p: Vector) -> Body:
         """Return it in a frame in which the origin of its own is at p: J + (p.h + g.p) 1 - p h' - g p'."""
         m, h, J = self
         g = plus(h, scaled(m, p))
@@ -199,7 +201,7 @@ class Body(NamedTuple):
                 found[r][c] = found[c][r] = J[r][c] - p[r] * h[c] - g[r] * p[c]
         return Body(m, g, found)
 
-    def joined(self, other: "Body") -> "Body":
+    def joined(self, other: Body) -> Body:
         """Return both as one."""
         return Body(self.mass + other.mass, plus(self.first, other.first), added(self.inertia, other.inertia))
 
@@ -240,7 +242,7 @@ class Linkage:
     gravity: Array
 
     @classmethod
-    def of(cls, model: pin.Model) -> "Linkage":
+    def of(cls, model: pin.Model) -> Linkage:
         """Return that of a model; numbers of q and v are those of the model.
 
         Raises
@@ -316,17 +318,17 @@ class Place(NamedTuple):
     p: Vector
 
     @classmethod
-    def of(cls, R: Array, p: Array) -> "Place":
+    def of(cls, R: Array, p: Array) -> Place:
         """Return that of numbers."""
         return cls([[exact(x) for x in row] for row in R.tolist()], [exact(x) for x in p.tolist()])
 
     @classmethod
-    def about_z(cls, angle: Any, p: Vector) -> "Place":
+    def about_z(cls, angle: Any, p: Vector) -> Place:
         """Return that of a frame which is turned about z."""
         s, c = sine_and_cosine(angle)
         return cls([[c, -s, ZERO], [s, c, ZERO], [ZERO, ZERO, ONE]], p)
 
-    def within(self, other: "Place") -> "Place":
+    def within(self, other: Place) -> Place:
         """Return it in the frame in which its own is at another place."""
         return Place(product(other.R, self.R), plus(other.p, applied(other.R, self.p)))
 

@@ -1,5 +1,7 @@
 """`MobileRobot`, the noun: parameters that check themselves, and the dynamics that follow from them."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -112,7 +114,7 @@ class MobileRobot(System):
     _looks: VisualFile | None = field(default=None, init=False)
     _varied: frozenset[tuple[str, Any]] | None = field(default=None, init=False)
     _tracings: dict[Any, ArticulatedBody] = field(init=False)
-    _variants: "dict[Any, MobileRobot]" = field(init=False)
+    _variants: dict[Any, MobileRobot] = field(init=False)
 
     def __post_init__(self) -> None:
         com = finite("com", self.com)
@@ -160,7 +162,7 @@ class MobileRobot(System):
 
     def __reduce__(self) -> tuple[object, ...]:
         # A pin.Data is not worth keeping: it is made again from the parameters.
-        return _restored, (*self._own(self.body), self.mounts, self.loads)
+        return _restored, (self._own(self.body), self.mounts, self.loads)
 
     def _own(self, body: urdf.Body, source: str | None = None) -> _Bare:
         bare = self.source.removesuffix(_of_files(self.mounts)) if source is None else source
@@ -192,7 +194,7 @@ class MobileRobot(System):
         return self.stance.grounded
 
     @classmethod
-    def lecture(cls) -> "MobileRobot":
+    def lecture(cls) -> MobileRobot:
         """Return the lecture's robot: 30 kg, Icz = 0.1 kg m^2, centre of mass at the origin.
 
         A homogeneous box of its mass and size would have 1.3 kg m^2: see `MobileRobot.box`.
@@ -200,7 +202,7 @@ class MobileRobot(System):
         return cls(30.0, 0.1)
 
     @classmethod
-    def box(cls, mass: float = 30.0, size: tuple[float, float, float] = (0.6, 0.4, 0.2)) -> "MobileRobot":
+    def box(cls, mass: float = 30.0, size: tuple[float, float, float] = (0.6, 0.4, 0.2)) -> MobileRobot:
         """Return a homogeneous box that stands on the ground; by default the lecture's, made physical.
 
         Parameters
@@ -226,7 +228,7 @@ class MobileRobot(System):
         package_dirs: str | PathLike[str] | Sequence[str | PathLike[str]] = (),
         *,
         ground: ArrayLike | None = None,
-    ) -> "MobileRobot":
+    ) -> MobileRobot:
         """Return the robot of a URDF; `source` says what was taken from it.
 
         The file either is the chain prismatic y, prismatic x, revolute z with a body on it, whatever its
@@ -268,7 +270,7 @@ class MobileRobot(System):
         return _read(reading, VisualFile(file.resolve(), folders, reading.base))
 
     @classmethod
-    def from_model(cls, pin_model: pin.Model, *, ground: ArrayLike | None = None) -> "MobileRobot":
+    def from_model(cls, pin_model: pin.Model, *, ground: ArrayLike | None = None) -> MobileRobot:
         """Return the robot of a Pinocchio model, read as `from_urdf` reads a file; it is not kept.
 
         Parameters
@@ -298,7 +300,7 @@ class MobileRobot(System):
         *,
         stance: Stance | None = None,
         locked_joints: Sequence[str] = (),
-    ) -> "MobileRobot":
+    ) -> MobileRobot:
         """Return the robot whose body, with all six moments of inertia, is given.
 
         Parameters
@@ -336,7 +338,7 @@ class MobileRobot(System):
         robot._take(body, stance)
         return robot
 
-    def with_body(self, body: urdf.Body, source: str) -> "MobileRobot":
+    def with_body(self, body: urdf.Body, source: str) -> MobileRobot:
         """Return the bare robot that has another body, and looks and stands the same.
 
         Parameters
@@ -346,7 +348,7 @@ class MobileRobot(System):
         source : str
             Where they come from, in words.
         """
-        return _restored(*self._own(body, source))
+        return _restored(self._own(body, source))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -450,7 +452,7 @@ class MobileRobot(System):
         except NotTraceable:
             return None
 
-    def varying(self, entries: Iterable[tuple[str, Any]]) -> "MobileRobot":
+    def varying(self, entries: Iterable[tuple[str, Any]]) -> MobileRobot:
         """Return it, told which of its `parameters` differ from robot to robot.
 
         What `traced` returns then has built in what else is zero, and where arms stand.
@@ -469,7 +471,7 @@ class MobileRobot(System):
             self._variants[told] = new
         return self._variants[told]
 
-    def with_parameters(self, **values: ArrayLike) -> "MobileRobot":
+    def with_parameters(self, **values: ArrayLike) -> MobileRobot:
         """Return the robot with other values of its `parameters`; without arms, loads count as the body's.
 
         Parameters
@@ -516,7 +518,7 @@ class MobileRobot(System):
                 found[one.name] = float(new)
         return found
 
-    def _with_numbers(self, new: Mapping[str, Array]) -> "MobileRobot":
+    def _with_numbers(self, new: Mapping[str, Array]) -> MobileRobot:
         """Return the robot with arms that has other numbers, by attribute of what `traced` returns."""
         inertia = self.body.inertia * (float(new["yaw_inertia"]) / self.body.yaw_inertia)
         com = np.array([new["com_x"], new["com_y"], self.body.com[2]])
@@ -542,10 +544,10 @@ class MobileRobot(System):
             )
         ]
         own = self._own(body, f"{self._own(body)[3]}; with other parameters")
-        return _restored(*own, tuple(mounts), tuple(loads))
+        return _restored(own, tuple(mounts), tuple(loads))
 
-    def _carrying(self, mounts: tuple[Mount, ...], loads: tuple[tuple[str, Load], ...]) -> "MobileRobot":
-        return _restored(*self._own(self.body), mounts, loads)
+    def _carrying(self, mounts: tuple[Mount, ...], loads: tuple[tuple[str, Load], ...]) -> MobileRobot:
+        return _restored(self._own(self.body), mounts, loads)
 
     def mount(
         self,
@@ -557,7 +559,7 @@ class MobileRobot(System):
         visual: pin.GeometryModel | None = None,
         rest: ArrayLike | None = None,
         locked: Sequence[str] = (),
-    ) -> "MobileRobot":
+    ) -> MobileRobot:
         """Return the robot with an arm on its body; q and v then end with the arm's joints.
 
         A root of its own (free-flyer, planar) is replaced by the chain, and wheels are locked. Its joints and
@@ -622,7 +624,7 @@ class MobileRobot(System):
                 )
         return place
 
-    def attach(self, load: Load, frame: str | None = None) -> "MobileRobot":
+    def attach(self, load: Load, frame: str | None = None) -> MobileRobot:
         """Return the robot with a load fixed to one of its frames.
 
         Parameters
@@ -650,11 +652,11 @@ class MobileRobot(System):
         return self._carrying(self.mounts, (*self.loads, (name, load)))
 
     @property
-    def base(self) -> "MobileRobot":
+    def base(self) -> MobileRobot:
         """The robot without what it carries."""
         return self._carrying((), ()) if self.mounts or self.loads else self
 
-    def lumped(self, q: ArrayLike | None = None) -> "MobileRobot":
+    def lumped(self, q: ArrayLike | None = None) -> MobileRobot:
         """Return the bare robot that has the mass and inertia of all, arms locked where they are.
 
         Parameters
@@ -710,7 +712,7 @@ class MobileRobot(System):
 
 def _read(reading: Reading, looks: VisualFile | None) -> MobileRobot:
     own = reading.body, reading.size, reading.table, reading.source, reading.stance, reading.locked
-    return _restored(*own, looks)
+    return _restored((*own, looks))
 
 
 def _of_files(mounts: Sequence[Mount]) -> str:
@@ -724,16 +726,9 @@ def _of_files(mounts: Sequence[Mount]) -> str:
 
 
 def _restored(
-    body: urdf.Body,
-    size: tuple[float, float, float],
-    dh: DHTable,
-    source: str,
-    stance: Stance,
-    locked_joints: tuple[str, ...],
-    looks: VisualFile | None,
-    mounts: tuple[Mount, ...] = (),
-    loads: tuple[tuple[str, Load], ...] = (),
+    bare: _Bare, mounts: tuple[Mount, ...] = (), loads: tuple[tuple[str, Load], ...] = ()
 ) -> MobileRobot:
+    body, size, dh, source, stance, locked_joints, looks = bare
     robot = MobileRobot.from_body(body, size, dh, source, stance=stance, locked_joints=locked_joints)
     carrying = {"mounts": mounts, "loads": loads}
     if mounts or loads:

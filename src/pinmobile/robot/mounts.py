@@ -1,5 +1,7 @@
 """What rides on the body: arms and loads."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -31,7 +33,7 @@ class LinkNumbers(NamedTuple):
     rotors: Array
 
     @classmethod
-    def of(cls, model: pin.Model) -> "LinkNumbers":
+    def of(cls, model: pin.Model) -> LinkNumbers:
         """Return those of a model."""
         bodies = [model.inertias[joint] for joint in range(model.njoints)]
         masses, coms = np.array([body.mass for body in bodies]), np.array([body.lever for body in bodies])
@@ -42,7 +44,7 @@ class LinkNumbers(NamedTuple):
         """Return a copy of the model that has them."""
         new = model.copy()
         for joint, (mass, com, six) in enumerate(zip(*self[:3], strict=True)):
-            new.inertias[joint] = pin.Inertia(mass, com, matrix_of(six))
+            new.inertias[joint] = pin.Inertia(mass, com, _matrix_of(six))
         new.armature = self.rotors
         return new
 
@@ -51,7 +53,7 @@ def _six(inertia: Array) -> Array:
     return inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 
-def matrix_of(six: Array) -> Array:
+def _matrix_of(six: Array) -> Array:
     """Return the matrix of (xx, yy, zz, xy, xz, yz)."""
     return six[[[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
 
@@ -191,11 +193,11 @@ class Load:
         """Its inertia (xx, yy, zz, xy, xz, yz) about the centre of mass [kg m^2]."""
         return _six(self._body.inertia)
 
-    def with_numbers(self, mass: float, com: Array, six: Array) -> "Load":
+    def with_numbers(self, mass: float, com: Array, six: Array) -> Load:
         """Return the load with another mass, centre of mass and inertia (xx, yy, zz, xy, xz, yz) about it."""
         if mass == self.mass and np.array_equal(com, self.com) and np.array_equal(six, self.six):
             return self
-        own = tuple(map(tuple, matrix_of(six).tolist())) if six.any() else None
+        own = tuple(map(tuple, _matrix_of(six).tolist())) if six.any() else None
         x, y, z = com.tolist()
         return Load(mass, (x, y, z), own, self.size)
 

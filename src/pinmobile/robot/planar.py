@@ -4,6 +4,8 @@ It is what a `MobileRobot` without arms is to compiled loops and to loops on arr
 takes numbers and one state at a time, cannot be called.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import Any, ClassVar, final
 

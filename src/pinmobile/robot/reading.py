@@ -1,5 +1,7 @@
 """What a pin.Model or a URDF says of a mobile robot: its chain, its body, and what was taken for them."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -173,7 +175,7 @@ def read_model(
             "give ground=, its z there [m]"
         )
     else:
-        stance, words = stance_on(model, data, base, wheels, shown.shapes, z, shown.file, root)
+        stance, words = stance_on(model, data, base, wheels, shown.shapes, z, file=shown.file, root=root)
         parts += [f"ground {told}, at z = {z:.4g} m in the root link's frame", *words]
     size = shown.size
     if size is None:

@@ -3,6 +3,8 @@
 They are Featherstone's (2008), over scalars of any kind: see `scalars`. Vectors are in each joint's frame.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -353,7 +355,7 @@ class _Articulated(NamedTuple):
     moment: Vector
 
     @classmethod
-    def of(cls, body: Body, w: Vector) -> "_Articulated":
+    def of(cls, body: Body, w: Vector) -> _Articulated:
         m, h, J = body
         A = [[m if r == c else ZERO for c in range(3)] for r in range(3)]
         return cls(A, skew([-x for x in h]), J, cross(w, cross(w, h)), cross(w, applied(J, w)))
@@ -365,7 +367,7 @@ class _Articulated(NamedTuple):
         force, moment = [row[2] for row in self.A], list(self.B[2])
         return _Way(force, moment, 1.0 / (force[2] + rotor), effort - self.force[2])
 
-    def without(self, way: _Way, line: Vector, spin: Vector, free: int | None) -> "_Articulated":
+    def without(self, way: _Way, line: Vector, spin: Vector, free: int | None) -> _Articulated:
         """Return what is left where the joint gives way; `line` and `spin` are what velocities make.
 
         Of the six directions, nothing is left along `free`, that of a joint without rotor.
@@ -387,11 +389,11 @@ class _Articulated(NamedTuple):
         moment = plus(plus(self.moment, plus(applied(transposed(B), line), applied(C, spin))), pushed[3:])
         return _Articulated(A, B, C, force, moment)
 
-    def joined(self, other: "_Articulated") -> "_Articulated":
+    def joined(self, other: _Articulated) -> _Articulated:
         A, B, C = (added(a, b) for a, b in zip(self[:3], other[:3], strict=True))
         return _Articulated(A, B, C, plus(self.force, other.force), plus(self.moment, other.moment))
 
-    def up(self, moving: Posture, i: int) -> "_Articulated":
+    def up(self, moving: Posture, i: int) -> _Articulated:
         """Return it at the origin of the parent's frame."""
         A, C, B = moving.up_symmetric(i, self.A), moving.up_symmetric(i, self.C), moving.up_matrix(i, self.B)
         P = skew(moving.p[i])
@@ -446,10 +448,10 @@ class _Counted:
 
     __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = __truediv__ = __rtruediv__ = _with
 
-    def __neg__(self) -> "_Counted":
+    def __neg__(self) -> _Counted:
         return self
 
-    def sine_and_cosine(self) -> tuple["_Counted", "_Counted"]:
+    def sine_and_cosine(self) -> tuple[_Counted, _Counted]:
         """Return it twice: both ways take as many sines."""
         return self, self
 

@@ -1,5 +1,7 @@
 """What `MobileRobot.mount` is given: a loader's name, a URDF, or a `pin.Model`; and which can be mounted."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -23,27 +25,27 @@ _FINGERS = (
 _UNSEEN = "its loader has no visuals: there is nothing to draw of it"
 
 
-class Exceptional(NamedTuple):
+class _Exceptional(NamedTuple):
     """What is exceptional about a name: whether it mounts as it is, and the reason."""
 
     mounts: bool
     reason: str
 
 
-EXCEPTIONS: dict[str, Exceptional] = {
-    "bluevolta_bravo7_gripper": Exceptional(False, _FINGERS),
-    "bravo7_gripper": Exceptional(False, _FINGERS),
-    "cassie": Exceptional(False, "its loader reads SDF, which Pinocchio's wheels are built without"),
-    "falcon_bravo7_gripper": Exceptional(False, _FINGERS),
-    "icub": Exceptional(
+EXCEPTIONS: dict[str, _Exceptional] = {
+    "bluevolta_bravo7_gripper": _Exceptional(False, _FINGERS),
+    "bravo7_gripper": _Exceptional(False, _FINGERS),
+    "cassie": _Exceptional(False, "its loader reads SDF, which Pinocchio's wheels are built without"),
+    "falcon_bravo7_gripper": _Exceptional(False, _FINGERS),
+    "icub": _Exceptional(
         False,
         "its reference posture aligns neck_pitch and neck_roll with no inertia between: try icub_reduced",
     ),
-    "romeo": Exceptional(
+    "romeo": _Exceptional(
         False, "24 joints of its hands, RHand and LHand beside fingers and thumbs, have no inertia"
     ),
-    "simple_humanoid": Exceptional(True, _UNSEEN),
-    "simple_humanoid_classical": Exceptional(True, _UNSEEN),
+    "simple_humanoid": _Exceptional(True, _UNSEEN),
+    "simple_humanoid_classical": _Exceptional(True, _UNSEEN),
 }
 """Names that `MobileRobot.mount` refuses as they are, or that are not drawn, and why."""
 
@@ -127,16 +129,16 @@ def mountable() -> Mountables:
     """
     rows = []
     for name in sorted(_loaders()):
-        mounts, note = EXCEPTIONS.get(name, Exceptional(True, ""))
+        mounts, note = EXCEPTIONS.get(name, _Exceptional(True, ""))
         if mounts:
-            model = load_arm(name)._model
+            model = _load_arm(name)._model
             mass = sum(inertia.mass for inertia in model.inertias)
             rows.append(Mountable(name, model.nv, mass, note))
     refused = ((name, reason) for name, (mounts, reason) in sorted(EXCEPTIONS.items()) if not mounts)
     return Mountables(tuple(rows), tuple(refused))
 
 
-def load_arm(name: str, locked: tuple[str, ...] = ()) -> Arm:
+def _load_arm(name: str, locked: tuple[str, ...] = ()) -> Arm:
     """Return a robot of example-robot-data.
 
     Raises
@@ -232,7 +234,7 @@ def read_arm(
             made = _from_urdf(Path(arm).resolve(), folders, rest, held)
         else:
             _refuse_beside("a loader's name", arm, package_dirs=bool(folders))
-            made = load_arm(str(arm), held)
+            made = _load_arm(str(arm), held)
             made = made if rest is None else replace(made, rest=_posture(made.whole, rest))
     else:
         _refuse_beside("a model", getattr(arm, "name", arm), package_dirs=bool(folders))

@@ -1,5 +1,7 @@
 """How a robot stands: where the ground is, what touches it, and the polygon of that."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -170,7 +172,7 @@ class Stance:
             object.__setattr__(self, "top", positive("top", self.top, "m"))
 
     @classmethod
-    def of_box(cls, size: ArrayLike) -> "Stance":
+    def of_box(cls, size: ArrayLike) -> Stance:
         """Return that of a box that stands about B's origin.
 
         Parameters
@@ -335,6 +337,7 @@ def stance_on(
     wheels: Sequence[WheelReading],
     shapes: Sequence[Shape],
     ground: float,
+    *,
     file: VisualFile | None,
     root: int,
 ) -> tuple[Stance, list[str]]:

@@ -1,5 +1,7 @@
 """`System`: a tree of joints on the DH chain: configurations, frames, dynamics, wrenches, in public order."""
 
+from __future__ import annotations
+
 from abc import abstractmethod
 from collections.abc import Mapping
 from functools import cached_property, partial
@@ -206,7 +208,7 @@ class System:
             q[mount.q] = mount.arm.posture
         return frozen(np.clip(q, self.lower, self.upper))
 
-    def random_configuration(self, generator: "np.random.Generator", shape: tuple[int, ...] = ()) -> Array:
+    def random_configuration(self, generator: np.random.Generator, shape: tuple[int, ...] = ()) -> Array:
         """Return configurations within the limits, shape (*shape, nq); without a limit, up to pi or 1 m.
 
         Parameters
@@ -333,7 +335,7 @@ class System:
         """What does the same for many states at once; None where a joint has more than one coordinate."""
 
     def configuration(self, value: ArrayLike, name: str = "q") -> Array:
-        """Return configurations as float64, shape (..., nq), after refusing what are none.
+        """Check configurations, and return them as float64, shape (..., nq).
 
         Parameters
         ----------

@@ -1,5 +1,7 @@
 """The tree of joints of a `pin.Model`: what hangs on what, what rolls, what its coordinates are called."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Sequence
 

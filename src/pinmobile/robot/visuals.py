@@ -1,5 +1,7 @@
 """How a robot looks: what its URDF shows, or a box with a front, and what the body carries."""
 
+from __future__ import annotations
+
 import re
 import warnings
 from collections.abc import Callable, Sequence

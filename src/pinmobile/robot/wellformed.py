@@ -1,5 +1,7 @@
 """What a URDF must have that its readers drop, refuse without a reason, or do not survive."""
 
+from __future__ import annotations
+
 import re
 import warnings
 from collections import Counter

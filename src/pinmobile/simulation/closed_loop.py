@@ -1,5 +1,7 @@
 """`simulate`: a controller in the loop with a plant, checked before, judged after; and its engines."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import replace
 from enum import Enum
@@ -54,7 +56,7 @@ COMPILED = Engine.COMPILED
 
 
 def checked_engine(engine: object, *known: Engine) -> Engine | None:
-    """Return an engine, or None, after refusing what is neither or not among those that are known.
+    """Check that this is None or one of the engines, and return it.
 
     Raises
     ------
@@ -174,7 +176,7 @@ def simulate(
         check_controllers_memory(controller, context, *start)
         memory["simulated", count, dt, t[-1]] = True
     chunk = len(t) if chosen is COMPILED else _CHUNK
-    loop = kind(plant, controller, integrator, context, count, checked, *start)
+    loop = kind(plant, controller, integrator, context, count, checked, q0=start[0], v0=start[1])
     for begin in range(0, len(t), chunk):
         end = min(begin + chunk, len(t))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # the check below tells

@@ -4,6 +4,8 @@ It asks the plant alone, for what it has. Of a plant that offers unchecked calls
 displacements, feedback and step of the library's own are one matrix product each.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from math import isfinite
@@ -19,7 +21,7 @@ from pinmobile.integrators import Integrator, RungeKuttaNystrom
 from pinmobile.plant import Context
 from pinmobile.signals import Recorder, Signal, recorder
 from pinmobile.simulation.setup import check_same, shorter
-from pinmobile.simulation.steps import (
+from pinmobile.simulation.substeps import (
     Clock,
     dynamics_of,
     own_steps,
@@ -54,6 +56,7 @@ class Loop:
         context: Context,
         substeps: int,
         forces: tuple[Force | CoordinateForce, ...],
+        *,
         q0: Array,
         v0: Array,
     ) -> None:

@@ -1,5 +1,7 @@
 """`Rollout`: everything that a simulation recorded, with its own judgement."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
@@ -288,14 +290,14 @@ class Rollout:
         return {name: getattr(self, name) for name in _RECORDED} | reference
 
     @classmethod
-    def of(cls, arrays: Mapping[str, Array], **made: Any) -> "Rollout":
+    def of(cls, arrays: Mapping[str, Array], **made: Any) -> Rollout:
         """Return the rollout that has the arrays of `arrays`; plant, signals and the rest by name."""
         reference = Reference(*(arrays[f"reference_{name}"] for name in Reference._fields))
         named: dict[str, Any] = {name: arrays[name] for name in _RECORDED}
         return cls(reference=reference, **named, **made)
 
     @classmethod
-    def load(cls, path: str | PathLike[str]) -> "Rollout":
+    def load(cls, path: str | PathLike[str]) -> Rollout:
         """Return what `save` wrote.
 
         Raises

@@ -1,5 +1,7 @@
 """What `simulate` refuses before it starts, and the times and references of its samples."""
 
+from __future__ import annotations
+
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +12,7 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import check_integrator, constant_acceleration
 from pinmobile.plant import Context, check_plant, leading_of
-from pinmobile.simulation.steps import stepped
+from pinmobile.simulation.substeps import stepped
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
 if TYPE_CHECKING:
@@ -127,7 +129,7 @@ def sample_times(dt: float, duration: float | None, longest: float) -> Array:
 
 
 def sampled(
-    trajectory: Trajectory, t: Array, plant: "Plant", memory: dict[Any, Any] | None = None
+    trajectory: Trajectory, t: Array, plant: Plant, memory: dict[Any, Any] | None = None
 ) -> Reference:
     """Return the reference at the times `t`, shape (N + 1,) [s].
 
@@ -199,8 +201,8 @@ def started(plant: Any, reference: Reference) -> tuple[Any, Any]:
     return answer
 
 
-def checked_forces(forces: Any, plant: "Plant") -> tuple[Force | CoordinateForce, ...]:
-    """Return the forces, after refusing what is none, or a plant that cannot feel them.
+def checked_forces(forces: Any, plant: Plant) -> tuple[Force | CoordinateForce, ...]:
+    """Check that these are forces, and that the plant can feel them; return them.
 
     Raises
     ------

@@ -1,5 +1,7 @@
 """One robot's closed loop as compiled code: the records that the loop in Python keeps, of the same laws."""
 
+from __future__ import annotations
+
 from math import isfinite
 from typing import Any
 
@@ -49,6 +51,7 @@ class CompiledLoop:
         context: Context,
         substeps: int,
         forces: tuple[Any, ...],
+        *,
         q0: Array,
         v0: Array,
         memory: dict[Any, Any],

@@ -1,5 +1,7 @@
 """Arrays, plant and signals of a rollout, to and from a NumPy archive."""
 
+from __future__ import annotations
+
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, astuple
@@ -88,7 +90,7 @@ def restored_run(described: Mapping[str, Any], beside: Array) -> dict[str, Any]:
     text("plant's unknown", described["unknown"])
     outline = None if described["outline"] is None else _outline(described["outline"])
     signals = _split(beside, described["signals"])
-    robot = restored_robot(described["robot"])
+    robot = _restored_robot(described["robot"])
     made = {name: text(name, described.get(name, "")) for name in ("engine", "why")}
     return {"plant": outline if robot is None else robot, "signals": signals, **made}
 
@@ -217,7 +219,7 @@ def described_robot(robot: object) -> dict[str, Any] | None:
     return _describe(robot) if isinstance(robot, MobileRobot) and _is_known(robot) else None
 
 
-def restored_robot(described: dict[str, Any] | None) -> MobileRobot | None:
+def _restored_robot(described: dict[str, Any] | None) -> MobileRobot | None:
     """Return the robot of a description that is checked; None where it cannot be had again."""
     try:
         return _restore(described)

@@ -1,12 +1,15 @@
 """Users' modules that lie beside a file: loaded from there, and from the same text on workers elsewhere."""
 
+from __future__ import annotations
+
 import builtins
+import linecache
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib import import_module
-from importlib.util import find_spec
+from importlib.util import decode_source, find_spec
 from pathlib import Path
 from pickle import loads
 from threading import RLock
@@ -19,7 +22,7 @@ from pinmobile.arrays import Array
 from pinmobile.ensembles import Part, Scenario, part_of
 from pinmobile.errors import InvalidArgument, PinmobileError, UnknownName
 from pinmobile.files import cannot
-from pinmobile.sweeps.extras import imported
+from pinmobile.sweeps.grids import imported
 
 _LOADING = RLock()
 
@@ -94,7 +97,11 @@ class Code:
             sys.modules[full], self.sources[name], _CODES[self.token] = module, source, self
             self._files.add(source.file)
             try:
-                exec(compile(source.text, source.file, "exec", dont_inherit=True), vars(module))
+                code = compile(source.text, source.file, "exec", dont_inherit=True)
+                # For errors and fingerprints, wherever the file is, and whatever it says by then.
+                lines = decode_source(source.text).splitlines(keepends=True)
+                linecache.cache[source.file] = len(source.text), None, lines, source.file
+                exec(code, vars(module))
             except BaseException:
                 del sys.modules[full], self.sources[name]
                 raise

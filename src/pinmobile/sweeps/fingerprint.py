@@ -1,107 +1,154 @@
-"""What determines the numbers of a scenario, in words that are the same in every process.
+"""What determines the numbers of a sweep, in a form that is the same in every process and told in words.
 
-Of a trajectory that is the sampled reference, which is all that the robots see of it, and where a parameter
-of it is spread, all that it is made of.
+Of numbers, arrays and parts of libraries that is what they are given; of a user's function its source text
+and all that it reads; of a user's object its class and its attributes. What has no such form needs a word of
+the user's, `sweep`'s ``version``.
 """
 
+from __future__ import annotations
+
+import ast
 import json
+import linecache
+import os
 import re
-from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+import sys
+from collections import namedtuple
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import MISSING, fields, is_dataclass
+from enum import Enum
+from functools import cached_property, lru_cache, partial
 from hashlib import sha256
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, version as installed
+from operator import attrgetter
+from pathlib import Path
 from platform import machine
-from typing import Any
+from types import (
+    BuiltinFunctionType,
+    CodeType,
+    FunctionType,
+    MappingProxyType,
+    MethodType,
+    ModuleType,
+    SimpleNamespace,
+)
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from pinmobile.ensembles import Scenario, way_of
 from pinmobile.errors import InvalidArgument
-from pinmobile.sweeps.describe import Described, array_of, known_name
 from pinmobile.sweeps.grids import Grid
+from pinmobile.sweeps.layout import FORMAT
 
 # All that a scenario is made of; of these two, what came of them is told.
 _PLAIN = tuple(
     each.name for each in fields(Scenario) if each.init and each.name not in ("trajectory", "duration")
 )
+_LIBRARIES = ("pinmobile", "numpy", "scipy", "pinocchio")  # their versions are told too
+_STANDARD = Path(os.__file__).parent
+_HIDING = frozenset({"__import__", "compile", "eval", "exec", "globals", "input", "open", "vars"})
+_SHOWN = 16  # numbers of an array that are told one by one
 
+_HOLD: Mapping[type, Callable[[Any], Mapping[str, Any]]] = {
+    tuple: lambda x: {"tuple": list(x)},
+    slice: lambda x: {"slice": [x.start, x.stop, x.step]},
+    partial: lambda x: {"function": x.func, "args": x.args, "keywords": x.keywords, "attributes": vars(x)},
+    MethodType: lambda x: {"function": x.__func__, "of": x.__self__},
+    BuiltinFunctionType: lambda x: {"method": x.__name__, "of": x.__self__},
+    MappingProxyType: lambda x: {"mapping": dict(x)},
+    SimpleNamespace: lambda x: {"namespace": vars(x)},
+    np.random.SeedSequence: lambda x: {"entropy": x.entropy, "spawn_key": x.spawn_key},
+    staticmethod: lambda x: {"staticmethod": x.__func__},
+    classmethod: lambda x: {"classmethod": x.__func__},
+    property: lambda x: {"property": [x.fget, x.fset, x.fdel]},
+    cached_property: lambda x: {"cached": x.func},
+}
+"""By type, what a value of exactly that type is made of."""
 
-def described(scenario: Scenario) -> dict[str, Any]:
-    """Return what determines the numbers of a scenario, as JSON can hold it, by dotted names.
-
-    Raises
-    ------
-    InvalidArgument
-        If there is something whose description would not be the same the next time.
-    """
-    given = {name: getattr(scenario, name) for name in _PLAIN}
-    given |= {"forces": list(given["forces"]), "spread": dict(sorted(given["spread"].items()))}
-    made = Described()
-    found = {name: made.of(name, value) for name, value in given.items()}
-    found["duration"] = float(scenario.t[-1])
-    found["engine"] = repr(way_of(scenario).engine)
-    found["times"] = array_of("t", scenario.t)
-    found["trajectory"] = {
-        "type": type(scenario.trajectory).__qualname__,
-        **_fields_of_ours(scenario.trajectory),
-        "reference": array_of("reference", np.hstack(scenario.reference)),
+# Members of a class on which no number depends, or that others tell.
+_MACHINERY = frozenset(
+    {
+        *("__module__", "__qualname__", "__doc__", "__dict__", "__weakref__", "__annotations__", "__repr__"),
+        *("__dataclass_fields__", "__dataclass_params__", "__abstractmethods__", "_abc_impl", "__str__"),
+        *("__orig_bases__", "__parameters__", "__protocol_attrs__", "__subclasshook__"),
+        *("__firstlineno__", "__static_attributes__", "__slotnames__"),  # the last one appears with a copy
     }
-    if scenario.has_own_references:  # of others than this it gives the references, too
-        found["trajectory"]["made of"] = made.of("trajectory", scenario.trajectory)
-    return flat(found)
+)
+_OF_NAMED_TUPLES = frozenset(vars(namedtuple("_", ()))) - {"_fields", "_field_defaults"}
+_SLOTS = ("member_descriptor", "getset_descriptor", "_tuplegetter")  # as names of types: they hold nothing
 
 
-def flat(tree: Any, prefix: str = "") -> dict[str, Any]:
-    """Return the leaves of a tree of mappings by their dotted names."""
-    if not isinstance(tree, Mapping) or not tree:
-        return {prefix: tree}
-    found: dict[str, Any] = {}
-    for name, value in tree.items():
-        joint = "." if prefix and not name.startswith("[") else ""
-        found |= flat(value, f"{prefix}{joint}{name}")
-    return found
-
-
-def _fields_of_ours(value: Any) -> dict[str, Any]:
-    """Return the fields of a trajectory, for the reader; its reference is what counts."""
-    if not is_dataclass(value) or not known_name(type(value)):
-        return {}
-    try:
-        return dict(Described().of("trajectory", value))
-    except InvalidArgument:
-        return {}
-
-
-_FORMAT = 2
-
-
-def determined_by(grid: Grid) -> dict[str, Any]:
+def determined_by(grid: Grid, version: str | None = None) -> dict[str, Any]:
     """Return all that determines the numbers of a sweep, with its fingerprint.
 
+    Parameters
+    ----------
+    grid : Grid
+        Its scenarios.
+    version : str, optional
+        The user's word for what has no form of its own.
+
     Raises
     ------
     InvalidArgument
-        If a scenario holds what cannot be recognised the next time.
+        If a scenario holds what cannot be recognised the next time, and there is no such word.
     """
-    each = [described(scenario) for scenario in grid.scenarios]
+    each = [_described(scenario, version) for scenario in grid.scenarios]
     # What all have is told once, for whoever reads it.
     names = sorted({name for one in each for name in one})
     common = {
-        name: each[0][name] for name in names if all(_has(one, name, each[0].get(name)) for one in each)
+        name: each[0][name]
+        for name in names
+        if all(name in one and _text(one[name]) == _text(each[0].get(name)) for one in each)
     }
     found: dict[str, Any] = {
-        "format": _FORMAT,
+        "format": FORMAT,
         "machine": machine(),
         "versions": {name: _version(name) for name in ("pinmobile", "numpy", "scipy", "pin", "llvmlite")},
         "axes": {name: {"values": list(axis.values), "unit": axis.unit} for name, axis in grid.axes.items()},
         "all": common,
         "each": {name: [one.get(name) for one in each] for name in names if name not in common},
     }
-    return {**found, "fingerprint": _fingerprint(found)}
+    if version is not None:
+        found["version"] = version
+    return {**found, "fingerprint": sha256(_text(found).encode()).hexdigest()}
 
 
-def _has(one: Mapping[str, Any], name: str, value: Any) -> bool:
-    return name in one and _text(one[name]) == _text(value)
+def _described(scenario: Scenario, version: str | None) -> dict[str, Any]:
+    """Return what determines the numbers of a scenario, by dotted names.
+
+    Of a trajectory that is the sampled reference, which is all that the robots see of it, and where a
+    parameter of it is spread, all that it is made of.
+    """
+    given = {name: getattr(scenario, name) for name in _PLAIN}
+    given |= {"forces": list(given["forces"]), "spread": dict(sorted(given["spread"].items()))}
+    forms = _Forms(version)
+    found = {name: forms.of(name, value) for name, value in given.items()}
+    found["duration"] = float(scenario.t[-1])
+    found["engine"] = repr(way_of(scenario).engine)
+    found["times"] = forms.of("t", scenario.t)
+    trajectory = scenario.trajectory
+    found["trajectory"] = {"type": type(trajectory).__qualname__}
+    if is_dataclass(trajectory) and known_name(type(trajectory)):
+        with suppress(InvalidArgument):  # for the reader alone
+            found["trajectory"] |= _Forms(None).of("trajectory", trajectory)
+    found["trajectory"]["reference"] = forms.of("reference", np.hstack(scenario.reference))
+    if scenario.has_own_references:  # of others than this it gives the references, too
+        found["trajectory"]["made of"] = forms.of("trajectory", trajectory)
+    return _flat(found)
+
+
+def _flat(tree: Any, prefix: str = "") -> dict[str, Any]:
+    """Return the leaves of a tree of mappings by their dotted names."""
+    if not isinstance(tree, Mapping) or not tree:
+        return {prefix: tree}
+    found: dict[str, Any] = {}
+    for name, value in tree.items():
+        joint = "." if prefix and not name.startswith("[") else ""
+        found |= _flat(value, f"{prefix}{joint}{name}")
+    return found
 
 
 def _text(value: Any) -> str:
@@ -115,14 +162,295 @@ def _version(name: str) -> str:
 
         return pinmobile.__version__
     try:
-        return version(name)
+        return installed(name)
     except PackageNotFoundError:
         return "missing"
 
 
-def _fingerprint(description: Any) -> str:
-    """Return the digest of a description."""
-    return sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
+class _Forms:
+    """The forms of values, as JSON can hold them: of what was met before, its place."""
+
+    def __init__(self, version: str | None) -> None:
+        self.version = version
+        self.above: list[Any] = []  # the containers and objects that are under way
+        self.code: dict[int, tuple[str, Any]] = {}  # functions and classes, held so that their ids stay
+
+    def of(self, where: str, value: Any) -> Any:
+        """Return the form of a value; `where` it is, errors tell.
+
+        Raises
+        ------
+        InvalidArgument
+            If it would not be the same the next time, or another value might have the same, and there is no
+            word of the user's for it.
+        """
+        kind = type(value)
+        if value is None or kind in (bool, str, int):
+            return value
+        if kind in (float, np.float64):
+            return float(value) if np.isfinite(value) else f"float {value}"
+        if isinstance(value, np.ndarray):
+            return self._array(where, value)
+        if isinstance(value, np.generic) or kind in (complex, bytes, range, type(...)):
+            return f"{kind.__name__} {value}"
+        name = known_name(value)
+        if name is not None:
+            return name
+        if isinstance(value, FunctionType | type):
+            if id(value) in self.code:
+                return f"as {self.code[id(value)][0]}"
+            self.code[id(value)] = where, value
+            form = self._function if isinstance(value, FunctionType) else self._class
+            return form(where, value)
+        for up, other in enumerate(reversed(self.above)):
+            if value is other:
+                return f"itself, {up} above"
+        self.above.append(value)
+        try:
+            return self._holder(where, value)
+        finally:
+            self.above.pop()
+
+    def _holder(self, where: str, value: Any) -> Any:
+        """Return the form of what holds other values."""
+        kind = type(value)
+        if kind in _HOLD:
+            return self._each(where, _HOLD[kind](value))
+        if kind is list:
+            items = [self.of(f"{where}[{k}]", item) for k, item in enumerate(value)]
+            nested = any(isinstance(item, Mapping) for item in items)
+            return {f"[{k}]": item for k, item in enumerate(items)} if nested else items
+        if kind is dict:
+            found = {"keys": self.of(f"the keys of {where}", list(value))}
+            for k, (key, item) in enumerate(value.items()):
+                name = f"[{key!r}]" if type(key) in (str, int, float, bool) else f"[#{k}]"
+                found[name] = self.of(f"{where}{name}", item)
+            return found
+        held = _stated_by(value) if known_name(kind) else _copied(value)
+        if held is None:
+            return self._unknown(where, value)
+        told = {"type": kind.__qualname__} if known_name(kind) else {"its class": self.of(where, kind)}
+        return {**told, **self._each(where, held)}
+
+    def _each(self, where: str, values: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: self.of(f"{where}.{name}", value) for name, value in values.items()}
+
+    def _array(self, where: str, values: Any) -> str:
+        """Return the form of an array: type, then its numbers, or shape and digest of many."""
+        if type(values) is not np.ndarray or values.dtype.kind not in "biufcSUmM":
+            return self._unknown(where, values)
+        kind = values.dtype.name
+        if 0 < values.size <= _SHOWN:
+            return f"{kind} {values.tolist()}"
+        data = np.ascontiguousarray(values).tobytes()
+        return f"{kind} {values.shape} {sha256(data).hexdigest()[:32]}"
+
+    def _function(self, where: str, function: Any) -> Any:
+        """Return the form of a user's function: its text, and what it reads of its surroundings."""
+        node = _node_of(function.__code__)
+        if isinstance(node, str):
+            return self._unknown(where, function, node)
+        reads = {name: self.of(f"{where} ({name})", value) for name, value in _read_by(function, node)}
+        reads |= {reason: self._unknown(where, function, reason) for reason in _hidden_in(function, node)}
+        return {"source": ast.unparse(node), **({"reads": reads} if reads else {})}
+
+    def _class(self, where: str, kind: Any) -> Any:
+        """Return the form of a user's class: its bases and members, of which a library makes some."""
+        generated = _OF_NAMED_TUPLES if "_fields" in vars(kind) else frozenset[str]()
+        told = {"its name": kind.__name__, "its bases": list(kind.__bases__), "its type": type(kind)}
+        if "__dataclass_fields__" in vars(kind):
+            told["its fields"] = {
+                one.name: [one.init, *(x for x in (one.default, one.default_factory) if x is not MISSING)]
+                for one in fields(kind)
+            }
+            generated |= {name for name, member in vars(kind).items() if _is_made_of_fields(name, member)}
+        members = {
+            name: member
+            for name, member in sorted(vars(kind).items())
+            if name not in _MACHINERY | generated and type(member).__name__ not in _SLOTS
+        }
+        return self._each(where, told | members)
+
+    def _unknown(self, where: str, value: Any, reason: str = "") -> str:
+        """Return the form of what has none: what it is, where the user has a word for it."""
+        named = getattr(value, "__qualname__", None)
+        what = named if isinstance(named, str) else f"a {type(value).__name__}"
+        if self.version is not None:
+            return f"{what}, by version"
+        raise InvalidArgument(
+            f"{where} is {what}, of which a store cannot tell whether it is the same the next time"
+            f"{reason and ': '}{reason}; expected numbers, arrays, functions with a source, dataclasses or "
+            'objects with such attributes, or sweep(..., version="1"), a word that you change whenever it '
+            "changes"
+        )
+
+
+def known_name(value: Any) -> str | None:
+    """Return the dotted name under which a library has a module, a function or a class; None of all else.
+
+    The name that something has is not believed, as of what `functools.wraps` dressed up: it is looked for.
+    """
+    if isinstance(value, ModuleType):
+        return value.__name__ if _is_library(value) else None
+    places: tuple[Any, ...] = (getattr(value, "__module__", None),)
+    name: Any = getattr(value, "__qualname__", None)
+    if isinstance(value, FunctionType):
+        places, name = (value.__globals__.get("__name__"),), value.__code__.co_qualname
+    elif isinstance(value, np.ufunc):
+        places, name = ("numpy", "scipy.special"), value.__name__
+    for place in places if isinstance(name, str) else ():
+        module = sys.modules.get(place) if isinstance(place, str) else None
+        with suppress(AttributeError):
+            if module is not None and _is_library(module) and attrgetter(name)(module) is value:
+                return f"{place}.{name}"
+    return None
+
+
+def _is_library(module: ModuleType) -> bool:
+    top = module.__name__.split(".")[0]
+    if top not in sys.stdlib_module_names:
+        return top in _LIBRARIES
+    origin = getattr(getattr(sys.modules.get(top), "__spec__", None), "origin", None)
+    # A user's file may have the name of a standard module.
+    return origin in ("built-in", "frozen") or (
+        origin is not None and _STANDARD in Path(origin).parents and "site-packages" not in origin
+    )
+
+
+def _stated_by(value: Any) -> dict[str, Any] | None:
+    """Return what an object of a library's class is given; None where that is not all."""
+    kind: Any = type(value)
+    if kind.__module__.startswith("scipy.stats.") and hasattr(value, "dist"):  # a frozen distribution
+        name = str(value.dist.name)
+        if type(getattr(sys.modules["scipy.stats"], name, None)) is type(value.dist):
+            return {"of": name, "args": value.args, "kwds": value.kwds}
+    if isinstance(value, Enum):
+        return {"name": value._name_}
+    if hasattr(kind, "_fields"):
+        return dict(zip(kind._fields, value, strict=True))
+    if not is_dataclass(value):
+        return None
+    names = getattr(kind, "determined_by", None) or [each.name for each in fields(value) if each.init]
+    return {name: getattr(value, name) for name in names}
+
+
+def _copied(value: Any) -> dict[str, Any] | None:
+    """Return what a copy of a user's object gets: all of it; None where it can have none, or says which."""
+    kind: Any = type(value)
+    if kind.__reduce__ is not object.__reduce__ or kind.__getstate__ is not object.__getstate__:
+        return None
+    try:
+        copied: Any = object.__reduce_ex__(value, 4)
+        _, (_, *given), state, items, pairs = copied
+        held = {"given": given, "items": list(items or ()), "pairs": dict(pairs or ())}
+    except TypeError:  # of what has more than Python sees
+        return None
+    attributes, slots = state if isinstance(state, tuple) else (state, {})
+    own = {**(attributes or {}), **slots}
+    remembered = {name for name in own if type(getattr(kind, name, None)) is cached_property}
+    told = {f"its {name}": each for name, each in held.items() if each}  # which no attribute is called
+    return told | {name: own[name] for name in sorted(own.keys() - remembered)}
+
+
+def _is_made_of_fields(name: str, member: Any) -> bool:
+    """Tell whether it is a dataclass that makes a member."""
+    code = getattr(member, "__code__", None)
+    return name.startswith("__") and code is not None and code.co_filename == "<string>"
+
+
+_Function: TypeAlias = ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda
+
+
+def _node_of(code: CodeType) -> _Function | str:
+    """Return what the source of a function has where it is; in words why not, where there is no such."""
+    linecache.checkcache(code.co_filename)
+    text = "".join(linecache.getlines(code.co_filename))
+    nodes, codes = _parsed(code.co_filename, text)
+    if code not in codes:  # typed or made, or of a file that has changed since
+        return "it has no source" if not text else "its source is not what runs here"
+    spans = [((at[0], at[2]), (at[1], at[3])) for at in code.co_positions() if None not in at]
+    found = [node for node in nodes if _is_at(node, code, [span for span in spans if span[0] < span[1]])]
+    # Of lambdas in each other the innermost.
+    return max(found, key=lambda node: (node.lineno, node.col_offset), default="its place is not told")
+
+
+def _is_at(node: _Function, code: CodeType, spans: Sequence[tuple[Any, Any]]) -> bool:
+    """Tell whether a function's code may be that of a node, given from where to where its steps stand."""
+    if not isinstance(node, ast.Lambda):
+        first = min(each.lineno for each in (node, *node.decorator_list))
+        return (first, node.name) == (code.co_firstlineno, code.co_name)
+    body = node.body
+    begin, end = (body.lineno, body.col_offset), (body.end_lineno, body.end_col_offset)
+    return bool(spans) and all(begin <= span[0] and span[1] <= end for span in spans)
+
+
+@lru_cache(64)
+def _parsed(file: str, text: str) -> tuple[list[_Function], frozenset[CodeType]]:
+    """Return the functions in the text of a module, and the code of all of them."""
+    try:
+        tree = ast.parse(text, file)
+        code = compile(text, file, "exec", ast.PyCF_ALLOW_TOP_LEVEL_AWAIT, dont_inherit=True)
+    except (SyntaxError, ValueError):
+        return [], frozenset()
+    return [node for node in ast.walk(tree) if isinstance(node, _Function)], frozenset(_codes(code))
+
+
+def _codes(code: CodeType) -> Iterator[CodeType]:
+    """Yield a code object, and those of all functions and classes inside it."""
+    yield code
+    for inner in code.co_consts:
+        if isinstance(inner, CodeType):
+            yield from _codes(inner)
+
+
+def _read_by(function: FunctionType, node: ast.AST) -> Iterator[tuple[str, Any]]:
+    """Yield name and value of what a function, with the functions inside it, reads of its surroundings."""
+    names = {name for code in _codes(function.__code__) for name in code.co_names}
+    space = {name: value for name, value in function.__globals__.items() if name in names}
+    cells = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
+    for name, cell in cells.items():
+        try:
+            space[name] = cell.cell_contents
+        except ValueError:
+            space[name] = "a cell that is empty"
+    # What no text has by its name: the class of super(), and what is private to a class.
+    hidden = {(name,) for name in space if name in cells or re.match("_[^_].*__", name)}
+    hidden -= {(name,) for name in space if isinstance(space[name], ModuleType)}
+    for name, *attributes in sorted(hidden | {chain for chain in _chains(node) if chain[0] in space}):
+        value = space[name]
+        for attribute in attributes:  # a user's module is not told as a whole
+            if not isinstance(value, ModuleType) or _is_library(value) or not hasattr(value, attribute):
+                break
+            value, name = getattr(value, attribute), f"{name}.{attribute}"
+        yield name, value
+    state = {"defaults": function.__defaults__, "kwdefaults": function.__kwdefaults__}
+    yield from ((name, value) for name, value in {**state, "attributes": vars(function)}.items() if value)
+
+
+def _hidden_in(function: FunctionType, node: ast.AST) -> Iterator[str]:
+    """Yield in words what in the text of a function may read what is not told."""
+    called = {chain[0] for chain in _chains(node)} & (_HIDING - function.__globals__.keys())
+    yield from (f"it calls {name}" for name in sorted(called))
+    for step in ast.walk(node):
+        imported = [each.name for each in step.names] if isinstance(step, ast.Import) else []
+        if isinstance(step, ast.ImportFrom):
+            imported = ["." * step.level + (step.module or "")]
+        for name in imported:
+            top = sys.modules.get(name.split(".")[0])  # there is none where it is beside the user's module
+            if top is None or not _is_library(top):
+                yield f"it imports {name} when it is called"
+
+
+def _chains(node: ast.AST) -> Iterator[tuple[str, ...]]:
+    """Yield the names in a text, each with the attributes that are asked of it."""
+    attributes: list[str] = []
+    while isinstance(node, ast.Attribute):
+        attributes.insert(0, node.attr)
+        node = node.value
+    if isinstance(node, ast.Name):
+        yield node.id, *attributes
+    for child in ast.iter_child_nodes(node):
+        yield from _chains(child)
 
 
 def differences(theirs: Mapping[str, Any], mine: Mapping[str, Any], most: int = 3) -> str:
@@ -138,17 +466,12 @@ def differences(theirs: Mapping[str, Any], mine: Mapping[str, Any], most: int = 
     most : int
         How many differences are told.
     """
-    absent = "absent"
     there, here = _comparable(theirs), _comparable(mine)
     names = [name for name in {**here, **there} if _differ(name, there, here)]
-    values = {name: (there.get(name, absent), here.get(name, absent)) for name in names}
+    values = {name: (there.get(name, "absent"), here.get(name, "absent")) for name in names}
     readable = [name for name in names if not any(map(_is_digest, values[name]))] or names
-    shown = sorted(readable, key=_rank)
-    words = [
-        f"{_told(name)} is {_short(values[name][0])} there and {_short(values[name][1])} here"
-        for name in shown[:most]
-    ]
-    return "; ".join(words) + (f"; and {len(shown) - most} more differ" if len(shown) > most else "")
+    words = [_told(name, *values[name]) for name in sorted(readable, key=_rank)]
+    return "; ".join(words[:most]) + (f"; and {len(words) - most} more differ" if len(words) > most else "")
 
 
 def _differ(name: str, there: Mapping[str, Any], here: Mapping[str, Any]) -> bool:
@@ -161,7 +484,7 @@ def _differ(name: str, there: Mapping[str, Any], here: Mapping[str, Any]) -> boo
 
 def _comparable(description: Mapping[str, Any]) -> dict[str, Any]:
     found = {name: value for name, value in description.items() if name not in ("all", "each", "fingerprint")}
-    return {**flat(found), **description.get("all", {}), **description.get("each", {})}
+    return {**_flat(found), **description.get("all", {}), **description.get("each", {})}
 
 
 def _rank(name: str) -> int:
@@ -170,20 +493,23 @@ def _rank(name: str) -> int:
     return 2 if name in ("format", "machine", "engine") or name.startswith("versions.") else 1
 
 
-def _told(name: str) -> str:
-    """Return the name of an axis as its user gave it, and of anything else as it is."""
-    found = re.fullmatch(r"axes\.(.+)\.(values|unit)", name)
-    if found is None:
-        return name
-    return f"axis {found[1]}" if found[2] == "values" else f"unit of axis {found[1]}"
-
-
 def _is_digest(value: Any) -> bool:
     if isinstance(value, list):
         return any(map(_is_digest, value))
     return isinstance(value, str) and re.search(r"\) [0-9a-f]{32}$", value) is not None
 
 
-def _short(value: Any) -> str:
-    text = value if isinstance(value, str) else json.dumps(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+def _told(name: str, there: Any, here: Any) -> str:
+    """Return a difference in words: an axis as its user called it, a long text from where it differs."""
+    found = re.fullmatch(r"axes\.(.+)\.(values|unit)", name)
+    if found:
+        name = f"axis {found[1]}" if found[2] == "values" else f"unit of axis {found[1]}"
+    texts = [value if isinstance(value, str) else json.dumps(value) for value in (there, here)]
+    same = next((k for k, (one, other) in enumerate(zip(*texts, strict=False)) if one != other), 0)
+    begin = max(0, same - 20)
+    there, here = (text if len(text) <= 60 else _cut(text, begin, begin + 57) for text in texts)
+    return f"{name} is {there} there and {here} here"
+
+
+def _cut(text: str, begin: int, end: int) -> str:
+    return f"{'...' if begin else ''}{text[begin:end]}{'...' if end < len(text) else ''}"

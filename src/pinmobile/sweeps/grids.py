@@ -1,9 +1,12 @@
 """`grid`: scenarios along named axes."""
 
+from __future__ import annotations
+
 import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import product
 from math import prod
 from numbers import Real
@@ -11,9 +14,13 @@ from typing import Any, TypeAlias, final
 
 import numpy as np
 
+from pinmobile import extras
 from pinmobile.arrays import finite, text
 from pinmobile.ensembles import PARAMETERS, Scenario
 from pinmobile.errors import InvalidArgument, UnknownName, shown
+
+imported = partial(extras.imported, extra="sweeps", what="a sweep")
+"""What only sweeps need is imported when it is used."""
 
 Label: TypeAlias = float | str
 

@@ -1,5 +1,7 @@
 """The files of a sweep's Zarr store: its arrays, their chunks, and what is read of them by themselves."""
 
+from __future__ import annotations
+
 import json
 from collections.abc import Mapping, Sequence
 from hashlib import sha256
@@ -22,13 +24,16 @@ from pinmobile.ensembles import (
 from pinmobile.errors import InvalidArgument
 from pinmobile.files import arrays_of
 from pinmobile.plant import Parameter
-from pinmobile.sweeps.extras import imported
-from pinmobile.sweeps.grids import Grid
+from pinmobile.sweeps.grids import Grid, imported
 from pinmobile.sweeps.table import axis_of_rivals
 
 METADATA = "zarr.json"
 """The file in which a store, or an array of it, says what it is."""
 
+FORMAT = 3
+"""Of what a store says that determines its numbers."""
+
+_READ = (2, FORMAT)  # formats whose arrays are these
 _MOST = 4096  # bytes of an archive's member beside its numbers
 
 
@@ -53,7 +58,7 @@ def attributes_of(path: Path) -> dict[str, Any]:
     Raises
     ------
     InvalidArgument
-        If there is no store of a sweep, or that file is damaged.
+        If there is no store of a sweep, that file is damaged, or another version made it otherwise.
     """
     file = path / METADATA
     try:
@@ -67,6 +72,8 @@ def attributes_of(path: Path) -> dict[str, Any]:
             f"store is {str(path)!r}, which is not the store of a sweep: {str(file)!r} cannot be read: {why}"
         ) from error
     try:
+        if mine["determined_by"].get("format") not in (None, *_READ):
+            raise InvalidArgument(other_format(path, mine["determined_by"]))
         digest = mine.pop("digest")
         nodes = {name: metadata["consolidated_metadata"]["metadata"][name] for name in mine["arrays"]}
         since = {name: attributes[name] for name in ("errors_from_s",) if name in attributes}
@@ -78,6 +85,25 @@ def attributes_of(path: Path) -> dict[str, Any]:
             "sweep has the same file"
         ) from error
     return {**mine, "nodes": nodes}
+
+
+def other_format(path: Path, there: Mapping[str, Any]) -> str:
+    """Return in words that a store is of a format that is not that of today; "" where it is.
+
+    Parameters
+    ----------
+    path : Path
+        Folder of the store.
+    there : mapping
+        What it says that determines its numbers.
+    """
+    if there["format"] == FORMAT:
+        return ""
+    return (
+        f"store is {str(path)!r}, which was made by pinmobile {there['versions']['pinmobile']} in format "
+        f"{there['format']}; this one has format {FORMAT}, and cannot tell whether the scenarios are the "
+        "same: start in a new folder"
+    )
 
 
 def coordinates_of(nodes: Mapping[str, Any]) -> list[str]:

@@ -8,6 +8,8 @@ Where files of a finished store are gone, those of their scenario are computed a
 folders is touched.
 """
 
+from __future__ import annotations
+
 import errno
 import fcntl
 import json
@@ -24,10 +26,16 @@ from pinmobile.arrays import Array
 from pinmobile.ensembles import SUMMED, Ensemble, Part, drawn_name, per_robot, summed
 from pinmobile.errors import FileError, InvalidArgument
 from pinmobile.files import refusals, write
-from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.fingerprint import differences
-from pinmobile.sweeps.grids import Grid
-from pinmobile.sweeps.layout import METADATA, attributes_of, coordinates_of, counts_of, empty_store
+from pinmobile.sweeps.grids import Grid, imported
+from pinmobile.sweeps.layout import (
+    METADATA,
+    attributes_of,
+    coordinates_of,
+    counts_of,
+    empty_store,
+    other_format,
+)
 
 GO_ON = "what is done is in the store: start the same sweep again to go on"
 """What to do when a disk is full, or a cluster lost."""
@@ -107,6 +115,9 @@ class Store:
 
     def _open(self, description: Mapping[str, Any]) -> None:
         there = attributes_of(self.path)
+        other = other_format(self.path, there["determined_by"])
+        if other:
+            raise InvalidArgument(other)
         found = differences(there["determined_by"], description)
         if found:
             raise InvalidArgument(f"store is {str(self.path)!r}, which belongs to another sweep: {found}")
@@ -131,7 +142,7 @@ class Store:
             _check_node(self.path / name / METADATA, node)
         self._whole = {k for k in range(len(self.grid)) if self._has_all(k)}
 
-    def __enter__(self) -> "Store":
+    def __enter__(self) -> Store:
         return self
 
     def __exit__(self, *error: object) -> None:

@@ -1,5 +1,7 @@
 """The answer of a sweep in words: who stays within what."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,5 +1,7 @@
 """`sweep`: chunks of ensembles, computed by this process or a Dask cluster, into a store."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from os import PathLike
@@ -10,16 +12,15 @@ from warnings import warn
 
 import numpy as np
 
-from pinmobile.arrays import Array, callable_as, location, whole
+from pinmobile.arrays import Array, callable_as, location, text, whole
 from pinmobile.compiled import processors
 from pinmobile.ensembles import Part, Scenario, Workers, part_of, way_of
 from pinmobile.errors import InvalidArgument, SchedulerError, SlowerEngine, shown
 from pinmobile.sweeps.code import packed, part_of_packed
-from pinmobile.sweeps.extras import imported
+from pinmobile.sweeps.contents import Sweep
 from pinmobile.sweeps.fingerprint import determined_by
-from pinmobile.sweeps.grids import Grid, as_grid
+from pinmobile.sweeps.grids import Grid, as_grid, imported
 from pinmobile.sweeps.layout import METADATA
-from pinmobile.sweeps.result import Sweep
 from pinmobile.sweeps.store import GO_ON, Job, Store
 
 _ANSWER = 10.0  # seconds that a scheduler has to answer, and to have a worker
@@ -251,7 +252,7 @@ def _collected(
         drop(under_way.values())
 
 
-def _next(done: "SimpleQueue[Job]", look: Callable[[], None]) -> Job:
+def _next(done: SimpleQueue[Job], look: Callable[[], None]) -> Job:
     while True:
         try:
             return done.get(timeout=_LOOK)
@@ -271,6 +272,7 @@ def sweep(
     client: Any = None,
     chunk: int | None = None,
     progress: Progress | None = None,
+    version: str | None = None,
 ) -> Sweep:
     """Run the ensembles of a grid, and keep their records in a Zarr store that xarray reads.
 
@@ -294,6 +296,9 @@ def sweep(
         Robots in a chunk; by default 16384, or what the store has.
     progress : callable, optional
         Called as ``progress(done, total)`` in robots, first with what the store has, then after each chunk.
+    version : str, optional
+        A word for what a store cannot recognise, such as a function without a source or an object of a
+        compiled package: change it whenever that changes. Without such things it is not needed.
 
     Returns
     -------
@@ -303,8 +308,8 @@ def sweep(
     ------
     InvalidArgument
         If an argument is not what is expected, draws are impossible, the store belongs to another sweep (the
-        message says what differs), a scenario holds what cannot be recognised the next time, or a package of
-        the extra is missing.
+        message says what differs), a scenario holds what cannot be recognised the next time and there is no
+        `version`, or a package of the extra is missing.
     FileError
         If the system fails, such as of a full disk; what is done is kept.
     SchedulerError
@@ -323,7 +328,9 @@ def sweep(
         check_client(client)
     if progress is not None:
         callable_as("progress(done, total)", progress)
-    description = determined_by(grid)
+    if version is not None and not text("version", version).strip():
+        raise InvalidArgument(f'version is {shown(version)}, expected a word, such as "1"')
+    description = determined_by(grid, version)
     if not (path / METADATA).exists():
         check_draws(grid)
     with Store(path, grid, description, size) as opened:

@@ -1,5 +1,7 @@
 """The direction of motion along a path, with its limits where the path rests."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
@@ -105,7 +107,7 @@ def largest(path: Path, order: int) -> Array:
     return np.asarray(lengths.max(axis=-1))
 
 
-class Scales:
+class _Scales:
     """What is large and what is rounding in the derivatives of a path, on each of its k pieces.
 
     Parameters
@@ -150,7 +152,7 @@ _STEPS = 60
 _NOISE = 1e-13  # a good deal above rounding, and below what counts as standstill
 
 
-def rest_order(piece: Piece, t: float, scales: Scales, index: int) -> int:
+def _rest_order(piece: Piece, t: float, scales: _Scales, index: int) -> int:
     """Return how fast the speed vanishes: as |t - t_rest|^order, with 0 for one that does not.
 
     Parameters
@@ -177,7 +179,7 @@ def rest_order(piece: Piece, t: float, scales: Scales, index: int) -> int:
     )
 
 
-def inner_rests(path: Path, scales: Scales) -> list[list[float]]:
+def _inner_rests(path: Path, scales: _Scales) -> list[list[float]]:
     """Return the times inside each piece at which the path rests [s], in order.
 
     Parameters
@@ -220,15 +222,15 @@ def _clusters(cells: Array, owners: Array) -> list[tuple[float, float, int]]:
     return [(float(cells[i, 0]), float(cells[j - 1, 1]), int(owners[i])) for i, j in pairwise(breaks)]
 
 
-def _refined(piece: Piece, first: float, last: float, scales: Scales, index: int) -> float | None:
+def _refined(piece: Piece, first: float, last: float, scales: _Scales, index: int) -> float | None:
     # A rest at an end of the piece is that end, and known already.
     for end in (piece.start, piece.end):
-        if first <= end <= last and rest_order(piece, end, scales, index):
+        if first <= end <= last and _rest_order(piece, end, scales, index):
             return None
     # At a rest of order k the speed is too flat to say where it is; the k-th derivative is not.
     for order in range(_HIGHEST, 0, -1):
         t = _zero(piece, order, first, last)
-        if t is not None and rest_order(piece, t, scales, index) >= order:
+        if t is not None and _rest_order(piece, t, scales, index) >= order:
             return t
     return None
 
@@ -370,12 +372,12 @@ def hodograph(path: Path) -> Hodograph:
         If the path does not move at all, or at a rest so many derivatives vanish that there is no
         telling where it goes.
     """
-    scales = Scales(path)
+    scales = _Scales(path)
     if not scales.top:
         raise InvalidArgument(
             "path never moves, so it has no tangent; expected one that does, or FixedHeading"
         )
-    rests = inner_rests(path, scales)
+    rests = _inner_rests(path, scales)
     legs: list[Leg | None] = []
     spans: list[tuple[float, float]] = []
     for index, piece in enumerate(pieces_of(path)):
@@ -386,13 +388,13 @@ def hodograph(path: Path) -> Hodograph:
     return Hodograph(path, _with_dwells(legs, spans), scales.top)
 
 
-def _leg(piece: Piece, start: float, end: float, scales: Scales, index: int) -> Leg:
+def _leg(piece: Piece, start: float, end: float, scales: _Scales, index: int) -> Leg:
     half = (end - start) / 2
     return Leg(*(_limit(piece, t, side, half, scales, index) for t, side in ((start, 1), (end, -1))))
 
 
-def _limit(piece: Piece, t: float, side: int, room: float, scales: Scales, index: int) -> Limit:
-    k = rest_order(piece, t, scales, index)
+def _limit(piece: Piece, t: float, side: int, room: float, scales: _Scales, index: int) -> Limit:
+    k = _rest_order(piece, t, scales, index)
     if not k:
         v, a, jerk = (piece.derivative(t, order) for order in (1, 2, 3))
         return Limit(t, np.array([v, a, jerk / 2]), -1.0, float(np.linalg.norm(v)))

@@ -1,5 +1,7 @@
 """What a trajectory is and gives, within the limits of joints; and motions of base and arms as one."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import partial
@@ -56,7 +58,7 @@ def joined(plane: Iterable[Array], headings: Iterable[Array]) -> Reference:
 
 
 def plane_path(path: Any) -> Path:
-    """Return `path`, after refusing what is not a path of two coordinates.
+    """Check that `path` is a path of two coordinates, and return it.
 
     Raises
     ------
@@ -217,7 +219,7 @@ class WholeBody:
         check_limits(self.robot, q, v, times)
         return Reference(q, v, a)
 
-    def with_parameters(self) -> "WholeBody":
+    def with_parameters(self) -> WholeBody:
         """Return the motion made again of its parts, which have what may differ: it has no parameters."""
         return WholeBody(self.robot, self.base, *self.joints)
 

@@ -6,6 +6,8 @@ a and N = I alpha + omega x I omega of each body about its centre of mass, and t
 each of an arm's joints Pinocchio says how it moves by itself; of the base's the DH table does.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 
 import numpy as np

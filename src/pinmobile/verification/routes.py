@@ -1,5 +1,7 @@
 """The routes to M, n, tau and the acceleration, against each other: what was compared, as a table."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,5 +1,7 @@
 """A headless Chromium: found on the machine, driven through a pipe, gone when it is left."""
 
+from __future__ import annotations
+
 import base64
 import json
 import os
@@ -128,7 +130,7 @@ class Browser:
             self.close()
             raise
 
-    def __enter__(self) -> "Browser":
+    def __enter__(self) -> Browser:
         return self
 
     def __exit__(self, *error: object) -> None:

@@ -1,5 +1,7 @@
 """What moves over the frames of a recording: links of robots, properties of nodes, animation tracks."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise

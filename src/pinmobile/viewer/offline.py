@@ -1,7 +1,20 @@
-"""A scene in memory, as the commands that make it: for recordings, notebooks, tests and live windows."""
+"""A scene in memory, as the commands that make it, and the page that shows it, recorded or live."""
 
+from __future__ import annotations
+
+import base64
+import json
+import re
+import warnings
 from collections import OrderedDict
+from collections.abc import Iterable
+from functools import cache
+from hashlib import sha256
+from html import escape
+from importlib.resources import files
 from math import isfinite
+from pathlib import Path
+from string import Template
 from threading import Lock
 from typing import Any, NamedTuple, NoReturn
 
@@ -9,7 +22,100 @@ import numpy as np
 
 from pinmobile.arrays import finite
 from pinmobile.errors import InvalidArgument, ViewerError, shown
-from pinmobile.viewer.page import ENGINE, loading, packed_command, sealed
+
+with warnings.catch_warnings():
+    # Its client imports parts of zmq that zmq warns about.
+    warnings.simplefilter("ignore", DeprecationWarning)
+    import meshcat
+    import umsgpack
+
+
+Visualizer = meshcat.Visualizer
+packed_array = meshcat.geometry.pack_numpy_array
+packed_command = umsgpack.packb
+
+ENGINE = Path(meshcat.__file__).parent / "viewer" / "dist" / "main.min.js"
+"""Meshcat's viewer with three.js in it."""
+
+
+# Meshcat's controls bring styles of their own, which have no hash that could be known.
+_POLICY = (
+    "default-src 'none'; script-src {0}; style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'; "
+    "form-action 'none'"
+)
+
+_CONNECT = """<script>
+viewer.connect();
+</script>"""
+
+_LOAD = """<script type="application/json" id="animation">$animation</script>
+<script>
+$loading
+const animation = JSON.parse(document.getElementById("animation").textContent);
+if (animation.tracks.length) pinmobile.play(animation.tracks, animation.speed, animation.end);
+</script>"""
+
+
+def live_page(title: str = "pinmobile") -> str:
+    """Return the page that connects to the server it came from; it asks that for ``main.min.js``."""
+    return _filled(title, '<script src="main.min.js"></script>', _CONNECT)
+
+
+def recorded_page(title: str, commands: Iterable[bytes], animation: dict[str, Any]) -> str:
+    """Return a page that holds everything it shows.
+
+    Parameters
+    ----------
+    title : str
+        Of the page.
+    commands : iterable of bytes
+        Meshcat's commands, as it sends them.
+    animation : dict
+        ``tracks`` (meshcat's animations), ``speed`` at first, and ``end``, the last time [s].
+    """
+    packed = json.dumps(animation, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    scene = Template(_LOAD).substitute(animation=packed, loading=loading(commands))
+    return _sealed(_filled(title, f"<script>\n{_engine()}\n</script>", scene))
+
+
+def loading(commands: Iterable[bytes]) -> str:
+    """Return the script that puts meshcat's commands into a scene."""
+    texts = ",\n".join(f'"{base64.b64encode(command).decode()}"' for command in commands)
+    return (
+        f"for (const text of [\n{texts}\n]) viewer.handle_command_bytearray("
+        "Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)));"
+    )
+
+
+def _sealed(page: str) -> str:
+    """Return a page that holds everything it shows with a policy: its own scripts run, and ask for nothing.
+
+    Parameters
+    ----------
+    page : str
+        HTML, each of its scripts in a plain ``<script>``.
+    """
+    scripts = re.findall(r"<script>(.*?)</script>", page, re.DOTALL)
+    hashes = (base64.b64encode(sha256(script.encode()).digest()).decode() for script in scripts)
+    policy = _POLICY.format(" ".join(f"'sha256-{each}'" for each in dict.fromkeys(hashes)))
+    tag = f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
+    return page.replace("<head>", f"<head>\n{tag}", 1)
+
+
+def _filled(title: str, engine: str, scene: str) -> str:
+    parts = {"css": _part("stage.css"), "stage": _part("stage.js"), "engine": engine, "scene": scene}
+    return Template(_part("stage.html")).substitute(parts, title=escape(title))
+
+
+@cache
+def _part(name: str) -> str:
+    return files("pinmobile.viewer").joinpath(name).read_text(encoding="utf-8").strip()
+
+
+@cache
+def _engine() -> str:
+    return ENGINE.read_text(encoding="utf-8")
+
 
 _KINDS = {
     "set_transform": "matrix",
@@ -29,14 +135,14 @@ class Key(NamedTuple):
     name: str = ""
 
 
-class Update(NamedTuple):
+class _Update(NamedTuple):
     """A command as it is sent."""
 
     key: Key
     data: bytes
 
 
-def packed(command: Any) -> Update:
+def packed(command: Any) -> _Update:
     """Return a command as it is sent.
 
     Parameters
@@ -62,7 +168,7 @@ def packed(command: Any) -> Update:
     if kind == "set_transform" and len(payload) != 16:
         raise InvalidArgument(f"the transform of {key.path} has {len(payload)} numbers, expected 16")
     try:
-        return Update(key, packed_command(content))
+        return _Update(key, packed_command(content))
     except Exception as error:  # the packer's own errors have no common base
         raise InvalidArgument(f"{kind} of {key.path or '/'} cannot be sent: {error}") from error
 
@@ -190,7 +296,7 @@ class Backlog:
 
     # In these three, an interrupt may leave what is in the index but not in the entries, not the reverse.
 
-    def _append(self, update: Update) -> None:
+    def _append(self, update: _Update) -> None:
         if update.key not in self._entries:
             for path in _up(update.key.path):
                 self._below.setdefault(path, set()).add(update.key)
@@ -199,7 +305,7 @@ class Backlog:
         self._entries.move_to_end(update.key)
         self._latest += 1
 
-    def _delete(self, update: Update) -> None:
+    def _delete(self, update: _Update) -> None:
         path = update.key.path
         self._drop(path)
         self._append(update)
@@ -242,7 +348,7 @@ class OfflineWindow:
     def __init__(self) -> None:
         self._backlog, self._closed = Backlog(), False
 
-    def __enter__(self) -> "OfflineWindow":
+    def __enter__(self) -> OfflineWindow:
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -309,4 +415,4 @@ def static_page(commands: list[bytes]) -> str:
         raise ViewerError(f"the page of the installed meshcat has changed: {ENGINE.with_name('index.html')}")
     head, _, rest = page.partition(_SCRIPT)
     body = rest.replace(_CONNECTING, loading(commands))
-    return sealed(f"{head}<script>\n{ENGINE.read_text(encoding='utf-8')}\n{body}")
+    return _sealed(f"{head}<script>\n{ENGINE.read_text(encoding='utf-8')}\n{body}")

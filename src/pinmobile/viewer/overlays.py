@@ -1,5 +1,7 @@
 """What is shown beside the robot, and from where one looks."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeAlias

@@ -1,5 +1,7 @@
 """`Recording`: a scene and its motion, to be kept as a page, a GIF, a film or a picture."""
 
+from __future__ import annotations
+
 import importlib
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -17,7 +19,7 @@ from pinmobile.errors import InvalidArgument, ViewerError, shown
 from pinmobile.extras import installing
 from pinmobile.files import write, written
 from pinmobile.viewer.chromium import Browser
-from pinmobile.viewer.page import recorded_page
+from pinmobile.viewer.offline import recorded_page
 
 _HELD = 1.0  # [s] for which the last frame stands
 _COLOURS = 128
@@ -133,7 +135,7 @@ def picture_of(html: str, size: tuple[int, int], time: float) -> bytes:
         return _picture(browser, time)
 
 
-def pictures_of(
+def _pictures_of(
     html: str, size: tuple[int, int], times: Sequence[float], progress: Progress | None
 ) -> Iterator[Image.Image]:
     """Yield a page at some times; other parameters and errors are those of `picture_of`.
@@ -325,4 +327,4 @@ class Recording:
 
     def _frames(self, rate: float, size: tuple[int, int], progress: Progress | None) -> Iterator[Image.Image]:
         times = np.append(np.arange(0.0, self.duration, self.speed / rate), self.duration)
-        return pictures_of(self.html(), size, times.tolist(), progress)
+        return _pictures_of(self.html(), size, times.tolist(), progress)

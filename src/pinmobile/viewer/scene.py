@@ -1,5 +1,7 @@
 """What stands and moves on the stage: robots, ground, paths, trails, frames, arrows, captions."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -21,7 +23,7 @@ from pinmobile.viewer.stage import Extent, Stage, overview
 _POSE = ("x", "y", "psi")
 
 
-def captions(runs: Mapping[str, Rollout], times: Array) -> list[str]:
+def _captions(runs: Mapping[str, Rollout], times: Array) -> list[str]:
     """Return time and position errors for each frame, changing ten times a second at most.
 
     Beside a position error stands the largest of a joint that turns, where there are any.
@@ -80,7 +82,7 @@ _TO_AXIS = (
 )
 
 
-def draw_grid(stage: Stage, extent: Extent) -> None:
+def _draw_grid(stage: Stage, extent: Extent) -> None:
     """Draw the grid, and write x and y at its edges."""
     xs, ys, tall = extent.lines(0), extent.lines(1), extent.tall
     # WebGL's lines are a pixel wide, and a software one drops those that cross the camera's plane.
@@ -98,7 +100,7 @@ def draw_grid(stage: Stage, extent: Extent) -> None:
         stage.set(f"meshcat/scale/{k}", "position", [float(x), float(y), 0.0])
 
 
-def draw_path(stage: Stage, run: Rollout, extent: Extent) -> None:
+def _draw_path(stage: Stage, run: Rollout, extent: Extent) -> None:
     """Draw the reference path of a rollout, dashed."""
     points = run.reference_poses[:: max(len(run) // 4000, 1), :2]
     dash = max(0.028 * extent.radius, 0.05 * extent.unit)
@@ -106,7 +108,7 @@ def draw_path(stage: Stage, run: Rollout, extent: Extent) -> None:
     stage.put("meshcat/path", shapes.flat(bands, INK, order=_PATH))
 
 
-def draw_triad(stage: Stage, path: str, label: str, extent: Extent, place: tuple[int, int]) -> Array:
+def _draw_triad(stage: Stage, path: str, label: str, extent: Extent, place: tuple[int, int]) -> Array:
     """Draw the axes of a frame at a node, and its name at another, and return by how much that stands aside.
 
     Parameters
@@ -137,7 +139,7 @@ def draw_triad(stage: Stage, path: str, label: str, extent: Extent, place: tuple
     return np.asarray(extent.unit * (_AWAY[min(k, 3)] + np.array([0, -0.5 * number, 0])))
 
 
-Rider = Callable[[Array], list[Channel]]
+_Rider = Callable[[Array], list[Channel]]
 Where = Callable[[Array], Array]  # from poses (n, 3) to placements (n, 4, 4)
 
 
@@ -171,7 +173,7 @@ class Scene:
     robot: Any
     overlays: Overlays
     channels: list[Channel] = field(default_factory=list)
-    riders: list[Rider] = field(default_factory=list)
+    riders: list[_Rider] = field(default_factory=list)
     legend: list[list[object]] = field(default_factory=list)
 
     def alone(self, pose: Array) -> None:
@@ -194,7 +196,7 @@ class Scene:
         """Put everything where it is at a frame."""
         self.stage.show(self.channels, frame)
 
-    def _rides(self, rider: Rider, poses: Array) -> None:
+    def _rides(self, rider: _Rider, poses: Array) -> None:
         self.riders.append(rider)
         self.channels += rider(poses)
 
@@ -220,7 +222,7 @@ class Scene:
         extent = Extent(points.min(axis=0) - room, points.max(axis=0) + room, (*self.robot.size[:2], height))
         self._furnish(extent, poses[0])
         if self.overlays.path:
-            draw_path(self.stage, main, extent)
+            _draw_path(self.stage, main, extent)
             self.legend.append(["desired", INK, "6 4", 0.0])
         for index, (label, run) in enumerate(runs.items()):
             path = f"meshcat/robot{index}"
@@ -246,7 +248,7 @@ class Scene:
             self._arrows(main, times, poses[0], extent, self.overlays.arrows)
         self._tables(poses[0], extent)
         if self.overlays.caption:
-            self.channels.append(Channel("meshcat/stage", "caption", captions(runs, times)))
+            self.channels.append(Channel("meshcat/stage", "caption", _captions(runs, times)))
         self.stage.tell("legend", self.legend)
 
     def _furnish(self, extent: Extent, poses: Array) -> None:
@@ -265,7 +267,7 @@ class Scene:
         if isinstance(camera, Follow):
             self._rides(_focus, poses)
         if self.overlays.grid:
-            draw_grid(self.stage, extent)
+            _draw_grid(self.stage, extent)
 
     def _trail(self, index: int, count: int, run: Rollout, times: Array, extent: Extent) -> None:
         kept = np.unique(np.append(np.arange(0, len(run), -(-len(run) // _SPREAD)), len(run) - 1))
@@ -296,7 +298,7 @@ class Scene:
     def _triad(
         self, path: str, label: str, extent: Extent, place: tuple[int, int], where: Where, poses: Array
     ) -> None:
-        away = draw_triad(self.stage, path, label, extent, place)
+        away = _draw_triad(self.stage, path, label, extent, place)
         self._rides(lambda poses: poses_of(path, where(poses)), poses)
         self._rides(lambda poses: [Channel(f"{path}name", "position", where(poses)[:, :3, 3] + away)], poses)
 

@@ -1,5 +1,7 @@
 """Shapes as three.js reads them: meshes that stand, ribbons and words that lie flat on the ground."""
 
+from __future__ import annotations
+
 import base64
 from collections.abc import Sequence
 from functools import lru_cache
@@ -11,16 +13,16 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from pinmobile.arrays import Array, ArrayLike
-from pinmobile.viewer.page import packed_array
+from pinmobile.viewer.offline import packed_array
 
 Shape = dict[str, Any]
-Triangles = tuple[Array, NDArray[np.uint32]]  # vertices (n, 3) [m], faces (m, 3)
+_Triangles = tuple[Array, NDArray[np.uint32]]  # vertices (n, 3) [m], faces (m, 3)
 
 _TEXT_HEIGHT = 64  # [px]
 
 
 def flat(
-    triangles: Triangles, colour: str, *, order: int, opacity: float = 1.0, trail: bool = False
+    triangles: _Triangles, colour: str, *, order: int, opacity: float = 1.0, trail: bool = False
 ) -> Shape:
     """Return an unlit mesh on the ground, painted over those of lower `order` without regard to depth.
 
@@ -31,7 +33,7 @@ def flat(
     return _mesh(triangles, material, {"flat": True, "trail": trail}, order)
 
 
-def over(triangles: Triangles, colour: str, *, order: int) -> Shape:
+def over(triangles: _Triangles, colour: str, *, order: int) -> Shape:
     """Return an unlit mesh that shows through whatever is in front of it."""
     material = {"type": "MeshBasicMaterial", "color": _hex(colour), "side": 2, "transparent": True}
     return _mesh(triangles, material | {"depthTest": False}, {"flat": True}, order)
@@ -50,7 +52,7 @@ def shadows(radius: float) -> Shape:
     return _mesh((corners, np.array([[0, 1, 2], [0, 2, 3]], np.uint32)), material, {}, 0)
 
 
-def ribbon(points: ArrayLike, width: float, height: float = 0.0) -> Triangles:
+def ribbon(points: ArrayLike, width: float, height: float = 0.0) -> _Triangles:
     """Return a flat band along a curve, two triangles from each point to the next.
 
     Parameters
@@ -77,7 +79,7 @@ def ribbon(points: ArrayLike, width: float, height: float = 0.0) -> Triangles:
     return vertices, faces.astype(np.uint32)
 
 
-def dashes(points: ArrayLike, width: float, dash: float, gap: float) -> Triangles:
+def dashes(points: ArrayLike, width: float, dash: float, gap: float) -> _Triangles:
     """Return ribbons along the curve, `dash` long and `gap` apart [m]."""
     points = np.asarray(points, np.float64)
     steps = np.hypot(*np.diff(points, axis=0).T)
@@ -92,19 +94,19 @@ def dashes(points: ArrayLike, width: float, dash: float, gap: float) -> Triangle
     return joined(parts) if parts else ribbon(np.empty((0, 2)), width)
 
 
-def joined(parts: Sequence[Triangles]) -> Triangles:
+def joined(parts: Sequence[_Triangles]) -> _Triangles:
     """Return several sets of triangles as one."""
     offsets = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     faces = [faces + offset for (_, faces), offset in zip(parts, offsets, strict=False)]
     return np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces).astype(np.uint32)
 
 
-def arrow(thickness: float = 0.05) -> Triangles:
+def arrow(thickness: float = 0.05) -> _Triangles:
     """Return an arrow of length 1 along x, round, with a head."""
     return _turned([(0, thickness / 2), (0.72, thickness / 2), (0.72, 1.6 * thickness), (1, 0)])
 
 
-def arc_arrow(thickness: float = 0.06) -> Triangles:
+def arc_arrow(thickness: float = 0.06) -> _Triangles:
     """Return three quarters of a flat ring of radius 1 about z, counterclockwise, with a head."""
     angle = np.linspace(0, 1.4 * np.pi, 40)
     ring = ribbon(np.stack([np.cos(angle), np.sin(angle)], axis=-1), 2 * thickness)
@@ -148,7 +150,7 @@ def word(text: str, colour: str, height: float, *, lying: bool, order: int) -> S
     return result
 
 
-def _mesh(triangles: Triangles, material: Shape, data: Shape, order: int) -> Shape:
+def _mesh(triangles: _Triangles, material: Shape, data: Shape, order: int) -> Shape:
     vertices, faces = triangles
     position = packed_array(np.ascontiguousarray(vertices, np.float32).T)
     geometry = {"attributes": {"position": position}, "index": packed_array(faces.astype(np.uint32).T)}
@@ -161,7 +163,7 @@ def _mesh(triangles: Triangles, material: Shape, data: Shape, order: int) -> Sha
     }
 
 
-def _turned(profile: Sequence[tuple[float, float]], sides: int = 20) -> Triangles:
+def _turned(profile: Sequence[tuple[float, float]], sides: int = 20) -> _Triangles:
     """Return the surface that the profile (along x, away from x) makes when it is turned about x."""
     angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=-1)

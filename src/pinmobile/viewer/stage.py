@@ -1,5 +1,7 @@
 """The stage: nodes of meshcat's scene by path, and what every scene has: light, ground, a camera."""
 
+from __future__ import annotations
+
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -9,8 +11,8 @@ from pinocchio.visualize import MeshcatVisualizer
 from pinmobile.arrays import Array
 from pinmobile.robot import BODY
 from pinmobile.viewer.motion import Channel
+from pinmobile.viewer.offline import Visualizer
 from pinmobile.viewer.overlays import View
-from pinmobile.viewer.page import Visualizer
 from pinmobile.viewer.shapes import Shape, shadows
 
 _FEW = 300  # triangles that a mesh keeps: a wedge of eight would be gone
@@ -88,7 +90,7 @@ class Window(Protocol):
         """Take a command, an object whose ``lower()`` is the dict that meshcat's page reads."""
 
 
-class Command(NamedTuple):
+class _Command(NamedTuple):
     """A command for a window, as `meshcat.commands` has them."""
 
     content: dict[str, Any]
@@ -155,11 +157,11 @@ class Stage:
     def put(self, path: str, shape: Shape) -> None:
         """Show a shape at a node; what was there is replaced."""
         shape["object"]["uuid"] = path  # animations tell objects apart by it
-        self.window.send(Command({"type": "set_object", "path": path, "object": shape}))
+        self.window.send(_Command({"type": "set_object", "path": path, "object": shape}))
 
     def set(self, path: str, name: str, value: Any) -> None:
         """Set a property of a node."""
-        self.window.send(Command({"type": "set_property", "path": path, "property": name, "value": value}))
+        self.window.send(_Command({"type": "set_property", "path": path, "property": name, "value": value}))
 
     def tell(self, name: str, value: Any) -> None:
         """Set a property of the stage itself, which its page reads."""
@@ -167,7 +169,7 @@ class Stage:
 
     def remove(self, path: str) -> None:
         """Remove a node and all below it."""
-        self.window.send(Command({"type": "delete", "path": path}))
+        self.window.send(_Command({"type": "delete", "path": path}))
 
     def show(self, channels: list[Channel], frame: int) -> None:
         """Put everything that moves where it is at a frame."""

@@ -1,5 +1,7 @@
 """`Viewer`: a robot and its rollouts on meshcat's stage, live or recorded."""
 
+from __future__ import annotations
+
 from os import PathLike
 from pathlib import Path
 from threading import RLock
@@ -12,9 +14,8 @@ from pinmobile.arrays import ArrayLike, positive, text, vector
 from pinmobile.errors import InvalidArgument, ViewerError, shown
 from pinmobile.files import written
 from pinmobile.viewer.motion import figure, frame_times, tracks
-from pinmobile.viewer.offline import OfflineWindow
+from pinmobile.viewer.offline import OfflineWindow, recorded_page
 from pinmobile.viewer.overlays import Overlays, Rollouts, checked_overlays, checked_runs
-from pinmobile.viewer.page import recorded_page
 from pinmobile.viewer.recording import Recording, picture_of
 from pinmobile.viewer.scene import Scene
 from pinmobile.viewer.stage import Stage
@@ -73,7 +74,7 @@ class Viewer:
         self._recording: Recording | None = None
         self._window: LiveWindow | OfflineWindow = _live_window(host, port) if live else OfflineWindow()
 
-    def __enter__(self) -> "Viewer":
+    def __enter__(self) -> Viewer:
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -287,7 +288,7 @@ class Viewer:
         stage.remove("meshcat")
         return Scene(stage, self._figure, overlays)
 
-    def _live(self, what: str) -> "LiveWindow":
+    def _live(self, what: str) -> LiveWindow:
         self._check_open()
         if isinstance(self._window, OfflineWindow):
             raise ViewerError(f"{what} needs a live viewer: Viewer(plant, live=True)")
@@ -298,7 +299,7 @@ class Viewer:
             raise ViewerError("the viewer is closed")
 
 
-def _live_window(host: str, port: int | None) -> "LiveWindow":
+def _live_window(host: str, port: int | None) -> LiveWindow:
     from pinmobile.viewer.live import LiveWindow  # here, since a recording needs no server
 
     return LiveWindow(host, port)

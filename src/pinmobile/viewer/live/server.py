@@ -1,139 +1,26 @@
-"""The live window's server: a thread with an event loop, its sockets, and who may ask it for anything."""
+"""The live window's server: a thread of this process with an event loop in it, and its sockets."""
+
+from __future__ import annotations
 
 import asyncio
 import logging
 import os
-import re
 import resource
-import secrets
 import socket
 import threading
-import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from concurrent.futures import CancelledError
 from contextlib import suppress
-from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
-from urllib.parse import urlsplit
 from weakref import WeakKeyDictionary, WeakSet, ref
 
 from tornado.httpserver import HTTPServer
 from tornado.iostream import IOStream
 
-from pinmobile.arrays import text
-from pinmobile.errors import InvalidArgument, ViewerError, shown
-from pinmobile.viewer.live.handlers import Browser, application
+from pinmobile.errors import ViewerError
+from pinmobile.viewer.live.handlers import Access, Browser, application
 from pinmobile.viewer.offline import Backlog
-
-_LOOPBACK = ("127.0.0.1", "::1", "localhost")
-_EVERYWHERE = ("0.0.0.0", "::")
-_TOKEN = re.compile(r"[A-Za-z0-9._~-]+")
-
-
-@dataclass(frozen=True)
-class Access:
-    """The rule for requests.
-
-    Parameters
-    ----------
-    host : str
-        Address that is served.
-    token : str, optional
-        What each request has to carry.
-    """
-
-    host: str
-    token: str | None = field(repr=False)
-
-    @property
-    def name(self) -> str:
-        """The host as an address has it; where all of the machine's are served, the machine's name."""
-        if self.host in _EVERYWHERE:
-            return socket.gethostname()
-        return f"[{self.host}]" if ":" in self.host else self.host
-
-    def address(self, port: int) -> str:
-        """Return the page's address at a port, without the token, as messages and logs may have it."""
-        return f"http://{self.name}:{port}/"
-
-    @property
-    def query(self) -> str:
-        """With which the token is carried; nothing where none is needed."""
-        return "" if self.token is None else f"?token={self.token}"
-
-    def refusal(self, headers: Mapping[str, str], tokens: Sequence[bytes]) -> str | None:
-        """Return why a request is refused, or None.
-
-        Parameters
-        ----------
-        headers : mapping
-            ``Host`` has to name this server: a page elsewhere whose name was made to point here names
-            itself. ``Origin``, where a browser sends it, has to be this server's own page.
-        tokens : sequence of bytes
-            That the request carries.
-        """
-        host, origin = headers.get("Host", ""), headers.get("Origin")
-        if not self._is_own(host):
-            return f"this server is not {_printable(host)}"
-        if self.token is not None and not (
-            len(tokens) == 1 and secrets.compare_digest(tokens[0], self.token.encode())
-        ):
-            return "the token is missing or wrong: use the whole address that was printed"
-        if origin is not None and origin.lower() not in (f"http://{host.lower()}", f"https://{host.lower()}"):
-            return f"requests from pages of {_printable(origin)} are not answered"
-        return None
-
-    def _is_own(self, netloc: str) -> bool:
-        try:
-            name = urlsplit(f"//{netloc}").hostname
-        except ValueError:
-            return False
-        if self.host in _EVERYWHERE:
-            return bool(name)  # by which name it is reached cannot be known; the token is needed anyway
-        return name in (*_LOOPBACK, self.host.lower())
-
-
-def access_for(host: str, token: str | None) -> Access:
-    """Return the rule for a host, with a new token where one is needed; warn where others can reach it.
-
-    Parameters
-    ----------
-    host : str
-        Address to serve at.
-    token : str, optional
-        What to ask for; by default a random one, and none on loopback.
-
-    Raises
-    ------
-    InvalidArgument
-        If the host is empty, or the token has letters that an address cannot have.
-    """
-    if not isinstance(host, str) or not host.strip():
-        raise InvalidArgument(f"host is {shown(host)}, expected a name or an address such as '127.0.0.1'")
-    if token is not None and not (isinstance(token, str) and _TOKEN.fullmatch(token)):
-        raise InvalidArgument("token is empty or not made of letters, digits, '-', '.', '_' and '~'")
-    host = host.strip()
-    bracketed = host.startswith("[") and host.endswith("]")
-    host = host[1:-1] if bracketed else host
-    if set("[]/@?# ") & set(host) or (bracketed and ":" not in host) or text("host", host) != host:
-        raise InvalidArgument(
-            f"host is {shown(host)}, expected a name or an address such as '127.0.0.1' or '::1'"
-        )
-    if host.lower() in _LOOPBACK:
-        return Access(host.lower(), token)
-    warnings.warn(
-        f"the viewer listens on {host}: whoever can reach that address and knows the token sees the scene, "
-        "and the connection is not encrypted; an SSH tunnel to the default host, 127.0.0.1, avoids both",
-        UserWarning,
-        stacklevel=3,
-    )
-    return Access(host, secrets.token_urlsafe(24) if token is None else token)
-
-
-def _printable(text: str) -> str:
-    return repr(text[:80])
-
 
 _LOG = logging.getLogger(__name__)
 _MOST_CONNECTIONS = 128
@@ -162,7 +49,7 @@ def listening(host: str, port: int | None) -> socket.socket:
     return server
 
 
-class GuardedServer(HTTPServer):
+class _GuardedServer(HTTPServer):
     """A server that knows its connections, and holds no more of them than it can afford.
 
     Half of them are for pages: the websockets that are kept. Where all others are taken, a new one takes the
@@ -219,7 +106,7 @@ class GuardedServer(HTTPServer):
             self._loop.call_later(_LIFE, self._end, ref(stream))
             self.handle_stream(stream, address)
 
-    def _end(self, reference: "ref[IOStream]") -> None:
+    def _end(self, reference: ref[IOStream]) -> None:
         stream = reference()
         if stream is not None and not self._streams.get(stream):
             stream.close()
@@ -365,7 +252,7 @@ class Server:
     async def _serve(self) -> None:
         self._loop = asyncio.get_running_loop()
         self._work, self._end = asyncio.Event(), asyncio.Event()
-        http = self._http = GuardedServer(
+        http = self._http = _GuardedServer(
             application(self),
             max_header_size=_LARGEST_HEADER,
             max_body_size=_LARGEST_BODY,

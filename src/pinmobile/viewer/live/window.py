@@ -1,5 +1,7 @@
 """`LiveWindow`: a scene in the browsers that look at it, served by this process."""
 
+from __future__ import annotations
+
 import base64
 import weakref
 from io import BytesIO
@@ -9,9 +11,9 @@ from PIL import Image, ImageOps
 
 from pinmobile.arrays import non_negative, whole
 from pinmobile.errors import InvalidArgument, ViewerError
-from pinmobile.viewer.live.server import Server, access_for, listening
-from pinmobile.viewer.offline import static_page
-from pinmobile.viewer.page import ENGINE, live_page
+from pinmobile.viewer.live.handlers import access_for
+from pinmobile.viewer.live.server import Server, listening
+from pinmobile.viewer.offline import ENGINE, live_page, static_page
 
 _CAPTURE = 20.0  # [s] that a browser has to draw a picture
 _SCRIPT, _CONNECT = 'src="main.min.js"', "viewer.connect()"
@@ -68,7 +70,7 @@ class LiveWindow:
         # Also at the interpreter's exit, and when nobody holds the window any more.
         self._finish = weakref.finalize(self, self._server.stop)
 
-    def __enter__(self) -> "LiveWindow":
+    def __enter__(self) -> LiveWindow:
         return self
 
     def __exit__(self, *error: object) -> None:

@@ -1,5 +1,7 @@
 """`Sweep`: what a store holds, with its own judgement."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,10 +14,9 @@ import numpy as np
 from pinmobile.arrays import location, one_of, whole
 from pinmobile.ensembles import PER_ROBOT, Ensemble, checked_share, drawn_name, share_within
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.sweeps.extras import imported
 from pinmobile.sweeps.fingerprint import determined_by, differences
-from pinmobile.sweeps.grids import Axis, Grid, as_grid, place_of
-from pinmobile.sweeps.layout import attributes_of, coordinates_of, damaged
+from pinmobile.sweeps.grids import Axis, Grid, as_grid, imported, place_of
+from pinmobile.sweeps.layout import attributes_of, coordinates_of, damaged, other_format
 from pinmobile.sweeps.table import answer, since, table
 
 
@@ -46,7 +47,7 @@ class Sweep:
     rivals: str | None
 
     @classmethod
-    def open(cls, path: str | PathLike[str], scenarios: Any = None) -> "Sweep":
+    def open(cls, path: str | PathLike[str], scenarios: Any = None) -> Sweep:
         """Return the sweep of a store, complete or not.
 
         Parameters
@@ -55,12 +56,13 @@ class Sweep:
             Its folder.
         scenarios : Grid, mapping, sequence or Scenario, optional
             What was run, as given to `sweep`: needed for `ensemble`, since a store holds numbers, no objects.
+            What was told by `sweep`'s ``version`` alone is taken to be the same.
 
         Raises
         ------
         InvalidArgument
-            If there is no store of a sweep, or not of these scenarios, a file of it cannot be read, or a
-            package of the extra is missing.
+            If there is no store of a sweep, or not of these scenarios (of a store of an earlier format nobody
+            can tell), a file of it cannot be read, or a package of the extra is missing.
         """
         for package in ("zarr", "xarray"):
             imported(package)
@@ -70,7 +72,10 @@ class Sweep:
         grid = None
         if scenarios is not None:
             grid = as_grid(scenarios)
-            found = differences(there, determined_by(grid))
+            other = other_format(folder, there)
+            if other:
+                raise InvalidArgument(f"{other}; without scenarios, Sweep.open reads it")
+            found = differences(there, determined_by(grid, there.get("version")))
             if found:
                 raise InvalidArgument(f"scenarios are not those of {str(folder)!r}: {found}")
         for place in coordinates_of(attributes["nodes"]):

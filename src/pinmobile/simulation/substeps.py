@@ -1,5 +1,7 @@
 """Steps of the plant between two samples, under a held input and under forces that act in between."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from functools import partial
 from math import isfinite
@@ -15,9 +17,9 @@ from pinmobile.plant import Plant
 _WRENCH = (3,)
 _STRAIGHT = 1e-6  # where a Jacobian is the identity it is so exactly, and of a ball joint it is off by tenths
 
-Push: TypeAlias = Callable[[float, Array, Array], Array]
-Advance: TypeAlias = Callable[[int, Array, Array, Array, Array, Array, Array], None]
-OwnStep: TypeAlias = Callable[[int, Array, Array, Array, Array, Array], None]
+_Push: TypeAlias = Callable[[float, Array, Array], Array]
+_Advance: TypeAlias = Callable[[int, Array, Array, Array, Array, Array, Array], None]
+_OwnStep: TypeAlias = Callable[[int, Array, Array, Array, Array, Array], None]
 
 
 class Clock(NamedTuple):
@@ -43,7 +45,7 @@ class Dynamics(NamedTuple):
     forced: Callable[[float, Array, Array, Array], Array] | None = None
 
 
-def dynamics_of(plant: Plant, push: Push | None, *, kept: bool) -> Dynamics:
+def dynamics_of(plant: Plant, push: _Push | None, *, kept: bool) -> Dynamics:
     """Return a plant's acceleration, under forces beside its input where there are such.
 
     Where `kept`, an answer outlives the next one, as whoever brings an integrator expects.
@@ -68,7 +70,7 @@ def dynamics_of(plant: Plant, push: Push | None, *, kept: bool) -> Dynamics:
     return Dynamics(forward, None if push is None else forced)
 
 
-def pushed(forces: Sequence[Any], plant: Any) -> Push | None:
+def pushed(forces: Sequence[Any], plant: Any) -> _Push | None:
     """Return the generalised force of all forces, shape (nv,), None where none act; they get copies."""
     if not forces:
         return None
@@ -114,7 +116,7 @@ def _refuse(name: str, value: Any, t: float, shape: tuple[int, ...]) -> None:
     )
 
 
-def tabled_steps(table: RungeKuttaNystrom, dynamics: Dynamics, clock: Clock, n: int) -> Advance:
+def tabled_steps(table: RungeKuttaNystrom, dynamics: Dynamics, clock: Clock, n: int) -> _Advance:
     """Return the steps of a tabled method, one matrix product per stage.
 
     The work row is (q, v, a_1, ..., a_s); each matrix maps the part that is known to a state.
@@ -182,7 +184,7 @@ def stepped(
     return after
 
 
-def steps(integrator: Integrator, dynamics: Dynamics, clock: Clock) -> Advance:
+def steps(integrator: Integrator, dynamics: Dynamics, clock: Clock) -> _Advance:
     """Return the steps of any integrator, for configurations that simply add."""
     (times, h, substeps), (free, forced) = clock, dynamics
 
@@ -214,7 +216,7 @@ def _turns(plant: Any) -> bool:
 
 def steps_between_configurations(
     integrator: Integrator, plant: Any, dynamics: Dynamics, clock: Clock
-) -> Advance:
+) -> _Advance:
     """Return the steps of any integrator, which sees the displacement from the start of its step.
 
     Where that does not change at the velocity, as of a ball joint, a table is told at which rate it does.
@@ -249,7 +251,9 @@ def steps_between_configurations(
     return advance
 
 
-def own_steps(plant: Any, push: Push | None, clock: Clock, memory: Any) -> tuple[OwnStep, Callable[[], Any]]:
+def own_steps(
+    plant: Any, push: _Push | None, clock: Clock, memory: Any
+) -> tuple[_OwnStep, Callable[[], Any]]:
     """Return the steps of a plant that has its own, and what tells the memory that it has.
 
     The acceleration is the mean of the first substep's.

@@ -5,6 +5,8 @@ with numbers is written on the tape. What makes arrays of other things (`np.arra
 its arguments; `tracing` replaces these by the ones of `constructors`.
 """
 
+from __future__ import annotations
+
 import operator
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -141,13 +143,13 @@ class Symbols(NDArrayOperatorsMixin):
         """Return the entries as nested lists."""
         return [x.tolist() if x.ndim else x for x in self] if self.ndim else self
 
-    def copy(self, *_: Any) -> "Symbols":
+    def copy(self, *_: Any) -> Symbols:
         """Return a copy."""
         return Symbols(self.entries.copy())
 
     __copy__ = copy
 
-    def __deepcopy__(self, _: Any) -> "Symbols":
+    def __deepcopy__(self, _: Any) -> Symbols:
         return self.copy()
 
     def astype(self, dtype: Any, **_: Any) -> Any:
@@ -170,7 +172,7 @@ class Symbols(NDArrayOperatorsMixin):
         """Return the entries as one row."""
         return wrapped(self.entries.reshape(-1).copy())
 
-    def conjugate(self) -> "Symbols":
+    def conjugate(self) -> Symbols:
         """Return itself."""
         return self
 
