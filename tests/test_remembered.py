@@ -30,6 +30,7 @@ from pinmobile import (
     Normal,
     RollingResistance,
     Saturated,
+    Scenario,
     Spline,
     Tangent,
     Uniform,
@@ -42,6 +43,7 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.arrays import callable_as, frozen
+from pinmobile.compiled import Shape
 from pinmobile.compiled import known as compiled
 from pinmobile.compiled.known import _memories
 from pinmobile.compiled.lasting import Unknown as Undecided
@@ -51,6 +53,8 @@ from pinmobile.compiled.program import Program
 from pinmobile.compiled.tracing import Walk
 from pinmobile.constancy import is_constant, known
 from pinmobile.ensembles import COMPILED, scenario
+from pinmobile.ensembles.running import run_scenario
+from pinmobile.ensembles.ways import way_of
 from pinmobile.simulation.setup import check_answers
 from pinmobile.trajectories import Reference
 
@@ -575,6 +579,22 @@ def test_the_first_robots_are_the_same_for_every_number_of_robots(source: Any) -
     }
     for n, values in several.items():
         assert np.array_equal(values, several[5000][:n])
+
+
+def test_one_robot_alone_runs_as_scalar_code_with_the_same_bits() -> None:
+    robot = MobileRobot.box().mount("double_pendulum")
+    controller, motion = ComputedTorque(robot, 9, 6), WholeBody(robot, CIRCLE, Hold(robot.rest[3:], 4))
+    spread: dict[str, Any] = {"mass": Uniform(25, 35)}
+    told: dict[str, Any] = {"spread": spread, "dt": 0.1, "duration": 0.5, "forces": [JointFriction(0.1)]}
+    one, three = (
+        Scenario(robot=robot, controller=controller, trajectory=motion, n=n, **told) for n in (1, 3)
+    )
+    shapes = [way_of(each).program.shape for each in (one, three)]  # type: ignore[union-attr]
+    assert shapes[0] == Shape(1, 1)
+    assert shapes[1].width > 1
+    alone, all_three = run_scenario(one), run_scenario(three)
+    for name in ("max_error", "rms_error", "max_force", "worst_measure", "rms_measure"):
+        np.testing.assert_array_equal(getattr(alone, name)[0], getattr(all_three, name)[0])
 
 
 class Queue(deque[float]):

@@ -37,7 +37,7 @@ from pinmobile.constancy import has_slots, is_constant, known
 from pinmobile.errors import NotTraceable
 
 _MOST = 64  # programs
-_MEMORIES = 16  # loops, each with a reference of at most some MB
+_MEMORIES = 16  # loops, each with a reference and what all robots share of it, at most some MB
 _THINGS = 64  # that are remembered of one
 _DEEP = 24
 _lock = threading.Lock()
