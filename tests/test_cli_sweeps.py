@@ -22,7 +22,7 @@ from pinmobile import (
     ensemble,
     plots,
 )
-from pinmobile.cli.many import _answer, _differs
+from pinmobile.cli.ensembles_and_sweeps import _answer, _differs
 from pinmobile.cli.scenario_file import _TABLES, EXAMPLE, read_grid
 from pinmobile.ensembles import ARRAYS, PARAMETERS
 from pinmobile.sweeps import length
@@ -254,7 +254,7 @@ def test_an_interrupted_sweep_says_how_to_go_on(
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("pinmobile.cli.many.sweep", interrupt)
+    monkeypatch.setattr("pinmobile.cli.ensembles_and_sweeps.sweep", interrupt)
     (tmp_path / "mass.toml").write_text(SMALL)
     code, _, err = typed(capsys, "sweep", str(tmp_path / "mass.toml"), "--out", str(tmp_path / "out"))
     assert (code, err) == (130, "pinmobile: interrupted: the same command goes on where it was\n")

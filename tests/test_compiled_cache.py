@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pinmobile.compiled import Cache, Target, machine
+from pinmobile.compiled import Cache, Target, processor
 from tests.test_compiled_loop import COMPOSITIONS, built, ran
 
 NAME = "computed torque"
 
 
 def forget() -> None:
-    machine._known.clear()
+    processor._known.clear()
 
 
 def results(cache: Cache) -> np.ndarray:
@@ -66,7 +66,7 @@ def test_the_key_is_of_text_and_processor() -> None:
 
 
 def test_the_folder_is_thinned_and_leaves_no_halves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pinmobile.compiled.machine._MOST", 8)
+    monkeypatch.setattr("pinmobile.compiled.processor._MOST", 8)
     cache = Cache(tmp_path)
     for i in range(40):
         cache.write(f"key{i}", b"code")

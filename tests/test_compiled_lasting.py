@@ -30,9 +30,9 @@ from pinmobile import (
     rk4,
     simulate,
 )
-from pinmobile.compiled import Cache, known, lasting, machine
-from pinmobile.compiled.machine import LOOP
+from pinmobile.compiled import Cache, known, lasting, processor
 from pinmobile.compiled.passes import traced
+from pinmobile.compiled.processor import LOOP
 from pinmobile.controllers import feedback
 from tests.test_compiled_arms import Swing
 from tests.test_remembered import CHANGES
@@ -57,7 +57,7 @@ class Process:
     def begin(self) -> None:
         known._known.clear()
         known._memories.clear()
-        machine._known.clear()
+        processor._known.clear()
         self.traced = 0
 
     @property

@@ -26,7 +26,7 @@ from pinmobile.compiled import (
     robot_keys,
     traced,
 )
-from pinmobile.compiled.machine import CODE
+from pinmobile.compiled.processor import CODE
 from tests.looping import (
     PD,
     PID,

@@ -307,7 +307,7 @@ def ensemble(
 
     Example: pinmobile ensemble --spread mass=percent:20 --spread start_x=normal:0,0.02 --after 5
     """
-    from pinmobile.cli.many import show_ensemble
+    from pinmobile.cli.ensembles_and_sweeps import show_ensemble
 
     options, one = _of_run(context.args, "ensemble", "draws no single robot")
     return show_ensemble(options, spread or [], output_folder(out), one=one, **drawn)
@@ -343,6 +343,6 @@ def sweep(
     A type may name a part of yours, "module:Name", of a module beside the file; the other keys of its table
     are the arguments of the class. Code is run with --allow-code alone.
     """
-    from pinmobile.cli.many import show_sweep
+    from pinmobile.cli.ensembles_and_sweeps import show_sweep
 
     return show_sweep(file, out, scheduler, chunk, allow_code=allow_code, version=version_word)

@@ -10,7 +10,6 @@ from pinmobile.compiled.elementary import sincos as sincos
 from pinmobile.compiled.emit import BINS, FIRST, SHIFT, Shape
 from pinmobile.compiled.known import memory_of, once, program_of
 from pinmobile.compiled.loop_tape import Loop, arrays_of as arrays_of, initial_memory as initial_memory
-from pinmobile.compiled.machine import Cache, Target, processors as processors
 from pinmobile.compiled.memory import Line
 from pinmobile.compiled.noise import Noise, robot_keys
 from pinmobile.compiled.parts import (
@@ -27,6 +26,7 @@ from pinmobile.compiled.parts import (
     tracking_errors as tracking_errors,
 )
 from pinmobile.compiled.passes import traced
+from pinmobile.compiled.processor import Cache, Target, processors as processors
 from pinmobile.compiled.program import Outcome, Program
 from pinmobile.compiled.recorders import Record, Sample, Summary, Trace
 from pinmobile.compiled.symbolic import plain as plain, symbols as symbols

@@ -16,7 +16,7 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.compiled.emit import ENTRY, Code, Shape
 from pinmobile.compiled.loop_tape import Loop
-from pinmobile.compiled.machine import Cache, Target, function_of
+from pinmobile.compiled.processor import Cache, Target, function_of
 from pinmobile.compiled.program import aligned, shared_out
 from pinmobile.compiled.symbolic import entries, symbols
 from pinmobile.compiled.tape import LARGEST, Node, Tape, needed

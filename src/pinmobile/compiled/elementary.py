@@ -293,7 +293,7 @@ def _any_power(base: Any, exponent: Any) -> Any:
 
 
 def of_floats(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the function for NumPy's arrays, with the silence that the compiled code has."""
+    """Return the function for NumPy's arrays, without warnings, like the compiled code."""
 
     def run(*given: Any) -> Any:
         with np.errstate(all="ignore"):

@@ -34,7 +34,7 @@ class Stated(NamedTuple):
     path : str
         Where the part stands, such as ``"controller.robot"``; ``""`` of the start.
     parameter : Parameter
-        As the spread knows it.
+        The parameter, under the name that `spread` uses.
     """
 
     path: str
@@ -110,7 +110,7 @@ def stated_by(parts: Parts, coordinates: Sequence[Coordinate]) -> dict[str, list
 
 
 def resolved(name: Any, known: Mapping[str, list[Stated]], where: str = "spread") -> Stated:
-    """Return the parameter that a spread names; `where` is told in messages.
+    """Return the parameter that a spread names; `where` appears in error messages.
 
     Raises
     ------

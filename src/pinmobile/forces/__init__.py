@@ -1,6 +1,6 @@
 """Forces that no controller asked for: disturbances, friction, rolling resistance."""
 
-from pinmobile.forces.driven import (
+from pinmobile.forces.force import (
     ConstantForce,
     CoordinateForce,
     Force,

@@ -10,7 +10,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, sequence, text
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.forces.driven import not_below_zero, numbers, spread, triple
+from pinmobile.forces.force import not_below_zero, numbers, spread, triple
 from pinmobile.plant import Parameter, coordinates_of
 
 

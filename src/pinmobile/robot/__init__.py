@@ -1,7 +1,7 @@
 """`MobileRobot`: a Pinocchio model whose root is the DH chain, and what it carries."""
 
 from pinmobile.robot.arms import Arm
-from pinmobile.robot.engine import BODY_JOINT, Calls, named_frames as named_frames, prefixed as prefixed
+from pinmobile.robot.dh_chain import BODY_JOINT, Calls, named_frames as named_frames, prefixed as prefixed
 from pinmobile.robot.mobile import MobileRobot
 from pinmobile.robot.mounts import Load, Mount
 from pinmobile.robot.planar import BODY_PARAMETERS as BODY_PARAMETERS, PlanarBody as PlanarBody

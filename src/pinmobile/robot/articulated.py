@@ -18,8 +18,8 @@ from pinmobile.compiled import Node, plain, symbols
 from pinmobile.errors import InvalidArgument
 from pinmobile.measures import Measure
 from pinmobile.plant import Coordinate, Input, Parameter
-from pinmobile.robot.engine import named_frames
-from pinmobile.robot.judgement import Judgement
+from pinmobile.robot.arm_measures import Judgement
+from pinmobile.robot.dh_chain import named_frames
 from pinmobile.robot.linkage import (
     ZERO,
     Body,

@@ -17,7 +17,7 @@ from pinmobile.arrays import Array, affordable, broadcast, finite_answer
 from pinmobile.compiled import Batched, copied, processors
 from pinmobile.errors import NotTraceable
 from pinmobile.robot.articulated import ArticulatedBody
-from pinmobile.robot.engine import Law
+from pinmobile.robot.dh_chain import Law
 
 MANY = 500
 """Number of states from which on they are compiled."""

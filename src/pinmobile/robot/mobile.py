@@ -31,11 +31,11 @@ from pinmobile.dh import LECTURE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
 from pinmobile.measures import Measure
 from pinmobile.plant import Parameter
+from pinmobile.robot.arm_measures import Judgement
 from pinmobile.robot.arms import Arm
 from pinmobile.robot.articulated import ArticulatedBody, articulated
 from pinmobile.robot.checks import check_whole
-from pinmobile.robot.engine import BODY_JOINT, Engine, assemble, build_model, check_chain
-from pinmobile.robot.judgement import Judgement
+from pinmobile.robot.dh_chain import BODY_JOINT, Engine, assemble, build_model, check_chain
 from pinmobile.robot.mounts import (
     LinkNumbers,
     Load,

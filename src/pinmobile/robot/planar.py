@@ -95,7 +95,7 @@ class PlanarBody:
         return q + dq
 
     def difference(self, q0: Any, q1: Any) -> Any:
-        """Return q1 - q0, shape (..., 3), with that of the heading on the circle."""
+        """Return q1 - q0, shape (..., 3), with the difference of the heading wrapped."""
         d = q1 - q0
         return np.stack([d[..., 0], d[..., 1], wrap_angle(d[..., 2])], axis=-1)
 

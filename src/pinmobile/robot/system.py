@@ -31,7 +31,7 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Coordinate, Input
 from pinmobile.robot.articulated import ArticulatedBody
 from pinmobile.robot.batches import MANY, answers
-from pinmobile.robot.engine import BODY_JOINT, Calls, Engine, Law, limits, named_frames, resistances
+from pinmobile.robot.dh_chain import BODY_JOINT, Calls, Engine, Law, limits, named_frames, resistances
 from pinmobile.robot.mounts import Load, Mount
 from pinmobile.robot.tree import configuration_names, coordinates, inputs, joint_kind, leading, parts_of
 

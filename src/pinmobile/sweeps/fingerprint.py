@@ -42,7 +42,7 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.sweeps.grids import Grid
 from pinmobile.sweeps.layout import FORMAT
 
-# All that a scenario is made of; of these two, what came of them is told.
+# All that a scenario is made of; of these two the sampled reference and times are described instead.
 _PLAIN = tuple(
     each.name for each in fields(Scenario) if each.init and each.name not in ("trajectory", "duration")
 )

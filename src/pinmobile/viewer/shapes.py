@@ -65,7 +65,7 @@ def ribbon(points: ArrayLike, width: float, height: float = 0.0) -> _Triangles:
     points = np.asarray(points, np.float64)
     along = np.gradient(points, axis=0) if len(points) > 1 else np.zeros_like(points)
     length = np.hypot(*along.T)
-    # Where the curve rests, it points where it pointed before.
+    # Where points coincide, it keeps the last direction.
     moving = np.flatnonzero(length > 1e-9 * length.max(initial=1e-300))
     latest = np.maximum.accumulate(
         np.where(np.isin(np.arange(len(points)), moving), np.arange(len(points)), 0)

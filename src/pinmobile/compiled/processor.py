@@ -1,4 +1,4 @@
-"""Files of tapes and machine code, so that a loop that was built once is read in some milliseconds."""
+"""Machine code from LLVM's text, for this processor or another of its family, and the files that keep it."""
 
 from __future__ import annotations
 
