@@ -43,8 +43,7 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.arrays import callable_as, frozen
-from pinmobile.compiled import Shape
-from pinmobile.compiled import known as compiled
+from pinmobile.compiled import Shape, known as compiled
 from pinmobile.compiled.known import _memories
 from pinmobile.compiled.lasting import Unknown as Undecided
 from pinmobile.compiled.parts import Parts, Place
