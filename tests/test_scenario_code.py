@@ -509,6 +509,20 @@ def test_a_store_tells_other_code_from_its_own(capsys: pytest.CaptureFixture[str
     assert swept(capsys, file, "--allow-code")[0] == 0
 
 
+def test_code_that_a_store_cannot_recognise_needs_a_word(
+    capsys: pytest.CaptureFixture[str], file: Path
+) -> None:
+    (file.parent / "mending.py").write_text(MENDING.replace("0.0, u", "eval('0.0'), u"))
+    code, _, err = swept(capsys, file, "--allow-code")
+    assert code == 2
+    assert "it calls eval" in err
+    assert "--version-word 1" in err
+    for word, expected in (("1", 0), ("1", 0), ("2", 2)):
+        code, _, err = swept(capsys, file, "--allow-code", "--version-word", word)
+        assert code == expected
+    assert "version is 1 there and 2 here" in " ".join(err.split())
+
+
 def test_a_scenario_takes_the_text_of_its_modules_along(file: Path) -> None:
     scenario = read(file).scenarios[0]
     sent: Any = packed(scenario)

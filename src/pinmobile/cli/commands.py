@@ -331,6 +331,10 @@ def sweep(
             "--allow-code",
         ),
     ] = False,
+    version_word: Annotated[
+        str | None,
+        _help("A word that you change whenever parts of yours do that a store cannot recognise by itself."),
+    ] = None,
 ) -> int:
     """Run the ensembles of a scenario file along the axes of its grid, and keep them in a Zarr store.
 
@@ -341,4 +345,4 @@ def sweep(
     """
     from pinmobile.cli.many import show_sweep
 
-    return show_sweep(file, out, scheduler, chunk, allow_code=allow_code)
+    return show_sweep(file, out, scheduler, chunk, allow_code=allow_code, version=version_word)

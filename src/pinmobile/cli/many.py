@@ -110,16 +110,22 @@ def show_ensemble(
 
 
 def show_sweep(
-    file: Path, out: Path | None, scheduler: str | None, chunk: int | None, *, allow_code: bool = False
+    file: Path,
+    out: Path | None,
+    scheduler: str | None,
+    chunk: int | None,
+    *,
+    allow_code: bool = False,
+    version: str | None = None,
 ) -> int:
     """Run the sweep of a file, print who stays within what, and draw it."""
     if not allow_code:
-        return _show_sweep(file, read_grid(file), out, scheduler, chunk)
+        return _show_sweep(file, read_grid(file), out, scheduler, chunk, version)
     code = Code(file.absolute().parent)
     with code.errors():
         grid = read_grid(file, code)
         _tell_loaded(code)
-        return _show_sweep(file, grid, out, scheduler, chunk)
+        return _show_sweep(file, grid, out, scheduler, chunk, version)
 
 
 def _tell_loaded(code: Code) -> None:
@@ -132,7 +138,9 @@ def _tell_loaded(code: Code) -> None:
         console.print(f"ran {where}, the installed {name}", markup=False)
 
 
-def _show_sweep(file: Path, grid: Grid, out: Path | None, scheduler: str | None, chunk: int | None) -> int:
+def _show_sweep(
+    file: Path, grid: Grid, out: Path | None, scheduler: str | None, chunk: int | None, version: str | None
+) -> int:
     folder = output_folder(Path("out") / file.stem if out is None else out)
     store = folder / "sweep.zarr"
     size = _size(chunk, store)
@@ -144,7 +152,7 @@ def _show_sweep(file: Path, grid: Grid, out: Path | None, scheduler: str | None,
             def advance(done: int, total: int) -> None:
                 bar.update(bar.task_ids[0], description="sweeping", completed=done, total=total)
 
-            found = sweep(grid, store, client=client, chunk=size, progress=advance)
+            found = sweep(grid, store, client=client, chunk=size, progress=advance, version=version)
     except KeyboardInterrupt:
         raise Interrupted("interrupted: the same command goes on where it was") from None
     finally:

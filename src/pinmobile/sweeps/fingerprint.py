@@ -281,7 +281,7 @@ class _Forms:
             f"{where} is {what}, of which a store cannot tell whether it is the same the next time"
             f"{reason and ': '}{reason}; expected numbers, arrays, functions with a source, dataclasses or "
             'objects with such attributes, or sweep(..., version="1"), a word that you change whenever it '
-            "changes"
+            "changes (pinmobile sweep --version-word 1)"
         )
 
 
@@ -368,10 +368,14 @@ def _node_of(code: CodeType) -> _Function | str:
     nodes, codes = _parsed(code.co_filename, text)
     if code not in codes:  # typed or made, or of a file that has changed since
         return "it has no source" if not text else "its source is not what runs here"
-    spans = [((at[0], at[2]), (at[1], at[3])) for at in code.co_positions() if None not in at]
-    found = [node for node in nodes if _is_at(node, code, [span for span in spans if span[0] < span[1]])]
-    # Of lambdas in each other the innermost.
-    return max(found, key=lambda node: (node.lineno, node.col_offset), default="its place is not told")
+    places = [((at[0], at[2]), (at[1], at[3])) for at in code.co_positions() if None not in at]
+    spans = [place for place in places if place[0] < place[1]]  # Python 3.12 has none of a constant
+    found = [node for node in nodes if _is_at(node, code, spans)]
+    if not found or (len(found) > 1 and not spans):
+        return "its place is not told"
+    return max(
+        found, key=lambda node: (node.lineno, node.col_offset)
+    )  # of lambdas in each other the innermost
 
 
 def _is_at(node: _Function, code: CodeType, spans: Sequence[tuple[Any, Any]]) -> bool:
@@ -379,9 +383,11 @@ def _is_at(node: _Function, code: CodeType, spans: Sequence[tuple[Any, Any]]) ->
     if not isinstance(node, ast.Lambda):
         first = min(each.lineno for each in (node, *node.decorator_list))
         return (first, node.name) == (code.co_firstlineno, code.co_name)
+    if not spans:
+        return node.lineno == code.co_firstlineno
     body = node.body
     begin, end = (body.lineno, body.col_offset), (body.end_lineno, body.end_col_offset)
-    return bool(spans) and all(begin <= span[0] and span[1] <= end for span in spans)
+    return all(begin <= span[0] and span[1] <= end for span in spans)
 
 
 @lru_cache(64)
