@@ -209,7 +209,6 @@ def test_help_names_types_as_they_are_called(name: str) -> None:
 
 # Files of few lines that one other imports, each with what keeps it apart.
 APART = {
-    "simulation/single.py": "it loads what compiles, and is loaded when that is asked for",
     "robot/batches.py": "the way of many states, beside that of one",
 }
 
