@@ -104,7 +104,7 @@ def show_ensemble(
     answer = since(after) + _answer(made, spread)
     console.print(f"\n{answer}", markup=False)
     pictures = ensemble_figures(made, folder)
-    page = index_page(folder, answer, [Section("What came of it", text, pictures)])
+    page = index_page(folder, answer, [Section("Results", text, pictures)])
     console.print(f"open {page}", markup=False)
     return 0
 
@@ -162,7 +162,7 @@ def _show_sweep(
     answer = found.answer()
     console.print(f"\n{answer}", markup=False)
     page = index_page(
-        folder, answer, [Section("What came of it", found.table(most=1000), sweep_figures(found, folder))]
+        folder, answer, [Section("Results", found.table(most=1000), sweep_figures(found, folder))]
     )
     console.print(
         f"wrote {store}: xarray.open_zarr reads it, and pinmobile.Sweep.open\nopen {page}", markup=False

@@ -264,7 +264,7 @@ def _figures(runs: dict[str, Rollout], folder: Path, names: str, text: str, bar:
         begin(bar, f"drawing {name}")
         save_figure(getattr(plots, name)(runs), folder / f"{name}.png")
         pictures.append(Picture(f"{name}.png", caption))
-    return index_page(folder, f"{names} on the base", [Section("What came of it", text, pictures)])
+    return index_page(folder, f"{names} on the base", [Section("Results", text, pictures)])
 
 
 def _next(html: Path | None, page: Path | None) -> list[str]:

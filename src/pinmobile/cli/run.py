@@ -98,7 +98,7 @@ def show_run(options: Options, folder: Path, *, gif: bool, html: bool) -> int:
         console.print("up to there:", markup=False)
     console.print(str(rollout), markup=False)
     text = str(rollout) if diverged is None else f"{diverged}\n\nup to there:\n{rollout}"
-    page = index_page(folder, f"{label} on {plant}", [Section("What came of it", text, pictures, pages)])
+    page = index_page(folder, f"{label} on {plant}", [Section("Results", text, pictures, pages)])
     console.print(
         f"wrote {folder / 'rollout.npz'} (Rollout.load reads it), rollout.csv and figures\nopen {page}",
         markup=False,
