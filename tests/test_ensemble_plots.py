@@ -427,7 +427,7 @@ class TestDrivers:
             np.asarray(line.get_ydata()) for line in scatter.lines if len(np.asarray(line.get_xdata())) == 15
         )
         np.testing.assert_array_equal(np.sort(worst), np.sort(made.max_error[:, 2])[-15:])
-        with pytest.raises(UnknownName, match="unknown error 'z', available: distance, heading, psi, x, y"):
+        with pytest.raises(UnknownName, match="unknown error 'z', available: distance, heading, x, y, psi"):
             plots.drivers(made, by="z")
 
     def test_diverged_robots_are_the_worst(self, diverging: Ensemble) -> None:
