@@ -121,6 +121,15 @@ def test_one_state_and_leading_axes_give_the_same() -> None:
     )
 
 
+def test_the_frame_that_is_not_named_is_the_end_effector() -> None:
+    robot = MobileRobot.box().mount("ur5")
+    body, q = body_of(robot), robot.rest
+    for method in ("frame_pose", "frame_jacobian", "manipulability"):
+        own = getattr(body, method)
+        np.testing.assert_array_equal(own(q), own(q, robot.end_effector))
+        np.testing.assert_allclose(own(q), getattr(robot, method)(q), rtol=1e-12, atol=1e-12)
+
+
 def test_the_way_that_takes_less_is_taken() -> None:
     ways = {}
     for name in ("ur5", "talos"):

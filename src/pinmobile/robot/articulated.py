@@ -111,6 +111,8 @@ class ArticulatedBody:
         Where the arms stand.
     judgement : Judgement
         What is worth judging about it.
+    end_effector : str
+        The frame that is meant where none is named.
     varied : frozenset of (str, int), optional
         Attributes and entries that differ from robot to robot; of others, what is zero is left out, and where
         an arm stands is a constant. By default, all may differ.
@@ -139,6 +141,7 @@ class ArticulatedBody:
     places: Any
     upright: Any
     judgement: Judgement
+    end_effector: str
     varied: frozenset[tuple[str, Any]] | None = None
     matter: tuple[tuple[bool, ...], ...] = ()
 
@@ -435,20 +438,20 @@ class ArticulatedBody:
         """Return its measures, shape (..., m)."""
         return self.judgement.measured(self, q, v, a, u, reference.q)
 
-    def frame_pose(self, q: Any, frame: str) -> Any:
+    def frame_pose(self, q: Any, frame: str | None = None) -> Any:
         """Return T_0_f, the pose of a frame, shape (..., 4, 4)."""
         fixed = self._frame(frame)
         R, p = self._posture(q).placed(fixed.joint, self._placed(*fixed[2:]))
         last = np.array([0.0, 0.0, 0.0, 1.0])
         return _rows([*(_stacked([*row, x], q) for row, x in zip(R, p, strict=True)), last])
 
-    def frame_jacobian(self, q: Any, frame: str) -> Any:
+    def frame_jacobian(self, q: Any, frame: str | None = None) -> Any:
         """Return J, shape (..., 6, nv): of the frame's origin, and angular, along the inertial axes."""
         fixed = self._frame(frame)
         J = self._posture(q).jacobian(fixed.joint, self._placed(*fixed[2:]).p)
         return _rows([_stacked(row, q) for row in J])
 
-    def manipulability(self, q: Any, frame: str, arm: str = "") -> Any:
+    def manipulability(self, q: Any, frame: str | None = None, arm: str = "") -> Any:
         """Return sqrt(det J J'), shape (...), of all coordinates, or of those of an arm alone."""
         fixed, names = self._frame(frame), self.linkage.names
         J = self._posture(q).jacobian(fixed.joint, self._placed(*fixed[2:]).p)
@@ -456,13 +459,14 @@ class ArticulatedBody:
         own = [k for k, name in zip(self.linkage.v, names, strict=True) if name.startswith(ahead)]
         return _alone(volume([[row[k] for k in own] for row in J]), q)
 
-    def frame_drift(self, q: Any, v: Any, frame: str) -> Any:
+    def frame_drift(self, q: Any, v: Any, frame: str | None = None) -> Any:
         """Return dJ/dt v, shape (..., 6), J as in `frame_jacobian`."""
         fixed = self._frame(frame)
         line, spin = self._moving(q, v).drift(fixed.joint, self._placed(*fixed[2:]).p)
         return _stacked([*line, *spin], q)
 
-    def _frame(self, name: str) -> Fixed:
+    def _frame(self, name: str | None) -> Fixed:
+        name = self.end_effector if name is None else name
         known = {fixed.name: fixed for fixed in self.frames}
         return known[one_of("frame", name, known)]
 
@@ -604,6 +608,7 @@ def articulated(robot: Any, linkage: Linkage) -> ArticulatedBody:
         places=frozen(np.ravel([mount.at for mount in robot.mounts])),
         upright=frozen([robot.body.com[2], *(robot.body.inertia[2, :2] / robot.body.yaw_inertia)]),
         judgement=Judgement.of(robot),
+        end_effector=robot.end_effector,
     )
 
 
