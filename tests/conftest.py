@@ -29,6 +29,7 @@ settings.load_profile("ci" if os.environ.get("CI") else "default")
 
 
 SHARE = 4  # one of so many alike cases is taken where another Python takes all
+MANY = 8  # cases of one test, from which on they are alike
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -42,10 +43,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if not config.getoption("--repeated"):
         return
     seen: Counter[str] = Counter()
+    cases = Counter(item.nodeid.partition("[")[0] for item in items)
 
     def taken(item: pytest.Item) -> bool:
-        if item.get_closest_marker("alike"):
-            test = item.nodeid.partition("[")[0]
+        test = item.nodeid.partition("[")[0]
+        if item.get_closest_marker("alike") or cases[test] >= MANY:
             seen[test] += 1
             return seen[test] % SHARE == sys.version_info.minor % SHARE  # each Python takes others
         return "page" not in getattr(item, "fixturenames", ())

@@ -12,6 +12,7 @@ import venv
 import zipfile
 from collections import Counter
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -122,12 +123,17 @@ def test_every_module_is_found_in_the_package_and_none_hides_a_name() -> None:
     assert not set(pinmobile.__all__) & on_disk
 
 
-def imports(path: Path) -> Iterator[str]:
-    """Yield the modules that a file imports, in its functions and for its types too."""
+@cache
+def imports(path: Path) -> tuple[str, ...]:
+    """Return the modules that a file imports, in its functions and for its types too."""
+    return tuple(_imports(path))
+
+
+def _imports(path: Path) -> Iterator[str]:
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.ImportFrom) and node.module:
             named = {f"{node.module}.{alias.name}" for alias in node.names}
-            modules = named if node.module == "pinmobile" else named & {module_of(each) for each in FILES}
+            modules = named if node.module == "pinmobile" else named & set(map(module_of, FILES))
             yield from modules or [node.module]
         elif isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -179,6 +185,7 @@ def test_no_modules_import_each_other() -> None:
         visit(name, ())
 
 
+@cache
 def module_of(path: Path) -> str:
     parts = ("pinmobile", *path.relative_to(PACKAGE).with_suffix("").parts)
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
