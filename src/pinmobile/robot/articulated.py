@@ -551,12 +551,14 @@ class ArticulatedBody:
         values : mapping of str to ndarray, shape (m, ...)
             Attributes that differ.
         """
-        for prefix, frames in (("", self.links), ("load_", self.loads)):
+        for prefix, frames, kind in (("", self.links, ""), ("load_", self.loads, "load at ")):
             drawn, masses = values.get(f"{prefix}inertias"), values.get(f"{prefix}masses")
             if drawn is not None and frames:
                 own = getattr(self, f"{prefix}masses") if masses is None else masses
                 wrong = _is_none(drawn.reshape(len(drawn), len(frames), len(_INERTIA)), own)
-                yield from ((fixed.name, wrong[:, k]) for k, fixed in enumerate(frames) if wrong[:, k].any())
+                for k, fixed in enumerate(frames):
+                    if wrong[:, k].any():
+                        yield f"{kind}{fixed.name}", wrong[:, k]
 
 
 def articulated(robot: Any, linkage: Linkage) -> ArticulatedBody:
