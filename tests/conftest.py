@@ -29,7 +29,7 @@ settings.load_profile("ci" if os.environ.get("CI") else "default")
 
 
 SHARE = 4  # one of so many alike cases is taken where another Python takes all
-MANY = 8  # cases of one test, from which on they are alike
+MANY = 4  # cases of one test, from which on they are alike
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
