@@ -4,6 +4,7 @@ import copy
 import pickle
 from collections import OrderedDict
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from pinmobile.compiled import batched
 from pinmobile.robot import batches
 from pinmobile.robot.batches import MANY
 from pinmobile.robot.mounts import LinkNumbers
+from pinmobile.robot.system import System
 from pinmobile.urdf import Body
 from tests.test_linkage import AT, arm_of
 from tests.test_mounted import spherical
@@ -249,3 +251,10 @@ def test_kinetic_energy_knows_motors_on_axes_of_their_own() -> None:
     robot = MobileRobot.box().mount(model)
     v = np.array([0, 0, 0, 2.0])
     assert robot.kinetic_energy(robot.neutral, v) == pytest.approx(2.6, rel=1e-12)
+
+
+def test_what_is_told_of_the_limits_is_what_holds() -> None:
+    told, readme = System.__doc__ or "", (Path(__file__).parents[1] / "README.md").read_text()
+    assert f"From {batches.MANY} states" in told
+    assert f"more than {batches._LARGEST:,} operations" in told
+    assert f"compiled for {batches.MANY} states and more" in readme

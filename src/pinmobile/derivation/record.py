@@ -1,4 +1,4 @@
-"""Two ways to keep the expressions of a derivation small: simplify them, or give them names."""
+"""The record of a derivation, and two ways to keep its expressions small: simplify them, or give them names."""
 
 from __future__ import annotations
 
