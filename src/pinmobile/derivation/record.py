@@ -1,4 +1,4 @@
-"""The record of a derivation, and two ways to keep its expressions small: simplify them, or give them names."""
+"""The record of a derivation, and two ways to keep its expressions small: simplified, or named."""
 
 from __future__ import annotations
 
