@@ -1,10 +1,22 @@
 """`MobileRobot`: a Pinocchio model whose root is the DH chain, and what it carries."""
 
 from pinmobile.robot.arms import Arm
-from pinmobile.robot.dh_chain import BODY_JOINT, Calls, named_frames as named_frames, prefixed as prefixed
+from pinmobile.robot.articulated import _scalars as scalars, _stacked as stacked
+from pinmobile.robot.dh_chain import BODY_JOINT, Calls, Engine as Engine, named_frames as named_frames, prefixed as prefixed
+from pinmobile.robot.linkage import (
+    ZERO as ZERO,
+    Matrix as Matrix,
+    Vector as Vector,
+    cross as cross,
+    dot as dot,
+    exact as exact,
+    number as number,
+    sine_and_cosine as sine_and_cosine,
+)
 from pinmobile.robot.mobile import MobileRobot
 from pinmobile.robot.mounts import Load, Mount
 from pinmobile.robot.planar import BODY_PARAMETERS as BODY_PARAMETERS, PlanarBody as PlanarBody
+from pinmobile.robot.recursions import solved as solved_by
 from pinmobile.robot.sources import EXCEPTIONS, Mountable, Mountables, kept_arm as kept_arm, mountable
 from pinmobile.robot.stance import (
     WEIGHTLESS as WEIGHTLESS,

@@ -1,0 +1,23 @@
+"""Wheels under a robot: the wheel table, rolling and slip, motors."""
+
+from pinmobile.wheels.ground import Rolling
+from pinmobile.wheels.kinematics import Kinematics as Kinematics
+from pinmobile.wheels.mobility import Mobility
+from pinmobile.wheels.motors import Motor
+from pinmobile.wheels.table import Ackermann, Differential, Friction, GearTrain, Support, Wheel, WheelTable
+from pinmobile.wheels.wheeled import Forces, WheeledRobot
+
+__all__ = [
+    "Ackermann",
+    "Differential",
+    "Forces",
+    "Friction",
+    "GearTrain",
+    "Mobility",
+    "Motor",
+    "Rolling",
+    "Support",
+    "Wheel",
+    "WheelTable",
+    "WheeledRobot",
+]

@@ -1,0 +1,271 @@
+"""How wheels on the ground constrain the velocities of a robot: rows over scalars, arrays or symbols.
+
+Everything here is along the axes of the body's frame, in which nothing depends on the pose. A scalar is a
+number, an array with leading axes, or a symbol.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pinmobile.robot import ZERO, Matrix, Vector, cross, dot, exact, sine_and_cosine
+from pinmobile.wheels.table import GearTrain, WheelTable
+
+
+class Row(NamedTuple):
+    """A direction in which a wheel touches the ground, or a gear train; its product with the rates is a velocity.
+
+    Attributes
+    ----------
+    wheel : int
+        Row of the table; -1: a gear train.
+    kind : str
+        ``"rolling"`` along the wheel, ``"lateral"`` across it, ``"roller"`` along the axes of its rollers,
+        ``"across"`` these, or ``"train"``.
+    base : list of 3 scalars
+        Coefficients of the body twist (forward, left, yaw rate).
+    joints : list of scalars
+        Coefficients of the rates of the steering coordinates and then the wheels [m].
+    drift : scalar
+        What it changes at, where no coordinate accelerates [m/s^2].
+    """
+
+    wheel: int
+    kind: str
+    base: Vector
+    joints: Vector
+    drift: Any
+
+    @property
+    def entries(self) -> Vector:
+        """All coefficients."""
+        return [*self.base, *self.joints]
+
+
+class Heading(NamedTuple):
+    """Where a wheel rolls to at a steering angle: e, and how it turns with the steering coordinate.
+
+    Attributes
+    ----------
+    c, s : scalar
+        Of the angle of e.
+    first, second : scalar
+        First and second derivative of that angle by the steering coordinate.
+    """
+
+    c: Any
+    s: Any
+    first: Any
+    second: Any
+
+
+@dataclass(frozen=True, eq=False)
+class Kinematics:
+    """The rows of a wheel table, with numbers that may differ from robot to robot.
+
+    Parameters
+    ----------
+    table : WheelTable
+        Its structure; its numbers are those of the attributes below.
+    x, y, radius : sequence of scalars
+        Of each wheel [m].
+    """
+
+    table: WheelTable
+    x: Vector
+    y: Vector
+    radius: Vector
+
+    @classmethod
+    def of(cls, table: WheelTable) -> Kinematics:
+        """Return that of a table's own numbers."""
+        x, y, radius = ([exact(getattr(wheel, name)) for wheel in table.wheels] for name in ("x", "y", "radius"))
+        return cls(table, x, y, radius)
+
+    @property
+    def n(self) -> int:
+        """Number of steering coordinates and wheels."""
+        return len(self.table.axes) + len(self.table)
+
+    @cached_property
+    def _axis_of(self) -> list[int]:
+        """The steering coordinate that turns each wheel; -1: none."""
+        found = [-1] * len(self.table)
+        for k, axis in enumerate(self.table.axes):
+            for row in axis.wheels:
+                found[row] = k
+        return found
+
+    def heading(self, row: int, steering: Sequence[Any]) -> Heading:
+        """Return where a wheel rolls to."""
+        wheel, k = self.table.wheels[row], self._axis_of[row]
+        if k < 0:
+            s, c = sine_and_cosine(exact(wheel.angle))
+            return Heading(c, s, ZERO, ZERO)
+        axis = self.table.axes[k]
+        s, c = sine_and_cosine(steering[k])
+        if axis.ackermann is None:
+            s0, c0 = sine_and_cosine(exact(wheel.angle))
+            return Heading(c0 * c - s0 * s, s0 * c + c0 * s, exact(1.0), ZERO)
+        return _ackermann(self.x[row] - axis.ackermann, self.y[row], s, c)
+
+    def rows(
+        self, steering: Sequence[Any], twist: Sequence[Any], rates: Sequence[Any], *, across: bool = False
+    ) -> list[Row]:
+        """Return the rows of all wheels and gear trains.
+
+        Parameters
+        ----------
+        steering : sequence of scalars
+            Steering coordinates [rad].
+        twist : sequence of 3 scalars
+            Body twist (forward, left, yaw rate) [m/s, rad/s].
+        rates : sequence of scalars
+            Rates of the steering coordinates and then the wheels [rad/s].
+        across : bool
+            Whether wheels with rollers have a row across these, in which they slide.
+        """
+        found: list[Row] = []
+        for row in range(len(self.table)):
+            found += self._rows_of(row, steering, twist, rates, across)
+        return found + self._trains()
+
+    def _rows_of(
+        self, row: int, steering: Sequence[Any], twist: Sequence[Any], rates: Sequence[Any], across: bool
+    ) -> list[Row]:
+        wheel, k, head = self.table.wheels[row], self._axis_of[row], self.heading(row, steering)
+        along, aside = (exact(x) for x in wheel.trail)
+        o = [along * head.c - aside * head.s, along * head.s + aside * head.c]
+        p = [self.x[row] + o[0], self.y[row] + o[1]]
+        turn = head.first * rates[k] if k >= 0 else ZERO  # of the wheel about its pivot
+        vx, vy, w = twist
+        # The centre's velocity, and its acceleration where no coordinate accelerates.
+        velocity = [vx - w * p[1] - turn * o[1], vy + w * p[0] + turn * o[0]]
+        both, bent = w + turn, head.second * rates[k] * rates[k] if k >= 0 else ZERO
+        rest = [
+            w * vy - both * turn * o[0] - bent * o[1],
+            -(w * vx) - both * turn * o[1] + bent * o[0],
+        ]
+        angle, found = exact(0.0 if wheel.roller is None else wheel.roller), []
+        s, c = sine_and_cosine(angle)
+        first = "rolling" if wheel.roller is None else "roller"
+        second = "lateral" if wheel.roller is None else "across"
+        directions = [(first, c, s)]
+        if wheel.roller is None or across:
+            directions.append((second, -s, c))
+        for kind, a, b in directions:
+            d = [head.c * a - head.s * b, head.s * a + head.c * b]
+            across_d = [-d[1], d[0]]
+            joints: Vector = [ZERO] * self.n
+            if k >= 0:
+                joints[k] = (d[1] * o[0] - d[0] * o[1]) * head.first
+            joints[len(self.table.axes) + row] = -(self.radius[row] * a)
+            drift = dot(d, rest) + turn * dot(across_d, velocity)
+            found.append(Row(row, kind, [*d, d[1] * p[0] - d[0] * p[1]], joints, drift))
+        return found
+
+    def _trains(self) -> list[Row]:
+        found, ns = [], len(self.table.axes)
+        for train in self.table.couplings:
+            if not isinstance(train, GearTrain):
+                continue
+            first, *others = (self.table.names.index(name) for name in train.wheels)
+            for row, ratio in zip(others, train.ratios[1:], strict=True):
+                joints: Vector = [ZERO] * self.n
+                joints[ns + first] = self.radius[first] * exact(ratio / train.ratios[0])
+                joints[ns + row] = -self.radius[first]
+                found.append(Row(-1, "train", [ZERO] * 3, joints, ZERO))
+        return found
+
+
+    def centre(self, row: int, steering: Sequence[Any]) -> tuple[Vector, Vector]:
+        """Return the centre of a wheel from its pivot, and from the body's origin [m]."""
+        head, (along, aside) = self.heading(row, steering), (exact(x) for x in self.table.wheels[row].trail)
+        o = [along * head.c - aside * head.s, along * head.s + aside * head.c]
+        return o, [self.x[row] + o[0], self.y[row] + o[1]]
+
+
+class Choice(NamedTuple):
+    """Which rows hold the body, and which tell the rate of a joint; the others follow from these.
+
+    Attributes
+    ----------
+    body : tuple of int
+        Up to two rows, of which the first is of a fixed wheel if one is.
+    is_fixed : bool
+        Whether the first is of a fixed wheel.
+    joints : tuple of (int, int)
+        Joint and row, steering coordinates before the wheels.
+    free : tuple of int
+        Steering coordinates that no row determines.
+    """
+
+    body: tuple[int, ...]
+    is_fixed: bool
+    joints: tuple[tuple[int, int], ...]
+    free: tuple[int, ...]
+
+
+class Solution(NamedTuple):
+    """All velocities that roll, S nu, and accelerations, S nu' + gamma.
+
+    Attributes
+    ----------
+    S : list of lists of scalars, shape (3 + n, m + free)
+        Of the body twist, the steering coordinates and the wheels, by the independent velocities.
+    gamma : list of scalars, shape (3 + n,)
+        Accelerations, those of the origin along the body's axes.
+    """
+
+    S: Matrix
+    gamma: Vector
+
+
+def solved(rows: Sequence[Row], choice: Choice) -> Solution:
+    """Return what rolls: by one row the body turns about its axle, by two about where these meet."""
+    n = len(rows[0].joints)
+    columns, body = _body_velocities([rows[i] for i in choice.body], choice.is_fixed)
+    S: Matrix = [[*row, *[ZERO] * len(choice.free)] for row in zip(*columns, strict=True)]
+    S += [[ZERO] * len(S[0]) for _ in range(n)]
+    gamma = [*body, *[ZERO] * n]
+    for k, axis in enumerate(choice.free):
+        S[3 + axis][len(columns) + k] = exact(1.0)
+    for joint, i in choice.joints:
+        own = rows[i].joints[joint]
+        others = [*rows[i].base, *(ZERO if j == joint else x for j, x in enumerate(rows[i].joints))]
+        S[3 + joint] = [-(dot(others, column) / own) for column in zip(*S, strict=True)]
+        gamma[3 + joint] = -((rows[i].drift + dot(others, gamma)) / own)
+    return Solution(S, gamma)
+
+
+def _body_velocities(held: Sequence[Row], is_fixed: bool) -> tuple[Matrix, Vector]:
+    """Return the body twists that no row forbids, as columns, and an acceleration that fits the drifts."""
+    one = exact(1.0)
+    if not held:
+        return [[one, ZERO, ZERO], [ZERO, one, ZERO], [ZERO, ZERO, one]], [ZERO] * 3
+    a = held[0].base
+    if len(held) == 1:
+        columns = [[a[1], -a[0], ZERO], [-(a[0] * a[2]), -(a[1] * a[2]), one]]
+        return columns, [-(a[0] * held[0].drift), -(a[1] * held[0].drift), ZERO]
+    b = held[1].base
+    about, aa, ab, bb = cross(a, b), dot(a, a), dot(a, b), dot(b, b)
+    square = dot(about, about)
+    first = (bb * held[0].drift - ab * held[1].drift) / square
+    second = (aa * held[1].drift - ab * held[0].drift) / square
+    gamma = [-(first * x + second * y) for x, y in zip(a, b, strict=True)]
+    speed = a[1] * about[0] - a[0] * about[1] if is_fixed else one
+    return [[x / speed for x in about]], gamma
+
+
+def _ackermann(length: Any, y: Any, s: Any, c: Any) -> Heading:
+    """Return the heading of a wheel whose axle meets the others where the middle one is turned by an angle."""
+    offset = y / length
+    a, b = s, c - offset * s
+    square = a * a + b * b
+    long, change = np.sqrt(square), 2.0 * (s * c - b * (s + offset * c))
+    return Heading(b / long, a / long, 1.0 / square, -(change / (square * square)))

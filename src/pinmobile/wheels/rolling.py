@@ -1,0 +1,296 @@
+"""`RollingBody`: a robot whose wheels roll ideally, for one state, many, or symbols.
+
+It is what a `WheeledRobot` on ideal ground is to compiled loops and to loops on arrays. It knows wheels as
+terms of the energy in the plane and rolling as independent velocities; Pinocchio's tree and its constraint
+forces, by which `WheeledRobot` itself computes, are another way to the same numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple, final
+
+import numpy as np
+
+from pinmobile.arrays import Array, wrap_angle
+from pinmobile.plant import Coordinate, Input, Parameter
+from pinmobile.robot import ZERO, Matrix, Vector, dot, exact, number, scalars, sine_and_cosine, solved_by, stacked
+from pinmobile.wheels.kinematics import Choice, Kinematics, Solution, solved
+from pinmobile.wheels.table import WheelTable
+
+_BASE = 3
+
+
+class State(NamedTuple):
+    """A state, seen from the body.
+
+    Attributes
+    ----------
+    c, s : scalar
+        Of the heading.
+    arms, steering : list of scalars
+        Configuration of the arms, and steering angles.
+    twist, arm_rates, rates : list of scalars
+        Body twist; rates of the arms; of steering coordinates and wheels.
+    """
+
+    c: Any
+    s: Any
+    arms: Vector
+    steering: Vector
+    twist: Vector
+    arm_rates: Vector
+    rates: Vector
+
+
+@dataclass(frozen=True, eq=False)
+class WheeledBody:
+    """A body, its arms and its wheels, free to slip: mass matrix and nonlinear effects along the body's axes.
+
+    Parameters
+    ----------
+    robot : PlanarBody or ArticulatedBody
+        The whole, wheels locked at their table angles.
+    table : WheelTable
+        The structure of the drive.
+    x, y, radius : ndarray, shape (wheels,)
+        Of each wheel [m].
+    spin_inertia : ndarray, shape (wheels,)
+        About the axles [kg m^2].
+    rotors : ndarray, shape (actuators,)
+        What motors add to the inertia [kg m^2].
+    """
+
+    robot: Any
+    table: WheelTable
+    x: Any
+    y: Any
+    radius: Any
+    spin_inertia: Any
+    rotors: Any
+
+    @property
+    def na(self) -> int:
+        """Number of the arms' coordinates."""
+        return int(self.robot.nv) - _BASE
+
+    @property
+    def joints(self) -> int:
+        """Number of steering coordinates and wheels."""
+        return len(self.table.axes) + len(self.table)
+
+    @property
+    def size(self) -> int:
+        """Number of velocities."""
+        return _BASE + self.na + self.joints
+
+    @cached_property
+    def kinematics(self) -> Kinematics:
+        """Its rows."""
+        return Kinematics(self.table, scalars(self.x), scalars(self.y), scalars(self.radius))
+
+    def state(self, q: Any, v: Any) -> State:
+        """Return a public state, seen from the body."""
+        angles, rates = scalars(q), scalars(v)
+        s, c = sine_and_cosine(angles[2])
+        first, arms = self.robot.nq, _BASE + self.na
+        twist = [c * rates[0] + s * rates[1], c * rates[1] - s * rates[0], rates[2]]
+        steering = angles[first : first + len(self.table.axes)]
+        return State(c, s, angles[_BASE:first], steering, twist, rates[_BASE:arms], rates[arms:])
+
+    def inertia(self, state: State, q: Any) -> Matrix:
+        """Return M, (size, size), of body axes."""
+        M: Matrix = [[ZERO] * self.size for _ in range(self.size)]
+        carried = self.robot.mass_matrix(stacked([ZERO, ZERO, ZERO, *state.arms], q))
+        for i in range(_BASE + self.na):
+            M[i][: _BASE + self.na] = scalars(carried[..., i, :])
+        first = _BASE + self.na
+        spins = scalars(self.spin_inertia)
+        for row, spin in enumerate(spins):
+            k = first + len(self.table.axes) + row
+            M[k][k] = M[k][k] + spin
+        for actuator, rotor in zip(self.table.actuators, scalars(self.rotors), strict=True):
+            for i, a in enumerate(actuator.column):
+                for j, b in enumerate(actuator.column):
+                    M[first + i][first + j] = M[first + i][first + j] + exact(a * b) * rotor
+        for row, k in self._steered:
+            self._add_steered(M, row, k, state)
+        return M
+
+    @cached_property
+    def _steered(self) -> list[tuple[int, int]]:
+        """Wheels that steer, each with its axis."""
+        return [(row, k) for k, axis in enumerate(self.table.axes) for row in axis.wheels]
+
+    def _add_steered(self, M: Matrix, row: int, k: int, state: State) -> None:
+        """Add what a wheel's steering changes: I_z (2 w + d') d' / 2, and where its mass is."""
+        wheel, head = self.table.wheels[row], self.kinematics.heading(row, state.steering)
+        at, turn = _BASE + self.na + k, exact(wheel.yaw_inertia) * head.first
+        M[at][at] = M[at][at] + turn * head.first
+        M[2][at], M[at][2] = M[2][at] + turn, M[at][2] + turn
+        if not (wheel.mass and any(wheel.trail)):
+            return
+        m, places = exact(wheel.mass), self._centres(row, state)
+        for sign, (o, p) in zip((1.0, -1.0), places, strict=True):
+            J = {0: [exact(1.0), ZERO], 1: [ZERO, exact(1.0)], 2: [-p[1], p[0]]}
+            if sign > 0:
+                J[at] = [-(o[1] * head.first), o[0] * head.first]
+            for i, a in J.items():
+                for j, b in J.items():
+                    M[i][j] = M[i][j] + exact(sign) * m * dot(a, b)
+
+    def _centres(self, row: int, state: State) -> tuple[tuple[Vector, Vector], tuple[Vector, Vector]]:
+        """Return where a wheel's centre is from its pivot and from the origin: as it is, and at angle zero."""
+        still: Vector = [ZERO] * len(state.steering)
+        return self.kinematics.centre(row, state.steering), self.kinematics.centre(row, still)
+
+    def effects(self, state: State, q: Any) -> Vector:
+        """Return n, (size,), along the body's axes."""
+        n: Vector = [ZERO] * self.size
+        at_zero = stacked([ZERO, ZERO, ZERO, *state.arms], q)
+        carried = self.robot.nonlinear_effects(at_zero, stacked([*state.twist, *state.arm_rates], q))
+        n[: _BASE + self.na] = scalars(carried)
+        for row, k in self._steered:
+            wheel, head = self.table.wheels[row], self.kinematics.heading(row, state.steering)
+            at, w = _BASE + self.na + k, state.twist[2]
+            bent = head.second * state.rates[k] * state.rates[k]
+            moment = exact(wheel.yaw_inertia) * bent
+            n[2], n[at] = n[2] + moment, n[at] + moment * head.first
+            if not (wheel.mass and any(wheel.trail)):
+                continue
+            m, ((o, p), (_, p0)) = exact(wheel.mass), self._centres(row, state)
+            both = w + head.first * state.rates[k]
+            pull = [-(w * w * (p[i] - o[i])) - both * both * o[i] for i in range(2)]
+            pull = [pull[0] - bent * o[1], pull[1] + bent * o[0]]
+            locked = [-(w * w * x) for x in p0]
+            change = [a - b for a, b in zip(pull, locked, strict=True)]
+            n[0], n[1] = n[0] + m * change[0], n[1] + m * change[1]
+            n[2] = n[2] + m * (p[0] * pull[1] - p[1] * pull[0]) - m * (p0[0] * locked[1] - p0[1] * locked[0])
+            n[at] = n[at] + m * head.first * (o[0] * pull[1] - o[1] * pull[0])
+        return n
+
+    def solution(self, state: State, choice: Choice) -> Solution:
+        """Return what rolls, arms between body and joints."""
+        rows = self.kinematics.rows(state.steering, state.twist, state.rates)
+        S, gamma = solved(rows, choice)
+        width, na = len(S[0]), self.na
+        own = _BASE if not choice.body else _BASE - len(choice.body)
+        wide = [[*row[:own], *[ZERO] * na, *row[own:]] for row in S]
+        arms: Matrix = [[ZERO] * (width + na) for _ in range(na)]
+        for i in range(na):
+            arms[i][own + i] = exact(1.0)
+        return Solution([*wide[:_BASE], *arms, *wide[_BASE:]], [*gamma[:_BASE], *[ZERO] * na, *gamma[_BASE:]])
+
+    def generalised(self, state: State, u: Any, f: Any) -> Vector:
+        """Return the generalised force of an input and of forces beside it, along the body's axes."""
+        inputs, na = scalars(u), self.na
+        found: Vector = [ZERO] * _BASE + inputs[:na] + [ZERO] * self.joints
+        for actuator, torque in zip(self.table.actuators, inputs[na:], strict=True):
+            for i, share in enumerate(actuator.column):
+                found[_BASE + na + i] = found[_BASE + na + i] + exact(share) * torque
+        if np.ndim(f) == 0 and not isinstance(f, np.ndarray) and number(exact(f)) == 0:
+            return found
+        beside = scalars(f)
+        turned = [state.c * beside[0] + state.s * beside[1], state.c * beside[1] - state.s * beside[0]]
+        return [x + y for x, y in zip(found, [*turned, *beside[2:]], strict=True)]
+
+    def in_plane(self, state: State, a: Vector, q: Any) -> Any:
+        """Return numbers along the body's axes as a public array, shape (..., size)."""
+        return stacked([state.c * a[0] - state.s * a[1], state.s * a[0] + state.c * a[1], *a[2:]], q)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class RollingBody(WheeledBody):
+    """A robot whose wheels roll ideally, unchecked.
+
+    Parameters
+    ----------
+    choice : Choice
+        Which rows of the wheels determine what.
+    coordinates, inputs, ends, parameters
+        As of a plant; `ends` are the items of ``leading``.
+    """
+
+    choice: Choice
+    coordinates: tuple[Coordinate, ...]
+    inputs: tuple[Input, ...]
+    ends: tuple[tuple[int, int], ...]
+    parameters: tuple[Parameter, ...]
+
+    broadcasts: ClassVar[bool] = True
+
+    @property
+    def nq(self) -> int:
+        """Size of q."""
+        return int(self.robot.nq) + self.joints
+
+    @property
+    def nv(self) -> int:
+        """Size of v and a."""
+        return self.size
+
+    @property
+    def nu(self) -> int:
+        """Size of the input."""
+        return self.na + len(self.table.actuators)
+
+    @property
+    def leading(self) -> dict[int, int]:
+        """How many numbers of q the first n coordinates have, for each n that a reference may have."""
+        return dict(self.ends)
+
+    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
+        """Return the acceleration, shape (..., nv): a = S nu' + gamma, S' M S nu' = S' (tau - n - M gamma)."""
+        state = self.state(q, v)
+        M, (S, gamma) = self.inertia(state, q), self.solution(state, self.choice)
+        force = self.generalised(state, u, f)
+        effects = self.effects(state, q)
+        rest = [t - n - dot(row, gamma) for t, n, row in zip(force, effects, M, strict=True)]
+        rates = _reduced(M, S, rest)
+        return self.in_plane(state, [dot(row, rates) + g for row, g in zip(S, gamma, strict=True)], q)
+
+    def project(self, q: Any, v: Any) -> Any:
+        """Return the velocity that rolls and is nearest in the mass metric, shape (..., nv)."""
+        state = self.state(q, v)
+        M, (S, _) = self.inertia(state, q), self.solution(state, self.choice)
+        velocity = [*state.twist, *state.arm_rates, *state.rates]
+        rates = _reduced(M, S, [dot(row, velocity) for row in M])
+        return self.in_plane(state, [dot(row, rates) for row in S], q)
+
+    def integrate(self, q: Any, dq: Any) -> Any:
+        """Return the configuration that a displacement leads to."""
+        n = self.robot.nq
+        if n == self.robot.nv:
+            return q + dq
+        moved = self.robot.integrate(q[..., :n], dq[..., : self.robot.nv])
+        return np.concatenate([moved, q[..., n:] + dq[..., self.robot.nv :]], axis=-1)
+
+    def difference(self, q0: Any, q1: Any) -> Any:
+        """Return the displacement from q0 to q1, that of the heading on the circle, shape (..., nv)."""
+        n = self.robot.nq
+        own = self.robot.difference(q0[..., :n], q1[..., :n])
+        return np.concatenate([own, q1[..., n:] - q0[..., n:]], axis=-1)
+
+    def pose(self, q: Any) -> Any:
+        """Return x, y, psi of the body."""
+        return q[..., :_BASE]
+
+    def rate(self, q: Any, v: Any) -> Any:
+        """Return the rates of x, y, psi."""
+        return v[..., :_BASE]
+
+    def effort(self, q: Any, wrench: Any) -> Any:
+        """Return the generalised force of a wrench on the body, shape (..., nv)."""
+        return stacked([*scalars(wrench), *[ZERO] * (self.nv - _BASE)], q)
+
+
+def _reduced(M: Matrix, S: Matrix, force: Vector) -> Vector:
+    """Return the solution of S' M S x = S' force."""
+    columns = [list(column) for column in zip(*S, strict=True)]
+    pushed = [[dot(row, column) for row in M] for column in columns]
+    reduced = [[dot(column, other) for other in pushed] for column in columns]
+    right = [dot(column, force) for column in columns]
+    return solved_by(reduced, right, list(reversed(range(len(right)))))

@@ -1,0 +1,691 @@
+"""`WheelTable`: one row per wheel describes any drive, as a Denavit-Hartenberg table describes any arm."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from math import cos, hypot, isfinite, pi, radians, sin
+from typing import NamedTuple, Self, final
+
+import numpy as np
+
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, non_negative, one_of, positive, scalar, sequence, text
+from pinmobile.constancy import constant
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.wheels.motors import Motor
+
+FIXED, DRIVEN, FREE = "fixed", "driven", "free"
+_STEERING = (FIXED, DRIVEN, FREE)
+_LARGEST_ROLLER = 89.0  # degrees: nearer to 90, a turn of the wheel moves next to nothing along the rollers
+_SAME_PLACE = 1e-6  # [m]
+
+
+@final
+@constant
+@dataclass(frozen=True)
+class Friction:
+    """Dry friction between a wheel and the ground, and in the wheel.
+
+    The defaults are usual magnitudes, not measurements.
+
+    Parameters
+    ----------
+    mu : float
+        Coefficient of friction: of a tyre in all directions, of a wheel with rollers along their axes.
+    across : float
+        That across the axes of rollers, which turn in their bearings.
+    rolling : float
+        Rolling resistance as a share of the load: a torque of at most ``rolling * radius * load`` that holds
+        the wheel at rest.
+    slip : float
+        Slip velocity per force before the wheel slides [m/(N s)]; 0: none, which is Coulomb's law.
+    """
+
+    mu: float = 0.8
+    across: float = 0.02
+    rolling: float = 0.01
+    slip: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, unit in (("mu", ""), ("across", ""), ("rolling", ""), ("slip", "m/(N s)")):
+            object.__setattr__(self, name, non_negative(name, getattr(self, name), unit))
+
+
+@final
+@constant
+@dataclass(frozen=True)
+class Wheel:
+    """One row of a wheel table.
+
+    The wheel rolls along e = (cos angle, sin angle) of the body's frame where its rate is positive; n, a
+    quarter of a turn to the left of e, is the direction of its axle.
+
+    Parameters
+    ----------
+    name : str
+        Its own; its coordinate is called so.
+    x, y : float
+        Where its steering pivot stands in the body's frame, or its centre where it does not steer [m].
+    radius : float
+        [m].
+    angle : float
+        Of its rolling direction e from the body's x [rad]; where it steers, at steering angle zero.
+    steering : str
+        ``"fixed"``; ``"driven"`` by an actuator about the vertical through its pivot; ``"free"``, as casters.
+    trail : sequence of 2 floats
+        Its centre from the pivot along e and n [m]; a caster trails: the first is negative.
+    roller : float, optional
+        Angle of the axis of the roller that is at the ground, from e [rad]; None: a tyre. Of an omni wheel 0,
+        of a mecanum wheel pi / 4 or -pi / 4, the mirror of what is seen from above.
+    mass : float
+        [kg], part of the robot's whole.
+    spin_inertia, yaw_inertia : float
+        About the axle, and about the vertical through its centre [kg m^2]; what a motor's rotor adds is in
+        `motor`.
+    motor : Motor, optional
+        What drives it; None: nothing, it only rolls along.
+    friction : Friction
+        Of its own.
+    steering_limit : float
+        Largest steering angle, to either side [rad].
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not finite or not in its range, or a name is none.
+    """
+
+    name: str
+    x: float
+    y: float
+    radius: float
+    angle: float = 0.0
+    steering: str = FIXED
+    trail: tuple[float, float] = (0.0, 0.0)
+    roller: float | None = None
+    mass: float = 0.0
+    spin_inertia: float = 0.0
+    yaw_inertia: float = 0.0
+    motor: Motor | None = None
+    friction: Friction = Friction()
+    steering_limit: float = np.inf
+
+    def __post_init__(self) -> None:
+        name = text("name", self.name)
+        if not name.strip() or set('/,":') & set(name):
+            raise InvalidArgument(
+                f"name is {shown(name)}, expected a word without slash, comma, colon and quotation mark"
+            )
+        own = f"of wheel {name!r}"
+        numbers = {key: scalar(f"{key} {own}", getattr(self, key)) for key in ("x", "y", "angle")}
+        numbers["radius"] = positive(f"radius {own}", self.radius, "m")
+        for key, unit in (("mass", "kg"), ("spin_inertia", "kg m^2"), ("yaw_inertia", "kg m^2")):
+            numbers[key] = non_negative(f"{key} {own}", getattr(self, key), unit)
+        one_of(f"steering {own}", self.steering, _STEERING)
+        trail = finite(f"trail {own}", self.trail)
+        if trail.shape != (2,):
+            raise InvalidArgument(f"trail {own} has shape {trail.shape}, expected (2,): along e and n")
+        if self.roller is not None:
+            numbers["roller"] = self._roller(own)
+        for key, kind in (("motor", Motor), ("friction", Friction)):
+            value = getattr(self, key)
+            if not isinstance(value, kind) and not (key == "motor" and value is None):
+                raise InvalidArgument(f"{key} {own} is {shown(value)}, expected a {kind.__name__}")
+        limit = self.steering_limit
+        numbers["steering_limit"] = limit if limit == np.inf else positive(f"steering_limit {own}", limit, "rad")
+        for key, value in {**numbers, "trail": tuple(trail.tolist())}.items():
+            object.__setattr__(self, key, value)
+
+    def _roller(self, own: str) -> float:
+        angle = scalar(f"roller {own}", self.roller)  # type: ignore[arg-type]
+        if not abs(angle) <= radians(_LARGEST_ROLLER):
+            raise InvalidArgument(
+                f"roller {own} is {angle:.6g} rad, expected less than a right angle from the rolling "
+                "direction (up to 89 degrees): the wheel could not drive"
+            )
+        return angle
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Where its centre stands in the body's frame at steering angle zero [m]."""
+        c, s = cos(self.angle), sin(self.angle)
+        along, across = self.trail
+        return self.x + along * c - across * s, self.y + along * s + across * c
+
+
+@final
+@constant
+@dataclass(frozen=True)
+class Support:
+    """A support without friction, such as a ball caster: it takes a load, and nothing else.
+
+    Parameters
+    ----------
+    x, y : float
+        Where it touches the ground, in the body's frame [m].
+    """
+
+    x: float
+    y: float
+
+    def __post_init__(self) -> None:
+        for name in ("x", "y"):
+            object.__setattr__(self, name, scalar(f"{name} of a support", getattr(self, name)))
+
+
+@final
+@constant
+@dataclass(frozen=True)
+class GearTrain:
+    """Wheels that turn together, as those of one side of a skid-steer base do: a chain or gears.
+
+    Parameters
+    ----------
+    wheels : sequence of str
+        Their names, two and more.
+    ratios : sequence of floats, optional
+        Rate of each, relative to each other; by default all turn alike.
+    """
+
+    wheels: tuple[str, ...]
+    ratios: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        names = _names("GearTrain", self.wheels, least=2)
+        ratios = finite("ratios", self.ratios) if len(self.ratios) else np.ones(len(names))
+        if ratios.shape != (len(names),) or not ratios.all():
+            raise InvalidArgument(
+                f"ratios is {shown(self.ratios)}, expected {len(names)} numbers that are not zero, one per wheel"
+            )
+        object.__setattr__(self, "wheels", names)
+        object.__setattr__(self, "ratios", tuple(ratios.tolist()))
+
+
+@final
+@constant
+@dataclass(frozen=True)
+class Differential:
+    """An open differential: one motor that turns at the mean rate of its wheels, and gives each an equal torque.
+
+    Parameters
+    ----------
+    wheels : sequence of 2 str
+        Their names.
+    motor : Motor
+        What drives it.
+    name : str
+        That of its input.
+    """
+
+    wheels: tuple[str, ...]
+    motor: Motor = Motor()
+    name: str = "differential"
+
+    def __post_init__(self) -> None:
+        names = _names("Differential", self.wheels, least=2)
+        if not isinstance(self.motor, Motor):
+            raise InvalidArgument(f"motor of a Differential is {shown(self.motor)}, expected a Motor")
+        object.__setattr__(self, "wheels", names)
+        object.__setattr__(self, "name", text("name of a Differential", self.name))
+
+
+@final
+@constant
+@dataclass(frozen=True)
+class Ackermann:
+    """Wheels that one steering angle turns so that all axles meet in one point.
+
+    The angle is that of a wheel in the middle, at y = 0 and the same x.
+
+    Parameters
+    ----------
+    wheels : sequence of str
+        Their names; they are steered, and their centres lie on their pivots.
+    axle : float
+        x of the fixed axle, on whose line they meet [m].
+    name : str
+        That of the steering coordinate.
+    """
+
+    wheels: tuple[str, ...]
+    axle: float = 0.0
+    name: str = "steering"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "wheels", _names("Ackermann", self.wheels, least=1))
+        object.__setattr__(self, "axle", scalar("axle", self.axle))
+        object.__setattr__(self, "name", text("name of an Ackermann", self.name))
+
+
+def _names(kind: str, wheels: Sequence[str], least: int) -> tuple[str, ...]:
+    names = tuple(text(f"a wheel of {kind}", name) for name in sequence("wheels", wheels, "names of wheels"))
+    if len(names) < least or len(set(names)) < len(names):
+        raise InvalidArgument(f"wheels of {kind} is {shown(wheels)}, expected {least} different names or more")
+    return names
+
+
+Coupling = GearTrain | Differential | Ackermann
+
+
+class Axis(NamedTuple):
+    """A steering coordinate.
+
+    Attributes
+    ----------
+    name : str
+        Of the coordinate.
+    wheels : tuple of int
+        Rows that it turns.
+    ackermann : float or None
+        x of the axle on whose line their axles meet [m]; None: it is the one wheel's own angle.
+    driven : bool
+        Whether an actuator turns it.
+    limit : float
+        Largest angle to either side [rad].
+    """
+
+    name: str
+    wheels: tuple[int, ...]
+    ackermann: float | None
+    driven: bool
+    limit: float
+
+
+class Actuator(NamedTuple):
+    """One of the inputs of a drive.
+
+    Attributes
+    ----------
+    name : str
+        Of the input.
+    motor : Motor
+        What it is; of a steering axis one without limits.
+    column : tuple of floats
+        What its torque is to each steering coordinate and then each wheel; its rate is the product with
+        theirs.
+    """
+
+    name: str
+    motor: Motor
+    column: tuple[float, ...]
+
+
+@final
+@constant
+@dataclass(frozen=True, eq=False, repr=False)
+class WheelTable:
+    """The wheels of a drive, what supports the robot beside them, and what couples them.
+
+    Parameters
+    ----------
+    wheels : sequence of Wheel
+        One row each.
+    supports : sequence of Support
+        Where the robot stands beside its wheels.
+    couplings : sequence of GearTrain, Differential, Ackermann
+        What holds whatever the friction.
+
+    Attributes
+    ----------
+    axes : tuple of Axis
+        The steering coordinates, in the order of the table.
+    actuators : tuple of Actuator
+        The inputs, in the order of the table: of each row its wheel's, then its steering axis's.
+
+    Raises
+    ------
+    InvalidArgument
+        If there are no wheels, two have one name or stand in one place, or a coupling does not fit them.
+    """
+
+    wheels: tuple[Wheel, ...]
+    supports: tuple[Support, ...] = ()
+    couplings: tuple[Coupling, ...] = ()
+    axes: tuple[Axis, ...] = field(init=False)
+    actuators: tuple[Actuator, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        wheels = _kept("wheels", self.wheels, (Wheel,), "Wheel(...)")
+        if not wheels:
+            raise InvalidArgument("wheels is empty, expected Wheel(...), one per row")
+        supports = _kept("supports", self.supports, (Support,), "Support(x, y)")
+        kinds = (GearTrain, Differential, Ackermann)
+        couplings = _kept("couplings", self.couplings, kinds, "GearTrain, Differential or Ackermann")
+        _check_places(wheels, supports)
+        for key, value in {"wheels": wheels, "supports": supports, "couplings": couplings}.items():
+            object.__setattr__(self, key, value)
+        for coupling in couplings:
+            for name in coupling.wheels:
+                one_of(f"wheel of a {type(coupling).__name__}", name, self.names)
+        object.__setattr__(self, "axes", self._axes())
+        object.__setattr__(self, "actuators", self._actuators())
+        names = [*self.names, *(axis.name for axis in self.axes)]
+        twice = next((name for name in names if names.count(name) > 1), None)
+        if twice is not None:
+            raise InvalidArgument(f"{twice!r} names two coordinates of the table, expected names that differ")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the wheels."""
+        return tuple(wheel.name for wheel in self.wheels)
+
+    def __len__(self) -> int:
+        return len(self.wheels)
+
+    def _key(self) -> tuple[object, ...]:
+        return self.wheels, self.supports, self.couplings
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, WheelTable) and self._key() == other._key()
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+    def __repr__(self) -> str:
+        rows = f"[{', '.join(map(repr, self.wheels))}]"
+        beside = {"supports": self.supports, "couplings": self.couplings}
+        given = "".join(f", {key}={list(value)!r}" for key, value in beside.items() if value)
+        return f"WheelTable({rows}{given})"
+
+    def _axes(self) -> tuple[Axis, ...]:
+        shared = {name: each for each in self.couplings if isinstance(each, Ackermann) for name in each.wheels}
+        found, done = [], set()
+        for row, wheel in enumerate(self.wheels):
+            together = shared.get(wheel.name)
+            if together is not None and together not in done:
+                done.add(together)
+                found.append(self._shared_axis(together))
+            elif together is None and wheel.steering != FIXED:
+                driven = wheel.steering == DRIVEN
+                found.append(Axis(f"{wheel.name}_steering", (row,), None, driven, wheel.steering_limit))
+        return tuple(found)
+
+    def _shared_axis(self, together: Ackermann) -> Axis:
+        rows = tuple(self.names.index(name) for name in together.wheels)
+        for row in rows:
+            wheel = self.wheels[row]
+            if wheel.steering == FIXED or any(wheel.trail) or wheel.angle or wheel.x == together.axle:
+                raise InvalidArgument(
+                    f"wheel {wheel.name!r} of Ackermann(...) is {wheel!r}, expected a steered one with angle 0, "
+                    f"its centre on its pivot, away from the axle at x = {together.axle:g} m"
+                )
+        kinds = {self.wheels[row].steering for row in rows}
+        if len(kinds) > 1 or len({self.wheels[row].x for row in rows}) > 1:
+            raise InvalidArgument(
+                f"wheels {', '.join(together.wheels)} of Ackermann(...) differ in x or steering, expected one axle"
+            )
+        limit = min(self.wheels[row].steering_limit for row in rows)
+        return Axis(together.name, rows, together.axle, DRIVEN in kinds, limit)
+
+    def _actuators(self) -> tuple[Actuator, ...]:
+        n, found, done = len(self.axes) + len(self), [], set()
+        for row, wheel in enumerate(self.wheels):
+            if wheel.motor is not None:
+                column = np.zeros(n)
+                column[len(self.axes) + row] = 1.0
+                found.append(Actuator(wheel.name, wheel.motor, tuple(column.tolist())))
+            for each in self.couplings:
+                if isinstance(each, Differential) and each not in done and wheel.name in each.wheels:
+                    done.add(each)
+                    column = np.zeros(n)
+                    rows = [len(self.axes) + self.names.index(name) for name in each.wheels]
+                    column[rows] = 1 / len(rows)
+                    found.append(Actuator(each.name, each.motor, tuple(column.tolist())))
+            for k, axis in enumerate(self.axes):
+                if axis.driven and axis.wheels[0] == row:
+                    column = np.zeros(n)
+                    column[k] = 1.0
+                    found.append(Actuator(axis.name, Motor(), tuple(column.tolist())))
+        return tuple(found)
+
+    @classmethod
+    def differential(
+        cls,
+        track: float,
+        radius: float,
+        *,
+        x: float = 0.0,
+        supports: Iterable[ArrayLike] = (),
+        motor: Motor = Motor(),  # noqa: B008 (it does not change)
+        **wheel: object,
+    ) -> Self:
+        """Return two driven wheels on one axle, ``left`` and ``right``.
+
+        Parameters
+        ----------
+        track : float
+            Distance of the wheels [m].
+        radius : float
+            [m].
+        x : float
+            Of the axle in the body's frame [m].
+        supports : iterable of (x, y)
+            Where casters without friction stand [m].
+        motor : Motor
+            Of each wheel.
+        **wheel
+            What else each has, see `Wheel`: ``mass``, ``spin_inertia``, ``yaw_inertia``, ``friction``.
+        """
+        half = positive("track", track, "m") / 2
+        rows = [Wheel(name, x, y, radius, motor=motor, **wheel) for name, y in (("left", half), ("right", -half))]
+        return cls(tuple(rows), _supports(supports))
+
+    @classmethod
+    def skid_steer(
+        cls,
+        wheelbase: float,
+        track: float,
+        radius: float,
+        *,
+        coupled: bool = True,
+        motor: Motor = Motor(),  # noqa: B008
+        **wheel: object,
+    ) -> Self:
+        """Return four fixed wheels that turn by skidding.
+
+        Parameters
+        ----------
+        wheelbase, track, radius : float
+            Distances of the axles and of the sides, and radius of the wheels [m].
+        coupled : bool
+            Whether the wheels of a side are on one gear train, with one motor a side, in the front; or else
+            each wheel has a motor.
+        motor : Motor
+            Of each side, or each wheel.
+        **wheel
+            What else each has, see `Wheel`.
+        """
+        rows = [
+            Wheel(name, x, y, radius, motor=None if coupled and name.startswith("rear") else motor, **wheel)
+            for name, x, y in _corners(wheelbase, track)
+        ]
+        trains = [GearTrain((f"front_{side}", f"rear_{side}")) for side in ("left", "right")] if coupled else []
+        return cls(tuple(rows), (), tuple(trains))
+
+    @classmethod
+    def mecanum(
+        cls,
+        wheelbase: float,
+        track: float,
+        radius: float,
+        *,
+        roller: float = pi / 4,
+        motor: Motor = Motor(),  # noqa: B008
+        **wheel: object,
+    ) -> Self:
+        """Return four mecanum wheels whose rollers form an X seen from above.
+
+        Parameters
+        ----------
+        wheelbase, track, radius : float
+            Distances of the axles and of the sides, and radius of the wheels [m].
+        roller : float
+            Angle of the rollers [rad]: positive for the X. A negative one is the O arrangement, which is
+            refused on a square base: it could not turn.
+        motor : Motor
+            Of each wheel.
+        **wheel
+            What else each has, see `Wheel`.
+        """
+        angle = scalar("roller", roller)
+        if angle < 0 and abs(wheelbase - track * abs(np.tan(angle))) < 1e-3 * track:
+            raise InvalidArgument(
+                f"roller is {angle:g} rad: the rollers form an O on a base of {wheelbase:g} by {track:g} m, and their "
+                "axes meet in its middle, so that it cannot turn; expected the X, a positive angle"
+            )
+        signs = {"front_left": -1, "front_right": 1, "rear_left": 1, "rear_right": -1}
+        rows = [
+            Wheel(name, x, y, radius, roller=signs[name] * angle, motor=motor, **wheel)
+            for name, x, y in _corners(wheelbase, track)
+        ]
+        return cls(tuple(rows))
+
+    @classmethod
+    def omni(
+        cls,
+        distance: float,
+        radius: float,
+        *,
+        n: int = 3,
+        first: float = 0.0,
+        motor: Motor = Motor(),  # noqa: B008
+        **wheel: object,
+    ) -> Self:
+        """Return omni wheels on a circle, their axles through its middle.
+
+        Parameters
+        ----------
+        distance, radius : float
+            Of the wheels from the middle, and their radius [m].
+        n : int
+            How many, three and more.
+        first : float
+            Where the first one is, from the body's x [rad].
+        motor : Motor
+            Of each wheel.
+        **wheel
+            What else each has, see `Wheel`.
+        """
+        if n < 3:
+            raise InvalidArgument(f"n is {n}, expected 3 and more: fewer do not determine the motion")
+        L, angles = positive("distance", distance, "m"), first + 2 * pi * np.arange(n) / n
+        rows = [
+            Wheel(
+                f"wheel_{k + 1}", L * cos(a), L * sin(a), radius, a + pi / 2, roller=0.0, motor=motor, **wheel
+            )
+            for k, a in enumerate(angles.tolist())
+        ]
+        return cls(tuple(rows))
+
+    @classmethod
+    def swerve(
+        cls,
+        places: Iterable[ArrayLike],
+        radius: float,
+        *,
+        motor: Motor = Motor(),  # noqa: B008
+        supports: Iterable[ArrayLike] = (),
+        **wheel: object,
+    ) -> Self:
+        """Return modules that each steer and drive.
+
+        Parameters
+        ----------
+        places : iterable of (x, y)
+            Where they stand [m].
+        radius : float
+            Of the wheels [m].
+        motor : Motor
+            Of each wheel's drive.
+        supports : iterable of (x, y)
+            Where casters without friction stand [m].
+        **wheel
+            What else each has, see `Wheel`.
+        """
+        rows = [
+            Wheel(f"wheel_{k + 1}", *_place("places", at), radius, steering=DRIVEN, motor=motor, **wheel)
+            for k, at in enumerate(places)
+        ]
+        return cls(tuple(rows), _supports(supports))
+
+    @classmethod
+    def car(
+        cls,
+        wheelbase: float,
+        track: float,
+        radius: float,
+        *,
+        motor: Motor = Motor(),  # noqa: B008
+        steering_limit: float = radians(40),
+        **wheel: object,
+    ) -> Self:
+        """Return four wheels: rear ones on an open differential, front ones steered by Ackermann's law.
+
+        The body's origin is in the middle of the rear axle.
+
+        Parameters
+        ----------
+        wheelbase, track, radius : float
+            Distances of the axles and of the sides, and radius of the wheels [m].
+        motor : Motor
+            Of the rear axle.
+        steering_limit : float
+            Largest steering angle, to either side [rad].
+        **wheel
+            What else each has, see `Wheel`.
+        """
+        L, half = positive("wheelbase", wheelbase, "m"), positive("track", track, "m") / 2
+        if not 0 < steering_limit < pi / 2:
+            raise InvalidArgument(f"steering_limit is {steering_limit!r} rad, expected one below a right angle")
+        rear = [Wheel(f"rear_{side}", 0.0, y, radius, **wheel) for side, y in (("left", half), ("right", -half))]
+        front = [
+            Wheel(f"front_{side}", L, y, radius, steering=DRIVEN, steering_limit=steering_limit, **wheel)
+            for side, y in (("left", half), ("right", -half))
+        ]
+        couplings = (
+            Differential(("rear_left", "rear_right"), motor, "drive"),
+            Ackermann(("front_left", "front_right")),
+        )
+        return cls((*rear, *front), (), couplings)
+
+
+def _kept(name: str, given: object, kinds: tuple[type, ...], expected: str) -> tuple[object, ...]:
+    entries = sequence(name, given, expected)
+    for k, each in enumerate(entries):
+        if not isinstance(each, kinds):
+            raise InvalidArgument(f"{name}[{k}] is {shown(each)}, expected {expected}")
+    return entries
+
+
+def _check_places(wheels: Sequence[Wheel], supports: Sequence[Support]) -> None:
+    seen: list[tuple[str, float, float]] = []
+    for name, (x, y) in [
+        *((f"wheel {wheel.name!r}", wheel.centre) for wheel in wheels),
+        *((f"support {k + 1}", (support.x, support.y)) for k, support in enumerate(supports)),
+    ]:
+        for other, x0, y0 in seen:
+            if hypot(x - x0, y - y0) < _SAME_PLACE:
+                raise InvalidArgument(f"{other} and {name} stand in one place, ({x:g}, {y:g}) m, expected two")
+        seen.append((name, x, y))
+
+
+def _corners(wheelbase: float, track: float) -> list[tuple[str, float, float]]:
+    a, b = positive("wheelbase", wheelbase, "m") / 2, positive("track", track, "m") / 2
+    return [
+        ("front_left", a, b),
+        ("front_right", a, -b),
+        ("rear_left", -a, b),
+        ("rear_right", -a, -b),
+    ]
+
+
+def _place(name: str, at: ArrayLike) -> tuple[float, float]:
+    place = finite(name, at)
+    if place.shape != (2,):
+        raise InvalidArgument(f"{name} has an entry of shape {place.shape}, expected (2,): x and y [m]")
+    x, y = place.tolist()
+    return x, y
+
+
+def _supports(places: Iterable[ArrayLike]) -> tuple[Support, ...]:
+    return tuple(Support(*_place("supports", at)) for at in places)

@@ -1,0 +1,496 @@
+"""`WheeledRobot`: a robot on driven wheels, as a plant."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any, NamedTuple, final
+
+import numpy as np
+import pinocchio as pin
+
+from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, frozen, vector
+from pinmobile.constancy import constant
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.plant import Coordinate, Input, Parameter
+from pinmobile.robot import BODY_JOINT, Engine, Load, MobileRobot, System, number
+from pinmobile.urdf import Body
+from pinmobile.wheels.ground import Rolling
+from pinmobile.wheels.kinematics import Kinematics
+from pinmobile.wheels.mobility import Mobility
+from pinmobile.wheels.rolling import RollingBody
+from pinmobile.wheels.table import FIXED, Wheel, WheelTable
+
+_OFF = 1e-9  # [m/s] of a start, beyond which it does not roll
+
+
+@final
+class _Tree(System):
+    """The Pinocchio tree of a robot with its wheels as joints, each steered wheel with an angle of its own."""
+
+    def __init__(self, model: pin.Model, robot: MobileRobot) -> None:
+        self._engine, self.mounts, self.loads = Engine(model), robot.mounts, robot.loads
+
+    @property
+    def _for_many(self) -> None:
+        return None
+
+
+class Forces(NamedTuple):
+    """What the ground does at the wheels.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the rows, such as ``"left rolling"``.
+    values : ndarray, shape (..., k)
+        Force of the ground on the robot along each row [N], of a gear train what it transmits.
+    determined : ndarray of bool, shape (k,)
+        Whether rolling determines it; of the others only sums are, and they are shared so that the sum of
+        squares is least.
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    determined: Array
+
+
+@final
+@constant
+@dataclass(frozen=True, eq=False, repr=False)
+class WheeledRobot:
+    """A robot on wheels: q = (x, y, psi, arms..., steering..., wheels...), u = torques at arms, wheels and axes.
+
+    All methods broadcast over leading axes, and raise `InvalidArgument` for arguments of another last axis or
+    that are not finite.
+
+    Parameters
+    ----------
+    robot : MobileRobot
+        The whole, wheels locked at their table angles: its mass, centre of mass and inertia hold the wheels'.
+    table : WheelTable
+        Its wheels.
+    ground : Rolling
+        What it stands on; by default `Rolling`.
+
+    Raises
+    ------
+    InvalidArgument
+        If an argument is something else, the wheels cannot roll on such ground, or the robot without them is
+        no body.
+    """
+
+    robot: MobileRobot
+    table: WheelTable
+    ground: Rolling = Rolling()
+    mobility: Mobility = field(init=False)
+    _tree: _Tree = field(init=False)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.robot, MobileRobot):
+            raise InvalidArgument(f"robot is {shown(self.robot)}, expected a MobileRobot")
+        if not isinstance(self.table, WheelTable):
+            raise InvalidArgument(f"table is {shown(self.table)}, expected a WheelTable")
+        mobility = Mobility.of(self.table)
+        if not mobility.is_regular:
+            raise InvalidArgument(
+                f"table cannot roll without slip: {mobility.why_not}; expected a drive that can, or "
+                "ground=Coulomb()"
+            )
+        object.__setattr__(self, "mobility", mobility)
+        object.__setattr__(self, "_tree", _Tree(_with_wheels(self.robot, self.table), self.robot))
+
+    def _key(self) -> tuple[object, ...]:
+        return self.robot, self.table, self.ground
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, WheeledRobot) and self._key() == other._key()
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+    def __repr__(self) -> str:
+        return f"WheeledRobot({self.robot!r}, {self.table!r}, {self.ground!r})"
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return WheeledRobot, (self.robot, self.table, self.ground)
+
+    def mount(self, arm: Any, at: ArrayLike | None = None, **options: Any) -> WheeledRobot:
+        """Return the robot with an arm on its body: see `MobileRobot.mount`."""
+        return WheeledRobot(self.robot.mount(arm, at, **options), self.table, self.ground)
+
+    def attach(self, load: Load, frame: str | None = None) -> WheeledRobot:
+        """Return the robot with a load fixed to one of its frames: see `MobileRobot.attach`."""
+        return WheeledRobot(self.robot.attach(load, frame), self.table, self.ground)
+
+    # Sizes and names
+
+    @property
+    def _joints(self) -> int:
+        return len(self.table.axes) + len(self.table)
+
+    @property
+    def nq(self) -> int:
+        """Size of q."""
+        return self.robot.nq + self._joints
+
+    @property
+    def nv(self) -> int:
+        """Size of v and a."""
+        return self.robot.nv + self._joints
+
+    @property
+    def nu(self) -> int:
+        """Size of the input."""
+        return self.robot.nv - BODY_JOINT + len(self.table.actuators)
+
+    @cached_property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """Each of the nv numbers of a displacement: body, arms, steering axes, wheels."""
+        axes = [Coordinate(axis.name, "rad", -axis.limit, axis.limit) for axis in self.table.axes]
+        return (*self.robot.coordinates, *axes, *(Coordinate(name, "rad") for name in self.table.names))
+
+    @cached_property
+    def configuration_names(self) -> tuple[str, ...]:
+        """Name of each of the nq numbers in q."""
+        return (*self.robot.configuration_names, *(axis.name for axis in self.table.axes), *self.table.names)
+
+    @cached_property
+    def inputs(self) -> tuple[Input, ...]:
+        """Each of the nu numbers of an input: the arms' joints, then the actuators in the table's order."""
+        own = (
+            Input(actuator.name, "N m", -actuator.motor.torque_limit, actuator.motor.torque_limit)
+            for actuator in self.table.actuators
+        )
+        return (*self.robot.inputs[BODY_JOINT:], *own)
+
+    @cached_property
+    def leading(self) -> Mapping[int, int]:
+        """How many numbers of q the first n coordinates have, for each n that a reference may have."""
+        return MappingProxyType(dict(self.robot.leading))
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What an ensemble may spread of its wheels; that of the body are the robot's."""
+        found = []
+        for attribute, unit, meaning, least in (
+            ("radius", "m", "radius", 0.0),
+            ("x", "m", "place forward", -np.inf),
+            ("y", "m", "place to the left", -np.inf),
+            ("spin_inertia", "kg m^2", "inertia about the axle", 0.0),
+        ):
+            for k, name in enumerate(self.table.names):
+                found.append(
+                    Parameter(
+                        f"{attribute}_{name}",
+                        unit,
+                        f"{meaning} of wheel {name}",
+                        least,
+                        may_vanish=attribute != "radius",
+                        attribute=attribute,
+                        entry=k,
+                    )
+                )
+        return tuple(found)
+
+    @cached_property
+    def _columns(self) -> dict[str, Array]:
+        names = ("x", "y", "radius", "spin_inertia")
+        return {name: frozen([getattr(wheel, name) for wheel in self.table.wheels]) for name in names}
+
+    @property
+    def x(self) -> Array:
+        """Where the wheels' pivots stand, forward, shape (wheels,) [m]."""
+        return self._columns["x"]
+
+    @property
+    def y(self) -> Array:
+        """Where the wheels' pivots stand, to the left, shape (wheels,) [m]."""
+        return self._columns["y"]
+
+    @property
+    def radius(self) -> Array:
+        """Of the wheels, shape (wheels,) [m]."""
+        return self._columns["radius"]
+
+    @property
+    def spin_inertia(self) -> Array:
+        """Of the wheels about their axles, shape (wheels,) [kg m^2]."""
+        return self._columns["spin_inertia"]
+
+    # Configurations
+
+    def _q(self, q: ArrayLike, name: str = "q") -> Array:
+        array = vector(name, q, self.nq)
+        self.robot.configuration(array[..., : self.robot.nq], name)
+        return array
+
+    def _v(self, name: str, value: ArrayLike) -> Array:
+        return vector(name, value, self.nv)
+
+    @cached_property
+    def rest(self) -> Array:
+        """Configuration at the origin, arms in their reference posture, shape (nq,)."""
+        return frozen(np.append(self.robot.rest, np.zeros(self._joints)))
+
+    def integrate(self, q: ArrayLike, dq: ArrayLike) -> Array:
+        """Return the configuration that the displacement `dq` leads to from `q`, shape (..., nq)."""
+        q, dq = self._q(q), self._v("dq", dq)
+        lead = broadcast(q=q, dq=dq)
+        own = self.robot.integrate(q[..., : self.robot.nq], dq[..., : self.robot.nv])
+        with np.errstate(over="ignore"):
+            rest = finite_answer(q[..., self.robot.nq :] + dq[..., self.robot.nv :], q=q, dq=dq)
+        return np.concatenate([np.broadcast_to(own, (*lead, own.shape[-1])), rest], axis=-1)
+
+    def difference(self, q0: ArrayLike, q1: ArrayLike) -> Array:
+        """Return the displacement from `q0` to `q1`, shape (..., nv); that of psi lies in (-pi, pi]."""
+        q0, q1 = self._q(q0, "q0"), self._q(q1, "q1")
+        broadcast(q0=q0, q1=q1)
+        n = self.robot.nq
+        own = self.robot.difference(q0[..., :n], q1[..., :n])
+        with np.errstate(over="ignore"):
+            return np.concatenate([own, finite_answer(q1[..., n:] - q0[..., n:], q0=q0, q1=q1)], axis=-1)
+
+    def pose(self, q: ArrayLike) -> Array:
+        """Return x, y and psi of the body, shape (..., 3) [m, m, rad]."""
+        return self._q(q)[..., :BODY_JOINT].copy()
+
+    def rate(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """Return the rates of x, y and psi of the body, shape (..., 3) [m/s, m/s, rad/s]."""
+        q, v = self._q(q), self._v("v", v)
+        return np.array(np.broadcast_to(v[..., :BODY_JOINT], (*broadcast(q=q, v=v), BODY_JOINT)))
+
+    def effort(self, q: ArrayLike, wrench: ArrayLike) -> Array:
+        """Return the generalised force of a wrench on the body, shape (..., nv) [N, N, N m, ...]."""
+        q, wrench = self._q(q), vector("wrench", wrench, BODY_JOINT)
+        whole = np.zeros((*broadcast(q=q, wrench=wrench), self.nv))
+        whole[..., :BODY_JOINT] = wrench
+        return whole
+
+    # Rolling
+
+    def _split(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
+        """Return steering angles, body twist and joint rates of one state or many."""
+        n, c, s = self.robot.nq, np.cos(q[..., 2]), np.sin(q[..., 2])
+        twist = np.stack(
+            [c * v[..., 0] + s * v[..., 1], c * v[..., 1] - s * v[..., 0], v[..., 2]], axis=-1
+        )
+        return q[..., n : n + len(self.table.axes)], twist, v[..., self.robot.nv :]
+
+    @cached_property
+    def _kinematics(self) -> Kinematics:
+        return Kinematics.of(self.table)
+
+    def _rows(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Return A, shape (..., k, nv), and what A v changes at where nothing accelerates, (..., k)."""
+        lead = np.broadcast_shapes(q.shape[:-1], v.shape[:-1])
+        q, v = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v))
+        steering, twist, rates = (list(np.moveaxis(part, -1, 0)) for part in self._split(q, v))
+        rows = self._kinematics.rows(steering, twist, rates)
+        A, drift = np.zeros((*lead, len(rows), self.nv)), np.zeros((*lead, len(rows)))
+        c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
+        for i, row in enumerate(rows):
+            x, y, turn = (number(each) for each in row.base)
+            A[..., i, 0], A[..., i, 1], A[..., i, 2] = c * x - s * y, s * x + c * y, turn
+            for k, each in enumerate(row.joints):
+                A[..., i, self.robot.nv + k] = number(each)
+            drift[..., i] = number(row.drift)
+        return A, drift
+
+    def constraint_matrix(self, q: ArrayLike) -> Array:
+        """Return A(q), shape (..., k, nv): A v = 0 where the wheels roll; see `constraint_names`."""
+        q = self._q(q)
+        return self._rows(q, np.zeros(self.nv))[0]
+
+    def constraint_drift(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """Return dA/dt v, shape (..., k) [m/s^2]: A a = -dA/dt v keeps rolling."""
+        q, v = self._q(q), self._v("v", v)
+        broadcast(q=q, v=v)
+        return self._rows(q, v)[1]
+
+    @cached_property
+    def constraint_names(self) -> tuple[str, ...]:
+        """Of each row of `constraint_matrix` its wheel and direction, such as ``"left rolling"``."""
+        zeros = [0.0] * self._joints
+        rows = self._kinematics.rows(zeros, zeros[:1] * 3, zeros)
+        return tuple(f"{self.table.names[row.wheel]} {row.kind}" if row.wheel >= 0 else row.kind for row in rows)
+
+    @cached_property
+    def _input_matrix(self) -> Array:
+        arms = self.robot.nv - BODY_JOINT
+        B = np.zeros((self.nv, self.nu))
+        B[BODY_JOINT : self.robot.nv, :arms] = np.eye(arms)
+        for k, actuator in enumerate(self.table.actuators):
+            B[self.robot.nv :, arms + k] = actuator.column
+        return frozen(B)
+
+    @property
+    def input_matrix(self) -> Array:
+        """B, shape (nv, nu): the generalised force of an input is B u."""
+        return self._input_matrix
+
+    # Dynamics
+
+    @cached_property
+    def _reflected(self) -> Array:
+        """What motors' rotors add to M, shape (nv, nv)."""
+        M, first = np.zeros((self.nv, self.nv)), self.robot.nv
+        for actuator in self.table.actuators:
+            column = np.array(actuator.column)
+            M[first:, first:] += actuator.motor.reflected_inertia * np.outer(column, column)
+        return frozen(M)
+
+    def _to_tree(self, q: Array, v: Array) -> tuple[Array, Array, Array, Array]:
+        """Return a state of the tree, its velocity's G, v_tree = G v, and dG/dt v."""
+        lead = np.broadcast_shapes(q.shape[:-1], v.shape[:-1])
+        q, v = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v))
+        n, nv, axes = self.robot.nq, self.robot.nv, self.table.axes
+        steering, rates = list(np.moveaxis(q[..., n : n + len(axes)], -1, 0)), v[..., nv : nv + len(axes)]
+        steered = {row: k for k, axis in enumerate(axes) for row in axis.wheels}
+        size = nv + len(steered) + len(self.table)
+        G, bent = np.zeros((*lead, size, self.nv)), np.zeros((*lead, size))
+        G[..., np.arange(nv), np.arange(nv)] = 1
+        angles, at = [], nv
+        for row, wheel in enumerate(self.table.wheels):
+            if row in steered:
+                k, head = steered[row], self._kinematics.heading(row, steering)
+                c, s, first, second = (number(x) for x in head)
+                own = wheel.angle
+                away = np.arctan2(s * np.cos(own) - c * np.sin(own), c * np.cos(own) + s * np.sin(own))
+                angles.append(np.broadcast_to(away, lead))
+                G[..., at, nv + k], bent[..., at] = first, second * rates[..., k] ** 2
+                at += 1
+            angles.append(q[..., n + len(axes) + row])
+            G[..., at, nv + len(axes) + row] = 1
+            at += 1
+        whole = np.concatenate([q[..., :n], np.stack(angles, axis=-1)], axis=-1)
+        return whole, np.einsum("...ij,...j->...i", G, v), G, bent
+
+    def mass_matrix(self, q: ArrayLike) -> Array:
+        """Return M(q), shape (..., nv, nv) [kg, kg m, kg m^2], of the tree by Pinocchio's CRBA, rotors included."""
+        q = self._q(q)
+        whole, _, G, _ = self._to_tree(q, np.zeros(self.nv))
+        return np.einsum("...ki,...kl,...lj->...ij", G, self._tree.mass_matrix(whole), G) + self._reflected
+
+    def nonlinear_effects(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """Return n(q, v), shape (..., nv) [N, N, N m, ...], of the tree by Pinocchio's RNEA."""
+        q, v = self._q(q), self._v("v", v)
+        broadcast(q=q, v=v)
+        whole, rates, G, bent = self._to_tree(q, v)
+        return np.einsum("...ki,...k->...i", G, self._tree.inverse_dynamics(whole, rates, bent))
+
+    def kinetic_energy(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """Return v' M(q) v / 2, shape (...) [J]."""
+        v = self._v("v", v)
+        return np.einsum("...i,...ij,...j->...", v, self.mass_matrix(q), v) / 2
+
+    def _constrained(
+        self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike
+    ) -> tuple[Array, Array]:
+        """Return acceleration and constraint forces, by the equations of model and rows together."""
+        q, v, u = self._q(q), self._v("v", v), vector("u", u, self.nu)
+        f = finite("f", f)
+        broadcast(q=q, v=v, u=u)
+        force = np.einsum("ij,...j->...i", self.input_matrix, u) + f - self.nonlinear_effects(q, v)
+        M, (A, drift) = self.mass_matrix(q), self._rows(q, v)
+        A_T = np.swapaxes(A, -1, -2)
+        free = np.linalg.solve(M, force[..., None])[..., 0]
+        through = np.linalg.solve(M, A_T)
+        wanted = -drift - np.einsum("...ij,...j->...i", A, free)
+        multipliers = np.einsum("...ij,...j->...i", np.linalg.pinv(A @ through, rcond=1e-10, hermitian=True), wanted)
+        return free + np.einsum("...ij,...j->...i", through, multipliers), multipliers
+
+    def forward_dynamics(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Array:
+        """Return the acceleration of the robot whose wheels roll, shape (..., nv) [m/s^2, ...].
+
+        M a + n = B u + f + A' lambda and A a = -dA/dt v, solved together.
+
+        Parameters
+        ----------
+        q, v : array_like, shape (..., nq), (..., nv)
+            State, which rolls.
+        u : array_like, shape (..., nu)
+            Torques [N m], see `inputs`.
+        f : array_like, shape (..., nv), optional
+            Generalised forces beside them.
+        """
+        return self._constrained(q, v, u, f)[0]
+
+    def constraint_forces(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Forces:
+        """Return the forces of the ground at the wheels, and which of them rolling determines."""
+        values = self._constrained(q, v, u, f)[1]
+        return Forces(self.constraint_names, values, np.array(self.mobility.determined))
+
+    def project(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """Return the velocity that rolls and is nearest in the mass metric, shape (..., nv)."""
+        q, v = self._q(q), self._v("v", v)
+        A = self.constraint_matrix(q)
+        through = np.linalg.solve(self.mass_matrix(q), np.swapaxes(A, -1, -2))
+        G = np.linalg.pinv(A @ through, rcond=1e-10, hermitian=True)
+        return v - np.einsum("...ij,...jk,...kl,...l->...i", through, G, A, v)
+
+    def traced(self) -> RollingBody:
+        """Return its dynamics over symbols or arrays."""
+        return self._rolling
+
+    @cached_property
+    def _rolling(self) -> RollingBody:
+        return RollingBody(
+            robot=self.robot.traced(),
+            table=self.table,
+            **self._columns,
+            rotors=frozen([actuator.motor.reflected_inertia for actuator in self.table.actuators]),
+            choice=self.mobility.choice,
+            coordinates=self.coordinates,
+            inputs=self.inputs,
+            ends=tuple(self.leading.items()),
+            parameters=self.parameters,
+        )
+
+
+def _steers(wheel: Wheel) -> bool:
+    return wheel.steering != FIXED
+
+
+def _with_wheels(robot: MobileRobot, table: WheelTable) -> pin.Model:
+    """Return the tree of a robot whose wheels are joints, each after the steering axis that it hangs on.
+
+    Pinocchio's CRBA takes what hangs on a joint to come right after it.
+    """
+    model = robot.model
+    body = pin.Inertia(model.inertias[BODY_JOINT])
+    for wheel in table.wheels:
+        body -= _placed(wheel).act(_inertia(wheel))
+    model.inertias[BODY_JOINT] = _checked(body)
+    for wheel in table.wheels:
+        parent, place = BODY_JOINT, _placed(wheel)
+        if _steers(wheel):
+            pivot = pin.SE3(pin.utils.rotate("z", wheel.angle), np.array([wheel.x, wheel.y, wheel.radius]))
+            parent = model.addJoint(BODY_JOINT, pin.JointModelRZ(), pivot, f"{wheel.name}_steering")
+            place = pin.SE3(np.eye(3), np.array([*wheel.trail, 0.0]))
+        joint = model.addJoint(parent, pin.JointModelRY(), place, wheel.name)
+        model.appendBodyToJoint(joint, _inertia(wheel), pin.SE3.Identity())
+    return model
+
+
+def _placed(wheel: Wheel) -> pin.SE3:
+    """Return the pose of a wheel's centre in the body's frame, its y along the axle, at angle zero."""
+    return pin.SE3(pin.utils.rotate("z", wheel.angle), np.array([*wheel.centre, wheel.radius]))
+
+
+def _inertia(wheel: Wheel) -> pin.Inertia:
+    across = wheel.yaw_inertia
+    return pin.Inertia(wheel.mass, np.zeros(3), np.diag([across, wheel.spin_inertia, across]))
+
+
+def _checked(body: pin.Inertia) -> pin.Inertia:
+    try:
+        Body(body.mass, np.array(body.lever), np.array(body.inertia))
+    except InvalidArgument as error:
+        raise InvalidArgument(
+            f"robot without its wheels is no body: {error}; expected a robot whose mass and inertia hold "
+            "those of its wheels"
+        ) from None
+    return body
