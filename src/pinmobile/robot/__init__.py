@@ -7,6 +7,7 @@ from pinmobile.robot.linkage import (
     ZERO as ZERO,
     Matrix as Matrix,
     Vector as Vector,
+    applied as applied,
     cross as cross,
     dot as dot,
     exact as exact,

@@ -4,6 +4,7 @@ from pinmobile.wheels.ground import Rolling
 from pinmobile.wheels.kinematics import Kinematics as Kinematics
 from pinmobile.wheels.mobility import Mobility
 from pinmobile.wheels.motors import Motor
+from pinmobile.wheels.rolling import Reduced
 from pinmobile.wheels.table import Ackermann, Differential, Friction, GearTrain, Support, Wheel, WheelTable
 from pinmobile.wheels.wheeled import Forces, WheeledRobot
 
@@ -15,6 +16,7 @@ __all__ = [
     "GearTrain",
     "Mobility",
     "Motor",
+    "Reduced",
     "Rolling",
     "Support",
     "Wheel",

@@ -190,6 +190,25 @@ class Kinematics:
         return o, [self.x[row] + o[0], self.y[row] + o[1]]
 
 
+    def wheel_rates(self, steering: Sequence[Any], twist: Sequence[Any], turning: Sequence[Any]) -> Vector:
+        """Return the rates of wheels that roll: of tyres by their rolling rows, of others by the rollers' rows.
+
+        Parameters
+        ----------
+        steering, turning : sequence of scalars
+            Steering coordinates and their rates [rad, rad/s].
+        twist : sequence of 3 scalars
+            Body twist [m/s, rad/s].
+        """
+        ns, still = len(self.table.axes), [ZERO] * self.n
+        found: Vector = [ZERO] * len(self.table)
+        for row in self.rows(steering, [ZERO] * 3, still):
+            if row.kind in ("rolling", "roller"):
+                known = dot(row.base, twist) + dot(row.joints[:ns], turning)
+                found[row.wheel] = -(known / row.joints[ns + row.wheel])
+        return found
+
+
 class Choice(NamedTuple):
     """Which rows hold the body, and which tell the rate of a joint; the others follow from these.
 

@@ -16,7 +16,20 @@ import numpy as np
 
 from pinmobile.arrays import Array, wrap_angle
 from pinmobile.plant import Coordinate, Input, Parameter
-from pinmobile.robot import ZERO, Matrix, Vector, dot, exact, number, scalars, sine_and_cosine, solved_by, stacked
+from pinmobile.robot import (
+    ZERO,
+    Matrix,
+    Vector,
+    applied,
+    cross,
+    dot,
+    exact,
+    number,
+    scalars,
+    sine_and_cosine,
+    solved_by,
+    stacked,
+)
 from pinmobile.wheels.kinematics import Choice, Kinematics, Solution, solved
 from pinmobile.wheels.table import WheelTable
 
@@ -43,6 +56,31 @@ class State(NamedTuple):
     twist: Vector
     arm_rates: Vector
     rates: Vector
+
+
+class Reduced(NamedTuple):
+    """Rolling in independent velocities nu: M nu' + n = B u, v = S nu (Kane's equations).
+
+    nu is, of a body that is free, its twist (forward, left, yaw rate); of one with one axle, the speed along
+    the wheels at the axle and the yaw rate; of one with two axles, the speed at the fixed one, or, where both
+    are steered, the number eta with twist = eta (a1 x a2) of the axles' rows. Rates of the arms and of
+    steering axes that nothing else determines follow.
+
+    Attributes
+    ----------
+    M, n, B : ndarray, shape (..., m, m), (..., m), (..., m, nu)
+        Mass matrix, nonlinear effects and input matrix.
+    S : ndarray, shape (..., nv, m)
+        All velocities by the independent ones.
+    nu : ndarray, shape (..., m)
+        Those of the state.
+    """
+
+    M: Any
+    n: Any
+    B: Any
+    S: Any
+    nu: Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,6 +298,58 @@ class RollingBody(WheeledBody):
         rates = _reduced(M, S, [dot(row, velocity) for row in M])
         return self.in_plane(state, [dot(row, rates) for row in S], q)
 
+    def velocities(self, state: State) -> Vector:
+        """Return the independent velocities nu of a state that rolls, in the order of the columns of S."""
+        held = [self.kinematics.rows(state.steering, state.twist, state.rates)[i] for i in self.choice.body]
+        a, w = held[0].base if held else [], state.twist[2]
+        if not held:
+            body = state.twist
+        elif len(held) == 1 or self.choice.is_fixed:
+            speed = a[1] * state.twist[0] - a[0] * state.twist[1]
+            body = [speed, w] if len(held) == 1 else [speed]
+        else:
+            about = cross(a, held[1].base)
+            body = [dot(about, state.twist) / dot(about, about)]
+        return [*body, *state.arm_rates, *(state.rates[k] for k in self.choice.free)]
+
+    def reduced(self, q: Any, v: Any) -> Reduced:
+        """Return the dynamics of the independent velocities: M nu' + n = B u, see `Reduced`."""
+        state = self.state(q, v)
+        M, (S, gamma) = self.inertia(state, q), self.solution(state, self.choice)
+        effects = self.effects(state, q)
+        columns = [list(column) for column in zip(*S, strict=True)]
+        pushed = [applied(M, column) for column in columns]
+        rest = [n + dot(row, gamma) for n, row in zip(effects, M, strict=True)]
+        inputs = [self.generalised(state, one, 0.0) for one in np.eye(self.nu)]
+        public = [self.in_plane(state, column, q) for column in columns]
+        return Reduced(
+            _matrix([[dot(a, b) for b in pushed] for a in columns], q),
+            stacked([dot(column, rest) for column in columns], q),
+            _matrix([[dot(column, one) for one in inputs] for column in columns], q),
+            np.stack(np.broadcast_arrays(*public), axis=-1),
+            stacked(self.velocities(state), q),
+        )
+
+    def inverse_dynamics(self, q: Any, v: Any, a: Any) -> Any:
+        """Return the input of least norm with which body and arms accelerate so, shape (..., nu).
+
+        Of drives whose body is free to move in any direction; `a` has the first 3 + arms coordinates.
+        """
+        state = self.state(q, v)
+        M, (S, gamma) = self.inertia(state, q), self.solution(state, self.choice)
+        wanted = scalars(a)
+        along = [state.c * wanted[0] + state.s * wanted[1], state.c * wanted[1] - state.s * wanted[0]]
+        rates = [*along, *wanted[2:]]
+        whole = [dot(row, rates) + g for row, g in zip(S, gamma, strict=True)]
+        force = [dot(row, whole) + n for row, n in zip(M, self.effects(state, q), strict=True)]
+        columns = [list(column) for column in zip(*S, strict=True)]
+        right = [dot(column, force) for column in columns]
+        inputs = [self.generalised(state, one, 0.0) for one in np.eye(self.nu)]
+        B = [[dot(column, one) for one in inputs] for column in columns]
+        square = [[dot(x, y) for y in B] for x in B]
+        found = solved_by(square, right, list(range(len(right))))
+        return stacked([dot(column, found) for column in zip(*B, strict=True)], q)
+
     def integrate(self, q: Any, dq: Any) -> Any:
         """Return the configuration that a displacement leads to."""
         n = self.robot.nq
@@ -285,6 +375,10 @@ class RollingBody(WheeledBody):
     def effort(self, q: Any, wrench: Any) -> Any:
         """Return the generalised force of a wrench on the body, shape (..., nv)."""
         return stacked([*scalars(wrench), *[ZERO] * (self.nv - _BASE)], q)
+
+
+def _matrix(rows: Matrix, q: Any) -> Any:
+    return np.stack(np.broadcast_arrays(*(stacked(row, q) for row in rows)), axis=-2)
 
 
 def _reduced(M: Matrix, S: Matrix, force: Vector) -> Vector:

@@ -20,7 +20,7 @@ from pinmobile.urdf import Body
 from pinmobile.wheels.ground import Rolling
 from pinmobile.wheels.kinematics import Kinematics
 from pinmobile.wheels.mobility import Mobility
-from pinmobile.wheels.rolling import RollingBody
+from pinmobile.wheels.rolling import Reduced, RollingBody
 from pinmobile.wheels.table import FIXED, Wheel, WheelTable
 
 _OFF = 1e-9  # [m/s] of a start, beyond which it does not roll
@@ -430,6 +430,172 @@ class WheeledRobot:
         through = np.linalg.solve(self.mass_matrix(q), np.swapaxes(A, -1, -2))
         G = np.linalg.pinv(A @ through, rcond=1e-10, hermitian=True)
         return v - np.einsum("...ij,...jk,...kl,...l->...i", through, G, A, v)
+
+    def reduced(self, q: ArrayLike, v: ArrayLike) -> Reduced:
+        """Return the dynamics of the independent velocities, of Pinocchio's tree: see `Reduced`.
+
+        Parameters
+        ----------
+        q, v : array_like, shape (..., nq), (..., nv)
+            State, which rolls.
+        """
+        q, v = self._q(q), self._v("v", v)
+        lead = broadcast(q=q, v=v)
+        q, v = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v))
+        rolling = self._rolling
+        state = rolling.state(q, v)
+        S, gamma = rolling.solution(state, rolling.choice)
+        columns = np.stack([rolling.in_plane(state, list(column), q) for column in zip(*S, strict=True)], -1)
+        drift = rolling.in_plane(state, gamma, q)
+        M, n = self.mass_matrix(q), self.nonlinear_effects(q, v)
+        n = n + np.einsum("...ij,...j->...i", M, drift)
+        S_T = np.swapaxes(columns, -1, -2)
+        nu = np.stack(np.broadcast_arrays(q[..., 0], *map(number, rolling.velocities(state)))[1:], -1)
+        return Reduced(
+            S_T @ M @ columns, np.einsum("...ij,...j->...i", S_T, n), S_T @ self.input_matrix, columns, nu
+        )
+
+    def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
+        """Return the input of least norm with which body and arms accelerate so, shape (..., nu) [N m].
+
+        ``forward_dynamics(q, v, inverse_dynamics(q, v, a))`` begins with `a`; the inverse does not hold where
+        there are more inputs than coordinates.
+
+        Parameters
+        ----------
+        q, v : array_like, shape (..., nq), (..., nv)
+            State, which rolls.
+        a : array_like, shape (..., 3 + arms)
+            Acceleration of x, y, psi and the arms [m/s^2, rad/s^2, ...].
+
+        Raises
+        ------
+        InvalidArgument
+            If the drive cannot accelerate its body in every direction.
+        """
+        self.check_inverse_dynamics()
+        q, v, a = self._q(q), self._v("v", v), vector("a", a, self.robot.nv)
+        lead = broadcast(q=q, v=v, a=a)
+        q, v, a = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v, a))
+        own = self.reduced(q, v)
+        c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
+        wanted = [c * a[..., 0] + s * a[..., 1], c * a[..., 1] - s * a[..., 0], *np.moveaxis(a[..., 2:], -1, 0)]
+        force = np.einsum("...ij,...j->...i", own.M, np.stack(wanted, axis=-1)) + own.n
+        return np.einsum("...ij,...j->...i", np.linalg.pinv(own.B), force)
+
+    def check_inverse_dynamics(self) -> None:
+        """Refuse a drive that cannot accelerate its body in every direction.
+
+        Raises
+        ------
+        InvalidArgument
+            With the drive's type, and what to take instead.
+        """
+        lead = f"robot is a drive of type ({self.mobility.mobility}, {self.mobility.steerability})"
+        if self.mobility.mobility < 3:
+            raise InvalidArgument(
+                f"{lead}, which cannot accelerate in every direction, so no torques are its inverse dynamics; "
+                "expected an omnidirectional drive, or Backstepping(law, robot)"
+            )
+        still = self.reduced(self.rest, np.zeros(self.nv))
+        if np.linalg.matrix_rank(still.B) < len(still.M):
+            raise InvalidArgument(
+                f"{lead} with {len(self.table.actuators)} motors, which cannot accelerate in every direction; "
+                "expected a motor for each degree of freedom"
+            )
+
+    def wheel_rates(self, twist: ArrayLike, steering: ArrayLike = (), turning: ArrayLike = ()) -> Array:
+        """Return the rates of the wheels that roll at a body twist, shape (..., wheels) [rad/s].
+
+        Parameters
+        ----------
+        twist : array_like, shape (..., 3)
+            Forward, left, yaw rate [m/s, m/s, rad/s].
+        steering, turning : array_like, shape (..., axes), optional
+            Steering angles and their rates; by default zero [rad, rad/s].
+        """
+        twist, n = vector("twist", twist, BODY_JOINT), len(self.table.axes)
+        angles, turns = (
+            np.zeros(n) if np.size(x) == 0 else vector(name, x, n)
+            for name, x in (("steering", steering), ("turning", turning))
+        )
+        lead = np.broadcast_shapes(twist.shape[:-1], angles.shape[:-1], turns.shape[:-1])
+        parts = (list(np.moveaxis(x, -1, 0)) for x in (angles, twist, turns))
+        rates = map(number, self._kinematics.wheel_rates(*parts))
+        return np.stack([np.broadcast_to(rate, lead) for rate in rates], axis=-1)
+
+    def odometry(self, rates: ArrayLike, steering: ArrayLike = (), turning: ArrayLike = ()) -> Array:
+        """Return the body twist that fits measured rates of the wheels best, shape (..., 3) [m/s, rad/s].
+
+        The least squares of all rows, in which tyres do not move sideways.
+
+        Parameters
+        ----------
+        rates : array_like, shape (..., wheels)
+            Of the wheels [rad/s].
+        steering, turning : array_like, shape (..., axes), optional
+            Steering angles and their rates; by default zero [rad, rad/s].
+        """
+        rates, n = vector("rates", rates, len(self.table)), len(self.table.axes)
+        angles, turns = (
+            np.zeros(n) if np.size(x) == 0 else vector(name, x, n)
+            for name, x in (("steering", steering), ("turning", turning))
+        )
+        lead = np.broadcast_shapes(rates.shape[:-1], angles.shape[:-1], turns.shape[:-1])
+        q = np.zeros((*lead, self.nq))
+        q[..., self.robot.nq : self.robot.nq + n] = angles
+        A = self.constraint_matrix(q)
+        joints = np.concatenate(
+            [np.broadcast_to(turns, (*lead, n)), np.broadcast_to(rates, (*lead, len(self.table)))], axis=-1
+        )
+        known = np.einsum("...ij,...j->...i", A[..., self.robot.nv :], joints)
+        return -np.einsum("...ij,...j->...i", np.linalg.pinv(A[..., :BODY_JOINT]), known)
+
+    def start(self, reference: Any) -> tuple[Array, Array]:
+        """Return the q and v with which a reference begins, shape (nq,) and (nv,).
+
+        Steered wheels point to where they go, and all roll; what the reference leaves out of the arms rests.
+        """
+        q, v = self.robot.start(reference)
+        nq, nv, ns = self.robot.nq, self.robot.nv, len(self.table.axes)
+        q, v = np.append(q, np.zeros(self._joints)), np.append(v, np.zeros(self._joints))
+        _, twist, _ = self._split(q, v)
+        q[nq : nq + ns] = self._steered_to(twist)
+        rows, _ = self._rows(q, v)
+        for axis, row in self.mobility.choice.joints:
+            known = rows[row] @ v - rows[row, nv + axis] * v[nv + axis]
+            v[nv + axis] = -known / rows[row, nv + axis]
+        return q, v
+
+    def _steered_to(self, twist: Array) -> Array:
+        """Return the steering angles at which the wheels go where the body takes them; 0 at rest."""
+        found = []
+        for axis in self.table.axes:
+            wheel = self.table.wheels[axis.wheels[0]]
+            x, y = (wheel.x - axis.ackermann, 0.0) if axis.ackermann is not None else (wheel.x, wheel.y)
+            ahead, aside = twist[0] - twist[2] * y, twist[1] + twist[2] * x
+            angle = np.arctan2(aside, ahead) - wheel.angle if ahead or aside else 0.0
+            if wheel.motor is not None or axis.ackermann is not None:  # it may as well run backwards
+                angle = (angle + np.pi / 2) % np.pi - np.pi / 2
+            found.append(angle)
+        return np.array(found)
+
+    def check_start(self, q: ArrayLike, v: ArrayLike) -> None:
+        """Refuse a start at which the wheels do not roll.
+
+        Raises
+        ------
+        InvalidArgument
+            With the wheel that slips most; what to type instead.
+        """
+        q, v = self._q(q), self._v("v", v)
+        slip = np.abs(self.constraint_matrix(q) @ v)
+        worst = int(np.argmax(slip))
+        if slip[worst] > _OFF * max(1.0, float(np.abs(v).max())):
+            raise InvalidArgument(
+                f"start does not roll: {self.constraint_names[worst]} slips at {slip[worst]:.3g} m/s; expected "
+                "v0 = robot.project(q0, v0), or a reference that the wheels can follow"
+            )
 
     def traced(self) -> RollingBody:
         """Return its dynamics over symbols or arrays."""
