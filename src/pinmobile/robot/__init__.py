@@ -2,7 +2,13 @@
 
 from pinmobile.robot.arms import Arm
 from pinmobile.robot.articulated import _scalars as scalars, _stacked as stacked
-from pinmobile.robot.dh_chain import BODY_JOINT, Calls, Engine as Engine, named_frames as named_frames, prefixed as prefixed
+from pinmobile.robot.dh_chain import (
+    BODY_JOINT,
+    Calls,
+    Engine as Engine,
+    named_frames as named_frames,
+    prefixed as prefixed,
+)
 from pinmobile.robot.linkage import (
     ZERO as ZERO,
     Matrix as Matrix,

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pinmobile.robot import ZERO, Matrix, Vector, cross, dot, exact, sine_and_cosine
+from pinmobile.robot import ZERO, Matrix, Vector, cross, dot, exact, number, sine_and_cosine
 from pinmobile.wheels.table import GearTrain, WheelTable
 
 
@@ -84,7 +84,9 @@ class Kinematics:
     @classmethod
     def of(cls, table: WheelTable) -> Kinematics:
         """Return that of a table's own numbers."""
-        x, y, radius = ([exact(getattr(wheel, name)) for wheel in table.wheels] for name in ("x", "y", "radius"))
+        x, y, radius = (
+            [exact(getattr(wheel, name)) for wheel in table.wheels] for name in ("x", "y", "radius")
+        )
         return cls(table, x, y, radius)
 
     @property
@@ -182,13 +184,11 @@ class Kinematics:
                 found.append(Row(-1, "train", [ZERO] * 3, joints, ZERO))
         return found
 
-
     def centre(self, row: int, steering: Sequence[Any]) -> tuple[Vector, Vector]:
         """Return the centre of a wheel from its pivot, and from the body's origin [m]."""
         head, (along, aside) = self.heading(row, steering), (exact(x) for x in self.table.wheels[row].trail)
         o = [along * head.c - aside * head.s, along * head.s + aside * head.c]
         return o, [self.x[row] + o[0], self.y[row] + o[1]]
-
 
     def wheel_rates(self, steering: Sequence[Any], twist: Sequence[Any], turning: Sequence[Any]) -> Vector:
         """Return the rates of wheels that roll: of tyres by their rolling rows, of others by the rollers' rows.
@@ -286,5 +286,5 @@ def _ackermann(length: Any, y: Any, s: Any, c: Any) -> Heading:
     offset = y / length
     a, b = s, c - offset * s
     square = a * a + b * b
-    long, change = np.sqrt(square), 2.0 * (s * c - b * (s + offset * c))
+    long, change = np.sqrt(number(square)), 2.0 * (s * c - b * (s + offset * c))
     return Heading(b / long, a / long, 1.0 / square, -(change / (square * square)))

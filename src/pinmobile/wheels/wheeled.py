@@ -24,6 +24,7 @@ from pinmobile.wheels.rolling import Reduced, RollingBody
 from pinmobile.wheels.table import FIXED, Wheel, WheelTable
 
 _OFF = 1e-9  # [m/s] of a start, beyond which it does not roll
+_REDUNDANT = 1e-10  # relative, of eigenvalues: rows that follow from others
 
 
 @final
@@ -36,6 +37,12 @@ class _Tree(System):
     @property
     def _for_many(self) -> None:
         return None
+
+    def of_one(self, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
+        """Return M(q) and the inverse dynamics of one state, unchecked."""
+        engine = self._engine
+        M = np.array(pin.crba(engine.public, engine.data, q))
+        return M, np.array(pin.rnea(engine.public, engine.data, q, v, a))
 
 
 class Forces(NamedTuple):
@@ -274,29 +281,55 @@ class WheeledRobot:
     def _split(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
         """Return steering angles, body twist and joint rates of one state or many."""
         n, c, s = self.robot.nq, np.cos(q[..., 2]), np.sin(q[..., 2])
-        twist = np.stack(
-            [c * v[..., 0] + s * v[..., 1], c * v[..., 1] - s * v[..., 0], v[..., 2]], axis=-1
-        )
+        twist = np.stack([c * v[..., 0] + s * v[..., 1], c * v[..., 1] - s * v[..., 0], v[..., 2]], axis=-1)
         return q[..., n : n + len(self.table.axes)], twist, v[..., self.robot.nv :]
 
     @cached_property
     def _kinematics(self) -> Kinematics:
         return Kinematics.of(self.table)
 
+    @cached_property
+    def _still_rows(self) -> Array:
+        """The rows along the body's axes, shape (k, nv), steering angles at zero."""
+        zeros = [0.0] * self._joints
+        rows = self._kinematics.rows(zeros, zeros[:1] * 3, zeros)
+        A = np.zeros((len(rows), self.nv))
+        A[:, :BODY_JOINT] = [[number(x) for x in row.base] for row in rows]
+        A[:, self.robot.nv :] = [[number(x) for x in row.joints] for row in rows]
+        return frozen(A)
+
+    @cached_property
+    def _steered_rows(self) -> tuple[int, ...]:
+        """Those that change with a steering angle."""
+        steered = {row for axis in self.table.axes for row in axis.wheels}
+        zeros = [0.0] * self._joints
+        rows = self._kinematics.rows(zeros, zeros[:1] * 3, zeros)
+        return tuple(i for i, row in enumerate(rows) if row.wheel in steered)
+
     def _rows(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return A, shape (..., k, nv), and what A v changes at where nothing accelerates, (..., k)."""
-        lead = np.broadcast_shapes(q.shape[:-1], v.shape[:-1])
-        q, v = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v))
-        steering, twist, rates = (list(np.moveaxis(part, -1, 0)) for part in self._split(q, v))
-        rows = self._kinematics.rows(steering, twist, rates)
-        A, drift = np.zeros((*lead, len(rows), self.nv)), np.zeros((*lead, len(rows)))
+        still = self._still_rows
         c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
-        for i, row in enumerate(rows):
-            x, y, turn = (number(each) for each in row.base)
-            A[..., i, 0], A[..., i, 1], A[..., i, 2] = c * x - s * y, s * x + c * y, turn
-            for k, each in enumerate(row.joints):
-                A[..., i, self.robot.nv + k] = number(each)
-            drift[..., i] = number(row.drift)
+        lead = q.shape[:-1] if v.ndim == 1 else np.broadcast_shapes(q.shape[:-1], v.shape[:-1])
+        A = np.empty((*lead, *still.shape))
+        A[...] = still
+        w, ahead, aside = v[..., 2], c * v[..., 0] + s * v[..., 1], c * v[..., 1] - s * v[..., 0]
+        drift = (w * aside)[..., None] * still[:, 0] - (w * ahead)[..., None] * still[:, 1]
+        drift = drift if drift.shape[:-1] == lead else np.array(np.broadcast_to(drift, (*lead, len(still))))
+        if self._steered_rows:
+            n, nv, axes = self.robot.nq, self.robot.nv, len(self.table.axes)
+            steering = [q[..., n + k] for k in range(axes)]
+            rates = [v[..., nv + k] for k in range(self._joints)]
+            rows = self._kinematics.rows(steering, [ahead, aside, w], rates)
+            for i in self._steered_rows:
+                for k, x in enumerate(rows[i].base):
+                    A[..., i, k] = number(x)
+                for k in range(axes):
+                    A[..., i, nv + k] = number(rows[i].joints[k])
+                drift[..., i] = number(rows[i].drift)
+        x, y = A[..., 0].copy(), A[..., 1]
+        c, s = c[..., None], s[..., None]
+        A[..., 0], A[..., 1] = c * x - s * y, s * x + c * y
         return A, drift
 
     def constraint_matrix(self, q: ArrayLike) -> Array:
@@ -315,7 +348,9 @@ class WheeledRobot:
         """Of each row of `constraint_matrix` its wheel and direction, such as ``"left rolling"``."""
         zeros = [0.0] * self._joints
         rows = self._kinematics.rows(zeros, zeros[:1] * 3, zeros)
-        return tuple(f"{self.table.names[row.wheel]} {row.kind}" if row.wheel >= 0 else row.kind for row in rows)
+        return tuple(
+            f"{self.table.names[row.wheel]} {row.kind}" if row.wheel >= 0 else row.kind for row in rows
+        )
 
     @cached_property
     def _input_matrix(self) -> Array:
@@ -386,21 +421,20 @@ class WheeledRobot:
         v = self._v("v", v)
         return np.einsum("...i,...ij,...j->...", v, self.mass_matrix(q), v) / 2
 
-    def _constrained(
-        self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike
-    ) -> tuple[Array, Array]:
-        """Return acceleration and constraint forces, by the equations of model and rows together."""
-        q, v, u = self._q(q), self._v("v", v), vector("u", u, self.nu)
-        f = finite("f", f)
-        broadcast(q=q, v=v, u=u)
-        force = np.einsum("ij,...j->...i", self.input_matrix, u) + f - self.nonlinear_effects(q, v)
-        M, (A, drift) = self.mass_matrix(q), self._rows(q, v)
-        A_T = np.swapaxes(A, -1, -2)
-        free = np.linalg.solve(M, force[..., None])[..., 0]
-        through = np.linalg.solve(M, A_T)
-        wanted = -drift - np.einsum("...ij,...j->...i", A, free)
-        multipliers = np.einsum("...ij,...j->...i", np.linalg.pinv(A @ through, rcond=1e-10, hermitian=True), wanted)
-        return free + np.einsum("...ij,...j->...i", through, multipliers), multipliers
+    def _unconstrained(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Return M and n."""
+        if q.ndim > 1 or v.ndim > 1:
+            return self.mass_matrix(q), self.nonlinear_effects(q, v)
+        if not self.table.axes:
+            M, n = self._tree.of_one(q, v, self._no_acceleration)
+            return M + self._reflected, n
+        whole, rates, G, bent = self._to_tree(q, v)
+        M, n = self._tree.of_one(whole, rates, bent)
+        return G.T @ M @ G + self._reflected, G.T @ n
+
+    @cached_property
+    def _no_acceleration(self) -> Array:
+        return frozen(np.zeros(self.nv))
 
     def forward_dynamics(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Array:
         """Return the acceleration of the robot whose wheels roll, shape (..., nv) [m/s^2, ...].
@@ -416,20 +450,52 @@ class WheeledRobot:
         f : array_like, shape (..., nv), optional
             Generalised forces beside them.
         """
-        return self._constrained(q, v, u, f)[0]
+        return self._constrained(q, v, u, f, self._independent)[0]
 
     def constraint_forces(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Forces:
         """Return the forces of the ground at the wheels, and which of them rolling determines."""
-        values = self._constrained(q, v, u, f)[1]
+        values = self._constrained(q, v, u, f, None)[1]
         return Forces(self.constraint_names, values, np.array(self.mobility.determined))
+
+    @cached_property
+    def _independent(self) -> list[int]:
+        """Rows from which the others follow."""
+        choice = self.mobility.choice
+        return sorted({*choice.body, *(row for _, row in choice.joints)})
+
+    def _constrained(
+        self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike, rows: list[int] | None
+    ) -> tuple[Array, Array]:
+        """Return acceleration and constraint forces, by all rows or by some from which the others follow."""
+        q, v, u, f = self._q(q), self._v("v", v), vector("u", u, self.nu), finite("f", f)
+        if q.ndim > 1 or v.ndim > 1 or u.ndim > 1 or f.ndim > 1:
+            broadcast(q=q, v=v, u=u, f=np.broadcast_to(f, (*f.shape[:-1], self.nv)))
+        M, n = self._unconstrained(q, v)
+        A, drift = self._rows(q, v)
+        if rows is not None:
+            A, drift = A[..., rows, :], drift[..., rows]
+        force = u @ self.input_matrix.T + f - n
+        A_T = np.swapaxes(A, -1, -2)
+        right = np.empty((*force.shape, 1 + A.shape[-2]))
+        right[..., 0], right[..., 1:] = force, A_T
+        found = np.linalg.solve(M, right)
+        free, through = found[..., 0], found[..., 1:]
+        wanted = -drift[..., None] - A @ free[..., None]
+        G = A @ through
+        if rows is None:
+            multipliers = np.linalg.pinv(G, rcond=_REDUNDANT, hermitian=True) @ wanted
+        else:
+            multipliers = np.linalg.solve(G, wanted)
+        a = free + (through @ multipliers)[..., 0]
+        return finite_answer(a, q=q, v=v, u=u, f=f), multipliers[..., 0]
 
     def project(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return the velocity that rolls and is nearest in the mass metric, shape (..., nv)."""
         q, v = self._q(q), self._v("v", v)
-        A = self.constraint_matrix(q)
-        through = np.linalg.solve(self.mass_matrix(q), np.swapaxes(A, -1, -2))
-        G = np.linalg.pinv(A @ through, rcond=1e-10, hermitian=True)
-        return v - np.einsum("...ij,...jk,...kl,...l->...i", through, G, A, v)
+        M, _ = self._unconstrained(q, v)
+        A = self._rows(q, v)[0][..., self._independent, :]
+        through = np.linalg.solve(M, np.swapaxes(A, -1, -2))
+        return np.asarray(v - (through @ np.linalg.solve(A @ through, A @ v[..., None]))[..., 0])
 
     def reduced(self, q: ArrayLike, v: ArrayLike) -> Reduced:
         """Return the dynamics of the independent velocities, of Pinocchio's tree: see `Reduced`.
@@ -479,7 +545,11 @@ class WheeledRobot:
         q, v, a = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v, a))
         own = self.reduced(q, v)
         c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
-        wanted = [c * a[..., 0] + s * a[..., 1], c * a[..., 1] - s * a[..., 0], *np.moveaxis(a[..., 2:], -1, 0)]
+        wanted = [
+            c * a[..., 0] + s * a[..., 1],
+            c * a[..., 1] - s * a[..., 0],
+            *np.moveaxis(a[..., 2:], -1, 0),
+        ]
         force = np.einsum("...ij,...j->...i", own.M, np.stack(wanted, axis=-1)) + own.n
         return np.einsum("...ij,...j->...i", np.linalg.pinv(own.B), force)
 
