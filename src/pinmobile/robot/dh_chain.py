@@ -13,9 +13,9 @@ import pinocchio as pin
 from pinmobile.arrays import Array
 from pinmobile.dh import LECTURE_TABLE, DHTable, JointType
 from pinmobile.errors import InvalidArgument
+from pinmobile.robot.joints import BODY_JOINT
 from pinmobile.robot.linkage import Linkage
 from pinmobile.robot.mounts import Load, Mount, free_name
-from pinmobile.robot.tree import parts_of
 from pinmobile.urdf import Body
 
 _BODY_LINK = "base_link"
@@ -60,9 +60,6 @@ def build_model(table: DHTable, body: Body) -> pin.Model:
     model.appendBodyToJoint(parent, pin.Inertia(body.mass, body.com, body.inertia), pin.SE3.Identity())
     model.addBodyFrame(_BODY_LINK, parent, pin.SE3.Identity(), -1)
     return model
-
-
-_FAR = 1e8  # beyond, a limit is none
 
 
 def assemble(base: pin.Model, mounts: Sequence[Mount], loads: Sequence[tuple[str, Load]]) -> pin.Model:
@@ -116,37 +113,12 @@ def prefixed(model: pin.Model, name: str) -> pin.Model:
     return copy
 
 
-def limits(model: pin.Model, mounts: Sequence[Mount]) -> tuple[Array, Array, Array, Array]:
-    """Return lower and upper limits, shape (nq,), and those of velocity and effort, shape (nv,).
-
-    Infinite where there is none, as of the whole base: the order of its coordinates does not matter.
-    """
-    lower, upper = np.full(model.nq, -np.inf), np.full(model.nq, np.inf)
-    speed, effort = np.full(model.nv, np.inf), np.full(model.nv, np.inf)
-    for mount in mounts:
-        for joint in range(mount.joints.start, mount.joints.stop):
-            q, v = parts_of(model, joint)
-            least, most = model.lowerPositionLimit[q], model.upperPositionLimit[q]
-            # Files write equal limits, or zero, where they know none.
-            if model.nqs[joint] == model.nvs[joint]:
-                known = least < most
-                lower[q] = np.where(known & (least > -_FAR), least, -np.inf)
-                upper[q] = np.where(known & (most < _FAR), most, np.inf)
-            for target, source in ((speed, model.velocityLimit), (effort, model.effortLimit)):
-                target[v] = np.where((source[v] > 0) & (source[v] < _FAR), source[v], np.inf)
-    return lower, upper, speed, effort
-
-
 def resistances(nv: int, mounts: Sequence[Mount]) -> tuple[Array, Array]:
     """Return damping and friction of the joints, each of shape (nv,); the base has none."""
     damping, friction = np.zeros((2, nv))
     for mount in mounts:
         damping[mount.v], friction[mount.v] = mount._model.damping, mount._model.friction
     return damping, friction
-
-
-BODY_JOINT = 3
-"""The joint of the chain that carries the body; those before it carry nothing."""
 
 
 class Calls(NamedTuple):

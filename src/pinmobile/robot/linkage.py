@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +15,7 @@ from pinmobile.arrays import Array, frozen
 from pinmobile.compiled import Node, sincos
 from pinmobile.constancy import constant
 from pinmobile.errors import NotTraceable
-from pinmobile.robot.tree import joint_kind
+from pinmobile.robot.joints import axis_of, joints_of
 
 Vector: TypeAlias = list[Any]
 Matrix: TypeAlias = list[list[Any]]
@@ -151,9 +150,6 @@ def turned(R: Matrix, J: Matrix) -> Matrix:
     return found
 
 
-_ONE_COORDINATE = re.compile(
-    "JointModel(R[XYZ]|RUB[XYZ]|P[XYZ]|(Revolute|RevoluteUnbounded|Prismatic)Unaligned)"
-)
 _ROUNDING = 1e-15  # of a product of rotations [m in what it turns]
 
 
@@ -250,26 +246,24 @@ class Linkage:
         NotTraceable
             If a joint has other than one coordinate.
         """
-        joints = range(1, model.njoints)
-        for j in joints:
-            if not _ONE_COORDINATE.fullmatch(joint_kind(model, j)):
+        joints = joints_of(model)
+        for joint in joints:
+            if not joint.single:
                 raise NotTraceable(
-                    f"joint {model.names[j]!r} is a {joint_kind(model, j)}, which has no single axis",
-                    "give joints in series with one axis each",
+                    f"joint {joint}, which has no single axis", "give joints in series with one axis each"
                 )
-        axes = [np.eye(3), *(_to_z(_axis(model, j)) for j in joints)]
-        places = [model.jointPlacements[j] for j in joints]
-        above = [axes[model.parents[j]].T for j in joints]
-        rotations = [A @ M.rotation @ axes[j] for A, M, j in zip(above, places, joints, strict=True)]
+        axes = [np.eye(3), *(_to_z(axis_of(model, j)) for j in range(1, model.njoints))]
+        places, parents = list(model.jointPlacements)[1:], list(model.parents)[1:]
+        above = [axes[parent].T for parent in parents]
+        rotations = [A @ M.rotation @ axis for A, M, axis in zip(above, places, axes[1:], strict=True)]
         offsets = [A @ M.translation for A, M in zip(above, places, strict=True)]
-        own = [model.joints[j] for j in joints]
         return cls(
-            names=tuple(str(model.names[j]) for j in joints),
-            parents=tuple(int(model.parents[j]) - 1 for j in joints),
-            turns=tuple("JointModelP" not in joint_kind(model, j) for j in joints),
-            circles=tuple(joint.nq == 2 for joint in own),
-            q=tuple(int(joint.idx_q) for joint in own),
-            v=tuple(int(joint.idx_v) for joint in own),
+            names=tuple(joint.name for joint in joints),
+            parents=tuple(int(parent) - 1 for parent in parents),
+            turns=tuple(not joint.slides for joint in joints),
+            circles=tuple(joint.circular for joint in joints),
+            q=tuple(joint.q.start for joint in joints),
+            v=tuple(joint.v.start for joint in joints),
             rotations=frozen(without_rounding(np.array(rotations))),
             offsets=frozen(without_rounding(np.array(offsets))),
             axes=frozen(axes[1:]),
@@ -283,14 +277,6 @@ class Linkage:
     def counted(self) -> dict[Any, bool]:
         """What is known of the operations that its dynamics take, by what is zero in them."""
         return {}
-
-
-def _axis(model: pin.Model, joint: int) -> Array:
-    kind = model.joints[joint]
-    data = kind.createData()
-    kind.calc(data, pin.neutral(model), np.zeros(model.nv))
-    S = np.asarray(data.S).ravel()
-    return S[3:] if S[3:].any() else S[:3]
 
 
 def _to_z(axis: Array) -> Array:

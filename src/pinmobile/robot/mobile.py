@@ -32,10 +32,10 @@ from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
 from pinmobile.measures import Measure
 from pinmobile.plant import Parameter
 from pinmobile.robot.arm_measures import Judgement
-from pinmobile.robot.arms import Arm
+from pinmobile.robot.arms import Arm, check_whole
 from pinmobile.robot.articulated import ArticulatedBody, articulated
-from pinmobile.robot.checks import check_whole
-from pinmobile.robot.dh_chain import BODY_JOINT, Engine, assemble, build_model, check_chain
+from pinmobile.robot.dh_chain import Engine, assemble, build_model, check_chain
+from pinmobile.robot.joints import BODY_JOINT
 from pinmobile.robot.mounts import (
     LinkNumbers,
     Load,

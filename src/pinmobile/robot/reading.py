@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,8 +14,8 @@ from pinmobile.arrays import Array, ArrayLike
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot.geometry import Shape, shapes_of
+from pinmobile.robot.joints import Joint, carries_only_wheels, joints_of
 from pinmobile.robot.stance import Stance, WheelReading, ground_below, stance_on, stance_written, wheels_of
-from pinmobile.robot.tree import carries_only_wheels, joint_kind
 from pinmobile.robot.visuals import VisualFile
 from pinmobile.robot.wellformed import MOMENTS, judge_links, urdf_text
 from pinmobile.urdf import Body
@@ -194,24 +193,22 @@ def _starts_with_slides(model: pin.Model) -> bool:
     """Tell whether the model is meant as the chain: three joints in series, two prismatic ones among them."""
     if model.njoints < 4 or [model.parents[j] for j in (1, 2, 3)] != [0, 1, 2]:
         return False
-    slides = sum("JointModelP" in joint_kind(model, j) and model.nvs[j] == 1 for j in (1, 2, 3))
-    return bool(slides >= 2)
+    return sum(joint.slides == joint.nv == 1 for joint in joints_of(model)[:3]) >= 2
 
 
 def _is_floating(model: pin.Model, joint: int) -> bool:
     alone = sum(parent == 0 for parent in list(model.parents)[1:]) == 1
-    return alone and re.match("JointModel(FreeFlyer|Planar)", joint_kind(model, joint)) is not None
+    return alone and Joint.of(model, joint).floats
 
 
 def _chain_table(model: pin.Model, data: pin.Data, name: str) -> DHTable | None:
     """Check that each joint is the one expected, and return the table whose frames they have, if any."""
     for joint, (kind, axis) in enumerate(_CHAIN, start=1):
         expected = f"expected a {kind} one along {axis}: joint {joint} of y, x, psi"
-        if model.nvs[joint] != 1:
-            raise InvalidArgument(
-                f"{name}: joint {model.names[joint]!r} is a {joint_kind(model, joint)}, {expected}"
-            )
-        column = pin.getJointJacobian(model, data, joint, pin.WORLD)[:, model.idx_vs[joint]]
+        own = Joint.of(model, joint)
+        if own.nv != 1:
+            raise InvalidArgument(f"{name}: joint {own}, {expected}")
+        column = pin.getJointJacobian(model, data, joint, pin.WORLD)[:, own.v.start]
         is_kind = "revolute" if np.linalg.norm(column[3:]) > 0.5 else "prismatic"
         got = column[3:] if is_kind == "revolute" else column[:3]
         if is_kind != kind or np.abs(got - axis).max() > _ALIGNED:
@@ -234,10 +231,10 @@ def _chain_table(model: pin.Model, data: pin.Data, name: str) -> DHTable | None:
 def _locked(model: pin.Model, root: int, name: str) -> list[int]:
     """Return the joints to lock: wheels and what only carries wheels. Refuse any other."""
     above = range(root + 1, model.njoints)
-    for joint in above:
+    for joint, own in zip(above, joints_of(model, root + 1), strict=True):
         if model.parents[joint] == root and not carries_only_wheels(model, joint):
             raise InvalidArgument(
-                f"{name}: joint {model.names[joint]!r} ({joint_kind(model, joint)}) is neither a wheel "
+                f"{name}: joint {own.name!r} (JointModel{own.kind}) is neither a wheel "
                 "(continuous, or without limits) nor a suspension or swivel that carries only wheels; "
                 "expected a bare base, or the chain prismatic y, prismatic x, revolute z with one body"
             )

@@ -15,6 +15,7 @@ import pinocchio as pin
 from pinmobile.arrays import Array, location, sequence, vector
 from pinmobile.errors import InvalidArgument, PinmobileError, UnknownName, shown
 from pinmobile.robot.arms import Arm, Origin, Picture
+from pinmobile.robot.joints import joints_of
 from pinmobile.robot.visuals import FilePicture, GivenPicture
 from pinmobile.robot.wellformed import check_freedom, judge_links, urdf_text
 
@@ -333,16 +334,13 @@ def _check_visual(model: pin.Model, visual: pin.GeometryModel) -> None:
 def _check_rest(arm: Arm) -> None:
     """Refuse a reference posture outside the limits."""
     model = arm.whole
-    for joint in range(1, model.njoints):
-        if model.nqs[joint] != model.nvs[joint]:
-            continue
-        for k in range(model.idx_qs[joint], model.idx_qs[joint] + model.nqs[joint]):
+    for joint in joints_of(model):
+        for k in range(joint.q.start, joint.q.stop) if joint.adds else ():
             least, most = model.lowerPositionLimit[k], model.upperPositionLimit[k]
             # Equal limits are none.
             if least < most and not least - _SLACK <= arm.rest[k] <= most + _SLACK:
                 raise InvalidArgument(
-                    f"rest has joint {model.names[joint]!r} at {arm.rest[k]:.9g}, "
-                    f"expected {least:.9g} to {most:.9g}"
+                    f"rest has joint {joint.name!r} at {arm.rest[k]:.9g}, expected {least:.9g} to {most:.9g}"
                 )
 
 

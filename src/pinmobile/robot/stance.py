@@ -13,7 +13,7 @@ import pinocchio as pin
 from pinmobile.arrays import Array, ArrayLike, finite, frozen, lengths, positive
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot.geometry import Shape
-from pinmobile.robot.tree import children, turns_freely
+from pinmobile.robot.joints import children, turns_freely
 from pinmobile.robot.visuals import VisualFile
 
 WEIGHTLESS = 1e-9

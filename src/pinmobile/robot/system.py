@@ -31,9 +31,17 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Coordinate, Input
 from pinmobile.robot.articulated import ArticulatedBody
 from pinmobile.robot.batches import MANY, answers
-from pinmobile.robot.dh_chain import BODY_JOINT, Calls, Engine, Law, limits, named_frames, resistances
+from pinmobile.robot.dh_chain import Calls, Engine, Law, named_frames, resistances
+from pinmobile.robot.joints import (
+    BODY_JOINT,
+    configuration_names,
+    coordinates,
+    inputs,
+    joints_of,
+    leading,
+    limits,
+)
 from pinmobile.robot.mounts import Load, Mount
-from pinmobile.robot.tree import configuration_names, coordinates, inputs, joint_kind, leading, parts_of
 
 _UNIT = 1e-6  # how far (cos, sin) or a quaternion may be from length one
 
@@ -148,7 +156,8 @@ class System:
 
     @cached_property
     def _limits(self) -> tuple[Array, Array, Array, Array]:
-        lower, upper, speed, effort = map(frozen, limits(self._model, self.mounts))
+        moving = (joint for mount in self.mounts for joint in _joints(mount))
+        lower, upper, speed, effort = map(frozen, limits(self._model, moving))
         return lower, upper, speed, effort
 
     @property
@@ -372,16 +381,8 @@ class System:
     @cached_property
     def _unit_parts(self) -> tuple[tuple[slice, str], ...]:
         """The parts of q that lie on a circle or a sphere, and their joints' names."""
-        model, parts = self._model, []
-        for j in range(1, model.njoints):
-            # In Pinocchio's order: (cos, sin), a quaternion, (x, y, cos, sin), (x, y, z, quaternion).
-            circle = (model.nqs[j], model.nvs[j]) == (2, 1) or "Planar" in joint_kind(model, j)
-            sphere = (model.nqs[j], model.nvs[j]) in ((4, 3), (7, 6))
-            width = 2 if circle else 4 if sphere else 0
-            end = parts_of(model, j)[0].stop
-            if width:
-                parts.append((slice(end - width, end), str(model.names[j])))
-        return tuple(parts)
+        joints = joints_of(self._model)
+        return tuple((joint.unit, joint.name) for joint in joints if joint.unit.start < joint.unit.stop)
 
     def pose(self, q: ArrayLike) -> Array:
         """Return x, y and psi of the body, shape (..., 3) [m, m, rad]."""
