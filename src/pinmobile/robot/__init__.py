@@ -1,10 +1,10 @@
 """`MobileRobot`: a Pinocchio model whose root is the DH chain, and what it carries."""
 
 from pinmobile.robot.arms import Arm
-from pinmobile.robot.dh_chain import Calls, named_frames as named_frames, prefixed as prefixed
 from pinmobile.robot.joints import BODY_JOINT, joints_of as joints_of
+from pinmobile.robot.laws import Calls
 from pinmobile.robot.mobile import MobileRobot
-from pinmobile.robot.mounts import Load, Mount
+from pinmobile.robot.mounts import Load, Mount, named_frames as named_frames, prefixed as prefixed
 from pinmobile.robot.planar import BODY_PARAMETERS as BODY_PARAMETERS, PlanarBody as PlanarBody
 from pinmobile.robot.sources import EXCEPTIONS, Mountable, Mountables, kept_arm as kept_arm, mountable
 from pinmobile.robot.stance import (

@@ -19,7 +19,6 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.measures import Measure
 from pinmobile.plant import Coordinate, Input, Parameter
 from pinmobile.robot.arm_measures import Judgement
-from pinmobile.robot.dh_chain import named_frames
 from pinmobile.robot.linkage import (
     ZERO,
     Body,
@@ -36,7 +35,7 @@ from pinmobile.robot.linkage import (
     regrouped,
     without_rounding,
 )
-from pinmobile.robot.mounts import LinkNumbers, Mount
+from pinmobile.robot.mounts import LinkNumbers, Mount, named_frames
 from pinmobile.robot.planar import BODY_PARAMETERS
 from pinmobile.robot.recursions import Moving, Posture, by_matrix, operations, volume
 

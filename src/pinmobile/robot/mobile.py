@@ -34,12 +34,13 @@ from pinmobile.plant import Parameter
 from pinmobile.robot.arm_measures import Judgement
 from pinmobile.robot.arms import Arm, check_whole
 from pinmobile.robot.articulated import ArticulatedBody, articulated
-from pinmobile.robot.dh_chain import Engine, assemble, build_model, check_chain
 from pinmobile.robot.joints import BODY_JOINT
+from pinmobile.robot.laws import Engine
 from pinmobile.robot.mounts import (
     LinkNumbers,
     Load,
     Mount,
+    assemble,
     checked_name,
     free_name,
     mount_after,
@@ -47,7 +48,7 @@ from pinmobile.robot.mounts import (
     placed,
 )
 from pinmobile.robot.planar import BODY_PARAMETERS, PlanarBody
-from pinmobile.robot.reading import LOCKED, Reading, read_model, read_urdf
+from pinmobile.robot.reading import LOCKED, Reading, build_model, check_chain, read_model, read_urdf
 from pinmobile.robot.sources import existing_folders, read_arm
 from pinmobile.robot.stance import Stance
 from pinmobile.robot.system import System
