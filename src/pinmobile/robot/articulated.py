@@ -18,7 +18,6 @@ from pinmobile.compiled import Node, plain, symbols
 from pinmobile.errors import InvalidArgument
 from pinmobile.measures import Measure
 from pinmobile.plant import Coordinate, Input, Parameter
-from pinmobile.robot.arm_measures import Judgement
 from pinmobile.robot.linkage import (
     ZERO,
     Body,
@@ -38,6 +37,7 @@ from pinmobile.robot.linkage import (
 from pinmobile.robot.mounts import LinkNumbers, Mount, named_frames
 from pinmobile.robot.planar import BODY_PARAMETERS
 from pinmobile.robot.recursions import Moving, Posture, by_matrix, operations, volume
+from pinmobile.robot.stance import Judgement
 
 _BASE = 3  # joints, coordinates and numbers of q of the base; the last carries its body
 _OF_BASE = ("mass", "yaw_inertia", "com_x", "com_y")

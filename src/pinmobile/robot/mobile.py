@@ -31,7 +31,6 @@ from pinmobile.dh import LECTURE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
 from pinmobile.measures import Measure
 from pinmobile.plant import Parameter
-from pinmobile.robot.arm_measures import Judgement
 from pinmobile.robot.arms import Arm, check_whole
 from pinmobile.robot.articulated import ArticulatedBody, articulated
 from pinmobile.robot.joints import BODY_JOINT
@@ -50,7 +49,7 @@ from pinmobile.robot.mounts import (
 from pinmobile.robot.planar import BODY_PARAMETERS, PlanarBody
 from pinmobile.robot.reading import LOCKED, Reading, build_model, check_chain, read_model, read_urdf
 from pinmobile.robot.sources import existing_folders, read_arm
-from pinmobile.robot.stance import Stance
+from pinmobile.robot.stance import Judgement, Stance
 from pinmobile.robot.system import System
 from pinmobile.robot.visuals import VisualFile, add_carried, box_visuals, read_visuals
 from pinmobile.robot.wellformed import check_freedom

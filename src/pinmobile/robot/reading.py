@@ -13,9 +13,9 @@ import pinocchio as pin
 from pinmobile.arrays import Array, ArrayLike
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable, JointType
 from pinmobile.errors import InvalidArgument
-from pinmobile.robot.geometry import Shape, shapes_of
+from pinmobile.robot.geometry import Shape, WheelReading, ground_below, shapes_of, stance_on, wheels_of
 from pinmobile.robot.joints import Joint, carries_only_wheels, joints_of
-from pinmobile.robot.stance import Stance, WheelReading, ground_below, stance_on, stance_written, wheels_of
+from pinmobile.robot.stance import Stance, stance_written
 from pinmobile.robot.visuals import VisualFile
 from pinmobile.robot.wellformed import MOMENTS, judge_links, urdf_text
 from pinmobile.urdf import Body
