@@ -551,7 +551,7 @@ class MobileRobot(System):
 
     def mount(
         self,
-        arm: Any,
+        arm: str | PathLike[str] | pin.Model,
         at: ArrayLike | None = None,
         *,
         name: str | None = None,

@@ -9,9 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, finite, lengths, positive, text
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.plant import Parameter
 from pinmobile.robot.arms import Arm
 from pinmobile.urdf import Body, box_inertia
 
@@ -56,6 +58,45 @@ def _six(inertia: Array) -> Array:
 def _matrix_of(six: Array) -> Array:
     """Return the matrix of (xx, yy, zz, xy, xz, yz)."""
     return six[[[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
+
+
+_COM = ("com_x", "com_y", "com_z")
+_INERTIA = ("inertia_xx", "inertia_yy", "inertia_zz", "inertia_xy", "inertia_xz", "inertia_yz")
+_SLACK = 1e-9  # of the moments of inertia, relative, and of the mass [m^2]: files carry as many digits
+
+
+def body_parameters(k: int, before: str, after: str, of: str) -> list[Parameter]:
+    """Return the parameters of the k-th link or load."""
+    named = [("mass", "masses", k, "kg", "mass", 0.0)]
+    named += [
+        (name, "coms", 3 * k + j, "m", f"{name[-1]} of the centre of mass", -np.inf)
+        for j, name in enumerate(_COM)
+    ]
+    for j, name in enumerate(_INERTIA):
+        least = 0.0 if j < 3 else -np.inf
+        named.append((name, "inertias", 6 * k + j, "kg m^2", f"{name[-2:]} of the inertia", least))
+    return [
+        Parameter(
+            f"{before}{name}{after}",
+            unit,
+            f"{meaning} of {of}, of the robot",
+            least,
+            may_vanish=not (before and name == "mass"),
+            attribute=f"{before}{attribute}",
+            entry=entry,
+        )
+        for name, attribute, entry, unit, meaning, least in named
+    ]
+
+
+def are_impossible(inertias: Array, masses: Array) -> NDArray[np.bool_]:
+    """Tell which inertias (xx, yy, zz, xy, xz, yz) about a centre of mass no body has, shape (...)."""
+    xx, yy, zz, xy, xz, yz = np.moveaxis(inertias, -1, 0)
+    full = np.stack([np.stack(row, -1) for row in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))], -2)
+    moments = np.linalg.eigvalsh(full)
+    slack = _SLACK * (np.abs(moments).max(axis=-1) + masses)
+    far = moments[..., 2] > moments[..., 0] + moments[..., 1] + slack
+    return np.asarray(far | (moments[..., 0] < -slack))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -8,6 +8,7 @@ from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, finite, frozen, lengths, positive
 from pinmobile.errors import InvalidArgument, shown
@@ -93,7 +94,7 @@ def hull(points: ArrayLike) -> Array | None:
     return np.array(halves) if len(halves) > 2 else None
 
 
-def margin_inside(corners: Array, points: Any) -> Any:
+def margin_inside(corners: Array, points: Array) -> Array:
     """Return the signed distance of points from the edge of a polygon, positive inside, shape (...) [m].
 
     Parameters
@@ -108,12 +109,12 @@ def margin_inside(corners: Array, points: Any) -> Any:
     from_corner = points[..., None, :] - corners  # (..., k, 2)
     along = np.clip((from_corner * shares).sum(axis=-1), 0.0, 1.0)
     square = np.square(from_corner - along[..., None] * edges).sum(axis=-1)
-    distance = np.sqrt(np.min(square, axis=-1))
+    distance: Array = np.sqrt(np.min(square, axis=-1))
     inside = np.all(_cross(edges, from_corner) >= 0, axis=-1)
     return np.where(inside, distance, -distance)
 
 
-def pressed_at(wrench: Any, carried: Any) -> Any:
+def pressed_at(wrench: Array, carried: NDArray[np.bool_]) -> Array:
     """Return the point of the ground about which its wrench has no level moment, shape (..., 2) [m].
 
     Parameters
@@ -127,7 +128,7 @@ def pressed_at(wrench: Any, carried: Any) -> Any:
     return np.stack([-wrench[..., 4] / vertical, wrench[..., 3] / vertical], axis=-1)
 
 
-def _cross(a: Any, b: Any) -> Any:
+def _cross(a: Array, b: Array) -> Array:
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
@@ -273,7 +274,7 @@ class Judgement:
             found.append(Measure("tip-over margin", "m", words, "smallest"))
         return tuple(found)
 
-    def measured(self, robot: Any, q: Any, v: Any, a: Any, u: Any, desired: Any) -> Any:
+    def measured(self, robot: Any, q: Array, v: Array, a: Array, u: Array, desired: Array) -> Array:
         """Return the measures of a robot that moves so, shape (..., m).
 
         Parameters
@@ -302,7 +303,7 @@ class Judgement:
         return np.stack(np.broadcast_arrays(*found), axis=-1)
 
 
-def _apart(one: Any, other: Any) -> tuple[Any, Any]:
+def _apart(one: Array, other: Array) -> tuple[Array, Array]:
     """Return the distance [m] and the angle [rad], in [0, pi], between poses, shape (..., 4, 4)."""
     way = other[..., :3, 3] - one[..., :3, 3]
     # Of the rotation from one to the other: 1 + 2 cos is its trace, and sin the length of its skew part.
