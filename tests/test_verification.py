@@ -18,7 +18,7 @@ from pinmobile import (
     verify,
 )
 from pinmobile.arrays import Array
-from pinmobile.robot.dh_chain import Engine
+from pinmobile.robot.laws import Engine
 from pinmobile.verification import routes
 from pinmobile.verification.routes import COMPILED
 

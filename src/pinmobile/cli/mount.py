@@ -38,7 +38,7 @@ from pinmobile.cli.output import (
     save_figure,
 )
 from pinmobile.cli.run import FIGURES, draw, save_page
-from pinmobile.robot import parts_of
+from pinmobile.robot import joints_of
 
 _RADIUS, _RATE = 1.0, 0.5  # of the circle [m], [rad/s]
 _WAY = {"rad": 0.5, "m": 0.1}  # that each joint goes and comes back
@@ -137,10 +137,9 @@ def _lifts(robot: MobileRobot, way: Array) -> Any:
 def _room(robot: MobileRobot) -> tuple[Array, Array]:
     """Return how far each coordinate can go up and down from rest, within its limits, shape (nv,)."""
     up, down = np.full(robot.nv, np.inf), np.full(robot.nv, np.inf)
-    model = robot.model
-    for joint in range(1, model.njoints):
-        if model.nqs[joint] == model.nvs[joint]:
-            q, v = parts_of(model, joint)
+    for joint in joints_of(robot.model):
+        if joint.adds:
+            q, v = joint.q, joint.v
             up[v], down[v] = robot.upper[q] - robot.rest[q], robot.rest[q] - robot.lower[q]
     return up, down
 
