@@ -32,13 +32,13 @@ from pinmobile.errors import NotTraceable
 _STATE = "keep memory in state as floats and arrays, in a tree that stays as `initial_state` returns it"
 
 
-def is_leaf(x: Any) -> bool:
+def is_leaf(x: object) -> bool:
     """Tell whether a value is a number, an array of numbers, or a symbol."""
     numeric = isinstance(x, np.ndarray) and (x.dtype.kind in "fiub" or x.dtype == object)
     return numeric or isinstance(x, Symbols | Node | bool | int | float | np.number | np.bool_)
 
 
-def _children(tree: Any) -> Iterator[tuple[str, Any]] | None:
+def _children(tree: object) -> Iterator[tuple[str, Any]] | None:
     """Return the named entries of a tree; None of what is no tree."""
     if isinstance(tree, dict):
         return ((f"[{key!r}]", value) for key, value in tree.items())
@@ -49,7 +49,7 @@ def _children(tree: Any) -> Iterator[tuple[str, Any]] | None:
     return None
 
 
-def leaves(tree: Any, path: str = "state") -> list[tuple[str, Any]]:
+def leaves(tree: object, path: str = "state") -> list[tuple[str, Any]]:
     """Return the numbers and arrays of a tree, each with its path."""
     if is_leaf(tree):
         return [(path, tree)]
@@ -74,7 +74,7 @@ def mapped(tree: Any, function: Callable[[Any], Any]) -> Any:
     return new
 
 
-def matched(before: Any, after: Any, path: str = "state") -> Iterator[tuple[str, Any, Any]]:
+def matched(before: object, after: object, path: str = "state") -> Iterator[tuple[str, Any, Any]]:
     """Return the numbers and arrays of two trees side by side.
 
     Raises
@@ -98,7 +98,7 @@ def matched(before: Any, after: Any, path: str = "state") -> Iterator[tuple[str,
         yield from matched(a, b, path + name)
 
 
-def _same(a: Any, b: Any) -> bool:
+def _same(a: object, b: object) -> bool:
     if a is b or (type(a) is type(b) and hasattr(a, "goes_on")):
         return True
     try:
@@ -124,11 +124,11 @@ class Line:
 
     goes_on = True  # a new one takes its place at each sample
 
-    def __init__(self, samples: int, past: Iterable[Any] = ()) -> None:
+    def __init__(self, samples: int, past: Iterable[object] = ()) -> None:
         self.samples = samples
         self.past = deque(past, samples + 1)
 
-    def push(self, values: Any) -> tuple[Any, Line]:
+    def push(self, values: object) -> tuple[Any, Line]:
         """Return what was pushed `samples` ago, a tree of arrays, and the line for the next sample."""
         kept = mapped(values, lambda x: np.array(x, np.float64))
         past = (*self.past, kept)
@@ -207,7 +207,9 @@ def _sincos_of_an_eighth(i: Any) -> tuple[Any, Any]:
     return r * polynomial(_SINE, z), polynomial(_COSINE, z)
 
 
-def robot_keys(seed: Any, name: str, robots: NDArray[np.int64] | range) -> NDArray[np.uint64]:
+def robot_keys(
+    seed: int | np.random.SeedSequence, name: str, robots: NDArray[np.int64] | range
+) -> NDArray[np.uint64]:
     """Return the key of each robot for the noise of one name.
 
     Parameters

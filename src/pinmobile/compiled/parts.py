@@ -94,7 +94,7 @@ class Parts:
     def _rebuilt(self, function: Callable[[str, Any, Mapping[str, Any]], Any]) -> Parts:
         """Return the parts with a function of path, part and changed inner parts in the place of each."""
 
-        def visit(path: str, part: Any) -> Any:
+        def visit(path: str, part: object) -> Any:
             inner = {name: (child, visit(f"{path}.{name}", child)) for name, child in children_at(path, part)}
             return function(path, part, {name: new for name, (old, new) in inner.items() if new is not old})
 
@@ -110,7 +110,7 @@ class Parts:
         for place, entry in entries:
             found.setdefault(place.path, []).append((place.name, entry))
 
-        def own(path: str, part: Any, changed: Mapping[str, Any]) -> Any:
+        def own(path: str, part: object, changed: Mapping[str, Any]) -> Any:
             new = _holding("varying", part, changed) if changed else part
             return new.varying(found.get(path, ())) if hasattr(new, "varying") else new
 
@@ -126,7 +126,7 @@ class Parts:
     def on_arrays(self) -> Parts:
         """Return the parts as `on_symbols` does; those that cannot be traced, as they are."""
 
-        def own(path: str, part: Any) -> Any:
+        def own(path: str, part: object) -> Any:
             if path == "trajectory":
                 return part
             try:
@@ -163,7 +163,7 @@ class Parts:
         """
         left = dict(values)
 
-        def own(path: str, part: Any, changed: Mapping[str, Any]) -> Any:
+        def own(path: str, part: object, changed: Mapping[str, Any]) -> Any:
             mine = {name: left.pop(Place(path, name)) for name in attributes_of(part) if (path, name) in left}
             if not (mine or changed):
                 return part
@@ -176,7 +176,7 @@ class Parts:
         return new
 
 
-def _parameters(path: str, part: Any) -> Sequence[tuple[str, str, Array]]:
+def _parameters(path: str, part: object) -> Sequence[tuple[str, str, Array]]:
     """Return path within a part, name and value of its parameters and of those of parts within it."""
     own, stated = known(part), getattr(type(part), "parameters", None)
     name_of_memory = "parameters", path.startswith("trajectory")
@@ -192,7 +192,7 @@ def _parameters(path: str, part: Any) -> Sequence[tuple[str, str, Array]]:
     return found
 
 
-def _on_symbols(part: Any) -> Any:
+def _on_symbols(part: object) -> Any:
     if hasattr(part, "traced"):
         return part.traced()
 
@@ -207,7 +207,7 @@ def _on_symbols(part: Any) -> Any:
     return _holding("on symbols", part, changed) if changed else part
 
 
-def _holding(why: str, part: Any, changed: Mapping[str, Any]) -> Any:
+def _holding(why: str, part: object, changed: Mapping[str, Any]) -> Any:
     """Return a copy of a part that holds others: the one of last time where these are the same."""
     own = known(part)
     before = own and own.memory.get(why)
@@ -219,7 +219,7 @@ def _holding(why: str, part: Any, changed: Mapping[str, Any]) -> Any:
     return made
 
 
-def children(part: Any) -> Sequence[tuple[str, Any]]:
+def children(part: object) -> Sequence[tuple[str, Any]]:
     """Return the parts that a part holds: as attributes, in lists, and behind methods, by name."""
     own = known(part)
     if own is None:
@@ -229,7 +229,7 @@ def children(part: Any) -> Sequence[tuple[str, Any]]:
     return own.memory["children"]  # type: ignore[no-any-return]
 
 
-def _children(part: Any) -> Iterator[tuple[str, Any]]:
+def _children(part: object) -> Iterator[tuple[str, Any]]:
     for name, value in getattr(part, "__dict__", {}).items():
         if isinstance(value, list | tuple):
             yield from ((f"{name}[{i}]", each) for i, each in enumerate(value) if is_part(each))
@@ -240,7 +240,7 @@ def _children(part: Any) -> Iterator[tuple[str, Any]]:
             yield name, value
 
 
-def children_at(path: str, part: Any) -> Iterator[tuple[str, Any]]:
+def children_at(path: str, part: object) -> Iterator[tuple[str, Any]]:
     """Return the parts that a part at a path holds and whose parameters are the loop's.
 
     A trajectory may know a robot, whose limits it keeps; nothing follows from that robot's parameters.
@@ -250,7 +250,7 @@ def children_at(path: str, part: Any) -> Iterator[tuple[str, Any]]:
             yield name, child
 
 
-def attributes_of(part: Any) -> tuple[str, ...]:
+def attributes_of(part: object) -> tuple[str, ...]:
     """Return the attributes of a part that may differ from robot to robot.
 
     They hold its parameters, and what each robot draws, which a part lists as ``drawn``.
@@ -263,7 +263,7 @@ def attributes_of(part: Any) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*found, *(drawn if isinstance(drawn, list | tuple) else ())]))
 
 
-def _value(path: str, part: Any, name: str) -> Array:
+def _value(path: str, part: object, name: str) -> Array:
     try:
         return np.asarray(getattr(part, name), np.float64)
     except AttributeError:
@@ -275,7 +275,7 @@ def _value(path: str, part: Any, name: str) -> Array:
         raise
 
 
-def check_numbers(name: str, value: Any) -> None:
+def check_numbers(name: str, value: object) -> None:
     """Refuse the value of a parameter that is no number and no array of numbers.
 
     Raises
@@ -292,7 +292,7 @@ def check_numbers(name: str, value: Any) -> None:
 _DEEP = 8  # objects within objects that a part holds
 
 
-def copied(part: Any, values: Mapping[str, Any], parts: Mapping[str, Any]) -> Any:
+def copied(part: object, values: Mapping[str, Any], parts: Mapping[str, Any]) -> Any:
     """Return a copy of a part with other values of attributes, and other parts in it."""
     new = copy.copy(part)
     for each in type(part).__mro__:
@@ -318,7 +318,7 @@ def copied(part: Any, values: Mapping[str, Any], parts: Mapping[str, Any]) -> An
     return new
 
 
-def made_again(part: Any, values: Mapping[str, Any], parts: Mapping[str, Any]) -> Any:
+def made_again(part: object, values: Mapping[str, Any], parts: Mapping[str, Any]) -> Any:
     """Return a part that is made again with other values of attributes, and other parts in it.
 
     By its own ``with_parameters(**values)``; by `dataclasses.replace` of a dataclass; of another class by
@@ -348,12 +348,12 @@ def made_again(part: Any, values: Mapping[str, Any], parts: Mapping[str, Any]) -
     return copied(part, values, parts)
 
 
-def is_part(x: Any) -> bool:
+def is_part(x: object) -> bool:
     """Tell whether something that a part holds is a part itself."""
     return (hasattr(x, "parameters") or hasattr(x, "initial_state")) and not isinstance(x, type)
 
 
-def check_made_again(name: str, part: Any, values: Iterable[str]) -> None:
+def check_made_again(name: str, part: object, values: Iterable[str]) -> None:
     """Refuse a part that cannot be made again with other values, though it keeps what may follow from them.
 
     Parameters
@@ -392,7 +392,7 @@ def check_made_again(name: str, part: Any, values: Iterable[str]) -> None:
         )
 
 
-def derived(part: Any, other: Any, apart: Iterable[str] = ()) -> str:
+def derived(part: object, other: object, apart: Iterable[str] = ()) -> str:
     """Return which numbers of a part differ from another's, by the name of the attribute; "" where none.
 
     Parameters
@@ -409,14 +409,14 @@ def derived(part: Any, other: Any, apart: Iterable[str] = ()) -> str:
     return ""
 
 
-def _arguments(part: Any) -> set[str]:
+def _arguments(part: object) -> set[str]:
     try:
         return set(inspect.signature(type(part)).parameters)
     except (TypeError, ValueError):  # as of some that are built in
         return set()
 
 
-def _called(part: Any, values: Mapping[str, Any]) -> Any:
+def _called(part: object, values: Mapping[str, Any]) -> Any:
     """Return a new one of its class: each argument is a value, or what the part keeps under that name."""
     ahead, named = [], {}
     for name, argument in inspect.signature(type(part)).parameters.items():
@@ -431,7 +431,7 @@ def _called(part: Any, values: Mapping[str, Any]) -> Any:
     return type(part)(*ahead, **named)
 
 
-def _can_be_called(part: Any) -> bool:
+def _can_be_called(part: object) -> bool:
     """Tell whether a part that is made of what it keeps is the same."""
     try:
         same = _called(part, {})
@@ -440,14 +440,14 @@ def _can_be_called(part: Any) -> bool:
     return not derived(part, same) and not derived(same, part)
 
 
-def _own(part: Any) -> Iterator[tuple[str, Any]]:
+def _own(part: object) -> Iterator[tuple[str, Any]]:
     """Yield what an object keeps, by name, without what it computed later."""
     for name, value in getattr(part, "__dict__", {}).items():
         if not isinstance(getattr(type(part), name, None), functools.cached_property):
             yield name, value
 
 
-def _alike(one: Any, other: Any) -> bool:
+def _alike(one: object, other: object) -> bool:
     if one is other:
         return True
     first, second = list(_numbers(one)), list(_numbers(other))
@@ -456,7 +456,7 @@ def _alike(one: Any, other: Any) -> bool:
     )
 
 
-def _numbers(x: Any, deep: int = _DEEP) -> Iterator[Array]:
+def _numbers(x: object, deep: int = _DEEP) -> Iterator[Array]:
     """Yield all numbers that a value holds: in lists and the like, in objects, in closures."""
     if is_leaf(x):
         yield np.asarray(x, np.float64)
