@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pinmobile.arrays import Array, are_real, callable_as, one_of, sequence, text
+from pinmobile.arrays import Array, ArrayLike, are_real, callable_as, one_of, sequence, text
 from pinmobile.errors import InvalidArgument, shown
 
 _WORST = ("largest", "smallest")
@@ -47,7 +47,7 @@ class Measure(NamedTuple):
         return f"{self.name} [{self.unit}]" if self.unit not in ("", "1") else self.name
 
 
-def size_of(margin: Any) -> Any:
+def size_of(margin: ArrayLike) -> Any:
     """Return a size > 0 that grows with a margin of any sign, to be counted in bins of a logarithm.
 
     That is m + sqrt(m^2 + c^2): its logarithm is asinh(m / c), near zero as a line and far from it as the
@@ -63,7 +63,7 @@ def value_of(size: Array) -> Array:
         return np.asarray((size - _SCALE**2 / size) / 2)
 
 
-def measures_of(plant: Any) -> tuple[Measure, ...]:
+def measures_of(plant: object) -> tuple[Measure, ...]:
     """Return the measures that a plant states, none where it does not.
 
     Raises
@@ -94,7 +94,7 @@ def measures_of(plant: Any) -> tuple[Measure, ...]:
     return tuple(found)
 
 
-def chosen(plant: Any, names: Any, taken: Sequence[str]) -> tuple[Measure, ...]:
+def chosen(plant: object, names: object, taken: Sequence[str]) -> tuple[Measure, ...]:
     """Return the measures of a plant that are asked for, in its order.
 
     Parameters

@@ -300,3 +300,7 @@ def of_floats(function: Callable[..., Any]) -> Callable[..., Any]:
             return function(*(np.asarray(x, np.float64) for x in given))[()]
 
     return run
+
+
+ELEMENTARY = (sin, cos, tan, exp, expm1, log, log1p, sinh, cosh, tanh, arcsin, arccos, arctan, arctan2)
+"""Those that NumPy has under the same names."""

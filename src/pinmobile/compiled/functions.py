@@ -9,26 +9,26 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.compiled.elementary import (
-    arccos,
-    arcsin,
-    arctan,
-    arctan2,
-    cos,
-    cosh,
-    exp,
-    expm1,
-    log,
-    log1p,
-    of_floats,
-    sin,
-    sinh,
-    tan,
-    tanh,
+from pinmobile.compiled.elementary import ELEMENTARY, of_floats
+from pinmobile.compiled.symbolic import (
+    FUNCTIONS,
+    REFUSED,
+    UFUNCS,
+    Symbols,
+    between,
+    boxed,
+    choose,
+    elementwise,
+    entries,
+    has_symbols,
+    larger,
+    of_truths,
+    plain,
+    put,
+    smaller,
+    wrapped,
 )
-from pinmobile.compiled.symbolic import FUNCTIONS, REFUSED, Symbols, entries, has_symbols, plain, put, wrapped
 from pinmobile.compiled.tape import absolute, maximum, minimum, root, select
-from pinmobile.compiled.ufuncs import UFUNCS, between, boxed, choose, elementwise, larger, of_truths, smaller
 from pinmobile.errors import NotTraceable
 
 
@@ -331,7 +331,6 @@ def _own(function: Callable[..., Any]) -> Callable[..., Any]:
     return run
 
 
-_ELEMENTARY = (sin, cos, tan, exp, expm1, log, log1p, sinh, cosh, tanh, arcsin, arccos, arctan, arctan2)
 _MADE = ("zeros", "empty", "ones", "full", "eye", "identity", "zeros_like", "empty_like", "ones_like")
 
 
@@ -343,7 +342,7 @@ def constructors() -> dict[str, Callable[..., Any]]:
         if hasattr(np, name)
     }
     filling = {name: _filling(getattr(np, name)) for name in _MADE}
-    return making | filling | {function.__name__: _own(function) for function in _ELEMENTARY}
+    return making | filling | {function.__name__: _own(function) for function in ELEMENTARY}
 
 
 FUNCTIONS.update(_OWN)

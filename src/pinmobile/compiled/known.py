@@ -26,12 +26,12 @@ from pinmobile.arrays import Array
 from pinmobile.compiled.emit import Shape
 from pinmobile.compiled.lasting import Unknown, key_of, packed, unpacked
 from pinmobile.compiled.loop_tape import initial_memory
-from pinmobile.compiled.memory import Line
-from pinmobile.compiled.noise import Noise
-from pinmobile.compiled.parts import Parts, Place, Reference, attributes_of
+from pinmobile.compiled.memory import Line, Noise
+from pinmobile.compiled.parts import Parts, Place, attributes_of
 from pinmobile.compiled.passes import traced, walk_of
 from pinmobile.compiled.processor import LOOP, Cache, Target
 from pinmobile.compiled.program import Program
+from pinmobile.compiled.sample import Reference
 from pinmobile.compiled.tracing import Walk, is_foreign, uncollected
 from pinmobile.constancy import has_slots, is_constant, known
 from pinmobile.errors import NotTraceable

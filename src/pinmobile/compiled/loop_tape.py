@@ -11,9 +11,9 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.compiled.folding import ROBOT, SAMPLE, STATE
-from pinmobile.compiled.memory import Line, leaves
-from pinmobile.compiled.noise import Noise
-from pinmobile.compiled.parts import Memory, Parts, Place, integrate_of
+from pinmobile.compiled.memory import Line, Noise, leaves
+from pinmobile.compiled.parts import Parts, Place
+from pinmobile.compiled.sample import Memory, integrate_of
 from pinmobile.compiled.symbolic import entries, has_symbols, symbols
 from pinmobile.compiled.tape import Node, Tape, evaluated, needed, operands
 from pinmobile.compiled.tracing import tracing

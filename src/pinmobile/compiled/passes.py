@@ -9,9 +9,9 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.compiled.loop_tape import Leaf, Loop, Ring, arrays_of, initial_memory
-from pinmobile.compiled.memory import leaves, mapped, matched
-from pinmobile.compiled.noise import normals
-from pinmobile.compiled.parts import Memory, Parts, Place, Reference, Stepped, one_sample
+from pinmobile.compiled.memory import leaves, mapped, matched, normals
+from pinmobile.compiled.parts import Parts, Place
+from pinmobile.compiled.sample import Memory, Reference, Stepped, one_sample
 from pinmobile.compiled.symbolic import Symbols, entries, symbols
 from pinmobile.compiled.tape import COUNT, LARGEST, Node, Tape, evaluated, float_bits, needed, real
 from pinmobile.compiled.tracing import Walk, calling_place, tracing

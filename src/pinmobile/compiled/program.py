@@ -16,8 +16,9 @@ from pinmobile.arrays import Array, affordable
 from pinmobile.compiled.emit import BINS, Shape, text_of
 from pinmobile.compiled.loop_tape import Loop, initial_memories, initial_memory
 from pinmobile.compiled.memory import leaves, mapped
-from pinmobile.compiled.parts import Memory, Parts, Place, Reference
+from pinmobile.compiled.parts import Parts, Place
 from pinmobile.compiled.processor import Cache, Target, function_of
+from pinmobile.compiled.sample import Memory, Reference
 from pinmobile.compiled.tape import COUNT, evaluated
 from pinmobile.constancy import is_constant
 from pinmobile.errors import InvalidArgument, UnknownName
