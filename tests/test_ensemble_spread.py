@@ -38,8 +38,9 @@ from pinmobile import (
     planar_difference,
     simulate,
 )
+from pinmobile.compiled import BINS
 from pinmobile.ensembles import ARRAYS, PARAMETERS, Within, run_scenario
-from pinmobile.ensembles.histogram import BINS, bins_of, edges, quantiles
+from pinmobile.ensembles.records import bins_of, edges, quantiles
 
 ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.02))
 TRAJECTORY = Tangent(Circle(3.0, 0.1, 60.0))

@@ -39,7 +39,7 @@ from pinmobile import (
     sweep,
 )
 from pinmobile.ensembles import run_scenario
-from pinmobile.ensembles.histogram import edges
+from pinmobile.ensembles.records import edges
 from pinmobile.ensembles.variables import PER_ROBOT
 from pinmobile.sweeps import length
 from pinmobile.sweeps.fingerprint import determined_by, differences

@@ -11,9 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, location, one_of, whole
-from pinmobile.ensembles.histogram import checked_levels, checked_share, share_within
 from pinmobile.ensembles.outline import Outline, alike, judgement, ranges
-from pinmobile.ensembles.part import Member, Part, member_of
+from pinmobile.ensembles.records import (
+    Member,
+    Part,
+    checked_levels,
+    checked_share,
+    member_of,
+    share_within,
+)
 from pinmobile.ensembles.scenario import Scenario, checked_scenario
 from pinmobile.ensembles.variables import (
     PER_ROBOT,
@@ -119,7 +125,7 @@ class Ensemble:
         When the loop diverged [s]; NaN where it did not.
     counts : ndarray of int, shape (G, channels, BINS)
         At each time of `Scenario.grid`, how many robots have a distance, an error of the heading, and so on
-        of `Scenario.channels`, of which size, see `pinmobile.ensembles.histogram`.
+        of `Scenario.channels`, of which size, see `pinmobile.ensembles.records`.
     traces : dict of int to Rollout
         Everything of the robots that were asked for; of a diverged one until then.
     engine : str

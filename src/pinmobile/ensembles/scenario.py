@@ -12,7 +12,7 @@ from zlib import crc32
 import numpy as np
 
 from pinmobile.arrays import Array, affordable, finite, positive, scalar, whole
-from pinmobile.compiled import Noise, Parts, Place, check_made_again, initial_memory, memory_of, once
+from pinmobile.compiled import BINS, Noise, Parts, Place, check_made_again, initial_memory, memory_of, once
 from pinmobile.ensembles.distributions import (
     Source,
     check_mapping,
@@ -22,7 +22,6 @@ from pinmobile.ensembles.distributions import (
     held,
     in_blocks,
 )
-from pinmobile.ensembles.histogram import BINS
 from pinmobile.ensembles.names import Stated, resolved, start_parameters, stated_by, with_spread_forces
 from pinmobile.errors import InvalidArgument
 from pinmobile.integrators import Integrator

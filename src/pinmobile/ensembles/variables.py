@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, finite, text, whole
-from pinmobile.ensembles.histogram import edges, miscounted, quantiles
 from pinmobile.ensembles.outline import Outline
+from pinmobile.ensembles.records import edges, miscounted, quantiles
 from pinmobile.extras import imported
 from pinmobile.files import archive_of, unpacking
 from pinmobile.measures import Measure

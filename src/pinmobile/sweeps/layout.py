@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from pinmobile.compiled import BINS
 from pinmobile.ensembles import (
-    BINS,
     LEVELS,
     NOTE,
     PARAMETERS,
