@@ -1,13 +1,13 @@
 """Many robots at once: drawn, run side by side, and summed up."""
 
 from pinmobile.ensembles.distributions import TRUE_MODEL, Distribution, Normal, Same, Uniform
-from pinmobile.ensembles.names import (
+from pinmobile.ensembles.outline import Outline, percent as percent
+from pinmobile.ensembles.parameters import (
     GROUPS as GROUPS,
     PARAMETERS,
     resolved as resolved,
     with_spread_forces as with_spread_forces,
 )
-from pinmobile.ensembles.outline import Outline, percent as percent
 from pinmobile.ensembles.records import (
     Member,
     Part,

@@ -19,7 +19,7 @@ from pinmobile.controllers import Controller
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.errors import Diverged, InvalidArgument, shown
 from pinmobile.measures import size_of, value_of
-from pinmobile.simulation import Plant, Rollout, simulate
+from pinmobile.simulation import Rollout, simulate
 from pinmobile.trajectories import Trajectory
 
 _ROUNDING = 4 * float(np.finfo(np.float64).eps)  # of a share such as 0.07, and of its product with a count
@@ -87,7 +87,7 @@ class Records:
         if self._all is None:
             count, (*each, counts) = self.stop - self.start, part
             rows = (np.empty((count, *array.shape[1:]), array.dtype) for array in each)
-            self._all = Part(*rows, counts=np.zeros_like(counts))
+            self._all = Part._make([*rows, np.zeros_like(counts)])
         for whole, array in zip(self._all[:-1], part[:-1], strict=True):
             whole[start - self.start : stop - self.start] = array
         self._all.counts[:] += part.counts
@@ -109,7 +109,7 @@ class Member(NamedTuple):
         The other arguments of `simulate`.
     """
 
-    robot: Plant
+    robot: Any
     controller: Controller
     trajectory: Trajectory
     options: dict[str, Any]
@@ -219,7 +219,7 @@ def bins_of(values: Array) -> NDArray[np.int64]:
     return np.asarray(np.clip(bits - FIRST + 1, 0, BINS - 1))
 
 
-def miscounted(counts: NDArray[np.generic], times: int, channels: int, robots: int) -> str:
+def miscounted(counts: NDArray[np.int32], times: int, channels: int, robots: int) -> str:
     """Return why counts cannot be those of some robots at some times; nothing where they can be."""
     shape = (times, channels, BINS)
     if counts.shape != shape or counts.dtype != np.int32:

@@ -159,7 +159,8 @@ class Ensemble:
         draws: Mapping[str, Array],
         part: Part,
         traces: Iterable[int] = (),
-        way: Any = None,
+        engine: str = "",
+        why: str = "",
     ) -> Ensemble:
         """Return the ensemble of all records of a scenario.
 
@@ -173,8 +174,8 @@ class Ensemble:
             The records of all n.
         traces : iterable of int
             Robots of which a whole `Rollout` is made.
-        way : Way, optional
-            How they were run.
+        engine, why : str
+            How they were run, and why not by a faster engine.
         """
         for array in (
             *(part.max_error, part.max_distance, part.rms_error),
@@ -196,8 +197,8 @@ class Ensemble:
             diverged_at=times[np.minimum(part.lived, samples)],
             counts=part.counts,
             traces={},
-            engine="" if way is None else repr(way.engine),
-            why="" if way is None else way.why,
+            engine=engine,
+            why=why,
         )
         object.__setattr__(made, "traces", {i: made.trace(i) for i in traces})
         return made

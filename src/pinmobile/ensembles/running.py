@@ -13,14 +13,13 @@ import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import replace
 from io import BytesIO
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from time import perf_counter
 from traceback import format_exception
 from types import FunctionType
-from typing import Self
+from typing import Any, Self
 from warnings import warn
 
 from pinmobile.arrays import Array, callable_as, whole
@@ -154,8 +153,8 @@ def run_scenario(
         )
     with Workers(workers) as processes:
         part, how = _run(way, draws, 0, scenario.n, workers, progress, processes)
-    way = replace(way, why="; ".join(filter(None, (way.why, how))))
-    return Ensemble.of(scenario, draws, part, followed, way)
+    why = "; ".join(filter(None, (way.why, how)))
+    return Ensemble.of(scenario, draws, part, followed, engine=repr(way.engine), why=why)
 
 
 def part_of(
@@ -294,7 +293,7 @@ def _traced(i: int, n: int) -> int:
 class _Pickler(pickle.Pickler):
     """A pickler that refuses what another process cannot have, though it has a name here."""
 
-    def reducer_override(self, thing: object) -> object:
+    def reducer_override(self, thing: object) -> Any:
         if isinstance(thing, type | FunctionType):
             home = sys.modules.get(thing.__module__)
             if thing.__module__ == "__main__" or getattr(home, "__spec__", None) is None:
@@ -444,7 +443,8 @@ def serve(descriptor: int) -> None:
             if isinstance(asked, Way):
                 way = asked
                 continue
-            answer: tuple[Exception | None, object] = None, tuple(way.run(*asked, 1))
+            draws, start, stop = asked
+            answer: tuple[Exception | None, object] = None, tuple(way.run(draws, start, stop, 1))
         except EOFError:
             return
         except Exception as error:

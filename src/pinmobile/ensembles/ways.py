@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -145,7 +145,7 @@ def _check_measured(scenario: Scenario, part: Part, start: int) -> None:
 def _asks_pinocchio(parts: Parts) -> bool:
     """Tell whether a part has a model whose law is no NumPy."""
 
-    def asks(part: Any) -> bool:
+    def asks(part: object) -> bool:
         try:
             if hasattr(part, "traced"):
                 part.traced()
@@ -254,7 +254,7 @@ def _check_derived(scenario: Scenario) -> None:
         If there is one.
     """
     for stated in scenario.stated.values():
-        place = Place(stated.path, stated.parameter.attribute)
+        place = stated.place
         if place not in scenario.places:
             continue
         # A part may derive of what stands in it, too; one that has `traced` is traced as it is then.
@@ -321,7 +321,7 @@ def _program(scenario: Scenario) -> Program:
     unused = set(program.loop.unused)
     for name, stated in scenario.stated.items():
         # What the plant has may not matter to one run, as the mass of what nobody pushes; it is its own.
-        place = Place(stated.path, stated.parameter.attribute)
+        place = stated.place
         if stated.path != "plant" and place in unused and not _starts_otherwise(scenario, place):
             of = f", {stated.parameter.meaning}" if stated.parameter.meaning else ""
             raise InvalidArgument(
@@ -360,7 +360,7 @@ class _Rows:
     memory: Memory
     q: Array
     v: Array
-    references: Any = None  # where each has its own
+    references: Reference | None = None  # where each has its own
 
     def at(self, k: int, all_have: Reference) -> Reference:
         """Return the reference of sample k."""
@@ -473,7 +473,11 @@ def _on_arrays(scenario: Scenario, draws: Mapping[str, Array], start: int, stop:
     return Part.of(scenario, memory.recorder, counts)
 
 
-def _check_again(asked: Any, found: Stepped) -> None:
+# The arguments of `one_sample`: parts, number and time of the sample, step, state, reference and memory.
+_Asked: TypeAlias = tuple[Parts, float, float, float, tuple[Array, Array], Reference, Memory]
+
+
+def _check_again(asked: _Asked, found: Stepped) -> None:
     """Refuse parts that answer otherwise for a sample when they are asked again after the last one."""
     again, t = one_sample(*asked), float(found.sample.t)
     acting = "plant or forces" if asked[0].forces else "plant"
