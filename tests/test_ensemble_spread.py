@@ -362,7 +362,8 @@ def test_every_parameter_can_be_spread_and_matters() -> None:
         (
             {"spread": {"sine_x": 3}},
             InvalidArgument,
-            "spread has 'sine_x' but no 'sine_frequency' and forces no SinusoidalForce, expected one of them",
+            "spread has 'sine_x' but no 'sine_frequency', and forces has no SinusoidalForce, expected one of "
+            "them",
         ),
         (
             {"spread": {"force_x": 3}, "forces": [ConstantForce((1, 0, 0))] * 2},

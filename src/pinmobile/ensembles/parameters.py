@@ -150,9 +150,9 @@ def with_spread_forces(forces: Sequence[Any], spread: Mapping[str, Any]) -> tupl
             continue
         needs = getattr(kind, "needs", None)
         if not hasattr(kind, "nothing") or (needs is not None and needs not in spread):
-            also = f"no {needs!r} and " if needs else ""
+            also = f"no {needs!r}, and " if needs else ""
             raise InvalidArgument(
-                f"spread has {name!r} but {also}forces no {kind.__name__}, expected "
+                f"spread has {name!r} but {also}forces has no {kind.__name__}, expected "
                 f"{'one of them' if needs else 'one'}"
             )
         found.append(kind.nothing())

@@ -128,7 +128,7 @@ def member_of(scenario: Scenario, i: int) -> Member:
     draws = scenario.draws(i, i + 1)
     values = {place: value[0] for place, value in scenario.values(draws, i, i + 1).items()}
     parts = scenario.parts.with_parameters(values, remade=True)
-    own = scenario.references(draws, 1, i) if scenario.has_own_references else None
+    own = scenario.references(draws, 1, i)
     q, v = scenario.starts(draws, 1, own)
     options = {
         "dt": scenario.dt,

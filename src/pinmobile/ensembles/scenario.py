@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, final
 from zlib import crc32
 
@@ -312,8 +312,8 @@ class Scenario:
         """Whether a parameter of the trajectory is spread, so that each robot has a reference of its own."""
         return any(one.is_of_trajectory for one in self.stated.values())
 
-    def references(self, draws: Mapping[str, Array], count: int, first: int = 0) -> Reference:
-        """Return each robot's own reference, q, v and a of shape (N + 1, count, ...).
+    def references(self, draws: Mapping[str, Array], count: int, first: int = 0) -> Reference | None:
+        """Return each robot's own reference, q, v and a of shape (N + 1, count, ...), or None.
 
         Parameters
         ----------
@@ -327,6 +327,8 @@ class Scenario:
         InvalidArgument
             If a robot's trajectory cannot be made, is too short, or does not fit the plant.
         """
+        if not self.has_own_references:
+            return None
         alone = Parts(None, None, trajectory=self.parts.trajectory)
         own = written(self._in_order, draws, alone.parameters(), count, self.size)
         known: dict[bytes, Reference] = {}
@@ -362,13 +364,13 @@ class Scenario:
     def places(self) -> tuple[Place, ...]:
         """What each robot's loop has of its own: attributes that are spread, and those that it draws."""
         spread = [one.place for one in self.stated.values() if one.path and not one.is_of_trajectory]
-        drawn = [Place(path, name) for path, _, name in self._drawn()]
-        return tuple(dict.fromkeys([*spread, *drawn]))
+        return tuple(dict.fromkeys([*spread, *self._drawn]))
 
-    def _drawn(self) -> Iterator[tuple[str, Any, str]]:
-        """Return path, part and name of the attributes that each robot draws."""
-        for path, part in self._given.by_path():
-            yield from ((path, part, name) for name in getattr(part, "drawn", ()))
+    @cached_property
+    def _drawn(self) -> dict[Place, Any]:
+        """The attributes that each robot draws, and the parts that draw them."""
+        parts = self._given.by_path()
+        return {Place(path, name): part for path, part in parts for name in getattr(part, "drawn", ())}
 
     def values(self, draws: Mapping[str, Array], start: int, stop: int) -> dict[Place, Array]:
         """Return what the robots from `start` to before `stop` have of their own, shape (stop - start, ...).
@@ -387,13 +389,10 @@ class Scenario:
         """
         nominal = self.parts.on_arrays().parameters()
         found = written(self._in_order, draws, nominal, stop - start, self.size)
-        for path, part, name in self._drawn():
-
-            def own(generator: np.random.Generator, count: int, part: Any = part, name: str = name) -> Array:
-                return np.asarray(part.draw(generator, count)[name])
-
-            stream = f"{path} of {crc32(part.stream)}"
-            found[Place(path, name)] = in_blocks(stream, own, self.seed, start, stop)
+        for place, part in self._drawn.items():
+            stream = f"{place.path} of {crc32(part.stream)}"
+            own = partial(_drawn_by, part, place.name)
+            found[place] = in_blocks(stream, own, self.seed, start, stop)
         return found
 
     def starts(
@@ -509,6 +508,10 @@ def time_within(name: str, value: ArrayLike, t: Array) -> float:
     if not 0 <= time <= t[-1]:
         raise InvalidArgument(f"{name} is {time} s, expected from 0 to the duration, {t[-1]:g} s")
     return time
+
+
+def _drawn_by(part: Any, name: str, generator: np.random.Generator, count: int) -> Array:
+    return np.asarray(part.draw(generator, count)[name])
 
 
 def _asked(force: Force | CoordinateForce, plant: Any, q: Array, v: Array) -> ArrayLike:

@@ -224,11 +224,6 @@ def _values(scenario: Scenario, draws: Mapping[str, Array], start: int, stop: in
     return {place: value for place, value in values.items() if place in places}
 
 
-def _own_references(scenario: Scenario, draws: Mapping[str, Array], start: int, stop: int) -> Any:
-    """Return the references of robots that have their own, else None."""
-    return scenario.references(draws, stop - start, start) if scenario.has_own_references else None
-
-
 def _moved(scenario: Scenario, place: Place) -> Parts:
     """Return the parts of a scenario, made again with another value of one parameter."""
     parts = scenario.parts
@@ -334,7 +329,7 @@ def _compiled(way: Way, draws: Mapping[str, Array], start: int, stop: int, threa
     scenario, program = way.scenario, way.program
     assert program is not None
     keys = {name: robot_keys(scenario.seed, name, range(start, stop)) for name in program.loop.keys}
-    own = _own_references(scenario, draws, start, stop)
+    own = scenario.references(draws, stop - start, start)
     outcome = program.run(
         _with_recorder(scenario),
         _context(scenario),
@@ -370,13 +365,14 @@ class _Rows:
 def _rows(scenario: Scenario, draws: Mapping[str, Array], start: int, stop: int) -> _Rows:
     given = _with_recorder(scenario)
     parts = given.on_arrays().with_parameters(_values(scenario, draws, start, stop))
-    own = _own_references(scenario, draws, start, stop)
+    own = scenario.references(draws, stop - start, start)
 
     def normal(name: str, n: int) -> Noise:
         return Noise(robot_keys(scenario.seed, name, range(start, stop)), n)
 
     memory = initial_memory(parts, _context(scenario), scenario.size, normal=normal)
-    return _Rows(parts, memory, *scenario.starts(draws, stop - start, own), own)
+    begin = scenario.starts(draws, stop - start, own)
+    return _Rows(parts, memory, *begin, None if own is None else Reference(*own))
 
 
 def _as_arrays(scenario: Scenario) -> None:
