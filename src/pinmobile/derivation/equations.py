@@ -10,12 +10,11 @@ from typing import Any
 import sympy
 from sympy import Expr, ImmutableMatrix, Symbol
 
-import pinmobile.derivation.wording as say
+import pinmobile.derivation.record as say
 from pinmobile.derivation.algebra import exact, exact_angle, normal
 from pinmobile.derivation.chain import Chain, Link
-from pinmobile.derivation.record import SIMPLIFIED_JOINTS, Record
+from pinmobile.derivation.record import SIMPLIFIED_JOINTS, Record, Wording
 from pinmobile.derivation.steps import Derivation
-from pinmobile.derivation.wording import Wording
 from pinmobile.dh import LECTURE_TABLE, DHTable, JointType
 from pinmobile.errors import InvalidArgument, shown
 
