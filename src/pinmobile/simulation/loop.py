@@ -362,7 +362,7 @@ def _feedback(compact: Compact, desired: Array, accelerations: Array) -> Control
         if inverse is None:
             return command
         add(command, accelerations[k], command)
-        return inverse(q, v, command)  # type: ignore[no-any-return]
+        return inverse(q, v, command)
 
     return control
 
