@@ -33,7 +33,7 @@ from pinmobile.compiled import (
 from pinmobile.ensembles.records import Part, bins_of, one_by_one
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.errors import InvalidArgument, NotTraceable
-from pinmobile.measures import measures_of
+from pinmobile.measures import is_near, measures_of
 from pinmobile.plant import Context
 from pinmobile.simulation import ARRAYS, COMPILED, PINOCCHIO, Engine, check_same, checked_engine
 
@@ -451,8 +451,8 @@ def _on_arrays(scenario: Scenario, draws: Mapping[str, Array], start: int, stop:
     with np.errstate(all="ignore"):  # what overflows is judged
         for k, time in enumerate(scenario.t.tolist()):
             at = rows.at(k, Reference(*scenario.reference))
-            far = np.abs(np.concatenate(tracking_errors(rows.parts.plant, q, v, at), axis=-1))
-            alive = (memory.recorder["alive"] > 0.5) & (far <= scenario.limit).all(axis=-1)
+            errors = np.concatenate(tracking_errors(rows.parts.plant, q, v, at), axis=-1)
+            alive = (memory.recorder["alive"] > 0.5) & is_near(errors, scenario.limit)
             # What has diverged goes on from the trajectory's start: no law sees what is no number.
             q, v = np.where(alive[:, None], q, begin[0]), np.where(alive[:, None], v, begin[1])
             memory = memory._replace(recorder={**memory.recorder, "alive": np.where(alive, 1.0, 0.0)})
