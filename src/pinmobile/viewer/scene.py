@@ -13,12 +13,12 @@ import numpy as np
 import pinmobile.viewer.shapes as shapes
 from pinmobile.arrays import Array
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable
+from pinmobile.errors import InvalidArgument
 from pinmobile.palette import AXES, INK, QUIET, colour
 from pinmobile.plant import whole_configurations
 from pinmobile.simulation import Rollout
 from pinmobile.viewer.motion import Channel, along, configurations, envelope, figure, links, poses_of, sampled
-from pinmobile.viewer.overlays import Arrows, Follow, Overlays, Stay, View, pushing
-from pinmobile.viewer.stage import Extent, Stage, overview
+from pinmobile.viewer.stage import Arrows, Extent, Follow, Overlays, Stage, Stay, View, overview
 
 _POSE = ("x", "y", "psi")
 
@@ -143,6 +143,7 @@ _Rider = Callable[[Array], list[Channel]]
 Where = Callable[[Array], Array]  # from poses (n, 3) to placements (n, 4, 4)
 
 
+_BASE_FORCES = ("Fx", "Fy", "Mz")
 _SPREAD = 2500  # points of a trail at most
 _NO_FORCE = 1e-9  # [N or N m]; less is rounding
 _NAMES = {LECTURE_TABLE: "lecture", SLIDE_TABLE: "slide"}
@@ -305,7 +306,7 @@ class Scene:
     def _arrows(self, run: Rollout, times: Array, poses: Array, extent: Extent, arrows: Arrows) -> None:
         now = times + 1e-9 * max(abs(times[-1]), 1.0)  # a frame at a sample is not before it
         held = np.clip(np.searchsorted(run.t, now, side="right") - 1, 0, len(run) - 1)
-        fx, fy, moment = run.u[np.ix_(held, pushing(run))].T
+        fx, fy, moment = run.u[np.ix_(held, _pushing(run))].T
         heading = np.column_stack([poses[:, :2], np.unwrap(np.arctan2(fy, fx))])
         flat = poses[:, :3] * (1, 1, 0)
         unit = extent.unit
@@ -324,6 +325,24 @@ class Scene:
             self.channels += along(path, turned, 1.6 * (self.robot.top or self.robot.size[2]))
             self.channels.append(Channel(path, "scale", lengths))
             self.legend.append([f"{name}, 1 m = {1 / scale:.2g} {symbol}", paint, "", 0.0])
+
+
+def _pushing(run: Rollout) -> list[int]:
+    """Return which of the inputs are the force and the moment on the base.
+
+    Raises
+    ------
+    InvalidArgument
+        If the plant has no such inputs.
+    """
+    names = [one.name for one in run.inputs]
+    missing = [name for name in _BASE_FORCES if name not in names]
+    if missing:
+        raise InvalidArgument(
+            f"overlays has arrows, of the inputs {', '.join(_BASE_FORCES)}, and the plant's inputs are "
+            f"{', '.join(names)}: leave arrows out"
+        )
+    return [names.index(name) for name in _BASE_FORCES]
 
 
 def _focus(poses: Array) -> list[Channel]:
