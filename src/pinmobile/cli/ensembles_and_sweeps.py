@@ -1,6 +1,7 @@
 """Many loops at once: `ensemble` and `sweep`, what they answer, and their figures."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,8 @@ from matplotlib.figure import Figure
 from pinmobile import Ensemble, InvalidArgument, Same, Scenario, plots, sweep
 from pinmobile.arrays import whole
 from pinmobile.cli.choices import COMPARED, CONTROLLERS, SPREAD_FORMS
-from pinmobile.cli.messages import Interrupted
 from pinmobile.cli.options import (
+    Interrupted,
     Options,
     alone,
     as_option,
@@ -119,12 +120,11 @@ def show_sweep(
     version: str | None = None,
 ) -> int:
     """Run the sweep of a file, print who stays within what, and draw it."""
-    if not allow_code:
-        return _show_sweep(file, read_grid(file), out, scheduler, chunk, version)
-    code = Code(file.absolute().parent)
-    with code.errors():
+    code = Code(file.absolute().parent) if allow_code else None
+    with nullcontext() if code is None else code.errors():
         grid = read_grid(file, code)
-        _tell_loaded(code)
+        if code is not None:
+            _tell_loaded(code)
         return _show_sweep(file, grid, out, scheduler, chunk, version)
 
 

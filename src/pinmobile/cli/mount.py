@@ -147,8 +147,7 @@ def _room(robot: MobileRobot) -> tuple[Array, Array]:
 
 def list_mountable() -> int:
     """Print the names that can be mounted, and those that cannot, with the reason."""
-    with progress(1) as bar:
-        bar.update(bar.task_ids[0], description="reading every robot, without its meshes")
+    with progress(1, "reading every robot, without its meshes"):
         known = mountable()
     console.print(str(known), markup=False)
     console.print(f"{len(known)} robots; see one: pinmobile mount NAME --html out/NAME.html", markup=False)

@@ -9,6 +9,7 @@ from pinmobile import (
     InvalidArgument,
     MobileRobot,
     Normal,
+    PinmobileError,
     Same,
     Scenario,
     Uniform,
@@ -29,6 +30,7 @@ from pinmobile.cli.choices import (
 )
 from pinmobile.ensembles import PARAMETERS, resolved, with_spread_forces
 from pinmobile.errors import shown
+from pinmobile.plant import Difference
 
 _T = TypeVar("_T")
 Told = Callable[[str], str]
@@ -45,8 +47,12 @@ def as_key(name: str) -> str:
     table, dot, key = name.partition(".")
     if dot:
         return f"{table} of {key}"
-    option = OPTIONS[name]
-    return name if option.key in ("", "type") else option.key
+    key = OPTIONS[name].key
+    return name if key == "type" else key
+
+
+class Interrupted(PinmobileError):
+    """A command was stopped; the message says how to go on with it."""
 
 
 class Refused(InvalidArgument):
@@ -275,12 +281,19 @@ def _changed(options: Options, base: Any, prefix: str) -> Any:
         return robot(base, **body_of(options, prefix))
 
 
+def _difference(heading: object) -> Difference | None:
+    """Return how a heading wants errors to be taken; None where none is named."""
+    if not heading:
+        return None
+    part = HEADINGS[heading].make if isinstance(heading, str) and heading in HEADINGS else None
+    return planar_difference if getattr(part, "on_circle", True) else plain_difference
+
+
 def controller_of(options: Options, plant: Any) -> Any:
     """Return the controller of a robot that options stand for."""
     name = options["controller"]
     law = choose("controller", options["controller"], CONTROLLERS)
-    difference = plain_difference if options["heading"] == "lecture" else planar_difference
-    more = {"difference": difference if options["heading"] else None}
+    more: dict[str, object] = {"difference": _difference(options["heading"])}
     if law.believes:
         more["robot"] = _changed(options, plant, "model_")
     else:

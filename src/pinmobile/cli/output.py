@@ -36,11 +36,11 @@ class Section:
 
 
 @contextmanager
-def progress(total: int) -> Iterator[Progress]:
+def progress(total: int, what: str = "") -> Iterator[Progress]:
     """Give a progress bar on the terminal, with one task of `total` steps; silent where there is none."""
     columns = SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
     with Progress(*columns, console=console, transient=True) as bar:
-        bar.add_task("", total=total)
+        bar.add_task(what, total=total)
         yield bar
 
 

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pinmobile import Axis, InvalidArgument, PinmobileError, Scenario, UnknownName, grid
-from pinmobile.cli.choices import CONTROLLERS, HEADINGS, OPTIONS, UNITS
-from pinmobile.cli.messages import SPREAD_NAMES, shortened, unknown
+from pinmobile.cli.choices import CONTROLLERS, HEADINGS, OF_PARTS, OPTIONS, UNITS, shortened, unknown
 from pinmobile.cli.options import (
     Options,
     Refused,
@@ -52,7 +51,7 @@ dt = 0.1
 [spread]           # uniform, normal, percent (of nominal), same, or a number
 start_x = {normal = [0, 0.001]}
 start_y = {same = "start_x", factor = {uniform = [-1, 1]}}
-[ensemble]         # n, seed; after: when the start is over and errors count
+[ensemble]         # n, seed; after: errors count from this time on
 n = 10000
 after = 5
 [grid]             # what is swept: any key above, by its table and name
@@ -63,7 +62,7 @@ after = 5
 
 
 def _keys(table: str) -> tuple[str, ...]:
-    return tuple(option.key or option.name for option in OPTIONS.values() if option.table == table)
+    return tuple(option.key for option in OPTIONS.values() if option.table == table)
 
 
 _OWN = ("forces", "spread")  # tables whose keys others know
@@ -71,8 +70,7 @@ _TYPED = ("robot", "trajectory", "controller")  # tables that a type may give ke
 _TABLES: Mapping[str, tuple[str, ...]] = {
     table: _keys(table) for table in (*_TYPED, "forces", "loop", "spread", "ensemble")
 }
-_NAMES = ("base", "urdf", "type", "heading", "integrator")
-_OF_PARTS = ("heading", "integrator")  # they may be tables, too
+_NAMES = {option.key for option in OPTIONS.values() if option.kind in (str, Path)}
 # Of [trajectory], what is not its path's.
 _OF_HEADINGS = tuple(dict.fromkeys(each for heading in HEADINGS.values() for each in heading.takes))
 _PATH_APART = ("heading", *_OF_HEADINGS)
@@ -226,7 +224,7 @@ def _options(tree: Table) -> Options:
     """Return what tables say beside the keys of users' parts, which are arguments of these."""
     values = {name: option.default for name, option in OPTIONS.items()}
     for name, option in OPTIONS.items():
-        key, table = option.key or name, tree.get(option.table, {})
+        key, table = option.key, tree.get(option.table, {})
         if key in table and (not _is_composed(tree, option.table) or key in _PATH_APART):
             values[name] = table[key]
     heading = values["heading"]
@@ -275,7 +273,7 @@ def _check(tree: Table, swept: Table) -> None:
 
 def _check_key(what: str, table: str, key: str, own: Collection[str], place: str = "") -> None:
     if key not in _TABLES[table] and table not in own:
-        raise Refused(unknown(what, key, _TABLES[table], SPREAD_NAMES), place or f"{table}.{key}")
+        raise Refused(unknown(what, key, _TABLES[table]), place or f"{table}.{key}")
 
 
 def _may_be_composed(tree: Table, swept: Table, table: str) -> bool:
@@ -288,7 +286,7 @@ def _names_well(table: str, key: str, value: Any) -> bool:
     """Tell whether a key that names something has a text, or a table where that is possible."""
     if table in _OWN or key not in _NAMES or isinstance(value, str):
         return True
-    return key in _OF_PARTS and isinstance(value, Mapping)
+    return key in OF_PARTS and isinstance(value, Mapping)
 
 
 def _refuse_code(path: Path, tree: Table, swept: Table) -> None:

@@ -10,7 +10,7 @@ from types import ModuleType
 from typing import Any
 
 from pinmobile import InvalidArgument, PinmobileError, UnknownName, controllers, forces
-from pinmobile.cli.choices import BELIEVED, BODY, CONTROLLERS, INTEGRATORS, PATHS, ROBOTS
+from pinmobile.cli.choices import BELIEVED, BODY, CONTROLLERS, INTEGRATORS, OF_PARTS, OPTIONS, PATHS, ROBOTS
 from pinmobile.cli.options import Options, Refused, choose, controller_of, path_of, plant_of
 from pinmobile.compiled import attributes_of, check_numbers
 from pinmobile.errors import shown
@@ -160,9 +160,9 @@ WRAPPERS: Parts = _classes(controllers, lambda kind: "controller" in _parameters
 FORCES: Parts = _classes(forces, lambda kind: True)
 STEPS: Parts = {name: partial(lambda step: step, step) for name, step in INTEGRATORS.items()}
 NONE: Parts = {}
-_NAMED = ("type", "heading", "integrator")  # keys whose text names a part
+_NAMED = ("type", *OF_PARTS)  # keys whose text names a part
 _REFERENCE = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*(\.[^\W\d]\w*)*")
-_PLACES = {"path": "trajectory", "heading": "trajectory.heading", "integrator": "loop.integrator"}
+_PLACES = {"path": "trajectory", **{name: OPTIONS[name].place for name in OF_PARTS}}
 
 
 def is_code(name: Any) -> bool:
