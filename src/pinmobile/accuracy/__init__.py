@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import count, pairwise
 from math import isfinite
-from typing import Any, final
+from typing import final
 
 import numpy as np
 
@@ -77,10 +77,11 @@ def _run(
 ) -> Rollout | None:
     """Return the loop, or None where it diverges."""
     trajectory = Tangent(Circle(_RADIUS, _RATE, duration))
-    options: dict[str, Any] = {"dt": dt, "integrator": integrator, "substeps": substeps}
+    controller, start = ComputedTorque(robot, _GAIN, _GAIN), trajectory(0.0).q - _OFF
     try:
-        start = trajectory(0.0).q - _OFF
-        return simulate(robot, ComputedTorque(robot, _GAIN, _GAIN), trajectory, q0=start, **options)
+        return simulate(
+            robot, controller, trajectory, q0=start, dt=dt, integrator=integrator, substeps=substeps
+        )
     except Diverged:
         return None
 
@@ -255,7 +256,7 @@ def integrator_report(
     total = positive("duration", duration, "s")
     ladder = _ladder(steps, total)
     free, loop = (measure(integrator, body, ladder, total) for measure in (free_body, held_force))
-    name: Any = getattr(integrator, "__name__", repr(integrator))
+    name = getattr(integrator, "__name__", repr(integrator))
     return IntegratorReport(name, body, total, *free, *loop)
 
 

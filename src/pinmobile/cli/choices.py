@@ -1,10 +1,10 @@
 """What the command and scenario files offer: parts by name, and options as the parts state them."""
 
+import pathlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from inspect import signature
-from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeAlias, TypeVar
 
 from pinmobile import (
     LECTURE_TABLE,
@@ -23,14 +23,21 @@ from pinmobile import (
     rk4,
     semi_implicit_euler,
 )
+from pinmobile.controllers import Controller
 from pinmobile.ensembles import GROUPS, PARAMETERS
 from pinmobile.errors import UnknownName
 from pinmobile.integrators import Integrator
+from pinmobile.paths import Path
 from pinmobile.plant import Parameter, parameters_of
+from pinmobile.trajectories import Trajectory
+
+_Made = TypeVar("_Made")
+Numbers: TypeAlias = float | tuple[float, ...]
+"""One number, or one for each coordinate."""
 
 
 @dataclass(frozen=True)
-class Choice:
+class Choice(Generic[_Made]):
     """What a name stands for.
 
     Attributes
@@ -45,8 +52,8 @@ class Choice:
         What it is called in words.
     """
 
-    make: Callable[..., Any]
-    takes: Mapping[str, Any] = field(default_factory=dict)
+    make: Callable[..., _Made]
+    takes: Mapping[str, Numbers] = field(default_factory=dict)
     called: Mapping[str, str] = field(default_factory=dict)
     label: str = ""
 
@@ -56,28 +63,28 @@ class Choice:
         return "robot" in signature(self.make).parameters
 
 
-_VIA = {"duration": 60.0, "start": (0, 0), "via": (2, 2), "end": (0, 4), "t_via": 30.0}
+_VIA: dict[str, Numbers] = {"duration": 60.0, "start": (0, 0), "via": (2, 2), "end": (0, 4), "t_via": 30.0}
 _END = {"t_end": "duration"}
-PATHS: Mapping[str, Choice] = {
+PATHS: Mapping[str, Choice[Path]] = {
     "circle": Choice(Circle, {"duration": 60.0, "radius": 3.0, "rate": 0.1}),
     "lissajous": Choice(Lissajous, {"duration": 60.0, "rx": 3.0, "ry": 3.0, "wx": 0.2, "wy": 0.1}),
     "via-stop": Choice(CubicVia, {**_VIA, "via_velocity": (0, 0)}, _END),
     "via-free": Choice(CubicVia, _VIA, _END),
 }
-HEADINGS: Mapping[str, Choice] = {
+HEADINGS: Mapping[str, Choice[Trajectory]] = {
     "tangent": Choice(Tangent, {"turn_time": 2.0}),
     "fixed": Choice(FixedHeading, {"psi": 0.0}),
     "lecture": Choice(LectureHeading),
 }
 _PD = (120.0, 120.0, 0.4)
-CONTROLLERS: Mapping[str, Choice] = {
+CONTROLLERS: Mapping[str, Choice[Controller]] = {
     "computed-torque": Choice(ComputedTorque, {"kp": 4.0, "kd": 4.0}, label="computed torque"),
     "pd": Choice(PD, {"kp": _PD, "kd": _PD}, label="PD"),
 }
 COMPARED = ("pd", "computed-torque")
 """Controllers that run side by side where none is named."""
 
-ROBOTS: Mapping[str, Choice] = {
+ROBOTS: Mapping[str, Choice[MobileRobot]] = {
     "lecture": Choice(MobileRobot.lecture, label="Icz = 0.1"),
     "box": Choice(MobileRobot.box, label="homogeneous"),
 }
@@ -112,7 +119,7 @@ class Option:
     name: str
     text: str
     kind: type = float
-    default: Any = None
+    default: object = None
     table: str = ""
     key: str = ""
     unit: str = ""
@@ -134,7 +141,7 @@ _OWN = {
 }
 
 
-def _told(value: Any) -> str:
+def _told(value: Numbers) -> str:
     return ",".join(f"{each:g}" for each in (value if isinstance(value, tuple) else (value,)))
 
 
@@ -142,13 +149,13 @@ def _sentence(text: str) -> str:
     return text[0].upper() + text[1:]
 
 
-def _one_of(name: str, choices: Mapping[str, Any], default: str, **where: str) -> Option:
+def _one_of(name: str, choices: Mapping[str, object], default: str, **where: str) -> Option:
     *names, last = choices
     text = f"One of {', '.join(choices)}." if len(choices) > 2 else f"{', '.join(names)} or {last}."
     return Option(name, text, str, default, **where)
 
 
-def _taken(choices: Mapping[str, Choice], table: str) -> Iterator[Option]:
+def _taken(choices: Mapping[str, Choice[Any]], table: str) -> Iterator[Option]:
     """Yield the options that choices take, as their parts state them, with the lecture's numbers."""
     for name in dict.fromkeys(each for choice in choices.values() for each in choice.takes):
         having = {kind: choice for kind, choice in choices.items() if name in choice.takes}
@@ -173,7 +180,12 @@ def _taken(choices: Mapping[str, Choice], table: str) -> Iterator[Option]:
         )
 
 
-def body(prefix: str = "", table: str = "", rest: str = "", **numbers: Any) -> Iterator[Option]:
+_NONE: Mapping[str, Numbers] = {}
+
+
+def body(
+    prefix: str = "", table: str = "", rest: str = "", numbers: Mapping[str, Numbers] = _NONE
+) -> Iterator[Option]:
     """Yield the options of a body in the plane, as it states them.
 
     Parameters
@@ -184,7 +196,7 @@ def body(prefix: str = "", table: str = "", rest: str = "", **numbers: Any) -> I
         Where they stand in a scenario file.
     rest : str
         What they are where they are not given, in words.
-    **numbers : float or tuple
+    numbers : mapping of str to float or tuple, optional
         The same, as numbers.
     """
     for name in ("mass", "yaw_inertia", "com"):
@@ -213,7 +225,7 @@ OPTIONS: Mapping[str, Option] = {
         *_taken(CONTROLLERS, "controller"),
         *body("model_", "controller", "; the robot's"),
         Option("robot", f"{_KINDS_OF_ROBOTS}; lecture.", str, table="robot", key="base"),
-        Option("urdf", "URDF of the chain, or of a bare base, in place of --robot.", Path, table="robot"),
+        Option("urdf", "URDF of the chain or a bare base, in place of --robot.", pathlib.Path, table="robot"),
         GROUND,
         *body("", "robot", "; that of --robot or --urdf"),
         Option("dt", "Sampling time (s).", float, 0.1, "loop", unit="s"),

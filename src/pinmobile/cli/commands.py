@@ -16,6 +16,7 @@ from pinmobile.cli.choices import (
     OPTIONS,
     SPREAD_FORMS,
     TABLES,
+    Numbers,
     Option,
     body,
     spreadable,
@@ -38,7 +39,7 @@ app = typer.Typer(
 _Command = TypeVar("_Command", bound=Callable[..., int])
 _LOOP = "Loop and output"
 _PANELS = {"robot": "Robot", "trajectory": "Trajectory", "controller": "Controller", "loop": _LOOP}
-_VERIFIED: dict[str, Any] = {"mass": 10.0, "yaw_inertia": 1.2, "com": (0.15, 0.05)}
+_VERIFIED: dict[str, Numbers] = {"mass": 10.0, "yaw_inertia": 1.2, "com": (0.15, 0.05)}
 _TAKES_RUNS = {"allow_extra_args": True, "ignore_unknown_options": True}
 
 
@@ -58,7 +59,7 @@ def _taking(options: Iterable[Option], *, panels: bool = False) -> Callable[[_Co
 
 
 def _parameter(option: Option, panels: Mapping[str, str]) -> inspect.Parameter:
-    kind: Any = str if option.kind is tuple else option.kind
+    kind = str if option.kind is tuple else option.kind
     shown = typer.Option(as_option(option.name), help=option.text, rich_help_panel=panels.get(option.table))
     return inspect.Parameter(
         option.name,
@@ -68,12 +69,17 @@ def _parameter(option: Option, panels: Mapping[str, str]) -> inspect.Parameter:
     )
 
 
+def _commands() -> dict[str, Any]:
+    """Return the commands as typer makes them, by name."""
+    group: Any = typer.main.get_command(app)
+    return dict(group.commands)
+
+
 def as_typed(error: InvalidArgument) -> InvalidArgument:
     """Return an error of the library; where its argument is an option, that is called as it was typed."""
-    command: Any = typer.main.get_command(app)
     options = {
         option.name
-        for each in command.commands.values()
+        for each in _commands().values()
         for option in each.params
         if option.opts[0].startswith("--")
     }
@@ -95,13 +101,13 @@ def _of_run(words: Sequence[str], name: str, why: str) -> tuple[Options, bool]:
     InvalidArgument
         If one of those is among them.
     """
-    command: Any = typer.main.get_command(app)
-    own = [each for each in command.commands["run"].params if each.name not in OPTIONS]
+    run = _commands()["run"]
+    own = [each for each in run.params if each.name not in OPTIONS]
     writing = {word for each in own for word in (*each.opts, *each.secondary_opts)}
     for word in words:
         if word.split("=")[0] in writing:
             raise InvalidArgument(f"{word} does not apply to {name}, which {why}")
-    context = command.commands["run"].make_context(name, list(words))
+    context = run.make_context(name, list(words))
     given = context.get_parameter_source("controller")
     return Options(context.params), given is not None and given.name == "COMMANDLINE"
 
@@ -142,14 +148,14 @@ def lecture(
 
 
 @app.command()
-@_taking((GROUND, *body(**_VERIFIED)))
+@_taking((GROUND, *body(numbers=_VERIFIED)))
 def verify(
     urdf: Annotated[Path | None, _help("Verify the robot of this URDF: the chain, or a bare base.")] = None,
     table: Annotated[str | None, _help("DH table: lecture or slide; lecture.")] = None,
     mount: Annotated[list[str] | None, _help("Arm to mount, as in `pinmobile mount`; repeatable.")] = None,
     states: Annotated[int, _help("Number of random states.")] = 200,
     seed: Annotated[int, _help("Seed of the states.")] = 0,
-    **typed: Any,
+    **typed: object,
 ) -> int:
     """Compare closed form, Pinocchio, symbolic Newton-Euler, Lagrange and machine code: M, n, tau, a.
 
@@ -197,7 +203,7 @@ def run(
     out: Annotated[Path, _help("Folder for records and figures.", panel=_LOOP)] = Path("out/run"),
     gif: Annotated[bool, _help("Also draw the moving robot.", panel=_LOOP)] = False,
     html: Annotated[bool, _help("Also write a page that shows it move.", "--html", panel=_LOOP)] = False,
-    **typed: Any,
+    **typed: object,
 ) -> int:
     """Run one closed loop: a trajectory, a controller, a robot. Without options, the lecture's circle.
 

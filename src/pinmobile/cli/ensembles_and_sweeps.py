@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from pinmobile import Ensemble, InvalidArgument, Same, Scenario, plots, sweep
-from pinmobile.arrays import whole
+from pinmobile.arrays import Array, whole
 from pinmobile.cli.choices import COMPARED, CONTROLLERS, SPREAD_FORMS
 from pinmobile.cli.options import (
     Interrupted,
@@ -161,9 +161,8 @@ def _show_sweep(
     console.print(found.table(), markup=False)
     answer = found.answer()
     console.print(f"\n{answer}", markup=False)
-    page = index_page(
-        folder, answer, [Section("Results", found.table(most=1000), sweep_figures(found, folder))]
-    )
+    section = Section("Results", found.table(most=1000), sweep_figures(found, folder))
+    page = index_page(folder, answer, [section])
     console.print(
         f"wrote {store}: xarray.open_zarr reads it, and pinmobile.Sweep.open\nopen {page}", markup=False
     )
@@ -202,7 +201,7 @@ def _warn_if_alike(scenarios: Iterable[Scenario]) -> None:
         console.print("nothing is spread: all robots are alike\n", markup=False)
 
 
-def _differs(source: Any) -> bool:
+def _differs(source: object) -> bool:
     """Tell whether a source gives robots different numbers, by itself."""
     if isinstance(source, Same):
         return _differs(source.factor)
@@ -297,11 +296,11 @@ def _slices(values: Any, names: list[str]) -> Iterator[tuple[str, Any]]:
         yield ", ".join(words), values.isel(where)
 
 
-def _told(name: str, value: Any) -> str:
+def _told(name: str, value: str | float) -> str:
     return str(value) if isinstance(value, str) else f"{name} = {value:g}"
 
 
-def _unit(values: Any) -> tuple[str, float]:
+def _unit(values: Array) -> tuple[str, float]:
     """Return the unit in which the largest number that is bounded is read best, and its size [m]."""
     known = values[np.isfinite(values)]
     largest = float(known.max()) if known.size else 1.0

@@ -7,12 +7,15 @@ from html import escape
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import Any
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from pinmobile.files import refusals, write
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 console = Console(highlight=False, soft_wrap=True)
 
@@ -74,7 +77,7 @@ def output_folder(path: Path, option: str = "--out", given: Path | None = None) 
     return path
 
 
-def save_figure(figure: Any, path: Path) -> None:
+def save_figure(figure: "Figure", path: Path) -> None:
     """Write a figure of matplotlib as a PNG."""
     buffer = BytesIO()
     figure.savefig(buffer, format="png", dpi=110)

@@ -321,14 +321,10 @@ def _table(lecture: Runs, right: Runs) -> tuple[str, bool]:
 
 def _summary(verification: "Verification", same: bool) -> str:
     largest = ", ".join(f"{name} {value:.0e}" for name, value in verification.largest.items())
-    return "\n".join(
-        [
-            f"the routes {'' if verification.passed else 'do NOT '}agree; largest differences: {largest}",
-            "all twelve numbers are the lecture's, to every digit"
-            if same
-            else "some numbers are NOT the lecture's: see the rows marked DIFFERS",
-        ]
-    )
+    routes = f"the routes {'' if verification.passed else 'do NOT '}agree; largest differences: {largest}"
+    if same:
+        return f"{routes}\nall twelve numbers are the lecture's, to every digit"
+    return f"{routes}\nsome numbers are NOT the lecture's: see the rows marked DIFFERS"
 
 
 def _sections(folder: Path, right: Runs, gif: bool, bar: Progress) -> list[Section]:

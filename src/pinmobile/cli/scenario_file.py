@@ -144,7 +144,7 @@ class _Reader:
         self.lacks: dict[str, UnknownName] = {}
         self.spread: set[str] = set()
 
-    def scenario(self, **chosen: Any) -> Scenario:
+    def scenario(self, **chosen: object) -> Scenario:
         """Return the scenario for values of what is swept."""
         tree = deepcopy(dict(self.tree))
         for name, value in chosen.items():
@@ -282,7 +282,7 @@ def _may_be_composed(tree: Table, swept: Table, table: str) -> bool:
     return any(_is_composed({table: {"type": name}}, table) for name in types)
 
 
-def _names_well(table: str, key: str, value: Any) -> bool:
+def _names_well(table: str, key: str, value: object) -> bool:
     """Tell whether a key that names something has a text, or a table where that is possible."""
     if table in _OWN or key not in _NAMES or isinstance(value, str):
         return True
@@ -309,7 +309,7 @@ def _refuse_code(path: Path, tree: Table, swept: Table) -> None:
             )
 
 
-def _check_swept(name: str, values: Any, own: Collection[str]) -> None:
+def _check_swept(name: str, values: object, own: Collection[str]) -> None:
     table, _, rest = name.partition(".")
     if table not in _TABLES:
         raise Refused(unknown(f"table {table!r} of {name!r} in [grid]", table, _TABLES), name)
@@ -332,7 +332,7 @@ def _leaves(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
             yield name, value
 
 
-def _put(tree: dict[str, Any], place: list[str], value: Any) -> None:
+def _put(tree: dict[str, Any], place: list[str], value: object) -> None:
     *tables, key = place
     for table in tables:
         inner = tree.setdefault(table, {})
@@ -360,13 +360,13 @@ def _in_units(made: Grid) -> Grid:
         table, _, key = name.partition(".")
         if table == "spread" and "." not in key:  # the value itself, not what is percent of it
             units = {each.known[key][0].parameter.unit for each in made.scenarios if key in each.known}
-            labelled = dict(zip(axis.values, axis.given, strict=True))
-            given: Any = axis.values if axis.given == axis.values else labelled
-            axes[name] = Axis(given, units.pop()) if len(units) == 1 else axis
+            labels = map(str, axis.values)
+            labelled = None if axis.given == axis.values else dict(zip(labels, axis.given, strict=True))
+            axes[name] = Axis(labelled or axis.values, units.pop()) if len(units) == 1 else axis
     return Grid(axes, made.scenarios)
 
 
-def _label(value: Any) -> str:
+def _label(value: object) -> str:
     if isinstance(value, dict):
         return " ".join(f"{key} {_label(part)}" for key, part in value.items())
     return ",".join(map(str, value)) if isinstance(value, list) else str(value)

@@ -19,7 +19,7 @@ from pinmobile.accuracy import Convergence, IntegratorReport
 from pinmobile.arrays import Array, ArrayLike, finite, real, sequence, text
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.palette import INK, colour
-from pinmobile.plots.style import ShownFigure, dress, headed, legend, line_style, named
+from pinmobile.plots.style import ShownFigure, Style, dress, headed, legend, line_style, named
 
 _SHARE = 0.11  # of the height of the axes below it
 _GREY = "#f1f1f1"
@@ -70,7 +70,7 @@ _LARGEST = 11.0, 8.0  # [inch] of the cells together
 _CELL = 0.85, 0.55  # [inch] at most
 _LEAST = 5.0  # [pt] of numbers that can be read
 
-_Axis = tuple[str, str, Sequence[Any] | Array]
+_Axis = tuple[str, str, Sequence[object] | Array]
 
 
 def heatmap(
@@ -129,7 +129,7 @@ def heatmap(
     return figure
 
 
-def _labels(name: str, axis: Any) -> list[str]:
+def _labels(name: str, axis: object) -> list[str]:
     if not isinstance(axis, Sequence) or isinstance(axis, str) or len(axis) != 3:
         raise InvalidArgument(f"{name} is {shown(axis)}, expected (name, unit, values)")
     text(f"{name}[0]", axis[0])
@@ -158,7 +158,7 @@ def _numbers(values: ArrayLike, shape: tuple[int, int]) -> Array:
     return numbers.astype(np.float64)
 
 
-def _norm(known: Array, limits: Any) -> Normalize:
+def _norm(known: Array, limits: tuple[float, float] | None) -> Normalize:
     if limits is None:
         low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
     else:
@@ -266,7 +266,7 @@ def curves(values: Mapping[str, ArrayLike], *, x: _Axis, label: str, title: str 
     return figure
 
 
-def _places(x: Any) -> Array:
+def _places(x: object) -> Array:
     if not isinstance(x, Sequence) or isinstance(x, str) or len(x) != 3:
         raise InvalidArgument(f"x is {shown(x)}, expected (name, unit, values)")
     text("x[0]", x[0])
@@ -313,7 +313,7 @@ def _curve(axes: Axes, x: Array, row: Array, top: float, index: int, count: int)
               markersize=8 + 2 * extra, markeredgewidth=2, color=colour(index), zorder=4)  # fmt: skip
 
 
-def _look(index: int) -> dict[str, Any]:
+def _look(index: int) -> Style:
     return {"color": colour(index), "marker": _MARKERS[index % len(_MARKERS)]}
 
 
@@ -336,7 +336,7 @@ _FLOOR = 1e-17  # where zero is drawn
 _TICKS = 6  # at most, along the steps
 _LONGEST = 22  # characters of a label above a panel; the legend has all
 _ROUNDING = "#dddddd"
-_GUIDE: dict[str, Any] = {"color": "#999999", "linestyle": (0, (4, 3)), "linewidth": 1.0, "zorder": 2}
+_GUIDE: Style = {"color": "#999999", "linestyle": (0, (4, 3)), "linewidth": 1.0, "zorder": 2}
 
 
 def integrator(

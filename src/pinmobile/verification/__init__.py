@@ -196,7 +196,7 @@ def _planar() -> Batched:
     return Batched(lambda numbers, *given: _dynamics(PlanarBody(*numbers), *given), [(4,), *[(3,)] * 4])
 
 
-def _dynamics(body: Any, q: Any, v: Any, a: Any, tau: Any) -> tuple[Any, ...]:
+def _dynamics(body: Any, q: Array, v: Array, a: Array, tau: Array) -> tuple[Array, ...]:
     return (
         body.mass_matrix(q),
         body.nonlinear_effects(q, v),

@@ -15,7 +15,7 @@ from math import isfinite
 from pathlib import Path
 from string import Template
 from threading import Lock
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn, Protocol
 
 import numpy as np
 
@@ -95,6 +95,14 @@ _KINDS = {
 _FLOAT32 = 0x17  # the MessagePack extension in which meshcat has arrays of floats
 
 
+class Command(Protocol):
+    """A command of meshcat's."""
+
+    def lower(self) -> dict[str, Any]:
+        """Return the dict that meshcat's page reads."""
+        ...
+
+
 class Key(NamedTuple):
     """What a command sets: a later command with the same key replaces it."""
 
@@ -110,7 +118,7 @@ class _Update(NamedTuple):
     data: bytes
 
 
-def packed(command: Any) -> _Update:
+def packed(command: Command) -> _Update:
     """Return a command as it is sent.
 
     Parameters
@@ -141,7 +149,7 @@ def packed(command: Any) -> _Update:
         raise InvalidArgument(f"{kind} of {key.path or '/'} cannot be sent: {error}") from error
 
 
-def _check(name: str, value: Any) -> None:
+def _check(name: str, value: object) -> None:
     """Refuse NaN and infinity, at any depth; a flat list of numbers costs one sum."""
     if isinstance(value, float):
         if not isfinite(value):
@@ -157,7 +165,7 @@ def _check(name: str, value: Any) -> None:
     elif isinstance(value, dict):
         for word, item in value.items():
             _check(f"{name}.{word}", item)
-    elif getattr(value, "type", None) == _FLOAT32:
+    elif isinstance(value, umsgpack.Ext) and value.type == _FLOAT32:
         finite(name, np.frombuffer(value.data, np.float32))
 
 
@@ -216,7 +224,7 @@ class Backlog:
         """How many deletions are still kept for those who have not seen them."""
         return len(self._deletions)
 
-    def put(self, command: Any) -> None:
+    def put(self, command: Command) -> None:
         """Take a command of meshcat's.
 
         Raises
@@ -335,7 +343,7 @@ class OfflineWindow:
         """An offline window has none: raises ViewerError."""
         self._refuse("has no address")
 
-    def send(self, command: Any) -> None:
+    def send(self, command: Command) -> None:
         """Take a command of meshcat's.
 
         Raises

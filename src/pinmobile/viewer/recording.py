@@ -11,6 +11,7 @@ from io import BytesIO
 from os import PathLike
 from pathlib import Path
 from string import Template
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,7 @@ if (animation.tracks.length) pinmobile.play(animation.tracks, animation.speed, a
 </script>"""
 
 
-def recorded_page(title: str, commands: Iterable[bytes], animation: dict[str, Any]) -> str:
+def recorded_page(title: str, commands: Iterable[bytes], animation: dict[str, object]) -> str:
     """Return a page that holds everything it shows.
 
     Parameters
@@ -79,7 +80,7 @@ def gif(frames: Iterator[Image.Image], rate: float) -> bytes:
     return buffer.getvalue()
 
 
-def film_encoder() -> Any:
+def film_encoder() -> ModuleType:
     """Return imageio-ffmpeg, of the extra ``pinmobile[mp4]``.
 
     Raises
@@ -95,7 +96,7 @@ def film_encoder() -> Any:
         ) from None
 
 
-def film(encoder: Any, frames: Iterator[Image.Image], rate: float, size: tuple[int, int]) -> bytes:
+def film(encoder: ModuleType, frames: Iterator[Image.Image], rate: float, size: tuple[int, int]) -> bytes:
     """Return a film (MP4).
 
     Parameters

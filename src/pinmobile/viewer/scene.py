@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +16,18 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.palette import AXES, INK, QUIET, colour
 from pinmobile.plant import whole_configurations
 from pinmobile.simulation import Rollout
-from pinmobile.viewer.motion import Channel, along, configurations, envelope, figure, links, poses_of, sampled
+from pinmobile.viewer.motion import (
+    Channel,
+    Drawing,
+    Drawn,
+    along,
+    configurations,
+    envelope,
+    figure,
+    links,
+    poses_of,
+    sampled,
+)
 from pinmobile.viewer.stage import Arrows, Extent, Follow, Overlays, Stage, Stay, View, overview
 
 _POSE = ("x", "y", "psi")
@@ -171,7 +181,7 @@ class Scene:
     """
 
     stage: Stage
-    robot: Any
+    robot: Drawn
     overlays: Overlays
     channels: list[Channel] = field(default_factory=list)
     riders: list[_Rider] = field(default_factory=list)
@@ -240,7 +250,7 @@ class Scene:
             self.stage.robot("meshcat/desired", ghost, QUIET, ghost=True)
             whole = _is_of(ghost, main.plant) and main.reference.q.shape == main.q.shape
             wanted = main.reference.q if whole else main.reference_poses
-            if hasattr(ghost, "drawing"):  # what has no reference is drawn as it is
+            if isinstance(ghost, Drawing):  # what has no reference is drawn as it is
                 wanted = whole_configurations(ghost.plant, main.q, main.reference.q)
             desired = configurations(ghost, main.t, wanted, times)
             self.channels += _ridden("meshcat/desired", ghost, desired)
@@ -354,14 +364,15 @@ def _frame(table: DHTable, k: int, poses: Array) -> Array:
     """Return the placements of frame k of a table, shape (n, 4, 4)."""
     if k == 0:
         return np.broadcast_to(np.eye(4), (len(poses), 4, 4))
-    return table.placements(poses[:, [1, 0, 2]])[:, k - 1]
+    order = [_POSE.index(name) for name in table.variables]
+    return table.placements(poses[:, order])[:, k - 1]
 
 
-def _is_of(robot: Any, plant: Any) -> bool:
+def _is_of(robot: Drawn, plant: object) -> bool:
     """Tell whether what is drawn takes all configurations, as of its own plant, or those of the body."""
-    return robot is plant or hasattr(robot, "drawing")
+    return robot is plant or isinstance(robot, Drawing)
 
 
-def _ridden(path: str, robot: Any, configurations: Array) -> list[Channel]:
+def _ridden(path: str, robot: Drawn, configurations: Array) -> list[Channel]:
     """Return the channels of a robot, body and links."""
     return [*along(path, configurations), *links(path, robot, configurations)]

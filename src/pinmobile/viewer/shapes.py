@@ -232,7 +232,7 @@ def _cell(corners: Array, wanted: float) -> float:
     return max(float(np.sqrt(3 * area / wanted)), 1e-9)  # a surface crosses 1.5 cells per size^2
 
 
-def _clustered(vertices: Array, faces: Any, cell: float) -> tuple[Array, Any]:
+def _clustered(vertices: Array, faces: NDArray[np.int64], cell: float) -> tuple[Array, NDArray[np.int64]]:
     keys = np.floor((vertices - vertices.min(axis=0)) / cell).astype(np.int64)
     _, cluster = np.unique(keys, axis=0, return_inverse=True)
     cluster = cluster.ravel()
@@ -246,7 +246,7 @@ def _clustered(vertices: Array, faces: Any, cell: float) -> tuple[Array, Any]:
     return means, np.unique(first, axis=0)
 
 
-def _standing(vertices: Array, faces: Any) -> Any:
+def _standing(vertices: Array, faces: NDArray[np.int64]) -> Any:
     import coal
 
     mesh = coal.BVHModelOBBRSS()

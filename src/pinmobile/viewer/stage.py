@@ -14,8 +14,8 @@ from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, sequenc
 from pinmobile.dh import DHTable
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot import BODY
-from pinmobile.viewer.motion import Channel
-from pinmobile.viewer.offline import Visualizer
+from pinmobile.viewer.motion import Channel, Drawn
+from pinmobile.viewer.offline import Command, Visualizer
 from pinmobile.viewer.shapes import Shape, coarse, shadows
 
 _STAGE = "meshcat/stage"
@@ -147,7 +147,7 @@ class Overlays:
 class Window(Protocol):
     """What takes meshcat's commands."""
 
-    def send(self, command: Any) -> None:
+    def send(self, command: Command) -> None:
         """Take a command, an object whose ``lower()`` is the dict that meshcat's page reads."""
 
 
@@ -220,11 +220,11 @@ class Stage:
         shape["object"]["uuid"] = path  # animations tell objects apart by it
         self.window.send(_Command({"type": "set_object", "path": path, "object": shape}))
 
-    def set(self, path: str, name: str, value: Any) -> None:
+    def set(self, path: str, name: str, value: object) -> None:
         """Set a property of a node."""
         self.window.send(_Command({"type": "set_property", "path": path, "property": name, "value": value}))
 
-    def tell(self, name: str, value: Any) -> None:
+    def tell(self, name: str, value: object) -> None:
         """Set a property of the stage itself, which its page reads."""
         self.set(_STAGE, name, value)
 
@@ -258,7 +258,7 @@ class Stage:
         self.tell("eye", view.eye.tolist())
         self.tell("target", view.target.tolist())
 
-    def robot(self, path: str, robot: Any, colour: str | None, *, ghost: bool = False) -> None:
+    def robot(self, path: str, robot: Drawn, colour: str | None, *, ghost: bool = False) -> None:
         """Load a robot's geometry below a node, whose pose is then the robot's.
 
         Parameters

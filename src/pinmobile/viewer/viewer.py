@@ -323,7 +323,7 @@ def _checked_overlays(overlays: Overlays | None, default: Overlays) -> Overlays:
     return overlays
 
 
-def _checked_runs(rollouts: Any) -> dict[str, Rollout]:
+def _checked_runs(rollouts: object) -> dict[str, Rollout]:
     """Return the rollouts by label; a single one has the label "".
 
     Raises

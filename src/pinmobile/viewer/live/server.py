@@ -205,7 +205,7 @@ class _Answer(RequestHandler):
         self.set_header("Referrer-Policy", "no-referrer")  # the address may hold a token
         self.set_header("X-Content-Type-Options", "nosniff")
 
-    def write_error(self, status_code: int, **_: Any) -> None:
+    def write_error(self, status_code: int, **_: object) -> None:
         self.refuse(status_code, self._reason)
 
     def log_exception(

@@ -13,14 +13,13 @@ from concurrent.futures import CancelledError
 from contextlib import suppress
 from functools import cache
 from io import BytesIO
-from typing import Any
 
 from PIL import Image, ImageOps
 
 from pinmobile.arrays import non_negative, whole
 from pinmobile.errors import InvalidArgument, ViewerError
 from pinmobile.viewer.live.server import Access, Browser, GuardedServer, access_for, application, listening
-from pinmobile.viewer.offline import ENGINE, Backlog, stage_page, static_page
+from pinmobile.viewer.offline import ENGINE, Backlog, Command, stage_page, static_page
 
 _CAPTURE = 20.0  # [s] that a browser has to draw a picture
 _SCRIPT, _CONNECT = 'src="main.min.js"', "viewer.connect()"
@@ -110,7 +109,7 @@ class LiveWindow:
         """Of the commands that make the scene [byte]."""
         return self._server.backlog.size
 
-    def send(self, command: Any) -> None:
+    def send(self, command: Command) -> None:
         """Take a command of meshcat's; it is sent soon, unless a later one replaces it.
 
         Raises
