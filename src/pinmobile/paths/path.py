@@ -108,7 +108,7 @@ def checked_path(path: object, size: int) -> Path:
     return path
 
 
-def checked_order(order: object) -> int:
+def checked_order(order: ArrayLike) -> int:
     """Return the order of a derivative, at least 0.
 
     Raises
