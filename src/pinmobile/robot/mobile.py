@@ -494,13 +494,9 @@ class MobileRobot(System):
         if self.mounts:
             return self._with_numbers(self._articulated.numbers_with(values))
         bare = self.lumped() if self.loads else self
-        old = {
-            "mass": bare.mass,
-            "yaw_inertia": bare.body.yaw_inertia,
-            "com_x": bare.com[0],
-            "com_y": bare.com[1],
-        }
-        mass, inertia, x, y = (scalar(name, values.get(name, old[name])) for name in old)
+        old = bare.mass, bare.body.yaw_inertia, *bare.com[:2]
+        pairs = zip(BODY_PARAMETERS, old, strict=True)
+        mass, inertia, x, y = (scalar(one.name, values.get(one.name, number)) for one, number in pairs)
         body = urdf.Body(mass, np.array([x, y, bare.com[2]]), np.diag([inertia] * 3))
         return bare.with_body(body, "with other parameters")
 
@@ -694,11 +690,9 @@ def _restored(
 ) -> MobileRobot:
     body, size, dh, source, stance, locked_joints, looks = bare
     robot = MobileRobot.from_body(body, size, dh, source, stance=stance, locked_joints=locked_joints)
-    carrying = {"mounts": mounts, "loads": loads}
-    if mounts or loads:
-        carrying["_engine"] = Engine(assemble(robot._model, mounts, loads))  # type: ignore[assignment]
-    carrying["source"] = source + _of_files(mounts)  # type: ignore[assignment]
-    for name, value in {"_looks": looks, **carrying}.items():
+    engine = Engine(assemble(robot._model, mounts, loads)) if mounts or loads else robot._engine
+    own = {"mounts": mounts, "loads": loads, "_engine": engine, "source": source + _of_files(mounts)}
+    for name, value in {"_looks": looks, **own}.items():
         object.__setattr__(robot, name, value)
     if mounts or loads:
         check_whole(robot._model, robot._engine.reorder(robot.rest))
