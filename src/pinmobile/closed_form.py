@@ -288,13 +288,7 @@ def forward_dynamics(
 
 
 def unchecked_inverse_dynamics(
-    q: Array,
-    v: Array,
-    a: Array,
-    mass: Numbers,
-    yaw_inertia: Numbers,
-    com_x: Numbers,
-    com_y: Numbers,
+    q: Array, v: Array, a: Array, mass: Numbers, yaw_inertia: Numbers, com_x: Numbers, com_y: Numbers
 ) -> Array:
     """Return `inverse_dynamics` without a look at the arguments: for loops that judge what comes.
 
@@ -314,13 +308,7 @@ def unchecked_inverse_dynamics(
 
 
 def unchecked_forward_dynamics(
-    q: Array,
-    v: Array,
-    tau: Array,
-    mass: Numbers,
-    yaw_inertia: Numbers,
-    com_x: Numbers,
-    com_y: Numbers,
+    q: Array, v: Array, tau: Array, mass: Numbers, yaw_inertia: Numbers, com_x: Numbers, com_y: Numbers
 ) -> Array:
     """Return `forward_dynamics` without a look at the arguments: for loops that judge what comes.
 

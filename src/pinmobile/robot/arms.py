@@ -1,4 +1,4 @@
-"""What can be mounted, made ready: without a root of its own, its wheels locked; and what no arm has."""
+"""Arms, made ready to be mounted: checked, without a root of their own, their wheels locked."""
 
 from __future__ import annotations
 
@@ -198,10 +198,10 @@ for _name in ("whole", "model"):
 def _whole(model: pin.Model) -> pin.Model:
     """Return a copy with what Pinocchio needs to lock joints, and a model made joint by joint may lack."""
     whole = model.copy()
-    # Else it balks: the least velocity is left at its largest number.
+    # Pinocchio refuses it otherwise: the least velocity is left at its largest number.
     whole.lowerVelocityLimit = np.minimum(whole.lowerVelocityLimit, whole.upperVelocityLimit)
     for joint in range(1, whole.njoints):
-        # Else it crashes.
+        # Pinocchio crashes without it.
         if not whole.existFrame(whole.names[joint], pin.FrameType.JOINT):
             whole.addJointFrame(joint)
     return whole
@@ -214,7 +214,7 @@ def _reduced(
     model = whole.copy()
     if not held:
         return model, shown
-    # Pinocchio balks at a link, a joint or a fixed joint of the same name, so they are numbered meanwhile.
+    # Pinocchio refuses a link, a joint or a fixed joint of the same name, so they are numbered meanwhile.
     names = {}
     for number, frame in enumerate(model.frames):
         if number and frame.type != pin.FrameType.JOINT:
@@ -325,9 +325,7 @@ def check_bodies(model: pin.Model, called: str) -> None:
 
 
 def check_joint_limits(model: pin.Model, joints: Iterable[Joint], called: str) -> None:
-    """Refuse limits that limit nothing: the least above the largest, negative ones, or no numbers.
-
-    Damping and friction that push, or are no numbers, too.
+    """Refuse position limits in the wrong order, and limits, damping and friction that are negative or NaN.
 
     Parameters
     ----------
@@ -365,7 +363,7 @@ def check_joint_limits(model: pin.Model, joints: Iterable[Joint], called: str) -
 
 
 def check_inertias(model: pin.Model, posture: Array, called: str) -> None:
-    """Refuse a joint that nothing resists, at rest or at a posture like any other.
+    """Refuse a joint that moves no inertia, at rest or at another posture.
 
     Parameters
     ----------
@@ -386,7 +384,7 @@ def check_inertias(model: pin.Model, posture: Array, called: str) -> None:
 
 
 def check_whole(model: pin.Model, posture: Array) -> None:
-    """Refuse what makes a robot's dynamics overflow, or lost to rounding, at rest or at another posture.
+    """Refuse a robot whose mass matrix overflows, or is singular to rounding, at rest or at another posture.
 
     Parameters
     ----------
@@ -415,7 +413,7 @@ def check_whole(model: pin.Model, posture: Array) -> None:
 
 
 def _weakest(model: pin.Model, posture: Array) -> Iterator[tuple[int, str]]:
-    """Yield a joint that nothing resists to rounding, and where, at each of two postures that have one."""
+    """Yield a joint that moves no inertia, but for rounding, and where, at each of two postures with one."""
     if not model.nv:
         return
     data = model.createData()
@@ -433,7 +431,7 @@ def _weakest(model: pin.Model, posture: Array) -> Iterator[tuple[int, str]]:
 
 
 def _cause(model: pin.Model, joint: int, where: str) -> str:
-    """Return what is wrong with a joint that nothing resists, and what is expected."""
+    """Return what is wrong with a joint that moves no inertia, and what is expected."""
     name = repr(model.names[joint])
     moved = [model.inertias[beyond] for beyond in model.subtrees[joint]]
     if not any(body.mass or np.array(body.inertia).any() for body in moved):

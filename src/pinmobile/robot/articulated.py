@@ -145,7 +145,7 @@ class ArticulatedBody:
     upright: Array
     judgement: Judgement
     end_effector: str
-    varied: frozenset[tuple[str, Any]] | None = None
+    varied: frozenset[tuple[str, object]] | None = None
     matter: tuple[tuple[bool, ...], ...] = ()
 
     broadcasts: ClassVar[bool] = True
@@ -161,7 +161,7 @@ class ArticulatedBody:
     def _differs(self, name: str, entry: int) -> bool:
         return self.varied is None or (name, entry) in self.varied
 
-    def varying(self, entries: Iterable[tuple[str, Any]]) -> Self:
+    def varying(self, entries: Iterable[tuple[str, object]]) -> Self:
         """Return it, told which attributes and entries of its parameters differ from robot to robot."""
         return replace(self, varied=frozenset(entries))
 

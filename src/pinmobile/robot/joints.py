@@ -23,8 +23,8 @@ _SLIDES = {"Planar": 2, "Translation": 3, "FreeFlyer": 3}
 _PARTS = {2: ("cos", "sin"), 4: ("qx", "qy", "qz", "qw")}  # of joints with more numbers in q than in v
 _FAR = 1e8  # beyond, a limit is none
 _WHEEL_JOINTS = 3  # suspension, steering, wheel
-_TURNS = 1e3 * 2 * np.pi  # [rad]: who can turn so far both ways has no limit
-_UNSET = 1e300  # [rad]: beyond, a model made joint by joint has not said
+_TURNS = 1e3 * 2 * np.pi  # [rad]: limits beyond this, both ways, count as none
+_UNSET = 1e300  # [rad]: beyond, a model made joint by joint has not set them
 _FINGER = 4  # joints in series at most, beyond which a branch is an arm
 _TOOLS = ("tcp", "tool0", "end_effector", "ee_link")  # names of the link that a file means as the tip
 

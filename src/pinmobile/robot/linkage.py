@@ -389,7 +389,7 @@ def regrouped(
 ) -> list[Body]:
     """Return bodies that move as these do, with fewer numbers that are not zero (Khalil and Dombre, 2002).
 
-    What of a body its own joint does not move goes to what it hangs on: of one that turns its mass, first
+    What its own joint does not move of a body goes to the body above: of one that turns its mass, first
     moment along the axis and inertia yy; of one that slides its inertia. Joint torques are the same, and so
     is what a body feels of all that hangs on it, if nothing of its own went on; other forces between the
     links are not. `least` is the first joint whose body takes what comes: those before it get nothing.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -266,13 +266,49 @@ def placed(at: ArrayLike) -> tuple[float, float, float, float]:
     return x, y, z, yaw
 
 
-def on_top(top: float, arm: Arm) -> tuple[float, float, float, float]:
-    """Return the mount point in the middle of a body of some height [m].
+def free_place(mounts: Sequence[Mount], top: float | None, arm: Arm) -> tuple[float, float, float, float]:
+    """Return the mount point in the middle of a body whose highest point has the height `top` [m].
 
     What stands on its feet, or would otherwise hang below the ground, is as high as its lowest frame needs.
+
+    Raises
+    ------
+    InvalidArgument
+        If the height is not known, or the middle is taken.
     """
+    if top is None:
+        raise InvalidArgument(
+            f"at is not given for {arm.origin.value!r}, and the top of the robot is not known, "
+            "expected x, y, z and yaw; robot.source says what its file lacks"
+        )
+    for mount in mounts:
+        if mount.at[:2] == (0.0, 0.0):
+            raise InvalidArgument(
+                f"at is not given for {arm.origin.value!r}, and {mount.name!r} stands in the middle "
+                "already, expected x, y, z and yaw"
+            )
     below = arm.reach_down()
     return 0.0, 0.0, top + below if arm.stands or below > top else top, 0.0
+
+
+def with_numbers(
+    mounts: Sequence[Mount], loads: Sequence[tuple[str, Load]], new: Mapping[str, Array]
+) -> tuple[tuple[Mount, ...], tuple[tuple[str, Load], ...]]:
+    """Return arms and loads with other numbers, by attribute of `ArticulatedBody`."""
+    changed, link, joint = [], 0, 0
+    for mount, at in zip(mounts, new["places"].reshape(-1, 4), strict=True):
+        end, last = link + len(mount.links), joint + mount.v.stop - mount.v.start
+        each = (("masses", 1), ("coms", 3), ("inertias", 6))
+        masses, coms, inertias = (new[name][k * link : k * end] for name, k in each)
+        rotors = new["rotors"][joint:last]
+        numbers = LinkNumbers(masses, coms.reshape(-1, 3), inertias.reshape(-1, 6), rotors)
+        same = all(map(np.array_equal, numbers, LinkNumbers.of(mount.arm._model)))
+        changed.append(replace(mount, at=placed(at), numbers=None if same else numbers))
+        link, joint = end, last
+    coms, inertias = new["load_coms"].reshape(-1, 3), new["load_inertias"].reshape(-1, 6)
+    rows = zip(loads, new["load_masses"], coms, inertias, strict=True)
+    carried = ((frame, load.with_numbers(float(m), com, six)) for (frame, load), m, com, six in rows)
+    return tuple(changed), tuple(carried)
 
 
 def checked_name(name: str) -> str:

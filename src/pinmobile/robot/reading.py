@@ -17,7 +17,7 @@ from pinmobile.robot.geometry import Shape, WheelReading, ground_below, shapes_o
 from pinmobile.robot.joints import Joint, carries_only_wheels, joints_of
 from pinmobile.robot.stance import Stance, stance_written
 from pinmobile.robot.visuals import VisualFile
-from pinmobile.robot.wellformed import MOMENTS, judge_links, urdf_text
+from pinmobile.robot.wellformed import MOMENTS, judge_links, urdf_model
 from pinmobile.urdf import Body
 
 LOCKED = "wheels locked: they do not roll, and it can be pushed sideways"
@@ -118,11 +118,7 @@ def read_urdf(path: Path, package_dirs: tuple[Path, ...] = (), ground: ArrayLike
     InvalidArgument
         If there is no such file, it is no URDF, or it is neither of the two.
     """
-    text, root = urdf_text("path", path)
-    try:
-        model = pin.buildModelFromXML(text)
-    except (ValueError, RuntimeError) as error:
-        raise InvalidArgument(f"{path.name} is not a URDF that Pinocchio reads: {error}") from None
+    model, root = urdf_model("path", path)
     shown = Shown(
         _largest_box(root),
         tuple(shapes_of(root, model, path.name)),

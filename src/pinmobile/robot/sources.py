@@ -17,7 +17,7 @@ from pinmobile.errors import InvalidArgument, PinmobileError, UnknownName, shown
 from pinmobile.robot.arms import Arm, Origin, Picture
 from pinmobile.robot.joints import joints_of
 from pinmobile.robot.visuals import FilePicture, GivenPicture
-from pinmobile.robot.wellformed import check_freedom, judge_links, urdf_text
+from pinmobile.robot.wellformed import check_freedom, judge_links, urdf_model
 
 _FINGERS = (
     "its fingers have no inertia: lock bravo_finger1_joint and bravo_finger2_joint "
@@ -347,11 +347,7 @@ def _check_rest(arm: Arm) -> None:
 
 
 def _from_urdf(path: Path, folders: tuple[str, ...], rest: ArrayLike | None, locked: tuple[str, ...]) -> Arm:
-    text, root = urdf_text("arm", path)
-    try:
-        model = pin.buildModelFromXML(text)
-    except (ValueError, RuntimeError) as error:
-        raise InvalidArgument(f"{path.name} is not a URDF that Pinocchio reads: {error}") from None
+    model, root = urdf_model("arm", path)
     picture = FilePicture(path, tuple(map(Path, folders)))
     origin, posture = Origin("urdf", str(path), folders), _posture(model, rest)
     arm = Arm(origin, model, posture, picture, locked, usual=pin.neutral(model))

@@ -417,15 +417,8 @@ class System:
 
         Parameters
         ----------
-        q : array_like, shape (..., nq)
-            Configuration [m, m, rad, ...].
-        frame : str, optional
-            One of `frame_names`; by default `end_effector`.
-
-        Raises
-        ------
-        UnknownName
-            If there is no such frame.
+        q, frame
+            As in `frame_pose`, with the same error.
         """
         return self._each(laws.frame_jacobian(*self._frame(frame)), q=self._here(q))
 
@@ -437,17 +430,10 @@ class System:
 
         Parameters
         ----------
-        q : array_like, shape (..., nq)
-            Configuration [m, m, rad, ...].
+        q, frame
+            As in `frame_pose`, with the same error.
         v : array_like, shape (..., nv)
             Velocity [m/s, m/s, rad/s, ...].
-        frame : str, optional
-            One of `frame_names`; by default `end_effector`.
-
-        Raises
-        ------
-        UnknownName
-            If there is no such frame.
         """
         return self._each(laws.frame_drift(*self._frame(frame)), q=self._q(q), v=self._v("v", v))
 
@@ -459,15 +445,8 @@ class System:
 
         Parameters
         ----------
-        q : array_like, shape (..., nq)
-            Configuration [m, m, rad, ...].
-        frame : str, optional
-            One of `frame_names`; by default `end_effector`.
-
-        Raises
-        ------
-        UnknownName
-            If there is no such frame.
+        q, frame
+            As in `frame_pose`, with the same error.
         """
         return self._each(laws.manipulability(*self._frame(frame)), q=self._here(q))
 

@@ -1,4 +1,4 @@
-"""What a URDF must have that its readers drop, refuse without a reason, or do not survive."""
+"""Checks of a URDF that its readers leave out: they drop what is wrong, do not say why, or crash."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
+import pinocchio as pin
 
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
@@ -73,8 +74,8 @@ _MOST_FREEDOM = 200  # pin.Data grows with the cube, to 0.5 GB at 200
 _SHOWN = 5  # names in a message
 
 
-def urdf_text(argument: str, path: Path) -> tuple[str, Element]:
-    """Return a file's tree, checked, and the tree as text: what is checked is what Pinocchio is given.
+def urdf_model(argument: str, path: Path) -> tuple[pin.Model, Element]:
+    """Return the model of a file, and the file's tree, checked: what is checked is what Pinocchio is given.
 
     Raises
     ------
@@ -83,7 +84,10 @@ def urdf_text(argument: str, path: Path) -> tuple[str, Element]:
         file.
     """
     root = urdf_tree(argument, path)
-    return ElementTree.tostring(root, encoding="unicode"), root
+    try:
+        return pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode")), root
+    except (ValueError, RuntimeError) as error:
+        raise InvalidArgument(f"{path.name} is not a URDF that Pinocchio reads: {error}") from None
 
 
 def urdf_tree(argument: str, path: Path) -> Element:
@@ -92,7 +96,7 @@ def urdf_tree(argument: str, path: Path) -> Element:
     Raises
     ------
     InvalidArgument
-        As `urdf_text`.
+        As `urdf_model`, but for what Pinocchio refuses.
     """
     try:
         with path.open("rb") as file:
