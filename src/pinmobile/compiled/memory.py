@@ -18,7 +18,7 @@ import hashlib
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array
 from pinmobile.compiled.elementary import polynomial
 from pinmobile.compiled.symbolic import Symbols
-from pinmobile.compiled.tape import Node, bits, float_bits, real, root, select
+from pinmobile.compiled.tape import Node, Number, bits, float_bits, real, root, select
 from pinmobile.errors import NotTraceable
 
 _STATE = "keep memory in state as floats and arrays, in a tree that stays as `initial_state` returns it"
@@ -152,14 +152,18 @@ _SINE = [(-1) ** k / math.factorial(2 * k + 1) for k in range(5)]
 _COSINE = [(-1) ** k / math.factorial(2 * k) for k in range(6)]
 
 
-def _mixed(x: Any) -> Any:
+Word: TypeAlias = Node | np.uint64 | NDArray[np.uint64]
+"""64 bits, known or not."""
+
+
+def _mixed(x: Word) -> Any:
     """Return SplitMix64's function of 64 bits."""
-    x = (x ^ (x >> 30)) * 0xBF58476D1CE4E5B9
-    x = (x ^ (x >> 27)) * 0x94D049BB133111EB
-    return x ^ (x >> 31)
+    once = (x ^ (x >> 30)) * 0xBF58476D1CE4E5B9
+    twice = (once ^ (once >> 27)) * 0x94D049BB133111EB
+    return twice ^ (twice >> 31)
 
 
-def normals(key: Any, k: Any, n: int) -> list[Any]:
+def normals(key: Word, k: Word, n: int) -> list[Any]:
     """Return n standard normal numbers of a robot at sample k.
 
     Of the 64 bits for a pair, 40 say how large it is, at most 7.4, and 24 in which direction it points. Both
@@ -191,7 +195,7 @@ def normals(key: Any, k: Any, n: int) -> list[Any]:
     return found[:n]
 
 
-def _minus_two_log(u: Any) -> Any:
+def _minus_two_log(u: Number) -> Any:
     """Return -2 log u of a number in [2^-40, 1], within 5e-11 of it."""
     word = bits(u) + _ABOVE_ROOT
     exponent = real((word >> 52) | float_bits(2.0**52)) - (2.0**52 + 64.0)
@@ -200,7 +204,7 @@ def _minus_two_log(u: Any) -> Any:
     return exponent * _PER_OCTAVE + s * polynomial(_ARTANH, s * s)
 
 
-def _sincos_of_an_eighth(i: Any) -> tuple[Any, Any]:
+def _sincos_of_an_eighth(i: Number) -> tuple[Any, Any]:
     """Return sine and cosine of i pi / 2^24, for |i| < 2^22: an eighth of a turn to either side."""
     r = i * (math.pi / 2**24)
     z = r * r
@@ -233,17 +237,17 @@ class Noise:
 
     Parameters
     ----------
-    key : node or ndarray of uint64
+    key : int or ndarray of uint64
         The robot's, shape ().
     n : int
         Numbers a sample.
-    k : node or int
+    k : int
         Number of the sample.
     """
 
     goes_on = True  # a new one takes its place at each sample
 
-    def __init__(self, key: Any, n: int, k: Any = 0) -> None:
+    def __init__(self, key: int | np.uint64 | NDArray[np.uint64], n: int, k: int = 0) -> None:
         self.key, self.n, self.k = key, n, k
 
     def draw(self) -> tuple[Array, Noise]:
@@ -255,7 +259,7 @@ class Noise:
         return _numbers(np.asarray(self.key, np.uint64), np.uint64(self.k), self.n), after
 
 
-def _numbers(key: Any, k: Any, n: int) -> Array:
+def _numbers(key: np.uint64 | NDArray[np.uint64], k: np.uint64 | NDArray[np.uint64], n: int) -> Array:
     with np.errstate(over="ignore", invalid="ignore"):
         keys, samples = np.broadcast_arrays(key, k)
         return np.stack(normals(keys, samples, n), axis=-1)

@@ -196,7 +196,7 @@ def _on_symbols(part: object) -> Any:
     if hasattr(part, "traced"):
         return part.traced()
 
-    def symbolic(child: Any) -> Any:
+    def symbolic(child: object) -> Any:
         try:
             return _on_symbols(child)
         except NotTraceable:

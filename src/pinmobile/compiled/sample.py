@@ -8,7 +8,7 @@ errors, or all samples.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
@@ -17,10 +17,10 @@ import numpy as np
 from pinmobile.arrays import Array, are_real
 from pinmobile.compiled.memory import mapped
 from pinmobile.compiled.parts import Parts
-from pinmobile.compiled.symbolic import entries, has_symbols
+from pinmobile.compiled.symbolic import Moment, Values, entries, has_symbols
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.measures import is_alive, measured_of, size_of
-from pinmobile.signals import claimed, number, signals_of
+from pinmobile.signals import Claim, claimed, number, signals_of
 
 
 class Reference(NamedTuple):
@@ -62,15 +62,15 @@ class Sample(NamedTuple):
         What the plant's ``measured`` gives, where the recorder has ``measures``; nothing otherwise.
     """
 
-    k: Any
-    t: Any
+    k: Moment
+    t: Moment
     q: Any
     v: Any
     u: Any
     a: Any
-    error: Any
-    error_rate: Any
-    signals: Any = {}  # noqa: RUF012 (nobody writes into it)
+    error: Values
+    error_rate: Values
+    signals: Mapping[str, Claim] = {}
     measured: Any = ()
 
 
@@ -90,9 +90,9 @@ class Record(NamedTuple):
     """
 
     state: Any
-    counted: Any = ()
-    kept: Any = {}  # noqa: RUF012 (nobody writes into it)
-    units: Any = {}  # noqa: RUF012
+    counted: Sequence[Values] = ()
+    kept: Mapping[str, Values] = {}
+    units: Mapping[str, str] = {}
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ class Summary:
         worst = np.array([-np.inf if is_margin else 0.0 for _, is_margin in self.measures])
         return {"worst": worst, "measure_squares": np.zeros(len(worst))}  # margins: the largest -m
 
-    def __call__(self, sample: Sample, state: Any) -> Record:
+    def __call__(self, sample: Sample, state: Mapping[str, Values]) -> Record:
         """Return the record with one more sample."""
         errors = np.concatenate([sample.error, sample.error_rate], axis=-1)
         alive = (state["alive"] > 0.5) & is_alive(errors, self.limit, sample.u, sample.a)
@@ -175,7 +175,9 @@ class Summary:
         kept, found = self._measured(sample, state, alive)
         return Record(new | kept, sizes + found)
 
-    def _measured(self, sample: Sample, state: Any, alive: Any) -> tuple[dict[str, Any], list[Any]]:
+    def _measured(
+        self, sample: Sample, state: Mapping[str, Values], alive: Values
+    ) -> tuple[dict[str, Any], list[Any]]:
         """Return what is kept of the plant's measures, and their sizes."""
         columns = [(sample.measured[..., i], is_margin) for i, is_margin in self.measures]
         bad = [-x if is_margin else np.abs(x) for x, is_margin in columns]
@@ -197,7 +199,7 @@ class Summary:
         return kept, sizes
 
 
-def _larger(a: Any, b: Any) -> Any:
+def _larger(a: Values, b: Values) -> Any:
     """Return the larger of numbers that are known to be some."""
     return np.where(a > b, a, b)
 
@@ -212,7 +214,7 @@ class Trace:
     def initial_state(self, n: int, nu: int) -> None:
         """Return None: nothing is kept from one sample to the next."""
 
-    def __call__(self, sample: Sample, state: Any) -> Record:
+    def __call__(self, sample: Sample, state: object) -> Record:
         """Return the sample."""
         kept = {"q": sample.q, "v": sample.v, "u": sample.u, "a": sample.a}
         kept |= {f"signal {name}": claim.value for name, claim in sample.signals.items()}
@@ -242,7 +244,13 @@ class Stepped(NamedTuple):
 
 
 def one_sample(
-    parts: Parts, k: Any, t: Any, h: Any, state: tuple[Any, Any], reference: Reference, memory: Memory
+    parts: Parts,
+    k: Moment,
+    t: Moment,
+    h: Moment,
+    state: tuple[Values, Values],
+    reference: Reference,
+    memory: Memory,
 ) -> Stepped:
     """Return one sample of the closed loop, and the state at the next.
 
@@ -290,7 +298,9 @@ def one_sample(
     return Stepped(sample, q1, v1, Memory(kept, inner, record.state), record)
 
 
-def _told(parts: Parts, t: Any, q: Any, v: Any, u: Any, memory: Any, inner: Any) -> Iterator[tuple[str, Any]]:
+def _told(
+    parts: Parts, t: Moment, q: Values, v: Values, u: Values, memory: object, inner: object
+) -> Iterator[tuple[str, Any]]:
     """Yield the signals of the parts at a sample, each with what the part is called."""
     plant = parts.plant
     if hasattr(plant, "signals"):
@@ -304,20 +314,20 @@ def _told(parts: Parts, t: Any, q: Any, v: Any, u: Any, memory: Any, inner: Any)
             yield f"forces[{i}]", force.signals(t, plant.pose(q), plant.rate(q, v))
 
 
-def _signal(name: str, value: Any) -> Any:
+def _signal(name: str, value: Any) -> Array:
     return entries(value) if has_symbols(value) else number(name, value)
 
 
-def _check_real(name: str, found: Any) -> None:
+def _check_real(name: str, found: object) -> None:
     if not are_real(found):
         raise InvalidArgument(f"{name} returned {shown(found)}, expected real numbers")
 
 
-def _copy(x: Any) -> Any:
+def _copy(x: object) -> Any:
     return x.copy() if hasattr(x, "copy") else x
 
 
-def tracking_errors(plant: Any, q: Any, v: Any, reference: Reference) -> tuple[Any, Any]:
+def tracking_errors(plant: Any, q: Values, v: Values, reference: Reference) -> tuple[Any, Any]:
     """Return the error of the reference's coordinates, and its rate, shape (n,) each."""
     n, length = reference.v.shape[-1], reference.q.shape[-1]
     whole = reference.q
@@ -327,7 +337,7 @@ def tracking_errors(plant: Any, q: Any, v: Any, reference: Reference) -> tuple[A
     return plant.difference(q, whole)[..., :n], reference.v - v[..., :n]
 
 
-def limited(plant: Any, u: Any) -> Any:
+def limited(plant: object, u: Values) -> Any:
     """Return the input within the plant's limits."""
     inputs = getattr(plant, "inputs", ())
     lower, upper = (
@@ -339,7 +349,7 @@ def limited(plant: Any, u: Any) -> Any:
     return np.clip(u, low, high)
 
 
-def _pushed(parts: Parts, t: Any, q: Any, v: Any) -> Any:
+def _pushed(parts: Parts, t: Moment, q: Values, v: Values) -> Any:
     """Return the forces on the coordinates beside the input, shape (nv,), or 0."""
     plant, total = parts.plant, 0.0
     wrenches = [force for force in parts.forces if not hasattr(force, "on_coordinates")]
@@ -355,7 +365,7 @@ def _pushed(parts: Parts, t: Any, q: Any, v: Any) -> Any:
     return sum((_answer(parts, force, force.on_coordinates(t, q, v), np.shape(v)) for force in others), total)
 
 
-def _answer(parts: Parts, force: Any, found: Any, shape: tuple[int, ...]) -> Any:
+def _answer(parts: Parts, force: object, found: object, shape: tuple[int, ...]) -> Any:
     """Check that a force returned an array of its shape, and return that."""
     if not hasattr(found, "shape") or np.shape(found) != shape:
         k = next(i for i, each in enumerate(parts.forces) if each is force)
@@ -366,18 +376,18 @@ def _answer(parts: Parts, force: Any, found: Any, shape: tuple[int, ...]) -> Any
     return found
 
 
-def integrate_of(plant: Any) -> Any:
+def integrate_of(plant: object) -> Any:
     """Return how a displacement moves a plant's configuration: as it says, else by addition."""
     return getattr(plant, "integrate", None) or np.add
 
 
-def _integrated(parts: Parts, t: Any, h: Any, q: Any, v: Any, u: Any, memory: Any) -> Any:
+def _integrated(parts: Parts, t: Moment, h: Moment, q: Values, v: Values, u: Values, memory: object) -> Any:
     """Return the acceleration, and the state after the substeps, by the integrator on displacements."""
     plant = parts.plant
     integrate = integrate_of(plant)
 
-    def advanced(t: Any, q: Any, v: Any) -> tuple[Any, Any]:
-        def acceleration(time: Any, moved: Any, rate: Any) -> Any:
+    def advanced(t: Moment, q: Values, v: Values) -> tuple[Any, Any]:
+        def acceleration(time: Moment, moved: Values, rate: Values) -> Any:
             there = integrate(q, moved)
             return plant.forward_dynamics(there, rate, u, _pushed(parts, time, there, rate))
 
@@ -397,7 +407,7 @@ def _integrated(parts: Parts, t: Any, h: Any, q: Any, v: Any, u: Any, memory: An
     return first, q, v, memory
 
 
-def _own_step(parts: Parts, t: Any, h: Any, q: Any, v: Any, u: Any, memory: Any) -> Any:
+def _own_step(parts: Parts, t: Moment, h: Moment, q: Values, v: Values, u: Values, memory: object) -> Any:
     """Return the mean acceleration of the first substep, and the state after all, by the plant's own step."""
     acceleration = None
     for j in range(parts.substeps):

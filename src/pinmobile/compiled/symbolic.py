@@ -8,25 +8,27 @@ its arguments; `tracing` replaces these by the ones of `constructors`.
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
+from numpy.typing import DTypeLike, NDArray
 
+from pinmobile.arrays import Array, ArrayLike
 from pinmobile.compiled.elementary import ELEMENTARY, exp, floor, log, power, rounded
-from pinmobile.compiled.tape import Node, absolute, bits, maximum, minimum, real, root, select
+from pinmobile.compiled.tape import Node, Number, absolute, bits, maximum, minimum, real, root, select
 from pinmobile.errors import NotTraceable
 
 
-def boxed(x: Any) -> Any:
+def boxed(x: object) -> Any:
     """Return one entry as an array of shape ()."""
     box = np.empty((), object)
     box[()] = x
     return box
 
 
-def is_truth(x: Any) -> bool:
+def is_truth(x: object) -> bool:
     """Tell whether an entry is a truth value."""
     return x.kind == "b" if type(x) is Node else isinstance(x, bool | np.bool_)
 
@@ -45,7 +47,7 @@ def elementwise(function: Callable[..., Any], arity: int) -> Any:
     return np.frompyfunc(run, arity, 1)
 
 
-def as_float(x: Any) -> Any:
+def as_float(x: Number) -> Any:
     """Return an entry as a number."""
     return (
         select(x, 1.0, 0.0) if type(x) is Node and x.kind == "b" else x if type(x) is Node else np.float64(x)
@@ -55,51 +57,51 @@ def as_float(x: Any) -> Any:
 choose = elementwise(select, 3)
 
 
-def _known(x: Any) -> bool:
+def _known(x: object) -> bool:
     return type(x) is not Node or x.value is not None
 
 
-def larger(a: Any, b: Any) -> Any:
+def larger(a: Number, b: Number) -> Any:
     """Return the larger, and what is no number where one is none, as NumPy does."""
     if _known(a):
         return maximum(a, b)
     return maximum(b, a) if _known(b) else select(a == a, maximum(a, b), a)
 
 
-def smaller(a: Any, b: Any) -> Any:
+def smaller(a: Number, b: Number) -> Any:
     """Return the smaller, and what is no number where one is none, as NumPy does."""
     if _known(a):
         return minimum(a, b)
     return minimum(b, a) if _known(b) else select(a == a, minimum(a, b), a)
 
 
-def _sign(x: Any) -> Any:
+def _sign(x: Number) -> Any:
     return select(x > 0.0, 1.0, select(x < 0.0, -1.0, x))
 
 
-def _truncated(x: Any) -> Any:
+def _truncated(x: Number) -> Any:
     size = floor(absolute(x))
     return select(x < 0.0, -size, size)
 
 
-def _remainder(a: Any, b: Any) -> Any:
+def _remainder(a: Number, b: Number) -> Any:
     return a - b * floor(a / b)
 
 
 def of_truths(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return a function of truth values: of numbers, whether they are not zero."""
 
-    def run(*given: Any) -> Any:
+    def run(*given: Number) -> Any:
         return function(*(x if is_truth(x) else x != 0.0 for x in given))
 
     return run
 
 
-def _not(x: Any) -> Any:
+def _not(x: Number) -> Any:
     return np.invert(x) if isinstance(x, np.bool_) else ~x if type(x) is Node else not x
 
 
-def _copied_sign(a: Any, b: Any) -> Any:
+def _copied_sign(a: Number, b: Number) -> Any:
     return select(b < 0.0, -absolute(a), absolute(a))
 
 
@@ -170,11 +172,11 @@ UFUNCS = {ufunc: elementwise(function, ufunc.nin) for ufunc, function in _UFUNCS
 between = elementwise(lambda x, low, high: minimum(high, maximum(low, x)), 3)
 
 
-def _objects(x: Any) -> Any:
+def _objects(x: object) -> Any:
     return np.asarray(x).astype(object)
 
 
-def computed(ufunc: Any, method: str, given: list[Any], options: dict[str, Any]) -> Any:
+def computed(ufunc: np.ufunc, method: str, given: list[Any], options: dict[str, Any]) -> Any:
     """Return what a ufunc gives of arrays of objects."""
     name = ufunc.__name__
     if method == "__call__":
@@ -231,7 +233,7 @@ class Symbols(NDArrayOperatorsMixin):
     __hash__ = None  # type: ignore[assignment]
     is_symbolic = True  # by which `arrays.finite` knows that there is nothing to check yet
 
-    def __init__(self, array: Any) -> None:
+    def __init__(self, array: NDArray[Any]) -> None:
         self.entries = array
 
     shape = property(lambda self: self.entries.shape)
@@ -246,7 +248,14 @@ class Symbols(NDArrayOperatorsMixin):
         """Truth values where all are; else float64."""
         return np.dtype(bool if self.size and all(map(is_truth, self.entries.flat)) else float)
 
-    def __array_ufunc__(self, ufunc: Any, method: str, *given: Any, out: Any = None, **options: Any) -> Any:
+    def __array_ufunc__(
+        self,
+        ufunc: np.ufunc,
+        method: str,
+        *given: object,
+        out: Sequence[object] | None = None,
+        **options: Any,
+    ) -> Any:
         options.pop("dtype", None)
         options.pop("casting", None)
         where = options.pop("where", True)
@@ -261,7 +270,9 @@ class Symbols(NDArrayOperatorsMixin):
             found = wrapped(choose(plain(where), plain(found), plain(kept)))
         return found if out is None else put(found, out[0])
 
-    def __array_function__(self, function: Any, types: Any, given: Any, options: Any) -> Any:
+    def __array_function__(
+        self, function: Callable[..., Any], types: object, given: Iterable[object], options: dict[str, Any]
+    ) -> Any:
         out = options.pop("out", None) if function not in (np.clip,) else None
         if function in FUNCTIONS:
             found = FUNCTIONS[function](*given, **options)
@@ -277,17 +288,17 @@ class Symbols(NDArrayOperatorsMixin):
                 ) from None
         return found if out is None else put(found, out)
 
-    def __array__(self, dtype: Any = None, copy: Any = None) -> Any:
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> Any:
         if all(type(x) is not Node or x.value is not None for x in self.entries.flat):
             return _array([float(x) for x in self.entries.flat], dtype or float).reshape(self.shape)
         if dtype is not None and np.dtype(dtype) != object:
             float(next(x for x in self.entries.flat if type(x) is Node and x.value is None))
         return self.entries.copy()
 
-    def __getitem__(self, index: Any) -> Any:
+    def __getitem__(self, index: object) -> Any:
         return wrapped(self.entries[_index(index)])
 
-    def __setitem__(self, index: Any, value: Any) -> None:
+    def __setitem__(self, index: object, value: object) -> None:
         if isinstance(index, Symbols):  # x[mask] = value
             self.entries[...] = choose(index.entries, plain(value), self.entries)
             return
@@ -302,7 +313,7 @@ class Symbols(NDArrayOperatorsMixin):
     def __iter__(self) -> Iterator[Any]:
         return (self[i] for i in range(len(self.entries)))
 
-    def __contains__(self, other: Any) -> bool:
+    def __contains__(self, other: object) -> bool:
         return bool(np.any(self == other))
 
     def __bool__(self) -> bool:
@@ -334,16 +345,16 @@ class Symbols(NDArrayOperatorsMixin):
         """Return the entries as nested lists."""
         return [x.tolist() if x.ndim else x for x in self] if self.ndim else self
 
-    def copy(self, *_: Any) -> Symbols:
+    def copy(self, *_: object) -> Symbols:
         """Return a copy."""
         return Symbols(self.entries.copy())
 
     __copy__ = copy
 
-    def __deepcopy__(self, _: Any) -> Symbols:
+    def __deepcopy__(self, _: object) -> Symbols:
         return self.copy()
 
-    def astype(self, dtype: Any, **_: Any) -> Any:
+    def astype(self, dtype: DTypeLike, **_: object) -> Any:
         """Return numbers of truth values, or truth values of numbers."""
         if np.dtype(dtype).kind == "b":
             return self if self.dtype == bool else self != 0.0
@@ -355,11 +366,11 @@ class Symbols(NDArrayOperatorsMixin):
             )
         return wrapped(_number(self.entries))
 
-    def fill(self, value: Any) -> None:
+    def fill(self, value: object) -> None:
         """Set all entries to one value."""
         self.entries[...] = plain(value)
 
-    def flatten(self, *_: Any) -> Any:
+    def flatten(self, *_: object) -> Any:
         """Return the entries as one row."""
         return wrapped(self.entries.reshape(-1).copy())
 
@@ -370,6 +381,16 @@ class Symbols(NDArrayOperatorsMixin):
     conj = conjugate
 
 
+Values: TypeAlias = Symbols | Array
+"""What a law computes with: an array of symbols, or of numbers."""
+
+Operand: TypeAlias = Symbols | ArrayLike
+"""What NumPy takes for an array, where it may be one of symbols."""
+
+Moment: TypeAlias = Symbols | float
+"""A time, a number of a sample or a length of time, as a law gets it."""
+
+
 def symbols(nodes: Sequence[Any], shape: tuple[int, ...]) -> Symbols:
     """Return nodes as an array."""
     array = _empty(len(nodes), object)
@@ -378,7 +399,7 @@ def symbols(nodes: Sequence[Any], shape: tuple[int, ...]) -> Symbols:
     return Symbols(array.reshape(shape))
 
 
-def has_symbols(x: Any) -> bool:
+def has_symbols(x: object) -> bool:
     """Tell whether a value is made of symbols, in part at least."""
     if isinstance(x, list | tuple):
         return any(map(has_symbols, x))
@@ -387,7 +408,7 @@ def has_symbols(x: Any) -> bool:
     )
 
 
-def plain(x: Any) -> Any:
+def plain(x: object) -> Any:
     """Return the entries of symbols as an array of objects; of lists and tuples, those inside."""
     if isinstance(x, Symbols):
         return x.entries
@@ -413,7 +434,7 @@ def wrapped(x: Any) -> Any:
     return x
 
 
-def _index(index: Any) -> Any:
+def _index(index: object) -> Any:
     if has_symbols(index):
         parts = [plain(x) for x in index] if isinstance(index, tuple) else [plain(index)]
         if all(type(y) is not Node or y.value is not None for x in parts for y in _asarray(x, object).flat):
@@ -422,7 +443,7 @@ def _index(index: Any) -> Any:
     return index
 
 
-def put(found: Any, out: Any) -> Any:
+def put(found: object, out: object) -> Any:
     """Write what was found into an array that was given for it."""
     if not isinstance(out, Symbols):
         raise NotTraceable(
@@ -457,7 +478,7 @@ for _name in _METHODS.split():
     setattr(Symbols, _name, _method(_name))
 
 
-def entries(x: Any) -> Any:
+def entries(x: object) -> Any:
     """Return lists of symbols and numbers as one array of objects."""
     if isinstance(x, list | tuple):
         return np.stack([_asarray(entries(y), object) for y in x]) if x else _asarray([], object)
