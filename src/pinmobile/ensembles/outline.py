@@ -1,4 +1,4 @@
-"""Ensembles and scenarios in words: what is known of them without their parts."""
+"""Ensembles and scenarios in words: what can be said of them without their parts."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ class Outline:
     robot, controller, trajectory, integrator : str
         The parts, as Python shows them.
     forces : tuple of str
-        So too.
+        The forces, likewise.
     spread : dict of str to str or Same
         From what each parameter was drawn; of a `Same`, the factor in words.
     parameters : dict of str to Parameter

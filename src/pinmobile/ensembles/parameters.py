@@ -74,7 +74,7 @@ def _of_kinds() -> Iterator[tuple[str, tuple[Parameter, ...]]]:
         for kind in _stating(package):
             with_ = f", with {kind.needs}" if hasattr(kind, "needs") else ""
             how = f"added if there is none{with_}" if hasattr(kind, "nothing") else "if there is one"
-            if parameters_of(kind):  # of a Spline they hang on how many points it has
+            if parameters_of(kind):  # those of a Spline depend on how many points it has
                 yield f"{kind.__name__}, {how}", parameters_of(kind)
 
 
@@ -228,7 +228,7 @@ def check_possible(draws: Mapping[str, Array], stated: Mapping[str, Stated]) -> 
 def check_together(
     draws: Mapping[str, Array], stated: Mapping[str, Stated], parts: Parts, count: int, size: int
 ) -> None:
-    """Refuse what is possible number by number, but not together, as parts know that are asked.
+    """Refuse draws whose numbers are possible one by one but not together, as the parts say.
 
     Raises
     ------

@@ -22,7 +22,7 @@ from pinmobile.simulation import RECORDED, Rollout, described_run, restored_run,
 from pinmobile.trajectories import Reference
 
 LEVELS = (0.5, 0.9, 0.99)
-"""Shares of the robots of which the quantiles over time are told."""
+"""Shares of the robots for which the quantiles over time are kept."""
 
 NOTE = "units and long_name of each variable; robot i of a scenario is row i"
 """How the variables are to be read."""
@@ -179,7 +179,7 @@ def coordinates(scenario: Scenario | Outline) -> list[tuple[str, Sequence[Any], 
 
 
 class Recorded(Protocol):
-    """An `Ensemble`, as far as it is told here."""
+    """What is needed here of an `Ensemble`."""
 
     @property
     def scenario(self) -> Scenario | Outline:

@@ -241,7 +241,7 @@ def _starts_otherwise(scenario: Scenario, place: Place) -> bool:
 
 
 def _check_derived(scenario: Scenario) -> None:
-    """Refuse parts that derive something of a spread parameter when they are made, which a copy has not.
+    """Refuse parts that derive something from a spread parameter when they are made, which a copy lacks.
 
     Raises
     ------
@@ -287,7 +287,7 @@ def _as_compiled(scenario: Scenario) -> Program:
 
 
 def _check_judged(scenario: Scenario) -> None:
-    """Refuse a plant that states measures which what is run in its place does not.
+    """Refuse a plant whose measures differ from those of what is run in its place.
 
     Raises
     ------
@@ -453,7 +453,7 @@ def _on_arrays(scenario: Scenario, draws: Mapping[str, Array], start: int, stop:
             at = rows.at(k, Reference(*scenario.reference))
             errors = np.concatenate(tracking_errors(rows.parts.plant, q, v, at), axis=-1)
             alive = (memory.recorder["alive"] > 0.5) & is_near(errors, scenario.limit)
-            # What has diverged goes on from the trajectory's start: no law sees what is no number.
+            # A robot that diverged goes on from the trajectory's start, so that no law sees NaN.
             q, v = np.where(alive[:, None], q, begin[0]), np.where(alive[:, None], v, begin[1])
             memory = memory._replace(recorder={**memory.recorder, "alive": np.where(alive, 1.0, 0.0)})
             asked = rows.parts, float(k), time, h, (q, v), at, memory
@@ -474,7 +474,7 @@ _Asked: TypeAlias = tuple[Parts, float, float, float, tuple[Array, Array], Refer
 
 
 def _check_again(asked: _Asked, found: Stepped) -> None:
-    """Refuse parts that answer otherwise for a sample when they are asked again after the last one."""
+    """Refuse parts that answer differently when they are asked for a sample again after the last one."""
     again, t = one_sample(*asked), float(found.sample.t)
     acting = "plant or forces" if asked[0].forces else "plant"
     check_same("controller", t, found.sample.u, again.sample.u)

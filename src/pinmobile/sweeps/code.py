@@ -53,8 +53,8 @@ class Code:
     """The modules beside a file.
 
     They are in `sys.modules` under names that nobody else imports, and their folder is on no path: what has
-    the same name elsewhere is not hidden from anybody else. Each finds the modules beside it. To load one is
-    to run it: ask the user first.
+    the same name elsewhere is not hidden from anybody else. Each finds the modules beside it. Loading one
+    runs it: ask the user first.
 
     Parameters
     ----------

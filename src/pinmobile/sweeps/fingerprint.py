@@ -1,8 +1,8 @@
 """What determines the numbers of a sweep, in a form that is the same in every process and told in words.
 
 Of numbers, arrays and parts of libraries that is what they are given; of a user's function its source text
-and all that it reads; of a user's object its class and its attributes. What has no such form needs a word of
-the user's, `sweep`'s ``version``.
+and all that it reads; of a user's object its class and its attributes. What has no such form needs a word
+from the user, `sweep`'s ``version``.
 """
 
 from __future__ import annotations
@@ -180,7 +180,7 @@ class _Forms:
         ------
         InvalidArgument
             If it would not be the same the next time, or another value might have the same, and there is no
-            word of the user's for it.
+            word from the user for it.
         """
         kind = type(value)
         if value is None or kind in (bool, str, int):

@@ -193,7 +193,7 @@ class Store:
         self._write(self._marker(job), counts.getvalue())
 
     def finish(self) -> None:
-        """Write what is over all chunks of a scenario, and remove the traces of the way there.
+        """Write what is summed over all chunks of a scenario, and remove the files kept while working.
 
         Raises
         ------
@@ -221,7 +221,7 @@ class Store:
         return _counts_of(self.path / self._marker(job), shape, robots=robots)
 
     def _forget(self) -> None:
-        """Remove the folder of the way there, unless somebody has put something into it."""
+        """Remove the folder ``.progress``, unless somebody has put something into it."""
         folder = self.path / _PROGRESS
         for name in (_WRITING, _LOCK):
             (folder / name).unlink(missing_ok=True)
@@ -293,7 +293,7 @@ def _is_ours(folder: Path) -> bool:
 
 
 def _check_node(file: Path, node: object) -> None:
-    """Refuse metadata of an array that are not those of the store; other readers than ours may use them."""
+    """Refuse metadata of an array that differ from the store's; other readers than ours may use them."""
     try:
         if json.loads(file.read_bytes()) == node:
             return

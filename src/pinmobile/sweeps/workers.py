@@ -27,7 +27,7 @@ _ALONE = 60.0  # seconds that a cluster may be without a worker: a dead one is o
 
 
 def check_client(client: object) -> None:
-    """Refuse what is no client, or is not connected.
+    """Refuse anything but a client that is connected.
 
     Raises
     ------
@@ -365,7 +365,7 @@ def check_draws(grid: Grid) -> None:
 
 
 def _warn_if_slower(grid: Grid, jobs: Sequence[Job]) -> None:
-    """Tell once, here and not where chunks are computed, which parts keep what is to run from the fastest."""
+    """Warn once, here and not where chunks are computed, of parts that rule out the fastest engine."""
     reasons: dict[str, list[int]] = {}
     for k in sorted({job.scenario for job in jobs}):
         way = way_of(grid.scenarios[k])
