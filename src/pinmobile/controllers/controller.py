@@ -72,12 +72,12 @@ class Controller(Protocol):
 
 
 def check_controller(controller: object) -> None:
-    """Refuse what is no controller, such as a plain function or a class.
+    """Check that this is a controller, and not a plain function or a class.
 
     Raises
     ------
     InvalidArgument
-        If it is none.
+        If it is not.
     """
     if isinstance(controller, type) or not hasattr(controller, "initial_state"):
         raise InvalidArgument(
@@ -109,10 +109,11 @@ def answer_of(
 
 
 def check_memory(controller: Controller, context: Context, q: Array, v: Array) -> None:
-    """Refuse a controller whose answer to the same arguments is another when it is asked again.
+    """Check that a controller gives the same answer when it is asked again with the same arguments.
 
-    It keeps something in itself or in a closure, or draws numbers of its own: then no two runs are alike,
-    and no robot of several its own. A solver's workspace is allowed where the answer does not depend on it.
+    One that does not keeps something in itself or in a closure, or draws random numbers of its own: then no
+    two runs are alike, and robots of an ensemble share what is kept. A solver's workspace is allowed where
+    the answer does not depend on it.
 
     Parameters
     ----------
@@ -126,7 +127,7 @@ def check_memory(controller: Controller, context: Context, q: Array, v: Array) -
     Raises
     ------
     InvalidArgument
-        If it is such.
+        If it does not.
     """
     at = type(context.reference)(*(np.array(part[0]) for part in context.reference))
     t, wave = float(context.t[0]), np.cos(np.arange(len(v)))

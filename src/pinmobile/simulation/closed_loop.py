@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from enum import Enum
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -76,6 +76,8 @@ def checked_engine(engine: object, *known: Engine) -> Engine | None:
         )
     raise InvalidArgument(f"engine is {shown(engine)}, expected {', '.join(names)} of pinmobile, or None")
 
+
+_Ran: TypeAlias = Loop | CompiledLoop
 
 _CHUNK = 512  # samples between two looks for divergence
 _NOT_ASKED = f"not {COMPILED!r}, which runs what can be compiled where engine={COMPILED!r} asks for it"
@@ -162,7 +164,7 @@ def simulate(
     asked = checked_engine(engine, PINOCCHIO, COMPILED)
     chosen = asked or PINOCCHIO
     made = {"engine": repr(chosen), "why": _NOT_ASKED if asked is None else ""}
-    kind: Callable[..., Loop | CompiledLoop] = Loop
+    kind: Callable[..., _Ran] = Loop
     memory: dict[Any, Any] = {}  # of this call alone, where nothing is remembered
     if chosen is COMPILED:
         memory = memory_of(Parts(plant, controller, checked, integrator, None, count), trajectory)
@@ -235,7 +237,7 @@ def errors_of(plant: Plant, q: Array, reference: Reference) -> Array:
 
 
 def _first_bad(
-    plant: Plant, loop: Loop | CompiledLoop, reference: Reference, begin: int, end: int, limit: float
+    plant: Plant, loop: _Ran, reference: Reference, begin: int, end: int, limit: float
 ) -> tuple[int | None, str]:
     """Return the first sample that is not acceptable, or None, and why."""
     samples = loop.samples(begin, end)
@@ -291,12 +293,7 @@ def _too_stiff(plant: Any, forces: Sequence[Force | CoordinateForce], q: Array, 
 
 
 def _rollout(
-    plant: Plant,
-    t: Array,
-    loop: Loop | CompiledLoop,
-    reference: Reference,
-    end: int,
-    made: dict[str, str],
+    plant: Plant, t: Array, loop: _Ran, reference: Reference, end: int, made: dict[str, str]
 ) -> Rollout:
     q, v, a, u = loop.samples(0, end)
     kept = Reference(*(part[:end] for part in reference))
