@@ -77,7 +77,7 @@ def _run(arguments: Sequence[str] | None) -> int:
 
 
 def _silence() -> None:
-    """Let what is left to be printed go nowhere, so that Python does not fail of it at its end."""
+    """Let what is left to be printed go nowhere, so that Python does not fail at its end."""
     with suppress(UnsupportedOperation):  # of an output that is no file
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 

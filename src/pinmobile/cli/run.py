@@ -304,14 +304,10 @@ def _table(lecture: Runs, right: Runs) -> tuple[str, bool]:
     for key, (x, y) in EXPECTED.items():
         mark = "" if found[key][:2] == (x, y) else "  DIFFERS"
         lines.append(f"{key[0]:10} {key[1]:15} {found[key][0]:>12} {x:>12} {found[key][1]:>13} {y:>12}{mark}")
-    lines += [
-        "",
-        "{:10} {:15} {:>25} {:>26}".format("trajectory", "controller", "psi [rad]", "psi, put right"),
-    ]
+    lines += ["", f"{'trajectory':10} {'controller':15} {'psi [rad]':>25} {'psi, put right':>26}"]
     for key in EXPECTED:
-        lines.append(
-            f"{key[0]:10} {key[1]:15} {found[key][2]:>25} {error_text(right[key].max_error()[2]):>26}"
-        )
+        psi = error_text(right[key].max_error()[2])
+        lines.append(f"{key[0]:10} {key[1]:15} {found[key][2]:>25} {psi:>26}")
     lines += [
         "the lecture's heading jumps where the robot rests; put right, it follows the",
         f"tangent's limits, and turns on the spot for {_TURN_TIME:g} s where the path bends at rest",

@@ -20,7 +20,7 @@ from pinmobile.palette import INK, colour
 from pinmobile.simulation import Rollout
 
 Style: TypeAlias = dict[str, Any]
-"""How an artist is drawn: matplotlib's keyword arguments."""
+"""How something is drawn: keyword arguments of matplotlib's artists."""
 
 DESIRED: Style = {"color": INK, "linestyle": (0, (5, 4)), "linewidth": 1.2, "zorder": 4}
 

@@ -105,16 +105,12 @@ class Browser:
         words = [sys.executable, "-I", "-S", "-c", _START, str(inner), str(outer), program, *_FLAGS]
         words += [_NO_SANDBOX] if os.geteuid() == 0 else []  # Chromium has none for root
         words += [f"--user-data-dir={self._profile.name}", f"--window-size={size[0]},{size[1]}"]
+        off = subprocess.DEVNULL
         try:
             # In a session of its own, so that Ctrl-C reaches us alone and we end it in order.
             with self._log.open("wb") as log:
                 self._process = subprocess.Popen(
-                    words,
-                    pass_fds=(inner, outer),
-                    stdin=subprocess.DEVNULL,
-                    stdout=subprocess.DEVNULL,
-                    stderr=log,
-                    start_new_session=True,
+                    words, pass_fds=(inner, outer), stdin=off, stdout=off, stderr=log, start_new_session=True
                 )
         finally:
             os.close(inner)

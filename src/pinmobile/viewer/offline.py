@@ -69,7 +69,7 @@ def sealed(page: str) -> str:
 
 
 def stage_page(title: str, engine: str, scene: str) -> str:
-    """Return the page of a stage: what loads meshcat's viewer, and then what fills the scene, are HTML."""
+    """Return the stage's page; `engine` is the HTML that loads meshcat's viewer, `scene` fills it."""
     parts = {"css": _part("stage.css"), "stage": _part("stage.js"), "engine": engine, "scene": scene}
     return Template(_part("stage.html")).substitute(parts, title=escape(title))
 
