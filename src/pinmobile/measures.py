@@ -1,4 +1,4 @@
-"""`Measure`: what a plant states of a sample beside the error of its reference, such as a tip-over margin."""
+"""When a loop has diverged; and `Measure`, what a plant states of a sample beside its errors."""
 
 from __future__ import annotations
 
@@ -45,6 +45,35 @@ class Measure(NamedTuple):
     def title(self) -> str:
         """Its name, with its unit where it has one."""
         return f"{self.name} [{self.unit}]" if self.unit not in ("", "1") else self.name
+
+
+def is_near(errors: Any, limit: Any) -> Any:
+    """Tell where no error is beyond the limit, shape (...); what is no number is beyond.
+
+    Parameters
+    ----------
+    errors : ndarray, shape (..., n)
+        Of coordinates and of their rates [m, rad, m/s, rad/s].
+    limit : float
+        Largest size.
+    """
+    return np.all(np.abs(errors) <= limit, axis=-1)
+
+
+def is_alive(errors: Any, limit: Any, u: Any, a: Any) -> Any:
+    """Tell at which samples a loop has not diverged, shape (...): the rule of all engines.
+
+    A loop has diverged where an error or its rate is beyond the limit, or its input or acceleration is not
+    finite.
+
+    Parameters
+    ----------
+    errors, limit
+        As in `is_near`.
+    u, a : ndarray, shape (..., nu), (..., nv)
+        Input and acceleration.
+    """
+    return is_near(errors, limit) & (np.abs(np.sum(u, axis=-1) + np.sum(a, axis=-1)) < np.inf)
 
 
 def size_of(margin: ArrayLike) -> Any:

@@ -214,7 +214,6 @@ def _plant(rollouts: Mapping[str, Rollout]) -> Any:
     return MobileRobot.lecture() if plant is None else plant
 
 
-_PATHS = {name.replace("-", " "): name for name in ("via-stop", "via-free", "circle")}
 _CONTROLLERS = {CONTROLLERS[name].label: name for name in COMPARED}
 _TURN_TIME = HEADINGS["tangent"].takes["turn_time"]
 _OFFSET = (0.1, 0.05)
@@ -229,6 +228,8 @@ EXPECTED = {
     ("circle", "computed torque"): ("3.491279e-05", "3.491278e-05"),
 }
 """Largest |error| in x and y [m] of the lecture's script, run in an independent interpreter."""
+
+_PATHS = {name: name.replace(" ", "-") for name, _ in EXPECTED}
 
 Runs = dict[tuple[str, str], Rollout]
 
@@ -320,14 +321,10 @@ def _table(lecture: Runs, right: Runs) -> tuple[str, bool]:
 
 def _summary(verification: "Verification", same: bool) -> str:
     largest = ", ".join(f"{name} {value:.0e}" for name, value in verification.largest.items())
-    return "\n".join(
-        [
-            f"the routes {'' if verification.passed else 'do NOT '}agree; largest differences: {largest}",
-            "all twelve numbers are the lecture's, to every digit"
-            if same
-            else "some numbers are NOT the lecture's: see the rows marked DIFFERS",
-        ]
-    )
+    routes = f"the routes {'' if verification.passed else 'do NOT '}agree; largest differences: {largest}"
+    if same:
+        return f"{routes}\nall twelve numbers are the lecture's, to every digit"
+    return f"{routes}\nsome numbers are NOT the lecture's: see the rows marked DIFFERS"
 
 
 def _sections(folder: Path, right: Runs, gif: bool, bar: Progress) -> list[Section]:

@@ -19,7 +19,7 @@ from pinmobile.compiled.memory import mapped
 from pinmobile.compiled.parts import Parts
 from pinmobile.compiled.symbolic import Moment, Values, entries, has_symbols
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.measures import measured_of, size_of
+from pinmobile.measures import is_alive, measured_of, size_of
 from pinmobile.signals import Claim, claimed, number, signals_of
 
 
@@ -99,8 +99,7 @@ class Record(NamedTuple):
 class Summary:
     """The largest and mean square error, and the largest input, of each robot, while it is alive.
 
-    A robot has diverged where an error or its rate is beyond the limit, or its input or acceleration is not
-    finite; from then on nothing is taken of it.
+    Once it is not `is_alive`, it has diverged: from then on nothing is taken of it.
 
     Parameters
     ----------
@@ -147,12 +146,10 @@ class Summary:
 
     def __call__(self, sample: Sample, state: Mapping[str, Values]) -> Record:
         """Return the record with one more sample."""
-        error, rate = np.abs(sample.error), np.abs(sample.error_rate)
-        near = np.all(np.concatenate([error, rate], axis=-1) <= self.limit, axis=-1)
-        moving = np.abs(np.sum(sample.u, axis=-1) + np.sum(sample.a, axis=-1)) < np.inf
-        alive = (state["alive"] > 0.5) & near & moving
+        errors = np.concatenate([sample.error, sample.error_rate], axis=-1)
+        alive = (state["alive"] > 0.5) & is_alive(errors, self.limit, sample.u, sample.a)
         one = np.where(alive, 1.0, 0.0)
-        error = np.where(alive[..., None], error, 0.0)
+        error = np.where(alive[..., None], np.abs(sample.error), 0.0)
         keep = 1.0 if self.begin is None else np.where(sample.k == self.begin, 0.0, 1.0)
         squares = error * error
         groups = [sum(squares[..., i] for i in group) for group in self.distances]

@@ -64,14 +64,14 @@ class Controller(Protocol):
     recording, such as an estimate: numbers, or rows of them. Wrappers pass both inward.
     """
 
-    def initial_state(self, context: Any, /) -> Any:
+    def initial_state(self, context: Context, /) -> Any:
         """Return the state to start with, of a `Context`; None where there is no memory."""
 
     def __call__(self, t: float, q: Array, v: Array, reference: Any, state: Any) -> tuple[Array, Any]:
         """Return the generalised force, shape (..., nu), and the next state."""
 
 
-def check_controller(controller: Any) -> None:
+def check_controller(controller: object) -> None:
     """Refuse what is no controller, such as a plain function or a class.
 
     Raises
@@ -93,7 +93,7 @@ def check_controller(controller: Any) -> None:
 
 
 def answer_of(
-    controller: Controller, t: float, q: Array, v: Array, reference: Any, state: Any
+    controller: Controller, t: float, q: Array, v: Array, reference: State, state: object
 ) -> tuple[Array, Any]:
     """Return the force and the next state of a controller.
 
@@ -108,7 +108,7 @@ def answer_of(
     return answer
 
 
-def check_memory(controller: Any, context: Any, q: Array, v: Array) -> None:
+def check_memory(controller: Controller, context: Context, q: Array, v: Array) -> None:
     """Refuse a controller whose answer to the same arguments is another when it is asked again.
 
     It keeps something in itself or in a closure, or draws numbers of its own: then no two runs are alike,
@@ -148,7 +148,7 @@ def check_memory(controller: Any, context: Any, q: Array, v: Array) -> None:
         )
 
 
-def told(controller: Any, u: Array, state: Any) -> Any:
+def told(controller: Controller, u: Array, state: object) -> Any:
     """Return the state of a controller after it has been told which input is applied, if it wants to know."""
     return controller.applied(u, state) if hasattr(controller, "applied") else state
 

@@ -31,15 +31,15 @@ from pinmobile.dh import LECTURE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
 from pinmobile.measures import Measure
 from pinmobile.plant import Parameter
-from pinmobile.robot.arm_measures import Judgement
-from pinmobile.robot.arms import Arm
+from pinmobile.robot.arms import Arm, check_whole
 from pinmobile.robot.articulated import ArticulatedBody, articulated
-from pinmobile.robot.checks import check_whole
-from pinmobile.robot.dh_chain import BODY_JOINT, Engine, assemble, build_model, check_chain
+from pinmobile.robot.joints import BODY_JOINT
+from pinmobile.robot.laws import Engine
 from pinmobile.robot.mounts import (
     LinkNumbers,
     Load,
     Mount,
+    assemble,
     checked_name,
     free_name,
     mount_after,
@@ -47,9 +47,9 @@ from pinmobile.robot.mounts import (
     placed,
 )
 from pinmobile.robot.planar import BODY_PARAMETERS, PlanarBody
-from pinmobile.robot.reading import LOCKED, Reading, read_model, read_urdf
+from pinmobile.robot.reading import LOCKED, Reading, build_model, check_chain, read_model, read_urdf
 from pinmobile.robot.sources import existing_folders, read_arm
-from pinmobile.robot.stance import Stance
+from pinmobile.robot.stance import Judgement, Stance
 from pinmobile.robot.system import System
 from pinmobile.robot.visuals import VisualFile, add_carried, box_visuals, read_visuals
 from pinmobile.robot.wellformed import check_freedom
@@ -551,7 +551,7 @@ class MobileRobot(System):
 
     def mount(
         self,
-        arm: Any,
+        arm: str | PathLike[str] | pin.Model,
         at: ArrayLike | None = None,
         *,
         name: str | None = None,

@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from math import isfinite
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
@@ -124,7 +123,7 @@ class _Bounded(ElementTree.TreeBuilder):
         super().__init__()
         self._name, self._depth, self._count = name, 0, 0
 
-    def start(self, tag: Any, attributes: Any) -> Element:
+    def start(self, tag: str, attributes: dict[str, str]) -> Element:
         self._depth += 1
         self._count += 1
         if self._depth > _MOST_NESTED:
@@ -144,11 +143,11 @@ class _Bounded(ElementTree.TreeBuilder):
                 )
         return super().start(tag, attributes)
 
-    def end(self, tag: Any) -> Element:
+    def end(self, tag: str) -> Element:
         self._depth -= 1
         return super().end(tag)
 
-    def doctype(self, *_: Any) -> None:
+    def doctype(self, *_: object) -> None:
         # It can make a page of text of each letter, and Pinocchio's parser reads it otherwise.
         raise InvalidArgument(f"{self._name} declares a document type, which no URDF needs: take it out")
 

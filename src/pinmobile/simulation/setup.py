@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, affordable, answered, callable_as, frozen, positive, vector, whole
-from pinmobile.controllers import check_controller, check_memory
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    affordable,
+    answered,
+    callable_as,
+    frozen,
+    positive,
+    vector,
+    whole,
+)
+from pinmobile.controllers import Controller, check_controller, check_memory
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.forces import CoordinateForce, Force
-from pinmobile.integrators import check_integrator, constant_acceleration
-from pinmobile.plant import Context, check_plant, leading_of
+from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
+from pinmobile.plant import Context, Plant, check_plant, leading_of
 from pinmobile.simulation.substeps import stepped
 from pinmobile.trajectories import Reference, Trajectory, check_limits
-
-if TYPE_CHECKING:
-    from pinmobile.plant import Plant
-
 
 _WHOLE = 1e-9  # relative rounding allowed in duration / dt
 _COORDINATES = 3  # of a plant that is not yet looked at
@@ -29,7 +36,7 @@ _SAME = 1e-9  # to which two answers to the same arguments agree
 _RECORDED = 16  # numbers for each coordinate of a sample: of the loop, the reference and the rollout
 
 
-def checked_loop(plant: Any, controller: Any, trajectory: Any, integrator: Any) -> None:
+def checked_loop(plant: object, controller: object, trajectory: object, integrator: object) -> None:
     """Refuse what is no plant, controller, trajectory or integrator; None is the plant's own choice.
 
     Raises
@@ -51,7 +58,7 @@ def checked_loop(plant: Any, controller: Any, trajectory: Any, integrator: Any) 
         check_integrator(integrator)
 
 
-def chosen_integrator(plant: Any, integrator: Any) -> Any:
+def chosen_integrator(plant: Plant, integrator: Integrator | None) -> Integrator | None:
     """Return the integrator that is given, or the plant's own choice; None for a step of its own.
 
     Raises
@@ -71,7 +78,7 @@ def chosen_integrator(plant: Any, integrator: Any) -> Any:
     return None
 
 
-def checked_substeps(substeps: Any, samples: int) -> int:
+def checked_substeps(substeps: int, samples: int) -> int:
     """Return the steps of the integrator per sample.
 
     Raises
@@ -201,7 +208,9 @@ def started(plant: Any, reference: Reference) -> tuple[Any, Any]:
     return answer
 
 
-def checked_forces(forces: Any, plant: Plant) -> tuple[Force | CoordinateForce, ...]:
+def checked_forces(
+    forces: Sequence[Force | CoordinateForce], plant: Plant
+) -> tuple[Force | CoordinateForce, ...]:
     """Check that these are forces, and that the plant can feel them; return them.
 
     Raises
@@ -240,7 +249,14 @@ def checked_forces(forces: Any, plant: Plant) -> tuple[Force | CoordinateForce, 
     return listed
 
 
-def check_answers(plant: Any, forces: Any, integrator: Any, q: Array, v: Array, h: float) -> None:
+def check_answers(
+    plant: Plant,
+    forces: Sequence[Force | CoordinateForce],
+    integrator: Integrator | None,
+    q: Array,
+    v: Array,
+    h: float,
+) -> None:
     """Refuse a plant whose answers have other sizes than it says, and parts whose answers do not repeat.
 
     Such a part keeps something in itself or in a closure, or draws numbers of its own: then no two runs are
@@ -263,7 +279,7 @@ def check_answers(plant: Any, forces: Any, integrator: Any, q: Array, v: Array, 
     with np.errstate(all="ignore"):
         _check_sizes(plant, q, v)
         states = [(x.copy(), w.copy()) for x, w in ((q, v), (plant.integrate(q, 0.01 + 0 * v), v + 0.01))]
-        body = callable(getattr(plant, "pose", None)) and callable(getattr(plant, "rate", None))
+        pose, rate = getattr(plant, "pose", None), getattr(plant, "rate", None)
         for k, force in enumerate(forces):
             if hasattr(force, "on_coordinates"):
                 on_coordinates = force.on_coordinates
@@ -275,15 +291,15 @@ def check_answers(plant: Any, forces: Any, integrator: Any, q: Array, v: Array, 
                     states,
                     shape,
                 )
-            elif body:
+            elif callable(pose) and callable(rate):
                 _check_repeated(
                     f"forces[{k}]",
                     force,
-                    lambda x, w: force(0.0, plant.pose(x), plant.rate(x, w)),  # noqa: B023
+                    lambda x, w: force(0.0, pose(x), rate(x, w)),  # noqa: B023
                     states,
                     "an array of shape (3,) of real numbers",
                 )
-        if hasattr(plant, "step"):
+        if hasattr(plant, "step") or integrator is None:
             return
         u = np.zeros(plant.nu)
         _check_repeated("plant", plant, lambda x, w: plant.forward_dynamics(x, w, u.copy()), states)
@@ -296,7 +312,7 @@ def check_answers(plant: Any, forces: Any, integrator: Any, q: Array, v: Array, 
         )
 
 
-def _check_sizes(plant: Any, q: Array, v: Array) -> None:
+def _check_sizes(plant: Plant, q: Array, v: Array) -> None:
     nq, nv, u, wrench = plant.nq, plant.nv, np.zeros(plant.nu), np.zeros(3)
     sizes = f"plant is a {type(plant).__name__} with nq = {nq}, nv = {nv} and nu = {plant.nu}"
     for name, value, size in (("q", q, nq), ("v", v, nv)):
@@ -328,7 +344,13 @@ def _check_sizes(plant: Any, q: Array, v: Array) -> None:
             answered(f"{sizes}, whose {name}({arguments})", answer)
 
 
-def _check_repeated(path: str, part: Any, ask: Any, states: Any, expected: str = "real numbers") -> None:
+def _check_repeated(
+    path: str,
+    part: object,
+    ask: Callable[[Array, Array], object],
+    states: Sequence[tuple[Array, Array]],
+    expected: str = "real numbers",
+) -> None:
     """Refuse a part that answers otherwise when it is asked again, after it was asked something else."""
     first, _, again = (ask(x.copy(), w.copy()) for x, w in (*states, states[0]))
     one, other = (answered(path, answer, expected) for answer in (first, again))
@@ -340,7 +362,7 @@ def _check_repeated(path: str, part: Any, ask: Any, states: Any, expected: str =
         )
 
 
-def check_controllers_memory(controller: Any, context: Context, q: Array, v: Array) -> None:
+def check_controllers_memory(controller: Controller, context: Context, q: Array, v: Array) -> None:
     """Refuse a controller whose answer to the same arguments is another when it is asked again.
 
     Raises
@@ -354,7 +376,7 @@ def check_controllers_memory(controller: Any, context: Context, q: Array, v: Arr
         raise shorter(context, error) from error.__cause__
 
 
-def check_same(part: str, t: float, first: Array, again: Any) -> None:
+def check_same(part: str, t: float, first: Array, again: ArrayLike) -> None:
     """Refuse a part that answered otherwise when it was asked again after a run.
 
     Parameters
@@ -379,7 +401,7 @@ def check_same(part: str, t: float, first: Array, again: Any) -> None:
         )
 
 
-def _are_same(one: Any, other: Any) -> bool:
+def _are_same(one: ArrayLike, other: ArrayLike) -> bool:
     """Tell whether two answers to the same arguments agree."""
     return np.shape(one) == np.shape(other) and np.allclose(
         one, other, rtol=_SAME, atol=_SAME, equal_nan=True
