@@ -230,7 +230,7 @@ def non_negative(name: str, value: ArrayLike, unit: str = "") -> float:
     return number
 
 
-def whole(name: str, value: ArrayLike, *, least: int = 1, most: int = 2**53) -> int:
+def whole(name: str, value: Any, *, least: int = 1, most: int = 2**53) -> int:
     """Return `value` as an int from `least` to `most`.
 
     Raises

@@ -42,13 +42,7 @@ def _where(condition: Operand, *choice: Operand) -> Any:
     return wrapped(choose(*map(plain, (condition, *choice))))
 
 
-def _clip(
-    a: Operand,
-    a_min: Operand | None = None,
-    a_max: Operand | None = None,
-    out: object = None,
-    **named: Operand | None,
-) -> Any:
+def _clip(a: object, a_min: object = None, a_max: object = None, out: object = None, **named: object) -> Any:
     low, high = named.get("min", a_min), named.get("max", a_max)
     bounds = -np.inf if low is None else low, np.inf if high is None else high
     found = wrapped(between(*map(plain, (a, *bounds))))
@@ -136,12 +130,7 @@ def _determinant(matrix: object) -> Any:
 
 
 def _interpolated(
-    x: object,
-    xp: object,
-    fp: object,
-    left: Number | None = None,
-    right: Number | None = None,
-    period: object = None,
+    x: object, xp: object, fp: object, left: object = None, right: object = None, period: object = None
 ) -> Any:
     if period is not None:
         raise NotTraceable("np.interp with a period", "take np.mod first")

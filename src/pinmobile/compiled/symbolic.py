@@ -249,12 +249,7 @@ class Symbols(NDArrayOperatorsMixin):
         return np.dtype(bool if self.size and all(map(is_truth, self.entries.flat)) else float)
 
     def __array_ufunc__(
-        self,
-        ufunc: np.ufunc,
-        method: str,
-        *given: object,
-        out: Sequence[object] | None = None,
-        **options: Any,
+        self, ufunc: np.ufunc, method: str, *given: object, out: Any = None, **options: Any
     ) -> Any:
         options.pop("dtype", None)
         options.pop("casting", None)
