@@ -34,7 +34,7 @@ MANY = 4  # cases of one test, from which on they are alike
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add what `.ci/run` says on all Pythons but the first."""
-    words = "all is tested by another Python: leave out what no other Python changes, take a quarter of alike cases"
+    words = "all is tested by another Python: leave out what this one does not change, and most alike cases"
     parser.addoption("--repeated", action="store_true", help=words)
 
 
