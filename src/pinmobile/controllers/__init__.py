@@ -6,6 +6,7 @@ and returns the next one (None where it has no memory, see `initial_state`). q, 
 leading axes. `Saturated`, `Delayed` and `NoisyMeasurement` wrap any of them, and each other.
 """
 
+from pinmobile.controllers.backstepping import Backstepping
 from pinmobile.controllers.controller import (
     Controller,
     InverseDynamics,
@@ -26,20 +27,38 @@ from pinmobile.controllers.feedback import (
     PDGravity,
     gain_matrix,
 )
-from pinmobile.controllers.wrappers import Delayed, NoisyMeasurement, Saturated
+from pinmobile.controllers.steering import (
+    Changing,
+    DynamicFeedback,
+    Kanayama,
+    KinematicLaw,
+    Parking,
+    Tracked,
+    Tracking,
+)
+from pinmobile.controllers.wrappers import Allocated, Delayed, NoisyMeasurement, Saturated
 
 __all__ = [
     "PD",
+    "Allocated",
+    "Backstepping",
+    "Changing",
     "ComputedTorque",
     "Controller",
     "Decoupled",
     "Delayed",
+    "DynamicFeedback",
     "Gravity",
     "InverseDynamics",
+    "Kanayama",
+    "KinematicLaw",
     "NoisyMeasurement",
     "PDGravity",
+    "Parking",
     "Saturated",
     "State",
+    "Tracked",
+    "Tracking",
     "check_controller",
     "gain_matrix",
     "law",

@@ -6,10 +6,11 @@ from pinmobile.wheels.mobility import Mobility
 from pinmobile.wheels.motors import Motor
 from pinmobile.wheels.rolling import Reduced
 from pinmobile.wheels.table import Ackermann, Differential, Friction, GearTrain, Support, Wheel, WheelTable
-from pinmobile.wheels.wheeled import Forces, WheeledRobot
+from pinmobile.wheels.wheeled import Allocation, Forces, WheeledRobot
 
 __all__ = [
     "Ackermann",
+    "Allocation",
     "Differential",
     "Forces",
     "Friction",

@@ -335,20 +335,85 @@ class RollingBody(WheeledBody):
 
         Of drives whose body is free to move in any direction; `a` has the first 3 + arms coordinates.
         """
-        state = self.state(q, v)
-        M, (S, gamma) = self.inertia(state, q), self.solution(state, self.choice)
-        wanted = scalars(a)
+        state, wanted = self.state(q, v), scalars(a)
         along = [state.c * wanted[0] + state.s * wanted[1], state.c * wanted[1] - state.s * wanted[0]]
-        rates = [*along, *wanted[2:]]
+        return stacked(self._driven(state, q, [*along, *wanted[2:]]), q)
+
+    def torques(self, q: Any, v: Any, rates: Any) -> Any:
+        """Return the input of least norm with which the independent velocities change so, shape (..., nu)."""
+        return stacked(self._driven(self.state(q, v), q, scalars(rates)), q)
+
+    def _driven(self, state: State, q: Any, rates: Vector) -> Vector:
+        """Return the input of least norm with B u = M nu' + n."""
+        M, (S, gamma) = self.inertia(state, q), self.solution(state, self.choice)
         whole = [dot(row, rates) + g for row, g in zip(S, gamma, strict=True)]
         force = [dot(row, whole) + n for row, n in zip(M, self.effects(state, q), strict=True)]
+        return self._least(state, S, force)
+
+    def _least(self, state: State, S: Matrix, force: Vector) -> Vector:
+        """Return the input of least norm that does what a generalised force along the body's axes does."""
         columns = [list(column) for column in zip(*S, strict=True)]
         right = [dot(column, force) for column in columns]
         inputs = [self.generalised(state, one, 0.0) for one in np.eye(self.nu)]
         B = [[dot(column, one) for one in inputs] for column in columns]
         square = [[dot(x, y) for y in B] for x in B]
         found = solved_by(square, right, list(range(len(right))))
-        return stacked([dot(column, found) for column in zip(*B, strict=True)], q)
+        return [dot(column, found) for column in zip(*B, strict=True)]
+
+    def independent(self, q: Any, v: Any) -> Any:
+        """Return the independent velocities nu of a state that rolls, shape (..., m)."""
+        return stacked(self.velocities(self.state(q, v)), q)
+
+    @property
+    def axle(self) -> Any:
+        """Coefficients of the body twist in the velocity across the fixed wheels, shape (..., 3)."""
+        rows = self.kinematics.rows([ZERO] * len(self.table.axes), [ZERO] * 3, [ZERO] * self.kinematics.n)
+        return stacked(rows[self.choice.body[0]].base, self.x)
+
+    @property
+    def pivots(self) -> Any:
+        """Where wheels are steered, and their angle at zero, shape (..., axes, 3), see `WheeledRobot.pivots`."""
+        x, y = scalars(self.x), scalars(self.y)
+        rows = []
+        for axis in self.table.axes:
+            first, at = self.table.wheels[axis.wheels[0]], axis.wheels[0]
+            if axis.ackermann is None:
+                rows.append([x[at], y[at], exact(first.angle)])
+            else:
+                rows.append([x[at], ZERO, exact(first.angle)])
+        return _matrix(rows, self.x)
+
+    def allocate_scaled(self, q: Any, tau: Any) -> tuple[Any, Any]:
+        """Return an input for a force on body and arms, and what of it is left, see `WheeledRobot`."""
+        state, wanted = self.state(q, stacked([ZERO] * self.nv, q)), scalars(tau)
+        S, _ = self.solution(state, self.choice)
+        along = [
+            state.c * wanted[0] + state.s * wanted[1],
+            state.c * wanted[1] - state.s * wanted[0],
+            *wanted[2:],
+        ]
+        u = stacked(self._least(state, S, [*along, *[ZERO] * self.joints]), q)
+        upper, lower = (np.array([getattr(each, side) for each in self.inputs]) for side in ("upper", "lower"))
+        if np.isfinite([upper, lower]).any():
+            high, low = u > upper, u < lower
+            beyond = np.where(high, upper, np.where(low, lower, 1.0)) / np.where(high | low, u, 1.0)
+            u = u * np.min(beyond, axis=-1)[..., None]
+        rest = [a - b for a, b in zip(along, self.supplied(state, u), strict=True)]
+        return u, stacked(
+            [state.c * rest[0] - state.s * rest[1], state.s * rest[0] + state.c * rest[1], *rest[2:]], q
+        )
+
+    def supplied(self, state: State, u: Any) -> Vector:
+        """Return the force on body and arms of wheels and joints that an input turns, along the body's axes."""
+        ns, first = len(self.table.axes), _BASE + self.na
+        effort = self.generalised(state, u, 0.0)
+        found: Vector = [ZERO] * _BASE + effort[_BASE:first]
+        for row in self.kinematics.rows(state.steering, [ZERO] * 3, [ZERO] * self.joints):
+            if row.kind in ("rolling", "roller"):
+                at = ns + row.wheel
+                force = -(effort[first + at] / row.joints[at])
+                found[:_BASE] = [x + force * b for x, b in zip(found[:_BASE], row.base, strict=True)]
+        return found
 
     def integrate(self, q: Any, dq: Any) -> Any:
         """Return the configuration that a displacement leads to."""
