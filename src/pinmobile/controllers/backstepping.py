@@ -9,7 +9,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, callable_as, frozen, positive, wrap_angle
 from pinmobile.controllers.controller import State
-from pinmobile.controllers.steering import Changing, KinematicLaw, Tracked, arctan, chosen, cos, rate_of, value_of
+from pinmobile.controllers.steering import Changing, KinematicLaw, Tracked, arctan, chosen, rate_of, value_of
 from pinmobile.errors import InvalidArgument, NotTraceable, shown
 from pinmobile.plant import Context, Parameter
 
@@ -81,6 +81,7 @@ class Backstepping:
     _n: int = field(init=False, repr=False)
     _car: _Car | None = field(init=False, repr=False)
     _axle: Array = field(init=False, repr=False)
+    _pivot: Array | None = field(init=False, repr=False)
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("k", "1/s", "gain of the velocities", 0.0, may_vanish=False),
@@ -118,6 +119,7 @@ class Backstepping:
         object.__setattr__(self, "_n", n)
         object.__setattr__(self, "_car", car)
         object.__setattr__(self, "_axle", frozen(robot.axle))
+        object.__setattr__(self, "_pivot", frozen(robot.pivots[0]) if kind == (1, 1) else None)
 
     def initial_state(self, context: Context) -> tuple[Any, Any]:
         """Return the law's state, and what is known of the reference's steering: nothing."""
@@ -155,6 +157,14 @@ class Backstepping:
                 f"reference moves sideways, at {across[k]:.3g} m/s across the fixed axle, at t = {t[k]:g} s, expected "
                 "one that the wheels can follow, such as Tangent(path)"
             )
+        if self._car is not None:
+            angle = np.abs(_steering_angle(self._axle, self._pivot, speed, w))
+            if (angle > self._car.limit).any():
+                k = int(np.argmax(angle > self._car.limit))
+                raise InvalidArgument(
+                    f"reference turns so tightly that wheels are steered by {angle[k]:.3g} rad at t = {t[k]:g} s, "
+                    f"expected at most {self._car.limit:.3g} rad"
+                )
         self.law.check(t, speed, w)
 
     def __call__(
@@ -222,12 +232,15 @@ class Backstepping:
         return turn, (rate, 1.0 + 0.0 * known, dt)
 
     def _angle(self, speed: Any, yaw_rate: Any) -> Any:
-        """Return the steering angle at which the wheel rolls so, with its rate."""
-        axle, pivot = self.robot.axle, self.robot.pivots[..., 0, :]
-        a, b, arm = axle[..., 0], axle[..., 1], axle[..., 2]
-        x, y = pivot[..., 0] - arm * b, pivot[..., 1] + arm * a  # from the axle
-        c, s = cos(pivot[..., 2]), np.sin(pivot[..., 2])
-        ahead = (b * c - a * s) * speed + (x * s - y * c) * yaw_rate
-        aside = (-b * s - a * c) * speed + (x * c + y * s) * yaw_rate
-        least = np.where(value_of(ahead) < 0.0, -_LEAST_SPEED, _LEAST_SPEED)
-        return arctan(aside / chosen(np.abs(value_of(ahead)) < _LEAST_SPEED, least, ahead))
+        return _steering_angle(self.robot.axle, self.robot.pivots[..., 0, :], speed, yaw_rate)
+
+
+def _steering_angle(axle: Any, pivot: Any, speed: Any, yaw_rate: Any) -> Any:
+    """Return the angle at which a steered wheel rolls where the axle has this speed and yaw rate, with its rate."""
+    a, b, arm = axle[..., 0], axle[..., 1], axle[..., 2]
+    x, y = pivot[..., 0] - arm * b, pivot[..., 1] + arm * a  # from the axle
+    c, s = np.cos(pivot[..., 2]), np.sin(pivot[..., 2])
+    ahead = (b * c - a * s) * speed + (x * s - y * c) * yaw_rate
+    aside = -(b * s + a * c) * speed + (x * c + y * s) * yaw_rate
+    least = np.where(value_of(ahead) < 0.0, -_LEAST_SPEED, _LEAST_SPEED)
+    return arctan(aside / chosen(np.abs(value_of(ahead)) < _LEAST_SPEED, least, ahead))

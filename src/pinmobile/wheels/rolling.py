@@ -30,7 +30,7 @@ from pinmobile.robot import (
     solved_by,
     stacked,
 )
-from pinmobile.wheels.kinematics import Choice, Kinematics, Solution, solved
+from pinmobile.wheels.kinematics import Choice, Kinematics, Row, Solution, solved
 from pinmobile.wheels.table import WheelTable
 
 _BASE = 3
@@ -319,7 +319,8 @@ class RollingBody(WheeledBody):
         effects = self.effects(state, q)
         columns = [list(column) for column in zip(*S, strict=True)]
         pushed = [applied(M, column) for column in columns]
-        rest = [n + dot(row, gamma) for n, row in zip(effects, M, strict=True)]
+        still = self.unmoved(state, S, gamma)
+        rest = [n + dot(row, still) for n, row in zip(effects, M, strict=True)]
         inputs = [self.generalised(state, one, 0.0) for one in np.eye(self.nu)]
         public = [self.in_plane(state, column, q) for column in columns]
         return Reduced(
@@ -337,16 +338,56 @@ class RollingBody(WheeledBody):
         """
         state, wanted = self.state(q, v), scalars(a)
         along = [state.c * wanted[0] + state.s * wanted[1], state.c * wanted[1] - state.s * wanted[0]]
-        return stacked(self._driven(state, q, [*along, *wanted[2:]]), q)
+        S, gamma = self.solution(state, self.choice)
+        return stacked(self._driven(state, q, S, [*along, *wanted[2:]], gamma), q)
 
     def torques(self, q: Any, v: Any, rates: Any) -> Any:
         """Return the input of least norm with which the independent velocities change so, shape (..., nu)."""
-        return stacked(self._driven(self.state(q, v), q, scalars(rates)), q)
+        state = self.state(q, v)
+        S, gamma = self.solution(state, self.choice)
+        return stacked(self._driven(state, q, S, scalars(rates), self.unmoved(state, S, gamma)), q)
 
-    def _driven(self, state: State, q: Any, rates: Vector) -> Vector:
-        """Return the input of least norm with B u = M nu' + n."""
-        M, (S, gamma) = self.inertia(state, q), self.solution(state, self.choice)
-        whole = [dot(row, rates) + g for row, g in zip(S, gamma, strict=True)]
+    def unmoved(self, state: State, S: Matrix, gamma: Vector) -> Vector:
+        """Return the accelerations, along the body's axes, where the independent velocities do not change."""
+        offset = self._offset(state, gamma)
+        return [g - dot(row, offset) for row, g in zip(S, gamma, strict=True)]
+
+    def _offset(self, state: State, gamma: Vector) -> Vector:
+        """Return the rates of the independent velocities where the accelerations are gamma."""
+        vx, vy, w = state.twist
+        moved = [gamma[0] + w * vy, gamma[1] - w * vx, gamma[2]]  # the rate of the body twist
+        rows = self.kinematics.rows(state.steering, state.twist, state.rates)
+        held = [(rows[i].base, self._turned(rows[i], state)) for i in self.choice.body]
+        if not held:
+            body = moved
+        elif len(held) == 1 or self.choice.is_fixed:
+            a, a_dot = held[0]
+            first = a[1] * moved[0] - a[0] * moved[1] + a_dot[1] * vx - a_dot[0] * vy
+            body = [first, moved[2]] if len(held) == 1 else [first]
+        else:
+            (a, a_dot), (b, b_dot) = held
+            about = cross(a, b)
+            about_dot = [x + y for x, y in zip(cross(a_dot, b), cross(a, b_dot), strict=True)]
+            square = dot(about, about)
+            change = dot(about_dot, state.twist) + dot(about, moved)
+            twice = 2.0 * dot(about, state.twist) * dot(about, about_dot) / square
+            body = [(change - twice) / square]
+        return [*body, *[ZERO] * (self.na + len(self.choice.free))]
+
+    def _turned(self, row: Row, state: State) -> Vector:
+        """Return the rate of the coefficients of a lateral row by the steering of its wheel about its centre."""
+        k = next((k for wheel, k in self._steered if wheel == row.wheel), None)
+        if k is None:
+            return [ZERO] * 3
+        turn = self.kinematics.heading(row.wheel, state.steering).first * state.rates[k]
+        x, y = self.kinematics.x[row.wheel], self.kinematics.y[row.wheel]
+        a, b, _ = row.base
+        return [-(turn * b), turn * a, turn * (x * a + y * b)]
+
+    def _driven(self, state: State, q: Any, S: Matrix, rates: Vector, rest: Vector) -> Vector:
+        """Return the input of least norm with which all accelerate as S rates + rest."""
+        M = self.inertia(state, q)
+        whole = [dot(row, rates) + g for row, g in zip(S, rest, strict=True)]
         force = [dot(row, whole) + n for row, n in zip(M, self.effects(state, q), strict=True)]
         return self._least(state, S, force)
 

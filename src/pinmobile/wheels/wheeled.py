@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, NamedTuple, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 import pinocchio as pin
@@ -111,6 +111,8 @@ class WheeledRobot:
     ground: Rolling = Rolling()
     mobility: Mobility = field(init=False)
     _tree: _Tree = field(init=False)
+
+    broadcasts: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if not isinstance(self.robot, MobileRobot):
@@ -529,7 +531,7 @@ class WheeledRobot:
         state = rolling.state(q, v)
         S, gamma = rolling.solution(state, rolling.choice)
         columns = np.stack([rolling.in_plane(state, list(column), q) for column in zip(*S, strict=True)], -1)
-        drift = rolling.in_plane(state, gamma, q)
+        drift = rolling.in_plane(state, rolling.unmoved(state, S, gamma), q)
         M, n = self.mass_matrix(q), self.nonlinear_effects(q, v)
         n = n + np.einsum("...ij,...j->...i", M, drift)
         S_T = np.swapaxes(columns, -1, -2)
@@ -567,6 +569,9 @@ class WheeledRobot:
             c * a[..., 1] - s * a[..., 0],
             *np.moveaxis(a[..., 2:], -1, 0),
         ]
+        # Rates of the body twist, which turns with the body.
+        w, ahead, aside = (own.nu[..., k] for k in (2, 0, 1))
+        wanted[:2] = [wanted[0] + w * aside, wanted[1] - w * ahead]
         force = np.einsum("...ij,...j->...i", own.M, np.stack(wanted, axis=-1)) + own.n
         return np.einsum("...ij,...j->...i", np.linalg.pinv(own.B), force)
 
