@@ -11,11 +11,13 @@ from pinmobile.controllers.controller import (
     Controller,
     InverseDynamics,
     State,
+    answer_of as answer_of,
     check_controller,
     check_memory as check_memory,
     law,
     plain_difference,
     planar_difference,
+    told as told,
 )
 from pinmobile.controllers.feedback import (
     GAINS as GAINS,
