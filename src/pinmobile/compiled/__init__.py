@@ -29,6 +29,12 @@ from pinmobile.compiled.passes import traced
 from pinmobile.compiled.processor import Cache, Target, processors as processors
 from pinmobile.compiled.program import Outcome, Program
 from pinmobile.compiled.recorders import Record, Sample, Summary, Trace
+from pinmobile.compiled.rounds import (
+    choose as choose,
+    higher as higher,
+    repeated as repeated,
+    square_root as square_root,
+)
 from pinmobile.compiled.symbolic import plain as plain, symbols as symbols
 from pinmobile.compiled.tape import Node as Node, maximum as maximum, root as root
 

@@ -4,6 +4,7 @@ from pinmobile.robot.arms import Arm
 from pinmobile.robot.articulated import _scalars as scalars, _stacked as stacked
 from pinmobile.robot.dh_chain import BODY_JOINT, Calls, Engine as Engine, named_frames as named_frames, prefixed as prefixed
 from pinmobile.robot.linkage import (
+    ONE as ONE,
     ZERO as ZERO,
     Matrix as Matrix,
     Vector as Vector,

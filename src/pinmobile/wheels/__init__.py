@@ -1,6 +1,6 @@
 """Wheels under a robot: the wheel table, rolling and slip, motors."""
 
-from pinmobile.wheels.ground import Rolling
+from pinmobile.wheels.ground import Coulomb, Ramp, Rolling
 from pinmobile.wheels.kinematics import Kinematics as Kinematics
 from pinmobile.wheels.mobility import Mobility
 from pinmobile.wheels.motors import Motor
@@ -9,12 +9,14 @@ from pinmobile.wheels.wheeled import Forces, WheeledRobot
 
 __all__ = [
     "Ackermann",
+    "Coulomb",
     "Differential",
     "Forces",
     "Friction",
     "GearTrain",
     "Mobility",
     "Motor",
+    "Ramp",
     "Rolling",
     "Support",
     "Wheel",

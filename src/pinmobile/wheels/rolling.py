@@ -61,6 +61,10 @@ class WheeledBody:
         About the axles [kg m^2].
     rotors : ndarray, shape (actuators,)
         What motors add to the inertia [kg m^2].
+    fall : ndarray, shape (3,)
+        Gravity along the axes of the plane [m/s^2].
+    coordinates, inputs, ends, parameters
+        As of a plant; `ends` are the items of ``leading``.
     """
 
     robot: Any
@@ -70,6 +74,13 @@ class WheeledBody:
     radius: Any
     spin_inertia: Any
     rotors: Any
+    fall: Any
+    coordinates: tuple[Coordinate, ...]
+    inputs: tuple[Input, ...]
+    ends: tuple[tuple[int, int], ...]
+    parameters: tuple[Parameter, ...]
+
+    broadcasts: ClassVar[bool] = True
 
     @property
     def na(self) -> int:
@@ -85,6 +96,26 @@ class WheeledBody:
     def size(self) -> int:
         """Number of velocities."""
         return _BASE + self.na + self.joints
+
+    @property
+    def nq(self) -> int:
+        """Size of q."""
+        return int(self.robot.nq) + self.joints
+
+    @property
+    def nv(self) -> int:
+        """Size of v and a."""
+        return self.size
+
+    @property
+    def nu(self) -> int:
+        """Size of the input."""
+        return self.na + len(self.table.actuators)
+
+    @property
+    def leading(self) -> dict[int, int]:
+        """How many numbers of q the first n coordinates have, for each n that a reference may have."""
+        return dict(self.ends)
 
     @cached_property
     def kinematics(self) -> Kinematics:
@@ -152,6 +183,11 @@ class WheeledBody:
         at_zero = stacked([ZERO, ZERO, ZERO, *state.arms], q)
         carried = self.robot.nonlinear_effects(at_zero, stacked([*state.twist, *state.arm_rates], q))
         n[: _BASE + self.na] = scalars(carried)
+        if self.na and self._slack:
+            weights = scalars(self.robot.gravity(at_zero))
+            n[_BASE : _BASE + self.na] = [
+                x - self._slack * y for x, y in zip(n, weights, strict=False)
+            ][_BASE : _BASE + self.na]
         for row, k in self._steered:
             wheel, head = self.table.wheels[row], self.kinematics.heading(row, state.steering)
             at, w = _BASE + self.na + k, state.twist[2]
@@ -170,6 +206,17 @@ class WheeledBody:
             n[2] = n[2] + m * (p[0] * pull[1] - p[1] * pull[0]) - m * (p0[0] * locked[1] - p0[1] * locked[0])
             n[at] = n[at] + m * head.first * (o[0] * pull[1] - o[1] * pull[0])
         return n
+
+    @cached_property
+    def _slack(self) -> float:
+        """Share of gravity across the plane that a ramp takes away."""
+        size = float(np.linalg.norm(self.fall))
+        return 1.0 + float(self.fall[2]) / size if size and (self.fall[0] or self.fall[1]) else 0.0
+
+    def pull(self, state: State) -> Vector:
+        """Return gravity in the plane along the body's axes, which every mass feels alike [m/s^2]."""
+        x, y = (exact(float(each)) for each in self.fall[:2])
+        return [state.c * x + state.s * y, state.c * y - state.s * x]
 
     def solution(self, state: State, choice: Choice) -> Solution:
         """Return what rolls, arms between body and joints."""
@@ -200,66 +247,6 @@ class WheeledBody:
         """Return numbers along the body's axes as a public array, shape (..., size)."""
         return stacked([state.c * a[0] - state.s * a[1], state.s * a[0] + state.c * a[1], *a[2:]], q)
 
-
-@final
-@dataclass(frozen=True, eq=False)
-class RollingBody(WheeledBody):
-    """A robot whose wheels roll ideally, unchecked.
-
-    Parameters
-    ----------
-    choice : Choice
-        Which rows of the wheels determine what.
-    coordinates, inputs, ends, parameters
-        As of a plant; `ends` are the items of ``leading``.
-    """
-
-    choice: Choice
-    coordinates: tuple[Coordinate, ...]
-    inputs: tuple[Input, ...]
-    ends: tuple[tuple[int, int], ...]
-    parameters: tuple[Parameter, ...]
-
-    broadcasts: ClassVar[bool] = True
-
-    @property
-    def nq(self) -> int:
-        """Size of q."""
-        return int(self.robot.nq) + self.joints
-
-    @property
-    def nv(self) -> int:
-        """Size of v and a."""
-        return self.size
-
-    @property
-    def nu(self) -> int:
-        """Size of the input."""
-        return self.na + len(self.table.actuators)
-
-    @property
-    def leading(self) -> dict[int, int]:
-        """How many numbers of q the first n coordinates have, for each n that a reference may have."""
-        return dict(self.ends)
-
-    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
-        """Return the acceleration, shape (..., nv): a = S nu' + gamma, S' M S nu' = S' (tau - n - M gamma)."""
-        state = self.state(q, v)
-        M, (S, gamma) = self.inertia(state, q), self.solution(state, self.choice)
-        force = self.generalised(state, u, f)
-        effects = self.effects(state, q)
-        rest = [t - n - dot(row, gamma) for t, n, row in zip(force, effects, M, strict=True)]
-        rates = _reduced(M, S, rest)
-        return self.in_plane(state, [dot(row, rates) + g for row, g in zip(S, gamma, strict=True)], q)
-
-    def project(self, q: Any, v: Any) -> Any:
-        """Return the velocity that rolls and is nearest in the mass metric, shape (..., nv)."""
-        state = self.state(q, v)
-        M, (S, _) = self.inertia(state, q), self.solution(state, self.choice)
-        velocity = [*state.twist, *state.arm_rates, *state.rates]
-        rates = _reduced(M, S, [dot(row, velocity) for row in M])
-        return self.in_plane(state, [dot(row, rates) for row in S], q)
-
     def integrate(self, q: Any, dq: Any) -> Any:
         """Return the configuration that a displacement leads to."""
         n = self.robot.nq
@@ -285,6 +272,40 @@ class RollingBody(WheeledBody):
     def effort(self, q: Any, wrench: Any) -> Any:
         """Return the generalised force of a wrench on the body, shape (..., nv)."""
         return stacked([*scalars(wrench), *[ZERO] * (self.nv - _BASE)], q)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class RollingBody(WheeledBody):
+    """A robot whose wheels roll ideally, unchecked.
+
+    Parameters
+    ----------
+    choice : Choice
+        Which rows of the wheels determine what.
+    """
+
+    choice: Choice
+
+    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
+        """Return the acceleration, shape (..., nv): a = S nu' + gamma, S' M S nu' = S' (tau - n - M gamma)."""
+        state = self.state(q, v)
+        M, (S, gamma) = self.inertia(state, q), self.solution(state, self.choice)
+        force, pull = self.generalised(state, u, f), self.pull(state)
+        effects = self.effects(state, q)
+        # Gravity in the plane is as if the plane accelerated against it.
+        felt = [gamma[0] - pull[0], gamma[1] - pull[1], *gamma[2:]]
+        rest = [t - n - dot(row, felt) for t, n, row in zip(force, effects, M, strict=True)]
+        rates = _reduced(M, S, rest)
+        return self.in_plane(state, [dot(row, rates) + g for row, g in zip(S, gamma, strict=True)], q)
+
+    def project(self, q: Any, v: Any) -> Any:
+        """Return the velocity that rolls and is nearest in the mass metric, shape (..., nv)."""
+        state = self.state(q, v)
+        M, (S, _) = self.inertia(state, q), self.solution(state, self.choice)
+        velocity = [*state.twist, *state.arm_rates, *state.rates]
+        rates = _reduced(M, S, [dot(row, velocity) for row in M])
+        return self.in_plane(state, [dot(row, rates) for row in S], q)
 
 
 def _reduced(M: Matrix, S: Matrix, force: Vector) -> Vector:
