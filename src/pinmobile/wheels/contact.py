@@ -21,7 +21,7 @@ from pinmobile.robot import ZERO, Vector, dot, number
 
 
 class Bounds(NamedTuple):
-    """What a wheel's friction is at most.
+    """What a wheel's friction is at most, and which slip it is against.
 
     Attributes
     ----------
@@ -29,11 +29,16 @@ class Bounds(NamedTuple):
         Impulse [N s]: of a disc both are its radius.
     spin : scalar
         Angular impulse that holds the wheel's coordinate [N m s].
+    began : list of 2 scalars
+        Slip velocity at the start of the step, along and across, where friction is against the mean of that
+        and the one at its end, as that of a wheel that slides all the time; zero where it is against the
+        latter alone [m/s].
     """
 
     along: Any
     across: Any
     spin: Any
+    began: Vector
 
 
 class Pair(NamedTuple):
@@ -124,7 +129,7 @@ class Touch:
         bounds : Bounds
             At most.
         """
-        slip = [dot(row, v) for row in self.rows]
+        slip = [began + dot(row, v) for row, began in zip(self.rows, bounds.began, strict=True)]
         if not self.held:
             now, shift = self.free.solved(self._wanted(self.own, p, slip), bounds, shift)
             return self._moved(v, p, now, None), now, spin, shift

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from pinmobile.compiled import plain
+from pinmobile.compiled import choose, plain
 from pinmobile.errors import InvalidArgument
 from pinmobile.plant import Step
 from pinmobile.robot import ONE, ZERO, Matrix, Vector, dot, exact, number, scalars, sine_and_cosine, stacked
@@ -24,6 +24,7 @@ from pinmobile.wheels.table import GearTrain, WheelTable
 
 _BASE = 3
 _INSTANT = 1e-5  # [s], over which an acceleration at a state is the mean
+_STILL = 0.5  # of a slip that goes on all the step, what is left of it at least
 _SLIDES = 1 - 1e-9  # of the largest friction
 
 
@@ -233,7 +234,7 @@ class SlippingBody(WheeledBody):
         my = m * (height * ax - x * g) + (yz * spin + xz * (w * w))
         return [m * g, mx, my]
 
-    def _bounds(self, shape: _Shape, loads: Vector, h: Any) -> list[Bounds]:
+    def _bounds(self, shape: _Shape, loads: Vector, slips: Sequence[Vector], h: Any) -> list[Bounds]:
         """Return what the friction of each wheel is at most."""
         first, found = _BASE + self.na + len(self.table.axes), []
         holds: dict[int, Any] = {}
@@ -244,7 +245,22 @@ class SlippingBody(WheeledBody):
         for k, wheel in enumerate(self.table.wheels):
             along = number(h * _numbers(self.mu)[k] * loads[k])
             across = along if wheel.roller is None else number(h * _numbers(self.across)[k] * loads[k])
-            found.append(Bounds(along, across, number(holds[shape.touches[k].spin])))
+            found.append(Bounds(along, across, number(holds[shape.touches[k].spin]), slips[k]))
+        return found
+
+    def _began(self, shape: _Shape, before: Vector, after: Vector) -> list[Vector]:
+        """Return the slip of each wheel at the start of a step; zero where it does not go on all the time.
+
+        Friction against the mean slip is of second order and takes as much energy as it should; it does
+        not stick, so that a wheel that loses half its slip in the step is taken by its end.
+        """
+        found = []
+        for touch, wheel in zip(shape.touches, self.table.wheels, strict=True):
+            old, new = ([number(dot(row, [x[self._kept[k]] for k in shape.touched])) for row in touch.rows] for x in (before, after))
+            left = [x * (y - _STILL * x) for x, y in zip(old, new, strict=True)]
+            if wheel.roller is None:
+                left = [left[0] + left[1]] * 2
+            found.append([choose(x > 0.0, y, 0.0) for x, y in zip(left, old, strict=True)])
         return found
 
     # The step
@@ -290,6 +306,7 @@ class SlippingBody(WheeledBody):
         )
         grip = Impulses([], [x * h for x in contact], [x * h for x in holding], multipliers, 0.0)
         rounds: Any = 0.0
+        began: list[Vector] = [[0.0, 0.0] for _ in self.table.wheels]
         for _ in range(self.passes):
             mean = [0.5 * (x + y) for x, y in zip(before, after, strict=True)]
             at = self._moving(middle, mean)
@@ -300,13 +317,14 @@ class SlippingBody(WheeledBody):
             free = self._free(shape, at, before, u, h, f, q)
             grip = impulses(
                 shape.touches,
-                self._bounds(shape, loads.values, h),
+                self._bounds(shape, loads.values, began, h),
                 [number(free[k]) for k in shape.touched],
                 grip,
                 most=self.sweeps,
                 tolerance=self.tolerance,
             )
             after = self._after(shape, free, grip)
+            began = self._began(shape, before, after)
             rate = [(y - x) / h for x, y in zip(before, after, strict=True)]
             rounds = rounds + grip.rounds
         mean = [0.5 * (x + y) for x, y in zip(before, after, strict=True)]
