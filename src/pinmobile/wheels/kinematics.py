@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pinmobile.robot import ZERO, Matrix, Vector, cross, dot, exact, sine_and_cosine
+from pinmobile.robot import ZERO, Matrix, Vector, cross, dot, exact, number, sine_and_cosine
 from pinmobile.wheels.table import GearTrain, WheelTable
 
 
@@ -267,5 +267,5 @@ def _ackermann(length: Any, y: Any, s: Any, c: Any) -> Heading:
     offset = y / length
     a, b = s, c - offset * s
     square = a * a + b * b
-    long, change = np.sqrt(square), 2.0 * (s * c - b * (s + offset * c))
+    long, change = np.sqrt(number(square)), 2.0 * (s * c - b * (s + offset * c))
     return Heading(b / long, a / long, 1.0 / square, -(change / (square * square)))
