@@ -1,6 +1,6 @@
 """Wheels under a robot: the wheel table, rolling and slip, motors."""
 
-from pinmobile.wheels.ground import Rolling
+from pinmobile.wheels.ground import Coulomb, Ramp, Rolling
 from pinmobile.wheels.kinematics import Kinematics as Kinematics
 from pinmobile.wheels.mobility import Mobility
 from pinmobile.wheels.motors import Motor
@@ -13,12 +13,14 @@ __all__ = [
     "Ackermann",
     "Allocation",
     "ByOdometry",
+    "Coulomb",
     "Differential",
     "Forces",
     "Friction",
     "GearTrain",
     "Mobility",
     "Motor",
+    "Ramp",
     "Reduced",
     "Rolling",
     "Support",
