@@ -7,12 +7,14 @@ from pinmobile.wheels.motors import Motor
 from pinmobile.wheels.odometry import ByOdometry
 from pinmobile.wheels.rolling import Reduced
 from pinmobile.wheels.table import Ackermann, Differential, Friction, GearTrain, Support, Wheel, WheelTable
+from pinmobile.wheels.voltage import ByVoltage
 from pinmobile.wheels.wheeled import Allocation, Forces, WheeledRobot
 
 __all__ = [
     "Ackermann",
     "Allocation",
     "ByOdometry",
+    "ByVoltage",
     "Coulomb",
     "Differential",
     "Forces",

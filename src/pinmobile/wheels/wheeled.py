@@ -23,6 +23,7 @@ from pinmobile.wheels.mobility import Mobility
 from pinmobile.wheels.rolling import Reduced, RollingBody
 from pinmobile.wheels.slipping import Grip, SlippingBody, led
 from pinmobile.wheels.table import FIXED, Wheel, WheelTable
+from pinmobile.wheels.voltage import ByVoltage
 
 _SAME_LINE = 1e-6  # [m]
 _OFF = 1e-9  # of a start's rates, beyond which it does not roll
@@ -190,6 +191,10 @@ class WheeledRobot:
     def attach(self, load: Load, frame: str | None = None) -> WheeledRobot:
         """Return the robot with a load fixed to one of its frames: see `MobileRobot.attach`."""
         return WheeledRobot(self.robot.attach(load, frame), self.table, self.ground)
+
+    def by_voltage(self) -> ByVoltage:
+        """Return the same robot whose input is volts, one per electric motor: see `ByVoltage`."""
+        return ByVoltage(self)
 
     # Sizes and names
 
