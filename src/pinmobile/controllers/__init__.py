@@ -19,6 +19,7 @@ from pinmobile.controllers.controller import (
     planar_difference,
     told as told,
 )
+from pinmobile.controllers.driving import Driven, WheelSpeed
 from pinmobile.controllers.feedback import (
     GAINS as GAINS,
     PD,
@@ -49,6 +50,7 @@ __all__ = [
     "Controller",
     "Decoupled",
     "Delayed",
+    "Driven",
     "DynamicFeedback",
     "Gravity",
     "InverseDynamics",
@@ -61,6 +63,7 @@ __all__ = [
     "State",
     "Tracked",
     "Tracking",
+    "WheelSpeed",
     "check_controller",
     "gain_matrix",
     "law",

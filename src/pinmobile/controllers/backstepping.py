@@ -140,25 +140,7 @@ class Backstepping:
             raise InvalidArgument(
                 f"reference has {reference.v.shape[-1]} coordinates, expected {self._n}: x, y, psi and those of arms"
             )
-        psi, w = reference.q[:, 2], reference.v[:, 2]
-        jumps = np.abs(wrap_angle(np.diff(psi) - np.diff(t) * (w[1:] + w[:-1]) / 2))
-        if len(jumps) and jumps.max() > _JUMP:
-            k = int(np.argmax(jumps > _JUMP))
-            raise InvalidArgument(
-                f"reference turns its heading by {jumps[k]:.3g} rad at once at t = {t[k + 1]:g} s, expected one that "
-                "the wheels can follow, such as Tangent(path, turn_time=...)"
-            )
-        a, b, arm = self._axle
-        c, s = np.cos(psi), np.sin(psi)
-        across = (a * c - b * s) * reference.v[:, 0] + (a * s + b * c) * reference.v[:, 1] + arm * w
-        speed = (b * c + a * s) * reference.v[:, 0] + (b * s - a * c) * reference.v[:, 1]
-        wrong = np.abs(across) > _SIDEWAYS * (1.0 + np.abs(speed))
-        if wrong.any():
-            k = int(np.argmax(wrong))
-            raise InvalidArgument(
-                f"reference moves sideways, at {across[k]:.3g} m/s across the fixed axle, at t = {t[k]:g} s, expected "
-                "one that the wheels can follow, such as Tangent(path)"
-            )
+        speed, w = speeds_along(self._axle, t, reference)
         if self._car is not None:
             angle = np.abs(_steering_angle(self._axle, self._pivot, speed, w))
             if (angle > self._car.limit).any():
@@ -175,8 +157,8 @@ class Backstepping:
         """Return the input, shape (..., nu), and the next state."""
         inner, steering = state
         nu, n = self.robot.independent(q, v), self._n
-        tracked, errors = self._tracked(q, v, reference, nu[..., 0])
-        (speed, yaw_rate), inner = self.law(tracked, inner)
+        known, errors = tracked(self.robot, self.robot.axle, q, v, reference, nu[..., 0])
+        (speed, yaw_rate), inner = self.law(known, inner)
         if self._car is None:
             wanted = [speed, yaw_rate]
         else:
@@ -187,38 +169,10 @@ class Backstepping:
                 Changing(desired + self.arms * errors[..., i], reference.a[..., i] + self.arms * rate)
             )
         if self._car is not None:
-            turn, steering = self._steered(q, nu, tracked, (speed, yaw_rate), steering)
+            turn, steering = self._steered(q, nu, known, (speed, yaw_rate), steering)
             wanted.append(turn)
         rates = [rate_of(z) + self.k * (value_of(z) - nu[..., i]) for i, z in enumerate(wanted)]
         return self.robot.torques(q, v, np.stack(np.broadcast_arrays(*rates), axis=-1)), (inner, steering)
-
-    def _tracked(self, q: Array, v: Array, reference: State, own_speed: Any) -> tuple[Tracked, Array]:
-        """Return what the law tracks, with its rates, and the errors of all coordinates."""
-        axle = self.robot.axle
-        a, b, arm = axle[..., 0], axle[..., 1], axle[..., 2]
-        lead, length = np.shape(q)[:-1], np.shape(reference.q)[-1]
-        whole = np.concatenate([np.broadcast_to(reference.q, (*lead, length)), q[..., length:]], axis=-1)
-        errors = self.robot.difference(q, whole)
-        c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
-        c_r, s_r = np.cos(reference.q[..., 2]), np.sin(reference.q[..., 2])
-        # Where body and reference go, and how far the axle of each is.
-        x, y, x_r, y_r = b * c + a * s, b * s - a * c, b * c_r + a * s_r, b * s_r - a * c_r
-        dx = reference.q[..., 0] - q[..., 0] + arm * (x_r - x)
-        dy = reference.q[..., 1] - q[..., 1] + arm * (y_r - y)
-        vx, vy, w_r, w = reference.v[..., 0], reference.v[..., 1], reference.v[..., 2], v[..., 2]
-        speed, turn = x_r * vx + y_r * vy, errors[..., 2]
-        gained = x_r * reference.a[..., 0] + y_r * reference.a[..., 1] + w_r * (x_r * vy - y_r * vx)
-        ahead, aside = x * dx + y * dy, x * dy - y * dx
-        tracked = Tracked(
-            Changing(ahead, w * aside - own_speed + speed * np.cos(turn)),
-            Changing(aside, speed * np.sin(turn) - w * ahead),
-            Changing(turn, w_r - w),
-            Changing(speed, gained),
-            Changing(w_r, reference.a[..., 2]),
-            Changing(gained, 0.0 * gained),
-            Changing(own_speed, 0.0 * own_speed),
-        )
-        return tracked, errors
 
     def _steered(
         self, q: Array, nu: Array, tracked: Tracked, command: tuple[Any, Any], memory: tuple[Any, Any, Any]
@@ -237,6 +191,66 @@ class Backstepping:
 
     def _angle(self, speed: Any, yaw_rate: Any) -> Any:
         return _steering_angle(self.robot.axle, self.robot.pivots[..., 0, :], speed, yaw_rate)
+
+
+def speeds_along(axle: Array, t: Array, reference: Any) -> tuple[Array, Array]:
+    """Return speed and yaw rate of a reference, shape (N,), of a drive with this fixed axle.
+
+    Raises
+    ------
+    InvalidArgument
+        If it moves sideways, or its heading jumps.
+    """
+    psi, w = reference.q[:, 2], reference.v[:, 2]
+    jumps = np.abs(wrap_angle(np.diff(psi) - np.diff(t) * (w[1:] + w[:-1]) / 2))
+    if len(jumps) and jumps.max() > _JUMP:
+        k = int(np.argmax(jumps > _JUMP))
+        raise InvalidArgument(
+            f"reference turns its heading by {jumps[k]:.3g} rad at once at t = {t[k + 1]:g} s, expected one that "
+            "the wheels can follow, such as Tangent(path, turn_time=...)"
+        )
+    a, b, arm = axle
+    c, s = np.cos(psi), np.sin(psi)
+    across = (a * c - b * s) * reference.v[:, 0] + (a * s + b * c) * reference.v[:, 1] + arm * w
+    speed = (b * c + a * s) * reference.v[:, 0] + (b * s - a * c) * reference.v[:, 1]
+    wrong = np.abs(across) > _SIDEWAYS * (1.0 + np.abs(speed))
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        raise InvalidArgument(
+            f"reference moves sideways, at {across[k]:.3g} m/s across the fixed axle, at t = {t[k]:g} s, expected "
+            "one that the wheels can follow, such as Tangent(path)"
+        )
+    return speed, w
+
+
+def tracked(
+    robot: Any, axle: Any, q: Array, v: Array, reference: State, own_speed: Any
+) -> tuple[Tracked, Array]:
+    """Return what a law tracks, with its rates, and the errors of all coordinates."""
+    a, b, arm = axle[..., 0], axle[..., 1], axle[..., 2]
+    lead, length = np.shape(q)[:-1], np.shape(reference.q)[-1]
+    whole = np.concatenate([np.broadcast_to(reference.q, (*lead, length)), q[..., length:]], axis=-1)
+    errors = robot.difference(q, whole)
+    c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
+    c_r, s_r = np.cos(reference.q[..., 2]), np.sin(reference.q[..., 2])
+    # Where body and reference go, and how far the axle of each is.
+    x, y, x_r, y_r = b * c + a * s, b * s - a * c, b * c_r + a * s_r, b * s_r - a * c_r
+    dx = reference.q[..., 0] - q[..., 0] + arm * (x_r - x)
+    dy = reference.q[..., 1] - q[..., 1] + arm * (y_r - y)
+    vx, vy, w_r, w = reference.v[..., 0], reference.v[..., 1], reference.v[..., 2], v[..., 2]
+    speed, turn = x_r * vx + y_r * vy, errors[..., 2]
+    gained = x_r * reference.a[..., 0] + y_r * reference.a[..., 1] + w_r * (x_r * vy - y_r * vx)
+    ahead, aside = x * dx + y * dy, x * dy - y * dx
+    found = Tracked(
+        Changing(ahead, w * aside - own_speed + speed * np.cos(turn)),
+        Changing(aside, speed * np.sin(turn) - w * ahead),
+        Changing(turn, w_r - w),
+        Changing(speed, gained),
+        Changing(w_r, reference.a[..., 2]),
+        Changing(gained, 0.0 * gained),
+        Changing(own_speed, 0.0 * own_speed),
+    )
+    return found, errors
 
 
 def _steering_angle(axle: Any, pivot: Any, speed: Any, yaw_rate: Any) -> Any:

@@ -348,6 +348,15 @@ class MotorLaw:
         hold = 0.5 * (back - ahead)
         return Push(0.5 * (ahead + back) + slope * rate, slope, hold)
 
+    def torque(self, k: int, volts: Any, rate: Any) -> Any:
+        """Return the torque of a motor at a rate; at rest dry friction takes what there is."""
+        push = self.push(k, volts, rate)
+        torque = push.torque - push.slope * rate
+        if push.hold is ZERO:
+            return torque
+        held = choose(rate > 0.0, push.hold, choose(rate < 0.0, -push.hold, within(torque, push.hold)))
+        return torque - held
+
     def needed(self, k: int, torque: Any, rate: Any) -> Any:
         """Return the voltage at which a motor gives a torque at a rate, within its limits.
 

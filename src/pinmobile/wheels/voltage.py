@@ -14,7 +14,7 @@ from pinmobile.compiled import higher, plain, repeated
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Input, Parameter, Step
-from pinmobile.robot import ZERO, Vector, dot, number, scalars, sine_and_cosine, stacked
+from pinmobile.robot import ZERO, Vector, dot, exact, number, scalars, sine_and_cosine, stacked
 from pinmobile.wheels.ground import Coulomb
 from pinmobile.wheels.motors import Motor, MotorLaw, Motors, Push, theta, within
 from pinmobile.wheels.rolling import State, WheeledBody
@@ -130,6 +130,24 @@ class VoltageBody:
         """Return what it keeps at first: no current flows."""
         slips, none = isinstance(self.wheeled, SlippingBody), np.zeros(len(self.motors))
         return Driving(none, none, none, none, self.wheeled.initial_state(context) if slips else ())  # type: ignore[attr-defined]
+
+    def volts_for(self, v: Any, torques: Any) -> Any:
+        """Return the input at which motors give these torques, as far as they can: see `ByVoltage`."""
+        return self._at_rates(v, torques, self.law.needed)
+
+    def torques_at(self, v: Any, u: Any) -> Any:
+        """Return the torques of an input: see `ByVoltage`."""
+        law = self.law
+        return self._at_rates(v, u, lambda k, x, rate: law.torque(k, law.volts(k, x), rate))
+
+    def _at_rates(self, v: Any, u: Any, law: Any) -> Any:
+        """Return an input in which a law of number, value and rate of each motor takes the value's place."""
+        found, na = [number(_plain(x)) for x in scalars(u)], self.wheeled.na
+        rates = [number(_plain(x)) for x in scalars(v)][_BASE + na :]
+        for k, i in enumerate(self.electric):
+            column = [exact(x) for x in self.wheeled.table.actuators[i].column]
+            found[na + i] = law(k, found[na + i], number(dot(column, rates)))
+        return stacked(found, u)
 
     def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
         """Return the acceleration, shape (..., nv): the mean over a short step from the state."""
@@ -491,6 +509,32 @@ class ByVoltage:
 
     def _state(self, q: ArrayLike, v: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array]:
         return vector("q", q, self.nq), vector("v", v, self.nv), vector("u", u, self.nu)
+
+    def volts_for(self, v: ArrayLike, torques: ArrayLike) -> Array:
+        """Return the input at which motors give torques at the present rates, shape (..., nu).
+
+        Within their limits of voltage and current; what takes no volts stays.
+
+        Parameters
+        ----------
+        v : array_like, shape (..., nv)
+            Velocities [m/s, m/s, rad/s, ...].
+        torques : array_like, shape (..., nu)
+            As inputs of the robot by torques [N m].
+        """
+        v, torques = vector("v", v, self.nv), vector("torques", torques, self.nu)
+        return np.asarray(self.traced().volts_for(v, torques))
+
+    def torques_at(self, v: ArrayLike, u: ArrayLike) -> Array:
+        """Return the torques that motors give at the present rates, shape (..., nu) [N m].
+
+        Parameters
+        ----------
+        v, u : array_like, shape (..., nv), (..., nu)
+            Velocities, and volts.
+        """
+        v, u = vector("v", v, self.nv), vector("u", u, self.nu)
+        return np.asarray(self.traced().torques_at(v, u))
 
     def initial_state(self, context: Any = None) -> Driving:
         """Return what motors and wheels keep before the first step."""
