@@ -184,6 +184,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "derivation": (),
     "dh": ("LECTURE_TABLE", "SLIDE_TABLE", "DHRow", "DHTable", "JointType"),
     "ensembles": ("TRUE_MODEL", "Ensemble", "Normal", "Same", "Scenario", "Uniform", "ensemble"),
+    "divergence": (),
     "errors": (
         "Diverged",
         "FileError",

@@ -2,9 +2,9 @@
 
 from pinmobile.robot.arms import Arm
 from pinmobile.robot.joints import BODY_JOINT, joints_of as joints_of
-from pinmobile.robot.laws import Calls
 from pinmobile.robot.mobile import MobileRobot
 from pinmobile.robot.mounts import Load, Mount, named_frames as named_frames, prefixed as prefixed
+from pinmobile.robot.pinocchio_calls import Calls
 from pinmobile.robot.planar import BODY_PARAMETERS as BODY_PARAMETERS, PlanarBody as PlanarBody
 from pinmobile.robot.sources import EXCEPTIONS, Mountable, Mountables, kept_arm as kept_arm, mountable
 from pinmobile.robot.stance import (
