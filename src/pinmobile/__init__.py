@@ -183,8 +183,8 @@ _NAMES: dict[str, tuple[str, ...]] = {
     ),
     "derivation": (),
     "dh": ("LECTURE_TABLE", "SLIDE_TABLE", "DHRow", "DHTable", "JointType"),
-    "ensembles": ("TRUE_MODEL", "Ensemble", "Normal", "Same", "Scenario", "Uniform", "ensemble"),
     "divergence": (),
+    "ensembles": ("TRUE_MODEL", "Ensemble", "Normal", "Same", "Scenario", "Uniform", "ensemble"),
     "errors": (
         "Diverged",
         "FileError",
