@@ -183,6 +183,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     ),
     "derivation": (),
     "dh": ("LECTURE_TABLE", "SLIDE_TABLE", "DHRow", "DHTable", "JointType"),
+    "divergence": (),
     "ensembles": ("TRUE_MODEL", "Ensemble", "Normal", "Same", "Scenario", "Uniform", "ensemble"),
     "errors": (
         "Diverged",

@@ -2,7 +2,6 @@
 
 from pinmobile.robot.arms import Arm
 from pinmobile.robot.joints import BODY_JOINT, joints_of as joints_of
-from pinmobile.robot.laws import Calls, Engine as Engine
 from pinmobile.robot.linkage import (
     ONE as ONE,
     ZERO as ZERO,
@@ -20,6 +19,7 @@ from pinmobile.robot.linkage import (
 )
 from pinmobile.robot.mobile import MobileRobot
 from pinmobile.robot.mounts import Load, Mount, named_frames as named_frames, prefixed as prefixed
+from pinmobile.robot.pinocchio_calls import Calls, Engine as Engine
 from pinmobile.robot.planar import BODY_PARAMETERS as BODY_PARAMETERS, PlanarBody as PlanarBody
 from pinmobile.robot.sources import EXCEPTIONS, Mountable, Mountables, kept_arm as kept_arm, mountable
 from pinmobile.robot.stance import (

@@ -34,7 +34,6 @@ from pinmobile.plant import Parameter
 from pinmobile.robot.arms import check_whole
 from pinmobile.robot.articulated import ArticulatedBody, articulated
 from pinmobile.robot.joints import BODY_JOINT
-from pinmobile.robot.laws import Engine
 from pinmobile.robot.mounts import (
     Load,
     Mount,
@@ -46,6 +45,7 @@ from pinmobile.robot.mounts import (
     placed,
     with_numbers,
 )
+from pinmobile.robot.pinocchio_calls import Engine
 from pinmobile.robot.planar import BODY_PARAMETERS, PlanarBody
 from pinmobile.robot.reading import LOCKED, Reading, build_model, check_chain, read_model, read_urdf
 from pinmobile.robot.sources import existing_folders, read_arm

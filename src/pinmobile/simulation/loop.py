@@ -16,10 +16,10 @@ import numpy as np
 from pinmobile.arrays import LEAST_ANGLE, Array, are_real, wrap_angle
 from pinmobile.compiled import Parts, Program, Reference as Rows, Trace, once, program_of, robot_keys
 from pinmobile.controllers import Compact, Controller
+from pinmobile.divergence import is_alive
 from pinmobile.errors import InvalidArgument, NotFinite, NotTraceable, shown
 from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator, RungeKuttaNystrom
-from pinmobile.measures import is_alive
 from pinmobile.plant import Context, Input, Plant
 from pinmobile.signals import Recorder, Signal, recorder
 from pinmobile.simulation.setup import check_same, shorter
