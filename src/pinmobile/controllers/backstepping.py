@@ -98,7 +98,7 @@ class Backstepping:
         robot = self.robot
         if isinstance(robot, type) or not hasattr(robot, "torques"):
             raise InvalidArgument(f"robot is {shown(robot)}, expected a WheeledRobot")
-        if hasattr(robot, "reduced"):  # what it becomes in a compiled loop has been looked at before
+        if hasattr(robot, "mobility"):  # what it becomes in a compiled loop has been looked at before
             self._look(robot)
 
     def _look(self, robot: Any) -> None:
