@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, finite, frozen, non_negative, positive, whole
+from pinmobile.arrays import Array, ArrayLike, frozen, non_negative, positive, vector, whole
 from pinmobile.controllers import Controller, State, answer_of, check_controller, told
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Context, Parameter
@@ -43,6 +43,8 @@ class ByOdometry:
         Standard deviation of each wheel's measured rate, >= 0 [rad/s]; white.
     seed : int
         Of the noise.
+    x, y, radius : array_like, shape (wheels,), optional
+        What it believes in place of the table's numbers [m].
 
     Raises
     ------
@@ -55,9 +57,9 @@ class ByOdometry:
     ticks: float | None = None
     noise: float = 0.0
     seed: int = 0
-    x: Array = field(init=False, repr=False)
-    y: Array = field(init=False, repr=False)
-    radius: Array = field(init=False, repr=False)
+    x: ArrayLike | None = None
+    y: ArrayLike | None = None
+    radius: ArrayLike | None = None
 
     def __post_init__(self) -> None:
         check_controller(self.controller)
@@ -68,8 +70,10 @@ class ByOdometry:
         object.__setattr__(self, "noise", non_negative("noise", self.noise, "rad/s"))
         object.__setattr__(self, "seed", whole("seed", self.seed, least=0))
         for name, _, _ in _NUMBERS:
-            object.__setattr__(self, name, frozen([getattr(wheel, name) for wheel in self.table.wheels]))
-        rows = Kinematics.of(self.table).rows(*self._still)
+            own = getattr(self, name)
+            numbers = [getattr(wheel, name) for wheel in self.table.wheels] if own is None else own
+            object.__setattr__(self, name, frozen(vector(name, numbers, len(self.table))))
+        rows = self._kinematics.rows(*self._still)
         if np.linalg.matrix_rank(np.array([stacked(row.base, self.x) for row in rows])) < 3:
             raise InvalidArgument(
                 "table does not tell by its wheels' rates how the body moves, expected rows of rank 3"
@@ -80,6 +84,10 @@ class ByOdometry:
         """Steering angles, twist and rates that are zero."""
         ns = len(self.table.axes)
         return [ZERO] * ns, [ZERO] * 3, [ZERO] * (ns + len(self.table))
+
+    @property
+    def _kinematics(self) -> Kinematics:
+        return Kinematics(self.table, *(scalars(x) for x in (self.x, self.y, self.radius)))
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -99,16 +107,6 @@ class ByOdometry:
         )
         noise = Parameter("encoder_noise", "rad/s", "deviation of measured wheel rates", 0.0, attribute="noise")
         return (*believed, noise)
-
-    def with_parameters(self, **values: Any) -> ByOdometry:
-        """Return one that believes other numbers, by attribute."""
-        noise = float(values.pop("noise", self.noise))
-        wheels = list(self.table.wheels)
-        for name, numbers in values.items():
-            for k, number in enumerate(finite(name, numbers)):
-                wheels[k] = replace(wheels[k], **{name: float(number)})
-        table = replace(self.table, wheels=tuple(wheels))
-        return ByOdometry(self.controller, table, self.ticks, noise, self.seed)
 
     def initial_state(self, context: Context) -> tuple[Any, ...]:
         """Return the wrapped controller's state, the noise, the time between samples, and that nothing is known."""
@@ -166,7 +164,7 @@ class ByOdometry:
 
     def _displacement(self, steering: Any, joints: Any) -> Any:
         """Return the body's displacement, or twist, that fits those of steering axes and wheels best, (..., 3)."""
-        kinematics = Kinematics(self.table, scalars(self.x), scalars(self.y), scalars(self.radius))
+        kinematics = self._kinematics
         _, twist, rates = self._still
         rows, moved = kinematics.rows(scalars(steering), twist, rates), scalars(joints)
         columns = [[row.base[k] for row in rows] for k in range(3)]
