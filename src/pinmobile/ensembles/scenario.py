@@ -421,9 +421,7 @@ class Scenario:
         firsts = (Reference(*(part[0, i] for part in references)) for i in range(count))
         begun = [self._beginning(plant, at) for at in firsts]
         moved = [plant.integrate(q, dq) for (q, _), dq in zip(begun, off[0], strict=True)]
-        return _rolled(
-            plant, np.array(moved, np.float64), np.array([v for _, v in begun]) + off[1], off
-        )
+        return _rolled(plant, np.array(moved, np.float64), np.array([v for _, v in begun]) + off[1], off)
 
     @property
     def start(self) -> tuple[Array, Array]:

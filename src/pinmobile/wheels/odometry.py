@@ -26,10 +26,10 @@ class ByOdometry:
     """A controller that is told the pose that its wheels' encoders lead to, instead of the true one.
 
     It starts at the true pose. From sample to sample encoders tell how far each wheel has turned; the body's
-    displacement is the one that fits all wheels best, tyres not moving sideways, by least squares of the table that it
-    believes; along the heading half way. Velocities are displacements over the time between samples. Angles of
-    arms and steering axes are known. What the table has wrong, wheels that slip and coarse encoders make the pose
-    drift: the signal ``believed_pose``, beside the true one.
+    displacement is the one that fits all wheels best, tyres not moving sideways, by least squares of the
+    table that it believes; along the heading half way. Velocities are displacements over the time between
+    samples. Angles of arms and steering axes are known. What the table has wrong, wheels that slip and coarse
+    encoders make the pose drift: the signal ``believed_pose``, beside the true one.
 
     Parameters
     ----------
@@ -57,9 +57,9 @@ class ByOdometry:
     ticks: float | None = None
     noise: float = 0.0
     seed: int = 0
-    x: ArrayLike | None = None
-    y: ArrayLike | None = None
-    radius: ArrayLike | None = None
+    x: Any = None
+    y: Any = None
+    radius: Any = None
 
     def __post_init__(self) -> None:
         check_controller(self.controller)
@@ -105,15 +105,18 @@ class ByOdometry:
             for name, meaning, least in _NUMBERS
             for k, wheel in enumerate(self.table.names)
         )
-        noise = Parameter("encoder_noise", "rad/s", "deviation of measured wheel rates", 0.0, attribute="noise")
+        noise = Parameter(
+            "encoder_noise", "rad/s", "deviation of measured wheel rates", 0.0, attribute="noise"
+        )
         return (*believed, noise)
 
     def initial_state(self, context: Context) -> tuple[Any, ...]:
-        """Return the wrapped controller's state, the noise, the time between samples, and that nothing is known."""
+        """Return the wrapped controller's state, the noise, the sampling time, and that nothing is known."""
         names = tuple(one.name for one in context.coordinates)[-len(self.table) :]
         if context.coordinates and names != self.table.names:
             raise InvalidArgument(
-                f"table has the wheels {', '.join(self.table.names)}, expected those of the plant: {', '.join(names)}"
+                f"table has the wheels {', '.join(self.table.names)}, expected those of the plant: {', "
+                "'.join(names)}"
             )
         joints = np.zeros(len(self.table.axes) + len(self.table))
         noise = context.normal(f"odometry {self.seed}", len(self.table))
@@ -121,7 +124,9 @@ class ByOdometry:
         return inner, noise, float(context.dt), (np.zeros(3), joints, 0.0)
 
     def applied(self, u: Array, state: Any) -> Any:
-        """Return the state, with the wrapped controller told of the input that is applied, shape (..., nu)."""
+        """Return the state, with the wrapped controller told of the input that is applied, shape (...,
+        nu).
+        """
         return told(self.controller, u, state[0]), *state[1:]
 
     def signals(self, state: Any) -> dict[str, Any]:
@@ -163,7 +168,7 @@ class ByOdometry:
         return np.asarray(self.noise)[..., None] * numbers
 
     def _displacement(self, steering: Any, joints: Any) -> Any:
-        """Return the body's displacement, or twist, that fits those of steering axes and wheels best, (..., 3)."""
+        """Return the body's displacement, or twist, that fits those of its joints best, shape (..., 3)."""
         kinematics = self._kinematics
         _, twist, rates = self._still
         rows, moved = kinematics.rows(scalars(steering), twist, rates), scalars(joints)

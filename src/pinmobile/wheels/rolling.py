@@ -434,7 +434,9 @@ class RollingBody(WheeledBody):
             *wanted[2:],
         ]
         u = stacked(self._least(state, S, [*along, *[ZERO] * self.joints]), q)
-        upper, lower = (np.array([getattr(each, side) for each in self.inputs]) for side in ("upper", "lower"))
+        upper, lower = (
+            np.array([getattr(each, side) for each in self.inputs]) for side in ("upper", "lower")
+        )
         if np.isfinite([upper, lower]).any():
             high, low = u > upper, u < lower
             beyond = np.where(high, upper, np.where(low, lower, 1.0)) / np.where(high | low, u, 1.0)
