@@ -187,7 +187,7 @@ class ComputedTorque:
     parameters: ClassVar[tuple[Parameter, ...]] = GAINS
 
     def __post_init__(self) -> None:
-        check_robot(self, "inverse_dynamics")
+        _check_robot(self, "inverse_dynamics")
         if hasattr(self.robot, "check_inverse_dynamics"):
             self.robot.check_inverse_dynamics()
         _check_gains(self, max(leading_of(self.robot)))
@@ -314,7 +314,7 @@ def feedback(controller: _Feedback, difference: Difference, q: Array, v: Array, 
     return _sum(controller, error, rate)
 
 
-def _sum(controller: PD | PDGravity | ComputedTorque | Decoupled, error: Array, rate: Array) -> Array:
+def _sum(controller: _Feedback, error: Array, rate: Array) -> Array:
     kinds = controller.kinds
     return _amplified("kp", controller.kp, kinds[0], error) + _amplified("kd", controller.kd, kinds[1], rate)
 
@@ -458,10 +458,11 @@ def _of_arms(rate: Array) -> Array:
 
 
 def _check(controller: PDGravity | Decoupled, needs: str) -> None:
-    check_robot(controller, needs)
+    _check_robot(controller, needs)
     if max(leading_of(controller.robot)) < controller.robot.nv:
         raise InvalidArgument(
-            f"robot is {shown(controller.robot)}, which has wheels, expected Allocated({type(controller).__name__}"
+            f"robot is {shown(controller.robot)}, which has wheels, expected "
+            f"Allocated({type(controller).__name__}"
             "(robot.robot, ...), robot)"
         )
     _check_gains(controller, controller.robot.nv)

@@ -875,29 +875,7 @@ class WheeledRobot:
 
         Steered wheels point to where they go, and all roll; what the reference leaves out of the arms rests.
         """
-        q, v = self.robot.start(reference)
-        nq, nv, ns = self.robot.nq, self.robot.nv, len(self.table.axes)
-        q, v = np.append(q, np.zeros(self._joints)), np.append(v, np.zeros(self._joints))
-        _, twist, _ = self._split(q, v)
-        q[nq : nq + ns] = self._steered_to(twist)
-        rows, _ = self._rows(q, v)
-        for axis, row in self.mobility.choice.joints:
-            known = rows[row] @ v - rows[row, nv + axis] * v[nv + axis]
-            v[nv + axis] = -known / rows[row, nv + axis]
-        return q, v
-
-    def _steered_to(self, twist: Array) -> Array:
-        """Return the steering angles at which the wheels go where the body takes them; 0 at rest."""
-        found = []
-        for axis in self.table.axes:
-            wheel = self.table.wheels[axis.wheels[0]]
-            x, y = (wheel.x - axis.ackermann, 0.0) if axis.ackermann is not None else (wheel.x, wheel.y)
-            ahead, aside = twist[0] - twist[2] * y, twist[1] + twist[2] * x
-            angle = np.arctan2(aside, ahead) - wheel.angle if ahead or aside else 0.0
-            if wheel.motor is not None or axis.ackermann is not None:  # it may as well run backwards
-                angle = (angle + np.pi / 2) % np.pi - np.pi / 2
-            found.append(angle)
-        return np.array(found)
+        return self._rolling.begun(*self.robot.start(reference))
 
     @property
     def initial_state(self) -> Callable[[Any], Grip]:
