@@ -1,7 +1,7 @@
 """Wheels on dry ground: they stick exactly, slide by Coulomb's law, and their loads balance the robot."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,7 @@ from pinmobile.wheels import (
 )
 from pinmobile.wheels.contact import Bounds, Impulses, Touch, impulses
 from pinmobile.wheels.loads import shared_loads
+from tests import wheeled
 from tests.looping import context, looped
 
 WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
@@ -111,7 +112,9 @@ def test_what_friction_can_hold_on_a_ramp_stays_and_what_it_cannot_accelerates(d
 
 def effective_track(robot: MobileRobot, table: WheelTable) -> float:
     """Return the track that a base seems to have which turns in place slowly, over its track."""
-    found = run(WheeledRobot(robot, table), (0.0, 0.0), 0.01, 1.0, v=np.array([0, 0, 0, -0.2, 0.2, -0.2, 0.2]))
+    found = run(
+        WheeledRobot(robot, table), (0.0, 0.0), 0.01, 1.0, v=np.array([0, 0, 0, -0.2, 0.2, -0.2, 0.2])
+    )
     radius, half = table.wheels[0].radius, table.wheels[0].y
     return float(found.v[-1, 4] * radius / found.v[-1, 2] / half)
 
@@ -124,7 +127,10 @@ def test_a_skid_steer_turns_as_if_its_track_were_wider_whatever_the_friction(mu:
 
 @pytest.mark.parametrize(
     ("mass", "inertia", "height", "wheelbase", "track", "radius", "expected", "configured"),
-    [(56.58, 2.5, 0.189, 0.512, 0.5708, 0.1651, 1.80, 1.875), (18.43, 0.5, 0.1, 0.262, 0.3756, 0.098, 1.49, 1.5)],
+    [
+        (56.58, 2.5, 0.189, 0.512, 0.5708, 0.1651, 1.80, 1.875),
+        (18.43, 0.5, 0.1, 0.262, 0.3756, 0.098, 1.49, 1.5),
+    ],
     ids=["husky", "jackal"],
 )
 def test_the_track_of_real_bases_is_near_what_their_drivers_are_configured_with(
@@ -275,7 +281,9 @@ def test_forces_of_all_wheels_are_the_rate_of_momentum(table: WheelTable, armed:
     middle[2] = 0.0
     wrench = in_tree(robot, middle, mean, rate)
     n = robot.robot.nq
-    rows = body.kinematics.rows(list(middle[n : n + len(table.axes)]), mean[:3], mean[robot.robot.nv :], across=True)
+    rows = body.kinematics.rows(
+        list(middle[n : n + len(table.axes)]), mean[:3], mean[robot.robot.nv :], across=True
+    )
     contact = [row for row in rows if row.wheel >= 0]
     found = sum(x * np.array(row.base, float) for x, row in zip(memory.forces, contact, strict=True))
     np.testing.assert_allclose(found, wrench[[0, 1, 5]], rtol=1e-8, atol=1e-8 * np.abs(wrench[:2]).max())
@@ -342,7 +350,9 @@ def test_a_ramp_pulls_rolling_wheels_as_the_tree_says() -> None:
 
 def test_rolling_resistance_holds_and_brakes() -> None:
     """At rest up to its bound; beyond, wheels accelerate with what is left."""
-    table = WheelTable.skid_steer(0.5, 0.4, 0.1, coupled=False, **{**WHEEL, "friction": Friction(rolling=0.02)})
+    table = WheelTable.skid_steer(
+        0.5, 0.4, 0.1, coupled=False, **{**WHEEL, "friction": Friction(rolling=0.02)}
+    )
     robot = WheeledRobot(CENTRAL, table)
     bound = 0.02 * 0.1 * 30.0 * G
     assert np.abs(run(robot, (0.245 * bound,) * 4, 0.01, 0.2).q).max() < 1e-13
@@ -393,9 +403,9 @@ def refused(**others: Any) -> str:
     return str(caught.value)
 
 
-def test_what_cannot_slip_is_refused() -> None:
-    floating = MobileRobot(30.0, 2.3, com=(0.0, 0.0, 0.2))
-    assert "ground=" in refused(robot=ungrounded(floating))
+def test_what_cannot_slip_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "fetch.urdf").write_text(wheeled.fetch())  # which does not tell where the ground is
+    assert "ground=" in refused(robot=MobileRobot.from_urdf(tmp_path / "fetch.urdf"))
     assert "supports=" in refused(table=WheelTable.differential(0.5, 0.1, **WHEEL))
     assert "spin_inertia" in refused(table=WheelTable.skid_steer(0.5, 0.4, 0.1))
     trains = GearTrain(("front_left", "rear_left")), GearTrain(("front_left", "rear_left"), (1.0, 2.0))
@@ -408,10 +418,6 @@ def test_what_cannot_slip_is_refused() -> None:
         Coulomb(ramp=0.2)  # type: ignore[arg-type]
     with pytest.raises(errors.InvalidArgument, match="mu is"):
         Coulomb(-0.1)
-
-
-def ungrounded(robot: MobileRobot) -> MobileRobot:
-    return replace(robot, stance=replace(robot.stance, grounded=False, top=None))
 
 
 def test_blocks_of_three_find_what_a_fine_search_finds() -> None:

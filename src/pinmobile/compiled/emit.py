@@ -158,7 +158,9 @@ class Code:
                 continue
             missing = [
                 i
-                for i in (Rounds.of(self.tape, node).outside if operation[0] == "repeat" else operands(operation))
+                for i in (
+                    Rounds.of(self.tape, node).outside if operation[0] == "repeat" else operands(operation)
+                )
                 if i not in self.values and self.tape.operations[i][0] != "const"
             ]
             if missing:

@@ -294,7 +294,10 @@ def impulses(
     contact: Vector = []
     for k, bound in enumerate(bounds):
         # What the loads of now allow, of what was before.
-        contact += [_within(before.contact[2 * k], bound.along), _within(before.contact[2 * k + 1], bound.across)]
+        contact += [
+            _within(before.contact[2 * k], bound.along),
+            _within(before.contact[2 * k + 1], bound.across),
+        ]
     spin = [
         _within(x, next(b.spin for t, b in zip(touches, bounds, strict=True) if t.spin == at))
         for x, at in zip(before.spin, spins, strict=True)
@@ -319,7 +322,9 @@ def impulses(
         for k, (touch, bound) in enumerate(zip(touches, bounds, strict=True)):
             at = spins.index(touch.spin) if touch.held else 0
             old = p[2 * k : 2 * k + 2]
-            v, p[2 * k : 2 * k + 2], spun, shifts[k] = touch.solved(v, old, held[at] if held else 0.0, shifts[k], bound)
+            v, p[2 * k : 2 * k + 2], spun, shifts[k] = touch.solved(
+                v, old, held[at] if held else 0.0, shifts[k], bound
+            )
             if touch.held:
                 held[at] = spun
         changes = [x - y for x, y in zip(p, numbers[n:end], strict=True)]
@@ -345,4 +350,6 @@ def impulses(
     last = min(most - 1.5, _LEAPING)
     nothing: Vector = [*[0.0] * blocks, _APART, 0.0, 0.0]
     found = repeated(one, [*velocity, *contact, *spin, *before.multipliers, *nothing], most)
-    return Impulses(found[:n], found[n:end], found[end : end + len(spins)], found[end + len(spins) : inner], found[-1])
+    return Impulses(
+        found[:n], found[n:end], found[end : end + len(spins)], found[end + len(spins) : inner], found[-1]
+    )

@@ -32,9 +32,7 @@ class Loads(NamedTuple):
     tips: Any
 
 
-def shared_loads(
-    places: Sequence[Vector], fz: Any, mx: Any, my: Any, drops: int | None = None
-) -> Loads:
+def shared_loads(places: Sequence[Vector], fz: Any, mx: Any, my: Any, drops: int | None = None) -> Loads:
     """Return the loads that balance a wrench: those of equal springs, which press and never pull.
 
     N = K G' (G K G')^-1 b with the rows 1, y, -x of G and b = (fz, mx, my); a contact with N < 0 is dropped,

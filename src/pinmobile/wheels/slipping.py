@@ -146,7 +146,10 @@ class SlippingBody(WheeledBody):
         """Return the robot at a shape, for a step of a length."""
         M = self.inertia(state, q)
         halved = [self._reduced(row) for row in M]
-        reduced = [list(row) for row in zip(*(self._reduced(list(c)) for c in zip(*halved, strict=True)), strict=True)]
+        reduced = [
+            list(row)
+            for row in zip(*(self._reduced(list(c)) for c in zip(*halved, strict=True)), strict=True)
+        ]
         solve = _factored(reduced)
         rows = self.kinematics.rows(state.steering, [ZERO] * _BASE, [ZERO] * self.joints, across=True)
         pairs: list[list[Vector]] = [[] for _ in self.table.wheels]
@@ -260,7 +263,10 @@ class SlippingBody(WheeledBody):
             if wheel.friction.slip:
                 found.append([0.0, 0.0])
                 continue
-            old, new = ([number(dot(row, [x[self._kept[k]] for k in shape.touched])) for row in touch.rows] for x in (before, after))
+            old, new = (
+                [number(dot(row, [x[self._kept[k]] for k in shape.touched])) for row in touch.rows]
+                for x in (before, after)
+            )
             left = [x * (y - _STILL * x) for x, y in zip(old, new, strict=True)]
             if wheel.roller is None:
                 left = [left[0] + left[1]] * 2
@@ -306,7 +312,8 @@ class SlippingBody(WheeledBody):
         turning = turning or bool(self.fall[0] or self.fall[1])
         after, rate = before, _numbers(memory.acceleration)
         contact, holding, multipliers = (
-            [number(x) for x in _numbers(part)] for part in (memory.forces, memory.holding, memory.multipliers)
+            [number(x) for x in _numbers(part)]
+            for part in (memory.forces, memory.holding, memory.multipliers)
         )
         grip = Impulses([], [x * h for x in contact], [x * h for x in holding], multipliers, 0.0)
         rounds: Any = 0.0
@@ -392,7 +399,11 @@ class SlippingBody(WheeledBody):
         del t, u, f
         state = self.state(q, v)
         rows = self.kinematics.rows(state.steering, state.twist, state.rates, across=True)
-        slips = [number(dot(row.base, state.twist) + dot(row.joints, state.rates)) for row in rows if row.wheel >= 0]
+        slips = [
+            number(dot(row.base, state.twist) + dot(row.joints, state.rates))
+            for row in rows
+            if row.wheel >= 0
+        ]
         forces, k = memory.forces, len(self.table)
         along, across = forces[..., 0::2], forces[..., 1::2]
         rollers = np.array([wheel.roller is not None for wheel in self.table.wheels])
