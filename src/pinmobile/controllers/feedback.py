@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, ClassVar, NamedTuple, Protocol, final
+from typing import ClassVar, NamedTuple, Protocol, TypeAlias, final
 
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, frozen
 from pinmobile.controllers.controller import InverseDynamics, State
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.plant import Context, Difference, Parameter, check_difference
+from pinmobile.plant import Context, Difference, Parameter, Plant, check_difference, leading_of
 
 
 def _all(values: Array, column: Array, size: int) -> Array:
@@ -20,7 +21,7 @@ def _all(values: Array, column: Array, size: int) -> Array:
 
 def _one(k: int, values: Array, column: Array, size: int) -> Array:
     new = values.copy() if values.ndim > 1 else np.repeat(values[:, None], size, axis=1)
-    place: Any = (slice(None), *(k,) * (new.ndim - 1))
+    place: tuple[slice | int, ...] = (slice(None), *(k,) * (new.ndim - 1))
     new[place] = column
     return new
 
@@ -67,11 +68,14 @@ class Compact(NamedTuple):
 
     gains: Array
     turning: tuple[int, ...]
-    inverse_dynamics: Any = None
-    gravity: Any = None
+    inverse_dynamics: Callable[[Array, Array, Array], Array] | None = None
+    gravity: Callable[[Array], Array] | None = None
 
 
-def _compacted(controller: Any, plant: Any, call: str) -> Compact | None:
+_Feedback: TypeAlias = "PD | ComputedTorque | PDGravity | Decoupled"
+
+
+def _compacted(controller: _Feedback, plant: Plant, call: str) -> Compact | None:
     """Return the compact form of a controller with `kp` and `kd`; None where configurations do not subtract.
 
     Parameters
@@ -87,16 +91,14 @@ def _compacted(controller: Any, plant: Any, call: str) -> Compact | None:
     owner = getattr(difference, "__self__", None)
     bound = getattr(owner, "difference", None) == difference
     turning = getattr(owner if bound else difference, "turning", None)
-    sizes = [
-        each.nv for each in (controller.robot if call else None, owner if bound else None) if each is not None
-    ]
+    robot = getattr(controller, "robot", None)
+    sizes = [each.nv for each in (robot, owner if bound else None) if each is not None]
     if turning not in ((), (2,)) or any(size != n for size in sizes):
         return None
     gains = np.hstack([gain_matrix(name, getattr(controller, name), n) for name in ("kp", "kd")])
     if not call:
         return Compact(gains, turning)
-    robot = controller.robot
-    if not (hasattr(robot, "calls") and getattr(robot, "adds", False)):
+    if robot is None or not (hasattr(robot, "calls") and getattr(robot, "adds", False)):
         return None
     return Compact(gains, turning, **{call: getattr(robot.calls(), call)})
 
@@ -135,7 +137,7 @@ class PD:
         """Return the difference of configurations, by default the plant's."""
         return _own_difference(self, context)
 
-    def compact(self, plant: Any) -> Compact | None:
+    def compact(self, plant: Plant) -> Compact | None:
         """Return its compact form, where there is one: for loops."""
         return _compacted(self, plant, "")
 
@@ -156,12 +158,16 @@ class PD:
 class ComputedTorque:
     """Computed torque, tau = M(q) (a_d + Kd e_dot + Kp e) + n(q, v) (lecture, section 4).
 
+    Of a robot on wheels that moves in every direction, the torques of least norm with which body and arms
+    accelerate so; its reference is of these.
+
     Parameters
     ----------
-    robot : MobileRobot
+    robot : MobileRobot or WheeledRobot
         The model that the controller believes in; it need not be the one that is simulated.
     kp, kd : array_like, shape (), (n,) or (n, n)
-        Gains [1/s^2] and [1/s]: a scalar, one per coordinate, or a matrix.
+        Gains [1/s^2] and [1/s]: a scalar, one per coordinate, or a matrix; n is 3 and one for each degree of
+        freedom of the arms.
     difference : callable
         ``difference(q0, q1)``: the displacement from q0 to q1; by default the robot's own. The lecture's is
         `plain_difference`.
@@ -169,7 +175,7 @@ class ComputedTorque:
     Raises
     ------
     InvalidArgument
-        If a gain has another shape or is not finite.
+        If a gain has another shape or is not finite, or no torques move the robot in every direction.
     """
 
     robot: InverseDynamics
@@ -182,12 +188,14 @@ class ComputedTorque:
 
     def __post_init__(self) -> None:
         check_robot(self, "inverse_dynamics")
-        _check_gains(self, self.robot.nv)
+        if hasattr(self.robot, "check_inverse_dynamics"):
+            self.robot.check_inverse_dynamics()
+        _check_gains(self, max(leading_of(self.robot)))
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
 
-    def compact(self, plant: Any) -> Compact | None:
+    def compact(self, plant: Plant) -> Compact | None:
         """Return its compact form, where there is one: for loops."""
         return _compacted(self, plant, "inverse_dynamics")
 
@@ -220,7 +228,7 @@ def gain_matrix(name: str, gain: ArrayLike, n: int) -> Array:
     return array if array.ndim == 2 else np.diag(np.broadcast_to(array, n))
 
 
-def check_robot(controller: Any, needs: str) -> None:
+def check_robot(controller: ComputedTorque | PDGravity | Decoupled, needs: str) -> None:
     """Refuse a controller's robot that has no sizes, no method of that name, or no difference to use.
 
     Raises
@@ -240,13 +248,13 @@ def check_robot(controller: Any, needs: str) -> None:
         )
 
 
-def _own_difference(controller: Any, plant: Any) -> Difference:
+def _own_difference(controller: _Feedback, plant: Context | Plant | InverseDynamics | Gravity) -> Difference:
     """Return the difference that a controller was given, else its robot's, else a plant's or context's."""
-    found: Difference | None = controller.difference
-    return getattr(controller, "robot", plant).difference if found is None else found
+    own = controller.difference
+    return getattr(controller, "robot", plant).difference if own is None else own
 
 
-def _check_gains(controller: Any, n: int | None) -> None:
+def _check_gains(controller: _Feedback, n: int | None) -> None:
     """Check and freeze `kp` and `kd`, and check `difference`, of a controller that is being made.
 
     Parameters
@@ -269,12 +277,12 @@ def _check_gains(controller: Any, n: int | None) -> None:
             gain_matrix(name, gain, n)
         object.__setattr__(controller, name, frozen(gain))
     # What a gain is for one robot: 0 a number, 1 one for each coordinate, 2 a matrix; many have leading axes.
-    object.__setattr__(controller, "kinds", (controller.kp.ndim, controller.kd.ndim))
+    object.__setattr__(controller, "kinds", (np.ndim(controller.kp), np.ndim(controller.kd)))
     if controller.difference is not None:
         check_difference(controller.difference)
 
 
-def feedback(controller: Any, difference: Difference, q: Array, v: Array, reference: State) -> Array:
+def feedback(controller: _Feedback, difference: Difference, q: Array, v: Array, reference: State) -> Array:
     """Return Kp e + Kd e_dot of a controller that has `kp` and `kd`, shape (..., n).
 
     Raises
@@ -282,10 +290,16 @@ def feedback(controller: Any, difference: Difference, q: Array, v: Array, refere
     InvalidArgument
         If state, reference and gains do not fit together.
     """
+    robot = getattr(controller, "robot", None)
+    n = np.shape(reference.v)[-1]
+    if n < np.shape(v)[-1] and robot is not None and n == max(leading_of(robot)):  # wheels have no reference
+        lead, length = np.shape(q)[:-1], np.shape(reference.q)[-1]
+        whole = np.concatenate([np.broadcast_to(reference.q, (*lead, length)), q[..., length:]], axis=-1)
+        error, rate = difference(q, whole)[..., :n], reference.v - v[..., :n]
+        return _sum(controller, error, rate)
     for name, actual, desired in (("q", q, reference.q), ("v", v, reference.v)):
         if actual.shape[-1:] != desired.shape[-1:]:
             raise InvalidArgument(f"{name} has shape {actual.shape}, the reference's has {desired.shape}")
-    robot = getattr(controller, "robot", None)
     if robot is not None and robot.nv != v.shape[-1]:
         raise InvalidArgument(
             f"robot of the controller is {shown(robot)}, which has {robot.nv} coordinates, expected "
@@ -297,13 +311,17 @@ def feedback(controller: Any, difference: Difference, q: Array, v: Array, refere
             f"difference gives shape {error.shape}, expected {rate.shape}: compare configurations of a robot "
             "with joints without limits by difference=robot.difference"
         )
+    return _sum(controller, error, rate)
+
+
+def _sum(controller: PD | PDGravity | ComputedTorque | Decoupled, error: Array, rate: Array) -> Array:
     kinds = controller.kinds
     return _amplified("kp", controller.kp, kinds[0], error) + _amplified("kd", controller.kd, kinds[1], rate)
 
 
-def _amplified(name: str, gain: Any, kind: int, error: Array) -> Array:
+def _amplified(name: str, given: ArrayLike, kind: int, error: Array) -> Array:
     """Return a gain times an error, shape (..., n); before the axes of its kind, the gain may have others."""
-    n = error.shape[-1]
+    n, gain = error.shape[-1], np.asarray(given)
     if gain.shape[gain.ndim - kind :] not in ((), (n,), (n, n)):
         gain_matrix(name, gain, n)
     if kind == 2:
@@ -366,7 +384,7 @@ class PDGravity:
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
 
-    def compact(self, plant: Any) -> Compact | None:
+    def compact(self, plant: Plant) -> Compact | None:
         """Return its compact form, where there is one: for loops."""
         return _compacted(self, plant, "gravity")
 
@@ -441,4 +459,9 @@ def _of_arms(rate: Array) -> Array:
 
 def _check(controller: PDGravity | Decoupled, needs: str) -> None:
     check_robot(controller, needs)
+    if max(leading_of(controller.robot)) < controller.robot.nv:
+        raise InvalidArgument(
+            f"robot is {shown(controller.robot)}, which has wheels, expected Allocated({type(controller).__name__}"
+            "(robot.robot, ...), robot)"
+        )
     _check_gains(controller, controller.robot.nv)

@@ -15,7 +15,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen, whole
 from pinmobile.controllers.controller import Controller, State, answer_of, check_controller, told
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.plant import Context, Parameter
+from pinmobile.plant import Context, Parameter, inputs_of, leading_of
 from pinmobile.signals import signals_of
 
 
@@ -56,15 +56,15 @@ class Saturated:
         """Return the state that the wrapped controller starts with."""
         return self.controller.initial_state(context)
 
-    def applied(self, u: Array, state: Any) -> Any:
+    def applied(self, u: Array, state: object) -> Any:
         """Return the wrapped controller's state, told of the input that is applied, shape (..., n)."""
         return told(self.controller, u, state)
 
-    def signals(self, state: Any) -> Any:
+    def signals(self, state: object) -> Any:
         """Return what the wrapped controller tells beside its input: name to (unit, value)."""
         return signals_of(self.controller, state)
 
-    def __call__(self, t: float, q: Array, v: Array, reference: State, state: Any) -> tuple[Array, Any]:
+    def __call__(self, t: float, q: Array, v: Array, reference: State, state: object) -> tuple[Array, Any]:
         """Return the limited force, shape (..., n), and the wrapped controller's next state."""
         tau, state = answer_of(self.controller, t, q, v, reference, state)
         limits = _fitting("limits", self.limits, np.shape(tau)[-1:])
@@ -102,16 +102,16 @@ class Delayed:
         """Return the state that the wrapped controller starts with, and a line without measurements."""
         return self.controller.initial_state(context), context.line(self.samples)
 
-    def applied(self, u: Array, state: Any) -> Any:
+    def applied(self, u: Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return the state, with the wrapped controller told of the input that is applied, shape (..., n)."""
         return told(self.controller, u, state[0]), *state[1:]
 
-    def signals(self, state: Any) -> Any:
+    def signals(self, state: tuple[Any, ...]) -> Any:
         """Return what the wrapped controller tells beside its input: name to (unit, value)."""
         return signals_of(self.controller, state[0])
 
     def __call__(
-        self, t: float, q: Array, v: Array, reference: State, state: Any
+        self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any]
     ) -> tuple[Array, tuple[Any, Any]]:
         """Return the force, shape (..., n), and the next state: the wrapped one, past measurements."""
         inner, line = state
@@ -151,7 +151,7 @@ class NoisyMeasurement:
     controller: Controller
     std_q: ArrayLike
     std_v: ArrayLike
-    seed: Any
+    seed: int | np.random.SeedSequence
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("measured_std_q", "m, rad", "deviation of the measured q", 0.0, attribute="std_q"),
@@ -188,16 +188,16 @@ class NoisyMeasurement:
         noise = context.normal(self._name, 2 * context.nv)
         return self.controller.initial_state(context), noise, context.integrate
 
-    def applied(self, u: Array, state: Any) -> Any:
+    def applied(self, u: Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return the state, with the wrapped controller told of the input that is applied, shape (..., n)."""
         return told(self.controller, u, state[0]), *state[1:]
 
-    def signals(self, state: Any) -> Any:
+    def signals(self, state: tuple[Any, ...]) -> Any:
         """Return what the wrapped controller tells beside its input: name to (unit, value)."""
         return signals_of(self.controller, state[0])
 
     def __call__(
-        self, t: float, q: Array, v: Array, reference: State, state: Any
+        self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any, Any]
     ) -> tuple[Array, tuple[Any, Any, Any]]:
         """Return the force, shape (..., n), and the next state: the wrapped one, the noise."""
         inner, noise, integrate = state
@@ -216,8 +216,86 @@ def _per_coordinate(name: str, value: ArrayLike, *, endless: bool = False) -> Ar
     return frozen(array)
 
 
-def _fitting(name: str, value: Any, size: tuple[int, ...]) -> Array:
+def _fitting(name: str, value: ArrayLike, size: tuple[int, ...]) -> Array:
     """Check that a parameter is of this number of coordinates, and return it."""
-    if value.shape[-1:] not in ((), size):
-        raise InvalidArgument(f"{name} has shape {value.shape}, expected () or {size}")
-    return np.asarray(value)
+    array = np.asarray(value)
+    if array.shape[-1:] not in ((), size):
+        raise InvalidArgument(f"{name} has shape {array.shape}, expected () or {size}")
+    return array
+
+
+class _OfBody:
+    """The context of a controller that sees body and arms of a robot on wheels alone."""
+
+    def __init__(self, context: Any, body: Any) -> None:
+        self._context, self.difference, self.integrate = context, body.difference, body.integrate
+        self.nv, self.leading = body.nv, leading_of(body)
+        self.coordinates = context.coordinates[: body.nv]
+        self.inputs = inputs_of(body) if hasattr(body, "inputs") else ()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._context, name)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Allocated:
+    """A controller of body and arms, such as `PD`, whose force the wheels are to give.
+
+    It sees what a robot without wheels would be: the pose, the arms and their rates. What it returns, a force on x,
+    y, psi and on the arms, becomes the torques of least norm that move the robot as that force would, all scaled by
+    one factor where one is beyond its limit, see `WheeledRobot.allocate_scaled`. What of the force the wheels do
+    not give, such as one across the axle, is recorded as the signal ``residual``, along x, y, psi and the arms.
+
+    Parameters
+    ----------
+    controller : controller
+        What is wrapped.
+    robot : WheeledRobot
+        The model by which torques are found.
+
+    Raises
+    ------
+    InvalidArgument
+        If `controller` is none, `robot` is none with wheels, or has not a motor for each independent velocity.
+    """
+
+    controller: Controller
+    robot: Any
+
+    def __post_init__(self) -> None:
+        check_controller(self.controller)
+        robot = self.robot
+        if isinstance(robot, type) or not hasattr(robot, "allocate_scaled"):
+            raise InvalidArgument(f"robot is {shown(robot)}, expected a WheeledRobot")
+        if hasattr(robot, "reduced"):
+            still = robot.reduced(robot.rest, np.zeros(robot.nv))
+            if np.linalg.matrix_rank(still.B) < len(still.M):
+                raise InvalidArgument(
+                    f"robot has {len(robot.inputs)} motors and {len(still.M)} independent velocities, expected a "
+                    "motor for each"
+                )
+
+    def initial_state(self, context: Context) -> tuple[Any, Any, Any]:
+        """Return the state that the wrapped controller starts with, and forces: left, and supplied."""
+        body = self.robot.robot
+        none = np.zeros(body.nv)
+        return self.controller.initial_state(_OfBody(context, body)), none, none  # type: ignore[arg-type]
+
+    def applied(self, u: Array, state: Any) -> Any:
+        """Return the state, with the wrapped controller told of the force that the wheels give, shape (..., n)."""
+        return told(self.controller, state[2], state[0]), *state[1:]
+
+    def signals(self, state: Any) -> dict[str, Any]:
+        """Return the force that the wheels do not give, beside what the wrapped controller tells."""
+        return {**signals_of(self.controller, state[0]), "residual": ("N, N m", state[1])}
+
+    def __call__(
+        self, t: float, q: Array, v: Array, reference: State, state: Any
+    ) -> tuple[Array, tuple[Any, Any, Any]]:
+        """Return the torques, shape (..., nu), and the next state."""
+        body = self.robot.robot
+        own = q[..., : body.nq], v[..., : body.nv]
+        tau, inner = answer_of(self.controller, t, *own, reference, state[0])
+        u, left = self.robot.allocate_scaled(q, tau)
+        return u, (inner, left, tau - left)

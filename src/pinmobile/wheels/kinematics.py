@@ -84,7 +84,9 @@ class Kinematics:
     @classmethod
     def of(cls, table: WheelTable) -> Kinematics:
         """Return that of a table's own numbers."""
-        x, y, radius = ([exact(getattr(wheel, name)) for wheel in table.wheels] for name in ("x", "y", "radius"))
+        x, y, radius = (
+            [exact(getattr(wheel, name)) for wheel in table.wheels] for name in ("x", "y", "radius")
+        )
         return cls(table, x, y, radius)
 
     @property
@@ -182,12 +184,29 @@ class Kinematics:
                 found.append(Row(-1, "train", [ZERO] * 3, joints, ZERO))
         return found
 
-
     def centre(self, row: int, steering: Sequence[Any]) -> tuple[Vector, Vector]:
         """Return the centre of a wheel from its pivot, and from the body's origin [m]."""
         head, (along, aside) = self.heading(row, steering), (exact(x) for x in self.table.wheels[row].trail)
         o = [along * head.c - aside * head.s, along * head.s + aside * head.c]
         return o, [self.x[row] + o[0], self.y[row] + o[1]]
+
+    def wheel_rates(self, steering: Sequence[Any], twist: Sequence[Any], turning: Sequence[Any]) -> Vector:
+        """Return the rates of wheels that roll: of tyres by their rolling rows, of others by the rollers' rows.
+
+        Parameters
+        ----------
+        steering, turning : sequence of scalars
+            Steering coordinates and their rates [rad, rad/s].
+        twist : sequence of 3 scalars
+            Body twist [m/s, rad/s].
+        """
+        ns, still = len(self.table.axes), [ZERO] * self.n
+        found: Vector = [ZERO] * len(self.table)
+        for row in self.rows(steering, [ZERO] * 3, still):
+            if row.kind in ("rolling", "roller"):
+                known = dot(row.base, twist) + dot(row.joints[:ns], turning)
+                found[row.wheel] = -(known / row.joints[ns + row.wheel])
+        return found
 
 
 class Choice(NamedTuple):

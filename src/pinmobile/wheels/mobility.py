@@ -95,7 +95,9 @@ class Mobility:
             )
         trains = [row.kind == "train" for row in self._rows]
         if any(trains) and _rank(self.matrix) > _rank(self.matrix[~np.array(trains)]):
-            return "wheels on one gear train would have to turn at different rates, so it turns only by skidding"
+            return (
+                "wheels on one gear train would have to turn at different rates, so it turns only by skidding"
+            )
         if self.mobility < 3 and self.mobility + self.steerability < 2:
             return "its wheels let it move along one curve only"
         return ""
@@ -116,10 +118,16 @@ class Mobility:
         ns, joints, told = len(self.table.axes), [], set()
         for i, row in enumerate(self._rows):
             for axis in range(ns):
-                if row.kind == "lateral" and abs(self.matrix[i, 3 + axis]) >= _COEFFICIENT and axis not in told:
+                if (
+                    row.kind == "lateral"
+                    and abs(self.matrix[i, 3 + axis]) >= _COEFFICIENT
+                    and axis not in told
+                ):
                     told.add(axis)
                     joints.append((axis, i))
-        wheels = [(ns + row.wheel, i) for i, row in enumerate(self._rows) if row.kind in ("rolling", "roller")]
+        wheels = [
+            (ns + row.wheel, i) for i, row in enumerate(self._rows) if row.kind in ("rolling", "roller")
+        ]
         free = tuple(axis for axis in range(ns) if axis not in told)
         return Choice(tuple(body), bool(body) and body[0] in fixed, (*joints, *wheels), free)
 
@@ -139,11 +147,15 @@ class Mobility:
             (1, 1): "car-like",
             (1, 2): "two steered axles",
         }.get((m, s), "")
-        lines = [f"type ({m}, {s}){f', {kind}' if kind and self.is_regular else ''}: mobility {m}, steerability {s}"]
+        lines = [
+            f"type ({m}, {s}){f', {kind}' if kind and self.is_regular else ''}: mobility {m}, steerability {s}"
+        ]
         rows, columns = self.matrix.shape
         if self.why_not:
             return "\n".join([*lines, f"cannot roll without slip: {self.why_not}"])
-        lines.append(f"{columns} coordinates, {rows} rows of rank {self.rank}, {columns - self.rank} free velocities")
+        lines.append(
+            f"{columns} coordinates, {rows} rows of rank {self.rank}, {columns - self.rank} free velocities"
+        )
         loose = [
             f"{row.kind} of {self.table.names[row.wheel]}"
             for row, known in zip(self._rows, self.determined, strict=True)

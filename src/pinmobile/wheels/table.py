@@ -4,12 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from math import cos, hypot, isfinite, pi, radians, sin
+from math import cos, hypot, pi, radians, sin
 from typing import NamedTuple, Self, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, non_negative, one_of, positive, scalar, sequence, text
+from pinmobile.arrays import (
+    ArrayLike,
+    finite,
+    non_negative,
+    one_of,
+    positive,
+    scalar,
+    sequence,
+    text,
+)
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.wheels.motors import Motor
@@ -132,7 +141,9 @@ class Wheel:
             if not isinstance(value, kind) and not (key == "motor" and value is None):
                 raise InvalidArgument(f"{key} {own} is {shown(value)}, expected a {kind.__name__}")
         limit = self.steering_limit
-        numbers["steering_limit"] = limit if limit == np.inf else positive(f"steering_limit {own}", limit, "rad")
+        numbers["steering_limit"] = (
+            limit if limit == np.inf else positive(f"steering_limit {own}", limit, "rad")
+        )
         for key, value in {**numbers, "trail": tuple(trail.tolist())}.items():
             object.__setattr__(self, key, value)
 
@@ -260,7 +271,9 @@ class Ackermann:
 def _names(kind: str, wheels: Sequence[str], least: int) -> tuple[str, ...]:
     names = tuple(text(f"a wheel of {kind}", name) for name in sequence("wheels", wheels, "names of wheels"))
     if len(names) < least or len(set(names)) < len(names):
-        raise InvalidArgument(f"wheels of {kind} is {shown(wheels)}, expected {least} different names or more")
+        raise InvalidArgument(
+            f"wheels of {kind} is {shown(wheels)}, expected {least} different names or more"
+        )
     return names
 
 
@@ -388,7 +401,9 @@ class WheelTable:
         return f"WheelTable({rows}{given})"
 
     def _axes(self) -> tuple[Axis, ...]:
-        shared = {name: each for each in self.couplings if isinstance(each, Ackermann) for name in each.wheels}
+        shared = {
+            name: each for each in self.couplings if isinstance(each, Ackermann) for name in each.wheels
+        }
         found, done = [], set()
         for row, wheel in enumerate(self.wheels):
             together = shared.get(wheel.name)
@@ -467,7 +482,9 @@ class WheelTable:
             What else each has, see `Wheel`: ``mass``, ``spin_inertia``, ``yaw_inertia``, ``friction``.
         """
         half = positive("track", track, "m") / 2
-        rows = [Wheel(name, x, y, radius, motor=motor, **wheel) for name, y in (("left", half), ("right", -half))]
+        rows = [
+            Wheel(name, x, y, radius, motor=motor, **wheel) for name, y in (("left", half), ("right", -half))
+        ]
         return cls(tuple(rows), _supports(supports))
 
     @classmethod
@@ -499,7 +516,9 @@ class WheelTable:
             Wheel(name, x, y, radius, motor=None if coupled and name.startswith("rear") else motor, **wheel)
             for name, x, y in _corners(wheelbase, track)
         ]
-        trains = [GearTrain((f"front_{side}", f"rear_{side}")) for side in ("left", "right")] if coupled else []
+        trains = (
+            [GearTrain((f"front_{side}", f"rear_{side}")) for side in ("left", "right")] if coupled else []
+        )
         return cls(tuple(rows), (), tuple(trains))
 
     @classmethod
@@ -636,8 +655,12 @@ class WheelTable:
         """
         L, half = positive("wheelbase", wheelbase, "m"), positive("track", track, "m") / 2
         if not 0 < steering_limit < pi / 2:
-            raise InvalidArgument(f"steering_limit is {steering_limit!r} rad, expected one below a right angle")
-        rear = [Wheel(f"rear_{side}", 0.0, y, radius, **wheel) for side, y in (("left", half), ("right", -half))]
+            raise InvalidArgument(
+                f"steering_limit is {steering_limit!r} rad, expected one below a right angle"
+            )
+        rear = [
+            Wheel(f"rear_{side}", 0.0, y, radius, **wheel) for side, y in (("left", half), ("right", -half))
+        ]
         front = [
             Wheel(f"front_{side}", L, y, radius, steering=DRIVEN, steering_limit=steering_limit, **wheel)
             for side, y in (("left", half), ("right", -half))
@@ -665,7 +688,9 @@ def _check_places(wheels: Sequence[Wheel], supports: Sequence[Support]) -> None:
     ]:
         for other, x0, y0 in seen:
             if hypot(x - x0, y - y0) < _SAME_PLACE:
-                raise InvalidArgument(f"{other} and {name} stand in one place, ({x:g}, {y:g}) m, expected two")
+                raise InvalidArgument(
+                    f"{other} and {name} stand in one place, ({x:g}, {y:g}) m, expected two"
+                )
         seen.append((name, x, y))
 
 

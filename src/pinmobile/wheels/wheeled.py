@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, NamedTuple, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 import pinocchio as pin
@@ -20,12 +20,14 @@ from pinmobile.urdf import Body
 from pinmobile.wheels.ground import Coulomb, Ground, Rolling
 from pinmobile.wheels.kinematics import Kinematics
 from pinmobile.wheels.mobility import Mobility
-from pinmobile.wheels.rolling import RollingBody
+from pinmobile.wheels.rolling import Reduced, RollingBody
 from pinmobile.wheels.slipping import Grip, SlippingBody, led
 from pinmobile.wheels.table import FIXED, Wheel, WheelTable
 
 _SAME_LINE = 1e-6  # [m]
 _OFF = 1e-9  # of a start's rates, beyond which it does not roll
+_LEAST_NORM = 1e-6  # relative weight of torques beside what they are for, where limits hold them
+_REDUNDANT = 1e-10  # relative, of eigenvalues: rows that follow from others
 
 
 @final
@@ -38,6 +40,12 @@ class _Tree(System):
     @property
     def _for_many(self) -> None:
         return None
+
+    def of_one(self, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
+        """Return M(q) and the inverse dynamics of one state, unchecked."""
+        engine = self._engine
+        M = np.array(pin.crba(engine.public, engine.data, q))
+        return M, np.array(pin.rnea(engine.public, engine.data, q, v, a))
 
 
 class Forces(NamedTuple):
@@ -57,6 +65,22 @@ class Forces(NamedTuple):
     names: tuple[str, ...]
     values: Array
     determined: Array
+
+
+class Allocation(NamedTuple):
+    """Torques for a force that is wanted on body and arms.
+
+    Attributes
+    ----------
+    u : ndarray, shape (..., nu)
+        The input [N m].
+    residual : ndarray, shape (..., 3 + arms)
+        What of the force wheels and joints do not supply: what is beyond their limits, and what no wheel
+        can give, such as a force across the axle [N, N, N m, ...].
+    """
+
+    u: Array
+    residual: Array
 
 
 @final
@@ -89,6 +113,8 @@ class WheeledRobot:
     ground: Ground = None  # type: ignore[assignment]
     mobility: Mobility = field(init=False)
     _tree: _Tree = field(init=False)
+
+    broadcasts: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if not isinstance(self.robot, MobileRobot):
@@ -133,7 +159,9 @@ class WheeledRobot:
                 "are not: give supports=[(x, y), ...], where casters stand"
             )
         moving = np.diagonal(self.mass_matrix(self.rest))[self.robot.nv :]
-        for name, inertia in zip((*(axis.name for axis in self.table.axes), *self.table.names), moving, strict=True):
+        for name, inertia in zip(
+            (*(axis.name for axis in self.table.axes), *self.table.names), moving, strict=True
+        ):
             if not inertia > 0:
                 raise InvalidArgument(
                     f"{name} of the table has no inertia about its axis, expected one > 0 where wheels slip: "
@@ -237,7 +265,9 @@ class WheeledRobot:
                 meaning = f"coefficient of friction of wheel {name}"
                 found.append(Parameter(f"mu_{name}", "", meaning, 0.0, attribute="mu", entry=k))
             if not self.robot.mounts:
-                found.append(Parameter("com_z", "m", "height of the centre of mass", attribute="upright", entry=0))
+                found.append(
+                    Parameter("com_z", "m", "height of the centre of mass", attribute="upright", entry=0)
+                )
         return tuple(found)
 
     @cached_property
@@ -345,29 +375,55 @@ class WheeledRobot:
     def _split(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
         """Return steering angles, body twist and joint rates of one state or many."""
         n, c, s = self.robot.nq, np.cos(q[..., 2]), np.sin(q[..., 2])
-        twist = np.stack(
-            [c * v[..., 0] + s * v[..., 1], c * v[..., 1] - s * v[..., 0], v[..., 2]], axis=-1
-        )
+        twist = np.stack([c * v[..., 0] + s * v[..., 1], c * v[..., 1] - s * v[..., 0], v[..., 2]], axis=-1)
         return q[..., n : n + len(self.table.axes)], twist, v[..., self.robot.nv :]
 
     @cached_property
     def _kinematics(self) -> Kinematics:
         return Kinematics.of(self.table)
 
+    @cached_property
+    def _still_rows(self) -> Array:
+        """The rows along the body's axes, shape (k, nv), steering angles at zero."""
+        zeros = [0.0] * self._joints
+        rows = self._kinematics.rows(zeros, zeros[:1] * 3, zeros)
+        A = np.zeros((len(rows), self.nv))
+        A[:, :BODY_JOINT] = [[number(x) for x in row.base] for row in rows]
+        A[:, self.robot.nv :] = [[number(x) for x in row.joints] for row in rows]
+        return frozen(A)
+
+    @cached_property
+    def _steered_rows(self) -> tuple[int, ...]:
+        """Those that change with a steering angle."""
+        steered = {row for axis in self.table.axes for row in axis.wheels}
+        zeros = [0.0] * self._joints
+        rows = self._kinematics.rows(zeros, zeros[:1] * 3, zeros)
+        return tuple(i for i, row in enumerate(rows) if row.wheel in steered)
+
     def _rows(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return A, shape (..., k, nv), and what A v changes at where nothing accelerates, (..., k)."""
-        lead = np.broadcast_shapes(q.shape[:-1], v.shape[:-1])
-        q, v = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v))
-        steering, twist, rates = (list(np.moveaxis(part, -1, 0)) for part in self._split(q, v))
-        rows = self._kinematics.rows(steering, twist, rates)
-        A, drift = np.zeros((*lead, len(rows), self.nv)), np.zeros((*lead, len(rows)))
+        still = self._still_rows
         c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
-        for i, row in enumerate(rows):
-            x, y, turn = (number(each) for each in row.base)
-            A[..., i, 0], A[..., i, 1], A[..., i, 2] = c * x - s * y, s * x + c * y, turn
-            for k, each in enumerate(row.joints):
-                A[..., i, self.robot.nv + k] = number(each)
-            drift[..., i] = number(row.drift)
+        lead = q.shape[:-1] if v.ndim == 1 else np.broadcast_shapes(q.shape[:-1], v.shape[:-1])
+        A = np.empty((*lead, *still.shape))
+        A[...] = still
+        w, ahead, aside = v[..., 2], c * v[..., 0] + s * v[..., 1], c * v[..., 1] - s * v[..., 0]
+        drift = (w * aside)[..., None] * still[:, 0] - (w * ahead)[..., None] * still[:, 1]
+        drift = drift if drift.shape[:-1] == lead else np.array(np.broadcast_to(drift, (*lead, len(still))))
+        if self._steered_rows:
+            n, nv, axes = self.robot.nq, self.robot.nv, len(self.table.axes)
+            steering = [q[..., n + k] for k in range(axes)]
+            rates = [v[..., nv + k] for k in range(self._joints)]
+            rows = self._kinematics.rows(steering, [ahead, aside, w], rates)
+            for i in self._steered_rows:
+                for k, x in enumerate(rows[i].base):
+                    A[..., i, k] = number(x)
+                for k in range(axes):
+                    A[..., i, nv + k] = number(rows[i].joints[k])
+                drift[..., i] = number(rows[i].drift)
+        x, y = A[..., 0].copy(), A[..., 1]
+        c, s = c[..., None], s[..., None]
+        A[..., 0], A[..., 1] = c * x - s * y, s * x + c * y
         return A, drift
 
     def constraint_matrix(self, q: ArrayLike) -> Array:
@@ -386,7 +442,9 @@ class WheeledRobot:
         """Of each row of `constraint_matrix` its wheel and direction, such as ``"left rolling"``."""
         zeros = [0.0] * self._joints
         rows = self._kinematics.rows(zeros, zeros[:1] * 3, zeros)
-        return tuple(f"{self.table.names[row.wheel]} {row.kind}" if row.wheel >= 0 else row.kind for row in rows)
+        return tuple(
+            f"{self.table.names[row.wheel]} {row.kind}" if row.wheel >= 0 else row.kind for row in rows
+        )
 
     @cached_property
     def _input_matrix(self) -> Array:
@@ -457,21 +515,20 @@ class WheeledRobot:
         v = self._v("v", v)
         return np.einsum("...i,...ij,...j->...", v, self.mass_matrix(q), v) / 2
 
-    def _constrained(
-        self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike
-    ) -> tuple[Array, Array]:
-        """Return acceleration and constraint forces, by the equations of model and rows together."""
-        q, v, u = self._q(q), self._v("v", v), vector("u", u, self.nu)
-        f = finite("f", f)
-        broadcast(q=q, v=v, u=u)
-        force = np.einsum("ij,...j->...i", self.input_matrix, u) + f - self.nonlinear_effects(q, v)
-        M, (A, drift) = self.mass_matrix(q), self._rows(q, v)
-        A_T = np.swapaxes(A, -1, -2)
-        free = np.linalg.solve(M, force[..., None])[..., 0]
-        through = np.linalg.solve(M, A_T)
-        wanted = -drift - np.einsum("...ij,...j->...i", A, free)
-        multipliers = np.einsum("...ij,...j->...i", np.linalg.pinv(A @ through, rcond=1e-10, hermitian=True), wanted)
-        return free + np.einsum("...ij,...j->...i", through, multipliers), multipliers
+    def _unconstrained(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Return M and n."""
+        if q.ndim > 1 or v.ndim > 1:
+            return self.mass_matrix(q), self.nonlinear_effects(q, v)
+        if not self.table.axes:
+            M, n = self._tree.of_one(q, v, self._no_acceleration)
+            return M + self._reflected, n
+        whole, rates, G, bent = self._to_tree(q, v)
+        M, n = self._tree.of_one(whole, rates, bent)
+        return G.T @ M @ G + self._reflected, G.T @ n
+
+    @cached_property
+    def _no_acceleration(self) -> Array:
+        return frozen(np.zeros(self.nv))
 
     def forward_dynamics(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Array:
         """Return the acceleration, shape (..., nv) [m/s^2, ...].
@@ -492,7 +549,7 @@ class WheeledRobot:
             q, v, u = self._q(q), self._v("v", v), vector("u", u, self.nu)
             broadcast(q=q, v=v, u=u)
             return np.asarray(self._traced.forward_dynamics(q, v, u, finite("f", f)))
-        return self._constrained(q, v, u, f)[0]
+        return self._constrained(q, v, u, f, self._independent)[0]
 
     def constraint_forces(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Forces:
         """Return the forces of the ground at the wheels, and which of them rolling determines."""
@@ -501,8 +558,40 @@ class WheeledRobot:
                 "constraint_forces is asked of wheels on Coulomb ground, which no constraint holds, expected "
                 "ground=Rolling(); their forces are in the signals of a run"
             )
-        values = self._constrained(q, v, u, f)[1]
+        values = self._constrained(q, v, u, f, None)[1]
         return Forces(self.constraint_names, values, np.array(self.mobility.determined))
+
+    @cached_property
+    def _independent(self) -> list[int]:
+        """Rows from which the others follow."""
+        choice = self.mobility.choice
+        return sorted({*choice.body, *(row for _, row in choice.joints)})
+
+    def _constrained(
+        self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike, rows: list[int] | None
+    ) -> tuple[Array, Array]:
+        """Return acceleration and constraint forces, by all rows or by some from which the others follow."""
+        q, v, u, f = self._q(q), self._v("v", v), vector("u", u, self.nu), finite("f", f)
+        if q.ndim > 1 or v.ndim > 1 or u.ndim > 1 or f.ndim > 1:
+            broadcast(q=q, v=v, u=u, f=np.broadcast_to(f, (*f.shape[:-1], self.nv)))
+        M, n = self._unconstrained(q, v)
+        A, drift = self._rows(q, v)
+        if rows is not None:
+            A, drift = A[..., rows, :], drift[..., rows]
+        force = u @ self.input_matrix.T + f - n
+        A_T = np.swapaxes(A, -1, -2)
+        right = np.empty((*force.shape, 1 + A.shape[-2]))
+        right[..., 0], right[..., 1:] = force, A_T
+        found = np.linalg.solve(M, right)
+        free, through = found[..., 0], found[..., 1:]
+        wanted = -drift[..., None] - A @ free[..., None]
+        G = A @ through
+        if rows is None:
+            multipliers = np.linalg.pinv(G, rcond=_REDUNDANT, hermitian=True) @ wanted
+        else:
+            multipliers = np.linalg.solve(G, wanted)
+        a = free + (through @ multipliers)[..., 0]
+        return finite_answer(a, q=q, v=v, u=u, f=f), multipliers[..., 0]
 
     # What the ground adds: a loop asks by name for what a plant can do
 
@@ -520,10 +609,295 @@ class WheeledRobot:
 
     def _projected(self, q: ArrayLike, v: ArrayLike) -> Array:
         q, v = self._q(q), self._v("v", v)
+        M, _ = self._unconstrained(q, v)
+        A = self._rows(q, v)[0][..., self._independent, :]
+        through = np.linalg.solve(M, np.swapaxes(A, -1, -2))
+        return np.asarray(v - (through @ np.linalg.solve(A @ through, A @ v[..., None]))[..., 0])
+
+    def reduced(self, q: ArrayLike, v: ArrayLike) -> Reduced:
+        """Return the dynamics of the independent velocities, of Pinocchio's tree: see `Reduced`.
+
+        Parameters
+        ----------
+        q, v : array_like, shape (..., nq), (..., nv)
+            State, which rolls.
+        """
+        q, v = self._q(q), self._v("v", v)
+        lead = broadcast(q=q, v=v)
+        q, v = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v))
+        rolling = self._rolling
+        state = rolling.state(q, v)
+        S, gamma = rolling.solution(state)
+        columns = np.stack([rolling.in_plane(state, list(column), q) for column in zip(*S, strict=True)], -1)
+        drift = rolling.in_plane(state, rolling.unmoved(state, S, gamma), q)
+        M, n = self.mass_matrix(q), self.nonlinear_effects(q, v)
+        n = n + np.einsum("...ij,...j->...i", M, drift)
+        S_T = np.swapaxes(columns, -1, -2)
+        nu = np.stack(np.broadcast_arrays(q[..., 0], *map(number, rolling.velocities(state)))[1:], -1)
+        return Reduced(
+            S_T @ M @ columns, np.einsum("...ij,...j->...i", S_T, n), S_T @ self.input_matrix, columns, nu
+        )
+
+    def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
+        """Return the input of least norm with which body and arms accelerate so, shape (..., nu) [N m].
+
+        ``forward_dynamics(q, v, inverse_dynamics(q, v, a))`` begins with `a`; the inverse does not hold where
+        there are more inputs than coordinates.
+
+        Parameters
+        ----------
+        q, v : array_like, shape (..., nq), (..., nv)
+            State, which rolls.
+        a : array_like, shape (..., 3 + arms)
+            Acceleration of x, y, psi and the arms [m/s^2, rad/s^2, ...].
+
+        Raises
+        ------
+        InvalidArgument
+            If the drive cannot accelerate its body in every direction.
+        """
+        self.check_inverse_dynamics()
+        q, v, a = self._q(q), self._v("v", v), vector("a", a, self.robot.nv)
+        lead = broadcast(q=q, v=v, a=a)
+        q, v, a = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v, a))
+        own = self.reduced(q, v)
+        c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
+        wanted = [
+            c * a[..., 0] + s * a[..., 1],
+            c * a[..., 1] - s * a[..., 0],
+            *np.moveaxis(a[..., 2:], -1, 0),
+        ]
+        # Rates of the body twist, which turns with the body.
+        w, ahead, aside = (own.nu[..., k] for k in (2, 0, 1))
+        wanted[:2] = [wanted[0] + w * aside, wanted[1] - w * ahead]
+        force = np.einsum("...ij,...j->...i", own.M, np.stack(wanted, axis=-1)) + own.n
+        return np.einsum("...ij,...j->...i", np.linalg.pinv(own.B), force)
+
+    def check_inverse_dynamics(self) -> None:
+        """Refuse a drive that cannot accelerate its body in every direction.
+
+        Raises
+        ------
+        InvalidArgument
+            With the drive's type, and what to take instead.
+        """
+        lead = f"robot is a drive of type ({self.mobility.mobility}, {self.mobility.steerability})"
+        if self.mobility.mobility < 3:
+            raise InvalidArgument(
+                f"{lead}, which cannot accelerate in every direction, so no torques are its inverse dynamics; "
+                "expected an omnidirectional drive, or Backstepping(law, robot)"
+            )
+        still = self.reduced(self.rest, np.zeros(self.nv))
+        if np.linalg.matrix_rank(still.B) < len(still.M):
+            raise InvalidArgument(
+                f"{lead} with {len(self.table.actuators)} motors, which cannot accelerate in every direction; "
+                "expected a motor for each degree of freedom"
+            )
+
+    def independent(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """Return the independent velocities nu of a state that rolls, shape (..., m): see `Reduced`."""
+        q, v = self._q(q), self._v("v", v)
+        lead = broadcast(q=q, v=v)
+        nu = map(number, self._rolling.velocities(self._rolling.state(q, v)))
+        return np.stack([np.broadcast_to(x, lead) for x in nu], axis=-1)
+
+    def torques(self, q: ArrayLike, v: ArrayLike, rates: ArrayLike) -> Array:
+        """Return the input of least norm with which the independent velocities change so, shape (..., nu) [N m].
+
+        Parameters
+        ----------
+        q, v : array_like, shape (..., nq), (..., nv)
+            State, which rolls.
+        rates : array_like, shape (..., m)
+            nu' of `Reduced` [m/s^2, rad/s^2].
+        """
+        own = self.reduced(q, v)
+        rates = vector("rates", rates, own.nu.shape[-1])
+        force = np.einsum("...ij,...j->...i", own.M, rates) + own.n
+        return np.einsum("...ij,...j->...i", np.linalg.pinv(own.B), force)
+
+    @cached_property
+    def axle(self) -> Array:
+        """Coefficients of the body twist (forward, left, yaw rate) in the velocity across the fixed wheels, (3,).
+
+        Raises
+        ------
+        InvalidArgument
+            If no wheel is fixed and keeps the body from moving across it.
+        """
+        choice = self.mobility.choice
+        if not (choice.body and choice.is_fixed):
+            raise InvalidArgument(
+                f"robot is a drive of type ({self.mobility.mobility}, {self.mobility.steerability}), which has no "
+                "fixed axle"
+            )
+        return frozen(self._rolling.axle)
+
+    @cached_property
+    def pivots(self) -> Array:
+        """Where each axis steers a wheel, x, y, and the angle of that wheel at zero, shape (axes, 3) [m, m, rad].
+
+        Of an Ackermann pair it is the wheel in their middle.
+        """
+        return frozen(self._rolling.pivots) if self.table.axes else frozen(np.zeros((0, 3)))
+
+    def lateral_velocity(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """Return how fast fixed wheels would slide sideways if the body moved so, shape (...) [m/s].
+
+        Parameters
+        ----------
+        q, v : array_like, shape (..., n), (..., m), n and m >= 3
+            Pose of the body and its rates, and whatever follows.
+
+        Raises
+        ------
+        InvalidArgument
+            If there is no fixed axle.
+        """
+        q, v = finite("q", q), finite("v", v)
+        c, s, (a, b, arm) = np.cos(q[..., 2]), np.sin(q[..., 2]), self.axle
+        return np.asarray((a * c - b * s) * v[..., 0] + (a * s + b * c) * v[..., 1] + arm * v[..., 2])
+
+    def allocate(self, q: ArrayLike, tau: ArrayLike) -> Allocation:
+        """Return the torques within limits that come nearest to a force on body and arms.
+
+        Where limits allow it they change the independent velocities as the force would, and have least norm;
+        else the sum of squares of what they miss is least in the metric of the inverse mass, by a quadratic
+        program. `allocate_scaled` is for loops.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration.
+        tau : array_like, shape (..., 3 + arms)
+            Force on x, y, psi and the arms [N, N, N m, ...].
+        """
+        q, tau = self._q(q), vector("tau", tau, self.robot.nv)
+        lead = broadcast(q=q, tau=tau)
+        q, tau = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, tau))
+        u, rest = np.empty((*lead, self.nu)), np.empty((*lead, self.robot.nv))
+        for at in np.ndindex(lead):
+            u[at], rest[at] = self._allocated(q[at], tau[at])
+        return Allocation(u, rest)
+
+    def _allocated(self, q: Array, tau: Array) -> tuple[Array, Array]:
+        own = self.reduced(q, np.zeros(self.nv))
+        metric = np.linalg.inv(np.linalg.cholesky(own.M))
+        B, right = metric @ own.B, metric @ (own.S[: self.robot.nv].T @ tau)
+        u = np.linalg.pinv(B) @ right
+        lower, upper = (np.array([getattr(each, x) for each in self.inputs]) for x in ("lower", "upper"))
+        if (u < lower).any() or (u > upper).any():
+            from scipy.optimize import lsq_linear
+
+            small = _LEAST_NORM * np.linalg.norm(B) * np.eye(self.nu)
+            found = lsq_linear(
+                np.vstack([B, small]), np.append(right, np.zeros(self.nu)), (lower, upper), tol=1e-14
+            )
+            u = np.clip(found.x, lower, upper)
+        return u, self._missed(q, tau, u)
+
+    def _missed(self, q: Array, tau: Array, u: Array) -> Array:
+        """Return what of a force the wheels and joints do not supply, shape (..., 3 + arms)."""
+        state = self._rolling.state(q, np.zeros(self.nv))
+        had = np.array([number(x) for x in self._rolling.supplied(state, u)])
+        x, y = had[:2].copy()
+        had[:2] = state.c * x - state.s * y, state.s * x + state.c * y
+        return tau - had
+
+    def allocate_scaled(self, q: ArrayLike, tau: ArrayLike) -> tuple[Array, Array]:
+        """Return torques for a force on body and arms, scaled by one factor into limits, and what is left of it.
+
+        They have least norm; where one is beyond its limit all shrink alike, so that the force keeps its
+        direction. It is the same arithmetic in all engines.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration.
+        tau : array_like, shape (..., 3 + arms)
+            Force on x, y, psi and the arms [N, N, N m, ...].
+        """
+        q, tau = self._q(q), vector("tau", tau, self.robot.nv)
+        lead = broadcast(q=q, tau=tau)
+        q, tau = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, tau))
+        u, left = self._rolling.allocate_scaled(q, tau)
+        return np.asarray(u), np.asarray(left)
+
+    def wheel_rates(self, twist: ArrayLike, steering: ArrayLike = (), turning: ArrayLike = ()) -> Array:
+        """Return the rates of the wheels that roll at a body twist, shape (..., wheels) [rad/s].
+
+        Parameters
+        ----------
+        twist : array_like, shape (..., 3)
+            Forward, left, yaw rate [m/s, m/s, rad/s].
+        steering, turning : array_like, shape (..., axes), optional
+            Steering angles and their rates; by default zero [rad, rad/s].
+        """
+        twist, n = vector("twist", twist, BODY_JOINT), len(self.table.axes)
+        angles, turns = (
+            np.zeros(n) if np.size(x) == 0 else vector(name, x, n)
+            for name, x in (("steering", steering), ("turning", turning))
+        )
+        lead = np.broadcast_shapes(twist.shape[:-1], angles.shape[:-1], turns.shape[:-1])
+        parts = (list(np.moveaxis(x, -1, 0)) for x in (angles, twist, turns))
+        rates = map(number, self._kinematics.wheel_rates(*parts))
+        return np.stack([np.broadcast_to(rate, lead) for rate in rates], axis=-1)
+
+    def odometry(self, rates: ArrayLike, steering: ArrayLike = (), turning: ArrayLike = ()) -> Array:
+        """Return the body twist that fits measured rates of the wheels best, shape (..., 3) [m/s, rad/s].
+
+        The least squares of all rows, in which tyres do not move sideways.
+
+        Parameters
+        ----------
+        rates : array_like, shape (..., wheels)
+            Of the wheels [rad/s].
+        steering, turning : array_like, shape (..., axes), optional
+            Steering angles and their rates; by default zero [rad, rad/s].
+        """
+        rates, n = vector("rates", rates, len(self.table)), len(self.table.axes)
+        angles, turns = (
+            np.zeros(n) if np.size(x) == 0 else vector(name, x, n)
+            for name, x in (("steering", steering), ("turning", turning))
+        )
+        lead = np.broadcast_shapes(rates.shape[:-1], angles.shape[:-1], turns.shape[:-1])
+        q = np.zeros((*lead, self.nq))
+        q[..., self.robot.nq : self.robot.nq + n] = angles
         A = self.constraint_matrix(q)
-        through = np.linalg.solve(self.mass_matrix(q), np.swapaxes(A, -1, -2))
-        G = np.linalg.pinv(A @ through, rcond=1e-10, hermitian=True)
-        return v - np.einsum("...ij,...jk,...kl,...l->...i", through, G, A, v)
+        joints = np.concatenate(
+            [np.broadcast_to(turns, (*lead, n)), np.broadcast_to(rates, (*lead, len(self.table)))], axis=-1
+        )
+        known = np.einsum("...ij,...j->...i", A[..., self.robot.nv :], joints)
+        return -np.einsum("...ij,...j->...i", np.linalg.pinv(A[..., :BODY_JOINT]), known)
+
+    def start(self, reference: Any) -> tuple[Array, Array]:
+        """Return the q and v with which a reference begins, shape (nq,) and (nv,).
+
+        Steered wheels point to where they go, and all roll; what the reference leaves out of the arms rests.
+        """
+        q, v = self.robot.start(reference)
+        nq, nv, ns = self.robot.nq, self.robot.nv, len(self.table.axes)
+        q, v = np.append(q, np.zeros(self._joints)), np.append(v, np.zeros(self._joints))
+        _, twist, _ = self._split(q, v)
+        q[nq : nq + ns] = self._steered_to(twist)
+        rows, _ = self._rows(q, v)
+        for axis, row in self.mobility.choice.joints:
+            known = rows[row] @ v - rows[row, nv + axis] * v[nv + axis]
+            v[nv + axis] = -known / rows[row, nv + axis]
+        return q, v
+
+    def _steered_to(self, twist: Array) -> Array:
+        """Return the steering angles at which the wheels go where the body takes them; 0 at rest."""
+        found = []
+        for axis in self.table.axes:
+            wheel = self.table.wheels[axis.wheels[0]]
+            x, y = (wheel.x - axis.ackermann, 0.0) if axis.ackermann is not None else (wheel.x, wheel.y)
+            ahead, aside = twist[0] - twist[2] * y, twist[1] + twist[2] * x
+            angle = np.arctan2(aside, ahead) - wheel.angle if ahead or aside else 0.0
+            if wheel.motor is not None or axis.ackermann is not None:  # it may as well run backwards
+                angle = (angle + np.pi / 2) % np.pi - np.pi / 2
+            found.append(angle)
+        return np.array(found)
 
     @property
     def initial_state(self) -> Callable[[Any], Grip]:
@@ -562,8 +936,8 @@ class WheeledRobot:
             held = isinstance(self.ground, Rolling) or name == "train"
             if held and slip > _OFF * (1 + float(np.abs(v).max())):
                 raise InvalidArgument(
-                    f"v is no velocity that rolls: {name} is {slip:.3g} m/s, expected 0; take "
-                    "project(q, v) of it"
+                    f"start does not roll: {name} slips at {slip:.3g} m/s; expected v0 = robot.project(q0, v0), "
+                    "or a reference that the wheels can follow"
                 )
 
     def traced(self) -> RollingBody | SlippingBody:
@@ -571,25 +945,37 @@ class WheeledRobot:
         return self._traced
 
     @cached_property
-    def _traced(self) -> RollingBody | SlippingBody:
-        common: dict[str, Any] = {
+    def _common(self) -> dict[str, Any]:
+        """What its dynamics over symbols or arrays are made of, whatever the ground."""
+        return {
             **self._columns,
             "robot": self.robot.traced(),
             "table": self.table,
             "rotors": frozen([actuator.motor.reflected_inertia for actuator in self.table.actuators]),
             "fall": self._fall,
+            "choice": self.mobility.choice,
             "coordinates": self.coordinates,
             "inputs": self.inputs,
             "ends": tuple(self.leading.items()),
             "parameters": self.parameters,
         }
+
+    @cached_property
+    def _rolling(self) -> RollingBody:
+        """The same robot on ground where it rolls."""
+        if not self.mobility.is_regular:
+            raise InvalidArgument(f"robot cannot roll without slip: {self.mobility.why_not}")
+        return RollingBody(**self._common)
+
+    @cached_property
+    def _traced(self) -> RollingBody | SlippingBody:
         ground = self.ground
         if isinstance(ground, Rolling):
-            return RollingBody(**common, choice=self.mobility.choice)
+            return self._rolling
         names = ("across", "rolling", "slip")
         own = {name: frozen([getattr(wheel.friction, name) for wheel in self.table.wheels]) for name in names}
         return SlippingBody(
-            **common, **own, passes=ground.passes, sweeps=ground.sweeps, tolerance=ground.tolerance
+            **self._common, **own, passes=ground.passes, sweeps=ground.sweeps, tolerance=ground.tolerance
         )
 
 
