@@ -172,6 +172,7 @@ class Loop:
         """Return what parts told beside states and inputs at the samples before `end`, by name."""
         return {} if self.recorder is None else self.recorder.signals(end)
 
+    @np.errstate(over="ignore", invalid="ignore")  # what overflows is not fine
     def is_fine(self, begin: int, end: int, limit: float) -> bool:
         """Tell whether the samples are finite and near the reference; if in doubt, False."""
         if not (self.adds and self.whole):
@@ -240,6 +241,7 @@ class CompiledLoop:
     def run(self, begin: int, end: int) -> None:
         """Do nothing: all samples are there."""
 
+    @np.errstate(over="ignore", invalid="ignore")  # what overflows is not fine
     def is_fine(self, begin: int, end: int, limit: float) -> bool:
         """Tell whether the samples are finite and near the reference; if in doubt, False."""
         if not self._adds:
