@@ -23,6 +23,7 @@ from pinmobile.robot.linkage import (
 from pinmobile.robot.mobile import MobileRobot
 from pinmobile.robot.mounts import Load, Mount
 from pinmobile.robot.planar import BODY_PARAMETERS as BODY_PARAMETERS, PlanarBody as PlanarBody
+from pinmobile.robot.reading import LOCKED as LOCKED
 from pinmobile.robot.recursions import solved as solved_by
 from pinmobile.robot.sources import EXCEPTIONS, Mountable, Mountables, kept_arm as kept_arm, mountable
 from pinmobile.robot.stance import (
@@ -34,6 +35,12 @@ from pinmobile.robot.stance import (
 )
 from pinmobile.robot.system import Linearization, System
 from pinmobile.robot.tree import parts_of as parts_of
+from pinmobile.robot.undercarriage import (
+    Lump as Lump,
+    Swivel as Swivel,
+    Undercarriage as Undercarriage,
+    WheelJoint as WheelJoint,
+)
 from pinmobile.robot.visuals import BODY as BODY
 
 __all__ = [

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from os import PathLike
 from types import MappingProxyType
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple, Self, final
 
 import numpy as np
 import pinocchio as pin
@@ -15,11 +16,12 @@ from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer,
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Coordinate, Input, Parameter
-from pinmobile.robot import BODY_JOINT, Engine, Load, MobileRobot, System, number
+from pinmobile.robot import BODY_JOINT, LOCKED, Engine, Load, MobileRobot, System, number
 from pinmobile.urdf import Body
 from pinmobile.wheels.ground import Rolling
 from pinmobile.wheels.kinematics import Kinematics
 from pinmobile.wheels.mobility import Mobility
+from pinmobile.wheels.reading import joint_signs, read_robot, read_wheels
 from pinmobile.wheels.rolling import Reduced, RollingBody
 from pinmobile.wheels.table import FIXED, Wheel, WheelTable
 
@@ -78,7 +80,7 @@ class WheeledRobot:
     robot : MobileRobot
         The whole, wheels locked at their table angles: its mass, centre of mass and inertia hold the wheels'.
     table : WheelTable
-        Its wheels.
+        Its wheels; by default those of the file that it was read from, see `read_wheels`.
     ground : Rolling
         What it stands on; by default `Rolling`.
 
@@ -90,7 +92,7 @@ class WheeledRobot:
     """
 
     robot: MobileRobot
-    table: WheelTable
+    table: WheelTable = None  # type: ignore[assignment]  # never once it is made
     ground: Rolling = Rolling()
     mobility: Mobility = field(init=False)
     _tree: _Tree = field(init=False)
@@ -98,6 +100,8 @@ class WheeledRobot:
     def __post_init__(self) -> None:
         if not isinstance(self.robot, MobileRobot):
             raise InvalidArgument(f"robot is {shown(self.robot)}, expected a MobileRobot")
+        if self.table is None:
+            object.__setattr__(self, "table", read_wheels(self.robot))
         if not isinstance(self.table, WheelTable):
             raise InvalidArgument(f"table is {shown(self.table)}, expected a WheelTable")
         mobility = Mobility.of(self.table)
@@ -123,6 +127,55 @@ class WheeledRobot:
 
     def __reduce__(self) -> tuple[object, ...]:
         return WheeledRobot, (self.robot, self.table, self.ground)
+
+    @classmethod
+    def from_urdf(
+        cls,
+        path: str | PathLike[str],
+        package_dirs: str | PathLike[str] | Sequence[str | PathLike[str]] = (),
+        *,
+        table: WheelTable | None = None,
+        ground: Rolling | None = None,
+        ground_z: ArrayLike | None = None,
+        **given: Any,
+    ) -> Self:
+        """Return the robot of a URDF on the wheels that it has; `source` says what was taken and what guessed.
+
+        Parameters
+        ----------
+        path, package_dirs
+            As in `MobileRobot.from_urdf`.
+        table : WheelTable, optional
+            Its wheels; by default those of the file.
+        ground : Rolling, optional
+            As in the class.
+        ground_z : float, optional
+            The ground's z in the frame of the root link [m]; by default as `MobileRobot.from_urdf` finds it,
+            or where the file does not tell, below the wheels by the radii in `given`.
+        **given
+            What the file does not tell of its wheels, see `read_wheels`: ``radius``, ``rollers``, ``driven``,
+            ``steering``, ``inertia``, ``locked``, ``supports``, ``couplings``.
+
+        Raises
+        ------
+        InvalidArgument
+            As `MobileRobot.from_urdf`, `read_wheels` and the class; or if both a table and `given` are there.
+        """
+        if table is not None and given:
+            raise InvalidArgument(f"{next(iter(given))} is given with table=, expected one of the two")
+        robot = read_robot(path, package_dirs, ground_z, given.get("radius"), given.get("locked", ()))
+        own = {} if ground is None else {"ground": ground}
+        return cls(robot, read_wheels(robot, **given) if table is None else table, **own)
+
+    @property
+    def source(self) -> str:
+        """Where its numbers come from, in words."""
+        return f"{self.robot.source.replace(f'; {LOCKED}', '')}; {self.table.source}"
+
+    @property
+    def joint_signs(self) -> Mapping[str, int]:
+        """Of each wheel of its file 1, or -1 where the joint there turns the other way."""
+        return MappingProxyType(joint_signs(self.robot, self.table))
 
     def mount(self, arm: Any, at: ArrayLike | None = None, **options: Any) -> WheeledRobot:
         """Return the robot with an arm on its body: see `MobileRobot.mount`."""

@@ -1,0 +1,194 @@
+"""What a model has below it: wheels, what they hang on, and what else stands on the ground, as plain numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from pinmobile.robot.stance import WheelReading
+from pinmobile.robot.tree import children, joint_kind, parts_of, turns_freely
+
+_VERTICAL = 0.995  # cosine of the angle by which a swivel may lean: files have angles such as 1.57
+
+Triple = tuple[float, float, float]
+
+
+class Lump(NamedTuple):
+    """Links that move together, at rest.
+
+    Attributes
+    ----------
+    mass : float
+        [kg]; zero of links that have none.
+    com : tuple of 3 floats
+        Centre of mass in the body's frame B [m].
+    inertia : tuple of 3 tuples of 3 floats
+        About it, along the axes of B [kg m^2].
+    """
+
+    mass: float
+    com: Triple
+    inertia: tuple[Triple, Triple, Triple]
+
+
+class Swivel(NamedTuple):
+    """A joint about the vertical that carries a wheel.
+
+    Attributes
+    ----------
+    name : str
+        Of the joint.
+    x, y : float
+        Where its axis stands in B [m].
+    limit : float
+        Largest angle to either side [rad]; infinite: it turns freely.
+    lump : Lump
+        All that turns with it, wheels included.
+    """
+
+    name: str
+    x: float
+    y: float
+    limit: float
+    lump: Lump
+
+
+class WheelJoint(NamedTuple):
+    """A wheel of a model, at rest.
+
+    Attributes
+    ----------
+    name : str
+        Of the joint that is its axle.
+    centre : tuple of 3 floats
+        Of the wheel, on its axle, in B [m].
+    axis : tuple of 3 floats
+        Unit vector of the axle there, level, in the sense that the joint turns.
+    radius : float or None
+        None where the model does not tell [m].
+    lump : Lump
+        All that turns with it.
+    swivels : tuple of Swivel
+        On the way from the body to it.
+    carried : tuple of str
+        Joints on it, such as those of rollers.
+    effort : float
+        Largest torque of the joint [N m]; infinite where there is none.
+    damping, friction : float
+        Of the joint [N m s/rad, N m].
+    """
+
+    name: str
+    centre: Triple
+    axis: Triple
+    radius: float | None
+    lump: Lump
+    swivels: tuple[Swivel, ...] = ()
+    carried: tuple[str, ...] = ()
+    effort: float = np.inf
+    damping: float = 0.0
+    friction: float = 0.0
+
+
+class Undercarriage(NamedTuple):
+    """What a robot stands on, as its model has it.
+
+    Attributes
+    ----------
+    wheels : tuple of WheelJoint
+        In the order of the model.
+    supports : tuple of (float, float)
+        Where what does not roll touches the ground, in B [m]: fixed casters and skids.
+    """
+
+    wheels: tuple[WheelJoint, ...] = ()
+    supports: tuple[tuple[float, float], ...] = ()
+
+
+def undercarriage_of(
+    model: pin.Model,
+    data: pin.Data,
+    base: pin.SE3,
+    root: int,
+    wheels: Sequence[WheelReading],
+    supports: Sequence[tuple[float, float]],
+    ground: float,
+) -> Undercarriage:
+    """Return the undercarriage of a model.
+
+    Parameters
+    ----------
+    model, data
+        With all joints at rest, Jacobians computed.
+    base : pin.SE3
+        Pose of B.
+    root : int
+        The joint of the root link.
+    wheels : sequence of WheelReading
+        In the frame of the root link.
+    supports : sequence of (float, float)
+        Where what does not roll touches the ground, in B [m].
+    ground : float
+        z of B in the frame of the root link [m].
+    """
+    below, found = children(model), []
+    for wheel in wheels:
+        way, joint = [], int(model.parents[wheel.joint])
+        while joint > root:
+            way.append(joint)
+            joint = int(model.parents[joint])
+        hub = (base.inverse() * data.oMi[wheel.joint]).translation
+        along = np.array(wheel.centre) - [0, 0, ground] - hub
+        v = model.idx_vs[wheel.joint]
+        effort = float(model.effortLimit[v])
+        found.append(
+            WheelJoint(
+                wheel.name,
+                _triple(hub + (along @ wheel.axis) * np.array(wheel.axis)),
+                wheel.axis,
+                wheel.radius,
+                _lump_of(model, data, base, wheel.joint),
+                tuple(
+                    _swivel(model, data, base, each) for each in way if _is_swivel(model, data, base, each)
+                ),
+                tuple(str(model.names[each]) for each in below[wheel.joint]),
+                effort if effort > 0 else np.inf,
+                float(model.damping[v]),
+                float(model.friction[v]),
+            )
+        )
+    return Undercarriage(tuple(found), tuple(supports))
+
+
+def _triple(values: Sequence[float]) -> Triple:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def _lump_of(model: pin.Model, data: pin.Data, base: pin.SE3, joint: int) -> Lump:
+    total = pin.Inertia.Zero()
+    for each in model.subtrees[joint]:
+        if model.inertias[each].mass > 0 or not total.mass:
+            total += (base.inverse() * data.oMi[each]).act(model.inertias[each])
+    first, second, third = (_triple(row) for row in total.inertia)
+    at = total.lever if total.mass > 0 else (base.inverse() * data.oMi[joint]).translation
+    return Lump(float(total.mass), _triple(at), (first, second, third))
+
+
+def _is_swivel(model: pin.Model, data: pin.Data, base: pin.SE3, joint: int) -> bool:
+    if model.nvs[joint] != 1 or "JointModelP" in joint_kind(model, joint):
+        return False
+    jacobian = pin.getJointJacobian(model, data, joint, pin.WORLD).reshape(6, -1)
+    return bool(abs((base.rotation.T @ jacobian[3:, model.idx_vs[joint]])[2]) > _VERTICAL)
+
+
+def _swivel(model: pin.Model, data: pin.Data, base: pin.SE3, joint: int) -> Swivel:
+    x, y, _ = _triple((base.inverse() * data.oMi[joint]).translation)
+    limit = np.inf
+    if not turns_freely(model, joint):
+        q, _ = parts_of(model, joint)
+        limit = min(abs(float(model.lowerPositionLimit[q][0])), abs(float(model.upperPositionLimit[q][0])))
+    return Swivel(str(model.names[joint]), x, y, limit, _lump_of(model, data, base, joint))
