@@ -341,7 +341,7 @@ def stance_on(
     file: VisualFile | None,
     root: int,
 ) -> tuple[Stance, list[str], list[tuple[float, float]]]:
-    """Return how a robot stands on the ground, where that is from, in words, and where what does not roll does.
+    """Return how a robot stands on the ground, where that is from, in words, and what stands beside wheels.
 
     Parameters
     ----------

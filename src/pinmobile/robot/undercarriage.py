@@ -1,4 +1,4 @@
-"""What a model has below it: wheels, what they hang on, and what else stands on the ground, as plain numbers."""
+"""What a model stands on: its wheels, what they hang on, and what else touches the ground, as plain numbers."""
 
 from __future__ import annotations
 

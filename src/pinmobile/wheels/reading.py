@@ -1,4 +1,4 @@
-"""A wheel table from what a robot's file says of its wheels: what is taken, what is guessed, what is asked for."""
+"""A wheel table from what a robot's file says of its wheels: taken, guessed, or asked for."""
 
 from __future__ import annotations
 
@@ -155,7 +155,8 @@ class _Reader:
         self.names = tuple(joint.name for joint in every)
         if not every:
             raise InvalidArgument(
-                "robot has no wheels in its file, no joint that turns freely about a level axis; expected table="
+                "robot has no wheels in its file, no joint that turns freely about a level axis; expected "
+                "table="
             )
         locked = [self._known("locked", name) for name in sequence("locked", given.locked, "names of wheels")]
         self.joints = [joint for joint in every if joint.name not in locked]
@@ -223,19 +224,19 @@ class _Reader:
         )
         if np.linalg.norm(away) > _ROUND * radius:
             raise InvalidArgument(
-                f"wheel {joint.name!r} has its centre of mass {1e3 * np.linalg.norm(away):.3g} mm off its axle: "
-                f"{way_out}"
+                f"wheel {joint.name!r} has its centre of mass {1e3 * np.linalg.norm(away):.3g} mm off its "
+                f"axle: {way_out}"
             )
-        if max(abs(one - other), *map(abs, [*off, product])) > _ROUND * most:
+        products = max(map(abs, [*off, product]))
+        if max(abs(one - other), products) > _ROUND * most:
             raise InvalidArgument(
-                f"wheel {joint.name!r} is no solid of revolution about its axle, with moments of {spin:.4g} about it, "
-                f"{one:.4g} and {other:.4g} across, and products up to {max(map(abs, [*off, product])):.2g} kg m^2: "
-                f"{way_out}"
+                f"wheel {joint.name!r} is no solid of revolution about its axle, with moments of {spin:.4g} "
+                f"about it, {one:.4g} and {other:.4g} across, and products up to {products:.2g} kg m^2: {way_out}"
             )
         if not spin > 0:
             raise InvalidArgument(
-                f"wheel {joint.name!r} has no inertia in its file, expected one, or inertia={{{joint.name!r}: "
-                "(about the axle, across it)} [kg m^2]"
+                f"wheel {joint.name!r} has no inertia in its file, expected one, or "
+                f"inertia={{{joint.name!r}: (about the axle, across it)}} [kg m^2]"
             )
         return float(spin), float((one + other) / 2)
 
@@ -245,7 +246,8 @@ class _Reader:
             if joint.carried:
                 raise InvalidArgument(
                     f"wheel {name!r} carries joints {', '.join(map(repr, joint.carried[:3]))}: their angle "
-                    f"decides how it rolls; expected rollers={{{name!r}: angle from the rolling direction}} [rad]"
+                    f"decides how it rolls; expected rollers={{{name!r}: angle from the rolling direction}} "
+                    "[rad]"
                 )
             return None
         angle = scalar(f"rollers of wheel {name!r}", own)  # type: ignore[arg-type]
@@ -255,8 +257,8 @@ class _Reader:
         corners = {tuple(np.sign(np.round(each.centre - middle, 6)[:2])) for each in self.joints}
         if len(self.joints) != 4 or corners != {(1, 1), (1, -1), (-1, 1), (-1, -1)}:
             raise InvalidArgument(
-                f"rollers is {angle:g} rad for {len(self.joints)} wheels that are not four at the corners of a "
-                "rectangle, expected a mapping from their names"
+                f"rollers is {angle:g} rad for {len(self.joints)} wheels that are not four at the corners of "
+                "a rectangle, expected a mapping from their names"
             )
         x, y, _ = joint.centre - middle
         return -angle if x * y > 0 else angle
@@ -278,8 +280,8 @@ class _Reader:
         if not joint.swivels:
             if asked not in (None, FIXED):
                 raise InvalidArgument(
-                    f"steering of wheel {joint.name!r} is {shown(asked)}, but it hangs on no joint about the vertical; "
-                    "expected 'fixed'"
+                    f"steering of wheel {joint.name!r} is {shown(asked)}, but it hangs on no joint about the "
+                    "vertical; expected 'fixed'"
                 )
             return FIXED, None
         if asked == FIXED:
@@ -287,14 +289,14 @@ class _Reader:
         swivel, *more = joint.swivels
         if more:
             raise InvalidArgument(
-                f"wheel {joint.name!r} hangs on two joints about the vertical, {swivel.name!r} and {more[0].name!r}; "
-                f"expected one, or steering={{{joint.name!r}: 'fixed'}}"
+                f"wheel {joint.name!r} hangs on two joints about the vertical, {swivel.name!r} and "
+                f"{more[0].name!r}; expected one, or steering={{{joint.name!r}: 'fixed'}}"
             )
         twins = [each.name for each in self.joints if swivel.name in (one.name for one in each.swivels)]
         if len(twins) > 1:
             raise InvalidArgument(
-                f"wheels {', '.join(map(repr, twins))} hang on one swivel, {swivel.name!r}, for which a table has no "
-                "row; expected locked=, or a table= of your own"
+                f"wheels {', '.join(map(repr, twins))} hang on one swivel, {swivel.name!r}, for which a "
+                "table has no row; expected locked=, or a table= of your own"
             )
         if asked is not None:
             return one_of(f"steering of wheel {joint.name!r}", asked, (FIXED, DRIVEN, FREE)), swivel
@@ -304,9 +306,9 @@ class _Reader:
             return FREE, swivel
         if roller is None:
             raise InvalidArgument(
-                f"wheel {joint.name!r} stands right below its swivel {swivel.name!r}, which the file does not say to be "
-                f"driven, and which nothing else could turn; expected steering={{{joint.name!r}: 'driven'}} or "
-                "'fixed', or rollers="
+                f"wheel {joint.name!r} stands right below its swivel {swivel.name!r}, which the file does "
+                "not say to be driven, and which nothing else could turn; expected "
+                f"steering={{{joint.name!r}: 'driven'}} or 'fixed', or rollers="
             )
         return FIXED, None
 
@@ -343,8 +345,8 @@ class _Reader:
         """Return the table."""
         if isinstance(self.given.radius, (float, int)) and all(each.radius for each in self.joints):
             raise InvalidArgument(
-                f"radius is {self.given.radius:g} m, but the file tells that of every wheel; expected a mapping for "
-                "those that have another"
+                f"radius is {self.given.radius:g} m, but the file tells that of every wheel; expected a "
+                "mapping for those that have another"
             )
         rows = [self._row(joint) for joint in self.joints]
         self._check_plane(rows)
@@ -367,8 +369,8 @@ class _Reader:
             listed = ", ".join(f"{name} at z = {z:.4g}" for name, z in lowest.items())
             ground = ", the ground at z = 0" if self.robot.grounded else ""
             raise InvalidArgument(
-                f"wheels do not stand on one plane, their lowest points being {listed}{ground} m, expected them "
-                f"within {1e3 * _PLANE:g} mm, other radii, or locked= for those that do not roll"
+                f"wheels do not stand on one plane, their lowest points being {listed}{ground} m, expected "
+                f"them within {1e3 * _PLANE:g} mm, other radii, or locked= for those that do not roll"
             )
 
     def _on_lines(self, rows: Sequence[Wheel]) -> list[Wheel]:
@@ -475,6 +477,8 @@ def _limited(wheel: Wheel) -> bool:
 
 
 def _motor(joint: WheelJoint) -> Motor:
+    if not (np.isfinite(joint.effort) or joint.damping or joint.friction):
+        return Motor()
     return Motor(
         joint.effort,
         viscous=max(joint.damping, 0.0),
