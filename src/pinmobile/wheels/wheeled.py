@@ -748,8 +748,13 @@ def _with_wheels(robot: MobileRobot, table: WheelTable) -> pin.Model:
 
     Pinocchio's CRBA takes what hangs on a joint to come right after it.
     """
-    model = robot.model
+    model, wheels = robot.model, sum(wheel.mass for wheel in table.wheels)
     body = pin.Inertia(model.inertias[BODY_JOINT])
+    if body.mass <= wheels:
+        raise InvalidArgument(
+            f"robot has a mass of {body.mass:.6g} kg, and its wheels {wheels:.6g} kg, which are a part of it; "
+            "expected the mass of the whole"
+        )
     for wheel in table.wheels:
         body -= _placed(wheel).act(_inertia(wheel))
     model.inertias[BODY_JOINT] = _checked(body)
