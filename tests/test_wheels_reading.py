@@ -1,4 +1,4 @@
-"""Wheel tables read from URDFs: real robots against numbers by hand and Pinocchio's own tree, and what is refused."""
+"""Wheel tables read from URDFs: against numbers by hand and Pinocchio's own tree, and what is refused."""
 
 import pickle
 from collections.abc import Mapping
@@ -12,7 +12,16 @@ import pytest
 
 from pinmobile import Circle, InvalidArgument, MobileRobot, Tangent, UnknownName, simulate
 from pinmobile.controllers import law
-from pinmobile.wheels import GearTrain, Motor, Support, WheeledRobot, WheelTable, read_wheels
+from pinmobile.wheels import (
+    Ackermann,
+    Differential,
+    GearTrain,
+    Motor,
+    Support,
+    WheeledRobot,
+    WheelTable,
+    read_wheels,
+)
 from tests import wheeled
 from tests.wheeled import HALF_PI, inertial, joint, link, robot as urdf, shape
 
@@ -67,10 +76,11 @@ def test_husky_has_four_tyres_and_both_its_sides_may_be_coupled(tmp_path: Path) 
     with pytest.raises(InvalidArgument, match="fixed on more than one axle, so it turns only by skidding"):
         WheeledRobot(robot)
     trains = [GearTrain(("wheel_0", "wheel_2")), GearTrain(("wheel_1", "wheel_3"))]
-    coupled = read_wheels(robot, driven=["wheel_0", "wheel_1"], couplings=trains)
+    coupled = read_wheels(robot, couplings=trains)
     assert [actuator.name for actuator in coupled.actuators] == ["wheel_0", "wheel_1"]
     assert coupled.couplings == tuple(trains)
-    assert "; motors at wheel_0, wheel_1" in coupled.source
+    assert "guessed: motors at wheel_0, wheel_1;" in coupled.source
+    assert read_wheels(robot, driven=["wheel_0", "wheel_1"], couplings=trains) == coupled
 
 
 def test_jackal_has_four_tyres(tmp_path: Path) -> None:
@@ -108,8 +118,8 @@ def test_dingo_is_asked_for_the_inertia_that_its_file_has_on_another_axis(tmp_pa
     for text in (wheeled.dingo(), wheeled.dingo_omni()):
         with pytest.raises(
             InvalidArgument,
-            match=r"wheel 'wheel_0' is no solid of revolution about its axle, with moments of 0\.0003234 about "
-            r"it, 0\.0003234 and 0\.00049\d* across.*or inertia=\{'wheel_0': \(about the axle, across it\)\}",
+            match=r"wheel 'wheel_0' is no solid of revolution about its axle, with moments of 0\.0003234 "
+            r"about it, 0\.0003234 and 0\.00049\d* across.*or inertia=\{'wheel_0': \(about the axle, across it\)\}",
         ):
             read(tmp_path, text)
     robot = read(tmp_path, wheeled.dingo(), inertia=DINGO)
@@ -289,7 +299,7 @@ def test_the_kinetic_energy_is_that_of_the_files_own_tree(tmp_path: Path, name: 
 
 @pytest.mark.parametrize("name", [name for name in REAL if name != "husky"])
 def test_real_robots_roll_on_a_circle(tmp_path: Path, name: str) -> None:
-    """From rest to 0.3 m/s about a point 1 m to the left, by computed torque in the rates of the driven wheels."""
+    """From rest to 0.3 m/s about a point 1 m to the left, by computed torque in the driven wheels' rates."""
     make, given = REAL[name]
     robot = read(tmp_path, round_wheels(make()), **given)
     driven = [k for k, row in enumerate(robot.table.wheels) if row.motor is not None]
@@ -360,7 +370,8 @@ def test_omni_wheels_keep_the_sense_of_their_joints(tmp_path: Path) -> None:
     assert robot.mobility.mobility == 3
     assert set(robot.joint_signs.values()) == {1}
     for row, expected in zip(robot.table.wheels, own.wheels, strict=True):
-        np.testing.assert_allclose((row.x, row.y, row.roller), (expected.x, expected.y, 0.0), atol=1e-12)
+        assert row.roller == 0.0
+        np.testing.assert_allclose([row.x, row.y], [expected.x, expected.y], atol=1e-12)
         assert cos(row.angle - expected.angle) == pytest.approx(1)
 
 
@@ -414,6 +425,20 @@ def test_a_swivel_with_limits_is_driven(tmp_path: Path) -> None:
         steering={"caster": "free"},
     )
     assert not free.table.axes[0].driven
+
+
+def test_a_car_is_steered_by_ackermann_and_driven_through_its_differential(tmp_path: Path) -> None:
+    limit = '<limit lower="-0.6" upper="0.6" effort="3" velocity="1"/>'
+    front = [
+        on_swivel(f"0.5 {y} 0.1", "0 0 0", name=f"front_{side}", kind="revolute", limit=limit)
+        for side, y in (("left", 0.2), ("right", -0.2))
+    ]
+    rear = wheel("rear_left", "0 0.2 0.1") + wheel("rear_right", "0 -0.2 0.1")
+    couplings = [Differential(("rear_left", "rear_right")), Ackermann(("front_left", "front_right"))]
+    car = read(tmp_path, base(*front, rear), couplings=couplings)
+    assert (car.mobility.mobility, car.mobility.steerability) == (1, 1)
+    assert [each.name for each in car.inputs] == ["steering", "differential"]
+    assert car.table.axes[0].limit == 0.6
 
 
 def test_a_wheel_right_below_its_swivel_is_asked_about(tmp_path: Path) -> None:
@@ -479,7 +504,7 @@ def test_wheels_at_different_heights(tmp_path: Path) -> None:
         read(tmp_path, text, ground_z=0.0)
     robot = read(tmp_path, text, ground_z=0.0, locked=["third"])
     assert (robot.table.names, robot.table.supports) == (("left", "right"), ())  # it is in the air
-    with pytest.raises(InvalidArgument, match="left at z = -0.05"):
+    with pytest.raises(InvalidArgument, match=r"left at z = -0.05"):
         read(tmp_path, base(PAIR), radius={"left": 0.15})
     with pytest.raises(InvalidArgument, match="plane, their lowest points being l_wheel"):
         read(tmp_path, wheeled.fetch(), radius={"l_wheel_joint": 0.06, "r_wheel_joint": 0.07})
@@ -526,7 +551,7 @@ def test_a_radius_that_cannot_be_told(tmp_path: Path) -> None:
     with pytest.raises(InvalidArgument, match="radius of wheel 'right' is not known"):
         read(tmp_path, bare, radius={"left": 0.1})
     assert read(tmp_path, bare, radius=0.1).robot.com[2] == pytest.approx(0.1)
-    with pytest.raises(InvalidArgument, match="radius is 0.1 m, but the file tells that of every wheel"):
+    with pytest.raises(InvalidArgument, match=r"radius is 0.1 m, but the file tells that of every wheel"):
         read(tmp_path, base(PAIR), radius=0.1)
     with pytest.raises(InvalidArgument, match="radius of wheel 'left' is 0"):
         read(tmp_path, bare, radius=0.0)
@@ -539,7 +564,7 @@ def test_wheels_in_one_place(tmp_path: Path) -> None:
 
 def test_a_roller_angle_of_a_right_angle(tmp_path: Path) -> None:
     with pytest.raises(
-        InvalidArgument, match="roller of wheel 'left' is 1.5708 rad, expected less than a right"
+        InvalidArgument, match=r"roller of wheel 'left' is 1.5708 rad, expected less than a right"
     ):
         read(tmp_path, base(PAIR), rollers={"left": radians(90), "right": radians(90)})
     with pytest.raises(InvalidArgument, match="for 2 wheels that are not four at the corners"):
@@ -571,7 +596,7 @@ def test_what_a_table_has_no_row_for(tmp_path: Path) -> None:
         InvalidArgument, match="hangs on two joints about the vertical, 'caster_swivel' and 'boom'"
     ):
         read(tmp_path, base(PAIR, *upper, nested))
-    with pytest.raises(InvalidArgument, match="robot has no wheels in its file, .* expected table="):
+    with pytest.raises(InvalidArgument, match=r"robot has no wheels in its file, .* expected table="):
         WheeledRobot(MobileRobot.box())
 
 

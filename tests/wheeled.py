@@ -75,7 +75,7 @@ def corners(x: float, y: float, z: float) -> list[tuple[float, float, float]]:
 
 
 def husky() -> str:
-    """husky/husky dff7c81, husky_description/urdf/husky.urdf.xacro and wheel.urdf.xacro; without decorations."""
+    """husky/husky dff7c81, husky_description/urdf/husky and wheel.urdf.xacro; without decorations."""
     x, y, z = 0.9874, 0.5709, 0.2475
     return robot(
         link(
@@ -104,7 +104,7 @@ def husky() -> str:
 
 
 def jackal() -> str:
-    """jackal/jackal c6ab6ca, jackal_description/urdf/jackal.urdf.xacro; fenders are meshes that are only drawn."""
+    """jackal/jackal c6ab6ca, jackal_description/urdf/jackal.urdf.xacro; its fenders are only drawn."""
     return robot(
         link("base_link"),
         link(
@@ -129,7 +129,7 @@ def jackal() -> str:
 
 
 def ridgeback() -> str:
-    """ridgeback/ridgeback f38b789, ridgeback_description/urdf/ridgeback.urdf.xacro: a front rocker of +-5 degrees."""
+    """ridgeback/ridgeback f38b789, ridgeback.urdf.xacro: a front rocker of +-5 degrees."""
     turned = f"{HALF_PI} 0 {HALF_PI}"
     rocker = inertial(10.267, rpy=turned, moments="0.0288 2.20484e-6 -1.3145e-5 0.4324 1.8944e-3 0.4130")
     rolling = shape("cylinder", 'radius="0.0759" length="0.079"', rpy=f"{HALF_PI} 0 0")
@@ -446,7 +446,7 @@ def mp400() -> str:
 
 
 def fetch() -> str:
-    """fetchrobotics/fetch_ros 9c38de6, fetch_description/robots/fetch.urdf, the base alone: radii only in meshes."""
+    """fetchrobotics/fetch_ros 9c38de6, robots/fetch.urdf, the base alone: radii only in meshes."""
     return robot(
         link(
             "base_link",

@@ -1,4 +1,4 @@
-"""What a model stands on: its wheels, what they hang on, and what else touches the ground, as plain numbers."""
+"""What a model stands on: wheels, what they hang on, what else touches the ground, as plain numbers."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import pinocchio as pin
 from pinmobile.robot.stance import WheelReading
 from pinmobile.robot.tree import children, joint_kind, parts_of, turns_freely
 
+_TRAIL = 1e-3  # [m]: a wheel nearer to its swivel than that does not trail
 _VERTICAL = 0.995  # cosine of the angle by which a swivel may lean: files have angles such as 1.57
 
 Triple = tuple[float, float, float]
@@ -55,6 +56,38 @@ class Swivel(NamedTuple):
     limit: float
     lump: Lump
 
+    def turning(self, wheel: WheelJoint, across: float) -> tuple[float, float]:
+        """Return mass and yaw inertia that, at the wheel's centre, turn as all on the swivel does.
+
+        A rigid body about a pivot acts in the plane by its first and second moment about it. A mass at the
+        centre has the first one, along the trail; the rest of it is at the pivot, with the body. Where that
+        is no mass, or nothing trails, the wheel's own is returned, the rest as at the pivot.
+
+        Parameters
+        ----------
+        wheel : WheelJoint
+            The wheel.
+        across : float
+            Its own inertia across its axle [kg m^2].
+        """
+        fork = self._about(self.lump) - self._about(wheel.lump)
+        o = np.array([wheel.centre[0] - self.x, wheel.centre[1] - self.y])
+        square = float(o @ o)
+        if square > _TRAIL**2:
+            first = self.lump.mass * float(o @ [self.lump.com[0] - self.x, self.lump.com[1] - self.y])
+            mass = first / square
+            yaw = fork + across + wheel.lump.mass * self._square(wheel.lump) - mass * square
+            if mass > 0 and yaw > 0:
+                return mass, yaw
+        return wheel.lump.mass, across + max(fork, 0.0)
+
+    def _square(self, lump: Lump) -> float:
+        return (lump.com[0] - self.x) ** 2 + (lump.com[1] - self.y) ** 2
+
+    def _about(self, lump: Lump) -> float:
+        """Return the inertia of links about the axis [kg m^2]."""
+        return lump.inertia[2][2] + lump.mass * self._square(lump)
+
 
 class WheelJoint(NamedTuple):
     """A wheel of a model, at rest.
@@ -91,6 +124,28 @@ class WheelJoint(NamedTuple):
     effort: float = np.inf
     damping: float = 0.0
     friction: float = 0.0
+
+    def moments(self) -> tuple[float, tuple[float, float], float, float]:
+        """Return what tells a solid of revolution about its axle.
+
+        Returns
+        -------
+        spin : float
+            Moment about the axle [kg m^2].
+        across : tuple of 2 floats
+            Those across it, level and vertical [kg m^2].
+        product : float
+            The largest product of inertia in these axes [kg m^2].
+        aside : float
+            Distance of the centre of mass from the axle [m].
+        """
+        axle = np.array(self.axis)
+        frame = np.stack([axle, np.cross([0.0, 0.0, 1.0], axle), [0.0, 0.0, 1.0]])
+        inertia = frame @ np.array(self.lump.inertia) @ frame.T
+        spin, level, vertical = inertia.diagonal().tolist()
+        product = float(np.abs(inertia[np.triu_indices(3, 1)]).max())
+        aside = np.linalg.norm(np.cross(np.subtract(self.lump.com, self.centre), axle))
+        return spin, (level, vertical), product, float(aside)
 
 
 class Undercarriage(NamedTuple):
@@ -171,7 +226,7 @@ def _triple(values: Sequence[float]) -> Triple:
 def _lump_of(model: pin.Model, data: pin.Data, base: pin.SE3, joint: int) -> Lump:
     total = pin.Inertia.Zero()
     for each in model.subtrees[joint]:
-        if model.inertias[each].mass > 0 or not total.mass:
+        if model.inertias[each].mass > 0:
             total += (base.inverse() * data.oMi[each]).act(model.inertias[each])
     first, second, third = (_triple(row) for row in total.inertia)
     at = total.lever if total.mass > 0 else (base.inverse() * data.oMi[joint]).translation

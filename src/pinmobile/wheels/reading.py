@@ -13,7 +13,17 @@ from pinmobile.arrays import Array, ArrayLike, finite, non_negative, one_of, pos
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot import MobileRobot, Swivel, WheelJoint
 from pinmobile.wheels.motors import Motor
-from pinmobile.wheels.table import DRIVEN, FIXED, FREE, Coupling, Support, Wheel, WheelTable
+from pinmobile.wheels.table import (
+    DRIVEN,
+    FIXED,
+    FREE,
+    Ackermann,
+    Coupling,
+    GearTrain,
+    Support,
+    Wheel,
+    WheelTable,
+)
 
 _PLANE = 0.005  # [m]: what is so near one plane stands on it
 _TRAIL = 1e-3  # [m]: a wheel nearer to its swivel than that does not trail
@@ -73,7 +83,7 @@ def read_wheels(
         rollers form an X seen from above where it is positive.
     driven : sequence of str, optional
         Wheels with a motor; by default those that hang on no swivel, or where there are none, those whose
-        steering is driven.
+        steering is driven; of a gear train the first one alone, of a differential none.
     steering : mapping of str to str, optional
         Of wheels on a swivel ``"fixed"``, ``"driven"`` or ``"free"``; by default a swivel with limits is
         driven, one that turns freely is free where the wheel trails behind it, and fixed of a wheel with
@@ -212,33 +222,27 @@ class _Reader:
                 non_negative(f"inertia of wheel {joint.name!r}", x, "kg m^2") for x in pair.tolist()
             )
             return about, across
-        axle, moments = np.array(joint.axis), np.array(joint.lump.inertia)
-        level = np.cross([0.0, 0.0, 1.0], axle)
-        frame = np.stack([axle, level, [0.0, 0.0, 1.0]])
-        (spin, *off), (_, one, product), (_, _, other) = frame @ moments @ frame.T
-        most = max(spin, one, other)
-        away = np.cross(np.subtract(joint.lump.com, joint.centre), axle)
+        spin, (one, other), products, aside = joint.moments()
         way_out = (
             "its inertia would depend on the angle it has turned; expected equal moments across the axle and "
             f"a centre of mass on it, or inertia={{{joint.name!r}: (about the axle, across it)}} [kg m^2]"
         )
-        if np.linalg.norm(away) > _ROUND * radius:
+        if aside > _ROUND * radius:
             raise InvalidArgument(
-                f"wheel {joint.name!r} has its centre of mass {1e3 * np.linalg.norm(away):.3g} mm off its "
-                f"axle: {way_out}"
+                f"wheel {joint.name!r} has its centre of mass {1e3 * aside:.3g} mm off its axle: {way_out}"
             )
-        products = max(map(abs, [*off, product]))
-        if max(abs(one - other), products) > _ROUND * most:
+        if max(abs(one - other), products) > _ROUND * max(spin, one, other):
             raise InvalidArgument(
                 f"wheel {joint.name!r} is no solid of revolution about its axle, with moments of {spin:.4g} "
-                f"about it, {one:.4g} and {other:.4g} across, and products up to {products:.2g} kg m^2: {way_out}"
+                f"about it, {one:.4g} and {other:.4g} across, and products up to {products:.2g} kg m^2: "
+                f"{way_out}"
             )
         if not spin > 0:
             raise InvalidArgument(
                 f"wheel {joint.name!r} has no inertia in its file, expected one, or "
                 f"inertia={{{joint.name!r}: (about the axle, across it)}} [kg m^2]"
             )
-        return float(spin), float((one + other) / 2)
+        return spin, (one + other) / 2
 
     def _roller(self, joint: WheelJoint) -> float | None:
         own, name = self._of("rollers", joint.name), joint.name
@@ -323,7 +327,7 @@ class _Reader:
             along, aside = (round(float(number), _DIGITS) + 0.0 for number in (e @ o, _left(angle) @ o))
             x, y, limit = swivel.x, swivel.y, swivel.limit
             trail = (along, aside)
-            mass, across = _turning(joint, swivel, across, o)
+            mass, across = swivel.turning(joint, across)
         return Wheel(
             _word(joint.name),
             round(x, _DIGITS) + 0.0,
@@ -403,9 +407,16 @@ class _Reader:
                 self._known("driven", name)
                 for name in sequence("driven", self.given.driven, "names of wheels")
             ]
-        pairs = list(zip(self.joints, rows, strict=True))
+        shared: set[str] = set()
+        for each in self.given.couplings:
+            if not isinstance(
+                each, Ackermann
+            ):  # one motor for all of a differential, or at the first of a train
+                shared.update(each.wheels[isinstance(each, GearTrain) :])
+        pairs = [pair for pair in zip(self.joints, rows, strict=True) if pair[1].name not in shared]
         fixed = [joint.name for joint, row in pairs if row.steering == FIXED]
-        return fixed or [joint.name for joint, row in pairs if row.steering == DRIVEN]
+        standing = any(row.steering == FIXED for row in rows)
+        return fixed if standing else [joint.name for joint, row in pairs if row.steering == DRIVEN]
 
     def _supports(self, rows: Sequence[Wheel]) -> tuple[Support, ...]:
         if self.given.supports is not None:
@@ -485,40 +496,6 @@ def _motor(joint: WheelJoint) -> Motor:
         coulomb=max(joint.friction, 0.0),
         source=f"joint {joint.name}",
     )
-
-
-def _turning(joint: WheelJoint, swivel: Swivel, across: float, o: Array) -> tuple[float, float]:
-    """Return mass and yaw inertia at the wheel's centre that turn about the swivel as all on it does.
-
-    A rigid body about a pivot acts in the plane by its first and second moment about it: the mass at the
-    centre has the first one, the rest of it rests at the pivot, with the body.
-
-    Parameters
-    ----------
-    joint, swivel
-        The wheel and what it hangs on.
-    across : float
-        The wheel's own inertia across its axle [kg m^2].
-    o : ndarray, shape (2,)
-        Its centre from the pivot [m].
-    """
-    lump, wheel = swivel.lump, joint.lump
-    fork = (
-        lump.inertia[2][2]
-        + lump.mass * _square(lump.com, swivel)
-        - (wheel.inertia[2][2] + wheel.mass * _square(wheel.com, swivel))
-    )
-    square = float(o @ o)
-    if square <= _TRAIL**2:
-        return wheel.mass, across + fork
-    c = np.array([lump.com[0] - swivel.x, lump.com[1] - swivel.y])
-    mass = lump.mass * float(c @ o) / square
-    yaw = fork + across + wheel.mass * _square(wheel.com, swivel) - mass * square
-    return (mass, yaw) if mass > 0 and yaw > 0 else (wheel.mass, across + max(fork, 0.0))
-
-
-def _square(com: Sequence[float], swivel: Swivel) -> float:
-    return (com[0] - swivel.x) ** 2 + (com[1] - swivel.y) ** 2
 
 
 def _snapped(angle: float) -> float:
