@@ -119,7 +119,7 @@ def test_dingo_is_asked_for_the_inertia_that_its_file_has_on_another_axis(tmp_pa
         with pytest.raises(
             InvalidArgument,
             match=r"wheel 'wheel_0' is no solid of revolution about its axle, with moments of 0\.0003234 "
-            r"about it, 0\.0003234 and 0\.00049\d* across.*or inertia=\{'wheel_0': \(about the axle, across it\)\}",
+            r"about it, 0\.0003234 and 0\.00049\d* across.*or inertia=\{'wheel_0': \(about the axle, across",
         ):
             read(tmp_path, text)
     robot = read(tmp_path, wheeled.dingo(), inertia=DINGO)

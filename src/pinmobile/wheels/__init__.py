@@ -1,10 +1,10 @@
 """Wheels under a robot: the wheel table, rolling and slip, motors."""
 
+from pinmobile.wheels.description import read_wheels
 from pinmobile.wheels.ground import Rolling
 from pinmobile.wheels.kinematics import Kinematics as Kinematics
 from pinmobile.wheels.mobility import Mobility
 from pinmobile.wheels.motors import Motor
-from pinmobile.wheels.reading import read_wheels
 from pinmobile.wheels.rolling import Reduced
 from pinmobile.wheels.table import Ackermann, Differential, Friction, GearTrain, Support, Wheel, WheelTable
 from pinmobile.wheels.wheeled import Forces, WheeledRobot

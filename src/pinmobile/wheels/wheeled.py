@@ -18,10 +18,10 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Coordinate, Input, Parameter
 from pinmobile.robot import BODY_JOINT, LOCKED, Engine, Load, MobileRobot, System, number
 from pinmobile.urdf import Body
+from pinmobile.wheels.description import joint_signs, read_robot, read_wheels
 from pinmobile.wheels.ground import Rolling
 from pinmobile.wheels.kinematics import Kinematics
 from pinmobile.wheels.mobility import Mobility
-from pinmobile.wheels.reading import joint_signs, read_robot, read_wheels
 from pinmobile.wheels.rolling import Reduced, RollingBody
 from pinmobile.wheels.table import FIXED, Wheel, WheelTable
 
