@@ -17,8 +17,8 @@ from pinmobile.wheels.table import (
     DRIVEN,
     FIXED,
     FREE,
-    Ackermann,
     Coupling,
+    Differential,
     GearTrain,
     Support,
     Wheel,
@@ -62,12 +62,14 @@ def read_wheels(
 ) -> WheelTable:
     """Return the wheel table of a robot read from a URDF or a model; its `source` says what is from where.
 
-    The wheels are called as their joints. The axis of a joint at rest is the axle, made level; angles that
+    The wheels are called as their joints, in the model's order. The axis of a joint at rest is the axle, made level; angles that
     the file rounds, such as 1.57, are exact to 15 degrees, and axles within 1 mm of one line are on it. A
     wheel rolls forward (or to the left, where its axle is along x) at a positive rate; where its joint turns
     the other way, as mirrored frames do, `joint_signs` has -1. A wheel with rollers whose axle is parallel to
     no other keeps its joint's sense. Masses and inertias are those of the links, which the robot's whole
-    holds already. Of a caster, what its fork's turning adds is in the wheel's mass and yaw inertia.
+    holds already. Of a caster, what its fork's turning adds is in the wheel's mass and yaw inertia. The effort
+    of a driven joint is its motor's torque limit, its damping and friction are the motor's, which act where it
+    is driven by volts; those of other joints are left out.
 
     A mapping, below, has names of wheel joints.
 
@@ -259,10 +261,11 @@ class _Reader:
             return angle
         middle = np.mean([each.centre for each in self.joints], axis=0)
         corners = {tuple(np.sign(np.round(each.centre - middle, 6)[:2])) for each in self.joints}
-        if len(self.joints) != 4 or corners != {(1, 1), (1, -1), (-1, 1), (-1, -1)}:
+        forward = all(abs(each.axis[1]) > cos(_ROUNDED) for each in self.joints)
+        if not forward or len(self.joints) != 4 or corners != {(1, 1), (1, -1), (-1, 1), (-1, -1)}:
             raise InvalidArgument(
                 f"rollers is {angle:g} rad for {len(self.joints)} wheels that are not four at the corners of "
-                "a rectangle, expected a mapping from their names"
+                "a rectangle, their axles along y; expected a mapping from their names"
             )
         x, y, _ = joint.centre - middle
         return -angle if x * y > 0 else angle
@@ -409,10 +412,10 @@ class _Reader:
             ]
         shared: set[str] = set()
         for each in self.given.couplings:
-            if not isinstance(
-                each, Ackermann
-            ):  # one motor for all of a differential, or at the first of a train
-                shared.update(each.wheels[isinstance(each, GearTrain) :])
+            if isinstance(each, Differential):
+                shared.update(each.wheels)
+            elif isinstance(each, GearTrain):
+                shared.update(each.wheels[1:])
         pairs = [pair for pair in zip(self.joints, rows, strict=True) if pair[1].name not in shared]
         fixed = [joint.name for joint, row in pairs if row.steering == FIXED]
         standing = any(row.steering == FIXED for row in rows)
@@ -457,15 +460,9 @@ class _Reader:
         guess = "" if self.given.driven is not None else "guessed: "
         tell(f"{guess}motors at", *(row.motor is not None for row, _ in pairs))
         tell("torque limit by the file's effort at", *(_limited(row) for row, _ in pairs))
-        rubs = [bool(joint.damping or joint.friction) for _, joint in pairs]
-        tell(
-            "damping and friction of the joint are the motor's at",
-            *(rub and row.motor is not None for rub, (row, _) in zip(rubs, pairs, strict=True)),
-        )
-        tell(
-            "damping and friction of the joint are left out at",
-            *(rub and row.motor is None for rub, (row, _) in zip(rubs, pairs, strict=True)),
-        )
+        rubs = [(row.motor is not None) + 1 if joint.damping or joint.friction else 0 for row, joint in pairs]
+        tell("damping and friction of the joint are the motor's at", *(rub == 2 for rub in rubs))
+        tell("damping and friction of the joint are left out at", *(rub == 1 for rub in rubs))
         tell("turns freely behind its swivel:", *(row.steering == FREE for row, _ in pairs))
         tell("steering driven at", *(row.steering == DRIVEN for row, _ in pairs))
         tell("swivel locked of", *(bool(joint.swivels) and row.steering == FIXED for row, joint in pairs))
