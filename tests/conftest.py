@@ -34,18 +34,20 @@ MANY = 4  # cases of one test, from which on they are alike
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add what `.ci/run` says on all Pythons but the first."""
-    words = "all is tested by another Python: leave out what a page draws, take a quarter of alike cases"
+    words = "all is tested by another Python: leave out what this one does not change, and most alike cases"
     parser.addoption("--repeated", action="store_true", help=words)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out pages, and all but every fourth of many alike cases, where that is asked for."""
+    """Where that is asked for, leave out pages, what is marked ``once``, and three of four alike cases."""
     if not config.getoption("--repeated"):
         return
     seen: Counter[str] = Counter()
     cases = Counter(item.nodeid.partition("[")[0] for item in items)
 
     def taken(item: pytest.Item) -> bool:
+        if item.get_closest_marker("once"):
+            return False
         test = item.nodeid.partition("[")[0]
         if item.get_closest_marker("alike") or cases[test] >= MANY:
             seen[test] += 1

@@ -11,7 +11,7 @@ from hypothesis import given, strategies as st
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
 
-import pinmobile.accuracy.report as held_force
+import pinmobile.accuracy as held_force
 from pinmobile import (
     Diverged,
     InvalidArgument,

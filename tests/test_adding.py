@@ -29,7 +29,7 @@ PARTS = _parts(controllers, forces)
 REFERENCES = [name for name in _parts(paths, trajectories) if name != "Reference"]
 # Parts that a file uses to get its own work done, as a user does, not to know them from others.
 USERS = {
-    "accuracy/report.py": {"ComputedTorque", "Circle", "Tangent"},
+    "accuracy/__init__.py": {"ComputedTorque", "Circle", "Tangent"},
     "cli/choices.py": {"PD", "ComputedTorque"},  # with the lecture's gains, which no part knows
     "cli/mount.py": {"Decoupled", "ComputedTorque"},
     "trajectories/reference.py": {"Hold"},

@@ -16,7 +16,7 @@ import tomllib
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import pytest
@@ -147,7 +147,7 @@ FAULTS = [
     ),
     Fault(
         "another kind",
-        lambda: Same("mass", Same("mass")),
+        lambda: Same("mass", cast(Any, Same("mass"))),
         "factor is Same(name='mass', factor=1.0), expected",
     ),
     Fault("another kind", of_many(traces=b"a"), "traces is b'a', expected indices of robots"),

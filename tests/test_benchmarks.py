@@ -18,6 +18,8 @@ from urllib.request import urlopen
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.once
+
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 PEERS = ("mujoco", "pydrake", "roboticstoolbox", "pybullet", "jax")
 SHORT = 2.0  # s

@@ -8,7 +8,7 @@ import pytest
 
 from pinmobile.arrays import Array
 from pinmobile.compiled import Noise, elementary, robot_keys
-from pinmobile.compiled.noise import _minus_two_log, normals
+from pinmobile.compiled.memory import _minus_two_log, normals
 from pinmobile.compiled.tape import COUNT, Tape, evaluated
 from tests.tapes import compiled
 from tests.test_compiled_loop import targets

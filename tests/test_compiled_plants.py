@@ -10,7 +10,7 @@ import pytest
 from pinmobile import errors, plain_difference, planar_difference
 from pinmobile.compiled import Cache, Noise, Parts, Place, Program, Reference, Trace, robot_keys, traced
 from pinmobile.compiled.loop_tape import initial_memory
-from pinmobile.compiled.parts import one_sample
+from pinmobile.compiled.sample import one_sample
 from pinmobile.integrators import RungeKuttaNystrom, constant_acceleration, rk4, semi_implicit_euler
 from tests.looping import PD, Body, Constant, Noisy, Sinusoidal, circle, context, looped
 

@@ -321,6 +321,7 @@ def test_difference_sees_a_wrong_term() -> None:
         difference(derive(table, links), lecture())
 
 
+@pytest.mark.once
 def test_spatial_chain_is_pinocchios() -> None:
     rng, gravity = np.random.default_rng(5), (0.0, -9.81, 0.0)
     bodies = [random_body(rng) for _ in TWISTED]
@@ -370,6 +371,7 @@ rows = st.tuples(angles, lengths, angles, lengths, st.sampled_from([R, P]))
 
 
 # Not shrunk: a failure would take minutes.
+@pytest.mark.once
 @settings(
     max_examples=settings().max_examples // 5,
     derandomize=True,

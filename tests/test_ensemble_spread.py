@@ -38,8 +38,9 @@ from pinmobile import (
     planar_difference,
     simulate,
 )
+from pinmobile.compiled import BINS
 from pinmobile.ensembles import ARRAYS, PARAMETERS, Within, run_scenario
-from pinmobile.ensembles.histogram import BINS, bins_of, edges, quantiles
+from pinmobile.ensembles.records import bins_of, edges, quantiles
 
 ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.02))
 TRAJECTORY = Tangent(Circle(3.0, 0.1, 60.0))
@@ -361,7 +362,8 @@ def test_every_parameter_can_be_spread_and_matters() -> None:
         (
             {"spread": {"sine_x": 3}},
             InvalidArgument,
-            "spread has 'sine_x' but no 'sine_frequency' and forces no SinusoidalForce, expected one of them",
+            "spread has 'sine_x' but no 'sine_frequency', and forces has no SinusoidalForce, expected one of "
+            "them",
         ),
         (
             {"spread": {"force_x": 3}, "forces": [ConstantForce((1, 0, 0))] * 2},

@@ -111,6 +111,7 @@ def test_ci_takes_all_tests_on_the_first_python_and_says_so_to_the_others(machin
     assert given == {"3.11": [""], "3.12": ["--repeated"], "3.13": ["--repeated"]}
 
 
+@pytest.mark.once
 def test_where_all_is_tested_elsewhere_pages_and_three_of_four_alike_cases_are_counted_as_left_out() -> None:
     asked = os.environ.get("OPENBLAS_CORETYPE", "")
     done = collected(asked, "-q", "--repeated", "tests/test_viewer_browser.py").stdout

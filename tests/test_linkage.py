@@ -152,7 +152,7 @@ def nodes(robot: MobileRobot) -> int:
         symbols([tape.input("state", next(count)) for _ in range(n)], (n,))
         for n in (robot.nq, robot.nv, robot.nv)
     )
-    found = body.inverse_dynamics(q, v, a)
+    found: Any = body.inverse_dynamics(q, v, a)  # type: ignore[arg-type]  # they stand for arrays
     return len(needed(tape, [x.index for x in found.entries]))
 
 

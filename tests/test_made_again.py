@@ -167,7 +167,7 @@ class Remaking(Hidden):
 def test_a_class_may_say_itself_how_it_is_made_again() -> None:
     remade: Any = Remaking
     with pytest.warns(SlowerEngine, match="makes kd of kp once"):
-        runs = ensemble(ROBOT, Remaking(100.0), PATH, n=3, spread={"kp": KP}, **OPTIONS)
+        runs = ensemble(ROBOT, remade(100.0), PATH, n=3, spread={"kp": KP}, **OPTIONS)
     for i, kp in enumerate(KP):
         np.testing.assert_array_equal(runs.trace(i).u, simulate(ROBOT, remade(kp), PATH, **OPTIONS).u)
 

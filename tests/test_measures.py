@@ -34,9 +34,10 @@ from pinmobile import (
     tip_over_margin,
 )
 from pinmobile.arrays import Array
+from pinmobile.compiled import BINS
 from pinmobile.ensembles import run_scenario
-from pinmobile.ensembles.histogram import BINS, bins_of, quantiles
-from pinmobile.ensembles.processes import packed_way
+from pinmobile.ensembles.records import bins_of, quantiles
+from pinmobile.ensembles.running import packed_way
 from pinmobile.ensembles.ways import way_of
 from pinmobile.errors import SlowerEngine
 from pinmobile.measures import Measure, measures_of, size_of, value_of

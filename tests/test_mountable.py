@@ -19,13 +19,13 @@ from pinmobile import (
     UnknownName,
     mountable,
     simulate,
+    verification,
     verify,
 )
 from pinmobile.arrays import Array
 from pinmobile.errors import NotTraceable
 from pinmobile.robot import BODY_JOINT, EXCEPTIONS, visuals
 from pinmobile.robot.visuals import VisualFile
-from pinmobile.verification import routes
 from pinmobile.viewer import Viewer
 
 NAMES = sorted(example_robot_data.ROBOTS)
@@ -98,7 +98,8 @@ def test_each_mounts_drives_and_draws(name: str, monkeypatch: pytest.MonkeyPatch
     assert robot.nv > 3 or name in ("hector", "iris")  # a quadrotor without an arm is a load
     assert all(joint.startswith(f"{name}/") for joint in list(robot.model.names)[BODY_JOINT + 1 :])
     # Building machine code of all takes minutes; test_linkage has it of some.
-    monkeypatch.setattr(routes, "by_machine_code", mock.Mock(side_effect=NotTraceable("not", "asked for")))
+    refused = mock.Mock(side_effect=NotTraceable("not", "asked for"))
+    monkeypatch.setattr(verification, "by_machine_code", refused)
     assert verify(robot, states=2).passed
     rollout = simulate(robot, ComputedTorque(robot, 100, 20), Drive(robot), dt=0.02)
     # The step is exact where the acceleration is constant: what is left is its change, h^3 / 6, per step,

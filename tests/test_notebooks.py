@@ -107,7 +107,7 @@ def test_the_notebook_can_be_read_without_running_it(source: Path) -> None:
     assert not [folder for folder in ("/home/", "/root/", "/tmp/", "/Users/") if folder in texts]
 
 
-@pytest.mark.alike
+@pytest.mark.once
 @each
 def test_nbconvert_executes_it_without_a_screen_and_a_warning_and_its_claim_holds(
     source: Path, executed: Callable[[Path], Path]

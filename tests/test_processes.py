@@ -20,7 +20,7 @@ from pinmobile import (
     law,
     sweep,
 )
-from pinmobile.ensembles import PINOCCHIO, processes, run_scenario, running
+from pinmobile.ensembles import PINOCCHIO, run_scenario, running
 from pinmobile.ensembles.variables import PER_ROBOT
 from pinmobile.errors import SchedulerError, SlowerEngine
 
@@ -63,21 +63,21 @@ def scenario(controller: Any, **changes: Any) -> Scenario:
 
 
 @pytest.fixture
-def always(monkeypatch: pytest.MonkeyPatch) -> list[processes.Workers]:
+def always(monkeypatch: pytest.MonkeyPatch) -> list[running.Workers]:
     """Make processes worth starting whatever there is to do, and return those that were made."""
-    made: list[processes.Workers] = []
+    made: list[running.Workers] = []
 
-    class Seen(processes.Workers):
+    class Seen(running.Workers):
         def __init__(self, count: int) -> None:
             super().__init__(count)
             made.append(self)
 
-    monkeypatch.setattr(running, "START", 0.0)
+    monkeypatch.setattr(running, "_START", 0.0)
     monkeypatch.setattr(running, "Workers", Seen)
     return made
 
 
-def assert_ended(made: list[processes.Workers], started: int) -> None:
+def assert_ended(made: list[running.Workers], started: int) -> None:
     found = [worker.process.poll() for each in made for worker in each._all]
     assert len(found) == started
     assert None not in found
@@ -89,7 +89,7 @@ def assert_same(one: Ensemble, other: Ensemble) -> None:
 
 
 def test_the_bits_are_those_of_one_process_and_the_result_says_how(
-    always: list[processes.Workers], tmp_path: Path
+    always: list[running.Workers], tmp_path: Path
 ) -> None:
     with pytest.warns(SlowerEngine):
         alone = run_scenario(scenario(Branching()), threads=1)
@@ -112,7 +112,7 @@ def test_the_bits_are_those_of_one_process_and_the_result_says_how(
 
 
 def test_little_work_starts_no_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(processes.Workers, "part", None)
+    monkeypatch.setattr(running.Workers, "part", None)
     run = run_scenario(scenario(Branching(), n=2, spread={}), threads=2, engine=PINOCCHIO)
     assert run.why == ""
 
@@ -130,7 +130,7 @@ class OfMain(Branching):
     ids=["class of __main__", "lambda"],
 )
 def test_what_cannot_be_pickled_runs_in_one_process_and_says_so(
-    always: list[processes.Workers], controller: Any, why: str
+    always: list[running.Workers], controller: Any, why: str
 ) -> None:
     spread = {"circle_radius": Uniform(1, 2)}
     run = run_scenario(scenario(controller, n=3, spread=spread), threads=2, engine=PINOCCHIO)
@@ -142,7 +142,7 @@ def test_what_cannot_be_pickled_runs_in_one_process_and_says_so(
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_an_error_comes_back_as_itself_with_the_robots_number(
-    always: list[processes.Workers], threads: int
+    always: list[running.Workers], threads: int
 ) -> None:
     bad = scenario(Branching(forbidden=64.0))
     with pytest.raises(ZeroDivisionError, match="the gain is what it must not be") as caught:
@@ -151,7 +151,7 @@ def test_an_error_comes_back_as_itself_with_the_robots_number(
     assert_ended(always, 0 if threads == 1 else 2)
 
 
-def test_a_worker_that_dies_and_an_interruption_leave_no_process(always: list[processes.Workers]) -> None:
+def test_a_worker_that_dies_and_an_interruption_leave_no_process(always: list[running.Workers]) -> None:
     lost = scenario(Branching(of_process=os.getpid()))
     with pytest.raises(SchedulerError, match=r"a worker process ended with code 3 while it ran robots \d"):
         run_scenario(lost, threads=2, engine=PINOCCHIO)

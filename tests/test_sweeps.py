@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -39,14 +39,13 @@ from pinmobile import (
     sweep,
 )
 from pinmobile.ensembles import run_scenario
-from pinmobile.ensembles.histogram import edges
+from pinmobile.ensembles.records import edges
 from pinmobile.ensembles.variables import PER_ROBOT
 from pinmobile.sweeps import length
+from pinmobile.sweeps.contents import answer, attributes_of, compared, table
 from pinmobile.sweeps.fingerprint import determined_by, differences
-from pinmobile.sweeps.grids import RESERVED, as_grid, placed
-from pinmobile.sweeps.layout import attributes_of
+from pinmobile.sweeps.grids import RESERVED, as_grid, axis_of_rivals, placed
 from pinmobile.sweeps.store import Store
-from pinmobile.sweeps.table import answer, axis_of_rivals, compared, table
 from tests.sweeping import CHUNK, contents, gains_and_errors, scenario
 
 ROOT = Path(__file__).parents[1]
@@ -551,7 +550,7 @@ def _untyped(value: Any) -> Any:
             lambda p: grid(lambda: scenario(), q=[1]),
             r"make cannot be called with q: got an unexpected .* 'q'; it takes nothing \(at q = 1\)",
         ),
-        (lambda p: grid(scenario, gain=4), "gain: values is 4, expected a sequence"),
+        (lambda p: grid(scenario, gain=cast(Any, 4)), "gain: values is 4, expected a sequence"),
         (lambda p: grid(scenario, gain=[4, 4]), r"gain: values is \[4, 4\], expected each one once"),
         (lambda p: grid(scenario, gain=[4, "x"]), "expected all numbers or all text"),
         (lambda p: grid(scenario, gain=[math.nan]), r"gain: values\[0\] is nan, expected a finite number"),

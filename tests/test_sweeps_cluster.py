@@ -168,6 +168,7 @@ def _started(module: str, *words: str) -> Iterator[subprocess.Popen[bytes]]:
             process.kill()
 
 
+@pytest.mark.once
 def test_the_command_takes_a_scheduler(
     capsys: pytest.CaptureFixture[str], cluster: Any, tmp_path: Path
 ) -> None:

@@ -30,9 +30,9 @@ from pinmobile import (
     sweep,
 )
 from pinmobile.arrays import Array
+from pinmobile.sweeps.contents import METADATA, digest_of
 from pinmobile.sweeps.fingerprint import determined_by, differences
 from pinmobile.sweeps.grids import as_grid
-from pinmobile.sweeps.layout import METADATA, digest_of
 from tests.sweeping import contents, scenario
 
 ROOT = Path(__file__).parents[1]

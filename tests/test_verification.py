@@ -15,12 +15,12 @@ from pinmobile import (
     Load,
     MobileRobot,
     closed_form,
+    verification as routes,
     verify,
 )
 from pinmobile.arrays import Array
-from pinmobile.robot.dh_chain import Engine
-from pinmobile.verification import routes
-from pinmobile.verification.routes import COMPILED
+from pinmobile.robot.laws import Engine
+from pinmobile.verification import COMPILED
 
 
 @given(

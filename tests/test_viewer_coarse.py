@@ -6,7 +6,7 @@ import pytest
 
 from pinmobile import MobileRobot
 from pinmobile.viewer import Viewer
-from pinmobile.viewer.stage import coarse
+from pinmobile.viewer.shapes import coarse
 
 
 def sphere(n: int = 80) -> coal.BVHModelOBBRSS:

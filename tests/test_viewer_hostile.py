@@ -18,7 +18,7 @@ import pytest
 from PIL import Image
 
 from pinmobile.errors import ViewerError
-from pinmobile.viewer.live import server
+from pinmobile.viewer.live import server, window
 from pinmobile.viewer.live.window import LiveWindow
 from tests.webclient import WebSocket, ask, eventually
 
@@ -132,7 +132,7 @@ def test_without_descriptors_it_waits_says_so_once_and_goes_on() -> None:
     "request_", [b"", b"GET / HTTP/1.1\r\nHost: x", b"GET / HTTP/1.1\r\nHost: x\r\nContent-Length: 9\r\n\r\n"]
 )
 def test_a_request_that_never_ends_is_ended(request_: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "_REQUEST", 0.3)
+    monkeypatch.setattr(window, "_REQUEST", 0.3)
     with LiveWindow() as w, silent(w.port) as connection:
         connection.sendall(request_)
         assert connection.recv(1) == b""

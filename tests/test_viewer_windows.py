@@ -19,7 +19,7 @@ import pytest
 import umsgpack
 
 from pinmobile import InvalidArgument, ViewerError
-from pinmobile.viewer.live import handlers, server, window as live
+from pinmobile.viewer.live import server, window as live
 from pinmobile.viewer.live.window import LiveWindow
 from pinmobile.viewer.offline import OfflineWindow, Visualizer
 from tests.webclient import WebSocket, ask, eventually, listens, resident
@@ -426,8 +426,8 @@ def test_fault_a_browser_that_stops_reading(bounded: Callable[[float], None]) ->
 
 
 def test_fault_a_browser_that_does_not_take_deletions(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "_MOST_DELETIONS", 1000)
-    monkeypatch.setattr(handlers, "_PATIENCE", 0.2)
+    monkeypatch.setattr(live, "_MOST_DELETIONS", 1000)
+    monkeypatch.setattr(server, "_PATIENCE", 0.2)
     with LiveWindow() as w, WebSocket(w.url, reads=False):
         assert w.wait(20)
         w.send(shape("mesh", "x" * 12_000_000))
@@ -442,7 +442,7 @@ def test_fault_a_browser_that_does_not_take_deletions(monkeypatch: pytest.Monkey
 
 
 def test_a_burst_of_deletions_closes_no_browser_that_reads(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "_MOST_DELETIONS", 100)
+    monkeypatch.setattr(live, "_MOST_DELETIONS", 100)
     with LiveWindow() as w, WebSocket(w.url) as browser:
         assert w.wait(20)
         for k in range(3000):

@@ -352,14 +352,14 @@ def once(controller: Any) -> Any:
         (lambda: NoisyMeasurement(TOLD, 1, np.ones((3, 3)), 0),
          "std_v has shape (3, 3), expected () or (n,)"),
         (lambda: once(NoisyMeasurement(TOLD, 1, (1, 2), 0)), "std_v has shape (2,), expected () or (3,)"),
-        (lambda: NoisyMeasurement(TOLD, 1, 1, None),
+        (lambda: NoisyMeasurement(TOLD, 1, 1, None),  # type: ignore[arg-type]
          "seed is None, expected a whole number >= 0 or a SeedSequence"),
         (lambda: NoisyMeasurement(TOLD, 1, 1, True),
          "seed is True, expected a whole number >= 0 or a SeedSequence"),
         (lambda: NoisyMeasurement(TOLD, 1, 1, -1),
          "seed is -1, expected a whole number >= 0 or a SeedSequence"),
         (
-            lambda: NoisyMeasurement(TOLD, 1, 1, np.random.default_rng(0)),
+            lambda: NoisyMeasurement(TOLD, 1, 1, np.random.default_rng(0)),  # type: ignore[arg-type]
             "seed is Generator(PCG64), expected a whole number >= 0 or a SeedSequence",
         ),
         *(

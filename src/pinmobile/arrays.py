@@ -10,7 +10,7 @@ from math import isfinite
 from os import PathLike
 from pathlib import Path
 from types import CodeType, FunctionType, MethodType
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike as ArrayLike, NDArray
 from pinmobile.errors import InvalidArgument, NotFinite, UnknownName, shown
 
 Array: TypeAlias = NDArray[np.float64]
+_Function = TypeVar("_Function")
 
 MEMORY = 16e9
 """What one call may ask for in arrays of its own [bytes]: more is refused, with the number, before it is."""
@@ -100,7 +101,7 @@ def endless_or_finite(name: str, value: ArrayLike) -> Array:
     return np.where(endless, np.inf, finite(name, np.where(endless, 0.0, array)))
 
 
-def _array(value: Any) -> np.ndarray[Any, Any]:
+def _array(value: object) -> np.ndarray[Any, Any]:
     """Return a value as an array; of what has no numbers, one of objects."""
     try:
         return np.asarray(float(value) if type(value) is int else value)  # 10**22 is no integer of NumPy's
@@ -108,7 +109,7 @@ def _array(value: Any) -> np.ndarray[Any, Any]:
         return np.asarray(None)
 
 
-def _hides(value: Any) -> bool:
+def _hides(value: object) -> bool:
     """Tell whether a value is a masked array, or a list in which there is one."""
     # Where it is not loaded, or another thread is about to, there is none.
     masked = getattr(sys.modules.get("numpy.ma"), "MaskedArray", None)
@@ -151,7 +152,7 @@ def real(name: str, value: ArrayLike) -> Array:
         return array.astype(np.float64)
 
 
-def are_real(answer: Any) -> bool:
+def are_real(answer: object) -> bool:
     """Tell whether what a part returned holds real numbers: no complex ones, no text, no other objects.
 
     Of what is no array, such as a symbol, nothing is asked.
@@ -159,7 +160,7 @@ def are_real(answer: Any) -> bool:
     return type(answer) is not np.ndarray or answer.dtype is _FLOAT or answer.dtype.kind in "fiub"
 
 
-def answered(what: str, answer: Any, expected: str = "real numbers") -> Array:
+def answered(what: str, answer: object, expected: str = "real numbers") -> Array:
     """Return what a part returned as float64; `expected` is said where it is something else.
 
     Raises
@@ -265,7 +266,6 @@ def seeded(name: str, seed: Any) -> np.random.Generator:
     InvalidArgument
         If it is none of these: without a seed, nothing could be repeated.
     """
-    # The annotation is text, since numpy loads its random module only when it is named.
     kinds = np.random.Generator, np.random.BitGenerator, np.random.SeedSequence
     if not isinstance(seed, kinds):
         try:
@@ -277,7 +277,7 @@ def seeded(name: str, seed: Any) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
-def location(name: str, value: Any) -> Path:
+def location(name: str, value: object) -> Path:
     """Return `value` as a path.
 
     Raises
@@ -303,7 +303,7 @@ def location(name: str, value: Any) -> Path:
 _LONGEST_NAME = 255  # on all file systems of Linux and macOS
 
 
-def text(name: str, value: Any) -> str:
+def text(name: str, value: object) -> str:
     """Check that `value` is text that can be written to a file, and return it.
 
     Raises
@@ -341,7 +341,7 @@ def representable(what: str, array: Array) -> Array:
     return array
 
 
-def one_of(kind: str, value: Any, available: Iterable[str]) -> str:
+def one_of(kind: str, value: object, available: Iterable[str]) -> str:
     """Check that `value` is one of the names there are, and return it.
 
     Parameters
@@ -378,7 +378,7 @@ def lengths(size: ArrayLike) -> Array:
     return array
 
 
-def sequence(name: str, value: Any, expected: str) -> tuple[Any, ...]:
+def sequence(name: str, value: object, expected: str) -> tuple[Any, ...]:
     """Return the entries of a list, tuple or other sequence, but not of text, a mapping or a set.
 
     Parameters
@@ -402,7 +402,7 @@ def sequence(name: str, value: Any, expected: str) -> tuple[Any, ...]:
     return tuple(value)
 
 
-def callable_as(form: str, function: Any, expected: str = "") -> Any:
+def callable_as(form: str, function: _Function, expected: str = "") -> _Function:
     """Check that a user's function can be called in this way, and return it.
 
     Parameters
@@ -444,7 +444,7 @@ def callable_as(form: str, function: Any, expected: str = "") -> Any:
     return function
 
 
-def _code_of(function: Any) -> tuple[Any, ...]:
+def _code_of(function: object) -> tuple[Any, ...]:
     """Return the code of a function, method or callable object, and what else its signature hangs on.
 
     None comes first where that is more than its code and its defaults.

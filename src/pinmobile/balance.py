@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite, frozen, vector
 from pinmobile.errors import InvalidArgument, shown
@@ -266,7 +267,7 @@ def required_friction(motion: Moving) -> Array:
     return np.where(carried, horizontal / np.where(carried, wrench[..., 2], 1.0), lifted)
 
 
-def _ground(motion: Moving) -> tuple[Array, np.ndarray[tuple[int, ...], np.dtype[np.bool_]]]:
+def _ground(motion: Moving) -> tuple[Array, NDArray[np.bool_]]:
     """Return the ground's wrench, shape (..., 6), and where it carries the robot, shape (...)."""
     robot = _robot_of(motion)
     wrench = finite("ground_wrench of motion.plant", robot.ground_wrench(motion.q, motion.v, motion.a))

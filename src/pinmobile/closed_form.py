@@ -11,10 +11,15 @@ body's origin, along the inertial axes. In these terms (lecture, section 3 of it
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, vector
 from pinmobile.errors import InvalidArgument
+
+Numbers: TypeAlias = Array | float
+"""A parameter of all bodies, or one for each, shape (...)."""
 
 quietly = np.errstate(over="ignore", invalid="ignore", divide="ignore")
 """Decorator of what looks at its answer itself, so that numpy need not warn."""
@@ -55,7 +60,7 @@ def _named(body: tuple[Array, ...]) -> dict[str, ArrayLike]:
     return {"mass": mass, "yaw_inertia": yaw_inertia, "com": (x, y)}
 
 
-def _turned(q: Array, x: Array, y: Array) -> tuple[Array, Array]:
+def _turned(q: Array, x: Numbers, y: Numbers) -> tuple[Array, Array]:
     """Return d, the centre of mass (x, y) of the body frame along the inertial axes, each of shape (...)."""
     c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
     return x * c - y * s, x * s + y * c
@@ -96,7 +101,9 @@ def mass_matrix(q: ArrayLike, *, mass: ArrayLike, yaw_inertia: ArrayLike, com: A
     return finite_answer(unchecked_mass_matrix(q, *body), **_named(body))
 
 
-def unchecked_mass_matrix(q: Array, mass: Array, yaw_inertia: Array, com_x: Array, com_y: Array) -> Array:
+def unchecked_mass_matrix(
+    q: Array, mass: Numbers, yaw_inertia: Numbers, com_x: Numbers, com_y: Numbers
+) -> Array:
     """Return `mass_matrix` without a look at the arguments: for laws that run on symbols or arrays.
 
     Parameters
@@ -146,7 +153,7 @@ def coriolis_matrix(q: ArrayLike, v: ArrayLike, *, mass: ArrayLike, com: ArrayLi
     return finite_answer(unchecked_coriolis_matrix(q, v, m, x, y), v=v, **_named(body))
 
 
-def unchecked_coriolis_matrix(q: Array, v: Array, mass: Array, com_x: Array, com_y: Array) -> Array:
+def unchecked_coriolis_matrix(q: Array, v: Array, mass: Numbers, com_x: Numbers, com_y: Numbers) -> Array:
     """Return `coriolis_matrix` without a look at the arguments: for laws that run on symbols or arrays.
 
     Parameters
@@ -281,7 +288,7 @@ def forward_dynamics(
 
 
 def unchecked_inverse_dynamics(
-    q: Array, v: Array, a: Array, mass: Array, yaw_inertia: Array, com_x: Array, com_y: Array
+    q: Array, v: Array, a: Array, mass: Numbers, yaw_inertia: Numbers, com_x: Numbers, com_y: Numbers
 ) -> Array:
     """Return `inverse_dynamics` without a look at the arguments: for loops that judge what comes.
 
@@ -301,7 +308,7 @@ def unchecked_inverse_dynamics(
 
 
 def unchecked_forward_dynamics(
-    q: Array, v: Array, tau: Array, mass: Array, yaw_inertia: Array, com_x: Array, com_y: Array
+    q: Array, v: Array, tau: Array, mass: Numbers, yaw_inertia: Numbers, com_x: Numbers, com_y: Numbers
 ) -> Array:
     """Return `forward_dynamics` without a look at the arguments: for loops that judge what comes.
 

@@ -46,7 +46,7 @@ def constant(kind: _Kind) -> _Kind:
     return kind
 
 
-def known(thing: Any) -> Known | None:
+def known(thing: object) -> Known | None:
     """Return what is known of an object; None of one that may change, or that has no weak references."""
     found = _found(thing)
     if found is not None:
@@ -55,7 +55,7 @@ def known(thing: Any) -> Known | None:
         return None
     place = id(thing)
 
-    def gone(reference: Any, table: dict[int, Any] = _known) -> None:  # when Python ends, globals are gone
+    def gone(reference: object, table: dict[int, Any] = _known) -> None:  # when Python ends, globals are gone
         if table.get(place, (None,))[0] is reference:
             del table[place]
 
@@ -67,13 +67,13 @@ def known(thing: Any) -> Known | None:
     return entry[1]
 
 
-def _found(thing: Any) -> Known | None:
+def _found(thing: object) -> Known | None:
     """Return what is known of an object that was asked for before."""
     found = _known.get(id(thing))
     return found[1] if found is not None and found[0]() is thing else None
 
 
-def is_constant(thing: Any, depth: int = 0) -> bool:
+def is_constant(thing: object, depth: int = 0) -> bool:
     """Tell whether neither an object nor what it holds can change, short of force.
 
     So are numbers, text, functions, arrays that `pinmobile.arrays.frozen` made, tuples and frozen dataclasses

@@ -114,7 +114,7 @@ class UnknownName(PinmobileError, KeyError):
         The names there are, the nearest first.
     """
 
-    def __init__(self, kind: str, name: Any, available: Iterable[str]) -> None:
+    def __init__(self, kind: str, name: object, available: Iterable[str]) -> None:
         from difflib import get_close_matches  # here, because nobody else needs it
 
         self.kind, self.name, self.available = kind, name, tuple(available)
@@ -129,7 +129,7 @@ class UnknownName(PinmobileError, KeyError):
         # KeyError would show the repr of the message.
         return str(self.args[0])
 
-    def __reduce__(self) -> tuple[type[UnknownName], tuple[str, Any, tuple[str, ...]]]:
+    def __reduce__(self) -> tuple[type[UnknownName], tuple[str, object, tuple[str, ...]]]:
         return type(self), (self.kind, self.name, self.available)
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, location
 from pinmobile.errors import FileError, InvalidArgument, PinmobileError, shown
@@ -272,7 +273,7 @@ def archive_of(
     return named, described
 
 
-def _text(name: str, array: Any) -> str:
+def _text(name: str, array: NDArray[Any]) -> str:
     """Return the text of an array; NumPy would make one of what are no letters, at which Python stumbles."""
     if array.dtype.kind != "U" or array.shape:
         raise ValueError(f"{name} is of type {array.dtype} and shape {array.shape}, expected one text")

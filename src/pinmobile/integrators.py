@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeAlias
+from typing import Protocol, TypeAlias
 
 from pinmobile.arrays import Array, callable_as
 from pinmobile.errors import InvalidArgument, shown
@@ -25,7 +25,7 @@ class Integrator(Protocol):
         """Return configuration and velocity a time `dt` later."""
 
 
-def check_integrator(integrator: Any) -> None:
+def check_integrator(integrator: object) -> None:
     """Refuse what is no step.
 
     Raises

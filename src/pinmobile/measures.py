@@ -1,4 +1,4 @@
-"""`Measure`: what a plant states of a sample beside the error of its reference, such as a tip-over margin."""
+"""When a loop has diverged; and `Measure`, what a plant states of a sample beside its errors."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pinmobile.arrays import Array, are_real, callable_as, one_of, sequence, text
+from pinmobile.arrays import Array, ArrayLike, are_real, callable_as, one_of, sequence, text
 from pinmobile.errors import InvalidArgument, shown
 
 _WORST = ("largest", "smallest")
@@ -47,7 +47,36 @@ class Measure(NamedTuple):
         return f"{self.name} [{self.unit}]" if self.unit not in ("", "1") else self.name
 
 
-def size_of(margin: Any) -> Any:
+def is_near(errors: Any, limit: Any) -> Any:
+    """Tell where no error is beyond the limit, shape (...); what is no number is beyond.
+
+    Parameters
+    ----------
+    errors : ndarray, shape (..., n)
+        Of coordinates and of their rates [m, rad, m/s, rad/s].
+    limit : float
+        Largest size.
+    """
+    return np.all(np.abs(errors) <= limit, axis=-1)
+
+
+def is_alive(errors: Any, limit: Any, u: Any, a: Any) -> Any:
+    """Tell at which samples a loop has not diverged, shape (...): the rule of all engines.
+
+    A loop has diverged where an error or its rate is beyond the limit, or its input or acceleration is not
+    finite.
+
+    Parameters
+    ----------
+    errors, limit
+        As in `is_near`.
+    u, a : ndarray, shape (..., nu), (..., nv)
+        Input and acceleration.
+    """
+    return is_near(errors, limit) & (np.abs(np.sum(u, axis=-1) + np.sum(a, axis=-1)) < np.inf)
+
+
+def size_of(margin: ArrayLike) -> Any:
     """Return a size > 0 that grows with a margin of any sign, to be counted in bins of a logarithm.
 
     That is m + sqrt(m^2 + c^2): its logarithm is asinh(m / c), near zero as a line and far from it as the
@@ -63,7 +92,7 @@ def value_of(size: Array) -> Array:
         return np.asarray((size - _SCALE**2 / size) / 2)
 
 
-def measures_of(plant: Any) -> tuple[Measure, ...]:
+def measures_of(plant: object) -> tuple[Measure, ...]:
     """Return the measures that a plant states, none where it does not.
 
     Raises
@@ -94,7 +123,7 @@ def measures_of(plant: Any) -> tuple[Measure, ...]:
     return tuple(found)
 
 
-def chosen(plant: Any, names: Any, taken: Sequence[str]) -> tuple[Measure, ...]:
+def chosen(plant: object, names: object, taken: Sequence[str]) -> tuple[Measure, ...]:
     """Return the measures of a plant that are asked for, in its order.
 
     Parameters

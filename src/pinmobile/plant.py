@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
-from pinmobile.arrays import Array, callable_as, finite, frozen, positive, sequence, text, whole
+from pinmobile.arrays import Array, ArrayLike, callable_as, finite, frozen, positive, sequence, text, whole
 from pinmobile.errors import InvalidArgument, shown
+
+if TYPE_CHECKING:
+    from pinmobile.compiled import Line, Noise
 
 Difference: TypeAlias = Callable[[Array, Array], Array]
 
 
-def check_difference(difference: Any) -> None:
+def check_difference(difference: object) -> None:
     """Refuse what cannot be called as ``difference(q0, q1)``, and a subtraction of q1 from q0.
 
     Raises
@@ -115,7 +118,7 @@ class Step(NamedTuple):
 
     q: Array
     v: Array
-    memory: Any = None
+    memory: object = None
 
 
 class Coordinate(NamedTuple):
@@ -210,11 +213,10 @@ class Parameter:
         if self.entry is None:
             new[:] = column.reshape(-1, *(1,) * (values.ndim - 1))
         else:
-            where: Any = (slice(None), *np.atleast_1d(self.entry))
-            new[where] = column
+            new[:, *np.atleast_1d(self.entry)] = column
         return new
 
-    def nominal(self, value: Any) -> float | None:
+    def nominal(self, value: ArrayLike) -> float | None:
         """Return its number in an attribute of one robot; None where all its numbers are not alike."""
         if self.neutral is not None:
             return self.neutral
@@ -226,14 +228,14 @@ class Parameter:
         return float(numbers.flat[0]) if np.ptp(numbers) == 0 else None
 
 
-def _stated(part: Any) -> Any:
+def _stated(part: object) -> Sequence[Any]:
     stated = getattr(part, "parameters", ())
     if isinstance(stated, str):
         raise InvalidArgument(f"parameters of {shown(part)} is {stated!r}, expected a tuple: ({stated!r},)")
     return stated if isinstance(stated, list | tuple) else ()  # some answer to any name with something
 
 
-def parameters_of(part: Any) -> tuple[Parameter, ...]:
+def parameters_of(part: object) -> tuple[Parameter, ...]:
     """Return the parameters that a part states; a name alone is one without unit and bound.
 
     Raises
@@ -304,7 +306,7 @@ class Context:
     seed: int = 0
     member: int = 0
 
-    def line(self, samples: int) -> Any:
+    def line(self, samples: int) -> Line:
         """Return a delay to keep in the state: ``old, line = line.push(values)``.
 
         What is pushed, a tree of arrays, comes back `samples` samples later; until then, the first does.
@@ -313,7 +315,7 @@ class Context:
 
         return Line(whole("samples", samples, least=0))
 
-    def normal(self, name: str, n: int) -> Any:
+    def normal(self, name: str, n: int) -> Noise:
         """Return noise to keep in the state: ``numbers, noise = noise.draw()``.
 
         The n numbers of a sample are standard normal and independent; they follow from the seed, the member,
@@ -326,7 +328,7 @@ class Context:
 
     @classmethod
     def of(
-        cls, plant: Any, *, dt: float, t: Array | None = None, reference: Any = None, trajectory: Any = None
+        cls, plant: Plant, *, dt: float, t: Array | None = None, reference: Any = None, trajectory: Any = None
     ) -> Context:
         """Return the context of a loop with this plant.
 
@@ -369,21 +371,21 @@ class Context:
         )
 
 
-def coordinates_of(plant: Any) -> tuple[Coordinate, ...]:
+def coordinates_of(plant: object) -> tuple[Coordinate, ...]:
     """Return the coordinates of a plant, in the order of v; numbers where it does not name them."""
     if hasattr(plant, "coordinates"):
         return sequence("plant.coordinates", plant.coordinates, "a sequence of Coordinate")
     return tuple(Coordinate(f"[{k}]", "") for k in range(getattr(plant, "nv", 0)))
 
 
-def inputs_of(plant: Any) -> tuple[Input, ...]:
+def inputs_of(plant: object) -> tuple[Input, ...]:
     """Return the inputs of a plant, in the order of u; numbers where it does not name them."""
     if hasattr(plant, "inputs"):
         return sequence("plant.inputs", plant.inputs, "a sequence of Input")
     return tuple(Input(f"[{k}]", "") for k in range(getattr(plant, "nu", 0)))
 
 
-def configuration_names_of(plant: Any) -> tuple[str, ...]:
+def configuration_names_of(plant: object) -> tuple[str, ...]:
     """Return the name of each number in q: those of the coordinates where it has as many, else numbers."""
     if hasattr(plant, "configuration_names"):
         return sequence("plant.configuration_names", plant.configuration_names, "a sequence of names")
@@ -391,7 +393,7 @@ def configuration_names_of(plant: Any) -> tuple[str, ...]:
     return tuple(one.name for one in named) if len(named) == count else tuple(f"[{k}]" for k in range(count))
 
 
-def leading_of(plant: Any) -> Mapping[int, int]:
+def leading_of(plant: object) -> Mapping[int, int]:
     """Return how many numbers of q the first n coordinates have, for each n that a reference may have."""
     found: Mapping[int, int] = getattr(plant, "leading", None) or {
         getattr(plant, "nv", 0): getattr(plant, "nq", 0)
@@ -399,7 +401,7 @@ def leading_of(plant: Any) -> Mapping[int, int]:
     return found
 
 
-def check_plant(plant: Any) -> None:
+def check_plant(plant: object) -> None:
     """Refuse what is no plant, or one whose sizes contradict each other.
 
     Raises
@@ -407,7 +409,8 @@ def check_plant(plant: Any) -> None:
     InvalidArgument
         If it is such.
     """
-    sizes = {size: getattr(plant, size, None) for size in ("nq", "nv", "nu")}
+    sizes: dict[str, Any] = {size: getattr(plant, size, None) for size in ("nq", "nv", "nu")}
+    nq, nv, _ = sizes.values()
     known = all(isinstance(value, int | np.integer) for value in sizes.values())
     if isinstance(plant, type) or not hasattr(plant, "forward_dynamics") or not known:
         raise InvalidArgument(
@@ -425,16 +428,16 @@ def check_plant(plant: Any) -> None:
     if not isinstance(leading_of(plant), Mapping) or not leading_of(plant):
         raise InvalidArgument(
             f"plant.leading is {shown(leading_of(plant))}, expected a mapping of n to numbers of q, such as "
-            f"{{{plant.nv}: {plant.nq}}}"
+            f"{{{nv}: {nq}}}"
         )
     for n, numbers in leading_of(plant).items():
-        if n > plant.nv or numbers > plant.nq:
+        if n > nv or numbers > nq:
             raise InvalidArgument(
-                f"plant.leading has {n}: {numbers}, expected at most nv = {plant.nv} and nq = {plant.nq}"
+                f"plant.leading has {n}: {numbers}, expected at most nv = {nv} and nq = {nq}"
             )
 
 
-def all_samples(plant: Any, name: str, *rows: Array) -> Array:
+def all_samples(plant: object, name: str, *rows: Array) -> Array:
     """Return what a method of the plant gives for each row of arrays (N, ...), stacked: (N, ...).
 
     Parameters
@@ -446,7 +449,7 @@ def all_samples(plant: Any, name: str, *rows: Array) -> Array:
     *rows : ndarray, shape (N, ...)
         Its arguments, N > 0.
     """
-    method: Any = getattr(plant, name)
+    method = getattr(plant, name)
     if getattr(plant, "broadcasts", False):
         return np.asarray(method(*rows))
     return np.stack([method(*(part.copy() for part in row)) for row in zip(*rows, strict=True)])
@@ -489,7 +492,7 @@ class PlantOutline:
     size: tuple[float, ...] | None = None
 
     @classmethod
-    def of(cls, plant: Any, q: Array) -> PlantOutline:
+    def of(cls, plant: object, q: Array) -> PlantOutline:
         """Return the outline of a plant; configurations q, shape (N, nq), tell where its pose is in q."""
         if isinstance(plant, cls):
             return plant
@@ -530,7 +533,7 @@ class PlantOutline:
         return None if self.posed is None else lambda q: np.asarray(q)[..., list(self.posed or ())]
 
 
-def _posed(plant: Any, q: Array) -> tuple[int, ...] | None:
+def _posed(plant: object, q: Array) -> tuple[int, ...] | None:
     """Return the numbers of q that are the pose, told by numbers that are all different."""
     if not callable(getattr(plant, "pose", None)) or not len(q):
         return None

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pinmobile.arrays import Array, frozen, real
+from pinmobile.arrays import Array, ArrayLike, frozen, real
 from pinmobile.errors import InvalidArgument, shown
 
 Ask = Callable[[int, Array, Array, Array], Any]
@@ -44,12 +44,12 @@ class Claim(NamedTuple):
     value: Any
 
 
-def signals_of(part: Any, *given: Any) -> Any:
+def signals_of(part: object, *given: object) -> Any:
     """Return the signals of a part that may have some: a dict of name to (unit, value), else nothing."""
     return part.signals(*given) if hasattr(part, "signals") else {}
 
 
-def number(name: str, value: Any) -> Array:
+def number(name: str, value: ArrayLike) -> Array:
     """Return the value of a signal, shape () or (k,).
 
     Raises

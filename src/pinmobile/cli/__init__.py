@@ -6,9 +6,7 @@ import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from io import UnsupportedOperation
-from typing import Any
 
-from pinmobile.cli.messages import Interrupted, shortened
 from pinmobile.errors import InvalidArgument, PinmobileError, UnknownName
 
 __all__ = ["main"]
@@ -41,7 +39,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(arguments: Sequence[str] | None) -> int:
     import typer
 
+    from pinmobile.cli.choices import shortened
     from pinmobile.cli.commands import app, as_typed
+    from pinmobile.cli.options import Interrupted
     from pinmobile.errors import Diverged, FileError
 
     try:
@@ -77,12 +77,12 @@ def _run(arguments: Sequence[str] | None) -> int:
 
 
 def _silence() -> None:
-    """Let what is left to be printed go nowhere, so that Python does not fail of it at its end."""
+    """Let what is left to be printed go nowhere, so that Python does not fail at its end."""
     with suppress(UnsupportedOperation):  # of an output that is no file
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _note(message: Warning | str, *where: Any, **more: Any) -> None:
+def _note(message: Warning | str, *where: object, **more: object) -> None:
     """Print a warning as one line: where in the library it came from is of no use here."""
     print(f"pinmobile: {' '.join(str(message).split())}", file=sys.stderr)
 

@@ -1,10 +1,10 @@
 """What the command and scenario files offer: parts by name, and options as the parts state them."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import pathlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from inspect import signature
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Generic, TypeAlias, TypeVar
 
 from pinmobile import (
     LECTURE_TABLE,
@@ -23,13 +23,21 @@ from pinmobile import (
     rk4,
     semi_implicit_euler,
 )
+from pinmobile.controllers import Controller
 from pinmobile.ensembles import GROUPS, PARAMETERS
+from pinmobile.errors import UnknownName
 from pinmobile.integrators import Integrator
+from pinmobile.paths import Path
 from pinmobile.plant import Parameter, parameters_of
+from pinmobile.trajectories import Trajectory
+
+_Made = TypeVar("_Made")
+Numbers: TypeAlias = float | tuple[float, ...]
+"""One number, or one for each coordinate."""
 
 
 @dataclass(frozen=True)
-class Choice:
+class Choice(Generic[_Made]):
     """What a name stands for.
 
     Attributes
@@ -44,8 +52,8 @@ class Choice:
         What it is called in words.
     """
 
-    make: Callable[..., Any]
-    takes: Mapping[str, Any] = field(default_factory=dict)
+    make: Callable[..., _Made]
+    takes: Mapping[str, Numbers] = field(default_factory=dict)
     called: Mapping[str, str] = field(default_factory=dict)
     label: str = ""
 
@@ -55,28 +63,28 @@ class Choice:
         return "robot" in signature(self.make).parameters
 
 
-_VIA = {"duration": 60.0, "start": (0, 0), "via": (2, 2), "end": (0, 4), "t_via": 30.0}
+_VIA: dict[str, Numbers] = {"duration": 60.0, "start": (0, 0), "via": (2, 2), "end": (0, 4), "t_via": 30.0}
 _END = {"t_end": "duration"}
-PATHS: Mapping[str, Choice] = {
+PATHS: Mapping[str, Choice[Path]] = {
     "circle": Choice(Circle, {"duration": 60.0, "radius": 3.0, "rate": 0.1}),
     "lissajous": Choice(Lissajous, {"duration": 60.0, "rx": 3.0, "ry": 3.0, "wx": 0.2, "wy": 0.1}),
     "via-stop": Choice(CubicVia, {**_VIA, "via_velocity": (0, 0)}, _END),
     "via-free": Choice(CubicVia, _VIA, _END),
 }
-HEADINGS: Mapping[str, Choice] = {
+HEADINGS: Mapping[str, Choice[Trajectory]] = {
     "tangent": Choice(Tangent, {"turn_time": 2.0}),
     "fixed": Choice(FixedHeading, {"psi": 0.0}),
     "lecture": Choice(LectureHeading),
 }
 _PD = (120.0, 120.0, 0.4)
-CONTROLLERS: Mapping[str, Choice] = {
+CONTROLLERS: Mapping[str, Choice[Controller]] = {
     "computed-torque": Choice(ComputedTorque, {"kp": 4.0, "kd": 4.0}, label="computed torque"),
     "pd": Choice(PD, {"kp": _PD, "kd": _PD}, label="PD"),
 }
 COMPARED = ("pd", "computed-torque")
 """Controllers that run side by side where none is named."""
 
-ROBOTS: Mapping[str, Choice] = {
+ROBOTS: Mapping[str, Choice[MobileRobot]] = {
     "lecture": Choice(MobileRobot.lecture, label="Icz = 0.1"),
     "box": Choice(MobileRobot.box, label="homogeneous"),
 }
@@ -111,33 +119,29 @@ class Option:
     name: str
     text: str
     kind: type = float
-    default: Any = None
+    default: object = None
     table: str = ""
     key: str = ""
     unit: str = ""
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "key", self.key or self.name)
+
     @property
     def place(self) -> str:
         """Where it stands in a scenario file, such as ``"controller.kp"``."""
-        return f"{self.table}.{self.key or self.name}"
+        return f"{self.table}.{self.key}"
 
 
-class _Own(NamedTuple):
-    """What no part states of an option: its unit and meaning."""
-
-    unit: str
-    meaning: str
-
-
-# Not parameters, which a spread may name: of them hang how many samples there are, or the shape of the gains.
+# No part states these, so that no spread names them: the number of samples and the shape of the gains depend
+# on them.
 _OWN = {
-    "duration": _Own("s", "duration of the path"),
-    "kp": _Own("", "K or KX,KY,KPSI"),
-    "kd": _Own("", "K or KX,KY,KPSI"),
+    "duration": Parameter("duration", "s", "duration of the path"),
+    **{name: Parameter(name, "", "K or KX,KY,KPSI") for name in ("kp", "kd")},
 }
 
 
-def _told(value: Any) -> str:
+def _told(value: Numbers) -> str:
     return ",".join(f"{each:g}" for each in (value if isinstance(value, tuple) else (value,)))
 
 
@@ -145,23 +149,18 @@ def _sentence(text: str) -> str:
     return text[0].upper() + text[1:]
 
 
-def _one_of(name: str, choices: Mapping[str, Any], default: str, **where: str) -> Option:
+def _one_of(name: str, choices: Mapping[str, object], default: str, **where: str) -> Option:
     *names, last = choices
     text = f"One of {', '.join(choices)}." if len(choices) > 2 else f"{', '.join(names)} or {last}."
     return Option(name, text, str, default, **where)
 
 
-def _taken(choices: Mapping[str, Choice], table: str) -> Iterator[Option]:
+def _taken(choices: Mapping[str, Choice[Any]], table: str) -> Iterator[Option]:
     """Yield the options that choices take, as their parts state them, with the lecture's numbers."""
     for name in dict.fromkeys(each for choice in choices.values() for each in choice.takes):
         having = {kind: choice for kind, choice in choices.items() if name in choice.takes}
-        stated = [
-            _Own(each.unit, each.meaning.split(", ")[0])
-            for choice in having.values()
-            for each in parameters_of(choice.make)
-            if each.attribute == name
-        ]
-        unit, meaning = _OWN[name] if name in _OWN else stated[0]
+        stated = (each for choice in having.values() for each in parameters_of(choice.make))
+        one = _OWN.get(name) or next(each for each in stated if each.attribute == name)
         first, *others = values = [choice.takes[name] for choice in having.values()]
         which = "" if len(having) == len(choices) else f"{', '.join(having)}: "
         of_others = [
@@ -169,19 +168,24 @@ def _taken(choices: Mapping[str, Choice], table: str) -> Iterator[Option]:
             for kind, value in zip([*having][1:], others, strict=True)
             if value != first
         ]
-        axes, in_units = " X,Y" if isinstance(first, tuple) else "", f" ({unit})" if unit else ""
-        text = f"{meaning}{axes}{in_units}; {_told(first)}{''.join(of_others)}."
+        axes, in_units = " X,Y" if isinstance(first, tuple) else "", f" ({one.unit})" if one.unit else ""
+        text = f"{one.meaning.split(', ')[0]}{axes}{in_units}; {_told(first)}{''.join(of_others)}."
         several = any(isinstance(value, tuple) for value in values)
         yield Option(
             name,
             which + text if which else _sentence(text),
             tuple if several else float,
             table=table,
-            unit=unit,
+            unit=one.unit,
         )
 
 
-def body(prefix: str = "", table: str = "", rest: str = "", **numbers: Any) -> Iterator[Option]:
+_NONE: Mapping[str, Numbers] = {}
+
+
+def body(
+    prefix: str = "", table: str = "", rest: str = "", numbers: Mapping[str, Numbers] = _NONE
+) -> Iterator[Option]:
     """Yield the options of a body in the plane, as it states them.
 
     Parameters
@@ -192,7 +196,7 @@ def body(prefix: str = "", table: str = "", rest: str = "", **numbers: Any) -> I
         Where they stand in a scenario file.
     rest : str
         What they are where they are not given, in words.
-    **numbers : float or tuple
+    numbers : mapping of str to float or tuple, optional
         The same, as numbers.
     """
     for name in ("mass", "yaw_inertia", "com"):
@@ -205,7 +209,7 @@ def body(prefix: str = "", table: str = "", rest: str = "", **numbers: Any) -> I
 
 GROUND = Option(
     "ground",
-    "Beside --urdf: z of the ground in the root link's frame (m); what the file tells.",
+    "With --urdf: z of the ground in the root link's frame (m); by default that of the file.",
     table="robot",
     unit="m",
 )
@@ -221,7 +225,7 @@ OPTIONS: Mapping[str, Option] = {
         *_taken(CONTROLLERS, "controller"),
         *body("model_", "controller", "; the robot's"),
         Option("robot", f"{_KINDS_OF_ROBOTS}; lecture.", str, table="robot", key="base"),
-        Option("urdf", "The chain, or a bare base, instead.", Path, table="robot"),
+        Option("urdf", "URDF of the chain or a bare base, in place of --robot.", pathlib.Path, table="robot"),
         GROUND,
         *body("", "robot", "; that of --robot or --urdf"),
         Option("dt", "Sampling time (s).", float, 0.1, "loop", unit="s"),
@@ -229,15 +233,15 @@ OPTIONS: Mapping[str, Option] = {
         Option("substeps", "Steps of the plant per dt.", int, 1, "loop"),
         Option("n", "Number of robots.", int, 10_000, "ensemble"),
         Option("seed", "Seed of what is drawn.", int, 0, "ensemble"),
-        Option(
-            "after",
-            "Time (s) when the start is over: errors count from then on.",
-            *(float, 0.0, "ensemble"),
-            unit="s",
-        ),
+        Option("after", "Errors count from this time on (s).", float, 0.0, "ensemble", unit="s"),
     )
 }
 """All options that a scenario file has as keys, too, by name."""
+
+OF_PARTS = tuple(
+    option.name for option in OPTIONS.values() if option.kind is str and option.key == option.name
+)
+"""Those that name a part and may be a table in a scenario file."""
 
 OF_ENSEMBLES = tuple(option for option in OPTIONS.values() if option.table == "ensemble")
 OF_LOOPS = tuple(option for option in OPTIONS.values() if option.table != "ensemble")
@@ -251,6 +255,7 @@ UNITS: Mapping[str, str] = {
 }
 """Units of what options and files name: as the parts state them, and of the command's own."""
 
+_READABLE = 20  # names in a list
 SPREAD_FORMS = "uniform:LOW,HIGH normal:MEAN,STD percent:P (of the nominal) same:NAME[,FACTOR] or a number"
 
 
@@ -266,3 +271,33 @@ def _with_units(parameters: Sequence[Parameter]) -> str:
         last = following is None or following.unit != each.unit
         words.append(f"{each.name} ({each.unit})" if last and each.unit else each.name)
     return ", ".join(words)
+
+
+def unknown(what: str, name: str, available: Iterable[str], rest: str = "") -> str:
+    """Return the message about a name that is not there: the nearest, and a list that can be read.
+
+    Parameters
+    ----------
+    what : str
+        What is unknown, such as ``"key 'mas' in [robot]"``.
+    name : str
+        The name that came.
+    available : iterable of str
+        The names there are.
+    rest : str
+        Where to see the names when they are too many to be listed.
+    """
+    error = UnknownName("", name, available)
+    if len(error.listed) <= _READABLE:
+        rest = f"available: {', '.join(error.listed)}"
+    return f"unknown {what}, {error.meant}{rest}".rstrip()
+
+
+def shortened(error: UnknownName) -> str:
+    """Return the message of an error; where its list is too long to be read, the nearest names."""
+    if not error.kind.startswith("parameter in spread"):
+        return str(error)
+    own = [name for name in error.available if name not in PARAMETERS]
+    rest = "'pinmobile ensemble --help' lists all"
+    rest = f"this loop has {', '.join(own)}, and {rest} of the library" if own else rest
+    return unknown(f"{error.kind} {error.name!r}", str(error.name), error.available, rest)

@@ -13,8 +13,10 @@ from pinmobile.cli.choices import (
     GROUND,
     OF_ENSEMBLES,
     OF_LOOPS,
+    OPTIONS,
     SPREAD_FORMS,
     TABLES,
+    Numbers,
     Option,
     body,
     spreadable,
@@ -37,8 +39,7 @@ app = typer.Typer(
 _Command = TypeVar("_Command", bound=Callable[..., int])
 _LOOP = "Loop and output"
 _PANELS = {"robot": "Robot", "trajectory": "Trajectory", "controller": "Controller", "loop": _LOOP}
-_WRITING = ("--out", "--gif", "--no-gif", "--html", "--no-html")  # options of `run` that others do not take
-_VERIFIED: dict[str, Any] = {"mass": 10.0, "yaw_inertia": 1.2, "com": (0.15, 0.05)}
+_VERIFIED: dict[str, Numbers] = {"mass": 10.0, "yaw_inertia": 1.2, "com": (0.15, 0.05)}
 _TAKES_RUNS = {"allow_extra_args": True, "ignore_unknown_options": True}
 
 
@@ -58,7 +59,7 @@ def _taking(options: Iterable[Option], *, panels: bool = False) -> Callable[[_Co
 
 
 def _parameter(option: Option, panels: Mapping[str, str]) -> inspect.Parameter:
-    kind: Any = str if option.kind is tuple else option.kind
+    kind = str if option.kind is tuple else option.kind
     shown = typer.Option(as_option(option.name), help=option.text, rich_help_panel=panels.get(option.table))
     return inspect.Parameter(
         option.name,
@@ -68,12 +69,17 @@ def _parameter(option: Option, panels: Mapping[str, str]) -> inspect.Parameter:
     )
 
 
+def _commands() -> dict[str, Any]:
+    """Return the commands as typer makes them, by name."""
+    group: Any = typer.main.get_command(app)
+    return dict(group.commands)
+
+
 def as_typed(error: InvalidArgument) -> InvalidArgument:
     """Return an error of the library; where its argument is an option, that is called as it was typed."""
-    command: Any = typer.main.get_command(app)
     options = {
         option.name
-        for each in command.commands.values()
+        for each in _commands().values()
         for option in each.params
         if option.opts[0].startswith("--")
     }
@@ -95,11 +101,13 @@ def _of_run(words: Sequence[str], name: str, why: str) -> tuple[Options, bool]:
     InvalidArgument
         If one of those is among them.
     """
+    run = _commands()["run"]
+    own = [each for each in run.params if each.name not in OPTIONS]
+    writing = {word for each in own for word in (*each.opts, *each.secondary_opts)}
     for word in words:
-        if word.split("=")[0] in _WRITING:
+        if word.split("=")[0] in writing:
             raise InvalidArgument(f"{word} does not apply to {name}, which {why}")
-    command: Any = typer.main.get_command(app)
-    context = command.commands["run"].make_context(name, list(words))
+    context = run.make_context(name, list(words))
     given = context.get_parameter_source("controller")
     return Options(context.params), given is not None and given.name == "COMMANDLINE"
 
@@ -140,14 +148,14 @@ def lecture(
 
 
 @app.command()
-@_taking((GROUND, *body(**_VERIFIED)))
+@_taking((GROUND, *body(numbers=_VERIFIED)))
 def verify(
     urdf: Annotated[Path | None, _help("Verify the robot of this URDF: the chain, or a bare base.")] = None,
     table: Annotated[str | None, _help("DH table: lecture or slide; lecture.")] = None,
-    mount: Annotated[list[str] | None, _help("Arm on it, as of `pinmobile mount`; repeat it.")] = None,
+    mount: Annotated[list[str] | None, _help("Arm to mount, as in `pinmobile mount`; repeatable.")] = None,
     states: Annotated[int, _help("Number of random states.")] = 200,
     seed: Annotated[int, _help("Seed of the states.")] = 0,
-    **typed: Any,
+    **typed: object,
 ) -> int:
     """Compare closed form, Pinocchio, symbolic Newton-Euler, Lagrange and machine code: M, n, tau, a.
 
@@ -168,8 +176,7 @@ def verify(
     else:
         dh = choose("table", table or "lecture", TABLES)
         robot = pinmobile.MobileRobot(**{**_VERIFIED, **body_of(options)}, dh=dh)
-    with progress(1) as bar:
-        bar.update(bar.task_ids[0], description="deriving and comparing")
+    with progress(1, "deriving and comparing"):
         verification = pinmobile.verify(robot, states=states, seed=seed)
     console.print(f"{robot.source}: {robot}", markup=False)
     console.print(str(verification), markup=False)
@@ -184,8 +191,7 @@ def derive(
 ) -> int:
     """Derive the equations of motion from the DH table, every step of the lecture's symbolic script."""
     dh = choose("table", table, TABLES)
-    with progress(1) as bar:
-        bar.update(bar.task_ids[0], description="deriving")
+    with progress(1, "deriving"):
         derivation = pinmobile.derivation.lecture(dh)
     console.print(derivation.latex() if latex else str(derivation), markup=False)
     return 0
@@ -197,7 +203,7 @@ def run(
     out: Annotated[Path, _help("Folder for records and figures.", panel=_LOOP)] = Path("out/run"),
     gif: Annotated[bool, _help("Also draw the moving robot.", panel=_LOOP)] = False,
     html: Annotated[bool, _help("Also write a page that shows it move.", "--html", panel=_LOOP)] = False,
-    **typed: Any,
+    **typed: object,
 ) -> int:
     """Run one closed loop: a trajectory, a controller, a robot. Without options, the lecture's circle.
 
@@ -217,24 +223,22 @@ def mount(
     ] = None,
     *,
     listed: Annotated[
-        bool, _help("Print the names, and those that do not mount, with the reason.", "--list")
+        bool, _help("Print the names, and those that cannot be mounted with the reason.", "--list")
     ] = False,
-    urdf: Annotated[Path | None, _help("An arm of your own instead.")] = None,
-    package_dir: Annotated[
-        list[Path] | None, _help("Folder that package:// in it refers to; repeat it.")
-    ] = None,
+    urdf: Annotated[Path | None, _help("URDF of an arm of your own, instead of a name.")] = None,
+    package_dir: Annotated[list[Path] | None, _help("Folder of package:// in the URDF; repeatable.")] = None,
     at: Annotated[
         list[str] | None,
         typer.Option(
-            help="Its place X,Y,Z,YAW on the body (m, rad), once for each arm; the middle of the top, or one "
-            "behind the other."
+            help="Place X,Y,Z,YAW of the arm on the body (m, rad), once for each; by default the middle of "
+            "the top, or one behind the other."
         ),
     ] = None,
-    lock: Annotated[list[str] | None, _help("Joint of the arm that shall not move; repeat it.")] = None,
+    lock: Annotated[list[str] | None, _help("Joint of the arm to hold still; repeatable.")] = None,
     dt: Annotated[float, _help("Sampling time (s).")] = 0.001,
-    duration: Annotated[float, _help("Of the motion (s).")] = 6.0,
+    duration: Annotated[float, _help("Duration of the motion (s).")] = 6.0,
     html: Annotated[
-        Path | None, _help("File: a page that shows it move, the decoupled one as a ghost.")
+        Path | None, _help("File for a page that shows it move, decoupled control as a ghost.")
     ] = None,
     out: Annotated[Path | None, _help("Folder for records and figures.")] = None,
 ) -> int:
@@ -262,11 +266,12 @@ def mount(
 def view(
     context: typer.Context,
     rollout: Annotated[
-        list[Path] | None, _help("File that `run` or Rollout.save wrote; repeat it for a ghost beside it.")
+        list[Path] | None,
+        _help("File written by `run` or Rollout.save; further ones are ghosts."),
     ] = None,
     *,
     host: Annotated[str, _help("Address to serve at.")] = "127.0.0.1",
-    port: Annotated[int | None, _help("Port; by default one that is free.")] = None,
+    port: Annotated[int | None, _help("Port; by default a free one.")] = None,
     speed: Annotated[float, _help("Seconds of the run per second.")] = 4.0,
     follow: Annotated[bool, _help("Let the camera follow the robot.")] = False,
     frames: Annotated[bool, _help("Draw the frames of both DH tables.")] = False,
@@ -295,7 +300,7 @@ def view(
 def ensemble(
     context: typer.Context,
     spread: Annotated[
-        list[str] | None, _help(f"NAME=FORM, what differs; the form is {SPREAD_FORMS}. Repeat it for more.")
+        list[str] | None, _help(f"NAME=FORM, what differs; FORM is {SPREAD_FORMS}. Repeat it for more.")
     ] = None,
     out: Annotated[Path, _help("Folder for figures and their index page.")] = Path("out/ensemble"),
     **drawn: Any,
@@ -333,12 +338,12 @@ def sweep(
     ] = False,
     version_word: Annotated[
         str | None,
-        _help("A word that you change whenever parts of yours do that a store cannot recognise by itself."),
+        _help("A word to change whenever your own parts change in a way that the store cannot recognise."),
     ] = None,
 ) -> int:
     """Run the ensembles of a scenario file along the axes of its grid, and keep them in a Zarr store.
 
-    Interrupted, it goes on where it was when it is started again.
+    Interrupted, it goes on where it was when started again.
 
     A type may name a part of yours, "module:Name", of a module beside the file; the other keys of its table
     are the arguments of the class. Code is run with --allow-code alone.

@@ -1,6 +1,7 @@
 """Many loops at once: `ensemble` and `sweep`, what they answer, and their figures."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -8,10 +9,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from pinmobile import Ensemble, InvalidArgument, Same, Scenario, plots, sweep
-from pinmobile.arrays import whole
+from pinmobile.arrays import Array, whole
 from pinmobile.cli.choices import COMPARED, CONTROLLERS, SPREAD_FORMS
-from pinmobile.cli.messages import Interrupted
 from pinmobile.cli.options import (
+    Interrupted,
     Options,
     alone,
     as_option,
@@ -119,12 +120,11 @@ def show_sweep(
     version: str | None = None,
 ) -> int:
     """Run the sweep of a file, print who stays within what, and draw it."""
-    if not allow_code:
-        return _show_sweep(file, read_grid(file), out, scheduler, chunk, version)
-    code = Code(file.absolute().parent)
-    with code.errors():
+    code = Code(file.absolute().parent) if allow_code else None
+    with nullcontext() if code is None else code.errors():
         grid = read_grid(file, code)
-        _tell_loaded(code)
+        if code is not None:
+            _tell_loaded(code)
         return _show_sweep(file, grid, out, scheduler, chunk, version)
 
 
@@ -161,9 +161,8 @@ def _show_sweep(
     console.print(found.table(), markup=False)
     answer = found.answer()
     console.print(f"\n{answer}", markup=False)
-    page = index_page(
-        folder, answer, [Section("Results", found.table(most=1000), sweep_figures(found, folder))]
-    )
+    section = Section("Results", found.table(most=1000), sweep_figures(found, folder))
+    page = index_page(folder, answer, [section])
     console.print(
         f"wrote {store}: xarray.open_zarr reads it, and pinmobile.Sweep.open\nopen {page}", markup=False
     )
@@ -202,7 +201,7 @@ def _warn_if_alike(scenarios: Iterable[Scenario]) -> None:
         console.print("nothing is spread: all robots are alike\n", markup=False)
 
 
-def _differs(source: Any) -> bool:
+def _differs(source: object) -> bool:
     """Tell whether a source gives robots different numbers, by itself."""
     if isinstance(source, Same):
         return _differs(source.factor)
@@ -297,11 +296,11 @@ def _slices(values: Any, names: list[str]) -> Iterator[tuple[str, Any]]:
         yield ", ".join(words), values.isel(where)
 
 
-def _told(name: str, value: Any) -> str:
+def _told(name: str, value: str | float) -> str:
     return str(value) if isinstance(value, str) else f"{name} = {value:g}"
 
 
-def _unit(values: Any) -> tuple[str, float]:
+def _unit(values: Array) -> tuple[str, float]:
     """Return the unit in which the largest number that is bounded is read best, and its size [m]."""
     known = values[np.isfinite(values)]
     largest = float(known.max()) if known.size else 1.0

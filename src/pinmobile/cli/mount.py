@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.progress import Progress
 
 from pinmobile import (
@@ -38,7 +38,8 @@ from pinmobile.cli.output import (
     save_figure,
 )
 from pinmobile.cli.run import FIGURES, draw, save_page
-from pinmobile.robot import parts_of
+from pinmobile.controllers import Controller
+from pinmobile.robot import joints_of
 
 _RADIUS, _RATE = 1.0, 0.5  # of the circle [m], [rad/s]
 _WAY = {"rad": 0.5, "m": 0.1}  # that each joint goes and comes back
@@ -82,7 +83,7 @@ def mounted(
         raise InvalidArgument(f"--urdf stands for an arm, but there is {arms[0]!r} too")
     if dirs and urdf is None:
         raise InvalidArgument("--package-dir applies beside --urdf alone")
-    wanted: list[Any] = [urdf] if urdf is not None else list(arms)
+    wanted: list[str | Path] = [urdf] if urdf is not None else list(arms)
     if not wanted:
         raise InvalidArgument(
             "mount needs an arm: 'pinmobile mount ur5 --html out/ur5.html', or a file by --urdf; "
@@ -110,10 +111,8 @@ def mounted(
 
 def demonstration(robot: MobileRobot, duration: float) -> WholeBody:
     """Return the circle, beside it every joint 0.5 rad (0.1 m) away and back, or as far as it can in time."""
-    rest, units = (
-        robot.difference(robot.neutral, robot.rest),
-        np.array([one.unit for one in robot.coordinates]),
-    )
+    rest = robot.difference(robot.neutral, robot.rest)
+    units = np.array([one.unit for one in robot.coordinates])
     way = np.select([units == unit for unit in _WAY], list(_WAY.values()))
     # A cubic from rest to rest is at most 3/2 as fast as on average; it has half the time.
     way = np.minimum(way, robot.velocity_limit * (duration / 2) / 1.5)
@@ -127,7 +126,7 @@ def demonstration(robot: MobileRobot, duration: float) -> WholeBody:
     return WholeBody(robot, Tangent(Circle(_RADIUS, _RATE, duration)), *paths)
 
 
-def _lifts(robot: MobileRobot, way: Array) -> Any:
+def _lifts(robot: MobileRobot, way: Array) -> NDArray[np.bool_]:
     """Tell of which coordinates a larger one lifts the arm, rather than pressing it into the base."""
     moves = np.diag(way)
     higher, lower = (robot.potential_energy(robot.integrate(robot.rest, sign * moves)) for sign in (1, -1))
@@ -137,18 +136,16 @@ def _lifts(robot: MobileRobot, way: Array) -> Any:
 def _room(robot: MobileRobot) -> tuple[Array, Array]:
     """Return how far each coordinate can go up and down from rest, within its limits, shape (nv,)."""
     up, down = np.full(robot.nv, np.inf), np.full(robot.nv, np.inf)
-    model = robot.model
-    for joint in range(1, model.njoints):
-        if model.nqs[joint] == model.nvs[joint]:
-            q, v = parts_of(model, joint)
+    for joint in joints_of(robot.model):
+        if joint.adds:
+            q, v = joint.q, joint.v
             up[v], down[v] = robot.upper[q] - robot.rest[q], robot.rest[q] - robot.lower[q]
     return up, down
 
 
 def list_mountable() -> int:
     """Print the names that can be mounted, and those that cannot, with the reason."""
-    with progress(1) as bar:
-        bar.update(bar.task_ids[0], description="reading every robot, without its meshes")
+    with progress(1, "reading every robot, without its meshes"):
         known = mountable()
     console.print(str(known), markup=False)
     console.print(f"{len(known)} robots; see one: pinmobile mount NAME --html out/NAME.html", markup=False)
@@ -164,7 +161,8 @@ def show_mount(robot: MobileRobot, *, dt: float, duration: float, html: Path | N
             raise InvalidArgument(f"--html is {str(html)!r}, expected a file that ends in .html")
         output_folder(html.parent, "--html", html)
     reference = demonstration(robot, duration)
-    laws = {"computed torque": ComputedTorque(robot, *_GAINS), "decoupled": Decoupled(robot, *_GAINS)}
+    exact, decoupled = ComputedTorque(robot, *_GAINS), Decoupled(robot, *_GAINS)
+    laws: dict[str, Controller] = {"computed torque": exact, "decoupled": decoupled}
     names = " and ".join(mount.name for mount in robot.mounts)
     figures = len(FIGURES) + len(_BALANCE) + 1 if folder is not None else 0
     with progress(len(laws) + (html is not None) + figures) as bar:
@@ -181,7 +179,7 @@ def show_mount(robot: MobileRobot, *, dt: float, duration: float, html: Path | N
 
 
 def _both(
-    robot: MobileRobot, laws: Mapping[str, Any], reference: WholeBody, dt: float, bar: Progress
+    robot: MobileRobot, laws: Mapping[str, Controller], reference: WholeBody, dt: float, bar: Progress
 ) -> tuple[dict[str, Rollout], list[str]]:
     """Return the runs, of one that diverged its records until then, and what is to be said of those."""
     runs, failures = {}, []
@@ -210,15 +208,13 @@ def _unseen(robot: MobileRobot) -> list[str]:
 def _head(robot: MobileRobot, names: str, reference: WholeBody, dt: float) -> str:
     total = sum(inertia.mass for inertia in robot.model.inertias)
     joints = f"{robot.nv - 3} joint{'' if robot.nv == 4 else 's'}"
-    return "\n".join(
-        [
-            f"{names} on a box of {robot.mass:g} kg: {joints}, {total:.1f} kg in all, "
-            f"M(q) is {robot.nv} x {robot.nv}",
-            f"{reference.duration:g} s at dt = {dt:g} s, by rk4 in between: the base drives a circle of "
-            f"{_RADIUS:g} m at {_RATE:g} rad/s,",
-            f"each joint goes {_WAY['rad']:g} rad (a slide {_WAY['m']:g} m) and back, or as far as its "
-            "limits allow",
-        ]
+    size = f"{joints}, {total:.1f} kg in all, M(q) is {robot.nv} x {robot.nv}"
+    time = f"{reference.duration:g} s at dt = {dt:g} s, by rk4 in between"
+    way = f"{_WAY['rad']:g} rad (a slide {_WAY['m']:g} m) and back"
+    return (
+        f"{names} on a box of {robot.mass:g} kg: {size}\n"
+        f"{time}: the base drives a circle of {_RADIUS:g} m at {_RATE:g} rad/s,\n"
+        f"each joint goes {way}, or as far as its limits allow"
     )
 
 

@@ -9,6 +9,7 @@ from pinmobile import (
     InvalidArgument,
     MobileRobot,
     Normal,
+    PinmobileError,
     Same,
     Scenario,
     Uniform,
@@ -27,8 +28,11 @@ from pinmobile.cli.choices import (
     ROBOTS,
     Choice,
 )
+from pinmobile.controllers import Controller
 from pinmobile.ensembles import PARAMETERS, resolved, with_spread_forces
 from pinmobile.errors import shown
+from pinmobile.paths import Path
+from pinmobile.trajectories import Trajectory
 
 _T = TypeVar("_T")
 Told = Callable[[str], str]
@@ -45,8 +49,12 @@ def as_key(name: str) -> str:
     table, dot, key = name.partition(".")
     if dot:
         return f"{table} of {key}"
-    option = OPTIONS[name]
-    return name if option.key in ("", "type") else option.key
+    key = OPTIONS[name].key
+    return name if key == "type" else key
+
+
+class Interrupted(PinmobileError):
+    """A command was stopped; the message says how to go on with it."""
 
 
 class Refused(InvalidArgument):
@@ -95,11 +103,11 @@ class Options:
             return value
         return alone(numbers(self.told(name), value, self.place(name)))
 
-    def with_values(self, **values: Any) -> "Options":
+    def with_values(self, **values: object) -> "Options":
         """Return these options, some of them others."""
         return replace(self, values={**self.values, **values})
 
-    def made(self, name: str, choice: Choice, *first: Any, **more: Any) -> Any:
+    def made(self, name: str, choice: Choice[_T], *first: object, **more: object) -> _T:
         """Return what the choice of an option makes of these; those that were not typed are the lecture's."""
         taken = {each: self[each] for each in choice.takes}
         arguments = {option: argument for argument, option in choice.called.items()}
@@ -173,7 +181,7 @@ def choose(kind: str, name: str, available: Mapping[str, _T]) -> _T:
     return available[name]
 
 
-def numbers(told: str, value: Any, place: str = "") -> tuple[float, ...]:
+def numbers(told: str, value: object, place: str = "") -> tuple[float, ...]:
     """Return the numbers of a text with commas, of a list, or of one number.
 
     Parameters
@@ -225,7 +233,7 @@ def robot(base: Any, **changed: Any) -> Any:
     return base.with_body(other.body, f"{base.source}; with other {', '.join(changed)}")
 
 
-def path_of(options: Options) -> Any:
+def path_of(options: Options) -> Path:
     """Return the path that options stand for.
 
     Raises
@@ -241,7 +249,7 @@ def path_of(options: Options) -> Any:
     return options.made("trajectory", path)
 
 
-def trajectory_of(options: Options, curve: Any) -> Any:
+def trajectory_of(options: Options, curve: Path) -> Trajectory:
     """Return the trajectory along a path that options stand for."""
     heading = choose("heading", options["heading"], HEADINGS)
     others = [each for kind in HEADINGS.values() for each in kind.takes if each not in heading.takes]
@@ -270,17 +278,19 @@ def body_of(options: Options, prefix: str = "") -> dict[str, Any]:
     return typed
 
 
-def _changed(options: Options, base: Any, prefix: str) -> Any:
+def _changed(options: Options, base: object, prefix: str) -> Any:
     with options.naming(f"{prefix}mass", **{name: prefix + name for name in BODY}):
         return robot(base, **body_of(options, prefix))
 
 
-def controller_of(options: Options, plant: Any) -> Any:
+def controller_of(options: Options, plant: object) -> Controller:
     """Return the controller of a robot that options stand for."""
     name = options["controller"]
     law = choose("controller", options["controller"], CONTROLLERS)
-    difference = plain_difference if options["heading"] == "lecture" else planar_difference
-    more = {"difference": difference if options["heading"] else None}
+    heading = HEADINGS.get(str(options["heading"]))
+    on_circle = heading is None or getattr(heading.make, "on_circle", True)
+    difference = planar_difference if on_circle else plain_difference
+    more: dict[str, object] = {"difference": difference if options["heading"] else None}
     if law.believes:
         more["robot"] = _changed(options, plant, "model_")
     else:
@@ -367,7 +377,7 @@ def _unfit(told: Told, name: str, why: str) -> Refused:
     return Refused(f"{told(f'spread.{name}')} {why}", f"spread.{name.removesuffix(' factor')}")
 
 
-def _source(told: Told, name: str, value: Any, nominal: float) -> Any:
+def _source(told: Told, name: str, value: object, nominal: float) -> Any:
     """Return the distribution or number that a value in words stands for."""
     if not isinstance(value, Mapping):
         return value
@@ -395,7 +405,7 @@ def _source(told: Told, name: str, value: Any, nominal: float) -> Any:
         raise Refused(f"{told(f'spread.{name}')}: {error}", f"spread.{name}") from error
 
 
-def _around(told: Told, name: str, percent: Any, nominal: float) -> Uniform:
+def _around(told: Told, name: str, percent: object, nominal: float) -> Uniform:
     if not isinstance(percent, int | float) or not percent >= 0:
         raise _unfit(told, name, f"is percent of {percent!r}, expected a number >= 0")
     if nominal == 0:

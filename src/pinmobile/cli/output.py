@@ -7,12 +7,15 @@ from html import escape
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import Any
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from pinmobile.files import refusals, write
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 console = Console(highlight=False, soft_wrap=True)
 
@@ -36,11 +39,11 @@ class Section:
 
 
 @contextmanager
-def progress(total: int) -> Iterator[Progress]:
+def progress(total: int, what: str = "") -> Iterator[Progress]:
     """Give a progress bar on the terminal, with one task of `total` steps; silent where there is none."""
     columns = SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
     with Progress(*columns, console=console, transient=True) as bar:
-        bar.add_task("", total=total)
+        bar.add_task(what, total=total)
         yield bar
 
 
@@ -74,7 +77,7 @@ def output_folder(path: Path, option: str = "--out", given: Path | None = None) 
     return path
 
 
-def save_figure(figure: Any, path: Path) -> None:
+def save_figure(figure: "Figure", path: Path) -> None:
     """Write a figure of matplotlib as a PNG."""
     buffer = BytesIO()
     figure.savefig(buffer, format="png", dpi=110)

@@ -214,7 +214,6 @@ def _plant(rollouts: Mapping[str, Rollout]) -> Any:
     return MobileRobot.lecture() if plant is None else plant
 
 
-_PATHS = {name.replace("-", " "): name for name in ("via-stop", "via-free", "circle")}
 _CONTROLLERS = {CONTROLLERS[name].label: name for name in COMPARED}
 _TURN_TIME = HEADINGS["tangent"].takes["turn_time"]
 _OFFSET = (0.1, 0.05)
@@ -229,6 +228,8 @@ EXPECTED = {
     ("circle", "computed torque"): ("3.491279e-05", "3.491278e-05"),
 }
 """Largest |error| in x and y [m] of the lecture's script, run in an independent interpreter."""
+
+_PATHS = {name: name.replace(" ", "-") for name, _ in EXPECTED}
 
 Runs = dict[tuple[str, str], Rollout]
 
@@ -303,14 +304,10 @@ def _table(lecture: Runs, right: Runs) -> tuple[str, bool]:
     for key, (x, y) in EXPECTED.items():
         mark = "" if found[key][:2] == (x, y) else "  DIFFERS"
         lines.append(f"{key[0]:10} {key[1]:15} {found[key][0]:>12} {x:>12} {found[key][1]:>13} {y:>12}{mark}")
-    lines += [
-        "",
-        "{:10} {:15} {:>25} {:>26}".format("trajectory", "controller", "psi [rad]", "psi, put right"),
-    ]
+    lines += ["", f"{'trajectory':10} {'controller':15} {'psi [rad]':>25} {'psi, put right':>26}"]
     for key in EXPECTED:
-        lines.append(
-            f"{key[0]:10} {key[1]:15} {found[key][2]:>25} {error_text(right[key].max_error()[2]):>26}"
-        )
+        psi = error_text(right[key].max_error()[2])
+        lines.append(f"{key[0]:10} {key[1]:15} {found[key][2]:>25} {psi:>26}")
     lines += [
         "the lecture's heading jumps where the robot rests; put right, it follows the",
         f"tangent's limits, and turns on the spot for {_TURN_TIME:g} s where the path bends at rest",
@@ -320,14 +317,10 @@ def _table(lecture: Runs, right: Runs) -> tuple[str, bool]:
 
 def _summary(verification: "Verification", same: bool) -> str:
     largest = ", ".join(f"{name} {value:.0e}" for name, value in verification.largest.items())
-    return "\n".join(
-        [
-            f"the routes {'' if verification.passed else 'do NOT '}agree; largest differences: {largest}",
-            "all twelve numbers are the lecture's, to every digit"
-            if same
-            else "some numbers are NOT the lecture's: see the rows marked DIFFERS",
-        ]
-    )
+    routes = f"the routes {'' if verification.passed else 'do NOT '}agree; largest differences: {largest}"
+    if same:
+        return f"{routes}\nall twelve numbers are the lecture's, to every digit"
+    return f"{routes}\nsome numbers are NOT the lecture's: see the rows marked DIFFERS"
 
 
 def _sections(folder: Path, right: Runs, gif: bool, bar: Progress) -> list[Section]:

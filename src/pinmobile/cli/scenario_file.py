@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pinmobile import Axis, InvalidArgument, PinmobileError, Scenario, UnknownName, grid
-from pinmobile.cli.choices import CONTROLLERS, HEADINGS, OPTIONS, UNITS
-from pinmobile.cli.messages import SPREAD_NAMES, shortened, unknown
+from pinmobile.cli.choices import CONTROLLERS, HEADINGS, OF_PARTS, OPTIONS, UNITS, shortened, unknown
 from pinmobile.cli.options import (
     Options,
     Refused,
@@ -52,7 +51,7 @@ dt = 0.1
 [spread]           # uniform, normal, percent (of nominal), same, or a number
 start_x = {normal = [0, 0.001]}
 start_y = {same = "start_x", factor = {uniform = [-1, 1]}}
-[ensemble]         # n, seed; after: when the start is over and errors count
+[ensemble]         # n, seed; after: errors count from this time on
 n = 10000
 after = 5
 [grid]             # what is swept: any key above, by its table and name
@@ -63,7 +62,7 @@ after = 5
 
 
 def _keys(table: str) -> tuple[str, ...]:
-    return tuple(option.key or option.name for option in OPTIONS.values() if option.table == table)
+    return tuple(option.key for option in OPTIONS.values() if option.table == table)
 
 
 _OWN = ("forces", "spread")  # tables whose keys others know
@@ -71,8 +70,7 @@ _TYPED = ("robot", "trajectory", "controller")  # tables that a type may give ke
 _TABLES: Mapping[str, tuple[str, ...]] = {
     table: _keys(table) for table in (*_TYPED, "forces", "loop", "spread", "ensemble")
 }
-_NAMES = ("base", "urdf", "type", "heading", "integrator")
-_OF_PARTS = ("heading", "integrator")  # they may be tables, too
+_NAMES = {option.key for option in OPTIONS.values() if option.kind in (str, Path)}
 # Of [trajectory], what is not its path's.
 _OF_HEADINGS = tuple(dict.fromkeys(each for heading in HEADINGS.values() for each in heading.takes))
 _PATH_APART = ("heading", *_OF_HEADINGS)
@@ -146,7 +144,7 @@ class _Reader:
         self.lacks: dict[str, UnknownName] = {}
         self.spread: set[str] = set()
 
-    def scenario(self, **chosen: Any) -> Scenario:
+    def scenario(self, **chosen: object) -> Scenario:
         """Return the scenario for values of what is swept."""
         tree = deepcopy(dict(self.tree))
         for name, value in chosen.items():
@@ -226,7 +224,7 @@ def _options(tree: Table) -> Options:
     """Return what tables say beside the keys of users' parts, which are arguments of these."""
     values = {name: option.default for name, option in OPTIONS.items()}
     for name, option in OPTIONS.items():
-        key, table = option.key or name, tree.get(option.table, {})
+        key, table = option.key, tree.get(option.table, {})
         if key in table and (not _is_composed(tree, option.table) or key in _PATH_APART):
             values[name] = table[key]
     heading = values["heading"]
@@ -275,7 +273,7 @@ def _check(tree: Table, swept: Table) -> None:
 
 def _check_key(what: str, table: str, key: str, own: Collection[str], place: str = "") -> None:
     if key not in _TABLES[table] and table not in own:
-        raise Refused(unknown(what, key, _TABLES[table], SPREAD_NAMES), place or f"{table}.{key}")
+        raise Refused(unknown(what, key, _TABLES[table]), place or f"{table}.{key}")
 
 
 def _may_be_composed(tree: Table, swept: Table, table: str) -> bool:
@@ -284,11 +282,11 @@ def _may_be_composed(tree: Table, swept: Table, table: str) -> bool:
     return any(_is_composed({table: {"type": name}}, table) for name in types)
 
 
-def _names_well(table: str, key: str, value: Any) -> bool:
+def _names_well(table: str, key: str, value: object) -> bool:
     """Tell whether a key that names something has a text, or a table where that is possible."""
     if table in _OWN or key not in _NAMES or isinstance(value, str):
         return True
-    return key in _OF_PARTS and isinstance(value, Mapping)
+    return key in OF_PARTS and isinstance(value, Mapping)
 
 
 def _refuse_code(path: Path, tree: Table, swept: Table) -> None:
@@ -311,7 +309,7 @@ def _refuse_code(path: Path, tree: Table, swept: Table) -> None:
             )
 
 
-def _check_swept(name: str, values: Any, own: Collection[str]) -> None:
+def _check_swept(name: str, values: object, own: Collection[str]) -> None:
     table, _, rest = name.partition(".")
     if table not in _TABLES:
         raise Refused(unknown(f"table {table!r} of {name!r} in [grid]", table, _TABLES), name)
@@ -334,7 +332,7 @@ def _leaves(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
             yield name, value
 
 
-def _put(tree: dict[str, Any], place: list[str], value: Any) -> None:
+def _put(tree: dict[str, Any], place: list[str], value: object) -> None:
     *tables, key = place
     for table in tables:
         inner = tree.setdefault(table, {})
@@ -362,13 +360,13 @@ def _in_units(made: Grid) -> Grid:
         table, _, key = name.partition(".")
         if table == "spread" and "." not in key:  # the value itself, not what is percent of it
             units = {each.known[key][0].parameter.unit for each in made.scenarios if key in each.known}
-            labelled = dict(zip(axis.values, axis.given, strict=True))
-            given: Any = axis.values if axis.given == axis.values else labelled
-            axes[name] = Axis(given, units.pop()) if len(units) == 1 else axis
+            labels = map(str, axis.values)
+            labelled = None if axis.given == axis.values else dict(zip(labels, axis.given, strict=True))
+            axes[name] = Axis(labelled or axis.values, units.pop()) if len(units) == 1 else axis
     return Grid(axes, made.scenarios)
 
 
-def _label(value: Any) -> str:
+def _label(value: object) -> str:
     if isinstance(value, dict):
         return " ".join(f"{key} {_label(part)}" for key, part in value.items())
     return ",".join(map(str, value)) if isinstance(value, list) else str(value)

@@ -7,10 +7,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeGuard
 
 from pinmobile import InvalidArgument, PinmobileError, UnknownName, controllers, forces
-from pinmobile.cli.choices import BELIEVED, BODY, CONTROLLERS, INTEGRATORS, PATHS, ROBOTS
+from pinmobile.cli.choices import BELIEVED, BODY, CONTROLLERS, INTEGRATORS, OF_PARTS, OPTIONS, PATHS, ROBOTS
 from pinmobile.cli.options import Options, Refused, choose, controller_of, path_of, plant_of
 from pinmobile.compiled import attributes_of, check_numbers
 from pinmobile.errors import shown
@@ -103,7 +103,7 @@ def _line_of_place(place: str, text: str, tree: Table, swept: Table) -> int:
     return next((line(text, where, table) for where, content in tree.items() if table in content), 0)
 
 
-def _line_of_name(name: Any, text: str, tree: Table, swept: Table, *, among_keys: bool = True) -> int:
+def _line_of_name(name: object, text: str, tree: Table, swept: Table, *, among_keys: bool = True) -> int:
     """Return the line of a name that is a value somewhere, or one of the keys, else 0."""
     for where, values in swept.items():
         if _holds(values, name):
@@ -118,7 +118,7 @@ def _line_of_name(name: Any, text: str, tree: Table, swept: Table, *, among_keys
     return 0
 
 
-def _holds(value: Any, name: Any) -> bool:
+def _holds(value: object, name: object) -> bool:
     if isinstance(value, Mapping):
         return name in value or any(_holds(part, name) for part in value.values())
     if isinstance(value, list):
@@ -160,17 +160,17 @@ WRAPPERS: Parts = _classes(controllers, lambda kind: "controller" in _parameters
 FORCES: Parts = _classes(forces, lambda kind: True)
 STEPS: Parts = {name: partial(lambda step: step, step) for name, step in INTEGRATORS.items()}
 NONE: Parts = {}
-_NAMED = ("type", "heading", "integrator")  # keys whose text names a part
+_NAMED = ("type", *OF_PARTS)  # keys whose text names a part
 _REFERENCE = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*(\.[^\W\d]\w*)*")
-_PLACES = {"path": "trajectory", "heading": "trajectory.heading", "integrator": "loop.integrator"}
+_PLACES = {"path": "trajectory", **{name: OPTIONS[name].place for name in OF_PARTS}}
 
 
-def is_code(name: Any) -> bool:
+def is_code(name: object) -> TypeGuard[str]:
     """Tell whether a text names what is in a user's module."""
     return isinstance(name, str) and ":" in name
 
 
-def code_in(key: str, value: Any) -> Iterator[str]:
+def code_in(key: str, value: object) -> Iterator[str]:
     """Yield the names of users' parts in a value of a key, whatever it holds."""
     if key in _NAMED and is_code(value):
         yield value
@@ -231,7 +231,7 @@ class _Offered:
             [inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=None) for key in self.takes]
         )
 
-    def __call__(self, **given: Any) -> Any:
+    def __call__(self, **given: object) -> Any:
         options = {self.option: self.name, **given}
         return self.make(
             Options(
@@ -257,11 +257,11 @@ class Maker:
     def part(
         self,
         kind: str,
-        given: Any,
+        given: object,
         available: Parts,
         *,
         beside: Table = NONE,
-        first: Any = None,
+        first: object = None,
         taken: set[str] | None = None,
     ) -> Any:
         """Return the part that a name, or a table with a ``type``, stands for.
@@ -327,7 +327,7 @@ class Maker:
         name: str,
         make: Callable[..., Any],
         parameters: Mapping[str, inspect.Parameter],
-        arguments: dict[str, Any],
+        arguments: Mapping[str, object],
     ) -> Any:
         takes = ", ".join(parameters) or "nothing"
         for key in arguments:
@@ -342,7 +342,7 @@ class Maker:
         with self.code.errors(f"{name} cannot be made"):
             return make(**arguments)
 
-    def _value(self, kind: str, value: Any, beside: Table) -> Any:
+    def _value(self, kind: str, value: object, beside: Table) -> object:
         """Return an argument: a table with a type is a part, and others may hold such."""
         if isinstance(value, Mapping):
             if "type" in value:

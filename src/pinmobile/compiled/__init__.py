@@ -1,34 +1,36 @@
 """Laws on symbols: a loop's parts, written in NumPy for one state, as vector code for many robots."""
 
 from pinmobile.compiled.batched import Batched
-from pinmobile.compiled.copies import (
-    check_made_again as check_made_again,
-    copied as copied,
-    derived as derived,
-)
 from pinmobile.compiled.elementary import sincos as sincos
 from pinmobile.compiled.emit import BINS, FIRST, SHIFT, Shape
 from pinmobile.compiled.known import memory_of, once, program_of
 from pinmobile.compiled.loop_tape import Loop, arrays_of as arrays_of, initial_memory as initial_memory
-from pinmobile.compiled.memory import Line
-from pinmobile.compiled.noise import Noise, robot_keys
+from pinmobile.compiled.memory import Line, Noise, robot_keys
 from pinmobile.compiled.parts import (
-    Memory,
     Parts,
     Place,
-    Reference,
-    Stepped,
     attributes_of as attributes_of,
+    check_made_again as check_made_again,
     check_numbers as check_numbers,
     children as children,
     children_at as children_at,
-    one_sample,
-    tracking_errors as tracking_errors,
+    copied as copied,
+    derived as derived,
 )
 from pinmobile.compiled.passes import traced
 from pinmobile.compiled.processor import Cache, Target, processors as processors
 from pinmobile.compiled.program import Outcome, Program
-from pinmobile.compiled.recorders import Record, Sample, Summary, Trace
+from pinmobile.compiled.sample import (
+    Memory,
+    Record,
+    Reference,
+    Sample,
+    Stepped,
+    Summary,
+    Trace,
+    one_sample,
+    tracking_errors as tracking_errors,
+)
 from pinmobile.compiled.symbolic import plain as plain, symbols as symbols
 from pinmobile.compiled.tape import Node as Node, maximum as maximum, root as root
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, ArrayLike
 from pinmobile.compiled.emit import ENTRY, Code, Shape
 from pinmobile.compiled.loop_tape import Loop
 from pinmobile.compiled.processor import Cache, Target, function_of
@@ -85,7 +85,7 @@ class Batched:
         cache = Cache() if cache is None else cache
         self._function = function_of(target.key(text), lambda: text, target, cache)
 
-    def __call__(self, *given: Any, threads: int = 1) -> Any:
+    def __call__(self, *given: ArrayLike, threads: int = 1) -> Any:
         """Return what the law gives for each of the leading axes, over which the arguments broadcast.
 
         Parameters

@@ -12,20 +12,31 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.compiled.tape import Node, absolute, bits, float_bits, maximum, minimum, real, root, select
+from pinmobile.compiled.tape import (
+    Node,
+    Number,
+    absolute,
+    bits,
+    float_bits,
+    maximum,
+    minimum,
+    real,
+    root,
+    select,
+)
 
 _ROUNDER = 1.5 * 2.0**52
 _TOP = 2**52 - 1  # all bits of a float's fraction
 _ONE = float_bits(1.0)
 
 
-def rounded(x: Any) -> Any:
+def rounded(x: Number) -> Any:
     """Return the nearest whole number, an even one if two are as near; beyond 2^51, x itself."""
     near = (x + _ROUNDER) - _ROUNDER
     return select(absolute(x) < 2.0**51, near, x)
 
 
-def floor(x: Any) -> Any:
+def floor(x: Number) -> Any:
     """Return the largest whole number that is not above x."""
     near = rounded(x)
     return select(near > x, near - 1.0, near)
@@ -46,7 +57,7 @@ _SINE = [(-1) ** k / math.factorial(2 * k + 1) for k in range(11)]
 _COSINE = [(-1) ** k / math.factorial(2 * k) for k in range(11)]
 
 
-def _series(c: Sequence[float], z: Any) -> Any:
+def _series(c: Sequence[float], z: Number) -> Any:
     """Return c[1] + c[2] z + ... + c[10] z^9, in pairs, so that the processor computes several at a time."""
     z2 = z * z
     z4 = z2 * z2
@@ -54,7 +65,7 @@ def _series(c: Sequence[float], z: Any) -> Any:
     return ((c[1] + z * c[2]) + z2 * (c[3] + z * c[4])) + z4 * high
 
 
-def sincos(x: Any) -> tuple[Any, Any]:
+def sincos(x: Number) -> tuple[Any, Any]:
     """Return sine and cosine: reduced to |r| <= pi/2, then Taylor's series to less than 2e-17."""
     shifted = x * _PER_PI + _ROUNDER
     k = shifted - _ROUNDER
@@ -66,23 +77,23 @@ def sincos(x: Any) -> tuple[Any, Any]:
     return real(bits(s) ^ flip), real(bits(c) ^ flip)
 
 
-def sin(x: Any) -> Any:
+def sin(x: Number) -> Any:
     """Return the sine."""
     return sincos(x)[0]
 
 
-def cos(x: Any) -> Any:
+def cos(x: Number) -> Any:
     """Return the cosine."""
     return sincos(x)[1]
 
 
-def tan(x: Any) -> Any:
+def tan(x: Number) -> Any:
     """Return the tangent."""
     s, c = sincos(x)
     return s / c
 
 
-def polynomial(c: Sequence[float], z: Any) -> Any:
+def polynomial(c: Sequence[float], z: Number) -> Any:
     """Return c[0] + c[1] z + ... by Estrin's scheme: four at a time."""
     z2 = z * z
     z4 = z2 * z2
@@ -104,14 +115,14 @@ _LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
 _TAYLOR = [1 / math.factorial(k) for k in range(16)]
 
 
-def exp(x: Any) -> Any:
+def exp(x: Number) -> Any:
     """Return the exponential; infinity above 709.78, and 0 below -708, where no normal number is left."""
     found = _exp_inside(minimum(709.78, maximum(-708.0, x)))
     found = select(x > 709.78, math.inf, select(x < -708.0, 0.0, found))
     return select(x == x, found, x)
 
 
-def _exp_inside(inside: Any) -> Any:
+def _exp_inside(inside: Number) -> Any:
     """Return the exponential of a number in [-708, 709.78]."""
     shifted = inside * (1 / math.log(2)) + _ROUNDER
     k = shifted - _ROUNDER
@@ -121,12 +132,12 @@ def _exp_inside(inside: Any) -> Any:
     return (polynomial(_TAYLOR[:14], r) * power_of_two) * 2.0
 
 
-def expm1(x: Any) -> Any:
+def expm1(x: Number) -> Any:
     """Return exp(x) - 1, accurate about zero too."""
     return select(absolute(x) < 0.35, x * polynomial(_TAYLOR[1:], x), exp(x) - 1.0)
 
 
-def sinh(x: Any) -> Any:
+def sinh(x: Number) -> Any:
     """Return the hyperbolic sine."""
     grown = expm1(absolute(x))
     size = 0.5 * (grown + grown / (grown + 1.0))
@@ -134,7 +145,7 @@ def sinh(x: Any) -> Any:
     return select(x < 0.0, -size, size)
 
 
-def cosh(x: Any) -> Any:
+def cosh(x: Number) -> Any:
     """Return the hyperbolic cosine."""
     grown = exp(absolute(x))
     return 0.5 * (grown + 1.0 / grown)
@@ -145,7 +156,7 @@ _TANH_P = (-1.61468768441708447952e3, -9.92877231001918586564e1, -9.643991794250
 _TANH_Q = (4.84406305325125486048e3, 2.23548839060100448583e3, 1.12811678491632931402e2, 1.0)
 
 
-def tanh(x: Any) -> Any:
+def tanh(x: Number) -> Any:
     """Return the hyperbolic tangent."""
     size, z = absolute(x), x * x
     small = x + (x * z) * (_horner(_TANH_P, z) / _horner(_TANH_Q, z))
@@ -154,7 +165,7 @@ def tanh(x: Any) -> Any:
     return select(size < 0.625, small, large)
 
 
-def _horner(c: Sequence[float], z: Any) -> Any:
+def _horner(c: Sequence[float], z: Number) -> Any:
     found = c[-1]
     for each in reversed(c[:-1]):
         found = found * z + each
@@ -173,7 +184,7 @@ _LOG = (
 )
 
 
-def log(x: Any) -> Any:
+def log(x: Number) -> Any:
     """Return the natural logarithm; minus infinity at 0, and what is no number below."""
     tiny = x < 2.0**-1022  # its exponent is not that of its bits
     found = _log_of_normal(
@@ -183,7 +194,7 @@ def log(x: Any) -> Any:
     return select(x == math.inf, math.inf, found)
 
 
-def _log_of_normal(x: Any, shift: Any = 2.0**52 + 1023.0) -> Any:
+def _log_of_normal(x: Number, shift: Number = 2.0**52 + 1023.0) -> Any:
     """Return the natural logarithm of a normal number above 0, its exponent counted from `shift`."""
     word = bits(x)
     fraction = real((word & _TOP) | _ONE)
@@ -201,7 +212,7 @@ def _log_of_normal(x: Any, shift: Any = 2.0**52 + 1023.0) -> Any:
     return exponent * _LN2_HIGH - ((half - (s * (half + rest) + exponent * _LN2_LOW)) - f)
 
 
-def log1p(x: Any) -> Any:
+def log1p(x: Number) -> Any:
     """Return log(1 + x), accurate about zero too."""
     sum_ = 1.0 + x
     return select(sum_ == 1.0, x, log(sum_) * (x / select(sum_ == 1.0, 1.0, sum_ - 1.0)))
@@ -224,7 +235,7 @@ _ARCTAN_Q = (
 )
 
 
-def _angle(y: Any, x: Any) -> Any:
+def _angle(y: Number, x: Number) -> Any:
     """Return the angle of (x, y) in the first quadrant; of (0, 0) it is 0."""
     steep, middle = y > 2.41421356237309504880 * x, y > 0.66 * x
     top = select(steep, -x, select(middle, y - x, y))
@@ -237,14 +248,14 @@ def _angle(y: Any, x: Any) -> Any:
     return select(steep, math.pi / 2, select(middle, math.pi / 4, 0.0)) + (series + rest)
 
 
-def arctan2(y: Any, x: Any) -> Any:
+def arctan2(y: Number, x: Number) -> Any:
     """Return the angle of (x, y) in [-pi, pi]; both finite."""
     found = _angle(absolute(y), absolute(x))
     found = select(x < 0.0, math.pi - found, found)
     return select(y < 0.0, -found, found)
 
 
-def arctan(x: Any) -> Any:
+def arctan(x: Number) -> Any:
     """Return the angle whose tangent is x."""
     size = absolute(x)
     inverse = size > 1.0
@@ -252,17 +263,17 @@ def arctan(x: Any) -> Any:
     return select(x < 0.0, -found, found)
 
 
-def arcsin(x: Any) -> Any:
+def arcsin(x: Number) -> Any:
     """Return the angle whose sine is x."""
     return arctan2(x, root((1.0 - x) * (1.0 + x)))
 
 
-def arccos(x: Any) -> Any:
+def arccos(x: Number) -> Any:
     """Return the angle whose cosine is x."""
     return arctan2(root((1.0 - x) * (1.0 + x)), x)
 
 
-def power(base: Any, exponent: Any) -> Any:
+def power(base: Number, exponent: Number) -> Any:
     """Return base to an exponent: by products, and a root, where it is known and simple; else by exp."""
     known = exponent.value if type(exponent) is Node else exponent
     if known is None:
@@ -284,7 +295,7 @@ def power(base: Any, exponent: Any) -> Any:
     return found if known > 0 else 1.0 / found
 
 
-def _any_power(base: Any, exponent: Any) -> Any:
+def _any_power(base: Number, exponent: Number) -> Any:
     size = exp(exponent * log(absolute(base)))
     whole = rounded(exponent) == exponent
     odd = rounded(0.5 * exponent) * 2.0 != exponent
@@ -300,3 +311,7 @@ def of_floats(function: Callable[..., Any]) -> Callable[..., Any]:
             return function(*(np.asarray(x, np.float64) for x in given))[()]
 
     return run
+
+
+ELEMENTARY = (sin, cos, tan, exp, expm1, log, log1p, sinh, cosh, tanh, arcsin, arccos, arctan, arctan2)
+"""Those that NumPy has under the same names."""

@@ -3,36 +3,38 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import reduce
 from typing import Any
 
 import numpy as np
 
-from pinmobile.compiled.elementary import (
-    arccos,
-    arcsin,
-    arctan,
-    arctan2,
-    cos,
-    cosh,
-    exp,
-    expm1,
-    log,
-    log1p,
-    of_floats,
-    sin,
-    sinh,
-    tan,
-    tanh,
+from pinmobile.compiled.elementary import ELEMENTARY, of_floats
+from pinmobile.compiled.symbolic import (
+    FUNCTIONS,
+    REFUSED,
+    UFUNCS,
+    Operand,
+    Symbols,
+    Values,
+    between,
+    boxed,
+    choose,
+    elementwise,
+    entries,
+    has_symbols,
+    larger,
+    of_truths,
+    plain,
+    put,
+    smaller,
+    wrapped,
 )
-from pinmobile.compiled.symbolic import FUNCTIONS, REFUSED, Symbols, entries, has_symbols, plain, put, wrapped
-from pinmobile.compiled.tape import absolute, maximum, minimum, root, select
-from pinmobile.compiled.ufuncs import UFUNCS, between, boxed, choose, elementwise, larger, of_truths, smaller
+from pinmobile.compiled.tape import Number, absolute, maximum, minimum, root, select
 from pinmobile.errors import NotTraceable
 
 
-def _where(condition: Any, *choice: Any) -> Any:
+def _where(condition: Operand, *choice: Operand) -> Any:
     if not choice:
         raise NotTraceable(
             "np.where with one argument of symbols", "give all three: np.where(condition, a, b)"
@@ -40,7 +42,7 @@ def _where(condition: Any, *choice: Any) -> Any:
     return wrapped(choose(*map(plain, (condition, *choice))))
 
 
-def _clip(a: Any, a_min: Any = None, a_max: Any = None, out: Any = None, **named: Any) -> Any:
+def _clip(a: object, a_min: object = None, a_max: object = None, out: object = None, **named: object) -> Any:
     low, high = named.get("min", a_min), named.get("max", a_max)
     bounds = -np.inf if low is None else low, np.inf if high is None else high
     found = wrapped(between(*map(plain, (a, *bounds))))
@@ -50,7 +52,9 @@ def _clip(a: Any, a_min: Any = None, a_max: Any = None, out: Any = None, **named
 def _reduced(function: Callable[..., Any]) -> Callable[..., Any]:
     step = elementwise(function, 2)
 
-    def run(a: Any, axis: Any = None, out: Any = None, keepdims: bool = False, **options: Any) -> Any:
+    def run(
+        a: object, axis: int | None = None, out: object = None, keepdims: bool = False, **options: object
+    ) -> Any:
         array = entries(a)
         if "initial" in options:
             array = np.append(array.reshape(-1), [options["initial"]])
@@ -62,11 +66,11 @@ def _reduced(function: Callable[..., Any]) -> Callable[..., Any]:
     return run
 
 
-def _boxed_array(x: Any) -> Any:
+def _boxed_array(x: object) -> Any:
     return x if isinstance(x, np.ndarray) else boxed(x)
 
 
-def _norm(x: Any, ord: Any = None, axis: Any = None, keepdims: bool = False) -> Any:
+def _norm(x: Symbols, ord: object = None, axis: int | None = None, keepdims: bool = False) -> Any:
     if ord in (None, 2, "fro") and (axis is not None or x.ndim < 2 or ord != 2):
         return np.sqrt(np.sum(np.square(x), axis=axis, keepdims=keepdims))
     if x.ndim == 1 or isinstance(axis, int):
@@ -77,7 +81,7 @@ def _norm(x: Any, ord: Any = None, axis: Any = None, keepdims: bool = False) -> 
     raise NotTraceable(f"np.linalg.norm with ord={ord!r}", "write it by sums, products, np.abs and np.max")
 
 
-def _eliminated(matrix: Any, right: Any) -> Any:
+def _eliminated(matrix: object, right: object) -> Any:
     """Return the solution of linear equations by elimination, the row with the largest pivot moved up."""
     a, b = entries(matrix).copy(), entries(right).copy()
     if a.ndim != 2 or a.shape[0] != a.shape[1]:
@@ -102,7 +106,7 @@ def _eliminated(matrix: Any, right: Any) -> Any:
     return wrapped(rows[:, n] if vector else rows[:, n:])
 
 
-def _cholesky(matrix: Any, **_: Any) -> Any:
+def _cholesky(matrix: object, **_: object) -> Any:
     a = entries(matrix)
     n = len(a)
     lower = np.asarray(np.zeros((n, n))).astype(object)
@@ -114,7 +118,7 @@ def _cholesky(matrix: Any, **_: Any) -> Any:
     return wrapped(lower)
 
 
-def _determinant(matrix: Any) -> Any:
+def _determinant(matrix: object) -> Any:
     a = entries(matrix)
     if len(a) == 1:
         return wrapped(boxed(a[0, 0]))
@@ -125,13 +129,15 @@ def _determinant(matrix: Any) -> Any:
     return wrapped(boxed(sum(minors, 0.0)))
 
 
-def _interpolated(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None, period: Any = None) -> Any:
+def _interpolated(
+    x: object, xp: object, fp: object, left: object = None, right: object = None, period: object = None
+) -> Any:
     if period is not None:
         raise NotTraceable("np.interp with a period", "take np.mod first")
     places, values = entries(xp), entries(fp)
     slopes = [(values[i + 1] - values[i]) / (places[i + 1] - places[i]) for i in range(len(places) - 1)]
 
-    def one(at: Any) -> Any:
+    def one(at: Number) -> Any:
         found = values[-1] if right is None else right
         found = select(at == places[-1], values[-1], found)
         for i in reversed(range(len(slopes))):
@@ -142,7 +148,7 @@ def _interpolated(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None,
     return wrapped(_boxed_array(elementwise(one, 1)(plain(x))))
 
 
-def _sorted(a: Any, axis: int | None = -1, **_: Any) -> Any:
+def _sorted(a: object, axis: int | None = -1, **_: object) -> Any:
     """Return the entries in order, by exchanges."""
     array = entries(a).copy()
     if axis is None:
@@ -155,53 +161,55 @@ def _sorted(a: Any, axis: int | None = -1, **_: Any) -> Any:
     return wrapped(np.moveaxis(rows, 0, axis))
 
 
-def _between_two(a: Any, b: Any) -> Any:
+def _between_two(a: object, b: object) -> Any:
     return elementwise(minimum, 2)(a, b), elementwise(maximum, 2)(a, b)
 
 
-def _selected(conditions: Any, choices: Any, default: Any = 0) -> Any:
+def _selected(conditions: Iterable[Operand], choices: Iterable[Operand], default: Operand = 0) -> Any:
     pairs = zip(conditions, choices, strict=True)
     return reduce(lambda rest, pair: _where(pair[0], pair[1], rest), reversed(list(pairs)), default)
 
 
-def _filled(value: Any) -> Callable[..., Any]:
-    def run(a: Any, *_: Any, shape: Any = None, **__: Any) -> Any:
+def _filled(value: float) -> Callable[..., Any]:
+    def run(a: Operand, *_: object, shape: int | tuple[int, ...] | None = None, **__: object) -> Any:
         return wrapped(np.full(np.shape(a) if shape is None else shape, value).astype(object))
 
     return run
 
 
-def _full_like(a: Any, value: Any, *_: Any, **__: Any) -> Any:
+def _full_like(a: Operand, value: object, *_: object, **__: object) -> Any:
     return wrapped(np.array(np.broadcast_to(entries(value), np.shape(a)), object))
 
 
 def _masked(function: Callable[..., Any], neutral: float) -> Callable[..., Any]:
     """Return a sum or product that leaves out what is masked."""
 
-    def run(a: Any, *given: Any, where: Any = True, **options: Any) -> Any:
+    def run(a: Operand, *given: object, where: Operand = True, **options: object) -> Any:
         masked = a if where is True else _where(where, a, neutral)
         return wrapped(function(plain(masked), *given, **options))
 
     return run
 
 
-def _round(a: Any, decimals: int = 0, **_: Any) -> Any:
+def _round(a: Symbols, decimals: int = 0, **_: object) -> Any:
     return np.rint(a * 10.0**decimals) / 10.0**decimals if decimals else np.rint(a)
 
 
-def _numbered(x: Any, nan: Any = 0.0, posinf: Any = None, neginf: Any = None, **_: Any) -> Any:
+def _numbered(
+    x: Symbols, nan: float = 0.0, posinf: float | None = None, neginf: float | None = None, **_: object
+) -> Any:
     top = np.finfo(float).max
     high, low = top if posinf is None else posinf, -top if neginf is None else neginf
     return np.where(x != x, nan, np.where(x == np.inf, high, np.where(x == -np.inf, low, x)))
 
 
-def _spread(a: Any, axis: Any = None, ddof: float = 0, **_: Any) -> Any:
+def _spread(a: Symbols, axis: int | None = None, ddof: float = 0, **_: object) -> Any:
     centred = a - np.mean(a, axis=axis, keepdims=True)
     count = np.size(a) if axis is None else np.shape(a)[axis]
     return np.sum(np.square(centred), axis=axis) / (count - ddof)
 
 
-def _near(a: Any, b: Any, rtol: float = 1e-5, atol: float = 1e-8, **_: Any) -> Any:
+def _near(a: Values, b: Values, rtol: float = 1e-5, atol: float = 1e-8, **_: object) -> Any:
     return np.abs(a - b) <= atol + rtol * np.abs(b)
 
 
@@ -251,18 +259,18 @@ _OWN: dict[Any, Callable[..., Any]] = {
 }
 
 
-def _middle(ordered: Any) -> Any:
+def _middle(ordered: Symbols) -> Any:
     half = ordered.size // 2
     return ordered[half] if ordered.size % 2 else 0.5 * (ordered[half - 1] + ordered[half])
 
 
-def _unwrapped(p: Any) -> Any:
+def _unwrapped(p: Symbols) -> Any:
     steps = np.diff(p)
     turns = np.cumsum(-2 * np.pi * np.rint(steps / (2 * np.pi)))
     return np.concatenate([p[:1], p[1:] + turns])
 
 
-def _pseudo_inverse(a: Any) -> Any:
+def _pseudo_inverse(a: Symbols) -> Any:
     rows, columns = a.shape
     return np.linalg.inv(a.T @ a) @ a.T if rows >= columns else a.T @ np.linalg.inv(a @ a.T)
 
@@ -292,7 +300,7 @@ _NOT_TRACED: dict[Any, str] = {
 
 
 def _making(true: Callable[..., Any], copies: bool) -> Callable[..., Any]:
-    def run(x: Any, *given: Any, **options: Any) -> Any:
+    def run(x: object, *given: Any, **options: Any) -> Any:
         if not has_symbols(x):
             return true(x, *given, **options)
         if isinstance(x, Symbols) and not copies:
@@ -331,7 +339,6 @@ def _own(function: Callable[..., Any]) -> Callable[..., Any]:
     return run
 
 
-_ELEMENTARY = (sin, cos, tan, exp, expm1, log, log1p, sinh, cosh, tanh, arcsin, arccos, arctan, arctan2)
 _MADE = ("zeros", "empty", "ones", "full", "eye", "identity", "zeros_like", "empty_like", "ones_like")
 
 
@@ -343,7 +350,7 @@ def constructors() -> dict[str, Callable[..., Any]]:
         if hasattr(np, name)
     }
     filling = {name: _filling(getattr(np, name)) for name in _MADE}
-    return making | filling | {function.__name__: _own(function) for function in _ELEMENTARY}
+    return making | filling | {function.__name__: _own(function) for function in ELEMENTARY}
 
 
 FUNCTIONS.update(_OWN)

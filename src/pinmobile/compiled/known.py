@@ -14,11 +14,11 @@ import threading
 import types
 import weakref
 from collections import OrderedDict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Hashable, Iterable
 from itertools import chain
 from operator import is_, itemgetter
 from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -26,12 +26,12 @@ from pinmobile.arrays import Array
 from pinmobile.compiled.emit import Shape
 from pinmobile.compiled.lasting import Unknown, key_of, packed, unpacked
 from pinmobile.compiled.loop_tape import initial_memory
-from pinmobile.compiled.memory import Line
-from pinmobile.compiled.noise import Noise
-from pinmobile.compiled.parts import Parts, Place, Reference, attributes_of
+from pinmobile.compiled.memory import Line, Noise
+from pinmobile.compiled.parts import Parts, Place, attributes_of
 from pinmobile.compiled.passes import traced, walk_of
 from pinmobile.compiled.processor import LOOP, Cache, Target
 from pinmobile.compiled.program import Program
+from pinmobile.compiled.sample import Reference
 from pinmobile.compiled.tracing import Walk, is_foreign, uncollected
 from pinmobile.constancy import has_slots, is_constant, known
 from pinmobile.errors import NotTraceable
@@ -40,6 +40,7 @@ _MOST = 64  # programs
 _MEMORIES = 16  # loops, each with a reference and what all robots share of it, at most some MB
 _THINGS = 64  # that are remembered of one
 _DEEP = 24
+_T = TypeVar("_T")
 _lock = threading.Lock()
 _known: OrderedDict[Any, tuple[_Witness, Program]] = OrderedDict()
 _memories: OrderedDict[Any, tuple[_Witness, dict[Any, Any]]] = OrderedDict()
@@ -72,7 +73,7 @@ class _Identity(int):
 
 def program_of(
     parts: Parts,
-    context: Any,
+    context: object,
     start: tuple[Array, Array],
     reference: Reference,
     *,
@@ -100,11 +101,11 @@ def program_of(
     spread = frozenset(Place(*name) for name in spread)
     own = parts.on_symbols()
     try:
-        key: Any = (*_key(own, context, reference, spread, single), own_reference)
+        key: tuple[Hashable, ...] | None = (*_key(own, context, reference, spread, single), own_reference)
     except Unknown:
         key = None
     if key is not None:
-        found: Program | None = _held(_known, key)
+        found = _held(_known, key)
         if found is not None:
             return found
     with uncollected():
@@ -129,7 +130,7 @@ def program_of(
     return program
 
 
-def _lasting(walk: Walk, key: Any, target: Target) -> str | None:
+def _lasting(walk: Walk, key: object, target: Target) -> str | None:
     """Return what names a loop in any process; None where something has no lasting name."""
     try:
         return key_of(walk, key, functools.partial(_form, constant=True), target.key(""))
@@ -149,7 +150,7 @@ def _read(cache: Cache, key: str, target: Target) -> Program | None:
     return Program(loop, target, shape, cache=cache, key=key)
 
 
-def memory_of(parts: Parts, *others: Any) -> dict[Any, Any]:
+def memory_of(parts: Parts, *others: object) -> dict[Any, Any]:
     """Return where what follows from the parts of a loop is remembered; of parts that may change, nowhere.
 
     It is empty at first, and again after anything changed that the parts' code refers to.
@@ -167,7 +168,7 @@ def memory_of(parts: Parts, *others: Any) -> dict[Any, Any]:
     if len(numbers) < len(each):
         return {}
     key = len(parts.forces), parts.integrator is None, *numbers
-    found: dict[Any, Any] | None = _held(_memories, key)
+    found = _held(_memories, key)
     if found is not None:
         if len(found) > _THINGS:
             found.clear()
@@ -182,7 +183,7 @@ def memory_of(parts: Parts, *others: Any) -> dict[Any, Any]:
     return made
 
 
-def once(memory: dict[Any, Any], what: Any, make: Callable[[], Any]) -> Any:
+def once(memory: dict[Any, Any], what: Hashable, make: Callable[[], Any]) -> Any:
     """Return what a memory has of something, which is made where it has nothing."""
     found = memory.get(what)
     if found is None:
@@ -190,7 +191,7 @@ def once(memory: dict[Any, Any], what: Any, make: Callable[[], Any]) -> Any:
     return found
 
 
-def _held(table: OrderedDict[Any, tuple[_Witness, Any]], key: Any) -> Any:
+def _held(table: OrderedDict[Any, tuple[_Witness, _T]], key: Hashable) -> _T | None:
     """Return what a table has of a key; None where it has nothing, or the code is not what it was."""
     with _lock:
         found = table.get(key)
@@ -200,10 +201,10 @@ def _held(table: OrderedDict[Any, tuple[_Witness, Any]], key: Any) -> Any:
 
 
 def _hold(
-    table: OrderedDict[Any, tuple[_Witness, Any]],
-    key: Any,
+    table: OrderedDict[Any, tuple[_Witness, _T]],
+    key: Hashable,
     walk: Walk,
-    value: Any,
+    value: _T,
     most: int = _MOST,
 ) -> None:
     """Keep a value in a table, where all can be told that it hangs on."""
@@ -218,7 +219,9 @@ def _hold(
             table.popitem(last=False)
 
 
-def _key(parts: Parts, context: Any, reference: Reference, spread: frozenset[Place], single: bool) -> Any:
+def _key(
+    parts: Parts, context: object, reference: Reference, spread: frozenset[Place], single: bool
+) -> tuple[Hashable, ...]:
     names: list[str] = []
 
     def noise(name: str, n: int) -> Noise:
@@ -232,7 +235,7 @@ def _key(parts: Parts, context: Any, reference: Reference, spread: frozenset[Pla
     return forms, parts.substeps, form, tuple(names), shapes, spread, single
 
 
-def _part_form(part: Any) -> Any:
+def _part_form(part: object) -> Any:
     own = known(part)
     if own is None:
         return _form(part)
@@ -241,7 +244,7 @@ def _part_form(part: Any) -> Any:
     return own.memory["form"]
 
 
-def _form(x: Any, leaves: Any = None, depth: int = 0, constant: bool = False) -> Any:
+def _form(x: object, leaves: object = None, depth: int = 0, constant: bool = False) -> Any:
     """Return what makes a value another one, as something that can be compared and hashed.
 
     Of parameters of parts that is their shape, unless they are `constant`, as of a part that a law reaches as
@@ -281,7 +284,7 @@ def _form(x: Any, leaves: Any = None, depth: int = 0, constant: bool = False) ->
     return _object_form(x, leaves, depth, constant)
 
 
-def _object_form(x: Any, leaves: Any, depth: int, constant: bool) -> Any:
+def _object_form(x: object, leaves: object, depth: int, constant: bool) -> Any:
     if is_foreign(type(x).__module__) and not type(x).__module__.startswith("pinmobile"):
         raise Unknown
     attributes = getattr(x, "__dict__", None)  # some answer to any name with something
@@ -349,14 +352,14 @@ class _Witness:
         left = (value for value in changing if not _is_plain(value))
         self._forms = [(self._referred(value), _form(value, constant=True)) for value in left]
 
-    def _weakly(self, value: Any) -> Any:
+    def _weakly(self, value: object) -> Any:
         """Return a weak reference to a value; itself, where it has none."""
         try:
             return weakref.ref(value, self._gone.append)
         except TypeError:
             return value
 
-    def _referred(self, value: Any) -> Callable[[], Any]:
+    def _referred(self, value: object) -> Callable[[], Any]:
         """Return what returns a value, without keeping it alive where that can be helped."""
         found = self._weakly(value)
         return (lambda: value) if found is value else found
@@ -384,7 +387,7 @@ def _by_mapping(names: Iterable[tuple[Any, str, Any]]) -> list[tuple[Any, list[s
     return list(found.values())
 
 
-def _is_plain(x: Any) -> bool:
+def _is_plain(x: object) -> bool:
     """Tell whether a value is a container of what cannot change: then it is what it was while that stays."""
     return type(x) in _CONTAINERS and all(type(y) in _CONTAINERS or is_constant(y) for y in _held_by(x))
 
@@ -405,7 +408,7 @@ def _are(things: list[Any], values: list[Any]) -> bool:
     )
 
 
-def _can_change(x: Any) -> bool:
+def _can_change(x: object) -> bool:
     """Tell whether a value may become another without being replaced; what nobody can look into may."""
     if isinstance(x, MethodType):
         return _can_change(x.__self__)

@@ -76,7 +76,7 @@ class _Labels(NamedTuple):
 _FIELDS = type(vars(_Labels)["kinds"])  # of named tuples
 
 
-def key_of(walk: Walk, form: Any, form_of: Callable[[Any], Any], *others: str) -> str:
+def key_of(walk: Walk, form: object, form_of: Callable[[Any], Any], *others: str) -> str:
     """Return what names a loop in any process.
 
     Parameters
@@ -167,7 +167,7 @@ def _code(code: CodeType) -> str:
     return f"{own} {[_constant(each) for each in code.co_consts]}"
 
 
-def _constant(x: Any) -> str:
+def _constant(x: object) -> str:
     if isinstance(x, CodeType):
         return _code(x)
     if isinstance(x, frozenset):
@@ -193,7 +193,7 @@ def _imports(code: CodeType) -> bool:
     return own or any(_imports(each) for each in code.co_consts if isinstance(each, CodeType))
 
 
-def _check_pure(name: str, value: Any) -> None:
+def _check_pure(name: str, value: object) -> None:
     """Refuse what NumPy has beside sums, products and arrays."""
     if isinstance(value, type):
         fine = issubclass(value, np.generic) or value in (np.ndarray, np.dtype, np.errstate, *_BUILT_IN)
@@ -208,7 +208,7 @@ def _check_pure(name: str, value: Any) -> None:
         raise Unknown
 
 
-def _value(value: Any, labels: _Labels, form_of: Callable[[Any], Any], space: str) -> str:
+def _value(value: object, labels: _Labels, form_of: Callable[[Any], Any], space: str) -> str:
     """Return the form of what a name stands for, in a module or class of some module."""
     if isinstance(value, property):
         return f"property {_value(value.fget, labels, form_of, space)}"
@@ -243,7 +243,7 @@ def _check_module(module: ModuleType, space: str) -> None:
         raise Unknown
 
 
-def _named(value: Any, labels: _Labels, space: str = "") -> str:
+def _named(value: object, labels: _Labels, space: str = "") -> str:
     """Return what a function or class is called, which a name of some module stands for."""
     name = str(getattr(value, "__name__", value))
     for known_ones in (labels.functions, labels.kinds):
@@ -291,7 +291,7 @@ def _encoded(form: Any, labels: _Labels) -> str:
     raise Unknown
 
 
-def packed(loop: Loop, **others: Any) -> bytes:
+def packed(loop: Loop, **others: object) -> bytes:
     """Return a loop, and what is to be kept beside it, as data alone."""
     tape = loop.tape
     leaves = list(loop.parameters.values())

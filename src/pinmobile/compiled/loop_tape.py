@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,9 +11,9 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.compiled.folding import ROBOT, SAMPLE, STATE
-from pinmobile.compiled.memory import Line, leaves
-from pinmobile.compiled.noise import Noise
-from pinmobile.compiled.parts import Memory, Parts, Place, integrate_of
+from pinmobile.compiled.memory import Line, Noise, leaves
+from pinmobile.compiled.parts import Parts, Place
+from pinmobile.compiled.sample import Memory, integrate_of
 from pinmobile.compiled.symbolic import entries, has_symbols, symbols
 from pinmobile.compiled.tape import Node, Tape, evaluated, needed, operands
 from pinmobile.compiled.tracing import tracing
@@ -148,7 +148,9 @@ class Loop:
 class _Context:
     """The context of a controller, whose delays and noise are on the tape, or are numbers."""
 
-    def __init__(self, given: Any, plant: Any, line: Any, normal: Any) -> None:
+    def __init__(
+        self, given: object, plant: Any, line: Callable[..., Any], normal: Callable[..., Any]
+    ) -> None:
         self._given, self.difference, self.integrate = given, plant.difference, integrate_of(plant)
         self.line, self.normal = line, normal
 
@@ -157,7 +159,11 @@ class _Context:
 
 
 def initial_memory(
-    parts: Parts, context: Any, reference: int, line: Any = Line, normal: Any = None
+    parts: Parts,
+    context: object,
+    reference: int,
+    line: Callable[..., Any] = Line,
+    normal: Callable[..., Any] | None = None,
 ) -> Memory:
     """Return what the parts keep before the first sample.
 
@@ -184,7 +190,7 @@ def initial_memory(
 
 
 def initial_memories(
-    parts: Parts, context: Any, reference: int, spread: Mapping[Place, Array], n: int
+    parts: Parts, context: object, reference: int, spread: Mapping[Place, Array], n: int
 ) -> list[Array]:
     """Return the arrays of the memory of n robots before the first sample, shape (...) or (n, ...).
 

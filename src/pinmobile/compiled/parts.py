@@ -1,51 +1,28 @@
-"""The parts of a closed loop, their parameters by path and name, and one sample of the loop, written once.
+"""The parts of a closed loop, their parameters by path and name, and copies of them with other numbers.
 
-`one_sample` runs on numbers as on symbols: it is what the compiled loop repeats.
+A copy stands as the part does, or is made again, which checks it and derives what follows from the numbers.
 """
 
 from __future__ import annotations
 
+import copy
+import dataclasses
+import functools
+import inspect
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from operator import is_
-from types import MethodType
+from types import MethodType, ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from pinmobile.arrays import Array, are_real
-from pinmobile.compiled.copies import copied, is_part, made_again
-from pinmobile.compiled.memory import mapped
-from pinmobile.compiled.recorders import Record, Sample
-from pinmobile.compiled.symbolic import entries, has_symbols
+from pinmobile.arrays import Array
+from pinmobile.compiled.memory import is_leaf
 from pinmobile.constancy import known
-from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
-from pinmobile.measures import measured_of
-from pinmobile.signals import claimed, number, signals_of
+from pinmobile.errors import InvalidArgument, NotTraceable, PinmobileError, UnknownName, shown
 
 _NAMED = ("plant", "controller", "integrator", "recorder", "trajectory")
-
-
-class Reference(NamedTuple):
-    """What is to be followed: the first n coordinates; leading axes where there are several samples.
-
-    Attributes
-    ----------
-    q, v, a : ndarray, shape (..., leading[n]), (..., n), (..., n)
-        Configuration, velocity and acceleration.
-    """
-
-    q: Any
-    v: Any
-    a: Any
-
-
-class Memory(NamedTuple):
-    """What the parts keep between samples."""
-
-    plant: Any
-    controller: Any
-    recorder: Any
 
 
 class Place(NamedTuple):
@@ -117,7 +94,7 @@ class Parts:
     def _rebuilt(self, function: Callable[[str, Any, Mapping[str, Any]], Any]) -> Parts:
         """Return the parts with a function of path, part and changed inner parts in the place of each."""
 
-        def visit(path: str, part: Any) -> Any:
+        def visit(path: str, part: object) -> Any:
             inner = {name: (child, visit(f"{path}.{name}", child)) for name, child in children_at(path, part)}
             return function(path, part, {name: new for name, (old, new) in inner.items() if new is not old})
 
@@ -133,7 +110,7 @@ class Parts:
         for place, entry in entries:
             found.setdefault(place.path, []).append((place.name, entry))
 
-        def own(path: str, part: Any, changed: Mapping[str, Any]) -> Any:
+        def own(path: str, part: object, changed: Mapping[str, Any]) -> Any:
             new = _holding("varying", part, changed) if changed else part
             return new.varying(found.get(path, ())) if hasattr(new, "varying") else new
 
@@ -149,7 +126,7 @@ class Parts:
     def on_arrays(self) -> Parts:
         """Return the parts as `on_symbols` does; those that cannot be traced, as they are."""
 
-        def own(path: str, part: Any) -> Any:
+        def own(path: str, part: object) -> Any:
             if path == "trajectory":
                 return part
             try:
@@ -186,7 +163,7 @@ class Parts:
         """
         left = dict(values)
 
-        def own(path: str, part: Any, changed: Mapping[str, Any]) -> Any:
+        def own(path: str, part: object, changed: Mapping[str, Any]) -> Any:
             mine = {name: left.pop(Place(path, name)) for name in attributes_of(part) if (path, name) in left}
             if not (mine or changed):
                 return part
@@ -199,7 +176,7 @@ class Parts:
         return new
 
 
-def _parameters(path: str, part: Any) -> Sequence[tuple[str, str, Array]]:
+def _parameters(path: str, part: object) -> Sequence[tuple[str, str, Array]]:
     """Return path within a part, name and value of its parameters and of those of parts within it."""
     own, stated = known(part), getattr(type(part), "parameters", None)
     name_of_memory = "parameters", path.startswith("trajectory")
@@ -215,11 +192,11 @@ def _parameters(path: str, part: Any) -> Sequence[tuple[str, str, Array]]:
     return found
 
 
-def _on_symbols(part: Any) -> Any:
+def _on_symbols(part: object) -> Any:
     if hasattr(part, "traced"):
         return part.traced()
 
-    def symbolic(child: Any) -> Any:
+    def symbolic(child: object) -> Any:
         try:
             return _on_symbols(child)
         except NotTraceable:
@@ -230,7 +207,7 @@ def _on_symbols(part: Any) -> Any:
     return _holding("on symbols", part, changed) if changed else part
 
 
-def _holding(why: str, part: Any, changed: Mapping[str, Any]) -> Any:
+def _holding(why: str, part: object, changed: Mapping[str, Any]) -> Any:
     """Return a copy of a part that holds others: the one of last time where these are the same."""
     own = known(part)
     before = own and own.memory.get(why)
@@ -242,7 +219,7 @@ def _holding(why: str, part: Any, changed: Mapping[str, Any]) -> Any:
     return made
 
 
-def children(part: Any) -> Sequence[tuple[str, Any]]:
+def children(part: object) -> Sequence[tuple[str, Any]]:
     """Return the parts that a part holds: as attributes, in lists, and behind methods, by name."""
     own = known(part)
     if own is None:
@@ -252,7 +229,7 @@ def children(part: Any) -> Sequence[tuple[str, Any]]:
     return own.memory["children"]  # type: ignore[no-any-return]
 
 
-def _children(part: Any) -> Iterator[tuple[str, Any]]:
+def _children(part: object) -> Iterator[tuple[str, Any]]:
     for name, value in getattr(part, "__dict__", {}).items():
         if isinstance(value, list | tuple):
             yield from ((f"{name}[{i}]", each) for i, each in enumerate(value) if is_part(each))
@@ -263,7 +240,7 @@ def _children(part: Any) -> Iterator[tuple[str, Any]]:
             yield name, value
 
 
-def children_at(path: str, part: Any) -> Iterator[tuple[str, Any]]:
+def children_at(path: str, part: object) -> Iterator[tuple[str, Any]]:
     """Return the parts that a part at a path holds and whose parameters are the loop's.
 
     A trajectory may know a robot, whose limits it keeps; nothing follows from that robot's parameters.
@@ -273,7 +250,7 @@ def children_at(path: str, part: Any) -> Iterator[tuple[str, Any]]:
             yield name, child
 
 
-def attributes_of(part: Any) -> tuple[str, ...]:
+def attributes_of(part: object) -> tuple[str, ...]:
     """Return the attributes of a part that may differ from robot to robot.
 
     They hold its parameters, and what each robot draws, which a part lists as ``drawn``.
@@ -286,7 +263,7 @@ def attributes_of(part: Any) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*found, *(drawn if isinstance(drawn, list | tuple) else ())]))
 
 
-def _value(path: str, part: Any, name: str) -> Array:
+def _value(path: str, part: object, name: str) -> Array:
     try:
         return np.asarray(getattr(part, name), np.float64)
     except AttributeError:
@@ -298,7 +275,7 @@ def _value(path: str, part: Any, name: str) -> Array:
         raise
 
 
-def check_numbers(name: str, value: Any) -> None:
+def check_numbers(name: str, value: object) -> None:
     """Refuse the value of a parameter that is no number and no array of numbers.
 
     Raises
@@ -312,190 +289,184 @@ def check_numbers(name: str, value: Any) -> None:
         raise InvalidArgument(f"{name} is {shown(value)}, expected a number or an array") from None
 
 
-class Stepped(NamedTuple):
-    """What one sample of a loop comes to.
+_DEEP = 8  # objects within objects that a part holds
 
-    Attributes
-    ----------
-    sample : Sample
-        As it was recorded.
-    q, v : ndarray
-        State at the next sample.
-    memory : Memory
-        What the parts keep.
-    record : Record
-        What the recorder made of it.
+
+def copied(part: object, values: Mapping[str, Any], parts: Mapping[str, Any]) -> Any:
+    """Return a copy of a part with other values of attributes, and other parts in it."""
+    new = copy.copy(part)
+    for each in type(part).__mro__:
+        for name, attribute in vars(each).items():
+            if isinstance(attribute, functools.cached_property):
+                new.__dict__.pop(name, None)  # it belongs to the old values
+    set_ = dict(values)
+    for name, value in getattr(part, "__dict__", {}).items():
+        if isinstance(value, list | tuple) and any(f"{name}[{i}]" in parts for i in range(len(value))):
+            held = [parts.get(f"{name}[{i}]", each) for i, each in enumerate(value)]
+            set_[name] = type(value)(*held) if hasattr(value, "_fields") else type(value)(held)
+        elif isinstance(value, MethodType) and (name in parts or value.__self__ is part):
+            set_[name] = getattr(parts.get(name, new), value.__name__)
+        elif name in parts:
+            set_[name] = parts[name]
+    for name, value in set_.items():
+        try:
+            object.__setattr__(new, name, value)
+        except AttributeError:
+            raise InvalidArgument(
+                f"{name} of a {type(part).__name__} is computed and cannot be set, expected an attribute"
+            ) from None
+    return new
+
+
+def made_again(part: object, values: Mapping[str, Any], parts: Mapping[str, Any]) -> Any:
+    """Return a part that is made again with other values of attributes, and other parts in it.
+
+    By its own ``with_parameters(**values)``; by `dataclasses.replace` of a dataclass; of another class by
+    calling it, where it keeps the arguments of its constructor under their names.
+
+    Raises
+    ------
+    InvalidArgument
+        If it cannot be made again, though it keeps what may follow from the values.
     """
+    other = copied(part, {}, parts)
+    if hasattr(part, "with_parameters"):
+        return other.with_parameters(**values) if values else other
+    if dataclasses.is_dataclass(part) and not isinstance(part, type):
+        try:
+            return dataclasses.replace(other, **values)
+        except PinmobileError:
+            raise
+        except (TypeError, ValueError) as error:  # its constructor takes other arguments than its fields
+            raise InvalidArgument(
+                f"a {type(part).__name__} cannot be made again by dataclasses.replace: {error}; expected "
+                "fields that its constructor takes, or with_parameters(**values)"
+            ) from error
+    if _can_be_called(part) and values.keys() <= _arguments(part):
+        return _called(other, values)
+    check_made_again(type(part).__name__, part, values)
+    return copied(part, values, parts)
 
-    sample: Sample
-    q: Any
-    v: Any
-    memory: Memory
-    record: Record
+
+def is_part(x: object) -> bool:
+    """Tell whether something that a part holds is a part itself."""
+    return (hasattr(x, "parameters") or hasattr(x, "initial_state")) and not isinstance(x, type)
 
 
-def one_sample(
-    parts: Parts, k: Any, t: Any, h: Any, state: tuple[Any, Any], reference: Reference, memory: Memory
-) -> Stepped:
-    """Return one sample of the closed loop, and the state at the next.
+def check_made_again(name: str, part: object, values: Iterable[str]) -> None:
+    """Refuse a part that cannot be made again with other values, though it keeps what may follow from them.
 
     Parameters
     ----------
-    parts : Parts
-        The loop.
-    k, t, h : float
-        Number and time of the sample, and length of a substep [s].
-    state : tuple of ndarray, shape (nq,), (nv,)
-        Configuration and velocity.
-    reference : Reference
-        Of this sample.
-    memory : Memory
-        What the parts keep.
+    name : str
+        What it is called in messages.
+    part : part
+        What is asked.
+    values : iterable of str
+        Attributes that get other values.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is such; what to write.
     """
-    q, v = state
-    plant, controller = parts.plant, parts.controller
-    # What is the loop's own is not a controller's to write into.
-    own = mapped(memory.controller, _copy)
-    answer = controller(t, q.copy(), v.copy(), Reference(*map(_copy, reference)), own)
-    if type(answer) is not tuple or len(answer) != 2:
-        raise InvalidArgument(f"controller returned {answer!r}, expected (u, state)")
-    u, inner = np.asarray(answer[0]), answer[1]
-    expected = (*np.shape(v)[:-1], plant.nu)
-    if np.shape(u) != expected:
-        raise InvalidArgument(f"controller returned an input of shape {np.shape(u)}, expected {expected}")
-    _check_real("controller", u)
-    u = limited(plant, u)
-    if hasattr(controller, "applied"):
-        inner = controller.applied(u, inner)
-    error, error_rate = tracking_errors(plant, q, v, reference)
-    step = _own_step if hasattr(plant, "step") else _integrated
-    acceleration, q1, v1, kept = step(parts, t, h, q, v, u, memory.plant)
-    for name, found in (("plant", acceleration), ("step of the plant", q1), ("step of the plant", v1)):
-        _check_real(name, found)
-    signals = {}
-    if getattr(parts.recorder, "signals", False):
-        signals = claimed(_told(parts, t, q, v, u, memory.plant, inner), _signal)
-    measured: Any = ()
-    if getattr(parts.recorder, "measures", ()):
-        measured = measured_of(plant, t, q, v, acceleration, u, reference)
-    sample = Sample(k, t, q, v, u, acceleration, error, error_rate, signals, measured)
-    record = Record(None) if parts.recorder is None else parts.recorder(sample, memory.recorder)
-    return Stepped(sample, q1, v1, Memory(kept, inner, record.state), record)
+    if hasattr(part, "with_parameters") or dataclasses.is_dataclass(part):
+        return
+    wanted = set(values)
+    if not wanted or type(part).__init__ is object.__init__:
+        return  # nothing was derived when it was made
+    if wanted <= _arguments(part) and _can_be_called(part):
+        return
+    kept = [
+        key
+        for key, value in _own(part)
+        if not (key in wanted or is_part(value)) and any(True for _ in _numbers(value))
+    ]
+    if kept:
+        missing = ", ".join(sorted(wanted))
+        raise InvalidArgument(
+            f"{name} is a {type(part).__name__}, which cannot be made again with another {missing} and "
+            f"may have made {', '.join(kept)} of that: expected an __init__ that takes {missing} and keeps "
+            "each argument under its own name, a dataclass, or with_parameters(**values), which returns a "
+            "new one"
+        )
 
 
-def _told(parts: Parts, t: Any, q: Any, v: Any, u: Any, memory: Any, inner: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the signals of the parts at a sample, each with what the part is called."""
-    plant = parts.plant
-    if hasattr(plant, "signals"):
-        f = _pushed(parts, t, q, v) + np.zeros(plant.nv)
-        yield "plant", plant.signals(t, q.copy(), v.copy(), u.copy(), f, memory)
-    yield "controller", signals_of(parts.controller, inner)
-    for i, force in enumerate(parts.forces):
-        if hasattr(force, "on_coordinates"):
-            yield f"forces[{i}]", signals_of(force, t, q.copy(), v.copy())
-        elif hasattr(force, "signals"):
-            yield f"forces[{i}]", force.signals(t, plant.pose(q), plant.rate(q, v))
+def derived(part: object, other: object, apart: Iterable[str] = ()) -> str:
+    """Return which numbers of a part differ from another's, by the name of the attribute; "" where none.
+
+    Parameters
+    ----------
+    part, other : parts
+        Of one class.
+    apart : iterable of str
+        Attributes that may differ.
+    """
+    theirs, skipped = dict(_own(other)), set(apart)
+    for name, value in _own(part):
+        if name not in skipped and not _alike(value, theirs.get(name)):
+            return name
+    return ""
 
 
-def _signal(name: str, value: Any) -> Any:
-    return entries(value) if has_symbols(value) else number(name, value)
+def _arguments(part: object) -> set[str]:
+    try:
+        return set(inspect.signature(type(part)).parameters)
+    except (TypeError, ValueError):  # as of some that are built in
+        return set()
 
 
-def _check_real(name: str, found: Any) -> None:
-    if not are_real(found):
-        raise InvalidArgument(f"{name} returned {shown(found)}, expected real numbers")
+def _called(part: object, values: Mapping[str, Any]) -> Any:
+    """Return a new one of its class: each argument is a value, or what the part keeps under that name."""
+    ahead, named = [], {}
+    for name, argument in inspect.signature(type(part)).parameters.items():
+        several = argument.kind in (argument.VAR_POSITIONAL, argument.VAR_KEYWORD)
+        if several or not (name in values or hasattr(part, name)):
+            continue  # by default, which may be something else: that is looked at
+        value = values[name] if name in values else getattr(part, name)
+        if argument.kind is argument.POSITIONAL_ONLY:
+            ahead.append(value)
+        else:
+            named[name] = value
+    return type(part)(*ahead, **named)
 
 
-def _copy(x: Any) -> Any:
-    return x.copy() if hasattr(x, "copy") else x
+def _can_be_called(part: object) -> bool:
+    """Tell whether a part that is made of what it keeps is the same."""
+    try:
+        same = _called(part, {})
+    except Exception:  # whatever a class raises of what are not its arguments
+        return False
+    return not derived(part, same) and not derived(same, part)
 
 
-def tracking_errors(plant: Any, q: Any, v: Any, reference: Reference) -> tuple[Any, Any]:
-    """Return the error of the reference's coordinates, and its rate, shape (n,) each."""
-    n, length = reference.v.shape[-1], reference.q.shape[-1]
-    whole = reference.q
-    if length != plant.nq:  # what has no reference is where it should be
-        ahead = np.shape(q)[:-1]
-        whole = np.concatenate([np.broadcast_to(whole, (*ahead, length)), q[..., length:]], axis=-1)
-    return plant.difference(q, whole)[..., :n], reference.v - v[..., :n]
+def _own(part: object) -> Iterator[tuple[str, Any]]:
+    """Yield what an object keeps, by name, without what it computed later."""
+    for name, value in getattr(part, "__dict__", {}).items():
+        if not isinstance(getattr(type(part), name, None), functools.cached_property):
+            yield name, value
 
 
-def limited(plant: Any, u: Any) -> Any:
-    """Return the input within the plant's limits."""
-    inputs = getattr(plant, "inputs", ())
-    lower, upper = (
-        np.array([getattr(each, side, None) for each in inputs], float) for side in ("lower", "upper")
+def _alike(one: object, other: object) -> bool:
+    if one is other:
+        return True
+    first, second = list(_numbers(one)), list(_numbers(other))
+    return len(first) == len(second) and all(
+        np.array_equal(a, b, equal_nan=True) for a, b in zip(first, second, strict=True)
     )
-    low, high = np.where(np.isnan(lower), -np.inf, lower), np.where(np.isnan(upper), np.inf, upper)
-    if not (np.isfinite(low).any() or np.isfinite(high).any()):
-        return u
-    return np.clip(u, low, high)
 
 
-def _pushed(parts: Parts, t: Any, q: Any, v: Any) -> Any:
-    """Return the forces on the coordinates beside the input, shape (nv,), or 0."""
-    plant, total = parts.plant, 0.0
-    wrenches = [force for force in parts.forces if not hasattr(force, "on_coordinates")]
-    if wrenches:
-        pose, rate = plant.pose(q), plant.rate(q, v)
-        wrench = sum((_answer(parts, force, force(t, pose, rate), np.shape(pose)) for force in wrenches), 0.0)
-        total = plant.effort(q, wrench)
-        if total is None:
-            raise InvalidArgument(
-                f"plant is a {type(plant).__name__}, whose body cannot be pushed, and forces push it"
-            )
-    others = [force for force in parts.forces if hasattr(force, "on_coordinates")]
-    return sum((_answer(parts, force, force.on_coordinates(t, q, v), np.shape(v)) for force in others), total)
-
-
-def _answer(parts: Parts, force: Any, found: Any, shape: tuple[int, ...]) -> Any:
-    """Check that a force returned an array of its shape, and return that."""
-    if not hasattr(found, "shape") or np.shape(found) != shape:
-        k = next(i for i, each in enumerate(parts.forces) if each is force)
-        raise InvalidArgument(f"forces[{k}] returned {shown(found)}, expected an array of shape {shape}")
-    if not are_real(found):
-        k = next(i for i, each in enumerate(parts.forces) if each is force)
-        _check_real(f"forces[{k}]", found)
-    return found
-
-
-def integrate_of(plant: Any) -> Any:
-    """Return how a displacement moves a plant's configuration: as it says, else by addition."""
-    return getattr(plant, "integrate", None) or np.add
-
-
-def _integrated(parts: Parts, t: Any, h: Any, q: Any, v: Any, u: Any, memory: Any) -> Any:
-    """Return the acceleration, and the state after the substeps, by the integrator on displacements."""
-    plant = parts.plant
-    integrate = integrate_of(plant)
-
-    def advanced(t: Any, q: Any, v: Any) -> tuple[Any, Any]:
-        def acceleration(time: Any, moved: Any, rate: Any) -> Any:
-            there = integrate(q, moved)
-            return plant.forward_dynamics(there, rate, u, _pushed(parts, time, there, rate))
-
-        answer = parts.integrator(acceleration, t, np.zeros(plant.nv), v, h)
-        if type(answer) is not tuple or len(answer) != 2:
-            raise InvalidArgument(
-                f"integrator returned {shown(answer)} at t = {t:g} s, expected (q, v) of shapes "
-                f"({plant.nv},) and ({plant.nv},)"
-            )
-        moved, v = answer
-        q = integrate(q, moved)
-        return q, plant.project(q, v) if hasattr(plant, "project") else v
-
-    first = plant.forward_dynamics(q, v, u, _pushed(parts, t, q, v))
-    for j in range(parts.substeps):
-        q, v = advanced(t + j * h if j else t, q, v)
-    return first, q, v, memory
-
-
-def _own_step(parts: Parts, t: Any, h: Any, q: Any, v: Any, u: Any, memory: Any) -> Any:
-    """Return the mean acceleration of the first substep, and the state after all, by the plant's own step."""
-    acceleration = None
-    for j in range(parts.substeps):
-        time = t + j * h if j else t
-        found = parts.plant.step(time, q, v, u, h, _pushed(parts, time, q, v), memory)
-        acceleration = (found.v - v) / h if acceleration is None else acceleration
-        q, v, memory = found.q, found.v, found.memory
-    return acceleration, q, v, memory
+def _numbers(x: object, deep: int = _DEEP) -> Iterator[Array]:
+    """Yield all numbers that a value holds: in lists and the like, in objects, in closures."""
+    if is_leaf(x):
+        yield np.asarray(x, np.float64)
+        return
+    if not deep or isinstance(x, type | ModuleType):
+        return
+    if isinstance(x, Mapping | list | tuple):
+        inner = list(x.values() if isinstance(x, Mapping) else x)
+    else:
+        cells = (cell.cell_contents for cell in getattr(x, "__closure__", None) or ())
+        inner = [*(value for _, value in _own(x)), *cells, *(getattr(x, "__defaults__", None) or ())]
+    for each in inner:
+        yield from _numbers(each, deep - 1)

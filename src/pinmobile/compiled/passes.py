@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, ArrayLike
 from pinmobile.compiled.loop_tape import Leaf, Loop, Ring, arrays_of, initial_memory
-from pinmobile.compiled.memory import leaves, mapped, matched
-from pinmobile.compiled.noise import normals
-from pinmobile.compiled.parts import Memory, Parts, Place, Reference, Stepped, one_sample
-from pinmobile.compiled.symbolic import Symbols, entries, symbols
-from pinmobile.compiled.tape import COUNT, LARGEST, Node, Tape, evaluated, float_bits, needed, real
+from pinmobile.compiled.memory import leaves, mapped, matched, normals
+from pinmobile.compiled.parts import Parts, Place
+from pinmobile.compiled.sample import Memory, Reference, Stepped, one_sample
+from pinmobile.compiled.symbolic import Symbols, Values, entries, symbols
+from pinmobile.compiled.tape import COUNT, LARGEST, Known, Node, Tape, evaluated, float_bits, needed, real
 from pinmobile.compiled.tracing import Walk, calling_place, tracing
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName
 
 
 def traced(
     parts: Parts,
-    context: Any,
+    context: object,
     start: tuple[Array, Array],
     reference: Reference,
     *,
@@ -93,7 +93,7 @@ class _Trace:
     def __init__(
         self,
         parts: Parts,
-        context: Any,
+        context: object,
         q: Array,
         v: Array,
         reference: Reference,
@@ -158,14 +158,14 @@ class _Trace:
         for owner, tree in zip(Memory._fields, memory, strict=True):
             paths = iter([path for path, _ in leaves(tree)])
 
-            def grow(leaf: Any, owner: str = owner, paths: Any = paths) -> Any:
+            def grow(leaf: ArrayLike, owner: str = owner, paths: Iterator[str] = paths) -> ArrayLike:
                 shape = self.shapes.get((owner, next(paths)))
                 return leaf if shape is None else np.broadcast_to(leaf, shape).copy()
 
             found.append(mapped(tree, grow))
         return Memory(*found)
 
-    def _loop(self, where: Any = None) -> Loop:
+    def _loop(self, where: Callable[[], str] | None = None) -> Loop:
         return _Pass(self, Tape(self.largest, where)).loop()
 
     def _compare_tapes(self, one: Loop, two: Loop) -> None:
@@ -305,11 +305,11 @@ class _Pass:
             values[parameter] = self._new(kind, value.shape)
         return self.trace.parts.with_parameters(values)
 
-    def _remembered(self, owner: str, tree: Any) -> Any:
+    def _remembered(self, owner: str, tree: object) -> Any:
         """Return the memory with symbols in it."""
         paths = iter([path for path, _ in leaves(tree)])
 
-        def remember(value: Any) -> Any:
+        def remember(value: ArrayLike) -> Any:
             path, array = next(paths), np.asarray(value)
             kind = "state"
             if (owner, path) in self.trace.fixed:
@@ -343,7 +343,7 @@ class _Pass:
                     )
         return after
 
-    def _node(self, x: Any) -> int:
+    def _node(self, x: Node | Known) -> int:
         if type(x) is Node and x.tape is not self.tape:
             raise NotTraceable("a symbol of an earlier trace was kept", "keep memory in state")
         node = x if type(x) is Node else self.tape.const(x)
@@ -367,12 +367,12 @@ class _SymbolicLine:
     def __init__(self, owner: _Pass, samples: int, pushed: bool = False) -> None:
         self.owner, self.samples, self.pushed = owner, samples, pushed
 
-    def push(self, values: Any) -> tuple[Any, _SymbolicLine]:
+    def push(self, values: object) -> tuple[Any, _SymbolicLine]:
         if self.pushed:
             raise NotTraceable("a delay is pushed twice in a sample", "push all values at once, as a tuple")
         owner = self.owner
 
-        def delayed(x: Any) -> Any:
+        def delayed(x: Values) -> Symbols:
             found = []
             for y in entries(x).reshape(-1):
                 pushed = Node(owner.tape, owner._node(y))

@@ -12,12 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, affordable
+from pinmobile.arrays import Array, ArrayLike, affordable
 from pinmobile.compiled.emit import BINS, Shape, text_of
 from pinmobile.compiled.loop_tape import Loop, initial_memories, initial_memory
 from pinmobile.compiled.memory import leaves, mapped
-from pinmobile.compiled.parts import Memory, Parts, Place, Reference
+from pinmobile.compiled.parts import Parts, Place
 from pinmobile.compiled.processor import Cache, Target, function_of
+from pinmobile.compiled.sample import Memory, Reference
 from pinmobile.compiled.tape import COUNT, evaluated
 from pinmobile.constancy import is_constant
 from pinmobile.errors import InvalidArgument, UnknownName
@@ -94,7 +95,7 @@ class Program:
     def run(
         self,
         parts: Parts,
-        context: Any,
+        context: object,
         start: tuple[Array, Array],
         t: Array,
         reference: Reference,
@@ -197,7 +198,7 @@ class Program:
         return found
 
     def _first(
-        self, parts: Parts, context: Any, memory: Memory, given: Mapping[Place, Array], n: int
+        self, parts: Parts, context: object, memory: Memory, given: Mapping[Place, Array], n: int
     ) -> list[Array]:
         """Return the arrays of the memory before the first sample, shape (...), or (n, ...) of each robot."""
         places = self.loop.leaves
@@ -363,7 +364,7 @@ class Program:
         found = []
         places = iter(self.loop.leaves)
 
-        def last(value: Any) -> Array:
+        def last(value: ArrayLike) -> Array:
             leaf = next(places)
             size = prod(leaf.shape)
             if leaf.kind == "uniform":

@@ -1,4 +1,4 @@
-"""An array of symbols, which NumPy takes for an array of its own.
+"""An array of symbols, which NumPy takes for an array of its own, and NumPy's ufuncs on its entries.
 
 NumPy's operators and functions come here (`__array_ufunc__`, `__array_function__`), and what they would do
 with numbers is written on the tape. What makes arrays of other things (`np.array`, `np.zeros`) does not ask
@@ -8,15 +8,208 @@ its arguments; `tracing` replaces these by the ones of `constructors`.
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
+from numpy.typing import DTypeLike, NDArray
 
-from pinmobile.compiled.tape import Node
-from pinmobile.compiled.ufuncs import as_float, boxed, choose, computed, elementwise, is_truth
+from pinmobile.arrays import Array, ArrayLike
+from pinmobile.compiled.elementary import ELEMENTARY, exp, floor, log, power, rounded
+from pinmobile.compiled.tape import Node, Number, absolute, bits, maximum, minimum, real, root, select
 from pinmobile.errors import NotTraceable
+
+
+def boxed(x: object) -> Any:
+    """Return one entry as an array of shape ()."""
+    box = np.empty((), object)
+    box[()] = x
+    return box
+
+
+def is_truth(x: object) -> bool:
+    """Tell whether an entry is a truth value."""
+    return x.kind == "b" if type(x) is Node else isinstance(x, bool | np.bool_)
+
+
+def elementwise(function: Callable[..., Any], arity: int) -> Any:
+    """Return a function of entries as one of arrays; what is known is computed as NumPy does."""
+
+    def run(*given: Any) -> Any:
+        for x in given:
+            if type(x) is Node:
+                return function(*given)
+        with np.errstate(all="ignore"):
+            found = function(*(x if is_truth(x) else np.float64(x) for x in given))
+        return found.item() if hasattr(found, "item") else found
+
+    return np.frompyfunc(run, arity, 1)
+
+
+def as_float(x: Number) -> Any:
+    """Return an entry as a number."""
+    return (
+        select(x, 1.0, 0.0) if type(x) is Node and x.kind == "b" else x if type(x) is Node else np.float64(x)
+    )
+
+
+choose = elementwise(select, 3)
+
+
+def _known(x: object) -> bool:
+    return type(x) is not Node or x.value is not None
+
+
+def larger(a: Number, b: Number) -> Any:
+    """Return the larger, and what is no number where one is none, as NumPy does."""
+    if _known(a):
+        return maximum(a, b)
+    return maximum(b, a) if _known(b) else select(a == a, maximum(a, b), a)
+
+
+def smaller(a: Number, b: Number) -> Any:
+    """Return the smaller, and what is no number where one is none, as NumPy does."""
+    if _known(a):
+        return minimum(a, b)
+    return minimum(b, a) if _known(b) else select(a == a, minimum(a, b), a)
+
+
+def _sign(x: Number) -> Any:
+    return select(x > 0.0, 1.0, select(x < 0.0, -1.0, x))
+
+
+def _truncated(x: Number) -> Any:
+    size = floor(absolute(x))
+    return select(x < 0.0, -size, size)
+
+
+def _remainder(a: Number, b: Number) -> Any:
+    return a - b * floor(a / b)
+
+
+def of_truths(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function of truth values: of numbers, whether they are not zero."""
+
+    def run(*given: Number) -> Any:
+        return function(*(x if is_truth(x) else x != 0.0 for x in given))
+
+    return run
+
+
+def _not(x: Number) -> Any:
+    return np.invert(x) if isinstance(x, np.bool_) else ~x if type(x) is Node else not x
+
+
+def _copied_sign(a: Number, b: Number) -> Any:
+    return select(b < 0.0, -absolute(a), absolute(a))
+
+
+_UFUNCS: dict[Any, Callable[..., Any]] = {
+    **{getattr(np, function.__name__): function for function in ELEMENTARY},
+    np.add: lambda a, b: as_float(a) + as_float(b),
+    np.subtract: lambda a, b: as_float(a) - as_float(b),
+    np.multiply: lambda a, b: as_float(a) * as_float(b),
+    np.divide: lambda a, b: as_float(a) / as_float(b),
+    np.negative: operator.neg,
+    np.positive: lambda x: x,
+    np.conjugate: lambda x: x,
+    np.absolute: absolute,
+    np.fabs: absolute,
+    np.sqrt: root,
+    np.cbrt: lambda x: _copied_sign(exp(log(absolute(x)) * (1 / 3)), x),
+    np.square: lambda x: x * x,
+    np.reciprocal: lambda x: 1.0 / x,
+    np.power: power,
+    np.float_power: power,
+    np.exp2: lambda x: exp(x * float(np.log(2.0))),
+    np.log2: lambda x: log(x) * float(1 / np.log(2.0)),
+    np.log10: lambda x: log(x) * float(1 / np.log(10.0)),
+    np.hypot: lambda a, b: root(a * a + b * b),
+    np.sign: _sign,
+    np.maximum: larger,
+    np.minimum: smaller,
+    np.fmax: lambda a, b: select(b == b, maximum(a, b), a),
+    np.fmin: lambda a, b: select(b == b, minimum(a, b), a),
+    np.rint: rounded,
+    np.floor: floor,
+    np.ceil: lambda x: -floor(-x),
+    np.trunc: _truncated,
+    np.floor_divide: lambda a, b: floor(a / b),
+    np.remainder: _remainder,
+    np.fmod: lambda a, b: a - b * _truncated(a / b),
+    np.copysign: _copied_sign,
+    np.deg2rad: lambda x: x * (np.pi / 180),
+    np.radians: lambda x: x * (np.pi / 180),
+    np.rad2deg: lambda x: x * (180 / np.pi),
+    np.degrees: lambda x: x * (180 / np.pi),
+    np.heaviside: lambda x, h: select(x > 0.0, 1.0, select(x < 0.0, 0.0, h)),
+    np.greater: operator.gt,
+    np.greater_equal: operator.ge,
+    np.less: operator.lt,
+    np.less_equal: operator.le,
+    np.equal: operator.eq,
+    np.not_equal: operator.ne,
+    np.logical_and: of_truths(operator.and_),
+    np.logical_or: of_truths(operator.or_),
+    np.logical_xor: of_truths(operator.xor),
+    np.logical_not: of_truths(_not),
+    np.bitwise_and: operator.and_,
+    np.bitwise_or: operator.or_,
+    np.bitwise_xor: operator.xor,
+    np.invert: of_truths(_not),
+    np.isfinite: lambda x: absolute(x) < np.inf,
+    np.isinf: lambda x: absolute(x) == np.inf,
+    np.isnan: lambda x: x != x,
+    np.signbit: lambda x: x < 0.0,
+    np.spacing: lambda x: real((bits(absolute(x)) >> 52) << 52) * 2.0**-52,
+}
+
+
+UFUNCS = {ufunc: elementwise(function, ufunc.nin) for ufunc, function in _UFUNCS.items()}
+
+
+between = elementwise(lambda x, low, high: minimum(high, maximum(low, x)), 3)
+
+
+def _objects(x: object) -> Any:
+    return np.asarray(x).astype(object)
+
+
+def computed(ufunc: np.ufunc, method: str, given: list[Any], options: dict[str, Any]) -> Any:
+    """Return what a ufunc gives of arrays of objects."""
+    name = ufunc.__name__
+    if method == "__call__":
+        if name in ("matmul", "vecdot", "matvec", "vecmat"):
+            if np.asarray(given[0]).ndim == 2 and np.asarray(given[1]).ndim == 1:
+                return _objects(given[0]) @ _objects(given[1])
+            return getattr(np, name)(*map(_objects, given))
+        if name == "clip":
+            return between(*given)
+        if name == "divmod":
+            return UFUNCS[np.floor_divide](*given), UFUNCS[np.remainder](*given)
+        if name == "modf":
+            whole = UFUNCS[np.trunc](*given)
+            return given[0] - whole, whole
+    if ufunc not in UFUNCS or method == "at":
+        names = ", ".join(sorted(each.__name__ for each in _UFUNCS))
+        raise NotTraceable(
+            f"np.{name}{'' if method == '__call__' else '.' + method} of symbols", f"use one of {names}"
+        )
+    if method == "reduce" and ufunc in (np.add, np.multiply) and np.asarray(given[0]).size == 0:
+        return getattr(ufunc, method)(np.asarray(given[0], float), **options)
+    found = getattr(UFUNCS[ufunc], method)(*given, **options)
+    return found if isinstance(found, np.ndarray) else boxed(found)
+
+
+# What NumPy's own code asks of an entry, in an array of objects that was made without `constructors`.
+for _ufunc, _function in _UFUNCS.items():
+    if _ufunc.nin == 1 and _ufunc.__name__ not in ("conjugate", "positive", "negative", "absolute", "invert"):
+        setattr(Node, _ufunc.__name__, _function)
+
+
+setattr(Node, "__pow__", power)  # noqa: B010 (elementary functions are made of nodes)
+
 
 FUNCTIONS: dict[Any, Callable[..., Any]] = {}
 """NumPy's functions that are done otherwise than on an array of objects; `functions` fills it."""
@@ -40,7 +233,7 @@ class Symbols(NDArrayOperatorsMixin):
     __hash__ = None  # type: ignore[assignment]
     is_symbolic = True  # by which `arrays.finite` knows that there is nothing to check yet
 
-    def __init__(self, array: Any) -> None:
+    def __init__(self, array: NDArray[Any]) -> None:
         self.entries = array
 
     shape = property(lambda self: self.entries.shape)
@@ -55,7 +248,9 @@ class Symbols(NDArrayOperatorsMixin):
         """Truth values where all are; else float64."""
         return np.dtype(bool if self.size and all(map(is_truth, self.entries.flat)) else float)
 
-    def __array_ufunc__(self, ufunc: Any, method: str, *given: Any, out: Any = None, **options: Any) -> Any:
+    def __array_ufunc__(
+        self, ufunc: np.ufunc, method: str, *given: object, out: Any = None, **options: Any
+    ) -> Any:
         options.pop("dtype", None)
         options.pop("casting", None)
         where = options.pop("where", True)
@@ -70,7 +265,9 @@ class Symbols(NDArrayOperatorsMixin):
             found = wrapped(choose(plain(where), plain(found), plain(kept)))
         return found if out is None else put(found, out[0])
 
-    def __array_function__(self, function: Any, types: Any, given: Any, options: Any) -> Any:
+    def __array_function__(
+        self, function: Callable[..., Any], types: object, given: Iterable[object], options: dict[str, Any]
+    ) -> Any:
         out = options.pop("out", None) if function not in (np.clip,) else None
         if function in FUNCTIONS:
             found = FUNCTIONS[function](*given, **options)
@@ -86,17 +283,17 @@ class Symbols(NDArrayOperatorsMixin):
                 ) from None
         return found if out is None else put(found, out)
 
-    def __array__(self, dtype: Any = None, copy: Any = None) -> Any:
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> Any:
         if all(type(x) is not Node or x.value is not None for x in self.entries.flat):
             return _array([float(x) for x in self.entries.flat], dtype or float).reshape(self.shape)
         if dtype is not None and np.dtype(dtype) != object:
             float(next(x for x in self.entries.flat if type(x) is Node and x.value is None))
         return self.entries.copy()
 
-    def __getitem__(self, index: Any) -> Any:
+    def __getitem__(self, index: object) -> Any:
         return wrapped(self.entries[_index(index)])
 
-    def __setitem__(self, index: Any, value: Any) -> None:
+    def __setitem__(self, index: object, value: object) -> None:
         if isinstance(index, Symbols):  # x[mask] = value
             self.entries[...] = choose(index.entries, plain(value), self.entries)
             return
@@ -111,7 +308,7 @@ class Symbols(NDArrayOperatorsMixin):
     def __iter__(self) -> Iterator[Any]:
         return (self[i] for i in range(len(self.entries)))
 
-    def __contains__(self, other: Any) -> bool:
+    def __contains__(self, other: object) -> bool:
         return bool(np.any(self == other))
 
     def __bool__(self) -> bool:
@@ -143,16 +340,16 @@ class Symbols(NDArrayOperatorsMixin):
         """Return the entries as nested lists."""
         return [x.tolist() if x.ndim else x for x in self] if self.ndim else self
 
-    def copy(self, *_: Any) -> Symbols:
+    def copy(self, *_: object) -> Symbols:
         """Return a copy."""
         return Symbols(self.entries.copy())
 
     __copy__ = copy
 
-    def __deepcopy__(self, _: Any) -> Symbols:
+    def __deepcopy__(self, _: object) -> Symbols:
         return self.copy()
 
-    def astype(self, dtype: Any, **_: Any) -> Any:
+    def astype(self, dtype: DTypeLike, **_: object) -> Any:
         """Return numbers of truth values, or truth values of numbers."""
         if np.dtype(dtype).kind == "b":
             return self if self.dtype == bool else self != 0.0
@@ -164,11 +361,11 @@ class Symbols(NDArrayOperatorsMixin):
             )
         return wrapped(_number(self.entries))
 
-    def fill(self, value: Any) -> None:
+    def fill(self, value: object) -> None:
         """Set all entries to one value."""
         self.entries[...] = plain(value)
 
-    def flatten(self, *_: Any) -> Any:
+    def flatten(self, *_: object) -> Any:
         """Return the entries as one row."""
         return wrapped(self.entries.reshape(-1).copy())
 
@@ -179,6 +376,16 @@ class Symbols(NDArrayOperatorsMixin):
     conj = conjugate
 
 
+Values: TypeAlias = Symbols | Array
+"""What a law computes with: an array of symbols, or of numbers."""
+
+Operand: TypeAlias = Symbols | ArrayLike
+"""What NumPy takes for an array, where it may be one of symbols."""
+
+Moment: TypeAlias = Symbols | float
+"""A time, a number of a sample or a length of time, as a law gets it."""
+
+
 def symbols(nodes: Sequence[Any], shape: tuple[int, ...]) -> Symbols:
     """Return nodes as an array."""
     array = _empty(len(nodes), object)
@@ -187,7 +394,7 @@ def symbols(nodes: Sequence[Any], shape: tuple[int, ...]) -> Symbols:
     return Symbols(array.reshape(shape))
 
 
-def has_symbols(x: Any) -> bool:
+def has_symbols(x: object) -> bool:
     """Tell whether a value is made of symbols, in part at least."""
     if isinstance(x, list | tuple):
         return any(map(has_symbols, x))
@@ -196,7 +403,7 @@ def has_symbols(x: Any) -> bool:
     )
 
 
-def plain(x: Any) -> Any:
+def plain(x: object) -> Any:
     """Return the entries of symbols as an array of objects; of lists and tuples, those inside."""
     if isinstance(x, Symbols):
         return x.entries
@@ -222,7 +429,7 @@ def wrapped(x: Any) -> Any:
     return x
 
 
-def _index(index: Any) -> Any:
+def _index(index: object) -> Any:
     if has_symbols(index):
         parts = [plain(x) for x in index] if isinstance(index, tuple) else [plain(index)]
         if all(type(y) is not Node or y.value is not None for x in parts for y in _asarray(x, object).flat):
@@ -231,7 +438,7 @@ def _index(index: Any) -> Any:
     return index
 
 
-def put(found: Any, out: Any) -> Any:
+def put(found: object, out: object) -> Any:
     """Write what was found into an array that was given for it."""
     if not isinstance(out, Symbols):
         raise NotTraceable(
@@ -266,7 +473,7 @@ for _name in _METHODS.split():
     setattr(Symbols, _name, _method(_name))
 
 
-def entries(x: Any) -> Any:
+def entries(x: object) -> Any:
     """Return lists of symbols and numbers as one array of objects."""
     if isinstance(x, list | tuple):
         return np.stack([_asarray(entries(y), object) for y in x]) if x else _asarray([], object)

@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pinmobile.compiled.folding import (
     COMMUTE,
@@ -37,6 +38,12 @@ _SHARED = 10  # times as many may be of time alone
 
 
 _Operation: TypeAlias = tuple[Any, ...]
+
+Known: TypeAlias = "float | np.number[Any] | np.bool"
+"""A number or truth value that is known."""
+
+Number: TypeAlias = "Node | float | NDArray[Any]"
+"""What operations are of: a node of a tape, a number, or an array of numbers."""
 
 
 # Names of inputs, with what they depend on and their type: f is a float, u 64 bits, b a truth value.
@@ -119,16 +126,16 @@ class Tape:
     def __len__(self) -> int:
         return len(self.operations)
 
-    def input(self, *operation: Any) -> Node:
+    def input(self, name: str, *number: int) -> Node:
         """Return an input, such as ``("row", 2)``."""
-        depends, kind = _INPUTS[operation[0]]
-        return self._node(kind, depends, operation)
+        depends, kind = _INPUTS[name]
+        return self._node(kind, depends, (name, *number))
 
     def ring(self, number: int, samples: int, pushed: Node) -> Node:
         """Return what `pushed` was `samples` ago; until there is that much, what it was at first."""
         return self._node("f", STATE, ("ring", number, samples, pushed.index))
 
-    def const(self, value: Any, kind: str = "f") -> Node:
+    def const(self, value: Known, kind: str = "f") -> Node:
         """Return a number, a truth value or 64 bits that are known."""
         if kind == "f":
             return self._node("f", 0, ("const", "f", float_bits(float(value))))
@@ -142,7 +149,7 @@ class Tape:
         """Return the value of a constant, and None of any other node."""
         return self._values.get(index)
 
-    def apply(self, name: str, *given: Any) -> Node:
+    def apply(self, name: str, *given: Node | Known) -> Node:
         """Return the node of an operation on nodes and plain numbers, folded where it can be."""
         key: list[Any] = [name]
         for x in given:
@@ -158,7 +165,7 @@ class Tape:
             found = self._applied[tuple(key)] = node.index
         return Node(self, found)
 
-    def _applied_anew(self, name: str, given: Sequence[Any]) -> Node:
+    def _applied_anew(self, name: str, given: Sequence[Node | Known]) -> Node:
         kinds = [self.types[x.index] if type(x) is Node else kind_of(x) for x in given]
         if "u" in kinds and name in ON_WHOLES:
             name = ON_WHOLES[name]
@@ -168,7 +175,7 @@ class Tape:
         values = [*map(self._values.get, indices)]
         if None not in values:
             return self._folded(name, wanted, values)
-        simpler: Node | None = simplified(self, name, nodes, values)
+        simpler = simplified(self, name, nodes, values)
         if simpler is not None:
             return simpler
         if name in COMMUTE:
@@ -178,7 +185,7 @@ class Tape:
             depends |= self.depends[index]
         return self._node(kind_after(name, wanted), depends, (name, *indices))
 
-    def _as(self, x: Any, kind: str) -> Node:
+    def _as(self, x: Node | Known, kind: str) -> Node:
         if type(x) is not Node:
             return self.const(x, kind)
         if x.tape is not self:
@@ -230,6 +237,7 @@ def _unary(name: str) -> Callable[[Node], Node]:
     return lambda self: self.tape.apply(name, self)
 
 
+@final
 class Node:
     """One number on a tape, for Python's operators."""
 

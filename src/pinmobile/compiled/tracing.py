@@ -26,8 +26,8 @@ _HERE = str(Path(__file__).parent)
 _MADE_BY_CODE = 1 << 9  # of a class's flags: it comes of a class statement
 _OURS = (_HERE, str(Path(np.__file__).parent), "<__array_function__", "<frozen")
 _OPENED = (FunctionType, MethodType, type, dict, list, tuple)  # Python's own that a law's things stand in
-_RUNS_LAWS = {"pinmobile.robot.batches"}  # and has none; what it keeps changes from call to call
-_LAWS = ("pinmobile.compiled.parts", "pinmobile.compiled.recorders")
+_RUNS_LAWS = {"pinmobile.robot.laws"}  # by Pinocchio or compiled: what it keeps changes from call to call
+_LAWS = ("pinmobile.compiled.parts", "pinmobile.compiled.sample")
 _OWN = "pinmobile.", "namedtuple_"  # the second is what Python makes for named tuples
 _FOREIGN = (
     frozenset(("numpy", "scipy", "pinocchio", "llvmlite", "sympy", "matplotlib")) | sys.stdlib_module_names
@@ -42,7 +42,7 @@ def _guarded(true: Callable[..., Any], other: Callable[..., Any]) -> Callable[..
     """Return `other` for the thread that traces, and NumPy's own for all others."""
 
     @functools.wraps(true)
-    def run(*given: Any, **options: Any) -> Any:
+    def run(*given: object, **options: object) -> Any:
         return (other if _is_on() else true)(*given, **options)
 
     return run
@@ -97,7 +97,7 @@ def _methods(kind: type) -> tuple[str, ...]:
     return tuple(name for name in found if isinstance(inspect.getattr_static(kind, name), FunctionType))
 
 
-def _replacement(value: Any) -> Any:
+def _replacement(value: object) -> Any:
     """Return what stands for a global or closed over value while a law is traced; None: itself."""
     if id(value) in _others:
         return _others[id(value)]
@@ -257,10 +257,10 @@ class Walk:
         """Whether all that code is this library's, which asks nothing but its arguments."""
         return all((f.__module__ or "").startswith(_OWN) for f in self.functions)
 
-    def _met(self, where: Any, mapping: Mapping[str, Any], name: str) -> None:
+    def _met(self, where: object, mapping: Mapping[str, Any], name: str) -> None:
         self.names[id(where), name] = mapping, name
 
-    def visit(self, thing: Any) -> None:
+    def visit(self, thing: object) -> None:
         """Go through what a thing refers to, once."""
         if id(thing) in self.seen or thing is None or isinstance(thing, str | int | float | np.ndarray):
             return
@@ -327,7 +327,7 @@ class Walk:
                 self._met(function.__globals__, function.__globals__, name)
                 self._named(function.__globals__[name], function.__code__)
 
-    def _named(self, value: Any, code: CodeType) -> None:
+    def _named(self, value: object, code: CodeType) -> None:
         """Visit what a name stands for; of a module, what the code can mean in it."""
         if isinstance(value, ModuleType):
             if not is_foreign(value.__name__):

@@ -64,20 +64,20 @@ class Controller(Protocol):
     recording, such as an estimate: numbers, or rows of them. Wrappers pass both inward.
     """
 
-    def initial_state(self, context: Any, /) -> Any:
+    def initial_state(self, context: Context, /) -> Any:
         """Return the state to start with, of a `Context`; None where there is no memory."""
 
     def __call__(self, t: float, q: Array, v: Array, reference: Any, state: Any) -> tuple[Array, Any]:
         """Return the generalised force, shape (..., nu), and the next state."""
 
 
-def check_controller(controller: Any) -> None:
-    """Refuse what is no controller, such as a plain function or a class.
+def check_controller(controller: object) -> None:
+    """Check that this is a controller, and not a plain function or a class.
 
     Raises
     ------
     InvalidArgument
-        If it is none.
+        If it is not.
     """
     if isinstance(controller, type) or not hasattr(controller, "initial_state"):
         raise InvalidArgument(
@@ -93,7 +93,7 @@ def check_controller(controller: Any) -> None:
 
 
 def answer_of(
-    controller: Controller, t: float, q: Array, v: Array, reference: Any, state: Any
+    controller: Controller, t: float, q: Array, v: Array, reference: State, state: object
 ) -> tuple[Array, Any]:
     """Return the force and the next state of a controller.
 
@@ -108,11 +108,12 @@ def answer_of(
     return answer
 
 
-def check_memory(controller: Any, context: Any, q: Array, v: Array) -> None:
-    """Refuse a controller whose answer to the same arguments is another when it is asked again.
+def check_memory(controller: Controller, context: Context, q: Array, v: Array) -> None:
+    """Check that a controller gives the same answer when it is asked again with the same arguments.
 
-    It keeps something in itself or in a closure, or draws numbers of its own: then no two runs are alike,
-    and no robot of several its own. A solver's workspace is allowed where the answer does not depend on it.
+    One that does not keeps something in itself or in a closure, or draws random numbers of its own: then no
+    two runs are alike, and robots of an ensemble share what is kept. A solver's workspace is allowed where
+    the answer does not depend on it.
 
     Parameters
     ----------
@@ -126,7 +127,7 @@ def check_memory(controller: Any, context: Any, q: Array, v: Array) -> None:
     Raises
     ------
     InvalidArgument
-        If it is such.
+        If it does not.
     """
     at = type(context.reference)(*(np.array(part[0]) for part in context.reference))
     t, wave = float(context.t[0]), np.cos(np.arange(len(v)))
@@ -148,7 +149,7 @@ def check_memory(controller: Any, context: Any, q: Array, v: Array) -> None:
         )
 
 
-def told(controller: Any, u: Array, state: Any) -> Any:
+def told(controller: Controller, u: Array, state: object) -> Any:
     """Return the state of a controller after it has been told which input is applied, if it wants to know."""
     return controller.applied(u, state) if hasattr(controller, "applied") else state
 

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, ClassVar, NamedTuple, Protocol, final
+from typing import ClassVar, NamedTuple, Protocol, TypeAlias, final
 
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, frozen
 from pinmobile.controllers.controller import InverseDynamics, State
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.plant import Context, Difference, Parameter, check_difference
+from pinmobile.plant import Context, Difference, Parameter, Plant, check_difference
 
 
 def _all(values: Array, column: Array, size: int) -> Array:
@@ -20,7 +21,7 @@ def _all(values: Array, column: Array, size: int) -> Array:
 
 def _one(k: int, values: Array, column: Array, size: int) -> Array:
     new = values.copy() if values.ndim > 1 else np.repeat(values[:, None], size, axis=1)
-    place: Any = (slice(None), *(k,) * (new.ndim - 1))
+    place: tuple[slice | int, ...] = (slice(None), *(k,) * (new.ndim - 1))
     new[place] = column
     return new
 
@@ -67,11 +68,14 @@ class Compact(NamedTuple):
 
     gains: Array
     turning: tuple[int, ...]
-    inverse_dynamics: Any = None
-    gravity: Any = None
+    inverse_dynamics: Callable[[Array, Array, Array], Array] | None = None
+    gravity: Callable[[Array], Array] | None = None
 
 
-def _compacted(controller: Any, plant: Any, call: str) -> Compact | None:
+_Feedback: TypeAlias = "PD | ComputedTorque | PDGravity | Decoupled"
+
+
+def _compacted(controller: _Feedback, plant: Plant, call: str) -> Compact | None:
     """Return the compact form of a controller with `kp` and `kd`; None where configurations do not subtract.
 
     Parameters
@@ -87,16 +91,14 @@ def _compacted(controller: Any, plant: Any, call: str) -> Compact | None:
     owner = getattr(difference, "__self__", None)
     bound = getattr(owner, "difference", None) == difference
     turning = getattr(owner if bound else difference, "turning", None)
-    sizes = [
-        each.nv for each in (controller.robot if call else None, owner if bound else None) if each is not None
-    ]
+    robot = getattr(controller, "robot", None)
+    sizes = [each.nv for each in (robot, owner if bound else None) if each is not None]
     if turning not in ((), (2,)) or any(size != n for size in sizes):
         return None
     gains = np.hstack([gain_matrix(name, getattr(controller, name), n) for name in ("kp", "kd")])
     if not call:
         return Compact(gains, turning)
-    robot = controller.robot
-    if not (hasattr(robot, "calls") and getattr(robot, "adds", False)):
+    if robot is None or not (hasattr(robot, "calls") and getattr(robot, "adds", False)):
         return None
     return Compact(gains, turning, **{call: getattr(robot.calls(), call)})
 
@@ -135,7 +137,7 @@ class PD:
         """Return the difference of configurations, by default the plant's."""
         return _own_difference(self, context)
 
-    def compact(self, plant: Any) -> Compact | None:
+    def compact(self, plant: Plant) -> Compact | None:
         """Return its compact form, where there is one: for loops."""
         return _compacted(self, plant, "")
 
@@ -181,13 +183,13 @@ class ComputedTorque:
     parameters: ClassVar[tuple[Parameter, ...]] = GAINS
 
     def __post_init__(self) -> None:
-        check_robot(self, "inverse_dynamics")
+        _check_robot(self, "inverse_dynamics")
         _check_gains(self, self.robot.nv)
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
 
-    def compact(self, plant: Any) -> Compact | None:
+    def compact(self, plant: Plant) -> Compact | None:
         """Return its compact form, where there is one: for loops."""
         return _compacted(self, plant, "inverse_dynamics")
 
@@ -220,7 +222,7 @@ def gain_matrix(name: str, gain: ArrayLike, n: int) -> Array:
     return array if array.ndim == 2 else np.diag(np.broadcast_to(array, n))
 
 
-def check_robot(controller: Any, needs: str) -> None:
+def _check_robot(controller: ComputedTorque | PDGravity | Decoupled, needs: str) -> None:
     """Refuse a controller's robot that has no sizes, no method of that name, or no difference to use.
 
     Raises
@@ -240,13 +242,13 @@ def check_robot(controller: Any, needs: str) -> None:
         )
 
 
-def _own_difference(controller: Any, plant: Any) -> Difference:
+def _own_difference(controller: _Feedback, plant: Context | Plant | InverseDynamics | Gravity) -> Difference:
     """Return the difference that a controller was given, else its robot's, else a plant's or context's."""
-    found: Difference | None = controller.difference
-    return getattr(controller, "robot", plant).difference if found is None else found
+    own = controller.difference
+    return getattr(controller, "robot", plant).difference if own is None else own
 
 
-def _check_gains(controller: Any, n: int | None) -> None:
+def _check_gains(controller: _Feedback, n: int | None) -> None:
     """Check and freeze `kp` and `kd`, and check `difference`, of a controller that is being made.
 
     Parameters
@@ -269,12 +271,12 @@ def _check_gains(controller: Any, n: int | None) -> None:
             gain_matrix(name, gain, n)
         object.__setattr__(controller, name, frozen(gain))
     # What a gain is for one robot: 0 a number, 1 one for each coordinate, 2 a matrix; many have leading axes.
-    object.__setattr__(controller, "kinds", (controller.kp.ndim, controller.kd.ndim))
+    object.__setattr__(controller, "kinds", (np.ndim(controller.kp), np.ndim(controller.kd)))
     if controller.difference is not None:
         check_difference(controller.difference)
 
 
-def feedback(controller: Any, difference: Difference, q: Array, v: Array, reference: State) -> Array:
+def feedback(controller: _Feedback, difference: Difference, q: Array, v: Array, reference: State) -> Array:
     """Return Kp e + Kd e_dot of a controller that has `kp` and `kd`, shape (..., n).
 
     Raises
@@ -301,9 +303,9 @@ def feedback(controller: Any, difference: Difference, q: Array, v: Array, refere
     return _amplified("kp", controller.kp, kinds[0], error) + _amplified("kd", controller.kd, kinds[1], rate)
 
 
-def _amplified(name: str, gain: Any, kind: int, error: Array) -> Array:
+def _amplified(name: str, given: ArrayLike, kind: int, error: Array) -> Array:
     """Return a gain times an error, shape (..., n); before the axes of its kind, the gain may have others."""
-    n = error.shape[-1]
+    n, gain = error.shape[-1], np.asarray(given)
     if gain.shape[gain.ndim - kind :] not in ((), (n,), (n, n)):
         gain_matrix(name, gain, n)
     if kind == 2:
@@ -366,7 +368,7 @@ class PDGravity:
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
 
-    def compact(self, plant: Any) -> Compact | None:
+    def compact(self, plant: Plant) -> Compact | None:
         """Return its compact form, where there is one: for loops."""
         return _compacted(self, plant, "gravity")
 
@@ -440,5 +442,5 @@ def _of_arms(rate: Array) -> Array:
 
 
 def _check(controller: PDGravity | Decoupled, needs: str) -> None:
-    check_robot(controller, needs)
+    _check_robot(controller, needs)
     _check_gains(controller, controller.robot.nv)

@@ -56,15 +56,15 @@ class Saturated:
         """Return the state that the wrapped controller starts with."""
         return self.controller.initial_state(context)
 
-    def applied(self, u: Array, state: Any) -> Any:
+    def applied(self, u: Array, state: object) -> Any:
         """Return the wrapped controller's state, told of the input that is applied, shape (..., n)."""
         return told(self.controller, u, state)
 
-    def signals(self, state: Any) -> Any:
+    def signals(self, state: object) -> Any:
         """Return what the wrapped controller tells beside its input: name to (unit, value)."""
         return signals_of(self.controller, state)
 
-    def __call__(self, t: float, q: Array, v: Array, reference: State, state: Any) -> tuple[Array, Any]:
+    def __call__(self, t: float, q: Array, v: Array, reference: State, state: object) -> tuple[Array, Any]:
         """Return the limited force, shape (..., n), and the wrapped controller's next state."""
         tau, state = answer_of(self.controller, t, q, v, reference, state)
         limits = _fitting("limits", self.limits, np.shape(tau)[-1:])
@@ -102,16 +102,16 @@ class Delayed:
         """Return the state that the wrapped controller starts with, and a line without measurements."""
         return self.controller.initial_state(context), context.line(self.samples)
 
-    def applied(self, u: Array, state: Any) -> Any:
+    def applied(self, u: Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return the state, with the wrapped controller told of the input that is applied, shape (..., n)."""
         return told(self.controller, u, state[0]), *state[1:]
 
-    def signals(self, state: Any) -> Any:
+    def signals(self, state: tuple[Any, ...]) -> Any:
         """Return what the wrapped controller tells beside its input: name to (unit, value)."""
         return signals_of(self.controller, state[0])
 
     def __call__(
-        self, t: float, q: Array, v: Array, reference: State, state: Any
+        self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any]
     ) -> tuple[Array, tuple[Any, Any]]:
         """Return the force, shape (..., n), and the next state: the wrapped one, past measurements."""
         inner, line = state
@@ -151,7 +151,7 @@ class NoisyMeasurement:
     controller: Controller
     std_q: ArrayLike
     std_v: ArrayLike
-    seed: Any
+    seed: int | np.random.SeedSequence
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("measured_std_q", "m, rad", "deviation of the measured q", 0.0, attribute="std_q"),
@@ -188,16 +188,16 @@ class NoisyMeasurement:
         noise = context.normal(self._name, 2 * context.nv)
         return self.controller.initial_state(context), noise, context.integrate
 
-    def applied(self, u: Array, state: Any) -> Any:
+    def applied(self, u: Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return the state, with the wrapped controller told of the input that is applied, shape (..., n)."""
         return told(self.controller, u, state[0]), *state[1:]
 
-    def signals(self, state: Any) -> Any:
+    def signals(self, state: tuple[Any, ...]) -> Any:
         """Return what the wrapped controller tells beside its input: name to (unit, value)."""
         return signals_of(self.controller, state[0])
 
     def __call__(
-        self, t: float, q: Array, v: Array, reference: State, state: Any
+        self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any, Any]
     ) -> tuple[Array, tuple[Any, Any, Any]]:
         """Return the force, shape (..., n), and the next state: the wrapped one, the noise."""
         inner, noise, integrate = state
@@ -216,8 +216,9 @@ def _per_coordinate(name: str, value: ArrayLike, *, endless: bool = False) -> Ar
     return frozen(array)
 
 
-def _fitting(name: str, value: Any, size: tuple[int, ...]) -> Array:
+def _fitting(name: str, value: ArrayLike, size: tuple[int, ...]) -> Array:
     """Check that a parameter is of this number of coordinates, and return it."""
-    if value.shape[-1:] not in ((), size):
-        raise InvalidArgument(f"{name} has shape {value.shape}, expected () or {size}")
-    return np.asarray(value)
+    array = np.asarray(value)
+    if array.shape[-1:] not in ((), size):
+        raise InvalidArgument(f"{name} has shape {array.shape}, expected () or {size}")
+    return array

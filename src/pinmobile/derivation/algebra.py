@@ -16,7 +16,7 @@ from sympy.simplify.fu import TR10i
 from pinmobile.errors import InvalidArgument, shown
 
 
-def exact(name: str, value: Any) -> Expr:
+def exact(name: str, value: object) -> Expr:
     """Return `value` as an expression without floating-point numbers.
 
     A float becomes the fraction that its shortest decimal form spells (0.3 becomes 3/10) and evaluates to the
@@ -75,7 +75,7 @@ def exact_matrix(name: str, value: Any, shape: tuple[int, int]) -> ImmutableMatr
     return ImmutableMatrix(*shape, [exact(name, entry) for row in rows for entry in row])
 
 
-def _is_row(value: Any) -> bool:
+def _is_row(value: object) -> bool:
     return isinstance(value, list | tuple)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from sympy import Expr, ImmutableMatrix, Symbol
 
-from pinmobile.arrays import one_of, sequence, whole
+from pinmobile.arrays import Array, one_of, sequence, whole
 from pinmobile.derivation.algebra import exact, exact_matrix
 from pinmobile.dh import DHTable
 from pinmobile.errors import InvalidArgument, shown
@@ -98,7 +98,7 @@ class Chain:
         table: DHTable,
         links: Sequence[Link | None] | None = None,
         order: Sequence[str] | None = None,
-        gravity: Any = (0, 0, 0),
+        gravity: Sequence[Expr | float] | Array = (0, 0, 0),
     ) -> None:
         if not isinstance(table, DHTable):
             raise InvalidArgument(f"table is {shown(table)}, expected a DHTable")

@@ -10,12 +10,12 @@ from typing import Any
 import sympy
 from sympy import Expr, ImmutableMatrix, Symbol
 
-import pinmobile.derivation.wording as say
+import pinmobile.derivation.record as say
+from pinmobile.arrays import Array
 from pinmobile.derivation.algebra import exact, exact_angle, normal
 from pinmobile.derivation.chain import Chain, Link
-from pinmobile.derivation.record import SIMPLIFIED_JOINTS, Record
+from pinmobile.derivation.record import SIMPLIFIED_JOINTS, Record, Wording
 from pinmobile.derivation.steps import Derivation
-from pinmobile.derivation.wording import Wording
 from pinmobile.dh import LECTURE_TABLE, DHTable, JointType
 from pinmobile.errors import InvalidArgument, shown
 
@@ -194,7 +194,7 @@ def derive(
     links: Sequence[Link | None] | None = None,
     *,
     order: Sequence[str] | None = None,
-    gravity: Any = (0, 0, 0),
+    gravity: Sequence[Expr | float] | Array = (0, 0, 0),
 ) -> Derivation:
     """Derive the equations of motion of a chain, by Newton and Euler.
 

@@ -1,24 +1,23 @@
 """Many robots at once: drawn, run side by side, and summed up."""
 
 from pinmobile.ensembles.distributions import TRUE_MODEL, Distribution, Normal, Same, Uniform
-from pinmobile.ensembles.histogram import (
-    BINS as BINS,
-    checked_share as checked_share,
-    edges as edges,
-    miscounted as miscounted,
-    share_within as share_within,
-)
-from pinmobile.ensembles.names import (
+from pinmobile.ensembles.outline import Outline, percent as percent
+from pinmobile.ensembles.parameters import (
     GROUPS as GROUPS,
     PARAMETERS,
     resolved as resolved,
     with_spread_forces as with_spread_forces,
 )
-from pinmobile.ensembles.outline import Outline, percent as percent
-from pinmobile.ensembles.part import Member, Part
-from pinmobile.ensembles.processes import Workers as Workers
+from pinmobile.ensembles.records import (
+    Member,
+    Part,
+    checked_share as checked_share,
+    edges as edges,
+    miscounted as miscounted,
+    share_within as share_within,
+)
 from pinmobile.ensembles.result import Bands, Ensemble, Within
-from pinmobile.ensembles.running import ensemble, part_of, run_scenario
+from pinmobile.ensembles.running import Workers as Workers, ensemble, part_of, run_scenario
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.ensembles.variables import (
     LEVELS as LEVELS,

@@ -11,7 +11,7 @@ from zlib import crc32
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, affordable, finite, non_negative, scalar, whole
-from pinmobile.ensembles.names import Stated, resolved
+from pinmobile.ensembles.parameters import Stated, resolved
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Parameter
 
@@ -118,7 +118,7 @@ class Same:
     """
 
     name: str
-    factor: Any = 1.0
+    factor: Distribution | ArrayLike = 1.0
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
@@ -158,7 +158,7 @@ TRUE_MODEL: Mapping[str, Same] = _TrueModel(("mass", "yaw_inertia", "com_x", "co
 Source: TypeAlias = Distribution | Same | ArrayLike
 
 
-def _checked_generator(generator: Any) -> np.random.Generator:
+def _checked_generator(generator: object) -> np.random.Generator:
     """Check that this is a generator, and return it.
 
     Raises
@@ -171,7 +171,7 @@ def _checked_generator(generator: Any) -> np.random.Generator:
     return generator
 
 
-def checked_size(size: Any) -> int:
+def checked_size(size: int) -> int:
     """Return how many draws are asked for.
 
     Raises
@@ -213,7 +213,7 @@ def drawn(name: str, source: Any, generator: np.random.Generator, size: int) -> 
     return draws
 
 
-def checked_spread(spread: Any, n: int, known: Mapping[str, list[Stated]]) -> dict[str, Any]:
+def checked_spread(spread: Mapping[str, Source], n: int, known: Mapping[str, list[Stated]]) -> dict[str, Any]:
     """Return a spread whose names and sources are what is expected; arrays are checked and copied.
 
     Parameters
@@ -242,7 +242,7 @@ def checked_spread(spread: Any, n: int, known: Mapping[str, list[Stated]]) -> di
     return found
 
 
-def check_mapping(spread: Any) -> None:
+def check_mapping(spread: object) -> None:
     """Refuse a spread that is no mapping.
 
     Raises
@@ -370,7 +370,7 @@ def held(spread: Mapping[str, Any], start: int, stop: int) -> dict[str, Any]:
         Which robots.
     """
 
-    def part(source: Any) -> Any:
+    def part(source: object) -> Any:
         if isinstance(source, Same):
             return Same(source.name, part(source.factor))
         if isinstance(source, np.ndarray) and source.ndim:

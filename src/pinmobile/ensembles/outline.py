@@ -1,4 +1,4 @@
-"""Ensembles and scenarios in words: what is known of them without their parts."""
+"""Ensembles and scenarios in words: what can be said of them without their parts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, final
 import numpy as np
 
 from pinmobile.arrays import Array, finite, frozen, increasing, positive, text, whole
-from pinmobile.ensembles.distributions import Same
+from pinmobile.ensembles.distributions import Same, Source
 from pinmobile.ensembles.scenario import Scenario, checked_scenario, first_counted, time_within
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.measures import Measure, channels_of
@@ -125,7 +125,7 @@ class Outline:
     robot, controller, trajectory, integrator : str
         The parts, as Python shows them.
     forces : tuple of str
-        So too.
+        The forces, likewise.
     spread : dict of str to str or Same
         From what each parameter was drawn; of a `Same`, the factor in words.
     parameters : dict of str to Parameter
@@ -213,7 +213,7 @@ class Outline:
         """
         if isinstance(scenario, Outline):
             return scenario
-        given: Any = checked_scenario(scenario)
+        given = checked_scenario(scenario)
         same: dict[str, Any] = {name: getattr(given, name) for name in (*_NUMBERS, "parameters", *_SAMPLED)}
         parts: dict[str, Any] = {name: _words(getattr(given, name)) for name in _PARTS}
         forces, spread = tuple(map(_words, given.forces)), given.spread.items()
@@ -314,10 +314,14 @@ def alike(one: Array, other: Array) -> bool:
     return one.shape == other.shape and np.allclose(one, other, rtol=_CLOSE, atol=_CLOSE * size)
 
 
-def _source(source: Any) -> str | Same:
+def _source(source: Source) -> str | Same:
     """Return in words from what a parameter is drawn."""
     if isinstance(source, Same):
-        return Same(source.name, _source(source.factor))
+        return Same(source.name, _drawn_from(source.factor))
+    return _drawn_from(source)
+
+
+def _drawn_from(source: Any) -> str:
     if isinstance(source, np.ndarray):
         return f"{source.size} numbers" if source.ndim else repr(float(source))
     law = None if hasattr(source, "sample") else getattr(source, "dist", None)
@@ -328,7 +332,7 @@ def _source(source: Any) -> str | Same:
     return f"{law.name}({', '.join(given)})"
 
 
-def _words(value: Any) -> str:
+def _words(value: object) -> str:
     """Return a part as Python shows it, on one line, without its address in memory."""
     with np.printoptions(**_PRINTED):
         line = " ".join(re.sub(r" at 0x[0-9a-fA-F]+", "", shown(value)).split())

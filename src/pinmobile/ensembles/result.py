@@ -11,9 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, location, one_of, whole
-from pinmobile.ensembles.histogram import checked_levels, checked_share, share_within
 from pinmobile.ensembles.outline import Outline, alike, judgement, ranges
-from pinmobile.ensembles.part import Member, Part, member_of
+from pinmobile.ensembles.records import (
+    Member,
+    Part,
+    checked_levels,
+    checked_share,
+    member_of,
+    share_within,
+)
 from pinmobile.ensembles.scenario import Scenario, checked_scenario
 from pinmobile.ensembles.variables import (
     PER_ROBOT,
@@ -119,7 +125,7 @@ class Ensemble:
         When the loop diverged [s]; NaN where it did not.
     counts : ndarray of int, shape (G, channels, BINS)
         At each time of `Scenario.grid`, how many robots have a distance, an error of the heading, and so on
-        of `Scenario.channels`, of which size, see `pinmobile.ensembles.histogram`.
+        of `Scenario.channels`, of which size, see `pinmobile.ensembles.records`.
     traces : dict of int to Rollout
         Everything of the robots that were asked for; of a diverged one until then.
     engine : str
@@ -153,7 +159,8 @@ class Ensemble:
         draws: Mapping[str, Array],
         part: Part,
         traces: Iterable[int] = (),
-        way: Any = None,
+        engine: str = "",
+        why: str = "",
     ) -> Ensemble:
         """Return the ensemble of all records of a scenario.
 
@@ -167,8 +174,8 @@ class Ensemble:
             The records of all n.
         traces : iterable of int
             Robots of which a whole `Rollout` is made.
-        way : Way, optional
-            How they were run.
+        engine, why : str
+            How they were run, and why not by a faster engine.
         """
         for array in (
             *(part.max_error, part.max_distance, part.rms_error),
@@ -190,8 +197,8 @@ class Ensemble:
             diverged_at=times[np.minimum(part.lived, samples)],
             counts=part.counts,
             traces={},
-            engine="" if way is None else repr(way.engine),
-            why="" if way is None else way.why,
+            engine=engine,
+            why=why,
         )
         object.__setattr__(made, "traces", {i: made.trace(i) for i in traces})
         return made

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, final
 from zlib import crc32
 
 import numpy as np
 
-from pinmobile.arrays import Array, affordable, finite, positive, scalar, whole
-from pinmobile.compiled import Noise, Parts, Place, check_made_again, initial_memory, memory_of, once
+from pinmobile.arrays import Array, ArrayLike, affordable, finite, positive, scalar, whole
+from pinmobile.compiled import BINS, Noise, Parts, Place, check_made_again, initial_memory, memory_of, once
 from pinmobile.ensembles.distributions import (
     Source,
     check_mapping,
@@ -22,13 +22,24 @@ from pinmobile.ensembles.distributions import (
     held,
     in_blocks,
 )
-from pinmobile.ensembles.histogram import BINS
-from pinmobile.ensembles.names import Stated, resolved, start_parameters, stated_by, with_spread_forces
+from pinmobile.ensembles.parameters import (
+    Stated,
+    check_possible,
+    check_together,
+    nominal_of,
+    resolved,
+    start_parameters,
+    stated_by,
+    with_spread_forces,
+    written,
+)
 from pinmobile.errors import InvalidArgument
+from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator
 from pinmobile.measures import Measure, channels_of, check_measured, chosen
 from pinmobile.plant import Context, Coordinate, Input, Parameter
 from pinmobile.simulation import (
+    Plant,
     check_answers,
     check_controllers_memory,
     checked_forces,
@@ -150,10 +161,8 @@ class Scenario:
 
     def _check_made_again(self) -> bool:
         """Refuse parts with a spread parameter that keep what may follow from it and cannot be made again."""
-        for stated in self.stated.values():
-            if stated.path:
-                *_, (_, part) = self._given.on_the_way(stated.path)
-                check_made_again(stated.path, part, [stated.parameter.attribute])
+        for path, name in (one.place for one in self.stated.values() if one.path):
+            check_made_again(path, self._given.at(path), [name])
         return True
 
     def _check_answers(self) -> bool:
@@ -173,12 +182,12 @@ class Scenario:
                 )
         return True
 
-    def _set(self, **values: Any) -> None:
+    def _set(self, **values: object) -> None:
         for name, value in values.items():
             object.__setattr__(self, name, value)
 
     @property
-    def _told(self) -> tuple[Any, ...]:
+    def _told(self) -> tuple[object, ...]:
         """What its laws may ask for beside the parts: substeps, times and the seed."""
         return self.substeps, self.dt, len(self.t), float(self.t[-1]), self.seed, self.judged
 
@@ -190,7 +199,7 @@ class Scenario:
     def _memory(self) -> dict[Any, Any]:
         return self._memory_now()
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         # What is made of the fields is made again.
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
@@ -219,10 +228,8 @@ class Scenario:
 
     @cached_property
     def _given(self) -> Parts:
-        forces = tuple(self.forces)
-        return Parts(
-            *(self.robot, self.controller, forces, self.integrator, None, self.substeps, self.trajectory)
-        )
+        own = self.robot, self.controller, tuple(self.forces), self.integrator
+        return Parts(*own, None, self.substeps, self.trajectory)
 
     @cached_property
     def _on_arrays(self) -> Parts:
@@ -264,36 +271,24 @@ class Scenario:
         return {name: resolved(name, self.known) for name in self.spread}
 
     @cached_property
+    def _in_order(self) -> dict[str, Stated]:
+        """Return `stated` in the order in which parts state it."""
+        return {name: self.stated[name] for name in sorted(self.stated, key=list(self.known).index)}
+
+    @cached_property
     def parts(self) -> Parts:
         """The parts of its loop; what is spread has the shape that it takes for each robot."""
         grown = once(self._memory, ("grown", tuple(self.spread)), self._grown)
         given = self._given.with_parameters(grown, remade=True) if grown else self._given
         stated = [one for one in self.stated.values() if one.path]
-        return given.varying(
-            (Place(one.path, one.parameter.attribute), one.parameter.entry) for one in stated
-        )
+        return given.varying((one.place, one.parameter.entry) for one in stated)
 
     def _grown(self) -> dict[Place, Array]:
         """Return the attributes that take another shape when they are spread."""
         values = self._on_arrays.parameters()
-        wanted = self._written(
-            {name: np.array([self.nominal.get(name, 1.0)]) for name in self.spread}, values, 1
-        )
+        draws = {name: np.array([self.nominal.get(name, 1.0)]) for name in self.spread}
+        wanted = written(self._in_order, draws, values, 1, self.size)
         return {place: one[0] for place, one in wanted.items() if one.shape[1:] != values[place].shape}
-
-    def _written(
-        self, draws: Mapping[str, Array], values: Mapping[Place, Array], count: int
-    ) -> dict[Place, Array]:
-        """Return the attributes of `count` robots that something is drawn of, shape (count, ...)."""
-        found: dict[Place, Array] = {}
-        # In the order in which parts state them: a factor comes after what it multiplies.
-        for name in sorted(self.stated, key=list(self.known).index):
-            path, parameter = self.stated[name]
-            place = Place(path, parameter.attribute)
-            if place in values:
-                before = found.get(place, np.broadcast_to(values[place], (count, *values[place].shape)))
-                found[place] = parameter.written(before, draws[name], self.size)
-        return found
 
     @property
     def parameters(self) -> dict[str, Parameter]:
@@ -315,10 +310,10 @@ class Scenario:
     @property
     def has_own_references(self) -> bool:
         """Whether a parameter of the trajectory is spread, so that each robot has a reference of its own."""
-        return any(_is_of_trajectory(one.path) for one in self.stated.values())
+        return any(one.is_of_trajectory for one in self.stated.values())
 
-    def references(self, draws: Mapping[str, Array], count: int, first: int = 0) -> Reference:
-        """Return each robot's own reference, q, v and a of shape (N + 1, count, ...).
+    def references(self, draws: Mapping[str, Array], count: int, first: int = 0) -> Reference | None:
+        """Return each robot's own reference, q, v and a of shape (N + 1, count, ...), or None.
 
         Parameters
         ----------
@@ -332,8 +327,10 @@ class Scenario:
         InvalidArgument
             If a robot's trajectory cannot be made, is too short, or does not fit the plant.
         """
+        if not self.has_own_references:
+            return None
         alone = Parts(None, None, trajectory=self.parts.trajectory)
-        own = self._written(draws, alone.parameters(), count)
+        own = written(self._in_order, draws, alone.parameters(), count, self.size)
         known: dict[bytes, Reference] = {}
         found = Reference(*(np.empty((len(self.t), count, part.shape[1])) for part in self.reference))
         for i in range(count):
@@ -366,18 +363,14 @@ class Scenario:
     @property
     def places(self) -> tuple[Place, ...]:
         """What each robot's loop has of its own: attributes that are spread, and those that it draws."""
-        spread = [
-            Place(one.path, one.parameter.attribute)
-            for one in self.stated.values()
-            if one.path and not _is_of_trajectory(one.path)
-        ]
-        drawn = [Place(path, name) for path, _, name in self._drawn()]
-        return tuple(dict.fromkeys([*spread, *drawn]))
+        spread = [one.place for one in self.stated.values() if one.path and not one.is_of_trajectory]
+        return tuple(dict.fromkeys([*spread, *self._drawn]))
 
-    def _drawn(self) -> Iterator[tuple[str, Any, str]]:
-        """Return path, part and name of the attributes that each robot draws."""
-        for path, part in self._given.by_path():
-            yield from ((path, part, name) for name in getattr(part, "drawn", ()))
+    @cached_property
+    def _drawn(self) -> dict[Place, Any]:
+        """The attributes that each robot draws, and the parts that draw them."""
+        parts = self._given.by_path()
+        return {Place(path, name): part for path, part in parts for name in getattr(part, "drawn", ())}
 
     def values(self, draws: Mapping[str, Array], start: int, stop: int) -> dict[Place, Array]:
         """Return what the robots from `start` to before `stop` have of their own, shape (stop - start, ...).
@@ -394,14 +387,12 @@ class Scenario:
         values : dict of Place to ndarray
             Those of the trajectory too, which is no part of the loop.
         """
-        found = self._written(draws, self.parts.on_arrays().parameters(), stop - start)
-        for path, part, name in self._drawn():
-
-            def own(generator: np.random.Generator, count: int, part: Any = part, name: str = name) -> Array:
-                return np.asarray(part.draw(generator, count)[name])
-
-            stream = f"{path} of {crc32(part.stream)}"
-            found[Place(path, name)] = in_blocks(stream, own, self.seed, start, stop)
+        nominal = self.parts.on_arrays().parameters()
+        found = written(self._in_order, draws, nominal, stop - start, self.size)
+        for place, part in self._drawn.items():
+            stream = f"{place.path} of {crc32(part.stream)}"
+            own = partial(_drawn_by, part, place.name)
+            found[place] = in_blocks(stream, own, self.seed, start, stop)
         return found
 
     def starts(
@@ -419,10 +410,8 @@ class Scenario:
             Their own, as `references` returns them.
         """
         plant = self.parts.on_arrays().plant
+        names = once(self._memory, "starts", lambda: [x.name for x in start_parameters(self._coordinates)])
         off = np.zeros((2, count, plant.nv))
-        names = once(
-            self._memory, "starts", lambda: [each.name for each in start_parameters(self._coordinates)]
-        )
         for k, name in enumerate(names):
             if name in draws:
                 off[k // plant.nv, :, k % plant.nv] = draws[name]
@@ -440,7 +429,7 @@ class Scenario:
         q, v = once(self._memory, "start", lambda: self._beginning(self.parts.on_arrays().plant))
         return np.array(q, np.float64), np.array(v, np.float64)
 
-    def _beginning(self, plant: Any, at: Reference | None = None) -> tuple[Array, Array]:
+    def _beginning(self, plant: Plant, at: Reference | None = None) -> tuple[Array, Array]:
         """Return where a plant is at the first sample of a reference, by default of all, (nq,) and (nv,)."""
         at = Reference(*(part[0] for part in self.reference)) if at is None else at
         if not hasattr(plant, "start"):
@@ -456,17 +445,7 @@ class Scenario:
     @cached_property
     def nominal(self) -> dict[str, float]:
         """The values of the parameters, as far as each is one number."""
-        return once(self._memory, "nominal", self._nominal)  # type: ignore[no-any-return]
-
-    def _nominal(self) -> dict[str, float]:
-        values = self._on_arrays.parameters()
-        found = {}
-        for name, stated in self.known.items():
-            path, parameter = stated[0]
-            value = parameter.nominal(values[Place(path, parameter.attribute)]) if path else 0.0
-            if len(stated) == 1 and value is not None:
-                found[name] = value
-        return found
+        return once(self._memory, "nominal", lambda: nominal_of(self.known, self._on_arrays.parameters()))  # type: ignore[no-any-return]
 
     def holding(self, start: int, stop: int) -> Scenario:
         """Return what another process needs of this to run the robots from `start` to before `stop`.
@@ -494,38 +473,12 @@ class Scenario:
         if not first < last <= self.n:
             raise InvalidArgument(f"start is {first} and stop {last}, expected 0 <= start < stop <= {self.n}")
         values = draw(self.spread, self.seed, first, last, self.nominal)
-        for name, column in values.items():
-            parameter = self.parameters[name]
-            wrong = ~parameter.allows(column)
-            if wrong.any():
-                raise InvalidArgument(
-                    f"spread[{name!r}] gives {column[wrong].min():.6g} {parameter.unit} as the "
-                    f"{parameter.meaning}, and {np.count_nonzero(wrong)} of {len(column)} draws "
-                    f"({wrong.mean():.2%}) are impossible; expected {parameter.bound}"
-                )
-        self._check_bodies(values, last - first)
+        check_possible(values, self.stated)
+        check_together(values, self._in_order, self.parts.on_arrays(), last - first, self.size)
         return values
 
-    def _check_bodies(self, draws: Mapping[str, Array], count: int) -> None:
-        """Refuse what is possible number by number, but not together, as parts know that are asked."""
-        parts = self.parts.on_arrays()
-        paths = dict.fromkeys(one.path for one in self.stated.values() if one.path)
-        knowing = {path: part for path in paths if hasattr(part := parts.at(path), "impossible")}
-        written = self._written(draws, parts.parameters(), count) if knowing else {}
-        for path, part in knowing.items():
-            own = {place.name: array for place, array in written.items() if place.path == path}
-            for name, wrong in part.impossible(own):
-                raise InvalidArgument(
-                    f"spread gives the {name} of {path} in {np.count_nonzero(wrong)} of {count} draws "
-                    f"({wrong.mean():.2%}) an inertia that no body has, {part.EXPECTED}"
-                )
 
-
-def _is_of_trajectory(path: str) -> bool:
-    return path.partition(".")[0] == "trajectory"
-
-
-def checked_scenario(scenario: Any) -> Scenario:
+def checked_scenario(scenario: object) -> Scenario:
     """Check that this is a scenario, and return it.
 
     Raises
@@ -543,7 +496,7 @@ def first_counted(t: Array, after: float, dt: float) -> int:
     return int(np.searchsorted(t, after - _SAME * dt))
 
 
-def time_within(name: str, value: Any, t: Array) -> float:
+def time_within(name: str, value: ArrayLike, t: Array) -> float:
     """Return a time of a run that has samples at times `t`.
 
     Raises
@@ -557,13 +510,17 @@ def time_within(name: str, value: Any, t: Array) -> float:
     return time
 
 
-def _asked(force: Any, plant: Any, q: Array, v: Array) -> Any:
+def _drawn_by(part: Any, name: str, generator: np.random.Generator, count: int) -> Array:
+    return np.asarray(part.draw(generator, count)[name])
+
+
+def _asked(force: Force | CoordinateForce, plant: Any, q: Array, v: Array) -> ArrayLike:
     if hasattr(force, "on_coordinates"):
         return force.on_coordinates(0.0, q.copy(), v.copy())
     return force(0.0, plant.pose(q).copy(), plant.rate(q, v).copy())
 
 
-def _moved(plant: Any, q: Array, displacements: Array) -> Array:
+def _moved(plant: Plant, q: Array, displacements: Array) -> Array:
     """Return where displacements, shape (m, nv), lead to, shape (m, nq): at once where the plant can."""
     ends = [plant.integrate(q, displacements[k]) for k in (0, -1)]
     try:

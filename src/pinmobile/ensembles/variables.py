@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, finite, text, whole
-from pinmobile.ensembles.histogram import edges, miscounted, quantiles
 from pinmobile.ensembles.outline import Outline
+from pinmobile.ensembles.records import edges, miscounted, quantiles
+from pinmobile.ensembles.scenario import Scenario
 from pinmobile.extras import imported
 from pinmobile.files import archive_of, unpacking
 from pinmobile.measures import Measure
@@ -21,7 +22,7 @@ from pinmobile.simulation import RECORDED, Rollout, described_run, restored_run,
 from pinmobile.trajectories import Reference
 
 LEVELS = (0.5, 0.9, 0.99)
-"""Shares of the robots of which the quantiles over time are told."""
+"""Shares of the robots for which the quantiles over time are kept."""
 
 NOTE = "units and long_name of each variable; robot i of a scenario is row i"
 """How the variables are to be read."""
@@ -65,7 +66,7 @@ PER_ROBOT = (
 """Names of the arrays with one entry per robot, beside what was drawn."""
 
 
-def per_robot(scenario: Any) -> dict[str, Variable]:
+def per_robot(scenario: Scenario | Outline) -> dict[str, Variable]:
     """Return the arrays of `PER_ROBOT`; those of measures where there are any.
 
     Parameters
@@ -124,7 +125,7 @@ def drawn(parameters: Mapping[str, Parameter]) -> dict[str, Variable]:
     }
 
 
-def quantiles_of(counts: Any, levels: Array, channels: Sequence[Measure]) -> dict[str, Array]:
+def quantiles_of(counts: NDArray[np.int32], levels: Array, channels: Sequence[Measure]) -> dict[str, Array]:
     """Return the quantiles over time of each channel, shape (L, G), by name.
 
     Parameters
@@ -142,13 +143,13 @@ def quantiles_of(counts: Any, levels: Array, channels: Sequence[Measure]) -> dic
     }
 
 
-def summed(counts: Any, channels: Sequence[Measure]) -> dict[str, Any]:
+def summed(counts: NDArray[np.int32], channels: Sequence[Measure]) -> dict[str, Array | NDArray[np.int32]]:
     """Return the arrays of `SUMMED`; the arguments are those of `quantiles_of`."""
     found = quantiles_of(counts, np.array(LEVELS), channels)
     return {"counts": counts, "quantiles": np.array(list(found.values()))}
 
 
-def coordinates(scenario: Any) -> list[tuple[str, Sequence[Any], str, str]]:
+def coordinates(scenario: Scenario | Outline) -> list[tuple[str, Sequence[Any], str, str]]:
     """Return name, values, unit and meaning of the coordinates of all dimensions but ``robot``.
 
     Parameters
@@ -178,10 +179,10 @@ def coordinates(scenario: Any) -> list[tuple[str, Sequence[Any], str, str]]:
 
 
 class Recorded(Protocol):
-    """An `Ensemble`, as far as it is told here."""
+    """What is needed here of an `Ensemble`."""
 
     @property
-    def scenario(self) -> Any:
+    def scenario(self) -> Scenario | Outline:
         """What was run, or its outline."""
         ...
 
@@ -231,8 +232,8 @@ def dataset_of(ensemble: Recorded, attributes: Mapping[str, Any]) -> Any:
     xarray = imported("xarray", "sweeps", "a Dataset")
     scenario = ensemble.scenario
     variables = {**_per_robot(ensemble), **over_all(scenario.channels)}
-    arrays = {name: array for name, _, array in _arrays(ensemble)}
-    arrays |= summed(ensemble.counts, scenario.channels)
+    arrays = summed(ensemble.counts, scenario.channels)
+    arrays |= {name: array for name, _, array in _arrays(ensemble)}
     axes = {
         name: (name, values, {"units": unit, "long_name": meaning})
         for name, values, unit, meaning in coordinates(scenario)
@@ -352,7 +353,7 @@ def read_ensemble(path: Path) -> dict[str, Any]:
         }
 
 
-def _check(named: Mapping[str, Array], outline: Outline) -> None:
+def _check(named: Mapping[str, Any], outline: Outline) -> None:
     """Refuse records that no robots have."""
     n, diverged = outline.n, named["diverged_at"]
     sizes = {"diverged_at": (), "max_distance": (), "max_force": (len(outline.inputs),)}
@@ -378,7 +379,9 @@ def _check(named: Mapping[str, Array], outline: Outline) -> None:
         raise ValueError(f"it {why}")
 
 
-def _traces(named: Mapping[str, Array], described: Any, outline: Outline) -> dict[int, Rollout]:
+def _traces(
+    named: Mapping[str, Array], described: Sequence[Mapping[str, Any]], outline: Outline
+) -> dict[int, Rollout]:
     """Return the traces, by the index of their robot."""
     found: dict[int, Rollout] = {}
     start = 0

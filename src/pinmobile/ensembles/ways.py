@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.compiled import (
+    BINS,
     Memory,
     Noise,
     Parts,
@@ -29,13 +30,12 @@ from pinmobile.compiled import (
     robot_keys,
     tracking_errors,
 )
-from pinmobile.ensembles.histogram import BINS, bins_of
-from pinmobile.ensembles.part import Part, member_of
+from pinmobile.ensembles.records import Part, bins_of, one_by_one
 from pinmobile.ensembles.scenario import Scenario
-from pinmobile.errors import Diverged, InvalidArgument, NotTraceable
-from pinmobile.measures import measures_of, size_of
+from pinmobile.errors import InvalidArgument, NotTraceable
+from pinmobile.measures import is_near, measures_of
 from pinmobile.plant import Context
-from pinmobile.simulation import ARRAYS, COMPILED, PINOCCHIO, Engine, check_same, checked_engine, simulate
+from pinmobile.simulation import ARRAYS, COMPILED, PINOCCHIO, Engine, check_same, checked_engine
 
 _AT_ONCE = 4096  # robots on arrays
 _ONE_BY_ONE = 16  # robots between two reports of progress
@@ -120,7 +120,7 @@ class Way:
         elif self.engine is ARRAYS:
             part = _on_arrays(self.scenario, draws, start, stop)
         else:
-            part = _one_by_one(self.scenario, start, stop)
+            part = one_by_one(self.scenario, start, stop)
         _check_measured(self.scenario, part, start)
         return part
 
@@ -145,7 +145,7 @@ def _check_measured(scenario: Scenario, part: Part, start: int) -> None:
 def _asks_pinocchio(parts: Parts) -> bool:
     """Tell whether a part has a model whose law is no NumPy."""
 
-    def asks(part: Any) -> bool:
+    def asks(part: object) -> bool:
         try:
             if hasattr(part, "traced"):
                 part.traced()
@@ -224,11 +224,6 @@ def _values(scenario: Scenario, draws: Mapping[str, Array], start: int, stop: in
     return {place: value for place, value in values.items() if place in places}
 
 
-def _own_references(scenario: Scenario, draws: Mapping[str, Array], start: int, stop: int) -> Any:
-    """Return the references of robots that have their own, else None."""
-    return scenario.references(draws, stop - start, start) if scenario.has_own_references else None
-
-
 def _moved(scenario: Scenario, place: Place) -> Parts:
     """Return the parts of a scenario, made again with another value of one parameter."""
     parts = scenario.parts
@@ -246,7 +241,7 @@ def _starts_otherwise(scenario: Scenario, place: Place) -> bool:
 
 
 def _check_derived(scenario: Scenario) -> None:
-    """Refuse parts that derive something of a spread parameter when they are made, which a copy has not.
+    """Refuse parts that derive something from a spread parameter when they are made, which a copy lacks.
 
     Raises
     ------
@@ -254,7 +249,7 @@ def _check_derived(scenario: Scenario) -> None:
         If there is one.
     """
     for stated in scenario.stated.values():
-        place = Place(stated.path, stated.parameter.attribute)
+        place = stated.place
         if place not in scenario.places:
             continue
         # A part may derive of what stands in it, too; one that has `traced` is traced as it is then.
@@ -292,7 +287,7 @@ def _as_compiled(scenario: Scenario) -> Program:
 
 
 def _check_judged(scenario: Scenario) -> None:
-    """Refuse a plant that states measures which what is run in its place does not.
+    """Refuse a plant whose measures differ from those of what is run in its place.
 
     Raises
     ------
@@ -321,7 +316,7 @@ def _program(scenario: Scenario) -> Program:
     unused = set(program.loop.unused)
     for name, stated in scenario.stated.items():
         # What the plant has may not matter to one run, as the mass of what nobody pushes; it is its own.
-        place = Place(stated.path, stated.parameter.attribute)
+        place = stated.place
         if stated.path != "plant" and place in unused and not _starts_otherwise(scenario, place):
             of = f", {stated.parameter.meaning}" if stated.parameter.meaning else ""
             raise InvalidArgument(
@@ -334,7 +329,7 @@ def _compiled(way: Way, draws: Mapping[str, Array], start: int, stop: int, threa
     scenario, program = way.scenario, way.program
     assert program is not None
     keys = {name: robot_keys(scenario.seed, name, range(start, stop)) for name in program.loop.keys}
-    own = _own_references(scenario, draws, start, stop)
+    own = scenario.references(draws, stop - start, start)
     outcome = program.run(
         _with_recorder(scenario),
         _context(scenario),
@@ -360,7 +355,7 @@ class _Rows:
     memory: Memory
     q: Array
     v: Array
-    references: Any = None  # where each has its own
+    references: Reference | None = None  # where each has its own
 
     def at(self, k: int, all_have: Reference) -> Reference:
         """Return the reference of sample k."""
@@ -370,13 +365,14 @@ class _Rows:
 def _rows(scenario: Scenario, draws: Mapping[str, Array], start: int, stop: int) -> _Rows:
     given = _with_recorder(scenario)
     parts = given.on_arrays().with_parameters(_values(scenario, draws, start, stop))
-    own = _own_references(scenario, draws, start, stop)
+    own = scenario.references(draws, stop - start, start)
 
     def normal(name: str, n: int) -> Noise:
         return Noise(robot_keys(scenario.seed, name, range(start, stop)), n)
 
     memory = initial_memory(parts, _context(scenario), scenario.size, normal=normal)
-    return _Rows(parts, memory, *scenario.starts(draws, stop - start, own), own)
+    begin = scenario.starts(draws, stop - start, own)
+    return _Rows(parts, memory, *begin, None if own is None else Reference(*own))
 
 
 def _as_arrays(scenario: Scenario) -> None:
@@ -455,9 +451,9 @@ def _on_arrays(scenario: Scenario, draws: Mapping[str, Array], start: int, stop:
     with np.errstate(all="ignore"):  # what overflows is judged
         for k, time in enumerate(scenario.t.tolist()):
             at = rows.at(k, Reference(*scenario.reference))
-            far = np.abs(np.concatenate(tracking_errors(rows.parts.plant, q, v, at), axis=-1))
-            alive = (memory.recorder["alive"] > 0.5) & (far <= scenario.limit).all(axis=-1)
-            # What has diverged goes on from the trajectory's start: no law sees what is no number.
+            errors = np.concatenate(tracking_errors(rows.parts.plant, q, v, at), axis=-1)
+            alive = (memory.recorder["alive"] > 0.5) & is_near(errors, scenario.limit)
+            # A robot that diverged goes on from the trajectory's start, so that no law sees NaN.
             q, v = np.where(alive[:, None], q, begin[0]), np.where(alive[:, None], v, begin[1])
             memory = memory._replace(recorder={**memory.recorder, "alive": np.where(alive, 1.0, 0.0)})
             asked = rows.parts, float(k), time, h, (q, v), at, memory
@@ -473,72 +469,14 @@ def _on_arrays(scenario: Scenario, draws: Mapping[str, Array], start: int, stop:
     return Part.of(scenario, memory.recorder, counts)
 
 
-def _check_again(asked: Any, found: Stepped) -> None:
-    """Refuse parts that answer otherwise for a sample when they are asked again after the last one."""
+# The arguments of `one_sample`: parts, number and time of the sample, step, state, reference and memory.
+_Asked: TypeAlias = tuple[Parts, float, float, float, tuple[Array, Array], Reference, Memory]
+
+
+def _check_again(asked: _Asked, found: Stepped) -> None:
+    """Refuse parts that answer differently when they are asked for a sample again after the last one."""
     again, t = one_sample(*asked), float(found.sample.t)
     acting = "plant or forces" if asked[0].forces else "plant"
     check_same("controller", t, found.sample.u, again.sample.u)
     check_same(acting, t, found.sample.a, again.sample.a)
     check_same("integrator", t, np.hstack([found.q, found.v]), np.hstack([again.q, again.v]))
-
-
-def _one_by_one(scenario: Scenario, start: int, stop: int) -> Part:
-    """Return the records of robots that `simulate` runs one after another."""
-    found = [_summed_alone(scenario, i) for i in range(start, stop)]
-    counts = sum((each.counts for each in found[1:]), found[0].counts)
-    columns = (np.concatenate([getattr(each, name) for each in found]) for name in Part._fields[:-1])
-    return Part(*columns, counts)  # type: ignore[call-arg]
-
-
-def _summed_alone(scenario: Scenario, i: int) -> Part:
-    """Return the records of robot i, whose number its errors tell."""
-    try:
-        return _summed(scenario, i)
-    except InvalidArgument as error:
-        if type(error) is InvalidArgument and not str(error).startswith("robot "):
-            raise InvalidArgument(f"robot {i}: {error}") from error
-        error.add_note(f"robot {i} of the ensemble")
-        raise
-    except Exception as error:
-        error.add_note(f"robot {i} of the ensemble")
-        raise
-
-
-def _summed(scenario: Scenario, i: int) -> Part:
-    member = member_of(scenario, i)
-    try:
-        rollout: Any = simulate(*member[:3], **member.options)
-    except Diverged as diverged:
-        rollout = diverged.rollout
-    lived, c, nu = 0 if rollout is None else len(rollout.t), scenario.size, scenario.robot.nu
-    error = np.zeros((0, c)) if rollout is None else np.abs(rollout.error)
-    force = np.zeros((0, nu)) if rollout is None else np.abs(rollout.u)
-    kept, margins = error[scenario.begin :], [one.is_margin for one in scenario.judged]
-    measured = np.zeros((0, len(margins))) if rollout is None else _measured(scenario, rollout)
-    bad, after = np.where(margins, -measured, np.abs(measured)), measured[scenario.begin :]
-    worst = bad[scenario.begin :].max(axis=0, initial=-np.inf)
-    channels = scenario.channels
-    counts = np.zeros((len(scenario.grid), len(channels), BINS), np.int32)
-    sizes = np.where([one.is_margin for one in channels], 0.0, np.full((len(scenario.t), 1), np.inf))
-    strayed = np.where(margins, size_of(measured), bad)
-    sizes[:lived] = np.column_stack([np.hypot(error[:, 0], error[:, 1]), error[:, 2:], strayed])
-    for row, size in zip(counts, sizes[:: scenario.stride], strict=True):
-        row[range(len(channels)), bins_of(size)] += 1
-    return Part(
-        np.array([lived]),
-        kept.max(axis=0, initial=0.0)[None],
-        np.sqrt(np.square(kept[:, :2]).sum(axis=1)).max(initial=0.0)[None],
-        np.sqrt(np.square(kept).sum(axis=0) / max(len(kept), 1))[None],
-        force.max(axis=0, initial=0.0)[None],
-        np.where(margins, -worst, np.maximum(worst, 0.0))[None],
-        np.sqrt(np.square(after).sum(axis=0) / max(len(after), 1))[None],
-        counts,
-    )
-
-
-def _measured(scenario: Scenario, rollout: Any) -> Array:
-    """Return what is judged of a robot beside errors at all its samples, shape (N, j)."""
-    if not scenario.judged:
-        return np.zeros((len(rollout), 0))
-    found = rollout.measures()
-    return np.column_stack([found[one.name].values for one in scenario.judged])

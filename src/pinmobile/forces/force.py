@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Protocol, Self, final
+from typing import ClassVar, Protocol, Self, final
 
 import numpy as np
 
@@ -127,8 +127,7 @@ class ConstantForce:
 
     def __call__(self, t: ArrayLike, q: Array, v: Array) -> Array:
         """Return the force, shape (..., 3) [N, N, N m]."""
-        force: Any = self.force
-        return spread(force, t, q)
+        return spread(np.asarray(self.force), t, q)
 
 
 @final
@@ -233,7 +232,7 @@ class NoiseForce:
 
     std: ArrayLike
     bandwidth: float
-    seed: Any
+    seed: int | np.random.SeedSequence | np.random.Generator | None  # None: of given phases
     phases: Array = field(init=False, repr=False)
     in_phase: Array = field(init=False, repr=False)
     quadrature: Array = field(init=False, repr=False)

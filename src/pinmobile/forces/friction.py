@@ -55,10 +55,9 @@ class ViscousFriction:
 
     def __call__(self, t: ArrayLike, q: Array, v: Array) -> Array:
         """Return the force, shape (..., 3) [N, N, N m]."""
-        coefficients: Any = self.coefficients
         cos, sin = np.cos(q[..., 2]), np.sin(q[..., 2])
         twist = _turned(cos, -sin, v)
-        return spread(_turned(cos, sin, -coefficients * twist), t, q)
+        return spread(_turned(cos, sin, -np.asarray(self.coefficients) * twist), t, q)
 
 
 @final
@@ -120,10 +119,9 @@ class RollingResistance:
 
     def __call__(self, t: ArrayLike, q: Array, v: Array) -> Array:
         """Return the force, shape (..., 3) [N, N, N m]."""
-        force: Any = self.force
         cos, sin = np.cos(q[..., 2]), np.sin(q[..., 2])
         twist = _turned(cos, -sin, v)
-        return spread(_turned(cos, sin, -force * twist / np.hypot(twist, self.speed)), t, q)
+        return spread(_turned(cos, sin, -np.asarray(self.force) * twist / np.hypot(twist, self.speed)), t, q)
 
 
 def _turned(cos: Array, sin: Array, vector: Array) -> Array:
@@ -232,7 +230,7 @@ class JointFriction:
         names = [one.name for one in coordinates_of(robot)]
         return cls(robot.joint_damping, robot.joint_friction, speed, names)
 
-    def varying(self, entries: Iterable[tuple[str, Any]]) -> Self:
+    def varying(self, entries: Iterable[tuple[str, object]]) -> Self:
         """Return it, told what differs from robot to robot: where dry friction is zero for all, without it.
 
         Parameters

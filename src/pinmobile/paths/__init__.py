@@ -1,8 +1,7 @@
 """Curves as functions of time: via-point cubics, splines, Lissajous figures, and from rest to rest."""
 
-from pinmobile.paths.lissajous import Circle, Lissajous
+from pinmobile.paths.curves import Circle, CubicVia, Hold, Lissajous, RestToRest, Spline
 from pinmobile.paths.path import Path, Piece, Whole, checked_path as checked_path, pieces_of, within
-from pinmobile.paths.via import CubicVia, Hold, RestToRest, Spline
 
 __all__ = [
     "Circle",

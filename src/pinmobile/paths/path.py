@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 from math import perm
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -89,7 +89,7 @@ def pieces_of(path: Path) -> tuple[Piece, ...]:
     return tuple(getattr(path, "pieces", ())) or (Whole(path),)
 
 
-def checked_path(path: Any, size: int) -> Path:
+def checked_path(path: object, size: int) -> Path:
     """Return a path whose points have 2 or 3 coordinates.
 
     Raises
@@ -108,7 +108,7 @@ def checked_path(path: Any, size: int) -> Path:
     return path
 
 
-def checked_order(order: Any) -> int:
+def checked_order(order: ArrayLike) -> int:
     """Return the order of a derivative, at least 0.
 
     Raises
@@ -190,7 +190,7 @@ class Value:
     What a dataclass generates itself compares arrays as if they were numbers, which raises.
     """
 
-    def _values(self) -> dict[str, Any]:
+    def _values(self) -> dict[str, object]:
         named = {f.name: getattr(self, f.name) for f in fields(self) if f.init}  # type: ignore[arg-type]
         return {name: _plain(v.tolist()) if isinstance(v, np.ndarray) else v for name, v in named.items()}
 
@@ -207,7 +207,7 @@ class Value:
         return f"{type(self).__name__}({inside})"
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     return tuple(map(_plain, value)) if isinstance(value, list) else value
 
 

@@ -2,10 +2,9 @@
 
 from pinmobile.plots.bands import bands
 from pinmobile.plots.drivers import drivers
-from pinmobile.plots.integrator import integrator
 from pinmobile.plots.plane import animate, path
 from pinmobile.plots.series import balance, errors, forces, reaction, signals, states
-from pinmobile.plots.swept import curves, heatmap
+from pinmobile.plots.swept import curves, heatmap, integrator
 
 __all__ = [
     "animate",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -16,7 +16,7 @@ from pinmobile.ensembles import Bands, Ensemble, edges
 from pinmobile.errors import InvalidArgument
 from pinmobile.measures import Measure
 from pinmobile.palette import INK, colour
-from pinmobile.plots.style import ShownFigure, dress, headed, heading, legend, named, percent, si, tint
+from pinmobile.plots.style import ShownFigure, Style, dress, headed, heading, legend, named, percent, si, tint
 
 _ALWAYS = "distance", "heading"
 _LINEAR = 40.0  # by how much the largest of all may exceed the smallest median on a linear axis
@@ -94,7 +94,7 @@ def bands(
     return figure
 
 
-def _rows(ensembles: Sequence[Ensemble], by: Any) -> list[Measure]:
+def _rows(ensembles: Sequence[Ensemble], by: Sequence[str] | None) -> list[Measure]:
     """Return what has a row.
 
     Raises
@@ -231,7 +231,7 @@ def _size(value: float, unit: str) -> str:
 def _keys(drawn: Bands, ensembles: Sequence[Ensemble]) -> Iterator[Artist]:
     sizes = {len(one) for one in ensembles}
     whose = f"of {sizes.pop():,} robots" if len(sizes) == 1 else "of the robots"
-    style: dict[str, Any] = {"edgecolor": _GREY, "linewidth": 0.8}
+    style: Style = {"edgecolor": _GREY, "linewidth": 0.8}
     labels = [percent(level) for level in drawn.levels]
     labels[-1] = f"{labels[-1]} {whose}"
     for shade, label in zip(_shades(_GREY, len(labels)), labels, strict=True):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -20,7 +20,7 @@ from pinmobile.ensembles import Ensemble, Same
 from pinmobile.errors import InvalidArgument
 from pinmobile.measures import Measure
 from pinmobile.palette import INK, colour
-from pinmobile.plots.style import ShownFigure, dress, headed, legend, percent
+from pinmobile.plots.style import ShownFigure, Style, dress, headed, legend, percent
 from pinmobile.plots.swept import strip_above
 
 _CRITICAL = 2.001  # of Kuiper's test at 1 %: Stephens, J. R. Stat. Soc. B 32 (1970)
@@ -129,13 +129,13 @@ def _parameters(ensemble: Ensemble) -> list[tuple[str, str, Array]]:
     """Return name, unit and values of what is drawn by itself; of a `Same`, the factor."""
     found = []
     for name, values in ensemble.draws.items():
-        source: Any = ensemble.scenario.spread[name]
+        source = ensemble.scenario.spread[name]
         base = ensemble.draws.get(source.name) if isinstance(source, Same) else None
-        if base is None:
-            found.append((name, ensemble.scenario.parameters[name].unit, values))
-        else:
+        if isinstance(source, Same) and base is not None:
             ratio = np.divide(values, base, out=np.ones_like(values), where=base != 0)
             found.append((f"{name} / {source.name}", "", ratio))
+        else:
+            found.append((name, ensemble.scenario.parameters[name].unit, values))
     return found
 
 
@@ -166,9 +166,9 @@ _BINS = 40
 _WORD = 0.36  # [inch] by which "diverged" is longer than the other labels of an axis
 _LINEAR = 50.0  # by how much the farthest may exceed the median on a linear axis
 _ERRORS = {"distance": "distance from the desired position", "heading": "error of the heading"}
-_OTHERS: dict[str, Any] = {"color": "#9a9a9a", "alpha": 0.55}
-_WORST: dict[str, Any] = {"color": colour(1), "linewidth": 2.0}
-_WHERE: dict[str, Any] = {"color": colour(1), "alpha": 0.12, "linewidth": 0}
+_OTHERS: Style = {"color": "#9a9a9a", "alpha": 0.55}
+_WORST: Style = {"color": colour(1), "linewidth": 2.0}
+_WHERE: Style = {"color": colour(1), "alpha": 0.12, "linewidth": 0}
 
 
 def drivers(

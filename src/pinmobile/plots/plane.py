@@ -24,6 +24,7 @@ from pinmobile.plots.style import (
     DESIRED,
     Rollouts,
     ShownFigure,
+    Style,
     dress,
     headed,
     heading,
@@ -73,7 +74,7 @@ class Body:
         The outline comes first.
     """
 
-    def __init__(self, axes: Axes, plant: Any, colour: str, otherwise: float, **style: Any) -> None:
+    def __init__(self, axes: Axes, plant: object, colour: str, otherwise: float, **style: Any) -> None:
         size, self.colour = _size(plant), colour
         self._shapes = [_BOX * size, _NOSE * size] if size is not None else [_DART * otherwise]
         fills = [(*_rgb(colour), 0.25), colour] if size is not None else [colour]
@@ -92,17 +93,17 @@ class Body:
             patch.set_xy(pose[:2] + shape @ np.array([[cos, sin], [-sin, cos]]))
 
 
-def diagonal(plant: Any, otherwise: float) -> float:
+def diagonal(plant: object, otherwise: float) -> float:
     """Return the diagonal of the plant's outline, or `otherwise` where it has no size [m]."""
     size = _size(plant)
     return otherwise if size is None else float(np.hypot(*size))
 
 
-def _size(plant: Any) -> Array | None:
+def _size(plant: object) -> Array | None:
     """Return length and width; None for a plant that does not have them."""
     try:
-        size = finite("size", plant.size)
-    except (AttributeError, InvalidArgument):
+        size = finite("size", getattr(plant, "size", ()))
+    except InvalidArgument:
         return None
     return size[:2] if size.ndim == 1 and len(size) >= 2 and (size[:2] > 0).all() else None
 
@@ -112,7 +113,7 @@ def _rgb(colour: str) -> tuple[float, ...]:
 
 
 _BOXES = 8
-_TRAVELLED: dict[str, Any] = {"linewidth": 3.6, "zorder": 3}
+_TRAVELLED: Style = {"linewidth": 3.6, "zorder": 3}
 
 
 class Window(NamedTuple):
@@ -245,7 +246,7 @@ def _write_time(axes: Axes, t: float, pose: Array, beside: float) -> None:
     right = float(np.sin(pose[2])), float(-np.cos(pose[2]))
     spot = pose[0] + beside * right[0], pose[1] + beside * right[1]
     offset = 18 * right[0], 9 * right[1]  # [pt]; text is wider than high
-    text: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 9, "color": INK, "zorder": 6}
+    text: Style = {"ha": "center", "va": "center", "fontsize": 9, "color": INK, "zorder": 6}
     axes.annotate(f"{t:.3g} s", spot, offset, textcoords="offset points", **text)
 
 

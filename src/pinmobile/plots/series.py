@@ -22,12 +22,13 @@ from pinmobile.balance import (
 )
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.palette import INK, colour
-from pinmobile.plant import all_samples, configuration_names_of, coordinates_of, leading_of
+from pinmobile.plant import Plant, all_samples, configuration_names_of, coordinates_of, leading_of
 from pinmobile.plots.style import (
     DESIRED,
     TALL,
     Rollouts,
     ShownFigure,
+    Style,
     dress,
     headed,
     heading,
@@ -198,7 +199,7 @@ def signals(rollouts: Rollouts, *, title: str | None = None) -> Figure:
     return figure
 
 
-def _names(named: Iterable[tuple[Any, Sequence[tuple[str, str]]]]) -> list[tuple[str, str]]:
+def _names(named: Iterable[tuple[object, Sequence[tuple[str, str]]]]) -> list[tuple[str, str]]:
     """Return symbol and unit for each panel: those of the first of the plants with the most columns."""
     plant, pairs = max(named, key=lambda one: len(one[1]))
     single = len(getattr(plant, "mounts", ())) == 1
@@ -211,7 +212,7 @@ def _symbol(name: str) -> str:
     return _SYMBOLS.get(name, short)
 
 
-def _named(plant: Any, count: int) -> list[tuple[str, str]]:
+def _named(plant: Plant | None, count: int) -> list[tuple[str, str]]:
     """Return name and unit of each number of what `_displacement` returns."""
     coordinates = coordinates_of(plant)
     if len(coordinates) == count:
@@ -243,7 +244,7 @@ def _displacement(run: Rollout, q: Array) -> Array:
     return unwrapped[:, : leading[length]]
 
 
-def _wrapped(plant: Any) -> Any:
+def _wrapped(plant: Plant | None) -> NDArray[np.bool_]:
     return np.array([one.unit == "rad" for one in coordinates_of(plant)])
 
 
@@ -271,14 +272,14 @@ _WRENCH = (
     ("$m_y$", "N m"),
     ("$m_z$", "N m"),
 )
-_OUTLINE: dict[str, Any] = {
+_OUTLINE: Style = {
     "closed": True,
     "facecolor": "#f2f2f2",
     "edgecolor": "#777777",
     "linewidth": 1.4,
     "zorder": 1,
 }
-_LIMIT: dict[str, Any] = {"color": "#777777", "linestyle": (0, (4, 3)), "linewidth": 1.2, "zorder": 2}
+_LIMIT: Style = {"color": "#777777", "linestyle": (0, (4, 3)), "linewidth": 1.2, "zorder": 2}
 
 
 def balance(rollouts: Rollouts, *, footprint: ArrayLike | None = None, title: str | None = None) -> Figure:
@@ -366,7 +367,7 @@ def reaction(rollouts: Rollouts, *, mount: str | None = None, title: str | None 
     return figure
 
 
-def _of_robots(rollouts: Any) -> dict[str, Rollout]:
+def _of_robots(rollouts: object) -> dict[str, Rollout]:
     runs = labelled(rollouts)
     for label, run in runs.items():
         if not hasattr(run.plant, "ground_wrench"):

@@ -19,7 +19,10 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.palette import INK, colour
 from pinmobile.simulation import Rollout
 
-DESIRED: dict[str, Any] = {"color": INK, "linestyle": (0, (5, 4)), "linewidth": 1.2, "zorder": 4}
+Style: TypeAlias = dict[str, Any]
+"""How something is drawn: keyword arguments of matplotlib's artists."""
+
+DESIRED: Style = {"color": INK, "linestyle": (0, (5, 4)), "linewidth": 1.2, "zorder": 4}
 
 _DASHES = ("-", "-", (0, (8, 2)), (0, (5, 2, 1.5, 2)), (0, (1.5, 1.5)))
 _PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
@@ -34,7 +37,7 @@ class ShownFigure(Figure):
         return buffer.getvalue()
 
 
-def headed(title: Any, default: str) -> str:
+def headed(title: object, default: str) -> str:
     """Return the heading of a figure.
 
     Raises
@@ -45,7 +48,7 @@ def headed(title: Any, default: str) -> str:
     return default if title is None or (isinstance(title, str) and not title) else text("title", title)
 
 
-def line_style(index: int, count: int) -> dict[str, Any]:
+def line_style(index: int, count: int) -> Style:
     """Return how the line of rollout `index` of `count` is drawn over the others.
 
     The first is the widest: where lines coincide, as well-controlled robots' do, each still shows.
@@ -73,7 +76,7 @@ def dress(axes: Axes) -> None:
     axes.tick_params(color="#888888", labelsize=10)
 
 
-def heading(index: int) -> dict[str, Any]:
+def heading(index: int) -> Style:
     """Return how the label of rollout `index` is written above its axes, by an offset in points."""
     return {
         "xycoords": "axes fraction",
@@ -185,7 +188,7 @@ _MOST = 4000  # samples drawn as they are
 _BINS = 1000  # of a longer rollout; more than a figure has columns of pixels
 
 
-def labelled(rollouts: Any) -> dict[str, Rollout]:
+def labelled(rollouts: object) -> dict[str, Rollout]:
     """Return the rollouts by label; a single one has the label "".
 
     Parameters
@@ -201,7 +204,7 @@ def labelled(rollouts: Any) -> dict[str, Rollout]:
     return named("rollouts", rollouts, Rollout)
 
 
-def named(argument: str, values: Any, kind: type[_Kind]) -> dict[str, _Kind]:
+def named(argument: str, values: object, kind: type[_Kind]) -> dict[str, _Kind]:
     """Return what is drawn by label; a single one has the label "".
 
     Parameters
@@ -236,7 +239,7 @@ def named(argument: str, values: Any, kind: type[_Kind]) -> dict[str, _Kind]:
     return dict(values)
 
 
-def planar(rollouts: Any) -> dict[str, Rollout]:
+def planar(rollouts: object) -> dict[str, Rollout]:
     """Return `labelled` rollouts, each of which has a pose (x, y, psi) to be drawn.
 
     Raises

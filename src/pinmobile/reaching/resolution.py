@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, final
+from typing import final
 
 import numpy as np
 
@@ -54,7 +55,7 @@ class Resolved:
     frame: str
     start: Array
     controls: Array
-    _curve: Any = field(init=False)
+    _curve: Callable[..., Array] = field(init=False)
 
     def __post_init__(self) -> None:
         # Here, because scipy is heavy and `EndEffectorTracking` does without it.
@@ -347,11 +348,11 @@ class EndEffectorTracking:
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
 
-    def __call__(self, t: float, q: Array, v: Array, reference: Any, state: None) -> tuple[Array, None]:
+    def __call__(self, t: float, q: Array, v: Array, reference: Reference, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (nv,), and None."""
         return self._command(t, q, v, reference)[1], None
 
-    def acceleration(self, t: float, q: Array, v: Array, reference: Any) -> Array:
+    def acceleration(self, t: float, q: Array, v: Array, reference: Reference) -> Array:
         """Return the acceleration that is asked for, shape (nv,).
 
         Parameters
@@ -365,7 +366,7 @@ class EndEffectorTracking:
         """
         return self._command(t, q, v, reference)[0]
 
-    def _command(self, t: float, q: Array, v: Array, reference: Any) -> tuple[Array, Array]:
+    def _command(self, t: float, q: Array, v: Array, reference: Reference) -> tuple[Array, Array]:
         """Return the acceleration that is asked for and its force, each of shape (nv,)."""
         robot, rows = self.robot, self.target.rows
         target = self.target(t)

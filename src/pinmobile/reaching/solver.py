@@ -9,7 +9,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.reaching.poses import PosePath, error_sizes, pose_error
-from pinmobile.robot import BODY_JOINT, MobileRobot
+from pinmobile.robot import BODY_JOINT, MobileRobot, joints_of
 
 _ROUNDING = 1e-9  # of the largest acceleration; that of forward after inverse dynamics is less
 
@@ -39,17 +39,15 @@ class Limits:
     _columns: tuple[Array, Array] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        model = self.robot.model
-        joints = range(BODY_JOINT + 1, model.njoints)
+        joints = joints_of(self.robot.model, BODY_JOINT + 1)
         for joint in joints:
-            if model.nvs[joint] != 1:
+            if joint.nv != 1:
                 raise InvalidArgument(
-                    f"robot has the joint {model.names[joint]!r} of {model.nvs[joint]} velocities, "
-                    "expected joints of one"
+                    f"robot has the joint {joint.name!r} of {joint.nv} velocities, expected joints of one"
                 )
         # An angle that is (cos, sin) in q has no limit.
-        plain = [joint for joint in joints if model.nqs[joint] == 1]
-        columns = ([ids[joint] for joint in plain] for ids in (model.idx_qs, model.idx_vs))
+        plain = [joint for joint in joints if joint.adds]
+        columns = [joint.q.start for joint in plain], [joint.v.start for joint in plain]
         object.__setattr__(self, "_columns", tuple(np.array(ids, dtype=np.intp) for ids in columns))
 
     def room(self, q: Array) -> Array:

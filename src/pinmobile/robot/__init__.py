@@ -1,14 +1,8 @@
 """`MobileRobot`: a Pinocchio model whose root is the DH chain, and what it carries."""
 
 from pinmobile.robot.arms import Arm
-from pinmobile.robot.articulated import _scalars as scalars, _stacked as stacked
-from pinmobile.robot.dh_chain import (
-    BODY_JOINT,
-    Calls,
-    Engine as Engine,
-    named_frames as named_frames,
-    prefixed as prefixed,
-)
+from pinmobile.robot.joints import BODY_JOINT, joints_of as joints_of
+from pinmobile.robot.laws import Calls, Engine as Engine
 from pinmobile.robot.linkage import (
     ZERO as ZERO,
     Matrix as Matrix,
@@ -18,13 +12,15 @@ from pinmobile.robot.linkage import (
     dot as dot,
     exact as exact,
     number as number,
+    scalars as scalars,
     sine_and_cosine as sine_and_cosine,
+    solved as solved_by,
+    vector_of as stacked,
 )
 from pinmobile.robot.mobile import MobileRobot
-from pinmobile.robot.mounts import Load, Mount
+from pinmobile.robot.mounts import Load, Mount, named_frames as named_frames, prefixed as prefixed
 from pinmobile.robot.planar import BODY_PARAMETERS as BODY_PARAMETERS, PlanarBody as PlanarBody
 from pinmobile.robot.reading import LOCKED as LOCKED
-from pinmobile.robot.recursions import solved as solved_by
 from pinmobile.robot.sources import EXCEPTIONS, Mountable, Mountables, kept_arm as kept_arm, mountable
 from pinmobile.robot.stance import (
     WEIGHTLESS as WEIGHTLESS,
@@ -34,7 +30,6 @@ from pinmobile.robot.stance import (
     pressed_at as pressed_at,
 )
 from pinmobile.robot.system import Linearization, System
-from pinmobile.robot.tree import parts_of as parts_of
 from pinmobile.robot.undercarriage import (
     Lump as Lump,
     Swivel as Swivel,

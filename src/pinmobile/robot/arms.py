@@ -1,8 +1,8 @@
-"""What can be mounted, made ready: a model without a root of its own, its wheels locked, its rest posture."""
+"""Arms, made ready to be mounted: checked, without a root of their own, their wheels locked."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -11,13 +11,12 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array, frozen, one_of
 from pinmobile.errors import InvalidArgument
-from pinmobile.robot.checks import check_bodies, check_inertias, check_joint_limits
-from pinmobile.robot.tree import (
+from pinmobile.robot.joints import (
+    Joint,
     carries_only_wheels,
     children,
-    joint_kind,
+    joints_of,
     moves_its_axes,
-    parts_of,
     root_of,
     tip_of,
 )
@@ -27,6 +26,10 @@ Picture: TypeAlias = Callable[[pin.Model], pin.GeometryModel]
 
 _RIGHT = 2e-11  # that angles of eleven digits leave of a right one, two of them at most
 _ORTHONORMAL = 1e-15
+_ROUNDING = 1e-9  # of the moments of inertia, relative: files carry as many digits
+_GYRATION = 1e-9  # and of mass [m^2]: exporters leave noise of the size of 1e-18 where a moment is zero
+_SINGULAR = 1e-9  # what is left of a joint's inertia when all joints beyond it give way, as a share of it
+_GENERIC = 20  # seed of the posture at which inertias are tried; any will do
 
 
 @dataclass(frozen=True)
@@ -108,27 +111,27 @@ class Arm:
     def __post_init__(self) -> None:
         whole = _whole(self._whole)
         rest = _without_root_pose(whole, self.rest)
-        for joint in range(1, whole.njoints):
-            if "Mimic" in joint_kind(whole, joint):
+        joints = joints_of(whole)
+        for joint in joints:
+            if joint.mimics:
                 raise InvalidArgument(
-                    f"arm {self.origin.value!r}: joint {whole.names[joint]!r} mimics another one, which "
+                    f"arm {self.origin.value!r}: joint {joint.name!r} mimics another one, which "
                     "Pinocchio's forward dynamics does not support, expected a model built with mimic=False"
                 )
         held = _held(whole, self.locked)
-        free = [joint for joint in range(1, whole.njoints) if joint not in held]
-        for joint in free:
-            if moves_its_axes(whole, joint):
+        free = [joint for number, joint in enumerate(joints, 1) if number not in held]
+        for number, joint in enumerate(joints, 1):
+            if number not in held and moves_its_axes(whole, number):
                 raise InvalidArgument(
-                    f"arm {self.origin.value!r}: joint {whole.names[joint]!r} is a "
-                    f"{joint_kind(whole, joint)}, whose axes move with its own angles, for which Pinocchio's "
-                    "Coriolis matrix and derivatives are wrong, expected as many joints in series, with one "
-                    "axis each, or a ball joint"
+                    f"arm {self.origin.value!r}: joint {joint}, whose axes move with its own angles, for "
+                    "which Pinocchio's Coriolis matrix and derivatives are wrong, expected as many joints in "
+                    "series, with one axis each, or a ball joint"
                 )
         check_bodies(whole, self.origin.value)
         check_joint_limits(whole, free, self.origin.value)
         squared = _squared(whole)
         model, _ = _reduced(whole, [], held, rest)
-        parts = [rest[parts_of(whole, joint)[0]] for joint in free]
+        parts = [rest[joint.q] for joint in free]
         posture = np.concatenate(parts) if parts else np.zeros(0)
         check_inertias(model, posture, self.origin.value)
         for name, value in {
@@ -139,7 +142,7 @@ class Arm:
             "posture": frozen(posture),
             "tip": tip_of(model),
             "squared": squared,
-            "stands": self.stands or any("FreeFlyer" in joint_kind(whole, j) for j in root_of(whole)),
+            "stands": self.stands or any(joints[j - 1].in_space for j in root_of(whole)),
         }.items():
             object.__setattr__(self, name, value)
 
@@ -195,10 +198,10 @@ for _name in ("whole", "model"):
 def _whole(model: pin.Model) -> pin.Model:
     """Return a copy with what Pinocchio needs to lock joints, and a model made joint by joint may lack."""
     whole = model.copy()
-    # Else it balks: the least velocity is left at its largest number.
+    # Pinocchio refuses it otherwise: the least velocity is left at its largest number.
     whole.lowerVelocityLimit = np.minimum(whole.lowerVelocityLimit, whole.upperVelocityLimit)
     for joint in range(1, whole.njoints):
-        # Else it crashes.
+        # Pinocchio crashes without it.
         if not whole.existFrame(whole.names[joint], pin.FrameType.JOINT):
             whole.addJointFrame(joint)
     return whole
@@ -211,7 +214,7 @@ def _reduced(
     model = whole.copy()
     if not held:
         return model, shown
-    # Pinocchio balks at a link, a joint or a fixed joint of the same name, so they are numbered meanwhile.
+    # Pinocchio refuses a link, a joint or a fixed joint of the same name, so they are numbered meanwhile.
     names = {}
     for number, frame in enumerate(model.frames):
         if number and frame.type != pin.FrameType.JOINT:
@@ -258,7 +261,7 @@ def _without_root_pose(model: pin.Model, rest: Array) -> Array:
     """Return the posture with a root at its origin: the mount point says where that is."""
     posture, neutral = np.array(rest), pin.neutral(model)
     for joint in root_of(model):
-        own, _ = parts_of(model, joint)
+        own = Joint.of(model, joint).q
         posture[own] = neutral[own]
     return frozen(posture)
 
@@ -281,3 +284,164 @@ def _held(model: pin.Model, names: Sequence[str]) -> list[int]:
     for name in names:
         held.add(known[one_of("joint", name, known)])
     return sorted(held)
+
+
+def check_bodies(model: pin.Model, called: str) -> None:
+    """Refuse a joint that carries what no rigid body is; a joint may carry nothing.
+
+    Parameters
+    ----------
+    model : pin.Model
+        The arm as it was read; what is fixed to a link is a part of it.
+    called : str
+        What the arm is called, for the message.
+
+    Raises
+    ------
+    InvalidArgument
+        If a mass, a centre of mass or an inertia is not finite, a mass is negative, or the principal
+        moments of inertia are negative or break the triangle inequality.
+    """
+    for joint in range(model.njoints):
+        body = model.inertias[joint]
+        carrier = f"arm {called!r}: joint {model.names[joint]!r}" if joint else f"arm {called!r}: its root"
+        mass, inertia = float(body.mass), np.array(body.inertia)
+        if not np.isfinite(mass) or mass < 0:
+            raise InvalidArgument(f"{carrier} carries a mass of {mass:g} kg, expected a finite number >= 0")
+        if not np.isfinite(body.lever).all():
+            raise InvalidArgument(
+                f"{carrier} carries a centre of mass at {np.array(body.lever).tolist()} m, "
+                "expected finite numbers"
+            )
+        if not np.isfinite(inertia).all():
+            raise InvalidArgument(f"{carrier} carries an inertia {inertia.tolist()}, expected finite numbers")
+        least, middle, most = moments = np.linalg.eigvalsh(inertia)
+        slack = _ROUNDING * np.abs(moments).max() + _GYRATION * mass
+        if least < -slack or most > least + middle + slack:
+            raise InvalidArgument(
+                f"{carrier} carries principal moments of inertia ({least:.6g}, {middle:.6g}, {most:.6g}) "
+                "kg m^2, which no rigid body has: expected each >= 0 and at most the sum of the other two"
+            )
+
+
+def check_joint_limits(model: pin.Model, joints: Iterable[Joint], called: str) -> None:
+    """Refuse position limits in the wrong order, and limits, damping and friction that are negative or NaN.
+
+    Parameters
+    ----------
+    model : pin.Model
+        The arm as it was read.
+    joints : iterable of Joint
+        Those of its joints that move.
+    called : str
+        What the arm is called, for the message.
+
+    Raises
+    ------
+    InvalidArgument
+        The message names the joint.
+    """
+    for joint in joints:
+        name, limits = (
+            f"arm {called!r}: joint {joint.name!r}",
+            (model.lowerPositionLimit, model.upperPositionLimit),
+        )
+        for least, most in zip(*(limit[joint.q] for limit in limits), strict=True):
+            if not least <= most:
+                raise InvalidArgument(
+                    f"{name} has position limits from {least:g} to {most:g}, expected the lower one first"
+                )
+        for kind, given in (
+            ("velocity limit", model.velocityLimit),
+            ("effort limit", model.effortLimit),
+            ("damping", model.damping),
+            ("friction", model.friction),
+        ):
+            for number in given[joint.v]:
+                if not number >= 0:
+                    raise InvalidArgument(f"{name} has {kind} {number:g}, expected a number >= 0")
+
+
+def check_inertias(model: pin.Model, posture: Array, called: str) -> None:
+    """Refuse a joint that moves no inertia, at rest or at another posture.
+
+    Parameters
+    ----------
+    model : pin.Model
+        The arm without what is locked.
+    posture : ndarray, shape (nq,)
+        Its reference posture.
+    called : str
+        What the arm is called, for the message.
+
+    Raises
+    ------
+    InvalidArgument
+        The message names the joint.
+    """
+    for joint, where in _weakest(model, posture):
+        raise InvalidArgument(f"arm {called!r}: {_cause(model, joint, where)}, or that joint locked")
+
+
+def check_whole(model: pin.Model, posture: Array) -> None:
+    """Refuse a robot whose mass matrix overflows, or is singular to rounding, at rest or at another posture.
+
+    Parameters
+    ----------
+    model : pin.Model
+        The base and all that it carries.
+    posture : ndarray, shape (nq,)
+        In the order of the model.
+
+    Raises
+    ------
+    InvalidArgument
+        The message names the joint, and the heaviest part.
+    """
+    joint = max(range(model.njoints), key=lambda k: model.inertias[k].mass)
+    heaviest = f"the heaviest, {model.inertias[joint].mass:g} kg, is on joint {model.names[joint]!r}"
+    if not np.isfinite(pin.crba(model, model.createData(), np.array(posture))).all():
+        raise InvalidArgument(
+            "the robot's mass matrix is beyond 1.8e308, expected smaller masses or distances: " + heaviest
+        )
+    for joint, where in _weakest(model, posture):
+        raise InvalidArgument(
+            f"the robot's mass matrix is singular to rounding {where}: joint {model.names[joint]!r} alone "
+            f"moves less than {_SINGULAR:g} of the inertia that it moves with those beyond, expected masses "
+            f"and distances nearer to each other: {heaviest}"
+        )
+
+
+def _weakest(model: pin.Model, posture: Array) -> Iterator[tuple[int, str]]:
+    """Yield a joint that moves no inertia, but for rounding, and where, at each of two postures with one."""
+    if not model.nv:
+        return
+    data = model.createData()
+    step = np.random.default_rng(_GENERIC).uniform(-1, 1, model.nv)
+    generic = pin.integrate(model, np.array(posture), step)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        for where, q in (("at rest", posture), ("at a posture like any other", generic)):
+            own = np.diag(pin.crba(model, data, q)).copy()
+            pin.cholesky.decompose(model, data)
+            left = np.array(data.D)
+            # Elimination goes from the tips to the root, and what comes after a zero is no number.
+            singular = np.flatnonzero(~(left > _SINGULAR * own))
+            if len(singular):
+                yield _joint_of(model, int(singular[-1])), where
+
+
+def _cause(model: pin.Model, joint: int, where: str) -> str:
+    """Return what is wrong with a joint that moves no inertia, and what is expected."""
+    name = repr(model.names[joint])
+    moved = [model.inertias[beyond] for beyond in model.subtrees[joint]]
+    if not any(body.mass or np.array(body.inertia).any() for body in moved):
+        return f"joint {name} moves parts that have no inertia, expected inertia beyond each joint"
+    return (
+        f"the mass matrix is singular {where} about joint {name}: moved together with joints beyond "
+        "it, it moves no inertia, expected another `rest`, inertia there"
+    )
+
+
+def _joint_of(model: pin.Model, k: int) -> int:
+    """Return the joint of a velocity coordinate."""
+    return next(j for j in range(1, model.njoints) if 0 <= k - model.idx_vs[j] < model.nvs[j])

@@ -12,14 +12,13 @@ from typing import Any, ClassVar, NamedTuple, Self, final
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, finite, frozen, one_of, scalar, wrap_angle
-from pinmobile.compiled import Node, plain, symbols
+from pinmobile.compiled import plain
 from pinmobile.errors import InvalidArgument
 from pinmobile.measures import Measure
 from pinmobile.plant import Coordinate, Input, Parameter
-from pinmobile.robot.arm_measures import Judgement
-from pinmobile.robot.dh_chain import named_frames
 from pinmobile.robot.linkage import (
     ZERO,
     Body,
@@ -31,25 +30,29 @@ from pinmobile.robot.linkage import (
     cross,
     dot,
     exact,
+    matrix_of,
     number,
     plus,
     regrouped,
+    scalar_of,
+    scalars,
+    single,
+    vector_of,
+    volume,
     without_rounding,
 )
-from pinmobile.robot.mounts import LinkNumbers, Mount
+from pinmobile.robot.mounts import LinkNumbers, Mount, are_impossible, body_parameters, named_frames
 from pinmobile.robot.planar import BODY_PARAMETERS
-from pinmobile.robot.recursions import Moving, Posture, by_matrix, operations, volume
+from pinmobile.robot.recursions import Moving, Posture, by_matrix, operations
+from pinmobile.robot.stance import Judgement
 
 _BASE = 3  # joints, coordinates and numbers of q of the base; the last carries its body
 _OF_BASE = ("mass", "yaw_inertia", "com_x", "com_y")
 _OF_BODIES = ("masses", "coms", "inertias")
 _OTHERS = (*_OF_BODIES, *(f"load_{name}" for name in _OF_BODIES), "rotors", "places", "upright")
-_COM = ("com_x", "com_y", "com_z")
-_INERTIA = ("inertia_xx", "inertia_yy", "inertia_zz", "inertia_xy", "inertia_xz", "inertia_yz")
 _PLACE = {"at_x": "m", "at_y": "m", "at_z": "m", "at_yaw": "rad"}
 _SHARED = 1.05  # the way by the mass matrix shares products of velocities with a controller's own dynamics
 _DIGITS = 15  # of places on an arm [m], and of what is turned there
-_SLACK = 1e-9  # of the moments of inertia, relative, and of the mass [m^2]: files carry as many digits
 
 
 class Fixed(NamedTuple):
@@ -127,22 +130,22 @@ class ArticulatedBody:
     inputs: tuple[Input, ...]
     ends: tuple[tuple[int, int], ...]
     rest: Array
-    mass: Any
-    yaw_inertia: Any
-    com_x: Any
-    com_y: Any
-    masses: Any
-    coms: Any
-    inertias: Any
-    load_masses: Any
-    load_coms: Any
-    load_inertias: Any
-    rotors: Any
-    places: Any
-    upright: Any
+    mass: Array | float
+    yaw_inertia: Array | float
+    com_x: Array | float
+    com_y: Array | float
+    masses: Array
+    coms: Array
+    inertias: Array
+    load_masses: Array
+    load_coms: Array
+    load_inertias: Array
+    rotors: Array
+    places: Array
+    upright: Array
     judgement: Judgement
     end_effector: str
-    varied: frozenset[tuple[str, Any]] | None = None
+    varied: frozenset[tuple[str, object]] | None = None
     matter: tuple[tuple[bool, ...], ...] = ()
 
     broadcasts: ClassVar[bool] = True
@@ -158,7 +161,7 @@ class ArticulatedBody:
     def _differs(self, name: str, entry: int) -> bool:
         return self.varied is None or (name, entry) in self.varied
 
-    def varying(self, entries: Iterable[tuple[str, Any]]) -> Self:
+    def varying(self, entries: Iterable[tuple[str, object]]) -> Self:
         """Return it, told which attributes and entries of its parameters differ from robot to robot."""
         return replace(self, varied=frozenset(entries))
 
@@ -218,10 +221,10 @@ class ArticulatedBody:
         """What may be spread: of the base, of links and loads, of motors, and where arms stand."""
         found = [replace(each, attribute=each.name) for each in BODY_PARAMETERS]
         for k, link in enumerate(self.links):
-            found += _of_body(k, "", f"_{link.name}", link.name)
+            found += body_parameters(k, "", f"_{link.name}", link.name)
         for k, load in enumerate(self.loads):
             after = f"_{k + 1}" if k else ""
-            found += _of_body(k, "load_", after, f"the load at {load.name}")
+            found += body_parameters(k, "load_", after, f"the load at {load.name}")
         for k, joint in enumerate(self.coordinates[_BASE:]):
             unit, meaning = "kg" if joint.unit == "m" else "kg m^2", f"inertia that the motor of {joint.name}"
             name = f"rotor_{joint.name}"
@@ -237,7 +240,7 @@ class ArticulatedBody:
 
     def _numbers(self, name: str) -> Vector:
         """Return the entries of an attribute; what is zero for all robots, as such."""
-        entries, matter = _scalars(getattr(self, name)), self.matter[_OTHERS.index(name)]
+        entries, matter = scalars(getattr(self, name)), self.matter[_OTHERS.index(name)]
         return [x if own else ZERO for x, own in zip(entries, matter, strict=True)]
 
     @cached_property
@@ -284,20 +287,21 @@ class ArticulatedBody:
         """Where the joints stand in those that they hang on."""
         return [self._placed(*self._joint(i)) for i in range(self.nv)]
 
+    def _base(self, z: Any = ZERO, xz: Any = ZERO, yz: Any = ZERO) -> Body:
+        """Return the base's own body, `upright` of it as given."""
+        mass, inertia, x, y = (single(plain(getattr(self, name))) for name in _OF_BASE)
+        return Body.of(mass, [x, y, z], [ZERO, ZERO, inertia, ZERO, xz * inertia, yz * inertia])
+
     @cached_property
     def _bodies(self) -> list[Body]:
         """What is fixed to each joint, grouped so that least is to compute."""
-        mass, inertia, x, y = (exact(_item(plain(getattr(self, name)))) for name in _OF_BASE)
-        base = Body.of(mass, [x, y, ZERO], [ZERO, ZERO, inertia, ZERO, ZERO, ZERO])
-        return regrouped(self.linkage, self._joints, self._carried(base))
+        return regrouped(self.linkage, self._joints, self._carried(self._base()))
 
     @cached_property
     def _bodies_on_ground(self) -> list[Body]:
         """What is fixed to each joint, grouped so that the base's still feels what it does of the ground."""
-        mass, inertia, x, y = (exact(_item(plain(getattr(self, name)))) for name in _OF_BASE)
-        z, xz, yz = self._numbers("upright")
-        base = Body.of(mass, [x, y, z], [ZERO, ZERO, inertia, ZERO, xz * inertia, yz * inertia])
-        return regrouped(self.linkage, self._joints, self._carried(base), _BASE - 1)
+        carried = self._carried(self._base(*self._numbers("upright")))
+        return regrouped(self.linkage, self._joints, carried, _BASE - 1)
 
     def _carried(self, base: Body, before: str = "") -> list[Body]:
         """Return what is fixed to each joint: the base's body, and links and loads whose names begin so."""
@@ -332,79 +336,79 @@ class ArticulatedBody:
             known[key] = by_mass_matrix < _SHARED * by_bodies
         return known[key]
 
-    def _posture(self, q: Any) -> Posture:
-        return Posture(self.linkage, self._joints, _scalars(q))
+    def _posture(self, q: Array) -> Posture:
+        return Posture(self.linkage, self._joints, scalars(q))
 
-    def _moving(self, q: Any, v: Any) -> Moving:
-        return Moving(self.linkage, self._joints, _scalars(q), _scalars(v))
+    def _moving(self, q: Array, v: Array) -> Moving:
+        return Moving(self.linkage, self._joints, scalars(q), scalars(v))
 
-    def _in_joints(self, x: Any) -> Vector:
-        numbers = _scalars(x)
+    def _in_joints(self, x: Array) -> Vector:
+        numbers = scalars(x)
         return [numbers[k] for k in self.linkage.v]
 
-    def _public(self, values: Sequence[Any], q: Any) -> Any:
+    def _public(self, values: Sequence[Any], q: Array) -> Array:
         """Return numbers of the joints as an array in public order, shape (..., nv), at configurations q."""
         found = [ZERO] * self.nv
         for k, value in zip(self.linkage.v, values, strict=True):
             found[k] = value
-        return _stacked(found, q)
+        return vector_of(found, q)
 
-    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
+    def forward_dynamics(self, q: Array, v: Array, u: Array, f: Array | float = 0.0) -> Array:
         """Return the acceleration, shape (..., nv)."""
         moving, bodies, motors = self._moving(q, v), self._bodies, self._motors
         way = by_matrix if self._by_matrix else Moving.accelerations
         return self._public(way(moving, bodies, motors, self._in_joints(u + f)), q)
 
-    def inverse_dynamics(self, q: Any, v: Any, a: Any) -> Any:
+    def inverse_dynamics(self, q: Array, v: Array, a: Array) -> Array:
         """Return M(q) a + n(q, v), shape (..., nv)."""
         rates = self._in_joints(a)
         efforts = self._moving(q, v).efforts(self._bodies, rates)
         pairs = zip(efforts, self._motors, rates, strict=True)
         return self._public([effort + motor * rate for effort, motor, rate in pairs], q)
 
-    def nonlinear_effects(self, q: Any, v: Any) -> Any:
+    def nonlinear_effects(self, q: Array, v: Array) -> Array:
         """Return n(q, v), shape (..., nv)."""
         return self._public(self._moving(q, v).efforts(self._bodies, [ZERO] * self.nv), q)
 
-    def gravity(self, q: Any) -> Any:
+    def gravity(self, q: Array) -> Array:
         """Return g(q), shape (..., nv)."""
         still = [ZERO] * self.nv
-        moving = Moving(self.linkage, self._joints, _scalars(q), still)
+        moving = Moving(self.linkage, self._joints, scalars(q), still)
         return self._public(moving.efforts(self._bodies, still), q)
 
-    def kinetic_energy(self, q: Any, v: Any) -> Any:
+    def kinetic_energy(self, q: Array, v: Array) -> Array:
         """Return v' M(q) v / 2, shape (...)."""
         moving, rates = self._moving(q, np.zeros(self.nv)), self._in_joints(v)
         momenta = moving.efforts(self._bodies, rates, falling=False)
         pairs = zip(momenta, self._motors, rates, strict=True)
-        return _alone(0.5 * dot(rates, [momentum + motor * rate for momentum, motor, rate in pairs]), q)
+        return scalar_of(0.5 * dot(rates, [momentum + motor * rate for momentum, motor, rate in pairs]), q)
 
-    def potential_energy(self, q: Any) -> Any:
+    def potential_energy(self, q: Array) -> Array:
         """Return the energy in the field of gravity, shape (...)."""
         moment = self._posture(q).first_moment(self._bodies_on_ground)
-        return _alone(-dot(moment, map(exact, self.linkage.gravity.tolist())), q)
+        return scalar_of(-dot(moment, map(exact, self.linkage.gravity.tolist())), q)
 
-    def regressor(self, q: Any, v: Any, a: Any) -> Any:
+    def regressor(self, q: Array, v: Array, a: Array) -> Array:
         """Return Y(q, v, a), shape (..., nv, 10 bodies): of the base's body, and of each joint's after it."""
         found = self._moving(q, v).regressor(self._axes, _BASE - 1, self._in_joints(a))
         rows = sorted(zip(self.linkage.v, found, strict=True), key=lambda row: row[0])
-        return _rows([_stacked(row, q) for _, row in rows])
+        return matrix_of([vector_of(row, q) for _, row in rows])
 
-    def mass_matrix(self, q: Any) -> Any:
+    def mass_matrix(self, q: Array) -> Array:
         """Return M(q), shape (..., nv, nv)."""
         M = self._posture(q).mass_matrix(self._bodies)
         rows: list[Any] = [None] * self.nv
         for i, k in enumerate(self.linkage.v):
             M[i][i] = M[i][i] + self._motors[i]
             rows[k] = self._public(M[i], q)
-        return _rows(rows)
+        return matrix_of(rows)
 
-    def ground_wrench(self, q: Any, v: Any, a: Any) -> Any:
+    def ground_wrench(self, q: Array, v: Array, a: Array) -> Array:
         """Return what the ground exerts on the robot, shape (..., 6): force, moment, along and about B."""
         force, moment = self._felt(self._bodies_on_ground, q, v, a)
-        return _stacked([*force, *moment], q)
+        return vector_of([*force, *moment], q)
 
-    def mount_wrench(self, q: Any, v: Any, a: Any, mount: str) -> Any:
+    def mount_wrench(self, q: Array, v: Array, a: Array, mount: str) -> Array:
         """Return what an arm exerts on the base, shape (..., 6), along the base's axes, about the mount."""
         arm = [name for name, _ in self.arms].index(mount)
         bodies = regrouped(self.linkage, self._joints, self._carried(Body.none(), f"{mount}/"), _BASE - 1)
@@ -412,9 +416,9 @@ class ArticulatedBody:
         stand = self._stands[arm]
         at = [exact(x) for x in self.arms[arm][1][:3]] if stand is None else stand.p
         about = plus(moment, cross(force, at))
-        return _stacked([-x for x in (*force, *about)], q)
+        return vector_of([-x for x in (*force, *about)], q)
 
-    def _felt(self, bodies: Sequence[Body], q: Any, v: Any, a: Any) -> tuple[Vector, Vector]:
+    def _felt(self, bodies: Sequence[Body], q: Array, v: Array, a: Array) -> tuple[Vector, Vector]:
         """Return the force and the moment, along and about the base's frame, that let bodies move so."""
         base, forces = _BASE - 1, self._moving(q, v).wrenches(bodies, self._in_joints(a))
         force, moment = (applied(self._axes[base], each[base]) for each in forces)
@@ -423,7 +427,7 @@ class ArticulatedBody:
     @property
     def weight(self) -> Any:
         """Weight of all that it is made of [N]."""
-        total = exact(_item(plain(self.mass)))
+        total = single(plain(self.mass))
         for name in ("masses", "load_masses"):
             for mass in self._numbers(name):
                 total = total + mass
@@ -434,36 +438,36 @@ class ArticulatedBody:
         """What is worth judging about it: see `MobileRobot.measures`."""
         return self.judgement.measures
 
-    def measured(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
+    def measured(self, t: Array | float, q: Array, v: Array, a: Array, u: Array, reference: Any) -> Array:
         """Return its measures, shape (..., m)."""
         return self.judgement.measured(self, q, v, a, u, reference.q)
 
-    def frame_pose(self, q: Any, frame: str | None = None) -> Any:
+    def frame_pose(self, q: Array, frame: str | None = None) -> Array:
         """Return T_0_f, the pose of a frame, shape (..., 4, 4)."""
         fixed = self._frame(frame)
         R, p = self._posture(q).placed(fixed.joint, self._placed(*fixed[2:]))
         last = np.array([0.0, 0.0, 0.0, 1.0])
-        return _rows([*(_stacked([*row, x], q) for row, x in zip(R, p, strict=True)), last])
+        return matrix_of([*(vector_of([*row, x], q) for row, x in zip(R, p, strict=True)), last])
 
-    def frame_jacobian(self, q: Any, frame: str | None = None) -> Any:
+    def frame_jacobian(self, q: Array, frame: str | None = None) -> Array:
         """Return J, shape (..., 6, nv): of the frame's origin, and angular, along the inertial axes."""
         fixed = self._frame(frame)
         J = self._posture(q).jacobian(fixed.joint, self._placed(*fixed[2:]).p)
-        return _rows([_stacked(row, q) for row in J])
+        return matrix_of([vector_of(row, q) for row in J])
 
-    def manipulability(self, q: Any, frame: str | None = None, arm: str = "") -> Any:
+    def manipulability(self, q: Array, frame: str | None = None, arm: str = "") -> Array:
         """Return sqrt(det J J'), shape (...), of all coordinates, or of those of an arm alone."""
         fixed, names = self._frame(frame), self.linkage.names
         J = self._posture(q).jacobian(fixed.joint, self._placed(*fixed[2:]).p)
         ahead = arm and f"{arm}/"
         own = [k for k, name in zip(self.linkage.v, names, strict=True) if name.startswith(ahead)]
-        return _alone(volume([[row[k] for k in own] for row in J]), q)
+        return scalar_of(volume([[row[k] for k in own] for row in J]), q)
 
-    def frame_drift(self, q: Any, v: Any, frame: str | None = None) -> Any:
+    def frame_drift(self, q: Array, v: Array, frame: str | None = None) -> Array:
         """Return dJ/dt v, shape (..., 6), J as in `frame_jacobian`."""
         fixed = self._frame(frame)
         line, spin = self._moving(q, v).drift(fixed.joint, self._placed(*fixed[2:]).p)
-        return _stacked([*line, *spin], q)
+        return vector_of([*line, *spin], q)
 
     def _frame(self, name: str | None) -> Fixed:
         name = self.end_effector if name is None else name
@@ -474,7 +478,7 @@ class ArticulatedBody:
         """Return of each joint its place in q and in v, and whether q has cosine and sine."""
         return zip(self.linkage.q, self.linkage.v, self.linkage.circles, strict=True)
 
-    def integrate(self, q: Any, dq: Any) -> Any:
+    def integrate(self, q: Array, dq: Array) -> Array:
         """Return the configuration that a displacement leads to, shape (..., nq)."""
         if self.nq == self.nv:
             return q + dq
@@ -489,7 +493,7 @@ class ArticulatedBody:
                 found[at] = q[..., at] + dq[..., k]
         return np.stack(np.broadcast_arrays(*found), axis=-1)
 
-    def difference(self, q0: Any, q1: Any) -> Any:
+    def difference(self, q0: Array, q1: Array) -> Array:
         """Return the displacement from q0 to q1, shape (..., nv); angles without end on the circle."""
         found: list[Any] = [None] * self.nv
         for at, k, circle in self._ways():
@@ -501,15 +505,15 @@ class ArticulatedBody:
         found[_BASE - 1] = wrap_angle(found[_BASE - 1])
         return np.stack(np.broadcast_arrays(*found), axis=-1)
 
-    def pose(self, q: Any) -> Any:
+    def pose(self, q: Array) -> Array:
         """Return x, y and psi of the body, shape (..., 3)."""
         return q[..., :_BASE]
 
-    def rate(self, q: Any, v: Any) -> Any:
+    def rate(self, q: Array, v: Array) -> Array:
         """Return the rates of x, y and psi, shape (..., 3)."""
         return v[..., :_BASE]
 
-    def effort(self, q: Any, wrench: Any) -> Any:
+    def effort(self, q: Array, wrench: Array) -> Array:
         """Return the generalised force of a wrench on the body, shape (..., nv)."""
         return np.concatenate([wrench, np.zeros((*np.shape(wrench)[:-1], self.nv - _BASE))], axis=-1)
 
@@ -543,7 +547,7 @@ class ArticulatedBody:
             raise InvalidArgument(f"inertia of {name} is one that no body has, {self.EXPECTED}")
         return found
 
-    def impossible(self, values: Mapping[str, Array]) -> Iterator[tuple[str, Array]]:
+    def impossible(self, values: Mapping[str, Array]) -> Iterator[tuple[str, NDArray[np.bool_]]]:
         """Return the bodies that are drawn as no body is: their names, and of which of m robots, shape (m,).
 
         Parameters
@@ -555,7 +559,7 @@ class ArticulatedBody:
             drawn, masses = values.get(f"{prefix}inertias"), values.get(f"{prefix}masses")
             if drawn is not None and frames:
                 own = getattr(self, f"{prefix}masses") if masses is None else masses
-                wrong = _is_none(drawn.reshape(len(drawn), len(frames), len(_INERTIA)), own)
+                wrong = are_impossible(drawn.reshape(len(drawn), len(frames), 6), own)
                 for k, fixed in enumerate(frames):
                     if wrong[:, k].any():
                         yield f"{kind}{fixed.name}", wrong[:, k]
@@ -621,61 +625,3 @@ def _fixed(linkage: Linkage, name: str, frame: pin.Frame, mounts: Sequence[Mount
     return Fixed(
         name, joint, own[0] if own else -1, frozen(turn @ place.rotation), frozen(turn @ place.translation)
     )
-
-
-def _of_body(k: int, before: str, after: str, of: str) -> list[Parameter]:
-    """Return the parameters of the k-th link or load."""
-    named = [("mass", "masses", k, "kg", "mass", 0.0)]
-    named += [
-        (name, "coms", 3 * k + j, "m", f"{name[-1]} of the centre of mass", -np.inf)
-        for j, name in enumerate(_COM)
-    ]
-    for j, name in enumerate(_INERTIA):
-        least = 0.0 if j < 3 else -np.inf
-        named.append((name, "inertias", 6 * k + j, "kg m^2", f"{name[-2:]} of the inertia", least))
-    return [
-        Parameter(
-            f"{before}{name}{after}",
-            unit,
-            f"{meaning} of {of}, of the robot",
-            least,
-            may_vanish=not (before and name == "mass"),
-            attribute=f"{before}{attribute}",
-            entry=entry,
-        )
-        for name, attribute, entry, unit, meaning, least in named
-    ]
-
-
-def _is_none(inertias: Array, masses: Array) -> Any:
-    """Tell which inertias (xx, yy, zz, xy, xz, yz) about a centre of mass no body has, shape (...)."""
-    xx, yy, zz, xy, xz, yz = np.moveaxis(inertias, -1, 0)
-    full = np.stack([np.stack(row, -1) for row in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))], -2)
-    moments = np.linalg.eigvalsh(full)
-    slack = _SLACK * (np.abs(moments).max(axis=-1) + masses)
-    return (moments[..., 0] < -slack) | (moments[..., 2] > moments[..., 0] + moments[..., 1] + slack)
-
-
-def _item(x: Any) -> Any:
-    return x.item() if isinstance(x, np.ndarray) and not x.ndim else x
-
-
-def _scalars(x: Any) -> Vector:
-    """Return the entries of the last axis."""
-    return [exact(_item(y)) for y in np.moveaxis(plain(x), -1, 0)]
-
-
-def _stacked(values: Sequence[Any], q: Any) -> Any:
-    """Return scalars at configurations q as the last axis of an array, or of symbols."""
-    numbers = [number(x) for x in values]
-    if any(type(x) is Node for x in numbers):
-        return symbols(numbers, (len(numbers),))
-    return np.stack(np.broadcast_arrays(q[..., 0], *numbers)[1:], axis=-1)
-
-
-def _alone(value: Any, q: Any) -> Any:
-    return _stacked([value], q)[..., 0]
-
-
-def _rows(rows: Sequence[Any]) -> Any:
-    return np.stack(np.broadcast_arrays(*rows), axis=-2)

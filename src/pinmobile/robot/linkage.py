@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,13 +12,15 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import Array, frozen
-from pinmobile.compiled import Node, sincos
+from pinmobile.compiled import Node, maximum, plain, root, sincos, symbols
 from pinmobile.constancy import constant
 from pinmobile.errors import NotTraceable
-from pinmobile.robot.tree import joint_kind
+from pinmobile.robot.joints import axis_of, joints_of
 
 Vector: TypeAlias = list[Any]
 Matrix: TypeAlias = list[list[Any]]
+
+_LEAST = 1e-300  # a square that is zero
 
 ENTRIES = (0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)
 """The entries of a symmetric matrix that differ."""
@@ -151,9 +152,69 @@ def turned(R: Matrix, J: Matrix) -> Matrix:
     return found
 
 
-_ONE_COORDINATE = re.compile(
-    "JointModel(R[XYZ]|RUB[XYZ]|P[XYZ]|(Revolute|RevoluteUnbounded|Prismatic)Unaligned)"
-)
+def solved(M: Matrix, right: Vector, order: Sequence[int]) -> Vector:
+    """Return the solution of M x = right by L D L', the unknowns eliminated in this order; zeros stay."""
+    M, x, inverse = [list(row) for row in M], list(right), [ZERO] * len(right)
+    for done, i in enumerate(order, 1):
+        inverse[i] = 1.0 / M[i][i]
+        rest = order[done:]
+        factors = {j: M[j][i] * inverse[i] for j in rest}
+        for at, j in enumerate(rest):
+            for k in rest[: at + 1]:
+                M[j][k] = M[k][j] = M[j][k] - factors[j] * M[k][i]
+            x[j] = x[j] - factors[j] * x[i]
+        for j in rest:
+            M[j][i] = factors[j]
+    x = [value * inverse[i] for i, value in enumerate(x)]
+    for k, i in reversed(list(enumerate(order))):
+        for j in order[k + 1 :]:
+            x[i] = x[i] - M[j][i] * x[j]
+    return x
+
+
+def volume(rows: Matrix) -> Any:
+    """Return the volume that some vectors span, at least zero, by orthogonalising one after another."""
+    rest, found = [list(row) for row in rows], ONE
+    if len(rest) > len(rest[0]):
+        return ZERO
+    while rest:
+        first, *rest = rest
+        square = dot(first, first)
+        found = found * root(number(square))
+        # What is zero spans nothing, whatever comes after it.
+        inverse = 1.0 / maximum(number(square), _LEAST)
+        rest = [plus(row, scaled(-dot(first, row) * inverse, first)) for row in rest]
+    return found
+
+
+def single(x: Any) -> Any:
+    """Return a number as a scalar that costs nothing where it can: see `exact`."""
+    return exact(x.item() if isinstance(x, np.ndarray) and not x.ndim else x)
+
+
+def scalars(x: Array) -> Vector:
+    """Return the entries of the last axis."""
+    return [single(y) for y in np.moveaxis(plain(x), -1, 0)]
+
+
+def vector_of(values: Vector, q: Array) -> Array:
+    """Return scalars at configurations q as the last axis of an array, or of symbols."""
+    numbers = [number(x) for x in values]
+    if any(type(x) is Node for x in numbers):
+        return symbols(numbers, (len(numbers),))  # type: ignore[return-value]  # they stand for an array
+    return np.stack(np.broadcast_arrays(q[..., 0], *numbers)[1:], axis=-1)
+
+
+def scalar_of(value: Any, q: Array) -> Array:
+    """Return a scalar at configurations q as an array, or a symbol."""
+    return vector_of([value], q)[..., 0]
+
+
+def matrix_of(given: Sequence[Array]) -> Array:
+    """Return arrays as the rows of matrices."""
+    return np.stack(np.broadcast_arrays(*given), axis=-2)
+
+
 _ROUNDING = 1e-15  # of a product of rotations [m in what it turns]
 
 
@@ -250,26 +311,24 @@ class Linkage:
         NotTraceable
             If a joint has other than one coordinate.
         """
-        joints = range(1, model.njoints)
-        for j in joints:
-            if not _ONE_COORDINATE.fullmatch(joint_kind(model, j)):
+        joints = joints_of(model)
+        for joint in joints:
+            if not joint.single:
                 raise NotTraceable(
-                    f"joint {model.names[j]!r} is a {joint_kind(model, j)}, which has no single axis",
-                    "give joints in series with one axis each",
+                    f"joint {joint}, which has no single axis", "give joints in series with one axis each"
                 )
-        axes = [np.eye(3), *(_to_z(_axis(model, j)) for j in joints)]
-        places = [model.jointPlacements[j] for j in joints]
-        above = [axes[model.parents[j]].T for j in joints]
-        rotations = [A @ M.rotation @ axes[j] for A, M, j in zip(above, places, joints, strict=True)]
+        axes = [np.eye(3), *(_to_z(axis_of(model, j)) for j in range(1, model.njoints))]
+        places, parents = list(model.jointPlacements)[1:], list(model.parents)[1:]
+        above = [axes[parent].T for parent in parents]
+        rotations = [A @ M.rotation @ axis for A, M, axis in zip(above, places, axes[1:], strict=True)]
         offsets = [A @ M.translation for A, M in zip(above, places, strict=True)]
-        own = [model.joints[j] for j in joints]
         return cls(
-            names=tuple(str(model.names[j]) for j in joints),
-            parents=tuple(int(model.parents[j]) - 1 for j in joints),
-            turns=tuple("JointModelP" not in joint_kind(model, j) for j in joints),
-            circles=tuple(joint.nq == 2 for joint in own),
-            q=tuple(int(joint.idx_q) for joint in own),
-            v=tuple(int(joint.idx_v) for joint in own),
+            names=tuple(joint.name for joint in joints),
+            parents=tuple(int(parent) - 1 for parent in parents),
+            turns=tuple(not joint.slides for joint in joints),
+            circles=tuple(joint.circular for joint in joints),
+            q=tuple(joint.q.start for joint in joints),
+            v=tuple(joint.v.start for joint in joints),
             rotations=frozen(without_rounding(np.array(rotations))),
             offsets=frozen(without_rounding(np.array(offsets))),
             axes=frozen(axes[1:]),
@@ -283,14 +342,6 @@ class Linkage:
     def counted(self) -> dict[Any, bool]:
         """What is known of the operations that its dynamics take, by what is zero in them."""
         return {}
-
-
-def _axis(model: pin.Model, joint: int) -> Array:
-    kind = model.joints[joint]
-    data = kind.createData()
-    kind.calc(data, pin.neutral(model), np.zeros(model.nv))
-    S = np.asarray(data.S).ravel()
-    return S[3:] if S[3:].any() else S[:3]
 
 
 def _to_z(axis: Array) -> Array:
@@ -338,7 +389,7 @@ def regrouped(
 ) -> list[Body]:
     """Return bodies that move as these do, with fewer numbers that are not zero (Khalil and Dombre, 2002).
 
-    What of a body its own joint does not move goes to what it hangs on: of one that turns its mass, first
+    What its own joint does not move of a body goes to the body above: of one that turns its mass, first
     moment along the axis and inertia yy; of one that slides its inertia. Joint torques are the same, and so
     is what a body feels of all that hangs on it, if nothing of its own went on; other forces between the
     links are not. `least` is the first joint whose body takes what comes: those before it get nothing.

@@ -31,25 +31,25 @@ from pinmobile.dh import LECTURE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, shown
 from pinmobile.measures import Measure
 from pinmobile.plant import Parameter
-from pinmobile.robot.arm_measures import Judgement
-from pinmobile.robot.arms import Arm
+from pinmobile.robot.arms import check_whole
 from pinmobile.robot.articulated import ArticulatedBody, articulated
-from pinmobile.robot.checks import check_whole
-from pinmobile.robot.dh_chain import BODY_JOINT, Engine, assemble, build_model, check_chain
+from pinmobile.robot.joints import BODY_JOINT
+from pinmobile.robot.laws import Engine
 from pinmobile.robot.mounts import (
-    LinkNumbers,
     Load,
     Mount,
+    assemble,
     checked_name,
     free_name,
+    free_place,
     mount_after,
-    on_top,
     placed,
+    with_numbers,
 )
 from pinmobile.robot.planar import BODY_PARAMETERS, PlanarBody
-from pinmobile.robot.reading import LOCKED, Reading, read_model, read_urdf
+from pinmobile.robot.reading import LOCKED, Reading, build_model, check_chain, read_model, read_urdf
 from pinmobile.robot.sources import existing_folders, read_arm
-from pinmobile.robot.stance import Stance
+from pinmobile.robot.stance import Judgement, Stance
 from pinmobile.robot.system import System
 from pinmobile.robot.undercarriage import Undercarriage
 from pinmobile.robot.visuals import VisualFile, add_carried, box_visuals, read_visuals
@@ -119,9 +119,9 @@ class MobileRobot(System):
     loads: tuple[tuple[str, Load], ...] = field(default=(), init=False)
     _engine: Engine = field(init=False)
     _looks: VisualFile | None = field(default=None, init=False)
-    _varied: frozenset[tuple[str, Any]] | None = field(default=None, init=False)
-    _tracings: dict[Any, ArticulatedBody] = field(init=False)
-    _variants: dict[Any, MobileRobot] = field(init=False)
+    _varied: frozenset[tuple[str, object]] | None = field(default=None, init=False)
+    _tracings: dict[frozenset[tuple[str, object]] | None, ArticulatedBody] = field(init=False)
+    _variants: dict[frozenset[tuple[str, object]], MobileRobot] = field(init=False)
 
     def __post_init__(self) -> None:
         com = finite("com", self.com)
@@ -460,7 +460,7 @@ class MobileRobot(System):
         except NotTraceable:
             return None
 
-    def varying(self, entries: Iterable[tuple[str, Any]]) -> MobileRobot:
+    def varying(self, entries: Iterable[tuple[str, object]]) -> MobileRobot:
         """Return it, told which of its `parameters` differ from robot to robot.
 
         What `traced` returns then has built in what else is zero, and where arms stand.
@@ -502,13 +502,9 @@ class MobileRobot(System):
         if self.mounts:
             return self._with_numbers(self._articulated.numbers_with(values))
         bare = self.lumped() if self.loads else self
-        old = {
-            "mass": bare.mass,
-            "yaw_inertia": bare.body.yaw_inertia,
-            "com_x": bare.com[0],
-            "com_y": bare.com[1],
-        }
-        mass, inertia, x, y = (scalar(name, values.get(name, old[name])) for name in old)
+        old = bare.mass, bare.body.yaw_inertia, *bare.com[:2]
+        pairs = zip(BODY_PARAMETERS, old, strict=True)
+        mass, inertia, x, y = (scalar(one.name, values.get(one.name, number)) for one, number in pairs)
         body = urdf.Body(mass, np.array([x, y, bare.com[2]]), np.diag([inertia] * 3))
         return bare.with_body(body, "with other parameters")
 
@@ -531,35 +527,15 @@ class MobileRobot(System):
         inertia = self.body.inertia * (float(new["yaw_inertia"]) / self.body.yaw_inertia)
         com = np.array([new["com_x"], new["com_y"], self.body.com[2]])
         body = urdf.Body(float(new["mass"]), com, inertia)
-        mounts, link = [], 0
-        for mount, at in zip(self.mounts, new["places"].reshape(-1, 4), strict=True):
-            end = link + len(mount.links)
-            each = (("masses", 1), ("coms", 3), ("inertias", 6))
-            masses, coms, inertias = (new[name][k * link : k * end] for name, k in each)
-            rotors = new["rotors"][mount.v.start - BODY_JOINT : mount.v.stop - BODY_JOINT]
-            numbers = LinkNumbers(masses, coms.reshape(-1, 3), inertias.reshape(-1, 6), rotors)
-            same = all(map(np.array_equal, numbers, LinkNumbers.of(mount.arm._model)))
-            mounts.append(replace(mount, at=placed(at), numbers=None if same else numbers))
-            link = end
-        loads = [
-            (frame, load.with_numbers(float(mass), com, six))
-            for (frame, load), mass, com, six in zip(
-                self.loads,
-                new["load_masses"],
-                new["load_coms"].reshape(-1, 3),
-                new["load_inertias"].reshape(-1, 6),
-                strict=True,
-            )
-        ]
         own = self._own(body, f"{self._own(body)[3]}; with other parameters")
-        return _restored(own, tuple(mounts), tuple(loads))
+        return _restored(own, *with_numbers(self.mounts, self.loads, new))
 
     def _carrying(self, mounts: tuple[Mount, ...], loads: tuple[tuple[str, Load], ...]) -> MobileRobot:
         return _restored(self._own(self.body), mounts, loads)
 
     def mount(
         self,
-        arm: Any,
+        arm: str | PathLike[str] | pin.Model,
         at: ArrayLike | None = None,
         *,
         name: str | None = None,
@@ -610,27 +586,11 @@ class MobileRobot(System):
         """
         asked = None if at is None else placed(at)
         ready = read_arm(arm, package_dirs=package_dirs, visual=visual, rest=rest, locked=locked)
-        place = self._free_place(ready) if asked is None else asked
+        place = free_place(self.mounts, self.stance.top, ready) if asked is None else asked
         wanted = checked_name(name if name is not None else Path(ready.origin.value).stem)
         taken = {mount.name for mount in self.mounts}
         mount = mount_after(self._model, ready, free_name(wanted, taken), place)
         return self._carrying((*self.mounts, mount), self.loads)
-
-    def _free_place(self, arm: Arm) -> tuple[float, float, float, float]:
-        top = self.stance.top
-        if top is None:
-            raise InvalidArgument(
-                f"at is not given for {arm.origin.value!r}, and the top of the robot is not known, "
-                "expected x, y, z and yaw; robot.source says what its file lacks"
-            )
-        place = on_top(top, arm)
-        for mount in self.mounts:
-            if mount.at[:2] == place[:2]:
-                raise InvalidArgument(
-                    f"at is not given for {arm.origin.value!r}, and {mount.name!r} stands in the middle "
-                    "already, expected x, y, z and yaw"
-                )
-        return place
 
     def attach(self, load: Load, frame: str | None = None) -> MobileRobot:
         """Return the robot with a load fixed to one of its frames.
@@ -738,11 +698,9 @@ def _restored(
 ) -> MobileRobot:
     body, size, dh, source, stance, locked_joints, looks, undercarriage = bare
     robot = MobileRobot.from_body(body, size, dh, source, stance=stance, locked_joints=locked_joints)
-    carrying = {"mounts": mounts, "loads": loads}
-    if mounts or loads:
-        carrying["_engine"] = Engine(assemble(robot._model, mounts, loads))  # type: ignore[assignment]
-    carrying["source"] = source + _of_files(mounts)  # type: ignore[assignment]
-    for name, value in {"_looks": looks, "undercarriage": undercarriage, **carrying}.items():
+    engine = Engine(assemble(robot._model, mounts, loads)) if mounts or loads else robot._engine
+    own = {"mounts": mounts, "loads": loads, "_engine": engine, "source": source + _of_files(mounts)}
+    for name, value in {"_looks": looks, "undercarriage": undercarriage, **own}.items():
         object.__setattr__(robot, name, value)
     if mounts or loads:
         check_whole(robot._model, robot._engine.reorder(robot.rest))

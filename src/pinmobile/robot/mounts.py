@@ -1,17 +1,19 @@
-"""What rides on the body: arms and loads."""
+"""What rides on the body, arms and loads, and the model of the body with all of it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, finite, lengths, positive, text
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.plant import Parameter
 from pinmobile.robot.arms import Arm
 from pinmobile.urdf import Body, box_inertia
 
@@ -58,6 +60,45 @@ def _matrix_of(six: Array) -> Array:
     return six[[[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
 
 
+_COM = ("com_x", "com_y", "com_z")
+_INERTIA = ("inertia_xx", "inertia_yy", "inertia_zz", "inertia_xy", "inertia_xz", "inertia_yz")
+_SLACK = 1e-9  # of the moments of inertia, relative, and of the mass [m^2]: files carry as many digits
+
+
+def body_parameters(k: int, before: str, after: str, of: str) -> list[Parameter]:
+    """Return the parameters of the k-th link or load."""
+    named = [("mass", "masses", k, "kg", "mass", 0.0)]
+    named += [
+        (name, "coms", 3 * k + j, "m", f"{name[-1]} of the centre of mass", -np.inf)
+        for j, name in enumerate(_COM)
+    ]
+    for j, name in enumerate(_INERTIA):
+        least = 0.0 if j < 3 else -np.inf
+        named.append((name, "inertias", 6 * k + j, "kg m^2", f"{name[-2:]} of the inertia", least))
+    return [
+        Parameter(
+            f"{before}{name}{after}",
+            unit,
+            f"{meaning} of {of}, of the robot",
+            least,
+            may_vanish=not (before and name == "mass"),
+            attribute=f"{before}{attribute}",
+            entry=entry,
+        )
+        for name, attribute, entry, unit, meaning, least in named
+    ]
+
+
+def are_impossible(inertias: Array, masses: Array) -> NDArray[np.bool_]:
+    """Tell which inertias (xx, yy, zz, xy, xz, yz) about a centre of mass no body has, shape (...)."""
+    xx, yy, zz, xy, xz, yz = np.moveaxis(inertias, -1, 0)
+    full = np.stack([np.stack(row, -1) for row in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))], -2)
+    moments = np.linalg.eigvalsh(full)
+    slack = _SLACK * (np.abs(moments).max(axis=-1) + masses)
+    far = moments[..., 2] > moments[..., 0] + moments[..., 1] + slack
+    return np.asarray(far | (moments[..., 0] < -slack))
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Mount:
     """An arm at its place on the body.
@@ -100,6 +141,11 @@ class Mount:
     def _model(self) -> pin.Model:
         """The model itself, which is only read."""
         return self.arm._model if self.numbers is None else self.numbers.put_into(self.arm._model)
+
+    @property
+    def moving(self) -> range:
+        """Its joints' numbers in the robot's `model`."""
+        return range(self.joints.start, self.joints.stop)
 
     @property
     def links(self) -> tuple[str, ...]:
@@ -220,13 +266,49 @@ def placed(at: ArrayLike) -> tuple[float, float, float, float]:
     return x, y, z, yaw
 
 
-def on_top(top: float, arm: Arm) -> tuple[float, float, float, float]:
-    """Return the mount point in the middle of a body of some height [m].
+def free_place(mounts: Sequence[Mount], top: float | None, arm: Arm) -> tuple[float, float, float, float]:
+    """Return the mount point in the middle of a body whose highest point has the height `top` [m].
 
     What stands on its feet, or would otherwise hang below the ground, is as high as its lowest frame needs.
+
+    Raises
+    ------
+    InvalidArgument
+        If the height is not known, or the middle is taken.
     """
+    if top is None:
+        raise InvalidArgument(
+            f"at is not given for {arm.origin.value!r}, and the top of the robot is not known, "
+            "expected x, y, z and yaw; robot.source says what its file lacks"
+        )
+    for mount in mounts:
+        if mount.at[:2] == (0.0, 0.0):
+            raise InvalidArgument(
+                f"at is not given for {arm.origin.value!r}, and {mount.name!r} stands in the middle "
+                "already, expected x, y, z and yaw"
+            )
     below = arm.reach_down()
     return 0.0, 0.0, top + below if arm.stands or below > top else top, 0.0
+
+
+def with_numbers(
+    mounts: Sequence[Mount], loads: Sequence[tuple[str, Load]], new: Mapping[str, Array]
+) -> tuple[tuple[Mount, ...], tuple[tuple[str, Load], ...]]:
+    """Return arms and loads with other numbers, by attribute of `ArticulatedBody`."""
+    changed, link, joint = [], 0, 0
+    for mount, at in zip(mounts, new["places"].reshape(-1, 4), strict=True):
+        end, last = link + len(mount.links), joint + mount.v.stop - mount.v.start
+        each = (("masses", 1), ("coms", 3), ("inertias", 6))
+        masses, coms, inertias = (new[name][k * link : k * end] for name, k in each)
+        rotors = new["rotors"][joint:last]
+        numbers = LinkNumbers(masses, coms.reshape(-1, 3), inertias.reshape(-1, 6), rotors)
+        same = all(map(np.array_equal, numbers, LinkNumbers.of(mount.arm._model)))
+        changed.append(replace(mount, at=placed(at), numbers=None if same else numbers))
+        link, joint = end, last
+    coms, inertias = new["load_coms"].reshape(-1, 3), new["load_inertias"].reshape(-1, 6)
+    rows = zip(loads, new["load_masses"], coms, inertias, strict=True)
+    carried = ((frame, load.with_numbers(float(m), com, six)) for (frame, load), m, com, six in rows)
+    return tuple(changed), tuple(carried)
 
 
 def checked_name(name: str) -> str:
@@ -262,3 +344,62 @@ def mount_after(model: pin.Model, arm: Arm, name: str, at: tuple[float, float, f
 
 def _placement(at: tuple[float, float, float, float]) -> pin.SE3:
     return pin.SE3(pin.utils.rotate("z", at[3]), np.array(at[:3]))
+
+
+def assemble(base: pin.Model, mounts: Sequence[Mount], loads: Sequence[tuple[str, Load]]) -> pin.Model:
+    """Return the model of a body that carries arms, and loads at frames of either.
+
+    Parameters
+    ----------
+    base : pin.Model
+        The chain with the body; the body's frame is its last.
+    mounts : sequence of Mount
+        One after the other.
+    loads : sequence of (str, Load)
+        Each with the frame it is fixed to.
+    """
+    model, body = base.copy(), base.nframes - 1
+    for mount in mounts:
+        model = pin.appendModel(model, prefixed(mount._model, mount.name), body, mount.placement)
+    for mount in mounts:
+        # Pinocchio forgets it when it appends; each arm keeps its own, joint by joint.
+        model.armature[mount.v] = mount._model.armature
+    model.name = base.name
+    for frame, load in loads:
+        fixed = model.frames[named_frames(model)[frame]]
+        model.appendBodyToJoint(fixed.parentJoint, load.body, fixed.placement)
+    return model
+
+
+def named_frames(model: pin.Model) -> dict[str, int]:
+    """Return the frames by name, links before joints of the same name."""
+    ids: dict[str, int] = {}
+    for number in range(1, model.nframes):
+        frame = model.frames[number]
+        if frame.name not in ids or frame.type == pin.FrameType.BODY:
+            ids[frame.name] = number
+    return ids
+
+
+def prefixed(model: pin.Model, name: str) -> pin.Model:
+    """Return a copy with all names ``name/...``; a frame is numbered where a link has its name."""
+    copy = model.copy()
+    for joint in range(1, copy.njoints):
+        copy.names[joint] = f"{name}/{copy.names[joint]}"
+    taken = {frame.name for frame in copy.frames if frame.type == pin.FrameType.BODY}
+    for frame in copy.frames:
+        own = str(frame.name)
+        if frame.type != pin.FrameType.BODY:
+            # Pinocchio finds a link by its name alone.
+            own = free_name(own, taken)
+            taken.add(own)
+        frame.name = f"{name}/{own}"
+    return copy
+
+
+def resistances(nv: int, mounts: Sequence[Mount]) -> tuple[Array, Array]:
+    """Return damping and friction of the joints, each of shape (nv,); the base has none."""
+    damping, friction = np.zeros((2, nv))
+    for mount in mounts:
+        damping[mount.v], friction[mount.v] = mount._model.damping, mount._model.friction
+    return damping, friction

@@ -13,6 +13,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, wrap_angle
 from pinmobile.closed_form import (
+    Numbers,
     unchecked_coriolis_matrix,
     unchecked_forward_dynamics,
     unchecked_inverse_dynamics,
@@ -41,10 +42,10 @@ class PlanarBody:
         body frame [m].
     """
 
-    mass: Any
-    yaw_inertia: Any
-    com_x: Any = 0.0
-    com_y: Any = 0.0
+    mass: Numbers
+    yaw_inertia: Numbers
+    com_x: Numbers = 0.0
+    com_y: Numbers = 0.0
 
     nq: ClassVar[int] = 3
     nv: ClassVar[int] = 3
@@ -59,55 +60,56 @@ class PlanarBody:
     inputs: ClassVar[tuple[Input, ...]] = (Input("Fx", "N"), Input("Fy", "N"), Input("Mz", "N m"))
 
     @property
-    def _body(self) -> tuple[Any, ...]:
+    def _body(self) -> tuple[Numbers, Numbers, Numbers, Numbers]:
         return self.mass, self.yaw_inertia, self.com_x, self.com_y
 
-    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
+    def forward_dynamics(self, q: Array, v: Array, u: Array, f: Numbers = 0.0) -> Array:
         """Return the acceleration, shape (..., 3)."""
         return unchecked_forward_dynamics(q, v, u + f, *self._body)
 
-    def mass_matrix(self, q: Any) -> Any:
+    def mass_matrix(self, q: Array) -> Array:
         """Return M(q), shape (..., 3, 3)."""
         return unchecked_mass_matrix(q, *self._body)
 
-    def coriolis_matrix(self, q: Any, v: Any) -> Any:
+    def coriolis_matrix(self, q: Array, v: Array) -> Array:
         """Return C(q, v), shape (..., 3, 3), with C v = n."""
         return unchecked_coriolis_matrix(q, v, self.mass, self.com_x, self.com_y)
 
-    def kinetic_energy(self, q: Any, v: Any) -> Any:
+    def kinetic_energy(self, q: Array, v: Array) -> Array:
         """Return v . M(q) v / 2, shape (...)."""
-        return np.sum(v * self.inverse_dynamics(q, 0.0 * v, v), axis=-1) / 2
+        twice: Array = np.sum(v * self.inverse_dynamics(q, 0.0 * v, v), axis=-1)
+        return twice / 2
 
-    def inverse_dynamics(self, q: Any, v: Any, a: Any) -> Any:
+    def inverse_dynamics(self, q: Array, v: Array, a: Array) -> Array:
         """Return M(q) a + n(q, v), shape (..., 3)."""
         return unchecked_inverse_dynamics(q, v, a, *self._body)
 
-    def nonlinear_effects(self, q: Any, v: Any) -> Any:
+    def nonlinear_effects(self, q: Array, v: Array) -> Array:
         """Return n(q, v), shape (..., 3)."""
         return unchecked_inverse_dynamics(q, v, np.zeros(np.shape(v)), *self._body)
 
-    def gravity(self, q: Any) -> Any:
+    def gravity(self, q: Array) -> Array:
         """Return zeros, shape (..., 3): the ground is level."""
         return np.zeros(np.shape(q))
 
-    def integrate(self, q: Any, dq: Any) -> Any:
+    def integrate(self, q: Array, dq: Array) -> Array:
         """Return q + dq."""
         return q + dq
 
-    def difference(self, q0: Any, q1: Any) -> Any:
+    def difference(self, q0: Array, q1: Array) -> Array:
         """Return q1 - q0, shape (..., 3), with the difference of the heading wrapped."""
         d = q1 - q0
         return np.stack([d[..., 0], d[..., 1], wrap_angle(d[..., 2])], axis=-1)
 
-    def pose(self, q: Any) -> Any:
+    def pose(self, q: Array) -> Array:
         """Return q."""
         return q
 
-    def rate(self, q: Any, v: Any) -> Any:
+    def rate(self, q: Array, v: Array) -> Array:
         """Return v."""
         return v
 
-    def effort(self, q: Any, wrench: Any) -> Any:
+    def effort(self, q: Array, wrench: Array) -> Array:
         """Return the wrench."""
         return wrench
 

@@ -1,8 +1,7 @@
-"""What a pin.Model or a URDF says of a mobile robot: its chain, its body, and what was taken for them."""
+"""The chain with its body as a `pin.Model`: made of a table, or read from a model or a URDF."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,22 +11,64 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import Array, ArrayLike
-from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable
+from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable, JointType
 from pinmobile.errors import InvalidArgument
-from pinmobile.robot.geometry import Shape, shapes_of
-from pinmobile.robot.stance import Stance, WheelReading, ground_below, stance_on, stance_written, wheels_of
-from pinmobile.robot.tree import carries_only_wheels, joint_kind
+from pinmobile.robot.geometry import Shape, WheelReading, ground_below, shapes_of, stance_on, wheels_of
+from pinmobile.robot.joints import Joint, carries_only_wheels, joints_of
+from pinmobile.robot.stance import Stance, stance_written
 from pinmobile.robot.undercarriage import Undercarriage, undercarriage_of
 from pinmobile.robot.visuals import VisualFile
-from pinmobile.robot.wellformed import MOMENTS, judge_links, urdf_text
+from pinmobile.robot.wellformed import MOMENTS, judge_links, urdf_model
 from pinmobile.urdf import Body
 
 LOCKED = "wheels locked: they do not roll, and it can be pushed sideways"
 """What is said of a base with wheels."""
 
+_BODY_LINK = "base_link"
 _ALIGNED = 1e-5  # an axis written with six digits or more counts as aligned
 _MASSLESS = 1e-9  # of the body's mass
 _CHAIN = (("prismatic", (0, 1, 0)), ("prismatic", (1, 0, 0)), ("revolute", (0, 0, 1)))
+
+
+def check_chain(table: DHTable) -> None:
+    """Refuse a table whose last frame is not the planar pose (x, y, psi) for joint variables (y, x, psi).
+
+    Raises
+    ------
+    InvalidArgument
+        If it is one, or no table at all.
+    """
+    if not isinstance(table, DHTable):
+        raise InvalidArgument(f"dh is a {type(table).__name__}, expected a DHTable")
+    kinds = [row.joint for row in table]
+    planar = kinds == [row.joint for row in LECTURE_TABLE]
+    probes = np.array([[0, 0, 0], [0.7, -0.3, 1.1], [-1.0, 2.0, -2.5]])
+    if planar:
+        pose, expected = (dh.placements(probes)[:, -1] for dh in (table, LECTURE_TABLE))
+        planar = bool(np.abs(pose - expected).max() < 1e-12)
+    if not planar:
+        raise InvalidArgument(
+            f"dh with variables {table.variables} does not put its last frame at (x, y, psi), expected "
+            "a chain of prismatic y, prismatic x, revolute psi whose last frame is the body's"
+        )
+
+
+def build_model(table: DHTable, body: Body) -> pin.Model:
+    """Return the chain with the body on its last link as a Pinocchio model.
+
+    It is the model that Pinocchio reads from `urdf.write`, but with rotations that are exact where the
+    table's angles are multiples of pi / 2, so that gravity does not leak into the plane.
+    """
+    model = pin.Model()
+    model.name = "pinmobile"
+    parent = 0
+    for row, placement in zip(table, table.transforms(np.zeros(len(table))), strict=True):
+        joint = pin.JointModelPZ() if row.joint is JointType.PRISMATIC else pin.JointModelRZ()
+        parent = model.addJoint(parent, joint, pin.SE3(placement), row.variable)
+        model.addJointFrame(parent)
+    model.appendBodyToJoint(parent, pin.Inertia(body.mass, body.com, body.inertia), pin.SE3.Identity())
+    model.addBodyFrame(_BODY_LINK, parent, pin.SE3.Identity(), -1)
+    return model
 
 
 @dataclass(frozen=True)
@@ -81,11 +122,7 @@ def read_urdf(path: Path, package_dirs: tuple[Path, ...] = (), ground: ArrayLike
     InvalidArgument
         If there is no such file, it is no URDF, or it is neither of the two.
     """
-    text, root = urdf_text("path", path)
-    try:
-        model = pin.buildModelFromXML(text)
-    except (ValueError, RuntimeError) as error:
-        raise InvalidArgument(f"{path.name} is not a URDF that Pinocchio reads: {error}") from None
+    model, root = urdf_model("path", path)
     shown = Shown(
         _largest_box(root),
         tuple(shapes_of(root, model, path.name)),
@@ -201,24 +238,22 @@ def _starts_with_slides(model: pin.Model) -> bool:
     """Tell whether the model is meant as the chain: three joints in series, two prismatic ones among them."""
     if model.njoints < 4 or [model.parents[j] for j in (1, 2, 3)] != [0, 1, 2]:
         return False
-    slides = sum("JointModelP" in joint_kind(model, j) and model.nvs[j] == 1 for j in (1, 2, 3))
-    return bool(slides >= 2)
+    return sum(joint.slides == joint.nv == 1 for joint in joints_of(model)[:3]) >= 2
 
 
 def _is_floating(model: pin.Model, joint: int) -> bool:
     alone = sum(parent == 0 for parent in list(model.parents)[1:]) == 1
-    return alone and re.match("JointModel(FreeFlyer|Planar)", joint_kind(model, joint)) is not None
+    return alone and Joint.of(model, joint).floats
 
 
 def _chain_table(model: pin.Model, data: pin.Data, name: str) -> DHTable | None:
     """Check that each joint is the one expected, and return the table whose frames they have, if any."""
     for joint, (kind, axis) in enumerate(_CHAIN, start=1):
         expected = f"expected a {kind} one along {axis}: joint {joint} of y, x, psi"
-        if model.nvs[joint] != 1:
-            raise InvalidArgument(
-                f"{name}: joint {model.names[joint]!r} is a {joint_kind(model, joint)}, {expected}"
-            )
-        column = pin.getJointJacobian(model, data, joint, pin.WORLD)[:, model.idx_vs[joint]]
+        own = Joint.of(model, joint)
+        if own.nv != 1:
+            raise InvalidArgument(f"{name}: joint {own}, {expected}")
+        column = pin.getJointJacobian(model, data, joint, pin.WORLD)[:, own.v.start]
         is_kind = "revolute" if np.linalg.norm(column[3:]) > 0.5 else "prismatic"
         got = column[3:] if is_kind == "revolute" else column[:3]
         if is_kind != kind or np.abs(got - axis).max() > _ALIGNED:
@@ -241,10 +276,10 @@ def _chain_table(model: pin.Model, data: pin.Data, name: str) -> DHTable | None:
 def _locked(model: pin.Model, root: int, name: str) -> list[int]:
     """Return the joints to lock: wheels and what only carries wheels. Refuse any other."""
     above = range(root + 1, model.njoints)
-    for joint in above:
+    for joint, own in zip(above, joints_of(model, root + 1), strict=True):
         if model.parents[joint] == root and not carries_only_wheels(model, joint):
             raise InvalidArgument(
-                f"{name}: joint {model.names[joint]!r} ({joint_kind(model, joint)}) is neither a wheel "
+                f"{name}: joint {own.name!r} (JointModel{own.kind}) is neither a wheel "
                 "(continuous, or without limits) nor a suspension or swivel that carries only wheels; "
                 "expected a bare base, or the chain prismatic y, prismatic x, revolute z with one body"
             )

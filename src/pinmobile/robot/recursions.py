@@ -1,6 +1,6 @@
 """Recursions over a linkage: kinematics, inverse and forward dynamics, and the mass matrix.
 
-They are Featherstone's (2008), over scalars of any kind: see `scalars`. Vectors are in each joint's frame.
+They are Featherstone's (2008), over scalars of any kind: see `linkage`. Vectors are in each joint's frame.
 """
 
 from __future__ import annotations
@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from pinmobile.compiled import maximum, root
 from pinmobile.robot.linkage import (
     ENTRIES,
     ONE,
@@ -24,18 +23,16 @@ from pinmobile.robot.linkage import (
     cross,
     dot,
     exact,
-    number,
     plus,
     product,
     scaled,
     sine_and_cosine,
     skew,
+    solved,
     symmetric,
     transposed,
     turned,
 )
-
-_LEAST = 1e-300  # a square that is zero
 
 
 class Posture:
@@ -475,38 +472,3 @@ def _count(
     moving = Moving(linkage, at, [late] * (2 * n), [late] * n)
     way(moving, [Body(*known(body)) for body in bodies], known(rotors), [late] * n)
     return tally[0]
-
-
-def solved(M: Matrix, right: Vector, order: Sequence[int]) -> Vector:
-    """Return the solution of M x = right by L D L', the unknowns eliminated in this order; zeros stay."""
-    M, x, inverse = [list(row) for row in M], list(right), [ZERO] * len(right)
-    for done, i in enumerate(order, 1):
-        inverse[i] = 1.0 / M[i][i]
-        rest = order[done:]
-        factors = {j: M[j][i] * inverse[i] for j in rest}
-        for at, j in enumerate(rest):
-            for k in rest[: at + 1]:
-                M[j][k] = M[k][j] = M[j][k] - factors[j] * M[k][i]
-            x[j] = x[j] - factors[j] * x[i]
-        for j in rest:
-            M[j][i] = factors[j]
-    x = [value * inverse[i] for i, value in enumerate(x)]
-    for k, i in reversed(list(enumerate(order))):
-        for j in order[k + 1 :]:
-            x[i] = x[i] - M[j][i] * x[j]
-    return x
-
-
-def volume(rows: Matrix) -> Any:
-    """Return the volume that some vectors span, at least zero, by orthogonalising one after another."""
-    rest, found = [list(row) for row in rows], ONE
-    if len(rest) > len(rest[0]):
-        return ZERO
-    while rest:
-        first, *rest = rest
-        square = dot(first, first)
-        found = found * root(number(square))
-        # What is zero spans nothing, whatever comes after it.
-        inverse = 1.0 / maximum(number(square), _LEAST)
-        rest = [plus(row, scaled(-dot(first, row) * inverse, first)) for row in rest]
-    return found

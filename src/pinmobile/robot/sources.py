@@ -12,11 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, location, sequence, vector
+from pinmobile.arrays import Array, ArrayLike, location, sequence, vector
 from pinmobile.errors import InvalidArgument, PinmobileError, UnknownName, shown
 from pinmobile.robot.arms import Arm, Origin, Picture
+from pinmobile.robot.joints import joints_of
 from pinmobile.robot.visuals import FilePicture, GivenPicture
-from pinmobile.robot.wellformed import check_freedom, judge_links, urdf_text
+from pinmobile.robot.wellformed import check_freedom, judge_links, urdf_model
 
 _FINGERS = (
     "its fingers have no inertia: lock bravo_finger1_joint and bravo_finger2_joint "
@@ -199,11 +200,11 @@ _SLACK = 1e-9  # [m, rad]: a posture at a limit is there but for rounding
 
 
 def read_arm(
-    arm: Any,
+    arm: str | PathLike[str] | pin.Model,
     *,
     package_dirs: str | PathLike[str] | Sequence[str | PathLike[str]] = (),
     visual: pin.GeometryModel | None = None,
-    rest: Any = None,
+    rest: ArrayLike | None = None,
     locked: Sequence[str] = (),
 ) -> Arm:
     """Return what is to be mounted, read and checked.
@@ -244,7 +245,7 @@ def read_arm(
     return made
 
 
-def kept_arm(arm: str, *, package_dirs: Sequence[str], locked: Sequence[str], rest: Any) -> Arm:
+def kept_arm(arm: str, *, package_dirs: Sequence[str], locked: Sequence[str], rest: ArrayLike) -> Arm:
     """Return an arm of a name or file again, with the reference posture that it had, clipped or not.
 
     Raises
@@ -256,7 +257,7 @@ def kept_arm(arm: str, *, package_dirs: Sequence[str], locked: Sequence[str], re
     return replace(made, rest=_posture(made.whole, rest))
 
 
-def _refuse_beside(kind: str, arm: Any, **given: bool) -> None:
+def _refuse_beside(kind: str, arm: object, **given: bool) -> None:
     for argument, is_given in given.items():
         if is_given:
             takes = "a pinocchio.Model" if argument == "visual" else "a URDF"
@@ -265,7 +266,7 @@ def _refuse_beside(kind: str, arm: Any, **given: bool) -> None:
             )
 
 
-def existing_folders(package_dirs: Any) -> tuple[str, ...]:
+def existing_folders(package_dirs: str | PathLike[str] | Sequence[str | PathLike[str]]) -> tuple[str, ...]:
     """Return the folders of ``package_dirs``, resolved; one of them may come alone.
 
     Raises
@@ -284,7 +285,9 @@ def existing_folders(package_dirs: Any) -> tuple[str, ...]:
     return tuple(str(path.resolve()) for path in paths)
 
 
-def _from_model(arm: Any, visual: pin.GeometryModel | None, rest: Any, locked: tuple[str, ...]) -> Arm:
+def _from_model(
+    arm: pin.Model, visual: pin.GeometryModel | None, rest: ArrayLike | None, locked: tuple[str, ...]
+) -> Arm:
     kept = None
     if hasattr(arm, "model") and hasattr(arm, "visual_model"):  # a pin.RobotWrapper
         visual = arm.visual_model if visual is None else visual
@@ -310,7 +313,7 @@ def _is_file(arm: str | PathLike[str]) -> bool:
     return not isinstance(arm, str) or "/" in arm or arm.lower().endswith((".urdf", ".xml"))
 
 
-def _posture(model: pin.Model, rest: Any) -> Array:
+def _posture(model: pin.Model, rest: ArrayLike | None) -> Array:
     posture = pin.neutral(model) if rest is None else vector("rest", rest, model.nq)
     if posture.shape != (model.nq,):
         raise InvalidArgument(f"rest has shape {posture.shape}, expected ({model.nq},)")
@@ -333,25 +336,18 @@ def _check_visual(model: pin.Model, visual: pin.GeometryModel) -> None:
 def _check_rest(arm: Arm) -> None:
     """Refuse a reference posture outside the limits."""
     model = arm.whole
-    for joint in range(1, model.njoints):
-        if model.nqs[joint] != model.nvs[joint]:
-            continue
-        for k in range(model.idx_qs[joint], model.idx_qs[joint] + model.nqs[joint]):
+    for joint in joints_of(model):
+        for k in range(joint.q.start, joint.q.stop) if joint.adds else ():
             least, most = model.lowerPositionLimit[k], model.upperPositionLimit[k]
             # Equal limits are none.
             if least < most and not least - _SLACK <= arm.rest[k] <= most + _SLACK:
                 raise InvalidArgument(
-                    f"rest has joint {model.names[joint]!r} at {arm.rest[k]:.9g}, "
-                    f"expected {least:.9g} to {most:.9g}"
+                    f"rest has joint {joint.name!r} at {arm.rest[k]:.9g}, expected {least:.9g} to {most:.9g}"
                 )
 
 
-def _from_urdf(path: Path, folders: tuple[str, ...], rest: Any, locked: tuple[str, ...]) -> Arm:
-    text, root = urdf_text("arm", path)
-    try:
-        model = pin.buildModelFromXML(text)
-    except (ValueError, RuntimeError) as error:
-        raise InvalidArgument(f"{path.name} is not a URDF that Pinocchio reads: {error}") from None
+def _from_urdf(path: Path, folders: tuple[str, ...], rest: ArrayLike | None, locked: tuple[str, ...]) -> Arm:
+    model, root = urdf_model("arm", path)
     picture = FilePicture(path, tuple(map(Path, folders)))
     origin, posture = Origin("urdf", str(path), folders), _posture(model, rest)
     arm = Arm(origin, model, posture, picture, locked, usual=pin.neutral(model))

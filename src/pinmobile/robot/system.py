@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from functools import cached_property, partial
+from functools import cached_property
 from math import isfinite, prod
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -29,16 +29,21 @@ from pinmobile.arrays import (
 )
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Coordinate, Input
+from pinmobile.robot import laws
 from pinmobile.robot.articulated import ArticulatedBody
-from pinmobile.robot.batches import MANY, answers
-from pinmobile.robot.dh_chain import BODY_JOINT, Calls, Engine, Law, limits, named_frames, resistances
-from pinmobile.robot.mounts import Load, Mount
-from pinmobile.robot.tree import configuration_names, coordinates, inputs, joint_kind, leading, parts_of
+from pinmobile.robot.joints import (
+    BODY_JOINT,
+    configuration_names,
+    coordinates,
+    inputs,
+    joints_of,
+    leading,
+    limits,
+)
+from pinmobile.robot.laws import Calls, Engine, Law
+from pinmobile.robot.mounts import Load, Mount, named_frames, resistances
 
 _UNIT = 1e-6  # how far (cos, sin) or a quaternion may be from length one
-
-
-_STEP = 1e-4  # [s], of a central difference: its error is of the order of 1e-8 |v|^3 and 1e-12
 
 
 class Linearization(NamedTuple):
@@ -148,7 +153,8 @@ class System:
 
     @cached_property
     def _limits(self) -> tuple[Array, Array, Array, Array]:
-        lower, upper, speed, effort = map(frozen, limits(self._model, self.mounts))
+        moving = (joint for mount in self.mounts for joint in mount.moving)
+        lower, upper, speed, effort = map(frozen, limits(self._model, moving))
         return lower, upper, speed, effort
 
     @property
@@ -248,7 +254,7 @@ class System:
         if self.nq == self.nv:
             with np.errstate(over="ignore"):
                 return finite_answer(q + dq, q=q, dq=dq)
-        return self._each(_INTEGRATED, q=q, dq=dq)
+        return self._each(laws.INTEGRATED, q=q, dq=dq)
 
     def integrate_jacobian(self, q: ArrayLike, dq: ArrayLike) -> Array:
         """Return how `integrate` turns rates of `dq` into velocities, shape (..., nv, nv).
@@ -265,7 +271,7 @@ class System:
             Displacement [m, m, rad, ...].
         """
         q, dq = self._q(q), self._v("dq", dq)
-        return self._each(_INTEGRATE_JACOBIAN, q=q, dq=dq)
+        return self._each(laws.INTEGRATE_JACOBIAN, q=q, dq=dq)
 
     def difference(self, q0: ArrayLike, q1: ArrayLike) -> Array:
         """Return the displacement from `q0` to `q1`, shape (..., nv); that of psi lies in (-pi, pi].
@@ -282,7 +288,7 @@ class System:
                 displacement = finite_answer(q1 - q0, q0=q0, q1=q1)
         else:
             broadcast(q0=q0, q1=q1)
-            displacement = self._each(_DIFFERENCE, q0=q0, q1=q1)
+            displacement = self._each(laws.DIFFERENCE, q0=q0, q1=q1)
         angle = displacement[..., 2]
         if angle.ndim or not LEAST_ANGLE < angle <= np.pi:  # in a loop it hardly ever is beyond
             displacement[..., 2] = wrap_angle(angle)
@@ -291,7 +297,7 @@ class System:
     def _each(self, law: Law, **arguments: Array) -> Array:
         """Return what a law gives for each row of the arguments, in public order.
 
-        Leading axes broadcast; what comes back is stacked along them. From `MANY` states on it is compiled.
+        Leading axes broadcast; what comes back is stacked along them: see `laws.stacked`.
 
         Raises
         ------
@@ -301,33 +307,11 @@ class System:
         engine, rows = self._engine, []
         for argument in arguments.values():
             if argument.ndim != 1:
-                return self._stacked(law, **arguments)
+                return laws.stacked(engine, law, lambda: self._for_many, **arguments)
             rows.append(argument[engine.orders[len(argument)]])
         # A copy: Pinocchio hands out views of its data.
         answer = law.order(engine, np.array(law.run(engine.model, engine.data, *rows)))
         return answer if isfinite(np.vdot(answer, answer)) else finite_answer(answer, **arguments)
-
-    def _stacked(self, law: Law, **arguments: Array) -> Array:
-        """Return what `_each` does of arguments with leading axes."""
-        engine, lead = self._engine, broadcast(**arguments)
-        model, data, n = engine.model, engine.data, prod(lead)
-        if n >= MANY and law.name:
-            found = answers(self._for_many, law, **arguments)
-            if found is not None:
-                return found
-        stacked = [
-            engine.reorder(np.broadcast_to(argument, (*lead, argument.shape[-1]))).reshape(
-                n, argument.shape[-1]
-            )
-            for argument in arguments.values()
-        ]
-        if not n:
-            probes = (np.zeros(row.shape[1]) for row in stacked[1:])
-            shape = np.shape(law.order(engine, np.asarray(law.run(model, data, pin.neutral(model), *probes))))
-            return np.empty((*lead, *shape))
-        rows = [np.array(law.run(model, data, *row)) for row in zip(*stacked, strict=True)]
-        found = law.order(engine, np.stack(rows).reshape((*lead, *rows[0].shape)))
-        return finite_answer(found, **arguments)
 
     @property
     @abstractmethod
@@ -372,16 +356,8 @@ class System:
     @cached_property
     def _unit_parts(self) -> tuple[tuple[slice, str], ...]:
         """The parts of q that lie on a circle or a sphere, and their joints' names."""
-        model, parts = self._model, []
-        for j in range(1, model.njoints):
-            # In Pinocchio's order: (cos, sin), a quaternion, (x, y, cos, sin), (x, y, z, quaternion).
-            circle = (model.nqs[j], model.nvs[j]) == (2, 1) or "Planar" in joint_kind(model, j)
-            sphere = (model.nqs[j], model.nvs[j]) in ((4, 3), (7, 6))
-            width = 2 if circle else 4 if sphere else 0
-            end = parts_of(model, j)[0].stop
-            if width:
-                parts.append((slice(end - width, end), str(model.names[j])))
-        return tuple(parts)
+        joints = joints_of(self._model)
+        return tuple((joint.unit, joint.name) for joint in joints if joint.unit.start < joint.unit.stop)
 
     def pose(self, q: ArrayLike) -> Array:
         """Return x, y and psi of the body, shape (..., 3) [m, m, rad]."""
@@ -432,13 +408,7 @@ class System:
         UnknownName
             If there is no such frame.
         """
-        name, number = self._frame(frame)
-
-        def pose(model: pin.Model, data: pin.Data, q: Array) -> Array:
-            pin.forwardKinematics(model, data, q)
-            return np.asarray(pin.updateFramePlacement(model, data, number).homogeneous)
-
-        return self._each(Law(pose, "frame_pose", (name,)), q=self._q(q))
+        return self._each(laws.frame_pose(*self._frame(frame)), q=self._q(q))
 
     def frame_jacobian(self, q: ArrayLike, frame: str | None = None) -> Array:
         """Return J, shape (..., 6, nv): J v is the velocity of the frame's origin and the angular velocity.
@@ -447,23 +417,10 @@ class System:
 
         Parameters
         ----------
-        q : array_like, shape (..., nq)
-            Configuration [m, m, rad, ...].
-        frame : str, optional
-            One of `frame_names`; by default `end_effector`.
-
-        Raises
-        ------
-        UnknownName
-            If there is no such frame.
+        q, frame
+            As in `frame_pose`, with the same error.
         """
-        name, number = self._frame(frame)
-
-        def jacobian(model: pin.Model, data: pin.Data, q: Array) -> Array:
-            J = pin.computeFrameJacobian(model, data, q, number, pin.LOCAL_WORLD_ALIGNED)
-            return np.asarray(J)
-
-        return self._each(Law(jacobian, "frame_jacobian", (name,), Engine.reorder), q=self._here(q))
+        return self._each(laws.frame_jacobian(*self._frame(frame)), q=self._here(q))
 
     def frame_drift(self, q: ArrayLike, v: ArrayLike, frame: str | None = None) -> Array:
         """Return dJ/dt v, shape (..., 6): a frame's acceleration where no coordinate accelerates.
@@ -473,26 +430,12 @@ class System:
 
         Parameters
         ----------
-        q : array_like, shape (..., nq)
-            Configuration [m, m, rad, ...].
+        q, frame
+            As in `frame_pose`, with the same error.
         v : array_like, shape (..., nv)
             Velocity [m/s, m/s, rad/s, ...].
-        frame : str, optional
-            One of `frame_names`; by default `end_effector`.
-
-        Raises
-        ------
-        UnknownName
-            If there is no such frame.
         """
-        name, number = self._frame(frame)
-
-        def drift(model: pin.Model, data: pin.Data, q: Array, v: Array) -> Array:
-            pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
-            reference = pin.LOCAL_WORLD_ALIGNED
-            return np.asarray(pin.getFrameClassicalAcceleration(model, data, number, reference).vector)
-
-        return self._each(Law(drift, "frame_drift", (name,)), q=self._q(q), v=self._v("v", v))
+        return self._each(laws.frame_drift(*self._frame(frame)), q=self._q(q), v=self._v("v", v))
 
     def manipulability(self, q: ArrayLike, frame: str | None = None) -> Array:
         """Return sqrt(det J J'), shape (...), of base and arm together (Yoshikawa, 1985).
@@ -502,19 +445,10 @@ class System:
 
         Parameters
         ----------
-        q : array_like, shape (..., nq)
-            Configuration [m, m, rad, ...].
-        frame : str, optional
-            One of `frame_names`; by default `end_effector`.
-
-        Raises
-        ------
-        UnknownName
-            If there is no such frame.
+        q, frame
+            As in `frame_pose`, with the same error.
         """
-        name, number = self._frame(frame)
-        law = Law(partial(_volume, number, slice(None)), "manipulability", (name,))
-        return self._each(law, q=self._here(q))
+        return self._each(laws.manipulability(*self._frame(frame)), q=self._here(q))
 
     def arm_manipulability(self, q: ArrayLike, frame: str | None = None) -> Array:
         """Return `manipulability` of the arm that carries the frame alone, the base held, shape (...).
@@ -530,7 +464,7 @@ class System:
         arms = [mount for mount in self.mounts if name.startswith(f"{mount.name}/")]
         if not arms:
             raise InvalidArgument(f"frame is {shown(name)}, expected one of an arm")
-        law = Law(partial(_volume, number, arms[0].v), "manipulability", (name, arms[0].name))
+        law = laws.manipulability(name, number, arms[0].v, arms[0].name)
         return self._each(law, q=self._here(q))
 
     def _frame(self, name: str | None) -> tuple[str, int]:
@@ -542,12 +476,7 @@ class System:
 
         The third is the body's; it is the last one where nothing is mounted.
         """
-
-        def placements(model: pin.Model, data: pin.Data, q: Array) -> Array:
-            pin.forwardKinematics(model, data, q)
-            return np.stack([data.oMi[k].homogeneous for k in range(1, model.njoints)])
-
-        return self._each(Law(placements), q=self._q(q))
+        return self._each(laws.PLACEMENTS, q=self._q(q))
 
     def jacobian(self, q: ArrayLike) -> Array:
         """Return J(psi), shape (..., nv, nv): v = J twist, with the body twist (forward, left, yaw rate).
@@ -573,15 +502,15 @@ class System:
 
     def mass_matrix(self, q: ArrayLike) -> Array:
         """Return M(q), shape (..., nv, nv) [kg, kg m, kg m^2], by Pinocchio's CRBA."""
-        return self._each(_MASS_MATRIX, q=self._q(q))
+        return self._each(laws.MASS_MATRIX, q=self._q(q))
 
     def nonlinear_effects(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return n(q, v), shape (..., nv) [N, N, N m], by Pinocchio's RNEA without acceleration."""
-        return self._each(_NONLINEAR_EFFECTS, q=self._q(q), v=self._v("v", v))
+        return self._each(laws.NONLINEAR_EFFECTS, q=self._q(q), v=self._v("v", v))
 
     def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return tau = M(q) a + n(q, v), shape (..., nv) [N, N, N m], by Pinocchio's RNEA."""
-        return self._each(_INVERSE_DYNAMICS, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
+        return self._each(laws.INVERSE_DYNAMICS, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
 
     def forward_dynamics(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike, f: ArrayLike = 0.0) -> Array:
         """Return a = M(q)^-1 (tau + f - n(q, v)), shape (..., nv) [m/s^2, ...], by Pinocchio's ABA.
@@ -603,7 +532,7 @@ class System:
             broadcast(tau=force, f=beside)
             with np.errstate(over="ignore"):
                 arguments["tau"] = finite_answer(force + beside, tau=force, f=beside)
-        return self._each(_FORWARD_DYNAMICS, **arguments)
+        return self._each(laws.FORWARD_DYNAMICS, **arguments)
 
     def effort(self, q: ArrayLike, wrench: ArrayLike) -> Array:
         """Return the generalised force of a wrench on the body, shape (..., nv) [N, N, N m, ...].
@@ -658,23 +587,23 @@ class System:
 
     def coriolis_matrix(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return C(q, v), shape (..., nv, nv): C v = n(q, v), and dM/dt - 2 C is skew-symmetric."""
-        return self._each(_CORIOLIS_MATRIX, q=self._here(q), v=self._v("v", v))
+        return self._each(laws.CORIOLIS_MATRIX, q=self._here(q), v=self._v("v", v))
 
     def kinetic_energy(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return v' M(q) v / 2, shape (...) [J]."""
-        return self._each(_KINETIC_ENERGY, q=self._q(q), v=self._v("v", v))
+        return self._each(laws.KINETIC_ENERGY, q=self._q(q), v=self._v("v", v))
 
     def potential_energy(self, q: ArrayLike) -> Array:
         """Return the energy in the field of gravity, shape (...) [J]; zero where all is on the ground."""
-        return self._each(_POTENTIAL_ENERGY, q=self._q(q))
+        return self._each(laws.POTENTIAL_ENERGY, q=self._q(q))
 
     def gravity(self, q: ArrayLike) -> Array:
         """Return g(q), shape (..., nv) [N, N, N m]: what holds the robot at rest; none of it for the base."""
-        return self._each(_GRAVITY, q=self._q(q))
+        return self._each(laws.GRAVITY, q=self._q(q))
 
     def regressor(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return Y(q, v, a), shape (..., nv, 10 bodies): tau = Y `inertial_parameters`, rotors left out."""
-        return self._each(_REGRESSOR, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
+        return self._each(laws.REGRESSOR, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
 
     def forward_dynamics_derivatives(
         self, q: ArrayLike, v: ArrayLike, tau: ArrayLike
@@ -684,7 +613,7 @@ class System:
         The first is by the displacement that `integrate` takes.
         """
         arguments = {"q": self._here(q), "v": self._v("v", v), "tau": self._v("tau", tau)}
-        stacked = self._each(_DERIVATIVES, **arguments)
+        stacked = self._each(laws.DERIVATIVES, **arguments)
         return stacked[..., 0, :, :], stacked[..., 1, :, :], stacked[..., 2, :, :]
 
     def linearize(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Linearization:
@@ -698,7 +627,7 @@ class System:
         B = np.zeros((*by_q.shape[:-2], 2 * self.nv, self.nv))
         A[..., : self.nv, self.nv :] = np.eye(self.nv)
         if self.nq != self.nv:
-            A[..., : self.nv, : self.nv] = self._each(_TURNING, q=self._q(q), v=self._v("v", v))
+            A[..., : self.nv, : self.nv] = self._each(laws.TURNING, q=self._q(q), v=self._v("v", v))
         A[..., self.nv :, : self.nv], A[..., self.nv :, self.nv :] = by_q, by_v
         B[..., self.nv :, :] = by_tau
         return Linearization(A, B)
@@ -714,7 +643,7 @@ class System:
         Along the axes of the body's frame B, with the moment about its origin, which lies on the ground: the
         rate of the momentum of all bodies, less gravity. Whatever else acts from outside is in it.
         """
-        return self._each(_GROUND_WRENCH, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
+        return self._each(laws.GROUND_WRENCH, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
 
     def mount_wrench(self, q: ArrayLike, v: ArrayLike, a: ArrayLike, mount: str | None = None) -> Array:
         """Return what an arm, with the loads on it, exerts on the body at its mount, shape (..., 6).
@@ -740,19 +669,7 @@ class System:
             If nothing is mounted by that name.
         """
         arm = self._mount(mount)
-        roots = [joint for joint in _joints(arm) if self._model.parents[joint] == BODY_JOINT]
-        fixed = self._fixed(arm)
-        to_mount = pin.SE3(np.eye(3), np.array(arm.at[:3])).inverse()
-
-        def wrench(model: pin.Model, data: pin.Data, q: Array, v: Array, a: Array) -> Array:
-            pin.rnea(model, data, q, v, a)
-            twist = data.v[BODY_JOINT]
-            held = fixed * data.a_gf[BODY_JOINT] + twist.cross(fixed * twist)
-            for joint in roots:
-                held += data.liMi[joint].act(data.f[joint])
-            return 0.0 - np.asarray(to_mount.act(held).vector)
-
-        law = Law(wrench, "mount_wrench", (arm.name,))
+        law = laws.mount_wrench(arm, self._model, self._fixed(arm))
         return self._each(law, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
 
     def _mount(self, name: str | None) -> Mount:
@@ -770,73 +687,3 @@ class System:
             if frame.parentJoint == BODY_JOINT and name.startswith(f"{mount.name}/"):
                 fixed += frame.placement.act(load.body)
         return fixed
-
-
-def _integrated(model: pin.Model, data: pin.Data, q: Array, dq: Array) -> Array:
-    return np.asarray(pin.integrate(model, q, dq))
-
-
-def _integrate_jacobian(model: pin.Model, data: pin.Data, q: Array, dq: Array) -> Array:
-    return np.asarray(pin.dIntegrate(model, q, dq, pin.ArgumentPosition.ARG1))
-
-
-def _difference(model: pin.Model, data: pin.Data, q0: Array, q1: Array) -> Array:
-    return np.asarray(pin.difference(model, q0, q1))
-
-
-_INTEGRATED = Law(_integrated, "integrate", order=Engine.reorder, turns=False)
-_INTEGRATE_JACOBIAN = Law(_integrate_jacobian, order=Engine.reorder_square)
-_DIFFERENCE = Law(_difference, "difference", order=Engine.reorder, turns=False)
-
-
-def _volume(frame: int, part: slice, model: pin.Model, data: pin.Data, q: Array) -> Any:
-    """Return sqrt(det J J') of some columns of a frame's Jacobian."""
-    J = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)[:, part]
-    # The product of the singular values: det squares what is small.
-    return np.linalg.svd(J, compute_uv=False).prod() if J.shape[1] >= len(J) else 0.0
-
-
-def _turning(model: pin.Model, data: pin.Data, q: Array, v: Array) -> Array:
-    """Return how a displacement from a configuration that moves with v changes by itself."""
-    ahead, behind = (pin.dIntegrate(model, q, h * v, pin.ARG0) for h in (_STEP, -_STEP))
-    return np.asarray((ahead - behind) / (2 * _STEP))
-
-
-def _kinetic_energy(model: pin.Model, data: pin.Data, q: Array, v: Array) -> Any:
-    # Pinocchio's own leaves out the motors of joints that turn about an axis of their own.
-    with np.errstate(over="ignore", invalid="ignore"):
-        return np.vdot(v, pin.crba(model, data, q) @ v) / 2
-
-
-def _derivatives(model: pin.Model, data: pin.Data, q: Array, v: Array, tau: Array) -> Array:
-    return np.stack(pin.computeABADerivatives(model, data, q, v, tau))
-
-
-def _of_bodies(engine: Engine, Y: Array) -> Array:
-    """Return a regressor in public order without the columns of what is not there: the virtual links."""
-    return Y[..., engine.order, 10 * (BODY_JOINT - 1) :]
-
-
-_MASS_MATRIX = Law(pin.crba, "mass_matrix", order=Engine.reorder_square)
-_NONLINEAR_EFFECTS = Law(pin.nonLinearEffects, "nonlinear_effects", order=Engine.reorder)
-_INVERSE_DYNAMICS = Law(pin.rnea, "inverse_dynamics", order=Engine.reorder)
-_FORWARD_DYNAMICS = Law(pin.aba, "forward_dynamics", order=Engine.reorder)
-_GRAVITY = Law(pin.computeGeneralizedGravity, "gravity", order=Engine.reorder)
-_KINETIC_ENERGY = Law(_kinetic_energy, "kinetic_energy")
-_POTENTIAL_ENERGY = Law(pin.computePotentialEnergy, "potential_energy")
-_REGRESSOR = Law(pin.computeJointTorqueRegressor, "regressor", order=_of_bodies)
-_CORIOLIS_MATRIX = Law(pin.computeCoriolisMatrix, order=Engine.reorder_square)
-_DERIVATIVES = Law(_derivatives, order=Engine.reorder_square)
-_TURNING = Law(_turning, order=Engine.reorder_square)
-
-
-def _ground_wrench(model: pin.Model, data: pin.Data, q: Array, v: Array, a: Array) -> Array:
-    pin.rnea(model, data, q, v, a)
-    return np.asarray(data.f[BODY_JOINT].vector)
-
-
-_GROUND_WRENCH = Law(_ground_wrench, "ground_wrench")
-
-
-def _joints(mount: Mount) -> range:
-    return range(mount.joints.start, mount.joints.stop)

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.robot.stance import WheelReading
-from pinmobile.robot.tree import children, joint_kind, parts_of, turns_freely
+from pinmobile.robot.geometry import WheelReading
+from pinmobile.robot.joints import Joint, children, turns_freely
 
 _TRAIL = 1e-3  # [m]: a wheel nearer to its swivel than that does not trail
 _VERTICAL = 0.995  # cosine of the angle by which a swivel may lean: files have angles such as 1.57
@@ -234,7 +234,8 @@ def _lump_of(model: pin.Model, data: pin.Data, base: pin.SE3, joint: int) -> Lum
 
 
 def _is_swivel(model: pin.Model, data: pin.Data, base: pin.SE3, joint: int) -> bool:
-    if model.nvs[joint] != 1 or "JointModelP" in joint_kind(model, joint):
+    own = Joint.of(model, joint)
+    if own.nv != 1 or own.slides:
         return False
     jacobian = pin.getJointJacobian(model, data, joint, pin.WORLD).reshape(6, -1)
     return bool(abs((base.rotation.T @ jacobian[3:, model.idx_vs[joint]])[2]) > _VERTICAL)
@@ -244,6 +245,6 @@ def _swivel(model: pin.Model, data: pin.Data, base: pin.SE3, joint: int) -> Swiv
     x, y, _ = _triple((base.inverse() * data.oMi[joint]).translation)
     limit = np.inf
     if not turns_freely(model, joint):
-        q, _ = parts_of(model, joint)
+        q = Joint.of(model, joint).q
         limit = min(abs(float(model.lowerPositionLimit[q][0])), abs(float(model.upperPositionLimit[q][0])))
     return Swivel(str(model.names[joint]), x, y, limit, _lump_of(model, data, base, joint))

@@ -15,8 +15,8 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
-from pinmobile.robot.dh_chain import BODY_JOINT, named_frames
-from pinmobile.robot.mounts import Load, Mount
+from pinmobile.robot.joints import BODY_JOINT
+from pinmobile.robot.mounts import Load, Mount, named_frames
 from pinmobile.robot.wellformed import urdf_tree
 
 _INDICES = re.compile(rb"<(?:p|v|vcount)(?=[\s/>])")

@@ -1,4 +1,4 @@
-"""What a URDF must have that its readers drop, refuse without a reason, or do not survive."""
+"""Checks of a URDF that its readers leave out: they drop what is wrong, do not say why, or crash."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from math import isfinite
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
+import pinocchio as pin
 
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
@@ -74,8 +74,8 @@ _MOST_FREEDOM = 200  # pin.Data grows with the cube, to 0.5 GB at 200
 _SHOWN = 5  # names in a message
 
 
-def urdf_text(argument: str, path: Path) -> tuple[str, Element]:
-    """Return a file's tree, checked, and the tree as text: what is checked is what Pinocchio is given.
+def urdf_model(argument: str, path: Path) -> tuple[pin.Model, Element]:
+    """Return the model of a file, and the file's tree, checked: what is checked is what Pinocchio is given.
 
     Raises
     ------
@@ -84,7 +84,10 @@ def urdf_text(argument: str, path: Path) -> tuple[str, Element]:
         file.
     """
     root = urdf_tree(argument, path)
-    return ElementTree.tostring(root, encoding="unicode"), root
+    try:
+        return pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode")), root
+    except (ValueError, RuntimeError) as error:
+        raise InvalidArgument(f"{path.name} is not a URDF that Pinocchio reads: {error}") from None
 
 
 def urdf_tree(argument: str, path: Path) -> Element:
@@ -93,7 +96,7 @@ def urdf_tree(argument: str, path: Path) -> Element:
     Raises
     ------
     InvalidArgument
-        As `urdf_text`.
+        As `urdf_model`, but for what Pinocchio refuses.
     """
     try:
         with path.open("rb") as file:
@@ -124,7 +127,7 @@ class _Bounded(ElementTree.TreeBuilder):
         super().__init__()
         self._name, self._depth, self._count = name, 0, 0
 
-    def start(self, tag: Any, attributes: Any) -> Element:
+    def start(self, tag: str, attributes: dict[str, str]) -> Element:
         self._depth += 1
         self._count += 1
         if self._depth > _MOST_NESTED:
@@ -144,11 +147,11 @@ class _Bounded(ElementTree.TreeBuilder):
                 )
         return super().start(tag, attributes)
 
-    def end(self, tag: Any) -> Element:
+    def end(self, tag: str) -> Element:
         self._depth -= 1
         return super().end(tag)
 
-    def doctype(self, *_: Any) -> None:
+    def doctype(self, *_: object) -> None:
         # It can make a page of text of each letter, and Pinocchio's parser reads it otherwise.
         raise InvalidArgument(f"{self._name} declares a document type, which no URDF needs: take it out")
 

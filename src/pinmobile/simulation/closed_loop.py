@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from enum import Enum
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, positive, whole
+from pinmobile.compiled import Parts, memory_of
 from pinmobile.controllers import Controller
 from pinmobile.errors import Diverged, InvalidArgument, shown
 from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator
+from pinmobile.measures import is_near
 from pinmobile.plant import Context, Plant, all_samples, coordinates_of, whole_configurations
-from pinmobile.simulation.loop import Loop
+from pinmobile.simulation.loop import CompiledLoop, Loop
 from pinmobile.simulation.rollout import Rollout
 from pinmobile.simulation.setup import (
     check_answers,
@@ -74,6 +76,8 @@ def checked_engine(engine: object, *known: Engine) -> Engine | None:
         )
     raise InvalidArgument(f"engine is {shown(engine)}, expected {', '.join(names)} of pinmobile, or None")
 
+
+_Ran: TypeAlias = Loop | CompiledLoop
 
 _CHUNK = 512  # samples between two looks for divergence
 _NOT_ASKED = f"not {COMPILED!r}, which runs what can be compiled where engine={COMPILED!r} asks for it"
@@ -160,12 +164,10 @@ def simulate(
     asked = checked_engine(engine, PINOCCHIO, COMPILED)
     chosen = asked or PINOCCHIO
     made = {"engine": repr(chosen), "why": _NOT_ASKED if asked is None else ""}
-    kind: Any = Loop
+    kind: Callable[..., _Ran] = Loop
     memory: dict[Any, Any] = {}  # of this call alone, where nothing is remembered
     if chosen is COMPILED:
-        from pinmobile.simulation.single import CompiledLoop, remembered  # and with them, what compiles
-
-        memory = remembered(plant, controller, integrator, count, checked, trajectory)
+        memory = memory_of(Parts(plant, controller, checked, integrator, None, count), trajectory)
         kind = partial(CompiledLoop, memory=memory)
     reference = sampled(trajectory, t, plant, memory if chosen is COMPILED else None)
     start = _start(plant, reference, q0, v0)
@@ -195,7 +197,7 @@ def simulate(
 
 
 def _start(
-    plant: Any, reference: Reference, q0: ArrayLike | None, v0: ArrayLike | None
+    plant: Plant, reference: Reference, q0: ArrayLike | None, v0: ArrayLike | None
 ) -> tuple[Array, Array]:
     """Return the state to start with: as given, or on the reference as the plant completes it."""
     first = Reference(*(part[0] for part in reference))
@@ -228,14 +230,14 @@ def _start(
     return q, v
 
 
-def errors_of(plant: Any, q: Array, reference: Reference) -> Array:
+def errors_of(plant: Plant, q: Array, reference: Reference) -> Array:
     """Return the errors of samples, shape (N, n): from q to the reference's n coordinates."""
     whole = whole_configurations(plant, q, reference.q)
     return all_samples(plant, "difference", q, whole)[:, : reference.v.shape[1]]
 
 
 def _first_bad(
-    plant: Plant, loop: Any, reference: Reference, begin: int, end: int, limit: float
+    plant: Plant, loop: _Ran, reference: Reference, begin: int, end: int, limit: float
 ) -> tuple[int | None, str]:
     """Return the first sample that is not acceptable, or None, and why."""
     samples = loop.samples(begin, end)
@@ -246,9 +248,9 @@ def _first_bad(
         window = Reference(*(part[begin : begin + good] for part in reference))
         n = window.v.shape[1]
         errors = np.hstack([errors_of(plant, q, window), window.v - v[:, :n]])
-        beyond = np.abs(errors) > limit
-        if beyond.any():
-            k, column = map(int, np.argwhere(beyond)[0])
+        near = is_near(errors[..., None], limit)  # of each error alone
+        if not near.all():
+            k, column = map(int, np.argwhere(~near)[0])
             named = coordinates_of(plant)[column % n].name
             what = f"the error in {'the rate of ' if column >= n else ''}{named}"
             return begin + k, f"{what} is {errors[k, column]:.4g}, beyond the limit {limit:g}"
@@ -259,7 +261,7 @@ def _first_bad(
     return None, ""
 
 
-def _too_stiff(plant: Any, forces: Sequence[Any], q: Array, h: float) -> str:
+def _too_stiff(plant: Any, forces: Sequence[Force | CoordinateForce], q: Array, h: float) -> str:
     """Return what frictions ask of the step, where that is not met: such a loop shakes itself to pieces.
 
     With the damping C of all coordinates, explicit steps are stable up to 2 / max eig(M^-1 C), or some more.
@@ -291,10 +293,9 @@ def _too_stiff(plant: Any, forces: Sequence[Any], q: Array, h: float) -> str:
 
 
 def _rollout(
-    plant: Plant, t: Array, loop: Any, reference: Reference, end: int, made: dict[str, str]
+    plant: Plant, t: Array, loop: _Ran, reference: Reference, end: int, made: dict[str, str]
 ) -> Rollout:
     q, v, a, u = loop.samples(0, end)
     kept = Reference(*(part[:end] for part in reference))
     error = errors_of(plant, q, kept)
-    records: dict[str, Any] = {"t": t[:end], "q": q, "v": v, "a": a, "u": u, "error": error}
-    return Rollout(plant=plant, reference=kept, signals=loop.signals(end), **records | made)
+    return Rollout(plant, t[:end], q, v, a, u, error, kept, loop.signals(end), **made)

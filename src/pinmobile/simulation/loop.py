@@ -1,24 +1,26 @@
-"""The inner loop: one row of numbers per sample, few NumPy calls per step.
+"""The inner loop of one robot, in Python or compiled: one row of numbers per sample.
 
-It asks the plant alone, for what it has. Of a plant that offers unchecked calls and simply adds
-displacements, feedback and step of the library's own are one matrix product each.
+In Python it makes few NumPy calls per step. It asks the plant alone, for what it has. Of a plant that offers
+unchecked calls and simply adds displacements, feedback and step of the library's own are one matrix product
+each.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
-from math import isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from pinmobile.arrays import LEAST_ANGLE, Array, are_real, wrap_angle
+from pinmobile.compiled import Parts, Program, Reference as Rows, Trace, once, program_of, robot_keys
 from pinmobile.controllers import Compact, Controller
-from pinmobile.errors import InvalidArgument, NotFinite, shown
+from pinmobile.errors import InvalidArgument, NotFinite, NotTraceable, shown
 from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator, RungeKuttaNystrom
-from pinmobile.plant import Context
+from pinmobile.measures import is_alive
+from pinmobile.plant import Context, Input, Plant
 from pinmobile.signals import Recorder, Signal, recorder
 from pinmobile.simulation.setup import check_same, shorter
 from pinmobile.simulation.substeps import (
@@ -50,7 +52,7 @@ class Loop:
 
     def __init__(
         self,
-        plant: Any,
+        plant: Plant,
         controller: Controller,
         integrator: Integrator | None,
         context: Context,
@@ -80,7 +82,7 @@ class Loop:
         self.control, tell = self._controlled(plant, controller, context, integrator)
         if hasattr(plant, "step"):
             first = plant.initial_state(context) if hasattr(plant, "initial_state") else None
-            self.own, memory = own_steps(plant, push, clock, first)
+            self.own, memory = own_steps(plant.step, push, clock, first)
         elif tabled:
             self.advance = tabled_steps(integrator, self.dynamics, clock, self.nv)  # type: ignore[arg-type]
         elif self.adds:
@@ -90,7 +92,7 @@ class Loop:
         self.recorder: Recorder | None = recorder(plant, forces, push, memory, tell, self.times)
 
     def _controlled(
-        self, plant: Any, controller: Any, context: Context, integrator: Any
+        self, plant: Plant, controller: Controller, context: Context, integrator: Integrator | None
     ) -> tuple[Control, Callable[[], Mapping[str, Any]] | None]:
         """Return what gives the input at each sample, and what tells the controller's signals."""
         limits = _limits(context.inputs)
@@ -98,8 +100,9 @@ class Loop:
         # A controller that wants to tell or to be told something more is asked.
         heard = hasattr(controller, "signals") or hasattr(controller, "applied")
         # A subclass that has another law has another compact form too, or none.
-        own: Any = next((vars(each) for each in type(controller).__mro__ if "__call__" in vars(each)), {})
-        if limits is None and tabled and not heard and "compact" in own:
+        own = next((each for each in type(controller).__mro__ if "__call__" in vars(each)), object)
+        simple = limits is None and tabled and not heard and "compact" in vars(own)
+        if simple and hasattr(controller, "compact"):
             compact = controller.compact(plant)
             if compact is not None:
                 return _feedback(compact, self.desired, context.reference.a), None
@@ -173,10 +176,89 @@ class Loop:
         """Tell whether the samples are finite and near the reference; if in doubt, False."""
         if not (self.adds and self.whole):
             return False
-        rows = self.rows[begin:end]
-        n = self.nq + self.nv
-        near = bool(np.abs(self.desired[begin:end] - rows[:, :n]).max() <= limit)  # on the circle it is less
-        return near and isfinite(rows[:, n:].sum() + self.inputs[begin:end].sum())
+        rows, n = self.rows[begin:end], self.nq + self.nv
+        errors = self.desired[begin:end] - rows[:, :n]  # on the circle they are less
+        return bool(is_alive(errors, limit, self.inputs[begin:end], rows[:, n:]).all())
+
+
+class CompiledLoop:
+    """Records of a compiled loop, as those of `Loop`; it has run when it is made.
+
+    Parameters
+    ----------
+    plant, controller, integrator, substeps, forces, context, q0, v0
+        As in `Loop`.
+    memory : dict
+        What `memory_of` returned of the parts.
+
+    Raises
+    ------
+    InvalidArgument
+        If a law cannot be compiled; its line, and what to write instead.
+    """
+
+    stopped = None
+
+    def __init__(
+        self,
+        plant: Plant,
+        controller: Controller,
+        integrator: Integrator | None,
+        context: Context,
+        substeps: int,
+        forces: tuple[Force | CoordinateForce, ...],
+        *,
+        q0: Array,
+        v0: Array,
+        memory: dict[Any, Any],
+    ) -> None:
+        parts = Parts(plant, controller, forces, integrator, Trace(), substeps).varying(())
+        reference = Rows(*context.reference)
+        self._desired = np.hstack([reference.q, reference.v])
+        whole = reference.q.shape[1] == plant.nq and reference.v.shape[1] == plant.nv
+        self._adds = whole and getattr(plant, "adds", False)
+        first = Rows(*(part[0] for part in reference))
+
+        def known() -> Program:
+            return program_of(parts, context, (q0, v0), first, dt=context.dt, single=True)
+
+        try:
+            _check_telling(parts)
+            program = once(memory, ("single", substeps, context.dt, len(context.t), context.t[-1]), known)
+        except NotTraceable as error:
+            raise InvalidArgument(f"engine is COMPILED, which cannot run this: {error.reason}") from error
+        member = range(context.member, context.member + 1)
+        keys = {name: robot_keys(context.seed, name, member) for name in program.loop.keys}
+        start = q0[None], v0[None]
+        run = program.run(
+            parts, context, start, context.t, reference, dt=context.dt, keys=keys, memory=memory
+        )
+        self._kept = [run.kept[name][0] for name in ("q", "v", "a", "u")]
+        units = program.loop.units
+        self._signals = {name: Signal(unit, run.kept[f"signal {name}"][0]) for name, unit in units.items()}
+
+    def run(self, begin: int, end: int) -> None:
+        """Do nothing: all samples are there."""
+
+    def is_fine(self, begin: int, end: int, limit: float) -> bool:
+        """Tell whether the samples are finite and near the reference; if in doubt, False."""
+        if not self._adds:
+            return False
+        q, v, a, u = self.samples(begin, end)
+        errors = self._desired[begin:end] - np.hstack([q, v])  # on the circle they are less
+        return bool(is_alive(errors, limit, u, a).all())
+
+    def check_again(self) -> None:
+        """Do nothing: compiled laws have no memory but their state."""
+
+    def samples(self, begin: int, end: int) -> tuple[Array, Array, Array, Array]:
+        """Return q, v, a and u of the samples, one row each."""
+        q, v, a, u = (part[begin:end] for part in self._kept)
+        return q, v, a, u
+
+    def signals(self, end: int) -> dict[str, Signal]:
+        """Return what parts told beside states and inputs at the samples before `end`, by name."""
+        return {name: Signal(unit, values[:end]) for name, (unit, values) in self._signals.items()}
 
 
 class Asked(NamedTuple):
@@ -195,7 +277,7 @@ def _looked_at(last: int) -> set[int]:
     return {min(1, last), last // 2, last}
 
 
-def _limits(inputs: Any) -> tuple[Array, Array] | None:
+def _limits(inputs: Sequence[Input]) -> tuple[Array, Array] | None:
     """Return the least and the largest input, shape (nu,); None where nothing has a limit."""
     sides = [
         np.array(
@@ -208,11 +290,11 @@ def _limits(inputs: Any) -> tuple[Array, Array] | None:
 
 
 def _asked(
-    controller: Any,
+    controller: Controller,
     context: Context,
     limits: tuple[Array, Array] | None,
     asked: list[Asked],
-    own_parts: Mapping[int, Any],
+    own_parts: Mapping[int, object],
 ) -> tuple[Control, Callable[[], Mapping[str, Any]] | None]:
     """Return the input of any controller, which gets copies that are its own, and what tells its signals.
 
@@ -224,7 +306,7 @@ def _asked(
     references = (Reference(*(part.copy() for part in row)) for row in zip(*context.reference, strict=True))
     shape, looked_at = (len(context.inputs),), _looked_at(len(times) - 1)
 
-    def again(k: int, state: Any) -> Callable[[Array, Array], Any] | None:
+    def again(k: int, state: object) -> Callable[[Array, Array], Any] | None:
         try:
             kept = deepcopy(state, dict(own_parts))
         except Exception:  # whatever an object says that cannot be copied: it is not asked again
@@ -258,7 +340,7 @@ def _asked(
             u = np.clip(u, *limits)
         if tell is not None:
             state = tell(u.copy(), state)
-        return u  # type: ignore[no-any-return]
+        return u
 
     return control, (lambda: controller.signals(state)) if hasattr(controller, "signals") else None
 
@@ -280,6 +362,22 @@ def _feedback(compact: Compact, desired: Array, accelerations: Array) -> Control
         if inverse is None:
             return command
         add(command, accelerations[k], command)
-        return inverse(q, v, command)  # type: ignore[no-any-return]
+        return inverse(q, v, command)
 
     return control
+
+
+def _check_telling(parts: Parts) -> None:
+    """Refuse parts whose signals are not those of what is run in their place.
+
+    Raises
+    ------
+    NotTraceable
+        If there is one.
+    """
+    for (path, given), (_, own) in zip(parts.by_path(), parts.on_symbols().by_path(), strict=True):
+        if hasattr(given, "signals") and not hasattr(own, "signals"):
+            raise NotTraceable(
+                f"{path}, a {type(given).__name__}, has signals, and what its traced() returns has none",
+                "give that the same signals",
+            )

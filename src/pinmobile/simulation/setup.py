@@ -1,23 +1,24 @@
-"""What `simulate` refuses before it starts, and the times and references of its samples."""
+"""What `simulate` checks before it starts, and the times and references of its samples."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from pinmobile.arrays import Array, affordable, answered, callable_as, frozen, positive, vector, whole
-from pinmobile.controllers import check_controller, check_memory
+from pinmobile.controllers import Controller, check_controller, check_memory
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.forces import CoordinateForce, Force
-from pinmobile.integrators import check_integrator, constant_acceleration
-from pinmobile.plant import Context, check_plant, leading_of
+from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
+from pinmobile.plant import Context, Plant, check_plant, leading_of
 from pinmobile.simulation.substeps import stepped
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
-if TYPE_CHECKING:
-    from pinmobile.plant import Plant
-
+_Forces: TypeAlias = Sequence[Force | CoordinateForce]
+_Ask: TypeAlias = Callable[[Array, Array], object]
 
 _WHOLE = 1e-9  # relative rounding allowed in duration / dt
 _COORDINATES = 3  # of a plant that is not yet looked at
@@ -29,8 +30,8 @@ _SAME = 1e-9  # to which two answers to the same arguments agree
 _RECORDED = 16  # numbers for each coordinate of a sample: of the loop, the reference and the rollout
 
 
-def checked_loop(plant: Any, controller: Any, trajectory: Any, integrator: Any) -> None:
-    """Refuse what is no plant, controller, trajectory or integrator; None is the plant's own choice.
+def checked_loop(plant: object, controller: object, trajectory: object, integrator: object) -> None:
+    """Check a plant, a controller, a trajectory and an integrator; None is the plant's own choice.
 
     Raises
     ------
@@ -51,7 +52,7 @@ def checked_loop(plant: Any, controller: Any, trajectory: Any, integrator: Any) 
         check_integrator(integrator)
 
 
-def chosen_integrator(plant: Any, integrator: Any) -> Any:
+def chosen_integrator(plant: Plant, integrator: Integrator | None) -> Integrator | None:
     """Return the integrator that is given, or the plant's own choice; None for a step of its own.
 
     Raises
@@ -71,7 +72,7 @@ def chosen_integrator(plant: Any, integrator: Any) -> Any:
     return None
 
 
-def checked_substeps(substeps: Any, samples: int) -> int:
+def checked_substeps(substeps: int, samples: int) -> int:
     """Return the steps of the integrator per sample.
 
     Raises
@@ -201,7 +202,7 @@ def started(plant: Any, reference: Reference) -> tuple[Any, Any]:
     return answer
 
 
-def checked_forces(forces: Any, plant: Plant) -> tuple[Force | CoordinateForce, ...]:
+def checked_forces(forces: _Forces, plant: Plant) -> tuple[Force | CoordinateForce, ...]:
     """Check that these are forces, and that the plant can feel them; return them.
 
     Raises
@@ -240,11 +241,13 @@ def checked_forces(forces: Any, plant: Plant) -> tuple[Force | CoordinateForce, 
     return listed
 
 
-def check_answers(plant: Any, forces: Any, integrator: Any, q: Array, v: Array, h: float) -> None:
-    """Refuse a plant whose answers have other sizes than it says, and parts whose answers do not repeat.
+def check_answers(
+    plant: Plant, forces: _Forces, integrator: Integrator | None, q: Array, v: Array, h: float
+) -> None:
+    """Check that a plant's answers have the sizes that it states, and that parts repeat their answers.
 
-    Such a part keeps something in itself or in a closure, or draws numbers of its own: then no two runs are
-    alike. Controllers, which have memory, are asked by `check_memory`.
+    A part that does not keeps something in itself or in a closure, or draws random numbers of its own: then
+    no two runs are alike. Controllers, which have memory, are checked by `check_memory`.
 
     Parameters
     ----------
@@ -258,32 +261,23 @@ def check_answers(plant: Any, forces: Any, integrator: Any, q: Array, v: Array, 
     Raises
     ------
     InvalidArgument
-        If one is such.
+        If a size differs, or an answer does not repeat.
     """
     with np.errstate(all="ignore"):
         _check_sizes(plant, q, v)
         states = [(x.copy(), w.copy()) for x, w in ((q, v), (plant.integrate(q, 0.01 + 0 * v), v + 0.01))]
-        body = callable(getattr(plant, "pose", None)) and callable(getattr(plant, "rate", None))
+        pose, rate = getattr(plant, "pose", None), getattr(plant, "rate", None)
         for k, force in enumerate(forces):
+            ask: _Ask
             if hasattr(force, "on_coordinates"):
-                on_coordinates = force.on_coordinates
-                shape = f"an array of shape ({plant.nv},) of real numbers"
-                _check_repeated(
-                    f"forces[{k}]",
-                    force,
-                    lambda x, w: on_coordinates(0.0, x, w),  # noqa: B023
-                    states,
-                    shape,
-                )
-            elif body:
-                _check_repeated(
-                    f"forces[{k}]",
-                    force,
-                    lambda x, w: force(0.0, plant.pose(x), plant.rate(x, w)),  # noqa: B023
-                    states,
-                    "an array of shape (3,) of real numbers",
-                )
-        if hasattr(plant, "step"):
+                ask, size = partial(force.on_coordinates, 0.0), plant.nv
+            elif callable(pose) and callable(rate):
+                ask, size = (lambda x, w: force(0.0, pose(x), rate(x, w))), 3  # noqa: B023
+            else:
+                continue
+            expected = f"an array of shape ({size},) of real numbers"
+            _check_repeated(f"forces[{k}]", force, ask, states, expected)
+        if hasattr(plant, "step") or integrator is None:
             return
         u = np.zeros(plant.nu)
         _check_repeated("plant", plant, lambda x, w: plant.forward_dynamics(x, w, u.copy()), states)
@@ -296,7 +290,7 @@ def check_answers(plant: Any, forces: Any, integrator: Any, q: Array, v: Array, 
         )
 
 
-def _check_sizes(plant: Any, q: Array, v: Array) -> None:
+def _check_sizes(plant: Plant, q: Array, v: Array) -> None:
     nq, nv, u, wrench = plant.nq, plant.nv, np.zeros(plant.nu), np.zeros(3)
     sizes = f"plant is a {type(plant).__name__} with nq = {nq}, nv = {nv} and nu = {plant.nu}"
     for name, value, size in (("q", q, nq), ("v", v, nv)):
@@ -328,8 +322,10 @@ def _check_sizes(plant: Any, q: Array, v: Array) -> None:
             answered(f"{sizes}, whose {name}({arguments})", answer)
 
 
-def _check_repeated(path: str, part: Any, ask: Any, states: Any, expected: str = "real numbers") -> None:
-    """Refuse a part that answers otherwise when it is asked again, after it was asked something else."""
+def _check_repeated(
+    path: str, part: object, ask: _Ask, states: Sequence[tuple[Array, Array]], expected: str = "real numbers"
+) -> None:
+    """Check that a part gives the same answer when it is asked again, after it was asked something else."""
     first, _, again = (ask(x.copy(), w.copy()) for x, w in (*states, states[0]))
     one, other = (answered(path, answer, expected) for answer in (first, again))
     if not _are_same(one, other):
@@ -340,13 +336,13 @@ def _check_repeated(path: str, part: Any, ask: Any, states: Any, expected: str =
         )
 
 
-def check_controllers_memory(controller: Any, context: Context, q: Array, v: Array) -> None:
-    """Refuse a controller whose answer to the same arguments is another when it is asked again.
+def check_controllers_memory(controller: Controller, context: Context, q: Array, v: Array) -> None:
+    """Check that a controller gives the same answer when it is asked again with the same arguments.
 
     Raises
     ------
     InvalidArgument
-        If it is such; see `pinmobile.controllers.controller.check_memory`.
+        If it does not; see `pinmobile.controllers.controller.check_memory`.
     """
     try:
         check_memory(controller, context, q, v)
@@ -354,8 +350,8 @@ def check_controllers_memory(controller: Any, context: Context, q: Array, v: Arr
         raise shorter(context, error) from error.__cause__
 
 
-def check_same(part: str, t: float, first: Array, again: Any) -> None:
-    """Refuse a part that answered otherwise when it was asked again after a run.
+def check_same(part: str, t: float, first: Array, again: Array) -> None:
+    """Check that a part gave the same answer when it was asked again after a run.
 
     Parameters
     ----------
@@ -379,7 +375,7 @@ def check_same(part: str, t: float, first: Array, again: Any) -> None:
         )
 
 
-def _are_same(one: Any, other: Any) -> bool:
+def _are_same(one: Array, other: Array) -> bool:
     """Tell whether two answers to the same arguments agree."""
     return np.shape(one) == np.shape(other) and np.allclose(
         one, other, rtol=_SAME, atol=_SAME, equal_nan=True

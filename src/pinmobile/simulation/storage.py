@@ -137,7 +137,7 @@ def _read(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
     return named, described
 
 
-def _unkept(plant: Any) -> str:
+def _unkept(plant: object) -> str:
     """Return why an archive does not keep a robot; nothing where it does, or it is another plant."""
     if isinstance(plant, MobileRobot) and not _is_known(plant):
         return "it had an arm of a pin.Model, which an archive cannot keep"

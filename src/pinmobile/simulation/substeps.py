@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from math import isfinite
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, NoReturn, TypeAlias
 
 import numpy as np
 
 from pinmobile.arrays import Array, are_real
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.integrators import Integrator, RungeKuttaNystrom
-from pinmobile.plant import Plant
+from pinmobile.forces import CoordinateForce, Force
+from pinmobile.integrators import Acceleration, Integrator, RungeKuttaNystrom
+from pinmobile.plant import Plant, Step
 
 _WRENCH = (3,)
 _STRAIGHT = 1e-6  # where a Jacobian is the identity it is so exactly, and of a ball joint it is off by tenths
@@ -70,7 +71,7 @@ def dynamics_of(plant: Plant, push: _Push | None, *, kept: bool) -> Dynamics:
     return Dynamics(forward, None if push is None else forced)
 
 
-def pushed(forces: Sequence[Any], plant: Any) -> _Push | None:
+def pushed(forces: Sequence[Force | CoordinateForce], plant: Plant) -> _Push | None:
     """Return the generalised force of all forces, shape (nv,), None where none act; they get copies."""
     if not forces:
         return None
@@ -78,7 +79,7 @@ def pushed(forces: Sequence[Any], plant: Any) -> _Push | None:
     others = [(k, one.on_coordinates) for k, one in enumerate(forces) if hasattr(one, "on_coordinates")]
     size, zeros = (plant.nv,), np.zeros(plant.nv)
     unchecked = hasattr(plant, "calls")
-    calls = plant.calls() if unchecked else plant
+    calls = plant.calls() if hasattr(plant, "calls") else plant
     pose_of, rate_of, effort = (getattr(calls, name, None) for name in ("pose", "rate", "effort"))
 
     def push(t: float, q: Array, v: Array) -> Array:
@@ -102,14 +103,13 @@ def pushed(forces: Sequence[Any], plant: Any) -> _Push | None:
     return push
 
 
-def _answer(name: str, value: Any, t: float, shape: tuple[int, ...]) -> Array:
+def _answer(name: str, value: object, t: float, shape: tuple[int, ...]) -> Array:
     if type(value) is not np.ndarray or value.shape != shape or not are_real(value):
         _refuse(name, value, t, shape)
-    answer: Array = value
-    return answer
+    return value
 
 
-def _refuse(name: str, value: Any, t: float, shape: tuple[int, ...]) -> None:
+def _refuse(name: str, value: object, t: float, shape: tuple[int, ...]) -> NoReturn:
     raise InvalidArgument(
         f"{name} returned {shown(value)} at t = {t:g} s, expected an array of shape {shape}"
         f"{'' if are_real(value) else ' of real numbers'}"
@@ -161,7 +161,7 @@ def _state_matrix(
 
 
 def stepped(
-    integrator: Integrator, acceleration: Any, t: float, q: Array, v: Array, dt: float
+    integrator: Integrator, acceleration: Acceleration, t: float, q: Array, v: Array, dt: float
 ) -> tuple[Array, Array]:
     """Return what a step of any integrator leads to, shapes of q and v.
 
@@ -170,7 +170,7 @@ def stepped(
     InvalidArgument
         If the integrator returns something else.
     """
-    after: Any = integrator(acceleration, t, q, v, dt)
+    after = integrator(acceleration, t, q, v, dt)
     if (
         type(after) is not tuple
         or len(after) != 2
@@ -206,16 +206,20 @@ def steps(integrator: Integrator, dynamics: Dynamics, clock: Clock) -> _Advance:
     return advance
 
 
-def _turns(plant: Any) -> bool:
-    """Tell whether a displacement's rate differs from the velocity, by one that is like any other."""
-    if not hasattr(plant, "integrate_jacobian"):
-        return False
-    J = plant.integrate_jacobian(plant.neutral, np.linspace(0.3, 0.7, plant.nv))
-    return bool(np.abs(J - np.eye(plant.nv)).max() > _STRAIGHT)
+def _turning(plant: Plant) -> Callable[[Array, Array], Array] | None:
+    """Return the plant's `integrate_jacobian` where a displacement's rate differs from the velocity.
+
+    One displacement tells, which is like any other.
+    """
+    jacobian: Callable[[Array, Array], Array] | None = getattr(plant, "integrate_jacobian", None)
+    if jacobian is None or not hasattr(plant, "neutral"):
+        return None
+    J = jacobian(plant.neutral, np.linspace(0.3, 0.7, plant.nv))
+    return jacobian if np.abs(J - np.eye(plant.nv)).max() > _STRAIGHT else None
 
 
 def steps_between_configurations(
-    integrator: Integrator, plant: Any, dynamics: Dynamics, clock: Clock
+    integrator: Integrator, plant: Plant, dynamics: Dynamics, clock: Clock
 ) -> _Advance:
     """Return the steps of any integrator, which sees the displacement from the start of its step.
 
@@ -227,19 +231,18 @@ def steps_between_configurations(
     calls = getattr(plant, "calls", None)
     integrate = calls().integrate if calls is not None else plant.integrate
     project = getattr(plant, "project", None)
-    turning: Any = plant if isinstance(integrator, RungeKuttaNystrom) and _turns(plant) else None
+    jacobian = _turning(plant) if isinstance(integrator, RungeKuttaNystrom) else None
 
     def advance(k: int, row: Array, q: Array, v: Array, u: Array, a: Array, after: Array) -> None:
+        base, w = q.copy(), v.copy()  # the record is nobody's to write into
+
         def acceleration(time: float, displacement: Array, w: Array) -> Array:
             x = np.asarray(integrate(base.copy(), displacement))
             return free(x, w, u) if forced is None else forced(time, x, w, u)
 
-        def rate(displacement: Array, w: Array) -> Array:
-            J: Any = turning.integrate_jacobian(base, displacement)
-            return np.asarray(np.linalg.solve(J, w))
-
-        step: Any = partial(integrator, rate=rate) if turning is not None else integrator  # type: ignore[call-arg]
-        base, w = q.copy(), v.copy()  # the record is nobody's to write into
+        step = integrator
+        if jacobian is not None:
+            step = partial(integrator, rate=lambda d, w: np.linalg.solve(jacobian(base, d), w))  # type: ignore[call-arg]
         for j in range(substeps):
             displacement, w = stepped(step, acceleration, times[k] + j * h, rest.copy(), w, h)
             base = np.array(integrate(base, displacement))
@@ -252,9 +255,9 @@ def steps_between_configurations(
 
 
 def own_steps(
-    plant: Any, push: _Push | None, clock: Clock, memory: Any
+    step: Callable[..., Step], push: _Push | None, clock: Clock, memory: object
 ) -> tuple[_OwnStep, Callable[[], Any]]:
-    """Return the steps of a plant that has its own, and what tells the memory that it has.
+    """Return the steps of a plant that has its own ``step``, and what tells the memory that it has.
 
     The acceleration is the mean of the first substep's.
     """
@@ -266,7 +269,7 @@ def own_steps(
         for j in range(substeps):
             time = times[k] + j * h
             f = 0.0 if push is None else push(time, x, w)
-            found = plant.step(time, x.copy(), w.copy(), u.copy(), h, f, memory)
+            found = step(time, x.copy(), w.copy(), u.copy(), h, f, memory)
             x, w = _state(found, time, q.shape, v.shape)
             memory = found.memory
             if j == 0:
@@ -277,8 +280,8 @@ def own_steps(
     return advance, lambda: memory
 
 
-def _state(found: Any, t: float, *shapes: tuple[int, ...]) -> tuple[Array, Array]:
-    if not all(hasattr(found, name) for name in ("q", "v", "memory")):
+def _state(found: object, t: float, *shapes: tuple[int, ...]) -> tuple[Array, Array]:
+    if not (hasattr(found, "q") and hasattr(found, "v") and hasattr(found, "memory")):
         raise InvalidArgument(
             f"plant.step returned {shown(found)} at t = {t:g} s, expected a Step(q, v, memory)"
         )

@@ -1,24 +1,22 @@
 """What determines the numbers of a sweep, in a form that is the same in every process and told in words.
 
 Of numbers, arrays and parts of libraries that is what they are given; of a user's function its source text
-and all that it reads; of a user's object its class and its attributes. What has no such form needs a word of
-the user's, `sweep`'s ``version``.
+and all that it reads; of a user's object its class and its attributes. What has no such form needs a word
+from the user, `sweep`'s ``version``.
 """
 
 from __future__ import annotations
 
 import ast
 import json
-import linecache
-import os
 import re
 import sys
 from collections import namedtuple
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import MISSING, fields, is_dataclass
 from enum import Enum
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, partial
 from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version as installed
 from operator import attrgetter
@@ -26,29 +24,29 @@ from pathlib import Path
 from platform import machine
 from types import (
     BuiltinFunctionType,
-    CodeType,
     FunctionType,
     MappingProxyType,
     MethodType,
     ModuleType,
     SimpleNamespace,
 )
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pinmobile.ensembles import Scenario, way_of
 from pinmobile.errors import InvalidArgument
+from pinmobile.sweeps.code import hidden_in, is_library, node_of, read_by
 from pinmobile.sweeps.grids import Grid
-from pinmobile.sweeps.layout import FORMAT
+
+FORMAT = 3
+"""Of what a store says that determines its numbers."""
 
 # All that a scenario is made of; of these two the sampled reference and times are described instead.
 _PLAIN = tuple(
     each.name for each in fields(Scenario) if each.init and each.name not in ("trajectory", "duration")
 )
-_LIBRARIES = ("pinmobile", "numpy", "scipy", "pinocchio")  # their versions are told too
-_STANDARD = Path(os.__file__).parent
-_HIDING = frozenset({"__import__", "compile", "eval", "exec", "globals", "input", "open", "vars"})
 _SHOWN = 16  # numbers of an array that are told one by one
 
 _HOLD: Mapping[type, Callable[[Any], Mapping[str, Any]]] = {
@@ -140,7 +138,7 @@ def _described(scenario: Scenario, version: str | None) -> dict[str, Any]:
     return _flat(found)
 
 
-def _flat(tree: Any, prefix: str = "") -> dict[str, Any]:
+def _flat(tree: object, prefix: str = "") -> dict[str, Any]:
     """Return the leaves of a tree of mappings by their dotted names."""
     if not isinstance(tree, Mapping) or not tree:
         return {prefix: tree}
@@ -151,7 +149,7 @@ def _flat(tree: Any, prefix: str = "") -> dict[str, Any]:
     return found
 
 
-def _text(value: Any) -> str:
+def _text(value: object) -> str:
     """Return a value as JSON, which tells 1 from 1.0 and from true."""
     return json.dumps(value, sort_keys=True)
 
@@ -175,19 +173,19 @@ class _Forms:
         self.above: list[Any] = []  # the containers and objects that are under way
         self.code: dict[int, tuple[str, Any]] = {}  # functions and classes, held so that their ids stay
 
-    def of(self, where: str, value: Any) -> Any:
+    def of(self, where: str, value: object) -> Any:
         """Return the form of a value; `where` it is, errors tell.
 
         Raises
         ------
         InvalidArgument
             If it would not be the same the next time, or another value might have the same, and there is no
-            word of the user's for it.
+            word from the user for it.
         """
         kind = type(value)
         if value is None or kind in (bool, str, int):
             return value
-        if kind in (float, np.float64):
+        if isinstance(value, float) and kind in (float, np.float64):
             return float(value) if np.isfinite(value) else f"float {value}"
         if isinstance(value, np.ndarray):
             return self._array(where, value)
@@ -200,8 +198,9 @@ class _Forms:
             if id(value) in self.code:
                 return f"as {self.code[id(value)][0]}"
             self.code[id(value)] = where, value
-            form = self._function if isinstance(value, FunctionType) else self._class
-            return form(where, value)
+            if isinstance(value, FunctionType):
+                return self._function(where, value)
+            return self._class(where, value)
         for up, other in enumerate(reversed(self.above)):
             if value is other:
                 return f"itself, {up} above"
@@ -211,16 +210,16 @@ class _Forms:
         finally:
             self.above.pop()
 
-    def _holder(self, where: str, value: Any) -> Any:
+    def _holder(self, where: str, value: object) -> Any:
         """Return the form of what holds other values."""
         kind = type(value)
         if kind in _HOLD:
             return self._each(where, _HOLD[kind](value))
-        if kind is list:
+        if isinstance(value, list) and kind is list:
             items = [self.of(f"{where}[{k}]", item) for k, item in enumerate(value)]
             nested = any(isinstance(item, Mapping) for item in items)
             return {f"[{k}]": item for k, item in enumerate(items)} if nested else items
-        if kind is dict:
+        if isinstance(value, dict) and kind is dict:
             found = {"keys": self.of(f"the keys of {where}", list(value))}
             for k, (key, item) in enumerate(value.items()):
                 name = f"[{key!r}]" if type(key) in (str, int, float, bool) else f"[#{k}]"
@@ -235,7 +234,7 @@ class _Forms:
     def _each(self, where: str, values: Mapping[str, Any]) -> dict[str, Any]:
         return {name: self.of(f"{where}.{name}", value) for name, value in values.items()}
 
-    def _array(self, where: str, values: Any) -> str:
+    def _array(self, where: str, values: NDArray[np.generic]) -> str:
         """Return the form of an array: type, then its numbers, or shape and digest of many."""
         if type(values) is not np.ndarray or values.dtype.kind not in "biufcSUmM":
             return self._unknown(where, values)
@@ -245,20 +244,20 @@ class _Forms:
         data = np.ascontiguousarray(values).tobytes()
         return f"{kind} {values.shape} {sha256(data).hexdigest()[:32]}"
 
-    def _function(self, where: str, function: Any) -> Any:
+    def _function(self, where: str, function: FunctionType) -> Any:
         """Return the form of a user's function: its text, and what it reads of its surroundings."""
-        node = _node_of(function.__code__)
+        node = node_of(function.__code__)
         if isinstance(node, str):
             return self._unknown(where, function, node)
-        reads = {name: self.of(f"{where} ({name})", value) for name, value in _read_by(function, node)}
-        reads |= {reason: self._unknown(where, function, reason) for reason in _hidden_in(function, node)}
+        reads = {name: self.of(f"{where} ({name})", value) for name, value in read_by(function, node)}
+        reads |= {reason: self._unknown(where, function, reason) for reason in hidden_in(function, node)}
         return {"source": ast.unparse(node), **({"reads": reads} if reads else {})}
 
-    def _class(self, where: str, kind: Any) -> Any:
+    def _class(self, where: str, kind: type) -> Any:
         """Return the form of a user's class: its bases and members, of which a library makes some."""
         generated = _OF_NAMED_TUPLES if "_fields" in vars(kind) else frozenset[str]()
         told = {"its name": kind.__name__, "its bases": list(kind.__bases__), "its type": type(kind)}
-        if "__dataclass_fields__" in vars(kind):
+        if "__dataclass_fields__" in vars(kind) and is_dataclass(kind):
             told["its fields"] = {
                 one.name: [one.init, *(x for x in (one.default, one.default_factory) if x is not MISSING)]
                 for one in fields(kind)
@@ -271,7 +270,7 @@ class _Forms:
         }
         return self._each(where, told | members)
 
-    def _unknown(self, where: str, value: Any, reason: str = "") -> str:
+    def _unknown(self, where: str, value: object, reason: str = "") -> str:
         """Return the form of what has none: what it is, where the user has a word for it."""
         named = getattr(value, "__qualname__", None)
         what = named if isinstance(named, str) else f"a {type(value).__name__}"
@@ -285,41 +284,30 @@ class _Forms:
         )
 
 
-def known_name(value: Any) -> str | None:
+def known_name(value: object) -> str | None:
     """Return the dotted name under which a library has a module, a function or a class; None of all else.
 
     The name that something has is not believed, as of what `functools.wraps` dressed up: it is looked for.
     """
     if isinstance(value, ModuleType):
-        return value.__name__ if _is_library(value) else None
-    places: tuple[Any, ...] = (getattr(value, "__module__", None),)
-    name: Any = getattr(value, "__qualname__", None)
+        return value.__name__ if is_library(value) else None
+    places: tuple[object, ...] = (getattr(value, "__module__", None),)
+    name: object = getattr(value, "__qualname__", None)
     if isinstance(value, FunctionType):
         places, name = (value.__globals__.get("__name__"),), value.__code__.co_qualname
     elif isinstance(value, np.ufunc):
         places, name = ("numpy", "scipy.special"), value.__name__
-    for place in places if isinstance(name, str) else ():
-        module = sys.modules.get(place) if isinstance(place, str) else None
+    for place in places:
+        module = sys.modules.get(place) if isinstance(place, str) and isinstance(name, str) else None
         with suppress(AttributeError):
-            if module is not None and _is_library(module) and attrgetter(name)(module) is value:
+            if module is not None and is_library(module) and attrgetter(f"{name}")(module) is value:
                 return f"{place}.{name}"
     return None
 
 
-def _is_library(module: ModuleType) -> bool:
-    top = module.__name__.split(".")[0]
-    if top not in sys.stdlib_module_names:
-        return top in _LIBRARIES
-    origin = getattr(getattr(sys.modules.get(top), "__spec__", None), "origin", None)
-    # A user's file may have the name of a standard module.
-    return origin in ("built-in", "frozen") or (
-        origin is not None and _STANDARD in Path(origin).parents and "site-packages" not in origin
-    )
-
-
 def _stated_by(value: Any) -> dict[str, Any] | None:
     """Return what an object of a library's class is given; None where that is not all."""
-    kind: Any = type(value)
+    kind = type(value)
     if kind.__module__.startswith("scipy.stats.") and hasattr(value, "dist"):  # a frozen distribution
         name = str(value.dist.name)
         if type(getattr(sys.modules["scipy.stats"], name, None)) is type(value.dist):
@@ -334,9 +322,9 @@ def _stated_by(value: Any) -> dict[str, Any] | None:
     return {name: getattr(value, name) for name in names}
 
 
-def _copied(value: Any) -> dict[str, Any] | None:
+def _copied(value: object) -> dict[str, Any] | None:
     """Return what a copy of a user's object gets: all of it; None where it can have none, or says which."""
-    kind: Any = type(value)
+    kind = type(value)
     if kind.__reduce__ is not object.__reduce__ or kind.__getstate__ is not object.__getstate__:
         return None
     try:
@@ -352,111 +340,10 @@ def _copied(value: Any) -> dict[str, Any] | None:
     return told | {name: own[name] for name in sorted(own.keys() - remembered)}
 
 
-def _is_made_of_fields(name: str, member: Any) -> bool:
+def _is_made_of_fields(name: str, member: object) -> bool:
     """Tell whether it is a dataclass that makes a member."""
     code = getattr(member, "__code__", None)
     return name.startswith("__") and code is not None and code.co_filename == "<string>"
-
-
-_Function: TypeAlias = ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda
-
-
-def _node_of(code: CodeType) -> _Function | str:
-    """Return what the source of a function has where it is; in words why not, where there is no such."""
-    linecache.checkcache(code.co_filename)
-    text = "".join(linecache.getlines(code.co_filename))
-    nodes, codes = _parsed(code.co_filename, text)
-    if code not in codes:  # typed or made, or of a file that has changed since
-        return "it has no source" if not text else "its source is not what runs here"
-    places = [((at[0], at[2]), (at[1], at[3])) for at in code.co_positions() if None not in at]
-    spans = [place for place in places if place[0] < place[1]]  # Python 3.12 has none of a constant
-    found = [node for node in nodes if _is_at(node, code, spans)]
-    if not found or (len(found) > 1 and not spans):
-        return "its place is not told"
-    return max(
-        found, key=lambda node: (node.lineno, node.col_offset)
-    )  # of lambdas in each other the innermost
-
-
-def _is_at(node: _Function, code: CodeType, spans: Sequence[tuple[Any, Any]]) -> bool:
-    """Tell whether a function's code may be that of a node, given from where to where its steps stand."""
-    if not isinstance(node, ast.Lambda):
-        first = min(each.lineno for each in (node, *node.decorator_list))
-        return (first, node.name) == (code.co_firstlineno, code.co_name)
-    if not spans:
-        return node.lineno == code.co_firstlineno
-    body = node.body
-    begin, end = (body.lineno, body.col_offset), (body.end_lineno, body.end_col_offset)
-    return all(begin <= span[0] and span[1] <= end for span in spans)
-
-
-@lru_cache(64)
-def _parsed(file: str, text: str) -> tuple[list[_Function], frozenset[CodeType]]:
-    """Return the functions in the text of a module, and the code of all of them."""
-    try:
-        tree = ast.parse(text, file)
-        code = compile(text, file, "exec", ast.PyCF_ALLOW_TOP_LEVEL_AWAIT, dont_inherit=True)
-    except (SyntaxError, ValueError):
-        return [], frozenset()
-    return [node for node in ast.walk(tree) if isinstance(node, _Function)], frozenset(_codes(code))
-
-
-def _codes(code: CodeType) -> Iterator[CodeType]:
-    """Yield a code object, and those of all functions and classes inside it."""
-    yield code
-    for inner in code.co_consts:
-        if isinstance(inner, CodeType):
-            yield from _codes(inner)
-
-
-def _read_by(function: FunctionType, node: ast.AST) -> Iterator[tuple[str, Any]]:
-    """Yield name and value of what a function, with the functions inside it, reads of its surroundings."""
-    names = {name for code in _codes(function.__code__) for name in code.co_names}
-    space = {name: value for name, value in function.__globals__.items() if name in names}
-    cells = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
-    for name, cell in cells.items():
-        try:
-            space[name] = cell.cell_contents
-        except ValueError:
-            space[name] = "a cell that is empty"
-    # What no text has by its name: the class of super(), and what is private to a class.
-    hidden = {(name,) for name in space if name in cells or re.match("_[^_].*__", name)}
-    hidden -= {(name,) for name in space if isinstance(space[name], ModuleType)}
-    for name, *attributes in sorted(hidden | {chain for chain in _chains(node) if chain[0] in space}):
-        value = space[name]
-        for attribute in attributes:  # a user's module is not told as a whole
-            if not isinstance(value, ModuleType) or _is_library(value) or not hasattr(value, attribute):
-                break
-            value, name = getattr(value, attribute), f"{name}.{attribute}"
-        yield name, value
-    state = {"defaults": function.__defaults__, "kwdefaults": function.__kwdefaults__}
-    yield from ((name, value) for name, value in {**state, "attributes": vars(function)}.items() if value)
-
-
-def _hidden_in(function: FunctionType, node: ast.AST) -> Iterator[str]:
-    """Yield in words what in the text of a function may read what is not told."""
-    called = {chain[0] for chain in _chains(node)} & (_HIDING - function.__globals__.keys())
-    yield from (f"it calls {name}" for name in sorted(called))
-    for step in ast.walk(node):
-        imported = [each.name for each in step.names] if isinstance(step, ast.Import) else []
-        if isinstance(step, ast.ImportFrom):
-            imported = ["." * step.level + (step.module or "")]
-        for name in imported:
-            top = sys.modules.get(name.split(".")[0])  # there is none where it is beside the user's module
-            if top is None or not _is_library(top):
-                yield f"it imports {name} when it is called"
-
-
-def _chains(node: ast.AST) -> Iterator[tuple[str, ...]]:
-    """Yield the names in a text, each with the attributes that are asked of it."""
-    attributes: list[str] = []
-    while isinstance(node, ast.Attribute):
-        attributes.insert(0, node.attr)
-        node = node.value
-    if isinstance(node, ast.Name):
-        yield node.id, *attributes
-    for child in ast.iter_child_nodes(node):
-        yield from _chains(child)
 
 
 def differences(theirs: Mapping[str, Any], mine: Mapping[str, Any], most: int = 3) -> str:
@@ -499,13 +386,13 @@ def _rank(name: str) -> int:
     return 2 if name in ("format", "machine", "engine") or name.startswith("versions.") else 1
 
 
-def _is_digest(value: Any) -> bool:
+def _is_digest(value: object) -> bool:
     if isinstance(value, list):
         return any(map(_is_digest, value))
     return isinstance(value, str) and re.search(r"\) [0-9a-f]{32}$", value) is not None
 
 
-def _told(name: str, there: Any, here: Any) -> str:
+def _told(name: str, there: object, here: object) -> str:
     """Return a difference in words: an axis as its user called it, a long text from where it differs."""
     found = re.fullmatch(r"axes\.(.+)\.(values|unit)", name)
     if found:
@@ -513,9 +400,28 @@ def _told(name: str, there: Any, here: Any) -> str:
     texts = [value if isinstance(value, str) else json.dumps(value) for value in (there, here)]
     same = next((k for k, (one, other) in enumerate(zip(*texts, strict=False)) if one != other), 0)
     begin = max(0, same - 20)
-    there, here = (text if len(text) <= 60 else _cut(text, begin, begin + 57) for text in texts)
-    return f"{name} is {there} there and {here} here"
+    short = [text if len(text) <= 60 else _cut(text, begin, begin + 57) for text in texts]
+    return f"{name} is {short[0]} there and {short[1]} here"
 
 
 def _cut(text: str, begin: int, end: int) -> str:
     return f"{'...' if begin else ''}{text[begin:end]}{'...' if end < len(text) else ''}"
+
+
+def other_format(path: Path, there: Mapping[str, Any]) -> str:
+    """Return in words that a store is of a format that is not that of today; "" where it is.
+
+    Parameters
+    ----------
+    path : Path
+        Folder of the store.
+    there : mapping
+        What it says that determines its numbers.
+    """
+    if there["format"] == FORMAT:
+        return ""
+    return (
+        f"store is {str(path)!r}, which was made by pinmobile {there['versions']['pinmobile']} in format "
+        f"{there['format']}; this one has format {FORMAT}, and cannot tell whether the scenarios are the "
+        "same: start in a new folder"
+    )

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias, final
 import numpy as np
 
 from pinmobile import extras
-from pinmobile.arrays import finite, text
+from pinmobile.arrays import Array, finite, text
 from pinmobile.ensembles import PARAMETERS, Scenario
 from pinmobile.errors import InvalidArgument, UnknownName, shown
 
@@ -48,7 +48,7 @@ class Axis:
         If there are no values, two are the same, or they are neither all finite numbers nor all text.
     """
 
-    values: Sequence[Label] | Mapping[str, Any]
+    values: Sequence[Label] | Mapping[str, Any] | Array
     unit: str = ""
     given: tuple[Any, ...] = field(init=False, repr=False, compare=False)
 
@@ -70,7 +70,7 @@ class Axis:
     def __len__(self) -> int:
         return len(self.values)
 
-    def index(self, name: str, label: Any) -> int:
+    def index(self, name: str, label: object) -> int:
         """Return the place of a value.
 
         Raises
@@ -119,7 +119,19 @@ def place_of(axes: Mapping[str, Axis], labels: Mapping[str, Any]) -> tuple[int, 
     return tuple(found)
 
 
-def _labels(values: Any) -> tuple[Label, ...]:
+def axis_of_rivals(axes: Mapping[str, Axis]) -> str | None:
+    """Return the axis whose members are compared with each other: of more than one, each with a name.
+
+    That is the one whose values are controllers, else the one called ``controller``, else the last one.
+    """
+    named = [
+        name for name, axis in axes.items() if len(axis) > 1 and all(isinstance(x, str) for x in axis.values)
+    ]
+    controllers = [name for name in named if all(hasattr(x, "initial_state") for x in axes[name].given)]
+    return [*named, *(name for name in named if name == "controller"), *controllers][-1] if named else None
+
+
+def _labels(values: object) -> tuple[Label, ...]:
     scalar = isinstance(values, np.ndarray) and not values.ndim
     if scalar or isinstance(values, str | bytes) or not isinstance(values, Sequence | Mapping | np.ndarray):
         raise InvalidArgument(f"values is {shown(values)}, expected a sequence, or a mapping of labels")
@@ -139,6 +151,9 @@ def _labels(values: Any) -> tuple[Label, ...]:
         raise InvalidArgument(f"values is {shown(found)}, expected each one once")
     return tuple(found)
 
+
+Values: TypeAlias = Axis | Sequence[Label] | Mapping[str, Any] | Array
+"""What an axis of a grid may be given as."""
 
 RESERVED = frozenset(
     {
@@ -207,7 +222,11 @@ class Grid:
         return placed(self.axes, self.index(k))
 
 
-def grid(make: Callable[..., Scenario], /, **axes: Any) -> Grid:
+Scenarios: TypeAlias = Grid | Mapping[str, Scenario] | Sequence[Scenario] | Scenario
+"""What may be swept: a grid, scenarios by name, a row of them, or one."""
+
+
+def grid(make: Callable[..., Scenario], /, **axes: Values) -> Grid:
     """Return the scenarios for all combinations of values.
 
     Parameters
@@ -266,7 +285,7 @@ def _check_call(make: Callable[..., Scenario], chosen: Mapping[str, Any], place:
         ) from error
 
 
-def as_grid(scenarios: Any) -> Grid:
+def as_grid(scenarios: Scenarios) -> Grid:
     """Return the grid that an argument of `sweep` stands for.
 
     Raises
@@ -289,7 +308,7 @@ def as_grid(scenarios: Any) -> Grid:
     return Grid({"scenario": axis}, found)
 
 
-def _axis(name: str, values: Any) -> Axis:
+def _axis(name: str, values: Values) -> Axis:
     try:
         return values if isinstance(values, Axis) else Axis(values)
     except InvalidArgument as error:

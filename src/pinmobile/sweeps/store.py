@@ -16,32 +16,44 @@ import json
 import os
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack, suppress
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
-from pinmobile.ensembles import SUMMED, Ensemble, Part, drawn_name, per_robot, summed
-from pinmobile.errors import FileError, InvalidArgument
-from pinmobile.files import refusals, write
-from pinmobile.sweeps.fingerprint import differences
-from pinmobile.sweeps.grids import Grid, imported
-from pinmobile.sweeps.layout import (
-    METADATA,
-    attributes_of,
-    coordinates_of,
-    counts_of,
-    empty_store,
-    other_format,
+from pinmobile.compiled import BINS
+from pinmobile.ensembles import (
+    LEVELS,
+    NOTE,
+    PARAMETERS,
+    SUMMED,
+    Ensemble,
+    Part,
+    coordinates,
+    drawn,
+    drawn_name,
+    miscounted,
+    over_all,
+    per_robot,
+    summed,
 )
+from pinmobile.errors import FileError, InvalidArgument
+from pinmobile.files import arrays_of, refusals, write
+from pinmobile.plant import Parameter
+from pinmobile.sweeps.contents import METADATA, attributes_of, coordinates_of, digest_of
+from pinmobile.sweeps.fingerprint import differences, other_format
+from pinmobile.sweeps.grids import Grid, axis_of_rivals, imported
 
 GO_ON = "what is done is in the store: start the same sweep again to go on"
 """What to do when a disk is full, or a cluster lost."""
 
 _PROGRESS, _LOCK, _WRITING = ".progress", "lock", "writing"
 _MARK = b"pinmobile sweep: the process that writes this store has locked this file\n"
+_MOST = 4096  # bytes of an archive's member beside its numbers
 
 
 class Job(NamedTuple):
@@ -94,7 +106,7 @@ class Store:
 
     def _make(self, description: Mapping[str, Any], chunk: int) -> None:
         """Write the store without a number; the first file makes it one, and the others can be mended."""
-        files = empty_store(self.grid, description, chunk)
+        files = _empty_store(self.grid, description, chunk)
         inside = [entry.name for entry in self.path.iterdir()] if self.path.exists() else []
         if inside and not (inside == [_PROGRESS] and _is_ours(self.path / _PROGRESS)):
             attributes_of(self.path)  # which tells what it is not
@@ -135,7 +147,7 @@ class Store:
             self._lock = _locked(self.path)
         # Looked at once more, since another process may have written until now.
         gone = [place for place in places if not (self.path / place).exists()]
-        files = empty_store(self.grid, description, self.chunk) if gone else {}
+        files = _empty_store(self.grid, description, self.chunk) if gone else {}
         for place in gone:
             self._write(place, files[place])
         for name, node in there["nodes"].items():
@@ -181,7 +193,7 @@ class Store:
         self._write(self._marker(job), counts.getvalue())
 
     def finish(self) -> None:
-        """Write what is over all chunks of a scenario, and remove the traces of the way there.
+        """Write what is summed over all chunks of a scenario, and remove the files kept while working.
 
         Raises
         ------
@@ -192,7 +204,7 @@ class Store:
         """
         if self._lock is None:
             return
-        counts: dict[int, Any] = {}
+        counts: dict[int, NDArray[np.int32]] = {}
         for job in self.jobs():
             if job.scenario not in self._whole:
                 counts[job.scenario] = self._counts(job) + counts.get(job.scenario, 0)
@@ -203,13 +215,13 @@ class Store:
                 (self.path / self._marker(job)).unlink(missing_ok=True)
             self._forget()
 
-    def _counts(self, job: Job) -> Any:
+    def _counts(self, job: Job) -> NDArray[np.int32]:
         first, robots = self.grid.scenarios[0], job.stop - job.start
         shape = len(first.grid), len(first.channels)
-        return counts_of(self.path / self._marker(job), shape, robots=robots)
+        return _counts_of(self.path / self._marker(job), shape, robots=robots)
 
     def _forget(self) -> None:
-        """Remove the folder of the way there, unless somebody has put something into it."""
+        """Remove the folder ``.progress``, unless somebody has put something into it."""
         folder = self.path / _PROGRESS
         for name in (_WRITING, _LOCK):
             (folder / name).unlink(missing_ok=True)
@@ -229,7 +241,7 @@ class Store:
         for place in [place for place in self._gathered if place != METADATA]:
             self._write(place, self._gathered.pop(place).to_bytes())
 
-    def _sum_up(self, scenario: int, counts: Any) -> None:
+    def _sum_up(self, scenario: int, counts: NDArray[np.int32]) -> None:
         where = self.grid.index(scenario)
         for name, values in summed(counts, self.grid.scenarios[scenario].channels).items():
             self._arrays[name][where] = values
@@ -280,8 +292,8 @@ def _is_ours(folder: Path) -> bool:
     return not lock.exists() or _MARK.startswith(lock.read_bytes())
 
 
-def _check_node(file: Path, node: Any) -> None:
-    """Refuse metadata of an array that are not those of the store; other readers than ours may use them."""
+def _check_node(file: Path, node: object) -> None:
+    """Refuse metadata of an array that differ from the store's; other readers than ours may use them."""
     try:
         if json.loads(file.read_bytes()) == node:
             return
@@ -324,3 +336,109 @@ def _mark(lock: IO[bytes], folder: Path) -> None:
         (folder / _LOCK).unlink()
         folder.rmdir()
         raise
+
+
+def _counts_of(marker: Path, shape: tuple[int, int], *, robots: int) -> NDArray[np.int32]:
+    """Return the counts in the file that says that a chunk is done, shape (times, channels, BINS).
+
+    Parameters
+    ----------
+    marker : Path
+        The file.
+    shape : (int, int)
+        How many times of the bands, and channels.
+    robots : int
+        In the chunk: at each time, so many are counted.
+
+    Raises
+    ------
+    InvalidArgument
+        If it cannot be read, or holds something else.
+    FileError
+        If the system fails.
+    """
+    most = 4 * shape[0] * shape[1] * BINS + _MOST
+    try:
+        counts = arrays_of(
+            marker, ["counts"], kind="record of a chunk", name="a file of the store", most=most
+        )
+        found: NDArray[np.int32] = counts["counts"]
+        why = miscounted(found, *shape, robots)
+        if why:
+            raise InvalidArgument(f"a file of the store is {str(marker)!r}, which {why}")
+    except InvalidArgument as error:
+        raise InvalidArgument(f"{error}; remove that file, and start the same sweep again") from error
+    return found
+
+
+def _spread_of(grid: Grid) -> dict[str, Parameter]:
+    found = {name: one for scenario in grid.scenarios for name, one in scenario.parameters.items()}
+    known = {name: found[name] for name in PARAMETERS if name in found}
+    return known | {name: found[name] for name in sorted(found)}
+
+
+def _empty_store(grid: Grid, description: Mapping[str, Any], chunk: int) -> dict[str, bytes]:
+    """Return the files that a store has before any number is known, by their places in it.
+
+    Parameters
+    ----------
+    grid : Grid
+        Its scenarios.
+    description : mapping
+        All that determines the numbers.
+    chunk : int
+        Robots in a chunk of the arrays.
+    """
+    zarr = imported("zarr")
+    files: dict[str, Any] = {}
+    with zarr.config.set({"array.write_empty_chunks": True}):  # so that a coordinate of zeros has a file too
+        _make_arrays(zarr.create_group(zarr.storage.MemoryStore(files)), grid, chunk)
+    made = {place: content.to_bytes() for place, content in files.items()}
+    begins = {scenario.after for scenario in grid.scenarios}
+    since = {"errors_from_s": begins.pop()} if len(begins) == 1 else {}
+    metadata = json.loads(made.pop(METADATA))
+    nodes = {place.split("/")[0]: json.loads(made[place]) for place in made if place.endswith(METADATA)}
+    mine: dict[str, Any] = {"chunk": chunk, "rivals": axis_of_rivals(grid.axes), "determined_by": description}
+    mine |= {"arrays": list(nodes)}
+    metadata["attributes"] = {
+        "Conventions": NOTE,
+        "pinmobile_sweep": json.dumps({**mine, "digest": digest_of(mine, nodes, since)}),
+        **since,
+    }
+    # It is in no specification yet, but every reader that does not know it passes over it.
+    consolidated = {"kind": "inline", "must_understand": False, "metadata": nodes}
+    metadata["consolidated_metadata"] = consolidated
+    return {METADATA: json.dumps(metadata, indent=2).encode(), **made}
+
+
+def _make_arrays(group: Any, grid: Grid, chunk: int) -> None:
+    codec = imported("zarr").codecs.ZstdCodec(level=0, checksum=True)  # what is damaged is noticed
+    create = partial(group.create_array, compressors=codec)
+    swept = [(name, list(axis.values), axis.unit, name) for name, axis in grid.axes.items()]
+    first, n = grid.scenarios[0], grid.n
+    for name, values, unit, meaning in [*swept, *coordinates(first)]:
+        data = np.array(values, dtype=object if isinstance(values[0], str) else None)
+        made = create(
+            name,
+            shape=data.shape,
+            chunks=data.shape,
+            dtype="string" if data.dtype == object else data.dtype,
+            dimension_names=[name],
+            attributes={**({"units": unit} if unit else {}), "long_name": meaning},
+        )
+        made[:] = data
+    sizes = {"robot": n, "coordinate": len(first.coordinates), "input": len(first.inputs)}
+    sizes |= {"time": len(first.grid), "bin": BINS, "level": len(LEVELS)}
+    sizes |= {"measure": len(first.judged), "channel": len(first.channels)}
+    variables = {**per_robot(first), **drawn(_spread_of(grid)), **over_all(first.channels)}
+    for name, one in variables.items():
+        chunks = [min(chunk, n) if each == "robot" else sizes[each] for each in one.dimensions]
+        create(
+            name,
+            shape=(*grid.shape, *(sizes[each] for each in one.dimensions)),
+            chunks=(*(1 for _ in grid.axes), *chunks),
+            dtype=np.int32 if name == "counts" else np.float64,
+            fill_value=np.int32(0) if name == "counts" else np.nan,
+            dimension_names=[*grid.axes, *one.dimensions],
+            attributes=one.attributes,
+        )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from os import PathLike
 from queue import Empty, SimpleQueue
@@ -14,21 +14,20 @@ import numpy as np
 
 from pinmobile.arrays import Array, callable_as, location, text, whole
 from pinmobile.compiled import processors
-from pinmobile.ensembles import Part, Scenario, Workers, part_of, way_of
+from pinmobile.ensembles import Part, Workers, part_of, way_of
 from pinmobile.errors import InvalidArgument, SchedulerError, SlowerEngine, shown
 from pinmobile.sweeps.code import packed, part_of_packed
-from pinmobile.sweeps.contents import Sweep
+from pinmobile.sweeps.contents import METADATA, Sweep
 from pinmobile.sweeps.fingerprint import determined_by
-from pinmobile.sweeps.grids import Grid, as_grid, imported
-from pinmobile.sweeps.layout import METADATA
+from pinmobile.sweeps.grids import Grid, Scenarios, as_grid, imported
 from pinmobile.sweeps.store import GO_ON, Job, Store
 
 _ANSWER = 10.0  # seconds that a scheduler has to answer, and to have a worker
 _ALONE = 60.0  # seconds that a cluster may be without a worker: a dead one is often started again
 
 
-def check_client(client: Any) -> None:
-    """Refuse what is no client, or is not connected.
+def check_client(client: object) -> None:
+    """Refuse anything but a client that is connected.
 
     Raises
     ------
@@ -266,7 +265,7 @@ Progress = Callable[[int, int], None]
 
 
 def sweep(
-    scenarios: Grid | Mapping[str, Scenario] | Sequence[Scenario] | Scenario,
+    scenarios: Scenarios,
     store: str | PathLike[str],
     *,
     client: Any = None,
@@ -366,7 +365,7 @@ def check_draws(grid: Grid) -> None:
 
 
 def _warn_if_slower(grid: Grid, jobs: Sequence[Job]) -> None:
-    """Tell once, here and not where chunks are computed, which parts keep what is to run from the fastest."""
+    """Warn once, here and not where chunks are computed, of parts that rule out the fastest engine."""
     reasons: dict[str, list[int]] = {}
     for k in sorted({job.scenario for job in jobs}):
         way = way_of(grid.scenarios[k])

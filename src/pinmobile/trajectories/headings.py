@@ -223,6 +223,8 @@ class LectureHeading:
         If `path` is no path in the plane.
     """
 
+    on_circle: ClassVar[bool] = False  # a turn too many is an error of 2 pi: `plain_difference`
+
     path: Path
     _still: float = field(init=False, repr=False, compare=False)
 

@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, finite, positive
 from pinmobile.errors import InvalidArgument, shown
@@ -57,7 +58,7 @@ def joined(plane: Iterable[Array], headings: Iterable[Array]) -> Reference:
     return Reference(*(np.append(xy, psi[..., None], -1) for xy, psi in zip(plane, headings, strict=True)))
 
 
-def plane_path(path: Any) -> Path:
+def plane_path(path: object) -> Path:
     """Check that `path` is a path of two coordinates, and return it.
 
     Raises
@@ -122,7 +123,7 @@ def _when(t: Array | None, where: tuple[int, ...]) -> str:
     return "" if t is None else f" at t = {t[where]:g} s"
 
 
-def _first(found: Any) -> tuple[tuple[int, ...], int]:
+def _first(found: NDArray[np.bool_]) -> tuple[tuple[int, ...], int]:
     *row, column = (int(i) for i in np.argwhere(found)[0])
     return tuple(row), column
 
@@ -252,10 +253,10 @@ def _check_robot(robot: Any) -> None:
             )
 
 
-def _check_base(base: Any) -> None:
+def _check_base(base: Trajectory) -> None:
     known = isinstance(base, Trajectory) and not isinstance(base, type)
-    start: Any = base(0.0) if known else None
-    if not hasattr(start, "q"):  # a path has a duration and can be called, too
+    start = base(0.0) if known else None
+    if start is None or not hasattr(start, "q"):  # a path has a duration and can be called, too
         raise InvalidArgument(
             f"base is {shown(base)}, expected a trajectory of x, y and psi, such as Tangent(path)"
         )
@@ -265,7 +266,7 @@ def _check_base(base: Any) -> None:
         raise InvalidArgument(f"base has configurations of shape {shape}, expected (3,): x, y and psi")
 
 
-def _checked(robot: Any, k: int, path: Any, duration: float) -> Path:
+def _checked(robot: Any, k: int, path: Path | None, duration: float) -> Path:
     mount = robot.mounts[k]
     size = mount.v.stop - mount.v.start
     if path is None:

@@ -1,15 +1,102 @@
 """Every route to M, n, tau and the acceleration side by side, with the largest difference."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
 import numpy as np
 
-from pinmobile.arrays import seeded, whole
-from pinmobile.errors import InvalidArgument, shown
-from pinmobile.robot import MobileRobot
-from pinmobile.verification.routes import Comparison, Verification, compare_mounted, compare_planar
+from pinmobile import closed_form
+from pinmobile.arrays import Array, seeded, whole
+from pinmobile.compiled import Batched, Cache
+from pinmobile.derivation import Numeric, lagrange, lecture
+from pinmobile.dh import DHTable
+from pinmobile.errors import InvalidArgument, NotTraceable, shown
+from pinmobile.robot import MobileRobot, PlanarBody
+from pinmobile.verification.bodies import Parts
+
+__all__ = ["Comparison", "Verification", "verify"]
 
 _MOST = 1_000_000  # states
 
-__all__ = ["Comparison", "Verification", "verify"]
+
+@dataclass(frozen=True)
+class Comparison:
+    """The largest difference of one quantity between two routes.
+
+    Attributes
+    ----------
+    quantity : str
+        ``"M"``, ``"n"``, ``"tau"`` or ``"a"``; of a robot with arms also ``"M3"``, its base's block, and
+        ``"f"``, the ground's wrench.
+    route, against : str
+        The two routes.
+    difference : float
+        Largest difference over all states, relative to the scale of the terms.
+    bound : float
+        Largest difference that rounding explains.
+    """
+
+    quantity: str
+    route: str
+    against: str
+    difference: float
+    bound: float
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the difference is within the bound."""
+        return self.difference <= self.bound
+
+
+@dataclass(frozen=True)
+class Verification:
+    """All comparisons for one robot; printed, it is a table.
+
+    Attributes
+    ----------
+    robot : MobileRobot
+        What was verified.
+    states : int
+        Number of random states.
+    rows : tuple of Comparison
+        One per quantity and route.
+    missing : str
+        Which route there is none of, and why; empty where all are there.
+    """
+
+    robot: MobileRobot
+    states: int
+    rows: tuple[Comparison, ...]
+    missing: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """Whether every comparison agrees."""
+        return all(row.agrees for row in self.rows)
+
+    @property
+    def largest(self) -> dict[str, float]:
+        """Largest difference of each quantity over the routes."""
+        quantities = dict.fromkeys(row.quantity for row in self.rows)
+        return {q: max(row.difference for row in self.rows if row.quantity == q) for q in quantities}
+
+    def __str__(self) -> str:
+        against = {row.against for row in self.rows}
+        names = [row.route if len(against) == 1 else f"{row.route} / {row.against}" for row in self.rows]
+        width = max(32, *map(len, names))
+        head = f"{'':3} {'route':{width}} {'largest difference':>18} {'bound':>9}"
+        lines = [
+            f"{row.quantity:3} {name:{width}} {row.difference:18.1e} {row.bound:9.1e}  "
+            f"{'agrees' if row.agrees else 'DIFFERS'}"
+            for name, row in zip(names, self.rows, strict=True)
+        ]
+        what = f"the {against.pop()}" if len(against) == 1 else "another"
+        left_out = [f"left out, {self.missing}"] if self.missing else []
+        return "\n".join([f"{self.states} random states, each route against {what}", head, *lines, *left_out])
 
 
 def verify(robot: MobileRobot, *, states: int = 200, seed: int | np.random.Generator = 0) -> Verification:
@@ -60,3 +147,231 @@ def verify(robot: MobileRobot, *, states: int = 200, seed: int | np.random.Gener
     if robot.mounts or robot.loads:
         return Verification(robot, count, *compare_mounted(robot, count, rng))
     return Verification(robot, count, compare_planar(robot, count, rng))
+
+
+Dynamics = dict[str, Array]
+"""M, n, tau for an acceleration, and a for a force, by their letters, of n states."""
+
+COMPILED = "compiled for ensembles"
+
+
+def each(function: Callable[..., Array], *states: Array) -> Array:
+    """Return what a function gives for one state after the other; many at once may be machine code."""
+    return np.stack([function(*state) for state in zip(*states, strict=True)])
+
+
+def by_pinocchio(robot: MobileRobot, q: Array, v: Array, a: Array, tau: Array) -> Dynamics:
+    """Return the dynamics by CRBA, RNEA and ABA."""
+    return {
+        "M": each(robot.mass_matrix, q),
+        "n": each(robot.nonlinear_effects, q, v),
+        "tau": each(robot.inverse_dynamics, q, v, a),
+        "a": each(robot.forward_dynamics, q, v, tau),
+    }
+
+
+def by_machine_code(robot: MobileRobot, q: Array, v: Array, a: Array, tau: Array) -> Dynamics:
+    """Return the dynamics by the laws that ensembles compile.
+
+    Raises
+    ------
+    NotTraceable
+        If they do not: a joint has several coordinates, or the joints are too many.
+    """
+    states = q, v, a, tau
+    if robot.mounts:
+        body, sizes = robot.varying(()).traced(), [(x.shape[1],) for x in states]
+        # What has all its numbers built in serves nobody else: its file would take another's place.
+        found = Batched(lambda *given: _dynamics(body, *given), sizes, cache=Cache(""))(*states)
+    else:
+        bare = robot.lumped() if robot.loads else robot
+        numbers = np.array([bare.mass, bare.body.yaw_inertia, *bare.com[:2]])
+        found = _planar()(numbers, *states)
+    return dict(zip(("M", "n", "tau", "a"), found, strict=True))
+
+
+@lru_cache(maxsize=1)
+def _planar() -> Batched:
+    """Return the dynamics of a body without arms, whose four numbers are the first argument."""
+    return Batched(lambda numbers, *given: _dynamics(PlanarBody(*numbers), *given), [(4,), *[(3,)] * 4])
+
+
+def _dynamics(body: Any, q: Array, v: Array, a: Array, tau: Array) -> tuple[Array, ...]:
+    return (
+        body.mass_matrix(q),
+        body.nonlinear_effects(q, v),
+        body.inverse_dynamics(q, v, a),
+        body.forward_dynamics(q, v, tau),
+    )
+
+
+_EPS = float(np.finfo(np.float64).eps)
+_TOLERANCE = 1e-12  # some thousand roundings, relative to the scale of the terms
+
+
+def compare_planar(robot: MobileRobot, states: int, rng: np.random.Generator) -> tuple[Comparison, ...]:
+    """Return every route of a bare body against the closed form, see `verify`."""
+    shape = (states, 3)
+    q = rng.uniform(-4 * np.pi, 4 * np.pi, shape)
+    v, a = rng.normal(size=shape), rng.normal(size=shape)
+    truth = _closed_form(robot, q, v, a)
+    tau = truth["tau"]
+    scales = _scales(robot, truth, v, a)
+    routes: dict[str, Callable[..., Dynamics]] = {
+        "Pinocchio (CRBA, RNEA, ABA)": by_pinocchio,
+        "symbolic Newton-Euler": _newton_euler,
+        "symbolic Lagrange": _lagrange,
+        COMPILED: by_machine_code,
+    }
+    found = {name: route(robot, q, v, a, tau) for name, route in routes.items()}
+    bounds = dict.fromkeys(("M", "n", "tau"), _TOLERANCE)
+    rows = []
+    for quantity, scale in scales.items():
+        for name, dynamics in found.items():
+            relative = float((np.abs(dynamics[quantity] - truth[quantity]) / scale).max())
+            bound = bounds.get(quantity, 8 * _EPS * float(np.linalg.cond(truth["M"]).max()))
+            rows.append(Comparison(quantity, name, "closed form", relative, bound))
+    return tuple(rows)
+
+
+def _scales(robot: MobileRobot, truth: Dynamics, v: Array, a: Array) -> Dynamics:
+    M = truth["M"]
+    diagonal = np.sqrt(np.einsum("...ii->...i", M))
+    reach = max(1.0, float(np.linalg.norm(robot.com[:2])))  # the centre of mass goes this much faster
+    speed = robot.mass * np.square(v).sum(-1, keepdims=True) * reach
+    return {
+        "M": diagonal[..., :, None] * diagonal[..., None, :],
+        "n": speed,
+        "tau": np.einsum("...ij,...j->...i", np.abs(M), np.abs(a)) + speed,
+        "a": np.linalg.norm(truth["a"], axis=-1, keepdims=True) + speed / robot.mass,
+    }
+
+
+def _closed_form(robot: MobileRobot, q: Array, v: Array, a: Array) -> Dynamics:
+    mass, inertia, com = robot.mass, robot.yaw_inertia, robot.com[:2]
+    tau = closed_form.inverse_dynamics(q, v, a, mass=mass, yaw_inertia=inertia, com=com)
+    return {
+        "M": closed_form.mass_matrix(q, mass=mass, yaw_inertia=inertia, com=com),
+        "n": closed_form.nonlinear_effects(q, v, mass=mass, com=com),
+        "tau": tau,
+        "a": closed_form.forward_dynamics(q, v, tau, mass=mass, yaw_inertia=inertia, com=com),
+    }
+
+
+def _newton_euler(robot: MobileRobot, q: Array, v: Array, a: Array, tau: Array) -> Dynamics:
+    return _symbolic(_numeric(robot.dh)[0], robot, q, v, a, tau)
+
+
+def _lagrange(robot: MobileRobot, q: Array, v: Array, a: Array, tau: Array) -> Dynamics:
+    return _symbolic(_numeric(robot.dh)[1], robot, q, v, a, tau)
+
+
+@lru_cache(maxsize=8)
+def _numeric(table: DHTable) -> tuple[Numeric, Numeric]:
+    """Return the functions that Newton-Euler and Lagrange lead to for a table."""
+    derivation = lecture(table)
+    return derivation.numeric(), lagrange(derivation).numeric()
+
+
+def _symbolic(numeric: Numeric, robot: MobileRobot, q: Array, v: Array, a: Array, tau: Array) -> Dynamics:
+    parameters = {"m": robot.mass, "Icz": robot.yaw_inertia, "xbc": robot.com[0], "ybc": robot.com[1]}
+    M, n = numeric.mass_matrix(q, parameters), numeric.nonlinear_effects(q, v, parameters)
+    return {
+        "M": M,
+        "n": n,
+        "tau": numeric.inverse_dynamics(q, v, a, parameters),
+        "a": _solved(M, tau - n),
+    }
+
+
+def _solved(M: Array, force: Array) -> Array:
+    """Return M^-1 force; not a number where M is singular to rounding, which then agrees with nothing."""
+    try:
+        return np.asarray(np.linalg.solve(M, force[..., None])[..., 0], np.float64)
+    except np.linalg.LinAlgError:
+        return np.full(force.shape, np.nan)
+
+
+_ROUNDING = 1e-14  # some dozen roundings, relative to the scale of the terms
+_GRAVITY = 9.81  # [m/s^2]
+_PARTS = "Newton-Euler of the parts"
+
+
+def compare_mounted(
+    robot: MobileRobot, states: int, rng: np.random.Generator
+) -> tuple[tuple[Comparison, ...], str]:
+    """Return the routes of a robot with arms against each other, see `verify`, and which is missing."""
+    q = robot.random_configuration(rng, (states,))
+    q[:, 2] = rng.uniform(-4 * np.pi, 4 * np.pi, states)
+    v, a = rng.normal(size=(2, states, robot.nv))
+    units = [np.broadcast_to(unit, v.shape) for unit in np.eye(robot.nv)]
+    tau, g = each(robot.inverse_dynamics, q, v, a), each(robot.gravity, q)
+    own = by_pinocchio(robot, q, v, a, tau)
+    M, n = own["M"], own["n"]
+    columns = np.stack([each(robot.inverse_dynamics, q, 0 * v, unit) - g for unit in units], axis=-1)
+    parts, still = Parts(robot, q, v), Parts(robot, q, 0 * v)
+    by_parts = [still.forces(unit, gravity=False) for unit in units]
+    routes = {
+        ("M", "CRBA", _PARTS): M - np.stack(by_parts, axis=-1),
+        ("n", "RNEA", _PARTS): n - parts.forces(0 * a),
+        ("tau", "RNEA", _PARTS): tau - parts.forces(a),
+        ("f", "RNEA", _PARTS): each(robot.ground_wrench, q, v, a) - parts.ground_wrench(a),
+        ("M", "CRBA", "RNEA's columns"): M - columns,
+        ("M3", "CRBA", "closed form of the lump"): M[:, :3, :3] - _lumped(robot, q),
+        ("n", "RNEA", "C(q, v) v + g(q)"): n - _times(each(robot.coriolis_matrix, q, v), v) - g,
+        ("tau", "RNEA", "M a + n"): tau - _times(M, a) - n,
+        ("a", "ABA", "M^-1 (tau - n)"): own["a"] - np.linalg.solve(M, (tau - n)[..., None])[..., 0],
+    }
+    missing = ""
+    try:
+        compiled = by_machine_code(robot, q, v, a, tau)
+    except NotTraceable as error:
+        missing = f"{COMPILED}: {error.reason}"
+    else:
+        against = {"M": "CRBA", "n": "RNEA", "tau": "RNEA", "a": "ABA"}
+        routes |= {(x, COMPILED, against[x]): compiled[x] - own[x] for x in against}
+    scales = _mounted_scales(parts, v, a, M)
+    rows = (
+        Comparison(*names, float((np.abs(off) / scales[names[0]]).max()), _ROUNDING)
+        for names, off in routes.items()
+    )
+    return tuple(rows), missing
+
+
+def _mounted_scales(parts: Parts, v: Array, a: Array, M: Array) -> dict[str, Array]:
+    """Return the size of the terms that each quantity is the sum of.
+
+    A joint feels the material beyond it, of mass m and second moment J = int |r|^2 dm about its origin: by
+    Cauchy and Schwarz at most sqrt(m K) times the acceleration of the material, with K = J where it turns and
+    m where it slides, and what two joints exchange is at most sqrt(K_i K_j).
+    """
+    masses, K, reach = parts.beyond()
+    reach = np.maximum(1.0, reach)
+    speed = parts.nv * np.square(v).sum(-1) * reach
+    push = np.sqrt(parts.nv * np.square(a).sum(-1)) * reach
+    felt = np.sqrt(masses * K)
+    pair = np.sqrt(K[..., :, None] * K[..., None, :])
+    accelerated = (_GRAVITY + push + speed)[:, None]
+    tau = felt * accelerated
+    return {
+        "M": pair + _GRAVITY * felt[..., None],
+        "M3": pair[:, :3, :3],
+        "n": felt * (_GRAVITY + speed)[:, None],
+        "tau": tau,
+        "f": felt[:, [0, 0, 0, 2, 2, 2]] * accelerated,  # the mass for forces, that about psi for moments
+        "a": _times(np.abs(np.linalg.inv(M)), tau),
+    }
+
+
+def _lumped(robot: MobileRobot, q: Array) -> Array:
+    """Return the closed form of the robot lumped at each configuration, shape (n, 3, 3)."""
+    blocks = []
+    for row in q:
+        lump = robot.lumped(row)
+        com, inertia = lump.com[:2], lump.yaw_inertia
+        blocks.append(closed_form.mass_matrix(row[:3], mass=lump.mass, yaw_inertia=inertia, com=com))
+    return np.stack(blocks)
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    return np.asarray(np.einsum("...ij,...j->...i", matrices, vectors))

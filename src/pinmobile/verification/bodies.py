@@ -18,7 +18,7 @@ from pinmobile.dh import JointType
 from pinmobile.robot import BODY_JOINT, MobileRobot, Mount, named_frames, prefixed
 
 _DOWN = np.array([0, 0, -9.81])  # [m/s^2]
-_CHAIN = (1, 0, 2)  # public index of the chain's coordinates y, x, psi
+_POSE = ("x", "y", "psi")
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])  # of x, y, z the other two
 
 
@@ -84,13 +84,14 @@ class Parts:
             self.links[link].add(load.body, placement)
 
     def _chain(self, robot: MobileRobot, q: Array) -> list[_Link]:
-        transforms = robot.dh.transforms(q[:, _CHAIN])
+        order = [_POSE.index(row.variable) for row in robot.dh]
+        transforms = robot.dh.transforms(q[:, order])
         links = []
         for k, row in enumerate(robot.dh):
             S = np.zeros((self.count, 6, 1))
             S[:, 2 if row.joint is JointType.PRISMATIC else 5] = 1.0
             still = np.zeros((self.count, 6))
-            links.append(_Link(k - 1, transforms[:, k], S, still, [_CHAIN[k]], np.zeros(1)))
+            links.append(_Link(k - 1, transforms[:, k], S, still, [order[k]], np.zeros(1)))
         return links
 
     def _mount(self, mount: Mount, q: Array) -> None:

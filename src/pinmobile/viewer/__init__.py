@@ -3,8 +3,8 @@
 from typing import TYPE_CHECKING
 
 from pinmobile.viewer.offline import OfflineWindow
-from pinmobile.viewer.overlays import Arrows, Follow, Overlays, Stay
 from pinmobile.viewer.recording import Recording
+from pinmobile.viewer.stage import Arrows, Follow, Overlays, Stay
 from pinmobile.viewer.viewer import Viewer
 
 if TYPE_CHECKING:

@@ -105,12 +105,12 @@ class Browser:
         words = [sys.executable, "-I", "-S", "-c", _START, str(inner), str(outer), program, *_FLAGS]
         words += [_NO_SANDBOX] if os.geteuid() == 0 else []  # Chromium has none for root
         words += [f"--user-data-dir={self._profile.name}", f"--window-size={size[0]},{size[1]}"]
-        quiet: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL}
+        off = subprocess.DEVNULL
         try:
             # In a session of its own, so that Ctrl-C reaches us alone and we end it in order.
             with self._log.open("wb") as log:
                 self._process = subprocess.Popen(
-                    words, pass_fds=(inner, outer), stderr=log, start_new_session=True, **quiet
+                    words, pass_fds=(inner, outer), stdin=off, stdout=off, stderr=log, start_new_session=True
                 )
         finally:
             os.close(inner)
@@ -189,7 +189,7 @@ class Browser:
         """Return the page as a PNG."""
         return base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
 
-    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+    def call(self, method: str, **parameters: object) -> dict[str, Any]:
         """Call a method of the DevTools protocol and return its result.
 
         Raises
@@ -200,7 +200,7 @@ class Browser:
         if self._to < 0:
             raise ViewerError("the browser is closed")
         self._last += 1
-        message: dict[str, Any] = {"id": self._last, "method": method, "params": parameters}
+        message: dict[str, object] = {"id": self._last, "method": method, "params": parameters}
         if self._session:
             message["sessionId"] = self._session
         end = monotonic() + self.timeout

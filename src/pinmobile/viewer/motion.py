@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, finite
 from pinmobile.errors import InvalidArgument, shown
@@ -39,7 +40,7 @@ class Channel:
     name: str
     values: Array | Sequence[str]
 
-    def at(self, frame: int) -> Any:
+    def at(self, frame: int) -> str | float | list[float]:
         """Return the value at a frame as meshcat takes it."""
         value = self.values[frame]
         if isinstance(value, str):
@@ -126,7 +127,7 @@ def _track(channel: Channel, times: Array) -> dict[str, Any]:
         kept = np.concatenate([[True], new]) | np.concatenate([new, [False]])
         kept[-1] |= bool(new.any())
         flat = values[kept].ravel().tolist()
-        listed: list[Any] = [int(x) if x == int(x) else x for x in flat]
+        listed: list[float | str] = [int(x) if x == int(x) else x for x in flat]
         kind = _KINDS.get(channel.name, "number")
     else:
         listed = list(channel.values)
@@ -186,7 +187,8 @@ class Drawing:
         If it has no such model.
     """
 
-    mounts, top = (), None
+    mounts: tuple[()] = ()
+    top: float | None = None
 
     def __init__(self, plant: Any) -> None:
         self.plant, self.size = plant, getattr(plant, "size", MobileRobot.box().size)
@@ -248,7 +250,11 @@ class Drawing:
         return np.asarray(body[:, None] @ np.stack([self.drawing(q) for q in rows[:, 3:]]))
 
 
-def figure(plant: Any) -> Any:
+Drawn: TypeAlias = MobileRobot | Drawing
+"""What a scene draws of a plant; `figure` finds it."""
+
+
+def figure(plant: Any) -> Drawn:
     """Return what is drawn of a plant: itself, its `Drawing`, or a box of its size where it has none.
 
     Raises
@@ -259,7 +265,8 @@ def figure(plant: Any) -> Any:
     if isinstance(plant, type):
         raise InvalidArgument(f"plant is {shown(plant)}, expected a plant, not its class")
     if hasattr(plant, "frame_placements"):
-        return plant
+        robot: MobileRobot = plant
+        return robot
     if not callable(getattr(plant, "pose", None)):
         raise InvalidArgument(
             f"plant is {shown(plant)}, expected a MobileRobot, or a plant with pose(q), which returns x, y "
@@ -271,7 +278,7 @@ def figure(plant: Any) -> Any:
     return MobileRobot.box() if size is None else MobileRobot.box(size=size)
 
 
-def configurations(robot: Any, t: Array, q: Array, times: Array) -> Array:
+def configurations(robot: Drawn, t: Array, q: Array, times: Array) -> Array:
     """Return a robot's configurations at other times, psi unwrapped, straight between two samples.
 
     Parameters
@@ -287,8 +294,8 @@ def configurations(robot: Any, t: Array, q: Array, times: Array) -> Array:
     -------
     configurations : ndarray, shape (n, nq)
     """
-    if hasattr(robot, "drawing"):
-        return np.asarray(robot.rows(t, q, times))
+    if isinstance(robot, Drawing):
+        return robot.rows(t, q, times)
     base = sampled(times, t, np.column_stack([q[:, :2], np.unwrap(q[:, 2])]))
     if robot.nq == len(base.T):
         return base
@@ -302,7 +309,7 @@ def configurations(robot: Any, t: Array, q: Array, times: Array) -> Array:
     return full
 
 
-def _between(t: Array, times: Array) -> tuple[Any, Any, Array]:
+def _between(t: Array, times: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
     """Return the samples before and after each of the times, and how far on the way it is, shape (n, 1)."""
     before = np.clip(np.searchsorted(t, times, side="right") - 1, 0, max(len(t) - 2, 0))
     after = np.minimum(before + 1, len(t) - 1)
@@ -310,7 +317,7 @@ def _between(t: Array, times: Array) -> tuple[Any, Any, Array]:
     return before, after, np.clip((times - t[before]) / span, 0, 1)[:, None]
 
 
-def links(path: str, robot: Any, q: Array) -> list[Channel]:
+def links(path: str, robot: Drawn, q: Array) -> list[Channel]:
     """Return the channels of a robot's links below the node of its body.
 
     Parameters
@@ -322,7 +329,7 @@ def links(path: str, robot: Any, q: Array) -> list[Channel]:
     q : ndarray, shape (n, nq)
         Its configurations.
     """
-    if hasattr(robot, "drawing"):
+    if isinstance(robot, Drawing):
         placed = robot.seen_from_body(q)
         return [
             channel
@@ -340,7 +347,7 @@ def links(path: str, robot: Any, q: Array) -> list[Channel]:
     return channels
 
 
-def envelope(robot: Any, q: Array) -> tuple[float, float]:
+def envelope(robot: Drawn, q: Array) -> tuple[float, float]:
     """Return how far its joints reach from the body's origin and above the ground [m], at least the body.
 
     Parameters
@@ -352,7 +359,7 @@ def envelope(robot: Any, q: Array) -> tuple[float, float]:
     """
     length, _, height = robot.size
     height = height if robot.top is None else robot.top
-    if not robot.mounts:
+    if isinstance(robot, Drawing) or not robot.mounts:
         return length, height
     origins = _seen_from_body(robot, q)[:, :, :3, 3]
     aside = float(np.hypot(origins[..., 0], origins[..., 1]).max())

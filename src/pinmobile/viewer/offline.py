@@ -1,9 +1,8 @@
-"""A scene in memory, as the commands that make it, and the page that shows it, recorded or live."""
+"""A scene in memory: the commands that make it, a window onto it, and the pages that can show it."""
 
 from __future__ import annotations
 
 import base64
-import json
 import re
 import warnings
 from collections import OrderedDict
@@ -16,7 +15,7 @@ from math import isfinite
 from pathlib import Path
 from string import Template
 from threading import Lock
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn, Protocol
 
 import numpy as np
 
@@ -44,39 +43,6 @@ _POLICY = (
     "form-action 'none'"
 )
 
-_CONNECT = """<script>
-viewer.connect();
-</script>"""
-
-_LOAD = """<script type="application/json" id="animation">$animation</script>
-<script>
-$loading
-const animation = JSON.parse(document.getElementById("animation").textContent);
-if (animation.tracks.length) pinmobile.play(animation.tracks, animation.speed, animation.end);
-</script>"""
-
-
-def live_page(title: str = "pinmobile") -> str:
-    """Return the page that connects to the server it came from; it asks that for ``main.min.js``."""
-    return _filled(title, '<script src="main.min.js"></script>', _CONNECT)
-
-
-def recorded_page(title: str, commands: Iterable[bytes], animation: dict[str, Any]) -> str:
-    """Return a page that holds everything it shows.
-
-    Parameters
-    ----------
-    title : str
-        Of the page.
-    commands : iterable of bytes
-        Meshcat's commands, as it sends them.
-    animation : dict
-        ``tracks`` (meshcat's animations), ``speed`` at first, and ``end``, the last time [s].
-    """
-    packed = json.dumps(animation, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    scene = Template(_LOAD).substitute(animation=packed, loading=loading(commands))
-    return _sealed(_filled(title, f"<script>\n{_engine()}\n</script>", scene))
-
 
 def loading(commands: Iterable[bytes]) -> str:
     """Return the script that puts meshcat's commands into a scene."""
@@ -87,7 +53,7 @@ def loading(commands: Iterable[bytes]) -> str:
     )
 
 
-def _sealed(page: str) -> str:
+def sealed(page: str) -> str:
     """Return a page that holds everything it shows with a policy: its own scripts run, and ask for nothing.
 
     Parameters
@@ -102,7 +68,8 @@ def _sealed(page: str) -> str:
     return page.replace("<head>", f"<head>\n{tag}", 1)
 
 
-def _filled(title: str, engine: str, scene: str) -> str:
+def stage_page(title: str, engine: str, scene: str) -> str:
+    """Return the stage's page; `engine` is the HTML that loads meshcat's viewer, `scene` fills it."""
     parts = {"css": _part("stage.css"), "stage": _part("stage.js"), "engine": engine, "scene": scene}
     return Template(_part("stage.html")).substitute(parts, title=escape(title))
 
@@ -113,7 +80,8 @@ def _part(name: str) -> str:
 
 
 @cache
-def _engine() -> str:
+def engine() -> str:
+    """Return meshcat's viewer as a script in a page."""
     return ENGINE.read_text(encoding="utf-8")
 
 
@@ -125,6 +93,14 @@ _KINDS = {
     "delete": "path",
 }
 _FLOAT32 = 0x17  # the MessagePack extension in which meshcat has arrays of floats
+
+
+class Command(Protocol):
+    """A command of meshcat's."""
+
+    def lower(self) -> dict[str, Any]:
+        """Return the dict that meshcat's page reads."""
+        ...
 
 
 class Key(NamedTuple):
@@ -142,7 +118,7 @@ class _Update(NamedTuple):
     data: bytes
 
 
-def packed(command: Any) -> _Update:
+def packed(command: Command) -> _Update:
     """Return a command as it is sent.
 
     Parameters
@@ -173,7 +149,7 @@ def packed(command: Any) -> _Update:
         raise InvalidArgument(f"{kind} of {key.path or '/'} cannot be sent: {error}") from error
 
 
-def _check(name: str, value: Any) -> None:
+def _check(name: str, value: object) -> None:
     """Refuse NaN and infinity, at any depth; a flat list of numbers costs one sum."""
     if isinstance(value, float):
         if not isfinite(value):
@@ -189,7 +165,7 @@ def _check(name: str, value: Any) -> None:
     elif isinstance(value, dict):
         for word, item in value.items():
             _check(f"{name}.{word}", item)
-    elif getattr(value, "type", None) == _FLOAT32:
+    elif isinstance(value, umsgpack.Ext) and value.type == _FLOAT32:
         finite(name, np.frombuffer(value.data, np.float32))
 
 
@@ -248,7 +224,7 @@ class Backlog:
         """How many deletions are still kept for those who have not seen them."""
         return len(self._deletions)
 
-    def put(self, command: Any) -> None:
+    def put(self, command: Command) -> None:
         """Take a command of meshcat's.
 
         Raises
@@ -367,7 +343,7 @@ class OfflineWindow:
         """An offline window has none: raises ViewerError."""
         self._refuse("has no address")
 
-    def send(self, command: Any) -> None:
+    def send(self, command: Command) -> None:
         """Take a command of meshcat's.
 
         Raises
@@ -415,4 +391,4 @@ def static_page(commands: list[bytes]) -> str:
         raise ViewerError(f"the page of the installed meshcat has changed: {ENGINE.with_name('index.html')}")
     head, _, rest = page.partition(_SCRIPT)
     body = rest.replace(_CONNECTING, loading(commands))
-    return _sealed(f"{head}<script>\n{ENGINE.read_text(encoding='utf-8')}\n{body}")
+    return sealed(f"{head}<script>\n{engine()}\n{body}")

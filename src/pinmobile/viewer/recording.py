@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import importlib
+import json
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
+from string import Template
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -19,7 +22,32 @@ from pinmobile.errors import InvalidArgument, ViewerError, shown
 from pinmobile.extras import installing
 from pinmobile.files import write, written
 from pinmobile.viewer.chromium import Browser
-from pinmobile.viewer.offline import recorded_page
+from pinmobile.viewer.offline import engine, loading, sealed, stage_page
+
+_LOAD = """<script type="application/json" id="animation">$animation</script>
+<script>
+$loading
+const animation = JSON.parse(document.getElementById("animation").textContent);
+if (animation.tracks.length) pinmobile.play(animation.tracks, animation.speed, animation.end);
+</script>"""
+
+
+def recorded_page(title: str, commands: Iterable[bytes], animation: dict[str, object]) -> str:
+    """Return a page that holds everything it shows.
+
+    Parameters
+    ----------
+    title : str
+        Of the page.
+    commands : iterable of bytes
+        Meshcat's commands, as it sends them.
+    animation : dict
+        ``tracks`` (meshcat's animations), ``speed`` at first, and ``end``, the last time [s].
+    """
+    packed = json.dumps(animation, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    scene = Template(_LOAD).substitute(animation=packed, loading=loading(commands))
+    return sealed(stage_page(title, f"<script>\n{engine()}\n</script>", scene))
+
 
 _HELD = 1.0  # [s] for which the last frame stands
 _COLOURS = 128
@@ -52,7 +80,7 @@ def gif(frames: Iterator[Image.Image], rate: float) -> bytes:
     return buffer.getvalue()
 
 
-def film_encoder() -> Any:
+def film_encoder() -> ModuleType:
     """Return imageio-ffmpeg, of the extra ``pinmobile[mp4]``.
 
     Raises
@@ -68,7 +96,7 @@ def film_encoder() -> Any:
         ) from None
 
 
-def film(encoder: Any, frames: Iterator[Image.Image], rate: float, size: tuple[int, int]) -> bytes:
+def film(encoder: ModuleType, frames: Iterator[Image.Image], rate: float, size: tuple[int, int]) -> bytes:
     """Return a film (MP4).
 
     Parameters

@@ -6,19 +6,29 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
 import pinmobile.viewer.shapes as shapes
 from pinmobile.arrays import Array
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable
+from pinmobile.errors import InvalidArgument
 from pinmobile.palette import AXES, INK, QUIET, colour
 from pinmobile.plant import whole_configurations
 from pinmobile.simulation import Rollout
-from pinmobile.viewer.motion import Channel, along, configurations, envelope, figure, links, poses_of, sampled
-from pinmobile.viewer.overlays import Arrows, Follow, Overlays, Stay, View, pushing
-from pinmobile.viewer.stage import Extent, Stage, overview
+from pinmobile.viewer.motion import (
+    Channel,
+    Drawing,
+    Drawn,
+    along,
+    configurations,
+    envelope,
+    figure,
+    links,
+    poses_of,
+    sampled,
+)
+from pinmobile.viewer.stage import Arrows, Extent, Follow, Overlays, Stage, Stay, View, overview
 
 _POSE = ("x", "y", "psi")
 
@@ -143,6 +153,7 @@ _Rider = Callable[[Array], list[Channel]]
 Where = Callable[[Array], Array]  # from poses (n, 3) to placements (n, 4, 4)
 
 
+_BASE_FORCES = ("Fx", "Fy", "Mz")
 _SPREAD = 2500  # points of a trail at most
 _NO_FORCE = 1e-9  # [N or N m]; less is rounding
 _NAMES = {LECTURE_TABLE: "lecture", SLIDE_TABLE: "slide"}
@@ -170,7 +181,7 @@ class Scene:
     """
 
     stage: Stage
-    robot: Any
+    robot: Drawn
     overlays: Overlays
     channels: list[Channel] = field(default_factory=list)
     riders: list[_Rider] = field(default_factory=list)
@@ -239,7 +250,7 @@ class Scene:
             self.stage.robot("meshcat/desired", ghost, QUIET, ghost=True)
             whole = _is_of(ghost, main.plant) and main.reference.q.shape == main.q.shape
             wanted = main.reference.q if whole else main.reference_poses
-            if hasattr(ghost, "drawing"):  # what has no reference is drawn as it is
+            if isinstance(ghost, Drawing):  # what has no reference is drawn as it is
                 wanted = whole_configurations(ghost.plant, main.q, main.reference.q)
             desired = configurations(ghost, main.t, wanted, times)
             self.channels += _ridden("meshcat/desired", ghost, desired)
@@ -305,7 +316,7 @@ class Scene:
     def _arrows(self, run: Rollout, times: Array, poses: Array, extent: Extent, arrows: Arrows) -> None:
         now = times + 1e-9 * max(abs(times[-1]), 1.0)  # a frame at a sample is not before it
         held = np.clip(np.searchsorted(run.t, now, side="right") - 1, 0, len(run) - 1)
-        fx, fy, moment = run.u[np.ix_(held, pushing(run))].T
+        fx, fy, moment = run.u[np.ix_(held, _pushing(run))].T
         heading = np.column_stack([poses[:, :2], np.unwrap(np.arctan2(fy, fx))])
         flat = poses[:, :3] * (1, 1, 0)
         unit = extent.unit
@@ -326,6 +337,24 @@ class Scene:
             self.legend.append([f"{name}, 1 m = {1 / scale:.2g} {symbol}", paint, "", 0.0])
 
 
+def _pushing(run: Rollout) -> list[int]:
+    """Return which of the inputs are the force and the moment on the base.
+
+    Raises
+    ------
+    InvalidArgument
+        If the plant has no such inputs.
+    """
+    names = [one.name for one in run.inputs]
+    missing = [name for name in _BASE_FORCES if name not in names]
+    if missing:
+        raise InvalidArgument(
+            f"overlays has arrows, of the inputs {', '.join(_BASE_FORCES)}, and the plant's inputs are "
+            f"{', '.join(names)}: leave arrows out"
+        )
+    return [names.index(name) for name in _BASE_FORCES]
+
+
 def _focus(poses: Array) -> list[Channel]:
     position = np.column_stack([poses[:, :2], np.zeros(len(poses))])
     return [Channel("meshcat/focus", "position", position)]
@@ -335,14 +364,15 @@ def _frame(table: DHTable, k: int, poses: Array) -> Array:
     """Return the placements of frame k of a table, shape (n, 4, 4)."""
     if k == 0:
         return np.broadcast_to(np.eye(4), (len(poses), 4, 4))
-    return table.placements(poses[:, [1, 0, 2]])[:, k - 1]
+    order = [_POSE.index(name) for name in table.variables]
+    return table.placements(poses[:, order])[:, k - 1]
 
 
-def _is_of(robot: Any, plant: Any) -> bool:
+def _is_of(robot: Drawn, plant: object) -> bool:
     """Tell whether what is drawn takes all configurations, as of its own plant, or those of the body."""
-    return robot is plant or hasattr(robot, "drawing")
+    return robot is plant or isinstance(robot, Drawing)
 
 
-def _ridden(path: str, robot: Any, configurations: Array) -> list[Channel]:
+def _ridden(path: str, robot: Drawn, configurations: Array) -> list[Channel]:
     """Return the channels of a robot, body and links."""
     return [*along(path, configurations), *links(path, robot, configurations)]

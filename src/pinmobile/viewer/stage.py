@@ -1,76 +1,22 @@
-"""The stage: nodes of meshcat's scene by path, and what every scene has: light, ground, a camera."""
+"""The stage: what is asked to be on it, nodes of meshcat's scene by path, light, ground and a camera."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import pinocchio as pin
 from pinocchio.visualize import MeshcatVisualizer
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, sequence
+from pinmobile.dh import DHTable
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot import BODY
-from pinmobile.viewer.motion import Channel
-from pinmobile.viewer.offline import Visualizer
-from pinmobile.viewer.overlays import View
-from pinmobile.viewer.shapes import Shape, shadows
-
-_FEW = 300  # triangles that a mesh keeps: a wedge of eight would be gone
-
-
-def coarse(shape: Any, share: float) -> Any:
-    """Return a mesh with about that share of its triangles; what is no mesh, or has few, stays as it is.
-
-    Vertices in one cell of a grid become one, their mean (Rossignac and Borrel, "Multi-resolution 3D
-    approximations for rendering complex scenes", 1993): no triangle moves by more than a cell.
-
-    Parameters
-    ----------
-    shape : coal.CollisionGeometry
-        What is drawn.
-    share : float
-        From 0 to 1; with 1 it stays as it is.
-    """
-    count = getattr(shape, "num_tris", 0)
-    if share >= 1 or count <= _FEW:
-        return shape
-    vertices = np.array(shape.vertices())
-    triangles = (shape.tri_indices(k) for k in range(count))
-    faces = np.array([[triangle[0], triangle[1], triangle[2]] for triangle in triangles])
-    return _mesh(*_clustered(vertices, faces, _cell(vertices[faces], max(share * count, _FEW))))
-
-
-def _cell(corners: Array, wanted: float) -> float:
-    """Return the size of a cell of which the triangles, shape (n, 3, 3), leave about so many."""
-    a, b, c = np.moveaxis(corners, 1, 0)
-    area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
-    return max(float(np.sqrt(3 * area / wanted)), 1e-9)  # a surface crosses 1.5 cells per size^2
-
-
-def _clustered(vertices: Array, faces: Any, cell: float) -> tuple[Array, Any]:
-    keys = np.floor((vertices - vertices.min(axis=0)) / cell).astype(np.int64)
-    _, cluster = np.unique(keys, axis=0, return_inverse=True)
-    cluster = cluster.ravel()
-    number = np.bincount(cluster)
-    means = np.column_stack([np.bincount(cluster, column) / number for column in vertices.T])
-    merged = cluster[faces]
-    a, b, c = merged.T
-    merged = merged[(a != b) & (b != c) & (c != a)]
-    # The same three corners in the same sense are one triangle.
-    first = np.take_along_axis(merged, (merged.argmin(axis=1)[:, None] + np.arange(3)) % 3, axis=1)
-    return means, np.unique(first, axis=0)
-
-
-def _mesh(vertices: Array, faces: Any) -> Any:
-    import coal
-
-    mesh = coal.BVHModelOBBRSS()
-    mesh.beginModel(len(faces), len(vertices))
-    mesh.addVertices(vertices)
-    mesh.addTriangles(faces.astype(np.int32))
-    mesh.endModel()
-    return mesh
-
+from pinmobile.viewer.motion import Channel, Drawn
+from pinmobile.viewer.offline import Command, Visualizer
+from pinmobile.viewer.shapes import Shape, coarse, shadows
 
 _STAGE = "meshcat/stage"
 _TOP, _BOTTOM = (0.90, 0.92, 0.93), (0.975, 0.975, 0.965)
@@ -83,10 +29,125 @@ _MOST, _MOST_OF_GHOST = 120_000, 30_000  # triangles of a robot; more are not to
 _GHOST_LINK = 1.06  # about its own origin: about the body's an arm would stand beside its place
 
 
+class View(NamedTuple):
+    """From where one looks, at what, both shape (3,) [m]."""
+
+    eye: Array
+    target: Array
+
+
+@dataclass(frozen=True)
+class Stay:
+    """A camera that stays; by default where it sees all of the paths.
+
+    Parameters
+    ----------
+    eye, target : array_like, shape (3,), optional
+        From where to look at what [m].
+    """
+
+    eye: ArrayLike | None = None
+    target: ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("eye", "target"):
+            value = getattr(self, name)
+            if value is not None:
+                point = finite(name, value)
+                if point.shape != (3,):
+                    raise InvalidArgument(f"{name} has shape {point.shape}, expected (3,)")
+                object.__setattr__(self, name, frozen(point))
+
+
+@dataclass(frozen=True)
+class Follow:
+    """A camera that moves along with the robot, without turning.
+
+    Parameters
+    ----------
+    distance : float
+        From the robot [m].
+    """
+
+    distance: float = 4.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "distance", positive("distance", self.distance, "m"))
+
+
+@dataclass(frozen=True)
+class Arrows:
+    """Force on the base as an arrow and moment as an arc, to scale; those of arms are not drawn.
+
+    They are the inputs Fx, Fy and Mz of the plant: one that has others is refused.
+
+    Parameters
+    ----------
+    force : float, optional
+        Length of the arrow [m/N]; by default such that the largest is 1.6 times as long as the robot.
+    moment : float, optional
+        Radius of the arc [m/(N m)]; by default such that the largest is 0.8 times as long as the robot.
+    """
+
+    force: float | None = None
+    moment: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, unit in (("force", "m/N"), ("moment", "m/(N m)")):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, positive(name, getattr(self, name), unit))
+
+
+@dataclass(frozen=True)
+class Overlays:
+    """What is shown beside the robot.
+
+    Parameters
+    ----------
+    grid : bool
+        A floor grid with a scale.
+    path : bool
+        The reference path, dashed.
+    trail : bool
+        The path travelled so far.
+    caption : bool
+        Time and position error.
+    desired : bool
+        The desired pose, as a ghost.
+    body_frame : bool
+        The axes x_B, y_B and z_B.
+    frames : sequence of DHTable
+        Tables whose frames, the ground's included, are drawn as triads with their names.
+    arrows : Arrows, optional
+        Force and moment.
+    camera : Stay or Follow
+        From where one looks.
+    """
+
+    grid: bool = True
+    path: bool = True
+    trail: bool = True
+    caption: bool = True
+    desired: bool = False
+    body_frame: bool = False
+    frames: Sequence[DHTable] = ()
+    arrows: Arrows | None = None
+    camera: Stay | Follow = field(default_factory=Stay)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "frames", sequence("frames", self.frames, "a sequence of DHTable"))
+        for table in self.frames:
+            if not isinstance(table, DHTable) or table.variables != ("y", "x", "psi"):
+                raise InvalidArgument(f"frames has {shown(table)}, expected tables with variables y, x, psi")
+        for name, kind in (("arrows", Arrows | None), ("camera", Stay | Follow)):
+            if not isinstance(getattr(self, name), kind):
+                raise InvalidArgument(f"{name} is {shown(getattr(self, name))}, expected {kind}")
+
+
 class Window(Protocol):
     """What takes meshcat's commands."""
 
-    def send(self, command: Any) -> None:
+    def send(self, command: Command) -> None:
         """Take a command, an object whose ``lower()`` is the dict that meshcat's page reads."""
 
 
@@ -159,11 +220,11 @@ class Stage:
         shape["object"]["uuid"] = path  # animations tell objects apart by it
         self.window.send(_Command({"type": "set_object", "path": path, "object": shape}))
 
-    def set(self, path: str, name: str, value: Any) -> None:
+    def set(self, path: str, name: str, value: object) -> None:
         """Set a property of a node."""
         self.window.send(_Command({"type": "set_property", "path": path, "property": name, "value": value}))
 
-    def tell(self, name: str, value: Any) -> None:
+    def tell(self, name: str, value: object) -> None:
         """Set a property of the stage itself, which its page reads."""
         self.set(_STAGE, name, value)
 
@@ -197,7 +258,7 @@ class Stage:
         self.tell("eye", view.eye.tolist())
         self.tell("target", view.target.tolist())
 
-    def robot(self, path: str, robot: Any, colour: str | None, *, ghost: bool = False) -> None:
+    def robot(self, path: str, robot: Drawn, colour: str | None, *, ghost: bool = False) -> None:
         """Load a robot's geometry below a node, whose pose is then the robot's.
 
         Parameters

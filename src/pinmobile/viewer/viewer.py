@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from threading import RLock
 from time import monotonic, sleep
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from pinmobile.arrays import ArrayLike, positive, text, vector
 from pinmobile.errors import InvalidArgument, ViewerError, shown
 from pinmobile.files import written
+from pinmobile.simulation import Rollout
 from pinmobile.viewer.motion import figure, frame_times, tracks
-from pinmobile.viewer.offline import OfflineWindow, recorded_page
-from pinmobile.viewer.overlays import Overlays, Rollouts, checked_overlays, checked_runs
-from pinmobile.viewer.recording import Recording, picture_of
+from pinmobile.viewer.offline import OfflineWindow
+from pinmobile.viewer.recording import Recording, picture_of, recorded_page
 from pinmobile.viewer.scene import Scene
-from pinmobile.viewer.stage import Stage
+from pinmobile.viewer.stage import Overlays, Stage
 
 if TYPE_CHECKING:
     from pinmobile.viewer.live import LiveWindow
+
+Rollouts: TypeAlias = Rollout | Mapping[str, Rollout]
 
 _FARTHEST = 1e9  # m; beyond, there is nothing to be seen
 _LIVE_FPS = 50.0
@@ -67,7 +70,7 @@ class Viewer:
     ) -> None:
         if not isinstance(live, bool):
             raise InvalidArgument(f"live is {shown(live)}, expected True or False")
-        self.plant, self.overlays = plant, checked_overlays(overlays, Overlays())
+        self.plant, self.overlays = plant, _checked_overlays(overlays, Overlays())
         self._figure = figure(plant)
         self._lock, self._closed = RLock(), False
         self._scene: Scene | None = None
@@ -170,10 +173,10 @@ class Viewer:
             If the viewer is closed or not live.
         """
         self._live("play")
-        runs, pace = checked_runs(rollout), positive("speed", speed)
+        runs, pace = _checked_runs(rollout), positive("speed", speed)
         times = frame_times(runs, _LIVE_FPS, pace)
         with self._lock:
-            scene = self._scene = self._new_scene(checked_overlays(overlays, self.overlays))
+            scene = self._scene = self._new_scene(_checked_overlays(overlays, self.overlays))
             scene.play(runs, times)
         done = 0
         while done < repeat:
@@ -221,12 +224,12 @@ class Viewer:
             If the viewer is closed.
         """
         title = text("title", title)
-        runs, rate, pace = checked_runs(rollout), positive("fps", fps, "1/s"), positive("speed", speed)
+        runs, rate, pace = _checked_runs(rollout), positive("fps", fps, "1/s"), positive("speed", speed)
         times = frame_times(runs, rate, pace)
         with self._lock:
             self._check_open()
             window = OfflineWindow()
-            scene = Scene(Stage(window), self._figure, checked_overlays(overlays, self.overlays))
+            scene = Scene(Stage(window), self._figure, _checked_overlays(overlays, self.overlays))
             scene.play(runs, times)
             scene.show(0)
             since = times - times[0]
@@ -303,3 +306,42 @@ def _live_window(host: str, port: int | None) -> LiveWindow:
     from pinmobile.viewer.live import LiveWindow  # here, since a recording needs no server
 
     return LiveWindow(host, port)
+
+
+def _checked_overlays(overlays: Overlays | None, default: Overlays) -> Overlays:
+    """Return the overlays that are asked for.
+
+    Raises
+    ------
+    InvalidArgument
+        If they are something else.
+    """
+    if overlays is None:
+        return default
+    if not isinstance(overlays, Overlays):
+        raise InvalidArgument(f"overlays is a {type(overlays).__name__}, expected Overlays")
+    return overlays
+
+
+def _checked_runs(rollouts: object) -> dict[str, Rollout]:
+    """Return the rollouts by label; a single one has the label "".
+
+    Raises
+    ------
+    InvalidArgument
+        If it is something else, holds nothing, or the plant of one does not tell where its body is.
+    """
+    runs = {"": rollouts} if isinstance(rollouts, Rollout) else rollouts
+    if not isinstance(runs, Mapping) or not runs:
+        raise InvalidArgument(
+            f"rollout is {shown(rollouts)}, expected a Rollout or a mapping of labels to them"
+        )
+    for label, run in runs.items():
+        where = f"rollout[{label!r}]" if label else "rollout"
+        if not isinstance(run, Rollout):
+            raise InvalidArgument(f"{where} is a {type(run).__name__}, expected a Rollout")
+        try:
+            _ = run.poses, run.reference_poses
+        except InvalidArgument as error:
+            raise InvalidArgument(f"{where}.{error}") from None
+    return dict(runs)

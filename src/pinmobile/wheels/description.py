@@ -62,14 +62,16 @@ def read_wheels(
 ) -> WheelTable:
     """Return the wheel table of a robot read from a URDF or a model; its `source` says what is from where.
 
-    The wheels are called as their joints, in the model's order. The axis of a joint at rest is the axle, made level; angles that
-    the file rounds, such as 1.57, are exact to 15 degrees, and axles within 1 mm of one line are on it. A
-    wheel rolls forward (or to the left, where its axle is along x) at a positive rate; where its joint turns
-    the other way, as mirrored frames do, `joint_signs` has -1. A wheel with rollers whose axle is parallel to
-    no other keeps its joint's sense. Masses and inertias are those of the links, which the robot's whole
-    holds already. Of a caster, what its fork's turning adds is in the wheel's mass and yaw inertia. The effort
-    of a driven joint is its motor's torque limit, its damping and friction are the motor's, which act where it
-    is driven by volts; those of other joints are left out.
+    The wheels are called as their joints, in the model's order. The axis of a joint at rest is the axle, made
+    level; angles that the file rounds, such as 1.57, are exact to 15 degrees, and axles within 1 mm of one
+    line are on it. A wheel rolls forward (or left, where its axle is along x) at a positive rate; where
+    its joint turns the other way, as in mirrored frames, `WheeledRobot.joint_signs` has -1. A wheel with
+    rollers whose axle is parallel to no other keeps its joint's sense.
+
+    Masses and inertias are those of the links, which the robot's whole holds already. Of a caster, what its
+    fork's turning adds is in the wheel's mass and yaw inertia. The effort of a driven joint is its motor's
+    torque limit, its damping and friction are the motor's, which act where it is driven by volts; those of
+    other joints are left out.
 
     A mapping, below, has names of wheel joints.
 

@@ -1,19 +1,25 @@
-"""`LiveWindow`: a scene in the browsers that look at it, served by this process."""
+"""`LiveWindow`: a scene in the browsers that look at it, served by a thread of this process."""
 
 from __future__ import annotations
 
+import asyncio
 import base64
+import os
+import socket
+import threading
 import weakref
+from collections.abc import Callable
+from concurrent.futures import CancelledError
+from contextlib import suppress
+from functools import cache
 from io import BytesIO
-from typing import Any
 
 from PIL import Image, ImageOps
 
 from pinmobile.arrays import non_negative, whole
 from pinmobile.errors import InvalidArgument, ViewerError
-from pinmobile.viewer.live.handlers import access_for
-from pinmobile.viewer.live.server import Server, listening
-from pinmobile.viewer.offline import ENGINE, live_page, static_page
+from pinmobile.viewer.live.server import Access, Browser, GuardedServer, access_for, application, listening
+from pinmobile.viewer.offline import ENGINE, Backlog, Command, stage_page, static_page
 
 _CAPTURE = 20.0  # [s] that a browser has to draw a picture
 _SCRIPT, _CONNECT = 'src="main.min.js"', "viewer.connect()"
@@ -63,7 +69,7 @@ class LiveWindow:
         if wanted is not None and wanted > 65535:
             raise InvalidArgument(f"port is {wanted}, expected at most 65535")
         access = access_for(host, token)
-        html = _served(live_page() if page is None else page, access.query)
+        html = _served(_live_page() if page is None else page, access.query)
         listener = listening(access.host, wanted)
         self._port = int(listener.getsockname()[1])
         self._server = Server(listener, access, html.encode(), ENGINE.read_bytes())
@@ -103,7 +109,7 @@ class LiveWindow:
         """Of the commands that make the scene [byte]."""
         return self._server.backlog.size
 
-    def send(self, command: Any) -> None:
+    def send(self, command: Command) -> None:
         """Take a command of meshcat's; it is sent soon, unless a later one replaces it.
 
         Raises
@@ -208,6 +214,11 @@ class LiveWindow:
             raise ViewerError("the window is closed")
 
 
+def _live_page() -> str:
+    """Return the page that connects to the server it came from; it asks that for ``main.min.js``."""
+    return stage_page("pinmobile", f"<script {_SCRIPT}></script>", f"<script>\n{_CONNECT};\n</script>")
+
+
 def _served(page: str, query: str) -> str:
     """Return the page as it is served: what it asks for carries the token, and it asks for no icon."""
     for needed in (_SCRIPT, _CONNECT):
@@ -216,3 +227,198 @@ def _served(page: str, query: str) -> str:
     page = page.replace(_SCRIPT, f'{_SCRIPT[:-1]}{query}"')
     page = page.replace(_CONNECT, _SOCKET.format(query=query))
     return page if 'rel="icon"' in page else page.replace("<head>", f"<head>{_NO_ICON}", 1)
+
+
+_PERIOD = 1 / 60  # [s] between two batches
+_GATHER = 0.003  # [s] in which the commands of one pose come together
+_LOOK = 0.5  # [s] after which it looks for what is new without being told
+_FAREWELL = 0.2  # [s] in which browsers can answer that they have seen the end
+_PATIENCE = 10.0  # [s] for the thread to start or end
+_REQUEST = 10.0  # [s] that a request may take to come
+_LARGEST_HEADER = 1 << 14  # [byte]
+_LARGEST_BODY = 1 << 10  # [byte]; none is expected
+_MOST_DELETIONS = 10_000  # that are kept for a browser which has stopped reading
+
+
+class Server:
+    """Serves a scene until it is stopped.
+
+    Parameters
+    ----------
+    listener : socket
+        That listens; it is the server's from now on.
+    access : Access
+        Who may ask.
+    page, script : bytes
+        What is served.
+
+    Attributes
+    ----------
+    backlog : Backlog
+        The scene.
+    browsers : list of Browser
+        That show it, the last one to come last. Only the server's thread changes it.
+    """
+
+    def __init__(self, listener: socket.socket, access: Access, page: bytes, script: bytes) -> None:
+        self.access, self.page, self.script = access, page, script
+        self.backlog = Backlog()
+        self.browsers: list[Browser] = []
+        self.closed = False
+        self._listener = listener
+        self._changed = threading.Condition()
+        self._started = threading.Event()
+        self._told = False  # that there is something to send, and the loop has not looked yet
+        self._process = os.getpid()
+        self._thread = threading.Thread(target=self._run, name="pinmobile-viewer", daemon=True)
+        try:
+            self._thread.start()
+            if not self._started.wait(_PATIENCE):
+                raise ViewerError("the viewer's server did not start")
+        except BaseException:
+            self.closed = True
+            listener.close()
+            raise
+        _mind_forks()
+        _SERVERS.add(self)
+
+    def news(self) -> None:
+        """Look for what there is to send, and wake who waits; for the server's thread."""
+        self._work.set()
+        with self._changed:
+            self._changed.notify_all()
+
+    def tell(self) -> None:
+        """Say from any thread that there is something to send."""
+        latest = self.backlog.latest  # before looking whether there is a browser: one that comes now sees it
+        if not self.browsers:
+            self.backlog.forget_deletions(latest)
+        elif not self._told:
+            self._told = True
+            with suppress(RuntimeError):  # the loop has just ended
+                self._loop.call_soon_threadsafe(self._work.set)
+
+    def wait(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Return whether a condition comes true in time, or the server ends before."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self.closed or condition(), timeout)
+
+    def capture(self, timeout: float) -> str:
+        """Return a picture from the browser that came last, as a data URL."""
+        if not self.browsers:
+            raise ViewerError("no browser shows the page, and none can draw it")
+        browser = self.browsers[-1]
+        waiting = asyncio.run_coroutine_threadsafe(asyncio.wait_for(browser.capture(), timeout), self._loop)
+        try:
+            # The loop may end meanwhile, and the future then never would.
+            return waiting.result(timeout + 1)
+        except TimeoutError:
+            waiting.cancel()
+            raise ViewerError(f"the browser has sent no picture within {timeout:g} s") from None
+        except CancelledError:
+            raise ViewerError("the window is closed") from None
+
+    @property
+    def full(self) -> bool:
+        """Whether as many browsers are connected as it can take."""
+        return len(self.browsers) >= self._http.most_kept
+
+    def join(self, browser: Browser) -> None:
+        """Take a browser that has come."""
+        self._http.keep(browser.stream)
+        self.browsers.append(browser)
+        self.news()
+
+    def leave(self, browser: Browser) -> None:
+        """Forget a browser that has gone."""
+        if browser in self.browsers:
+            self.browsers.remove(browser)
+        self.news()
+
+    def stop(self) -> None:
+        """Close everything, and return when the thread has ended; for any thread, more than once."""
+        if os.getpid() != self._process:
+            return
+        self.closed = True
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(self._end.set)
+        with self._changed:
+            self._changed.notify_all()
+        if self._thread is not threading.current_thread():
+            self._thread.join(_PATIENCE)
+
+    def abandon(self) -> None:
+        """Let go of the sockets in a forked child, where there is no thread, without touching the loop."""
+        self.closed = True
+        self._changed, self.backlog.lock = threading.Condition(), threading.Lock()
+        for each in [self._listener, *(stream.socket for stream in self._http.streams)]:
+            if each is not None:
+                each.close()
+        self.browsers = []
+
+    def _run(self) -> None:
+        asyncio.run(self._serve())
+
+    async def _serve(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._work, self._end = asyncio.Event(), asyncio.Event()
+        http = self._http = GuardedServer(
+            application(self),
+            max_header_size=_LARGEST_HEADER,
+            max_body_size=_LARGEST_BODY,
+            idle_connection_timeout=_REQUEST,
+            body_timeout=_REQUEST,
+        )
+        http.accept_from(self._listener)
+        self._started.set()
+        pump = asyncio.create_task(self._pump())
+        await self._end.wait()
+        pump.cancel()
+        http.stop()
+        for browser in list(self.browsers):
+            browser.close(1001, "the viewer was closed")
+        with suppress(TimeoutError):
+            async with asyncio.timeout(_FAREWELL):
+                while self.browsers:
+                    await asyncio.sleep(0.01)
+        for stream in http.streams:
+            stream.close()
+
+    async def _pump(self) -> None:
+        """Send what is new to each browser, 60 times a second at most."""
+        feeding: set[asyncio.Task[None]] = set()
+        while True:
+            # It also looks by itself: an interrupt in `tell` may have come before the loop was told.
+            with suppress(TimeoutError):
+                async with asyncio.timeout(_LOOK if self.browsers else None):
+                    await self._work.wait()
+            await asyncio.sleep(_GATHER)
+            self._work.clear()
+            self._told = False  # before looking: what comes from now on says so again
+            for browser in self.browsers:
+                if browser.ready:
+                    task = asyncio.create_task(browser.feed())
+                    feeding.add(task)
+                    task.add_done_callback(feeding.discard)
+            self._tidy()
+            await asyncio.sleep(_PERIOD - _GATHER)
+
+    def _tidy(self) -> None:
+        backlog = self.backlog
+        if backlog.deletions > _MOST_DELETIONS:
+            for browser in [browser for browser in self.browsers if browser.stalled]:
+                browser.abort()
+        backlog.forget_deletions(min((browser.seen for browser in self.browsers), default=backlog.latest))
+
+
+_SERVERS: weakref.WeakSet[Server] = weakref.WeakSet()
+
+
+def _in_child() -> None:
+    for server in list(_SERVERS):
+        server.abandon()
+
+
+@cache
+def _mind_forks() -> None:
+    os.register_at_fork(after_in_child=_in_child)

@@ -1,15 +1,25 @@
-"""Ways between points: cubics by a via point, splines by many, and from rest to rest."""
+"""Curves: cubics by a via point, splines by many, from rest to rest, and Lissajous figures."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, scalar
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, representable, scalar
 from pinmobile.errors import InvalidArgument
-from pinmobile.paths.path import PiecewisePath, PiecewisePolynomial, hermite, of_point, stretch
+from pinmobile.paths.path import (
+    PiecewisePath,
+    PiecewisePolynomial,
+    Whole,
+    checked_order,
+    hermite,
+    of_point,
+    stretch,
+    within,
+)
 from pinmobile.plant import Parameter
 
 _REST = (0.0, 0.0)
@@ -121,15 +131,15 @@ class CubicVia(PiecewisePath):
         return np.asarray((before * (s / self.t_end) + after * (t / self.t_end)) / 2)
 
 
-def _point(name: str, value: ArrayLike, size: int) -> Array:
+def _point(name: str, value: ArrayLike, size: int | None = None) -> Array:
     array = finite(name, value)
-    if array.shape != (size,):
-        raise InvalidArgument(f"{name} has shape {array.shape}, expected ({size},)")
+    if array.ndim != 1 or size not in (None, array.size):
+        raise InvalidArgument(f"{name} has shape {array.shape}, expected ({'n' if size is None else size},)")
     return frozen(array)
 
 
-def _velocity(name: str, value: ArrayLike, size: int) -> Array:
-    return frozen(np.zeros(size)) if value is _REST else _point(name, value, size)
+def _velocity(name: str, value: ArrayLike | None, size: int) -> Array:
+    return frozen(np.zeros(size)) if value is None or value is _REST else _point(name, value, size)
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -170,8 +180,8 @@ class Spline(PiecewisePath):
         keep = {
             "waypoints": frozen(points),
             "times": _increasing(finite("times", times), points.shape[0]),
-            "start_velocity": _end_velocity("start_velocity", start_velocity, points.shape[1]),
-            "end_velocity": _end_velocity("end_velocity", end_velocity, points.shape[1]),
+            "start_velocity": _velocity("start_velocity", start_velocity, points.shape[1]),
+            "end_velocity": _velocity("end_velocity", end_velocity, points.shape[1]),
         }
         for name, value in keep.items():
             object.__setattr__(self, name, value)
@@ -211,13 +221,6 @@ def _increasing(times: Array, size: int) -> Array:
     return frozen(times)
 
 
-def _end_velocity(name: str, value: ArrayLike | None, size: int) -> Array:
-    velocity = np.zeros(size) if value is None else finite(name, value)
-    if velocity.shape != (size,):
-        raise InvalidArgument(f"{name} has shape {velocity.shape}, expected ({size},)")
-    return frozen(velocity)
-
-
 def _of_hold(size: int) -> tuple[Parameter, ...]:
     return of_point("hold", "point", "point that is held", size)
 
@@ -230,15 +233,14 @@ def _of_rests(size: int) -> tuple[Parameter, ...]:
 class _Timed(PiecewisePath):
     """Abstract base: one polynomial that is given its duration."""
 
-    def _values(self) -> dict[str, Any]:
+    def _values(self) -> dict[str, object]:
         return {**super()._values(), "duration": self.duration}
 
     def with_parameters(self, **values: ArrayLike) -> Self:
         """Return the path of the same duration with other values of its `parameters`, by attribute."""
         points = {each.name: getattr(self, each.name) for each in fields(self) if each.init}
-        kind: Any = type(self)
-        made: Self = kind(**{**points, **values}, duration=self.duration)
-        return made
+        made: Callable[..., Self] = type(self)
+        return made(**{**points, **values}, duration=self.duration)
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -263,7 +265,7 @@ class Hold(_Timed):
     parameters: ClassVar[tuple[Parameter, ...]] = _of_hold(2)
 
     def __init__(self, point: ArrayLike, duration: float) -> None:
-        object.__setattr__(self, "point", _any_point("point", point))
+        object.__setattr__(self, "point", _point("point", point))
         knots = np.array([0.0, positive("duration", duration, "s")])
         object.__setattr__(self, "_curve", PiecewisePolynomial(knots, self.point[None, None]))
         object.__setattr__(self, "parameters", _of_hold(self.point.size))  # in place of those in the plane
@@ -295,8 +297,8 @@ class RestToRest(_Timed):
     parameters: ClassVar[tuple[Parameter, ...]] = _of_rests(2)
 
     def __init__(self, start: ArrayLike, end: ArrayLike, duration: float) -> None:
-        object.__setattr__(self, "start", _any_point("start", start))
-        object.__setattr__(self, "end", _any_point("end", end))
+        object.__setattr__(self, "start", _point("start", start))
+        object.__setattr__(self, "end", _point("end", end))
         if self.end.shape != self.start.shape:
             raise InvalidArgument(f"end has shape {self.end.shape}, expected {self.start.shape}")
         object.__setattr__(self, "_curve", self._solve(stretch("duration", duration)))
@@ -310,8 +312,155 @@ class RestToRest(_Timed):
         return PiecewisePolynomial(np.array([0.0, T]), np.array([rows]))
 
 
-def _any_point(name: str, value: ArrayLike) -> Array:
-    array = finite(name, value)
-    if array.ndim != 1:
-        raise InvalidArgument(f"{name} has shape {array.shape}, expected (n,)")
-    return frozen(array)
+class _Figure:
+    """Abstract base: a path with amplitudes and rates along x and y."""
+
+    duration: float
+
+    @property
+    def _axes(self) -> tuple[float, float, float, float]:
+        """Amplitudes along x and y [m], and rates [rad/s]."""
+        raise NotImplementedError
+
+    @property
+    def pieces(self) -> tuple[Whole]:
+        """The whole figure: it is analytic."""
+        return (Whole(self),)
+
+    def __call__(self, t: ArrayLike) -> Array:
+        """Return the position.
+
+        Parameters
+        ----------
+        t : array_like, shape (...)
+            Times, 0 <= t <= duration [s].
+
+        Returns
+        -------
+        r : ndarray, shape (..., 2)
+            Position [m].
+
+        Raises
+        ------
+        InvalidArgument
+            If a time is outside.
+        """
+        return self.derivative(t, 0)
+
+    def derivative(self, t: ArrayLike, order: int) -> Array:
+        """Return a derivative.
+
+        Parameters
+        ----------
+        t : array_like, shape (...)
+            Times, 0 <= t <= duration [s].
+        order : int
+            0 for the position, 1 for the velocity, and so on.
+
+        Returns
+        -------
+        dr : ndarray, shape (..., 2)
+            The derivative [m/s^order].
+
+        Raises
+        ------
+        InvalidArgument
+            If a time is outside, or `order` is not a whole number >= 0.
+        """
+        t, order = within("t", t, self.duration), checked_order(order)
+        # Sines and cosines rather than shifted phases: a multiple of pi/2 added would cost their zeros.
+        rx, ry, wx, wy = map(np.float64, self._axes)  # whose powers overflow without an error
+        with np.errstate(all="ignore"):
+            x = rx * wx**order * _sine(wx * t, order)
+            y = ry * wy**order * _sine(wy * t, order + 1)
+            curve = np.stack([x, ry - y if order == 0 else -y], axis=-1)
+        return representable("a point or derivative of the figure", curve)
+
+
+@final
+@dataclass(frozen=True)
+class Lissajous(_Figure):
+    """x = rx sin(wx t), y = ry - ry cos(wy t) (lecture, section 5.3).
+
+    A circle for rx = ry and wx = wy (see `Circle`), an ellipse for wx = wy alone.
+
+    Parameters
+    ----------
+    rx, ry : float
+        Amplitudes [m]; a negative one mirrors the figure.
+    wx, wy : float
+        Rates [rad/s].
+    duration : float
+        Time from start to end [s], > 0.
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not finite, or `duration` not above zero.
+    """
+
+    rx: float
+    ry: float
+    wx: float
+    wy: float
+    duration: float
+
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("lissajous_rx", "m", "amplitude of the figure along x", attribute="rx"),
+        Parameter("lissajous_ry", "m", "amplitude of the figure along y", attribute="ry"),
+        Parameter("lissajous_wx", "rad/s", "rate of the figure along x", attribute="wx"),
+        Parameter("lissajous_wy", "rad/s", "rate of the figure along y", attribute="wy"),
+    )
+
+    def __post_init__(self) -> None:
+        for name in ("rx", "ry", "wx", "wy"):
+            object.__setattr__(self, name, scalar(name, getattr(self, name)))
+        object.__setattr__(self, "duration", positive("duration", self.duration, "s"))
+
+    @property
+    def _axes(self) -> tuple[float, float, float, float]:
+        return self.rx, self.ry, self.wx, self.wy
+
+
+@final
+@dataclass(frozen=True)
+class Circle(_Figure):
+    """The circle that starts at the origin along the x axis: x = r sin(w t), y = r - r cos(w t).
+
+    Parameters
+    ----------
+    radius : float
+        Radius r [m], > 0.
+    rate : float
+        Turn rate w of its tangent [rad/s], positive to the left; a negative one starts backwards along x.
+    duration : float
+        Time from start to end [s], > 0.
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not finite, or `radius` or `duration` not above zero.
+    """
+
+    radius: float
+    rate: float
+    duration: float
+
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("circle_radius", "m", "radius of the circle", 0.0, may_vanish=False, attribute="radius"),
+        Parameter("circle_rate", "rad/s", "turn rate on the circle", attribute="rate"),
+    )
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "radius", positive("radius", self.radius, "m"))
+        object.__setattr__(self, "rate", scalar("rate", self.rate))
+        object.__setattr__(self, "duration", positive("duration", self.duration, "s"))
+
+    @property
+    def _axes(self) -> tuple[float, float, float, float]:
+        return self.radius, self.radius, self.rate, self.rate
+
+
+def _sine(angle: Array, quarter_turns: int) -> Array:
+    wave = np.cos(angle) if quarter_turns % 2 else np.sin(angle)
+    return np.asarray(-wave if quarter_turns % 4 >= 2 else wave)

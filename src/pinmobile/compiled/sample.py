@@ -1,0 +1,418 @@
+"""One sample of a closed loop, written once, and what is kept of it.
+
+`one_sample` runs on numbers as on symbols: it is what the compiled loop repeats. A recorder is a part like
+any other: its law is NumPy for one state. It is called as ``recorder(sample, state) -> Record``, once per
+sample, after the controller and before the step. It keeps a few numbers of each robot and counts of their
+errors, or all samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from pinmobile.arrays import Array, are_real
+from pinmobile.compiled.memory import mapped
+from pinmobile.compiled.parts import Parts
+from pinmobile.compiled.symbolic import Moment, Values, entries, has_symbols
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.measures import is_alive, measured_of, size_of
+from pinmobile.signals import Claim, claimed, number, signals_of
+
+
+class Reference(NamedTuple):
+    """What is to be followed: the first n coordinates; leading axes where there are several samples.
+
+    Attributes
+    ----------
+    q, v, a : ndarray, shape (..., leading[n]), (..., n), (..., n)
+        Configuration, velocity and acceleration.
+    """
+
+    q: Any
+    v: Any
+    a: Any
+
+
+class Memory(NamedTuple):
+    """What the parts keep between samples."""
+
+    plant: Any
+    controller: Any
+    recorder: Any
+
+
+class Sample(NamedTuple):
+    """One sample of a closed loop.
+
+    Attributes
+    ----------
+    k, t : float
+        Number and time [s].
+    q, v, u, a : ndarray, shape (nq,), (nv,), (nu,), (nv,)
+        State, input after all limits, and acceleration.
+    error, error_rate : ndarray, shape (n,)
+        Of the coordinates that the reference has.
+    signals : dict of str to Claim
+        What parts tell, by name, where the recorder has ``signals = True``; nothing otherwise.
+    measured : ndarray, shape (m,)
+        What the plant's ``measured`` gives, where the recorder has ``measures``; nothing otherwise.
+    """
+
+    k: Moment
+    t: Moment
+    q: Any
+    v: Any
+    u: Any
+    a: Any
+    error: Values
+    error_rate: Values
+    signals: Mapping[str, Claim] = {}
+    measured: Any = ()
+
+
+class Record(NamedTuple):
+    """What a recorder makes of a sample.
+
+    Attributes
+    ----------
+    state : tree of ndarrays
+        What it keeps; as it is after the last sample, it is the result.
+    counted : sequence of numbers
+        Sizes, >= 0 or infinite, that are counted in bins.
+    kept : dict of str to ndarray
+        What is kept of every sample.
+    units : dict of str to str
+        Of what of it are signals, by name; they are kept as ``"signal <name>"``.
+    """
+
+    state: Any
+    counted: Sequence[Values] = ()
+    kept: Mapping[str, Values] = {}
+    units: Mapping[str, str] = {}
+
+
+@dataclass(frozen=True)
+class Summary:
+    """The largest and mean square error, and the largest input, of each robot, while it is alive.
+
+    Once it is not `is_alive`, it has diverged: from then on nothing is taken of it.
+
+    Parameters
+    ----------
+    limit : float
+        Largest error.
+    begin : float or None
+        Number of the first sample of which the error is kept; None: all are, which is faster than 0.
+    distances : tuple of tuples of int
+        Coordinates whose errors make a distance together; of each distance the largest is kept, and its sizes
+        are counted.
+    measures : tuple of (int, bool)
+        Which of the plant's measures are kept and counted, and whether it is a margin, of which the smallest
+        is the worst: see `pinmobile.measures`.
+    """
+
+    limit: float = np.inf
+    begin: float | None = None
+    distances: tuple[tuple[int, ...], ...] = ((0, 1), (2,))
+    measures: tuple[tuple[int, bool], ...] = ()
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of its numbers."""
+        return ("limit",) if self.begin is None else ("limit", "begin")
+
+    def initial_state(self, n: int, nu: int) -> dict[str, Array]:
+        """Return the record of no sample, for n errors and nu inputs."""
+        farthest = sum(len(group) > 1 for group in self.distances)
+        return {
+            "alive": np.ones(()),
+            "lived": np.zeros(()),
+            "largest": np.zeros(n),
+            "farthest": np.zeros(farthest),  # squared
+            "squares": np.zeros(n),
+            "inputs": np.zeros(nu),
+            **self._unmeasured(),
+        }
+
+    def _unmeasured(self) -> dict[str, Array]:
+        if not self.measures:
+            return {}
+        worst = np.array([-np.inf if is_margin else 0.0 for _, is_margin in self.measures])
+        return {"worst": worst, "measure_squares": np.zeros(len(worst))}  # margins: the largest -m
+
+    def __call__(self, sample: Sample, state: Mapping[str, Values]) -> Record:
+        """Return the record with one more sample."""
+        errors = np.concatenate([sample.error, sample.error_rate], axis=-1)
+        alive = (state["alive"] > 0.5) & is_alive(errors, self.limit, sample.u, sample.a)
+        one = np.where(alive, 1.0, 0.0)
+        error = np.where(alive[..., None], np.abs(sample.error), 0.0)
+        keep = 1.0 if self.begin is None else np.where(sample.k == self.begin, 0.0, 1.0)
+        squares = error * error
+        groups = [sum(squares[..., i] for i in group) for group in self.distances]
+        far = [square for square, group in zip(groups, self.distances, strict=True) if len(group) > 1]
+        new = {
+            "alive": one,
+            "lived": state["lived"] + one,
+            "largest": _larger(error, state["largest"] * keep),
+            "farthest": _larger(np.stack(far, axis=-1), state["farthest"] * keep)
+            if far
+            else state["farthest"],
+            "squares": state["squares"] * keep + squares,
+            "inputs": _larger(np.where(alive[..., None], np.abs(sample.u), 0.0), state["inputs"]),
+        }
+        sizes = [
+            np.sqrt(np.where(alive, square, np.inf))
+            if len(group) > 1
+            else np.where(alive, error[..., group[0]], np.inf)
+            for square, group in zip(groups, self.distances, strict=True)
+        ]
+        if not self.measures:
+            return Record(new, sizes)
+        kept, found = self._measured(sample, state, alive)
+        return Record(new | kept, sizes + found)
+
+    def _measured(
+        self, sample: Sample, state: Mapping[str, Values], alive: Values
+    ) -> tuple[dict[str, Any], list[Any]]:
+        """Return what is kept of the plant's measures, and their sizes."""
+        columns = [(sample.measured[..., i], is_margin) for i, is_margin in self.measures]
+        bad = [-x if is_margin else np.abs(x) for x, is_margin in columns]
+        before = {name: state[name] for name in ("worst", "measure_squares")}
+        if self.begin is not None:  # what was infinite before is forgotten, too
+            first = self._unmeasured()
+            before = {name: np.where(sample.k == self.begin, first[name], x) for name, x in before.items()}
+        lives = alive[..., None]
+        worst = np.where(lives, np.stack(bad, axis=-1), self._unmeasured()["worst"])
+        squares = np.where(lives, np.stack([x * x for x, _ in columns], axis=-1), 0.0)
+        kept = {
+            "worst": _larger(worst, before["worst"]),
+            "measure_squares": before["measure_squares"] + squares,
+        }
+        sizes = [
+            np.where(alive, size_of(x) if is_margin else y, 0.0 if is_margin else np.inf)
+            for (x, is_margin), y in zip(columns, bad, strict=True)
+        ]
+        return kept, sizes
+
+
+def _larger(a: Values, b: Values) -> Any:
+    """Return the larger of numbers that are known to be some."""
+    return np.where(a > b, a, b)
+
+
+@dataclass(frozen=True)
+class Trace:
+    """All samples: configuration, velocity, input and acceleration, and what parts tell."""
+
+    parameters: ClassVar[tuple[str, ...]] = ()
+    signals: ClassVar[bool] = True
+
+    def initial_state(self, n: int, nu: int) -> None:
+        """Return None: nothing is kept from one sample to the next."""
+
+    def __call__(self, sample: Sample, state: object) -> Record:
+        """Return the sample."""
+        kept = {"q": sample.q, "v": sample.v, "u": sample.u, "a": sample.a}
+        kept |= {f"signal {name}": claim.value for name, claim in sample.signals.items()}
+        return Record(state, (), kept, {name: claim.unit for name, claim in sample.signals.items()})
+
+
+class Stepped(NamedTuple):
+    """What one sample of a loop comes to.
+
+    Attributes
+    ----------
+    sample : Sample
+        As it was recorded.
+    q, v : ndarray
+        State at the next sample.
+    memory : Memory
+        What the parts keep.
+    record : Record
+        What the recorder made of it.
+    """
+
+    sample: Sample
+    q: Any
+    v: Any
+    memory: Memory
+    record: Record
+
+
+def one_sample(
+    parts: Parts,
+    k: Moment,
+    t: Moment,
+    h: Moment,
+    state: tuple[Values, Values],
+    reference: Reference,
+    memory: Memory,
+) -> Stepped:
+    """Return one sample of the closed loop, and the state at the next.
+
+    Parameters
+    ----------
+    parts : Parts
+        The loop.
+    k, t, h : float
+        Number and time of the sample, and length of a substep [s].
+    state : tuple of ndarray, shape (nq,), (nv,)
+        Configuration and velocity.
+    reference : Reference
+        Of this sample.
+    memory : Memory
+        What the parts keep.
+    """
+    q, v = state
+    plant, controller = parts.plant, parts.controller
+    # What is the loop's own is not a controller's to write into.
+    own = mapped(memory.controller, _copy)
+    answer = controller(t, q.copy(), v.copy(), Reference(*map(_copy, reference)), own)
+    if type(answer) is not tuple or len(answer) != 2:
+        raise InvalidArgument(f"controller returned {answer!r}, expected (u, state)")
+    u, inner = np.asarray(answer[0]), answer[1]
+    expected = (*np.shape(v)[:-1], plant.nu)
+    if np.shape(u) != expected:
+        raise InvalidArgument(f"controller returned an input of shape {np.shape(u)}, expected {expected}")
+    _check_real("controller", u)
+    u = limited(plant, u)
+    if hasattr(controller, "applied"):
+        inner = controller.applied(u, inner)
+    error, error_rate = tracking_errors(plant, q, v, reference)
+    step = _own_step if hasattr(plant, "step") else _integrated
+    acceleration, q1, v1, kept = step(parts, t, h, q, v, u, memory.plant)
+    for name, found in (("plant", acceleration), ("step of the plant", q1), ("step of the plant", v1)):
+        _check_real(name, found)
+    signals = {}
+    if getattr(parts.recorder, "signals", False):
+        signals = claimed(_told(parts, t, q, v, u, memory.plant, inner), _signal)
+    measured: Any = ()
+    if getattr(parts.recorder, "measures", ()):
+        measured = measured_of(plant, t, q, v, acceleration, u, reference)
+    sample = Sample(k, t, q, v, u, acceleration, error, error_rate, signals, measured)
+    record = Record(None) if parts.recorder is None else parts.recorder(sample, memory.recorder)
+    return Stepped(sample, q1, v1, Memory(kept, inner, record.state), record)
+
+
+def _told(
+    parts: Parts, t: Moment, q: Values, v: Values, u: Values, memory: object, inner: object
+) -> Iterator[tuple[str, Any]]:
+    """Yield the signals of the parts at a sample, each with what the part is called."""
+    plant = parts.plant
+    if hasattr(plant, "signals"):
+        f = _pushed(parts, t, q, v) + np.zeros(plant.nv)
+        yield "plant", plant.signals(t, q.copy(), v.copy(), u.copy(), f, memory)
+    yield "controller", signals_of(parts.controller, inner)
+    for i, force in enumerate(parts.forces):
+        if hasattr(force, "on_coordinates"):
+            yield f"forces[{i}]", signals_of(force, t, q.copy(), v.copy())
+        elif hasattr(force, "signals"):
+            yield f"forces[{i}]", force.signals(t, plant.pose(q), plant.rate(q, v))
+
+
+def _signal(name: str, value: Any) -> Array:
+    return entries(value) if has_symbols(value) else number(name, value)
+
+
+def _check_real(name: str, found: object) -> None:
+    if not are_real(found):
+        raise InvalidArgument(f"{name} returned {shown(found)}, expected real numbers")
+
+
+def _copy(x: object) -> Any:
+    return x.copy() if hasattr(x, "copy") else x
+
+
+def tracking_errors(plant: Any, q: Values, v: Values, reference: Reference) -> tuple[Any, Any]:
+    """Return the error of the reference's coordinates, and its rate, shape (n,) each."""
+    n, length = reference.v.shape[-1], reference.q.shape[-1]
+    whole = reference.q
+    if length != plant.nq:  # what has no reference is where it should be
+        ahead = np.shape(q)[:-1]
+        whole = np.concatenate([np.broadcast_to(whole, (*ahead, length)), q[..., length:]], axis=-1)
+    return plant.difference(q, whole)[..., :n], reference.v - v[..., :n]
+
+
+def limited(plant: object, u: Values) -> Any:
+    """Return the input within the plant's limits."""
+    inputs = getattr(plant, "inputs", ())
+    lower, upper = (
+        np.array([getattr(each, side, None) for each in inputs], float) for side in ("lower", "upper")
+    )
+    low, high = np.where(np.isnan(lower), -np.inf, lower), np.where(np.isnan(upper), np.inf, upper)
+    if not (np.isfinite(low).any() or np.isfinite(high).any()):
+        return u
+    return np.clip(u, low, high)
+
+
+def _pushed(parts: Parts, t: Moment, q: Values, v: Values) -> Any:
+    """Return the forces on the coordinates beside the input, shape (nv,), or 0."""
+    plant, total = parts.plant, 0.0
+    wrenches = [force for force in parts.forces if not hasattr(force, "on_coordinates")]
+    if wrenches:
+        pose, rate = plant.pose(q), plant.rate(q, v)
+        wrench = sum((_answer(parts, force, force(t, pose, rate), np.shape(pose)) for force in wrenches), 0.0)
+        total = plant.effort(q, wrench)
+        if total is None:
+            raise InvalidArgument(
+                f"plant is a {type(plant).__name__}, whose body cannot be pushed, and forces push it"
+            )
+    others = [force for force in parts.forces if hasattr(force, "on_coordinates")]
+    return sum((_answer(parts, force, force.on_coordinates(t, q, v), np.shape(v)) for force in others), total)
+
+
+def _answer(parts: Parts, force: object, found: object, shape: tuple[int, ...]) -> Any:
+    """Check that a force returned an array of its shape, and return that."""
+    if not hasattr(found, "shape") or np.shape(found) != shape:
+        k = next(i for i, each in enumerate(parts.forces) if each is force)
+        raise InvalidArgument(f"forces[{k}] returned {shown(found)}, expected an array of shape {shape}")
+    if not are_real(found):
+        k = next(i for i, each in enumerate(parts.forces) if each is force)
+        _check_real(f"forces[{k}]", found)
+    return found
+
+
+def integrate_of(plant: object) -> Any:
+    """Return how a displacement moves a plant's configuration: as it says, else by addition."""
+    return getattr(plant, "integrate", None) or np.add
+
+
+def _integrated(parts: Parts, t: Moment, h: Moment, q: Values, v: Values, u: Values, memory: object) -> Any:
+    """Return the acceleration, and the state after the substeps, by the integrator on displacements."""
+    plant = parts.plant
+    integrate = integrate_of(plant)
+
+    def advanced(t: Moment, q: Values, v: Values) -> tuple[Any, Any]:
+        def acceleration(time: Moment, moved: Values, rate: Values) -> Any:
+            there = integrate(q, moved)
+            return plant.forward_dynamics(there, rate, u, _pushed(parts, time, there, rate))
+
+        answer = parts.integrator(acceleration, t, np.zeros(plant.nv), v, h)
+        if type(answer) is not tuple or len(answer) != 2:
+            raise InvalidArgument(
+                f"integrator returned {shown(answer)} at t = {t:g} s, expected (q, v) of shapes "
+                f"({plant.nv},) and ({plant.nv},)"
+            )
+        moved, v = answer
+        q = integrate(q, moved)
+        return q, plant.project(q, v) if hasattr(plant, "project") else v
+
+    first = plant.forward_dynamics(q, v, u, _pushed(parts, t, q, v))
+    for j in range(parts.substeps):
+        q, v = advanced(t + j * h if j else t, q, v)
+    return first, q, v, memory
+
+
+def _own_step(parts: Parts, t: Moment, h: Moment, q: Values, v: Values, u: Values, memory: object) -> Any:
+    """Return the mean acceleration of the first substep, and the state after all, by the plant's own step."""
+    acceleration = None
+    for j in range(parts.substeps):
+        time = t + j * h if j else t
+        found = parts.plant.step(time, q, v, u, h, _pushed(parts, time, q, v), memory)
+        acceleration = (found.v - v) / h if acceleration is None else acceleration
+        q, v, memory = found.q, found.v, found.memory
+    return acceleration, q, v, memory
