@@ -6,15 +6,18 @@ and returns the next one (None where it has no memory, see `initial_state`). q, 
 leading axes. `Saturated`, `Delayed` and `NoisyMeasurement` wrap any of them, and each other.
 """
 
+from pinmobile.controllers.backstepping import Backstepping
 from pinmobile.controllers.controller import (
     Controller,
     InverseDynamics,
     State,
+    answer_of as answer_of,
     check_controller,
     check_memory as check_memory,
     law,
     plain_difference,
     planar_difference,
+    told as told,
 )
 from pinmobile.controllers.feedback import (
     GAINS as GAINS,
@@ -26,20 +29,38 @@ from pinmobile.controllers.feedback import (
     PDGravity,
     gain_matrix,
 )
-from pinmobile.controllers.wrappers import Delayed, NoisyMeasurement, Saturated
+from pinmobile.controllers.steering import (
+    Changing,
+    DynamicFeedback,
+    Kanayama,
+    KinematicLaw,
+    Parking,
+    Tracked,
+    Tracking,
+)
+from pinmobile.controllers.wrappers import Allocated, Delayed, NoisyMeasurement, Saturated
 
 __all__ = [
     "PD",
+    "Allocated",
+    "Backstepping",
+    "Changing",
     "ComputedTorque",
     "Controller",
     "Decoupled",
     "Delayed",
+    "DynamicFeedback",
     "Gravity",
     "InverseDynamics",
+    "Kanayama",
+    "KinematicLaw",
     "NoisyMeasurement",
     "PDGravity",
+    "Parking",
     "Saturated",
     "State",
+    "Tracked",
+    "Tracking",
     "check_controller",
     "gain_matrix",
     "law",

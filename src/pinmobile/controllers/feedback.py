@@ -12,7 +12,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, finite, frozen
 from pinmobile.controllers.controller import InverseDynamics, State
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.plant import Context, Difference, Parameter, Plant, check_difference
+from pinmobile.plant import Context, Difference, Parameter, Plant, check_difference, leading_of
 
 
 def _all(values: Array, column: Array, size: int) -> Array:
@@ -158,12 +158,16 @@ class PD:
 class ComputedTorque:
     """Computed torque, tau = M(q) (a_d + Kd e_dot + Kp e) + n(q, v) (lecture, section 4).
 
+    Of a robot on wheels that moves in every direction, the torques of least norm with which body and arms
+    accelerate so; its reference is of these.
+
     Parameters
     ----------
-    robot : MobileRobot
+    robot : MobileRobot or WheeledRobot
         The model that the controller believes in; it need not be the one that is simulated.
     kp, kd : array_like, shape (), (n,) or (n, n)
-        Gains [1/s^2] and [1/s]: a scalar, one per coordinate, or a matrix.
+        Gains [1/s^2] and [1/s]: a scalar, one per coordinate, or a matrix; n is 3 and one for each degree of
+        freedom of the arms.
     difference : callable
         ``difference(q0, q1)``: the displacement from q0 to q1; by default the robot's own. The lecture's is
         `plain_difference`.
@@ -171,7 +175,7 @@ class ComputedTorque:
     Raises
     ------
     InvalidArgument
-        If a gain has another shape or is not finite.
+        If a gain has another shape or is not finite, or no torques move the robot in every direction.
     """
 
     robot: InverseDynamics
@@ -183,8 +187,10 @@ class ComputedTorque:
     parameters: ClassVar[tuple[Parameter, ...]] = GAINS
 
     def __post_init__(self) -> None:
-        _check_robot(self, "inverse_dynamics")
-        _check_gains(self, self.robot.nv)
+        check_robot(self, "inverse_dynamics")
+        if hasattr(self.robot, "check_inverse_dynamics"):
+            self.robot.check_inverse_dynamics()
+        _check_gains(self, max(leading_of(self.robot)))
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
@@ -284,10 +290,16 @@ def feedback(controller: _Feedback, difference: Difference, q: Array, v: Array, 
     InvalidArgument
         If state, reference and gains do not fit together.
     """
+    robot = getattr(controller, "robot", None)
+    n = np.shape(reference.v)[-1]
+    if n < np.shape(v)[-1] and robot is not None and n == max(leading_of(robot)):  # wheels have no reference
+        lead, length = np.shape(q)[:-1], np.shape(reference.q)[-1]
+        whole = np.concatenate([np.broadcast_to(reference.q, (*lead, length)), q[..., length:]], axis=-1)
+        error, rate = difference(q, whole)[..., :n], reference.v - v[..., :n]
+        return _sum(controller, error, rate)
     for name, actual, desired in (("q", q, reference.q), ("v", v, reference.v)):
         if actual.shape[-1:] != desired.shape[-1:]:
             raise InvalidArgument(f"{name} has shape {actual.shape}, the reference's has {desired.shape}")
-    robot = getattr(controller, "robot", None)
     if robot is not None and robot.nv != v.shape[-1]:
         raise InvalidArgument(
             f"robot of the controller is {shown(robot)}, which has {robot.nv} coordinates, expected "
@@ -299,6 +311,10 @@ def feedback(controller: _Feedback, difference: Difference, q: Array, v: Array, 
             f"difference gives shape {error.shape}, expected {rate.shape}: compare configurations of a robot "
             "with joints without limits by difference=robot.difference"
         )
+    return _sum(controller, error, rate)
+
+
+def _sum(controller: Any, error: Array, rate: Array) -> Array:
     kinds = controller.kinds
     return _amplified("kp", controller.kp, kinds[0], error) + _amplified("kd", controller.kd, kinds[1], rate)
 
@@ -442,5 +458,10 @@ def _of_arms(rate: Array) -> Array:
 
 
 def _check(controller: PDGravity | Decoupled, needs: str) -> None:
-    _check_robot(controller, needs)
+    check_robot(controller, needs)
+    if max(leading_of(controller.robot)) < controller.robot.nv:
+        raise InvalidArgument(
+            f"robot is {shown(controller.robot)}, which has wheels, expected Allocated({type(controller).__name__}"
+            "(robot.robot, ...), robot)"
+        )
     _check_gains(controller, controller.robot.nv)

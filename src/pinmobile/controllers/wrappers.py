@@ -15,7 +15,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen, whole
 from pinmobile.controllers.controller import Controller, State, answer_of, check_controller, told
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.plant import Context, Parameter
+from pinmobile.plant import Context, Parameter, inputs_of, leading_of
 from pinmobile.signals import signals_of
 
 
@@ -222,3 +222,80 @@ def _fitting(name: str, value: ArrayLike, size: tuple[int, ...]) -> Array:
     if array.shape[-1:] not in ((), size):
         raise InvalidArgument(f"{name} has shape {array.shape}, expected () or {size}")
     return array
+
+
+class _OfBody:
+    """The context of a controller that sees body and arms of a robot on wheels alone."""
+
+    def __init__(self, context: Any, body: Any) -> None:
+        self._context, self.difference, self.integrate = context, body.difference, body.integrate
+        self.nv, self.leading = body.nv, leading_of(body)
+        self.coordinates = context.coordinates[: body.nv]
+        self.inputs = inputs_of(body) if hasattr(body, "inputs") else ()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._context, name)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Allocated:
+    """A controller of body and arms, such as `PD`, whose force the wheels are to give.
+
+    It sees what a robot without wheels would be: the pose, the arms and their rates. What it returns, a force on x,
+    y, psi and on the arms, becomes the torques of least norm that move the robot as that force would, all scaled by
+    one factor where one is beyond its limit, see `WheeledRobot.allocate_scaled`. What of the force the wheels do
+    not give, such as one across the axle, is recorded as the signal ``residual``, along x, y, psi and the arms.
+
+    Parameters
+    ----------
+    controller : controller
+        What is wrapped.
+    robot : WheeledRobot
+        The model by which torques are found.
+
+    Raises
+    ------
+    InvalidArgument
+        If `controller` is none, `robot` is none with wheels, or has not a motor for each independent velocity.
+    """
+
+    controller: Controller
+    robot: Any
+
+    def __post_init__(self) -> None:
+        check_controller(self.controller)
+        robot = self.robot
+        if isinstance(robot, type) or not hasattr(robot, "allocate_scaled"):
+            raise InvalidArgument(f"robot is {shown(robot)}, expected a WheeledRobot")
+        if hasattr(robot, "reduced"):
+            still = robot.reduced(robot.rest, np.zeros(robot.nv))
+            if np.linalg.matrix_rank(still.B) < len(still.M):
+                raise InvalidArgument(
+                    f"robot has {len(robot.inputs)} motors and {len(still.M)} independent velocities, expected a "
+                    "motor for each"
+                )
+
+    def initial_state(self, context: Context) -> tuple[Any, Any, Any]:
+        """Return the state that the wrapped controller starts with, and forces: left, and supplied."""
+        body = self.robot.robot
+        none = np.zeros(body.nv)
+        return self.controller.initial_state(_OfBody(context, body)), none, none  # type: ignore[arg-type]
+
+    def applied(self, u: Array, state: Any) -> Any:
+        """Return the state, with the wrapped controller told of the force that the wheels give, shape (..., n)."""
+        return told(self.controller, state[2], state[0]), *state[1:]
+
+    def signals(self, state: Any) -> dict[str, Any]:
+        """Return the force that the wheels do not give, beside what the wrapped controller tells."""
+        return {**signals_of(self.controller, state[0]), "residual": ("N, N m", state[1])}
+
+    def __call__(
+        self, t: float, q: Array, v: Array, reference: State, state: Any
+    ) -> tuple[Array, tuple[Any, Any, Any]]:
+        """Return the torques, shape (..., nu), and the next state."""
+        body = self.robot.robot
+        own = q[..., : body.nq], v[..., : body.nv]
+        tau, inner = answer_of(self.controller, t, *own, reference, state[0])
+        u, left = self.robot.allocate_scaled(q, tau)
+        return u, (inner, left, tau - left)

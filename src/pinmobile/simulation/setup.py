@@ -385,7 +385,7 @@ def _are_same(one: Array, other: Array) -> bool:
 def shorter(context: Context, error: InvalidArgument) -> InvalidArgument:
     """Return an error of a controller; where the reference has not all coordinates, that may be why."""
     n, count = context.reference.v.shape[1], len(context.coordinates)
-    if n == count:
+    if n in (count, max(context.leading, default=count)):
         return error
     return InvalidArgument(
         f"{error}; the reference has the first {n} of {count} coordinates, expected a controller that "

@@ -5,12 +5,15 @@ from pinmobile.wheels.ground import Rolling
 from pinmobile.wheels.kinematics import Kinematics as Kinematics
 from pinmobile.wheels.mobility import Mobility
 from pinmobile.wheels.motors import Motor
+from pinmobile.wheels.odometry import ByOdometry
 from pinmobile.wheels.rolling import Reduced
 from pinmobile.wheels.table import Ackermann, Differential, Friction, GearTrain, Support, Wheel, WheelTable
-from pinmobile.wheels.wheeled import Forces, WheeledRobot
+from pinmobile.wheels.wheeled import Allocation, Forces, WheeledRobot
 
 __all__ = [
     "Ackermann",
+    "Allocation",
+    "ByOdometry",
     "Differential",
     "Forces",
     "Friction",

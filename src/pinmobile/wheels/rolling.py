@@ -30,7 +30,7 @@ from pinmobile.robot import (
     solved_by,
     stacked,
 )
-from pinmobile.wheels.kinematics import Choice, Kinematics, Solution, solved
+from pinmobile.wheels.kinematics import Choice, Kinematics, Row, Solution, solved
 from pinmobile.wheels.table import WheelTable
 
 _BASE = 3
@@ -319,7 +319,8 @@ class RollingBody(WheeledBody):
         effects = self.effects(state, q)
         columns = [list(column) for column in zip(*S, strict=True)]
         pushed = [applied(M, column) for column in columns]
-        rest = [n + dot(row, gamma) for n, row in zip(effects, M, strict=True)]
+        still = self.unmoved(state, S, gamma)
+        rest = [n + dot(row, still) for n, row in zip(effects, M, strict=True)]
         inputs = [self.generalised(state, one, 0.0) for one in np.eye(self.nu)]
         public = [self.in_plane(state, column, q) for column in columns]
         return Reduced(
@@ -335,20 +336,125 @@ class RollingBody(WheeledBody):
 
         Of drives whose body is free to move in any direction; `a` has the first 3 + arms coordinates.
         """
-        state = self.state(q, v)
-        M, (S, gamma) = self.inertia(state, q), self.solution(state, self.choice)
-        wanted = scalars(a)
+        state, wanted = self.state(q, v), scalars(a)
         along = [state.c * wanted[0] + state.s * wanted[1], state.c * wanted[1] - state.s * wanted[0]]
-        rates = [*along, *wanted[2:]]
-        whole = [dot(row, rates) + g for row, g in zip(S, gamma, strict=True)]
+        S, gamma = self.solution(state, self.choice)
+        return stacked(self._driven(state, q, S, [*along, *wanted[2:]], gamma), q)
+
+    def torques(self, q: Any, v: Any, rates: Any) -> Any:
+        """Return the input of least norm with which the independent velocities change so, shape (..., nu)."""
+        state = self.state(q, v)
+        S, gamma = self.solution(state, self.choice)
+        return stacked(self._driven(state, q, S, scalars(rates), self.unmoved(state, S, gamma)), q)
+
+    def unmoved(self, state: State, S: Matrix, gamma: Vector) -> Vector:
+        """Return the accelerations, along the body's axes, where the independent velocities do not change."""
+        offset = self._offset(state, gamma)
+        return [g - dot(row, offset) for row, g in zip(S, gamma, strict=True)]
+
+    def _offset(self, state: State, gamma: Vector) -> Vector:
+        """Return the rates of the independent velocities where the accelerations are gamma."""
+        vx, vy, w = state.twist
+        moved = [gamma[0] + w * vy, gamma[1] - w * vx, gamma[2]]  # the rate of the body twist
+        rows = self.kinematics.rows(state.steering, state.twist, state.rates)
+        held = [(rows[i].base, self._turned(rows[i], state)) for i in self.choice.body]
+        if not held:
+            body = moved
+        elif len(held) == 1 or self.choice.is_fixed:
+            a, a_dot = held[0]
+            first = a[1] * moved[0] - a[0] * moved[1] + a_dot[1] * vx - a_dot[0] * vy
+            body = [first, moved[2]] if len(held) == 1 else [first]
+        else:
+            (a, a_dot), (b, b_dot) = held
+            about = cross(a, b)
+            about_dot = [x + y for x, y in zip(cross(a_dot, b), cross(a, b_dot), strict=True)]
+            square = dot(about, about)
+            change = dot(about_dot, state.twist) + dot(about, moved)
+            twice = 2.0 * dot(about, state.twist) * dot(about, about_dot) / square
+            body = [(change - twice) / square]
+        return [*body, *[ZERO] * (self.na + len(self.choice.free))]
+
+    def _turned(self, row: Row, state: State) -> Vector:
+        """Return the rate of the coefficients of a lateral row by the steering of its wheel about its centre."""
+        k = next((k for wheel, k in self._steered if wheel == row.wheel), None)
+        if k is None:
+            return [ZERO] * 3
+        turn = self.kinematics.heading(row.wheel, state.steering).first * state.rates[k]
+        x, y = self.kinematics.x[row.wheel], self.kinematics.y[row.wheel]
+        a, b, _ = row.base
+        return [-(turn * b), turn * a, turn * (x * a + y * b)]
+
+    def _driven(self, state: State, q: Any, S: Matrix, rates: Vector, rest: Vector) -> Vector:
+        """Return the input of least norm with which all accelerate as S rates + rest."""
+        M = self.inertia(state, q)
+        whole = [dot(row, rates) + g for row, g in zip(S, rest, strict=True)]
         force = [dot(row, whole) + n for row, n in zip(M, self.effects(state, q), strict=True)]
+        return self._least(state, S, force)
+
+    def _least(self, state: State, S: Matrix, force: Vector) -> Vector:
+        """Return the input of least norm that does what a generalised force along the body's axes does."""
         columns = [list(column) for column in zip(*S, strict=True)]
         right = [dot(column, force) for column in columns]
         inputs = [self.generalised(state, one, 0.0) for one in np.eye(self.nu)]
         B = [[dot(column, one) for one in inputs] for column in columns]
         square = [[dot(x, y) for y in B] for x in B]
         found = solved_by(square, right, list(range(len(right))))
-        return stacked([dot(column, found) for column in zip(*B, strict=True)], q)
+        return [dot(column, found) for column in zip(*B, strict=True)]
+
+    def independent(self, q: Any, v: Any) -> Any:
+        """Return the independent velocities nu of a state that rolls, shape (..., m)."""
+        return stacked(self.velocities(self.state(q, v)), q)
+
+    @property
+    def axle(self) -> Any:
+        """Coefficients of the body twist in the velocity across the fixed wheels, shape (..., 3)."""
+        rows = self.kinematics.rows([ZERO] * len(self.table.axes), [ZERO] * 3, [ZERO] * self.kinematics.n)
+        return stacked(rows[self.choice.body[0]].base, self.x)
+
+    @property
+    def pivots(self) -> Any:
+        """Where wheels are steered, and their angle at zero, shape (..., axes, 3), see `WheeledRobot.pivots`."""
+        x, y = scalars(self.x), scalars(self.y)
+        rows = []
+        for axis in self.table.axes:
+            first, at = self.table.wheels[axis.wheels[0]], axis.wheels[0]
+            if axis.ackermann is None:
+                rows.append([x[at], y[at], exact(first.angle)])
+            else:
+                rows.append([x[at], ZERO, exact(first.angle)])
+        return _matrix(rows, self.x)
+
+    def allocate_scaled(self, q: Any, tau: Any) -> tuple[Any, Any]:
+        """Return an input for a force on body and arms, and what of it is left, see `WheeledRobot`."""
+        state, wanted = self.state(q, stacked([ZERO] * self.nv, q)), scalars(tau)
+        S, _ = self.solution(state, self.choice)
+        along = [
+            state.c * wanted[0] + state.s * wanted[1],
+            state.c * wanted[1] - state.s * wanted[0],
+            *wanted[2:],
+        ]
+        u = stacked(self._least(state, S, [*along, *[ZERO] * self.joints]), q)
+        upper, lower = (np.array([getattr(each, side) for each in self.inputs]) for side in ("upper", "lower"))
+        if np.isfinite([upper, lower]).any():
+            high, low = u > upper, u < lower
+            beyond = np.where(high, upper, np.where(low, lower, 1.0)) / np.where(high | low, u, 1.0)
+            u = u * np.min(beyond, axis=-1)[..., None]
+        rest = [a - b for a, b in zip(along, self.supplied(state, u), strict=True)]
+        return u, stacked(
+            [state.c * rest[0] - state.s * rest[1], state.s * rest[0] + state.c * rest[1], *rest[2:]], q
+        )
+
+    def supplied(self, state: State, u: Any) -> Vector:
+        """Return the force on body and arms of wheels and joints that an input turns, along the body's axes."""
+        ns, first = len(self.table.axes), _BASE + self.na
+        effort = self.generalised(state, u, 0.0)
+        found: Vector = [ZERO] * _BASE + effort[_BASE:first]
+        for row in self.kinematics.rows(state.steering, [ZERO] * 3, [ZERO] * self.joints):
+            if row.kind in ("rolling", "roller"):
+                at = ns + row.wheel
+                force = -(effort[first + at] / row.joints[at])
+                found[:_BASE] = [x + force * b for x, b in zip(found[:_BASE], row.base, strict=True)]
+        return found
 
     def integrate(self, q: Any, dq: Any) -> Any:
         """Return the configuration that a displacement leads to."""

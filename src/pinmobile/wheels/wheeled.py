@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from os import PathLike
 from types import MappingProxyType
-from typing import Any, NamedTuple, Self, final
+from typing import Any, ClassVar, NamedTuple, Self, final
 
 import numpy as np
 import pinocchio as pin
@@ -26,6 +26,7 @@ from pinmobile.wheels.rolling import Reduced, RollingBody
 from pinmobile.wheels.table import FIXED, Wheel, WheelTable
 
 _OFF = 1e-9  # [m/s] of a start, beyond which it does not roll
+_LEAST_NORM = 1e-6  # relative weight of torques beside what they are for, where limits hold them
 _REDUNDANT = 1e-10  # relative, of eigenvalues: rows that follow from others
 
 
@@ -66,6 +67,22 @@ class Forces(NamedTuple):
     determined: Array
 
 
+class Allocation(NamedTuple):
+    """Torques for a force that is wanted on body and arms.
+
+    Attributes
+    ----------
+    u : ndarray, shape (..., nu)
+        The input [N m].
+    residual : ndarray, shape (..., 3 + arms)
+        What of the force wheels and joints do not supply: what is beyond their limits, and what no wheel
+        can give, such as a force across the axle [N, N, N m, ...].
+    """
+
+    u: Array
+    residual: Array
+
+
 @final
 @constant
 @dataclass(frozen=True, eq=False, repr=False)
@@ -96,6 +113,8 @@ class WheeledRobot:
     ground: Rolling = Rolling()
     mobility: Mobility = field(init=False)
     _tree: _Tree = field(init=False)
+
+    broadcasts: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if not isinstance(self.robot, MobileRobot):
@@ -565,7 +584,7 @@ class WheeledRobot:
         state = rolling.state(q, v)
         S, gamma = rolling.solution(state, rolling.choice)
         columns = np.stack([rolling.in_plane(state, list(column), q) for column in zip(*S, strict=True)], -1)
-        drift = rolling.in_plane(state, gamma, q)
+        drift = rolling.in_plane(state, rolling.unmoved(state, S, gamma), q)
         M, n = self.mass_matrix(q), self.nonlinear_effects(q, v)
         n = n + np.einsum("...ij,...j->...i", M, drift)
         S_T = np.swapaxes(columns, -1, -2)
@@ -603,6 +622,9 @@ class WheeledRobot:
             c * a[..., 1] - s * a[..., 0],
             *np.moveaxis(a[..., 2:], -1, 0),
         ]
+        # Rates of the body twist, which turns with the body.
+        w, ahead, aside = (own.nu[..., k] for k in (2, 0, 1))
+        wanted[:2] = [wanted[0] + w * aside, wanted[1] - w * ahead]
         force = np.einsum("...ij,...j->...i", own.M, np.stack(wanted, axis=-1)) + own.n
         return np.einsum("...ij,...j->...i", np.linalg.pinv(own.B), force)
 
@@ -626,6 +648,135 @@ class WheeledRobot:
                 f"{lead} with {len(self.table.actuators)} motors, which cannot accelerate in every direction; "
                 "expected a motor for each degree of freedom"
             )
+
+    def independent(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """Return the independent velocities nu of a state that rolls, shape (..., m): see `Reduced`."""
+        q, v = self._q(q), self._v("v", v)
+        lead = broadcast(q=q, v=v)
+        nu = map(number, self._rolling.velocities(self._rolling.state(q, v)))
+        return np.stack([np.broadcast_to(x, lead) for x in nu], axis=-1)
+
+    def torques(self, q: ArrayLike, v: ArrayLike, rates: ArrayLike) -> Array:
+        """Return the input of least norm with which the independent velocities change so, shape (..., nu) [N m].
+
+        Parameters
+        ----------
+        q, v : array_like, shape (..., nq), (..., nv)
+            State, which rolls.
+        rates : array_like, shape (..., m)
+            nu' of `Reduced` [m/s^2, rad/s^2].
+        """
+        own = self.reduced(q, v)
+        rates = vector("rates", rates, own.nu.shape[-1])
+        force = np.einsum("...ij,...j->...i", own.M, rates) + own.n
+        return np.einsum("...ij,...j->...i", np.linalg.pinv(own.B), force)
+
+    @cached_property
+    def axle(self) -> Array:
+        """Coefficients of the body twist (forward, left, yaw rate) in the velocity across the fixed wheels, (3,).
+
+        Raises
+        ------
+        InvalidArgument
+            If no wheel is fixed and keeps the body from moving across it.
+        """
+        choice = self.mobility.choice
+        if not (choice.body and choice.is_fixed):
+            raise InvalidArgument(
+                f"robot is a drive of type ({self.mobility.mobility}, {self.mobility.steerability}), which has no "
+                "fixed axle"
+            )
+        return frozen(self._rolling.axle)
+
+    @cached_property
+    def pivots(self) -> Array:
+        """Where each axis steers a wheel, x, y, and the angle of that wheel at zero, shape (axes, 3) [m, m, rad].
+
+        Of an Ackermann pair it is the wheel in their middle.
+        """
+        return frozen(self._rolling.pivots) if self.table.axes else frozen(np.zeros((0, 3)))
+
+    def lateral_velocity(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """Return how fast fixed wheels would slide sideways if the body moved so, shape (...) [m/s].
+
+        Parameters
+        ----------
+        q, v : array_like, shape (..., n), (..., m), n and m >= 3
+            Pose of the body and its rates, and whatever follows.
+
+        Raises
+        ------
+        InvalidArgument
+            If there is no fixed axle.
+        """
+        q, v = finite("q", q), finite("v", v)
+        c, s, (a, b, arm) = np.cos(q[..., 2]), np.sin(q[..., 2]), self.axle
+        return np.asarray((a * c - b * s) * v[..., 0] + (a * s + b * c) * v[..., 1] + arm * v[..., 2])
+
+    def allocate(self, q: ArrayLike, tau: ArrayLike) -> Allocation:
+        """Return the torques within limits that come nearest to a force on body and arms.
+
+        Where limits allow it they change the independent velocities as the force would, and have least norm;
+        else the sum of squares of what they miss is least in the metric of the inverse mass, by a quadratic
+        program. `allocate_scaled` is for loops.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration.
+        tau : array_like, shape (..., 3 + arms)
+            Force on x, y, psi and the arms [N, N, N m, ...].
+        """
+        q, tau = self._q(q), vector("tau", tau, self.robot.nv)
+        lead = broadcast(q=q, tau=tau)
+        q, tau = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, tau))
+        u, rest = np.empty((*lead, self.nu)), np.empty((*lead, self.robot.nv))
+        for at in np.ndindex(lead):
+            u[at], rest[at] = self._allocated(q[at], tau[at])
+        return Allocation(u, rest)
+
+    def _allocated(self, q: Array, tau: Array) -> tuple[Array, Array]:
+        own = self.reduced(q, np.zeros(self.nv))
+        metric = np.linalg.inv(np.linalg.cholesky(own.M))
+        B, right = metric @ own.B, metric @ (own.S[: self.robot.nv].T @ tau)
+        u = np.linalg.pinv(B) @ right
+        lower, upper = (np.array([getattr(each, x) for each in self.inputs]) for x in ("lower", "upper"))
+        if (u < lower).any() or (u > upper).any():
+            from scipy.optimize import lsq_linear
+
+            small = _LEAST_NORM * np.linalg.norm(B) * np.eye(self.nu)
+            found = lsq_linear(
+                np.vstack([B, small]), np.append(right, np.zeros(self.nu)), (lower, upper), tol=1e-14
+            )
+            u = np.clip(found.x, lower, upper)
+        return u, self._missed(q, tau, u)
+
+    def _missed(self, q: Array, tau: Array, u: Array) -> Array:
+        """Return what of a force the wheels and joints do not supply, shape (..., 3 + arms)."""
+        state = self._rolling.state(q, np.zeros(self.nv))
+        had = np.array([number(x) for x in self._rolling.supplied(state, u)])
+        x, y = had[:2].copy()
+        had[:2] = state.c * x - state.s * y, state.s * x + state.c * y
+        return tau - had
+
+    def allocate_scaled(self, q: ArrayLike, tau: ArrayLike) -> tuple[Array, Array]:
+        """Return torques for a force on body and arms, scaled by one factor into limits, and what is left of it.
+
+        They have least norm; where one is beyond its limit all shrink alike, so that the force keeps its
+        direction. It is the same arithmetic in all engines.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration.
+        tau : array_like, shape (..., 3 + arms)
+            Force on x, y, psi and the arms [N, N, N m, ...].
+        """
+        q, tau = self._q(q), vector("tau", tau, self.robot.nv)
+        lead = broadcast(q=q, tau=tau)
+        q, tau = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, tau))
+        u, left = self._rolling.allocate_scaled(q, tau)
+        return np.asarray(u), np.asarray(left)
 
     def wheel_rates(self, twist: ArrayLike, steering: ArrayLike = (), turning: ArrayLike = ()) -> Array:
         """Return the rates of the wheels that roll at a body twist, shape (..., wheels) [rad/s].

@@ -1,0 +1,246 @@
+"""`Backstepping`: the torques with which a robot on wheels moves as a kinematic law says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, NamedTuple, final
+
+import numpy as np
+
+from pinmobile.arrays import Array, callable_as, frozen, positive, wrap_angle
+from pinmobile.controllers.controller import State
+from pinmobile.controllers.steering import Changing, KinematicLaw, Tracked, arctan, chosen, rate_of, value_of
+from pinmobile.errors import InvalidArgument, NotTraceable, shown
+from pinmobile.plant import Context, Parameter
+
+_BASE = 3
+_SIDEWAYS = 1e-6  # [m/s], and relative to the speed: what a reference may move across the axle
+_JUMP = 0.1  # [rad], by which a heading may turn from sample to sample beside what its rate says
+_LEAST_SPEED = 1e-3  # [m/s] of a steered wheel, below which its direction is that of this speed
+_KINDS = ((2, 0), (1, 1))
+
+
+class _Car(NamedTuple):
+    """The one wheel that steers.
+
+    Attributes
+    ----------
+    at : int
+        Entry of q that is its angle.
+    limit : float
+        Largest angle [rad].
+    """
+
+    at: int
+    limit: float
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Backstepping:
+    """From a kinematic law to torques (Fierro and Lewis, J. Robotic Systems 14(3), 1997).
+
+        M nu' + n = B u,   nu' = nu_c' + k (nu_c - nu)
+
+    nu are the independent velocities of a robot whose wheels roll: of one with a fixed axle alone its speed and
+    yaw rate, of a car its speed and steering rate; arms have theirs. nu_c is what the law says, nu_c' its rate by
+    the chain rule. A car steers to delta_c, for which a wheel rolls as the law says, with
+
+        delta_c' + steer (delta_c - delta)    as the rate that is wanted,
+
+    whose own rate takes of delta_c'' what the reference has, from its last two samples. Arms follow their
+    reference as v_r + arms (q_r - q).
+
+    The reference is the pose of the body, and moves along the wheels of the fixed axle: a path of the body's origin
+    with its tangent as heading where the origin lies on the axle. One that moves sideways or whose heading jumps is
+    refused, with its time, when a loop begins; where each robot of an ensemble has a reference of its own, they
+    are not looked at.
+
+    Parameters
+    ----------
+    law : kinematic law
+        Such as `Tracking`; what it needs of a reference is said there.
+    robot : WheeledRobot
+        The model that the controller believes in.
+    k, steer, arms : float
+        Gains of the velocities, of the steering angle and of the arms, > 0 [1/s]; with the torque held between
+        samples, k dt below 0.5.
+
+    Raises
+    ------
+    InvalidArgument
+        If an argument is something else, the drive has no fixed axle or can move in every direction, or it has
+        not a motor for each independent velocity.
+    """
+
+    law: KinematicLaw
+    robot: Any
+    k: float = 10.0
+    steer: float = 10.0
+    arms: float = 2.0
+    _n: int = field(init=False, repr=False)
+    _car: _Car | None = field(init=False, repr=False)
+    _axle: Array = field(init=False, repr=False)
+    _pivot: Array | None = field(init=False, repr=False)
+
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("k", "1/s", "gain of the velocities", 0.0, may_vanish=False),
+        Parameter("steer", "1/s", "gain of the steering angle", 0.0, may_vanish=False),
+        Parameter("arms", "1/s", "gain of the arms", 0.0, may_vanish=False),
+    )
+
+    def __post_init__(self) -> None:
+        if isinstance(self.law, type) or not all(hasattr(self.law, x) for x in ("initial_state", "check")):
+            raise InvalidArgument(f"law is {shown(self.law)}, expected a kinematic law, such as Tracking()")
+        callable_as("law(tracked, state)", self.law)
+        for name in ("k", "steer", "arms"):
+            object.__setattr__(self, name, positive(name, getattr(self, name), "1/s"))
+        robot = self.robot
+        if isinstance(robot, type) or not hasattr(robot, "torques"):
+            raise InvalidArgument(f"robot is {shown(robot)}, expected a WheeledRobot")
+        if hasattr(robot, "reduced"):  # what it becomes in a compiled loop has been looked at before
+            self._look(robot)
+
+    def _look(self, robot: Any) -> None:
+        kind = robot.mobility.mobility, robot.mobility.steerability
+        if kind not in _KINDS:
+            other = "ComputedTorque(robot)" if kind[0] == 3 else "one with a fixed axle"
+            raise InvalidArgument(f"robot is a drive of type {kind}, expected {other}, such as differential or car")
+        n, size = max(robot.leading), max(robot.leading.values())
+        still = robot.reduced(robot.rest, np.zeros(robot.nv))
+        if np.linalg.matrix_rank(still.B) < len(still.M):
+            raise InvalidArgument(
+                f"robot has {len(robot.inputs)} motors and {len(still.M)} independent velocities, expected a motor "
+                "for each"
+            )
+        car = None
+        if kind == (1, 1):
+            car = _Car(size, min(float(robot.coordinates[n].upper), np.pi / 2 - 1e-3))
+        object.__setattr__(self, "_n", n)
+        object.__setattr__(self, "_car", car)
+        object.__setattr__(self, "_axle", frozen(robot.axle))
+        object.__setattr__(self, "_pivot", frozen(robot.pivots[0]) if kind == (1, 1) else None)
+
+    def initial_state(self, context: Context) -> tuple[Any, Any]:
+        """Return the law's state, and what is known of the reference's steering: nothing."""
+        try:
+            reference = context.reference
+        except NotTraceable:  # each robot has its own
+            reference = None
+        if reference is not None:
+            self._check(np.asarray(context.t), reference)
+        steering = None if self._car is None else (0.0, 0.0, float(context.dt))
+        return self.law.initial_state(context), steering
+
+    def _check(self, t: Array, reference: Any) -> None:
+        """Refuse a reference that the wheels cannot follow."""
+        if reference.v.shape[-1] != self._n:
+            raise InvalidArgument(
+                f"reference has {reference.v.shape[-1]} coordinates, expected {self._n}: x, y, psi and those of arms"
+            )
+        psi, w = reference.q[:, 2], reference.v[:, 2]
+        jumps = np.abs(wrap_angle(np.diff(psi) - np.diff(t) * (w[1:] + w[:-1]) / 2))
+        if len(jumps) and jumps.max() > _JUMP:
+            k = int(np.argmax(jumps > _JUMP))
+            raise InvalidArgument(
+                f"reference turns its heading by {jumps[k]:.3g} rad at once at t = {t[k + 1]:g} s, expected one that "
+                "the wheels can follow, such as Tangent(path, turn_time=...)"
+            )
+        a, b, arm = self._axle
+        c, s = np.cos(psi), np.sin(psi)
+        across = (a * c - b * s) * reference.v[:, 0] + (a * s + b * c) * reference.v[:, 1] + arm * w
+        speed = (b * c + a * s) * reference.v[:, 0] + (b * s - a * c) * reference.v[:, 1]
+        wrong = np.abs(across) > _SIDEWAYS * (1.0 + np.abs(speed))
+        if wrong.any():
+            k = int(np.argmax(wrong))
+            raise InvalidArgument(
+                f"reference moves sideways, at {across[k]:.3g} m/s across the fixed axle, at t = {t[k]:g} s, expected "
+                "one that the wheels can follow, such as Tangent(path)"
+            )
+        if self._car is not None:
+            angle = np.abs(_steering_angle(self._axle, self._pivot, speed, w))
+            if (angle > self._car.limit).any():
+                k = int(np.argmax(angle > self._car.limit))
+                raise InvalidArgument(
+                    f"reference turns so tightly that wheels are steered by {angle[k]:.3g} rad at t = {t[k]:g} s, "
+                    f"expected at most {self._car.limit:.3g} rad"
+                )
+        self.law.check(t, speed, w)
+
+    def __call__(
+        self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any]
+    ) -> tuple[Array, tuple[Any, Any]]:
+        """Return the input, shape (..., nu), and the next state."""
+        inner, steering = state
+        nu, n = self.robot.independent(q, v), self._n
+        tracked, errors = self._tracked(q, v, reference, nu[..., 0])
+        (speed, yaw_rate), inner = self.law(tracked, inner)
+        if self._car is None:
+            wanted = [speed, yaw_rate]
+        else:
+            wanted = [speed]
+        for i in range(_BASE, n):
+            rate, desired = reference.v[..., i] - v[..., i], reference.v[..., i]
+            wanted.append(Changing(desired + self.arms * errors[..., i], reference.a[..., i] + self.arms * rate))
+        if self._car is not None:
+            turn, steering = self._steered(q, nu, tracked, (speed, yaw_rate), steering)
+            wanted.append(turn)
+        rates = [rate_of(z) + self.k * (value_of(z) - nu[..., i]) for i, z in enumerate(wanted)]
+        return self.robot.torques(q, v, np.stack(np.broadcast_arrays(*rates), axis=-1)), (inner, steering)
+
+    def _tracked(self, q: Array, v: Array, reference: State, own_speed: Any) -> tuple[Tracked, Array]:
+        """Return what the law tracks, with its rates, and the errors of all coordinates."""
+        axle = self.robot.axle
+        a, b, arm = axle[..., 0], axle[..., 1], axle[..., 2]
+        lead, length = np.shape(q)[:-1], np.shape(reference.q)[-1]
+        whole = np.concatenate([np.broadcast_to(reference.q, (*lead, length)), q[..., length:]], axis=-1)
+        errors = self.robot.difference(q, whole)
+        c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
+        c_r, s_r = np.cos(reference.q[..., 2]), np.sin(reference.q[..., 2])
+        # Where body and reference go, and how far the axle of each is.
+        x, y, x_r, y_r = b * c + a * s, b * s - a * c, b * c_r + a * s_r, b * s_r - a * c_r
+        dx = reference.q[..., 0] - q[..., 0] + arm * (x_r - x)
+        dy = reference.q[..., 1] - q[..., 1] + arm * (y_r - y)
+        vx, vy, w_r, w = reference.v[..., 0], reference.v[..., 1], reference.v[..., 2], v[..., 2]
+        speed, turn = x_r * vx + y_r * vy, errors[..., 2]
+        gained = x_r * reference.a[..., 0] + y_r * reference.a[..., 1] + w_r * (x_r * vy - y_r * vx)
+        ahead, aside = x * dx + y * dy, x * dy - y * dx
+        tracked = Tracked(
+            Changing(ahead, w * aside - own_speed + speed * np.cos(turn)),
+            Changing(aside, speed * np.sin(turn) - w * ahead),
+            Changing(turn, w_r - w),
+            Changing(speed, gained),
+            Changing(w_r, reference.a[..., 2]),
+            Changing(gained, 0.0 * gained),
+            Changing(own_speed, 0.0 * own_speed),
+        )
+        return tracked, errors
+
+    def _steered(
+        self, q: Array, nu: Array, tracked: Tracked, command: tuple[Any, Any], memory: tuple[Any, Any, Any]
+    ) -> tuple[Changing, tuple[Any, Any, Any]]:
+        """Return the steering rate that is wanted, with its own, and what is known of the reference's."""
+        before, known, dt = memory
+        angle, limit = q[..., self._car.at], self._car.limit  # type: ignore[union-attr]
+        found = self._angle(*command)
+        beyond = np.abs(found.value) > limit
+        found = chosen(beyond, np.sign(found.value) * limit, found)
+        rate = self._angle(tracked.speed, tracked.yaw_rate).rate
+        grown = known * (rate - before) / dt
+        wanted = found.rate + self.steer * (found.value - angle)
+        turn = Changing(wanted, grown + self.steer * (found.rate - nu[..., -1]))
+        return turn, (rate, 1.0 + 0.0 * known, dt)
+
+    def _angle(self, speed: Any, yaw_rate: Any) -> Any:
+        return _steering_angle(self.robot.axle, self.robot.pivots[..., 0, :], speed, yaw_rate)
+
+
+def _steering_angle(axle: Any, pivot: Any, speed: Any, yaw_rate: Any) -> Any:
+    """Return the angle at which a steered wheel rolls where the axle has this speed and yaw rate, with its rate."""
+    a, b, arm = axle[..., 0], axle[..., 1], axle[..., 2]
+    x, y = pivot[..., 0] - arm * b, pivot[..., 1] + arm * a  # from the axle
+    c, s = np.cos(pivot[..., 2]), np.sin(pivot[..., 2])
+    ahead = (b * c - a * s) * speed + (x * s - y * c) * yaw_rate
+    aside = -(b * s + a * c) * speed + (x * c + y * s) * yaw_rate
+    least = np.where(value_of(ahead) < 0.0, -_LEAST_SPEED, _LEAST_SPEED)
+    return arctan(aside / chosen(np.abs(value_of(ahead)) < _LEAST_SPEED, least, ahead))

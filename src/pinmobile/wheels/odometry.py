@@ -1,0 +1,176 @@
+"""`ByOdometry`: a controller that knows the pose from what its wheels turned alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, final
+
+import numpy as np
+
+from pinmobile.arrays import Array, finite, frozen, non_negative, positive, whole
+from pinmobile.controllers import Controller, State, answer_of, check_controller, told
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.plant import Context, Parameter
+from pinmobile.robot import ZERO, Vector, dot, scalars, solved_by, stacked
+from pinmobile.signals import signals_of
+from pinmobile.wheels.kinematics import Kinematics
+from pinmobile.wheels.table import WheelTable
+
+_NUMBERS = (("radius", "radius", 0.0), ("x", "place forward", -np.inf), ("y", "place to the left", -np.inf))
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class ByOdometry:
+    """A controller that is told the pose that its wheels' encoders lead to, instead of the true one.
+
+    It starts at the true pose. From sample to sample encoders tell how far each wheel has turned; the body's
+    displacement is the one that fits all wheels best, tyres not moving sideways, by least squares of the table that it
+    believes; along the heading half way. Velocities are displacements over the time between samples. Angles of
+    arms and steering axes are known. What the table has wrong, wheels that slip and coarse encoders make the pose
+    drift: the signal ``believed_pose``, beside the true one.
+
+    Parameters
+    ----------
+    controller : controller
+        What is wrapped.
+    table : WheelTable
+        What it believes: the robot's wheels, by name, with numbers that may differ.
+    ticks : float, optional
+        Of an encoder per turn of its wheel, > 0; by default it is exact.
+    noise : float
+        Standard deviation of each wheel's measured rate, >= 0 [rad/s]; white.
+    seed : int
+        Of the noise.
+
+    Raises
+    ------
+    InvalidArgument
+        If an argument is something else, or the wheels do not tell how the body moves.
+    """
+
+    controller: Controller
+    table: WheelTable
+    ticks: float | None = None
+    noise: float = 0.0
+    seed: int = 0
+    x: Array = field(init=False, repr=False)
+    y: Array = field(init=False, repr=False)
+    radius: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        check_controller(self.controller)
+        if not isinstance(self.table, WheelTable):
+            raise InvalidArgument(f"table is {shown(self.table)}, expected a WheelTable")
+        if self.ticks is not None:
+            object.__setattr__(self, "ticks", positive("ticks", self.ticks))
+        object.__setattr__(self, "noise", non_negative("noise", self.noise, "rad/s"))
+        object.__setattr__(self, "seed", whole("seed", self.seed, least=0))
+        for name, _, _ in _NUMBERS:
+            object.__setattr__(self, name, frozen([getattr(wheel, name) for wheel in self.table.wheels]))
+        rows = Kinematics.of(self.table).rows(*self._still)
+        if np.linalg.matrix_rank(np.array([stacked(row.base, self.x) for row in rows])) < 3:
+            raise InvalidArgument(
+                "table does not tell by its wheels' rates how the body moves, expected rows of rank 3"
+            )
+
+    @property
+    def _still(self) -> tuple[Vector, Vector, Vector]:
+        """Steering angles, twist and rates that are zero."""
+        ns = len(self.table.axes)
+        return [ZERO] * ns, [ZERO] * 3, [ZERO] * (ns + len(self.table))
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What may differ from robot to robot of what it believes, and the noise."""
+        believed = (
+            Parameter(
+                f"believed_{name}_{wheel}",
+                "m",
+                f"{meaning} of wheel {wheel}, as odometry believes",
+                least,
+                may_vanish=name != "radius",
+                attribute=name,
+                entry=k,
+            )
+            for name, meaning, least in _NUMBERS
+            for k, wheel in enumerate(self.table.names)
+        )
+        noise = Parameter("encoder_noise", "rad/s", "deviation of measured wheel rates", 0.0, attribute="noise")
+        return (*believed, noise)
+
+    def with_parameters(self, **values: Any) -> ByOdometry:
+        """Return one that believes other numbers, by attribute."""
+        noise = float(values.pop("noise", self.noise))
+        wheels = list(self.table.wheels)
+        for name, numbers in values.items():
+            for k, number in enumerate(finite(name, numbers)):
+                wheels[k] = replace(wheels[k], **{name: float(number)})
+        table = replace(self.table, wheels=tuple(wheels))
+        return ByOdometry(self.controller, table, self.ticks, noise, self.seed)
+
+    def initial_state(self, context: Context) -> tuple[Any, ...]:
+        """Return the wrapped controller's state, the noise, the time between samples, and that nothing is known."""
+        names = tuple(one.name for one in context.coordinates)[-len(self.table) :]
+        if context.coordinates and names != self.table.names:
+            raise InvalidArgument(
+                f"table has the wheels {', '.join(self.table.names)}, expected those of the plant: {', '.join(names)}"
+            )
+        joints = np.zeros(len(self.table.axes) + len(self.table))
+        noise = context.normal(f"odometry {self.seed}", len(self.table))
+        inner = self.controller.initial_state(context)
+        return inner, noise, float(context.dt), (np.zeros(3), joints, 0.0)
+
+    def applied(self, u: Array, state: Any) -> Any:
+        """Return the state, with the wrapped controller told of the input that is applied, shape (..., nu)."""
+        return told(self.controller, u, state[0]), *state[1:]
+
+    def signals(self, state: Any) -> dict[str, Any]:
+        """Return the pose that it believes, beside what the wrapped controller tells."""
+        return {**signals_of(self.controller, state[0]), "believed_pose": ("m, rad", state[3][0])}
+
+    def __call__(
+        self, t: float, q: Array, v: Array, reference: State, state: Any
+    ) -> tuple[Array, tuple[Any, ...]]:
+        """Return the input, shape (..., nu), and the next state."""
+        inner, noise, dt, (pose, before, known) = state
+        ns, nw = len(self.table.axes), len(self.table)
+        n = ns + nw
+        steering, wheels = q[..., -n : np.shape(q)[-1] - nw], q[..., -nw:]
+        if self.ticks is not None:
+            tick = 2 * np.pi / self.ticks
+            wheels = tick * np.rint(wheels / tick)
+        numbers, noise = noise.draw()
+        now = np.concatenate([steering, wheels], axis=-1)
+        begun = np.asarray(known)[..., None]
+        pose, before = pose + (1.0 - begun) * q[..., :3], before + (1.0 - begun) * now
+        turned = now - before
+        disturbed = np.concatenate([0.0 * steering, self._noisy(numbers * dt)], axis=-1) + turned
+        rates = begun * disturbed / dt + (1.0 - begun) * v[..., -n:]
+        moved = self._displacement((now[..., :ns] + before[..., :ns]) / 2, begun * disturbed)
+        along = pose[..., 2] + moved[..., 2] / 2
+        c, s = np.cos(along), np.sin(along)
+        step = [c * moved[..., 0] - s * moved[..., 1], s * moved[..., 0] + c * moved[..., 1], moved[..., 2]]
+        pose = pose + np.stack(step, axis=-1)
+        twist, c, s = self._displacement(steering, rates), np.cos(pose[..., 2]), np.sin(pose[..., 2])
+        speeds = [c * twist[..., 0] - s * twist[..., 1], s * twist[..., 0] + c * twist[..., 1], twist[..., 2]]
+        seen_q = np.concatenate([pose, q[..., 3:-n], now], axis=-1)
+        seen_v = np.concatenate([np.stack(speeds, axis=-1), v[..., 3:-n], rates], axis=-1)
+        u, inner = answer_of(self.controller, t, seen_q, seen_v, reference, inner)
+        return u, (inner, noise, dt, (pose, now, 1.0 + 0.0 * known))
+
+    def _noisy(self, numbers: Any) -> Any:
+        """Return standard normal numbers, shape (..., wheels), as large as the noise."""
+        return np.asarray(self.noise)[..., None] * numbers
+
+    def _displacement(self, steering: Any, joints: Any) -> Any:
+        """Return the body's displacement, or twist, that fits those of steering axes and wheels best, (..., 3)."""
+        kinematics = Kinematics(self.table, scalars(self.x), scalars(self.y), scalars(self.radius))
+        _, twist, rates = self._still
+        rows, moved = kinematics.rows(scalars(steering), twist, rates), scalars(joints)
+        columns = [[row.base[k] for row in rows] for k in range(3)]
+        known = [-dot(row.joints, moved) for row in rows]
+        square = [[dot(a, b) for b in columns] for a in columns]
+        found = solved_by(square, [dot(column, known) for column in columns], [2, 1, 0])
+        return stacked(found, joints)
