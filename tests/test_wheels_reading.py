@@ -10,8 +10,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinmobile import Circle, InvalidArgument, MobileRobot, Tangent, UnknownName, simulate
-from pinmobile.controllers import law
+from pinmobile import Circle, ComputedTorque, InvalidArgument, MobileRobot, Tangent, UnknownName, simulate
+from pinmobile.controllers import Backstepping, Controller, Tracking, law
 from pinmobile.wheels import (
     Ackermann,
     Differential,
@@ -327,6 +327,17 @@ def test_real_robots_roll_on_a_circle(tmp_path: Path, name: str) -> None:
     assert np.ptp(centre, axis=0).max() < 1e-3
     ahead = 0.0 if robot.mobility.mobility == 3 else rows[0].x
     np.testing.assert_allclose(np.linalg.norm(q[:, :2] - centre, axis=-1), np.hypot(1.0, ahead), rtol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["ridgeback", "dingo_omni", "burger", "waffle", "mp400", "pmb2"])
+def test_real_robots_whose_origin_is_on_the_axle_follow_a_circle(tmp_path: Path, name: str) -> None:
+    make, given = REAL[name]
+    robot = read(tmp_path, round_wheels(make()), **given)
+    free = robot.mobility.mobility == 3
+    controller: Controller = ComputedTorque(robot) if free else Backstepping(Tracking(), robot)
+    run = simulate(robot, controller, Tangent(Circle(1.0, 0.3, 5.0)), dt=0.01, duration=3.0)
+    assert np.abs(run.q[-1, :3] - run.reference.q[-1, :3]).max() < 1e-4
+    assert np.linalg.norm(run.v[-1, :2]) == pytest.approx(0.3, rel=1e-3)
 
 
 # What else files have
