@@ -14,9 +14,11 @@ from pinmobile import Circle, ComputedTorque, InvalidArgument, MobileRobot, Tang
 from pinmobile.controllers import Backstepping, Controller, Tracking, law
 from pinmobile.wheels import (
     Ackermann,
+    Coulomb,
     Differential,
     GearTrain,
     Motor,
+    Rolling,
     Support,
     WheeledRobot,
     WheelTable,
@@ -65,16 +67,21 @@ def box(x: float, y: float) -> list[tuple[float, float]]:
 
 def test_husky_has_four_tyres_and_both_its_sides_may_be_coupled(tmp_path: Path) -> None:
     robot = MobileRobot.from_urdf(written(tmp_path, wheeled.husky()))
-    table = read_wheels(robot)
+    with pytest.raises(
+        InvalidArgument, match=r"'wheel_3' are fixed on more than one axle: .*rollers=\{\} for tyr"
+    ):
+        WheeledRobot(robot)
+    table = read_wheels(robot, rollers={})
     near(table, box(0.256, 0.2854), 0.1651)
     for wheel in table.wheels:
         assert (wheel.mass, wheel.spin_inertia, wheel.yaw_inertia) == (2.637, 0.04411, 0.02467)
         assert (wheel.angle, wheel.steering, wheel.roller, wheel.motor) == (0.0, "fixed", None, Motor())
     assert robot.mass == pytest.approx(46.034 + 4 * 2.637, rel=1e-14)  # the wheels are in the whole, once
     assert table.supports == ()
-    assert "guessed: motors at all; guessed: no wheel has rollers" in table.source
+    assert "guessed: motors at all; no rollers as given" in table.source
+    assert WheeledRobot(robot, table).ground == Coulomb()
     with pytest.raises(InvalidArgument, match="fixed on more than one axle, so it turns only by skidding"):
-        WheeledRobot(robot)
+        WheeledRobot(robot, table, Rolling())
     trains = [GearTrain(("wheel_0", "wheel_2")), GearTrain(("wheel_1", "wheel_3"))]
     coupled = read_wheels(robot, couplings=trains)
     assert [actuator.name for actuator in coupled.actuators] == ["wheel_0", "wheel_1"]
@@ -84,7 +91,7 @@ def test_husky_has_four_tyres_and_both_its_sides_may_be_coupled(tmp_path: Path) 
 
 
 def test_jackal_has_four_tyres(tmp_path: Path) -> None:
-    table = table_of(tmp_path, wheeled.jackal())
+    table = table_of(tmp_path, wheeled.jackal(), rollers={})
     near(table, box(0.131, 0.187795), 0.098)
     assert {(w.mass, w.spin_inertia, w.yaw_inertia) for w in table.wheels} == {(0.477, 0.0024, 0.0013)}
 
@@ -97,7 +104,9 @@ def test_ridgeback_is_mecanum_where_its_rollers_are_told(tmp_path: Path) -> None
     assert robot.mobility.mobility == 3
     named = dict(zip(robot.table.names, (-pi / 4, pi / 4, pi / 4, -pi / 4), strict=True))
     assert read(tmp_path, wheeled.ridgeback(), rollers=named).table == robot.table
-    with pytest.raises(InvalidArgument, match="turns only by skidding"):
+    with pytest.raises(
+        InvalidArgument, match="rollers is not given, and wheels 'front_left_wheel', 'front_rig"
+    ):
         read(tmp_path, wheeled.ridgeback())  # the file does not tell
 
 
@@ -340,6 +349,26 @@ def test_real_robots_whose_origin_is_on_the_axle_follow_a_circle(tmp_path: Path,
     assert np.linalg.norm(run.v[-1, :2]) == pytest.approx(0.3, rel=1e-3)
 
 
+@pytest.mark.parametrize("name", ["husky", "jackal"])
+def test_skid_steered_robots_skid_on_a_circle(tmp_path: Path, name: str) -> None:
+    """Sides at the rates of a turn on a wider track, by their makers' multiplier: it turns about as meant."""
+    make, ratio = (wheeled.husky, 1.875) if name == "husky" else (wheeled.jackal, 1.5)
+    trains = [GearTrain(("wheel_0", "wheel_2")), GearTrain(("wheel_1", "wheel_3"))]
+    robot = read(tmp_path, make(), couplings=trains)
+    first = robot.table.wheels[0]
+    turns = np.array([0.3 - ratio * first.y * 0.6, 0.3 + ratio * first.y * 0.6]) / first.radius
+    gain = 0.4 * 2 * first.spin_inertia / 0.005
+
+    def torques(t: float, q: Any, v: Any, reference: Any) -> Any:
+        angle = turns * (t * t / 2 if t < 1 else t - 0.5)
+        return gain * (turns * min(t, 1.0) - v[-4:-2] + 10 * (angle - q[-4:-2]))
+
+    q0, v0 = np.zeros(robot.nq), np.zeros(robot.nv)
+    path = Tangent(Circle(1.0, 0.3, 5.0))
+    run = simulate(robot, law(torques), path, dt=0.005, duration=3.0, q0=q0, v0=v0)
+    assert run.v[-1, 2] == pytest.approx(0.6, rel=0.25)
+
+
 # What else files have
 
 
@@ -390,7 +419,7 @@ def test_axles_that_are_nearly_on_one_line_are_on_it(tmp_path: Path) -> None:
     robot = read(tmp_path, base(wheel("left", "0.0004 0.2 0.1"), wheel("right", "-0.0004 -0.2 0.1")))
     near(robot.table, [(0, 0.2), (0, -0.2)], 0.1)
     assert "axles put on one line, by 0.4 mm at most" in robot.source
-    with pytest.raises(InvalidArgument, match="fixed on more than one axle"):
+    with pytest.raises(InvalidArgument, match="'left', 'right' are fixed on more than one axle"):
         read(tmp_path, base(wheel("left", "0.002 0.2 0.1"), wheel("right", "-0.002 -0.2 0.1")))
 
 

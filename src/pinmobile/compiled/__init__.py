@@ -20,6 +20,12 @@ from pinmobile.compiled.parts import (
 from pinmobile.compiled.passes import traced
 from pinmobile.compiled.processor import Cache, Target, processors as processors
 from pinmobile.compiled.program import Outcome, Program
+from pinmobile.compiled.rounds import (
+    choose as choose,
+    higher as higher,
+    repeated as repeated,
+    square_root as square_root,
+)
 from pinmobile.compiled.sample import (
     Memory,
     Record,

@@ -105,7 +105,9 @@ class Backstepping:
         kind = robot.mobility.mobility, robot.mobility.steerability
         if kind not in _KINDS:
             other = "ComputedTorque(robot)" if kind[0] == 3 else "one with a fixed axle"
-            raise InvalidArgument(f"robot is a drive of type {kind}, expected {other}, such as differential or car")
+            raise InvalidArgument(
+                f"robot is a drive of type {kind}, expected {other}, such as differential or car"
+            )
         n, size = max(robot.leading), max(robot.leading.values())
         still = robot.reduced(robot.rest, np.zeros(robot.nv))
         if np.linalg.matrix_rank(still.B) < len(still.M):
@@ -181,7 +183,9 @@ class Backstepping:
             wanted = [speed]
         for i in range(_BASE, n):
             rate, desired = reference.v[..., i] - v[..., i], reference.v[..., i]
-            wanted.append(Changing(desired + self.arms * errors[..., i], reference.a[..., i] + self.arms * rate))
+            wanted.append(
+                Changing(desired + self.arms * errors[..., i], reference.a[..., i] + self.arms * rate)
+            )
         if self._car is not None:
             turn, steering = self._steered(q, nu, tracked, (speed, yaw_rate), steering)
             wanted.append(turn)

@@ -228,7 +228,7 @@ def gain_matrix(name: str, gain: ArrayLike, n: int) -> Array:
     return array if array.ndim == 2 else np.diag(np.broadcast_to(array, n))
 
 
-def _check_robot(controller: ComputedTorque | PDGravity | Decoupled, needs: str) -> None:
+def check_robot(controller: ComputedTorque | PDGravity | Decoupled, needs: str) -> None:
     """Refuse a controller's robot that has no sizes, no method of that name, or no difference to use.
 
     Raises
@@ -314,7 +314,7 @@ def feedback(controller: _Feedback, difference: Difference, q: Array, v: Array, 
     return _sum(controller, error, rate)
 
 
-def _sum(controller: Any, error: Array, rate: Array) -> Array:
+def _sum(controller: PD | PDGravity | ComputedTorque | Decoupled, error: Array, rate: Array) -> Array:
     kinds = controller.kinds
     return _amplified("kp", controller.kp, kinds[0], error) + _amplified("kd", controller.kd, kinds[1], rate)
 

@@ -4,6 +4,7 @@ from pinmobile.robot.arms import Arm
 from pinmobile.robot.joints import BODY_JOINT, joints_of as joints_of
 from pinmobile.robot.laws import Calls, Engine as Engine
 from pinmobile.robot.linkage import (
+    ONE as ONE,
     ZERO as ZERO,
     Matrix as Matrix,
     Vector as Vector,

@@ -1,7 +1,7 @@
 """Wheels under a robot: the wheel table, rolling and slip, motors."""
 
 from pinmobile.wheels.description import read_wheels
-from pinmobile.wheels.ground import Rolling
+from pinmobile.wheels.ground import Coulomb, Ramp, Rolling
 from pinmobile.wheels.kinematics import Kinematics as Kinematics
 from pinmobile.wheels.mobility import Mobility
 from pinmobile.wheels.motors import Motor
@@ -14,12 +14,14 @@ __all__ = [
     "Ackermann",
     "Allocation",
     "ByOdometry",
+    "Coulomb",
     "Differential",
     "Forces",
     "Friction",
     "GearTrain",
     "Mobility",
     "Motor",
+    "Ramp",
     "Reduced",
     "Rolling",
     "Support",

@@ -83,8 +83,9 @@ def read_wheels(
         [m]; a number is that of all wheels of which the file does not tell it.
     rollers : float or mapping of str to float, optional
         Angle of the axis of the roller at the ground from the rolling direction [rad], see `Wheel`; wheels
-        without are tyres. A number is that of all: 0 of omni wheels; else of four mecanum wheels, whose
-        rollers form an X seen from above where it is positive.
+        without are tyres, all of them with ``{}``. A number is that of all: 0 of omni wheels; else of four
+        mecanum wheels, whose rollers form an X seen from above where it is positive. It must be given where
+        wheels are fixed on more than one axle, unless a gear train says that they skid.
     driven : sequence of str, optional
         Wheels with a motor; by default those that hang on no swivel, or where there are none, those whose
         steering is driven; of a gear train the first one alone, of a differential none.
@@ -106,8 +107,8 @@ def read_wheels(
     Raises
     ------
     InvalidArgument
-        If there are no wheels, a radius or what rollers are is not known, wheels do not stand on one plane, a
-        wheel is no solid of revolution about its axle, or hangs on what a table has no row for; or an
+        If there are no wheels, a radius, or whether they have rollers, is not known, wheels do not stand on
+        one plane, a wheel is no solid of revolution about its axle, or hangs on what a table has no row for; or an
         argument is something else.
     UnknownName
         If there is no such wheel.
@@ -360,6 +361,7 @@ class _Reader:
         rows = [self._row(joint) for joint in self.joints]
         self._check_plane(rows)
         rows = self._on_lines(rows)
+        self._check_told(rows)
         driven = self._driven(rows)
         rows = [
             replace(row, motor=_motor(joint)) if joint.name in driven else row
@@ -405,6 +407,20 @@ class _Reader:
         if moved > 1e-9:
             self.words.append(f"axles put on one line, by {1e3 * moved:.2g} mm at most")
         return found
+
+    def _check_told(self, rows: Sequence[Wheel]) -> None:
+        """Refuse to guess what wheels on several axles are, where nothing says that they skid."""
+        fixed = [row for row in rows if row.steering == FIXED]
+        axles = {
+            (round(row.angle, 9), round(cos(row.angle) * row.x + sin(row.angle) * row.y, 9)) for row in fixed
+        }
+        trains = any(isinstance(each, GearTrain) for each in self.given.couplings)
+        if self.given.rollers is None and len(axles) > 1 and not trains:
+            raise InvalidArgument(
+                f"rollers is not given, and wheels {', '.join(repr(row.name) for row in fixed)} are fixed on "
+                "more than one axle: they are tyres that skid in turns, or have rollers, of which files do not "
+                "tell; expected rollers={} for tyres, rollers=pi / 4 for mecanum wheels, or a mapping"
+            )
 
     def _driven(self, rows: Sequence[Wheel]) -> list[str]:
         if self.given.driven is not None:
@@ -470,6 +486,8 @@ class _Reader:
         tell("swivel locked of", *(bool(joint.swivels) and row.steering == FIXED for row, joint in pairs))
         if self.given.rollers is None:
             told.append("guessed: no wheel has rollers, of which files do not tell")
+        elif not any(row.roller is not None for row, _ in pairs):
+            told.append("no rollers as given")
         else:
             tell("rollers as given at", *(row.roller is not None for row, _ in pairs))
         told += self.words

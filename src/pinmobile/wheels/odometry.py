@@ -97,7 +97,9 @@ class ByOdometry:
             for name, meaning, least in _NUMBERS
             for k, wheel in enumerate(self.table.names)
         )
-        noise = Parameter("encoder_noise", "rad/s", "deviation of measured wheel rates", 0.0, attribute="noise")
+        noise = Parameter(
+            "encoder_noise", "rad/s", "deviation of measured wheel rates", 0.0, attribute="noise"
+        )
         return (*believed, noise)
 
     def with_parameters(self, **values: Any) -> ByOdometry:

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from math import cos, hypot, isfinite, pi, radians, sin
+from math import cos, hypot, pi, radians, sin
 from typing import NamedTuple, Self, final
 
 import numpy as np
 
 from pinmobile.arrays import (
-    Array,
     ArrayLike,
     finite,
-    frozen,
     non_negative,
     one_of,
     positive,
