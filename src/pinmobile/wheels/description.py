@@ -108,8 +108,8 @@ def read_wheels(
     ------
     InvalidArgument
         If there are no wheels, a radius, or whether they have rollers, is not known, wheels do not stand on
-        one plane, a wheel is no solid of revolution about its axle, or hangs on what a table has no row for; or an
-        argument is something else.
+        one plane, a wheel is no solid of revolution about its axle or hangs on what a table has no row for;
+        or an argument is something else.
     UnknownName
         If there is no such wheel.
     """
@@ -418,7 +418,7 @@ class _Reader:
         if self.given.rollers is None and len(axles) > 1 and not trains:
             raise InvalidArgument(
                 f"rollers is not given, and wheels {', '.join(repr(row.name) for row in fixed)} are fixed on "
-                "more than one axle: they are tyres that skid in turns, or have rollers, of which files do not "
+                "more than one axle: they are tyres that skid in turns, or have rollers, which files do not "
                 "tell; expected rollers={} for tyres, rollers=pi / 4 for mecanum wheels, or a mapping"
             )
 
