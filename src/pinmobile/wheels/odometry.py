@@ -115,8 +115,8 @@ class ByOdometry:
         names = tuple(one.name for one in context.coordinates)[-len(self.table) :]
         if context.coordinates and names != self.table.names:
             raise InvalidArgument(
-                f"table has the wheels {', '.join(self.table.names)}, expected those of the plant: {', "
-                "'.join(names)}"
+                f"table has the wheels {', '.join(self.table.names)}, expected those of the plant: "
+                f"{', '.join(names)}"
             )
         joints = np.zeros(len(self.table.axes) + len(self.table))
         noise = context.normal(f"odometry {self.seed}", len(self.table))
