@@ -14,8 +14,8 @@ from pinmobile.robot.linkage import (
     number as number,
     scalars as scalars,
     sine_and_cosine as sine_and_cosine,
-    solved as solved_by,
-    vector_of as stacked,
+    solved as solved,
+    vector_of as vector_of,
 )
 from pinmobile.robot.mobile import MobileRobot
 from pinmobile.robot.mounts import Load, Mount, named_frames as named_frames, prefixed as prefixed

@@ -19,7 +19,6 @@ from typing import Any, NamedTuple
 from pinmobile.compiled import choose, higher, repeated, square_root
 from pinmobile.robot import ZERO, Vector, dot, number
 
-
 _APART = 2.0  # rounds between two in which more than a round is taken, at least
 _LATER = 0.5  # and more after each
 _STRAIGHT = 0.98  # square of the cosine between two changes

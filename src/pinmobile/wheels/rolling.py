@@ -7,12 +7,14 @@ forces, by which `WheeledRobot` itself computes, are another way to the same num
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 
+from pinmobile.arrays import Array
 from pinmobile.plant import Coordinate, Input, Parameter
 from pinmobile.robot import (
     ZERO,
@@ -25,8 +27,8 @@ from pinmobile.robot import (
     number,
     scalars,
     sine_and_cosine,
-    solved_by,
-    stacked,
+    solved as solved_by,
+    vector_of as stacked,
 )
 from pinmobile.wheels.kinematics import Choice, Kinematics, Row, Solution, solved
 from pinmobile.wheels.table import Axis, WheelTable

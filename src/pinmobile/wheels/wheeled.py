@@ -792,7 +792,7 @@ class WheeledRobot:
 
         Of an Ackermann pair it is the wheel in their middle.
         """
-        return frozen(self._rolling.pivots) if self.table.axes else frozen(np.zeros((0, 3)))
+        return frozen(self._traced.pivots) if self.table.axes else frozen(np.zeros((0, 3)))
 
     def lateral_velocity(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return how fast fixed wheels would slide sideways if the body moved so, shape (...) [m/s].
@@ -851,8 +851,8 @@ class WheeledRobot:
 
     def _missed(self, q: Array, tau: Array, u: Array) -> Array:
         """Return what of a force the wheels and joints do not supply, shape (..., 3 + arms)."""
-        state = self._rolling.state(q, np.zeros(self.nv))
-        had = np.array([number(x) for x in self._rolling.supplied(state, u)])
+        state = self._traced.state(q, np.zeros(self.nv))
+        had = np.array([number(x) for x in self._traced.supplied(state, u)])
         x, y = had[:2].copy()
         had[:2] = state.c * x - state.s * y, state.s * x + state.c * y
         return tau - had
@@ -928,7 +928,7 @@ class WheeledRobot:
 
         Steered wheels point to where they go, and all roll; what the reference leaves out of the arms rests.
         """
-        return self._rolling.begun(*self.robot.start(reference))
+        return self._traced.begun(*self.robot.start(reference))
 
     @property
     def initial_state(self) -> Callable[[Any], Grip]:
