@@ -114,10 +114,8 @@ class ByOdometry:
         """Return the wrapped controller's state, the noise, the sampling time, and that nothing is known."""
         names = tuple(one.name for one in context.coordinates)[-len(self.table) :]
         if context.coordinates and names != self.table.names:
-            raise InvalidArgument(
-                f"table has the wheels {', '.join(self.table.names)}, expected those of the plant: {', "
-                "'.join(names)}"
-            )
+            own, plants = ", ".join(self.table.names), ", ".join(names)
+            raise InvalidArgument(f"table has the wheels {own}, expected those of the plant: {plants}")
         joints = np.zeros(len(self.table.axes) + len(self.table))
         noise = context.normal(f"odometry {self.seed}", len(self.table))
         inner = self.controller.initial_state(context)
