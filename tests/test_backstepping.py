@@ -56,9 +56,7 @@ class Waving:
 
     def __call__(self, t: Any) -> Reference:
         phase = 0.7 * np.asarray(t)[..., None] + np.arange(len(self.rest)) + 1.0
-        return Reference(
-            self.rest + 0.3 * np.sin(phase), 0.21 * np.cos(phase), -0.147 * np.sin(phase)
-        )
+        return Reference(self.rest + 0.3 * np.sin(phase), 0.21 * np.cos(phase), -0.147 * np.sin(phase))
 
 
 @dataclass(frozen=True)
@@ -116,11 +114,12 @@ def test_velocities_fall_to_the_law_as_the_gain_says() -> None:
         c_r, s_r = np.cos(run_.reference.q[:, 2]), np.sin(run_.reference.q[:, 2])
         speed, w = c_r * run_.reference.v[:, 0] + s_r * run_.reference.v[:, 1], run_.reference.v[:, 2]
         gain = 1.4 * np.sqrt(w**2 + 20 * speed**2)
-        wanted = speed * np.cos(turn) + gain * ahead, w + 20 * speed * np.sinc(turn / np.pi) * aside + gain * turn
+        across = 20 * speed * np.sinc(turn / np.pi) * aside
+        wanted = speed * np.cos(turn) + gain * ahead, w + across + gain * turn
         own = c * run_.v[:, 0] + s * run_.v[:, 1], run_.v[:, 2]
         for z, nu in zip(wanted, own, strict=True):
             left = (z - nu)[200] / (z - nu)[0]
-            assert left == pytest.approx(np.exp(-0.2 * k), rel=0.1)
+            assert left == pytest.approx(np.exp(-0.2 * k), abs=0.01)
 
 
 @pytest.mark.parametrize("law", [Kanayama(), DynamicFeedback()], ids=lambda law: type(law).__name__)
@@ -131,7 +130,6 @@ def test_other_laws_follow_too(law: Any) -> None:
 def test_an_axle_that_is_not_at_the_origin_is_what_follows() -> None:
     table = WheelTable.differential(0.5, 0.1, x=0.2, **WHEEL)
     robot = WheeledRobot(BODY, table)
-    turning = Posed((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
     @dataclass(frozen=True)
     class Circling:  # of the axle's middle, on a circle of 1 m
@@ -147,9 +145,10 @@ def test_an_axle_that_is_not_at_the_origin_is_what_follows() -> None:
                 np.stack([-0.25 * s + 0.05 * c, 0.25 * c + 0.05 * s, 0 * one], -1),
             )
 
-    assert turning.duration > 0
     assert distance(run(robot, Backstepping(Tracking(), robot), Circling(), 10.0))[-1] < 1e-4
-    with pytest.raises(InvalidArgument, match="reference moves sideways, at 0.13 m/s across the fixed axle, at t = "):
+    with pytest.raises(
+        InvalidArgument, match=r"reference moves sideways, at -0\.00075 m/s across the .*, at t = 0\.01 s"
+    ):
         run(robot, Backstepping(Tracking(), robot), EIGHT, 1.0)
 
 
@@ -174,7 +173,7 @@ def test_arms_follow_beside_the_body() -> None:
     found = run(robot, Backstepping(Tracking(), robot), Both(), 8.0, 0.005)
     errors = np.abs(found.q[:, :9] - found.reference.q)
     assert errors[-1].max() < 2e-4
-    with pytest.raises(InvalidArgument, match="reference has 3 coordinates, expected 9: x, y, psi and those of arms"):
+    with pytest.raises(InvalidArgument, match="reference has 3 coordinates, expected 9: x, y, psi"):
         run(robot, Backstepping(Tracking(), robot), EIGHT, 1.0)
 
 
@@ -204,11 +203,12 @@ def test_a_wrench_is_allocated_and_what_wheels_cannot_give_is_told() -> None:
     np.testing.assert_allclose(along, 0.0, atol=1e-12)  # the wheels give all of that
     np.testing.assert_allclose(left[:, 2], 0.0, atol=1e-12)
     assert np.abs(left[:, 1]).max() > 1.0
-    body = simulate(BODY, PD((60.0, 60.0, 20.0), (60.0, 60.0, 10.0)), EIGHT, dt=0.01, duration=10.0)
-    assert distance(found)[-1] > 3 * distance(body)[-1]  # what the wheels change
+    assert 0.05 < distance(found)[500:].max() < 0.5  # what is missing
 
 
-@pytest.mark.parametrize("robot", [DIFFERENTIAL, CAR, MECANUM, SWERVE], ids=["differential", "car", "mecanum", "swerve"])
+@pytest.mark.parametrize(
+    "robot", [DIFFERENTIAL, CAR, MECANUM, SWERVE], ids=["differential", "car", "mecanum", "swerve"]
+)
 def test_allocated_torques_do_what_the_force_would(robot: WheeledRobot) -> None:
     rng = np.random.default_rng(3)
     q, tau = rng.normal(size=robot.nq), rng.normal(size=3)
@@ -300,28 +300,31 @@ CASES: dict[str, tuple[Any, Any, Any, Any]] = {
 def test_the_engines_agree(name: str) -> None:
     robot, controller, trajectory, spread = CASES[name]
     more: dict[str, Any] = {"dt": 0.01, "seed": 4, "duration": 0.3, "integrator": rk4}
-    scenario = Scenario(
-        robot=robot, controller=controller, trajectory=trajectory, n=3, spread=spread, **more
-    )
+    scenario = Scenario(robot=robot, controller=controller, trajectory=trajectory, n=3, spread=spread, **more)
     alone, *others = (run_scenario(scenario, engine=engine) for engine in (PINOCCHIO, ARRAYS, COMPILED))
     assert not alone.diverged.any()
     for one in others:
         for of in ("max_error", "rms_error", "max_force"):
             here, there = getattr(one, of), getattr(alone, of)
-            np.testing.assert_allclose(here, there, rtol=0, atol=1e-12 * (1 + np.abs(there).max()), err_msg=of)
+            np.testing.assert_allclose(here, there, rtol=0, atol=1e-12 * (1 + there.max()), err_msg=of)
 
 
 def test_a_reference_that_wheels_cannot_follow_is_refused_with_its_time() -> None:
     late = Posed((0.0, 0.0, 0.0), (0.3, 0.1, 0.0))
     for trajectory, message in (
-        (FixedHeading(Eight(1.0, 4 * np.pi), 0.0), "reference moves sideways, at 0.5 m/s across the fixed axle, at t = 0 s"),
+        (
+            FixedHeading(EIGHT.path, 0.0),
+            "reference moves sideways, at 0.5 m/s across the fixed axle, at t = 0 s",
+        ),
         (late, "reference moves sideways, at 0.1 m/s across the fixed axle, at t = 0 s"),
         (LectureHeading(_Back()), "reference turns its heading by 3.14 rad at once at t = 1.01 s"),
     ):
         with pytest.raises(InvalidArgument, match=message):
             run(DIFFERENTIAL, ON_TWO, trajectory, 2.0)
     tight = Tangent(Eight(1.0, 4 * np.pi))
-    with pytest.raises(InvalidArgument, match=r"wheels are steered by 0\.\d+ rad at t = [\d.]+ s, expected at most 0.698"):
+    with pytest.raises(
+        InvalidArgument, match=r"are steered by 0\.\d+ rad at t = [\d.]+ s, expected at most 0\.698"
+    ):
         run(CAR, OF_CAR, tight, 4.0)
 
 
@@ -345,12 +348,13 @@ class _Back:
     [
         (
             lambda: ComputedTorque(DIFFERENTIAL),
-            "robot is a drive of type (2, 0), which cannot accelerate in every direction, so no torques are its "
-            "inverse dynamics; expected an omnidirectional drive, or Backstepping(law, robot)",
+            "robot is a drive of type (2, 0), which cannot accelerate in every direction, so no torques are "
+            "its inverse dynamics; expected an omnidirectional drive, or Backstepping(law, robot)",
         ),
         (
             lambda: Backstepping(Tracking(), MECANUM),
-            "robot is a drive of type (3, 0), expected one with a fixed axle: for this one, ComputedTorque(robot)",
+            "robot is a drive of type (3, 0), expected one with a fixed axle: for this one, "
+            "ComputedTorque(robot)",
         ),
         (lambda: Backstepping(PD(1, 1), DIFFERENTIAL), "law is PD("),  # type: ignore[arg-type]
         (lambda: Backstepping(Tracking(), BODY), "robot is MobileRobot("),
@@ -373,5 +377,5 @@ def test_wrong_parts_are_refused_when_they_are_made(make: Any, message: str) -> 
 
 
 def _one_motor() -> WheeledRobot:
-    left, right = DIFFERENTIAL.table.wheels
-    return WheeledRobot(BODY, WheelTable((Wheel("left", 0, 0.25, 0.1, motor=Motor(), **WHEEL), replace(right, motor=None))))
+    left = Wheel("left", 0.0, 0.25, 0.1, motor=Motor(), **WHEEL)
+    return WheeledRobot(BODY, WheelTable((left, replace(DIFFERENTIAL.table.wheels[1], motor=None))))

@@ -1,4 +1,4 @@
-"""Kinematic laws on the kinematic model: rates by the chain rule, Lyapunov functions, convergence, refusals."""
+"""Kinematic laws on the kinematic model: rates by the chain rule, Lyapunov functions, refusals."""
 
 from collections.abc import Callable
 from dataclasses import fields
@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from pinmobile import DynamicFeedback, InvalidArgument, Kanayama, MobileRobot, Parking, Tracking
 from pinmobile.controllers import Changing, KinematicLaw, Tracked
@@ -15,6 +14,7 @@ from pinmobile.plant import Context
 
 T = np.arange(0.0, 1.0, 0.1)
 CONTEXT = Context.of(MobileRobot(1.0, 1.0), dt=0.001)
+LAWS = Tracking(), Kanayama(), Parking(), DynamicFeedback()
 NUMBERS = st.floats(-1.5, 1.5)
 
 
@@ -31,7 +31,7 @@ def state_of(law: KinematicLaw, speed: float) -> Any:
 
 @settings(max_examples=40)
 @given(NUMBERS, NUMBERS, NUMBERS, NUMBERS.filter(lambda x: abs(x) > 0.1), NUMBERS, NUMBERS, NUMBERS)
-@pytest.mark.parametrize("law", [Tracking(), Kanayama(), Parking(), DynamicFeedback()], ids=lambda x: type(x).__name__)
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
 def test_rates_of_commands_are_their_derivatives(
     law: KinematicLaw, x: float, y: float, turn: float, speed: float, yaw_rate: float, v: float, w: float
 ) -> None:
@@ -122,7 +122,8 @@ def test_errors_of_the_place_decay_as_two_poles_by_dynamic_feedback() -> None:
             Kanayama(),
             0.5 - T,
             0 * T,
-            "reference goes at 0 m/s at t = 0.5 s, expected one that always moves forwards, or the law Tracking()",
+            "reference goes at 0 m/s at t = 0.5 s, expected one that always moves forwards, or the law "
+            "Tracking()",
         ),
         (
             Parking(),
@@ -134,8 +135,8 @@ def test_errors_of_the_place_decay_as_two_poles_by_dynamic_feedback() -> None:
             DynamicFeedback(),
             0.3 - T,
             0 * T,
-            "reference goes at 0 m/s at t = 0.3 s, expected 0.05 m/s or more, always in one direction, or the law "
-            "Tracking()",
+            "reference goes at 0 m/s at t = 0.3 s, expected 0.05 m/s or more, always in one direction, "
+            "or the law Tracking()",
         ),
     ],
 )

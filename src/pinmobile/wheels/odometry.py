@@ -8,7 +8,7 @@ from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, frozen, non_negative, positive, vector, whole
+from pinmobile.arrays import Array, frozen, non_negative, positive, vector, whole
 from pinmobile.controllers import Controller, State, answer_of, check_controller, told
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Context, Parameter
@@ -122,9 +122,7 @@ class ByOdometry:
         return inner, noise, float(context.dt), (np.zeros(3), joints, 0.0)
 
     def applied(self, u: Array, state: Any) -> Any:
-        """Return the state, with the wrapped controller told of the input that is applied, shape (...,
-        nu).
-        """
+        """Return the state, with the wrapped controller told of the input that is applied, (..., nu)."""
         return told(self.controller, u, state[0]), *state[1:]
 
     def signals(self, state: Any) -> dict[str, Any]:
