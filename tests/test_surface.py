@@ -66,6 +66,7 @@ ALLOWED: dict[str, set[str]] = {
         "simulation",
     },
     "sweeps": {"files", "ensembles", "extras"},
+    "wheels": {"robot", "controllers"},
     "balance": {"robot"},
     "reaching": {"robot", "trajectories", "integrators", "plant"},
     "palette": set(),

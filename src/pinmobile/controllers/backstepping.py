@@ -96,7 +96,8 @@ class Backstepping:
         for name in ("k", "steer", "arms"):
             object.__setattr__(self, name, positive(name, getattr(self, name), "1/s"))
         robot = self.robot
-        if isinstance(robot, type) or not hasattr(robot, "torques"):
+        is_sized = isinstance(getattr(robot, "nv", None), int)
+        if isinstance(robot, type) or not (is_sized and hasattr(robot, "torques")):
             raise InvalidArgument(f"robot is {shown(robot)}, expected a WheeledRobot")
         if hasattr(robot, "mobility"):  # what it becomes in a compiled loop has been looked at before
             self._look(robot)
@@ -104,9 +105,9 @@ class Backstepping:
     def _look(self, robot: Any) -> None:
         kind = robot.mobility.mobility, robot.mobility.steerability
         if kind not in _KINDS:
-            other = "ComputedTorque(robot)" if kind[0] == 3 else "one with a fixed axle"
+            other = "ComputedTorque(robot)" if kind[0] == 3 else "Allocated(controller, robot)"
             raise InvalidArgument(
-                f"robot is a drive of type {kind}, expected {other}, such as differential or car"
+                f"robot is a drive of type {kind}, expected one with a fixed axle: for this one, {other}"
             )
         n, size = max(robot.leading), max(robot.leading.values())
         still = robot.reduced(robot.rest, np.zeros(robot.nv))

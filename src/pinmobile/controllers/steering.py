@@ -194,8 +194,7 @@ def _first(t: Array, wrong: Any) -> float | None:
 @final
 @dataclass(frozen=True, eq=False)
 class Tracking:
-    """Follow a moving reference, forwards or backwards (Canudas de Wit and Samson; De Luca, Oriolo,
-    Vendittelli 2001).
+    """Follow a moving reference, forwards or backwards (De Luca, Oriolo, Vendittelli 2001).
 
         v = v_r cos et + k ex,  w = w_r + b v_r (sin et / et) ey + k et,  k = 2 zeta sqrt(w_r^2 + b v_r^2)
 
@@ -353,8 +352,7 @@ def _turned(x: Any) -> Any:
 @final
 @dataclass(frozen=True, eq=False)
 class DynamicFeedback:
-    """Follow a reference that never rests, by dynamic feedback linearisation (Oriolo, De Luca, Vendittelli
-    2002).
+    """Follow a reference that never rests, by dynamic feedback linearisation (Oriolo et al. 2002).
 
     The speed xi is a state of the law, r = p_r'' + kd (p_r' - p') + kp (p_r - p) along the body's axes, and
 

@@ -268,7 +268,8 @@ class Allocated:
     def __post_init__(self) -> None:
         check_controller(self.controller)
         robot = self.robot
-        if isinstance(robot, type) or not hasattr(robot, "allocate_scaled"):
+        is_sized = isinstance(getattr(robot, "nv", None), int)
+        if isinstance(robot, type) or not (is_sized and hasattr(robot, "allocate_scaled")):
             raise InvalidArgument(f"robot is {shown(robot)}, expected a WheeledRobot")
         if hasattr(robot, "mobility"):  # what it becomes in a compiled loop has been looked at before
             still = robot.reduced(robot.rest, np.zeros(robot.nv))

@@ -114,19 +114,15 @@ class ByOdometry:
         """Return the wrapped controller's state, the noise, the sampling time, and that nothing is known."""
         names = tuple(one.name for one in context.coordinates)[-len(self.table) :]
         if context.coordinates and names != self.table.names:
-            raise InvalidArgument(
-                f"table has the wheels {', '.join(self.table.names)}, expected those of the plant: "
-                f"{', '.join(names)}"
-            )
+            own, plants = ", ".join(self.table.names), ", ".join(names)
+            raise InvalidArgument(f"table has the wheels {own}, expected those of the plant: {plants}")
         joints = np.zeros(len(self.table.axes) + len(self.table))
         noise = context.normal(f"odometry {self.seed}", len(self.table))
         inner = self.controller.initial_state(context)
         return inner, noise, float(context.dt), (np.zeros(3), joints, 0.0)
 
     def applied(self, u: Array, state: Any) -> Any:
-        """Return the state, with the wrapped controller told of the input that is applied, shape (...,
-        nu).
-        """
+        """Return the state, with the wrapped controller told of the input that is applied, (..., nu)."""
         return told(self.controller, u, state[0]), *state[1:]
 
     def signals(self, state: Any) -> dict[str, Any]:
