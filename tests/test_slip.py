@@ -54,7 +54,7 @@ class Torques:
 
 
 def run(
-    robot: WheeledRobot, u: Sequence[float], dt: float, duration: float, q: Any = None, v: Any = None
+    robot: WheeledRobot, u: Sequence[float] | Array, dt: float, duration: float, q: Any = None, v: Any = None
 ) -> Rollout:
     """Return a run under constant torques, on machine code."""
     where = FixedHeading(Hold([0.0, 0.0], duration), 0.0)
@@ -177,7 +177,8 @@ def test_with_much_friction_wheels_roll(name: str) -> None:
 def test_loads_are_those_of_springs_and_press_where_the_weight_does() -> None:
     rng = np.random.default_rng(0)
     for _ in range(20):
-        places = rng.uniform(-0.5, 0.5, (4, 2)) + [[0.4, 0.4], [0.4, -0.4], [-0.4, 0.4], [-0.4, -0.4]]
+        places = np.array([[0.4, 0.4], [0.4, -0.4], [-0.4, 0.4], [-0.4, -0.4]])
+        places = places + rng.uniform(-0.5, 0.5, (4, 2))
         wrench = np.array([100.0, *rng.uniform(-8.0, 8.0, 2)])
         rows = np.column_stack([np.ones(4), places[:, 1], -places[:, 0]])
         springs = rows @ np.linalg.solve(rows.T @ rows, wrench)  # a plane that sinks and tilts
@@ -268,7 +269,7 @@ def test_forces_of_all_wheels_are_the_rate_of_momentum(table: WheelTable, armed:
     robot, rng = WheeledRobot(own, table, Coulomb(passes=15)), np.random.default_rng(5)
     h, q, v, u = 0.002, robot.rest + 0.0, rng.normal(size=robot.nv) * 0.3, rng.normal(size=robot.nu) * 0.1
     v[-4:] = v[-4] * 10 if table is SKID else v[-4:] * 10
-    memory = robot.initial_state(None)
+    memory: Any = robot.initial_state(None)
     for _ in range(2):
         before, (q, v, memory) = (q, v), robot.step(0.0, q, v, u, h, 0.0, memory)
     # Mid-step, turned so that the body's axes are those of the plane.
@@ -302,7 +303,8 @@ def test_energy_never_grows_without_input(seed: int) -> None:
 
 def looped_both(robot: WheeledRobot, u: Array, v: Array, count: int = 20) -> None:
     parts = Parts(robot, Torques(*u), (), None, Trace())
-    times, reference = np.arange(count) * 0.01, Reference(*(np.zeros((count, 3)) for _ in range(3)))
+    times = np.linspace(0.0, 0.01 * (count - 1), count)
+    reference = Reference(*(np.zeros((count, 3)) for _ in range(3)))
     first = Reference(*(x[0] for x in reference))
     loop = traced(parts, context(0.01), (robot.rest, v), first, dt=0.01)
     expected, _ = looped(parts, robot.rest, v, times, reference, 0.01)
@@ -328,10 +330,10 @@ def test_many_robots_as_arrays_step_as_each_does() -> None:
     body, q = robot.traced(), np.zeros((5, robot.nq))
     v, u = rng.normal(size=(5, robot.nv)), rng.normal(size=(5, 2)) * 10
     v[:, 5:] = v[:, 3:5]
-    memory = robot.initial_state(None)
-    many = body.step(0.0, q, v, u, 0.01, 0.0, memory)  # type: ignore[union-attr]
+    memory: Any = robot.initial_state(None)
+    many: Any = body.step(0.0, q, v, u, 0.01, 0.0, memory)  # type: ignore[union-attr]
     for k in range(5):
-        one = robot.step(0.0, q[k], v[k], u[k], 0.01, 0.0, memory)
+        one: Any = robot.step(0.0, q[k], v[k], u[k], 0.01, 0.0, memory)
         np.testing.assert_allclose(many.v[k], one.v, rtol=1e-9, atol=1e-11)
         np.testing.assert_allclose(many.memory.forces[k], one.memory.forces, rtol=1e-6, atol=1e-8)
 

@@ -188,7 +188,7 @@ class _Disc(NamedTuple):
     def solved(self, y: Vector, bounds: Bounds, shift: Any) -> tuple[Vector, Any]:
         """Return the impulse p of (B + mu) p = y, and mu: 0 within the disc, on its edge a better one.
 
-        Newton's step is that of 1 / |p| = 1 / radius (More and Sorensen, SIAM J. Sci. Stat. Comput. 4(3), 1983).
+        Newton's step is that of 1 / |p| = 1 / radius (More and Sorensen, SIAM J. Sci. Stat. Comput. 4, 1983).
         """
         c, s, radius = self.c, self.s, bounds.along
         y1, y2 = c * y[0] + s * y[1], c * y[1] - s * y[0]

@@ -463,7 +463,7 @@ def led(table: WheelTable) -> list[tuple[int, float]]:
 
 
 def _factored(M: Matrix) -> Any:
-    """Return what solves M x = right for a symmetric matrix, the last unknowns eliminated first; zeros stay."""
+    """Return what solves M x = right, the last unknowns of a symmetric M eliminated first; zeros stay."""
     n = len(M)
     M, inverse, order = [list(row) for row in M], [ZERO] * n, list(reversed(range(n)))
     for done, i in enumerate(order, 1):
