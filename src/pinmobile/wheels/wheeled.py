@@ -10,44 +10,25 @@ from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, Self, final
 
 import numpy as np
-import pinocchio as pin
 
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, frozen, vector
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Coordinate, Input, Parameter, Step
-from pinmobile.robot import BODY_JOINT, LOCKED, Engine, Load, MobileRobot, System, number
-from pinmobile.urdf import Body
+from pinmobile.robot import BODY_JOINT, LOCKED, Load, MobileRobot, number
 from pinmobile.wheels.description import joint_signs, read_robot, read_wheels
 from pinmobile.wheels.ground import Coulomb, Ground, Rolling
 from pinmobile.wheels.kinematics import Kinematics
 from pinmobile.wheels.mobility import Mobility
 from pinmobile.wheels.rolling import Reduced, RollingBody
 from pinmobile.wheels.slipping import Grip, SlippingBody, led
-from pinmobile.wheels.table import FIXED, Wheel, WheelTable
+from pinmobile.wheels.table import WheelTable
+from pinmobile.wheels.tree import WheelTree
 
 _SAME_LINE = 1e-6  # [m]
 _OFF = 1e-9  # of a start's rates, beyond which it does not roll
 _LEAST_NORM = 1e-6  # relative weight of torques beside what they are for, where limits hold them
 _REDUNDANT = 1e-10  # relative, of eigenvalues: rows that follow from others
-
-
-@final
-class _Tree(System):
-    """The Pinocchio tree of a robot with its wheels as joints, each steered wheel with an angle of its own."""
-
-    def __init__(self, model: pin.Model, robot: MobileRobot) -> None:
-        self._engine, self.mounts, self.loads = Engine(model), robot.mounts, robot.loads
-
-    @property
-    def _for_many(self) -> None:
-        return None
-
-    def of_one(self, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
-        """Return M(q) and the inverse dynamics of one state, unchecked."""
-        engine = self._engine
-        M = np.array(pin.crba(engine.public, engine.data, q))
-        return M, np.array(pin.rnea(engine.public, engine.data, q, v, a))
 
 
 class Forces(NamedTuple):
@@ -114,7 +95,7 @@ class WheeledRobot:
     table: WheelTable = None  # type: ignore[assignment]
     ground: Ground = None  # type: ignore[assignment]
     mobility: Mobility = field(init=False)
-    _tree: _Tree = field(init=False)
+    _tree: WheelTree = field(init=False)
 
     broadcasts: ClassVar[bool] = True
 
@@ -136,7 +117,7 @@ class WheeledRobot:
                 "ground=Coulomb()"
             )
         object.__setattr__(self, "mobility", mobility)
-        tree = _Tree(_with_wheels(self.robot, self.table, self._fall), self.robot)
+        tree = WheelTree(self.robot, self.table, self._fall)
         object.__setattr__(self, "_tree", tree)
         if isinstance(self.ground, Coulomb):
             self._check_slipping()
@@ -515,73 +496,20 @@ class WheeledRobot:
 
     # Dynamics
 
-    @cached_property
-    def _reflected(self) -> Array:
-        """What motors' rotors add to M, shape (nv, nv)."""
-        M, first = np.zeros((self.nv, self.nv)), self.robot.nv
-        for actuator in self.table.actuators:
-            column = np.array(actuator.column)
-            M[first:, first:] += actuator.motor.reflected_inertia * np.outer(column, column)
-        return frozen(M)
-
-    def _to_tree(self, q: Array, v: Array) -> tuple[Array, Array, Array, Array]:
-        """Return a state of the tree, its velocity's G, v_tree = G v, and dG/dt v."""
-        lead = np.broadcast_shapes(q.shape[:-1], v.shape[:-1])
-        q, v = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v))
-        n, nv, axes = self.robot.nq, self.robot.nv, self.table.axes
-        steering, rates = list(np.moveaxis(q[..., n : n + len(axes)], -1, 0)), v[..., nv : nv + len(axes)]
-        steered = {row: k for k, axis in enumerate(axes) for row in axis.wheels}
-        size = nv + len(steered) + len(self.table)
-        G, bent = np.zeros((*lead, size, self.nv)), np.zeros((*lead, size))
-        G[..., np.arange(nv), np.arange(nv)] = 1
-        angles, at = [], nv
-        for row, wheel in enumerate(self.table.wheels):
-            if row in steered:
-                k, head = steered[row], self._kinematics.heading(row, steering)
-                c, s, first, second = (number(x) for x in head)
-                own = wheel.angle
-                away = np.arctan2(s * np.cos(own) - c * np.sin(own), c * np.cos(own) + s * np.sin(own))
-                angles.append(np.broadcast_to(away, lead))
-                G[..., at, nv + k], bent[..., at] = first, second * rates[..., k] ** 2
-                at += 1
-            angles.append(q[..., n + len(axes) + row])
-            G[..., at, nv + len(axes) + row] = 1
-            at += 1
-        whole = np.concatenate([q[..., :n], np.stack(angles, axis=-1)], axis=-1)
-        return whole, np.einsum("...ij,...j->...i", G, v), G, bent
-
     def mass_matrix(self, q: ArrayLike) -> Array:
-        """Return M(q), shape (..., nv, nv) [kg, kg m, kg m^2], of the tree by Pinocchio's CRBA, rotors included."""
-        q = self._q(q)
-        whole, _, G, _ = self._to_tree(q, np.zeros(self.nv))
-        return np.einsum("...ki,...kl,...lj->...ij", G, self._tree.mass_matrix(whole), G) + self._reflected
+        """Return M(q), shape (..., nv, nv) [kg, kg m, kg m^2], by Pinocchio's CRBA, rotors included."""
+        return self._tree.inertia(self._q(q))
 
     def nonlinear_effects(self, q: ArrayLike, v: ArrayLike) -> Array:
-        """Return n(q, v), shape (..., nv) [N, N, N m, ...], of the tree by Pinocchio's RNEA."""
+        """Return n(q, v), shape (..., nv) [N, N, N m, ...], by Pinocchio's RNEA."""
         q, v = self._q(q), self._v("v", v)
         broadcast(q=q, v=v)
-        whole, rates, G, bent = self._to_tree(q, v)
-        return np.einsum("...ki,...k->...i", G, self._tree.inverse_dynamics(whole, rates, bent))
+        return self._tree.effects(q, v)
 
     def kinetic_energy(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return v' M(q) v / 2, shape (...) [J]."""
         v = self._v("v", v)
         return np.einsum("...i,...ij,...j->...", v, self.mass_matrix(q), v) / 2
-
-    def _unconstrained(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Return M and n."""
-        if q.ndim > 1 or v.ndim > 1:
-            return self.mass_matrix(q), self.nonlinear_effects(q, v)
-        if not self.table.axes:
-            M, n = self._tree.of_one(q, v, self._no_acceleration)
-            return M + self._reflected, n
-        whole, rates, G, bent = self._to_tree(q, v)
-        M, n = self._tree.of_one(whole, rates, bent)
-        return G.T @ M @ G + self._reflected, G.T @ n
-
-    @cached_property
-    def _no_acceleration(self) -> Array:
-        return frozen(np.zeros(self.nv))
 
     def forward_dynamics(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Array:
         """Return the acceleration, shape (..., nv) [m/s^2, ...].
@@ -627,7 +555,7 @@ class WheeledRobot:
         q, v, u, f = self._q(q), self._v("v", v), vector("u", u, self.nu), finite("f", f)
         if q.ndim > 1 or v.ndim > 1 or u.ndim > 1 or f.ndim > 1:
             broadcast(q=q, v=v, u=u, f=np.broadcast_to(f, (*f.shape[:-1], self.nv)))
-        M, n = self._unconstrained(q, v)
+        M, n = self._tree.inertia_and_effects(q, v)
         A, drift = self._rows(q, v)
         if rows is not None:
             A, drift = A[..., rows, :], drift[..., rows]
@@ -662,7 +590,7 @@ class WheeledRobot:
 
     def _projected(self, q: ArrayLike, v: ArrayLike) -> Array:
         q, v = self._q(q), self._v("v", v)
-        M, _ = self._unconstrained(q, v)
+        M, _ = self._tree.inertia_and_effects(q, v)
         A = self._rows(q, v)[0][..., self._independent, :]
         through = np.linalg.solve(M, np.swapaxes(A, -1, -2))
         return np.asarray(v - (through @ np.linalg.solve(A @ through, A @ v[..., None]))[..., 0])
@@ -1008,55 +936,3 @@ class WheeledRobot:
         return SlippingBody(
             **self._common, **own, passes=ground.passes, sweeps=ground.sweeps, tolerance=ground.tolerance
         )
-
-
-def _steers(wheel: Wheel) -> bool:
-    return wheel.steering != FIXED
-
-
-def _with_wheels(robot: MobileRobot, table: WheelTable, fall: Array) -> pin.Model:
-    """Return the tree of a robot whose wheels are joints, each after the steering axis that it hangs on.
-
-    Pinocchio's CRBA takes what hangs on a joint to come right after it.
-    """
-    model, wheels = robot.model, sum(wheel.mass for wheel in table.wheels)
-    model.gravity.linear = fall
-    body = pin.Inertia(model.inertias[BODY_JOINT])
-    if body.mass <= wheels:
-        raise InvalidArgument(
-            f"robot has a mass of {body.mass:.6g} kg, and its wheels {wheels:.6g} kg, which are a part of it; "
-            "expected the mass of the whole"
-        )
-    for wheel in table.wheels:
-        body -= _placed(wheel).act(_inertia(wheel))
-    model.inertias[BODY_JOINT] = _checked(body)
-    for wheel in table.wheels:
-        parent, place = BODY_JOINT, _placed(wheel)
-        if _steers(wheel):
-            pivot = pin.SE3(pin.utils.rotate("z", wheel.angle), np.array([wheel.x, wheel.y, wheel.radius]))
-            parent = model.addJoint(BODY_JOINT, pin.JointModelRZ(), pivot, f"{wheel.name}_steering")
-            place = pin.SE3(np.eye(3), np.array([*wheel.trail, 0.0]))
-        joint = model.addJoint(parent, pin.JointModelRY(), place, wheel.name)
-        model.appendBodyToJoint(joint, _inertia(wheel), pin.SE3.Identity())
-    return model
-
-
-def _placed(wheel: Wheel) -> pin.SE3:
-    """Return the pose of a wheel's centre in the body's frame, its y along the axle, at angle zero."""
-    return pin.SE3(pin.utils.rotate("z", wheel.angle), np.array([*wheel.centre, wheel.radius]))
-
-
-def _inertia(wheel: Wheel) -> pin.Inertia:
-    across = wheel.yaw_inertia
-    return pin.Inertia(wheel.mass, np.zeros(3), np.diag([across, wheel.spin_inertia, across]))
-
-
-def _checked(body: pin.Inertia) -> pin.Inertia:
-    try:
-        Body(body.mass, np.array(body.lever), np.array(body.inertia))
-    except InvalidArgument as error:
-        raise InvalidArgument(
-            f"robot without its wheels is no body: {error}; expected a robot whose mass and inertia hold "
-            "those of its wheels"
-        ) from None
-    return body
