@@ -14,7 +14,7 @@ from pinmobile.compiled import higher, plain, repeated
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Input, Parameter, Step
-from pinmobile.robot import ZERO, Vector, dot, exact, number, scalars, sine_and_cosine, stacked
+from pinmobile.robot import ZERO, Vector, dot, exact, number, scalars, sine_and_cosine, vector_of as stacked
 from pinmobile.wheels.ground import Coulomb
 from pinmobile.wheels.motors import Motor, MotorLaw, Motors, Push, theta, within
 from pinmobile.wheels.rolling import State, WheeledBody
