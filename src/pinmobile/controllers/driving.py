@@ -33,9 +33,9 @@ class _OfTorques:
 class Driven:
     """A controller of torques whose robot takes volts: by the inverse of its motors at the present rates.
 
-    Volts are held between samples while rates change, so that torques are those asked for at a sample and less
-    as a motor gets faster. What limits of voltages and currents leave of the torques is what the wrapped controller
-    is told to have been applied.
+    Volts are held between samples while rates change, so that torques are those asked for at a sample and
+    less as a motor gets faster. What limits of voltages and currents leave of the torques is what the wrapped
+    controller is told to have been applied.
 
     Parameters
     ----------
@@ -90,8 +90,8 @@ class WheelSpeed:
 
         u = kp (W_c - W) + ki z,   z' = W_c - W
 
-    W_c are the rates at which motors turn when wheels roll as the law says. What an integral gains in a sample is
-    taken back where the input is limited and the gain would push it further.
+    W_c are the rates at which motors turn when wheels roll as the law says. What an integral gains in a
+    sample is taken back where the input is limited and the gain would push it further.
 
     The reference is the pose of the body, as of `Backstepping`; a robot that rolls on no one axle, such as a
     skid-steer base, is taken as one with an axle through its origin.
@@ -140,7 +140,8 @@ class WheelSpeed:
         table = robot.table
         if table.axes or robot.nu > len(table.actuators):
             raise InvalidArgument(
-                "robot has arms, or wheels that steer, expected one whose inputs are all motors of fixed wheels"
+                "robot has arms, or wheels that steer, expected one whose inputs are all motors of fixed "
+                "wheels"
             )
         axle = robot.axle if robot.mobility.is_regular else np.array([0.0, 1.0, 0.0])
         a, b, arm = axle / np.hypot(axle[0], axle[1])

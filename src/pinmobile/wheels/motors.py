@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from math import pi
+from types import MappingProxyType
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -90,8 +92,8 @@ class Motor:
         for name, unit in (("torque_limit", "N m"), ("current", "A")):
             value = getattr(self, name)
             new[name] = value if value == np.inf else positive(f"{name} of a Motor", value, unit)
-        for name, number in new.items():
-            object.__setattr__(self, name, number)
+        for name, value in new.items():
+            object.__setattr__(self, name, value)
 
     @classmethod
     def from_sheet(
@@ -107,8 +109,8 @@ class Motor:
     ) -> Motor:
         """Return the motor with gear of which a sheet tells how it runs free and how it stalls.
 
-        R = V / i_s;  k G = (V - R i_0) / W_0;  T_c = k i_0;  efficiency = stall torque / (G k (i_s - i_0)). What a
-        sheet does not tell is left out: a free run without current has no dry friction, and the gear takes it all.
+        R = V / i_s;  k G = (V - R i_0) / W_0;  T_c = k i_0;  efficiency = stall torque / (G k (i_s - i_0)).
+        Without a current of the free run there is no dry friction, and the efficiency has all losses.
 
         Parameters
         ----------
@@ -146,8 +148,8 @@ class Motor:
         share = torque / (G * k * (i_s - i_0))
         if share > 1:
             raise InvalidArgument(
-                f"stall_torque is {torque:g} N m, of which these currents and this rate give {torque / share:.4g}, "
-                "expected no more"
+                f"stall_torque is {torque:g} N m, expected at most {torque / share:.4g} N m, which is what "
+                "these currents and this rate give"
             )
         known = {"resistance": R, "torque_constant": k, "voltage": V, "coulomb": k * i_0, "efficiency": share}
         return cls(**{**known, "gear": G, **others})
@@ -255,10 +257,10 @@ Motors = Callable[[Vector, bool], list[Push]]
 
 
 def theta(z: Any) -> Any:
-    """Return the weight of a step's end in the rate that a motor feels, of how stiff it is: z = h slope / inertia.
+    """Return the weight of a step's end in the rate that a motor feels, where z = h slope / inertia.
 
-    (3 + z) / (6 + z): half where it is not stiff, and towards 1; a motor alone then follows the exponential to
-    third order and forgets at once what is faster than the step (the approximant (1, 2) of Pade).
+    (3 + z) / (6 + z): half where it is not stiff, else towards 1. A motor alone then follows the exponential
+    to third order and forgets at once what is faster than the step (the approximant (1, 2) of Pade).
     """
     return (3.0 + z) / (6.0 + z)
 
@@ -370,3 +372,60 @@ class MotorLaw:
         if np.isfinite(motor.current):
             i = within(i, motor.current)
         return within(R * i + (kt * G) * rate, float(motor.voltage or 0.0))
+
+
+_RPM = 2 * pi / 60  # [rad/s]
+_ROBOTIS = (
+    "ROBOTIS e-Manual, emanual.robotis.com/docs/en/dxl/x/{}/ (github.com/ROBOTIS-GIT/emanual, 00280385)"
+)
+
+MOTORS: Mapping[str, Motor] = MappingProxyType(
+    {
+        "dynamixel_xl430_w250": Motor.from_sheet(
+            11.1,
+            1.4,
+            1.3,
+            57 * _RPM,
+            gear=258.5,
+            source=_ROBOTIS.format("xl430-w250")
+            + ": at 11.1 V 1.4 N m and 1.3 A at stall, 57 rev/min without load. Not told: current without "
+            "load, rotor inertia",
+        ),
+        "dynamixel_xm430_w210": Motor.from_sheet(
+            12.0,
+            3.0,
+            2.3,
+            77 * _RPM,
+            gear=212.6,
+            source=_ROBOTIS.format("xm430-w210")
+            + ": at 12 V 3.0 N m and 2.3 A at stall, 77 rev/min without load. Not told: current without "
+            "load, rotor inertia",
+        ),
+        "pololu_37d_50_12v": Motor.from_sheet(
+            12.0,
+            210e-6 * 9806.65,
+            5.5,
+            200 * _RPM,
+            0.2,
+            gear=50.0,
+            source="Pololu 37D Metal Gearmotors, rev 1.2 (scribd.com/document/461460344), items 4743, 4753: "
+            "at 12 V 210 kg mm and 5.5 A at stall (extrapolated), 200 rev/min and 0.2 A without load. Not "
+            "told: rotor inertia",
+        ),
+        "faulhaber_1331t012sr": Motor(
+            resistance=13.7,
+            torque_constant=11.4e-3,
+            voltage=12.0,
+            rotor_inertia=0.67e-7,
+            coulomb=0.12e-3,
+            source="Faulhaber DC-Micromotors series 1331 SR (paperzz.com/doc/7782699): 13.7 ohm, "
+            "11.4 mN m/A, 12 V, 0.67 g cm^2, friction torque 0.12 mN m; without a gear. Its largest currents "
+            "are left out",
+        ),
+    }
+)
+"""Real motors by name, numbers of their makers' sheets, which ``source`` names, and what these do not tell.
+
+Of geared motors, resistance, torque constant and efficiency follow from stall and free run: see
+`Motor.from_sheet`.
+"""
