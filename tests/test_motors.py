@@ -1,4 +1,4 @@
-"""Robots whose inputs are volts: motors inside the step, controllers that turn torques or speeds into volts."""
+"""Robots whose inputs are volts: motors inside the step, and controllers that drive them."""
 
 from dataclasses import replace
 from typing import Any
@@ -23,6 +23,7 @@ from pinmobile.wheels import (
     Motor,
     Ramp,
     Rolling,
+    Support,
     Wheel,
     WheeledRobot,
     WheelTable,
@@ -96,7 +97,7 @@ GROUNDS = pytest.mark.parametrize("ground", [Rolling(), Coulomb()], ids=["rollin
 def test_a_run_at_a_steady_rate_balances_back_emf_and_friction_to_rounding(ground: Any) -> None:
     """model.md, 4: W = (k V / R - T_c) / (G (k^2 / R + b)), whatever the step."""
     robot = WheeledRobot(CENTRAL, table(MOTOR), ground).by_voltage()
-    _, v, memory = steps(robot, (12.0, 12.0), 0.1, 300)
+    _, v, memory = steps(robot, (12.0, 12.0), 0.5, 60)
     np.testing.assert_allclose(v[-2:], MOTOR.no_load_rate(12.0), rtol=1e-12)
     np.testing.assert_allclose(memory.torques, 0.0, atol=1e-12)
     np.testing.assert_allclose(memory.currents, MOTOR.armature_current(12.0, v[-2:]), rtol=1e-11)
@@ -107,7 +108,7 @@ def test_on_a_ramp_the_gear_takes_its_share_of_the_power_either_way(slope: float
     """Up, the motors drive, and the efficiency is taken; down, wheels drive them, and it is given back by."""
     robot = WheeledRobot(CENTRAL, table(MOTOR), Rolling(Ramp(abs(slope), 0.0 if slope > 0 else np.pi)))
     volts = 12.0 if slope > 0 else 2.0
-    _, v, memory = steps(robot.by_voltage(), (volts, volts), 0.1, 600)
+    _, v, memory = steps(robot.by_voltage(), (volts, volts), 0.5, 60)
     load = 30.0 * G * np.sin(slope) * R / 2
     np.testing.assert_allclose(memory.torques, load, rtol=1e-11)
     np.testing.assert_allclose(MOTOR.torque(volts, v[-2:]), load, rtol=1e-11)
@@ -192,7 +193,7 @@ def test_dry_friction_of_motors_holds_on_a_ramp_and_gives_way_beyond(ground: Any
     for share in (0.98, 1.02):
         steep = replace(ground, ramp=Ramp(float(np.arcsin(share * most / (30.0 * G)))))
         robot = WheeledRobot(CENTRAL, table(MOTOR), steep).by_voltage()
-        q, v, memory = steps(robot, (0.0, 0.0), 0.01, 50)
+        q, v, memory = steps(robot, (0.0, 0.0), 0.02, 20)
         if share < 1:
             assert np.abs(q).max() < 1e-14
             assert np.abs(v).max() < 1e-14
@@ -205,9 +206,9 @@ def test_dry_friction_of_motors_holds_on_a_ramp_and_gives_way_beyond(ground: Any
 @GROUNDS
 def test_a_robot_that_coasts_stops_and_stays(ground: Any) -> None:
     robot = WheeledRobot(CENTRAL, table(MOTOR), ground).by_voltage()
-    v = robot.wheeled.start(Tangent(Circle(5.0, 10.0)).__call__(0.0))[1] if False else np.zeros(robot.nv)
+    v = np.zeros(robot.nv)
     v[[0, -2, -1]] = 0.1, 0.1 / R, 0.1 / R
-    q, v, memory = steps(robot, (0.0, 0.0), 0.01, 100, v)
+    q, v, memory = steps(robot, (0.0, 0.0), 0.05, 30, v)
     assert np.abs(v).max() < 1e-14
     again = robot.step(0.0, q, v, np.zeros(2), 0.01, 0.0, memory)
     assert np.abs(again.q - q).max() < 1e-15
@@ -268,13 +269,13 @@ def test_driven_follows_as_torques_would_and_is_told_what_was_applied(ground: An
     table_ = table(MOTOR)
     wheeled = WheeledRobot(BODY, table_, ground)
     ideal = WheeledRobot(BODY, table_)
-    path = Tangent(Circle(2.0, 20.0))
+    path = Tangent(Circle(2.0, 0.3, 20.0))
     q0, v0 = ideal.start(path(0.0))
     controller = Driven(Backstepping(Tracking(), ideal), wheeled)
     found = simulate(
         wheeled.by_voltage(), controller, path, dt=0.005, duration=2.0, q0=q0, v0=v0, engine=COMPILED
     )
-    assert found.engine is COMPILED
+    assert found.engine == "COMPILED"
     assert np.abs(found.q[-1, :2] - path(2.0).q[:2]).max() < 0.02
     limited = Driven(Torques(3.0, 100.0), wheeled)
     context: Any = None
@@ -298,7 +299,7 @@ class Torques(Held):
 
 @pytest.mark.parametrize("kind", ["differential", "skid", "torque"])
 def test_wheel_speed_follows_by_loops_of_each_wheel(kind: str) -> None:
-    path = Tangent(Circle(2.0, 20.0))
+    path = Tangent(Circle(2.0, 0.3, 20.0))
     if kind == "skid":
         wheels = WheelTable.skid_steer(0.2, 0.6, R, motor=MOTOR, **{**WHEEL, "friction": Friction()})
     else:
@@ -349,6 +350,54 @@ def test_inputs_are_volts_and_torques_with_the_limits_of_motors() -> None:
 
 
 @GROUNDS
+def test_many_robots_step_as_each_alone(ground: Any) -> None:
+    robot = WheeledRobot(BODY, table(MOTOR), ground).by_voltage().traced()
+    rng = np.random.default_rng(1)
+    u = rng.uniform(-24.0, 24.0, (5, 2))
+    u[0] = 0.0
+    rates = rng.normal(size=(5, 2))
+    rates[0] = 0.0
+    v = np.stack([R * rates.mean(axis=1), 0 * u[:, 0], (rates @ [-1, 1]) * R / 0.5, *rates.T], axis=-1)
+    q = np.zeros((5, 5))
+    memory = robot.initial_state()
+    leaves = type(memory)(*(tiled(part) for part in memory))
+    many = robot.step(0.0, q, v, u, 0.01, 0.0, leaves)
+    for k in range(5):
+        one = robot.step(0.0, q[k], v[k], u[k], 0.01, 0.0, memory)
+        np.testing.assert_allclose(many.v[k], one.v, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(many.memory.torques[k], one.memory.torques, rtol=0, atol=1e-10)
+
+
+def tiled(part: Any) -> Any:
+    """Return what is kept of one robot as that of five."""
+    if isinstance(part, tuple):
+        return type(part)(*map(tiled, part)) if part else part
+    return np.broadcast_to(part, (5, *np.shape(part)))
+
+
+def test_an_ensemble_spreads_motor_constants() -> None:
+    robot = WheeledRobot(BODY, table(MOTOR)).by_voltage()
+    where = FixedHeading(Hold([0.0, 0.0], 0.2), 0.0)
+    resistance = np.array([1.2, 2.4, 3.6])
+    found = ensemble(
+        robot,
+        Held(12.0, 12.0),
+        where,
+        dt=0.01,
+        n=3,
+        spread={"resistance_left": resistance},
+        limit=1e9,
+    )
+    for k, x in enumerate(resistance):
+        wheels = [
+            replace(wheel, motor=replace(MOTOR, resistance=float(x)) if wheel.name == "left" else wheel.motor)
+            for wheel in robot.table.wheels
+        ]
+        other = WheeledRobot(BODY, WheelTable(wheels, robot.table.supports)).by_voltage()
+        np.testing.assert_allclose(found.q_end[k], run(other, (12.0, 12.0), 0.01, 0.2).q[-1], atol=1e-12)
+
+
+@GROUNDS
 def test_another_resistance_is_that_of_another_motor(ground: Any) -> None:
     robot = WheeledRobot(BODY, table(MOTOR), ground).by_voltage()
     other = WheeledRobot(BODY, table(replace(MOTOR, resistance=2.0)), ground).by_voltage()
@@ -386,7 +435,7 @@ def test_what_has_no_volts_is_refused() -> None:
         WheeledRobot(BODY, table(Motor())).by_voltage()
     open_ = WheelTable(
         [Wheel("a", 0.0, 0.2, R, **WHEEL), Wheel("b", 0.0, -0.2, R, **WHEEL)],
-        supports=[(0.3, 0.0)],
+        supports=[Support(0.3, 0.0)],
         couplings=[Differential(("a", "b"), MOTOR)],
     )
     with pytest.raises(errors.InvalidArgument, match="slip independently of each other"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from math import pi
 from types import MappingProxyType
 from typing import Any, NamedTuple, final
@@ -292,9 +293,14 @@ class MotorLaw:
     def __len__(self) -> int:
         return len(self.motors)
 
-    def _numbers(self, k: int) -> list[Any]:
+    @cached_property
+    def _all(self) -> list[list[Any]]:
         parts = self.resistance, self.torque_constant, self.viscous, self.coulomb, self.efficiency
-        return [scalars(part)[k] for part in parts]
+        columns = ([float(x) if isinstance(x, np.float64) else x for x in scalars(part)] for part in parts)
+        return [list(row) for row in zip(*columns, strict=True)]
+
+    def _numbers(self, k: int) -> list[Any]:
+        return self._all[k]
 
     def volts(self, k: int, volts: Any) -> Any:
         """Return the voltage of a motor within its limit."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
@@ -104,7 +105,7 @@ class VoltageBody:
         """Size of the input."""
         return self.wheeled.nu
 
-    @property
+    @cached_property
     def law(self) -> MotorLaw:
         """Of its motors."""
         return MotorLaw(
@@ -186,8 +187,8 @@ class VoltageBody:
     ) -> tuple[Step, Vector, Vector, Any]:
         """Return the state after a step of wheels that roll, actuators' torques and rates, and what holds.
 
-        Implicit in the independent velocities: M (nu+ - nu) = h (B tau - n), with the shape of mid-step, and the
-        rest at nu + theta (nu+ - nu).
+        Implicit in the independent velocities: M (nu+ - nu) = h (B tau - n), with the shape of mid-step, and
+        the rest at nu + theta (nu+ - nu).
         """
         body, h = self.wheeled, _plain(h)
         q_middle = body.integrate(q, (0.5 * h) * v)

@@ -152,7 +152,7 @@ class SlippingBody(WheeledBody):
 
     @cached_property
     def _held(self) -> list[int]:
-        """Kept velocities that rolling resistance or motors' dry friction holds, in their order among them."""
+        """Kept velocities that rolling resistance or dry friction of motors holds, in their order."""
         first = _BASE + self.na + len(self.table.axes)
         resisted = {self._leaders[first + row][0] for row, x in enumerate(self.rolling) if x}
         resisted |= {self.turned_by(k)[0][0] for k in self.rubbing}

@@ -32,11 +32,11 @@ _CONSTANTS = (
 class ByVoltage:
     """A robot on wheels whose inputs are the voltages of its motors: what `WheeledRobot.by_voltage` returns.
 
-    It is the same robot, q and v included, and what it does not say itself it has of that. Joints of arms, and
-    wheels and steering axes whose motor is no electric one, keep torques. It has a step of its own, implicit
-    in what a motor feels of its wheel's rate: back-EMF does not limit the step, limits of currents and the
-    sign of a gear's power are those of the rate that it is implicit in, and dry friction holds a wheel at rest
-    exactly. The error falls with the square of the step where nothing sticks. The signals ``volts``,
+    It is the same robot, q and v included, and what it does not say itself it has of that. Joints of arms,
+    and wheels and steering axes whose motor is no electric one, keep torques. It has a step of its own,
+    implicit in what a motor feels of its wheel's rate: back-EMF does not limit the step, limits of currents
+    and the sign of a gear's power are those of the rate that it is implicit in, and dry friction holds a wheel
+    at rest exactly. The error falls with the square of the step where nothing sticks. The signals ``volts``,
     ``currents`` and ``torques``, a number per electric motor, are means over the last step.
 
     Parameters
