@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import COMPILED, PINOCCHIO, errors
+from pinmobile import COMPILED, PINOCCHIO, ensemble, errors
 from pinmobile.arrays import Array
 from pinmobile.compiled import copied
 from pinmobile.controllers import Backstepping, Driven, Tracking, WheelSpeed
@@ -84,7 +84,8 @@ def steps(
     robot: ByVoltage, u: tuple[float, ...], h: float, count: int, v: Any = None
 ) -> tuple[Array, Array, Any]:
     """Return the state after steps, and what is kept, without a loop."""
-    q, v, memory = robot.rest.copy(), np.zeros(robot.nv) if v is None else v, robot.initial_state()
+    q, v = robot.rest.copy(), np.zeros(robot.nv) if v is None else v
+    memory: Any = robot.initial_state()
     for _ in range(count):
         q, v, memory = robot.step(0.0, q, v, np.array(u), h, 0.0, memory)
     return q, v, memory
@@ -224,7 +225,7 @@ def drives() -> dict[str, WheelTable]:
         "omni": WheelTable.omni(0.25, 0.05, motor=MOTOR, **WHEEL),
         "tricycle": WheelTable((Wheel("front", 0.4, 0.0, R, **steered), *differential.wheels)),
         "caster": WheelTable((*differential.wheels, caster)),
-        "open": WheelTable(tuple(front), couplings=[Differential(("a", "b"), MOTOR)]),
+        "open": WheelTable(tuple(front), couplings=(Differential(("a", "b"), MOTOR),)),
     }
 
 
@@ -278,9 +279,8 @@ def test_driven_follows_as_torques_would_and_is_told_what_was_applied(ground: An
     assert found.engine == "COMPILED"
     assert np.abs(found.q[-1, :2] - path(2.0).q[:2]).max() < 0.02
     limited = Driven(Torques(3.0, 100.0), wheeled)
-    context: Any = None
-    _, state = limited(0.0, q0, v0, None, limited.initial_state(context))
-    u, state = limited(0.0, q0, v0, None, state)
+    nothing: Any = None
+    u, state = limited(0.0, q0, v0, nothing, limited.initial_state(nothing))
     assert abs(u[1]) <= 24.0
     inner, _ = limited.applied(u, state)
     np.testing.assert_allclose(inner[0], 3.0, rtol=1e-12)
@@ -361,9 +361,9 @@ def test_many_robots_step_as_each_alone(ground: Any) -> None:
     q = np.zeros((5, 5))
     memory = robot.initial_state()
     leaves = type(memory)(*(tiled(part) for part in memory))
-    many = robot.step(0.0, q, v, u, 0.01, 0.0, leaves)
+    many: Any = robot.step(0.0, q, v, u, 0.01, 0.0, leaves)
     for k in range(5):
-        one = robot.step(0.0, q[k], v[k], u[k], 0.01, 0.0, memory)
+        one: Any = robot.step(0.0, q[k], v[k], u[k], 0.01, 0.0, memory)
         np.testing.assert_allclose(many.v[k], one.v, rtol=0, atol=1e-12)
         np.testing.assert_allclose(many.memory.torques[k], one.memory.torques, rtol=0, atol=1e-10)
 
@@ -379,22 +379,22 @@ def test_an_ensemble_spreads_motor_constants() -> None:
     robot = WheeledRobot(BODY, table(MOTOR)).by_voltage()
     where = FixedHeading(Hold([0.0, 0.0], 0.2), 0.0)
     resistance = np.array([1.2, 2.4, 3.6])
-    found = ensemble(
-        robot,
-        Held(12.0, 12.0),
-        where,
-        dt=0.01,
-        n=3,
-        spread={"resistance_left": resistance},
-        limit=1e9,
-    )
+    spread = {"resistance_left": resistance}
+    found = ensemble(robot, Held(12.0, 12.0), where, dt=0.01, n=3, spread=spread, limit=1e9)
     for k, x in enumerate(resistance):
         wheels = [
-            replace(wheel, motor=replace(MOTOR, resistance=float(x)) if wheel.name == "left" else wheel.motor)
+            replace(wheel, motor=replace(MOTOR, resistance=float(x))) if wheel.name == "left" else wheel
             for wheel in robot.table.wheels
         ]
-        other = WheeledRobot(BODY, WheelTable(wheels, robot.table.supports)).by_voltage()
-        np.testing.assert_allclose(found.q_end[k], run(other, (12.0, 12.0), 0.01, 0.2).q[-1], atol=1e-12)
+        other = WheeledRobot(BODY, WheelTable(tuple(wheels), robot.table.supports)).by_voltage()
+        alone = run(other, (12.0, 12.0), 0.01, 0.2)
+        np.testing.assert_allclose(found.max_error[k], alone.max_error(), rtol=1e-12)
+        assert robot.with_parameters(resistance_left=x) == other
+    assert found.engine == "COMPILED"
+    again = found.member(1)
+    np.testing.assert_allclose(again.robot.resistance, [2.4, 1.2])
+    with pytest.raises(errors.UnknownName, match="resistance_middle"):
+        robot.with_parameters(resistance_middle=1.0)
 
 
 @GROUNDS
@@ -434,9 +434,9 @@ def test_what_has_no_volts_is_refused() -> None:
     with pytest.raises(errors.InvalidArgument, match="table has no motor that takes volts"):
         WheeledRobot(BODY, table(Motor())).by_voltage()
     open_ = WheelTable(
-        [Wheel("a", 0.0, 0.2, R, **WHEEL), Wheel("b", 0.0, -0.2, R, **WHEEL)],
-        supports=[Support(0.3, 0.0)],
-        couplings=[Differential(("a", "b"), MOTOR)],
+        (Wheel("a", 0.0, 0.2, R, **WHEEL), Wheel("b", 0.0, -0.2, R, **WHEEL)),
+        supports=(Support(0.3, 0.0),),
+        couplings=(Differential(("a", "b"), MOTOR),),
     )
     with pytest.raises(errors.InvalidArgument, match="slip independently of each other"):
         WheeledRobot(CENTRAL, open_, Coulomb()).by_voltage()

@@ -217,11 +217,11 @@ class Motor:
         shaft = shaft - np.where(rate == 0, rest, self.coulomb * np.sign(rate))
         return self._through_gear(shaft, rate)
 
-    def _through_gear(self, shaft: Any, rate: Any) -> Any:
+    def _through_gear(self, shaft: Array, rate: Array) -> Array:
         """Return the torque behind the gear of one before it."""
         drives = np.asarray(shaft * rate >= 0)
         torque = self.gear * shaft * np.where(drives, self.efficiency, 1 / self.efficiency)
-        return np.clip(torque, -self.torque_limit, self.torque_limit)
+        return np.asarray(np.clip(torque, -self.torque_limit, self.torque_limit))
 
     def no_load_rate(self, volts: float | None = None) -> float:
         """Return the rate of the wheel that runs free at a voltage, by default the largest [rad/s]."""

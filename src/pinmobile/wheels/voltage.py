@@ -8,14 +8,14 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, vector
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, scalar, vector
 from pinmobile.constancy import constant
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, UnknownName, shown
 from pinmobile.plant import Input, Parameter, Step
 from pinmobile.wheels.ground import Coulomb
 from pinmobile.wheels.powered import Driving, VoltageBody, of_wheeled
 from pinmobile.wheels.slipping import SlippingBody
-from pinmobile.wheels.table import WheelTable
+from pinmobile.wheels.table import Differential, WheelTable
 
 _CONSTANTS = (
     ("resistance", "ohm", "resistance of the armature", False),
@@ -35,8 +35,8 @@ class ByVoltage:
     It is the same robot, q and v included, and what it does not say itself it has of that. Joints of arms,
     and wheels and steering axes whose motor is no electric one, keep torques. It has a step of its own,
     implicit in what a motor feels of its wheel's rate: back-EMF does not limit the step, limits of currents
-    and the sign of a gear's power are those of the rate that it is implicit in, and dry friction holds a wheel
-    at rest exactly. The error falls with the square of the step where nothing sticks. The signals ``volts``,
+    and the sign of a gear's power are those of the rate that it is implicit in, and dry friction holds a
+    wheel at rest exactly. The error falls with the square of the step where nothing sticks. The signals ``volts``,
     ``currents`` and ``torques``, a number per electric motor, are means over the last step.
 
     Parameters
@@ -154,6 +154,48 @@ class ByVoltage:
     def _constants(self) -> dict[str, Array]:
         motors = [self.table.actuators[k].motor for k in self._electric]
         return {name: frozen([getattr(motor, name) for motor in motors]) for name, *_ in _CONSTANTS}
+
+    def with_parameters(self, **values: ArrayLike) -> ByVoltage:
+        """Return the robot with other values of its `parameters`.
+
+        Parameters
+        ----------
+        **values : float or array_like
+            By the name of a parameter, or of an attribute such as ``resistance`` with all its numbers.
+
+        Raises
+        ------
+        InvalidArgument
+            If there can be no such motor, or an array has another shape.
+        UnknownName
+            If there is no such parameter.
+        """
+        constants = {name: np.array(x) for name, x in self._constants.items()}
+        named = {each.name: each for each in self.parameters}
+        for name, value in values.items():
+            if name in named:
+                constants[named[name].attribute][named[name].entry] = scalar(name, value)
+            elif name in constants:
+                constants[name] = vector(name, value, len(self._electric))
+            else:
+                raise UnknownName("parameter of a robot", name, named)
+        motors = {}
+        for at, k in enumerate(self._electric):
+            own = self.table.actuators[k]
+            new: dict[str, Any] = {name: float(x[at]) for name, x in constants.items()}
+            motors[own.name] = replace(own.motor, **new)
+        wheels = [
+            replace(wheel, motor=motors[wheel.name]) if wheel.name in motors else wheel
+            for wheel in self.table.wheels
+        ]
+        couplings = [
+            replace(each, motor=motors[each.name])
+            if isinstance(each, Differential) and each.name in motors
+            else each
+            for each in self.table.couplings
+        ]
+        table = WheelTable(wheels, self.table.supports, couplings)  # type: ignore[arg-type]
+        return ByVoltage(replace(self.wheeled, table=table))
 
     @property
     def resistance(self) -> Array:
