@@ -31,7 +31,7 @@ import pinocchio as pin
 import pinmobile as pm
 from pinmobile import PinmobileError, derivation, ensembles, urdf, viewer
 from pinmobile.robot import Stance
-from pinmobile.wheels import WheeledRobot, WheelTable
+from pinmobile.wheels import Motor, WheeledRobot, WheelTable
 
 MODULES = (
     *("accuracy", "balance", "closed_form", "controllers", "derivation", "dh", "forces", "ensembles"),
@@ -324,6 +324,12 @@ def _scenario(gain: float = 1.0) -> Any:
 MADE: dict[str, Callable[[], Any]] = {
     "robot": lambda: pm.MobileRobot(10.0, 1.2, com=(0.15, 0.05)),
     "wheeled": lambda: WheeledRobot(WORLD.robot, WheelTable.differential(0.5, 0.1)),
+    "electric": lambda: WheeledRobot(
+        WORLD.robot,
+        WheelTable.differential(
+            0.5, 0.1, motor=Motor(resistance=1.0, torque_constant=0.03, voltage=24.0, gear=20.0)
+        ),
+    ),
     "arm": small_arm,
     "armed": lambda: WORLD.robot.mount(WORLD.arm, (0, 0, 0.2, 0), name="arm"),
     "q": lambda: np.array([0.1, 0.2, 0.3]),
@@ -433,6 +439,8 @@ ROWS: dict[str, Row] = {
     "Saturated": row(controller=pm.PD(1, 1), limits=[1, 2, 3]),
     "Allocated": row(controller=pm.PD(1, 1), robot=the("wheeled")),
     "Backstepping": row(law=pm.Tracking(), robot=the("wheeled"), k=10, steer=10, arms=2),
+    "Driven": row(controller=pm.PD(1, 1), robot=the("electric")),
+    "WheelSpeed": row(law=pm.Tracking(), robot=the("wheeled"), kp=1, ki=2),
     "Tracking": row(zeta=0.7, b=20),
     "Kanayama": row(k1=2, k2=10, k3=5),
     "Parking": row(k1=1, k2=3, k3=2, near=1e-3),
@@ -862,7 +870,16 @@ def is_part(name: str) -> bool:
     """Tell whether a method is what the loop calls on its parts, with arrays that it made."""
     owner, _, method = name.rpartition(".")
     parts = ("PD", "ComputedTorque", "Decoupled", "PDGravity", "Saturated", "Delayed", "NoisyMeasurement")
-    parts += ("Allocated", "Backstepping", "Tracking", "Kanayama", "Parking", "DynamicFeedback")
+    parts += (
+        "Allocated",
+        "Backstepping",
+        "Driven",
+        "WheelSpeed",
+        "Tracking",
+        "Kanayama",
+        "Parking",
+        "DynamicFeedback",
+    )
     forces = ("ConstantForce", "SinusoidalForce", "NoiseForce", "RollingResistance", "ViscousFriction")
     called = owner in (*parts, *forces, "EndEffectorTracking", "JointFriction")
     integrators = ("constant_acceleration", "rk4", "semi_implicit_euler")

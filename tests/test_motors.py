@@ -315,6 +315,23 @@ def test_wheel_speed_follows_by_loops_of_each_wheel(kind: str) -> None:
     assert np.abs(found.q[-1, :2] - path(4.0).q[:2]).max() < 0.05
 
 
+@pytest.mark.parametrize("kind", ["driven", "speed"])
+def test_controllers_of_motors_give_the_same_in_all_engines(kind: str) -> None:
+    wheeled = WheeledRobot(BODY, table(MOTOR))
+    robot = wheeled.by_voltage()
+    path = Tangent(Circle(2.0, 0.3, 20.0))
+    inner = Backstepping(Tracking(), wheeled)
+    controller: Any = Driven(inner, robot) if kind == "driven" else WheelSpeed(Tracking(), robot, 3.0, 30.0)
+    q0, v0 = np.append(path(0.0).q, [0.0, 0.0]), np.zeros(robot.nv)
+    here, there = (
+        simulate(robot, controller, path, dt=0.01, duration=0.3, q0=q0, v0=v0, engine=engine)
+        for engine in (PINOCCHIO, COMPILED)
+    )
+    assert (np.abs(here.u).max(axis=0) > 1.0).all()
+    np.testing.assert_allclose(here.u, there.u, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(here.q, there.q, rtol=0, atol=1e-12)
+
+
 def test_the_integral_of_wheel_speed_does_not_wind_up() -> None:
     robot = WheeledRobot(CENTRAL, table(MOTOR)).by_voltage()
     controller = WheelSpeed(Tracking(), robot, kp=1.0, ki=20.0)

@@ -36,8 +36,8 @@ class ByVoltage:
     and wheels and steering axes whose motor is no electric one, keep torques. It has a step of its own,
     implicit in what a motor feels of its wheel's rate: back-EMF does not limit the step, limits of currents
     and the sign of a gear's power are those of the rate that it is implicit in, and dry friction holds a
-    wheel at rest exactly. The error falls with the square of the step where nothing sticks. The signals ``volts``,
-    ``currents`` and ``torques``, a number per electric motor, are means over the last step.
+    wheel at rest exactly. The error falls with the square of the step where nothing sticks. The signals
+    ``volts``, ``currents`` and ``torques``, a number per electric motor, are means over the last step.
 
     Parameters
     ----------
