@@ -414,6 +414,16 @@ def test_an_ensemble_spreads_motor_constants() -> None:
         robot.with_parameters(resistance_middle=1.0)
 
 
+def test_many_robots_whose_wheels_nothing_holds_run_too() -> None:
+    """What is kept of them has a part of no numbers."""
+    robot = WheeledRobot(BODY, table(PLAIN), Coulomb()).by_voltage()
+    where = FixedHeading(Hold([0.0, 0.0], 0.05), 0.0)
+    spread = {"radius_left": [0.1, 0.101]}
+    found = ensemble(robot, Held(12.0, 12.0), where, dt=0.01, n=2, spread=spread, limit=1e9)
+    assert found.engine == "COMPILED"
+    assert not found.diverged.any()
+
+
 @GROUNDS
 def test_another_resistance_is_that_of_another_motor(ground: Any) -> None:
     robot = WheeledRobot(BODY, table(MOTOR), ground).by_voltage()
