@@ -677,7 +677,7 @@ class WheelTable:
         return cls((*rear, *front), (), couplings)
 
 
-def _kept(name: str, given: object, kinds: tuple[type, ...], expected: str) -> tuple[object, ...]:
+def _kept(name: str, given: object, kinds: tuple[type, ...], expected: str) -> tuple[Any, ...]:
     entries = sequence(name, given, expected)
     for k, each in enumerate(entries):
         if not isinstance(each, kinds):

@@ -85,7 +85,7 @@ class WheelTree(System):
     def effects(self, q: Array, v: Array) -> Array:
         """Return n(q, v), shape (..., nv), unchecked."""
         whole, rates, G, bent = self.state_of(q, v)
-        return np.einsum("...ki,...k->...i", G, self.inverse_dynamics(whole, rates, bent))
+        return np.asarray(np.einsum("...ki,...k->...i", G, self.inverse_dynamics(whole, rates, bent)))
 
     def inertia_and_effects(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return M(q) and n(q, v), unchecked; of one state without detours."""

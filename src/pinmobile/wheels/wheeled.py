@@ -345,7 +345,8 @@ class WheeledRobot:
     @property
     def mu(self) -> Array:
         """Coefficients of friction of the wheels where they may slip, shape (wheels,)."""
-        return self._where_it_slips("mu", lambda: self._columns["mu"])
+        self._where_it_slips("mu")
+        return self._columns["mu"]
 
     @property
     def upright(self) -> Array:
@@ -353,7 +354,8 @@ class WheeledRobot:
 
         Height of the centre of mass, and inertia xz and yz about it.
         """
-        return self._where_it_slips("upright", lambda: self._columns["upright"])
+        self._where_it_slips("upright")
+        return self._columns["upright"]
 
     # Configurations
 
@@ -509,7 +511,7 @@ class WheeledRobot:
     def kinetic_energy(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return v' M(q) v / 2, shape (...) [J]."""
         v = self._v("v", v)
-        return np.einsum("...i,...ij,...j->...", v, self.mass_matrix(q), v) / 2
+        return np.asarray(np.einsum("...i,...ij,...j->...", v, self.mass_matrix(q), v) / 2)
 
     def forward_dynamics(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Array:
         """Return the acceleration, shape (..., nv) [m/s^2, ...].
@@ -568,7 +570,7 @@ class WheeledRobot:
         wanted = -drift[..., None] - A @ free[..., None]
         G = A @ through
         if rows is None:
-            multipliers = np.linalg.pinv(G, rcond=_REDUNDANT, hermitian=True) @ wanted
+            multipliers = np.asarray(np.linalg.pinv(G, rcond=_REDUNDANT, hermitian=True) @ wanted)
         else:
             multipliers = np.linalg.solve(G, wanted)
         a = free + (through @ multipliers)[..., 0]
@@ -576,10 +578,10 @@ class WheeledRobot:
 
     # What the ground adds: a loop asks by name for what a plant can do
 
-    def _where_it_slips(self, name: str, found: Callable[[], Any]) -> Any:
+    def _where_it_slips(self, name: str) -> SlippingBody:
         if not isinstance(self.ground, Coulomb):
             raise AttributeError(f"a WheeledRobot on {type(self.ground).__name__} ground has no {name}")
-        return found()
+        return self._slipping
 
     @property
     def project(self) -> Callable[[ArrayLike, ArrayLike], Array]:
@@ -652,7 +654,7 @@ class WheeledRobot:
         w, ahead, aside = (own.nu[..., k] for k in (2, 0, 1))
         wanted[:2] = [wanted[0] + w * aside, wanted[1] - w * ahead]
         force = np.einsum("...ij,...j->...i", own.M, np.stack(wanted, axis=-1)) + own.n
-        return np.einsum("...ij,...j->...i", np.linalg.pinv(own.B), force)
+        return np.asarray(np.linalg.pinv(own.B) @ force[..., None])[..., 0]
 
     def check_inverse_dynamics(self) -> None:
         """Refuse a drive that cannot accelerate its body in every direction.
@@ -695,7 +697,7 @@ class WheeledRobot:
         own = self.reduced(q, v)
         rates = vector("rates", rates, own.nu.shape[-1])
         force = np.einsum("...ij,...j->...i", own.M, rates) + own.n
-        return np.einsum("...ij,...j->...i", np.linalg.pinv(own.B), force)
+        return np.asarray(np.linalg.pinv(own.B) @ force[..., None])[..., 0]
 
     @cached_property
     def axle(self) -> Array:
@@ -783,7 +785,7 @@ class WheeledRobot:
         had = np.array([number(x) for x in self._traced.supplied(state, u)])
         x, y = had[:2].copy()
         had[:2] = state.c * x - state.s * y, state.s * x + state.c * y
-        return tau - had
+        return np.asarray(tau - had)
 
     def allocate_scaled(self, q: ArrayLike, tau: ArrayLike) -> tuple[Array, Array]:
         """Return torques for a force on body and arms, scaled by one factor into limits, and what is left of it.
@@ -849,7 +851,7 @@ class WheeledRobot:
             [np.broadcast_to(turns, (*lead, n)), np.broadcast_to(rates, (*lead, len(self.table)))], axis=-1
         )
         known = np.einsum("...ij,...j->...i", A[..., self.robot.nv :], joints)
-        return -np.einsum("...ij,...j->...i", np.linalg.pinv(A[..., :BODY_JOINT]), known)
+        return np.asarray(-np.linalg.pinv(A[..., :BODY_JOINT]) @ known[..., None])[..., 0]
 
     def start(self, reference: Any) -> tuple[Array, Array]:
         """Return the q and v with which a reference begins, shape (nq,) and (nv,).
@@ -861,24 +863,25 @@ class WheeledRobot:
     @property
     def initial_state(self) -> Callable[[Any], Grip]:
         """``initial_state(context)``: what the wheels keep before the first step, where they slip."""
-        return self._where_it_slips("initial_state", lambda: self._traced.initial_state)
+        return self._where_it_slips("initial_state").initial_state
 
     @property
     def step(self) -> Callable[..., Step]:
         """``step(t, q, v, u, h, f, memory)``: the state a step later, where wheels slip."""
-        return self._where_it_slips("step", lambda: self._stepped)
+        self._where_it_slips("step")
+        return self._stepped
 
     @property
     def signals(self) -> Callable[..., dict[str, tuple[str, Any]]]:
         """``signals(t, q, v, u, f, memory)``: what the ground does at the wheels, where they slip."""
-        return self._where_it_slips("signals", lambda: self._traced.signals)
+        return self._where_it_slips("signals").signals
 
     def _stepped(
         self, t: float, q: ArrayLike, v: ArrayLike, u: ArrayLike, h: float, f: ArrayLike, memory: Grip
     ) -> Step:
         q, v, u = self._q(q), self._v("v", v), vector("u", u, self.nu)
         f = 0.0 if isinstance(f, float) and f == 0 else finite("f", f)
-        return self._traced.step(t, q, v, u, h, f, memory)  # type: ignore[union-attr]
+        return self._slipping.step(t, q, v, u, h, f, memory)
 
     def check_start(self, q: ArrayLike, v: ArrayLike) -> None:
         """Refuse a start at which wheels on one gear train turn at different rates, or those that roll slip.
@@ -926,13 +929,21 @@ class WheeledRobot:
             raise InvalidArgument(f"robot cannot roll without slip: {self.mobility.why_not}")
         return RollingBody(**self._common)
 
-    @cached_property
+    @property
     def _traced(self) -> RollingBody | SlippingBody:
+        return self._rolling if isinstance(self.ground, Rolling) else self._slipping
+
+    @cached_property
+    def _slipping(self) -> SlippingBody:
         ground = self.ground
-        if isinstance(ground, Rolling):
-            return self._rolling
+        assert isinstance(ground, Coulomb)
         names = ("across", "rolling", "slip")
-        own = {name: frozen([getattr(wheel.friction, name) for wheel in self.table.wheels]) for name in names}
-        return SlippingBody(
-            **self._common, **own, passes=ground.passes, sweeps=ground.sweeps, tolerance=ground.tolerance
-        )
+        own: dict[str, Any] = {
+            name: frozen([getattr(wheel.friction, name) for wheel in self.table.wheels]) for name in names
+        }
+        rounds: dict[str, Any] = {
+            "passes": ground.passes,
+            "sweeps": ground.sweeps,
+            "tolerance": ground.tolerance,
+        }
+        return SlippingBody(**self._common, **own, **rounds)
