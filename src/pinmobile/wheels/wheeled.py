@@ -572,7 +572,7 @@ class WheeledRobot:
         if rows is None:
             multipliers = np.asarray(np.linalg.pinv(G, rcond=_REDUNDANT, hermitian=True) @ wanted)
         else:
-            multipliers = np.linalg.solve(G, wanted)
+            multipliers = np.asarray(np.linalg.solve(G, wanted))
         a = free + (through @ multipliers)[..., 0]
         return finite_answer(a, q=q, v=v, u=u, f=f), multipliers[..., 0]
 
