@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pinmobile.compiled import choose, higher, plain
-from pinmobile.robot import ONE, ZERO, Vector, dot, exact, number, scalars, stacked
+from pinmobile.robot import ONE, ZERO, Vector, dot, exact, number, scalars, vector_of as stacked
 from pinmobile.wheels.rolling import State, WheeledBody
 
 _BASE = 3

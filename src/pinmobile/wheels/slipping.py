@@ -16,7 +16,17 @@ import numpy as np
 from pinmobile.compiled import choose
 from pinmobile.errors import InvalidArgument
 from pinmobile.plant import Step
-from pinmobile.robot import ONE, ZERO, Matrix, Vector, dot, exact, number, sine_and_cosine, stacked
+from pinmobile.robot import (
+    ONE,
+    ZERO,
+    Matrix,
+    Vector,
+    dot,
+    exact,
+    number,
+    sine_and_cosine,
+    vector_of as stacked,
+)
 from pinmobile.wheels.contact import Bounds, Impulses, Touch, impulses
 from pinmobile.wheels.loads import Loads, item, numbers, quick, wheel_loads
 from pinmobile.wheels.rolling import State, WheeledBody
