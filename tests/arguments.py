@@ -862,9 +862,9 @@ def is_part(name: str) -> bool:
     """Tell whether a method is what the loop calls on its parts, with arrays that it made."""
     owner, _, method = name.rpartition(".")
     parts = ("PD", "ComputedTorque", "Decoupled", "PDGravity", "Saturated", "Delayed", "NoisyMeasurement")
-    parts += ("Allocated", "Backstepping", "Tracking", "Kanayama", "Parking", "DynamicFeedback")
+    of_wheels = ("Allocated", "Backstepping", "Tracking", "Kanayama", "Parking", "DynamicFeedback")
     forces = ("ConstantForce", "SinusoidalForce", "NoiseForce", "RollingResistance", "ViscousFriction")
-    called = owner in (*parts, *forces, "EndEffectorTracking", "JointFriction")
+    called = owner in (*parts, *of_wheels, *forces, "EndEffectorTracking", "JointFriction")
     integrators = ("constant_acceleration", "rk4", "semi_implicit_euler")
     return name in integrators or (
         called

@@ -77,7 +77,7 @@ def run(
 ) -> Rollout:
     q0, _ = robot.start(Reference(*trajectory(0.0)))
     q0[:3] += more.pop("off", OFF)
-    options = {"integrator": rk4, "engine": COMPILED} | more
+    options: dict[str, Any] = {"integrator": rk4, "engine": COMPILED} | more
     return simulate(
         robot, controller, trajectory, dt=dt, duration=duration, q0=q0, v0=np.zeros(robot.nv), **options
     )
