@@ -616,7 +616,7 @@ class WheeledRobot:
         own = self.reduced(q, v)
         rates = vector("rates", rates, own.nu.shape[-1])
         force = np.einsum("...ij,...j->...i", own.M, rates) + own.n
-        return np.einsum("...ij,...j->...i", np.linalg.pinv(own.B), force)
+        return np.asarray(np.einsum("...ij,...j->...i", np.linalg.pinv(own.B), force))
 
     @cached_property
     def axle(self) -> Array:
@@ -704,7 +704,7 @@ class WheeledRobot:
         had = np.array([number(x) for x in self._rolling.supplied(state, u)])
         x, y = had[:2].copy()
         had[:2] = state.c * x - state.s * y, state.s * x + state.c * y
-        return tau - had
+        return np.asarray(tau - had)
 
     def allocate_scaled(self, q: ArrayLike, tau: ArrayLike) -> tuple[Array, Array]:
         """Return torques for a force on body and arms, scaled by one factor into limits, and what is left of it.
