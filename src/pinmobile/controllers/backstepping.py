@@ -1,6 +1,4 @@
-"""The torques with which a robot on wheels moves as a kinematic law says: `Backstepping`,
-`SwerveTracking`.
-"""
+"""Torques with which a robot on wheels moves as a kinematic law says."""
 
 from __future__ import annotations
 
