@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pinmobile.compiled.folding import ROBOT, SAMPLE, STATE
+from pinmobile.compiled.folding import ROBOT, ROUND, SAMPLE, STATE
 from pinmobile.compiled.loop_tape import Loop
-from pinmobile.compiled.tape import needed, operands
+from pinmobile.compiled.tape import Rounds, needed, operands
 
 ENTRY = "pinmobile_loop"
 
@@ -80,6 +80,7 @@ class Code:
         self.spread: dict[tuple[int, str], str] = {}
         self.late: list[str] = []
         self.rings: dict[int, tuple[str, str, str]] = {}
+        self.results: dict[int, list[list[str]]] = {}
         self.named = 0
         self.constants: dict[tuple[int, bool], str] = {}
         self.shared = [not depends & (ROBOT | STATE) for depends in self.tape.depends]
@@ -157,7 +158,9 @@ class Code:
                 continue
             missing = [
                 i
-                for i in operands(operation)
+                for i in (
+                    Rounds.of(self.tape, node).outside if operation[0] == "repeat" else operands(operation)
+                )
                 if i not in self.values and self.tape.operations[i][0] != "const"
             ]
             if missing:
@@ -183,8 +186,64 @@ class Code:
             return [self.load("%block", first * self.shape.width, u, region, kind) for u in self.vectors()]
         if name == "ring":
             return self._ring(node)
+        if name == "repeat":
+            return self._rounds(node)
+        if name == "result":
+            return self.results[operation[1]][operation[2]]
         shared = self.is_shared(node)
         return [self._operation(node, u, region, shared) for u in (range(1) if shared else self.vectors())]
+
+    def _rounds(self, node: int) -> list[str]:
+        """Write rounds, which end when no robot of the block needs a further one; one that is done stays."""
+        rounds, lines, lanes = Rounds.of(self.tape, node), self.lines["sample"], self.shape.lanes
+        whole, truth, vectors = self.type("f"), self.type("b"), self.vectors()
+        first = [[self.argument(i, u, "sample") for u in vectors] for i in rounds.first]
+        # Those that all robots share are spread before, not in each round.
+        for i in rounds.outside:
+            if self.shared[i] and self.tape.operations[i][0] != "const":
+                self.argument(i, 0, "sample")
+        before, inside, behind = f"before{node}", f"round{node}", f"behind{node}"
+        lines += [f"  br label %{before}", f"{before}:", f"  br label %{inside}", f"{inside}:"]
+        for j, values in enumerate(first):
+            for u in vectors:
+                name = f"{node}_{j}_{u}"
+                ways = f"[ {values[u]}, %{before} ], [ %z{name}, %{inside} ]"
+                lines.append(f"  %y{name} = phi {whole} {ways}")
+        none = "false" if lanes == 1 else "zeroinitializer"
+        for u in vectors:
+            lines.append(f"  %e{node}_{u} = phi {truth} [ {none}, %{before} ], [ %d{node}_{u}, %{inside} ]")
+        lines.append(f"  %r{node} = phi i64 [ 1, %{before} ], [ %q{node}, %{inside} ]")
+        for i in rounds.body:
+            name, *given = self.tape.operations[i]
+            if name == "carry":
+                self.values[i] = [f"%y{node}_{given[1]}_{u}" for u in vectors]
+            else:
+                self.values[i] = [self._operation(i, u, "sample", False) for u in vectors]
+        for j, i in enumerate(rounds.following):
+            for u in vectors:
+                value, name = self.argument(i, u, "sample"), f"{node}_{j}_{u}"
+                chosen = f"{truth} %e{node}_{u}, {whole} %y{name}, {whole} {value}"
+                lines.append(f"  %z{name} = select {chosen}")
+        left = []
+        for u in vectors:
+            value = self.argument(rounds.done, u, "sample")
+            lines.append(f"  %d{node}_{u} = or {truth} %e{node}_{u}, {value}")
+            word = f"%d{node}_{u}"
+            if lanes > 1:
+                word = self.put("sample", f"bitcast {truth} {word} to i{lanes}")
+            left.append(self.put("sample", f"icmp ne i{lanes} {word}, -1"))
+        more = left[0]
+        for each in left[1:]:
+            more = self.put("sample", f"or i1 {more}, {each}")
+        under = self.put("sample", f"icmp slt i64 %r{node}, {rounds.most}")
+        more = self.put("sample", f"and i1 {more}, {under}")
+        lines += [
+            f"  %q{node} = add i64 %r{node}, 1",
+            f"  br i1 {more}, label %{inside}, label %{behind}",
+            f"{behind}:",
+        ]
+        self.results[node] = [[f"%z{node}_{j}_{u}" for u in vectors] for j in range(len(first))]
+        return []
 
     def vectors(self) -> range:
         """Return the numbers of the vectors."""
@@ -280,9 +339,13 @@ def text_of(loop: Loop, shape: Shape) -> str:
         code.values[node] = [code.put("sample", f"load double, ptr {place}, align 8")]
     for ring in loop.rings:
         code.emit(ring.node)
+    for node in needed(code.tape, loop.outputs):
+        if code.tape.operations[node][0] == "repeat":
+            code.emit(node)  # where every sample passes
     # In the order of the tape: what a law computes for its next line is still in a register there.
     for node in needed(code.tape, [after for _, after in loop.states]):
-        code.emit(node)
+        if not code.tape.depends[node] & ROUND:
+            code.emit(node)
     following = [[code.argument(after, u, "sample") for u in code.vectors()] for _, after in loop.states]
     _keep(code)
     code.lines["sample"] += code.late

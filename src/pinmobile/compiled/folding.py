@@ -8,8 +8,8 @@ from typing import Any, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 
-UNIFORM, ROBOT, SAMPLE, STATE = 1, 2, 4, 8
-"""What a node depends on, as bits: a number of the whole run, of a robot, of a sample, of the state."""
+UNIFORM, ROBOT, SAMPLE, STATE, ROUND = 1, 2, 4, 8, 16
+"""What a node depends on, as bits: a number of the run, of a robot, of a sample, of the state, of a round."""
 
 
 # Each operation on NumPy's numbers and arrays; `max` and `min` return the second where one is not a number.

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, TypeAlias, final
+from typing import Any, NamedTuple, TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from pinmobile.compiled.folding import (
     NUMPY,
     ON_WHOLES,
     ROBOT,
+    ROUND,
     SAMPLE,
     STATE,
     UNIFORM,
@@ -55,6 +56,7 @@ _INPUTS = {
     "track": (SAMPLE | ROBOT, "f"),
     "count": (SAMPLE, "u"),
     "state": (STATE, "f"),
+    "carry": (STATE | ROUND, "f"),
 }
 
 
@@ -75,7 +77,52 @@ def operands(operation: _Operation) -> tuple[int, ...]:
     name = operation[0]
     if name == "const" or name in _INPUTS:
         return ()
-    return (operation[3],) if name == "ring" else operation[1:]
+    if name == "repeat":
+        return operation[3:]
+    return operation[1:2] if name == "result" else (operation[3],) if name == "ring" else operation[1:]
+
+
+class Rounds(NamedTuple):
+    """What a ``("repeat", number, most, done, *first, *following)`` is.
+
+    Attributes
+    ----------
+    most : int
+        Rounds at most.
+    done : int
+        Node that tells whether a robot needs no further round.
+    first, following : tuple of int
+        Nodes of each number that is carried: before the first round, and after each.
+    body : list of int
+        Nodes of a round, in order.
+    outside : list of int
+        Nodes that a round needs and that are the same in all.
+    """
+
+    most: int
+    done: int
+    first: tuple[int, ...]
+    following: tuple[int, ...]
+    body: list[int]
+    outside: list[int]
+
+    @classmethod
+    def of(cls, tape: Tape, index: int) -> Rounds:
+        """Return those of a node."""
+        _, number, most, done, *nodes = tape.operations[index]
+        half = len(nodes) // 2
+        body, outside, todo = set(), set(nodes[:half]), [done, *nodes[half:]]
+        while todo:
+            node = todo.pop()
+            if not tape.depends[node] & ROUND:
+                outside.add(node)
+            elif node not in body:
+                body.add(node)
+                todo += operands(tape.operations[node])
+        carried = {("carry", number, i) for i in range(half)}
+        if any(tape.operations[i][0] == "carry" and tape.operations[i] not in carried for i in body):
+            raise NotTraceable("rounds within rounds", "write one after the other")
+        return cls(most, done, (*nodes[:half],), (*nodes[half:],), sorted(body), sorted(outside))
 
 
 class Tape:
@@ -107,7 +154,7 @@ class Tape:
         self._known: dict[_Operation, int] = {}
         self._applied: dict[tuple[Any, ...], int] = {}  # what has been asked for, before it was simplified
         self._values: dict[int, Any] = {}  # of constants
-        self._largest, self._where, self._own = largest, where, 0
+        self._largest, self._where, self._own, self._repeats = largest, where, 0, 0
 
     @classmethod
     def of(cls, operations: list[_Operation], types: list[str], depends: list[int]) -> Tape:
@@ -134,6 +181,18 @@ class Tape:
     def ring(self, number: int, samples: int, pushed: Node) -> Node:
         """Return what `pushed` was `samples` ago; until there is that much, what it was at first."""
         return self._node("f", STATE, ("ring", number, samples, pushed.index))
+
+    def repeated(
+        self, law: Callable[[list[Any]], tuple[Sequence[Any], Any]], first: Sequence[Any], most: int
+    ) -> list[Node]:
+        """Return some numbers after rounds of a law: see `pinmobile.compiled.rounds.repeated`."""
+        number, self._repeats = self._repeats, self._repeats + 1
+        before = [self._as(x, "f").index for x in first]
+        following, done = law([self.input("carry", number, i) for i in range(len(before))])
+        after = [self._as(x, "f").index for x in following]
+        operation = ("repeat", number, most, self._as(done, "b").index, *before, *after)
+        node = self._node("f", STATE, operation)
+        return [self._node("f", STATE, ("result", node.index, i)) for i in range(len(after))]
 
     def const(self, value: Known, kind: str = "f") -> Node:
         """Return a number, a truth value or 64 bits that are known."""
@@ -358,12 +417,35 @@ def evaluated(
                 values[index] = DTYPES[operation[1]](tape.known(index))
             elif name == "ring":
                 values[index] = values[operation[3]] if first else inputs[operation]
+            elif name == "repeat":
+                values[index] = _after_rounds(tape, Rounds.of(tape, index), values)
+            elif name == "result":
+                values[index] = values[operation[1]][operation[2]]
+            elif tape.depends[index] & ROUND:
+                continue  # of a round, which the rounds compute
             elif name in _INPUTS:
                 # Of one number NumPy's scalar, whose sums are faster than those of an array without axes.
                 values[index] = np.asarray(inputs[operation], DTYPES[tape.types[index]])[()]
             else:
                 values[index] = NUMPY[name](*[values[i] for i in operation[1:]])
     return [values[index] for index in wanted]
+
+
+def _after_rounds(tape: Tape, rounds: Rounds, known: Mapping[int, Any]) -> list[Any]:
+    """Return what is carried after the last round; a robot that is done stays as it is."""
+    carried, done = [known[i] for i in rounds.first], np.bool_(False)
+    for _ in range(rounds.most):
+        values = dict(known)
+        for index in rounds.body:
+            name, *given = tape.operations[index]
+            values[index] = carried[given[1]] if name == "carry" else NUMPY[name](*(values[i] for i in given))
+        carried = [
+            np.where(done, old, values[i])[()] for old, i in zip(carried, rounds.following, strict=True)
+        ]
+        done = done | values[rounds.done]
+        if np.all(done):
+            break
+    return carried
 
 
 def needed(tape: Tape, wanted: Iterable[int]) -> list[int]:

@@ -187,7 +187,7 @@ class ComputedTorque:
     parameters: ClassVar[tuple[Parameter, ...]] = GAINS
 
     def __post_init__(self) -> None:
-        _check_robot(self, "inverse_dynamics")
+        check_robot(self, "inverse_dynamics")
         if hasattr(self.robot, "check_inverse_dynamics"):
             self.robot.check_inverse_dynamics()
         _check_gains(self, max(leading_of(self.robot)))
@@ -228,7 +228,7 @@ def gain_matrix(name: str, gain: ArrayLike, n: int) -> Array:
     return array if array.ndim == 2 else np.diag(np.broadcast_to(array, n))
 
 
-def _check_robot(controller: ComputedTorque | PDGravity | Decoupled, needs: str) -> None:
+def check_robot(controller: ComputedTorque | PDGravity | Decoupled, needs: str) -> None:
     """Refuse a controller's robot that has no sizes, no method of that name, or no difference to use.
 
     Raises
@@ -458,7 +458,7 @@ def _of_arms(rate: Array) -> Array:
 
 
 def _check(controller: PDGravity | Decoupled, needs: str) -> None:
-    _check_robot(controller, needs)
+    check_robot(controller, needs)
     if max(leading_of(controller.robot)) < controller.robot.nv:
         raise InvalidArgument(
             f"robot is {shown(controller.robot)}, which has wheels, expected "

@@ -1,6 +1,7 @@
 """Wheels under a robot: the wheel table, rolling and slip, motors."""
 
-from pinmobile.wheels.ground import Rolling
+from pinmobile.wheels.description import read_wheels
+from pinmobile.wheels.ground import Coulomb, Ramp, Rolling
 from pinmobile.wheels.kinematics import Kinematics as Kinematics
 from pinmobile.wheels.mobility import Mobility
 from pinmobile.wheels.motors import Motor
@@ -13,16 +14,19 @@ __all__ = [
     "Ackermann",
     "Allocation",
     "ByOdometry",
+    "Coulomb",
     "Differential",
     "Forces",
     "Friction",
     "GearTrain",
     "Mobility",
     "Motor",
+    "Ramp",
     "Reduced",
     "Rolling",
     "Support",
     "Wheel",
     "WheelTable",
     "WheeledRobot",
+    "read_wheels",
 ]

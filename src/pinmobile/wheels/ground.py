@@ -3,13 +3,105 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import cos, pi, sin
 from typing import final
 
+from pinmobile.arrays import Array, frozen, non_negative, positive, scalar, whole
 from pinmobile.constancy import constant
+from pinmobile.errors import InvalidArgument, shown
+
+
+@final
+@constant
+@dataclass(frozen=True)
+class Ramp:
+    """A plane that rises; x, y and psi are then those in the plane.
+
+    Parameters
+    ----------
+    angle : float
+        Of the plane with the level, in [0, pi / 2) [rad].
+    direction : float
+        Of the way straight up, from the inertial x axis [rad].
+    """
+
+    angle: float
+    direction: float = 0.0
+
+    def __post_init__(self) -> None:
+        angle = scalar("angle of a Ramp", self.angle)
+        if not 0 <= angle < pi / 2:
+            raise InvalidArgument(f"angle of a Ramp is {angle:g} rad, expected one in [0, pi / 2)")
+        object.__setattr__(self, "angle", angle)
+        object.__setattr__(self, "direction", scalar("direction of a Ramp", self.direction))
+
+    def fall(self, g: float) -> Array:
+        """Return gravity along the axes of the plane, shape (3,) [m/s^2]."""
+        down = -g * sin(self.angle)
+        return frozen([down * cos(self.direction), down * sin(self.direction), -g * cos(self.angle)])
+
+
+def _ramp(ramp: object) -> None:
+    if ramp is not None and not isinstance(ramp, Ramp):
+        raise InvalidArgument(f"ramp is {shown(ramp)}, expected a Ramp(angle, direction) or None")
 
 
 @final
 @constant
 @dataclass(frozen=True)
 class Rolling:
-    """Wheels roll without slip, whatever force that takes: constraints on the velocities."""
+    """Wheels roll without slip, whatever force that takes: constraints on the velocities.
+
+    Parameters
+    ----------
+    ramp : Ramp, optional
+        Which way the ground rises; None: it is level.
+    """
+
+    ramp: Ramp | None = None
+
+    def __post_init__(self) -> None:
+        _ramp(self.ramp)
+
+
+@final
+@constant
+@dataclass(frozen=True)
+class Coulomb:
+    """Wheels stick while the ground can hold them, and slide beyond: dry friction of Coulomb's law.
+
+    A robot on such ground has a step of its own: implicit in the velocities, impulses of all wheels found
+    together, so that what sticks is at rest exactly and nothing is stiff. Steps of 0.01 s and less are of
+    use; the error of fixed wheels falls with the square of the step, that of steered ones with the step.
+
+    Parameters
+    ----------
+    mu : float, optional
+        Coefficient of friction of all wheels, along the axes of rollers for those that have some; None: each
+        wheel's own, ``wheel.friction.mu``.
+    ramp : Ramp, optional
+        Which way the ground rises; None: it is level.
+    passes : int
+        How often a step finds loads, forces and velocities anew, each from the others.
+    sweeps : int
+        Most rounds over all wheels in a pass.
+    tolerance : float
+        Largest change of a force in a round, as a share of the largest friction, at which it has been found.
+    """
+
+    mu: float | None = None
+    ramp: Ramp | None = None
+    passes: int = 3
+    sweeps: int = 200
+    tolerance: float = 1e-12
+
+    def __post_init__(self) -> None:
+        _ramp(self.ramp)
+        if self.mu is not None:
+            object.__setattr__(self, "mu", non_negative("mu", self.mu))
+        for name in ("passes", "sweeps"):
+            object.__setattr__(self, name, whole(name, getattr(self, name), least=1))
+        object.__setattr__(self, "tolerance", positive("tolerance", self.tolerance))
+
+
+Ground = Rolling | Coulomb

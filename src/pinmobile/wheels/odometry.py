@@ -12,7 +12,7 @@ from pinmobile.arrays import Array, frozen, non_negative, positive, vector, whol
 from pinmobile.controllers import Controller, State, answer_of, check_controller, told
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Context, Parameter
-from pinmobile.robot import ZERO, Vector, dot, scalars, solved_by, stacked
+from pinmobile.robot import ZERO, Vector, dot, scalars, solved as solved_by, vector_of as stacked
 from pinmobile.signals import signals_of
 from pinmobile.wheels.kinematics import Kinematics
 from pinmobile.wheels.table import WheelTable

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, wrap_angle
+from pinmobile.arrays import Array
 from pinmobile.plant import Coordinate, Input, Parameter
 from pinmobile.robot import (
     ZERO,
@@ -27,8 +27,8 @@ from pinmobile.robot import (
     number,
     scalars,
     sine_and_cosine,
-    solved_by,
-    stacked,
+    solved as solved_by,
+    vector_of as stacked,
 )
 from pinmobile.wheels.kinematics import Choice, Kinematics, Row, Solution, solved
 from pinmobile.wheels.table import Axis, WheelTable
@@ -99,6 +99,12 @@ class WheeledBody:
         About the axles [kg m^2].
     rotors : ndarray, shape (actuators,)
         What motors add to the inertia [kg m^2].
+    fall : ndarray, shape (3,)
+        Gravity along the axes of the plane [m/s^2].
+    choice : Choice
+        Which rows of the wheels determine what, where they roll.
+    coordinates, inputs, ends, parameters
+        As of a plant; `ends` are the items of ``leading``.
     """
 
     robot: Any
@@ -108,6 +114,14 @@ class WheeledBody:
     radius: Any
     spin_inertia: Any
     rotors: Any
+    fall: Any
+    choice: Choice
+    coordinates: tuple[Coordinate, ...]
+    inputs: tuple[Input, ...]
+    ends: tuple[tuple[int, int], ...]
+    parameters: tuple[Parameter, ...]
+
+    broadcasts: ClassVar[bool] = True
 
     @property
     def na(self) -> int:
@@ -123,6 +137,26 @@ class WheeledBody:
     def size(self) -> int:
         """Number of velocities."""
         return _BASE + self.na + self.joints
+
+    @property
+    def nq(self) -> int:
+        """Size of q."""
+        return int(self.robot.nq) + self.joints
+
+    @property
+    def nv(self) -> int:
+        """Size of v and a."""
+        return self.size
+
+    @property
+    def nu(self) -> int:
+        """Size of the input."""
+        return self.na + len(self.table.actuators)
+
+    @property
+    def leading(self) -> dict[int, int]:
+        """How many numbers of q the first n coordinates have, for each n that a reference may have."""
+        return dict(self.ends)
 
     @cached_property
     def kinematics(self) -> Kinematics:
@@ -190,6 +224,11 @@ class WheeledBody:
         at_zero = stacked([ZERO, ZERO, ZERO, *state.arms], q)
         carried = self.robot.nonlinear_effects(at_zero, stacked([*state.twist, *state.arm_rates], q))
         n[: _BASE + self.na] = scalars(carried)
+        if self.na and self._slack:
+            weights = scalars(self.robot.gravity(at_zero))
+            n[_BASE : _BASE + self.na] = [x - self._slack * y for x, y in zip(n, weights, strict=False)][
+                _BASE : _BASE + self.na
+            ]
         for row, k in self._steered:
             wheel, head = self.table.wheels[row], self.kinematics.heading(row, state.steering)
             at, w = _BASE + self.na + k, state.twist[2]
@@ -209,9 +248,26 @@ class WheeledBody:
             n[at] = n[at] + m * head.first * (o[0] * pull[1] - o[1] * pull[0])
         return n
 
-    def solution(self, state: State, choice: Choice) -> Solution:
+    @cached_property
+    def _slack(self) -> float:
+        """Share of gravity across the plane that a ramp takes away."""
+        size = float(np.linalg.norm(self.fall))
+        return 1.0 + float(self.fall[2]) / size if size and (self.fall[0] or self.fall[1]) else 0.0
+
+    def pull(self, state: State) -> Vector:
+        """Return gravity in the plane along the body's axes, which every mass feels alike [m/s^2]."""
+        x, y = (exact(float(each)) for each in self.fall[:2])
+        return [state.c * x + state.s * y, state.c * y - state.s * x]
+
+    def felt(self, state: State, a: Vector) -> Vector:
+        """Return accelerations less gravity in the plane, which is as if the plane accelerated against it."""
+        x, y = self.pull(state)
+        return [a[0] - x, a[1] - y, *a[2:]]
+
+    def solution(self, state: State) -> Solution:
         """Return what rolls, arms between body and joints."""
         rows = self.kinematics.rows(state.steering, state.twist, state.rates)
+        choice = self.choice
         S, gamma = solved(rows, choice)
         width, na = len(S[0]), self.na
         own = _BASE if not choice.body else _BASE - len(choice.body)
@@ -238,65 +294,31 @@ class WheeledBody:
         """Return numbers along the body's axes as a public array, shape (..., size)."""
         return stacked([state.c * a[0] - state.s * a[1], state.s * a[0] + state.c * a[1], *a[2:]], q)
 
+    def integrate(self, q: Any, dq: Any) -> Any:
+        """Return the configuration that a displacement leads to."""
+        n = self.robot.nq
+        if n == self.robot.nv:
+            return q + dq
+        moved = self.robot.integrate(q[..., :n], dq[..., : self.robot.nv])
+        return np.concatenate([moved, q[..., n:] + dq[..., self.robot.nv :]], axis=-1)
 
-@final
-@dataclass(frozen=True, eq=False)
-class RollingBody(WheeledBody):
-    """A robot whose wheels roll ideally, unchecked.
+    def difference(self, q0: Any, q1: Any) -> Any:
+        """Return the displacement from q0 to q1, that of the heading on the circle, shape (..., nv)."""
+        n = self.robot.nq
+        own = self.robot.difference(q0[..., :n], q1[..., :n])
+        return np.concatenate([own, q1[..., n:] - q0[..., n:]], axis=-1)
 
-    Parameters
-    ----------
-    choice : Choice
-        Which rows of the wheels determine what.
-    coordinates, inputs, ends, parameters
-        As of a plant; `ends` are the items of ``leading``.
-    """
+    def pose(self, q: Any) -> Any:
+        """Return x, y, psi of the body."""
+        return q[..., :_BASE]
 
-    choice: Choice
-    coordinates: tuple[Coordinate, ...]
-    inputs: tuple[Input, ...]
-    ends: tuple[tuple[int, int], ...]
-    parameters: tuple[Parameter, ...]
+    def rate(self, q: Any, v: Any) -> Any:
+        """Return the rates of x, y, psi."""
+        return v[..., :_BASE]
 
-    broadcasts: ClassVar[bool] = True
-
-    @property
-    def nq(self) -> int:
-        """Size of q."""
-        return int(self.robot.nq) + self.joints
-
-    @property
-    def nv(self) -> int:
-        """Size of v and a."""
-        return self.size
-
-    @property
-    def nu(self) -> int:
-        """Size of the input."""
-        return self.na + len(self.table.actuators)
-
-    @property
-    def leading(self) -> dict[int, int]:
-        """How many numbers of q the first n coordinates have, for each n that a reference may have."""
-        return dict(self.ends)
-
-    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
-        """Return the acceleration, shape (..., nv): a = S nu' + gamma, S' M S nu' = S' (tau - n - M gamma)."""
-        state = self.state(q, v)
-        M, (S, gamma) = self.inertia(state, q), self.solution(state, self.choice)
-        force = self.generalised(state, u, f)
-        effects = self.effects(state, q)
-        rest = [t - n - dot(row, gamma) for t, n, row in zip(force, effects, M, strict=True)]
-        rates = _reduced(M, S, rest)
-        return self.in_plane(state, [dot(row, rates) + g for row, g in zip(S, gamma, strict=True)], q)
-
-    def project(self, q: Any, v: Any) -> Any:
-        """Return the velocity that rolls and is nearest in the mass metric, shape (..., nv)."""
-        state = self.state(q, v)
-        M, (S, _) = self.inertia(state, q), self.solution(state, self.choice)
-        velocity = [*state.twist, *state.arm_rates, *state.rates]
-        rates = _reduced(M, S, [dot(row, velocity) for row in M])
-        return self.in_plane(state, [dot(row, rates) for row in S], q)
+    def effort(self, q: Any, wrench: Any) -> Any:
+        """Return the generalised force of a wrench on the body, shape (..., nv)."""
+        return stacked([*scalars(wrench), *[ZERO] * (self.nv - _BASE)], q)
 
     def velocities(self, state: State) -> Vector:
         """Return the independent velocities nu of a state that rolls, in the order of the columns of S."""
@@ -315,11 +337,11 @@ class RollingBody(WheeledBody):
     def reduced(self, q: Any, v: Any) -> Reduced:
         """Return the dynamics of the independent velocities: M nu' + n = B u, see `Reduced`."""
         state = self.state(q, v)
-        M, (S, gamma) = self.inertia(state, q), self.solution(state, self.choice)
+        M, (S, gamma) = self.inertia(state, q), self.solution(state)
         effects = self.effects(state, q)
         columns = [list(column) for column in zip(*S, strict=True)]
         pushed = [applied(M, column) for column in columns]
-        still = self.unmoved(state, S, gamma)
+        still = self.felt(state, self.unmoved(state, S, gamma))
         rest = [n + dot(row, still) for n, row in zip(effects, M, strict=True)]
         inputs = [self.generalised(state, one, 0.0) for one in np.eye(self.nu)]
         public = [self.in_plane(state, column, q) for column in columns]
@@ -338,13 +360,13 @@ class RollingBody(WheeledBody):
         """
         state, wanted = self.state(q, v), scalars(a)
         along = [state.c * wanted[0] + state.s * wanted[1], state.c * wanted[1] - state.s * wanted[0]]
-        S, gamma = self.solution(state, self.choice)
+        S, gamma = self.solution(state)
         return stacked(self._driven(state, q, S, [*along, *wanted[2:]], gamma), q)
 
     def torques(self, q: Any, v: Any, rates: Any) -> Any:
         """Return the input of least norm with which the independent velocities change so, shape (..., nu)."""
         state = self.state(q, v)
-        S, gamma = self.solution(state, self.choice)
+        S, gamma = self.solution(state)
         return stacked(self._driven(state, q, S, scalars(rates), self.unmoved(state, S, gamma)), q)
 
     def unmoved(self, state: State, S: Matrix, gamma: Vector) -> Vector:
@@ -387,7 +409,7 @@ class RollingBody(WheeledBody):
     def _driven(self, state: State, q: Any, S: Matrix, rates: Vector, rest: Vector) -> Vector:
         """Return the input of least norm with which all accelerate as S rates + rest."""
         M = self.inertia(state, q)
-        whole = [dot(row, rates) + g for row, g in zip(S, rest, strict=True)]
+        whole = self.felt(state, [dot(row, rates) + g for row, g in zip(S, rest, strict=True)])
         force = [dot(row, whole) + n for row, n in zip(M, self.effects(state, q), strict=True)]
         return self._least(state, S, force)
 
@@ -427,7 +449,7 @@ class RollingBody(WheeledBody):
     def allocate_scaled(self, q: Any, tau: Any) -> tuple[Any, Any]:
         """Return an input for a force on body and arms, and what of it is left, see `WheeledRobot`."""
         state, wanted = self.state(q, stacked([ZERO] * self.nv, q)), scalars(tau)
-        S, _ = self.solution(state, self.choice)
+        S, _ = self.solution(state)
         along = [
             state.c * wanted[0] + state.s * wanted[1],
             state.c * wanted[1] - state.s * wanted[0],
@@ -486,31 +508,30 @@ class RollingBody(WheeledBody):
             angle = (angle + np.pi / 2) % np.pi - np.pi / 2
         return angle
 
-    def integrate(self, q: Any, dq: Any) -> Any:
-        """Return the configuration that a displacement leads to."""
-        n = self.robot.nq
-        if n == self.robot.nv:
-            return q + dq
-        moved = self.robot.integrate(q[..., :n], dq[..., : self.robot.nv])
-        return np.concatenate([moved, q[..., n:] + dq[..., self.robot.nv :]], axis=-1)
 
-    def difference(self, q0: Any, q1: Any) -> Any:
-        """Return the displacement from q0 to q1, that of the heading on the circle, shape (..., nv)."""
-        n = self.robot.nq
-        own = self.robot.difference(q0[..., :n], q1[..., :n])
-        return np.concatenate([own, q1[..., n:] - q0[..., n:]], axis=-1)
+@final
+@dataclass(frozen=True, eq=False)
+class RollingBody(WheeledBody):
+    """A robot whose wheels roll ideally, unchecked."""
 
-    def pose(self, q: Any) -> Any:
-        """Return x, y, psi of the body."""
-        return q[..., :_BASE]
+    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
+        """Return the acceleration, shape (..., nv): a = S nu' + gamma, S' M S nu' = S' (tau - n - M gamma)."""
+        state = self.state(q, v)
+        M, (S, gamma) = self.inertia(state, q), self.solution(state)
+        force = self.generalised(state, u, f)
+        effects = self.effects(state, q)
+        felt = self.felt(state, gamma)
+        rest = [t - n - dot(row, felt) for t, n, row in zip(force, effects, M, strict=True)]
+        rates = _reduced(M, S, rest)
+        return self.in_plane(state, [dot(row, rates) + g for row, g in zip(S, gamma, strict=True)], q)
 
-    def rate(self, q: Any, v: Any) -> Any:
-        """Return the rates of x, y, psi."""
-        return v[..., :_BASE]
-
-    def effort(self, q: Any, wrench: Any) -> Any:
-        """Return the generalised force of a wrench on the body, shape (..., nv)."""
-        return stacked([*scalars(wrench), *[ZERO] * (self.nv - _BASE)], q)
+    def project(self, q: Any, v: Any) -> Any:
+        """Return the velocity that rolls and is nearest in the mass metric, shape (..., nv)."""
+        state = self.state(q, v)
+        M, (S, _) = self.inertia(state, q), self.solution(state)
+        velocity = [*state.twist, *state.arm_rates, *state.rates]
+        rates = _reduced(M, S, [dot(row, velocity) for row in M])
+        return self.in_plane(state, [dot(row, rates) for row in S], q)
 
 
 def _matrix(rows: Matrix, q: Any) -> Any:

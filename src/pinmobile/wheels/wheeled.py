@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from os import PathLike
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple, final
+from typing import Any, ClassVar, NamedTuple, Self, final
 
 import numpy as np
 import pinocchio as pin
@@ -14,16 +15,19 @@ import pinocchio as pin
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, frozen, vector
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.plant import Coordinate, Input, Parameter
-from pinmobile.robot import BODY_JOINT, Engine, Load, MobileRobot, System, number
+from pinmobile.plant import Coordinate, Input, Parameter, Step
+from pinmobile.robot import BODY_JOINT, LOCKED, Engine, Load, MobileRobot, System, number
 from pinmobile.urdf import Body
-from pinmobile.wheels.ground import Rolling
+from pinmobile.wheels.description import joint_signs, read_robot, read_wheels
+from pinmobile.wheels.ground import Coulomb, Ground, Rolling
 from pinmobile.wheels.kinematics import Kinematics
 from pinmobile.wheels.mobility import Mobility
 from pinmobile.wheels.rolling import Reduced, RollingBody
+from pinmobile.wheels.slipping import Grip, SlippingBody, led
 from pinmobile.wheels.table import FIXED, Wheel, WheelTable
 
-_OFF = 1e-9  # [m/s] of a start, beyond which it does not roll
+_SAME_LINE = 1e-6  # [m]
+_OFF = 1e-9  # of a start's rates, beyond which it does not roll
 _LEAST_NORM = 1e-6  # relative weight of torques beside what they are for, where limits hold them
 _REDUNDANT = 1e-10  # relative, of eigenvalues: rows that follow from others
 
@@ -95,9 +99,9 @@ class WheeledRobot:
     robot : MobileRobot
         The whole, wheels locked at their table angles: its mass, centre of mass and inertia hold the wheels'.
     table : WheelTable
-        Its wheels.
-    ground : Rolling
-        What it stands on; by default `Rolling`.
+        Its wheels; by default those of the file that it was read from, see `read_wheels`.
+    ground : Rolling or Coulomb, optional
+        What it stands on; by default `Rolling` where the drive can roll without slip, else `Coulomb`.
 
     Raises
     ------
@@ -107,8 +111,8 @@ class WheeledRobot:
     """
 
     robot: MobileRobot
-    table: WheelTable
-    ground: Rolling = Rolling()
+    table: WheelTable = None  # type: ignore[assignment]
+    ground: Ground = None  # type: ignore[assignment]
     mobility: Mobility = field(init=False)
     _tree: _Tree = field(init=False)
 
@@ -117,16 +121,56 @@ class WheeledRobot:
     def __post_init__(self) -> None:
         if not isinstance(self.robot, MobileRobot):
             raise InvalidArgument(f"robot is {shown(self.robot)}, expected a MobileRobot")
+        if self.table is None:
+            object.__setattr__(self, "table", read_wheels(self.robot))
         if not isinstance(self.table, WheelTable):
             raise InvalidArgument(f"table is {shown(self.table)}, expected a WheelTable")
         mobility = Mobility.of(self.table)
-        if not mobility.is_regular:
+        if self.ground is None:
+            object.__setattr__(self, "ground", Rolling() if mobility.is_regular else Coulomb())
+        if not isinstance(self.ground, Rolling | Coulomb):
+            raise InvalidArgument(f"ground is {shown(self.ground)}, expected Rolling(...) or Coulomb(...)")
+        if isinstance(self.ground, Rolling) and not mobility.is_regular:
             raise InvalidArgument(
                 f"table cannot roll without slip: {mobility.why_not}; expected a drive that can, or "
                 "ground=Coulomb()"
             )
         object.__setattr__(self, "mobility", mobility)
-        object.__setattr__(self, "_tree", _Tree(_with_wheels(self.robot, self.table), self.robot))
+        tree = _Tree(_with_wheels(self.robot, self.table, self._fall), self.robot)
+        object.__setattr__(self, "_tree", tree)
+        if isinstance(self.ground, Coulomb):
+            self._check_slipping()
+
+    @cached_property
+    def _fall(self) -> Array:
+        """Gravity along the axes of the plane, shape (3,) [m/s^2]."""
+        g, ramp = np.array(self.robot.model.gravity.linear), self.ground.ramp
+        return frozen(g) if ramp is None else ramp.fall(float(np.linalg.norm(g)))
+
+    def _check_slipping(self) -> None:
+        """Refuse what cannot be computed on ground where wheels slip."""
+        if not self.robot.grounded:
+            raise InvalidArgument(
+                "robot does not tell where its body's origin is above the ground, on which the loads of its "
+                "wheels depend; expected one read with ground=, or ground=Rolling()"
+            )
+        led(self.table)
+        places = [[1.0, *wheel.centre] for wheel in self.table.wheels]
+        places += [[1.0, each.x, each.y] for each in self.table.supports]
+        if np.linalg.matrix_rank(np.array(places), tol=_SAME_LINE) < 3:
+            raise InvalidArgument(
+                f"table has {len(places)} places where the robot stands, on one line, expected three that "
+                "are not: give supports=[(x, y), ...], where casters stand"
+            )
+        moving = np.diagonal(self.mass_matrix(self.rest))[self.robot.nv :]
+        for name, inertia in zip(
+            (*(axis.name for axis in self.table.axes), *self.table.names), moving, strict=True
+        ):
+            if not inertia > 0:
+                raise InvalidArgument(
+                    f"{name} of the table has no inertia about its axis, expected one > 0 where wheels slip: "
+                    "give spin_inertia, and yaw_inertia of wheels that steer"
+                )
 
     def _key(self) -> tuple[object, ...]:
         return self.robot, self.table, self.ground
@@ -142,6 +186,55 @@ class WheeledRobot:
 
     def __reduce__(self) -> tuple[object, ...]:
         return WheeledRobot, (self.robot, self.table, self.ground)
+
+    @classmethod
+    def from_urdf(
+        cls,
+        path: str | PathLike[str],
+        package_dirs: str | PathLike[str] | Sequence[str | PathLike[str]] = (),
+        *,
+        table: WheelTable | None = None,
+        ground: Ground | None = None,
+        ground_z: ArrayLike | None = None,
+        **given: Any,
+    ) -> Self:
+        """Return the robot of a URDF on the wheels that it has; `source` says what was taken and what guessed.
+
+        Parameters
+        ----------
+        path, package_dirs
+            As in `MobileRobot.from_urdf`.
+        table : WheelTable, optional
+            Its wheels; by default those of the file.
+        ground : Rolling or Coulomb, optional
+            As in the class.
+        ground_z : float, optional
+            The ground's z in the frame of the root link [m]; by default as `MobileRobot.from_urdf` finds it,
+            or where the file does not tell, below the wheels by the radii in `given`.
+        **given
+            What the file does not tell of its wheels, see `read_wheels`: ``radius``, ``rollers``, ``driven``,
+            ``steering``, ``inertia``, ``locked``, ``supports``, ``couplings``.
+
+        Raises
+        ------
+        InvalidArgument
+            As `MobileRobot.from_urdf`, `read_wheels` and the class; or if both a table and `given` are there.
+        """
+        if table is not None and given:
+            raise InvalidArgument(f"{next(iter(given))} is given with table=, expected one of the two")
+        robot = read_robot(path, package_dirs, ground_z, given.get("radius"), given.get("locked", ()))
+        wheels = read_wheels(robot, **given) if table is None else table
+        return cls(robot, wheels, ground)  # type: ignore[arg-type]
+
+    @property
+    def source(self) -> str:
+        """Where its numbers come from, in words."""
+        return f"{self.robot.source.replace(f'; {LOCKED}', '')}; {self.table.source}"
+
+    @property
+    def joint_signs(self) -> Mapping[str, int]:
+        """Of each wheel of its file 1, or -1 where the joint there turns the other way."""
+        return MappingProxyType(joint_signs(self.robot, self.table))
 
     def mount(self, arm: Any, at: ArrayLike | None = None, **options: Any) -> WheeledRobot:
         """Return the robot with an arm on its body: see `MobileRobot.mount`."""
@@ -219,12 +312,34 @@ class WheeledRobot:
                         entry=k,
                     )
                 )
+        if isinstance(self.ground, Coulomb):
+            found.append(Parameter("mu", "", "coefficient of friction of all wheels", 0.0))
+            for k, name in enumerate(self.table.names):
+                meaning = f"coefficient of friction of wheel {name}"
+                found.append(Parameter(f"mu_{name}", "", meaning, 0.0, attribute="mu", entry=k))
+            if not self.robot.mounts:
+                found.append(
+                    Parameter("com_z", "m", "height of the centre of mass", attribute="upright", entry=0)
+                )
         return tuple(found)
 
     @cached_property
     def _columns(self) -> dict[str, Array]:
         names = ("x", "y", "radius", "spin_inertia")
-        return {name: frozen([getattr(wheel, name) for wheel in self.table.wheels]) for name in names}
+        found = {name: frozen([getattr(wheel, name) for wheel in self.table.wheels]) for name in names}
+        if isinstance(self.ground, Coulomb):
+            mu = self.ground.mu
+            found["mu"] = frozen([wheel.friction.mu if mu is None else mu for wheel in self.table.wheels])
+            found["upright"] = self._upright
+        return found
+
+    @cached_property
+    def _upright(self) -> Array:
+        """Height of the centre of mass, and inertia xz and yz, of a robot without arms, shape (3,)."""
+        if self.robot.mounts:
+            return frozen(np.zeros(3))
+        inertia = self.robot.lumped().model.inertias[BODY_JOINT]
+        return frozen([inertia.lever[2], inertia.inertia[0, 2], inertia.inertia[1, 2]])
 
     @property
     def x(self) -> Array:
@@ -245,6 +360,19 @@ class WheeledRobot:
     def spin_inertia(self) -> Array:
         """Of the wheels about their axles, shape (wheels,) [kg m^2]."""
         return self._columns["spin_inertia"]
+
+    @property
+    def mu(self) -> Array:
+        """Coefficients of friction of the wheels where they may slip, shape (wheels,)."""
+        return self._where_it_slips("mu", lambda: self._columns["mu"])
+
+    @property
+    def upright(self) -> Array:
+        """What the ground alone feels of a robot without arms that may slip, shape (3,) [m, kg m^2, kg m^2].
+
+        Height of the centre of mass, and inertia xz and yz about it.
+        """
+        return self._where_it_slips("upright", lambda: self._columns["upright"])
 
     # Configurations
 
@@ -456,9 +584,10 @@ class WheeledRobot:
         return frozen(np.zeros(self.nv))
 
     def forward_dynamics(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Array:
-        """Return the acceleration of the robot whose wheels roll, shape (..., nv) [m/s^2, ...].
+        """Return the acceleration, shape (..., nv) [m/s^2, ...].
 
-        M a + n = B u + f + A' lambda and A a = -dA/dt v, solved together.
+        Of wheels that roll M a + n = B u + f + A' lambda and A a = -dA/dt v, solved together; where they
+        slip, the mean over a short step, as dry friction has impulses and no force at an instant.
 
         Parameters
         ----------
@@ -469,10 +598,19 @@ class WheeledRobot:
         f : array_like, shape (..., nv), optional
             Generalised forces beside them.
         """
+        if isinstance(self.ground, Coulomb):
+            q, v, u = self._q(q), self._v("v", v), vector("u", u, self.nu)
+            broadcast(q=q, v=v, u=u)
+            return np.asarray(self._traced.forward_dynamics(q, v, u, finite("f", f)))
         return self._constrained(q, v, u, f, self._independent)[0]
 
     def constraint_forces(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Forces:
         """Return the forces of the ground at the wheels, and which of them rolling determines."""
+        if isinstance(self.ground, Coulomb):
+            raise InvalidArgument(
+                "constraint_forces is asked of wheels on Coulomb ground, which no constraint holds, expected "
+                "ground=Rolling(); their forces are in the signals of a run"
+            )
         values = self._constrained(q, v, u, f, None)[1]
         return Forces(self.constraint_names, values, np.array(self.mobility.determined))
 
@@ -508,8 +646,21 @@ class WheeledRobot:
         a = free + (through @ multipliers)[..., 0]
         return finite_answer(a, q=q, v=v, u=u, f=f), multipliers[..., 0]
 
-    def project(self, q: ArrayLike, v: ArrayLike) -> Array:
-        """Return the velocity that rolls and is nearest in the mass metric, shape (..., nv)."""
+    # What the ground adds: a loop asks by name for what a plant can do
+
+    def _where_it_slips(self, name: str, found: Callable[[], Any]) -> Any:
+        if not isinstance(self.ground, Coulomb):
+            raise AttributeError(f"a WheeledRobot on {type(self.ground).__name__} ground has no {name}")
+        return found()
+
+    @property
+    def project(self) -> Callable[[ArrayLike, ArrayLike], Array]:
+        """``project(q, v)``: the velocity that rolls and is nearest in the mass metric, shape (..., nv)."""
+        if not isinstance(self.ground, Rolling):
+            raise AttributeError("a WheeledRobot whose wheels slip has no project")
+        return self._projected
+
+    def _projected(self, q: ArrayLike, v: ArrayLike) -> Array:
         q, v = self._q(q), self._v("v", v)
         M, _ = self._unconstrained(q, v)
         A = self._rows(q, v)[0][..., self._independent, :]
@@ -529,7 +680,7 @@ class WheeledRobot:
         q, v = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v))
         rolling = self._rolling
         state = rolling.state(q, v)
-        S, gamma = rolling.solution(state, rolling.choice)
+        S, gamma = rolling.solution(state)
         columns = np.stack([rolling.in_plane(state, list(column), q) for column in zip(*S, strict=True)], -1)
         drift = rolling.in_plane(state, rolling.unmoved(state, S, gamma), q)
         M, n = self.mass_matrix(q), self.nonlinear_effects(q, v)
@@ -641,7 +792,7 @@ class WheeledRobot:
 
         Of an Ackermann pair it is the wheel in their middle.
         """
-        return frozen(self._rolling.pivots) if self.table.axes else frozen(np.zeros((0, 3)))
+        return frozen(self._traced.pivots) if self.table.axes else frozen(np.zeros((0, 3)))
 
     def lateral_velocity(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return how fast fixed wheels would slide sideways if the body moved so, shape (...) [m/s].
@@ -700,8 +851,8 @@ class WheeledRobot:
 
     def _missed(self, q: Array, tau: Array, u: Array) -> Array:
         """Return what of a force the wheels and joints do not supply, shape (..., 3 + arms)."""
-        state = self._rolling.state(q, np.zeros(self.nv))
-        had = np.array([number(x) for x in self._rolling.supplied(state, u)])
+        state = self._traced.state(q, np.zeros(self.nv))
+        had = np.array([number(x) for x in self._traced.supplied(state, u)])
         x, y = had[:2].copy()
         had[:2] = state.c * x - state.s * y, state.s * x + state.c * y
         return np.asarray(tau - had)
@@ -777,41 +928,85 @@ class WheeledRobot:
 
         Steered wheels point to where they go, and all roll; what the reference leaves out of the arms rests.
         """
-        return self._rolling.begun(*self.robot.start(reference))
+        return self._traced.begun(*self.robot.start(reference))
+
+    @property
+    def initial_state(self) -> Callable[[Any], Grip]:
+        """``initial_state(context)``: what the wheels keep before the first step, where they slip."""
+        return self._where_it_slips("initial_state", lambda: self._traced.initial_state)
+
+    @property
+    def step(self) -> Callable[..., Step]:
+        """``step(t, q, v, u, h, f, memory)``: the state a step later, where wheels slip."""
+        return self._where_it_slips("step", lambda: self._stepped)
+
+    @property
+    def signals(self) -> Callable[..., dict[str, tuple[str, Any]]]:
+        """``signals(t, q, v, u, f, memory)``: what the ground does at the wheels, where they slip."""
+        return self._where_it_slips("signals", lambda: self._traced.signals)
+
+    def _stepped(
+        self, t: float, q: ArrayLike, v: ArrayLike, u: ArrayLike, h: float, f: ArrayLike, memory: Grip
+    ) -> Step:
+        q, v, u = self._q(q), self._v("v", v), vector("u", u, self.nu)
+        f = 0.0 if isinstance(f, float) and f == 0 else finite("f", f)
+        return self._traced.step(t, q, v, u, h, f, memory)  # type: ignore[union-attr]
 
     def check_start(self, q: ArrayLike, v: ArrayLike) -> None:
-        """Refuse a start at which the wheels do not roll.
+        """Refuse a start at which wheels on one gear train turn at different rates, or those that roll slip.
 
         Raises
         ------
         InvalidArgument
-            With the wheel that slips most; what to type instead.
+            If it is such.
         """
         q, v = self._q(q), self._v("v", v)
-        slip = np.abs(self.constraint_matrix(q) @ v)
-        worst = int(np.argmax(slip))
-        if slip[worst] > _OFF * max(1.0, float(np.abs(v).max())):
-            raise InvalidArgument(
-                f"start does not roll: {self.constraint_names[worst]} slips at {slip[worst]:.3g} m/s; expected "
-                "v0 = robot.project(q0, v0), or a reference that the wheels can follow"
-            )
+        A = self.constraint_matrix(q)
+        names, off = self.constraint_names, np.abs(A @ v)
+        for name, slip in zip(names, off, strict=True):
+            held = isinstance(self.ground, Rolling) or name == "train"
+            if held and slip > _OFF * (1 + float(np.abs(v).max())):
+                raise InvalidArgument(
+                    f"start does not roll: {name} slips at {slip:.3g} m/s; expected v0 = robot.project(q0, v0), "
+                    "or a reference that the wheels can follow"
+                )
 
-    def traced(self) -> RollingBody:
+    def traced(self) -> RollingBody | SlippingBody:
         """Return its dynamics over symbols or arrays."""
-        return self._rolling
+        return self._traced
+
+    @cached_property
+    def _common(self) -> dict[str, Any]:
+        """What its dynamics over symbols or arrays are made of, whatever the ground."""
+        return {
+            **self._columns,
+            "robot": self.robot.traced(),
+            "table": self.table,
+            "rotors": frozen([actuator.motor.reflected_inertia for actuator in self.table.actuators]),
+            "fall": self._fall,
+            "choice": self.mobility.choice,
+            "coordinates": self.coordinates,
+            "inputs": self.inputs,
+            "ends": tuple(self.leading.items()),
+            "parameters": self.parameters,
+        }
 
     @cached_property
     def _rolling(self) -> RollingBody:
-        return RollingBody(
-            robot=self.robot.traced(),
-            table=self.table,
-            **self._columns,
-            rotors=frozen([actuator.motor.reflected_inertia for actuator in self.table.actuators]),
-            choice=self.mobility.choice,
-            coordinates=self.coordinates,
-            inputs=self.inputs,
-            ends=tuple(self.leading.items()),
-            parameters=self.parameters,
+        """The same robot on ground where it rolls."""
+        if not self.mobility.is_regular:
+            raise InvalidArgument(f"robot cannot roll without slip: {self.mobility.why_not}")
+        return RollingBody(**self._common)
+
+    @cached_property
+    def _traced(self) -> RollingBody | SlippingBody:
+        ground = self.ground
+        if isinstance(ground, Rolling):
+            return self._rolling
+        names = ("across", "rolling", "slip")
+        own = {name: frozen([getattr(wheel.friction, name) for wheel in self.table.wheels]) for name in names}
+        return SlippingBody(
+            **self._common, **own, passes=ground.passes, sweeps=ground.sweeps, tolerance=ground.tolerance
         )
 
 
@@ -819,13 +1014,19 @@ def _steers(wheel: Wheel) -> bool:
     return wheel.steering != FIXED
 
 
-def _with_wheels(robot: MobileRobot, table: WheelTable) -> pin.Model:
+def _with_wheels(robot: MobileRobot, table: WheelTable, fall: Array) -> pin.Model:
     """Return the tree of a robot whose wheels are joints, each after the steering axis that it hangs on.
 
     Pinocchio's CRBA takes what hangs on a joint to come right after it.
     """
-    model = robot.model
+    model, wheels = robot.model, sum(wheel.mass for wheel in table.wheels)
+    model.gravity.linear = fall
     body = pin.Inertia(model.inertias[BODY_JOINT])
+    if body.mass <= wheels:
+        raise InvalidArgument(
+            f"robot has a mass of {body.mass:.6g} kg, and its wheels {wheels:.6g} kg, which are a part of it; "
+            "expected the mass of the whole"
+        )
     for wheel in table.wheels:
         body -= _placed(wheel).act(_inertia(wheel))
     model.inertias[BODY_JOINT] = _checked(body)

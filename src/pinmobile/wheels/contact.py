@@ -1,0 +1,354 @@
+"""Impulses of dry friction between wheels and ground: a convex problem, solved wheel by wheel.
+
+Everything is over scalars: numbers, arrays with leading axes, or symbols. The impulses p make
+p' G p / 2 + p' s least, each within its bounds, where s is the slip without them and G = A M^-1 A' + D / h;
+then what sticks does not slip, and what slides is pushed against its slip (Moreau and Jean; Acary and
+Brogliato, Numerical methods for nonsmooth dynamical systems, Springer 2008). Block Gauss-Seidel keeps the
+velocities that the impulses lead to. A block is a wheel: what it exerts along and across, and what holds
+its rate; the others stay meanwhile. Blocks are solved exactly but for the multiplier of a disc, on which
+Newton's method takes one step in each round.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+from pinmobile.compiled import choose, higher, repeated, square_root
+from pinmobile.robot import ZERO, Vector, dot, number
+
+_APART = 2.0  # rounds between two in which more than a round is taken, at least
+_LATER = 0.5  # and more after each
+_STRAIGHT = 0.98  # square of the cosine between two changes
+_FASTEST = 0.9999
+_FARTHEST = 0.5  # of the largest friction, by which an impulse changes so at most
+_LEAPING = 150.0  # rounds; whatever has not been found by then is left to plain ones
+
+
+class Bounds(NamedTuple):
+    """What a wheel's friction is at most, and which slip it is against.
+
+    Attributes
+    ----------
+    along, across : scalar
+        Impulse [N s]: of a disc both are its radius.
+    spin : scalar
+        Angular impulse that holds the wheel's coordinate [N m s].
+    began : list of 2 scalars
+        Slip velocity at the start of the step, along and across, where friction is against the mean of that
+        and the one at its end, as that of a wheel that slides all the time; zero where it is against the
+        latter alone [m/s].
+    """
+
+    along: Any
+    across: Any
+    spin: Any
+    began: Vector
+
+
+class Pair(NamedTuple):
+    """A symmetric matrix of two rows: (a, b; b, c)."""
+
+    a: Any
+    b: Any
+    c: Any
+
+    def times(self, x: Vector) -> Vector:
+        """Return its product."""
+        return [self.a * x[0] + self.b * x[1], self.b * x[0] + self.c * x[1]]
+
+
+@dataclass(frozen=True, eq=False)
+class Touch:
+    """A wheel on the ground, its directions along and across.
+
+    Parameters
+    ----------
+    rows, columns : 2 lists of scalars
+        Slip velocity per velocity, and velocity per impulse, of both directions.
+    spin : int
+        Which velocity is the wheel's rate.
+    spun : list of scalars
+        Velocity per angular impulse on that.
+    is_disc : bool
+        Whether friction is the same in all directions; else each direction has a bound of its own.
+    give : scalar
+        Slip velocity per impulse before it slides [1/kg].
+    held : bool
+        Whether something holds the wheel's rate.
+    """
+
+    rows: Sequence[Vector]
+    columns: Sequence[Vector]
+    spin: int
+    spun: Vector
+    is_disc: bool
+    give: Any
+    held: bool
+
+    @cached_property
+    def own(self) -> Pair:
+        """Slip per impulse, but for what gives way."""
+        (first, second), (x, y) = self.rows, self.columns
+        return Pair(number(dot(first, x)), number(dot(first, y)), number(dot(second, y)))
+
+    @cached_property
+    def by_spin(self) -> Vector:
+        """Slip per angular impulse."""
+        return [number(dot(row, self.spun)) for row in self.rows]
+
+    @cached_property
+    def own_held(self) -> Pair:
+        """Slip per impulse where the rate is held."""
+        (a, b, c), (x, y) = self.own, self.by_spin
+        share = 1.0 / self.spun[self.spin]
+        return Pair(a - x * x * share, b - x * y * share, c - y * y * share)
+
+    @cached_property
+    def free(self) -> _Block:
+        """What solves it where the wheel turns."""
+        return self._block(self.own)
+
+    @cached_property
+    def locked(self) -> _Block:
+        """What solves it where the wheel's rate is held."""
+        return self._block(self.own_held)
+
+    def _block(self, own: Pair) -> _Block:
+        stiff = Pair(own.a + self.give, own.b, own.c + self.give)
+        return _Disc.of(stiff) if self.is_disc else _Rectangle.of(stiff)
+
+    def solved(
+        self, v: Vector, p: Vector, spin: Any, shift: Any, bounds: Bounds
+    ) -> tuple[Vector, Vector, Any, Any]:
+        """Return the velocities, and impulses, angular impulse and multiplier of this wheel.
+
+        Parameters
+        ----------
+        v : list of scalars
+            Velocities that all impulses lead to.
+        p : list of 2 scalars
+            Impulses so far.
+        spin, shift : scalar
+            Angular impulse, and multiplier of the disc, so far.
+        bounds : Bounds
+            At most.
+        """
+        slip = [began + dot(row, v) for row, began in zip(self.rows, bounds.began, strict=True)]
+        if not self.held:
+            now, shift = self.free.solved(self._wanted(self.own, p, slip), bounds, shift)
+            return self._moved(v, p, now, None), now, spin, shift
+        share = 1.0 / self.spun[self.spin]
+        still = v[self.spin] * share
+        wanted = [s - x * still for s, x in zip(slip, self.by_spin, strict=True)]
+        locked, shift_locked = self.locked.solved(self._wanted(self.own_held, p, wanted), bounds, shift)
+        step = dot(self.by_spin, [a - b for a, b in zip(locked, p, strict=True)]) * share
+        asked = spin - still - step
+        holds = abs(asked) <= bounds.spin
+        limit = choose(asked > 0.0, bounds.spin, -bounds.spin)
+        wanted = [s + x * (limit - spin) for s, x in zip(slip, self.by_spin, strict=True)]
+        turning, shift_turning = self.free.solved(self._wanted(self.own, p, wanted), bounds, shift)
+        now = [choose(holds, a, b) for a, b in zip(locked, turning, strict=True)]
+        held = choose(holds, asked, limit)
+        return self._moved(v, p, now, held - spin), now, held, choose(holds, shift_locked, shift_turning)
+
+    def _wanted(self, own: Pair, p: Vector, slip: Vector) -> Vector:
+        """Return what its matrix times the new impulses has to be for it to stick."""
+        return [a - s for a, s in zip(own.times(p), slip, strict=True)]
+
+    def _moved(self, v: Vector, p: Vector, now: Vector, spin: Any) -> Vector:
+        changes = [a - b for a, b in zip(now, p, strict=True)]
+        found = []
+        for k, each in enumerate(v):
+            by = [self.columns[0][k], self.columns[1][k], ZERO if spin is None else self.spun[k]]
+            found.append(number(each + dot(by, [*changes, ZERO if spin is None else spin])))
+        return found
+
+
+class _Disc(NamedTuple):
+    """A block whose impulse lies in a disc: eigenvalues of its matrix, and cosine and sine of its axes."""
+
+    c: Any
+    s: Any
+    first: Any
+    second: Any
+
+    @classmethod
+    def of(cls, own: Pair) -> _Disc:
+        """Return that of a matrix, by Jacobi's rotation."""
+        half = 0.5 * (own.a - own.c)
+        long = square_root(half * half + own.b * own.b)
+        bottom = choose(half < 0.0, half - long, half + long)
+        t = choose(long > 0.0, own.b / choose(long > 0.0, bottom, 1.0), 0.0)
+        c = 1.0 / square_root(1.0 + t * t)
+        return cls(c, t * c, own.a + t * own.b, own.c - t * own.b)
+
+    def solved(self, y: Vector, bounds: Bounds, shift: Any) -> tuple[Vector, Any]:
+        """Return the impulse p of (B + mu) p = y, and mu: 0 within the disc, on its edge a better one.
+
+        Newton's step is that of 1 / |p| = 1 / radius (More and Sorensen, SIAM J. Sci. Stat. Comput. 4, 1983).
+        """
+        c, s, radius = self.c, self.s, bounds.along
+        y1, y2 = c * y[0] + s * y[1], c * y[1] - s * y[0]
+        a1, a2 = y1 * (1.0 / self.first), y2 * (1.0 / self.second)
+        inside = a1 * a1 + a2 * a2 <= radius * radius
+        l1, l2 = self.first + shift, self.second + shift
+        share = 1.0 / (l1 * l2)
+        p1, p2 = y1 * (l2 * share), y2 * (l1 * share)
+        q1, q2 = p1 * p1, p2 * p2
+        square = q1 + q2
+        bent = (q1 * l2 + q2 * l1) * share
+        size = square_root(square)
+        bottom = size * bent * radius
+        given = bottom > 0.0
+        inverse = 1.0 / choose(given, bottom, 1.0)
+        scale = choose(given, radius * radius * bent * inverse, 0.0)
+        better = higher(shift + square * (size - radius) * size * inverse, 0.0)
+        p1, p2 = choose(inside, a1, p1 * scale), choose(inside, a2, p2 * scale)
+        return [c * p1 - s * p2, s * p1 + c * p2], choose(inside, 0.0, choose(given, better, 0.0))
+
+
+class _Rectangle(NamedTuple):
+    """A block whose impulses along and across have bounds of their own: its matrix, and shares of it."""
+
+    own: Pair
+    first: Any
+    second: Any
+    alone: Any
+
+    @classmethod
+    def of(cls, own: Pair) -> _Rectangle:
+        """Return that of a matrix."""
+        second = 1.0 / own.c
+        return cls(own, 1.0 / own.a, second, 1.0 / (own.a - own.b * own.b * second))
+
+    def solved(self, y: Vector, bounds: Bounds, shift: Any) -> tuple[Vector, Any]:
+        """Return the impulses, and no multiplier."""
+        own = self.own
+        free = _within((y[0] - own.b * self.second * y[1]) * self.alone, bounds.along)
+        asked = (y[1] - own.b * free) * self.second
+        across = _within(asked, bounds.across)
+        along = _within((y[0] - own.b * across) * self.first, bounds.along)
+        sticks = abs(asked) <= bounds.across
+        return [choose(sticks, free, along), across], shift
+
+
+_Block = _Disc | _Rectangle
+
+
+def _within(x: Any, bound: Any) -> Any:
+    return choose(x > bound, bound, choose(x < -bound, -bound, x))
+
+
+class Impulses(NamedTuple):
+    """What the ground does in a step.
+
+    Attributes
+    ----------
+    velocity : list of scalars
+        Where it leads.
+    contact : list of scalars, shape (2 wheels,)
+        Impulses along and across each wheel [N s].
+    spin : list of scalars
+        Angular impulse that holds each coordinate of wheels [N m s].
+    multipliers : list of scalars, shape (wheels,)
+        Of the discs, zero where a wheel sticks.
+    rounds : scalar
+        How many rounds were taken.
+    """
+
+    velocity: Vector
+    contact: Vector
+    spin: Vector
+    multipliers: Vector
+    rounds: Any
+
+
+def impulses(
+    touches: Sequence[Touch],
+    bounds: Sequence[Bounds],
+    free: Vector,
+    before: Impulses,
+    *,
+    most: int,
+    tolerance: float,
+) -> Impulses:
+    """Return the impulses, from those of before.
+
+    Parameters
+    ----------
+    touches, bounds : sequence of Touch, Bounds
+        Of each wheel.
+    free : list of scalars
+        Velocities without any impulse.
+    before : Impulses
+        What to start from.
+    most, tolerance
+        As of `Coulomb`.
+    """
+    n, spins = len(free), list(dict.fromkeys(touch.spin for touch in touches if touch.held))
+    holder = {touch.spin: touch for touch in touches if touch.held}
+    contact: Vector = []
+    for k, bound in enumerate(bounds):
+        # What the loads of now allow, of what was before.
+        contact += [
+            _within(before.contact[2 * k], bound.along),
+            _within(before.contact[2 * k + 1], bound.across),
+        ]
+    spin = [
+        _within(x, next(b.spin for t, b in zip(touches, bounds, strict=True) if t.spin == at))
+        for x, at in zip(before.spin, spins, strict=True)
+    ]
+    velocity = list(free)
+    for k, touch in enumerate(touches):
+        velocity = touch._moved(velocity, [ZERO, ZERO], contact[2 * k : 2 * k + 2], None)
+    for x, at in zip(spin, spins, strict=True):
+        velocity = [number(v + by * x) for v, by in zip(velocity, holder[at].spun, strict=True)]
+    largest = bounds[0].along
+    for bound in bounds[1:]:
+        largest = higher(largest, bound.along)
+    enough = tolerance * largest
+
+    end, blocks = n + len(contact), len(contact)
+    inner = end + len(spins) + len(touches)
+
+    def one(numbers: Vector) -> tuple[Vector, Any]:
+        v, p = numbers[:n], numbers[n:end]
+        held, shifts = numbers[end : end + len(spins)], numbers[end + len(spins) : inner]
+        before, (apart, since, rounds) = numbers[inner : inner + blocks], numbers[-3:]
+        for k, (touch, bound) in enumerate(zip(touches, bounds, strict=True)):
+            at = spins.index(touch.spin) if touch.held else 0
+            old = p[2 * k : 2 * k + 2]
+            v, p[2 * k : 2 * k + 2], spun, shifts[k] = touch.solved(
+                v, old, held[at] if held else 0.0, shifts[k], bound
+            )
+            if touch.held:
+                held[at] = spun
+        changes = [x - y for x, y in zip(p, numbers[n:end], strict=True)]
+        most_changed: Any = 0.0
+        for x in changes:
+            most_changed = higher(abs(x), most_changed)
+        done = most_changed <= enough
+        # Where what is left falls by the same share in each round, all rounds to come are taken at once.
+        own, other, both = dot(changes, changes), dot(before, before), dot(changes, before)
+        straight = both * abs(both) > _STRAIGHT * own * other
+        share = both / choose(other > 0.0, other, 1.0)
+        far = choose(share < _FASTEST, share, _FASTEST)
+        reach = _FARTHEST * largest / choose(most_changed > 0.0, most_changed, 1.0)
+        ahead = choose(straight, far / (1.0 - far), 0.0)
+        ahead = choose(ahead < reach, ahead, reach)
+        ahead = choose(since >= apart, choose(rounds >= last, 0.0, choose(done, 0.0, ahead)), 0.0)
+        leaps = [x + ahead * (x - y) for x, y in zip([*v, *p, *held, *shifts], numbers, strict=False)]
+        leaps[end + len(spins) :] = [higher(x, 0.0) for x in leaps[end + len(spins) :]]
+        leapt = ahead > 0.0
+        counts = [choose(leapt, apart + _LATER, apart), choose(leapt, 0.0, since + 1.0), rounds + 1.0]
+        return [*leaps, *changes, *counts], done
+
+    last = min(most - 1.5, _LEAPING)
+    nothing: Vector = [*[0.0] * blocks, _APART, 0.0, 0.0]
+    found = repeated(one, [*velocity, *contact, *spin, *before.multipliers, *nothing], most)
+    return Impulses(
+        found[:n], found[n:end], found[end : end + len(spins)], found[end + len(spins) : inner], found[-1]
+    )

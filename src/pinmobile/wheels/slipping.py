@@ -1,0 +1,505 @@
+"""`SlippingBody`: a robot whose wheels stick and slide on dry ground, for one state, many, or symbols.
+
+It is what a `WheeledRobot` on `Coulomb` ground is. A step is implicit in the velocities along the body's
+axes, in which nothing depends on the pose; shapes, velocities and loads are those of mid-step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple, final
+
+import numpy as np
+
+from pinmobile.compiled import choose, plain
+from pinmobile.errors import InvalidArgument
+from pinmobile.plant import Step
+from pinmobile.robot import (
+    ONE,
+    ZERO,
+    Matrix,
+    Vector,
+    dot,
+    exact,
+    number,
+    scalars,
+    sine_and_cosine,
+    vector_of as stacked,
+)
+from pinmobile.wheels.contact import Bounds, Impulses, Touch, impulses
+from pinmobile.wheels.loads import Loads, shared_loads
+from pinmobile.wheels.rolling import State, WheeledBody
+from pinmobile.wheels.table import GearTrain, WheelTable
+
+_BASE = 3
+_INSTANT = 1e-5  # [s], over which an acceleration at a state is the mean
+_STILL = 0.5  # of a slip that goes on all the step, what is left of it at least
+_SLIDES = 1 - 1e-9  # of the largest friction
+
+
+class Grip(NamedTuple):
+    """What a robot on dry ground keeps from step to step, means over the last one.
+
+    Attributes
+    ----------
+    forces : ndarray, shape (2 wheels,)
+        Of the ground on each wheel, along and across [N].
+    holding : ndarray
+        Torques of rolling resistance on the wheels, one for those that turn together [N m].
+    multipliers : ndarray, shape (wheels,)
+        Of the friction discs.
+    acceleration : ndarray, shape (nv,)
+        Rate of the velocities along the body's axes.
+    loads : ndarray, shape (wheels + supports,)
+        [N].
+    tips : float
+        1 where no loads balance the robot.
+    rounds : float
+        How many rounds over all wheels were taken in all passes.
+    """
+
+    forces: Any
+    holding: Any
+    multipliers: Any
+    acceleration: Any
+    loads: Any
+    tips: Any
+    rounds: Any
+
+
+class _Shape(NamedTuple):
+    """A robot at the shape of mid-step, all in terms of velocities that gear trains leave free.
+
+    Attributes
+    ----------
+    solve : callable
+        Of a generalised force, the acceleration.
+    touches : list of Touch
+        Of the wheels, over the velocities that `touched` numbers.
+    touched, rest : list of int
+        Velocities that rows of wheels have, and those that have none.
+    columns : list of lists of scalars
+        All velocities per impulse: along and across of each wheel, and then of each held rate.
+    """
+
+    solve: Any
+    touches: list[Touch]
+    touched: list[int]
+    rest: list[int]
+    columns: Matrix
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class SlippingBody(WheeledBody):
+    """A robot whose wheels stick and slide on dry ground, unchecked.
+
+    Parameters
+    ----------
+    mu, across, rolling, slip : ndarray, shape (wheels,)
+        As of `Friction`.
+    upright : ndarray, shape (3,)
+        Of a robot without arms, what the ground alone feels: height of the centre of mass of the whole [m],
+        and inertia xz and yz about it [kg m^2].
+    passes, sweeps, tolerance
+        As of `Coulomb`.
+    """
+
+    mu: Any
+    across: Any
+    rolling: Any
+    slip: Any
+    upright: Any
+    passes: int
+    sweeps: int
+    tolerance: float
+
+    # Gear trains
+
+    @cached_property
+    def _leaders(self) -> list[tuple[int, Any]]:
+        """Which velocity each follows, and how many times as fast: wheels on a train follow its first."""
+        first = _BASE + self.na + len(self.table.axes)
+        found: list[tuple[int, Any]] = [(i, ONE) for i in range(self.size)]
+        for row, (leader, ratio) in enumerate(led(self.table)):
+            found[first + row] = first + leader, exact(ratio)
+        return found
+
+    @cached_property
+    def _kept(self) -> list[int]:
+        """Velocities that follow no other."""
+        return [i for i, (leader, _) in enumerate(self._leaders) if leader == i]
+
+    def _reduced(self, full: Vector) -> Vector:
+        """Return a force on the velocities that are kept, of one on all."""
+        found: dict[int, Any] = dict.fromkeys(self._kept, ZERO)
+        for x, (leader, ratio) in zip(full, self._leaders, strict=True):
+            found[leader] = found[leader] + ratio * x
+        return list(found.values())
+
+    def _whole(self, kept: Vector) -> Vector:
+        """Return all velocities, of those that are kept."""
+        of = dict(zip(self._kept, kept, strict=True))
+        return [number(ratio * of[leader]) for leader, ratio in self._leaders]
+
+    # The ground
+
+    @cached_property
+    def _held(self) -> list[int]:
+        """Kept velocities that rolling resistance holds, in their order among these."""
+        first = _BASE + self.na + len(self.table.axes)
+        resisted = {self._leaders[first + row][0] for row, x in enumerate(self.rolling) if x}
+        return [k for k, i in enumerate(self._kept) if i in resisted]
+
+    def _shape(self, state: State, q: Any, h: Any) -> _Shape:
+        """Return the robot at a shape, for a step of a length."""
+        M = self.inertia(state, q)
+        halved = [self._reduced(row) for row in M]
+        reduced = [
+            list(row)
+            for row in zip(*(self._reduced(list(c)) for c in zip(*halved, strict=True)), strict=True)
+        ]
+        solve = _factored(reduced)
+        rows = self.kinematics.rows(state.steering, [ZERO] * _BASE, [ZERO] * self.joints, across=True)
+        pairs: list[list[Vector]] = [[] for _ in self.table.wheels]
+        for row in rows:
+            if row.wheel >= 0:
+                pairs[row.wheel].append(self._reduced([*row.base, *[ZERO] * self.na, *row.joints]))
+        n, held, first = len(self._kept), self._held, _BASE + self.na + len(self.table.axes)
+        columns = [solve(row) for pair in pairs for row in pair]
+        spins = [self._kept.index(self._leaders[first + row][0]) for row in range(len(self.table))]
+        units = {at: solve([ONE if k == at else ZERO for k in range(n)]) for at in dict.fromkeys(spins)}
+        touched = [
+            k for k in range(n) if k in spins or any(row[k] is not ZERO for pair in pairs for row in pair)
+        ]
+
+        def over(x: Vector) -> Vector:
+            return [x[k] for k in touched]
+
+        touches = []
+        for k, (pair, give) in enumerate(zip(pairs, _numbers(self.slip), strict=True)):
+            touches.append(
+                Touch(
+                    rows=[over(row) for row in pair],
+                    columns=[over(column) for column in columns[2 * k : 2 * k + 2]],
+                    spin=touched.index(spins[k]),
+                    spun=over(units[spins[k]]),
+                    is_disc=self.table.wheels[k].roller is None,
+                    give=give / h,
+                    held=spins[k] in held,
+                )
+            )
+        rest = [k for k in range(n) if k not in touched]
+        holding = [at for at in dict.fromkeys(spins) if at in held]
+        return _Shape(solve, touches, touched, rest, [*columns, *(units[at] for at in holding)])
+
+    def loads(self, state: State, rate: Vector, q: Any) -> Loads:
+        """Return what wheels and supports carry.
+
+        Parameters
+        ----------
+        state : State
+            Shape and velocities.
+        rate : list of scalars
+            Rates of the velocities along the body's axes.
+        q : ndarray
+            Any configuration, for its shape.
+        """
+        vx, vy, w = state.twist
+        pull = self.pull(state)
+        a = [rate[0] - w * vy - pull[0], rate[1] + w * vx - pull[1], *rate[2:]]
+        fz, mx, my = self._carried(state, a, q)
+        first = _BASE + self.na
+        rates = [*state.rates]
+        for row, spin in enumerate(_numbers(self.spin_inertia)):
+            head, k = self.kinematics.heading(row, state.steering), len(self.table.axes) + row
+            steered = [axis for at, axis in self._steered if at == row]
+            turn = w + head.first * rates[steered[0]] if steered else w
+            faster, slower = spin * rate[first + k], spin * rates[k] * turn
+            mx = mx - head.s * faster - head.c * slower
+            my = my + head.c * faster - head.s * slower
+            wheel = self.table.wheels[row]
+            if steered and wheel.mass and any(wheel.trail):  # its weight moves
+                (_, p), (_, p0) = self._centres(row, state)
+                weight = -wheel.mass * float(self.fall[2])
+                mx, my = mx + weight * (p[1] - p0[1]), my - weight * (p[0] - p0[0])
+        places = [self.kinematics.centre(row, state.steering)[1] for row in range(len(self.table))]
+        places += [[exact(each.x), exact(each.y)] for each in self.table.supports]
+        return shared_loads(places, fz, mx, my)
+
+    def _carried(self, state: State, a: Vector, q: Any) -> Vector:
+        """Return fz, mx and my of the ground, wheels at rest in the body; `a` has no part of gravity."""
+        if self.na:
+            n = _BASE + self.na
+            at, still = stacked([ZERO, ZERO, ZERO, *state.arms], q), stacked([ZERO] * n, q)
+            v = stacked([*state.twist, *state.arm_rates], q)
+            found = _numbers(self.robot.ground_wrench(at, v, stacked(a[:n], q)))[2:5]
+            if not self._slack:
+                return found
+            weights = _numbers(self.robot.ground_wrench(at, still, still))[2:5]
+            return [x - self._slack * y for x, y in zip(found, weights, strict=True)]
+        body = self.robot
+        m, x, y = (exact(_item(each)) for each in (body.mass, body.com_x, body.com_y))
+        (height, xz, yz), w, spin, g = _numbers(self.upright), state.twist[2], a[2], -float(self.fall[2])
+        ax, ay = a[0] - spin * y - w * w * x, a[1] + spin * x - w * w * y
+        mx = m * (y * g - height * ay) + (xz * spin - yz * (w * w))
+        my = m * (height * ax - x * g) + (yz * spin + xz * (w * w))
+        return [m * g, mx, my]
+
+    def _bounds(self, shape: _Shape, loads: Vector, slips: Sequence[Vector], h: Any) -> list[Bounds]:
+        """Return what the friction of each wheel is at most."""
+        first, found = _BASE + self.na + len(self.table.axes), []
+        holds: dict[int, Any] = {}
+        for k, (share, r) in enumerate(zip(_numbers(self.rolling), _numbers(self.radius), strict=True)):
+            ratio = abs(float(self._leaders[first + k][1]))
+            at = shape.touches[k].spin
+            holds[at] = holds.get(at, ZERO) + h * (exact(ratio) * share * r) * loads[k]
+        for k, wheel in enumerate(self.table.wheels):
+            along = number(h * _numbers(self.mu)[k] * loads[k])
+            across = along if wheel.roller is None else number(h * _numbers(self.across)[k] * loads[k])
+            found.append(Bounds(along, across, number(holds[shape.touches[k].spin]), slips[k]))
+        return found
+
+    def _began(self, shape: _Shape, before: Vector, after: Vector) -> list[Vector]:
+        """Return the slip of each wheel at the start of a step; zero where it does not go on all the time.
+
+        Friction against the mean slip is of second order and takes as much energy as it should; it does
+        not stick, so that a wheel that loses half its slip in the step is taken by its end, as one is whose
+        force is in proportion to its slip.
+        """
+        found = []
+        for touch, wheel in zip(shape.touches, self.table.wheels, strict=True):
+            if wheel.friction.slip:
+                found.append([0.0, 0.0])
+                continue
+            old, new = (
+                [number(dot(row, [x[self._kept[k]] for k in shape.touched])) for row in touch.rows]
+                for x in (before, after)
+            )
+            left = [x * (y - _STILL * x) for x, y in zip(old, new, strict=True)]
+            if wheel.roller is None:
+                left = [left[0] + left[1]] * 2
+            found.append([choose(x > 0.0, y, 0.0) for x, y in zip(left, old, strict=True)])
+        return found
+
+    # The step
+
+    def initial_state(self, context: Any = None) -> Grip:
+        """Return what it keeps at first: nothing has slipped, and loads are those of rest."""
+        del context
+        k, still = len(self.table), [ZERO] * self.size
+        arms = list(getattr(self.robot, "rest", np.zeros(_BASE)))[_BASE:]
+        q = np.concatenate([np.zeros(_BASE), arms, np.zeros(self.joints)])
+        found = self.loads(self.state(q, np.zeros(self.size)), still, q)
+        zeros = np.zeros(2 * k), np.zeros(len(self._held)), np.zeros(k), np.zeros(self.size)
+        return Grip(*zeros, stacked(found.values, q), 0.0, 0.0)
+
+    def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Grip) -> Step:
+        """Return the state after a step, and what is kept for the next.
+
+        Parameters
+        ----------
+        t : float
+            Time, on which nothing depends.
+        q, v : ndarray, shape (..., nq), (..., nv)
+            State.
+        u, f : ndarray, shape (..., nu), (..., nv)
+            Torques, and generalised forces beside them, in the step.
+        h : float
+            Length of the step [s].
+        memory : Grip
+            From the step before.
+        """
+        del t
+        h = _item(h)
+        state = self._plain_state(q, v)
+        before = [*state.twist, *state.arm_rates, *state.rates]
+        middle = self._at_middle(state, q, v, h)
+        shape = self._shape(middle, q, h)
+        psi = _numbers(q)[2]
+        turning = not (np.ndim(f) == 0 and not isinstance(f, np.ndarray) and number(exact(f)) == 0)
+        turning = turning or bool(self.fall[0] or self.fall[1])
+        after, rate = before, _numbers(memory.acceleration)
+        contact, holding, multipliers = (
+            [number(x) for x in _numbers(part)]
+            for part in (memory.forces, memory.holding, memory.multipliers)
+        )
+        grip = Impulses([], [x * h for x in contact], [x * h for x in holding], multipliers, 0.0)
+        rounds: Any = 0.0
+        began: list[Vector] = [[0.0, 0.0] for _ in self.table.wheels]
+        for _ in range(self.passes):
+            mean = [0.5 * (x + y) for x, y in zip(before, after, strict=True)]
+            at = self._moving(middle, mean)
+            if turning:
+                s, c = sine_and_cosine(psi + 0.5 * h * mean[2])
+                at = at._replace(c=c, s=s)
+            loads = self.loads(at, rate, q)
+            free = self._free(shape, at, before, u, h, f, q)
+            grip = impulses(
+                shape.touches,
+                self._bounds(shape, loads.values, began, h),
+                [number(free[k]) for k in shape.touched],
+                grip,
+                most=self.sweeps,
+                tolerance=self.tolerance,
+            )
+            after = self._after(shape, free, grip)
+            began = self._began(shape, before, after)
+            rate = [(y - x) / h for x, y in zip(before, after, strict=True)]
+            rounds = rounds + grip.rounds
+        mean = [0.5 * (x + y) for x, y in zip(before, after, strict=True)]
+        s, c = sine_and_cosine(psi + 0.5 * h * mean[2])
+        moved = self.integrate(q, self.in_plane(state._replace(c=c, s=s), [h * x for x in mean], q))
+        s, c = sine_and_cosine(psi + h * mean[2])
+        kept = Grip(
+            stacked([x / h for x in grip.contact], q),
+            stacked([x / h for x in grip.spin], q) if grip.spin else memory.holding,
+            stacked(grip.multipliers, q),
+            stacked(rate, q),
+            stacked(loads.values, q),
+            stacked([loads.tips], q)[..., 0],
+            stacked([rounds], q)[..., 0],
+        )
+        return Step(moved, self.in_plane(state._replace(c=c, s=s), after, q), kept)
+
+    def _plain_state(self, q: Any, v: Any) -> State:
+        state = self.state(q, v)
+        return State(*([_quick(y) for y in x] if isinstance(x, list) else _quick(x) for x in state))
+
+    def _at_middle(self, state: State, q: Any, v: Any, h: Any) -> State:
+        """Return the state whose shape is that of mid-step, as the velocity of now leads there."""
+        if not (self.na or self.table.axes):
+            return state
+        there = self._plain_state(self.integrate(q, (0.5 * h) * v), v)
+        return state._replace(arms=there.arms, steering=there.steering)
+
+    def _moving(self, state: State, rates: Vector) -> State:
+        """Return the state with other velocities."""
+        end = _BASE + self.na
+        return state._replace(twist=rates[:_BASE], arm_rates=rates[_BASE:end], rates=rates[end:])
+
+    def _free(self, shape: _Shape, at: State, before: Vector, u: Any, h: Any, f: Any, q: Any) -> Vector:
+        """Return the kept velocities after a step without friction."""
+        force, effects, pull = self.generalised(at, u, f), self.effects(at, q), self.pull(at)
+        a = shape.solve(self._reduced([x - y for x, y in zip(force, effects, strict=True)]))
+        vx, vy, w = at.twist
+        a[0], a[1] = a[0] + pull[0] + w * vy, a[1] + pull[1] - w * vx
+        return [before[i] + h * x for i, x in zip(self._kept, a, strict=True)]
+
+    def _after(self, shape: _Shape, free: Vector, grip: Impulses) -> Vector:
+        """Return all velocities at the end of a step."""
+        found, given = list(free), [*grip.contact, *grip.spin]
+        for k, x in zip(shape.touched, grip.velocity, strict=True):
+            found[k] = x
+        for k in shape.rest:
+            found[k] = free[k] + dot([column[k] for column in shape.columns], given)
+        return self._whole(found)
+
+    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
+        """Return the acceleration, shape (..., nv): the mean over a short step from the state."""
+        return (self.step(0.0, q, v, u, _INSTANT, f, self.initial_state()).v - v) / _INSTANT
+
+    def signals(self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: Grip) -> dict[str, tuple[str, Any]]:
+        """Return what the ground does, of the step before: a row of the wheels for each.
+
+        ``along``, ``across`` and ``loads`` [N], those of the supports behind; ``slip_along`` and
+        ``slip_across`` [m/s], of now; ``slides``, 1 where all friction is used; ``tips``; ``rounds``.
+        """
+        del t, u, f
+        state = self.state(q, v)
+        rows = self.kinematics.rows(state.steering, state.twist, state.rates, across=True)
+        slips = [
+            number(dot(row.base, state.twist) + dot(row.joints, state.rates))
+            for row in rows
+            if row.wheel >= 0
+        ]
+        forces, k = memory.forces, len(self.table)
+        along, across = forces[..., 0::2], forces[..., 1::2]
+        rollers = np.array([wheel.roller is not None for wheel in self.table.wheels])
+        size = np.where(rollers, np.abs(along), np.sqrt(along * along + across * across))
+        most = self.mu * memory.loads[..., :k]
+        return {
+            "along": ("N", along),
+            "across": ("N", across),
+            "loads": ("N", memory.loads),
+            "slip_along": ("m/s", stacked(slips[0::2], q)),
+            "slip_across": ("m/s", stacked(slips[1::2], q)),
+            "slides": ("", np.where((most > 0.0) & (size >= _SLIDES * most), 1.0, 0.0)),
+            "tips": ("", memory.tips),
+            "rounds": ("", memory.rounds),
+        }
+
+
+def led(table: WheelTable) -> list[tuple[int, float]]:
+    """Return which wheel each turns with, and how many times as fast, by gear trains; else it is itself.
+
+    Raises
+    ------
+    InvalidArgument
+        If trains that share wheels contradict each other.
+    """
+    found = [(row, 1.0) for row in range(len(table))]
+    for train in table.couplings:
+        if not isinstance(train, GearTrain):
+            continue
+        first, *others = (table.names.index(name) for name in train.wheels)
+        for row, ratio in zip(others, train.ratios[1:], strict=True):
+            # The rate of `row` is `times` that of `first`.
+            times = ratio / train.ratios[0]
+            (a, of_a), (b, of_b) = found[first], found[row]
+            if a == b:
+                if abs(of_b - times * of_a) > 1e-12 * abs(of_b):
+                    raise InvalidArgument(
+                        f"couplings has gear trains that turn wheel {table.names[row]!r} at two rates, "
+                        "expected trains that fit together"
+                    )
+                continue
+            # All that follows b follows a now: b's rate is of_a * times / of_b that of a.
+            share = of_a * times / of_b
+            found = [(a, share * x) if leader == b else (leader, x) for leader, x in found]
+    return found
+
+
+def _factored(M: Matrix) -> Any:
+    """Return what solves M x = right, the last unknowns of a symmetric M eliminated first; zeros stay."""
+    n = len(M)
+    M, inverse, order = [list(row) for row in M], [ZERO] * n, list(reversed(range(n)))
+    for done, i in enumerate(order, 1):
+        inverse[i] = 1.0 / number(M[i][i])
+        rest = order[done:]
+        factors = {j: M[j][i] * inverse[i] for j in rest}
+        for at, j in enumerate(rest):
+            for k in rest[: at + 1]:
+                M[j][k] = M[k][j] = M[j][k] - factors[j] * M[k][i]
+        for j in rest:
+            M[j][i] = factors[j]
+
+    def solve(right: Vector) -> Vector:
+        x = list(right)
+        for done, i in enumerate(order, 1):
+            for j in order[done:]:
+                x[j] = x[j] - M[j][i] * x[i]
+        x = [value * inverse[i] for i, value in enumerate(x)]
+        for k, i in reversed(list(enumerate(order))):
+            for j in order[k + 1 :]:
+                x[i] = x[i] - M[j][i] * x[j]
+        return x
+
+    return solve
+
+
+def _item(x: Any) -> Any:
+    """Return the entry of an array without axes; an array or a number as it is."""
+    x = plain(x)
+    return x.item() if isinstance(x, np.ndarray) and not x.ndim else x
+
+
+def _numbers(x: Any) -> Vector:
+    """Return the entries of the last axis; what is known to be a number as Python's, which is quicker."""
+    return [_quick(y) for y in scalars(x)]
+
+
+def _quick(x: Any) -> Any:
+    return float(x) if isinstance(x, np.float64) else x
