@@ -324,6 +324,7 @@ def _scenario(gain: float = 1.0) -> Any:
 MADE: dict[str, Callable[[], Any]] = {
     "robot": lambda: pm.MobileRobot(10.0, 1.2, com=(0.15, 0.05)),
     "wheeled": lambda: WheeledRobot(WORLD.robot, WheelTable.differential(0.5, 0.1)),
+    "swerve": lambda: WheeledRobot(WORLD.robot, WheelTable.swerve([(0.3, 0.1), (-0.3, -0.1)], 0.1)),
     "arm": small_arm,
     "armed": lambda: WORLD.robot.mount(WORLD.arm, (0, 0, 0.2, 0), name="arm"),
     "q": lambda: np.array([0.1, 0.2, 0.3]),
@@ -433,6 +434,7 @@ ROWS: dict[str, Row] = {
     "Saturated": row(controller=pm.PD(1, 1), limits=[1, 2, 3]),
     "Allocated": row(controller=pm.PD(1, 1), robot=the("wheeled")),
     "Backstepping": row(law=pm.Tracking(), robot=the("wheeled"), k=10, steer=10, arms=2),
+    "SwerveTracking": row(robot=the("swerve"), kp=2, k=10, steer=10, least=0.05),
     "Tracking": row(zeta=0.7, b=20),
     "Kanayama": row(k1=2, k2=10, k3=5),
     "Parking": row(k1=1, k2=3, k3=2, near=1e-3),
@@ -862,9 +864,17 @@ def is_part(name: str) -> bool:
     """Tell whether a method is what the loop calls on its parts, with arrays that it made."""
     owner, _, method = name.rpartition(".")
     parts = ("PD", "ComputedTorque", "Decoupled", "PDGravity", "Saturated", "Delayed", "NoisyMeasurement")
-    parts += ("Allocated", "Backstepping", "Tracking", "Kanayama", "Parking", "DynamicFeedback")
+    of_wheels = (
+        "Allocated",
+        "Backstepping",
+        "Tracking",
+        "Kanayama",
+        "Parking",
+        "DynamicFeedback",
+        "SwerveTracking",
+    )
     forces = ("ConstantForce", "SinusoidalForce", "NoiseForce", "RollingResistance", "ViscousFriction")
-    called = owner in (*parts, *forces, "EndEffectorTracking", "JointFriction")
+    called = owner in (*parts, *of_wheels, *forces, "EndEffectorTracking", "JointFriction")
     integrators = ("constant_acceleration", "rk4", "semi_implicit_euler")
     return name in integrators or (
         called

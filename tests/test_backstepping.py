@@ -26,6 +26,7 @@ from pinmobile import (
     Rollout,
     Saturated,
     Scenario,
+    SwerveTracking,
     Tangent,
     Tracking,
     Uniform,
@@ -77,7 +78,7 @@ def run(
 ) -> Rollout:
     q0, _ = robot.start(Reference(*trajectory(0.0)))
     q0[:3] += more.pop("off", OFF)
-    options = {"integrator": rk4, "engine": COMPILED} | more
+    options: dict[str, Any] = {"integrator": rk4, "engine": COMPILED} | more
     return simulate(
         robot, controller, trajectory, dt=dt, duration=duration, q0=q0, v0=np.zeros(robot.nv), **options
     )
@@ -157,6 +158,34 @@ def test_a_car_steers_and_follows(law: Any) -> None:
     off = distance(run(CAR, Backstepping(law, CAR), LARGE, 20.0))
     assert off[1000:].max() < 2e-3
     assert off[1500:].max() < 1e-4
+
+
+@dataclass(frozen=True)
+class Crab:
+    """A reference that goes ahead and sideways, and turns a little."""
+
+    duration: float = 12.0
+
+    def __call__(self, t: Any) -> Reference:
+        t = np.asarray(t)
+        s, c, s4, c4 = np.sin(0.5 * t), np.cos(0.5 * t), np.sin(0.4 * t), np.cos(0.4 * t)
+        return Reference(
+            np.stack([0.5 * t, 0.4 * s, 0.3 * s4], axis=-1),
+            np.stack([0.5 + 0 * t, 0.2 * c, 0.12 * c4], axis=-1),
+            np.stack([0 * t, -0.1 * s, -0.048 * s4], axis=-1),
+        )
+
+
+@pytest.mark.parametrize("trajectory", [EIGHT, Crab()], ids=["tangent", "crab"])
+def test_two_modules_steer_and_drive_along_a_pose(trajectory: Any) -> None:
+    found = run(SWERVE, SwerveTracking(SWERVE), trajectory, 12.0, off=OFF / 3)
+    errors = np.abs(found.q[:, :3] - found.reference.q).max(axis=1)
+    assert errors[1000:].max() < 3e-4
+    assert errors[200] == pytest.approx(OFF[2] / 3 * np.exp(-4.0), rel=1.5)
+    with pytest.raises(
+        InvalidArgument, match=r"type \(2, 0\) with 2 inputs, expected two modules that steer"
+    ):
+        SwerveTracking(DIFFERENTIAL)
 
 
 def test_arms_follow_beside_the_body() -> None:
@@ -282,6 +311,7 @@ CASES: dict[str, tuple[Any, Any, Any, Any]] = {
     "dynamic": (DIFFERENTIAL, Backstepping(DynamicFeedback(), DIFFERENTIAL), EIGHT, S),
     "parking": (DIFFERENTIAL, Backstepping(Parking(), DIFFERENTIAL), Posed((1.0, 0.5, 0.3)), S),
     "car": (CAR, OF_CAR, LARGE, S),
+    "swerve": (SWERVE, SwerveTracking(SWERVE), Crab(), S),
     "car, delayed": (CAR, Delayed(OF_CAR, 1), LARGE, S),
     "mecanum": (MECANUM, ComputedTorque(MECANUM), EIGHT, S),
     "allocated": (DIFFERENTIAL, Allocated(PD((60, 60, 20), (60, 60, 10)), DIFFERENTIAL), EIGHT, S),
