@@ -18,7 +18,7 @@ from pinmobile.wheels.table import GearTrain, WheelTable
 
 
 class Row(NamedTuple):
-    """A direction in which a wheel touches the ground, or a gear train; its product with the rates is a velocity.
+    """A direction in which a wheel touches the ground, or a gear train: times the rates it is a velocity.
 
     Attributes
     ----------
@@ -191,7 +191,7 @@ class Kinematics:
         return o, [self.x[row] + o[0], self.y[row] + o[1]]
 
     def wheel_rates(self, steering: Sequence[Any], twist: Sequence[Any], turning: Sequence[Any]) -> Vector:
-        """Return the rates of wheels that roll: of tyres by their rolling rows, of others by the rollers' rows.
+        """Return the rates of wheels that roll: of tyres by their rolling rows, else by the rollers'.
 
         Parameters
         ----------
@@ -282,7 +282,7 @@ def _body_velocities(held: Sequence[Row], is_fixed: bool) -> tuple[Matrix, Vecto
 
 
 def _ackermann(length: Any, y: Any, s: Any, c: Any) -> Heading:
-    """Return the heading of a wheel whose axle meets the others where the middle one is turned by an angle."""
+    """Return the heading of a wheel whose axle meets the others, by the angle of the middle one."""
     offset = y / length
     a, b = s, c - offset * s
     square = a * a + b * b

@@ -207,7 +207,7 @@ class GearTrain:
         ratios = finite("ratios", self.ratios) if len(self.ratios) else np.ones(len(names))
         if ratios.shape != (len(names),) or not ratios.all():
             raise InvalidArgument(
-                f"ratios is {shown(self.ratios)}, expected {len(names)} numbers other than zero, one per wheel"
+                f"ratios is {shown(self.ratios)}, expected {len(names)} numbers other than zero"
             )
         object.__setattr__(self, "wheels", names)
         object.__setattr__(self, "ratios", tuple(ratios.tolist()))
@@ -426,13 +426,14 @@ class WheelTable:
             wheel = self.wheels[row]
             if wheel.steering == FIXED or any(wheel.trail) or wheel.angle or wheel.x == together.axle:
                 raise InvalidArgument(
-                    f"wheel {wheel.name!r} of Ackermann(...) is {wheel!r}, expected a steered one with angle 0, "
-                    f"its centre on its pivot, away from the axle at x = {together.axle:g} m"
+                    f"wheel {wheel.name!r} of Ackermann(...) is {wheel!r}, expected a steered one with "
+                    f"angle 0, its centre on its pivot, away from the axle at x = {together.axle:g} m"
                 )
         kinds = {self.wheels[row].steering for row in rows}
         if len(kinds) > 1 or len({self.wheels[row].x for row in rows}) > 1:
             raise InvalidArgument(
-                f"wheels {', '.join(together.wheels)} of Ackermann(...) differ in x or steering, expected one axle"
+                f"wheels {', '.join(together.wheels)} of Ackermann(...) differ in x or steering, expected one "
+                "axle"
             )
         limit = min(self.wheels[row].steering_limit for row in rows)
         return Axis(together.name, rows, together.axle, DRIVEN in kinds, limit)
@@ -554,8 +555,8 @@ class WheelTable:
         angle = scalar("roller", roller)
         if angle < 0 and abs(wheelbase - track * abs(np.tan(angle))) < 1e-3 * track:
             raise InvalidArgument(
-                f"roller is {angle:g} rad: the rollers form an O on a base of {wheelbase:g} by {track:g} m, and their "
-                "axes meet in its middle, so that it cannot turn; expected the X, a positive angle"
+                f"roller is {angle:g} rad: the rollers form an O on a base of {wheelbase:g} by {track:g} m, and "
+                "their axes meet in its middle, so that it cannot turn; expected the X, a positive angle"
             )
         signs = {"front_left": -1, "front_right": 1, "rear_left": 1, "rear_right": -1}
         rows = [

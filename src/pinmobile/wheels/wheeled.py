@@ -70,7 +70,7 @@ class Allocation(NamedTuple):
 @constant
 @dataclass(frozen=True, eq=False, repr=False)
 class WheeledRobot:
-    """A robot on wheels: q = (x, y, psi, arms..., steering..., wheels...), u = torques at arms, wheels and axes.
+    """A robot on wheels: q = (x, y, psi, arms, steering, wheels), u = torques at arms, wheels and axes.
 
     All methods broadcast over leading axes, and raise `InvalidArgument` for arguments of another last axis or
     that are not finite.
@@ -179,7 +179,7 @@ class WheeledRobot:
         ground_z: ArrayLike | None = None,
         **given: Any,
     ) -> Self:
-        """Return the robot of a URDF on the wheels that it has; `source` says what was taken and what guessed.
+        """Return the robot of a URDF on the wheels that it has; `source` says what was taken, what guessed.
 
         Parameters
         ----------
@@ -667,14 +667,14 @@ class WheeledRobot:
         lead = f"robot is a drive of type ({self.mobility.mobility}, {self.mobility.steerability})"
         if self.mobility.mobility < 3:
             raise InvalidArgument(
-                f"{lead}, which cannot accelerate in every direction, so no torques are its inverse dynamics; "
+                f"{lead}, which cannot accelerate in every direction, so no torques are its inverse dynamics, "
                 "expected an omnidirectional drive, or Backstepping(law, robot)"
             )
         still = self.reduced(self.rest, np.zeros(self.nv))
         if np.linalg.matrix_rank(still.B) < len(still.M):
             raise InvalidArgument(
-                f"{lead} with {len(self.table.actuators)} motors, which cannot accelerate in every direction; "
-                "expected a motor for each degree of freedom"
+                f"{lead} with {len(self.table.actuators)} motors, which cannot accelerate in every "
+                "direction; expected a motor for each degree of freedom"
             )
 
     def independent(self, q: ArrayLike, v: ArrayLike) -> Array:
@@ -685,7 +685,7 @@ class WheeledRobot:
         return np.stack([np.broadcast_to(x, lead) for x in nu], axis=-1)
 
     def torques(self, q: ArrayLike, v: ArrayLike, rates: ArrayLike) -> Array:
-        """Return the input of least norm with which the independent velocities change so, shape (..., nu) [N m].
+        """Return the input of least norm with which independent velocities change so, shape (..., nu) [N m].
 
         Parameters
         ----------
@@ -701,7 +701,7 @@ class WheeledRobot:
 
     @cached_property
     def axle(self) -> Array:
-        """Coefficients of the body twist (forward, left, yaw rate) in the velocity across the fixed wheels, (3,).
+        """Coefficients of the body twist in the velocity across the fixed wheels, shape (3,).
 
         Raises
         ------
@@ -711,14 +711,14 @@ class WheeledRobot:
         choice = self.mobility.choice
         if not (choice.body and choice.is_fixed):
             raise InvalidArgument(
-                f"robot is a drive of type ({self.mobility.mobility}, {self.mobility.steerability}), which has no "
-                "fixed axle"
+                f"robot is a drive of type ({self.mobility.mobility}, {self.mobility.steerability}), which "
+                "has no fixed axle"
             )
         return frozen(self._rolling.axle)
 
     @cached_property
     def pivots(self) -> Array:
-        """Where each axis steers a wheel, x, y, and the angle of that wheel at zero, shape (axes, 3) [m, m, rad].
+        """Where each axis steers a wheel, x, y, and its angle at zero, shape (axes, 3) [m, m, rad].
 
         Of an Ackermann pair it is the wheel in their middle.
         """
@@ -788,7 +788,7 @@ class WheeledRobot:
         return np.asarray(tau - had)
 
     def allocate_scaled(self, q: ArrayLike, tau: ArrayLike) -> tuple[Array, Array]:
-        """Return torques for a force on body and arms, scaled by one factor into limits, and what is left of it.
+        """Return torques for a force on body and arms, scaled by one factor into limits, and what is left.
 
         They have least norm; where one is beyond its limit all shrink alike, so that the force keeps its
         direction. It is the same arithmetic in all engines.
@@ -898,8 +898,8 @@ class WheeledRobot:
             held = isinstance(self.ground, Rolling) or name == "train"
             if held and slip > _OFF * (1 + float(np.abs(v).max())):
                 raise InvalidArgument(
-                    f"start does not roll: {name} slips at {slip:.3g} m/s; expected v0 = robot.project(q0, v0), "
-                    "or a reference that the wheels can follow"
+                    f"start does not roll: {name} slips at {slip:.3g} m/s; expected "
+                    "v0 = robot.project(q0, v0), or a reference that the wheels can follow"
                 )
 
     def traced(self) -> RollingBody | SlippingBody:
