@@ -432,8 +432,8 @@ class WheelTable:
         kinds = {self.wheels[row].steering for row in rows}
         if len(kinds) > 1 or len({self.wheels[row].x for row in rows}) > 1:
             raise InvalidArgument(
-                f"wheels {', '.join(together.wheels)} of Ackermann(...) differ in x or steering, expected one "
-                "axle"
+                f"wheels {', '.join(together.wheels)} of Ackermann(...) differ in x or steering, "
+                "expected one axle"
             )
         limit = min(self.wheels[row].steering_limit for row in rows)
         return Axis(together.name, rows, together.axle, DRIVEN in kinds, limit)
@@ -555,8 +555,8 @@ class WheelTable:
         angle = scalar("roller", roller)
         if angle < 0 and abs(wheelbase - track * abs(np.tan(angle))) < 1e-3 * track:
             raise InvalidArgument(
-                f"roller is {angle:g} rad: the rollers form an O on a base of {wheelbase:g} by {track:g} m, and "
-                "their axes meet in its middle, so that it cannot turn; expected the X, a positive angle"
+                f"roller is {angle:g} rad: the rollers form an O on a base of {wheelbase:g} by {track:g} m, "
+                "and their axes meet in its middle, so that it cannot turn; expected the X, a positive angle"
             )
         signs = {"front_left": -1, "front_right": 1, "rear_left": 1, "rear_right": -1}
         rows = [
