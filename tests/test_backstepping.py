@@ -34,13 +34,14 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.ensembles import ARRAYS, COMPILED, PINOCCHIO, run_scenario
-from pinmobile.wheels import ByOdometry, Motor, Wheel, WheeledRobot, WheelTable
+from pinmobile.wheels import ByOdometry, Coulomb, Motor, Wheel, WheeledRobot, WheelTable
 from tests.parts import Eight
 
 OFF = np.array([-0.3, 0.3, 0.5])
 BODY = MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.2))
 WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
 DIFFERENTIAL = WheeledRobot(BODY, WheelTable.differential(0.5, 0.1, **WHEEL))
+SUPPORTED = WheelTable.differential(0.5, 0.1, supports=[(-0.2, 0.0)], **WHEEL)
 CAR = WheeledRobot(BODY, WheelTable.car(0.35, 0.3, 0.1, **WHEEL))
 MECANUM = WheeledRobot(BODY, WheelTable.mecanum(0.5, 0.4, 0.08, **WHEEL))
 SWERVE = WheeledRobot(BODY, WheelTable.swerve([(0.3, 0.1), (-0.3, -0.1)], 0.06, **WHEEL))
@@ -186,6 +187,16 @@ def test_two_modules_steer_and_drive_along_a_pose(trajectory: Any) -> None:
         InvalidArgument, match=r"type \(2, 0\) with 2 inputs, expected two modules that steer"
     ):
         SwerveTracking(DIFFERENTIAL)
+
+
+def test_a_robot_whose_wheels_slip_a_little_follows_by_the_model_of_one_that_rolls() -> None:
+    robot = WheeledRobot(BODY, SUPPORTED, Coulomb())
+    runs = []
+    for model in (robot, WheeledRobot(BODY, SUPPORTED)):
+        controller = Backstepping(Tracking(), model)
+        runs.append(run(robot, controller, EIGHT, 8.0, off=OFF / 10, integrator=None))
+    assert distance(runs[0])[300:].max() < 5e-3
+    np.testing.assert_allclose(runs[0].u, runs[1].u, atol=1e-9)
 
 
 def test_arms_follow_beside_the_body() -> None:
@@ -390,6 +401,10 @@ class _Back:
         (lambda: Backstepping(Tracking(), BODY), "robot is MobileRobot("),
         (lambda: Backstepping(Tracking(), DIFFERENTIAL, k=0), "k is 0.0 1/s, expected > 0"),
         (lambda: Allocated(PD(1, 1), BODY), "robot is MobileRobot("),
+        (
+            lambda: SwerveTracking(SUPPORTED),
+            "robot is WheelTable(",
+        ),
         (lambda: Allocated(Tracking(), DIFFERENTIAL), ""),  # type: ignore[arg-type]
         (lambda: Decoupled(MECANUM), "robot is WheeledRobot("),
         (

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, NamedTuple, final
 import numpy as np
 
 from pinmobile.arrays import Array, callable_as, frozen, positive, wrap_angle
-from pinmobile.controllers.controller import State
+from pinmobile.controllers.controller import State, check_wheels
 from pinmobile.controllers.steering import (
     Changing,
     KinematicLaw,
@@ -108,10 +108,9 @@ class Backstepping:
         for name in ("k", "steer", "arms"):
             object.__setattr__(self, name, positive(name, getattr(self, name), "1/s"))
         robot = self.robot
-        is_sized = isinstance(getattr(robot, "nv", None), int)
-        if isinstance(robot, type) or not (is_sized and hasattr(robot, "torques")):
-            raise InvalidArgument(f"robot is {shown(robot)}, expected a WheeledRobot")
-        if hasattr(robot, "mobility"):  # what it becomes in a compiled loop has been looked at before
+        if not hasattr(robot, "mobility"):  # no robot, or what one becomes in a compiled loop
+            check_wheels(robot, "torques")
+        else:
             self._look(robot)
 
     def _look(self, robot: Any) -> None:
@@ -122,14 +121,8 @@ class Backstepping:
             raise InvalidArgument(
                 f"robot is a drive of type {kind}, expected one with a fixed axle: for this one, {other}"
             )
+        check_wheels(robot, "torques")
         n, size = max(robot.leading), max(robot.leading.values())
-        still = robot.reduced(robot.rest, np.zeros(robot.nv))
-        if np.linalg.matrix_rank(still.B) < len(still.M):
-            raise InvalidArgument(
-                f"robot has {len(robot.inputs)} motors and {len(still.M)} independent velocities, "
-                "expected a motor "
-                "for each"
-            )
         car = None
         if kind == (1, 1):
             car = _Car(size, min(float(robot.coordinates[n].upper), np.pi / 2 - 1e-3))
@@ -303,16 +296,16 @@ class SwerveTracking:
         for name, unit in (("kp", "1/s"), ("k", "1/s"), ("steer", "1/s"), ("least", "m/s")):
             object.__setattr__(self, name, positive(name, getattr(self, name), unit))
         robot = self.robot
-        is_sized = isinstance(getattr(robot, "nv", None), int)
-        if isinstance(robot, type) or not (is_sized and hasattr(robot, "torques")):
-            raise InvalidArgument(f"robot is {shown(robot)}, expected a WheeledRobot")
-        if hasattr(robot, "mobility"):
+        if not hasattr(robot, "mobility"):  # no robot, or what one becomes in a compiled loop
+            check_wheels(robot, "torques")
+        else:
             kind = robot.mobility.mobility, robot.mobility.steerability
             if kind != (1, 2) or max(robot.leading) > _BASE or len(robot.inputs) != 4:
                 raise InvalidArgument(
                     f"robot is a drive of type {kind} with {len(robot.inputs)} inputs, expected two modules "
                     "that steer and drive, without arms"
                 )
+            check_wheels(robot, "torques")
 
     def initial_state(self, context: Context) -> tuple[Any, float, float]:
         """Return what is known of the reference's steering rates, nothing, and the sampling time."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from os import PathLike
 from types import MappingProxyType
@@ -927,7 +927,8 @@ class WheeledRobot:
         """The same robot on ground where it rolls."""
         if not self.mobility.is_regular:
             raise InvalidArgument(f"robot cannot roll without slip: {self.mobility.why_not}")
-        return RollingBody(**self._common)
+        known = {each.name for each in fields(RollingBody)}
+        return RollingBody(**{name: value for name, value in self._common.items() if name in known})
 
     @property
     def _traced(self) -> RollingBody | SlippingBody:
