@@ -668,7 +668,7 @@ class WheeledRobot:
         if self.mobility.mobility < 3:
             raise InvalidArgument(
                 f"{lead}, which cannot accelerate in every direction, so no torques are its inverse "
-                "dynamics, expected an omnidirectional drive, or Backstepping(law, robot)"
+                "dynamics; expected an omnidirectional drive, or Backstepping(law, robot)"
             )
         still = self.reduced(self.rest, np.zeros(self.nv))
         if np.linalg.matrix_rank(still.B) < len(still.M):
