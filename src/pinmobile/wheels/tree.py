@@ -123,7 +123,7 @@ def _with_wheels(robot: MobileRobot, table: WheelTable, fall: Array) -> pin.Mode
     body = pin.Inertia(model.inertias[BODY_JOINT])
     if body.mass <= wheels:
         raise InvalidArgument(
-            f"robot has a mass of {body.mass:.6g} kg, and its wheels {wheels:.6g} kg, which are part of it, "
+            f"robot has a mass of {body.mass:.6g} kg, and its wheels {wheels:.6g} kg, which are part of it; "
             "expected the mass of the whole"
         )
     for wheel in table.wheels:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from functools import cached_property
 from os import PathLike
 from types import MappingProxyType
@@ -11,11 +11,12 @@ from typing import Any, ClassVar, NamedTuple, Self, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, frozen, vector
+from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, frozen, one_of, vector
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Coordinate, Input, Parameter, Step
 from pinmobile.robot import BODY_JOINT, LOCKED, Load, MobileRobot, number
+from pinmobile.urdf import Body
 from pinmobile.wheels.description import joint_signs, read_robot, read_wheels
 from pinmobile.wheels.ground import Coulomb, Ground, Rolling
 from pinmobile.wheels.kinematics import Kinematics
@@ -26,6 +27,7 @@ from pinmobile.wheels.table import WheelTable
 from pinmobile.wheels.tree import WheelTree
 
 _SAME_LINE = 1e-6  # [m]
+_OF_WHEELS = ("x", "y", "radius", "spin_inertia")  # what may differ from robot to robot
 _OFF = 1e-9  # of a start's rates, beyond which it does not roll
 _LEAST_NORM = 1e-6  # relative weight of torques beside what they are for, where limits hold them
 _REDUNDANT = 1e-10  # relative, of eigenvalues: rows that follow from others
@@ -94,9 +96,6 @@ class WheeledRobot:
     robot: MobileRobot
     table: WheelTable = None  # type: ignore[assignment]
     ground: Ground = None  # type: ignore[assignment]
-    mobility: Mobility = field(init=False)
-    _tree: WheelTree = field(init=False)
-
     broadcasts: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
@@ -106,7 +105,7 @@ class WheeledRobot:
             object.__setattr__(self, "table", read_wheels(self.robot))
         if not isinstance(self.table, WheelTable):
             raise InvalidArgument(f"table is {shown(self.table)}, expected a WheelTable")
-        mobility = Mobility.of(self.table)
+        mobility = self.mobility
         if self.ground is None:
             object.__setattr__(self, "ground", Rolling() if mobility.is_regular else Coulomb())
         if not isinstance(self.ground, Rolling | Coulomb):
@@ -116,11 +115,18 @@ class WheeledRobot:
                 f"table cannot roll without slip: {mobility.why_not}; expected a drive that can, or "
                 "ground=Coulomb()"
             )
-        object.__setattr__(self, "mobility", mobility)
-        tree = WheelTree(self.robot, self.table, self._fall)
-        object.__setattr__(self, "_tree", tree)
+        _ = self._tree  # it checks that what is left without the wheels is a body
         if isinstance(self.ground, Coulomb):
             self._check_slipping()
+
+    @cached_property
+    def mobility(self) -> Mobility:
+        """What the wheels let it do."""
+        return Mobility.of(self.table)
+
+    @cached_property
+    def _tree(self) -> WheelTree:
+        return WheelTree(self.robot, self.table, self._fall)
 
     @cached_property
     def _fall(self) -> Array:
@@ -304,10 +310,49 @@ class WheeledRobot:
                 )
         return tuple(found)
 
+    def with_parameters(self, **values: ArrayLike) -> WheeledRobot:
+        """Return the robot with other values of its `parameters`.
+
+        Parameters
+        ----------
+        **values : float or array_like
+            By the name of a parameter, or of an attribute with all its numbers, such as ``radius``.
+
+        Raises
+        ------
+        InvalidArgument
+            If a value is not possible, or an array has another shape.
+        UnknownName
+            If there is no such parameter.
+        """
+        named = {parameter.name: parameter for parameter in self.parameters}
+        columns = {name: column.copy() for name, column in self._columns.items()}
+        for name, value in values.items():
+            given = finite(name, value)
+            if name in columns and given.shape in ((), columns[name].shape):
+                columns[name][...] = given
+            elif name in named and given.ndim == 0:
+                columns[named[name].attribute or name][named[name].entry] = given
+            else:
+                one_of("parameter of a robot on wheels", name, [*named, *columns])
+                raise InvalidArgument(f"{name} has shape {given.shape}, expected that of {name} of the robot")
+        ground = self.ground
+        wheels = [
+            replace(wheel, **{name: float(columns[name][k]) for name in _OF_WHEELS})
+            for k, wheel in enumerate(self.table.wheels)
+        ]
+        robot = self.robot
+        if isinstance(ground, Coulomb):
+            ground = replace(ground, mu=None)
+            frictions = zip(wheels, columns["mu"].tolist(), strict=True)
+            wheels = [replace(wheel, friction=replace(wheel.friction, mu=mu)) for wheel, mu in frictions]
+            if columns["upright"][0] != self._columns["upright"][0]:
+                robot = _raised(robot, float(columns["upright"][0] - self._columns["upright"][0]))
+        return WheeledRobot(robot, replace(self.table, wheels=tuple(wheels)), ground)
+
     @cached_property
     def _columns(self) -> dict[str, Array]:
-        names = ("x", "y", "radius", "spin_inertia")
-        found = {name: frozen([getattr(wheel, name) for wheel in self.table.wheels]) for name in names}
+        found = {name: frozen([getattr(wheel, name) for wheel in self.table.wheels]) for name in _OF_WHEELS}
         if isinstance(self.ground, Coulomb):
             mu = self.ground.mu
             found["mu"] = frozen([wheel.friction.mu if mu is None else mu for wheel in self.table.wheels])
@@ -948,3 +993,10 @@ class WheeledRobot:
             "tolerance": ground.tolerance,
         }
         return SlippingBody(**self._common, **own, **rounds)
+
+
+def _raised(robot: MobileRobot, height: float) -> MobileRobot:
+    """Return a robot whose body has its centre of mass higher by so much [m]."""
+    body = robot.lumped().body
+    com = body.com + np.array([0.0, 0.0, height])
+    return robot.base.with_body(Body(body.mass, com, body.inertia), robot.source)
