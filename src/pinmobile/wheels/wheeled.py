@@ -336,10 +336,10 @@ class WheeledRobot:
             else:
                 one_of("parameter of a robot on wheels", name, [*named, *columns])
                 raise InvalidArgument(f"{name} has shape {given.shape}, expected that of {name} of the robot")
-        ground = self.ground
+        ground, numbers = self.ground, [columns[name].tolist() for name in _OF_WHEELS]
         wheels = [
-            replace(wheel, **{name: float(columns[name][k]) for name in _OF_WHEELS})
-            for k, wheel in enumerate(self.table.wheels)
+            replace(wheel, x=x, y=y, radius=radius, spin_inertia=inertia)
+            for wheel, x, y, radius, inertia in zip(self.table.wheels, *numbers, strict=True)
         ]
         robot = self.robot
         if isinstance(ground, Coulomb):
