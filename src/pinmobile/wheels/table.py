@@ -116,7 +116,9 @@ class WheelTable:
 
     def __str__(self) -> str:
         """Return the rows, what couples them, and what the drive can do: see `Mobility`."""
-        rows = [("wheel", "x [m]", "y [m]", "radius [m]", "rolls to", "steering", "rollers at", "motor")]
+        rows: list[tuple[str, ...]] = [
+            ("wheel", "x [m]", "y [m]", "radius [m]", "rolls to", "steering", "rollers at", "motor")
+        ]
         rows += [_told(wheel) for wheel in self.wheels]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
@@ -410,7 +412,7 @@ def _told(wheel: Wheel) -> tuple[str, ...]:
     )
 
 
-def _kept(name: str, given: object, kinds: tuple[type, ...], expected: str) -> tuple[object, ...]:
+def _kept(name: str, given: object, kinds: tuple[type, ...], expected: str) -> tuple[Any, ...]:
     entries = sequence(name, given, expected)
     for k, each in enumerate(entries):
         if not isinstance(each, kinds):
