@@ -11,7 +11,7 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.robot import number
 from pinmobile.wheels.kinematics import Choice, Kinematics, Row
-from pinmobile.wheels.table import WheelTable
+from pinmobile.wheels.rows import Rows
 
 _RANK = 1e-9  # singular values below, relative to the largest, are rounding
 _COEFFICIENT = 1e-12
@@ -28,10 +28,10 @@ class Mobility:
         The wheels.
     """
 
-    table: WheelTable
+    table: Rows
 
     @classmethod
-    def of(cls, table: WheelTable) -> Mobility:
+    def of(cls, table: Rows) -> Mobility:
         """Return that of a table, which is found once."""
         return _remembered(table)
 
@@ -170,7 +170,7 @@ class Mobility:
 
 
 @lru_cache(maxsize=256)
-def _remembered(table: WheelTable) -> Mobility:
+def _remembered(table: Rows) -> Mobility:
     return Mobility(table)
 
 
