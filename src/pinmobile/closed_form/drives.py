@@ -242,7 +242,9 @@ def car(
     """
     nu, com, delta = vector("nu", nu, 2), vector("com", com, 2), finite("steering", steering)
     if not (np.abs(delta) < np.pi / 2).all():
-        raise InvalidArgument(f"steering is up to {np.abs(delta).max():g} rad, expected less than a right angle")
+        raise InvalidArgument(
+            f"steering is up to {np.abs(delta).max():g} rad, expected less than a right angle"
+        )
     given = _positive(mass=mass, yaw_inertia=yaw_inertia, wheelbase=wheelbase, radius=radius)
     given |= _not_negative(track=track, spin_inertia=spin_inertia, steered_inertia=steered_inertia)
     given["steering"] = delta

@@ -72,7 +72,9 @@ class WheelBodies:
         for actuator in self.table.actuators:
             column, rotor = np.array(actuator.column), actuator.motor.gear**2 * actuator.motor.rotor_inertia
             self.reflected += rotor * np.outer(column, column)
-        for wheel in self.table.wheels:  # the whole has them, at rest in the body: they are bodies of their own
+        for (
+            wheel
+        ) in self.table.wheels:  # the whole has them, at rest in the body: they are bodies of their own
             lever, inertia = np.array([*wheel.centre, wheel.radius]), _locked(wheel)
             self.parts.links[BODY_JOINT - 1].bodies.append((-wheel.mass, lever, -inertia))
 
@@ -101,9 +103,7 @@ class WheelBodies:
         e = np.column_stack([np.cos(angle), np.sin(angle)])
         n = _quarter(e)
         o = wheel.trail[0] * e + wheel.trail[1] * n
-        return _Moving(
-            e, n, o, o + np.array([wheel.x, wheel.y]), axis, first, first * rate, second * rate**2
-        )
+        return _Moving(e, n, o, o + np.array([wheel.x, wheel.y]), axis, first, first * rate, second * rate**2)
 
     def _wrenches(self, a: Array) -> list[tuple[Array, Array, Array]]:
         """Return the force (k, 3) that moves each wheel, the moment (k, 3) about its centre, and its yawing."""

@@ -210,10 +210,16 @@ class SlippingBody(WheeledBody):
             mx = mx - head.s * faster - head.c * slower
             my = my + head.c * faster - head.s * slower
             wheel = self.table.wheels[row]
-            if steered and wheel.mass and any(wheel.trail):  # its weight moves
-                (_, p), (_, p0) = self._centres(row, state)
+            if steered and wheel.mass and any(wheel.trail):  # its weight moves, and its centre swings
+                (o, p), (o0, p0) = self._centres(row, state)
                 weight = -wheel.mass * float(self.fall[2])
                 mx, my = mx + weight * (p[1] - p0[1]), my - weight * (p[0] - p0[0])
+                axis = steered[0]
+                turning = rate[2] + head.first * rate[first + axis] + head.second * rates[axis] * rates[axis]
+                swing = wheel.mass * _numbers(self.radius)[row]
+                ahead = rate[2] * o0[1] - turning * o[1] - turn * turn * o[0] + w * w * o0[0]
+                aside = turning * o[0] - rate[2] * o0[0] - turn * turn * o[1] + w * w * o0[1]
+                mx, my = mx - swing * aside, my + swing * ahead
         places = [self.kinematics.centre(row, state.steering)[1] for row in range(len(self.table))]
         places += [[exact(each.x), exact(each.y)] for each in self.table.supports]
         return shared_loads(places, fz, mx, my)
