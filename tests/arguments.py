@@ -31,6 +31,7 @@ import pinocchio as pin
 import pinmobile as pm
 from pinmobile import PinmobileError, derivation, ensembles, urdf, viewer
 from pinmobile.robot import Stance
+from pinmobile.wheels import WheeledRobot, WheelTable
 
 MODULES = (
     *("accuracy", "balance", "closed_form", "controllers", "derivation", "dh", "forces", "ensembles"),
@@ -72,6 +73,7 @@ INNER = {
     ),
     *("Rollout.of", "Rollout.arrays", "ensembles.Outline.of", "ensembles.Outline.from_description"),
     *("ensembles.Outline.description", "ensembles.Outline.difference", "ensembles.Part.of"),
+    *("controllers.Changing", "controllers.Tracked"),
     *("PD.compact", "ComputedTorque.compact", "PDGravity.compact", "MobileRobot.traced"),
     *("MobileRobot.varying", "JointFriction.varying", "JointFriction.with_parameters"),
     "Load.with_numbers",
@@ -321,6 +323,7 @@ def _scenario(gain: float = 1.0) -> Any:
 
 MADE: dict[str, Callable[[], Any]] = {
     "robot": lambda: pm.MobileRobot(10.0, 1.2, com=(0.15, 0.05)),
+    "wheeled": lambda: WheeledRobot(WORLD.robot, WheelTable.differential(0.5, 0.1)),
     "arm": small_arm,
     "armed": lambda: WORLD.robot.mount(WORLD.arm, (0, 0, 0.2, 0), name="arm"),
     "q": lambda: np.array([0.1, 0.2, 0.3]),
@@ -428,6 +431,12 @@ ROWS: dict[str, Row] = {
     "Decoupled": row(robot=the("robot"), kp=4, kd=4, difference=pm.planar_difference),
     "PDGravity": row(robot=the("robot"), kp=4, kd=4, difference=pm.planar_difference),
     "Saturated": row(controller=pm.PD(1, 1), limits=[1, 2, 3]),
+    "Allocated": row(controller=pm.PD(1, 1), robot=the("wheeled")),
+    "Backstepping": row(law=pm.Tracking(), robot=the("wheeled"), k=10, steer=10, arms=2),
+    "Tracking": row(zeta=0.7, b=20),
+    "Kanayama": row(k1=2, k2=10, k3=5),
+    "Parking": row(k1=1, k2=3, k3=2, near=1e-3),
+    "DynamicFeedback": row(kp=2, kd=2.8, least=0.05),
     "Delayed": row(controller=pm.PD(1, 1), samples=2),
     "NoisyMeasurement": row(controller=pm.PD(1, 1), std_q=0.1, std_v=[0.1, 0.1, 0.2], seed=1),
     "law": row(function=lambda t, q, v, reference: np.zeros(3)),
@@ -853,12 +862,14 @@ def is_part(name: str) -> bool:
     """Tell whether a method is what the loop calls on its parts, with arrays that it made."""
     owner, _, method = name.rpartition(".")
     parts = ("PD", "ComputedTorque", "Decoupled", "PDGravity", "Saturated", "Delayed", "NoisyMeasurement")
+    parts += ("Allocated", "Backstepping", "Tracking", "Kanayama", "Parking", "DynamicFeedback")
     forces = ("ConstantForce", "SinusoidalForce", "NoiseForce", "RollingResistance", "ViscousFriction")
     called = owner in (*parts, *forces, "EndEffectorTracking", "JointFriction")
     integrators = ("constant_acceleration", "rk4", "semi_implicit_euler")
     return name in integrators or (
         called
-        and method in ("__call__", "initial_state", "applied", "signals", "acceleration", "on_coordinates")
+        and method
+        in ("__call__", "initial_state", "applied", "signals", "acceleration", "on_coordinates", "check")
     )
 
 

@@ -206,9 +206,9 @@ class Code:
         lines += [f"  br label %{before}", f"{before}:", f"  br label %{inside}", f"{inside}:"]
         for j, values in enumerate(first):
             for u in vectors:
-                lines.append(
-                    f"  %y{node}_{j}_{u} = phi {whole} [ {values[u]}, %{before} ], [ %z{node}_{j}_{u}, %{inside} ]"
-                )
+                name = f"{node}_{j}_{u}"
+                ways = f"[ {values[u]}, %{before} ], [ %z{name}, %{inside} ]"
+                lines.append(f"  %y{name} = phi {whole} {ways}")
         none = "false" if lanes == 1 else "zeroinitializer"
         for u in vectors:
             lines.append(f"  %e{node}_{u} = phi {truth} [ {none}, %{before} ], [ %d{node}_{u}, %{inside} ]")
@@ -221,10 +221,9 @@ class Code:
                 self.values[i] = [self._operation(i, u, "sample", False) for u in vectors]
         for j, i in enumerate(rounds.following):
             for u in vectors:
-                value = self.argument(i, u, "sample")
-                lines.append(
-                    f"  %z{node}_{j}_{u} = select {truth} %e{node}_{u}, {whole} %y{node}_{j}_{u}, {whole} {value}"
-                )
+                value, name = self.argument(i, u, "sample"), f"{node}_{j}_{u}"
+                chosen = f"{truth} %e{node}_{u}, {whole} %y{name}, {whole} {value}"
+                lines.append(f"  %z{name} = select {chosen}")
         left = []
         for u in vectors:
             value = self.argument(rounds.done, u, "sample")

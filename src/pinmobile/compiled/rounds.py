@@ -1,4 +1,4 @@
-"""Rounds of a law until nothing changes any more: of numbers, of arrays, and on the tape, where they are a loop."""
+"""Rounds of a law until nothing changes any more, of numbers and arrays, and on the tape as a loop."""
 
 from __future__ import annotations
 

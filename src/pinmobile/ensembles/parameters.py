@@ -97,7 +97,9 @@ def _walked(path: str, part: object, prefix: str) -> Iterator[tuple[str, Stated]
         yield mine.name, Stated(path, mine)
     for name, child in children_at(path, part):
         if not isinstance(getattr(part, name, None), MethodType):
-            model = "model_" if hasattr(child, "forward_dynamics") else ""
+            # The body of a plant on wheels is its own, and no model of it.
+            is_model = hasattr(child, "forward_dynamics") and not hasattr(part, "forward_dynamics")
+            model = "model_" if is_model else ""
             yield from _walked(f"{path}.{name}", child, prefix + model)
 
 

@@ -70,7 +70,7 @@ def shared_loads(places: Sequence[Vector], fz: Any, mx: Any, my: Any, drops: int
 def _of_springs(
     places: Sequence[Vector], weights: Vector, wrench: Vector, flat: Any = None
 ) -> tuple[Vector, Any]:
-    """Return the forces of springs, and the determinant of G K G'; where that is not above `flat`, anything."""
+    """Return the forces of springs, anything where they stand on a line, and the determinant of G K G'."""
     rows = [[ONE, y, -x] for x, y in places]
     weighed = [[w * x for x in row] for w, row in zip(weights, rows, strict=True)]
     a, d, e, b, f, c = (

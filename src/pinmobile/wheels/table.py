@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from math import cos, hypot, pi, radians, sin
-from typing import NamedTuple, Self, final
+from typing import Any, NamedTuple, Self, final
 
 import numpy as np
 
@@ -27,6 +27,7 @@ FIXED, DRIVEN, FREE = "fixed", "driven", "free"
 _STEERING = (FIXED, DRIVEN, FREE)
 _LARGEST_ROLLER = 89.0  # degrees: nearer to 90, a turn of the wheel moves next to nothing along the rollers
 _SAME_PLACE = 1e-6  # [m]
+TORQUE = Motor()  # a source of torque without limits
 
 
 @final
@@ -206,7 +207,7 @@ class GearTrain:
         ratios = finite("ratios", self.ratios) if len(self.ratios) else np.ones(len(names))
         if ratios.shape != (len(names),) or not ratios.all():
             raise InvalidArgument(
-                f"ratios is {shown(self.ratios)}, expected {len(names)} numbers that are not zero, one per wheel"
+                f"ratios is {shown(self.ratios)}, expected {len(names)} numbers other than zero, one per wheel"
             )
         object.__setattr__(self, "wheels", names)
         object.__setattr__(self, "ratios", tuple(ratios.tolist()))
@@ -216,7 +217,7 @@ class GearTrain:
 @constant
 @dataclass(frozen=True)
 class Differential:
-    """An open differential: one motor that turns at the mean rate of its wheels, and gives each an equal torque.
+    """An open differential: one motor that turns at the mean rate of its wheels, with equal torques on them.
 
     Parameters
     ----------
@@ -229,7 +230,7 @@ class Differential:
     """
 
     wheels: tuple[str, ...]
-    motor: Motor = Motor()
+    motor: Motor = TORQUE
     name: str = "differential"
 
     def __post_init__(self) -> None:
@@ -337,6 +338,8 @@ class WheelTable:
         Where the robot stands beside its wheels.
     couplings : sequence of GearTrain, Differential, Ackermann
         What holds whatever the friction.
+    source : str
+        Where its numbers come from, in words; no part of what makes two tables equal.
 
     Attributes
     ----------
@@ -354,6 +357,7 @@ class WheelTable:
     wheels: tuple[Wheel, ...]
     supports: tuple[Support, ...] = ()
     couplings: tuple[Coupling, ...] = ()
+    source: str = "wheels made from numbers"
     axes: tuple[Axis, ...] = field(init=False)
     actuators: tuple[Actuator, ...] = field(init=False)
 
@@ -365,7 +369,8 @@ class WheelTable:
         kinds = (GearTrain, Differential, Ackermann)
         couplings = _kept("couplings", self.couplings, kinds, "GearTrain, Differential or Ackermann")
         _check_places(wheels, supports)
-        for key, value in {"wheels": wheels, "supports": supports, "couplings": couplings}.items():
+        given = {"wheels": wheels, "supports": supports, "couplings": couplings}
+        for key, value in {**given, "source": text("source", self.source)}.items():
             object.__setattr__(self, key, value)
         for coupling in couplings:
             for name in coupling.wheels:
@@ -450,7 +455,7 @@ class WheelTable:
                 if axis.driven and axis.wheels[0] == row:
                     column = np.zeros(n)
                     column[k] = 1.0
-                    found.append(Actuator(axis.name, Motor(), tuple(column.tolist())))
+                    found.append(Actuator(axis.name, TORQUE, tuple(column.tolist())))
         return tuple(found)
 
     @classmethod
@@ -461,8 +466,8 @@ class WheelTable:
         *,
         x: float = 0.0,
         supports: Iterable[ArrayLike] = (),
-        motor: Motor = Motor(),  # noqa: B008 (it does not change)
-        **wheel: object,
+        motor: Motor = TORQUE,
+        **wheel: Any,
     ) -> Self:
         """Return two driven wheels on one axle, ``left`` and ``right``.
 
@@ -495,8 +500,8 @@ class WheelTable:
         radius: float,
         *,
         coupled: bool = True,
-        motor: Motor = Motor(),  # noqa: B008
-        **wheel: object,
+        motor: Motor = TORQUE,
+        **wheel: Any,
     ) -> Self:
         """Return four fixed wheels that turn by skidding.
 
@@ -529,8 +534,8 @@ class WheelTable:
         radius: float,
         *,
         roller: float = pi / 4,
-        motor: Motor = Motor(),  # noqa: B008
-        **wheel: object,
+        motor: Motor = TORQUE,
+        **wheel: Any,
     ) -> Self:
         """Return four mecanum wheels whose rollers form an X seen from above.
 
@@ -567,8 +572,8 @@ class WheelTable:
         *,
         n: int = 3,
         first: float = 0.0,
-        motor: Motor = Motor(),  # noqa: B008
-        **wheel: object,
+        motor: Motor = TORQUE,
+        **wheel: Any,
     ) -> Self:
         """Return omni wheels on a circle, their axles through its middle.
 
@@ -602,9 +607,9 @@ class WheelTable:
         places: Iterable[ArrayLike],
         radius: float,
         *,
-        motor: Motor = Motor(),  # noqa: B008
+        motor: Motor = TORQUE,
         supports: Iterable[ArrayLike] = (),
-        **wheel: object,
+        **wheel: Any,
     ) -> Self:
         """Return modules that each steer and drive.
 
@@ -634,9 +639,9 @@ class WheelTable:
         track: float,
         radius: float,
         *,
-        motor: Motor = Motor(),  # noqa: B008
+        motor: Motor = TORQUE,
         steering_limit: float = radians(40),
-        **wheel: object,
+        **wheel: Any,
     ) -> Self:
         """Return four wheels: rear ones on an open differential, front ones steered by Ackermann's law.
 
@@ -672,7 +677,7 @@ class WheelTable:
         return cls((*rear, *front), (), couplings)
 
 
-def _kept(name: str, given: object, kinds: tuple[type, ...], expected: str) -> tuple[object, ...]:
+def _kept(name: str, given: object, kinds: tuple[type, ...], expected: str) -> tuple[Any, ...]:
     entries = sequence(name, given, expected)
     for k, each in enumerate(entries):
         if not isinstance(each, kinds):

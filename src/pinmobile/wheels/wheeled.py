@@ -2,50 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from os import PathLike
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple, final
+from typing import Any, ClassVar, NamedTuple, Self, final
 
 import numpy as np
-import pinocchio as pin
 
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, frozen, vector
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Coordinate, Input, Parameter, Step
-from pinmobile.robot import BODY_JOINT, Engine, Load, MobileRobot, System, number
-from pinmobile.urdf import Body
+from pinmobile.robot import BODY_JOINT, LOCKED, Load, MobileRobot, number
+from pinmobile.wheels.description import joint_signs, read_robot, read_wheels
 from pinmobile.wheels.ground import Coulomb, Ground, Rolling
 from pinmobile.wheels.kinematics import Kinematics
 from pinmobile.wheels.mobility import Mobility
 from pinmobile.wheels.rolling import Reduced, RollingBody
 from pinmobile.wheels.slipping import Grip, SlippingBody, led
-from pinmobile.wheels.table import FIXED, Wheel, WheelTable
+from pinmobile.wheels.table import WheelTable
+from pinmobile.wheels.tree import WheelTree
 
 _SAME_LINE = 1e-6  # [m]
 _OFF = 1e-9  # of a start's rates, beyond which it does not roll
 _LEAST_NORM = 1e-6  # relative weight of torques beside what they are for, where limits hold them
 _REDUNDANT = 1e-10  # relative, of eigenvalues: rows that follow from others
-
-
-@final
-class _Tree(System):
-    """The Pinocchio tree of a robot with its wheels as joints, each steered wheel with an angle of its own."""
-
-    def __init__(self, model: pin.Model, robot: MobileRobot) -> None:
-        self._engine, self.mounts, self.loads = Engine(model), robot.mounts, robot.loads
-
-    @property
-    def _for_many(self) -> None:
-        return None
-
-    def of_one(self, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
-        """Return M(q) and the inverse dynamics of one state, unchecked."""
-        engine = self._engine
-        M = np.array(pin.crba(engine.public, engine.data, q))
-        return M, np.array(pin.rnea(engine.public, engine.data, q, v, a))
 
 
 class Forces(NamedTuple):
@@ -97,7 +80,7 @@ class WheeledRobot:
     robot : MobileRobot
         The whole, wheels locked at their table angles: its mass, centre of mass and inertia hold the wheels'.
     table : WheelTable
-        Its wheels.
+        Its wheels; by default those of the file that it was read from, see `read_wheels`.
     ground : Rolling or Coulomb, optional
         What it stands on; by default `Rolling` where the drive can roll without slip, else `Coulomb`.
 
@@ -109,16 +92,18 @@ class WheeledRobot:
     """
 
     robot: MobileRobot
-    table: WheelTable
+    table: WheelTable = None  # type: ignore[assignment]
     ground: Ground = None  # type: ignore[assignment]
     mobility: Mobility = field(init=False)
-    _tree: _Tree = field(init=False)
+    _tree: WheelTree = field(init=False)
 
     broadcasts: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if not isinstance(self.robot, MobileRobot):
             raise InvalidArgument(f"robot is {shown(self.robot)}, expected a MobileRobot")
+        if self.table is None:
+            object.__setattr__(self, "table", read_wheels(self.robot))
         if not isinstance(self.table, WheelTable):
             raise InvalidArgument(f"table is {shown(self.table)}, expected a WheelTable")
         mobility = Mobility.of(self.table)
@@ -132,7 +117,7 @@ class WheeledRobot:
                 "ground=Coulomb()"
             )
         object.__setattr__(self, "mobility", mobility)
-        tree = _Tree(_with_wheels(self.robot, self.table, self._fall), self.robot)
+        tree = WheelTree(self.robot, self.table, self._fall)
         object.__setattr__(self, "_tree", tree)
         if isinstance(self.ground, Coulomb):
             self._check_slipping()
@@ -182,6 +167,55 @@ class WheeledRobot:
 
     def __reduce__(self) -> tuple[object, ...]:
         return WheeledRobot, (self.robot, self.table, self.ground)
+
+    @classmethod
+    def from_urdf(
+        cls,
+        path: str | PathLike[str],
+        package_dirs: str | PathLike[str] | Sequence[str | PathLike[str]] = (),
+        *,
+        table: WheelTable | None = None,
+        ground: Ground | None = None,
+        ground_z: ArrayLike | None = None,
+        **given: Any,
+    ) -> Self:
+        """Return the robot of a URDF on the wheels that it has; `source` says what was taken and what guessed.
+
+        Parameters
+        ----------
+        path, package_dirs
+            As in `MobileRobot.from_urdf`.
+        table : WheelTable, optional
+            Its wheels; by default those of the file.
+        ground : Rolling or Coulomb, optional
+            As in the class.
+        ground_z : float, optional
+            The ground's z in the frame of the root link [m]; by default as `MobileRobot.from_urdf` finds it,
+            or where the file does not tell, below the wheels by the radii in `given`.
+        **given
+            What the file does not tell of its wheels, see `read_wheels`: ``radius``, ``rollers``, ``driven``,
+            ``steering``, ``inertia``, ``locked``, ``supports``, ``couplings``.
+
+        Raises
+        ------
+        InvalidArgument
+            As `MobileRobot.from_urdf`, `read_wheels` and the class; or if both a table and `given` are there.
+        """
+        if table is not None and given:
+            raise InvalidArgument(f"{next(iter(given))} is given with table=, expected one of the two")
+        robot = read_robot(path, package_dirs, ground_z, given.get("radius"), given.get("locked", ()))
+        wheels = read_wheels(robot, **given) if table is None else table
+        return cls(robot, wheels, ground)  # type: ignore[arg-type]
+
+    @property
+    def source(self) -> str:
+        """Where its numbers come from, in words."""
+        return f"{self.robot.source.replace(f'; {LOCKED}', '')}; {self.table.source}"
+
+    @property
+    def joint_signs(self) -> Mapping[str, int]:
+        """Of each wheel of its file 1, or -1 where the joint there turns the other way."""
+        return MappingProxyType(joint_signs(self.robot, self.table))
 
     def mount(self, arm: Any, at: ArrayLike | None = None, **options: Any) -> WheeledRobot:
         """Return the robot with an arm on its body: see `MobileRobot.mount`."""
@@ -311,7 +345,8 @@ class WheeledRobot:
     @property
     def mu(self) -> Array:
         """Coefficients of friction of the wheels where they may slip, shape (wheels,)."""
-        return self._where_it_slips("mu", lambda: self._columns["mu"])
+        self._where_it_slips("mu")
+        return self._columns["mu"]
 
     @property
     def upright(self) -> Array:
@@ -319,7 +354,8 @@ class WheeledRobot:
 
         Height of the centre of mass, and inertia xz and yz about it.
         """
-        return self._where_it_slips("upright", lambda: self._columns["upright"])
+        self._where_it_slips("upright")
+        return self._columns["upright"]
 
     # Configurations
 
@@ -462,73 +498,20 @@ class WheeledRobot:
 
     # Dynamics
 
-    @cached_property
-    def _reflected(self) -> Array:
-        """What motors' rotors add to M, shape (nv, nv)."""
-        M, first = np.zeros((self.nv, self.nv)), self.robot.nv
-        for actuator in self.table.actuators:
-            column = np.array(actuator.column)
-            M[first:, first:] += actuator.motor.reflected_inertia * np.outer(column, column)
-        return frozen(M)
-
-    def _to_tree(self, q: Array, v: Array) -> tuple[Array, Array, Array, Array]:
-        """Return a state of the tree, its velocity's G, v_tree = G v, and dG/dt v."""
-        lead = np.broadcast_shapes(q.shape[:-1], v.shape[:-1])
-        q, v = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v))
-        n, nv, axes = self.robot.nq, self.robot.nv, self.table.axes
-        steering, rates = list(np.moveaxis(q[..., n : n + len(axes)], -1, 0)), v[..., nv : nv + len(axes)]
-        steered = {row: k for k, axis in enumerate(axes) for row in axis.wheels}
-        size = nv + len(steered) + len(self.table)
-        G, bent = np.zeros((*lead, size, self.nv)), np.zeros((*lead, size))
-        G[..., np.arange(nv), np.arange(nv)] = 1
-        angles, at = [], nv
-        for row, wheel in enumerate(self.table.wheels):
-            if row in steered:
-                k, head = steered[row], self._kinematics.heading(row, steering)
-                c, s, first, second = (number(x) for x in head)
-                own = wheel.angle
-                away = np.arctan2(s * np.cos(own) - c * np.sin(own), c * np.cos(own) + s * np.sin(own))
-                angles.append(np.broadcast_to(away, lead))
-                G[..., at, nv + k], bent[..., at] = first, second * rates[..., k] ** 2
-                at += 1
-            angles.append(q[..., n + len(axes) + row])
-            G[..., at, nv + len(axes) + row] = 1
-            at += 1
-        whole = np.concatenate([q[..., :n], np.stack(angles, axis=-1)], axis=-1)
-        return whole, np.einsum("...ij,...j->...i", G, v), G, bent
-
     def mass_matrix(self, q: ArrayLike) -> Array:
-        """Return M(q), shape (..., nv, nv) [kg, kg m, kg m^2], of the tree by Pinocchio's CRBA, rotors included."""
-        q = self._q(q)
-        whole, _, G, _ = self._to_tree(q, np.zeros(self.nv))
-        return np.einsum("...ki,...kl,...lj->...ij", G, self._tree.mass_matrix(whole), G) + self._reflected
+        """Return M(q), shape (..., nv, nv) [kg, kg m, kg m^2], by Pinocchio's CRBA, rotors included."""
+        return self._tree.inertia(self._q(q))
 
     def nonlinear_effects(self, q: ArrayLike, v: ArrayLike) -> Array:
-        """Return n(q, v), shape (..., nv) [N, N, N m, ...], of the tree by Pinocchio's RNEA."""
+        """Return n(q, v), shape (..., nv) [N, N, N m, ...], by Pinocchio's RNEA."""
         q, v = self._q(q), self._v("v", v)
         broadcast(q=q, v=v)
-        whole, rates, G, bent = self._to_tree(q, v)
-        return np.einsum("...ki,...k->...i", G, self._tree.inverse_dynamics(whole, rates, bent))
+        return self._tree.effects(q, v)
 
     def kinetic_energy(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return v' M(q) v / 2, shape (...) [J]."""
         v = self._v("v", v)
-        return np.einsum("...i,...ij,...j->...", v, self.mass_matrix(q), v) / 2
-
-    def _unconstrained(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Return M and n."""
-        if q.ndim > 1 or v.ndim > 1:
-            return self.mass_matrix(q), self.nonlinear_effects(q, v)
-        if not self.table.axes:
-            M, n = self._tree.of_one(q, v, self._no_acceleration)
-            return M + self._reflected, n
-        whole, rates, G, bent = self._to_tree(q, v)
-        M, n = self._tree.of_one(whole, rates, bent)
-        return G.T @ M @ G + self._reflected, G.T @ n
-
-    @cached_property
-    def _no_acceleration(self) -> Array:
-        return frozen(np.zeros(self.nv))
+        return np.asarray(np.einsum("...i,...ij,...j->...", v, self.mass_matrix(q), v) / 2)
 
     def forward_dynamics(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Array:
         """Return the acceleration, shape (..., nv) [m/s^2, ...].
@@ -574,7 +557,7 @@ class WheeledRobot:
         q, v, u, f = self._q(q), self._v("v", v), vector("u", u, self.nu), finite("f", f)
         if q.ndim > 1 or v.ndim > 1 or u.ndim > 1 or f.ndim > 1:
             broadcast(q=q, v=v, u=u, f=np.broadcast_to(f, (*f.shape[:-1], self.nv)))
-        M, n = self._unconstrained(q, v)
+        M, n = self._tree.inertia_and_effects(q, v)
         A, drift = self._rows(q, v)
         if rows is not None:
             A, drift = A[..., rows, :], drift[..., rows]
@@ -587,7 +570,7 @@ class WheeledRobot:
         wanted = -drift[..., None] - A @ free[..., None]
         G = A @ through
         if rows is None:
-            multipliers = np.linalg.pinv(G, rcond=_REDUNDANT, hermitian=True) @ wanted
+            multipliers = np.asarray(np.linalg.pinv(G, rcond=_REDUNDANT, hermitian=True) @ wanted)
         else:
             multipliers = np.linalg.solve(G, wanted)
         a = free + (through @ multipliers)[..., 0]
@@ -595,10 +578,10 @@ class WheeledRobot:
 
     # What the ground adds: a loop asks by name for what a plant can do
 
-    def _where_it_slips(self, name: str, found: Callable[[], Any]) -> Any:
+    def _where_it_slips(self, name: str) -> SlippingBody:
         if not isinstance(self.ground, Coulomb):
             raise AttributeError(f"a WheeledRobot on {type(self.ground).__name__} ground has no {name}")
-        return found()
+        return self._slipping
 
     @property
     def project(self) -> Callable[[ArrayLike, ArrayLike], Array]:
@@ -609,7 +592,7 @@ class WheeledRobot:
 
     def _projected(self, q: ArrayLike, v: ArrayLike) -> Array:
         q, v = self._q(q), self._v("v", v)
-        M, _ = self._unconstrained(q, v)
+        M, _ = self._tree.inertia_and_effects(q, v)
         A = self._rows(q, v)[0][..., self._independent, :]
         through = np.linalg.solve(M, np.swapaxes(A, -1, -2))
         return np.asarray(v - (through @ np.linalg.solve(A @ through, A @ v[..., None]))[..., 0])
@@ -671,7 +654,7 @@ class WheeledRobot:
         w, ahead, aside = (own.nu[..., k] for k in (2, 0, 1))
         wanted[:2] = [wanted[0] + w * aside, wanted[1] - w * ahead]
         force = np.einsum("...ij,...j->...i", own.M, np.stack(wanted, axis=-1)) + own.n
-        return np.einsum("...ij,...j->...i", np.linalg.pinv(own.B), force)
+        return np.asarray(np.linalg.pinv(own.B) @ force[..., None])[..., 0]
 
     def check_inverse_dynamics(self) -> None:
         """Refuse a drive that cannot accelerate its body in every direction.
@@ -714,7 +697,7 @@ class WheeledRobot:
         own = self.reduced(q, v)
         rates = vector("rates", rates, own.nu.shape[-1])
         force = np.einsum("...ij,...j->...i", own.M, rates) + own.n
-        return np.einsum("...ij,...j->...i", np.linalg.pinv(own.B), force)
+        return np.asarray(np.linalg.pinv(own.B) @ force[..., None])[..., 0]
 
     @cached_property
     def axle(self) -> Array:
@@ -739,7 +722,7 @@ class WheeledRobot:
 
         Of an Ackermann pair it is the wheel in their middle.
         """
-        return frozen(self._rolling.pivots) if self.table.axes else frozen(np.zeros((0, 3)))
+        return frozen(self._traced.pivots) if self.table.axes else frozen(np.zeros((0, 3)))
 
     def lateral_velocity(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return how fast fixed wheels would slide sideways if the body moved so, shape (...) [m/s].
@@ -798,11 +781,11 @@ class WheeledRobot:
 
     def _missed(self, q: Array, tau: Array, u: Array) -> Array:
         """Return what of a force the wheels and joints do not supply, shape (..., 3 + arms)."""
-        state = self._rolling.state(q, np.zeros(self.nv))
-        had = np.array([number(x) for x in self._rolling.supplied(state, u)])
+        state = self._traced.state(q, np.zeros(self.nv))
+        had = np.array([number(x) for x in self._traced.supplied(state, u)])
         x, y = had[:2].copy()
         had[:2] = state.c * x - state.s * y, state.s * x + state.c * y
-        return tau - had
+        return np.asarray(tau - had)
 
     def allocate_scaled(self, q: ArrayLike, tau: ArrayLike) -> tuple[Array, Array]:
         """Return torques for a force on body and arms, scaled by one factor into limits, and what is left of it.
@@ -868,58 +851,37 @@ class WheeledRobot:
             [np.broadcast_to(turns, (*lead, n)), np.broadcast_to(rates, (*lead, len(self.table)))], axis=-1
         )
         known = np.einsum("...ij,...j->...i", A[..., self.robot.nv :], joints)
-        return -np.einsum("...ij,...j->...i", np.linalg.pinv(A[..., :BODY_JOINT]), known)
+        return np.asarray(-np.linalg.pinv(A[..., :BODY_JOINT]) @ known[..., None])[..., 0]
 
     def start(self, reference: Any) -> tuple[Array, Array]:
         """Return the q and v with which a reference begins, shape (nq,) and (nv,).
 
         Steered wheels point to where they go, and all roll; what the reference leaves out of the arms rests.
         """
-        q, v = self.robot.start(reference)
-        nq, nv, ns = self.robot.nq, self.robot.nv, len(self.table.axes)
-        q, v = np.append(q, np.zeros(self._joints)), np.append(v, np.zeros(self._joints))
-        _, twist, _ = self._split(q, v)
-        q[nq : nq + ns] = self._steered_to(twist)
-        rows, _ = self._rows(q, v)
-        for axis, row in self.mobility.choice.joints:
-            known = rows[row] @ v - rows[row, nv + axis] * v[nv + axis]
-            v[nv + axis] = -known / rows[row, nv + axis]
-        return q, v
-
-    def _steered_to(self, twist: Array) -> Array:
-        """Return the steering angles at which the wheels go where the body takes them; 0 at rest."""
-        found = []
-        for axis in self.table.axes:
-            wheel = self.table.wheels[axis.wheels[0]]
-            x, y = (wheel.x - axis.ackermann, 0.0) if axis.ackermann is not None else (wheel.x, wheel.y)
-            ahead, aside = twist[0] - twist[2] * y, twist[1] + twist[2] * x
-            angle = np.arctan2(aside, ahead) - wheel.angle if ahead or aside else 0.0
-            if wheel.motor is not None or axis.ackermann is not None:  # it may as well run backwards
-                angle = (angle + np.pi / 2) % np.pi - np.pi / 2
-            found.append(angle)
-        return np.array(found)
+        return self._traced.begun(*self.robot.start(reference))
 
     @property
     def initial_state(self) -> Callable[[Any], Grip]:
         """``initial_state(context)``: what the wheels keep before the first step, where they slip."""
-        return self._where_it_slips("initial_state", lambda: self._traced.initial_state)
+        return self._where_it_slips("initial_state").initial_state
 
     @property
     def step(self) -> Callable[..., Step]:
         """``step(t, q, v, u, h, f, memory)``: the state a step later, where wheels slip."""
-        return self._where_it_slips("step", lambda: self._stepped)
+        self._where_it_slips("step")
+        return self._stepped
 
     @property
     def signals(self) -> Callable[..., dict[str, tuple[str, Any]]]:
         """``signals(t, q, v, u, f, memory)``: what the ground does at the wheels, where they slip."""
-        return self._where_it_slips("signals", lambda: self._traced.signals)
+        return self._where_it_slips("signals").signals
 
     def _stepped(
         self, t: float, q: ArrayLike, v: ArrayLike, u: ArrayLike, h: float, f: ArrayLike, memory: Grip
     ) -> Step:
         q, v, u = self._q(q), self._v("v", v), vector("u", u, self.nu)
         f = 0.0 if isinstance(f, float) and f == 0 else finite("f", f)
-        return self._traced.step(t, q, v, u, h, f, memory)  # type: ignore[union-attr]
+        return self._slipping.step(t, q, v, u, h, f, memory)
 
     def check_start(self, q: ArrayLike, v: ArrayLike) -> None:
         """Refuse a start at which wheels on one gear train turn at different rates, or those that roll slip.
@@ -967,60 +929,21 @@ class WheeledRobot:
             raise InvalidArgument(f"robot cannot roll without slip: {self.mobility.why_not}")
         return RollingBody(**self._common)
 
-    @cached_property
+    @property
     def _traced(self) -> RollingBody | SlippingBody:
+        return self._rolling if isinstance(self.ground, Rolling) else self._slipping
+
+    @cached_property
+    def _slipping(self) -> SlippingBody:
         ground = self.ground
-        if isinstance(ground, Rolling):
-            return self._rolling
+        assert isinstance(ground, Coulomb)
         names = ("across", "rolling", "slip")
-        own = {name: frozen([getattr(wheel.friction, name) for wheel in self.table.wheels]) for name in names}
-        return SlippingBody(
-            **self._common, **own, passes=ground.passes, sweeps=ground.sweeps, tolerance=ground.tolerance
-        )
-
-
-def _steers(wheel: Wheel) -> bool:
-    return wheel.steering != FIXED
-
-
-def _with_wheels(robot: MobileRobot, table: WheelTable, fall: Array) -> pin.Model:
-    """Return the tree of a robot whose wheels are joints, each after the steering axis that it hangs on.
-
-    Pinocchio's CRBA takes what hangs on a joint to come right after it.
-    """
-    model = robot.model
-    model.gravity.linear = fall
-    body = pin.Inertia(model.inertias[BODY_JOINT])
-    for wheel in table.wheels:
-        body -= _placed(wheel).act(_inertia(wheel))
-    model.inertias[BODY_JOINT] = _checked(body)
-    for wheel in table.wheels:
-        parent, place = BODY_JOINT, _placed(wheel)
-        if _steers(wheel):
-            pivot = pin.SE3(pin.utils.rotate("z", wheel.angle), np.array([wheel.x, wheel.y, wheel.radius]))
-            parent = model.addJoint(BODY_JOINT, pin.JointModelRZ(), pivot, f"{wheel.name}_steering")
-            place = pin.SE3(np.eye(3), np.array([*wheel.trail, 0.0]))
-        joint = model.addJoint(parent, pin.JointModelRY(), place, wheel.name)
-        model.appendBodyToJoint(joint, _inertia(wheel), pin.SE3.Identity())
-    return model
-
-
-def _placed(wheel: Wheel) -> pin.SE3:
-    """Return the pose of a wheel's centre in the body's frame, its y along the axle, at angle zero."""
-    return pin.SE3(pin.utils.rotate("z", wheel.angle), np.array([*wheel.centre, wheel.radius]))
-
-
-def _inertia(wheel: Wheel) -> pin.Inertia:
-    across = wheel.yaw_inertia
-    return pin.Inertia(wheel.mass, np.zeros(3), np.diag([across, wheel.spin_inertia, across]))
-
-
-def _checked(body: pin.Inertia) -> pin.Inertia:
-    try:
-        Body(body.mass, np.array(body.lever), np.array(body.inertia))
-    except InvalidArgument as error:
-        raise InvalidArgument(
-            f"robot without its wheels is no body: {error}; expected a robot whose mass and inertia hold "
-            "those of its wheels"
-        ) from None
-    return body
+        own: dict[str, Any] = {
+            name: frozen([getattr(wheel.friction, name) for wheel in self.table.wheels]) for name in names
+        }
+        rounds: dict[str, Any] = {
+            "passes": ground.passes,
+            "sweeps": ground.sweeps,
+            "tolerance": ground.tolerance,
+        }
+        return SlippingBody(**self._common, **own, **rounds)

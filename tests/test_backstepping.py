@@ -1,0 +1,381 @@
+"""Controllers of robots on wheels on the full dynamics: convergence, engines side by side, refusals."""
+
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pinmobile import (
+    PD,
+    Allocated,
+    Backstepping,
+    ComputedTorque,
+    Decoupled,
+    Delayed,
+    DynamicFeedback,
+    FixedHeading,
+    InvalidArgument,
+    Kanayama,
+    LectureHeading,
+    MobileRobot,
+    NoisyMeasurement,
+    Parking,
+    Reference,
+    Rollout,
+    Saturated,
+    Scenario,
+    Tangent,
+    Tracking,
+    Uniform,
+    rk4,
+    simulate,
+)
+from pinmobile.ensembles import ARRAYS, COMPILED, PINOCCHIO, run_scenario
+from pinmobile.wheels import ByOdometry, Motor, Wheel, WheeledRobot, WheelTable
+from tests.parts import Eight
+
+OFF = np.array([-0.3, 0.3, 0.5])
+BODY = MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.2))
+WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
+DIFFERENTIAL = WheeledRobot(BODY, WheelTable.differential(0.5, 0.1, **WHEEL))
+CAR = WheeledRobot(BODY, WheelTable.car(0.35, 0.3, 0.1, **WHEEL))
+MECANUM = WheeledRobot(BODY, WheelTable.mecanum(0.5, 0.4, 0.08, **WHEEL))
+SWERVE = WheeledRobot(BODY, WheelTable.swerve([(0.3, 0.1), (-0.3, -0.1)], 0.06, **WHEEL))
+EIGHT = Tangent(Eight(1.0, 4 * np.pi))  # 1 m sin 0.5 t, 0.5 m sin t
+LARGE = Tangent(Eight(2.0, 8 * np.pi))
+
+
+@dataclass(frozen=True)
+class Waving:
+    """A reference of n coordinates that all wave."""
+
+    rest: Any
+    duration: float = 6.0
+
+    def __call__(self, t: Any) -> Reference:
+        phase = 0.7 * np.asarray(t)[..., None] + np.arange(len(self.rest)) + 1.0
+        return Reference(self.rest + 0.3 * np.sin(phase), 0.21 * np.cos(phase), -0.147 * np.sin(phase))
+
+
+@dataclass(frozen=True)
+class Posed:
+    """A reference that rests, or moves at a rate."""
+
+    pose: tuple[float, float, float]
+    rate: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    duration: float = 30.0
+
+    def __call__(self, t: Any) -> Reference:
+        v = np.zeros((*np.shape(t), 3)) + self.rate
+        return Reference(np.asarray(self.pose) + np.asarray(t)[..., None] * v, v, 0.0 * v)
+
+
+def run(
+    robot: WheeledRobot, controller: Any, trajectory: Any, duration: float, dt: float = 0.01, **more: Any
+) -> Rollout:
+    q0, _ = robot.start(Reference(*trajectory(0.0)))
+    q0[:3] += more.pop("off", OFF)
+    options = {"integrator": rk4, "engine": COMPILED} | more
+    return simulate(
+        robot, controller, trajectory, dt=dt, duration=duration, q0=q0, v0=np.zeros(robot.nv), **options
+    )
+
+
+def distance(rollout: Rollout) -> Any:
+    return np.hypot(*(rollout.q[:, :2] - rollout.reference.q[:, :2]).T)
+
+
+@cache
+def eight(dt: float) -> Rollout:
+    return run(DIFFERENTIAL, Backstepping(Tracking(), DIFFERENTIAL), EIGHT, 12.5, dt)
+
+
+def test_an_eight_is_followed_on_the_full_dynamics() -> None:
+    off = distance(eight(0.001))
+    assert off[0] == pytest.approx(np.hypot(0.3, 0.3))
+    assert off[5000:].max() < 1e-3
+    assert off[10000:].max() < 2e-5
+
+
+def test_a_torque_that_is_held_longer_costs_accuracy() -> None:
+    coarse = distance(eight(0.01))[1000:].max()
+    assert 3e-5 < coarse < 2e-4
+    assert coarse > 8 * distance(eight(0.001))[10000:].max()
+
+
+def test_velocities_fall_to_the_law_as_the_gain_says() -> None:
+    for k in (5.0, 20.0):
+        run_ = run(DIFFERENTIAL, Backstepping(Tracking(), DIFFERENTIAL, k=k), EIGHT, 1.0, 0.001)
+        c, s = np.cos(run_.q[:, 2]), np.sin(run_.q[:, 2])
+        dx, dy = (run_.reference.q - run_.q[:, :3])[:, :2].T
+        ahead, aside, turn = c * dx + s * dy, c * dy - s * dx, run_.reference.q[:, 2] - run_.q[:, 2]
+        c_r, s_r = np.cos(run_.reference.q[:, 2]), np.sin(run_.reference.q[:, 2])
+        speed, w = c_r * run_.reference.v[:, 0] + s_r * run_.reference.v[:, 1], run_.reference.v[:, 2]
+        gain = 1.4 * np.sqrt(w**2 + 20 * speed**2)
+        across = 20 * speed * np.sinc(turn / np.pi) * aside
+        wanted = speed * np.cos(turn) + gain * ahead, w + across + gain * turn
+        own = c * run_.v[:, 0] + s * run_.v[:, 1], run_.v[:, 2]
+        for z, nu in zip(wanted, own, strict=True):
+            left = (z - nu)[200] / (z - nu)[0]
+            assert left == pytest.approx(np.exp(-0.2 * k), abs=0.01)
+
+
+@pytest.mark.parametrize("law", [Kanayama(), DynamicFeedback()], ids=lambda law: type(law).__name__)
+def test_other_laws_follow_too(law: Any) -> None:
+    assert distance(run(DIFFERENTIAL, Backstepping(law, DIFFERENTIAL), EIGHT, 12.0))[1000:].max() < 2e-3
+
+
+def test_an_axle_that_is_not_at_the_origin_is_what_follows() -> None:
+    table = WheelTable.differential(0.5, 0.1, x=0.2, **WHEEL)
+    robot = WheeledRobot(BODY, table)
+
+    @dataclass(frozen=True)
+    class Circling:  # of the axle's middle, on a circle of 1 m
+        duration: float = 10.0
+
+        def __call__(self, t: Any) -> Reference:
+            psi = 0.5 * np.asarray(t)
+            c, s, one = np.cos(psi), np.sin(psi), np.ones_like(psi)
+            x, y = s - 0.2 * c, 1 - c - 0.2 * s
+            return Reference(
+                np.stack([x, y, psi], -1),
+                np.stack([0.5 * c + 0.1 * s, 0.5 * s - 0.1 * c, 0.5 * one], -1),
+                np.stack([-0.25 * s + 0.05 * c, 0.25 * c + 0.05 * s, 0 * one], -1),
+            )
+
+    assert distance(run(robot, Backstepping(Tracking(), robot), Circling(), 10.0))[-1] < 1e-4
+    with pytest.raises(
+        InvalidArgument, match=r"reference moves sideways, at -0\.00075 m/s across the .*, at t = 0\.01 s"
+    ):
+        run(robot, Backstepping(Tracking(), robot), EIGHT, 1.0)
+
+
+@pytest.mark.parametrize("law", [Tracking(), Kanayama()], ids=lambda law: type(law).__name__)
+def test_a_car_steers_and_follows(law: Any) -> None:
+    off = distance(run(CAR, Backstepping(law, CAR), LARGE, 20.0))
+    assert off[1000:].max() < 2e-3
+    assert off[1500:].max() < 1e-4
+
+
+def test_arms_follow_beside_the_body() -> None:
+    robot = WheeledRobot(BODY.mount("ur5"), DIFFERENTIAL.table)
+
+    @dataclass(frozen=True)
+    class Both:
+        duration: float = 8.0
+
+        def __call__(self, t: Any) -> Reference:
+            base, arm = EIGHT(t), Waving(robot.robot.rest[3:])(t)
+            return Reference(*(np.concatenate(pair, axis=-1) for pair in zip(base, arm, strict=True)))
+
+    found = run(robot, Backstepping(Tracking(), robot), Both(), 8.0, 0.005)
+    errors = np.abs(found.q[:, :9] - found.reference.q)
+    assert errors[-1].max() < 2e-4
+    with pytest.raises(InvalidArgument, match="reference has 3 coordinates, expected 9: x, y, psi"):
+        run(robot, Backstepping(Tracking(), robot), EIGHT, 1.0)
+
+
+@pytest.mark.parametrize("pose", [(1.9, -1.3, 2.4), (-0.5, 0.9, -2.7), (1.7, 1.2, 0.1)])
+def test_parking_comes_to_rest_at_the_pose(pose: Any) -> None:
+    found = run(DIFFERENTIAL, Backstepping(Parking(), DIFFERENTIAL), Posed(pose), 25.0, off=0 * OFF - pose)
+    turned = (found.q[-1, 2] - pose[2] + np.pi) % (2 * np.pi) - np.pi
+    assert distance(found)[-1] < 1.5e-3
+    assert abs(turned) < 0.03
+    assert np.abs(found.v[-1]).max() < 1e-9
+
+
+@pytest.mark.parametrize("body", [BODY, BODY.mount("ur5")], ids=["bare", "with an arm"])
+def test_computed_torque_of_wheels_decays_as_its_gains_say(body: MobileRobot) -> None:
+    robot = WheeledRobot(body, MECANUM.table)
+    found = run(robot, ComputedTorque(robot), Waving(body.rest), 4.0, 0.005)
+    left = found.reference.q[-1, 0] - found.q[-1, 0]  # (1 + 2 t) e^(-2 t), and the start at rest
+    v = found.reference.v[0, 0]
+    assert left == pytest.approx((0.3 * (1 + 8) + v * 4) * np.exp(-8.0), abs=4e-4)
+
+
+def test_a_wrench_is_allocated_and_what_wheels_cannot_give_is_told() -> None:
+    controller = Allocated(PD((60.0, 60.0, 20.0), (60.0, 60.0, 10.0)), DIFFERENTIAL)
+    found = run(DIFFERENTIAL, controller, EIGHT, 10.0)
+    left = found.signals["residual"].values
+    along = np.cos(found.q[:, 2]) * left[:, 0] + np.sin(found.q[:, 2]) * left[:, 1]
+    np.testing.assert_allclose(along, 0.0, atol=1e-12)  # the wheels give all of that
+    np.testing.assert_allclose(left[:, 2], 0.0, atol=1e-12)
+    assert np.abs(left[:, 1]).max() > 1.0
+    assert 0.05 < distance(found)[500:].max() < 0.5  # what is missing
+
+
+@pytest.mark.parametrize(
+    "robot", [DIFFERENTIAL, CAR, MECANUM, SWERVE], ids=["differential", "car", "mecanum", "swerve"]
+)
+def test_allocated_torques_do_what_the_force_would(robot: WheeledRobot) -> None:
+    rng = np.random.default_rng(3)
+    q, tau = rng.normal(size=robot.nq), rng.normal(size=3)
+    q[3 : 3 + len(robot.table.axes)] = rng.uniform(-0.5, 0.5, len(robot.table.axes))
+    (u, left), (scaled, rest) = robot.allocate(q, tau), robot.allocate_scaled(q, tau)
+    np.testing.assert_allclose(scaled, u, atol=1e-13)
+    np.testing.assert_allclose(rest, left, atol=1e-12)
+    v, f = np.zeros(robot.nv), np.append(tau, np.zeros(robot.nv - 3))
+    by_force = robot.forward_dynamics(q, v, 0 * u, f)
+    np.testing.assert_allclose(robot.forward_dynamics(q, v, u), by_force, atol=1e-12)
+    traced = robot.traced().allocate_scaled(q, tau)
+    np.testing.assert_allclose(traced[0], scaled, atol=1e-13)
+
+
+def test_limits_hold_allocated_torques() -> None:
+    motors = [replace(wheel, motor=Motor(torque_limit=1.0)) for wheel in MECANUM.table.wheels]
+    robot = WheeledRobot(BODY, WheelTable(tuple(motors)))
+    q, tau = robot.rest, np.array([30.0, 40.0, 1.0])
+    (u, left), (scaled, rest) = robot.allocate(q, tau), robot.allocate_scaled(q, tau)
+    free = MECANUM.allocate(q, tau).u
+    assert np.abs(u).max() == pytest.approx(1.0)
+    np.testing.assert_allclose(scaled, free / np.abs(free).max())  # the force keeps its direction
+    np.testing.assert_allclose(rest, tau * (1 - 1 / np.abs(free).max()), atol=1e-9)
+    own = robot.reduced(q, np.zeros(robot.nv))
+    weight = np.linalg.inv(own.M)
+    missed = [own.B @ x - own.S[:3].T @ tau for x in (u, scaled)]
+    assert missed[0] @ weight @ missed[0] < missed[1] @ weight @ missed[1]
+    assert np.linalg.norm(left) > 0
+
+
+def test_the_rate_of_independent_velocities_is_what_torques_are_for() -> None:
+    rng, h = np.random.default_rng(4), 1e-6
+    off_axle = WheeledRobot(BODY, WheelTable.differential(0.5, 0.1, x=0.2, **WHEEL))
+    for robot in (DIFFERENTIAL, off_axle, CAR, MECANUM, SWERVE):
+        q = rng.normal(size=robot.nq)
+        q[3 : 3 + len(robot.table.axes)] = rng.uniform(-0.5, 0.5, len(robot.table.axes))
+        v = robot.project(q, rng.normal(size=robot.nv))
+        wanted = rng.normal(size=robot.independent(q, v).shape)
+        u = robot.torques(q, v, wanted)
+        np.testing.assert_allclose(robot.traced().torques(q, v, wanted), u, atol=1e-12)
+        a = robot.forward_dynamics(q, v, u)
+        ends = [robot.independent(robot.integrate(q, s * h * v), v + s * h * a) for s in (-1, 1)]
+        np.testing.assert_allclose((ends[1] - ends[0]) / (2 * h), wanted, atol=1e-8)
+
+
+def test_odometry_of_the_true_table_is_nearly_the_pose_and_a_smaller_wheel_drifts() -> None:
+    law, still = Backstepping(Tracking(), DIFFERENTIAL), 0 * OFF
+    table = DIFFERENTIAL.table
+    smaller = replace(table, wheels=(replace(table.wheels[0], radius=0.099), table.wheels[1]))
+    drifts = {}
+    for name, controller in {
+        "true": ByOdometry(law, table),
+        "coarse": ByOdometry(law, table, ticks=2000),
+        "noisy": ByOdometry(law, table, noise=0.1, seed=2),
+        "smaller": ByOdometry(law, smaller),
+    }.items():
+        found = run(DIFFERENTIAL, controller, EIGHT, 10.0, off=still)
+        believed = found.signals["believed_pose"].values
+        np.testing.assert_allclose(believed[0], found.q[0, :3], atol=1e-12)
+        drifts[name] = np.abs(believed - found.q[:, :3])[-1].max()
+    assert drifts["true"] < 1e-4 < drifts["noisy"] < drifts["smaller"]
+    assert drifts["coarse"] < 2e-3
+    assert 0.02 < drifts["smaller"] < 0.5
+
+
+S = {"start_x": Uniform(-0.2, 0.2), "start_psi": Uniform(-0.3, 0.3)}
+ON_TWO, OF_CAR = Backstepping(Tracking(), DIFFERENTIAL), Backstepping(Tracking(), CAR)
+CASES: dict[str, tuple[Any, Any, Any, Any]] = {
+    "tracking": (DIFFERENTIAL, ON_TWO, EIGHT, {"zeta": Uniform(0.5, 0.9), "k": Uniform(5, 10)}),
+    "references": (DIFFERENTIAL, ON_TWO, EIGHT, {"eight_size": Uniform(0.9, 1.1)}),
+    "dynamic": (DIFFERENTIAL, Backstepping(DynamicFeedback(), DIFFERENTIAL), EIGHT, S),
+    "parking": (DIFFERENTIAL, Backstepping(Parking(), DIFFERENTIAL), Posed((1.0, 0.5, 0.3)), S),
+    "car": (CAR, OF_CAR, LARGE, S),
+    "car, delayed": (CAR, Delayed(OF_CAR, 1), LARGE, S),
+    "mecanum": (MECANUM, ComputedTorque(MECANUM), EIGHT, S),
+    "allocated": (DIFFERENTIAL, Allocated(PD((60, 60, 20), (60, 60, 10)), DIFFERENTIAL), EIGHT, S),
+    "odometry": (
+        DIFFERENTIAL,
+        ByOdometry(ON_TWO, DIFFERENTIAL.table, ticks=2000, noise=0.1),
+        EIGHT,
+        {**S, "believed_radius_left": Uniform(0.099, 0.101)},
+    ),
+    "noisy": (DIFFERENTIAL, Saturated(NoisyMeasurement(ON_TWO, 1e-3, 1e-3, seed=1), 3.0), EIGHT, S),
+}
+
+
+@pytest.mark.alike
+@pytest.mark.parametrize("name", CASES)
+def test_the_engines_agree(name: str) -> None:
+    robot, controller, trajectory, spread = CASES[name]
+    more: dict[str, Any] = {"dt": 0.01, "seed": 4, "duration": 0.3, "integrator": rk4}
+    scenario = Scenario(robot=robot, controller=controller, trajectory=trajectory, n=3, spread=spread, **more)
+    alone, *others = (run_scenario(scenario, engine=engine) for engine in (PINOCCHIO, ARRAYS, COMPILED))
+    assert not alone.diverged.any()
+    for one in others:
+        for of in ("max_error", "rms_error", "max_force"):
+            here, there = getattr(one, of), getattr(alone, of)
+            np.testing.assert_allclose(here, there, rtol=0, atol=1e-12 * (1 + there.max()), err_msg=of)
+
+
+def test_a_reference_that_wheels_cannot_follow_is_refused_with_its_time() -> None:
+    late = Posed((0.0, 0.0, 0.0), (0.3, 0.1, 0.0))
+    for trajectory, message in (
+        (
+            FixedHeading(EIGHT.path, 0.0),
+            "reference moves sideways, at 0.5 m/s across the fixed axle, at t = 0 s",
+        ),
+        (late, "reference moves sideways, at 0.1 m/s across the fixed axle, at t = 0 s"),
+        (LectureHeading(_Back()), "reference turns its heading by 3.14 rad at once at t = 1.01 s"),
+    ):
+        with pytest.raises(InvalidArgument, match=message):
+            run(DIFFERENTIAL, ON_TWO, trajectory, 2.0)
+    tight = Tangent(Eight(1.0, 4 * np.pi))
+    with pytest.raises(
+        InvalidArgument, match=r"are steered by 0\.\d+ rad at t = [\d.]+ s, expected at most 0\.698"
+    ):
+        run(CAR, OF_CAR, tight, 4.0)
+
+
+@dataclass(frozen=True)
+class _Back:
+    """A path along x that turns back after 1 s."""
+
+    duration: float = 2.0
+
+    def __call__(self, t: Any) -> Any:
+        return self.derivative(t, 0)
+
+    def derivative(self, t: Any, order: int) -> Any:
+        t = np.asarray(t)
+        x = (t * (2 - t), 2 - 2 * t, -2 + 0 * t, 0 * t)[min(order, 3)]
+        return np.stack([x, 0 * t], axis=-1)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (
+            lambda: ComputedTorque(DIFFERENTIAL),
+            "robot is a drive of type (2, 0), which cannot accelerate in every direction, so no torques are "
+            "its inverse dynamics; expected an omnidirectional drive, or Backstepping(law, robot)",
+        ),
+        (
+            lambda: Backstepping(Tracking(), MECANUM),
+            "robot is a drive of type (3, 0), expected one with a fixed axle: for this one, "
+            "ComputedTorque(robot)",
+        ),
+        (lambda: Backstepping(PD(1, 1), DIFFERENTIAL), "law is PD("),  # type: ignore[arg-type]
+        (lambda: Backstepping(Tracking(), BODY), "robot is MobileRobot("),
+        (lambda: Backstepping(Tracking(), DIFFERENTIAL, k=0), "k is 0.0 1/s, expected > 0"),
+        (lambda: Allocated(PD(1, 1), BODY), "robot is MobileRobot("),
+        (lambda: Allocated(Tracking(), DIFFERENTIAL), ""),  # type: ignore[arg-type]
+        (lambda: Decoupled(MECANUM), "robot is WheeledRobot("),
+        (
+            lambda: Backstepping(Tracking(), _one_motor()),
+            "robot has 1 motors and 2 independent velocities, expected a motor for each",
+        ),
+        (lambda: ByOdometry(PD(1, 1), BODY), "table is MobileRobot("),  # type: ignore[arg-type]
+        (lambda: ByOdometry(PD(1, 1), DIFFERENTIAL.table, ticks=0), "ticks is 0.0, expected > 0"),
+    ],
+)
+def test_wrong_parts_are_refused_when_they_are_made(make: Any, message: str) -> None:
+    with pytest.raises(InvalidArgument) as error:
+        make()
+    assert str(error.value).startswith(message)
+
+
+def _one_motor() -> WheeledRobot:
+    left = Wheel("left", 0.0, 0.25, 0.1, motor=Motor(), **WHEEL)
+    return WheeledRobot(BODY, WheelTable((left, replace(DIFFERENTIAL.table.wheels[1], motor=None))))
