@@ -268,7 +268,9 @@ def _slipping(wheeled: WheeledRobot, states: int, rng: np.random.Generator) -> t
     if not isinstance(ground, Coulomb):
         raise InvalidArgument(f"ground is {ground!r}, expected one on which a step can be compared")
     robot, again = (
-        WheeledRobot(wheeled.robot, wheeled.table, replace(ground, passes=n, sweeps=_SWEEPS, tolerance=_TOLERANCE))
+        WheeledRobot(
+            wheeled.robot, wheeled.table, replace(ground, passes=n, sweeps=_SWEEPS, tolerance=_TOLERANCE)
+        )
         for n in (_PASSES, _PASSES + 1)
     )
     q, v, u, f = _states(robot, states, rng)
