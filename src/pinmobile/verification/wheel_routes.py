@@ -138,7 +138,7 @@ def _reduced_rows(wheeled: WheeledRobot, q: Array, v: Array, u: Array, a: Array,
     rates = np.abs(v[:, : wheeled.robot.nv]).sum(-1) + np.abs(v[:, wheeled.robot.nv :]).sum(-1)
     weight = np.sqrt(wheeled.robot.lumped(wheeled.robot.rest).mass)
     size = diagonal * weight * (float(np.linalg.norm(WheelBodies(wheeled, q, v).fall)) + rates**2)[:, None]
-    inputs = np.abs(own.B).max(axis=(1, 2), keepdims=True) + 1.0
+    inputs = np.abs(own.B).max(axis=(1, 2), keepdims=True, initial=0.0) + 1.0
     for quantity, scale in (("M", pair), ("n", size), ("B", inputs)):
         difference = getattr(own, quantity) - getattr(plane, quantity)
         yield f"{quantity} of nu", TREE, PLANE, _off(difference, scale), ROUNDING
@@ -171,12 +171,13 @@ def by_closed_form(wheeled: WheeledRobot, q: Array, nu: Array) -> closed_form.Re
         "yaw_inertia": np.array([lump.yaw_inertia for lump in lumps]),
         "com": np.array([lump.com[:2] for lump in lumps]),
     }
-    spins = np.array([wheel.spin_inertia for wheel in wheels])
+    spins, shared = np.array([wheel.spin_inertia for wheel in wheels]), 0.0
     for actuator in table.actuators:
-        column = np.array(actuator.column[len(table.axes) :])
-        if np.count_nonzero(column) > 1 and actuator.motor.rotor_inertia:
-            return None  # it couples wheels
-        spins += actuator.motor.reflected_inertia * column**2
+        column, rotor = np.array(actuator.column[len(table.axes) :]), actuator.motor.reflected_inertia
+        if np.count_nonzero(column) > 1:
+            shared += rotor  # of a differential, that turns at the mean rate of its wheels
+        else:
+            spins += rotor * column**2
     if table.couplings and not alike:
         return None
     if all(wheel.roller is not None and wheel.steering == "fixed" for wheel in wheels):
@@ -196,10 +197,10 @@ def by_closed_form(wheeled: WheeledRobot, q: Array, nu: Array) -> closed_form.Re
             spin_inertia=spins[0],
             axle=first.x,
         )
-    shared = next((each for each in table.couplings if isinstance(each, Ackermann)), None)
-    if shared is None or len(wheels) != 4 or len(table.axes) != 1 or shared.axle or first.x:
+    turned = next((each for each in table.couplings if isinstance(each, Ackermann)), None)
+    if turned is None or len(wheels) != 4 or len(table.axes) != 1 or turned.axle or first.x:
         return None
-    front = wheels[table.names.index(shared.wheels[0])]
+    front = wheels[table.names.index(turned.wheels[0])]
     found = closed_form.car(
         nu[:, [0, -1]],
         q[:, robot.nq],
@@ -210,7 +211,9 @@ def by_closed_form(wheeled: WheeledRobot, q: Array, nu: Array) -> closed_form.Re
         spin_inertia=spins[0],
         steered_inertia=front.yaw_inertia,
     )
-    return found._replace(B=found.B[..., [0, 2]])
+    M = found.M.copy()
+    M[:, 0, 0] += shared / first.radius**2
+    return found._replace(M=M, B=found.B[..., [0, 2]])
 
 
 _ROW = ("x", "y", "angle", "roller", "radius")
