@@ -125,10 +125,15 @@ def wheel_loads(body: WheeledBody, upright: Vector, state: State, rate: Vector, 
         mx = mx - head.s * faster - head.c * slower
         my = my + head.c * faster - head.s * slower
         wheel = body.table.wheels[row]
-        if steered and wheel.mass and any(wheel.trail):  # its weight moves
-            (_, p), (_, p0) = body._centres(row, state)
-            weight = -wheel.mass * float(body.fall[2])
+        if steered and wheel.mass and any(wheel.trail):  # its weight moves, and its centre swings
+            (o, p), (o0, p0) = body._centres(row, state)
+            weight, axis = -wheel.mass * float(body.fall[2]), steered[0]
             mx, my = mx + weight * (p[1] - p0[1]), my - weight * (p[0] - p0[0])
+            turning = rate[2] + head.first * rate[first + axis] + head.second * rates[axis] * rates[axis]
+            swing = wheel.mass * numbers(body.radius)[row]
+            ahead = rate[2] * o0[1] - turning * o[1] - turn * turn * o[0] + w * w * o0[0]
+            aside = turning * o[0] - rate[2] * o0[0] - turn * turn * o[1] + w * w * o0[1]
+            mx, my = mx - swing * aside, my + swing * ahead
     places = [body.kinematics.centre(row, state.steering)[1] for row in range(len(body.table))]
     places += [[exact(each.x), exact(each.y)] for each in body.table.supports]
     return shared_loads(places, fz, mx, my)

@@ -348,7 +348,9 @@ class WheeledBody:
         return Reduced(
             _matrix([[dot(a, b) for b in pushed] for a in columns], q),
             stacked([dot(column, rest) for column in columns], q),
-            _matrix([[dot(column, one) for one in inputs] for column in columns], q),
+            _matrix([[dot(column, one) for one in inputs] for column in columns], q)
+            if inputs
+            else np.zeros((*np.shape(q)[:-1], len(columns), 0)),
             np.stack(np.broadcast_arrays(*public), axis=-1),
             stacked(self.velocities(state), q),
         )

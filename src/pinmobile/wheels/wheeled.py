@@ -118,6 +118,8 @@ class WheeledRobot:
         _ = self._tree  # it checks that what is left without the wheels is a body
         if isinstance(self.ground, Coulomb):
             self._check_slipping()
+        else:
+            self._check_rolling()
 
     @cached_property
     def mobility(self) -> Mobility:
@@ -133,6 +135,30 @@ class WheeledRobot:
         """Gravity along the axes of the plane, shape (3,) [m/s^2]."""
         g, ramp = np.array(self.robot.model.gravity.linear), self.ground.ramp
         return frozen(g) if ramp is None else ramp.fall(float(np.linalg.norm(g)))
+
+    def _check_rolling(self) -> None:
+        """Refuse steering that nothing holds and that has no inertia."""
+        first = self.robot.nv
+        for k in self.mobility.choice.free:
+            if not self.mass_matrix(self.rest)[first + k, first + k] > 0:
+                axis = self.table.axes[k]
+                wheel = self.table.names[axis.wheels[0]]
+                raise InvalidArgument(
+                    f"{axis.name} of the table has no inertia about its axis, expected one > 0: give "
+                    f"yaw_inertia of wheel {wheel!r}"
+                )
+
+    @cached_property
+    def _is_massless(self) -> bool:
+        """Whether wheels have no inertia, so that M is singular but for what rolls."""
+        return not (np.diagonal(self.mass_matrix(self.rest))[self.robot.nv :] > 0).all()
+
+    def _metric(self, M: Array, A: Array) -> Array:
+        """Return a mass matrix that has an inverse.
+
+        It is M, and where that has none M + m A' A, which what rolls does not feel.
+        """
+        return M + self.robot.mass * np.swapaxes(A, -1, -2) @ A if self._is_massless else M
 
     def _check_slipping(self) -> None:
         """Refuse what cannot be computed on ground where wheels slip."""
@@ -606,7 +632,10 @@ class WheeledRobot:
         A, drift = self._rows(q, v)
         if rows is not None:
             A, drift = A[..., rows, :], drift[..., rows]
+        M = self._metric(M, A)
         force = u @ self.input_matrix.T + f - n
+        if self._is_massless:
+            force = force - self.robot.mass * (np.swapaxes(A, -1, -2) @ drift[..., None])[..., 0]
         A_T = np.swapaxes(A, -1, -2)
         right = np.empty((*force.shape, 1 + A.shape[-2]))
         right[..., 0], right[..., 1:] = force, A_T
@@ -639,6 +668,7 @@ class WheeledRobot:
         q, v = self._q(q), self._v("v", v)
         M, _ = self._tree.inertia_and_effects(q, v)
         A = self._rows(q, v)[0][..., self._independent, :]
+        M = self._metric(M, A)
         through = np.linalg.solve(M, np.swapaxes(A, -1, -2))
         return np.asarray(v - (through @ np.linalg.solve(A @ through, A @ v[..., None]))[..., 0])
 
