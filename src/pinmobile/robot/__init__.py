@@ -30,7 +30,7 @@ from pinmobile.robot.stance import (
     pressed_at as pressed_at,
 )
 from pinmobile.robot.system import Linearization, System
-from pinmobile.robot.visuals import BODY as BODY
+from pinmobile.robot.visuals import BODY as BODY, box_visuals as box_visuals
 
 __all__ = [
     "BODY_JOINT",

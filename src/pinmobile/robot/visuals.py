@@ -207,21 +207,24 @@ def drawn(name: str, joint: int, placement: pin.SE3, item: pin.GeometryObject) -
     return moved
 
 
-def box_visuals(size: Sequence[float], joint: int) -> pin.GeometryModel:
+def box_visuals(size: Sequence[float], joint: int, clearance: float = 0.0) -> pin.GeometryModel:
     """Return a box that stands on the ground, with a dark front and a wedge on top that points forward.
 
     Parameters
     ----------
     size : sequence of 3 floats
-        Length, width and height [m].
+        Length, width and height of its top [m].
     joint : int
         What it rides on.
+    clearance : float
+        Height of its bottom, where wheels carry it [m].
     """
     import coal
 
     length, width, height = size
-    depth, lift = 0.04 * length, 0.14 * height
-    front = coal.Box(depth, 0.9 * width, 0.62 * height)
+    tall, middle = height - clearance, (height + clearance) / 2
+    depth, lift = 0.04 * length, 0.14 * tall
+    front = coal.Box(depth, 0.9 * width, 0.62 * tall)
     #  y_B          seen from above; the wedge is `lift` high
     #   |  ______________
     #   | |    |\        ||
@@ -232,8 +235,8 @@ def box_visuals(size: Sequence[float], joint: int) -> pin.GeometryModel:
     low, high = (np.column_stack([corners, np.full(3, z)]) for z in (0.0, lift))
     visuals = pin.GeometryModel()
     for name, shape, at, colour in (
-        (BODY, coal.Box(length, width, height), (0, 0, height / 2), _BODY_RGBA),
-        ("front", front, ((length + 0.5 * depth) / 2, 0, 0.5 * height), _DARK_RGBA),
+        (BODY, coal.Box(length, width, tall), (0, 0, middle), _BODY_RGBA),
+        ("front", front, ((length + 0.5 * depth) / 2, 0, middle), _DARK_RGBA),
         ("wedge", _prism(np.concatenate([low, high])), (0, 0, height), _DARK_RGBA),
     ):
         item = pin.GeometryObject(name, joint, pin.SE3(np.eye(3), np.array(at, np.float64)), shape)

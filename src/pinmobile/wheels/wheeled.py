@@ -17,6 +17,7 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Coordinate, Input, Parameter, Step
 from pinmobile.robot import BODY_JOINT, Engine, Load, MobileRobot, System, number
 from pinmobile.urdf import Body
+from pinmobile.wheels.drawn import Picture
 from pinmobile.wheels.ground import Coulomb, Ground, Rolling
 from pinmobile.wheels.kinematics import Kinematics
 from pinmobile.wheels.mobility import Mobility
@@ -369,6 +370,29 @@ class WheeledRobot:
         whole = np.zeros((*broadcast(q=q, wrench=wrench), self.nv))
         whole[..., :BODY_JOINT] = wrench
         return whole
+
+    # What is seen
+
+    @property
+    def size(self) -> tuple[float, float, float]:
+        """Length, width and height of the body [m]."""
+        return self.robot.size
+
+    @cached_property
+    def _picture(self) -> Picture:
+        return Picture(self.robot, self.table)
+
+    @property
+    def visual_model(self) -> pin.GeometryModel:
+        """What is drawn, a copy: the robot's own visuals, and wheels and supports beside those that it has.
+
+        Wheels have spokes, a bar across the tread, or the rollers of the table; a box stands above them.
+        """
+        return self._picture.visuals.clone()
+
+    def drawing(self, q: ArrayLike) -> Array:
+        """Return where the objects of `visual_model` are in the inertial frame, shape (..., k, 4, 4)."""
+        return self._picture.placements(self._q(q))
 
     # Rolling
 
