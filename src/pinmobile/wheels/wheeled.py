@@ -14,7 +14,7 @@ import pinocchio as pin
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, frozen, vector
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.plant import Coordinate, Input, Parameter, Step
+from pinmobile.plant import Contacts, Coordinate, Input, Parameter, Step
 from pinmobile.robot import BODY_JOINT, Engine, Load, MobileRobot, System, number
 from pinmobile.urdf import Body
 from pinmobile.wheels.drawn import Picture
@@ -24,6 +24,7 @@ from pinmobile.wheels.mobility import Mobility
 from pinmobile.wheels.rolling import Reduced, RollingBody
 from pinmobile.wheels.slipping import Grip, SlippingBody, led
 from pinmobile.wheels.table import FIXED, Wheel, WheelTable
+from pinmobile.wheels.touching import contacts_of
 
 _SAME_LINE = 1e-6  # [m]
 _OFF = 1e-9  # of a start's rates, beyond which it does not roll
@@ -393,6 +394,22 @@ class WheeledRobot:
     def drawing(self, q: ArrayLike) -> Array:
         """Return where the objects of `visual_model` are in the inertial frame, shape (..., k, 4, 4)."""
         return self._picture.placements(self._q(q))
+
+    def contacts(
+        self, q: ArrayLike, v: ArrayLike, a: ArrayLike, u: ArrayLike, signals: Mapping[str, Any]
+    ) -> Contacts:
+        """Return what the ground does at the wheels at the samples of a run, see `Contacts`.
+
+        Parameters
+        ----------
+        q, v, a, u : array_like, shape (n, ...)
+            Of the samples.
+        signals : mapping of str to Signal
+            Of the run.
+        """
+        return contacts_of(
+            self, self._q(q), self._v("v", v), self._v("a", a), vector("u", u, self.nu), signals
+        )
 
     # Rolling
 
@@ -989,7 +1006,8 @@ class WheeledRobot:
         """The same robot on ground where it rolls."""
         if not self.mobility.is_regular:
             raise InvalidArgument(f"robot cannot roll without slip: {self.mobility.why_not}")
-        return RollingBody(**self._common)
+        own = {name: part for name, part in self._common.items() if name not in ("mu", "upright")}
+        return RollingBody(**own)
 
     @cached_property
     def _traced(self) -> RollingBody | SlippingBody:
