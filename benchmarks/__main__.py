@@ -14,10 +14,11 @@ import calls
 import ensembles
 import imports
 import loop
-import memory
 import rollout
 import viewing
 from measuring import picked, selecting
+
+import memory
 
 PARTS = (rollout, arm, ensembles, arm_ensembles, loop, calls, batches, memory, viewing, imports)
 PEOPLE = {

@@ -11,8 +11,9 @@ from pathlib import Path
 from ensemble_contestants import OURS, Entrant
 from fleet import Fleet
 from measuring import say, table
-from memory import resident
 from rich.console import Console
+
+from memory import resident
 
 LIMITS = {"compiled, nothing cached": 15.0, "cached": 2.0}  # [s]
 FIRST = """

@@ -68,7 +68,7 @@ class StockServer:
 
 def client(zmq_url: str) -> Any:
     """Return meshcat's own window on a server, which waits for an answer, but not for ever."""
-    import pinmobile.viewer.offline  # noqa: F401, I001 - first, for it keeps zmq's warnings quiet
+    import pinmobile.viewer.pages  # noqa: F401, I001 - first, for it keeps zmq's warnings quiet
     import zmq
     from meshcat.visualizer import ViewerWindow
 

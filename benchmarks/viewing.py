@@ -22,11 +22,11 @@ from typing import Any
 
 import numpy as np
 from measuring import Row, about, console, interleaved, options, say, table
-from memory import resident
 from rich.console import Console
 from stock_server import StockServer
 from task import GAIN, PD_GAINS, RADIUS, RATE
 
+from memory import resident
 from pinmobile import PD, Circle, ComputedTorque, MobileRobot, Tangent, ViewerError, __version__, simulate
 from pinmobile.viewer import Viewer
 from pinmobile.viewer.chromium import Browser, find_chromium
@@ -167,7 +167,7 @@ def show_beside_stock(out: Console, rounds: int, count: int) -> None:
     from pinocchio.visualize import MeshcatVisualizer
 
     from pinmobile.viewer.live.window import LiveWindow
-    from pinmobile.viewer.offline import Visualizer
+    from pinmobile.viewer.pages import Visualizer
 
     robot, poses = MobileRobot.lecture(), circle(count)
     columns = [robot.model.names.tolist().index(name) - 1 for name in ("x", "y", "psi")]

@@ -15,9 +15,9 @@ from pinmobile import InvalidArgument, Load, MobileRobot, NotFinite, arrays
 from pinmobile.arrays import Array
 from pinmobile.balance import Motion, reaction_wrench, tip_over_margin, zero_moment_point
 from pinmobile.compiled import batched
-from pinmobile.robot import laws
-from pinmobile.robot.laws import MANY
+from pinmobile.robot import pinocchio_calls
 from pinmobile.robot.mounts import LinkNumbers
+from pinmobile.robot.pinocchio_calls import MANY
 from pinmobile.robot.system import System
 from pinmobile.urdf import Body
 from tests.test_linkage import AT, arm_of
@@ -99,9 +99,9 @@ def built(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
         found.append(program is not None)
         return program
 
-    real = laws._made
-    monkeypatch.setattr(laws, "_known", OrderedDict())
-    monkeypatch.setattr(laws, "_made", made)
+    real = pinocchio_calls._made
+    monkeypatch.setattr(pinocchio_calls, "_known", OrderedDict())
+    monkeypatch.setattr(pinocchio_calls, "_made", made)
     return found
 
 
@@ -114,7 +114,7 @@ def test_a_state_has_the_same_bits_with_any_others_and_on_any_threads(
     more = [np.concatenate([x, x]) for x in (q, v, a)]
     monkeypatch.setattr(batched, "_WORTH", 1.0)  # a thread for each processor, however little there is to do
     for count in (1, 3):
-        monkeypatch.setattr(laws, "processors", lambda count=count: count)
+        monkeypatch.setattr(pinocchio_calls, "processors", lambda count=count: count)
         np.testing.assert_array_equal(robot.inverse_dynamics(*more)[-len(q) :], many)
 
 
@@ -211,7 +211,7 @@ def test_what_cannot_be_compiled_stays_with_pinocchio(
     for frame in ("x", "y"):  # of links that move with a part of the pose
         np.testing.assert_array_equal(robot.frame_pose(q, frame)[7], robot.frame_pose(q[7], frame))
     assert built == []
-    monkeypatch.setattr(laws, "_LARGEST", 10)
+    monkeypatch.setattr(pinocchio_calls, "_LARGEST", 10)
     np.testing.assert_array_equal(robot.mass_matrix(q)[7], robot.mass_matrix(q[7]))
     robot.mass_matrix(q)
     assert built == [False]  # and is not tried again
@@ -255,6 +255,6 @@ def test_kinetic_energy_knows_motors_on_axes_of_their_own() -> None:
 
 def test_what_is_told_of_the_limits_is_what_holds() -> None:
     told, readme = System.__doc__ or "", (Path(__file__).parents[1] / "README.md").read_text()
-    assert f"From {laws.MANY} states" in told
-    assert f"more than {laws._LARGEST:,} operations" in told
-    assert f"compiled for {laws.MANY} states and more" in readme
+    assert f"From {pinocchio_calls.MANY} states" in told
+    assert f"more than {pinocchio_calls._LARGEST:,} operations" in told
+    assert f"compiled for {pinocchio_calls.MANY} states and more" in readme

@@ -41,7 +41,7 @@ from pinmobile.arrays import Array
 from pinmobile.compiled import Batched, Cache, Parts, Program, Reference as CompiledReference, program_of
 from pinmobile.compiled.loop_tape import Loop
 from pinmobile.ensembles import run_scenario
-from pinmobile.ensembles.ways import way_of
+from pinmobile.ensembles.engines import way_of
 from pinmobile.errors import SlowerEngine
 from pinmobile.robot.articulated import ArticulatedBody
 from tests.test_compiled_loop import targets

@@ -36,9 +36,9 @@ from pinmobile import (
 from pinmobile.arrays import Array
 from pinmobile.compiled import BINS
 from pinmobile.ensembles import run_scenario
+from pinmobile.ensembles.engines import way_of
 from pinmobile.ensembles.records import bins_of, quantiles
 from pinmobile.ensembles.running import packed_way
-from pinmobile.ensembles.ways import way_of
 from pinmobile.errors import SlowerEngine
 from pinmobile.measures import Measure, measures_of, size_of, value_of
 from pinmobile.reaching.poses import error_sizes, pose_error

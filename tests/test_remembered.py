@@ -43,17 +43,17 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.arrays import callable_as, frozen
-from pinmobile.compiled import Shape, known as compiled
-from pinmobile.compiled.known import _memories
-from pinmobile.compiled.lasting import Unknown as Undecided
+from pinmobile.compiled import Shape, program_cache as compiled
+from pinmobile.compiled.file_cache import Unknown as Undecided
 from pinmobile.compiled.parts import Parts, Place
 from pinmobile.compiled.passes import traced
 from pinmobile.compiled.program import Program
+from pinmobile.compiled.program_cache import _memories
 from pinmobile.compiled.tracing import Walk
 from pinmobile.constancy import is_constant, known
 from pinmobile.ensembles import COMPILED, scenario
+from pinmobile.ensembles.engines import way_of
 from pinmobile.ensembles.running import run_scenario
-from pinmobile.ensembles.ways import way_of
 from pinmobile.simulation.setup import check_answers
 from pinmobile.trajectories import Reference
 

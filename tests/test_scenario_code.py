@@ -14,7 +14,7 @@ import pytest
 from pinmobile import InvalidArgument, Scenario, Sweep, sweep
 from pinmobile.cli.scenario_file import read_grid
 from pinmobile.ensembles import part_of
-from pinmobile.ensembles.ways import way_of
+from pinmobile.ensembles.engines import way_of
 from pinmobile.errors import SlowerEngine
 from pinmobile.simulation.closed_loop import COMPILED
 from pinmobile.sweeps import Code, Grid

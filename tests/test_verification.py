@@ -19,7 +19,7 @@ from pinmobile import (
     verify,
 )
 from pinmobile.arrays import Array
-from pinmobile.robot.laws import Engine
+from pinmobile.robot.pinocchio_calls import Engine
 from pinmobile.verification import COMPILED
 
 

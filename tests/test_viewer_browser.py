@@ -14,7 +14,7 @@ import pytest
 from pinmobile import Circle, ComputedTorque, MobileRobot, Tangent, simulate
 from pinmobile.viewer import Viewer
 from pinmobile.viewer.live.window import LiveWindow
-from pinmobile.viewer.offline import ENGINE, OfflineWindow, Visualizer
+from pinmobile.viewer.pages import ENGINE, OfflineWindow, Visualizer
 from tests.chromium import Chromium, Page
 from tests.webclient import eventually
 

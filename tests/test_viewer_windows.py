@@ -21,7 +21,7 @@ import umsgpack
 from pinmobile import InvalidArgument, ViewerError
 from pinmobile.viewer.live import server, window as live
 from pinmobile.viewer.live.window import LiveWindow
-from pinmobile.viewer.offline import OfflineWindow, Visualizer
+from pinmobile.viewer.pages import OfflineWindow, Visualizer
 from tests.webclient import WebSocket, ask, eventually, listens, resident
 
 Window = OfflineWindow | LiveWindow
@@ -218,7 +218,7 @@ def test_what_cannot_be_drawn_is_refused_before_it_is_sent(
 
 
 def test_vertices_that_are_not_finite_are_refused(window: Window) -> None:
-    from pinmobile.viewer.offline import packed_array
+    from pinmobile.viewer.pages import packed_array
 
     with pytest.raises(InvalidArgument, match=r"position\.array\[1\] is nan"):
         window.send(shape("a", {"position": packed_array(np.array([0.0, np.nan, 1.0]))}))

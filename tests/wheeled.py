@@ -14,6 +14,12 @@ def inertial(mass: float, at: str = "0 0 0", rpy: str = "0 0 0", moments: str = 
     return f'<inertial><origin xyz="{at}" rpy="{rpy}"/><mass value="{mass}"/><inertia {words}/></inertial>'
 
 
+def wheels_moments(xx: str, yy: str, zz: str, products: str = "0 0 0") -> str:
+    """Return the <inertia> that `inertial` writes of these; products are ixy ixz iyz."""
+    xy, xz, yz = products.split()
+    return f'<inertia ixx="{xx}" ixy="{xy}" ixz="{xz}" iyy="{yy}" iyz="{yz}" izz="{zz}"/>'
+
+
 def shape(kind: str, given: str, at: str = "0 0 0", rpy: str = "0 0 0", tag: str = "collision") -> str:
     """Return a <collision> or a <visual>."""
     return f'<{tag}><origin xyz="{at}" rpy="{rpy}"/><geometry><{kind} {given}/></geometry></{tag}>'
@@ -69,7 +75,7 @@ def corners(x: float, y: float, z: float) -> list[tuple[float, float, float]]:
 
 
 def husky() -> str:
-    """husky/husky, husky_description/urdf/husky.urdf.xacro and wheel.urdf.xacro; without decorations."""
+    """husky/husky dff7c81, husky_description/urdf/husky and wheel.urdf.xacro; without decorations."""
     x, y, z = 0.9874, 0.5709, 0.2475
     return robot(
         link(
@@ -98,7 +104,7 @@ def husky() -> str:
 
 
 def jackal() -> str:
-    """jackal/jackal, jackal_description/urdf/jackal.urdf.xacro; fenders are meshes that are only drawn."""
+    """jackal/jackal c6ab6ca, jackal_description/urdf/jackal.urdf.xacro; its fenders are only drawn."""
     return robot(
         link("base_link"),
         link(
@@ -123,7 +129,7 @@ def jackal() -> str:
 
 
 def ridgeback() -> str:
-    """ridgeback/ridgeback, ridgeback_description/urdf/ridgeback.urdf.xacro: a front rocker of +-5 degrees."""
+    """ridgeback/ridgeback f38b789, ridgeback.urdf.xacro: a front rocker of +-5 degrees."""
     turned = f"{HALF_PI} 0 {HALF_PI}"
     rocker = inertial(10.267, rpy=turned, moments="0.0288 2.20484e-6 -1.3145e-5 0.4324 1.8944e-3 0.4130")
     rolling = shape("cylinder", 'radius="0.0759" length="0.079"', rpy=f"{HALF_PI} 0 0")
@@ -185,7 +191,7 @@ def ridgeback() -> str:
 
 
 def turtlebot(model: str) -> str:
-    """ROBOTIS-GIT/turtlebot3, turtlebot3_description/urdf/turtlebot3_burger.urdf and _waffle.urdf.
+    """ROBOTIS-GIT/turtlebot3 da785b7, turtlebot3_description/urdf/turtlebot3_burger.urdf and _waffle.urdf.
 
     Axles are turned by 1.57 and are along z, casters are boxes, `${namespace}` stays where nobody expands it.
     """
@@ -253,7 +259,7 @@ def turtlebot(model: str) -> str:
 
 
 def dingo() -> str:
-    """dingo-cpr/dingo, dingo_description/urdf/dingo-d.urdf.xacro: axle 99 mm ahead, a ball behind."""
+    """dingo-cpr/dingo 68806fd, dingo_description/urdf/dingo-d.urdf.xacro: axle 99 mm ahead, a ball behind."""
     x, y = 0.0989838, 0.2160016 + 0.02032 / 2
     return robot(
         link("base_link"),
@@ -278,8 +284,128 @@ def dingo() -> str:
     )
 
 
+def dingo_omni() -> str:
+    """dingo-cpr/dingo 68806fd, dingo_description/urdf/dingo-o.urdf.xacro: mecanum wheels."""
+    track, width = 0.3708, 0.050
+    return robot(
+        link("base_link"),
+        link(
+            "chassis_link",
+            inertial(14.0, moments="0.35498 0 0 0.7266 0 1.0553"),
+            shape("mesh", 'filename="omni_chassis_collision.stl"'),
+        ),
+        link("imu_link", inertial(0.001, moments="1e-9 0 0 1e-9 0 1e-9")),
+        joint("base_link_joint", "fixed", "base_link", "chassis_link"),
+        joint("imu_joint", "fixed", "chassis_link", "imu_link"),
+        wheels(
+            "chassis_link",
+            corners(0.570 / 2, track / 2 + width / 2, 0.035145),
+            0.050,
+            width,
+            0.4,
+            "0.0003234 0 0 0.0003234 0 0.0004901",
+        ),
+    )
+
+
+def pmb2_on_casters() -> str:
+    """pal-robotics/pmb2_robot, pmb2_description/urdf, base 541f78e, wheel 6f4ae06 and caster abfd23b.
+
+    The base of TIAGo, without cover, antennas and sensors. Its main wheels hang on suspensions, its four
+    casters on swivels; these have the moment about their axles on another axis.
+    """
+    casters = [
+        (f"caster_{end}_{side}", -0.002 + x, y)
+        for end, x in (("front", 0.1715), ("back", -0.1715))
+        for side, y in (("left", 0.102), ("right", -0.102))
+    ]
+    effort = f'<limit effort="6.0" velocity="{1 / 0.0985}"/><dynamics damping="1.0" friction="2.0"/>'
+    turning = '<dynamics damping="0.015" friction="0.0"/>'
+    moved = '<limit effort="100.0" lower="-0.005" upper="0.005" velocity="1.0"/>'
+    back = f"-{HALF_PI} 0 0"
+    return robot(
+        link("base_footprint"),
+        link(
+            "base_link",
+            inertial(
+                28.26649,
+                "-0.00000106 0.00000109 0.0000387",
+                moments="0.465408937 0.002160024 -0.001760255 0.483193291 -0.000655952 0.550939703",
+            ),
+        ),
+        joint("base_footprint_joint", "fixed", "base_footprint", "base_link", "0 0 0.0985"),
+        *(
+            link(f"suspension_{side}_link", inertial(10, "0 0 -0.02"))
+            + link(
+                f"wheel_{side}_link",
+                inertial(
+                    1.82362,
+                    f"0 0 {sign * 0.00207}",
+                    moments=f"0.00499743171 {-sign * 4.464e-8} -2.245e-8 0.00499741733 {sign * 1.64e-9} "
+                    "0.00839239692",
+                ),
+                shape("sphere", 'radius="0.0985"'),
+            )
+            + joint(
+                f"suspension_{side}_joint",
+                "prismatic",
+                "base_link",
+                f"suspension_{side}_link",
+                axis="0 0 1",
+                limit=moved,
+            )
+            + joint(
+                f"wheel_{side}_joint",
+                "continuous",
+                f"suspension_{side}_link",
+                f"wheel_{side}_link",
+                f"0 {sign * 0.2022} 0",
+                back,
+                "0 0 1",
+                effort,
+            )
+            for side, sign in (("left", 1), ("right", -1))
+        ),
+        *(
+            link(
+                f"{name}_1_link",
+                inertial(
+                    0.05144761,
+                    "-0.00634599 0.00005347 -0.02037519",
+                    moments="0.00001513 -0.00000003 0.00000267 0.00001309 -0.00000005 0.00001198",
+                ),
+            )
+            + link(
+                f"{name}_2_link",
+                inertial(0.08855784, moments="0.00001075 0 0 0.00001541 0 0.00001075"),
+                shape("sphere", 'radius="0.025"'),
+            )
+            + joint(
+                f"{name}_1_joint",
+                "continuous",
+                "base_link",
+                f"{name}_1_link",
+                f"{x} {y} -0.0335",
+                axis="0 0 1",
+                limit=turning,
+            )
+            + joint(
+                f"{name}_2_joint",
+                "continuous",
+                f"{name}_1_link",
+                f"{name}_2_link",
+                "-0.016 0 -0.040",
+                back,
+                "0 0 1",
+                turning,
+            )
+            for name, x, y in casters
+        ),
+    )
+
+
 def mp400() -> str:
-    """neobotix/neo_simulation2, robots/mp_400/mp_400.urdf: revolute with limits of 1e16, spheres."""
+    """neobotix/neo_simulation2 406d984, robots/mp_400/mp_400.urdf: revolute with limits of 1e16, spheres."""
     wheel = inertial(
         1.82362,
         moments="0.00399743171 4.464e-8 -2.245e-8 0.00399741733 -1.64e-9 0.00739239692",
@@ -320,7 +446,7 @@ def mp400() -> str:
 
 
 def fetch() -> str:
-    """fetchrobotics/fetch_ros, fetch_description/robots/fetch.urdf, the base alone: radii only in meshes."""
+    """fetchrobotics/fetch_ros 9c38de6, robots/fetch.urdf, the base alone: radii only in meshes."""
     return robot(
         link(
             "base_link",
@@ -340,6 +466,7 @@ def fetch() -> str:
                 f"{side}_wheel_link",
                 f"0.0012914 {y} 0.055325",
                 "-6.123E-17 0 0",
+                limit='<limit effort="8.85" velocity="17.4"/>',
             )
             for side, y in (("l", 0.18738), ("r", -0.18738))
         ),

@@ -47,35 +47,6 @@ class Measure(NamedTuple):
         return f"{self.name} [{self.unit}]" if self.unit not in ("", "1") else self.name
 
 
-def is_near(errors: Any, limit: Any) -> Any:
-    """Tell where no error is beyond the limit, shape (...); what is no number is beyond.
-
-    Parameters
-    ----------
-    errors : ndarray, shape (..., n)
-        Of coordinates and of their rates [m, rad, m/s, rad/s].
-    limit : float
-        Largest size.
-    """
-    return np.all(np.abs(errors) <= limit, axis=-1)
-
-
-def is_alive(errors: Any, limit: Any, u: Any, a: Any) -> Any:
-    """Tell at which samples a loop has not diverged, shape (...): the rule of all engines.
-
-    A loop has diverged where an error or its rate is beyond the limit, or its input or acceleration is not
-    finite.
-
-    Parameters
-    ----------
-    errors, limit
-        As in `is_near`.
-    u, a : ndarray, shape (..., nu), (..., nv)
-        Input and acceleration.
-    """
-    return is_near(errors, limit) & (np.abs(np.sum(u, axis=-1) + np.sum(a, axis=-1)) < np.inf)
-
-
 def size_of(margin: ArrayLike) -> Any:
     """Return a size > 0 that grows with a margin of any sign, to be counted in bins of a logarithm.
 

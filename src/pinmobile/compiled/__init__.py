@@ -3,7 +3,6 @@
 from pinmobile.compiled.batched import Batched
 from pinmobile.compiled.elementary import sincos as sincos
 from pinmobile.compiled.emit import BINS, FIRST, SHIFT, Shape
-from pinmobile.compiled.known import memory_of, once, program_of
 from pinmobile.compiled.loop_tape import Loop, arrays_of as arrays_of, initial_memory as initial_memory
 from pinmobile.compiled.memory import Line, Noise, robot_keys
 from pinmobile.compiled.parts import (
@@ -20,6 +19,7 @@ from pinmobile.compiled.parts import (
 from pinmobile.compiled.passes import traced
 from pinmobile.compiled.processor import Cache, Target, processors as processors
 from pinmobile.compiled.program import Outcome, Program
+from pinmobile.compiled.program_cache import memory_of, once, program_of
 from pinmobile.compiled.rounds import (
     choose as choose,
     higher as higher,

@@ -18,8 +18,9 @@ from pinmobile.arrays import Array, are_real
 from pinmobile.compiled.memory import mapped
 from pinmobile.compiled.parts import Parts
 from pinmobile.compiled.symbolic import Moment, Values, entries, has_symbols
+from pinmobile.divergence import is_alive
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.measures import is_alive, measured_of, size_of
+from pinmobile.measures import measured_of, size_of
 from pinmobile.signals import Claim, claimed, number, signals_of
 
 

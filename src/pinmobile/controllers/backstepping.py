@@ -42,19 +42,19 @@ class Backstepping:
 
         M nu' + n = B u,   nu' = nu_c' + k (nu_c - nu)
 
-    nu are the independent velocities of a robot whose wheels roll: of one with a fixed axle alone its speed and
-    yaw rate, of a car its speed and steering rate; arms have theirs. nu_c is what the law says, nu_c' its rate by
-    the chain rule. A car steers to delta_c, for which a wheel rolls as the law says, with
+    nu are the independent velocities of a robot whose wheels roll: of one with a fixed axle alone its speed
+    and yaw rate, of a car its speed and steering rate; arms have theirs. nu_c is what the law says, nu_c' its
+    rate by the chain rule. A car steers to delta_c, for which a wheel rolls as the law says, with
 
         delta_c' + steer (delta_c - delta)    as the rate that is wanted,
 
     whose own rate takes of delta_c'' what the reference has, from its last two samples. Arms follow their
     reference as v_r + arms (q_r - q).
 
-    The reference is the pose of the body, and moves along the wheels of the fixed axle: a path of the body's origin
-    with its tangent as heading where the origin lies on the axle. One that moves sideways or whose heading jumps is
-    refused, with its time, when a loop begins; where each robot of an ensemble has a reference of its own, they
-    are not looked at.
+    The reference is the pose of the body, and moves along the wheels of the fixed axle: a path of the body's
+    origin with its tangent as heading where the origin lies on the axle. One that moves sideways or whose
+    heading jumps is refused, with its time, when a loop begins; where each robot of an ensemble has a
+    reference of its own, they are not looked at.
 
     Parameters
     ----------
@@ -63,14 +63,14 @@ class Backstepping:
     robot : WheeledRobot
         The model that the controller believes in.
     k, steer, arms : float
-        Gains of the velocities, of the steering angle and of the arms, > 0 [1/s]; with the torque held between
-        samples, k dt below 0.5.
+        Gains of the velocities, of the steering angle and of the arms, > 0 [1/s]; with the torque held
+        between samples, k dt below 0.5.
 
     Raises
     ------
     InvalidArgument
-        If an argument is something else, the drive has no fixed axle or can move in every direction, or it has
-        not a motor for each independent velocity.
+        If an argument is something else, the drive has no fixed axle or can move in every direction, or it
+        has not a motor for each independent velocity.
     """
 
     law: KinematicLaw
@@ -98,7 +98,7 @@ class Backstepping:
         robot = self.robot
         if isinstance(robot, type) or not hasattr(robot, "torques"):
             raise InvalidArgument(f"robot is {shown(robot)}, expected a WheeledRobot")
-        if hasattr(robot, "reduced"):  # what it becomes in a compiled loop has been looked at before
+        if hasattr(robot, "mobility"):  # what it becomes in a compiled loop has been looked at before
             self._look(robot)
 
     def _look(self, robot: Any) -> None:
@@ -112,7 +112,8 @@ class Backstepping:
         still = robot.reduced(robot.rest, np.zeros(robot.nv))
         if np.linalg.matrix_rank(still.B) < len(still.M):
             raise InvalidArgument(
-                f"robot has {len(robot.inputs)} motors and {len(still.M)} independent velocities, expected a motor "
+                f"robot has {len(robot.inputs)} motors and {len(still.M)} independent velocities, "
+                "expected a motor "
                 "for each"
             )
         car = None
@@ -138,14 +139,16 @@ class Backstepping:
         """Refuse a reference that the wheels cannot follow."""
         if reference.v.shape[-1] != self._n:
             raise InvalidArgument(
-                f"reference has {reference.v.shape[-1]} coordinates, expected {self._n}: x, y, psi and those of arms"
+                f"reference has {reference.v.shape[-1]} coordinates, expected {self._n}: x, y, psi and "
+                "those of arms"
             )
         psi, w = reference.q[:, 2], reference.v[:, 2]
         jumps = np.abs(wrap_angle(np.diff(psi) - np.diff(t) * (w[1:] + w[:-1]) / 2))
         if len(jumps) and jumps.max() > _JUMP:
             k = int(np.argmax(jumps > _JUMP))
             raise InvalidArgument(
-                f"reference turns its heading by {jumps[k]:.3g} rad at once at t = {t[k + 1]:g} s, expected one that "
+                f"reference turns its heading by {jumps[k]:.3g} rad at once at t = {t[k + 1]:g} s, "
+                "expected one that "
                 "the wheels can follow, such as Tangent(path, turn_time=...)"
             )
         a, b, arm = self._axle
@@ -156,7 +159,8 @@ class Backstepping:
         if wrong.any():
             k = int(np.argmax(wrong))
             raise InvalidArgument(
-                f"reference moves sideways, at {across[k]:.3g} m/s across the fixed axle, at t = {t[k]:g} s, expected "
+                f"reference moves sideways, at {across[k]:.3g} m/s across the fixed axle, at t = {t[k]:g} "
+                "s, expected "
                 "one that the wheels can follow, such as Tangent(path)"
             )
         if self._car is not None:
@@ -164,7 +168,8 @@ class Backstepping:
             if (angle > self._car.limit).any():
                 k = int(np.argmax(angle > self._car.limit))
                 raise InvalidArgument(
-                    f"reference turns so tightly that wheels are steered by {angle[k]:.3g} rad at t = {t[k]:g} s, "
+                    f"reference turns so tightly that wheels are steered by {angle[k]:.3g} rad at t = "
+                    f"{t[k]:g} s, "
                     f"expected at most {self._car.limit:.3g} rad"
                 )
         self.law.check(t, speed, w)
@@ -177,10 +182,7 @@ class Backstepping:
         nu, n = self.robot.independent(q, v), self._n
         tracked, errors = self._tracked(q, v, reference, nu[..., 0])
         (speed, yaw_rate), inner = self.law(tracked, inner)
-        if self._car is None:
-            wanted = [speed, yaw_rate]
-        else:
-            wanted = [speed]
+        wanted = [speed, yaw_rate] if self._car is None else [speed]
         for i in range(_BASE, n):
             rate, desired = reference.v[..., i] - v[..., i], reference.v[..., i]
             wanted.append(
@@ -225,7 +227,8 @@ class Backstepping:
     ) -> tuple[Changing, tuple[Any, Any, Any]]:
         """Return the steering rate that is wanted, with its own, and what is known of the reference's."""
         before, known, dt = memory
-        angle, limit = q[..., self._car.at], self._car.limit  # type: ignore[union-attr]
+        at, limit = self._car or (0, np.inf)
+        angle = q[..., at]
         found = self._angle(*command)
         beyond = np.abs(found.value) > limit
         found = chosen(beyond, np.sign(found.value) * limit, found)
@@ -240,7 +243,7 @@ class Backstepping:
 
 
 def _steering_angle(axle: Any, pivot: Any, speed: Any, yaw_rate: Any) -> Any:
-    """Return the angle at which a steered wheel rolls where the axle has this speed and yaw rate, with its rate."""
+    """Return the angle at which a steered wheel rolls where the axle moves so, with its rate."""
     a, b, arm = axle[..., 0], axle[..., 1], axle[..., 2]
     x, y = pivot[..., 0] - arm * b, pivot[..., 1] + arm * a  # from the axle
     c, s = np.cos(pivot[..., 2]), np.sin(pivot[..., 2])

@@ -314,7 +314,7 @@ def feedback(controller: _Feedback, difference: Difference, q: Array, v: Array, 
     return _sum(controller, error, rate)
 
 
-def _sum(controller: PD | PDGravity | ComputedTorque | Decoupled, error: Array, rate: Array) -> Array:
+def _sum(controller: _Feedback, error: Array, rate: Array) -> Array:
     kinds = controller.kinds
     return _amplified("kp", controller.kp, kinds[0], error) + _amplified("kd", controller.kd, kinds[1], rate)
 
@@ -461,7 +461,8 @@ def _check(controller: PDGravity | Decoupled, needs: str) -> None:
     check_robot(controller, needs)
     if max(leading_of(controller.robot)) < controller.robot.nv:
         raise InvalidArgument(
-            f"robot is {shown(controller.robot)}, which has wheels, expected Allocated({type(controller).__name__}"
+            f"robot is {shown(controller.robot)}, which has wheels, expected "
+            f"Allocated({type(controller).__name__}"
             "(robot.robot, ...), robot)"
         )
     _check_gains(controller, controller.robot.nv)

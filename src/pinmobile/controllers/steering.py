@@ -1,8 +1,8 @@
 """Kinematic laws: from the error of a body on wheels to the speed and the yaw rate that it should have.
 
-A law is called as ``law(tracked, state) -> ((v, w), state)`` with what it tracks, a `Tracked`. Its numbers are
-floats, arrays or symbols, or such with their rates, `Changing`: then what comes out has its rate too, by the
-chain rule, which `Backstepping` needs.
+A law is called as ``law(tracked, state) -> ((v, w), state)`` with what it tracks, a `Tracked`. Its numbers
+are floats, arrays or symbols, or such with their rates, `Changing`: then what comes out has its rate too, by
+the chain rule, which `Backstepping` needs.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Changing:
         return Changing(self.value - value_of(other), self.rate - rate_of(other))
 
     def __rsub__(self, other: Any) -> Changing:
-        return -self + other
+        return (-self).__add__(other)
 
     def __mul__(self, other: Any) -> Changing:
         if not isinstance(other, Changing):
@@ -64,7 +64,7 @@ class Changing:
         return Changing(value, (self.rate - value * other.rate) / other.value)
 
     def __rtruediv__(self, other: Any) -> Changing:
-        return Changing(other, 0.0 * self.value) / self
+        return Changing(other, 0.0 * self.value).__truediv__(self)
 
 
 def value_of(x: Any) -> Any:
@@ -174,7 +174,7 @@ class KinematicLaw(Protocol):
         """Return the state to start with; None where there is no memory."""
 
     def check(self, t: Array, speed: Array, yaw_rate: Array, /) -> None:
-        """Refuse a reference of these speeds [m/s] and yaw rates [rad/s], shape (N,), that it cannot follow."""
+        """Refuse a reference of these speeds and yaw rates, shape (N,), that it cannot follow."""
 
     def __call__(self, tracked: Tracked, state: Any, /) -> tuple[tuple[Any, Any], Any]:
         """Return (v, w) [m/s, rad/s], and the next state."""
@@ -185,7 +185,7 @@ def _check_gains(law: Any) -> None:
         object.__setattr__(law, field.name, positive(field.name, getattr(law, field.name)))
 
 
-def _first(t: Array, wrong: Array) -> float | None:
+def _first(t: Array, wrong: Any) -> float | None:
     """Return the first time at which something is wrong, if it ever is."""
     found = np.flatnonzero(wrong)
     return float(t[found[0]]) if len(found) else None
@@ -194,12 +194,13 @@ def _first(t: Array, wrong: Array) -> float | None:
 @final
 @dataclass(frozen=True, eq=False)
 class Tracking:
-    """Follow a moving reference, forwards or backwards (Canudas de Wit and Samson; De Luca, Oriolo, Vendittelli 2001).
+    """Follow a moving reference, forwards or backwards (Canudas de Wit and Samson; De Luca, Oriolo,
+    Vendittelli 2001).
 
         v = v_r cos et + k ex,  w = w_r + b v_r (sin et / et) ey + k et,  k = 2 zeta sqrt(w_r^2 + b v_r^2)
 
-    With V = b (ex^2 + ey^2) / 2 + et^2 / 2, dV/dt = -k (b ex^2 + et^2): it needs a reference that does not rest for
-    good. Near it, errors decay as (s + 2 zeta a)(s^2 + 2 zeta a s + a^2), a^2 = w_r^2 + b v_r^2.
+    With V = b (ex^2 + ey^2) / 2 + et^2 / 2, dV/dt = -k (b ex^2 + et^2): it needs a reference that does not
+    rest for good. Near it, errors decay as (s + 2 zeta a)(s^2 + 2 zeta a s + a^2), a^2 = w_r^2 + b v_r^2.
 
     Parameters
     ----------
@@ -243,7 +244,8 @@ class Kanayama:
 
         v = v_r cos et + k1 ex,  w = w_r + v_r (k2 ey + k3 sin et)
 
-    With V = (ex^2 + ey^2) / 2 + (1 - cos et) / k2, dV/dt = -k1 ex^2 - (k3 / k2) v_r sin^2 et: it needs v_r > 0.
+    With V = (ex^2 + ey^2) / 2 + (1 - cos et) / k2, dV/dt = -k1 ex^2 - (k3 / k2) v_r sin^2 et: it needs v_r >
+    0.
 
     Parameters
     ----------
@@ -272,7 +274,8 @@ class Kanayama:
         when = _first(t, speed <= _STILL)
         if when is not None:
             raise InvalidArgument(
-                f"reference goes at {speed[t == when][0]:.3g} m/s at t = {when:g} s, expected one that always moves "
+                f"reference goes at {speed[t == when][0]:.3g} m/s at t = {when:g} s, expected one that "
+                "always moves "
                 "forwards, or the law Tracking()"
             )
 
@@ -292,8 +295,8 @@ class Parking:
 
     rho is the distance of the goal, gam its bearing from the body's heading, del its bearing from the heading
     at the goal. With V = (rho^2 + gam^2 + k3 del^2) / 2, dV/dt = -k1 rho^2 cos^2 gam - k2 gam^2. The heading
-    converges slowly, and no smooth law of the pose alone does better (Brockett 1983). It needs a reference that
-    rests, and stops within `near` of it.
+    converges slowly, and no smooth law of the pose alone does better (Brockett 1983). It needs a reference
+    that rests, and stops within `near` of it.
 
     Parameters
     ----------
@@ -350,7 +353,8 @@ def _turned(x: Any) -> Any:
 @final
 @dataclass(frozen=True, eq=False)
 class DynamicFeedback:
-    """Follow a reference that never rests, by dynamic feedback linearisation (Oriolo, De Luca, Vendittelli 2002).
+    """Follow a reference that never rests, by dynamic feedback linearisation (Oriolo, De Luca, Vendittelli
+    2002).
 
     The speed xi is a state of the law, r = p_r'' + kd (p_r' - p') + kp (p_r - p) along the body's axes, and
 

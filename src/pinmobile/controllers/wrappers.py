@@ -242,10 +242,11 @@ class _OfBody:
 class Allocated:
     """A controller of body and arms, such as `PD`, whose force the wheels are to give.
 
-    It sees what a robot without wheels would be: the pose, the arms and their rates. What it returns, a force on x,
-    y, psi and on the arms, becomes the torques of least norm that move the robot as that force would, all scaled by
-    one factor where one is beyond its limit, see `WheeledRobot.allocate_scaled`. What of the force the wheels do
-    not give, such as one across the axle, is recorded as the signal ``residual``, along x, y, psi and the arms.
+    It sees what a robot without wheels would be: the pose, the arms and their rates. What it returns, a force
+    on x, y, psi and on the arms, becomes the torques of least norm that move the robot as that force would,
+    all scaled by one factor where one is beyond its limit, see `WheeledRobot.allocate_scaled`. What of the
+    force the wheels do not give, such as one across the axle, is recorded as the signal ``residual``, along
+    x, y, psi and the arms.
 
     Parameters
     ----------
@@ -257,7 +258,8 @@ class Allocated:
     Raises
     ------
     InvalidArgument
-        If `controller` is none, `robot` is none with wheels, or has not a motor for each independent velocity.
+        If `controller` is none, `robot` is none with wheels, or has not a motor for each independent
+        velocity.
     """
 
     controller: Controller
@@ -268,11 +270,12 @@ class Allocated:
         robot = self.robot
         if isinstance(robot, type) or not hasattr(robot, "allocate_scaled"):
             raise InvalidArgument(f"robot is {shown(robot)}, expected a WheeledRobot")
-        if hasattr(robot, "reduced"):
+        if hasattr(robot, "mobility"):  # what it becomes in a compiled loop has been looked at before
             still = robot.reduced(robot.rest, np.zeros(robot.nv))
             if np.linalg.matrix_rank(still.B) < len(still.M):
                 raise InvalidArgument(
-                    f"robot has {len(robot.inputs)} motors and {len(still.M)} independent velocities, expected a "
+                    f"robot has {len(robot.inputs)} motors and {len(still.M)} independent velocities, "
+                    "expected a "
                     "motor for each"
                 )
 
@@ -283,7 +286,7 @@ class Allocated:
         return self.controller.initial_state(_OfBody(context, body)), none, none  # type: ignore[arg-type]
 
     def applied(self, u: Array, state: Any) -> Any:
-        """Return the state, with the wrapped controller told of the force that the wheels give, shape (..., n)."""
+        """Return the state, with the wrapped controller told of the force that wheels give, (..., n)."""
         return told(self.controller, state[2], state[0]), *state[1:]
 
     def signals(self, state: Any) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Many robots at once: drawn, run side by side, and summed up."""
 
 from pinmobile.ensembles.distributions import TRUE_MODEL, Distribution, Normal, Same, Uniform
+from pinmobile.ensembles.engines import way_of as way_of
 from pinmobile.ensembles.outline import Outline, percent as percent
 from pinmobile.ensembles.parameters import (
     GROUPS as GROUPS,
@@ -31,7 +32,6 @@ from pinmobile.ensembles.variables import (
     per_robot as per_robot,
     summed as summed,
 )
-from pinmobile.ensembles.ways import way_of as way_of
 from pinmobile.simulation import ARRAYS, COMPILED, PINOCCHIO, Engine
 
 __all__ = [

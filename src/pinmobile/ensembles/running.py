@@ -26,10 +26,10 @@ from pinmobile.arrays import Array, callable_as, whole
 from pinmobile.compiled import processors
 from pinmobile.controllers import Controller
 from pinmobile.ensembles.distributions import Source
+from pinmobile.ensembles.engines import Way, way_of
 from pinmobile.ensembles.records import Part, Records
 from pinmobile.ensembles.result import Ensemble
 from pinmobile.ensembles.scenario import Scenario, checked_scenario
-from pinmobile.ensembles.ways import Way, way_of
 from pinmobile.errors import InvalidArgument, SchedulerError, SlowerEngine, shown
 from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator

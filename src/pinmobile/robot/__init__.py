@@ -2,7 +2,6 @@
 
 from pinmobile.robot.arms import Arm
 from pinmobile.robot.joints import BODY_JOINT, joints_of as joints_of
-from pinmobile.robot.laws import Calls, Engine as Engine
 from pinmobile.robot.linkage import (
     ONE as ONE,
     ZERO as ZERO,
@@ -15,12 +14,14 @@ from pinmobile.robot.linkage import (
     number as number,
     scalars as scalars,
     sine_and_cosine as sine_and_cosine,
-    solved as solved_by,
-    vector_of as stacked,
+    solved as solved,
+    vector_of as vector_of,
 )
 from pinmobile.robot.mobile import MobileRobot
 from pinmobile.robot.mounts import Load, Mount, named_frames as named_frames, prefixed as prefixed
+from pinmobile.robot.pinocchio_calls import Calls, Engine as Engine
 from pinmobile.robot.planar import BODY_PARAMETERS as BODY_PARAMETERS, PlanarBody as PlanarBody
+from pinmobile.robot.reading import LOCKED as LOCKED
 from pinmobile.robot.sources import EXCEPTIONS, Mountable, Mountables, kept_arm as kept_arm, mountable
 from pinmobile.robot.stance import (
     WEIGHTLESS as WEIGHTLESS,
@@ -30,6 +31,12 @@ from pinmobile.robot.stance import (
     pressed_at as pressed_at,
 )
 from pinmobile.robot.system import Linearization, System
+from pinmobile.robot.undercarriage import (
+    Lump as Lump,
+    Swivel as Swivel,
+    Undercarriage as Undercarriage,
+    WheelJoint as WheelJoint,
+)
 from pinmobile.robot.visuals import BODY as BODY, box_visuals as box_visuals
 
 __all__ = [

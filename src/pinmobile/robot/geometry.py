@@ -289,8 +289,8 @@ def stance_on(
     *,
     file: VisualFile | None,
     root: int,
-) -> tuple[Stance, list[str]]:
-    """Return how a robot stands on the ground, and where that is from, in words.
+) -> tuple[Stance, list[str], list[tuple[float, float]]]:
+    """Return how a robot stands on the ground, where that is from, in words, and what stands beside wheels.
 
     Parameters
     ----------
@@ -307,7 +307,7 @@ def stance_on(
     # Where a file tells no radius at all, wheels with axles of one height stand on the ground.
     level = bool(heights) and min(heights) > 0 and max(heights) - min(heights) <= _TOUCH
     untold = level and all(wheel.radius is None for wheel in wheels)
-    points, names = [], []
+    points, names, supports = [], [], list[tuple[float, float]]()
     for wheel, height in zip(wheels, heights, strict=True):
         if untold if wheel.radius is None else abs(height - wheel.radius) <= _TOUCH:
             points.append(np.array([wheel.centre[:2]]))
@@ -318,6 +318,7 @@ def stance_on(
             # A caster or a skid of a robot on wheels carries at its middle.
             points.append(np.array([pose.translation[:2]]) if face is None else face)
             names.append(shape.link)
+            supports += [(float(x), float(y)) for x, y in points[-1]]
     corners = hull(np.concatenate(points)) if points else None
     listed = ", ".join(dict.fromkeys(names)) or "of all shapes none"
     words = f"what touches the ground, {listed}"
@@ -331,7 +332,7 @@ def stance_on(
     else:
         words = f"footprint: {words}"
     top, why = _top([(shape, pose) for shape, pose in placed if shape.joint == root], file)
-    return Stance(corners, top), [words, why]
+    return Stance(corners, top), [words, why], supports
 
 
 def _place(data: pin.Data, base: pin.SE3, shape: Shape) -> pin.SE3:

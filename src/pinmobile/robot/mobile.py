@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeAlias, final
 
 import numpy as np
@@ -34,7 +35,6 @@ from pinmobile.plant import Parameter
 from pinmobile.robot.arms import check_whole
 from pinmobile.robot.articulated import ArticulatedBody, articulated
 from pinmobile.robot.joints import BODY_JOINT
-from pinmobile.robot.laws import Engine
 from pinmobile.robot.mounts import (
     Load,
     Mount,
@@ -46,16 +46,20 @@ from pinmobile.robot.mounts import (
     placed,
     with_numbers,
 )
+from pinmobile.robot.pinocchio_calls import Engine
 from pinmobile.robot.planar import BODY_PARAMETERS, PlanarBody
 from pinmobile.robot.reading import LOCKED, Reading, build_model, check_chain, read_model, read_urdf
 from pinmobile.robot.sources import existing_folders, read_arm
 from pinmobile.robot.stance import Judgement, Stance
 from pinmobile.robot.system import System
+from pinmobile.robot.undercarriage import Undercarriage
 from pinmobile.robot.visuals import VisualFile, add_carried, box_visuals, read_visuals
 from pinmobile.robot.wellformed import check_freedom
 
 _Size: TypeAlias = tuple[float, float, float]
-_Bare: TypeAlias = tuple[urdf.Body, _Size, DHTable, str, Stance, tuple[str, ...], VisualFile | None]
+_Bare: TypeAlias = tuple[
+    urdf.Body, _Size, DHTable, str, Stance, tuple[str, ...], VisualFile | None, Undercarriage
+]
 
 
 @final
@@ -91,6 +95,9 @@ class MobileRobot(System):
         How it stands: `footprint`, `top` and `grounded` are of it.
     locked_joints : tuple of str
         Joints of its file that are locked at rest: wheels, and what carries them.
+    undercarriage : Undercarriage
+        The wheels of its file, and what else it stands on, for a `WheeledRobot`; empty where it was not read
+        from a file or a model.
 
     Raises
     ------
@@ -108,6 +115,7 @@ class MobileRobot(System):
     body: urdf.Body = field(init=False)
     stance: Stance = field(init=False)
     locked_joints: tuple[str, ...] = field(default=(), init=False)
+    undercarriage: Undercarriage = field(default=Undercarriage(), init=False)
     mounts: tuple[Mount, ...] = field(default=(), init=False)
     loads: tuple[tuple[str, Load], ...] = field(default=(), init=False)
     _engine: Engine = field(init=False)
@@ -166,7 +174,8 @@ class MobileRobot(System):
 
     def _own(self, body: urdf.Body, source: str | None = None) -> _Bare:
         bare = self.source.removesuffix(_of_files(self.mounts)) if source is None else source
-        return body, self.size, self.dh, bare, self.stance, self.locked_joints, self._looks
+        kept = self.stance, self.locked_joints, self._looks, self.undercarriage
+        return body, self.size, self.dh, bare, *kept
 
     @property
     def footprint(self) -> Array | None:
@@ -648,15 +657,27 @@ class MobileRobot(System):
         """
         return self._visuals.clone()
 
-    @cached_property
+    @property
+    def visual_joints(self) -> Mapping[str, tuple[str, ...]]:
+        """Of each object of `visual_model` that a URDF shows, the joints of that file that would move it.
+
+        Names, the nearest first; of `locked_joints` are those that are wheels.
+        """
+        return MappingProxyType(self._seen[1])
+
+    @property
     def _visuals(self) -> pin.GeometryModel:
+        return self._seen[0]
+
+    @cached_property
+    def _seen(self) -> tuple[pin.GeometryModel, dict[str, tuple[str, ...]]]:
         joint = BODY_JOINT
         if self._looks is None:
-            visuals = box_visuals(self.size, joint)
+            visuals, joints = box_visuals(self.size, joint), dict[str, tuple[str, ...]]()
         else:
-            visuals = read_visuals(self._looks, self.size, joint)
+            visuals, joints = read_visuals(self._looks, self.size, joint)
         add_carried(visuals, self._model, self.mounts, self.loads)
-        return visuals
+        return visuals, joints
 
     def to_urdf(self) -> str:
         """Return the robot as URDF text, every number to the last digit.
@@ -672,7 +693,7 @@ class MobileRobot(System):
 
 def _read(reading: Reading, looks: VisualFile | None) -> MobileRobot:
     own = reading.body, reading.size, reading.table, reading.source, reading.stance, reading.locked
-    return _restored((*own, looks))
+    return _restored((*own, looks, reading.undercarriage))
 
 
 def _of_files(mounts: Sequence[Mount]) -> str:
@@ -688,11 +709,11 @@ def _of_files(mounts: Sequence[Mount]) -> str:
 def _restored(
     bare: _Bare, mounts: tuple[Mount, ...] = (), loads: tuple[tuple[str, Load], ...] = ()
 ) -> MobileRobot:
-    body, size, dh, source, stance, locked_joints, looks = bare
+    body, size, dh, source, stance, locked_joints, looks, undercarriage = bare
     robot = MobileRobot.from_body(body, size, dh, source, stance=stance, locked_joints=locked_joints)
     engine = Engine(assemble(robot._model, mounts, loads)) if mounts or loads else robot._engine
     own = {"mounts": mounts, "loads": loads, "_engine": engine, "source": source + _of_files(mounts)}
-    for name, value in {"_looks": looks, **own}.items():
+    for name, value in {"_looks": looks, "undercarriage": undercarriage, **own}.items():
         object.__setattr__(robot, name, value)
     if mounts or loads:
         check_whole(robot._model, robot._engine.reorder(robot.rest))

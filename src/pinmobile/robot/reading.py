@@ -16,6 +16,7 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.robot.geometry import Shape, WheelReading, ground_below, shapes_of, stance_on, wheels_of
 from pinmobile.robot.joints import Joint, carries_only_wheels, joints_of
 from pinmobile.robot.stance import Stance, stance_written
+from pinmobile.robot.undercarriage import Undercarriage, undercarriage_of
 from pinmobile.robot.visuals import VisualFile
 from pinmobile.robot.wellformed import MOMENTS, judge_links, urdf_model
 from pinmobile.urdf import Body
@@ -93,6 +94,8 @@ class Reading:
         Joints that are locked at rest.
     wheels : tuple of WheelReading
         Those among them that roll.
+    undercarriage : Undercarriage
+        These with all that a wheel table asks, and what else stands on the ground.
     """
 
     table: DHTable
@@ -103,6 +106,7 @@ class Reading:
     stance: Stance
     locked: tuple[str, ...]
     wheels: tuple[WheelReading, ...]
+    undercarriage: Undercarriage
 
 
 def read_urdf(path: Path, package_dirs: tuple[Path, ...] = (), ground: ArrayLike | None = None) -> Reading:
@@ -195,7 +199,7 @@ def read_model(
             f"ground is {z:g} m, {-body.com[2]:.4g} m above the robot's centre of mass, expected the "
             "ground's z in the root link's frame, which is below zero where that link is above the ground"
         )
-    parts = [f"{name} {how}"]
+    parts, supports = [f"{name} {how}"], list[tuple[float, float]]()
     if locked:
         parts += [f"locked at rest: {', '.join(model.names[j] for j in locked)}", LOCKED]
     com = ", ".join(f"{c:.4g}" for c in body.com.round(9) + 0.0)
@@ -212,7 +216,9 @@ def read_model(
             "give ground=, its z there [m]"
         )
     else:
-        stance, words = stance_on(model, data, base, wheels, shown.shapes, z, file=shown.file, root=root)
+        stance, words, supports = stance_on(
+            model, data, base, wheels, shown.shapes, z, file=shown.file, root=root
+        )
         parts += [f"ground {told}, at z = {z:.4g} m in the root link's frame", *words]
     size = shown.size
     if size is None:
@@ -224,7 +230,8 @@ def read_model(
     pose = tuple(base.homogeneous.ravel().tolist())
     names = tuple(str(model.names[joint]) for joint in locked)
     source = "; ".join(parts)
-    return Reading(table or LECTURE_TABLE, body, size, source, pose, stance, names, tuple(wheels))
+    below = undercarriage_of(model, data, base, root, wheels, supports, z or 0.0)
+    return Reading(table or LECTURE_TABLE, body, size, source, pose, stance, names, tuple(wheels), below)
 
 
 def _starts_with_slides(model: pin.Model) -> bool:

@@ -29,7 +29,7 @@ from pinmobile.arrays import (
 )
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Coordinate, Input
-from pinmobile.robot import laws
+from pinmobile.robot import pinocchio_calls
 from pinmobile.robot.articulated import ArticulatedBody
 from pinmobile.robot.joints import (
     BODY_JOINT,
@@ -40,8 +40,8 @@ from pinmobile.robot.joints import (
     leading,
     limits,
 )
-from pinmobile.robot.laws import Calls, Engine, Law
 from pinmobile.robot.mounts import Load, Mount, named_frames, resistances
+from pinmobile.robot.pinocchio_calls import Calls, Engine, Law
 
 _UNIT = 1e-6  # how far (cos, sin) or a quaternion may be from length one
 
@@ -254,7 +254,7 @@ class System:
         if self.nq == self.nv:
             with np.errstate(over="ignore"):
                 return finite_answer(q + dq, q=q, dq=dq)
-        return self._each(laws.INTEGRATED, q=q, dq=dq)
+        return self._each(pinocchio_calls.INTEGRATED, q=q, dq=dq)
 
     def integrate_jacobian(self, q: ArrayLike, dq: ArrayLike) -> Array:
         """Return how `integrate` turns rates of `dq` into velocities, shape (..., nv, nv).
@@ -271,7 +271,7 @@ class System:
             Displacement [m, m, rad, ...].
         """
         q, dq = self._q(q), self._v("dq", dq)
-        return self._each(laws.INTEGRATE_JACOBIAN, q=q, dq=dq)
+        return self._each(pinocchio_calls.INTEGRATE_JACOBIAN, q=q, dq=dq)
 
     def difference(self, q0: ArrayLike, q1: ArrayLike) -> Array:
         """Return the displacement from `q0` to `q1`, shape (..., nv); that of psi lies in (-pi, pi].
@@ -288,7 +288,7 @@ class System:
                 displacement = finite_answer(q1 - q0, q0=q0, q1=q1)
         else:
             broadcast(q0=q0, q1=q1)
-            displacement = self._each(laws.DIFFERENCE, q0=q0, q1=q1)
+            displacement = self._each(pinocchio_calls.DIFFERENCE, q0=q0, q1=q1)
         angle = displacement[..., 2]
         if angle.ndim or not LEAST_ANGLE < angle <= np.pi:  # in a loop it hardly ever is beyond
             displacement[..., 2] = wrap_angle(angle)
@@ -297,7 +297,7 @@ class System:
     def _each(self, law: Law, **arguments: Array) -> Array:
         """Return what a law gives for each row of the arguments, in public order.
 
-        Leading axes broadcast; what comes back is stacked along them: see `laws.stacked`.
+        Leading axes broadcast; what comes back is stacked along them: see `pinocchio_calls.stacked`.
 
         Raises
         ------
@@ -307,7 +307,7 @@ class System:
         engine, rows = self._engine, []
         for argument in arguments.values():
             if argument.ndim != 1:
-                return laws.stacked(engine, law, lambda: self._for_many, **arguments)
+                return pinocchio_calls.stacked(engine, law, lambda: self._for_many, **arguments)
             rows.append(argument[engine.orders[len(argument)]])
         # A copy: Pinocchio hands out views of its data.
         answer = law.order(engine, np.array(law.run(engine.model, engine.data, *rows)))
@@ -408,7 +408,7 @@ class System:
         UnknownName
             If there is no such frame.
         """
-        return self._each(laws.frame_pose(*self._frame(frame)), q=self._q(q))
+        return self._each(pinocchio_calls.frame_pose(*self._frame(frame)), q=self._q(q))
 
     def frame_jacobian(self, q: ArrayLike, frame: str | None = None) -> Array:
         """Return J, shape (..., 6, nv): J v is the velocity of the frame's origin and the angular velocity.
@@ -420,7 +420,7 @@ class System:
         q, frame
             As in `frame_pose`, with the same error.
         """
-        return self._each(laws.frame_jacobian(*self._frame(frame)), q=self._here(q))
+        return self._each(pinocchio_calls.frame_jacobian(*self._frame(frame)), q=self._here(q))
 
     def frame_drift(self, q: ArrayLike, v: ArrayLike, frame: str | None = None) -> Array:
         """Return dJ/dt v, shape (..., 6): a frame's acceleration where no coordinate accelerates.
@@ -435,7 +435,7 @@ class System:
         v : array_like, shape (..., nv)
             Velocity [m/s, m/s, rad/s, ...].
         """
-        return self._each(laws.frame_drift(*self._frame(frame)), q=self._q(q), v=self._v("v", v))
+        return self._each(pinocchio_calls.frame_drift(*self._frame(frame)), q=self._q(q), v=self._v("v", v))
 
     def manipulability(self, q: ArrayLike, frame: str | None = None) -> Array:
         """Return sqrt(det J J'), shape (...), of base and arm together (Yoshikawa, 1985).
@@ -448,7 +448,7 @@ class System:
         q, frame
             As in `frame_pose`, with the same error.
         """
-        return self._each(laws.manipulability(*self._frame(frame)), q=self._here(q))
+        return self._each(pinocchio_calls.manipulability(*self._frame(frame)), q=self._here(q))
 
     def arm_manipulability(self, q: ArrayLike, frame: str | None = None) -> Array:
         """Return `manipulability` of the arm that carries the frame alone, the base held, shape (...).
@@ -464,7 +464,7 @@ class System:
         arms = [mount for mount in self.mounts if name.startswith(f"{mount.name}/")]
         if not arms:
             raise InvalidArgument(f"frame is {shown(name)}, expected one of an arm")
-        law = laws.manipulability(name, number, arms[0].v, arms[0].name)
+        law = pinocchio_calls.manipulability(name, number, arms[0].v, arms[0].name)
         return self._each(law, q=self._here(q))
 
     def _frame(self, name: str | None) -> tuple[str, int]:
@@ -476,7 +476,7 @@ class System:
 
         The third is the body's; it is the last one where nothing is mounted.
         """
-        return self._each(laws.PLACEMENTS, q=self._q(q))
+        return self._each(pinocchio_calls.PLACEMENTS, q=self._q(q))
 
     def jacobian(self, q: ArrayLike) -> Array:
         """Return J(psi), shape (..., nv, nv): v = J twist, with the body twist (forward, left, yaw rate).
@@ -502,15 +502,17 @@ class System:
 
     def mass_matrix(self, q: ArrayLike) -> Array:
         """Return M(q), shape (..., nv, nv) [kg, kg m, kg m^2], by Pinocchio's CRBA."""
-        return self._each(laws.MASS_MATRIX, q=self._q(q))
+        return self._each(pinocchio_calls.MASS_MATRIX, q=self._q(q))
 
     def nonlinear_effects(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return n(q, v), shape (..., nv) [N, N, N m], by Pinocchio's RNEA without acceleration."""
-        return self._each(laws.NONLINEAR_EFFECTS, q=self._q(q), v=self._v("v", v))
+        return self._each(pinocchio_calls.NONLINEAR_EFFECTS, q=self._q(q), v=self._v("v", v))
 
     def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return tau = M(q) a + n(q, v), shape (..., nv) [N, N, N m], by Pinocchio's RNEA."""
-        return self._each(laws.INVERSE_DYNAMICS, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
+        return self._each(
+            pinocchio_calls.INVERSE_DYNAMICS, q=self._q(q), v=self._v("v", v), a=self._v("a", a)
+        )
 
     def forward_dynamics(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike, f: ArrayLike = 0.0) -> Array:
         """Return a = M(q)^-1 (tau + f - n(q, v)), shape (..., nv) [m/s^2, ...], by Pinocchio's ABA.
@@ -532,7 +534,7 @@ class System:
             broadcast(tau=force, f=beside)
             with np.errstate(over="ignore"):
                 arguments["tau"] = finite_answer(force + beside, tau=force, f=beside)
-        return self._each(laws.FORWARD_DYNAMICS, **arguments)
+        return self._each(pinocchio_calls.FORWARD_DYNAMICS, **arguments)
 
     def effort(self, q: ArrayLike, wrench: ArrayLike) -> Array:
         """Return the generalised force of a wrench on the body, shape (..., nv) [N, N, N m, ...].
@@ -587,23 +589,23 @@ class System:
 
     def coriolis_matrix(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return C(q, v), shape (..., nv, nv): C v = n(q, v), and dM/dt - 2 C is skew-symmetric."""
-        return self._each(laws.CORIOLIS_MATRIX, q=self._here(q), v=self._v("v", v))
+        return self._each(pinocchio_calls.CORIOLIS_MATRIX, q=self._here(q), v=self._v("v", v))
 
     def kinetic_energy(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return v' M(q) v / 2, shape (...) [J]."""
-        return self._each(laws.KINETIC_ENERGY, q=self._q(q), v=self._v("v", v))
+        return self._each(pinocchio_calls.KINETIC_ENERGY, q=self._q(q), v=self._v("v", v))
 
     def potential_energy(self, q: ArrayLike) -> Array:
         """Return the energy in the field of gravity, shape (...) [J]; zero where all is on the ground."""
-        return self._each(laws.POTENTIAL_ENERGY, q=self._q(q))
+        return self._each(pinocchio_calls.POTENTIAL_ENERGY, q=self._q(q))
 
     def gravity(self, q: ArrayLike) -> Array:
         """Return g(q), shape (..., nv) [N, N, N m]: what holds the robot at rest; none of it for the base."""
-        return self._each(laws.GRAVITY, q=self._q(q))
+        return self._each(pinocchio_calls.GRAVITY, q=self._q(q))
 
     def regressor(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return Y(q, v, a), shape (..., nv, 10 bodies): tau = Y `inertial_parameters`, rotors left out."""
-        return self._each(laws.REGRESSOR, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
+        return self._each(pinocchio_calls.REGRESSOR, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
 
     def forward_dynamics_derivatives(
         self, q: ArrayLike, v: ArrayLike, tau: ArrayLike
@@ -613,7 +615,7 @@ class System:
         The first is by the displacement that `integrate` takes.
         """
         arguments = {"q": self._here(q), "v": self._v("v", v), "tau": self._v("tau", tau)}
-        stacked = self._each(laws.DERIVATIVES, **arguments)
+        stacked = self._each(pinocchio_calls.DERIVATIVES, **arguments)
         return stacked[..., 0, :, :], stacked[..., 1, :, :], stacked[..., 2, :, :]
 
     def linearize(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Linearization:
@@ -627,7 +629,9 @@ class System:
         B = np.zeros((*by_q.shape[:-2], 2 * self.nv, self.nv))
         A[..., : self.nv, self.nv :] = np.eye(self.nv)
         if self.nq != self.nv:
-            A[..., : self.nv, : self.nv] = self._each(laws.TURNING, q=self._q(q), v=self._v("v", v))
+            A[..., : self.nv, : self.nv] = self._each(
+                pinocchio_calls.TURNING, q=self._q(q), v=self._v("v", v)
+            )
         A[..., self.nv :, : self.nv], A[..., self.nv :, self.nv :] = by_q, by_v
         B[..., self.nv :, :] = by_tau
         return Linearization(A, B)
@@ -643,7 +647,7 @@ class System:
         Along the axes of the body's frame B, with the moment about its origin, which lies on the ground: the
         rate of the momentum of all bodies, less gravity. Whatever else acts from outside is in it.
         """
-        return self._each(laws.GROUND_WRENCH, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
+        return self._each(pinocchio_calls.GROUND_WRENCH, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
 
     def mount_wrench(self, q: ArrayLike, v: ArrayLike, a: ArrayLike, mount: str | None = None) -> Array:
         """Return what an arm, with the loads on it, exerts on the body at its mount, shape (..., 6).
@@ -669,7 +673,7 @@ class System:
             If nothing is mounted by that name.
         """
         arm = self._mount(mount)
-        law = laws.mount_wrench(arm, self._model, self._fixed(arm))
+        law = pinocchio_calls.mount_wrench(arm, self._model, self._fixed(arm))
         return self._each(law, q=self._q(q), v=self._v("v", v), a=self._v("a", a))
 
     def _mount(self, name: str | None) -> Mount:

@@ -169,8 +169,12 @@ _BODY_RGBA = (0.90, 0.62, 0.0, 1.0)
 _DARK_RGBA = (0.16, 0.16, 0.18, 1.0)
 
 
-def read_visuals(file: VisualFile, size: Sequence[float], joint: int) -> pin.GeometryModel:
-    """Return what the file shows, riding on `joint`, its own joints at rest.
+def read_visuals(
+    file: VisualFile, size: Sequence[float], joint: int
+) -> tuple[pin.GeometryModel, dict[str, tuple[str, ...]]]:
+    """Return what the file shows, riding on `joint`, its own joints at rest, and the joints of each object.
+
+    Those of an object are the joints of the file that move it, by name, the nearest first.
 
     Mesh files that are missing or cannot be read are named in a warning; if no mesh is left, the box stands
     for them. Of a file that shows nothing but a box which stands about the origin it is our own, which has a
@@ -191,12 +195,21 @@ def read_visuals(file: VisualFile, size: Sequence[float], joint: int) -> pin.Geo
     placed = [(base * data.oMi[item.parentJoint] * item.placement, item) for item in seen.geometryObjects]
     ours = pin.SE3(np.eye(3), np.array([0.0, 0.0, size[2] / 2]))
     if not shapes or (shapes == ["box"] and placed[0][0].isApprox(ours, _THERE)):
-        return box_visuals(size, joint)
+        return box_visuals(size, joint), {}
     lost = (left_out or broken) and "mesh" not in shapes
     visuals = box_visuals(size, joint) if lost else pin.GeometryModel()
     for placement, item in placed:
         visuals.addGeometryObject(drawn(item.name, joint, placement, item))
-    return visuals
+    return visuals, {item.name: _joints_above(model, item.parentJoint) for _, item in placed}
+
+
+def _joints_above(model: pin.Model, joint: int) -> tuple[str, ...]:
+    """Return the names of a joint and of those that move it, the nearest first."""
+    found = []
+    while joint:
+        found.append(str(model.names[joint]))
+        joint = model.parents[joint]
+    return tuple(found)
 
 
 def drawn(name: str, joint: int, placement: pin.SE3, item: pin.GeometryObject) -> pin.GeometryObject:

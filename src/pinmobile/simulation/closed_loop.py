@@ -13,10 +13,10 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, finite, positive, whole
 from pinmobile.compiled import Parts, memory_of
 from pinmobile.controllers import Controller
+from pinmobile.divergence import is_near
 from pinmobile.errors import Diverged, InvalidArgument, shown
 from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator
-from pinmobile.measures import is_near
 from pinmobile.plant import Context, Plant, all_samples, coordinates_of, whole_configurations
 from pinmobile.simulation.loop import CompiledLoop, Loop
 from pinmobile.simulation.rollout import Rollout

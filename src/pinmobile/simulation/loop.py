@@ -16,10 +16,10 @@ import numpy as np
 from pinmobile.arrays import LEAST_ANGLE, Array, are_real, wrap_angle
 from pinmobile.compiled import Parts, Program, Reference as Rows, Trace, once, program_of, robot_keys
 from pinmobile.controllers import Compact, Controller
+from pinmobile.divergence import is_alive
 from pinmobile.errors import InvalidArgument, NotFinite, NotTraceable, shown
 from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator, RungeKuttaNystrom
-from pinmobile.measures import is_alive
 from pinmobile.plant import Context, Input, Plant
 from pinmobile.signals import Recorder, Signal, recorder
 from pinmobile.simulation.setup import check_same, shorter
@@ -172,6 +172,7 @@ class Loop:
         """Return what parts told beside states and inputs at the samples before `end`, by name."""
         return {} if self.recorder is None else self.recorder.signals(end)
 
+    @np.errstate(over="ignore", invalid="ignore")  # what overflows is not fine
     def is_fine(self, begin: int, end: int, limit: float) -> bool:
         """Tell whether the samples are finite and near the reference; if in doubt, False."""
         if not (self.adds and self.whole):
@@ -240,6 +241,7 @@ class CompiledLoop:
     def run(self, begin: int, end: int) -> None:
         """Do nothing: all samples are there."""
 
+    @np.errstate(over="ignore", invalid="ignore")  # what overflows is not fine
     def is_fine(self, begin: int, end: int, limit: float) -> bool:
         """Tell whether the samples are finite and near the reference; if in doubt, False."""
         if not self._adds:

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from pinmobile.viewer.offline import OfflineWindow
+from pinmobile.viewer.pages import OfflineWindow
 from pinmobile.viewer.recording import Recording
 from pinmobile.viewer.stage import Arrows, Follow, Overlays, Stay
 from pinmobile.viewer.viewer import Viewer

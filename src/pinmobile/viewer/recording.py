@@ -22,7 +22,7 @@ from pinmobile.errors import InvalidArgument, ViewerError, shown
 from pinmobile.extras import installing
 from pinmobile.files import write, written
 from pinmobile.viewer.chromium import Browser
-from pinmobile.viewer.offline import engine, loading, sealed, stage_page
+from pinmobile.viewer.pages import engine, loading, sealed, stage_page
 
 _LOAD = """<script type="application/json" id="animation">$animation</script>
 <script>

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from pinmobile.arrays import Array, ArrayLike
-from pinmobile.viewer.offline import packed_array
+from pinmobile.viewer.pages import packed_array
 
 Shape = dict[str, Any]
 _Triangles = tuple[Array, NDArray[np.uint32]]  # vertices (n, 3) [m], faces (m, 3)

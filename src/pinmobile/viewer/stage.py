@@ -15,7 +15,7 @@ from pinmobile.dh import DHTable
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot import BODY
 from pinmobile.viewer.motion import Channel, Drawn
-from pinmobile.viewer.offline import Command, Visualizer
+from pinmobile.viewer.pages import Command, Visualizer
 from pinmobile.viewer.shapes import Shape, coarse, shadows
 
 _STAGE = "meshcat/stage"

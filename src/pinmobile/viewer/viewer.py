@@ -16,7 +16,7 @@ from pinmobile.errors import InvalidArgument, ViewerError, shown
 from pinmobile.files import written
 from pinmobile.simulation import Rollout
 from pinmobile.viewer.motion import figure, frame_times, tracks
-from pinmobile.viewer.offline import OfflineWindow
+from pinmobile.viewer.pages import OfflineWindow
 from pinmobile.viewer.recording import Recording, picture_of, recorded_page
 from pinmobile.viewer.scene import Scene
 from pinmobile.viewer.stage import Overlays, Stage

@@ -1,5 +1,6 @@
 """Wheels under a robot: the wheel table, rolling and slip, motors."""
 
+from pinmobile.wheels.description import read_wheels
 from pinmobile.wheels.ground import Coulomb, Ramp, Rolling
 from pinmobile.wheels.kinematics import Kinematics as Kinematics
 from pinmobile.wheels.mobility import Mobility
@@ -27,4 +28,5 @@ __all__ = [
     "Wheel",
     "WheelTable",
     "WheeledRobot",
+    "read_wheels",
 ]

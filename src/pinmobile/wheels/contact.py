@@ -19,6 +19,13 @@ from typing import Any, NamedTuple
 from pinmobile.compiled import choose, higher, repeated, square_root
 from pinmobile.robot import ZERO, Vector, dot, number
 
+_APART = 2.0  # rounds between two in which more than a round is taken, at least
+_LATER = 0.5  # and more after each
+_STRAIGHT = 0.98  # square of the cosine between two changes
+_FASTEST = 0.9999
+_FARTHEST = 0.5  # of the largest friction, by which an impulse changes so at most
+_LEAPING = 150.0  # rounds; whatever has not been found by then is left to plain ones
+
 
 class Bounds(NamedTuple):
     """What a wheel's friction is at most, and which slip it is against.
@@ -304,24 +311,44 @@ def impulses(
         largest = higher(largest, bound.along)
     enough = tolerance * largest
 
+    end, blocks = n + len(contact), len(contact)
+    inner = end + len(spins) + len(touches)
+
     def one(numbers: Vector) -> tuple[Vector, Any]:
-        v, p = numbers[:n], numbers[n : n + len(contact)]
-        rest = numbers[n + len(contact) :]
-        held, shifts, rounds = rest[: len(spins)], rest[len(spins) : -1], rest[-1]
-        change: Any = 0.0
+        v, p = numbers[:n], numbers[n:end]
+        held, shifts = numbers[end : end + len(spins)], numbers[end + len(spins) : inner]
+        before, (apart, since, rounds) = numbers[inner : inner + blocks], numbers[-3:]
         for k, (touch, bound) in enumerate(zip(touches, bounds, strict=True)):
             at = spins.index(touch.spin) if touch.held else 0
             old = p[2 * k : 2 * k + 2]
-            v, now, spun, shifts[k] = touch.solved(v, old, held[at] if held else 0.0, shifts[k], bound)
-            for a, b in zip(now, old, strict=True):
-                change = higher(abs(a - b), change)
+            v, p[2 * k : 2 * k + 2], spun, shifts[k] = touch.solved(
+                v, old, held[at] if held else 0.0, shifts[k], bound
+            )
             if touch.held:
                 held[at] = spun
-            p[2 * k : 2 * k + 2] = now
-        return [*v, *p, *held, *shifts, rounds + 1.0], change <= enough
+        changes = [x - y for x, y in zip(p, numbers[n:end], strict=True)]
+        most_changed: Any = 0.0
+        for x in changes:
+            most_changed = higher(abs(x), most_changed)
+        done = most_changed <= enough
+        # Where what is left falls by the same share in each round, all rounds to come are taken at once.
+        own, other, both = dot(changes, changes), dot(before, before), dot(changes, before)
+        straight = both * abs(both) > _STRAIGHT * own * other
+        share = both / choose(other > 0.0, other, 1.0)
+        far = choose(share < _FASTEST, share, _FASTEST)
+        reach = _FARTHEST * largest / choose(most_changed > 0.0, most_changed, 1.0)
+        ahead = choose(straight, far / (1.0 - far), 0.0)
+        ahead = choose(ahead < reach, ahead, reach)
+        ahead = choose(since >= apart, choose(rounds >= last, 0.0, choose(done, 0.0, ahead)), 0.0)
+        leaps = [x + ahead * (x - y) for x, y in zip([*v, *p, *held, *shifts], numbers, strict=False)]
+        leaps[end + len(spins) :] = [higher(x, 0.0) for x in leaps[end + len(spins) :]]
+        leapt = ahead > 0.0
+        counts = [choose(leapt, apart + _LATER, apart), choose(leapt, 0.0, since + 1.0), rounds + 1.0]
+        return [*leaps, *changes, *counts], done
 
-    found = repeated(one, [*velocity, *contact, *spin, *before.multipliers, 0.0], most)
-    rest = found[n + len(contact) :]
+    last = min(most - 1.5, _LEAPING)
+    nothing: Vector = [*[0.0] * blocks, _APART, 0.0, 0.0]
+    found = repeated(one, [*velocity, *contact, *spin, *before.multipliers, *nothing], most)
     return Impulses(
-        found[:n], found[n : n + len(contact)], rest[: len(spins)], rest[len(spins) : -1], rest[-1]
+        found[:n], found[n:end], found[end : end + len(spins)], found[end + len(spins) : inner], found[-1]
     )

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
 from pinmobile.robot import BODY, BODY_JOINT, MobileRobot, box_visuals, number
+from pinmobile.wheels.description import wheel_name
 from pinmobile.wheels.kinematics import Kinematics
 from pinmobile.wheels.table import FIXED, Support, Wheel, WheelTable
 
@@ -101,11 +102,8 @@ class Picture:
 
     def _of_file(self, item: pin.GeometryObject, row: int, spins: bool) -> None:
         """Let an object of the body's own visuals turn with a wheel."""
-        still = self._frames(self.robot.rest[:BODY_JOINT] * 0.0, np.zeros(len(self.table.axes)), None)
-        if spins:
-            still = self._frames(
-                np.zeros(BODY_JOINT), np.zeros(len(self.table.axes)), np.zeros(len(self.table))
-            )
+        turned = np.zeros(len(self.table)) if spins else None
+        still = self._frames(np.zeros(BODY_JOINT), np.zeros(len(self.table.axes)), turned)
         placement = np.linalg.inv(still[row]) @ item.placement.homogeneous
         self._kept(item, Item(-1, row, spins, placement))
 
@@ -188,8 +186,23 @@ def _body(pose: Array) -> Array:
 
 def _riding(robot: MobileRobot, table: WheelTable) -> dict[str, tuple[int, bool]]:
     """Return which objects of a file's visuals turn with a wheel: its row, and whether they spin with it."""
-    del robot, table
-    return {}
+    rows = {name: row for row, name in enumerate(table.names)}
+    spinning: dict[str, int] = {}
+    steering: dict[str, int] = {}
+    for joint in robot.undercarriage.wheels:
+        row = rows.get(wheel_name(joint.name))
+        if row is not None:
+            spinning[joint.name] = row
+            if table.wheels[row].steering != FIXED:
+                steering |= {swivel.name: row for swivel in joint.swivels[:1]}
+    found: dict[str, tuple[int, bool]] = {}
+    for name, joints in robot.visual_joints.items():
+        for joint_name in joints:
+            if joint_name in spinning or joint_name in steering:
+                spins = joint_name in spinning
+                found[name] = (spinning if spins else steering)[joint_name], spins
+                break
+    return found
 
 
 def _clearance(size: Sequence[float], table: WheelTable) -> float:

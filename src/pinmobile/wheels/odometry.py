@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, finite, frozen, non_negative, positive, whole
+from pinmobile.arrays import Array, frozen, non_negative, positive, vector, whole
 from pinmobile.controllers import Controller, State, answer_of, check_controller, told
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Context, Parameter
-from pinmobile.robot import ZERO, Vector, dot, scalars, solved_by, stacked
+from pinmobile.robot import ZERO, Vector, dot, scalars, solved as solved_by, vector_of as stacked
 from pinmobile.signals import signals_of
 from pinmobile.wheels.kinematics import Kinematics
 from pinmobile.wheels.table import WheelTable
@@ -26,10 +26,10 @@ class ByOdometry:
     """A controller that is told the pose that its wheels' encoders lead to, instead of the true one.
 
     It starts at the true pose. From sample to sample encoders tell how far each wheel has turned; the body's
-    displacement is the one that fits all wheels best, tyres not moving sideways, by least squares of the table that it
-    believes; along the heading half way. Velocities are displacements over the time between samples. Angles of
-    arms and steering axes are known. What the table has wrong, wheels that slip and coarse encoders make the pose
-    drift: the signal ``believed_pose``, beside the true one.
+    displacement is the one that fits all wheels best, tyres not moving sideways, by least squares of the
+    table that it believes; along the heading half way. Velocities are displacements over the time between
+    samples. Angles of arms and steering axes are known. What the table has wrong, wheels that slip and coarse
+    encoders make the pose drift: the signal ``believed_pose``, beside the true one.
 
     Parameters
     ----------
@@ -43,6 +43,8 @@ class ByOdometry:
         Standard deviation of each wheel's measured rate, >= 0 [rad/s]; white.
     seed : int
         Of the noise.
+    x, y, radius : array_like, shape (wheels,), optional
+        What it believes in place of the table's numbers [m].
 
     Raises
     ------
@@ -55,9 +57,9 @@ class ByOdometry:
     ticks: float | None = None
     noise: float = 0.0
     seed: int = 0
-    x: Array = field(init=False, repr=False)
-    y: Array = field(init=False, repr=False)
-    radius: Array = field(init=False, repr=False)
+    x: Any = None
+    y: Any = None
+    radius: Any = None
 
     def __post_init__(self) -> None:
         check_controller(self.controller)
@@ -68,8 +70,10 @@ class ByOdometry:
         object.__setattr__(self, "noise", non_negative("noise", self.noise, "rad/s"))
         object.__setattr__(self, "seed", whole("seed", self.seed, least=0))
         for name, _, _ in _NUMBERS:
-            object.__setattr__(self, name, frozen([getattr(wheel, name) for wheel in self.table.wheels]))
-        rows = Kinematics.of(self.table).rows(*self._still)
+            own = getattr(self, name)
+            numbers = [getattr(wheel, name) for wheel in self.table.wheels] if own is None else own
+            object.__setattr__(self, name, frozen(vector(name, numbers, len(self.table))))
+        rows = self._kinematics.rows(*self._still)
         if np.linalg.matrix_rank(np.array([stacked(row.base, self.x) for row in rows])) < 3:
             raise InvalidArgument(
                 "table does not tell by its wheels' rates how the body moves, expected rows of rank 3"
@@ -80,6 +84,10 @@ class ByOdometry:
         """Steering angles, twist and rates that are zero."""
         ns = len(self.table.axes)
         return [ZERO] * ns, [ZERO] * 3, [ZERO] * (ns + len(self.table))
+
+    @property
+    def _kinematics(self) -> Kinematics:
+        return Kinematics(self.table, *(scalars(x) for x in (self.x, self.y, self.radius)))
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -102,22 +110,13 @@ class ByOdometry:
         )
         return (*believed, noise)
 
-    def with_parameters(self, **values: Any) -> ByOdometry:
-        """Return one that believes other numbers, by attribute."""
-        noise = float(values.pop("noise", self.noise))
-        wheels = list(self.table.wheels)
-        for name, numbers in values.items():
-            for k, number in enumerate(finite(name, numbers)):
-                wheels[k] = replace(wheels[k], **{name: float(number)})
-        table = replace(self.table, wheels=tuple(wheels))
-        return ByOdometry(self.controller, table, self.ticks, noise, self.seed)
-
     def initial_state(self, context: Context) -> tuple[Any, ...]:
-        """Return the wrapped controller's state, the noise, the time between samples, and that nothing is known."""
+        """Return the wrapped controller's state, the noise, the sampling time, and that nothing is known."""
         names = tuple(one.name for one in context.coordinates)[-len(self.table) :]
         if context.coordinates and names != self.table.names:
             raise InvalidArgument(
-                f"table has the wheels {', '.join(self.table.names)}, expected those of the plant: {', '.join(names)}"
+                f"table has the wheels {', '.join(self.table.names)}, expected those of the plant: "
+                f"{', '.join(names)}"
             )
         joints = np.zeros(len(self.table.axes) + len(self.table))
         noise = context.normal(f"odometry {self.seed}", len(self.table))
@@ -125,7 +124,9 @@ class ByOdometry:
         return inner, noise, float(context.dt), (np.zeros(3), joints, 0.0)
 
     def applied(self, u: Array, state: Any) -> Any:
-        """Return the state, with the wrapped controller told of the input that is applied, shape (..., nu)."""
+        """Return the state, with the wrapped controller told of the input that is applied, shape (...,
+        nu).
+        """
         return told(self.controller, u, state[0]), *state[1:]
 
     def signals(self, state: Any) -> dict[str, Any]:
@@ -167,8 +168,8 @@ class ByOdometry:
         return np.asarray(self.noise)[..., None] * numbers
 
     def _displacement(self, steering: Any, joints: Any) -> Any:
-        """Return the body's displacement, or twist, that fits those of steering axes and wheels best, (..., 3)."""
-        kinematics = Kinematics(self.table, scalars(self.x), scalars(self.y), scalars(self.radius))
+        """Return the body's displacement, or twist, that fits those of its joints best, shape (..., 3)."""
+        kinematics = self._kinematics
         _, twist, rates = self._still
         rows, moved = kinematics.rows(scalars(steering), twist, rates), scalars(joints)
         columns = [[row.base[k] for row in rows] for k in range(3)]

@@ -7,12 +7,14 @@ forces, by which `WheeledRobot` itself computes, are another way to the same num
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 
+from pinmobile.arrays import Array
 from pinmobile.plant import Coordinate, Input, Parameter
 from pinmobile.robot import (
     ZERO,
@@ -25,11 +27,11 @@ from pinmobile.robot import (
     number,
     scalars,
     sine_and_cosine,
-    solved_by,
-    stacked,
+    solved as solved_by,
+    vector_of as stacked,
 )
 from pinmobile.wheels.kinematics import Choice, Kinematics, Row, Solution, solved
-from pinmobile.wheels.table import WheelTable
+from pinmobile.wheels.table import Axis, WheelTable
 
 _BASE = 3
 
@@ -477,6 +479,34 @@ class WheeledBody:
                 force = -(effort[first + at] / row.joints[at])
                 found[:_BASE] = [x + force * b for x, b in zip(found[:_BASE], row.base, strict=True)]
         return found
+
+    def start(self, reference: Any) -> tuple[Array, Array]:
+        """Return the q and v with which a reference begins, shape (nq,) and (nv,), see `WheeledRobot.start`."""
+        return self.begun(*self.robot.start(reference))
+
+    def begun(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Return q and v of one state, wheels steered to where they go, and rolling."""
+        q, v = np.append(q, np.zeros(self.joints)), np.append(v, np.zeros(self.joints))
+        nq, nv, ns = int(self.robot.nq), int(self.robot.nv), len(self.table.axes)
+        twist = [float(number(x)) for x in self.state(q, v).twist]
+        q[nq : nq + ns] = [self._steered_to(axis, twist) for axis in self.table.axes]
+        state = self.state(q, v)
+        rows = self.kinematics.rows(state.steering, state.twist, state.rates)
+        for joint, i in self.choice.joints:
+            own = [float(number(x)) for x in rows[i].joints]
+            known = float(number(dot(rows[i].base, state.twist))) + float(np.dot(own, v[nv:]))
+            v[nv + joint] = -(known - own[joint] * v[nv + joint]) / own[joint]
+        return q, v
+
+    def _steered_to(self, axis: Axis, twist: Sequence[float]) -> float:
+        """Return the steering angle at which a wheel goes where the body takes it; 0 at rest."""
+        wheel = self.table.wheels[axis.wheels[0]]
+        x, y = (wheel.x - axis.ackermann, 0.0) if axis.ackermann is not None else (wheel.x, wheel.y)
+        ahead, aside = twist[0] - twist[2] * y, twist[1] + twist[2] * x
+        angle = float(np.arctan2(aside, ahead)) - wheel.angle if ahead or aside else 0.0
+        if wheel.motor is not None or axis.ackermann is not None:  # it may as well run backwards
+            angle = (angle + np.pi / 2) % np.pi - np.pi / 2
+        return angle
 
 
 @final

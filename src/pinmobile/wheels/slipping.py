@@ -16,7 +16,18 @@ import numpy as np
 from pinmobile.compiled import choose, plain
 from pinmobile.errors import InvalidArgument
 from pinmobile.plant import Step
-from pinmobile.robot import ONE, ZERO, Matrix, Vector, dot, exact, number, scalars, sine_and_cosine, stacked
+from pinmobile.robot import (
+    ONE,
+    ZERO,
+    Matrix,
+    Vector,
+    dot,
+    exact,
+    number,
+    scalars,
+    sine_and_cosine,
+    vector_of as stacked,
+)
 from pinmobile.wheels.contact import Bounds, Impulses, Touch, impulses
 from pinmobile.wheels.loads import Loads, shared_loads
 from pinmobile.wheels.rolling import State, WheeledBody
@@ -255,10 +266,14 @@ class SlippingBody(WheeledBody):
         """Return the slip of each wheel at the start of a step; zero where it does not go on all the time.
 
         Friction against the mean slip is of second order and takes as much energy as it should; it does
-        not stick, so that a wheel that loses half its slip in the step is taken by its end.
+        not stick, so that a wheel that loses half its slip in the step is taken by its end, as one is whose
+        force is in proportion to its slip.
         """
         found = []
         for touch, wheel in zip(shape.touches, self.table.wheels, strict=True):
+            if wheel.friction.slip:
+                found.append([0.0, 0.0])
+                continue
             old, new = (
                 [number(dot(row, [x[self._kept[k]] for k in shape.touched])) for row in touch.rows]
                 for x in (before, after)

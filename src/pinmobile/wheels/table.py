@@ -337,6 +337,8 @@ class WheelTable:
         Where the robot stands beside its wheels.
     couplings : sequence of GearTrain, Differential, Ackermann
         What holds whatever the friction.
+    source : str
+        Where its numbers come from, in words; no part of what makes two tables equal.
 
     Attributes
     ----------
@@ -354,6 +356,7 @@ class WheelTable:
     wheels: tuple[Wheel, ...]
     supports: tuple[Support, ...] = ()
     couplings: tuple[Coupling, ...] = ()
+    source: str = "wheels made from numbers"
     axes: tuple[Axis, ...] = field(init=False)
     actuators: tuple[Actuator, ...] = field(init=False)
 
@@ -365,7 +368,8 @@ class WheelTable:
         kinds = (GearTrain, Differential, Ackermann)
         couplings = _kept("couplings", self.couplings, kinds, "GearTrain, Differential or Ackermann")
         _check_places(wheels, supports)
-        for key, value in {"wheels": wheels, "supports": supports, "couplings": couplings}.items():
+        given = {"wheels": wheels, "supports": supports, "couplings": couplings}
+        for key, value in {**given, "source": text("source", self.source)}.items():
             object.__setattr__(self, key, value)
         for coupling in couplings:
             for name in coupling.wheels:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from os import PathLike
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple, final
+from typing import Any, ClassVar, NamedTuple, Self, final
 
 import numpy as np
 import pinocchio as pin
@@ -15,8 +16,9 @@ from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer,
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Contacts, Coordinate, Input, Parameter, Step
-from pinmobile.robot import BODY_JOINT, Engine, Load, MobileRobot, System, number
+from pinmobile.robot import BODY_JOINT, LOCKED, Engine, Load, MobileRobot, System, number
 from pinmobile.urdf import Body
+from pinmobile.wheels.description import joint_signs, read_robot, read_wheels
 from pinmobile.wheels.drawn import Picture
 from pinmobile.wheels.ground import Coulomb, Ground, Rolling
 from pinmobile.wheels.kinematics import Kinematics
@@ -99,7 +101,7 @@ class WheeledRobot:
     robot : MobileRobot
         The whole, wheels locked at their table angles: its mass, centre of mass and inertia hold the wheels'.
     table : WheelTable
-        Its wheels.
+        Its wheels; by default those of the file that it was read from, see `read_wheels`.
     ground : Rolling or Coulomb, optional
         What it stands on; by default `Rolling` where the drive can roll without slip, else `Coulomb`.
 
@@ -111,7 +113,7 @@ class WheeledRobot:
     """
 
     robot: MobileRobot
-    table: WheelTable
+    table: WheelTable = None  # type: ignore[assignment]
     ground: Ground = None  # type: ignore[assignment]
     mobility: Mobility = field(init=False)
     _tree: _Tree = field(init=False)
@@ -121,6 +123,8 @@ class WheeledRobot:
     def __post_init__(self) -> None:
         if not isinstance(self.robot, MobileRobot):
             raise InvalidArgument(f"robot is {shown(self.robot)}, expected a MobileRobot")
+        if self.table is None:
+            object.__setattr__(self, "table", read_wheels(self.robot))
         if not isinstance(self.table, WheelTable):
             raise InvalidArgument(f"table is {shown(self.table)}, expected a WheelTable")
         mobility = Mobility.of(self.table)
@@ -184,6 +188,55 @@ class WheeledRobot:
 
     def __reduce__(self) -> tuple[object, ...]:
         return WheeledRobot, (self.robot, self.table, self.ground)
+
+    @classmethod
+    def from_urdf(
+        cls,
+        path: str | PathLike[str],
+        package_dirs: str | PathLike[str] | Sequence[str | PathLike[str]] = (),
+        *,
+        table: WheelTable | None = None,
+        ground: Ground | None = None,
+        ground_z: ArrayLike | None = None,
+        **given: Any,
+    ) -> Self:
+        """Return the robot of a URDF on the wheels that it has; `source` says what was taken and what guessed.
+
+        Parameters
+        ----------
+        path, package_dirs
+            As in `MobileRobot.from_urdf`.
+        table : WheelTable, optional
+            Its wheels; by default those of the file.
+        ground : Rolling or Coulomb, optional
+            As in the class.
+        ground_z : float, optional
+            The ground's z in the frame of the root link [m]; by default as `MobileRobot.from_urdf` finds it,
+            or where the file does not tell, below the wheels by the radii in `given`.
+        **given
+            What the file does not tell of its wheels, see `read_wheels`: ``radius``, ``rollers``, ``driven``,
+            ``steering``, ``inertia``, ``locked``, ``supports``, ``couplings``.
+
+        Raises
+        ------
+        InvalidArgument
+            As `MobileRobot.from_urdf`, `read_wheels` and the class; or if both a table and `given` are there.
+        """
+        if table is not None and given:
+            raise InvalidArgument(f"{next(iter(given))} is given with table=, expected one of the two")
+        robot = read_robot(path, package_dirs, ground_z, given.get("radius"), given.get("locked", ()))
+        wheels = read_wheels(robot, **given) if table is None else table
+        return cls(robot, wheels, ground)  # type: ignore[arg-type]
+
+    @property
+    def source(self) -> str:
+        """Where its numbers come from, in words."""
+        return f"{self.robot.source.replace(f'; {LOCKED}', '')}; {self.table.source}"
+
+    @property
+    def joint_signs(self) -> Mapping[str, int]:
+        """Of each wheel of its file 1, or -1 where the joint there turns the other way."""
+        return MappingProxyType(joint_signs(self.robot, self.table))
 
     def mount(self, arm: Any, at: ArrayLike | None = None, **options: Any) -> WheeledRobot:
         """Return the robot with an arm on its body: see `MobileRobot.mount`."""
@@ -780,7 +833,7 @@ class WheeledRobot:
 
         Of an Ackermann pair it is the wheel in their middle.
         """
-        return frozen(self._rolling.pivots) if self.table.axes else frozen(np.zeros((0, 3)))
+        return frozen(self._traced.pivots) if self.table.axes else frozen(np.zeros((0, 3)))
 
     def lateral_velocity(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return how fast fixed wheels would slide sideways if the body moved so, shape (...) [m/s].
@@ -839,8 +892,8 @@ class WheeledRobot:
 
     def _missed(self, q: Array, tau: Array, u: Array) -> Array:
         """Return what of a force the wheels and joints do not supply, shape (..., 3 + arms)."""
-        state = self._rolling.state(q, np.zeros(self.nv))
-        had = np.array([number(x) for x in self._rolling.supplied(state, u)])
+        state = self._traced.state(q, np.zeros(self.nv))
+        had = np.array([number(x) for x in self._traced.supplied(state, u)])
         x, y = had[:2].copy()
         had[:2] = state.c * x - state.s * y, state.s * x + state.c * y
         return tau - had
@@ -916,29 +969,7 @@ class WheeledRobot:
 
         Steered wheels point to where they go, and all roll; what the reference leaves out of the arms rests.
         """
-        q, v = self.robot.start(reference)
-        nq, nv, ns = self.robot.nq, self.robot.nv, len(self.table.axes)
-        q, v = np.append(q, np.zeros(self._joints)), np.append(v, np.zeros(self._joints))
-        _, twist, _ = self._split(q, v)
-        q[nq : nq + ns] = self._steered_to(twist)
-        rows, _ = self._rows(q, v)
-        for axis, row in self.mobility.choice.joints:
-            known = rows[row] @ v - rows[row, nv + axis] * v[nv + axis]
-            v[nv + axis] = -known / rows[row, nv + axis]
-        return q, v
-
-    def _steered_to(self, twist: Array) -> Array:
-        """Return the steering angles at which the wheels go where the body takes them; 0 at rest."""
-        found = []
-        for axis in self.table.axes:
-            wheel = self.table.wheels[axis.wheels[0]]
-            x, y = (wheel.x - axis.ackermann, 0.0) if axis.ackermann is not None else (wheel.x, wheel.y)
-            ahead, aside = twist[0] - twist[2] * y, twist[1] + twist[2] * x
-            angle = np.arctan2(aside, ahead) - wheel.angle if ahead or aside else 0.0
-            if wheel.motor is not None or axis.ackermann is not None:  # it may as well run backwards
-                angle = (angle + np.pi / 2) % np.pi - np.pi / 2
-            found.append(angle)
-        return np.array(found)
+        return self._traced.begun(*self.robot.start(reference))
 
     @property
     def initial_state(self) -> Callable[[Any], Grip]:
@@ -1030,9 +1061,14 @@ def _with_wheels(robot: MobileRobot, table: WheelTable, fall: Array) -> pin.Mode
 
     Pinocchio's CRBA takes what hangs on a joint to come right after it.
     """
-    model = robot.model
+    model, wheels = robot.model, sum(wheel.mass for wheel in table.wheels)
     model.gravity.linear = fall
     body = pin.Inertia(model.inertias[BODY_JOINT])
+    if body.mass <= wheels:
+        raise InvalidArgument(
+            f"robot has a mass of {body.mass:.6g} kg, and its wheels {wheels:.6g} kg, which are a part of it; "
+            "expected the mass of the whole"
+        )
     for wheel in table.wheels:
         body -= _placed(wheel).act(_inertia(wheel))
     model.inertias[BODY_JOINT] = _checked(body)

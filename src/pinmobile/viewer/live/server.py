@@ -25,7 +25,7 @@ from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from pinmobile.arrays import text
 from pinmobile.errors import InvalidArgument, ViewerError, shown
-from pinmobile.viewer.offline import Backlog, packed_command
+from pinmobile.viewer.pages import Backlog, packed_command
 
 _LOOPBACK = ("127.0.0.1", "::1", "localhost")
 _EVERYWHERE = ("0.0.0.0", "::")

@@ -19,7 +19,7 @@ from PIL import Image, ImageOps
 from pinmobile.arrays import non_negative, whole
 from pinmobile.errors import InvalidArgument, ViewerError
 from pinmobile.viewer.live.server import Access, Browser, GuardedServer, access_for, application, listening
-from pinmobile.viewer.offline import ENGINE, Backlog, Command, stage_page, static_page
+from pinmobile.viewer.pages import ENGINE, Backlog, Command, stage_page, static_page
 
 _CAPTURE = 20.0  # [s] that a browser has to draw a picture
 _SCRIPT, _CONNECT = 'src="main.min.js"', "viewer.connect()"

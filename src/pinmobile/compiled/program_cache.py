@@ -24,7 +24,7 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.compiled.emit import Shape
-from pinmobile.compiled.lasting import Unknown, key_of, packed, unpacked
+from pinmobile.compiled.file_cache import Unknown, key_of, packed, unpacked
 from pinmobile.compiled.loop_tape import initial_memory
 from pinmobile.compiled.memory import Line, Noise
 from pinmobile.compiled.parts import Parts, Place, attributes_of

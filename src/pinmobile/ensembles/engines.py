@@ -30,10 +30,11 @@ from pinmobile.compiled import (
     robot_keys,
     tracking_errors,
 )
+from pinmobile.divergence import is_near
 from pinmobile.ensembles.records import Part, bins_of, one_by_one
 from pinmobile.ensembles.scenario import Scenario
 from pinmobile.errors import InvalidArgument, NotTraceable
-from pinmobile.measures import is_near, measures_of
+from pinmobile.measures import measures_of
 from pinmobile.plant import Context
 from pinmobile.simulation import ARRAYS, COMPILED, PINOCCHIO, Engine, check_same, checked_engine
 

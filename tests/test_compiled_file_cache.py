@@ -30,7 +30,7 @@ from pinmobile import (
     rk4,
     simulate,
 )
-from pinmobile.compiled import Cache, known, lasting, processor
+from pinmobile.compiled import Cache, file_cache, processor, program_cache
 from pinmobile.compiled.passes import traced
 from pinmobile.compiled.processor import LOOP
 from pinmobile.controllers import feedback
@@ -48,15 +48,15 @@ class Process:
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.folder, self.traced = folder, 0
         monkeypatch.setenv("PINMOBILE_CACHE", str(folder))
-        monkeypatch.setattr(known, "traced", self._trace)
+        monkeypatch.setattr(program_cache, "traced", self._trace)
 
     def _trace(self, *given: Any, **options: Any) -> Any:
         self.traced += 1
         return traced(*given, **options)
 
     def begin(self) -> None:
-        known._known.clear()
-        known._memories.clear()
+        program_cache._known.clear()
+        program_cache._memories.clear()
         processor._known.clear()
         self.traced = 0
 
@@ -234,8 +234,8 @@ def test_no_file_is_used_where_the_source_is_not_what_was_loaded(
     process: Process, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run(PD(100, 20))
-    lasting._machinery.cache_clear()
-    monkeypatch.setattr(lasting, "_BEGAN", time.time() - 1e9)
+    file_cache._machinery.cache_clear()
+    monkeypatch.setattr(file_cache, "_BEGAN", time.time() - 1e9)
     process.begin()
     run(PD(100, 20))
     assert process.traced == 1
@@ -277,10 +277,10 @@ def test_another_process_finds_the_loop_whatever_its_seed_of_hashes(process: Pro
     LOOPS["wrappers"]()
     before = process.loops
     code = (
-        "from pinmobile.compiled import known\n"
+        "from pinmobile.compiled import program_cache\n"
         "def refuse(*given, **options): raise SystemExit('traced')\n"
-        "from tests.test_compiled_lasting import LOOPS\n"
-        "known.traced = refuse\n"
+        "from tests.test_compiled_file_cache import LOOPS\n"
+        "program_cache.traced = refuse\n"
         "LOOPS['a law'](); LOOPS['wrappers']()\n"
     )
     environment = os.environ | {"PYTHONHASHSEED": "7"}

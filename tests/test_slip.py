@@ -1,0 +1,458 @@
+"""Wheels on dry ground: they stick exactly, slide by Coulomb's law, and their loads balance the robot."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pinmobile import COMPILED, errors
+from pinmobile.arrays import Array
+from pinmobile.compiled import Cache, Parts, Program, Reference, Trace, traced
+from pinmobile.integrators import rk4
+from pinmobile.paths import Hold
+from pinmobile.robot import MobileRobot
+from pinmobile.simulation import Rollout, simulate
+from pinmobile.trajectories import FixedHeading
+from pinmobile.wheels import (
+    Coulomb,
+    Friction,
+    GearTrain,
+    Motor,
+    Ramp,
+    Rolling,
+    Support,
+    Wheel,
+    WheeledRobot,
+    WheelTable,
+)
+from pinmobile.wheels.contact import Bounds, Impulses, Touch, impulses
+from pinmobile.wheels.loads import shared_loads
+from tests import wheeled
+from tests.looping import context, looped
+
+WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
+DRY = Friction(mu=0.6, rolling=0.0)
+BODY = MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.2))
+CENTRAL = MobileRobot(30.0, 2.3, com=(0.0, 0.0, 0.2))
+SKID = WheelTable.skid_steer(0.5, 0.4, 0.1, **WHEEL)
+G = float(np.linalg.norm(BODY.model.gravity.linear))
+
+
+class Torques:
+    """Torques that stay, and drive nothing else."""
+
+    def __init__(self, *u: float) -> None:
+        self.u = np.array(u)
+
+    def initial_state(self, context: Any) -> None:
+        return None
+
+    def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: None) -> tuple[Any, None]:
+        return self.u + 0.0 * t, state
+
+
+def run(
+    robot: WheeledRobot, u: Sequence[float], dt: float, duration: float, q: Any = None, v: Any = None
+) -> Rollout:
+    """Return a run under constant torques, on machine code."""
+    where = FixedHeading(Hold([0.0, 0.0], duration), 0.0)
+    q0, v0 = (robot.rest if q is None else q), (np.zeros(robot.nv) if v is None else v)
+    by = rk4 if isinstance(robot.ground, Rolling) else None
+    return simulate(robot, Torques(*u), where, dt=dt, q0=q0, v0=v0, integrator=by, engine=COMPILED, limit=1e9)
+
+
+def rolling_at(robot: WheeledRobot, *twist: float) -> Array:
+    """Return velocities at which fixed wheels of angle zero do not slip along."""
+    v = np.zeros(robot.nv)
+    v[:3], n = twist, len(robot.table)
+    v[-n:] = [(v[0] - wheel.y * v[2]) / wheel.radius for wheel in robot.table.wheels]
+    return v
+
+
+def skid(friction: Friction, **others: Any) -> WheelTable:
+    return WheelTable.skid_steer(0.5, 0.4, 0.1, **{**WHEEL, "friction": friction, **others})
+
+
+def test_the_error_of_fixed_wheels_falls_with_the_square_of_the_step() -> None:
+    """On an arc, all wheels sliding all the time."""
+    robot = WheeledRobot(BODY, skid(DRY))
+    begun = run(robot, (30.0, -25.0), 0.001, 0.4)
+    q, v = begun.q[-1], begun.v[-1]
+    ends = [run(robot, (30.0, -25.0), h, 0.2, q, v) for h in (0.02, 0.01, 0.005, 0.000625)]
+    assert np.all(ends[-1].signals["slides"].values[1:] == 1)
+    far = [np.abs(end.v[-1, 0] - ends[-1].v[-1, 0]) for end in ends[:-1]]
+    assert far[0] < 1e-3
+    assert 3.0 < far[0] / far[1] < 5.0
+    assert 3.0 < far[1] / far[2] < 5.0
+
+
+def test_locked_wheels_slide_as_far_as_friction_says() -> None:
+    robot = WheeledRobot(CENTRAL, skid(Friction(mu=0.5, rolling=1e3)))
+    v = np.zeros(robot.nv)
+    v[0] = 2.0
+    found = run(robot, (0.0, 0.0), 0.01, 1.0, v=v)
+    assert abs(found.q[-1, 0] - 4.0 / (2 * 0.5 * G)) < 5e-5
+    assert np.abs(found.v[-1]).max() < 1e-14
+
+
+@pytest.mark.parametrize("direction", [0.0, 0.7, np.pi / 2])
+def test_what_friction_can_hold_on_a_ramp_stays_and_what_it_cannot_accelerates(direction: float) -> None:
+    locked = skid(Friction(mu=0.5, rolling=1e3))
+    below = WheeledRobot(CENTRAL, locked, Coulomb(ramp=Ramp(np.arctan(0.98 * 0.5), direction)))
+    held = run(below, (0.0, 0.0), 0.01, 10.0)
+    assert np.abs(held.q).max() < 1e-14
+    angle = np.arctan(1.02 * 0.5)
+    above = WheeledRobot(CENTRAL, locked, Coulomb(ramp=Ramp(angle, direction)))
+    v = run(above, (0.0, 0.0), 0.01, 1.0).v[-1]
+    expected = -G * (np.sin(angle) - 0.5 * np.cos(angle)) * np.array([np.cos(direction), np.sin(direction)])
+    np.testing.assert_allclose(v[:2], expected, rtol=0, atol=1e-12)
+
+
+def effective_track(robot: MobileRobot, table: WheelTable) -> float:
+    """Return the track that a base seems to have which turns in place slowly, over its track."""
+    found = run(
+        WheeledRobot(robot, table), (0.0, 0.0), 0.01, 1.0, v=np.array([0, 0, 0, -0.2, 0.2, -0.2, 0.2])
+    )
+    radius, half = table.wheels[0].radius, table.wheels[0].y
+    return float(found.v[-1, 4] * radius / found.v[-1, 2] / half)
+
+
+@pytest.mark.parametrize("mu", [0.3, 0.8])
+def test_a_skid_steer_turns_as_if_its_track_were_wider_whatever_the_friction(mu: float) -> None:
+    table = skid(Friction(mu=mu, rolling=0.0), motor=Motor(rotor_inertia=1e6))
+    assert effective_track(CENTRAL, table) == pytest.approx(1 + (0.25 / 0.2) ** 2, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("mass", "inertia", "height", "wheelbase", "track", "radius", "expected", "configured"),
+    [
+        (56.58, 2.5, 0.189, 0.512, 0.5708, 0.1651, 1.80, 1.875),
+        (18.43, 0.5, 0.1, 0.262, 0.3756, 0.098, 1.49, 1.5),
+    ],
+    ids=["husky", "jackal"],
+)
+def test_the_track_of_real_bases_is_near_what_their_drivers_are_configured_with(
+    mass: float,
+    inertia: float,
+    height: float,
+    wheelbase: float,
+    track: float,
+    radius: float,
+    expected: float,
+    configured: float,
+) -> None:
+    """Their masses taken as central; husky/husky and jackal/jackal, wheel_separation_multiplier."""
+    table = WheelTable.skid_steer(
+        wheelbase, track, radius, motor=Motor(rotor_inertia=1e6), **{**WHEEL, "friction": DRY}
+    )
+    found = effective_track(MobileRobot(mass, inertia, com=(0.0, 0.0, height)), table)
+    assert found == pytest.approx(expected, abs=0.006)
+    assert abs(found / configured - 1) < 0.04
+
+
+GRIPS = {**WHEEL, "friction": Friction(mu=500.0, across=0.0, rolling=0.0)}
+DRIVES = {
+    "differential": WheelTable.differential(0.5, 0.1, x=0.07, supports=[(-0.2, 0.0)], **GRIPS),
+    "mecanum": WheelTable.mecanum(0.5, 0.4, 0.08, **GRIPS),
+    "omni": WheelTable.omni(0.25, 0.05, **GRIPS),
+    "car": WheelTable.car(0.6, 0.4, 0.1, **GRIPS),
+}
+
+
+@pytest.mark.parametrize("name", DRIVES)
+def test_with_much_friction_wheels_roll(name: str) -> None:
+    table, ahead = DRIVES[name], MobileRobot(30.0, 2.3, com=(0.1 if name == "car" else 0.02, 0.02, 0.2))
+    ideal, grips = WheeledRobot(ahead, table), WheeledRobot(ahead, table, Coulomb())
+    u = 0.2 * np.cos(np.arange(ideal.nu))
+    u[-1] *= 0.05 if name == "car" else 1.0
+    v = ideal.project(ideal.rest, [0.2, -0.1, 0.3, *np.zeros(ideal.nv - 3)])
+    expected = run(ideal, u, 0.005, 0.5, v=v).q[-1]
+    far = [np.abs(run(grips, u, h, 0.5, v=v).q[-1] - expected).max() for h in (0.01, 0.005)]
+    assert far[0] < 1e-3
+    assert far[0] / far[1] == pytest.approx(2.0 if name == "car" else 4.0, rel=0.1)
+
+
+def test_loads_are_those_of_springs_and_press_where_the_weight_does() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        places = rng.uniform(-0.5, 0.5, (4, 2)) + [[0.4, 0.4], [0.4, -0.4], [-0.4, 0.4], [-0.4, -0.4]]
+        wrench = np.array([100.0, *rng.uniform(-8.0, 8.0, 2)])
+        rows = np.column_stack([np.ones(4), places[:, 1], -places[:, 0]])
+        springs = rows @ np.linalg.solve(rows.T @ rows, wrench)  # a plane that sinks and tilts
+        found = shared_loads(places.tolist(), *wrench.tolist())
+        if springs.min() > 0:
+            np.testing.assert_allclose(found.values, springs, rtol=1e-12)
+        if not found.tips:
+            np.testing.assert_allclose(rows.T @ found.values, wrench, rtol=1e-12, atol=1e-10)
+            pressed = np.array(found.values) @ places / 100.0
+            np.testing.assert_allclose(pressed, [-wrench[2] / 100.0, wrench[1] / 100.0], atol=1e-13)
+
+
+def test_a_wheel_that_would_be_pulled_lifts_off_and_the_others_carry() -> None:
+    places = [[0.3, 0.2], [0.3, -0.2], [-0.3, 0.2], [-0.3, -0.2]]
+    at = np.array([0.18, 0.1])  # where the weight presses: inside, and far from a corner
+    found = shared_loads(places, 100.0, 100.0 * at[1], -100.0 * at[0])
+    assert found.values[3] == 0
+    assert min(found.values[:3]) >= 0
+    assert not found.tips
+    np.testing.assert_allclose(np.array(found.values) @ places / 100.0, at, atol=1e-14)
+    out = shared_loads(places, 100.0, 0.0, -100.0 * 0.35)
+    assert out.tips
+    assert sum(out.values) == pytest.approx(100.0)
+
+
+def ground_state(robot: WheeledRobot, q: Array, v: Array, a: Array) -> tuple[Any, list[float]]:
+    """Return a state as the body sees it, and the rates of its velocities there."""
+    body = robot.traced()
+    state = body.state(q, v)
+    c, s = np.cos(q[2]), np.sin(q[2])
+    ax, ay = c * a[0] + s * a[1], c * a[1] - s * a[0]
+    vx, vy, w = (float(x) for x in state.twist)
+    return state, [ax + w * vy, ay - w * vx, *a[2:]]
+
+
+@pytest.mark.parametrize("armed", [False, True])
+def test_loads_balance_what_pinocchio_says_the_ground_exerts(armed: bool) -> None:
+    """Wheels at rest in the body; with them, spin momentum is added in another test."""
+    own = BODY.mount("ur5", at=[0.05, 0.0, 0.3, 0.2]) if armed else BODY
+    table = SKID
+    robot, rng = WheeledRobot(own, table), np.random.default_rng(3)
+    q, v, a = robot.rest + 0.0, rng.normal(size=robot.nv) * 0.2, rng.normal(size=robot.nv) * 0.2
+    q[: own.nq] = own.integrate(own.rest, rng.normal(size=own.nv) * 0.3)
+    v[own.nv :], a[own.nv :] = 0, 0
+    state, rate = ground_state(robot, q, v, a)
+    found = robot.traced().loads(state, rate, q)  # type: ignore[union-attr]
+    wrench = own.ground_wrench(q[: own.nq], v[: own.nv], a[: own.nv])
+    values, places = np.array(found.values), np.array([[wheel.x, wheel.y] for wheel in table.wheels])
+    assert not found.tips
+    sums = [values.sum(), values @ places[:, 1], -values @ places[:, 0]]
+    np.testing.assert_allclose(sums, wrench[[2, 3, 4]], rtol=1e-11, atol=1e-10)
+
+
+def in_tree(robot: WheeledRobot, q: Array, v: Array, a: Array) -> Array:
+    """Return what Pinocchio says that the ground exerts on a robot and its wheels, along and about B."""
+    whole, rates, G, bent = robot._to_tree(q, v)
+    return robot._tree.ground_wrench(whole, rates, G @ a + bent)
+
+
+@pytest.mark.parametrize("armed", [False, True])
+def test_loads_on_a_ramp_and_of_spinning_wheels_are_those_of_the_tree(armed: bool) -> None:
+    own = BODY.mount("ur5", at=[0.05, 0.0, 0.3, 0.2]) if armed else BODY
+    robot, rng = WheeledRobot(own, SKID, Coulomb(ramp=Ramp(0.2, 0.5))), np.random.default_rng(4)
+    q, v, a = robot.rest + 0.0, *(rng.normal(size=robot.nv) * 0.1 for _ in range(2))
+    q[: own.nq] = own.integrate(own.rest, rng.normal(size=own.nv) * 0.3)
+    v[-4:], a[-4:] = v[-4:] * 100, a[-4:] * 100
+    state, rate = ground_state(robot, q, v, a)
+    found = robot.traced().loads(state, rate, q)  # type: ignore[union-attr]
+    wrench = in_tree(robot, q, v, a)
+    values, places = np.array(found.values), np.array([[wheel.x, wheel.y] for wheel in SKID.wheels])
+    assert not found.tips
+    sums = [values.sum(), values @ places[:, 1], -values @ places[:, 0]]
+    np.testing.assert_allclose(sums, wrench[[2, 3, 4]], rtol=1e-11, atol=1e-10)
+
+
+STEERED = WheelTable.swerve(
+    [(0.3, 0.2), (0.3, -0.2), (-0.3, 0.2), (-0.3, -0.2)], 0.06, **{**WHEEL, "trail": (-0.01, 0.0)}
+)
+
+
+@pytest.mark.parametrize(
+    ("table", "armed"),
+    [(SKID, False), (SKID, True), (WheelTable.mecanum(0.5, 0.4, 0.08, **WHEEL), False), (STEERED, False)],
+    ids=["skid", "skid-ur5", "mecanum", "swerve"],
+)
+def test_forces_of_all_wheels_are_the_rate_of_momentum(table: WheelTable, armed: bool) -> None:
+    own = BODY.mount("ur5") if armed else BODY
+    robot, rng = WheeledRobot(own, table, Coulomb(passes=15)), np.random.default_rng(5)
+    h, q, v, u = 0.002, robot.rest + 0.0, rng.normal(size=robot.nv) * 0.3, rng.normal(size=robot.nu) * 0.1
+    v[-4:] = v[-4] * 10 if table is SKID else v[-4:] * 10
+    memory = robot.initial_state(None)
+    for _ in range(2):
+        before, (q, v, memory) = (q, v), robot.step(0.0, q, v, u, h, 0.0, memory)
+    # Mid-step, turned so that the body's axes are those of the plane.
+    body = robot.traced()
+    start, end = body.state(*before), body.state(q, v)
+    old, new = (np.array([*each.twist, *each.arm_rates, *each.rates], float) for each in (start, end))
+    mean, rate = (old + new) / 2, (new - old) / h
+    rate[:2] += mean[2] * np.array([-mean[1], mean[0]])
+    middle = robot.integrate(before[0], h / 2 * before[1])
+    middle[2] = 0.0
+    wrench = in_tree(robot, middle, mean, rate)
+    n = robot.robot.nq
+    rows = body.kinematics.rows(
+        list(middle[n : n + len(table.axes)]), mean[:3], mean[robot.robot.nv :], across=True
+    )
+    contact = [row for row in rows if row.wheel >= 0]
+    found = sum(x * np.array(row.base, float) for x, row in zip(memory.forces, contact, strict=True))
+    np.testing.assert_allclose(found, wrench[[0, 1, 5]], rtol=1e-8, atol=1e-8 * np.abs(wrench[:2]).max())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_energy_never_grows_without_input(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    robot = WheeledRobot(BODY, skid(Friction(mu=0.5), coupled=False))
+    v = rng.normal(size=robot.nv) * [1, 1, 2, 10, 10, 10, 10]
+    found = run(robot, (0.0,) * 4, 0.01, 1.0, v=v)
+    energy = robot.kinetic_energy(found.q, found.v)
+    assert np.diff(energy).max() < 1e-13 * energy[0]
+    assert energy[-1] < 0.5 * energy[0]
+
+
+def looped_both(robot: WheeledRobot, u: Array, v: Array, count: int = 20) -> None:
+    parts = Parts(robot, Torques(*u), (), None, Trace())
+    times, reference = np.arange(count) * 0.01, Reference(*(np.zeros((count, 3)) for _ in range(3)))
+    first = Reference(*(x[0] for x in reference))
+    loop = traced(parts, context(0.01), (robot.rest, v), first, dt=0.01)
+    expected, _ = looped(parts, robot.rest, v, times, reference, 0.01)
+    starts = np.stack([robot.rest] * 3), np.stack([v, 0.5 * v, 0 * v])
+    alone = Program(loop, single=True, cache=Cache("")).run(
+        parts, context(0.01), (starts[0][:1], starts[1][:1]), times, reference, dt=0.01
+    )
+    beside = Program(loop, cache=Cache("")).run(parts, context(0.01), starts, times, reference, dt=0.01)
+    for name, rows in alone.kept.items():
+        np.testing.assert_array_equal(beside.kept[name][0], rows[0])
+    for name in ("q", "v"):
+        np.testing.assert_allclose(alone.kept[name][0], expected[name], rtol=1e-9, atol=1e-10)
+
+
+def test_compiled_robots_do_as_alone_and_as_numbers_do() -> None:
+    """Rounds end when all robots side by side are done; none depends on the others."""
+    robot = WheeledRobot(BODY, SKID)
+    looped_both(robot, np.array([30.0, -25.0]), rolling_at(robot, 1.0, 0.3, 0.0))
+
+
+def test_many_robots_as_arrays_step_as_each_does() -> None:
+    robot, rng = WheeledRobot(BODY, SKID), np.random.default_rng(6)
+    body, q = robot.traced(), np.zeros((5, robot.nq))
+    v, u = rng.normal(size=(5, robot.nv)), rng.normal(size=(5, 2)) * 10
+    v[:, 5:] = v[:, 3:5]
+    memory = robot.initial_state(None)
+    many = body.step(0.0, q, v, u, 0.01, 0.0, memory)  # type: ignore[union-attr]
+    for k in range(5):
+        one = robot.step(0.0, q[k], v[k], u[k], 0.01, 0.0, memory)
+        np.testing.assert_allclose(many.v[k], one.v, rtol=1e-9, atol=1e-11)
+        np.testing.assert_allclose(many.memory.forces[k], one.memory.forces, rtol=1e-6, atol=1e-8)
+
+
+def test_a_ramp_pulls_rolling_wheels_as_the_tree_says() -> None:
+    own, rng = BODY.mount("ur5"), np.random.default_rng(7)
+    table = WheelTable.differential(0.5, 0.1, x=0.07, supports=[(-0.2, 0.0)], **WHEEL)
+    robot = WheeledRobot(own, table, Rolling(ramp=Ramp(0.3, 0.4)))
+    q = robot.integrate(robot.rest, rng.normal(size=robot.nv) * 0.5)
+    v, u = robot.project(q, rng.normal(size=robot.nv)), rng.normal(size=robot.nu)
+    by_tree = robot.forward_dynamics(q, v, u)
+    np.testing.assert_allclose(robot.traced().forward_dynamics(q, v, u), by_tree, rtol=1e-9, atol=1e-9)
+    level = WheeledRobot(own, table)
+    assert np.abs(level.forward_dynamics(q, v, u) - by_tree).max() > 0.1
+
+
+def test_rolling_resistance_holds_and_brakes() -> None:
+    """At rest up to its bound; beyond, wheels accelerate with what is left."""
+    table = WheelTable.skid_steer(
+        0.5, 0.4, 0.1, coupled=False, **{**WHEEL, "friction": Friction(rolling=0.02)}
+    )
+    robot = WheeledRobot(CENTRAL, table)
+    bound = 0.02 * 0.1 * 30.0 * G
+    assert np.abs(run(robot, (0.245 * bound,) * 4, 0.01, 0.2).q).max() < 1e-13
+    v = run(robot, (0.5 * bound,) * 4, 0.01, 0.2).v[-1]
+    assert v[0] == pytest.approx(0.2 * (bound / 0.1) / (30.0 + 4 * 0.01 / 0.1**2), rel=1e-10)
+
+
+def test_a_tyre_that_gives_way_slips_in_proportion() -> None:
+    locked = skid(Friction(mu=0.5, rolling=1e3, slip=1e-3))
+    robot = WheeledRobot(CENTRAL, locked, Coulomb(ramp=Ramp(0.1)))
+    v = run(robot, (0.0, 0.0), 0.01, 0.5).v[-1]
+    assert v[0] == pytest.approx(-30.0 * G * np.sin(0.1) / 4 * 1e-3, rel=1e-6)
+
+
+def test_gear_trains_hold_whatever_the_friction() -> None:
+    robot = WheeledRobot(BODY, skid(Friction(mu=0.05)))
+    v = run(robot, (20.0, -20.0), 0.01, 0.5).v
+    np.testing.assert_array_equal(v[:, 3:5], v[:, 5:7])
+    geared = WheelTable(SKID.wheels, (), (GearTrain(("front_left", "rear_left"), (1.0, -2.0)),))
+    v = run(WheeledRobot(BODY, geared, Coulomb()), (1.0, 1.0), 0.01, 0.2).v
+    np.testing.assert_allclose(v[:, 5], -2.0 * v[:, 3], rtol=1e-14)
+
+
+def test_what_a_wheeled_robot_can_do_follows_from_its_ground() -> None:
+    rolls = WheeledRobot(BODY, WheelTable.differential(0.5, 0.1, **WHEEL))
+    slips = WheeledRobot(BODY, SKID)
+    assert isinstance(rolls.ground, Rolling)
+    assert isinstance(slips.ground, Coulomb)
+    for name in ("step", "initial_state", "signals"):
+        assert hasattr(slips, name)
+        assert not hasattr(rolls, name)
+    assert hasattr(rolls, "project")
+    assert not hasattr(slips, "project")
+
+
+def test_loads_and_sliding_wheels_are_signals() -> None:
+    found = run(WheeledRobot(BODY, skid(DRY)), (12.0, 12.0), 0.01, 0.1).signals
+    assert found["loads"].values[-1].sum() == pytest.approx(30.0 * G)
+    assert np.all(found["slides"].values[1:] == 1)
+    np.testing.assert_allclose(found["along"].values[-1], 0.6 * found["loads"].values[-1], rtol=1e-9)
+    assert np.all(found["rounds"].values[1:] >= 3)
+
+
+def refused(**others: Any) -> str:
+    given = {"robot": BODY, "table": SKID, "ground": Coulomb(), **others}
+    with pytest.raises(errors.InvalidArgument) as caught:
+        WheeledRobot(**given)
+    return str(caught.value)
+
+
+def test_what_cannot_slip_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "fetch.urdf").write_text(wheeled.fetch())  # which does not tell where the ground is
+    assert "ground=" in refused(robot=MobileRobot.from_urdf(tmp_path / "fetch.urdf"))
+    assert "supports=" in refused(table=WheelTable.differential(0.5, 0.1, **WHEEL))
+    assert "spin_inertia" in refused(table=WheelTable.skid_steer(0.5, 0.4, 0.1))
+    trains = GearTrain(("front_left", "rear_left")), GearTrain(("front_left", "rear_left"), (1.0, 2.0))
+    assert "two rates" in refused(table=WheelTable(SKID.wheels, (), trains))
+    assert "cannot roll" in refused(ground=Rolling())
+    assert "expected Rolling(...) or Coulomb(...)" in refused(ground="ice")
+    with pytest.raises(errors.InvalidArgument, match="angle of a Ramp"):
+        Ramp(2.0)
+    with pytest.raises(errors.InvalidArgument, match="ramp is"):
+        Coulomb(ramp=0.2)  # type: ignore[arg-type]
+    with pytest.raises(errors.InvalidArgument, match="mu is"):
+        Coulomb(-0.1)
+
+
+def test_blocks_of_three_find_what_a_fine_search_finds() -> None:
+    """One wheel alone: its disc, and what holds its rate."""
+    rng = np.random.default_rng(8)
+    for _ in range(8):
+        A, W = rng.normal(size=(2, 4)), rng.normal(size=(4, 4))
+        W = W @ W.T + 0.1 * np.eye(4)
+        free, bounds = rng.normal(size=4), Bounds(0.3, 0.3, 0.2, [0.0, 0.0])
+        touch = Touch(A.tolist(), (W @ A.T).T.tolist(), 3, W[3].tolist(), True, 0.0, True)
+        nothing = Impulses([], [0.0, 0.0], [0.0], [0.0], 0.0)
+        found = impulses([touch], [bounds], free.tolist(), nothing, most=500, tolerance=1e-13)
+        J = np.vstack([A, np.eye(4)[3]])
+        H, g, p = J @ W @ J.T, J @ free, np.zeros(3)
+        for _ in range(1500):  # projected gradients
+            p = p - (H @ p + g) / np.linalg.norm(H, 2)
+            p[:2] *= min(1.0, 0.3 / max(np.hypot(*p[:2]), 1e-300))
+            p[2] = np.clip(p[2], -0.2, 0.2)
+
+        def value(x: Array, H: Array = H, g: Array = g) -> float:
+            return float(x @ H @ x / 2 + g @ x)
+
+        mine = np.array([*found.contact, *found.spin])
+        assert value(mine) <= value(p) + 1e-9
+        assert np.hypot(*mine[:2]) <= 0.3 * (1 + 1e-12)
+        assert abs(mine[2]) <= 0.2
+
+
+def test_a_wheel_lifts_in_a_turn_too_fast_and_the_robot_is_told_to_tip() -> None:
+    tall = MobileRobot(30.0, 2.3, com=(0.0, 0.0, 0.5))
+    table = WheelTable(
+        (*WheelTable.differential(0.4, 0.1, **WHEEL).wheels, Wheel("rear", -0.3, 0.0, 0.1, **WHEEL)),
+        (Support(0.3, 0.0),),
+    )
+    robot = WheeledRobot(tall, table, Coulomb(mu=2.0))
+    slow, fast = (run(robot, (0.0, 0.0), 0.005, 0.02, v=rolling_at(robot, 2.0, 0.0, w)) for w in (0.5, 6.0))
+    assert slow.signals["tips"].values.max() == 0
+    assert fast.signals["tips"].values.max() == 1

@@ -1,0 +1,667 @@
+"""Wheel tables read from URDFs: against numbers by hand and Pinocchio's own tree, and what is refused."""
+
+import pickle
+from collections.abc import Mapping
+from math import cos, pi, radians, sin, tan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pinmobile import Circle, ComputedTorque, InvalidArgument, MobileRobot, Tangent, UnknownName, simulate
+from pinmobile.controllers import Backstepping, Controller, Tracking, law
+from pinmobile.wheels import (
+    Ackermann,
+    Coulomb,
+    Differential,
+    GearTrain,
+    Motor,
+    Rolling,
+    Support,
+    WheeledRobot,
+    WheelTable,
+    read_wheels,
+)
+from tests import wheeled
+from tests.wheeled import HALF_PI, inertial, joint, link, robot as urdf, shape
+
+ROLLING = shape("cylinder", 'radius="0.1" length="0.04"', rpy=f"{HALF_PI} 0 0")
+ROUND = "0.003 0 0 0.005 0 0.003"
+DINGO = (0.0004901, 0.0003234)  # as cylinders of its size have them
+MP400 = (0.00739239692, 0.0039974)
+CASTER = (1.541e-5, 1.075e-5)
+CASTERS = [f"caster_{end}_{side}_2_joint" for end in ("front", "back") for side in ("left", "right")]
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "base.urdf"
+    path.write_text(text)
+    return path
+
+
+def read(folder: Path, text: str, **given: Any) -> WheeledRobot:
+    return WheeledRobot.from_urdf(written(folder, text), **given)
+
+
+def table_of(folder: Path, text: str, **given: Any) -> WheelTable:
+    """Return a table, whether its wheels roll ideally or not."""
+    return read_wheels(MobileRobot.from_urdf(written(folder, text)), **given)
+
+
+def numbers(table: WheelTable) -> list[tuple[float, float, float]]:
+    return [(wheel.x, wheel.y, wheel.radius) for wheel in table.wheels]
+
+
+def near(table: WheelTable, places: list[tuple[float, float]], radius: float, to: float = 1e-12) -> None:
+    np.testing.assert_allclose(numbers(table), [(x, y, radius) for x, y in places], rtol=0, atol=to)
+
+
+# Real robots: the numbers of their files
+
+
+def box(x: float, y: float) -> list[tuple[float, float]]:
+    return [(x, y), (x, -y), (-x, y), (-x, -y)]
+
+
+def test_husky_has_four_tyres_and_both_its_sides_may_be_coupled(tmp_path: Path) -> None:
+    robot = MobileRobot.from_urdf(written(tmp_path, wheeled.husky()))
+    with pytest.raises(
+        InvalidArgument, match=r"'wheel_3' are fixed on more than one axle: .*rollers=\{\} for tyr"
+    ):
+        WheeledRobot(robot)
+    table = read_wheels(robot, rollers={})
+    near(table, box(0.256, 0.2854), 0.1651)
+    for wheel in table.wheels:
+        assert (wheel.mass, wheel.spin_inertia, wheel.yaw_inertia) == (2.637, 0.04411, 0.02467)
+        assert (wheel.angle, wheel.steering, wheel.roller, wheel.motor) == (0.0, "fixed", None, Motor())
+    assert robot.mass == pytest.approx(46.034 + 4 * 2.637, rel=1e-14)  # the wheels are in the whole, once
+    assert table.supports == ()
+    assert "guessed: motors at all; no rollers as given" in table.source
+    assert WheeledRobot(robot, table).ground == Coulomb()
+    with pytest.raises(InvalidArgument, match="fixed on more than one axle, so it turns only by skidding"):
+        WheeledRobot(robot, table, Rolling())
+    trains = [GearTrain(("wheel_0", "wheel_2")), GearTrain(("wheel_1", "wheel_3"))]
+    coupled = read_wheels(robot, couplings=trains)
+    assert [actuator.name for actuator in coupled.actuators] == ["wheel_0", "wheel_1"]
+    assert coupled.couplings == tuple(trains)
+    assert "guessed: motors at wheel_0, wheel_1;" in coupled.source
+    assert read_wheels(robot, driven=["wheel_0", "wheel_1"], couplings=trains) == coupled
+
+
+def test_jackal_has_four_tyres(tmp_path: Path) -> None:
+    table = table_of(tmp_path, wheeled.jackal(), rollers={})
+    near(table, box(0.131, 0.187795), 0.098)
+    assert {(w.mass, w.spin_inertia, w.yaw_inertia) for w in table.wheels} == {(0.477, 0.0024, 0.0013)}
+
+
+def test_ridgeback_is_mecanum_where_its_rollers_are_told(tmp_path: Path) -> None:
+    robot = read(tmp_path, wheeled.ridgeback(), rollers=pi / 4)
+    near(robot.table, box(0.319, 0.2755), 0.0759)
+    own = WheelTable.mecanum(0.638, 0.551, 0.0759, mass=2.3, spin_inertia=6.6424e-3, yaw_inertia=3.3212e-3)
+    assert [wheel.roller for wheel in robot.table.wheels] == [wheel.roller for wheel in own.wheels]
+    assert robot.mobility.mobility == 3
+    named = dict(zip(robot.table.names, (-pi / 4, pi / 4, pi / 4, -pi / 4), strict=True))
+    assert read(tmp_path, wheeled.ridgeback(), rollers=named).table == robot.table
+    with pytest.raises(
+        InvalidArgument, match="rollers is not given, and wheels 'front_left_wheel', 'front_rig"
+    ):
+        read(tmp_path, wheeled.ridgeback())  # the file does not tell
+
+
+@pytest.mark.parametrize(("model", "y"), [("burger", 0.080), ("waffle", 0.144)])
+def test_turtlebot_is_level_and_stands_on_its_casters(tmp_path: Path, model: str, y: float) -> None:
+    robot = read(tmp_path, wheeled.turtlebot(model))
+    near(robot.table, [(0, y), (0, -y)], 0.033)
+    assert robot.table.wheels[0].spin_inertia == pytest.approx(2.0712558e-05, rel=1e-6)
+    assert robot.table.wheels[0].yaw_inertia == pytest.approx(1.1184e-05, rel=1e-4)
+    assert [wheel.angle for wheel in robot.table.wheels] == [0.0, 0.0]  # axles written as -1.57
+    casters = [(-0.081, 0.0)] if model == "burger" else [(-0.177, -0.064), (-0.177, 0.064)]
+    np.testing.assert_allclose([(s.x, s.y) for s in robot.table.supports], casters, atol=1e-6)
+    assert robot.robot.com[0] == pytest.approx(-0.004 if model == "burger" else -0.0058, abs=1e-4)
+    assert dict(robot.joint_signs) == dict.fromkeys(robot.table.names, 1)
+
+
+def test_dingo_is_asked_for_the_inertia_that_its_file_has_on_another_axis(tmp_path: Path) -> None:
+    for text in (wheeled.dingo(), wheeled.dingo_omni()):
+        with pytest.raises(
+            InvalidArgument,
+            match=r"wheel 'wheel_0' is no solid of revolution about its axle, with moments of 0\.0003234 "
+            r"about it, 0\.0003234 and 0\.00049\d* across.*or inertia=\{'wheel_0': \(about the axle, across",
+        ):
+            read(tmp_path, text)
+    robot = read(tmp_path, wheeled.dingo(), inertia=DINGO)
+    y = 0.2160016 + 0.02032 / 2
+    near(robot.table, [(0.0989838, y), (0.0989838, -y)], 0.049)
+    assert robot.table.supports == (Support(-0.244, 0.0),)
+    assert robot.robot.com[0] < 0.0989838  # behind the axle
+    named = {"wheel_0": DINGO, "wheel_1": DINGO}
+    assert read(tmp_path, wheeled.dingo(), inertia=named) == robot
+    assert "inertia as given, the whole's as in the file, of all" in robot.source
+
+
+def test_dingo_omni_is_mecanum(tmp_path: Path) -> None:
+    robot = read(tmp_path, wheeled.dingo_omni(), inertia=DINGO, rollers=pi / 4)
+    near(robot.table, box(0.285, 0.2104), 0.050)
+    assert robot.robot.mass == pytest.approx(15.601)
+    assert robot.mobility.mobility == 3
+    assert {(w.mass, w.spin_inertia, w.yaw_inertia) for w in robot.table.wheels} == {(0.4, *DINGO)}
+
+
+def test_mp400_turns_its_axes_by_rounded_angles(tmp_path: Path) -> None:
+    with pytest.raises(
+        InvalidArgument, match=r"moments of 0\.003997 about it, 0\.003997 and 0\.007392 across"
+    ):
+        read(tmp_path, wheeled.mp400())
+    robot = read(tmp_path, wheeled.mp400(), inertia=MP400)
+    # Axles turned by 1.57: 0.0008 rad off the y axis, they would be on two lines.
+    near(robot.table, [(0, -0.26), (0, 0.26)], 0.0765)
+    assert [wheel.angle for wheel in robot.table.wheels] == [0.0, 0.0]
+    assert "axes that the file rounds are exact at all" in robot.source
+    assert [wheel.motor.torque_limit for wheel in robot.table.wheels if wheel.motor] == [1000.0, 1000.0]
+    places = [(x, y) for x in (0.165, -0.22) for y in (0.155, -0.155)]
+    assert [(s.x, s.y) for s in robot.table.supports] == places
+
+
+def test_fetch_is_asked_for_its_radius_which_tells_the_ground_too(tmp_path: Path) -> None:
+    with pytest.raises(
+        InvalidArgument,
+        match=r"radius of wheel 'l_wheel_joint' is not known.*expected radius=\{'l_wheel_joint': \.\.\.\}",
+    ):
+        read(tmp_path, wheeled.fetch())
+    robot = read(tmp_path, wheeled.fetch(), radius=0.0604, supports=[(-0.12, 0.1), (-0.12, -0.1)])
+    near(robot.table, [(0.0012914, 0.18738), (0.0012914, -0.18738)], 0.0604)
+    assert robot.robot.grounded
+    # The body's centre of mass is 1.4 mm above base_link, which is 5.075 mm above the ground.
+    z = (70.1294 * 0.0014 + 2 * 4.3542 * 0.055325) / (70.1294 + 2 * 4.3542) + 0.0604 - 0.055325
+    assert robot.robot.com[2] == pytest.approx(z)
+    assert [wheel.motor for wheel in robot.table.wheels] == [
+        Motor(8.85, source=f"joint {name}") for name in robot.table.names
+    ]
+    assert len(robot.table.supports) == 2
+    assert "radius as given of all" in robot.source
+    ground = read(tmp_path, wheeled.fetch(), radius=0.0604, ground_z=0.055325 - 0.0604)
+    assert ground.robot == robot.robot
+
+
+def test_tiago_stands_on_swivelling_casters(tmp_path: Path) -> None:
+    with pytest.raises(InvalidArgument, match=r"'caster_back_left_2_joint' is no solid of revolution"):
+        read(tmp_path, wheeled.pmb2_on_casters())
+    robot = read(tmp_path, wheeled.pmb2_on_casters(), inertia=dict.fromkeys(CASTERS, CASTER))
+    table = robot.table
+    by_name = {wheel.name: wheel for wheel in table.wheels}
+    main = [by_name[f"wheel_{side}_joint"] for side in ("left", "right")]
+    assert [(w.x, w.y, w.radius, w.steering) for w in main] == [
+        (0.0, 0.2022, 0.0985, "fixed"),
+        (0.0, -0.2022, 0.0985, "fixed"),
+    ]
+    assert {w.motor for w in main} == {
+        Motor(6.0, viscous=1.0, coulomb=2.0, source=f"joint {w.name}") for w in main
+    }
+    assert {(w.steering, w.trail, w.radius, w.motor) for w in map(by_name.get, CASTERS) if w} == {
+        ("free", (-0.016, 0.0), 0.025, None)
+    }
+    assert sorted((by_name[name].x, by_name[name].y) for name in CASTERS) == [
+        (-0.1735, -0.102),
+        (-0.1735, 0.102),
+        (0.1695, -0.102),
+        (0.1695, 0.102),
+    ]
+    assert (robot.mobility.mobility, len(table.axes), table.supports) == (2, 4, ())
+    assert robot.inputs[0].name == "wheel_left_joint"
+    assert robot.nu == 2
+    said = "damping and friction of the joint are the motor's at wheel_left_joint, wheel_right_joint"
+    assert said in robot.source
+    assert "turns freely behind its swivel: caster_back_left_2_joint," in robot.source
+
+
+def test_casters_may_be_taken_as_supports(tmp_path: Path) -> None:
+    robot = read(tmp_path, wheeled.pmb2_on_casters(), locked=CASTERS)
+    assert robot.table.names == ("wheel_left_joint", "wheel_right_joint")
+    assert sorted((s.x, s.y) for s in robot.table.supports) == [
+        (-0.1895, -0.102),
+        (-0.1895, 0.102),
+        (0.1535, -0.102),
+        (0.1535, 0.102),
+    ]
+    assert robot.robot.mass == pytest.approx(28.26649 + 20 + 2 * 1.82362 + 4 * (0.05144761 + 0.08855784))
+
+
+# The same as Pinocchio's tree of the file
+
+
+def energy_of_file(text: str, twist: Any, joints: Mapping[str, tuple[float, float]]) -> float:
+    """Return the kinetic energy of a file's own tree, `joints` with angle and rate."""
+    model = pin.buildModelFromXML(text, pin.JointModelPlanar())
+    q, v = pin.neutral(model), np.zeros(model.nv)
+    v[:3] = twist
+    for name, (angle, rate) in joints.items():
+        number = model.getJointId(name)
+        at, size = model.idx_qs[number], model.nqs[number]
+        q[at : at + size] = (cos(angle), sin(angle)) if size == 2 else angle
+        v[model.idx_vs[number]] = rate
+    return float(pin.computeKineticEnergy(model, model.createData(), q, v))
+
+
+def round_wheels(text: str) -> str:
+    """Return a file with the moments about the axles that it has on another axis."""
+    for wrong, right in (
+        (wheeled.wheels_moments("0.0003234", "0.0003234", "0.00049015"), "0.0003234 0.00049015 0.0003234"),
+        (wheeled.wheels_moments("0.0003234", "0.0003234", "0.0004901"), "0.0003234 0.0004901 0.0003234"),
+        (
+            wheeled.wheels_moments("0.00001075", "0.00001541", "0.00001075"),
+            "0.00001075 0.00001075 0.00001541",
+        ),
+        (
+            wheeled.wheels_moments(
+                "0.00399743171", "0.00399741733", "0.00739239692", "4.464e-8 -2.245e-8 -1.64e-9"
+            ),
+            "0.00739239692 0.00399742 0.00399742",
+        ),
+    ):
+        text = text.replace(wrong, wheeled.wheels_moments(*right.split()))
+    return text
+
+
+# Husky and Jackal turn by skidding alone: they do not roll ideally.
+REAL = {
+    "ridgeback": (wheeled.ridgeback, {"rollers": pi / 4}),
+    "burger": (lambda: wheeled.turtlebot("burger"), {}),
+    "waffle": (lambda: wheeled.turtlebot("waffle"), {}),
+    "dingo": (wheeled.dingo, {}),
+    "dingo_omni": (wheeled.dingo_omni, {"rollers": pi / 4}),
+    "mp400": (wheeled.mp400, {}),
+    "fetch": (wheeled.fetch, {"radius": 0.0604}),
+    "pmb2": (wheeled.pmb2_on_casters, {}),
+}
+
+
+ROUNDED = {"burger": 1e-5, "waffle": 1e-5, "pmb2": 1e-6}
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_the_kinetic_energy_is_that_of_the_files_own_tree(tmp_path: Path, name: str) -> None:
+    make, given = REAL[name]
+    text = round_wheels(make())
+    robot, rng = read(tmp_path, text, **given), np.random.default_rng(3)
+    swivels = {joint.name: joint.swivels for joint in robot.robot.undercarriage.wheels}
+    for _ in range(5):
+        q, v = rng.normal(size=robot.nq), rng.normal(size=robot.nv)  # rolling or not
+        c, s = cos(q[2]), sin(q[2])
+        twist = [c * v[0] + s * v[1], c * v[1] - s * v[0], v[2]]
+        n, axes, joints = 3, robot.table.axes, dict[str, tuple[float, float]]()
+        for k, axis in enumerate(axes):
+            (row,) = axis.wheels
+            joints[swivels[robot.table.names[row]][0].name] = q[n + k], v[n + k]
+        for k, wheel in enumerate(robot.table.names):
+            sign, at = robot.joint_signs[wheel], n + len(axes) + k
+            joints[wheel] = sign * q[at], sign * v[at]
+        expected = energy_of_file(text, twist, joints)
+        # TurtleBot's wheels have moments across their axles that differ by 0.15 %, PMB2's forks their
+        # centre of mass 0.05 mm aside.
+        assert robot.kinetic_energy(q, v) == pytest.approx(expected, rel=ROUNDED.get(name, 1e-7))
+
+
+# Rolled on a circle
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_real_robots_roll_on_a_circle(tmp_path: Path, name: str) -> None:
+    """From rest to 0.3 m/s about a point 1 m to the left, by computed torque in the driven wheels' rates."""
+    make, given = REAL[name]
+    robot = read(tmp_path, round_wheels(make()), **given)
+    driven = [k for k, row in enumerate(robot.table.wheels) if row.motor is not None]
+    ends = [robot.nv - len(robot.table) + k for k in driven]
+    rows = [robot.table.wheels[k] for k in driven]
+    turns = [(0.3 - 0.3 * w.y + tan(w.roller or 0.0) * 0.3 * w.x) / w.radius for w in rows]
+
+    def torques(t: float, q: Any, v: Any, reference: Any) -> Any:
+        wanted = np.array(turns)
+        rates = wanted * (t < 1.0) + 10 * (wanted * min(t, 1.0) - v[ends])
+        free, *pushed = robot.forward_dynamics(q, v, np.eye(robot.nu + 1, robot.nu, -1))[:, ends]
+        return np.linalg.lstsq(np.transpose(pushed - free), rates - free, rcond=1e-9)[0]
+
+    q0, v0 = np.zeros(robot.nq), np.zeros(robot.nv)
+    path = Tangent(Circle(1.0, 0.3, 5.0))
+    run = simulate(robot, law(torques), path, dt=0.01, duration=2.5, q0=q0, v0=v0)
+    late = run.t > 1.5
+    q, v = run.q[late], run.v[late]
+    assert abs(np.einsum("tij,tj->ti", robot.constraint_matrix(q), v)).max() < 1e-12
+    np.testing.assert_allclose(v[:, ends], np.tile(turns, (len(v), 1)), rtol=1e-3)
+    np.testing.assert_allclose(v[:, 2], 0.3, rtol=1e-3)
+    assert all(np.abs(run.u[:, k]).max() < each.upper for k, each in enumerate(robot.inputs))
+    # The point about which it turns stays where it is, 1 m beside the axle, wherever B is.
+    centre = q[:, :2] + np.stack([-v[:, 1], v[:, 0]], axis=-1) / v[:, 2:3]
+    assert np.ptp(centre, axis=0).max() < 1e-3
+    ahead = 0.0 if robot.mobility.mobility == 3 else rows[0].x
+    np.testing.assert_allclose(np.linalg.norm(q[:, :2] - centre, axis=-1), np.hypot(1.0, ahead), rtol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["ridgeback", "dingo_omni", "burger", "waffle", "mp400", "pmb2"])
+def test_real_robots_whose_origin_is_on_the_axle_follow_a_circle(tmp_path: Path, name: str) -> None:
+    make, given = REAL[name]
+    robot = read(tmp_path, round_wheels(make()), **given)
+    free = robot.mobility.mobility == 3
+    controller: Controller = ComputedTorque(robot) if free else Backstepping(Tracking(), robot)
+    run = simulate(robot, controller, Tangent(Circle(1.0, 0.3, 5.0)), dt=0.01, duration=3.0)
+    assert np.abs(run.q[-1, :3] - run.reference.q[-1, :3]).max() < 1e-4
+    assert np.linalg.norm(run.v[-1, :2]) == pytest.approx(0.3, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["husky", "jackal"])
+def test_skid_steered_robots_skid_on_a_circle(tmp_path: Path, name: str) -> None:
+    """Sides at the rates of a turn on a wider track, by their makers' multiplier: it turns about as meant."""
+    make, ratio = (wheeled.husky, 1.875) if name == "husky" else (wheeled.jackal, 1.5)
+    trains = [GearTrain(("wheel_0", "wheel_2")), GearTrain(("wheel_1", "wheel_3"))]
+    robot = read(tmp_path, make(), couplings=trains)
+    first = robot.table.wheels[0]
+    turns = np.array([0.3 - ratio * first.y * 0.6, 0.3 + ratio * first.y * 0.6]) / first.radius
+    gain = 0.4 * 2 * first.spin_inertia / 0.01
+
+    def torques(t: float, q: Any, v: Any, reference: Any) -> Any:
+        ramp = np.minimum(t, 0.5)
+        return gain * (turns * 2 * ramp - v[-4:-2] + 30 * (turns * (t - ramp + ramp**2) - q[-4:-2]))
+
+    q0, v0 = np.zeros(robot.nq), np.zeros(robot.nv)
+    path = Tangent(Circle(1.0, 0.3, 5.0))
+    run = simulate(robot, law(torques), path, dt=0.01, duration=1.5, q0=q0, v0=v0)
+    assert run.v[-1, 2] == pytest.approx(0.6, rel=0.25)
+
+
+# What else files have
+
+
+def base(*wheels: str, body: str = "") -> str:
+    return urdf(link("base", inertial(9, "0 0 0.1"), body), *wheels)
+
+
+def wheel(
+    name: str, at: str, parent: str = "base", solid: str = ROLLING, moments: str = ROUND, **more: Any
+) -> str:
+    own = link(f"{name}_link", inertial(1, moments=moments), solid)
+    return own + joint(name, more.pop("kind", "continuous"), parent, f"{name}_link", at, **more)
+
+
+PAIR = wheel("left", "0 0.2 0.1") + wheel("right", "0 -0.2 0.1")
+
+
+def test_a_mirrored_wheel_rolls_forward_and_its_sign_is_kept(tmp_path: Path) -> None:
+    mirrored = wheel("left", "0 0.2 0.1") + wheel("right", "0 -0.2 0.1", axis="0 -1 0")
+    robot = read(tmp_path, base(mirrored))
+    plain = read(tmp_path, base(PAIR))
+    assert robot.table == plain.table
+    assert dict(robot.joint_signs) == {"left": 1, "right": -1}
+    assert dict(plain.joint_signs) == {"left": 1, "right": 1}
+    assert "the joint turns the other way at right" in robot.source
+    turned = read(tmp_path, base(wheel("left", "0 0.2 0.1") + wheel("right", "0 -0.2 0.1", rpy="0 0 3.14")))
+    assert (numbers(turned.table), turned.table.wheels[1].angle) == (numbers(plain.table), 0.0)
+    assert turned.joint_signs["right"] == -1
+
+
+def test_omni_wheels_keep_the_sense_of_their_joints(tmp_path: Path) -> None:
+    angles = [k * 2 * pi / 3 for k in range(3)]
+    wheels = [
+        wheel(f"w{k}", f"{0.3 * cos(a)} {0.3 * sin(a)} 0.1", rpy=f"0 0 {a + pi / 2}")
+        for k, a in enumerate(angles)
+    ]
+    robot = read(tmp_path, base(*wheels), rollers=0.0)
+    own = WheelTable.omni(0.3, 0.1)
+    assert robot.mobility.mobility == 3
+    assert set(robot.joint_signs.values()) == {1}
+    for row, expected in zip(robot.table.wheels, own.wheels, strict=True):
+        assert row.roller == 0.0
+        np.testing.assert_allclose([row.x, row.y], [expected.x, expected.y], atol=1e-12)
+        assert cos(row.angle - expected.angle) == pytest.approx(1)
+
+
+def test_axles_that_are_nearly_on_one_line_are_on_it(tmp_path: Path) -> None:
+    robot = read(tmp_path, base(wheel("left", "0.0004 0.2 0.1"), wheel("right", "-0.0004 -0.2 0.1")))
+    near(robot.table, [(0, 0.2), (0, -0.2)], 0.1)
+    assert "axles put on one line, by 0.4 mm at most" in robot.source
+    with pytest.raises(InvalidArgument, match="'left', 'right' are fixed on more than one axle"):
+        read(tmp_path, base(wheel("left", "0.002 0.2 0.1"), wheel("right", "-0.002 -0.2 0.1")))
+
+
+def on_swivel(at: str, wheel_at: str, name: str = "caster", **more: Any) -> str:
+    fork = link(
+        f"{name}_fork", inertial(0.5, more.pop("fork_at", "0 0 0"), moments="0.001 0 0 0.001 0 0.001")
+    )
+    axis = joint(
+        f"{name}_swivel", more.pop("kind", "continuous"), "base", f"{name}_fork", at, axis="0 0 1", **more
+    )
+    return fork + axis + wheel(name, wheel_at, f"{name}_fork")
+
+
+def test_a_caster_with_its_fork_has_the_energy_of_the_files_tree(tmp_path: Path) -> None:
+    text = base(PAIR, on_swivel("-0.3 0.05 0.1", "-0.04 0 0", fork_at="-0.01 0 0"))
+    robot = read(tmp_path, text)
+    (caster,) = [each for each in robot.table.wheels if each.name == "caster"]
+    assert (caster.steering, caster.trail, caster.motor) == ("free", (-0.04, 0.0), None)
+    assert (caster.x, caster.y) == (-0.3, 0.05)
+    # First moment of fork and wheel; what else the fork weighs is at the pivot.
+    assert caster.mass == pytest.approx((1 * 0.04 + 0.5 * 0.01) / 0.04)
+    about_pivot = 0.003 + 1 * 0.04**2 + 0.001 + 0.5 * 0.01**2
+    assert caster.yaw_inertia == pytest.approx(about_pivot - caster.mass * 0.04**2)
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        q, v = rng.normal(size=robot.nq), rng.normal(size=robot.nv)
+        c, s = cos(q[2]), sin(q[2])
+        twist = [c * v[0] + s * v[1], c * v[1] - s * v[0], v[2]]
+        joints = {name: (q[4 + k], v[4 + k]) for k, name in enumerate(robot.table.names)}
+        joints["caster_swivel"] = q[3], v[3]
+        assert robot.kinetic_energy(q, v) == pytest.approx(energy_of_file(text, twist, joints), rel=1e-12)
+
+
+def test_a_swivel_with_limits_is_driven(tmp_path: Path) -> None:
+    limit = '<limit lower="-0.6" upper="0.5" effort="3" velocity="1"/>'
+    robot = read(tmp_path, base(PAIR, on_swivel("0.5 0 0.1", "0 0 0", kind="revolute", limit=limit)))
+    (axis,) = robot.table.axes
+    assert (axis.driven, axis.limit) == (True, 0.5)
+    assert [actuator.name for actuator in robot.table.actuators] == ["caster_steering", "left", "right"]
+    free = read(
+        tmp_path,
+        base(PAIR, on_swivel("0.5 0 0.1", "-0.03 0 0", kind="revolute", limit=limit)),
+        steering={"caster": "free"},
+    )
+    assert not free.table.axes[0].driven
+
+
+def test_a_car_is_steered_by_ackermann_and_driven_through_its_differential(tmp_path: Path) -> None:
+    limit = '<limit lower="-0.6" upper="0.6" effort="3" velocity="1"/>'
+    front = [
+        on_swivel(f"0.5 {y} 0.1", "0 0 0", name=f"front_{side}", kind="revolute", limit=limit)
+        for side, y in (("left", 0.2), ("right", -0.2))
+    ]
+    rear = wheel("rear_left", "0 0.2 0.1") + wheel("rear_right", "0 -0.2 0.1")
+    couplings = [Differential(("rear_left", "rear_right")), Ackermann(("front_left", "front_right"))]
+    car = read(tmp_path, base(*front, rear), couplings=couplings)
+    assert (car.mobility.mobility, car.mobility.steerability) == (1, 1)
+    assert [each.name for each in car.inputs] == ["steering", "differential"]
+    assert car.table.axes[0].limit == 0.6
+
+
+def test_a_wheel_right_below_its_swivel_is_asked_about(tmp_path: Path) -> None:
+    places = [(0.3, 0.0), (-0.3, 0.0)]
+    text = base(*(on_swivel(f"{x} {y} 0.1", "0 0 0", name=f"m{k}") for k, (x, y) in enumerate(places)))
+    with pytest.raises(
+        InvalidArgument, match=r"'m0' stands right below its swivel 'm0_swivel'.*steering=\{'m0': 'driven'\}"
+    ):
+        read(tmp_path, text)
+    swerve = read(tmp_path, text, steering={"m0": "driven", "m1": "driven"})
+    assert [actuator.name for actuator in swerve.table.actuators] == [
+        "m0",
+        "m0_steering",
+        "m1",
+        "m1_steering",
+    ]
+    assert (swerve.mobility.mobility, swerve.mobility.steerability) == (1, 2)
+    assert swerve.table.wheels[0].yaw_inertia == pytest.approx(0.003 + 0.001)
+
+
+def test_youbots_swivels_are_locked_where_the_wheels_have_rollers(tmp_path: Path) -> None:
+    text = base(*(on_swivel(f"{x} {y} 0.1", "0 0 0", name=f"w{k}") for k, (x, y) in enumerate(box(0.3, 0.2))))
+    robot = read(tmp_path, text, rollers=pi / 4)
+    assert (robot.table.axes, robot.mobility.mobility) == ((), 3)
+    assert [w.yaw_inertia for w in robot.table.wheels] == [0.003] * 4  # forks are the body's
+    assert "swivel locked of all" in robot.source
+
+
+def test_a_robot_read_before_has_the_same_wheels_and_keeps_them(tmp_path: Path) -> None:
+    path = written(tmp_path, wheeled.turtlebot("burger"))
+    before = MobileRobot.from_urdf(path)
+    robot = WheeledRobot.from_urdf(path)
+    assert WheeledRobot(before) == robot
+    assert WheeledRobot(pickle.loads(pickle.dumps(before))) == robot
+    kept = pickle.loads(pickle.dumps(robot))
+    assert (kept, kept.source) == (robot, robot.source)
+    arm = WheeledRobot(before.mount("ur5", (0, 0, 0.2, 0)))
+    assert arm == robot.mount("ur5", (0, 0, 0.2, 0))
+    assert "wheels locked" not in robot.source
+    assert "radius by the collision geometry of all" in robot.source
+    own = WheelTable.differential(0.16, 0.033)
+    assert WheeledRobot.from_urdf(path, table=own).table == own
+
+
+def test_a_pin_model_tells_no_radius(tmp_path: Path) -> None:
+    robot = MobileRobot.from_model(pin.buildModelFromXML(wheeled.mp400()))
+    with pytest.raises(InvalidArgument, match="radius of wheel 'wheel_0_joint' is not known"):
+        WheeledRobot(robot)
+    table = read_wheels(robot, radius=0.0765, inertia=MP400)
+    near(table, [(0, -0.26), (0, 0.26)], 0.0765)
+
+
+# What is refused
+
+
+def test_wheels_at_different_heights(tmp_path: Path) -> None:
+    text = base(PAIR, wheel("third", "0.4 0 0.12"))
+    with pytest.raises(InvalidArgument, match="do not stand on one plane"):
+        read(tmp_path, text)
+    with pytest.raises(
+        InvalidArgument, match=r"third at z = 0\.02, the ground at z = 0 m, expected them within 5 mm"
+    ):
+        read(tmp_path, text, ground_z=0.0)
+    robot = read(tmp_path, text, ground_z=0.0, locked=["third"])
+    assert (robot.table.names, robot.table.supports) == (("left", "right"), ())  # it is in the air
+    with pytest.raises(InvalidArgument, match=r"left at z = -0.05"):
+        read(tmp_path, base(PAIR), radius={"left": 0.15})
+    with pytest.raises(InvalidArgument, match="plane, their lowest points being l_wheel"):
+        read(tmp_path, wheeled.fetch(), radius={"l_wheel_joint": 0.06, "r_wheel_joint": 0.07})
+
+
+def test_a_wheel_that_is_no_solid_of_revolution(tmp_path: Path) -> None:
+    def with_moments(moments: str) -> str:
+        return base(wheel("left", "0 0.2 0.1", moments=moments), wheel("right", "0 -0.2 0.1"))
+
+    with pytest.raises(InvalidArgument, match=r"products up to 0\.0004 kg m\^2: its inertia would depend on"):
+        read(tmp_path, with_moments("0.003 4e-4 0 0.005 0 0.003"))
+    assert read(tmp_path, with_moments("0.003 4e-5 0 0.005 0 0.003"))
+    robot = read(tmp_path, with_moments("0.003 4e-4 0 0.005 0 0.003"), inertia={"left": (0.005, 0.003)})
+    assert robot.table.wheels[0].spin_inertia == 0.005
+    off = base(PAIR).replace(
+        '<origin xyz="0 0 0" rpy="0 0 0"/><mass value="1"/>', '<origin xyz="0.004 0 0"/><mass value="1"/>'
+    )
+    with pytest.raises(InvalidArgument, match="'left' has its centre of mass 4 mm off its axle"):
+        read(tmp_path, off)
+    massless = base(PAIR).replace("inertial>", "nothing>").replace("nothing>", "inertial>", 2)
+    with pytest.raises(
+        InvalidArgument, match="wheel 'left' has no inertia in its file, expected one, or inertia="
+    ):
+        read(tmp_path, massless)
+
+
+def test_mass_counted_twice(tmp_path: Path) -> None:
+    robot = MobileRobot.from_urdf(written(tmp_path, base(PAIR)))
+    own = WheelTable.differential(0.4, 0.1, mass=6.0)
+    with pytest.raises(
+        InvalidArgument,
+        match="robot has a mass of 11 kg, and its wheels 12 kg, which are a part of it; expected",
+    ):
+        WheeledRobot(robot, own)
+    assert WheeledRobot(robot).mass_matrix(np.zeros(5))[0, 0] == pytest.approx(11)
+
+
+def test_a_radius_that_cannot_be_told(tmp_path: Path) -> None:
+    bare = base(PAIR).replace(ROLLING, shape("mesh", 'filename="wheel.stl"'))
+    with pytest.raises(
+        InvalidArgument, match=r"radius of wheel 'left' is not known: .*expected radius=\{'left': "
+    ):
+        read(tmp_path, bare)
+    with pytest.raises(InvalidArgument, match="radius of wheel 'right' is not known"):
+        read(tmp_path, bare, radius={"left": 0.1})
+    assert read(tmp_path, bare, radius=0.1).robot.com[2] == pytest.approx(0.1)
+    with pytest.raises(InvalidArgument, match=r"radius is 0.1 m, but the file tells that of every wheel"):
+        read(tmp_path, base(PAIR), radius=0.1)
+    with pytest.raises(InvalidArgument, match="radius of wheel 'left' is 0"):
+        read(tmp_path, bare, radius=0.0)
+
+
+def test_wheels_in_one_place(tmp_path: Path) -> None:
+    with pytest.raises(InvalidArgument, match="wheel 'left' and wheel 'right' stand in one place"):
+        read(tmp_path, base(wheel("left", "0 0.2 0.1"), wheel("right", "0 0.2 0.1")))
+
+
+def test_a_roller_angle_of_a_right_angle(tmp_path: Path) -> None:
+    with pytest.raises(
+        InvalidArgument, match=r"roller of wheel 'left' is 1.5708 rad, expected less than a right"
+    ):
+        read(tmp_path, base(PAIR), rollers={"left": radians(90), "right": radians(90)})
+    with pytest.raises(InvalidArgument, match="for 2 wheels that are not four at the corners"):
+        read(tmp_path, base(PAIR), rollers=pi / 4)
+
+
+def test_rollers_in_the_file_are_asked_about(tmp_path: Path) -> None:
+    small = (
+        link("r", inertial(0.01, moments="1e-6 0 0 1e-6 0 1e-6")),
+        joint("spin", "continuous", "left_link", "r"),
+    )
+    with pytest.raises(
+        InvalidArgument, match=r"wheel 'left' carries joints 'spin': their angle decides how it rolls"
+    ):
+        read(tmp_path, base(PAIR, *small))
+
+
+def test_what_a_table_has_no_row_for(tmp_path: Path) -> None:
+    fork = on_swivel("-0.3 0 0.1", "-0.04 0.03 0")
+    twin = fork + wheel("twin", "-0.04 -0.03 0", "caster_fork")
+    with pytest.raises(
+        InvalidArgument, match="wheels 'caster', 'twin' hang on one swivel, 'caster_swivel', for"
+    ):
+        read(tmp_path, base(PAIR, twin))
+    assert len(read(tmp_path, base(PAIR, twin), locked=["caster", "twin"]).table.supports) == 2
+    upper = link("arm"), joint("boom", "continuous", "base", "arm", "-0.3 0 0.1", axis="0 0 1")
+    nested = on_swivel("0 0 0", "-0.04 0 0").replace('<parent link="base"/>', '<parent link="arm"/>')
+    with pytest.raises(
+        InvalidArgument, match="hangs on two joints about the vertical, 'caster_swivel' and 'boom'"
+    ):
+        read(tmp_path, base(PAIR, *upper, nested))
+    with pytest.raises(InvalidArgument, match=r"robot has no wheels in its file, .* expected table="):
+        WheeledRobot(MobileRobot.box())
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({"steering": {"left": "driven"}}, "but it hangs on no joint about the vertical; expected 'fixed'"),
+        ({"steering": "driven"}, "steering is 'driven', expected a mapping from names of wheels"),
+        ({"locked": ["left", "right"]}, r"all wheels of the robot; expected some left"),
+        ({"inertia": (1.0, 1.0, 1.0)}, r"inertia of wheel 'left' has shape \(3,\), expected \(2,\)"),
+        ({"inertia": {"left": (-1.0, 1.0)}}, "inertia of wheel 'left' is -1"),
+        ({"supports": [(1.0, 2.0, 3.0)]}, r"expected \(x, y\) of each"),
+        (
+            {"table": WheelTable.differential(0.4, 0.1), "radius": 0.1},
+            "radius is given with table=, expected one",
+        ),
+    ],
+)
+def test_other_arguments(tmp_path: Path, given: dict[str, Any], expected: str) -> None:
+    with pytest.raises(InvalidArgument, match=expected):
+        read(tmp_path, base(PAIR), **given)
+
+
+@pytest.mark.parametrize("key", ["radius", "rollers", "steering", "inertia", "driven", "locked"])
+def test_wheels_that_are_not_there(tmp_path: Path, key: str) -> None:
+    value: Any = ["lift"] if key in ("driven", "locked") else {"lift": 0.1}
+    with pytest.raises(UnknownName, match=f"wheel of {key}"):
+        read(tmp_path, base(PAIR), **{key: value})
