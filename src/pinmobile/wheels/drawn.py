@@ -82,6 +82,10 @@ class Picture:
         for row, wheel in enumerate(table.wheels):
             if row not in there:
                 self._wheel(row, wheel)
+            else:  # of a file's smooth wheel one would not see how it turns
+                R = wheel.radius
+                bar = _box((-0.09 * R, -0.14 * R, 0.96 * R), (0.09 * R, 0.14 * R, 1.015 * R))
+                self._add(f"{wheel.name}/bar", _mesh(bar), _DARK, Item(-1, row, True, np.eye(4)))
         for k, support in enumerate(table.supports):
             self._support(k, support, clearance)
 
