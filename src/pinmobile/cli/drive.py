@@ -24,11 +24,13 @@ from pinmobile.cli.output import (
 from pinmobile.cli.run import FIGURES, draw
 from pinmobile.controllers import Backstepping, Controller, State, Tracking
 from pinmobile.trajectories import Trajectory
-from pinmobile.wheels import Coulomb, WheeledRobot
+from pinmobile.wheels import Coulomb, Mobility, WheeledRobot
 
 _MASS, _SIZE = 30.0, (0.6, 0.4, 0.25)  # of the whole [kg], and of the box above the wheels [m]
 _WHEEL_MASS, _WIDTH = 1.0, 0.45  # [kg], and in radii
 _GAINS = 25.0, 10.0
+_TOLERANCE = 1e-6  # of friction: such forces are drawn, not compared
+_STANDS = 0.02  # [m/s]: a slower wheel is not steered
 _FIGURES = {
     "wheel_torques": "Torques of the wheels, and of what steers them.",
     "friction": "Force at each wheel as a share of the friction that it has: at 1 it slides.",
@@ -83,7 +85,7 @@ def wheeled_of(
     InvalidArgument, UnknownName
         If neither or both are given, or an option is not what is expected.
     """
-    ground = None if mu is None else Coulomb(mu)
+    ground = None if mu is None else Coulomb(mu, tolerance=_TOLERANCE)
     given = {option: typed.get(option) for choice in DRIVES.values() for option in choice.takes}
     if file is not None:
         if name is not None:
@@ -97,7 +99,7 @@ def wheeled_of(
                 if file.rollers is not None or "rollers" not in str(error):
                     raise
                 # Without a word about rollers they are tyres: those that skid are on ground where they slip.
-                slips = ground or Coulomb()
+                slips = ground or Coulomb(tolerance=_TOLERANCE)
                 return WheeledRobot.from_urdf(file.path, file.package_dirs, ground=slips, rollers={})
     if name is None:
         raise InvalidArgument(
@@ -138,6 +140,8 @@ def _box_on(
     robot = MobileRobot(_MASS, inertia, com=com, size=_SIZE)
     for arm in arms:
         robot = robot.mount(arm)
+    if ground is None and not Mobility.of(table).is_regular:
+        ground = Coulomb(tolerance=_TOLERANCE)
     return WheeledRobot(robot, table, ground)
 
 
@@ -175,6 +179,7 @@ class _WheelRates:
     turn: float = 3.0  # [1/s]
     aside: float = 6.0  # [1/(m s)], of the yaw rate
     rate: float = 30.0  # [1/s], of the wheels
+    sums: float = 8.0  # [1/s], of what rates have been missed by
     steer: float = 20.0  # [1/s], of steering angles
     more: float = field(init=False)
 
@@ -183,14 +188,14 @@ class _WheelRates:
         skids = not self.robot.table.axes and np.ptp(y) > 0
         object.__setattr__(self, "more", 1 + (np.ptp(x) / np.ptp(y)) ** 2 if skids else 1.0)
 
-    def initial_state(self, context: Any) -> None:
-        """Return None: it has no memory."""
-        del context
+    def initial_state(self, context: Any) -> tuple[float, Array]:
+        """Return the time between samples, and what rates have been missed by, summed up, shape (wheels,)."""
+        return float(context.dt), np.zeros(len(self.robot.table))
 
     def __call__(
-        self, t: float, q: Array, v: Array, reference: State, state: None
-    ) -> tuple[Array, None]:
-        """Return the torques, shape (nu,)."""
+        self, t: float, q: Array, v: Array, reference: State, state: tuple[float, Array]
+    ) -> tuple[Array, tuple[float, Array]]:
+        """Return the torques, shape (nu,), and the next state."""
         robot, n = self.robot, self.robot.robot.nq
         axes, nv = len(robot.table.axes), robot.robot.nv
         c, s = np.cos(q[2]), np.sin(q[2])
@@ -201,14 +206,24 @@ class _WheelRates:
         if not axes:
             twist[1], twist[2] = 0.0, (twist[2] + self.aside * ahead[0] * error[1]) * self.more
         angles, turning = q[n : n + axes], v[nv : nv + axes]
-        wanted = robot.steered_to(twist) if axes else np.zeros(0)
-        off = (wanted - angles + np.pi / 2) % np.pi - np.pi / 2
-        rates = robot.wheel_rates(twist, angles, turning)
+        off = (self._steered_to(twist, angles) - angles + np.pi / 2) % np.pi - np.pi / 2
+        missed = robot.wheel_rates(twist, angles, turning) - v[nv + axes :]
         M = np.diagonal(robot.mass_matrix(q))[nv:]
-        forces = np.concatenate(
-            [M[:axes] * self.steer * (self.steer * off - 2 * turning), self._driven() * (rates - v[nv + axes :])]
-        )
-        return np.asarray(robot.input_matrix[nv:].T @ forces), None
+        steering = M[:axes] * self.steer * (self.steer * off - 2 * turning)
+        dt, summed = state
+        summed = summed + dt * missed
+        forces = np.concatenate([steering, self._driven() * (missed + self.sums * summed)])
+        return np.asarray(robot.input_matrix[nv:].T @ forces), (dt, summed)
+
+    def _steered_to(self, twist: Array, angles: Array) -> Array:
+        """Return the angles at which wheels go where the body takes them; where they stand, those of now."""
+        found = angles.copy()
+        for k, axis in enumerate(self.robot.table.axes):
+            wheel = self.robot.table.wheels[axis.wheels[0]]
+            ahead, aside = twist[0] - twist[2] * wheel.y, twist[1] + twist[2] * wheel.x
+            if np.hypot(ahead, aside) > _STANDS:
+                found[k] = np.arctan2(aside, ahead) - wheel.angle
+        return found
 
     def _driven(self) -> float:
         """Return torque per rate of a wheel [N m s/rad], of a mass that the wheels share."""
@@ -283,7 +298,7 @@ def _judged(run: Rollout) -> list[str]:
     """Return what is to be told of a run: errors, torques, friction, slip and loads."""
     plant: Any = run.plant
     found = plant.contacts(run.q, run.v, run.a, run.u, run.signals)
-    used = share_of_friction(found)
+    used = plots.share_of_friction(found)
     rows = {
         "largest error in place [m]": float(np.hypot(*run.error[:, :2].T).max()),
         "error at the end [m]": float(np.hypot(*run.error[-1, :2])),
@@ -296,13 +311,6 @@ def _judged(run: Rollout) -> list[str]:
     if "slides" in run.signals:
         rows["share of time at which a wheel slides [-]"] = float(found.slides.any(axis=1).mean())
     return [f"{name:44} {value:>12.4g}" for name, value in rows.items()]
-
-
-def share_of_friction(found: Any) -> Array:
-    """Return force over friction, shape (n, k); not a number where it is not known."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        shares = np.where(found.forces == 0, 0.0, found.forces / found.limits)
-    return np.asarray(np.hypot(shares[..., 0], shares[..., 1]))
 
 
 def _next(html: Path | None, page: Path | None) -> list[str]:
