@@ -142,14 +142,14 @@ class Contacts(NamedTuple):
     loads : ndarray, shape (n, k)
         [N]; not a number where they are not known.
     limits : ndarray, shape (n, k, 2)
-        Largest friction in each direction, the semi-axes of the friction ellipse [N]; not a number where it is
-        not known.
+        Largest friction in each direction [N]: of a disc where both are alike, else of each by itself, as of
+        rollers; not a number where it is not known.
     slips : ndarray, shape (n, k, 2)
         Velocity at which the plant slides over the ground, along these directions [m/s].
     slides : ndarray of bool, shape (n, k)
         Whether all friction is used.
     centre : ndarray, shape (n, 2)
-        Instantaneous centre of rotation of the body in the inertial frame [m]; infinite where it does not turn.
+        Instantaneous centre of the body's rotation in the inertial frame [m]; infinite where it does not turn.
     """
 
     names: tuple[str, ...]

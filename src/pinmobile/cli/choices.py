@@ -88,7 +88,6 @@ COMPARED = ("pd", "computed-torque")
 """Controllers that run side by side where none is named."""
 
 
-
 def _swerve(wheelbase: float, track: float, radius: float, **wheel: Any) -> WheelTable:
     """Return a module in each corner."""
     a, b = positive("wheelbase", wheelbase, "m") / 2, positive("track", track, "m") / 2

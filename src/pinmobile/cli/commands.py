@@ -10,8 +10,8 @@ from rich.markup import escape
 
 import pinmobile
 from pinmobile.cli.choices import (
-    GROUND,
     DRIVES,
+    GROUND,
     OF_DRIVES,
     OF_ENSEMBLES,
     OF_LOOPS,
@@ -40,7 +40,13 @@ app = typer.Typer(
 
 _Command = TypeVar("_Command", bound=Callable[..., int])
 _LOOP, _DRIVE = "Loop and output", "Drive"
-_PANELS = {"drive": "Drive", "robot": "Robot", "trajectory": "Trajectory", "controller": "Controller", "loop": _LOOP}
+_PANELS = {
+    "drive": "Drive",
+    "robot": "Robot",
+    "trajectory": "Trajectory",
+    "controller": "Controller",
+    "loop": _LOOP,
+}
 _VERIFIED: dict[str, Numbers] = {"mass": 10.0, "yaw_inertia": 1.2, "com": (0.15, 0.05)}
 _TAKES_RUNS = {"allow_extra_args": True, "ignore_unknown_options": True}
 
@@ -155,9 +161,7 @@ def verify(
     urdf: Annotated[Path | None, _help("Verify the robot of this URDF: the chain, or a bare base.")] = None,
     table: Annotated[str | None, _help("DH table: lecture or slide; lecture.")] = None,
     mount: Annotated[list[str] | None, _help("Arm to mount, as in `pinmobile mount`; repeatable.")] = None,
-    drive: Annotated[
-        str | None, _help(f"Verify the box on wheels: {', '.join(DRIVES)}.")
-    ] = None,
+    drive: Annotated[str | None, _help(f"Verify the box on wheels: {', '.join(DRIVES)}.")] = None,
     states: Annotated[int, _help("Number of random states.")] = 200,
     seed: Annotated[int, _help("Seed of the states.")] = 0,
     **typed: object,
@@ -284,7 +288,8 @@ def drive(
         list[Path] | None, _help("Folder of package:// in the URDF; repeatable.", panel=_DRIVE)
     ] = None,
     rollers: Annotated[
-        float | None, _help("Angle of the rollers of the URDF's wheels (rad), 0.785 of mecanum.", panel=_DRIVE)
+        float | None,
+        _help("Angle of the rollers of the URDF's wheels (rad), 0.785 of mecanum.", panel=_DRIVE),
     ] = None,
     mu: Annotated[
         float | None,

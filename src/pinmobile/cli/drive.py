@@ -1,4 +1,4 @@
-"""A robot on wheels that drives a path: the controller that fits, what its wheels do, and what the ground does."""
+"""A robot on wheels drives a path: the controller that fits, what its wheels do, and what the ground does."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -24,11 +24,14 @@ from pinmobile.cli.output import (
 from pinmobile.cli.run import FIGURES, draw
 from pinmobile.controllers import Backstepping, Controller, State, Tracking
 from pinmobile.trajectories import Trajectory
-from pinmobile.wheels import Coulomb, Mobility, WheeledRobot
+from pinmobile.wheels import Coulomb, Friction, Mobility, WheeledRobot
 
 _MASS, _SIZE = 30.0, (0.6, 0.4, 0.25)  # of the whole [kg], and of the box above the wheels [m]
 _WHEEL_MASS, _WIDTH = 1.0, 0.45  # [kg], and in radii
 _GAINS = 25.0, 10.0
+_SLIP = (
+    1e-4  # [m/(N s)] before a wheel slides, as tyres have; it tells how wheels share what is not determined
+)
 _TOLERANCE = 1e-6  # of friction: such forces are drawn, not compared
 _STANDS = 0.02  # [m/s]: a slower wheel is not steered
 _FIGURES = {
@@ -108,7 +111,11 @@ def wheeled_of(
             argument="",
         )
     choice = choose("drive", name, DRIVES)
-    _refuse(given, choice.takes, f"does not apply to {name}, which takes {', '.join(map(as_option, choice.takes))}")
+    _refuse(
+        given,
+        choice.takes,
+        f"does not apply to {name}, which takes {', '.join(map(as_option, choice.takes))}",
+    )
     return _box_on(choice, given, ground, arms)
 
 
@@ -121,13 +128,16 @@ def _refuse(given: Mapping[str, Any], taken: Any, why: str) -> None:
 def _box_on(
     choice: Choice[Any], given: Mapping[str, Any], ground: Coulomb | None, arms: Sequence[str]
 ) -> WheeledRobot:
-    numbers = {option: choice.takes[option] if given[option] is None else given[option] for option in choice.takes}
+    numbers = {
+        option: choice.takes[option] if given[option] is None else given[option] for option in choice.takes
+    }
     radius = positive("--wheel-radius", numbers["wheel_radius"], "m")
     called = {option: argument for argument, option in choice.called.items()}
-    wheel = {
+    wheel: dict[str, Any] = {
         "mass": _WHEEL_MASS,
         "spin_inertia": _WHEEL_MASS * radius**2 / 2,
         "yaw_inertia": _WHEEL_MASS * radius**2 * (3 + _WIDTH**2) / 12,
+        "friction": Friction(slip=_SLIP),
     }
     try:
         table = choice.make(**{called.get(name, name): value for name, value in numbers.items()}, **wheel)
@@ -169,8 +179,8 @@ def controller_of(robot: WheeledRobot) -> tuple[Controller, str]:
 class _WheelRates:
     """Wheels turn, and steer, as those of the body twist that is wanted would, by proportional torques.
 
-    The twist is the reference's, and what errors of the pose add to it; where no wheel steers, what is beside the
-    path adds to the yaw rate, and turns need as much more as skidding takes: 1 + (lx / b)^2, see
+    The twist is the reference's, and what errors of the pose add to it; where no wheel steers, what is beside
+    the path adds to the yaw rate, and turns need as much more as skidding takes: 1 + (lx / b)^2, see
     Mandow et al., IROS 2007.
     """
 
@@ -233,7 +243,13 @@ class _WheelRates:
 
 
 def show_drive(
-    typed: Mapping[str, Any], robot: WheeledRobot, name: str, *, dt: float, html: Path | None, out: Path | None
+    typed: Mapping[str, Any],
+    robot: WheeledRobot,
+    name: str,
+    *,
+    dt: float,
+    html: Path | None,
+    out: Path | None,
 ) -> int:
     """Drive the path, print what the wheels did, and write the page and the figures that were asked for."""
     folder = None if out is None else output_folder(out)

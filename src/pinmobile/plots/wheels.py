@@ -21,7 +21,7 @@ _WIDTH, _HEIGHT = 5.0, 2.5  # of axes [in]; at 3.5 in, letters of 12 points are 
 _LABEL, _TICKS = 12, 11  # [pt]
 _DASHES = ("-", (0, (6, 2)), (0, (2, 1.5)), (0, (7, 2, 1.5, 2)), (0, (1, 1)), (0, (4, 1, 1, 1, 1, 1)))
 _LIMIT: Style = {"color": INK, "linestyle": (0, (4, 3)), "linewidth": 1.2, "zorder": 2}
-_NO_TURN = 1e-12  # what is smaller is drawn as the zero that it is
+_ROUNDING = 1e-9  # what is smaller is drawn as the zero that it is
 
 
 def wheel_torques(rollouts: Rollouts, *, title: str | None = None) -> Figure:
@@ -59,7 +59,8 @@ def wheel_torques(rollouts: Rollouts, *, title: str | None = None) -> Figure:
 def friction(rollouts: Rollouts, *, title: str | None = None) -> Figure:
     """Draw over time how much of its friction each wheel uses: the force in its friction circle, mu N wide.
 
-    At 1 it slides. Where rolling determines but the sum of some forces, a wheel's is its share of that sum.
+    At 1 it slides; of rollers it is the force along their axes. Where rolling determines but the sum of some
+    forces, a wheel's is its share of that sum.
 
     Parameters
     ----------
@@ -82,8 +83,8 @@ def friction(rollouts: Rollouts, *, title: str | None = None) -> Figure:
     for label, contacts in found.items():
         if not np.isfinite(contacts.limits).any():
             raise InvalidArgument(
-                f"{_called(label)} is of a robot whose loads are not known, expected one that stands on three "
-                "points and more: give supports=[(x, y), ...]"
+                f"{_called(label)} is of a robot whose loads are not known, expected one that stands on "
+                "three points and more: give supports=[(x, y), ...]"
             )
     figure, grid = _axes(runs, ["force / $\\mu N$ [-]"], headed(title, "Share of friction used"))
     for (label, run), axes in zip(runs.items(), grid[0], strict=True):
@@ -123,7 +124,7 @@ def slip(rollouts: Rollouts, *, title: str | None = None) -> Figure:
     for (_, run), column in zip(runs.items(), grid.T, strict=True):
         contacts = _contacts(run)
         for k, axes in enumerate(column):
-            values = np.where(np.abs(contacts.slips[..., k]) < _NO_TURN, 0.0, contacts.slips[..., k])
+            values = np.where(np.abs(contacts.slips[..., k]) < _ROUNDING, 0.0, contacts.slips[..., k])
             _lines(axes, run.t, values, contacts.names, legend=k == 0)
             _slides(axes, run.t, contacts.slides.any(axis=1))
             if not values.any():
@@ -185,7 +186,8 @@ def odometry(rollouts: Rollouts, *, title: str | None = None) -> Figure:
     for label, run in runs.items():
         if "believed_pose" not in run.signals:
             raise InvalidArgument(
-                f"{_called(label)} has no signal believed_pose, expected a run with ByOdometry(controller, table)"
+                f"{_called(label)} has no signal believed_pose, expected a run with "
+                "ByOdometry(controller, table)"
             )
     names = ["y [m]", "odometry off by [m]"]
     figure, grid = _axes(runs, names, headed(title, "Odometry beside the truth"), tall=1.7)
@@ -208,10 +210,14 @@ def odometry(rollouts: Rollouts, *, title: str | None = None) -> Figure:
 
 
 def share_of_friction(found: Contacts) -> Array:
-    """Return force over friction of each contact, shape (n, k); not a number where it is not known."""
+    """Return force over friction of each contact, shape (n, k); not a number where it is not known.
+
+    Of a wheel with rollers it is that along their axes: across them they roll.
+    """
     with np.errstate(invalid="ignore", divide="ignore"):
         shares = np.where(found.forces == 0, 0.0, found.forces / found.limits)
-    return np.asarray(np.hypot(shares[..., 0], shares[..., 1]))
+    rolls = found.limits[..., 0] != found.limits[..., 1]
+    return np.asarray(np.where(rolls, np.abs(shares[..., 0]), np.hypot(shares[..., 0], shares[..., 1])))
 
 
 def _called(label: str) -> str:
@@ -290,11 +296,16 @@ def _lines(
             zorder=3,
             **style,
         )
-    if float(np.nanmax(np.abs(values), initial=0.0)) < _NO_TURN:
+    if float(np.nanmax(np.abs(values), initial=0.0)) < _ROUNDING:
         axes.set_ylim(-1.0, 1.0)
     if legend:
         axes.legend(
-            fontsize=_TICKS - 1, frameon=False, ncols=2, loc="lower left", bbox_to_anchor=(0.0, 1.0), borderpad=0.2
+            fontsize=_TICKS - 1,
+            frameon=False,
+            ncols=2,
+            loc="lower left",
+            bbox_to_anchor=(0.0, 1.0),
+            borderpad=0.2,
         )
 
 

@@ -20,7 +20,9 @@ TRAIL, ABOVE = 2, 40
 """What is painted over what: the grid, trails, the path, words, and what shows through everything."""
 _DISCS = 12  # over trails, path and words
 _NOTHING = 1e-4  # of a scale: not to be seen
-_LARGEST = 0.4  # radius of the largest disc, or length of the largest arrow without one, in lengths of the robot
+_LARGEST = (
+    0.4  # radius of the largest disc, or length of the largest arrow without one, in lengths of the robot
+)
 _THIN = 0.12  # of a disc: an ellipse that is narrower is drawn so wide
 _FAR = 4.0  # radii of the scene, beyond which no centre is drawn
 _NO_FORCE = 1e-9  # [N]
@@ -80,7 +82,7 @@ def _draw_contacts(
         return
     scale = _LARGEST * extent.unit / largest
     shared = ~found.determined.all(axis=1)
-    paints = {GRIPS: "ground's force", SLIDES: "slides", QUIET: "force, of which rolling tells the sum alone"}
+    paints = {GRIPS: "force of the ground", SLIDES: "slides", QUIET: "force, share of a sum"}
     used = dict.fromkeys(paints, False)
     for k in range(len(found.names)):
         place, turned = found.places[:, k], found.directions[:, k]
@@ -100,15 +102,16 @@ def _draw_contacts(
                 size = np.column_stack([wide, np.ones(len(wide))])
                 channels.append(Channel(f"{path}/{part}", "scale", np.where(shows[:, None], size, _NOTHING)))
             stage.put(f"{path}/force", shapes.over(shapes.arrow(0.09), paint, order=ABOVE - 6))
-            channels += along(f"{path}/force", np.column_stack([place, np.unwrap(ahead)]), 0.012 * extent.unit)
+            channels += along(
+                f"{path}/force", np.column_stack([place, np.unwrap(ahead)]), 0.012 * extent.unit
+            )
             long = np.where(shows, np.maximum(scale * sizes[:, k], _NOTHING), _NOTHING)
             thick = np.where(shows, np.clip(long / (0.05 * extent.unit), _NOTHING, 1.0), _NOTHING)
             thick *= _LARGEST * extent.unit
             channels.append(Channel(f"{path}/force", "scale", np.column_stack([long, thick, thick])))
-    for paint, label in paints.items():
-        if used[paint]:
-            told = f"{label}, 1 m = {1 / scale:.2g} N" if paint == GRIPS else label
-            legend.append([told, paint, "", 0.0])
+    told = [(label, paint) for paint, label in paints.items() if used[paint]]
+    for k, (label, paint) in enumerate(told):
+        legend.append([f"{label}, 1 m = {1 / scale:.2g} N" if k == 0 else label, paint, "", 0.0])
     if np.isfinite(found.limits).any():
         legend.append(["disc: friction it has, mu N", GRIPS, "", 0.3])
 
@@ -121,7 +124,12 @@ def _disc(paint: str) -> dict[str, shapes.Shape]:
 
 
 def _draw_centre(
-    stage: Stage, centre: Array, poses: Array, extent: Extent, channels: list[Channel], legend: list[list[object]]
+    stage: Stage,
+    centre: Array,
+    poses: Array,
+    extent: Extent,
+    channels: list[Channel],
+    legend: list[list[object]],
 ) -> None:
     with np.errstate(invalid="ignore"):
         away = np.where(np.isfinite(centre), centre - poses[:, :2], 0.0)

@@ -134,7 +134,7 @@ class Picture:
     def _frames(self, pose: Array, steering: Array, wheels: Array | None) -> Array:
         """Return the frames of wheels, or with none of what steers with them, shape (..., wheels, 4, 4).
 
-        x along e, z up; of a wheel at its centre, turned about its axle y; else on the ground below the pivot.
+        x along e, z up; of a wheel at its centre, turned about its axle y; else on the ground below a pivot.
         """
         angles = list(np.moveaxis(steering, -1, 0))
         lead = pose.shape[:-1]
@@ -241,11 +241,9 @@ def _joined(parts: Sequence[_Triangles]) -> _Triangles:
 
 
 def _turned(profile: Sequence[tuple[float, float]], sides: int = _SIDES) -> _Triangles:
-    """Return what a profile (along y, away from y) becomes when it is turned about y, outside to the right."""
+    """Return what a profile (along y, away from y) becomes when it is turned about y."""
     angle = 2 * np.pi * np.arange(sides) / sides
-    rings = [
-        np.column_stack([r * np.sin(angle), np.full(sides, y), r * np.cos(angle)]) for y, r in profile
-    ]
+    rings = [np.column_stack([r * np.sin(angle), np.full(sides, y), r * np.cos(angle)]) for y, r in profile]
     k = np.arange(sides)
     after, faces = (k + 1) % sides, []
     for ring in range(len(profile) - 1):
@@ -267,7 +265,7 @@ def _about_axle(triangles: _Triangles, angle: float) -> _Triangles:
 
 
 def _tyre(wheel: Wheel) -> tuple[_Triangles, _Triangles]:
-    """Return tyre, and hub with spokes and a bar across the tread, which shows from all sides how it turns."""
+    """Return tyre, and hub with spokes and a bar across the tread, which shows how it turns."""
     R = wheel.radius
     w = _ACROSS * R / 2
     ring = [(-w, 0.66), (-w, 0.9), (-0.7 * w, 1.0), (0.7 * w, 1.0), (w, 0.9), (w, 0.66), (-w, 0.66)]
@@ -276,7 +274,13 @@ def _tyre(wheel: Wheel) -> tuple[_Triangles, _Triangles]:
     spoke = _box((-0.07 * R, -0.8 * w, 0.2 * R), (0.07 * R, 0.8 * w, 0.68 * R))
     spokes = [_about_axle(spoke, 2 * np.pi * k / _SPOKES) for k in range(_SPOKES)]
     rim = _turned(
-        [(-0.85 * w, 0.6 * R), (-0.85 * w, 0.68 * R), (0.85 * w, 0.68 * R), (0.85 * w, 0.6 * R), (-0.85 * w, 0.6 * R)]
+        [
+            (-0.85 * w, 0.6 * R),
+            (-0.85 * w, 0.68 * R),
+            (0.85 * w, 0.68 * R),
+            (0.85 * w, 0.6 * R),
+            (-0.85 * w, 0.6 * R),
+        ]
     )
     bar = _box((-0.09 * R, -0.7 * w, 0.9 * R), (0.09 * R, 0.7 * w, 1.01 * R))
     sides = [_box((-0.09 * R, y - 0.1 * w, 0.7 * R), (0.09 * R, y + 0.1 * w, 0.92 * R)) for y in (-w, w)]
@@ -299,11 +303,20 @@ def _rollers(wheel: Wheel, roller: float) -> tuple[_Triangles, _Triangles]:
     found = []
     for row in range(rows):
         vertices, faces = one
-        moved = vertices + [0.0, (row - (rows - 1) / 2) * 2.3 * thick, 0.0], faces
+        moved = vertices + np.array([0.0, (row - (rows - 1) / 2) * 2.3 * thick, 0.0]), faces
         found += [_about_axle(moved, 2 * np.pi * (k + row / rows) / count) for k in range(count)]
     wide = half * abs(np.sin(roller)) + thick * (0.4 if rows == 1 else 2.2)
     rim = (reach - 0.5 * thick) if rows == 2 else (reach - 0.9 * thick)
-    hub = _turned([(-wide, 0.0), (-wide, 0.5 * rim), (-0.5 * wide, rim), (0.5 * wide, rim), (wide, 0.5 * rim), (wide, 0.0)])
+    hub = _turned(
+        [
+            (-wide, 0.0),
+            (-wide, 0.5 * rim),
+            (-0.5 * wide, rim),
+            (0.5 * wide, rim),
+            (wide, 0.5 * rim),
+            (wide, 0.0),
+        ]
+    )
     return _joined(found[1:]), _joined([found[0], hub])
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
@@ -21,9 +22,9 @@ _ACROSS = {"rolling": 0, "roller": 0, "lateral": 1, "across": 1}
 def contacts_of(wheeled: Any, q: Array, v: Array, a: Array, u: Array, signals: Mapping[str, Any]) -> Contacts:
     """Return the contacts of a robot on wheels at the samples of a run.
 
-    On `Coulomb` ground they are the signals of the run, means over the step before. On `Rolling` ground they are the
-    constraint forces of state and input, forces on the body beside it left out; their limits are what the wheels'
-    own friction would give at the loads of the recorded acceleration.
+    On `Coulomb` ground they are the signals of the run, means over the step before. On `Rolling` ground they
+    are the constraint forces of state and input, forces on the body beside it left out; their limits are what
+    the wheels' own friction would give at the loads of the recorded acceleration.
 
     Parameters
     ----------
@@ -43,10 +44,11 @@ def contacts_of(wheeled: Any, q: Array, v: Array, a: Array, u: Array, signals: M
         forces = np.stack([signals["along"].values, signals["across"].values], axis=-1)
         slips = np.stack([signals["slip_along"].values, signals["slip_across"].values], axis=-1)
         loads, slides = signals["loads"].values[:, :k], signals["slides"].values > 0.5
-        determined = np.ones((k, 2), bool)
+        regular = wheeled.mobility.is_regular
+        determined = _known(wheeled) if regular else np.ones((k, 2), bool)
     else:
         mu = np.array([wheel.friction.mu for wheel in table.wheels])
-        forces, determined = _constrained(wheeled, q, v, u)
+        forces, determined = _constrained(wheeled, q, v, u), _known(wheeled)
         loads, slips, slides = _carried(wheeled, q, v, a), np.zeros((n, k, 2)), np.zeros((n, k), bool)
         slips[..., 1] = _rolls_over(wheeled, q, v)
     across = [mu[i] if w.roller is None else w.friction.across for i, w in enumerate(table.wheels)]
@@ -66,7 +68,7 @@ def contacts_of(wheeled: Any, q: Array, v: Array, a: Array, u: Array, signals: M
 
 
 def _placed(kinematics: Kinematics, q: Array, steering: list[Array]) -> tuple[Array, Array]:
-    """Return where wheels touch the ground, shape (n, k, 2), and the angle of their first direction, (n, k)."""
+    """Return where wheels touch the ground, shape (n, k, 2), and angles of their first direction, (n, k)."""
     c, s, n = np.cos(q[:, 2]), np.sin(q[:, 2]), len(q)
     places, directions = np.empty((n, len(kinematics.table), 2)), np.empty((n, len(kinematics.table)))
     for row, wheel in enumerate(kinematics.table.wheels):
@@ -79,17 +81,31 @@ def _placed(kinematics: Kinematics, q: Array, steering: list[Array]) -> tuple[Ar
     return places, directions
 
 
-def _constrained(wheeled: Any, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
-    """Return what holds the wheels where they roll, shape (n, k, 2), and whether that is determined, (k, 2)."""
-    names, values, known = wheeled.constraint_forces(q, v, u)
-    own = wheeled.table.names
-    forces, determined = np.zeros((len(q), len(own), 2)), np.ones((len(own), 2), bool)
-    for j, name in enumerate(names):
+def _rows_of(wheeled: Any) -> dict[int, tuple[int, int]]:
+    """Return wheel and direction of each row of the constraints that is a wheel's."""
+    own, found = wheeled.table.names, {}
+    for j, name in enumerate(wheeled.constraint_names):
         wheel, _, kind = name.rpartition(" ")
         if wheel in own:
-            at = own.index(wheel), _ACROSS[kind]
-            forces[:, at[0], at[1]], determined[at] = values[:, j], known[j]
-    return forces, determined
+            found[j] = own.index(wheel), _ACROSS[kind]
+    return found
+
+
+def _known(wheeled: Any) -> NDArray[np.bool_]:
+    """Return whether the force in each direction is determined where no wheel slides, shape (k, 2)."""
+    found = np.ones((len(wheeled.table), 2), bool)
+    for j, at in _rows_of(wheeled).items():
+        found[at] = wheeled.mobility.determined[j]
+    return found
+
+
+def _constrained(wheeled: Any, q: Array, v: Array, u: Array) -> Array:
+    """Return what holds the wheels where they roll, shape (n, k, 2)."""
+    values = wheeled.constraint_forces(q, v, u).values
+    forces = np.zeros((len(q), len(wheeled.table), 2))
+    for j, (row, side) in _rows_of(wheeled).items():
+        forces[:, row, side] = values[:, j]
+    return forces
 
 
 def _rolls_over(wheeled: Any, q: Array, v: Array) -> Array:
