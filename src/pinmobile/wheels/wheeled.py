@@ -10,20 +10,23 @@ from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, Self, final
 
 import numpy as np
+import pinocchio as pin
 
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, frozen, one_of, vector
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.plant import Coordinate, Input, Parameter, Step
+from pinmobile.plant import Contacts, Coordinate, Input, Parameter, Step
 from pinmobile.robot import BODY_JOINT, LOCKED, Load, MobileRobot, number
 from pinmobile.urdf import Body
 from pinmobile.wheels.description import joint_signs, read_robot, read_wheels
+from pinmobile.wheels.drawn import Picture
 from pinmobile.wheels.ground import Coulomb, Ground, Rolling
 from pinmobile.wheels.kinematics import Kinematics
 from pinmobile.wheels.mobility import Mobility
 from pinmobile.wheels.rolling import Reduced, RollingBody
 from pinmobile.wheels.slipping import Grip, SlippingBody, led
 from pinmobile.wheels.table import WheelTable
+from pinmobile.wheels.touching import contacts_of
 from pinmobile.wheels.tree import WheelTree
 
 _SAME_LINE = 1e-6  # [m]
@@ -476,6 +479,45 @@ class WheeledRobot:
         whole = np.zeros((*broadcast(q=q, wrench=wrench), self.nv))
         whole[..., :BODY_JOINT] = wrench
         return whole
+
+    # What is seen
+
+    @property
+    def size(self) -> tuple[float, float, float]:
+        """Length, width and height of the body [m]."""
+        return self.robot.size
+
+    @cached_property
+    def _picture(self) -> Picture:
+        return Picture(self.robot, self.table)
+
+    @property
+    def visual_model(self) -> pin.GeometryModel:
+        """What is drawn, a copy: the robot's own visuals, and wheels and supports beside those that it has.
+
+        Wheels have spokes, a bar across the tread, or the rollers of the table; a box stands above them.
+        """
+        return self._picture.visuals.clone()
+
+    def drawing(self, q: ArrayLike) -> Array:
+        """Return where the objects of `visual_model` are in the inertial frame, shape (..., k, 4, 4)."""
+        return self._picture.placements(self._q(q))
+
+    def contacts(
+        self, q: ArrayLike, v: ArrayLike, a: ArrayLike, u: ArrayLike, signals: Mapping[str, Any]
+    ) -> Contacts:
+        """Return what the ground does at the wheels at the samples of a run, see `Contacts`.
+
+        Parameters
+        ----------
+        q, v, a, u : array_like, shape (n, ...)
+            Of the samples.
+        signals : mapping of str to Signal
+            Of the run.
+        """
+        return contacts_of(
+            self, self._q(q), self._v("v", v), self._v("a", a), vector("u", u, self.nu), signals
+        )
 
     # Rolling
 
