@@ -330,6 +330,7 @@ MADE: dict[str, Callable[[], Any]] = {
             0.5, 0.1, motor=Motor(resistance=1.0, torque_constant=0.03, voltage=24.0, gear=20.0)
         ),
     ),
+    "swerve": lambda: WheeledRobot(WORLD.robot, WheelTable.swerve([(0.3, 0.1), (-0.3, -0.1)], 0.1)),
     "arm": small_arm,
     "armed": lambda: WORLD.robot.mount(WORLD.arm, (0, 0, 0.2, 0), name="arm"),
     "q": lambda: np.array([0.1, 0.2, 0.3]),
@@ -441,6 +442,7 @@ ROWS: dict[str, Row] = {
     "Backstepping": row(law=pm.Tracking(), robot=the("wheeled"), k=10, steer=10, arms=2),
     "Driven": row(controller=pm.PD(1, 1), robot=the("electric")),
     "WheelSpeed": row(law=pm.Tracking(), robot=the("wheeled"), kp=1, ki=2),
+    "SwerveTracking": row(robot=the("swerve"), kp=2, k=10, steer=10, least=0.05),
     "Tracking": row(zeta=0.7, b=20),
     "Kanayama": row(k1=2, k2=10, k3=5),
     "Parking": row(k1=1, k2=3, k3=2, near=1e-3),
@@ -870,7 +872,7 @@ def is_part(name: str) -> bool:
     """Tell whether a method is what the loop calls on its parts, with arrays that it made."""
     owner, _, method = name.rpartition(".")
     parts = ("PD", "ComputedTorque", "Decoupled", "PDGravity", "Saturated", "Delayed", "NoisyMeasurement")
-    parts += (
+    of_wheels = (
         "Allocated",
         "Backstepping",
         "Driven",
@@ -879,9 +881,10 @@ def is_part(name: str) -> bool:
         "Kanayama",
         "Parking",
         "DynamicFeedback",
+        "SwerveTracking",
     )
     forces = ("ConstantForce", "SinusoidalForce", "NoiseForce", "RollingResistance", "ViscousFriction")
-    called = owner in (*parts, *forces, "EndEffectorTracking", "JointFriction")
+    called = owner in (*parts, *of_wheels, *forces, "EndEffectorTracking", "JointFriction")
     integrators = ("constant_acceleration", "rk4", "semi_implicit_euler")
     return name in integrators or (
         called

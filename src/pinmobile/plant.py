@@ -71,6 +71,8 @@ class Plant(Protocol):
         for displacements that change at the velocity.
     ``drawing(q) -> (k, 4, 4)``, ``visual_model``
         Placements in the inertial frame of the k objects of a `pin.GeometryModel`, which the viewer draws.
+    ``contacts(q, v, a, u, signals) -> Contacts``
+        What the ground does where the plant touches it, at n samples of a run: for the viewer and plots.
     ``ground_wrench(q, v, a) -> (..., 6)``, ``footprint``
         What `pinmobile.balance` asks, of many states at once: the wrench (fx, fy, fz, mx, my, mz) of the
         ground on the body, along and about the body's frame [N, N m]; and the corners (k, 2) of what it
@@ -119,6 +121,47 @@ class Step(NamedTuple):
     q: Array
     v: Array
     memory: object = None
+
+
+class Contacts(NamedTuple):
+    """What the ground does where a plant touches it, at n samples.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the k contacts.
+    places : ndarray, shape (n, k, 2)
+        Where they are in the inertial frame [m].
+    directions : ndarray, shape (n, k)
+        Angle of the first of each contact's two directions from the inertial x axis; the second is a quarter
+        of a turn to the left [rad].
+    forces : ndarray, shape (n, k, 2)
+        Of the ground on the plant along these [N].
+    determined : ndarray of bool, shape (k, 2)
+        Whether the model determines them; of others only sums are, and what is told is a share.
+    loads : ndarray, shape (n, k)
+        [N]; not a number where they are not known.
+    limits : ndarray, shape (n, k, 2)
+        Largest friction in each direction [N]: of a disc where both are alike, else of each by itself, as of
+        rollers; not a number where it is not known.
+    slips : ndarray, shape (n, k, 2)
+        Velocity at which the plant slides over the ground, along these directions [m/s].
+    slides : ndarray of bool, shape (n, k)
+        Whether all friction is used.
+    centre : ndarray, shape (n, 2)
+        Instantaneous centre of the body's rotation in the inertial frame [m]; infinite where it does not turn.
+    """
+
+    names: tuple[str, ...]
+    places: Array
+    directions: Array
+    forces: Array
+    determined: Array
+    loads: Array
+    limits: Array
+    slips: Array
+    slides: Array
+    centre: Array
 
 
 class Coordinate(NamedTuple):

@@ -6,7 +6,7 @@ and returns the next one (None where it has no memory, see `initial_state`). q, 
 leading axes. `Saturated`, `Delayed` and `NoisyMeasurement` wrap any of them, and each other.
 """
 
-from pinmobile.controllers.backstepping import Backstepping
+from pinmobile.controllers.backstepping import Backstepping, SwerveTracking
 from pinmobile.controllers.controller import (
     Controller,
     InverseDynamics,
@@ -61,6 +61,7 @@ __all__ = [
     "Parking",
     "Saturated",
     "State",
+    "SwerveTracking",
     "Tracked",
     "Tracking",
     "WheelSpeed",

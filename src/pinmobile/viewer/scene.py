@@ -16,6 +16,7 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.palette import AXES, INK, QUIET, colour
 from pinmobile.plant import whole_configurations
 from pinmobile.simulation import Rollout
+from pinmobile.viewer.ground import ABOVE, TRAIL, draw_ground
 from pinmobile.viewer.motion import (
     Channel,
     Drawing,
@@ -79,8 +80,6 @@ def _short(value: float, unit: str) -> str:
     return f"{value / scale:.{digits}f} {prefix}{unit}"
 
 
-TRAIL, ABOVE = 2, 40
-"""What is painted over what: the grid, trails, the path, words, and what shows through everything."""
 _GRID, _PATH, _WORDS = 1, 8, 9
 
 # Where the name of frame k stands, in lengths of the robot: frames 2 and 3 have one origin.
@@ -257,6 +256,8 @@ class Scene:
             self.legend.append(["desired pose", QUIET, "", 0.5])
         if self.overlays.arrows is not None:
             self._arrows(main, times, poses[0], extent, self.overlays.arrows)
+        if self.overlays.contacts or self.overlays.centre:
+            draw_ground(self.stage, main, times, poses[0], extent, self.overlays, self.channels, self.legend)
         self._tables(poses[0], extent)
         if self.overlays.caption:
             self.channels.append(Channel("meshcat/stage", "caption", _captions(runs, times)))

@@ -8,9 +8,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from pinmobile.compiled import choose, higher
-from pinmobile.robot import ONE, ZERO, Vector, dot, number
+import numpy as np
 
+from pinmobile.compiled import choose, higher, plain
+from pinmobile.robot import ONE, ZERO, Vector, dot, exact, number, scalars, vector_of as stacked
+from pinmobile.wheels.rolling import State, WheeledBody
+
+_BASE = 3
 _FLAT = 1e-9  # of the determinant of all contacts: those that are left stand on a line
 _NOTHING = 1e-12  # of the weight: what rounding makes of a contact without load
 _DROPS = 3  # times that contacts are dropped, at most
@@ -86,3 +90,86 @@ def _of_springs(
     share = 1.0 / (area if flat is None else choose(area > flat, area, 1.0))
     bent = [dot(row, wrench) * share for row in minors]
     return [number(dot(row, bent)) for row in weighed], area
+
+
+def wheel_loads(body: WheeledBody, upright: Vector, state: State, rate: Vector, q: Any) -> Loads:
+    """Return what wheels and supports carry.
+
+    What the ground exerts is the rate of momentum of all bodies, less gravity: of a robot without arms by
+    Newton's and Euler's equations, of others by their recursion; the spin of the wheels is added.
+
+    Parameters
+    ----------
+    body : WheeledBody
+        The robot.
+    upright : list of 3 scalars
+        As of `SlippingBody`.
+    state : State
+        Shape and velocities.
+    rate : list of scalars
+        Rates of the velocities along the body's axes.
+    q : ndarray
+        Any configuration, for its shape.
+    """
+    vx, vy, w = state.twist
+    pull = body.pull(state)
+    a = [rate[0] - w * vy - pull[0], rate[1] + w * vx - pull[1], *rate[2:]]
+    fz, mx, my = _carried(body, upright, state, a, q)
+    first = _BASE + body.na
+    rates = [*state.rates]
+    for row, spin in enumerate(numbers(body.spin_inertia)):
+        head, k = body.kinematics.heading(row, state.steering), len(body.table.axes) + row
+        steered = [axis for at, axis in body._steered if at == row]
+        turn = w + head.first * rates[steered[0]] if steered else w
+        faster, slower = spin * rate[first + k], spin * rates[k] * turn
+        mx = mx - head.s * faster - head.c * slower
+        my = my + head.c * faster - head.s * slower
+        wheel = body.table.wheels[row]
+        if steered and wheel.mass and any(wheel.trail):  # its weight moves, and its centre swings
+            (o, p), (o0, p0) = body._centres(row, state)
+            weight, axis = -wheel.mass * float(body.fall[2]), steered[0]
+            mx, my = mx + weight * (p[1] - p0[1]), my - weight * (p[0] - p0[0])
+            turning = rate[2] + head.first * rate[first + axis] + head.second * rates[axis] * rates[axis]
+            swing = wheel.mass * numbers(body.radius)[row]
+            ahead = rate[2] * o0[1] - turning * o[1] - turn * turn * o[0] + w * w * o0[0]
+            aside = turning * o[0] - rate[2] * o0[0] - turn * turn * o[1] + w * w * o0[1]
+            mx, my = mx - swing * aside, my + swing * ahead
+    places = [body.kinematics.centre(row, state.steering)[1] for row in range(len(body.table))]
+    places += [[exact(each.x), exact(each.y)] for each in body.table.supports]
+    return shared_loads(places, fz, mx, my)
+
+
+def _carried(body: WheeledBody, upright: Vector, state: State, a: Vector, q: Any) -> Vector:
+    """Return fz, mx and my of the ground, wheels at rest in the body; `a` has no part of gravity."""
+    if body.na:
+        n = _BASE + body.na
+        at, still = stacked([ZERO, ZERO, ZERO, *state.arms], q), stacked([ZERO] * n, q)
+        v = stacked([*state.twist, *state.arm_rates], q)
+        found = numbers(body.robot.ground_wrench(at, v, stacked(a[:n], q)))[2:5]
+        if not body._slack:
+            return found
+        weights = numbers(body.robot.ground_wrench(at, still, still))[2:5]
+        return [x - body._slack * y for x, y in zip(found, weights, strict=True)]
+    own = body.robot
+    m, x, y = (exact(item(each)) for each in (own.mass, own.com_x, own.com_y))
+    (height, xz, yz), w, spin, g = upright, state.twist[2], a[2], -float(body.fall[2])
+    ax, ay = a[0] - spin * y - w * w * x, a[1] + spin * x - w * w * y
+    mx = m * (y * g - height * ay) + (xz * spin - yz * (w * w))
+    my = m * (height * ax - x * g) + (yz * spin + xz * (w * w))
+    return [m * g, mx, my]
+
+
+def item(x: Any) -> Any:
+    """Return the entry of an array without axes; an array or a number as it is."""
+    x = plain(x)
+    return x.item() if isinstance(x, np.ndarray) and not x.ndim else x
+
+
+def numbers(x: Any) -> Vector:
+    """Return the entries of the last axis; what is known to be a number as Python's, which is quicker."""
+    return [quick(y) for y in scalars(x)]
+
+
+def quick(x: Any) -> Any:
+    """Return a scalar, as Python's where it is a number of NumPy's."""
+    return float(x) if isinstance(x, np.float64) else x

@@ -215,7 +215,7 @@ class Motor:
         shaft = k * self.armature_current(volts, rate) - self.viscous * self.gear * rate
         rest = np.clip(shaft, -self.coulomb, self.coulomb)
         shaft = shaft - np.where(rate == 0, rest, self.coulomb * np.sign(rate))
-        return self._through_gear(shaft, rate)
+        return np.asarray(self._through_gear(shaft, rate))
 
     def _through_gear(self, shaft: Array, rate: Array) -> Array:
         """Return the torque behind the gear of one before it."""

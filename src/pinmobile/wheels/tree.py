@@ -85,7 +85,7 @@ class WheelTree(System):
     def effects(self, q: Array, v: Array) -> Array:
         """Return n(q, v), shape (..., nv), unchecked."""
         whole, rates, G, bent = self.state_of(q, v)
-        return np.einsum("...ki,...k->...i", G, self.inverse_dynamics(whole, rates, bent))
+        return np.asarray(np.einsum("...ki,...k->...i", G, self.inverse_dynamics(whole, rates, bent)))
 
     def inertia_and_effects(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return M(q) and n(q, v), unchecked; of one state without detours."""
@@ -123,7 +123,7 @@ def _with_wheels(robot: MobileRobot, table: WheelTable, fall: Array) -> pin.Mode
     body = pin.Inertia(model.inertias[BODY_JOINT])
     if body.mass <= wheels:
         raise InvalidArgument(
-            f"robot has a mass of {body.mass:.6g} kg, and its wheels {wheels:.6g} kg, which are a part of it; "
+            f"robot has a mass of {body.mass:.6g} kg, and its wheels {wheels:.6g} kg, which are part of it; "
             "expected the mass of the whole"
         )
     for wheel in table.wheels:

@@ -3,30 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from os import PathLike
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, Self, final
 
 import numpy as np
+import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, frozen, vector
+from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, frozen, one_of, vector
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.plant import Coordinate, Input, Parameter, Step
+from pinmobile.plant import Contacts, Coordinate, Input, Parameter, Step
 from pinmobile.robot import BODY_JOINT, LOCKED, Load, MobileRobot, number
+from pinmobile.urdf import Body
 from pinmobile.wheels.description import joint_signs, read_robot, read_wheels
+from pinmobile.wheels.drawn import Picture
 from pinmobile.wheels.ground import Coulomb, Ground, Rolling
 from pinmobile.wheels.kinematics import Kinematics
 from pinmobile.wheels.mobility import Mobility
 from pinmobile.wheels.rolling import Reduced, RollingBody
 from pinmobile.wheels.slipping import Grip, SlippingBody, led
 from pinmobile.wheels.table import WheelTable
+from pinmobile.wheels.touching import contacts_of
 from pinmobile.wheels.tree import WheelTree
 from pinmobile.wheels.voltage import ByVoltage
 
 _SAME_LINE = 1e-6  # [m]
+_OF_WHEELS = ("x", "y", "radius", "spin_inertia")  # what may differ from robot to robot
 _OFF = 1e-9  # of a start's rates, beyond which it does not roll
 _LEAST_NORM = 1e-6  # relative weight of torques beside what they are for, where limits hold them
 _REDUNDANT = 1e-10  # relative, of eigenvalues: rows that follow from others
@@ -71,7 +76,7 @@ class Allocation(NamedTuple):
 @constant
 @dataclass(frozen=True, eq=False, repr=False)
 class WheeledRobot:
-    """A robot on wheels: q = (x, y, psi, arms..., steering..., wheels...), u = torques at arms, wheels and axes.
+    """A robot on wheels: q = (x, y, psi, arms, steering, wheels), u = torques at arms, wheels and axes.
 
     All methods broadcast over leading axes, and raise `InvalidArgument` for arguments of another last axis or
     that are not finite.
@@ -95,9 +100,6 @@ class WheeledRobot:
     robot: MobileRobot
     table: WheelTable = None  # type: ignore[assignment]
     ground: Ground = None  # type: ignore[assignment]
-    mobility: Mobility = field(init=False)
-    _tree: WheelTree = field(init=False)
-
     broadcasts: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
@@ -107,7 +109,7 @@ class WheeledRobot:
             object.__setattr__(self, "table", read_wheels(self.robot))
         if not isinstance(self.table, WheelTable):
             raise InvalidArgument(f"table is {shown(self.table)}, expected a WheelTable")
-        mobility = Mobility.of(self.table)
+        mobility = self.mobility
         if self.ground is None:
             object.__setattr__(self, "ground", Rolling() if mobility.is_regular else Coulomb())
         if not isinstance(self.ground, Rolling | Coulomb):
@@ -117,17 +119,50 @@ class WheeledRobot:
                 f"table cannot roll without slip: {mobility.why_not}; expected a drive that can, or "
                 "ground=Coulomb()"
             )
-        object.__setattr__(self, "mobility", mobility)
-        tree = WheelTree(self.robot, self.table, self._fall)
-        object.__setattr__(self, "_tree", tree)
+        _ = self._tree  # it checks that what is left without the wheels is a body
         if isinstance(self.ground, Coulomb):
             self._check_slipping()
+        else:
+            self._check_rolling()
+
+    @cached_property
+    def mobility(self) -> Mobility:
+        """What the wheels let it do."""
+        return Mobility.of(self.table)
+
+    @cached_property
+    def _tree(self) -> WheelTree:
+        return WheelTree(self.robot, self.table, self._fall)
 
     @cached_property
     def _fall(self) -> Array:
         """Gravity along the axes of the plane, shape (3,) [m/s^2]."""
         g, ramp = np.array(self.robot.model.gravity.linear), self.ground.ramp
         return frozen(g) if ramp is None else ramp.fall(float(np.linalg.norm(g)))
+
+    def _check_rolling(self) -> None:
+        """Refuse steering that nothing holds and that has no inertia."""
+        first = self.robot.nv
+        for k in self.mobility.choice.free:
+            if not self.mass_matrix(self.rest)[first + k, first + k] > 0:
+                axis = self.table.axes[k]
+                wheel = self.table.names[axis.wheels[0]]
+                raise InvalidArgument(
+                    f"{axis.name} of the table has no inertia about its axis, expected one > 0: give "
+                    f"yaw_inertia of wheel {wheel!r}"
+                )
+
+    @cached_property
+    def _is_massless(self) -> bool:
+        """Whether wheels have no inertia, so that M is singular but for what rolls."""
+        return not (np.diagonal(self.mass_matrix(self.rest))[self.robot.nv :] > 0).all()
+
+    def _metric(self, M: Array, A: Array) -> Array:
+        """Return a mass matrix that has an inverse.
+
+        It is M, and where that has none M + m A' A, which what rolls does not feel.
+        """
+        return M + self.robot.mass * np.swapaxes(A, -1, -2) @ A if self._is_massless else M
 
     def _check_slipping(self) -> None:
         """Refuse what cannot be computed on ground where wheels slip."""
@@ -180,7 +215,7 @@ class WheeledRobot:
         ground_z: ArrayLike | None = None,
         **given: Any,
     ) -> Self:
-        """Return the robot of a URDF on the wheels that it has; `source` says what was taken and what guessed.
+        """Return the robot of a URDF on the wheels that it has; `source` says what was taken, what guessed.
 
         Parameters
         ----------
@@ -309,10 +344,49 @@ class WheeledRobot:
                 )
         return tuple(found)
 
+    def with_parameters(self, **values: ArrayLike) -> WheeledRobot:
+        """Return the robot with other values of its `parameters`.
+
+        Parameters
+        ----------
+        **values : float or array_like
+            By the name of a parameter, or of an attribute with all its numbers, such as ``radius``.
+
+        Raises
+        ------
+        InvalidArgument
+            If a value is not possible, or an array has another shape.
+        UnknownName
+            If there is no such parameter.
+        """
+        named = {parameter.name: parameter for parameter in self.parameters}
+        columns = {name: column.copy() for name, column in self._columns.items()}
+        for name, value in values.items():
+            given = finite(name, value)
+            if name in columns and given.shape in ((), columns[name].shape):
+                columns[name][...] = given
+            elif name in named and given.ndim == 0:
+                columns[named[name].attribute or name][named[name].entry] = given
+            else:
+                one_of("parameter of a robot on wheels", name, [*named, *columns])
+                raise InvalidArgument(f"{name} has shape {given.shape}, expected that of {name} of the robot")
+        ground, numbers = self.ground, [columns[name].tolist() for name in _OF_WHEELS]
+        wheels = [
+            replace(wheel, x=x, y=y, radius=radius, spin_inertia=inertia)
+            for wheel, x, y, radius, inertia in zip(self.table.wheels, *numbers, strict=True)
+        ]
+        robot = self.robot
+        if isinstance(ground, Coulomb):
+            ground = replace(ground, mu=None)
+            frictions = zip(wheels, columns["mu"].tolist(), strict=True)
+            wheels = [replace(wheel, friction=replace(wheel.friction, mu=mu)) for wheel, mu in frictions]
+            if columns["upright"][0] != self._columns["upright"][0]:
+                robot = _raised(robot, float(columns["upright"][0] - self._columns["upright"][0]))
+        return WheeledRobot(robot, replace(self.table, wheels=tuple(wheels)), ground)
+
     @cached_property
     def _columns(self) -> dict[str, Array]:
-        names = ("x", "y", "radius", "spin_inertia")
-        found = {name: frozen([getattr(wheel, name) for wheel in self.table.wheels]) for name in names}
+        found = {name: frozen([getattr(wheel, name) for wheel in self.table.wheels]) for name in _OF_WHEELS}
         if isinstance(self.ground, Coulomb):
             mu = self.ground.mu
             found["mu"] = frozen([wheel.friction.mu if mu is None else mu for wheel in self.table.wheels])
@@ -350,7 +424,8 @@ class WheeledRobot:
     @property
     def mu(self) -> Array:
         """Coefficients of friction of the wheels where they may slip, shape (wheels,)."""
-        return self._where_it_slips("mu", lambda: self._columns["mu"])
+        self._where_it_slips("mu")
+        return self._columns["mu"]
 
     @property
     def upright(self) -> Array:
@@ -358,7 +433,8 @@ class WheeledRobot:
 
         Height of the centre of mass, and inertia xz and yz about it.
         """
-        return self._where_it_slips("upright", lambda: self._columns["upright"])
+        self._where_it_slips("upright")
+        return self._columns["upright"]
 
     # Configurations
 
@@ -408,6 +484,45 @@ class WheeledRobot:
         whole = np.zeros((*broadcast(q=q, wrench=wrench), self.nv))
         whole[..., :BODY_JOINT] = wrench
         return whole
+
+    # What is seen
+
+    @property
+    def size(self) -> tuple[float, float, float]:
+        """Length, width and height of the body [m]."""
+        return self.robot.size
+
+    @cached_property
+    def _picture(self) -> Picture:
+        return Picture(self.robot, self.table)
+
+    @property
+    def visual_model(self) -> pin.GeometryModel:
+        """What is drawn, a copy: the robot's own visuals, and wheels and supports beside those that it has.
+
+        Wheels have spokes, a bar across the tread, or the rollers of the table; a box stands above them.
+        """
+        return self._picture.visuals.clone()
+
+    def drawing(self, q: ArrayLike) -> Array:
+        """Return where the objects of `visual_model` are in the inertial frame, shape (..., k, 4, 4)."""
+        return self._picture.placements(self._q(q))
+
+    def contacts(
+        self, q: ArrayLike, v: ArrayLike, a: ArrayLike, u: ArrayLike, signals: Mapping[str, Any]
+    ) -> Contacts:
+        """Return what the ground does at the wheels at the samples of a run, see `Contacts`.
+
+        Parameters
+        ----------
+        q, v, a, u : array_like, shape (n, ...)
+            Of the samples.
+        signals : mapping of str to Signal
+            Of the run.
+        """
+        return contacts_of(
+            self, self._q(q), self._v("v", v), self._v("a", a), vector("u", u, self.nu), signals
+        )
 
     # Rolling
 
@@ -514,7 +629,7 @@ class WheeledRobot:
     def kinetic_energy(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return v' M(q) v / 2, shape (...) [J]."""
         v = self._v("v", v)
-        return np.einsum("...i,...ij,...j->...", v, self.mass_matrix(q), v) / 2
+        return np.asarray(np.einsum("...i,...ij,...j->...", v, self.mass_matrix(q), v) / 2)
 
     def forward_dynamics(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Array:
         """Return the acceleration, shape (..., nv) [m/s^2, ...].
@@ -564,7 +679,10 @@ class WheeledRobot:
         A, drift = self._rows(q, v)
         if rows is not None:
             A, drift = A[..., rows, :], drift[..., rows]
+        M = self._metric(M, A)
         force = u @ self.input_matrix.T + f - n
+        if self._is_massless:
+            force = force - self.robot.mass * (np.swapaxes(A, -1, -2) @ drift[..., None])[..., 0]
         A_T = np.swapaxes(A, -1, -2)
         right = np.empty((*force.shape, 1 + A.shape[-2]))
         right[..., 0], right[..., 1:] = force, A_T
@@ -573,18 +691,18 @@ class WheeledRobot:
         wanted = -drift[..., None] - A @ free[..., None]
         G = A @ through
         if rows is None:
-            multipliers = np.linalg.pinv(G, rcond=_REDUNDANT, hermitian=True) @ wanted
+            multipliers = np.asarray(np.linalg.pinv(G, rcond=_REDUNDANT, hermitian=True) @ wanted)
         else:
-            multipliers = np.linalg.solve(G, wanted)
+            multipliers = np.asarray(np.linalg.solve(G, wanted))
         a = free + (through @ multipliers)[..., 0]
         return finite_answer(a, q=q, v=v, u=u, f=f), multipliers[..., 0]
 
     # What the ground adds: a loop asks by name for what a plant can do
 
-    def _where_it_slips(self, name: str, found: Callable[[], Any]) -> Any:
+    def _where_it_slips(self, name: str) -> SlippingBody:
         if not isinstance(self.ground, Coulomb):
             raise AttributeError(f"a WheeledRobot on {type(self.ground).__name__} ground has no {name}")
-        return found()
+        return self._slipping
 
     @property
     def project(self) -> Callable[[ArrayLike, ArrayLike], Array]:
@@ -597,6 +715,7 @@ class WheeledRobot:
         q, v = self._q(q), self._v("v", v)
         M, _ = self._tree.inertia_and_effects(q, v)
         A = self._rows(q, v)[0][..., self._independent, :]
+        M = self._metric(M, A)
         through = np.linalg.solve(M, np.swapaxes(A, -1, -2))
         return np.asarray(v - (through @ np.linalg.solve(A @ through, A @ v[..., None]))[..., 0])
 
@@ -657,7 +776,7 @@ class WheeledRobot:
         w, ahead, aside = (own.nu[..., k] for k in (2, 0, 1))
         wanted[:2] = [wanted[0] + w * aside, wanted[1] - w * ahead]
         force = np.einsum("...ij,...j->...i", own.M, np.stack(wanted, axis=-1)) + own.n
-        return np.einsum("...ij,...j->...i", np.linalg.pinv(own.B), force)
+        return np.asarray(np.linalg.pinv(own.B) @ force[..., None])[..., 0]
 
     def check_inverse_dynamics(self) -> None:
         """Refuse a drive that cannot accelerate its body in every direction.
@@ -670,14 +789,14 @@ class WheeledRobot:
         lead = f"robot is a drive of type ({self.mobility.mobility}, {self.mobility.steerability})"
         if self.mobility.mobility < 3:
             raise InvalidArgument(
-                f"{lead}, which cannot accelerate in every direction, so no torques are its inverse dynamics; "
-                "expected an omnidirectional drive, or Backstepping(law, robot)"
+                f"{lead}, which cannot accelerate in every direction, so no torques are its inverse "
+                "dynamics; expected an omnidirectional drive, or Backstepping(law, robot)"
             )
         still = self.reduced(self.rest, np.zeros(self.nv))
         if np.linalg.matrix_rank(still.B) < len(still.M):
             raise InvalidArgument(
-                f"{lead} with {len(self.table.actuators)} motors, which cannot accelerate in every direction; "
-                "expected a motor for each degree of freedom"
+                f"{lead} with {len(self.table.actuators)} motors, which cannot accelerate in every "
+                "direction; expected a motor for each degree of freedom"
             )
 
     def independent(self, q: ArrayLike, v: ArrayLike) -> Array:
@@ -688,7 +807,7 @@ class WheeledRobot:
         return np.stack([np.broadcast_to(x, lead) for x in nu], axis=-1)
 
     def torques(self, q: ArrayLike, v: ArrayLike, rates: ArrayLike) -> Array:
-        """Return the input of least norm with which the independent velocities change so, shape (..., nu) [N m].
+        """Return the input of least norm with which independent velocities change so, shape (..., nu) [N m].
 
         Parameters
         ----------
@@ -700,11 +819,11 @@ class WheeledRobot:
         own = self.reduced(q, v)
         rates = vector("rates", rates, own.nu.shape[-1])
         force = np.einsum("...ij,...j->...i", own.M, rates) + own.n
-        return np.einsum("...ij,...j->...i", np.linalg.pinv(own.B), force)
+        return np.asarray(np.linalg.pinv(own.B) @ force[..., None])[..., 0]
 
     @cached_property
     def axle(self) -> Array:
-        """Coefficients of the body twist (forward, left, yaw rate) in the velocity across the fixed wheels, (3,).
+        """Coefficients of the body twist in the velocity across the fixed wheels, shape (3,).
 
         Raises
         ------
@@ -714,14 +833,14 @@ class WheeledRobot:
         choice = self.mobility.choice
         if not (choice.body and choice.is_fixed):
             raise InvalidArgument(
-                f"robot is a drive of type ({self.mobility.mobility}, {self.mobility.steerability}), which has no "
-                "fixed axle"
+                f"robot is a drive of type ({self.mobility.mobility}, {self.mobility.steerability}), which "
+                "has no fixed axle"
             )
         return frozen(self._rolling.axle)
 
     @cached_property
     def pivots(self) -> Array:
-        """Where each axis steers a wheel, x, y, and the angle of that wheel at zero, shape (axes, 3) [m, m, rad].
+        """Where each axis steers a wheel, x, y, and its angle at zero, shape (axes, 3) [m, m, rad].
 
         Of an Ackermann pair it is the wheel in their middle.
         """
@@ -788,10 +907,10 @@ class WheeledRobot:
         had = np.array([number(x) for x in self._traced.supplied(state, u)])
         x, y = had[:2].copy()
         had[:2] = state.c * x - state.s * y, state.s * x + state.c * y
-        return tau - had
+        return np.asarray(tau - had)
 
     def allocate_scaled(self, q: ArrayLike, tau: ArrayLike) -> tuple[Array, Array]:
-        """Return torques for a force on body and arms, scaled by one factor into limits, and what is left of it.
+        """Return torques for a force on body and arms, scaled by one factor into limits, and what is left.
 
         They have least norm; where one is beyond its limit all shrink alike, so that the force keeps its
         direction. It is the same arithmetic in all engines.
@@ -854,7 +973,7 @@ class WheeledRobot:
             [np.broadcast_to(turns, (*lead, n)), np.broadcast_to(rates, (*lead, len(self.table)))], axis=-1
         )
         known = np.einsum("...ij,...j->...i", A[..., self.robot.nv :], joints)
-        return -np.einsum("...ij,...j->...i", np.linalg.pinv(A[..., :BODY_JOINT]), known)
+        return np.asarray(-np.linalg.pinv(A[..., :BODY_JOINT]) @ known[..., None])[..., 0]
 
     def start(self, reference: Any) -> tuple[Array, Array]:
         """Return the q and v with which a reference begins, shape (nq,) and (nv,).
@@ -866,24 +985,25 @@ class WheeledRobot:
     @property
     def initial_state(self) -> Callable[[Any], Grip]:
         """``initial_state(context)``: what the wheels keep before the first step, where they slip."""
-        return self._where_it_slips("initial_state", lambda: self._traced.initial_state)
+        return self._where_it_slips("initial_state").initial_state
 
     @property
     def step(self) -> Callable[..., Step]:
         """``step(t, q, v, u, h, f, memory)``: the state a step later, where wheels slip."""
-        return self._where_it_slips("step", lambda: self._stepped)
+        self._where_it_slips("step")
+        return self._stepped
 
     @property
     def signals(self) -> Callable[..., dict[str, tuple[str, Any]]]:
         """``signals(t, q, v, u, f, memory)``: what the ground does at the wheels, where they slip."""
-        return self._where_it_slips("signals", lambda: self._traced.signals)
+        return self._where_it_slips("signals").signals
 
     def _stepped(
         self, t: float, q: ArrayLike, v: ArrayLike, u: ArrayLike, h: float, f: ArrayLike, memory: Grip
     ) -> Step:
         q, v, u = self._q(q), self._v("v", v), vector("u", u, self.nu)
         f = 0.0 if isinstance(f, float) and f == 0 else finite("f", f)
-        return self._traced.step(t, q, v, u, h, f, memory)  # type: ignore[union-attr]
+        return self._slipping.step(t, q, v, u, h, f, memory)
 
     def check_start(self, q: ArrayLike, v: ArrayLike) -> None:
         """Refuse a start at which wheels on one gear train turn at different rates, or those that roll slip.
@@ -900,8 +1020,8 @@ class WheeledRobot:
             held = isinstance(self.ground, Rolling) or name == "train"
             if held and slip > _OFF * (1 + float(np.abs(v).max())):
                 raise InvalidArgument(
-                    f"start does not roll: {name} slips at {slip:.3g} m/s; expected v0 = robot.project(q0, v0), "
-                    "or a reference that the wheels can follow"
+                    f"start does not roll: {name} slips at {slip:.3g} m/s; expected "
+                    "v0 = robot.project(q0, v0), or a reference that the wheels can follow"
                 )
 
     def traced(self) -> RollingBody | SlippingBody:
@@ -929,15 +1049,31 @@ class WheeledRobot:
         """The same robot on ground where it rolls."""
         if not self.mobility.is_regular:
             raise InvalidArgument(f"robot cannot roll without slip: {self.mobility.why_not}")
-        return RollingBody(**self._common)
+        known = {each.name for each in fields(RollingBody)}
+        return RollingBody(**{name: value for name, value in self._common.items() if name in known})
+
+    @property
+    def _traced(self) -> RollingBody | SlippingBody:
+        return self._rolling if isinstance(self.ground, Rolling) else self._slipping
 
     @cached_property
-    def _traced(self) -> RollingBody | SlippingBody:
+    def _slipping(self) -> SlippingBody:
         ground = self.ground
-        if isinstance(ground, Rolling):
-            return self._rolling
+        assert isinstance(ground, Coulomb)
         names = ("across", "rolling", "slip")
-        own = {name: frozen([getattr(wheel.friction, name) for wheel in self.table.wheels]) for name in names}
-        return SlippingBody(
-            **self._common, **own, passes=ground.passes, sweeps=ground.sweeps, tolerance=ground.tolerance
-        )
+        own: dict[str, Any] = {
+            name: frozen([getattr(wheel.friction, name) for wheel in self.table.wheels]) for name in names
+        }
+        rounds: dict[str, Any] = {
+            "passes": ground.passes,
+            "sweeps": ground.sweeps,
+            "tolerance": ground.tolerance,
+        }
+        return SlippingBody(**self._common, **own, **rounds)
+
+
+def _raised(robot: MobileRobot, height: float) -> MobileRobot:
+    """Return a robot whose body has its centre of mass higher by so much [m]."""
+    body = robot.lumped().body
+    com = body.com + np.array([0.0, 0.0, height])
+    return robot.base.with_body(Body(body.mass, com, body.inertia), robot.source)
