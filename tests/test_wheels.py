@@ -311,7 +311,10 @@ def test_pickled_it_is_the_same_robot(kind: str) -> None:
             lambda: WheeledRobot(BASE, SLIPPING["swerve"], Rolling()),
             "table cannot roll without slip: wheels 'wheel_1', 'wheel_2', 'wheel_3', 'wheel_4' are more than two",
         ),
-        (lambda: WheeledRobot(MobileRobot(1.5, 1.0), DIFFERENTIAL), "robot has a mass of 1.5 kg, and its wheels 2 kg"),
+        (
+            lambda: WheeledRobot(MobileRobot(1.5, 1.0), DIFFERENTIAL),
+            "robot has a mass of 1.5 kg, and its wheels 2 kg",
+        ),
         (lambda: Wheel("a", 0, 0, 0.0), "radius of wheel 'a' is 0"),
         (lambda: Wheel("a", 0, 0, 0.1, roller=np.pi / 2), "roller of wheel 'a' is 1.5708 rad, expected less"),
         (
@@ -526,5 +529,7 @@ def test_wheels_without_mass_and_inertia_are_massless_and_nothing_else(kind: str
 
 
 def test_steering_that_nothing_holds_has_an_inertia() -> None:
-    with pytest.raises(InvalidArgument, match="steering of the table has no inertia about its axis, expected"):
+    with pytest.raises(
+        InvalidArgument, match="steering of the table has no inertia about its axis, expected"
+    ):
         WheeledRobot(BASE, WheelTable.car(0.6, 0.4, 0.1))
