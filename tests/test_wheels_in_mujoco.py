@@ -1,8 +1,9 @@
 """Real wheel bodies on a plane in MuJoCo: spheres, and wheels with rollers that are modelled one by one.
 
-Contacts there are soft. Hard and with friction that does not creep (elliptic cone, impratio 100, solimp 0.999)
-they are near to rolling; a roller is an ellipsoid whose envelope with the others' is round: with semi-axes a, a
-and L it has at its middle the curvature of the wheel of radius R, L^2 = a^2 + a (R - a) / cos^2(gamma).
+Contacts there are soft. Hard and with friction that does not creep (elliptic cone, impratio 100, solimp
+0.999) they are near to rolling; a roller is an ellipsoid whose envelope with the others' is round: with
+semi-axes a, a and L it has at its middle the curvature of the wheel of radius R, L^2 = a^2 + a (R - a) /
+cos^2(gamma).
 """
 
 from typing import Any
@@ -140,10 +141,9 @@ def driven(table: WheelTable, u: Array, T: float) -> tuple[Array, Array]:
 
 
 def ours(table: WheelTable, u: Array, T: float, ground: Any = None) -> Any:
-    robot = WheeledRobot(BASE, table, ground)
+    robot, own = WheeledRobot(BASE, table, ground), rk4 if ground is None else None
     controller, still = law(lambda t, q, v, reference: u), FixedHeading(Hold([0, 0], T), 0.0)
-    own = {"integrator": rk4} if ground is None else {}
-    return simulate(robot, controller, still, dt=0.001, q0=robot.rest, engine=COMPILED, **own)
+    return simulate(robot, controller, still, dt=0.001, q0=robot.rest, integrator=own, engine=COMPILED)
 
 
 def length(path: Array) -> float:

@@ -1,10 +1,10 @@
 """Drives whose wheels roll ideally, in independent velocities nu: M nu' + n = B tau, all of it by hand.
 
-Kane's method: the velocities that roll are S nu, and the equations of the body and of each wheel are projected
-on the columns of S, in which the forces of the ground do no work. Every wheel has an inertia about its axle,
-motor and gear included; one that steers has another about the vertical through its centre. The mass m, the
-centre of mass (xc, yc) in the body's frame and the inertia Icz about the vertical through it are those of the
-whole, wheels locked. Everything broadcasts over leading axes, parameters too.
+Kane's method: the velocities that roll are S nu, and the equations of the body and of each wheel are
+projected on the columns of S, in which the forces of the ground do no work. Every wheel has an inertia about
+its axle, motor and gear included; one that steers has another about the vertical through its centre. The mass
+m, the centre of mass (xc, yc) in the body's frame and the inertia Icz about the vertical through it are those
+of the whole, wheels locked. Everything broadcasts over leading axes, parameters too.
 """
 
 from __future__ import annotations

@@ -126,11 +126,11 @@ def verify(
     x and psi also for the forces and the moments of f, and |M^-1| times that for the acceleration; gravity
     in RNEA's columns adds 9.81 sqrt(m K) to that of M. Each must be within 1e-14.
 
-    Of a robot on wheels that roll, at random states that do: M by CRBA and n by RNEA of the tree in which wheels
-    are joints, and the torques that its accelerations and constraint forces by KKT say, against Newton's and
-    Euler's laws of the body, arms and each wheel, one by one; the acceleration and the ground's forces
-    against the null space of the rows, found by singular values; the acceleration against the terms that
-    wheels are to the energy in the plane, by numbers and as machine code; M, n and B of the independent
+    Of a robot on wheels that roll, at random states that do: M by CRBA and n by RNEA of the tree in which
+    wheels are joints, and the torques that its accelerations and constraint forces by KKT say, against
+    Newton's and Euler's laws of the body, arms and each wheel, one by one; the acceleration and the ground's
+    forces against the null space of the rows, found by singular values; the acceleration against the terms
+    that wheels are to the energy in the plane, by numbers and as machine code; M, n and B of the independent
     velocities against these, and against the closed form where there is one: two fixed wheels on an axle,
     fixed wheels with rollers, a car (with arms M alone, of the body that all of it is with its arms locked);
     nu' against the rate of nu as KKT moves it; the power of inputs, forces and gravity against the rate of

@@ -152,7 +152,7 @@ class WheeledRobot:
 
         It is M, and where that has none M + m A' A, which what rolls does not feel.
         """
-        return M + self.robot.mass * np.swapaxes(A, -1, -2) @ A if self._is_massless else M
+        return np.asarray(M + self.robot.mass * np.swapaxes(A, -1, -2) @ A) if self._is_massless else M
 
     def _check_slipping(self) -> None:
         """Refuse what cannot be computed on ground where wheels slip."""
