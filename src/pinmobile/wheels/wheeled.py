@@ -599,9 +599,9 @@ class WheeledRobot:
         wanted = -drift[..., None] - A @ free[..., None]
         G = A @ through
         if rows is None:
-            multipliers = np.asarray(np.linalg.pinv(G, rcond=_REDUNDANT, hermitian=True) @ wanted)
+            multipliers: Array = np.asarray(np.linalg.pinv(G, rcond=_REDUNDANT, hermitian=True) @ wanted)
         else:
-            multipliers = np.linalg.solve(G, wanted)
+            multipliers = np.asarray(np.linalg.solve(G, wanted))
         a = free + (through @ multipliers)[..., 0]
         return finite_answer(a, q=q, v=v, u=u, f=f), multipliers[..., 0]
 
