@@ -89,7 +89,7 @@ INNER = {
 }
 # What the library makes and users read: nobody calls the class.
 RESULTS = {
-    *("robot.Calls", "simulation.Signal"),
+    *("robot.Calls", "simulation.Signal", "closed_form.ReducedModel"),
     *(
         "Context",
         "Diverged",
@@ -601,6 +601,29 @@ ROWS: dict[str, Row] = {
         )
         for name, named in STATES.items()
     },
+    "closed_form.differential_drive": row(
+        nu=[0.4, 0.5], **BODY, track=0.5, radius=0.1, spin_inertia=0.01, axle=0.05
+    ),
+    "closed_form.roller_drive": row(
+        twist=V,
+        **BODY,
+        x=[0.2, -0.1, -0.1],
+        y=[0.0, 0.2, -0.2],
+        angle=[1.6, 3.7, 5.8],
+        roller=[0.0, 0.1, 0.2],
+        radius=0.1,
+        spin_inertia=0.01,
+    ),
+    "closed_form.car": row(
+        nu=[0.4, 0.5],
+        steering=0.3,
+        **BODY,
+        wheelbase=0.5,
+        radius=0.1,
+        track=0.4,
+        spin_inertia=0.01,
+        steered_inertia=0.01,
+    ),
     "MobileRobot.calls": row(),
     "MobileRobot.configuration": row(value=Q, name="q"),
     "MobileRobot.frame_name": row(frame="base_link"),

@@ -144,7 +144,7 @@ def test_every_route_agrees_for_any_table(table: WheelTable, armed: bool, seed: 
 
 def test_a_gear_train_is_one_wheel_with_the_inertia_of_both() -> None:
     """A driven wheel and one of half its size on one axle, which a train turns twice as fast."""
-    own = {"mass": 0.5, "yaw_inertia": 0.003}
+    own: dict[str, Any] = {"mass": 0.5, "yaw_inertia": 0.003}
     inner = Wheel("in", 0, 0.2, 0.1, spin_inertia=0.01, motor=Motor(), **own)
     outer = Wheel("out", 0, 0.35, 0.05, roller=0.0, spin_inertia=0.004, **own)
     free = Wheel("third", -0.3, 0.0, 0.1, roller=0.0, angle=1.2, spin_inertia=0.01, **own)
@@ -193,9 +193,7 @@ def test_ackermanns_wheels_are_those_of_one_steering_angle() -> None:
         steered_inertia=0.006,
     )
     # The motor on the differential turns at the mean of the rear wheels: it adds its inertia to v alone.
-    np.testing.assert_allclose(
-        own.M - by_hand.M, [[GEARED.reflected_inertia / 0.1**2, 0], [0, 0]], atol=1e-13
-    )
+    np.testing.assert_allclose(own.M - by_hand.M, np.diag([GEARED.reflected_inertia / 0.1**2, 0]), atol=1e-13)
     np.testing.assert_allclose(own.n, by_hand.n, atol=1e-13)
 
 
@@ -220,7 +218,7 @@ def test_the_bicycle_is_the_car_without_a_track() -> None:
     half = {"spin_inertia": 0.005, "steered_inertia": 0.003}
     found = closed_form.car(own.nu, 0.5, **BODY, wheelbase=0.4, radius=0.1, **half)
     rotor = GEARED.reflected_inertia / (0.1 * np.cos(0.5)) ** 2
-    np.testing.assert_allclose(own.M - found.M, [[rotor, 0], [0, 0]], atol=1e-12)
+    np.testing.assert_allclose(own.M - found.M, np.diag([rotor, 0]), atol=1e-12)
     np.testing.assert_allclose(own.B, found.B[:, [1, 2, 0]], atol=1e-13)  # front, its steering, rear
 
 
@@ -309,7 +307,7 @@ def test_pickled_it_is_the_same_robot(kind: str) -> None:
         ),
         (
             lambda: WheeledRobot(BASE, SLIPPING["swerve"], Rolling()),
-            "table cannot roll without slip: wheels 'wheel_1', 'wheel_2', 'wheel_3', 'wheel_4' are more than two",
+            "table cannot roll without slip: wheels 'wheel_1', 'wheel_2', ",
         ),
         (
             lambda: WheeledRobot(MobileRobot(1.5, 1.0), DIFFERENTIAL),
@@ -419,7 +417,7 @@ RUNS = {
 
 @pytest.mark.parametrize("kind", RUNS)
 def test_a_run_is_that_of_the_dynamics_derived_by_hand(kind: str) -> None:
-    """DOP853 of scipy on the closed form, in which nothing can drift; the states hold no wheel but by J nu."""
+    """DOP853 of scipy on the closed form, in which nothing can drift."""
     wheeled, u, T = WheeledRobot(BASE, ROLLING[kind]), np.array(RUNS[kind]), 4.0
     push = SinusoidalForce([3.0, 2.0, 1.0], 0.4)
     q0, v0, axes = wheeled.rest.copy(), np.zeros(wheeled.nv), len(wheeled.table.axes)
@@ -460,7 +458,7 @@ def test_a_run_is_that_of_the_dynamics_derived_by_hand(kind: str) -> None:
     # Forces along the wheels, from what spins them.
     inertia = 0.01 + GEARED.reflected_inertia
     for t, q, v, x in zip(samples, run.q[::40], run.v[::40], y, strict=True):
-        columns, nu, R = body(x)
+        _, nu, _ = body(x)
         model = by_hand(kind, nu, x[3])
         spins = model.B.T @ rates(t, x)[4:]
         gammas = [wheel.roller or 0.0 for wheel in wheeled.table.wheels]

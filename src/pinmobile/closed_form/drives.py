@@ -1,10 +1,10 @@
 """Drives whose wheels roll ideally, in independent velocities nu: M nu' + n = B tau, all of it by hand.
 
-Kane's method: the velocities that roll are S nu, and the equations of the body and of each wheel are projected
-on the columns of S, in which the forces of the ground do no work. Every wheel has an inertia about its axle,
-motor and gear included; one that steers has another about the vertical through its centre. The mass m, the
-centre of mass (xc, yc) in the body's frame and the inertia Icz about the vertical through it are those of the
-whole, wheels locked. Everything broadcasts over leading axes, parameters too.
+Kane's method: the velocities that roll are S nu, and the equations of the body and of each wheel are
+projected on the columns of S, in which the forces of the ground do no work. Every wheel has an inertia about
+its axle, motor and gear included; one that steers has another about the vertical through its centre. The mass
+m, the centre of mass (xc, yc) in the body's frame and the inertia Icz about the vertical through it are those
+of the whole, wheels locked. Everything broadcasts over leading axes, parameters too.
 """
 
 from __future__ import annotations
@@ -118,9 +118,9 @@ def roller_drive(
 ) -> ReducedModel:
     """Return the dynamics of fixed wheels with rollers, mecanum or omni, in the body twist (vx, vy, w).
 
-    The rate of a wheel at (x, y) that rolls along the angle delta, its roller at the ground along delta + gamma,
-    is the row ( cos(delta + gamma), sin(delta + gamma), x sin(delta + gamma) - y cos(delta + gamma) ) /
-    (r cos gamma) of J times the twist, and::
+    The rate of a wheel at (x, y) that rolls along the angle delta, its roller at the ground along delta +
+    gamma, is the row ( cos(delta + gamma), sin(delta + gamma), x sin(delta + gamma) - y cos(delta + gamma) )
+    / (r cos gamma) of J times the twist, and::
 
         (M_b + J' diag(I_w) J) u' + c(u) = J' tau       [ m     0    -m yc                   ]
                                                   M_b = [ 0     m     m xc                   ]
@@ -128,8 +128,8 @@ def roller_drive(
 
         c(u) = m w ( -vy - xc w,  vx - yc w,  xc vx + yc vy )
 
-    (P. F. Muir and C. P. Neuman, "Kinematic modeling of wheeled mobile robots", Journal of Robotic Systems 4(2),
-    1987, for J.)
+    (P. F. Muir and C. P. Neuman, "Kinematic modeling of wheeled mobile robots", Journal of Robotic Systems
+    4(2), 1987, for J.)
 
     Parameters
     ----------
@@ -195,10 +195,10 @@ def car(
 ) -> ReducedModel:
     """Return the dynamics of a car, nu = (v, delta'): speed of the rear axle's middle, and steering rate.
 
-    Two wheels on the rear axle, in whose middle the body's origin lies, and two in front at a distance L, that
-    Ackermann's law turns so that all axles meet: cot delta_i = cot delta - y_i / L at y_i = -+b, half the track.
-    With T = tan delta, w = v T / L, g_i = d delta_i / d delta = 1 / (sin^2 delta + (cos delta - y_i sin delta /
-    L)^2), and g_i' = d g_i / d delta::
+    Two wheels on the rear axle, in whose middle the body's origin lies, and two in front at a distance L,
+    that Ackermann's law turns so that all axles meet: cot delta_i = cot delta - y_i / L at y_i = -+b, half
+    the track. With T = tan delta, w = v T / L, g_i = d delta_i / d delta = 1 / (sin^2 delta + (cos delta -
+    y_i sin delta / L)^2), and g_i' = d g_i / d delta::
 
         M11 = m (1 - 2 yc T / L) + (Icz + m (xc^2 + yc^2)) T^2 / L^2
               + 2 I_w / r^2 (1 + 1 / cos^2 delta + 2 b^2 T^2 / L^2)
@@ -210,9 +210,9 @@ def car(
         k_i = sqrt((1 - y_i T / L)^2 + T^2)
 
     Without a track g_i = 1 and k_i = 1 / cos delta: the two wheels of an axle stand in one place, and it is a
-    bicycle with wheels of twice the inertia. The steering torque pushes the car and driving turns the wheels by
-    the same term M12. It holds at every angle below a right one, for steered wheels whose centres lie on their
-    pivots: with a trail, masses and moments would depend on the angle.
+    bicycle with wheels of twice the inertia. The steering torque pushes the car and driving turns the wheels
+    by the same term M12. It holds at every angle below a right one, for steered wheels whose centres lie on
+    their pivots: with a trail, masses and moments would depend on the angle.
 
     Parameters
     ----------

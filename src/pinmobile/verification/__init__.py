@@ -126,19 +126,19 @@ def verify(
     x and psi also for the forces and the moments of f, and |M^-1| times that for the acceleration; gravity
     in RNEA's columns adds 9.81 sqrt(m K) to that of M. Each must be within 1e-14.
 
-    Of a robot on wheels that roll, at random states that do: M by CRBA and n by RNEA of the tree in which wheels
-    are joints, and the torques that its accelerations and constraint forces by KKT say, against Newton's and
-    Euler's laws of the body, arms and each wheel, one by one; the acceleration and the ground's forces against
-    the null space of the rows, found by singular values; the acceleration against the terms that wheels are to
-    the energy in the plane, by numbers and as machine code; M, n and B of the independent velocities against
-    these, and against the closed form where there is one: two fixed wheels on an axle, fixed wheels with
-    rollers, a car (with arms M alone, of the body that all of it is with its arms locked); nu' against the rate
-    of nu as KKT moves it; the power of inputs, forces and gravity against the rate of kinetic energy. Where
-    wheels slip, a step of 1 ms, in as many passes as change it: what it says of forces, of loads and of power at
-    mid-step against the same laws, and forces against mu times the load. Scales are as above, those of a wheel
-    with K its inertia about the axle and m its mass and K / r^2, and with the forces that act. Each must be
-    within 1e-13; within 1e-12 where equations were solved, whose rounding grows with their condition; within
-    1e-9 where a rate is a difference of fourth order.
+    Of a robot on wheels that roll, at random states that do: M by CRBA and n by RNEA of the tree in which
+    wheels are joints, and the torques that its accelerations and constraint forces by KKT say, against
+    Newton's and Euler's laws of the body, arms and each wheel, one by one; the acceleration and the ground's
+    forces against the null space of the rows, found by singular values; the acceleration against the terms
+    that wheels are to the energy in the plane, by numbers and as machine code; M, n and B of the independent
+    velocities against these, and against the closed form where there is one: two fixed wheels on an axle,
+    fixed wheels with rollers, a car (with arms M alone, of the body that all of it is with its arms locked);
+    nu' against the rate of nu as KKT moves it; the power of inputs, forces and gravity against the rate of
+    kinetic energy. Where wheels slip, a step of 1 ms, in as many passes as change it: what it says of forces,
+    of loads and of power at mid-step against the same laws, and forces against mu times the load. Scales are
+    as above, those of a wheel with K its inertia about the axle and m its mass and K / r^2, and with the
+    forces that act. Each must be within 1e-13; within 1e-12 where equations were solved, whose rounding grows
+    with their condition; within 1e-9 where a rate is a difference of fourth order.
 
     Parameters
     ----------

@@ -94,7 +94,7 @@ class WheelBodies:
             angle, first, rate = steering[:, axis], still + 1, self.rates[:, axis]
         for each in self.table.couplings:
             if isinstance(each, Ackermann) and wheel.name in each.wheels:
-                # cot(angle) = cot(coordinate) - k, by which sin^2 of the one over that of the other is `first`.
+                # cot(angle) = cot(coordinate) - k, whose squared sines have `first` as ratio.
                 k, c, s = wheel.y / (wheel.x - each.axle), np.cos(angle), np.sin(angle)
                 first = 1 / (s**2 + (c - k * s) ** 2)
                 second = -2 * (s * c - (c - k * s) * (s + k * c)) * first**2
@@ -105,8 +105,8 @@ class WheelBodies:
         o = wheel.trail[0] * e + wheel.trail[1] * n
         return _Moving(e, n, o, o + np.array([wheel.x, wheel.y]), axis, first, first * rate, second * rate**2)
 
-    def _wrenches(self, a: Array) -> list[tuple[Array, Array, Array]]:
-        """Return the force (k, 3) that moves each wheel, the moment (k, 3) about its centre, and its yawing."""
+    def _wrenches(self, a: Array) -> list[tuple[Array, Array]]:
+        """Return for each wheel the force (k, 3) that moves it, and the moment (k, 3) about its centre."""
         found = []
         origin, pull = self._along(a), self._along(np.broadcast_to(self.fall, (len(a), 3)))
         w, alpha = self.twist[:, 2:], a[:, 2:3]
@@ -123,15 +123,13 @@ class WheelBodies:
             )
             spin, faster = self.rates[:, self.ns + row, None], a[:, self.nv + self.ns + row, None]
             flat = wheel.spin_inertia * (faster * at.n - spin * whole * at.e)
-            found.append((force, np.column_stack([flat, wheel.yaw_inertia * turning]), turning))
+            found.append((force, np.column_stack([flat, wheel.yaw_inertia * turning])))
         return found
 
     def wrench(self, a: Array) -> Array:
-        """Return what moves the whole, along the body's axes and about its origin on the ground, shape (n, 6)."""
+        """Return what moves the whole, along the body's axes and about its origin, shape (n, 6)."""
         total = self.parts.ground_wrench(a[:, : self.nv])
-        for wheel, at, (force, moment, _) in zip(
-            self.table.wheels, self.wheels, self._wrenches(a), strict=True
-        ):
+        for wheel, at, (force, moment) in zip(self.table.wheels, self.wheels, self._wrenches(a), strict=True):
             arm = np.column_stack([at.p, np.full(len(a), wheel.radius)])
             total = total + np.hstack([force, moment + np.cross(arm, force)])
         return total
@@ -143,7 +141,7 @@ class WheelBodies:
         total = self.wrench(a)
         tau[:, :2], tau[:, 2] = self._inertial(total), total[:, 5]
         tau[:, self.nv :] = a[:, self.nv :] @ self.reflected
-        for row, (at, (force, moment, _)) in enumerate(zip(self.wheels, self._wrenches(a), strict=True)):
+        for row, (at, (force, moment)) in enumerate(zip(self.wheels, self._wrenches(a), strict=True)):
             if at.axis >= 0:
                 about = moment[:, 2] + _crossed(at.o, force)
                 tau[:, self.nv + at.axis] += at.first * about
@@ -156,8 +154,8 @@ class WheelBodies:
         Parameters
         ----------
         along, across : ndarray, shape (n, wheels)
-            Of a tyre along it and to its left; of a wheel with rollers along the axis of the one at the ground,
-            and across that [N].
+            Of a tyre along it and to its left; of a wheel with rollers along the axis of the one at
+            the ground, and across that [N].
         """
         tau = np.zeros((len(along), self.nv + self.rates.shape[1]))
         for row, at in enumerate(self.wheels):
@@ -173,7 +171,7 @@ class WheelBodies:
         return tau
 
     def trains(self) -> Array:
-        """Return what each pair of wheels on a gear train exchanges, shape (pairs, nv): of r (ratio phi_1' - phi_k')."""
+        """Return the rows of gear trains, r (ratio phi_1' - phi_k'), shape (pairs, nv of the whole)."""
         names, rows = self.table.names, []
         for train in self.table.couplings:
             if isinstance(train, GearTrain):

@@ -1,4 +1,4 @@
-"""Every route to the dynamics of a robot on wheels: rolling by constraints, by free velocities and by hand, or slipping."""
+"""Every route to the dynamics of a robot on wheels: constraints, free velocities, by hand, its bodies."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Row: TypeAlias = tuple[str, str, str, float, float]
 
 
 class _Scales(NamedTuple):
-    """Sizes of what is compared at n states: M (n, nv, nv), forces (n, nv), accelerations (n, nv), power (n,)."""
+    """Sizes of what is compared: M (n, nv, nv), forces (n, nv), accelerations (n, nv) and power (n,)."""
 
     M: Array
     tau: Array
@@ -160,7 +160,7 @@ def _reduced_rows(wheeled: WheeledRobot, q: Array, v: Array, u: Array, a: Array,
 
 
 def by_closed_form(wheeled: WheeledRobot, q: Array, nu: Array) -> closed_form.ReducedModel | None:
-    """Return the hand-derived dynamics, arms locked and at rest; None of a drive that has none, or on a ramp."""
+    """Return the hand-derived dynamics, arms locked; None of a drive that has none, or on a ramp."""
     table, robot = wheeled.table, wheeled.robot
     wheels, alike = table.wheels, _alike(wheeled)
     if wheeled.ground.ramp is not None or any(any(wheel.trail) for wheel in wheels):

@@ -162,7 +162,7 @@ class WheeledRobot:
 
         It is M, and where that has none M + m A' A, which what rolls does not feel.
         """
-        return M + self.robot.mass * np.swapaxes(A, -1, -2) @ A if self._is_massless else M
+        return np.asarray(M + self.robot.mass * np.swapaxes(A, -1, -2) @ A) if self._is_massless else M
 
     def _check_slipping(self) -> None:
         """Refuse what cannot be computed on ground where wheels slip."""
@@ -691,7 +691,7 @@ class WheeledRobot:
         wanted = -drift[..., None] - A @ free[..., None]
         G = A @ through
         if rows is None:
-            multipliers = np.asarray(np.linalg.pinv(G, rcond=_REDUNDANT, hermitian=True) @ wanted)
+            multipliers: Array = np.asarray(np.linalg.pinv(G, rcond=_REDUNDANT, hermitian=True) @ wanted)
         else:
             multipliers = np.asarray(np.linalg.solve(G, wanted))
         a = free + (through @ multipliers)[..., 0]
