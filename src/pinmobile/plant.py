@@ -149,7 +149,7 @@ class Contacts(NamedTuple):
     slides : ndarray of bool, shape (n, k)
         Whether all friction is used.
     centre : ndarray, shape (n, 2)
-        Instantaneous centre of the body's rotation in the inertial frame [m]; infinite where it does not turn.
+        Instantaneous centre of the body's rotation in the inertial frame [m]; infinite where there is none.
     """
 
     names: tuple[str, ...]
