@@ -26,6 +26,7 @@ from pinmobile.cli import main
 from pinmobile.controllers import Backstepping, Tracking
 from pinmobile.palette import GRIPS, QUIET, SLIDES
 from pinmobile.viewer import Overlays, Viewer
+from pinmobile.viewer.motion import envelope, figure
 from pinmobile.wheels import ByOdometry, Coulomb, Support, Wheel, WheeledRobot, WheelTable
 from tests import wheeled
 
@@ -154,6 +155,7 @@ def test_supports_forks_and_arms_are_drawn_where_they_are() -> None:
     own = robot.robot
     frames, item = own.frame_placements(q[: own.nq]), own.visual_model.geometryObjects[-1]
     assert found[item.name] == pytest.approx(frames[item.parentJoint - 1] @ item.placement.homogeneous)
+    assert envelope(figure(robot), np.append(robot.rest[:3], robot.rest)[None])[1] > 0.4
     many = np.stack([q, robot.rest])
     assert robot.drawing(many)[0] == pytest.approx(robot.drawing(q), abs=1e-12)
 
