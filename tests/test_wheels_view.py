@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 
 from pinmobile import (
     Circle,
@@ -25,6 +26,7 @@ from pinmobile.cli import main
 from pinmobile.controllers import Backstepping, Tracking
 from pinmobile.palette import GRIPS, QUIET, SLIDES
 from pinmobile.viewer import Overlays, Viewer
+from pinmobile.viewer.motion import envelope, figure
 from pinmobile.wheels import ByOdometry, Coulomb, Support, Wheel, WheeledRobot, WheelTable
 from tests import wheeled
 
@@ -39,10 +41,8 @@ TABLES: dict[str, WheelTable] = {
     "omni": WheelTable.omni(0.22, 0.06, **WHEEL),
     "swerve": WheelTable.swerve([(0.2, 0.1), (-0.2, -0.1)], 0.06, supports=[(-0.2, 0.2)], **WHEEL),
     "car": WheelTable.car(0.5, 0.46, 0.1, **WHEEL),
-    "caster": WheelTable((*WheelTable.differential(0.46, 0.1, **WHEEL).wheels, CASTER), [Support(0.2, 0)]),
+    "caster": WheelTable((*WheelTable.differential(0.46, 0.1, **WHEEL).wheels, CASTER), (Support(0.2, 0),)),
 }
-BLADE = """<link name="{0}_blade"><inertial><mass value="0.001"/>
-<inertia ixx="1e-7" ixy="0" ixz="0" iyy="1e-7" iyz="0" izz="1e-7"/></inertial></link>"""
 
 
 @pytest.fixture(scope="module")
@@ -155,6 +155,7 @@ def test_supports_forks_and_arms_are_drawn_where_they_are() -> None:
     own = robot.robot
     frames, item = own.frame_placements(q[: own.nq]), own.visual_model.geometryObjects[-1]
     assert found[item.name] == pytest.approx(frames[item.parentJoint - 1] @ item.placement.homogeneous)
+    assert envelope(figure(robot), np.append(robot.rest[:3], robot.rest)[None])[1] > 0.4
     many = np.stack([q, robot.rest])
     assert robot.drawing(many)[0] == pytest.approx(robot.drawing(q), abs=1e-12)
 
@@ -261,20 +262,25 @@ def test_figures_of_wheels_have_a_line_for_each_and_units(
     assert [len(axes.get_legend().get_texts()) for axes in (first, second)] == [2, 4]
     assert re.search(r"\[(N m|-|m/s|N)\]", first.get_ylabel())
     assert len({line.get_color() for line in second.lines[:4]}) == 4
-    assert len({str(line._dash_pattern) for line in second.lines[:4]}) == 4  # type: ignore[attr-defined]
+    assert len({str(line._dash_pattern) for line in second.lines[:4]}) == 4
     robot = MobileRobot.lecture()
     bare = simulate(robot, ComputedTorque(robot), Tangent(Circle(1, 0.5, 0.2)), dt=0.1)
     with pytest.raises(InvalidArgument, match=r"rollouts.plant is .*, expected a WheeledRobot"):
         figure(bare)
 
 
+def words(axes: Axes) -> list[str]:
+    """Return what the legend of axes says."""
+    legend = axes.get_legend()
+    return [] if legend is None else [text.get_text() for text in legend.get_texts()]
+
+
 def test_figures_tell_shares_friction_and_odometry(rolls: Rollout, slides: Rollout) -> None:
-    words = [text.get_text() for text in plots.friction(rolls).axes[0].get_legend().get_texts()]
-    assert words == ["left (share)", "right (share)"]
-    top = max(line.get_ydata().max() for line in plots.friction(slides).axes[0].lines[:4])
+    assert words(plots.friction(rolls).axes[0]) == ["left (share)", "right (share)"]
+    top = max(np.max(np.asarray(line.get_ydata())) for line in plots.friction(slides).axes[0].lines[:4])
     assert top == pytest.approx(1.0)
     path, off = plots.odometry(rolls).axes
-    assert [text.get_text() for text in path.get_legend().get_texts()] == ["desired", "true", "believed"]
+    assert words(path) == ["desired", "true", "believed"]
     believed = rolls.signals["believed_pose"].values
     assert off.lines[0].get_ydata() == pytest.approx(np.hypot(*(believed - rolls.poses)[:, :2].T))
     with pytest.raises(InvalidArgument, match="no signal believed_pose"):

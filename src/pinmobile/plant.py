@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, callable_as, finite, frozen, positive, sequence, text, whole
 from pinmobile.errors import InvalidArgument, shown
@@ -80,6 +81,9 @@ class Plant(Protocol):
     ``measures``, ``measured(t, q, v, a, u, reference) -> (m,)``
         What is worth judging about a sample beside errors, a tuple of m `pinmobile.measures.Measure`, and the
         law that gives them, all numbers the plant's own: ensembles keep the worst of each.
+    ``mounts``
+        What of it reaches beyond its size, such as arms: where there is any, the viewer looks from lower, and
+        makes room for it.
     ``size``
         Length, width and height of the box that is drawn [m], or of what ``drawing`` draws; without, an
         arrowhead, or a box of usual size.
@@ -149,18 +153,18 @@ class Contacts(NamedTuple):
     slides : ndarray of bool, shape (n, k)
         Whether all friction is used.
     centre : ndarray, shape (n, 2)
-        Instantaneous centre of the body's rotation in the inertial frame [m]; infinite where it does not turn.
+        Instantaneous centre of the body's rotation in the inertial frame [m]; infinite where there is none.
     """
 
     names: tuple[str, ...]
     places: Array
     directions: Array
     forces: Array
-    determined: Array
+    determined: NDArray[np.bool_]
     loads: Array
     limits: Array
     slips: Array
-    slides: Array
+    slides: NDArray[np.bool_]
     centre: Array
 
 

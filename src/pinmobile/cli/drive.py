@@ -94,7 +94,7 @@ def wheeled_of(
         if name is not None:
             raise InvalidArgument(f"--urdf stands for a drive, but there is {name!r} too")
         _refuse(given, (), "does not apply beside --urdf")
-        more = {} if file.rollers is None else {"rollers": file.rollers}
+        more: dict[str, Any] = {} if file.rollers is None else {"rollers": file.rollers}
         with LECTURE.naming("urdf", path="urdf"):
             try:
                 return WheeledRobot.from_urdf(file.path, file.package_dirs, ground=ground, **more)
@@ -152,7 +152,7 @@ def _box_on(
         robot = robot.mount(arm)
     if ground is None and not Mobility.of(table).is_regular:
         ground = Coulomb(tolerance=_TOLERANCE)
-    return WheeledRobot(robot, table, ground)
+    return WheeledRobot(robot, table, ground)  # type: ignore[arg-type]
 
 
 def trajectory_of(options: Options) -> Trajectory:
@@ -238,7 +238,7 @@ class _WheelRates:
     def _driven(self) -> float:
         """Return torque per rate of a wheel [N m s/rad], of a mass that the wheels share."""
         robot, radius = self.robot, float(np.mean(self.robot.radius))
-        total = sum(inertia.mass for inertia in robot.robot.model.inertias)
+        total = sum(float(inertia.mass) for inertia in robot.robot.model.inertias)
         return 0.3 * self.rate * total * radius**2 / len(robot.table.actuators)
 
 
@@ -264,7 +264,7 @@ def show_drive(
     figures = len(FIGURES) + len(_FIGURES) + 1 if folder is not None else 0
     with progress(1 + (html is not None) + figures) as bar:
         begin(bar, "simulating")
-        own = {} if isinstance(robot.ground, Coulomb) else {"integrator": rk4}
+        own: dict[str, Any] = {} if isinstance(robot.ground, Coulomb) else {"integrator": rk4}
         try:
             run = simulate(robot, controller, reference, dt=dt, **own)
         except Diverged as error:

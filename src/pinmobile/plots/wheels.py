@@ -92,7 +92,7 @@ def friction(rollouts: Rollouts, *, title: str | None = None) -> Figure:
         _lines(axes, run.t, share_of_friction(contacts), _names(contacts))
         axes.axhline(1.0, **_LIMIT)
         axes.annotate("slides", (1.0, 1.0), xycoords=("axes fraction", "data"), **_word("right"))
-        _slides(axes, run.t, contacts.slides.any(axis=1))
+        _slides(axes, run.t, np.asarray(contacts.slides.any(axis=1)))
         axes.set_ylim(0.0, max(1.12, axes.get_ylim()[1]))
     return figure
 
@@ -126,7 +126,7 @@ def slip(rollouts: Rollouts, *, title: str | None = None) -> Figure:
         for k, axes in enumerate(column):
             values = np.where(np.abs(contacts.slips[..., k]) < _ROUNDING, 0.0, contacts.slips[..., k])
             _lines(axes, run.t, values, contacts.names, legend=k == 0)
-            _slides(axes, run.t, contacts.slides.any(axis=1))
+            _slides(axes, run.t, np.asarray(contacts.slides.any(axis=1)))
             if not values.any():
                 axes.set_ylim(-1.0, 1.0)
                 axes.annotate("none", (0.5, 0.62), xycoords="axes fraction", **_word("center"))
@@ -249,7 +249,7 @@ def _driven(run: Rollout) -> Sequence[Any]:
 
 def _names(contacts: Contacts) -> list[str]:
     """Return names of the wheels, with a word for those whose force is a share."""
-    known = contacts.determined.all(axis=1)
+    known = np.asarray(contacts.determined.all(axis=1))
     return [name if sure else f"{name} (share)" for name, sure in zip(contacts.names, known, strict=True)]
 
 

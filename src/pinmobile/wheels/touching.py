@@ -62,7 +62,7 @@ def contacts_of(wheeled: Any, q: Array, v: Array, a: Array, u: Array, signals: M
         loads,
         limits,
         slips,
-        slides,
+        np.asarray(slides, bool),
         _centre(wheeled.pose(q), wheeled.rate(q, v)),
     )
 

@@ -16,7 +16,7 @@ from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer,
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Contacts, Coordinate, Input, Parameter, Step
-from pinmobile.robot import BODY_JOINT, LOCKED, Load, MobileRobot, number
+from pinmobile.robot import BODY_JOINT, LOCKED, Load, MobileRobot, Mount, number
 from pinmobile.urdf import Body
 from pinmobile.wheels.description import joint_signs, read_robot, read_wheels
 from pinmobile.wheels.drawn import Picture
@@ -486,6 +486,11 @@ class WheeledRobot:
         return whole
 
     # What is seen
+
+    @property
+    def mounts(self) -> tuple[Mount, ...]:
+        """Its arms."""
+        return self.robot.mounts
 
     @property
     def size(self) -> tuple[float, float, float]:

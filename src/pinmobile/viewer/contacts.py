@@ -81,7 +81,7 @@ def _draw_contacts(
     if not largest > _NO_FORCE:
         return
     scale = _LARGEST * extent.unit / largest
-    shared = ~found.determined.all(axis=1)
+    shared = np.logical_not(np.asarray(found.determined.all(axis=1)))
     paints = {GRIPS: "force of the ground", SLIDES: "slides", QUIET: "force, share of a sum"}
     used = dict.fromkeys(paints, False)
     for k in range(len(found.names)):
