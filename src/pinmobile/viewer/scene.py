@@ -16,7 +16,7 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.palette import AXES, INK, QUIET, colour
 from pinmobile.plant import whole_configurations
 from pinmobile.simulation import Rollout
-from pinmobile.viewer.contacts import ABOVE, TRAIL, draw_ground
+from pinmobile.viewer.ground import ABOVE, TRAIL, draw_ground
 from pinmobile.viewer.motion import (
     Channel,
     Drawing,
