@@ -2,10 +2,7 @@
 
 from pinmobile.plots.bands import bands
 from pinmobile.plots.drivers import drivers
-from pinmobile.plots.plane import animate, path
-from pinmobile.plots.series import balance, errors, forces, reaction, signals, states
-from pinmobile.plots.swept import curves, heatmap, integrator
-from pinmobile.plots.wheels import (
+from pinmobile.plots.driving import (
     friction,
     loads,
     odometry,
@@ -13,6 +10,9 @@ from pinmobile.plots.wheels import (
     slip,
     wheel_torques,
 )
+from pinmobile.plots.plane import animate, path
+from pinmobile.plots.series import balance, errors, forces, reaction, signals, states
+from pinmobile.plots.swept import curves, heatmap, integrator
 
 __all__ = [
     "animate",

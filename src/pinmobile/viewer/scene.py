@@ -16,7 +16,6 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.palette import AXES, INK, QUIET, colour
 from pinmobile.plant import whole_configurations
 from pinmobile.simulation import Rollout
-from pinmobile.viewer.ground import ABOVE, TRAIL, draw_ground
 from pinmobile.viewer.motion import (
     Channel,
     Drawing,
@@ -30,6 +29,7 @@ from pinmobile.viewer.motion import (
     sampled,
 )
 from pinmobile.viewer.stage import Arrows, Extent, Follow, Overlays, Stage, Stay, View, overview
+from pinmobile.viewer.underfoot import ABOVE, TRAIL, draw_ground
 
 _POSE = ("x", "y", "psi")
 
@@ -257,7 +257,9 @@ class Scene:
         if self.overlays.arrows is not None:
             self._arrows(main, times, poses[0], extent, self.overlays.arrows)
         if self.overlays.contacts or self.overlays.centre:
-            draw_ground(self.stage, main, times, poses[0], extent, self.overlays, self.channels, self.legend)
+            channels, told = draw_ground(self.stage, main, times, poses[0], extent, self.overlays)
+            self.channels += channels
+            self.legend += told
         self._tables(poses[0], extent)
         if self.overlays.caption:
             self.channels.append(Channel("meshcat/stage", "caption", _captions(runs, times)))

@@ -35,10 +35,8 @@ def draw_ground(
     poses: Array,
     extent: Extent,
     overlays: Overlays,
-    channels: list[Channel],
-    legend: list[list[object]],
-) -> None:
-    """Draw what the ground does at each frame, and tell of it in the legend.
+) -> tuple[list[Channel], list[list[object]]]:
+    """Draw what the ground does, and return its channels and what the legend tells of it.
 
     Raises
     ------
@@ -46,10 +44,13 @@ def draw_ground(
         If the plant does not tell its contacts.
     """
     found = _contacts(run, times, poses)
+    channels: list[Channel] = []
+    legend: list[list[object]] = []
     if overlays.contacts:
         _draw_contacts(stage, found, extent, channels, legend)
     if overlays.centre:
         _draw_centre(stage, found.centre, poses, extent, channels, legend)
+    return channels, legend
 
 
 def _contacts(run: Rollout, times: Array, poses: Array) -> Contacts:
