@@ -48,7 +48,7 @@ METHODS = [
 ]
 ON_ARMS = {"arm_manipulability", "mount_wrench"}  # of a bare robot they are errors
 CASES = [(kind, name) for kind in ROBOTS for name in METHODS if ROBOTS[kind].mounts or name not in ON_ARMS]
-DRIVES = {
+DRIVES: dict[str, dict[str, Any]] = {
     "differential_drive": {"track": 0.5, "radius": 0.1, "spin_inertia": 0.01, "axle": 0.05},
     "roller_drive": {
         "x": [0.2, -0.1, -0.1],
@@ -109,7 +109,8 @@ def test_every_equation_answers_in_finite_numbers_or_says_that_it_cannot(name: s
 def test_every_drive_answers_in_finite_numbers_or_says_that_it_cannot(name: str) -> None:
     function = getattr(closed_form, name)
     rates = {"twist": np.ones(3)} if name == "roller_drive" else {"nu": np.ones(2)}
-    usual: dict[str, Any] = {"mass": 30.0, "yaw_inertia": 1.3, "com": (0.1, 0.05), **DRIVES[name], **rates}
+    own: dict[str, Any] = {"mass": 30.0, "yaw_inertia": 1.3, "com": (0.1, 0.05)}
+    usual = own | DRIVES[name] | rates
     for size, large in itertools.product((*HUGE, 1e-310), set(usual) - {"steering", "roller"}):
         value = np.full(np.shape(usual[large]), size)
         why = why_not(function, usual | {large: value if abs(size) > 0 else size})
