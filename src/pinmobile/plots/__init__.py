@@ -2,7 +2,7 @@
 
 from pinmobile.plots.bands import bands
 from pinmobile.plots.drivers import drivers
-from pinmobile.plots.driving import (
+from pinmobile.plots.traction import (
     friction,
     loads,
     odometry,
