@@ -2,6 +2,9 @@
 
 from pinmobile.plots.bands import bands
 from pinmobile.plots.drivers import drivers
+from pinmobile.plots.plane import animate, path
+from pinmobile.plots.series import balance, errors, forces, reaction, signals, states
+from pinmobile.plots.swept import curves, heatmap, integrator
 from pinmobile.plots.traction import (
     friction,
     loads,
@@ -10,9 +13,6 @@ from pinmobile.plots.traction import (
     slip,
     wheel_torques,
 )
-from pinmobile.plots.plane import animate, path
-from pinmobile.plots.series import balance, errors, forces, reaction, signals, states
-from pinmobile.plots.swept import curves, heatmap, integrator
 
 __all__ = [
     "animate",
