@@ -36,7 +36,7 @@ MANY = 4  # cases of one test, from which on they are alike
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add how `.ci/run` shares the tests out."""
     words = (
-        "of N runs, the K-th, from 0, takes all tests of every N-th file; of the other files what a Python may "
+        "of N runs, the K-th, from 0, takes all tests of every N-th file; of other files what a Python may "
         "change, without pages and most alike cases, of which each run takes others"
     )
     parser.addoption("--share", metavar="K/N", default="0/1", help=words)
