@@ -29,14 +29,15 @@ import numpy as np
 import pinocchio as pin
 
 import pinmobile as pm
-from pinmobile import PinmobileError, derivation, ensembles, urdf, viewer
+from pinmobile import PinmobileError, derivation, ensembles, urdf, viewer, wheels
 from pinmobile.robot import Stance
 from pinmobile.wheels import WheeledRobot, WheelTable
+from tests import wheeled
 
 MODULES = (
     *("accuracy", "balance", "closed_form", "controllers", "derivation", "dh", "forces", "ensembles"),
     *("integrators", "paths", "plots", "reaching", "robot", "simulation", "sweeps", "trajectories", "urdf"),
-    *("verification", "viewer"),
+    *("verification", "viewer", "wheels"),
 )
 SEED = 20240
 SECONDS = 5  # of processor time for one call
@@ -75,6 +76,7 @@ INNER = {
     *("ensembles.Outline.description", "ensembles.Outline.difference", "ensembles.Part.of"),
     *("controllers.Changing", "controllers.Tracked"),
     *("PD.compact", "ComputedTorque.compact", "PDGravity.compact", "MobileRobot.traced"),
+    "WheeledRobot.traced",
     *("MobileRobot.varying", "JointFriction.varying", "JointFriction.with_parameters"),
     "Load.with_numbers",
     *("Hold.with_parameters", "RestToRest.with_parameters", "WholeBody.with_parameters"),
@@ -109,6 +111,7 @@ RESULTS = {
     "ensembles.Outline",
     *("ensembles.Within", "reaching.PoseTarget", "robot.Linearization", "robot.Mount"),
     *("robot.Mountable", "robot.Mountables", "verification.Comparison", "viewer.Recording"),
+    *("closed_form.ReducedModel", "wheels.Allocation", "wheels.Forces", "wheels.Reduced"),
     "verification.Verification",
 }
 
@@ -310,6 +313,17 @@ def _viewer() -> Any:
     return shown
 
 
+def _turtlebot() -> Any:
+    file = WORLD.folder / "turtlebot.urdf"
+    file.write_text(wheeled.turtlebot("burger"))
+    return file
+
+
+def _rolls() -> Any:
+    law = pm.ByOdometry(pm.Backstepping(pm.Tracking(), WORLD.wheeled), WORLD.wheeled.table)
+    return pm.simulate(WORLD.wheeled, law, WORLD.trajectory, dt=0.02, duration=0.1, integrator=pm.rk4)
+
+
 def _sweep() -> Any:
     scenarios = pm.grid(_scenario, gain=[1.0, 2.0])
     return pm.sweep(scenarios, WORLD.folder / "sweep.zarr")
@@ -323,8 +337,17 @@ def _scenario(gain: float = 1.0) -> Any:
 
 MADE: dict[str, Callable[[], Any]] = {
     "robot": lambda: pm.MobileRobot(10.0, 1.2, com=(0.15, 0.05)),
-    "wheeled": lambda: WheeledRobot(WORLD.robot, WheelTable.differential(0.5, 0.1)),
-    "swerve": lambda: WheeledRobot(WORLD.robot, WheelTable.swerve([(0.3, 0.1), (-0.3, -0.1)], 0.1)),
+    "base": lambda: pm.MobileRobot(30.0, 1.3, com=(0.0, 0.0, 0.1), size=(0.6, 0.4, 0.25)),
+    "differential": lambda: WheelTable.differential(
+        0.46, 0.1, supports=[(0.25, 0), (-0.25, 0)], mass=1.0, spin_inertia=0.005, yaw_inertia=0.003
+    ),
+    "wheeled": lambda: WheeledRobot(WORLD.base, WORLD.differential),
+    "mecanum": lambda: WheeledRobot(WORLD.base, WheelTable.mecanum(0.4, 0.48, 0.09)),
+    "turtlebot": _turtlebot,
+    "rolls": _rolls,
+    "swerve": lambda: WheeledRobot(
+        WORLD.robot, WheelTable.swerve([(0.3, 0.1), (-0.3, -0.1)], 0.1, yaw_inertia=0.01)
+    ),
     "arm": small_arm,
     "armed": lambda: WORLD.robot.mount(WORLD.arm, (0, 0, 0.2, 0), name="arm"),
     "q": lambda: np.array([0.1, 0.2, 0.3]),
@@ -418,6 +441,12 @@ Q, V, A = [0.1, 0.2, 0.3], [0.4, 0.5, 0.6], [0.7, 0.8, 0.9]
 BODY = {"mass": 10.0, "yaw_inertia": 1.0, "com": (0.1, 0.05)}
 PARAMS = {"m": 10.0, "xbc": 0.1, "ybc": 0.05, "Icz": 1.0}
 MASSLESS = {"nonlinear_effects", "coriolis_matrix"}  # of which the yaw inertia is no argument
+FOUR = [[0.3, 0.3, -0.3, -0.3], [0.2, -0.2, 0.2, -0.2], [0.0] * 4]
+FIVE = [0.1, 0.2, 0.3, 0.4, 0.5]  # of a differential drive: body and wheels
+MOTOR: dict[str, Any] = {
+    **{"torque_limit": 5.0, "resistance": 1.0, "torque_constant": 0.05, "voltage": 12.0, "gear": 20.0},
+    **{"efficiency": 0.9, "rotor_inertia": 1e-5, "viscous": 1e-5, "coulomb": 1e-3, "current": 10.0},
+}
 STATES: dict[str, dict[str, Any]] = {
     "mass_matrix": {"q": Q},
     "nonlinear_effects": {"q": Q, "v": V},
@@ -724,6 +753,143 @@ ROWS: dict[str, Row] = {
     "plots.reaction": row(60, rollouts=the("arm_rollout"), mount="arm", title="a title"),
     "plots.signals": row(rollouts=the("told"), title="a title"),
     "plots.states": row(60, rollouts=the("rollout"), title="a title"),
+    "plots.friction": row(60, rollouts=the("rolls"), title="a title"),
+    "plots.loads": row(60, rollouts=the("rolls"), title="a title"),
+    "plots.odometry": row(60, rollouts=the("rolls"), title="a title"),
+    "plots.slip": row(60, rollouts=the("rolls"), title="a title"),
+    "plots.wheel_torques": row(60, rollouts=the("rolls"), title="a title"),
+    "closed_form.differential_drive": row(
+        nu=V[:2], **BODY, track=0.4, radius=0.1, spin_inertia=0.01, axle=0.1
+    ),
+    "closed_form.roller_drive": row(
+        twist=V,
+        **BODY,
+        **dict(zip(("x", "y", "angle"), FOUR, strict=True)),
+        roller=[0.8, -0.8, -0.8, 0.8],
+        radius=0.1,
+        spin_inertia=0.01,
+    ),
+    "closed_form.car": row(
+        nu=V[:2],
+        steering=0.3,
+        **BODY,
+        wheelbase=0.6,
+        radius=0.1,
+        track=0.4,
+        spin_inertia=0.01,
+        steered_inertia=0.01,
+    ),
+    "Ackermann": row(wheels=("front_left", "front_right"), axle=0.1, name="steering"),
+    "ByOdometry": row(
+        controller=pm.PD(1, 1),
+        table=the("differential"),
+        ticks=1000,
+        noise=0.1,
+        seed=1,
+        x=[0, 0],
+        y=[0.2, -0.2],
+        radius=[0.1, 0.1],
+    ),
+    "Coulomb": row(mu=0.5, ramp=pm.Ramp(0.1), passes=2, sweeps=100, tolerance=1e-9),
+    "Differential": row(wheels=("left", "right"), motor=pm.Motor(), name="drive"),
+    "Friction": row(mu=0.8, across=0.02, rolling=0.01, slip=0.1),
+    "GearTrain": row(wheels=("left", "right"), ratios=[1.0, 2.0]),
+    "Motor": row(**MOTOR, source="a test"),
+    "Motor.armature_current": row(volts=[1, 2], rate=3),
+    "Motor.no_load_rate": row(volts=6),
+    "Motor.stall_torque": row(volts=6),
+    "Motor.torque": row(volts=[1, 2], rate=3),
+    "Ramp": row(angle=0.1, direction=0.2),
+    "Ramp.fall": row(g=9.81),
+    "Rolling": row(ramp=pm.Ramp(0.1)),
+    "Support": row(x=1, y=2),
+    "Wheel": row(
+        name="left",
+        x=0,
+        y=0.2,
+        radius=0.1,
+        angle=0.1,
+        steering="driven",
+        trail=(-0.03, 0.005),
+        roller=0.5,
+        mass=1,
+        spin_inertia=0.01,
+        yaw_inertia=0.01,
+        motor=pm.Motor(),
+        friction=pm.Friction(),
+        steering_limit=1.0,
+    ),
+    "WheelTable": row(
+        wheels=[pm.Wheel("left", 0, 0.2, 0.1), pm.Wheel("right", 0, -0.2, 0.1)],
+        supports=[pm.Support(0.2, 0)],
+        couplings=[pm.GearTrain(("left", "right"))],
+        source="a test",
+    ),
+    "WheelTable.car": row(wheelbase=0.6, track=0.4, radius=0.1, motor=pm.Motor(), steering_limit=0.6, mass=1),
+    "WheelTable.differential": row(
+        track=0.4, radius=0.1, x=0.1, supports=[(-0.2, 0)], motor=pm.Motor(), mass=1
+    ),
+    "WheelTable.mecanum": row(wheelbase=0.6, track=0.4, radius=0.1, roller=0.8, motor=pm.Motor(), mass=1),
+    "WheelTable.omni": row(distance=0.3, radius=0.1, n=4, first=0.1, motor=pm.Motor(), mass=1),
+    "WheelTable.skid_steer": row(
+        wheelbase=0.6, track=0.4, radius=0.1, coupled=True, motor=pm.Motor(), mass=1
+    ),
+    "WheelTable.swerve": row(
+        places=[(0.3, 0.1), (-0.3, -0.1)], radius=0.1, motor=pm.Motor(), supports=[(-0.2, 0)], mass=1
+    ),
+    "WheeledRobot": row(robot=the("base"), table=the("differential"), ground=pm.Coulomb(0.5)),
+    "WheeledRobot.from_urdf": row(
+        120,
+        path=the("turtlebot"),
+        package_dirs=(),
+        table=None,
+        ground=None,
+        ground_z=None,
+        radius=0.033,
+        supports=[(-0.08, 0)],
+    ),
+    "wheels.read_wheels": row(
+        robot=partial(lambda: pm.MobileRobot.from_urdf(WORLD.turtlebot)),
+        radius=0.033,
+        rollers={},
+        driven=None,
+        steering={},
+        inertia=(1e-5, 1e-5),
+        locked=(),
+        supports=[(-0.08, 0)],
+        couplings=(),
+    ),
+    "wheels.Mobility": row(table=the("differential")),
+    "wheels.Mobility.of": row(table=the("differential")),
+    "WheeledRobot.allocate": row(q=FIVE, tau=A),
+    "WheeledRobot.allocate_scaled": row(q=FIVE, tau=A),
+    "WheeledRobot.attach": row(load=pm.Load(1), frame=None),
+    "WheeledRobot.check_inverse_dynamics": row(),
+    "WheeledRobot.check_start": row(q=np.zeros(5), v=[1, 0, 0, 10, 10]),
+    "WheeledRobot.constraint_drift": row(q=FIVE, v=FIVE),
+    "WheeledRobot.constraint_forces": row(q=FIVE, v=FIVE, u=[1, 2], f=FIVE),
+    "WheeledRobot.constraint_matrix": row(q=FIVE),
+    "WheeledRobot.contacts": row(**{name: [[0.1] * 5] * 2 for name in "qva"}, u=[[1, 2], [3, 4]], signals={}),
+    "WheeledRobot.difference": row(q0=FIVE, q1=FIVE),
+    "WheeledRobot.drawing": row(q=FIVE),
+    "WheeledRobot.effort": row(q=FIVE, wrench=A),
+    "WheeledRobot.forward_dynamics": row(q=FIVE, v=FIVE, u=[1, 2], f=FIVE),
+    "WheeledRobot.independent": row(q=FIVE, v=FIVE),
+    "WheeledRobot.integrate": row(q=FIVE, dq=FIVE),
+    "WheeledRobot.inverse_dynamics": row(q=np.zeros(7), v=np.zeros(7), a=A),
+    "WheeledRobot.kinetic_energy": row(q=FIVE, v=FIVE),
+    "WheeledRobot.lateral_velocity": row(q=Q, v=V),
+    "WheeledRobot.mass_matrix": row(q=FIVE),
+    "WheeledRobot.mount": row(120, arm=the("arm"), at=(0, 0, 0.2, 0), name="arm"),
+    "WheeledRobot.nonlinear_effects": row(q=FIVE, v=FIVE),
+    "WheeledRobot.odometry": row(rates=[1, 2], steering=(), turning=()),
+    "WheeledRobot.pose": row(q=FIVE),
+    "WheeledRobot.rate": row(q=FIVE, v=FIVE),
+    "WheeledRobot.reduced": row(q=FIVE, v=FIVE),
+    "WheeledRobot.start": row(reference=partial(lambda: WORLD.trajectory(0.0))),
+    "WheeledRobot.torques": row(q=FIVE, v=FIVE, rates=[1, 2]),
+    "WheeledRobot.wheel_rates": row(twist=V, steering=(), turning=()),
+    "WheeledRobot.with_parameters": row(radius=[0.1, 0.11], x_left=0.1, spin_inertia=0.01),
     "viewer.Arrows": row(force=1, moment=1),
     "viewer.Follow": row(distance=4),
     "viewer.Stay": row(eye=[1, 1, 1], target=[0, 0, 0]),
@@ -786,6 +952,13 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "Ensemble": lambda: WORLD.ensemble,
     "Sweep": lambda: WORLD.sweep,
     "MobileRobot": lambda: WORLD.robot,
+    "Motor": lambda: pm.Motor(**MOTOR),
+    "Ramp": lambda: pm.Ramp(0.1),
+    "WheelTable": lambda: WheelTable,
+    "WheeledRobot": lambda: WORLD.wheeled,
+    "WheeledRobot.inverse_dynamics": lambda: WORLD.mecanum,
+    "WheeledRobot.check_inverse_dynamics": lambda: WORLD.mecanum,
+    "wheels.Mobility": lambda: wheels.Mobility,
     "Resolved": lambda: WORLD.resolved,
     "Rollout": lambda: WORLD.rollout,
     "DHTable": lambda: pm.LECTURE_TABLE,
@@ -867,6 +1040,7 @@ def is_part(name: str) -> bool:
     of_wheels = (
         "Allocated",
         "Backstepping",
+        "ByOdometry",
         "Tracking",
         "Kanayama",
         "Parking",
@@ -889,7 +1063,7 @@ def resolved(name: str) -> Callable[..., Any]:
         return CALLED[name]
     owner, _, method = name.rpartition(".")
     if owner in OWNERS and owner not in MODULES:
-        held = WORLD.armed if method in ARMED else OWNERS[owner]()
+        held = WORLD.armed if method in ARMED else OWNERS.get(name, OWNERS[owner])()
         return getattr(held, method)  # type: ignore[no-any-return]
     home = importlib.import_module(f"pinmobile.{owner}".rstrip("."))
     return getattr(home, method)  # type: ignore[no-any-return]
@@ -1037,6 +1211,8 @@ def main(names: list[str]) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (most, most))
     warnings.simplefilter("error")
     share = int(names.pop(0).removeprefix("--share=")) if names[:1] and "=" in names[0] else 1
+    if names[:1] == ["--only"]:
+        names = [name for name in sorted(ROWS) if any(part in name for part in names[1:])]
     for name in names or sorted(ROWS):
         found, count, begin = [], 0, time.process_time()
         for argument, kind, wrong in trials(name, share):
