@@ -46,9 +46,8 @@ MEMORY = 6 << 30  # of address space; libraries that only reserve it have some 3
 # What packages hand each other, checked: not for users.
 INNER = {
     "controllers.gain_matrix",
-    *("balance.body_zero_moment_point", "closed_form.unchecked_forward_dynamics", "paths.within"),
-    *("closed_form.unchecked_mass_matrix", "closed_form.unchecked_coriolis_matrix"),
-    *("closed_form.unchecked_inverse_dynamics", "controllers.check_controller", "derivation.difference"),
+    *("balance.body_zero_moment_point", "paths.within"),
+    *("controllers.check_controller", "derivation.difference"),
     *("derivation.lagrange", "forces.noise_frequencies", "ensembles.part_of", "paths.pieces_of"),
     *("ensembles.run_scenario", "paths.Whole", "reaching.pose_error", "robot.System"),
     *(

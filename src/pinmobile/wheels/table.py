@@ -473,7 +473,7 @@ def each_of(name: str, given: object) -> list[tuple[float, float]]:
     for k, at in enumerate(given):
         place = finite(f"{name}[{k}]", at)
         if place.shape != (2,):
-            raise InvalidArgument(f"{name}[{k}] has shape {place.shape}, expected (2,): x and y [m]")
+            raise InvalidArgument(f"{name}[{k}] has shape {place.shape}, expected (x, y) of each [m]")
         found.append((float(place[0]), float(place[1])))
     return found
 

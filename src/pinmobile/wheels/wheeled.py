@@ -1046,8 +1046,11 @@ class WheeledRobot:
             If it is such.
         """
         q, v = self._q(q), self._v("v", v)
+        broadcast(q=q, v=v)
         A = self.constraint_matrix(q)
-        names, off = self.constraint_names, np.abs(A @ v)
+        with np.errstate(all="ignore"):
+            slips = finite_answer((A @ v[..., None])[..., 0], q=q, v=v)
+        names, off = self.constraint_names, np.abs(slips).reshape(-1, A.shape[-2]).max(axis=0, initial=0.0)
         for name, slip in zip(names, off, strict=True):
             held = isinstance(self.ground, Rolling) or name == "train"
             if held and slip > _OFF * (1 + float(np.abs(v).max())):
