@@ -672,7 +672,7 @@ class WheeledRobot:
             q, v, u = self._q(q), self._v("v", v), vector("u", u, self.nu)
             f = self._f(f)
             broadcast(q=q, v=v, u=u, **({"f": f} if f.ndim else {}))
-            return np.asarray(self._traced.forward_dynamics(q, v, u, f))
+            return np.asarray(self._traced.forward_dynamics(q, v, u, f if f.ndim else 0.0))
         return self._constrained(q, v, u, f, self._independent)[0]
 
     @in_numbers
@@ -1034,8 +1034,8 @@ class WheeledRobot:
         self, t: float, q: ArrayLike, v: ArrayLike, u: ArrayLike, h: float, f: ArrayLike, memory: Grip
     ) -> Step:
         q, v, u = self._q(q), self._v("v", v), vector("u", u, self.nu)
-        f = 0.0 if isinstance(f, float) and f == 0 else self._f(f)
-        return self._slipping.step(t, q, v, u, h, f, memory)
+        beside = 0.0 if isinstance(f, float) and f == 0 else self._f(f)
+        return self._slipping.step(t, q, v, u, h, beside if np.ndim(beside) else 0.0, memory)
 
     def check_start(self, q: ArrayLike, v: ArrayLike) -> None:
         """Refuse a start at which wheels on one gear train turn at different rates, or those that roll slip.
