@@ -272,7 +272,7 @@ FAULTS = [
     Fault(
         "beyond the largest number",
         lambda: ON_WHEELS.check_start(np.zeros(5), np.full(5, 1.7e308)),
-        "the answer is -inf for |q| up to 0, |v| up to 1.7e+308",
+        "the answer is inf for |q| up to 0, |v| up to 1.7e+308",
         NotFinite,
     ),
     # More than anybody has, or waits for: counted before it is asked for.

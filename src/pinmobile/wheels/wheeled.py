@@ -21,6 +21,7 @@ from pinmobile.arrays import (
     frozen,
     in_numbers,
     one_of,
+    positive,
     vector,
 )
 from pinmobile.constancy import constant
@@ -1035,6 +1036,11 @@ class WheeledRobot:
     ) -> Step:
         q, v, u = self._q(q), self._v("v", v), vector("u", u, self.nu)
         beside = 0.0 if isinstance(f, float) and f == 0 else self._f(f)
+        h = positive("h", h, "s")
+        if not isinstance(memory, Grip):
+            raise InvalidArgument(
+                f"memory is {shown(memory)}, expected what initial_state or a step returned"
+            )
         return self._slipping.step(t, q, v, u, h, beside if np.ndim(beside) else 0.0, memory)
 
     def check_start(self, q: ArrayLike, v: ArrayLike) -> None:
