@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, callable_as, finite, frozen, positive, sequence, text, whole
 from pinmobile.errors import InvalidArgument, shown
@@ -156,11 +157,11 @@ class Contacts(NamedTuple):
     places: Array
     directions: Array
     forces: Array
-    determined: Array
+    determined: NDArray[np.bool_]
     loads: Array
     limits: Array
     slips: Array
-    slides: Array
+    slides: NDArray[np.bool_]
     centre: Array
 
 
