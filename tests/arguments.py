@@ -29,14 +29,15 @@ import numpy as np
 import pinocchio as pin
 
 import pinmobile as pm
-from pinmobile import PinmobileError, derivation, ensembles, urdf, viewer
+from pinmobile import PinmobileError, derivation, ensembles, urdf, viewer, wheels
 from pinmobile.robot import Stance
 from pinmobile.wheels import Motor, WheeledRobot, WheelTable
+from tests import wheeled
 
 MODULES = (
     *("accuracy", "balance", "closed_form", "controllers", "derivation", "dh", "forces", "ensembles"),
     *("integrators", "paths", "plots", "reaching", "robot", "simulation", "sweeps", "trajectories", "urdf"),
-    *("verification", "viewer"),
+    *("verification", "viewer", "wheels"),
 )
 SEED = 20240
 SECONDS = 5  # of processor time for one call
@@ -45,9 +46,8 @@ MEMORY = 6 << 30  # of address space; libraries that only reserve it have some 3
 # What packages hand each other, checked: not for users.
 INNER = {
     "controllers.gain_matrix",
-    *("balance.body_zero_moment_point", "closed_form.unchecked_forward_dynamics", "paths.within"),
-    *("closed_form.unchecked_mass_matrix", "closed_form.unchecked_coriolis_matrix"),
-    *("closed_form.unchecked_inverse_dynamics", "controllers.check_controller", "derivation.difference"),
+    *("balance.body_zero_moment_point", "paths.within"),
+    *("controllers.check_controller", "derivation.difference"),
     *("derivation.lagrange", "forces.noise_frequencies", "ensembles.part_of", "paths.pieces_of"),
     *("ensembles.run_scenario", "paths.Whole", "reaching.pose_error", "robot.System"),
     *(
@@ -75,6 +75,7 @@ INNER = {
     *("ensembles.Outline.description", "ensembles.Outline.difference", "ensembles.Part.of"),
     *("controllers.Changing", "controllers.Tracked"),
     *("PD.compact", "ComputedTorque.compact", "PDGravity.compact", "MobileRobot.traced"),
+    "WheeledRobot.traced",
     *("MobileRobot.varying", "JointFriction.varying", "JointFriction.with_parameters"),
     "Load.with_numbers",
     *("Hold.with_parameters", "RestToRest.with_parameters", "WholeBody.with_parameters"),
@@ -86,6 +87,7 @@ INNER = {
         "Scenario.values",
     ),
     "sweeps.Code",
+    *(f"wheels.ByVoltage.{name}" for name in ("initial_state", "signals", "step", "traced")),
 }
 # What the library makes and users read: nobody calls the class.
 RESULTS = {
@@ -109,6 +111,7 @@ RESULTS = {
     "ensembles.Outline",
     *("ensembles.Within", "reaching.PoseTarget", "robot.Linearization", "robot.Mount"),
     *("robot.Mountable", "robot.Mountables", "verification.Comparison", "viewer.Recording"),
+    *("closed_form.ReducedModel", "wheels.Allocation", "wheels.Forces", "wheels.Reduced"),
     "verification.Verification",
 }
 
@@ -310,6 +313,17 @@ def _viewer() -> Any:
     return shown
 
 
+def _turtlebot() -> Any:
+    file = WORLD.folder / "turtlebot.urdf"
+    file.write_text(wheeled.turtlebot("burger"))
+    return file
+
+
+def _rolls() -> Any:
+    law = pm.ByOdometry(pm.Backstepping(pm.Tracking(), WORLD.wheeled), WORLD.wheeled.table)
+    return pm.simulate(WORLD.wheeled, law, WORLD.trajectory, dt=0.02, duration=0.1, integrator=pm.rk4)
+
+
 def _sweep() -> Any:
     scenarios = pm.grid(_scenario, gain=[1.0, 2.0])
     return pm.sweep(scenarios, WORLD.folder / "sweep.zarr")
@@ -323,14 +337,23 @@ def _scenario(gain: float = 1.0) -> Any:
 
 MADE: dict[str, Callable[[], Any]] = {
     "robot": lambda: pm.MobileRobot(10.0, 1.2, com=(0.15, 0.05)),
-    "wheeled": lambda: WheeledRobot(WORLD.robot, WheelTable.differential(0.5, 0.1)),
+    "base": lambda: pm.MobileRobot(30.0, 1.3, com=(0.0, 0.0, 0.1), size=(0.6, 0.4, 0.25)),
+    "differential": lambda: WheelTable.differential(
+        0.46, 0.1, supports=[(0.25, 0), (-0.25, 0)], mass=1.0, spin_inertia=0.005, yaw_inertia=0.003
+    ),
+    "wheeled": lambda: WheeledRobot(WORLD.base, WORLD.differential),
+    "mecanum": lambda: WheeledRobot(WORLD.base, WheelTable.mecanum(0.4, 0.48, 0.09)),
+    "turtlebot": _turtlebot,
+    "rolls": _rolls,
+    "swerve": lambda: WheeledRobot(
+        WORLD.robot, WheelTable.swerve([(0.3, 0.1), (-0.3, -0.1)], 0.1, yaw_inertia=0.01)
+    ),
     "electric": lambda: WheeledRobot(
         WORLD.robot,
         WheelTable.differential(
             0.5, 0.1, motor=Motor(resistance=1.0, torque_constant=0.03, voltage=24.0, gear=20.0)
         ),
     ),
-    "swerve": lambda: WheeledRobot(WORLD.robot, WheelTable.swerve([(0.3, 0.1), (-0.3, -0.1)], 0.1)),
     "arm": small_arm,
     "armed": lambda: WORLD.robot.mount(WORLD.arm, (0, 0, 0.2, 0), name="arm"),
     "q": lambda: np.array([0.1, 0.2, 0.3]),
@@ -424,6 +447,12 @@ Q, V, A = [0.1, 0.2, 0.3], [0.4, 0.5, 0.6], [0.7, 0.8, 0.9]
 BODY = {"mass": 10.0, "yaw_inertia": 1.0, "com": (0.1, 0.05)}
 PARAMS = {"m": 10.0, "xbc": 0.1, "ybc": 0.05, "Icz": 1.0}
 MASSLESS = {"nonlinear_effects", "coriolis_matrix"}  # of which the yaw inertia is no argument
+FOUR = [[0.3, 0.3, -0.3, -0.3], [0.2, -0.2, 0.2, -0.2], [0.0] * 4]
+FIVE = [0.1, 0.2, 0.3, 0.4, 0.5]  # of a differential drive: body and wheels
+MOTOR: dict[str, Any] = {
+    **{"torque_limit": 5.0, "resistance": 1.0, "torque_constant": 0.05, "voltage": 12.0, "gear": 20.0},
+    **{"efficiency": 0.9, "rotor_inertia": 1e-5, "viscous": 1e-5, "coulomb": 1e-3, "current": 10.0},
+}
 STATES: dict[str, dict[str, Any]] = {
     "mass_matrix": {"q": Q},
     "nonlinear_effects": {"q": Q, "v": V},
@@ -755,6 +784,135 @@ ROWS: dict[str, Row] = {
     "plots.reaction": row(60, rollouts=the("arm_rollout"), mount="arm", title="a title"),
     "plots.signals": row(rollouts=the("told"), title="a title"),
     "plots.states": row(60, rollouts=the("rollout"), title="a title"),
+    "plots.friction": row(60, rollouts=the("rolls"), title="a title"),
+    "plots.loads": row(60, rollouts=the("rolls"), title="a title"),
+    "plots.odometry": row(60, rollouts=the("rolls"), title="a title"),
+    "plots.slip": row(60, rollouts=the("rolls"), title="a title"),
+    "plots.wheel_torques": row(60, rollouts=the("rolls"), title="a title"),
+    "Ackermann": row(wheels=("front_left", "front_right"), axle=0.1, name="steering"),
+    "ByOdometry": row(
+        controller=pm.PD(1, 1),
+        table=the("differential"),
+        ticks=1000,
+        noise=0.1,
+        seed=1,
+        x=[0, 0],
+        y=[0.2, -0.2],
+        radius=[0.1, 0.1],
+    ),
+    "Coulomb": row(mu=0.5, ramp=pm.Ramp(0.1), passes=2, sweeps=100, tolerance=1e-9),
+    "Differential": row(wheels=("left", "right"), motor=pm.Motor(), name="drive"),
+    "Friction": row(mu=0.8, across=0.02, rolling=0.01, slip=0.1),
+    "GearTrain": row(wheels=("left", "right"), ratios=[1.0, 2.0]),
+    "Motor": row(**MOTOR, source="a test"),
+    "Motor.armature_current": row(volts=[1, 2], rate=3),
+    "Motor.no_load_rate": row(volts=6),
+    "Motor.stall_torque": row(volts=6),
+    "Motor.torque": row(volts=[1, 2], rate=3),
+    "Ramp": row(angle=0.1, direction=0.2),
+    "Ramp.fall": row(g=9.81),
+    "Rolling": row(ramp=pm.Ramp(0.1)),
+    "Support": row(x=1, y=2),
+    "Wheel": row(
+        name="left",
+        x=0,
+        y=0.2,
+        radius=0.1,
+        angle=0.1,
+        steering="driven",
+        trail=(-0.03, 0.005),
+        roller=0.5,
+        mass=1,
+        spin_inertia=0.01,
+        yaw_inertia=0.01,
+        motor=pm.Motor(),
+        friction=pm.Friction(),
+        steering_limit=1.0,
+    ),
+    "WheelTable": row(
+        wheels=[pm.Wheel("left", 0, 0.2, 0.1), pm.Wheel("right", 0, -0.2, 0.1)],
+        supports=[pm.Support(0.2, 0)],
+        couplings=[pm.GearTrain(("left", "right"))],
+        source="a test",
+    ),
+    "WheelTable.car": row(wheelbase=0.6, track=0.4, radius=0.1, motor=pm.Motor(), steering_limit=0.6, mass=1),
+    "WheelTable.differential": row(
+        track=0.4, radius=0.1, x=0.1, supports=[(-0.2, 0)], motor=pm.Motor(), mass=1
+    ),
+    "WheelTable.mecanum": row(wheelbase=0.6, track=0.4, radius=0.1, roller=0.8, motor=pm.Motor(), mass=1),
+    "WheelTable.omni": row(distance=0.3, radius=0.1, n=4, first=0.1, motor=pm.Motor(), mass=1),
+    "WheelTable.skid_steer": row(
+        wheelbase=0.6, track=0.4, radius=0.1, coupled=True, motor=pm.Motor(), mass=1
+    ),
+    "WheelTable.swerve": row(
+        places=[(0.3, 0.1), (-0.3, -0.1)], radius=0.1, motor=pm.Motor(), supports=[(-0.2, 0)], mass=1
+    ),
+    "WheeledRobot": row(robot=the("base"), table=the("differential"), ground=pm.Coulomb(0.5)),
+    "WheeledRobot.from_urdf": row(
+        120,
+        path=the("turtlebot"),
+        package_dirs=(),
+        table=None,
+        ground=None,
+        ground_z=None,
+        rollers={},
+        supports=[(-0.08, 0)],
+    ),
+    "wheels.read_wheels": row(
+        robot=partial(lambda: pm.MobileRobot.from_urdf(WORLD.turtlebot)),
+        radius={"${namespace}wheel_left_joint": 0.033},
+        rollers={},
+        driven=None,
+        steering={},
+        inertia=(1e-5, 1e-5),
+        locked=(),
+        supports=[(-0.08, 0)],
+        couplings=(),
+    ),
+    "wheels.Mobility": row(table=the("differential")),
+    "wheels.Mobility.of": row(table=the("differential")),
+    "WheeledRobot.allocate": row(q=FIVE, tau=A),
+    "WheeledRobot.allocate_scaled": row(q=FIVE, tau=A),
+    "WheeledRobot.attach": row(load=pm.Load(1), frame=None),
+    "WheeledRobot.check_inverse_dynamics": row(),
+    "WheeledRobot.check_start": row(q=np.zeros(5), v=[1, 0, 0, 10, 10]),
+    "WheeledRobot.constraint_drift": row(q=FIVE, v=FIVE),
+    "WheeledRobot.constraint_forces": row(q=FIVE, v=FIVE, u=[1, 2], f=FIVE),
+    "WheeledRobot.constraint_matrix": row(q=FIVE),
+    "WheeledRobot.contacts": row(**{name: [[0.1] * 5] * 2 for name in "qva"}, u=[[1, 2], [3, 4]], signals={}),
+    "WheeledRobot.difference": row(q0=FIVE, q1=FIVE),
+    "WheeledRobot.drawing": row(q=FIVE),
+    "WheeledRobot.effort": row(q=FIVE, wrench=A),
+    "WheeledRobot.forward_dynamics": row(q=FIVE, v=FIVE, u=[1, 2], f=FIVE),
+    "WheeledRobot.independent": row(q=FIVE, v=FIVE),
+    "WheeledRobot.integrate": row(q=FIVE, dq=FIVE),
+    "WheeledRobot.inverse_dynamics": row(q=np.zeros(7), v=np.zeros(7), a=A),
+    "WheeledRobot.kinetic_energy": row(q=FIVE, v=FIVE),
+    "WheeledRobot.lateral_velocity": row(q=Q, v=V),
+    "WheeledRobot.mass_matrix": row(q=FIVE),
+    "WheeledRobot.mount": row(120, arm=the("arm"), at=(0, 0, 0.2, 0), name="arm"),
+    "WheeledRobot.nonlinear_effects": row(q=FIVE, v=FIVE),
+    "WheeledRobot.odometry": row(rates=[1, 2], steering=(), turning=()),
+    "WheeledRobot.pose": row(q=FIVE),
+    "WheeledRobot.rate": row(q=FIVE, v=FIVE),
+    "WheeledRobot.reduced": row(q=FIVE, v=FIVE),
+    "WheeledRobot.start": row(reference=partial(lambda: WORLD.trajectory(0.0))),
+    "WheeledRobot.torques": row(q=FIVE, v=FIVE, rates=[1, 2]),
+    "WheeledRobot.wheel_rates": row(twist=V, steering=(), turning=()),
+    "WheeledRobot.with_parameters": row(radius=[0.1, 0.11], y_left=0.25, spin_inertia=0.01),
+    "Motor.from_sheet": row(
+        voltage=12.0, stall_torque=2.0, stall_current=5.0, no_load_rate=20.0, no_load_current=0.2, gear=50.0
+    ),
+    "WheeledRobot.by_voltage": row(),
+    "wheels.ByVoltage": row(wheeled=the("electric")),
+    "wheels.ByVoltage.attach": row(load=pm.Load(1), frame=None),
+    "wheels.ByVoltage.difference": row(q0=FIVE, q1=FIVE),
+    "wheels.ByVoltage.forward_dynamics": row(q=FIVE, v=FIVE, u=[1, 2], f=FIVE),
+    "wheels.ByVoltage.integrate": row(q=FIVE, dq=FIVE),
+    "wheels.ByVoltage.mount": row(120, arm=the("arm"), at=(0, 0, 0.2, 0), name="arm"),
+    "wheels.ByVoltage.torques_at": row(v=FIVE, u=[1, 2]),
+    "wheels.ByVoltage.volts_for": row(v=FIVE, torques=[1, 2]),
+    "wheels.ByVoltage.with_parameters": row(resistance=[1.0, 1.1]),
     "viewer.Arrows": row(force=1, moment=1),
     "viewer.Follow": row(distance=4),
     "viewer.Stay": row(eye=[1, 1, 1], target=[0, 0, 0]),
@@ -817,6 +975,15 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "Ensemble": lambda: WORLD.ensemble,
     "Sweep": lambda: WORLD.sweep,
     "MobileRobot": lambda: WORLD.robot,
+    "Motor": lambda: pm.Motor(**MOTOR),
+    "Ramp": lambda: pm.Ramp(0.1),
+    "WheelTable": lambda: WheelTable,
+    "WheeledRobot": lambda: WORLD.wheeled,
+    "WheeledRobot.by_voltage": lambda: WORLD.electric,
+    "WheeledRobot.inverse_dynamics": lambda: WORLD.mecanum,
+    "WheeledRobot.check_inverse_dynamics": lambda: WORLD.mecanum,
+    "wheels.ByVoltage": lambda: WORLD.electric.by_voltage(),
+    "wheels.Mobility": lambda: wheels.Mobility,
     "Resolved": lambda: WORLD.resolved,
     "Rollout": lambda: WORLD.rollout,
     "DHTable": lambda: pm.LECTURE_TABLE,
@@ -898,6 +1065,7 @@ def is_part(name: str) -> bool:
     of_wheels = (
         "Allocated",
         "Backstepping",
+        "ByOdometry",
         "Driven",
         "WheelSpeed",
         "Tracking",
@@ -922,7 +1090,7 @@ def resolved(name: str) -> Callable[..., Any]:
         return CALLED[name]
     owner, _, method = name.rpartition(".")
     if owner in OWNERS and owner not in MODULES:
-        held = WORLD.armed if method in ARMED else OWNERS[owner]()
+        held = WORLD.armed if method in ARMED else OWNERS.get(name, OWNERS[owner])()
         return getattr(held, method)  # type: ignore[no-any-return]
     home = importlib.import_module(f"pinmobile.{owner}".rstrip("."))
     return getattr(home, method)  # type: ignore[no-any-return]
@@ -1070,6 +1238,8 @@ def main(names: list[str]) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (most, most))
     warnings.simplefilter("error")
     share = int(names.pop(0).removeprefix("--share=")) if names[:1] and "=" in names[0] else 1
+    if names[:1] == ["--only"]:
+        names = [name for name in sorted(ROWS) if any(part in name for part in names[1:])]
     for name in names or sorted(ROWS):
         found, count, begin = [], 0, time.process_time()
         for argument, kind, wrong in trials(name, share):

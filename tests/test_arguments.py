@@ -31,11 +31,13 @@ from pinmobile import (
     DHTable,
     Diverged,
     FixedHeading,
+    GearTrain,
     Hold,
     InvalidArgument,
     Lissajous,
     Load,
     MobileRobot,
+    Motor,
     NoisyMeasurement,
     NotFinite,
     PinmobileError,
@@ -49,6 +51,8 @@ from pinmobile import (
     Uniform,
     UnknownName,
     ViscousFriction,
+    WheeledRobot,
+    WheelTable,
     closed_form,
     constant_acceleration,
     ensemble,
@@ -66,11 +70,13 @@ from pinmobile import (
 from pinmobile.arrays import MEMORY, Array, affordable, finite, frozen
 from pinmobile.cli import main
 from pinmobile.viewer import Viewer
+from pinmobile.wheels import Mobility
 from tests import arguments
 from tests.arguments import INNER, RESULTS, ROWS, callables, is_part
 
 ROOT = Path(__file__).parents[1]
 ROBOT = MobileRobot.box()
+ON_WHEELS = WheeledRobot(ROBOT, WheelTable.differential(0.4, 0.1))
 CIRCLE = Circle(radius=3, rate=0.1, duration=60)
 LOOP: dict[str, Any] = {"plant": ROBOT, "controller": PD(10, 10), "trajectory": Tangent(CIRCLE), "dt": 0.1}
 MANY: dict[str, Any] = {
@@ -153,6 +159,18 @@ FAULTS = [
     Fault("another kind", of_many(traces=b"a"), "traces is b'a', expected indices of robots"),
     Fault("another kind", lambda: verify(ROBOT, seed=NOTHING), "seed is None, expected a whole number >= 0"),
     Fault("another kind", of_loop(plant=arguments.Anything()), "expected something with 'forward_dynamics'"),
+    Fault(
+        "another kind",
+        lambda: WheelTable.swerve(NOTHING, 0.1),
+        "places is None, expected (x, y) of each [m]",
+    ),
+    Fault("another kind", lambda: Mobility.of(EMPTY), "table is [], expected a WheelTable"),
+    Fault("another kind", lambda: GearTrain(("a", "b"), NOTHING), "ratios is None, expected real numbers"),
+    Fault(
+        "another kind",
+        lambda: ON_WHEELS.forward_dynamics(np.zeros(5), np.zeros(5), [1, 1], 3.0),
+        "f has shape (), expected (..., 5)",
+    ),
     # Numbers that are none.
     Fault(
         "no numbers", lambda: Saturated(PD(1, 1), RAGGED), "limits is [[1, 2], [3]], expected real numbers"
@@ -244,6 +262,17 @@ FAULTS = [
         "beyond the largest number",
         lambda: closed_form.nonlinear_effects([0, 0, 0], [0, 0, 1e308], mass=1, com=(1, 0)),
         "the answer is -inf for |v| up to 1e+308",
+        NotFinite,
+    ),
+    Fault(
+        "beyond the largest number",
+        lambda: Motor(gear=1e200),
+        "gear of a Motor is 1e+200 with a rotor inertia of 0 kg m^2, whose square times it is beyond 1.8e308",
+    ),
+    Fault(
+        "beyond the largest number",
+        lambda: ON_WHEELS.check_start(np.zeros(5), np.full(5, 1.7e308)),
+        "the answer is inf for |q| up to 0, |v| up to 1.7e+308",
         NotFinite,
     ),
     # More than anybody has, or waits for: counted before it is asked for.

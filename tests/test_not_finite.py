@@ -2,6 +2,7 @@
 
 import inspect
 import itertools
+import re
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from pinmobile import (
     Circle,
+    Coulomb,
     Diverged,
     InvalidArgument,
     Load,
@@ -17,6 +19,8 @@ from pinmobile import (
     NotFinite,
     PinmobileError,
     Tangent,
+    WheeledRobot,
+    WheelTable,
     closed_form,
     law,
     simulate,
@@ -48,17 +52,24 @@ METHODS = [
 ]
 ON_ARMS = {"arm_manipulability", "mount_wrench"}  # of a bare robot they are errors
 CASES = [(kind, name) for kind in ROBOTS for name in METHODS if ROBOTS[kind].mounts or name not in ON_ARMS]
-DRIVES: dict[str, dict[str, Any]] = {
-    "differential_drive": {"track": 0.5, "radius": 0.1, "spin_inertia": 0.01, "axle": 0.05},
-    "roller_drive": {
-        "x": [0.2, -0.1, -0.1],
-        "y": [0.0, 0.2, -0.2],
-        "angle": [1.6, 3.7, 5.8],
-        "roller": 0.1,
-        "radius": 0.1,
-        "spin_inertia": 0.01,
-    },
-    "car": {"steering": 0.3, "wheelbase": 0.5, "radius": 0.1, "track": 0.4, "spin_inertia": 0.01},
+WHEELS: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.005, "yaw_inertia": 0.003}
+BASE = MobileRobot(30.0, 1.3, com=(0.05, 0.02, 0.1), size=(0.6, 0.4, 0.25))
+MECANUM = WheelTable.mecanum(0.4, 0.48, 0.09, **WHEELS)
+WHEELED = {
+    "differential": WheeledRobot(BASE, WheelTable.differential(0.46, 0.1, **WHEELS)),
+    "mecanum": WheeledRobot(BASE, MECANUM),
+    "mecanum that slips": WheeledRobot(BASE, MECANUM, Coulomb(0.1)),
+    "swerve": WheeledRobot(BASE, WheelTable.swerve([(0.2, 0.1), (-0.2, -0.1)], 0.06, **WHEELS)),
+    "car": WheeledRobot(BASE.mount("ur5"), WheelTable.car(0.5, 0.46, 0.1, **WHEELS)),
+}
+DRIVES: dict[str, tuple[Any, dict[str, Any]]] = {
+    "differential_drive": (closed_form.differential_drive, {"nu": np.ones(2), "track": 0.4, "radius": 0.1}),
+    "roller_drive": (
+        closed_form.roller_drive,
+        {"twist": np.ones(3), "x": np.ones(4), "y": np.ones(4), "angle": np.ones(4), "roller": np.ones(4)}
+        | {"radius": 0.1},
+    ),
+    "car": (closed_form.car, {"nu": np.ones(2), "steering": 0.3, "wheelbase": 0.6, "radius": 0.1}),
 }
 EQUATIONS = ["coriolis_matrix", "forward_dynamics", "inverse_dynamics", "mass_matrix", "nonlinear_effects"]
 
@@ -90,7 +101,7 @@ def test_every_method_answers_in_finite_numbers_or_says_that_it_cannot(kind: str
 
 
 def test_the_equations_are_all_there() -> None:
-    assert {*EQUATIONS, *DRIVES} == set(public(closed_form)) - {"ReducedModel"}
+    assert {*EQUATIONS, *DRIVES, "ReducedModel"} == set(public(closed_form))
 
 
 @pytest.mark.parametrize("name", EQUATIONS)
@@ -107,14 +118,80 @@ def test_every_equation_answers_in_finite_numbers_or_says_that_it_cannot(name: s
 
 @pytest.mark.parametrize("name", DRIVES)
 def test_every_drive_answers_in_finite_numbers_or_says_that_it_cannot(name: str) -> None:
-    function = getattr(closed_form, name)
-    rates = {"twist": np.ones(3)} if name == "roller_drive" else {"nu": np.ones(2)}
-    own: dict[str, Any] = {"mass": 30.0, "yaw_inertia": 1.3, "com": (0.1, 0.05)}
-    usual = own | DRIVES[name] | rates
-    for size, large in itertools.product((*HUGE, 1e-310), set(usual) - {"steering", "roller"}):
-        value = np.full(np.shape(usual[large]), size)
-        why = why_not(function, usual | {large: value if abs(size) > 0 else size})
-        assert f"|{large}| up to " in (why or f"|{large}| up to ")
+    function, own = DRIVES[name]
+    usual = {"mass": 30.0, "yaw_inertia": 1.3, "com": np.array([0.1, 0.05]), "spin_inertia": 0.01, **own}
+    for size, large in itertools.product((*HUGE, 1e-310), usual):
+        value = size if np.ndim(usual[large]) == 0 else np.full(len(usual[large]), size)
+        try:
+            assert f"|{large}| up to " in (why_not(function, usual | {large: value}) or f"|{large}| up to ")
+        except InvalidArgument as error:
+            assert "less than a right angle" in str(error)  # noqa: PT017  # of angles that are huge
+
+
+OF_WHEELS = {"u": "nu", "f": "nv", "dq": "nv", "v": "nv"}
+ANGLES_OF = ("q", "q0", "q1")
+
+
+def for_wheels(robot: WheeledRobot, name: str, parameter: str) -> Array:
+    """Return ordinary numbers for a parameter of a method."""
+    if parameter in ANGLES_OF:
+        return robot.rest.copy()
+    if parameter in OF_WHEELS:
+        return np.ones(getattr(robot, OF_WHEELS[parameter]))
+    if name == "torques":
+        return np.ones(robot.independent(robot.rest, np.zeros(robot.nv)).size)
+    sizes = {"rates": len(robot.table), "twist": 3, "wrench": 3}
+    return np.ones(sizes.get(parameter, robot.robot.nv))
+
+
+@pytest.mark.parametrize("kind", WHEELED)
+def test_robots_on_wheels_answer_in_finite_numbers_or_say_that_they_cannot(kind: str) -> None:
+    robot = WHEELED[kind]
+    known = ANGLES_OF + tuple(OF_WHEELS) + ("rates", "twist", "wrench", "a", "tau")
+    tried = []
+    for name in dir(WheeledRobot):
+        method = getattr(WheeledRobot, name)
+        if name.startswith("_") or name in ("contacts", "check_start"):
+            continue
+        if not inspect.isfunction(method):
+            method = getattr(robot, name, None) if name == "project" else None
+        if method is None:
+            continue
+        method = getattr(robot, name)
+        given = [p for p in inspect.signature(method).parameters if p in known]
+        for size, large, many in itertools.product(HUGE, given, (False, True)):
+            arguments = {p: for_wheels(robot, name, p) for p in given}
+            arguments[large][slice(0, 3) if large in ANGLES_OF else slice(None)] = size
+            if many:
+                arguments = {p: np.stack([value] * 2) for p, value in arguments.items()}
+            try:
+                told = why_not_of_wheels(method, arguments)
+            except InvalidArgument as error:
+                assert re.search("no fixed axle|every direction|Coulomb ground", str(error))  # noqa: PT017
+                continue
+            assert f"|{large}| up to {size:.3g}" in (told or f"|{large}| up to {size:.3g}")
+            tried.append(name)
+    assert len(set(tried)) > 12
+
+
+def why_not_of_wheels(function: Any, arguments: dict[str, Any]) -> str:
+    """Return as `why_not`, of answers of which some parts are names."""
+    try:
+        answer = function(**arguments)
+    except NotFinite as error:
+        return str(error)
+    parts = answer if isinstance(answer, tuple) else (answer,)
+    assert all(np.isfinite(part).all() for part in parts if isinstance(part, np.ndarray))
+    return ""
+
+
+@pytest.mark.parametrize("kind", [kind for kind in WHEELED if "slips" not in kind])
+def test_a_start_that_is_too_large_to_be_judged_is_refused(kind: str) -> None:
+    robot = WHEELED[kind]
+    for size in HUGE:
+        for v in (np.full(robot.nv, size), np.full((2, robot.nv), size)):
+            with pytest.raises(PinmobileError, match=r"start does not roll|\|v\| up to"):
+                robot.check_start(robot.rest, v)
 
 
 def test_the_error_says_what_was_large() -> None:

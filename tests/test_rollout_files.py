@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import pickle
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -13,12 +14,21 @@ import pytest
 
 from pinmobile import (
     PD,
+    Backstepping,
+    ByOdometry,
     Circle,
+    Coulomb,
     InvalidArgument,
     Load,
     MobileRobot,
+    Motor,
+    Rolling,
     Rollout,
     Tangent,
+    Tracking,
+    WheeledRobot,
+    WheelTable,
+    plots,
     simulate,
 )
 from tests.damage import answer, damaged, little_memory, rewritten
@@ -159,6 +169,36 @@ def test_what_no_rollout_holds_is_refused(
     np.savez(tmp_path / "run.npz", **make(tmp_path))
     with pytest.raises(InvalidArgument, match=rf"^path is '.*run.npz', which .*{why}"):
         Rollout.load(tmp_path / "run.npz")
+
+
+@pytest.mark.parametrize("ground", [Rolling(), Coulomb(0.5)], ids=["rolls", "slips"])
+def test_a_run_on_wheels_comes_back_with_its_signals_and_the_names_of_its_wheels(
+    tmp_path: Path, ground: Rolling | Coulomb
+) -> None:
+    """The robot is told by names, units and limits; what asks its wheels needs the robot itself."""
+    table = WheelTable.differential(
+        0.46, 0.1, supports=[(0.2, 0), (-0.2, 0)], mass=1.0, spin_inertia=0.005, motor=Motor(5.0)
+    )
+    plant = WheeledRobot(MobileRobot(30, 1.3, com=(0, 0, 0.1), size=(0.6, 0.4, 0.25)), table, ground)
+    law = ByOdometry(Backstepping(Tracking(), plant), table)
+    run = simulate(plant, law, Tangent(Circle(1, 0.5, 0.1)), dt=0.02)
+    run.save(tmp_path / "run.npz")
+    loaded = Rollout.load(tmp_path / "run.npz")
+    names = ("t", "q", "v", "a", "u", "error")
+    assert all(np.array_equal(getattr(loaded, name), getattr(run, name)) for name in names)
+    assert list(loaded.signals) == list(run.signals)
+    for name, kept in run.signals.items():
+        assert loaded.signals[name].unit == kept.unit
+        assert np.array_equal(loaded.signals[name].values, kept.values)
+    for name in ("coordinates", "inputs", "leading", "nq", "nv", "nu", "size"):
+        assert getattr(loaded.plant, name) == getattr(plant, name)
+    loaded.save(tmp_path / "again.npz")
+    assert Rollout.load(tmp_path / "again.npz").plant == loaded.plant
+    assert pickle.loads(pickle.dumps(plant)) == plant
+    again = simulate(pickle.loads(pickle.dumps(plant)), law, Tangent(Circle(1, 0.5, 0.1)), dt=0.02)
+    assert np.array_equal(again.q, run.q)
+    with pytest.raises(InvalidArgument, match="WheeledRobot"):
+        plots.slip(loaded)
 
 
 def header(shape: str, kind: str = "<f8") -> bytes:

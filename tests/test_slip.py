@@ -458,3 +458,12 @@ def test_a_wheel_lifts_in_a_turn_too_fast_and_the_robot_is_told_to_tip() -> None
     slow, fast = (run(robot, (0.0, 0.0), 0.005, 0.02, v=rolling_at(robot, 2.0, 0.0, w)) for w in (0.5, 6.0))
     assert slow.signals["tips"].values.max() == 0
     assert fast.signals["tips"].values.max() == 1
+
+
+def test_no_force_beside_the_input_is_a_force_of_zero() -> None:
+    robot = WheeledRobot(BODY, SKID)
+    state = robot.rest, np.ones(robot.nv), np.ones(robot.nu)
+    expected = robot.forward_dynamics(*state, np.zeros(robot.nv))
+    for none in (0.0, 0, np.zeros(())):
+        np.testing.assert_array_equal(robot.forward_dynamics(*state, none), expected)
+    np.testing.assert_array_equal(robot.forward_dynamics(*state), expected)

@@ -17,11 +17,14 @@ import pytest
 
 from pinmobile import (
     Circle,
+    InvalidArgument,
     Load,
     MobileRobot,
     Reference,
     Tangent,
     Uniform,
+    WheeledRobot,
+    WheelTable,
     ensemble,
     law,
     shipped_urdf,
@@ -155,6 +158,55 @@ def test_every_answer_is_that_of_one_thread_bit_for_bit(kind: str, name: str) ->
     def task(number: int) -> int:
         order = [(number + k) % states for k in range(states)] * rounds
         return sum(ask(shared, name, k) != alone[k] for k in order)
+
+    assert together(task) == [0] * THREADS
+
+
+WHEELS: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.005, "yaw_inertia": 0.003}
+BASE = MobileRobot(30.0, 1.3, com=(0.05, 0.02, 0.1), size=(0.6, 0.4, 0.25))
+ON_WHEELS = {
+    "mecanum": WheeledRobot(BASE, WheelTable.mecanum(0.4, 0.48, 0.09, **WHEELS)),
+    "car with an arm": WheeledRobot(BASE.mount("ur5"), WheelTable.car(0.5, 0.46, 0.1, **WHEELS)),
+    "skid steer": WheeledRobot(BASE, WheelTable.skid_steer(0.5, 0.4, 0.1, **WHEELS)),
+}
+ASKED = {
+    *("mass_matrix", "nonlinear_effects", "forward_dynamics", "project", "reduced", "constraint_matrix"),
+    *("allocate_scaled", "constraint_forces", "integrate", "difference", "drawing", "kinetic_energy"),
+}
+
+
+def of_wheels(robot: WheeledRobot, k: int) -> list[Any]:
+    """Return what a robot on wheels answers to numbers, and what it is when made again, of a state."""
+    given = {name: rate_of(k, seed, robot.nv) for seed, name in enumerate(("v", "a", "dq"))}
+    given |= {"u": rate_of(k, 4, robot.nu), "tau": rate_of(k, 5, robot.robot.nv)}
+    for seed, name in enumerate(("q", "q0", "q1")):
+        own = robot.robot.random_configuration(np.random.default_rng([k, seed]))
+        given[name] = np.append(own, 0.3 * rate_of(k, 6, robot.nq - len(own)))
+    found: list[Any] = []
+    for name in sorted(ASKED):
+        try:
+            method = getattr(robot, name)
+            parameters = [p for p in inspect.signature(method).parameters if p in given]
+            found.append(plain(method(**{p: given[p] for p in parameters})))
+        except (AttributeError, InvalidArgument) as error:  # of wheels that slip
+            found.append(str(error))
+    other = robot.with_parameters(radius=0.09 + 0.001 * (k + 1))
+    return [*found, other.table, plain(other.mass_matrix(given["q"]))]
+
+
+def rate_of(k: int, seed: int, size: int) -> Array:
+    return np.random.default_rng([k, seed]).normal(size=size)
+
+
+@pytest.mark.parametrize("kind", ON_WHEELS)
+def test_a_robot_on_wheels_answers_eight_threads_as_it_does_one(kind: str) -> None:
+    alone = [of_wheels(ON_WHEELS[kind], k) for k in range(4)]
+    assert sum(isinstance(answer, tuple) for answer in alone[0]) > 6
+    shared = copy(ON_WHEELS[kind])  # with nothing cached
+
+    def task(number: int) -> int:
+        order = [(number + k) % 4 for k in range(4)] * 2
+        return sum(of_wheels(shared, k) != alone[k] for k in order)
 
     assert together(task) == [0] * THREADS
 

@@ -6,6 +6,7 @@ import inspect
 import os
 import sys
 from collections.abc import Collection, Iterable, Sequence
+from functools import wraps
 from math import isfinite
 from os import PathLike
 from pathlib import Path
@@ -26,6 +27,7 @@ MEMORY = 16e9
 
 _FEW = 1000  # numbers whose product takes less than a look at each; of many, BLAS would start threads
 _FLOAT = np.dtype(np.float64)
+_LARGEST = float(np.finfo(np.float64).max)
 _MOST_AXES = 24  # room for some more within the 32 that NumPy broadcasts
 
 
@@ -86,6 +88,29 @@ def finite_answer(answer: Array, /, **arguments: ArrayLike) -> Array:
     bad = answer[~np.isfinite(answer)][0]
     sizes = ", ".join(f"|{name}| up to {np.abs(value).max():.3g}" for name, value in arguments.items())
     raise NotFinite(f"the answer is {bad} for {sizes}, made of numbers beyond 1.8e308: expected smaller ones")
+
+
+def in_numbers(function: _Function) -> _Function:
+    """Let a function answer in finite numbers, or raise `NotFinite` with how large its arguments are.
+
+    It is for functions of numbers that answer with an array, or with a tuple of which some are arrays.
+    """
+    signature = inspect.signature(function)  # type: ignore[arg-type]
+
+    @wraps(function)  # type: ignore[arg-type]
+    def asked(*arguments: Any, **named: Any) -> Any:
+        with np.errstate(all="ignore"):
+            try:
+                answer = function(*arguments, **named)  # type: ignore[operator]
+            except np.linalg.LinAlgError:
+                answer = np.array(np.nan)
+        for part in answer if isinstance(answer, tuple) else (answer,):
+            if type(part) is np.ndarray and part.dtype == _FLOAT and not np.isfinite(part).all():
+                given = signature.bind(*arguments, **named).arguments
+                finite_answer(part, **{name: x for name, x in given.items() if name != "self" and np.size(x)})
+        return answer
+
+    return asked  # type: ignore[return-value]
 
 
 def endless_or_finite(name: str, value: ArrayLike) -> Array:
@@ -228,6 +253,18 @@ def non_negative(name: str, value: ArrayLike, unit: str = "") -> float:
     if number < 0:
         raise InvalidArgument(f"{name} is {number}{unit and ' ' + unit}, expected >= 0")
     return number
+
+
+def positive_or_endless(name: str, value: ArrayLike, unit: str = "") -> float:
+    """Return `value`, a limit, as a float above zero; infinity, for there is none, is taken too.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is not.
+    """
+    limit = endless_or_finite(name, value)
+    return np.inf if not limit.ndim and limit > _LARGEST else positive(name, limit, unit)
 
 
 def whole(name: str, value: Any, *, least: int = 1, most: int = 2**53) -> int:

@@ -108,8 +108,8 @@ class Backstepping:
         for name in ("k", "steer", "arms"):
             object.__setattr__(self, name, positive(name, getattr(self, name), "1/s"))
         robot = self.robot
-        if not hasattr(robot, "mobility"):  # no robot, or what one becomes in a compiled loop
-            check_wheels(robot, "torques")
+        if not hasattr(robot, "mobility") or not isinstance(getattr(robot, "nv", None), int):
+            check_wheels(robot, "torques")  # no robot, or what one becomes in a compiled loop
         else:
             self._look(robot)
 
@@ -256,8 +256,8 @@ class SwerveTracking:
         for name, unit in (("kp", "1/s"), ("k", "1/s"), ("steer", "1/s"), ("least", "m/s")):
             object.__setattr__(self, name, positive(name, getattr(self, name), unit))
         robot = self.robot
-        if not hasattr(robot, "mobility"):  # no robot, or what one becomes in a compiled loop
-            check_wheels(robot, "torques")
+        if not hasattr(robot, "mobility") or not isinstance(getattr(robot, "nv", None), int):
+            check_wheels(robot, "torques")  # no robot, or what one becomes in a compiled loop
         else:
             kind = robot.mobility.mobility, robot.mobility.steerability
             if kind != (1, 2) or max(robot.leading) > _BASE or len(robot.inputs) != 4:

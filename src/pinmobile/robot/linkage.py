@@ -84,6 +84,8 @@ def number(x: Any) -> Any:
 def sine_and_cosine(x: Any) -> tuple[Any, Any]:
     """Return sine and cosine of a scalar."""
     if isinstance(x, Exact | float | int):
+        if not math.isfinite(x):
+            return math.nan, math.nan
         return exact(math.sin(x)), exact(math.cos(x))
     if hasattr(x, "sine_and_cosine"):
         return x.sine_and_cosine()  # type: ignore[no-any-return]

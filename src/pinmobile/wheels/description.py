@@ -23,6 +23,7 @@ from pinmobile.wheels.table import (
     Support,
     Wheel,
     WheelTable,
+    each_of,
 )
 
 _PLANE = 0.005  # [m]: what is so near one plane stands on it
@@ -113,7 +114,8 @@ def read_wheels(
     UnknownName
         If there is no such wheel.
     """
-    given = _Given(radius, rollers, driven, steering, inertia, locked, supports, tuple(couplings))
+    joined = sequence("couplings", couplings, "GearTrain, Differential or Ackermann")
+    given = _Given(radius, rollers, driven, steering, inertia, locked, supports, joined)
     return _Reader(robot, given).table()
 
 
@@ -355,7 +357,7 @@ class _Reader:
         """Return the table."""
         if isinstance(self.given.radius, (float, int)) and all(each.radius for each in self.joints):
             raise InvalidArgument(
-                f"radius is {self.given.radius:g} m, but the file tells that of every wheel; expected a "
+                f"radius is {shown(self.given.radius)} m, but the file tells that of every wheel; expected a "
                 "mapping for those that have another"
             )
         rows = [self._row(joint) for joint in self.joints]
@@ -441,12 +443,7 @@ class _Reader:
 
     def _supports(self, rows: Sequence[Wheel]) -> tuple[Support, ...]:
         if self.given.supports is not None:
-            places = [finite("supports", at) for at in self.given.supports]
-            if any(at.shape != (2,) for at in places):
-                raise InvalidArgument(
-                    f"supports is {shown(self.given.supports)}, expected (x, y) of each [m]"
-                )
-            return tuple(Support(*at.tolist()) for at in places)
+            return tuple(Support(*at) for at in each_of("supports", self.given.supports))
         taken, found = [row.centre for row in rows], []
         for place in [*self.robot.undercarriage.supports, *(joint.centre[:2] for joint in self.standing)]:
             x, y = (round(float(number), _DIGITS) + 0.0 for number in place)

@@ -36,7 +36,8 @@ class Ramp:
         object.__setattr__(self, "direction", scalar("direction of a Ramp", self.direction))
 
     def fall(self, g: float) -> Array:
-        """Return gravity along the axes of the plane, shape (3,) [m/s^2]."""
+        """Return gravity along the axes of the plane, shape (3,) [m/s^2], from what it is straight down."""
+        g = scalar("g", g)
         down = -g * sin(self.angle)
         return frozen([down * cos(self.direction), down * sin(self.direction), -g * cos(self.angle)])
 

@@ -9,6 +9,7 @@ from typing import final
 import numpy as np
 
 from pinmobile.arrays import Array
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot import number
 from pinmobile.wheels.kinematics import Choice, Kinematics, Row
 from pinmobile.wheels.rows import Rows
@@ -26,14 +27,28 @@ class Mobility:
     ----------
     table : WheelTable
         The wheels.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is no table.
     """
 
     table: Rows
 
+    def __post_init__(self) -> None:
+        _checked(self.table)
+
     @classmethod
     def of(cls, table: Rows) -> Mobility:
-        """Return that of a table, which is found once."""
-        return _remembered(table)
+        """Return that of a table, which is found once.
+
+        Raises
+        ------
+        InvalidArgument
+            If it is no table.
+        """
+        return _remembered(_checked(table))
 
     @cached_property
     def _angles(self) -> Array:
@@ -167,6 +182,12 @@ class Mobility:
         else:
             lines.append("rolling determines the force of every wheel")
         return "\n".join(lines)
+
+
+def _checked(table: object) -> Rows:
+    if not isinstance(table, Rows):
+        raise InvalidArgument(f"table is {shown(table)}, expected a WheelTable")
+    return table
 
 
 @lru_cache(maxsize=256)

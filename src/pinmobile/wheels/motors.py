@@ -11,7 +11,18 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, broadcast, finite, non_negative, positive, text
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    broadcast,
+    finite,
+    in_numbers,
+    non_negative,
+    positive,
+    positive_or_endless,
+    scalar,
+    text,
+)
 from pinmobile.compiled import choose
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
@@ -74,26 +85,30 @@ class Motor:
 
     def __post_init__(self) -> None:
         given = {name: getattr(self, name) for name in _ELECTRIC}
-        if None in given.values() and any(value is not None for value in given.values()):
-            lacking = ", ".join(name for name, value in given.items() if value is None)
+        lacking = ", ".join(name for name, value in given.items() if value is None)
+        if lacking and any(value is not None for value in given.values()):
             raise InvalidArgument(
                 f"{lacking} of a Motor is not given, expected resistance, torque_constant and voltage, "
                 "or none of them: a source of torque"
             )
-        new: dict[str, float | str] = {"source": text("source", self.source)}
+        new: dict[str, float] = {}
         for name, unit in _ELECTRIC.items():
             if given[name] is not None:
                 new[name] = positive(f"{name} of a Motor", given[name], unit)
         new["gear"] = positive("gear of a Motor", self.gear)
         new["efficiency"] = positive("efficiency of a Motor", self.efficiency)
-        if self.efficiency > 1:
-            raise InvalidArgument(f"efficiency of a Motor is {self.efficiency:g}, expected one in (0, 1]")
+        if new["efficiency"] > 1:
+            raise InvalidArgument(f"efficiency of a Motor is {new['efficiency']:g}, expected one in (0, 1]")
         for name, unit in (("rotor_inertia", "kg m^2"), ("viscous", "N m s/rad"), ("coulomb", "N m")):
             new[name] = non_negative(f"{name} of a Motor", getattr(self, name), unit)
         for name, unit in (("torque_limit", "N m"), ("current", "A")):
-            value = getattr(self, name)
-            new[name] = value if value == np.inf else positive(f"{name} of a Motor", value, unit)
-        for name, value in new.items():
+            new[name] = positive_or_endless(f"{name} of a Motor", getattr(self, name), unit)
+        if not np.isfinite(new["gear"] * new["gear"] * max(new["rotor_inertia"], 1.0)):
+            raise InvalidArgument(
+                f"gear of a Motor is {new['gear']:g} with a rotor inertia of {new['rotor_inertia']:g} "
+                "kg m^2, whose square times it is beyond 1.8e308: expected less"
+            )
+        for name, value in {**new, "source": text("source", self.source)}.items():
             object.__setattr__(self, name, value)
 
     @classmethod
@@ -146,7 +161,13 @@ class Motor:
             )
         R = V / i_s
         k = (V - R * i_0) / (G * W)
-        share = torque / (G * k * (i_s - i_0))
+        given = G * k * (i_s - i_0)
+        if not 0 < given < np.inf or not 0 < k < np.inf:
+            raise InvalidArgument(
+                f"voltage, rates and currents of {V:g} V, {W:g} rad/s, {i_s:g} A with a gear of {G:g} are "
+                "beyond what numbers can hold, expected those of a motor"
+            )
+        share = torque / given
         if share > 1:
             raise InvalidArgument(
                 f"stall_torque is {torque:g} N m, expected at most {torque / share:.4g} N m, which is what "
@@ -178,6 +199,7 @@ class Motor:
             )
         return self.resistance, self.torque_constant, self.voltage
 
+    @in_numbers
     def armature_current(self, volts: ArrayLike, rate: ArrayLike) -> Array:
         """Return the current (V - k G W) / R within its limit, shape (...) [A].
 
@@ -199,6 +221,7 @@ class Motor:
         i = (np.clip(volts, -most, most) - k * self.gear * rate) / R
         return np.asarray(np.clip(i, -self.current, self.current))
 
+    @in_numbers
     def torque(self, volts: ArrayLike, rate: ArrayLike) -> Array:
         """Return the torque at the wheel that turns at a rate, shape (...) [N m].
 
@@ -210,7 +233,7 @@ class Motor:
         volts, rate
             As in `armature_current`.
         """
-        rate = finite("rate", rate)
+        volts, rate = finite("volts", volts), finite("rate", rate)
         _, k, _ = self._electric("a torque")
         shaft = k * self.armature_current(volts, rate) - self.viscous * self.gear * rate
         rest = np.clip(shaft, -self.coulomb, self.coulomb)
@@ -225,13 +248,21 @@ class Motor:
 
     def no_load_rate(self, volts: float | None = None) -> float:
         """Return the rate of the wheel that runs free at a voltage, by default the largest [rad/s]."""
-        R, k, most = self._electric("a rate")
-        volts = most if volts is None else volts
-        return max((k * volts / R - self.coulomb) / (self.gear * (k * k / R + self.viscous)), 0.0)
+        return max(float(self._free(self._volts("a rate", volts))), 0.0)
+
+    @in_numbers
+    def _free(self, volts: float) -> Array:
+        R, k, _ = self._electric("a rate")
+        held = np.asarray(self.gear * (k * k / R + self.viscous))
+        return np.asarray((k * volts / R - self.coulomb) / held)
+
+    def _volts(self, what: str, volts: float | None) -> float:
+        _, _, most = self._electric(what)
+        return most if volts is None else scalar("volts", volts)
 
     def stall_torque(self, volts: float | None = None) -> float:
         """Return the torque at the wheel that is held, at a voltage, by default the largest [N m]."""
-        return float(self.torque(self._electric("a torque")[2] if volts is None else volts, 0.0))
+        return float(self.torque(self._volts("a torque", volts), 0.0))
 
 
 class Push(NamedTuple):

@@ -8,7 +8,7 @@ from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, frozen, non_negative, positive, vector, whole
+from pinmobile.arrays import Array, finite, frozen, non_negative, positive, whole
 from pinmobile.controllers import Controller, State, answer_of, check_controller, told
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Context, Parameter
@@ -72,7 +72,14 @@ class ByOdometry:
         for name, _, _ in _NUMBERS:
             own = getattr(self, name)
             numbers = [getattr(wheel, name) for wheel in self.table.wheels] if own is None else own
-            object.__setattr__(self, name, frozen(vector(name, numbers, len(self.table))))
+            kept = finite(name, numbers)
+            if kept.shape != (len(self.table),):
+                raise InvalidArgument(
+                    f"{name} has shape {kept.shape}, expected ({len(self.table)},), one per wheel"
+                )
+            if name == "radius" and not (kept > 0).all():
+                raise InvalidArgument(f"radius is {shown(numbers)} m, expected numbers > 0")
+            object.__setattr__(self, name, frozen(kept))
         rows = self._kinematics.rows(*self._still)
         if np.linalg.matrix_rank(np.array([stacked(row.base, self.x) for row in rows])) < 3:
             raise InvalidArgument(

@@ -5,11 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import cos, radians, sin
-from typing import NamedTuple, Protocol, final
+from typing import NamedTuple, Protocol, final, runtime_checkable
 
 import numpy as np
 
-from pinmobile.arrays import finite, non_negative, one_of, positive, scalar, sequence, text
+from pinmobile.arrays import (
+    finite,
+    non_negative,
+    one_of,
+    positive,
+    positive_or_endless,
+    scalar,
+    sequence,
+    text,
+)
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.wheels.motors import Motor
@@ -131,10 +140,7 @@ class Wheel:
             value = getattr(self, key)
             if not isinstance(value, kind) and not (key == "motor" and value is None):
                 raise InvalidArgument(f"{key} {own} is {shown(value)}, expected a {kind.__name__}")
-        limit = self.steering_limit
-        numbers["steering_limit"] = (
-            limit if limit == np.inf else positive(f"steering_limit {own}", limit, "rad")
-        )
+        numbers["steering_limit"] = positive_or_endless(f"steering_limit {own}", self.steering_limit, "rad")
         for key, value in {**numbers, "trail": tuple(trail.tolist())}.items():
             object.__setattr__(self, key, value)
 
@@ -194,7 +200,8 @@ class GearTrain:
 
     def __post_init__(self) -> None:
         names = _names("GearTrain", self.wheels, least=2)
-        ratios = finite("ratios", self.ratios) if len(self.ratios) else np.ones(len(names))
+        ratios = finite("ratios", self.ratios)
+        ratios = ratios if ratios.size else np.ones(len(names))
         if ratios.shape != (len(names),) or not ratios.all():
             raise InvalidArgument(
                 f"ratios is {shown(self.ratios)}, expected {len(names)} numbers other than zero, "
@@ -315,6 +322,7 @@ class Actuator(NamedTuple):
     column: tuple[float, ...]
 
 
+@runtime_checkable
 class Rows(Protocol):
     """What the kinematics asks of a wheel table."""
 

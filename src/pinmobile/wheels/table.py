@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from math import cos, degrees, hypot, pi, radians, sin
 from typing import Any, Self, final
 
 import numpy as np
 
-from pinmobile.arrays import ArrayLike, finite, one_of, positive, scalar, sequence, text
+from pinmobile.arrays import ArrayLike, finite, one_of, positive, scalar, sequence, text, whole
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.wheels.mobility import Mobility
@@ -31,6 +31,7 @@ from pinmobile.wheels.rows import (
 )
 
 _SAME_PLACE = 1e-6  # [m]
+_MOST = 1000  # wheels of a circle
 
 
 @final
@@ -241,6 +242,8 @@ class WheelTable:
         **wheel
             What else each has, see `Wheel`.
         """
+        if not isinstance(coupled, bool):
+            raise InvalidArgument(f"coupled is {shown(coupled)}, expected True or False")
         rows = [
             Wheel(name, x, y, radius, motor=None if coupled and name.startswith("rear") else motor, **wheel)
             for name, x, y in _corners(wheelbase, track)
@@ -275,7 +278,7 @@ class WheelTable:
         **wheel
             What else each has, see `Wheel`.
         """
-        angle = scalar("roller", roller)
+        corners, angle = _corners(wheelbase, track), scalar("roller", roller)
         if angle < 0 and abs(wheelbase - track * abs(np.tan(angle))) < 1e-3 * track:
             raise InvalidArgument(
                 f"roller is {angle:g} rad: the rollers form an O on a base of {wheelbase:g} by {track:g} m, "
@@ -284,7 +287,7 @@ class WheelTable:
         signs = {"front_left": -1, "front_right": 1, "rear_left": 1, "rear_right": -1}
         rows = [
             Wheel(name, x, y, radius, roller=signs[name] * angle, motor=motor, **wheel)
-            for name, x, y in _corners(wheelbase, track)
+            for name, x, y in corners
         ]
         return cls(tuple(rows))
 
@@ -314,9 +317,13 @@ class WheelTable:
         **wheel
             What else each has, see `Wheel`.
         """
-        if n < 3:
-            raise InvalidArgument(f"n is {n}, expected 3 and more: fewer do not determine the motion")
-        L, angles = positive("distance", distance, "m"), first + 2 * pi * np.arange(n) / n
+        count, least = whole("n", n, least=1, most=_MOST), 3
+        if count < least:
+            raise InvalidArgument(f"n is {count}, expected 3 and more: fewer do not determine the motion")
+        L, angles = (
+            positive("distance", distance, "m"),
+            scalar("first", first) + 2 * pi * np.arange(count) / count,
+        )
         rows = [
             Wheel(
                 f"wheel_{k + 1}", L * cos(a), L * sin(a), radius, a + pi / 2, roller=0.0, motor=motor, **wheel
@@ -351,8 +358,8 @@ class WheelTable:
             What else each has, see `Wheel`.
         """
         rows = [
-            Wheel(f"wheel_{k + 1}", *_place("places", at), radius, steering=DRIVEN, motor=motor, **wheel)
-            for k, at in enumerate(places)
+            Wheel(f"wheel_{k + 1}", *at, radius, steering=DRIVEN, motor=motor, **wheel)
+            for k, at in enumerate(each_of("places", places))
         ]
         return cls(tuple(rows), _supports(supports))
 
@@ -383,15 +390,14 @@ class WheelTable:
             What else each has, see `Wheel`.
         """
         L, half = positive("wheelbase", wheelbase, "m"), positive("track", track, "m") / 2
-        if not 0 < steering_limit < pi / 2:
-            raise InvalidArgument(
-                f"steering_limit is {steering_limit!r} rad, expected one below a right angle"
-            )
+        limit = positive("steering_limit", steering_limit, "rad")
+        if not limit < pi / 2:
+            raise InvalidArgument(f"steering_limit is {limit:g} rad, expected one below a right angle")
         rear = [
             Wheel(f"rear_{side}", 0.0, y, radius, **wheel) for side, y in (("left", half), ("right", -half))
         ]
         front = [
-            Wheel(f"front_{side}", L, y, radius, steering=DRIVEN, steering_limit=steering_limit, **wheel)
+            Wheel(f"front_{side}", L, y, radius, steering=DRIVEN, steering_limit=limit, **wheel)
             for side, y in (("left", half), ("right", -half))
         ]
         couplings = (
@@ -444,13 +450,33 @@ def _corners(wheelbase: float, track: float) -> list[tuple[str, float, float]]:
     ]
 
 
-def _place(name: str, at: ArrayLike) -> tuple[float, float]:
-    place = finite(name, at)
-    if place.shape != (2,):
-        raise InvalidArgument(f"{name} has an entry of shape {place.shape}, expected (2,): x and y [m]")
-    x, y = place.tolist()
-    return x, y
+def each_of(name: str, given: object) -> list[tuple[float, float]]:
+    """Return places in the plane.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    given : iterable of (x, y)
+        The argument [m].
+
+    Raises
+    ------
+    InvalidArgument
+        If it is something else.
+    """
+    if isinstance(given, str | bytes | Mapping | Set) or not isinstance(given, Iterable):
+        raise InvalidArgument(f"{name} is {shown(given)}, expected (x, y) of each [m]")
+    if isinstance(given, np.ndarray) and not given.ndim:
+        raise InvalidArgument(f"{name} is {shown(given)}, expected (x, y) of each [m]")
+    found = []
+    for k, at in enumerate(given):
+        place = finite(f"{name}[{k}]", at)
+        if place.shape != (2,):
+            raise InvalidArgument(f"{name}[{k}] has shape {place.shape}, expected (x, y) of each [m]")
+        found.append((float(place[0]), float(place[1])))
+    return found
 
 
-def _supports(places: Iterable[ArrayLike]) -> tuple[Support, ...]:
-    return tuple(Support(*_place("supports", at)) for at in places)
+def _supports(places: object) -> tuple[Support, ...]:
+    return tuple(Support(*at) for at in each_of("supports", places))

@@ -16,6 +16,7 @@ from pinmobile.wheels.ground import Coulomb
 from pinmobile.wheels.kinematics import Kinematics
 
 _STILL = 1e-9  # [rad/s], below which a body does not turn
+_TOLD = ("along", "across", "slip_along", "slip_across", "loads", "slides")
 _ACROSS = {"rolling": 0, "roller": 0, "lateral": 1, "across": 1}
 
 
@@ -41,6 +42,7 @@ def contacts_of(wheeled: Any, q: Array, v: Array, a: Array, u: Array, signals: M
     places, directions = _placed(Kinematics.of(table), q, steering)
     if isinstance(wheeled.ground, Coulomb):
         mu = wheeled.mu
+        _check_signals(signals, n)
         forces = np.stack([signals["along"].values, signals["across"].values], axis=-1)
         slips = np.stack([signals["slip_along"].values, signals["slip_across"].values], axis=-1)
         loads, slides = signals["loads"].values[:, :k], signals["slides"].values > 0.5
@@ -65,6 +67,16 @@ def contacts_of(wheeled: Any, q: Array, v: Array, a: Array, u: Array, signals: M
         np.asarray(slides, bool),
         _centre(wheeled.pose(q), wheeled.rate(q, v)),
     )
+
+
+def _check_signals(signals: object, n: int) -> None:
+    """Refuse signals that are not those of a run on ground where wheels slip."""
+    for name in _TOLD:
+        values = getattr(signals.get(name), "values", None) if isinstance(signals, Mapping) else None
+        if not isinstance(values, np.ndarray) or values.ndim != 2 or len(values) != n:
+            raise InvalidArgument(
+                f"signals has no {name!r} of {n} samples, expected the signals of a run of this robot"
+            )
 
 
 def _placed(kinematics: Kinematics, q: Array, steering: list[Array]) -> tuple[Array, Array]:

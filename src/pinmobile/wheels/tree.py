@@ -8,7 +8,7 @@ from typing import final
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, frozen
+from pinmobile.arrays import Array, finite_answer, frozen
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot import BODY_JOINT, Engine, MobileRobot, System, number
 from pinmobile.urdf import Body
@@ -85,6 +85,7 @@ class WheelTree(System):
     def effects(self, q: Array, v: Array) -> Array:
         """Return n(q, v), shape (..., nv), unchecked."""
         whole, rates, G, bent = self.state_of(q, v)
+        finite_answer(bent, q=q, v=v)
         return np.asarray(np.einsum("...ki,...k->...i", G, self.inverse_dynamics(whole, rates, bent)))
 
     def inertia_and_effects(self, q: Array, v: Array) -> tuple[Array, Array]:

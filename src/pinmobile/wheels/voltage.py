@@ -56,7 +56,7 @@ class ByVoltage:
     broadcasts: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        if not hasattr(self.wheeled, "table") or not hasattr(self.wheeled, "traced"):
+        if not isinstance(getattr(self.wheeled, "table", None), WheelTable):
             raise InvalidArgument(f"wheeled is {shown(self.wheeled)}, expected a WheeledRobot")
         if not self._electric:
             raise InvalidArgument(
@@ -176,7 +176,12 @@ class ByVoltage:
             if name in named:
                 constants[named[name].attribute][named[name].entry] = scalar(name, value)
             elif name in constants:
-                constants[name] = vector(name, value, len(self._electric))
+                given = vector(name, value, len(self._electric))
+                if given.ndim > 1:
+                    raise InvalidArgument(
+                        f"{name} has shape {given.shape}, expected ({len(self._electric)},)"
+                    )
+                constants[name] = given
             else:
                 raise UnknownName("parameter of a robot", name, named)
         motors = {}
@@ -242,8 +247,9 @@ class ByVoltage:
         f : array_like, shape (..., nv), optional
             Generalised forces beside them.
         """
-        state = self._state(q, v, u)
-        return np.asarray(self.traced().forward_dynamics(*state, finite("f", f) if np.any(f) else 0.0))
+        beside = finite("f", f)
+        force = vector("f", beside, self.nv) if beside.ndim or beside else 0.0
+        return np.asarray(self.traced().forward_dynamics(*self._state(q, v, u), force))
 
     def _state(self, q: ArrayLike, v: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array]:
         return vector("q", q, self.nq), vector("v", v, self.nv), vector("u", u, self.nu)

@@ -12,7 +12,18 @@ from typing import Any, ClassVar, NamedTuple, Self, final
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, frozen, one_of, vector
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    broadcast,
+    finite,
+    finite_answer,
+    frozen,
+    in_numbers,
+    one_of,
+    positive,
+    vector,
+)
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Contacts, Coordinate, Input, Parameter, Step
@@ -485,6 +496,16 @@ class WheeledRobot:
         whole[..., :BODY_JOINT] = wrench
         return whole
 
+    def _f(self, f: ArrayLike) -> Array:
+        """Check generalised forces beside the input, 0 for none."""
+        array = finite("f", f)
+        return array if array.ndim == 0 and not array else self._v("f", array)
+
+    def _of_axes(self, name: str, value: ArrayLike) -> Array:
+        """Check numbers of the steering axes, none for zeros."""
+        array, n = finite(name, value), len(self.table.axes)
+        return np.zeros(n) if array.shape == (0,) else vector(name, array, n)
+
     # What is seen
 
     @property
@@ -509,6 +530,7 @@ class WheeledRobot:
         """
         return self._picture.visuals.clone()
 
+    @in_numbers
     def drawing(self, q: ArrayLike) -> Array:
         """Return where the objects of `visual_model` are in the inertial frame, shape (..., k, 4, 4)."""
         return self._picture.placements(self._q(q))
@@ -585,11 +607,13 @@ class WheeledRobot:
         A[..., 0], A[..., 1] = c * x - s * y, s * x + c * y
         return A, drift
 
+    @in_numbers
     def constraint_matrix(self, q: ArrayLike) -> Array:
         """Return A(q), shape (..., k, nv): A v = 0 where the wheels roll; see `constraint_names`."""
         q = self._q(q)
         return self._rows(q, np.zeros(self.nv))[0]
 
+    @in_numbers
     def constraint_drift(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return dA/dt v, shape (..., k) [m/s^2]: A a = -dA/dt v keeps rolling."""
         q, v = self._q(q), self._v("v", v)
@@ -621,21 +645,25 @@ class WheeledRobot:
 
     # Dynamics
 
+    @in_numbers
     def mass_matrix(self, q: ArrayLike) -> Array:
         """Return M(q), shape (..., nv, nv) [kg, kg m, kg m^2], by Pinocchio's CRBA, rotors included."""
         return self._tree.inertia(self._q(q))
 
+    @in_numbers
     def nonlinear_effects(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return n(q, v), shape (..., nv) [N, N, N m, ...], by Pinocchio's RNEA."""
         q, v = self._q(q), self._v("v", v)
         broadcast(q=q, v=v)
         return self._tree.effects(q, v)
 
+    @in_numbers
     def kinetic_energy(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return v' M(q) v / 2, shape (...) [J]."""
         v = self._v("v", v)
         return np.asarray(np.einsum("...i,...ij,...j->...", v, self.mass_matrix(q), v) / 2)
 
+    @in_numbers
     def forward_dynamics(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Array:
         """Return the acceleration, shape (..., nv) [m/s^2, ...].
 
@@ -653,10 +681,12 @@ class WheeledRobot:
         """
         if isinstance(self.ground, Coulomb):
             q, v, u = self._q(q), self._v("v", v), vector("u", u, self.nu)
-            broadcast(q=q, v=v, u=u)
-            return np.asarray(self._traced.forward_dynamics(q, v, u, finite("f", f)))
+            f = self._f(f)
+            broadcast(q=q, v=v, u=u, **({"f": f} if f.ndim else {}))
+            return np.asarray(self._traced.forward_dynamics(q, v, u, f if f.ndim else 0.0))
         return self._constrained(q, v, u, f, self._independent)[0]
 
+    @in_numbers
     def constraint_forces(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Forces:
         """Return the forces of the ground at the wheels, and which of them rolling determines."""
         if isinstance(self.ground, Coulomb):
@@ -677,9 +707,9 @@ class WheeledRobot:
         self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike, rows: list[int] | None
     ) -> tuple[Array, Array]:
         """Return acceleration and constraint forces, by all rows or by some from which the others follow."""
-        q, v, u, f = self._q(q), self._v("v", v), vector("u", u, self.nu), finite("f", f)
+        q, v, u, f = self._q(q), self._v("v", v), vector("u", u, self.nu), self._f(f)
         if q.ndim > 1 or v.ndim > 1 or u.ndim > 1 or f.ndim > 1:
-            broadcast(q=q, v=v, u=u, f=np.broadcast_to(f, (*f.shape[:-1], self.nv)))
+            broadcast(q=q, v=v, u=u, **({"f": f} if f.ndim else {}))
         M, n = self._tree.inertia_and_effects(q, v)
         A, drift = self._rows(q, v)
         if rows is not None:
@@ -716,6 +746,7 @@ class WheeledRobot:
             raise AttributeError("a WheeledRobot whose wheels slip has no project")
         return self._projected
 
+    @in_numbers
     def _projected(self, q: ArrayLike, v: ArrayLike) -> Array:
         q, v = self._q(q), self._v("v", v)
         M, _ = self._tree.inertia_and_effects(q, v)
@@ -724,6 +755,7 @@ class WheeledRobot:
         through = np.linalg.solve(M, np.swapaxes(A, -1, -2))
         return np.asarray(v - (through @ np.linalg.solve(A @ through, A @ v[..., None]))[..., 0])
 
+    @in_numbers
     def reduced(self, q: ArrayLike, v: ArrayLike) -> Reduced:
         """Return the dynamics of the independent velocities, of Pinocchio's tree: see `Reduced`.
 
@@ -748,6 +780,7 @@ class WheeledRobot:
             S_T @ M @ columns, np.einsum("...ij,...j->...i", S_T, n), S_T @ self.input_matrix, columns, nu
         )
 
+    @in_numbers
     def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return the input of least norm with which body and arms accelerate so, shape (..., nu) [N m].
 
@@ -804,6 +837,7 @@ class WheeledRobot:
                 "direction; expected a motor for each degree of freedom"
             )
 
+    @in_numbers
     def independent(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return the independent velocities nu of a state that rolls, shape (..., m): see `Reduced`."""
         q, v = self._q(q), self._v("v", v)
@@ -811,6 +845,7 @@ class WheeledRobot:
         nu = map(number, self._rolling.velocities(self._rolling.state(q, v)))
         return np.stack([np.broadcast_to(x, lead) for x in nu], axis=-1)
 
+    @in_numbers
     def torques(self, q: ArrayLike, v: ArrayLike, rates: ArrayLike) -> Array:
         """Return the input of least norm with which independent velocities change so, shape (..., nu) [N m].
 
@@ -851,6 +886,7 @@ class WheeledRobot:
         """
         return frozen(self._traced.pivots) if self.table.axes else frozen(np.zeros((0, 3)))
 
+    @in_numbers
     def lateral_velocity(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return how fast fixed wheels would slide sideways if the body moved so, shape (...) [m/s].
 
@@ -865,9 +901,14 @@ class WheeledRobot:
             If there is no fixed axle.
         """
         q, v = finite("q", q), finite("v", v)
+        for name, array in (("q", q), ("v", v)):
+            if not array.ndim or array.shape[-1] < BODY_JOINT:
+                raise InvalidArgument(f"{name} has shape {array.shape}, expected (..., n), n >= {BODY_JOINT}")
+        broadcast(q=q, v=v)
         c, s, (a, b, arm) = np.cos(q[..., 2]), np.sin(q[..., 2]), self.axle
         return np.asarray((a * c - b * s) * v[..., 0] + (a * s + b * c) * v[..., 1] + arm * v[..., 2])
 
+    @in_numbers
     def allocate(self, q: ArrayLike, tau: ArrayLike) -> Allocation:
         """Return the torques within limits that come nearest to a force on body and arms.
 
@@ -914,6 +955,7 @@ class WheeledRobot:
         had[:2] = state.c * x - state.s * y, state.s * x + state.c * y
         return np.asarray(tau - had)
 
+    @in_numbers
     def allocate_scaled(self, q: ArrayLike, tau: ArrayLike) -> tuple[Array, Array]:
         """Return torques for a force on body and arms, scaled by one factor into limits, and what is left.
 
@@ -933,6 +975,7 @@ class WheeledRobot:
         u, left = self._rolling.allocate_scaled(q, tau)
         return np.asarray(u), np.asarray(left)
 
+    @in_numbers
     def wheel_rates(self, twist: ArrayLike, steering: ArrayLike = (), turning: ArrayLike = ()) -> Array:
         """Return the rates of the wheels that roll at a body twist, shape (..., wheels) [rad/s].
 
@@ -943,16 +986,14 @@ class WheeledRobot:
         steering, turning : array_like, shape (..., axes), optional
             Steering angles and their rates; by default zero [rad, rad/s].
         """
-        twist, n = vector("twist", twist, BODY_JOINT), len(self.table.axes)
-        angles, turns = (
-            np.zeros(n) if np.size(x) == 0 else vector(name, x, n)
-            for name, x in (("steering", steering), ("turning", turning))
-        )
-        lead = np.broadcast_shapes(twist.shape[:-1], angles.shape[:-1], turns.shape[:-1])
+        twist = vector("twist", twist, BODY_JOINT)
+        angles, turns = self._of_axes("steering", steering), self._of_axes("turning", turning)
+        lead = broadcast(twist=twist, steering=angles, turning=turns)
         parts = (list(np.moveaxis(x, -1, 0)) for x in (angles, twist, turns))
         rates = map(number, self._kinematics.wheel_rates(*parts))
         return np.stack([np.broadcast_to(rate, lead) for rate in rates], axis=-1)
 
+    @in_numbers
     def odometry(self, rates: ArrayLike, steering: ArrayLike = (), turning: ArrayLike = ()) -> Array:
         """Return the body twist that fits measured rates of the wheels best, shape (..., 3) [m/s, rad/s].
 
@@ -966,11 +1007,8 @@ class WheeledRobot:
             Steering angles and their rates; by default zero [rad, rad/s].
         """
         rates, n = vector("rates", rates, len(self.table)), len(self.table.axes)
-        angles, turns = (
-            np.zeros(n) if np.size(x) == 0 else vector(name, x, n)
-            for name, x in (("steering", steering), ("turning", turning))
-        )
-        lead = np.broadcast_shapes(rates.shape[:-1], angles.shape[:-1], turns.shape[:-1])
+        angles, turns = self._of_axes("steering", steering), self._of_axes("turning", turning)
+        lead = broadcast(rates=rates, steering=angles, turning=turns)
         q = np.zeros((*lead, self.nq))
         q[..., self.robot.nq : self.robot.nq + n] = angles
         A = self.constraint_matrix(q)
@@ -1007,8 +1045,13 @@ class WheeledRobot:
         self, t: float, q: ArrayLike, v: ArrayLike, u: ArrayLike, h: float, f: ArrayLike, memory: Grip
     ) -> Step:
         q, v, u = self._q(q), self._v("v", v), vector("u", u, self.nu)
-        f = 0.0 if isinstance(f, float) and f == 0 else finite("f", f)
-        return self._slipping.step(t, q, v, u, h, f, memory)
+        beside = 0.0 if isinstance(f, float) and f == 0 else self._f(f)
+        h = positive("h", h, "s")
+        if not isinstance(memory, Grip):
+            raise InvalidArgument(
+                f"memory is {shown(memory)}, expected what initial_state or a step returned"
+            )
+        return self._slipping.step(t, q, v, u, h, beside if np.ndim(beside) else 0.0, memory)
 
     def check_start(self, q: ArrayLike, v: ArrayLike) -> None:
         """Refuse a start at which wheels on one gear train turn at different rates, or those that roll slip.
@@ -1019,8 +1062,11 @@ class WheeledRobot:
             If it is such.
         """
         q, v = self._q(q), self._v("v", v)
+        broadcast(q=q, v=v)
         A = self.constraint_matrix(q)
-        names, off = self.constraint_names, np.abs(A @ v)
+        with np.errstate(all="ignore"):
+            slips = finite_answer((A @ v[..., None])[..., 0], q=q, v=v)
+        names, off = self.constraint_names, np.abs(slips).reshape(-1, A.shape[-2]).max(axis=0, initial=0.0)
         for name, slip in zip(names, off, strict=True):
             held = isinstance(self.ground, Rolling) or name == "train"
             if held and slip > _OFF * (1 + float(np.abs(v).max())):
