@@ -66,7 +66,6 @@ ALLOWED: dict[str, set[str]] = {
         "simulation",
     },
     "sweeps": {"files", "ensembles", "extras"},
-    "wheels": {"robot", "controllers"},
     "balance": {"robot"},
     "reaching": {"robot", "trajectories", "integrators", "plant"},
     "palette": set(),

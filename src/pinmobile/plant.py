@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, callable_as, finite, frozen, positive, sequence, text, whole
 from pinmobile.errors import InvalidArgument, shown
@@ -75,6 +76,11 @@ class Plant(Protocol):
         What `pinmobile.balance` asks, of many states at once: the wrench (fx, fy, fz, mx, my, mz) of the
         ground on the body, along and about the body's frame [N, N m]; and the corners (k, 2) of what it
         stands on [m].
+    ``contact_loads(q, v, a) -> ContactLoads``, ``slip_margins(motion) -> SlipMargins``
+        Also what `balance` asks: what each contact carries, and how far from slipping it is in a motion, which
+        has q, v, a and u, and of a run ``signals``.
+    ``on_ramp(angle, direction) -> plant``
+        The same on ground that rises by an angle, the way up from the inertial x axis [rad].
     ``measures``, ``measured(t, q, v, a, u, reference) -> (m,)``
         What is worth judging about a sample beside errors, a tuple of m `pinmobile.measures.Measure`, and the
         law that gives them, all numbers the plant's own: ensembles keep the worst of each.
@@ -119,6 +125,49 @@ class Step(NamedTuple):
     q: Array
     v: Array
     memory: object = None
+
+
+class ContactLoads(NamedTuple):
+    """What the ground carries at each place where a robot touches it.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the contacts.
+    values : ndarray, shape (..., k)
+        Load of each, none below zero [N].
+    springs : ndarray, shape (..., k)
+        The same where contacts could pull too: below zero where one has lifted off [N].
+    tips : ndarray of bool, shape (...)
+        Where no loads balance the robot, which begins to tip over.
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    springs: Array
+    tips: NDArray[np.bool_]
+
+
+class SlipMargins(NamedTuple):
+    """How far wheels are from slipping.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of a wheel, or of the wheels of an axle, such as ``"left + right"``, of which only the sum of the forces
+        across them is determined.
+    values : ndarray, shape (..., k)
+        Friction that is left, below zero where the ground would have to exert more than it can [N].
+    along : ndarray, shape (..., wheels)
+        Force of the ground along each wheel, or along the axis of its roller [N].
+    across : ndarray, shape (..., k)
+        That across them [N].
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    along: Array
+    across: Array
 
 
 class Coordinate(NamedTuple):

@@ -26,10 +26,14 @@ class Loads(NamedTuple):
     tips : scalar
         1 where no loads of three contacts, or more, balance the robot, which begins to tip over; what is
         told then carries the weight alone. Else 0.
+    springs : list of scalars
+        What equal springs at all contacts would carry that may pull too: below zero where a contact has no
+        load [N].
     """
 
     values: Vector
     tips: Any
+    springs: Vector
 
 
 def shared_loads(places: Sequence[Vector], fz: Any, mx: Any, my: Any, drops: int | None = None) -> Loads:
@@ -51,6 +55,7 @@ def shared_loads(places: Sequence[Vector], fz: Any, mx: Any, my: Any, drops: int
     fz, mx, my = number(fz), number(mx), number(my)
     kept: Vector = [ONE] * len(places)
     values, whole = _of_springs(places, kept, [fz, mx, my])
+    springs = values
     least, tips = -_NOTHING * abs(fz), choose(fz <= 0.0, 1.0, 0.0)
     for _ in range(count):
         kept = [choose(x < least, 0.0, number(weight)) for x, weight in zip(values, kept, strict=True)]
@@ -64,7 +69,7 @@ def shared_loads(places: Sequence[Vector], fz: Any, mx: Any, my: Any, drops: int
     total = sum(pressed[1:], pressed[0])
     # Where one is below zero that cannot be dropped, the others carry the weight, and moments are left.
     scale = choose(tips > 0.0, higher(fz, 0.0) / choose(total > 0.0, total, 1.0), 1.0)
-    return Loads([x * scale for x in pressed], tips)
+    return Loads([x * scale for x in pressed], tips, springs)
 
 
 def _of_springs(

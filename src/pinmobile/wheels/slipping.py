@@ -13,8 +13,9 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from pinmobile.compiled import choose, plain
+from pinmobile.compiled import choose
 from pinmobile.errors import InvalidArgument
+from pinmobile.measures import Measure
 from pinmobile.plant import Step
 from pinmobile.robot import (
     ONE,
@@ -29,8 +30,10 @@ from pinmobile.robot import (
     vector_of as stacked,
 )
 from pinmobile.wheels.contact import Bounds, Impulses, Touch, impulses
-from pinmobile.wheels.loads import Loads, shared_loads
+from pinmobile.wheels.judging import measured, measures_of
+from pinmobile.wheels.loads import Loads
 from pinmobile.wheels.rolling import State, WheeledBody
+from pinmobile.wheels.standing import item, loads, numbers, quick
 from pinmobile.wheels.table import GearTrain, WheelTable
 
 _BASE = 3
@@ -98,23 +101,28 @@ class SlippingBody(WheeledBody):
 
     Parameters
     ----------
-    mu, across, rolling, slip : ndarray, shape (wheels,)
+    across, rolling, slip : ndarray, shape (wheels,)
         As of `Friction`.
-    upright : ndarray, shape (3,)
-        Of a robot without arms, what the ground alone feels: height of the centre of mass of the whole [m],
-        and inertia xz and yz about it [kg m^2].
     passes, sweeps, tolerance
         As of `Coulomb`.
     """
 
-    mu: Any
     across: Any
     rolling: Any
     slip: Any
-    upright: Any
     passes: int
     sweeps: int
     tolerance: float
+
+    @cached_property
+    def measures(self) -> tuple[Measure, ...]:
+        """What is worth judging about it: see `WheeledRobot.measures`."""
+        return measures_of(self, slips=True)
+
+    def measured(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
+        """Return its measures, shape (..., m)."""
+        del t
+        return measured(self, q, v, a, u, reference.q, slips=True)
 
     # Gear trains
 
@@ -179,7 +187,7 @@ class SlippingBody(WheeledBody):
             return [x[k] for k in touched]
 
         touches = []
-        for k, (pair, give) in enumerate(zip(pairs, _numbers(self.slip), strict=True)):
+        for k, (pair, give) in enumerate(zip(pairs, numbers(self.slip), strict=True)):
             touches.append(
                 Touch(
                     rows=[over(row) for row in pair],
@@ -209,56 +217,19 @@ class SlippingBody(WheeledBody):
         """
         vx, vy, w = state.twist
         pull = self.pull(state)
-        a = [rate[0] - w * vy - pull[0], rate[1] + w * vx - pull[1], *rate[2:]]
-        fz, mx, my = self._carried(state, a, q)
-        first = _BASE + self.na
-        rates = [*state.rates]
-        for row, spin in enumerate(_numbers(self.spin_inertia)):
-            head, k = self.kinematics.heading(row, state.steering), len(self.table.axes) + row
-            steered = [axis for at, axis in self._steered if at == row]
-            turn = w + head.first * rates[steered[0]] if steered else w
-            faster, slower = spin * rate[first + k], spin * rates[k] * turn
-            mx = mx - head.s * faster - head.c * slower
-            my = my + head.c * faster - head.s * slower
-            wheel = self.table.wheels[row]
-            if steered and wheel.mass and any(wheel.trail):  # its weight moves
-                (_, p), (_, p0) = self._centres(row, state)
-                weight = -wheel.mass * float(self.fall[2])
-                mx, my = mx + weight * (p[1] - p0[1]), my - weight * (p[0] - p0[0])
-        places = [self.kinematics.centre(row, state.steering)[1] for row in range(len(self.table))]
-        places += [[exact(each.x), exact(each.y)] for each in self.table.supports]
-        return shared_loads(places, fz, mx, my)
-
-    def _carried(self, state: State, a: Vector, q: Any) -> Vector:
-        """Return fz, mx and my of the ground, wheels at rest in the body; `a` has no part of gravity."""
-        if self.na:
-            n = _BASE + self.na
-            at, still = stacked([ZERO, ZERO, ZERO, *state.arms], q), stacked([ZERO] * n, q)
-            v = stacked([*state.twist, *state.arm_rates], q)
-            found = _numbers(self.robot.ground_wrench(at, v, stacked(a[:n], q)))[2:5]
-            if not self._slack:
-                return found
-            weights = _numbers(self.robot.ground_wrench(at, still, still))[2:5]
-            return [x - self._slack * y for x, y in zip(found, weights, strict=True)]
-        body = self.robot
-        m, x, y = (exact(_item(each)) for each in (body.mass, body.com_x, body.com_y))
-        (height, xz, yz), w, spin, g = _numbers(self.upright), state.twist[2], a[2], -float(self.fall[2])
-        ax, ay = a[0] - spin * y - w * w * x, a[1] + spin * x - w * w * y
-        mx = m * (y * g - height * ay) + (xz * spin - yz * (w * w))
-        my = m * (height * ax - x * g) + (yz * spin + xz * (w * w))
-        return [m * g, mx, my]
+        return loads(self, state, [rate[0] - w * vy - pull[0], rate[1] + w * vx - pull[1], *rate[2:]], q)
 
     def _bounds(self, shape: _Shape, loads: Vector, slips: Sequence[Vector], h: Any) -> list[Bounds]:
         """Return what the friction of each wheel is at most."""
         first, found = _BASE + self.na + len(self.table.axes), []
         holds: dict[int, Any] = {}
-        for k, (share, r) in enumerate(zip(_numbers(self.rolling), _numbers(self.radius), strict=True)):
+        for k, (share, r) in enumerate(zip(numbers(self.rolling), numbers(self.radius), strict=True)):
             ratio = abs(float(self._leaders[first + k][1]))
             at = shape.touches[k].spin
             holds[at] = holds.get(at, ZERO) + h * (exact(ratio) * share * r) * loads[k]
         for k, wheel in enumerate(self.table.wheels):
-            along = number(h * _numbers(self.mu)[k] * loads[k])
-            across = along if wheel.roller is None else number(h * _numbers(self.across)[k] * loads[k])
+            along = number(h * numbers(self.mu)[k] * loads[k])
+            across = along if wheel.roller is None else number(h * numbers(self.across)[k] * loads[k])
             found.append(Bounds(along, across, number(holds[shape.touches[k].spin]), slips[k]))
         return found
 
@@ -313,17 +284,17 @@ class SlippingBody(WheeledBody):
             From the step before.
         """
         del t
-        h = _item(h)
+        h = item(h)
         state = self._plain_state(q, v)
         before = [*state.twist, *state.arm_rates, *state.rates]
         middle = self._at_middle(state, q, v, h)
         shape = self._shape(middle, q, h)
-        psi = _numbers(q)[2]
+        psi = numbers(q)[2]
         turning = not (np.ndim(f) == 0 and not isinstance(f, np.ndarray) and number(exact(f)) == 0)
         turning = turning or bool(self.fall[0] or self.fall[1])
-        after, rate = before, _numbers(memory.acceleration)
+        after, rate = before, numbers(memory.acceleration)
         contact, holding, multipliers = (
-            [number(x) for x in _numbers(part)]
+            [number(x) for x in numbers(part)]
             for part in (memory.forces, memory.holding, memory.multipliers)
         )
         grip = Impulses([], [x * h for x in contact], [x * h for x in holding], multipliers, 0.0)
@@ -366,7 +337,7 @@ class SlippingBody(WheeledBody):
 
     def _plain_state(self, q: Any, v: Any) -> State:
         state = self.state(q, v)
-        return State(*([_quick(y) for y in x] if isinstance(x, list) else _quick(x) for x in state))
+        return State(*([quick(y) for y in x] if isinstance(x, list) else quick(x) for x in state))
 
     def _at_middle(self, state: State, q: Any, v: Any, h: Any) -> State:
         """Return the state whose shape is that of mid-step, as the velocity of now leads there."""
@@ -489,17 +460,3 @@ def _factored(M: Matrix) -> Any:
 
     return solve
 
-
-def _item(x: Any) -> Any:
-    """Return the entry of an array without axes; an array or a number as it is."""
-    x = plain(x)
-    return x.item() if isinstance(x, np.ndarray) and not x.ndim else x
-
-
-def _numbers(x: Any) -> Vector:
-    """Return the entries of the last axis; what is known to be a number as Python's, which is quicker."""
-    return [_quick(y) for y in scalars(x)]
-
-
-def _quick(x: Any) -> Any:
-    return float(x) if isinstance(x, np.float64) else x

@@ -16,8 +16,9 @@ from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer,
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Coordinate, Input, Parameter, Step
-from pinmobile.robot import BODY_JOINT, LOCKED, Engine, Load, MobileRobot, System, number
+from pinmobile.robot import BODY_JOINT, LOCKED, Engine, Load, MobileRobot, Mount, System, hull, number
 from pinmobile.urdf import Body
+from pinmobile.wheels.bearing import Bearing
 from pinmobile.wheels.description import joint_signs, read_robot, read_wheels
 from pinmobile.wheels.ground import Coulomb, Ground, Rolling
 from pinmobile.wheels.kinematics import Kinematics
@@ -88,7 +89,7 @@ class Allocation(NamedTuple):
 @final
 @constant
 @dataclass(frozen=True, eq=False, repr=False)
-class WheeledRobot:
+class WheeledRobot(Bearing):
     """A robot on wheels: q = (x, y, psi, arms..., steering..., wheels...), u = torques at arms, wheels and axes.
 
     All methods broadcast over leading axes, and raise `InvalidArgument` for arguments of another last axis or
@@ -155,13 +156,7 @@ class WheeledRobot:
                 "wheels depend; expected one read with ground=, or ground=Rolling()"
             )
         led(self.table)
-        places = [[1.0, *wheel.centre] for wheel in self.table.wheels]
-        places += [[1.0, each.x, each.y] for each in self.table.supports]
-        if np.linalg.matrix_rank(np.array(places), tol=_SAME_LINE) < 3:
-            raise InvalidArgument(
-                f"table has {len(places)} places where the robot stands, on one line, expected three that "
-                "are not: give supports=[(x, y), ...], where casters stand"
-            )
+        self._check_places()
         moving = np.diagonal(self.mass_matrix(self.rest))[self.robot.nv :]
         for name, inertia in zip(
             (*(axis.name for axis in self.table.axes), *self.table.names), moving, strict=True
@@ -171,6 +166,38 @@ class WheeledRobot:
                     f"{name} of the table has no inertia about its axis, expected one > 0 where wheels slip: "
                     "give spin_inertia, and yaw_inertia of wheels that steer"
                 )
+
+    @cached_property
+    def _places(self) -> Array:
+        """Where it touches the ground at steering angles zero, wheels and then supports, shape (k, 2) [m]."""
+        places = [wheel.centre for wheel in self.table.wheels]
+        return frozen([*places, *((each.x, each.y) for each in self.table.supports)])
+
+    @cached_property
+    def _has_area(self) -> bool:
+        ones = np.ones((len(self._places), 1))
+        return bool(np.linalg.matrix_rank(np.hstack([ones, self._places]), tol=_SAME_LINE) == 3)
+
+    def _check_places(self) -> None:
+        if not self._has_area:
+            raise InvalidArgument(
+                f"table has {len(self._places)} places where the robot stands, on one line, expected three "
+                "that are not: give supports=[(x, y), ...], where casters stand"
+            )
+
+    @property
+    def grounded(self) -> bool:
+        """Whether the body's origin is known to lie on the ground; if not, nothing is known of its loads."""
+        return self.robot.grounded
+
+    @cached_property
+    def footprint(self) -> Array | None:
+        """Corners of what it stands on, wheels at steering angles zero and supports, shape (k, 2) [m].
+
+        Counter-clockwise, in the body's frame; None where they are on one line.
+        """
+        corners = hull(self._places) if self._has_area else None
+        return None if corners is None else frozen(corners)
 
     def _key(self) -> tuple[object, ...]:
         return self.robot, self.table, self.ground
@@ -225,6 +252,11 @@ class WheeledRobot:
         robot = read_robot(path, package_dirs, ground_z, given.get("radius"), given.get("locked", ()))
         wheels = read_wheels(robot, **given) if table is None else table
         return cls(robot, wheels, ground)  # type: ignore[arg-type]
+
+    @property
+    def mounts(self) -> tuple[Mount, ...]:
+        """The arms that it carries."""
+        return self.robot.mounts
 
     @property
     def source(self) -> str:
@@ -312,25 +344,26 @@ class WheeledRobot:
                         entry=k,
                     )
                 )
-        if isinstance(self.ground, Coulomb):
-            found.append(Parameter("mu", "", "coefficient of friction of all wheels", 0.0))
-            for k, name in enumerate(self.table.names):
-                meaning = f"coefficient of friction of wheel {name}"
-                found.append(Parameter(f"mu_{name}", "", meaning, 0.0, attribute="mu", entry=k))
-            if not self.robot.mounts:
-                found.append(
-                    Parameter("com_z", "m", "height of the centre of mass", attribute="upright", entry=0)
-                )
+        found.append(Parameter("mu", "", "coefficient of friction of all wheels", 0.0))
+        for k, name in enumerate(self.table.names):
+            meaning = f"coefficient of friction of wheel {name}"
+            found.append(Parameter(f"mu_{name}", "", meaning, 0.0, attribute="mu", entry=k))
+        if not self.robot.mounts:
+            found.append(Parameter("com_z", "m", "height of the centre of mass", attribute="upright", entry=0))
+        sides = [wheel.y for wheel in self.table.wheels]
+        if min(sides) < 0 < max(sides):
+            width = max(sides) - min(sides)
+            words = "largest distance between wheels to the left and the right, all of which move in proportion"
+            found.append(Parameter("track", "m", words, 0.0, False, "y", None, _Track(width), width))
         return tuple(found)
 
     @cached_property
     def _columns(self) -> dict[str, Array]:
         names = ("x", "y", "radius", "spin_inertia")
         found = {name: frozen([getattr(wheel, name) for wheel in self.table.wheels]) for name in names}
-        if isinstance(self.ground, Coulomb):
-            mu = self.ground.mu
-            found["mu"] = frozen([wheel.friction.mu if mu is None else mu for wheel in self.table.wheels])
-            found["upright"] = self._upright
+        mu = self.ground.mu if isinstance(self.ground, Coulomb) else None
+        found["mu"] = frozen([wheel.friction.mu if mu is None else mu for wheel in self.table.wheels])
+        found["upright"] = self._upright
         return found
 
     @cached_property
@@ -363,16 +396,16 @@ class WheeledRobot:
 
     @property
     def mu(self) -> Array:
-        """Coefficients of friction of the wheels where they may slip, shape (wheels,)."""
-        return self._where_it_slips("mu", lambda: self._columns["mu"])
+        """Coefficients of friction of the wheels, of rollers along their axes, shape (wheels,)."""
+        return self._columns["mu"]
 
     @property
     def upright(self) -> Array:
-        """What the ground alone feels of a robot without arms that may slip, shape (3,) [m, kg m^2, kg m^2].
+        """What the ground alone feels of a robot without arms, shape (3,) [m, kg m^2, kg m^2].
 
         Height of the centre of mass, and inertia xz and yz about it.
         """
-        return self._where_it_slips("upright", lambda: self._columns["upright"])
+        return self._columns["upright"]
 
     # Configurations
 
@@ -984,6 +1017,8 @@ class WheeledRobot:
             "table": self.table,
             "rotors": frozen([actuator.motor.reflected_inertia for actuator in self.table.actuators]),
             "fall": self._fall,
+            "footprint": self.footprint,
+            "stands": self.grounded and self._has_area,
             "choice": self.mobility.choice,
             "coordinates": self.coordinates,
             "inputs": self.inputs,
@@ -1008,6 +1043,26 @@ class WheeledRobot:
         return SlippingBody(
             **self._common, **own, passes=ground.passes, sweeps=ground.sweeps, tolerance=ground.tolerance
         )
+
+
+@final
+@constant
+@dataclass(frozen=True)
+class _Track:
+    """What moves all wheels of a table to the side in proportion: how a `Parameter` writes the track.
+
+    Parameters
+    ----------
+    width : float
+        Of the table [m].
+    """
+
+    width: float
+
+    def __call__(self, values: Array, column: Array, size: int) -> Array:
+        """Return y of the wheels, shape (m, wheels), with their tracks, shape (m,)."""
+        del size
+        return values * (column / self.width)[:, None]
 
 
 def _steers(wheel: Wheel) -> bool:
