@@ -79,6 +79,9 @@ class Plant(Protocol):
     ``contact_loads(q, v, a) -> ContactLoads``, ``slip_margins(motion) -> SlipMargins``
         Also what `balance` asks: what each contact carries, and how far from slipping it is in a motion, which
         has q, v, a and u, and of a run ``signals``.
+    ``follows(t, reference)``
+        What goes along a reference: its ``at(factor)`` tells `ContactLoads` and `SlipMargins` where it goes so
+        many times as fast.
     ``on_ramp(angle, direction) -> plant``
         The same on ground that rises by an angle, the way up from the inertial x axis [rad].
     ``measures``, ``measured(t, q, v, a, u, reference) -> (m,)``

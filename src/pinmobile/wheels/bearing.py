@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,8 @@ from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer,
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.measures import Measure
 from pinmobile.plant import ContactLoads, SlipMargins
-from pinmobile.robot import number
+from pinmobile.wheels.following import Following, carried, told
 from pinmobile.wheels.ground import Coulomb, Ramp
-from pinmobile.wheels.standing import loads, margin
 
 
 class Bearing:
@@ -71,10 +71,7 @@ class Bearing:
         q, v, a = self._q(q), self._v("v", v), self._v("a", a)
         lead = broadcast(q=q, v=v, a=a)
         q, v, a = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v, a))
-        found = loads(self._traced, *self._felt(q, v, a), q)
-        names = (*self.table.names, *(f"support {k + 1}" for k in range(len(self.table.supports))))
-        values, springs = (_stacked(x, lead) for x in (found.values, found.springs))
-        return ContactLoads(names, values, springs, np.broadcast_to(number(found.tips), lead) > 0)
+        return carried(self._traced, *self._felt(q, v, a), q, lead)
 
     def slip_margins(self: Any, motion: Any) -> SlipMargins:
         """Return the friction that each wheel has left before it slips, or each axle where only that is known.
@@ -108,11 +105,19 @@ class Bearing:
         lead = broadcast(q=q, v=v, a=a, u=u)
         q, v, a, u = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v, a, u))
         state, felt = self._felt(q, v, a)
-        found = margin(body, state, felt, u, loads(body, state, felt, q).values, q)
-        names = tuple(" + ".join(self.table.names[k] for k in group.wheels) for group in body.groups)
-        return SlipMargins(
-            names, *(_stacked(x, lead) for x in (found.margins, found.along, found.lateral))
-        )
+        return told(body, state, felt, u, q, lead)[1]
+
+    def follows(self: Any, t: ArrayLike, reference: Any) -> Following:
+        """Return what rolls along a reference: ``follows(t, reference).at(factor)`` tells what the ground bears.
+
+        Parameters
+        ----------
+        t : array_like, shape (N,)
+            Times, ascending [s].
+        reference : Reference
+            At these times.
+        """
+        return Following.of(self, finite("t", t), reference)
 
     def _recorded_margins(self: Any, motion: Any) -> SlipMargins:
         signals = getattr(motion, "signals", None) or {}
@@ -121,10 +126,10 @@ class Bearing:
                 "motion has no signals of the wheels' forces, without which those on Coulomb ground are not "
                 "known; expected the Rollout of a simulation"
             )
-        along, across, carried = (np.asarray(signals[name][1]) for name in ("along", "across", "loads"))
+        along, across, borne = (np.asarray(signals[name][1]) for name in ("along", "across", "loads"))
         rollers = np.array([wheel.roller is not None for wheel in self.table.wheels])
         size = np.where(rollers, np.abs(along), np.hypot(along, across))
-        return SlipMargins(self.table.names, self.mu * carried[..., : len(self.table)] - size, along, across)
+        return SlipMargins(self.table.names, self.mu * borne[..., : len(self.table)] - size, along, across)
 
     def on_ramp(self: Any, angle: float, direction: float = 0.0) -> Any:
         """Return the robot on ground that rises.
@@ -134,8 +139,6 @@ class Bearing:
         angle, direction : float
             As of `Ramp` [rad].
         """
-        from dataclasses import replace
-
         return type(self)(self.robot, self.table, replace(self.ground, ramp=Ramp(angle, direction)))
 
     @property
@@ -179,6 +182,3 @@ class Bearing:
         finite_answer(np.where(found == -np.inf, 0.0, found), **state)  # a margin may be minus infinity
         return np.array(np.broadcast_to(found, (*lead, len(self.measures))))
 
-
-def _stacked(values: Any, lead: tuple[int, ...]) -> Array:
-    return np.stack([np.broadcast_to(number(x), lead) for x in values], axis=-1)
