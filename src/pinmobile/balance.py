@@ -14,7 +14,6 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import ContactLoads, SlipMargins
 from pinmobile.robot import WEIGHTLESS, checked_footprint, margin_inside, pressed_at
 
-
 _FASTEST = 1e6  # times as fast as the reference, beyond which nothing gives way
 _HALVINGS = 40
 _UPRIGHT = np.pi / 2 - 1e-9  # [rad]
@@ -242,8 +241,8 @@ def contact_loads(motion: Moving) -> ContactLoads:
     InvalidArgument
         If the plant has no ``contact_loads``, or it is not known where it stands.
     """
-    found = _able(motion, "contact_loads", "what its wheels carry")(motion.q, motion.v, motion.a)
-    return found  # type: ignore[no-any-return]
+    answer = _able(motion, "contact_loads", "what its wheels carry")
+    return answer(motion.q, motion.v, motion.a)  # type: ignore[no-any-return]
 
 
 def slip_margins(motion: Moving) -> SlipMargins:
@@ -263,7 +262,8 @@ def slip_margins(motion: Moving) -> SlipMargins:
         If the plant has no ``slip_margins``, it is not known where it stands, or the motion does not tell the
         forces.
     """
-    return _able(motion, "slip_margins", "how far its wheels are from slipping")(motion)  # type: ignore[no-any-return]
+    answer = _able(motion, "slip_margins", "how far its wheels are from slipping")
+    return answer(motion)  # type: ignore[no-any-return]
 
 
 def _able(motion: Any, name: str, words: str) -> Any:
@@ -296,7 +296,7 @@ class Limit(NamedTuple):
         The largest speed along the path [m/s], or the steepest angle of the ground [rad]; infinite where
         nothing gives way.
     what : str
-        What gives way beyond, such as ``"left + right slip"`` or ``"support 1 lifts"``; "" where nothing does.
+        What gives way beyond, such as ``"left + right slip"`` or ``"support 1 lifts"``; else "".
     time : float
         When along the reference, at its own pace [s]; 0 of ramps.
     factor : float
@@ -313,8 +313,8 @@ def fastest(plant: Any, trajectory: Any, samples: int = 400) -> Limit:
     """Return how fast a robot can follow a trajectory before a wheel slips or something lifts off.
 
     The whole trajectory is taken faster or slower: the same places at times that are all shortened alike,
-    so that velocities grow with the factor and accelerations with its square. Wheels roll, driven by torques of
-    least norm; limits of motors do not count.
+    so that velocities grow with the factor and accelerations with its square. Wheels roll, driven by torques
+    of least norm; limits of motors do not count.
 
     Parameters
     ----------
@@ -376,7 +376,9 @@ def steepest(plant: Any, direction: float = 0.0) -> Limit:
         return _first(on_ramp(angle, direction).follows(np.zeros(1), still), 0.0)
 
     if worst(0.0)[0] < 0:
-        raise InvalidArgument(f"plant does not stand on level ground: {worst(0.0)[1]}, expected one that does")
+        raise InvalidArgument(
+            f"plant does not stand on level ground: {worst(0.0)[1]}, expected one that does"
+        )
     low, high = 0.0, _UPRIGHT
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
@@ -388,7 +390,10 @@ def _first(going: Any, factor: float) -> tuple[float, str, int]:
     """Return the smallest margin or load of a motion, whose it is, and at which sample."""
     loads, margins = going.at(factor)
     found = []
-    for values, names, verb in ((loads.springs, loads.names, "lifts"), (margins.values, margins.names, "slips")):
+    for values, names, verb in (
+        (loads.springs, loads.names, "lifts"),
+        (margins.values, margins.names, "slips"),
+    ):
         at, k = np.unravel_index(int(np.argmin(values)), values.shape)
         plural = verb.rstrip("s") if " + " in names[k] else verb
         found.append((float(values[at, k]), f"{names[k]} {plural}", int(at)))

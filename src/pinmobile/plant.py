@@ -77,11 +77,11 @@ class Plant(Protocol):
         ground on the body, along and about the body's frame [N, N m]; and the corners (k, 2) of what it
         stands on [m].
     ``contact_loads(q, v, a) -> ContactLoads``, ``slip_margins(motion) -> SlipMargins``
-        Also what `balance` asks: what each contact carries, and how far from slipping it is in a motion, which
-        has q, v, a and u, and of a run ``signals``.
+        Also what `balance` asks: what each contact carries, and how far from slipping it is in a motion,
+        which has q, v, a and u, and of a run ``signals``.
     ``follows(t, reference)``
-        What goes along a reference: its ``at(factor)`` tells `ContactLoads` and `SlipMargins` where it goes so
-        many times as fast.
+        What goes along a reference: its ``at(factor)`` tells `ContactLoads` and `SlipMargins` where it goes
+        so many times as fast.
     ``on_ramp(angle, direction) -> plant``
         The same on ground that rises by an angle, the way up from the inertial x axis [rad].
     ``measures``, ``measured(t, q, v, a, u, reference) -> (m,)``
@@ -157,8 +157,8 @@ class SlipMargins(NamedTuple):
     Attributes
     ----------
     names : tuple of str
-        Of a wheel, or of the wheels of an axle, such as ``"left + right"``, of which only the sum of the forces
-        across them is determined.
+        Of a wheel, or of the wheels of an axle, such as ``"left + right"``, of which only the sum of the
+        forces across them is determined.
     values : ndarray, shape (..., k)
         Friction that is left, below zero where the ground would have to exert more than it can [N].
     along : ndarray, shape (..., wheels)

@@ -1,4 +1,4 @@
-"""`Bearing`: what a `WheeledRobot` tells of the ground under it: its wrench, loads, margins, and what is judged."""
+"""`Bearing`: what a `WheeledRobot` tells of the ground under it, and what is judged."""
 
 from __future__ import annotations
 
@@ -28,9 +28,7 @@ class Bearing:
         lead = broadcast(q=q, v=v, a=a)
         q, v, a = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v, a))
         whole, rates, G, bent = self._to_tree(q, v)
-        return np.asarray(
-            self._tree.ground_wrench(whole, rates, np.einsum("...ij,...j->...i", G, a) + bent)
-        )
+        return np.asarray(self._tree.ground_wrench(whole, rates, np.einsum("...ij,...j->...i", G, a) + bent))
 
     def mount_wrench(self: Any, q: ArrayLike, v: ArrayLike, a: ArrayLike, mount: str | None = None) -> Array:
         """Return what an arm exerts on the body at its mount, shape (..., 6): see `MobileRobot.mount_wrench`.
@@ -74,7 +72,7 @@ class Bearing:
         return carried(self._traced, *self._felt(q, v, a), q, lead)
 
     def slip_margins(self: Any, motion: Any) -> SlipMargins:
-        """Return the friction that each wheel has left before it slips, or each axle where only that is known.
+        """Return the friction that each wheel, or axle, has left before it slips.
 
         Of wheels that roll it is ``mu N`` less the size of the ground's force, which follows from v, a and u;
         forces that push the body count as if the ground exerted them. Where rolling does not determine how
@@ -93,8 +91,8 @@ class Bearing:
         body = self._traced
         if not body.groups:
             raise InvalidArgument(
-                "robot has wheels on a gear train, which share what it transmits, so rolling does not tell the "
-                "force of each; expected ground=Coulomb()"
+                "robot has wheels on a gear train, which share what it transmits, so rolling does not tell "
+                "the force of each; expected ground=Coulomb()"
             )
         if getattr(motion, "u", None) is None:
             raise InvalidArgument(
@@ -108,7 +106,7 @@ class Bearing:
         return told(body, state, felt, u, q, lead)[1]
 
     def follows(self: Any, t: ArrayLike, reference: Any) -> Following:
-        """Return what rolls along a reference: ``follows(t, reference).at(factor)`` tells what the ground bears.
+        """Return what rolls along a reference: its ``at(factor)`` tells what the ground bears.
 
         Parameters
         ----------
@@ -174,11 +172,8 @@ class Bearing:
             raise InvalidArgument(f"reference.q has shape {desired.shape}, expected (..., k), k of {listed}")
         state = {"q": self._q(q), "v": self._v("v", v), "a": self._v("a", a), "u": vector("u", u, self.nu)}
         lead = broadcast(**state, **{"reference.q": desired})
-        q, v, a, u, desired = (
-            np.broadcast_to(x, (*lead, x.shape[-1])) for x in (*state.values(), desired)
-        )
+        q, v, a, u, desired = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (*state.values(), desired))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             found = np.asarray(self._traced.measured(t, q, v, a, u, reference._replace(q=desired)))
         finite_answer(np.where(found == -np.inf, 0.0, found), **state)  # a margin may be minus infinity
         return np.array(np.broadcast_to(found, (*lead, len(self.measures))))
-

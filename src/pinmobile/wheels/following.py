@@ -60,7 +60,9 @@ class Following:
         robot._check_stands()
         body = robot._rolling
         if not body.groups:
-            raise InvalidArgument("robot has wheels on a gear train, of which rolling does not tell the forces")
+            raise InvalidArgument(
+                "robot has wheels on a gear train, of which rolling does not tell the forces"
+            )
         whole = [robot.robot.start(type(reference)(*(x[k] for x in reference))) for k in range(len(t))]
         began = [body.begun(q, v) for q, v in whole]
         q, v = np.array([q for q, _ in began]), np.array([v for _, v in began])
@@ -77,13 +79,15 @@ class Following:
         state = body.state(q, v)
         S, _ = body.solution(state)
         nu = body.velocities(state)
-        rolls = np.asarray(body.in_plane(state, [sum(x * y for x, y in zip(r, nu, strict=True)) for r in S], q))
+        rolls = np.asarray(
+            body.in_plane(state, [sum(x * y for x, y in zip(r, nu, strict=True)) for r in S], q)
+        )
         off = np.abs(rolls[:, :_BASE] - v[:, :_BASE]).max(axis=1)
         if (off > _OFF * (1 + np.abs(v).max())).any():
             k = int(np.argmax(off))
             raise InvalidArgument(
-                f"reference moves the body by {off[k]:.3g} m/s, or rad/s, at {t[k]:.6g} s as its wheels cannot "
-                "roll, expected one that they can follow, such as Tangent(path)"
+                f"reference moves the body by {off[k]:.3g} m/s, or rad/s, at {t[k]:.6g} s as its wheels "
+                "cannot roll, expected one that they can follow, such as Tangent(path)"
             )
         state = body.state(q, rolls)
         a = np.zeros((len(t), body.nv))
@@ -91,23 +95,30 @@ class Following:
         along = [state.c * a[:, 0] + state.s * a[:, 1], state.c * a[:, 1] - state.s * a[:, 0]]
         offset = body._offset(state, [*along, *np.moveaxis(a[:, 2:], -1, 0)])
         own = len(offset) - body.na - len(body.choice.free)
-        rates = [*offset[:own], *np.moveaxis(a[:, _BASE:nv], -1, 0), *(faster[:, k] for k in body.choice.free)]
+        rates = [
+            *offset[:own],
+            *np.moveaxis(a[:, _BASE:nv], -1, 0),
+            *(faster[:, k] for k in body.choice.free),
+        ]
         found = cls(body, q, rolls, _stacked(rates, (len(t),)))
-        found._check_driven()
+        found._driven(q, rolls, found.rates)
         return found
 
-    def _check_driven(self) -> None:
-        """Refuse what the motors cannot drive."""
-        own = self.body.reduced(self.q, self.v)
-        force = np.einsum("...ij,...j->...i", own.M, self.rates) + own.n
+    def _driven(self, q: Array, v: Array, rates: Array) -> Array:
+        """Return the torques of least norm, and refuse what no torques do."""
+        if not self.body.nu:
+            raise InvalidArgument("robot has no motor, expected one that can be driven along a reference")
+        own = self.body.reduced(q, v)
+        force = np.einsum("...ij,...j->...i", own.M, rates) + own.n
         B = np.broadcast_to(own.B, (*force.shape, own.B.shape[-1]))
         u = np.einsum("...ij,...j->...i", np.linalg.pinv(B), force)
         rest = np.abs(np.einsum("...ij,...j->...i", B, u) - force).max()
         if rest > _OFF * (1 + np.abs(force).max()):
             raise InvalidArgument(
-                f"reference needs a force of {rest:.3g} N, or N m, that no motor of the robot exerts, expected "
-                "a drive with a motor for each degree of freedom, or a reference that needs none"
+                f"reference needs a force of {rest:.3g} N, or N m, that no motor of the robot exerts, "
+                "expected a drive with a motor for each degree of freedom, or a reference that needs none"
             )
+        return np.asarray(u)
 
     def at(self, factor: float) -> tuple[ContactLoads, SlipMargins]:
         """Return loads and slip margins where it goes along `factor` times as fast, shape (N, k) each."""
@@ -118,7 +129,7 @@ class Following:
         rates = np.moveaxis(factor**2 * self.rates, -1, 0)
         a = [sum(x * y for x, y in zip(row, rates, strict=True)) + g for row, g in zip(S, rest, strict=True)]
         felt = body.felt(state, [number(x) for x in a])
-        u = np.asarray(body.torques(q, v, np.moveaxis(rates, 0, -1)))
+        u = self._driven(q, v, np.moveaxis(rates, 0, -1))
         return told(body, state, felt, u, q, (len(q),))
 
 

@@ -25,7 +25,7 @@ def arms_of(body: Any) -> Any:
 
 
 def footprint_of(body: Any) -> Array | None:
-    """Return the corners of what a body with arms stands on, shape (k, 2) [m]; None where that is not judged."""
+    """Return the corners of what a body with arms stands on, shape (k, 2) [m], if that is judged."""
     return body.footprint if body.stands and arms_of(body) is not None else None
 
 

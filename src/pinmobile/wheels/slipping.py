@@ -25,7 +25,6 @@ from pinmobile.robot import (
     dot,
     exact,
     number,
-    scalars,
     sine_and_cosine,
     vector_of as stacked,
 )
@@ -294,8 +293,7 @@ class SlippingBody(WheeledBody):
         turning = turning or bool(self.fall[0] or self.fall[1])
         after, rate = before, numbers(memory.acceleration)
         contact, holding, multipliers = (
-            [number(x) for x in numbers(part)]
-            for part in (memory.forces, memory.holding, memory.multipliers)
+            [number(x) for x in numbers(part)] for part in (memory.forces, memory.holding, memory.multipliers)
         )
         grip = Impulses([], [x * h for x in contact], [x * h for x in holding], multipliers, 0.0)
         rounds: Any = 0.0
@@ -459,4 +457,3 @@ def _factored(M: Matrix) -> Any:
         return x
 
     return solve
-

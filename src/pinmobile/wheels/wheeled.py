@@ -349,11 +349,15 @@ class WheeledRobot(Bearing):
             meaning = f"coefficient of friction of wheel {name}"
             found.append(Parameter(f"mu_{name}", "", meaning, 0.0, attribute="mu", entry=k))
         if not self.robot.mounts:
-            found.append(Parameter("com_z", "m", "height of the centre of mass", attribute="upright", entry=0))
+            found.append(
+                Parameter("com_z", "m", "height of the centre of mass", attribute="upright", entry=0)
+            )
         sides = [wheel.y for wheel in self.table.wheels]
         if min(sides) < 0 < max(sides):
             width = max(sides) - min(sides)
-            words = "largest distance between wheels to the left and the right, all of which move in proportion"
+            words = (
+                "largest distance between wheels to the left and the right, all of which move in proportion"
+            )
             found.append(Parameter("track", "m", words, 0.0, False, "y", None, _Track(width), width))
         return tuple(found)
 
