@@ -25,6 +25,7 @@ from pinmobile.wheels import Coulomb, Friction, WheeledRobot, WheelTable
 
 DT, STEPS, QUICK_STEPS = 0.005, 400, 40
 ROBOTS, QUICK_ROBOTS = 10_000, 100
+FEW = 200  # robots of a peer that would take minutes for all; its rate does not depend on how many
 TORQUES = (0.30, 0.25)  # right and left would turn alike without their difference [N m]
 SAME, MUJOCO_SAME = 1e-9, 0.02  # of the path
 WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
@@ -32,10 +33,10 @@ SUPPORTS = [(0.25, 0.0), (-0.25, 0.0)]
 MODEL = """
 <mujoco><option timestep="{dt}" cone="elliptic" impratio="100" integrator="implicitfast"/>
 <default><geom solref="0.005 1" solimp="0.98 0.999 0.001"/></default>
-<worldbody><geom type="plane" size="9 9 1" condim="6" friction="0 0 0"/>
+<worldbody><geom type="plane" size="9 9 1"/>
 <body pos="0 0 0"><freejoint/><inertial pos="0 0 {height}" mass="{mass}" diaginertia="1 1.3 {yaw}"/>
-<geom type="sphere" size=".03" pos=".25 0 .03" condim="1" mass="0"/>
-<geom type="sphere" size=".03" pos="-.25 0 .03" condim="1" mass="0"/>
+<geom type="sphere" size=".03" pos=".25 0 .03" condim="1" priority="1" mass="0"/>
+<geom type="sphere" size=".03" pos="-.25 0 .03" condim="1" priority="1" mass="0"/>
 {wheels}</body></worldbody></mujoco>
 """
 OF_WHEEL = """<body pos="0 {y} .1"><joint type="hinge" axis="0 1 0"/>
@@ -125,7 +126,10 @@ def tree() -> pin.Model:
     model, at = pin.Model(), 0
     for kind in (pin.JointModelPX(), pin.JointModelPY(), pin.JointModelRZ()):
         at = model.addJoint(at, kind, pin.SE3.Identity(), f"joint {at}")
-    whole, spin = pin.Inertia(27.0, np.array([0, 0, 0.15]), np.diag([1.0, 1.3, 2.3])), np.diag([0.006, 0.01, 0.006])
+    whole, spin = (
+        pin.Inertia(27.0, np.array([0, 0, 0.15]), np.diag([1.0, 1.3, 2.3])),
+        np.diag([0.006, 0.01, 0.006]),
+    )
     for y in (0.25, -0.25):
         wheel, place = pin.Inertia(1.0, np.zeros(3), spin), pin.SE3(np.eye(3), np.array([0.0, y, 0.1]))
         whole -= place.act(wheel)
@@ -171,6 +175,7 @@ def alone(steps: int) -> Callable[[], Any]:
     return run
 
 
+ROLLOUT = "mujoco.rollout, wheel bodies"
 RAW, MUJOCO = "Pinocchio and KKT, loop in Python", "MuJoCo, wheel bodies"
 SINGLE = (
     One("bare body", simulated(body(), (0.3, 0.0, 0.05))),
@@ -191,7 +196,13 @@ def together(
     """Return what runs an ensemble."""
 
     def prepare(n: int, steps: int) -> Callable[[], Any]:
-        given: dict[str, Any] = {"n": n, "dt": DT, "spread": spread, "duration": steps * DT, "measures": measures}
+        given: dict[str, Any] = {
+            "n": n,
+            "dt": DT,
+            "spread": spread,
+            "duration": steps * DT,
+            "measures": measures,
+        }
         return lambda: pm.ensemble(robot, controller, trajectory, engine=pm.COMPILED, **given)
 
     return prepare
@@ -205,15 +216,13 @@ def rolled_out(n: int, steps: int) -> Callable[[], Any]:
     model, threads = of_mujoco(), os.cpu_count() or 1
     datas, pool = [mujoco.MjData(model) for _ in range(threads)], Rollout(nthread=threads)
     size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
-    some = min(n, 1000)
-    start = np.zeros((some, size))
+    start = np.zeros((n, size))
     mujoco.mj_getState(model, datas[0], start[0], mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
     start[:] = start[0]
-    forces = np.tile([0.0, 0, 0, 0, 0, 0, *TORQUES], (some, steps, 1))
+    forces = np.tile([0.0, 0, 0, 0, 0, 0, *TORQUES], (n, steps, 1))
 
     def run() -> Any:
-        for _ in range(0, n, some):
-            pool.rollout(model, datas, start, forces, control_spec=mujoco.mjtState.mjSTATE_QFRC_APPLIED.value)
+        pool.rollout(model, datas, start, forces, control_spec=mujoco.mjtState.mjSTATE_QFRC_APPLIED.value)
 
     return run
 
@@ -231,13 +240,15 @@ def fleets() -> dict[str, Callable[[int, int], Callable[[], Any]]]:
         "bare body, PD": together(body(), pm.PD(50, 20), path, mass),
         "rolling, torques": together(rolling, Torques(*TORQUES), still, spread),
         "rolling, Allocated(PD)": together(rolling, by_wrench, path, spread),
-        "rolling, Allocated(PD), load and slip margin judged": together(rolling, by_wrench, path, spread, None),
+        "rolling, Allocated(PD), load and slip margin judged": together(
+            rolling, by_wrench, path, spread, None
+        ),
         "rolling, Backstepping": together(rolling, pm.Backstepping(pm.Tracking(), rolling), path, spread),
         "rolling with a UR5, torques": together(ur5, Torques(*[0.0] * 6, *TORQUES), still, mass),
         "rolling with a UR5, Allocated(PD)": together(ur5, pm.Allocated(pm.PD(50, 20), ur5), arms, mass),
         "Coulomb, four wheels that stick": together(four(0.8), Torques(0.5, 0.5), still, mass),
         "Coulomb, four wheels that slide": together(four(0.4), Torques(9.0, -9.0), still, mass),
-        "mujoco.rollout, wheel bodies": rolled_out,
+        ROLLOUT: rolled_out,
     }
 
 
@@ -290,7 +301,9 @@ def show_steps(out: Console, people: Sequence[One], steps: int, rounds: int) -> 
             continue
         runs[one.name] = timed(run)
     times = interleaved(runs, rounds)
-    shown = table(f"\nOne robot on wheels, dt = {DT} s, {steps} steps", "contestant", "", "us/step", "off, of the path")
+    shown = table(
+        f"\nOne robot on wheels, dt = {DT} s, {steps} steps", "contestant", "", "us/step", "off, of the path"
+    )
     for name, taken in sorted(times.items(), key=lambda pair: Row("", times=pair[1]).median):
         shown.add_row(name, "", f"{Row('', times=taken).median / steps * 1e6:.2f}", apart[name])
     out.print(shown)
@@ -303,7 +316,7 @@ def show_ensembles(out: Console, names: Sequence[str], n: int, steps: int, round
     runs, words, everyone, count = {}, [], fleets(), os.cpu_count() or 1
     for name in names:
         try:
-            run = everyone[name](n, steps)
+            run = everyone[name](min(n, FEW) if name == ROLLOUT else n, steps)
             with out.status(name):
                 run()
         except ImportError as error:
@@ -315,7 +328,7 @@ def show_ensembles(out: Console, names: Sequence[str], n: int, steps: int, round
     columns = ("a processor second", f"a second, {count} processors", "asked, at least")
     shown = table(title, "contestant", "", *columns)
     for name, taken in times.items():
-        rate = n * steps / Row("", times=taken).median / 1e6
+        rate = (min(n, FEW) if name == ROLLOUT else n) * steps / Row("", times=taken).median / 1e6
         asked = f"{ASKED[name]:g}" if name in ASKED else ""
         shown.add_row(name, "", f"{rate:.3g}", f"{count * rate:.3g}", asked)
     out.print(shown)
