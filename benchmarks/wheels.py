@@ -51,9 +51,11 @@ class Torques:
         self.u = np.array(u)
 
     def initial_state(self, context: Any) -> None:
-        return None
+        """Return nothing: it has no memory."""
+        return
 
     def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: None) -> tuple[Any, None]:
+        """Return the torques."""
         return self.u + 0.0 * t, state
 
 

@@ -323,6 +323,12 @@ def _scenario(gain: float = 1.0) -> Any:
 
 MADE: dict[str, Callable[[], Any]] = {
     "robot": lambda: pm.MobileRobot(10.0, 1.2, com=(0.15, 0.05)),
+    "standing": lambda: WheeledRobot(
+        WORLD.robot, WheelTable.differential(0.5, 0.1, supports=[(0.2, 0.0), (-0.2, 0.0)])
+    ),
+    "wheeled_motion": lambda: pm.Motion(
+        WORLD.standing, np.zeros(5), np.zeros(5), np.zeros(5), np.zeros(2)
+    ),
     "wheeled": lambda: WheeledRobot(WORLD.robot, WheelTable.differential(0.5, 0.1)),
     "arm": small_arm,
     "armed": lambda: WORLD.robot.mount(WORLD.arm, (0, 0, 0.2, 0), name="arm"),
@@ -514,7 +520,12 @@ ROWS: dict[str, Row] = {
     "RollingResistance": row(force=[1, 2, 3], speed=0.01),
     "ViscousFriction": row(coefficients=[1, 2, 3]),
     "Load": row(mass=1, com=(0, 0, 0.1), inertia=np.eye(3), size=(0.1, 0.1, 0.1)),
-    "Motion": row(plant=the("robot"), q=Q, v=V, a=A),
+    "Motion": row(plant=the("robot"), q=Q, v=V, a=A, u=[1, 2, 3]),
+    "Limit": row(value=1.5, what="left slips", time=0.5, factor=2),
+    "contact_loads": row(motion=the("wheeled_motion")),
+    "slip_margins": row(motion=the("wheeled_motion")),
+    "fastest": row(plant=the("standing"), trajectory=the("trajectory"), samples=20),
+    "steepest": row(plant=the("standing"), direction=0.5),
     "reaction_wrench": row(motion=the("arm_motion"), mount="arm"),
     "required_friction": row(motion=the("motion")),
     "balance.footprint_of": row(robot=the("robot"), footprint=[[-1, -1], [1, -1], [1, 1], [-1, 1]]),
