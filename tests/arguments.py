@@ -324,11 +324,9 @@ def _scenario(gain: float = 1.0) -> Any:
 MADE: dict[str, Callable[[], Any]] = {
     "robot": lambda: pm.MobileRobot(10.0, 1.2, com=(0.15, 0.05)),
     "standing": lambda: WheeledRobot(
-        WORLD.robot, WheelTable.differential(0.5, 0.1, supports=[(0.2, 0.0), (-0.2, 0.0)])
+        WORLD.robot, WheelTable.differential(0.5, 0.1, supports=[(0.6, 0.0), (-0.6, 0.0)])
     ),
-    "wheeled_motion": lambda: pm.Motion(
-        WORLD.standing, np.zeros(5), np.zeros(5), np.zeros(5), np.zeros(2)
-    ),
+    "wheeled_motion": lambda: pm.Motion(WORLD.standing, np.zeros(5), np.zeros(5), np.zeros(5), np.zeros(2)),
     "wheeled": lambda: WheeledRobot(WORLD.robot, WheelTable.differential(0.5, 0.1)),
     "arm": small_arm,
     "armed": lambda: WORLD.robot.mount(WORLD.arm, (0, 0, 0.2, 0), name="arm"),

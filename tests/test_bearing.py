@@ -58,7 +58,7 @@ TABLES = {
     "caster": WheelTable((*WheelTable.differential(0.5, 0.1, **WHEEL).wheels, CASTER)),
     "mecanum": WheelTable.mecanum(0.5, 0.4, 0.08, **WHEEL),
     "omni": WheelTable.omni(0.25, 0.05, **WHEEL),
-    "tricycle": WheelTable((FRONT,), [Support(-0.2, 0.2), Support(-0.2, -0.2)]),
+    "tricycle": WheelTable((FRONT,), (Support(-0.2, 0.2), Support(-0.2, -0.2))),
     "car": WheelTable.car(0.6, 0.4, 0.1, **WHEEL),
 }
 BENT = BODY.mount("ur5").rest[3:]
@@ -118,8 +118,8 @@ def test_forces_of_wheels_are_those_of_constraints(name: str, arm: bool) -> None
     forces = robot.constraint_forces(at.q, at.v, at.u)
     by_name = dict(zip(forces.names, forces.values, strict=True))
     for k, wheel in enumerate(robot.table.names):
-        own = by_name.get(f"{wheel} rolling", by_name.get(f"{wheel} roller"))
-        np.testing.assert_allclose(found.along[k], own, atol=1e-12)
+        row = f"{wheel} rolling" if f"{wheel} rolling" in by_name else f"{wheel} roller"
+        np.testing.assert_allclose(found.along[k], by_name[row], atol=1e-12)
     for group, across, margin in zip(found.names, found.across, found.values, strict=True):
         own = group.split(" + ")
         np.testing.assert_allclose(across, sum(by_name.get(f"{one} lateral", 0.0) for one in own), atol=1e-12)

@@ -24,21 +24,27 @@ class Bearing:
         Of Pinocchio's tree: along the axes of the body's frame, with the moment about its origin, which lies
         on the ground. Whatever else acts from outside is in it.
         """
-        q, v, a = self._q(q), self._v("v", v), self._v("a", a)
-        lead = broadcast(q=q, v=v, a=a)
-        q, v, a = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v, a))
-        whole, rates, G, bent = self._to_tree(q, v)
-        return np.asarray(self._tree.ground_wrench(whole, rates, np.einsum("...ij,...j->...i", G, a) + bent))
+        at, rate, faster = self._moving(q, v, a)
+        whole, rates, G, bent = self._to_tree(at, rate)
+        return np.asarray(
+            self._tree.ground_wrench(whole, rates, np.einsum("...ij,...j->...i", G, faster) + bent)
+        )
 
     def mount_wrench(self: Any, q: ArrayLike, v: ArrayLike, a: ArrayLike, mount: str | None = None) -> Array:
         """Return what an arm exerts on the body at its mount, shape (..., 6): see `MobileRobot.mount_wrench`.
 
         On a ramp, gravity in the plane is left out.
         """
-        q, v, a = self._q(q), self._v("v", v), self._v("a", a)
-        broadcast(q=q, v=v, a=a)
+        at, rate, faster = self._moving(q, v, a)
         n, nv = self.robot.nq, self.robot.nv
-        return np.asarray(self.robot.mount_wrench(q[..., :n], v[..., :nv], a[..., :nv], mount))
+        return np.asarray(self.robot.mount_wrench(at[..., :n], rate[..., :nv], faster[..., :nv], mount))
+
+    def _moving(self: Any, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> tuple[Array, Array, Array]:
+        """Return a state and its acceleration, checked, with the same leading axes."""
+        given: dict[str, Array] = {"q": self._q(q), "v": self._v("v", v), "a": self._v("a", a)}
+        lead = broadcast(**given)
+        at, rate, faster = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in given.values())
+        return at, rate, faster
 
     def _felt(self: Any, q: Array, v: Array, a: Array) -> tuple[Any, list[Any]]:
         """Return the state, and accelerations along the body's axes less gravity in the plane."""
@@ -66,10 +72,9 @@ class Bearing:
             State and acceleration.
         """
         self._check_stands()
-        q, v, a = self._q(q), self._v("v", v), self._v("a", a)
-        lead = broadcast(q=q, v=v, a=a)
-        q, v, a = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v, a))
-        return carried(self._traced, *self._felt(q, v, a), q, lead)
+        at, rate, faster = self._moving(q, v, a)
+        state, felt = self._felt(at, rate, faster)
+        return carried(self._traced, state, felt, at, at.shape[:-1])
 
     def slip_margins(self: Any, motion: Any) -> SlipMargins:
         """Return the friction that each wheel, or axle, has left before it slips.
@@ -87,7 +92,7 @@ class Bearing:
         """
         self._check_stands()
         if isinstance(self.ground, Coulomb):
-            return self._recorded_margins(motion)
+            return self._recorded_margins(motion)  # type: ignore[no-any-return]
         body = self._traced
         if not body.groups:
             raise InvalidArgument(
