@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, broadcast, finite, frozen, scalar, vector, whole
+from pinmobile.arrays import Array, ArrayLike, broadcast, finite, frozen, positive, scalar, vector, whole
 from pinmobile.compiled import Reference
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import ContactLoads, SlipMargins
@@ -333,8 +333,14 @@ def fastest(plant: Any, trajectory: Any, samples: int = 400) -> Limit:
     follows = _method("plant", plant, "follows", "what it takes to follow a trajectory")
     if not callable(trajectory) or not hasattr(trajectory, "duration"):
         raise InvalidArgument(f"trajectory is {shown(trajectory)}, expected one such as Tangent(path)")
-    t = np.linspace(0.0, float(trajectory.duration), whole("samples", samples, least=4))
+    duration = positive("trajectory.duration", trajectory.duration, "s")
+    t = np.linspace(0.0, duration, whole("samples", samples, least=4))
     reference = trajectory(t)
+    if not isinstance(reference, tuple) or not all(hasattr(reference, name) for name in "qva"):
+        raise InvalidArgument(
+            f"trajectory is {shown(trajectory)}, which returned {shown(reference)}, expected a Reference: take "
+            "Tangent(path) of a path"
+        )
     going = follows(t, reference)
     speed = float(np.hypot(*np.moveaxis(reference.v[..., :2], -1, 0)).max())
     if _first(going, 0.0)[0] < 0:
@@ -388,7 +394,12 @@ def steepest(plant: Any, direction: float = 0.0) -> Limit:
 
 def _first(going: Any, factor: float) -> tuple[float, str, int]:
     """Return the smallest margin or load of a motion, whose it is, and at which sample."""
-    loads, margins = going.at(factor)
+    told = going.at(factor)
+    if not isinstance(told, tuple) or len(told) != 2:
+        raise InvalidArgument(
+            f"plant follows a reference and tells {shown(told)}, expected ContactLoads and SlipMargins"
+        )
+    loads, margins = told
     found = []
     for values, names, verb in (
         (loads.springs, loads.names, "lifts"),
