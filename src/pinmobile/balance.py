@@ -338,8 +338,8 @@ def fastest(plant: Any, trajectory: Any, samples: int = 400) -> Limit:
     reference = trajectory(t)
     if not isinstance(reference, tuple) or not all(hasattr(reference, name) for name in "qva"):
         raise InvalidArgument(
-            f"trajectory is {shown(trajectory)}, which returned {shown(reference)}, expected a Reference: take "
-            "Tangent(path) of a path"
+            f"trajectory is {shown(trajectory)}, which returned {shown(reference)}, expected a Reference: "
+            "take Tangent(path) of a path"
         )
     going = follows(t, reference)
     speed = float(np.hypot(*np.moveaxis(reference.v[..., :2], -1, 0)).max())
