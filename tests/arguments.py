@@ -31,7 +31,7 @@ import pinocchio as pin
 import pinmobile as pm
 from pinmobile import PinmobileError, derivation, ensembles, urdf, viewer
 from pinmobile.robot import Stance
-from pinmobile.wheels import WheeledRobot, WheelTable
+from pinmobile.wheels import Motor, WheeledRobot, WheelTable
 
 MODULES = (
     *("accuracy", "balance", "closed_form", "controllers", "derivation", "dh", "forces", "ensembles"),
@@ -89,7 +89,7 @@ INNER = {
 }
 # What the library makes and users read: nobody calls the class.
 RESULTS = {
-    *("robot.Calls", "simulation.Signal"),
+    *("robot.Calls", "simulation.Signal", "closed_form.ReducedModel"),
     *(
         "Context",
         "Diverged",
@@ -328,6 +328,13 @@ MADE: dict[str, Callable[[], Any]] = {
     ),
     "wheeled_motion": lambda: pm.Motion(WORLD.standing, np.zeros(5), np.zeros(5), np.zeros(5), np.zeros(2)),
     "wheeled": lambda: WheeledRobot(WORLD.robot, WheelTable.differential(0.5, 0.1)),
+    "electric": lambda: WheeledRobot(
+        WORLD.robot,
+        WheelTable.differential(
+            0.5, 0.1, motor=Motor(resistance=1.0, torque_constant=0.03, voltage=24.0, gear=20.0)
+        ),
+    ),
+    "swerve": lambda: WheeledRobot(WORLD.robot, WheelTable.swerve([(0.3, 0.1), (-0.3, -0.1)], 0.1)),
     "arm": small_arm,
     "armed": lambda: WORLD.robot.mount(WORLD.arm, (0, 0, 0.2, 0), name="arm"),
     "q": lambda: np.array([0.1, 0.2, 0.3]),
@@ -437,6 +444,9 @@ ROWS: dict[str, Row] = {
     "Saturated": row(controller=pm.PD(1, 1), limits=[1, 2, 3]),
     "Allocated": row(controller=pm.PD(1, 1), robot=the("wheeled")),
     "Backstepping": row(law=pm.Tracking(), robot=the("wheeled"), k=10, steer=10, arms=2),
+    "Driven": row(controller=pm.PD(1, 1), robot=the("electric")),
+    "WheelSpeed": row(law=pm.Tracking(), robot=the("wheeled"), kp=1, ki=2),
+    "SwerveTracking": row(robot=the("swerve"), kp=2, k=10, steer=10, least=0.05),
     "Tracking": row(zeta=0.7, b=20),
     "Kanayama": row(k1=2, k2=10, k3=5),
     "Parking": row(k1=1, k2=3, k3=2, near=1e-3),
@@ -600,6 +610,29 @@ ROWS: dict[str, Row] = {
         )
         for name, named in STATES.items()
     },
+    "closed_form.differential_drive": row(
+        nu=[0.4, 0.5], **BODY, track=0.5, radius=0.1, spin_inertia=0.01, axle=0.05
+    ),
+    "closed_form.roller_drive": row(
+        twist=V,
+        **BODY,
+        x=[0.2, -0.1, -0.1],
+        y=[0.0, 0.2, -0.2],
+        angle=[1.6, 3.7, 5.8],
+        roller=[0.0, 0.1, 0.2],
+        radius=0.1,
+        spin_inertia=0.01,
+    ),
+    "closed_form.car": row(
+        nu=[0.4, 0.5],
+        steering=0.3,
+        **BODY,
+        wheelbase=0.5,
+        radius=0.1,
+        track=0.4,
+        spin_inertia=0.01,
+        steered_inertia=0.01,
+    ),
     "MobileRobot.calls": row(),
     "MobileRobot.configuration": row(value=Q, name="q"),
     "MobileRobot.frame_name": row(frame="base_link"),
@@ -871,9 +904,19 @@ def is_part(name: str) -> bool:
     """Tell whether a method is what the loop calls on its parts, with arrays that it made."""
     owner, _, method = name.rpartition(".")
     parts = ("PD", "ComputedTorque", "Decoupled", "PDGravity", "Saturated", "Delayed", "NoisyMeasurement")
-    parts += ("Allocated", "Backstepping", "Tracking", "Kanayama", "Parking", "DynamicFeedback")
+    of_wheels = (
+        "Allocated",
+        "Backstepping",
+        "Driven",
+        "WheelSpeed",
+        "Tracking",
+        "Kanayama",
+        "Parking",
+        "DynamicFeedback",
+        "SwerveTracking",
+    )
     forces = ("ConstantForce", "SinusoidalForce", "NoiseForce", "RollingResistance", "ViscousFriction")
-    called = owner in (*parts, *forces, "EndEffectorTracking", "JointFriction")
+    called = owner in (*parts, *of_wheels, *forces, "EndEffectorTracking", "JointFriction")
     integrators = ("constant_acceleration", "rk4", "semi_implicit_euler")
     return name in integrators or (
         called

@@ -26,6 +26,7 @@ from pinmobile import (
     Rollout,
     Saturated,
     Scenario,
+    SwerveTracking,
     Tangent,
     Tracking,
     Uniform,
@@ -33,13 +34,14 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.ensembles import ARRAYS, COMPILED, PINOCCHIO, run_scenario
-from pinmobile.wheels import ByOdometry, Motor, Wheel, WheeledRobot, WheelTable
+from pinmobile.wheels import ByOdometry, Coulomb, Motor, Wheel, WheeledRobot, WheelTable
 from tests.parts import Eight
 
 OFF = np.array([-0.3, 0.3, 0.5])
 BODY = MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.2))
 WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
 DIFFERENTIAL = WheeledRobot(BODY, WheelTable.differential(0.5, 0.1, **WHEEL))
+SUPPORTED = WheelTable.differential(0.5, 0.1, supports=[(-0.2, 0.0)], **WHEEL)
 CAR = WheeledRobot(BODY, WheelTable.car(0.35, 0.3, 0.1, **WHEEL))
 MECANUM = WheeledRobot(BODY, WheelTable.mecanum(0.5, 0.4, 0.08, **WHEEL))
 SWERVE = WheeledRobot(BODY, WheelTable.swerve([(0.3, 0.1), (-0.3, -0.1)], 0.06, **WHEEL))
@@ -77,7 +79,7 @@ def run(
 ) -> Rollout:
     q0, _ = robot.start(Reference(*trajectory(0.0)))
     q0[:3] += more.pop("off", OFF)
-    options = {"integrator": rk4, "engine": COMPILED} | more
+    options: dict[str, Any] = {"integrator": rk4, "engine": COMPILED} | more
     return simulate(
         robot, controller, trajectory, dt=dt, duration=duration, q0=q0, v0=np.zeros(robot.nv), **options
     )
@@ -157,6 +159,44 @@ def test_a_car_steers_and_follows(law: Any) -> None:
     off = distance(run(CAR, Backstepping(law, CAR), LARGE, 20.0))
     assert off[1000:].max() < 2e-3
     assert off[1500:].max() < 1e-4
+
+
+@dataclass(frozen=True)
+class Crab:
+    """A reference that goes ahead and sideways, and turns a little."""
+
+    duration: float = 12.0
+
+    def __call__(self, t: Any) -> Reference:
+        t = np.asarray(t)
+        s, c, s4, c4 = np.sin(0.5 * t), np.cos(0.5 * t), np.sin(0.4 * t), np.cos(0.4 * t)
+        return Reference(
+            np.stack([0.5 * t, 0.4 * s, 0.3 * s4], axis=-1),
+            np.stack([0.5 + 0 * t, 0.2 * c, 0.12 * c4], axis=-1),
+            np.stack([0 * t, -0.1 * s, -0.048 * s4], axis=-1),
+        )
+
+
+@pytest.mark.parametrize("trajectory", [EIGHT, Crab()], ids=["tangent", "crab"])
+def test_two_modules_steer_and_drive_along_a_pose(trajectory: Any) -> None:
+    found = run(SWERVE, SwerveTracking(SWERVE), trajectory, 12.0, off=OFF / 3)
+    errors = np.abs(found.q[:, :3] - found.reference.q).max(axis=1)
+    assert errors[1000:].max() < 3e-4
+    assert errors[200] == pytest.approx(OFF[2] / 3 * np.exp(-4.0), rel=1.5)
+    with pytest.raises(
+        InvalidArgument, match=r"type \(2, 0\) with 2 inputs, expected two modules that steer"
+    ):
+        SwerveTracking(DIFFERENTIAL)
+
+
+def test_a_robot_whose_wheels_slip_a_little_follows_by_the_model_of_one_that_rolls() -> None:
+    robot = WheeledRobot(BODY, SUPPORTED, Coulomb())
+    runs = []
+    for model in (robot, WheeledRobot(BODY, SUPPORTED)):
+        controller = Backstepping(Tracking(), model)
+        runs.append(run(robot, controller, EIGHT, 8.0, off=OFF / 10, integrator=None))
+    assert distance(runs[0])[300:].max() < 5e-3
+    np.testing.assert_allclose(runs[0].u, runs[1].u, atol=1e-9)
 
 
 def test_arms_follow_beside_the_body() -> None:
@@ -282,6 +322,7 @@ CASES: dict[str, tuple[Any, Any, Any, Any]] = {
     "dynamic": (DIFFERENTIAL, Backstepping(DynamicFeedback(), DIFFERENTIAL), EIGHT, S),
     "parking": (DIFFERENTIAL, Backstepping(Parking(), DIFFERENTIAL), Posed((1.0, 0.5, 0.3)), S),
     "car": (CAR, OF_CAR, LARGE, S),
+    "swerve": (SWERVE, SwerveTracking(SWERVE), Crab(), S),
     "car, delayed": (CAR, Delayed(OF_CAR, 1), LARGE, S),
     "mecanum": (MECANUM, ComputedTorque(MECANUM), EIGHT, S),
     "allocated": (DIFFERENTIAL, Allocated(PD((60, 60, 20), (60, 60, 10)), DIFFERENTIAL), EIGHT, S),
@@ -360,6 +401,10 @@ class _Back:
         (lambda: Backstepping(Tracking(), BODY), "robot is MobileRobot("),
         (lambda: Backstepping(Tracking(), DIFFERENTIAL, k=0), "k is 0.0 1/s, expected > 0"),
         (lambda: Allocated(PD(1, 1), BODY), "robot is MobileRobot("),
+        (
+            lambda: SwerveTracking(SUPPORTED),
+            "robot is WheelTable(",
+        ),
         (lambda: Allocated(Tracking(), DIFFERENTIAL), ""),  # type: ignore[arg-type]
         (lambda: Decoupled(MECANUM), "robot is WheeledRobot("),
         (

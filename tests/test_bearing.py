@@ -285,3 +285,40 @@ def test_what_is_not_known_is_refused() -> None:
     one_motor = WheelTable((left, replace(right, motor=None)), DIFFERENTIAL.supports)
     with pytest.raises(errors.InvalidArgument, match=r"^reference needs a force of"):
         steepest(WheeledRobot(BODY, one_motor))
+
+
+def test_a_robot_by_voltage_tells_loads_and_takes_no_volts_for_torques() -> None:
+    motor = Motor(resistance=1.0, torque_constant=0.03, voltage=24.0, gear=20.0)
+    table = WheelTable.differential(0.5, 0.1, supports=[(0.2, 0.0), (-0.2, 0.0)], motor=motor, **WHEEL)
+    robot = WheeledRobot(BODY, table)
+    electric, still = robot.by_voltage(), np.zeros(robot.nv)
+    at = Motion(electric, robot.rest, still, still, [12.0, 12.0])
+    np.testing.assert_array_equal(
+        contact_loads(at).values, contact_loads(Motion(robot, robot.rest, still, still)).values
+    )
+    with pytest.raises(errors.InvalidArgument, match=r"^motion.plant is .*, which does not tell how far"):
+        slip_margins(at)
+    assert not hasattr(electric, "measures")
+    assert not hasattr(electric.traced(), "measured")
+    assert electric.on_ramp(0.1) == robot.on_ramp(0.1).by_voltage()
+    assert steepest(electric) == steepest(robot)
+
+
+def test_other_parameters_are_those_of_another_robot() -> None:
+    robot = WheeledRobot(BODY, DIFFERENTIAL)
+    other = robot.with_parameters(track=0.6, mu=0.3, com_z=0.25)
+    np.testing.assert_allclose(other.y, [0.3, -0.3])
+    np.testing.assert_array_equal(other.mu, [0.3, 0.3])
+    np.testing.assert_allclose(other.upright[0], 0.25)
+    at = moving(other)
+    higher = replace(robot, robot=MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.25)))
+    wide = WheelTable(
+        tuple(replace(wheel, y=1.2 * wheel.y) for wheel in DIFFERENTIAL.wheels), DIFFERENTIAL.supports
+    )
+    expected = replace(higher, table=wide)
+    np.testing.assert_allclose(
+        contact_loads(at).values, expected.contact_loads(at.q, at.v, at.a).values, rtol=1e-9
+    )
+    assert robot.with_parameters() == robot
+    with pytest.raises(errors.InvalidArgument, match=r"^track is 0, expected > 0$"):
+        robot.with_parameters(track=0.0)

@@ -46,13 +46,39 @@ def test_lecture_prints_every_number_beside_the_lectures(lecture: tuple[Path, st
     assert all(len(line) <= 80 for line in text.splitlines() if "/" not in line)
 
 
+def test_lecture_shows_what_wheels_change(lecture: tuple[Path, str]) -> None:
+    folder, text = lecture
+    shown = text.split("4  On wheels")[1]
+    rows = re.findall(
+        r"^(via stop|via free|circle) +(PD|computed torque\*)((?: +\S+){4})$", shown, re.MULTILINE
+    )
+    found = {(path, controller): [float(x) for x in numbers.split()] for path, controller, numbers in rows}
+    assert len(found) == 6
+    for (path, controller), (free, back, rolled, left) in found.items():
+        assert back == free, "the free body slides back to its path"
+        if controller == "PD":
+            assert left > 5 * rolled, "wheels do not push sideways"
+            assert rolled < (free / 20 if path == "circle" else 2 * free)
+        else:
+            assert max(rolled, left) < 1e-4
+    assert "turns its heading by 0.785 rad at once at t = 0.1 s" in shown
+    page = (folder / "index.html").read_text()
+    assert re.search(r'<img src="wheels.png" alt="[^"]+"', page)
+
+
 def test_lecture_writes_every_figure_with_an_index_that_says_what_it_shows(lecture: tuple[Path, str]) -> None:
     folder, text = lecture
     page = (folder / "index.html").read_text()
     kinds = ("animation.gif", "path.png", "states.png", "errors.png", "forces.png")
     figures = {f"{name}-{kind}" for name in ("via-stop", "via-free", "circle") for kind in kinds}
     pages = {f"{name}.html" for name in ("via-stop", "via-free", "circle")}
-    assert {path.name for path in folder.iterdir()} == figures | pages | {"index.html", "derivation.txt"}
+    assert {path.name for path in folder.iterdir()} == {
+        *figures,
+        *pages,
+        "derivation.txt",
+        "index.html",
+        "wheels.png",
+    }
     for name in pages:
         assert f'<a href="{name}">' in page
     assert text.endswith(f"see it move: open {folder / 'circle.html'}\n")

@@ -48,6 +48,18 @@ METHODS = [
 ]
 ON_ARMS = {"arm_manipulability", "mount_wrench"}  # of a bare robot they are errors
 CASES = [(kind, name) for kind in ROBOTS for name in METHODS if ROBOTS[kind].mounts or name not in ON_ARMS]
+DRIVES: dict[str, dict[str, Any]] = {
+    "differential_drive": {"track": 0.5, "radius": 0.1, "spin_inertia": 0.01, "axle": 0.05},
+    "roller_drive": {
+        "x": [0.2, -0.1, -0.1],
+        "y": [0.0, 0.2, -0.2],
+        "angle": [1.6, 3.7, 5.8],
+        "roller": 0.1,
+        "radius": 0.1,
+        "spin_inertia": 0.01,
+    },
+    "car": {"steering": 0.3, "wheelbase": 0.5, "radius": 0.1, "track": 0.4, "spin_inertia": 0.01},
+}
 EQUATIONS = ["coriolis_matrix", "forward_dynamics", "inverse_dynamics", "mass_matrix", "nonlinear_effects"]
 
 
@@ -78,7 +90,7 @@ def test_every_method_answers_in_finite_numbers_or_says_that_it_cannot(kind: str
 
 
 def test_the_equations_are_all_there() -> None:
-    assert set(EQUATIONS) == {n for n in public(closed_form) if not n.startswith("unchecked")}
+    assert {*EQUATIONS, *DRIVES} == set(public(closed_form)) - {"ReducedModel"}
 
 
 @pytest.mark.parametrize("name", EQUATIONS)
@@ -91,6 +103,18 @@ def test_every_equation_answers_in_finite_numbers_or_says_that_it_cannot(name: s
         for many in (1, 3):
             value: Any = size if np.ndim(usual[large]) == 0 else np.full((many, len(usual[large])), size)
             assert f"|{large}| up to " in (why_not(function, usual | {large: value}) or f"|{large}| up to ")
+
+
+@pytest.mark.parametrize("name", DRIVES)
+def test_every_drive_answers_in_finite_numbers_or_says_that_it_cannot(name: str) -> None:
+    function = getattr(closed_form, name)
+    rates = {"twist": np.ones(3)} if name == "roller_drive" else {"nu": np.ones(2)}
+    own: dict[str, Any] = {"mass": 30.0, "yaw_inertia": 1.3, "com": (0.1, 0.05)}
+    usual = own | DRIVES[name] | rates
+    for size, large in itertools.product((*HUGE, 1e-310), set(usual) - {"steering", "roller"}):
+        value = np.full(np.shape(usual[large]), size)
+        why = why_not(function, usual | {large: value if abs(size) > 0 else size})
+        assert f"|{large}| up to " in (why or f"|{large}| up to ")
 
 
 def test_the_error_says_what_was_large() -> None:

@@ -234,7 +234,7 @@ def test_loads_balance_what_pinocchio_says_the_ground_exerts(armed: bool) -> Non
 
 def in_tree(robot: WheeledRobot, q: Array, v: Array, a: Array) -> Array:
     """Return what Pinocchio says that the ground exerts on a robot and its wheels, along and about B."""
-    whole, rates, G, bent = robot._to_tree(q, v)
+    whole, rates, G, bent = robot._tree.state_of(q, v)
     return robot._tree.ground_wrench(whole, rates, G @ a + bent)
 
 

@@ -97,8 +97,9 @@ def test_lyapunov_functions_fall_as_the_papers_say(law: Any, candidate: Any, mov
 def test_a_reference_is_followed_backwards() -> None:
     e = np.array([0.3, -0.3, 0.5])
     for _ in range(5000):
-        (v, w), _ = Tracking()(Tracked(*e, -0.5, 0.2), None)
-        e = e + 2e-3 * np.array(derivative(Tracked(*e, -0.5, 0.2), v, w))
+        tracked = Tracked(e[0], e[1], e[2], -0.5, 0.2)
+        (v, w), _ = Tracking()(tracked, None)
+        e = e + 2e-3 * np.asarray(derivative(tracked, v, w), np.float64)
     assert np.abs(e).max() < 1e-6
 
 
@@ -106,7 +107,7 @@ def test_errors_of_the_place_decay_as_two_poles_by_dynamic_feedback() -> None:
     law, e, h = DynamicFeedback(), np.array([0.0, 0.2, 0.0]), 1e-3
     state, squares = state_of(law, 0.6), []
     for _ in range(10000):
-        tracked = Tracked(*e, 0.6, 0.3, 0.0, state[0])
+        tracked = Tracked(e[0], e[1], e[2], 0.6, 0.3, 0.0, state[0])
         (v, w), state = law(tracked, state)
         e = e + h * np.array(derivative(tracked, float(v.value), float(w)))
         squares.append(np.hypot(e[0], e[1]))

@@ -336,7 +336,8 @@ def fastest(plant: Any, trajectory: Any, samples: int = 400) -> Limit:
     duration = positive("trajectory.duration", trajectory.duration, "s")
     t = np.linspace(0.0, duration, whole("samples", samples, least=4))
     reference = trajectory(t)
-    if not isinstance(reference, tuple) or not all(hasattr(reference, name) for name in "qva"):
+    is_reference = isinstance(reference, tuple) and all(hasattr(reference, name) for name in "qva")
+    if not is_reference:
         raise InvalidArgument(
             f"trajectory is {shown(trajectory)}, which returned {shown(reference)}, expected a Reference: "
             "take Tangent(path) of a path"

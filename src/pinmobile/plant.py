@@ -72,6 +72,8 @@ class Plant(Protocol):
         for displacements that change at the velocity.
     ``drawing(q) -> (k, 4, 4)``, ``visual_model``
         Placements in the inertial frame of the k objects of a `pin.GeometryModel`, which the viewer draws.
+    ``contacts(q, v, a, u, signals) -> Contacts``
+        What the ground does where the plant touches it, at n samples of a run: for the viewer and plots.
     ``ground_wrench(q, v, a) -> (..., 6)``, ``footprint``
         What `pinmobile.balance` asks, of many states at once: the wrench (fx, fy, fz, mx, my, mz) of the
         ground on the body, along and about the body's frame [N, N m]; and the corners (k, 2) of what it
@@ -87,6 +89,9 @@ class Plant(Protocol):
     ``measures``, ``measured(t, q, v, a, u, reference) -> (m,)``
         What is worth judging about a sample beside errors, a tuple of m `pinmobile.measures.Measure`, and the
         law that gives them, all numbers the plant's own: ensembles keep the worst of each.
+    ``mounts``
+        What of it reaches beyond its size, such as arms: where there is any, the viewer looks from lower, and
+        makes room for it.
     ``size``
         Length, width and height of the box that is drawn [m], or of what ``drawing`` draws; without, an
         arrowhead, or a box of usual size.
@@ -130,8 +135,53 @@ class Step(NamedTuple):
     memory: object = None
 
 
+class Contacts(NamedTuple):
+    """What the ground does where a plant touches it, at n samples of a run: for the viewer and plots.
+
+    Loads and margins that `pinmobile.balance` judges, of any states, are `ContactLoads` and `SlipMargins`.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the k contacts.
+    places : ndarray, shape (n, k, 2)
+        Where they are in the inertial frame [m].
+    directions : ndarray, shape (n, k)
+        Angle of the first of each contact's two directions from the inertial x axis; the second is a quarter
+        of a turn to the left [rad].
+    forces : ndarray, shape (n, k, 2)
+        Of the ground on the plant along these [N].
+    determined : ndarray of bool, shape (k, 2)
+        Whether the model determines them; of others only sums are, and what is told is a share.
+    loads : ndarray, shape (n, k)
+        [N]; not a number where they are not known.
+    limits : ndarray, shape (n, k, 2)
+        Largest friction in each direction [N]: of a disc where both are alike, else of each by itself, as of
+        rollers; not a number where it is not known.
+    slips : ndarray, shape (n, k, 2)
+        Velocity at which the plant slides over the ground, along these directions [m/s].
+    slides : ndarray of bool, shape (n, k)
+        Whether all friction is used.
+    centre : ndarray, shape (n, 2)
+        Instantaneous centre of the body's rotation in the inertial frame [m]; infinite where there is none.
+    """
+
+    names: tuple[str, ...]
+    places: Array
+    directions: Array
+    forces: Array
+    determined: NDArray[np.bool_]
+    loads: Array
+    limits: Array
+    slips: Array
+    slides: NDArray[np.bool_]
+    centre: Array
+
+
 class ContactLoads(NamedTuple):
-    """What the ground carries at each place where a robot touches it.
+    """What each place where a robot touches the ground carries, of any states: for `pinmobile.balance`.
+
+    Supports without wheels are among them. For the viewer, a run has `Contacts`.
 
     Attributes
     ----------
@@ -152,7 +202,9 @@ class ContactLoads(NamedTuple):
 
 
 class SlipMargins(NamedTuple):
-    """How far wheels are from slipping.
+    """How far wheels are from slipping, of any states: for `pinmobile.balance`.
+
+    Of wheels whose shares of a force are not determined it is the sum. For the viewer, a run has `Contacts`.
 
     Attributes
     ----------

@@ -3,6 +3,7 @@
 import pathlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from inspect import signature
 from typing import Any, Generic, TypeAlias, TypeVar
 
@@ -23,6 +24,7 @@ from pinmobile import (
     rk4,
     semi_implicit_euler,
 )
+from pinmobile.arrays import positive
 from pinmobile.controllers import Controller
 from pinmobile.ensembles import GROUPS, PARAMETERS
 from pinmobile.errors import UnknownName
@@ -30,6 +32,7 @@ from pinmobile.integrators import Integrator
 from pinmobile.paths import Path
 from pinmobile.plant import Parameter, parameters_of
 from pinmobile.trajectories import Trajectory
+from pinmobile.wheels import WheelTable
 
 _Made = TypeVar("_Made")
 Numbers: TypeAlias = float | tuple[float, ...]
@@ -84,6 +87,13 @@ CONTROLLERS: Mapping[str, Choice[Controller]] = {
 COMPARED = ("pd", "computed-torque")
 """Controllers that run side by side where none is named."""
 
+
+def _swerve(wheelbase: float, track: float, radius: float, **wheel: Any) -> WheelTable:
+    """Return a module in each corner."""
+    a, b = positive("wheelbase", wheelbase, "m") / 2, positive("track", track, "m") / 2
+    return WheelTable.swerve([(a, b), (a, -b), (-a, b), (-a, -b)], radius, **wheel)
+
+
 ROBOTS: Mapping[str, Choice[MobileRobot]] = {
     "lecture": Choice(MobileRobot.lecture, label="Icz = 0.1"),
     "box": Choice(MobileRobot.box, label="homogeneous"),
@@ -133,11 +143,53 @@ class Option:
         return f"{self.table}.{self.key}"
 
 
+_WHEEL = {"wheel_radius": 0.1}
+_FOUR = {"wheelbase": 0.4, "track": 0.5, **_WHEEL}
+_CALLED = {"radius": "wheel_radius"}
+DRIVES: Mapping[str, Choice[WheelTable]] = {
+    "differential": Choice(
+        partial(WheelTable.differential, supports=[(0.25, 0.0), (-0.25, 0.0)]),
+        {"track": 0.46, **_WHEEL},
+        _CALLED,
+        "two driven wheels on one axle, two ball casters",
+    ),
+    "mecanum": Choice(WheelTable.mecanum, _FOUR, _CALLED, "four wheels with rollers at 45 degrees"),
+    "omni": Choice(
+        WheelTable.omni, {"distance": 0.22, "wheel_radius": 0.06}, _CALLED, "three omni wheels on a circle"
+    ),
+    "car": Choice(
+        WheelTable.car,
+        {"wheelbase": 0.5, "track": 0.46, **_WHEEL},
+        _CALLED,
+        "rear wheels on a differential, front wheels steered by Ackermann's law",
+    ),
+    "swerve": Choice(
+        _swerve,
+        {"wheelbase": 0.36, "track": 0.24, "wheel_radius": 0.05},
+        _CALLED,
+        "four modules that steer and drive",
+    ),
+    "skid-steer": Choice(
+        WheelTable.skid_steer, _FOUR, _CALLED, "four fixed wheels, those of a side on one gear train"
+    ),
+}
+"""Drives by name, each with the numbers of a robot of 0.6 x 0.4 x 0.25 m."""
+
+DRIVEN: Mapping[str, Choice[Path]] = {
+    "circle": Choice(Circle, {"duration": 12.6, "radius": 1.0, "rate": 0.5}),
+    "lissajous": Choice(Lissajous, {"duration": 12.6, "rx": 0.8, "ry": 0.8, "wx": 1.0, "wy": 0.5}),
+}
+"""Paths that a robot of that size drives in a while."""
+
 # No part states these, so that no spread names them: the number of samples and the shape of the gains depend
 # on them.
 _OWN = {
     "duration": Parameter("duration", "s", "duration of the path"),
     **{name: Parameter(name, "", "K or KX,KY,KPSI") for name in ("kp", "kd")},
+    "wheelbase": Parameter("wheelbase", "m", "distance of the axles"),
+    "track": Parameter("track", "m", "distance of the sides"),
+    "wheel_radius": Parameter("wheel_radius", "m", "radius of the wheels"),
+    "distance": Parameter("distance", "m", "of the wheels from the middle"),
 }
 
 
@@ -242,6 +294,14 @@ OF_PARTS = tuple(
     option.name for option in OPTIONS.values() if option.kind is str and option.key == option.name
 )
 """Those that name a part and may be a table in a scenario file."""
+
+OF_DRIVES = (
+    *_taken(DRIVES, "drive"),
+    _one_of("trajectory", DRIVEN, "lissajous", table="trajectory"),
+    *_taken(DRIVEN, "trajectory"),
+    _one_of("heading", HEADINGS, "tangent", table="trajectory"),
+    *_taken({name: HEADINGS[name] for name in ("tangent", "fixed")}, "trajectory"),
+)
 
 OF_ENSEMBLES = tuple(option for option in OPTIONS.values() if option.table == "ensemble")
 OF_LOOPS = tuple(option for option in OPTIONS.values() if option.table != "ensemble")

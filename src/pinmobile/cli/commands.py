@@ -10,7 +10,9 @@ from rich.markup import escape
 
 import pinmobile
 from pinmobile.cli.choices import (
+    DRIVES,
     GROUND,
+    OF_DRIVES,
     OF_ENSEMBLES,
     OF_LOOPS,
     OPTIONS,
@@ -37,8 +39,14 @@ app = typer.Typer(
 )
 
 _Command = TypeVar("_Command", bound=Callable[..., int])
-_LOOP = "Loop and output"
-_PANELS = {"robot": "Robot", "trajectory": "Trajectory", "controller": "Controller", "loop": _LOOP}
+_LOOP, _DRIVE = "Loop and output", "Drive"
+_PANELS = {
+    "drive": "Drive",
+    "robot": "Robot",
+    "trajectory": "Trajectory",
+    "controller": "Controller",
+    "loop": _LOOP,
+}
 _VERIFIED: dict[str, Numbers] = {"mass": 10.0, "yaw_inertia": 1.2, "com": (0.15, 0.05)}
 _TAKES_RUNS = {"allow_extra_args": True, "ignore_unknown_options": True}
 
@@ -153,6 +161,7 @@ def verify(
     urdf: Annotated[Path | None, _help("Verify the robot of this URDF: the chain, or a bare base.")] = None,
     table: Annotated[str | None, _help("DH table: lecture or slide; lecture.")] = None,
     mount: Annotated[list[str] | None, _help("Arm to mount, as in `pinmobile mount`; repeatable.")] = None,
+    drive: Annotated[str | None, _help(f"Verify the box on wheels: {', '.join(DRIVES)}.")] = None,
     states: Annotated[int, _help("Number of random states.")] = 200,
     seed: Annotated[int, _help("Seed of the states.")] = 0,
     **typed: object,
@@ -165,7 +174,13 @@ def verify(
     options = Options({**typed, "urdf": urdf, "table": table})
     if urdf is None:
         options.refuse(["ground"], "applies beside --urdf alone")
-    if mount:
+    robot: Any
+    if drive is not None:
+        from pinmobile.cli.drive import wheeled_of
+
+        options.refuse(["urdf", *_VERIFIED, "table"], "does not apply beside --drive")
+        robot = wheeled_of({}, drive, arms=mount or ())
+    elif mount:
         from pinmobile.cli.mount import mounted
 
         options.refuse(["urdf", *_VERIFIED, "table"], "does not apply beside --mount")
@@ -178,7 +193,8 @@ def verify(
         robot = pinmobile.MobileRobot(**{**_VERIFIED, **body_of(options)}, dh=dh)
     with progress(1, "deriving and comparing"):
         verification = pinmobile.verify(robot, states=states, seed=seed)
-    console.print(f"{robot.source}: {robot}", markup=False)
+    told = f"a box on wheels, {drive}" if drive is not None else f"{robot.source}: {robot}"
+    console.print(told, markup=False)
     console.print(str(verification), markup=False)
     console.print("every route agrees" if verification.passed else "the routes do NOT agree")
     return 0 if verification.passed else 1
@@ -260,6 +276,46 @@ def mount(
         return list_mountable()
     robot = mounted(arm or (), urdf, at or (), package_dir or (), lock or ())
     return show_mount(robot, dt=dt, duration=duration, html=html, out=out)
+
+
+@app.command()
+@_taking(OF_DRIVES, panels=True)
+def drive(
+    name: Annotated[str | None, typer.Argument(help=f"One of {', '.join(DRIVES)}.")] = None,
+    *,
+    urdf: Annotated[Path | None, _help("URDF of a robot, with the wheels that it has.", panel=_DRIVE)] = None,
+    package_dir: Annotated[
+        list[Path] | None, _help("Folder of package:// in the URDF; repeatable.", panel=_DRIVE)
+    ] = None,
+    rollers: Annotated[
+        float | None,
+        _help("Angle of the rollers of the URDF's wheels (rad), 0.785 of mecanum.", panel=_DRIVE),
+    ] = None,
+    mu: Annotated[
+        float | None,
+        _help("Let the wheels slip, with this coefficient of friction; by default they roll.", panel=_DRIVE),
+    ] = None,
+    dt: Annotated[float, _help("Sampling time (s).", panel=_LOOP)] = 0.01,
+    html: Annotated[
+        Path | None,
+        _help("File for a page that shows it move, with the forces at its wheels.", panel=_LOOP),
+    ] = None,
+    out: Annotated[Path | None, _help("Folder for records and figures.", panel=_LOOP)] = None,
+    **typed: object,
+) -> int:
+    """Drive a path on wheels: their torques, loads and friction, and what of it slips.
+
+    The drive tells the controller: computed torque where it can move in every direction, backstepping on the
+    kinematic tracking law where it cannot, and wheel speeds where wheels skid or more than two are steered,
+    which rolls on no ideal ground: friction is then 0.8.
+
+    Example: pinmobile drive mecanum --html out/mecanum.html
+    """
+    from pinmobile.cli.drive import OfFile, show_drive, wheeled_of
+
+    file = None if urdf is None else OfFile(urdf, tuple(package_dir or ()), rollers)
+    robot = wheeled_of(typed, name, file, mu=mu)
+    return show_drive(typed, robot, name or str(urdf), dt=dt, html=html, out=out)
 
 
 @app.command(context_settings=_TAKES_RUNS)

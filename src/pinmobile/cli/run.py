@@ -3,21 +3,29 @@
 import math
 import signal
 import socket
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from rich.progress import Progress
 
 from pinmobile import (
+    COMPILED,
     LECTURE_TABLE,
     SLIDE_TABLE,
+    Allocated,
+    Backstepping,
     Diverged,
     InvalidArgument,
     MobileRobot,
     Rollout,
+    Tracking,
+    WheeledRobot,
+    WheelTable,
     plots,
     simulate,
 )
@@ -231,6 +239,13 @@ EXPECTED = {
 
 _PATHS = {name: name.replace(" ", "-") for name, _ in EXPECTED}
 
+_OFF = 0.3
+_WHEELS = Picture(
+    "wheels.png",
+    f"{_OFF:g} m beside the path at the start: the free body slides back; on wheels PD does not come back, "
+    "for no wheel pushes sideways, and backstepping steers back.",
+)
+
 Runs = dict[tuple[str, str], Rollout]
 
 
@@ -239,7 +254,7 @@ def show_lecture(folder: Path, *, gif: bool) -> int:
     from pinmobile import derivation, verify  # sympy is not needed by the other commands
 
     robot = MobileRobot.lecture()
-    steps = 4 + len(_PATHS) * (len(FIGURES) + 1 + gif)
+    steps = 6 + len(_PATHS) * (len(FIGURES) + 1 + gif)
     with progress(steps) as bar:
         begin(bar, "deriving")
         derived = derivation.lecture()
@@ -255,14 +270,23 @@ def show_lecture(folder: Path, *, gif: bool) -> int:
         console.print("\n[bold]3  Six closed loops[/bold], m = 30 kg, Icz = 0.1 kg m^2, dt = 0.1 s, 60 s")
         table, same = _table(lecture_runs, right_runs)
         console.print(table, markup=False)
+        begin(bar, "rolling")
+        rolled, beside = _on_wheels()
+        console.print("\n[bold]4  On wheels[/bold], those of a differential drive")
+        console.print(rolled, markup=False)
         begin(bar, "drawing")
         sections = _sections(folder, right_runs, gif, bar)
+        begin(bar, "drawing wheels")
+        save_figure(
+            plots.path(beside, title=f"{_OFF:g} m beside the path at the start"), folder / _WHEELS.file
+        )
     summary = _summary(verification, same)
     write(folder / "derivation.txt", str(derived).encode("utf-8"))
     texts = [
         Section("1  Derivation: M(q) and n(q, v)", _equations(derived), pages=[_STEPS]),
         Section(f"2  Verification, with the centre of mass at {_OFFSET} m", str(verification)),
         Section("3  Six closed loops", table),
+        Section("4  On wheels: what they change", rolled, [_WHEELS]),
     ]
     page = index_page(folder, "The lecture: a mobile robot as a DH chain", [*texts, *sections])
     console.print(f"\n{summary}\nevery step of the derivation: {folder / 'derivation.txt'}", markup=False)
@@ -315,6 +339,68 @@ def _table(lecture: Runs, right: Runs) -> tuple[str, bool]:
     return "\n".join(lines), same
 
 
+def _on_wheels() -> tuple[str, dict[str, Rollout]]:
+    """Return what the wheels of a differential drive change, as text, and runs that start beside a path."""
+    table = WheelTable.differential(
+        0.3, 0.1, supports=[(-0.2, 0)], mass=0.5, spin_inertia=2.5e-3, yaw_inertia=1.3e-3
+    )
+    wheeled = WheeledRobot(MobileRobot.lecture(), table)
+    head = f"{'':10} {'':23} {'free body':>21}   {'on wheels':>21}"
+    columns = f"{'on path':>10} {'beside':>10}"
+    lines = [
+        "heading along the tangent; track 0.3 m, radius 0.1 m; distance from path [m]:",
+        f"the largest, and what is left at the end of a start {_OFF:g} m beside it",
+        head,
+        f"{'trajectory':10} {'controller':23} {columns}   {columns}",
+    ]
+    shown: dict[str, Rollout] = {}
+    for path, trajectory in _PATHS.items():
+        for label, controller in _CONTROLLERS.items():
+            chosen = {"trajectory": trajectory, "controller": controller, "heading": "tangent"}
+            loop = closed_loop(LECTURE.with_values(**chosen))
+            pd = label == "PD"
+            on_wheels = (
+                Allocated(loop["controller"], wheeled) if pd else Backstepping(Tracking(), wheeled, k=4)
+            )
+            rolled = loop | {"robot": wheeled, "controller": on_wheels, "engine": COMPILED}
+            del rolled["integrator"]
+            found, beside = zip(*(_on_and_beside(one) for one in (loop, rolled)), strict=True)
+            what = label if pd else f"{label}*"
+            numbers = (f"{on:10.1e} {off:10.1e}" for on, off in found)
+            lines.append(f"{path:10} {what:23} {'   '.join(numbers)}")
+            if path == "via stop":
+                shown |= {"PD, on wheels": beside[1]} if pd else {"computed torque, free": beside[0]}
+                shown |= {} if pd else {"backstepping, on wheels": beside[1]}
+    lines += ["* on wheels: backstepping with k = 4 1/s, for no torques are the inverse dynamics", ""]
+    lines += [
+        "Wheels carry the force across the axle that PD lacks on a curve, and give none",
+        "to come back; backstepping steers back. What wheels cannot follow is refused:",
+        *textwrap.wrap(_refused(wheeled), 79),
+    ]
+    return "\n".join(lines), shown
+
+
+def _on_and_beside(loop: Mapping[str, Any]) -> tuple[tuple[float, float], Rollout]:
+    """Return the largest distance on the path, what is left at the end of a start beside it, and that run."""
+    run = _simulated(loop)
+    x, y, psi = run.q[0, :3]
+    q0 = run.q[0].copy()
+    q0[:2] = x - _OFF * math.sin(psi), y + _OFF * math.cos(psi)
+    beside = _simulated({**loop, "q0": q0, "v0": run.v[0]})
+    far, left = (np.hypot(*(one.reference.q - one.q[:, :3])[:, :2].T) for one in (run, beside))
+    return (float(far.max()), float(left[-1])), beside
+
+
+def _refused(wheeled: WheeledRobot) -> str:
+    """Return what is said of the lecture's own heading, which jumps where the path begins."""
+    loop = closed_loop(LECTURE.with_values(trajectory="via-stop", heading="lecture"))
+    try:
+        simulate(wheeled, Backstepping(Tracking(), wheeled), loop["trajectory"], dt=loop["dt"])
+    except InvalidArgument as error:
+        return str(error)
+    return ""
+
+
 def _summary(verification: "Verification", same: bool) -> str:
     largest = ", ".join(f"{name} {value:.0e}" for name, value in verification.largest.items())
     routes = f"the routes {'' if verification.passed else 'do NOT '}agree; largest differences: {largest}"
@@ -325,7 +411,7 @@ def _summary(verification: "Verification", same: bool) -> str:
 
 def _sections(folder: Path, right: Runs, gif: bool, bar: Progress) -> list[Section]:
     sections = []
-    for number, trajectory in enumerate(_PATHS, start=4):
+    for number, trajectory in enumerate(_PATHS, start=5):
         prefix = f"{_PATHS[trajectory]}-"
         rollouts = {name: right[trajectory, name] for name in _CONTROLLERS}
         pictures = draw(rollouts, folder, prefix, bar)

@@ -20,12 +20,6 @@ from pinmobile.compiled.passes import traced
 from pinmobile.compiled.processor import Cache, Target, processors as processors
 from pinmobile.compiled.program import Outcome, Program
 from pinmobile.compiled.program_cache import memory_of, once, program_of
-from pinmobile.compiled.rounds import (
-    choose as choose,
-    higher as higher,
-    repeated as repeated,
-    square_root as square_root,
-)
 from pinmobile.compiled.sample import (
     Memory,
     Record,
@@ -38,7 +32,15 @@ from pinmobile.compiled.sample import (
     tracking_errors as tracking_errors,
 )
 from pinmobile.compiled.symbolic import plain as plain, symbols as symbols
-from pinmobile.compiled.tape import Node as Node, maximum as maximum, root as root
+from pinmobile.compiled.tape import (
+    Node as Node,
+    choose as choose,
+    higher as higher,
+    maximum as maximum,
+    repeated as repeated,
+    root as root,
+    square_root as square_root,
+)
 
 __all__ = [
     "BINS",

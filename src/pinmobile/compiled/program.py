@@ -370,7 +370,8 @@ class Program:
             if leaf.kind == "uniform":
                 return np.broadcast_to(value, (n, *leaf.shape))
             first = leaf.first + (len(self.loop.states) if leaf.kind == "row" else 0)
-            return rows[first : first + size].reshape(size, -1)[:, :n].T.reshape(n, *leaf.shape)
+            flat = rows[first : first + size].reshape(size, prod(rows.shape[1:]))  # of nothing too
+            return flat[:, :n].T.reshape(n, *leaf.shape)
 
         for tree in memory:
             found.append(mapped(tree, last))

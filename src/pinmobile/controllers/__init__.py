@@ -6,7 +6,7 @@ and returns the next one (None where it has no memory, see `initial_state`). q, 
 leading axes. `Saturated`, `Delayed` and `NoisyMeasurement` wrap any of them, and each other.
 """
 
-from pinmobile.controllers.backstepping import Backstepping
+from pinmobile.controllers.backstepping import Backstepping, SwerveTracking
 from pinmobile.controllers.controller import (
     Controller,
     InverseDynamics,
@@ -19,6 +19,7 @@ from pinmobile.controllers.controller import (
     planar_difference,
     told as told,
 )
+from pinmobile.controllers.driving import Driven, WheelSpeed
 from pinmobile.controllers.feedback import (
     GAINS as GAINS,
     PD,
@@ -49,6 +50,7 @@ __all__ = [
     "Controller",
     "Decoupled",
     "Delayed",
+    "Driven",
     "DynamicFeedback",
     "Gravity",
     "InverseDynamics",
@@ -59,8 +61,10 @@ __all__ = [
     "Parking",
     "Saturated",
     "State",
+    "SwerveTracking",
     "Tracked",
     "Tracking",
+    "WheelSpeed",
     "check_controller",
     "gain_matrix",
     "law",

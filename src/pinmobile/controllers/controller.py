@@ -108,6 +108,34 @@ def answer_of(
     return answer
 
 
+def check_wheels(robot: Any, needs: str) -> None:
+    """Refuse a controller's robot that has no wheels that roll, or not a motor for each independent velocity.
+
+    Parameters
+    ----------
+    robot : WheeledRobot
+        What is looked at; of what it becomes in a compiled loop only whether it is one.
+    needs : str
+        Name of the method that the controller calls.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is such.
+    """
+    is_sized = isinstance(getattr(robot, "nv", None), int)
+    if isinstance(robot, type) or not (is_sized and hasattr(robot, needs)):
+        raise InvalidArgument(f"robot is {shown(robot)}, expected a WheeledRobot")
+    if not hasattr(robot, "mobility"):
+        return
+    still = robot.reduced(robot.rest, np.zeros(robot.nv))
+    if np.linalg.matrix_rank(still.B) < len(still.M):
+        raise InvalidArgument(
+            f"robot has {len(robot.inputs)} motors and {len(still.M)} independent velocities, expected a "
+            "motor for each"
+        )
+
+
 def check_memory(controller: Controller, context: Context, q: Array, v: Array) -> None:
     """Check that a controller gives the same answer when it is asked again with the same arguments.
 

@@ -13,7 +13,14 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen, whole
-from pinmobile.controllers.controller import Controller, State, answer_of, check_controller, told
+from pinmobile.controllers.controller import (
+    Controller,
+    State,
+    answer_of,
+    check_controller,
+    check_wheels,
+    told,
+)
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Context, Parameter, inputs_of, leading_of
 from pinmobile.signals import signals_of
@@ -267,18 +274,7 @@ class Allocated:
 
     def __post_init__(self) -> None:
         check_controller(self.controller)
-        robot = self.robot
-        is_sized = isinstance(getattr(robot, "nv", None), int)
-        if isinstance(robot, type) or not (is_sized and hasattr(robot, "allocate_scaled")):
-            raise InvalidArgument(f"robot is {shown(robot)}, expected a WheeledRobot")
-        if hasattr(robot, "mobility"):  # what it becomes in a compiled loop has been looked at before
-            still = robot.reduced(robot.rest, np.zeros(robot.nv))
-            if np.linalg.matrix_rank(still.B) < len(still.M):
-                raise InvalidArgument(
-                    f"robot has {len(robot.inputs)} motors and {len(still.M)} independent velocities, "
-                    "expected a "
-                    "motor for each"
-                )
+        check_wheels(self.robot, "allocate_scaled")
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any]:
         """Return the state that the wrapped controller starts with, and forces: left, and supplied."""

@@ -417,11 +417,28 @@ class Scenario:
                 off[k // plant.nv, :, k % plant.nv] = draws[name]
         if references is None:
             q, v = self.start
-            return _rolled(plant, _moved(plant, q, off[0]), v + off[1], off)
+            return self._rolled(draws, _moved(plant, q, off[0]), v + off[1], off)
         firsts = (Reference(*(part[0, i] for part in references)) for i in range(count))
         begun = [self._beginning(plant, at) for at in firsts]
         moved = [plant.integrate(q, dq) for (q, _), dq in zip(begun, off[0], strict=True)]
-        return _rolled(plant, np.array(moved, np.float64), np.array([v for _, v in begun]) + off[1], off)
+        return self._rolled(draws, np.array(moved, np.float64), np.array([v for _, v in begun]) + off[1], off)
+
+    def _rolled(self, draws: Mapping[str, Array], q: Array, v: Array, off: Array) -> tuple[Array, Array]:
+        """Return starts with the velocities that each robot's constraints, such as rolling, leave."""
+        parts = self.parts.on_arrays()
+        if not hasattr(parts.plant, "project"):
+            return q, v
+        values = written(self._in_order, draws, parts.parameters(), len(q), self.size)
+        own = {place: value for place, value in values.items() if place.path.partition(".")[0] == "plant"}
+        if not (own or off.any()):
+            return q, v
+        if getattr(parts.plant, "broadcasts", False):
+            return q, np.asarray(parts.with_parameters(own).plant.project(q, v), np.float64)
+        found = []
+        for k, row in enumerate(zip(q, v, strict=True)):
+            mine = {place: value[k] for place, value in own.items()}
+            found.append(parts.with_parameters(mine, remade=True).plant.project(*row))
+        return q, np.array(found, np.float64)
 
     @property
     def start(self) -> tuple[Array, Array]:
@@ -518,13 +535,6 @@ def _asked(force: Force | CoordinateForce, plant: Any, q: Array, v: Array) -> Ar
     if hasattr(force, "on_coordinates"):
         return force.on_coordinates(0.0, q.copy(), v.copy())
     return force(0.0, plant.pose(q).copy(), plant.rate(q, v).copy())
-
-
-def _rolled(plant: Any, q: Array, v: Array, off: Array) -> tuple[Array, Array]:
-    """Return starts whose velocities keep a plant's constraints, such as rolling, where they were moved."""
-    if not hasattr(plant, "project") or not off.any():
-        return q, v
-    return q, np.array([plant.project(*row) for row in zip(q, v, strict=True)], np.float64)
 
 
 def _moved(plant: Plant, q: Array, displacements: Array) -> Array:

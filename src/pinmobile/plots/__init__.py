@@ -5,6 +5,14 @@ from pinmobile.plots.drivers import drivers
 from pinmobile.plots.plane import animate, path
 from pinmobile.plots.series import balance, errors, forces, reaction, signals, states
 from pinmobile.plots.swept import curves, heatmap, integrator
+from pinmobile.plots.traction import (
+    friction,
+    loads,
+    odometry,
+    share_of_friction as share_of_friction,
+    slip,
+    wheel_torques,
+)
 
 __all__ = [
     "animate",
@@ -14,10 +22,15 @@ __all__ = [
     "drivers",
     "errors",
     "forces",
+    "friction",
     "heatmap",
     "integrator",
+    "loads",
+    "odometry",
     "path",
     "reaction",
     "signals",
+    "slip",
     "states",
+    "wheel_torques",
 ]

@@ -38,7 +38,7 @@ from pinmobile.robot.undercarriage import (
     Undercarriage as Undercarriage,
     WheelJoint as WheelJoint,
 )
-from pinmobile.robot.visuals import BODY as BODY
+from pinmobile.robot.visuals import BODY as BODY, box_visuals as box_visuals
 
 __all__ = [
     "BODY_JOINT",

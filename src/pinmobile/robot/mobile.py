@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeAlias, final
 
 import numpy as np
@@ -656,15 +657,27 @@ class MobileRobot(System):
         """
         return self._visuals.clone()
 
-    @cached_property
+    @property
+    def visual_joints(self) -> Mapping[str, tuple[str, ...]]:
+        """Of each object of `visual_model` that a URDF shows, the joints of that file that would move it.
+
+        Names, the nearest first; of `locked_joints` are those that are wheels.
+        """
+        return MappingProxyType(self._seen[1])
+
+    @property
     def _visuals(self) -> pin.GeometryModel:
+        return self._seen[0]
+
+    @cached_property
+    def _seen(self) -> tuple[pin.GeometryModel, dict[str, tuple[str, ...]]]:
         joint = BODY_JOINT
         if self._looks is None:
-            visuals = box_visuals(self.size, joint)
+            visuals, joints = box_visuals(self.size, joint), dict[str, tuple[str, ...]]()
         else:
-            visuals = read_visuals(self._looks, self.size, joint)
+            visuals, joints = read_visuals(self._looks, self.size, joint)
         add_carried(visuals, self._model, self.mounts, self.loads)
-        return visuals
+        return visuals, joints
 
     def to_urdf(self) -> str:
         """Return the robot as URDF text, every number to the last digit.

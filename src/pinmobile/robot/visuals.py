@@ -169,8 +169,12 @@ _BODY_RGBA = (0.90, 0.62, 0.0, 1.0)
 _DARK_RGBA = (0.16, 0.16, 0.18, 1.0)
 
 
-def read_visuals(file: VisualFile, size: Sequence[float], joint: int) -> pin.GeometryModel:
-    """Return what the file shows, riding on `joint`, its own joints at rest.
+def read_visuals(
+    file: VisualFile, size: Sequence[float], joint: int
+) -> tuple[pin.GeometryModel, dict[str, tuple[str, ...]]]:
+    """Return what the file shows, riding on `joint`, its own joints at rest, and the joints of each object.
+
+    Those of an object are the joints of the file that move it, by name, the nearest first.
 
     Mesh files that are missing or cannot be read are named in a warning; if no mesh is left, the box stands
     for them. Of a file that shows nothing but a box which stands about the origin it is our own, which has a
@@ -191,12 +195,21 @@ def read_visuals(file: VisualFile, size: Sequence[float], joint: int) -> pin.Geo
     placed = [(base * data.oMi[item.parentJoint] * item.placement, item) for item in seen.geometryObjects]
     ours = pin.SE3(np.eye(3), np.array([0.0, 0.0, size[2] / 2]))
     if not shapes or (shapes == ["box"] and placed[0][0].isApprox(ours, _THERE)):
-        return box_visuals(size, joint)
+        return box_visuals(size, joint), {}
     lost = (left_out or broken) and "mesh" not in shapes
     visuals = box_visuals(size, joint) if lost else pin.GeometryModel()
     for placement, item in placed:
         visuals.addGeometryObject(drawn(item.name, joint, placement, item))
-    return visuals
+    return visuals, {item.name: _joints_above(model, item.parentJoint) for _, item in placed}
+
+
+def _joints_above(model: pin.Model, joint: int) -> tuple[str, ...]:
+    """Return the names of a joint and of those that move it, the nearest first."""
+    found = []
+    while joint:
+        found.append(str(model.names[joint]))
+        joint = model.parents[joint]
+    return tuple(found)
 
 
 def drawn(name: str, joint: int, placement: pin.SE3, item: pin.GeometryObject) -> pin.GeometryObject:
@@ -207,21 +220,24 @@ def drawn(name: str, joint: int, placement: pin.SE3, item: pin.GeometryObject) -
     return moved
 
 
-def box_visuals(size: Sequence[float], joint: int) -> pin.GeometryModel:
+def box_visuals(size: Sequence[float], joint: int, clearance: float = 0.0) -> pin.GeometryModel:
     """Return a box that stands on the ground, with a dark front and a wedge on top that points forward.
 
     Parameters
     ----------
     size : sequence of 3 floats
-        Length, width and height [m].
+        Length, width and height of its top [m].
     joint : int
         What it rides on.
+    clearance : float
+        Height of its bottom, where wheels carry it [m].
     """
     import coal
 
     length, width, height = size
-    depth, lift = 0.04 * length, 0.14 * height
-    front = coal.Box(depth, 0.9 * width, 0.62 * height)
+    tall, middle = height - clearance, (height + clearance) / 2
+    depth, lift = 0.04 * length, 0.14 * tall
+    front = coal.Box(depth, 0.9 * width, 0.62 * tall)
     #  y_B          seen from above; the wedge is `lift` high
     #   |  ______________
     #   | |    |\        ||
@@ -232,8 +248,8 @@ def box_visuals(size: Sequence[float], joint: int) -> pin.GeometryModel:
     low, high = (np.column_stack([corners, np.full(3, z)]) for z in (0.0, lift))
     visuals = pin.GeometryModel()
     for name, shape, at, colour in (
-        (BODY, coal.Box(length, width, height), (0, 0, height / 2), _BODY_RGBA),
-        ("front", front, ((length + 0.5 * depth) / 2, 0, 0.5 * height), _DARK_RGBA),
+        (BODY, coal.Box(length, width, tall), (0, 0, middle), _BODY_RGBA),
+        ("front", front, ((length + 0.5 * depth) / 2, 0, middle), _DARK_RGBA),
         ("wedge", _prism(np.concatenate([low, high])), (0, 0, height), _DARK_RGBA),
     ):
         item = pin.GeometryObject(name, joint, pin.SE3(np.eye(3), np.array(at, np.float64)), shape)

@@ -17,6 +17,8 @@ from pinmobile.dh import DHTable
 from pinmobile.errors import InvalidArgument, NotTraceable, shown
 from pinmobile.robot import MobileRobot, PlanarBody
 from pinmobile.verification.bodies import Parts
+from pinmobile.verification.wheel_routes import compare_wheeled
+from pinmobile.wheels import WheeledRobot
 
 __all__ = ["Comparison", "Verification", "verify"]
 
@@ -31,7 +33,7 @@ class Comparison:
     ----------
     quantity : str
         ``"M"``, ``"n"``, ``"tau"`` or ``"a"``; of a robot with arms also ``"M3"``, its base's block, and
-        ``"f"``, the ground's wrench.
+        ``"f"``, the ground's wrench; of a robot on wheels see `verify`.
     route, against : str
         The two routes.
     difference : float
@@ -58,7 +60,7 @@ class Verification:
 
     Attributes
     ----------
-    robot : MobileRobot
+    robot : MobileRobot or WheeledRobot
         What was verified.
     states : int
         Number of random states.
@@ -68,7 +70,7 @@ class Verification:
         Which route there is none of, and why; empty where all are there.
     """
 
-    robot: MobileRobot
+    robot: MobileRobot | WheeledRobot
     states: int
     rows: tuple[Comparison, ...]
     missing: str = ""
@@ -88,9 +90,10 @@ class Verification:
         against = {row.against for row in self.rows}
         names = [row.route if len(against) == 1 else f"{row.route} / {row.against}" for row in self.rows]
         width = max(32, *map(len, names))
-        head = f"{'':3} {'route':{width}} {'largest difference':>18} {'bound':>9}"
+        first = max(3, *(len(row.quantity) for row in self.rows))
+        head = f"{'':{first}} {'route':{width}} {'largest difference':>18} {'bound':>9}"
         lines = [
-            f"{row.quantity:3} {name:{width}} {row.difference:18.1e} {row.bound:9.1e}  "
+            f"{row.quantity:{first}} {name:{width}} {row.difference:18.1e} {row.bound:9.1e}  "
             f"{'agrees' if row.agrees else 'DIFFERS'}"
             for name, row in zip(names, self.rows, strict=True)
         ]
@@ -99,7 +102,9 @@ class Verification:
         return "\n".join([f"{self.states} random states, each route against {what}", head, *lines, *left_out])
 
 
-def verify(robot: MobileRobot, *, states: int = 200, seed: int | np.random.Generator = 0) -> Verification:
+def verify(
+    robot: MobileRobot | WheeledRobot, *, states: int = 200, seed: int | np.random.Generator = 0
+) -> Verification:
     """Compare every route to the robot's dynamics on random states.
 
     Of a bare base the routes are the closed form (hand-derived), Pinocchio (CRBA, RNEA, ABA), the symbolic
@@ -121,10 +126,24 @@ def verify(robot: MobileRobot, *, states: int = 200, seed: int | np.random.Gener
     x and psi also for the forces and the moments of f, and |M^-1| times that for the acceleration; gravity
     in RNEA's columns adds 9.81 sqrt(m K) to that of M. Each must be within 1e-14.
 
+    Of a robot on wheels that roll, at random states that do: M by CRBA and n by RNEA of the tree in which
+    wheels are joints, and the torques that its accelerations and constraint forces by KKT say, against
+    Newton's and Euler's laws of the body, arms and each wheel, one by one; the acceleration and the ground's
+    forces against the null space of the rows, found by singular values; the acceleration against the terms
+    that wheels are to the energy in the plane, by numbers and as machine code; M, n and B of the independent
+    velocities against these, and against the closed form where there is one: two fixed wheels on an axle,
+    fixed wheels with rollers, a car (with arms M alone, of the body that all of it is with its arms locked);
+    nu' against the rate of nu as KKT moves it; the power of inputs, forces and gravity against the rate of
+    kinetic energy. Where wheels slip, a step of 1 ms, in as many passes as change it: what it says of forces,
+    of loads and of power at mid-step against the same laws, and forces against mu times the load. Scales are
+    as above, those of a wheel with K its inertia about the axle and m its mass and K / r^2, and with the
+    forces that act. Each must be within 1e-13; within 1e-12 where equations were solved, whose rounding grows
+    with their condition; within 1e-9 where a rate is a difference of fourth order.
+
     Parameters
     ----------
-    robot : MobileRobot
-        Any mass, inertia, centre of mass and table, any arms and loads.
+    robot : MobileRobot or WheeledRobot
+        Any mass, inertia, centre of mass and table, any arms and loads, any wheels.
     states : int
         Number of states: psi over two turns to either side, arms within their limits, v and a normal with
         unit deviation.
@@ -141,9 +160,12 @@ def verify(robot: MobileRobot, *, states: int = 200, seed: int | np.random.Gener
     InvalidArgument
         If `states` is not a whole number from 1 to 1,000,000, or another argument not what is expected.
     """
-    if not isinstance(robot, MobileRobot):
-        raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot")
+    if not isinstance(robot, MobileRobot | WheeledRobot):
+        raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot or a WheeledRobot")
     rng, count = seeded("seed", seed), whole("states", states, most=_MOST)
+    if isinstance(robot, WheeledRobot):
+        rows, missing = compare_wheeled(robot, count, rng)
+        return Verification(robot, count, tuple(Comparison(*row) for row in rows), missing)
     if robot.mounts or robot.loads:
         return Verification(robot, count, *compare_mounted(robot, count, rng))
     return Verification(robot, count, compare_planar(robot, count, rng))

@@ -67,11 +67,13 @@ class Parts:
         Whose `body`, `mounts` and `loads` are read, and nothing else.
     q, v : ndarray, shape (n, nq) and (n, nv)
         States.
+    fall : ndarray, shape (3,)
+        Gravity along the inertial axes [m/s^2].
     """
 
-    def __init__(self, robot: MobileRobot, q: Array, v: Array) -> None:
+    def __init__(self, robot: MobileRobot, q: Array, v: Array, fall: Array = _DOWN) -> None:
         self.nv, self.count = v.shape[1], len(q)
-        self.v = v
+        self.v, self.fall = v, fall
         self.links = self._chain(robot, q)
         body = pin.Inertia(robot.body.mass, robot.body.com, robot.body.inertia)
         self.links[-1].add(body, pin.SE3.Identity())
@@ -143,7 +145,7 @@ class Parts:
         rates: list[tuple[Array, Array]] = []  # twist and its derivative, along each link's own axes
         wrenches: list[Array] = []
         ground = np.zeros((self.count, 6))
-        lifted = ground - np.append(_DOWN, np.zeros(3)) if gravity else ground  # as if the ground rose
+        lifted = ground - np.append(self.fall, np.zeros(3)) if gravity else ground  # as if the ground rose
         for link in self.links:
             twist, rate = rates[link.parent] if link.parent >= 0 else (ground, lifted)
             own = _times(link.S, self.v[:, link.columns])

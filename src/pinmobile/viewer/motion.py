@@ -167,6 +167,7 @@ def _continuous(quaternions: Array) -> Array:
     return np.asarray(quaternions * signs[:, None])
 
 
+_POSTURES = 50  # of a drawing, from which its reach is found
 _THICK = 0.1  # what a link has around the origin of its joint [m]
 
 
@@ -187,11 +188,11 @@ class Drawing:
         If it has no such model.
     """
 
-    mounts: tuple[()] = ()
     top: float | None = None
 
     def __init__(self, plant: Any) -> None:
         self.plant, self.size = plant, getattr(plant, "size", MobileRobot.box().size)
+        self.mounts = tuple(getattr(plant, "mounts", ()))
         given = getattr(plant, "visual_model", None)
         if not isinstance(given, pin.GeometryModel) or not given.ngeoms:
             raise InvalidArgument(
@@ -359,9 +360,12 @@ def envelope(robot: Drawn, q: Array) -> tuple[float, float]:
     """
     length, _, height = robot.size
     height = height if robot.top is None else robot.top
-    if isinstance(robot, Drawing) or not robot.mounts:
+    if not robot.mounts:
         return length, height
-    origins = _seen_from_body(robot, q)[:, :, :3, 3]
+    if isinstance(robot, Drawing):
+        origins = robot.seen_from_body(q[:: -(-len(q) // _POSTURES)])[:, :, :3, 3]
+    else:
+        origins = _seen_from_body(robot, q)[:, :, :3, 3]
     aside = float(np.hypot(origins[..., 0], origins[..., 1]).max())
     return max(length, aside + _THICK), max(height, float(origins[..., 2].max()) + _THICK)
 

@@ -29,6 +29,7 @@ from pinmobile.viewer.motion import (
     sampled,
 )
 from pinmobile.viewer.stage import Arrows, Extent, Follow, Overlays, Stage, Stay, View, overview
+from pinmobile.viewer.underfoot import ABOVE, TRAIL, draw_ground
 
 _POSE = ("x", "y", "psi")
 
@@ -79,8 +80,6 @@ def _short(value: float, unit: str) -> str:
     return f"{value / scale:.{digits}f} {prefix}{unit}"
 
 
-TRAIL, ABOVE = 2, 40
-"""What is painted over what: the grid, trails, the path, words, and what shows through everything."""
 _GRID, _PATH, _WORDS = 1, 8, 9
 
 # Where the name of frame k stands, in lengths of the robot: frames 2 and 3 have one origin.
@@ -257,6 +256,10 @@ class Scene:
             self.legend.append(["desired pose", QUIET, "", 0.5])
         if self.overlays.arrows is not None:
             self._arrows(main, times, poses[0], extent, self.overlays.arrows)
+        if self.overlays.contacts or self.overlays.centre:
+            channels, told = draw_ground(self.stage, main, times, poses[0], extent, self.overlays)
+            self.channels += channels
+            self.legend += told
         self._tables(poses[0], extent)
         if self.overlays.caption:
             self.channels.append(Channel("meshcat/stage", "caption", _captions(runs, times)))

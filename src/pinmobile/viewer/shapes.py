@@ -118,6 +118,13 @@ def arc_arrow(thickness: float = 0.06) -> _Triangles:
     return joined([ring, head])
 
 
+def disc(inner: float = 0.0, sides: int = 48) -> _Triangles:
+    """Return a flat ring of radius 1 about z, or with no inner radius a disc."""
+    angle = np.linspace(0, 2 * np.pi, sides + 1)
+    points = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    return ribbon((1 + inner) / 2 * points, 1 - inner)
+
+
 def word(text: str, colour: str, height: float, *, lying: bool, order: int) -> Shape:
     """Return text: lying on the ground along x, or facing the camera and in front of everything.
 

@@ -120,6 +120,11 @@ class Overlays:
         Tables whose frames, the ground's included, are drawn as triads with their names.
     arrows : Arrows, optional
         Force and moment.
+    contacts : bool
+        Forces of the ground where the plant touches it, with their friction discs on the ground, to one
+        scale; vermilion where it slides. Of a plant that does not tell its ``contacts`` it is refused.
+    centre : bool
+        The instantaneous centre of rotation of the body, and the way there, while it is not far off.
     camera : Stay or Follow
         From where one looks.
     """
@@ -132,6 +137,8 @@ class Overlays:
     body_frame: bool = False
     frames: Sequence[DHTable] = ()
     arrows: Arrows | None = None
+    contacts: bool = False
+    centre: bool = False
     camera: Stay | Follow = field(default_factory=Stay)
 
     def __post_init__(self) -> None:

@@ -25,7 +25,7 @@ class Bearing:
         on the ground. Whatever else acts from outside is in it.
         """
         at, rate, faster = self._moving(q, v, a)
-        whole, rates, G, bent = self._to_tree(at, rate)
+        whole, rates, G, bent = self._tree.state_of(at, rate)
         return np.asarray(
             self._tree.ground_wrench(whole, rates, np.einsum("...ij,...j->...i", G, faster) + bent)
         )

@@ -127,7 +127,7 @@ def joint_signs(robot: MobileRobot, table: WheelTable) -> dict[str, int]:
     table : WheelTable
         Its wheels, called as the joints.
     """
-    found = {_word(joint.name): joint for joint in robot.undercarriage.wheels}
+    found = {wheel_name(joint.name): joint for joint in robot.undercarriage.wheels}
     rows = [wheel for wheel in table.wheels if wheel.name in found]
     return {
         wheel.name: 1 if _left(wheel.angle) @ found[wheel.name].axis[:2] > 0 else -1  # axle +n is left of e
@@ -335,7 +335,7 @@ class _Reader:
             trail = (along, aside)
             mass, across = swivel.turning(joint, across)
         return Wheel(
-            _word(joint.name),
+            wheel_name(joint.name),
             round(x, _DIGITS) + 0.0,
             round(y, _DIGITS) + 0.0,
             radius,
@@ -526,6 +526,6 @@ def _left(angle: float) -> Array:
     return np.array([-sin(angle), cos(angle)])
 
 
-def _word(name: str) -> str:
+def wheel_name(name: str) -> str:
     """Return the name of a joint as that of a wheel."""
     return "".join("_" if letter in '/,":' else letter for letter in name)

@@ -11,7 +11,8 @@ from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
 from pinmobile.plant import ContactLoads, SlipMargins
 from pinmobile.robot import number
-from pinmobile.wheels.standing import Group, loads, margin
+from pinmobile.wheels.loads import wheel_loads
+from pinmobile.wheels.standing import Group, margin
 
 _BASE = 3
 _OFF = 1e-6  # of the largest rate, beyond which wheels would slide sideways; of the largest torque
@@ -135,7 +136,7 @@ class Following:
 
 def carried(body: Any, state: Any, felt: Any, q: Array, lead: tuple[int, ...]) -> ContactLoads:
     """Return what each contact carries, of arrays."""
-    found = loads(body, state, felt, q)
+    found = wheel_loads(body, state, felt, q)
     names = (*body.table.names, *(f"support {k + 1}" for k in range(len(body.table.supports))))
     values, springs = (_stacked(x, lead) for x in (found.values, found.springs))
     return ContactLoads(names, values, springs, np.broadcast_to(number(found.tips), lead) > 0)

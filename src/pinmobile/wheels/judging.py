@@ -13,8 +13,8 @@ from pinmobile.arrays import Array
 from pinmobile.compiled import higher, square_root
 from pinmobile.measures import Measure
 from pinmobile.robot import WEIGHTLESS, Vector, dot, margin_inside, number, scalars, vector_of
-from pinmobile.wheels.loads import shared_loads
-from pinmobile.wheels.standing import lowest, margin, places_of, pressed
+from pinmobile.wheels.loads import places_of, pressed, shared_loads
+from pinmobile.wheels.standing import lowest, margin
 
 _BASE = 3
 

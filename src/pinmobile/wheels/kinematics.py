@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pinmobile.robot import ZERO, Matrix, Vector, cross, dot, exact, number, sine_and_cosine
-from pinmobile.wheels.table import GearTrain, WheelTable
+from pinmobile.wheels.rows import GearTrain, Rows
 
 
 class Row(NamedTuple):
-    """A direction in which a wheel touches the ground, or a gear train; its product with the rates is a velocity.
+    """A direction in which a wheel touches the ground, or a gear train: times the rates, a velocity.
 
     Attributes
     ----------
@@ -76,13 +76,13 @@ class Kinematics:
         Of each wheel [m].
     """
 
-    table: WheelTable
+    table: Rows
     x: Vector
     y: Vector
     radius: Vector
 
     @classmethod
-    def of(cls, table: WheelTable) -> Kinematics:
+    def of(cls, table: Rows) -> Kinematics:
         """Return that of a table's own numbers."""
         x, y, radius = (
             [exact(getattr(wheel, name)) for wheel in table.wheels] for name in ("x", "y", "radius")
@@ -191,7 +191,7 @@ class Kinematics:
         return o, [self.x[row] + o[0], self.y[row] + o[1]]
 
     def wheel_rates(self, steering: Sequence[Any], twist: Sequence[Any], turning: Sequence[Any]) -> Vector:
-        """Return the rates of wheels that roll: of tyres by their rolling rows, of others by the rollers' rows.
+        """Return the rates of wheels that roll, tyres by their rolling rows, others by the rollers' rows.
 
         Parameters
         ----------
@@ -282,7 +282,7 @@ def _body_velocities(held: Sequence[Row], is_fixed: bool) -> tuple[Matrix, Vecto
 
 
 def _ackermann(length: Any, y: Any, s: Any, c: Any) -> Heading:
-    """Return the heading of a wheel whose axle meets the others where the middle one is turned by an angle."""
+    """Return the heading of a wheel whose axle meets the others, the middle one turned by an angle."""
     offset = y / length
     a, b = s, c - offset * s
     square = a * a + b * b

@@ -8,9 +8,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from pinmobile.compiled import choose, higher
-from pinmobile.robot import ONE, ZERO, Vector, dot, number
+import numpy as np
 
+from pinmobile.compiled import choose, higher, plain
+from pinmobile.robot import ONE, ZERO, Vector, dot, exact, number, scalars, vector_of as stacked
+
+_BASE = 3
 _FLAT = 1e-9  # of the determinant of all contacts: those that are left stand on a line
 _NOTHING = 1e-12  # of the weight: what rounding makes of a contact without load
 _DROPS = 3  # times that contacts are dropped, at most
@@ -91,3 +94,91 @@ def _of_springs(
     share = 1.0 / (area if flat is None else choose(area > flat, area, 1.0))
     bent = [dot(row, wrench) * share for row in minors]
     return [number(dot(row, bent)) for row in weighed], area
+
+
+def places_of(body: Any, steering: Sequence[Any]) -> list[Vector]:
+    """Return where wheels and supports touch the ground, along the body's axes [m]."""
+    found = [body.kinematics.centre(row, steering)[1] for row in range(len(body.table))]
+    return found + [[exact(each.x), exact(each.y)] for each in body.table.supports]
+
+
+def wheel_loads(body: Any, state: Any, felt: Vector, q: Any) -> Loads:
+    """Return what wheels and supports carry: see `pressed`."""
+    return shared_loads(places_of(body, state.steering), *pressed(body, state, felt, q))
+
+
+def pressed(body: Any, state: Any, felt: Vector, q: Any) -> Vector:
+    """Return fz, mx and my of the ground on a robot, wheels spinning [N, N m, N m].
+
+    What the ground exerts is the rate of momentum of all bodies, less gravity: of a robot without arms by
+    Newton's and Euler's equations, of others by their recursion; the spin of the wheels is added.
+
+    Parameters
+    ----------
+    body : WheeledBody
+        The robot.
+    state : State
+        Shape and velocities.
+    felt : list of scalars
+        Accelerations along the body's axes, less gravity in the plane.
+    q : ndarray
+        Any configuration, for its shape.
+    """
+    w = state.twist[2]
+    fz, mx, my = _carried(body, state, felt, q)
+    first = _BASE + body.na
+    rates = [*state.rates]
+    for row, spin in enumerate(numbers(body.spin_inertia)):
+        head, k = body.kinematics.heading(row, state.steering), len(body.table.axes) + row
+        steered = [axis for at, axis in body._steered if at == row]
+        turn = w + head.first * rates[steered[0]] if steered else w
+        faster, slower = spin * felt[first + k], spin * rates[k] * turn
+        mx = mx - head.s * faster - head.c * slower
+        my = my + head.c * faster - head.s * slower
+        wheel = body.table.wheels[row]
+        if steered and wheel.mass and any(wheel.trail):  # its weight moves, and its centre swings
+            (o, p), (o0, p0) = body._centres(row, state)
+            weight, axis = -wheel.mass * float(body.fall[2]), steered[0]
+            mx, my = mx + weight * (p[1] - p0[1]), my - weight * (p[0] - p0[0])
+            turning = felt[2] + head.first * felt[first + axis] + head.second * rates[axis] * rates[axis]
+            swing = wheel.mass * numbers(body.radius)[row]
+            ahead = felt[2] * o0[1] - turning * o[1] - turn * turn * o[0] + w * w * o0[0]
+            aside = turning * o[0] - felt[2] * o0[0] - turn * turn * o[1] + w * w * o0[1]
+            mx, my = mx - swing * aside, my + swing * ahead
+    return [fz, mx, my]
+
+
+def _carried(body: Any, state: Any, a: Vector, q: Any) -> Vector:
+    """Return fz, mx and my of the ground, wheels at rest in the body; `a` has no part of gravity."""
+    if body.na:
+        n = _BASE + body.na
+        at, still = stacked([ZERO, ZERO, ZERO, *state.arms], q), stacked([ZERO] * n, q)
+        v = stacked([*state.twist, *state.arm_rates], q)
+        found = numbers(body.robot.ground_wrench(at, v, stacked(a[:n], q)))[2:5]
+        if not body._slack:
+            return found
+        weights = numbers(body.robot.ground_wrench(at, still, still))[2:5]
+        return [x - body._slack * y for x, y in zip(found, weights, strict=True)]
+    own = body.robot
+    m, x, y = (exact(item(each)) for each in (own.mass, own.com_x, own.com_y))
+    (height, xz, yz), w, spin, g = numbers(body.upright), state.twist[2], a[2], -float(body.fall[2])
+    ax, ay = a[0] - spin * y - w * w * x, a[1] + spin * x - w * w * y
+    mx = m * (y * g - height * ay) + (xz * spin - yz * (w * w))
+    my = m * (height * ax - x * g) + (yz * spin + xz * (w * w))
+    return [m * g, mx, my]
+
+
+def item(x: Any) -> Any:
+    """Return the entry of an array without axes; an array or a number as it is."""
+    x = plain(x)
+    return x.item() if isinstance(x, np.ndarray) and not x.ndim else x
+
+
+def numbers(x: Any) -> Vector:
+    """Return the entries of the last axis; what is known to be a number as Python's, which is quicker."""
+    return [quick(y) for y in scalars(x)]
+
+
+def quick(x: Any) -> Any:
+    """Return a scalar, as Python's where it is a number of NumPy's."""
+    return float(x) if isinstance(x, np.float64) else x

@@ -1,4 +1,4 @@
-"""`Mobility`: what a wheel table lets a robot do, by the ranks of its rows (Campion, Bastin, d'Andrea-Novel 1996)."""
+"""`Mobility`: what a wheel table lets a robot do, by ranks (Campion, Bastin, d'Andrea-Novel 1996)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.robot import number
 from pinmobile.wheels.kinematics import Choice, Kinematics, Row
-from pinmobile.wheels.table import WheelTable
+from pinmobile.wheels.rows import Rows
 
 _RANK = 1e-9  # singular values below, relative to the largest, are rounding
 _COEFFICIENT = 1e-12
@@ -28,10 +28,10 @@ class Mobility:
         The wheels.
     """
 
-    table: WheelTable
+    table: Rows
 
     @classmethod
-    def of(cls, table: WheelTable) -> Mobility:
+    def of(cls, table: Rows) -> Mobility:
         """Return that of a table, which is found once."""
         return _remembered(table)
 
@@ -76,7 +76,7 @@ class Mobility:
 
     @cached_property
     def steerability(self) -> int:
-        """How many steering angles may be chosen: what the rows of wheels steered about their centres add to the rank."""
+        """How many steering angles may be chosen: what wheels steered about their centres add to the rank."""
         return 3 - self.mobility - _rank(self.matrix[self._lateral[0], :3])
 
     @cached_property
@@ -90,8 +90,8 @@ class Mobility:
         if self.mobility < 1:
             told = ", ".join(repr(names[self._rows[i].wheel]) for i in [*fixed, *steered])
             return (
-                f"wheels {told} are more than two axles, whose lines meet in one point only if the angles fit "
-                "together, and no force of the ground keeps them so"
+                f"wheels {told} are more than two axles, whose lines meet in one point only if the angles "
+                "fit together, and no force of the ground keeps them so"
             )
         trains = [row.kind == "train" for row in self._rows]
         if any(trains) and _rank(self.matrix) > _rank(self.matrix[~np.array(trains)]):
@@ -148,7 +148,8 @@ class Mobility:
             (1, 2): "two steered axles",
         }.get((m, s), "")
         lines = [
-            f"type ({m}, {s}){f', {kind}' if kind and self.is_regular else ''}: mobility {m}, steerability {s}"
+            f"type ({m}, {s})"
+            f"{f', {kind}' if kind and self.is_regular else ''}: mobility {m}, steerability {s}"
         ]
         rows, columns = self.matrix.shape
         if self.why_not:
@@ -169,7 +170,7 @@ class Mobility:
 
 
 @lru_cache(maxsize=256)
-def _remembered(table: WheelTable) -> Mobility:
+def _remembered(table: Rows) -> Mobility:
     return Mobility(table)
 
 

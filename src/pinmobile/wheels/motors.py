@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, final
+from functools import cached_property
+from math import pi
+from types import MappingProxyType
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite, non_negative, positive, text
+from pinmobile.compiled import choose
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.robot import ONE, ZERO, Vector, number, scalars
 
 _ELECTRIC = {"resistance": "ohm", "torque_constant": "N m/A", "voltage": "V"}
 
@@ -87,8 +93,67 @@ class Motor:
         for name, unit in (("torque_limit", "N m"), ("current", "A")):
             value = getattr(self, name)
             new[name] = value if value == np.inf else positive(f"{name} of a Motor", value, unit)
-        for name, number in new.items():
-            object.__setattr__(self, name, number)
+        for name, value in new.items():
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def from_sheet(
+        cls,
+        voltage: float,
+        stall_torque: float,
+        stall_current: float,
+        no_load_rate: float,
+        no_load_current: float = 0.0,
+        *,
+        gear: float = 1.0,
+        **others: Any,
+    ) -> Motor:
+        """Return the motor with gear of which a sheet tells how it runs free and how it stalls.
+
+        R = V / i_s;  k G = (V - R i_0) / W_0;  T_c = k i_0;  efficiency = stall torque / (G k (i_s - i_0)).
+        Without a current of the free run there is no dry friction, and the efficiency has all losses.
+
+        Parameters
+        ----------
+        voltage : float
+            At which all else is told [V].
+        stall_torque, stall_current : float
+            At the wheel [N m], of the motor [A].
+        no_load_rate, no_load_current : float
+            At the wheel [rad/s], of the motor [A].
+        gear : float
+            Turns of the motor per turn of the wheel.
+        **others
+            As of `Motor`.
+
+        Raises
+        ------
+        InvalidArgument
+            If a number is not finite or not in its range, or the gear would give more than it takes.
+        """
+        numbers = {
+            "voltage": (voltage, "V"),
+            "stall_torque": (stall_torque, "N m"),
+            "stall_current": (stall_current, "A"),
+            "no_load_rate": (no_load_rate, "rad/s"),
+            "gear": (gear, ""),
+        }
+        V, torque, i_s, W, G = (positive(name, x, unit) for name, (x, unit) in numbers.items())
+        i_0 = non_negative("no_load_current", no_load_current, "A")
+        if i_0 >= i_s:
+            raise InvalidArgument(
+                f"no_load_current is {i_0:g} A, expected less than stall_current, {i_s:g} A"
+            )
+        R = V / i_s
+        k = (V - R * i_0) / (G * W)
+        share = torque / (G * k * (i_s - i_0))
+        if share > 1:
+            raise InvalidArgument(
+                f"stall_torque is {torque:g} N m, expected at most {torque / share:.4g} N m, which is what "
+                "these currents and this rate give"
+            )
+        known = {"resistance": R, "torque_constant": k, "voltage": V, "coulomb": k * i_0, "efficiency": share}
+        return cls(**{**known, "gear": G, **others})
 
     def __repr__(self) -> str:
         own = {name: getattr(self, name) for name in type(self).__dataclass_fields__}
@@ -150,13 +215,13 @@ class Motor:
         shaft = k * self.armature_current(volts, rate) - self.viscous * self.gear * rate
         rest = np.clip(shaft, -self.coulomb, self.coulomb)
         shaft = shaft - np.where(rate == 0, rest, self.coulomb * np.sign(rate))
-        return self._through_gear(shaft, rate)
+        return np.asarray(self._through_gear(shaft, rate))
 
-    def _through_gear(self, shaft: Any, rate: Any) -> Any:
+    def _through_gear(self, shaft: Array, rate: Array) -> Array:
         """Return the torque behind the gear of one before it."""
         drives = np.asarray(shaft * rate >= 0)
         torque = self.gear * shaft * np.where(drives, self.efficiency, 1 / self.efficiency)
-        return np.clip(torque, -self.torque_limit, self.torque_limit)
+        return np.asarray(np.clip(torque, -self.torque_limit, self.torque_limit))
 
     def no_load_rate(self, volts: float | None = None) -> float:
         """Return the rate of the wheel that runs free at a voltage, by default the largest [rad/s]."""
@@ -167,3 +232,206 @@ class Motor:
     def stall_torque(self, volts: float | None = None) -> float:
         """Return the torque at the wheel that is held, at a voltage, by default the largest [N m]."""
         return float(self.torque(self._electric("a torque")[2] if volts is None else volts, 0.0))
+
+
+class Push(NamedTuple):
+    """What a motor does at the wheel near a rate W: the torque is torque - slope W - hold sgn W.
+
+    At rest it is anything within hold of that.
+
+    Attributes
+    ----------
+    torque : scalar
+        [N m].
+    slope : scalar
+        [N m s/rad], >= 0.
+    hold : scalar
+        [N m], >= 0.
+    """
+
+    torque: Any
+    slope: Any
+    hold: Any
+
+
+Motors = Callable[[Vector, bool], list[Push]]
+
+
+def theta(z: Any) -> Any:
+    """Return the weight of a step's end in the rate that a motor feels, where z = h slope / inertia.
+
+    (3 + z) / (6 + z): half where it is not stiff, else towards 1. A motor alone then follows the exponential
+    to third order and forgets at once what is faster than the step (the approximant (1, 2) of Pade).
+    """
+    return (3.0 + z) / (6.0 + z)
+
+
+def within(x: Any, bound: Any) -> Any:
+    """Return what of a scalar lies within a bound to either side."""
+    return choose(x > bound, bound, choose(x < -bound, -bound, x))
+
+
+@dataclass(frozen=True, eq=False)
+class MotorLaw:
+    """The law of electric motors over scalars: numbers, arrays or symbols.
+
+    Parameters
+    ----------
+    motors : sequence of Motor
+        Each.
+    resistance, torque_constant, viscous, coulomb, efficiency : ndarray, shape (..., motors)
+        Their numbers, which may differ from robot to robot.
+    """
+
+    motors: Sequence[Motor]
+    resistance: Any
+    torque_constant: Any
+    viscous: Any
+    coulomb: Any
+    efficiency: Any
+
+    def __len__(self) -> int:
+        return len(self.motors)
+
+    @cached_property
+    def _all(self) -> list[list[Any]]:
+        parts = self.resistance, self.torque_constant, self.viscous, self.coulomb, self.efficiency
+        columns = ([float(x) if isinstance(x, np.float64) else x for x in scalars(part)] for part in parts)
+        return [list(row) for row in zip(*columns, strict=True)]
+
+    def _numbers(self, k: int) -> list[Any]:
+        return self._all[k]
+
+    def volts(self, k: int, volts: Any) -> Any:
+        """Return the voltage of a motor within its limit."""
+        return within(number(volts), float(self.motors[k].voltage or 0.0))
+
+    def current(self, k: int, volts: Any, rate: Any, *, clips: bool = True) -> Any:
+        """Return the current of a motor at a voltage within its limit."""
+        motor, (R, kt, *_) = self.motors[k], self._numbers(k)
+        asked = (volts - (number(kt) * motor.gear) * rate) / number(R)
+        return within(asked, motor.current) if clips and np.isfinite(motor.current) else asked
+
+    def push(self, k: int, volts: Any, rate: Any, *, clips: bool = True) -> Push:
+        """Return what a motor does near a rate.
+
+        Parameters
+        ----------
+        k : int
+            Which.
+        volts : scalar
+            Within the limit [V].
+        rate : scalar
+            Of the wheel [rad/s].
+        clips : bool
+            Whether the limit of the current is looked at.
+        """
+        motor, (R, kt, b, dry, share) = self.motors[k], self._numbers(k)
+        R, kt, G = number(R), number(kt), motor.gear
+        i = self.current(k, volts, rate, clips=clips)
+        felt = kt * kt * G / R
+        if clips and np.isfinite(motor.current):
+            asked = self.current(k, volts, rate, clips=False)
+            felt = choose(abs(asked) <= motor.current, felt, 0.0)
+        fall = felt if b is ZERO else felt + number(b) * G  # of the shaft's torque, per rate of the wheel
+        shaft = kt * i if b is ZERO else kt * i - (number(b) * G) * rate
+        if dry is ZERO and share is ONE:
+            return self._limited(motor, G * shaft, G * shaft, G * fall, ZERO, rate)
+        eta, dry = number(share), number(dry)
+        inverse = 1.0 / eta
+        ahead, back = shaft - dry, shaft + dry
+        by, by_back = choose(ahead > 0.0, eta, inverse), choose(back > 0.0, inverse, eta)
+        resting = choose(rate > 0.0, by, choose(rate < 0.0, by_back, eta))
+        return self._limited(motor, G * (by * ahead), G * (by_back * back), G * (resting * fall), ONE, rate)
+
+    def _limited(self, motor: Motor, ahead: Any, back: Any, slope: Any, holds: Any, rate: Any) -> Push:
+        """Return what a motor does whose torques forwards and backwards are known, but for its limit."""
+        most = motor.torque_limit
+        if np.isfinite(most):
+            now = choose(rate < 0.0, back, ahead)
+            slope = choose(abs(now) <= most, slope, 0.0)
+            ahead, back = within(ahead, most), within(back, most)
+        if holds is ZERO:
+            return Push(ahead + slope * rate, slope, ZERO)
+        hold = 0.5 * (back - ahead)
+        return Push(0.5 * (ahead + back) + slope * rate, slope, hold)
+
+    def torque(self, k: int, volts: Any, rate: Any) -> Any:
+        """Return the torque of a motor at a rate; at rest dry friction takes what there is."""
+        push = self.push(k, volts, rate)
+        torque = push.torque - push.slope * rate
+        if push.hold is ZERO:
+            return torque
+        held = choose(rate > 0.0, push.hold, choose(rate < 0.0, -push.hold, within(torque, push.hold)))
+        return torque - held
+
+    def needed(self, k: int, torque: Any, rate: Any) -> Any:
+        """Return the voltage at which a motor gives a torque at a rate, within its limits.
+
+        Dry friction is taken against the rate, of a wheel that stands against the torque.
+        """
+        motor, (R, kt, b, dry, share) = self.motors[k], [number(x) for x in self._numbers(k)]
+        G = motor.gear
+        way = choose(rate > 0.0, 1.0, choose(rate < 0.0, -1.0, choose(torque < 0.0, -1.0, 1.0)))
+        part = choose(torque * way >= 0.0, 1.0 / share, share)
+        i = (torque * part / G + (b * G) * rate + dry * way) / kt
+        if np.isfinite(motor.current):
+            i = within(i, motor.current)
+        return within(R * i + (kt * G) * rate, float(motor.voltage or 0.0))
+
+
+_RPM = 2 * pi / 60  # [rad/s]
+_ROBOTIS = (
+    "ROBOTIS e-Manual, emanual.robotis.com/docs/en/dxl/x/{}/ (github.com/ROBOTIS-GIT/emanual, 00280385)"
+)
+
+MOTORS: Mapping[str, Motor] = MappingProxyType(
+    {
+        "dynamixel_xl430_w250": Motor.from_sheet(
+            11.1,
+            1.4,
+            1.3,
+            57 * _RPM,
+            gear=258.5,
+            source=_ROBOTIS.format("xl430-w250")
+            + ": at 11.1 V 1.4 N m and 1.3 A at stall, 57 rev/min without load. Not told: current without "
+            "load, rotor inertia",
+        ),
+        "dynamixel_xm430_w210": Motor.from_sheet(
+            12.0,
+            3.0,
+            2.3,
+            77 * _RPM,
+            gear=212.6,
+            source=_ROBOTIS.format("xm430-w210")
+            + ": at 12 V 3.0 N m and 2.3 A at stall, 77 rev/min without load. Not told: current without "
+            "load, rotor inertia",
+        ),
+        "pololu_37d_50_12v": Motor.from_sheet(
+            12.0,
+            210e-6 * 9806.65,
+            5.5,
+            200 * _RPM,
+            0.2,
+            gear=50.0,
+            source="Pololu 37D Metal Gearmotors, rev 1.2 (scribd.com/document/461460344), items 4743, 4753: "
+            "at 12 V 210 kg mm and 5.5 A at stall (extrapolated), 200 rev/min and 0.2 A without load. Not "
+            "told: rotor inertia",
+        ),
+        "faulhaber_1331t012sr": Motor(
+            resistance=13.7,
+            torque_constant=11.4e-3,
+            voltage=12.0,
+            rotor_inertia=0.67e-7,
+            coulomb=0.12e-3,
+            source="Faulhaber DC-Micromotors series 1331 SR (paperzz.com/doc/7782699): 13.7 ohm, "
+            "11.4 mN m/A, 12 V, 0.67 g cm^2, friction torque 0.12 mN m; without a gear. Its largest currents "
+            "are left out",
+        ),
+    }
+)
+"""Real motors by name, numbers of their makers' sheets, which ``source`` names, and what these do not tell.
+
+Of geared motors, resistance, torque constant and efficiency follow from stall and free run: see
+`Motor.from_sheet`.
+"""

@@ -236,7 +236,7 @@ class WheeledBody:
                     M[i][j] = M[i][j] + exact(sign) * m * dot(a, b)
 
     def _centres(self, row: int, state: State) -> tuple[tuple[Vector, Vector], tuple[Vector, Vector]]:
-        """Return where a wheel's centre is from its pivot and from the origin: as it is, and at angle zero."""
+        """Return a wheel's centre from its pivot and from the origin: as it is, and at angle zero."""
         still: Vector = [ZERO] * len(state.steering)
         return self.kinematics.centre(row, state.steering), self.kinematics.centre(row, still)
 
@@ -370,7 +370,9 @@ class WheeledBody:
         return Reduced(
             _matrix([[dot(a, b) for b in pushed] for a in columns], q),
             stacked([dot(column, rest) for column in columns], q),
-            _matrix([[dot(column, one) for one in inputs] for column in columns], q),
+            _matrix([[dot(column, one) for one in inputs] for column in columns], q)
+            if inputs
+            else np.zeros((*np.shape(q)[:-1], len(columns), 0)),
             np.stack(np.broadcast_arrays(*public), axis=-1),
             stacked(self.velocities(state), q),
         )
@@ -419,7 +421,7 @@ class WheeledBody:
         return [*body, *[ZERO] * (self.na + len(self.choice.free))]
 
     def _turned(self, row: Row, state: State) -> Vector:
-        """Return the rate of the coefficients of a lateral row by the steering of its wheel about its centre."""
+        """Return the rate of a lateral row's coefficients by the steering of its wheel about its centre."""
         k = next((k for wheel, k in self._steered if wheel == row.wheel), None)
         if k is None:
             return [ZERO] * 3
@@ -457,7 +459,7 @@ class WheeledBody:
 
     @property
     def pivots(self) -> Any:
-        """Where wheels are steered, and their angle at zero, shape (..., axes, 3), see `WheeledRobot.pivots`."""
+        """Where wheels are steered, and angles at zero, shape (..., axes, 3), see `WheeledRobot.pivots`."""
         x, y = scalars(self.x), scalars(self.y)
         rows = []
         for axis in self.table.axes:
@@ -491,7 +493,7 @@ class WheeledBody:
         )
 
     def supplied(self, state: State, u: Any) -> Vector:
-        """Return the force on body and arms of wheels and joints that an input turns, along the body's axes."""
+        """Return the force on body and arms of what an input turns, along the body's axes."""
         ns, first = len(self.table.axes), _BASE + self.na
         effort = self.generalised(state, u, 0.0)
         found: Vector = [ZERO] * _BASE + effort[_BASE:first]
@@ -503,7 +505,7 @@ class WheeledBody:
         return found
 
     def start(self, reference: Any) -> tuple[Array, Array]:
-        """Return the q and v with which a reference begins, shape (nq,) and (nv,), see `WheeledRobot.start`."""
+        """Return the q and v with which a reference begins, see `WheeledRobot.start`."""
         return self.begun(*self.robot.start(reference))
 
     def begun(self, q: Array, v: Array) -> tuple[Array, Array]:
@@ -538,7 +540,7 @@ class RollingBody(WheeledBody):
 
     @cached_property
     def groups(self) -> tuple[Group, ...]:
-        """Wheels, alone or together, as their lateral forces are determined; none where trains share forces."""
+        """Wheels, alone or together, as their lateral forces are determined; none on gear trains."""
         return groups_of(self)
 
     @cached_property
@@ -552,7 +554,7 @@ class RollingBody(WheeledBody):
         return measured(self, q, v, a, u, reference.q, slips=False)
 
     def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
-        """Return the acceleration, shape (..., nv): a = S nu' + gamma, S' M S nu' = S' (tau - n - M gamma)."""
+        """Return a = S nu' + gamma, S' M S nu' = S' (tau - n - M gamma), shape (..., nv)."""
         state = self.state(q, v)
         M, (S, gamma) = self.inertia(state, q), self.solution(state)
         force = self.generalised(state, u, f)

@@ -30,9 +30,9 @@ from pinmobile.robot import (
 )
 from pinmobile.wheels.contact import Bounds, Impulses, Touch, impulses
 from pinmobile.wheels.judging import measured, measures_of
-from pinmobile.wheels.loads import Loads
+from pinmobile.wheels.loads import Loads, item, numbers, quick, wheel_loads
+from pinmobile.wheels.motors import Motors, Push, theta
 from pinmobile.wheels.rolling import State, WheeledBody
-from pinmobile.wheels.standing import item, loads, numbers, quick
 from pinmobile.wheels.table import GearTrain, WheelTable
 
 _BASE = 3
@@ -104,6 +104,8 @@ class SlippingBody(WheeledBody):
         As of `Friction`.
     passes, sweeps, tolerance
         As of `Coulomb`.
+    rubbing : tuple of int
+        Actuators with dry friction, each of wheels that turn together.
     """
 
     across: Any
@@ -112,6 +114,7 @@ class SlippingBody(WheeledBody):
     passes: int
     sweeps: int
     tolerance: float
+    rubbing: tuple[int, ...] = ()
 
     @cached_property
     def measures(self) -> tuple[Measure, ...]:
@@ -155,20 +158,33 @@ class SlippingBody(WheeledBody):
 
     @cached_property
     def _held(self) -> list[int]:
-        """Kept velocities that rolling resistance holds, in their order among these."""
+        """Kept velocities that rolling resistance or dry friction of motors holds, in their order."""
         first = _BASE + self.na + len(self.table.axes)
         resisted = {self._leaders[first + row][0] for row, x in enumerate(self.rolling) if x}
+        resisted |= {self.turned_by(k)[0][0] for k in self.rubbing}
         return [k for k, i in enumerate(self._kept) if i in resisted]
 
-    def _shape(self, state: State, q: Any, h: Any) -> _Shape:
-        """Return the robot at a shape, for a step of a length."""
+    def turned_by(self, actuator: int) -> list[tuple[int, Any]]:
+        """Return the kept velocities that an actuator turns, and its rate per each."""
+        found: dict[int, Any] = {}
+        for i, share in enumerate(self.table.actuators[actuator].column, _BASE + self.na):
+            leader, ratio = self._leaders[i]
+            found[leader] = found.get(leader, ZERO) + exact(share) * ratio
+        return [(i, x) for i, x in found.items() if x is not ZERO]
+
+    def _shape(self, state: State, q: Any, h: Any, lag: Sequence[Any] = ()) -> _Shape:
+        """Return the robot at a shape, for a step of a length; motors that lag are as heavy rotors."""
         M = self.inertia(state, q)
+        for actuator, more in zip(self.table.actuators, lag, strict=False):
+            for i, a in enumerate(actuator.column, _BASE + self.na):
+                for j, b in enumerate(actuator.column, _BASE + self.na):
+                    M[i][j] = M[i][j] + exact(a * b) * more
         halved = [self._reduced(row) for row in M]
         reduced = [
             list(row)
             for row in zip(*(self._reduced(list(c)) for c in zip(*halved, strict=True)), strict=True)
         ]
-        solve = _factored(reduced)
+        solve = factored(reduced)
         rows = self.kinematics.rows(state.steering, [ZERO] * _BASE, [ZERO] * self.joints, across=True)
         pairs: list[list[Vector]] = [[] for _ in self.table.wheels]
         for row in rows:
@@ -203,7 +219,7 @@ class SlippingBody(WheeledBody):
         return _Shape(solve, touches, touched, rest, [*columns, *(units[at] for at in holding)])
 
     def loads(self, state: State, rate: Vector, q: Any) -> Loads:
-        """Return what wheels and supports carry.
+        """Return what wheels and supports carry: see `wheel_loads`.
 
         Parameters
         ----------
@@ -216,9 +232,12 @@ class SlippingBody(WheeledBody):
         """
         vx, vy, w = state.twist
         pull = self.pull(state)
-        return loads(self, state, [rate[0] - w * vy - pull[0], rate[1] + w * vx - pull[1], *rate[2:]], q)
+        felt = [rate[0] - w * vy - pull[0], rate[1] + w * vx - pull[1], *rate[2:]]
+        return wheel_loads(self, state, felt, q)
 
-    def _bounds(self, shape: _Shape, loads: Vector, slips: Sequence[Vector], h: Any) -> list[Bounds]:
+    def _bounds(
+        self, shape: _Shape, loads: Vector, slips: Sequence[Vector], h: Any, pushes: Sequence[Push] = ()
+    ) -> list[Bounds]:
         """Return what the friction of each wheel is at most."""
         first, found = _BASE + self.na + len(self.table.axes), []
         holds: dict[int, Any] = {}
@@ -226,10 +245,21 @@ class SlippingBody(WheeledBody):
             ratio = abs(float(self._leaders[first + k][1]))
             at = shape.touches[k].spin
             holds[at] = holds.get(at, ZERO) + h * (exact(ratio) * share * r) * loads[k]
+        for at, more in self._rubs(shape, pushes, h):
+            holds[at] = holds[at] + more
         for k, wheel in enumerate(self.table.wheels):
             along = number(h * numbers(self.mu)[k] * loads[k])
             across = along if wheel.roller is None else number(h * numbers(self.across)[k] * loads[k])
             found.append(Bounds(along, across, number(holds[shape.touches[k].spin]), slips[k]))
+        return found
+
+    def _rubs(self, shape: _Shape, pushes: Sequence[Push], h: Any) -> list[tuple[int, Any]]:
+        """Return which touched velocities motors' dry friction holds, and the angular impulse at most."""
+        found = []
+        for k in self.rubbing if pushes else ():
+            ((leader, share),) = self.turned_by(k)
+            at = shape.touched.index(self._kept.index(leader))
+            found.append((at, h * exact(abs(float(share))) * pushes[k].hold))
         return found
 
     def _began(self, shape: _Shape, before: Vector, after: Vector) -> list[Vector]:
@@ -283,11 +313,23 @@ class SlippingBody(WheeledBody):
             From the step before.
         """
         del t
+        return self.driven(q, v, u, h, f, memory)[0]
+
+    def driven(
+        self, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Grip, motors: Motors | None = None
+    ) -> tuple[Step, Vector, Vector]:
+        """Return the state after a step, and torques and rates of actuators that motors drive.
+
+        Parameters
+        ----------
+        motors : callable, optional
+            ``motors(rates, clips)``: the `Push` of each actuator at its rate; `clips` is False for a first
+            guess. Without, `u` has the torques.
+        """
         h = item(h)
         state = self._plain_state(q, v)
         before = [*state.twist, *state.arm_rates, *state.rates]
         middle = self._at_middle(state, q, v, h)
-        shape = self._shape(middle, q, h)
         psi = numbers(q)[2]
         turning = not (np.ndim(f) == 0 and not isinstance(f, np.ndarray) and number(exact(f)) == 0)
         turning = turning or bool(self.fall[0] or self.fall[1])
@@ -298,17 +340,31 @@ class SlippingBody(WheeledBody):
         grip = Impulses([], [x * h for x in contact], [x * h for x in holding], multipliers, 0.0)
         rounds: Any = 0.0
         began: list[Vector] = [[0.0, 0.0] for _ in self.table.wheels]
-        for _ in range(self.passes):
+        begun = self.actuator_rates(state.rates)
+        rates, pushes, shares, lag = begun, list[Push](), list[Any](), list[Any]()
+        for again in range(self.passes):
             mean = [0.5 * (x + y) for x, y in zip(before, after, strict=True)]
             at = self._moving(middle, mean)
             if turning:
                 s, c = sine_and_cosine(psi + 0.5 * h * mean[2])
                 at = at._replace(c=c, s=s)
             loads = self.loads(at, rate, q)
+            if motors is not None:
+                pushes = motors(rates, again > 0)
+                shares = [
+                    theta(h * push.slope * x) if push.slope is not ZERO else ZERO
+                    for push, x in zip(pushes, self._freedom(middle, q), strict=True)
+                ]
+                lag = [h * share * push.slope for push, share in zip(pushes, shares, strict=True)]
+                torques = [push.torque - push.slope * x for push, x in zip(pushes, begun, strict=True)]
+                u = stacked([*numbers(u)[: self.na], *torques], q)
+            if motors is not None or not again:
+                shape = self._shape(middle, q, h, lag)
             free = self._free(shape, at, before, u, h, f, q)
+            bounds = self._bounds(shape, loads.values, began, h, pushes)
             grip = impulses(
                 shape.touches,
-                self._bounds(shape, loads.values, began, h),
+                bounds,
                 [number(free[k]) for k in shape.touched],
                 grip,
                 most=self.sweeps,
@@ -318,6 +374,9 @@ class SlippingBody(WheeledBody):
             began = self._began(shape, before, after)
             rate = [(y - x) / h for x, y in zip(before, after, strict=True)]
             rounds = rounds + grip.rounds
+            if motors is not None:
+                ends = self.actuator_rates(after[_BASE + self.na :])
+                rates = [number(x + share * (y - x)) for x, y, share in zip(begun, ends, shares, strict=True)]
         mean = [0.5 * (x + y) for x, y in zip(before, after, strict=True)]
         s, c = sine_and_cosine(psi + 0.5 * h * mean[2])
         moved = self.integrate(q, self.in_plane(state._replace(c=c, s=s), [h * x for x in mean], q))
@@ -331,7 +390,43 @@ class SlippingBody(WheeledBody):
             stacked([loads.tips], q)[..., 0],
             stacked([rounds], q)[..., 0],
         )
-        return Step(moved, self.in_plane(state._replace(c=c, s=s), after, q), kept)
+        found = Step(moved, self.in_plane(state._replace(c=c, s=s), after, q), kept)
+        if motors is None:
+            return found, [], []
+        given = [push.torque - push.slope * x for push, x in zip(pushes, rates, strict=True)]
+        for k, x in self._rubbed(shape, bounds, pushes, grip, h):
+            given[k] = given[k] + x
+        return found, given, rates
+
+    def _rubbed(
+        self, shape: _Shape, bounds: Sequence[Bounds], pushes: Sequence[Push], grip: Impulses, h: Any
+    ) -> list[tuple[int, Any]]:
+        """Return actuators and the torque of their dry friction: of what holds a wheel, in proportion."""
+        spins = list(dict.fromkeys(touch.spin for touch in shape.touches if touch.held))
+        most = {
+            touch.spin: bound.spin for touch, bound in zip(shape.touches, bounds, strict=True) if touch.held
+        }
+        found = []
+        for k, (at, more) in zip(self.rubbing, self._rubs(shape, pushes, h), strict=True):
+            ((_, share),) = self.turned_by(k)
+            whole = most[at]
+            part = more / choose(whole > 0.0, whole, 1.0)
+            found.append((k, grip.spin[spins.index(at)] * part / (h * float(share))))
+        return found
+
+    def actuator_rates(self, rates: Vector) -> Vector:
+        """Return the rate of each actuator, of those of steering coordinates and wheels."""
+        return [number(dot([exact(x) for x in actuator.column], rates)) for actuator in self.table.actuators]
+
+    def _freedom(self, state: State, q: Any) -> Vector:
+        """Return how fast each actuator turns per angular impulse, all else held."""
+        M, found = self.inertia(state, q), []
+        weights = [self._reduced(list(row)) for row in M]
+        reduced = {i: self._reduced([row[k] for row in weights])[k] for k, i in enumerate(self._kept)}
+        for k in range(len(self.table.actuators)):
+            turned = self.turned_by(k)
+            found.append(number(dot([x * x for _, x in turned], [1.0 / reduced[i] for i, _ in turned])))
+        return found
 
     def _plain_state(self, q: Any, v: Any) -> State:
         state = self.state(q, v)
@@ -431,7 +526,7 @@ def led(table: WheelTable) -> list[tuple[int, float]]:
     return found
 
 
-def _factored(M: Matrix) -> Any:
+def factored(M: Matrix) -> Any:
     """Return what solves M x = right, the last unknowns of a symmetric M eliminated first; zeros stay."""
     n = len(M)
     M, inverse, order = [list(row) for row in M], [ZERO] * n, list(reversed(range(n)))

@@ -1,4 +1,4 @@
-"""What wheels on the ground bear: loads of all contacts, forces of wheels that roll, and margins before slip.
+"""Forces of the ground on wheels that roll, and how far these are from slipping.
 
 Everything is over scalars: numbers, arrays with leading axes, or symbols.
 """
@@ -8,12 +8,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from pinmobile.compiled import choose, higher, plain, square_root
-from pinmobile.robot import ZERO, Vector, cross, dot, exact, number, scalars, sine_and_cosine, vector_of
+from pinmobile.compiled import choose, higher, square_root
+from pinmobile.robot import ZERO, Vector, cross, dot, number, sine_and_cosine
 from pinmobile.wheels.kinematics import Row
-from pinmobile.wheels.loads import Loads, shared_loads
+from pinmobile.wheels.loads import numbers
 from pinmobile.wheels.table import GearTrain
 
 _BASE = 3
@@ -53,90 +51,6 @@ class Margin(NamedTuple):
     along: Vector
     lateral: Vector
     margins: Vector
-
-
-def places_of(body: Any, steering: Sequence[Any]) -> list[Vector]:
-    """Return where wheels and supports touch the ground, along the body's axes [m]."""
-    found = [body.kinematics.centre(row, steering)[1] for row in range(len(body.table))]
-    return found + [[exact(each.x), exact(each.y)] for each in body.table.supports]
-
-
-def pressed(body: Any, state: Any, felt: Vector, q: Any) -> Vector:
-    """Return fz, mx and my of the ground on a body, arms, and wheels that spin.
-
-    Parameters
-    ----------
-    body : WheeledBody
-        Whose they are.
-    state : State
-        Shape and velocities.
-    felt : list of scalars
-        Accelerations along the body's axes, less gravity in the plane.
-    q : ndarray
-        Any configuration, for its shape.
-    """
-    w = state.twist[2]
-    fz, mx, my = _carried(body, state, felt, q)
-    first, ns = _BASE + body.na, len(body.table.axes)
-    for row, spin in enumerate(numbers(body.spin_inertia)):
-        head, k = body.kinematics.heading(row, state.steering), ns + row
-        steered = [axis for at, axis in body._steered if at == row]
-        turn = w + head.first * state.rates[steered[0]] if steered else w
-        faster, slower = spin * felt[first + k], spin * state.rates[k] * turn
-        mx = mx - head.s * faster - head.c * slower
-        my = my + head.c * faster - head.s * slower
-        wheel = body.table.wheels[row]
-        if steered and wheel.mass and any(wheel.trail):  # it is elsewhere than at angle zero
-            (o, p), (_, p0) = body._centres(row, state)
-            faster = felt[2] + head.first * felt[first + steered[0]]
-            faster = faster + head.second * state.rates[steered[0]] * state.rates[steered[0]]
-            x, y = (_more(o, p, p0, (w, turn), (felt[2], faster), i) for i in range(2))
-            m, g, height = wheel.mass, -float(body.fall[2]), body.kinematics.radius[row]
-            mx = mx + m * (g * (p[1] - p0[1]) - height * y)
-            my = my + m * (height * x - g * (p[0] - p0[0]))
-    return [fz, mx, my]
-
-
-def _more(o: Vector, p: Vector, p0: Vector, rates: Sequence[Any], faster: Sequence[Any], i: int) -> Any:
-    """Return what a wheel's centre accelerates more, along x or y, than where it is at angle zero.
-
-    Parameters
-    ----------
-    o, p, p0 : list of 2 scalars
-        It from its pivot, from the origin, and that at angle zero [m].
-    rates, faster : sequence of 2 scalars
-        Yaw rates of the body and the wheel, and the rates of these [rad/s, rad/s^2].
-    i : int
-        Which direction.
-    """
-    (w, turn), (spin, own), side = rates, faster, (-1.0, 1.0)[i]
-    across = side * (spin * (p[1 - i] - o[1 - i] - p0[1 - i]) + own * o[1 - i])
-    return across - w * w * (p[i] - o[i] - p0[i]) - turn * turn * o[i]
-
-
-def loads(body: Any, state: Any, felt: Vector, q: Any) -> Loads:
-    """Return what wheels and supports carry: see `pressed`."""
-    return shared_loads(places_of(body, state.steering), *pressed(body, state, felt, q))
-
-
-def _carried(body: Any, state: Any, a: Vector, q: Any) -> Vector:
-    """Return fz, mx and my of the ground, wheels at rest in the body; `a` has no part of gravity."""
-    robot = body.robot
-    if body.na:
-        n = _BASE + body.na
-        at, still = vector_of([ZERO, ZERO, ZERO, *state.arms], q), vector_of([ZERO] * n, q)
-        v = vector_of([*state.twist, *state.arm_rates], q)
-        found = numbers(robot.ground_wrench(at, v, vector_of(a[:n], q)))[2:5]
-        if not body._slack:
-            return found
-        weights = numbers(robot.ground_wrench(at, still, still))[2:5]
-        return [x - body._slack * y for x, y in zip(found, weights, strict=True)]
-    m, x, y = (exact(item(each)) for each in (robot.mass, robot.com_x, robot.com_y))
-    (height, xz, yz), w, spin, g = numbers(body.upright), state.twist[2], a[2], -float(body.fall[2])
-    ax, ay = a[0] - spin * y - w * w * x, a[1] + spin * x - w * w * y
-    mx = m * (y * g - height * ay) + (xz * spin - yz * (w * w))
-    my = m * (height * ax - x * g) + (yz * spin + xz * (w * w))
-    return [m * g, mx, my]
 
 
 def groups_of(body: Any) -> tuple[Group, ...]:
@@ -271,19 +185,3 @@ def lowest(values: Sequence[Any]) -> Any:
     for x in values[1:]:
         found = choose(x < found, x, found)
     return found
-
-
-def item(x: Any) -> Any:
-    """Return the entry of an array without axes; an array or a number as it is."""
-    x = plain(x)
-    return x.item() if isinstance(x, np.ndarray) and not x.ndim else x
-
-
-def numbers(x: Any) -> Vector:
-    """Return the entries of the last axis; what is known to be a number as Python's, which is quicker."""
-    return [quick(y) for y in scalars(x)]
-
-
-def quick(x: Any) -> Any:
-    """Return a NumPy number as Python's."""
-    return float(x) if isinstance(x, np.float64) else x

@@ -4,324 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from math import cos, hypot, pi, radians, sin
-from typing import Any, NamedTuple, Self, final
+from math import cos, degrees, hypot, pi, radians, sin
+from typing import Any, Self, final
 
 import numpy as np
 
-from pinmobile.arrays import (
-    ArrayLike,
-    finite,
-    non_negative,
-    one_of,
-    positive,
-    scalar,
-    sequence,
-    text,
-)
+from pinmobile.arrays import ArrayLike, finite, one_of, positive, scalar, sequence, text
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.wheels.mobility import Mobility
 from pinmobile.wheels.motors import Motor
+from pinmobile.wheels.rows import (
+    DRIVEN as DRIVEN,
+    FIXED as FIXED,
+    FREE as FREE,
+    TORQUE as TORQUE,
+    Ackermann as Ackermann,
+    Actuator as Actuator,
+    Axis as Axis,
+    Coupling as Coupling,
+    Differential as Differential,
+    Friction as Friction,
+    GearTrain as GearTrain,
+    Support as Support,
+    Wheel as Wheel,
+)
 
-FIXED, DRIVEN, FREE = "fixed", "driven", "free"
-_STEERING = (FIXED, DRIVEN, FREE)
-_LARGEST_ROLLER = 89.0  # degrees: nearer to 90, a turn of the wheel moves next to nothing along the rollers
 _SAME_PLACE = 1e-6  # [m]
-TORQUE = Motor()  # a source of torque without limits
-
-
-@final
-@constant
-@dataclass(frozen=True)
-class Friction:
-    """Dry friction between a wheel and the ground, and in the wheel.
-
-    The defaults are usual magnitudes, not measurements.
-
-    Parameters
-    ----------
-    mu : float
-        Coefficient of friction: of a tyre in all directions, of a wheel with rollers along their axes.
-    across : float
-        That across the axes of rollers, which turn in their bearings.
-    rolling : float
-        Rolling resistance as a share of the load: a torque of at most ``rolling * radius * load`` that holds
-        the wheel at rest.
-    slip : float
-        Slip velocity per force before the wheel slides [m/(N s)]; 0: none, which is Coulomb's law.
-    """
-
-    mu: float = 0.8
-    across: float = 0.02
-    rolling: float = 0.01
-    slip: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name, unit in (("mu", ""), ("across", ""), ("rolling", ""), ("slip", "m/(N s)")):
-            object.__setattr__(self, name, non_negative(name, getattr(self, name), unit))
-
-
-@final
-@constant
-@dataclass(frozen=True)
-class Wheel:
-    """One row of a wheel table.
-
-    The wheel rolls along e = (cos angle, sin angle) of the body's frame where its rate is positive; n, a
-    quarter of a turn to the left of e, is the direction of its axle.
-
-    Parameters
-    ----------
-    name : str
-        Its own; its coordinate is called so.
-    x, y : float
-        Where its steering pivot stands in the body's frame, or its centre where it does not steer [m].
-    radius : float
-        [m].
-    angle : float
-        Of its rolling direction e from the body's x [rad]; where it steers, at steering angle zero.
-    steering : str
-        ``"fixed"``; ``"driven"`` by an actuator about the vertical through its pivot; ``"free"``, as casters.
-    trail : sequence of 2 floats
-        Its centre from the pivot along e and n [m]; a caster trails: the first is negative.
-    roller : float, optional
-        Angle of the axis of the roller that is at the ground, from e [rad]; None: a tyre. Of an omni wheel 0,
-        of a mecanum wheel pi / 4 or -pi / 4, the mirror of what is seen from above.
-    mass : float
-        [kg], part of the robot's whole.
-    spin_inertia, yaw_inertia : float
-        About the axle, and about the vertical through its centre [kg m^2]; what a motor's rotor adds is in
-        `motor`.
-    motor : Motor, optional
-        What drives it; None: nothing, it only rolls along.
-    friction : Friction
-        Of its own.
-    steering_limit : float
-        Largest steering angle, to either side [rad].
-
-    Raises
-    ------
-    InvalidArgument
-        If a number is not finite or not in its range, or a name is none.
-    """
-
-    name: str
-    x: float
-    y: float
-    radius: float
-    angle: float = 0.0
-    steering: str = FIXED
-    trail: tuple[float, float] = (0.0, 0.0)
-    roller: float | None = None
-    mass: float = 0.0
-    spin_inertia: float = 0.0
-    yaw_inertia: float = 0.0
-    motor: Motor | None = None
-    friction: Friction = Friction()
-    steering_limit: float = np.inf
-
-    def __post_init__(self) -> None:
-        name = text("name", self.name)
-        if not name.strip() or set('/,":') & set(name):
-            raise InvalidArgument(
-                f"name is {shown(name)}, expected a word without slash, comma, colon and quotation mark"
-            )
-        own = f"of wheel {name!r}"
-        numbers = {key: scalar(f"{key} {own}", getattr(self, key)) for key in ("x", "y", "angle")}
-        numbers["radius"] = positive(f"radius {own}", self.radius, "m")
-        for key, unit in (("mass", "kg"), ("spin_inertia", "kg m^2"), ("yaw_inertia", "kg m^2")):
-            numbers[key] = non_negative(f"{key} {own}", getattr(self, key), unit)
-        one_of(f"steering {own}", self.steering, _STEERING)
-        trail = finite(f"trail {own}", self.trail)
-        if trail.shape != (2,):
-            raise InvalidArgument(f"trail {own} has shape {trail.shape}, expected (2,): along e and n")
-        if self.roller is not None:
-            numbers["roller"] = self._roller(own)
-        for key, kind in (("motor", Motor), ("friction", Friction)):
-            value = getattr(self, key)
-            if not isinstance(value, kind) and not (key == "motor" and value is None):
-                raise InvalidArgument(f"{key} {own} is {shown(value)}, expected a {kind.__name__}")
-        limit = self.steering_limit
-        numbers["steering_limit"] = (
-            limit if limit == np.inf else positive(f"steering_limit {own}", limit, "rad")
-        )
-        for key, value in {**numbers, "trail": tuple(trail.tolist())}.items():
-            object.__setattr__(self, key, value)
-
-    def _roller(self, own: str) -> float:
-        angle = scalar(f"roller {own}", self.roller)  # type: ignore[arg-type]
-        if not abs(angle) <= radians(_LARGEST_ROLLER):
-            raise InvalidArgument(
-                f"roller {own} is {angle:.6g} rad, expected less than a right angle from the rolling "
-                "direction (up to 89 degrees): the wheel could not drive"
-            )
-        return angle
-
-    @property
-    def centre(self) -> tuple[float, float]:
-        """Where its centre stands in the body's frame at steering angle zero [m]."""
-        c, s = cos(self.angle), sin(self.angle)
-        along, across = self.trail
-        return self.x + along * c - across * s, self.y + along * s + across * c
-
-
-@final
-@constant
-@dataclass(frozen=True)
-class Support:
-    """A support without friction, such as a ball caster: it takes a load, and nothing else.
-
-    Parameters
-    ----------
-    x, y : float
-        Where it touches the ground, in the body's frame [m].
-    """
-
-    x: float
-    y: float
-
-    def __post_init__(self) -> None:
-        for name in ("x", "y"):
-            object.__setattr__(self, name, scalar(f"{name} of a support", getattr(self, name)))
-
-
-@final
-@constant
-@dataclass(frozen=True)
-class GearTrain:
-    """Wheels that turn together, as those of one side of a skid-steer base do: a chain or gears.
-
-    Parameters
-    ----------
-    wheels : sequence of str
-        Their names, two and more.
-    ratios : sequence of floats, optional
-        Rate of each, relative to each other; by default all turn alike.
-    """
-
-    wheels: tuple[str, ...]
-    ratios: tuple[float, ...] = ()
-
-    def __post_init__(self) -> None:
-        names = _names("GearTrain", self.wheels, least=2)
-        ratios = finite("ratios", self.ratios) if len(self.ratios) else np.ones(len(names))
-        if ratios.shape != (len(names),) or not ratios.all():
-            raise InvalidArgument(
-                f"ratios is {shown(self.ratios)}, expected {len(names)} numbers other than zero, one per wheel"
-            )
-        object.__setattr__(self, "wheels", names)
-        object.__setattr__(self, "ratios", tuple(ratios.tolist()))
-
-
-@final
-@constant
-@dataclass(frozen=True)
-class Differential:
-    """An open differential: one motor that turns at the mean rate of its wheels, with equal torques on them.
-
-    Parameters
-    ----------
-    wheels : sequence of 2 str
-        Their names.
-    motor : Motor
-        What drives it.
-    name : str
-        That of its input.
-    """
-
-    wheels: tuple[str, ...]
-    motor: Motor = TORQUE
-    name: str = "differential"
-
-    def __post_init__(self) -> None:
-        names = _names("Differential", self.wheels, least=2)
-        if not isinstance(self.motor, Motor):
-            raise InvalidArgument(f"motor of a Differential is {shown(self.motor)}, expected a Motor")
-        object.__setattr__(self, "wheels", names)
-        object.__setattr__(self, "name", text("name of a Differential", self.name))
-
-
-@final
-@constant
-@dataclass(frozen=True)
-class Ackermann:
-    """Wheels that one steering angle turns so that all axles meet in one point.
-
-    The angle is that of a wheel in the middle, at y = 0 and the same x.
-
-    Parameters
-    ----------
-    wheels : sequence of str
-        Their names; they are steered, and their centres lie on their pivots.
-    axle : float
-        x of the fixed axle, on whose line they meet [m].
-    name : str
-        That of the steering coordinate.
-    """
-
-    wheels: tuple[str, ...]
-    axle: float = 0.0
-    name: str = "steering"
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "wheels", _names("Ackermann", self.wheels, least=1))
-        object.__setattr__(self, "axle", scalar("axle", self.axle))
-        object.__setattr__(self, "name", text("name of an Ackermann", self.name))
-
-
-def _names(kind: str, wheels: Sequence[str], least: int) -> tuple[str, ...]:
-    names = tuple(text(f"a wheel of {kind}", name) for name in sequence("wheels", wheels, "names of wheels"))
-    if len(names) < least or len(set(names)) < len(names):
-        raise InvalidArgument(
-            f"wheels of {kind} is {shown(wheels)}, expected {least} different names or more"
-        )
-    return names
-
-
-Coupling = GearTrain | Differential | Ackermann
-
-
-class Axis(NamedTuple):
-    """A steering coordinate.
-
-    Attributes
-    ----------
-    name : str
-        Of the coordinate.
-    wheels : tuple of int
-        Rows that it turns.
-    ackermann : float or None
-        x of the axle on whose line their axles meet [m]; None: it is the one wheel's own angle.
-    driven : bool
-        Whether an actuator turns it.
-    limit : float
-        Largest angle to either side [rad].
-    """
-
-    name: str
-    wheels: tuple[int, ...]
-    ackermann: float | None
-    driven: bool
-    limit: float
-
-
-class Actuator(NamedTuple):
-    """One of the inputs of a drive.
-
-    Attributes
-    ----------
-    name : str
-        Of the input.
-    motor : Motor
-        What it is; of a steering axis one without limits.
-    column : tuple of floats
-        What its torque is to each steering coordinate and then each wheel; its rate is the product with
-        theirs.
-    """
-
-    name: str
-    motor: Motor
-    column: tuple[float, ...]
 
 
 @final
@@ -405,6 +114,20 @@ class WheelTable:
         given = "".join(f", {key}={list(value)!r}" for key, value in beside.items() if value)
         return f"WheelTable({rows}{given})"
 
+    def __str__(self) -> str:
+        """Return the rows, what couples them, and what the drive can do: see `Mobility`."""
+        rows: list[tuple[str, ...]] = [
+            ("wheel", "x [m]", "y [m]", "radius [m]", "rolls to", "steering", "rollers at", "motor")
+        ]
+        rows += [_told(wheel) for wheel in self.wheels]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
+        if self.supports:
+            places = ", ".join(f"({each.x:.4g}, {each.y:.4g}) m" for each in self.supports)
+            lines.append(f"supports without friction: {places}")
+        lines += [f"{type(each).__name__} of {', '.join(each.wheels)}" for each in self.couplings]
+        return "\n".join([*lines, str(Mobility.of(self))])
+
     def _axes(self) -> tuple[Axis, ...]:
         shared = {
             name: each for each in self.couplings if isinstance(each, Ackermann) for name in each.wheels
@@ -426,13 +149,14 @@ class WheelTable:
             wheel = self.wheels[row]
             if wheel.steering == FIXED or any(wheel.trail) or wheel.angle or wheel.x == together.axle:
                 raise InvalidArgument(
-                    f"wheel {wheel.name!r} of Ackermann(...) is {wheel!r}, expected a steered one with angle 0, "
-                    f"its centre on its pivot, away from the axle at x = {together.axle:g} m"
+                    f"wheel {wheel.name!r} of Ackermann(...) is {wheel!r}, expected a steered one with "
+                    f"angle 0, its centre on its pivot, away from the axle at x = {together.axle:g} m"
                 )
         kinds = {self.wheels[row].steering for row in rows}
         if len(kinds) > 1 or len({self.wheels[row].x for row in rows}) > 1:
             raise InvalidArgument(
-                f"wheels {', '.join(together.wheels)} of Ackermann(...) differ in x or steering, expected one axle"
+                f"wheels {', '.join(together.wheels)} of Ackermann(...) differ in x or steering, "
+                "expected one axle"
             )
         limit = min(self.wheels[row].steering_limit for row in rows)
         return Axis(together.name, rows, together.axle, DRIVEN in kinds, limit)
@@ -554,8 +278,8 @@ class WheelTable:
         angle = scalar("roller", roller)
         if angle < 0 and abs(wheelbase - track * abs(np.tan(angle))) < 1e-3 * track:
             raise InvalidArgument(
-                f"roller is {angle:g} rad: the rollers form an O on a base of {wheelbase:g} by {track:g} m, and their "
-                "axes meet in its middle, so that it cannot turn; expected the X, a positive angle"
+                f"roller is {angle:g} rad: the rollers form an O on a base of {wheelbase:g} by {track:g} m, "
+                "and their axes meet in its middle, so that it cannot turn; expected the X, a positive angle"
             )
         signs = {"front_left": -1, "front_right": 1, "rear_left": 1, "rear_right": -1}
         rows = [
@@ -677,7 +401,18 @@ class WheelTable:
         return cls((*rear, *front), (), couplings)
 
 
-def _kept(name: str, given: object, kinds: tuple[type, ...], expected: str) -> tuple[object, ...]:
+def _told(wheel: Wheel) -> tuple[str, ...]:
+    return (
+        wheel.name,
+        *(f"{number:.4g}" for number in (wheel.x, wheel.y, wheel.radius)),
+        f"{degrees(wheel.angle):.4g} deg",
+        wheel.steering,
+        "" if wheel.roller is None else f"{degrees(wheel.roller):.4g} deg",
+        "" if wheel.motor is None else "yes",
+    )
+
+
+def _kept(name: str, given: object, kinds: tuple[type, ...], expected: str) -> tuple[Any, ...]:
     entries = sequence(name, given, expected)
     for k, each in enumerate(entries):
         if not isinstance(each, kinds):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import cached_property
 from os import PathLike
 from types import MappingProxyType
@@ -12,43 +12,30 @@ from typing import Any, ClassVar, NamedTuple, Self, final
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, frozen, vector
+from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, frozen, one_of, vector
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.plant import Coordinate, Input, Parameter, Step
-from pinmobile.robot import BODY_JOINT, LOCKED, Engine, Load, MobileRobot, Mount, System, hull, number
+from pinmobile.plant import Contacts, Coordinate, Input, Parameter, Step
+from pinmobile.robot import BODY_JOINT, LOCKED, Load, MobileRobot, Mount, hull, number
 from pinmobile.urdf import Body
 from pinmobile.wheels.bearing import Bearing
 from pinmobile.wheels.description import joint_signs, read_robot, read_wheels
+from pinmobile.wheels.drawn import Picture
 from pinmobile.wheels.ground import Coulomb, Ground, Rolling
 from pinmobile.wheels.kinematics import Kinematics
 from pinmobile.wheels.mobility import Mobility
 from pinmobile.wheels.rolling import Reduced, RollingBody
 from pinmobile.wheels.slipping import Grip, SlippingBody, led
-from pinmobile.wheels.table import FIXED, Wheel, WheelTable
+from pinmobile.wheels.table import WheelTable
+from pinmobile.wheels.touching import contacts_of
+from pinmobile.wheels.tree import WheelTree
+from pinmobile.wheels.voltage import ByVoltage
 
 _SAME_LINE = 1e-6  # [m]
+_OF_WHEELS = ("x", "y", "radius", "spin_inertia")  # what may differ from robot to robot
 _OFF = 1e-9  # of a start's rates, beyond which it does not roll
 _LEAST_NORM = 1e-6  # relative weight of torques beside what they are for, where limits hold them
 _REDUNDANT = 1e-10  # relative, of eigenvalues: rows that follow from others
-
-
-@final
-class _Tree(System):
-    """The Pinocchio tree of a robot with its wheels as joints, each steered wheel with an angle of its own."""
-
-    def __init__(self, model: pin.Model, robot: MobileRobot) -> None:
-        self._engine, self.mounts, self.loads = Engine(model), robot.mounts, robot.loads
-
-    @property
-    def _for_many(self) -> None:
-        return None
-
-    def of_one(self, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
-        """Return M(q) and the inverse dynamics of one state, unchecked."""
-        engine = self._engine
-        M = np.array(pin.crba(engine.public, engine.data, q))
-        return M, np.array(pin.rnea(engine.public, engine.data, q, v, a))
 
 
 class Forces(NamedTuple):
@@ -90,7 +77,7 @@ class Allocation(NamedTuple):
 @constant
 @dataclass(frozen=True, eq=False, repr=False)
 class WheeledRobot(Bearing):
-    """A robot on wheels: q = (x, y, psi, arms..., steering..., wheels...), u = torques at arms, wheels and axes.
+    """A robot on wheels: q = (x, y, psi, arms, steering, wheels), u = torques at arms, wheels and axes.
 
     All methods broadcast over leading axes, and raise `InvalidArgument` for arguments of another last axis or
     that are not finite.
@@ -114,9 +101,6 @@ class WheeledRobot(Bearing):
     robot: MobileRobot
     table: WheelTable = None  # type: ignore[assignment]
     ground: Ground = None  # type: ignore[assignment]
-    mobility: Mobility = field(init=False)
-    _tree: _Tree = field(init=False)
-
     broadcasts: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
@@ -126,7 +110,7 @@ class WheeledRobot(Bearing):
             object.__setattr__(self, "table", read_wheels(self.robot))
         if not isinstance(self.table, WheelTable):
             raise InvalidArgument(f"table is {shown(self.table)}, expected a WheelTable")
-        mobility = Mobility.of(self.table)
+        mobility = self.mobility
         if self.ground is None:
             object.__setattr__(self, "ground", Rolling() if mobility.is_regular else Coulomb())
         if not isinstance(self.ground, Rolling | Coulomb):
@@ -136,17 +120,50 @@ class WheeledRobot(Bearing):
                 f"table cannot roll without slip: {mobility.why_not}; expected a drive that can, or "
                 "ground=Coulomb()"
             )
-        object.__setattr__(self, "mobility", mobility)
-        tree = _Tree(_with_wheels(self.robot, self.table, self._fall), self.robot)
-        object.__setattr__(self, "_tree", tree)
+        _ = self._tree  # it checks that what is left without the wheels is a body
         if isinstance(self.ground, Coulomb):
             self._check_slipping()
+        else:
+            self._check_rolling()
+
+    @cached_property
+    def mobility(self) -> Mobility:
+        """What the wheels let it do."""
+        return Mobility.of(self.table)
+
+    @cached_property
+    def _tree(self) -> WheelTree:
+        return WheelTree(self.robot, self.table, self._fall)
 
     @cached_property
     def _fall(self) -> Array:
         """Gravity along the axes of the plane, shape (3,) [m/s^2]."""
         g, ramp = np.array(self.robot.model.gravity.linear), self.ground.ramp
         return frozen(g) if ramp is None else ramp.fall(float(np.linalg.norm(g)))
+
+    def _check_rolling(self) -> None:
+        """Refuse steering that nothing holds and that has no inertia."""
+        first = self.robot.nv
+        for k in self.mobility.choice.free:
+            if not self.mass_matrix(self.rest)[first + k, first + k] > 0:
+                axis = self.table.axes[k]
+                wheel = self.table.names[axis.wheels[0]]
+                raise InvalidArgument(
+                    f"{axis.name} of the table has no inertia about its axis, expected one > 0: give "
+                    f"yaw_inertia of wheel {wheel!r}"
+                )
+
+    @cached_property
+    def _is_massless(self) -> bool:
+        """Whether wheels have no inertia, so that M is singular but for what rolls."""
+        return not (np.diagonal(self.mass_matrix(self.rest))[self.robot.nv :] > 0).all()
+
+    def _metric(self, M: Array, A: Array) -> Array:
+        """Return a mass matrix that has an inverse.
+
+        It is M, and where that has none M + m A' A, which what rolls does not feel.
+        """
+        return np.asarray(M + self.robot.mass * np.swapaxes(A, -1, -2) @ A) if self._is_massless else M
 
     def _check_slipping(self) -> None:
         """Refuse what cannot be computed on ground where wheels slip."""
@@ -225,7 +242,7 @@ class WheeledRobot(Bearing):
         ground_z: ArrayLike | None = None,
         **given: Any,
     ) -> Self:
-        """Return the robot of a URDF on the wheels that it has; `source` says what was taken and what guessed.
+        """Return the robot of a URDF on the wheels that it has; `source` says what was taken, what guessed.
 
         Parameters
         ----------
@@ -254,11 +271,6 @@ class WheeledRobot(Bearing):
         return cls(robot, wheels, ground)  # type: ignore[arg-type]
 
     @property
-    def mounts(self) -> tuple[Mount, ...]:
-        """The arms that it carries."""
-        return self.robot.mounts
-
-    @property
     def source(self) -> str:
         """Where its numbers come from, in words."""
         return f"{self.robot.source.replace(f'; {LOCKED}', '')}; {self.table.source}"
@@ -275,6 +287,10 @@ class WheeledRobot(Bearing):
     def attach(self, load: Load, frame: str | None = None) -> WheeledRobot:
         """Return the robot with a load fixed to one of its frames: see `MobileRobot.attach`."""
         return WheeledRobot(self.robot.attach(load, frame), self.table, self.ground)
+
+    def by_voltage(self) -> ByVoltage:
+        """Return the same robot whose input is volts, one per electric motor: see `ByVoltage`."""
+        return ByVoltage(self)
 
     # Sizes and names
 
@@ -355,16 +371,56 @@ class WheeledRobot(Bearing):
         sides = [wheel.y for wheel in self.table.wheels]
         if min(sides) < 0 < max(sides):
             width = max(sides) - min(sides)
-            words = (
-                "largest distance between wheels to the left and the right, all of which move in proportion"
-            )
+            words = "largest distance between wheels to left and right, which all move in proportion"
             found.append(Parameter("track", "m", words, 0.0, False, "y", None, _Track(width), width))
         return tuple(found)
 
+    def with_parameters(self, **values: ArrayLike) -> WheeledRobot:
+        """Return the robot with other values of its `parameters`.
+
+        Parameters
+        ----------
+        **values : float or array_like
+            By the name of a parameter, or of an attribute with all its numbers, such as ``radius``.
+
+        Raises
+        ------
+        InvalidArgument
+            If a value is not possible, or an array has another shape.
+        UnknownName
+            If there is no such parameter.
+        """
+        named = {parameter.name: parameter for parameter in self.parameters}
+        columns = {name: column.copy() for name, column in self._columns.items()}
+        for name, value in values.items():
+            given = finite(name, value)
+            if name in columns and given.shape in ((), columns[name].shape):
+                columns[name][...] = given
+            elif name in named and given.ndim == 0:
+                if not named[name].allows(given):
+                    raise InvalidArgument(f"{name} is {given:g}, expected {named[name].bound}")
+                column = named[name].attribute or name
+                columns[column] = named[name].written(columns[column][None], given[None], BODY_JOINT)[0]
+            else:
+                one_of("parameter of a robot on wheels", name, [*named, *columns])
+                raise InvalidArgument(f"{name} has shape {given.shape}, expected that of {name} of the robot")
+        ground, numbers = self.ground, [columns[name].tolist() for name in _OF_WHEELS]
+        wheels = [
+            replace(wheel, x=x, y=y, radius=radius, spin_inertia=inertia)
+            for wheel, x, y, radius, inertia in zip(self.table.wheels, *numbers, strict=True)
+        ]
+        frictions = zip(wheels, columns["mu"].tolist(), strict=True)
+        wheels = [replace(wheel, friction=replace(wheel.friction, mu=mu)) for wheel, mu in frictions]
+        robot, higher = self.robot, float(columns["upright"][0] - self._columns["upright"][0])
+        if isinstance(ground, Coulomb):
+            ground = replace(ground, mu=None)
+        if higher:
+            robot = _raised(robot, higher)
+        return WheeledRobot(robot, replace(self.table, wheels=tuple(wheels)), ground)
+
     @cached_property
     def _columns(self) -> dict[str, Array]:
-        names = ("x", "y", "radius", "spin_inertia")
-        found = {name: frozen([getattr(wheel, name) for wheel in self.table.wheels]) for name in names}
+        found = {name: frozen([getattr(wheel, name) for wheel in self.table.wheels]) for name in _OF_WHEELS}
         mu = self.ground.mu if isinstance(self.ground, Coulomb) else None
         found["mu"] = frozen([wheel.friction.mu if mu is None else mu for wheel in self.table.wheels])
         found["upright"] = self._upright
@@ -460,6 +516,50 @@ class WheeledRobot(Bearing):
         whole[..., :BODY_JOINT] = wrench
         return whole
 
+    # What is seen
+
+    @property
+    def mounts(self) -> tuple[Mount, ...]:
+        """Its arms."""
+        return self.robot.mounts
+
+    @property
+    def size(self) -> tuple[float, float, float]:
+        """Length, width and height of the body [m]."""
+        return self.robot.size
+
+    @cached_property
+    def _picture(self) -> Picture:
+        return Picture(self.robot, self.table)
+
+    @property
+    def visual_model(self) -> pin.GeometryModel:
+        """What is drawn, a copy: the robot's own visuals, and wheels and supports beside those that it has.
+
+        Wheels have spokes, a bar across the tread, or the rollers of the table; a box stands above them.
+        """
+        return self._picture.visuals.clone()
+
+    def drawing(self, q: ArrayLike) -> Array:
+        """Return where the objects of `visual_model` are in the inertial frame, shape (..., k, 4, 4)."""
+        return self._picture.placements(self._q(q))
+
+    def contacts(
+        self, q: ArrayLike, v: ArrayLike, a: ArrayLike, u: ArrayLike, signals: Mapping[str, Any]
+    ) -> Contacts:
+        """Return what the ground does at the wheels at the samples of a run, see `Contacts`.
+
+        Parameters
+        ----------
+        q, v, a, u : array_like, shape (n, ...)
+            Of the samples.
+        signals : mapping of str to Signal
+            Of the run.
+        """
+        return contacts_of(
+            self, self._q(q), self._v("v", v), self._v("a", a), vector("u", u, self.nu), signals
+        )
+
     # Rolling
 
     def _split(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
@@ -552,73 +652,20 @@ class WheeledRobot(Bearing):
 
     # Dynamics
 
-    @cached_property
-    def _reflected(self) -> Array:
-        """What motors' rotors add to M, shape (nv, nv)."""
-        M, first = np.zeros((self.nv, self.nv)), self.robot.nv
-        for actuator in self.table.actuators:
-            column = np.array(actuator.column)
-            M[first:, first:] += actuator.motor.reflected_inertia * np.outer(column, column)
-        return frozen(M)
-
-    def _to_tree(self, q: Array, v: Array) -> tuple[Array, Array, Array, Array]:
-        """Return a state of the tree, its velocity's G, v_tree = G v, and dG/dt v."""
-        lead = np.broadcast_shapes(q.shape[:-1], v.shape[:-1])
-        q, v = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v))
-        n, nv, axes = self.robot.nq, self.robot.nv, self.table.axes
-        steering, rates = list(np.moveaxis(q[..., n : n + len(axes)], -1, 0)), v[..., nv : nv + len(axes)]
-        steered = {row: k for k, axis in enumerate(axes) for row in axis.wheels}
-        size = nv + len(steered) + len(self.table)
-        G, bent = np.zeros((*lead, size, self.nv)), np.zeros((*lead, size))
-        G[..., np.arange(nv), np.arange(nv)] = 1
-        angles, at = [], nv
-        for row, wheel in enumerate(self.table.wheels):
-            if row in steered:
-                k, head = steered[row], self._kinematics.heading(row, steering)
-                c, s, first, second = (number(x) for x in head)
-                own = wheel.angle
-                away = np.arctan2(s * np.cos(own) - c * np.sin(own), c * np.cos(own) + s * np.sin(own))
-                angles.append(np.broadcast_to(away, lead))
-                G[..., at, nv + k], bent[..., at] = first, second * rates[..., k] ** 2
-                at += 1
-            angles.append(q[..., n + len(axes) + row])
-            G[..., at, nv + len(axes) + row] = 1
-            at += 1
-        whole = np.concatenate([q[..., :n], np.stack(angles, axis=-1)], axis=-1)
-        return whole, np.einsum("...ij,...j->...i", G, v), G, bent
-
     def mass_matrix(self, q: ArrayLike) -> Array:
-        """Return M(q), shape (..., nv, nv) [kg, kg m, kg m^2], of the tree by Pinocchio's CRBA, rotors included."""
-        q = self._q(q)
-        whole, _, G, _ = self._to_tree(q, np.zeros(self.nv))
-        return np.einsum("...ki,...kl,...lj->...ij", G, self._tree.mass_matrix(whole), G) + self._reflected
+        """Return M(q), shape (..., nv, nv) [kg, kg m, kg m^2], by Pinocchio's CRBA, rotors included."""
+        return self._tree.inertia(self._q(q))
 
     def nonlinear_effects(self, q: ArrayLike, v: ArrayLike) -> Array:
-        """Return n(q, v), shape (..., nv) [N, N, N m, ...], of the tree by Pinocchio's RNEA."""
+        """Return n(q, v), shape (..., nv) [N, N, N m, ...], by Pinocchio's RNEA."""
         q, v = self._q(q), self._v("v", v)
         broadcast(q=q, v=v)
-        whole, rates, G, bent = self._to_tree(q, v)
-        return np.einsum("...ki,...k->...i", G, self._tree.inverse_dynamics(whole, rates, bent))
+        return self._tree.effects(q, v)
 
     def kinetic_energy(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return v' M(q) v / 2, shape (...) [J]."""
         v = self._v("v", v)
-        return np.einsum("...i,...ij,...j->...", v, self.mass_matrix(q), v) / 2
-
-    def _unconstrained(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Return M and n."""
-        if q.ndim > 1 or v.ndim > 1:
-            return self.mass_matrix(q), self.nonlinear_effects(q, v)
-        if not self.table.axes:
-            M, n = self._tree.of_one(q, v, self._no_acceleration)
-            return M + self._reflected, n
-        whole, rates, G, bent = self._to_tree(q, v)
-        M, n = self._tree.of_one(whole, rates, bent)
-        return G.T @ M @ G + self._reflected, G.T @ n
-
-    @cached_property
-    def _no_acceleration(self) -> Array:
-        return frozen(np.zeros(self.nv))
+        return np.asarray(np.einsum("...i,...ij,...j->...", v, self.mass_matrix(q), v) / 2)
 
     def forward_dynamics(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Array:
         """Return the acceleration, shape (..., nv) [m/s^2, ...].
@@ -664,11 +711,14 @@ class WheeledRobot(Bearing):
         q, v, u, f = self._q(q), self._v("v", v), vector("u", u, self.nu), finite("f", f)
         if q.ndim > 1 or v.ndim > 1 or u.ndim > 1 or f.ndim > 1:
             broadcast(q=q, v=v, u=u, f=np.broadcast_to(f, (*f.shape[:-1], self.nv)))
-        M, n = self._unconstrained(q, v)
+        M, n = self._tree.inertia_and_effects(q, v)
         A, drift = self._rows(q, v)
         if rows is not None:
             A, drift = A[..., rows, :], drift[..., rows]
+        M = self._metric(M, A)
         force = u @ self.input_matrix.T + f - n
+        if self._is_massless:
+            force = force - self.robot.mass * (np.swapaxes(A, -1, -2) @ drift[..., None])[..., 0]
         A_T = np.swapaxes(A, -1, -2)
         right = np.empty((*force.shape, 1 + A.shape[-2]))
         right[..., 0], right[..., 1:] = force, A_T
@@ -677,18 +727,18 @@ class WheeledRobot(Bearing):
         wanted = -drift[..., None] - A @ free[..., None]
         G = A @ through
         if rows is None:
-            multipliers = np.linalg.pinv(G, rcond=_REDUNDANT, hermitian=True) @ wanted
+            multipliers: Array = np.asarray(np.linalg.pinv(G, rcond=_REDUNDANT, hermitian=True) @ wanted)
         else:
-            multipliers = np.linalg.solve(G, wanted)
+            multipliers = np.asarray(np.linalg.solve(G, wanted))
         a = free + (through @ multipliers)[..., 0]
         return finite_answer(a, q=q, v=v, u=u, f=f), multipliers[..., 0]
 
     # What the ground adds: a loop asks by name for what a plant can do
 
-    def _where_it_slips(self, name: str, found: Callable[[], Any]) -> Any:
+    def _where_it_slips(self, name: str) -> SlippingBody:
         if not isinstance(self.ground, Coulomb):
             raise AttributeError(f"a WheeledRobot on {type(self.ground).__name__} ground has no {name}")
-        return found()
+        return self._slipping
 
     @property
     def project(self) -> Callable[[ArrayLike, ArrayLike], Array]:
@@ -699,8 +749,9 @@ class WheeledRobot(Bearing):
 
     def _projected(self, q: ArrayLike, v: ArrayLike) -> Array:
         q, v = self._q(q), self._v("v", v)
-        M, _ = self._unconstrained(q, v)
+        M, _ = self._tree.inertia_and_effects(q, v)
         A = self._rows(q, v)[0][..., self._independent, :]
+        M = self._metric(M, A)
         through = np.linalg.solve(M, np.swapaxes(A, -1, -2))
         return np.asarray(v - (through @ np.linalg.solve(A @ through, A @ v[..., None]))[..., 0])
 
@@ -761,7 +812,7 @@ class WheeledRobot(Bearing):
         w, ahead, aside = (own.nu[..., k] for k in (2, 0, 1))
         wanted[:2] = [wanted[0] + w * aside, wanted[1] - w * ahead]
         force = np.einsum("...ij,...j->...i", own.M, np.stack(wanted, axis=-1)) + own.n
-        return np.einsum("...ij,...j->...i", np.linalg.pinv(own.B), force)
+        return np.asarray(np.linalg.pinv(own.B) @ force[..., None])[..., 0]
 
     def check_inverse_dynamics(self) -> None:
         """Refuse a drive that cannot accelerate its body in every direction.
@@ -774,14 +825,14 @@ class WheeledRobot(Bearing):
         lead = f"robot is a drive of type ({self.mobility.mobility}, {self.mobility.steerability})"
         if self.mobility.mobility < 3:
             raise InvalidArgument(
-                f"{lead}, which cannot accelerate in every direction, so no torques are its inverse dynamics; "
-                "expected an omnidirectional drive, or Backstepping(law, robot)"
+                f"{lead}, which cannot accelerate in every direction, so no torques are its inverse "
+                "dynamics; expected an omnidirectional drive, or Backstepping(law, robot)"
             )
         still = self.reduced(self.rest, np.zeros(self.nv))
         if np.linalg.matrix_rank(still.B) < len(still.M):
             raise InvalidArgument(
-                f"{lead} with {len(self.table.actuators)} motors, which cannot accelerate in every direction; "
-                "expected a motor for each degree of freedom"
+                f"{lead} with {len(self.table.actuators)} motors, which cannot accelerate in every "
+                "direction; expected a motor for each degree of freedom"
             )
 
     def independent(self, q: ArrayLike, v: ArrayLike) -> Array:
@@ -792,7 +843,7 @@ class WheeledRobot(Bearing):
         return np.stack([np.broadcast_to(x, lead) for x in nu], axis=-1)
 
     def torques(self, q: ArrayLike, v: ArrayLike, rates: ArrayLike) -> Array:
-        """Return the input of least norm with which the independent velocities change so, shape (..., nu) [N m].
+        """Return the input of least norm with which independent velocities change so, shape (..., nu) [N m].
 
         Parameters
         ----------
@@ -804,11 +855,11 @@ class WheeledRobot(Bearing):
         own = self.reduced(q, v)
         rates = vector("rates", rates, own.nu.shape[-1])
         force = np.einsum("...ij,...j->...i", own.M, rates) + own.n
-        return np.einsum("...ij,...j->...i", np.linalg.pinv(own.B), force)
+        return np.asarray(np.linalg.pinv(own.B) @ force[..., None])[..., 0]
 
     @cached_property
     def axle(self) -> Array:
-        """Coefficients of the body twist (forward, left, yaw rate) in the velocity across the fixed wheels, (3,).
+        """Coefficients of the body twist in the velocity across the fixed wheels, shape (3,).
 
         Raises
         ------
@@ -818,14 +869,14 @@ class WheeledRobot(Bearing):
         choice = self.mobility.choice
         if not (choice.body and choice.is_fixed):
             raise InvalidArgument(
-                f"robot is a drive of type ({self.mobility.mobility}, {self.mobility.steerability}), which has no "
-                "fixed axle"
+                f"robot is a drive of type ({self.mobility.mobility}, {self.mobility.steerability}), which "
+                "has no fixed axle"
             )
         return frozen(self._rolling.axle)
 
     @cached_property
     def pivots(self) -> Array:
-        """Where each axis steers a wheel, x, y, and the angle of that wheel at zero, shape (axes, 3) [m, m, rad].
+        """Where each axis steers a wheel, x, y, and its angle at zero, shape (axes, 3) [m, m, rad].
 
         Of an Ackermann pair it is the wheel in their middle.
         """
@@ -892,10 +943,10 @@ class WheeledRobot(Bearing):
         had = np.array([number(x) for x in self._traced.supplied(state, u)])
         x, y = had[:2].copy()
         had[:2] = state.c * x - state.s * y, state.s * x + state.c * y
-        return tau - had
+        return np.asarray(tau - had)
 
     def allocate_scaled(self, q: ArrayLike, tau: ArrayLike) -> tuple[Array, Array]:
-        """Return torques for a force on body and arms, scaled by one factor into limits, and what is left of it.
+        """Return torques for a force on body and arms, scaled by one factor into limits, and what is left.
 
         They have least norm; where one is beyond its limit all shrink alike, so that the force keeps its
         direction. It is the same arithmetic in all engines.
@@ -958,7 +1009,7 @@ class WheeledRobot(Bearing):
             [np.broadcast_to(turns, (*lead, n)), np.broadcast_to(rates, (*lead, len(self.table)))], axis=-1
         )
         known = np.einsum("...ij,...j->...i", A[..., self.robot.nv :], joints)
-        return -np.einsum("...ij,...j->...i", np.linalg.pinv(A[..., :BODY_JOINT]), known)
+        return np.asarray(-np.linalg.pinv(A[..., :BODY_JOINT]) @ known[..., None])[..., 0]
 
     def start(self, reference: Any) -> tuple[Array, Array]:
         """Return the q and v with which a reference begins, shape (nq,) and (nv,).
@@ -970,24 +1021,25 @@ class WheeledRobot(Bearing):
     @property
     def initial_state(self) -> Callable[[Any], Grip]:
         """``initial_state(context)``: what the wheels keep before the first step, where they slip."""
-        return self._where_it_slips("initial_state", lambda: self._traced.initial_state)
+        return self._where_it_slips("initial_state").initial_state
 
     @property
     def step(self) -> Callable[..., Step]:
         """``step(t, q, v, u, h, f, memory)``: the state a step later, where wheels slip."""
-        return self._where_it_slips("step", lambda: self._stepped)
+        self._where_it_slips("step")
+        return self._stepped
 
     @property
     def signals(self) -> Callable[..., dict[str, tuple[str, Any]]]:
         """``signals(t, q, v, u, f, memory)``: what the ground does at the wheels, where they slip."""
-        return self._where_it_slips("signals", lambda: self._traced.signals)
+        return self._where_it_slips("signals").signals
 
     def _stepped(
         self, t: float, q: ArrayLike, v: ArrayLike, u: ArrayLike, h: float, f: ArrayLike, memory: Grip
     ) -> Step:
         q, v, u = self._q(q), self._v("v", v), vector("u", u, self.nu)
         f = 0.0 if isinstance(f, float) and f == 0 else finite("f", f)
-        return self._traced.step(t, q, v, u, h, f, memory)  # type: ignore[union-attr]
+        return self._slipping.step(t, q, v, u, h, f, memory)
 
     def check_start(self, q: ArrayLike, v: ArrayLike) -> None:
         """Refuse a start at which wheels on one gear train turn at different rates, or those that roll slip.
@@ -1004,8 +1056,8 @@ class WheeledRobot(Bearing):
             held = isinstance(self.ground, Rolling) or name == "train"
             if held and slip > _OFF * (1 + float(np.abs(v).max())):
                 raise InvalidArgument(
-                    f"start does not roll: {name} slips at {slip:.3g} m/s; expected v0 = robot.project(q0, v0), "
-                    "or a reference that the wheels can follow"
+                    f"start does not roll: {name} slips at {slip:.3g} m/s; expected "
+                    "v0 = robot.project(q0, v0), or a reference that the wheels can follow"
                 )
 
     def traced(self) -> RollingBody | SlippingBody:
@@ -1037,16 +1089,24 @@ class WheeledRobot(Bearing):
             raise InvalidArgument(f"robot cannot roll without slip: {self.mobility.why_not}")
         return RollingBody(**self._common)
 
-    @cached_property
+    @property
     def _traced(self) -> RollingBody | SlippingBody:
+        return self._rolling if isinstance(self.ground, Rolling) else self._slipping
+
+    @cached_property
+    def _slipping(self) -> SlippingBody:
         ground = self.ground
-        if isinstance(ground, Rolling):
-            return self._rolling
+        assert isinstance(ground, Coulomb)
         names = ("across", "rolling", "slip")
-        own = {name: frozen([getattr(wheel.friction, name) for wheel in self.table.wheels]) for name in names}
-        return SlippingBody(
-            **self._common, **own, passes=ground.passes, sweeps=ground.sweeps, tolerance=ground.tolerance
-        )
+        own: dict[str, Any] = {
+            name: frozen([getattr(wheel.friction, name) for wheel in self.table.wheels]) for name in names
+        }
+        rounds: dict[str, Any] = {
+            "passes": ground.passes,
+            "sweeps": ground.sweeps,
+            "tolerance": ground.tolerance,
+        }
+        return SlippingBody(**self._common, **own, **rounds)
 
 
 @final
@@ -1069,53 +1129,8 @@ class _Track:
         return values * (column / self.width)[:, None]
 
 
-def _steers(wheel: Wheel) -> bool:
-    return wheel.steering != FIXED
-
-
-def _with_wheels(robot: MobileRobot, table: WheelTable, fall: Array) -> pin.Model:
-    """Return the tree of a robot whose wheels are joints, each after the steering axis that it hangs on.
-
-    Pinocchio's CRBA takes what hangs on a joint to come right after it.
-    """
-    model, wheels = robot.model, sum(wheel.mass for wheel in table.wheels)
-    model.gravity.linear = fall
-    body = pin.Inertia(model.inertias[BODY_JOINT])
-    if body.mass <= wheels:
-        raise InvalidArgument(
-            f"robot has a mass of {body.mass:.6g} kg, and its wheels {wheels:.6g} kg, which are a part of it; "
-            "expected the mass of the whole"
-        )
-    for wheel in table.wheels:
-        body -= _placed(wheel).act(_inertia(wheel))
-    model.inertias[BODY_JOINT] = _checked(body)
-    for wheel in table.wheels:
-        parent, place = BODY_JOINT, _placed(wheel)
-        if _steers(wheel):
-            pivot = pin.SE3(pin.utils.rotate("z", wheel.angle), np.array([wheel.x, wheel.y, wheel.radius]))
-            parent = model.addJoint(BODY_JOINT, pin.JointModelRZ(), pivot, f"{wheel.name}_steering")
-            place = pin.SE3(np.eye(3), np.array([*wheel.trail, 0.0]))
-        joint = model.addJoint(parent, pin.JointModelRY(), place, wheel.name)
-        model.appendBodyToJoint(joint, _inertia(wheel), pin.SE3.Identity())
-    return model
-
-
-def _placed(wheel: Wheel) -> pin.SE3:
-    """Return the pose of a wheel's centre in the body's frame, its y along the axle, at angle zero."""
-    return pin.SE3(pin.utils.rotate("z", wheel.angle), np.array([*wheel.centre, wheel.radius]))
-
-
-def _inertia(wheel: Wheel) -> pin.Inertia:
-    across = wheel.yaw_inertia
-    return pin.Inertia(wheel.mass, np.zeros(3), np.diag([across, wheel.spin_inertia, across]))
-
-
-def _checked(body: pin.Inertia) -> pin.Inertia:
-    try:
-        Body(body.mass, np.array(body.lever), np.array(body.inertia))
-    except InvalidArgument as error:
-        raise InvalidArgument(
-            f"robot without its wheels is no body: {error}; expected a robot whose mass and inertia hold "
-            "those of its wheels"
-        ) from None
-    return body
+def _raised(robot: MobileRobot, height: float) -> MobileRobot:
+    """Return a robot whose body has its centre of mass higher by so much [m]."""
+    body = robot.lumped().body
+    com = body.com + np.array([0.0, 0.0, height])
+    return robot.base.with_body(Body(body.mass, com, body.inertia), robot.source)

@@ -1,0 +1,318 @@
+"""Drives whose wheels roll ideally, in independent velocities nu: M nu' + n = B tau, all of it by hand.
+
+Kane's method: the velocities that roll are S nu, and the equations of the body and of each wheel are
+projected on the columns of S, in which the forces of the ground do no work. Every wheel has an inertia about
+its axle, motor and gear included; one that steers has another about the vertical through its centre. The mass
+m, the centre of mass (xc, yc) in the body's frame and the inertia Icz about the vertical through it are those
+of the whole, wheels locked. Everything broadcasts over leading axes, parameters too.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pinmobile.arrays import Array, ArrayLike, finite, finite_answer, vector
+from pinmobile.closed_form.body import quietly
+from pinmobile.errors import InvalidArgument
+
+
+class ReducedModel(NamedTuple):
+    """M nu' + n = B tau in the independent velocities nu.
+
+    Attributes
+    ----------
+    M : ndarray, shape (..., m, m)
+        Mass matrix.
+    n : ndarray, shape (..., m)
+        Nonlinear effects.
+    B : ndarray, shape (..., m, inputs)
+        What torques are to nu.
+    """
+
+    M: Array
+    n: Array
+    B: Array
+
+
+@quietly
+def differential_drive(
+    nu: ArrayLike,
+    *,
+    mass: ArrayLike,
+    yaw_inertia: ArrayLike,
+    com: ArrayLike = (0, 0),
+    track: ArrayLike,
+    radius: ArrayLike,
+    spin_inertia: ArrayLike = 0.0,
+    axle: ArrayLike = 0.0,
+) -> ReducedModel:
+    """Return the dynamics of two fixed wheels on one axle, nu = (v, w): speed of its middle, and yaw rate.
+
+    With b half the track, r the radius, I_w the spin inertia, (dx, dy) the centre of mass from the middle of
+    the axle, and the rates of the wheels (v - b w) / r on the left and (v + b w) / r on the right::
+
+        M = [ m + 2 I_w / r^2          -m dy                              ]   n = [ -m dx w^2 ]
+            [ -m dy       Icz + m (dx^2 + dy^2) + 2 I_w b^2 / r^2         ]       [ m dx v w  ]
+
+        B tau = ( tau_R + tau_L, b (tau_R - tau_L) ) / r
+
+    (R. Dhaouadi and A. Abu Hatab, "Dynamic modelling of differential-drive mobile robots using Lagrange and
+    Newton-Euler methodologies: a unified framework", Advances in Robotics and Automation 2(2), 2013, with the
+    centre of mass off the middle line too.)
+
+    Parameters
+    ----------
+    nu : array_like, shape (..., 2)
+        [m/s, rad/s].
+    mass, yaw_inertia : array_like, shape (...)
+        [kg]; about the vertical through the centre of mass [kg m^2].
+    com : array_like, shape (..., 2)
+        Centre of mass in the body's frame [m].
+    track, radius : array_like, shape (...)
+        Distance of the wheels; their radius [m].
+    spin_inertia : array_like, shape (...)
+        Of each wheel [kg m^2].
+    axle : array_like, shape (...)
+        Its place forward in the body's frame [m].
+
+    Returns
+    -------
+    model : ReducedModel
+        Its torques are those of the left and the right wheel [N m].
+
+    Raises
+    ------
+    InvalidArgument
+        If a shape does not fit, a value is not finite, or not in its range.
+    NotFinite
+        If the answer is beyond the numbers that a computer has.
+    """
+    nu, com = vector("nu", nu, 2), vector("com", com, 2)
+    given = _positive(mass=mass, yaw_inertia=yaw_inertia, track=track, radius=radius)
+    given |= _not_negative(spin_inertia=spin_inertia) | {"axle": finite("axle", axle)}
+    m, inertia, track, r, spin, at, dx, dy, v, w = _alike(**given, com=com, nu=nu)
+    b, dx = track / 2, dx - at
+    M = _matrix(
+        [m + 2 * spin / r**2, -m * dy],
+        [-m * dy, inertia + m * (dx**2 + dy**2) + 2 * spin * (b / r) ** 2],
+    )
+    B = _matrix([1 / r, 1 / r], [-b / r, b / r])
+    return _model(M, np.stack([-m * dx * w**2, m * dx * v * w], axis=-1), B, nu=nu, com=com, **given)
+
+
+@quietly
+def roller_drive(
+    twist: ArrayLike,
+    *,
+    mass: ArrayLike,
+    yaw_inertia: ArrayLike,
+    com: ArrayLike = (0, 0),
+    x: ArrayLike,
+    y: ArrayLike,
+    angle: ArrayLike,
+    roller: ArrayLike,
+    radius: ArrayLike,
+    spin_inertia: ArrayLike = 0.0,
+) -> ReducedModel:
+    """Return the dynamics of fixed wheels with rollers, mecanum or omni, in the body twist (vx, vy, w).
+
+    The rate of a wheel at (x, y) that rolls along the angle delta, its roller at the ground along delta +
+    gamma, is the row ( cos(delta + gamma), sin(delta + gamma), x sin(delta + gamma) - y cos(delta + gamma) )
+    / (r cos gamma) of J times the twist, and::
+
+        (M_b + J' diag(I_w) J) u' + c(u) = J' tau       [ m     0    -m yc                   ]
+                                                  M_b = [ 0     m     m xc                   ]
+                                                        [ -m yc m xc  Icz + m (xc^2 + yc^2)  ]
+
+        c(u) = m w ( -vy - xc w,  vx - yc w,  xc vx + yc vy )
+
+    (P. F. Muir and C. P. Neuman, "Kinematic modeling of wheeled mobile robots", Journal of Robotic Systems
+    4(2), 1987, for J.)
+
+    Parameters
+    ----------
+    twist : array_like, shape (..., 3)
+        Forward, left, yaw rate [m/s, m/s, rad/s].
+    mass, yaw_inertia, com
+        As of `differential_drive`.
+    x, y, angle : array_like, shape (..., wheels)
+        Place of each wheel [m], and angle of its rolling direction from the body's x [rad].
+    roller : array_like, shape (..., wheels)
+        Angle of the axis of the roller at the ground from the rolling direction, less than a right one [rad].
+    radius, spin_inertia : array_like, shape (..., wheels) or (...)
+        Of each wheel, or a number for all [m], [kg m^2].
+
+    Returns
+    -------
+    model : ReducedModel
+        Its torques are those of the wheels [N m].
+
+    Raises
+    ------
+    InvalidArgument
+        If a shape does not fit, a value is not finite, or not in its range.
+    NotFinite
+        If the answer is beyond the numbers that a computer has.
+    """
+    twist, com = vector("twist", twist, 3), vector("com", com, 2)
+    given = _positive(mass=mass, yaw_inertia=yaw_inertia)
+    wheels = {name: finite(name, value) for name, value in (("x", x), ("y", y), ("angle", angle))}
+    wheels |= {"roller": finite("roller", roller)} | _positive(radius=radius)
+    wheels |= _not_negative(spin_inertia=spin_inertia)
+    if not (np.abs(wheels["roller"]) < np.pi / 2).all():
+        raise InvalidArgument(
+            f"roller is up to {np.abs(wheels['roller']).max():g} rad, expected less than a right angle"
+        )
+    m, inertia, xc, yc, vx, vy, w = _alike(**given, com=com, twist=twist)
+    px, py, delta, gamma, r, spin = _alike(**wheels)
+    if not px.ndim:
+        raise InvalidArgument("x is one number, expected one for each wheel, on the last axis")
+    c, s = np.cos(delta + gamma), np.sin(delta + gamma)
+    J = np.stack([c, s, px * s - py * c], axis=-1) / (r * np.cos(gamma))[..., None]
+    _fits({"twist": m.shape, "x": px.shape[:-1]})
+    zero = np.zeros_like(m)
+    M = _matrix([m, zero, -m * yc], [zero, m, m * xc], [-m * yc, m * xc, inertia + m * (xc**2 + yc**2)])
+    spun = np.einsum("...ki,...k,...kj->...ij", J, spin, J)
+    n = (m * w)[..., None] * np.stack([-vy - xc * w, vx - yc * w, xc * vx + yc * vy], axis=-1)
+    return _model(M + spun, n, np.swapaxes(J, -1, -2), twist=twist, com=com, **given, **wheels)
+
+
+@quietly
+def car(
+    nu: ArrayLike,
+    steering: ArrayLike,
+    *,
+    mass: ArrayLike,
+    yaw_inertia: ArrayLike,
+    com: ArrayLike = (0, 0),
+    wheelbase: ArrayLike,
+    radius: ArrayLike,
+    track: ArrayLike = 0.0,
+    spin_inertia: ArrayLike = 0.0,
+    steered_inertia: ArrayLike = 0.0,
+) -> ReducedModel:
+    """Return the dynamics of a car, nu = (v, delta'): speed of the rear axle's middle, and steering rate.
+
+    Two wheels on the rear axle, in whose middle the body's origin lies, and two in front at a distance L,
+    that Ackermann's law turns so that all axles meet: cot delta_i = cot delta - y_i / L at y_i = -+b, half
+    the track. With T = tan delta, w = v T / L, g_i = d delta_i / d delta = 1 / (sin^2 delta + (cos delta -
+    y_i sin delta / L)^2), and g_i' = d g_i / d delta::
+
+        M11 = m (1 - 2 yc T / L) + (Icz + m (xc^2 + yc^2)) T^2 / L^2
+              + 2 I_w / r^2 (1 + 1 / cos^2 delta + 2 b^2 T^2 / L^2)
+        M12 = I_z T / L sum g_i                        M22 = I_z sum g_i^2
+        n1 = dM11 / ddelta v delta' / 2 + I_z T / L sum g_i' delta'^2
+        n2 = I_z v delta' / (L cos^2 delta) sum g_i + I_z sum g_i g_i' delta'^2
+
+        B tau = ( tau_rear / r + tau_front sum k_i / (2 r), tau_steering )
+        k_i = sqrt((1 - y_i T / L)^2 + T^2)
+
+    Without a track g_i = 1 and k_i = 1 / cos delta: the two wheels of an axle stand in one place, and it is a
+    bicycle with wheels of twice the inertia. The steering torque pushes the car and driving turns the wheels
+    by the same term M12. It holds at every angle below a right one, for steered wheels whose centres lie on
+    their pivots: with a trail, masses and moments would depend on the angle.
+
+    Parameters
+    ----------
+    nu : array_like, shape (..., 2)
+        [m/s, rad/s].
+    steering : array_like, shape (...)
+        Angle delta of a wheel in the middle of the front axle, less than a right one [rad].
+    mass, yaw_inertia, com
+        As of `differential_drive`.
+    wheelbase, radius, track : array_like, shape (...)
+        Distance of the axles; radius of the wheels; distance of the two of an axle [m].
+    spin_inertia, steered_inertia : array_like, shape (...)
+        Of each wheel about its axle, and of each front one about the vertical [kg m^2].
+
+    Returns
+    -------
+    model : ReducedModel
+        Its torques are those on the rear axle and the front one, shared equally by their wheels (an open
+        differential), and on the steering [N m].
+
+    Raises
+    ------
+    InvalidArgument
+        If a shape does not fit, a value is not finite, or not in its range.
+    NotFinite
+        If the answer is beyond the numbers that a computer has.
+    """
+    nu, com, delta = vector("nu", nu, 2), vector("com", com, 2), finite("steering", steering)
+    if not (np.abs(delta) < np.pi / 2).all():
+        raise InvalidArgument(
+            f"steering is up to {np.abs(delta).max():g} rad, expected less than a right angle"
+        )
+    given = _positive(mass=mass, yaw_inertia=yaw_inertia, wheelbase=wheelbase, radius=radius)
+    given |= _not_negative(track=track, spin_inertia=spin_inertia, steered_inertia=steered_inertia)
+    given["steering"] = delta
+    m, inertia, L, r, track, spin, turned, delta, xc, yc, v, rate = _alike(**given, com=com, nu=nu)
+    b, c, s = track / 2, np.cos(delta), np.sin(delta)
+    T, turn = s / (c * L), 1 / (L * c * c)  # w = T v, and d T / d delta
+    J = inertia + m * (xc**2 + yc**2)
+    ratio, tilt, driven = np.zeros((2, *m.shape)), np.zeros((2, *m.shape)), np.zeros((2, *m.shape))
+    for k, y in enumerate((b, -b)):
+        aside = c - y * s / L
+        ratio[k] = 1 / (s**2 + aside**2)
+        tilt[k] = -2 * (s * c - aside * (s + y * c / L)) * ratio[k] ** 2
+        driven[k] = np.hypot(1 - y * T, T * L)
+    M11 = m * (1 - 2 * yc * T) + J * T**2 + 2 * spin / r**2 * (1 + 1 / c**2 + 2 * (b * T) ** 2)
+    M12 = turned * T * ratio.sum(0)
+    half = (-m * yc + J * T + 2 * spin / r**2 * (L**2 + 2 * b**2) * T) * turn  # of the derivative of M11
+    n = np.stack(
+        [
+            half * v * rate + turned * T * tilt.sum(0) * rate**2,
+            turned * (turn * ratio.sum(0) * v * rate + (ratio * tilt).sum(0) * rate**2),
+        ],
+        axis=-1,
+    )
+    zero, one = np.zeros_like(m), np.ones_like(m)
+    M = _matrix([M11, M12], [M12, turned * (ratio**2).sum(0)])
+    B = _matrix([1 / r, driven.sum(0) / (2 * r), zero], [zero, zero, one])
+    return _model(M, n, B, nu=nu, com=com, **given)
+
+
+def _positive(**given: ArrayLike) -> dict[str, Array]:
+    found = {name: finite(name, value) for name, value in given.items()}
+    for name, value in found.items():
+        if not (value > 0).all():
+            raise InvalidArgument(f"{name} is {value.min()}, expected > 0")
+    return found
+
+
+def _not_negative(**given: ArrayLike) -> dict[str, Array]:
+    found = {name: finite(name, value) for name, value in given.items()}
+    for name, value in found.items():
+        if not (value >= 0).all():
+            raise InvalidArgument(f"{name} is {value.min()}, expected >= 0")
+    return found
+
+
+_VECTORS = ("com", "nu", "twist")
+
+
+def _alike(**given: Array) -> list[Array]:
+    """Return all, vectors as their components, in one shape."""
+    _fits({name: x.shape[:-1] if name in _VECTORS else x.shape for name, x in given.items()})
+    parts = [
+        list(np.moveaxis(value, -1, 0)) if name in _VECTORS else [value] for name, value in given.items()
+    ]
+    return [np.array(x) for x in np.broadcast_arrays(*(x for part in parts for x in part))]
+
+
+def _fits(shapes: dict[str, tuple[int, ...]]) -> None:
+    try:
+        np.broadcast_shapes(*shapes.values())
+    except ValueError:
+        told = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
+        raise InvalidArgument(f"leading shapes are {told}, expected shapes that broadcast") from None
+
+
+def _matrix(*rows: list[Array]) -> Array:
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _model(M: Array, n: Array, B: Array, **arguments: ArrayLike) -> ReducedModel:
+    return ReducedModel(*(finite_answer(x, **arguments) for x in (M, n, B)))

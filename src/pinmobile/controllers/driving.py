@@ -1,0 +1,197 @@
+"""What stands between controllers and motors: torques as volts, and rates of wheels held by firmware."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, final
+
+import numpy as np
+
+from pinmobile.arrays import Array, callable_as, frozen, non_negative, positive
+from pinmobile.controllers.backstepping import speeds_along, tracked
+from pinmobile.controllers.controller import Controller, State, answer_of, check_controller, told
+from pinmobile.controllers.steering import KinematicLaw, value_of
+from pinmobile.errors import InvalidArgument, NotTraceable, shown
+from pinmobile.plant import Context, Parameter
+from pinmobile.signals import signals_of
+
+_BASE = 3
+
+
+class _OfTorques:
+    """The context of a controller whose inputs are torques."""
+
+    def __init__(self, context: Any, inputs: Any) -> None:
+        self._context, self.inputs = context, inputs
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._context, name)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Driven:
+    """A controller of torques whose robot takes volts: by the inverse of its motors at the present rates.
+
+    Volts are held between samples while rates change, so that torques are those asked for at a sample and
+    less as a motor gets faster. What limits of voltages and currents leave of the torques is what the wrapped
+    controller is told to have been applied.
+
+    Parameters
+    ----------
+    controller : controller
+        What is wrapped.
+    robot : WheeledRobot
+        With the motors in which the controller believes; or what its ``by_voltage()`` returns.
+
+    Raises
+    ------
+    InvalidArgument
+        If `controller` is none, or `robot` has no motors that take volts.
+    """
+
+    controller: Controller
+    robot: Any
+
+    def __post_init__(self) -> None:
+        check_controller(self.controller)
+        robot = self.robot
+        if not isinstance(robot, type) and not hasattr(robot, "volts_for") and hasattr(robot, "by_voltage"):
+            object.__setattr__(self, "robot", robot.by_voltage())
+        elif isinstance(robot, type) or not hasattr(robot, "volts_for"):
+            raise InvalidArgument(f"robot is {shown(robot)}, expected a WheeledRobot with electric motors")
+
+    def initial_state(self, context: Context) -> tuple[Any, Any]:
+        """Return the state that the wrapped controller starts with, and velocities."""
+        inner = _OfTorques(context, self.robot.wheeled.inputs)
+        return self.controller.initial_state(inner), np.zeros(self.robot.nv)  # type: ignore[arg-type]
+
+    def applied(self, u: Array, state: tuple[Any, Any]) -> tuple[Any, Any]:
+        """Return the state, with the wrapped controller told of the torques of an input, shape (..., nu)."""
+        inner, v = state
+        return told(self.controller, self.robot.torques_at(v, u), inner), v
+
+    def signals(self, state: tuple[Any, Any]) -> Any:
+        """Return what the wrapped controller tells beside its input: name to (unit, value)."""
+        return signals_of(self.controller, state[0])
+
+    def __call__(
+        self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any]
+    ) -> tuple[Array, tuple[Any, Any]]:
+        """Return the input, shape (..., nu), and the next state."""
+        torques, inner = answer_of(self.controller, t, q, v, reference, state[0])
+        return self.robot.volts_for(v, torques), (inner, v)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class WheelSpeed:
+    """From a kinematic law to rates of wheels, each held by its own loop, as firmware of robots does.
+
+        u = kp (W_c - W) + ki z,   z' = W_c - W
+
+    W_c are the rates at which motors turn when wheels roll as the law says. What an integral gains in a
+    sample is taken back where the input is limited and the gain would push it further.
+
+    The reference is the pose of the body, as of `Backstepping`; a robot that rolls on no one axle, such as a
+    skid-steer base, is taken as one with an axle through its origin.
+
+    Parameters
+    ----------
+    law : kinematic law
+        Such as `Tracking`.
+    robot : WheeledRobot
+        Its wheels in which the controller believes; of one by volts the gains are per volt.
+    kp, ki : float
+        Gains, > 0 and >= 0 [N m s/rad, N m/rad, or V s/rad, V/rad].
+
+    Raises
+    ------
+    InvalidArgument
+        If an argument is something else, or the robot has wheels that steer, or arms.
+    """
+
+    law: KinematicLaw
+    robot: Any
+    kp: float
+    ki: float = 0.0
+    _axle: Array = field(init=False, repr=False)
+    _wanted: Array = field(init=False, repr=False)
+    _measured: tuple[tuple[tuple[int, float], ...], ...] = field(init=False, repr=False)
+
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("kp", "N m s/rad, V s/rad", "gain of the rates", 0.0, may_vanish=False),
+        Parameter("ki", "N m/rad, V/rad", "gain of their integrals", 0.0),
+    )
+
+    def __post_init__(self) -> None:
+        if isinstance(self.law, type) or not all(hasattr(self.law, x) for x in ("initial_state", "check")):
+            raise InvalidArgument(f"law is {shown(self.law)}, expected a kinematic law, such as Tracking()")
+        callable_as("law(tracked, state)", self.law)
+        object.__setattr__(self, "kp", positive("kp", self.kp))
+        object.__setattr__(self, "ki", non_negative("ki", self.ki))
+        robot = self.robot
+        if isinstance(robot, type) or not hasattr(robot, "table"):
+            raise InvalidArgument(f"robot is {shown(robot)}, expected a WheeledRobot")
+        if hasattr(robot, "wheel_rates"):  # what it becomes in a compiled loop has been looked at before
+            self._look(robot)
+
+    def _look(self, robot: Any) -> None:
+        table = robot.table
+        if table.axes or robot.nu > len(table.actuators):
+            raise InvalidArgument(
+                "robot has arms, or wheels that steer, expected one whose inputs are all motors of fixed "
+                "wheels"
+            )
+        axle = robot.axle if robot.mobility.is_regular else np.array([0.0, 1.0, 0.0])
+        a, b, arm = axle / np.hypot(axle[0], axle[1])
+        twists = np.array([[b, -a, 0.0], [-arm * a, -arm * b, 1.0]])  # of a speed, and of a yaw rate
+        columns = np.array([each.column for each in table.actuators])
+        first = robot.nv - columns.shape[1]
+        object.__setattr__(self, "_axle", frozen([a, b, arm]))
+        object.__setattr__(self, "_wanted", frozen(robot.wheel_rates(twists) @ columns.T))
+        measured = tuple(
+            tuple((first + i, float(x)) for i, x in enumerate(column) if x) for column in columns
+        )
+        object.__setattr__(self, "_measured", measured)
+
+    def initial_state(self, context: Context) -> tuple[Any, Any, Any, Any, Any]:
+        """Return the law's state, integrals, their gains, the last input, and the time between samples."""
+        try:
+            reference = context.reference
+        except NotTraceable:  # each robot has its own
+            reference = None
+        if reference is not None:
+            t = np.asarray(context.t)
+            self.law.check(t, *speeds_along(self._axle, t, reference))
+        none = np.zeros(len(self._measured))
+        return self.law.initial_state(context), none, none, none, float(context.dt)
+
+    def applied(self, u: Array, state: tuple[Any, Any, Any, Any, Any]) -> tuple[Any, Any, Any, Any, Any]:
+        """Return the state, integrals without what a limit of the input kept them from, shape (..., nu)."""
+        law, integral, gain, asked, dt = state
+        back = np.where((asked - u) * gain > 0.0, gain, 0.0)
+        return law, integral - back, gain, asked, dt
+
+    def __call__(
+        self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any, Any, Any, Any]
+    ) -> tuple[Array, tuple[Any, Any, Any, Any, Any]]:
+        """Return the input, shape (..., nu), and the next state."""
+        law, integral, _, _, dt = state
+        a, b, _ = self._axle
+        c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
+        own = (b * c + a * s) * v[..., 0] + (b * s - a * c) * v[..., 1]
+        known, _ = tracked(self.robot, self._axle, q, v, reference, own)
+        (speed, yaw_rate), law = self.law(known, law)
+        wanted, turning = value_of(speed), value_of(yaw_rate)
+        errors = []
+        for k, column in enumerate(self._measured):
+            rate = self._wanted[0, k] * wanted + self._wanted[1, k] * turning
+            for i, share in column:
+                rate = rate - share * v[..., i]
+            errors.append(rate)
+        error = np.stack(np.broadcast_arrays(*errors), axis=-1)
+        gain = dt * error
+        integral = integral + gain
+        u = self.kp * error + self.ki * integral
+        return u, (law, integral, gain, u, dt)

@@ -1,0 +1,327 @@
+"""What wheels do over time: torques, friction, slip, loads; and where odometry believes the robot to be."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from pinmobile.arrays import Array
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.palette import INK, QUIET, SLIDES, colour
+from pinmobile.plant import Contacts
+from pinmobile.plots.style import DESIRED, Rollouts, ShownFigure, Style, dress, headed, labelled, thinned
+from pinmobile.simulation import Rollout
+
+_WIDTH, _HEIGHT = 5.0, 2.5  # of axes [in]; at 3.5 in, letters of 12 points are 8.4 points high
+_LABEL, _TICKS = 12, 11  # [pt]
+_DASHES = ("-", (0, (6, 2)), (0, (2, 1.5)), (0, (7, 2, 1.5, 2)), (0, (1, 1)), (0, (4, 1, 1, 1, 1, 1)))
+_LIMIT: Style = {"color": INK, "linestyle": (0, (4, 3)), "linewidth": 1.2, "zorder": 2}
+_ROUNDING = 1e-9  # what is smaller is drawn as the zero that it is
+
+
+def wheel_torques(rollouts: Rollouts, *, title: str | None = None) -> Figure:
+    """Draw the inputs of a robot on wheels over time, those of its wheels and of what steers them.
+
+    Arms' joints are in `forces`.
+
+    Parameters
+    ----------
+    rollouts : Rollout or mapping of str to Rollout
+        Each gets a column.
+    title : str, optional
+        Heading of the figure.
+
+    Returns
+    -------
+    figure : matplotlib.figure.Figure
+
+    Raises
+    ------
+    InvalidArgument
+        If `rollouts` is something else, or not of robots on wheels.
+    """
+    runs = _of_wheels(rollouts)
+    units = {one.unit for run in runs.values() for one in _driven(run)}
+    name = f"torque [{units.pop()}]" if len(units) == 1 else "input"
+    figure, grid = _axes(runs, [name], headed(title, "Inputs of the wheels"))
+    for run, axes in zip(runs.values(), grid[0], strict=True):
+        inputs = _driven(run)
+        u = run.u[:, run.u.shape[1] - len(inputs) :]
+        _lines(axes, run.t, u, [one.name for one in inputs], drawstyle="steps-post")
+    return figure
+
+
+def friction(rollouts: Rollouts, *, title: str | None = None) -> Figure:
+    """Draw over time how much of its friction each wheel uses: the force in its friction circle, mu N wide.
+
+    At 1 it slides; of rollers it is the force along their axes. Where rolling determines but the sum of some
+    forces, a wheel's is its share of that sum.
+
+    Parameters
+    ----------
+    rollouts : Rollout or mapping of str to Rollout
+        Each gets a column.
+    title : str, optional
+        Heading of the figure.
+
+    Returns
+    -------
+    figure : matplotlib.figure.Figure
+
+    Raises
+    ------
+    InvalidArgument
+        If `rollouts` is something else, not of robots on wheels, or the loads of one cannot be told.
+    """
+    runs = _of_wheels(rollouts)
+    found = {label: _contacts(run) for label, run in runs.items()}
+    for label, contacts in found.items():
+        if not np.isfinite(contacts.limits).any():
+            raise InvalidArgument(
+                f"{_called(label)} is of a robot whose loads are not known, expected one that stands on "
+                "three points and more: give supports=[(x, y), ...]"
+            )
+    figure, grid = _axes(runs, ["force / $\\mu N$ [-]"], headed(title, "Share of friction used"))
+    for (label, run), axes in zip(runs.items(), grid[0], strict=True):
+        contacts = found[label]
+        _lines(axes, run.t, share_of_friction(contacts), _names(contacts))
+        axes.axhline(1.0, **_LIMIT)
+        axes.annotate("slides", (1.0, 1.0), xycoords=("axes fraction", "data"), **_word("right"))
+        _slides(axes, run.t, np.asarray(contacts.slides.any(axis=1)))
+        axes.set_ylim(0.0, max(1.12, axes.get_ylim()[1]))
+    return figure
+
+
+def slip(rollouts: Rollouts, *, title: str | None = None) -> Figure:
+    """Draw over time how fast each wheel slides over the ground, along it and across it.
+
+    Of a wheel with rollers these directions are along its rollers' axes and across, in which they roll.
+
+    Parameters
+    ----------
+    rollouts : Rollout or mapping of str to Rollout
+        Each gets a column.
+    title : str, optional
+        Heading of the figure.
+
+    Returns
+    -------
+    figure : matplotlib.figure.Figure
+
+    Raises
+    ------
+    InvalidArgument
+        If `rollouts` is something else, or not of robots on wheels.
+    """
+    runs = _of_wheels(rollouts)
+    rows = ["slip along [m/s]", "slip across [m/s]"]
+    figure, grid = _axes(runs, rows, headed(title, "Slip velocities"))
+    for (_, run), column in zip(runs.items(), grid.T, strict=True):
+        contacts = _contacts(run)
+        for k, axes in enumerate(column):
+            values = np.where(np.abs(contacts.slips[..., k]) < _ROUNDING, 0.0, contacts.slips[..., k])
+            _lines(axes, run.t, values, contacts.names, legend=k == 0)
+            _slides(axes, run.t, np.asarray(contacts.slides.any(axis=1)))
+            if not values.any():
+                axes.set_ylim(-1.0, 1.0)
+                axes.annotate("none", (0.5, 0.62), xycoords="axes fraction", **_word("center"))
+    return figure
+
+
+def loads(rollouts: Rollouts, *, title: str | None = None) -> Figure:
+    """Draw over time what each wheel carries.
+
+    Parameters
+    ----------
+    rollouts : Rollout or mapping of str to Rollout
+        Each gets a column.
+    title : str, optional
+        Heading of the figure.
+
+    Returns
+    -------
+    figure : matplotlib.figure.Figure
+
+    Raises
+    ------
+    InvalidArgument
+        If `rollouts` is something else, or not of robots on wheels.
+    """
+    runs = _of_wheels(rollouts)
+    figure, grid = _axes(runs, ["load [N]"], headed(title, "Loads of the wheels"))
+    for (_, run), axes in zip(runs.items(), grid[0], strict=True):
+        contacts = _contacts(run)
+        _lines(axes, run.t, contacts.loads, contacts.names)
+        if not np.isfinite(contacts.loads).any():
+            axes.annotate("not known", (0.5, 0.5), xycoords="axes fraction", **_word("center"))
+        axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+    return figure
+
+
+def odometry(rollouts: Rollouts, *, title: str | None = None) -> Figure:
+    """Draw the path that odometry believes beside the true one, and how far apart they are over time.
+
+    Parameters
+    ----------
+    rollouts : Rollout or mapping of str to Rollout
+        Runs with a controller `ByOdometry`; each gets a column.
+    title : str, optional
+        Heading of the figure.
+
+    Returns
+    -------
+    figure : matplotlib.figure.Figure
+
+    Raises
+    ------
+    InvalidArgument
+        If `rollouts` is something else, or one has not the signal ``believed_pose``.
+    """
+    runs = labelled(rollouts)
+    for label, run in runs.items():
+        if "believed_pose" not in run.signals:
+            raise InvalidArgument(
+                f"{_called(label)} has no signal believed_pose, expected a run with "
+                "ByOdometry(controller, table)"
+            )
+    names = ["y [m]", "odometry off by [m]"]
+    figure, grid = _axes(runs, names, headed(title, "Odometry beside the truth"), tall=1.7)
+    for (_, run), (above, below) in zip(runs.items(), grid.T, strict=True):
+        true, believed = run.poses, run.signals["believed_pose"].values
+        kept = thinned(*true[:, :2].T)
+        above.plot(*run.reference_poses[kept, :2].T, label="desired", **DESIRED)
+        for k, (label, way) in enumerate((("true", true), ("believed", believed))):
+            above.plot(
+                *way[kept, :2].T, label=label, color=colour(k), linestyle=_DASHES[k], linewidth=2.2, zorder=3
+            )
+        above.set_aspect("equal", adjustable="datalim")
+        above.set_xlabel("x [m]", fontsize=_LABEL)
+        above.legend(fontsize=_TICKS, frameon=False, loc="best")
+        off = np.hypot(*(believed - true)[:, :2].T)
+        kept = thinned(off)
+        below.plot(run.t[kept], off[kept], color=colour(1), linewidth=2.0)
+        below.set_ylim(bottom=0.0)
+    return figure
+
+
+def share_of_friction(found: Contacts) -> Array:
+    """Return force over friction of each contact, shape (n, k); not a number where it is not known.
+
+    Of a wheel with rollers it is that along their axes: across them they roll.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        shares = np.where(found.forces == 0, 0.0, found.forces / found.limits)
+    rolls = found.limits[..., 0] != found.limits[..., 1]
+    return np.asarray(np.where(rolls, np.abs(shares[..., 0]), np.hypot(shares[..., 0], shares[..., 1])))
+
+
+def _called(label: str) -> str:
+    return f"rollouts[{label!r}]" if label else "rollouts"
+
+
+def _of_wheels(rollouts: object) -> dict[str, Rollout]:
+    runs = labelled(rollouts)
+    for label, run in runs.items():
+        if not callable(getattr(run.plant, "contacts", None)):
+            raise InvalidArgument(
+                f"{_called(label)}.plant is {shown(run.plant)}, expected a WheeledRobot, or a plant with "
+                "contacts(q, v, a, u, signals)"
+            )
+    return runs
+
+
+def _contacts(run: Rollout) -> Contacts:
+    plant: Any = run.plant
+    found: Contacts = plant.contacts(run.q, run.v, run.a, run.u, run.signals)
+    return found
+
+
+def _driven(run: Rollout) -> Sequence[Any]:
+    """Return the inputs behind those of the arms."""
+    arms = len(getattr(getattr(run.plant, "robot", None), "coordinates", ())) - 3
+    return run.inputs[max(arms, 0) :]
+
+
+def _names(contacts: Contacts) -> list[str]:
+    """Return names of the wheels, with a word for those whose force is a share."""
+    known = np.asarray(contacts.determined.all(axis=1))
+    return [name if sure else f"{name} (share)" for name, sure in zip(contacts.names, known, strict=True)]
+
+
+def _axes(
+    runs: dict[str, Rollout], rows: Sequence[str], title: str, *, tall: float = 1.0
+) -> tuple[Figure, NDArray[Any]]:
+    """Return a figure with a column for each run, and the axes, shape (rows, runs)."""
+    heights = [tall, *(1.0 for _ in rows[1:])]
+    size = _WIDTH * len(runs), 0.9 + _HEIGHT * sum(heights)
+    figure = ShownFigure(figsize=size, dpi=150, layout="constrained")
+    figure.suptitle(title, fontsize=14, color=INK)
+    grid = figure.subplots(len(rows), len(runs), squeeze=False, height_ratios=heights)
+    for row, name in zip(grid, rows, strict=True):
+        row[0].set_ylabel(name, fontsize=_LABEL)
+    for axes in grid.ravel():
+        dress(axes)
+        axes.tick_params(labelsize=_TICKS)
+        axes.margins(x=0.01, y=0.1)
+    for (label, run), column in zip(runs.items(), grid.T, strict=True):
+        column[0].set_title(label, fontsize=_LABEL, color=INK)
+        column[-1].set_xlabel("t [s]", fontsize=_LABEL)
+        if len(run) > 1:
+            for axes in column if tall == 1.0 else column[1:]:
+                axes.set_xlim(run.t[0], run.t[-1])
+    return figure, grid
+
+
+def _lines(
+    axes: Axes, t: Array, values: Array, names: Sequence[str], *, legend: bool = True, **style: Any
+) -> None:
+    """Draw a line for each wheel, the first the widest, so that those that coincide are seen."""
+    count = values.shape[1]
+    for k, (name, line) in enumerate(zip(names, values.T, strict=True)):
+        kept = thinned(np.nan_to_num(line))
+        wide = 1.8 + 2.4 * (count - 1 - k) / max(count - 1, 1)
+        axes.plot(
+            t[kept],
+            line[kept],
+            label=name.replace("_", " "),
+            color=colour(k),
+            linestyle=_DASHES[k % len(_DASHES)],
+            linewidth=wide,
+            marker="o" if len(t) == 1 else "",
+            zorder=3,
+            **style,
+        )
+    if float(np.nanmax(np.abs(values), initial=0.0)) < _ROUNDING:
+        axes.set_ylim(-1.0, 1.0)
+    if legend:
+        axes.legend(
+            fontsize=_TICKS - 1,
+            frameon=False,
+            ncols=2,
+            loc="lower left",
+            bbox_to_anchor=(0.0, 1.0),
+            borderpad=0.2,
+        )
+
+
+def _slides(axes: Axes, t: Array, slides: NDArray[np.bool_]) -> None:
+    """Shade the times at which a wheel slides."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], slides, [False]]).astype(int)))
+    for start, stop in edges.reshape(-1, 2):
+        until = t[min(stop, len(t) - 1)]
+        axes.axvspan(t[start], until, facecolor=SLIDES, alpha=0.15, linewidth=0, zorder=1)
+
+
+def _word(where: str) -> Style:
+    return {
+        "xytext": (0, 3),
+        "textcoords": "offset points",
+        "ha": where,
+        "fontsize": _TICKS - 1,
+        "color": QUIET,
+    }

@@ -1,0 +1,360 @@
+"""Every route to the dynamics of a robot on wheels: constraints, free velocities, by hand, its bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from pinmobile import closed_form
+from pinmobile.arrays import Array
+from pinmobile.compiled import Batched, Cache
+from pinmobile.errors import InvalidArgument, NotTraceable
+from pinmobile.plant import Step
+from pinmobile.verification.wheel_bodies import WheelBodies
+from pinmobile.wheels import Ackermann, Coulomb, WheeledRobot
+
+ROUNDING = 1e-13  # some hundred roundings, relative to the scale of the terms
+SOLVED = 1e-12  # the same, where two solutions of linear equations are compared
+DIFFERENCED = 1e-9  # of a derivative by differences of fourth order
+_STEP = 1e-3  # times the time in which a state changes by itself
+_STEER = 0.6  # [rad]
+_H = 1e-3  # [s], of a step of wheels that slip
+_PASSES, _SWEEPS, _TOLERANCE = 60, 2000, 1e-15  # until a step changes nothing
+_SETTLED = 1e-13  # of the velocities
+
+BODIES, HAND, TREE = "Newton-Euler of the bodies", "closed form by hand", "Pinocchio's tree, null space"
+KKT, PLANE, COMPILED = "Pinocchio's tree, KKT", "energies in the plane, null space", "compiled for ensembles"
+STEP, RATE = "Coulomb's step", "rate of kinetic energy"
+
+Row: TypeAlias = tuple[str, str, str, float, float]
+"""Quantity, route, against, largest difference and bound."""
+
+
+class _Scales(NamedTuple):
+    """Sizes of what is compared: M (n, nv, nv), forces (n, nv), accelerations (n, nv) and power (n,)."""
+
+    M: Array
+    tau: Array
+    a: Array
+    power: Array
+
+
+def compare_wheeled(
+    wheeled: WheeledRobot, states: int, rng: np.random.Generator
+) -> tuple[tuple[Row, ...], str]:
+    """Return the routes of a robot on wheels against each other, and which is missing."""
+    if hasattr(wheeled, "step"):
+        return _slipping(wheeled, states, rng)
+    return _rolling(wheeled, states, rng)
+
+
+def _states(wheeled: WheeledRobot, count: int, rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
+    """Return random q, v that need not roll, u and forces beside it."""
+    nq, axes = wheeled.robot.nq, wheeled.table.axes
+    q = rng.uniform(-np.pi, np.pi, (count, wheeled.nq))
+    q[:, :nq] = wheeled.robot.random_configuration(rng, (count,))
+    q[:, 2] = rng.uniform(-4 * np.pi, 4 * np.pi, count)
+    for k, axis in enumerate(axes):
+        most = min(_STEER, 0.9 * axis.limit)
+        q[:, nq + k] = rng.uniform(-most, most, count)
+    v, u, f = (rng.normal(size=(count, n)) for n in (wheeled.nv, wheeled.nu, wheeled.nv))
+    return q, v, u, f
+
+
+def _scales(bodies: WheelBodies, wheeled: WheeledRobot, M: Array, v: Array, a: Array, rest: Array) -> _Scales:
+    """Return the scales of `verify`, with what forces beside gravity and inertia add."""
+    masses, K, reach = bodies.moving()
+    reach, nv = np.maximum(1.0, reach), v.shape[1]
+    radii = np.append(np.ones(nv - len(wheeled.table)), wheeled.radius)
+    speed, push = (np.square(x * radii).sum(-1) for x in (v, a))
+    felt = np.sqrt(masses * K)
+    accelerated = np.linalg.norm(bodies.fall) + np.sqrt(nv * push) * reach + nv * speed * reach
+    tau = felt * accelerated[:, None] + np.abs(rest)
+    acceleration = np.einsum("nij,nj->ni", np.abs(np.linalg.inv(M)), tau)
+    return _Scales(
+        np.sqrt(K[:, :, None] * K[:, None, :]), tau, acceleration, np.einsum("ni,ni->n", tau, np.abs(v))
+    )
+
+
+def _off(difference: Array, scale: Array) -> float:
+    return float((np.abs(difference) / scale).max(initial=0.0))
+
+
+def _rolling(wheeled: WheeledRobot, states: int, rng: np.random.Generator) -> tuple[tuple[Row, ...], str]:
+    q, v, u, f = _states(wheeled, states, rng)
+    v = wheeled.project(q, v)
+    M, n = wheeled.mass_matrix(q), wheeled.nonlinear_effects(q, v)
+    a, ground = wheeled.forward_dynamics(q, v, u, f), wheeled.constraint_forces(q, v, u, f).values
+    given = u @ wheeled.input_matrix.T + f
+    bodies, still = WheelBodies(wheeled, q, v), WheelBodies(wheeled, q, 0 * v, weightless=True)
+    by_bodies = [still.forces(np.broadcast_to(unit, a.shape)) for unit in np.eye(wheeled.nv)]
+    along, across, trains = _forces(wheeled, ground)
+    held = bodies.contact(along, across) + trains @ bodies.trains()
+    A, drift = wheeled.constraint_matrix(q), wheeled.constraint_drift(q, v)
+    scales = _scales(bodies, wheeled, M, v, a, np.abs(given) + np.abs(_times(np.swapaxes(A, -1, -2), ground)))
+    rows: list[Row] = [
+        ("M", "CRBA", BODIES, _off(M - np.stack(by_bodies, axis=-1), scales.M), ROUNDING),
+        ("n", "RNEA", BODIES, _off(n - bodies.forces(0 * a), scales.tau), ROUNDING),
+        ("tau", KKT, BODIES, _off(given + held - bodies.forces(a), scales.tau), SOLVED),
+    ]
+    # Null space of A by its singular values: a = a0 + Z z, whatever moves along rows is left out of Z.
+    free = _null_space(A, wheeled.mobility.rank)
+    a0 = -_times(np.asarray(np.linalg.pinv(A)), drift)
+    right = given - n - _times(M, a0)
+    z = np.linalg.solve(np.swapaxes(free, -1, -2) @ M @ free, np.swapaxes(free, -1, -2) @ right[..., None])
+    other = a0 + (free @ z)[..., 0]
+    rows.append(("a", KKT, "null space of the rows", _off(a - other, scales.a), SOLVED))
+    found = np.linalg.pinv(np.swapaxes(A, -1, -2)) @ (_times(M, other) + n - given)[..., None]
+    size = np.abs(ground).max(-1, keepdims=True) + scales.tau[:, :2].max(-1, keepdims=True)
+    rows.append(("lambda", KKT, "null space of the rows", _off(ground - found[..., 0], size), SOLVED))
+    traced: Any = wheeled.traced()
+    rows.append(("a", KKT, PLANE, _off(a - traced.forward_dynamics(q, v, u, f), scales.a), SOLVED))
+    rows += _reduced_rows(wheeled, q, v, u, a, f)
+    power = np.einsum("ni,ni->n", v, given - wheeled.nonlinear_effects(q, 0 * v))
+    rate = _rate(wheeled, lambda x, y: wheeled.kinetic_energy(x, y), q, v, a)
+    rows.append(("power", KKT, RATE, _off(power - rate, scales.power), DIFFERENCED))
+    try:
+        law = Batched(traced.forward_dynamics, [(x.shape[1],) for x in (q, v, u, f)], cache=Cache(""))
+    except NotTraceable as error:
+        return tuple(rows), f"{COMPILED}: {error.reason}"
+    rows.append(("a", COMPILED, PLANE, _off(_compiled(law, q, v, u, f) - a, scales.a), SOLVED))
+    return tuple(rows), ""
+
+
+def _compiled(law: Batched, *states: Array) -> Array:
+    found = law(*states)
+    return np.asarray(found[0] if isinstance(found, tuple | list) else found)
+
+
+def _reduced_rows(wheeled: WheeledRobot, q: Array, v: Array, u: Array, a: Array, f: Array) -> Iterator[Row]:
+    """Yield the rows of the dynamics in independent velocities."""
+    own, plane = wheeled.reduced(q, v), wheeled.traced().reduced(q, v)
+    diagonal = np.sqrt(np.einsum("nii->ni", own.M))
+    pair = diagonal[:, :, None] * diagonal[:, None, :]
+    # |v| of what moves, by the metric of the kinetic energy: sqrt(M_ii) |rates|^2 sqrt(m), and gravity.
+    rates = np.abs(v[:, : wheeled.robot.nv]).sum(-1) + np.abs(v[:, wheeled.robot.nv :]).sum(-1)
+    weight = np.sqrt(wheeled.robot.lumped(wheeled.robot.rest).mass)
+    size = diagonal * weight * (float(np.linalg.norm(WheelBodies(wheeled, q, v).fall)) + rates**2)[:, None]
+    inputs = np.abs(own.B).max(axis=(1, 2), keepdims=True, initial=0.0) + 1.0
+    for quantity, scale in (("M", pair), ("n", size), ("B", inputs)):
+        difference = getattr(own, quantity) - getattr(plane, quantity)
+        yield f"{quantity} of nu", TREE, PLANE, _off(difference, scale), ROUNDING
+    by_hand = by_closed_form(wheeled, q, own.nu)
+    if by_hand is not None:
+        arms = wheeled.robot.nv - 3
+        bodily = 3 - len(wheeled.mobility.choice.body)
+        kept = [*range(bodily), *range(bodily + arms, own.M.shape[-1])]
+        some = np.ix_(range(len(q)), kept, kept)
+        yield "M of nu", TREE, HAND, _off(own.M[some] - by_hand.M, pair[some]), ROUNDING
+        if not arms:
+            yield "n of nu", TREE, HAND, _off(own.n - by_hand.n, size), ROUNDING
+            yield "B of nu", TREE, HAND, _off(own.B - by_hand.B, inputs), ROUNDING
+    rate = _rate(wheeled, wheeled.independent, q, v, a)
+    force = _times(own.B, u) - own.n + np.einsum("nij,ni->nj", own.S, f)
+    solved = np.linalg.solve(own.M, force[..., None])[..., 0]
+    speed = np.abs(rate).max(-1, keepdims=True) + np.abs(solved).max(-1, keepdims=True) + rates[:, None] ** 2
+    yield "nu'", TREE, "rate of nu as KKT moves it", _off(solved - rate, speed), DIFFERENCED
+
+
+def by_closed_form(wheeled: WheeledRobot, q: Array, nu: Array) -> closed_form.ReducedModel | None:
+    """Return the hand-derived dynamics, arms locked; None of a drive that has none, or on a ramp."""
+    table, robot = wheeled.table, wheeled.robot
+    wheels, alike = table.wheels, _alike(wheeled)
+    if wheeled.ground.ramp is not None or any(any(wheel.trail) for wheel in wheels):
+        return None
+    lumps = [robot.lumped(row) for row in q[:, : robot.nq]]
+    body: dict[str, Any] = {
+        "mass": np.array([lump.mass for lump in lumps]),
+        "yaw_inertia": np.array([lump.yaw_inertia for lump in lumps]),
+        "com": np.array([lump.com[:2] for lump in lumps]),
+    }
+    spins, shared = np.array([wheel.spin_inertia for wheel in wheels]), 0.0
+    for actuator in table.actuators:
+        column, rotor = np.array(actuator.column[len(table.axes) :]), actuator.motor.reflected_inertia
+        if np.count_nonzero(column) > 1:
+            shared += rotor  # of a differential, that turns at the mean rate of its wheels
+        else:
+            spins += rotor * column**2
+    if table.couplings and not alike:
+        return None
+    if all(wheel.roller is not None and wheel.steering == "fixed" for wheel in wheels):
+        given = {key: np.array([getattr(wheel, key) for wheel in wheels]) for key in _ROW}
+        found = closed_form.roller_drive(nu[:, :3], **body, **given, spin_inertia=spins)
+        driven = [k for k, wheel in enumerate(wheels) if wheel.motor is not None]
+        return None if table.couplings else found._replace(B=found.B[..., driven])
+    first = wheels[0]
+    if any(wheel.roller is not None for wheel in wheels) or not alike or len(set(spins)) > 1:
+        return None
+    if len(wheels) == 2 and not table.axes and first.y > 0 and all(wheel.motor for wheel in wheels):
+        return closed_form.differential_drive(
+            nu[:, [0, 1]],
+            **body,
+            track=2 * first.y,
+            radius=first.radius,
+            spin_inertia=spins[0],
+            axle=first.x,
+        )
+    turned = next((each for each in table.couplings if isinstance(each, Ackermann)), None)
+    if turned is None or len(wheels) != 4 or len(table.axes) != 1 or turned.axle or first.x:
+        return None
+    front = wheels[table.names.index(turned.wheels[0])]
+    found = closed_form.car(
+        nu[:, [0, -1]],
+        q[:, robot.nq],
+        **body,
+        wheelbase=front.x,
+        radius=first.radius,
+        track=2 * abs(first.y),
+        spin_inertia=spins[0],
+        steered_inertia=front.yaw_inertia,
+    )
+    M = found.M.copy()
+    M[:, 0, 0] += shared / first.radius**2
+    return found._replace(M=M, B=found.B[..., [0, 2]])
+
+
+_ROW = ("x", "y", "angle", "roller", "radius")
+
+
+def _alike(wheeled: WheeledRobot) -> bool:
+    """Tell whether wheels are those of one kind, in pairs to the left and right, and roll forward."""
+    wheels = wheeled.table.wheels
+    places = {(wheel.x, wheel.y) for wheel in wheels}
+    kinds = {(wheel.radius, wheel.angle, wheel.yaw_inertia, wheel.spin_inertia) for wheel in wheels}
+    mirrored = all((x, -y) in places for x, y in places) and len({abs(y) for _, y in places}) == 1
+    return mirrored and len(kinds) == 1 and not wheels[0].angle
+
+
+def _forces(wheeled: WheeledRobot, values: Array) -> tuple[Array, Array, Array]:
+    """Return forces along and across the wheels, and of gear trains, of those of the rows."""
+    along, across = np.zeros((2, len(values), len(wheeled.table)))
+    trains = []
+    for k, name in enumerate(wheeled.constraint_names):
+        wheel, _, kind = name.rpartition(" ")
+        if name == "train":
+            trains.append(values[:, k])
+        else:
+            (across if kind == "lateral" else along)[:, wheeled.table.names.index(wheel)] = values[:, k]
+    return along, across, np.reshape(trains, (len(trains), len(values))).T
+
+
+def _null_space(A: Array, rank: int) -> Array:
+    """Return an orthonormal basis of what A leaves free, shape (n, nv, nv - rank)."""
+    _, _, right = np.linalg.svd(A)
+    return np.swapaxes(right[..., rank:, :], -1, -2)
+
+
+def _rate(
+    wheeled: WheeledRobot, function: Callable[[Array, Array], Array], q: Array, v: Array, a: Array
+) -> Array:
+    """Return the rate of a function of the state as it moves, by differences of fourth order.
+
+    The path q + v s + a s^2 / 2 has the state's velocity and acceleration; the rate hangs on nothing else.
+    """
+    fastest = 1 + np.abs(v[:, 2:]).max(-1) + np.sqrt(np.abs(a[:, 2:]).max(-1))
+    h = (_STEP / fastest)[:, None]
+
+    def at(s: float) -> Array:
+        moved = wheeled.integrate(q, s * h * v + (s * h) ** 2 / 2 * a)
+        return function(moved, v + s * h * a)
+
+    change = 8 * (at(1) - at(-1)) - (at(2) - at(-2))
+    return np.asarray(change / (12 * (h if change.ndim > 1 else h[:, 0])))
+
+
+def _slipping(wheeled: WheeledRobot, states: int, rng: np.random.Generator) -> tuple[tuple[Row, ...], str]:
+    """Return the rows of a step on dry ground, and what is left out."""
+    ground = wheeled.ground
+    if not isinstance(ground, Coulomb):
+        raise InvalidArgument(f"ground is {ground!r}, expected one on which a step can be compared")
+    robot, again = (
+        WheeledRobot(
+            wheeled.robot, wheeled.table, replace(ground, passes=n, sweeps=_SWEEPS, tolerance=_TOLERANCE)
+        )
+        for n in (_PASSES, _PASSES + 1)
+    )
+    q, v, u, f = _states(robot, states, rng)
+    trains = WheelBodies(robot, q, v).trains()
+    v = v - v @ np.linalg.pinv(trains) @ trains  # wheels on a train turn together from the start
+    steps = [each.step(0.0, q, v, u, _H, f, each.initial_state(None)) for each in (robot, again)]
+    change = np.abs(steps[1].v - steps[0].v).max(-1)
+    settled = change <= _SETTLED * np.abs(v).max(-1)
+    kept: Any = steps[0].memory
+    kept = type(kept)(*(x[settled] if np.ndim(x) and len(x) == states else x for x in kept))
+    step = Step(steps[0].q[settled], steps[0].v[settled], kept)
+    missing = f"{COMPILED}: a step is compiled within its loop only"
+    if not settled.all():
+        missing += f"; {np.sum(~settled)} of the states, whose step every pass changes"
+    q, v, u, f = (x[settled] for x in (q, v, u, f))
+    return tuple(_step_rows(robot, q, v, u, f, step)), missing
+
+
+def _step_rows(robot: WheeledRobot, q: Array, v: Array, u: Array, f: Array, step: Step) -> Iterator[Row]:
+    """Yield the rows of a step on dry ground: it balances at mid-step, in its means."""
+    kept: Any = step.memory
+    nv = robot.robot.nv
+    before, after = _turned(-q[:, 2], v), _turned(-step.q[:, 2], step.v)
+    mean, rate = (before + after) / 2, (after - before) / _H
+    middle = robot.integrate(q, _H / 2 * v)  # its shape is that which the first velocity leads to
+    middle[:, 2] = q[:, 2] + _H / 2 * mean[:, 2]
+    w = mean[:, 2]
+    rate[:, 0], rate[:, 1] = rate[:, 0] - w * mean[:, 1], rate[:, 1] + w * mean[:, 0]
+    v_mid, a_mid = _turned(middle[:, 2], mean), _turned(middle[:, 2], rate)
+    bodies = WheelBodies(robot, middle, v_mid)
+    pushed = bodies.contact(kept.forces[:, 0::2], kept.forces[:, 1::2])
+    for k, wheel in enumerate(_holders(robot)):
+        pushed[:, nv + len(robot.table.axes) + wheel] += kept.holding[:, k]
+    given = u @ robot.input_matrix.T + f + pushed
+    M = robot.mass_matrix(middle)
+    scales = _scales(bodies, robot, M, v_mid, a_mid, np.abs(given))
+    missed, trains = given - bodies.forces(a_mid), bodies.trains()
+    if len(trains):  # what wheels on a train exchange is not told: left out
+        missed = missed - missed @ np.linalg.pinv(trains) @ trains
+        rates = np.abs(step.v @ trains.T).max()
+        yield "trains", STEP, "rates that fit", float(rates / np.abs(step.v).max()), ROUNDING
+    yield "tau", STEP, BODIES, _off(missed, scales.tau), SOLVED
+    wrench, loads = bodies.wrench(a_mid), kept.loads
+    places = np.stack(
+        [*(at.p for at in bodies.wheels), *(np.tile([s.x, s.y], (len(q), 1)) for s in robot.table.supports)],
+        axis=1,
+    )
+    held = np.column_stack(
+        [loads.sum(-1), (loads * places[..., 1]).sum(-1), -(loads * places[..., 0]).sum(-1)]
+    )
+    stands = np.broadcast_to(kept.tips, (len(q),)) == 0
+    size = scales.tau[:, [0, 2, 2]]
+    yield "loads", STEP, BODIES, _off((held - wrench[:, 2:5])[stands], size[stands]), SOLVED
+    most = robot.mu * loads[:, : len(robot.table)]
+    along, across = kept.forces[:, 0::2], kept.forces[:, 1::2]
+    tyre = np.array([wheel.roller is None for wheel in robot.table.wheels])
+    used = np.where(tyre, np.hypot(along, across), np.abs(along))
+    yield "cone", STEP, "mu times the load", _off(np.maximum(used - most, 0), size[:, :1]), SOLVED
+    power = np.einsum("ni,ni->n", v_mid, given - robot.nonlinear_effects(middle, 0 * v))
+    rise = _rate(robot, lambda x, y: robot.kinetic_energy(x, y), middle, v_mid, a_mid)
+    yield "power", STEP, RATE, _off(power - rise, scales.power), DIFFERENCED
+
+
+def _holders(robot: WheeledRobot) -> list[int]:
+    """Return the wheels that rolling resistance holds, of those that turn together the first."""
+    names, leader = robot.table.names, list(range(len(robot.table)))
+    for train in robot.table.couplings:
+        if hasattr(train, "ratios"):
+            for name in train.wheels[1:]:
+                leader[names.index(name)] = names.index(train.wheels[0])
+    resisted = {leader[k] for k, wheel in enumerate(robot.table.wheels) if wheel.friction.rolling}
+    return sorted(resisted)
+
+
+def _turned(angle: Array, x: Array) -> Array:
+    """Return rows whose first two entries are turned by an angle."""
+    c, s = np.cos(angle), np.sin(angle)
+    found = x.copy()
+    found[:, 0], found[:, 1] = c * x[:, 0] - s * x[:, 1], s * x[:, 0] + c * x[:, 1]
+    return found
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    return np.asarray(np.einsum("nij,nj->ni", matrices, vectors))

@@ -1,0 +1,346 @@
+"""What is drawn of a robot on wheels: its own visuals, wheels that spin and steer, rollers, supports."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pinmobile.arrays import Array
+from pinmobile.robot import BODY, BODY_JOINT, MobileRobot, box_visuals, number
+from pinmobile.wheels.description import wheel_name
+from pinmobile.wheels.kinematics import Kinematics
+from pinmobile.wheels.table import FIXED, Support, Wheel, WheelTable
+
+_Triangles = tuple[Array, NDArray[np.int64]]  # vertices (n, 3) [m], faces (m, 3)
+
+_DARK, _LIGHT, _GREY = (0.17, 0.17, 0.19, 1.0), (0.86, 0.87, 0.88, 1.0), (0.55, 0.56, 0.58, 1.0)
+_SIDES = 32  # of what is round
+_ACROSS = 0.45  # width of a tyre, in radii
+_SPOKES = 5
+_ROLLERS = 10  # of a wheel, in each row
+_LONGEST = 0.8  # half a roller, in radii of the wheel
+_IN_ROWS = 0.35  # [rad]: rollers nearer to the rolling direction stand in two rows, which take turns
+_LOWEST = 0.7  # of the height of a box: how high its bottom is at most
+_TOP, _TOP_OF_FORK = 2.1, 2.35  # above the ground, in radii of the wheel
+
+
+class Item(NamedTuple):
+    """What an object of the drawing rides on.
+
+    Attributes
+    ----------
+    joint : int
+        Of the robot without wheels, from 0; -1: of a wheel.
+    row : int
+        The wheel.
+    spins : bool
+        Whether it turns with the wheel; else it steers with it alone.
+    placement : ndarray, shape (4, 4)
+        There.
+    """
+
+    joint: int
+    row: int
+    spins: bool
+    placement: Array
+
+
+class Picture:
+    """The objects that are drawn of a robot on wheels, and where they are.
+
+    Parameters
+    ----------
+    robot : MobileRobot
+        Without wheels, or of a file that shows them.
+    table : WheelTable
+        Its wheels.
+    """
+
+    def __init__(self, robot: MobileRobot, table: WheelTable) -> None:
+        self.robot, self.table = robot, table
+        self._kinematics, self._n = Kinematics.of(table), robot.nq
+        self.visuals, self.items = pin.GeometryModel(), list[Item]()
+        shown = robot.visual_model
+        boxed = any(item.name == BODY for item in shown.geometryObjects)
+        clearance = _clearance(robot.size, table) if boxed else 0.0
+        if boxed:
+            for item in box_visuals(robot.size, BODY_JOINT, clearance).geometryObjects:
+                self._of_robot(item)
+        riding = _riding(robot, table)
+        for item in shown.geometryObjects:
+            if boxed and item.parentJoint == BODY_JOINT and item.name in (BODY, "front", "wedge"):
+                continue
+            if item.name in riding:
+                self._of_file(item, *riding[item.name])
+            else:
+                self._of_robot(item)
+        there = {row for row, spins in riding.values() if spins}
+        for row, wheel in enumerate(table.wheels):
+            if row not in there:
+                self._wheel(row, wheel)
+            else:  # of a file's smooth wheel one would not see how it turns
+                R = wheel.radius
+                bar = _box((-0.09 * R, -0.14 * R, 0.96 * R), (0.09 * R, 0.14 * R, 1.015 * R))
+                self._add(f"{wheel.name}/bar", _mesh(bar), _DARK, Item(-1, row, True, np.eye(4)))
+        for k, support in enumerate(table.supports):
+            self._support(k, support, clearance)
+
+    def _add(self, name: str, shape: object, colour: Sequence[float], item: Item) -> None:
+        drawn = pin.GeometryObject(name, 0, pin.SE3.Identity(), shape)
+        drawn.meshColor = np.array(colour)
+        self.visuals.addGeometryObject(drawn)
+        self.items.append(item)
+
+    def _of_robot(self, item: pin.GeometryObject) -> None:
+        self._kept(item, Item(item.parentJoint - 1, -1, False, item.placement.homogeneous))
+
+    def _kept(self, item: pin.GeometryObject, ride: Item) -> None:
+        copy = item.copy()
+        copy.parentJoint, copy.placement = 0, pin.SE3.Identity()
+        self.visuals.addGeometryObject(copy)
+        self.items.append(ride)
+
+    def _of_file(self, item: pin.GeometryObject, row: int, spins: bool) -> None:
+        """Let an object of the body's own visuals turn with a wheel."""
+        turned = np.zeros(len(self.table)) if spins else None
+        still = self._frames(np.zeros(BODY_JOINT), np.zeros(len(self.table.axes)), turned)
+        placement = np.linalg.inv(still[row]) @ item.placement.homogeneous
+        self._kept(item, Item(-1, row, spins, placement))
+
+    def _wheel(self, row: int, wheel: Wheel) -> None:
+        parts = _tyre(wheel) if wheel.roller is None else _rollers(wheel, wheel.roller)
+        for name, shape, colour in zip(("tyre", "spokes"), parts, (_DARK, _LIGHT), strict=True):
+            self._add(f"{wheel.name}/{name}", _mesh(shape), colour, Item(-1, row, True, np.eye(4)))
+        shared = any(row in axis.wheels for axis in self.table.axes if axis.ackermann is not None)
+        if wheel.steering != FIXED and not shared:
+            self._add(f"{wheel.name}/fork", _mesh(_fork(wheel)), _GREY, Item(-1, row, False, np.eye(4)))
+
+    def _support(self, k: int, support: Support, clearance: float) -> None:
+        import coal
+
+        radius = 0.3 * max(wheel.radius for wheel in self.table.wheels)
+        top = max(clearance, 2.2 * radius)
+        for name, shape, height, colour in (
+            ("ball", coal.Sphere(radius), radius, _LIGHT),
+            ("cup", coal.Cylinder(1.15 * radius, top - 1.1 * radius), (top + 1.1 * radius) / 2, _GREY),
+        ):
+            at = pin.SE3(np.eye(3), np.array([support.x, support.y, height])).homogeneous
+            self._add(f"support_{k + 1}/{name}", shape, colour, Item(BODY_JOINT - 1, -1, False, at))
+
+    def _frames(self, pose: Array, steering: Array, wheels: Array | None) -> Array:
+        """Return the frames of wheels, or with none of what steers with them, shape (..., wheels, 4, 4).
+
+        x along e, z up; of a wheel at its centre, turned about its axle y; else on the ground below a pivot.
+        """
+        angles = list(np.moveaxis(steering, -1, 0))
+        lead = pose.shape[:-1]
+        found = np.zeros((*lead, len(self.table), 4, 4))
+        found[..., 3, 3] = 1.0
+        for row, wheel in enumerate(self.table.wheels):
+            head = self._kinematics.heading(row, angles)
+            c, s = (number(x) for x in (head.c, head.s))
+            _, centre = self._kinematics.centre(row, angles)
+            x, y = (number(p) for p in centre) if wheels is not None else (wheel.x, wheel.y)
+            phi = np.zeros(lead) if wheels is None else wheels[..., row]
+            cp, sp = np.cos(phi), np.sin(phi)
+            e, n = (c, s), (-s, c)
+            frame = found[..., row, :, :]
+            for i in range(2):
+                frame[..., i, 0], frame[..., i, 1], frame[..., i, 2] = cp * e[i], n[i], sp * e[i]
+            frame[..., 2, 0], frame[..., 2, 2] = -sp, cp
+            frame[..., 0, 3], frame[..., 1, 3] = x, y
+            frame[..., 2, 3] = 0.0 if wheels is None else wheel.radius
+        return np.asarray(_body(pose)[..., None, :, :] @ found)
+
+    def placements(self, q: Array) -> Array:
+        """Return the placements of the objects in the inertial frame, shape (..., k, 4, 4).
+
+        Parameters
+        ----------
+        q : ndarray, shape (..., nq)
+            Configuration of the robot on wheels.
+        """
+        axes, joints = len(self.table.axes), self.robot.frame_placements(q[..., : self._n])
+        pose, steering, wheels = (
+            q[..., :BODY_JOINT],
+            q[..., self._n : self._n + axes],
+            q[..., self._n + axes :],
+        )
+        spun, steered = self._frames(pose, steering, wheels), self._frames(pose, steering, None)
+        found = np.empty((*q.shape[:-1], len(self.items), 4, 4))
+        for k, item in enumerate(self.items):
+            frames, at = (joints, item.joint) if item.joint >= 0 else (spun, item.row)
+            if item.joint < 0 and not item.spins:
+                frames = steered
+            found[..., k, :, :] = frames[..., at, :, :] @ item.placement
+        return found
+
+
+def _body(pose: Array) -> Array:
+    c, s, found = np.cos(pose[..., 2]), np.sin(pose[..., 2]), np.zeros((*pose.shape[:-1], 4, 4))
+    found[..., 0, 0], found[..., 0, 1], found[..., 1, 0], found[..., 1, 1] = c, -s, s, c
+    found[..., 0, 3], found[..., 1, 3] = pose[..., 0], pose[..., 1]
+    found[..., 2, 2] = found[..., 3, 3] = 1.0
+    return found
+
+
+def _riding(robot: MobileRobot, table: WheelTable) -> dict[str, tuple[int, bool]]:
+    """Return which objects of a file's visuals turn with a wheel: its row, and whether they spin with it."""
+    rows = {name: row for row, name in enumerate(table.names)}
+    spinning: dict[str, int] = {}
+    steering: dict[str, int] = {}
+    for joint in robot.undercarriage.wheels:
+        row = rows.get(wheel_name(joint.name))
+        if row is not None:
+            spinning[joint.name] = row
+            if table.wheels[row].steering != FIXED:
+                steering |= {swivel.name: row for swivel in joint.swivels[:1]}
+    found: dict[str, tuple[int, bool]] = {}
+    for name, joints in robot.visual_joints.items():
+        for joint_name in joints:
+            if joint_name in spinning or joint_name in steering:
+                spins = joint_name in spinning
+                found[name] = (spinning if spins else steering)[joint_name], spins
+                break
+    return found
+
+
+def _clearance(size: Sequence[float], table: WheelTable) -> float:
+    """Return how high the bottom of a box stands above the ground: above wheels that are below it [m]."""
+    length, width, height = size
+    needed = [0.0]
+    for wheel in table.wheels:
+        x, y = (abs(value) for value in wheel.centre)
+        reach = 0.5 * _ACROSS * wheel.radius
+        beside = x > length / 2 + wheel.radius or y > width / 2 + 0.9 * reach
+        tall = _TOP if wheel.steering == FIXED else _TOP_OF_FORK
+        needed.append((0.6 if beside else tall) * wheel.radius)
+    return min(max(needed), _LOWEST * height)
+
+
+def _mesh(triangles: _Triangles) -> Any:
+    import coal
+
+    vertices, faces = triangles
+    mesh = coal.BVHModelOBBRSS()
+    mesh.beginModel(len(faces), len(vertices))
+    mesh.addVertices(np.ascontiguousarray(vertices))
+    mesh.addTriangles(np.ascontiguousarray(faces, np.int32))
+    mesh.endModel()
+    return mesh
+
+
+def _joined(parts: Sequence[_Triangles]) -> _Triangles:
+    starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
+    faces = [faces + start for (_, faces), start in zip(parts, starts, strict=False)]
+    return np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces)
+
+
+def _turned(profile: Sequence[tuple[float, float]], sides: int = _SIDES) -> _Triangles:
+    """Return what a profile (along y, away from y) becomes when it is turned about y."""
+    angle = 2 * np.pi * np.arange(sides) / sides
+    rings = [np.column_stack([r * np.sin(angle), np.full(sides, y), r * np.cos(angle)]) for y, r in profile]
+    k = np.arange(sides)
+    after, faces = (k + 1) % sides, []
+    for ring in range(len(profile) - 1):
+        a, b = ring * sides, (ring + 1) * sides
+        faces += [np.stack([a + k, b + k, a + after], -1), np.stack([a + after, b + k, b + after], -1)]
+    return np.concatenate(rings), np.concatenate(faces)
+
+
+def _box(low: Sequence[float], high: Sequence[float]) -> _Triangles:
+    """Return a box between two corners."""
+    corners = np.array([[(low, high)[i >> k & 1][k] for k in range(3)] for i in range(8)])
+    quads = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5))
+    return corners, np.array([face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))])
+
+
+def _about_axle(triangles: _Triangles, angle: float) -> _Triangles:
+    (c, s), (vertices, faces) = (np.cos(angle), np.sin(angle)), triangles
+    return vertices @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]).T, faces
+
+
+def _tyre(wheel: Wheel) -> tuple[_Triangles, _Triangles]:
+    """Return tyre, and hub with spokes and a bar across the tread, which shows how it turns."""
+    R = wheel.radius
+    w = _ACROSS * R / 2
+    ring = [(-w, 0.66), (-w, 0.9), (-0.7 * w, 1.0), (0.7 * w, 1.0), (w, 0.9), (w, 0.66), (-w, 0.66)]
+    tyre = _turned([(y, r * R) for y, r in ring])
+    hub = _turned([(-0.9 * w, 0.0), (-0.9 * w, 0.24 * R), (0.9 * w, 0.24 * R), (0.9 * w, 0.0)], 16)
+    spoke = _box((-0.07 * R, -0.8 * w, 0.2 * R), (0.07 * R, 0.8 * w, 0.68 * R))
+    spokes = [_about_axle(spoke, 2 * np.pi * k / _SPOKES) for k in range(_SPOKES)]
+    rim = _turned(
+        [
+            (-0.85 * w, 0.6 * R),
+            (-0.85 * w, 0.68 * R),
+            (0.85 * w, 0.68 * R),
+            (0.85 * w, 0.6 * R),
+            (-0.85 * w, 0.6 * R),
+        ]
+    )
+    bar = _box((-0.09 * R, -0.7 * w, 0.9 * R), (0.09 * R, 0.7 * w, 1.01 * R))
+    sides = [_box((-0.09 * R, y - 0.1 * w, 0.7 * R), (0.09 * R, y + 0.1 * w, 0.92 * R)) for y in (-w, w)]
+    return tyre, _joined([hub, rim, bar, *sides, *spokes])
+
+
+def _rollers(wheel: Wheel, roller: float) -> tuple[_Triangles, _Triangles]:
+    """Return rollers, all but one, and the hub with that one.
+
+    The axis of the roller at the ground is at the wheel's roller angle; on top one sees its mirror image.
+    """
+    R = wheel.radius
+    rows = 2 if abs(roller) < _IN_ROWS else 1
+    thick = (0.16 if rows == 2 else 0.15) * R
+    count = _ROLLERS if rows == 1 else 6
+    reach = R - thick
+    half = 1.15 * reach * np.tan(np.pi / (count * rows)) / np.cos(roller)
+    half = min(half, _LONGEST * R)
+    one = _roller(R, thick, half, roller)
+    found = []
+    for row in range(rows):
+        vertices, faces = one
+        moved = vertices + np.array([0.0, (row - (rows - 1) / 2) * 2.3 * thick, 0.0]), faces
+        found += [_about_axle(moved, 2 * np.pi * (k + row / rows) / count) for k in range(count)]
+    wide = half * abs(np.sin(roller)) + thick * (0.4 if rows == 1 else 2.2)
+    rim = (reach - 0.5 * thick) if rows == 2 else (reach - 0.9 * thick)
+    hub = _turned(
+        [
+            (-wide, 0.0),
+            (-wide, 0.5 * rim),
+            (-0.5 * wide, rim),
+            (0.5 * wide, rim),
+            (wide, 0.5 * rim),
+            (wide, 0.0),
+        ]
+    )
+    return _joined(found[1:]), _joined([found[0], hub])
+
+
+def _roller(R: float, thick: float, half: float, angle: float) -> _Triangles:
+    """Return the roller at the ground: as thick along its axis as makes the wheel round."""
+    c, s, reach = np.cos(angle), np.sin(angle), R - thick
+    ways = np.linspace(-half, half, 9)
+    profile = [(a, R - float(np.hypot(a * c, reach))) for a in ways]
+    vertices, faces = _turned([(ways[0], 0.0), *profile, (ways[-1], 0.0)], 12)
+    axis, level = np.array([c, s, 0.0]), np.array([s, -c, 0.0])
+    placed = vertices[:, 1:2] * axis + vertices[:, :1] * level + vertices[:, 2:] * [0.0, 0.0, 1.0]
+    return placed - [0.0, 0.0, reach], faces
+
+
+def _fork(wheel: Wheel) -> _Triangles:
+    """Return what a steered wheel hangs in, from the ground below its pivot."""
+    R, (ox, oy) = wheel.radius, wheel.trail
+    w = _ACROSS * R / 2 if wheel.roller is None else 0.4 * R
+    legs = [
+        _box((ox - 0.09 * R, y - 0.05 * R, 0.9 * R), (ox + 0.09 * R, y + 0.05 * R, 2.1 * R))
+        for y in (oy - w - 0.07 * R, oy + w + 0.07 * R)
+    ]
+    low, high = min(ox, 0.0) - 0.2 * R, max(ox, 0.0) + 0.2 * R
+    crown = _box((low, min(oy, 0.0) - w - 0.12 * R, 2.08 * R), (high, max(oy, 0.0) + w + 0.12 * R, 2.22 * R))
+    vertices, faces = _turned([(2.2 * R, 0.0), (2.2 * R, 0.2 * R), (2.6 * R, 0.2 * R), (2.6 * R, 0.0)], 16)
+    post = vertices[:, [2, 0, 1]], faces
+    return _joined([*legs, crown, post])

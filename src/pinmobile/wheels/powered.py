@@ -1,0 +1,327 @@
+"""`VoltageBody`: a robot on wheels whose motors take volts, for one state, many, or symbols.
+
+It is what a `ByVoltage` is to loops of any engine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple, final
+
+import numpy as np
+
+from pinmobile.compiled import higher, plain, repeated
+from pinmobile.plant import Input, Parameter, Step
+from pinmobile.robot import ZERO, Vector, dot, exact, number, scalars, sine_and_cosine, vector_of as stacked
+from pinmobile.wheels.motors import Motor, MotorLaw, Motors, Push, theta, within
+from pinmobile.wheels.rolling import State, WheeledBody
+from pinmobile.wheels.slipping import SlippingBody, factored
+
+_BASE = 3
+_INSTANT = 1e-5  # [s], over which an acceleration at a state is the mean
+_PASSES = 3
+_ROUNDS, _ENOUGH = 200, 1e-13  # of dry friction: at most, and of the largest what may still change
+_OF_TORQUES = (
+    "inverse_dynamics",
+    "check_inverse_dynamics",
+    "torques",
+    "allocate",
+    "allocate_scaled",
+    "constraint_forces",
+    "input_matrix",
+    "calls",
+    "slip_margins",
+    "measures",
+    "measured",
+)
+
+
+class Driving(NamedTuple):
+    """What motors did, means over the last step, and what is kept for the next.
+
+    Attributes
+    ----------
+    volts, currents, torques : ndarray, shape (motors,)
+        [V], [A], and at the wheels [N m].
+    holding : ndarray, shape (motors,)
+        Torques of dry friction at the wheels, where they roll [N m].
+    grip : Grip or tuple
+        What wheels that may slip keep.
+    """
+
+    volts: Any
+    currents: Any
+    torques: Any
+    holding: Any
+    grip: Any
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class VoltageBody:
+    """A robot on wheels with motors that take volts, for one state, many, or symbols, unchecked.
+
+    Parameters
+    ----------
+    wheeled : RollingBody or SlippingBody
+        Of the same robot, whose inputs are torques.
+    motors : tuple of Motor
+        The electric ones, in the order of the inputs.
+    electric : tuple of int
+        Which actuators they are.
+    resistance, torque_constant, viscous, coulomb, efficiency : ndarray, shape (motors,)
+        As of `Motor`.
+    inputs, parameters
+        As of a plant.
+    """
+
+    wheeled: WheeledBody
+    motors: tuple[Motor, ...]
+    electric: tuple[int, ...]
+    resistance: Any
+    torque_constant: Any
+    viscous: Any
+    coulomb: Any
+    efficiency: Any
+    inputs: tuple[Input, ...]
+    parameters: tuple[Parameter, ...]
+
+    broadcasts: ClassVar[bool] = True
+
+    def __getattr__(self, name: str) -> Any:
+        return of_wheeled(self, name)
+
+    @property
+    def nq(self) -> int:
+        """Size of q."""
+        return self.wheeled.nq
+
+    @property
+    def nv(self) -> int:
+        """Size of v and a."""
+        return self.wheeled.nv
+
+    @property
+    def nu(self) -> int:
+        """Size of the input."""
+        return self.wheeled.nu
+
+    @cached_property
+    def law(self) -> MotorLaw:
+        """Of its motors."""
+        return MotorLaw(
+            self.motors,
+            self.resistance,
+            self.torque_constant,
+            self.viscous,
+            self.coulomb,
+            self.efficiency,
+        )
+
+    def initial_state(self, context: Any = None) -> Driving:
+        """Return what it keeps at first: no current flows."""
+        slips, none = isinstance(self.wheeled, SlippingBody), np.zeros(len(self.motors))
+        grip = self.wheeled.initial_state(context) if slips else ()  # type: ignore[attr-defined]
+        return Driving(none, none, none, none, grip)
+
+    def volts_for(self, v: Any, torques: Any) -> Any:
+        """Return the input at which motors give these torques, as far as they can: see `ByVoltage`."""
+        return self._at_rates(v, torques, self.law.needed)
+
+    def torques_at(self, v: Any, u: Any) -> Any:
+        """Return the torques of an input: see `ByVoltage`."""
+        law = self.law
+        return self._at_rates(v, u, lambda k, x, rate: law.torque(k, law.volts(k, x), rate))
+
+    def _at_rates(self, v: Any, u: Any, law: Any) -> Any:
+        """Return an input in which a law of number, value and rate of each motor takes the value's place."""
+        found, na = [number(_plain(x)) for x in scalars(u)], self.wheeled.na
+        rates = [number(_plain(x)) for x in scalars(v)][_BASE + na :]
+        for k, i in enumerate(self.electric):
+            column = [exact(x) for x in self.wheeled.table.actuators[i].column]
+            found[na + i] = law(k, found[na + i], number(dot(column, rates)))
+        return stacked(found, u)
+
+    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
+        """Return the acceleration, shape (..., nv): the mean over a short step from the state."""
+        return (self.step(0.0, q, v, u, _INSTANT, f, self.initial_state()).v - v) / _INSTANT
+
+    def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Driving) -> Step:
+        """Return the state after a step, and what is kept for the next.
+
+        Parameters
+        ----------
+        t : float
+            Time, on which nothing depends.
+        q, v : ndarray, shape (..., nq), (..., nv)
+            State.
+        u, f : ndarray, shape (..., nu), (..., nv)
+            Volts and what else `inputs` names, and generalised forces beside them, in the step.
+        h : float
+            Length of the step [s].
+        memory : Driving
+            From the step before.
+        """
+        del t
+        law, given = self.law, [number(_plain(x)) for x in scalars(u)][self.wheeled.na :]
+        volts = [law.volts(k, given[i]) for k, i in enumerate(self.electric)]
+
+        def motors(rates: Vector, clips: bool) -> list[Push]:
+            found = [Push(x, ZERO, ZERO) for x in given]
+            for k, i in enumerate(self.electric):
+                found[i] = law.push(k, volts[k], rates[i], clips=clips)
+            return found
+
+        grip: Any = ()
+        if isinstance(self.wheeled, SlippingBody):
+            after, torques, rates = self.wheeled.driven(q, v, u, h, f, memory.grip, motors)
+            holding, grip = memory.holding, after.memory
+        else:
+            after, torques, rates, holding = self._rolled(q, v, u, h, f, memory, motors)
+        currents = [law.current(k, volts[k], rates[i]) for k, i in enumerate(self.electric)]
+        own = [number(torques[i]) for i in self.electric]
+        kept = Driving(stacked(volts, q), stacked(currents, q), stacked(own, q), holding, grip)
+        return Step(after.q, after.v, kept)
+
+    def _rolled(
+        self, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Driving, motors: Motors
+    ) -> tuple[Step, Vector, Vector, Any]:
+        """Return the state after a step of wheels that roll, actuators' torques and rates, and what holds.
+
+        Implicit in the independent velocities: M (nu+ - nu) = h (B tau - n), with the shape of mid-step, and
+        the rest at nu + theta (nu+ - nu).
+        """
+        body, h = self.wheeled, _plain(h)
+        q_middle = body.integrate(q, (0.5 * h) * v)
+        start, middle = _plain_state(body.state(q, v)), _plain_state(body.state(q_middle, v))
+        nu = [number(x) for x in body.velocities(start)]
+        M, (S, _) = body.inertia(middle, q), body.solution(middle)
+        columns = [list(column) for column in zip(*S, strict=True)]
+        pushed = [[dot(row, column) for row in M] for column in columns]
+        reduced = [[dot(a, b) for b in pushed] for a in columns]
+        units = [body.generalised(middle, one, 0.0) for one in np.eye(self.nu)[body.na :]]
+        B = [[dot(column, unit) for column in columns] for unit in units]
+        solve = factored(reduced)
+        freedom = [number(dot(b, solve(b))) for b in B]
+        begun = [number(dot(b, nu)) for b in B]
+        psi, na = _plain(scalars(q)[2]), body.na
+        rates, mean, impulses = begun, nu, [number(_plain(x)) * h for x in scalars(memory.holding)]
+        for again in range(_PASSES):
+            pushes = motors(rates, again > 0)
+            share: Any = 0.5
+            for push, x in zip(pushes, freedom, strict=True):
+                if push.slope is not ZERO:
+                    share = higher(share, theta(h * push.slope * x))
+            at = self._moving(middle, S, mean)
+            s, c = sine_and_cosine(psi + 0.5 * h * at.twist[2])
+            at = at._replace(c=c, s=s)
+            still = body.felt(at, body.unmoved(at, *body.solution(at)))
+            torques = [push.torque - push.slope * x for push, x in zip(pushes, begun, strict=True)]
+            whole = body.generalised(at, stacked([*scalars(u)[:na], *torques], q), f)
+            rest = [t - n - dot(row, still) for t, n, row in zip(whole, body.effects(at, q), M, strict=True)]
+            heavy = [list(row) for row in reduced]
+            for b, push in zip(B, pushes, strict=True):
+                for i, x in enumerate(b):
+                    for j, y in enumerate(b):
+                        heavy[i][j] = heavy[i][j] + (h * share * push.slope) * (x * y)
+            solve = factored(heavy)
+            change = solve([h * number(dot(column, rest)) for column in columns])
+            after = [number(x + y) for x, y in zip(nu, change, strict=True)]
+            after, impulses = self._held(after, B, solve, pushes, impulses, h)
+            mean = [number(x + share * (y - x)) for x, y in zip(nu, after, strict=True)]
+            rates = [number(dot(b, mean)) for b in B]
+        at = self._moving(middle, S, mean)
+        s, c = sine_and_cosine(psi + 0.5 * h * at.twist[2])
+        rolled = [*at.twist, *at.arm_rates, *at.rates]
+        q_after = body.integrate(q, body.in_plane(at._replace(c=c, s=s), [h * x for x in rolled], q))
+        end = _plain_state(body.state(q_after, v))
+        v_after = body.in_plane(end, [dot(row, after) for row in body.solution(end).S], q)
+        given = [push.torque - push.slope * x for push, x in zip(pushes, rates, strict=True)]
+        for k, i in enumerate(self.electric):
+            given[i] = given[i] + impulses[k] / h
+        return Step(q_after, v_after), given, rates, stacked([x / h for x in impulses], q)
+
+    def _moving(self, state: State, S: Sequence[Vector], nu: Vector) -> State:
+        """Return the state with other independent velocities."""
+        v, end = [number(dot(row, nu)) for row in S], _BASE + self.wheeled.na
+        return state._replace(twist=v[:_BASE], arm_rates=v[_BASE:end], rates=v[end:])
+
+    def _held(
+        self,
+        nu: Vector,
+        B: Sequence[Vector],
+        solve: Any,
+        pushes: Sequence[Push],
+        before: Vector,
+        h: Any,
+    ) -> tuple[Vector, Vector]:
+        """Return the velocities that dry friction leaves, and its angular impulses.
+
+        Each holds its wheel, or is as large as it can be against it, by Gauss-Seidel.
+        """
+        rubs = [k for k, i in enumerate(self.electric) if pushes[i].hold is not ZERO]
+        if not rubs:
+            return nu, [0.0 for _ in before]
+        rows = [B[self.electric[k]] for k in rubs]
+        columns = [solve(row) for row in rows]
+        own = [1.0 / number(dot(row, column)) for row, column in zip(rows, columns, strict=True)]
+        most = [number(h * pushes[self.electric[k]].hold) for k in rubs]
+        largest = most[0]
+        for x in most[1:]:
+            largest = higher(largest, x)
+        held = [within(before[k], x) for k, x in zip(rubs, most, strict=True)]
+        first = list(nu)
+        for column, p in zip(columns, held, strict=True):
+            first = [number(x + y * p) for x, y in zip(first, column, strict=True)]
+        n = len(nu)
+
+        def one(numbers: Vector) -> tuple[Vector, Any]:
+            x, p, change = numbers[:n], numbers[n:], 0.0 * largest
+            for k, (row, column, share) in enumerate(zip(rows, columns, own, strict=True)):
+                now = within(p[k] - number(dot(row, x)) * share, most[k])
+                x = [number(a + b * (now - p[k])) for a, b in zip(x, column, strict=True)]
+                change = higher(abs(now - p[k]), change)
+                p[k] = now
+            return [*x, *p], change <= _ENOUGH * largest
+
+        found = repeated(one, [*first, *held], _ROUNDS)
+        impulses: Vector = [0.0 for _ in before]
+        for k, x in zip(rubs, found[n:], strict=True):
+            impulses[k] = x
+        return found[:n], impulses
+
+    def signals(self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: Driving) -> dict[str, tuple[str, Any]]:
+        """Return what motors did in the step before, a number of each: ``volts``, ``currents``, ``torques``.
+
+        With what the ground did where wheels may slip.
+        """
+        slips = isinstance(self.wheeled, SlippingBody)
+        ask = self.wheeled.signals if slips else None  # type: ignore[attr-defined]
+        ground = ask(t, q, v, u, f, memory.grip) if ask else {}
+        own = {
+            "volts": ("V", memory.volts),
+            "currents": ("A", memory.currents),
+            "torques": ("N m", memory.torques),
+        }
+        return {**own, **ground}
+
+
+def of_wheeled(part: Any, name: str) -> Any:
+    """Return what a robot whose inputs are volts has of the one whose inputs are torques."""
+    if name.startswith("_") or name in _OF_TORQUES or "wheeled" not in part.__dict__:
+        raise AttributeError(f"a {type(part).__name__} has no {name}")
+    return getattr(part.wheeled, name)
+
+
+def _plain(x: Any) -> Any:
+    """Return the entry of an array without axes, and what is known to be a number as Python's."""
+    x = plain(x)
+    if isinstance(x, np.ndarray) and not x.ndim:
+        x = x.item()
+    return float(x) if isinstance(x, np.float64) else x
+
+
+def _plain_state(state: State) -> State:
+    return State(*([_plain(y) for y in x] if isinstance(x, list) else _plain(x) for x in state))

@@ -1,0 +1,475 @@
+"""Robots whose inputs are volts: motors inside the step, and controllers that drive them."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pinmobile import COMPILED, PINOCCHIO, ensemble, errors
+from pinmobile.arrays import Array
+from pinmobile.compiled import copied
+from pinmobile.controllers import Backstepping, Driven, Tracking, WheelSpeed
+from pinmobile.paths import Circle, Hold
+from pinmobile.robot import MobileRobot
+from pinmobile.simulation import Rollout, simulate
+from pinmobile.trajectories import FixedHeading, Tangent
+from pinmobile.wheels import (
+    MOTORS,
+    ByVoltage,
+    Coulomb,
+    Differential,
+    Friction,
+    Motor,
+    Ramp,
+    Rolling,
+    Support,
+    Wheel,
+    WheeledRobot,
+    WheelTable,
+)
+
+WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
+GRIPS = Friction(mu=2.0, rolling=0.0)
+MOTOR = Motor(
+    resistance=1.2,
+    torque_constant=0.03,
+    voltage=24.0,
+    gear=20.0,
+    rotor_inertia=1e-5,
+    viscous=1e-5,
+    coulomb=0.004,
+    efficiency=0.8,
+    current=15.0,
+)
+PLAIN = replace(MOTOR, viscous=0.0, coulomb=0.0, efficiency=1.0, current=np.inf)
+BODY = MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.2))
+CENTRAL = MobileRobot(30.0, 2.3, com=(0.0, 0.0, 0.2))
+G = float(np.linalg.norm(BODY.model.gravity.linear))
+R = 0.1
+
+
+def table(motor: Motor, **others: Any) -> WheelTable:
+    return WheelTable.differential(
+        0.5,
+        R,
+        motor=motor,
+        supports=[(-0.2, 0.0), (0.2, 0.0)],
+        **{**WHEEL, "friction": GRIPS, **others},
+    )
+
+
+class Held:
+    """An input that stays."""
+
+    def __init__(self, *u: float) -> None:
+        self.u = np.array(u)
+
+    def initial_state(self, context: Any) -> None:
+        return None
+
+    def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: None) -> tuple[Any, None]:
+        return self.u + 0.0 * t, state
+
+
+def run(
+    robot: ByVoltage, u: tuple[float, ...], dt: float, duration: float, engine: Any = COMPILED
+) -> Rollout:
+    where = FixedHeading(Hold([0.0, 0.0], duration), 0.0)
+    start = {"q0": robot.rest, "v0": np.zeros(robot.nv)}
+    return simulate(robot, Held(*u), where, dt=dt, **start, engine=engine, limit=1e9)
+
+
+def steps(
+    robot: ByVoltage, u: tuple[float, ...], h: float, count: int, v: Any = None
+) -> tuple[Array, Array, Any]:
+    """Return the state after steps, and what is kept, without a loop."""
+    q, v = robot.rest.copy(), np.zeros(robot.nv) if v is None else v
+    memory: Any = robot.initial_state()
+    for _ in range(count):
+        q, v, memory = robot.step(0.0, q, v, np.array(u), h, 0.0, memory)
+    return q, v, memory
+
+
+GROUNDS = pytest.mark.parametrize("ground", [Rolling(), Coulomb()], ids=["rolling", "slipping"])
+
+
+@GROUNDS
+def test_a_run_at_a_steady_rate_balances_back_emf_and_friction_to_rounding(ground: Any) -> None:
+    """model.md, 4: W = (k V / R - T_c) / (G (k^2 / R + b)), whatever the step."""
+    robot = WheeledRobot(CENTRAL, table(MOTOR), ground).by_voltage()
+    _, v, memory = steps(robot, (12.0, 12.0), 0.5, 60)
+    np.testing.assert_allclose(v[-2:], MOTOR.no_load_rate(12.0), rtol=1e-12)
+    np.testing.assert_allclose(memory.torques, 0.0, atol=1e-12)
+    np.testing.assert_allclose(memory.currents, MOTOR.armature_current(12.0, v[-2:]), rtol=1e-11)
+
+
+@pytest.mark.parametrize("slope", [0.1, -0.1], ids=["driving", "driven"])
+def test_on_a_ramp_the_gear_takes_its_share_of_the_power_either_way(slope: float) -> None:
+    """Up, the motors drive, and the efficiency is taken; down, wheels drive them, and it is given back by."""
+    robot = WheeledRobot(CENTRAL, table(MOTOR), Rolling(Ramp(abs(slope), 0.0 if slope > 0 else np.pi)))
+    volts = 12.0 if slope > 0 else 2.0
+    _, v, memory = steps(robot.by_voltage(), (volts, volts), 0.5, 60)
+    load = 30.0 * G * np.sin(slope) * R / 2
+    np.testing.assert_allclose(memory.torques, load, rtol=1e-11)
+    np.testing.assert_allclose(MOTOR.torque(volts, v[-2:]), load, rtol=1e-11)
+    k, eta = 0.03, 0.8 if slope > 0 else 1 / 0.8
+    expected = (k * volts / 1.2 - 0.004 - load / (eta * 20)) / (20 * (k * k / 1.2 + 1e-5))
+    np.testing.assert_allclose(v[-2:], expected, rtol=1e-11)
+
+
+@GROUNDS
+def test_a_robot_too_heavy_to_move_feels_the_torque_of_a_held_motor(ground: Any) -> None:
+    heavy = MobileRobot(1e12, 1e12, com=(0.0, 0.0, 0.2))
+    robot = WheeledRobot(heavy, table(replace(MOTOR, current=np.inf)), ground).by_voltage()
+    _, v, memory = steps(robot, (6.0, 6.0), 0.01, 1)
+    assert np.abs(v).max() < 1e-9
+    np.testing.assert_allclose(memory.torques, MOTOR.stall_torque(6.0), rtol=1e-6)
+
+
+@GROUNDS
+def test_the_current_is_limited_until_back_emf_leaves_less(ground: Any) -> None:
+    robot = WheeledRobot(CENTRAL, table(MOTOR), ground).by_voltage()
+    found = run(robot, (24.0, 24.0), 0.01, 2.0)
+    currents, rates = found.signals["currents"].values[1:, 0], found.v[:, -1]
+    free = (24.0 - 0.03 * 20 * rates) / 1.2
+    assert np.all(currents[free[1:] > 15.0] == 15.0)
+    assert np.all(currents[free[:-1] < 15.0] < 15.0)
+    assert currents.min() < 10.0
+    torques = found.signals["torques"].values[1:, 0]
+    whole = currents == 15.0
+    expected = 0.8 * 20 * (0.03 * 15.0 - 0.004 - 1e-5 * 20 * (rates[1:] + rates[:-1]) / 2)
+    np.testing.assert_allclose(torques[whole], expected[whole], rtol=1e-4)
+    assert whole.sum() > 5
+
+
+@GROUNDS
+def test_the_error_falls_with_the_square_of_the_step_and_engines_agree(ground: Any) -> None:
+    robot = WheeledRobot(BODY, table(MOTOR), ground).by_voltage()
+    best = run(robot, (12.0, 10.0), 0.01 / 32, 0.5)
+    ends = [run(robot, (12.0, 10.0), h, 0.5) for h in (0.02, 0.01)]
+    off = [max(np.abs(x.q[-1] - best.q[-1]).max(), np.abs(x.v[-1] - best.v[-1]).max()) for x in ends]
+    assert off[0] < 0.01
+    assert 3.5 < off[0] / off[1] < 4.5
+    here = run(robot, (12.0, 10.0), 0.02, 0.5, PINOCCHIO)
+    np.testing.assert_allclose(here.q, ends[0].q, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(here.v, ends[0].v, rtol=0, atol=1e-13)
+    for name, signal in here.signals.items():
+        np.testing.assert_allclose(signal.values, ends[0].signals[name].values, atol=1e-10, err_msg=name)
+
+
+def test_electrical_energy_is_what_moves_and_what_is_lost() -> None:
+    robot = WheeledRobot(BODY, table(MOTOR)).by_voltage()
+    left = []
+    for dt in (0.02, 0.01):
+        found = run(robot, (12.0, 8.0), dt, 1.0)
+        V, i, torque = (found.signals[name].values[1:] for name in ("volts", "currents", "torques"))
+        W = (V - 1.2 * i) / (0.03 * 20)  # mean rate, by back-EMF
+        assert (W > 0).all()
+        shaft = 0.03 * i - 1e-5 * 20 * W - 0.004
+        lost = 1.2 * i**2 + 1e-5 * (20 * W) ** 2 + 0.004 * 20 * W + (20 * shaft - torque) * W
+        assert (20 * shaft * W - torque * W >= -1e-12).all()
+        gained = float(robot.kinetic_energy(found.q[-1], found.v[-1]))
+        left.append(dt * float((V * i - lost).sum()) - gained)
+        assert dt * float((V * i).sum()) > 50.0
+    assert abs(left[0]) < 0.2
+    assert 3.5 < left[0] / left[1] < 4.5
+
+
+@GROUNDS
+def test_a_motor_far_stiffer_than_the_step_takes_the_rate_of_its_volts_at_once(ground: Any) -> None:
+    """Time constants of less than 0.1 ms, at dt = 0.01: no ringing."""
+    stiff = replace(PLAIN, resistance=1e-5)
+    robot = WheeledRobot(CENTRAL, table(stiff, friction=Friction(mu=1e6, rolling=0.0)), ground).by_voltage()
+    found = run(robot, (3.0, 3.0), 0.01, 0.2)
+    rates = found.v[1:, -2:]
+    assert np.abs(rates - 3.0 / (0.03 * 20)).max() < 0.02
+    np.testing.assert_allclose(rates[-1], 5.0, rtol=1e-10)
+
+
+@GROUNDS
+def test_dry_friction_of_motors_holds_on_a_ramp_and_gives_way_beyond(ground: Any) -> None:
+    """G T_c / efficiency a wheel: the gear's losses hold with it."""
+    most = 2 * 20 * 0.004 / 0.8 / R
+    for share in (0.98, 1.02):
+        steep = replace(ground, ramp=Ramp(float(np.arcsin(share * most / (30.0 * G)))))
+        robot = WheeledRobot(CENTRAL, table(MOTOR), steep).by_voltage()
+        q, v, memory = steps(robot, (0.0, 0.0), 0.02, 20)
+        if share < 1:
+            assert np.abs(q).max() < 1e-14
+            assert np.abs(v).max() < 1e-14
+            np.testing.assert_allclose(memory.torques, share * most * R / 2, rtol=1e-10)
+        else:
+            assert v[0] < -1e-5
+            np.testing.assert_allclose(memory.torques, MOTOR.torque(0.0, v[-2:]), rtol=1e-2)
+
+
+@GROUNDS
+def test_a_robot_that_coasts_stops_and_stays(ground: Any) -> None:
+    robot = WheeledRobot(CENTRAL, table(MOTOR), ground).by_voltage()
+    v = np.zeros(robot.nv)
+    v[[0, -2, -1]] = 0.1, 0.1 / R, 0.1 / R
+    q, v, memory = steps(robot, (0.0, 0.0), 0.05, 30, v)
+    assert np.abs(v).max() < 1e-14
+    again = robot.step(0.0, q, v, np.zeros(2), 0.01, 0.0, memory)
+    assert np.abs(again.q - q).max() < 1e-15
+
+
+def drives() -> dict[str, WheelTable]:
+    steered = {"steering": "driven", "motor": MOTOR, **WHEEL}
+    differential = WheelTable.differential(0.5, R, motor=MOTOR, **WHEEL)
+    caster = Wheel("caster", -0.3, 0.02, 0.05, 0.3, steering="free", trail=(-0.03, 0.005), **WHEEL)
+    front = [Wheel("a", 0.3, 0.2, R, **WHEEL), Wheel("b", 0.3, -0.2, R, **WHEEL)]
+    return {
+        "mecanum": WheelTable.mecanum(0.5, 0.4, 0.08, motor=MOTOR, **WHEEL),
+        "omni": WheelTable.omni(0.25, 0.05, motor=MOTOR, **WHEEL),
+        "tricycle": WheelTable((Wheel("front", 0.4, 0.0, R, **steered), *differential.wheels)),
+        "caster": WheelTable((*differential.wheels, caster)),
+        "open": WheelTable(tuple(front), couplings=(Differential(("a", "b"), MOTOR),)),
+    }
+
+
+@pytest.mark.parametrize("name", drives())
+@pytest.mark.parametrize("arm", [False, True], ids=["bare", "arm"])
+def test_accelerations_are_those_of_the_tree_under_the_torques_of_its_motors(name: str, arm: bool) -> None:
+    """Pinocchio's tree with constraint forces, and `Motor.torque`, neither of which the step uses."""
+    rng = np.random.default_rng(3)
+    base = BODY.mount("ur5") if arm else BODY
+    robot = WheeledRobot(base, drives()[name])
+    volts = robot.by_voltage()
+    q = np.append(base.random_configuration(rng), np.zeros(robot.nq - base.nq))
+    v = robot.project(q, rng.normal(size=robot.nv))
+    u = rng.normal(size=robot.nu) * [5.0 if each.unit == "V" else 0.5 for each in volts.inputs]
+    torques, first = u.copy(), robot.nu - len(robot.table.actuators)
+    for k, each in enumerate(robot.table.actuators):
+        if each.motor.is_electric:
+            rate = np.array(each.column) @ v[base.nv :]
+            torques[first + k] = each.motor.torque(u[first + k], rate)
+    np.testing.assert_allclose(volts.torques_at(v, u), torques, rtol=1e-12)
+    expected = robot.forward_dynamics(q, v, torques)
+    found = volts.forward_dynamics(q, v, u)
+    assert np.abs(found - expected).max() < 2e-3 * (1 + np.abs(expected).max())
+
+
+def test_the_volts_for_torques_give_them_within_the_limits_of_motors() -> None:
+    robot = WheeledRobot(BODY, table(MOTOR)).by_voltage()
+    rng = np.random.default_rng(0)
+    v = np.zeros((100, robot.nv))
+    v[:, -2:] = rng.uniform(-30.0, 30.0, (100, 2))
+    wanted = rng.uniform(-10.0, 10.0, (100, 2))
+    u = robot.volts_for(v, wanted)
+    given = robot.torques_at(v, u)
+    free = np.abs(u) < 24.0 - 1e-9
+    free &= np.abs(np.abs(MOTOR.armature_current(u, v[:, -2:])) - 15.0) > 1e-9
+    np.testing.assert_allclose(given[free], wanted[free], rtol=1e-10)
+    assert 20 < free.sum() < 190
+
+
+@GROUNDS
+def test_driven_follows_as_torques_would_and_is_told_what_was_applied(ground: Any) -> None:
+    table_ = table(MOTOR)
+    wheeled = WheeledRobot(BODY, table_, ground)
+    ideal = WheeledRobot(BODY, table_)
+    path = Tangent(Circle(2.0, 0.3, 20.0))
+    q0, v0 = ideal.start(path(0.0))
+    controller = Driven(Backstepping(Tracking(), ideal), wheeled)
+    found = simulate(
+        wheeled.by_voltage(), controller, path, dt=0.005, duration=2.0, q0=q0, v0=v0, engine=COMPILED
+    )
+    assert found.engine == "COMPILED"
+    assert np.abs(found.q[-1, :2] - path(2.0).q[:2]).max() < 0.02
+    limited = Driven(Torques(3.0, 100.0), wheeled)
+    nothing: Any = None
+    u, state = limited(0.0, q0, v0, nothing, limited.initial_state(nothing))
+    assert abs(u[1]) <= 24.0
+    inner, _ = limited.applied(u, state)
+    np.testing.assert_allclose(inner[0], 3.0, rtol=1e-12)
+    assert inner[1] < 10.0
+
+
+class Torques(Held):
+    """Torques that stay, and what was applied as its state."""
+
+    def initial_state(self, context: Any) -> Any:
+        return np.zeros(2)
+
+    def applied(self, u: Array, state: Any) -> Any:
+        return u
+
+
+@pytest.mark.parametrize("kind", ["differential", "skid", "torque"])
+def test_wheel_speed_follows_by_loops_of_each_wheel(kind: str) -> None:
+    path = Tangent(Circle(2.0, 0.3, 20.0))
+    if kind == "skid":
+        wheels = WheelTable.skid_steer(0.2, 0.6, R, motor=MOTOR, **{**WHEEL, "friction": Friction()})
+    else:
+        wheels = table(MOTOR)
+    wheeled = WheeledRobot(CENTRAL, wheels)
+    robot = wheeled if kind == "torque" else wheeled.by_voltage()
+    controller = WheelSpeed(Tracking(), robot, kp=1.0, ki=20.0)
+    q0 = np.zeros(robot.nq)
+    q0[:3] = path(0.0).q
+    found = simulate(
+        robot, controller, path, dt=0.005, duration=4.0, q0=q0, v0=np.zeros(robot.nv), engine=COMPILED
+    )
+    assert np.abs(found.q[-1, :2] - path(4.0).q[:2]).max() < 0.05
+
+
+@pytest.mark.parametrize("kind", ["driven", "speed"])
+def test_controllers_of_motors_give_the_same_in_all_engines(kind: str) -> None:
+    wheeled = WheeledRobot(BODY, table(MOTOR))
+    robot = wheeled.by_voltage()
+    path = Tangent(Circle(2.0, 0.3, 20.0))
+    inner = Backstepping(Tracking(), wheeled)
+    controller: Any = Driven(inner, robot) if kind == "driven" else WheelSpeed(Tracking(), robot, 3.0, 30.0)
+    q0, v0 = np.append(path(0.0).q, [0.0, 0.0]), np.zeros(robot.nv)
+    here, there = (
+        simulate(robot, controller, path, dt=0.01, duration=0.3, q0=q0, v0=v0, engine=engine)
+        for engine in (PINOCCHIO, COMPILED)
+    )
+    assert (np.abs(here.u).max(axis=0) > 1.0).all()
+    np.testing.assert_allclose(here.u, there.u, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(here.q, there.q, rtol=0, atol=1e-12)
+
+
+def test_the_integral_of_wheel_speed_does_not_wind_up() -> None:
+    robot = WheeledRobot(CENTRAL, table(MOTOR)).by_voltage()
+    controller = WheelSpeed(Tracking(), robot, kp=1.0, ki=20.0)
+    none = np.zeros(2)
+    state = (None, none, np.array([0.1, -0.1]), np.array([30.0, 30.0]), 0.01)
+    _, integral, *_ = controller.applied(np.array([24.0, 24.0]), (None, none + 0.5, *state[2:]))
+    np.testing.assert_allclose(integral, [0.4, 0.5])  # what would push it further is taken back
+
+
+def test_inputs_are_volts_and_torques_with_the_limits_of_motors() -> None:
+    wheeled = WheeledRobot(BODY.mount("ur5"), drives()["tricycle"])
+    robot = wheeled.by_voltage()
+    units = [each.unit for each in robot.inputs]
+    assert units == ["N m"] * 6 + ["V", "N m", "V", "V"]
+    assert robot.inputs[6].upper == 24.0
+    limited = WheeledRobot(BODY, table(Motor(torque_limit=2.0)))
+    found = simulate(
+        limited,
+        Held(5.0, -5.0),
+        FixedHeading(Hold([0.0, 0.0], 0.1), 0.0),
+        dt=0.01,
+        q0=limited.rest,
+        v0=np.zeros(limited.nv),
+        engine=COMPILED,
+    )
+    assert (found.u == [2.0, -2.0]).all()  # a motor's limit is part of what is applied
+    assert robot.project(robot.rest, np.ones(robot.nv)).shape == (robot.nv,)
+    assert not hasattr(robot, "inverse_dynamics")
+    assert repr(robot).endswith(".by_voltage()")
+    assert robot == wheeled.by_voltage()
+    assert hash(robot) == hash(wheeled.by_voltage())
+    assert robot.mount is not None
+
+
+@GROUNDS
+def test_many_robots_step_as_each_alone(ground: Any) -> None:
+    robot = WheeledRobot(BODY, table(MOTOR), ground).by_voltage().traced()
+    rng = np.random.default_rng(1)
+    u = rng.uniform(-24.0, 24.0, (5, 2))
+    u[0] = 0.0
+    rates = rng.normal(size=(5, 2))
+    rates[0] = 0.0
+    v = np.stack([R * rates.mean(axis=1), 0 * u[:, 0], (rates @ [-1, 1]) * R / 0.5, *rates.T], axis=-1)
+    q = np.zeros((5, 5))
+    memory = robot.initial_state()
+    leaves = type(memory)(*(tiled(part) for part in memory))
+    many: Any = robot.step(0.0, q, v, u, 0.01, 0.0, leaves)
+    for k in range(5):
+        one: Any = robot.step(0.0, q[k], v[k], u[k], 0.01, 0.0, memory)
+        np.testing.assert_allclose(many.v[k], one.v, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(many.memory.torques[k], one.memory.torques, rtol=0, atol=1e-10)
+
+
+def tiled(part: Any) -> Any:
+    """Return what is kept of one robot as that of five."""
+    if isinstance(part, tuple):
+        return type(part)(*map(tiled, part)) if part else part
+    return np.broadcast_to(part, (5, *np.shape(part)))
+
+
+def test_an_ensemble_spreads_motor_constants() -> None:
+    robot = WheeledRobot(BODY, table(MOTOR)).by_voltage()
+    where = FixedHeading(Hold([0.0, 0.0], 0.2), 0.0)
+    resistance = np.array([1.2, 2.4, 3.6])
+    spread = {"resistance_left": resistance}
+    found = ensemble(robot, Held(12.0, 12.0), where, dt=0.01, n=3, spread=spread, limit=1e9)
+    for k, x in enumerate(resistance):
+        wheels = [
+            replace(wheel, motor=replace(MOTOR, resistance=float(x))) if wheel.name == "left" else wheel
+            for wheel in robot.table.wheels
+        ]
+        other = WheeledRobot(BODY, WheelTable(tuple(wheels), robot.table.supports)).by_voltage()
+        alone = run(other, (12.0, 12.0), 0.01, 0.2)
+        np.testing.assert_allclose(found.max_error[k], alone.max_error(), rtol=1e-12)
+        assert robot.with_parameters(resistance_left=x) == other
+    assert found.engine == "COMPILED"
+    again = found.member(1)
+    np.testing.assert_allclose(again.robot.resistance, [2.4, 1.2])
+    with pytest.raises(errors.UnknownName, match="resistance_middle"):
+        robot.with_parameters(resistance_middle=1.0)
+
+
+def test_many_robots_whose_wheels_nothing_holds_run_too() -> None:
+    """What is kept of them has a part of no numbers."""
+    robot = WheeledRobot(BODY, table(PLAIN), Coulomb()).by_voltage()
+    where = FixedHeading(Hold([0.0, 0.0], 0.05), 0.0)
+    spread = {"radius_left": [0.1, 0.101]}
+    found = ensemble(robot, Held(12.0, 12.0), where, dt=0.01, n=2, spread=spread, limit=1e9)
+    assert found.engine == "COMPILED"
+    assert not found.diverged.any()
+
+
+@GROUNDS
+def test_another_resistance_is_that_of_another_motor(ground: Any) -> None:
+    robot = WheeledRobot(BODY, table(MOTOR), ground).by_voltage()
+    other = WheeledRobot(BODY, table(replace(MOTOR, resistance=2.0)), ground).by_voltage()
+    assert {"resistance_left", "coulomb_right"} <= {each.name for each in robot.parameters}
+    body = copied(robot.traced(), {"resistance": np.array([2.0, 2.0])}, {})
+    state = robot.rest, np.zeros(robot.nv), np.array([12.0, 6.0])
+    expected = other.step(0.0, *state, 0.01, 0.0, other.initial_state())
+    found = body.step(0.0, *state, 0.01, 0.0, body.initial_state())
+    np.testing.assert_array_equal(found.v, expected.v)
+
+
+@pytest.mark.parametrize(
+    ("name", "voltage", "stall", "current", "rpm"),
+    [
+        ("dynamixel_xl430_w250", 11.1, 1.4, 1.3, 57.0),
+        ("dynamixel_xm430_w210", 12.0, 3.0, 2.3, 77.0),
+        ("pololu_37d_50_12v", 12.0, 0.210 * 9.80665, 5.5, 200.0),
+        ("faulhaber_1331t012sr", 12.0, 9.9e-3, 0.876, 9900.0),
+    ],
+)
+def test_real_motors_stall_and_run_free_as_their_sheets_say(
+    name: str, voltage: float, stall: float, current: float, rpm: float
+) -> None:
+    """The last one's sheet has its constants; stall and free run follow, to what it rounds."""
+    motor = MOTORS[name]
+    rel = 1e-9 if name != "faulhaber_1331t012sr" else 5e-3
+    assert motor.stall_torque(voltage) == pytest.approx(stall, rel=rel)
+    assert float(motor.armature_current(voltage, 0.0)) == pytest.approx(current, rel=rel)
+    assert motor.no_load_rate(voltage) * 60 / (2 * np.pi) == pytest.approx(rpm, rel=rel)
+    assert motor.source
+
+
+def test_what_has_no_volts_is_refused() -> None:
+    with pytest.raises(errors.InvalidArgument, match="table has no motor that takes volts"):
+        WheeledRobot(BODY, table(Motor())).by_voltage()
+    open_ = WheelTable(
+        (Wheel("a", 0.0, 0.2, R, **WHEEL), Wheel("b", 0.0, -0.2, R, **WHEEL)),
+        supports=(Support(0.3, 0.0),),
+        couplings=(Differential(("a", "b"), MOTOR),),
+    )
+    with pytest.raises(errors.InvalidArgument, match="slip independently of each other"):
+        WheeledRobot(CENTRAL, open_, Coulomb()).by_voltage()
+    with pytest.raises(errors.InvalidArgument, match="expected a WheeledRobot with electric motors"):
+        Driven(Held(0.0), BODY)
+    with pytest.raises(errors.InvalidArgument, match="wheels that steer"):
+        WheelSpeed(Tracking(), WheeledRobot(BODY, drives()["tricycle"]), kp=1.0)
+    with pytest.raises(errors.InvalidArgument, match="stall_torque is 3 N m, expected at most"):
+        Motor.from_sheet(12.0, 3.0, 1.0, 10.0)

@@ -1,0 +1,533 @@
+"""Robots on wheels that roll: every route to their dynamics, couplings, runs, and what is refused."""
+
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings, strategies as st
+from scipy.integrate import solve_ivp
+
+from pinmobile import (
+    COMPILED,
+    Coulomb,
+    FixedHeading,
+    Hold,
+    InvalidArgument,
+    MobileRobot,
+    Motor,
+    Ramp,
+    Rolling,
+    SinusoidalForce,
+    UnknownName,
+    ViscousFriction,
+    Wheel,
+    WheeledRobot,
+    WheelTable,
+    closed_form,
+    law,
+    rk4,
+    simulate,
+    verify,
+)
+from pinmobile.arrays import Array
+from pinmobile.wheels import Ackermann, Differential, Friction, GearTrain, Mobility, Support
+
+OWN: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
+BASE = MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.2))
+BODY: dict[str, Any] = {"mass": 30.0, "yaw_inertia": 2.3, "com": (0.05, 0.02)}
+GEARED = Motor(rotor_inertia=1e-4, gear=10)
+DIFFERENTIAL = WheelTable.differential(0.5, 0.1, x=0.07, supports=[(-0.2, 0)], motor=GEARED, **OWN)
+CASTER = Wheel("caster", -0.3, 0.02, 0.05, 0.3, steering="free", trail=(-0.03, 0.005), **OWN)
+FRONT = Wheel("front", 0.4, 0.0, 0.1, steering="driven", motor=GEARED, **OWN)
+SIDES = [Wheel("l", 0, 0.2, 0.1, **OWN), Wheel("r", 0, -0.2, 0.1, **OWN)]
+CORNERS = [(0.3, 0.2), (0.3, -0.2), (-0.3, 0.2), (-0.3, -0.2)]
+ROLLING = {
+    "differential": DIFFERENTIAL,
+    "mecanum": WheelTable.mecanum(0.5, 0.4, 0.08, motor=GEARED, **OWN),
+    "O": WheelTable.mecanum(0.6, 0.4, 0.08, roller=-0.7, **OWN),
+    "omni": WheelTable.omni(0.25, 0.05, **OWN),
+    "four omni": WheelTable.omni(0.25, 0.05, n=4, first=0.3, **OWN),
+    "swerve": WheelTable.swerve([(0.3, 0.1), (-0.3, -0.1)], 0.06, supports=[(0, 0.3)], **OWN),
+    "car": WheelTable.car(0.6, 0.4, 0.1, motor=GEARED, **OWN),
+    "casters": WheelTable((*DIFFERENTIAL.wheels, CASTER)),
+    "tricycle": WheelTable((FRONT, *SIDES)),
+}
+SLIPPING = {
+    "skid": WheelTable.skid_steer(0.5, 0.4, 0.1, **OWN),
+    "skid apart": WheelTable.skid_steer(0.5, 0.4, 0.1, coupled=False, **OWN),
+    "swerve": WheelTable.swerve(CORNERS, 0.06, **OWN),
+}
+
+
+@pytest.mark.parametrize("kind", ROLLING)
+def test_every_route_agrees_where_wheels_roll(kind: str) -> None:
+    for robot in (BASE, BASE.mount("ur5", (0.1, 0, 0.3, 0))):
+        verification = verify(WheeledRobot(robot, ROLLING[kind]), states=20)
+        assert verification.passed, str(verification)
+        assert not verification.missing
+        found = {(row.quantity, row.route) for row in verification.rows}
+        assert {q for q, _ in found} >= {"M", "n", "tau", "a", "lambda", "power", "nu'", "M of nu"}
+
+
+@pytest.mark.parametrize("kind", ["differential", "mecanum", "omni", "car"])
+def test_the_dynamics_derived_by_hand_are_one_of_the_routes(kind: str) -> None:
+    rows = verify(WheeledRobot(BASE, ROLLING[kind]), states=5).rows
+    assert [row.quantity for row in rows if row.against == "closed form by hand"] == [
+        "M of nu",
+        "n of nu",
+        "B of nu",
+    ]
+
+
+@pytest.mark.parametrize("kind", SLIPPING)
+def test_a_step_that_slips_balances(kind: str) -> None:
+    for robot in (BASE, BASE.mount("ur5", (0.1, 0, 0.3, 0)))[: 1 + (kind == "skid")]:
+        verification = verify(WheeledRobot(robot, SLIPPING[kind]), states=20)
+        assert verification.passed, str(verification)
+        assert {row.quantity for row in verification.rows} >= {"tau", "loads", "cone", "power"}
+
+
+@pytest.mark.parametrize("kind", ["casters", "omni"])
+def test_a_step_of_a_drive_that_could_roll_balances(kind: str) -> None:
+    ground = Coulomb(ramp=Ramp(0.2, 0.5))
+    verification = verify(WheeledRobot(BASE, ROLLING[kind], ground), states=20)
+    assert verification.passed, str(verification)
+
+
+def test_on_a_ramp_all_routes_agree() -> None:
+    for kind in ("differential", "casters"):
+        for robot in (BASE, BASE.mount("ur5", (0.1, 0, 0.3, 0))):
+            verification = verify(WheeledRobot(robot, ROLLING[kind], Rolling(Ramp(0.3, 1.0))), states=20)
+            assert verification.passed, str(verification)
+
+
+numbers = st.floats(-0.2, 0.2)
+sizes = st.floats(0.03, 0.3)
+
+
+@st.composite
+def wheels(draw: st.DrawFn, k: int) -> Wheel:
+    kind = draw(st.sampled_from(["tyre", "rollers", "caster", "steered", "offset"]))
+    own: dict[str, Any] = {"mass": draw(st.floats(0, 1.5)), "spin_inertia": draw(st.floats(1e-3, 0.05))}
+    own["yaw_inertia"] = draw(st.floats(1e-3, 0.02))
+    if draw(st.booleans()):
+        own["motor"] = Motor(rotor_inertia=draw(st.floats(0, 1e-4)), gear=draw(st.floats(0.5, 30)))
+    if kind == "rollers":
+        own["roller"] = draw(st.floats(-1.0, 1.0))
+    if kind in ("caster", "offset"):
+        own["trail"] = (draw(st.floats(-0.1, -0.03)), draw(st.floats(-0.02, 0.02)))
+    if kind not in ("tyre", "rollers"):
+        own["steering"] = "free" if kind == "caster" else "driven"
+    x, y = (draw(numbers) + 0.4 * sign for sign in ((1, 1), (-1, -1), (1, -1), (-1, 1))[k])
+    return Wheel(f"w{k}", x, y, draw(sizes), draw(st.floats(-3, 3)), **own)
+
+
+@st.composite
+def tables(draw: st.DrawFn) -> WheelTable:
+    count = draw(st.integers(1, 4))
+    return WheelTable(tuple(draw(wheels(k)) for k in range(count)))
+
+
+@given(tables(), st.booleans(), st.integers(0, 2**32 - 1))
+@settings(max_examples=25)
+def test_every_route_agrees_for_any_table(table: WheelTable, armed: bool, seed: int) -> None:
+    assume(Mobility.of(table).is_regular)
+    robot = MobileRobot(30.0, 4.0, com=(0.05, 0.02, 0.2))
+    wheeled = WheeledRobot(robot.mount("double_pendulum") if armed else robot, table)
+    verification = verify(wheeled, states=5, seed=seed)
+    assert verification.passed, str(verification)
+
+
+# Couplings, by hand
+
+
+def test_a_gear_train_is_one_wheel_with_the_inertia_of_both() -> None:
+    """A driven wheel and one of half its size on one axle, which a train turns twice as fast."""
+    own: dict[str, Any] = {"mass": 0.5, "yaw_inertia": 0.003}
+    inner = Wheel("in", 0, 0.2, 0.1, spin_inertia=0.01, motor=Motor(), **own)
+    outer = Wheel("out", 0, 0.35, 0.05, roller=0.0, spin_inertia=0.004, **own)
+    free = Wheel("third", -0.3, 0.0, 0.1, roller=0.0, angle=1.2, spin_inertia=0.01, **own)
+    # The train asks r_in phi_in = r_out phi_out: the body may not turn.
+    table = WheelTable((inner, outer, free), (), (GearTrain(("in", "out"), (1.0, 2.0)),))
+    assert "different rates" in Mobility.of(table).why_not
+    # Two on a line ahead of each other may, and share the torque.
+    ahead = Wheel("out", 0.3, 0.2, 0.05, roller=0.0, spin_inertia=0.004, **own)
+    table = WheelTable((inner, ahead, free), (), (GearTrain(("in", "out"), (1.0, 2.0)),))
+    wheeled = WheeledRobot(MobileRobot(20.0, 1.5, com=(0.1, 0.05, 0.1)), table)
+    assert verify(wheeled, states=10).passed
+    q, v = wheeled.rest, np.zeros(wheeled.nv)
+    a = wheeled.forward_dynamics(q, v, [0.4])
+    # By hand, at rest: v forward and w; the inner wheel rolls at v - 0.2 w and the outer at twice its rate.
+    m, dx, dy, J = 20.0, 0.1, 0.05, 1.5 + 20.0 * (0.1**2 + 0.05**2)
+    roll = np.array([1.0, -0.2]) / 0.1
+    third = np.array([np.cos(1.2), -0.3 * np.sin(1.2)]) / 0.1
+    M = np.array([[m, -m * dy], [-m * dy, J]]) + (0.01 + 4 * 0.004) * np.outer(roll, roll)
+    M += 0.01 * np.outer(third, third)
+    expected = np.linalg.solve(M, 0.4 * roll)
+    np.testing.assert_allclose(a[[0, 2]], expected, rtol=1e-12)
+    np.testing.assert_allclose(a[3:5], roll @ expected * np.array([1, 2]), rtol=1e-12)
+    assert dx == wheeled.robot.com[0]
+
+
+def test_ackermanns_wheels_are_those_of_one_steering_angle() -> None:
+    wheeled = WheeledRobot(BASE, ROLLING["car"])
+    q, v = wheeled.rest.copy(), np.zeros(wheeled.nv)
+    q[3] = 0.4
+    v[:3] = 1.0, 0.0, np.tan(0.4) / 0.6
+    v = wheeled.project(q, v)
+    np.testing.assert_allclose(v[2], v[0] * np.tan(0.4) / 0.6, rtol=1e-13)
+    inner = np.arctan(0.6 / (0.6 / np.tan(0.4) - 0.2))
+    assert 1 / np.tan(inner) - 1 / np.tan(0.4) == pytest.approx(-0.2 / 0.6)
+    assert v[6] * 0.1 == pytest.approx(v[2] * 0.6 / np.sin(inner))  # the front left one, about the centre
+    assert v[4] * 0.1 == pytest.approx(v[0] - 0.2 * v[2])
+    own = wheeled.reduced(q, v)
+    by_hand = closed_form.car(
+        own.nu,
+        0.4,
+        **BODY,
+        wheelbase=0.6,
+        radius=0.1,
+        track=0.4,
+        spin_inertia=np.array(0.01),
+        steered_inertia=0.006,
+    )
+    # The motor on the differential turns at the mean of the rear wheels: it adds its inertia to v alone.
+    np.testing.assert_allclose(own.M - by_hand.M, np.diag([GEARED.reflected_inertia / 0.1**2, 0]), atol=1e-13)
+    np.testing.assert_allclose(own.n, by_hand.n, atol=1e-13)
+
+
+def test_an_open_differential_gives_each_wheel_half() -> None:
+    pair = [Wheel("left", 0, 0.25, 0.1, **OWN), Wheel("right", 0, -0.25, 0.1, **OWN)]
+    open_one = WheeledRobot(BASE, WheelTable(tuple(pair), (), (Differential(("left", "right")),)))
+    each = WheeledRobot(BASE, WheelTable.differential(0.5, 0.1, **OWN))
+    rng = np.random.default_rng(1)
+    q = rng.normal(size=each.nq)
+    v = each.project(q, rng.normal(size=each.nv))
+    a, b = open_one.forward_dynamics(q, v, [0.6]), each.forward_dynamics(q, v, [0.3, 0.3])
+    np.testing.assert_allclose(a, b, rtol=1e-13, atol=1e-13)
+
+
+def test_the_bicycle_is_the_car_without_a_track() -> None:
+    table = WheelTable((FRONT, Wheel("rear", 0, 0, 0.1, motor=Motor(), **OWN)))
+    wheeled = WheeledRobot(BASE, table)
+    rng = np.random.default_rng(2)
+    q = rng.normal(size=wheeled.nq)
+    q[3] = 0.5
+    own = wheeled.reduced(q, wheeled.project(q, rng.normal(size=wheeled.nv)))
+    half = {"spin_inertia": 0.005, "steered_inertia": 0.003}
+    found = closed_form.car(own.nu, 0.5, **BODY, wheelbase=0.4, radius=0.1, **half)
+    rotor = GEARED.reflected_inertia / (0.1 * np.cos(0.5)) ** 2
+    np.testing.assert_allclose(own.M - found.M, np.diag([rotor, 0]), atol=1e-12)
+    np.testing.assert_allclose(own.B, found.B[:, [1, 2, 0]], atol=1e-13)  # front, its steering, rear
+
+
+# What is determined (model.md, 2.2)
+
+RANKS = [
+    # table, coordinates, rows, rank, free
+    (WheelTable.differential(0.5, 0.1, **OWN), 5, 4, 3, 2),
+    (ROLLING["casters"], 7, 6, 5, 2),
+    (ROLLING["mecanum"], 7, 4, 4, 3),
+    (ROLLING["omni"], 6, 3, 3, 3),
+    (ROLLING["swerve"], 7, 4, 4, 3),
+    (WheelTable((FRONT, Wheel("rear", 0, 0, 0.1, **OWN))), 6, 4, 4, 2),
+    (SLIPPING["swerve"], 11, 8, 7, 4),
+]
+
+
+@pytest.mark.parametrize(("table", "coordinates", "rows", "rank", "free"), RANKS)
+def test_ranks_are_those_of_the_table(
+    table: WheelTable, coordinates: int, rows: int, rank: int, free: int
+) -> None:
+    mobility = Mobility.of(table)
+    assert mobility.matrix.shape == (rows, coordinates)
+    assert mobility.rank == rank
+    assert coordinates - rank == free
+
+
+def test_of_redundant_rows_the_sum_is_determined() -> None:
+    wheeled = WheeledRobot(BASE, WheelTable.differential(0.5, 0.1, x=0.07, **OWN))
+    rng = np.random.default_rng(3)
+    q = rng.normal(size=(20, wheeled.nq))
+    v = wheeled.project(q, rng.normal(size=(20, wheeled.nv)))
+    u = rng.normal(size=(20, 2))
+    found = wheeled.constraint_forces(q, v, u)
+    assert dict(zip(found.names, found.determined, strict=True)) == {
+        "left rolling": True,
+        "left lateral": False,
+        "right rolling": True,
+        "right lateral": False,
+    }
+    nu = wheeled.independent(q, v)
+    model = closed_form.differential_drive(nu, **BODY, track=0.5, radius=0.1, spin_inertia=0.01, axle=0.07)
+    rate = np.linalg.solve(model.M, (np.einsum("nij,nj->ni", model.B, u) - model.n)[..., None])[..., 0]
+    spins = np.einsum("nij,ni->nj", model.B, rate)  # the wheels' accelerations
+    np.testing.assert_allclose(found.values[:, [0, 2]], (u - 0.01 * spins) / 0.1, atol=1e-11)
+    dx, dy, (speed, w) = 0.05 - 0.07, 0.02, nu.T
+    lateral = 30 * (speed * w + dx * rate[:, 1] - dy * w**2)
+    np.testing.assert_allclose(found.values[:, 1] + found.values[:, 3], lateral, atol=1e-11)
+    np.testing.assert_allclose(found.values[:, 1], found.values[:, 3], atol=1e-11)
+
+
+# Equal robots
+
+
+def test_arms_may_be_mounted_before_or_after() -> None:
+    for table in (DIFFERENTIAL, SLIPPING["skid"]):
+        before = WheeledRobot(BASE.mount("ur5", (0.1, 0, 0.3, 0)), table)
+        after = WheeledRobot(BASE, table).mount("ur5", (0.1, 0, 0.3, 0))
+        assert before == after
+        assert hash(before) == hash(after)
+        assert before != WheeledRobot(BASE, table)
+
+
+@pytest.mark.parametrize("kind", ["differential", "car", "casters"])
+def test_pickled_it_is_the_same_robot(kind: str) -> None:
+    wheeled = WheeledRobot(BASE, ROLLING[kind], Rolling(Ramp(0.1)))
+    back = pickle.loads(pickle.dumps(wheeled))
+    assert back == wheeled
+    rng = np.random.default_rng(4)
+    q = rng.uniform(-0.5, 0.5, wheeled.nq)
+    v, u = wheeled.project(q, rng.normal(size=wheeled.nv)), rng.normal(size=wheeled.nu)
+    np.testing.assert_array_equal(back.forward_dynamics(q, v, u), wheeled.forward_dynamics(q, v, u))
+    again = eval(repr(ROLLING[kind]), {**globals(), "Friction": Friction, "inf": np.inf})
+    assert again == ROLLING[kind]
+
+
+# What is refused
+
+
+@pytest.mark.parametrize(
+    ("make", "text"),
+    [
+        (
+            lambda: WheeledRobot(BASE, SLIPPING["skid"], Rolling()),
+            "table cannot roll without slip: wheels 'front",
+        ),
+        (
+            lambda: WheeledRobot(BASE, SLIPPING["swerve"], Rolling()),
+            "table cannot roll without slip: wheels 'wheel_1', 'wheel_2', ",
+        ),
+        (
+            lambda: WheeledRobot(MobileRobot(1.5, 1.0), DIFFERENTIAL),
+            "robot has a mass of 1.5 kg, and its wheels 2 kg",
+        ),
+        (lambda: Wheel("a", 0, 0, 0.0), "radius of wheel 'a' is 0"),
+        (lambda: Wheel("a", 0, 0, 0.1, roller=np.pi / 2), "roller of wheel 'a' is 1.5708 rad, expected less"),
+        (
+            lambda: WheelTable((Wheel("a", 0, 0, 0.1), Wheel("b", 0, 0, 0.2))),
+            "wheel 'a' and wheel 'b' stand in one place, (0, 0) m",
+        ),
+        (
+            lambda: WheelTable.mecanum(0.4, 0.4, 0.1, roller=-np.pi / 4),
+            "roller is -0.785398 rad: the rollers",
+        ),
+        (lambda: WheelTable(()), "wheels is empty"),
+        (
+            lambda: WheelTable(tuple(SIDES), (), (GearTrain(("l", "x")),)),
+            "unknown wheel of a GearTrain 'x'",
+        ),
+        (
+            lambda: WheelTable(tuple(SIDES), (), (Ackermann(("l", "r")),)),
+            "wheel 'l' of Ackermann(...) is Wheel(",
+        ),
+        (
+            lambda: WheeledRobot(BASE, DIFFERENTIAL).forward_dynamics(np.zeros(5), np.zeros(5), np.zeros(3)),
+            "u has shape (3,), expected (..., 2)",
+        ),
+        (
+            lambda: WheeledRobot(BASE, WheelTable(tuple(SIDES), (Support(-0.2, 0),))).forward_dynamics(
+                np.zeros(5), np.zeros(5), [1.0]
+            ),
+            "u has shape (1,), expected (..., 0)",
+        ),
+    ],
+)
+def test_bad_input_is_refused_each_with_its_own_words(make: Any, text: str) -> None:
+    with pytest.raises((InvalidArgument, UnknownName)) as caught:
+        make()
+    assert str(caught.value).startswith(text)
+
+
+def test_a_start_that_does_not_roll_is_refused_and_projected_only_if_asked() -> None:
+    wheeled = WheeledRobot(BASE, DIFFERENTIAL)
+    still = law(lambda t, q, v, reference: np.zeros(2))
+    reference = FixedHeading(Hold([0, 0], 0.1), 0.0)
+    v0 = np.array([1.0, 0.2, 0.3, 0, 0])
+    with pytest.raises(
+        InvalidArgument, match=r"start does not roll: .* slips at .*; expected v0 = robot.project"
+    ):
+        simulate(wheeled, still, reference, dt=0.01, q0=wheeled.rest, v0=v0)
+    v0 = wheeled.project(wheeled.rest, v0)
+    run = simulate(wheeled, still, reference, dt=0.01, q0=wheeled.rest, v0=v0)
+    assert np.abs(wheeled.constraint_matrix(run.q[-1]) @ run.v[-1]).max() < 1e-14
+
+
+@pytest.mark.parametrize("kind", ROLLING)
+def test_what_is_projected_rolls_and_is_nearest(kind: str) -> None:
+    wheeled = WheeledRobot(BASE, ROLLING[kind])
+    rng = np.random.default_rng(5)
+    q, v = rng.uniform(-0.5, 0.5, (20, wheeled.nq)), rng.normal(size=(20, wheeled.nv))
+    near = wheeled.project(q, v)
+    A = wheeled.constraint_matrix(q)
+    assert np.abs(np.einsum("nij,nj->ni", A, near)).max() < 1e-13
+    np.testing.assert_allclose(wheeled.project(q, near), near, atol=1e-13)
+    # What was taken away is orthogonal to what rolls, in the mass metric.
+    taken = np.einsum("nij,nj->ni", wheeled.mass_matrix(q), v - near)
+    assert np.abs(np.einsum("nij,ni->nj", wheeled.reduced(q, near).S, taken)).max() < 1e-12
+
+
+# Runs
+
+
+def run_of(
+    wheeled: WheeledRobot, u: list[float], q0: Array, v0: Array, dt: float, T: float, **more: Any
+) -> Any:
+    held = np.array(u)
+    controller = law(lambda t, q, v, reference: held)
+    trajectory = FixedHeading(Hold([0, 0], T), 0.0)
+    return simulate(
+        wheeled, controller, trajectory, dt=dt, q0=q0, v0=v0, integrator=rk4, engine=COMPILED, **more
+    )
+
+
+def by_hand(kind: str, nu: Array, delta: float) -> closed_form.ReducedModel:
+    """Return the closed form of a drive."""
+    table = ROLLING[kind]
+    reflected = GEARED.reflected_inertia
+    if kind == "differential":
+        own = {"track": 0.5, "radius": 0.1, "spin_inertia": 0.01 + reflected, "axle": 0.07}
+        return closed_form.differential_drive(nu, **BODY, **own)
+    if kind == "car":
+        own = {"wheelbase": 0.6, "track": 0.4, "radius": 0.1, "spin_inertia": 0.01, "steered_inertia": 0.006}
+        found = closed_form.car(nu, delta, **BODY, **own)
+        M = found.M + np.array([[reflected / 0.1**2, 0], [0, 0]])
+        return found._replace(M=M, B=found.B[:, [0, 2]])
+    wheel = {name: [getattr(each, name) for each in table.wheels] for name in ("x", "y", "angle", "roller")}
+    return closed_form.roller_drive(nu, **BODY, **wheel, radius=0.08, spin_inertia=0.01 + reflected)
+
+
+RUNS = {
+    "differential": [0.5, 0.62],
+    "mecanum": [0.3, 0.2, -0.1, 0.25],
+    "car": [0.4, 0.0002],
+}
+
+
+@pytest.mark.parametrize("kind", RUNS)
+def test_a_run_is_that_of_the_dynamics_derived_by_hand(kind: str) -> None:
+    """DOP853 of scipy on the closed form, in which nothing can drift."""
+    wheeled, u, T = WheeledRobot(BASE, ROLLING[kind]), np.array(RUNS[kind]), 4.0
+    push = SinusoidalForce([3.0, 2.0, 1.0], 0.4)
+    q0, v0, axes = wheeled.rest.copy(), np.zeros(wheeled.nv), len(wheeled.table.axes)
+    q0[2:4], v0[:3] = (0.4, 0.15 * axes), (0.5, 0.2, 0.3)
+    v0 = wheeled.project(q0, v0)
+    run = run_of(wheeled, RUNS[kind], q0, v0, 0.005, T, forces=[push])
+    first = wheeled.independent(q0, v0)
+
+    def body(y: Array) -> tuple[Array, Array, Array]:
+        """Return the twist's columns by nu, nu, and the heading's turn."""
+        nu, c, s = y[4:], np.cos(y[2]), np.sin(y[2])
+        columns = {
+            "differential": np.array([[1, 0], [0, -0.07], [0, 1.0]]),
+            "mecanum": np.eye(3),
+            "car": np.array([[1, 0], [0, 0], [np.tan(y[3]) / 0.6, 0]]),
+        }[kind]
+        return columns, nu, np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+
+    def rates(t: float, y: Array) -> Array:
+        columns, nu, R = body(y)
+        model = by_hand(kind, nu, y[3])
+        force = model.B @ u + columns.T @ (R.T @ push(t, y[:3], R @ (columns @ nu))) - model.n
+        return np.concatenate([R @ (columns @ nu), [nu[-1] * axes], np.linalg.solve(model.M, force)])
+
+    start = np.concatenate([q0[:3], [0.15 * axes], first])
+    samples = run.t[::40]
+    found = solve_ivp(rates, (0, T), start, "DOP853", samples, rtol=1e-12, atol=1e-13)
+    assert found.success
+    y = found.y.T
+    np.testing.assert_allclose(run.q[::40, :3], y[:, :3], atol=1e-8)
+    if axes:
+        np.testing.assert_allclose(run.q[::40, 3], y[:, 3], atol=1e-8)
+    np.testing.assert_allclose(wheeled.independent(run.q, run.v)[::40], y[:, 4:], atol=1e-8)
+    drift = np.einsum("nij,nj->ni", wheeled.constraint_matrix(run.q), run.v)
+    assert np.abs(drift).max() < 1e-14
+    if axes:
+        return
+    # Forces along the wheels, from what spins them.
+    inertia = 0.01 + GEARED.reflected_inertia
+    for t, q, v, x in zip(samples, run.q[::40], run.v[::40], y, strict=True):
+        _, nu, _ = body(x)
+        model = by_hand(kind, nu, x[3])
+        spins = model.B.T @ rates(t, x)[4:]
+        gammas = [wheel.roller or 0.0 for wheel in wheeled.table.wheels]
+        radii = [wheel.radius for wheel in wheeled.table.wheels]
+        expected = (u - inertia * spins) / (radii * np.cos(gammas))
+        f = wheeled.effort(q, push(t, q[:3], v[:3]))
+        forces = wheeled.constraint_forces(q, v, u, f)
+        named = dict(zip(forces.names, forces.values, strict=True))
+        along = [x for name, x in named.items() if not name.endswith("lateral")]
+        np.testing.assert_allclose(along, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["differential", "car", "casters"])
+def test_an_hour_of_driving_rolls_to_rounding(kind: str) -> None:
+    wheeled = WheeledRobot(BASE, ROLLING[kind])
+    u = {"differential": [0.2, 0.21], "car": [0.2, 0.0], "casters": [0.2, 0.21]}[kind]
+    q0, v0 = wheeled.rest.copy(), np.zeros(wheeled.nv)
+    if kind == "car":
+        q0[3] = 0.2
+    drag = [ViscousFriction([8.0, 8.0, 2.0])]
+    run = run_of(wheeled, u, q0, v0, 0.05, 3600.0, forces=drag)
+    drift = np.einsum("nij,nj->ni", wheeled.constraint_matrix(run.q[::50]), run.v[::50])
+    assert np.abs(drift).max() < 2e-15 * (1 + np.abs(run.v).max())
+    assert np.abs(run.q[-1, len(wheeled.rest) - 1]) > 1000  # it went somewhere
+
+
+@pytest.mark.parametrize("kind", ["differential", "mecanum", "casters", "car"])
+def test_what_torques_do_is_in_the_energy(kind: str) -> None:
+    wheeled = WheeledRobot(BASE, ROLLING[kind])
+    u = RUNS.get(kind, [0.5, 0.62])
+    q0, v0 = wheeled.rest.copy(), np.zeros(wheeled.nv)
+    if kind == "casters":
+        q0[3] = -0.3  # it trails
+    v0[:3] = 0.3, 0.0, 0.1
+    v0 = wheeled.project(q0, v0)
+    run = run_of(wheeled, u, q0, v0, 0.005, 8.0)
+    work = (run.q[-1] - q0) @ wheeled.input_matrix @ np.array(u)
+    gained = wheeled.kinetic_energy(run.q[-1], run.v[-1]) - wheeled.kinetic_energy(q0, v0)
+    assert gained == pytest.approx(work, rel=1e-8)
+
+
+@pytest.mark.parametrize("kind", ["differential", "mecanum", "car", "casters"])
+def test_wheels_without_mass_and_inertia_are_massless_and_nothing_else(kind: str) -> None:
+    light: dict[str, WheelTable] = {
+        "differential": WheelTable.differential(0.5, 0.1, x=0.07),
+        "mecanum": WheelTable.mecanum(0.5, 0.4, 0.08),
+        "car": WheelTable.car(0.6, 0.4, 0.1, yaw_inertia=0.006),
+        "casters": WheelTable(
+            (
+                *WheelTable.differential(0.5, 0.1).wheels,
+                Wheel("caster", -0.3, 0.02, 0.05, steering="free", trail=(-0.03, 0)),
+            )
+        ),
+    }
+    wheeled = WheeledRobot(BASE, light[kind])
+    rng = np.random.default_rng(6)
+    q = rng.uniform(-0.5, 0.5, (10, wheeled.nq))
+    v, u = wheeled.project(q, rng.normal(size=(10, wheeled.nv))), rng.normal(size=(10, wheeled.nu))
+    assert np.abs(np.einsum("nij,nj->ni", wheeled.constraint_matrix(q), v)).max() < 1e-13
+    a, traced = wheeled.forward_dynamics(q, v, u), wheeled.traced()
+    np.testing.assert_allclose(a, traced.forward_dynamics(q, v, u), rtol=1e-10, atol=1e-10)
+    forces = wheeled.constraint_forces(q, v, u).values
+    rest = np.einsum("nij,nj->ni", wheeled.mass_matrix(q), a) + wheeled.nonlinear_effects(q, v)
+    ground = np.einsum("nij,ni->nj", wheeled.constraint_matrix(q), forces)
+    np.testing.assert_allclose(u @ wheeled.input_matrix.T + ground, rest, atol=1e-9)
+
+
+def test_steering_that_nothing_holds_has_an_inertia() -> None:
+    with pytest.raises(
+        InvalidArgument, match="steering of the table has no inertia about its axis, expected"
+    ):
+        WheeledRobot(BASE, WheelTable.car(0.6, 0.4, 0.1))

@@ -1,0 +1,349 @@
+"""What is drawn of a robot on wheels: wheels turn as it rolls, forces stand where they touch the ground."""
+
+import re
+from collections.abc import Callable
+from math import pi
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+
+from pinmobile import (
+    Circle,
+    ComputedTorque,
+    InvalidArgument,
+    MobileRobot,
+    Rollout,
+    Tangent,
+    plots,
+    rk4,
+    simulate,
+)
+from pinmobile.arrays import Array
+from pinmobile.cli import main
+from pinmobile.controllers import Backstepping, Tracking
+from pinmobile.palette import GRIPS, QUIET, SLIDES
+from pinmobile.viewer import Overlays, Viewer
+from pinmobile.viewer.motion import envelope, figure
+from pinmobile.wheels import ByOdometry, Coulomb, Support, Wheel, WheeledRobot, WheelTable
+from tests import wheeled
+
+WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.005, "yaw_inertia": 0.003}
+BOX = MobileRobot(30.0, 1.3, com=(0.0, 0.0, 0.1), size=(0.6, 0.4, 0.25))
+_BELIEVED = WheelTable.differential(0.46, 0.099, supports=[(0.25, 0), (-0.25, 0)], **WHEEL)
+CASTER = Wheel("caster", -0.3, 0.02, 0.05, 0.3, steering="free", trail=(-0.03, 0.005), **WHEEL)
+DIFFERENTIAL = WheelTable.differential(0.46, 0.1, supports=[(0.25, 0), (-0.25, 0)], **WHEEL)
+TABLES: dict[str, WheelTable] = {
+    "differential": DIFFERENTIAL,
+    "mecanum": WheelTable.mecanum(0.4, 0.48, 0.09, **WHEEL),
+    "omni": WheelTable.omni(0.22, 0.06, **WHEEL),
+    "swerve": WheelTable.swerve([(0.2, 0.1), (-0.2, -0.1)], 0.06, supports=[(-0.2, 0.2)], **WHEEL),
+    "car": WheelTable.car(0.5, 0.46, 0.1, **WHEEL),
+    "caster": WheelTable((*WheelTable.differential(0.46, 0.1, **WHEEL).wheels, CASTER), (Support(0.2, 0),)),
+}
+
+
+@pytest.fixture(scope="module")
+def rolls() -> Rollout:
+    """Return a differential drive that rolls on a circle."""
+    robot = WheeledRobot(BOX, DIFFERENTIAL)
+    law = ByOdometry(Backstepping(Tracking(), robot), _BELIEVED)
+    return simulate(robot, law, Tangent(Circle(1, 0.5, 0.6)), dt=0.02, integrator=rk4)
+
+
+@pytest.fixture(scope="module")
+def slides() -> Rollout:
+    """Return a mecanum base on ice, whose wheels slide."""
+    robot = WheeledRobot(BOX, TABLES["mecanum"], Coulomb(0.05))
+    return simulate(robot, _Forward(), Tangent(Circle(1, 0.5, 0.2)), dt=0.02)
+
+
+class _Forward:
+    """Two newton metres at every wheel."""
+
+    def initial_state(self, context: Any) -> None:
+        return None
+
+    def __call__(self, t: float, q: Array, v: Array, reference: Any, state: None) -> tuple[Array, None]:
+        return np.full(4, 2.0), None
+
+
+def posture(robot: WheeledRobot, seed: int) -> tuple[Array, Array]:
+    """Return a state that rolls."""
+    rng = np.random.default_rng(seed)
+    q = rng.uniform(-0.6, 0.6, robot.nq)
+    return q, robot.project(q, rng.uniform(-1, 1, robot.nv))
+
+
+def placed(robot: WheeledRobot, q: Array) -> dict[str, Array]:
+    """Return the placements of what is drawn, by name."""
+    names = [item.name for item in robot.visual_model.geometryObjects]
+    return dict(zip(names, robot.drawing(q), strict=True))
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_the_point_of_a_drawn_wheel_at_the_ground_stands_still_along_what_rolls(name: str) -> None:
+    robot = WheeledRobot(BOX, TABLES[name])
+    for seed in range(3):
+        q, v = posture(robot, seed)
+        now, ahead, behind = (placed(robot, robot.integrate(q, h * v)) for h in (0.0, 1e-6, -1e-6))
+        for wheel in robot.table.wheels:
+            key = f"{wheel.name}/tyre"
+            centre = now[key][:3, 3]
+            assert centre[2] == pytest.approx(wheel.radius, abs=1e-12)
+            ground = np.linalg.inv(now[key]) @ [*centre[:2], 0.0, 1.0]
+            speed = ((ahead[key] - behind[key]) @ ground)[:2] / 2e-6
+            axle = now[key][:2, 1]
+            along = np.array([axle[1], -axle[0]])
+            if wheel.roller is None:
+                assert abs(speed).max() < 1e-8
+            else:
+                turned = np.cos(wheel.roller) * along + np.sin(wheel.roller) * axle
+                assert abs(turned @ speed) < 1e-8
+
+
+def test_wheels_are_round_stand_on_the_ground_and_have_a_mark_that_is_seen() -> None:
+    for table in TABLES.values():
+        robot = WheeledRobot(BOX, table)
+        shapes = {item.name: item.geometry for item in robot.visual_model.geometryObjects}
+        for wheel in table.wheels:
+            tyre, spokes = (
+                np.array(shapes[f"{wheel.name}/{part}"].vertices()) for part in ("tyre", "spokes")
+            )
+            far = np.hypot(*np.concatenate([tyre, spokes])[:, [0, 2]].T).max()
+            assert far == pytest.approx(wheel.radius, rel=0.02)
+            turned = spokes * [-1, 1, -1]  # half a turn
+            nearest = np.linalg.norm(spokes[:, None] - turned, axis=2).min(axis=1)
+            assert nearest.max() > 0.1 * wheel.radius  # it looks otherwise
+
+
+def test_rollers_at_the_ground_lie_at_the_roller_angle_and_on_top_as_its_mirror_image() -> None:
+    robot = WheeledRobot(BOX, TABLES["mecanum"])
+    shapes = {item.name: item.geometry for item in robot.visual_model.geometryObjects}
+    for wheel in robot.table.wheels:
+        points = np.array(shapes[f"{wheel.name}/spokes"].vertices())
+        points = points[points[:, 2] < -0.75 * wheel.radius]  # the light roller is at the ground at rest
+        _, _, axes = np.linalg.svd(points - points.mean(axis=0))
+        assert wheel.roller is not None
+        assert abs(axes[0] @ [np.cos(wheel.roller), np.sin(wheel.roller), 0]) == pytest.approx(1, abs=1e-2)
+        dark = np.array(shapes[f"{wheel.name}/tyre"].vertices())
+        top = dark[dark[:, 2] > 0.8 * wheel.radius]
+        assert np.sign((top[:, 0] * top[:, 1]).sum()) == -np.sign(wheel.roller)
+
+
+def test_a_box_stands_above_wheels_that_are_below_it_and_reaches_down_beside_others() -> None:
+    def bottom(table: WheelTable) -> float:
+        robot = WheeledRobot(BOX, table)
+        box = next(item for item in robot.visual_model.geometryObjects if item.name == "body")
+        height = placed(robot, robot.rest)["body"][2, 3]
+        return float(height - box.geometry.halfSide[2])
+
+    assert bottom(TABLES["omni"]) > 2 * 0.06
+    assert bottom(DIFFERENTIAL) == pytest.approx(0.06)
+    assert MobileRobot.box().visual_model.geometryObjects[0].placement.translation[2] == pytest.approx(0.1)
+
+
+def test_supports_forks_and_arms_are_drawn_where_they_are() -> None:
+    robot = WheeledRobot(BOX.mount("ur5"), TABLES["caster"])
+    q, _ = posture(robot, 1)
+    found = placed(robot, q)
+    body = BOX.frame_placements(q[:3])[2]
+    assert found["support_1/ball"][:3, 3] == pytest.approx((body @ [0.2, 0.0, 0.03, 1.0])[:3])
+    assert found["caster/fork"][:3, 3] == pytest.approx((body @ [-0.3, 0.02, 0.0, 1.0])[:3])
+    own = robot.robot
+    frames, item = own.frame_placements(q[: own.nq]), own.visual_model.geometryObjects[-1]
+    assert found[item.name] == pytest.approx(frames[item.parentJoint - 1] @ item.placement.homogeneous)
+    assert envelope(figure(robot), np.append(robot.rest[:3], robot.rest)[None])[1] > 0.4
+    many = np.stack([q, robot.rest])
+    assert robot.drawing(many)[0] == pytest.approx(robot.drawing(q), abs=1e-12)
+
+
+def test_wheels_that_a_file_shows_turn_and_are_not_doubled(tmp_path: Path) -> None:
+    def with_visuals(found: re.Match[str]) -> str:
+        return f"{found[0]}<visual>{found[1]}</visual>"
+
+    text = re.sub(r"<collision>(.*?)</collision>", with_visuals, wheeled.husky())
+    (tmp_path / "husky.urdf").write_text(text)
+    robot = WheeledRobot.from_urdf(tmp_path / "husky.urdf", ground=Coulomb(), rollers={})
+    names = [item.name for item in robot.visual_model.geometryObjects]
+    assert "wheel_0_link_0" in names
+    assert not any(name.endswith(("/tyre", "/spokes")) for name in names)
+    q = robot.rest.copy()
+    still = placed(robot, q)
+    shown = {item.name: item.placement.homogeneous for item in robot.robot.visual_model.geometryObjects}
+    assert all(still[name] == pytest.approx(shown[name], abs=1e-12) for name in shown)
+    q[3] = 0.7
+    turned = placed(robot, q)
+    assert turned["wheel_1_link_0"] == pytest.approx(still["wheel_1_link_0"])
+    assert turned["wheel_0_link_0"][:3, 3] == pytest.approx(still["wheel_0_link_0"][:3, 3])
+    spun = turned["wheel_0_link_0"][:3, :3] @ still["wheel_0_link_0"][:3, :3].T
+    assert spun @ [0, 0, 1] == pytest.approx([np.sin(0.7), 0, np.cos(0.7)])  # its top goes ahead
+
+    (tmp_path / "bare.urdf").write_text(wheeled.husky())
+    bare = WheeledRobot.from_urdf(tmp_path / "bare.urdf", ground=Coulomb(), rollers={})
+    assert "wheel_0/tyre" in [item.name for item in bare.visual_model.geometryObjects]
+
+
+def test_contacts_of_what_rolls_are_newtons_law_and_tell_what_is_not_determined(rolls: Rollout) -> None:
+    plant = rolls.plant
+    found = plant.contacts(rolls.q, rolls.v, rolls.a, rolls.u, rolls.signals)
+    mass = sum(inertia.mass for inertia in BOX.model.inertias)
+    c, s = np.cos(found.directions), np.sin(found.directions)
+    x = (c * found.forces[..., 0] - s * found.forces[..., 1]).sum(axis=1)
+    y = (s * found.forces[..., 0] + c * found.forces[..., 1]).sum(axis=1)
+    assert np.stack([x, y], axis=1) == pytest.approx(mass * rolls.a[:, :2], abs=1e-6)
+    assert found.determined.tolist() == [[True, False], [True, False]]
+    assert not found.slides.any()
+    assert np.all(found.loads > 0)
+    assert found.limits[..., 0] == pytest.approx(0.8 * found.loads)
+    assert found.centre == pytest.approx(np.tile([0.0, 1.0], (len(rolls), 1)), abs=0.02)
+    away = found.places - rolls.q[:, None, :2]
+    assert np.linalg.norm(away, axis=-1) == pytest.approx(0.23 * np.ones((len(rolls), 2)))
+
+
+def test_loads_that_cannot_be_told_are_no_numbers() -> None:
+    robot = WheeledRobot(BOX, WheelTable.differential(0.46, 0.1, **WHEEL))
+    q, v = (x[None] for x in posture(robot, 2))
+    found = robot.contacts(q, v, np.zeros_like(v), np.zeros((1, 2)), {})
+    assert np.isnan(found.loads).all()
+    assert np.isfinite(found.forces).all()
+
+
+def test_contacts_of_what_slides_are_the_signals_at_the_limit(slides: Rollout) -> None:
+    plant = slides.plant
+    found = plant.contacts(slides.q, slides.v, slides.a, slides.u, slides.signals)
+    assert found.slides[1:].all()
+    shares = np.abs(found.forces / found.limits)
+    assert shares[1:, :, 0] == pytest.approx(1.0)
+    assert found.limits[1:, :, 0] == pytest.approx(0.05 * found.loads[1:])
+    assert np.all(found.slips[2:, :, 0] * found.forces[2:, :, 0] < 0)  # friction brakes what slides
+
+
+def test_a_page_has_discs_forces_and_the_centre_and_colours_of_what_slides(
+    rolls: Rollout, slides: Rollout
+) -> None:
+    shown = Overlays(contacts=True, centre=True)
+    for run, paint, other in ((rolls, QUIET, SLIDES), (slides, SLIDES, QUIET)):
+        with Viewer(run.plant, overlays=shown) as viewer:
+            recording = viewer.record(run, fps=20)
+        tracks = {track["path"]: track["clip"]["tracks"] for track in recording.tracks}
+        contacts = [path for path in tracks if path.startswith("meshcat/contacts/")]
+        assert len({path.split("/")[2] for path in contacts}) == len(run.plant.table)
+        assert "meshcat/centre/way" in tracks
+        sent = b"".join(recording._commands)
+        legend = sent[sent.rindex(b"legend") :]
+        assert paint.encode() in legend
+        assert b"mu N" in legend
+        assert b"1 m = " in legend
+        assert GRIPS.encode() in legend  # of the discs
+        if run is rolls:
+            assert other.encode() not in legend
+            found = run.plant.contacts(run.q, run.v, run.a, run.u, run.signals)
+            place = next(t for t in tracks["meshcat/contacts/0/grips/disc"] if t["name"] == ".position")
+            assert place["values"][:3] == pytest.approx([*found.places[0, 0], 0.0], abs=1e-4)
+            assert place["values"][-3:] == pytest.approx([*found.places[-1, 0], 0.0], abs=1e-4)
+
+
+def test_overlays_of_contacts_are_refused_where_a_plant_tells_none(tmp_path: Path) -> None:
+    robot = MobileRobot.lecture()
+    run = simulate(robot, ComputedTorque(robot), Tangent(Circle(1, 0.5, 0.2)), dt=0.1)
+    with Viewer(robot) as viewer, pytest.raises(InvalidArgument, match="overlays has contacts or centre"):
+        viewer.record(run, overlays=Overlays(contacts=True))
+
+
+@pytest.mark.parametrize("figure", [plots.wheel_torques, plots.friction, plots.slip, plots.loads])
+def test_figures_of_wheels_have_a_line_for_each_and_units(
+    figure: Callable[..., Any], rolls: Rollout, slides: Rollout
+) -> None:
+    drawn = figure({"rolls": rolls, "slides": slides})
+    first, second = drawn.axes[:2]
+    assert [len(axes.get_legend().get_texts()) for axes in (first, second)] == [2, 4]
+    assert re.search(r"\[(N m|-|m/s|N)\]", first.get_ylabel())
+    assert len({line.get_color() for line in second.lines[:4]}) == 4
+    assert len({str(line._dash_pattern) for line in second.lines[:4]}) == 4
+    robot = MobileRobot.lecture()
+    bare = simulate(robot, ComputedTorque(robot), Tangent(Circle(1, 0.5, 0.2)), dt=0.1)
+    with pytest.raises(InvalidArgument, match=r"rollouts.plant is .*, expected a WheeledRobot"):
+        figure(bare)
+
+
+def words(axes: Axes) -> list[str]:
+    """Return what the legend of axes says."""
+    legend = axes.get_legend()
+    return [] if legend is None else [text.get_text() for text in legend.get_texts()]
+
+
+def test_figures_tell_shares_friction_and_odometry(rolls: Rollout, slides: Rollout) -> None:
+    assert words(plots.friction(rolls).axes[0]) == ["left (share)", "right (share)"]
+    top = max(np.max(np.asarray(line.get_ydata())) for line in plots.friction(slides).axes[0].lines[:4])
+    assert top == pytest.approx(1.0)
+    path, off = plots.odometry(rolls).axes
+    assert words(path) == ["desired", "true", "believed"]
+    believed = rolls.signals["believed_pose"].values
+    assert off.lines[0].get_ydata() == pytest.approx(np.hypot(*(believed - rolls.poses)[:, :2].T))
+    with pytest.raises(InvalidArgument, match="no signal believed_pose"):
+        plots.odometry(slides)
+    alone = WheeledRobot(BOX, WheelTable.differential(0.46, 0.1, **WHEEL))
+    with pytest.raises(InvalidArgument, match="loads are not known"):
+        plots.friction(_with_plant(rolls, alone))
+
+
+def _with_plant(run: Rollout, plant: WheeledRobot) -> Rollout:
+    from dataclasses import replace
+
+    return replace(run, plant=plant)
+
+
+def test_the_command_drives_and_writes_a_page_and_figures(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page, folder = tmp_path / "m.html", tmp_path / "out"
+    words = ["drive", "mecanum", "--duration", "0.5", "--html", str(page), "--out", str(folder)]
+    assert main(words) == 0
+    told = capsys.readouterr().out
+    assert "type (3, 0), omnidirectional" in told
+    assert "computed torque" in told
+    assert re.search(r"largest share of friction \[-\] +0\.\d+", told)
+    assert "meshcat/contacts" in page.read_text() or page.stat().st_size > 1e5
+    names = {path.name for path in folder.iterdir()}
+    assert {"index.html", "wheel_torques.png", "friction.png", "slip.png", "loads.png"} <= names
+
+
+@pytest.mark.parametrize("name", ["differential", "car", "omni", "swerve", "skid-steer"])
+def test_every_drive_has_a_controller(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["drive", name, "--trajectory", "circle", "--duration", "0.1", "--dt", "0.02"]) == 0
+    found = re.search(r"largest error in place \[m\] +(\S+)", capsys.readouterr().out)
+    assert found is not None
+    assert float(found[1]) < 0.05
+
+
+def test_the_command_drives_the_robot_of_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "ridgeback.urdf"
+    path.write_text(wheeled.ridgeback())
+    words = ["drive", "--urdf", str(path), "--rollers", str(pi / 4), "--duration", "0.2"]
+    assert main(words) == 0
+    assert "computed torque" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ([], "drive needs a drive"),
+        (["tank"], "unknown drive 'tank'"),
+        (["mecanum", "--urdf", "x.urdf"], "--urdf stands for a drive, but there is 'mecanum' too"),
+        (["mecanum", "--distance", "0.2"], "--distance does not apply to mecanum, which takes --wheelbase"),
+        (["mecanum", "--track", "-1"], "--track is -1"),
+        (["mecanum", "--html", "x.txt"], "--html is 'x.txt', expected a file that ends in .html"),
+        (
+            ["mecanum", "--rx", "1", "--trajectory", "circle"],
+            "--rx does not apply to the trajectory 'circle'",
+        ),
+    ],
+)
+def test_what_does_not_fit_is_refused(
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["drive", *words]) == 2
+    assert message in capsys.readouterr().err
