@@ -3,9 +3,9 @@
 import gc
 import os
 import signal
-import sys
 from collections import Counter
 from collections.abc import Iterator
+from pathlib import Path
 
 import matplotlib
 import numpy as np
@@ -25,7 +25,8 @@ matplotlib.use("Agg")
 settings.register_profile("default", deadline=None, max_examples=60)
 settings.register_profile("ci", deadline=None, max_examples=60, derandomize=True)
 settings.register_profile("repeated", settings.get_profile("ci"), max_examples=20)
-settings.load_profile("ci" if os.environ.get("CI") else "default")
+PROFILE = "ci" if os.environ.get("CI") else "default"
+settings.load_profile(PROFILE)
 
 
 SHARE = 4  # one of so many alike cases is taken where another Python takes all
@@ -33,25 +34,52 @@ MANY = 4  # cases of one test, from which on they are alike
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add what `.ci/run` says on all Pythons but the first."""
-    words = "all is tested by another Python: leave out what this one does not change, and most alike cases"
-    parser.addoption("--repeated", action="store_true", help=words)
+    """Add how `.ci/run` shares the tests out."""
+    words = (
+        "of N runs, the K-th, from 0, takes all tests of every N-th file; of other files what a Python may "
+        "change, without pages and most alike cases, of which each run takes others"
+    )
+    parser.addoption("--share", metavar="K/N", default="0/1", help=words)
+
+
+def shared(config: pytest.Config) -> tuple[int, int]:
+    """Return which of how many runs this one is."""
+    this, _, of = config.getoption("--share").partition("/")
+    if not (this.isdecimal() and of.isdecimal() and int(this) < int(of)):
+        raise pytest.UsageError(f"--share is {config.getoption('--share')!r}, expected K/N with K < N")
+    return int(this), int(of)
+
+
+def is_own(config: pytest.Config, path: Path) -> bool:
+    """Tell whether this run takes all tests of a file."""
+    this, of = shared(config)
+    files = sorted(each.name for each in Path(__file__).parent.glob("test_*.py"))
+    return path.name in files[this::of]
+
+
+def pytest_collectstart(collector: pytest.Collector) -> None:
+    """Take fewer random examples in the files that another run takes whole."""
+    if isinstance(collector, pytest.Module):
+        settings.load_profile(PROFILE if is_own(collector.config, collector.path) else "repeated")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Where that is asked for, leave out pages, what is marked ``once``, and three of four alike cases."""
-    if not config.getoption("--repeated"):
+    """Of files that another run takes whole, leave out pages, what is marked ``once``, and alike cases."""
+    this, of = shared(config)
+    if of == 1:
         return
     seen: Counter[str] = Counter()
     cases = Counter(item.nodeid.partition("[")[0] for item in items)
 
     def taken(item: pytest.Item) -> bool:
+        if is_own(config, item.path):
+            return True
         if item.get_closest_marker("once"):
             return False
         test = item.nodeid.partition("[")[0]
         if item.get_closest_marker("alike") or cases[test] >= MANY:
             seen[test] += 1
-            return seen[test] % SHARE == sys.version_info.minor % SHARE  # each Python takes others
+            return seen[test] % SHARE == this % SHARE
         return "page" not in getattr(item, "fixturenames", ())
 
     kept: dict[bool, list[pytest.Item]] = {True: [], False: []}
@@ -66,8 +94,6 @@ def pytest_configure(config: pytest.Config) -> None:
     why = refusal(os.environ.get("OPENBLAS_CORETYPE"))
     if why:
         raise pytest.UsageError(why)
-    if config.getoption("--repeated"):
-        settings.load_profile("repeated")
 
 
 def pytest_collection_finish() -> None:
@@ -81,10 +107,10 @@ def pytest_report_header(config: pytest.Config) -> str:
     return f"OpenBLAS: {', '.join(in_force().values()) or 'none'}"
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def share(request: pytest.FixtureRequest) -> int:
     """Return of how many random cases one is taken."""
-    return SHARE if request.config.getoption("--repeated") else 1
+    return 1 if is_own(request.config, request.path) else SHARE
 
 
 @pytest.fixture(scope="session")

@@ -309,7 +309,11 @@ def test_every_parameter_can_be_spread_and_matters() -> None:
             InvalidArgument,
             "std_v has shape (2,), expected () or (3,)",
         ),
-        ({"robot": WITH_ARM}, InvalidArgument, "q has shape (9,), the reference's has (3,)"),
+        (
+            {"robot": WITH_ARM},
+            InvalidArgument,
+            "q0 has shape (9,), expected (..., 3); the reference has the first 3 of 9",
+        ),
         (
             {"controller": ComputedTorque(WITH_ARM)},
             InvalidArgument,

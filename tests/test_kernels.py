@@ -70,7 +70,7 @@ def ran(machine: Path, pythons: int, failing: str = "") -> subprocess.CompletedP
     for version in ("3.11", "3.12", "3.13"):
         known = "true" if int(version[2:]) < 11 + pythons else "false"
         python = machine / "bin" / f"python{version}"
-        python.write_text(f"#!/bin/sh\necho {python}\n{known}\n")
+        python.write_text(f"#!/bin/sh\n{known} || exit 1\necho {python}\n")
         python.chmod(0o755)
     environment = os.environ | {
         "PATH": f"{machine / 'bin'}:{os.environ['PATH']}",
@@ -105,23 +105,27 @@ def test_ci_runs_each_python_under_another_kernel_and_leaves_none_out(machine: P
     assert len(tested) == max(pythons, len(kernels))
 
 
-def test_ci_takes_all_tests_on_the_first_python_and_says_so_to_the_others(machine: Path) -> None:
-    lines = [line for line in ran(machine, 3).stdout.splitlines() if "] make test" in line]
-    given = {line[1:5]: re.findall(r"ARGS=(.*) under", line) for line in lines}
-    assert given == {"3.11": [""], "3.12": ["--repeated"], "3.13": ["--repeated"]}
+def test_ci_shares_all_tests_out_among_the_pythons(machine: Path) -> None:
+    for pythons, shares in ((1, [""]), (3, ["--share=0/3", "--share=1/3", "--share=2/3"])):
+        lines = [line for line in ran(machine, pythons).stdout.splitlines() if "] make test" in line]
+        given = {line[1:5]: re.findall(r"ARGS=(.*) under", line)[0] for line in reversed(lines)}
+        assert given == {f"3.{11 + k}": share for k, share in enumerate(shares)}
 
 
 @pytest.mark.once
-def test_where_all_is_tested_elsewhere_pages_and_three_of_four_alike_cases_are_counted_as_left_out() -> None:
+def test_each_test_is_whole_in_one_run_and_three_of_four_alike_cases_are_left_out_of_others() -> None:
     asked = os.environ.get("OPENBLAS_CORETYPE", "")
-    done = collected(asked, "-q", "--repeated", "tests/test_viewer_browser.py").stdout
-    assert "test_errors" in done
-    assert "test_viewer_browser" not in done
-    assert re.search(r"^\d+/\d+ tests collected \([1-9]\d* deselected\)", done, re.MULTILINE)
-    words = "-q", "tests/test_mountable.py", "-k", "test_each_mounts"
-    some, all_ = (collected(asked, *more, *words).stdout.count("::") for more in (("--repeated",), ()))
-    assert all_ > 50
-    assert abs(some - all_ / 4) < 1
+    words = "-q", "tests/test_mountable.py", "tests/test_viewer_browser.py"
+    found = [collected(asked, f"--share={k}/2", *words).stdout for k in range(2)]
+    whole = collected(asked, *words).stdout
+    each = [set(re.findall(r"^tests/.*::.*$", text, re.MULTILINE)) for text in (*found, whole)]
+    assert each[0] | each[1] == each[2]
+    for name in ("test_mountable", "test_viewer_browser"):
+        sizes = [sum(f"{name}.py" in item for item in items) for items in each]
+        assert sizes[2] in sizes[:2]
+        assert min(sizes) < sizes[2] / 2
+    assert re.search(r"^\d+/\d+ tests collected \([1-9]\d* deselected\)", found[0], re.MULTILINE)
+    assert "expected K/N with K < N" in collected(asked, "--share=2/2").stderr
 
 
 def test_ci_fails_where_one_of_the_runs_does(machine: Path) -> None:

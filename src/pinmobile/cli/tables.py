@@ -156,7 +156,9 @@ def _classes(package: ModuleType, wanted: Callable[[type], bool]) -> dict[str, C
 
 
 Parts = Mapping[str, Callable[..., Any]]
-WRAPPERS: Parts = _classes(controllers, lambda kind: "controller" in _parameters(kind))
+WRAPPERS: Parts = _classes(
+    controllers, lambda kind: "controller" in _parameters(kind) and "robot" not in _parameters(kind)
+)
 FORCES: Parts = _classes(forces, lambda kind: True)
 STEPS: Parts = {name: partial(lambda step: step, step) for name, step in INTEGRATORS.items()}
 NONE: Parts = {}

@@ -655,7 +655,7 @@ class MobileRobot(System):
         that, wheels at rest; mesh files that are missing or cannot be read are named in a warning. Else a box
         of `size` on the ground, with a visible front. Then what is drawn of each arm, and the boxes of loads.
         """
-        return self._visuals.clone()
+        return self._seen[0].clone()
 
     @property
     def visual_joints(self) -> Mapping[str, tuple[str, ...]]:
@@ -664,10 +664,6 @@ class MobileRobot(System):
         Names, the nearest first; of `locked_joints` are those that are wheels.
         """
         return MappingProxyType(self._seen[1])
-
-    @property
-    def _visuals(self) -> pin.GeometryModel:
-        return self._seen[0]
 
     @cached_property
     def _seen(self) -> tuple[pin.GeometryModel, dict[str, tuple[str, ...]]]:
