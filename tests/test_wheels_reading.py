@@ -576,7 +576,7 @@ def test_mass_counted_twice(tmp_path: Path) -> None:
     own = WheelTable.differential(0.4, 0.1, mass=6.0)
     with pytest.raises(
         InvalidArgument,
-        match="robot has a mass of 11 kg, and its wheels 12 kg, which are a part of it; expected",
+        match="robot has a mass of 11 kg, and its wheels 12 kg, which are part of it; expected",
     ):
         WheeledRobot(robot, own)
     assert WheeledRobot(robot).mass_matrix(np.zeros(5))[0, 0] == pytest.approx(11)
