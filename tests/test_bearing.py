@@ -322,3 +322,5 @@ def test_other_parameters_are_those_of_another_robot() -> None:
     assert robot.with_parameters() == robot
     with pytest.raises(errors.InvalidArgument, match=r"^track is 0, expected > 0$"):
         robot.with_parameters(track=0.0)
+    with pytest.raises(errors.InvalidArgument, match=r"^upright is that of robots without arms"):
+        WheeledRobot(BODY.mount("ur5"), DIFFERENTIAL).with_parameters(upright=0.3)

@@ -415,6 +415,8 @@ class WheeledRobot(Bearing):
         if isinstance(ground, Coulomb):
             ground = replace(ground, mu=None)
         if higher:
+            if robot.mounts:
+                raise InvalidArgument("upright is that of robots without arms, expected none with arms")
             robot = _raised(robot, higher)
         return WheeledRobot(robot, replace(self.table, wheels=tuple(wheels)), ground)
 
