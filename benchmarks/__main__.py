@@ -16,11 +16,12 @@ import imports
 import loop
 import rollout
 import viewing
+import wheels
 from measuring import picked, selecting
 
 import memory
 
-PARTS = (rollout, arm, ensembles, arm_ensembles, loop, calls, batches, memory, viewing, imports)
+PARTS = (rollout, arm, ensembles, arm_ensembles, loop, calls, batches, memory, wheels, viewing, imports)
 PEOPLE = {
     rollout: rollout.EVERYONE,
     arm: arm.EVERYONE,
@@ -30,6 +31,7 @@ PEOPLE = {
     calls: calls.PEOPLE,
     batches: batches.EVERYONE,
     memory: memory.EVERYONE,
+    wheels: wheels.EVERYONE,
 }
 
 

@@ -87,6 +87,7 @@ INNER = {
         "Scenario.values",
     ),
     "sweeps.Code",
+    *(f"WheeledRobot.{name}" for name in ("follows", "measured", "slip_margins")),
     *(f"wheels.ByVoltage.{name}" for name in ("initial_state", "signals", "step", "traced")),
 }
 # What the library makes and users read: nobody calls the class.
@@ -348,6 +349,10 @@ MADE: dict[str, Callable[[], Any]] = {
     "swerve": lambda: WheeledRobot(
         WORLD.robot, WheelTable.swerve([(0.3, 0.1), (-0.3, -0.1)], 0.1, yaw_inertia=0.01)
     ),
+    "standing": lambda: WheeledRobot(
+        WORLD.robot, WheelTable.differential(0.5, 0.1, supports=[(0.6, 0.0), (-0.6, 0.0)])
+    ),
+    "wheeled_motion": lambda: pm.Motion(WORLD.standing, np.zeros(5), np.zeros(5), np.zeros(5), np.zeros(2)),
     "electric": lambda: WheeledRobot(
         WORLD.robot,
         WheelTable.differential(
@@ -553,7 +558,12 @@ ROWS: dict[str, Row] = {
     "RollingResistance": row(force=[1, 2, 3], speed=0.01),
     "ViscousFriction": row(coefficients=[1, 2, 3]),
     "Load": row(mass=1, com=(0, 0, 0.1), inertia=np.eye(3), size=(0.1, 0.1, 0.1)),
-    "Motion": row(plant=the("robot"), q=Q, v=V, a=A),
+    "Motion": row(plant=the("robot"), q=Q, v=V, a=A, u=[1, 2, 3]),
+    "Limit": row(value=1.5, what="left slips", time=0.5, factor=2),
+    "contact_loads": row(motion=the("wheeled_motion")),
+    "slip_margins": row(motion=the("wheeled_motion")),
+    "fastest": row(plant=the("standing"), trajectory=the("trajectory"), samples=20),
+    "steepest": row(plant=the("standing"), direction=0.5),
     "reaction_wrench": row(motion=the("arm_motion"), mount="arm"),
     "required_friction": row(motion=the("motion")),
     "balance.footprint_of": row(robot=the("robot"), footprint=[[-1, -1], [1, -1], [1, 1], [-1, 1]]),
@@ -882,7 +892,11 @@ ROWS: dict[str, Row] = {
     "WheeledRobot.contacts": row(**{name: [[0.1] * 5] * 2 for name in "qva"}, u=[[1, 2], [3, 4]], signals={}),
     "WheeledRobot.difference": row(q0=FIVE, q1=FIVE),
     "WheeledRobot.drawing": row(q=FIVE),
+    "WheeledRobot.contact_loads": row(q=FIVE, v=FIVE, a=FIVE),
     "WheeledRobot.effort": row(q=FIVE, wrench=A),
+    "WheeledRobot.ground_wrench": row(q=FIVE, v=FIVE, a=FIVE),
+    "WheeledRobot.mount_wrench": row(q=np.zeros(7), v=np.ones(7), a=np.ones(7), mount="arm"),
+    "WheeledRobot.on_ramp": row(angle=0.1, direction=0.2),
     "WheeledRobot.forward_dynamics": row(q=FIVE, v=FIVE, u=[1, 2], f=FIVE),
     "WheeledRobot.independent": row(q=FIVE, v=FIVE),
     "WheeledRobot.integrate": row(q=FIVE, dq=FIVE),
@@ -910,6 +924,7 @@ ROWS: dict[str, Row] = {
     "wheels.ByVoltage.forward_dynamics": row(q=FIVE, v=FIVE, u=[1, 2], f=FIVE),
     "wheels.ByVoltage.integrate": row(q=FIVE, dq=FIVE),
     "wheels.ByVoltage.mount": row(120, arm=the("arm"), at=(0, 0, 0.2, 0), name="arm"),
+    "wheels.ByVoltage.on_ramp": row(angle=0.1, direction=0.2),
     "wheels.ByVoltage.torques_at": row(v=FIVE, u=[1, 2]),
     "wheels.ByVoltage.volts_for": row(v=FIVE, torques=[1, 2]),
     "wheels.ByVoltage.with_parameters": row(resistance=[1.0, 1.1]),
@@ -980,6 +995,7 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "WheelTable": lambda: WheelTable,
     "WheeledRobot": lambda: WORLD.wheeled,
     "WheeledRobot.by_voltage": lambda: WORLD.electric,
+    "WheeledRobot.mount_wrench": lambda: WORLD.standing.mount(WORLD.arm, (0, 0, 0.2, 0), name="arm"),
     "WheeledRobot.inverse_dynamics": lambda: WORLD.mecanum,
     "WheeledRobot.check_inverse_dynamics": lambda: WORLD.mecanum,
     "wheels.ByVoltage": lambda: WORLD.electric.by_voltage(),
@@ -1090,7 +1106,8 @@ def resolved(name: str) -> Callable[..., Any]:
         return CALLED[name]
     owner, _, method = name.rpartition(".")
     if owner in OWNERS and owner not in MODULES:
-        held = WORLD.armed if method in ARMED else OWNERS.get(name, OWNERS[owner])()
+        own = OWNERS.get(name, OWNERS[owner])
+        held = WORLD.armed if method in ARMED and name not in OWNERS else own()
         return getattr(held, method)  # type: ignore[no-any-return]
     home = importlib.import_module(f"pinmobile.{owner}".rstrip("."))
     return getattr(home, method)  # type: ignore[no-any-return]

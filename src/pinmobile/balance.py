@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, broadcast, finite, frozen, vector
+from pinmobile.arrays import Array, ArrayLike, broadcast, finite, frozen, positive, scalar, vector, whole
+from pinmobile.compiled import Reference
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.plant import ContactLoads, SlipMargins
 from pinmobile.robot import WEIGHTLESS, checked_footprint, margin_inside, pressed_at
+
+_FASTEST = 1e6  # times as fast as the reference, beyond which nothing gives way
+_HALVINGS = 40
+_UPRIGHT = np.pi / 2 - 1e-9  # [rad]
 
 
 class Moving(Protocol):
@@ -47,6 +53,8 @@ class Motion:
         Configuration [m, m, rad, ...].
     v, a : array_like, shape (..., nv)
         Velocity and acceleration [m/s, m/s, rad/s, ...; per s].
+    u : array_like, shape (..., nu), optional
+        Input, on which the forces of wheels depend.
 
     Raises
     ------
@@ -58,12 +66,16 @@ class Motion:
     q: ArrayLike
     v: ArrayLike
     a: ArrayLike
+    u: ArrayLike | None = None
 
     def __post_init__(self) -> None:
         robot = _checked_robot("plant", self.plant)
         for name, size in (("q", robot.nq), ("v", robot.nv), ("a", robot.nv)):
             object.__setattr__(self, name, frozen(vector(name, getattr(self, name), size)))
-        broadcast(q=self.q, v=self.v, a=self.a)  # type: ignore[arg-type]
+        if self.u is not None:
+            object.__setattr__(self, "u", frozen(vector("u", self.u, robot.nu)))
+        given = {name: getattr(self, name) for name in "qvau" if getattr(self, name) is not None}
+        broadcast(**given)
 
 
 def _robot_of(motion: Any) -> Any:
@@ -211,6 +223,193 @@ def tip_over_margin(motion: Moving, footprint: ArrayLike | None = None) -> Array
     corners = footprint_of(_robot_of(motion), footprint)
     margin = margin_inside(corners, body_zero_moment_point(motion))
     return np.where(np.isnan(margin), -np.inf, margin)
+
+
+def contact_loads(motion: Moving) -> ContactLoads:
+    """Return what each wheel and support carries: names, loads, and where the robot begins to tip over.
+
+    They balance the ground's wrench, arms and spinning wheels included. Three are found by that; more share
+    as equal springs do, and what would pull has lifted off.
+
+    Parameters
+    ----------
+    motion : Rollout or Motion
+        Robot, q, v and a. Forces that do not come from the ground count as if they did.
+
+    Raises
+    ------
+    InvalidArgument
+        If the plant has no ``contact_loads``, or it is not known where it stands.
+    """
+    answer = _able(motion, "contact_loads", "what its wheels carry")
+    return answer(motion.q, motion.v, motion.a)  # type: ignore[no-any-return]
+
+
+def slip_margins(motion: Moving) -> SlipMargins:
+    """Return the friction that is left at each wheel before it slips, ``mu N - hypot(along, across)`` [N].
+
+    Where rolling does not determine how wheels share the force across their axle, it is the axle's margin,
+    under the names of its wheels: that of the best split.
+
+    Parameters
+    ----------
+    motion : Rollout or Motion
+        Robot, q, v, a and u; wheels that may slip have their forces in the signals of a `Rollout`.
+
+    Raises
+    ------
+    InvalidArgument
+        If the plant has no ``slip_margins``, it is not known where it stands, or the motion does not tell the
+        forces.
+    """
+    answer = _able(motion, "slip_margins", "how far its wheels are from slipping")
+    return answer(motion)  # type: ignore[no-any-return]
+
+
+def _able(motion: Any, name: str, words: str) -> Any:
+    """Return a method of the plant of a motion.
+
+    Raises
+    ------
+    InvalidArgument
+        If the plant has none of that name.
+    """
+    return _method("motion.plant", _robot_of(motion), name, words)
+
+
+def _method(argument: str, plant: Any, name: str, words: str) -> Any:
+    found = getattr(plant, name, None)
+    if isinstance(plant, type) or not callable(found):
+        raise InvalidArgument(
+            f"{argument} is {shown(plant)}, which does not tell {words}, expected a WheeledRobot, or a plant "
+            f"with {name}"
+        )
+    return found
+
+
+class Limit(NamedTuple):
+    """Where something gives way first.
+
+    Attributes
+    ----------
+    value : float
+        The largest speed along the path [m/s], or the steepest angle of the ground [rad]; infinite where
+        nothing gives way.
+    what : str
+        What gives way beyond, such as ``"left + right slip"`` or ``"support 1 lifts"``; else "".
+    time : float
+        When along the reference, at its own pace [s]; 0 of ramps.
+    factor : float
+        How many times as fast as the reference goes; 1 of ramps.
+    """
+
+    value: float
+    what: str
+    time: float = 0.0
+    factor: float = 1.0
+
+
+def fastest(plant: Any, trajectory: Any, samples: int = 400) -> Limit:
+    """Return how fast a robot can follow a trajectory before a wheel slips or something lifts off.
+
+    The whole trajectory is taken faster or slower: the same places at times that are all shortened alike,
+    so that velocities grow with the factor and accelerations with its square. Wheels roll, driven by torques
+    of least norm; limits of motors do not count.
+
+    Parameters
+    ----------
+    plant : WheeledRobot or plant
+        One with ``follows(t, reference)``.
+    trajectory : Trajectory
+        What it follows, such as ``Tangent(path)``.
+    samples : int
+        At how many times, evenly over the trajectory.
+
+    Raises
+    ------
+    InvalidArgument
+        If an argument is something else, the wheels cannot follow, or something slips or lifts at rest.
+    """
+    follows = _method("plant", plant, "follows", "what it takes to follow a trajectory")
+    if not callable(trajectory) or not hasattr(trajectory, "duration"):
+        raise InvalidArgument(f"trajectory is {shown(trajectory)}, expected one such as Tangent(path)")
+    duration = positive("trajectory.duration", trajectory.duration, "s")
+    t = np.linspace(0.0, duration, whole("samples", samples, least=4))
+    reference = trajectory(t)
+    is_reference = isinstance(reference, tuple) and all(hasattr(reference, name) for name in "qva")
+    if not is_reference:
+        raise InvalidArgument(
+            f"trajectory is {shown(trajectory)}, which returned {shown(reference)}, expected a Reference: "
+            "take Tangent(path) of a path"
+        )
+    going = follows(t, reference)
+    speed = float(np.hypot(*np.moveaxis(reference.v[..., :2], -1, 0)).max())
+    if _first(going, 0.0)[0] < 0:
+        raise InvalidArgument(
+            f"plant does not stand where it is at rest: {_first(going, 0.0)[1]}, expected one that does"
+        )
+    low, high = 0.0, 1.0
+    while _first(going, high)[0] >= 0:
+        low, high = high, 2.0 * high
+        if high > _FASTEST:
+            return Limit(np.inf, "", 0.0, np.inf)
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if _first(going, middle)[0] >= 0 else (low, middle)
+    _, what, at = _first(going, high)
+    return Limit(low * speed, what, float(t[at]), low)
+
+
+def steepest(plant: Any, direction: float = 0.0) -> Limit:
+    """Return the steepest ramp on which a robot stands, held by its motors, before it slips or tips.
+
+    Parameters
+    ----------
+    plant : WheeledRobot or plant
+        One with ``on_ramp(angle, direction)`` and ``follows(t, reference)``.
+    direction : float
+        Which way is up, from the body's x axis [rad].
+
+    Raises
+    ------
+    InvalidArgument
+        If an argument is something else, or the robot rolls away on any ramp, since nothing holds its wheels.
+    """
+    on_ramp = _method("plant", plant, "on_ramp", "what a ramp changes")
+    direction = scalar("direction", direction)
+    still = Reference(np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 3)))
+
+    def worst(angle: float) -> tuple[float, str, int]:
+        return _first(on_ramp(angle, direction).follows(np.zeros(1), still), 0.0)
+
+    if worst(0.0)[0] < 0:
+        raise InvalidArgument(
+            f"plant does not stand on level ground: {worst(0.0)[1]}, expected one that does"
+        )
+    low, high = 0.0, _UPRIGHT
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if worst(middle)[0] >= 0 else (low, middle)
+    return Limit(low, worst(high)[1])
+
+
+def _first(going: Any, factor: float) -> tuple[float, str, int]:
+    """Return the smallest margin or load of a motion, whose it is, and at which sample."""
+    told = going.at(factor)
+    if not isinstance(told, tuple) or len(told) != 2:
+        raise InvalidArgument(
+            f"plant follows a reference and tells {shown(told)}, expected ContactLoads and SlipMargins"
+        )
+    loads, margins = told
+    found = []
+    for values, names, verb in (
+        (loads.springs, loads.names, "lifts"),
+        (margins.values, margins.names, "slips"),
+    ):
+        at, k = np.unravel_index(int(np.argmin(values)), values.shape)
+        plural = verb.rstrip("s") if " + " in names[k] else verb
+        found.append((float(values[at, k]), f"{names[k]} {plural}", int(at)))
+    return min(found)
 
 
 def footprint_of(robot: Any, footprint: ArrayLike | None = None) -> Array:

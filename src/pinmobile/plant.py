@@ -78,6 +78,14 @@ class Plant(Protocol):
         What `pinmobile.balance` asks, of many states at once: the wrench (fx, fy, fz, mx, my, mz) of the
         ground on the body, along and about the body's frame [N, N m]; and the corners (k, 2) of what it
         stands on [m].
+    ``contact_loads(q, v, a) -> ContactLoads``, ``slip_margins(motion) -> SlipMargins``
+        Also what `balance` asks: what each contact carries, and how far from slipping it is in a motion,
+        which has q, v, a and u, and of a run ``signals``.
+    ``follows(t, reference)``
+        What goes along a reference: its ``at(factor)`` tells `ContactLoads` and `SlipMargins` where it goes
+        so many times as fast.
+    ``on_ramp(angle, direction) -> plant``
+        The same on ground that rises by an angle, the way up from the inertial x axis [rad].
     ``measures``, ``measured(t, q, v, a, u, reference) -> (m,)``
         What is worth judging about a sample beside errors, a tuple of m `pinmobile.measures.Measure`, and the
         law that gives them, all numbers the plant's own: ensembles keep the worst of each.
@@ -128,7 +136,9 @@ class Step(NamedTuple):
 
 
 class Contacts(NamedTuple):
-    """What the ground does where a plant touches it, at n samples.
+    """What the ground does where a plant touches it, at n samples of a run: for the viewer and plots.
+
+    Loads and margins that `pinmobile.balance` judges, of any states, are `ContactLoads` and `SlipMargins`.
 
     Attributes
     ----------
@@ -166,6 +176,53 @@ class Contacts(NamedTuple):
     slips: Array
     slides: NDArray[np.bool_]
     centre: Array
+
+
+class ContactLoads(NamedTuple):
+    """What each place where a robot touches the ground carries, of any states: for `pinmobile.balance`.
+
+    Supports without wheels are among them. For the viewer, a run has `Contacts`.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the contacts.
+    values : ndarray, shape (..., k)
+        Load of each, none below zero [N].
+    springs : ndarray, shape (..., k)
+        The same where contacts could pull too: below zero where one has lifted off [N].
+    tips : ndarray of bool, shape (...)
+        Where no loads balance the robot, which begins to tip over.
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    springs: Array
+    tips: NDArray[np.bool_]
+
+
+class SlipMargins(NamedTuple):
+    """How far wheels are from slipping, of any states: for `pinmobile.balance`.
+
+    Of wheels whose shares of a force are not determined it is the sum. For the viewer, a run has `Contacts`.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of a wheel, or of the wheels of an axle, such as ``"left + right"``, of which only the sum of the
+        forces across them is determined.
+    values : ndarray, shape (..., k)
+        Friction that is left, below zero where the ground would have to exert more than it can [N].
+    along : ndarray, shape (..., wheels)
+        Force of the ground along each wheel, or along the axis of its roller [N].
+    across : ndarray, shape (..., k)
+        That across them [N].
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    along: Array
+    across: Array
 
 
 class Coordinate(NamedTuple):

@@ -27,6 +27,7 @@ from pinmobile.robot.stance import (
     WEIGHTLESS as WEIGHTLESS,
     Stance,
     checked_footprint as checked_footprint,
+    hull as hull,
     margin_inside as margin_inside,
     pressed_at as pressed_at,
 )

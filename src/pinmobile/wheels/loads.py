@@ -12,7 +12,6 @@ import numpy as np
 
 from pinmobile.compiled import choose, higher, plain
 from pinmobile.robot import ONE, ZERO, Vector, dot, exact, number, scalars, vector_of as stacked
-from pinmobile.wheels.rolling import State, WheeledBody
 
 _BASE = 3
 _FLAT = 1e-9  # of the determinant of all contacts: those that are left stand on a line
@@ -30,10 +29,14 @@ class Loads(NamedTuple):
     tips : scalar
         1 where no loads of three contacts, or more, balance the robot, which begins to tip over; what is
         told then carries the weight alone. Else 0.
+    springs : list of scalars
+        What equal springs at all contacts would carry that may pull too: below zero where a contact has no
+        load [N].
     """
 
     values: Vector
     tips: Any
+    springs: Vector
 
 
 def shared_loads(places: Sequence[Vector], fz: Any, mx: Any, my: Any, drops: int | None = None) -> Loads:
@@ -55,6 +58,7 @@ def shared_loads(places: Sequence[Vector], fz: Any, mx: Any, my: Any, drops: int
     fz, mx, my = number(fz), number(mx), number(my)
     kept: Vector = [ONE] * len(places)
     values, whole = _of_springs(places, kept, [fz, mx, my])
+    springs = values
     least, tips = -_NOTHING * abs(fz), choose(fz <= 0.0, 1.0, 0.0)
     for _ in range(count):
         kept = [choose(x < least, 0.0, number(weight)) for x, weight in zip(values, kept, strict=True)]
@@ -68,7 +72,7 @@ def shared_loads(places: Sequence[Vector], fz: Any, mx: Any, my: Any, drops: int
     total = sum(pressed[1:], pressed[0])
     # Where one is below zero that cannot be dropped, the others carry the weight, and moments are left.
     scale = choose(tips > 0.0, higher(fz, 0.0) / choose(total > 0.0, total, 1.0), 1.0)
-    return Loads([x * scale for x in pressed], tips)
+    return Loads([x * scale for x in pressed], tips, springs)
 
 
 def _of_springs(
@@ -92,8 +96,19 @@ def _of_springs(
     return [number(dot(row, bent)) for row in weighed], area
 
 
-def wheel_loads(body: WheeledBody, upright: Vector, state: State, rate: Vector, q: Any) -> Loads:
-    """Return what wheels and supports carry.
+def places_of(body: Any, steering: Sequence[Any]) -> list[Vector]:
+    """Return where wheels and supports touch the ground, along the body's axes [m]."""
+    found = [body.kinematics.centre(row, steering)[1] for row in range(len(body.table))]
+    return found + [[exact(each.x), exact(each.y)] for each in body.table.supports]
+
+
+def wheel_loads(body: Any, state: Any, felt: Vector, q: Any) -> Loads:
+    """Return what wheels and supports carry: see `pressed`."""
+    return shared_loads(places_of(body, state.steering), *pressed(body, state, felt, q))
+
+
+def pressed(body: Any, state: Any, felt: Vector, q: Any) -> Vector:
+    """Return fz, mx and my of the ground on a robot, wheels spinning [N, N m, N m].
 
     What the ground exerts is the rate of momentum of all bodies, less gravity: of a robot without arms by
     Newton's and Euler's equations, of others by their recursion; the spin of the wheels is added.
@@ -102,26 +117,22 @@ def wheel_loads(body: WheeledBody, upright: Vector, state: State, rate: Vector, 
     ----------
     body : WheeledBody
         The robot.
-    upright : list of 3 scalars
-        As of `SlippingBody`.
     state : State
         Shape and velocities.
-    rate : list of scalars
-        Rates of the velocities along the body's axes.
+    felt : list of scalars
+        Accelerations along the body's axes, less gravity in the plane.
     q : ndarray
         Any configuration, for its shape.
     """
-    vx, vy, w = state.twist
-    pull = body.pull(state)
-    a = [rate[0] - w * vy - pull[0], rate[1] + w * vx - pull[1], *rate[2:]]
-    fz, mx, my = _carried(body, upright, state, a, q)
+    w = state.twist[2]
+    fz, mx, my = _carried(body, state, felt, q)
     first = _BASE + body.na
     rates = [*state.rates]
     for row, spin in enumerate(numbers(body.spin_inertia)):
         head, k = body.kinematics.heading(row, state.steering), len(body.table.axes) + row
         steered = [axis for at, axis in body._steered if at == row]
         turn = w + head.first * rates[steered[0]] if steered else w
-        faster, slower = spin * rate[first + k], spin * rates[k] * turn
+        faster, slower = spin * felt[first + k], spin * rates[k] * turn
         mx = mx - head.s * faster - head.c * slower
         my = my + head.c * faster - head.s * slower
         wheel = body.table.wheels[row]
@@ -129,17 +140,15 @@ def wheel_loads(body: WheeledBody, upright: Vector, state: State, rate: Vector, 
             (o, p), (o0, p0) = body._centres(row, state)
             weight, axis = -wheel.mass * float(body.fall[2]), steered[0]
             mx, my = mx + weight * (p[1] - p0[1]), my - weight * (p[0] - p0[0])
-            turning = rate[2] + head.first * rate[first + axis] + head.second * rates[axis] * rates[axis]
+            turning = felt[2] + head.first * felt[first + axis] + head.second * rates[axis] * rates[axis]
             swing = wheel.mass * numbers(body.radius)[row]
-            ahead = rate[2] * o0[1] - turning * o[1] - turn * turn * o[0] + w * w * o0[0]
-            aside = turning * o[0] - rate[2] * o0[0] - turn * turn * o[1] + w * w * o0[1]
+            ahead = felt[2] * o0[1] - turning * o[1] - turn * turn * o[0] + w * w * o0[0]
+            aside = turning * o[0] - felt[2] * o0[0] - turn * turn * o[1] + w * w * o0[1]
             mx, my = mx - swing * aside, my + swing * ahead
-    places = [body.kinematics.centre(row, state.steering)[1] for row in range(len(body.table))]
-    places += [[exact(each.x), exact(each.y)] for each in body.table.supports]
-    return shared_loads(places, fz, mx, my)
+    return [fz, mx, my]
 
 
-def _carried(body: WheeledBody, upright: Vector, state: State, a: Vector, q: Any) -> Vector:
+def _carried(body: Any, state: Any, a: Vector, q: Any) -> Vector:
     """Return fz, mx and my of the ground, wheels at rest in the body; `a` has no part of gravity."""
     if body.na:
         n = _BASE + body.na
@@ -152,7 +161,7 @@ def _carried(body: WheeledBody, upright: Vector, state: State, a: Vector, q: Any
         return [x - body._slack * y for x, y in zip(found, weights, strict=True)]
     own = body.robot
     m, x, y = (exact(item(each)) for each in (own.mass, own.com_x, own.com_y))
-    (height, xz, yz), w, spin, g = upright, state.twist[2], a[2], -float(body.fall[2])
+    (height, xz, yz), w, spin, g = numbers(body.upright), state.twist[2], a[2], -float(body.fall[2])
     ax, ay = a[0] - spin * y - w * w * x, a[1] + spin * x - w * w * y
     mx = m * (y * g - height * ay) + (xz * spin - yz * (w * w))
     my = m * (height * ax - x * g) + (yz * spin + xz * (w * w))

@@ -32,6 +32,9 @@ _OF_TORQUES = (
     "constraint_forces",
     "input_matrix",
     "calls",
+    "slip_margins",
+    "measures",
+    "measured",
 )
 
 

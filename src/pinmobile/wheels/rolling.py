@@ -15,6 +15,7 @@ from typing import Any, ClassVar, NamedTuple, final
 import numpy as np
 
 from pinmobile.arrays import Array
+from pinmobile.measures import Measure
 from pinmobile.plant import Coordinate, Input, Parameter
 from pinmobile.robot import (
     ZERO,
@@ -30,7 +31,9 @@ from pinmobile.robot import (
     solved as solved_by,
     vector_of as stacked,
 )
+from pinmobile.wheels.judging import measured, measures_of
 from pinmobile.wheels.kinematics import Choice, Kinematics, Row, Solution, solved
+from pinmobile.wheels.standing import Group, groups_of
 from pinmobile.wheels.table import Axis, WheelTable
 
 _BASE = 3
@@ -101,6 +104,15 @@ class WheeledBody:
         What motors add to the inertia [kg m^2].
     fall : ndarray, shape (3,)
         Gravity along the axes of the plane [m/s^2].
+    mu : ndarray, shape (wheels,)
+        Coefficients of friction, of rollers along their axes.
+    upright : ndarray, shape (3,)
+        Of a robot without arms, what the ground alone feels: height of the centre of mass of the whole [m],
+        and inertia xz and yz about it [kg m^2].
+    footprint : ndarray, shape (k, 2), or None
+        Corners of what it stands on [m].
+    stands : bool
+        Whether it is known where it stands: how high it is, on three places that are not on a line.
     choice : Choice
         Which rows of the wheels determine what, where they roll.
     coordinates, inputs, ends, parameters
@@ -115,6 +127,10 @@ class WheeledBody:
     spin_inertia: Any
     rotors: Any
     fall: Any
+    mu: Any
+    upright: Any
+    footprint: Array | None
+    stands: bool
     choice: Choice
     coordinates: tuple[Coordinate, ...]
     inputs: tuple[Input, ...]
@@ -162,6 +178,12 @@ class WheeledBody:
     def kinematics(self) -> Kinematics:
         """Its rows."""
         return Kinematics(self.table, scalars(self.x), scalars(self.y), scalars(self.radius))
+
+    @property
+    def weight(self) -> Any:
+        """Weight of all that it is made of, across the plane [N]."""
+        own = self.robot.weight if self.na else self.robot.mass * float(np.linalg.norm(self.fall))
+        return own * (1.0 - self._slack)
 
     def state(self, q: Any, v: Any) -> State:
         """Return a public state, seen from the body."""
@@ -515,6 +537,21 @@ class WheeledBody:
 @dataclass(frozen=True, eq=False)
 class RollingBody(WheeledBody):
     """A robot whose wheels roll ideally, unchecked."""
+
+    @cached_property
+    def groups(self) -> tuple[Group, ...]:
+        """Wheels, alone or together, as their lateral forces are determined; none on gear trains."""
+        return groups_of(self)
+
+    @cached_property
+    def measures(self) -> tuple[Measure, ...]:
+        """What is worth judging about it: see `WheeledRobot.measures`."""
+        return measures_of(self, slips=False)
+
+    def measured(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
+        """Return its measures, shape (..., m)."""
+        del t
+        return measured(self, q, v, a, u, reference.q, slips=False)
 
     def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
         """Return a = S nu' + gamma, S' M S nu' = S' (tau - n - M gamma), shape (..., nv)."""

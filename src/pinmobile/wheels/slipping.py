@@ -15,6 +15,7 @@ import numpy as np
 
 from pinmobile.compiled import choose
 from pinmobile.errors import InvalidArgument
+from pinmobile.measures import Measure
 from pinmobile.plant import Step
 from pinmobile.robot import (
     ONE,
@@ -28,6 +29,7 @@ from pinmobile.robot import (
     vector_of as stacked,
 )
 from pinmobile.wheels.contact import Bounds, Impulses, Touch, impulses
+from pinmobile.wheels.judging import measured, measures_of
 from pinmobile.wheels.loads import Loads, item, numbers, quick, wheel_loads
 from pinmobile.wheels.motors import Motors, Push, theta
 from pinmobile.wheels.rolling import State, WheeledBody
@@ -98,26 +100,31 @@ class SlippingBody(WheeledBody):
 
     Parameters
     ----------
-    mu, across, rolling, slip : ndarray, shape (wheels,)
+    across, rolling, slip : ndarray, shape (wheels,)
         As of `Friction`.
-    upright : ndarray, shape (3,)
-        Of a robot without arms, what the ground alone feels: height of the centre of mass of the whole [m],
-        and inertia xz and yz about it [kg m^2].
     passes, sweeps, tolerance
         As of `Coulomb`.
     rubbing : tuple of int
         Actuators with dry friction, each of wheels that turn together.
     """
 
-    mu: Any
     across: Any
     rolling: Any
     slip: Any
-    upright: Any
     passes: int
     sweeps: int
     tolerance: float
     rubbing: tuple[int, ...] = ()
+
+    @cached_property
+    def measures(self) -> tuple[Measure, ...]:
+        """What is worth judging about it: see `WheeledRobot.measures`."""
+        return measures_of(self, slips=True)
+
+    def measured(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
+        """Return its measures, shape (..., m)."""
+        del t
+        return measured(self, q, v, a, u, reference.q, slips=True)
 
     # Gear trains
 
@@ -212,8 +219,21 @@ class SlippingBody(WheeledBody):
         return _Shape(solve, touches, touched, rest, [*columns, *(units[at] for at in holding)])
 
     def loads(self, state: State, rate: Vector, q: Any) -> Loads:
-        """Return what wheels and supports carry: see `wheel_loads`."""
-        return wheel_loads(self, numbers(self.upright), state, rate, q)
+        """Return what wheels and supports carry: see `wheel_loads`.
+
+        Parameters
+        ----------
+        state : State
+            Shape and velocities.
+        rate : list of scalars
+            Rates of the velocities along the body's axes.
+        q : ndarray
+            Any configuration, for its shape.
+        """
+        vx, vy, w = state.twist
+        pull = self.pull(state)
+        felt = [rate[0] - w * vy - pull[0], rate[1] + w * vx - pull[1], *rate[2:]]
+        return wheel_loads(self, state, felt, q)
 
     def _bounds(
         self, shape: _Shape, loads: Vector, slips: Sequence[Vector], h: Any, pushes: Sequence[Push] = ()

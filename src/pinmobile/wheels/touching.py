@@ -40,8 +40,8 @@ def contacts_of(wheeled: Any, q: Array, v: Array, a: Array, u: Array, signals: M
     k = len(table)
     steering = list(np.moveaxis(q[:, wheeled.robot.nq : wheeled.robot.nq + len(table.axes)], -1, 0))
     places, directions = _placed(Kinematics.of(table), q, steering)
+    mu = wheeled.mu
     if isinstance(wheeled.ground, Coulomb):
-        mu = wheeled.mu
         _check_signals(signals, n)
         forces = np.stack([signals["along"].values, signals["across"].values], axis=-1)
         slips = np.stack([signals["slip_along"].values, signals["slip_across"].values], axis=-1)
@@ -49,7 +49,6 @@ def contacts_of(wheeled: Any, q: Array, v: Array, a: Array, u: Array, signals: M
         regular = wheeled.mobility.is_regular
         determined = _known(wheeled) if regular else np.ones((k, 2), bool)
     else:
-        mu = np.array([wheel.friction.mu for wheel in table.wheels])
         forces, determined = _constrained(wheeled, q, v, u), _known(wheeled)
         loads, slips, slides = _carried(wheeled, q, v, a), np.zeros((n, k, 2)), np.zeros((n, k), bool)
         slips[..., 1] = _rolls_over(wheeled, q, v)
@@ -135,16 +134,9 @@ def _rolls_over(wheeled: Any, q: Array, v: Array) -> Array:
 def _carried(wheeled: Any, q: Array, v: Array, a: Array) -> Array:
     """Return the loads of the wheels, shape (n, k) [N]; not a number where they cannot be told."""
     k = len(wheeled.table)
-    try:
-        other = type(wheeled)(wheeled.robot, wheeled.table, Coulomb(ramp=wheeled.ground.ramp)).traced()
-    except InvalidArgument:
+    if not wheeled.traced().stands:
         return np.full((len(q), k), np.nan)
-    state = other.state(q, v)
-    (vx, vy, w), c, s = state.twist, np.cos(q[:, 2]), np.sin(q[:, 2])
-    ahead, aside = c * a[:, 0] + s * a[:, 1], c * a[:, 1] - s * a[:, 0]
-    rate = [ahead + w * vy, aside - w * vx, *np.moveaxis(a[:, 2:], -1, 0)]
-    values = other.loads(state, rate, q).values[:k]
-    return np.stack([np.broadcast_to(number(x), len(q)) for x in values], axis=-1)
+    return np.asarray(wheeled.contact_loads(q, v, a).values[:, :k])
 
 
 def _centre(pose: Array, rate: Array) -> Array:

@@ -305,6 +305,10 @@ class ByVoltage:
         """Return the robot with a load fixed to one of its frames: see `MobileRobot.attach`."""
         return ByVoltage(self.wheeled.attach(load, frame))
 
+    def on_ramp(self, angle: float, direction: float = 0.0) -> ByVoltage:
+        """Return the robot on ground that rises: see `WheeledRobot.on_ramp`."""
+        return ByVoltage(self.wheeled.on_ramp(angle, direction))
+
     def traced(self) -> VoltageBody:
         """Return its dynamics over symbols or arrays."""
         return self._traced

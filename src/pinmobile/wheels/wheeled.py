@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from os import PathLike
 from types import MappingProxyType
@@ -27,8 +27,9 @@ from pinmobile.arrays import (
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Contacts, Coordinate, Input, Parameter, Step
-from pinmobile.robot import BODY_JOINT, LOCKED, Load, MobileRobot, Mount, number
+from pinmobile.robot import BODY_JOINT, LOCKED, Load, MobileRobot, Mount, hull, number
 from pinmobile.urdf import Body
+from pinmobile.wheels.bearing import Bearing
 from pinmobile.wheels.description import joint_signs, read_robot, read_wheels
 from pinmobile.wheels.drawn import Picture
 from pinmobile.wheels.ground import Coulomb, Ground, Rolling
@@ -86,7 +87,7 @@ class Allocation(NamedTuple):
 @final
 @constant
 @dataclass(frozen=True, eq=False, repr=False)
-class WheeledRobot:
+class WheeledRobot(Bearing):
     """A robot on wheels: q = (x, y, psi, arms, steering, wheels), u = torques at arms, wheels and axes.
 
     All methods broadcast over leading axes, and raise `InvalidArgument` for arguments of another last axis or
@@ -183,13 +184,7 @@ class WheeledRobot:
                 "wheels depend; expected one read with ground=, or ground=Rolling()"
             )
         led(self.table)
-        places = [[1.0, *wheel.centre] for wheel in self.table.wheels]
-        places += [[1.0, each.x, each.y] for each in self.table.supports]
-        if np.linalg.matrix_rank(np.array(places), tol=_SAME_LINE) < 3:
-            raise InvalidArgument(
-                f"table has {len(places)} places where the robot stands, on one line, expected three that "
-                "are not: give supports=[(x, y), ...], where casters stand"
-            )
+        self._check_places()
         moving = np.diagonal(self.mass_matrix(self.rest))[self.robot.nv :]
         for name, inertia in zip(
             (*(axis.name for axis in self.table.axes), *self.table.names), moving, strict=True
@@ -199,6 +194,38 @@ class WheeledRobot:
                     f"{name} of the table has no inertia about its axis, expected one > 0 where wheels slip: "
                     "give spin_inertia, and yaw_inertia of wheels that steer"
                 )
+
+    @cached_property
+    def _places(self) -> Array:
+        """Where it touches the ground at steering angles zero, wheels and then supports, shape (k, 2) [m]."""
+        places = [wheel.centre for wheel in self.table.wheels]
+        return frozen([*places, *((each.x, each.y) for each in self.table.supports)])
+
+    @cached_property
+    def _has_area(self) -> bool:
+        ones = np.ones((len(self._places), 1))
+        return bool(np.linalg.matrix_rank(np.hstack([ones, self._places]), tol=_SAME_LINE) == 3)
+
+    def _check_places(self) -> None:
+        if not self._has_area:
+            raise InvalidArgument(
+                f"table has {len(self._places)} places where the robot stands, on one line, expected three "
+                "that are not: give supports=[(x, y), ...], where casters stand"
+            )
+
+    @property
+    def grounded(self) -> bool:
+        """Whether the body's origin is known to lie on the ground; if not, nothing is known of its loads."""
+        return self.robot.grounded
+
+    @cached_property
+    def footprint(self) -> Array | None:
+        """Corners of what it stands on, wheels at steering angles zero and supports, shape (k, 2) [m].
+
+        Counter-clockwise, in the body's frame; None where they are on one line.
+        """
+        corners = hull(self._places) if self._has_area else None
+        return None if corners is None else frozen(corners)
 
     def _key(self) -> tuple[object, ...]:
         return self.robot, self.table, self.ground
@@ -344,15 +371,19 @@ class WheeledRobot:
                         entry=k,
                     )
                 )
-        if isinstance(self.ground, Coulomb):
-            found.append(Parameter("mu", "", "coefficient of friction of all wheels", 0.0))
-            for k, name in enumerate(self.table.names):
-                meaning = f"coefficient of friction of wheel {name}"
-                found.append(Parameter(f"mu_{name}", "", meaning, 0.0, attribute="mu", entry=k))
-            if not self.robot.mounts:
-                found.append(
-                    Parameter("com_z", "m", "height of the centre of mass", attribute="upright", entry=0)
-                )
+        found.append(Parameter("mu", "", "coefficient of friction of all wheels", 0.0))
+        for k, name in enumerate(self.table.names):
+            meaning = f"coefficient of friction of wheel {name}"
+            found.append(Parameter(f"mu_{name}", "", meaning, 0.0, attribute="mu", entry=k))
+        if not self.robot.mounts:
+            found.append(
+                Parameter("com_z", "m", "height of the centre of mass", attribute="upright", entry=0)
+            )
+        sides = [wheel.y for wheel in self.table.wheels]
+        if min(sides) < 0 < max(sides):
+            width = max(sides) - min(sides)
+            words = "largest distance between wheels to left and right, which all move in proportion"
+            found.append(Parameter("track", "m", words, 0.0, False, "y", None, _Track(width), width))
         return tuple(found)
 
     def with_parameters(self, **values: ArrayLike) -> WheeledRobot:
@@ -377,7 +408,10 @@ class WheeledRobot:
             if name in columns and given.shape in ((), columns[name].shape):
                 columns[name][...] = given
             elif name in named and given.ndim == 0:
-                columns[named[name].attribute or name][named[name].entry] = given
+                if not named[name].allows(given):
+                    raise InvalidArgument(f"{name} is {given:g}, expected {named[name].bound}")
+                column = named[name].attribute or name
+                columns[column] = named[name].written(columns[column][None], given[None], BODY_JOINT)[0]
             else:
                 one_of("parameter of a robot on wheels", name, [*named, *columns])
                 raise InvalidArgument(f"{name} has shape {given.shape}, expected that of {name} of the robot")
@@ -386,22 +420,23 @@ class WheeledRobot:
             replace(wheel, x=x, y=y, radius=radius, spin_inertia=inertia)
             for wheel, x, y, radius, inertia in zip(self.table.wheels, *numbers, strict=True)
         ]
-        robot = self.robot
+        frictions = zip(wheels, columns["mu"].tolist(), strict=True)
+        wheels = [replace(wheel, friction=replace(wheel.friction, mu=mu)) for wheel, mu in frictions]
+        robot, higher = self.robot, float(columns["upright"][0] - self._columns["upright"][0])
         if isinstance(ground, Coulomb):
             ground = replace(ground, mu=None)
-            frictions = zip(wheels, columns["mu"].tolist(), strict=True)
-            wheels = [replace(wheel, friction=replace(wheel.friction, mu=mu)) for wheel, mu in frictions]
-            if columns["upright"][0] != self._columns["upright"][0]:
-                robot = _raised(robot, float(columns["upright"][0] - self._columns["upright"][0]))
+        if higher:
+            if robot.mounts:
+                raise InvalidArgument("upright is that of robots without arms, expected none with arms")
+            robot = _raised(robot, higher)
         return WheeledRobot(robot, replace(self.table, wheels=tuple(wheels)), ground)
 
     @cached_property
     def _columns(self) -> dict[str, Array]:
         found = {name: frozen([getattr(wheel, name) for wheel in self.table.wheels]) for name in _OF_WHEELS}
-        if isinstance(self.ground, Coulomb):
-            mu = self.ground.mu
-            found["mu"] = frozen([wheel.friction.mu if mu is None else mu for wheel in self.table.wheels])
-            found["upright"] = self._upright
+        mu = self.ground.mu if isinstance(self.ground, Coulomb) else None
+        found["mu"] = frozen([wheel.friction.mu if mu is None else mu for wheel in self.table.wheels])
+        found["upright"] = self._upright
         return found
 
     @cached_property
@@ -434,17 +469,15 @@ class WheeledRobot:
 
     @property
     def mu(self) -> Array:
-        """Coefficients of friction of the wheels where they may slip, shape (wheels,)."""
-        self._where_it_slips("mu")
+        """Coefficients of friction of the wheels, of rollers along their axes, shape (wheels,)."""
         return self._columns["mu"]
 
     @property
     def upright(self) -> Array:
-        """What the ground alone feels of a robot without arms that may slip, shape (3,) [m, kg m^2, kg m^2].
+        """What the ground alone feels of a robot without arms, shape (3,) [m, kg m^2, kg m^2].
 
         Height of the centre of mass, and inertia xz and yz about it.
         """
-        self._where_it_slips("upright")
         return self._columns["upright"]
 
     # Configurations
@@ -1088,6 +1121,8 @@ class WheeledRobot:
             "table": self.table,
             "rotors": frozen([actuator.motor.reflected_inertia for actuator in self.table.actuators]),
             "fall": self._fall,
+            "footprint": self.footprint,
+            "stands": self.grounded and self._has_area,
             "choice": self.mobility.choice,
             "coordinates": self.coordinates,
             "inputs": self.inputs,
@@ -1100,8 +1135,7 @@ class WheeledRobot:
         """The same robot on ground where it rolls."""
         if not self.mobility.is_regular:
             raise InvalidArgument(f"robot cannot roll without slip: {self.mobility.why_not}")
-        known = {each.name for each in fields(RollingBody)}
-        return RollingBody(**{name: value for name, value in self._common.items() if name in known})
+        return RollingBody(**self._common)
 
     @property
     def _traced(self) -> RollingBody | SlippingBody:
@@ -1121,6 +1155,26 @@ class WheeledRobot:
             "tolerance": ground.tolerance,
         }
         return SlippingBody(**self._common, **own, **rounds)
+
+
+@final
+@constant
+@dataclass(frozen=True)
+class _Track:
+    """What moves all wheels of a table to the side in proportion: how a `Parameter` writes the track.
+
+    Parameters
+    ----------
+    width : float
+        Of the table [m].
+    """
+
+    width: float
+
+    def __call__(self, values: Array, column: Array, size: int) -> Array:
+        """Return y of the wheels, shape (m, wheels), with their tracks, shape (m,)."""
+        del size
+        return values * (column / self.width)[:, None]
 
 
 def _raised(robot: MobileRobot, height: float) -> MobileRobot:

@@ -1,0 +1,326 @@
+"""What the ground bears under wheels: loads, slip margins, fastest speeds, steepest ramps, what is judged."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pinmobile import (
+    COMPILED,
+    Circle,
+    ComputedTorque,
+    MobileRobot,
+    Motion,
+    Normal,
+    RestToRest,
+    Tangent,
+    Uniform,
+    WholeBody,
+    ensemble,
+    errors,
+    reaction_wrench,
+    required_friction,
+    simulate,
+    tip_over_margin,
+    zero_moment_point,
+)
+from pinmobile.arrays import Array
+from pinmobile.balance import (
+    body_zero_moment_point,
+    contact_loads,
+    fastest,
+    slip_margins,
+    steepest,
+)
+from pinmobile.controllers import PD, Allocated, Backstepping, Tracking
+from pinmobile.wheels import (
+    Coulomb,
+    Friction,
+    Motor,
+    Ramp,
+    Rolling,
+    Support,
+    Wheel,
+    WheeledRobot,
+    WheelTable,
+)
+
+WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
+BODY = MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.2))
+G = float(np.linalg.norm(BODY.model.gravity.linear))
+DIFFERENTIAL = WheelTable.differential(0.5, 0.1, x=0.07, supports=[(-0.2, 0.0)], **WHEEL)
+CASTER = Wheel("caster", -0.3, 0.02, 0.05, 0.3, steering="free", trail=(-0.03, 0.005), **WHEEL)
+FRONT = Wheel("front", 0.4, 0.0, 0.1, steering="driven", motor=Motor(rotor_inertia=1e-4, gear=10), **WHEEL)
+TABLES = {
+    "differential": DIFFERENTIAL,
+    "caster": WheelTable((*WheelTable.differential(0.5, 0.1, **WHEEL).wheels, CASTER)),
+    "mecanum": WheelTable.mecanum(0.5, 0.4, 0.08, **WHEEL),
+    "omni": WheelTable.omni(0.25, 0.05, **WHEEL),
+    "tricycle": WheelTable((FRONT,), (Support(-0.2, 0.2), Support(-0.2, -0.2))),
+    "car": WheelTable.car(0.6, 0.4, 0.1, **WHEEL),
+}
+BENT = BODY.mount("ur5").rest[3:]
+
+
+def moving(robot: WheeledRobot, seed: int = 0) -> Any:
+    """Return a state that rolls, with its acceleration and input."""
+    rng = np.random.default_rng(seed)
+    n, k = robot.robot.nq, len(robot.table.axes)
+    q = rng.normal(size=robot.nq)
+    q[:n] = robot.robot.random_configuration(rng)
+    q[n : n + k] = rng.uniform(-0.5, 0.5, k)
+    u, v = rng.normal(size=robot.nu), robot.project(q, rng.normal(size=robot.nv))
+    return SimpleNamespace(plant=robot, q=q, v=v, a=robot.forward_dynamics(q, v, u), u=u)
+
+
+def touching(robot: WheeledRobot, q: Array) -> Array:
+    """Return where wheels and supports touch the ground, in the body's frame."""
+    n, found = robot.robot.nq, []
+    steered = {row: k for k, axis in enumerate(robot.table.axes) for row in axis.wheels}
+    for row, wheel in enumerate(robot.table.wheels):
+        angle = wheel.angle + (q[n + steered[row]] if row in steered else 0.0)
+        c, s = np.cos(angle), np.sin(angle)
+        o, p = wheel.trail
+        found.append((wheel.x + c * o - s * p, wheel.y + s * o + c * p))
+    return np.array([*found, *((each.x, each.y) for each in robot.table.supports)])
+
+
+@pytest.mark.parametrize("ramp", [None, Ramp(0.2, 0.5)])
+@pytest.mark.parametrize("arm", [False, True])
+@pytest.mark.parametrize("name", TABLES)
+def test_loads_balance_what_the_tree_of_bodies_needs(name: str, arm: bool, ramp: Ramp | None) -> None:
+    robot = WheeledRobot(BODY.mount("ur5") if arm else BODY, TABLES[name], Rolling(ramp=ramp))
+    at = moving(robot)
+    wrench = robot.ground_wrench(at.q, at.v, at.a)
+    found = contact_loads(at)
+    x, y = touching(robot, at.q).T
+    sums = [found.springs.sum(), found.springs @ y, -found.springs @ x]
+    np.testing.assert_allclose(sums, wrench[2:5], rtol=0, atol=1e-12)
+    assert found.names == (
+        *robot.table.names,
+        *(f"support {k + 1}" for k in range(len(x) - len(robot.table))),
+    )
+    if not found.tips:
+        x_z, y_z = body_zero_moment_point(at)
+        np.testing.assert_allclose(found.values @ x / found.values.sum(), x_z, atol=1e-13)
+        np.testing.assert_allclose(found.values @ y / found.values.sum(), y_z, atol=1e-13)
+        assert (found.values >= 0).all()
+
+
+@pytest.mark.parametrize("arm", [False, True])
+@pytest.mark.parametrize("name", [name for name in TABLES if name != "car"])
+def test_forces_of_wheels_are_those_of_constraints(name: str, arm: bool) -> None:
+    robot = WheeledRobot(BODY.mount("ur5") if arm else BODY, TABLES[name])
+    at = moving(robot, 1)
+    found, loads = slip_margins(at), contact_loads(at).values
+    forces = robot.constraint_forces(at.q, at.v, at.u)
+    by_name = dict(zip(forces.names, forces.values, strict=True))
+    for k, wheel in enumerate(robot.table.names):
+        row = f"{wheel} rolling" if f"{wheel} rolling" in by_name else f"{wheel} roller"
+        np.testing.assert_allclose(found.along[k], by_name[row], atol=1e-12)
+    for group, across, margin in zip(found.names, found.across, found.values, strict=True):
+        own = group.split(" + ")
+        np.testing.assert_allclose(across, sum(by_name.get(f"{one} lateral", 0.0) for one in own), atol=1e-12)
+        rows = [robot.table.names.index(one) for one in own]
+        most, along = 0.8 * loads[rows], found.along[rows]
+        if len(own) == 1:
+            np.testing.assert_allclose(margin, most[0] - np.hypot(along[0], across), atol=1e-12)
+        elif (most > np.abs(along)).all():
+            expected = np.sqrt(most**2 - along**2).sum() - abs(across)
+            np.testing.assert_allclose(margin, min(expected, (most - np.abs(along)).min()), atol=1e-12)
+
+
+def test_all_states_at_once_are_each_alone() -> None:
+    robot = WheeledRobot(BODY.mount("ur5"), TABLES["caster"])
+    each = [moving(robot, k) for k in range(4)]
+    many = Motion(robot, *(np.array([getattr(one, name) for one in each]) for name in "qvau"))
+    np.testing.assert_allclose(
+        contact_loads(many).values, [contact_loads(one).values for one in each], atol=1e-11
+    )
+    np.testing.assert_allclose(
+        slip_margins(many).values, [slip_margins(one).values for one in each], atol=1e-11
+    )
+    np.testing.assert_allclose(robot.ground_wrench(many.q, many.v, many.a)[2], robot.ground_wrench(
+        each[2].q, each[2].v, each[2].a), atol=1e-11)  # fmt: skip
+
+
+def test_a_wheel_that_would_pull_has_lifted_off() -> None:
+    body = MobileRobot(30.0, 2.3, com=(0.0, 0.0, 0.2))
+    robot = WheeledRobot(body, WheelTable.mecanum(0.5, 0.4, 0.08, **WHEEL))
+    still, a = np.zeros(robot.nv), np.zeros(robot.nv)
+    a[:2] = 6.0, 6.0
+    found = contact_loads(Motion(robot, robot.rest, still, a))
+    assert found.springs.min() < 0
+    assert found.values.min() == 0
+    assert not found.tips
+    np.testing.assert_allclose(found.values.sum(), 30 * G)
+    assert contact_loads(Motion(robot, robot.rest, still, 4 * a)).tips
+
+
+def test_balance_takes_robots_on_wheels_with_arms() -> None:
+    arm = BODY.mount("ur5", (0.1, 0.0, 0.3, 0.0))
+    robot = WheeledRobot(arm, DIFFERENTIAL)
+    still = np.zeros(robot.nv)
+    at = Motion(robot, robot.rest, still, still)
+    mine = Motion(arm, arm.rest, np.zeros(arm.nv), np.zeros(arm.nv))
+    for function in (reaction_wrench, zero_moment_point, required_friction):
+        np.testing.assert_allclose(function(at), function(mine), atol=1e-11)
+    assert tip_over_margin(at) == tip_over_margin(mine, robot.footprint)
+    # Wheels that turn faster push back on the body: the moment of their spin.
+    faster = still.copy()
+    faster[-2:] = 10.0
+    change = robot.ground_wrench(robot.rest, still, faster) - robot.ground_wrench(robot.rest, still, still)
+    np.testing.assert_allclose(change, [0, 0, 0, 0, 2 * 0.01 * 10, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize(("mu", "speed"), [(0.3, 1.7), (0.8, 2.75)])
+def test_a_turn_too_fast_slides(mu: float, speed: float) -> None:
+    friction = Friction(mu=mu, rolling=0.0)
+    table = WheelTable.differential(
+        0.5, 0.1, supports=[(0.25, 0.0), (-0.25, 0.0)], friction=friction, **WHEEL
+    )
+    body, path = MobileRobot(27.0, 2.3, com=(0.0, 0.0, 0.15)), Circle(2, 0.2, 10)
+    found = fastest(WheeledRobot(body, table), Tangent(path))
+    assert found.what == "left + right slip"
+    assert found.value == pytest.approx(speed, rel=0.03)
+    # Half of the weight is on the wheels, and forces along them are small where speed does not change.
+    assert found.value == pytest.approx(np.sqrt(2 * mu * G / 2), rel=0.04)
+    higher = WheeledRobot(MobileRobot(27.0, 2.3, com=(0.0, 0.0, 0.4)), table)
+    assert fastest(higher, Tangent(path)).value <= found.value
+    # Driven faster than that on ground that slips, it slides; slower, it sticks.
+    for factor, slides in ((0.97, False), (1.1, True)):
+        rate = factor * found.value
+        robot, way = WheeledRobot(body, table, Coulomb()), Tangent(Circle(2, rate / 2, 1.5))
+        run = simulate(
+            robot, Allocated(PD(400, 60), WheeledRobot(body, table)), way, dt=0.005, engine=COMPILED
+        )
+        assert (run.measures()["slip"][1].max() > 1e-3) == slides
+
+
+def test_the_steepest_ramp_is_that_of_friction_and_weight() -> None:
+    central = MobileRobot(30.0, 2.3, com=(0.0, 0.0, 0.1))
+    table = WheelTable.mecanum(0.5, 0.4, 0.08, friction=Friction(mu=0.3), **WHEEL)
+    for direction in (0.0, np.pi / 2):  # rollers hold along their axes, at half a right angle
+        found = steepest(WheeledRobot(central, table), direction)
+        assert 0.15 < found.value < np.arctan(0.3)
+        assert found.what.endswith("slips")
+    # A support lifts where the weight points past the contacts that are left, here the axle.
+    high = MobileRobot(30.0, 2.3, com=(-0.08, 0.0, 0.2))
+    friction = Friction(mu=9.0)
+    rough = WheelTable.differential(0.5, 0.1, supports=[(0.2, 0.0)], x=-0.2, friction=friction, **WHEEL)
+    found = steepest(WheeledRobot(high, rough))
+    assert found.what == "support 1 lifts"
+    np.testing.assert_allclose(np.tan(found.value), 0.12 / 0.2, rtol=1e-9)
+
+
+def test_what_rolls_is_judged_alike_in_all_engines() -> None:
+    robot = WheeledRobot(BODY.mount("ur5"), TABLES["mecanum"])
+    assert [one.name for one in robot.measures] == [
+        "end effector",
+        "end effector angle",
+        "tip-over margin",
+        "load",
+        "slip margin",
+    ]
+    path = WholeBody(robot.robot, Tangent(Circle(2, 0.3, 1)), RestToRest(BENT, BENT + 0.3, 1))
+    run = simulate(robot, ComputedTorque(robot), path, dt=0.01)
+    judged, fast = (
+        run.measures(),
+        simulate(robot, ComputedTorque(robot), path, dt=0.01, engine=COMPILED).measures(),
+    )
+    for name, (_, values) in judged.items():
+        np.testing.assert_allclose(fast[name][1], values, atol=1e-7)
+    np.testing.assert_allclose(judged["slip margin"][1], slip_margins(run).values.min(axis=1), atol=1e-9)
+    np.testing.assert_allclose(judged["load"][1], contact_loads(run).springs.min(axis=1), atol=1e-9)
+    np.testing.assert_allclose(judged["tip-over margin"][1], tip_over_margin(run), atol=1e-11)
+
+
+def test_ensembles_tell_how_many_would_slip_and_how_many_do() -> None:
+    table = WheelTable.differential(0.5, 0.1, supports=[(0.25, 0), (-0.25, 0)], **WHEEL)
+    body, path = MobileRobot(27.0, 2.3, com=(0.0, 0.0, 0.15)), Tangent(Circle(2, 0.8, 1))
+    robot = WheeledRobot(body, table)
+    spread: Any = {"mu": Uniform(0.1, 0.5), "track": Normal(0.5, 0.002), "com_z": Uniform(0.1, 0.2)}
+    law = Backstepping(Tracking(), robot)
+    rolling = ensemble(robot, law, path, n=200, dt=0.005, spread=spread, seed=1)
+    slides = rolling.largest("slip margin") < 0
+    # With half of the weight on the wheels, v^2 / R = mu g / 2 where it begins.
+    mu = rolling.draws["mu"]
+    assert 0.2 < slides.mean() < 0.8
+    assert mu[slides].max() < 1.05 * 2 * 1.6**2 / 2 / G < 1.1 * mu[~slides].min()
+    assert rolling.worst(1, by="slip margin")[0] == rolling.largest("slip margin").argmin()
+    slipping = WheeledRobot(body, table, Coulomb())
+    found = ensemble(slipping, Allocated(PD(400, 60), robot), path, n=200, dt=0.005, spread=spread, seed=1)
+    assert [one.name for one in found.scenario.judged] == ["load", "slip"]
+    did = found.largest("slip") > 1e-3
+    assert np.mean(did == slides) > 0.9
+
+
+def test_what_is_not_known_is_refused() -> None:
+    line = WheeledRobot(BODY, WheelTable.differential(0.5, 0.1, **WHEEL))
+    assert line.measures == ()
+    assert line.footprint is None
+    still = np.zeros(line.nv)
+    at = Motion(line, line.rest, still, still)
+    with pytest.raises(
+        errors.InvalidArgument, match=r"^table has 2 places where the robot stands, on one line"
+    ):
+        contact_loads(at)
+    with pytest.raises(
+        errors.InvalidArgument, match=r"^motion.plant is .*, which does not tell what its wheels"
+    ):
+        contact_loads(Motion(BODY, BODY.rest, np.zeros(3), np.zeros(3)))
+    robot = WheeledRobot(BODY, DIFFERENTIAL)
+    with pytest.raises(errors.InvalidArgument, match=r"^motion.u is None"):
+        slip_margins(Motion(robot, robot.rest, still, still))
+    skid = WheeledRobot(BODY, WheelTable.skid_steer(0.5, 0.4, 0.1, **WHEEL))
+    with pytest.raises(errors.InvalidArgument, match=r"^motion has no signals"):
+        slip_margins(Motion(skid, skid.rest, np.zeros(skid.nv), np.zeros(skid.nv), np.zeros(skid.nu)))
+    with pytest.raises(errors.InvalidArgument, match=r"cannot roll without slip"):
+        fastest(skid, Tangent(Circle(2, 0.2, 10)))
+    with pytest.raises(errors.InvalidArgument, match=r"^reference moves the body by"):
+        fastest(robot, Tangent(Circle(2, 0.2, 10)))
+    left, right = DIFFERENTIAL.wheels
+    one_motor = WheelTable((left, replace(right, motor=None)), DIFFERENTIAL.supports)
+    with pytest.raises(errors.InvalidArgument, match=r"^reference needs a force of"):
+        steepest(WheeledRobot(BODY, one_motor))
+
+
+def test_a_robot_by_voltage_tells_loads_and_takes_no_volts_for_torques() -> None:
+    motor = Motor(resistance=1.0, torque_constant=0.03, voltage=24.0, gear=20.0)
+    table = WheelTable.differential(0.5, 0.1, supports=[(0.2, 0.0), (-0.2, 0.0)], motor=motor, **WHEEL)
+    robot = WheeledRobot(BODY, table)
+    electric, still = robot.by_voltage(), np.zeros(robot.nv)
+    at = Motion(electric, robot.rest, still, still, [12.0, 12.0])
+    np.testing.assert_array_equal(
+        contact_loads(at).values, contact_loads(Motion(robot, robot.rest, still, still)).values
+    )
+    with pytest.raises(errors.InvalidArgument, match=r"^motion.plant is .*, which does not tell how far"):
+        slip_margins(at)
+    assert not hasattr(electric, "measures")
+    assert not hasattr(electric.traced(), "measured")
+    assert electric.on_ramp(0.1) == robot.on_ramp(0.1).by_voltage()
+    assert steepest(electric) == steepest(robot)
+
+
+def test_other_parameters_are_those_of_another_robot() -> None:
+    robot = WheeledRobot(BODY, DIFFERENTIAL)
+    other = robot.with_parameters(track=0.6, mu=0.3, com_z=0.25)
+    np.testing.assert_allclose(other.y, [0.3, -0.3])
+    np.testing.assert_array_equal(other.mu, [0.3, 0.3])
+    np.testing.assert_allclose(other.upright[0], 0.25)
+    at = moving(other)
+    higher = replace(robot, robot=MobileRobot(30.0, 2.3, com=(0.05, 0.02, 0.25)))
+    wide = WheelTable(
+        tuple(replace(wheel, y=1.2 * wheel.y) for wheel in DIFFERENTIAL.wheels), DIFFERENTIAL.supports
+    )
+    expected = replace(higher, table=wide)
+    np.testing.assert_allclose(
+        contact_loads(at).values, expected.contact_loads(at.q, at.v, at.a).values, rtol=1e-9
+    )
+    assert robot.with_parameters() == robot
+    with pytest.raises(errors.InvalidArgument, match=r"^track is 0, expected > 0$"):
+        robot.with_parameters(track=0.0)
+    with pytest.raises(errors.InvalidArgument, match=r"^upright is that of robots without arms"):
+        WheeledRobot(BODY.mount("ur5"), DIFFERENTIAL).with_parameters(upright=0.3)
