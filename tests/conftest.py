@@ -29,7 +29,7 @@ PROFILE = "ci" if os.environ.get("CI") else "default"
 settings.load_profile(PROFILE)
 
 
-SHARE = 4  # one of so many alike cases is taken where another Python takes all
+SHARE = 6  # one of so many alike cases is taken where another Python takes all
 MANY = 4  # cases of one test, from which on they are alike
 
 

@@ -27,6 +27,8 @@ from pinmobile.cli.mount import _judged, demonstration, mounted
 from pinmobile.robot import EXCEPTIONS
 from tests.test_cli import typed
 
+pytestmark = pytest.mark.once
+
 QUICK = ("--dt", "0.02", "--duration", "1")
 SLIDE = """<robot name="slide"><link name="foot"/><link name="slider"><inertial><mass value="2"/>
   <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>

@@ -29,6 +29,8 @@ from pinmobile.sweeps import length
 from tests.damage import answer, damaged, full_disk, little_memory
 from tests.test_cli import typed
 
+pytestmark = pytest.mark.once
+
 CIRCLE = Tangent(Circle(3.0, 0.1, 6.0))
 SMALL = EXAMPLE.replace("n = 10000", "n = 40").replace("radius = 3", "radius = 3\nduration = 6")
 

@@ -34,6 +34,8 @@ from pinmobile.plots.drivers import causes, worst_share
 from pinmobile.plots.style import percent
 from pinmobile.plots.swept import strip_above
 
+pytestmark = pytest.mark.once
+
 ROBOT = MobileRobot(30, 1.3)
 TRUE = ComputedTorque(ROBOT)
 SPREAD: dict[str, Any] = {

@@ -29,6 +29,8 @@ from pinmobile.robot import MobileRobot
 from pinmobile.simulation import Rollout, simulate
 from pinmobile.trajectories import Reference, Tangent, Trajectory
 
+pytestmark = pytest.mark.once
+
 DRAWN: list[Callable[..., Figure]] = [plots.path, plots.states, plots.errors, plots.forces]
 ROBOT = MobileRobot.lecture()
 CIRCLE = Tangent(Circle(3, 0.1, 60))

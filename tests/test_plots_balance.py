@@ -25,6 +25,8 @@ from pinmobile import (
 )
 from pinmobile.balance import body_zero_moment_point
 
+pytestmark = pytest.mark.once
+
 BOX = MobileRobot.box()
 UR5 = BOX.mount("ur5")
 

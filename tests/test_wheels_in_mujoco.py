@@ -29,6 +29,8 @@ from pinmobile import (
 from pinmobile.arrays import Array
 from pinmobile.wheels import Friction
 
+pytestmark = pytest.mark.once
+
 OWN: dict[str, Any] = {
     "mass": 1.0,
     "spin_inertia": 0.006,

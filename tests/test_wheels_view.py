@@ -30,6 +30,8 @@ from pinmobile.viewer.motion import envelope, figure
 from pinmobile.wheels import ByOdometry, Coulomb, Support, Wheel, WheeledRobot, WheelTable
 from tests import wheeled
 
+pytestmark = pytest.mark.once
+
 WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.005, "yaw_inertia": 0.003}
 BOX = MobileRobot(30.0, 1.3, com=(0.0, 0.0, 0.1), size=(0.6, 0.4, 0.25))
 _BELIEVED = WheelTable.differential(0.46, 0.099, supports=[(0.25, 0), (-0.25, 0)], **WHEEL)
