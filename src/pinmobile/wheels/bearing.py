@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, vector
+from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, in_numbers, vector
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.measures import Measure
 from pinmobile.plant import ContactLoads, SlipMargins
@@ -18,6 +18,7 @@ from pinmobile.wheels.ground import Coulomb, Ramp
 class Bearing:
     """Methods of a `WheeledRobot`; all broadcast over leading axes."""
 
+    @in_numbers
     def ground_wrench(self: Any, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return what the ground exerts on the robot that moves so, shape (..., 6), wheels spinning.
 
@@ -26,10 +27,12 @@ class Bearing:
         """
         at, rate, faster = self._moving(q, v, a)
         whole, rates, G, bent = self._tree.state_of(at, rate)
+        within = np.einsum("...ij,...j->...i", G, faster) + bent
         return np.asarray(
-            self._tree.ground_wrench(whole, rates, np.einsum("...ij,...j->...i", G, faster) + bent)
+            self._tree.ground_wrench(whole, rates, finite_answer(within, q=at, v=rate, a=faster))
         )
 
+    @in_numbers
     def mount_wrench(self: Any, q: ArrayLike, v: ArrayLike, a: ArrayLike, mount: str | None = None) -> Array:
         """Return what an arm exerts on the body at its mount, shape (..., 6): see `MobileRobot.mount_wrench`.
 
@@ -61,6 +64,7 @@ class Bearing:
             )
         self._check_places()
 
+    @in_numbers
     def contact_loads(self: Any, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> ContactLoads:
         """Return what each wheel and support carries, those of the supports behind.
 
