@@ -264,7 +264,7 @@ def show_drive(
     figures = len(FIGURES) + len(_FIGURES) + 1 if folder is not None else 0
     with progress(1 + (html is not None) + figures) as bar:
         begin(bar, "simulating")
-        own: dict[str, Any] = {} if isinstance(robot.ground, Coulomb) else {"integrator": rk4}
+        own: dict[str, Any] = {} if robot.ground.slips else {"integrator": rk4}
         try:
             run = simulate(robot, controller, reference, dt=dt, **own)
         except Diverged as error:
@@ -304,7 +304,7 @@ def _save_page(run: Rollout, path: Path, title: str) -> None:
 def _head(robot: WheeledRobot, name: str, called: str) -> str:
     ground = robot.ground
     stands = "rolling without slip"
-    if isinstance(ground, Coulomb):
+    if ground.slips:
         coefficients = sorted({float(mu) for mu in robot.mu})
         stands = f"dry friction, mu = {', '.join(f'{mu:g}' for mu in coefficients)}"
     return f"{name}: {stands}; {called}\n{robot.mobility}"

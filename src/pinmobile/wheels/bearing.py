@@ -12,7 +12,7 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.measures import Measure
 from pinmobile.plant import ContactLoads, SlipMargins
 from pinmobile.wheels.following import Following, carried, told
-from pinmobile.wheels.ground import Coulomb, Ramp
+from pinmobile.wheels.ground import Ramp
 
 
 class Bearing:
@@ -95,7 +95,7 @@ class Bearing:
             With q, v, a and u.
         """
         self._check_stands()
-        if isinstance(self.ground, Coulomb):
+        if self.ground.slips:
             return self._recorded_margins(motion)  # type: ignore[no-any-return]
         body = self._traced
         if not body.groups:

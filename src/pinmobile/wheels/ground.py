@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from math import cos, pi, sin
-from typing import final
+from typing import ClassVar, final
 
 from pinmobile.arrays import Array, frozen, non_negative, positive, scalar, whole
 from pinmobile.constancy import constant
@@ -57,12 +58,24 @@ class Rolling:
     ----------
     ramp : Ramp, optional
         Which way the ground rises; None: it is level.
+
+    Attributes
+    ----------
+    slips : bool
+        Whether wheels may slip, here False.
     """
 
     ramp: Ramp | None = None
+    slips: ClassVar[bool] = False
+    mu: ClassVar[None] = None
+    rounds: ClassVar[Mapping[str, float]] = {}
 
     def __post_init__(self) -> None:
         _ramp(self.ramp)
+
+    def of_each_wheel(self) -> Rolling:
+        """Return the ground on which each wheel has friction of its own: itself."""
+        return self
 
 
 @final
@@ -88,6 +101,11 @@ class Coulomb:
         Most rounds over all wheels in a pass.
     tolerance : float
         Largest change of a force in a round, as a share of the largest friction, at which it has been found.
+
+    Attributes
+    ----------
+    slips : bool
+        Whether wheels may slip, here True.
     """
 
     mu: float | None = None
@@ -95,6 +113,7 @@ class Coulomb:
     passes: int = 3
     sweeps: int = 200
     tolerance: float = 1e-12
+    slips: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         _ramp(self.ramp)
@@ -103,6 +122,15 @@ class Coulomb:
         for name in ("passes", "sweeps"):
             object.__setattr__(self, name, whole(name, getattr(self, name), least=1))
         object.__setattr__(self, "tolerance", positive("tolerance", self.tolerance))
+
+    @property
+    def rounds(self) -> Mapping[str, float]:
+        """How its forces are found, by name."""
+        return {name: getattr(self, name) for name in ("passes", "sweeps", "tolerance")}
+
+    def of_each_wheel(self) -> Coulomb:
+        """Return the ground on which each wheel has friction of its own."""
+        return replace(self, mu=None)
 
 
 Ground = Rolling | Coulomb

@@ -12,7 +12,6 @@ from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
 from pinmobile.plant import Contacts
 from pinmobile.robot import number
-from pinmobile.wheels.ground import Coulomb
 from pinmobile.wheels.kinematics import Kinematics
 
 _STILL = 1e-9  # [rad/s], below which a body does not turn
@@ -41,7 +40,7 @@ def contacts_of(wheeled: Any, q: Array, v: Array, a: Array, u: Array, signals: M
     steering = list(np.moveaxis(q[:, wheeled.robot.nq : wheeled.robot.nq + len(table.axes)], -1, 0))
     places, directions = _placed(Kinematics.of(table), q, steering)
     mu = wheeled.mu
-    if isinstance(wheeled.ground, Coulomb):
+    if wheeled.ground.slips:
         _check_signals(signals, n)
         forces = np.stack([signals["along"].values, signals["across"].values], axis=-1)
         slips = np.stack([signals["slip_along"].values, signals["slip_across"].values], axis=-1)

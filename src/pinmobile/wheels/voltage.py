@@ -12,7 +12,6 @@ from pinmobile.arrays import Array, ArrayLike, finite, frozen, scalar, vector
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, UnknownName, shown
 from pinmobile.plant import Input, Parameter, Step
-from pinmobile.wheels.ground import Coulomb
 from pinmobile.wheels.powered import Driving, VoltageBody, of_wheeled
 from pinmobile.wheels.slipping import SlippingBody
 from pinmobile.wheels.table import Differential, WheelTable
@@ -63,7 +62,7 @@ class ByVoltage:
                 "table has no motor that takes volts, expected Motor(resistance=..., torque_constant=..., "
                 "voltage=...)"
             )
-        if isinstance(self.wheeled.ground, Coulomb):
+        if self.wheeled.ground.slips:
             body = self.wheeled.traced()
             for k in self._rubbing:
                 if len(body.turned_by(k)) > 1:

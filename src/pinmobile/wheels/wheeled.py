@@ -33,7 +33,7 @@ from pinmobile.wheels.bearing import Bearing
 from pinmobile.wheels.description import joint_signs, read_robot, read_wheels
 from pinmobile.wheels.drawn import Picture
 from pinmobile.wheels.ground import Coulomb, Ground, Rolling
-from pinmobile.wheels.kinematics import Kinematics
+from pinmobile.wheels.kinematics import Kinematics, Row
 from pinmobile.wheels.mobility import Mobility
 from pinmobile.wheels.rolling import Reduced, RollingBody
 from pinmobile.wheels.slipping import Grip, SlippingBody, led
@@ -126,13 +126,13 @@ class WheeledRobot(Bearing):
             object.__setattr__(self, "ground", Rolling() if mobility.is_regular else Coulomb())
         if not isinstance(self.ground, Rolling | Coulomb):
             raise InvalidArgument(f"ground is {shown(self.ground)}, expected Rolling(...) or Coulomb(...)")
-        if isinstance(self.ground, Rolling) and not mobility.is_regular:
+        if not (self.ground.slips or mobility.is_regular):
             raise InvalidArgument(
                 f"table cannot roll without slip: {mobility.why_not}; expected a drive that can, or "
                 "ground=Coulomb()"
             )
         _ = self._tree  # it checks that what is left without the wheels is a body
-        if isinstance(self.ground, Coulomb):
+        if self.ground.slips:
             self._check_slipping()
         else:
             self._check_rolling()
@@ -237,7 +237,8 @@ class WheeledRobot(Bearing):
         return hash(self._key())
 
     def __repr__(self) -> str:
-        return f"WheeledRobot({self.robot!r}, {self.table!r}, {self.ground!r})"
+        body = repr(self.robot).removesuffix(f" with {LOCKED}")
+        return f"WheeledRobot({body}, {self.table!r}, {self.ground!r})"
 
     def __reduce__(self) -> tuple[object, ...]:
         return WheeledRobot, (self.robot, self.table, self.ground)
@@ -383,7 +384,10 @@ class WheeledRobot(Bearing):
         if min(sides) < 0 < max(sides):
             width = max(sides) - min(sides)
             words = "largest distance between wheels to left and right, which all move in proportion"
-            found.append(Parameter("track", "m", words, 0.0, False, "y", None, _Track(width), width))
+            track = Parameter(
+                "track", "m", words, 0.0, False, attribute="y", write=_Track(width), neutral=width
+            )
+            found.append(track)
         return tuple(found)
 
     def with_parameters(self, **values: ArrayLike) -> WheeledRobot:
@@ -415,7 +419,7 @@ class WheeledRobot(Bearing):
             else:
                 one_of("parameter of a robot on wheels", name, [*named, *columns])
                 raise InvalidArgument(f"{name} has shape {given.shape}, expected that of {name} of the robot")
-        ground, numbers = self.ground, [columns[name].tolist() for name in _OF_WHEELS]
+        numbers = [columns[name].tolist() for name in _OF_WHEELS]
         wheels = [
             replace(wheel, x=x, y=y, radius=radius, spin_inertia=inertia)
             for wheel, x, y, radius, inertia in zip(self.table.wheels, *numbers, strict=True)
@@ -423,18 +427,17 @@ class WheeledRobot(Bearing):
         frictions = zip(wheels, columns["mu"].tolist(), strict=True)
         wheels = [replace(wheel, friction=replace(wheel.friction, mu=mu)) for wheel, mu in frictions]
         robot, higher = self.robot, float(columns["upright"][0] - self._columns["upright"][0])
-        if isinstance(ground, Coulomb):
-            ground = replace(ground, mu=None)
         if higher:
             if robot.mounts:
                 raise InvalidArgument("upright is that of robots without arms, expected none with arms")
             robot = _raised(robot, higher)
-        return WheeledRobot(robot, replace(self.table, wheels=tuple(wheels)), ground)
+        table = replace(self.table, wheels=tuple(wheels))
+        return WheeledRobot(robot, table, self.ground.of_each_wheel())
 
     @cached_property
     def _columns(self) -> dict[str, Array]:
         found = {name: frozen([getattr(wheel, name) for wheel in self.table.wheels]) for name in _OF_WHEELS}
-        mu = self.ground.mu if isinstance(self.ground, Coulomb) else None
+        mu = self.ground.mu
         found["mu"] = frozen([wheel.friction.mu if mu is None else mu for wheel in self.table.wheels])
         found["upright"] = self._upright
         return found
@@ -597,10 +600,15 @@ class WheeledRobot(Bearing):
         return Kinematics.of(self.table)
 
     @cached_property
+    def _at_zero(self) -> list[Row]:
+        """The rows where steering angles and rates are zero."""
+        zeros = [0.0] * self._joints
+        return self._kinematics.rows(zeros, [0.0] * BODY_JOINT, zeros)
+
+    @cached_property
     def _still_rows(self) -> Array:
         """The rows along the body's axes, shape (k, nv), steering angles at zero."""
-        zeros = [0.0] * self._joints
-        rows = self._kinematics.rows(zeros, zeros[:1] * 3, zeros)
+        rows = self._at_zero
         A = np.zeros((len(rows), self.nv))
         A[:, :BODY_JOINT] = [[number(x) for x in row.base] for row in rows]
         A[:, self.robot.nv :] = [[number(x) for x in row.joints] for row in rows]
@@ -610,9 +618,7 @@ class WheeledRobot(Bearing):
     def _steered_rows(self) -> tuple[int, ...]:
         """Those that change with a steering angle."""
         steered = {row for axis in self.table.axes for row in axis.wheels}
-        zeros = [0.0] * self._joints
-        rows = self._kinematics.rows(zeros, zeros[:1] * 3, zeros)
-        return tuple(i for i, row in enumerate(rows) if row.wheel in steered)
+        return tuple(i for i, row in enumerate(self._at_zero) if row.wheel in steered)
 
     def _rows(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return A, shape (..., k, nv), and what A v changes at where nothing accelerates, (..., k)."""
@@ -656,10 +662,9 @@ class WheeledRobot(Bearing):
     @cached_property
     def constraint_names(self) -> tuple[str, ...]:
         """Of each row of `constraint_matrix` its wheel and direction, such as ``"left rolling"``."""
-        zeros = [0.0] * self._joints
-        rows = self._kinematics.rows(zeros, zeros[:1] * 3, zeros)
         return tuple(
-            f"{self.table.names[row.wheel]} {row.kind}" if row.wheel >= 0 else row.kind for row in rows
+            f"{self.table.names[row.wheel]} {row.kind}" if row.wheel >= 0 else row.kind
+            for row in self._at_zero
         )
 
     @cached_property
@@ -693,7 +698,8 @@ class WheeledRobot(Bearing):
     @in_numbers
     def kinetic_energy(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return v' M(q) v / 2, shape (...) [J]."""
-        v = self._v("v", v)
+        q, v = self._q(q), self._v("v", v)
+        broadcast(q=q, v=v)
         return np.asarray(np.einsum("...i,...ij,...j->...", v, self.mass_matrix(q), v) / 2)
 
     @in_numbers
@@ -712,7 +718,7 @@ class WheeledRobot(Bearing):
         f : array_like, shape (..., nv), optional
             Generalised forces beside them.
         """
-        if isinstance(self.ground, Coulomb):
+        if self.ground.slips:
             q, v, u = self._q(q), self._v("v", v), vector("u", u, self.nu)
             f = self._f(f)
             broadcast(q=q, v=v, u=u, **({"f": f} if f.ndim else {}))
@@ -722,7 +728,7 @@ class WheeledRobot(Bearing):
     @in_numbers
     def constraint_forces(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Forces:
         """Return the forces of the ground at the wheels, and which of them rolling determines."""
-        if isinstance(self.ground, Coulomb):
+        if self.ground.slips:
             raise InvalidArgument(
                 "constraint_forces is asked of wheels on Coulomb ground, which no constraint holds, expected "
                 "ground=Rolling(); their forces are in the signals of a run"
@@ -768,14 +774,14 @@ class WheeledRobot(Bearing):
     # What the ground adds: a loop asks by name for what a plant can do
 
     def _where_it_slips(self, name: str) -> SlippingBody:
-        if not isinstance(self.ground, Coulomb):
+        if not self.ground.slips:
             raise AttributeError(f"a WheeledRobot on {type(self.ground).__name__} ground has no {name}")
         return self._slipping
 
     @property
     def project(self) -> Callable[[ArrayLike, ArrayLike], Array]:
         """``project(q, v)``: the velocity that rolls and is nearest in the mass metric, shape (..., nv)."""
-        if not isinstance(self.ground, Rolling):
+        if self.ground.slips:
             raise AttributeError("a WheeledRobot whose wheels slip has no project")
         return self._projected
 
@@ -1101,12 +1107,17 @@ class WheeledRobot(Bearing):
             slips = finite_answer((A @ v[..., None])[..., 0], q=q, v=v)
         names, off = self.constraint_names, np.abs(slips).reshape(-1, A.shape[-2]).max(axis=0, initial=0.0)
         for name, slip in zip(names, off, strict=True):
-            held = isinstance(self.ground, Rolling) or name == "train"
-            if held and slip > _OFF * (1 + float(np.abs(v).max())):
+            if (self.ground.slips and name != "train") or slip <= _OFF * (1 + float(np.abs(v).max())):
+                continue
+            if self.ground.slips:
                 raise InvalidArgument(
-                    f"start does not roll: {name} slips at {slip:.3g} m/s; expected "
-                    "v0 = robot.project(q0, v0), or a reference that the wheels can follow"
+                    f"start turns wheels of a gear train at different rates, {slip:.3g} m/s apart; expected "
+                    "v0 in which they turn together"
                 )
+            raise InvalidArgument(
+                f"start does not roll: {name} slips at {slip:.3g} m/s; expected "
+                "v0 = robot.project(q0, v0), or a reference that the wheels can follow"
+            )
 
     def traced(self) -> RollingBody | SlippingBody:
         """Return its dynamics over symbols or arrays."""
@@ -1139,22 +1150,16 @@ class WheeledRobot(Bearing):
 
     @property
     def _traced(self) -> RollingBody | SlippingBody:
-        return self._rolling if isinstance(self.ground, Rolling) else self._slipping
+        return self._slipping if self.ground.slips else self._rolling
 
     @cached_property
     def _slipping(self) -> SlippingBody:
-        ground = self.ground
-        assert isinstance(ground, Coulomb)
         names = ("across", "rolling", "slip")
         own: dict[str, Any] = {
             name: frozen([getattr(wheel.friction, name) for wheel in self.table.wheels]) for name in names
         }
-        rounds: dict[str, Any] = {
-            "passes": ground.passes,
-            "sweeps": ground.sweeps,
-            "tolerance": ground.tolerance,
-        }
-        return SlippingBody(**self._common, **own, **rounds)
+        own |= self.ground.rounds
+        return SlippingBody(**self._common, **own)
 
 
 @final
