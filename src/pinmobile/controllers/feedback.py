@@ -30,24 +30,22 @@ def _times(values: Array, column: Array, size: int) -> Array:
     return values * column.reshape(-1, *(1,) * (values.ndim - 1))
 
 
-GAINS = tuple(
-    parameter
-    for gain in ("kp", "kd")
-    for parameter in (
-        Parameter(
-            gain, "", f"{gain} of all coordinates, in place of the controller's", attribute=gain, write=_all
-        ),
+def gain_parameters(name: str, unit: str = "") -> tuple[Parameter, ...]:
+    """Return the parameters of a gain with a number for each coordinate: all, each of x, y and psi, a factor."""
+    words = f"{name} of all coordinates, in place of the controller's"
+    return (
+        Parameter(name, unit, words, attribute=name, write=_all),
         *(
-            Parameter(
-                f"{gain}_{c}", "", f"{gain} of {c} alone", attribute=gain, entry=k, write=partial(_one, k)
-            )
+            Parameter(f"{name}_{c}", unit, f"{name} of {c} alone", attribute=name, entry=k, write=partial(_one, k))
             for k, c in enumerate(("x", "y", "psi"))
         ),
         Parameter(
-            f"{gain}_factor", "", f"by which {gain} is multiplied", attribute=gain, write=_times, neutral=1.0
+            f"{name}_factor", "", f"by which {name} is multiplied", attribute=name, write=_times, neutral=1.0
         ),
     )
-)
+
+
+GAINS = (*gain_parameters("kp"), *gain_parameters("kd"))
 """The parameters of a controller with `kp` and `kd`."""
 
 

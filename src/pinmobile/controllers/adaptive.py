@@ -1,0 +1,256 @@
+"""Adaptive control: the parameters of the model are estimated while it runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, final
+
+import numpy as np
+
+from pinmobile.arrays import Array, ArrayLike, endless_or_finite, frozen, non_negative
+from pinmobile.controllers.controller import State
+from pinmobile.controllers.feedback import gain_parameters
+from pinmobile.controllers.held import check_held, double_integrator
+from pinmobile.controllers.tracking_errors import (
+    check_model,
+    combined,
+    each_coordinate,
+    passive_torque,
+)
+from pinmobile.errors import InvalidArgument
+from pinmobile.plant import Context, Difference, Parameter
+
+_BASE = 3  # coordinates of the base: x, y, psi
+_BODY = 4  # parameters of a body in the plane: m, m com_x, m com_y, and inertia about the frame's vertical
+_EACH = 10  # parameters of a body in space, as `regressor` has them
+_RATES = (2 / 3, 1 / 15, 1 / 15, 1 / 50)  # of adaptation, per kg of the robot: of a body,
+_RUBBING = ((2.0, 2.0, 1 / 5), (1.0, 1.0, 1 / 10))  # of viscous friction, and of that which does not grow
+_LEAST = 0.04  # of the nominal inertia about the centre of mass, which an estimate keeps
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Adaptive:
+    """Adaptive control of Slotine and Li (1987): the parameters phi of the model are estimated on the way.
+
+        tau = Y phi + kd s,   phi' = gamma Y' s,   s = e' + slope e
+
+    Y = Y(q, v, v_r, a_r) is the regressor, M a_r + C v_r + g = Y phi. With the right structure
+    s' M s / 2 + (phi - true)' gamma^-1 (phi - true) / 2 falls at s' kd s, so that the error vanishes; the
+    estimates become right only where the motion excites them. phi is that of a body in the plane, mass, mass
+    times centre of mass, and inertia about the frame's vertical; of a robot with arms it is
+    `inertial_parameters`. With friction, c and f of each coordinate follow, the base's along the body's axes:
+    c v_r and f S(v_r), S(z) = z / sqrt(z^2 + speed^2).
+
+    After each step phi is brought back into its bounds, of which a body in the plane has one more: its
+    inertia about the centre of mass stays above a share of the nominal.
+
+    Parameters
+    ----------
+    robot : MobileRobot
+        The model whose parameters are the first estimate.
+    slope : array_like, shape () or (n,)
+        Rate at which errors vanish where s does, > 0 [1/s].
+    kd : array_like, shape () or (n,), optional
+        Gain of s, > 0 [N s/m, N m s/rad]; by default 4 / s times the diagonal of M at rest.
+    gamma : array_like, shape () or (p,), optional
+        Gain of each parameter's estimate, >= 0; by default in proportion to the robot's mass. As large as an
+        expected error squared over what is allowed of the sum above.
+    friction : bool
+        Whether friction is estimated too.
+    speed : float
+        Of the friction that does not grow with speed, > 0 [m/s, rad/s].
+    dead_zone : float
+        Norm of s below which nothing is estimated, two or three times its noise, >= 0 [m/s, rad/s].
+    leakage : float
+        Rate at which estimates go back to the first, against drift, >= 0 [1/s]; it costs accuracy.
+    lower, upper : array_like, shape (p,), optional
+        Bounds of the parameters; by default a tenth of the nominal mass of each body, and friction >= 0.
+    difference : callable
+        ``difference(q0, q1)``: the displacement from q0 to q1; by default the robot's own.
+
+    Raises
+    ------
+    InvalidArgument
+        If an argument is something else, or the bounds exclude the robot's own parameters; at the start of a
+        run, if the loop is unstable at its dt.
+    """
+
+    robot: Any
+    slope: ArrayLike = 4.0
+    kd: ArrayLike | None = None
+    gamma: ArrayLike | None = None
+    friction: bool = False
+    speed: float = 0.01
+    dead_zone: float = 0.0
+    leakage: float = 0.0
+    lower: ArrayLike | None = None
+    upper: ArrayLike | None = None
+    difference: Difference | None = None
+    _nominal: Array = field(init=False, repr=False)
+    _inertia: Array = field(init=False, repr=False)
+
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        *gain_parameters("slope", "1/s"),
+        *gain_parameters("kd", "N s/m, N m s/rad"),
+        Parameter("dead_zone", "m/s, rad/s", "norm of s below which nothing is estimated", 0.0),
+        Parameter("leakage", "1/s", "rate at which estimates go back to the first", 0.0),
+    )
+
+    def __post_init__(self) -> None:
+        n = check_model(self.robot, self.difference, "inverse_dynamics", "nonlinear_effects", "gravity")
+        if not isinstance(self.friction, bool):
+            raise InvalidArgument(f"friction is {self.friction!r}, expected True or False")
+        if hasattr(self.robot, "rest"):  # what it becomes in a compiled loop has been looked at before
+            self._look(n)
+        for name in ("slope", "kd"):
+            object.__setattr__(self, name, each_coordinate(name, getattr(self, name), n, above=True))
+        object.__setattr__(self, "speed", non_negative("speed", self.speed))
+        for name in ("dead_zone", "leakage"):
+            object.__setattr__(self, name, non_negative(name, getattr(self, name)))
+
+    def _look(self, n: int) -> None:
+        M, mass = self.robot.mass_matrix(self.robot.rest), float(self.robot.mass)
+        object.__setattr__(self, "_inertia", frozen(M))
+        if self.kd is None:
+            object.__setattr__(self, "kd", 4.0 * np.diagonal(M))
+        if n == _BASE:
+            nominal, least = np.array([M[0, 0], M[1, 2], -M[0, 2], M[2, 2]]), np.full(_BODY, -np.inf)
+            least[0], rates = nominal[0] / 10, mass * np.array(_RATES)
+        else:
+            nominal = np.array(self.robot.inertial_parameters)
+            least, rates = np.full(len(nominal), -np.inf), np.zeros(len(nominal))
+            least[::_EACH] = nominal[::_EACH] / 10
+            rates[:] = np.tile([2 / 3, *(1 / 15,) * 3, *(1 / 50,) * 6], n - _BASE + 1) * mass
+        if self.friction:
+            rubbing = np.array([[*row, *(row[-1],) * (n - _BASE)] for row in _RUBBING]) * mass
+            nominal = np.concatenate([nominal, np.zeros(2 * n)])
+            least, rates = np.concatenate([least, np.zeros(2 * n)]), np.concatenate([rates, rubbing.ravel()])
+        p = len(nominal)
+        object.__setattr__(self, "_nominal", frozen(nominal))
+        gamma = rates if self.gamma is None else self.gamma
+        object.__setattr__(self, "gamma", each_coordinate("gamma", gamma, p))
+        for name, default in (("lower", least), ("upper", np.full(p, np.inf))):
+            given = getattr(self, name)
+            sign = 1.0 if name == "upper" else -1.0
+            bound = default if given is None else sign * endless_or_finite(name, sign * np.asarray(given))
+            if bound.shape != (p,):
+                raise InvalidArgument(f"{name} has shape {bound.shape}, expected ({p},)")
+            object.__setattr__(self, name, frozen(bound))
+        outside = ~((self.lower <= nominal) & (nominal <= self.upper))  # type: ignore[operator]
+        if outside.any():
+            k = int(outside.argmax())
+            raise InvalidArgument(
+                f"lower and upper of parameter {k} are {self.lower[k]:g} and {self.upper[k]:g}, "  # type: ignore[index]
+                f"which exclude that of the robot, {nominal[k]:g}"
+            )
+
+    def initial_state(self, context: Context) -> tuple[Any, float]:
+        """Return how far the estimates are from the robot's own parameters, and the time between samples."""
+
+        def gains() -> dict[str, Array]:
+            return {name: np.asarray(getattr(self, name)) for name in ("slope", "kd")}
+
+        def loop(dt: float) -> Array:
+            slope, kd = gains().values()
+            rates = np.linalg.eigvals(np.linalg.solve(self._inertia, kd[..., None] * np.eye(len(self._inertia))))
+            gain = np.abs(rates).max(axis=-1, keepdims=True)
+            return double_integrator(dt, slope * gain, slope + gain)
+
+        check_held(gains, loop, context.dt)
+        return np.zeros(len(self._nominal)), float(context.dt)
+
+    def signals(self, state: tuple[Any, float]) -> dict[str, Any]:
+        """Return the estimates: of a body in the plane its mass, first moment, inertia; and friction."""
+        phi, n = self._nominal + state[0], self.robot.nv
+        inertial = phi[..., : len(self._nominal) - 2 * n] if self.friction else phi
+        if n == _BASE:
+            own = {
+                "mass": ("kg", inertial[..., 0]),
+                "first_moment": ("kg m", inertial[..., 1:3]),
+                "inertia": ("kg m^2", inertial[..., 3]),
+            }
+        else:
+            own = {"inertial_parameters": ("kg, kg m, kg m^2", inertial)}
+        if self.friction:
+            own |= {
+                "viscous_friction": ("N s/m, N m s/rad", phi[..., -2 * n : -n]),
+                "resistance": ("N, N m", phi[..., -n:]),
+            }
+        return own
+
+    def regressor(self, q: Array, v: Array, velocity: Array, acceleration: Array) -> Array:
+        """Return Y(q, v, v_r, a_r), shape (..., n, p), so that Y phi = M a_r + C(q, v) v_r + g and friction."""
+        c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
+        if self.robot.nv == _BASE:
+            found = _of_body(c, s, v, velocity, acceleration)
+        else:
+            of, still = self.robot.regressor, np.zeros(np.shape(v))
+            found = (
+                of(q, 0.5 * (v + velocity), acceleration)
+                - of(q, 0.5 * (v - velocity), still)
+                + of(q, still, still)
+            )
+        if not self.friction:
+            return found
+        own = [c * velocity[..., 0] + s * velocity[..., 1], c * velocity[..., 1] - s * velocity[..., 0]]
+        own += [velocity[..., k] for k in range(2, self.robot.nv)]
+        smooth = [rate / np.sqrt(rate * rate + self.speed * self.speed) for rate in own]
+        columns = [column for group in (own, smooth) for column in self._pushes(group, c, s)]
+        return np.concatenate([found, np.stack(columns, axis=-1)], axis=-1)
+
+    def _pushes(self, rates: list[Any], c: Array, s: Array) -> list[Array]:
+        """Return the forces that grow with each of these rates, shape (..., n) each."""
+        none, found = 0.0 * rates[0], []
+        for k, rate in enumerate(rates):
+            rows = [none] * len(rates)
+            rows[k] = rate
+            if k == 0:
+                rows[:2] = [c * rate, s * rate]
+            elif k == 1:
+                rows[:2] = [-s * rate, c * rate]
+            found.append(np.stack(np.broadcast_arrays(*rows), axis=-1))
+        return found
+
+    def __call__(
+        self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, float]
+    ) -> tuple[Array, tuple[Any, float]]:
+        """Return the generalised force, shape (..., n), and the next state."""
+        change, dt = state
+        robot = self.robot
+        s, velocity, acceleration = combined(
+            self.difference or robot.difference, np.asarray(self.slope), q, v, reference
+        )
+        Y = self.regressor(q, v, velocity, acceleration)
+        tau = passive_torque(robot, q, v, velocity, acceleration) + self.kd * s
+        tau = tau + np.sum(Y * change[..., None, :], axis=-1)
+        grown = self.gamma * (np.sum(Y * s[..., :, None], axis=-2) - self.leakage * change)
+        is_seen = np.sum(s * s, axis=-1, keepdims=True) >= np.asarray(self.dead_zone)[..., None] ** 2
+        return tau, (self._possible(change + np.where(is_seen, dt * grown, 0.0)), dt)
+
+    def _possible(self, change: Array) -> Array:
+        """Return the estimates in their bounds."""
+        phi = np.minimum(np.maximum(self._nominal + change, self.lower), self.upper)
+        if self.robot.nv > _BASE:
+            return phi - self._nominal
+        m0, mx0, my0, I0 = self._nominal[:_BODY]
+        least = _LEAST * (I0 - (mx0 * mx0 + my0 * my0) / m0)
+        m, mx, my, inertia = (phi[..., k] for k in range(_BODY))
+        inertia = np.maximum(inertia, (mx * mx + my * my) / m + least)
+        parts = [m, mx, my, inertia, *(phi[..., k] for k in range(_BODY, len(self._nominal)))]
+        return np.stack(parts, axis=-1) - self._nominal
+
+
+def _of_body(c: Array, s: Array, v: Array, velocity: Array, acceleration: Array) -> Array:
+    """Return the regressor of a body in the plane, shape (..., 3, 4)."""
+    (ax, ay, az), (vx, vy, vz) = (
+        [array[..., k] for k in range(_BASE)] for array in (acceleration, velocity)
+    )
+    r = v[..., 2]
+    none = 0.0 * (ax + r)
+    rows = (
+        (ax, -s * az - r * c * vz, -c * az + r * s * vz, none),
+        (ay, c * az - r * s * vz, -s * az - r * c * vz, none),
+        (none, c * ay - s * ax, -c * ax - s * ay, az),
+    )
+    return np.stack([np.stack(np.broadcast_arrays(*row), axis=-1) for row in rows], axis=-2)

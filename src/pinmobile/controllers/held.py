@@ -1,0 +1,65 @@
+"""Whether gains are stable with a force that is held between samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from pinmobile.arrays import Array
+from pinmobile.errors import InvalidArgument, NotTraceable
+
+_ROUNDING = 1e-7  # by which an eigenvalue of a double root at 1 is computed too large
+
+
+def double_integrator(dt: float, kp: Array, kd: Array, ki: Array | float = 0.0) -> Array:
+    """Return the loop of x'' = u, u = -kp x - kd x' + ki z, z' = -x, with u held, shape (..., 3, 3).
+
+    The integral z is summed by explicit Euler after u.
+    """
+    kp, kd, ki = np.broadcast_arrays(kp, kd, ki)
+    force = np.stack([-kp, -kd, ki], axis=-1)
+    free = np.array([[1.0, dt, 0.0], [0.0, 1.0, 0.0], [-dt, 0.0, 1.0]])
+    return np.asarray(free + np.array([dt * dt / 2, dt, 0.0])[:, None] * force[..., None, :])
+
+
+def check_held(gains: Callable[[], dict[str, Array]], loop: Callable[[float], Array], dt: float) -> None:
+    """Refuse gains with which a loop of a rigid robot, its model exact, is unstable at this time step.
+
+    Gains that are symbols, of robots that each have their own, are not looked at.
+
+    Parameters
+    ----------
+    gains : callable
+        Returns them by name, for the message.
+    loop : callable
+        ``loop(dt)`` returns the matrix from one sample's error to the next one's, shape (..., k, k).
+    dt : float
+        Time between two samples [s].
+
+    Raises
+    ------
+    InvalidArgument
+        If an eigenvalue lies outside the unit circle; with the longest time step at which none does.
+    """
+
+    def is_stable(step: float) -> bool:
+        return bool((np.abs(np.linalg.eigvals(loop(step))) <= 1 + _ROUNDING).all())
+
+    try:
+        given = {name: np.asarray(gain, np.float64) for name, gain in gains().items()}
+        if is_stable(dt):
+            return
+    except (NotTraceable, TypeError):
+        return
+    words = ", ".join(f"{name} = {np.unique(gain).tolist()}" for name, gain in given.items())
+    good, bad = 0.0, dt
+    for _ in range(40):
+        middle = (good + bad) / 2
+        good, bad = (middle, bad) if is_stable(middle) else (good, middle)
+    if good < 1e-6 * dt:
+        raise InvalidArgument(f"gains {words} are unstable at any dt, expected others")
+    raise InvalidArgument(
+        f"gains {words} are unstable with a force that is held for dt = {dt:g} s, expected "
+        f"dt < {good:.3g} s, or smaller gains"
+    )

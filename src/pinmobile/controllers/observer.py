@@ -1,0 +1,192 @@
+"""Observers of what the model lacks: of the momentum, and of an extended state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, final
+
+import numpy as np
+
+from pinmobile.arrays import Array, ArrayLike
+from pinmobile.controllers.controller import Controller, State, answer_of, check_controller, told
+from pinmobile.controllers.feedback import gain_parameters
+from pinmobile.controllers.held import check_held
+from pinmobile.controllers.tracking_errors import check_model, each_coordinate
+from pinmobile.plant import Context, Parameter
+from pinmobile.signals import signals_of
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class DisturbanceObserver:
+    """A controller from whose force the disturbance is taken, as the generalised momentum shows it.
+
+        r = gain (p - p(0) - integral of (tau + C' v - g + r)),   p = M(q) v
+
+    (De Luca and Mattone, 2003). r follows a force that is not modelled with the rate `gain`, and is exact for
+    constant ones; tau is the force that is applied, after all limits. Against a wrong mass it acts as
+    integral action does. A gain above 0.2 / dt, or above a third of one over the delay, rings.
+
+    Parameters
+    ----------
+    controller : controller
+        What is wrapped, such as `ComputedTorque`.
+    robot : MobileRobot
+        The model by which the momentum is found.
+    gain : array_like, shape () or (n,)
+        Rate of the estimate, > 0 [1/s].
+
+    Raises
+    ------
+    InvalidArgument
+        If an argument is something else; at the start of a run, if the estimate is unstable at its dt.
+    """
+
+    controller: Controller
+    robot: Any
+    gain: ArrayLike = 10.0
+
+    parameters: ClassVar[tuple[Parameter, ...]] = gain_parameters("gain", "1/s")
+
+    def __post_init__(self) -> None:
+        check_controller(self.controller)
+        n = check_model(self.robot, None, "inverse_dynamics", "coriolis_matrix", "gravity")
+        object.__setattr__(self, "gain", each_coordinate("gain", self.gain, n, above=True))
+
+    def initial_state(self, context: Context) -> tuple[Any, ...]:
+        """Return the wrapped controller's state, its own (begun, integral, last force, estimate), and dt."""
+        check_held(
+            lambda: {"gain": np.asarray(self.gain)},
+            lambda dt: 1.0 - dt * np.asarray(self.gain)[..., None, None],
+            context.dt,
+        )
+        none = np.zeros(self.robot.nv)
+        return self.controller.initial_state(context), (0.0, none, none, none), float(context.dt)
+
+    def applied(self, u: Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
+        """Return the state told of the force that is applied; the wrapped controller, of its own part."""
+        inner, (begun, integral, asked, estimate), dt = state
+        inner = told(self.controller, u + estimate, inner)
+        return inner, (begun, integral + dt * (u - asked), u, estimate), dt
+
+    def signals(self, state: tuple[Any, ...]) -> dict[str, Any]:
+        """Return the disturbance that is estimated, beside what the wrapped controller tells."""
+        return {**signals_of(self.controller, state[0]), "disturbance": ("N, N m", state[1][3])}
+
+    def __call__(
+        self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, ...]
+    ) -> tuple[Array, tuple[Any, ...]]:
+        """Return the generalised force, shape (..., n), and the next state."""
+        inner, (begun, integral, _, _), dt = state
+        robot, still = self.robot, np.zeros(np.shape(v))
+        gravity = robot.gravity(q)
+        momentum = robot.inverse_dynamics(q, still, v) - gravity
+        integral = np.where(begun > 0.0, integral, momentum)
+        estimate = self.gain * (momentum - integral)
+        tau, inner = answer_of(self.controller, t, q, v, reference, inner)
+        tau = tau - estimate
+        turning = np.sum(robot.coriolis_matrix(q, v) * v[..., :, None], axis=-2)
+        rate = tau + turning - gravity + estimate
+        return tau, (inner, (1.0, integral + dt * rate, tau, estimate), dt)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class ADRC:
+    """Active disturbance rejection (Han, 2009; Gao, 2003): each coordinate a double integrator, observed.
+
+        tau = b (a_d + w_c^2 (q_d - z1) + 2 w_c (v_d - z2) - z3)
+
+    z1, z2 and z3 are configuration, rate and all other acceleration, by a discrete observer with three poles
+    at exp(-w_o dt) that is told the force that is applied. It needs no model but b, and no measured
+    velocity: best where that is noisy.
+
+    Parameters
+    ----------
+    robot : MobileRobot
+        Whose configurations it compares and moves; at rest its mass matrix is the default of b.
+    bandwidth : array_like, shape () or (n,)
+        w_c, > 0 [1/s].
+    observer : array_like, shape () or (n,)
+        w_o, > 0, some 3 to 10 times w_c [1/s].
+    inertia : array_like, shape () or (n,), optional
+        b, > 0 [kg, kg m^2]; by default the diagonal of M at rest.
+
+    Raises
+    ------
+    InvalidArgument
+        If an argument is something else; at the start of a run, if the loop is unstable at its dt.
+    """
+
+    robot: Any
+    bandwidth: ArrayLike = 4.0
+    observer: ArrayLike = 20.0
+    inertia: ArrayLike | None = None
+
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        *gain_parameters("bandwidth", "1/s"),
+        *gain_parameters("observer", "1/s"),
+        *gain_parameters("inertia", "kg, kg m^2"),
+    )
+
+    def __post_init__(self) -> None:
+        n = check_model(self.robot, None, "difference", "integrate")
+        if self.inertia is None:
+            object.__setattr__(self, "inertia", np.diagonal(self.robot.mass_matrix(self.robot.rest)))
+        for name in ("bandwidth", "observer", "inertia"):
+            object.__setattr__(self, name, each_coordinate(name, getattr(self, name), n, above=True))
+
+    def initial_state(self, context: Context) -> tuple[Any, ...]:
+        """Return whether it has begun, what it expects at the next sample, the last force, and dt."""
+        names = ("bandwidth", "observer")
+        check_held(lambda: {name: np.asarray(getattr(self, name)) for name in names}, self._loop, context.dt)
+        none = np.zeros(self.robot.nv)
+        place = np.zeros(getattr(self.robot, "nq", self.robot.nv))
+        return 0.0, (place, none, none), none, none, float(context.dt)
+
+    def _gains(self, dt: float) -> tuple[Any, Any, Any]:
+        pole = np.exp(-dt * self.observer)
+        off = 1.0 - pole
+        return 1.0 - pole**3, 1.5 * off * off * (1.0 + pole) / dt, off * off * off / (dt * dt)
+
+    def _loop(self, dt: float) -> Array:
+        """Return the loop of an error x, x', and of what is expected of it, shape (..., 5, 5)."""
+        w, gains = np.asarray(self.bandwidth), np.stack(self._gains(dt), axis=-1)
+        here = np.zeros((*w.shape, 3, 5))  # z1, z2, z3 after the sample, of (x, x', z)
+        here[..., 0] = gains
+        here[..., 2:] = np.eye(3)
+        here[..., 2] -= gains
+        force = -(w * w)[..., None] * here[..., 0, :] - (2 * w)[..., None] * here[..., 1, :] - here[..., 2, :]
+        ahead = np.array([[1.0, dt, dt * dt / 2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
+        push = np.array([dt * dt / 2, dt])
+        body = np.broadcast_to(ahead[:2, :2] @ np.eye(2, 5), (*w.shape, 2, 5)) + push[:, None] * force[..., None, :]
+        expected = ahead @ here
+        expected[..., :2, :] += push[:, None] * force[..., None, :]
+        return np.concatenate([body, expected], axis=-2)
+
+    def applied(self, u: Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
+        """Return the state, what is expected told of the force that is applied, shape (..., n)."""
+        begun, (z1, z2, z3), asked, estimate, dt = state
+        a = (u - asked) / self.inertia
+        return begun, (self.robot.integrate(z1, (0.5 * dt * dt) * a), z2 + dt * a, z3), u, estimate, dt
+
+    def signals(self, state: tuple[Any, ...]) -> dict[str, Any]:
+        """Return all acceleration that the force is not seen to give."""
+        return {"disturbance": ("m/s^2, rad/s^2", state[3])}
+
+    def __call__(
+        self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, ...]
+    ) -> tuple[Array, tuple[Any, ...]]:
+        """Return the generalised force, shape (..., n), and the next state; `v` is not looked at."""
+        begun, (z1, z2, z3), _, _, dt = state
+        robot, w = self.robot, self.bandwidth
+        z1 = np.where(begun > 0.0, z1, q)
+        z2 = np.where(begun > 0.0, z2, reference.v)
+        off, (first, second, third) = robot.difference(z1, q), self._gains(dt)
+        z1, z2, z3 = robot.integrate(z1, first * off), z2 + second * off, z3 + third * off
+        error, rate = robot.difference(z1, reference.q), reference.v - z2
+        command = reference.a + w * w * error + 2.0 * w * rate - z3
+        tau = self.inertia * command
+        a = command + z3
+        ahead = robot.integrate(z1, dt * z2 + (0.5 * dt * dt) * a), z2 + dt * a, z3
+        return tau, (1.0, ahead, tau, z3, dt)
