@@ -471,6 +471,26 @@ ROWS: dict[str, Row] = {
     "ComputedTorque": row(robot=the("robot"), kp=4, kd=4, difference=pm.plain_difference),
     "Decoupled": row(robot=the("robot"), kp=4, kd=4, difference=pm.planar_difference),
     "PDGravity": row(robot=the("robot"), kp=4, kd=4, difference=pm.planar_difference),
+    "PID": row(robot=the("robot"), kp=48, ki=64, kd=12, difference=pm.planar_difference),
+    "SlidingMode": row(
+        robot=the("robot"), slope=4, damping=4, reach=3, layer=0.1, difference=pm.planar_difference
+    ),
+    "SuperTwisting": row(robot=the("robot"), slope=4, k1=3, k2=3, difference=pm.planar_difference),
+    "Adaptive": row(
+        robot=the("robot"),
+        slope=4,
+        kd=[120, 120, 6],
+        gamma=[20, 2, 2, 0.6],
+        friction=False,
+        speed=0.01,
+        dead_zone=0.02,
+        leakage=0.01,
+        lower=[1, -9, -9, 0],
+        upper=[90, 9, 9, 9],
+        difference=pm.planar_difference,
+    ),
+    "ADRC": row(robot=the("robot"), bandwidth=4, observer=20, inertia=[30, 30, 1.5]),
+    "DisturbanceObserver": row(controller=pm.PD(1, 1), robot=the("robot"), gain=10),
     "Saturated": row(controller=pm.PD(1, 1), limits=[1, 2, 3]),
     "Allocated": row(controller=pm.PD(1, 1), robot=the("wheeled")),
     "Backstepping": row(law=pm.Tracking(), robot=the("wheeled"), k=10, steer=10, arms=2),
@@ -1078,6 +1098,7 @@ def is_part(name: str) -> bool:
     """Tell whether a method is what the loop calls on its parts, with arrays that it made."""
     owner, _, method = name.rpartition(".")
     parts = ("PD", "ComputedTorque", "Decoupled", "PDGravity", "Saturated", "Delayed", "NoisyMeasurement")
+    unsure = ("PID", "SlidingMode", "SuperTwisting", "Adaptive", "ADRC", "DisturbanceObserver")
     of_wheels = (
         "Allocated",
         "Backstepping",
@@ -1091,7 +1112,7 @@ def is_part(name: str) -> bool:
         "SwerveTracking",
     )
     forces = ("ConstantForce", "SinusoidalForce", "NoiseForce", "RollingResistance", "ViscousFriction")
-    called = owner in (*parts, *of_wheels, *forces, "EndEffectorTracking", "JointFriction")
+    called = owner in (*parts, *unsure, *of_wheels, *forces, "EndEffectorTracking", "JointFriction")
     integrators = ("constant_acceleration", "rk4", "semi_implicit_euler")
     return name in integrators or (
         called

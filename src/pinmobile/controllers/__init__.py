@@ -6,7 +6,9 @@ and returns the next one (None where it has no memory, see `initial_state`). q, 
 leading axes. `Saturated`, `Delayed` and `NoisyMeasurement` wrap any of them, and each other.
 """
 
+from pinmobile.controllers.adaptive import Adaptive
 from pinmobile.controllers.backstepping import Backstepping, SwerveTracking
+from pinmobile.controllers.computed_torque import PID, ComputedTorque, Decoupled
 from pinmobile.controllers.controller import (
     Controller,
     InverseDynamics,
@@ -24,12 +26,12 @@ from pinmobile.controllers.feedback import (
     GAINS as GAINS,
     PD,
     Compact as Compact,
-    ComputedTorque,
-    Decoupled,
     Gravity,
     PDGravity,
     gain_matrix,
 )
+from pinmobile.controllers.observer import ADRC, DisturbanceObserver
+from pinmobile.controllers.sliding import SlidingMode, SuperTwisting
 from pinmobile.controllers.steering import (
     Changing,
     DynamicFeedback,
@@ -42,7 +44,10 @@ from pinmobile.controllers.steering import (
 from pinmobile.controllers.wrappers import Allocated, Delayed, NoisyMeasurement, Saturated
 
 __all__ = [
+    "ADRC",
     "PD",
+    "PID",
+    "Adaptive",
     "Allocated",
     "Backstepping",
     "Changing",
@@ -50,6 +55,7 @@ __all__ = [
     "Controller",
     "Decoupled",
     "Delayed",
+    "DisturbanceObserver",
     "Driven",
     "DynamicFeedback",
     "Gravity",
@@ -60,7 +66,9 @@ __all__ = [
     "PDGravity",
     "Parking",
     "Saturated",
+    "SlidingMode",
     "State",
+    "SuperTwisting",
     "SwerveTracking",
     "Tracked",
     "Tracking",

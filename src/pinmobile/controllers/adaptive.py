@@ -10,7 +10,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, endless_or_finite, frozen, non_negative
 from pinmobile.controllers.controller import State
 from pinmobile.controllers.feedback import gain_parameters
-from pinmobile.controllers.held import check_held, double_integrator
+from pinmobile.controllers.held import check_held, diagonal, double_integrators
 from pinmobile.controllers.tracking_errors import (
     check_model,
     combined,
@@ -31,7 +31,7 @@ _LEAST = 0.04  # of the nominal inertia about the centre of mass, which an estim
 @final
 @dataclass(frozen=True, eq=False)
 class Adaptive:
-    """Adaptive control of Slotine and Li (1987): the parameters phi of the model are estimated on the way.
+    """Adaptive control (Slotine and Li, 1987): the parameters phi of the model are estimated on the way.
 
         tau = Y phi + kd s,   phi' = gamma Y' s,   s = e' + slope e
 
@@ -130,20 +130,23 @@ class Adaptive:
         object.__setattr__(self, "_nominal", frozen(nominal))
         gamma = rates if self.gamma is None else self.gamma
         object.__setattr__(self, "gamma", each_coordinate("gamma", gamma, p))
-        for name, default in (("lower", least), ("upper", np.full(p, np.inf))):
-            given = getattr(self, name)
-            sign = 1.0 if name == "upper" else -1.0
-            bound = default if given is None else sign * endless_or_finite(name, sign * np.asarray(given))
-            if bound.shape != (p,):
-                raise InvalidArgument(f"{name} has shape {bound.shape}, expected ({p},)")
-            object.__setattr__(self, name, frozen(bound))
-        outside = ~((self.lower <= nominal) & (nominal <= self.upper))  # type: ignore[operator]
+        lower, upper = self._bound("lower", least, -1.0), self._bound("upper", np.full(p, np.inf), 1.0)
+        outside = ~((lower <= nominal) & (nominal <= upper))
         if outside.any():
             k = int(outside.argmax())
             raise InvalidArgument(
-                f"lower and upper of parameter {k} are {self.lower[k]:g} and {self.upper[k]:g}, "  # type: ignore[index]
-                f"which exclude that of the robot, {nominal[k]:g}"
+                f"lower and upper of parameter {k} are {lower[k]:g} and {upper[k]:g}, which exclude that of "
+                f"the robot, {nominal[k]:g}"
             )
+
+    def _bound(self, name: str, default: Array, sign: float) -> Array:
+        """Keep a bound, by default this one, that may be endless on its side."""
+        given = getattr(self, name)
+        bound = default if given is None else sign * endless_or_finite(name, sign * np.asarray(given))
+        if bound.shape != default.shape:
+            raise InvalidArgument(f"{name} has shape {bound.shape}, expected {default.shape}")
+        object.__setattr__(self, name, frozen(bound))
+        return bound
 
     def initial_state(self, context: Context) -> tuple[Any, float]:
         """Return how far the estimates are from the robot's own parameters, and the time between samples."""
@@ -153,9 +156,9 @@ class Adaptive:
 
         def loop(dt: float) -> Array:
             slope, kd = gains().values()
-            rates = np.linalg.eigvals(np.linalg.solve(self._inertia, kd[..., None] * np.eye(len(self._inertia))))
-            gain = np.abs(rates).max(axis=-1, keepdims=True)
-            return double_integrator(dt, slope * gain, slope + gain)
+            gain = np.linalg.solve(self._inertia, diagonal(kd))
+            kp = gain @ diagonal(slope)
+            return double_integrators(dt, kp, gain + diagonal(slope), 0 * kp)
 
         check_held(gains, loop, context.dt)
         return np.zeros(len(self._nominal)), float(context.dt)
@@ -180,7 +183,7 @@ class Adaptive:
         return own
 
     def regressor(self, q: Array, v: Array, velocity: Array, acceleration: Array) -> Array:
-        """Return Y(q, v, v_r, a_r), shape (..., n, p), so that Y phi = M a_r + C(q, v) v_r + g and friction."""
+        """Return Y(q, v, v_r, a_r), shape (..., n, p), of M a_r + C(q, v) v_r + g and of friction."""
         c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
         if self.robot.nv == _BASE:
             found = _of_body(c, s, v, velocity, acceleration)
@@ -222,31 +225,30 @@ class Adaptive:
             self.difference or robot.difference, np.asarray(self.slope), q, v, reference
         )
         Y = self.regressor(q, v, velocity, acceleration)
-        tau = passive_torque(robot, q, v, velocity, acceleration) + self.kd * s
+        tau = passive_torque(robot, q, v, velocity, acceleration) + np.asarray(self.kd) * s
         tau = tau + np.sum(Y * change[..., None, :], axis=-1)
-        grown = self.gamma * (np.sum(Y * s[..., :, None], axis=-2) - self.leakage * change)
+        grown = np.asarray(self.gamma) * (np.sum(Y * s[..., :, None], axis=-2) - self.leakage * change)
         is_seen = np.sum(s * s, axis=-1, keepdims=True) >= np.asarray(self.dead_zone)[..., None] ** 2
         return tau, (self._possible(change + np.where(is_seen, dt * grown, 0.0)), dt)
 
     def _possible(self, change: Array) -> Array:
         """Return the estimates in their bounds."""
-        phi = np.minimum(np.maximum(self._nominal + change, self.lower), self.upper)
+        phi = self._nominal + change
+        phi = np.minimum(np.maximum(phi, np.asarray(self.lower)), np.asarray(self.upper))
         if self.robot.nv > _BASE:
-            return phi - self._nominal
+            return np.asarray(phi - self._nominal)
         m0, mx0, my0, I0 = self._nominal[:_BODY]
         least = _LEAST * (I0 - (mx0 * mx0 + my0 * my0) / m0)
         m, mx, my, inertia = (phi[..., k] for k in range(_BODY))
         inertia = np.maximum(inertia, (mx * mx + my * my) / m + least)
         parts = [m, mx, my, inertia, *(phi[..., k] for k in range(_BODY, len(self._nominal)))]
-        return np.stack(parts, axis=-1) - self._nominal
+        return np.asarray(np.stack(parts, axis=-1) - self._nominal)
 
 
 def _of_body(c: Array, s: Array, v: Array, velocity: Array, acceleration: Array) -> Array:
     """Return the regressor of a body in the plane, shape (..., 3, 4)."""
-    (ax, ay, az), (vx, vy, vz) = (
-        [array[..., k] for k in range(_BASE)] for array in (acceleration, velocity)
-    )
-    r = v[..., 2]
+    ax, ay, az = (acceleration[..., k] for k in range(_BASE))
+    r, vz = v[..., 2], velocity[..., 2]
     none = 0.0 * (ax + r)
     rows = (
         (ax, -s * az - r * c * vz, -c * az + r * s * vz, none),

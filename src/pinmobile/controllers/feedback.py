@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import ClassVar, NamedTuple, Protocol, TypeAlias, final
+from typing import Any, ClassVar, NamedTuple, Protocol, final
 
 import numpy as np
 
@@ -31,12 +31,14 @@ def _times(values: Array, column: Array, size: int) -> Array:
 
 
 def gain_parameters(name: str, unit: str = "") -> tuple[Parameter, ...]:
-    """Return the parameters of a gain with a number for each coordinate: all, each of x, y and psi, a factor."""
+    """Return the parameters of a gain of each coordinate: of all, of x, y and psi alone, and a factor."""
     words = f"{name} of all coordinates, in place of the controller's"
     return (
         Parameter(name, unit, words, attribute=name, write=_all),
         *(
-            Parameter(f"{name}_{c}", unit, f"{name} of {c} alone", attribute=name, entry=k, write=partial(_one, k))
+            Parameter(
+                f"{name}_{c}", unit, f"{name} of {c} alone", attribute=name, entry=k, write=partial(_one, k)
+            )
             for k, c in enumerate(("x", "y", "psi"))
         ),
         Parameter(
@@ -70,10 +72,35 @@ class Compact(NamedTuple):
     gravity: Callable[[Array], Array] | None = None
 
 
-_Feedback: TypeAlias = "PD | ComputedTorque | PDGravity | Decoupled"
+class Feedback(Protocol):
+    """A controller of the errors of configuration and velocity."""
+
+    @property
+    def kp(self) -> ArrayLike:
+        """Gain of the error in configuration."""
+
+    @property
+    def kd(self) -> ArrayLike:
+        """Gain of that in velocity."""
+
+    @property
+    def difference(self) -> Difference | None:
+        """How configurations are compared, where it was told."""
+
+    @property
+    def kinds(self) -> tuple[int, ...]:
+        """Of each gain 0 where it is a number, 1 of each coordinate, 2 a matrix."""
 
 
-def _compacted(controller: _Feedback, plant: Plant, call: str) -> Compact | None:
+class ModelFeedback(Feedback, Protocol):
+    """One with a model of the robot."""
+
+    @property
+    def robot(self) -> Any:
+        """The model that the controller believes in."""
+
+
+def compacted(controller: Feedback, plant: Plant, call: str) -> Compact | None:
     """Return the compact form of a controller with `kp` and `kd`; None where configurations do not subtract.
 
     Parameters
@@ -85,7 +112,7 @@ def _compacted(controller: _Feedback, plant: Plant, call: str) -> Compact | None
     call : str
         Which of its robot's unchecked calls it makes; "" for none.
     """
-    difference, n = _own_difference(controller, plant), plant.nv
+    difference, n = own_difference(controller, plant), plant.nv
     owner = getattr(difference, "__self__", None)
     bound = getattr(owner, "difference", None) == difference
     turning = getattr(owner if bound else difference, "turning", None)
@@ -129,15 +156,15 @@ class PD:
     parameters: ClassVar[tuple[Parameter, ...]] = GAINS
 
     def __post_init__(self) -> None:
-        _check_gains(self, None)
+        check_gains(self, None)
 
     def initial_state(self, context: Context) -> Difference:
         """Return the difference of configurations, by default the plant's."""
-        return _own_difference(self, context)
+        return own_difference(self, context)
 
     def compact(self, plant: Plant) -> Compact | None:
         """Return its compact form, where there is one: for loops."""
-        return _compacted(self, plant, "")
+        return compacted(self, plant, "")
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: Difference
@@ -149,58 +176,6 @@ class PD:
                 "that is of Context.of(robot, dt=...)"
             )
         return feedback(self, state, q, v, reference), state
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class ComputedTorque:
-    """Computed torque, tau = M(q) (a_d + Kd e_dot + Kp e) + n(q, v) (lecture, section 4).
-
-    Of a robot on wheels that moves in every direction, the torques of least norm with which body and arms
-    accelerate so; its reference is of these.
-
-    Parameters
-    ----------
-    robot : MobileRobot or WheeledRobot
-        The model that the controller believes in; it need not be the one that is simulated.
-    kp, kd : array_like, shape (), (n,) or (n, n)
-        Gains [1/s^2] and [1/s]: a scalar, one per coordinate, or a matrix; n is 3 and one for each degree of
-        freedom of the arms.
-    difference : callable
-        ``difference(q0, q1)``: the displacement from q0 to q1; by default the robot's own. The lecture's is
-        `plain_difference`.
-
-    Raises
-    ------
-    InvalidArgument
-        If a gain has another shape or is not finite, or no torques move the robot in every direction.
-    """
-
-    robot: InverseDynamics
-    kp: ArrayLike = 4
-    kd: ArrayLike = 4
-    difference: Difference | None = None
-    kinds: tuple[int, int] = field(init=False, repr=False)
-
-    parameters: ClassVar[tuple[Parameter, ...]] = GAINS
-
-    def __post_init__(self) -> None:
-        check_robot(self, "inverse_dynamics")
-        if hasattr(self.robot, "check_inverse_dynamics"):
-            self.robot.check_inverse_dynamics()
-        _check_gains(self, max(leading_of(self.robot)))
-
-    def initial_state(self, context: Context) -> None:
-        """Return None: there is no memory."""
-
-    def compact(self, plant: Plant) -> Compact | None:
-        """Return its compact form, where there is one: for loops."""
-        return _compacted(self, plant, "inverse_dynamics")
-
-    def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
-        """Return the generalised force, shape (..., n), and None."""
-        command = reference.a + feedback(self, _own_difference(self, self.robot), q, v, reference)
-        return self.robot.inverse_dynamics(q, v, command), None
 
 
 def gain_matrix(name: str, gain: ArrayLike, n: int) -> Array:
@@ -226,7 +201,7 @@ def gain_matrix(name: str, gain: ArrayLike, n: int) -> Array:
     return array if array.ndim == 2 else np.diag(np.broadcast_to(array, n))
 
 
-def check_robot(controller: ComputedTorque | PDGravity | Decoupled, needs: str) -> None:
+def check_robot(controller: ModelFeedback, needs: str) -> None:
     """Refuse a controller's robot that has no sizes, no method of that name, or no difference to use.
 
     Raises
@@ -246,28 +221,31 @@ def check_robot(controller: ComputedTorque | PDGravity | Decoupled, needs: str) 
         )
 
 
-def _own_difference(controller: _Feedback, plant: Context | Plant | InverseDynamics | Gravity) -> Difference:
+def own_difference(controller: Feedback, plant: Context | Plant | InverseDynamics | Gravity) -> Difference:
     """Return the difference that a controller was given, else its robot's, else a plant's or context's."""
     own = controller.difference
     return getattr(controller, "robot", plant).difference if own is None else own
 
 
-def _check_gains(controller: _Feedback, n: int | None) -> None:
-    """Check and freeze `kp` and `kd`, and check `difference`, of a controller that is being made.
+def check_gains(controller: Feedback, n: int | None, *more: str) -> None:
+    """Check and freeze `kp`, `kd` and more, and check `difference`, of a controller that is being made.
 
     Parameters
     ----------
     controller : controller
-        With these three attributes.
+        With these attributes.
     n : int or None
         Number of coordinates, where it is known.
+    more : str
+        Names of its other gains.
 
     Raises
     ------
     InvalidArgument
         If one is not what is expected.
     """
-    for name in ("kp", "kd"):
+    names = ("kp", "kd", *more)
+    for name in names:
         gain = finite(name, getattr(controller, name))
         if n is None and (gain.ndim > 2 or (gain.ndim == 2 and gain.shape[0] != gain.shape[1])):
             raise InvalidArgument(f"{name} has shape {gain.shape}, expected (), (n,) or (n, n)")
@@ -275,12 +253,12 @@ def _check_gains(controller: _Feedback, n: int | None) -> None:
             gain_matrix(name, gain, n)
         object.__setattr__(controller, name, frozen(gain))
     # What a gain is for one robot: 0 a number, 1 one for each coordinate, 2 a matrix; many have leading axes.
-    object.__setattr__(controller, "kinds", (np.ndim(controller.kp), np.ndim(controller.kd)))
+    object.__setattr__(controller, "kinds", tuple(np.ndim(getattr(controller, name)) for name in names))
     if controller.difference is not None:
         check_difference(controller.difference)
 
 
-def feedback(controller: _Feedback, difference: Difference, q: Array, v: Array, reference: State) -> Array:
+def feedback(controller: Feedback, difference: Difference, q: Array, v: Array, reference: State) -> Array:
     """Return Kp e + Kd e_dot of a controller that has `kp` and `kd`, shape (..., n).
 
     Raises
@@ -312,12 +290,12 @@ def feedback(controller: _Feedback, difference: Difference, q: Array, v: Array, 
     return _sum(controller, error, rate)
 
 
-def _sum(controller: _Feedback, error: Array, rate: Array) -> Array:
+def _sum(controller: Feedback, error: Array, rate: Array) -> Array:
     kinds = controller.kinds
-    return _amplified("kp", controller.kp, kinds[0], error) + _amplified("kd", controller.kd, kinds[1], rate)
+    return amplified("kp", controller.kp, kinds[0], error) + amplified("kd", controller.kd, kinds[1], rate)
 
 
-def _amplified(name: str, given: ArrayLike, kind: int, error: Array) -> Array:
+def amplified(name: str, given: ArrayLike, kind: int, error: Array) -> Array:
     """Return a gain times an error, shape (..., n); before the axes of its kind, the gain may have others."""
     n, gain = error.shape[-1], np.asarray(given)
     if gain.shape[gain.ndim - kind :] not in ((), (n,), (n, n)):
@@ -377,85 +355,28 @@ class PDGravity:
     parameters: ClassVar[tuple[Parameter, ...]] = GAINS
 
     def __post_init__(self) -> None:
-        _check(self, "gravity")
+        check_arms(self, "gravity")
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
 
     def compact(self, plant: Plant) -> Compact | None:
         """Return its compact form, where there is one: for loops."""
-        return _compacted(self, plant, "gravity")
+        return compacted(self, plant, "gravity")
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
-        return feedback(self, _own_difference(self, self.robot), q, v, reference) + self.robot.gravity(
-            q
-        ), None
+        return feedback(self, own_difference(self, self.robot), q, v, reference) + self.robot.gravity(q), None
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Decoupled:
-    """Computed torque of the base and of the arms, each ignoring that the other moves.
-
-    The base sees the arms as a load that is locked where they are, as `MobileRobot.lumped` has it; the arms
-    see themselves on a base at rest, gravity included. With c = a_d + Kd e_dot + Kp e, parted into base and
-    arms,
-
-        tau_base = M_bb(q) c_b + n_b(q, (v_b, 0)),      tau_arm = M_aa(q) c_a + n_a(q, (0, v_a)).
-
-    What `ComputedTorque` has beyond that is the coupling: M_ba, M_ab, and the products of v_b and v_a.
-
-    Parameters
-    ----------
-    robot : MobileRobot
-        The model that the controller believes in; it need not be the one that is simulated.
-    kp, kd : array_like, shape (), (n,) or (n, n)
-        Gains [1/s^2] and [1/s]: a scalar, one per coordinate, or a matrix.
-    difference : callable
-        ``difference(q0, q1)``: the displacement from q0 to q1; by default the robot's own.
+def check_arms(controller: ModelFeedback, needs: str) -> None:
+    """Check gains and robot of a controller of base and arms that is being made, and refuse wheels.
 
     Raises
     ------
     InvalidArgument
-        If a gain has another shape or is not finite.
+        If one is not what is expected.
     """
-
-    robot: InverseDynamics
-    kp: ArrayLike = 4
-    kd: ArrayLike = 4
-    difference: Difference | None = None
-    kinds: tuple[int, int] = field(init=False, repr=False)
-
-    parameters: ClassVar[tuple[Parameter, ...]] = GAINS
-
-    def __post_init__(self) -> None:
-        _check(self, "inverse_dynamics")
-
-    def initial_state(self, context: Context) -> None:
-        """Return None: there is no memory."""
-
-    def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
-        """Return the generalised force, shape (..., n), and None."""
-        command = reference.a + feedback(self, _own_difference(self, self.robot), q, v, reference)
-        base = self.robot.inverse_dynamics(q, *map(_of_base, (v, command)))
-        arms = self.robot.inverse_dynamics(q, *map(_of_arms, (v, command)))
-        return np.concatenate([base[..., :_BASE], arms[..., _BASE:]], axis=-1), None
-
-
-def _of_base(rate: Array) -> Array:
-    part = np.zeros(rate.shape)
-    part[..., :_BASE] = rate[..., :_BASE]
-    return part
-
-
-def _of_arms(rate: Array) -> Array:
-    part = np.zeros(rate.shape)
-    part[..., _BASE:] = rate[..., _BASE:]
-    return part
-
-
-def _check(controller: PDGravity | Decoupled, needs: str) -> None:
     check_robot(controller, needs)
     if max(leading_of(controller.robot)) < controller.robot.nv:
         raise InvalidArgument(
@@ -463,4 +384,4 @@ def _check(controller: PDGravity | Decoupled, needs: str) -> None:
             f"Allocated({type(controller).__name__}"
             "(robot.robot, ...), robot)"
         )
-    _check_gains(controller, controller.robot.nv)
+    check_gains(controller, controller.robot.nv)

@@ -12,15 +12,22 @@ from pinmobile.errors import InvalidArgument, NotTraceable
 _ROUNDING = 1e-7  # by which an eigenvalue of a double root at 1 is computed too large
 
 
-def double_integrator(dt: float, kp: Array, kd: Array, ki: Array | float = 0.0) -> Array:
-    """Return the loop of x'' = u, u = -kp x - kd x' + ki z, z' = -x, with u held, shape (..., 3, 3).
+def double_integrators(dt: float, kp: Array, kd: Array, ki: Array) -> Array:
+    """Return the loop of x'' = u, u = -kp x - kd x' + ki z, z' = -x, with u held, shape (..., 3 n, 3 n).
 
-    The integral z is summed by explicit Euler after u.
+    The integral z is summed by explicit Euler after u. Gains are matrices, shape (..., n, n).
     """
     kp, kd, ki = np.broadcast_arrays(kp, kd, ki)
-    force = np.stack([-kp, -kd, ki], axis=-1)
-    free = np.array([[1.0, dt, 0.0], [0.0, 1.0, 0.0], [-dt, 0.0, 1.0]])
-    return np.asarray(free + np.array([dt * dt / 2, dt, 0.0])[:, None] * force[..., None, :])
+    one = np.eye(kp.shape[-1])
+    force = np.concatenate([-kp, -kd, ki], axis=-1)
+    rows = ([one, dt * one, 0 * one], [0 * one, one, 0 * one], [-dt * one, 0 * one, one])
+    pushes = np.concatenate([dt * dt / 2 * one, dt * one, 0 * one])
+    return np.asarray(np.block([list(row) for row in rows]) + pushes @ force)
+
+
+def diagonal(gain: Array) -> Array:
+    """Return gains of each coordinate, shape (..., n), as matrices."""
+    return np.asarray(gain[..., None] * np.eye(gain.shape[-1]))
 
 
 def check_held(gains: Callable[[], dict[str, Array]], loop: Callable[[float], Array], dt: float) -> None:

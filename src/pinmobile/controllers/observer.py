@@ -31,8 +31,8 @@ class DisturbanceObserver:
     ----------
     controller : controller
         What is wrapped, such as `ComputedTorque`.
-    robot : MobileRobot
-        The model by which the momentum is found.
+    robot : MobileRobot, optional
+        The model by which the momentum is found; by default the wrapped controller's.
     gain : array_like, shape () or (n,)
         Rate of the estimate, > 0 [1/s].
 
@@ -43,13 +43,15 @@ class DisturbanceObserver:
     """
 
     controller: Controller
-    robot: Any
+    robot: Any = None
     gain: ArrayLike = 10.0
 
     parameters: ClassVar[tuple[Parameter, ...]] = gain_parameters("gain", "1/s")
 
     def __post_init__(self) -> None:
         check_controller(self.controller)
+        if self.robot is None:
+            object.__setattr__(self, "robot", getattr(self.controller, "robot", None))
         n = check_model(self.robot, None, "inverse_dynamics", "coriolis_matrix", "gravity")
         object.__setattr__(self, "gain", each_coordinate("gain", self.gain, n, above=True))
 
@@ -82,7 +84,7 @@ class DisturbanceObserver:
         gravity = robot.gravity(q)
         momentum = robot.inverse_dynamics(q, still, v) - gravity
         integral = np.where(begun > 0.0, integral, momentum)
-        estimate = self.gain * (momentum - integral)
+        estimate = np.asarray(self.gain) * (momentum - integral)
         tau, inner = answer_of(self.controller, t, q, v, reference, inner)
         tau = tau - estimate
         turning = np.sum(robot.coriolis_matrix(q, v) * v[..., :, None], axis=-2)
@@ -145,7 +147,7 @@ class ADRC:
         return 0.0, (place, none, none), none, none, float(context.dt)
 
     def _gains(self, dt: float) -> tuple[Any, Any, Any]:
-        pole = np.exp(-dt * self.observer)
+        pole = np.exp(-dt * np.asarray(self.observer))
         off = 1.0 - pole
         return 1.0 - pole**3, 1.5 * off * off * (1.0 + pole) / dt, off * off * off / (dt * dt)
 
@@ -159,15 +161,16 @@ class ADRC:
         force = -(w * w)[..., None] * here[..., 0, :] - (2 * w)[..., None] * here[..., 1, :] - here[..., 2, :]
         ahead = np.array([[1.0, dt, dt * dt / 2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
         push = np.array([dt * dt / 2, dt])
-        body = np.broadcast_to(ahead[:2, :2] @ np.eye(2, 5), (*w.shape, 2, 5)) + push[:, None] * force[..., None, :]
+        pushed = push[:, None] * force[..., None, :]
+        body = ahead[:2, :2] @ np.eye(2, 5) + pushed
         expected = ahead @ here
-        expected[..., :2, :] += push[:, None] * force[..., None, :]
+        expected[..., :2, :] += pushed
         return np.concatenate([body, expected], axis=-2)
 
     def applied(self, u: Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return the state, what is expected told of the force that is applied, shape (..., n)."""
         begun, (z1, z2, z3), asked, estimate, dt = state
-        a = (u - asked) / self.inertia
+        a = (u - asked) / np.asarray(self.inertia)
         return begun, (self.robot.integrate(z1, (0.5 * dt * dt) * a), z2 + dt * a, z3), u, estimate, dt
 
     def signals(self, state: tuple[Any, ...]) -> dict[str, Any]:
@@ -179,14 +182,14 @@ class ADRC:
     ) -> tuple[Array, tuple[Any, ...]]:
         """Return the generalised force, shape (..., n), and the next state; `v` is not looked at."""
         begun, (z1, z2, z3), _, _, dt = state
-        robot, w = self.robot, self.bandwidth
+        robot, w = self.robot, np.asarray(self.bandwidth)
         z1 = np.where(begun > 0.0, z1, q)
         z2 = np.where(begun > 0.0, z2, reference.v)
         off, (first, second, third) = robot.difference(z1, q), self._gains(dt)
         z1, z2, z3 = robot.integrate(z1, first * off), z2 + second * off, z3 + third * off
         error, rate = robot.difference(z1, reference.q), reference.v - z2
         command = reference.a + w * w * error + 2.0 * w * rate - z3
-        tau = self.inertia * command
+        tau = np.asarray(self.inertia) * command
         a = command + z3
         ahead = robot.integrate(z1, dt * z2 + (0.5 * dt * dt) * a), z2 + dt * a, z3
         return tau, (1.0, ahead, tau, z3, dt)

@@ -10,7 +10,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike
 from pinmobile.controllers.controller import State
 from pinmobile.controllers.feedback import gain_parameters
-from pinmobile.controllers.held import check_held, double_integrator
+from pinmobile.controllers.held import check_held, diagonal, double_integrators
 from pinmobile.controllers.tracking_errors import (
     Dynamics,
     check_model,
@@ -83,7 +83,8 @@ class SlidingMode:
         def loop(dt: float) -> Array:
             slope, damping, reach, layer = (np.asarray(getattr(self, name)) for name in names)
             gain = damping + reach / layer
-            return double_integrator(dt, slope * gain, slope + gain)
+            kp, kd = diagonal(slope * gain), diagonal(slope + gain)
+            return double_integrators(dt, kp, kd, 0 * kp)
 
         check_held(lambda: {name: np.asarray(getattr(self, name)) for name in names}, loop, context.dt)
 
@@ -93,8 +94,9 @@ class SlidingMode:
         s, velocity, acceleration = combined(
             self.difference or robot.difference, np.asarray(self.slope), q, v, reference
         )
-        switched = self.reach * np.minimum(np.maximum(s / self.layer, -1.0), 1.0)
-        return passive_torque(robot, q, v, velocity, acceleration + self.damping * s + switched), None
+        switched = np.asarray(self.reach) * np.minimum(np.maximum(s / np.asarray(self.layer), -1.0), 1.0)
+        push = np.asarray(self.damping) * s + switched
+        return passive_torque(robot, q, v, velocity, acceleration + push), None
 
 
 @final
@@ -167,7 +169,7 @@ class SuperTwisting:
             self.difference or robot.difference, np.asarray(self.slope), q, v, reference
         )
         side = np.sign(s)
-        push = self.k1 * np.sqrt(np.abs(s)) * side + z
+        push = np.asarray(self.k1) * np.sqrt(np.abs(s)) * side + z
         tau = passive_torque(robot, q, v, velocity, acceleration + push)
-        gain = dt * (self.k2 * side)
+        gain = dt * (np.asarray(self.k2) * side)
         return tau, (z + gain, gain, tau, dt)

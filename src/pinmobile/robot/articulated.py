@@ -370,6 +370,19 @@ class ArticulatedBody:
         """Return n(q, v), shape (..., nv)."""
         return self._public(self._moving(q, v).efforts(self._bodies, [ZERO] * self.nv), q)
 
+    def coriolis_matrix(self, q: Array, v: Array) -> Array:
+        """Return C(q, v), shape (..., nv, nv), of Christoffel's symbols.
+
+        n - g is quadratic in v, and each column of C its symmetric bilinear form, with a unit velocity.
+        """
+        columns = []
+        for k in range(self.nv):
+            unit = np.zeros(self.nv)
+            unit[k] = 0.5
+            half = 0.5 * v
+            columns.append(self.nonlinear_effects(q, half + unit) - self.nonlinear_effects(q, half - unit))
+        return np.stack(columns, axis=-1)
+
     def gravity(self, q: Array) -> Array:
         """Return g(q), shape (..., nv)."""
         still = [ZERO] * self.nv
