@@ -75,6 +75,7 @@ INNER = {
     *("ensembles.Outline.description", "ensembles.Outline.difference", "ensembles.Part.of"),
     *("controllers.Changing", "controllers.Tracked"),
     *("PD.compact", "ComputedTorque.compact", "PDGravity.compact", "MobileRobot.traced"),
+    *("Rolling.of_each_wheel", "Coulomb.of_each_wheel"),
     "WheeledRobot.traced",
     *("MobileRobot.varying", "JointFriction.varying", "JointFriction.with_parameters"),
     "Load.with_numbers",
