@@ -7,7 +7,7 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, endless_or_finite, frozen, non_negative
+from pinmobile.arrays import Array, ArrayLike, endless_or_finite, frozen, non_negative, positive, real
 from pinmobile.controllers.controller import State
 from pinmobile.controllers.feedback import gain_parameters
 from pinmobile.controllers.held import check_held, diagonal, double_integrators
@@ -17,14 +17,15 @@ from pinmobile.controllers.tracking_errors import (
     each_coordinate,
     passive_torque,
 )
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Context, Difference, Parameter
 
 _BASE = 3  # coordinates of the base: x, y, psi
 _BODY = 4  # parameters of a body in the plane: m, m com_x, m com_y, and inertia about the frame's vertical
 _EACH = 10  # parameters of a body in space, as `regressor` has them
-_RATES = (2 / 3, 1 / 15, 1 / 15, 1 / 50)  # of adaptation, per kg of the robot: of a body,
-_RUBBING = ((2.0, 2.0, 1 / 5), (1.0, 1.0, 1 / 10))  # of viscous friction, and of that which does not grow
+_RATES = (2 / 3, 1 / 15, 1 / 15, 1 / 50)  # gains of the estimates of a body in the plane, per kg of it
+_RUBBING = (2.0, 1.0)  # of viscous friction and of that which does not grow, per diagonal of M,
+_TURNING = 1.8  # and so many times that where a coordinate is an angle
 _LEAST = 0.04  # of the nominal inertia about the centre of mass, which an estimate keeps
 
 
@@ -54,8 +55,8 @@ class Adaptive:
     kd : array_like, shape () or (n,), optional
         Gain of s, > 0 [N s/m, N m s/rad]; by default 4 / s times the diagonal of M at rest.
     gamma : array_like, shape () or (p,), optional
-        Gain of each parameter's estimate, >= 0; by default in proportion to the robot's mass. As large as an
-        expected error squared over what is allowed of the sum above.
+        Gain of each parameter's estimate, >= 0: an expected error squared over what is allowed of the sum
+        above; by default in proportion to the robot's mass, and with arms to what each body has.
     friction : bool
         Whether friction is estimated too.
     speed : float
@@ -100,12 +101,12 @@ class Adaptive:
     def __post_init__(self) -> None:
         n = check_model(self.robot, self.difference, "inverse_dynamics", "nonlinear_effects", "gravity")
         if not isinstance(self.friction, bool):
-            raise InvalidArgument(f"friction is {self.friction!r}, expected True or False")
+            raise InvalidArgument(f"friction is {shown(self.friction)}, expected True or False")
         if hasattr(self.robot, "rest"):  # what it becomes in a compiled loop has been looked at before
             self._look(n)
         for name in ("slope", "kd"):
             object.__setattr__(self, name, each_coordinate(name, getattr(self, name), n, above=True))
-        object.__setattr__(self, "speed", non_negative("speed", self.speed))
+        object.__setattr__(self, "speed", positive("speed", self.speed))
         for name in ("dead_zone", "leakage"):
             object.__setattr__(self, name, non_negative(name, getattr(self, name)))
 
@@ -119,13 +120,14 @@ class Adaptive:
             least[0], rates = nominal[0] / 10, mass * np.array(_RATES)
         else:
             nominal = np.array(self.robot.inertial_parameters)
-            least, rates = np.full(len(nominal), -np.inf), np.zeros(len(nominal))
+            least = np.full(len(nominal), -np.inf)
             least[::_EACH] = nominal[::_EACH] / 10
-            rates[:] = np.tile([2 / 3, *(1 / 15,) * 3, *(1 / 50,) * 6], n - _BASE + 1) * mass
+            rates = _of_bodies(nominal)
         if self.friction:
-            rubbing = np.array([[*row, *(row[-1],) * (n - _BASE)] for row in _RUBBING]) * mass
-            nominal = np.concatenate([nominal, np.zeros(2 * n)])
-            least, rates = np.concatenate([least, np.zeros(2 * n)]), np.concatenate([rates, rubbing.ravel()])
+            none = np.zeros(2 * n)
+            nominal, least = np.concatenate([nominal, none]), np.concatenate([least, none])
+            sizes = np.where(np.arange(n) < 2, 1.0, _TURNING) * np.diagonal(M)
+            rates = np.concatenate([rates, *(rate * sizes for rate in _RUBBING)])
         p = len(nominal)
         object.__setattr__(self, "_nominal", frozen(nominal))
         gamma = rates if self.gamma is None else self.gamma
@@ -142,7 +144,7 @@ class Adaptive:
     def _bound(self, name: str, default: Array, sign: float) -> Array:
         """Keep a bound, by default this one, that may be endless on its side."""
         given = getattr(self, name)
-        bound = default if given is None else sign * endless_or_finite(name, sign * np.asarray(given))
+        bound = default if given is None else sign * endless_or_finite(name, sign * real(name, given))
         if bound.shape != default.shape:
             raise InvalidArgument(f"{name} has shape {bound.shape}, expected {default.shape}")
         object.__setattr__(self, name, frozen(bound))
@@ -182,7 +184,7 @@ class Adaptive:
             }
         return own
 
-    def regressor(self, q: Array, v: Array, velocity: Array, acceleration: Array) -> Array:
+    def _regressor(self, q: Array, v: Array, velocity: Array, acceleration: Array) -> Array:
         """Return Y(q, v, v_r, a_r), shape (..., n, p), of M a_r + C(q, v) v_r + g and of friction."""
         c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
         if self.robot.nv == _BASE:
@@ -224,7 +226,7 @@ class Adaptive:
         s, velocity, acceleration = combined(
             self.difference or robot.difference, np.asarray(self.slope), q, v, reference
         )
-        Y = self.regressor(q, v, velocity, acceleration)
+        Y = self._regressor(q, v, velocity, acceleration)
         tau = passive_torque(robot, q, v, velocity, acceleration) + np.asarray(self.kd) * s
         tau = tau + np.sum(Y * change[..., None, :], axis=-1)
         grown = np.asarray(self.gamma) * (np.sum(Y * s[..., :, None], axis=-2) - self.leakage * change)
@@ -243,6 +245,16 @@ class Adaptive:
         inertia = np.maximum(inertia, (mx * mx + my * my) / m + least)
         parts = [m, mx, my, inertia, *(phi[..., k] for k in range(_BODY, len(self._nominal)))]
         return np.asarray(np.stack(parts, axis=-1) - self._nominal)
+
+
+def _of_bodies(inertial: Array) -> Array:
+    """Return gains for bodies in space, shape (10 bodies,): half of each number squared, per J."""
+    rates = []
+    for body in inertial.reshape(-1, _EACH):
+        inertia = float(body[4] + body[6] + body[9])  # the trace
+        sizes = [body[0], *(np.sqrt(max(body[0] * inertia, 0.0)),) * 3, *(inertia,) * 6]
+        rates.append(np.square(sizes) / 4)
+    return np.concatenate(rates)
 
 
 def _of_body(c: Array, s: Array, v: Array, velocity: Array, acceleration: Array) -> Array:

@@ -10,6 +10,7 @@ from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument, NotTraceable
 
 _ROUNDING = 1e-7  # by which an eigenvalue of a double root at 1 is computed too large
+_SHARE = 1e-3  # of a time step, below which a bound is none
 
 
 def double_integrators(dt: float, kp: Array, kd: Array, ki: Array) -> Array:
@@ -64,7 +65,7 @@ def check_held(gains: Callable[[], dict[str, Array]], loop: Callable[[float], Ar
     for _ in range(40):
         middle = (good + bad) / 2
         good, bad = (middle, bad) if is_stable(middle) else (good, middle)
-    if good < 1e-6 * dt:
+    if good < _SHARE * dt:
         raise InvalidArgument(f"gains {words} are unstable at any dt, expected others")
     raise InvalidArgument(
         f"gains {words} are unstable with a force that is held for dt = {dt:g} s, expected "

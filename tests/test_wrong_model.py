@@ -1,0 +1,324 @@
+"""Controllers for a model that is wrong: against published numbers, their theory, and all engines."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pinmobile import (
+    ADRC,
+    ARRAYS,
+    COMPILED,
+    PD,
+    PID,
+    PINOCCHIO,
+    Adaptive,
+    Circle,
+    ComputedTorque,
+    ConstantForce,
+    Delayed,
+    DisturbanceObserver,
+    FixedHeading,
+    InvalidArgument,
+    MobileRobot,
+    Reference,
+    RollingResistance,
+    Saturated,
+    SlidingMode,
+    SuperTwisting,
+    Tangent,
+    Uniform,
+    ViscousFriction,
+    WheeledRobot,
+    WheelTable,
+    ensemble,
+    rk4,
+    simulate,
+)
+from pinmobile.arrays import Array
+from pinmobile.controllers.tracking_errors import passive_torque
+
+NOMINAL = MobileRobot(mass=30, yaw_inertia=1.3, com=(0.1, 0.05))
+HEAVY = MobileRobot(mass=36, yaw_inertia=1.56, com=(0.1, 0.05))
+LOADED = MobileRobot(mass=30, yaw_inertia=1.3, com=(0.2, -0.05))
+ARM = MobileRobot.box().mount("ur5")
+CIRCLE = Tangent(Circle(radius=1.5, rate=0.6, duration=30))
+SHORT = Tangent(Circle(radius=1.5, rate=0.6, duration=2))
+RUBBING = (ViscousFriction((10, 20, 2)), RollingResistance((6, 9, 1), 0.01))
+GAIN = (120.0, 120.0, 6.0)
+EACH: Mapping[str, Any] = {
+    "PID": PID(NOMINAL),
+    "sliding": SlidingMode(NOMINAL),
+    "twisting": SuperTwisting(NOMINAL),
+    "adaptive": Adaptive(NOMINAL, kd=GAIN),
+    "adaptive, friction": Adaptive(NOMINAL, kd=GAIN, friction=True),
+    "observer": DisturbanceObserver(ComputedTorque(NOMINAL, 16, 8), NOMINAL),
+    "ADRC": ADRC(NOMINAL),
+}
+# Largest distance after 5 s [mm]: nominal, mass and inertia 20 % more, another centre of mass, friction.
+TABLE = {
+    "PID": ("0.015", "0.950", "0.711", "6.42"),
+    "sliding": ("0.011", "0.763", "0.558", "4.30"),
+    "twisting": ("0.003", "0.028", "0.078", "0.017"),
+    "adaptive": ("0.094", "5.23", "2.36", "36.4"),
+    "observer": ("0.099", "0.505", "0.267", "2.18"),
+    "ADRC": ("0.281", "0.822", "0.600", "3.81"),
+}
+
+
+def distance(robot: MobileRobot, controller: Any, forces: Any = (), **options: Any) -> float:
+    """Return the largest distance from the circle after 5 s [mm]."""
+    given: Any = {"dt": 0.01, "integrator": rk4, "substeps": 4, "engine": COMPILED, "forces": forces}
+    run = simulate(robot, controller, CIRCLE, **given, **options)
+    off = (run.q - run.reference.q)[run.t >= 5, :2]
+    return 1e3 * float(np.linalg.norm(off, axis=-1).max())
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_errors_are_those_of_an_independent_implementation(name: str) -> None:
+    found = [distance(robot, EACH[name]) for robot in (NOMINAL, HEAVY, LOADED)]
+    found.append(distance(NOMINAL, EACH[name], RUBBING))
+    for mine, printed in zip(found, TABLE[name], strict=True):
+        digit = 10.0 ** -len(printed.partition(".")[2])
+        # Two percent, or half a unit of the last digit that is printed.
+        assert abs(mine - float(printed)) <= max(0.02 * float(printed), 0.5 * digit), (found, TABLE[name])
+
+
+def test_estimated_friction_is_worth_more_than_estimated_inertia_where_there_is_friction() -> None:
+    both, inertia = (distance(NOMINAL, EACH[name], RUBBING) for name in ("adaptive, friction", "adaptive"))
+    assert both < 0.05 * inertia
+
+
+def test_a_delay_costs_all_of_them_alike_speed_times_latency() -> None:
+    for name in ("PID", "sliding", "adaptive"):
+        off = distance(HEAVY, Delayed(EACH[name], 3))
+        assert off == pytest.approx(1.5 * 0.6 * 0.03 * 1e3, rel=0.05), name
+
+
+def test_torque_keeps_the_robot_passive_and_is_what_the_regressor_says() -> None:
+    generator = np.random.default_rng(3)
+    for robot in (NOMINAL, ARM):
+        q = robot.random_configuration(generator, (4,))
+        v, velocity, acceleration = generator.normal(size=(3, 4, robot.nv))
+        wanted = (
+            np.einsum("kij,kj->ki", robot.mass_matrix(q), acceleration)
+            + np.einsum("kij,kj->ki", robot.coriolis_matrix(q, v), velocity)
+            + robot.gravity(q)
+        )
+        found = passive_torque(robot, q, v, velocity, acceleration)
+        scale = np.abs(wanted).max()
+        assert np.abs(found - wanted).max() < 1e-13 * scale
+        adaptive = Adaptive(robot)
+        Y = adaptive._regressor(q, v, velocity, acceleration)
+        assert np.abs(Y @ adaptive._nominal - wanted).max() < 1e-13 * scale
+
+
+def test_coriolis_matrix_of_the_tree_on_arrays_is_pinocchios() -> None:
+    generator = np.random.default_rng(4)
+    q, v = ARM.random_configuration(generator), generator.normal(size=ARM.nv)
+    mine, its = ARM.traced().coriolis_matrix(q, v), ARM.coriolis_matrix(q, v)
+    # Any C with C v = n and dM/dt - 2 C skew gives the same transposed product, all that a law takes of it.
+    assert np.abs(mine @ v - its @ v).max() < 1e-13 * np.abs(its @ v).max()
+    assert np.abs(mine.T @ v - its.T @ v).max() < 1e-13 * np.abs(its @ v).max()
+
+
+class Rich:
+    """All coordinates to and fro, with frequencies of their own."""
+
+    duration = 40.0
+
+    def __call__(self, t: Any) -> Reference:
+        t = np.asarray(t)
+        size, rate, phase = np.array([1.2, 0.8, 0.8]), np.array([0.9, 1.3, 0.7]), np.array([0, 0.4, 0])
+        angle = rate * t[..., None] + phase
+        return Reference(size * np.sin(angle), size * rate * np.cos(angle), -size * rate**2 * np.sin(angle))
+
+
+def test_estimates_become_right_where_the_motion_is_rich_and_not_on_a_circle() -> None:
+    true = np.array([36.0, 3.6, 1.8, 1.56 + 36 * (0.1**2 + 0.05**2)])
+
+    def last(trajectory: Any) -> Array:
+        given: Any = {"dt": 0.01, "integrator": rk4, "engine": COMPILED, "duration": 30.0}
+        told = simulate(HEAVY, EACH["adaptive"], trajectory, **given).signals
+        parts = [told[name].values[-1] for name in ("mass", "first_moment", "inertia")]
+        return np.hstack(parts)
+
+    rich, circle = last(Rich()), last(CIRCLE)
+    assert abs(rich[0] - 36) < 0.2
+    assert np.abs(rich[1:3] - true[1:3]).max() < 0.15
+    # Four numbers of which a circle at constant speed shows two: the mass stays far from what it is.
+    assert abs(circle[0] - 36) > 5 * abs(rich[0] - 36)
+
+
+def test_the_sum_of_squares_of_adaptive_control_falls_in_each_step() -> None:
+    dt = 2e-4
+    run = simulate(
+        HEAVY,
+        Adaptive(NOMINAL, kd=GAIN),
+        Rich(),
+        dt=dt,
+        duration=1.0,
+        integrator=rk4,
+        engine=COMPILED,
+        q0=Rich()(0.0).q + np.array([0.1, -0.05, 0.1]),
+        v0=Rich()(0.0).v,
+    )
+    told = run.signals
+    phi = np.column_stack([told["mass"].values, told["first_moment"].values, told["inertia"].values])
+    true = np.array([36.0, 3.6, 1.8, 1.56 + 36 * (0.1**2 + 0.05**2)])
+    gamma = np.array([2 / 3, 1 / 15, 1 / 15, 1 / 50]) * 30
+    s = run.reference.v - run.v + 4 * (run.reference.q - run.q)
+    kinetic = np.einsum("ki,kij,kj->k", s, HEAVY.mass_matrix(run.q), s) / 2
+    # A signal is told after its sample, when the estimate has been brought on.
+    total = kinetic[1:] + ((phi - true) ** 2 / gamma).sum(axis=-1)[:-1] / 2
+    assert total[0] > 1
+    assert (np.diff(total) < 0).all()
+
+
+def test_the_observer_is_exact_for_constant_forces_and_as_fast_as_its_gain() -> None:
+    force = np.array([12.0, -7.0, 1.5])
+    controller = DisturbanceObserver(ComputedTorque(NOMINAL, 16, 8))
+    still = FixedHeading(Circle(radius=1.5, rate=0.6, duration=4), 0.3)
+    run = simulate(
+        NOMINAL, controller, still, dt=1e-3, integrator=rk4, engine=COMPILED, forces=[ConstantForce(force)]
+    )
+    found = run.signals["disturbance"].values
+    # Explicit Euler of the integral: order 1 in dt.
+    assert np.abs(found[-1] - force).max() < 1e-3 * np.abs(force).max()
+    at = found[round(0.1 / 1e-3)] / force
+    assert np.abs(at - (1 - np.exp(-1))).max() < 0.01
+
+
+@pytest.mark.parametrize("name", ["PID", "twisting", "observer", "ADRC"])
+def test_nothing_winds_up_where_the_force_is_limited(name: str) -> None:
+    limits = (22.0, 22.0, 3.0)
+    start = CIRCLE(0.0).q + np.array([0.5, -0.3, 0.4])
+    run = simulate(
+        NOMINAL,
+        Saturated(EACH[name], limits),
+        CIRCLE,
+        dt=0.01,
+        integrator=rk4,
+        substeps=4,
+        q0=start,
+        engine=COMPILED,
+    )
+    off = np.linalg.norm((run.q - run.reference.q)[:, :2], axis=-1)
+    assert (np.abs(run.u).max(axis=0) >= limits).any()
+    assert off.max() < 1.0
+    assert off[run.t > 6].max() < 0.02
+
+
+def test_integral_action_without_being_told_of_limits_winds_up() -> None:
+    class Deaf:
+        parameters = ()
+
+        def initial_state(self, context: Any) -> Any:
+            return EACH["PID"].initial_state(context)
+
+        def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> Any:
+            return EACH["PID"](t, q, v, reference, state)
+
+    def overshoot(controller: Any) -> float:
+        start = CIRCLE(0.0).q + np.array([0.5, -0.3, 0.4])
+        run = simulate(
+            NOMINAL,
+            Saturated(controller, (22.0, 22.0, 3.0)),
+            CIRCLE,
+            dt=0.01,
+            integrator=rk4,
+            q0=start,
+            duration=4.0,
+            engine=COMPILED,
+        )
+        return float(np.linalg.norm((run.q - run.reference.q)[:, :2], axis=-1).max())
+
+    assert overshoot(Deaf()) > 1.3 * overshoot(EACH["PID"])
+
+
+@pytest.mark.parametrize("name", EACH)
+def test_all_engines_agree(name: str) -> None:
+    given: Any = {"dt": 0.01, "integrator": rk4, "seed": 2, "n": 3}
+    spread = {"mass": Uniform(25, 36), "start_x": Uniform(-0.1, 0.1)}
+    runs = [
+        ensemble(NOMINAL, Saturated(EACH[name], (25, 25, 4)), SHORT, spread=spread, engine=engine, **given)
+        for engine in (COMPILED, ARRAYS, PINOCCHIO)
+    ]
+    # 200 samples of contracting loops: rounding does not grow, but where a sign switches.
+    close = 1e-9 if name == "twisting" else 1e-12
+    for other in runs[1:]:
+        assert np.abs(runs[0].rms_error - other.rms_error).max() < close
+
+
+def test_arms_are_adapted_too() -> None:
+    heavier = ARM.with_parameters(**{"mass_ur5/forearm_link": 4.0})
+
+    class Nod:
+        duration = 1.0
+
+        def __call__(self, t: Any) -> Reference:
+            angle = 3.0 * np.asarray(t)[..., None]
+            way = 0.2 * np.arange(1, ARM.nv + 1) / ARM.nv
+            q = ARM.rest + way * (1 - np.cos(angle))
+            return Reference(q, way * 3 * np.sin(angle), way * 9 * np.cos(angle))
+
+    given: Any = {"dt": 0.01, "integrator": rk4, "engine": COMPILED}
+    fixed = simulate(heavier, Adaptive(ARM, gamma=0.0), Nod(), **given)
+    adapted = simulate(heavier, Adaptive(ARM), Nod(), **given)
+    worst = [np.abs(run.q - run.reference.q)[50:].max() for run in (fixed, adapted)]
+    assert worst[1] < 0.8 * worst[0]
+
+
+UNSTABLE: Any = [
+    (PID(NOMINAL, kp=3000, ki=64, kd=250), "gains kp = "),
+    (PID(NOMINAL, kp=4, ki=64, kd=4), "unstable at any dt"),
+    (SlidingMode(NOMINAL, reach=30), "gains slope = "),
+    (Adaptive(NOMINAL, kd=(9000, 9000, 500)), "gains slope = "),
+    (DisturbanceObserver(PD(1, 1), NOMINAL, gain=250), r"gain = \[250.0\] are unstable .* dt < 0.008 s"),
+    (ADRC(NOMINAL, bandwidth=300, observer=20), "gains bandwidth = "),
+]
+
+
+@pytest.mark.parametrize(("controller", "words"), UNSTABLE)
+def test_gains_that_are_unstable_at_this_dt_are_refused_with_the_bound(controller: Any, words: str) -> None:
+    with pytest.raises(InvalidArgument, match=words):
+        simulate(NOMINAL, controller, SHORT, dt=0.01)
+
+
+def test_the_bound_is_where_the_loop_itself_becomes_unstable() -> None:
+    gains: Any = {"kp": 100.0, "ki": 0.0, "kd": 20.0}
+    with pytest.raises(InvalidArgument, match=r"dt < ([0-9.]+) s") as caught:
+        simulate(NOMINAL, PID(NOMINAL, **gains), SHORT, dt=0.5)
+    bound = float(str(caught.value).rpartition("dt < ")[2].partition(" s")[0])
+
+    class Still:
+        duration = 100.0
+
+        def __call__(self, t: Any) -> Reference:
+            return Reference(*(np.zeros((*np.shape(t), 3)),) * 3)
+
+    def last(dt: float) -> float:
+        body = MobileRobot(mass=30, yaw_inertia=1.3)
+        given: Any = {"dt": dt, "duration": 200 * dt, "integrator": rk4, "limit": 1e9}
+        run = simulate(body, ComputedTorque(body, 100, 20), Still(), q0=[0.01, 0, 0], v0=np.zeros(3), **given)
+        return float(abs(run.q[-1, 0]))
+
+    assert last(0.97 * bound) < 0.01 < last(1.03 * bound)
+
+
+BAD: Any = [
+    (lambda: Adaptive(NOMINAL, lower=[31, -9, -9, 0]), "exclude that of the robot, 30"),
+    (lambda: Adaptive(NOMINAL, upper=[90, 9, 9]), r"upper has shape \(3,\), expected \(4,\)"),
+    (lambda: Adaptive(NOMINAL, friction=1), "friction is 1, expected True or False"),  # type: ignore[arg-type]
+    (lambda: SlidingMode(NOMINAL, layer=0), "layer is 0, expected > 0"),
+    (lambda: SuperTwisting(NOMINAL, k1=[1, 2]), r"k1 has shape \(2,\), expected \(\) or \(3,\)"),
+    (lambda: DisturbanceObserver(PD(1, 1)), "robot is None, expected a MobileRobot"),
+    (lambda: ADRC(WheeledRobot(NOMINAL, WheelTable.differential(0.1, 0.4))), "which has wheels"),
+]
+
+
+@pytest.mark.parametrize(("make", "words"), BAD)
+def test_bad_arguments_are_refused(make: Any, words: str) -> None:
+    with pytest.raises(InvalidArgument, match=words):
+        make()
