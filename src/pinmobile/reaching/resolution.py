@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import final
+from typing import Protocol, final
 
 import numpy as np
 
@@ -24,7 +24,6 @@ from pinmobile.reaching.solver import (
 )
 from pinmobile.robot import MobileRobot
 from pinmobile.trajectories import Reference
-from pinmobile.wheels import WheeledRobot
 
 _DEGREE = 3
 
@@ -271,6 +270,30 @@ _GAINS = ("kp", "kd", "posture_kp", "posture_kd")
 _CORRECTIONS = 5
 
 
+class Wheeled(Protocol):
+    """What `EndEffectorTracking` needs of a robot on wheels; one that rolls has ``project(q, v)`` too."""
+
+    @property
+    def robot(self) -> MobileRobot:
+        """Body and arms, whose coordinates come first."""
+
+    @property
+    def nv(self) -> int:
+        """Size of v."""
+
+    def integrate(self, q: Array, dq: Array, /) -> Array:
+        """Return the configuration that a displacement leads to, shape (nq,)."""
+
+    def forward_dynamics(self, q: Array, v: Array, u: Array, /) -> Array:
+        """Return the acceleration, shape (nv,)."""
+
+    def inverse_dynamics(self, q: Array, v: Array, a: Array, /) -> Array:
+        """Return the input with which body and arms accelerate so, shape (nu,)."""
+
+    def check_inverse_dynamics(self) -> None:
+        """Refuse a robot for which there is none."""
+
+
 @final
 @dataclass(frozen=True, eq=False)
 class EndEffectorTracking:
@@ -316,7 +339,7 @@ class EndEffectorTracking:
         If there is no such frame.
     """
 
-    robot: MobileRobot | WheeledRobot
+    robot: MobileRobot | Wheeled
     target: PosePath
     frame: str | None = None
     kp: float = 100.0
@@ -336,7 +359,7 @@ class EndEffectorTracking:
         if hasattr(self.robot, "check_inverse_dynamics"):
             self.robot.check_inverse_dynamics()
         # What follows is body and arms, whatever stands under them.
-        body = getattr(self.robot, "robot", self.robot)
+        body = self.robot.robot if hasattr(self.robot, "robot") else self.robot
         _checked_target(body, self.target)
         own = {name: non_negative(name, getattr(self, name)) for name in _GAINS}
         own |= {name: positive(name, getattr(self, name)) for name in ("damping", "dt")}
