@@ -140,8 +140,8 @@ def test_limits_hold_on_wheels(wall: Wall) -> None:
     assert np.abs(wall.run.v[:, :n]).max(axis=0)[1] > 0.7  # what it takes without
     slow = EndEffectorTracking(wall.robot, wall.target, velocity_limit=most, dt=DT)
     run = simulate(wall.robot, slow, wall.motion, dt=DT)
-    # What five corrections leave of what the turning wheels add to a velocity in a step.
-    assert (np.abs(run.v[:, :n]) < most + 1e-6).all()
+    # Wheels that turn while torques are held add 1e-6 in a step; corrected, it is what counts as rounding.
+    assert (np.abs(run.v[:, :n]) < most + 1e-9).all()
 
 
 def test_a_drive_that_cannot_go_everywhere_is_refused() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol, final
+from typing import Protocol, final, runtime_checkable
 
 import numpy as np
 
@@ -270,6 +270,7 @@ _GAINS = ("kp", "kd", "posture_kp", "posture_kd")
 _CORRECTIONS = 5
 
 
+@runtime_checkable
 class Wheeled(Protocol):
     """What `EndEffectorTracking` needs of a robot on wheels; one that rolls has ``project(q, v)`` too."""
 
@@ -356,11 +357,11 @@ class EndEffectorTracking:
     _corrections: int = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if hasattr(self.robot, "check_inverse_dynamics"):
-            self.robot.check_inverse_dynamics()
         # What follows is body and arms, whatever stands under them.
-        body = self.robot.robot if hasattr(self.robot, "robot") else self.robot
+        body = self.robot.robot if isinstance(self.robot, Wheeled) else self.robot
         _checked_target(body, self.target)
+        if isinstance(self.robot, Wheeled):
+            self.robot.check_inverse_dynamics()
         own = {name: non_negative(name, getattr(self, name)) for name in _GAINS}
         own |= {name: positive(name, getattr(self, name)) for name in ("damping", "dt")}
         check_integrator(self.integrator)
