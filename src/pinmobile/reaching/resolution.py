@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import final
+from typing import Protocol, final, runtime_checkable
 
 import numpy as np
 
@@ -270,6 +270,31 @@ _GAINS = ("kp", "kd", "posture_kp", "posture_kd")
 _CORRECTIONS = 5
 
 
+@runtime_checkable
+class Wheeled(Protocol):
+    """What `EndEffectorTracking` needs of a robot on wheels; one that rolls has ``project(q, v)`` too."""
+
+    @property
+    def robot(self) -> MobileRobot:
+        """Body and arms, whose coordinates come first."""
+
+    @property
+    def nv(self) -> int:
+        """Size of v."""
+
+    def integrate(self, q: Array, dq: Array, /) -> Array:
+        """Return the configuration that a displacement leads to, shape (nq,)."""
+
+    def forward_dynamics(self, q: Array, v: Array, u: Array, /) -> Array:
+        """Return the acceleration, shape (nv,)."""
+
+    def inverse_dynamics(self, q: Array, v: Array, a: Array, /) -> Array:
+        """Return the input with which body and arms accelerate so, shape (nu,)."""
+
+    def check_inverse_dynamics(self) -> None:
+        """Refuse a robot for which there is none."""
+
+
 @final
 @dataclass(frozen=True, eq=False)
 class EndEffectorTracking:
@@ -284,8 +309,9 @@ class EndEffectorTracking:
 
     Parameters
     ----------
-    robot : MobileRobot
-        The model that the controller believes in; its joints have one velocity each.
+    robot : MobileRobot or WheeledRobot
+        The model that the controller believes in; its joints have one velocity each. On wheels it is one that
+        moves in every direction, and tau the torques of least norm with which body and arms accelerate so.
     target : PosePath
         Pose, or position alone; to be simulated no longer than it lasts.
     frame : str, optional
@@ -308,12 +334,13 @@ class EndEffectorTracking:
     Raises
     ------
     InvalidArgument
-        If an argument is not what is expected, or a joint has more than one velocity.
+        If an argument is not what is expected, a joint has more than one velocity, or no torques move the
+        robot in every direction.
     UnknownName
         If there is no such frame.
     """
 
-    robot: MobileRobot
+    robot: MobileRobot | Wheeled
     target: PosePath
     frame: str | None = None
     kp: float = 100.0
@@ -325,23 +352,29 @@ class EndEffectorTracking:
     acceleration_limit: ArrayLike = 20.0
     dt: float = 0.01
     integrator: Integrator = constant_acceleration
+    _body: MobileRobot = field(init=False, repr=False)
     _limits: Limits = field(init=False, repr=False)
     _corrections: int = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        _checked_target(self.robot, self.target)
+        # What follows is body and arms, whatever stands under them.
+        body = self.robot.robot if isinstance(self.robot, Wheeled) else self.robot
+        _checked_target(body, self.target)
+        if isinstance(self.robot, Wheeled):
+            self.robot.check_inverse_dynamics()
         own = {name: non_negative(name, getattr(self, name)) for name in _GAINS}
         own |= {name: positive(name, getattr(self, name)) for name in ("damping", "dt")}
         check_integrator(self.integrator)
-        nv = self.robot.nv
-        speed = self.robot.velocity_limit if self.velocity_limit is None else self.velocity_limit
+        nv = body.nv
+        speed = body.velocity_limit if self.velocity_limit is None else self.velocity_limit
         speed = per_coordinate("velocity_limit", speed, nv, zero=True)
         most = per_coordinate("acceleration_limit", self.acceleration_limit, nv)
-        fixed = {"frame": self.robot.frame_name(self.frame), "velocity_limit": speed}
-        limits = Limits(self.robot, speed, most)
+        fixed = {"frame": body.frame_name(self.frame), "velocity_limit": speed, "_body": body}
+        limits = Limits(body, speed, most)
         # Where the acceleration at the start of a step holds through it, the bounds of `ramps` are exact.
         held = [getattr(self.integrator, name, ()) for name in ("weights_q", "weights_v")] == [(0.5,), (1.0,)]
-        object.__setattr__(self, "_corrections", 0 if held else _CORRECTIONS)
+        exact = held and not hasattr(self.robot, "project")
+        object.__setattr__(self, "_corrections", 0 if exact else _CORRECTIONS)
         for name, value in {**own, **fixed, "acceleration_limit": most, "_limits": limits}.items():
             object.__setattr__(self, name, value)
 
@@ -349,11 +382,11 @@ class EndEffectorTracking:
         """Return None: there is no memory."""
 
     def __call__(self, t: float, q: Array, v: Array, reference: Reference, state: None) -> tuple[Array, None]:
-        """Return the generalised force, shape (nv,), and None."""
+        """Return the input, shape (nu,), and None."""
         return self._command(t, q, v, reference)[1], None
 
     def acceleration(self, t: float, q: Array, v: Array, reference: Reference) -> Array:
-        """Return the acceleration that is asked for, shape (nv,).
+        """Return the acceleration of body and arms that is asked for, shape (3 + arms,).
 
         Parameters
         ----------
@@ -367,37 +400,41 @@ class EndEffectorTracking:
         return self._command(t, q, v, reference)[0]
 
     def _command(self, t: float, q: Array, v: Array, reference: Reference) -> tuple[Array, Array]:
-        """Return the acceleration that is asked for and its force, each of shape (nv,)."""
-        robot, rows = self.robot, self.target.rows
+        """Return the acceleration that is asked for, shape (3 + arms,), and the input for it, (nu,)."""
+        body, rows = self._body, self.target.rows
+        own_q, own_v = q[: body.nq], v[: body.nv]
         target = self.target(t)
-        J = robot.frame_jacobian(q, self.frame)
-        error = pose_error(target.pose, robot.frame_pose(q, self.frame))
-        wanted = target.rate + self.kd * (target.twist - J @ v) + self.kp * error
-        wanted -= robot.frame_drift(q, v, self.frame)
-        posture = reference.a + self.posture_kd * (reference.v - v)
-        posture = posture + self.posture_kp * robot.difference(q, reference.q)
-        A = np.vstack([J[:rows], self.damping * np.eye(robot.nv)])
+        J = body.frame_jacobian(own_q, self.frame)
+        error = pose_error(target.pose, body.frame_pose(own_q, self.frame))
+        wanted = target.rate + self.kd * (target.twist - J @ own_v) + self.kp * error
+        wanted -= body.frame_drift(own_q, own_v, self.frame)
+        posture = reference.a + self.posture_kd * (reference.v - own_v)
+        posture = posture + self.posture_kp * body.difference(own_q, reference.q)
+        A = np.vstack([J[:rows], self.damping * np.eye(body.nv)])
         b = np.concatenate([wanted[:rows], self.damping * posture])
-        least, most = self._limits.ramps(q, v, self.dt)
+        least, most = self._limits.ramps(own_q, own_v, self.dt)
         a = bounded_least_squares(A, b, least, most)
-        force = robot.inverse_dynamics(q, v, a)
+        u = self.robot.inverse_dynamics(q, v, a)
         for _ in range(self._corrections):
-            low, high = self._limits.excess(*self._after(q, v, force), self.dt)
+            low, high = self._limits.excess(*self._after(q, v, u), self.dt)
             if not (low.any() or high.any()):
                 break
             # A bound that is moved past the other, as of what is locked, takes it along.
             up, down = np.where(low > 0, a + low, -np.inf), np.where(high > 0, a - high, np.inf)
             least, most = np.clip(least, up, down), np.clip(most, up, down)
             a = bounded_least_squares(A, b, least, most)
-            force = robot.inverse_dynamics(q, v, a)
-        return a, force
+            u = self.robot.inverse_dynamics(q, v, a)
+        return a, u
 
-    def _after(self, q: Array, v: Array, force: Array) -> tuple[Array, Array]:
-        """Return the state to which a held force leads, by the model and the integrator."""
-        robot = self.robot
+    def _after(self, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
+        """Return the state of body and arms to which a held input leads, by the model and the integrator."""
+        robot, body = self.robot, self._body
 
         def acceleration(t: float, displacement: Array, w: Array) -> Array:
-            return robot.forward_dynamics(robot.integrate(q, displacement), w, force)
+            return robot.forward_dynamics(robot.integrate(q, displacement), w, u)
 
         displacement, w = self.integrator(acceleration, 0.0, np.zeros(robot.nv), v, self.dt)
-        return robot.integrate(q, displacement), w
+        after = robot.integrate(q, displacement)
+        if hasattr(robot, "project"):
+            w = robot.project(after, w)
+        return after[: body.nq], w[: body.nv]

@@ -1,0 +1,152 @@
+"""A UR5 on a Ridgeback follows an end effector's path by the torques of its wheels and joints."""
+
+from dataclasses import dataclass, replace
+from math import pi
+
+import numpy as np
+import pytest
+
+from pinmobile import (
+    COMPILED,
+    ComputedTorque,
+    Coulomb,
+    EndEffectorTracking,
+    Friction,
+    InvalidArgument,
+    MobileRobot,
+    PosePath,
+    Resolved,
+    Rollout,
+    Spline,
+    WheeledRobot,
+    WheelTable,
+    contact_loads,
+    resolve,
+    simulate,
+    slip_margins,
+)
+from pinmobile.arrays import Array
+from pinmobile.plant import ContactLoads, SlipMargins
+from tests import wheeled
+
+BENT = np.array([0, 0, 0, 0, -1.2, 1.6, -0.4, 1.57, 0])
+DURATION = 5.0
+DT = 0.01
+# Nothing but what is Coulomb's: rollers that turn freely, wheels without resistance.
+ROLLERS = Friction(mu=0.4, across=0.0, rolling=0.0)
+
+
+@dataclass(frozen=True)
+class Wall:
+    """What draws a wave of 2 m on a wall, sideways."""
+
+    robot: WheeledRobot
+    target: PosePath
+    motion: Resolved
+    run: Rollout
+
+    def missed(self, run: Rollout) -> Array:
+        """Return how far the hand is from the wave, shape (samples,) [m]."""
+        hand = self.robot.robot.frame_pose(run.q[:, : self.robot.robot.nq])
+        return np.asarray(np.linalg.norm((hand - self.target(run.t).pose)[:, :3, 3], axis=1))
+
+
+@pytest.fixture(scope="module")
+def wall(tmp_path_factory: pytest.TempPathFactory) -> Wall:
+    path = tmp_path_factory.mktemp("ridgeback") / "ridgeback.urdf"
+    path.write_text(wheeled.ridgeback())
+    base = WheeledRobot.from_urdf(path, rollers=pi / 4)
+    wheels = tuple(replace(wheel, friction=ROLLERS) for wheel in base.table.wheels)
+    table = replace(base.table, wheels=wheels)
+    robot = WheeledRobot(base.robot, table).mount("ur5", at=(0.2, 0, 0.31, 0))
+    hand, t = robot.robot.frame_pose(BENT), np.linspace(0, DURATION, 41)
+    s = t / DURATION
+    s = s**3 * (10 - 15 * s + 6 * s**2)
+    wave = hand[:3, 3] + np.stack([0 * s, 2 * s, 0.15 * np.sin(4 * pi * s)], axis=-1)
+    target = PosePath(Spline(wave, t), hand[:3, :3])
+    motion = resolve(robot.robot, target, q0=BENT, dt=0.02)
+    return Wall(robot, target, motion, simulate(robot, tracking(robot, target), motion, dt=DT))
+
+
+def tracking(robot: WheeledRobot | MobileRobot, target: PosePath, dt: float = DT) -> EndEffectorTracking:
+    return EndEffectorTracking(robot, target, dt=dt)
+
+
+def test_the_hand_is_where_the_same_robot_without_wheels_has_it(wall: Wall) -> None:
+    """A force held over dt errs by about jerk dt / (2 kp), torques at wheels that turn by little more.
+
+    Both errors are in proportion to dt, so that without it both robots move alike.
+    """
+    body, far, missed = wall.robot.robot, [], []
+    for dt in (2 * DT, DT):
+        run = wall.run
+        if dt != DT:
+            run = simulate(wall.robot, tracking(wall.robot, wall.target, dt), wall.motion, dt=dt)
+        pushed = simulate(body, tracking(body, wall.target, dt), wall.motion, dt=dt)
+        far.append(np.abs(run.q[:, : body.nq] - pushed.q).max())
+        missed.append(wall.missed(run).max())
+        assert np.abs(wall.missed(run) - wall.missed(pushed)).max() < 1e-4 * missed[-1]
+    assert far[1] < 5e-6
+    assert far[0] / far[1] == pytest.approx(2, rel=0.1)
+    assert missed[1] < 1e-3
+    assert missed[0] / missed[1] == pytest.approx(2, rel=0.1)
+    assert wall.run.q[-1, 1] > 1.8  # the base goes along
+
+
+def test_the_torques_make_the_acceleration_that_was_asked_for(wall: Wall) -> None:
+    controller, n = tracking(wall.robot, wall.target), wall.robot.robot.nv
+    for k in range(0, len(wall.run), 50):
+        t, q, v = wall.run.t[k], wall.run.q[k], wall.run.v[k]
+        reference = wall.motion(t)
+        asked = controller.acceleration(t, q, v, reference)
+        u, _ = controller(t, q, v, reference, None)
+        np.testing.assert_array_equal(u, wall.run.u[k])
+        np.testing.assert_allclose(wall.robot.forward_dynamics(q, v, u)[:n], asked, rtol=0, atol=1e-10)
+
+
+def test_slip_margins_are_those_of_constraint_forces_and_springs(wall: Wall) -> None:
+    run, robot = wall.run, wall.robot
+    found = slip_margins(run)
+    assert found.names == robot.table.names
+    forces = robot.constraint_forces(run.q, run.v, run.u)
+    assert forces.determined.all()
+    wrench = robot.ground_wrench(run.q, run.v, run.a)
+    places = np.array([[1.0, wheel.y, -wheel.x] for wheel in robot.table.wheels])
+    springs = np.linalg.pinv(places.T) @ wrench[:, [2, 3, 4], None]
+    assert springs.min() > 400  # all four carry
+    expected = 0.4 * springs[..., 0] - np.abs(forces.values)
+    np.testing.assert_allclose(found.values, expected, rtol=0, atol=1e-7)
+    assert found.values.min() == pytest.approx(55.5, abs=1.0)
+
+
+def test_the_friction_that_its_margins_ask_for_is_what_it_needs(wall: Wall) -> None:
+    follower = ComputedTorque(wall.robot, 100, 20)
+    rolled = simulate(wall.robot, follower, wall.motion, dt=DT, engine=COMPILED)
+    margins: SlipMargins = slip_margins(rolled)
+    loads: ContactLoads = contact_loads(rolled)
+    needed = float((np.abs(margins.along) / loads.values).max())
+    for share, slides in ((1.02, False), (0.98, True)):
+        floor = WheeledRobot(wall.robot.robot, wall.robot.table, Coulomb(share * needed))
+        run = simulate(floor, follower, wall.motion, dt=DT, engine=COMPILED)
+        slip = run.measures()["slip"][1].max()
+        assert slip > 1e-2 if slides else slip < 1e-12
+        assert bool(run.signals["slides"].values.any()) == slides
+        assert wall.missed(run).max() < 1e-3
+
+
+def test_limits_hold_on_wheels(wall: Wall) -> None:
+    n = wall.robot.robot.nv
+    most = np.where(np.arange(n) < 3, 0.5, wall.robot.robot.velocity_limit)
+    assert np.abs(wall.run.v[:, :n]).max(axis=0)[1] > 0.7  # what it takes without
+    slow = EndEffectorTracking(wall.robot, wall.target, velocity_limit=most, dt=DT)
+    run = simulate(wall.robot, slow, wall.motion, dt=DT)
+    # Wheels that turn while torques are held add 1e-6 in a step; corrected, it is what counts as rounding.
+    assert (np.abs(run.v[:, :n]) < most + 1e-9).all()
+
+
+def test_a_drive_that_cannot_go_everywhere_is_refused() -> None:
+    table = WheelTable.differential(0.5, 0.1, mass=1.0, spin_inertia=0.005)
+    robot = WheeledRobot(MobileRobot.box(), table).mount("ur5")
+    target = PosePath(Spline([[0.5, 0, 0.5], [0.5, 1, 0.5]], [0, 3]))
+    with pytest.raises(InvalidArgument, match=r"^robot is a drive of type \(2, 0\), which cannot accelerate"):
+        EndEffectorTracking(robot, target)
