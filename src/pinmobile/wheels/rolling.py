@@ -29,6 +29,7 @@ from pinmobile.robot import (
     scalars,
     sine_and_cosine,
     solved as solved_by,
+    transposed,
     vector_of as stacked,
 )
 from pinmobile.wheels.judging import measured, measures_of
@@ -561,26 +562,49 @@ class RollingBody(WheeledBody):
         effects = self.effects(state, q)
         felt = self.felt(state, gamma)
         rest = [t - n - dot(row, felt) for t, n, row in zip(force, effects, M, strict=True)]
-        rates = _reduced(M, S, rest)
+        rates = _reduced(_through(M, S), S, applied(transposed(S), rest))
         return self.in_plane(state, [dot(row, rates) + g for row, g in zip(S, gamma, strict=True)], q)
 
     def project(self, q: Any, v: Any) -> Any:
-        """Return the velocity that rolls and is nearest in the mass metric, shape (..., nv)."""
+        """Return the velocity that rolls and is nearest in the mass metric, shape (..., nv).
+
+        It is S (nu + x): nu is read off the velocity, and of what is then left over, which wheels and the
+        body's motion across them alone have, S' M S x = S' M (v - S nu).
+        """
         state = self.state(q, v)
         M, (S, _) = self.inertia(state, q), self.solution(state)
-        velocity = [*state.twist, *state.arm_rates, *state.rates]
-        rates = _reduced(M, S, [dot(row, velocity) for row in M])
+        nu, through = self.velocities(state), _through(M, S)
+        off = self._off(state, S, nu)
+        more = _reduced(through, S, [dot(row, off) for row in through])
+        rates = [x + y for x, y in zip(nu, more, strict=True)]
         return self.in_plane(state, [dot(row, rates) for row in S], q)
+
+    def _off(self, state: State, S: Matrix, nu: Vector) -> Vector:
+        """Return v - S nu, along the body's axes: zero for each coordinate that is one of nu itself."""
+        held, first = self.choice.body, _BASE + self.na
+        found: Vector = [ZERO] * self.size
+        if len(held) == 1:
+            rows = self.kinematics.rows(state.steering, state.twist, state.rates)
+            a = rows[held[0]].base
+            slip = dot(a, state.twist)
+            found[:2] = [a[0] * slip, a[1] * slip]
+        elif held:
+            found[:_BASE] = [x - dot(row, nu) for x, row in zip(state.twist, S[:_BASE], strict=True)]
+        for joint, _ in self.choice.joints:
+            found[first + joint] = state.rates[joint] - dot(S[first + joint], nu)
+        return found
 
 
 def _matrix(rows: Matrix, q: Any) -> Any:
     return np.stack(np.broadcast_arrays(*(stacked(row, q) for row in rows)), axis=-2)
 
 
-def _reduced(M: Matrix, S: Matrix, force: Vector) -> Vector:
-    """Return the solution of S' M S x = S' force."""
-    columns = [list(column) for column in zip(*S, strict=True)]
-    pushed = [[dot(row, column) for row in M] for column in columns]
-    reduced = [[dot(column, other) for other in pushed] for column in columns]
-    right = [dot(column, force) for column in columns]
+def _through(M: Matrix, S: Matrix) -> Matrix:
+    """Return S' M of a symmetric M."""
+    return [applied(M, column) for column in transposed(S)]
+
+
+def _reduced(through: Matrix, S: Matrix, right: Vector) -> Vector:
+    """Return the solution of S' M S x = right, given S' M."""
+    reduced = [applied(through, column) for column in transposed(S)]
     return solved_by(reduced, right, list(reversed(range(len(right)))))
