@@ -34,6 +34,7 @@ from pinmobile.robot import (
 )
 from pinmobile.wheels.judging import measured, measures_of
 from pinmobile.wheels.kinematics import Choice, Kinematics, Row, Solution, solved
+from pinmobile.wheels.reduced import Reduced
 from pinmobile.wheels.standing import Group, groups_of
 from pinmobile.wheels.table import Axis, WheelTable
 
@@ -60,31 +61,6 @@ class State(NamedTuple):
     twist: Vector
     arm_rates: Vector
     rates: Vector
-
-
-class Reduced(NamedTuple):
-    """Rolling in independent velocities nu: M nu' + n = B u, v = S nu (Kane's equations).
-
-    nu is, of a body that is free, its twist (forward, left, yaw rate); of one with one axle, the speed along
-    the wheels at the axle and the yaw rate; of one with two axles, the speed at the fixed one, or, where both
-    are steered, the number eta with twist = eta (a1 x a2) of the axles' rows. Rates of the arms and of
-    steering axes that nothing else determines follow.
-
-    Attributes
-    ----------
-    M, n, B : ndarray, shape (..., m, m), (..., m), (..., m, nu)
-        Mass matrix, nonlinear effects and input matrix.
-    S : ndarray, shape (..., nv, m)
-        All velocities by the independent ones.
-    nu : ndarray, shape (..., m)
-        Those of the state.
-    """
-
-    M: Any
-    n: Any
-    B: Any
-    S: Any
-    nu: Any
 
 
 @dataclass(frozen=True, eq=False)
