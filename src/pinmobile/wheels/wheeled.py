@@ -306,13 +306,13 @@ class WheeledRobot(Chassis, Bearing):
         q, v = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v))
         rolling = self._rolling
         state = rolling.state(q, v)
-        S, gamma = rolling.solution(state)
+        S, gamma = rolling.freedom.solution(state)
         columns = np.stack([rolling.in_plane(state, list(column), q) for column in zip(*S, strict=True)], -1)
-        drift = rolling.in_plane(state, rolling.unmoved(state, S, gamma), q)
+        drift = rolling.in_plane(state, rolling.freedom.unmoved(state, S, gamma), q)
         M, n = self.mass_matrix(q), self.nonlinear_effects(q, v)
         n = n + np.einsum("...ij,...j->...i", M, drift)
         S_T = np.swapaxes(columns, -1, -2)
-        nu = np.stack(np.broadcast_arrays(q[..., 0], *map(number, rolling.velocities(state)))[1:], -1)
+        nu = np.stack(np.broadcast_arrays(q[..., 0], *map(number, rolling.freedom.velocities(state)))[1:], -1)
         return Reduced(
             S_T @ M @ columns, np.einsum("...ij,...j->...i", S_T, n), S_T @ self.input_matrix, columns, nu
         )
@@ -378,7 +378,7 @@ class WheeledRobot(Chassis, Bearing):
         """Return the independent velocities nu of a state that rolls, shape (..., m): see `Reduced`."""
         q, v = self._q(q), self._v("v", v)
         lead = broadcast(q=q, v=v)
-        nu = map(number, self._rolling.velocities(self._rolling.state(q, v)))
+        nu = map(number, self._rolling.freedom.velocities(self._rolling.state(q, v)))
         return np.stack([np.broadcast_to(x, lead) for x in nu], axis=-1)
 
     @in_numbers
@@ -431,7 +431,7 @@ class WheeledRobot(Chassis, Bearing):
     def _missed(self, q: Array, tau: Array, u: Array) -> Array:
         """Return what of a force the wheels and joints do not supply, shape (..., 3 + arms)."""
         state = self._traced.state(q, np.zeros(self.nv))
-        had = np.array([number(x) for x in self._traced.supplied(state, u)])
+        had = np.array([number(x) for x in self._traced.freedom.supplied(state, u)])
         x, y = had[:2].copy()
         had[:2] = state.c * x - state.s * y, state.s * x + state.c * y
         return np.asarray(tau - had)
