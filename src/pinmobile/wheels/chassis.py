@@ -99,23 +99,23 @@ class Chassis:
         """The rows of its wheels, and their kinematics."""
         return Constraints(self.table, self.robot.nq, self.robot.nv)
 
-    @property
+    @cached_property
     def _joints(self) -> int:
         return len(self.table.axes) + len(self.table)
 
     # Sizes and names
 
-    @property
+    @cached_property
     def nq(self) -> int:
         """Size of q."""
         return self.robot.nq + self._joints
 
-    @property
+    @cached_property
     def nv(self) -> int:
         """Size of v and a."""
         return self.robot.nv + self._joints
 
-    @property
+    @cached_property
     def nu(self) -> int:
         """Size of the input."""
         return self.robot.nv - BODY_JOINT + len(self.table.actuators)
@@ -194,8 +194,14 @@ class Chassis:
 
     def _q(self, q: ArrayLike, name: str = "q") -> Array:
         array = vector(name, q, self.nq)
-        self.robot.configuration(array[..., : self.robot.nq], name)
+        if not self._adds:
+            self.robot.configuration(array[..., : self.robot.nq], name)
         return array
+
+    @cached_property
+    def _adds(self) -> bool:
+        """Whether each coordinate is one number of q, to which displacements add."""
+        return self.nq == self.nv
 
     def _v(self, name: str, value: ArrayLike) -> Array:
         return vector(name, value, self.nv)
@@ -218,7 +224,10 @@ class Chassis:
     def integrate(self, q: ArrayLike, dq: ArrayLike) -> Array:
         """Return the configuration that the displacement `dq` leads to from `q`, shape (..., nq)."""
         q, dq = self._q(q), self._v("dq", dq)
-        lead = broadcast(q=q, dq=dq)
+        lead = broadcast(q=q, dq=dq) if q.ndim > 1 or dq.ndim > 1 else ()
+        if self._adds:
+            with np.errstate(over="ignore"):
+                return finite_answer(q + dq, q=q, dq=dq)
         own = self.robot.integrate(q[..., : self.robot.nq], dq[..., : self.robot.nv])
         with np.errstate(over="ignore"):
             rest = finite_answer(q[..., self.robot.nq :] + dq[..., self.robot.nv :], q=q, dq=dq)

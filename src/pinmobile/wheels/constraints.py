@@ -49,11 +49,14 @@ class Constraints:
         The wheels.
     nq, nv : int
         Sizes of what the wheels carry: body and arms.
+    rows : tuple of int, optional
+        Which rows; by default all.
     """
 
     table: WheelTable
     nq: int
     nv: int
+    rows: tuple[int, ...] | None = None
 
     @cached_property
     def kinematics(self) -> Kinematics:
@@ -69,7 +72,8 @@ class Constraints:
     def _at_zero(self) -> list[Row]:
         """The rows where steering angles and rates are zero."""
         zeros = [0.0] * self.joints
-        return self.kinematics.rows(zeros, [0.0] * BODY_JOINT, zeros)
+        found = self.kinematics.rows(zeros, [0.0] * BODY_JOINT, zeros)
+        return found if self.rows is None else [found[i] for i in self.rows]
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -100,92 +104,88 @@ class Constraints:
 
     def at(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return A, shape (..., k, nv), and what A v changes at where nothing accelerates, (..., k)."""
-        still = self._still
-        c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
+        c, s, w = np.cos(q[..., 2]), np.sin(q[..., 2]), v[..., 2]
+        ahead, aside = c * v[..., 0] + s * v[..., 1], c * v[..., 1] - s * v[..., 0]
         lead = q.shape[:-1] if v.ndim == 1 else np.broadcast_shapes(q.shape[:-1], v.shape[:-1])
-        A = np.empty((*lead, *still.shape))
-        A[...] = still
-        w, ahead, aside = v[..., 2], c * v[..., 0] + s * v[..., 1], c * v[..., 1] - s * v[..., 0]
-        drift = (w * aside)[..., None] * still[:, 0] - (w * ahead)[..., None] * still[:, 1]
-        drift = drift if drift.shape[:-1] == lead else np.array(np.broadcast_to(drift, (*lead, len(still))))
+        x, y = self._ahead_and_aside
+        if not lead and not self._steered:  # of one state without detours
+            A = self._still.copy()
+            A[:, 0], A[:, 1] = c * x - s * y, s * x + c * y
+            return A, (w * aside) * x - (w * ahead) * y
+        A, drift = np.empty((*lead, *self._still.shape)), np.empty((*lead, len(self._still)))
+        A[...] = self._still
+        drift[...] = (w * aside)[..., None] * x - (w * ahead)[..., None] * y
         if self._steered:
             n, nv, axes = self.nq, self.nv, len(self.table.axes)
             steering = [q[..., n + k] for k in range(axes)]
             rates = [v[..., nv + k] for k in range(self.joints)]
             rows = self.kinematics.rows(steering, [ahead, aside, w], rates)
             for i in self._steered:
-                for k, x in enumerate(rows[i].base):
-                    A[..., i, k] = number(x)
+                row = rows[i if self.rows is None else self.rows[i]]
+                for k, entry in enumerate(row.base):
+                    A[..., i, k] = number(entry)
                 for k in range(axes):
-                    A[..., i, nv + k] = number(rows[i].joints[k])
-                drift[..., i] = number(rows[i].drift)
+                    A[..., i, nv + k] = number(row.joints[k])
+                drift[..., i] = number(row.drift)
         x, y = A[..., 0].copy(), A[..., 1]
         c, s = c[..., None], s[..., None]
         A[..., 0], A[..., 1] = c * x - s * y, s * x + c * y
         return A, drift
+
+    @cached_property
+    def _ahead_and_aside(self) -> tuple[Array, Array]:
+        """Coefficients of the body's velocities forward and to the left, shape (k,) each."""
+        return frozen(self._still[:, 0]), frozen(self._still[:, 1])
 
 
 @final
 @constant
 @dataclass(frozen=True, eq=False)
 class ConstrainedTree:
-    """A tree that constraints hold: M a = force - n + A' lambda and A a = -dA/dt v.
+    """A tree that constraints hold: M a + n = force + A' lambda and A a = -dA/dt v, solved together.
+
+    M may have no inverse, as that of wheels without inertia has none, if what rolls has mass.
 
     Parameters
     ----------
     tree : WheelTree
         Free of constraints.
-    constraints : Constraints
-        The rows.
-    independent : tuple of int
-        Rows from which the others follow.
-    stiffness : float
-        m where M has no inverse, as that of wheels without inertia has none: M + m A' A then takes its place,
-        which what rolls does not feel [kg]; else 0.
+    constraints, independent : Constraints
+        All rows, and some from which the others follow.
     """
 
     tree: WheelTree
     constraints: Constraints
-    independent: tuple[int, ...]
-    stiffness: float = 0.0
+    independent: Constraints
 
     def accelerations(self, q: Array, v: Array, force: Array) -> Array:
         """Return a, shape (..., nv), under a generalised force."""
-        A, drift = self.constraints.at(q, v)
-        rows = list(self.independent)
-        A, drift = A[..., rows, :], drift[..., rows]
-        free, through = self._released(q, v, force, A, drift)
-        G = A @ through
-        multipliers = np.linalg.solve(G, -drift[..., None] - A @ free[..., None])
-        return np.asarray(free + (through @ multipliers)[..., 0])
+        M, n = self.tree.inertia_and_effects(q, v)
+        return _solved(M, *self.independent.at(q, v), force - n)
 
     def forces(self, q: Array, v: Array, force: Array) -> tuple[Array, Array]:
         """Return a, and lambda of all rows, shape (..., k), the shortest that there is."""
-        A, drift = self.constraints.at(q, v)
-        free, through = self._released(q, v, force, A, drift)
-        G = A @ through
-        wanted = -drift[..., None] - A @ free[..., None]
-        multipliers = np.linalg.pinv(G, rcond=_REDUNDANT, hermitian=True) @ wanted
-        a = np.asarray(free + (through @ multipliers)[..., 0])
-        return a, np.asarray(multipliers[..., 0])
-
-    def _released(self, q: Array, v: Array, force: Array, A: Array, drift: Array) -> tuple[Array, Array]:
-        """Return the acceleration without constraints, and M^-1 A', shape (..., nv, k)."""
         M, n = self.tree.inertia_and_effects(q, v)
-        force, A_T = force - n, np.swapaxes(A, -1, -2)
-        if self.stiffness:
-            force = force - self.stiffness * (A_T @ drift[..., None])[..., 0]
-        right = np.empty((*force.shape, 1 + A.shape[-2]))
-        right[..., 0], right[..., 1:] = force, A_T
-        found = np.linalg.solve(self._metric(M, A), right)
-        return np.asarray(found[..., 0]), np.asarray(found[..., 1:])
+        force = force - n
+        a = _solved(M, *self.independent.at(q, v), force)
+        rest = (M @ a[..., None])[..., 0] - force
+        A_T = np.swapaxes(self.constraints.at(q, v)[0], -1, -2)
+        return a, np.asarray(np.linalg.pinv(A_T, rcond=_REDUNDANT) @ rest[..., None])[..., 0]
 
     def project(self, q: Array, v: Array) -> Array:
         """Return the velocity with A v = 0 that is nearest in the mass metric, shape (..., nv)."""
-        M, _ = self.tree.inertia_and_effects(q, v)
-        A = self.constraints.at(q, v)[0][..., list(self.independent), :]
-        through = np.linalg.solve(self._metric(M, A), np.swapaxes(A, -1, -2))
-        return np.asarray(v - (through @ np.linalg.solve(A @ through, A @ v[..., None]))[..., 0])
+        A, _ = self.independent.at(q, v)
+        slips = A @ v if v.ndim == 1 == A.ndim - 1 else (A @ v[..., None])[..., 0]
+        return v + _solved(self.tree.inertia(q), A, slips, np.zeros(v.shape[-1]))
 
-    def _metric(self, M: Array, A: Array) -> Array:
-        return np.asarray(M + self.stiffness * np.swapaxes(A, -1, -2) @ A) if self.stiffness else M
+
+def _solved(M: Array, A: Array, drift: Array, force: Array) -> Array:
+    """Return x of M x = force + A' lambda and A x = -drift, of rows that do not follow from each other."""
+    k, n = A.shape[-2:]
+    lead: tuple[int, ...] = ()
+    if M.ndim > 2 or A.ndim > 2 or force.ndim > 1:
+        lead = np.broadcast_shapes(M.shape[:-2], A.shape[:-2], force.shape[:-1])
+    K, right = np.zeros((*lead, n + k, n + k)), np.empty((*lead, n + k, 1))
+    K[..., :n, :n], K[..., n:, :n], K[..., :n, n:] = M, A, A.swapaxes(-1, -2)
+    right[..., :n, 0], right[..., n:, 0] = force, -drift
+    return np.asarray(np.linalg.solve(K, right)[..., :n, 0])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
@@ -22,10 +22,29 @@ from pinmobile.robot import (
 from pinmobile.wheels.kinematics import Row, Solution, solved as rolled
 from pinmobile.wheels.reduced import Reduced
 
-if TYPE_CHECKING:
-    from pinmobile.wheels.rolling import State, WheeledBody
-
 _BASE = 3
+
+
+class State(NamedTuple):
+    """A state, seen from the body.
+
+    Attributes
+    ----------
+    c, s : scalar
+        Of the heading.
+    arms, steering : list of scalars
+        Configuration of the arms, and steering angles.
+    twist, arm_rates, rates : list of scalars
+        Body twist; rates of the arms; of steering coordinates and wheels.
+    """
+
+    c: Any
+    s: Any
+    arms: Vector
+    steering: Vector
+    twist: Vector
+    arm_rates: Vector
+    rates: Vector
 
 
 @final
@@ -39,7 +58,7 @@ class Freedom:
         Whose they are.
     """
 
-    body: WheeledBody
+    body: Any
 
     def solution(self, state: State) -> Solution:
         """Return what rolls, arms between body and joints."""

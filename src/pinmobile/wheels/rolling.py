@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from pinmobile.robot import (
     transposed,
     vector_of as stacked,
 )
-from pinmobile.wheels.freedom import Freedom, matrix
+from pinmobile.wheels.freedom import Freedom, State as State, matrix
 from pinmobile.wheels.judging import measured, measures_of
 from pinmobile.wheels.kinematics import Choice, Kinematics
 from pinmobile.wheels.reduced import Reduced
@@ -39,28 +39,6 @@ from pinmobile.wheels.standing import Group, groups_of
 from pinmobile.wheels.table import Axis, WheelTable
 
 _BASE = 3
-
-
-class State(NamedTuple):
-    """A state, seen from the body.
-
-    Attributes
-    ----------
-    c, s : scalar
-        Of the heading.
-    arms, steering : list of scalars
-        Configuration of the arms, and steering angles.
-    twist, arm_rates, rates : list of scalars
-        Body twist; rates of the arms; of steering coordinates and wheels.
-    """
-
-    c: Any
-    s: Any
-    arms: Vector
-    steering: Vector
-    twist: Vector
-    arm_rates: Vector
-    rates: Vector
 
 
 @dataclass(frozen=True, eq=False)

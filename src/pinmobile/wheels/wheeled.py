@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from os import PathLike
 from typing import Any, ClassVar, Self, final
@@ -95,10 +95,8 @@ class WheeledRobot(Chassis, Bearing):
         """Its tree where wheels roll."""
         choice = self.mobility.choice
         independent = sorted({*choice.body, *(row for _, row in choice.joints)})
-        massless = not (self._inertias > 0).all()
-        return ConstrainedTree(
-            self._tree, self._rows, tuple(independent), self.robot.mass if massless else 0.0
-        )
+        few = replace(self._rows, rows=tuple(independent))
+        return ConstrainedTree(self._tree, self._rows, few)
 
     @cached_property
     def _numbers(self) -> DriveNumbers:
