@@ -398,11 +398,13 @@ class RollingBody(WheeledBody):
         body's motion across them alone have, S' M S x = S' M (v - S nu).
         """
         state = self.state(q, v)
-        M, (S, _) = self.inertia(state, q), self.freedom.solution(state)
-        nu, through = self.freedom.velocities(state), _through(M, S)
-        off = self._off(state, S, nu)
-        more = _reduced(through, S, [dot(row, off) for row in through])
-        rates = [x + y for x, y in zip(nu, more, strict=True)]
+        S, _ = self.freedom.solution(state)
+        rates = self.freedom.velocities(state)
+        off = self._off(state, S, rates)
+        if not all(_is_zero(x) for x in off):  # many robots that start at rest need no mass matrix
+            through = _through(self.inertia(state, q), S)
+            more = _reduced(through, S, applied(through, off))
+            rates = [x + y for x, y in zip(rates, more, strict=True)]
         return self.in_plane(state, [dot(row, rates) for row in S], q)
 
     def _off(self, state: State, S: Matrix, nu: Vector) -> Vector:
@@ -419,6 +421,11 @@ class RollingBody(WheeledBody):
         for joint, _ in self.choice.joints:
             found[first + joint] = state.rates[joint] - dot(S[first + joint], nu)
         return found
+
+
+def _is_zero(x: Any) -> bool:
+    """Tell whether a scalar is known to be zero, in all robots."""
+    return x is ZERO or (isinstance(x, float | np.ndarray) and not np.any(x))
 
 
 def _through(M: Matrix, S: Matrix) -> Matrix:
