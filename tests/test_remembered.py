@@ -16,8 +16,10 @@ import pytest
 
 from pinmobile import (
     PD,
+    Allocated,
     Circle,
     ComputedTorque,
+    Coulomb,
     Delayed,
     FixedHeading,
     Hold,
@@ -35,6 +37,8 @@ from pinmobile import (
     Tangent,
     Uniform,
     ViscousFriction,
+    WheeledRobot,
+    WheelTable,
     WholeBody,
     constant_acceleration,
     ensemble,
@@ -363,6 +367,16 @@ def counted(monkeypatch: pytest.MonkeyPatch, owner: Any, name: str) -> list[Any]
 
     monkeypatch.setattr(owner, name, counting)
     return calls
+
+
+@pytest.mark.parametrize("ground", [None, Coulomb()], ids=["rolling", "Coulomb"])
+def test_loops_of_robots_on_wheels_are_remembered(ground: Any) -> None:
+    """No code of theirs refers to what may change unseen; without that each call would look at all of it."""
+    table = WheelTable.differential(0.5, 0.1, supports=[(0.2, 0.0)], mass=1, spin_inertia=0.01)
+    wheeled = WheeledRobot(MobileRobot(30.0, 2.3, com=(0.0, 0.0, 0.1)), table, ground)
+    controller = Allocated(PD(50.0, 20.0), WheeledRobot(wheeled.robot, table))
+    parts = Parts(wheeled, controller, (), constant_acceleration)
+    assert compiled.memory_of(parts, CIRCLE) is compiled.memory_of(parts, CIRCLE)
 
 
 def test_what_robots_share_of_a_sample_is_made_once(monkeypatch: pytest.MonkeyPatch) -> None:

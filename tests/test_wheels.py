@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 
 from pinmobile import (
     COMPILED,
+    PINOCCHIO,
     Coulomb,
     FixedHeading,
     Hold,
@@ -18,6 +19,7 @@ from pinmobile import (
     Motor,
     Ramp,
     Rolling,
+    Scenario,
     SinusoidalForce,
     UnknownName,
     ViscousFriction,
@@ -31,6 +33,9 @@ from pinmobile import (
     verify,
 )
 from pinmobile.arrays import Array
+from pinmobile.compiled.folding import STATE
+from pinmobile.compiled.tape import needed
+from pinmobile.ensembles.engines import way_of
 from pinmobile.wheels import Ackermann, Differential, Friction, GearTrain, Mobility, Support
 
 OWN: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
@@ -364,9 +369,11 @@ def test_a_start_that_does_not_roll_is_refused_and_projected_only_if_asked() -> 
     assert np.abs(wheeled.constraint_matrix(run.q[-1]) @ run.v[-1]).max() < 1e-14
 
 
-@pytest.mark.parametrize("kind", ROLLING)
-def test_what_is_projected_rolls_and_is_nearest(kind: str) -> None:
-    wheeled = WheeledRobot(BASE, ROLLING[kind])
+@pytest.mark.parametrize("kind", [*ROLLING, "massless"])
+@pytest.mark.parametrize("base", [BASE, BASE.mount("ur5", (0.1, 0, 0.3, 0))], ids=["bare", "ur5"])
+def test_what_is_projected_rolls_and_is_nearest(kind: str, base: MobileRobot) -> None:
+    table = ROLLING.get(kind, WheelTable.differential(0.5, 0.1, x=0.07))
+    wheeled = WheeledRobot(base, table)
     rng = np.random.default_rng(5)
     q, v = rng.uniform(-0.5, 0.5, (20, wheeled.nq)), rng.normal(size=(20, wheeled.nv))
     near = wheeled.project(q, v)
@@ -376,6 +383,46 @@ def test_what_is_projected_rolls_and_is_nearest(kind: str) -> None:
     # What was taken away is orthogonal to what rolls, in the mass metric.
     taken = np.einsum("nij,nj->ni", wheeled.mass_matrix(q), v - near)
     assert np.abs(np.einsum("nij,ni->nj", wheeled.reduced(q, near).S, taken)).max() < 1e-12
+    # Independent velocities give the same: rounding, times the condition of M, some thousands.
+    np.testing.assert_allclose(wheeled.traced().project(q, v), near, atol=1e-11)
+
+
+@pytest.mark.parametrize("kind", ["differential", "car", "casters"])
+@pytest.mark.parametrize("substeps", [1, 2])
+def test_compiled_it_rolls_as_in_python_from_the_start_that_is_given(kind: str, substeps: int) -> None:
+    """At dt = 0.02 a step leaves 1e-4 m/s for the projection to take: not to project would be seen."""
+    wheeled, rng = WheeledRobot(BASE, ROLLING[kind]), np.random.default_rng(8)
+    q0, u = wheeled.rest.copy(), rng.normal(size=wheeled.nu) * 0.1
+    q0[2:] += rng.uniform(-0.3, 0.3, wheeled.nq - 2)
+    v0 = wheeled.project(q0, rng.normal(size=wheeled.nv))
+    v0 += 1e-11  # within what a start may slip
+    controller, still = law(lambda t, q, v, reference: u), FixedHeading(Hold([0, 0], 1.0), 0.0)
+    given = {"dt": 0.02, "q0": q0, "v0": v0, "substeps": substeps}
+    runs = [simulate(wheeled, controller, still, engine=engine, **given) for engine in (PINOCCHIO, COMPILED)]
+    for name in ("q", "v", "a"):
+        one, other = (getattr(run, name) for run in runs)
+        np.testing.assert_allclose(other, one, rtol=1e-10, atol=1e-10)
+    for run in runs:
+        np.testing.assert_array_equal(run.v[0], v0)
+        slips = np.einsum("nij,nj->ni", wheeled.constraint_matrix(run.q), run.v)
+        assert np.abs(slips[1:]).max() < 1e-13
+
+
+def test_a_compiled_sample_has_sines_and_mass_matrix_once() -> None:
+    """What the projection needs the dynamics need too: sines of seven angles, one factor of eight rows."""
+    wheeled = WheeledRobot(BASE.mount("ur5", (0.1, 0, 0.3, 0)), DIFFERENTIAL)
+    controller = law(lambda t, q, v, reference: 0.1 * np.ones(wheeled.nu) + 0.0 * q[0])
+    still = FixedHeading(Hold([0, 0], 1.0), 0.0)
+    scenario = Scenario(
+        robot=wheeled, controller=controller, trajectory=still, n=2, spread={}, dt=0.02, measures=()
+    )
+    program = way_of(scenario, COMPILED).program
+    assert program is not None
+    loop = program.loop
+    tape, wanted = loop.tape, needed(loop.tape, loop.outputs)
+    late = [tape.operations[i][0] for i in wanted if tape.depends[i] & STATE]
+    assert late.count("shl") == 7
+    assert late.count("div") <= 8
 
 
 # Runs

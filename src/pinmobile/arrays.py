@@ -95,7 +95,6 @@ def in_numbers(function: _Function) -> _Function:
 
     It is for functions of numbers that answer with an array, or with a tuple of which some are arrays.
     """
-    signature = inspect.signature(function)  # type: ignore[arg-type]
 
     @wraps(function)  # type: ignore[arg-type]
     def asked(*arguments: Any, **named: Any) -> Any:
@@ -106,7 +105,8 @@ def in_numbers(function: _Function) -> _Function:
                 answer = np.array(np.nan)
         for part in answer if isinstance(answer, tuple) else (answer,):
             if type(part) is np.ndarray and part.dtype == _FLOAT and not np.isfinite(part).all():
-                given = signature.bind(*arguments, **named).arguments
+                # Here, as what a law's code holds beside functions would keep a loop from being remembered.
+                given = inspect.signature(function).bind(*arguments, **named).arguments  # type: ignore[arg-type]
                 finite_answer(part, **{name: x for name, x in given.items() if name != "self" and np.size(x)})
         return answer
 

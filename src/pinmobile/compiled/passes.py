@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike
 from pinmobile.compiled.loop_tape import Leaf, Loop, Ring, arrays_of, initial_memory
-from pinmobile.compiled.memory import leaves, mapped, matched, normals
+from pinmobile.compiled.memory import Noise, leaves, mapped, matched, normals
 from pinmobile.compiled.parts import Parts, Place
 from pinmobile.compiled.sample import Memory, Reference, Stepped, one_sample
 from pinmobile.compiled.symbolic import Symbols, Values, entries, symbols
@@ -85,6 +85,28 @@ def walk_of(parts: Parts) -> Walk:
     return Walk([one_sample, *(part for _, part in parts.by_path())])
 
 
+class _Asked(NamedTuple):
+    """What the laws were asked on numbers, and what they gave.
+
+    Attributes
+    ----------
+    k : int
+        Number of the sample.
+    q, v : ndarray, shape (nq,), (nv,)
+        State.
+    memory : Memory
+        What the parts keep, as before any sample.
+    found : Stepped
+        What the sample comes to.
+    """
+
+    k: int
+    q: Array
+    v: Array
+    memory: Memory
+    found: Stepped
+
+
 class _Trace:
     """The way from parts to a tape."""
 
@@ -127,13 +149,11 @@ class _Trace:
         self._compare_numbers(loop, number)
         return loop
 
-    def _shaped(self) -> list[tuple[Array, Array, Stepped]]:
-        """Return what the laws give on numbers at two states, after learning the memory's shapes of them."""
+    def _shaped(self) -> list[_Asked]:
+        """Return what the laws give on numbers at two samples, after learning the memory's shapes of them."""
         for _ in range(4):
-            memory = self._grown(initial_memory(self.parts, self.context, len(self.reference.v)))
-            found = one_sample(
-                self.parts, 0.0, 0.0, self.h, (self.q.copy(), self.v.copy()), self.reference, memory
-            )
+            memory = self._memory(0)
+            found = self._at(0, self.q, self.v, memory)
             grew = False
             for owner, before, after in zip(Memory._fields, memory, found.memory, strict=True):
                 for path, old, new in matched(before, after, "state"):
@@ -141,16 +161,27 @@ class _Trace:
                         self.shapes[owner, path] = _wider(owner, path, np.shape(old), np.shape(new))
                         grew = True
             if not grew:
-                return [(self.q, self.v, found), self._elsewhere(memory)]
+                return [_Asked(0, self.q, self.v, memory, found), self._elsewhere()]
         raise NotTraceable("the memory has another shape at each sample", "keep arrays of one shape in state")
 
-    def _elsewhere(self, memory: Memory) -> tuple[Array, Array, Stepped]:
-        """Return the same at another state, which no law takes for a special one."""
+    def _at(self, k: int, q: Array, v: Array, memory: Memory) -> Stepped:
+        """Return a sample on numbers."""
+        return one_sample(self.parts, float(k), 0.0, self.h, (q.copy(), v.copy()), self.reference, memory)
+
+    def _memory(self, k: int) -> Memory:
+        """Return the memory before any sample, but with the noise of sample k."""
+        size = len(self.reference.v)
+        begun = initial_memory(self.parts, self.context, size, normal=lambda name, n: Noise(0, n, k))
+        return self._grown(begun)
+
+    def _elsewhere(self) -> _Asked:
+        """Return the same a sample later at another state, which no law takes for a special one."""
         v = self.v + 0.05 * np.sin(1.0 + np.arange(len(self.v)))
         moved = 0.07 * np.cos(2.0 + np.arange(len(self.v)))
         integrate = getattr(self.parts.plant, "integrate", None) or np.add
         q = np.asarray(integrate(self.q, moved), np.float64)
-        return q, v, one_sample(self.parts, 0.0, 0.0, self.h, (q.copy(), v.copy()), self.reference, memory)
+        memory = self._memory(1)
+        return _Asked(1, q, v, memory, self._at(1, q, v, memory))
 
     def _grown(self, memory: Memory) -> Memory:
         """Return the memory with arrays of the shapes that they come to have."""
@@ -184,10 +215,9 @@ class _Trace:
             told.tape.places[min(differ, len(told.tape.places) - 1)],
         )
 
-    def _compare_numbers(self, loop: Loop, numbers: Sequence[tuple[Array, Array, Stepped]]) -> None:
-        memory = self._grown(initial_memory(self.parts, self.context, len(self.reference.v)))
-        for q, v, found in numbers:
-            inputs = self._inputs(loop, q, v, memory)
+    def _compare_numbers(self, loop: Loop, numbers: Sequence[_Asked]) -> None:
+        for asked in numbers:
+            inputs, found = self._inputs(loop, asked), asked.found
             expected = _flat_numbers([found.q, found.v])
             for leaf, value in zip(loop.leaves, arrays_of(found.memory), strict=True):
                 expected += _flat_numbers([value]) if leaf.kind == "state" else []
@@ -207,18 +237,18 @@ class _Trace:
                     "let the law do the same for every kind of array, without isinstance or try",
                 )
 
-    def _inputs(self, loop: Loop, q: Array, v: Array, memory: Memory) -> dict[Any, Any]:
-        """Return the inputs of the tape at the first sample."""
-        inputs: dict[Any, Any] = {COUNT: np.uint64(0), ("uniform", 0): self.h}
+    def _inputs(self, loop: Loop, asked: _Asked) -> dict[Any, Any]:
+        """Return the inputs of the tape at a sample."""
+        inputs: dict[Any, Any] = {COUNT: np.uint64(asked.k), ("uniform", 0): self.h}
         samples = _flat_numbers([0.0, *self.reference])
         inputs |= {("sample", i): x for i, x in enumerate(samples)}
         inputs |= {("track", i): x for i, x in enumerate(samples[1:])}
         inputs |= {("key", i): np.uint64(0) for i in range(len(loop.keys))}
-        inputs |= {("state", i): x for i, x in enumerate(_flat_numbers([q, v]))}
+        inputs |= {("state", i): x for i, x in enumerate(_flat_numbers([asked.q, asked.v]))}
         for parameter, leaf in loop.parameters.items():
             values = self.values[parameter].ravel()
             inputs |= {(leaf.kind, leaf.first + i): x for i, x in enumerate(values)}
-        for leaf, value in zip(loop.leaves, arrays_of(memory), strict=True):
+        for leaf, value in zip(loop.leaves, arrays_of(asked.memory), strict=True):
             inputs |= {(leaf.kind, leaf.first + i): x for i, x in enumerate(_flat_numbers([value]))}
         return inputs
 

@@ -230,7 +230,7 @@ class Stepped(NamedTuple):
     sample : Sample
         As it was recorded.
     q, v : ndarray
-        State at the next sample.
+        State that the last substep leads to; of v the next sample takes what constraints leave.
     memory : Memory
         What the parts keep.
     record : Record
@@ -262,14 +262,17 @@ def one_sample(
     k, t, h : float
         Number and time of the sample, and length of a substep [s].
     state : tuple of ndarray, shape (nq,), (nv,)
-        Configuration and velocity.
+        Configuration and velocity: the start, or what the sample before came to.
     reference : Reference
         Of this sample.
     memory : Memory
         What the parts keep.
     """
-    q, v = state
     plant, controller = parts.plant, parts.controller
+    q, v = state
+    if _has_constraints(plant):
+        # Here, not after the step: this sample's dynamics need the same mass matrix, which a tape has once.
+        v = np.where(k == 0.0, v, plant.project(q, v))  # a start is as it was given
     # What is the loop's own is not a controller's to write into.
     own = mapped(memory.controller, _copy)
     answer = controller(t, q.copy(), v.copy(), Reference(*map(_copy, reference)), own)
@@ -382,6 +385,11 @@ def integrate_of(plant: object) -> Any:
     return getattr(plant, "integrate", None) or np.add
 
 
+def _has_constraints(plant: object) -> bool:
+    """Tell whether velocities are projected after each substep; one with a step of its own does so there."""
+    return hasattr(plant, "project") and not hasattr(plant, "step")
+
+
 def _integrated(parts: Parts, t: Moment, h: Moment, q: Values, v: Values, u: Values, memory: object) -> Any:
     """Return the acceleration, and the state after the substeps, by the integrator on displacements."""
     plant = parts.plant
@@ -399,12 +407,12 @@ def _integrated(parts: Parts, t: Moment, h: Moment, q: Values, v: Values, u: Val
                 f"({plant.nv},) and ({plant.nv},)"
             )
         moved, v = answer
-        q = integrate(q, moved)
-        return q, plant.project(q, v) if hasattr(plant, "project") else v
+        return integrate(q, moved), v
 
     first = plant.forward_dynamics(q, v, u, _pushed(parts, t, q, v))
-    for j in range(parts.substeps):
-        q, v = advanced(t + j * h if j else t, q, v)
+    q, v = advanced(t, q, v)
+    for j in range(1, parts.substeps):
+        q, v = advanced(t + j * h, q, plant.project(q, v) if _has_constraints(plant) else v)
     return first, q, v, memory
 
 

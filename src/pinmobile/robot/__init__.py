@@ -15,6 +15,7 @@ from pinmobile.robot.linkage import (
     scalars as scalars,
     sine_and_cosine as sine_and_cosine,
     solved as solved,
+    transposed as transposed,
     vector_of as vector_of,
 )
 from pinmobile.robot.mobile import MobileRobot

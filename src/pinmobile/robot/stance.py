@@ -274,6 +274,21 @@ class Judgement:
             found.append(Measure("tip-over margin", "m", words, "smallest"))
         return tuple(found)
 
+    def apart(self, robot: Any, q: Array, desired: Array) -> Array:
+        """Return each end effector's distance [m] and angle [rad] to where the reference puts it, (..., 2 k).
+
+        Parameters
+        ----------
+        robot, q, desired
+            As in `measured`.
+        """
+        rest = self.rest[np.shape(desired)[-1] :]
+        rest = np.broadcast_to(rest, (*np.shape(desired)[:-1], len(rest)))
+        desired = np.concatenate([desired, rest], axis=-1)
+        poses = ((robot.frame_pose(q, tip), robot.frame_pose(desired, tip)) for _, tip in self.tips)
+        found = [each for pair in poses for each in _apart(*pair)]
+        return np.stack(np.broadcast_arrays(*found), axis=-1)
+
     def measured(self, robot: Any, q: Array, v: Array, a: Array, u: Array, desired: Array) -> Array:
         """Return the measures of a robot that moves so, shape (..., m).
 
@@ -286,12 +301,10 @@ class Judgement:
         desired : ndarray, shape (..., k)
             Where the reference has the first numbers of q.
         """
-        rest = self.rest[np.shape(desired)[-1] :]
-        rest = np.broadcast_to(rest, (*np.shape(desired)[:-1], len(rest)))
-        desired = np.concatenate([desired, rest], axis=-1)
         found: list[Any] = []
-        for _, tip in self.tips:
-            found += _apart(robot.frame_pose(q, tip), robot.frame_pose(desired, tip))
+        if self.tips:
+            apart = self.apart(robot, q, desired)
+            found += [apart[..., k] for k in range(2 * len(self.tips))]
         if self._limited:
             shares = np.abs(u[..., self._limited]) * (1.0 / self.effort_limit[self._limited])
             found.append(np.max(shares, axis=-1))

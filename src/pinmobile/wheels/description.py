@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from math import atan2, cos, hypot, pi, radians, sin
+from dataclasses import replace
+from math import atan2, cos, hypot, sin
 from os import PathLike
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, non_negative, one_of, positive, scalar, sequence
+from pinmobile.arrays import ArrayLike, sequence
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.robot import MobileRobot, Swivel, WheelJoint
-from pinmobile.wheels.motors import Motor
+from pinmobile.robot import MobileRobot
 from pinmobile.wheels.table import (
     DRIVEN,
     FIXED,
@@ -25,28 +24,18 @@ from pinmobile.wheels.table import (
     WheelTable,
     each_of,
 )
+from pinmobile.wheels.wheel_joints import (
+    PLANE,
+    Given,
+    WheelJoints,
+    left_of,
+    motor_of,
+    snapped,
+    to_length,
+    wheel_name,
+)
 
-_PLANE = 0.005  # [m]: what is so near one plane stands on it
-_TRAIL = 1e-3  # [m]: a wheel nearer to its swivel than that does not trail
 _LINE = 1e-3  # [m]: axles so near one line are on it
-_ROUNDED = 0.002  # [rad] of a multiple of 15 degrees: files have 1.57 and 3.14
-_STEP = radians(15)
-_ROUND = 0.02  # share by which moments of a wheel may differ across its axle, and its com be off it
-_DIGITS = 12  # of a length [m]
-
-
-@dataclass(frozen=True)
-class _Given:
-    """What is given beside the file: see `read_wheels`."""
-
-    radius: float | Mapping[str, float] | None = None
-    rollers: float | Mapping[str, float] | None = None
-    driven: Sequence[str] | None = None
-    steering: Mapping[str, str] | None = None
-    inertia: ArrayLike | Mapping[str, ArrayLike] | None = None
-    locked: Sequence[str] = ()
-    supports: Iterable[ArrayLike] | None = None
-    couplings: tuple[Coupling, ...] = ()
 
 
 def read_wheels(
@@ -115,8 +104,8 @@ def read_wheels(
         If there is no such wheel.
     """
     joined = sequence("couplings", couplings, "GearTrain, Differential or Ackermann")
-    given = _Given(radius, rollers, driven, steering, inertia, locked, supports, joined)
-    return _Reader(robot, given).table()
+    given = Given(radius, rollers, driven, steering, inertia, locked, supports, joined)
+    return _Reader(WheelJoints(robot, given)).table()
 
 
 def joint_signs(robot: MobileRobot, table: WheelTable) -> dict[str, int]:
@@ -132,7 +121,7 @@ def joint_signs(robot: MobileRobot, table: WheelTable) -> dict[str, int]:
     found = {wheel_name(joint.name): joint for joint in robot.undercarriage.wheels}
     rows = [wheel for wheel in table.wheels if wheel.name in found]
     return {
-        wheel.name: 1 if _left(wheel.angle) @ found[wheel.name].axis[:2] > 0 else -1  # axle +n is left of e
+        wheel.name: 1 if left_of(wheel.angle) @ found[wheel.name].axis[:2] > 0 else -1  # axle +n is left of e
         for wheel in rows
     }
 
@@ -156,202 +145,18 @@ def read_robot(
     robot = MobileRobot.from_urdf(path, package_dirs, ground=ground_z)
     if robot.grounded or radius is None:
         return robot
-    reader = _Reader(robot, _Given(radius=radius, locked=locked))
-    lowest = [joint.centre[2] - reader.radius(joint) for joint in reader.joints]
+    wheels = WheelJoints(robot, Given(radius=radius, locked=locked))
+    lowest = [joint.centre[2] - wheels.radius(joint) for joint in wheels.joints]
     return MobileRobot.from_urdf(path, package_dirs, ground=sum(lowest) / len(lowest))
 
 
 class _Reader:
-    """The wheels of one robot, and words for what becomes of them."""
+    """The table of a robot's wheels, and words for what became of them."""
 
-    def __init__(self, robot: MobileRobot, given: _Given) -> None:
-        if not isinstance(robot, MobileRobot):
-            raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot")
-        self.robot, self.given = robot, given
-        every = robot.undercarriage.wheels
-        self.names = tuple(joint.name for joint in every)
-        if not every:
-            raise InvalidArgument(
-                "robot has no wheels in its file, no joint that turns freely about a level axis; expected "
-                "table="
-            )
-        locked = [self._known("locked", name) for name in sequence("locked", given.locked, "names of wheels")]
-        self.joints = [joint for joint in every if joint.name not in locked]
-        self.standing = [joint for joint in every if joint.name in locked and self._stands(joint)]
-        if not self.joints:
-            raise InvalidArgument(
-                f"locked is {shown(given.locked)}, all wheels of the robot; expected some left"
-            )
-        for key in ("radius", "rollers", "steering", "inertia"):
-            if isinstance(value := getattr(given, key), Mapping):
-                for name in value:
-                    self._known(key, name)
-            elif key == "steering" and value is not None:
-                raise InvalidArgument(f"steering is {shown(value)}, expected a mapping from names of wheels")
+    def __init__(self, wheels: WheelJoints) -> None:
+        self.wheels, self.robot, self.given = wheels, wheels.robot, wheels.given
+        self.joints, self.standing = wheels.joints, wheels.standing
         self.words: list[str] = []
-
-    def _known(self, key: str, name: object) -> str:
-        return one_of(f"wheel of {key}", name, self.names)
-
-    def _stands(self, joint: WheelJoint) -> bool:
-        height = joint.centre[2] if self.robot.grounded else 0.0
-        return joint.radius is None or abs(height - joint.radius) <= _PLANE
-
-    def _of(self, key: str, name: str) -> object:
-        value = getattr(self.given, key)
-        return value.get(name) if isinstance(value, Mapping) else value
-
-    # Numbers of one wheel
-
-    def radius(self, joint: WheelJoint) -> float:
-        """Return the radius of a wheel [m]."""
-        mapped, own = isinstance(self.given.radius, Mapping), self._of("radius", joint.name)
-        if own is not None and (mapped or joint.radius is None):
-            return positive(f"radius of wheel {joint.name!r}", own, "m")  # type: ignore[arg-type]
-        if joint.radius is None:
-            raise InvalidArgument(
-                f"radius of wheel {joint.name!r} is not known: its file has no collision cylinder or sphere "
-                f"about the axle; expected radius={{{joint.name!r}: ...}} [m]"
-            )
-        return joint.radius
-
-    def _inertia(self, joint: WheelJoint, radius: float) -> tuple[float, float]:
-        """Return the inertia of a wheel about its axle and across it [kg m^2]."""
-        own = self._of("inertia", joint.name)
-        if own is not None:
-            pair = finite(f"inertia of wheel {joint.name!r}", own)  # type: ignore[arg-type]
-            if pair.shape != (2,):
-                raise InvalidArgument(
-                    f"inertia of wheel {joint.name!r} has shape {pair.shape}, expected (2,): about its axle "
-                    "and across it [kg m^2]"
-                )
-            about, across = (
-                non_negative(f"inertia of wheel {joint.name!r}", x, "kg m^2") for x in pair.tolist()
-            )
-            return about, across
-        spin, (one, other), products, aside = joint.moments()
-        way_out = (
-            "its inertia would depend on the angle it has turned; expected equal moments across the axle and "
-            f"a centre of mass on it, or inertia={{{joint.name!r}: (about the axle, across it)}} [kg m^2]"
-        )
-        if aside > _ROUND * radius:
-            raise InvalidArgument(
-                f"wheel {joint.name!r} has its centre of mass {1e3 * aside:.3g} mm off its axle: {way_out}"
-            )
-        if max(abs(one - other), products) > _ROUND * max(spin, one, other):
-            raise InvalidArgument(
-                f"wheel {joint.name!r} is no solid of revolution about its axle, with moments of {spin:.4g} "
-                f"about it, {one:.4g} and {other:.4g} across, and products up to {products:.2g} kg m^2: "
-                f"{way_out}"
-            )
-        if not spin > 0:
-            raise InvalidArgument(
-                f"wheel {joint.name!r} has no inertia in its file, expected one, or "
-                f"inertia={{{joint.name!r}: (about the axle, across it)}} [kg m^2]"
-            )
-        return spin, (one + other) / 2
-
-    def _roller(self, joint: WheelJoint) -> float | None:
-        own, name = self._of("rollers", joint.name), joint.name
-        if own is None:
-            if joint.carried:
-                raise InvalidArgument(
-                    f"wheel {name!r} carries joints {', '.join(map(repr, joint.carried[:3]))}: their angle "
-                    f"decides how it rolls; expected rollers={{{name!r}: angle from the rolling direction}} "
-                    "[rad]"
-                )
-            return None
-        angle = scalar(f"rollers of wheel {name!r}", own)  # type: ignore[arg-type]
-        if isinstance(self.given.rollers, Mapping) or not angle:
-            return angle
-        middle = np.mean([each.centre for each in self.joints], axis=0)
-        corners = {tuple(np.sign(np.round(each.centre - middle, 6)[:2])) for each in self.joints}
-        forward = all(abs(each.axis[1]) > cos(_ROUNDED) for each in self.joints)
-        if not forward or len(self.joints) != 4 or corners != {(1, 1), (1, -1), (-1, 1), (-1, -1)}:
-            raise InvalidArgument(
-                f"rollers is {angle:g} rad for {len(self.joints)} wheels that are not four at the corners of "
-                "a rectangle, their axles along y; expected a mapping from their names"
-            )
-        x, y, _ = joint.centre - middle
-        return -angle if x * y > 0 else angle
-
-    def _forward(self, joint: WheelJoint, roller: float | None) -> float:
-        """Return the angle of the rolling direction [rad]."""
-        angle = _snapped(atan2(-joint.axis[0], joint.axis[1]))
-        if abs(angle) < pi / 2 - 1e-9 or abs(angle - pi / 2) < 1e-9:
-            return angle
-        alone = all(
-            abs(np.dot(joint.axis, each.axis)) < cos(_ROUNDED) for each in self.joints if each is not joint
-        )
-        return angle if alone and roller is not None else angle - pi if angle > 0 else angle + pi
-
-    # Steering
-
-    def _steered(self, joint: WheelJoint, roller: float | None) -> tuple[str, Swivel | None]:
-        asked = self._of("steering", joint.name)
-        if not joint.swivels:
-            if asked not in (None, FIXED):
-                raise InvalidArgument(
-                    f"steering of wheel {joint.name!r} is {shown(asked)}, but it hangs on no joint about the "
-                    "vertical; expected 'fixed'"
-                )
-            return FIXED, None
-        if asked == FIXED:
-            return FIXED, None
-        swivel, *more = joint.swivels
-        if more:
-            raise InvalidArgument(
-                f"wheel {joint.name!r} hangs on two joints about the vertical, {swivel.name!r} and "
-                f"{more[0].name!r}; expected one, or steering={{{joint.name!r}: 'fixed'}}"
-            )
-        twins = [each.name for each in self.joints if swivel.name in (one.name for one in each.swivels)]
-        if len(twins) > 1:
-            raise InvalidArgument(
-                f"wheels {', '.join(map(repr, twins))} hang on one swivel, {swivel.name!r}, for which a "
-                "table has no row; expected locked=, or a table= of your own"
-            )
-        if asked is not None:
-            return one_of(f"steering of wheel {joint.name!r}", asked, (FIXED, DRIVEN, FREE)), swivel
-        if np.isfinite(swivel.limit):
-            return DRIVEN, swivel
-        if hypot(joint.centre[0] - swivel.x, joint.centre[1] - swivel.y) > _TRAIL:
-            return FREE, swivel
-        if roller is None:
-            raise InvalidArgument(
-                f"wheel {joint.name!r} stands right below its swivel {swivel.name!r}, which the file does "
-                "not say to be driven, and which nothing else could turn; expected "
-                f"steering={{{joint.name!r}: 'driven'}} or 'fixed', or rollers="
-            )
-        return FIXED, None
-
-    def _row(self, joint: WheelJoint) -> Wheel:
-        radius, roller = self.radius(joint), self._roller(joint)
-        steering, swivel = self._steered(joint, roller)
-        spin, across = self._inertia(joint, radius)
-        x, y, _ = joint.centre
-        angle, mass, trail, limit = self._forward(joint, roller), joint.lump.mass, (0.0, 0.0), np.inf
-        if swivel is not None:
-            e, o = np.array([cos(angle), sin(angle)]), np.array([x - swivel.x, y - swivel.y])
-            along, aside = (round(float(number), _DIGITS) + 0.0 for number in (e @ o, _left(angle) @ o))
-            x, y, limit = swivel.x, swivel.y, swivel.limit
-            trail = (along, aside)
-            mass, across = swivel.turning(joint, across)
-        return Wheel(
-            wheel_name(joint.name),
-            round(x, _DIGITS) + 0.0,
-            round(y, _DIGITS) + 0.0,
-            radius,
-            angle,
-            steering,
-            trail,
-            roller,
-            mass,
-            spin,
-            across,
-            steering_limit=limit if limit > 0 else np.inf,
-        )
-
-    # All of them
 
     def table(self) -> WheelTable:
         """Return the table."""
@@ -360,13 +165,13 @@ class _Reader:
                 f"radius is {shown(self.given.radius)} m, but the file tells that of every wheel; expected a "
                 "mapping for those that have another"
             )
-        rows = [self._row(joint) for joint in self.joints]
+        rows = [self.wheels.row(joint) for joint in self.joints]
         self._check_plane(rows)
         rows = self._on_lines(rows)
         self._check_told(rows)
         driven = self._driven(rows)
         rows = [
-            replace(row, motor=_motor(joint)) if joint.name in driven else row
+            replace(row, motor=motor_of(joint)) if joint.name in driven else row
             for row, joint in zip(rows, self.joints, strict=True)
         ]
         supports = self._supports(rows)
@@ -378,12 +183,12 @@ class _Reader:
             joint.name: joint.centre[2] - row.radius for joint, row in zip(self.joints, rows, strict=True)
         }
         heights = [*lowest.values(), *([0.0] if self.robot.grounded else [])]
-        if max(heights) - min(heights) > _PLANE:
+        if max(heights) - min(heights) > PLANE:
             listed = ", ".join(f"{name} at z = {z:.4g}" for name, z in lowest.items())
             ground = ", the ground at z = 0" if self.robot.grounded else ""
             raise InvalidArgument(
                 f"wheels do not stand on one plane, their lowest points being {listed}{ground} m, expected "
-                f"them within {1e3 * _PLANE:g} mm, other radii, or locked= for those that do not roll"
+                f"them within {1e3 * PLANE:g} mm, other radii, or locked= for those that do not roll"
             )
 
     def _on_lines(self, rows: Sequence[Wheel]) -> list[Wheel]:
@@ -402,8 +207,8 @@ class _Reader:
                 angle = rows[k].angle
                 found[k] = replace(
                     rows[k],
-                    x=round(rows[k].x + away * cos(angle), _DIGITS) + 0.0,
-                    y=round(rows[k].y + away * sin(angle), _DIGITS) + 0.0,
+                    x=to_length(rows[k].x + away * cos(angle)),
+                    y=to_length(rows[k].y + away * sin(angle)),
                 )
                 moved = max(moved, abs(away))
         if moved > 1e-9:
@@ -427,7 +232,7 @@ class _Reader:
     def _driven(self, rows: Sequence[Wheel]) -> list[str]:
         if self.given.driven is not None:
             return [
-                self._known("driven", name)
+                self.wheels.known("driven", name)
                 for name in sequence("driven", self.given.driven, "names of wheels")
             ]
         shared: set[str] = set()
@@ -446,7 +251,7 @@ class _Reader:
             return tuple(Support(*at) for at in each_of("supports", self.given.supports))
         taken, found = [row.centre for row in rows], []
         for place in [*self.robot.undercarriage.supports, *(joint.centre[:2] for joint in self.standing)]:
-            x, y = (round(float(number), _DIGITS) + 0.0 for number in place)
+            x, y = (to_length(number) for number in place)
             if all(hypot(x - x0, y - y0) > _LINE for x0, y0 in taken):
                 taken.append((x, y))
                 found.append(Support(x, y))
@@ -466,11 +271,11 @@ class _Reader:
         tell("radius by the collision geometry of", *(not hand for hand in by_hand))
         tell("radius as given of", *by_hand)
         tell("the joint turns the other way at", *(s < 0 for s in joint_signs(self.robot, table).values()))
-        exact = [abs(_snapped(a := atan2(-joint.axis[0], joint.axis[1])) - a) > 1e-9 for _, joint in pairs]
+        exact = [abs(snapped(a := atan2(-joint.axis[0], joint.axis[1])) - a) > 1e-9 for _, joint in pairs]
         tell("axes that the file rounds are exact at", *exact)
         tell(
             "inertia as given, the whole's as in the file, of",
-            *(self._of("inertia", joint.name) is not None for _, joint in pairs),
+            *(self.wheels.told("inertia", joint.name) is not None for _, joint in pairs),
         )
         guess = "" if self.given.driven is not None else "guessed: "
         tell(f"{guess}motors at", *(row.motor is not None for row, _ in pairs))
@@ -499,30 +304,3 @@ class _Reader:
 
 def _limited(wheel: Wheel) -> bool:
     return wheel.motor is not None and np.isfinite(wheel.motor.torque_limit)
-
-
-def _motor(joint: WheelJoint) -> Motor:
-    if not (np.isfinite(joint.effort) or joint.damping or joint.friction):
-        return Motor()
-    return Motor(
-        joint.effort,
-        viscous=max(joint.damping, 0.0),
-        coulomb=max(joint.friction, 0.0),
-        source=f"joint {joint.name}",
-    )
-
-
-def _snapped(angle: float) -> float:
-    nearest = round(angle / _STEP)
-    exact = {-6: -pi / 2, 6: pi / 2, 12: pi, -12: pi}.get(nearest, nearest * _STEP)
-    near = abs(angle - nearest * _STEP) < _ROUNDED
-    return exact if near else angle
-
-
-def _left(angle: float) -> Array:
-    return np.array([-sin(angle), cos(angle)])
-
-
-def wheel_name(name: str) -> str:
-    """Return the name of a joint as that of a wheel."""
-    return "".join("_" if letter in '/,":' else letter for letter in name)

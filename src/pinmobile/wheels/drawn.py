@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
 from pinmobile.robot import BODY, BODY_JOINT, MobileRobot, box_visuals, number
-from pinmobile.wheels.description import wheel_name
 from pinmobile.wheels.kinematics import Kinematics
 from pinmobile.wheels.table import FIXED, Support, Wheel, WheelTable
+from pinmobile.wheels.wheel_joints import wheel_name
 
 _Triangles = tuple[Array, NDArray[np.int64]]  # vertices (n, 3) [m], faces (m, 3)
 

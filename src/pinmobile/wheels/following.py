@@ -78,8 +78,8 @@ class Following:
             turning, faster = spline(t, 1), spline(t, 2)
         v[:, nv : nv + ns] = turning
         state = body.state(q, v)
-        S, _ = body.solution(state)
-        nu = body.velocities(state)
+        S, _ = body.freedom.solution(state)
+        nu = body.freedom.velocities(state)
         rolls = np.asarray(
             body.in_plane(state, [sum(x * y for x, y in zip(r, nu, strict=True)) for r in S], q)
         )
@@ -94,7 +94,7 @@ class Following:
         a = np.zeros((len(t), body.nv))
         a[:, : reference.a.shape[-1]] = reference.a
         along = [state.c * a[:, 0] + state.s * a[:, 1], state.c * a[:, 1] - state.s * a[:, 0]]
-        offset = body._offset(state, [*along, *np.moveaxis(a[:, 2:], -1, 0)])
+        offset = body.freedom.offset(state, [*along, *np.moveaxis(a[:, 2:], -1, 0)])
         own = len(offset) - body.na - len(body.choice.free)
         rates = [
             *offset[:own],
@@ -125,8 +125,8 @@ class Following:
         """Return loads and slip margins where it goes along `factor` times as fast, shape (N, k) each."""
         body, q, v = self.body, self.q, factor * self.v
         state = body.state(q, v)
-        S, gamma = body.solution(state)
-        rest = body.unmoved(state, S, gamma)
+        S, gamma = body.freedom.solution(state)
+        rest = body.freedom.unmoved(state, S, gamma)
         rates = np.moveaxis(factor**2 * self.rates, -1, 0)
         a = [sum(x * y for x, y in zip(row, rates, strict=True)) + g for row, g in zip(S, rest, strict=True)]
         felt = body.felt(state, [number(x) for x in a])

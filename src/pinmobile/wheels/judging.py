@@ -12,11 +12,19 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.compiled import higher, square_root
 from pinmobile.measures import Measure
-from pinmobile.robot import WEIGHTLESS, Vector, dot, margin_inside, number, scalars, vector_of
+from pinmobile.robot import (
+    WEIGHTLESS,
+    ZERO,
+    Vector,
+    dot,
+    margin_inside,
+    number,
+    pressed_at,
+    scalars,
+    vector_of,
+)
 from pinmobile.wheels.loads import places_of, pressed, shared_loads
 from pinmobile.wheels.standing import lowest, margin
-
-_BASE = 3
 
 
 def arms_of(body: Any) -> Any:
@@ -79,11 +87,8 @@ def measured(body: Any, q: Any, v: Any, a: Any, u: Any, desired: Any, *, slips: 
         Whether its wheels may slip.
     """
     state, found, arms = body.state(q, v), [], arms_of(body)
-    n, nv = int(body.robot.nq), _BASE + body.na
-    if arms is not None:
-        bare = type(arms)(arms.tips, np.full(nv, np.inf), None, arms.rest)
-        poses = bare.measured(body.robot, q[..., :n], v[..., :nv], a[..., :nv], u, desired)
-        found += scalars(poses)
+    if arms is not None and arms.tips:
+        found += scalars(arms.apart(body.robot, q[..., : int(body.robot.nq)], desired))
     limits = limits_of(body)
     if limits:
         inputs, most = scalars(u), 0.0
@@ -104,10 +109,10 @@ def _of_ground(body: Any, state: Any, a: Any, u: Any, q: Any, *, slips: bool) ->
     fz, mx, my = pressed(body, state, felt, q)
     corners = footprint_of(body)
     if corners is not None:
-        carried = number(fz) > WEIGHTLESS * body.weight
-        vertical = np.where(carried, number(fz), np.nan)
-        inside = margin_inside(corners, vector_of([-my / vertical, mx / vertical], q))
-        found.append(np.where(carried, inside, -np.inf))
+        wrench = vector_of([ZERO, ZERO, fz, mx, my, ZERO], q)
+        carried = wrench[..., 2] > WEIGHTLESS * body.weight
+        inside = margin_inside(corners, pressed_at(wrench, carried))
+        found += scalars(np.where(carried, inside, -np.inf)[..., None])
     places = places_of(body, state.steering)
     shared = shared_loads(places, fz, mx, my)
     found.append(lowest(shared.springs))

@@ -196,8 +196,8 @@ class VoltageBody:
         body, h = self.wheeled, _plain(h)
         q_middle = body.integrate(q, (0.5 * h) * v)
         start, middle = _plain_state(body.state(q, v)), _plain_state(body.state(q_middle, v))
-        nu = [number(x) for x in body.velocities(start)]
-        M, (S, _) = body.inertia(middle, q), body.solution(middle)
+        nu = [number(x) for x in body.freedom.velocities(start)]
+        M, (S, _) = body.inertia(middle, q), body.freedom.solution(middle)
         columns = [list(column) for column in zip(*S, strict=True)]
         pushed = [[dot(row, column) for row in M] for column in columns]
         reduced = [[dot(a, b) for b in pushed] for a in columns]
@@ -217,7 +217,7 @@ class VoltageBody:
             at = self._moving(middle, S, mean)
             s, c = sine_and_cosine(psi + 0.5 * h * at.twist[2])
             at = at._replace(c=c, s=s)
-            still = body.felt(at, body.unmoved(at, *body.solution(at)))
+            still = body.felt(at, body.freedom.unmoved(at, *body.freedom.solution(at)))
             torques = [push.torque - push.slope * x for push, x in zip(pushes, begun, strict=True)]
             whole = body.generalised(at, stacked([*scalars(u)[:na], *torques], q), f)
             rest = [t - n - dot(row, still) for t, n, row in zip(whole, body.effects(at, q), M, strict=True)]
@@ -237,7 +237,7 @@ class VoltageBody:
         rolled = [*at.twist, *at.arm_rates, *at.rates]
         q_after = body.integrate(q, body.in_plane(at._replace(c=c, s=s), [h * x for x in rolled], q))
         end = _plain_state(body.state(q_after, v))
-        v_after = body.in_plane(end, [dot(row, after) for row in body.solution(end).S], q)
+        v_after = body.in_plane(end, [dot(row, after) for row in body.freedom.solution(end).S], q)
         given = [push.torque - push.slope * x for push, x in zip(pushes, rates, strict=True)]
         for k, i in enumerate(self.electric):
             given[i] = given[i] + impulses[k] / h

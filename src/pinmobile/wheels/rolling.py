@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 
@@ -22,68 +22,23 @@ from pinmobile.robot import (
     Matrix,
     Vector,
     applied,
-    cross,
     dot,
     exact,
     number,
     scalars,
     sine_and_cosine,
     solved as solved_by,
+    transposed,
     vector_of as stacked,
 )
+from pinmobile.wheels.freedom import Freedom, State as State, matrix
 from pinmobile.wheels.judging import measured, measures_of
-from pinmobile.wheels.kinematics import Choice, Kinematics, Row, Solution, solved
+from pinmobile.wheels.kinematics import Choice, Kinematics
+from pinmobile.wheels.reduced import Reduced
 from pinmobile.wheels.standing import Group, groups_of
 from pinmobile.wheels.table import Axis, WheelTable
 
 _BASE = 3
-
-
-class State(NamedTuple):
-    """A state, seen from the body.
-
-    Attributes
-    ----------
-    c, s : scalar
-        Of the heading.
-    arms, steering : list of scalars
-        Configuration of the arms, and steering angles.
-    twist, arm_rates, rates : list of scalars
-        Body twist; rates of the arms; of steering coordinates and wheels.
-    """
-
-    c: Any
-    s: Any
-    arms: Vector
-    steering: Vector
-    twist: Vector
-    arm_rates: Vector
-    rates: Vector
-
-
-class Reduced(NamedTuple):
-    """Rolling in independent velocities nu: M nu' + n = B u, v = S nu (Kane's equations).
-
-    nu is, of a body that is free, its twist (forward, left, yaw rate); of one with one axle, the speed along
-    the wheels at the axle and the yaw rate; of one with two axles, the speed at the fixed one, or, where both
-    are steered, the number eta with twist = eta (a1 x a2) of the axles' rows. Rates of the arms and of
-    steering axes that nothing else determines follow.
-
-    Attributes
-    ----------
-    M, n, B : ndarray, shape (..., m, m), (..., m), (..., m, nu)
-        Mass matrix, nonlinear effects and input matrix.
-    S : ndarray, shape (..., nv, m)
-        All velocities by the independent ones.
-    nu : ndarray, shape (..., m)
-        Those of the state.
-    """
-
-    M: Any
-    n: Any
-    B: Any
-    S: Any
-    nu: Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,6 +133,11 @@ class WheeledBody:
     def kinematics(self) -> Kinematics:
         """Its rows."""
         return Kinematics(self.table, scalars(self.x), scalars(self.y), scalars(self.radius))
+
+    @property
+    def freedom(self) -> Freedom:
+        """Its independent velocities, where wheels roll."""
+        return Freedom(self)
 
     @property
     def weight(self) -> Any:
@@ -286,19 +246,6 @@ class WheeledBody:
         x, y = self.pull(state)
         return [a[0] - x, a[1] - y, *a[2:]]
 
-    def solution(self, state: State) -> Solution:
-        """Return what rolls, arms between body and joints."""
-        rows = self.kinematics.rows(state.steering, state.twist, state.rates)
-        choice = self.choice
-        S, gamma = solved(rows, choice)
-        width, na = len(S[0]), self.na
-        own = _BASE if not choice.body else _BASE - len(choice.body)
-        wide = [[*row[:own], *[ZERO] * na, *row[own:]] for row in S]
-        arms: Matrix = [[ZERO] * (width + na) for _ in range(na)]
-        for i in range(na):
-            arms[i][own + i] = exact(1.0)
-        return Solution([*wide[:_BASE], *arms, *wide[_BASE:]], [*gamma[:_BASE], *[ZERO] * na, *gamma[_BASE:]])
-
     def generalised(self, state: State, u: Any, f: Any) -> Vector:
         """Return the generalised force of an input and of forces beside it, along the body's axes."""
         inputs, na = scalars(u), self.na
@@ -342,114 +289,24 @@ class WheeledBody:
         """Return the generalised force of a wrench on the body, shape (..., nv)."""
         return stacked([*scalars(wrench), *[ZERO] * (self.nv - _BASE)], q)
 
-    def velocities(self, state: State) -> Vector:
-        """Return the independent velocities nu of a state that rolls, in the order of the columns of S."""
-        held = [self.kinematics.rows(state.steering, state.twist, state.rates)[i] for i in self.choice.body]
-        a, w = held[0].base if held else [], state.twist[2]
-        if not held:
-            body = state.twist
-        elif len(held) == 1 or self.choice.is_fixed:
-            speed = a[1] * state.twist[0] - a[0] * state.twist[1]
-            body = [speed, w] if len(held) == 1 else [speed]
-        else:
-            about = cross(a, held[1].base)
-            body = [dot(about, state.twist) / dot(about, about)]
-        return [*body, *state.arm_rates, *(state.rates[k] for k in self.choice.free)]
-
     def reduced(self, q: Any, v: Any) -> Reduced:
         """Return the dynamics of the independent velocities: M nu' + n = B u, see `Reduced`."""
-        state = self.state(q, v)
-        M, (S, gamma) = self.inertia(state, q), self.solution(state)
-        effects = self.effects(state, q)
-        columns = [list(column) for column in zip(*S, strict=True)]
-        pushed = [applied(M, column) for column in columns]
-        still = self.felt(state, self.unmoved(state, S, gamma))
-        rest = [n + dot(row, still) for n, row in zip(effects, M, strict=True)]
-        inputs = [self.generalised(state, one, 0.0) for one in np.eye(self.nu)]
-        public = [self.in_plane(state, column, q) for column in columns]
-        return Reduced(
-            _matrix([[dot(a, b) for b in pushed] for a in columns], q),
-            stacked([dot(column, rest) for column in columns], q),
-            _matrix([[dot(column, one) for one in inputs] for column in columns], q)
-            if inputs
-            else np.zeros((*np.shape(q)[:-1], len(columns), 0)),
-            np.stack(np.broadcast_arrays(*public), axis=-1),
-            stacked(self.velocities(state), q),
-        )
+        return self.freedom.reduced(q, v)
 
     def inverse_dynamics(self, q: Any, v: Any, a: Any) -> Any:
         """Return the input of least norm with which body and arms accelerate so, shape (..., nu).
 
         Of drives whose body is free to move in any direction; `a` has the first 3 + arms coordinates.
         """
-        state, wanted = self.state(q, v), scalars(a)
-        along = [state.c * wanted[0] + state.s * wanted[1], state.c * wanted[1] - state.s * wanted[0]]
-        S, gamma = self.solution(state)
-        return stacked(self._driven(state, q, S, [*along, *wanted[2:]], gamma), q)
+        return self.freedom.inverse_dynamics(q, v, a)
 
     def torques(self, q: Any, v: Any, rates: Any) -> Any:
         """Return the input of least norm with which the independent velocities change so, shape (..., nu)."""
-        state = self.state(q, v)
-        S, gamma = self.solution(state)
-        return stacked(self._driven(state, q, S, scalars(rates), self.unmoved(state, S, gamma)), q)
-
-    def unmoved(self, state: State, S: Matrix, gamma: Vector) -> Vector:
-        """Return the accelerations, along the body's axes, where the independent velocities do not change."""
-        offset = self._offset(state, gamma)
-        return [g - dot(row, offset) for row, g in zip(S, gamma, strict=True)]
-
-    def _offset(self, state: State, gamma: Vector) -> Vector:
-        """Return the rates of the independent velocities where the accelerations are gamma."""
-        vx, vy, w = state.twist
-        moved = [gamma[0] + w * vy, gamma[1] - w * vx, gamma[2]]  # the rate of the body twist
-        rows = self.kinematics.rows(state.steering, state.twist, state.rates)
-        held = [(rows[i].base, self._turned(rows[i], state)) for i in self.choice.body]
-        if not held:
-            body = moved
-        elif len(held) == 1 or self.choice.is_fixed:
-            a, a_dot = held[0]
-            first = a[1] * moved[0] - a[0] * moved[1] + a_dot[1] * vx - a_dot[0] * vy
-            body = [first, moved[2]] if len(held) == 1 else [first]
-        else:
-            (a, a_dot), (b, b_dot) = held
-            about = cross(a, b)
-            about_dot = [x + y for x, y in zip(cross(a_dot, b), cross(a, b_dot), strict=True)]
-            square = dot(about, about)
-            change = dot(about_dot, state.twist) + dot(about, moved)
-            twice = 2.0 * dot(about, state.twist) * dot(about, about_dot) / square
-            body = [(change - twice) / square]
-        return [*body, *[ZERO] * (self.na + len(self.choice.free))]
-
-    def _turned(self, row: Row, state: State) -> Vector:
-        """Return the rate of a lateral row's coefficients by the steering of its wheel about its centre."""
-        k = next((k for wheel, k in self._steered if wheel == row.wheel), None)
-        if k is None:
-            return [ZERO] * 3
-        turn = self.kinematics.heading(row.wheel, state.steering).first * state.rates[k]
-        x, y = self.kinematics.x[row.wheel], self.kinematics.y[row.wheel]
-        a, b, _ = row.base
-        return [-(turn * b), turn * a, turn * (x * a + y * b)]
-
-    def _driven(self, state: State, q: Any, S: Matrix, rates: Vector, rest: Vector) -> Vector:
-        """Return the input of least norm with which all accelerate as S rates + rest."""
-        M = self.inertia(state, q)
-        whole = self.felt(state, [dot(row, rates) + g for row, g in zip(S, rest, strict=True)])
-        force = [dot(row, whole) + n for row, n in zip(M, self.effects(state, q), strict=True)]
-        return self._least(state, S, force)
-
-    def _least(self, state: State, S: Matrix, force: Vector) -> Vector:
-        """Return the input of least norm that does what a generalised force along the body's axes does."""
-        columns = [list(column) for column in zip(*S, strict=True)]
-        right = [dot(column, force) for column in columns]
-        inputs = [self.generalised(state, one, 0.0) for one in np.eye(self.nu)]
-        B = [[dot(column, one) for one in inputs] for column in columns]
-        square = [[dot(x, y) for y in B] for x in B]
-        found = solved_by(square, right, list(range(len(right))))
-        return [dot(column, found) for column in zip(*B, strict=True)]
+        return self.freedom.torques(q, v, rates)
 
     def independent(self, q: Any, v: Any) -> Any:
         """Return the independent velocities nu of a state that rolls, shape (..., m)."""
-        return stacked(self.velocities(self.state(q, v)), q)
+        return stacked(self.freedom.velocities(self.state(q, v)), q)
 
     @property
     def axle(self) -> Any:
@@ -468,41 +325,11 @@ class WheeledBody:
                 rows.append([x[at], y[at], exact(first.angle)])
             else:
                 rows.append([x[at], ZERO, exact(first.angle)])
-        return _matrix(rows, self.x)
+        return matrix(rows, self.x)
 
     def allocate_scaled(self, q: Any, tau: Any) -> tuple[Any, Any]:
         """Return an input for a force on body and arms, and what of it is left, see `WheeledRobot`."""
-        state, wanted = self.state(q, stacked([ZERO] * self.nv, q)), scalars(tau)
-        S, _ = self.solution(state)
-        along = [
-            state.c * wanted[0] + state.s * wanted[1],
-            state.c * wanted[1] - state.s * wanted[0],
-            *wanted[2:],
-        ]
-        u = stacked(self._least(state, S, [*along, *[ZERO] * self.joints]), q)
-        upper, lower = (
-            np.array([getattr(each, side) for each in self.inputs]) for side in ("upper", "lower")
-        )
-        if np.isfinite([upper, lower]).any():
-            high, low = u > upper, u < lower
-            beyond = np.where(high, upper, np.where(low, lower, 1.0)) / np.where(high | low, u, 1.0)
-            u = u * np.min(beyond, axis=-1)[..., None]
-        rest = [a - b for a, b in zip(along, self.supplied(state, u), strict=True)]
-        return u, stacked(
-            [state.c * rest[0] - state.s * rest[1], state.s * rest[0] + state.c * rest[1], *rest[2:]], q
-        )
-
-    def supplied(self, state: State, u: Any) -> Vector:
-        """Return the force on body and arms of what an input turns, along the body's axes."""
-        ns, first = len(self.table.axes), _BASE + self.na
-        effort = self.generalised(state, u, 0.0)
-        found: Vector = [ZERO] * _BASE + effort[_BASE:first]
-        for row in self.kinematics.rows(state.steering, [ZERO] * 3, [ZERO] * self.joints):
-            if row.kind in ("rolling", "roller"):
-                at = ns + row.wheel
-                force = -(effort[first + at] / row.joints[at])
-                found[:_BASE] = [x + force * b for x, b in zip(found[:_BASE], row.base, strict=True)]
-        return found
+        return self.freedom.allocated(q, tau)
 
     def start(self, reference: Any) -> tuple[Array, Array]:
         """Return the q and v with which a reference begins, see `WheeledRobot.start`."""
@@ -556,31 +383,57 @@ class RollingBody(WheeledBody):
     def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
         """Return a = S nu' + gamma, S' M S nu' = S' (tau - n - M gamma), shape (..., nv)."""
         state = self.state(q, v)
-        M, (S, gamma) = self.inertia(state, q), self.solution(state)
+        M, (S, gamma) = self.inertia(state, q), self.freedom.solution(state)
         force = self.generalised(state, u, f)
         effects = self.effects(state, q)
         felt = self.felt(state, gamma)
         rest = [t - n - dot(row, felt) for t, n, row in zip(force, effects, M, strict=True)]
-        rates = _reduced(M, S, rest)
+        rates = _reduced(_through(M, S), S, applied(transposed(S), rest))
         return self.in_plane(state, [dot(row, rates) + g for row, g in zip(S, gamma, strict=True)], q)
 
     def project(self, q: Any, v: Any) -> Any:
-        """Return the velocity that rolls and is nearest in the mass metric, shape (..., nv)."""
+        """Return the velocity that rolls and is nearest in the mass metric, shape (..., nv).
+
+        It is S (nu + x): nu is read off the velocity, and of what is then left over, which wheels and the
+        body's motion across them alone have, S' M S x = S' M (v - S nu).
+        """
         state = self.state(q, v)
-        M, (S, _) = self.inertia(state, q), self.solution(state)
-        velocity = [*state.twist, *state.arm_rates, *state.rates]
-        rates = _reduced(M, S, [dot(row, velocity) for row in M])
+        S, _ = self.freedom.solution(state)
+        rates = self.freedom.velocities(state)
+        off = self._off(state, S, rates)
+        if not all(_is_zero(x) for x in off):  # many robots that start at rest need no mass matrix
+            through = _through(self.inertia(state, q), S)
+            more = _reduced(through, S, applied(through, off))
+            rates = [x + y for x, y in zip(rates, more, strict=True)]
         return self.in_plane(state, [dot(row, rates) for row in S], q)
 
+    def _off(self, state: State, S: Matrix, nu: Vector) -> Vector:
+        """Return v - S nu, along the body's axes: zero for each coordinate that is one of nu itself."""
+        held, first = self.choice.body, _BASE + self.na
+        found: Vector = [ZERO] * self.size
+        if len(held) == 1:
+            rows = self.kinematics.rows(state.steering, state.twist, state.rates)
+            a = rows[held[0]].base
+            slip = dot(a, state.twist)
+            found[:2] = [a[0] * slip, a[1] * slip]
+        elif held:
+            found[:_BASE] = [x - dot(row, nu) for x, row in zip(state.twist, S[:_BASE], strict=True)]
+        for joint, _ in self.choice.joints:
+            found[first + joint] = state.rates[joint] - dot(S[first + joint], nu)
+        return found
 
-def _matrix(rows: Matrix, q: Any) -> Any:
-    return np.stack(np.broadcast_arrays(*(stacked(row, q) for row in rows)), axis=-2)
+
+def _is_zero(x: Any) -> bool:
+    """Tell whether a scalar is known to be zero, in all robots."""
+    return x is ZERO or (isinstance(x, float | np.ndarray) and not np.any(x))
 
 
-def _reduced(M: Matrix, S: Matrix, force: Vector) -> Vector:
-    """Return the solution of S' M S x = S' force."""
-    columns = [list(column) for column in zip(*S, strict=True)]
-    pushed = [[dot(row, column) for row in M] for column in columns]
-    reduced = [[dot(column, other) for other in pushed] for column in columns]
-    right = [dot(column, force) for column in columns]
+def _through(M: Matrix, S: Matrix) -> Matrix:
+    """Return S' M of a symmetric M."""
+    return [applied(M, column) for column in transposed(S)]
+
+
+def _reduced(through: Matrix, S: Matrix, right: Vector) -> Vector:
+    """Return the solution of S' M S x = right, given S' M."""
+    reduced = [applied(through, column) for column in transposed(S)]
     return solved_by(reduced, right, list(reversed(range(len(right)))))

@@ -79,6 +79,8 @@ class WheelTree(System):
 
     def inertia(self, q: Array) -> Array:
         """Return M(q), shape (..., nv, nv), rotors included, unchecked."""
+        if q.ndim == 1 and not self._table.axes:
+            return np.array(pin.crba(self._engine.public, self._engine.data, q)) + self._reflected
         whole, _, G, _ = self.state_of(q, np.zeros(self._size))
         return np.asarray(np.swapaxes(G, -1, -2) @ self.mass_matrix(whole) @ G + self._reflected)
 

@@ -1,0 +1,405 @@
+"""`Chassis`: a robot and the wheels under it, whatever the ground."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from functools import cached_property
+from types import MappingProxyType
+
+import numpy as np
+import pinocchio as pin
+
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    broadcast,
+    finite,
+    finite_answer,
+    frozen,
+    in_numbers,
+    vector,
+)
+from pinmobile.errors import InvalidArgument
+from pinmobile.plant import Coordinate, Input, Parameter
+from pinmobile.robot import BODY_JOINT, LOCKED, MobileRobot, Mount, hull, number
+from pinmobile.wheels.constraints import Constraints
+from pinmobile.wheels.description import joint_signs
+from pinmobile.wheels.drawn import Picture
+from pinmobile.wheels.drive_numbers import DriveNumbers
+from pinmobile.wheels.mobility import Mobility
+from pinmobile.wheels.table import WheelTable
+
+_SAME_LINE = 1e-6  # [m]
+
+
+class Chassis:
+    """Abstract base: coordinates and inputs of a robot on wheels, its rows, and how it looks.
+
+    Its maker sets `robot`, the whole with wheels locked at their table angles, and `table`, its wheels, and
+    says which of their numbers may differ.
+    """
+
+    robot: MobileRobot
+    table: WheelTable
+
+    @cached_property
+    def mobility(self) -> Mobility:
+        """What the wheels let it do."""
+        return Mobility.of(self.table)
+
+    def _check_rolls(self) -> None:
+        if not self.mobility.is_regular:
+            raise InvalidArgument(f"robot cannot roll without slip: {self.mobility.why_not}")
+
+    @cached_property
+    def _places(self) -> Array:
+        """Where it touches the ground at steering angles zero, wheels and then supports, shape (k, 2) [m]."""
+        places = [wheel.centre for wheel in self.table.wheels]
+        return frozen([*places, *((each.x, each.y) for each in self.table.supports)])
+
+    @cached_property
+    def _has_area(self) -> bool:
+        ones = np.ones((len(self._places), 1))
+        return bool(np.linalg.matrix_rank(np.hstack([ones, self._places]), tol=_SAME_LINE) == 3)
+
+    def _check_places(self) -> None:
+        if not self._has_area:
+            raise InvalidArgument(
+                f"table has {len(self._places)} places where the robot stands, on one line, expected three "
+                "that are not: give supports=[(x, y), ...], where casters stand"
+            )
+
+    @property
+    def grounded(self) -> bool:
+        """Whether the body's origin is known to lie on the ground; if not, nothing is known of its loads."""
+        return self.robot.grounded
+
+    @cached_property
+    def footprint(self) -> Array | None:
+        """Corners of what it stands on, wheels at steering angles zero and supports, shape (k, 2) [m].
+
+        Counter-clockwise, in the body's frame; None where they are on one line.
+        """
+        corners = hull(self._places) if self._has_area else None
+        return None if corners is None else frozen(corners)
+
+    @property
+    def source(self) -> str:
+        """Where its numbers come from, in words."""
+        return f"{self.robot.source.replace(f'; {LOCKED}', '')}; {self.table.source}"
+
+    @property
+    def joint_signs(self) -> Mapping[str, int]:
+        """Of each wheel of its file 1, or -1 where the joint there turns the other way."""
+        return MappingProxyType(joint_signs(self.robot, self.table))
+
+    @cached_property
+    def _rows(self) -> Constraints:
+        """The rows of its wheels, and their kinematics."""
+        return Constraints(self.table, self.robot.nq, self.robot.nv)
+
+    @cached_property
+    def _joints(self) -> int:
+        return len(self.table.axes) + len(self.table)
+
+    # Sizes and names
+
+    @cached_property
+    def nq(self) -> int:
+        """Size of q."""
+        return self.robot.nq + self._joints
+
+    @cached_property
+    def nv(self) -> int:
+        """Size of v and a."""
+        return self.robot.nv + self._joints
+
+    @cached_property
+    def nu(self) -> int:
+        """Size of the input."""
+        return self.robot.nv - BODY_JOINT + len(self.table.actuators)
+
+    @cached_property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """Each of the nv numbers of a displacement: body, arms, steering axes, wheels."""
+        axes = [Coordinate(axis.name, "rad", -axis.limit, axis.limit) for axis in self.table.axes]
+        return (*self.robot.coordinates, *axes, *(Coordinate(name, "rad") for name in self.table.names))
+
+    @cached_property
+    def configuration_names(self) -> tuple[str, ...]:
+        """Name of each of the nq numbers in q."""
+        return (*self.robot.configuration_names, *(axis.name for axis in self.table.axes), *self.table.names)
+
+    @cached_property
+    def inputs(self) -> tuple[Input, ...]:
+        """Each of the nu numbers of an input: the arms' joints, then the actuators in the table's order."""
+        own = (
+            Input(actuator.name, "N m", -actuator.motor.torque_limit, actuator.motor.torque_limit)
+            for actuator in self.table.actuators
+        )
+        return (*self.robot.inputs[BODY_JOINT:], *own)
+
+    @cached_property
+    def leading(self) -> Mapping[int, int]:
+        """How many numbers of q the first n coordinates have, for each n that a reference may have."""
+        return MappingProxyType(dict(self.robot.leading))
+
+    # Numbers
+
+    @property
+    @abstractmethod
+    def _numbers(self) -> DriveNumbers:
+        """What may differ from robot to robot."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What an ensemble may spread of its wheels; that of the body are the robot's."""
+        return self._numbers.parameters
+
+    @property
+    def x(self) -> Array:
+        """Where the wheels' pivots stand, forward, shape (wheels,) [m]."""
+        return self._numbers.columns["x"]
+
+    @property
+    def y(self) -> Array:
+        """Where the wheels' pivots stand, to the left, shape (wheels,) [m]."""
+        return self._numbers.columns["y"]
+
+    @property
+    def radius(self) -> Array:
+        """Of the wheels, shape (wheels,) [m]."""
+        return self._numbers.columns["radius"]
+
+    @property
+    def spin_inertia(self) -> Array:
+        """Of the wheels about their axles, shape (wheels,) [kg m^2]."""
+        return self._numbers.columns["spin_inertia"]
+
+    @property
+    def mu(self) -> Array:
+        """Coefficients of friction of the wheels, of rollers along their axes, shape (wheels,)."""
+        return self._numbers.columns["mu"]
+
+    @property
+    def upright(self) -> Array:
+        """What the ground alone feels of a robot without arms, shape (3,) [m, kg m^2, kg m^2].
+
+        Height of the centre of mass, and inertia xz and yz about it.
+        """
+        return self._numbers.columns["upright"]
+
+    # Configurations
+
+    def _q(self, q: ArrayLike, name: str = "q") -> Array:
+        array = vector(name, q, self.nq)
+        if not self._adds:
+            self.robot.configuration(array[..., : self.robot.nq], name)
+        return array
+
+    @cached_property
+    def _adds(self) -> bool:
+        """Whether each coordinate is one number of q, to which displacements add."""
+        return self.nq == self.nv
+
+    def _v(self, name: str, value: ArrayLike) -> Array:
+        return vector(name, value, self.nv)
+
+    def _f(self, f: ArrayLike) -> Array:
+        """Check generalised forces beside the input, 0 for none."""
+        array = finite("f", f)
+        return array if array.ndim == 0 and not array else self._v("f", array)
+
+    def _of_axes(self, name: str, value: ArrayLike) -> Array:
+        """Check numbers of the steering axes, none for zeros."""
+        array, n = finite(name, value), len(self.table.axes)
+        return np.zeros(n) if array.shape == (0,) else vector(name, array, n)
+
+    @cached_property
+    def rest(self) -> Array:
+        """Configuration at the origin, arms in their reference posture, shape (nq,)."""
+        return frozen(np.append(self.robot.rest, np.zeros(self._joints)))
+
+    def integrate(self, q: ArrayLike, dq: ArrayLike) -> Array:
+        """Return the configuration that the displacement `dq` leads to from `q`, shape (..., nq)."""
+        q, dq = self._q(q), self._v("dq", dq)
+        lead = broadcast(q=q, dq=dq) if q.ndim > 1 or dq.ndim > 1 else ()
+        if self._adds:
+            with np.errstate(over="ignore"):
+                return finite_answer(q + dq, q=q, dq=dq)
+        own = self.robot.integrate(q[..., : self.robot.nq], dq[..., : self.robot.nv])
+        with np.errstate(over="ignore"):
+            rest = finite_answer(q[..., self.robot.nq :] + dq[..., self.robot.nv :], q=q, dq=dq)
+        return np.concatenate([np.broadcast_to(own, (*lead, own.shape[-1])), rest], axis=-1)
+
+    def difference(self, q0: ArrayLike, q1: ArrayLike) -> Array:
+        """Return the displacement from `q0` to `q1`, shape (..., nv); that of psi lies in (-pi, pi]."""
+        q0, q1 = self._q(q0, "q0"), self._q(q1, "q1")
+        broadcast(q0=q0, q1=q1)
+        n = self.robot.nq
+        own = self.robot.difference(q0[..., :n], q1[..., :n])
+        with np.errstate(over="ignore"):
+            return np.concatenate([own, finite_answer(q1[..., n:] - q0[..., n:], q0=q0, q1=q1)], axis=-1)
+
+    def pose(self, q: ArrayLike) -> Array:
+        """Return x, y and psi of the body, shape (..., 3) [m, m, rad]."""
+        return self._q(q)[..., :BODY_JOINT].copy()
+
+    def rate(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """Return the rates of x, y and psi of the body, shape (..., 3) [m/s, m/s, rad/s]."""
+        q, v = self._q(q), self._v("v", v)
+        return np.array(np.broadcast_to(v[..., :BODY_JOINT], (*broadcast(q=q, v=v), BODY_JOINT)))
+
+    def effort(self, q: ArrayLike, wrench: ArrayLike) -> Array:
+        """Return the generalised force of a wrench on the body, shape (..., nv) [N, N, N m, ...]."""
+        q, wrench = self._q(q), vector("wrench", wrench, BODY_JOINT)
+        whole = np.zeros((*broadcast(q=q, wrench=wrench), self.nv))
+        whole[..., :BODY_JOINT] = wrench
+        return whole
+
+    # What is seen
+
+    @property
+    def mounts(self) -> tuple[Mount, ...]:
+        """Its arms."""
+        return self.robot.mounts
+
+    @property
+    def size(self) -> tuple[float, float, float]:
+        """Length, width and height of the body [m]."""
+        return self.robot.size
+
+    @cached_property
+    def _picture(self) -> Picture:
+        return Picture(self.robot, self.table)
+
+    @property
+    def visual_model(self) -> pin.GeometryModel:
+        """What is drawn, a copy: the robot's own visuals, and wheels and supports beside those that it has.
+
+        Wheels have spokes, a bar across the tread, or the rollers of the table; a box stands above them.
+        """
+        return self._picture.visuals.clone()
+
+    @in_numbers
+    def drawing(self, q: ArrayLike) -> Array:
+        """Return where the objects of `visual_model` are in the inertial frame, shape (..., k, 4, 4)."""
+        return self._picture.placements(self._q(q))
+
+    # Rows and rates
+
+    @in_numbers
+    def constraint_matrix(self, q: ArrayLike) -> Array:
+        """Return A(q), shape (..., k, nv): A v = 0 where the wheels roll; see `constraint_names`."""
+        q = self._q(q)
+        return self._rows.at(q, np.zeros(self.nv))[0]
+
+    @in_numbers
+    def constraint_drift(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """Return dA/dt v, shape (..., k) [m/s^2]: A a = -dA/dt v keeps rolling."""
+        q, v = self._q(q), self._v("v", v)
+        broadcast(q=q, v=v)
+        return self._rows.at(q, v)[1]
+
+    @property
+    def constraint_names(self) -> tuple[str, ...]:
+        """Of each row of `constraint_matrix` its wheel and direction, such as ``"left rolling"``."""
+        return self._rows.names
+
+    @cached_property
+    def _input_matrix(self) -> Array:
+        arms = self.robot.nv - BODY_JOINT
+        B = np.zeros((self.nv, self.nu))
+        B[BODY_JOINT : self.robot.nv, :arms] = np.eye(arms)
+        for k, actuator in enumerate(self.table.actuators):
+            B[self.robot.nv :, arms + k] = actuator.column
+        return frozen(B)
+
+    @property
+    def input_matrix(self) -> Array:
+        """B, shape (nv, nu): the generalised force of an input is B u."""
+        return self._input_matrix
+
+    @in_numbers
+    def wheel_rates(self, twist: ArrayLike, steering: ArrayLike = (), turning: ArrayLike = ()) -> Array:
+        """Return the rates of the wheels that roll at a body twist, shape (..., wheels) [rad/s].
+
+        Parameters
+        ----------
+        twist : array_like, shape (..., 3)
+            Forward, left, yaw rate [m/s, m/s, rad/s].
+        steering, turning : array_like, shape (..., axes), optional
+            Steering angles and their rates; by default zero [rad, rad/s].
+        """
+        twist = vector("twist", twist, BODY_JOINT)
+        angles, turns = self._of_axes("steering", steering), self._of_axes("turning", turning)
+        lead = broadcast(twist=twist, steering=angles, turning=turns)
+        parts = (list(np.moveaxis(x, -1, 0)) for x in (angles, twist, turns))
+        rates = map(number, self._rows.kinematics.wheel_rates(*parts))
+        return np.stack([np.broadcast_to(rate, lead) for rate in rates], axis=-1)
+
+    @in_numbers
+    def odometry(self, rates: ArrayLike, steering: ArrayLike = (), turning: ArrayLike = ()) -> Array:
+        """Return the body twist that fits measured rates of the wheels best, shape (..., 3) [m/s, rad/s].
+
+        The least squares of all rows, in which tyres do not move sideways.
+
+        Parameters
+        ----------
+        rates : array_like, shape (..., wheels)
+            Of the wheels [rad/s].
+        steering, turning : array_like, shape (..., axes), optional
+            Steering angles and their rates; by default zero [rad, rad/s].
+        """
+        rates, n = vector("rates", rates, len(self.table)), len(self.table.axes)
+        angles, turns = self._of_axes("steering", steering), self._of_axes("turning", turning)
+        lead = broadcast(rates=rates, steering=angles, turning=turns)
+        q = np.zeros((*lead, self.nq))
+        q[..., self.robot.nq : self.robot.nq + n] = angles
+        A = self.constraint_matrix(q)
+        joints = np.concatenate(
+            [np.broadcast_to(turns, (*lead, n)), np.broadcast_to(rates, (*lead, len(self.table)))], axis=-1
+        )
+        known = np.einsum("...ij,...j->...i", A[..., self.robot.nv :], joints)
+        return np.asarray(-np.linalg.pinv(A[..., :BODY_JOINT]) @ known[..., None])[..., 0]
+
+    @cached_property
+    def axle(self) -> Array:
+        """Coefficients of the body twist in the velocity across the fixed wheels, shape (3,).
+
+        Raises
+        ------
+        InvalidArgument
+            If no wheel is fixed and keeps the body from moving across it.
+        """
+        choice = self.mobility.choice
+        if not (choice.body and choice.is_fixed):
+            raise InvalidArgument(
+                f"robot is a drive of type ({self.mobility.mobility}, {self.mobility.steerability}), which "
+                "has no fixed axle"
+            )
+        self._check_rolls()
+        return self._rows.base_of(choice.body[0])
+
+    @in_numbers
+    def lateral_velocity(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """Return how fast fixed wheels would slide sideways if the body moved so, shape (...) [m/s].
+
+        Parameters
+        ----------
+        q, v : array_like, shape (..., n), (..., m), n and m >= 3
+            Pose of the body and its rates, and whatever follows.
+
+        Raises
+        ------
+        InvalidArgument
+            If there is no fixed axle.
+        """
+        q, v = finite("q", q), finite("v", v)
+        for name, array in (("q", q), ("v", v)):
+            if not array.ndim or array.shape[-1] < BODY_JOINT:
+                raise InvalidArgument(f"{name} has shape {array.shape}, expected (..., n), n >= {BODY_JOINT}")
+        broadcast(q=q, v=v)
+        c, s, (a, b, arm) = np.cos(q[..., 2]), np.sin(q[..., 2]), self.axle
+        return np.asarray((a * c - b * s) * v[..., 0] + (a * s + b * c) * v[..., 1] + arm * v[..., 2])
