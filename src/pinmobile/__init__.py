@@ -54,6 +54,7 @@ if TYPE_CHECKING:
         Saturated,
         SwerveTracking,
         Tracking,
+        VelocityCommand,
         WheelSpeed,
         law,
         plain_difference,
@@ -81,6 +82,7 @@ if TYPE_CHECKING:
         SinusoidalForce,
         ViscousFriction,
     )
+    from pinmobile.identification import VelocityRobot
     from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
     from pinmobile.paths import Circle, CubicVia, Hold, Lissajous, RestToRest, Spline
     from pinmobile.plant import Context
@@ -185,6 +187,8 @@ __all__ = [
     "Uniform",
     "UnknownName",
     "Unreachable",
+    "VelocityCommand",
+    "VelocityRobot",
     "ViewerError",
     "ViscousFriction",
     "Wheel",
@@ -252,6 +256,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
         "Saturated",
         "SwerveTracking",
         "Tracking",
+        "VelocityCommand",
         "WheelSpeed",
         "law",
         "plain_difference",
@@ -283,6 +288,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
         "SinusoidalForce",
         "ViscousFriction",
     ),
+    "identification": ("VelocityRobot",),
     "integrators": ("constant_acceleration", "rk4", "semi_implicit_euler"),
     "measures": (),
     "palette": (),

@@ -1,0 +1,5 @@
+"""From a log to parameters with intervals that hold."""
+
+from pinmobile.identification.velocity_robot import VelocityRobot
+
+__all__ = ["VelocityRobot"]
