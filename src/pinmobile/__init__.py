@@ -81,6 +81,7 @@ if TYPE_CHECKING:
         SinusoidalForce,
         ViscousFriction,
     )
+    from pinmobile.identification import Log
     from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
     from pinmobile.paths import Circle, CubicVia, Hold, Lissajous, RestToRest, Spline
     from pinmobile.plant import Context
@@ -152,6 +153,7 @@ __all__ = [
     "Limit",
     "Lissajous",
     "Load",
+    "Log",
     "MobileRobot",
     "Motion",
     "Motor",
@@ -283,6 +285,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
         "SinusoidalForce",
         "ViscousFriction",
     ),
+    "identification": ("Log",),
     "integrators": ("constant_acceleration", "rk4", "semi_implicit_euler"),
     "measures": (),
     "palette": (),
