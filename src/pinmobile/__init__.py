@@ -82,7 +82,7 @@ if TYPE_CHECKING:
         SinusoidalForce,
         ViscousFriction,
     )
-    from pinmobile.identification import VelocityRobot
+    from pinmobile.identification import Log, VelocityRobot
     from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
     from pinmobile.paths import Circle, CubicVia, Hold, Lissajous, RestToRest, Spline
     from pinmobile.plant import Context
@@ -154,6 +154,7 @@ __all__ = [
     "Limit",
     "Lissajous",
     "Load",
+    "Log",
     "MobileRobot",
     "Motion",
     "Motor",
@@ -288,7 +289,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
         "SinusoidalForce",
         "ViscousFriction",
     ),
-    "identification": ("VelocityRobot",),
+    "identification": ("Log", "VelocityRobot"),
     "integrators": ("constant_acceleration", "rk4", "semi_implicit_euler"),
     "measures": (),
     "palette": (),
