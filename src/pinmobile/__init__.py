@@ -82,7 +82,7 @@ if TYPE_CHECKING:
         SinusoidalForce,
         ViscousFriction,
     )
-    from pinmobile.identification import Log, VelocityRobot
+    from pinmobile.identification import Log, RandomSteps, VelocityRobot, identify_velocity
     from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
     from pinmobile.paths import Circle, CubicVia, Hold, Lissajous, RestToRest, Spline
     from pinmobile.plant import Context
@@ -168,6 +168,7 @@ __all__ = [
     "PinmobileError",
     "PosePath",
     "Ramp",
+    "RandomSteps",
     "Reference",
     "Resolved",
     "RestToRest",
@@ -202,6 +203,7 @@ __all__ = [
     "ensemble",
     "fastest",
     "grid",
+    "identify_velocity",
     "integrator_report",
     "law",
     "mountable",
@@ -289,7 +291,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
         "SinusoidalForce",
         "ViscousFriction",
     ),
-    "identification": ("Log", "VelocityRobot"),
+    "identification": ("Log", "RandomSteps", "VelocityRobot", "identify_velocity"),
     "integrators": ("constant_acceleration", "rk4", "semi_implicit_euler"),
     "measures": (),
     "palette": (),
