@@ -1,4 +1,4 @@
-"""What stands between controllers and motors: torques as volts, rates of wheels held by firmware, commands."""
+"""What stands between controllers and motors: torques as volts, rates that firmware holds, commands."""
 
 from __future__ import annotations
 
@@ -202,8 +202,8 @@ class WheelSpeed:
 class VelocityCommand:
     """A kinematic law's speed and yaw rate, as they are, for the input of a robot that takes these.
 
-    As most robots are driven: the law takes it that the firmware follows at once. `Backstepping` with the same
-    robot takes into account how late it is.
+    As most robots are driven: the law takes it that the firmware follows at once. `Backstepping` with the
+    same robot takes into account how late it is.
 
     Parameters
     ----------

@@ -58,13 +58,15 @@ class RandomSteps:
             object.__setattr__(self, name, frozen(given))
         lowest, largest, (shortest, longest) = np.asarray(self.lowest), np.asarray(self.largest), self.hold  # type: ignore[misc]
         if (largest < lowest).any():
-            raise InvalidArgument(f"largest is {largest.tolist()}, expected at least lowest, {lowest.tolist()}")
+            raise InvalidArgument(
+                f"largest is {largest.tolist()}, expected at least lowest, {lowest.tolist()}"
+            )
         if not 0 < shortest <= longest:
             raise InvalidArgument(f"hold is {[shortest, longest]}, expected 0 < shortest <= longest")
         object.__setattr__(self, "seed", whole("seed", self.seed, least=0))
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any, float]:
-        """Return how long levels still hold, levels, the noise that draws them, and the time between samples."""
+        """Return how long levels still hold, levels, the noise that draws them, and the sampling time."""
         return np.zeros(2), np.zeros(2), context.normal(f"random steps {self.seed}", 8), float(context.dt)
 
     def __call__(

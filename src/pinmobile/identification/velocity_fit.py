@@ -283,11 +283,13 @@ def _slopes(model: Model, cuts: Segments, p: Array, start: Array, weight: Array)
     columns = _weighted(np.moveaxis(ends, 0, -1), weight, cuts.good)
     residual = cuts.y - found[0]
     Q, R = np.linalg.qr(columns[..., P:])
-    return _Slopes(columns[..., :P], Q, R, _weighted(residual[..., None], weight, cuts.good)[..., 0], residual)
+    return _Slopes(
+        columns[..., :P], Q, R, _weighted(residual[..., None], weight, cuts.good)[..., 0], residual
+    )
 
 
 def _weighted(x: Array, weight: Array, good: NDArray[np.bool_]) -> Array:
-    """Return columns of samples (S, L, k, c) as rows (S, L k, c), each of deviation one; bad ones are zero."""
+    """Return columns of samples (S, L, k, c) as rows (S, L k, c) of deviation one; bad ones are zero."""
     rows = np.einsum("ij,sljc->slic", weight, x) * good[..., None, None]
     return np.asarray(rows.reshape(len(x), -1, x.shape[-1]))
 
@@ -305,7 +307,7 @@ def scaled(H: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
 def _gauss_newton(
     model: Model, cuts: Segments, p: Array, start: Array, covariance: Array, *, moving: bool
 ) -> Fit:
-    """Return the least squares for weights, by Levenberg's and Marquardt's steps; starts are projected out."""
+    """Return the least squares for weights, by steps of Levenberg and Marquardt, starts projected out."""
     weight = np.linalg.inv(np.linalg.cholesky(covariance))
     damping = 1e-4
     for _ in range(_ITERATIONS):
@@ -371,7 +373,9 @@ def _speeds(poses: Array, dt: float) -> Array:
     """Return speed and yaw rate of poses, shape (..., N, 2), by a cubic's slope."""
     size = min(max(5, 2 * round(_SMOOTH / dt / 2) + 1), poses.shape[-2] - 1 + poses.shape[-2] % 2)
     degree = min(3, size - 1)
-    smooth, rate = (savgol_filter(poses, size, degree, deriv=k, delta=dt, axis=-2, mode="interp") for k in (0, 1))
+    smooth, rate = (
+        savgol_filter(poses, size, degree, deriv=k, delta=dt, axis=-2, mode="interp") for k in (0, 1)
+    )
     c, s = np.cos(smooth[..., 2]), np.sin(smooth[..., 2])
     return np.stack([c * rate[..., 0] + s * rate[..., 1], rate[..., 2]], axis=-1)
 

@@ -148,22 +148,26 @@ class VelocityIdentification:
         """What is to be known before one believes it, in words."""
         found = []
         if self.unseen:
-            found.append(f"the motion tells nothing of {', '.join(self.unseen)}: rank {self.rank} of {len(self.names)}")
+            found.append(
+                f"the motion tells nothing of {', '.join(self.unseen)}: rank {self.rank} of {len(self.names)}"
+            )
         found += [f"{name} may as well be zero" for name in self.insignificant]
         if self.explained < _EXPLAINED:
             found.append(
-                f"the model explains {self.explained:.0%} of what was measured: are commands and motion of one "
-                "robot, and by one clock?"
+                f"the model explains {self.explained:.0%} of what was measured: are commands and motion of "
+                "one robot, and by one clock?"
             )
         worst = float(np.abs(self.correlation).max())
         if worst > _TOGETHER:
             found.append(
-                f"what is left hangs together from sample to sample (correlation {worst:.2f}): more than sensors' "
-                "noise is in it, such as slip or limits of the firmware"
+                f"what is left hangs together from sample to sample (correlation {worst:.2f}): more than "
+                "sensors' noise is in it, such as slip or limits of the firmware"
             )
         if not self.unseen:
             names = {name.removesuffix(" - 1") for name in self.insignificant}
-            possible = [_NEUTRAL[n] if n in names else x for n, x in zip(self.names[:6], self.theta, strict=True)]
+            possible = [
+                _NEUTRAL[n] if n in names else x for n, x in zip(self.names[:6], self.theta, strict=True)
+            ]
             found += VelocityRobot(possible).problems
         return tuple(found)
 
@@ -173,8 +177,8 @@ class VelocityIdentification:
 
     def __str__(self) -> str:
         lines = [
-            f"{self.samples} samples in {self.segments} segments of {self._seconds:g} s; {self.outliers} outliers "
-            f"left out, {self.dropped} rows dropped",
+            f"{self.samples} samples in {self.segments} segments of {self._seconds:g} s; {self.outliers} "
+            f"outliers left out, {self.dropped} rows dropped",
             f"{'':17}{'value':>10} {'std. error':>11}  95 % interval",
         ]
         rows = zip(self.names, self.units, self.values, self.standard_errors, self.interval(), strict=True)
@@ -237,8 +241,8 @@ class VelocityIdentification:
     def _refuse_unseen(self, what: str) -> None:
         if self.unseen:
             raise InvalidArgument(
-                f"{what} is asked, and the log tells nothing of {', '.join(self.unseen)}: expected one in which "
-                "speed and yaw rate change independently"
+                f"{what} is asked, and the log tells nothing of {', '.join(self.unseen)}: expected one in "
+                "which speed and yaw rate change independently"
             )
 
     def predict(self, log: Log | Sequence[Log]) -> Predicted:
@@ -270,11 +274,11 @@ def identify_velocity(
 ) -> VelocityIdentification:
     """Return the theta of a `VelocityRobot` that a log of its commands and its motion tells.
 
-    The input of the log are commands, speed and yaw rate; what was measured is the twist where it has one, such
-    as encoders tell, else the pose. Output error: the model is simulated over segments, from states that are
-    free, and differs least from what was measured, weighted by the covariance of what is left, without samples
-    beyond six deviations. Intervals are by the jackknife over segments and Student's t, and hold where what is
-    left is correlated too. The delay is found by the weak form first.
+    The input of the log are commands, speed and yaw rate; what was measured is the twist where it has one,
+    such as encoders tell, else the pose. Output error: the model is simulated over segments, from states that
+    are free, and differs least from what was measured, weighted by the covariance of what is left, without
+    samples beyond six deviations. Intervals are by the jackknife over segments and Student's t, and hold where
+    what is left is correlated too. The delay is found by the weak form first.
 
     It takes motion in which speed and yaw rate change often and independently, such as that of `RandomSteps`.
 
@@ -283,21 +287,21 @@ def identify_velocity(
     log : Log, or sequence of these
         Of commands; 20 segments and more.
     delay : float, optional
-        By which what is measured follows a command, beside what theta says, where it is known [s]; None: it is
-        identified, and intervals of the rest take it into account.
+        By which what is measured follows a command, beside what theta says, where it is known [s]; None: it
+        is identified, and intervals of the rest take it into account.
     ahead : float, optional
         How far the point whose pose was measured is ahead of the axle [m]; None: it is identified from poses.
     accelerations : array_like, shape () or (2,), optional
-        Largest |u'| and |w'| that the firmware allows [m/s^2, rad/s^2]; None: they are identified, from a log in
-        which they are reached.
+        Largest |u'| and |w'| that the firmware allows [m/s^2, rad/s^2]; None: they are identified, from a log
+        in which they are reached.
     seconds : float
         Length of a segment [s].
 
     Raises
     ------
     InvalidArgument
-        If the log is too short, its input is of another robot, commands do not change, or an argument is not in
-        its range.
+        If the log is too short, its input is of another robot, commands do not change, or an argument is not
+        in its range.
     """
     seconds = positive("seconds", seconds, "s")
     runs = _runs(log, least=_LEAST_SEGMENTS, seconds=seconds)
@@ -380,23 +384,27 @@ def _runs(log: Log | Sequence[Log], *, least: int, seconds: float, kind: int = 0
     for one in logs:
         if one.u.shape[1] != 2:
             raise InvalidArgument(
-                f"log has {one.u.shape[1]} inputs, expected two, commands of speed and yaw rate: is it of a robot "
-                "that takes forces? Then identify"
+                f"log has {one.u.shape[1]} inputs, expected two, commands of speed and yaw rate: is it of "
+                "a robot that takes forces? Then identify"
             )
     runs = [one.samples() for one in logs]
-    if len({run.twist is None for run in runs}) > 1 or (kind and {2: False, 3: True}[kind] != (runs[0].twist is None)):
+    if len({run.twist is None for run in runs}) > 1 or (
+        kind and {2: False, 3: True}[kind] != (runs[0].twist is None)
+    ):
         raise InvalidArgument("log measures a twist, and another one a pose, expected the same of all")
     steps = [run.dt for run in runs]
     if max(steps) > 1.001 * min(steps):
-        raise InvalidArgument(f"log has samples every {min(steps):g} and {max(steps):g} s, expected equal steps")
+        raise InvalidArgument(
+            f"log has samples every {min(steps):g} and {max(steps):g} s, expected equal steps"
+        )
     if seconds < 3 * steps[0]:
         raise InvalidArgument(f"seconds is {seconds:g}, expected 3 samples of {steps[0]:g} s and more")
     count = len(cut(runs, seconds, _lead(runs)).y)
     if count < least:
         last = sum(float(run.t[-1]) for run in runs)
         raise InvalidArgument(
-            f"log is {last:.3g} s long, which gives {count} segments of {seconds:g} s, too short: expected {least}, so "
-            f"that intervals hold: {(least + 0.5) * seconds:g} s and more"
+            f"log is {last:.3g} s long, which gives {count} segments of {seconds:g} s, too short: expected "
+            f"{least}, so that intervals hold: {(least + 0.5) * seconds:g} s and more"
         )
     u = np.concatenate([run.u for run in runs])
     if least > 1 and not (np.ptp(u, axis=0) > _STILL).any():

@@ -62,10 +62,10 @@ class VelocityRobot:
         w' = -(theta_5 / theta_2) u w - (theta_6 / theta_2) w + w_c / theta_2
         x' = u cos psi - a w sin psi,  y' = u sin psi + a w cos psi,  psi' = w
 
-    of the speed u along the wheels and the yaw rate w, for commands (u_c, w_c). q = (x, y, psi) is the pose of a
-    point a ahead of the axle, v = dq/dt. No force pushes it: what firmware does about one, theta does not tell.
-    Its integrator is rk4, for which a sample, or substep, is to be shorter than twice the shorter of
-    `time_constants`.
+    of the speed u along the wheels and the yaw rate w, for commands (u_c, w_c). q = (x, y, psi) is the pose
+    of a point a ahead of the axle, v = dq/dt. No force pushes it: what firmware does about one, theta does
+    not tell. Its integrator is rk4, for which a sample, or substep, is to be shorter than twice the shorter
+    of `time_constants`.
 
     Parameters
     ----------
@@ -117,7 +117,8 @@ class VelocityRobot:
             most = endless_or_finite(name, getattr(self, name))
             if most.shape not in ((), (2,)) or not (most > 0).all():
                 raise InvalidArgument(
-                    f"{name} is {shown(getattr(self, name))}, expected one number > 0, or two: of speed and yaw rate"
+                    f"{name} is {shown(getattr(self, name))}, expected one number > 0, or two: of speed and "
+                    "yaw rate"
                 )
             object.__setattr__(self, name, frozen(np.broadcast_to(most, (2,))))
         object.__setattr__(self, "size", tuple(lengths(self.size).tolist()))
@@ -130,10 +131,10 @@ class VelocityRobot:
         """Return the theta of a robot on two driven wheels whose firmware holds the rate of each.
 
         The voltage of a motor is ``kp (W_c - W) - kd W'`` with the rate W_c at which its wheel rolls as the
-        commands say, which is `WheelSpeed` without an integral where kd is 0. With the mass m, the yaw inertia
-        I about the centre of mass b ahead of the axle, wheels of radius r, d apart, whose inertia with rotor
-        and gear is J, motors of resistance R, torque K and back-EMF E at the wheel, friction B there, and the
-        gains of speed and yaw rate kT = kp / r and kR = kp d / (2 r), kd likewise::
+        commands say, which is `WheelSpeed` without an integral where kd is 0. With the mass m, the yaw
+        inertia I about the centre of mass b ahead of the axle, wheels of radius r, d apart, whose inertia
+        with rotor and gear is J, motors of resistance R, torque K and back-EMF E at the wheel, friction B
+        there, and the gains of speed and yaw rate kT = kp / r and kR = kp d / (2 r), kd likewise::
 
             theta_1 = [(R/K) (m r^2 + 2 J) + 2 r kdT] / (2 r kT)
             theta_2 = [(R/K) (J d^2 + 2 r^2 (I + m b^2)) + 2 r d kdR] / (2 r d kR)
@@ -141,17 +142,17 @@ class VelocityRobot:
             theta_4 = (R/K) (K E / R + B) / (r kT) + 1
             theta_6 = (R/K) (K E / R + B) d / (2 r kR) + 1
 
-        (De La Cruz and Carelli 2008.) What the six cannot hold is left out, and told in `source`: dry friction of
-        the motors, limits of voltage and current, a centre of mass aside of the middle. Of a gear with losses the
-        motor drives the wheels.
+        (De La Cruz and Carelli 2008.) What the six cannot hold is left out, and told in `source`: dry
+        friction of the motors, limits of voltage and current, a centre of mass aside of the middle. Of a
+        gear with losses the motor drives the wheels.
 
         Parameters
         ----------
         wheeled : WheeledRobot or ByVoltage
-            Two fixed wheels with tyres on one axle, each with the same electric motor, and casters; without arms.
+            Two fixed wheels with tyres on one axle, each with the same electric motor, and casters; no arms.
         kp, kd : float
-            Gains, > 0 and >= 0 [V s/rad, V s^2/rad]. Of firmware with an integral there is no theta of its own:
-            simulate it by `WheelSpeed`, and let `identify_velocity` find the one that comes nearest.
+            Gains, > 0 and >= 0 [V s/rad, V s^2/rad]. Of firmware with an integral there is no theta of its
+            own: simulate it by `WheelSpeed`, and let `identify_velocity` find the one that comes nearest.
         **others
             ``limits``, ``accelerations`` and ``size``, as of the class.
 
@@ -195,7 +196,7 @@ class VelocityRobot:
             ),
             *([f"the centre of mass {com_y:g} m aside"] if com_y else []),
         ]
-        said = f"motors and gains kp = {kp:g}, kd = {kd:g} of {robot!r}; left out: {', '.join(left)}"
+        said = f"motors of a WheeledRobot, gains kp = {kp:g}, kd = {kd:g}; left out: {', '.join(left)}"
         return cls(np.array(theta), **{"ahead": -wheel.x, "size": base.size, "source": said, **others})
 
     def __eq__(self, other: object) -> bool:
@@ -230,7 +231,7 @@ class VelocityRobot:
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """What an ensemble may spread: theta, where the axle is, and limits of acceleration that there are."""
+        """What an ensemble may spread: theta, where the axle is, and limits of acceleration, if any."""
         limited = (one for one, most in zip(ACCELERATIONS, self.accelerations, strict=True) if most < np.inf)
         return *PARAMETERS, *limited
 
@@ -242,17 +243,18 @@ class VelocityRobot:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What of the six numbers no robot with motors and firmware can have, in words; () where it can."""
-        one, two, three, four, five, six = self.theta.tolist()
+        """What of the six numbers no robot with motors and firmware can have, in words; () where it can.
+
+        theta_3 / theta_5 = d kR / (2 kT) of `from_motors`, which is above zero, and motors lose something.
+        """
+        three, four, five, six = self.theta[2:].tolist()
         found = [
             f"{name} is {value:g}, where a loop whose motors lose anything has more than 1"
             for name, value in (("theta_4", four), ("theta_6", six))
             if value < 1
         ]
         if three * five < 0:
-            found.append(
-                f"theta_3 is {three:g} and theta_5 {five:g}, where both have the sign of the centre of mass ahead"
-            )
+            found.append(f"theta_3 is {three:g} and theta_5 {five:g}, where both have one sign")
         return tuple(found)
 
     @cached_property
@@ -312,7 +314,7 @@ class VelocityRobot:
         return np.asarray(self._law.project(*_three(q=q, v=v)))
 
     def start(self, reference: Any) -> tuple[Array, Array]:
-        """Return the q and v with which a reference begins, shape (3,) each; what moves sideways is left out."""
+        """Return the q and v with which a reference begins, shape (3,); what moves sideways is left out."""
         q = vector("reference.q", reference.q, 3)
         return q, self.project(q, reference.v)
 
@@ -379,8 +381,8 @@ class VelocityRobot:
     def commands(self, q: ArrayLike, v: ArrayLike, rates: ArrayLike) -> Array:
         """Return the input at which speed and yaw rate change as wanted, shape (..., 2) [m/s, rad/s].
 
-        It is `regressor` times theta; no limits are looked at. With it `Backstepping` makes of a kinematic law
-        one that knows how late the firmware is.
+        It is `regressor` times theta; no limits are looked at. With it `Backstepping` makes of a kinematic
+        law one that knows how late the firmware is.
 
         Parameters
         ----------
@@ -471,11 +473,12 @@ def _pair(robot: WheeledRobot) -> tuple[Any, Any, float]:
         or one.y == 0
     ):
         raise InvalidArgument(
-            "wheeled has wheels that differ, or roll another way than its body's x axis, expected two alike on one axle"
+            "wheeled has wheels that differ, or roll another way than its body's x axis, expected two alike "
+            "on one axle"
         )
     if motors[0] is None or motors[0] != motors[1] or not motors[0].is_electric:
         raise InvalidArgument(
-            "wheeled has motors that take no volts, or differ, expected Motor(resistance=..., torque_constant=..., "
-            "voltage=...) at both wheels"
+            "wheeled has motors that take no volts, or differ, expected Motor(resistance=..., "
+            "torque_constant=..., voltage=...) at both wheels"
         )
     return one, motors[0], 2 * abs(one.y)
