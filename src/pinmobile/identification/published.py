@@ -12,9 +12,9 @@ _PIONEER, _CHAIR = (0.45, 0.38, 0.24), (1.1, 0.65, 0.9)
 
 
 def _robot(theta: tuple[float, ...], size: tuple[float, float, float], source: str) -> VelocityRobot:
-    plain = VelocityRobot(theta)  # type: ignore[arg-type]
+    plain = VelocityRobot(theta)
     odd = "; ".join(plain.problems)
-    return VelocityRobot(theta, size=size, source=f"{source}. {odd or 'It breaks no inequality'}")  # type: ignore[arg-type]
+    return VelocityRobot(theta, size=size, source=f"{source}. {odd or 'It breaks no inequality'}")
 
 
 VELOCITY_ROBOTS: Mapping[str, VelocityRobot] = MappingProxyType(

@@ -17,7 +17,7 @@ _HALF_SAMPLE = 0.5
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, init=False, eq=False)
 class RandomSteps:
     """Speed and yaw rate that jump, independently of each other, to levels that are held for a while.
 
@@ -40,30 +40,35 @@ class RandomSteps:
         zero, or `seed` is no whole number.
     """
 
-    lowest: ArrayLike = (-0.2, -1.3)
-    largest: ArrayLike = (0.8, 1.3)
-    hold: ArrayLike = (0.4, 2.5)
-    seed: int = 0
+    lowest: Array
+    largest: Array
+    hold: Array
+    seed: int
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("shortest_hold", "s", "shortest time that a level is held", 0.0, False, "hold", 0),
         Parameter("longest_hold", "s", "longest time that a level is held", 0.0, False, "hold", 1),
     )
 
-    def __post_init__(self) -> None:
-        for name in ("lowest", "largest", "hold"):
-            given = finite(name, getattr(self, name))
+    def __init__(
+        self,
+        lowest: ArrayLike = (-0.2, -1.3),
+        largest: ArrayLike = (0.8, 1.3),
+        hold: ArrayLike = (0.4, 2.5),
+        seed: int = 0,
+    ) -> None:
+        for name, value in (("lowest", lowest), ("largest", largest), ("hold", hold)):
+            given = finite(name, value)
             if given.shape != (2,):
                 raise InvalidArgument(f"{name} has shape {given.shape}, expected (2,)")
             object.__setattr__(self, name, frozen(given))
-        lowest, largest, (shortest, longest) = np.asarray(self.lowest), np.asarray(self.largest), self.hold  # type: ignore[misc]
-        if (largest < lowest).any():
+        if (self.largest < self.lowest).any():
             raise InvalidArgument(
-                f"largest is {largest.tolist()}, expected at least lowest, {lowest.tolist()}"
+                f"largest is {self.largest.tolist()}, expected at least lowest, {self.lowest.tolist()}"
             )
-        if not 0 < shortest <= longest:
-            raise InvalidArgument(f"hold is {[shortest, longest]}, expected 0 < shortest <= longest")
-        object.__setattr__(self, "seed", whole("seed", self.seed, least=0))
+        if not 0 < self.hold[0] <= self.hold[1]:
+            raise InvalidArgument(f"hold is {self.hold.tolist()}, expected 0 < shortest <= longest")
+        object.__setattr__(self, "seed", whole("seed", seed, least=0))
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any, float]:
         """Return how long levels still hold, levels, the noise that draws them, and the sampling time."""
@@ -78,9 +83,8 @@ class RandomSteps:
         # The direction of two normal numbers is equally likely anywhere.
         x, y = numbers[..., :4], numbers[..., 4:]
         share = 0.5 + _TURN * np.arctan2(y, x)
-        lowest, largest, hold = np.asarray(self.lowest), np.asarray(self.largest), np.asarray(self.hold)
         ends = left < _HALF_SAMPLE * dt
-        level = np.where(ends, lowest + (largest - lowest) * share[..., :2], level)
-        longer = hold[..., :1] + (hold[..., 1:] - hold[..., :1]) * share[..., 2:]
+        level = np.where(ends, self.lowest + (self.largest - self.lowest) * share[..., :2], level)
+        longer = self.hold[..., :1] + (self.hold[..., 1:] - self.hold[..., :1]) * share[..., 2:]
         left = np.where(ends, longer, left) - dt
         return level, (left, level, noise, dt)

@@ -58,7 +58,7 @@ class Segments(NamedTuple):
     @property
     def is_pose(self) -> bool:
         """Whether poses were measured."""
-        return self.y.shape[-1] == 3
+        return bool(self.y.shape[-1] == 3)
 
 
 def cut(runs: Sequence[Samples], seconds: float, lead: int) -> Segments:
@@ -364,8 +364,8 @@ def guess(runs: Sequence[Samples], lead: int, delay: float | None) -> tuple[Arra
     if 0 < best < len(costs) - 1:
         before, here, after = costs[best - 1 : best + 2]
         late += 0.5 * (before - after) / max(before - 2 * here + after, 1e-12)
-    k = list(ABOVE_ZERO)
-    found[k] = np.where(found[k] > 0.02, found[k], 0.02)
+    least = list(ABOVE_ZERO)
+    found[least] = np.maximum(found[least], 0.02)
     return found, late
 
 

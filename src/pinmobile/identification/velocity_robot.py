@@ -51,7 +51,7 @@ class Mobile(NamedTuple):
 
 
 @final
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, init=False, eq=False, repr=False)
 class VelocityRobot:
     """A base on two driven wheels whose input is the speed and the yaw rate that it should have.
 
@@ -89,11 +89,11 @@ class VelocityRobot:
     """
 
     theta: Array
-    ahead: float = 0.0
-    limits: Array = np.inf  # type: ignore[assignment]
-    accelerations: Array = np.inf  # type: ignore[assignment]
-    size: tuple[float, float, float] = (0.45, 0.38, 0.25)
-    source: str = ""
+    ahead: float
+    limits: Array
+    accelerations: Array
+    size: tuple[float, float, float]
+    source: str
 
     nq: ClassVar[int] = 3
     nv: ClassVar[int] = 3
@@ -105,24 +105,30 @@ class VelocityRobot:
     mobility: ClassVar[Mobile] = Mobile()
     rest: ClassVar[Array] = frozen(np.zeros(3))
 
-    def __post_init__(self) -> None:
-        theta = finite("theta", self.theta)
-        if theta.shape != (len(THETA),):
-            raise InvalidArgument(f"theta has shape {theta.shape}, expected ({len(THETA)},)")
+    def __init__(
+        self,
+        theta: ArrayLike,
+        ahead: float = 0.0,
+        limits: ArrayLike = np.inf,
+        accelerations: ArrayLike = np.inf,
+        size: ArrayLike = (0.45, 0.38, 0.25),
+        source: str = "",
+    ) -> None:
+        numbers = finite("theta", theta)
+        if numbers.shape != (len(THETA),):
+            raise InvalidArgument(f"theta has shape {numbers.shape}, expected ({len(THETA)},)")
         for k in ABOVE_ZERO:
-            positive(f"theta[{k}]", theta[k], THETA[k][1])
-        object.__setattr__(self, "theta", frozen(theta))
-        object.__setattr__(self, "ahead", scalar("ahead", self.ahead))
-        for name in ("limits", "accelerations"):
-            most = endless_or_finite(name, getattr(self, name))
-            if most.shape not in ((), (2,)) or not (most > 0).all():
-                raise InvalidArgument(
-                    f"{name} is {shown(getattr(self, name))}, expected one number > 0, or two: of speed and "
-                    "yaw rate"
-                )
-            object.__setattr__(self, name, frozen(np.broadcast_to(most, (2,))))
-        object.__setattr__(self, "size", tuple(lengths(self.size).tolist()))
-        object.__setattr__(self, "source", text("source", self.source))
+            positive(f"theta[{k}]", numbers[k], THETA[k][1])
+        new = {
+            "theta": frozen(numbers),
+            "ahead": scalar("ahead", ahead),
+            "limits": _most("limits", limits),
+            "accelerations": _most("accelerations", accelerations),
+            "size": tuple(lengths(size).tolist()),
+            "source": text("source", source),
+        }
+        for name, value in new.items():
+            object.__setattr__(self, name, value)
 
     @classmethod
     def from_motors(
@@ -445,6 +451,16 @@ class VelocityRobot:
         """Return where the objects of `visual_model` are in the inertial frame, shape (..., k, 4, 4)."""
         q = vector("q", q, 3)
         return self._drawn.drawing(np.concatenate([q, np.zeros((*q.shape[:-1], 2))], axis=-1))
+
+
+def _most(name: str, value: ArrayLike) -> Array:
+    """Return limits of speed and yaw rate, or of their rates, shape (2,)."""
+    most = endless_or_finite(name, value)
+    if most.shape not in ((), (2,)) or not (most > 0).all():
+        raise InvalidArgument(
+            f"{name} is {shown(value)}, expected one number > 0, or two: of speed and yaw rate"
+        )
+    return frozen(np.broadcast_to(most, (2,)))
 
 
 def _three(**arrays: ArrayLike) -> tuple[Array, Array]:
