@@ -2,6 +2,7 @@
 
 import pickle
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -136,7 +137,7 @@ def test_it_rolls_all_the_way_and_rk4_keeps_its_order() -> None:
         across = run.v[:, 1] * np.cos(run.q[:, 2]) - run.v[:, 0] * np.sin(run.q[:, 2])
         np.testing.assert_allclose(across, 0.2 * run.v[:, 2], rtol=0, atol=1e-13)
         ends.append(run.q[-1])
-    steps = [np.abs(one - other).max() for one, other in zip(ends, ends[1:], strict=False)]
+    steps = [np.abs(one - other).max() for one, other in pairwise(ends)]
     orders = np.log2(np.divide(steps[:-1], steps[1:]))
     assert (orders > 3.5).all()
 
@@ -164,9 +165,9 @@ def test_theta_of_motors_is_the_reduced_dynamics_of_the_wheeled_robot(
     motor = replace(MOTOR, efficiency=efficiency)
     wheeled = on_wheels(x, motor)
     robot = VelocityRobot.from_motors(wheeled.by_voltage() if x else wheeled, KP, kd)
-    rng, G, R = np.random.default_rng(3), motor.gear, motor.resistance
-    K, B = G * motor.torque_constant, efficiency * G * G * motor.viscous
-    T = wheeled.wheel_rates([[1, 0, 0], [0, -x, 1]]).T
+    rng, G, R = np.random.default_rng(3), motor.gear, float(motor.resistance or 0)
+    K, B = G * float(motor.torque_constant or 0), efficiency * G * G * motor.viscous
+    T = wheeled.wheel_rates(np.array([[1, 0, 0], [0, -x, 1]])).T
     for _ in range(5):
         q = np.append(rng.normal(size=3), [0, 0])
         v, u = wheeled.project(q, rng.normal(size=5)), rng.normal(size=2)
@@ -212,7 +213,7 @@ def test_physics_leaves_its_mark_on_theta() -> None:
     assert (six - 1) / (four - 1) == pytest.approx(d * kT / (2 * kR))
     heavier = WheeledRobot(MobileRobot(37.0, 2.3, com=(0.06, 0.0, 0.2)), on_wheels().table)
     more = VelocityRobot.from_motors(heavier, KP).theta
-    by = MOTOR.resistance / (MOTOR.gear * MOTOR.torque_constant)
+    by = 1.2 / (20.0 * 0.03)  # ohm A/(N m)
     assert more[0] - one == pytest.approx(by * 0.1 * 7.0 / (2 * kT))
     assert (one, two, four, six) > (0, 0, 1, 1)
 
@@ -246,7 +247,7 @@ def test_no_force_pushes_it_and_it_starts_rolling() -> None:
         simulate(robot, command, circle, dt=0.1, forces=[ConstantForce((1.0, 0.0, 0.0))])
     with pytest.raises(InvalidArgument, match="what firmware does about a force, theta does not tell"):
         robot.forward_dynamics(np.zeros(3), np.zeros(3), np.zeros(2), [1.0, 0.0, 0.0])
-    with pytest.raises(InvalidArgument, match="wheels slide sideways at 0.3 m/s"):
+    with pytest.raises(InvalidArgument, match=r"wheels slide sideways at 0\.3 m/s"):
         simulate(robot, command, circle, dt=0.1, q0=np.zeros(3), v0=[0.5, 0.3, 0.0])
     with pytest.raises(InvalidArgument, match="reference moves sideways"):
         simulate(
@@ -261,7 +262,7 @@ def test_no_force_pushes_it_and_it_starts_rolling() -> None:
 def test_backstepping_knows_how_late_the_firmware_is(law: Any) -> None:
     robot, circle = VELOCITY_ROBOTS["robulab_10"], Tangent(Circle(1.0, 0.5, 10.0))
     plain, knowing = (
-        simulate(robot, controller, circle, dt=0.02).max_error()[:2].max()
+        simulate(robot, controller, circle, dt=0.02, engine=COMPILED).max_error()[:2].max()
         for controller in (VelocityCommand(law, robot), Backstepping(law, robot))
     )
     assert plain > 0.1
@@ -293,15 +294,17 @@ def test_random_steps_are_independent_and_within_their_bounds() -> None:
     )
     np.testing.assert_array_equal(run.u, again.u)
     assert np.abs(run.u - other.u).max() > 0.5
-    assert (run.u >= [-0.2, -1.3]).all() and (run.u <= [0.8, 1.3]).all()
+    assert (run.u >= [-0.2, -1.3]).all()
+    assert (run.u <= [0.8, 1.3]).all()
     for column in run.u.T:
         jumps = np.flatnonzero(np.diff(column)) + 1
         held = np.diff(jumps) * 0.1
-        assert 0.35 < held.min() and held.max() < 2.55
-        # 200 s of holds of 1.45 s in the mean, whose deviation is 0.61 s: 138 of them, sqrt(138) 0.42 to spare.
+        assert held.min() > 0.35
+        assert held.max() < 2.55
+        # 200 s of holds of 1.45 s in the mean with a deviation of 0.61 s: 138 of them, give or take 5.
         assert 110 < len(jumps) < 170
     # Of 138 independent levels a correlation is within 4 / sqrt(138).
-    assert abs(np.corrcoef(run.u.T)[0, 1]) < 0.35
+    assert abs(float(np.asarray(np.corrcoef(run.u.T))[0, 1])) < 0.35
 
 
 def test_published_robots_say_where_they_come_from_and_what_they_break() -> None:
@@ -319,7 +322,8 @@ def test_it_is_one_value() -> None:
         assert twin == robot
         assert hash(twin) == hash(robot)
     assert repr(robot) == (
-        "VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2], ahead=0.1, limits=(0.8, np.inf), accelerations=(1, 1))"
+        "VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2], ahead=0.1, limits=(0.8, np.inf), "
+        "accelerations=(1, 1))"
     )
     assert eval(repr(robot)) == replace(robot, source="")
     assert robot != VelocityRobot(THETA)
@@ -341,7 +345,7 @@ def test_the_viewer_draws_it_on_its_axle() -> None:
     assert {"left/tyre", "right/tyre"} <= set(names)
     placed = robot.drawing([1.0, 2.0, np.pi / 2])
     tyre = placed[names.index("left/tyre"), :3, 3]
-    np.testing.assert_allclose(tyre[:2], [1.0 - 0.45 * 0.38, 2.0 - 0.12], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(tyre[:2], [1.0 - 0.5 * 0.38, 2.0 - 0.12], rtol=0, atol=1e-12)
     run = simulate(robot, RandomSteps(), FixedHeading(Hold((0, 0), 2.0), 0.0), dt=0.1)
     with Viewer(robot) as viewer:
         viewer.display(run.q[-1])

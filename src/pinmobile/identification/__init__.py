@@ -1,6 +1,6 @@
 """From a log to parameters with intervals that hold."""
 
-from pinmobile.identification.log import Log, Samples
+from pinmobile.identification.log import Log
 from pinmobile.identification.published import VELOCITY_ROBOTS
 from pinmobile.identification.random_steps import RandomSteps
 from pinmobile.identification.velocity_identification import (
@@ -15,7 +15,6 @@ __all__ = [
     "Log",
     "Predicted",
     "RandomSteps",
-    "Samples",
     "VelocityIdentification",
     "VelocityRobot",
     "identify_velocity",

@@ -18,13 +18,15 @@ _WINDOW = 0.8  # [s] of the weak form that gives a start
 _LEAST_WINDOW = 8  # samples of it
 _SMOOTH = 0.25  # [s] of the cubic by which poses give speeds, for the start alone
 _GUESS = np.array([0.3, 0.3, 0.0, 1.0, 0.0, 1.0])  # where a log tells nothing
+_COUPLING = 2, 4  # theta_3 and theta_5
 _RIDGE = 1e-6  # relative: what keeps the guess there
 _FINE = 0.3  # of the shortest time constant: longest step of Runge and Kutta
 _BENDS = 4  # times as many where a limit of acceleration ends within one
 _MOST_STEPS = 40  # of it per sample, on the way through values that nobody means
 _SLOPE = 1e-4  # of the size of a number, by which differences are taken
-_CONVERGED = 1e-9  # relative change of the cost
-_ITERATIONS = 60
+_CONVERGED, _NEAR = 1e-7, 1e-2  # relative change of the cost, and where weights are yet to be found
+_ROUNDING = 1e-12  # likewise: that of sums
+_ITERATIONS = 30
 _TRIES = 20  # of a step, each with more damping
 _ROUNDS = 4  # of weights and outliers
 _OUTLIER = 6.0  # deviations
@@ -113,8 +115,20 @@ class Model:
         delay, ahead = named.get("delay", still + self.delay), named.get("ahead", still + self.ahead)
         return p[:, :6], delay, ahead, np.stack(most, axis=-1)
 
+    @property
+    def guess(self) -> Array:
+        """Numbers, shape (P,), of a robot of which nothing is known."""
+        others = {"delay": 0.0, "ahead": 0.0, "acceleration": 1.0, "yaw_acceleration": 3.0}
+        return np.append(_GUESS, [others[name] for name in self.free])
+
+    def natural(self, p: Array) -> Array:
+        """Return how large numbers like p, shape (P,), are: what is known less well is unseen."""
+        of = {"delay": 3.0, "ahead": 1.0}
+        others = [of.get(name, abs(x)) for name, x in zip(self.free, p[6:], strict=True)]
+        return np.array([*(1.0 if k in _COUPLING else abs(p[k]) for k in range(6)), *others])
+
     def sizes(self, p: Array) -> Array:
-        """Return how large the numbers p, shape (P,), are, for differences."""
+        """Return how large the numbers p, shape (P,), are, by which differences are taken."""
         least = {"delay": 1.0, "ahead": 0.1, "acceleration": 1e-3, "yaw_acceleration": 1e-3}
         floor = [1e-6, 1e-6, 0.1, 1e-6, 0.1, 1e-6, *(least[name] for name in self.free)]
         return np.maximum(np.abs(p), floor)
@@ -138,6 +152,12 @@ class Model:
             Speed and yaw rate at the first sample of each segment, and behind them x, y and psi of poses.
         """
         theta, delay, ahead, most = self.values(p)
+        with np.errstate(all="ignore"):  # on the way through values that nobody means
+            return self._simulated(cuts, theta, delay, ahead, most, start)
+
+    def _simulated(
+        self, cuts: Segments, theta: Array, delay: Array, ahead: Array, most: Array, start: Array
+    ) -> Array:
         body = VelocityBody(theta[:, None], ahead[:, None], most[:, None], (), ())
         whole = np.floor(delay).astype(int)
         share = (delay - whole)[:, None, None]
@@ -219,10 +239,13 @@ def fit(model: Model, cuts: Segments, p: Array, *, moving: bool = True) -> Fit:
     moving : bool
         Whether p is identified; else the starts of the segments alone are.
     """
-    start = starts(cuts)
+    start, moves = starts(cuts), np.full(len(p), moving)
+    if moving and not np.isfinite(model.simulate(cuts, p[None], start[None])).all():
+        p = np.where(np.isin(np.arange(len(p)), _COUPLING), 0.0, p)  # without it nothing grows
     good, covariance = cuts.good, np.diag(np.maximum(np.var(cuts.y, axis=(0, 1)), 1e-12))
-    for _ in range(_ROUNDS):
-        found = _gauss_newton(model, cuts._replace(good=good), p, start, covariance, moving=moving)
+    for k in range(_ROUNDS):
+        near = cuts._replace(good=good)
+        found = _gauss_newton(model, near, p, start, covariance, moves, _CONVERGED if k else _NEAR)
         p, start = found.p, found.start
         r = found.residual[found.good]
         deviation = _NORMAL * np.median(np.abs(r), axis=0) + 1e-300
@@ -234,6 +257,11 @@ def fit(model: Model, cuts: Segments, p: Array, *, moving: bool = True) -> Fit:
         good = new
         if settled:
             break
+        if moving:  # what is unseen stays where it is
+            weight = np.linalg.inv(np.linalg.cholesky(covariance))
+            slopes, _ = _slopes(model, cuts._replace(good=good), p, start, weight).projected
+            moves = ~_hidden(np.einsum("smp,smq->pq", slopes, slopes), model.natural(p))
+            p = np.where(moves, p, model.guess)
     return found
 
 
@@ -279,7 +307,8 @@ def _slopes(model: Model, cuts: Segments, p: Array, start: Array, weight: Array)
         begins[1 + 2 * (P + k), :, k] += ds[k]
         begins[2 + 2 * (P + k), :, k] -= ds[k]
     found = model.simulate(cuts, numbers, begins)
-    ends = (found[1::2] - found[2::2]) / (2 * np.append(dp, ds)[:, None, None, None])
+    with np.errstate(all="ignore"):  # where a robot that is thought of runs away
+        ends = np.nan_to_num(found[1::2] - found[2::2]) / (2 * np.append(dp, ds)[:, None, None, None])
     columns = _weighted(np.moveaxis(ends, 0, -1), weight, cuts.good)
     residual = cuts.y - found[0]
     Q, R = np.linalg.qr(columns[..., P:])
@@ -294,18 +323,32 @@ def _weighted(x: Array, weight: Array, good: NDArray[np.bool_]) -> Array:
     return np.asarray(rows.reshape(len(x), -1, x.shape[-1]))
 
 
-def scaled(H: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return a normal matrix with ones on its diagonal, what scales it, and which numbers it does not see."""
-    size = 1 / np.sqrt(np.maximum(np.diag(H), 1e-300))
-    size[np.diag(H) <= 1e-30 * max(float(np.diag(H).max(initial=0.0)), 1e-300)] = 0.0
-    R = H * np.outer(size, size)
+def scaled(H: Array) -> tuple[Array, Array]:
+    """Return a normal matrix with ones on its diagonal, and what scales it; 0 of numbers without effect."""
+    diagonal = np.diag(H)
+    seen = diagonal > 1e-30 * max(float(diagonal.max(initial=0.0)), 1e-270)
+    size = np.where(seen, 1 / np.sqrt(np.where(seen, diagonal, 1.0)), 0.0)
+    return H * np.outer(size, size), size
+
+
+def _hidden(H: Array, sizes: Array) -> NDArray[np.bool_]:
+    """Return of which numbers a normal matrix tells nothing: their deviations are larger than they are."""
+    R, size = scaled(H)
     values, vectors = np.linalg.eigh(R)
-    hidden = vectors[:, values < _UNSEEN]
-    return R, size, (np.abs(hidden) > 0.1).any(axis=1)
+    seen = values > _UNSEEN
+    deviations = size * np.sqrt((vectors[:, seen] ** 2 / values[seen]).sum(axis=1))
+    lost = (np.abs(vectors[:, ~seen]) > 0.1).any(axis=1)
+    return np.asarray(lost | (size == 0) | (deviations > sizes))
 
 
 def _gauss_newton(
-    model: Model, cuts: Segments, p: Array, start: Array, covariance: Array, *, moving: bool
+    model: Model,
+    cuts: Segments,
+    p: Array,
+    start: Array,
+    covariance: Array,
+    moves: NDArray[np.bool_],
+    tolerance: float,
 ) -> Fit:
     """Return the least squares for weights, by steps of Levenberg and Marquardt, starts projected out."""
     weight = np.linalg.inv(np.linalg.cholesky(covariance))
@@ -313,27 +356,29 @@ def _gauss_newton(
     for _ in range(_ITERATIONS):
         near = _slopes(model, cuts, p, start, weight)
         J, left = near.projected
-        H, size, _ = scaled(np.einsum("smp,smq->pq", J, J))
+        J = J * moves
+        H, size = scaled(np.einsum("smp,smq->pq", J, J))
         slope, now = size * np.einsum("smp,sm->p", J, left), float(near.e.ravel() @ near.e.ravel())
         for _ in range(_TRIES):
-            step = size * np.linalg.solve(H + damping * np.eye(len(p)), slope) * moving
+            step = size * np.linalg.solve(H + damping * np.eye(len(p)), slope)
             then, begin = p + step, start + near.start(step)
             cost = np.inf
             if model.is_possible(then, cuts.lead):
                 off = cuts.y - model.simulate(cuts, then[None], begin[None])[0]
                 rows = _weighted(off[..., None], weight, cuts.good)
                 cost = float(rows.ravel() @ rows.ravel())
-            if cost <= now:
+            if cost <= now * (1 + _ROUNDING):
                 break
             damping = max(10 * damping, 1e-6)
         else:
             break  # as low as it gets
         p, start, damping = then, begin, damping / 10
-        if now - cost <= _CONVERGED * now:
+        if now - cost <= tolerance * now:
             break
     near = _slopes(model, cuts, p, start, weight)
     J, left = near.projected
-    return Fit(p, start, J, left, near.residual, cuts.good, scaled(np.einsum("smp,smq->pq", J, J))[2])
+    hidden = ~moves | _hidden(np.einsum("smp,smq->pq", J, J), model.natural(p))
+    return Fit(p, start, J, left, near.residual, cuts.good, hidden)
 
 
 def guess(runs: Sequence[Samples], lead: int, delay: float | None) -> tuple[Array, float]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -58,7 +59,7 @@ class VelocityIdentification:
 
     Attributes
     ----------
-    names, units : tuple of P str
+    names : tuple of P str
         theta_1 to theta_6, and what else was identified.
     values : ndarray, shape (P,)
         Of these.
@@ -76,8 +77,8 @@ class VelocityIdentification:
         Of what is left at neighbouring samples: near 0 where it is sensors' noise.
     explained : float
         Share of what was measured that the model explains, of the worse of speed and yaw rate.
-    unseen : tuple of str
-        Of what the motion tells nothing.
+    hidden : tuple of str
+        Names of what the motion tells nothing of.
     """
 
     names: tuple[str, ...]
@@ -91,14 +92,28 @@ class VelocityIdentification:
     noise: Array
     correlation: Array
     explained: float
-    unseen: tuple[str, ...]
+    hidden: tuple[str, ...]
     _model: Model = field(repr=False)
     _seconds: float = field(repr=False)
 
     @property
-    def units(self) -> tuple[str, ...]:
-        """Of the numbers."""
-        return tuple(_UNITS[name] for name in self.names)
+    def parameters(self) -> Mapping[str, float]:
+        """The estimates by name."""
+        return self._named(self.values)
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Units of the parameters by name."""
+        return MappingProxyType({name: _UNITS[name] for name in self.names})
+
+    def _named(self, values: Array) -> Mapping[str, float]:
+        return MappingProxyType(dict(zip(self.names, values.tolist(), strict=True)))
+
+    @property
+    def unseen(self) -> str:
+        """What the motion does not tell, in words; "" where it tells all."""
+        told = f"the motion tells nothing of {', '.join(self.hidden)}: rank {self.rank} of {len(self.names)}"
+        return told if self.hidden else ""
 
     @property
     def theta(self) -> Array:
@@ -108,17 +123,22 @@ class VelocityIdentification:
     @property
     def rank(self) -> int:
         """Of how many of the numbers the motion tells something."""
-        return len(self.names) - len(self.unseen)
+        return len(self.names) - len(self.hidden)
 
     @property
-    def standard_errors(self) -> Array:
-        """Of the numbers, shape (P,)."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
+    def standard_errors(self) -> Mapping[str, float]:
+        """Of the parameters by name; infinite of what is unseen."""
+        return self._named(np.sqrt(np.diag(self.covariance)))
 
-    def interval(self, level: float = 0.95) -> Array:
-        """Return bounds between which the numbers are, at a level, shape (P, 2).
+    def interval(self, level: float = 0.95) -> Mapping[str, tuple[float, float]]:
+        """Return an interval of each parameter that holds the true one in a share of all logs, by name.
 
-        Student's t with one degree of freedom less than there are segments.
+        It is Student's, with one degree of freedom less than there are segments.
+
+        Parameters
+        ----------
+        level : float
+            The share, in (0, 1).
 
         Raises
         ------
@@ -130,13 +150,17 @@ class VelocityIdentification:
         level = scalar("level", level)
         if not 0 < level < 1:
             raise InvalidArgument(f"level is {level:g}, expected one between 0 and 1, such as 0.95")
-        reach = float(t.ppf((1 + level) / 2, self.segments - 1)) * self.standard_errors
-        return np.stack([self.values - reach, self.values + reach], axis=-1)
+        wide = float(t.ppf((1 + level) / 2, self.segments - 1))
+        errors = self.standard_errors
+        found = {
+            name: (x - wide * errors[name], x + wide * errors[name]) for name, x in self.parameters.items()
+        }
+        return MappingProxyType(found)
 
     @cached_property
     def insignificant(self) -> tuple[str, ...]:
         """Of theta_3 and theta_5, and losses theta_4 - 1 and theta_6 - 1, those that may well be zero."""
-        bounds = dict(zip(self.names, self.interval(), strict=True))
+        bounds = self.interval()
         return tuple(
             f"{name} - 1" if none else name
             for name, none in _NEUTRAL.items()
@@ -144,13 +168,9 @@ class VelocityIdentification:
         )
 
     @cached_property
-    def remarks(self) -> tuple[str, ...]:
-        """What is to be known before one believes it, in words."""
-        found = []
-        if self.unseen:
-            found.append(
-                f"the motion tells nothing of {', '.join(self.unseen)}: rank {self.rank} of {len(self.names)}"
-            )
+    def notes(self) -> tuple[str, ...]:
+        """What else there is to know, a sentence each."""
+        found = [self.unseen] if self.unseen else []
         found += [f"{name} may as well be zero" for name in self.insignificant]
         if self.explained < _EXPLAINED:
             found.append(
@@ -181,9 +201,11 @@ class VelocityIdentification:
             f"outliers left out, {self.dropped} rows dropped",
             f"{'':17}{'value':>10} {'std. error':>11}  95 % interval",
         ]
-        rows = zip(self.names, self.units, self.values, self.standard_errors, self.interval(), strict=True)
-        for name, unit, value, error, (low, high) in rows:
-            lines.append(f"{name:17}{value:10.5f} {error:11.2g}  {low:.5f} to {high:.5f} {unit}".rstrip())
+        bounds, errors = self.interval(), self.standard_errors
+        for name, value in self.parameters.items():
+            low, high = bounds[name]
+            told = f"{low:.5f} to {high:.5f} {self.units[name]}".rstrip()
+            lines.append(f"{name:17}{value:10.5f} {errors[name]:11.2g}  {told}")
         if "delay" not in self.names:
             lines.append(f"delay {self.delay:g} s, given")
         left = ", ".join(
@@ -191,7 +213,7 @@ class VelocityIdentification:
             for (name, unit), noise in zip(_MEASURED[len(self.noise)], self.noise, strict=True)
         )
         lines.append(f"left over: {left}")
-        return "\n".join([*lines, *self.remarks])
+        return "\n".join([*lines, *self.notes])
 
     def robot(self) -> VelocityRobot:
         """Return the robot, without the delay.
@@ -241,7 +263,7 @@ class VelocityIdentification:
     def _refuse_unseen(self, what: str) -> None:
         if self.unseen:
             raise InvalidArgument(
-                f"{what} is asked, and the log tells nothing of {', '.join(self.unseen)}: expected one in "
+                f"{what} is asked, and the log tells nothing of {', '.join(self.hidden)}: expected one in "
                 "which speed and yaw rate change independently"
             )
 
@@ -362,7 +384,7 @@ def _covariance(found: Fit) -> Array:
     seen = ~found.unseen
     J, e, S = found.J[..., seen], found.e, len(found.J)
     H = np.einsum("smp,smq->spq", J, J)
-    _, size, _ = scaled(H.sum(axis=0))
+    _, size = scaled(H.sum(axis=0))
     others = (H.sum(axis=0) - H) * np.outer(size, size)
     g = np.einsum("smp,sm->sp", J, e) * size
     d = (np.linalg.pinv(others, hermitian=True) @ g[..., None])[..., 0] * size

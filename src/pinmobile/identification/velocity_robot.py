@@ -438,8 +438,8 @@ class VelocityRobot:
     def _drawn(self) -> WheeledRobot:
         length, width, height = self.size
         radius = min(0.45 * height, 0.3 * length)
-        support = (-np.sign(self.ahead or 1.0) * 0.38 * length, 0.0)
-        table = WheelTable.differential(0.9 * width, radius, x=-self.ahead, supports=[support], mass=1e-2)
+        support = (-np.sign(self.ahead or 1.0) * 0.3 * length, 0.0)
+        table = WheelTable.differential(width, radius, x=-self.ahead, supports=[support], mass=1e-2)
         return WheeledRobot(MobileRobot(1.0, 1.0, size=self.size), table)
 
     @property
