@@ -68,6 +68,7 @@ ALLOWED: dict[str, set[str]] = {
     "sweeps": {"files", "ensembles", "extras"},
     "balance": {"robot"},
     "reaching": {"robot", "trajectories", "integrators", "plant"},
+    "identification": {"extras", "files", "forces", "simulation", "wheels"},
     "palette": set(),
     "plots": {"palette", "files", "simulation", "accuracy", "ensembles", "balance"},
     "viewer": {"palette", "files", "robot", "simulation", "extras"},

@@ -60,6 +60,7 @@ if TYPE_CHECKING:
         SuperTwisting,
         SwerveTracking,
         Tracking,
+        VelocityCommand,
         WheelSpeed,
         law,
         plain_difference,
@@ -87,6 +88,7 @@ if TYPE_CHECKING:
         SinusoidalForce,
         ViscousFriction,
     )
+    from pinmobile.identification import Log, RandomSteps, VelocityRobot, identify_velocity
     from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
     from pinmobile.paths import Circle, CubicVia, Hold, Lissajous, RestToRest, Spline
     from pinmobile.plant import Context
@@ -162,6 +164,7 @@ __all__ = [
     "Limit",
     "Lissajous",
     "Load",
+    "Log",
     "MobileRobot",
     "Motion",
     "Motor",
@@ -175,6 +178,7 @@ __all__ = [
     "PinmobileError",
     "PosePath",
     "Ramp",
+    "RandomSteps",
     "Reference",
     "Resolved",
     "RestToRest",
@@ -197,6 +201,8 @@ __all__ = [
     "Uniform",
     "UnknownName",
     "Unreachable",
+    "VelocityCommand",
+    "VelocityRobot",
     "ViewerError",
     "ViscousFriction",
     "Wheel",
@@ -209,6 +215,7 @@ __all__ = [
     "ensemble",
     "fastest",
     "grid",
+    "identify_velocity",
     "integrator_report",
     "law",
     "mountable",
@@ -270,6 +277,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
         "Saturated",
         "SwerveTracking",
         "Tracking",
+        "VelocityCommand",
         "WheelSpeed",
         "law",
         "plain_difference",
@@ -301,6 +309,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
         "SinusoidalForce",
         "ViscousFriction",
     ),
+    "identification": ("Log", "RandomSteps", "VelocityRobot", "identify_velocity"),
     "integrators": ("constant_acceleration", "rk4", "semi_implicit_euler"),
     "measures": (),
     "palette": (),

@@ -21,7 +21,7 @@ from pinmobile.controllers.controller import (
     planar_difference,
     told as told,
 )
-from pinmobile.controllers.driving import Driven, WheelSpeed
+from pinmobile.controllers.driving import Driven, VelocityCommand, WheelSpeed
 from pinmobile.controllers.feedback import (
     GAINS as GAINS,
     PD,
@@ -72,6 +72,7 @@ __all__ = [
     "SwerveTracking",
     "Tracked",
     "Tracking",
+    "VelocityCommand",
     "WheelSpeed",
     "check_controller",
     "gain_matrix",

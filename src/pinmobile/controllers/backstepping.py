@@ -1,4 +1,4 @@
-"""Torques with which a robot on wheels moves as a kinematic law says."""
+"""Torques, or commands, with which a robot on wheels moves as a kinematic law says."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class _Car(NamedTuple):
 @final
 @dataclass(frozen=True, eq=False)
 class Backstepping:
-    """From a kinematic law to torques (Fierro and Lewis, J. Robotic Systems 14(3), 1997).
+    """From a kinematic law to the input (Fierro and Lewis, J. Robotic Systems 14(3), 1997).
 
         M nu' + n = B u,   nu' = nu_c' + k (nu_c - nu)
 
@@ -72,8 +72,8 @@ class Backstepping:
     ----------
     law : kinematic law
         Such as `Tracking`; what it needs of a reference is said there.
-    robot : WheeledRobot
-        The model that the controller believes in.
+    robot : WheeledRobot or VelocityRobot
+        The model that the controller believes in; of one that takes speeds the input is commands.
     k, steer, arms : float
         Gains of the velocities, of the steering angle and of the arms, > 0 [1/s]; with the torque held
         between samples, k dt below 0.5.
@@ -109,7 +109,7 @@ class Backstepping:
             object.__setattr__(self, name, positive(name, getattr(self, name), "1/s"))
         robot = self.robot
         if not hasattr(robot, "mobility") or not isinstance(getattr(robot, "nv", None), int):
-            check_wheels(robot, "torques")  # no robot, or what one becomes in a compiled loop
+            check_wheels(robot, _inverse(robot))  # no robot, or what one becomes in a compiled loop
         else:
             self._look(robot)
 
@@ -121,7 +121,7 @@ class Backstepping:
             raise InvalidArgument(
                 f"robot is a drive of type {kind}, expected one with a fixed axle: for this one, {other}"
             )
-        check_wheels(robot, "torques")
+        check_wheels(robot, _inverse(robot))
         n, size = max(robot.leading), max(robot.leading.values())
         car = None
         if kind == (1, 1):
@@ -179,7 +179,8 @@ class Backstepping:
             turn, steering = self._steered(q, nu, known, (speed, yaw_rate), steering)
             wanted.append(turn)
         rates = [rate_of(z) + self.k * (value_of(z) - nu[..., i]) for i, z in enumerate(wanted)]
-        return self.robot.torques(q, v, np.stack(np.broadcast_arrays(*rates), axis=-1)), (inner, steering)
+        wanted_rates = np.stack(np.broadcast_arrays(*rates), axis=-1)
+        return getattr(self.robot, _inverse(self.robot))(q, v, wanted_rates), (inner, steering)
 
     def _steered(
         self, q: Array, nu: Array, tracked: Tracked, command: tuple[Any, Any], memory: tuple[Any, Any, Any]
@@ -199,6 +200,11 @@ class Backstepping:
 
     def _angle(self, speed: Any, yaw_rate: Any) -> Any:
         return _steering_angle(self.robot.axle, self.robot.pivots[..., 0, :], speed, yaw_rate)
+
+
+def _inverse(robot: object) -> str:
+    """Return what a robot calls the input at which its velocities change as wanted."""
+    return "commands" if hasattr(robot, "commands") else "torques"
 
 
 def check_heading(t: Array, reference: Any) -> tuple[Array, Array]:

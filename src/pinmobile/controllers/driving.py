@@ -1,4 +1,4 @@
-"""What stands between controllers and motors: torques as volts, and rates of wheels held by firmware."""
+"""What stands between controllers and motors: torques as volts, rates that firmware holds, commands."""
 
 from __future__ import annotations
 
@@ -195,3 +195,58 @@ class WheelSpeed:
         integral = integral + gain
         u = self.kp * error + self.ki * integral
         return u, (law, integral, gain, u, dt)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class VelocityCommand:
+    """A kinematic law's speed and yaw rate, as they are, for the input of a robot that takes these.
+
+    As most robots are driven: the law takes it that the firmware follows at once. `Backstepping` with the
+    same robot takes into account how late it is.
+
+    Parameters
+    ----------
+    law : kinematic law
+        Such as `Tracking`; what it needs of a reference is said there.
+    robot : VelocityRobot
+        Of which the controller knows where the axle is.
+
+    Raises
+    ------
+    InvalidArgument
+        If an argument is something else.
+    """
+
+    law: KinematicLaw
+    robot: Any
+    _axle: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if isinstance(self.law, type) or not all(hasattr(self.law, x) for x in ("initial_state", "check")):
+            raise InvalidArgument(f"law is {shown(self.law)}, expected a kinematic law, such as Tracking()")
+        callable_as("law(tracked, state)", self.law)
+        robot = self.robot
+        if isinstance(robot, type) or not hasattr(robot, "commands"):
+            raise InvalidArgument(f"robot is {shown(robot)}, expected a VelocityRobot")
+        if hasattr(robot, "mobility"):  # what it becomes in a compiled loop has been looked at before
+            object.__setattr__(self, "_axle", frozen(robot.axle))
+
+    def initial_state(self, context: Context) -> Any:
+        """Return the law's state."""
+        try:
+            reference = context.reference
+        except NotTraceable:  # each robot has its own
+            reference = None
+        if reference is not None:
+            t = np.asarray(context.t)
+            self.law.check(t, *speeds_along(self._axle, t, reference))
+        return self.law.initial_state(context)
+
+    def __call__(self, t: float, q: Array, v: Array, reference: State, state: Any) -> tuple[Array, Any]:
+        """Return the commands, shape (..., 2) [m/s, rad/s], and the law's next state."""
+        own = self.robot.independent(q, v)[..., 0]
+        known, _ = tracked(self.robot, self.robot.axle, q, v, reference, own)
+        (speed, yaw_rate), state = self.law(known, state)
+        wanted = value_of(speed), value_of(yaw_rate)
+        return np.stack(np.broadcast_arrays(*wanted), axis=-1), state

@@ -1,0 +1,21 @@
+"""From a log to parameters with intervals that hold."""
+
+from pinmobile.identification.log import Log
+from pinmobile.identification.published import VELOCITY_ROBOTS
+from pinmobile.identification.random_steps import RandomSteps
+from pinmobile.identification.velocity_identification import (
+    Predicted,
+    VelocityIdentification,
+    identify_velocity,
+)
+from pinmobile.identification.velocity_robot import VelocityRobot
+
+__all__ = [
+    "VELOCITY_ROBOTS",
+    "Log",
+    "Predicted",
+    "RandomSteps",
+    "VelocityIdentification",
+    "VelocityRobot",
+    "identify_velocity",
+]

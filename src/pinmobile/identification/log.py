@@ -1,0 +1,436 @@
+"""`Log`: what was measured of a robot that moved, checked before anything is concluded from it."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from os import PathLike
+from typing import Any, NamedTuple, Self, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, increasing, location, real, seeded
+from pinmobile.errors import InvalidArgument, UnknownName
+from pinmobile.files import refusals
+from pinmobile.plant import coordinates_of, inputs_of
+from pinmobile.simulation import Rollout
+
+_POSE = 3  # x, y, psi
+_HOLE = 4.5  # steps that may lack their samples: three rows in a row
+_LONGEST_STEP = 5.0  # [s]; times of longer steps are no seconds
+_FASTEST = 60.0  # [m/s]; positions that change faster are no metres
+_FASTEST_TURN = 12.0  # [rad/s], two turns a second; what turns faster is told in degrees
+_WINDOW = 0.25  # [s] over which speeds are looked at, so that noise is none
+
+
+class Samples(NamedTuple):
+    """A log on times of equal steps.
+
+    Attributes
+    ----------
+    dt : float
+        The step [s].
+    t : ndarray, shape (N,)
+        Times since the first sample [s].
+    seen : ndarray of bool, shape (N,)
+        Whether there is a row at that time; what stands in others is interpolated.
+    q, u, twist, wheel_rates : ndarray, shape (N, ...), or None
+        As in `Log`.
+    """
+
+    dt: float
+    t: Array
+    seen: NDArray[np.bool_]
+    q: Array | None
+    u: Array
+    twist: Array | None
+    wheel_rates: Array | None
+
+
+@final
+@dataclass(frozen=True, eq=False, repr=False)
+class Log:
+    """What was measured of a robot at times that increase in equal steps, but for jitter and lost rows.
+
+    Parameters
+    ----------
+    t : array_like, shape (N,)
+        Times [s].
+    q : array_like, shape (N, 3), or None
+        Measured pose (x, y, psi) [m, m, rad]; None where only the twist was measured. psi may be unwrapped or
+        on the circle.
+    u : array_like, shape (N, nu)
+        Input that is applied from each time to the next, in its unit: of a body that is pushed (Fx, Fy, Mz)
+        in the inertial frame [N, N, N m], of wheels torques [N m] or volts, of a robot that takes velocities
+        its commands (forward, yaw rate) [m/s, rad/s].
+    twist : array_like, shape (N, 3), optional
+        Measured body twist: forward, left, yaw rate [m/s, m/s, rad/s].
+    wheel_rates : array_like, shape (N, k), optional
+        Rates that the encoders of the driven wheels tell, in the order of the inputs [rad/s].
+
+    Attributes
+    ----------
+    dropped : int
+        Rows that held a number which is none (NaN), and are left out.
+    dt : float
+        Time between two samples [s].
+
+    Raises
+    ------
+    InvalidArgument
+        If a shape does not fit, times do not increase or have gaps, or numbers are in degrees, in millimetres
+        or milliseconds: see the message.
+    """
+
+    t: Array
+    q: Array | None
+    u: Array
+    twist: Array | None = None
+    wheel_rates: Array | None = None
+    dropped: int = 0
+
+    def __post_init__(self) -> None:
+        given = self._given()
+        t = given["t"]
+        if t.ndim != 1 or len(t) < 2:
+            raise InvalidArgument(f"t has shape {t.shape}, expected (N,), N > 1")
+        for name, array in given.items():
+            if name != "t" and (array.ndim != 2 or len(array) != len(t) or not array.shape[1]):
+                raise InvalidArgument(f"{name} has shape {array.shape}, expected ({len(t)}, ...) as t has")
+        for name in {"q", "twist"} & set(given):
+            if given[name].shape[1] != _POSE:
+                raise InvalidArgument(f"{name} has shape {given[name].shape}, expected ({len(t)}, 3)")
+        if not {"q", "twist"} & set(given):
+            raise InvalidArgument("q is None, and there is no twist, expected one of them: what was measured")
+        bad = np.isnan(np.column_stack(list(given.values()))).any(axis=1)
+        if bad.all():
+            raise InvalidArgument(f"q has {len(t)} rows, and NaN in each, expected rows without")
+        given = {name: finite(name, array[~bad]) for name, array in given.items()}
+        t = given["t"]
+        _check_times(t, int(bad.sum()))
+        object.__setattr__(self, "dropped", self.dropped + int(bad.sum()))
+        if "q" in given:
+            _check_pose(t, given["q"])
+            given["q"] = np.column_stack([given["q"][:, :2], np.unwrap(given["q"][:, 2])])
+        for name, array in given.items():
+            object.__setattr__(self, name, frozen(array))
+
+    def _given(self) -> dict[str, Array]:
+        named = {name: getattr(self, name) for name in ("t", "q", "u", "twist", "wheel_rates")}
+        return {name: real(name, x) for name, x in named.items() if x is not None or name in ("t", "u")}
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def __repr__(self) -> str:
+        lost = f", {self.dropped} rows dropped" if self.dropped else ""
+        kept = [n for n in ("q", "u", "twist", "wheel_rates") if getattr(self, n) is not None]
+        measured = ", ".join(f"{n} of {getattr(self, n).shape[1]}" for n in kept)
+        return f"<Log: {len(self)} samples over {self.t[-1] - self.t[0]:g} s, {measured}{lost}>"
+
+    @property
+    def dt(self) -> float:
+        """Time between two samples [s]."""
+        return _step(self.t)
+
+    def between(self, start: float, stop: float) -> Self:
+        """Return what was measured from one time to before another, counted from the first sample [s].
+
+        Raises
+        ------
+        InvalidArgument
+            If fewer than two samples are left.
+        """
+        since = self.t - self.t[0]
+        low, high = (float(finite(name, x)) for name, x in (("start", start), ("stop", stop)))
+        kept = (since >= low) & (since < high)
+        if kept.sum() < 2:
+            raise InvalidArgument(
+                f"start and stop are {low:g} and {high:g} s, with {kept.sum()} samples between them, "
+                f"expected more of the {since[-1]:g} s"
+            )
+        new = {name: array[kept] for name, array in self._given().items()}
+        return replace(self, **new, dropped=0)
+
+    def samples(self) -> Samples:
+        """Return it on times of equal steps: what jitters is interpolated, what is lost is told."""
+        dt, given = self.dt, self._given()
+        t = given.pop("t") - self.t[0]
+        steps = np.rint(t / dt).astype(int)
+        grid = dt * np.arange(steps[-1] + 1)
+        seen = np.zeros(len(grid), bool)
+        seen[steps] = True
+        u = given.pop("u")[np.searchsorted(steps, np.arange(len(grid)), side="right") - 1]
+        even = seen.all() and np.abs(t - grid).max() < 1e-3 * dt  # then nothing is to be interpolated
+        measured: dict[str, Array] = (
+            given if even else {n: _interpolated(t, x, grid) for n, x in given.items()}
+        )
+        parts = (measured.get(name) for name in ("twist", "wheel_rates"))
+        return Samples(dt, grid, seen, measured.get("q"), u, *parts)
+
+    @classmethod
+    def from_streams(
+        cls, t_q: ArrayLike, q: ArrayLike, t_u: ArrayLike, u: ArrayLike, **measured: ArrayLike
+    ) -> Self:
+        """Return the log of poses and inputs that have times of their own, by one clock.
+
+        An input holds until the next one; that of a sample is the mean of what holds until the next sample.
+
+        Parameters
+        ----------
+        t_q, q : array_like, shape (N,), (N, 3)
+            Times [s] and poses.
+        t_u, u : array_like, shape (M,), (M, nu)
+            Times [s] and inputs.
+        **measured : array_like, shape (N, ...)
+            ``twist`` and ``wheel_rates`` at the times of the poses.
+
+        Raises
+        ------
+        InvalidArgument
+            As of the class; and if the times overlap so little that they are of two clocks.
+        """
+        poses, inputs = real("q", q), real("u", u)
+        times = {name: finite(name, x) for name, x in (("t_q", t_q), ("t_u", t_u))}
+        for (name, t), (other, x) in zip(times.items(), (("q", poses), ("u", inputs)), strict=True):
+            increasing(name, t)
+            if x.ndim != 2 or len(x) != len(t):
+                raise InvalidArgument(f"{other} has shape {x.shape}, expected ({len(t)}, ...) as {name} has")
+        (t, held), first, last = (
+            times.values(),
+            max(x[0] for x in times.values()),
+            min(x[-1] for x in times.values()),
+        )
+        if last - first < 0.5 * (t[-1] - t[0]):
+            raise InvalidArgument(
+                f"t_u is from {held[0]:.9g} to {held[-1]:.9g} s and t_q from {t[0]:.9g} to {t[-1]:.9g} s, "
+                "which overlap by less than half: two clocks, expected times of one; subtract what one is ahead"
+            )
+        kept = (t >= first) & (t <= held[-1])
+        t = t[kept]
+        mean = _mean_held(held, inputs, np.append(t, t[-1] + _step(t)))
+        parts = {name: real(name, x)[kept] for name, x in measured.items()}
+        return cls(t, poses[kept], mean, **parts)
+
+    @classmethod
+    def from_rollout(
+        cls,
+        rollout: Rollout,
+        noise: ArrayLike = 0.0,
+        input_noise: ArrayLike = 0.0,
+        *,
+        delay: int = 0,
+        seed: Any = 0,
+    ) -> Self:
+        """Return what sensors would have logged of a simulated run.
+
+        Simulate with ``integrator=rk4``: the default step holds the acceleration, which no robot does.
+
+        Parameters
+        ----------
+        rollout : Rollout
+            The run; of wheels, the rates of those that an input is named after are logged too.
+        noise : array_like, shape () or (3,)
+            Standard deviation of the noise of the pose [m, m, rad].
+        input_noise : array_like, shape () or (nu,)
+            That of what is told of the input, in its unit.
+        delay : int
+            Samples by which the pose comes late.
+        seed : int, SeedSequence, BitGenerator or Generator
+            Of the noise.
+
+        Raises
+        ------
+        InvalidArgument
+            If it is no rollout of a plant that tells where its body is, or a noise is below zero or of
+            another shape.
+        """
+        if not isinstance(rollout, Rollout):
+            raise InvalidArgument(f"rollout is {rollout!r}, expected a Rollout")
+        late = int(finite("delay", delay))
+        if late != delay or not 0 <= late < len(rollout) - 1:
+            raise InvalidArgument(f"delay is {delay}, expected a number of samples, 0 to {len(rollout) - 2}")
+        generator, u = seeded("seed", seed), rollout.u
+        deviations = {"noise": (noise, _POSE), "input_noise": (input_noise, u.shape[1])}
+        sigma: dict[str, Array] = {}
+        for name, (value, size) in deviations.items():
+            found = finite(name, value)
+            if found.shape not in ((), (size,)) or (found < 0).any():
+                raise InvalidArgument(f"{name} is {value!r}, expected a number >= 0, or {size} of them")
+            sigma[name] = found
+        names = [one.name for one in coordinates_of(rollout.plant)]
+        wheels = [names.index(one.name) for one in inputs_of(rollout.plant) if one.name in names]
+        q, end = np.array(rollout.poses), len(rollout) - late
+        q = q[:end] + sigma["noise"] * generator.standard_normal((end, _POSE))
+        told = u[late:] + sigma["input_noise"] * generator.standard_normal((end, u.shape[1]))
+        return cls(rollout.t[late:], q, told, None, rollout.v[:end, wheels] if wheels else None)
+
+    @classmethod
+    def from_csv(
+        cls, path: str | PathLike[str], columns: Mapping[str, str | Sequence[str]] | None = None
+    ) -> Self:
+        """Return the log of a CSV file whose header names its columns, units in brackets.
+
+        Without `columns`, time is ``t`` or ``time``, the pose ``x``, ``y`` and ``psi``, ``yaw`` or ``theta``,
+        the inputs all that begin with ``u_``, or ``Fx``, ``Fy``, ``Mz``; the twist those with ``twist_``, and
+        the rates of wheels those with ``rate_``: what `Rollout.to_csv` writes is read so. Units such as
+        ``[deg]``, ``[mm]`` and ``[ms]`` are turned into those of SI.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The file.
+        columns : mapping of str to str or sequence of str, optional
+            Names of columns for ``t``, ``q``, ``u``, ``twist`` and ``wheel_rates``.
+
+        Raises
+        ------
+        InvalidArgument
+            If it cannot be read, or as of the class.
+        UnknownName
+            If a column is not there.
+        """
+        file = location("path", path)
+        with (
+            refusals("read", "path", file),
+            file.open(newline="", encoding="utf-8-sig", errors="replace") as f,
+        ):
+            lines = csv.reader(f)
+            head = next(lines, [])
+            rows = [row for row in lines if row]
+        named = {re.sub(r"\s*\[.*\]\s*$", "", title).strip(): k for k, title in enumerate(head)}
+        wanted = _columns_of(list(named)) if columns is None else dict(columns)
+        for role in wanted:
+            if role not in ("t", "q", "u", "twist", "wheel_rates"):
+                raise UnknownName("part of a log", role, ("t", "q", "u", "twist", "wheel_rates"))
+        numbers = np.array([[_number(cell) for cell in row] for row in rows if len(row) == len(head)])
+        short = len(rows) - len(numbers)
+        if len(numbers) < 2:
+            raise InvalidArgument(
+                f"path is {str(file)!r}, with {len(numbers)} rows of numbers, expected more"
+            )
+        parts: dict[str, Array] = {}
+        for role, of_role in wanted.items():
+            listed = [of_role] if isinstance(of_role, str) else list(of_role)
+            for name in listed:
+                if name not in named:
+                    raise UnknownName(f"column of {str(file)!r}", name, named)
+            parts[role] = np.column_stack([_in_si(head[named[n]], numbers[:, named[n]]) for n in listed])
+        for role in ("t", "u"):
+            if role not in parts:
+                raise InvalidArgument(
+                    f"path is {str(file)!r}, whose columns are {', '.join(named)}: none is that of {role}, "
+                    f"expected columns={{{role!r}: ...}}"
+                )
+        times = parts.pop("t")[:, 0]
+        return cls(times, parts.pop("q", None), parts.pop("u"), **parts, dropped=short)
+
+
+def _step(t: Array) -> float:
+    """Return the time between two samples: the mean of the steps that lack none."""
+    steps = np.diff(t)
+    return float(steps[steps < 1.5 * np.median(steps)].mean())
+
+
+def _check_times(t: Array, dropped: int) -> None:
+    if len(t) < 2:
+        raise InvalidArgument(f"t has {len(t)} times without NaN in their rows, expected more")
+    increasing("t", t)
+    steps = np.diff(t)
+    usual = float(np.median(steps))
+    if usual > _LONGEST_STEP:
+        raise InvalidArgument(
+            f"t has steps of {usual:g} s, expected seconds: are these milliseconds or less?"
+        )
+    worst = int(steps.argmax())
+    if steps[worst] > _HOLE * usual:
+        nan = f"; {dropped} rows had NaN" if dropped else ""
+        raise InvalidArgument(
+            f"t has a gap from {t[worst]:g} to {t[worst + 1]:g} s between steps of {usual:g} s{nan}, "
+            "expected none: make a Log of each side; identify takes several"
+        )
+
+
+def _check_pose(t: Array, q: Array) -> None:
+    """Refuse poses that change as no robot's in metres and radians do."""
+    apart = max(1, round(_WINDOW / _step(t)))
+    if len(t) <= apart:
+        return
+    dt = t[apart:] - t[:-apart]
+    speed = np.hypot(*(q[apart:, :2] - q[:-apart, :2]).T) / dt
+    if np.median(speed) > _FASTEST:
+        raise InvalidArgument(
+            f"q moves at {np.median(speed):.3g} m/s most of the time, expected metres: are these millimetres?"
+        )
+    jumps = np.abs(np.diff(q[:, 2])) > 1.9 * np.pi
+    turn = np.abs(np.unwrap(q[:, 2])[apart:] - np.unwrap(q[:, 2])[:-apart]) / dt
+    plain = np.abs(q[apart:, 2] - q[:-apart, 2]) / dt
+    in_turns = np.abs(np.diff(q[:, 2]))[jumps]
+    if (in_turns.size and np.median(in_turns) > 4 * np.pi) or (
+        not in_turns.size and max(np.median(turn), np.quantile(plain, 0.9)) > _FASTEST_TURN
+    ):
+        raise InvalidArgument(
+            f"q has psi from {q[:, 2].min():.4g} to {q[:, 2].max():.4g}, which turns at "
+            f"{np.quantile(plain, 0.9):.3g} rad/s and more, expected radians: are these degrees?"
+        )
+
+
+def _interpolated(t: Array, columns: Array, grid: Array) -> Array:
+    return np.column_stack([np.interp(grid, t, column) for column in columns.T])
+
+
+def _mean_held(t: Array, u: Array, edges: Array) -> Array:
+    """Return the mean of what holds between edges, of values u each of which holds from its time on."""
+    spent = np.vstack([np.zeros(u.shape[1]), np.cumsum(u[:-1] * np.diff(t)[:, None], axis=0)])
+    k = np.clip(np.searchsorted(t, edges, side="right") - 1, 0, len(t) - 1)
+    total = spent[k] + u[k] * (edges - t[k])[:, None]
+    return np.asarray(np.diff(total, axis=0) / np.diff(edges)[:, None])
+
+
+_TURNS = ("psi", "yaw", "theta", "heading")
+_UNITS = {
+    **dict.fromkeys(("", "s", "m", "rad", "N", "N m", "Nm", "V", "A", "m/s", "rad/s"), 1.0),
+    **{"deg": np.pi / 180, "deg/s": np.pi / 180, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    **{"mm": 1e-3, "cm": 1e-2, "mm/s": 1e-3, "mrad": 1e-3, "mN": 1e-3, "kN": 1e3, "mV": 1e-3, "mA": 1e-3},
+    **{"N mm": 1e-3, "mN m": 1e-3, "rpm": 2 * np.pi / 60, "rev/min": 2 * np.pi / 60},
+}
+
+
+def _in_si(title: str, column: Array) -> Array:
+    found = re.search(r"\[(.*)\]\s*$", title)
+    unit = found[1].strip() if found else ""
+    if unit not in _UNITS:
+        raise UnknownName(f"unit of column {title!r}", unit, _UNITS)
+    return column * _UNITS[unit]
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return np.nan
+
+
+def _columns_of(names: Sequence[str]) -> dict[str, Sequence[str]]:
+    """Return which columns tell what, by their names."""
+    known = {name.casefold(): name for name in names}
+    found: dict[str, Sequence[str]] = {}
+    time = [known[name] for name in ("t", "time", "stamp", "timestamp") if name in known]
+    turn = [known[name] for name in _TURNS if name in known]
+    if time:
+        found["t"] = time[:1]
+    if turn and {"x", "y"} <= set(known):
+        found["q"] = (known["x"], known["y"], turn[0])
+    inputs = [name for name in names if name.startswith("u_")]
+    inputs = inputs or [known[name] for name in ("fx", "fy", "mz") if name in known]
+    for role, listed in (
+        ("u", inputs),
+        ("twist", [name for name in names if name.startswith("twist_")]),
+        ("wheel_rates", [name for name in names if name.startswith("rate_")]),
+    ):
+        if listed:
+            found[role] = listed
+    return found

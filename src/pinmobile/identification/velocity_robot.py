@@ -1,0 +1,500 @@
+"""`VelocityRobot`: a robot that takes speeds for commands, whose firmware follows them late."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any, ClassVar, NamedTuple, final
+
+import numpy as np
+import pinocchio as pin
+
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    broadcast,
+    endless_or_finite,
+    finite,
+    frozen,
+    in_numbers,
+    lengths,
+    non_negative,
+    positive,
+    scalar,
+    text,
+    vector,
+)
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.identification.velocity_body import ABOVE_ZERO, ACCELERATIONS, PARAMETERS, THETA, VelocityBody
+from pinmobile.integrators import rk4
+from pinmobile.plant import Coordinate, Input, Parameter
+from pinmobile.robot import MobileRobot
+from pinmobile.wheels import ByVoltage, Reduced, WheeledRobot, WheelTable
+
+_OFF = 1e-9  # of a start's velocity, beyond which it does not roll
+_SAME = 1e-9  # relative, of two wheels that are alike
+
+
+class Mobile(NamedTuple):
+    """The type of a drive, as `Mobility` tells it of a wheel table.
+
+    Attributes
+    ----------
+    mobility, steerability : int
+        Of two driven wheels on one axle, 2 and 0.
+    """
+
+    mobility: int = 2
+    steerability: int = 0
+
+
+@final
+@dataclass(frozen=True, init=False, eq=False, repr=False)
+class VelocityRobot:
+    """A base on two driven wheels whose input is the speed and the yaw rate that it should have.
+
+    Firmware holds both by the voltages of its motors, and what comes of it are six numbers (De La Cruz and
+    Carelli, IECON 2006; Robotica 26, 2008; Martins et al., J. Intelligent and Robotic Systems 85, 2017)::
+
+        u' = (theta_3 / theta_1) w^2  - (theta_4 / theta_1) u + u_c / theta_1
+        w' = -(theta_5 / theta_2) u w - (theta_6 / theta_2) w + w_c / theta_2
+        x' = u cos psi - a w sin psi,  y' = u sin psi + a w cos psi,  psi' = w
+
+    of the speed u along the wheels and the yaw rate w, for commands (u_c, w_c). q = (x, y, psi) is the pose
+    of a point a ahead of the axle, v = dq/dt. No force pushes it: what firmware does about one, theta does
+    not tell. Its integrator is rk4, for which a sample, or substep, is to be shorter than twice the shorter
+    of `time_constants`.
+
+    Parameters
+    ----------
+    theta : array_like, shape (6,)
+        [s, s, s m/rad^2, -, s/m, -]; the first, second, fourth and sixth above zero.
+    ahead : float
+        a, how far the body's origin is ahead of the axle [m].
+    limits : array_like, shape (2,)
+        Largest commands to either side, > 0, infinite where there is no limit [m/s, rad/s].
+    accelerations : array_like, shape (2,)
+        Largest |u'| and |w'| that the firmware allows, likewise [m/s^2, rad/s^2].
+    size : array_like, shape (3,)
+        Length, width and height of what is drawn [m].
+    source : str
+        Where its numbers come from.
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not finite or not in its range, or an array has another shape.
+    """
+
+    theta: Array
+    ahead: float
+    limits: Array
+    accelerations: Array
+    size: tuple[float, float, float]
+    source: str
+
+    nq: ClassVar[int] = 3
+    nv: ClassVar[int] = 3
+    nu: ClassVar[int] = 2
+    broadcasts: ClassVar[bool] = True
+    integrator: ClassVar[Any] = rk4
+    coordinates: ClassVar[tuple[Coordinate, ...]] = VelocityBody.coordinates
+    leading: ClassVar[Mapping[int, int]] = MappingProxyType({3: 3})
+    mobility: ClassVar[Mobile] = Mobile()
+    rest: ClassVar[Array] = frozen(np.zeros(3))
+
+    def __init__(
+        self,
+        theta: ArrayLike,
+        ahead: float = 0.0,
+        limits: ArrayLike = np.inf,
+        accelerations: ArrayLike = np.inf,
+        size: ArrayLike = (0.45, 0.38, 0.25),
+        source: str = "",
+    ) -> None:
+        numbers = finite("theta", theta)
+        if numbers.shape != (len(THETA),):
+            raise InvalidArgument(f"theta has shape {numbers.shape}, expected ({len(THETA)},)")
+        for k in ABOVE_ZERO:
+            positive(f"theta[{k}]", numbers[k], THETA[k][1])
+        new = {
+            "theta": frozen(numbers),
+            "ahead": scalar("ahead", ahead),
+            "limits": _most("limits", limits),
+            "accelerations": _most("accelerations", accelerations),
+            "size": tuple(lengths(size).tolist()),
+            "source": text("source", source),
+        }
+        for name, value in new.items():
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def from_motors(
+        cls, wheeled: WheeledRobot | ByVoltage, kp: float, kd: float = 0.0, **others: Any
+    ) -> VelocityRobot:
+        """Return the theta of a robot on two driven wheels whose firmware holds the rate of each.
+
+        The voltage of a motor is ``kp (W_c - W) - kd W'`` with the rate W_c at which its wheel rolls as the
+        commands say, which is `WheelSpeed` without an integral where kd is 0. With the mass m, the yaw
+        inertia I about the centre of mass b ahead of the axle, wheels of radius r, d apart, whose inertia
+        with rotor and gear is J, motors of resistance R, torque K and back-EMF E at the wheel, friction B
+        there, and the gains of speed and yaw rate kT = kp / r and kR = kp d / (2 r), kd likewise::
+
+            theta_1 = [(R/K) (m r^2 + 2 J) + 2 r kdT] / (2 r kT)
+            theta_2 = [(R/K) (J d^2 + 2 r^2 (I + m b^2)) + 2 r d kdR] / (2 r d kR)
+            theta_3 = (R/K) m b r / (2 kT)          theta_5 = (R/K) m b r / (d kR)
+            theta_4 = (R/K) (K E / R + B) / (r kT) + 1
+            theta_6 = (R/K) (K E / R + B) d / (2 r kR) + 1
+
+        (De La Cruz and Carelli 2008.) What the six cannot hold is left out, and told in `source`: dry
+        friction of the motors, limits of voltage and current, a centre of mass aside of the middle. Of a
+        gear with losses the motor drives the wheels.
+
+        Parameters
+        ----------
+        wheeled : WheeledRobot or ByVoltage
+            Two fixed wheels with tyres on one axle, each with the same electric motor, and casters; no arms.
+        kp, kd : float
+            Gains, > 0 and >= 0 [V s/rad, V s^2/rad]. Of firmware with an integral there is no theta of its
+            own: simulate it by `WheelSpeed`, and let `identify_velocity` find the one that comes nearest.
+        **others
+            ``limits``, ``accelerations`` and ``size``, as of the class.
+
+        Raises
+        ------
+        InvalidArgument
+            If the robot has other wheels, motors or arms, or a gain is not in its range.
+        """
+        robot = getattr(wheeled, "wheeled", wheeled)
+        if not isinstance(robot, WheeledRobot):
+            raise InvalidArgument(f"wheeled is {shown(wheeled)}, expected a WheeledRobot")
+        kp, kd = positive("kp", kp, "V s/rad"), non_negative("kd", kd, "V s^2/rad")
+        wheel, motor, d = _pair(robot)
+        base, r = robot.robot, wheel.radius
+        com_x, com_y = float(base.com[0]), float(base.com[1])
+        m, b = base.mass, com_x - wheel.x
+        J = wheel.spin_inertia + motor.reflected_inertia
+        by, E = (
+            motor.resistance / (motor.efficiency * motor.gear * motor.torque_constant),
+            motor.gear * motor.torque_constant,
+        )
+        B = motor.efficiency * motor.gear**2 * motor.viscous
+        losses = E + by * B  # (R/K) (K E / R + B)
+        T, R, dT, dR = kp / r, kp * d / (2 * r), kd / r, kd * d / (2 * r)
+        theta = [
+            (by * (m * r * r + 2 * J) + 2 * r * dT) / (2 * r * T),
+            (by * (J * d * d + 2 * r * r * (base.yaw_inertia + m * b * b)) + 2 * r * d * dR)
+            / (2 * r * d * R),
+            by * m * b * r / (2 * T),
+            losses / (r * T) + 1,
+            by * m * b * r / (d * R),
+            losses * d / (2 * r * R) + 1,
+        ]
+        left = [
+            *(["dry friction of the motors"] if motor.coulomb else []),
+            *(
+                [
+                    f"limits of {motor.voltage:g} V"
+                    + (f" and {motor.current:g} A" if np.isfinite(motor.current) else "")
+                ]
+            ),
+            *([f"the centre of mass {com_y:g} m aside"] if com_y else []),
+        ]
+        said = f"motors of a WheeledRobot, gains kp = {kp:g}, kd = {kd:g}; left out: {', '.join(left)}"
+        return cls(np.array(theta), **{"ahead": -wheel.x, "size": base.size, "source": said, **others})
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, VelocityRobot) and self._key() == other._key()
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+    def _key(self) -> tuple[object, ...]:
+        arrays = (self.theta, self.limits, self.accelerations)
+        return *(tuple(x.tolist()) for x in arrays), self.ahead, self.size, self.source
+
+    def __repr__(self) -> str:
+        given = [f"[{', '.join(f'{x:.10g}' for x in self.theta)}]"]
+        given += [f"ahead={self.ahead:g}"] if self.ahead else []
+        given += [
+            f"{name}=({', '.join(f'{x:g}' for x in getattr(self, name))})".replace("inf", "np.inf")
+            for name in ("limits", "accelerations")
+            if np.isfinite(getattr(self, name)).any()
+        ]
+        return f"VelocityRobot({', '.join(given)})"
+
+    def __reduce__(self) -> tuple[object, ...]:
+        own = self.theta, self.ahead, self.limits, self.accelerations, self.size, self.source
+        return VelocityRobot, own
+
+    @cached_property
+    def inputs(self) -> tuple[Input, ...]:
+        """The commands: speed and yaw rate."""
+        named = ("speed command", "m/s"), ("yaw rate command", "rad/s")
+        return tuple(Input(*x, -float(most), float(most)) for x, most in zip(named, self.limits, strict=True))
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What an ensemble may spread: theta, where the axle is, and limits of acceleration, if any."""
+        limited = (one for one, most in zip(ACCELERATIONS, self.accelerations, strict=True) if most < np.inf)
+        return *PARAMETERS, *limited
+
+    @property
+    def time_constants(self) -> tuple[float, float]:
+        """Of the speed and of the yaw rate where they are alone: theta_1 / theta_4, theta_2 / theta_6 [s]."""
+        one, two, _, four, _, six = self.theta.tolist()
+        return one / four, two / six
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What of the six numbers no robot with motors and firmware can have, in words; () where it can.
+
+        theta_3 / theta_5 = d kR / (2 kT) of `from_motors`, which is above zero, and motors lose something.
+        """
+        three, four, five, six = self.theta[2:].tolist()
+        found = [
+            f"{name} is {value:g}, where a loop whose motors lose anything has more than 1"
+            for name, value in (("theta_4", four), ("theta_6", six))
+            if value < 1
+        ]
+        if three * five < 0:
+            found.append(f"theta_3 is {three:g} and theta_5 {five:g}, where both have one sign")
+        return tuple(found)
+
+    @cached_property
+    def _law(self) -> VelocityBody:
+        return VelocityBody(self.theta, self.ahead, self.accelerations, self.inputs, self.parameters)
+
+    def traced(self) -> VelocityBody:
+        """Return its law over symbols or arrays."""
+        return self._law
+
+    @property
+    def axle(self) -> Array:
+        """Coefficients of the body twist in the velocity across the wheels, which is zero, shape (3,)."""
+        return np.asarray(self._law.axle)
+
+    # Kinematics
+
+    @in_numbers
+    def integrate(self, q: ArrayLike, dq: ArrayLike) -> Array:
+        """Return the configuration that the displacement `dq` leads to from `q`, shape (..., 3)."""
+        return np.asarray(self._law.integrate(*_three(q=q, dq=dq)))
+
+    @in_numbers
+    def difference(self, q0: ArrayLike, q1: ArrayLike) -> Array:
+        """Return the displacement from `q0` to `q1`, shape (..., 3); that of psi lies in (-pi, pi]."""
+        return np.asarray(self._law.difference(*_three(q0=q0, q1=q1)))
+
+    def pose(self, q: ArrayLike) -> Array:
+        """Return x, y, psi, shape (..., 3) [m, m, rad]."""
+        return vector("q", q, 3)
+
+    def rate(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """Return the rates of x, y, psi, shape (..., 3) [m/s, m/s, rad/s]."""
+        return _three(q=q, v=v)[1]
+
+    @in_numbers
+    def independent(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """Return speed along the wheels and yaw rate, shape (..., 2) [m/s, rad/s]."""
+        return np.asarray(self._law.independent(*_three(q=q, v=v)))
+
+    @in_numbers
+    def rolling(self, q: ArrayLike, nu: ArrayLike) -> Array:
+        """Return v of a speed and a yaw rate, shape (..., 3) [m/s, m/s, rad/s].
+
+        Parameters
+        ----------
+        q, nu : array_like, shape (..., 3), (..., 2)
+            Configuration, and speed along the wheels and yaw rate [m/s, rad/s].
+        """
+        q, nu = vector("q", q, 3), vector("nu", nu, 2)
+        broadcast(q=q, nu=nu)
+        return np.asarray(self._law.rolling(q, nu))
+
+    @in_numbers
+    def project(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """Return the velocity that rolling leaves, shape (..., 3)."""
+        return np.asarray(self._law.project(*_three(q=q, v=v)))
+
+    def start(self, reference: Any) -> tuple[Array, Array]:
+        """Return the q and v with which a reference begins, shape (3,); what moves sideways is left out."""
+        q = vector("reference.q", reference.q, 3)
+        return q, self.project(q, reference.v)
+
+    def check_start(self, q: ArrayLike, v: ArrayLike) -> None:
+        """Refuse a start at which wheels slide sideways.
+
+        Raises
+        ------
+        InvalidArgument
+            If it is such.
+        """
+        q, v = _three(q=q, v=v)
+        off = float(np.abs(self.project(q, v) - v).max(initial=0.0))
+        if off > _OFF * (1 + float(np.abs(v).max(initial=0.0))):
+            raise InvalidArgument(
+                f"start does not roll: wheels slide sideways at {off:.3g} m/s; expected v0 = "
+                "robot.project(q0, v0), or a reference that the wheels can follow"
+            )
+
+    # Dynamics
+
+    @in_numbers
+    def rates(self, nu: ArrayLike, u: ArrayLike) -> Array:
+        """Return the rates of speed and yaw rate, shape (..., 2) [m/s^2, rad/s^2].
+
+        Parameters
+        ----------
+        nu : array_like, shape (..., 2)
+            Speed along the wheels and yaw rate [m/s, rad/s].
+        u : array_like, shape (..., 2)
+            Commands [m/s, rad/s].
+        """
+        nu, u = vector("nu", nu, 2), vector("u", u, 2)
+        broadcast(nu=nu, u=u)
+        return np.asarray(self._law.rates(nu, u))
+
+    @in_numbers
+    def forward_dynamics(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Array:
+        """Return the acceleration, shape (..., 3) [m/s^2, m/s^2, rad/s^2].
+
+        Parameters
+        ----------
+        q, v : array_like, shape (..., 3)
+            State, which rolls: of v the speed along the wheels and the yaw rate are looked at.
+        u : array_like, shape (..., 2)
+            Commands [m/s, rad/s].
+        f : array_like
+            Forces beside them, which are none.
+
+        Raises
+        ------
+        InvalidArgument
+            As of all methods; or if there is a force.
+        """
+        (q, v), u = _three(q=q, v=v), vector("u", u, 2)
+        broadcast(q=q, v=v, u=u)
+        if finite("f", f).any():
+            raise InvalidArgument(
+                f"f is {shown(f)}, expected none: what firmware does about a force, theta does not tell"
+            )
+        return np.asarray(self._law.forward_dynamics(q, v, u))
+
+    @in_numbers
+    def commands(self, q: ArrayLike, v: ArrayLike, rates: ArrayLike) -> Array:
+        """Return the input at which speed and yaw rate change as wanted, shape (..., 2) [m/s, rad/s].
+
+        It is `regressor` times theta; no limits are looked at. With it `Backstepping` makes of a kinematic
+        law one that knows how late the firmware is.
+
+        Parameters
+        ----------
+        q, v : array_like, shape (..., 3)
+            State, which rolls.
+        rates : array_like, shape (..., 2)
+            Of speed and yaw rate [m/s^2, rad/s^2].
+        """
+        (q, v), rates = _three(q=q, v=v), vector("rates", rates, 2)
+        broadcast(q=q, v=v, rates=rates)
+        return np.asarray(self._law.commands(q, v, rates))
+
+    @in_numbers
+    def regressor(self, q: ArrayLike, v: ArrayLike, rates: ArrayLike) -> Array:
+        """Return the matrix Y of which Y theta are the commands for wanted rates, shape (..., 2, 6).
+
+        Parameters
+        ----------
+        q, v, rates
+            As in `commands`.
+        """
+        (q, v), rates = _three(q=q, v=v), vector("rates", rates, 2)
+        broadcast(q=q, v=v, rates=rates)
+        nu = self._law.independent(q, v)
+        parts = np.broadcast_arrays(nu[..., 0], nu[..., 1], rates[..., 0], rates[..., 1])
+        u, w, faster, turning = parts
+        zero = np.zeros(u.shape)
+        rows = [faster, zero, -w * w, u, zero, zero], [zero, turning, zero, zero, u * w, w]
+        return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+    @in_numbers
+    def reduced(self, q: ArrayLike, v: ArrayLike) -> Reduced:
+        """Return the law in speed and yaw rate nu: M nu' + n = u, v = S nu; see `Reduced`.
+
+        M is diag(theta_1, theta_2) [s]. Limits of acceleration are not in it.
+        """
+        q, v = _three(q=q, v=v)
+        nu = self._law.independent(q, v)
+        lead = nu.shape[:-1]
+        M, B = (np.broadcast_to(x, (*lead, 2, 2)) for x in (np.diag(self.theta[:2]), np.eye(2)))
+        ways = (np.broadcast_to(self._law.rolling(q, way), (*lead, 3)) for way in np.eye(2))
+        return Reduced(M, self._law.commands(q, v, np.zeros(2)), B, np.stack(list(ways), axis=-1), nu)
+
+    # What is drawn
+
+    @cached_property
+    def _drawn(self) -> WheeledRobot:
+        length, width, height = self.size
+        radius = min(0.45 * height, 0.3 * length)
+        support = (-np.sign(self.ahead or 1.0) * 0.3 * length, 0.0)
+        table = WheelTable.differential(width, radius, x=-self.ahead, supports=[support], mass=1e-2)
+        return WheeledRobot(MobileRobot(1.0, 1.0, size=self.size), table)
+
+    @property
+    def visual_model(self) -> pin.GeometryModel:
+        """What is drawn, a copy: a box with a dark front, and its wheels on the axle, which do not spin."""
+        return self._drawn.visual_model
+
+    def drawing(self, q: ArrayLike) -> Array:
+        """Return where the objects of `visual_model` are in the inertial frame, shape (..., k, 4, 4)."""
+        q = vector("q", q, 3)
+        return self._drawn.drawing(np.concatenate([q, np.zeros((*q.shape[:-1], 2))], axis=-1))
+
+
+def _most(name: str, value: ArrayLike) -> Array:
+    """Return limits of speed and yaw rate, or of their rates, shape (2,)."""
+    most = endless_or_finite(name, value)
+    if most.shape not in ((), (2,)) or not (most > 0).all():
+        raise InvalidArgument(
+            f"{name} is {shown(value)}, expected one number > 0, or two: of speed and yaw rate"
+        )
+    return frozen(np.broadcast_to(most, (2,)))
+
+
+def _three(**arrays: ArrayLike) -> tuple[Array, Array]:
+    """Return two arrays of three numbers each, checked."""
+    one, other = (vector(name, array, 3) for name, array in arrays.items())
+    broadcast(**dict(zip(arrays, (one, other), strict=True)))
+    return one, other
+
+
+def _pair(robot: WheeledRobot) -> tuple[Any, Any, float]:
+    """Return a wheel, a motor and the track of a robot on two driven wheels that are alike."""
+    table = robot.table
+    if robot.robot.nv > 3 or table.axes or table.couplings or len(table) != 2 or len(table.actuators) != 2:
+        raise InvalidArgument(
+            "wheeled has arms, or other wheels, expected two fixed wheels, each with a motor, and casters: "
+            "WheelTable.differential"
+        )
+    one, other = table.wheels
+    motors = one.motor, other.motor
+    same = [(getattr(one, n), getattr(other, n)) for n in ("x", "radius", "spin_inertia")] + [
+        (one.y, -other.y)
+    ]
+    if (
+        any(abs(x - y) > _SAME * (1 + abs(x)) for x, y in same)
+        or (one.angle or other.angle or one.roller is not None or other.roller is not None)
+        or one.y == 0
+    ):
+        raise InvalidArgument(
+            "wheeled has wheels that differ, or roll another way than its body's x axis, expected two alike "
+            "on one axle"
+        )
+    if motors[0] is None or motors[0] != motors[1] or not motors[0].is_electric:
+        raise InvalidArgument(
+            "wheeled has motors that take no volts, or differ, expected Motor(resistance=..., "
+            "torque_constant=..., voltage=...) at both wheels"
+        )
+    return one, motors[0], 2 * abs(one.y)

@@ -1,0 +1,351 @@
+"""Theta from logs: published robots found again, delays, limits, firmware of motors, and what is refused."""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pinmobile import (
+    COMPILED,
+    Backstepping,
+    Circle,
+    FixedHeading,
+    Hold,
+    InvalidArgument,
+    Log,
+    MobileRobot,
+    Motor,
+    RandomSteps,
+    Tangent,
+    Tracking,
+    VelocityRobot,
+    WheeledRobot,
+    WheelSpeed,
+    WheelTable,
+    ensemble,
+    identify_velocity,
+    simulate,
+)
+from pinmobile.arrays import Array
+from pinmobile.controllers import Tracked
+from pinmobile.identification import VELOCITY_ROBOTS, VelocityIdentification
+from pinmobile.identification.velocity_fit import Model, cut, guess
+from pinmobile.plant import Context
+
+DT, SECONDS = 0.1, 60.0
+NOISE = np.array([0.005, 0.01])  # m/s, rad/s
+POSE_NOISE = np.array([1e-3, 1e-3, 1e-3])  # m, m, rad
+ROBOT = VELOCITY_ROBOTS["pioneer_3dx_laser"]
+
+
+@cache
+def logged(
+    robot: VelocityRobot = ROBOT,
+    seed: int = 1,
+    *,
+    pose: bool = False,
+    late: int = 0,
+    seconds: float = SECONDS,
+    noise: float = 1.0,
+) -> Log:
+    """Return what is logged of random steps: twists by default, commands that act late."""
+    still = FixedHeading(Hold((0, 0), seconds), 0.0)
+    substeps = int(np.ceil(DT / min(robot.time_constants) / 0.2))
+    run = simulate(robot, RandomSteps(seed=seed), still, dt=DT, substeps=substeps, engine=COMPILED)
+    rng = np.random.default_rng([seed, 7])
+    commands = np.vstack([run.u[late:], np.repeat(run.u[-1:], late, axis=0)])
+    if pose:
+        return Log(run.t, run.q + noise * POSE_NOISE * rng.normal(size=run.q.shape), commands)
+    nu = robot.independent(run.q, run.v)
+    u, w = (nu + noise * NOISE * rng.normal(size=nu.shape)).T
+    return Log(run.t, None, commands, twist=np.stack([u, 0 * u, w], axis=-1))
+
+
+@cache
+def found(robot: VelocityRobot = ROBOT, **options: Any) -> VelocityIdentification:
+    return identify_velocity(logged(robot, **options))
+
+
+@pytest.mark.parametrize("name", ["pioneer_3dx_laser", "robulab_10", "agilex_limo"])
+def test_published_robots_are_found_again(name: str) -> None:
+    """Here one log of three of them; the benchmark has all ten, in several kinds of logs."""
+    robot = VELOCITY_ROBOTS[name]
+    one = found(robot, seed=list(VELOCITY_ROBOTS).index(name))
+    bounds, errors = one.interval(), one.standard_errors
+    inside = [low <= x <= high for x, (low, high) in zip(robot.theta, bounds.values(), strict=False)]
+    # Of six independent ones with 95 %, three and less are inside in 9e-5 of all logs.
+    assert sum(inside) >= 4
+    z = [(one.parameters[f"theta_{k + 1}"] - x) / errors[f"theta_{k + 1}"] for k, x in enumerate(robot.theta)]
+    assert np.abs(z).max() < 4
+    assert one.rank == 7
+    assert one.outliers <= 2
+    assert one.explained > 0.95
+
+
+def test_without_noise_it_is_exact() -> None:
+    """What is left is rk4's: (h / T)^5 / 120 = 1e-6 of a step of 0.1 s."""
+    for pose in (False, True):
+        one = identify_velocity(logged(pose=pose, noise=0.0), delay=0.0)
+        np.testing.assert_allclose(one.theta, ROBOT.theta, rtol=0, atol=2e-4)
+
+
+@pytest.mark.parametrize("late", [0, 3])
+@pytest.mark.parametrize("pose", [False, True])
+def test_a_delay_is_found_to_a_fifth_of_a_sample(late: int, pose: bool) -> None:
+    one = found(late=late, pose=pose)
+    assert one.delay == pytest.approx(late * DT, abs=0.2 * DT)
+    assert abs(one.delay - late * DT) < 4 * one.standard_errors["delay"]
+    assert abs(one.parameters["theta_1"] - ROBOT.theta[0]) < 4 * one.standard_errors["theta_1"]
+    given = identify_velocity(logged(late=late, pose=pose), delay=late * DT)
+    assert "delay" not in given.names
+    assert given.delay == late * DT
+    assert given.standard_errors["theta_1"] < 1.2 * one.standard_errors["theta_1"]
+
+
+def test_a_forgotten_delay_is_a_wrong_theta() -> None:
+    wrong = identify_velocity(logged(late=3), delay=0.0)
+    assert abs(wrong.parameters["theta_1"] - ROBOT.theta[0]) > 0.1
+    assert any("hangs together" in note for note in wrong.notes)
+
+
+def test_the_weak_form_begins_near() -> None:
+    runs = [logged(late=3).samples()]
+    theta, late = guess(runs, 6, None)
+    assert late == pytest.approx(3.0, abs=0.3)
+    np.testing.assert_allclose(theta, ROBOT.theta, rtol=0, atol=0.02)
+
+
+def test_what_is_simulated_is_what_the_plant_does() -> None:
+    """Two loops: the plant's in the plane, and that of the fit in speed and yaw rate."""
+    log, model = logged(noise=0.0, seconds=10.0), Model((), 0.0, 0.0, np.full(2, np.inf))
+    cuts = cut([log.samples()], 2.0, 3)
+    ways = model.simulate(cuts, ROBOT.theta[None], cuts.y[None, :, 0])[0]
+    np.testing.assert_allclose(ways, cuts.y, rtol=0, atol=2e-5)  # of rk4 with 0.1 s beside that with 0.05 s
+
+
+def test_where_the_axle_is_and_what_firmware_allows_are_found() -> None:
+    robot = VelocityRobot(ROBOT.theta, ahead=0.15)
+    one = identify_velocity(logged(robot, pose=True), ahead=None)
+    assert abs(one.parameters["ahead"] - 0.15) < 4 * one.standard_errors["ahead"]
+    assert one.standard_errors["ahead"] < 1e-3
+    assert one.robot().ahead == one.parameters["ahead"]
+    robot = VelocityRobot(ROBOT.theta, accelerations=(0.6, 1.5))
+    one = identify_velocity(logged(robot), accelerations=None)
+    for name, true in (("acceleration", 0.6), ("yaw_acceleration", 1.5), ("theta_1", ROBOT.theta[0])):
+        assert abs(one.parameters[name] - true) < 4 * one.standard_errors[name]
+    np.testing.assert_array_equal(one.robot().accelerations, one.values[-2:])
+    plain = identify_velocity(logged(robot))
+    assert any("hangs together" in note for note in plain.notes)
+
+
+def test_outliers_and_lost_rows_are_left_out() -> None:
+    log = logged()
+    assert log.twist is not None
+    rng, twist, u = np.random.default_rng(5), log.twist.copy(), log.u.copy()
+    wild = rng.choice(np.arange(10, 590), 20, replace=False)
+    twist[wild, 0] += 0.3 * rng.choice([-1, 1], 20)
+    twist[rng.choice(np.setdiff1d(np.arange(10, 590, 3), wild), 12, replace=False), 2] = np.nan
+    one = identify_velocity(Log(log.t, None, u, twist=twist))
+    assert one.dropped == 12
+    assert 18 <= one.outliers <= 26  # some more where a command was lost with its row
+    z = (one.theta - ROBOT.theta) / [one.standard_errors[name] for name in one.names[:6]]
+    assert np.abs(z).max() < 4
+
+
+def test_several_logs_are_taken_together() -> None:
+    halves = [logged().between(0.0, 30.0), logged().between(30.0, 60.5)]
+    one = identify_velocity(halves)
+    whole = found()
+    assert abs(one.segments - whole.segments) <= 2
+    close = np.abs(one.theta - whole.theta) / [whole.standard_errors[name] for name in whole.names[:6]]
+    assert close.max() < 1.5
+
+
+def test_a_table_says_it_all() -> None:
+    told = str(found())
+    for words in ("theta_6", "95 % interval", "delay", "left over: speed", "theta_3 may as well be zero"):
+        assert words in told
+    assert found().insignificant[0] == "theta_3"
+    assert "where a loop whose motors lose anything has more than 1" in told  # 0.9965 +- 0.001
+    assert repr(found()).startswith("<VelocityIdentification: theta 0.26")
+    assert dict(found().units)["theta_5"] == "s/m"
+
+
+def test_another_log_is_predicted_to_its_noise() -> None:
+    again = found().predict(logged(seed=9))
+    assert again.names == ("speed", "yaw rate")
+    np.testing.assert_allclose(again.rms, NOISE, rtol=0.1)  # of 580 samples: 3 %
+    other = found().predict(logged(VELOCITY_ROBOTS["pioneer_3dx"], seed=9))
+    assert (other.rms > 2 * NOISE).any()
+
+
+def test_draws_are_as_wide_as_intervals_and_are_a_spread() -> None:
+    one = found()
+    draws = one.spread(4000, seed=3)
+    assert list(draws) == [f"theta_{k}" for k in range(1, 7)]
+    for name, values in draws.items():
+        low, high = one.interval()[name]
+        share = ((values >= low) & (values <= high)).mean()
+        assert share == pytest.approx(0.95, abs=0.015)  # 4 sqrt(0.95 * 0.05 / 4000)
+    robot = one.robot()
+    runs = ensemble(
+        robot,
+        Backstepping(Tracking(), robot),
+        Tangent(Circle(1.0, 0.5, 5.0)),
+        n=200,
+        spread=one.spread(200),
+        dt=0.05,
+    )
+    assert runs.engine == COMPILED.name
+    assert runs.max_error[:, :2].max() < 0.01
+
+
+class Stepping:
+    """A kinematic law that asks for random steps."""
+
+    def __init__(self, steps: RandomSteps) -> None:
+        self.steps = steps
+
+    def initial_state(self, context: Context) -> Any:
+        return self.steps.initial_state(context), np.zeros(2)
+
+    def check(self, t: Array, speed: Array, yaw_rate: Array) -> None:
+        return
+
+    def __call__(self, tracked: Tracked, state: Any) -> tuple[tuple[Any, Any], Any]:
+        (speed, w), inner = self.steps(0.0, *np.zeros((2, 3)), None, state[0])  # type: ignore[arg-type]
+        return (speed, w), (inner, np.stack([speed, w]))
+
+
+class Told:
+    """`WheelSpeed` that tells what it was commanded."""
+
+    def __init__(self, inner: WheelSpeed) -> None:
+        self.controller = inner
+
+    def initial_state(self, context: Context) -> Any:
+        return self.controller.initial_state(context)
+
+    def applied(self, u: Array, state: Any) -> Any:
+        return self.controller.applied(u, state)
+
+    def __call__(self, t: float, q: Array, v: Array, reference: Any, state: Any) -> tuple[Array, Any]:
+        return self.controller(t, q, v, reference, state)
+
+    def signals(self, state: Any) -> dict[str, Any]:
+        return {"speed": ("m/s", state[0][1][0]), "yaw rate": ("rad/s", state[0][1][1])}
+
+
+@cache
+def of_motors(ki: float) -> Log:
+    """Return the log of a robot with motors and firmware, all of it simulated."""
+    motor = Motor(resistance=1.2, torque_constant=0.03, voltage=200.0, gear=20.0, viscous=2e-5)
+    table = WheelTable.differential(
+        0.5,
+        0.1,
+        motor=motor,
+        supports=[(-0.2, 0.0), (0.2, 0.0)],
+        mass=1.0,
+        spin_inertia=0.01,
+        yaw_inertia=0.006,
+    )
+    robot = WheeledRobot(MobileRobot(30.0, 2.3, com=(0.06, 0.0, 0.2)), table).by_voltage()
+    still = FixedHeading(Hold((0, 0), 60.0), 0.0)
+    controller = Told(WheelSpeed(Stepping(RandomSteps(seed=2)), robot, 0.8, ki))
+    run = simulate(robot, controller, still, dt=0.005, engine=COMPILED)
+    commands = np.stack([run.signals[name].values for name in ("speed", "yaw rate")], axis=-1)
+    rng = np.random.default_rng(8)
+    poses = run.q[::16, :3] + 1e-3 * rng.normal(size=(len(run.q[::16]), 3))
+    held = commands[:-1].reshape(-1, 16, 2).mean(axis=1)
+    return Log(run.t[::16], poses, np.vstack([held, held[-1:]]))
+
+
+def robot_of_motors() -> VelocityRobot:
+    motor = Motor(resistance=1.2, torque_constant=0.03, voltage=200.0, gear=20.0, viscous=2e-5)
+    table = WheelTable.differential(
+        0.5,
+        0.1,
+        motor=motor,
+        supports=[(-0.2, 0.0), (0.2, 0.0)],
+        mass=1.0,
+        spin_inertia=0.01,
+        yaw_inertia=0.006,
+    )
+    return VelocityRobot.from_motors(WheeledRobot(MobileRobot(30.0, 2.3, com=(0.06, 0.0, 0.2)), table), 0.8)
+
+
+def test_a_log_of_motors_and_firmware_tells_the_theta_of_their_formulas() -> None:
+    expected, one = robot_of_motors(), identify_velocity(of_motors(0.0))
+    # Firmware that samples every 5 ms sees rates late by half of it: kp exp(-s h / 2) = kp - kp s h / 2.
+    off = one.theta - expected.theta + np.array([0.0025, 0.0025, 0, 0, 0, 0])
+    errors = np.array([one.standard_errors[name] for name in one.names[:6]])
+    assert (np.abs(off) < 4 * errors).all()
+    assert abs(one.delay) < 4 * one.standard_errors["delay"]
+    assert one.explained > 0.999
+
+
+def test_firmware_with_an_integral_has_a_theta_that_comes_near() -> None:
+    one = identify_velocity(of_motors(1.0))
+    assert one.explained > 0.97
+    # An integral leaves no steady error.
+    np.testing.assert_allclose(one.theta[[3, 5]], 1.0, rtol=0, atol=0.08)
+
+
+def changed(log: Log, **new: Any) -> Log:
+    return Log(**{**{name: getattr(log, name) for name in ("t", "q", "u", "twist")}, **new})
+
+
+@pytest.mark.parametrize(
+    ("call", "why"),
+    [
+        (lambda: identify_velocity(3), "log is 3, expected a Log, or several"),  # type: ignore[arg-type]
+        (lambda: identify_velocity([]), r"log is \[\], expected a Log"),
+        (
+            lambda: identify_velocity(logged().between(0.0, 30.0)),
+            r"29.9 s long, which gives 14 segments of 2 s, too short: expected 20, .*: 41 s and more",
+        ),
+        (
+            lambda: identify_velocity(changed(logged(), u=np.zeros((601, 3)))),
+            "log has 3 inputs, expected two, commands of speed and yaw rate: is it of a robot that takes",
+        ),
+        (
+            lambda: identify_velocity(changed(logged(), u=np.ones((601, 2)))),
+            "commands that never change, expected excitation, such as RandomSteps",
+        ),
+        (lambda: identify_velocity(logged(), delay=9.0), r"delay is 9.0 s, expected 0 to 0.6 s, or None"),
+        (lambda: identify_velocity(logged(), ahead=None), "ahead is None, and the log measures a twist"),
+        (lambda: identify_velocity(logged(), seconds=0.1), "seconds is 0.1, expected 3 samples"),
+        (lambda: identify_velocity([logged(), logged(pose=True)]), "a twist, and another one a pose"),
+        (lambda: found().interval(1.0), "level is 1, expected one between 0 and 1"),
+        (lambda: found().predict(logged(pose=True)), "a twist, and another one a pose"),
+    ],
+)
+def test_what_is_no_such_log_is_refused(call: Any, why: str) -> None:
+    with pytest.raises(InvalidArgument, match=why):
+        call()
+
+
+def test_a_motion_that_tells_too_little_is_told_in_words() -> None:
+    straight = RandomSteps((-0.2, 0.0), (0.8, 0.0), seed=1)
+    run = simulate(ROBOT, straight, FixedHeading(Hold((0, 0), 60.0), 0.0), dt=DT, engine=COMPILED)
+    speed = ROBOT.independent(run.q, run.v)[:, 0]
+    twist = np.stack([speed, 0 * speed, 0 * speed], axis=-1)
+    twist = twist + 0.005 * np.random.default_rng(1).normal(size=twist.shape) * [1, 0, 1]
+    one = identify_velocity(Log(run.t, None, run.u, twist=twist))
+    assert one.hidden == ("theta_2", "theta_3", "theta_5", "theta_6")
+    assert one.unseen == "the motion tells nothing of theta_2, theta_3, theta_5, theta_6: rank 3 of 7"
+    assert np.isinf(one.interval()["theta_2"]).all()
+    assert abs(one.parameters["theta_1"] - ROBOT.theta[0]) < 4 * one.standard_errors["theta_1"]
+    for ask in (one.robot, lambda: one.spread(3)):
+        with pytest.raises(
+            InvalidArgument, match=r"tells nothing of theta_2, .*: expected one in which speed"
+        ):
+            ask()
+
+
+def test_a_log_of_another_robot_is_told() -> None:
+    log = logged(seconds=45.0)
+    shuffled = changed(log, u=np.random.default_rng(1).permutation(log.u))
+    one = identify_velocity(shuffled)
+    assert any("are commands and motion of one robot" in note for note in one.notes)

@@ -1,0 +1,352 @@
+"""Robots that take speeds for commands: their law, what it follows from, and loops around them."""
+
+import pickle
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+import sympy
+
+from pinmobile import (
+    COMPILED,
+    Backstepping,
+    Circle,
+    ConstantForce,
+    FixedHeading,
+    Hold,
+    InvalidArgument,
+    Kanayama,
+    MobileRobot,
+    Motor,
+    RandomSteps,
+    Reference,
+    Tangent,
+    Tracking,
+    Uniform,
+    VelocityCommand,
+    VelocityRobot,
+    WheeledRobot,
+    WheelSpeed,
+    WheelTable,
+    ensemble,
+    rk4,
+    simulate,
+)
+from pinmobile.arrays import Array
+from pinmobile.controllers import Tracked
+from pinmobile.identification import VELOCITY_ROBOTS
+from pinmobile.plant import Context
+from pinmobile.viewer import Viewer
+from pinmobile.wheels import Mobility
+
+THETA = (0.26, 0.25, 0.03, 1.1, 0.2, 1.2)
+MOTOR = Motor(resistance=1.2, torque_constant=0.03, voltage=1e3, gear=20.0, rotor_inertia=1e-5, viscous=2e-5)
+KP = 0.8  # V s/rad
+
+
+def on_wheels(x: float = 0.0, motor: Motor = MOTOR, com: Any = (0.06, 0.0, 0.2)) -> WheeledRobot:
+    wheel: Any = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
+    supports = [(-0.25, 0.0), (0.25, 0.0)]
+    table = WheelTable.differential(0.5, 0.1, x=x, motor=motor, supports=supports, **wheel)
+    return WheeledRobot(MobileRobot(30.0, 2.3, com=com), table)
+
+
+class Fed:
+    """A kinematic law that asks for the reference's speed and yaw rate."""
+
+    def initial_state(self, context: Context) -> None:
+        return
+
+    def check(self, t: Array, speed: Array, yaw_rate: Array) -> None:
+        return
+
+    def __call__(self, tracked: Tracked, state: None) -> tuple[tuple[Any, Any], None]:
+        return (tracked.speed, tracked.yaw_rate), state
+
+
+class Waves:
+    """A reference of which speed and yaw rate alone matter, of a point ahead of the axle."""
+
+    duration = 4.0
+
+    def __init__(self, ahead: float = 0.0) -> None:
+        self.ahead = ahead
+
+    def __call__(self, t: Any) -> Reference:
+        t = np.asarray(t, float)
+        u, w = 0.5 + 0.3 * np.sin(1.7 * t), 0.3 + 0.8 * np.sin(1.3 * t)
+        psi, zero = 0.3 * t + 0.8 / 1.3 * (1 - np.cos(1.3 * t)), 0 * t
+        c, s, aside = np.cos(psi), np.sin(psi), self.ahead * w
+        v = np.stack([u * c - aside * s, u * s + aside * c, w], axis=-1)
+        return Reference(np.stack([zero, zero, psi], axis=-1), v, 0 * v)
+
+
+def test_the_acceleration_is_the_derivative_of_the_velocity() -> None:
+    """The law, once more by sympy: d/dt of the kinematics with u' and w' in place."""
+    u, w, psi, a, uc, wc, t1, t2, t3, t4, t5, t6 = names = sympy.symbols("u w psi a uc wc t1 t2 t3 t4 t5 t6")
+    faster = (t3 * w**2 - t4 * u + uc) / t1
+    turning = (-t5 * u * w - t6 * w + wc) / t2
+    place = sympy.Matrix(
+        [u * sympy.cos(psi) - a * w * sympy.sin(psi), u * sympy.sin(psi) + a * w * sympy.cos(psi), w]
+    )
+    rate = place.diff(u) * faster + place.diff(w) * turning + place.diff(psi) * w
+    expected = sympy.lambdify(names, list(rate))
+    robot, rng = VelocityRobot(THETA, ahead=0.15), np.random.default_rng(1)
+    for _ in range(20):
+        q, nu, command = rng.normal(size=3), rng.normal(size=2), rng.normal(size=2)
+        found = robot.forward_dynamics(q, robot.rolling(q, nu), command)
+        np.testing.assert_allclose(found, expected(*nu, q[2], 0.15, *command, *THETA), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("robot", VELOCITY_ROBOTS.values(), ids=list(VELOCITY_ROBOTS))
+def test_commands_are_the_inverse_and_linear_in_theta(robot: VelocityRobot) -> None:
+    rng = np.random.default_rng(2)
+    q, nu, rates = rng.normal(size=(50, 3)), rng.normal(size=(50, 2)), rng.normal(size=(50, 2))
+    v = robot.rolling(q, nu)
+    u = robot.commands(q, v, rates)
+    np.testing.assert_allclose(robot.rates(nu, u), rates, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(robot.regressor(q, v, rates) @ robot.theta, u, rtol=0, atol=1e-12)
+    own = robot.reduced(q, v)
+    np.testing.assert_allclose(np.einsum("nij,nj->ni", own.M, rates) + own.n, u, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(np.einsum("nij,nj->ni", own.S, own.nu), v, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(robot.independent(q, v), nu, rtol=0, atol=1e-12)
+
+
+def test_steps_alone_are_exponentials() -> None:
+    """Without coupling, speed and yaw rate follow exp(-t / T) to the gain 1 / theta_4, 1 / theta_6."""
+    robot = VelocityRobot([0.3, 0.2, 0.0, 1.5, 0.0, 0.8])
+    steps = RandomSteps((0.6, 0.4), (0.6, 0.4), (9.0, 9.0))
+    run = simulate(robot, steps, FixedHeading(Hold((0, 0), 2.0), 0.0), dt=0.02)
+    slow, turning = robot.time_constants
+    assert (slow, turning) == pytest.approx((0.2, 0.25))
+    speed, w = robot.independent(run.q, run.v).T
+    # rk4's error a step is (h / T)^5 / 120 = 8e-8 of what is left.
+    np.testing.assert_allclose(speed, 0.4 * (1 - np.exp(-run.t / slow)), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(w, 0.5 * (1 - np.exp(-run.t / turning)), rtol=0, atol=1e-6)
+    psi = 0.5 * (run.t - turning * (1 - np.exp(-run.t / turning)))
+    np.testing.assert_allclose(run.q[:, 2], psi, rtol=0, atol=1e-6)
+
+
+def test_it_rolls_all_the_way_and_rk4_keeps_its_order() -> None:
+    robot = VelocityRobot(THETA, ahead=0.2)
+    ends = []
+    for dt in (0.1, 0.05, 0.025, 0.0125):
+        run = simulate(robot, VelocityCommand(Fed(), robot), Waves(0.2), dt=0.1, substeps=round(0.1 / dt))
+        across = run.v[:, 1] * np.cos(run.q[:, 2]) - run.v[:, 0] * np.sin(run.q[:, 2])
+        np.testing.assert_allclose(across, 0.2 * run.v[:, 2], rtol=0, atol=1e-13)
+        ends.append(run.q[-1])
+    steps = [np.abs(one - other).max() for one, other in pairwise(ends)]
+    orders = np.log2(np.divide(steps[:-1], steps[1:]))
+    assert (orders > 3.5).all()
+
+
+def test_accelerations_and_commands_are_limited() -> None:
+    robot = VelocityRobot(THETA, limits=(0.5, 0.4), accelerations=(0.8, 1.5))
+    steps = RandomSteps((-2.0, -2.0), (2.0, 2.0), (0.5, 1.0))
+    run = simulate(robot, steps, FixedHeading(Hold((0, 0), 10.0), 0.0), dt=0.02)
+    assert np.abs(run.u).max(axis=0) == pytest.approx([0.5, 0.4])
+    rates = np.diff(robot.independent(run.q, run.v), axis=0) / 0.02
+    # Within a step rk4 leaves the circle on which the body turns by (w h)^5 / 120.
+    assert np.abs(rates).max(axis=0) == pytest.approx([0.8, 1.5], rel=1e-7)
+    names = [one.name for one in robot.parameters]
+    assert names[-2:] == ["acceleration", "yaw_acceleration"]
+    assert "acceleration" not in [one.name for one in VelocityRobot(THETA).parameters]
+
+
+@pytest.mark.parametrize("x", [0.0, -0.1])
+@pytest.mark.parametrize("kd", [0.0, 0.02])
+@pytest.mark.parametrize("efficiency", [1.0, 0.7])
+def test_theta_of_motors_is_the_reduced_dynamics_of_the_wheeled_robot(
+    x: float, kd: float, efficiency: float
+) -> None:
+    """M nu' + n = B torques, by Pinocchio's tree, with the motors' and the firmware's law solved for nu'."""
+    motor = replace(MOTOR, efficiency=efficiency)
+    wheeled = on_wheels(x, motor)
+    robot = VelocityRobot.from_motors(wheeled.by_voltage() if x else wheeled, KP, kd)
+    rng, G, R = np.random.default_rng(3), motor.gear, float(motor.resistance or 0)
+    K, B = G * float(motor.torque_constant or 0), efficiency * G * G * motor.viscous
+    T = wheeled.wheel_rates(np.array([[1, 0, 0], [0, -x, 1]])).T
+    for _ in range(5):
+        q = np.append(rng.normal(size=3), [0, 0])
+        v, u = wheeled.project(q, rng.normal(size=5)), rng.normal(size=2)
+        own = wheeled.reduced(q, v)
+        np.testing.assert_allclose(robot.independent(q[:3], v[:3]), own.nu, rtol=0, atol=1e-12)
+        share = efficiency * K / R
+        left = own.M + own.B @ (share * kd * T)
+        volts = KP * T @ (u - own.nu) - K * T @ own.nu
+        right = own.B @ (share * volts - B * T @ own.nu) - own.n
+        expected = np.linalg.solve(left, right)
+        np.testing.assert_allclose(robot.rates(own.nu, u), expected, rtol=0, atol=1e-10)
+
+
+def test_theta_of_motors_is_what_the_wheeled_robot_does() -> None:
+    """Firmware samples: what differs falls with dt, and is nothing at dt = 0."""
+    wheeled = on_wheels().by_voltage()
+    robot = VelocityRobot.from_motors(wheeled, KP)
+    controller, off = WheelSpeed(Fed(), wheeled, KP), []
+    for dt in (0.004, 0.002):
+        options: Any = {"dt": dt, "engine": COMPILED}
+        full = simulate(wheeled, controller, Waves(), q0=np.zeros(5), v0=np.zeros(5), **options)
+        command = VelocityCommand(Fed(), robot)
+        short = simulate(robot, command, Waves(), q0=np.zeros(3), v0=np.zeros(3), **options)
+        off.append((full.q[:, :3] - short.q)[:: round(0.004 / dt)])
+    first, second = (np.abs(each).max() for each in off)
+    assert first < 1e-3
+    assert 1.9 < first / second < 2.1
+    assert np.abs(2 * off[1] - off[0]).max() < 1e-2 * second
+
+
+def test_what_theta_cannot_hold_is_told() -> None:
+    motor = replace(MOTOR, coulomb=0.01, current=10.0)
+    robot = VelocityRobot.from_motors(on_wheels(motor=motor, com=(0.06, 0.02, 0.2)), KP)
+    for word in ("dry friction", "limits of 1000 V and 10 A", "centre of mass 0.02 m aside"):
+        assert word in robot.source
+    assert robot.problems == ()
+
+
+def test_physics_leaves_its_mark_on_theta() -> None:
+    one, two, three, four, five, six = VelocityRobot.from_motors(on_wheels(), KP).theta
+    kT, kR, d = KP / 0.1, KP * 0.5 / 0.2, 0.5
+    assert three / five == pytest.approx(d * kR / (2 * kT))
+    assert (six - 1) / (four - 1) == pytest.approx(d * kT / (2 * kR))
+    heavier = WheeledRobot(MobileRobot(37.0, 2.3, com=(0.06, 0.0, 0.2)), on_wheels().table)
+    more = VelocityRobot.from_motors(heavier, KP).theta
+    by = 1.2 / (20.0 * 0.03)  # ohm A/(N m)
+    assert more[0] - one == pytest.approx(by * 0.1 * 7.0 / (2 * kT))
+    assert (one, two, four, six) > (0, 0, 1, 1)
+
+
+@pytest.mark.parametrize(
+    ("made", "why"),
+    [
+        (lambda: VelocityRobot([1.0, 1.0]), r"theta has shape \(2,\), expected \(6,\)"),
+        (lambda: VelocityRobot((-1.0, *THETA[1:])), r"theta\[0\] is -1.0 s, expected > 0"),
+        (lambda: VelocityRobot(THETA, limits=(1.0, -1.0)), "limits is .*, expected one number > 0, or two"),
+        (lambda: VelocityRobot(THETA, accelerations=[1, 1, 1]), "accelerations is .*, or two"),
+        (lambda: VelocityRobot.from_motors(MobileRobot.box(), 1.0), "expected a WheeledRobot"),  # type: ignore[arg-type]
+        (lambda: VelocityRobot.from_motors(on_wheels(), 0.0), "kp is 0.0 V s/rad, expected > 0"),
+        (lambda: VelocityRobot.from_motors(on_wheels(motor=Motor(torque_limit=3.0)), 1.0), "take no volts"),
+        (lambda: VelocityRobot.from_motors(on_wheels().mount("ur5"), 1.0), "wheeled has arms"),
+        (lambda: VelocityCommand(3, VelocityRobot(THETA)), "law is 3, expected a kinematic law"),  # type: ignore[arg-type]
+        (lambda: VelocityCommand(Tracking(), MobileRobot.box()), "expected a VelocityRobot"),
+        (lambda: RandomSteps(hold=(0.0, 1.0)), "expected 0 < shortest <= longest"),
+        (lambda: RandomSteps((1.0, 0.0), (0.0, 1.0)), "largest is .*, expected at least lowest"),
+    ],
+)
+def test_what_is_no_robot_is_refused(made: Any, why: str) -> None:
+    with pytest.raises(InvalidArgument, match=why):
+        made()
+
+
+def test_no_force_pushes_it_and_it_starts_rolling() -> None:
+    robot = VelocityRobot(THETA)
+    command, circle = VelocityCommand(Tracking(), robot), Tangent(Circle(1.0, 0.5, 1.0))
+    with pytest.raises(InvalidArgument, match="VelocityRobot, which has no effort"):
+        simulate(robot, command, circle, dt=0.1, forces=[ConstantForce((1.0, 0.0, 0.0))])
+    with pytest.raises(InvalidArgument, match="what firmware does about a force, theta does not tell"):
+        robot.forward_dynamics(np.zeros(3), np.zeros(3), np.zeros(2), [1.0, 0.0, 0.0])
+    with pytest.raises(InvalidArgument, match=r"wheels slide sideways at 0\.3 m/s"):
+        simulate(robot, command, circle, dt=0.1, q0=np.zeros(3), v0=[0.5, 0.3, 0.0])
+    with pytest.raises(InvalidArgument, match="reference moves sideways"):
+        simulate(
+            VelocityRobot(THETA, ahead=0.2),
+            VelocityCommand(Tracking(), VelocityRobot(THETA, 0.2)),
+            circle,
+            dt=0.1,
+        )
+
+
+@pytest.mark.parametrize("law", [Tracking(), Kanayama()])
+def test_backstepping_knows_how_late_the_firmware_is(law: Any) -> None:
+    robot, circle = VELOCITY_ROBOTS["robulab_10"], Tangent(Circle(1.0, 0.5, 10.0))
+    plain, knowing = (
+        simulate(robot, controller, circle, dt=0.02, engine=COMPILED).max_error()[:2].max()
+        for controller in (VelocityCommand(law, robot), Backstepping(law, robot))
+    )
+    assert plain > 0.1
+    assert knowing < 1e-6
+
+
+def test_a_wrong_theta_costs_what_it_is_wrong_by() -> None:
+    robot, circle = VelocityRobot(THETA), Tangent(Circle(1.0, 0.5, 10.0))
+    runs = ensemble(
+        robot,
+        Backstepping(Tracking(), robot),
+        circle,
+        n=40,
+        spread={
+            "theta_1": Uniform(0.2, 0.3),
+            "theta_4": Uniform(1.0, 1.2),
+            "model_theta_6": Uniform(1.1, 1.3),
+        },
+        dt=0.05,
+    )
+    assert runs.engine == COMPILED.name
+    assert 1e-3 < runs.max_error[:, :2].max() < 0.1
+
+
+def test_random_steps_are_independent_and_within_their_bounds() -> None:
+    robot, still = VelocityRobot(THETA), FixedHeading(Hold((0, 0), 200.0), 0.0)
+    run, again, other = (
+        simulate(robot, RandomSteps(seed=seed), still, dt=0.1, engine=COMPILED) for seed in (0, 0, 1)
+    )
+    np.testing.assert_array_equal(run.u, again.u)
+    assert np.abs(run.u - other.u).max() > 0.5
+    assert (run.u >= [-0.2, -1.3]).all()
+    assert (run.u <= [0.8, 1.3]).all()
+    for column in run.u.T:
+        jumps = np.flatnonzero(np.diff(column)) + 1
+        held = np.diff(jumps) * 0.1
+        assert held.min() > 0.35
+        assert held.max() < 2.55
+        # 200 s of holds of 1.45 s in the mean with a deviation of 0.61 s: 138 of them, give or take 5.
+        assert 110 < len(jumps) < 170
+    # Of 138 independent levels a correlation is within 4 / sqrt(138).
+    assert abs(float(np.asarray(np.corrcoef(run.u.T))[0, 1])) < 0.35
+
+
+def test_published_robots_say_where_they_come_from_and_what_they_break() -> None:
+    assert len(VELOCITY_ROBOTS) == 10
+    for name, robot in VELOCITY_ROBOTS.items():
+        assert "Martins" in robot.source or "LIMO" in robot.source
+        assert all(each in robot.source for each in robot.problems)
+        _, _, three, four, five, six = robot.theta
+        assert bool(robot.problems) == (four < 1 or six < 1 or three * five < 0) == (name != "robulab_10")
+
+
+def test_it_is_one_value() -> None:
+    robot = VelocityRobot(THETA, ahead=0.1, limits=(0.8, np.inf), accelerations=1.0, source="a test")
+    for twin in (pickle.loads(pickle.dumps(robot)), replace(robot), VelocityRobot(**vars_of(robot))):
+        assert twin == robot
+        assert hash(twin) == hash(robot)
+    assert repr(robot) == (
+        "VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2], ahead=0.1, limits=(0.8, np.inf), "
+        "accelerations=(1, 1))"
+    )
+    assert eval(repr(robot)) == replace(robot, source="")
+    assert robot != VelocityRobot(THETA)
+    assert not robot.theta.flags.writeable
+    drive = Mobility.of(WheelTable.differential(0.5, 0.1))
+    assert (robot.mobility.mobility, robot.mobility.steerability) == (drive.mobility, drive.steerability)
+    assert VelocityRobot.integrator is rk4
+
+
+def vars_of(robot: VelocityRobot) -> dict[str, Any]:
+    return {
+        name: getattr(robot, name) for name in ("theta", "ahead", "limits", "accelerations", "size", "source")
+    }
+
+
+def test_the_viewer_draws_it_on_its_axle() -> None:
+    robot = VelocityRobot(THETA, ahead=0.12)
+    names = [item.name for item in robot.visual_model.geometryObjects]
+    assert {"left/tyre", "right/tyre"} <= set(names)
+    placed = robot.drawing([1.0, 2.0, np.pi / 2])
+    tyre = placed[names.index("left/tyre"), :3, 3]
+    np.testing.assert_allclose(tyre[:2], [1.0 - 0.5 * 0.38, 2.0 - 0.12], rtol=0, atol=1e-12)
+    run = simulate(robot, RandomSteps(), FixedHeading(Hold((0, 0), 2.0), 0.0), dt=0.1)
+    with Viewer(robot) as viewer:
+        viewer.display(run.q[-1])
+        assert viewer.record(run).tracks
