@@ -92,8 +92,8 @@ for name, drive in drives.items():
 print(f"\nskid-steer {drives['skid-steer'].mobility.why_not}.")
 
 # %% [markdown]
-# A drive of mobility 3 can start in any direction; of mobility 2 only along its axle's normal and about
-# it; the car's body has one free direction at each steering angle. The skid-steer base cannot roll at all,
+# A drive of mobility 3 can start in any direction; of mobility 2 only straight on and about the vertical;
+# the car's body has one free direction at each steering angle. The skid-steer base cannot roll at all,
 # but straight on: it has its place in notebook 9.
 #
 # ## The equations of motion, step by step

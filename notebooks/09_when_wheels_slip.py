@@ -324,9 +324,8 @@ print(f"and is at {misled.q[-1, 0]:.3f} m, {aside:.3f} m aside, its heading off 
 plots.odometry(misled, title="Straight on, with a left wheel that is 1 % smaller than believed")
 
 # %% [markdown]
-# Ten thousand robots whose two wheels are each off by 0.5 % (standard deviation), as wheels are that are
-# bought as equal. Their difference has $\sqrt 2$ times that, and half of it times $10^2$ over the track is
-# how far they end aside:
+# Ten thousand robots whose two wheels are each off by 0.5 % (standard deviation), say. Their difference
+# has $\sqrt 2$ times that, and half of it times $10^2$ over the track is how far they end aside:
 
 # %%
 fleet = ensemble(
@@ -352,7 +351,7 @@ for share in shares:
 # f38b789, with the wheels locked; its front axle hangs on a rocker, which is held here). The hand draws a
 # wave on a wall, 2 m long in 5 s, longer than the arm. `resolve` finds a motion of base and arm together,
 # `EndEffectorTracking` follows the wave by the torques of ten motors: four wheels, six joints. The
-# friction is 0.4, as of hard rollers on a smooth floor.
+# friction is taken as 0.4.
 
 # %%
 rollers = WheelTable.mecanum(
@@ -413,7 +412,8 @@ for axes in (left, right):
     dress(axes)
 
 # %% [markdown]
-# Is that number right? On ground that slips, with a little more than the friction that is needed, no
+# The arm stands ahead of the middle, so the rear wheels carry less, and theirs are the small margins. Is
+# that friction right? On ground that slips, with a little more than the friction that is needed, no
 # wheel may slide; with a little less one must.
 
 # %%
