@@ -50,9 +50,9 @@ def bands(
     """Draw what shares of the robots stay within, over time: distance from the desired position, and heading.
 
     And so on of what else is judged, a row for each. All ensembles have the same axes; where one's errors are
-    far larger than another's, they are logarithmic, which stands beside them. Where so many robots have diverged that a band has no
-    end, it leaves the axes at the top. Above each panel stands what the largest share stays within all the
-    time. Of a margin the shares of the robots have at least what is drawn; the axes are linear.
+    far larger than another's, they are logarithmic, and say so. Where so many robots have diverged that a
+    band has no end, it leaves the axes at the top. Above each panel stands what the largest share stays
+    within all the time. Of a margin the shares have at least what is drawn; the axes are linear.
 
     Parameters
     ----------

@@ -116,8 +116,8 @@ _BOXES = 8
 
 
 def _travelled() -> Style:
-    """Return how a travelled path is drawn: wide, so that it shows below the desired one."""
-    return {"linewidth": 2.4 * float(rcParams["lines.linewidth"]), "zorder": 3}
+    """Return how a travelled path is drawn: wider than the desired one, below which it shows."""
+    return {"linewidth": 1.9 * float(rcParams["lines.linewidth"]), "zorder": 3}
 
 
 class Window(NamedTuple):
@@ -195,12 +195,14 @@ def panels(
     title, default, ax, width, known
         As in `Sheet`.
     """
-    window, most = _window(runs), min(len(runs), 3)
-    shape = (window.high - window.low) / window.extent
+    most = min(len(runs), 3)
     largest = (8.6 / most - 0.4, 4.8) if most > 1 else (7.0, 5.6)  # [in]
+    shape = _shape(_window(runs, largest[0]))
     size = min(largest[0] / shape[0], largest[1] / shape[1])
     sheet = Sheet(ax, width, 0.85 + most * (shape[0] * size + 0.3) - 0.3, known=known)
     columns, keys = sheet.columns(most, 1.7), list(_keys(len(runs)))
+    window = _window(runs, sheet.width / columns)
+    shape = _shape(window)
     titles = [_titles(sheet, columns, label, run) for label, run in runs.items()]
     height, spots = 0.0, [divmod(k, columns) for k in range(len(runs))]
     if sheet.new:
@@ -234,7 +236,7 @@ def _titles(sheet: Sheet, columns: int, label: str, run: Rollout) -> tuple[str, 
 def _placed(
     sheet: Sheet, spots: Sequence[tuple[int, int]], shape: Array, titles: float, keys: float, heading: float
 ) -> tuple[float, list[Axes]]:
-    """Return the height of a figure [in] and its axes, of the window's shape: a layout engine lets titles collide.
+    """Return the height of a figure [in] and its axes of the window's shape: in layouts, titles collide.
 
     Parameters
     ----------
@@ -281,14 +283,20 @@ def _keys(count: int) -> Iterator[Patch | Line2D]:
     yield Patch(facecolor=(*(0.6,) * 3, 0.4), edgecolor=shade, label="robot")
 
 
-def _window(runs: Mapping[str, Rollout]) -> Window:
+def _shape(window: Window) -> Array:
+    return (window.high - window.low) / window.extent
+
+
+def _window(runs: Mapping[str, Rollout], wide: float) -> Window:
+    """Return what panels that are so wide [in] show, with room for the times beside the robots."""
     points = np.concatenate(
         [part[:, :2] for run in runs.values() for part in (run.poses, run.reference_poses)]
     )
     low, high = points.min(axis=0), points.max(axis=0)
     extent = float((high - low).max())
     robot = max(diagonal(run.plant, _ARROW * extent) for run in runs.values())
-    margin = 0.5 * robot + 0.12 * max(extent, robot) or 1.0
+    words = min(2.6 * letters() / 72 / wide, 0.25)
+    margin = 0.5 * robot + max(0.12, words / (1 - 2 * words)) * max(extent, robot) or 1.0
     room = np.maximum(0.25 * extent - 0.5 * (high - low), 0.0)  # a straight line gets a panel, not a slit
     return Window(low - margin - room, high + margin + room)
 

@@ -128,7 +128,7 @@ def errors(
         grid = stacked(sheet, [(f"error in {symbol}", unit) for symbol, unit in names], len(runs))
     for index, (label, run) in enumerate(runs.items()):
         column = grid[:, index]
-        style = line_style(index, len(runs)) | {"linestyle": "-"}
+        style = line_style(0, 1) | {"color": colour(index)}
         draw(column, run.t, run.error, label=label, **style)
         lines, beside = 1, len(names) > TALL
         for axes, (_, unit), values in zip(column, names, run.error.T, strict=False):
@@ -136,7 +136,9 @@ def errors(
             words = wrapped(largest, letters(0.95), sheet.room(len(runs)) / (1 + beside))
             axes.set_title(words, fontsize=letters(0.95), loc="right")
             # Where there is no room beside the power of ten above the axis, matplotlib puts it higher.
-            full = extent(f"{words} {_POWER}", letters(0.95)) > sheet.room(len(runs)) / (1 + beside)
+            full = extent(f"{words.splitlines()[0]} {_POWER}", letters(0.95)) > sheet.room(len(runs)) / (
+                1 + beside
+            )
             lines = max(lines, words.count("\n") + 1 + full)
         words = shortened(sheet, label, len(runs))
         column[0].annotate(words, (0, 1), (0, over(lines + beside)), **heading(index))

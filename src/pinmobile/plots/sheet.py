@@ -104,8 +104,8 @@ def wrapped(words: str, size: float, room: float, **font: Any) -> str:
 class Sheet:
     """A new figure, a figure of the caller's, or axes of the caller's.
 
-    Letters, lines' widths and colours are those of ``rcParams``. A new figure is as high as its panels need. A
-    figure with a width that was asked for must have room for its words.
+    Letters, lines' widths and colours are those of ``rcParams``. A new figure is as high as its panels need,
+    and if its width was asked for, it must have room for its words.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ class Sheet:
         return self.parent.figure  # type: ignore[return-value]  # of a part of a figure it is the whole
 
     def columns(self, most: int, least: float) -> int:
-        """Return how many columns have room side by side, each `least` inches wide at letters of 10 points."""
+        """Return how many columns, each `least` inches wide at letters of 10 points, have room."""
         return most if self._given else int(np.clip(self.width / (least * letters() / 10), 1, most))
 
     def room(self, columns: int = 1) -> float:
@@ -209,11 +209,11 @@ class Sheet:
         found: list[Axes] = []
         first: dict[str, Axes] = {}
         for row, column in spots:
-            kinship = {f"share{axis}": first.get(f"{axis}{_first(place)}")
+            kinship = {f"share{axis}": first.get(f"{axis}{place}")
                        for axis, place in (("x", column), ("y", row)) if axis in share}  # fmt: skip
             made = self.parent.add_subplot(grid[row, column], **kinship)
-            first.setdefault(f"x{_first(column)}", made)
-            first.setdefault(f"y{_first(row)}", made)
+            first.setdefault(f"x{column}", made)
+            first.setdefault(f"y{row}", made)
             if not isinstance(row, slice):
                 self._rows.append((row, made))
             found.append(made)
@@ -243,7 +243,7 @@ class Sheet:
             keys, labels, ncols=-(-len(keys) // rows), loc="lower left", bbox_to_anchor=(-0.02, 1.0),
             fontsize=size, frameon=False, borderpad=0.2, columnspacing=1.2,
         )  # fmt: skip
-        high = (1.4 * rows + 0.8) * size
+        high = (1.5 * rows + 1.1) * size
         axes.set_title(axes.get_title(), fontsize=letters(), pad=high)
         self._left[axes] = high / 72
 
@@ -326,12 +326,11 @@ class Sheet:
 
     def _row(self, number: int) -> float:
         """Return the height of a row [in]: what it has at least, and no less than its words."""
-        words = [
-            max(1.15 * extent(line, label.get_fontsize()) for line in label.get_text().split("\n"))
-            for row, axes in self._rows
-            if row == number
-            for label in (axes.yaxis.label,)
-        ]
+        words = [0.0]
+        for label in (axes.yaxis.label for row, axes in self._rows if row == number):
+            size = label.get_fontsize()
+            label.set_text(wrapped(label.get_text(), size, self._tall[number]))
+            words += [1.15 * extent(line, size) for line in label.get_text().split("\n")]
         titles = [
             sum(
                 1.25 * each.get_fontsize() / 72 * (each.get_text().count("\n") + 1)
@@ -426,24 +425,21 @@ def _above(axes: Axes) -> list[Text]:
     return [each for each in axes.texts if getattr(each, "xycoords", None) == "axes fraction"]
 
 
-def _words(figure: Figure) -> Iterator[tuple[str, Bbox]]:
-    """Yield the words that must be read, with where they are [px]."""
+def _words(figure: Figure) -> Iterator[tuple[str, Bbox, bool]]:
+    """Yield the words that must be read, where they are [px], and whether they may meet other ones."""
     found: list[Text] = [*figure.texts]
     for legend in figure.legends:
         found += legend.get_texts()
     for axes in figure.axes:
-        found += [*_titles(axes), *_above(axes)]
+        found += [*_titles(axes), *axes.texts]
         for axis in (axes.xaxis, axes.yaxis):
             low, high = sorted(axis.get_view_interval())
-            ticks = [tick for tick in axis.get_major_ticks() if low <= tick.get_loc() <= high]
-            found += [
-                axis.label,
-                axis.get_offset_text(),
-                *(tick.label1 for tick in ticks if tick.label1.get_visible()),
-            ]
+            ticks = [tick.label1 for tick in axis.get_major_ticks() if low <= tick.get_loc() <= high]
+            found += [axis.label, axis.get_offset_text(), *(each for each in ticks if each.get_visible())]
+    noted = {each for axes in figure.axes for each in axes.texts if each not in _above(axes)}
     for each in found:
         if each.get_text() and each.get_visible():
-            yield each.get_text().replace("\n", " "), each.get_window_extent()
+            yield each.get_text().replace("\n", " "), each.get_window_extent(), each in noted
 
 
 def _crowded(figure: Figure) -> str:
@@ -455,10 +451,12 @@ def _crowded(figure: Figure) -> str:
         return "its axes have no room"
     whole = figure.bbox.padded(room)
     known = list(_words(figure))
-    for words, box in known:
+    for words, box, _ in known:
         if not (whole.x0 <= box.x0 and box.x1 <= whole.x1 and whole.y0 <= box.y0 and box.y1 <= whole.y1):
             return f"{words!r} would be cut off"
-    for (words, box), (others, other) in combinations(known, 2):
+    for (words, box), (others, other) in combinations(
+        [(one, box) for one, box, noted in known if not noted], 2
+    ):
         if box.padded(-room).overlaps(other.padded(-room)):
             return f"{words!r} would meet {others!r}"
     return ""

@@ -38,7 +38,7 @@ def line_style(index: int, count: int) -> Style:
     style = {
         "color": colour(index),
         "linestyle": DASHES[index % len(DASHES)],
-        "linewidth": float(rcParams["lines.linewidth"]) * (1.25 + 1.4 * share),
+        "linewidth": float(rcParams["lines.linewidth"]) * (1.15 + 1.2 * share),
         "zorder": 3,
     }
     cycle = _cycle()

@@ -15,7 +15,7 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.palette import INK, QUIET, SLIDES
 from pinmobile.plant import Contacts
 from pinmobile.plots.sheet import Canvas, Sheet, letters, wrapped
-from pinmobile.plots.style import Rollouts, Style, desired, dress, labelled, line_style, thinned
+from pinmobile.plots.style import Rollouts, Style, colour, desired, dress, labelled, line_style, thinned
 from pinmobile.simulation import Rollout
 
 _WIDTH, _HEIGHT = 5.0, 2.2  # of axes [in]
@@ -221,7 +221,7 @@ def odometry(
         above.legend(frameon=False, loc="best")
         off = np.hypot(*(believed - true)[:, :2].T)
         kept = thinned(off)
-        below.plot(run.t[kept], off[kept], **line_style(1, 2) | {"linestyle": "-"})
+        below.plot(run.t[kept], off[kept], **line_style(0, 1) | {"color": colour(1)})
         below.set_ylim(bottom=0.0)
     return sheet.finish(title, "Odometry beside the truth")
 
