@@ -1,4 +1,4 @@
-"""Draw every figure of `pinmobile.plots` at 3.5 and 7 inches, in colour and in grey, side by side in one page.
+"""Draw all figures of `pinmobile.plots` at 3.5 and 7 inches, in colour and in grey, side by side in one page.
 
 Run by hand: ``python docs/figures.py out/figures.html``.
 """
