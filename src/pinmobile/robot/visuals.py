@@ -211,8 +211,8 @@ def read_visuals(
     Those of an object are the joints of the file that move it, by name, the nearest first.
 
     Mesh files that are missing or cannot be read are named in a warning. Collision shapes stand for them, or
-    if there are none and no mesh is left, the box. Of a file that shows nothing but a box which stands about the
-    origin it is our own, which has a front.
+    if there are none and no mesh is left, the box. Of a file that shows nothing but a box which stands about
+    the origin it is our own, which has a front.
 
     Raises
     ------
