@@ -279,7 +279,7 @@ def test_options_are_what_the_parts_state_with_the_lectures_numbers() -> None:
     assert choices.OPTIONS["radius"].text == f"circle: radius of the circle (m); {circle['radius']:g}."
     assert choices.OPTIONS["model_mass"].text == "Mass of the controller's model (kg); the robot's."
     command: Any = get_command(app)
-    own = {"out", "gif", "html", "help"}
+    own = {"out", "gif", "mp4", "html", "help"}
     assert {each.name for each in command.commands["run"].params} - own == {
         option.name for option in choices.OF_LOOPS
     }

@@ -9,13 +9,13 @@ from collections.abc import Iterator, Sequence
 from importlib import import_module
 from io import BytesIO
 from itertools import combinations
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from matplotlib import get_backend, rcParams, rcParamsDefault
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure, FigureBase
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.font_manager import FontProperties
 from matplotlib.text import Text
 from matplotlib.textpath import text_to_path
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import positive, text
 from pinmobile.errors import InvalidArgument, shown
 
-Canvas: TypeAlias = Axes | FigureBase | Sequence[Axes] | NDArray[Any]
+Canvas: TypeAlias = Axes | Figure | SubFigure | Sequence[Axes] | NDArray[Any]
 """What `ax` may be: axes, several of them, or a figure or part of one, which is filled with axes."""
 
 Spot: TypeAlias = tuple[int | slice, int | slice]
@@ -134,21 +134,21 @@ class Sheet:
     def __init__(self, ax: Canvas | None, width: float | None, natural: float, *, known: bool = True) -> None:
         self.new = ax is None
         self._given: list[Axes] = []
-        self._asked = self.new and (width is not None or _is_chosen("figure.figsize"))
+        self._asked = self.new and (width is not None or _has_size())
         self._tall: dict[int, float] = {}
         self._left: dict[Axes, float] = {}
         self._rows: list[tuple[int, Axes]] = []
         if ax is None:
             self.width = _width(width, natural)
             self.scale = float(np.clip(self.width / (natural * letters() / 10), _NARROW, _WIDE))
-            self.parent: FigureBase = _figure(self.width, known)
+            self.parent: Figure | SubFigure = _figure(self.width, known)
             return
         if width is not None:
             raise InvalidArgument(
                 f"width is {shown(width)}, with ax, whose figure has a width: leave one of them out"
             )
         self.scale = 1.0
-        if isinstance(ax, FigureBase):
+        if isinstance(ax, Figure | SubFigure):
             self.parent, self.width = ax, _inches(ax, ax.bbox.width)
             if isinstance(ax, Figure) and ax.get_layout_engine() is None and not ax.axes:
                 ax.set_layout_engine("constrained")
@@ -160,7 +160,7 @@ class Sheet:
     @property
     def figure(self) -> Figure:
         """The whole figure, which a plot returns."""
-        return self.parent.figure  # type: ignore[return-value]  # of a part of a figure it is the whole
+        return self.parent.figure
 
     def columns(self, most: int, least: float) -> int:
         """Return how many columns, each `least` inches wide at letters of 10 points, have room."""
@@ -201,8 +201,7 @@ class Sheet:
                 )
             return self._given
         columns = len(ratios) or 1 + max(_first(column) for _, column in spots)
-        for row, each in enumerate(tall):
-            self._tall[row] = max(self.scale * each, 5.5 * letters() / 72)
+        self._tall = {k: max(self.scale * each, 5.5 * letters() / 72) for k, each in enumerate(tall)}
         grid = self.parent.add_gridspec(
             len(tall), columns, height_ratios=list(self._tall.values()), width_ratios=ratios or None
         )
@@ -328,12 +327,12 @@ class Sheet:
         """Return the height of a row [in]: what it has at least, and no less than its words."""
         words = [0.0]
         for label in (axes.yaxis.label for row, axes in self._rows if row == number):
-            size = label.get_fontsize()
+            size = float(label.get_fontsize())
             label.set_text(wrapped(label.get_text(), size, self._tall[number]))
             words += [1.15 * extent(line, size) for line in label.get_text().split("\n")]
         titles = [
             sum(
-                1.25 * each.get_fontsize() / 72 * (each.get_text().count("\n") + 1)
+                1.25 * float(each.get_fontsize()) / 72 * (each.get_text().count("\n") + 1)
                 for each in found
                 if each.get_text()
             )
@@ -363,20 +362,19 @@ class Sheet:
             )
 
 
-def _points(name: str) -> float:
+def _points(name: Literal["figure.titlesize", "legend.fontsize"]) -> float:
     """Return a size of letters of rcParams [pt]."""
     return float(FontProperties(size=rcParams[name]).get_size_in_points())
 
 
-def _is_chosen(name: str) -> bool:
-    return bool(list(np.ravel(rcParams[name])) != list(np.ravel(rcParamsDefault[name])))
+def _has_size() -> bool:
+    """Tell whether the user has set the size of figures."""
+    return tuple(rcParams["figure.figsize"]) != tuple(rcParamsDefault["figure.figsize"])
 
 
 def _width(width: float | None, natural: float) -> float:
     if width is None:
-        return (
-            float(rcParams["figure.figsize"][0]) if _is_chosen("figure.figsize") else natural * letters() / 10
-        )
+        return float(rcParams["figure.figsize"][0]) if _has_size() else natural * letters() / 10
     wide = positive("width", width, "in")
     if wide > _WIDEST:
         raise InvalidArgument(f"width is {wide:g} in, expected at most {_WIDEST:g} in")
@@ -406,7 +404,7 @@ def _is_row(ax: object) -> bool:
     return isinstance(ax, np.ndarray) or (isinstance(ax, Sequence) and not isinstance(ax, str | bytes))
 
 
-def _inches(figure: FigureBase, pixels: float) -> float:
+def _inches(figure: Figure | SubFigure, pixels: float) -> float:
     return pixels / float(figure.figure.dpi)
 
 

@@ -316,7 +316,7 @@ def _curve(axes: Axes, x: Array, row: Array, top: float, index: int, count: int)
     known = np.isfinite(row)
     # Below the others wide and large, so that a curve shows where the next one covers it.
     extra = 3.0 * (count - 1 - index) / max(count - 1, 1)
-    thick, large = (float(rcParams[f"lines.{name}"]) for name in ("linewidth", "markersize"))
+    thick, large = (float(rcParams["lines.linewidth"]), float(rcParams["lines.markersize"]))
     axes.plot(x, np.where(known, row, np.nan), zorder=3, linewidth=1.2 * thick + extra / 2,
               markersize=large + extra, **_look(index))  # fmt: skip
     axes.plot(x[~known], np.full(np.count_nonzero(~known), top), linestyle="", marker="x",
@@ -342,6 +342,7 @@ _PANELS = (
     (0, 2, "substeps", "Loop: force held for {:g} ms"),
     (1, 2, "sampling", "Loop: force held for h"),
 )
+_DOTS: Style = {"markersize": 5, "marker": "o"}
 _PLACES = tuple((row, column) for row in range(2) for column in range(3))
 _FLOOR = 1e-17  # where zero is drawn
 _TICKS = 6  # at most, along the steps
@@ -412,7 +413,7 @@ def _panel(
     axes.set_yscale("log")
     for index, (label, row) in enumerate(zip(labels, rows, strict=True)):
         errors = np.where(np.isfinite(row.errors), np.maximum(row.errors, _FLOOR), np.nan)
-        axes.plot(1e3 * row.steps, errors, **{"markersize": 5, "marker": "o"} | line_style(index, len(rows)))
+        axes.plot(1e3 * row.steps, errors, **_DOTS | line_style(index, len(rows)))
         note = f"{_short(label)}: {row}" if label else str(row)
         above = 4 + 1.3 * letters(0.9) * (len(rows) - 1 - index)
         axes.annotate(

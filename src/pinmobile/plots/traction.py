@@ -316,12 +316,16 @@ def _lines(
             t[kept],
             line[kept],
             label=name.replace("_", " "),
-            **{"marker": "o" if len(t) == 1 else ""} | style,
+            **{**_dot(t), **style},
         )
     if float(np.nanmax(np.abs(values), initial=0.0)) < _ROUNDING:
         axes.set_ylim(-1.0, 1.0)
     if legend:
         sheet.legend_above(axes, columns)
+
+
+def _dot(t: Array) -> Style:
+    return {"marker": "o" if len(t) == 1 else ""}
 
 
 def _slides(axes: Axes, t: Array, slides: NDArray[np.bool_]) -> None:
