@@ -31,7 +31,7 @@ Canvas: TypeAlias = Axes | Figure | SubFigure | Sequence[Axes] | NDArray[Any]
 Spot: TypeAlias = tuple[int | slice, int | slice]
 """Row and column of axes in a grid."""
 
-_WIDEST = 100.0  # [in]
+_NARROWEST, _WIDEST = 0.5, 100.0  # [in]
 _NARROW, _WIDE = 0.62, 1.25  # by which panels are lower and higher in figures of other widths
 _LEAST = 0.3  # [in] of the sides of axes in which something is to be seen
 _ROOM = 1.0  # [pt] by which letters may overlap: their boxes have rims
@@ -376,8 +376,8 @@ def _width(width: float | None, natural: float) -> float:
     if width is None:
         return float(rcParams["figure.figsize"][0]) if _has_size() else natural * letters() / 10
     wide = positive("width", width, "in")
-    if wide > _WIDEST:
-        raise InvalidArgument(f"width is {wide:g} in, expected at most {_WIDEST:g} in")
+    if not _NARROWEST <= wide <= _WIDEST:
+        raise InvalidArgument(f"width is {wide:g} in, expected {_NARROWEST:g} to {_WIDEST:g} in")
     return wide
 
 
@@ -451,10 +451,10 @@ def _crowded(figure: Figure) -> str:
     known = list(_words(figure))
     for words, box, _ in known:
         if not (whole.x0 <= box.x0 and box.x1 <= whole.x1 and whole.y0 <= box.y0 and box.y1 <= whole.y1):
-            return f"{words!r} would be cut off"
+            return f"{shown(words)} would be cut off"
     for (words, box), (others, other) in combinations(
         [(one, box) for one, box, noted in known if not noted], 2
     ):
         if box.padded(-room).overlaps(other.padded(-room)):
-            return f"{words!r} would meet {others!r}"
+            return f"{shown(words)} would meet {shown(others)}"
     return ""
