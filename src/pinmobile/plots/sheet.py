@@ -34,6 +34,7 @@ Spot: TypeAlias = tuple[int | slice, int | slice]
 _NARROWEST, _WIDEST = 0.5, 100.0  # [in]
 _NARROW, _WIDE = 0.62, 1.25  # by which panels are lower and higher in figures of other widths
 _LEAST = 0.3  # [in] of the sides of axes in which something is to be seen
+_ENDLESS = 1000  # letters, which no figure has room for
 _ROOM = 1.0  # [pt] by which letters may overlap: their boxes have rims
 _MOST_KEYS = 5  # in a row of a legend
 _NO_WINDOWS = {"agg", "cairo", "pdf", "pgf", "ps", "svg", "template"}
@@ -79,15 +80,22 @@ def headed(title: object, default: str) -> str:
 
 
 def extent(line: str, size: float, **font: Any) -> float:
-    """Return how long a line of letters of that size [pt] is [in]."""
+    """Return how long a line of letters of that size [pt] is [in]; one that nobody reads about so long."""
+    if len(line) > _ENDLESS:
+        return len(line) * size / 144
     properties = FontProperties(family=rcParams["font.family"], size=size, **font)
     is_math = len(re.findall(r"(?<!\\)\$", line)) > 1
-    width, _, _ = text_to_path.get_text_width_height_descent(line, properties, ismath=is_math)
+    try:
+        width, _, _ = text_to_path.get_text_width_height_descent(line, properties, ismath=is_math)
+    except ValueError:  # a formula that cannot be read, which is told when it is drawn
+        return len(line) * size / 144
     return float(width) / 72
 
 
 def wrapped(words: str, size: float, room: float, **font: Any) -> str:
     """Return text in lines that are no longer than `room` [in], unless one word is."""
+    if len(words) > _ENDLESS:
+        return words
     lines = []
     for line in words.split("\n"):
         current = ""
@@ -351,10 +359,17 @@ class Sheet:
         InvalidArgument
             If a word is cut off or meets another one, or axes have no room.
         """
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of a layout without room, which is told below
-            self.figure.draw_without_rendering()
-        why = _crowded(self.figure)
+        endless = [each.get_text() for each in self.figure.findobj(Text) if len(each.get_text()) > _ENDLESS]
+        if endless:
+            why = f"{shown(endless[0])} would be cut off"
+        else:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of a layout without room, which is told below
+                try:
+                    self.figure.draw_without_rendering()
+                except ValueError as error:
+                    raise InvalidArgument(f"a label cannot be drawn: {error}") from None
+            why = _crowded(self.figure)
         if why:
             raise InvalidArgument(
                 f"width is {self.width:g} in, in which {why}: expected a wider figure, or smaller letters, "
