@@ -279,10 +279,32 @@ def test_options_are_what_the_parts_state_with_the_lectures_numbers() -> None:
     assert choices.OPTIONS["radius"].text == f"circle: radius of the circle (m); {circle['radius']:g}."
     assert choices.OPTIONS["model_mass"].text == "Mass of the controller's model (kg); the robot's."
     command: Any = get_command(app)
-    own = {"out", "gif", "html", "help"}
+    own = {"out", "gif", "mp4", "html", "help"}
     assert {each.name for each in command.commands["run"].params} - own == {
         option.name for option in choices.OF_LOOPS
     }
+
+
+def test_films_are_told_frame_by_frame_or_refused_before_anything_runs(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    pytest.importorskip("imageio_ffmpeg", reason="needs the extra mp4")
+
+    def save(recording: Any, path: Path, *, progress: Any) -> None:
+        assert recording.duration / recording.speed == pytest.approx(10)  # a minute in ten seconds
+        progress(1, 2)
+        path.write_bytes(b"film")
+
+    words = "run", "--mp4", "--dt", "0.1", "--out", str(tmp_path)
+    monkeypatch.setattr("pinmobile.viewer.Recording.save_mp4", save)
+    monkeypatch.setenv("PINMOBILE_CHROMIUM", sys.executable)  # any program: none is started
+    assert typed(capsys, *words)[0] == 0
+    assert (tmp_path / "film.mp4").read_bytes() == b"film"
+    assert '<video src="film.mp4" controls' in (tmp_path / "index.html").read_text()
+    monkeypatch.setenv("PINMOBILE_CHROMIUM", "no-such-program")
+    monkeypatch.setattr("pinmobile.cli.run.simulate", None)
+    code, _, err = typed(capsys, *words)
+    assert (code, err) == (2, "pinmobile: PINMOBILE_CHROMIUM is 'no-such-program', which is no program\n")
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:

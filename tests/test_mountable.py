@@ -58,7 +58,7 @@ class Drive:
         return Reference(q, v, a)
 
 
-def boxes(file: VisualFile, stacklevel: int) -> tuple[ElementTree.Element, list[str]]:
+def boxes(file: VisualFile, stacklevel: int) -> tuple[ElementTree.Element, visuals.Lost]:
     """Return the file with a box for each mesh that was found: to read them takes half a minute."""
     root, missing = READABLE(file, stacklevel)
     for geometry in root.iterfind("link/visual/geometry"):

@@ -1,5 +1,6 @@
 """The viewer: what it records and shows is where the rollout says, in a real browser without a screen."""
 
+import contextlib
 import dataclasses
 import io
 import json
@@ -19,11 +20,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 from urllib.request import urlopen
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from PIL import Image
 
+import pinmobile.viewer.recording as recording_module
 from pinmobile import (
     LECTURE_TABLE,
     PD,
@@ -39,12 +42,13 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.arrays import Array
+from pinmobile.palette import colour
 from pinmobile.viewer import Arrows, Follow, Overlays, Recording, Stay, Viewer
 from pinmobile.viewer.chromium import Browser
 from pinmobile.viewer.recording import gif as encoded_gif
 from tests.chromium import Chromium, Page
 
-BLUE = (0, 114, 178)
+BLUE = tuple(int(colour(0)[k : k + 2], 16) for k in (1, 3, 5))
 
 
 @pytest.fixture(scope="module")
@@ -497,6 +501,45 @@ def test_a_screenshot_of_what_is_displayed(browser: Chromium, tmp_path: Path) ->
     assert (np.abs(colours - BLUE).max(axis=1) < 60).sum() > 500
 
 
+@pytest.mark.parametrize(("width", "stacked"), [(420, True), (1000, False)])
+def test_caption_and_legend_never_overlap(
+    page: Page, viewer: Viewer, runs: dict[str, Rollout], tmp_path: Path, width: int, stacked: bool
+) -> None:
+    page.resize(width, 560)
+    opened(page, viewer.record(runs), tmp_path)
+    page.frames()
+    boxes = page.evaluate(
+        "['caption', 'legend'].map((id) => { const b = document.getElementById(id).getBoundingClientRect();"
+        "return [b.left, b.top, b.right, b.bottom]; })"
+    )
+    caption, legend = np.array(boxes)
+    assert (legend[1] >= caption[3]) is np.bool_(stacked)
+    assert legend[1] >= caption[3] or legend[0] >= caption[2]
+    for box in (caption, legend):
+        assert (box >= 0).all()
+        assert box[2] <= width
+
+
+@pytest.mark.parametrize("size", [(0.16, 0.17, 0.19), (3.0, 2.0, 1.0)])
+def test_a_robot_alone_fills_the_picture_whatever_its_size(
+    page: Page, tmp_path: Path, size: tuple[float, float, float]
+) -> None:
+    robot = MobileRobot(1.0, 0.01, size=size)
+    with Viewer(robot) as shown:
+        shown.display((5, -2, 0.3))
+        (tmp_path / "a.html").write_text(shown.static_html())
+    page.resize(900, 600)
+    page.open((tmp_path / "a.html").as_uri())
+    page.wait_for("pinmobile.ready()")
+    page.frames()
+    pixels = np.asarray(page.screenshot(), float)
+    paint = np.abs(pixels / pixels.max(axis=2, keepdims=True) - np.array(BLUE) / max(BLUE)).max(axis=2) < 0.15
+    rows, columns = np.nonzero(paint)
+    assert np.ptp(rows) > 600 / 6
+    assert np.ptp(columns) > 900 / 8
+    assert paint[[0, -1]].sum() == paint[:, [0, -1]].sum() == 0
+
+
 def test_gifs_and_films(viewer: Viewer, runs: dict[str, Rollout], browser: Chromium, tmp_path: Path) -> None:
     recording = viewer.record(runs, speed=60)
     seen: list[tuple[int, int]] = []
@@ -509,6 +552,51 @@ def test_gifs_and_films(viewer: Viewer, runs: dict[str, Rollout], browser: Chrom
     pytest.importorskip("imageio_ffmpeg", reason="needs the extra mp4")
     film = recording.save_mp4(tmp_path / "a.mp4", fps=8, size=(240, 160)).read_bytes()
     assert film[4:8] == b"ftyp"
+
+
+def test_films_are_taken_in_batches_by_several_browsers_and_told_in_order(
+    viewer: Viewer, runs: dict[str, Rollout], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Fake:
+        """A browser whose picture is as wide as the number of the time that it was asked for."""
+
+        def evaluate(self, words: str) -> None:
+            self.time = float(re.findall(r"seek\((.*)\)", words)[0])
+
+        def picture(self, *, fast: bool) -> bytes:
+            made.add(id(self))
+            time.sleep(0.002 * (int(self.time) % 3))
+            buffer = io.BytesIO()
+            Image.new("RGB", (1 + int(self.time), 1)).save(buffer, "PNG")
+            return buffer.getvalue()
+
+    made: set[int] = set()
+    opened: list[Fake] = []
+
+    @contextlib.contextmanager
+    def fake(html: str, size: tuple[int, int]) -> Iterator[Fake]:
+        opened.append(Fake())
+        yield opened[-1]
+        closed.append(threading.active_count())
+
+    closed: list[int] = []
+    monkeypatch.setattr(recording_module, "_opened", fake)
+    monkeypatch.setattr(recording_module, "processors", lambda: 3)
+    before = threading.active_count()
+    told: list[tuple[int, int]] = []
+    frames = recording_module._pictures_of(
+        "", (1, 1), [float(k) for k in range(100)], lambda *at: told.append(at)
+    )
+    assert [frame.width for frame in frames] == list(range(1, 101))
+    assert told == [(k, 100) for k in range(1, 101)]
+    assert (len(opened), made <= {id(one) for one in opened}) == (3, True)
+    # Whoever stops after a few frames leaves no thread and no browser, and has not waited for the rest.
+    made.clear()
+    some = recording_module._pictures_of("", (1, 1), [float(k) for k in range(10_000)], None)
+    assert next(some).width == 1
+    some.close()
+    assert threading.active_count() == before
+    assert len(closed) == 6
 
 
 def test_a_gif_has_the_colours_of_what_comes_late() -> None:
@@ -728,6 +816,26 @@ def test_the_box_stands_for_a_mesh_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match=r"truck.urdf: not drawn, since damaged .* read: .*truck/hull.stl$"):
         shown = robot.visual_model
     assert [item.name for item in shown.geometryObjects] == ["body", "front", "wedge", "wheel_0"]
+
+
+def test_collision_shapes_stand_for_meshes_that_are_missing(tmp_path: Path) -> None:
+    path = tmp_path / "truck" / "truck.urdf"
+    truck(tmp_path, "gone")
+    tree = ElementTree.parse(path)
+    link = tree.find("link")
+    assert link is not None
+    for shape in ('<cylinder radius="0.2" length="0.5"/>', '<mesh filename="package://truck/gone too.stl"/>'):
+        link.append(ElementTree.fromstring(f"<collision><geometry>{shape}</geometry></collision>"))
+    tree.write(path)
+    robot = MobileRobot.from_urdf(path, [tmp_path])
+    name = link.get("name")
+    words = rf"missing: package://truck/gone.stl; collision shapes are drawn in their place of {name}$"
+    with pytest.warns(UserWarning, match=words):
+        shown = robot.visual_model
+    hull, wheel = shown.geometryObjects
+    assert type(hull.geometry).__name__ == "Cylinder"
+    assert (hull.geometry.radius, 2 * hull.geometry.halfLength) == (0.2, 0.5)
+    assert wheel.name == "wheel_0"
 
 
 def test_looks_survive_pickling_and_are_no_part_of_equality(tmp_path: Path) -> None:

@@ -139,10 +139,14 @@ def _options(
     pass
 
 
+_FILM = "Also film the moving robot in its scene: needs Chromium and the extra mp4."
+
+
 @app.command()
 def lecture(
     out: Annotated[Path, _help("Folder for the figures and their index page.")] = Path("out"),
     gif: Annotated[bool, _help("Also draw the moving robot.")] = True,
+    mp4: Annotated[bool, _help(_FILM)] = False,
 ) -> int:
     """Work through the whole lecture: derive, verify, run, and draw.
 
@@ -152,7 +156,7 @@ def lecture(
     """
     from pinmobile.cli.run import show_lecture
 
-    return show_lecture(output_folder(out), gif=gif)
+    return show_lecture(output_folder(out), gif=gif, mp4=mp4)
 
 
 @app.command()
@@ -218,6 +222,7 @@ def derive(
 def run(
     out: Annotated[Path, _help("Folder for records and figures.", panel=_LOOP)] = Path("out/run"),
     gif: Annotated[bool, _help("Also draw the moving robot.", panel=_LOOP)] = False,
+    mp4: Annotated[bool, _help(_FILM, "--mp4", panel=_LOOP)] = False,
     html: Annotated[bool, _help("Also write a page that shows it move.", "--html", panel=_LOOP)] = False,
     **typed: object,
 ) -> int:
@@ -229,7 +234,7 @@ def run(
     """
     from pinmobile.cli.run import show_run
 
-    return show_run(Options(typed), output_folder(out), gif=gif, html=html)
+    return show_run(Options(typed), output_folder(out), gif=gif, mp4=mp4, html=html)
 
 
 @app.command()

@@ -94,11 +94,11 @@ def index_page(folder: Path, title: str, sections: Sequence[Section]) -> Path:
         for linked in section.pages:
             body.append(f'<p><a href="{escape(linked.file)}">{escape(linked.caption)}</a></p>')
         for picture in section.pictures:
-            body.append(
-                f'<figure><a href="{escape(picture.file)}"><img src="{escape(picture.file)}" '
-                f'alt="{escape(picture.caption)}" loading="lazy"></a>'
-                f"<figcaption>{escape(picture.caption)}</figcaption></figure>"
-            )
+            file, caption = escape(picture.file), escape(picture.caption)
+            shown = f'<a href="{file}"><img src="{file}" alt="{caption}" loading="lazy"></a>'
+            if picture.file.endswith(".mp4"):
+                shown = f'<video src="{file}" controls loop muted preload="metadata"></video>'
+            body.append(f"<figure>{shown}<figcaption>{caption}</figcaption></figure>")
     page = folder / "index.html"
     write(page, _PAGE.format(title=escape(title), body="\n".join(body)).encode("utf-8"))
     return page
@@ -117,7 +117,7 @@ h1, h2 {{ line-height: 1.2; }}
 h2 {{ margin-top: 2.5rem; border-top: 1px solid #ccc; padding-top: 1rem; }}
 pre {{ background: #f5f5f2; padding: 1rem; overflow-x: auto; font-size: 13px; line-height: 1.35; }}
 figure {{ margin: 1.5rem 0; }}
-img {{ max-width: 100%; height: auto; }}
+img, video {{ max-width: 100%; height: auto; }}
 figcaption {{ color: #555; }}
 </style>
 </head>

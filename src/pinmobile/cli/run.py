@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from pinmobile.viewer import Overlays
 
 _PLANE = 3  # coordinates of a bare base
+_FILM = 10.0  # [s] that a film lasts at most
 
 FIGURES = {
     "path": "The desired path (dashed), the travelled one, and the robot where it really was.",
@@ -75,11 +76,12 @@ def draw(rollouts: dict[str, Rollout], folder: Path, prefix: str, bar: Progress)
     return pictures
 
 
-def show_run(options: Options, folder: Path, *, gif: bool, html: bool) -> int:
+def show_run(options: Options, folder: Path, *, gif: bool, mp4: bool, html: bool) -> int:
     """Run, print the judgement, and write records, figures and their index; a diverged run too."""
     loop, label = closed_loop(options), options["controller"]
     plant = loop["robot"]
-    with progress(len(FIGURES) + 2 + gif + html) as bar:
+    _check_films(mp4)
+    with progress(len(FIGURES) + 2 + gif + mp4 + html) as bar:
         begin(bar, "simulating")
         diverged: Diverged | None = None
         try:
@@ -96,6 +98,8 @@ def show_run(options: Options, folder: Path, *, gif: bool, html: bool) -> int:
             begin(bar, "drawing the moving robot")
             plots.animate(rollout, folder / "animation.gif")
             pictures.insert(0, Picture("animation.gif", "The robot as it moves."))
+        if mp4:
+            pictures.insert(0, _film({label: rollout}, folder, "", bar))
         pages = []
         if html:
             begin(bar, "recording the scene")
@@ -129,6 +133,37 @@ def save_page(rollouts: Mapping[str, Rollout], path: Path, title: str, *, speed:
 
     with Viewer(_plant(rollouts)) as viewer:
         viewer.record(rollouts, speed=speed, title=title).save_html(path)
+
+
+def _check_films(wanted: bool) -> None:
+    """Refuse films where they cannot be made, before anything is run.
+
+    Raises
+    ------
+    ViewerError
+        If there is no Chromium, or no encoder.
+    """
+    if wanted:
+        from pinmobile.viewer.chromium import find_chromium
+        from pinmobile.viewer.recording import film_encoder
+
+        find_chromium(), film_encoder()
+
+
+def _film(rollouts: Mapping[str, Rollout], folder: Path, prefix: str, bar: Progress) -> Picture:
+    """Write a film of at most ten seconds, each frame told on the progress bar."""
+    from pinmobile.viewer import Viewer
+
+    begin(bar, f"filming {prefix}scene")
+    task = bar.add_task("frames", total=None)
+    pace = max(1.0, max(float(run.t[-1] - run.t[0]) for run in rollouts.values()) / _FILM)
+    with Viewer(_plant(rollouts)) as viewer:
+        viewer.record(rollouts, speed=pace).save_mp4(
+            folder / f"{prefix}film.mp4",
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    bar.remove_task(task)
+    return Picture(f"{prefix}film.mp4", "The robot in its scene as it moves.")
 
 
 def saved_runs(paths: Sequence[Path], words: Sequence[str]) -> dict[str, Rollout]:
@@ -249,12 +284,13 @@ _WHEELS = Picture(
 Runs = dict[tuple[str, str], Rollout]
 
 
-def show_lecture(folder: Path, *, gif: bool) -> int:
+def show_lecture(folder: Path, *, gif: bool, mp4: bool) -> int:
     """Print the lecture's results and write its figures; return 0 if every number is the lecture's."""
     from pinmobile import derivation, verify  # sympy is not needed by the other commands
 
     robot = MobileRobot.lecture()
-    steps = 6 + len(_PATHS) * (len(FIGURES) + 1 + gif)
+    _check_films(mp4)
+    steps = 6 + len(_PATHS) * (len(FIGURES) + 1 + gif + mp4)
     with progress(steps) as bar:
         begin(bar, "deriving")
         derived = derivation.lecture()
@@ -275,7 +311,7 @@ def show_lecture(folder: Path, *, gif: bool) -> int:
         console.print("\n[bold]4  On wheels[/bold], those of a differential drive")
         console.print(rolled, markup=False)
         begin(bar, "drawing")
-        sections = _sections(folder, right_runs, gif, bar)
+        sections = _sections(folder, right_runs, bar, gif=gif, mp4=mp4)
         begin(bar, "drawing wheels")
         save_figure(
             plots.path(beside, title=f"{_OFF:g} m beside the path at the start"), folder / _WHEELS.file
@@ -409,7 +445,7 @@ def _summary(verification: "Verification", same: bool) -> str:
     return f"{routes}\nsome numbers are NOT the lecture's: see the rows marked DIFFERS"
 
 
-def _sections(folder: Path, right: Runs, gif: bool, bar: Progress) -> list[Section]:
+def _sections(folder: Path, right: Runs, bar: Progress, *, gif: bool, mp4: bool) -> list[Section]:
     sections = []
     for number, trajectory in enumerate(_PATHS, start=5):
         prefix = f"{_PATHS[trajectory]}-"
@@ -421,6 +457,8 @@ def _sections(folder: Path, right: Runs, gif: bool, bar: Progress) -> list[Secti
             pictures.insert(
                 0, Picture(f"{prefix}animation.gif", "The robot as it moves: PD, computed torque.")
             )
+        if mp4:
+            pictures.insert(0, _film(rollouts, folder, prefix, bar))
         begin(bar, f"recording {prefix}scene")
         name = f"{_PATHS[trajectory]}.html"
         save_page(rollouts, folder / name, f"{trajectory.capitalize()}: PD and computed torque", speed=4)

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from matplotlib import rcParams
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -15,13 +16,15 @@ from pinmobile.arrays import Array, ArrayLike, finite, one_of, sequence
 from pinmobile.ensembles import Bands, Ensemble, edges
 from pinmobile.errors import InvalidArgument
 from pinmobile.measures import Measure
-from pinmobile.palette import INK, colour
-from pinmobile.plots.style import ShownFigure, Style, dress, headed, heading, legend, named, percent, si, tint
+from pinmobile.palette import INK
+from pinmobile.plots.sheet import Canvas, Sheet, letters, over, wrapped
+from pinmobile.plots.style import Style, colour, dress, heading, named, percent, shortened, si, tint
 
 _ALWAYS = "distance", "heading"
 _LINEAR = 40.0  # by how much the largest of all may exceed the smallest median on a linear axis
 _ROUNDING = 1e-9  # of the largest of all: less is next to nothing on a logarithmic axis
 _GREY = "#777777"
+_PLAIN: Style = {"color": INK, "fontweight": "normal"}
 
 
 class _Scale(NamedTuple):
@@ -41,13 +44,15 @@ def bands(
     levels: ArrayLike = (0.5, 0.9, 0.99),
     by: Sequence[str] | None = None,
     title: str | None = None,
+    ax: Canvas | None = None,
+    width: float | None = None,
 ) -> Figure:
     """Draw what shares of the robots stay within, over time: distance from the desired position, and heading.
 
     And so on of what else is judged, a row for each. All ensembles have the same axes; where one's errors are
-    far larger than another's, they are logarithmic. Where so many robots have diverged that a band has no
-    end, it leaves the axes at the top. Above each panel stands what the largest share stays within all the
-    time. Of a margin the shares of the robots have at least what is drawn; the axes are linear.
+    far larger than another's, they are logarithmic, and say so. Where so many robots have diverged that a
+    band has no end, it leaves the axes at the top. Above each panel stands what the largest share stays
+    within all the time. Of a margin the shares have at least what is drawn; the axes are linear.
 
     Parameters
     ----------
@@ -60,6 +65,8 @@ def bands(
         distance, the heading, and what all ensembles judge beside errors.
     title : str, optional
         Heading of the figure.
+    ax, width
+        As in `states`.
 
     Returns
     -------
@@ -76,22 +83,21 @@ def bands(
         raise InvalidArgument("levels is empty, expected at least one share of the robots")
     rows = _rows(list(known.values()), by)
     drawn = [_drawn(one, shares, [row.name for row in rows]) for one in known.values()]
-    size = max(7.5, 3.6 * len(known)), 1.2 + max(2.2 * len(rows), 5.2)
-    figure = ShownFigure(figsize=size, dpi=100, layout="constrained")
-    figure.suptitle(headed(title, "How far the robots stray"), fontsize=14, color=INK)
-    grid = figure.subplots(len(rows), len(known), squeeze=False, sharex="col", sharey="row")
+    sheet = Sheet(ax, width, max(7.5, 3.6 * len(known)))
+    grid = sheet.grid(len(rows), len(known), [max(2.0, 4.4 / len(rows))] * len(rows), share="xy")
     for row, channel in zip(grid, rows, strict=True):
         quantiles = [one[channel.name] for one in drawn]
         scale = _margins(quantiles, channel.unit) if channel.is_margin else _scale(quantiles, channel.unit)
-        row[0].set_ylabel(f"{_words(channel)} [{scale.unit}]" if scale.unit else _words(channel), fontsize=11)
+        words = f"{_words(channel)} [{scale.unit}]" if scale.unit else _words(channel)
+        row[0].set_ylabel(f"{words}\nlogarithmic" if scale.logarithmic else words)
         for index, (axes, values) in enumerate(zip(row, quantiles, strict=True)):
             _panel(axes, drawn[index].t, values, scale, index)
     for index, (label, one) in enumerate(known.items()):
-        _headings(grid[:, index], rows, label, one, float(drawn[index].levels[-1]), index)
-        grid[-1, index].set_xlabel("t [s]", fontsize=11)
-    figure.align_ylabels(grid[:, 0])
-    legend(figure, list(_keys(drawn[0], list(known.values()))))
-    return figure
+        _headings(sheet, grid[:, index], rows, label, one, float(drawn[index].levels[-1]), index, len(known))
+        grid[-1, index].set_xlabel("t [s]")
+    if sheet.new:
+        sheet.figure.align_ylabels(grid[:, 0])
+    return sheet.finish(title, "How far the robots stray", list(_keys(drawn[0], list(known.values()))))
 
 
 def _rows(ensembles: Sequence[Ensemble], by: Sequence[str] | None) -> list[Measure]:
@@ -191,8 +197,9 @@ def _panel(axes: Axes, t: Array, quantiles: Array, scale: _Scale, index: int) ->
         edge = end
     if scale.is_margin:
         axes.axhline(0.0, color=_GREY, linewidth=1.0, linestyle=":", zorder=1)
+    thick = float(rcParams["lines.linewidth"])
     for k, line in enumerate(lines):
-        axes.plot(t, line, color=colour(index), linewidth=2.0 if k == 0 else 0.8, zorder=3)
+        axes.plot(t, line, color=colour(index), linewidth=thick * (1.2 if k == 0 else 0.6), zorder=3)
 
 
 def _shades(base: str, count: int) -> list[tuple[float, float, float]]:
@@ -201,7 +208,14 @@ def _shades(base: str, count: int) -> list[tuple[float, float, float]]:
 
 
 def _headings(
-    column: Iterable[Axes], rows: Sequence[Measure], label: str, one: Ensemble, level: float, index: int
+    sheet: Sheet,
+    column: Iterable[Axes],
+    rows: Sequence[Measure],
+    label: str,
+    one: Ensemble,
+    level: float,
+    index: int,
+    columns: int,
 ) -> None:
     count = int(one.diverged.sum())
     fate = f"{count:,} of {len(one):,} diverged" if count else f"none of {len(one):,} diverged"
@@ -209,16 +223,21 @@ def _headings(
     after = one.scenario.after
     when = f"from {after:g} s on" if after else "throughout"
     within = one.within(level)
+    lines: list[int] = []
     for axes, channel in zip(column, rows, strict=True):
         size = within[channel.name]
         stay = "have at least" if channel.is_margin else "stay within"
         bound = f"{_size(size, channel.unit)} {when}" if np.isfinite(size) else "no bound"
-        axes.set_title(f"{percent(level)} {stay} {bound}", fontsize=10.5, color=INK, loc="left")
+        words = wrapped(f"{percent(level)} {stay} {bound}", letters(), sheet.room(columns))
+        axes.set_title(words, fontsize=letters(), loc="left")
+        lines.append(words.count("\n") + 1)
         if after:
             axes.axvline(after, color=_GREY, linewidth=1.0, linestyle=":", zorder=1)
-    first.annotate(fate, (0, 1), (0, 21), xycoords="axes fraction", textcoords="offset points",
-                       fontsize=10.5, color=INK)  # fmt: skip
-    first.annotate(label, (0, 1), (0, 38), **heading(index))
+    fate = wrapped(fate, letters(), sheet.room(columns))
+    above = over(lines[0])
+    first.annotate(fate, (0, 1), (0, above), **heading(index) | _PLAIN | {"fontsize": letters()})
+    above += letters(1.4) * (fate.count("\n") + 1)
+    first.annotate(shortened(sheet, label, columns), (0, 1), (0, above), **heading(index))
 
 
 def _size(value: float, unit: str) -> str:

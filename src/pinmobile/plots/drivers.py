@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from matplotlib import rcParams
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.gridspec import GridSpec
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
@@ -19,8 +19,8 @@ from pinmobile.arrays import Array, scalar
 from pinmobile.ensembles import Ensemble, Same
 from pinmobile.errors import InvalidArgument
 from pinmobile.measures import Measure
-from pinmobile.palette import INK, colour
-from pinmobile.plots.style import ShownFigure, Style, dress, headed, legend, percent
+from pinmobile.plots.sheet import Canvas, Sheet, Spot, letters, wrapped
+from pinmobile.plots.style import Style, colour, dress, ink, percent
 from pinmobile.plots.swept import strip_above
 
 _CRITICAL = 2.001  # of Kuiper's test at 1 %: Stephens, J. R. Stat. Soc. B 32 (1970)
@@ -163,16 +163,27 @@ def _cause(name: str, unit: str, values: Array, worst: NDArray[np.bool_]) -> Cau
 _MOST = 6  # parameters that are drawn
 _DOTS = 4000  # robots that are drawn, of the worst and of the others
 _BINS = 40
-_WORD = 0.36  # [inch] by which "diverged" is longer than the other labels of an axis
 _LINEAR = 50.0  # by how much the farthest may exceed the median on a linear axis
 _ERRORS = {"distance": "distance from the desired position", "heading": "error of the heading"}
 _OTHERS: Style = {"color": "#9a9a9a", "alpha": 0.55}
-_WORST: Style = {"color": colour(1), "linewidth": 2.0}
-_WHERE: Style = {"color": colour(1), "alpha": 0.12, "linewidth": 0}
+
+
+def _worst() -> Style:
+    return {"color": colour(1), "linewidth": 1.3 * float(rcParams["lines.linewidth"])}
+
+
+def _where() -> Style:
+    return {"color": colour(1), "alpha": 0.12, "linewidth": 0}
 
 
 def drivers(
-    ensemble: Ensemble, *, share: float = 0.05, by: str = "distance", title: str | None = None
+    ensemble: Ensemble,
+    *,
+    share: float = 0.05,
+    by: str = "distance",
+    title: str | None = None,
+    ax: Canvas | None = None,
+    width: float | None = None,
 ) -> Figure:
     """Draw what the worst robots have in common: each parameter's distribution among them and the others.
 
@@ -194,6 +205,8 @@ def drivers(
         coordinate by its name, or a measure, such as "tip-over margin", of which the smallest is the worst.
     title : str, optional
         Heading of the figure, which by default names what drives them.
+    ax, width
+        As in `states`; the last of several axes is that of the robots' errors.
 
     Returns
     -------
@@ -210,37 +223,31 @@ def drivers(
     worst = worst_share(ensemble, share, by)
     found = causes(ensemble, worst)
     shown = found[:_MOST]
-    columns = 1 if len(shown) <= 3 else 2
-    figure, grid = _sheet(-(-len(shown) // columns), columns)
-    figure.suptitle(headed(title, _answer(found, share, by)), fontsize=14, color=INK)
-    for k, one in enumerate(shown):
-        _distribution(figure.add_subplot(grid[k // columns, k % columns]), one, worst)
-    scatter = figure.add_subplot(grid[:, columns])
-    _scatter(scatter, ensemble, found[0], worst, by)
+    sheet = Sheet(ax, width, 7.6 if len(shown) <= 3 else 10.8)
+    columns = sheet.columns(2 if len(shown) <= 3 else 3, 2.9)
+    *panels, scatter = _axes(sheet, len(shown), columns)
+    for axes, one in zip(panels, shown, strict=True):
+        _distribution(sheet, axes, one, worst, columns)
+    _scatter(sheet, scatter, ensemble, found[0], worst, by, columns)
     keys: list[Artist] = [
-        Line2D([], [], label=f"the worst {percent(share)}: {worst.sum():,} robots", **_WORST),
+        Line2D([], [], label=f"the worst {percent(share)}: {worst.sum():,} robots", **_worst()),
         Patch(label="the others", **_OTHERS),
-        Patch(label="where the worst are", **_WHERE),
+        Patch(label="where the worst are", **_where()),
     ]
     if _lost(ensemble, by).any():
-        room, place = _WORD / figure.get_figwidth(), scatter.get_position()
-        scatter.set_position((place.x0 + room, place.y0, place.width - room, place.height))
-        keys.append(Line2D([], [], color=INK, marker="x", linestyle="", label=_fate(ensemble, by)))
-    legend(figure, keys)
-    return figure
+        keys.append(Line2D([], [], color=ink(), marker="x", linestyle="", label=_fate(ensemble, by)))
+    return sheet.finish(title, _answer(found, share, by), keys)
 
 
-def _sheet(rows: int, columns: int) -> tuple[Figure, GridSpec]:
-    """Return a figure and its grid, whose last column is for the scatter.
-
-    A layout engine would narrow the panels to make room for their headings, which are as wide.
-    """
-    width, height = 4.4 + 3.2 * columns, 1.4 + max(2.1 * rows, 3.6)
-    figure = ShownFigure(figsize=(width, height), dpi=100)
-    return figure, figure.add_gridspec(
-        rows, columns + 1, width_ratios=[1.0] * columns + [1.2], left=0.65 / width, right=1 - 0.15 / width,
-        top=1 - 0.95 / height, bottom=1.0 / height, wspace=0.27, hspace=0.95,
-    )  # fmt: skip
+def _axes(sheet: Sheet, count: int, columns: int) -> list[Axes]:
+    """Return axes for each parameter and, in a column or row of its own, those of the scatter."""
+    beside = max(columns - 1, 1)
+    rows = -(-count // beside)
+    spots: list[Spot] = [divmod(k, beside) for k in range(count)]
+    if columns == 1:
+        return sheet.axes([*spots, (rows, 0)], [*[1.6] * rows, 3.2], share="")
+    tall = [max(1.7, 3.4 / rows)] * rows
+    return sheet.axes([*spots, (slice(0, rows), beside)], tall, share="", ratios=[1.0] * beside + [1.2])
 
 
 def _answer(found: Sequence[Cause], share: float, by: str) -> str:
@@ -253,57 +260,66 @@ def _answer(found: Sequence[Cause], share: float, by: str) -> str:
     return ", then ".join([f"{names[0]} drives {worst} most", *names[1:3]])
 
 
-def _distribution(axes: Axes, one: Cause, worst: NDArray[np.bool_]) -> None:
+def _distribution(sheet: Sheet, axes: Axes, one: Cause, worst: NDArray[np.bool_], columns: int) -> None:
     """Draw how the parameter is distributed among the worst and among the others."""
     dress(axes)
     bins = np.linspace(one.values.min(), one.values.max(), _BINS + 1).tolist()
     bad, good = one.values[worst], one.values[~worst]
     axes.hist(good, bins, weights=np.full(len(good), 100 / len(good)), zorder=2, **_OTHERS)
-    axes.hist(bad, bins, weights=np.full(len(bad), 100 / len(bad)), histtype="step", zorder=3, **_WORST)
+    axes.hist(bad, bins, weights=np.full(len(bad), 100 / len(bad)), histtype="step", zorder=3, **_worst())
     text, shade = "plays no part", "#777777"
+    room = sheet.room(columns)
     if one.visible:
         spans = [(bins[0], one.low), (one.high, bins[-1])] if one.outside else [(one.low, one.high)]
         for low, high in spans:
-            axes.axvspan(max(low, bins[0]), min(high, bins[-1]), zorder=1, **_WHERE)
+            axes.axvspan(max(low, bins[0]), min(high, bins[-1]), zorder=1, **_where())
         many, few = (percent(round(float(one.holds(values).mean()), 2)) for values in (bad, good))
-        text, shade = f"{one.place}:\n{many} of the worst, {few} of the others", INK
-    axes.set_title(text, fontsize=9.5, color=shade, loc="left")
+        text, shade = f"{one.place}:\n{many} of the worst, {few} of the others", ink()
+    axes.set_title(wrapped(text, letters(0.95), room), fontsize=letters(0.95), color=shade, loc="left")
     axes.margins(x=0)
     axes.set_ylim(0, None)
     axes.xaxis.set_major_locator(MaxNLocator(5))
-    axes.set_xlabel(one.label, fontsize=10)
-    axes.set_ylabel("robots per bar [%]", fontsize=10)
+    axes.set_xlabel(one.label)
+    axes.set_ylabel("per bar [%]")
 
 
-def _scatter(axes: Axes, ensemble: Ensemble, one: Cause, worst: NDArray[np.bool_], by: str) -> None:
+def _scatter(
+    sheet: Sheet,
+    axes: Axes,
+    ensemble: Ensemble,
+    one: Cause,
+    worst: NDArray[np.bool_],
+    by: str,
+    columns: int,
+) -> None:
     """Draw each robot's largest error over what matters most; the diverged ones in a strip of their own."""
     dress(axes)
     judged, errors = _judged(ensemble, by), ensemble.largest(by)
     lost = _lost(ensemble, by)
+    # Marks tell them apart in grey.
+    marked = (~worst, _OTHERS["color"], "."), (worst, colour(1), "^")
     kept = errors[~lost]
     farthest, median = (float(np.abs(kept).max()), float(np.median(kept))) if len(kept) else (0.0, 0.0)
     small = judged.unit == "m" and 0 < farthest < 1
     scale, unit = (1e3, "mm") if small else (1.0, judged.unit)
     if 0 < _LINEAR * median < farthest and not judged.is_margin:
         axes.set_yscale("log")
-    for mine, style in ((~worst, _OTHERS), (worst, _WORST)):
+    for mine, paint, marker in marked:
         chosen = _dots(mine & ~lost)
-        axes.plot(
-            one.values[chosen], errors[chosen] * scale, ".", markersize=4, zorder=3, color=style["color"]
-        )
+        axes.plot(one.values[chosen], errors[chosen] * scale, marker, markersize=4, zorder=3, color=paint)
     if lost.any():
         height = strip_above(axes, _fate(ensemble, by), numbers=bool(len(kept)))
-        for mine, style in ((~worst, _OTHERS), (worst, _WORST)):
+        for mine, paint, _ in marked:
             chosen = _dots(mine & lost)
             heights = np.full(len(chosen), height)
-            axes.plot(one.values[chosen], heights, "x", markersize=4, zorder=3, color=style["color"])
+            axes.plot(one.values[chosen], heights, "x", markersize=4, zorder=3, color=paint)
     titles = {"distance": "How far each robot strays", "heading": "How far each robot turns away"}
     title = titles.get(by, f"The {judged.worst} {by} of each robot")
-    axes.set_title(title, fontsize=10.5, color=INK, loc="left")
+    axes.set_title(wrapped(title, letters(), sheet.room(columns)), fontsize=letters(), loc="left")
     axes.xaxis.set_major_locator(MaxNLocator(5))
-    axes.set_xlabel(one.label, fontsize=10)
+    axes.set_xlabel(one.label)
     words = _ERRORS.get(by, by)
-    axes.set_ylabel(f"{judged.worst} {words} [{unit}]" if unit else f"{judged.worst} {words}", fontsize=10)
+    axes.set_ylabel(f"{judged.worst} {words} [{unit}]" if unit else f"{judged.worst} {words}")
 
 
 def _lost(ensemble: Ensemble, by: str) -> NDArray[np.bool_]:

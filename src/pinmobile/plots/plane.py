@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from matplotlib import rcParams
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -19,16 +20,15 @@ from PIL import Image
 from pinmobile.arrays import Array, ArrayLike, callable_as, finite, positive
 from pinmobile.errors import InvalidArgument
 from pinmobile.files import written
-from pinmobile.palette import INK, colour
+from pinmobile.plots.sheet import Canvas, Sheet, headed, letters, over, wrapped
 from pinmobile.plots.style import (
-    DESIRED,
     Rollouts,
-    ShownFigure,
     Style,
+    colour,
+    desired,
     dress,
-    headed,
     heading,
-    legend,
+    ink,
     planar,
     same_references,
     si,
@@ -113,7 +113,11 @@ def _rgb(colour: str) -> tuple[float, ...]:
 
 
 _BOXES = 8
-_TRAVELLED: Style = {"linewidth": 3.6, "zorder": 3}
+
+
+def _travelled() -> Style:
+    """Return how a travelled path is drawn: wider than the desired one, below which it shows."""
+    return {"linewidth": 1.9 * float(rcParams["lines.linewidth"]), "zorder": 3}
 
 
 class Window(NamedTuple):
@@ -128,7 +132,14 @@ class Window(NamedTuple):
         return float((self.high - self.low).max())
 
 
-def path(rollouts: Rollouts, *, times: ArrayLike | None = None, title: str | None = None) -> Figure:
+def path(
+    rollouts: Rollouts,
+    *,
+    times: ArrayLike | None = None,
+    title: str | None = None,
+    ax: Canvas | None = None,
+    width: float | None = None,
+) -> Figure:
     """Draw the desired and the travelled path, and the robot at several instants at its actual pose.
 
     Parameters
@@ -139,6 +150,8 @@ def path(rollouts: Rollouts, *, times: ArrayLike | None = None, title: str | Non
         When the robot is drawn [s]; by default at up to 8 instants spread along the path.
     title : str, optional
         Heading of the figure.
+    ax, width
+        As in `states`.
 
     Returns
     -------
@@ -153,56 +166,107 @@ def path(rollouts: Rollouts, *, times: ArrayLike | None = None, title: str | Non
     instants = (
         _instants(runs) if times is None else {label: _checked(times, run) for label, run in runs.items()}
     )
-    figure, window, axes = panels(runs, headed(title, "Desired and travelled path"))
+    figure, window, axes = panels(runs, title, "Desired and travelled path", ax=ax, width=width)
     for index, (label, run) in enumerate(runs.items()):
         xy = run.poses
         xy = xy[thinned(xy[:, 0], xy[:, 1])]
-        axes[index].plot(xy[:, 0], xy[:, 1], color=colour(index), label="travelled", **_TRAVELLED)
+        axes[index].plot(xy[:, 0], xy[:, 1], color=colour(index), label="travelled", **_travelled())
         for t, pose in zip(instants[label], poses(run, instants[label]), strict=True):
             Body(axes[index], run.plant, colour(index), _ARROW * window.extent, zorder=5).move(pose)
             _write_time(axes[index], t, pose, 0.5 * diagonal(run.plant, _ARROW * window.extent))
     return figure
 
 
-def panels(runs: Mapping[str, Rollout], title: str) -> tuple[Figure, Window, list[Axes]]:
-    """Return a figure with a panel for each rollout, its desired path drawn, and a legend below."""
-    window = _window(runs)
-    columns = min(len(runs), 3)
-    figure, grid = _sheet(-(-len(runs) // columns), columns, window)
-    figure.suptitle(title, fontsize=14, color=INK, y=1 - 0.12 / figure.get_figheight(), va="top")
-    for index, (axes, (label, run)) in enumerate(zip(grid, runs.items(), strict=False)):
+def panels(
+    runs: Mapping[str, Rollout],
+    title: str | None,
+    default: str,
+    *,
+    ax: Canvas | None = None,
+    width: float | None = None,
+    known: bool = True,
+) -> tuple[Figure, Window, list[Axes]]:
+    """Return a figure with a panel for each rollout, its desired path drawn, and a legend below.
+
+    Parameters
+    ----------
+    runs : mapping of str to Rollout
+        By label.
+    title, default, ax, width, known
+        As in `Sheet`.
+    """
+    most = min(len(runs), 3)
+    largest = (8.6 / most - 0.4, 4.8) if most > 1 else (7.0, 5.6)  # [in]
+    shape = _shape(_window(runs, largest[0]))
+    size = min(largest[0] / shape[0], largest[1] / shape[1])
+    sheet = Sheet(ax, width, 0.85 + most * (shape[0] * size + 0.3) - 0.3, known=known)
+    columns, keys = sheet.columns(most, 1.7), list(_keys(len(runs)))
+    window = _window(runs, sheet.width / columns)
+    shape = _shape(window)
+    titles = [_titles(sheet, columns, label, run) for label, run in runs.items()]
+    height, spots = 0.0, [divmod(k, columns) for k in range(len(runs))]
+    if sheet.new:
+        above = max(
+            note.count("\n") + 1 + 1.5 * bool(label) * (label.count("\n") + 1) for note, label in titles
+        )
+        height, grid = _placed(
+            sheet, spots, shape, 1.3 * above + 0.8, sheet.below(keys), sheet.heading(title, default)
+        )
+    else:
+        grid = sheet.axes(spots, [3.0] * -(-len(runs) // columns), share="")
+    for index, (axes, run) in enumerate(zip(grid, runs.values(), strict=True)):
         _furnish(axes, window, left=index % columns == 0, lowest=index + columns >= len(runs))
-        off = si(float(np.hypot(run.error[:, 0], run.error[:, 1]).max()), "m")
-        axes.set_title(f"position error at most {off}", fontsize=10, color=INK)
-        axes.annotate(label, (0.5, 1), (0, 21), ha="center", **heading(index))
+        note, label = titles[index]
+        axes.set_title(note, fontsize=letters(0.95))
+        axes.annotate(label, (0.5, 1), (0, over(note.count("\n") + 1)), ha="center", **heading(index))
         xy = run.reference_poses
         xy = xy[thinned(xy[:, 0], xy[:, 1])]
-        axes.plot(xy[:, 0], xy[:, 1], label="desired", **DESIRED)
-    for axes in grid[len(runs) :]:
-        axes.remove()
-    legend(figure, list(_keys(len(runs))))
-    return figure, window, grid[: len(runs)]
+        axes.plot(xy[:, 0], xy[:, 1], label="desired", **desired())
+    return sheet.finish(title, default, keys, height=height), window, grid
 
 
-def _sheet(rows: int, columns: int, window: Window) -> tuple[Figure, list[Axes]]:
-    """Return a figure whose axes have the shape of the window: layout engines let titles collide there."""
-    shape = (window.high - window.low) / window.extent
-    largest = (8.6 / columns - 0.4, 4.8) if columns > 1 else (7.0, 5.6)  # [in]
-    wide, tall = shape * min(largest[0] / shape[0], largest[1] / shape[1])
-    left, right, below, above, apart = 0.65, 0.2, 0.95, 0.95 if columns > 1 else 0.75, (0.3, 0.85)
-    width = left + columns * wide + (columns - 1) * apart[0] + right
-    height = below + rows * tall + (rows - 1) * apart[1] + above
-    figure = ShownFigure(figsize=(width, height), dpi=100)
-    grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-    figure.subplots_adjust(
-        left=left / width,
-        right=1 - right / width,
-        bottom=below / height,
-        top=1 - above / height,
-        wspace=apart[0] / wide,
-        hspace=apart[1] / tall,
-    )
-    return figure, list(grid.ravel())
+def _titles(sheet: Sheet, columns: int, label: str, run: Rollout) -> tuple[str, str]:
+    """Return what stands above a panel: how far the robot is off, and its name."""
+    off = si(float(np.hypot(run.error[:, 0], run.error[:, 1]).max()), "m")
+    room = (sheet.width - 5.5 * letters() / 72) / columns
+    note = wrapped(f"position error at most {off}", letters(0.95), room)
+    return note, wrapped(label, letters(1.2), room, weight="bold")
+
+
+def _placed(
+    sheet: Sheet, spots: Sequence[tuple[int, int]], shape: Array, titles: float, keys: float, heading: float
+) -> tuple[float, list[Axes]]:
+    """Return the height of a figure [in] and its axes of the window's shape: in layouts, titles collide.
+
+    Parameters
+    ----------
+    sheet : Sheet
+        With a new figure.
+    spots : sequence of tuple
+        Row and column of each of the axes.
+    shape : ndarray, shape (2,)
+        Of the window: its longer side is 1.
+    titles : float
+        Height of what stands above each of the axes, in letters.
+    keys, heading : float
+        Heights of legend and heading [in].
+    """
+    em = letters() / 72
+    rows, columns = (1 + max(place) for place in zip(*spots, strict=True))
+    left, right, beside = 4.7 * em, 1.4 * em, 2.2 * em
+    below, between, above = keys + 3.4 * em, (titles + 1.8) * em, titles * em + heading
+    wide = (sheet.width - left - right - beside * (columns - 1)) / columns
+    tall = max(wide, em) * shape[1] / shape[0]
+    height = below + rows * tall + (rows - 1) * between + above
+    figure = sheet.figure
+    figure.set_layout_engine("none")
+    made: list[Axes] = []
+    for row, column in spots:
+        corner = left + column * (wide + beside), below + (rows - 1 - row) * (tall + between)
+        place = corner[0] / sheet.width, corner[1] / height, max(wide, em) / sheet.width, tall / height
+        shared = made[0] if made else None
+        made.append(figure.add_axes(place, sharex=shared, sharey=shared))
+    return height, made
 
 
 def poses(run: Rollout, times: Array) -> Array:
@@ -214,19 +278,25 @@ def poses(run: Rollout, times: Array) -> Array:
 
 def _keys(count: int) -> Iterator[Patch | Line2D]:
     shade = colour(0) if count == 1 else "#777777"
-    yield Line2D([], [], label="desired", **DESIRED)
-    yield Line2D([], [], label="travelled", color=shade, **_TRAVELLED)
+    yield Line2D([], [], label="desired", **desired())
+    yield Line2D([], [], label="travelled", color=shade, **_travelled())
     yield Patch(facecolor=(*(0.6,) * 3, 0.4), edgecolor=shade, label="robot")
 
 
-def _window(runs: Mapping[str, Rollout]) -> Window:
+def _shape(window: Window) -> Array:
+    return (window.high - window.low) / window.extent
+
+
+def _window(runs: Mapping[str, Rollout], wide: float) -> Window:
+    """Return what panels that are so wide [in] show, with room for the times beside the robots."""
     points = np.concatenate(
         [part[:, :2] for run in runs.values() for part in (run.poses, run.reference_poses)]
     )
     low, high = points.min(axis=0), points.max(axis=0)
     extent = float((high - low).max())
     robot = max(diagonal(run.plant, _ARROW * extent) for run in runs.values())
-    margin = 0.5 * robot + 0.12 * max(extent, robot) or 1.0
+    words = min(2.6 * letters() / 72 / wide, 0.25)
+    margin = 0.5 * robot + max(0.12, words / (1 - 2 * words)) * max(extent, robot) or 1.0
     room = np.maximum(0.25 * extent - 0.5 * (high - low), 0.0)  # a straight line gets a panel, not a slit
     return Window(low - margin - room, high + margin + room)
 
@@ -237,16 +307,16 @@ def _furnish(axes: Axes, window: Window, *, left: bool, lowest: bool) -> None:
     axes.set_xlim(window.low[0], window.high[0])
     axes.set_ylim(window.low[1], window.high[1])
     axes.tick_params(labelleft=left, labelbottom=lowest)
-    axes.set_xlabel("x [m]" if lowest else "", fontsize=11)
-    axes.set_ylabel("y [m]" if left else "", fontsize=11)
+    axes.set_xlabel("x [m]" if lowest else "")
+    axes.set_ylabel("y [m]" if left else "")
 
 
 def _write_time(axes: Axes, t: float, pose: Array, beside: float) -> None:
     """Write the time to the right of the robot."""
     right = float(np.sin(pose[2])), float(-np.cos(pose[2]))
     spot = pose[0] + beside * right[0], pose[1] + beside * right[1]
-    offset = 18 * right[0], 9 * right[1]  # [pt]; text is wider than high
-    text: Style = {"ha": "center", "va": "center", "fontsize": 9, "color": INK, "zorder": 6}
+    offset = letters(1.8) * right[0], letters(0.9) * right[1]  # text is wider than high
+    text: Style = {"ha": "center", "va": "center", "fontsize": letters(0.9), "color": ink(), "zorder": 6}
     axes.annotate(f"{t:.3g} s", spot, offset, textcoords="offset points", **text)
 
 
@@ -358,16 +428,17 @@ class _Scene:
     """A figure whose still parts are drawn once."""
 
     def __init__(self, runs: Mapping[str, Rollout], times: Array, title: str, pace: float) -> None:
-        self.figure, window, axes = panels(runs, "")
+        self.figure, window, axes = panels(runs, None, "", known=False)
         self.figure.set_dpi(_DPI)
         self.canvas = _agg(self.figure)
         self.times = times
-        (heading,) = self.figure.texts
-        heading.set_text(title if pace == 1 else f"{title} ({pace:.3g} times as fast)".lstrip())
-        heading.set(x=self.figure.subplotpars.left, ha="left")
+        words = title if pace == 1 else f"{title} ({pace:.3g} times as fast)".lstrip()
+        size, left, right = letters(1.2), axes[0].get_position().x0, axes[-1].get_position().x1
+        high = 1 - size / 144 / self.figure.get_figheight()
+        self.figure.text(left, high, words, va="top", fontsize=size)
         # Text is slow to draw: of the caption, only the time is drawn in each frame.
-        place = self.figure.subplotpars.right, heading.get_position()[1]
-        self.clock = self.figure.text(*place, "", ha="right", va="top", fontsize=14, color=INK, animated=True)
+        clock: Style = {"ha": "right", "va": "top", "fontsize": size, "animated": True}
+        self.clock = self.figure.text(right, high, "", **clock)
         self.movers = [
             _Mover(run, times, panel, Body(panel, run.plant, shade, _ARROW * window.extent, animated=True))
             for run, panel, shade in zip(runs.values(), axes, map(colour, range(len(runs))), strict=True)
@@ -395,7 +466,7 @@ class _Mover:
         self.xy, self.reached = xy[kept], np.searchsorted(run.t[kept], times)
         self.poses, self.axes, self.body = poses(run, times), axes, body
         (self.desired,) = axes.lines  # drawn again, above what is travelled
-        (self.line,) = axes.plot([], [], color=body.colour, animated=True, **_TRAVELLED)
+        (self.line,) = axes.plot([], [], color=body.colour, animated=True, **_travelled())
 
     def draw(self, index: int) -> None:
         """Draw both at the time with this index."""

@@ -21,22 +21,22 @@ from pinmobile.balance import (
     tip_over_margin,
 )
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.palette import INK, colour
 from pinmobile.plant import Plant, all_samples, configuration_names_of, coordinates_of, leading_of
+from pinmobile.plots.sheet import Canvas, Sheet, Spot, extent, letters, over, wrapped
 from pinmobile.plots.style import (
-    DESIRED,
     TALL,
     Rollouts,
-    ShownFigure,
     Style,
+    colour,
+    desired,
     dress,
-    headed,
     heading,
+    keys_of,
     labelled,
     laid_out,
-    legend,
     line_style,
     same_references,
+    shortened,
     stacked,
     thinned,
     titled,
@@ -47,10 +47,13 @@ _SYMBOLS = {
     **{"x": "$x$", "y": "$y$", "psi": r"$\psi$"},
     **{"Fx": "$F_x$", "Fy": "$F_y$", "Mz": "$M_z$"},
 }
+_POWER = r"$\times 10^{-3}$"
 _ROUNDING = 1e-12  # what is smaller is drawn as the zero that it is
 
 
-def states(rollouts: Rollouts, *, title: str | None = None) -> Figure:
+def states(
+    rollouts: Rollouts, *, title: str | None = None, ax: Canvas | None = None, width: float | None = None
+) -> Figure:
     """Draw x, y and psi over time, desired and actual; of arms each joint too.
 
     Parameters
@@ -59,6 +62,11 @@ def states(rollouts: Rollouts, *, title: str | None = None) -> Figure:
         All are drawn in the same axes.
     title : str, optional
         Heading of the figure.
+    ax : Axes, sequence of Axes, Figure or SubFigure, optional
+        Where it is drawn: axes, one for each panel, or a figure that is filled; by default a new figure.
+    width : float, optional
+        Of a new figure [in]; by default that of ``rcParams["figure.figsize"]`` if you have set it, else what
+        suits the panels. Its height follows, and its letters are those of ``rcParams``.
 
     Returns
     -------
@@ -67,22 +75,25 @@ def states(rollouts: Rollouts, *, title: str | None = None) -> Figure:
     Raises
     ------
     InvalidArgument
-        If `rollouts` is something else.
+        If `rollouts`, `ax` or `width` is something else, or the width too small for the labels.
     """
     runs = labelled(rollouts)
     drawn = {label: _displacement(run, run.q) for label, run in runs.items()}
     names = _names((runs[label].plant, _named(runs[label].plant, x.shape[1])) for label, x in drawn.items())
-    figure, panels = laid_out(names, headed(title, "Desired and actual pose"))
+    sheet = Sheet(ax, width, _wide(len(names)))
+    panels = laid_out(sheet, names)
     for index, (label, run) in enumerate(runs.items()):
         draw(panels, run.t, drawn[label], label=label or "actual", **line_style(index, len(runs)))
     for labels in same_references(runs).values():
         run = runs[labels[0]]
-        draw(panels, run.t, _displacement(run, run.reference.q), label="desired", **DESIRED)
-    legend(figure, [Line2D([], [], label="desired", **DESIRED), *panels[0].lines[: len(runs)]])
-    return figure
+        draw(panels, run.t, _displacement(run, run.reference.q), label="desired", **desired())
+    keys = [Line2D([], [], label="desired", **desired()), *keys_of(runs, "actual")]
+    return sheet.finish(title, "Desired and actual pose", keys)
 
 
-def errors(rollouts: Rollouts, *, title: str | None = None) -> Figure:
+def errors(
+    rollouts: Rollouts, *, title: str | None = None, ax: Canvas | None = None, width: float | None = None
+) -> Figure:
     """Draw the errors of x, y and psi, and of joints, over time, desired minus actual, on the circle.
 
     Controllers differ by orders of magnitude, so each rollout has a column with its own scale; above each
@@ -94,6 +105,8 @@ def errors(rollouts: Rollouts, *, title: str | None = None) -> Figure:
         Each gets a column.
     title : str, optional
         Heading of the figure.
+    ax, width
+        As in `states`.
 
     Returns
     -------
@@ -102,26 +115,39 @@ def errors(rollouts: Rollouts, *, title: str | None = None) -> Figure:
     Raises
     ------
     InvalidArgument
-        If `rollouts` is something else.
+        If `rollouts`, `ax` or `width` is something else, or the width too small for the labels.
     """
     runs = labelled(rollouts)
     names = _names((run.plant, run.labels) for run in runs.values())
     note = "; each panel has its own scale" if len(runs) > 1 else ""
-    heads = headed(title, f"Error: desired minus actual{note}")
     if len(names) > TALL:
-        figure, grid = titled(names, len(runs), heads, height=1.2)
+        sheet = Sheet(ax, width, max(9.0, 4.2 * len(runs)))
+        grid = titled(sheet, names, len(runs), height=1.2)
     else:
-        figure, grid = stacked([(f"error in {symbol}", unit) for symbol, unit in names], len(runs), heads)
+        sheet = Sheet(ax, width, max(9.0, 3.2 * len(runs)))
+        grid = stacked(sheet, [(f"error in {symbol}", unit) for symbol, unit in names], len(runs))
     for index, (label, run) in enumerate(runs.items()):
         column = grid[:, index]
-        draw(column, run.t, run.error, label=label, color=colour(index), linewidth=1.8, zorder=3)
+        style = line_style(0, 1) | {"color": colour(index)}
+        draw(column, run.t, run.error, label=label, **style)
+        lines, beside = 1, len(names) > TALL
         for axes, (_, unit), values in zip(column, names, run.error.T, strict=False):
-            axes.set_title(f"largest {_power(float(np.abs(values).max()))} {unit}", fontsize=11, loc="right")
-        column[0].annotate(label, (0, 1), (0, 44 if len(names) > TALL else 26), **heading(index))
-    return figure
+            largest = f"largest {_power(float(np.abs(values).max()))} {unit}"
+            words = wrapped(largest, letters(0.95), sheet.room(len(runs)) / (1 + beside))
+            axes.set_title(words, fontsize=letters(0.95), loc="right")
+            # Where there is no room beside the power of ten above the axis, matplotlib puts it higher.
+            full = extent(f"{words.splitlines()[0]} {_POWER}", letters(0.95)) > sheet.room(len(runs)) / (
+                1 + beside
+            )
+            lines = max(lines, words.count("\n") + 1 + full)
+        words = shortened(sheet, label, len(runs))
+        column[0].annotate(words, (0, 1), (0, over(lines + beside)), **heading(index))
+    return sheet.finish(title, f"Error: desired minus actual{note}")
 
 
-def forces(rollouts: Rollouts, *, title: str | None = None) -> Figure:
+def forces(
+    rollouts: Rollouts, *, title: str | None = None, ax: Canvas | None = None, width: float | None = None
+) -> Figure:
     """Draw the plant's inputs over time, forces and torques, held from one sample to the next.
 
     Parameters
@@ -130,6 +156,8 @@ def forces(rollouts: Rollouts, *, title: str | None = None) -> Figure:
         All are drawn in the same axes.
     title : str, optional
         Heading of the figure.
+    ax, width
+        As in `states`.
 
     Returns
     -------
@@ -138,19 +166,20 @@ def forces(rollouts: Rollouts, *, title: str | None = None) -> Figure:
     Raises
     ------
     InvalidArgument
-        If `rollouts` is something else.
+        If `rollouts`, `ax` or `width` is something else, or the width too small for the labels.
     """
     runs = labelled(rollouts)
     names = _names((run.plant, [(one.name, one.unit) for one in run.inputs]) for run in runs.values())
-    figure, panels = laid_out(names, headed(title, "Input, held from one sample to the next"))
+    sheet = Sheet(ax, width, _wide(len(names)))
+    panels = laid_out(sheet, names)
     for index, (label, run) in enumerate(runs.items()):
         draw(panels, run.t, run.u, label=label, drawstyle="steps-post", **line_style(index, len(runs)))
-    if len(runs) > 1:
-        legend(figure, panels[0].lines)
-    return figure
+    return sheet.finish(title, "Input, held from one sample to the next", keys_of(runs))
 
 
-def signals(rollouts: Rollouts, *, title: str | None = None) -> Figure:
+def signals(
+    rollouts: Rollouts, *, title: str | None = None, ax: Canvas | None = None, width: float | None = None
+) -> Figure:
     """Draw the signals that the parts of the loop gave, each with its unit.
 
     Parameters
@@ -159,6 +188,8 @@ def signals(rollouts: Rollouts, *, title: str | None = None) -> Figure:
         All are drawn in the same axes; each signal of any has a panel.
     title : str, optional
         Heading of the figure.
+    ax, width
+        As in `states`.
 
     Returns
     -------
@@ -174,7 +205,8 @@ def signals(rollouts: Rollouts, *, title: str | None = None) -> Figure:
     if not units:
         raise InvalidArgument("rollouts have no signals, expected at least one: see Rollout.signals")
     names = [(_symbol(name), unit) for name, unit in units.items()]
-    figure, panels = laid_out(names, headed(title, "Signals"))
+    sheet = Sheet(ax, width, _wide(len(names)))
+    panels = laid_out(sheet, names)
     for axes, name in zip(panels, units, strict=True):
         for index, (label, run) in enumerate(runs.items()):
             if name not in run.signals:
@@ -191,12 +223,13 @@ def signals(rollouts: Rollouts, *, title: str | None = None) -> Figure:
                     [axes], run.t, column[:, None], label=f"{label} [{k}]".strip() if many else label, **style
                 )
         if any(run.signals[name].values.ndim > 1 for run in runs.values() if name in run.signals):
-            axes.legend(fontsize=9)
-    if len(runs) > 1:
-        legend(
-            figure, [Line2D([], [], label=label, **line_style(k, len(runs))) for k, label in enumerate(runs)]
-        )
-    return figure
+            axes.legend(fontsize=letters(0.9))
+    return sheet.finish(title, "Signals", keys_of(runs))
+
+
+def _wide(count: int) -> float:
+    """Return the natural width of a figure with so many coordinates [in]."""
+    return 9.0 if count <= TALL else 12.0
 
 
 def _names(named: Iterable[tuple[object, Sequence[tuple[str, str]]]]) -> list[tuple[str, str]]:
@@ -252,7 +285,7 @@ def draw(column: Iterable[Axes], t: Array, values: Array, **style: Any) -> None:
     """Draw each coordinate, shape (N,) of values (N, n), in its axes."""
     for axes, line in zip(column, values.T, strict=False):
         kept = thinned(line)
-        axes.plot(t[kept], line[kept], marker="o" if len(line) == 1 else "", **style)
+        axes.plot(t[kept], line[kept], **{"marker": "o" if len(line) == 1 else ""} | style)
         if np.abs(axes.dataLim.intervaly).max() < _ROUNDING:
             axes.set_ylim(-_ROUNDING, _ROUNDING)
 
@@ -282,7 +315,14 @@ _OUTLINE: Style = {
 _LIMIT: Style = {"color": "#777777", "linestyle": (0, (4, 3)), "linewidth": 1.2, "zorder": 2}
 
 
-def balance(rollouts: Rollouts, *, footprint: ArrayLike | None = None, title: str | None = None) -> Figure:
+def balance(
+    rollouts: Rollouts,
+    *,
+    footprint: ArrayLike | None = None,
+    title: str | None = None,
+    ax: Canvas | None = None,
+    width: float | None = None,
+) -> Figure:
     """Draw tip-over margin and required friction over time, and the zero-moment point on the footprint.
 
     Parameters
@@ -293,6 +333,8 @@ def balance(rollouts: Rollouts, *, footprint: ArrayLike | None = None, title: st
         As in `tip_over_margin`; by default each robot's own.
     title : str, optional
         Heading of the figure.
+    ax, width
+        As in `states`.
 
     Returns
     -------
@@ -304,37 +346,40 @@ def balance(rollouts: Rollouts, *, footprint: ArrayLike | None = None, title: st
         If `rollouts` is something else, not of a `MobileRobot`, or `footprint` is no convex polygon.
     """
     runs = _of_robots(rollouts)
-    figure = ShownFigure(figsize=(11.0, 5.2), dpi=100, layout="constrained")
-    figure.suptitle(headed(title, "Balance on the ground"), fontsize=14, color=INK)
-    (above, beside), (below, _) = grid = figure.subplots(2, 2, width_ratios=(1.25, 1))
-    for axes in grid[:, 1]:
-        axes.remove()
-    beside = figure.add_subplot(grid[0, 0].get_gridspec()[:, 1])
-    above.sharex(below)
-    above.tick_params(labelbottom=False)
+    sheet = Sheet(ax, width, 11.0)
+    spots: list[Spot] = [(0, 0), (1, 0), (slice(0, 2), 1)]
+    if sheet.columns(2, 3.2) == 1:
+        above, below, beside = sheet.axes([(0, 0), (1, 0), (2, slice(0, 1))], [2.2, 2.2, 4.4])
+    else:
+        above, below, beside = sheet.axes(spots, [2.1, 2.1], ratios=(1.25, 1))
     for axes, name in ((above, "tip-over margin [m]"), (below, "required friction [-]")):
         dress(axes)
-        axes.set_ylabel(name, fontsize=11)
-    below.set_xlabel("t [s]", fontsize=11)
+        axes.set_ylabel(name)
+    below.set_xlabel("t [s]")
     for index, (label, run) in enumerate(runs.items()):
         style = line_style(index, len(runs)) | {"label": label}
         margin = tip_over_margin(run, footprint)
         _line(above, run.t, margin, **style)
         _line(below, run.t, required_friction(run), **style)
-        _mark_lift_off((above, below), run.t, np.isneginf(margin), colour(index))
+        _mark_lift_off(sheet, (above, below), run.t, np.isneginf(margin), colour(index))
     span = [float(f([f(run.t) for run in runs.values()])) for f in (np.min, np.max)]
     if span[0] < span[1]:
         below.set_xlim(*span)
     if above.dataLim.y0 <= 0:
         above.axhline(0, **_LIMIT)
     below.set_ylim(bottom=min(0.0, below.get_ylim()[0]))
-    _from_above(beside, runs, footprint)
-    if len(runs) > 1:
-        legend(figure, [line for line in above.lines if not str(line.get_label()).startswith("_")])
-    return figure
+    _from_above(sheet, beside, runs, footprint)
+    return sheet.finish(title, "Balance on the ground", keys_of(runs))
 
 
-def reaction(rollouts: Rollouts, *, mount: str | None = None, title: str | None = None) -> Figure:
+def reaction(
+    rollouts: Rollouts,
+    *,
+    mount: str | None = None,
+    title: str | None = None,
+    ax: Canvas | None = None,
+    width: float | None = None,
+) -> Figure:
     """Draw the force and the moment that an arm exerts on the base over time, along the body's axes.
 
     Parameters
@@ -345,6 +390,8 @@ def reaction(rollouts: Rollouts, *, mount: str | None = None, title: str | None 
         As in `reaction_wrench`.
     title : str, optional
         Heading of the figure.
+    ax, width
+        As in `states`.
 
     Returns
     -------
@@ -358,13 +405,12 @@ def reaction(rollouts: Rollouts, *, mount: str | None = None, title: str | None 
         If nothing is mounted by that name.
     """
     runs = _of_robots(rollouts)
-    figure, grid = stacked(_WRENCH, 1, headed(title, "Force and moment of the arm on the base, at its mount"))
+    sheet = Sheet(ax, width, 9.0)
+    grid = stacked(sheet, _WRENCH)
     for index, (label, run) in enumerate(runs.items()):
         style = line_style(index, len(runs))
         draw(grid[:, 0], run.t, reaction_wrench(run, mount), label=label, **style)
-    if len(runs) > 1:
-        legend(figure, grid[0, 0].lines)
-    return figure
+    return sheet.finish(title, "Force and moment of the arm on the base, at its mount", keys_of(runs))
 
 
 def _of_robots(rollouts: object) -> dict[str, Rollout]:
@@ -383,24 +429,31 @@ def _line(axes: Axes, t: Array, values: Array, **style: Any) -> None:
     """Draw what is finite; where the ground does not carry the robot, there is a gap."""
     finite = np.where(np.isfinite(values), values, np.nan)
     kept = thinned(np.nan_to_num(finite))
-    axes.plot(t[kept], finite[kept], marker="o" if len(t) == 1 else "", **style)
+    axes.plot(t[kept], finite[kept], **{"marker": "o" if len(t) == 1 else ""} | style)
     axes.margins(x=0.01, y=0.1)
 
 
-def _mark_lift_off(panels: tuple[Axes, ...], t: Array, lifted: NDArray[np.bool_], ink: str) -> None:
+def _mark_lift_off(
+    sheet: Sheet, panels: tuple[Axes, ...], t: Array, lifted: NDArray[np.bool_], paint: str
+) -> None:
     """Hatch the times at which the ground would have to pull, where there is nothing to draw."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], lifted, [False]]).astype(int)))
     for start, stop in edges.reshape(-1, 2):
         for axes in panels:
             until = t[min(stop, len(t) - 1)]
             axes.axvspan(
-                t[start], until, facecolor="none", edgecolor=ink, hatch="///", linewidth=0, alpha=0.5
+                t[start], until, facecolor="none", edgecolor=paint, hatch="///", linewidth=0, alpha=0.5
             )
     if lifted.any():
-        panels[0].set_title("hatched: the ground does not carry the robot", fontsize=10, color=INK)
+        words = "hatched: the ground does not carry the robot"
+        panels[0].set_title(_note(sheet, words), fontsize=letters(0.95))
 
 
-def _from_above(axes: Axes, runs: dict[str, Rollout], footprint: ArrayLike | None) -> None:
+def _note(sheet: Sheet, words: str) -> str:
+    return wrapped(words, letters(0.95), sheet.room(sheet.columns(2, 3.2)))
+
+
+def _from_above(sheet: Sheet, axes: Axes, runs: dict[str, Rollout], footprint: ArrayLike | None) -> None:
     """Draw the footprint and the zero-moment point in the body's frame."""
     dress(axes)
     outlines = {
@@ -421,6 +474,6 @@ def _from_above(axes: Axes, runs: dict[str, Rollout], footprint: ArrayLike | Non
     axes.autoscale_view()
     axes.margins(0.08)
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel("forward $x_B$ [m]", fontsize=11)
-    axes.set_ylabel("left $y_B$ [m]", fontsize=11)
-    axes.set_title("zero-moment point in the footprint, dot: first", fontsize=10, color=INK)
+    axes.set_xlabel("forward $x_B$ [m]")
+    axes.set_ylabel("left $y_B$ [m]")
+    axes.set_title(_note(sheet, "zero-moment point in the footprint, dot: first"), fontsize=letters(0.95))

@@ -1,79 +1,107 @@
-"""How figures look and where their axes stand: colours, line styles, legends, and the lines of rollouts."""
+"""How figures look: colours, line styles, the axes of what is drawn over time, and the lines of rollouts."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from io import BytesIO
-from typing import Any, Literal, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
-from matplotlib.artist import Artist
+from matplotlib import rcParams, rcParamsDefault
 from matplotlib.axes import Axes
-from matplotlib.colors import to_rgb
-from matplotlib.figure import Figure
+from matplotlib.colors import to_hex, to_rgb
+from matplotlib.lines import Line2D
 from matplotlib.ticker import ScalarFormatter
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, text
+import pinmobile.palette as palette
+from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.palette import INK, colour
+from pinmobile.palette import INK
+from pinmobile.plots.sheet import Sheet, letters, wrapped
 from pinmobile.simulation import Rollout
 
 Style: TypeAlias = dict[str, Any]
 """How something is drawn: keyword arguments of matplotlib's artists."""
 
-DESIRED: Style = {"color": INK, "linestyle": (0, (5, 4)), "linewidth": 1.2, "zorder": 4}
-
-_DASHES = ("-", "-", (0, (8, 2)), (0, (5, 2, 1.5, 2)), (0, (1.5, 1.5)))
+DASHES = ("-", (0, (6, 2)), (0, (6, 2, 1.5, 2)), (0, (2.5, 1.5)), (0, (1, 1)), (0, (4, 1, 1, 1, 1, 1)))
 _PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
-
-
-class ShownFigure(Figure):
-    """A figure that a notebook shows although pyplot was never imported."""
-
-    def _repr_png_(self) -> bytes:
-        buffer = BytesIO()
-        self.savefig(buffer, format="png")
-        return buffer.getvalue()
-
-
-def headed(title: object, default: str) -> str:
-    """Return the heading of a figure.
-
-    Raises
-    ------
-    InvalidArgument
-        If it is no text.
-    """
-    return default if title is None or (isinstance(title, str) and not title) else text("title", title)
 
 
 def line_style(index: int, count: int) -> Style:
     """Return how the line of rollout `index` of `count` is drawn over the others.
 
-    The first is the widest: where lines coincide, as well-controlled robots' do, each still shows.
+    Dashes tell lines apart in grey. The first is the widest: where lines coincide, as well-controlled robots'
+    do, each still shows. A user's cycle of colours, dashes and markers (``rcParams["axes.prop_cycle"]``) goes
+    first.
     """
-    return {
+    share = (count - 1 - index) / max(count - 1, 1)
+    style = {
         "color": colour(index),
-        "linestyle": _DASHES[index % len(_DASHES)],
-        "linewidth": 2.0 + 2.6 * (count - 1 - index) / max(count - 1, 1),
+        "linestyle": DASHES[index % len(DASHES)],
+        "linewidth": float(rcParams["lines.linewidth"]) * (1.15 + 1.2 * share),
         "zorder": 3,
     }
+    cycle = _cycle()
+    own = cycle[index % len(cycle)] if cycle else {}
+    return style | own | ({"markevery": 0.12} if "marker" in own else {})
+
+
+def colour(index: int) -> str:
+    """Return the colour of the rollout with this index, of the user's cycle if there is one."""
+    cycle = _cycle()
+    own = str(cycle[index % len(cycle)].get("color", "")) if cycle else ""
+    return to_hex(own).upper() if own else palette.colour(index)
+
+
+def _cycle() -> list[Style]:
+    """Return the user's cycle of styles; empty where it is matplotlib's own."""
+    cycle = rcParams["axes.prop_cycle"]
+    return [] if cycle == rcParamsDefault["axes.prop_cycle"] else [dict(each) for each in cycle]
+
+
+def ink() -> str:
+    """Return the colour of what is desired and of words: the user's, if there is one."""
+    own = rcParams["text.color"]
+    return INK if own == rcParamsDefault["text.color"] else to_hex(own)
+
+
+def desired() -> Style:
+    """Return how the line of a reference is drawn."""
+    thin = 0.8 * float(rcParams["lines.linewidth"])
+    return {"color": ink(), "linestyle": (0, (5, 4)), "linewidth": thin, "zorder": 4}
+
+
+def keys_of(runs: Mapping[str, object], alone: str = "") -> list[Line2D]:
+    """Return what a legend says of lines in `line_style`; nothing of a single one, or that it is `alone`."""
+    if len(runs) == 1 and not alone:
+        return []
+    return [
+        Line2D([], [], label=label or alone, **line_style(index, len(runs)))
+        for index, label in enumerate(runs)
+    ]
+
+
+def shortened(sheet: Sheet, label: str, columns: int) -> str:
+    """Return a label in lines that fit above one of so many panels, in the letters of `heading`."""
+    return wrapped(label, letters(1.2), sheet.room(columns), weight="bold")
 
 
 def tint(base: str, share: float) -> tuple[float, float, float]:
-    """Return a colour mixed with white: `share` of it, from 0 to 1."""
-    r, g, b = (1 - share * (1 - part) for part in to_rgb(base))
+    """Return a colour mixed with that of the axes: `share` of it, from 0 to 1."""
+    r, g, b = (
+        ground - share * (ground - part)
+        for ground, part in zip(to_rgb(rcParams["axes.facecolor"]), to_rgb(base), strict=True)
+    )
     return r, g, b
 
 
 def dress(axes: Axes) -> None:
     """Give axes a quiet frame and grid."""
-    axes.grid(True, color="#e4e4e4", linewidth=0.8)
+    axes.grid(True, color=rcParams["grid.color"], alpha=0.35, linewidth=rcParams["grid.linewidth"])
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color("#888888")
-    axes.tick_params(color="#888888", labelsize=10)
+    axes.tick_params(color="#888888")
 
 
 def heading(index: int) -> Style:
@@ -81,19 +109,11 @@ def heading(index: int) -> Style:
     return {
         "xycoords": "axes fraction",
         "textcoords": "offset points",
-        "fontsize": 13,
+        "va": "bottom",
+        "fontsize": letters(1.2),
         "fontweight": "bold",
         "color": colour(index),
     }
-
-
-def legend(figure: Figure, handles: Sequence[Artist]) -> None:
-    """Put a legend below all axes, where it hides nothing."""
-    rows = -(-len(handles) // 5)
-    columns = -(-len(handles) // rows)
-    where: Literal["lower center", "outside lower center"]
-    where = "lower center" if figure.get_layout_engine() is None else "outside lower center"
-    figure.legend(handles=handles, loc=where, ncols=columns, frameon=False, fontsize=11, columnspacing=1.5)
 
 
 def percent(share: float) -> str:
@@ -114,70 +134,58 @@ TALL = 6
 """So many coordinates are drawn below each other, with their symbols beside them; more are not."""
 
 _ABREAST = 3
+_TALL_ROW = 1.75  # [in]
 
 
-def stacked(names: Sequence[tuple[str, str]], columns: int, title: str) -> tuple[Figure, NDArray[Any]]:
-    """Return a figure with a row of axes for each coordinate, and the axes, shape (rows, columns)."""
-    size = max(9.0, 3.2 * columns), 1.2 + 1.75 * len(names)
-    figure, grid = _grid((len(names), columns), size, title)
+def stacked(sheet: Sheet, names: Sequence[tuple[str, str]], columns: int = 1) -> NDArray[Any]:
+    """Return axes, shape (rows, columns), with a row for each coordinate."""
+    grid = sheet.grid(len(names), columns, [_TALL_ROW] * len(names))
     for row, (symbol, unit) in zip(grid, names, strict=True):
-        row[0].set_ylabel(f"{symbol} [{unit}]" if unit else symbol, fontsize=12)
-    for axes in grid[-1]:
-        axes.set_xlabel("t [s]", fontsize=11)
-    figure.align_ylabels(grid[:, 0])
-    return figure, grid
+        row[0].set_ylabel(f"{symbol} [{unit}]" if unit else symbol)
+    return _over_time(sheet, grid)
 
 
-def laid_out(names: Sequence[tuple[str, str]], title: str) -> tuple[Figure, list[Axes]]:
-    """Return a figure with one of the axes for each coordinate: below each other, or many three in a row."""
+def laid_out(sheet: Sheet, names: Sequence[tuple[str, str]]) -> list[Axes]:
+    """Return one of the axes for each coordinate: below each other, or many of them up to three in a row."""
     if len(names) <= TALL:
-        figure, grid = stacked(names, 1, title)
-        return figure, list(grid[:, 0])
-    rows = -(-len(names) // _ABREAST)
-    size = 12.0, 1.2 + 1.75 * rows
-    figure, grid = _grid((rows, _ABREAST), size, title)
-    panels = list(grid.ravel())
-    for axes, (symbol, unit) in zip(panels, names, strict=False):
-        _name(axes, symbol, unit)
-    for axes in panels[len(names) :]:
-        axes.remove()
-    for axes in panels[: len(names)][-_ABREAST:]:
-        axes.tick_params(labelbottom=True)
-        axes.set_xlabel("t [s]", fontsize=11)
-    return figure, panels[: len(names)]
+        return list(stacked(sheet, names)[:, 0])
+    columns = sheet.columns(_ABREAST, 2.4)
+    rows = -(-len(names) // columns)
+    spots = [divmod(k, columns) for k in range(len(names))]
+    panels = sheet.axes(spots, [_TALL_ROW] * rows)
+    _over_time(sheet, np.array([panels]))
+    for k, (axes, (symbol, unit)) in enumerate(zip(panels, names, strict=True)):
+        _name(sheet, axes, symbol, unit, columns)
+        axes.set_xlabel("t [s]" if k + columns >= len(names) else "")
+    return panels
 
 
-def titled(
-    names: Sequence[tuple[str, str]], columns: int, title: str, height: float
-) -> tuple[Figure, NDArray[Any]]:
+def titled(sheet: Sheet, names: Sequence[tuple[str, str]], columns: int, height: float) -> NDArray[Any]:
     """Return axes as `stacked` does, each with its name above it: names of joints are long."""
-    size = max(9.0, 4.2 * columns), 1.4 + height * len(names)
-    figure, grid = _grid((len(names), columns), size, title)
+    grid = sheet.grid(len(names), columns, [height] * len(names))
     for row, (symbol, unit) in zip(grid, names, strict=True):
         for axes in row:
-            _name(axes, symbol, unit)
-    for axes in grid[-1]:
-        axes.set_xlabel("t [s]", fontsize=11)
-    figure.align_ylabels(grid[:, 0])
-    return figure, grid
+            _name(sheet, axes, symbol, unit, 2 * columns)  # beside the largest error
+    return _over_time(sheet, grid)
 
 
-def _name(axes: Axes, symbol: str, unit: str) -> None:
-    axes.set_title(symbol, fontsize=11, loc="left", color=INK)
-    axes.set_ylabel(f"[{unit}]" if unit else "", fontsize=10)
+def _name(sheet: Sheet, axes: Axes, symbol: str, unit: str, columns: int) -> None:
+    axes.set_title(wrapped(symbol, letters(), sheet.room(columns)), fontsize=letters(), loc="left")
+    axes.set_ylabel(f"[{unit}]" if unit else "")
 
 
-def _grid(shape: tuple[int, int], size: tuple[float, float], title: str) -> tuple[Figure, NDArray[Any]]:
-    figure = ShownFigure(figsize=size, dpi=100, layout="constrained")
-    figure.suptitle(title, fontsize=14, color=INK)
-    grid = figure.subplots(*shape, squeeze=False, sharex="col")
+def _over_time(sheet: Sheet, grid: NDArray[Any]) -> NDArray[Any]:
     for axes in grid.ravel():
         dress(axes)
         axes.margins(x=0.01, y=0.1)
         formatter = ScalarFormatter(useMathText=True)
         formatter.set_powerlimits((-3, 4))
         axes.yaxis.set_major_formatter(formatter)
-    return figure, grid
+    for axes in grid[-1]:
+        axes.set_xlabel("t [s]")
+    if sheet.new:
+        sheet.figure.align_ylabels(grid[:, 0])
+    return grid
 
 
 Rollouts: TypeAlias = Rollout | Mapping[str, Rollout]

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
+from matplotlib import colormaps, rcParams
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
@@ -18,8 +18,9 @@ from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter, NullLocat
 from pinmobile.accuracy import Convergence, IntegratorReport
 from pinmobile.arrays import Array, ArrayLike, finite, real, sequence, text
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.palette import INK, colour
-from pinmobile.plots.style import ShownFigure, Style, dress, headed, legend, line_style, named
+from pinmobile.palette import INK
+from pinmobile.plots.sheet import Canvas, Sheet, letters, wrapped
+from pinmobile.plots.style import Style, colour, dress, ink, line_style, named
 
 _SHARE = 0.11  # of the height of the axes below it
 _GREY = "#f1f1f1"
@@ -81,6 +82,8 @@ def heatmap(
     label: str,
     title: str | None = None,
     limits: tuple[float, float] | None = None,
+    ax: Canvas | None = None,
+    width: float | None = None,
 ) -> Figure:
     """Draw a number for each pair of two parameters, as colour and as text.
 
@@ -101,6 +104,8 @@ def heatmap(
     limits : tuple of float, optional
         The numbers of the darkest and the brightest colour, in the unit of `values`: with the same ones,
         several maps can be compared. By default the smallest and the largest of `values`.
+    ax, width
+        As in `states`.
 
     Returns
     -------
@@ -116,17 +121,16 @@ def heatmap(
     numbers = _numbers(values, (len(rows), len(columns)))
     size = [min(count * cell, most) for count, cell, most in zip(
         (len(columns), len(rows)), _CELL, _LARGEST, strict=True)]  # fmt: skip
-    figure = ShownFigure(figsize=(max(size[0], 3.2) + 2.2, max(size[1], 1.6) + 1.4), dpi=100)
-    figure.set_layout_engine("constrained")
-    figure.suptitle(headed(title, f"{label} over {x[0]} and {y[0]}"), fontsize=14, color=INK)
-    axes = figure.subplots()
+    sheet = Sheet(ax, width, max(size[0], 3.2) + 2.2)
+    (axes,) = sheet.axes([(0, 0)], [max(size[1], 1.6)])
     norm = _norm(numbers[np.isfinite(numbers)], limits)
     image = axes.imshow(np.ma.masked_invalid(numbers), cmap=_MAP, norm=norm, origin="lower", aspect="auto")
-    figure.colorbar(image, ax=axes, pad=0.02).set_label(label, fontsize=11)
+    axes.figure.colorbar(image, ax=axes, pad=0.02).set_label(label)
     _furnish(axes, columns, rows, (x, y))
-    room = min(72 * size[0] / len(columns) / 3.6, 72 * size[1] / len(rows) / 1.6)  # [pt] for five digits
-    _write(axes, numbers, norm, min(room, 10.5))
-    return figure
+    wide = min(size[0], max(sheet.width - 2.2 * letters() / 10, 0.1))
+    room = min(72 * wide / len(columns) / 3.6, 72 * size[1] / len(rows) / 1.6)  # [pt] for five digits
+    _write(axes, numbers, norm, min(room, letters()))
+    return sheet.finish(title, f"{label} over {x[0]} and {y[0]}")
 
 
 def _labels(name: str, axis: object) -> list[str]:
@@ -180,10 +184,10 @@ def _furnish(axes: Axes, columns: list[str], rows: list[str], names: Sequence[_A
         range(len(columns)), columns, rotation=30 if long else 0, ha="right" if long else "center"
     )
     axes.set_yticks(range(len(rows)), rows)
-    axes.tick_params(length=0, labelsize=10)
+    axes.tick_params(length=0)
     titles = [name if unit in ("", "1") else f"{name} [{unit}]" for name, unit, _ in names]
-    axes.set_xlabel(titles[0], fontsize=11)
-    axes.set_ylabel(titles[1], fontsize=11)
+    axes.set_xlabel(titles[0])
+    axes.set_ylabel(titles[1])
     axes.spines[:].set_visible(False)
 
 
@@ -219,7 +223,15 @@ _LOG_FROM = 20.0  # from which ratio of the largest to the smallest on, the axis
 _MARKERS = "osD^vP"  # with the colours: lines that coincide are told apart
 
 
-def curves(values: Mapping[str, ArrayLike], *, x: _Axis, label: str, title: str | None = None) -> Figure:
+def curves(
+    values: Mapping[str, ArrayLike],
+    *,
+    x: _Axis,
+    label: str,
+    title: str | None = None,
+    ax: Canvas | None = None,
+    width: float | None = None,
+) -> Figure:
     """Draw numbers over a parameter, a curve for each name.
 
     Where a number is infinite, nothing bounds it: a cross in a strip at the top says so. The axis is
@@ -235,6 +247,8 @@ def curves(values: Mapping[str, ArrayLike], *, x: _Axis, label: str, title: str 
         What the numbers are, with their unit, such as ``"99 % stay within [mm]"``.
     title : str, optional
         Heading of the figure.
+    ax, width
+        As in `states`.
 
     Returns
     -------
@@ -249,21 +263,16 @@ def curves(values: Mapping[str, ArrayLike], *, x: _Axis, label: str, title: str 
     if not isinstance(values, Mapping) or not values:
         raise InvalidArgument(f"values is {shown(values)}, expected a mapping of names to numbers")
     rows = {name: _row(name, row, len(places)) for name, row in values.items()}
-    figure = ShownFigure(figsize=(8, 5), dpi=100)
-    figure.set_layout_engine("constrained")
-    figure.suptitle(headed(title, f"{label} over {x[0]}"), fontsize=14, color=INK)
-    axes = figure.subplots()
+    sheet = Sheet(ax, width, 8.0)
+    (axes,) = sheet.axes([(0, 0)], [3.8])
     dress(axes)
     order = np.argsort(places, kind="stable")
     top = _scale(axes, np.concatenate(list(rows.values())))
     for k, row in enumerate(rows.values()):
         _curve(axes, places[order], row[order], top, k, len(rows))
-    axes.set_xlabel(f"{x[0]} [{x[1]}]" if x[1] else x[0], fontsize=11)
-    axes.set_ylabel(label, fontsize=11)
-    keys = _keys(rows)
-    if keys:
-        legend(figure, keys)
-    return figure
+    axes.set_xlabel(f"{x[0]} [{x[1]}]" if x[1] else x[0])
+    axes.set_ylabel(label)
+    return sheet.finish(title, f"{label} over {x[0]}", _keys(rows))
 
 
 def _places(x: object) -> Array:
@@ -307,8 +316,9 @@ def _curve(axes: Axes, x: Array, row: Array, top: float, index: int, count: int)
     known = np.isfinite(row)
     # Below the others wide and large, so that a curve shows where the next one covers it.
     extra = 3.0 * (count - 1 - index) / max(count - 1, 1)
-    axes.plot(x, np.where(known, row, np.nan), zorder=3, linewidth=1.8 + extra / 2,
-              markersize=6 + extra, **_look(index))  # fmt: skip
+    thick, large = (float(rcParams["lines.linewidth"]), float(rcParams["lines.markersize"]))
+    axes.plot(x, np.where(known, row, np.nan), zorder=3, linewidth=1.2 * thick + extra / 2,
+              markersize=large + extra, **_look(index))  # fmt: skip
     axes.plot(x[~known], np.full(np.count_nonzero(~known), top), linestyle="", marker="x",
               markersize=8 + 2 * extra, markeredgewidth=2, color=colour(index), zorder=4)  # fmt: skip
 
@@ -320,7 +330,7 @@ def _look(index: int) -> Style:
 def _keys(rows: Mapping[str, Array]) -> list[Artist]:
     found: list[Artist] = [Line2D([], [], label=name, **_look(k)) for k, name in enumerate(rows) if name]
     if any(np.isinf(row).any() for row in rows.values()):
-        found.append(Line2D([], [], color=INK, marker="x", linestyle="", label="diverges"))
+        found.append(Line2D([], [], color=ink(), marker="x", linestyle="", label="diverges"))
     return found
 
 
@@ -332,6 +342,8 @@ _PANELS = (
     (0, 2, "substeps", "Loop: force held for {:g} ms"),
     (1, 2, "sampling", "Loop: force held for h"),
 )
+_DOTS: Style = {"markersize": 5, "marker": "o"}
+_PLACES = tuple((row, column) for row in range(2) for column in range(3))
 _FLOOR = 1e-17  # where zero is drawn
 _TICKS = 6  # at most, along the steps
 _LONGEST = 22  # characters of a label above a panel; the legend has all
@@ -340,7 +352,11 @@ _GUIDE: Style = {"color": "#999999", "linestyle": (0, (4, 3)), "linewidth": 1.0,
 
 
 def integrator(
-    reports: IntegratorReport | Mapping[str, IntegratorReport], *, title: str | None = None
+    reports: IntegratorReport | Mapping[str, IntegratorReport],
+    *,
+    title: str | None = None,
+    ax: Canvas | None = None,
+    width: float | None = None,
 ) -> Figure:
     """Draw the errors over the step, double logarithmic, beside lines of the whole order that is nearest.
 
@@ -352,6 +368,8 @@ def integrator(
         All are drawn in the same axes.
     title : str, optional
         Heading of the figure.
+    ax, width
+        As in `states`.
 
     Returns
     -------
@@ -363,19 +381,20 @@ def integrator(
         If `reports` is something else.
     """
     known: dict[str, IntegratorReport] = named("reports", reports, IntegratorReport)
-    figure = ShownFigure(figsize=(9.0, 5.6 + 0.3 * len(known)), dpi=100, layout="constrained")
-    whose = f" of {next(iter(known.values())).integrator}" if "" in known else ""
-    figure.suptitle(headed(title, f"Accuracy{whose}: error over the step"), fontsize=14, color=INK)
-    grid = figure.subplots(2, 3, squeeze=False, sharex=True)
+    sheet = Sheet(ax, width, 9.0)
+    columns = sheet.columns(3, 2.6)
+    rows = len(_PANELS) // columns
+    found = dict(zip(_PLACES, sheet.axes([divmod(k, columns) for k in range(6)], [1.7] * rows), strict=True))
     for row, column, attribute, heading in _PANELS:
-        rows = [getattr(report, attribute) for report in known.values()]
-        _panel(grid[row, column], rows, list(known), lowest=row == 1)
-        held = 1e3 * rows[0].steps[0]
-        grid[row, column].set_title(
-            heading.format(held), fontsize=9.5, color=INK, pad=4 + 12 * len(known), loc="left"
-        )
-    legend(figure, list(_handles(list(known))))
-    return figure
+        axes, kinds = found[row, column], [getattr(report, attribute) for report in known.values()]
+        lowest = list(found).index((row, column)) + columns >= len(_PANELS)
+        _panel(axes, kinds, list(known), lowest=lowest, ticks=6 if columns == 3 else 4)
+        words = wrapped(heading.format(1e3 * kinds[0].steps[0]), letters(0.95), sheet.room(columns))
+        pad = 4 + 1.3 * letters(0.9) * len(known)
+        axes.set_title(words, fontsize=letters(0.95), pad=pad, loc="left")
+    whose = f" of {next(iter(known.values())).integrator}" if "" in known else ""
+    keys = list(_handles(list(known)))
+    return sheet.finish(title, f"Accuracy{whose}: error over the step", keys)
 
 
 def _handles(labels: Sequence[str]) -> Iterator[Artist]:
@@ -386,18 +405,20 @@ def _handles(labels: Sequence[str]) -> Iterator[Artist]:
     yield Patch(facecolor=_ROUNDING, label="rounding")
 
 
-def _panel(axes: Axes, rows: Sequence[Convergence], labels: Sequence[str], *, lowest: bool) -> None:
+def _panel(
+    axes: Axes, rows: Sequence[Convergence], labels: Sequence[str], *, lowest: bool, ticks: int
+) -> None:
     dress(axes)
     axes.set_xscale("log")
     axes.set_yscale("log")
     for index, (label, row) in enumerate(zip(labels, rows, strict=True)):
         errors = np.where(np.isfinite(row.errors), np.maximum(row.errors, _FLOOR), np.nan)
-        axes.plot(1e3 * row.steps, errors, marker="o", markersize=5, **line_style(index, len(rows)))
+        axes.plot(1e3 * row.steps, errors, **_DOTS | line_style(index, len(rows)))
         note = f"{_short(label)}: {row}" if label else str(row)
-        above = 4 + 12 * (len(rows) - 1 - index)
+        above = 4 + 1.3 * letters(0.9) * (len(rows) - 1 - index)
         axes.annotate(
-            note, (0, 1), (0, above), xycoords="axes fraction", textcoords="offset points", fontsize=9,
-            color=colour(index),
+            note, (0, 1), (0, above), xycoords="axes fraction", textcoords="offset points",
+            fontsize=letters(0.9), color=colour(index),
         )  # fmt: skip
     _guides(axes, rows)
     low, high = axes.get_ylim()
@@ -408,11 +429,11 @@ def _panel(axes: Axes, rows: Sequence[Convergence], labels: Sequence[str], *, lo
     axes.xaxis.set_major_locator(FixedLocator((1e3 * shown).tolist()))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    axes.yaxis.set_major_locator(LogLocator(numticks=6))
+    axes.yaxis.set_major_locator(LogLocator(numticks=ticks))
     axes.yaxis.set_minor_formatter(NullFormatter())
-    axes.set_xlabel("step h [ms]" if lowest else "", fontsize=10)
+    axes.set_xlabel("step h [ms]" if lowest else "")
     unit = rows[0].unit
-    axes.set_ylabel(f"error [{unit}]" if unit else "relative drift", fontsize=10)
+    axes.set_ylabel(f"error [{unit}]" if unit else "relative drift")
 
 
 def _short(label: str) -> str:
@@ -434,5 +455,5 @@ def _guides(axes: Axes, rows: Sequence[Convergence]) -> None:
         axes.plot([1e3 * ends[0], 1e3 * ends[1]], line, **_GUIDE)
         axes.annotate(
             f"$h^{p}$" if p > 1 else "$h$", (1e3 * ends[0], start), (2, 2), textcoords="offset points",
-            fontsize=10, color="#777777", annotation_clip=False,
+            fontsize=letters(), color="#777777", annotation_clip=False,
         )  # fmt: skip

@@ -12,19 +12,20 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.palette import INK, QUIET, SLIDES, colour
+from pinmobile.palette import INK, QUIET, SLIDES
 from pinmobile.plant import Contacts
-from pinmobile.plots.style import DESIRED, Rollouts, ShownFigure, Style, dress, headed, labelled, thinned
+from pinmobile.plots.sheet import Canvas, Sheet, letters, wrapped
+from pinmobile.plots.style import Rollouts, Style, colour, desired, dress, labelled, line_style, thinned
 from pinmobile.simulation import Rollout
 
-_WIDTH, _HEIGHT = 5.0, 2.5  # of axes [in]; at 3.5 in, letters of 12 points are 8.4 points high
-_LABEL, _TICKS = 12, 11  # [pt]
-_DASHES = ("-", (0, (6, 2)), (0, (2, 1.5)), (0, (7, 2, 1.5, 2)), (0, (1, 1)), (0, (4, 1, 1, 1, 1, 1)))
+_WIDTH, _HEIGHT = 5.0, 2.2  # of axes [in]
 _LIMIT: Style = {"color": INK, "linestyle": (0, (4, 3)), "linewidth": 1.2, "zorder": 2}
 _ROUNDING = 1e-9  # what is smaller is drawn as the zero that it is
 
 
-def wheel_torques(rollouts: Rollouts, *, title: str | None = None) -> Figure:
+def wheel_torques(
+    rollouts: Rollouts, *, title: str | None = None, ax: Canvas | None = None, width: float | None = None
+) -> Figure:
     """Draw the inputs of a robot on wheels over time, those of its wheels and of what steers them.
 
     Arms' joints are in `forces`.
@@ -35,6 +36,8 @@ def wheel_torques(rollouts: Rollouts, *, title: str | None = None) -> Figure:
         Each gets a column.
     title : str, optional
         Heading of the figure.
+    ax, width
+        As in `states`.
 
     Returns
     -------
@@ -48,15 +51,17 @@ def wheel_torques(rollouts: Rollouts, *, title: str | None = None) -> Figure:
     runs = _of_wheels(rollouts)
     units = {one.unit for run in runs.values() for one in _driven(run)}
     name = f"torque [{units.pop()}]" if len(units) == 1 else "input"
-    figure, grid = _axes(runs, [name], headed(title, "Inputs of the wheels"))
+    sheet, grid = _axes(runs, [name], ax, width)
     for run, axes in zip(runs.values(), grid[0], strict=True):
         inputs = _driven(run)
         u = run.u[:, run.u.shape[1] - len(inputs) :]
-        _lines(axes, run.t, u, [one.name for one in inputs], drawstyle="steps-post")
-    return figure
+        _lines(sheet, len(runs), axes, run.t, u, [one.name for one in inputs], drawstyle="steps-post")
+    return sheet.finish(title, "Inputs of the wheels")
 
 
-def friction(rollouts: Rollouts, *, title: str | None = None) -> Figure:
+def friction(
+    rollouts: Rollouts, *, title: str | None = None, ax: Canvas | None = None, width: float | None = None
+) -> Figure:
     """Draw over time how much of its friction each wheel uses: the force in its friction circle, mu N wide.
 
     At 1 it slides; of rollers it is the force along their axes. Where rolling determines but the sum of some
@@ -68,6 +73,8 @@ def friction(rollouts: Rollouts, *, title: str | None = None) -> Figure:
         Each gets a column.
     title : str, optional
         Heading of the figure.
+    ax, width
+        As in `states`.
 
     Returns
     -------
@@ -86,18 +93,20 @@ def friction(rollouts: Rollouts, *, title: str | None = None) -> Figure:
                 f"{_called(label)} is of a robot whose loads are not known, expected one that stands on "
                 "three points and more: give supports=[(x, y), ...]"
             )
-    figure, grid = _axes(runs, ["force / $\\mu N$ [-]"], headed(title, "Share of friction used"))
+    sheet, grid = _axes(runs, ["force / $\\mu N$ [-]"], ax, width)
     for (label, run), axes in zip(runs.items(), grid[0], strict=True):
         contacts = found[label]
-        _lines(axes, run.t, share_of_friction(contacts), _names(contacts))
+        _lines(sheet, len(runs), axes, run.t, share_of_friction(contacts), _names(contacts))
         axes.axhline(1.0, **_LIMIT)
         axes.annotate("slides", (1.0, 1.0), xycoords=("axes fraction", "data"), **_word("right"))
         _slides(axes, run.t, np.asarray(contacts.slides.any(axis=1)))
         axes.set_ylim(0.0, max(1.12, axes.get_ylim()[1]))
-    return figure
+    return sheet.finish(title, "Share of friction used")
 
 
-def slip(rollouts: Rollouts, *, title: str | None = None) -> Figure:
+def slip(
+    rollouts: Rollouts, *, title: str | None = None, ax: Canvas | None = None, width: float | None = None
+) -> Figure:
     """Draw over time how fast each wheel slides over the ground, along it and across it.
 
     Of a wheel with rollers these directions are along its rollers' axes and across, in which they roll.
@@ -108,6 +117,8 @@ def slip(rollouts: Rollouts, *, title: str | None = None) -> Figure:
         Each gets a column.
     title : str, optional
         Heading of the figure.
+    ax, width
+        As in `states`.
 
     Returns
     -------
@@ -120,20 +131,22 @@ def slip(rollouts: Rollouts, *, title: str | None = None) -> Figure:
     """
     runs = _of_wheels(rollouts)
     rows = ["slip along [m/s]", "slip across [m/s]"]
-    figure, grid = _axes(runs, rows, headed(title, "Slip velocities"))
+    sheet, grid = _axes(runs, rows, ax, width)
     for (_, run), column in zip(runs.items(), grid.T, strict=True):
         contacts = _contacts(run)
         for k, axes in enumerate(column):
             values = np.where(np.abs(contacts.slips[..., k]) < _ROUNDING, 0.0, contacts.slips[..., k])
-            _lines(axes, run.t, values, contacts.names, legend=k == 0)
+            _lines(sheet, len(runs), axes, run.t, values, contacts.names, legend=k == 0)
             _slides(axes, run.t, np.asarray(contacts.slides.any(axis=1)))
             if not values.any():
                 axes.set_ylim(-1.0, 1.0)
                 axes.annotate("none", (0.5, 0.62), xycoords="axes fraction", **_word("center"))
-    return figure
+    return sheet.finish(title, "Slip velocities")
 
 
-def loads(rollouts: Rollouts, *, title: str | None = None) -> Figure:
+def loads(
+    rollouts: Rollouts, *, title: str | None = None, ax: Canvas | None = None, width: float | None = None
+) -> Figure:
     """Draw over time what each wheel carries.
 
     Parameters
@@ -142,6 +155,8 @@ def loads(rollouts: Rollouts, *, title: str | None = None) -> Figure:
         Each gets a column.
     title : str, optional
         Heading of the figure.
+    ax, width
+        As in `states`.
 
     Returns
     -------
@@ -153,17 +168,19 @@ def loads(rollouts: Rollouts, *, title: str | None = None) -> Figure:
         If `rollouts` is something else, or not of robots on wheels.
     """
     runs = _of_wheels(rollouts)
-    figure, grid = _axes(runs, ["load [N]"], headed(title, "Loads of the wheels"))
+    sheet, grid = _axes(runs, ["load [N]"], ax, width)
     for (_, run), axes in zip(runs.items(), grid[0], strict=True):
         contacts = _contacts(run)
-        _lines(axes, run.t, contacts.loads, contacts.names)
+        _lines(sheet, len(runs), axes, run.t, contacts.loads, contacts.names)
         if not np.isfinite(contacts.loads).any():
             axes.annotate("not known", (0.5, 0.5), xycoords="axes fraction", **_word("center"))
         axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
-    return figure
+    return sheet.finish(title, "Loads of the wheels")
 
 
-def odometry(rollouts: Rollouts, *, title: str | None = None) -> Figure:
+def odometry(
+    rollouts: Rollouts, *, title: str | None = None, ax: Canvas | None = None, width: float | None = None
+) -> Figure:
     """Draw the path that odometry believes beside the true one, and how far apart they are over time.
 
     Parameters
@@ -172,6 +189,8 @@ def odometry(rollouts: Rollouts, *, title: str | None = None) -> Figure:
         Runs with a controller `ByOdometry`; each gets a column.
     title : str, optional
         Heading of the figure.
+    ax, width
+        As in `states`.
 
     Returns
     -------
@@ -190,23 +209,21 @@ def odometry(rollouts: Rollouts, *, title: str | None = None) -> Figure:
                 "ByOdometry(controller, table)"
             )
     names = ["y [m]", "odometry off by [m]"]
-    figure, grid = _axes(runs, names, headed(title, "Odometry beside the truth"), tall=1.7)
+    sheet, grid = _axes(runs, names, ax, width, tall=1.7)
     for (_, run), (above, below) in zip(runs.items(), grid.T, strict=True):
         true, believed = run.poses, run.signals["believed_pose"].values
         kept = thinned(*true[:, :2].T)
-        above.plot(*run.reference_poses[kept, :2].T, label="desired", **DESIRED)
+        above.plot(*run.reference_poses[kept, :2].T, label="desired", **desired())
         for k, (label, way) in enumerate((("true", true), ("believed", believed))):
-            above.plot(
-                *way[kept, :2].T, label=label, color=colour(k), linestyle=_DASHES[k], linewidth=2.2, zorder=3
-            )
+            above.plot(*way[kept, :2].T, label=label, **line_style(k, 2))
         above.set_aspect("equal", adjustable="datalim")
-        above.set_xlabel("x [m]", fontsize=_LABEL)
-        above.legend(fontsize=_TICKS, frameon=False, loc="best")
+        above.set_xlabel("x [m]")
+        above.legend(frameon=False, loc="best")
         off = np.hypot(*(believed - true)[:, :2].T)
         kept = thinned(off)
-        below.plot(run.t[kept], off[kept], color=colour(1), linewidth=2.0)
+        below.plot(run.t[kept], off[kept], **line_style(0, 1) | {"color": colour(1)})
         below.set_ylim(bottom=0.0)
-    return figure
+    return sheet.finish(title, "Odometry beside the truth")
 
 
 def share_of_friction(found: Contacts) -> Array:
@@ -254,59 +271,61 @@ def _names(contacts: Contacts) -> list[str]:
 
 
 def _axes(
-    runs: dict[str, Rollout], rows: Sequence[str], title: str, *, tall: float = 1.0
-) -> tuple[Figure, NDArray[Any]]:
-    """Return a figure with a column for each run, and the axes, shape (rows, runs)."""
-    heights = [tall, *(1.0 for _ in rows[1:])]
-    size = _WIDTH * len(runs), 0.9 + _HEIGHT * sum(heights)
-    figure = ShownFigure(figsize=size, dpi=150, layout="constrained")
-    figure.suptitle(title, fontsize=14, color=INK)
-    grid = figure.subplots(len(rows), len(runs), squeeze=False, height_ratios=heights)
+    runs: dict[str, Rollout],
+    rows: Sequence[str],
+    ax: Canvas | None,
+    width: float | None,
+    *,
+    tall: float = 1.0,
+) -> tuple[Sheet, NDArray[Any]]:
+    """Return a sheet with a column for each run, and its axes, shape (rows, runs)."""
+    sheet = Sheet(ax, width, _WIDTH * len(runs))
+    heights = [_HEIGHT * tall, *(_HEIGHT for _ in rows[1:])]
+    grid = sheet.grid(len(rows), len(runs), heights, share="")
     for row, name in zip(grid, rows, strict=True):
-        row[0].set_ylabel(name, fontsize=_LABEL)
+        row[0].set_ylabel(name)
     for axes in grid.ravel():
         dress(axes)
-        axes.tick_params(labelsize=_TICKS)
         axes.margins(x=0.01, y=0.1)
     for (label, run), column in zip(runs.items(), grid.T, strict=True):
-        column[0].set_title(label, fontsize=_LABEL, color=INK)
-        column[-1].set_xlabel("t [s]", fontsize=_LABEL)
+        column[0].set_title(wrapped(label, letters(), sheet.room(len(runs))), fontsize=letters())
+        column[-1].set_xlabel("t [s]")
         if len(run) > 1:
             for axes in column if tall == 1.0 else column[1:]:
                 axes.set_xlim(run.t[0], run.t[-1])
-    return figure, grid
+    return sheet, grid
 
 
 def _lines(
-    axes: Axes, t: Array, values: Array, names: Sequence[str], *, legend: bool = True, **style: Any
+    sheet: Sheet,
+    columns: int,
+    axes: Axes,
+    t: Array,
+    values: Array,
+    names: Sequence[str],
+    *,
+    legend: bool = True,
+    **given: Any,
 ) -> None:
     """Draw a line for each wheel, the first the widest, so that those that coincide are seen."""
     count = values.shape[1]
     for k, (name, line) in enumerate(zip(names, values.T, strict=True)):
         kept = thinned(np.nan_to_num(line))
-        wide = 1.8 + 2.4 * (count - 1 - k) / max(count - 1, 1)
+        style = line_style(k, count) | given
         axes.plot(
             t[kept],
             line[kept],
             label=name.replace("_", " "),
-            color=colour(k),
-            linestyle=_DASHES[k % len(_DASHES)],
-            linewidth=wide,
-            marker="o" if len(t) == 1 else "",
-            zorder=3,
-            **style,
+            **{**_dot(t), **style},
         )
     if float(np.nanmax(np.abs(values), initial=0.0)) < _ROUNDING:
         axes.set_ylim(-1.0, 1.0)
     if legend:
-        axes.legend(
-            fontsize=_TICKS - 1,
-            frameon=False,
-            ncols=2,
-            loc="lower left",
-            bbox_to_anchor=(0.0, 1.0),
-            borderpad=0.2,
-        )
+        sheet.legend_above(axes, columns)
+
+
+def _dot(t: Array) -> Style:
+    return {"marker": "o" if len(t) == 1 else ""}
 
 
 def _slides(axes: Axes, t: Array, slides: NDArray[np.bool_]) -> None:
@@ -322,6 +341,6 @@ def _word(where: str) -> Style:
         "xytext": (0, 3),
         "textcoords": "offset points",
         "ha": where,
-        "fontsize": _TICKS - 1,
+        "fontsize": letters(0.9),
         "color": QUIET,
     }

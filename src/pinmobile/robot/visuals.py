@@ -5,9 +5,11 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from os.path import isfile
 from pathlib import Path
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -42,8 +44,34 @@ class VisualFile:
     base: tuple[float, ...]
 
 
-def readable(file: VisualFile, stacklevel: int) -> tuple[ElementTree.Element, list[str]]:
-    """Return the file's tree without the visuals whose meshes are missing, and those files' names.
+class Lost(NamedTuple):
+    """Meshes that are not drawn.
+
+    Attributes
+    ----------
+    files : list of str
+        Their names.
+    links : list of str
+        Links of which nothing else is drawn but, in their place, their collision shapes.
+    """
+
+    files: list[str]
+    links: list[str]
+
+    def warn(self, file: VisualFile, why: str, stacklevel: int) -> None:
+        """Tell of it, if there is any."""
+        if not self.files:
+            return
+        words = f"{file.path.name}: not drawn, since {why}: {', '.join(dict.fromkeys(self.files))}"
+        if self.links:
+            words += f"; collision shapes are drawn in their place of {', '.join(self.links)}"
+        warnings.warn(words, stacklevel=stacklevel + 1)
+
+
+def readable(file: VisualFile, stacklevel: int) -> tuple[ElementTree.Element, Lost]:
+    """Return the file's tree without the visuals whose meshes are missing, and which those are.
+
+    A link that would show nothing then shows its collision shapes.
 
     Parameters
     ----------
@@ -58,17 +86,15 @@ def readable(file: VisualFile, stacklevel: int) -> tuple[ElementTree.Element, li
         If the file cannot be read any more, or is no URDF by now.
     """
     root = urdf_tree("path", file.path)  # again, since the file may be another one by now
-    missing = _without_meshes(root, lambda mesh: _is_missing(mesh, file))
-    if missing:
-        listed = ", ".join(dict.fromkeys(missing))
-        warnings.warn(f"{file.path.name}: not drawn, since missing: {listed}", stacklevel=stacklevel)
+    missing = _without_meshes(root, file, lambda mesh: _is_missing(mesh, file))
+    missing.warn(file, "missing", stacklevel)
     return root, missing
 
 
 def shown(
     model: pin.Model, root: ElementTree.Element, file: VisualFile, stacklevel: int
-) -> tuple[pin.GeometryModel, list[str]]:
-    """Return what a tree shows of its model, and the mesh files that cannot be read, taken out of the tree.
+) -> tuple[pin.GeometryModel, Lost]:
+    """Return what a tree shows of its model, and the meshes that cannot be read, taken out of the tree.
 
     Parameters
     ----------
@@ -82,22 +108,17 @@ def shown(
     InvalidArgument
         If the geometry cannot be read whatever the meshes.
     """
-    broken = _without_meshes(root, _is_endless)
+    broken = _without_meshes(root, file, _is_endless)
     try:
         seen = _geometry(model, root)
     except (ValueError, RuntimeError) as error:
         # Pinocchio does not say which of the files it was.
-        damaged = _without_meshes(root, _is_broken)
-        if not damaged:
+        damaged = _without_meshes(root, file, _is_broken)
+        if not damaged.files:
             raise InvalidArgument(f"path is {str(file.path)!r}, which cannot be drawn: {error}") from None
-        broken += damaged
+        broken = Lost(broken.files + damaged.files, broken.links + damaged.links)
         seen = _geometry(model, root)
-    if broken:
-        listed = ", ".join(dict.fromkeys(broken))
-        warnings.warn(
-            f"{file.path.name}: not drawn, since damaged or of a format that is not read: {listed}",
-            stacklevel=stacklevel,
-        )
+    broken.warn(file, "damaged or of a format that is not read", stacklevel)
     return seen, broken
 
 
@@ -106,16 +127,29 @@ def _geometry(model: pin.Model, root: ElementTree.Element) -> pin.GeometryModel:
     return pin.buildGeomFromUrdfString(model, text, pin.GeometryType.VISUAL)
 
 
-def _without_meshes(root: ElementTree.Element, unusable: Callable[[ElementTree.Element], bool]) -> list[str]:
-    """Take visuals whose meshes are unusable out of the tree and return the files' names."""
-    names: list[str] = []
+def _without_meshes(
+    root: ElementTree.Element, file: VisualFile, unusable: Callable[[ElementTree.Element], bool]
+) -> Lost:
+    """Take visuals whose meshes are unusable out of the tree, and put collision shapes where none is left."""
+    lost = Lost([], [])
     for link in root.iterfind("link"):
+        before = len(lost.files)
         for visual in link.findall("visual"):
             mesh = visual.find("geometry/mesh")
             if mesh is not None and unusable(mesh):
-                names.append(mesh.get("filename", ""))
+                lost.files.append(mesh.get("filename", ""))
                 link.remove(visual)
-    return names
+        if len(lost.files) == before or link.find("visual") is not None:
+            continue
+        for collision in link.findall("collision"):
+            stand_in = deepcopy(collision)
+            mesh = stand_in.find("geometry/mesh")
+            if mesh is None or not (_is_missing(mesh, file) or _is_endless(mesh) or _is_broken(mesh)):
+                stand_in.tag = "visual"
+                link.append(stand_in)
+        if link.find("visual") is not None:
+            lost.links.append(link.get("name", ""))
+    return lost
 
 
 def _is_missing(mesh: ElementTree.Element, file: VisualFile) -> bool:
@@ -176,9 +210,9 @@ def read_visuals(
 
     Those of an object are the joints of the file that move it, by name, the nearest first.
 
-    Mesh files that are missing or cannot be read are named in a warning; if no mesh is left, the box stands
-    for them. Of a file that shows nothing but a box which stands about the origin it is our own, which has a
-    front.
+    Mesh files that are missing or cannot be read are named in a warning. Collision shapes stand for them, or
+    if there are none and no mesh is left, the box. Of a file that shows nothing but a box which stands about
+    the origin it is our own, which has a front.
 
     Raises
     ------
@@ -196,7 +230,8 @@ def read_visuals(
     ours = pin.SE3(np.eye(3), np.array([0.0, 0.0, size[2] / 2]))
     if not shapes or (shapes == ["box"] and placed[0][0].isApprox(ours, _THERE)):
         return box_visuals(size, joint), {}
-    lost = (left_out or broken) and "mesh" not in shapes
+    stood = left_out.links or broken.links
+    lost = (left_out.files or broken.files) and not stood and "mesh" not in shapes
     visuals = box_visuals(size, joint) if lost else pin.GeometryModel()
     for placement, item in placed:
         visuals.addGeometryObject(drawn(item.name, joint, placement, item))

@@ -185,9 +185,10 @@ class Browser:
                 raise ViewerError(f"the page did not reach {expression!r} within {self.timeout:g} s")
             self.evaluate("new Promise((done) => setTimeout(done, 20))")
 
-    def picture(self) -> bytes:
-        """Return the page as a PNG."""
-        return base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+    def picture(self, *, fast: bool = False) -> bytes:
+        """Return the page as a PNG, a larger one if it is to be `fast`."""
+        answer = self.call("Page.captureScreenshot", format="png", optimizeForSpeed=fast)
+        return base64.b64decode(answer["data"])
 
     def call(self, method: str, **parameters: object) -> dict[str, Any]:
         """Call a method of the DevTools protocol and return its result.

@@ -5,12 +5,17 @@ from __future__ import annotations
 import importlib
 import json
 import tempfile
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
 from io import BytesIO
+from itertools import islice
 from os import PathLike
 from pathlib import Path
+from queue import SimpleQueue
 from string import Template
+from threading import Event
 from types import ModuleType
 from typing import Any
 
@@ -18,6 +23,7 @@ import numpy as np
 from PIL import Image
 
 from pinmobile.arrays import positive, scalar, whole
+from pinmobile.compiled import processors
 from pinmobile.errors import InvalidArgument, ViewerError, shown
 from pinmobile.extras import installing
 from pinmobile.files import write, written
@@ -49,6 +55,8 @@ def recorded_page(title: str, commands: Iterable[bytes], animation: dict[str, ob
     return sealed(stage_page(title, f"<script>\n{engine()}\n</script>", scene))
 
 
+_BATCH = 8  # frames that a browser draws before another batch may be its
+_BROWSERS = 4  # at once: software draws each frame, on one processor
 _HELD = 1.0  # [s] for which the last frame stands
 _COLOURS = 128
 _SAMPLED = 8  # frames whose colours a GIF has
@@ -177,16 +185,50 @@ def _pictures_of(
     progress : callable or None
         Called as ``progress(done, total)`` after each picture.
     """
-    with _opened(html, size) as browser:
-        for done, time in enumerate(times, start=1):
-            yield Image.open(BytesIO(_picture(browser, time)))
+    batches = [times[k : k + _BATCH] for k in range(0, len(times), _BATCH)]
+    count = max(1, min(_BROWSERS, processors(), len(batches) // 2))
+    idle: SimpleQueue[Browser] = SimpleQueue()
+    ended = Event()
+
+    def taken(batch: Sequence[float]) -> list[bytes]:
+        browser = idle.get()
+        try:
+            return [_picture(browser, time, fast=True) for time in batch if not ended.is_set()]
+        finally:
+            idle.put(browser)
+
+    with ExitStack() as opened, ThreadPoolExecutor(count) as pool:
+        try:
+            for browser in pool.map(lambda _: opened.enter_context(_opened(html, size)), range(count)):
+                idle.put(browser)
+            yield from _in_order(pool, taken, batches, progress)
+        finally:
+            ended.set()
+
+
+def _in_order(
+    pool: ThreadPoolExecutor,
+    taken: Callable[[Sequence[float]], list[bytes]],
+    batches: Sequence[Sequence[float]],
+    progress: Progress | None,
+) -> Iterator[Image.Image]:
+    """Yield the pictures of batches, of which a few are under way or wait to be told."""
+    total, done = sum(map(len, batches)), 0
+    left, running = iter(batches), deque[Future[list[bytes]]]()
+    while True:
+        running.extend(pool.submit(taken, batch) for batch in islice(left, 2 * _BROWSERS - len(running)))
+        if not running:
+            return
+        for data in running.popleft().result():
+            yield Image.open(BytesIO(data))
+            done += 1
             if progress is not None:
-                progress(done, len(times))
+                progress(done, total)
 
 
-def _picture(browser: Browser, time: float) -> bytes:
+def _picture(browser: Browser, time: float, *, fast: bool = False) -> bytes:
     browser.evaluate(f"pinmobile.seek({float(time)!r})")
-    return browser.picture()
+    return browser.picture(fast=fast)
 
 
 @contextmanager

@@ -190,7 +190,7 @@ class Scene:
         """Draw the robot at a configuration, shape (nq,), around which one looks."""
         poses = pose[None]
         reach, height = envelope(self.robot, poses)
-        room = max(2.5 * max(self.robot.size), 1.2 * reach)
+        room = max(0.8 * max(self.robot.size), 0.75 * reach if self.robot.mounts else 0.0)
         extent = Extent(pose[:2] - room, pose[:2] + room, (*self.robot.size[:2], height))
         self._furnish(extent, poses)
         self.stage.robot("meshcat/robot0", self.robot, colour(0))

@@ -97,6 +97,7 @@
     const radius = stage.lit || 1;
     const at = node("robot0").position; // z up, as all of the scene
     sun.target.position.copy(at);
+    node("ground").position.set(at.x, at.y, 0); // no larger than the shadow: each of its pixels costs time
     sun.position.set(at.x - 1.2 * radius, at.y + 0.7 * radius, 2.0 * radius);
     if (!changed("lit")) return;
     farther.value = 0.03 * radius; // more than a ghost is larger

@@ -25,7 +25,7 @@ _AZIMUTH, _ELEVATION = np.deg2rad(-86.0), np.deg2rad(50.0)
 _LOW = np.deg2rad(32.0)  # from where one sees what an arm does
 _ABOVE, _BELOW = 0.92, 0.82  # of half the window's height; the player is below
 _GHOST_SCALE = (1.07, 1.10, 1.08)  # a little larger, to be seen around a robot that it coincides with
-_MOST, _MOST_OF_GHOST = 120_000, 30_000  # triangles of a robot; more are not to be seen at this distance
+_MOST, _MOST_OF_GHOST = 60_000, 30_000  # triangles of a robot; more are not to be seen at this distance
 _GHOST_LINK = 1.06  # about its own origin: about the body's an arm would stand beside its place
 
 
@@ -252,9 +252,10 @@ class Stage:
         self.set("Background", "bottom_color", list(_BOTTOM))
         self.set("Lights/AmbientLight/<object>", "intensity", 0.62)
         self.set("Lights/FillLight/<object>", "intensity", 0.2)
-        self.put("meshcat/ground", shadows(6 * extent.radius + 10 * extent.unit))
+        lit = 2.0 * float(np.linalg.norm(extent.size))
+        self.put("meshcat/ground", shadows(2.0 * lit))  # it goes along with the light
         self.set("meshcat/focus", "position", [0.0, 0.0, 0.0])
-        self.tell("lit", 2.0 * float(np.linalg.norm(extent.size)))
+        self.tell("lit", lit)
         self.tell("aspect", _ASPECT)
         self.tell("caption", "")
         self.tell("legend", [])
