@@ -5,7 +5,7 @@ Contacts there are soft. Hard and with friction that does not creep (elliptic co
 semi-axes a, a and L it has at its middle the curvature of the wheel of radius R, L^2 = a^2 + a (R - a) /
 cos^2(gamma).
 
-Of four wheels on rigid ground, loads depend on how many micrometres the rollers stand out; here each such wheel
+Of four wheels on rigid ground, loads depend on how many micrometres rollers stand out; here each such wheel
 hangs on a spring, as those of `WheeledRobot` do, which the body's weight bends by a millimetre.
 """
 
@@ -175,8 +175,8 @@ def test_a_differential_drive_on_spheres_goes_where_rolling_goes() -> None:
 
 def loads_of(table: WheelTable, u: Array, T: float) -> Array:
     """Return the mean load of each wheel and support after half a second, where wheels may slip."""
-    found: Array = ours(table, u, T, Coulomb(mu=1.0)).signals["loads"].values
-    return found[501:].mean(axis=0)
+    found = ours(table, u, T, Coulomb(mu=1.0)).signals["loads"].values
+    return np.asarray(found[501:].mean(axis=0))
 
 
 MADE = {
