@@ -16,8 +16,9 @@ from pinmobile.compiled import higher, plain, repeated
 from pinmobile.plant import Input, Parameter, Step
 from pinmobile.robot import ZERO, Vector, dot, exact, number, scalars, sine_and_cosine, vector_of as stacked
 from pinmobile.wheels.motors import Motor, MotorLaw, Motors, Push, theta, within
+from pinmobile.wheels.multipliers import factored
 from pinmobile.wheels.rolling import State, WheeledBody
-from pinmobile.wheels.slipping import SlippingBody, factored
+from pinmobile.wheels.slipping import SlippingBody
 
 _BASE = 3
 _INSTANT = 1e-5  # [s], over which an acceleration at a state is the mean
@@ -203,7 +204,7 @@ class VoltageBody:
         reduced = [[dot(a, b) for b in pushed] for a in columns]
         units = [body.generalised(middle, one, 0.0) for one in np.eye(self.nu)[body.na :]]
         B = [[dot(column, unit) for column in columns] for unit in units]
-        solve = factored(reduced)
+        solve, _ = factored(reduced)
         freedom = [number(dot(b, solve(b))) for b in B]
         begun = [number(dot(b, nu)) for b in B]
         psi, na = _plain(scalars(q)[2]), body.na
@@ -226,7 +227,7 @@ class VoltageBody:
                 for i, x in enumerate(b):
                     for j, y in enumerate(b):
                         heavy[i][j] = heavy[i][j] + (h * share * push.slope) * (x * y)
-            solve = factored(heavy)
+            solve, _ = factored(heavy)
             change = solve([h * number(dot(column, rest)) for column in columns])
             after = [number(x + y) for x, y in zip(nu, change, strict=True)]
             after, impulses = self._held(after, B, solve, pushes, impulses, h)
