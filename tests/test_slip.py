@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import COMPILED, errors
+from pinmobile import COMPILED, PINOCCHIO, ViscousFriction, errors, law
 from pinmobile.arrays import Array
 from pinmobile.compiled import Cache, Parts, Program, Reference, Trace, traced
 from pinmobile.integrators import rk4
@@ -301,8 +301,10 @@ def test_energy_never_grows_without_input(seed: int) -> None:
     assert energy[-1] < 0.5 * energy[0]
 
 
-def looped_both(robot: WheeledRobot, u: Array, v: Array, count: int = 20) -> None:
-    parts = Parts(robot, Torques(*u), (), None, Trace())
+def looped_both(
+    robot: WheeledRobot, u: Array, v: Array, count: int = 20, forces: tuple[Any, ...] = ()
+) -> None:
+    parts = Parts(robot, Torques(*u), forces, None, Trace())
     times = np.linspace(0.0, 0.01 * (count - 1), count)
     reference = Reference(*(np.zeros((count, 3)) for _ in range(3)))
     first = Reference(*(x[0] for x in reference))
@@ -330,7 +332,8 @@ def test_compiled_robots_find_slow_forces_as_numbers_do() -> None:
 def test_compiled_robots_do_as_alone_and_as_numbers_do() -> None:
     """Rounds end when all robots side by side are done; none depends on the others."""
     robot = WheeledRobot(BODY, SKID)
-    looped_both(robot, np.array([30.0, -25.0]), rolling_at(robot, 1.0, 0.3, 0.0))
+    drag = (ViscousFriction([20.0, 10.0, 3.0]),)
+    looped_both(robot, np.array([30.0, -25.0]), rolling_at(robot, 1.0, 0.3, 0.0), forces=drag)
 
 
 def test_many_robots_as_arrays_step_as_each_does() -> None:
@@ -339,7 +342,7 @@ def test_many_robots_as_arrays_step_as_each_does() -> None:
     v, u = rng.normal(size=(5, robot.nv)), rng.normal(size=(5, 2)) * 10
     v[:, 5:] = v[:, 3:5]
     memory: Any = robot.initial_state(None)
-    many: Any = body.step(0.0, q, v, u, 0.01, 0.0, memory)  # type: ignore[union-attr]
+    many: Any = body.step(0.0, q, v, u, 0.01, lambda *_: 0.0, memory)  # type: ignore[union-attr]
     for k in range(5):
         one: Any = robot.step(0.0, q[k], v[k], u[k], 0.01, 0.0, memory)
         np.testing.assert_allclose(many.v[k], one.v, rtol=1e-9, atol=1e-11)
@@ -531,6 +534,39 @@ def test_a_wheel_lifts_in_a_turn_too_fast_and_the_robot_is_told_to_tip() -> None
     slow, fast = (run(robot, (0.0, 0.0), 0.005, 0.02, v=rolling_at(robot, 2.0, 0.0, w)) for w in (0.5, 6.0))
     assert slow.signals["tips"].values.max() == 0
     assert fast.signals["tips"].values.max() == 1
+
+
+@pytest.mark.parametrize("engine", [PINOCCHIO, COMPILED])
+def test_forces_are_those_of_mid_step_and_as_accurate(engine: Any) -> None:
+    """A drive that sticks, pushed by its wheels and held by a drag: m v' = F - c v, turned by a quarter.
+
+    The error falls with the square of the step; with forces of a step's start it would with the step.
+    """
+    table = WheelTable.differential(
+        0.4, 0.1, supports=[(0.2, 0.0)], **{**WHEEL, "friction": Friction(rolling=0.0)}
+    )
+    robot, c, T = WheeledRobot(CENTRAL, table, Coulomb(mu=5.0)), 60.0, 0.8
+    mass, q = 30.0 + 2 * 0.01 / 0.1**2, robot.rest + 0.0
+    q[2] = np.pi / 2
+    top = 2 * 1.5 / 0.1 / c
+    lag = mass / c
+    expected = top * (T - lag * (1 - np.exp(-T / lag))), top * (1 - np.exp(-T / lag))
+    off: list[list[float]] = []
+    for h in (0.02, 0.01):
+        found = simulate(
+            robot,
+            law(lambda t, q, v, reference: np.full(2, 1.5) + 0 * t),
+            FixedHeading(Hold([0.0, 0.0], T), np.pi / 2),
+            dt=0.02,
+            substeps=round(0.02 / h),
+            q0=q,
+            forces=[ViscousFriction([c, 5.0, 1.0])],
+            engine=engine,
+            limit=1e9,
+        )
+        off.append([found.q[-1, 1] - expected[0], found.v[-1, 1] - expected[1]])
+    np.testing.assert_allclose(np.array(off[0]) / off[1], 4.0, rtol=0.1)
+    assert np.abs(off[1]).max() < 1e-4
 
 
 def test_no_force_beside_the_input_is_a_force_of_zero() -> None:

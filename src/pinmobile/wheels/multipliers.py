@@ -23,6 +23,7 @@ _FINE = 1e-2  # share below which impulses feel how numbers are rounded; with th
 _LEVEL = 0.3  # of the slope at the start of a step that may be left at its end
 _SHORTEST = 1e-9  # share of a step
 _NEAR = 0.1  # of how far impulses are off, to which velocities are found for them
+_ROUNDING = 1e-13  # of the velocities
 _PLAIN = 100.0  # tolerances that plain rounds are from their end, at least, where they come slowly
 
 
@@ -161,7 +162,9 @@ def found_by_newton(
     largest = sizes[0]
     for size in sizes[1:]:
         largest = higher(largest, size)
-    enough, behind = largest * (_PLAIN * tolerance) * (_PLAIN * tolerance), 2 * n + m + 7
+    moving = number(dot(free, [number(dot(row, free)) for row in inertia]))
+    enough = largest * (_PLAIN * tolerance) * (_PLAIN * tolerance) + _ROUNDING * _ROUNDING * moving
+    behind = 2 * n + m + 7
 
     def one(numbers: Vector) -> tuple[Vector, Any]:
         v, way, p = numbers[:n], numbers[n : 2 * n], numbers[2 * n : 2 * n + m]

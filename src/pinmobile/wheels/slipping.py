@@ -31,7 +31,7 @@ from pinmobile.robot import (
 from pinmobile.wheels.contact import Bounds, Impulses, Touch, impulses
 from pinmobile.wheels.judging import measured, measures_of
 from pinmobile.wheels.loads import Loads, item, numbers, quick, wheel_loads
-from pinmobile.wheels.motors import Motors, Push, theta
+from pinmobile.wheels.motors import Beside, Motors, Push, theta
 from pinmobile.wheels.multipliers import factored
 from pinmobile.wheels.rolling import State, WheeledBody
 from pinmobile.wheels.table import GearTrain, WheelTable
@@ -303,27 +303,28 @@ class SlippingBody(WheeledBody):
         zeros = np.zeros(2 * k), np.zeros(len(self._held)), np.zeros(k), np.zeros(self.size)
         return Grip(*zeros, stacked(found.values, q), 0.0, 0.0, 0.0)
 
-    def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Grip) -> Step:
+    def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Beside, memory: Grip) -> Step:
         """Return the state after a step, and what is kept for the next.
 
         Parameters
         ----------
         t : float
-            Time, on which nothing depends.
+            Time [s].
         q, v : ndarray, shape (..., nq), (..., nv)
             State.
-        u, f : ndarray, shape (..., nu), (..., nv)
-            Torques, and generalised forces beside them, in the step.
+        u : ndarray, shape (..., nu)
+            Torques in the step.
+        f : callable
+            ``f(t, q, v)``: generalised forces beside them, shape (..., nv), or 0.0.
         h : float
             Length of the step [s].
         memory : Grip
             From the step before.
         """
-        del t
-        return self.driven(q, v, u, h, f, memory)[0]
+        return self.driven(t, q, v, u, h, f, memory)[0]
 
     def driven(
-        self, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Grip, motors: Motors | None = None
+        self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Beside, memory: Grip, motors: Motors | None = None
     ) -> tuple[Step, Vector, Vector]:
         """Return the state after a step, and torques and rates of actuators that motors drive.
 
@@ -338,8 +339,9 @@ class SlippingBody(WheeledBody):
         before = [*state.twist, *state.arm_rates, *state.rates]
         middle = self._at_middle(state, q, v, h)
         psi = numbers(q)[2]
-        turning = not (np.ndim(f) == 0 and not isinstance(f, np.ndarray) and number(exact(f)) == 0)
-        turning = turning or bool(self.fall[0] or self.fall[1])
+        beside = f(t + 0.5 * h, self.integrate(q, (0.5 * h) * v), v)
+        pushed = not (np.ndim(beside) == 0 and not isinstance(beside, np.ndarray) and beside == 0)
+        turning = pushed or bool(self.fall[0] or self.fall[1])
         after, rate = before, numbers(memory.acceleration)
         contact, holding, multipliers = (
             [number(x) for x in numbers(part)] for part in (memory.forces, memory.holding, memory.multipliers)
@@ -356,6 +358,9 @@ class SlippingBody(WheeledBody):
             if turning:
                 s, c = sine_and_cosine(psi + 0.5 * h * mean[2])
                 at = at._replace(c=c, s=s)
+            if pushed and again:
+                there = self.in_plane(at, mean, q)
+                beside = f(t + 0.5 * h, self.integrate(q, (0.5 * h) * there), there)
             loads = self.loads(at, rate, q)
             if motors is not None:
                 pushes = motors(rates, again > 0)
@@ -368,7 +373,7 @@ class SlippingBody(WheeledBody):
                 u = stacked([*numbers(u)[: self.na], *torques], q)
             if motors is not None or not again:
                 shape = self._shape(middle, q, h, lag)
-            free = self._free(shape, at, before, u, h, f, q)
+            free = self._free(shape, at, before, u, h, beside, q)
             bounds = self._bounds(shape, loads.values, began, h, pushes)
             grip = impulses(
                 shape.touches,
@@ -473,7 +478,7 @@ class SlippingBody(WheeledBody):
 
     def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
         """Return the acceleration, shape (..., nv): the mean over a short step from the state."""
-        return (self.step(0.0, q, v, u, _INSTANT, f, self.initial_state()).v - v) / _INSTANT
+        return (self.step(0.0, q, v, u, _INSTANT, lambda t, q, v: f, self.initial_state()).v - v) / _INSTANT
 
     def signals(self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: Grip) -> dict[str, tuple[str, Any]]:
         """Return what the ground does, of the step before: a row of the wheels for each.
