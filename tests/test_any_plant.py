@@ -349,7 +349,7 @@ class Sliding:
         return 0
 
     def step(self, t: float, q: Array, v: Array, u: Array, h: float, f: Any, memory: int) -> Step:
-        v = v + h * (u + f)
+        v = v + h * (u + f(t, q, v))
         hit = bool(q[0] + h * v[0] > 1)
         return Step(np.minimum(q + h * v, 1.0), v * (not hit), memory + hit)
 

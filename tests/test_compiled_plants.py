@@ -101,7 +101,7 @@ class Motored(Body):
 
     def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Any) -> Step:
         force = memory["force"] + h / 0.05 * (u - memory["force"])
-        v1 = v + h * self.forward_dynamics(q, v, force, f)
+        v1 = v + h * self.forward_dynamics(q, v, force, f(t, q, v))
         return Step(q + h * v1, v1, {"force": force})
 
 

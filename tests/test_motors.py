@@ -378,9 +378,9 @@ def test_many_robots_step_as_each_alone(ground: Any) -> None:
     q = np.zeros((5, 5))
     memory = robot.initial_state()
     leaves = type(memory)(*(tiled(part) for part in memory))
-    many: Any = robot.step(0.0, q, v, u, 0.01, 0.0, leaves)
+    many: Any = robot.step(0.0, q, v, u, 0.01, lambda *_: 0.0, leaves)
     for k in range(5):
-        one: Any = robot.step(0.0, q[k], v[k], u[k], 0.01, 0.0, memory)
+        one: Any = robot.step(0.0, q[k], v[k], u[k], 0.01, lambda *_: 0.0, memory)
         np.testing.assert_allclose(many.v[k], one.v, rtol=0, atol=1e-12)
         np.testing.assert_allclose(many.memory.torques[k], one.memory.torques, rtol=0, atol=1e-10)
 
@@ -432,7 +432,7 @@ def test_another_resistance_is_that_of_another_motor(ground: Any) -> None:
     body = copied(robot.traced(), {"resistance": np.array([2.0, 2.0])}, {})
     state = robot.rest, np.zeros(robot.nv), np.array([12.0, 6.0])
     expected = other.step(0.0, *state, 0.01, 0.0, other.initial_state())
-    found = body.step(0.0, *state, 0.01, 0.0, body.initial_state())
+    found = body.step(0.0, *state, 0.01, lambda *_: 0.0, body.initial_state())
     np.testing.assert_array_equal(found.v, expected.v)
 
 

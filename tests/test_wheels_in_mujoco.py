@@ -4,6 +4,9 @@ Contacts there are soft. Hard and with friction that does not creep (elliptic co
 0.999) they are near to rolling; a roller is an ellipsoid whose envelope with the others' is round: with
 semi-axes a, a and L it has at its middle the curvature of the wheel of radius R, L^2 = a^2 + a (R - a) /
 cos^2(gamma).
+
+Of four wheels on rigid ground, loads depend on how many micrometres rollers stand out; here each such wheel
+hangs on a spring, as those of `WheeledRobot` do, which the body's weight bends by a millimetre.
 """
 
 from typing import Any
@@ -35,12 +38,14 @@ OWN: dict[str, Any] = {
     "mass": 1.0,
     "spin_inertia": 0.006,
     "yaw_inertia": 0.004,
-    "friction": Friction(rolling=0.0),
+    "friction": Friction(across=0.0, rolling=0.0),
 }
 BASE = MobileRobot(30.0, 1.3, com=(0.03, 0.01, 0.2), size=(0.6, 0.5, 0.2))
 ROLLERS, THIN, ROLLER_MASS = 16, 0.22, 0.002  # of a wheel; radius of a roller by that of its wheel; [kg]
-OPTIONS = '<option timestep="0.001" cone="elliptic" impratio="100" integrator="implicitfast"/>'
-HARD = 'solref="0.004 1" solimp="0.999 0.9999 0.001" friction="1 0.0001 0.0001"'
+STEP, PACE = 0.0005, 2  # [s] of MuJoCo, and how many of its steps one of ours has
+SPRING = 5e4  # [N/m] of a wheel with rollers, beside three others
+OPTIONS = f'<option timestep="{STEP}" cone="elliptic" impratio="100" integrator="implicitfast"/>'
+HARD = 'solref="0.002 1" solimp="0.999 0.9999 0.001" friction="1 0.0001 0.0001"'
 
 
 def numbers(x: Any) -> str:
@@ -89,9 +94,13 @@ def bodies(robot: MobileRobot, table: WheelTable) -> str:
             far, m = (1 - THIN) * wheel.radius, ROLLERS * ROLLER_MASS
             I = I - m * far**2 * np.diag([0.5, 1.0, 0.5])  # noqa: E741
             own = pin.Inertia(wheel.mass - m, np.zeros(3), I)
+        spring = ""
+        if len(table) + len(table.supports) > 3:
+            damping = 2 * np.sqrt(SPRING * robot.mass / len(table))
+            spring = f'<joint type="slide" axis="0 0 1" stiffness="{SPRING}" damping="{damping}"/>'
         wheels += (
             f'<body name="{wheel.name}" pos="{numbers(place.translation)}" euler="0 0 {wheel.angle:.17g}">'
-            f'<joint name="{wheel.name}" type="hinge" axis="0 1 0"/>{inertial(own)}{contact}</body>'
+            f'{spring}<joint name="{wheel.name}" type="hinge" axis="0 1 0"/>{inertial(own)}{contact}</body>'
         )
     for each in table.supports:
         wheels += (
@@ -108,16 +117,17 @@ def bodies(robot: MobileRobot, table: WheelTable) -> str:
 
 
 def driven(table: WheelTable, u: Array, T: float) -> tuple[Array, Array]:
-    """Return x, y, psi at each ms, and the mean load of each wheel and support in the last half second."""
+    """Return x, y, psi at each ms, and the mean load of each wheel and support after half a second."""
     xml = bodies(BASE, table).replace('inertiafromgeom="false"', 'inertiafromgeom="auto"')
     model = mujoco.MjModel.from_xml_string(xml)
     data = mujoco.MjData(model)
     data.ctrl[:] = 0
-    for _ in range(300):  # it settles
+    for _ in range(round(0.6 / STEP)):  # it settles
         mujoco.mj_step(model, data)
     data.qvel[:] = 0
     mujoco.mj_forward(model, data)
-    start, path, count = data.qpos[:7].copy(), [], round(T / 0.001)
+    start, path, count = data.qpos[:7].copy(), [], round(T / STEP)
+    begun = round(0.5 / STEP)
     owners = [*table.names, *(f"support {k}" for k in range(len(table.supports)))]
     loads, force = np.zeros(len(owners)), np.zeros(6)
     data.ctrl[:] = u
@@ -125,7 +135,7 @@ def driven(table: WheelTable, u: Array, T: float) -> tuple[Array, Array]:
         mujoco.mj_step(model, data)
         w, x, y, z = data.qpos[3:7]
         path.append([*data.qpos[:2], np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))])
-        if step < count - 500:
+        if step < begun:
             continue
         for k in range(data.ncon):
             contact = data.contact[k]
@@ -135,8 +145,8 @@ def driven(table: WheelTable, u: Array, T: float) -> tuple[Array, Array]:
                 body = model.body_parentid[body]
             name = model.body(body).name
             at = len(table) if name == "base" else owners.index(name)
-            loads[at] += force[0] / 500
-    found = np.array(path)
+            loads[at] += force[0] / (count - begun)
+    found = np.array(path)[PACE - 1 :: PACE]
     found[:, :2] -= start[:2]
     found[:, 2] = np.unwrap(found[:, 2])
     return found, loads
@@ -160,20 +170,46 @@ def test_a_differential_drive_on_spheres_goes_where_rolling_goes() -> None:
     off = np.linalg.norm(path[-1, :2] - run.q[-1, :2])
     assert off < 0.005 * length(run.q)
     assert abs(path[-1, 2] - run.q[-1, 2]) < np.radians(0.5)
-    slipping = ours(table, u, T, Coulomb(mu=1.0))
-    np.testing.assert_allclose(loads, slipping.signals["loads"].values[-500:].mean(0), rtol=0.01)
+    np.testing.assert_allclose(loads, loads_of(table, u, T), rtol=0.01)
 
 
-@pytest.mark.parametrize("kind", ["omni", "mecanum"])
-def test_wheels_with_rollers_go_sideways_as_they_roll(kind: str) -> None:
-    made = {
-        "omni": WheelTable.omni(0.25, 0.1, first=np.pi / 2, **OWN),
-        "mecanum": WheelTable.mecanum(0.5, 0.45, 0.1, **OWN),
-    }
-    table, T = made[kind], 2.0
+def loads_of(table: WheelTable, u: Array, T: float) -> Array:
+    """Return the mean load of each wheel and support after half a second, where wheels may slip."""
+    found = ours(table, u, T, Coulomb(mu=1.0)).signals["loads"].values
+    return np.asarray(found[501:].mean(axis=0))
+
+
+MADE = {
+    "omni": WheelTable.omni(0.25, 0.1, first=np.pi / 2, **OWN),
+    "mecanum": WheelTable.mecanum(0.5, 0.45, 0.1, **OWN),
+}
+
+
+@pytest.mark.parametrize("kind", MADE)
+def test_wheels_with_rollers_go_sideways_as_they_roll_and_carry_as_much(kind: str) -> None:
+    table, T = MADE[kind], 2.0
     robot = WheeledRobot(BASE, table)
     u = robot.inverse_dynamics(robot.rest, np.zeros(robot.nv), [0.0, 0.5, 0.0])
-    path, _ = driven(table, u, T)
+    path, loads = driven(table, u, T)
     run = ours(table, u, T)
     assert abs(run.q[-1, 1]) > 0.8
     assert np.linalg.norm(path[-1, :2] - run.q[-1, :2]) < 0.02 * length(run.q)
+    check_loads(loads, table, u, T)
+
+
+@pytest.mark.parametrize("kind", MADE)
+def test_wheels_with_rollers_carry_as_much_ahead(kind: str) -> None:
+    table, T = MADE[kind], 1.5
+    robot = WheeledRobot(BASE, table)
+    u = robot.inverse_dynamics(robot.rest, np.zeros(robot.nv), [0.5, 0.0, 0.0])
+    check_loads(driven(table, u, T)[1], table, u, T)
+
+
+def check_loads(loads: Array, table: WheelTable, u: Array, T: float) -> None:
+    """Check means over some twenty rollers, each of which takes the load from the one before.
+
+    Where contacts give way, the one that comes carries a little more than the one that goes: rollers at 45
+    degrees carry a millimetre off the wheel's middle, of 450 between two, and no wheel more or less than half
+    a percent. Loads at rest are off by five.
+    """
+    np.testing.assert_allclose(loads, loads_of(table, u, T), rtol=0.01)

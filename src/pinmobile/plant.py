@@ -57,7 +57,9 @@ class Plant(Protocol):
     ``project(q, v) -> v``
         The velocity that constraints such as rolling leave, after every substep.
     ``step(t, q, v, u, h, f, memory) -> Step``
-        A step of its own in place of an integrator's; ``initial_state(context)`` is its first memory.
+        A step of its own in place of an integrator's; ``initial_state(context)`` is its first memory. The
+        forces beside the input are a function of time and state, ``f(t, q, v) -> (nv,)``, asked wherever the
+        step wants to know them; it returns 0.0 where nothing acts.
     ``integrator``
         That which `simulate` takes where none is given; constant_acceleration without.
     ``signals(t, q, v, u, f, memory) -> {name: (unit, value)}``

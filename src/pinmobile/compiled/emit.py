@@ -7,6 +7,7 @@ every operation rounds once, and none are contracted, so that the bits are those
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pinmobile.compiled.folding import ROBOT, ROUND, SAMPLE, STATE
@@ -194,7 +195,10 @@ class Code:
         return [self._operation(node, u, region, shared) for u in (range(1) if shared else self.vectors())]
 
     def _rounds(self, node: int) -> list[str]:
-        """Write rounds, which end when no robot of the block needs a further one; one that is done stays."""
+        """Write rounds, which end when no robot of the block needs a further one; one that is done stays.
+
+        Where none needs any, all are passed over.
+        """
         rounds, lines, lanes = Rounds.of(self.tape, node), self.lines["sample"], self.shape.lanes
         whole, truth, vectors = self.type("f"), self.type("b"), self.vectors()
         first = [[self.argument(i, u, "sample") for u in vectors] for i in rounds.first]
@@ -203,15 +207,24 @@ class Code:
             if self.shared[i] and self.tape.operations[i][0] != "const":
                 self.argument(i, 0, "sample")
         before, inside, behind = f"before{node}", f"round{node}", f"behind{node}"
-        lines += [f"  br label %{before}", f"{before}:", f"  br label %{inside}", f"{inside}:"]
+        lines += [f"  br label %{before}", f"{before}:"]
+        may_skip = self.tape.known(rounds.settled) is None
+        none = ["false" if lanes == 1 else "zeroinitializer"] * len(vectors)
+        if may_skip:
+            none = [self.argument(rounds.settled, u, "sample") for u in vectors]
+            some = self._some_left(none)
+            lines.append(f"  br i1 {some}, label %{inside}, label %{behind}")
+        else:
+            lines.append(f"  br label %{inside}")
+        lines.append(f"{inside}:")
         for j, values in enumerate(first):
             for u in vectors:
                 name = f"{node}_{j}_{u}"
                 ways = f"[ {values[u]}, %{before} ], [ %z{name}, %{inside} ]"
                 lines.append(f"  %y{name} = phi {whole} {ways}")
-        none = "false" if lanes == 1 else "zeroinitializer"
         for u in vectors:
-            lines.append(f"  %e{node}_{u} = phi {truth} [ {none}, %{before} ], [ %d{node}_{u}, %{inside} ]")
+            ways = f"[ {none[u]}, %{before} ], [ %d{node}_{u}, %{inside} ]"
+            lines.append(f"  %e{node}_{u} = phi {truth} {ways}")
         lines.append(f"  %r{node} = phi i64 [ 1, %{before} ], [ %q{node}, %{inside} ]")
         for i in rounds.body:
             name, *given = self.tape.operations[i]
@@ -224,17 +237,10 @@ class Code:
                 value, name = self.argument(i, u, "sample"), f"{node}_{j}_{u}"
                 chosen = f"{truth} %e{node}_{u}, {whole} %y{name}, {whole} {value}"
                 lines.append(f"  %z{name} = select {chosen}")
-        left = []
         for u in vectors:
             value = self.argument(rounds.done, u, "sample")
             lines.append(f"  %d{node}_{u} = or {truth} %e{node}_{u}, {value}")
-            word = f"%d{node}_{u}"
-            if lanes > 1:
-                word = self.put("sample", f"bitcast {truth} {word} to i{lanes}")
-            left.append(self.put("sample", f"icmp ne i{lanes} {word}, -1"))
-        more = left[0]
-        for each in left[1:]:
-            more = self.put("sample", f"or i1 {more}, {each}")
+        more = self._some_left([f"%d{node}_{u}" for u in vectors])
         under = self.put("sample", f"icmp slt i64 %r{node}, {rounds.most}")
         more = self.put("sample", f"and i1 {more}, {under}")
         lines += [
@@ -243,7 +249,25 @@ class Code:
             f"{behind}:",
         ]
         self.results[node] = [[f"%z{node}_{j}_{u}" for u in vectors] for j in range(len(first))]
+        if may_skip:
+            for j, values in enumerate(first):
+                for u in vectors:
+                    ways = f"[ {values[u]}, %{before} ], [ %z{node}_{j}_{u}, %{inside} ]"
+                    lines.append(f"  %w{node}_{j}_{u} = phi {whole} {ways}")
+            self.results[node] = [[f"%w{node}_{j}_{u}" for u in vectors] for j in range(len(first))]
         return []
+
+    def _some_left(self, done: Sequence[str]) -> str:
+        """Write whether a robot of the block is not done, from a vector of truth values for each of it."""
+        lanes, left = self.shape.lanes, []
+        for word in done:
+            if lanes > 1:
+                word = self.put("sample", f"bitcast {self.type('b')} {word} to i{lanes}")
+            left.append(self.put("sample", f"icmp ne i{lanes} {word}, -1"))
+        more = left[0]
+        for each in left[1:]:
+            more = self.put("sample", f"or i1 {more}, {each}")
+        return more
 
     def vectors(self) -> range:
         """Return the numbers of the vectors."""

@@ -37,7 +37,7 @@ from pinmobile.compiled.tracing import Walk, is_foreign, names_of
 from pinmobile.constancy import known
 
 _BEGAN = time.time()
-_FORMAT = 1  # of `packed`
+_FORMAT = 2  # of `packed`
 # Of Python's modules those that only compute.
 _PURE = {
     *("abc", "builtins", "cmath", "collections", "collections.abc", "dataclasses", "enum", "functools"),

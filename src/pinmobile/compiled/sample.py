@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -421,7 +422,7 @@ def _own_step(parts: Parts, t: Moment, h: Moment, q: Values, v: Values, u: Value
     acceleration = None
     for j in range(parts.substeps):
         time = t + j * h if j else t
-        found = parts.plant.step(time, q, v, u, h, _pushed(parts, time, q, v), memory)
+        found = parts.plant.step(time, q, v, u, h, partial(_pushed, parts), memory)
         acceleration = (found.v - v) / h if acceleration is None else acceleration
         q, v, memory = found.q, found.v, found.memory
     return acceleration, q, v, memory

@@ -84,7 +84,7 @@ def operands(operation: _Operation) -> tuple[int, ...]:
 
 
 class Rounds(NamedTuple):
-    """What a ``("repeat", number, most, done, *first, *following)`` is.
+    """What a ``("repeat", number, most, done, settled, *first, *following)`` is.
 
     Attributes
     ----------
@@ -92,6 +92,8 @@ class Rounds(NamedTuple):
         Rounds at most.
     done : int
         Node that tells whether a robot needs no further round.
+    settled : int
+        Node that tells whether it needs none at all.
     first, following : tuple of int
         Nodes of each number that is carried: before the first round, and after each.
     body : list of int
@@ -102,6 +104,7 @@ class Rounds(NamedTuple):
 
     most: int
     done: int
+    settled: int
     first: tuple[int, ...]
     following: tuple[int, ...]
     body: list[int]
@@ -110,9 +113,9 @@ class Rounds(NamedTuple):
     @classmethod
     def of(cls, tape: Tape, index: int) -> Rounds:
         """Return those of a node."""
-        _, number, most, done, *nodes = tape.operations[index]
+        _, number, most, done, settled, *nodes = tape.operations[index]
         half = len(nodes) // 2
-        body, outside, todo = set(), set(nodes[:half]), [done, *nodes[half:]]
+        body, outside, todo = set(), {settled, *nodes[:half]}, [done, *nodes[half:]]
         while todo:
             node = todo.pop()
             if not tape.depends[node] & ROUND:
@@ -123,7 +126,7 @@ class Rounds(NamedTuple):
         carried = {("carry", number, i) for i in range(half)}
         if any(tape.operations[i][0] == "carry" and tape.operations[i] not in carried for i in body):
             raise NotTraceable("rounds within rounds", "write one after the other")
-        return cls(most, done, (*nodes[:half],), (*nodes[half:],), sorted(body), sorted(outside))
+        return cls(most, done, settled, (*nodes[:half],), (*nodes[half:],), sorted(body), sorted(outside))
 
 
 class Tape:
@@ -184,14 +187,19 @@ class Tape:
         return self._node("f", STATE, ("ring", number, samples, pushed.index))
 
     def repeated(
-        self, law: Callable[[list[Any]], tuple[Sequence[Any], Any]], first: Sequence[Any], most: int
+        self,
+        law: Callable[[list[Any]], tuple[Sequence[Any], Any]],
+        first: Sequence[Any],
+        most: int,
+        settled: Any = False,
     ) -> list[Node]:
         """Return some numbers after rounds of a law: see `repeated`."""
         number, self._repeats = self._repeats, self._repeats + 1
         before = [self._as(x, "f").index for x in first]
         following, done = law([self.input("carry", number, i) for i in range(len(before))])
         after = [self._as(x, "f").index for x in following]
-        operation = ("repeat", number, most, self._as(done, "b").index, *before, *after)
+        ends = (self._as(x, "b").index for x in (done, settled))
+        operation = ("repeat", number, most, *ends, *before, *after)
         node = self._node("f", STATE, operation)
         return [self._node("f", STATE, ("result", node.index, i)) for i in range(len(after))]
 
@@ -434,8 +442,10 @@ def evaluated(
 
 def _after_rounds(tape: Tape, rounds: Rounds, known: Mapping[int, Any]) -> list[Any]:
     """Return what is carried after the last round; a robot that is done stays as it is."""
-    carried, done = [known[i] for i in rounds.first], np.bool_(False)
+    carried, done = [known[i] for i in rounds.first], known[rounds.settled]
     for _ in range(rounds.most):
+        if np.all(done):
+            break
         values = dict(known)
         for index in rounds.body:
             name, *given = tape.operations[index]
@@ -444,8 +454,6 @@ def _after_rounds(tape: Tape, rounds: Rounds, known: Mapping[int, Any]) -> list[
             np.where(done, old, values[i])[()] for old, i in zip(carried, rounds.following, strict=True)
         ]
         done = done | values[rounds.done]
-        if np.all(done):
-            break
     return carried
 
 
@@ -480,7 +488,10 @@ def square_root(x: Any) -> Any:
 
 
 def repeated(
-    law: Callable[[list[Any]], tuple[Sequence[Any], Any]], first: Sequence[Any], most: int
+    law: Callable[[list[Any]], tuple[Sequence[Any], Any]],
+    first: Sequence[Any],
+    most: int,
+    settled: Any = False,
 ) -> list[Any]:
     """Return some numbers after rounds of a law.
 
@@ -495,16 +506,18 @@ def repeated(
         The numbers before the first round: numbers, arrays, or symbols.
     most : int
         Rounds at most, one or more.
+    settled : bool or ndarray of bool or symbol
+        Where no round is needed.
     """
     for x in first:
         if type(x) is Node:
-            return list(x.tape.repeated(law, first, most))
-    carried, done = list(first), np.bool_(False)
+            return list(x.tape.repeated(law, first, most, settled))
+    carried, done = list(first), np.bool_(False) | settled
     for _ in range(most):
+        if np.all(done):
+            break
         found, now = law(list(carried))
         if np.any(done):
             found = [np.where(done, old, new) for old, new in zip(carried, found, strict=True)]
         carried, done = list(found), done | now
-        if np.all(done):
-            break
     return carried

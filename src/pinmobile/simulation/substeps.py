@@ -268,13 +268,13 @@ def own_steps(
     The acceleration is the mean of the first substep's.
     """
     times, h, substeps = clock
+    f = push or _nothing
 
     def advance(k: int, q: Array, v: Array, u: Array, a: Array, after: Array) -> None:
         nonlocal memory
         x, w = q, v
         for j in range(substeps):
             time = times[k] + j * h
-            f = 0.0 if push is None else push(time, x, w)
             found = step(time, x.copy(), w.copy(), u.copy(), h, f, memory)
             x, w = _state(found, time, q.shape, v.shape)
             memory = found.memory
@@ -284,6 +284,11 @@ def own_steps(
         after[len(q) :] = w
 
     return advance, lambda: memory
+
+
+def _nothing(t: float, q: Array, v: Array) -> float:
+    """Return the force where none acts."""
+    return 0.0
 
 
 def _state(found: object, t: float, *shapes: tuple[int, ...]) -> tuple[Array, Array]:

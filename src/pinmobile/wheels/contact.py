@@ -6,7 +6,8 @@ then what sticks does not slip, and what slides is pushed against its slip (More
 Brogliato, Numerical methods for nonsmooth dynamical systems, Springer 2008). Block Gauss-Seidel keeps the
 velocities that the impulses lead to. A block is a wheel: what it exerts along and across, and what holds
 its rate; the others stay meanwhile. Blocks are solved exactly but for the multiplier of a disc, on which
-Newton's method takes one step in each round.
+Newton's method takes one step in each round. Where that does not come to an end soon, as where wheels share
+what only their sum determines and some of them slide, `multipliers` goes on from there.
 """
 
 from __future__ import annotations
@@ -17,14 +18,10 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 from pinmobile.compiled import choose, higher, repeated, square_root
-from pinmobile.robot import ZERO, Vector, dot, number
+from pinmobile.robot import ONE, ZERO, Matrix, Vector, dot, number
+from pinmobile.wheels.multipliers import Found, Place, found_by_newton
 
-_APART = 2.0  # rounds between two in which more than a round is taken, at least
-_LATER = 0.5  # and more after each
-_STRAIGHT = 0.98  # square of the cosine between two changes
-_FASTEST = 0.9999
-_FARTHEST = 0.5  # of the largest friction, by which an impulse changes so at most
-_LEAPING = 150.0  # rounds; whatever has not been found by then is left to plain ones
+_SOON = 24  # rounds
 
 
 class Bounds(NamedTuple):
@@ -154,6 +151,16 @@ class Touch:
         held = choose(holds, asked, limit)
         return self._moved(v, p, now, held - spin), now, held, choose(holds, shift_locked, shift_turning)
 
+    def place(self, bounds: Bounds) -> Place:
+        """Return what holds its slip."""
+        most = [bounds.along, bounds.across]
+        return Place(self.rows, self.columns, most, self.is_disc, bounds.began, self.give)
+
+    def holds(self, bounds: Bounds) -> Place:
+        """Return what holds its rate."""
+        row = [ONE if k == self.spin else ZERO for k in range(len(self.spun))]
+        return Place([row], [self.spun], [bounds.spin], False, [0.0], 0.0)
+
     def _wanted(self, own: Pair, p: Vector, slip: Vector) -> Vector:
         """Return what its matrix times the new impulses has to be for it to stick."""
         return [a - s for a, s in zip(own.times(p), slip, strict=True)]
@@ -257,19 +264,23 @@ class Impulses(NamedTuple):
         Of the discs, zero where a wheel sticks.
     rounds : scalar
         How many rounds were taken.
+    missed : scalar
+        1 where these ended before impulses were found to the tolerance, else 0.
     """
 
     velocity: Vector
     contact: Vector
     spin: Vector
     multipliers: Vector
-    rounds: Any
+    rounds: Any = 0.0
+    missed: Any = 0.0
 
 
 def impulses(
     touches: Sequence[Touch],
     bounds: Sequence[Bounds],
     free: Vector,
+    inertia: Matrix,
     before: Impulses,
     *,
     most: int,
@@ -283,6 +294,8 @@ def impulses(
         Of each wheel.
     free : list of scalars
         Velocities without any impulse.
+    inertia : list of lists of scalars
+        Of the velocities.
     before : Impulses
         What to start from.
     most, tolerance
@@ -311,13 +324,12 @@ def impulses(
         largest = higher(largest, bound.along)
     enough = tolerance * largest
 
-    end, blocks = n + len(contact), len(contact)
-    inner = end + len(spins) + len(touches)
+    end, inner = n + len(contact), n + len(contact) + len(spins)
+    plain = min(most, _SOON)
 
     def one(numbers: Vector) -> tuple[Vector, Any]:
         v, p = numbers[:n], numbers[n:end]
-        held, shifts = numbers[end : end + len(spins)], numbers[end + len(spins) : inner]
-        before, (apart, since, rounds) = numbers[inner : inner + blocks], numbers[-3:]
+        held, shifts, rounds = numbers[end:inner], numbers[inner:-2], numbers[-2]
         for k, (touch, bound) in enumerate(zip(touches, bounds, strict=True)):
             at = spins.index(touch.spin) if touch.held else 0
             old = p[2 * k : 2 * k + 2]
@@ -326,29 +338,19 @@ def impulses(
             )
             if touch.held:
                 held[at] = spun
-        changes = [x - y for x, y in zip(p, numbers[n:end], strict=True)]
-        most_changed: Any = 0.0
-        for x in changes:
-            most_changed = higher(abs(x), most_changed)
-        done = most_changed <= enough
-        # Where what is left falls by the same share in each round, all rounds to come are taken at once.
-        own, other, both = dot(changes, changes), dot(before, before), dot(changes, before)
-        straight = both * abs(both) > _STRAIGHT * own * other
-        share = both / choose(other > 0.0, other, 1.0)
-        far = choose(share < _FASTEST, share, _FASTEST)
-        reach = _FARTHEST * largest / choose(most_changed > 0.0, most_changed, 1.0)
-        ahead = choose(straight, far / (1.0 - far), 0.0)
-        ahead = choose(ahead < reach, ahead, reach)
-        ahead = choose(since >= apart, choose(rounds >= last, 0.0, choose(done, 0.0, ahead)), 0.0)
-        leaps = [x + ahead * (x - y) for x, y in zip([*v, *p, *held, *shifts], numbers, strict=False)]
-        leaps[end + len(spins) :] = [higher(x, 0.0) for x in leaps[end + len(spins) :]]
-        leapt = ahead > 0.0
-        counts = [choose(leapt, apart + _LATER, apart), choose(leapt, 0.0, since + 1.0), rounds + 1.0]
-        return [*leaps, *changes, *counts], done
+        change: Any = 0.0
+        for x, y in zip(p, numbers[n:end], strict=True):
+            change = higher(abs(x - y), change)
+        done = change <= enough
+        return [*v, *p, *held, *shifts, rounds + 1.0, choose(done, 0.0, 1.0)], done
 
-    last = min(most - 1.5, _LEAPING)
-    nothing: Vector = [*[0.0] * blocks, _APART, 0.0, 0.0]
-    found = repeated(one, [*velocity, *contact, *spin, *before.multipliers, *nothing], most)
-    return Impulses(
-        found[:n], found[n:end], found[end : end + len(spins)], found[end + len(spins) : inner], found[-1]
-    )
+    found = repeated(one, [*velocity, *contact, *spin, *before.multipliers, 0.0, 1.0], plain)
+    start = Found(found[:n], found[n:inner], found[inner:-2], *found[-2:])
+    if most > plain:
+        places = [touch.place(bound) for touch, bound in zip(touches, bounds, strict=True)]
+        places += [holder[at].holds(bounds[touches.index(holder[at])]) for at in spins]
+        start = found_by_newton(
+            places, inertia, free, start, settled=start.missed < 0.5, most=most - plain, tolerance=enough
+        )
+    m = len(contact)
+    return Impulses(start.velocity, start.impulses[:m], start.impulses[m:], *start[2:])

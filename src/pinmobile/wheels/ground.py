@@ -119,7 +119,7 @@ class Coulomb:
     passes : int
         How often a step finds loads, forces and velocities anew, each from the others.
     sweeps : int
-        Most rounds over all wheels in a pass.
+        Most rounds over all wheels in a pass; the signal ``missed`` says where they were too few.
     tolerance : float
         Largest change of a force in a round, as a share of the largest friction, at which it has been found.
 

@@ -286,6 +286,13 @@ class Push(NamedTuple):
 
 
 Motors = Callable[[Vector, bool], list[Push]]
+Beside = Callable[[Any, Any, Any], Any]
+"""Generalised forces beside the input, of t, q and v."""
+
+
+def constant_force(f: Array) -> Beside:
+    """Return what tells the same force at any time and state; an array without axes is none."""
+    return lambda t, q, v: f if f.ndim else 0.0
 
 
 def theta(z: Any) -> Any:

@@ -15,9 +15,10 @@ import numpy as np
 from pinmobile.compiled import higher, plain, repeated
 from pinmobile.plant import Input, Parameter, Step
 from pinmobile.robot import ZERO, Vector, dot, exact, number, scalars, sine_and_cosine, vector_of as stacked
-from pinmobile.wheels.motors import Motor, MotorLaw, Motors, Push, theta, within
+from pinmobile.wheels.motors import Beside, Motor, MotorLaw, Motors, Push, theta, within
+from pinmobile.wheels.multipliers import factored
 from pinmobile.wheels.rolling import State, WheeledBody
-from pinmobile.wheels.slipping import SlippingBody, factored
+from pinmobile.wheels.slipping import SlippingBody
 
 _BASE = 3
 _INSTANT = 1e-5  # [s], over which an acceleration at a state is the mean
@@ -146,25 +147,26 @@ class VoltageBody:
 
     def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
         """Return the acceleration, shape (..., nv): the mean over a short step from the state."""
-        return (self.step(0.0, q, v, u, _INSTANT, f, self.initial_state()).v - v) / _INSTANT
+        return (self.step(0.0, q, v, u, _INSTANT, lambda t, q, v: f, self.initial_state()).v - v) / _INSTANT
 
-    def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Driving) -> Step:
+    def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Beside, memory: Driving) -> Step:
         """Return the state after a step, and what is kept for the next.
 
         Parameters
         ----------
         t : float
-            Time, on which nothing depends.
+            Time [s].
         q, v : ndarray, shape (..., nq), (..., nv)
             State.
-        u, f : ndarray, shape (..., nu), (..., nv)
-            Volts and what else `inputs` names, and generalised forces beside them, in the step.
+        u : ndarray, shape (..., nu)
+            Volts and what else `inputs` names, in the step.
+        f : callable
+            ``f(t, q, v)``: generalised forces beside them, shape (..., nv), or 0.0.
         h : float
             Length of the step [s].
         memory : Driving
             From the step before.
         """
-        del t
         law, given = self.law, [number(_plain(x)) for x in scalars(u)][self.wheeled.na :]
         volts = [law.volts(k, given[i]) for k, i in enumerate(self.electric)]
 
@@ -176,17 +178,17 @@ class VoltageBody:
 
         grip: Any = ()
         if isinstance(self.wheeled, SlippingBody):
-            after, torques, rates = self.wheeled.driven(q, v, u, h, f, memory.grip, motors)
+            after, torques, rates = self.wheeled.driven(t, q, v, u, h, f, memory.grip, motors)
             holding, grip = memory.holding, after.memory
         else:
-            after, torques, rates, holding = self._rolled(q, v, u, h, f, memory, motors)
+            after, torques, rates, holding = self._rolled(t, q, v, u, h, f, memory, motors)
         currents = [law.current(k, volts[k], rates[i]) for k, i in enumerate(self.electric)]
         own = [number(torques[i]) for i in self.electric]
         kept = Driving(stacked(volts, q), stacked(currents, q), stacked(own, q), holding, grip)
         return Step(after.q, after.v, kept)
 
     def _rolled(
-        self, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Driving, motors: Motors
+        self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Beside, memory: Driving, motors: Motors
     ) -> tuple[Step, Vector, Vector, Any]:
         """Return the state after a step of wheels that roll, actuators' torques and rates, and what holds.
 
@@ -203,10 +205,11 @@ class VoltageBody:
         reduced = [[dot(a, b) for b in pushed] for a in columns]
         units = [body.generalised(middle, one, 0.0) for one in np.eye(self.nu)[body.na :]]
         B = [[dot(column, unit) for column in columns] for unit in units]
-        solve = factored(reduced)
+        solve, _ = factored(reduced)
         freedom = [number(dot(b, solve(b))) for b in B]
         begun = [number(dot(b, nu)) for b in B]
         psi, na = _plain(scalars(q)[2]), body.na
+        beside = f(t + 0.5 * h, q_middle, v)
         rates, mean, impulses = begun, nu, [number(_plain(x)) * h for x in scalars(memory.holding)]
         for again in range(_PASSES):
             pushes = motors(rates, again > 0)
@@ -217,16 +220,19 @@ class VoltageBody:
             at = self._moving(middle, S, mean)
             s, c = sine_and_cosine(psi + 0.5 * h * at.twist[2])
             at = at._replace(c=c, s=s)
+            if again and np.ndim(beside):
+                there = body.in_plane(at, [*at.twist, *at.arm_rates, *at.rates], q)
+                beside = f(t + 0.5 * h, body.integrate(q, (0.5 * h) * there), there)
             still = body.felt(at, body.freedom.unmoved(at, *body.freedom.solution(at)))
             torques = [push.torque - push.slope * x for push, x in zip(pushes, begun, strict=True)]
-            whole = body.generalised(at, stacked([*scalars(u)[:na], *torques], q), f)
+            whole = body.generalised(at, stacked([*scalars(u)[:na], *torques], q), beside)
             rest = [t - n - dot(row, still) for t, n, row in zip(whole, body.effects(at, q), M, strict=True)]
             heavy = [list(row) for row in reduced]
             for b, push in zip(B, pushes, strict=True):
                 for i, x in enumerate(b):
                     for j, y in enumerate(b):
                         heavy[i][j] = heavy[i][j] + (h * share * push.slope) * (x * y)
-            solve = factored(heavy)
+            solve, _ = factored(heavy)
             change = solve([h * number(dot(column, rest)) for column in columns])
             after = [number(x + y) for x, y in zip(nu, change, strict=True)]
             after, impulses = self._held(after, B, solve, pushes, impulses, h)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from pinmobile.compiled import choose
+from pinmobile.compiled import choose, higher
 from pinmobile.errors import InvalidArgument
 from pinmobile.measures import Measure
 from pinmobile.plant import Step
@@ -31,7 +31,8 @@ from pinmobile.robot import (
 from pinmobile.wheels.contact import Bounds, Impulses, Touch, impulses
 from pinmobile.wheels.judging import measured, measures_of
 from pinmobile.wheels.loads import Loads, item, numbers, quick, wheel_loads
-from pinmobile.wheels.motors import Motors, Push, theta
+from pinmobile.wheels.motors import Beside, Motors, Push, theta
+from pinmobile.wheels.multipliers import factored
 from pinmobile.wheels.rolling import State, WheeledBody
 from pinmobile.wheels.table import GearTrain, WheelTable
 
@@ -60,6 +61,8 @@ class Grip(NamedTuple):
         1 where no loads balance the robot.
     rounds : float
         How many rounds over all wheels were taken in all passes.
+    missed : float
+        1 where the rounds of a pass ended before forces were found to the tolerance.
     """
 
     forces: Any
@@ -69,6 +72,7 @@ class Grip(NamedTuple):
     loads: Any
     tips: Any
     rounds: Any
+    missed: Any
 
 
 class _Shape(NamedTuple):
@@ -82,6 +86,8 @@ class _Shape(NamedTuple):
         Of the wheels, over the velocities that `touched` numbers.
     touched, rest : list of int
         Velocities that rows of wheels have, and those that have none.
+    inertia : list of lists of scalars
+        Of the former, the latter free to follow.
     columns : list of lists of scalars
         All velocities per impulse: along and across of each wheel, and then of each held rate.
     """
@@ -90,6 +96,7 @@ class _Shape(NamedTuple):
     touches: list[Touch]
     touched: list[int]
     rest: list[int]
+    inertia: Matrix
     columns: Matrix
 
 
@@ -184,19 +191,20 @@ class SlippingBody(WheeledBody):
             list(row)
             for row in zip(*(self._reduced(list(c)) for c in zip(*halved, strict=True)), strict=True)
         ]
-        solve = factored(reduced)
         rows = self.kinematics.rows(state.steering, [ZERO] * _BASE, [ZERO] * self.joints, across=True)
         pairs: list[list[Vector]] = [[] for _ in self.table.wheels]
         for row in rows:
             if row.wheel >= 0:
                 pairs[row.wheel].append(self._reduced([*row.base, *[ZERO] * self.na, *row.joints]))
         n, held, first = len(self._kept), self._held, _BASE + self.na + len(self.table.axes)
-        columns = [solve(row) for pair in pairs for row in pair]
         spins = [self._kept.index(self._leaders[first + row][0]) for row in range(len(self.table))]
-        units = {at: solve([ONE if k == at else ZERO for k in range(n)]) for at in dict.fromkeys(spins)}
         touched = [
             k for k in range(n) if k in spins or any(row[k] is not ZERO for pair in pairs for row in pair)
         ]
+        rest = [k for k in range(n) if k not in touched]
+        solve, inertia = factored(reduced, rest)
+        columns = [solve(row) for pair in pairs for row in pair]
+        units = {at: solve([ONE if k == at else ZERO for k in range(n)]) for at in dict.fromkeys(spins)}
 
         def over(x: Vector) -> Vector:
             return [x[k] for k in touched]
@@ -214,9 +222,8 @@ class SlippingBody(WheeledBody):
                     held=spins[k] in held,
                 )
             )
-        rest = [k for k in range(n) if k not in touched]
         holding = [at for at in dict.fromkeys(spins) if at in held]
-        return _Shape(solve, touches, touched, rest, [*columns, *(units[at] for at in holding)])
+        return _Shape(solve, touches, touched, rest, inertia, [*columns, *(units[at] for at in holding)])
 
     def loads(self, state: State, rate: Vector, q: Any) -> Loads:
         """Return what wheels and supports carry: see `wheel_loads`.
@@ -294,29 +301,30 @@ class SlippingBody(WheeledBody):
         q = np.concatenate([np.zeros(_BASE), arms, np.zeros(self.joints)])
         found = self.loads(self.state(q, np.zeros(self.size)), still, q)
         zeros = np.zeros(2 * k), np.zeros(len(self._held)), np.zeros(k), np.zeros(self.size)
-        return Grip(*zeros, stacked(found.values, q), 0.0, 0.0)
+        return Grip(*zeros, stacked(found.values, q), 0.0, 0.0, 0.0)
 
-    def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Grip) -> Step:
+    def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Beside, memory: Grip) -> Step:
         """Return the state after a step, and what is kept for the next.
 
         Parameters
         ----------
         t : float
-            Time, on which nothing depends.
+            Time [s].
         q, v : ndarray, shape (..., nq), (..., nv)
             State.
-        u, f : ndarray, shape (..., nu), (..., nv)
-            Torques, and generalised forces beside them, in the step.
+        u : ndarray, shape (..., nu)
+            Torques in the step.
+        f : callable
+            ``f(t, q, v)``: generalised forces beside them, shape (..., nv), or 0.0.
         h : float
             Length of the step [s].
         memory : Grip
             From the step before.
         """
-        del t
-        return self.driven(q, v, u, h, f, memory)[0]
+        return self.driven(t, q, v, u, h, f, memory)[0]
 
     def driven(
-        self, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Grip, motors: Motors | None = None
+        self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Beside, memory: Grip, motors: Motors | None = None
     ) -> tuple[Step, Vector, Vector]:
         """Return the state after a step, and torques and rates of actuators that motors drive.
 
@@ -331,14 +339,16 @@ class SlippingBody(WheeledBody):
         before = [*state.twist, *state.arm_rates, *state.rates]
         middle = self._at_middle(state, q, v, h)
         psi = numbers(q)[2]
-        turning = not (np.ndim(f) == 0 and not isinstance(f, np.ndarray) and number(exact(f)) == 0)
-        turning = turning or bool(self.fall[0] or self.fall[1])
+        beside = f(t + 0.5 * h, self.integrate(q, (0.5 * h) * v), v)
+        pushed = not (np.ndim(beside) == 0 and not isinstance(beside, np.ndarray) and beside == 0)
+        turning = pushed or bool(self.fall[0] or self.fall[1])
         after, rate = before, numbers(memory.acceleration)
         contact, holding, multipliers = (
             [number(x) for x in numbers(part)] for part in (memory.forces, memory.holding, memory.multipliers)
         )
-        grip = Impulses([], [x * h for x in contact], [x * h for x in holding], multipliers, 0.0)
+        grip = Impulses([], [x * h for x in contact], [x * h for x in holding], multipliers)
         rounds: Any = 0.0
+        missed: Any = 0.0
         began: list[Vector] = [[0.0, 0.0] for _ in self.table.wheels]
         begun = self.actuator_rates(state.rates)
         rates, pushes, shares, lag = begun, list[Push](), list[Any](), list[Any]()
@@ -348,6 +358,9 @@ class SlippingBody(WheeledBody):
             if turning:
                 s, c = sine_and_cosine(psi + 0.5 * h * mean[2])
                 at = at._replace(c=c, s=s)
+            if pushed and again:
+                there = self.in_plane(at, mean, q)
+                beside = f(t + 0.5 * h, self.integrate(q, (0.5 * h) * there), there)
             loads = self.loads(at, rate, q)
             if motors is not None:
                 pushes = motors(rates, again > 0)
@@ -360,12 +373,13 @@ class SlippingBody(WheeledBody):
                 u = stacked([*numbers(u)[: self.na], *torques], q)
             if motors is not None or not again:
                 shape = self._shape(middle, q, h, lag)
-            free = self._free(shape, at, before, u, h, f, q)
+            free = self._free(shape, at, before, u, h, beside, q)
             bounds = self._bounds(shape, loads.values, began, h, pushes)
             grip = impulses(
                 shape.touches,
                 bounds,
                 [number(free[k]) for k in shape.touched],
+                shape.inertia,
                 grip,
                 most=self.sweeps,
                 tolerance=self.tolerance,
@@ -373,7 +387,7 @@ class SlippingBody(WheeledBody):
             after = self._after(shape, free, grip)
             began = self._began(shape, before, after)
             rate = [(y - x) / h for x, y in zip(before, after, strict=True)]
-            rounds = rounds + grip.rounds
+            rounds, missed = rounds + grip.rounds, higher(grip.missed, missed)
             if motors is not None:
                 ends = self.actuator_rates(after[_BASE + self.na :])
                 rates = [number(x + share * (y - x)) for x, y, share in zip(begun, ends, shares, strict=True)]
@@ -389,6 +403,7 @@ class SlippingBody(WheeledBody):
             stacked(loads.values, q),
             stacked([loads.tips], q)[..., 0],
             stacked([rounds], q)[..., 0],
+            stacked([missed], q)[..., 0],
         )
         found = Step(moved, self.in_plane(state._replace(c=c, s=s), after, q), kept)
         if motors is None:
@@ -463,13 +478,14 @@ class SlippingBody(WheeledBody):
 
     def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
         """Return the acceleration, shape (..., nv): the mean over a short step from the state."""
-        return (self.step(0.0, q, v, u, _INSTANT, f, self.initial_state()).v - v) / _INSTANT
+        return (self.step(0.0, q, v, u, _INSTANT, lambda t, q, v: f, self.initial_state()).v - v) / _INSTANT
 
     def signals(self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: Grip) -> dict[str, tuple[str, Any]]:
         """Return what the ground does, of the step before: a row of the wheels for each.
 
         ``along``, ``across`` and ``loads`` [N], those of the supports behind; ``slip_along`` and
-        ``slip_across`` [m/s], of now; ``slides``, 1 where all friction is used; ``tips``; ``rounds``.
+        ``slip_across`` [m/s], of now; ``slides``, 1 where all friction is used; ``tips``; ``rounds``;
+        ``missed``, 1 where these ended before forces were found to the tolerance of the ground.
         """
         del t, u, f
         state = self.state(q, v)
@@ -493,6 +509,7 @@ class SlippingBody(WheeledBody):
             "slides": ("", np.where((most > 0.0) & (size >= _SLIDES * most), 1.0, 0.0)),
             "tips": ("", memory.tips),
             "rounds": ("", memory.rounds),
+            "missed": ("", memory.missed),
         }
 
 
@@ -524,31 +541,3 @@ def led(table: WheelTable) -> list[tuple[int, float]]:
             share = of_a * times / of_b
             found = [(a, share * x) if leader == b else (leader, x) for leader, x in found]
     return found
-
-
-def factored(M: Matrix) -> Any:
-    """Return what solves M x = right, the last unknowns of a symmetric M eliminated first; zeros stay."""
-    n = len(M)
-    M, inverse, order = [list(row) for row in M], [ZERO] * n, list(reversed(range(n)))
-    for done, i in enumerate(order, 1):
-        inverse[i] = 1.0 / number(M[i][i])
-        rest = order[done:]
-        factors = {j: M[j][i] * inverse[i] for j in rest}
-        for at, j in enumerate(rest):
-            for k in rest[: at + 1]:
-                M[j][k] = M[k][j] = M[j][k] - factors[j] * M[k][i]
-        for j in rest:
-            M[j][i] = factors[j]
-
-    def solve(right: Vector) -> Vector:
-        x = list(right)
-        for done, i in enumerate(order, 1):
-            for j in order[done:]:
-                x[j] = x[j] - M[j][i] * x[i]
-        x = [value * inverse[i] for i, value in enumerate(x)]
-        for k, i in reversed(list(enumerate(order))):
-            for j in order[k + 1 :]:
-                x[i] = x[i] - M[j][i] * x[j]
-        return x
-
-    return solve

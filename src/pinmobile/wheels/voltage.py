@@ -12,6 +12,7 @@ from pinmobile.arrays import Array, ArrayLike, finite, frozen, scalar, vector
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, UnknownName, shown
 from pinmobile.plant import Input, Parameter, Step
+from pinmobile.wheels.motors import Beside, constant_force
 from pinmobile.wheels.powered import Driving, VoltageBody, of_wheeled
 from pinmobile.wheels.slipping import SlippingBody
 from pinmobile.wheels.table import Differential, WheelTable
@@ -284,11 +285,18 @@ class ByVoltage:
         return self.traced().initial_state(context)
 
     def step(
-        self, t: float, q: ArrayLike, v: ArrayLike, u: ArrayLike, h: float, f: ArrayLike, memory: Driving
+        self,
+        t: float,
+        q: ArrayLike,
+        v: ArrayLike,
+        u: ArrayLike,
+        h: float,
+        f: Beside | ArrayLike,
+        memory: Driving,
     ) -> Step:
-        """Return the state a step later."""
-        f = 0.0 if isinstance(f, float) and f == 0 else finite("f", f)
-        return self.traced().step(t, *self._state(q, v, u), h, f, memory)
+        """Return the state a step later, under forces ``f(t, q, v)`` of mid-step, or such as stay."""
+        beside = f if callable(f) else constant_force(finite("f", f))
+        return self.traced().step(t, *self._state(q, v, u), h, beside, memory)
 
     def signals(
         self, t: float, q: Array, v: Array, u: Array, f: ArrayLike, memory: Driving

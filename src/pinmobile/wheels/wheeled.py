@@ -21,6 +21,7 @@ from pinmobile.wheels.constraints import ConstrainedTree, Forces
 from pinmobile.wheels.description import read_robot, read_wheels
 from pinmobile.wheels.drive_numbers import DriveNumbers
 from pinmobile.wheels.ground import Coulomb, Ground, Rolling
+from pinmobile.wheels.motors import Beside, constant_force
 from pinmobile.wheels.reduced import Allocation, Reduced
 from pinmobile.wheels.rolling import RollingBody
 from pinmobile.wheels.slipping import Grip, SlippingBody
@@ -468,7 +469,10 @@ class WheeledRobot(Chassis, Bearing):
 
     @property
     def step(self) -> Callable[..., Step]:
-        """``step(t, q, v, u, h, f, memory)``: the state a step later, where wheels slip."""
+        """``step(t, q, v, u, h, f, memory)``: the state a step later, where wheels slip.
+
+        ``f(t, q, v)`` has the generalised forces beside the input, at mid-step; an array has those that stay.
+        """
         self._where_it_slips("step")
         return self._stepped
 
@@ -478,16 +482,23 @@ class WheeledRobot(Chassis, Bearing):
         return self._where_it_slips("signals").signals
 
     def _stepped(
-        self, t: float, q: ArrayLike, v: ArrayLike, u: ArrayLike, h: float, f: ArrayLike, memory: Grip
+        self,
+        t: float,
+        q: ArrayLike,
+        v: ArrayLike,
+        u: ArrayLike,
+        h: float,
+        f: Beside | ArrayLike,
+        memory: Grip,
     ) -> Step:
         q, v, u = self._q(q), self._v("v", v), vector("u", u, self.nu)
-        beside = 0.0 if isinstance(f, float) and f == 0 else self._f(f)
+        beside = f if callable(f) else constant_force(self._f(f))
         h = positive("h", h, "s")
         if not isinstance(memory, Grip):
             raise InvalidArgument(
                 f"memory is {shown(memory)}, expected what initial_state or a step returned"
             )
-        return self._slipping.step(t, q, v, u, h, beside if np.ndim(beside) else 0.0, memory)
+        return self._slipping.step(t, q, v, u, h, beside, memory)
 
     def check_start(self, q: ArrayLike, v: ArrayLike) -> None:
         """Refuse a start at which wheels on one gear train turn at different rates, or those that roll slip.
