@@ -82,7 +82,18 @@ if TYPE_CHECKING:
         ViscousFriction,
     )
     from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
-    from pinmobile.paths import Circle, CubicVia, Hold, Lissajous, RestToRest, Spline
+    from pinmobile.paths import (
+        Circle,
+        CompositePath,
+        CubicVia,
+        Hold,
+        Line,
+        Lissajous,
+        Moved,
+        Polyline,
+        RestToRest,
+        Spline,
+    )
     from pinmobile.plant import Context
     from pinmobile.reaching import EndEffectorTracking, PosePath, Resolved, resolve
     from pinmobile.robot import Load, MobileRobot, mountable
@@ -123,6 +134,7 @@ __all__ = [
     "Backstepping",
     "ByOdometry",
     "Circle",
+    "CompositePath",
     "ComputedTorque",
     "ConstantForce",
     "Context",
@@ -150,11 +162,13 @@ __all__ = [
     "Kanayama",
     "LectureHeading",
     "Limit",
+    "Line",
     "Lissajous",
     "Load",
     "MobileRobot",
     "Motion",
     "Motor",
+    "Moved",
     "NoiseForce",
     "NoisyMeasurement",
     "Normal",
@@ -163,6 +177,7 @@ __all__ = [
     "PDGravity",
     "Parking",
     "PinmobileError",
+    "Polyline",
     "PosePath",
     "Ramp",
     "Reference",
@@ -286,7 +301,18 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "integrators": ("constant_acceleration", "rk4", "semi_implicit_euler"),
     "measures": (),
     "palette": (),
-    "paths": ("Circle", "CubicVia", "Hold", "Lissajous", "RestToRest", "Spline"),
+    "paths": (
+        "Circle",
+        "CompositePath",
+        "CubicVia",
+        "Hold",
+        "Line",
+        "Lissajous",
+        "Moved",
+        "Polyline",
+        "RestToRest",
+        "Spline",
+    ),
     "plant": ("Context",),
     "plots": (),
     "reaching": ("EndEffectorTracking", "PosePath", "Resolved", "resolve"),
