@@ -122,7 +122,7 @@ def test_no_file_asks_a_part_what_it_is() -> None:
     assert not asked
 
 
-POINTS = {"start", "via", "end", "via_velocity"}
+POINTS = {"start", "via", "end", "via_velocity", "centre", "waypoints"}
 
 
 def test_the_command_knows_parts_by_their_classes_and_units_by_what_they_state() -> None:
@@ -136,7 +136,12 @@ def test_the_command_knows_parts_by_their_classes_and_units_by_what_they_state()
         name for name in forces.__all__ if name in PARTS
     ]
     stated = {each.attribute: each.unit for each in pinmobile.Circle.parameters}
-    assert stated == {name: choices.UNITS[name] for name in ("radius", "rate")}
+    own = {"centre": "m", "phase": "rad", "heading": "rad"}
+    assert stated == {name: choices.UNITS[name] for name in ("radius", "rate")} | own
+    assert {name: choices.UNITS[name] for name in ("centre", "phase", "start_heading")} == dict(
+        zip(("centre", "phase", "start_heading"), own.values(), strict=True)
+    )
     taken = {name for path in choices.PATHS.values() for name in path.takes}
-    assert taken == {*POINTS, "duration", "radius", "rate", "rx", "ry", "wx", "wy", "t_via"}
+    of_lines = {"corner_radius", "acceleration", "phase", "start_heading"}
+    assert taken == {*POINTS, *of_lines, "duration", "radius", "rate", "rx", "ry", "wx", "wy", "t_via"}
     assert {name for name in taken if choices.OPTIONS[name].kind is tuple} == POINTS

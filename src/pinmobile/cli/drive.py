@@ -10,7 +10,7 @@ import numpy as np
 from pinmobile import ComputedTorque, Diverged, InvalidArgument, MobileRobot, Rollout, plots, rk4, simulate
 from pinmobile.arrays import Array, positive, wrap_angle
 from pinmobile.cli.choices import DRIVEN, DRIVES, HEADINGS, Choice
-from pinmobile.cli.options import LECTURE, Options, as_option, choose
+from pinmobile.cli.options import LECTURE, Options, as_option, choose, moved
 from pinmobile.cli.output import (
     Picture,
     Section,
@@ -128,7 +128,7 @@ def _refuse(given: Mapping[str, Any], taken: Any, why: str) -> None:
 def _box_on(
     choice: Choice[Any], given: Mapping[str, Any], ground: Coulomb | None, arms: Sequence[str]
 ) -> WheeledRobot:
-    numbers = {
+    numbers: dict[str, Any] = {
         option: choice.takes[option] if given[option] is None else given[option] for option in choice.takes
     }
     radius = positive("--wheel-radius", numbers["wheel_radius"], "m")
@@ -162,7 +162,7 @@ def trajectory_of(options: Options) -> Trajectory:
     others = [each for kind in DRIVEN.values() for each in kind.takes if each not in path.takes]
     options.refuse(others, f"does not apply to the trajectory {name!r}")
     heading = choose("heading", options["heading"], HEADINGS)
-    return options.made("heading", heading, options.made("trajectory", path))
+    return options.made("heading", heading, moved(options, options.made("trajectory", path)))
 
 
 def controller_of(robot: WheeledRobot) -> tuple[Controller, str]:

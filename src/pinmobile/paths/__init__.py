@@ -1,4 +1,4 @@
-"""Curves as functions of time: cubics, splines, lines, polylines, figures; elsewhere, and one after another."""
+"""Curves as functions of time: cubics, lines, polylines, figures; elsewhere, one after another."""
 
 from pinmobile.paths.composite import CompositePath
 from pinmobile.paths.curves import CubicVia, Hold, Line, RestToRest, Spline

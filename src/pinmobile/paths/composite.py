@@ -11,7 +11,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, frozen, positive, sequence
 from pinmobile.errors import InvalidArgument
-from pinmobile.paths.path import Curve, Path, Piece, any_path, pieces_of
+from pinmobile.paths.path import Curve, Path, Piece, any_path, jumps, pieces_of, told
 from pinmobile.plant import Parameter
 
 _SLACK = 1e-9  # [m, m/s], and of their size: the rounding of numbers that were computed
@@ -111,27 +111,18 @@ def _check_joint(k: int, before: Path, after: Path, t: float) -> None:
     last, first = pieces_of(before)[-1], pieces_of(after)[0]
     ends = [(last.derivative(last.end, order), first.derivative(first.start, order)) for order in (0, 1)]
     (here, there), (left, right) = ends
-    if _apart(here, there):
+    if jumps(here, there, _SLACK):
         raise InvalidArgument(
-            f"paths[{k + 1}] starts at {_told(there)} m, {_size(there - here)} m from {_told(here)} m, where "
+            f"paths[{k + 1}] starts at {told(there)} m, {_size(there - here)} m from {told(here)} m, where "
             f"paths[{k}] ends at t = {t:g} s, expected one point; paths[{k + 1}].moved(x, y, angle) puts it "
             "elsewhere"
         )
-    if _apart(left, right):
+    if jumps(left, right, _SLACK):
         raise InvalidArgument(
-            f"paths[{k + 1}] starts with the velocity {_told(right)} m/s, {_size(right - left)} m/s from "
-            f"{_told(left)} m/s, with which paths[{k}] ends at t = {t:g} s, expected one velocity: round the "
+            f"paths[{k + 1}] starts with the velocity {told(right)} m/s, {_size(right - left)} m/s from "
+            f"{told(left)} m/s, with which paths[{k}] ends at t = {t:g} s, expected one velocity: round the "
             "corner by a Polyline, or let both rest there"
         )
-
-
-def _apart(one: Array, other: Array) -> bool:
-    slack = _SLACK * (1 + np.abs(one).max(initial=0.0))
-    return not bool((np.abs(other - one) <= slack).all())
-
-
-def _told(point: Array) -> str:
-    return f"({', '.join(f'{each:.6g}' for each in np.round(point, 9) + 0.0)})"
 
 
 def _size(vector: Array) -> str:

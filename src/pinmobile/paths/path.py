@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from itertools import pairwise
 from typing import TYPE_CHECKING, ClassVar, Protocol, final, runtime_checkable
 
 import numpy as np
@@ -104,19 +105,39 @@ def any_path(name: str, path: object) -> Path:
 
 
 def checked_path(path: object, size: int) -> Path:
-    """Return a path whose points have 2 or 3 coordinates.
+    """Return a path whose points have 2 or 3 coordinates, and whose pieces meet.
 
     Raises
     ------
     InvalidArgument
-        If it is none, or its points have another shape.
+        If it is none, its points have another shape, or it jumps.
     """
     path = any_path("path", path)
     shape = np.shape(path(0.0))
     if shape != (size,):
         where = "the plane" if size == 2 else "space"
         raise InvalidArgument(f"path has points of shape {shape}, expected ({size},), a path in {where}")
+    for before, after in pairwise(pieces_of(path)):
+        ends = before.derivative(before.end, 0), after.derivative(after.start, 0)
+        if jumps(*ends, _JUMP):
+            here, there = map(told, ends)
+            raise InvalidArgument(
+                f"path jumps from {here} m to {there} m at t = {after.start:g} s, expected pieces that meet"
+            )
     return path
+
+
+_JUMP = 1e-6  # [m], and of the coordinates: more than the rounding of any curve
+
+
+def jumps(one: Array, other: Array, slack: float) -> bool:
+    """Tell whether points differ by more than `slack` [m], relative to those beyond 1 m."""
+    return not bool((np.abs(other - one) <= slack * (1 + np.abs(one).max(initial=0.0))).all())
+
+
+def told(point: Array) -> str:
+    """Return a point in words, without the rounding of what is zero."""
+    return f"({', '.join(f'{each:.6g}' for each in np.round(point, 9) + 0.0)})"
 
 
 def checked_order(order: ArrayLike) -> int:

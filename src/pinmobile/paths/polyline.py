@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from math import comb
 from typing import NamedTuple, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, representable
 from pinmobile.errors import InvalidArgument
@@ -22,6 +23,7 @@ _STEEPEST = 15 / 8  # of h, at s = 1/2
 _STRAIGHT = 1e-9  # [rad]: a smaller corner is rounding
 _BACK = 3.1  # [rad]: a larger corner would cut more than eighty radii off its ways
 _ROUNDING = 1e-12  # of a length
+_SHORTEST = 1e-150  # [m], whose square is a number
 _NODES = 40  # of the quadrature, by which the largest corner is right to rounding
 
 
@@ -49,6 +51,43 @@ class _Corner(NamedTuple):
 _NONE = _Corner(0.0, 0.0, 0.0, np.zeros((2, 0)))
 
 
+class _Way(NamedTuple):
+    """A polyline with rounded corners, whatever the speed.
+
+    Attributes
+    ----------
+    points : ndarray, shape (k, n)
+        The waypoints [m].
+    directions, lengths : ndarray, shape (k - 1, n), (k - 1,)
+        Of the straight ways between them; the lengths [m].
+    corners : tuple of _Corner, length k
+        At each waypoint; the first and the last are none.
+    """
+
+    points: Array
+    directions: Array
+    lengths: Array
+    corners: tuple[_Corner, ...]
+
+    @property
+    def cuts(self) -> Array:
+        """What corners cut off the ways on both sides, shape (k,) [m]."""
+        return np.array([corner.cut for corner in self.corners])
+
+    @property
+    def length(self) -> float:
+        """Of the way, corners rounded [m]."""
+        return float(self.lengths.sum() - 2 * self.cuts.sum() + sum(each.length for each in self.corners))
+
+
+_PARAMETERS = (
+    Parameter("corner_radius", "m", "least radius of the corners", 0.0, may_vanish=False),
+    Parameter(
+        "polyline_acceleration", "m/s^2", "acceleration at the ends", 0.0, False, attribute="acceleration"
+    ),
+)
+
+
 @final
 @dataclass(frozen=True, eq=False, repr=False)
 class Polyline(Curve):
@@ -63,25 +102,35 @@ class Polyline(Curve):
     ----------
     waypoints : array_like, shape (k, n)
         The points [m], k >= 2 of n >= 2 coordinates; the path starts at the first and ends at the last.
-    speed : float
-        Along it [m/s], > 0.
     corner_radius : float
         Least radius of curvature [m], > 0.
+    duration : float
+        Time from start to end [s], > 0.
     acceleration : float, optional
         With which, at most, it starts from rest and comes to rest [m/s^2], > 0; without, it moves at its
         speed from its first point to its last.
+
+    Attributes
+    ----------
+    length : float
+        Of the way [m].
+    speed : float
+        Along it, but for starting and stopping [m/s].
 
     Raises
     ------
     InvalidArgument
         If a shape is another, a number is not finite or not above zero, a waypoint is that before it, the
-        way turns back at one, or between two there is too little room; the message tells how much it takes.
+        way turns back at one, between two there is too little room, or the duration is too short for the
+        acceleration; the message tells how much it takes.
     """
 
     waypoints: ArrayLike
-    speed: float
     corner_radius: float
+    duration: float
     acceleration: float | None = None
+    length: float = field(init=False)
+    speed: float = field(init=False)
     pieces: tuple[Piece, ...] = field(init=False)
     _starts: Array = field(init=False)
 
@@ -92,10 +141,15 @@ class Polyline(Curve):
                 f"waypoints has shape {points.shape}, expected (k, n) with k >= 2 and n >= 2"
             )
         object.__setattr__(self, "waypoints", frozen(points))
-        for name, unit in (("speed", "m/s"), ("corner_radius", "m"), ("acceleration", "m/s^2")):
+        for name, unit in (("corner_radius", "m"), ("duration", "s"), ("acceleration", "m/s^2")):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, positive(name, getattr(self, name), unit))
-        pieces = tuple(self._made(points))
+        stretch("duration", self.duration)
+        way = self._rounded(points)
+        object.__setattr__(self, "length", way.length)
+        object.__setattr__(self, "speed", self._speed())
+        *others, last = self._made(way)
+        pieces = (*others, replace(last, end=self.duration))
         object.__setattr__(self, "pieces", pieces)
         object.__setattr__(self, "_starts", frozen([piece.start for piece in pieces]))
 
@@ -104,17 +158,8 @@ class Polyline(Curve):
         """Its waypoints, from 0, and its numbers."""
         count, n = np.shape(self.waypoints)
         points = (of_point(f"waypoint_{k}", "waypoints", f"waypoint {k}", n, row=k) for k in range(count))
-        told = [("polyline_speed", "m/s", "speed along the path", "speed")]
-        told += [("corner_radius", "m", "least radius of the corners", "corner_radius")]
-        if self.acceleration is not None:
-            told += [("polyline_acceleration", "m/s^2", "acceleration at the ends", "acceleration")]
-        own = (Parameter(*words, 0.0, may_vanish=False, attribute=name) for *words, name in told)
+        own = _PARAMETERS[: 1 if self.acceleration is None else 2]
         return (*(each for point in points for each in point), *own)
-
-    @property
-    def duration(self) -> float:
-        """Time from start to end [s]."""
-        return float(self.pieces[-1].end)
 
     def _at(self, t: Array, order: int) -> Array:
         which = np.searchsorted(self._starts[1:], t, side="right")
@@ -124,36 +169,56 @@ class Polyline(Curve):
             found[mine] = self.pieces[k].derivative(t[mine], order)
         return found
 
-    def _made(self, points: Array) -> Iterator[Piece]:
-        """Yield the pieces in order: straight ways, and the corners between them."""
+    def _rounded(self, points: Array) -> _Way:
+        """Return the straight ways between points, and the corners between these."""
         ways = np.diff(points, axis=0)
         lengths = representable("the distance of two waypoints", np.linalg.norm(ways, axis=-1))
-        for k in np.flatnonzero(lengths < 1 / np.finfo(float).max)[:1]:
+        for k in np.flatnonzero(lengths < _SHORTEST)[:1]:
             raise InvalidArgument(f"waypoints[{k + 1}] is waypoints[{k}], expected another point")
         directions = ways / lengths[:, None]
-        corners = [_NONE, *(self._corner(k, *directions[k - 1 : k + 1]) for k in range(1, len(ways))), _NONE]
-        gain = np.zeros(len(points))  # way that gaining and losing speed take [m]
+        turns = (self._corner(k, *directions[k - 1 : k + 1]) for k in range(1, len(ways)))
+        way = _Way(points, directions, lengths, (_NONE, *turns, _NONE))
+        self._check_room(way.cuts, lengths, "the corners take")
+        return way
+
+    def _made(self, way: _Way) -> Iterator[Polynomial | _Turn]:
+        """Yield the pieces in order: straight ways, and the corners between them."""
+        gain = np.zeros(len(way.points))  # on which it gains its speed, and loses it [m]
         if self.acceleration is not None:
             gain[[0, -1]] = _STEEPEST * self.speed**2 / self.acceleration / 2
-        needed = np.array([corner.cut for corner in corners]) + gain
-        self._check_room(needed[:-1] + needed[1:], lengths)
+        apart = way.cuts + gain
+        self._check_room(apart, way.lengths, "the corners, starting and stopping take")
         t = 0.0
-        for k, (direction, length) in enumerate(zip(directions, lengths, strict=True)):
-            rest = length - needed[k] - needed[k + 1]
-            for way, start, shares in (
-                (2 * gain[k], points[k], _GAINED),
-                (rest * (rest > _ROUNDING * length), points[k] + needed[k] * direction, _KEPT),
-                (2 * gain[k + 1], points[k + 1] - gain[k + 1] * direction, _LOST),
+        for k, (direction, length) in enumerate(zip(way.directions, way.lengths, strict=True)):
+            rest = length - apart[k] - apart[k + 1]
+            for share, start, shares in (
+                (2 * gain[k], way.points[k], _GAINED),
+                (rest * (rest > _ROUNDING * length), way.points[k] + apart[k] * direction, _KEPT),
+                (2 * gain[k + 1], way.points[k + 1] - gain[k + 1] * direction, _LOST),
             ):
-                if way:
-                    piece = self._straight(t, way, start, direction, shares)
-                    yield piece
-                    t = piece.end
-            if (corner := corners[k + 1]).length:
+                if share:
+                    yield self._straight(t, share, start, direction, shares)
+                    t += float(share / self.speed)
+            if (corner := way.corners[k + 1]).length:
                 T = stretch("the time of a corner", corner.length / self.speed)
-                start = points[k + 1] - corner.cut * direction
+                start = way.points[k + 1] - corner.cut * direction
                 yield _Turn(t, t + T, start, self.speed * corner.axes, corner.angle)
                 t += T
+
+    def _speed(self) -> float:
+        """Return the speed at which the way takes its duration [m/s]."""
+        if self.acceleration is None:
+            return self.length / self.duration
+        # Starting and stopping take twice as long as at full speed: together 15/8 speed / a longer.
+        least = 2 * np.sqrt(_STEEPEST * self.length / self.acceleration)
+        if not self.duration >= least:
+            raise InvalidArgument(
+                f"duration is {self.duration:g} s, expected at least {least:.6g} s for {self.length:.6g} m "
+                f"with acceleration = {self.acceleration:g} m/s^2"
+            )
+        # The smaller root of 15/8 speed^2 / a - duration speed + length = 0, without a difference.
+        share = np.sqrt((1 - least / self.duration) * (1 + least / self.duration))
+        return float(2 * self.length / self.duration / (1 + share))
 
     def _straight(self, t: float, way: float, start: Array, direction: Array, shares: Array) -> Polynomial:
         """Return a straight piece from `t` on, for the time in which the speed makes so much way."""
@@ -182,20 +247,18 @@ class Polyline(Curve):
         axes = np.array([before, aside / sine])
         return _Corner(angle, chord / (2 * np.cos(angle / 2)), length, axes)
 
-    def _check_room(self, needed: Array, lengths: Array) -> None:
+    def _check_room(self, apart: Array, lengths: Array, what: str) -> None:
+        needed = apart[:-1] + apart[1:]
         for k in np.flatnonzero(needed > lengths * (1 + _ROUNDING))[:1]:
-            what = "its corners" if self.acceleration is None else "its corners, starting and stopping"
-            numbers = f"corner_radius = {self.corner_radius:g} m"
-            if self.acceleration is not None:
-                numbers += f", speed = {self.speed:g} m/s, acceleration = {self.acceleration:g} m/s^2"
             raise InvalidArgument(
                 f"waypoints[{k}] and waypoints[{k + 1}] are {lengths[k]:.6g} m apart, expected at least "
-                f"{needed[k]:.6g} m, which {what} take with {numbers}"
+                f"{needed[k]:.6g} m, which {what}: a smaller corner_radius takes less than "
+                f"{self.corner_radius:g} m"
             )
 
 
-# Way of a straight piece as a share of speed times time, in powers of the share of its time from the first on:
-# the integral of h, of one, and of 1 - h.
+# The way of a straight piece, as a share of speed times time, in powers of the share of its time from the
+# first on: the integral of h, of one, and of 1 - h.
 _GAINED = np.array([0.0, 0.0, 0.0, 2.5, -3.0, 1.0])
 _KEPT = np.array([1.0])
 _LOST = np.array([1.0, 0.0, 0.0, -2.5, 3.0, -1.0])
@@ -240,14 +303,15 @@ class _Turn:
             found = z.real[..., None] * self.axes[0] + z.imag[..., None] * self.axes[1]
         return representable("a derivative of the path", found) if order else self.point + found
 
-    def _direction(self, s: Array, order: int) -> Array:
+    def _direction(self, s: Array, order: int) -> NDArray[np.complex128]:
         """Return a derivative by s of z = exp(i theta h(s)): z' = i theta h' z, by Leibniz."""
         psi = self.angle * _SMOOTH(s)
         found = [np.cos(psi) + 1j * np.sin(psi)]
-        rates = [self.angle * _SMOOTH.deriv(k + 1)(s) for k in range(min(order, _SMOOTH.degree()))]
+        rates = [1j * self.angle * _SMOOTH.deriv(k + 1)(s) for k in range(min(order, _SMOOTH.degree()))]
         for m in range(order):
-            terms = (comb(m, k) * rate * found[m - k] for k, rate in enumerate(rates[: m + 1]))
-            found.append(1j * sum(terms))
+            found.append(np.zeros_like(found[0]))
+            for k, rate in enumerate(rates[: m + 1]):
+                found[-1] += comb(m, k) * rate * found[m - k]
         return found[order]
 
 
