@@ -23,6 +23,7 @@ from pinmobile.cli.output import (
 )
 from pinmobile.cli.run import FIGURES, draw
 from pinmobile.controllers import Backstepping, Controller, State, Tracking
+from pinmobile.measures import in_words
 from pinmobile.trajectories import Trajectory
 from pinmobile.wheels import Coulomb, Friction, Mobility, WheeledRobot
 
@@ -326,7 +327,7 @@ def _judged(run: Rollout) -> list[str]:
         rows["least load of a wheel [N]"] = float(np.nanmin(found.loads))
     if "slides" in run.signals:
         rows["share of time at which a wheel slides [-]"] = float(found.slides.any(axis=1).mean())
-    return [f"{name:44} {value:>12.4g}" for name, value in rows.items()]
+    return [f"{name:44} {in_words(value):>12}" for name, value in rows.items()]
 
 
 def _next(html: Path | None, page: Path | None) -> list[str]:
