@@ -583,7 +583,7 @@ ROWS: dict[str, Row] = {
     "JointFriction": row(viscous=[1, 2, 3], coulomb=[0.1, 0.2, 0.3], speed=0.1),
     "JointFriction.of": row(robot=the("robot"), speed=0.1),
     "RollingResistance": row(force=[1, 2, 3], speed=0.01),
-    "ViscousFriction": row(coefficients=[1, 2, 3]),
+    "ViscousFriction": row(coefficients=None, forward=1, left=2, yaw=3),
     "Load": row(mass=1, com=(0, 0, 0.1), inertia=np.eye(3), size=(0.1, 0.1, 0.1)),
     "Motion": row(plant=the("robot"), q=Q, v=V, a=A, u=[1, 2, 3]),
     "Limit": row(value=1.5, what="left slips", time=0.5, factor=2),
