@@ -91,7 +91,7 @@ FILE = """
 mass = 20
 com = [0.1, -0.5]
 [trajectory]
-duration = 6
+duration = 7
 [controller]
 model_mass = 25
 [spread]
@@ -145,7 +145,7 @@ moved = [1, 2, 0.5]
 [[trajectory.paths]]
 type = "polyline"
 waypoints = [[0, 0], [3, 0]]
-duration = 6
+duration = 7
 acceleration = 0.6
 [[trajectory.paths]]
 type = "moved"
@@ -169,7 +169,7 @@ def test_a_file_puts_paths_one_after_another_and_anywhere(tmp_path: Path) -> Non
     path = tmp_path / "route.toml"
     path.write_text(ROUTE)
     (scenario,) = read_grid(path).scenarios
-    lines = Polyline([(0, 0), (3, 0)], 0.5, 6, 0.6), Polyline([(0, 0), (2, 0), (2, 2)], 0.3, 9, 0.6)
+    lines = Polyline([(0, 0), (3, 0)], 0.5, 7, 0.6), Polyline([(0, 0), (2, 0), (2, 2)], 0.3, 9, 0.6)
     expected = CompositePath([lines[0], Moved(lines[1], 3)]).moved(1, 2, 0.5)
     assert getattr(scenario.trajectory, "path", None) == expected
     path.write_text(ROUTE.replace("x = 3", "x = 3.5"))

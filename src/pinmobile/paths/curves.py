@@ -305,8 +305,8 @@ class RestToRest(_Timed):
 
 
 def _of_line(size: int) -> tuple[Parameter, ...]:
-    start = of_point("line_start", "start", "start of the line", size)
-    return (*start, *of_point("line_end", "end", "end of the line", size))
+    start = of_point("line_start", "start", "start of the path", size)
+    return (*start, *of_point("line_end", "end", "end of the path", size))
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
