@@ -1,9 +1,9 @@
 # %% [markdown]
 # # 1 From the Denavit-Hartenberg table to M and n
 #
-# Lecture 45 of *Mechanics and Control of Robotic Manipulators* (S. Mohan, NPTEL) treats a mobile robot
-# as a manipulator: a chain of joints with one body at its end. This notebook takes every step of that
-# derivation, from the table to the equations of motion
+# Lecture 45 of *Mechanics and Control of Robotic Manipulators* (S. Mohan, [NPTEL](https://nptel.ac.in))
+# treats a mobile robot as a manipulator: a chain of joints with one body at its end. This notebook takes
+# every step of that derivation, from the table to the equations of motion
 #
 # $$M(q)\,\ddot q + n(q, \dot q) = \tau .$$
 #
@@ -60,7 +60,8 @@ dress(axes)
 # A body in the plane moves in three ways at once. A row of a Denavit-Hartenberg table describes one
 # joint with one motion. So two virtual links without mass stand between the ground and the body: the
 # first joint slides along y, the second along x, the third turns about z. The table is in Craig's
-# ("modified") form:
+# ([modified](https://en.wikipedia.org/wiki/Denavit%E2%80%93Hartenberg_parameters#Modified_DH_parameters))
+# form:
 #
 # $${}^{k-1}T_k = \mathrm{RotX}(\alpha_{k-1})\;\mathrm{TransX}(a_{k-1})\;
 # \mathrm{RotZ}(\theta_k)\;\mathrm{TransZ}(d_k)$$
@@ -183,7 +184,7 @@ show("tau_2", "tau_1", "tau_3")
 # %% [markdown]
 # On the lecture's slide, $\dot\psi$ or $\dot\psi^2$ stands in some places of $\ddot\psi$ in these rows.
 # Where it is $\dot\psi$, the units tell: $I_{cz}\,\dot\psi$ is not a moment in N m. Where it is
-# $\dot\psi^2$, they do not; notebook 2 shows it by numbers.
+# $\dot\psi^2$, they do not; [notebook 2](02_three_routes.ipynb) shows it by numbers.
 #
 # ## M and n
 #

@@ -8,11 +8,13 @@
 # are reached here by three routes that share no code:
 #
 # 1. the **closed form**, derived by hand;
-# 2. **Pinocchio**, a rigid-body library that knows nothing of the lecture: it gets joints and a body;
-# 3. the **symbolic derivation** of notebook 1, by Newton and Euler and again by Lagrange.
+# 2. **[Pinocchio](https://github.com/stack-of-tasks/pinocchio)**, a rigid-body library that knows
+#    nothing of the lecture: it gets joints and a body;
+# 3. the **symbolic derivation** of [notebook 1](01_from_table_to_equations.ipynb),
+#    by Newton and Euler and again by Lagrange.
 #
-# If a sign were wrong on one of them, they would not agree. Throughout, $q = (x, y, \psi)$ in m, m, rad;
-# $v$ and $a$ are its derivatives; $\tau = (F_x, F_y, M_z)$ in N, N, N m.
+# If a sign were wrong on one of them, they would not agree. Throughout, $q = (x, y, \psi)$ in m, m,
+# rad; $v$ and $a$ are its derivatives; $\tau = (F_x, F_y, M_z)$ in N, N, N m.
 
 # %%
 import matplotlib.pyplot as plt
@@ -72,14 +74,15 @@ print("n =", n_symbolic)
 # %% [markdown]
 # ## Numbers from outside
 #
-# Three routes in one library might share a mistake. Two other simulation engines were given the same
-# robot in the same state, and both answered, with eight digits after the point:
+# Three routes in one library might share a mistake. Two other simulation engines,
+# [MuJoCo](https://mujoco.org) 4.0 and [Drake](https://drake.mit.edu) 1.51, were given the same robot in
+# the same state. Both answered, with eight digits after the point:
 #
 # $$M_{x\psi} = -1.34874762 \quad M_{y\psi} = 0.82515444 \quad M_{\psi\psi} = 1.45 \quad
 # n = (-0.20628861,\; -0.33718691,\; 0)$$
 
 # %%
-M_outside = np.array([-1.34874762, 0.82515444, 1.45])  # the last column of M
+M_outside = np.array([-1.34874762, 0.82515444, 1.45])  # MuJoCo and Drake: the last column of M
 n_outside = np.array([-0.20628861, -0.33718691, 0.0])
 for name, M, n in [
     ("closed form", M_by_hand, n_by_hand),
@@ -87,7 +90,7 @@ for name, M, n in [
     ("symbolic", M_symbolic, n_symbolic),
 ]:
     far = max(np.abs(M[:, 2] - M_outside).max(), np.abs(n - n_outside).max())
-    print(f"{name:12} largest difference from outside: {far:.1e}")
+    print(f"{name:12} largest difference from MuJoCo and Drake: {far:.1e}")
 
 # %% [markdown]
 # They cannot be nearer than the last printed digit: half of $10^{-8}$.
@@ -95,11 +98,11 @@ for name, M, n in [
 # ## Many states
 #
 # One state is not many. `verify` draws 200 random ones and compares $M$, $n$, $\tau$ and the
-# acceleration $a = M^{-1}(\tau - n)$ on all routes, and beside them the machine code that is made of the
-# closed form where thousands of robots run side by side, as in notebook 6. Each difference is divided by
-# the size of the terms that make up the quantity, so it counts rounding errors: $10^{-16}$ is one unit in
-# the last digit of a number in the computer. The bound on $a$ is larger because $M^{-1}$ magnifies
-# rounding.
+# acceleration $a = M^{-1}(\tau - n)$ on all routes, and beside them the machine code that is made of
+# the closed form where thousands of robots run side by side, as in
+# [notebook 6](06_how_wrong_may_the_model_be.ipynb). Each difference is divided by the size of the terms that
+# make up the quantity, so it counts rounding errors: $10^{-16}$ is one unit in the last digit of a number in
+# the computer. The bound on $a$ is larger because $M^{-1}$ magnifies rounding.
 
 # %%
 verification = verify(robot)
@@ -215,15 +218,15 @@ print(f"mass {mass:.6f} kg, com ({xbc:.6f}, {ybc:.6f}) m, Icz {Icz:.6f} kg m²")
 # %% [markdown]
 # ## The claim
 #
-# The three routes agree with one another to rounding and with two other engines to the last printed
+# The three routes agree with one another to rounding and with MuJoCo and Drake to the last printed
 # digit; $\dot M - 2C$ is skew-symmetric; a coasting robot keeps its energy and its centre of mass goes
 # straight; and the regressor finds the robot's parameters in its motion.
 
 # %%
 assert verification.passed, "the routes do not agree"
 for M, n in [(M_by_hand, n_by_hand), (M_pinocchio, n_pinocchio), (M_symbolic, n_symbolic)]:
-    assert np.abs(M[:, 2] - M_outside).max() < 5.1e-9, "M is not that of the other engines"
-    assert np.abs(n - n_outside).max() < 5.1e-9, "n is not that of the other engines"
+    assert np.abs(M[:, 2] - M_outside).max() < 5.1e-9, "M is not that of MuJoCo and Drake"
+    assert np.abs(n - n_outside).max() < 5.1e-9, "n is not that of MuJoCo and Drake"
 assert abs(right - robot.inverse_dynamics(q, v, a)[0]) < 1e-12, "Fx put right is not Pinocchio's"
 assert abs(slide - right) > 1, "the slide's Fx is right after all"
 assert np.abs(N + N.T).max() < 1e-8, "dM/dt - 2 C is not skew-symmetric"
@@ -231,4 +234,4 @@ assert np.abs(energy - energy[0]).max() < 1e-8, "energy is lost"
 assert off_line < 1e-8, "the centre of mass does not go straight"
 assert np.allclose([mass, xbc, ybc, Icz], [10, 0.15, 0.05, 1.2]), "the parameters found are not the robot's"
 largest = max(verification.largest.values())
-print(f"Shown: three routes agree to {largest:.0e} or better, and with two other engines to eight digits.")
+print(f"Shown: three routes agree to {largest:.0e} or better, and with MuJoCo and Drake to eight digits.")

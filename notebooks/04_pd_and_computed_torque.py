@@ -9,9 +9,12 @@
 #
 # PD knows nothing of the robot. Computed torque contains a model of it, and is as good as that model.
 # This notebook first reproduces the lecture's numbers, then moves the centre of mass, then lies to the
-# controller.
+# controller, and last it writes a controller of its own.
 
 # %%
+from dataclasses import dataclass
+from typing import ClassVar
+
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -19,11 +22,15 @@ from pinmobile import (
     PD,
     Circle,
     ComputedTorque,
+    ConstantForce,
     CubicVia,
     Diverged,
     LectureHeading,
     MobileRobot,
+    Saturated,
     Tangent,
+    Uniform,
+    ensemble,
     plain_difference,
     plots,
     simulate,
@@ -36,7 +43,8 @@ from pinmobile.plots.style import colour, dress
 # The robot has 30 kg, $I_{cz} = 0.1$ kg m² and its centre of mass at the origin of the body frame. The
 # loop is sampled every 0.1 s for 60 s: the controller computes a force, which is held until the next
 # sample. Computed torque has $K_p = K_d = 4$ (in 1/s² and 1/s), PD has 120, 120 and 0.4. To have the
-# lecture's numbers, its heading and its plain subtraction are taken, too (see notebook 3).
+# lecture's numbers, its heading and its plain subtraction are taken, too (see
+# [notebook 3](03_trajectories_and_heading.ipynb)).
 
 # %%
 robot = MobileRobot.lecture()
@@ -58,7 +66,7 @@ for path_name, path in paths.items():
         found[path_name, controller_name] = (f"{x:.6e}", f"{y:.6e}")
 
 # %% [markdown]
-# The lecture's script, run in an independent interpreter, gave these largest errors, in m:
+# The lecture's script, run in another interpreter of MATLAB's language, gave these largest errors, in m:
 
 # %%
 lecture = {
@@ -93,7 +101,8 @@ plots.errors(runs)
 
 # %% [markdown]
 # **PD** must have an error to make a force. The circle needs the acceleration
-# $r\omega^2 = 3 \cdot 0.1^2 = 0.03$ m/s², and $\tau/m$ supplies $4e$ (and $4\dot e$, which is small). So
+# $r\omega^2 = 3 \cdot 0.1^2 = 0.03$ m/s², and $\tau/m$ supplies $4e$ (and $4\dot e$, which is small).
+# So
 #
 # $$e \approx \frac{r\omega^2}{4} = 0.0075\ \mathrm{m} .$$
 #
@@ -157,10 +166,10 @@ plots.forces(until_then, title="PD with an offset centre of mass, until it diver
 # %% [markdown]
 # ### Why
 #
-# With the offset, the loop is $\ddot e \approx -M^{-1}(K_d \dot e + K_p e)$. The matrix $M^{-1} K_d$ has
-# an eigenvalue $k$ (in 1/s) far above 4: the robot has a direction in which it is very light, turning
-# about its centre of mass. A force held for $\Delta t$ overshoots there; it amplifies the error when
-# $k\,\Delta t > 2$.
+# With the offset, the loop is $\ddot e \approx -M^{-1}(K_d \dot e + K_p e)$. The matrix $M^{-1} K_d$
+# has an eigenvalue $k$ (in 1/s) far above 4: the robot has a direction in which it is very light,
+# turning about its centre of mass. A force held for $\Delta t$ overshoots there; it amplifies the error
+# when $k\,\Delta t > 2$.
 
 # %%
 M = offset.mass_matrix([0, 0, 0])
@@ -176,8 +185,8 @@ for dt in [0.1, 0.08]:
 # ### A robot that can exist
 #
 # $I_{cz} = 0.1$ kg m² is far too little for a box of 30 kg that measures 0.6 m by 0.4 m: a homogeneous
-# one has $m (l^2 + w^2)/12 = 1.3$ kg m². With that, $k$ is small and PD at 0.1 s works. It now errs in the
-# heading too: on a circle the offset mass wants to go straight on, and nothing tells PD.
+# one has $m (l^2 + w^2)/12 = 1.3$ kg m². With that, $k$ is small and PD at 0.1 s works. It now errs in
+# the heading too: on a circle the offset mass wants to go straight on, and nothing tells PD.
 
 # %%
 box = MobileRobot(mass=30, yaw_inertia=1.3, com=(0.1, 0.05))
@@ -248,11 +257,72 @@ except Diverged as error:
     print(error)
 
 # %% [markdown]
+# ## A controller of your own
+#
+# Neither controller knows of a steady wind: PD leans on it, with the error $F / k_p$. An integral finds
+# its force, but where the input is limited it goes on adding up what cannot be applied, and the robot
+# then overshoots: the integral *winds up*. So the part that the limits took away is taken out of it
+# again ([back-calculation](https://en.wikipedia.org/wiki/Integral_windup)).
+#
+# A controller of one's own is a class. What it remembers stands in its state, which it is given and
+# returns anew; `applied` is told the input that was really applied. It runs in `simulate`, and compiled
+# in `ensemble`, as it stands:
+
+
+# %%
+@dataclass(frozen=True)
+class PID:
+    kp: float = 120.0
+    ki: float = 60.0
+    kd: float = 120.0
+    back: float = 2.0  # [1/s]; 0: the integral winds up
+    parameters: ClassVar = ("kp", "ki", "kd", "back")
+
+    def initial_state(self, context):
+        return {"sum": np.zeros(3), "asked": np.zeros(3), "loop": (context.dt, context.difference)}
+
+    def __call__(self, t, q, v, reference, state):
+        dt, difference = state["loop"]
+        error = difference(q, reference.q)
+        u = self.kp * error + self.kd * (reference.v - v) + state["sum"]
+        return u, state | {"sum": state["sum"] + dt * self.ki * error, "asked": u}
+
+    def applied(self, u, state):
+        change = state["loop"][0] * self.back * (u - state["asked"])
+        return state | {"sum": state["sum"] + change}
+
+
+# %% [markdown]
+# One robot starts 1.5 m beside the circle, in a wind of 15 N, with forces of at most 20 N:
+
+# %%
+pushing = {"PD": PD(120, 120), "PID that winds up": PID(back=0.0), "PID": PID()}
+beside = {"q0": circle(0).q + np.array([0, -1.5, 0]), "v0": circle(0).v, "duration": 20.0}
+windy = {
+    name: simulate(
+        box, Saturated(own, (20, 20, 5)), circle, dt=0.01, forces=[ConstantForce((15, 0, 0))], **beside
+    )
+    for name, own in pushing.items()
+}
+plots.errors(windy)
+
+# %% [markdown]
+# And ten thousand robots, each with a wind and a start of its own:
+
+# %%
+spread = {"force_x": Uniform(-15, 15), "start_y": Uniform(-1.5, 1.5)}
+within = {}
+for name, own in pushing.items():
+    fleet = ensemble(box, Saturated(own, (20, 20, 5)), circle, n=10_000, spread=spread, dt=0.01, after=8)
+    within[name] = fleet.within(0.99).distance
+    print(f"{name:18} {fleet.engine}: 99 % stay within {1e3 * within[name]:.1f} mm from t = 8 s on")
+
+# %% [markdown]
 # ## The claim
 #
-# The lecture's twelve numbers, digit for digit; then, that computed torque is exact with the right model
-# wherever the centre of mass lies, that PD diverges as the eigenvalue says, and what a wrong model
-# costs.
+# The lecture's twelve numbers, digit for digit; then, that computed torque is exact with the right
+# model wherever the centre of mass lies, that PD diverges as the eigenvalue says, what a wrong model
+# costs, and that an integral which does not wind up finds the wind.
 
 # %%
 for key, expected in lecture.items():
@@ -268,4 +338,8 @@ assert np.abs(error_wrong_mass - estimate).max() < 3e-4, "the wrong mass costs s
 wrong = runs["wrong centre of mass"].max_error()
 assert wrong[0] > 5 * runs["right model"].max_error()[0], "the wrong centre of mass costs nothing"
 assert abs(wrong[2] / 0.0173 - 1) < 0.05, "the heading errs by something else"
+# PD leans on the wind of up to 15 N, and on the circle's inertial force.
+assert 0.12 < within["PD"] < 0.135, "PD leans on the wind otherwise"
+assert within["PID that winds up"] > 20 * within["PID"], "the integral does not wind up"
+assert within["PID"] < 0.01, "the integral does not find the wind"
 print("Shown: all twelve numbers are the lecture's; computed torque is as good as its model.")

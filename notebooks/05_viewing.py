@@ -138,10 +138,11 @@ display(Scene(recording, t=20))
 #
 # ### Frames
 #
-# The derivation of notebook 1 begins with the frames of a DH table. There were two tables: the one on the
-# slide, and the one that the lecture computes with. Here are both, with the robot at
-# $q = (1.2\ \mathrm{m}, 0.9\ \mathrm{m}, 0.6\ \mathrm{rad})$. Frames that both tables share are drawn once.
-# The axes x, y, z are red, green, blue; frames 2 have their origin where the robot has its own.
+# The derivation of [notebook 1](01_from_table_to_equations.ipynb) begins with the frames of a DH table.
+# There were two tables: the one on the slide, and the one that the lecture computes with. Here are both,
+# with the robot at $q = (1.2\ \mathrm{m}, 0.9\ \mathrm{m}, 0.6\ \mathrm{rad})$. Frames that both tables
+# share are drawn once. The axes x, y, z are red, green, blue; frames 2 have their origin where the robot
+# has its own.
 
 # %%
 view = Stay(eye=(0.5, -3.2, 2.6), target=(0.7, 0.6, 0.2))

@@ -1,10 +1,11 @@
 # %% [markdown]
 # # 6 How wrong may the model be?
 #
-# Computed torque is as good as its model, said notebook 4, and showed it with one robot and one mistake
-# at a time. In practice many things are uncertain at once: what the robot carries, where that lies, how
-# the floor is, which way the air blows. So here are ten thousand robots, drawn at random, under three
-# controllers: PD, computed torque with the nominal model, and computed torque that is told the truth.
+# Computed torque is as good as its model, said [notebook 4](04_pd_and_computed_torque.ipynb), and showed
+# it with one robot and one mistake at a time. In practice many things are uncertain at once: what the
+# robot carries, where that lies, how the floor is, which way the air blows. So here are ten thousand
+# robots, drawn at random, under three controllers: PD, computed torque with the nominal model, and
+# computed torque that is told the truth.
 #
 # First comes a rule that can be had with pencil and paper; it is tried on every one of the robots in the
 # end.
@@ -221,7 +222,7 @@ print(f"and harms those up to           {mass[~model_helps].max():.2f} kg")
 # A model five times too heavy is unstable, and PD with the same gains is, too. For an unknown offset $c$
 # of the centre of mass, with the right mass and yaw inertia, $\mu + 1/\mu = 2 + m c^2 / I_c$: this is 5 for
 # $c = 0.37$ m, which is outside a box 0.6 m long. With the lecture's $I_{cz} = 0.1$ kg m² it would be
-# 0.10 m; that is why notebook 4 saw it diverge. Both mistakes at once:
+# 0.10 m; that is why [notebook 4](04_pd_and_computed_torque.ipynb) saw it diverge. Both mistakes at once:
 
 # %%
 offsets, ratios = np.linspace(0, 0.5, 6), np.array([0.5, 1, 1.5, 2, 3, 4, 4.5, 5.5])

@@ -213,8 +213,9 @@ plots.errors(runs, title="What the coupling costs; each panel has its own scale"
 
 # %% [markdown]
 # The model of the whole leaves what holding the force for 1 ms costs: micrometres, and below 0.1 mrad.
-# Without the coupling, the same gains leave tenths of a millimetre and milliradians. The rule of notebook 6
-# tells why: the error is about $M^{-1}$ times the force that the model does not know of, divided by $k_p$.
+# Without the coupling, the same gains leave tenths of a millimetre and milliradians. The rule of
+# [notebook 6](06_how_wrong_may_the_model_be.ipynb) tells why: the error is about $M^{-1}$ times the force
+# that the model does not know of, divided by $k_p$.
 #
 # ## What the base feels
 #

@@ -351,12 +351,13 @@ FAULTS = [
     Fault(
         "another part",
         of_loop(trajectory=CIRCLE),
-        "a path, which has no heading, expected a trajectory: Tangent(path) or FixedHeading(path, psi)",
+        "a path, which has no heading, expected a trajectory: wrap the path in Tangent or FixedHeading, such "
+        "as Tangent(path)",
     ),
     Fault(
         "another part",
         of_many(trajectory=CIRCLE),
-        "expected a trajectory: Tangent(path) or FixedHeading(path,",
+        "expected a trajectory: wrap the path in Tangent or FixedHeading,",
     ),
     Fault(
         "another part", of_loop(integrator=PD(1, 1)), "a controller, expected one of pinmobile.integrators"

@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+from html import unescape
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 from typer.main import get_command
 
 import pinmobile
-from pinmobile import MobileRobot, Rollout
+from pinmobile import Circle, Line, MobileRobot, Moved, Polyline, Rollout
 from pinmobile.cli import choices, main, options
 from pinmobile.cli.commands import app
 from pinmobile.cli.run import EXPECTED
@@ -44,6 +45,75 @@ def test_lecture_prints_every_number_beside_the_lectures(lecture: tuple[Path, st
     assert "the routes agree" in text
     assert "M[psi, psi] = Icz + m*(xbc**2 + ybc**2)" in text
     assert all(len(line) <= 80 for line in text.splitlines() if "/" not in line)
+
+
+def test_lecture_shows_both_headings_beside_each_other_and_says_of_which_the_figures_are(
+    lecture: tuple[Path, str],
+) -> None:
+    folder, text = lecture
+    page = unescape((folder / "index.html").read_text())
+    for label in ("PD", "computed torque"):
+        row = rf"{label} +(lecture's|put right) (60|62) s +(\S+) +(\S+) +(\S+|< 1e-12)$"
+        printed = re.findall(rf"^(via stop|via free|circle) +{row}", text, re.MULTILINE)
+        assert len(printed) == 6
+        assert [one[2] for one in printed if one[1] == "put right"] == ["62", "60", "60"]
+        for path, *rest in printed:
+            section = page.split(f"{path.capitalize()}: PD beside")[1].split("<h2>")[0]
+            assert tuple(rest) in re.findall(f"^{row}", section.replace("</pre>", ""), re.MULTILINE)
+            assert "the figures show the heading that is put right" in section
+
+
+def test_no_repr_is_in_a_page_s_title(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    robot = tmp_path / "mine.urdf"
+    robot.write_text(MobileRobot(7, 0.5).to_urdf())
+    for words, title in (
+        (["--html"], "computed torque: circle, lecture robot"),
+        (["--controller", "pd", "--urdf", str(robot), "--trajectory", "via-stop"], "PD: via stop, mine.urdf"),
+    ):
+        code, _, _ = typed(capsys, "run", *words, "--out", str(tmp_path / "out"))
+        assert code == 0
+        for page in ("index.html", *(["scene.html"] if "--html" in words else [])):
+            assert f"<title>{title}</title>" in (tmp_path / "out" / page).read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "path"),
+    [
+        ("polyline", Polyline([(0, 0), (4, 0), (4, 3)], 0.5, 60)),
+        (
+            "polyline --waypoints 0,0,2,0,2,2 --corner-radius 0.3 --acceleration 0.1 --moved 1,2,0.5",
+            Moved(Polyline([(0, 0), (2, 0), (2, 2)], 0.3, 60, 0.1), 1, 2, 0.5),
+        ),
+        ("line --end 2,3 --duration 30", Line((0, 0), (2, 3), 30)),
+        ("circle --centre 1,2 --phase 0.5", Circle(3, 0.1, 60, (1, 2), 0.5)),
+        ("circle --start-heading 1.5 --moved 1,2", Circle(3, 0.1, 60, heading=1.5).moved(1, 2)),
+    ],
+)
+def test_run_puts_paths_anywhere(
+    words: str, path: Any, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    code, _, _ = typed(capsys, "run", "--trajectory", *words.split(), "--out", str(tmp_path))
+    assert code == 0
+    run = Rollout.load(tmp_path / "rollout.npz")
+    np.testing.assert_allclose(run.reference.q[:, :2], path(run.t), rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("polyline --waypoints 0,0,1", "--waypoints has 3 numbers, expected X,Y of each point"),
+        ("polyline --waypoints 0,0,1,0,0,0", "waypoints[1] is where the way turns by 180 degrees"),
+        ("line --moved 1", "--moved is '1', expected X,Y or X,Y,ANGLE"),
+        ("circle --phase 1 --start-heading 1", "--start-heading is 1.0 rad beside phase = 1.0 rad"),
+        ("line --centre 1,2", "--centre does not apply to the trajectory 'line', which takes --duration"),
+    ],
+)
+def test_run_refuses_paths_that_cannot_be(
+    words: str, message: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    code, _, err = typed(capsys, "run", "--trajectory", *words.split(), "--out", str(tmp_path))
+    assert code == 2
+    assert message in err
 
 
 def test_lecture_shows_what_wheels_change(lecture: tuple[Path, str]) -> None:
@@ -272,7 +342,8 @@ def test_options_are_what_the_parts_state_with_the_lectures_numbers() -> None:
                 if each.attribute in choice.takes:
                     option = choices.OPTIONS[each.attribute]
                     assert f"{each.meaning.split(',')[0]}".lower() in option.text.lower()
-                    assert f" ({each.unit}); " in option.text
+                    end = "." if choice.takes[each.attribute] is None else "; "
+                    assert f" ({each.unit}){end}" in option.text
                     names.add(option.name)
     assert {"radius", "rx", "via", "turn_time", "psi"} <= names
     circle = choices.PATHS["circle"].takes

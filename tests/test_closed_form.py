@@ -12,12 +12,25 @@ BODY: dict[str, Any] = {"mass": 10.0, "yaw_inertia": 1.2, "com": (0.15, 0.05)}
 MASS: dict[str, Any] = {"mass": 10.0, "com": (0.15, 0.05)}
 
 
-def test_numbers_of_two_other_engines() -> None:
+def test_numbers_of_mujoco_and_drake() -> None:
     M = closed_form.mass_matrix([3.0, -1.0, 0.7], **BODY)
     n = closed_form.nonlinear_effects([3.0, -1.0, 0.7], [0, 0, 0.5], **MASS)
-    # Printed with eight digits after the point.
+    # MuJoCo 4.0 and Drake 1.51, printed with eight digits after the point; the former is asked again below.
     np.testing.assert_allclose([M[0, 2], M[1, 2], M[2, 2]], [-1.34874762, 0.82515444, 1.45], atol=5e-9)
     np.testing.assert_allclose(n, [-0.20628861, -0.33718691, 0], atol=5e-9)
+    mujoco = pytest.importorskip("mujoco", reason="MuJoCo is of the extra test")
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><option gravity="0 0 0"/><worldbody><body>
+        <joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/><joint type="hinge" axis="0 0 1"/>
+        <inertial pos="0.15 0.05 0" mass="10" diaginertia="1.2 1.2 1.2"/></body></worldbody></mujoco>"""
+    )
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = [3.0, -1.0, 0.7], [0, 0, 0.5]
+    mujoco.mj_forward(model, data)
+    column = np.zeros(3)
+    mujoco.mj_mulM(model, data, column, np.array([0.0, 0.0, 1.0]))
+    np.testing.assert_allclose(column, M[:, 2], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(data.qfrc_bias, n, rtol=0, atol=1e-14)
 
 
 @given(st.floats(0.1, 1e3), st.floats(1e-3, 1e3), st.floats(-2, 2), st.floats(-2, 2), st.floats(-10, 10))

@@ -13,7 +13,20 @@ from hypothesis import given, settings, strategies as st
 
 from pinmobile.arrays import Array, ArrayLike
 from pinmobile.errors import InvalidArgument
-from pinmobile.paths import Circle, CubicVia, Hold, Lissajous, Path, RestToRest, Spline, pieces_of
+from pinmobile.paths import (
+    Circle,
+    CompositePath,
+    CubicVia,
+    Hold,
+    Line,
+    Lissajous,
+    Moved,
+    Path,
+    Polyline,
+    RestToRest,
+    Spline,
+    pieces_of,
+)
 
 derandomised = settings(derandomize=True, deadline=None, max_examples=60)
 number = st.floats(-10, 10).map(lambda x: round(x, 3))
@@ -24,7 +37,15 @@ VIA_FREE = CubicVia((0, 0), (2, 2), (0, 4), 30, 60)
 SPLINE = Spline([(0, 0), (1, 2), (3, -1), (4, 4)], (0, 1, 3, 4.5), start_velocity=(1, 0))
 EIGHT = Lissajous(3, 2, 0.2, 0.4, 60)
 QUINTIC = RestToRest((1, -2), (3, 4), 2.5)
-PATHS = [VIA_STOP, VIA_FREE, SPLINE, EIGHT, Circle(3, 0.1, 60), QUINTIC, Hold((1, 2), 3)]
+LINE = Line((0, 1), (3, 1), 6)
+TURN = Circle(1, 0.5, 4, (3, 2), heading=0.0)
+ROUNDED = Polyline([(0, 0), (4, 0), (4, 3), (1, 4)], 0.5, 22.7, 0.3)
+MOVED = Moved(SPLINE, 1, -2, 0.7)
+CHAINED = CompositePath([LINE, TURN])
+PATHS = [
+    *(VIA_STOP, VIA_FREE, SPLINE, EIGHT, Circle(3, 0.1, 60), QUINTIC, Hold((1, 2), 3)),
+    *(LINE, TURN, Circle(2, -0.3, 9, phase=0.4), ROUNDED, MOVED, CHAINED),
+]
 
 
 @st.composite

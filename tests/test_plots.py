@@ -391,7 +391,7 @@ class TestFigures:
     @pytest.mark.parametrize(
         ("value", "text"),
         [(0, "0 m"), (2.24, "2.2 m"), (12.34, "12 m"), (0.999, "1.0 m"), (0.37, "370 mm"), (3.49e-5, "35 µm"),
-         (9.96e-6, "10 µm"), (3.5e-9, "3.5 nm"), (3.55e-15, "3.6e-15 m")],
+         (9.96e-6, "10 µm"), (3.5e-9, "3.5 nm"), (3.6e-11, "3.6e-11 m"), (3.55e-15, "0 m, within rounding")],
     )  # fmt: skip
     def test_sizes_are_written_with_two_digits(self, value: float, text: str) -> None:
         assert si(value, "m") == text

@@ -145,7 +145,7 @@ def test_turtlebot_stands_on_two_wheels_and_its_casters(
     parts = ((mass, (0, 0, 0.010)), (2 * 0.028498940, (0, 0, 0.033)), casters, (0.114, scan))
     total, x, y, z = by_hand(*parts)
     np.testing.assert_allclose([robot.mass, *robot.com], [total, x, y, z], atol=1e-12)
-    # Angles of 1.57 turn the millimetre by which the caster's box is off its frame: 0.8 um.
+    # Angles of 1.57 turn the millimetre by which the caster's box is off its frame: 0.8 µm.
     stands_on(robot, corners, 1e-6)
     assert robot.top == pytest.approx(top, abs=1e-15)
     assert braking(robot, 0.0) == pytest.approx(-x, abs=1e-9)  # its wheels are the front edge

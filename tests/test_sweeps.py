@@ -204,11 +204,11 @@ def test_a_sweep_says_who_stays_within_what(done: Sweep) -> None:
     assert lengths == [
         "2.5 m",
         "12 mm",
-        "30 um",
+        "30 µm",
         "1 nm",
         "unbounded",
     ]
-    for exact, text in ((1.0, "1 m"), (1e-3, "1 mm"), (1e-6, "1 um")):
+    for exact, text in ((1.0, "1 m"), (1e-3, "1 mm"), (1e-6, "1 µm")):
         assert [length(exact * (1 + off)) for off in (0, 1e-15, -1e-15, -1e-9)] == [text] * 4
 
 

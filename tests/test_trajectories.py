@@ -12,7 +12,7 @@ from hypothesis import assume, example, given, settings, strategies as st
 from pinmobile.arrays import Array, ArrayLike
 from pinmobile.errors import InvalidArgument
 from pinmobile.paths import Circle, CubicVia, Lissajous, Path, Spline, pieces_of
-from pinmobile.paths.path import PiecewisePolynomial, Polynomial
+from pinmobile.paths.polynomials import PiecewisePolynomial, Polynomial
 from pinmobile.trajectories import FixedHeading, LectureHeading, Reference, Tangent, Trajectory
 
 derandomised = settings(derandomize=True, deadline=None, max_examples=60)

@@ -310,8 +310,8 @@ def with_joint(*joints: Any) -> MobileRobot:
         ),
         (
             lambda: WholeBody(UR5, Circle(1, 1, 6), None),  # type: ignore[arg-type]
-            "base is Circle(radius=1.0, rate=1.0, duration=6.0), expected a trajectory of x, y and psi, such "
-            "as Tangent(path)",
+            "base is Circle(radius=1.0, rate=1.0, duration=6.0), a path, which has no heading, expected a "
+            "trajectory: wrap the path in Tangent or FixedHeading, such as Tangent(path)",
         ),
         (
             lambda: WholeBody(UR5, WholeBody(UR5, CIRCLE, None), None),

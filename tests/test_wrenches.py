@@ -1,6 +1,7 @@
 """Forces on the body against their definitions, and the work that they do."""
 
 import pickle
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -62,6 +63,18 @@ def test_friction_forward_is_not_friction_sideways() -> None:
     north = np.array([0, 0, np.pi / 2])
     force = ViscousFriction((5, 70, 0))(0.0, north, np.array([0, 2.0, 0]))
     np.testing.assert_allclose(force, [0, -10, 0], atol=1e-14)
+
+
+def test_friction_is_said_by_the_names_of_its_axes() -> None:
+    friction = ViscousFriction(forward=5, yaw=0.4)
+    assert np.asarray(friction.coefficients).tolist() == [5.0, 0.0, 0.4]
+    assert repr(friction) == "ViscousFriction(forward=5.0, left=0.0, yaw=0.4)"
+    assert repr(eval(repr(friction))) == repr(friction) == repr(replace(friction, coefficients=(5, 0, 0.4)))
+    assert [each.name for each in friction.parameters] == [
+        f"viscous_{axis}" for axis in ("forward", "left", "yaw")
+    ]
+    many = ViscousFriction(forward=[1, 2], left=3)
+    assert np.asarray(many.coefficients).tolist() == [[1.0, 3.0, 0.0], [2.0, 3.0, 0.0]]
 
 
 states = st.lists(st.floats(-10, 10), min_size=3, max_size=3).map(np.array)
@@ -210,6 +223,12 @@ def test_parameters_are_read_only_copies() -> None:
             "std and phases have leading shapes (2,) and (4,), expected shapes that broadcast",
         ),
         (lambda: ViscousFriction((1, -1, 1)), "coefficients is -1.0, expected >= 0"),
+        (lambda: ViscousFriction(left=-1), "left is -1.0, expected >= 0"),
+        (lambda: ViscousFriction((1, 1, 1), yaw=2), "yaw is 2 beside coefficients, expected one of them"),
+        (
+            lambda: ViscousFriction(forward=(1, 2), yaw=(1, 2, 3)),
+            "shapes are forward (2,), left (), yaw (3,), expected shapes that broadcast",
+        ),
         (lambda: ViscousFriction(2), "coefficients has shape (), expected (..., 3)"),
         (lambda: RollingResistance((1, 1, -1)), "force is -1.0, expected >= 0"),
         (lambda: RollingResistance((1, 1, 1), 0), "speed is 0.0, expected > 0"),

@@ -90,7 +90,18 @@ if TYPE_CHECKING:
     )
     from pinmobile.identification import Log, RandomSteps, VelocityRobot, identify_velocity
     from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
-    from pinmobile.paths import Circle, CubicVia, Hold, Lissajous, RestToRest, Spline
+    from pinmobile.paths import (
+        Circle,
+        CompositePath,
+        CubicVia,
+        Hold,
+        Line,
+        Lissajous,
+        Moved,
+        Polyline,
+        RestToRest,
+        Spline,
+    )
     from pinmobile.plant import Context
     from pinmobile.reaching import EndEffectorTracking, PosePath, Resolved, resolve
     from pinmobile.robot import Load, MobileRobot, mountable
@@ -115,7 +126,7 @@ if TYPE_CHECKING:
         WheelTable,
     )
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "ADRC",
@@ -134,6 +145,7 @@ __all__ = [
     "Backstepping",
     "ByOdometry",
     "Circle",
+    "CompositePath",
     "ComputedTorque",
     "ConstantForce",
     "Context",
@@ -162,12 +174,14 @@ __all__ = [
     "Kanayama",
     "LectureHeading",
     "Limit",
+    "Line",
     "Lissajous",
     "Load",
     "Log",
     "MobileRobot",
     "Motion",
     "Motor",
+    "Moved",
     "NoiseForce",
     "NoisyMeasurement",
     "Normal",
@@ -176,6 +190,7 @@ __all__ = [
     "PDGravity",
     "Parking",
     "PinmobileError",
+    "Polyline",
     "PosePath",
     "Ramp",
     "RandomSteps",
@@ -313,7 +328,18 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "integrators": ("constant_acceleration", "rk4", "semi_implicit_euler"),
     "measures": (),
     "palette": (),
-    "paths": ("Circle", "CubicVia", "Hold", "Lissajous", "RestToRest", "Spline"),
+    "paths": (
+        "Circle",
+        "CompositePath",
+        "CubicVia",
+        "Hold",
+        "Line",
+        "Lissajous",
+        "Moved",
+        "Polyline",
+        "RestToRest",
+        "Spline",
+    ),
     "plant": ("Context",),
     "plots": (),
     "reaching": ("EndEffectorTracking", "PosePath", "Resolved", "resolve"),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite, frozen, positive, scalar, vector, whole
 from pinmobile.compiled import Reference
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.plant import ContactLoads, SlipMargins
+from pinmobile.plant import ContactLoads, SlipMargins, refuse_path
 from pinmobile.robot import WEIGHTLESS, checked_footprint, margin_inside, pressed_at
 
 _FASTEST = 1e6  # times as fast as the reference, beyond which nothing gives way
@@ -335,12 +335,12 @@ def fastest(plant: Any, trajectory: Any, samples: int = 400) -> Limit:
         raise InvalidArgument(f"trajectory is {shown(trajectory)}, expected one such as Tangent(path)")
     duration = positive("trajectory.duration", trajectory.duration, "s")
     t = np.linspace(0.0, duration, whole("samples", samples, least=4))
+    refuse_path("trajectory", trajectory)
     reference = trajectory(t)
     is_reference = isinstance(reference, tuple) and all(hasattr(reference, name) for name in "qva")
     if not is_reference:
         raise InvalidArgument(
-            f"trajectory is {shown(trajectory)}, which returned {shown(reference)}, expected a Reference: "
-            "take Tangent(path) of a path"
+            f"trajectory is {shown(trajectory)}, which returned {shown(reference)}, expected a Reference"
         )
     going = follows(t, reference)
     speed = float(np.hypot(*np.moveaxis(reference.v[..., :2], -1, 0)).max())

@@ -1,4 +1,4 @@
-"""When a loop has diverged; and `Measure`, what a plant states of a sample beside its errors."""
+"""`Measure`, what a plant states of a sample beside its errors; and sizes in words."""
 
 from __future__ import annotations
 
@@ -13,6 +13,14 @@ from pinmobile.errors import InvalidArgument, shown
 _WORST = ("largest", "smallest")
 _SCALE = 2.0**-12  # of margins: below this, differences count; above it, ratios
 _BEYOND = 2.0**20  # margins below minus this are as bad as any
+_ROUNDING = 1e-12  # in SI units, of what a robot on the ground has
+
+
+def in_words(size: float, form: str = ".4g") -> str:
+    """Return a size in SI units as text; what is rounding as "< 1e-12", for there machines differ."""
+    if 0 < abs(size) < _ROUNDING:
+        return "< 1e-12" if size > 0 else "> -1e-12"
+    return f"{size:{form}}"
 
 
 class Measure(NamedTuple):

@@ -35,6 +35,21 @@ def check_difference(difference: object) -> None:
     callable_as("difference(q0, q1)", difference)
 
 
+def refuse_path(name: str, trajectory: object) -> None:
+    """Refuse a path where a trajectory is expected.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is one.
+    """
+    if hasattr(trajectory, "derivative"):
+        raise InvalidArgument(
+            f"{name} is {shown(trajectory)}, a path, which has no heading, expected a trajectory: wrap the "
+            "path in Tangent or FixedHeading, such as Tangent(path)"
+        )
+
+
 class Plant(Protocol):
     """What a closed loop asks of a plant; `MobileRobot` is one. Shapes are those of one state.
 

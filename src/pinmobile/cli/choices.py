@@ -7,6 +7,8 @@ from functools import partial
 from inspect import signature
 from typing import Any, Generic, TypeAlias, TypeVar
 
+import numpy as np
+
 from pinmobile import (
     LECTURE_TABLE,
     PD,
@@ -16,9 +18,12 @@ from pinmobile import (
     CubicVia,
     DHTable,
     FixedHeading,
+    InvalidArgument,
     LectureHeading,
+    Line,
     Lissajous,
     MobileRobot,
+    Polyline,
     Tangent,
     constant_acceleration,
     rk4,
@@ -47,8 +52,9 @@ class Choice(Generic[_Made]):
     ----------
     make : callable
         What makes it.
-    takes : mapping of str to number or tuple
-        The options that it takes, and the lecture's own numbers, which are the defaults.
+    takes : mapping of str to number, tuple or None
+        The options that it takes, and the lecture's own numbers, which are the defaults; None of what is left
+        out.
     called : mapping of str to str
         Options by the arguments of `make` that are called otherwise.
     label : str
@@ -56,7 +62,7 @@ class Choice(Generic[_Made]):
     """
 
     make: Callable[..., _Made]
-    takes: Mapping[str, Numbers] = field(default_factory=dict)
+    takes: Mapping[str, Numbers | None] = field(default_factory=dict)
     called: Mapping[str, str] = field(default_factory=dict)
     label: str = ""
 
@@ -66,13 +72,31 @@ class Choice(Generic[_Made]):
         return "robot" in signature(self.make).parameters
 
 
+def _polyline(waypoints: Sequence[float], **others: Any) -> Polyline:
+    """Return the polyline through points whose numbers stand one after another."""
+    numbers = np.atleast_1d(waypoints)
+    if numbers.size % 2:
+        raise InvalidArgument(f"waypoints has {numbers.size} numbers, expected X,Y of each point")
+    return Polyline(numbers.reshape(-1, 2), **others)
+
+
+_CIRCLE: dict[str, None] = {"centre": None, "phase": None, "start_heading": None}
+_START = {"heading": "start_heading"}
+_LINES: dict[str, Numbers | None] = {
+    "duration": 60.0,
+    "waypoints": (0, 0, 4, 0, 4, 3),
+    "corner_radius": 0.5,
+    "acceleration": None,
+}
 _VIA: dict[str, Numbers] = {"duration": 60.0, "start": (0, 0), "via": (2, 2), "end": (0, 4), "t_via": 30.0}
 _END = {"t_end": "duration"}
 PATHS: Mapping[str, Choice[Path]] = {
-    "circle": Choice(Circle, {"duration": 60.0, "radius": 3.0, "rate": 0.1}),
+    "circle": Choice(Circle, {"duration": 60.0, "radius": 3.0, "rate": 0.1, **_CIRCLE}, _START),
     "lissajous": Choice(Lissajous, {"duration": 60.0, "rx": 3.0, "ry": 3.0, "wx": 0.2, "wy": 0.1}),
     "via-stop": Choice(CubicVia, {**_VIA, "via_velocity": (0, 0)}, _END),
     "via-free": Choice(CubicVia, _VIA, _END),
+    "line": Choice(Line, {"duration": 60.0, "start": (0, 0), "end": (6, 0)}),
+    "polyline": Choice(_polyline, _LINES),
 }
 HEADINGS: Mapping[str, Choice[Trajectory]] = {
     "tangent": Choice(Tangent, {"turn_time": 2.0}),
@@ -176,14 +200,20 @@ DRIVES: Mapping[str, Choice[WheelTable]] = {
 """Drives by name, each with the numbers of a robot of 0.6 x 0.4 x 0.25 m."""
 
 DRIVEN: Mapping[str, Choice[Path]] = {
-    "circle": Choice(Circle, {"duration": 12.6, "radius": 1.0, "rate": 0.5}),
+    "circle": Choice(Circle, {"duration": 12.6, "radius": 1.0, "rate": 0.5, **_CIRCLE}, _START),
     "lissajous": Choice(Lissajous, {"duration": 12.6, "rx": 0.8, "ry": 0.8, "wx": 1.0, "wy": 0.5}),
+    "line": Choice(Line, {"duration": 12.6, "start": (0, 0), "end": (4, 0)}),
+    "polyline": Choice(_polyline, {**_LINES, "duration": 12.6, "waypoints": (0, 0, 3, 0, 3, 2)}),
 }
 """Paths that a robot of that size drives in a while."""
 
-# No part states these, so that no spread names them: the number of samples and the shape of the gains depend
-# on them.
+# No class states these: the number of samples, the shape of the gains or the number of parameters depend on
+# them.
 _OWN = {
+    "waypoints": Parameter("waypoints", "m", "waypoints", entry=0),
+    "corner_radius": Parameter("corner_radius", "m", "least radius of the corners"),
+    "acceleration": Parameter("acceleration", "m/s^2", "with which it starts and comes to rest"),
+    "start_heading": Parameter("start_heading", "rad", "direction of the start, in place of the phase"),
     "duration": Parameter("duration", "s", "duration of the path"),
     **{name: Parameter(name, "", "K or KX,KY,KPSI") for name in ("kp", "kd")},
     "wheelbase": Parameter("wheelbase", "m", "distance of the axles"),
@@ -193,7 +223,9 @@ _OWN = {
 }
 
 
-def _told(value: Numbers) -> str:
+def _told(value: Numbers | None) -> str:
+    if value is None:
+        return ""
     return ",".join(f"{each:g}" for each in (value if isinstance(value, tuple) else (value,)))
 
 
@@ -220,9 +252,11 @@ def _taken(choices: Mapping[str, Choice[Any]], table: str) -> Iterator[Option]:
             for kind, value in zip([*having][1:], others, strict=True)
             if value != first
         ]
-        axes, in_units = " X,Y" if isinstance(first, tuple) else "", f" ({one.unit})" if one.unit else ""
-        text = f"{one.meaning.split(', ')[0]}{axes}{in_units}; {_told(first)}{''.join(of_others)}."
-        several = any(isinstance(value, tuple) for value in values)
+        several = one.entry is not None or any(isinstance(value, tuple) for value in values)
+        axes = f" {'X,Y' if name != 'waypoints' else 'X,Y,X,Y,...'}" if one.entry is not None else ""
+        in_units = f" ({one.unit})" if one.unit else ""
+        default = "" if first is None else f"; {_told(first)}"
+        text = f"{one.meaning.split(', ')[0]}{axes}{in_units}{default}{''.join(of_others)}."
         yield Option(
             name,
             which + text if which else _sentence(text),
@@ -265,12 +299,19 @@ GROUND = Option(
     table="robot",
     unit="m",
 )
+MOVED = Option(
+    "moved",
+    "Where the path's origin is put, and what the path is turned by, X,Y or X,Y,ANGLE (m, rad).",
+    tuple,
+    table="trajectory",
+)
 _KINDS_OF_ROBOTS = " or ".join(f"{name} ({choice.label})" for name, choice in ROBOTS.items())
 OPTIONS: Mapping[str, Option] = {
     option.name: option
     for option in (
         _one_of("trajectory", PATHS, "circle", table="trajectory", key="type"),
         *_taken(PATHS, "trajectory"),
+        MOVED,
         _one_of("heading", HEADINGS, "tangent", table="trajectory"),
         *_taken(HEADINGS, "trajectory"),
         _one_of("controller", CONTROLLERS, "computed-torque", table="controller", key="type"),
@@ -299,6 +340,7 @@ OF_DRIVES = (
     *_taken(DRIVES, "drive"),
     _one_of("trajectory", DRIVEN, "lissajous", table="trajectory"),
     *_taken(DRIVEN, "trajectory"),
+    MOVED,
     _one_of("heading", HEADINGS, "tangent", table="trajectory"),
     *_taken({name: HEADINGS[name] for name in ("tangent", "fixed")}, "trajectory"),
 )

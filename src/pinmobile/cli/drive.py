@@ -10,7 +10,7 @@ import numpy as np
 from pinmobile import ComputedTorque, Diverged, InvalidArgument, MobileRobot, Rollout, plots, rk4, simulate
 from pinmobile.arrays import Array, positive, wrap_angle
 from pinmobile.cli.choices import DRIVEN, DRIVES, HEADINGS, Choice
-from pinmobile.cli.options import LECTURE, Options, as_option, choose
+from pinmobile.cli.options import LECTURE, Options, as_option, choose, moved
 from pinmobile.cli.output import (
     Picture,
     Section,
@@ -23,6 +23,7 @@ from pinmobile.cli.output import (
 )
 from pinmobile.cli.run import FIGURES, draw
 from pinmobile.controllers import Backstepping, Controller, State, Tracking
+from pinmobile.measures import in_words
 from pinmobile.trajectories import Trajectory
 from pinmobile.wheels import Coulomb, Friction, Mobility, WheeledRobot
 
@@ -128,7 +129,7 @@ def _refuse(given: Mapping[str, Any], taken: Any, why: str) -> None:
 def _box_on(
     choice: Choice[Any], given: Mapping[str, Any], ground: Coulomb | None, arms: Sequence[str]
 ) -> WheeledRobot:
-    numbers = {
+    numbers: dict[str, Any] = {
         option: choice.takes[option] if given[option] is None else given[option] for option in choice.takes
     }
     radius = positive("--wheel-radius", numbers["wheel_radius"], "m")
@@ -162,7 +163,7 @@ def trajectory_of(options: Options) -> Trajectory:
     others = [each for kind in DRIVEN.values() for each in kind.takes if each not in path.takes]
     options.refuse(others, f"does not apply to the trajectory {name!r}")
     heading = choose("heading", options["heading"], HEADINGS)
-    return options.made("heading", heading, options.made("trajectory", path))
+    return options.made("heading", heading, moved(options, options.made("trajectory", path)))
 
 
 def controller_of(robot: WheeledRobot) -> tuple[Controller, str]:
@@ -326,7 +327,7 @@ def _judged(run: Rollout) -> list[str]:
         rows["least load of a wheel [N]"] = float(np.nanmin(found.loads))
     if "slides" in run.signals:
         rows["share of time at which a wheel slides [-]"] = float(found.slides.any(axis=1).mean())
-    return [f"{name:44} {value:>12.4g}" for name, value in rows.items()]
+    return [f"{name:44} {in_words(value):>12}" for name, value in rows.items()]
 
 
 def _next(html: Path | None, page: Path | None) -> list[str]:

@@ -27,7 +27,7 @@ from pinmobile.ensembles import run_scenario
 from pinmobile.sweeps import Code, Grid, Sweep, attributes_of, compared, connected, since
 
 _MOST = 12  # figures of a sweep
-_UNITS = (("m", 1.0), ("mm", 1e-3), ("um", 1e-6))
+_UNITS = (("m", 1.0), ("mm", 1e-3), ("µm", 1e-6))
 
 
 def spread_of_words(words: Sequence[str]) -> dict[str, Any]:

@@ -39,6 +39,7 @@ from pinmobile.cli.output import (
 )
 from pinmobile.cli.run import FIGURES, draw, save_page
 from pinmobile.controllers import Controller
+from pinmobile.measures import in_words
 from pinmobile.robot import joints_of
 
 _RADIUS, _RATE = 1.0, 0.5  # of the circle [m], [rad/s]
@@ -234,7 +235,7 @@ def _judged(run: Rollout) -> dict[str, str]:
         of_joints = errors[3:][units[3:] == unit]
         if of_joints.size:
             rows[f"largest error of a joint [{unit}]"] = of_joints.max()
-    shown = {name: f"{value:.3e}" for name, value in rows.items()}
+    shown = {name: in_words(value, ".3e") for name, value in rows.items()}
     margin, friction = float(tip_over_margin(run).min()), float(required_friction(run).max())
     shown["smallest tip-over margin [m]"] = _said(margin)
     shown["friction that it takes [-]"] = f"{friction:.3f}" if np.isfinite(friction) else "lifts off"

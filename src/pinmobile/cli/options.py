@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 from pinmobile import (
     InvalidArgument,
     MobileRobot,
+    Moved,
     Normal,
     PinmobileError,
     Same,
@@ -111,10 +112,8 @@ class Options:
         """Return what the choice of an option makes of these; those that were not typed are the lecture's."""
         taken = {each: self[each] for each in choice.takes}
         arguments = {option: argument for argument, option in choice.called.items()}
-        given = {
-            arguments.get(each, each): choice.takes[each] if value is None else value
-            for each, value in taken.items()
-        }
+        told = {each: choice.takes[each] if value is None else value for each, value in taken.items()}
+        given = {arguments.get(each, each): value for each, value in told.items() if value is not None}
         with self.naming(name, **choice.called):
             return choice.make(*first, **more, **given)
 
@@ -198,7 +197,10 @@ def numbers(told: str, value: object, place: str = "") -> tuple[float, ...]:
     Refused
         If it is something else.
     """
+    listed: list[Any]
     listed = value.split(",") if isinstance(value, str) else value if isinstance(value, list) else [value]
+    if listed and all(isinstance(each, list) for each in listed):  # points
+        listed = [number for point in listed for number in point]
     try:
         if not isinstance(value, str) and any(
             isinstance(each, bool) or not isinstance(each, int | float) for each in listed
@@ -246,7 +248,27 @@ def path_of(options: Options) -> Path:
     others = [each for kind in PATHS.values() for each in kind.takes if each not in path.takes]
     takes = ", ".join(map(options.told, path.takes))
     options.refuse(others, f"does not apply to the trajectory {name!r}, which takes {takes}")
-    return options.made("trajectory", path)
+    return moved(options, options.made("trajectory", path))
+
+
+def moved(options: Options, path: Path) -> Path:
+    """Return the path where options put it.
+
+    Raises
+    ------
+    Refused
+        If they are not two numbers or three, or the path cannot be moved.
+    """
+    numbers = options["moved"]
+    if numbers is None:
+        return path
+    if not isinstance(numbers, tuple) or len(numbers) > 3:
+        told = options.values["moved"]
+        raise Refused(
+            f"{options.told('moved')} is {shown(told)}, expected X,Y or X,Y,ANGLE", place_of("moved")
+        )
+    with options.naming("moved", **dict.fromkeys(("x", "y", "angle"), "moved")):
+        return Moved(path, *numbers)
 
 
 def trajectory_of(options: Options, curve: Path) -> Trajectory:

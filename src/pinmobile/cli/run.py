@@ -79,7 +79,7 @@ def draw(rollouts: dict[str, Rollout], folder: Path, prefix: str, bar: Progress)
 def show_run(options: Options, folder: Path, *, gif: bool, mp4: bool, html: bool) -> int:
     """Run, print the judgement, and write records, figures and their index; a diverged run too."""
     loop, label = closed_loop(options), options["controller"]
-    plant = loop["robot"]
+    plant, title = loop["robot"], _titled(options)
     _check_films(mp4)
     with progress(len(FIGURES) + 2 + gif + mp4 + html) as bar:
         begin(bar, "simulating")
@@ -103,14 +103,14 @@ def show_run(options: Options, folder: Path, *, gif: bool, mp4: bool, html: bool
         pages = []
         if html:
             begin(bar, "recording the scene")
-            save_page({label: rollout}, folder / "scene.html", f"{label} on {plant}")
+            save_page({label: rollout}, folder / "scene.html", title)
             pages.append(Picture("scene.html", "See it move."))
     console.print(f"robot: {plant}, {plant.source}", markup=False)
     if diverged is not None:
         console.print("up to there:", markup=False)
     console.print(str(rollout), markup=False)
     text = str(rollout) if diverged is None else f"{diverged}\n\nup to there:\n{rollout}"
-    page = index_page(folder, f"{label} on {plant}", [Section("Results", text, pictures, pages)])
+    page = index_page(folder, title, [Section("Results", text, pictures, pages)])
     console.print(
         f"wrote {folder / 'rollout.npz'} (Rollout.load reads it), rollout.csv and figures\nopen {page}",
         markup=False,
@@ -120,6 +120,13 @@ def show_run(options: Options, folder: Path, *, gif: bool, mp4: bool, html: bool
     if diverged is not None:
         raise diverged
     return 0
+
+
+def _titled(options: Options) -> str:
+    """Return what a page of a run is called: controller, path and robot."""
+    urdf = options["urdf"]
+    robot = Path(urdf).name if urdf is not None else f"{options['robot'] or 'lecture'} robot"
+    return f"{CONTROLLERS[options['controller']].label}: {options['trajectory'].replace('-', ' ')}, {robot}"
 
 
 def _simulated(loop: Mapping[str, Any]) -> Rollout:
@@ -311,7 +318,7 @@ def show_lecture(folder: Path, *, gif: bool, mp4: bool) -> int:
         console.print("\n[bold]4  On wheels[/bold], those of a differential drive")
         console.print(rolled, markup=False)
         begin(bar, "drawing")
-        sections = _sections(folder, right_runs, bar, gif=gif, mp4=mp4)
+        sections = _sections(folder, lecture_runs, right_runs, bar, gif=gif, mp4=mp4)
         begin(bar, "drawing wheels")
         save_figure(
             plots.path(beside, title=f"{_OFF:g} m beside the path at the start"), folder / _WHEELS.file
@@ -364,15 +371,31 @@ def _table(lecture: Runs, right: Runs) -> tuple[str, bool]:
     for key, (x, y) in EXPECTED.items():
         mark = "" if found[key][:2] == (x, y) else "  DIFFERS"
         lines.append(f"{key[0]:10} {key[1]:15} {found[key][0]:>12} {x:>12} {found[key][1]:>13} {y:>12}{mark}")
-    lines += ["", f"{'trajectory':10} {'controller':15} {'psi [rad]':>25} {'psi, put right':>26}"]
-    for key in EXPECTED:
-        psi = error_text(right[key].max_error()[2])
-        lines.append(f"{key[0]:10} {key[1]:15} {found[key][2]:>25} {psi:>26}")
+    lines += [
+        "",
+        "with the lecture's heading, and with that put right, which the figures show:",
+        f"{'trajectory':10} {_HEAD}",
+    ]
+    lines += [f"{path:10} {row}" for path in _PATHS for row in _both(path, lecture, right)]
     lines += [
         "the lecture's heading jumps where the robot rests; put right, it follows the",
         f"tangent's limits, and turns on the spot for {_TURN_TIME:g} s where the path bends at rest",
     ]
     return "\n".join(lines), same
+
+
+_ROW = "{:15} {:9} {:>4} {:>12} {:>12} {:>12}"
+_HEAD = _ROW.format("controller", "heading", "time", "x [m]", "y [m]", "psi [rad]")
+
+
+def _both(path: str, lecture: Runs, right: Runs) -> list[str]:
+    """Return the largest errors on a path with the lecture's heading and with that put right, a row each."""
+    return [
+        _ROW.format(label, heading, f"{runs[path, label].t[-1]:g} s", *map(error_text, errors))
+        for label in _CONTROLLERS
+        for heading, runs in (("lecture's", lecture), ("put right", right))
+        for errors in [runs[path, label].max_error()]
+    ]
 
 
 def _on_wheels() -> tuple[str, dict[str, Rollout]]:
@@ -445,7 +468,9 @@ def _summary(verification: "Verification", same: bool) -> str:
     return f"{routes}\nsome numbers are NOT the lecture's: see the rows marked DIFFERS"
 
 
-def _sections(folder: Path, right: Runs, bar: Progress, *, gif: bool, mp4: bool) -> list[Section]:
+def _sections(
+    folder: Path, lecture: Runs, right: Runs, bar: Progress, *, gif: bool, mp4: bool
+) -> list[Section]:
     sections = []
     for number, trajectory in enumerate(_PATHS, start=5):
         prefix = f"{_PATHS[trajectory]}-"
@@ -464,5 +489,7 @@ def _sections(folder: Path, right: Runs, bar: Progress, *, gif: bool, mp4: bool)
         save_page(rollouts, folder / name, f"{trajectory.capitalize()}: PD and computed torque", speed=4)
         title = f"{number}  {trajectory.capitalize()}: PD beside computed torque"
         pages = [Picture(name, "See it move: both robots in one scene.")]
-        sections.append(Section(title, "with the heading put right", pictures, pages))
+        rows = _both(trajectory, lecture, right)
+        text = "\n".join(["largest |error|; the figures show the heading that is put right", _HEAD, *rows])
+        sections.append(Section(title, text, pictures, pages))
     return sections

@@ -14,6 +14,7 @@ from pinmobile.cli.options import (
     Refused,
     as_key,
     controller_of,
+    moved,
     path_of,
     plant_of,
     scenario,
@@ -23,6 +24,7 @@ from pinmobile.cli.options import (
 from pinmobile.cli.tables import (
     FORCES,
     NONE,
+    ROUTES,
     STEPS,
     WRAPPERS,
     Maker,
@@ -73,7 +75,7 @@ _TABLES: Mapping[str, tuple[str, ...]] = {
 _NAMES = {option.key for option in OPTIONS.values() if option.kind in (str, Path)}
 # Of [trajectory], what is not its path's.
 _OF_HEADINGS = tuple(dict.fromkeys(each for heading in HEADINGS.values() for each in heading.takes))
-_PATH_APART = ("heading", *_OF_HEADINGS)
+_PATH_APART = ("moved", "heading", *_OF_HEADINGS)
 
 
 def read_grid(path: Path, code: Code | None = None) -> Grid:
@@ -205,11 +207,12 @@ class _Reader:
         if _is_composed(tree, "trajectory"):
             table = {key: value for key, value in tree["trajectory"].items() if key not in _PATH_APART}
             taken = self.taken["trajectory"] if "trajectory" in self.several else None
-            path = self.maker.part("path", table, NONE, beside=beside, taken=taken)
+            path = self.maker.part("path", table, ROUTES, beside=beside, taken=taken)
             if not hasattr(path, "derivative"):  # it has a heading of its own
                 said = [key for key in _PATH_APART if key in tree["trajectory"]]
                 options.refuse(said, f"does not apply beside trajectory {table['type']}, which is no path,")
                 return path
+            path = moved(options, path)
         else:
             path = path_of(options)
         heading = options["heading"]
@@ -244,7 +247,8 @@ def _options(tree: Table) -> Options:
 def _is_composed(tree: Table, table: str) -> bool:
     """Tell whether a table is of a part that takes its keys as the arguments of its class."""
     name = tree.get(table, {}).get("type")
-    return is_code(name) or (table == "controller" and isinstance(name, str) and name in WRAPPERS)
+    composed = {"controller": WRAPPERS, "trajectory": ROUTES}.get(table, NONE)
+    return is_code(name) or (isinstance(name, str) and name in composed)
 
 
 def _rest(name: str, table: str) -> list[str]:

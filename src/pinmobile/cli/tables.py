@@ -9,7 +9,7 @@ from functools import partial
 from types import ModuleType
 from typing import Any, TypeGuard
 
-from pinmobile import InvalidArgument, PinmobileError, UnknownName, controllers, forces
+from pinmobile import InvalidArgument, PinmobileError, UnknownName, controllers, forces, paths
 from pinmobile.cli.choices import BELIEVED, BODY, CONTROLLERS, INTEGRATORS, OF_PARTS, OPTIONS, PATHS, ROBOTS
 from pinmobile.cli.options import Options, Refused, choose, controller_of, path_of, plant_of
 from pinmobile.compiled import attributes_of, check_numbers
@@ -144,8 +144,9 @@ def _takes(parameters: Mapping[str, inspect.Parameter], key: str) -> bool:
 
 
 def _short(kind: type) -> str:
-    """Return the short name of a class: ``"noisy-measurement"`` of NoisyMeasurement, without Force."""
-    return "-".join(re.findall(r"[A-Z]+(?![a-z])|[A-Z][a-z]+", kind.__name__.removesuffix("Force"))).lower()
+    """Return the short name of a class: ``"noisy-measurement"`` of NoisyMeasurement; not Force or Path."""
+    name = kind.__name__.removesuffix("Force").removesuffix("Path")
+    return "-".join(re.findall(r"[A-Z]+(?![a-z])|[A-Z][a-z]+", name)).lower()
 
 
 def _classes(package: ModuleType, wanted: Callable[[type], bool]) -> dict[str, Callable[..., Any]]:
@@ -160,6 +161,10 @@ WRAPPERS: Parts = _classes(
     controllers, lambda kind: "controller" in _parameters(kind) and "robot" not in _parameters(kind)
 )
 FORCES: Parts = _classes(forces, lambda kind: True)
+ROUTES: Parts = _classes(
+    paths, lambda kind: hasattr(kind, "duration") and bool({"path", "paths"} & _parameters(kind).keys())
+)
+"""Paths that are made of paths."""
 STEPS: Parts = {name: partial(lambda step: step, step) for name, step in INTEGRATORS.items()}
 NONE: Parts = {}
 _NAMED = ("type", *OF_PARTS)  # keys whose text names a part
@@ -355,11 +360,11 @@ class Maker:
 
 def _library(kind: str, beside: Table) -> Parts:
     """Return all parts of the library that a table within a table may name."""
-    found: dict[str, Callable[..., Any]] = {**WRAPPERS, **FORCES, **STEPS}
+    found: dict[str, Callable[..., Any]] = {**WRAPPERS, **FORCES, **STEPS, **ROUTES}
     for name in ROBOTS:
         found[name] = _Offered(kind, "robot", name, BODY, plant_of)
     for name, path in PATHS.items():
-        found[name] = _Offered(kind, "trajectory", name, tuple(path.takes), path_of)
+        found[name] = _Offered(kind, "trajectory", name, (*path.takes, "moved"), path_of)
     make = partial(controller_of, plant=beside.get("robot"))
     for name, law in CONTROLLERS.items():
         takes = (*law.takes, *(BELIEVED if law.believes else ()))

@@ -14,7 +14,7 @@ from pinmobile.arrays import Array, finite, frozen, increasing, positive, text, 
 from pinmobile.ensembles.distributions import Same, Source
 from pinmobile.ensembles.scenario import Scenario, checked_scenario, first_counted, time_within
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.measures import Measure, channels_of
+from pinmobile.measures import Measure, channels_of, in_words
 from pinmobile.plant import Coordinate, Input, Parameter
 from pinmobile.trajectories import Reference
 
@@ -37,7 +37,7 @@ def judgement(n: int, duration: float, within: tuple[float, float], diverged: in
     after : float
         Time from which on errors count [s].
     """
-    sizes = f"within {within[0]:.4g} m and {within[1]:.4g} rad"
+    sizes = f"within {in_words(within[0])} m and {in_words(within[1])} rad"
     since = f"from {after:g} s on " if after else ""
     if n == 1:
         return f"1 robot over {duration:g} s: {'diverged' if diverged else f'{since}stays {sizes}'}"
@@ -94,8 +94,8 @@ def ranges(
     for name, values in columns.items():
         good = values[~np.isnan(values)]
         if len(good):
-            low, middle, high = good.min(), np.median(good), good.max()
-            rows.append(f"{name:<{width}} least {low:.4g}, median {middle:.4g}, largest {high:.4g}")
+            low, middle, high = map(in_words, (good.min(), np.median(good), good.max()))
+            rows.append(f"{name:<{width}} least {low}, median {middle}, largest {high}")
     return rows
 
 

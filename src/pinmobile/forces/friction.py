@@ -2,32 +2,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Self, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, sequence, text
+from pinmobile.arrays import Array, ArrayLike, frozen, sequence, text
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.forces.force import not_below_zero, numbers, spread, triple
 from pinmobile.plant import Parameter, coordinates_of
 
+_TWIST = ("forward", "left", "yaw")
+
+
+def _broadcast(named: Mapping[str, Array]) -> tuple[Array, ...]:
+    """Return arrays as of one shape.
+
+    Raises
+    ------
+    InvalidArgument
+        If their shapes do not fit.
+    """
+    try:
+        return np.broadcast_arrays(*named.values())
+    except ValueError:
+        shapes = ", ".join(f"{name} {value.shape}" for name, value in named.items())
+        raise InvalidArgument(f"shapes are {shapes}, expected shapes that broadcast") from None
+
 
 @final
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False, repr=False)
 class ViscousFriction:
     """Friction in proportion to the body twist (u, v, r): tau = -J(psi) (c * J(psi)^T v).
 
     Parameters
     ----------
-    coefficients : array_like, shape (..., 3)
-        The c above: forward, left, yaw [N s/m, N s/m, N m s], not below zero.
+    coefficients : array_like, shape (..., 3), optional
+        The c above, in place of the three that follow.
+    forward, left : array_like, shape (...)
+        Along the body's axes [N s/m], not below zero; none where left out.
+    yaw : array_like, shape (...)
+        Against turning [N m s], likewise.
 
     Raises
     ------
     InvalidArgument
-        If it has another shape, is not finite, or below zero.
+        If one has another shape, is not finite, or below zero; or if both ways to say it are taken.
     """
 
     coefficients: ArrayLike
@@ -36,7 +57,7 @@ class ViscousFriction:
         Parameter(
             f"viscous_{axis}", unit, f"viscous friction, {axis}", 0.0, attribute="coefficients", entry=k
         )
-        for k, (axis, unit) in enumerate((("forward", "N s/m"), ("left", "N s/m"), ("yaw", "N m s")))
+        for k, (axis, unit) in enumerate(zip(_TWIST, ("N s/m", "N s/m", "N m s"), strict=True))
     )
 
     @classmethod
@@ -44,9 +65,31 @@ class ViscousFriction:
         """Return the force that is none, which a spread gives its size."""
         return cls(np.zeros(3))
 
-    def __post_init__(self) -> None:
-        checked = not_below_zero("coefficients", triple("coefficients", self.coefficients))
+    def __init__(
+        self,
+        coefficients: ArrayLike | None = None,
+        *,
+        forward: ArrayLike = 0.0,
+        left: ArrayLike = 0.0,
+        yaw: ArrayLike = 0.0,
+    ) -> None:
+        given = {"forward": forward, "left": left, "yaw": yaw}
+        each = {name: not_below_zero(name, numbers(name, value)) for name, value in given.items()}
+        if coefficients is None:
+            checked = frozen(np.stack(_broadcast(each), axis=-1))
+        else:
+            said = [name for name, value in each.items() if value.any()]
+            if said:
+                raise InvalidArgument(
+                    f"{said[0]} is {shown(given[said[0]])} beside coefficients, expected one of them"
+                )
+            checked = not_below_zero("coefficients", triple("coefficients", coefficients))
         object.__setattr__(self, "coefficients", checked)
+
+    def __repr__(self) -> str:
+        each = np.moveaxis(self.damping, -1, 0).tolist()
+        told = (f"{name}={value!r}" for name, value in zip(_TWIST, each, strict=True))
+        return f"ViscousFriction({', '.join(told)})"
 
     @property
     def damping(self) -> Array:
@@ -192,11 +235,7 @@ class JointFriction:
             not_below_zero(name, given[name])
         if not (given["speed"] > 0).all():
             raise InvalidArgument(f"speed is {given['speed'].min()}, expected > 0")
-        try:
-            np.broadcast_shapes(*(value.shape for value in given.values()))
-        except ValueError:
-            shapes = ", ".join(f"{name} {value.shape}" for name, value in given.items())
-            raise InvalidArgument(f"shapes are {shapes}, expected shapes that broadcast") from None
+        _broadcast(given)
         names = sequence("names", self.names, "names of the coordinates")
         own = [text(f"names[{k}]", name) for k, name in enumerate(names)]
         for name in ("viscous", "coulomb") if own else ():

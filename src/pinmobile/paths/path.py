@@ -1,14 +1,14 @@
-"""What a path is; paths made of polynomials end to end, and their parameters."""
+"""What a path is, what the library's paths have in common, and a path elsewhere."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
-from math import perm
-from typing import Protocol, runtime_checkable
+from dataclasses import dataclass, fields
+from itertools import pairwise
+from typing import TYPE_CHECKING, ClassVar, Protocol, final, runtime_checkable
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive, representable, whole
+from pinmobile.arrays import Array, ArrayLike, finite, scalar, whole
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Parameter
 
@@ -89,23 +89,55 @@ def pieces_of(path: Path) -> tuple[Piece, ...]:
     return tuple(getattr(path, "pieces", ())) or (Whole(path),)
 
 
-def checked_path(path: object, size: int) -> Path:
-    """Return a path whose points have 2 or 3 coordinates.
+def any_path(name: str, path: object) -> Path:
+    """Return what is a path; `name` is that of the argument.
 
     Raises
     ------
     InvalidArgument
-        If it is none, or its points have another shape.
+        If it is none.
     """
-    if not isinstance(path, Path):
+    if isinstance(path, type) or not isinstance(path, Path):
         raise InvalidArgument(
-            f"path is {shown(path)}, expected a path: path(t), path.derivative(t, order), path.duration"
+            f"{name} is {shown(path)}, expected a path: path(t), path.derivative(t, order), path.duration"
         )
+    return path
+
+
+def checked_path(path: object, size: int) -> Path:
+    """Return a path whose points have 2 or 3 coordinates, and whose pieces meet.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is none, its points have another shape, or it jumps.
+    """
+    path = any_path("path", path)
     shape = np.shape(path(0.0))
     if shape != (size,):
         where = "the plane" if size == 2 else "space"
         raise InvalidArgument(f"path has points of shape {shape}, expected ({size},), a path in {where}")
+    for before, after in pairwise(pieces_of(path)):
+        ends = before.derivative(before.end, 0), after.derivative(after.start, 0)
+        if jumps(*ends, _JUMP):
+            here, there = map(told, ends)
+            raise InvalidArgument(
+                f"path jumps from {here} m to {there} m at t = {after.start:g} s, expected pieces that meet"
+            )
     return path
+
+
+_JUMP = 1e-6  # [m], and of the coordinates: more than the rounding of any curve
+
+
+def jumps(one: Array, other: Array, slack: float) -> bool:
+    """Tell whether points differ by more than `slack` [m], relative to those beyond 1 m."""
+    return not bool((np.abs(other - one) <= slack * (1 + np.abs(one).max(initial=0.0))).all())
+
+
+def told(point: Array) -> str:
+    """Return a point in words, without the rounding of what is zero."""
+    return f"({', '.join(f'{each:.6g}' for each in np.round(point, 9) + 0.0)})"
 
 
 def checked_order(order: ArrayLike) -> int:
@@ -184,157 +216,22 @@ def of_point(
     )
 
 
-class Value:
-    """Abstract base of the frozen dataclasses of this package: equality, hash and repr from their fields.
+class Curve:
+    """Abstract base of the library's paths: frozen dataclasses that say what they are at checked times.
 
-    What a dataclass generates itself compares arrays as if they were numbers, which raises.
+    Equality, hash and repr are from their fields: what a dataclass generates itself compares arrays as if
+    they were numbers, which raises.
     """
 
-    def _values(self) -> dict[str, object]:
-        named = {f.name: getattr(self, f.name) for f in fields(self) if f.init}  # type: ignore[arg-type]
-        return {name: _plain(v.tolist()) if isinstance(v, np.ndarray) else v for name, v in named.items()}
+    if TYPE_CHECKING:  # of a dataclass it may be a field, whose default this would be
 
-    def __eq__(self, other: object) -> bool:
-        if type(other) is not type(self):
-            return NotImplemented
-        return self._values() == other._values()
+        @property
+        def duration(self) -> float:
+            """Time from start to end [s]."""
 
-    def __hash__(self) -> int:
-        return hash((type(self), *self._values().values()))
-
-    def __repr__(self) -> str:
-        inside = ", ".join(f"{name}={value!r}" for name, value in self._values().items())
-        return f"{type(self).__name__}({inside})"
-
-
-def _plain(value: object) -> object:
-    return tuple(map(_plain, value)) if isinstance(value, list) else value
-
-
-@dataclass(frozen=True, eq=False)
-class Polynomial:
-    """One polynomial piece, r(t) = sum over k of c_k (t - start)^k.
-
-    Parameters
-    ----------
-    start, end : float
-        Where it holds [s].
-    coefficients : ndarray, shape (m, n)
-        c_k, the constant first [m/s^k].
-    """
-
-    start: float
-    end: float
-    coefficients: Array
-
-    def derivative(self, t: ArrayLike, order: int) -> Array:
-        """Return the derivative, shape (..., n) [m/s^order], at `t`, shape (...) [s]."""
-        return _horner(self.coefficients, np.asarray(t) - self.start, order)
-
-
-@dataclass(frozen=True, eq=False)
-class PiecewisePolynomial:
-    """Polynomials end to end; its maker answers for shapes and order.
-
-    Parameters
-    ----------
-    knots : ndarray, shape (k + 1,)
-        Where pieces start and end, from zero and increasing [s].
-    coefficients : ndarray, shape (k, m, n)
-        Of each piece, in powers of the time since its knot, the constant first [m/s^power].
-    """
-
-    knots: Array
-    coefficients: Array
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "knots", frozen(self.knots))
-        object.__setattr__(
-            self, "coefficients", representable("a coefficient of the path", frozen(self.coefficients))
-        )
-
-    @property
-    def pieces(self) -> tuple[Polynomial, ...]:
-        """The pieces, in order."""
-        ends = zip(self.knots.tolist(), self.knots[1:].tolist(), self.coefficients, strict=False)
-        return tuple(Polynomial(start, end, rows) for start, end, rows in ends)
-
-    def derivative(self, t: Array, order: int) -> Array:
-        """Return the derivative, shape (..., n) [m/s^order], at `t`, shape (...) [s]."""
-        # Only the knots inside decide: the end of the last piece belongs to that piece.
-        index = np.searchsorted(self.knots[1:-1], t, side="right")
-        return _horner(np.moveaxis(self.coefficients, 0, -1)[..., index], t - self.knots[index], order)
-
-
-def hermite(step: float, left: Array, right: Array, left_velocity: Array, right_velocity: Array) -> Array:
-    """Return the cubic between two positions with the velocities there.
-
-    Parameters
-    ----------
-    step : float
-        Time from left to right [s].
-    left, right : ndarray, shape (n,)
-        Positions [m].
-    left_velocity, right_velocity : ndarray, shape (n,)
-        Velocities [m/s].
-
-    Returns
-    -------
-    coefficients : ndarray, shape (4, n)
-        In powers of the time since `left`, the constant first [m/s^power].
-    """
-    with np.errstate(all="ignore"):  # PiecewisePolynomial looks
-        slope = (right - left) / step
-        quadratic = (3 * slope - 2 * left_velocity - right_velocity) / step
-        cubic = (left_velocity + right_velocity - 2 * slope) / step**2
-        return np.array([left, left_velocity, quadratic, cubic])
-
-
-def stretch(name: str, value: ArrayLike) -> float:
-    """Return a time between two points [s], above zero, whose fifth power is a number.
-
-    Raises
-    ------
-    InvalidArgument
-        If it is not.
-    """
-    time = positive(name, value, "s")
-    if not _SHORTEST <= time <= _FARTHEST:
-        raise InvalidArgument(f"{name} is {time} s, expected {_SHORTEST:g} to {_FARTHEST:g} s")
-    return time
-
-
-_SHORTEST, _FARTHEST = 1e-50, 1e50  # [s]
-
-
-def _horner(coefficients: Array, s: Array, order: int) -> Array:
-    terms, n = coefficients.shape[:2]
-    out = np.zeros((*s.shape, n))
-    # One coordinate at a time: numpy is slow along a last axis of two.
-    for j in range(n if order < terms else 0):
-        # The k-th power leaves k (k - 1) ... (k - order + 1) behind: perm(k, order).
-        value = perm(terms - 1, order) * coefficients[-1, j]
-        for k in range(terms - 2, order - 1, -1):
-            value = value * s + perm(k, order) * coefficients[k, j]
-        out[..., j] = value
-    return out
-
-
-@dataclass(frozen=True, init=False, eq=False, repr=False)
-class PiecewisePath(Value):
-    """Abstract base: a path whose maker has set `_curve`."""
-
-    _curve: PiecewisePolynomial = field(init=False)
-
-    @property
-    def duration(self) -> float:
-        """Time from start to end [s]."""
-        return float(self._curve.knots[-1])
-
-    @property
-    def pieces(self) -> tuple[Polynomial, ...]:
-        """The polynomials, in order."""
-        return self._curve.pieces
+    def _at(self, t: Array, order: int) -> Array:
+        """Return the derivative at times on the path."""
+        raise NotImplementedError
 
     def __call__(self, t: ArrayLike) -> Array:
         """Return the position.
@@ -376,4 +273,120 @@ class PiecewisePath(Value):
         InvalidArgument
             If a time is outside, or `order` is not a whole number >= 0.
         """
-        return self._curve.derivative(within("t", t, self.duration), checked_order(order))
+        return self._at(within("t", t, self.duration), checked_order(order))
+
+    def moved(self, x: float = 0.0, y: float = 0.0, angle: float = 0.0) -> Moved:
+        """Return the path turned about the origin by `angle` [rad], then shifted by (`x`, `y`) [m].
+
+        Raises
+        ------
+        InvalidArgument
+            If a number is not finite, or its points are neither in the plane nor in space.
+        """
+        return Moved(self, x, y, angle)
+
+    def _values(self) -> dict[str, object]:
+        named = {f.name: getattr(self, f.name) for f in fields(self) if f.init}  # type: ignore[arg-type]
+        return {name: _plain(v.tolist()) if isinstance(v, np.ndarray) else v for name, v in named.items()}
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return NotImplemented
+        return self._values() == other._values()
+
+    def __hash__(self) -> int:
+        return hash((type(self), *self._values().values()))
+
+    def __repr__(self) -> str:
+        inside = ", ".join(f"{name}={value!r}" for name, value in self._values().items())
+        return f"{type(self).__name__}({inside})"
+
+
+def _plain(value: object) -> object:
+    return tuple(map(_plain, value)) if isinstance(value, list) else value
+
+
+def turned(vectors: Array, angle: float) -> Array:
+    """Return vectors turned about the z axis by an angle [rad], shape (..., n) with n >= 2."""
+    found = np.array(vectors, np.float64)
+    c, s, x, y = np.cos(angle), np.sin(angle), vectors[..., 0], vectors[..., 1]
+    found[..., 0], found[..., 1] = c * x - s * y, s * x + c * y
+    return found
+
+
+@final
+@dataclass(frozen=True, eq=False, repr=False)
+class Moved(Curve):
+    """A path elsewhere: turned about the origin, then shifted. In space, about the z axis and level.
+
+    Parameters
+    ----------
+    path : Path
+        Any path in the plane or in space.
+    x, y : float
+        Where its origin comes to lie [m].
+    angle : float
+        What it is turned by before [rad], positive to the left.
+
+    Raises
+    ------
+    InvalidArgument
+        If `path` is no such path, or a number is not finite.
+    """
+
+    path: Path
+    x: float = 0.0
+    y: float = 0.0
+    angle: float = 0.0
+
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("moved_x", "m", "where the path is moved to, x", attribute="x"),
+        Parameter("moved_y", "m", "where the path is moved to, y", attribute="y"),
+        Parameter("moved_angle", "rad", "angle that the path is turned by", attribute="angle"),
+    )
+
+    def __post_init__(self) -> None:
+        if np.shape(any_path("path", self.path)(0.0)) not in ((2,), (3,)):
+            raise InvalidArgument(
+                f"path has points of shape {np.shape(self.path(0.0))}, expected (2,) or (3,)"
+            )
+        for name in ("x", "y", "angle"):
+            object.__setattr__(self, name, scalar(name, getattr(self, name)))
+
+    @property
+    def duration(self) -> float:
+        """The path's duration [s]."""
+        return float(self.path.duration)
+
+    @property
+    def pieces(self) -> tuple[Piece, ...]:
+        """Those of the path, moved."""
+        return tuple(_MovedPiece(self, piece) for piece in pieces_of(self.path))
+
+    def _at(self, t: Array, order: int) -> Array:
+        return self._placed(self.path.derivative(t, order), order)
+
+    def _placed(self, vectors: Array, order: int) -> Array:
+        found = turned(vectors, self.angle) if self.angle else np.array(vectors, np.float64)
+        if not order:
+            found[..., :2] += self.x, self.y
+        return found
+
+
+@dataclass(frozen=True)
+class _MovedPiece:
+    """A piece of a path, moved."""
+
+    whole: Moved
+    piece: Piece
+
+    @property
+    def start(self) -> float:
+        return self.piece.start
+
+    @property
+    def end(self) -> float:
+        return self.piece.end
+
+    def derivative(self, t: ArrayLike, order: int) -> Array:
+        return self.whole._placed(self.piece.derivative(t, order), order)

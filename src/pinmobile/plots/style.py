@@ -24,6 +24,7 @@ Style: TypeAlias = dict[str, Any]
 """How something is drawn: keyword arguments of matplotlib's artists."""
 
 DASHES = ("-", (0, (6, 2)), (0, (6, 2, 1.5, 2)), (0, (2.5, 1.5)), (0, (1, 1)), (0, (4, 1, 1, 1, 1, 1)))
+_ROUNDING = 1e-12  # in SI units
 _PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 
 
@@ -124,7 +125,9 @@ def percent(share: float) -> str:
 def si(value: float, unit: str) -> str:
     """Return a size of two digits with the prefix that suits it, such as ``7.5 mm``."""
     if value < 1e-10:
-        return f"{value:.1e} {unit}" if value else f"0 {unit}"
+        return (
+            f"{value:.1e} {unit}" if value > _ROUNDING else f"0 {unit}{', within rounding' if value else ''}"
+        )
     rounded = float(f"{value:.1e}")
     scale, prefix = next((pair for pair in _PREFIXES if rounded >= pair[0]), _PREFIXES[-1])
     return f"{rounded / scale:.{1 if rounded < 9.95 * scale else 0}f} {prefix}{unit}"

@@ -13,7 +13,7 @@ import numpy as np
 from pinmobile.arrays import Array, finite, frozen, increasing, location, real
 from pinmobile.errors import InvalidArgument
 from pinmobile.files import replacing, write_table
-from pinmobile.measures import measured_of, measures_of
+from pinmobile.measures import in_words, measured_of, measures_of
 from pinmobile.plant import (
     Coordinate,
     Input,
@@ -29,13 +29,12 @@ from pinmobile.simulation.storage import read_archive, write_archive
 from pinmobile.trajectories import Reference
 
 _POSE = 3  # x, y, psi
-_ROUNDING = 1e-12  # [m, rad]
 _RECORDED = ("t", "q", "v", "a", "u", "error")
 
 
 def error_text(value: float) -> str:
     """Return an error [m, rad] with seven digits, or without where it is rounding: there, machines differ."""
-    return "< 1e-12" if 0 < value < _ROUNDING else f"{value:.6e}"
+    return in_words(value, ".6e")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -137,7 +136,7 @@ class Rollout:
     def __str__(self) -> str:
         step = f" at dt = {self.t[1]:g} s" if len(self) > 1 else ""
         listed = zip(self.inputs, self.max_input(), strict=True)
-        inputs = [f"{one.name} {value:.4g} {one.unit}".rstrip() for one, value in listed]
+        inputs = [f"{one.name} {in_words(value)} {one.unit}".rstrip() for one, value in listed]
         return "\n".join(
             [
                 f"{len(self)} samples over {self.t[-1]:g} s{step}",
@@ -250,7 +249,7 @@ class Rollout:
         )
         for (name, unit), largest, rms, pair in zip(labels, *columns, inputs, strict=True):
             errors = " ".join(f"{error_text(value):>13} {unit:3}" for value in (largest, rms))
-            most = "" if pair is None else f"{pair[0]:10.4g} {pair[1].unit:3}"
+            most = "" if pair is None else f"{in_words(pair[0]):>10} {pair[1].unit:3}"
             lines.append(f"{name:{width}} {errors} {most}".rstrip())
         return lines
 

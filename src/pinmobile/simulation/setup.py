@@ -13,7 +13,7 @@ from pinmobile.controllers import Controller, check_controller, check_memory
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
-from pinmobile.plant import Context, Plant, check_plant, leading_of
+from pinmobile.plant import Context, Plant, check_plant, leading_of, refuse_path
 from pinmobile.simulation.substeps import stepped
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
@@ -41,11 +41,7 @@ def checked_loop(plant: object, controller: object, trajectory: object, integrat
     check_controller(controller)
     if isinstance(trajectory, type) or not hasattr(trajectory, "duration"):
         raise InvalidArgument(f"trajectory is {shown(trajectory)}, expected something with 'duration'")
-    if hasattr(trajectory, "derivative"):
-        raise InvalidArgument(
-            f"trajectory is {shown(trajectory)}, a path, which has no heading, expected a trajectory: "
-            "Tangent(path) or FixedHeading(path, psi)"
-        )
+    refuse_path("trajectory", trajectory)
     check_plant(plant)
     callable_as("trajectory(t)", trajectory)
     if integrator is not None:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array, location, one_of, whole
 from pinmobile.ensembles import PER_ROBOT, Ensemble, checked_share, drawn_name, percent, share_within
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.measures import in_words
 from pinmobile.sweeps.fingerprint import FORMAT, determined_by, differences, other_format
 from pinmobile.sweeps.grids import Axis, Grid, Label, Scenarios, as_grid, imported, place_of, told
 
@@ -313,11 +314,11 @@ def length(metres: float) -> str:
     """Return a length in words, in a unit that suits it."""
     if not np.isfinite(metres):
         return "unknown" if np.isnan(metres) else "unbounded"
-    printed = float(f"{metres:.3g}")  # what is as good as a millimetre is one, and not 1e+03 um
-    for unit, size in (("m", 1.0), ("mm", 1e-3), ("um", 1e-6)):
+    printed = float(f"{metres:.3g}")  # what is as good as a millimetre is one, and not 1e+03 µm
+    for unit, size in (("m", 1.0), ("mm", 1e-3), ("µm", 1e-6)):
         if printed >= size:
             return f"{printed / size:.3g} {unit}"
-    return f"{printed * 1e9:.3g} nm"
+    return f"{printed * 1e9:.3g} nm" if printed >= 1e-12 else f"{in_words(printed)} m"
 
 
 def since(after: float) -> str:

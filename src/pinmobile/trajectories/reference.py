@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array, ArrayLike, finite, positive
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.paths import Hold, Path, checked_path, pieces_of, within
+from pinmobile.plant import refuse_path
 
 
 class Reference(NamedTuple):
@@ -254,6 +255,7 @@ def _check_robot(robot: Any) -> None:
 
 
 def _check_base(base: Trajectory) -> None:
+    refuse_path("base", base)
     known = isinstance(base, Trajectory) and not isinstance(base, type)
     start = base(0.0) if known else None
     if start is None or not hasattr(start, "q"):  # a path has a duration and can be called, too

@@ -1,0 +1,388 @@
+"""Paths that are put anywhere: circles by centre, rounded polylines, moved, one after another."""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+from scipy.integrate import quad
+
+from pinmobile import COMPILED, PD, ComputedTorque, MobileRobot, Tangent, Uniform, ensemble, simulate
+from pinmobile.errors import InvalidArgument
+from pinmobile.paths import (
+    Circle,
+    CompositePath,
+    Hold,
+    Line,
+    Lissajous,
+    Moved,
+    Path,
+    Polyline,
+    Spline,
+    pieces_of,
+)
+from pinmobile.trajectories import FixedHeading
+
+derandomised = settings(derandomize=True, deadline=None, max_examples=40)
+angle = st.floats(-7, 7)
+EPS = float(np.finfo(float).eps)
+
+
+def as_complex(points: Any) -> Any:
+    return points[..., 0] + 1j * points[..., 1]
+
+
+# -- circles ---------------------------------------------------------------------------------------
+
+
+@derandomised
+@given(st.floats(0.1, 10), st.floats(-3, 3), st.tuples(angle, angle), angle, st.integers(0, 5))
+def test_a_circle_goes_round_its_centre_from_its_phase(
+    radius: float, rate: float, centre: tuple[float, float], phase: float, order: int
+) -> None:
+    path, t = Circle(radius, rate, 20, centre, phase), np.linspace(0, 20, 30)
+    expected = (1j * rate) ** order * radius * np.exp(1j * (rate * t + phase))
+    if not order:
+        expected += complex(*centre)
+    # Of the angle, up to 67 rad, and of the sum.
+    slack = 100 * EPS * max(radius * abs(rate) ** order, np.abs(expected).max())
+    np.testing.assert_allclose(as_complex(path.derivative(t, order)), expected, rtol=0, atol=slack)
+
+
+@pytest.mark.parametrize("rate", [0.5, -0.5, 0.0])
+@pytest.mark.parametrize("centre", [None, (3.0, -1.0)])
+def test_a_circle_starts_in_the_direction_of_its_heading(rate: float, centre: Any) -> None:
+    for heading in (0.0, 1.0, np.pi / 2, -3.0):
+        path = Circle(2, rate, 6, centre, heading=heading)
+        velocity = as_complex(path.derivative(0, 1))
+        assert velocity == pytest.approx(2 * abs(rate) * np.exp(1j * heading), abs=1e-15)
+        if centre is None:
+            assert (path(0) == 0).all()  # exactly: the centre lies where the origin is on the circle
+        else:
+            assert np.hypot(*(path(0) - centre)) == pytest.approx(2)
+            side = 1 if rate >= 0 else -1  # the centre is on the left of who turns to the left
+            assert (as_complex(path(0)) - complex(*centre)) / 2 == pytest.approx(
+                -1j * side * np.exp(1j * heading)
+            )
+
+
+def test_without_more_words_a_circle_has_the_bits_of_the_lecture_s_figure() -> None:
+    circle, figure = Circle(3, 0.1, 60), Lissajous(3, 3, 0.1, 0.1, 60)
+    t = np.linspace(0, 60, 601)
+    for order in range(4):
+        assert circle.derivative(t, order).tobytes() == figure.derivative(t, order).tobytes()
+    assert [each.name for each in circle.parameters] == ["circle_radius", "circle_rate"]
+    assert Circle(3, 0.1, 60, (0, 3)) != circle
+    np.testing.assert_array_equal(Circle(3, 0.1, 60, (0, 3), -np.pi / 2)(t), circle(t))
+
+
+# -- lines and polylines ---------------------------------------------------------------------------
+
+
+def test_a_line_is_straight_and_driven_at_one_speed() -> None:
+    path = Line((1, 2, 3), (4, 2, -1), 2.5)
+    t = np.array([0.0, 1.0, 2.5])
+    np.testing.assert_allclose(path(t), [(1, 2, 3), (2.2, 2, 1.4), (4, 2, -1)], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(path.derivative(t, 1), [(1.2, 0, -1.6)] * 3, rtol=1e-15)
+    assert not path.derivative(t, 2).any()
+
+
+points = st.lists(st.tuples(st.floats(-1, 1), st.floats(-1, 1)), min_size=3, max_size=6)
+
+
+@derandomised
+@given(points, st.floats(0.01, 0.1))
+def test_a_polyline_is_continuous_up_to_its_jerk_and_keeps_its_speed(corners: Any, radius: float) -> None:
+    try:
+        path = Polyline(30 * np.array(corners), radius, 50)
+    except InvalidArgument:
+        with pytest.raises(InvalidArgument, match=r"apart, expected at least|is waypoints|turns by"):
+            Polyline(30 * np.array(corners), radius, 50)
+        return
+    for before, after in pairwise(path.pieces):
+        assert before.end == after.start
+        for order in range(4):
+            here, there = before.derivative(before.end, order), after.derivative(after.start, order)
+            # A derivative is as large as the speed times the rates of the turns on both sides.
+            sizes = [
+                np.abs(each.derivative(np.linspace(each.start, each.end, 9), order)).max()
+                for each in (before, after)
+            ]
+            np.testing.assert_allclose(here, there, rtol=0, atol=1e-12 * max(*sizes, 1))
+    t = np.linspace(0, 50, 500)
+    speeds = np.linalg.norm(path.derivative(t, 1), axis=-1)
+    np.testing.assert_allclose(speeds, path.length / 50, rtol=1e-13)
+    np.testing.assert_allclose(path(0), 30 * np.array(corners[0]), rtol=0, atol=0)
+    np.testing.assert_allclose(path(50), 30 * np.array(corners[-1]), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("theta", [0.01, 1.0, np.pi / 2, 2.5, 3.05])
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_corner_is_the_integral_of_its_direction_and_no_tighter_than_its_radius(
+    theta: float, side: int
+) -> None:
+    radius, far = 0.4, 80.0
+    way = [(0, 0), (far, 0), (far + far * np.cos(theta), side * far * np.sin(theta))]
+    path = Polyline(way, radius, 160)
+    _, turn, after = path.pieces
+    T = turn.end - turn.start
+
+    def direction(s: float) -> complex:
+        return complex(np.exp(1j * side * theta * (10 * s**3 - 15 * s**4 + 6 * s**5)))
+
+    start = as_complex(turn.derivative(turn.start, 0))
+    for share in (0.2, 0.5, 0.9, 1.0):
+        parts = [
+            quad(lambda s, part=part: getattr(direction(s), part), 0, share)[0] for part in ("real", "imag")
+        ]
+        expected = start + path.speed * T * complex(*parts)
+        found = as_complex(turn.derivative(turn.start + share * T, 0))
+        assert found == pytest.approx(expected, abs=1e-13 * far)
+    # Where the last straight way begins the corner has come to: from the chord, which is another integral.
+    np.testing.assert_allclose(
+        turn.derivative(turn.end, 0), after.derivative(after.start, 0), rtol=0, atol=1e-13 * far
+    )
+    t = np.linspace(turn.start, turn.end, 1001)  # its middle is among them
+    (vx, vy), (ax, ay) = path.derivative(t, 1).T, path.derivative(t, 2).T
+    curvature = (vx * ay - vy * ax) / np.hypot(vx, vy) ** 3
+    assert (side * curvature > -1e-12).all()
+    assert np.abs(curvature).max() == pytest.approx(1 / radius, rel=1e-12)
+    assert np.hypot(ax, ay).max() == pytest.approx(path.speed**2 / radius, rel=1e-12)
+
+
+def test_a_polyline_starts_and_stops_as_fast_as_it_may() -> None:
+    path = Polyline([(0, 0), (4, 0), (4, 3)], 0.5, 20.0, 0.25)
+    t = np.linspace(0, 20, 200_001)
+    speeds = np.linalg.norm(path.derivative(t, 1), axis=-1)
+    along = np.gradient(speeds, t)
+    assert np.abs(path.derivative([0, 20], 1)).max() < 1e-14
+    assert np.abs(path.derivative([0, 20], 2)).max() < 1e-13
+    assert np.abs(along).max() == pytest.approx(
+        0.25, rel=1e-6
+    )  # the middle of its start, between two samples
+    assert speeds.max() == pytest.approx(path.speed, rel=1e-12)
+    assert float(np.trapezoid(speeds, t)) == pytest.approx(path.length, rel=1e-9)
+    np.testing.assert_allclose(path(20), (4, 3), rtol=0, atol=1e-13)
+    assert path.length < 7
+
+
+def test_a_polyline_in_space_lies_in_the_planes_of_its_corners() -> None:
+    flat = Polyline([(0, 0), (3, 0), (3, 2)], 0.3, 10)
+    axes = np.array([(2, 1, 2), (-2, 2, 1)]) / 3  # of length one, and square to each other
+    t = np.linspace(0, 10, 50)
+    for order in range(4):
+        wanted = flat.derivative(t, order) @ axes + (order == 0) * np.array([1, 1, 1])
+        found = Polyline(np.array([(0, 0), (3, 0), (3, 2)]) @ axes + 1, 0.3, 10).derivative(t, order)
+        np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-12)
+
+
+def test_a_body_with_inertia_follows_a_rounded_polyline() -> None:
+    # Forces that are held over dt leave what an acceleration that changes makes of it: dt^2 / 2 of its change
+    # per dt at most, and no jump of a turn rate, which would be radians per second.
+    robot = MobileRobot(30, 1.3, com=(0.1, 0.05))
+    path = Tangent(Polyline([(0, 0), (3, 0), (3, 2)], 0.4, 12, 0.4))
+    run = simulate(robot, ComputedTorque(robot, 25, 10), path, dt=0.01, engine=COMPILED)
+    times = np.linspace(0, 12, 1201)
+    change = np.abs(np.diff(path(times).a, axis=0)).max(axis=0)
+    assert (run.max_error() < 0.5 * change).all()
+    assert run.max_error().max() < 2e-3
+
+
+# -- moved -----------------------------------------------------------------------------------------
+
+
+@derandomised
+@given(st.floats(-5, 5), st.floats(-5, 5), angle, st.integers(0, 4))
+def test_a_path_is_turned_and_then_shifted(x: float, y: float, turn: float, order: int) -> None:
+    path = Spline([(0, 0), (1, 2), (3, -1)], (0, 1, 3), start_velocity=(1, 0))
+    t = np.linspace(0, 3, 20)
+    expected = np.exp(1j * turn) * as_complex(path.derivative(t, order))
+    if not order:
+        expected += x + 1j * y
+    found = as_complex(path.moved(x, y, turn).derivative(t, order))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=8 * EPS * np.abs(expected).max(initial=1.0))
+    for piece, other in zip(pieces_of(path.moved(x, y, turn)), path.pieces, strict=True):
+        assert (piece.start, piece.end) == (other.start, other.end)
+
+
+def test_a_path_in_space_is_moved_level() -> None:
+    path = Line((1, 0, 5), (2, 0, 6), 1).moved(3, 4, np.pi / 2)
+    np.testing.assert_allclose(path([0, 1]), [(3, 5, 5), (3, 6, 6)], rtol=0, atol=1e-15)
+    assert path.derivative(0, 1)[2] == 1
+
+
+def test_a_reference_turns_with_its_path() -> None:
+    path = Lissajous(2, 2, 0.4, 0.2, 10)
+    here, there = Tangent(path), Tangent(path.moved(1, 2, 0.5))
+    t = np.linspace(0, 10, 40)
+    np.testing.assert_allclose(there(t).q[:, 2], here(t).q[:, 2] + 0.5, rtol=0, atol=1e-13)
+    for order in (1, 2):
+        np.testing.assert_allclose(there(t)[order][:, 2], here(t)[order][:, 2], rtol=0, atol=1e-12)
+
+
+# -- one after another -----------------------------------------------------------------------------
+
+
+def test_paths_follow_each_other() -> None:
+    line, turn = Line((0, 1), (3, 1), 6), Circle(1, 0.5, 4, (3, 2), heading=0)
+    path = CompositePath([line, turn])
+    assert path.duration == 10
+    for order in range(5):
+        assert (path.derivative([0.0, 5.9], order) == line.derivative([0.0, 5.9], order)).all()
+        assert (path.derivative([6.0, 8.0, 10.0], order) == turn.derivative([0.0, 2.0, 4.0], order)).all()
+    assert [(piece.start, piece.end) for piece in path.pieces] == [(0, 6), (6, 10)]
+
+
+def test_a_path_that_comes_to_rest_goes_on_in_another_direction() -> None:
+    first = Polyline([(0, 0), (2, 0)], 1, 5, 0.8)
+    path = CompositePath([first, Hold((2, 0), 1), first.moved(2, 0, np.pi / 2)])
+    reference = Tangent(path, turn_time=2.0)
+    assert reference.duration == 13  # it turns on the spot
+    np.testing.assert_allclose(reference(13).q, (2, 2, np.pi / 2), rtol=0, atol=1e-13)
+    np.testing.assert_allclose(reference(13).v, 0, atol=1e-13)
+
+
+JUMPS: list[tuple[list[Any], str]] = [
+    (
+        [Line((0, 0), (3, 0), 6), Line((3, 0.5), (6, 0.5), 6)],
+        "paths[1] starts at (3, 0.5) m, 0.5 m from (3, 0) m, where paths[0] ends at t = 6 s, expected one "
+        "point; paths[1].moved(x, y, angle) puts it elsewhere",
+    ),
+    (
+        [Line((0, 0), (3, 0), 6), Line((3, 0), (3, 3), 6)],
+        "paths[1] starts with the velocity (0, 0.5) m/s, 0.707 m/s from (0.5, 0) m/s, with which paths[0] "
+        "ends at t = 6 s, expected one velocity: round the corner by a Polyline, or let both rest there",
+    ),
+    ([], "paths is empty, expected at least one path"),
+    (
+        [Line((0, 0), (3, 0), 6), Hold((3, 0, 0), 1)],
+        "paths[1] has points of shape (3,), expected (2,)",
+    ),
+]
+
+
+@pytest.mark.parametrize(("paths", "message"), JUMPS, ids=["place", "velocity", "none", "coordinates"])
+def test_paths_that_do_not_meet_are_refused(paths: list[Path], message: str) -> None:
+    with pytest.raises(InvalidArgument, match=f"^{re.escape(message)}$"):
+        CompositePath(paths)
+
+
+def test_rounding_is_no_jump() -> None:
+    turn = Circle(1, 0.5, 3)
+    end, direction = turn(3), turn.derivative(3, 1)
+    assert CompositePath([turn, Line(end, end + 2 * direction, 2)]).duration == 5
+    with pytest.raises(InvalidArgument, match=r"1e-08 m from"):
+        CompositePath([turn, Line(end + np.array([1e-8, 0]), end + 2 * direction, 2)])
+
+
+@dataclass(frozen=True)
+class Broken:
+    """Straight on, and at t = 1 s somewhere else."""
+
+    duration: float = 2.0
+
+    def __call__(self, t: Any) -> Any:
+        return self.derivative(t, 0)
+
+    def derivative(self, t: Any, order: int) -> Any:
+        t = np.asarray(t, float)
+        return np.stack(
+            [Line((0, 0), (2, 0), 2).derivative(t, order)[..., 0], (order == 0) * (t >= 1) * 0.25], -1
+        )
+
+    @property
+    def pieces(self) -> Any:
+        return (
+            pieces_of(Line((0, 0), (1, 0), 1))
+            + CompositePath([Line((0, 0), (1, 0), 1), Line((1, 0), (2, 0), 1)]).moved(0, 0.25).pieces[1:]
+        )
+
+
+@pytest.mark.parametrize("heading", [Tangent, lambda path: FixedHeading(path, 0.0)])
+def test_a_user_s_path_that_jumps_is_refused(heading: Callable[[Path], object]) -> None:
+    message = "path jumps from (1, 0) m to (1, 0.25) m at t = 1 s, expected pieces that meet"
+    with pytest.raises(InvalidArgument, match=f"^{re.escape(message)}$"):
+        heading(Broken())
+
+
+# -- in ensembles ----------------------------------------------------------------------------------
+
+
+def test_each_robot_has_a_path_of_its_own() -> None:
+    turn = Circle(1, 0.5, 4, (3, 2), heading=0)
+    path = CompositePath([Line((0, 1), (3, 1), 6), turn]).moved(1, 0, 0.2)
+    spread = {"moved_angle": Uniform(-1, 1), "moved_x": Uniform(0, 1)}
+    runs = ensemble(MobileRobot(30, 1.3), PD(120, 120), Tangent(path), n=5, spread=spread, dt=0.02)
+    assert runs.engine == "COMPILED"
+    for k in range(5):
+        member: Any = runs.member(k)
+        robot, controller, reference = member[:3]
+        run = simulate(robot, controller, reference, **member.options)
+        assert reference.path.angle == runs.draws["moved_angle"][k]
+        np.testing.assert_allclose(runs.max_error[k], run.max_error(), rtol=0, atol=1e-12)
+
+
+def test_a_spread_that_tears_a_path_apart_is_refused_for_the_robot_that_it_tears() -> None:
+    path = CompositePath([Line((0, 1), (3, 1), 6), Circle(1, 0.5, 4, (3, 2), heading=0)])
+    name = "trajectory.path.paths[0].line_end_x"
+    with pytest.raises(InvalidArgument, match=r"^robot 0: paths\[1\] starts at \(3, 1\) m, "):
+        ensemble(
+            MobileRobot(30, 1.3), PD(120, 120), Tangent(path), n=2, spread={name: Uniform(3.1, 3.2)}, dt=0.1
+        )
+
+
+# -- what is refused -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Circle(1, 1, 1, (1, 2, 3)), "centre has shape (3,), expected (2,)"),
+        (lambda: Circle(1, 1, 1, phase=np.nan), "phase is nan, expected a finite number"),
+        (
+            lambda: Circle(1, 1, 1, phase=1, heading=2),
+            "heading is 2.0 rad beside phase = 1.0 rad, expected one of them: each tells the other",
+        ),
+        (lambda: Line((0, 0), (1, 1, 1), 1), "end has shape (3,), expected (2,)"),
+        (lambda: Line((0, 0), (1, 1), 0), "duration is 0.0 s, expected > 0"),
+        (
+            lambda: Polyline([(0, 0)], 1, 1),
+            "waypoints has shape (1, 2), expected (k, n) with k >= 2 and n >= 2",
+        ),
+        (lambda: Polyline([(0, 0), (1, 0)], 0, 1), "corner_radius is 0.0 m, expected > 0"),
+        (
+            lambda: Polyline([(0, 0), (0, 0), (1, 0)], 1, 1),
+            "waypoints[1] is waypoints[0], expected another point",
+        ),
+        (
+            lambda: Polyline([(0, 0), (1, 0), (0, 0)], 1, 1),
+            "waypoints[1] is where the way turns by 180 degrees, expected at most 177.6: let one path come "
+            "to rest there, and another begin",
+        ),
+        (
+            lambda: Polyline([(0, 0), (4, 0), (4, 0.5)], 0.5, 9),
+            "waypoints[1] and waypoints[2] are 0.5 m apart, expected at least 0.866528 m, which the corners "
+            "take: a smaller corner_radius takes less than 0.5 m",
+        ),
+        (
+            lambda: Polyline([(0, 0), (4, 0)], 0.5, 5, 1),
+            "duration is 5 s, expected at least 5.47723 s for 4 m with acceleration = 1 m/s^2",
+        ),
+        (
+            lambda: Moved(Hold((1, 2, 3, 4), 1), 1, 2),
+            "path has points of shape (4,), expected (2,) or (3,)",
+        ),
+        (lambda: Hold((1, 2), 1).moved(np.inf), "x is inf, expected a finite number"),
+        (
+            lambda: Moved(3, 1, 2),  # type: ignore[arg-type]
+            "path is 3, expected a path: path(t), path.derivative(t, order), path.duration",
+        ),
+    ],
+)
+def test_paths_refuse(make: Callable[[], Path], message: str) -> None:
+    with pytest.raises(InvalidArgument, match=f"^{re.escape(message)}$"):
+        make()
