@@ -84,6 +84,7 @@ if TYPE_CHECKING:
     from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
     from pinmobile.paths import Circle, CubicVia, Hold, Lissajous, RestToRest, Spline
     from pinmobile.plant import Context
+    from pinmobile.proximity import Clearance, clearance
     from pinmobile.reaching import EndEffectorTracking, PosePath, Resolved, resolve
     from pinmobile.robot import Load, MobileRobot, mountable
     from pinmobile.simulation import ARRAYS, COMPILED, PINOCCHIO, Engine, Rollout, simulate
@@ -123,6 +124,7 @@ __all__ = [
     "Backstepping",
     "ByOdometry",
     "Circle",
+    "Clearance",
     "ComputedTorque",
     "ConstantForce",
     "Context",
@@ -192,6 +194,7 @@ __all__ = [
     "WheelTable",
     "WheeledRobot",
     "WholeBody",
+    "clearance",
     "constant_acceleration",
     "contact_loads",
     "ensemble",
@@ -289,6 +292,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "paths": ("Circle", "CubicVia", "Hold", "Lissajous", "RestToRest", "Spline"),
     "plant": ("Context",),
     "plots": (),
+    "proximity": ("Clearance", "clearance"),
     "reaching": ("EndEffectorTracking", "PosePath", "Resolved", "resolve"),
     "robot": ("Load", "MobileRobot", "mountable"),
     "signals": (),
