@@ -52,7 +52,16 @@ ALLOWED: dict[str, set[str]] = {
     "controllers": {"plant"},
     "integrators": {"arrays"},
     "forces": {"plant"},
-    "simulation": {"divergence", "files", "robot", "trajectories", "controllers", "integrators", "forces"},
+    "simulation": {
+        "divergence",
+        "files",
+        "robot",
+        "trajectories",
+        "controllers",
+        "integrators",
+        "forces",
+        "reaching",
+    },
     "accuracy": {"robot", "integrators", "simulation", "trajectories", "controllers"},
     "ensembles": {
         "divergence",

@@ -87,7 +87,7 @@ if TYPE_CHECKING:
     from pinmobile.proximity import Clearance, clearance
     from pinmobile.reaching import EndEffectorTracking, PosePath, Resolved, resolve
     from pinmobile.robot import Load, MobileRobot, mountable
-    from pinmobile.simulation import ARRAYS, COMPILED, PINOCCHIO, Engine, Rollout, simulate
+    from pinmobile.simulation import ARRAYS, COMPILED, PINOCCHIO, EndEffector, Engine, Rollout, simulate
     from pinmobile.sweeps import Axis, Sweep, grid, sweep
     from pinmobile.trajectories import FixedHeading, LectureHeading, Reference, Tangent, WholeBody
     from pinmobile.urdf import shipped_urdf
@@ -138,6 +138,7 @@ __all__ = [
     "Diverged",
     "Driven",
     "DynamicFeedback",
+    "EndEffector",
     "EndEffectorTracking",
     "Engine",
     "Ensemble",
@@ -296,7 +297,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "reaching": ("EndEffectorTracking", "PosePath", "Resolved", "resolve"),
     "robot": ("Load", "MobileRobot", "mountable"),
     "signals": (),
-    "simulation": ("ARRAYS", "COMPILED", "PINOCCHIO", "Engine", "Rollout", "simulate"),
+    "simulation": ("ARRAYS", "COMPILED", "PINOCCHIO", "EndEffector", "Engine", "Rollout", "simulate"),
     "sweeps": ("Axis", "Sweep", "grid", "sweep"),
     "trajectories": ("FixedHeading", "LectureHeading", "Reference", "Tangent", "WholeBody"),
     "urdf": ("shipped_urdf",),

@@ -1,4 +1,4 @@
-"""What a robot is made of where it may touch something: convex shapes of its links, on what moves together."""
+"""What of a robot may touch something: convex shapes of its links, on what moves together."""
 
 from __future__ import annotations
 
@@ -142,8 +142,8 @@ def carried_shapes(
         shapes, links = mount.arm.solids()
         if not shapes.ngeoms:
             raise InvalidArgument(
-                f"robot has an arm {mount.name!r} without collision shapes, expected one whose URDF has links "
-                "with <collision>, or mount(model, collision=geometry)"
+                f"robot has an arm {mount.name!r} without collision shapes, expected one whose URDF has "
+                "links with <collision>, or mount(model, collision=geometry)"
             )
         for item, link in zip(shapes.geometryObjects, links, strict=True):
             own = item.parentJoint

@@ -343,8 +343,8 @@ def _check_geometry(argument: str, model: pin.Model, geometry: pin.GeometryModel
         joint, frame = item.parentJoint, item.parentFrame
         if joint >= model.njoints or model.nframes <= frame < _NO_FRAME:
             raise InvalidArgument(
-                f"{argument} has {item.name!r} on joint {joint} and frame {frame} of arm {model.name!r}, which "
-                f"has {model.njoints} joints and {model.nframes} frames, expected the geometry of that arm"
+                f"{argument} has {item.name!r} on joint {joint} and frame {frame} of arm {model.name!r}, "
+                f"which has {model.njoints} joints and {model.nframes} frames, expected that arm's geometry"
             )
 
 

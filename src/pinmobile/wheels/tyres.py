@@ -68,11 +68,11 @@ class Tyres:
             if row not in there:
                 placement = pin.SE3(frames[row]) * pin.SE3(level, np.zeros(3))
                 tyre = coal.Cylinder(wheel.radius, ACROSS * wheel.radius)
-                yield row, Solid(f"wheel {wheel.name}", 0, placement, tyre)
+                yield row, Solid(f"{wheel.name}/tyre", 0, placement, tyre)
         radius = _SUPPORT * max(wheel.radius for wheel in self._table.wheels)
         for k, support in enumerate(self._table.supports, start=1):
             placement = pin.SE3(np.eye(3), np.array([support.x, support.y, radius]))
-            yield -1, Solid(f"support {k}", 0, placement, coal.Sphere(radius))
+            yield -1, Solid(f"support_{k}/ball", 0, placement, coal.Sphere(radius))
 
     def _frames(self, steering: Array, spins: bool) -> Array:
         lead = steering.shape[:-1]

@@ -578,7 +578,7 @@ class WheeledRobot(Bearing):
 
     @property
     def solids(self) -> Solids:
-        """What of it may touch something, see `MobileRobot.solids`; wheels stand on the ground by definition."""
+        """What of it may touch something, see `MobileRobot.solids`; wheels do touch the ground."""
         return self._tyres.solids
 
     @in_numbers
