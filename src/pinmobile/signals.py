@@ -118,12 +118,12 @@ def told_at(t: Array, controller: object, trajectory: object) -> dict[str, Signa
     InvalidArgument
         If one returns something else.
     """
-    parts, wrapped = [trajectory], []
+    wrapped: list[object] = []
     while controller is not None and len(wrapped) < _DEEPEST:
         wrapped.append(controller)
         controller = getattr(controller, "controller", None)
     found: dict[str, Signal] = {}
-    for part in (*parts, *reversed(wrapped)):
+    for part in (trajectory, *reversed(wrapped)):
         if isinstance(part, type) or not callable(getattr(part, "signals_at", None)):
             continue
         named = f"{type(part).__name__}.signals_at"

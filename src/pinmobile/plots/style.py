@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import ScalarFormatter
 from numpy.typing import NDArray
 
@@ -87,7 +87,7 @@ def heading(index: int) -> Style:
     }
 
 
-def legend(figure: Figure, handles: Sequence[Artist]) -> None:
+def legend(figure: Figure | SubFigure, handles: Sequence[Artist]) -> None:
     """Put a legend below all axes, where it hides nothing."""
     rows = -(-len(handles) // 5)
     columns = -(-len(handles) // rows)

@@ -215,7 +215,7 @@ def _right_jacobians(phi: Array) -> Array:
 
 
 def _right_jacobians_inverse(phi: Array) -> Array:
-    return np.linalg.inv(_right_jacobians(phi))
+    return np.asarray(np.linalg.inv(_right_jacobians(phi)), np.float64)
 
 
 def _skew(v: Array) -> Array:
