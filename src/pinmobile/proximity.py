@@ -21,8 +21,10 @@ GROUND = "ground"
 """What the ground is called among links."""
 
 _TOUCH = 1e-6  # [m]: what is so near touches
-_EXACT = 1e-10  # [m], of the nearest points
-_ITERATIONS = 1000
+_EXACT, _DEEP = 1e-10, 1e-8  # [m], of the nearest points, and of how deep shapes overlap
+_ITERATIONS, _DEEP_ITERATIONS = 1000, 255
+_GUESS = np.array([1.0, 0.0, 0.0]), np.zeros(2, np.int32)  # coal's own: where it begins
+_FAILED = -1e6  # [m]: what is beyond says that coal has found no depth
 _GRID = 25  # values of each joint between two links that are tried, to see whether they can touch
 _FINER = 4  # rounds of search from there, each half as wide
 _NEAR = 2  # joints between two links for which that is tried
@@ -335,15 +337,19 @@ class _Scene:
             for i, j in self._shapes(pair):
                 model.addCollisionPair(pin.CollisionPair(i, j))
         data = model.createData()
-        for request in data.distanceRequests:
+        requests, results = list(data.distanceRequests), list(data.distanceResults)
+        for request in requests:
             _make_exact(request)
         data.oMg[len(self._convex) - 1] = pin.SE3.Identity()
         found = np.empty((len(placements), len(model.collisionPairs)))
         for row, out in zip(placements, found, strict=True):
             for k, placement in enumerate(row):
                 data.oMg[k] = pin.SE3(placement)
+            for request in requests:  # what was found before has no say in the last digits
+                request.cached_gjk_guess, request.cached_support_func_guess = _GUESS
             pin.computeDistances(model, data)
-            out[:] = [result.min_distance for result in data.distanceResults]
+            out[:] = [result.min_distance for result in results]
+        found[found < _FAILED] = -_TOUCH  # they overlap
         return np.asarray(np.minimum.reduceat(found, starts, axis=1))
 
     def _shapes(self, pair: _Numbers) -> list[_Numbers]:
@@ -389,6 +395,7 @@ class _Scene:
         request, result = coal.DistanceRequest(), coal.DistanceResult()
         _make_exact(request)
         hulls = float(coal.distance(self._convex[i], places[0], self._convex[j], places[1], request, result))
+        hulls = hulls if hulls > _FAILED else -_TOUCH
         if j == len(self._convex) - 1 or (self._meshes[i] is None and self._meshes[j] is None):
             return hulls
         result = coal.DistanceResult()
@@ -433,8 +440,8 @@ class _Scene:
 
 
 def _make_exact(request: Any) -> None:
-    request.gjk_tolerance = request.epa_tolerance = _EXACT
-    request.gjk_max_iterations = request.epa_max_iterations = _ITERATIONS
+    request.gjk_tolerance, request.gjk_max_iterations = _EXACT, _ITERATIONS
+    request.epa_tolerance, request.epa_max_iterations = _DEEP, _DEEP_ITERATIONS
 
 
 def _point_of(geometry: Any) -> Array:
