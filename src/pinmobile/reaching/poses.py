@@ -310,8 +310,9 @@ def _check_no_jump(path: Path, duration: float) -> None:
 
     def unexplained(ends: Array) -> Array:
         h, r = np.diff(ends), finite("path(t)", path(ends))
-        v = finite("path.derivative(t, 1)", path.derivative(ends, 1))
-        return np.asarray(np.linalg.norm(np.diff(r, axis=0) - h[:, None] * (v[1:] + v[:-1]) / 2, axis=1))
+        v, a = (finite(f"path.derivative(t, {order})", path.derivative(ends, order)) for order in (1, 2))
+        way = h[:, None] * (v[1:] + v[:-1]) / 2 - h[:, None] ** 2 * np.diff(a, axis=0) / 12
+        return np.asarray(np.linalg.norm(np.diff(r, axis=0) - way, axis=1))
 
     off = unexplained(t)
     for k in np.argsort(-off)[:_SUSPECTS]:
