@@ -76,6 +76,7 @@ INNER = {
     *("controllers.Changing", "controllers.Tracked"),
     *("PD.compact", "ComputedTorque.compact", "PDGravity.compact", "MobileRobot.traced"),
     "WheeledRobot.traced",
+    *("PosePath.told", "Resolved.signals_at", "EndEffectorTracking.signals_at"),
     *("MobileRobot.varying", "JointFriction.varying", "JointFriction.with_parameters"),
     "Load.with_numbers",
     *("Hold.with_parameters", "RestToRest.with_parameters", "WholeBody.with_parameters"),
@@ -94,8 +95,10 @@ INNER = {
 RESULTS = {
     *("robot.Calls", "simulation.Signal", "closed_form.ReducedModel"),
     *(
+        "Clearance",
         "Context",
         "Diverged",
+        "EndEffector",
         "Ensemble",
         "FileError",
         "InvalidArgument",
@@ -547,7 +550,11 @@ ROWS: dict[str, Row] = {
     "LectureHeading.__call__": row(t=[0.1, 0.5]),
     "WholeBody": row(robot=the("armed"), base=the("trajectory"), joints=pm.Hold([0.3, 0.4], 1)),
     "WholeBody.__call__": row(t=[0.1, 0.5]),
-    "PosePath": row(path=pm.Hold([0, 0, 1], 1), rotation=np.eye(3), final_rotation=np.eye(3)),
+    "PosePath": row(
+        path=pm.Hold([0, 0, 1], 1), rotation=np.eye(3), final_rotation=np.eye(3), turn=None, times=None
+    ),
+    "PosePath.through": row(poses=[np.eye(4), np.eye(4)], times=[0.0, 1.0]),
+    "clearance": row(robot=the("robot"), q=Q),
     "PosePath.__call__": row(t=[0.1, 0.5]),
     "ConstantForce": row(force=[1, 2, 3]),
     "SinusoidalForce": row(amplitude=[1, 2, 3], frequency=0.5, phase=0.1),
@@ -628,6 +635,7 @@ ROWS: dict[str, Row] = {
         name="arm",
         package_dirs=(),
         visual=None,
+        collision=None,
         rest=[0.1, 0.2],
         locked=["j1"],
     ),
@@ -688,6 +696,7 @@ ROWS: dict[str, Row] = {
     "MobileRobot.frame_drift": row(q=Q, v=V, frame=None),
     "MobileRobot.frame_jacobian": row(q=Q, frame=None),
     "MobileRobot.frame_placements": row(q=Q),
+    "MobileRobot.solid_placements": row(q=Q),
     "MobileRobot.frame_pose": row(q=Q, frame=None),
     "MobileRobot.manipulability": row(q=np.zeros(5), frame=None),
     "MobileRobot.arm_manipulability": row(q=np.zeros(5), frame=None),
@@ -698,7 +707,9 @@ ROWS: dict[str, Row] = {
     "Rollout.save": row(path=partial(lambda: WORLD.folder / "again.npz")),
     "Rollout.to_csv": row(path=partial(lambda: WORLD.folder / "again.csv")),
     "Rollout.max_error": row(),
+    "EndEffector.max_error": row(),
     "Rollout.measures": row(),
+    "Rollout.end_effector": row(frame=None),
     "Rollout.max_input": row(),
     "Rollout.rms_error": row(),
     "integrator_report": row(60, integrator=pm.rk4, robot=the("robot"), steps=(0.1, 0.05), duration=0.2),
@@ -717,6 +728,7 @@ ROWS: dict[str, Row] = {
         acceleration_limit=[9] * 5,
         damping=0.01,
         tolerance=1.0,
+        clearance=None,
     ),
     "shipped_urdf": row(name="box"),
     "simulate": row(
@@ -778,6 +790,9 @@ ROWS: dict[str, Row] = {
     "plots.bands": row(60, ensembles=the("ensemble"), levels=(0.5, 0.9), by=["distance"], title="a title"),
     "plots.curves": row(120, values={"a": [1, 2]}, x=("a", "m", [1, 2]), label="b", title="a title"),
     "plots.drivers": row(60, ensemble=the("ensemble"), share=0.5, by="distance", title="a title"),
+    "plots.end_effector": row(
+        60, rollouts=the("arm_rollout"), frame=None, title="a title", ax=None, width=5.0
+    ),
     "plots.errors": row(60, rollouts=the("rollout"), title="a title"),
     "plots.forces": row(60, rollouts=the("rollout"), title="a title"),
     "plots.heatmap": row(
@@ -892,6 +907,9 @@ ROWS: dict[str, Row] = {
     "WheeledRobot.contacts": row(**{name: [[0.1] * 5] * 2 for name in "qva"}, u=[[1, 2], [3, 4]], signals={}),
     "WheeledRobot.difference": row(q0=FIVE, q1=FIVE),
     "WheeledRobot.drawing": row(q=FIVE),
+    "WheeledRobot.frame_name": row(frame=None),
+    "WheeledRobot.frame_pose": row(q=FIVE, frame=None),
+    "WheeledRobot.solid_placements": row(q=FIVE),
     "WheeledRobot.contact_loads": row(q=FIVE, v=FIVE, a=FIVE),
     "WheeledRobot.effort": row(q=FIVE, wrench=A),
     "WheeledRobot.ground_wrench": row(q=FIVE, v=FIVE, a=FIVE),
@@ -1002,6 +1020,7 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "wheels.Mobility": lambda: wheels.Mobility,
     "Resolved": lambda: WORLD.resolved,
     "Rollout": lambda: WORLD.rollout,
+    "EndEffector": lambda: WORLD.arm_rollout.end_effector(),
     "DHTable": lambda: pm.LECTURE_TABLE,
     "derivation.Chain": lambda: derivation.Chain(pm.LECTURE_TABLE),
     "derivation.Link": lambda: derivation.Link,

@@ -62,13 +62,8 @@ PANDA = BOX.mount("panda_collision", AT)
 def geom(name: str, solid: Solid) -> str:
     """Return a shape as MuJoCo has it."""
     shape, kind = solid.geometry, type(solid.geometry).__name__.lower()
-    sizes = {
-        "box": lambda: shape.halfSide,
-        "sphere": lambda: [shape.radius],
-        "cylinder": lambda: [shape.radius, shape.halfLength],
-        "capsule": lambda: [shape.radius, shape.halfLength],
-    }
-    size = numbers(np.array(sizes[kind]()))
+    names = {"box": ["halfSide"], "sphere": ["radius"]}.get(kind, ["radius", "halfLength"])
+    size = numbers(np.hstack([getattr(shape, name) for name in names]))
     return f'<geom name="{name}" type="{kind}" size="{size}" {placed(solid.placement)} mass="0"/>'
 
 
@@ -237,7 +232,7 @@ def test_meshes_are_as_near_as_their_nearest_points() -> None:
     for row, distances in enumerate(found.distances):
         k = int(distances.argmin())
         a, b = found.pairs[k]
-        if distances[k] < 0 or "base_link" == a or b == "ground":
+        if distances[k] < 0 or a == "base_link" or b == "ground":
             continue
         clouds = []
         for name in (a, b):
@@ -366,8 +361,8 @@ def test_other_things_than_robots_are_refused(robot: Any) -> None:
 
 
 def test_shapes_for_an_arm_are_those_of_a_model_alone() -> None:
-    with pytest.raises(InvalidArgument, match="collision is a int, expected a pinocchio.GeometryModel"):
-        BOX.mount("ur5", AT, collision=3)  # type: ignore[arg-type]
+    with pytest.raises(InvalidArgument, match=r"collision is a int, expected a pinocchio.GeometryModel"):
+        BOX.mount("ur5", AT, collision=3)
     with pytest.raises(InvalidArgument, match="collision does not apply to a loader's name, 'ur5'"):
         BOX.mount("ur5", AT, collision=pin.GeometryModel())
     shapes = pin.GeometryModel()
@@ -409,7 +404,7 @@ def test_resolve_reports_the_smallest_clearance_and_refuses_to_go_below_it() -> 
 def test_resolve_refuses_the_floor() -> None:
     low = MobileRobot.box(100, (0.5, 0.4, 0.1)).mount("ur5", (0.2, 0, 0.1, 0))
     hand = low.frame_pose(BENT)[:3, 3]
-    floor = PosePath(Spline([hand, hand + [0.2, 0.1, -hand[2] - 0.1]], [0, 4]))
+    floor = PosePath(Spline([hand, hand + np.array([0.2, 0.1, -hand[2] - 0.1])], [0, 4]))
     with pytest.raises(Unreachable, match=r"between ur5/\w+ and ground"):
         resolve(low, floor, q0=BENT, dt=0.02, clearance=0.0)
 

@@ -145,7 +145,8 @@ def test_a_path_that_jumps_is_refused_wherever_it_does() -> None:
         ):
             PosePath(Jumping(size))
     assert PosePath(Jumping(0.0)).rows == 3  # fast as it is
-    assert PosePath(Spline([[0, 0, 0], [5, 0, 0], [5, 0, 1e-3]], [0, 0.01, 4])).duration == 4
+    steep = np.array([[0, 0, 0], [5, 0, 0], [5, 0, 1e-3]])
+    assert PosePath(Spline(steep, [0, 0.01, 4])).duration == 4
 
 
 R0, R1 = np.eye(3), turned(("x", 0.4))
@@ -226,11 +227,16 @@ def run(way: Resolved) -> Rollout:
     return simulate(ROBOT, EndEffectorTracking(ROBOT, HAND, dt=0.02), way, dt=0.02)
 
 
+def target_of(hand: EndEffector) -> Array:
+    assert hand.target is not None
+    return hand.target
+
+
 def check_hand(hand: EndEffector, run: Rollout, q: Array | None = None) -> None:
     """Compare with what the target and the robot say themselves."""
     actual, wanted = ROBOT.frame_pose(run.q[:, :9] if q is None else q), HAND(run.t).pose
     np.testing.assert_allclose(hand.pose, actual, atol=1e-12)
-    np.testing.assert_allclose(hand.target, wanted, atol=1e-12)
+    np.testing.assert_allclose(target_of(hand), wanted, atol=1e-12)
     error = pose_error(wanted, actual)
     np.testing.assert_allclose(hand.error, error, atol=1e-12)
     np.testing.assert_allclose(hand.distance, np.linalg.norm(error[:, :3], axis=1), atol=1e-12)
@@ -274,9 +280,9 @@ def test_the_target_is_that_of_controller_trajectory_or_reference(way: Resolved,
     aimed = simulate(ROBOT, EndEffectorTracking(ROBOT, HAND, dt=0.02), still, dt=0.02)
     check_hand(aimed.end_effector(), aimed)
     led = simulate(ROBOT, ComputedTorque(ROBOT, 100, 20), still, dt=0.02).end_effector()
-    np.testing.assert_allclose(led.target, np.broadcast_to(START, (51, 4, 4)), atol=1e-12)
+    np.testing.assert_allclose(target_of(led), np.broadcast_to(START, (51, 4, 4)), atol=1e-12)
     elbow = run.end_effector("ur5/forearm_link")
-    np.testing.assert_allclose(elbow.target, ROBOT.frame_pose(run.reference.q, elbow.frame), atol=1e-12)
+    np.testing.assert_allclose(target_of(elbow), ROBOT.frame_pose(run.reference.q, elbow.frame), atol=1e-12)
 
 
 def test_the_end_effector_of_a_robot_on_wheels_is_that_of_its_arm(way: Resolved) -> None:
@@ -308,7 +314,7 @@ def test_what_has_no_target_or_no_frames_says_so(run: Rollout) -> None:
     with pytest.raises(InvalidArgument, match="end effector 'ur5/tool0' has no target, expected a run of"):
         _ = hand.error
     with pytest.raises(
-        UnknownName, match="unknown frame 'tool', did you mean .* available: .*ur5/wrist_3_link"
+        UnknownName, match=r"unknown frame 'tool', did you mean .* available: .*ur5/wrist_3_link"
     ):
         run.end_effector("tool")
     with pytest.raises(InvalidArgument, match="does not tell where its frames are, expected a MobileRobot"):

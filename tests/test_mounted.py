@@ -1,8 +1,8 @@
 """An arm on the base: against another engine, and against what physics says."""
 
 import pickle
-from pathlib import Path
 from collections.abc import Mapping
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 

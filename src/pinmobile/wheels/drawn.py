@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,23 +10,19 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
-from pinmobile.robot import BODY, BODY_JOINT, MobileRobot, box_visuals, number
-from pinmobile.wheels.description import wheel_name
+from pinmobile.robot import BODY, BODY_JOINT, MobileRobot, box_visuals
 from pinmobile.wheels.kinematics import Kinematics
 from pinmobile.wheels.table import FIXED, Support, Wheel, WheelTable
+from pinmobile.wheels.tyres import ACROSS, height_above_wheels, riding, wheel_frames
 
 _Triangles = tuple[Array, NDArray[np.int64]]  # vertices (n, 3) [m], faces (m, 3)
 
 _DARK, _LIGHT, _GREY = (0.17, 0.17, 0.19, 1.0), (0.86, 0.87, 0.88, 1.0), (0.55, 0.56, 0.58, 1.0)
 _SIDES = 32  # of what is round
-ACROSS = 0.45
-"""Width of a tyre, in radii."""
 _SPOKES = 5
 _ROLLERS = 10  # of a wheel, in each row
 _LONGEST = 0.8  # half a roller, in radii of the wheel
 _IN_ROWS = 0.35  # [rad]: rollers nearer to the rolling direction stand in two rows, which take turns
-_LOWEST = 0.7  # of the height of a box: how high its bottom is at most
-_TOP, _TOP_OF_FORK = 2.1, 2.35  # above the ground, in radii of the wheel
 
 
 class Item(NamedTuple):
@@ -160,96 +156,12 @@ class Picture:
         return found
 
 
-def wheel_frames(
-    table: WheelTable, kinematics: Kinematics, steering: Array, wheels: Array | None, lead: tuple[int, ...]
-) -> Array:
-    """Return the frames of wheels, or of what steers with them, on the body, shape (..., wheels, 4, 4).
-
-    x along e, z up; of a wheel at its centre, turned about its axle y; else on the ground below a pivot.
-
-    Parameters
-    ----------
-    table, kinematics
-        Of the wheels.
-    steering : ndarray, shape (..., axes)
-        Angles of the axes [rad].
-    wheels : ndarray, shape (..., wheels), or None
-        Angles of the wheels [rad]; None of what steers.
-    lead : tuple of int
-        Leading axes.
-    """
-    angles = list(np.moveaxis(steering, -1, 0))
-    found = np.zeros((*lead, len(table), 4, 4))
-    found[..., 3, 3] = 1.0
-    for row, wheel in enumerate(table.wheels):
-        head = kinematics.heading(row, angles)
-        c, s = (number(x) for x in (head.c, head.s))
-        _, centre = kinematics.centre(row, angles)
-        x, y = (number(p) for p in centre) if wheels is not None else (wheel.x, wheel.y)
-        phi = np.zeros(lead) if wheels is None else wheels[..., row]
-        cp, sp = np.cos(phi), np.sin(phi)
-        e, n = (c, s), (-s, c)
-        frame = found[..., row, :, :]
-        for i in range(2):
-            frame[..., i, 0], frame[..., i, 1], frame[..., i, 2] = cp * e[i], n[i], sp * e[i]
-        frame[..., 2, 0], frame[..., 2, 2] = -sp, cp
-        frame[..., 0, 3], frame[..., 1, 3] = x, y
-        frame[..., 2, 3] = 0.0 if wheels is None else wheel.radius
-    return found
-
-
 def _body(pose: Array) -> Array:
     c, s, found = np.cos(pose[..., 2]), np.sin(pose[..., 2]), np.zeros((*pose.shape[:-1], 4, 4))
     found[..., 0, 0], found[..., 0, 1], found[..., 1, 0], found[..., 1, 1] = c, -s, s, c
     found[..., 0, 3], found[..., 1, 3] = pose[..., 0], pose[..., 1]
     found[..., 2, 2] = found[..., 3, 3] = 1.0
     return found
-
-
-def riding(
-    robot: MobileRobot, table: WheelTable, moved: Mapping[str, tuple[str, ...]]
-) -> dict[str, tuple[int, bool]]:
-    """Return which objects of a robot's file turn with a wheel: its row, and whether they spin with it.
-
-    Parameters
-    ----------
-    robot : MobileRobot
-        What was read from the file.
-    table : WheelTable
-        Its wheels.
-    moved : mapping of str to tuple of str
-        Of each object by name the joints of the file that would move it, the nearest first.
-    """
-    rows = {name: row for row, name in enumerate(table.names)}
-    spinning: dict[str, int] = {}
-    steering: dict[str, int] = {}
-    for joint in robot.undercarriage.wheels:
-        row = rows.get(wheel_name(joint.name))
-        if row is not None:
-            spinning[joint.name] = row
-            if table.wheels[row].steering != FIXED:
-                steering |= {swivel.name: row for swivel in joint.swivels[:1]}
-    found: dict[str, tuple[int, bool]] = {}
-    for name, joints in moved.items():
-        for joint_name in joints:
-            if joint_name in spinning or joint_name in steering:
-                spins = joint_name in spinning
-                found[name] = (spinning if spins else steering)[joint_name], spins
-                break
-    return found
-
-
-def height_above_wheels(size: Sequence[float], table: WheelTable) -> float:
-    """Return how high the bottom of a box stands above the ground: above wheels that are below it [m]."""
-    length, width, height = size
-    needed = [0.0]
-    for wheel in table.wheels:
-        x, y = (abs(value) for value in wheel.centre)
-        reach = 0.5 * ACROSS * wheel.radius
-        beside = x > length / 2 + wheel.radius or y > width / 2 + 0.9 * reach
-        tall = _TOP if wheel.steering == FIXED else _TOP_OF_FORK
-        needed.append((0.6 if beside else tall) * wheel.radius)
-    return min(max(needed), _LOWEST * height)
 
 
 def _mesh(triangles: _Triangles) -> Any:
