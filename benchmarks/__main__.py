@@ -11,6 +11,7 @@ import arm
 import arm_ensembles
 import batches
 import calls
+import distances
 import ensembles
 import imports
 import loop
@@ -21,7 +22,20 @@ from measuring import picked, selecting
 
 import memory
 
-PARTS = (rollout, arm, ensembles, arm_ensembles, loop, calls, batches, memory, wheels, viewing, imports)
+PARTS = (
+    rollout,
+    arm,
+    ensembles,
+    arm_ensembles,
+    loop,
+    calls,
+    batches,
+    memory,
+    wheels,
+    distances,
+    viewing,
+    imports,
+)
 PEOPLE = {
     rollout: rollout.EVERYONE,
     arm: arm.EVERYONE,
@@ -32,6 +46,7 @@ PEOPLE = {
     batches: batches.EVERYONE,
     memory: memory.EVERYONE,
     wheels: wheels.EVERYONE,
+    distances: distances.EVERYONE,
 }
 
 

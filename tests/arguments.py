@@ -77,6 +77,7 @@ INNER = {
     *("PD.compact", "ComputedTorque.compact", "PDGravity.compact", "MobileRobot.traced"),
     *("Rolling.of_each_wheel", "Coulomb.of_each_wheel"),
     "WheeledRobot.traced",
+    *("PosePath.told", "Resolved.signals_at", "EndEffectorTracking.signals_at"),
     *("MobileRobot.varying", "JointFriction.varying", "JointFriction.with_parameters"),
     "Load.with_numbers",
     *(
@@ -100,8 +101,10 @@ INNER = {
 RESULTS = {
     *("robot.Calls", "simulation.Signal", "closed_form.ReducedModel"),
     *(
+        "Clearance",
         "Context",
         "Diverged",
+        "EndEffector",
         "Ensemble",
         "FileError",
         "InvalidArgument",
@@ -595,7 +598,11 @@ ROWS: dict[str, Row] = {
     "LectureHeading.__call__": row(t=[0.1, 0.5]),
     "WholeBody": row(robot=the("armed"), base=the("trajectory"), joints=pm.Hold([0.3, 0.4], 1)),
     "WholeBody.__call__": row(t=[0.1, 0.5]),
-    "PosePath": row(path=pm.Hold([0, 0, 1], 1), rotation=np.eye(3), final_rotation=np.eye(3)),
+    "PosePath": row(
+        path=pm.Hold([0, 0, 1], 1), rotation=np.eye(3), final_rotation=np.eye(3), turn=None, times=None
+    ),
+    "PosePath.through": row(poses=[np.eye(4), np.eye(4)], times=[0.0, 1.0]),
+    "clearance": row(robot=the("robot"), q=Q),
     "PosePath.__call__": row(t=[0.1, 0.5]),
     "ConstantForce": row(force=[1, 2, 3]),
     "SinusoidalForce": row(amplitude=[1, 2, 3], frequency=0.5, phase=0.1),
@@ -676,6 +683,7 @@ ROWS: dict[str, Row] = {
         name="arm",
         package_dirs=(),
         visual=None,
+        collision=None,
         rest=[0.1, 0.2],
         locked=["j1"],
     ),
@@ -736,6 +744,7 @@ ROWS: dict[str, Row] = {
     "MobileRobot.frame_drift": row(q=Q, v=V, frame=None),
     "MobileRobot.frame_jacobian": row(q=Q, frame=None),
     "MobileRobot.frame_placements": row(q=Q),
+    "MobileRobot.solid_placements": row(q=Q),
     "MobileRobot.frame_pose": row(q=Q, frame=None),
     "MobileRobot.manipulability": row(q=np.zeros(5), frame=None),
     "MobileRobot.arm_manipulability": row(q=np.zeros(5), frame=None),
@@ -746,7 +755,9 @@ ROWS: dict[str, Row] = {
     "Rollout.save": row(path=partial(lambda: WORLD.folder / "again.npz")),
     "Rollout.to_csv": row(path=partial(lambda: WORLD.folder / "again.csv")),
     "Rollout.max_error": row(),
+    "EndEffector.max_error": row(),
     "Rollout.measures": row(),
+    "Rollout.end_effector": row(frame=None),
     "Rollout.max_input": row(),
     "Rollout.rms_error": row(),
     "integrator_report": row(60, integrator=pm.rk4, robot=the("robot"), steps=(0.1, 0.05), duration=0.2),
@@ -765,6 +776,7 @@ ROWS: dict[str, Row] = {
         acceleration_limit=[9] * 5,
         damping=0.01,
         tolerance=1.0,
+        clearance=None,
     ),
     "shipped_urdf": row(name="box"),
     "simulate": row(
@@ -831,6 +843,9 @@ ROWS: dict[str, Row] = {
     ),
     "plots.drivers": row(
         60, ensemble=the("ensemble"), share=0.5, by="distance", title="a title", ax=None, width=6.0
+    ),
+    "plots.end_effector": row(
+        60, rollouts=the("arm_rollout"), frame=None, title="a title", ax=None, width=5.0
     ),
     "plots.errors": row(60, rollouts=the("rollout"), title="a title", ax=None, width=6.0),
     "plots.forces": row(60, rollouts=the("rollout"), title="a title", ax=None, width=6.0),
@@ -948,6 +963,9 @@ ROWS: dict[str, Row] = {
     "WheeledRobot.contacts": row(**{name: [[0.1] * 5] * 2 for name in "qva"}, u=[[1, 2], [3, 4]], signals={}),
     "WheeledRobot.difference": row(q0=FIVE, q1=FIVE),
     "WheeledRobot.drawing": row(q=FIVE),
+    "WheeledRobot.frame_name": row(frame=None),
+    "WheeledRobot.frame_pose": row(q=FIVE, frame=None),
+    "WheeledRobot.solid_placements": row(q=FIVE),
     "WheeledRobot.contact_loads": row(q=FIVE, v=FIVE, a=FIVE),
     "WheeledRobot.effort": row(q=FIVE, wrench=A),
     "WheeledRobot.ground_wrench": row(q=FIVE, v=FIVE, a=FIVE),
@@ -1062,6 +1080,7 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "wheels.Mobility": lambda: wheels.Mobility,
     "Resolved": lambda: WORLD.resolved,
     "Rollout": lambda: WORLD.rollout,
+    "EndEffector": lambda: WORLD.arm_rollout.end_effector(),
     "DHTable": lambda: pm.LECTURE_TABLE,
     "derivation.Chain": lambda: derivation.Chain(pm.LECTURE_TABLE),
     "derivation.Link": lambda: derivation.Link,

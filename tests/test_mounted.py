@@ -1,7 +1,9 @@
 """An arm on the base: against another engine, and against what physics says."""
 
 import pickle
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import mujoco
@@ -104,8 +106,11 @@ def placed(place: pin.SE3) -> str:
     return f'pos="{numbers(place.translation)}" quat="{numbers(np.array([w, x, y, z]))}"'
 
 
-def mjcf(robot: MobileRobot, mount: Mount) -> str:
-    """Return the same bodies for MuJoCo: the base is one body with three joints x, y, psi."""
+def mjcf(robot: MobileRobot, mount: Mount, geoms: Mapping[int, str] = MappingProxyType({})) -> str:
+    """Return the same bodies for MuJoCo: the base is one body with three joints x, y, psi.
+
+    Shapes may be given by what they move with: -1 the world, 0 the body, k the arm's k-th joint.
+    """
     arm = mount.model
     data = arm.createData()
     pin.computeJointJacobians(arm, data, pin.neutral(arm))
@@ -119,6 +124,7 @@ def mjcf(robot: MobileRobot, mount: Mount) -> str:
         column = pin.getJointJacobian(arm, data, joint, pin.LOCAL)[:, arm.idx_vs[joint]]
         kind, axis = ("hinge", column[3:]) if np.linalg.norm(column[3:]) > 0.5 else ("slide", column[:3])
         own = f'<joint type="{kind}" axis="{numbers(axis)}"/>{inertial(arm.inertias[joint])}'
+        own += geoms.get(joint, "")
         return f"<body {placed(arm.jointPlacements[joint])}>{own}{below}</body>"
 
     base = pin.Inertia(robot.body.mass, robot.body.com, robot.body.inertia)
@@ -126,7 +132,8 @@ def mjcf(robot: MobileRobot, mount: Mount) -> str:
     joints += '<joint type="hinge" axis="0 0 1"/>'
     return (
         '<mujoco><compiler angle="radian"/><option gravity="0 0 -9.81"/><worldbody>'
-        f"<body>{joints}{inertial(base)}{link(0)}</body></worldbody></mujoco>"
+        f"{geoms.get(-1, '')}<body>{joints}{inertial(base)}{geoms.get(0, '')}{link(0)}</body>"
+        "</worldbody></mujoco>"
     )
 
 

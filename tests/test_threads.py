@@ -31,7 +31,7 @@ from pinmobile import (
     simulate,
 )
 from pinmobile.arrays import Array
-from pinmobile.robot import Calls
+from pinmobile.robot import Calls, Solids
 from pinmobile.robot.articulated import ArticulatedBody
 from pinmobile.robot.planar import PlanarBody
 from pinmobile.simulation import ARRAYS
@@ -98,6 +98,9 @@ def plain(answer: Any) -> Any:
         return plain(answer.forward_dynamics(answer.rest, *np.ones((2, answer.nv))))
     if isinstance(answer, PlanarBody):
         return answer.mass, answer.yaw_inertia, answer.com_x, answer.com_y
+    if isinstance(answer, Solids):
+        shapes = [(each.link, each.part, each.placement.homogeneous.tobytes()) for each in answer.shapes]
+        return shapes, answer.parents, answer.moves, answer.standing
     if isinstance(answer, Body):
         return answer.mass, plain(answer.com), plain(answer.inertia)
     return answer

@@ -103,9 +103,10 @@ if TYPE_CHECKING:
         Spline,
     )
     from pinmobile.plant import Context
+    from pinmobile.proximity import Clearance, clearance
     from pinmobile.reaching import EndEffectorTracking, PosePath, Resolved, resolve
     from pinmobile.robot import Load, MobileRobot, mountable
-    from pinmobile.simulation import ARRAYS, COMPILED, PINOCCHIO, Engine, Rollout, simulate
+    from pinmobile.simulation import ARRAYS, COMPILED, PINOCCHIO, EndEffector, Engine, Rollout, simulate
     from pinmobile.sweeps import Axis, Sweep, grid, sweep
     from pinmobile.trajectories import FixedHeading, LectureHeading, Reference, Tangent, WholeBody
     from pinmobile.urdf import shipped_urdf
@@ -145,6 +146,7 @@ __all__ = [
     "Backstepping",
     "ByOdometry",
     "Circle",
+    "Clearance",
     "CompositePath",
     "ComputedTorque",
     "ConstantForce",
@@ -160,6 +162,7 @@ __all__ = [
     "Diverged",
     "Driven",
     "DynamicFeedback",
+    "EndEffector",
     "EndEffectorTracking",
     "Engine",
     "Ensemble",
@@ -225,6 +228,7 @@ __all__ = [
     "WheelTable",
     "WheeledRobot",
     "WholeBody",
+    "clearance",
     "constant_acceleration",
     "contact_loads",
     "ensemble",
@@ -342,10 +346,11 @@ _NAMES: dict[str, tuple[str, ...]] = {
     ),
     "plant": ("Context",),
     "plots": (),
+    "proximity": ("Clearance", "clearance"),
     "reaching": ("EndEffectorTracking", "PosePath", "Resolved", "resolve"),
     "robot": ("Load", "MobileRobot", "mountable"),
     "signals": (),
-    "simulation": ("ARRAYS", "COMPILED", "PINOCCHIO", "Engine", "Rollout", "simulate"),
+    "simulation": ("ARRAYS", "COMPILED", "PINOCCHIO", "EndEffector", "Engine", "Rollout", "simulate"),
     "sweeps": ("Axis", "Sweep", "grid", "sweep"),
     "trajectories": ("FixedHeading", "LectureHeading", "Reference", "Tangent", "WholeBody"),
     "urdf": ("shipped_urdf",),

@@ -160,12 +160,12 @@ class Diverged(PinmobileError, ArithmeticError):
 
 
 class Unreachable(InvalidArgument):
-    """A pose cannot be followed within the limits of the robot.
+    """A pose cannot be followed within the limits of the robot, or with the clearance that is asked for.
 
     Attributes
     ----------
     time : float
-        The first time at which the error is beyond the tolerance [s].
+        The first time at which the error is beyond the tolerance, or the clearance too small [s].
     resolved : Resolved
         The trajectory that comes nearest, step by step, with its errors.
     """

@@ -11,6 +11,7 @@ from pinmobile.arrays import Array, ArrayLike, frozen, real
 from pinmobile.errors import InvalidArgument, shown
 
 Ask = Callable[[int, Array, Array, Array], Any]
+_DEEPEST = 100  # wrappers in one another
 
 
 class Signal(NamedTuple):
@@ -97,6 +98,47 @@ def claimed(
                     f"{found[name].part} and {part} both have the signal {name!r}, expected another name"
                 )
             found[name] = Claim(part, pair[0], value_of(f"{part}.signals[{name!r}]", pair[1]))
+    return found
+
+
+def told_at(t: Array, controller: object, trajectory: object) -> dict[str, Signal]:
+    """Return what a controller, those inside it and a trajectory tell of all samples at once, by name.
+
+    That is what depends on the time alone, such as a target. Of one name the outermost counts.
+
+    Parameters
+    ----------
+    t : ndarray, shape (N,)
+        Times of the samples [s].
+    controller, trajectory : controller, trajectory
+        Asked for ``signals_at(t)``: a dict of name to (unit, values), values of shape (N,) or (N, k).
+
+    Raises
+    ------
+    InvalidArgument
+        If one returns something else.
+    """
+    wrapped: list[object] = []
+    while controller is not None and len(wrapped) < _DEEPEST:
+        wrapped.append(controller)
+        controller = getattr(controller, "controller", None)
+    found: dict[str, Signal] = {}
+    for part in (trajectory, *reversed(wrapped)):
+        if isinstance(part, type) or not callable(getattr(part, "signals_at", None)):
+            continue
+        named = f"{type(part).__name__}.signals_at"
+        told = part.signals_at(t.copy())  # type: ignore[attr-defined]
+        if not isinstance(told, Mapping):
+            raise InvalidArgument(
+                f"{named} returned {shown(told)}, expected a dict of name to (unit, values)"
+            )
+        for name, (unit, values) in told.items():
+            array = real(f"{named}[{name!r}]", values)
+            if array.ndim not in (1, 2) or len(array) != len(t):
+                raise InvalidArgument(
+                    f"{named}[{name!r}] has shape {array.shape}, expected ({len(t)},) or ({len(t)}, k)"
+                )
+            found[name] = Signal(unit, frozen(array))
     return found
 
 

@@ -2,6 +2,7 @@
 
 from pinmobile.plots.bands import bands
 from pinmobile.plots.drivers import drivers
+from pinmobile.plots.effector import end_effector
 from pinmobile.plots.plane import animate, path
 from pinmobile.plots.series import balance, errors, forces, reaction, signals, states
 from pinmobile.plots.swept import curves, heatmap, integrator
@@ -20,6 +21,7 @@ __all__ = [
     "bands",
     "curves",
     "drivers",
+    "end_effector",
     "errors",
     "forces",
     "friction",

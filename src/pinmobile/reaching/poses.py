@@ -10,10 +10,14 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array, ArrayLike, finite, frozen
 from pinmobile.errors import InvalidArgument
-from pinmobile.paths import Path, checked_path, within
+from pinmobile.paths import Path, Spline, checked_path, within
+from pinmobile.reaching.orientations import Orientation, Through, Turn, half_turn_apart
 
 _ORTHOGONAL = 1e-6  # how far R' R may be from the identity
-_HALF_TURN = 1e-6  # [rad]; nearer to it, which way round is rounding's choice
+_POSITION = 3  # rows of a target without orientation
+_SAME_END = 1e-9  # relative
+_STRETCHES, _SUSPECTS, _HALVINGS = 400, 8, 48
+_JUMP = 1e-6  # [m]
 _SMALL = 0.05  # of the length of a rotation vector
 
 
@@ -37,46 +41,139 @@ class PoseTarget(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PosePath:
-    """A path in space with an orientation: one that is held, a turn from one to another, or none.
+    """A path in space with an orientation: held, turned, by way of any number of others, or none.
 
-    The turn is about one axis, the shortest way, at rest at both ends (quintic in time).
+    A turn is about one axis, at rest at both ends (quintic in time). The way through several orientations is
+    smooth: its angular acceleration is continuous, and it is at rest at both ends.
 
     Parameters
     ----------
     path : Path
-        A path of three coordinates x, y, z in the inertial frame [m].
-    rotation : array_like, shape (3, 3), optional
-        R_0_f, the orientation of the end effector's frame; by default only the position is followed.
+        A path of three coordinates x, y, z in the inertial frame [m], without jumps.
+    rotation : array_like, shape (3, 3) or (n, 3, 3), optional
+        R_0_f, the orientation of the end effector's frame; by default only the position is followed. Of n of
+        them each is less than half a turn from the one before.
     final_rotation : array_like, shape (3, 3), optional
-        The orientation at the end; by default `rotation`.
+        The orientation at the end, to which it turns the shortest way; by default `rotation`.
+    turn : array_like, shape (3,), optional
+        In its place, a rotation vector along the frame's own axes, axis times angle, of any length [rad]:
+        with ``(0, 0, 2 * pi)`` it turns once about its z.
+    times : array_like, shape (n,), optional
+        When it shall be at each of n orientations, from zero to the path's duration, increasing [s].
 
     Raises
     ------
     InvalidArgument
-        If `path` is no path in space, a rotation is none, `final_rotation` comes alone, or the two are half a
-        turn apart.
+        If `path` is no path in space, or jumps; a rotation is none; `final_rotation` or `turn` come without
+        `rotation` or together; `final_rotation` is half a turn from `rotation`, or one of n from the one
+        before; or `times` are missing, out of order, or do not begin and end with the path.
     """
 
     path: Path
     rotation: ArrayLike | None = None
     final_rotation: ArrayLike | None = None
-    _turn: Array = field(init=False, repr=False)
+    turn: ArrayLike | None = None
+    times: ArrayLike | None = None
+    _orientation: Orientation | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        checked_path(self.path, 3)
-        for name in ("rotation", "final_rotation"):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, _checked_rotation(name, getattr(self, name)))
-        if self.rotation is None and self.final_rotation is not None:
-            raise InvalidArgument("final_rotation is given without rotation, expected both")
-        turn = np.zeros(3)
+        _check_no_jump(checked_path(self.path, 3), float(self.path.duration))
+        given = {name: getattr(self, name) is not None for name in ("final_rotation", "turn", "times")}
+        alone = [name for name, is_given in given.items() if is_given]
+        if alone and self.rotation is None:
+            raise InvalidArgument(f"{alone[0]} is given without rotation, expected both")
+        if len(alone) > 1:
+            raise InvalidArgument(f"{' and '.join(alone)} are given, expected one of them")
+        if self.rotation is None:
+            object.__setattr__(self, "_orientation", None)
+            return
+        own = finite("rotation", self.rotation)
+        several = own.ndim == 3 and self.final_rotation is None and self.turn is None
+        object.__setattr__(self, "rotation", _checked_rotations(own) if several else _checked_rotation(own))
+        found = self._several() if several else self._single()
+        object.__setattr__(self, "_orientation", found)
+
+    @classmethod
+    def through(cls, poses: ArrayLike, times: ArrayLike | None = None) -> PosePath:
+        """Return the smooth path through poses, at rest at both ends.
+
+        Its position is the cubic `Spline` through theirs.
+
+        Parameters
+        ----------
+        poses : array_like, shape (n, 4, 4)
+            T_0_f, two or more, each turned by less than half a turn from the one before.
+        times : array_like, shape (n,)
+            When it shall be there, from zero, increasing [s].
+
+        Raises
+        ------
+        InvalidArgument
+            If they are something else, times are missing, or two poses are at the same time.
+        """
+        T = finite("poses", poses)
+        if T.ndim != 3 or T.shape[1:] != (4, 4) or len(T) < 2:
+            raise InvalidArgument(f"poses has shape {T.shape}, expected (n, 4, 4), n >= 2")
+        off = np.abs(T[:, 3] - [0, 0, 0, 1]).max()
+        if off > _ORTHOGONAL:
+            raise InvalidArgument(f"poses has last rows off by {off:.3g}, expected (0, 0, 0, 1)")
+        if times is None:
+            raise InvalidArgument(
+                f"times is not given: {len(T)} poses without time, expected when each shall be reached, "
+                f"shape ({len(T)},) [s]"
+            )
+        t = finite("times", times)
+        if t.shape != (len(T),):
+            raise InvalidArgument(f"times has shape {t.shape}, expected ({len(T)},), one for each pose")
+        same = np.flatnonzero(np.diff(t) == 0)
+        if same.size:
+            k = int(same[0])
+            raise InvalidArgument(
+                f"poses jump: poses[{k}] and poses[{k + 1}] are both at {t[k]:g} s, expected times that "
+                "increase"
+            )
+        return cls(Spline(T[:, :3, 3], t), T[:, :3, :3], times=t)
+
+    def _single(self) -> Orientation:
+        if self.times is not None:
+            raise InvalidArgument("times is given with one rotation, expected n of them, shape (n, 3, 3)")
+        R, turn = np.asarray(self.rotation), np.zeros(3)
+        if self.turn is not None:
+            turn = finite("turn", self.turn)
+            if turn.shape != (3,):
+                raise InvalidArgument(f"turn has shape {turn.shape}, expected (3,): axis times angle")
+            object.__setattr__(self, "turn", frozen(turn))
         if self.final_rotation is not None:
-            turn = pin.log3(np.asarray(self.rotation).T @ self.final_rotation)
-            if np.linalg.norm(turn) > np.pi - _HALF_TURN:
+            final = _checked_rotation(finite("final_rotation", self.final_rotation), "final_rotation")
+            object.__setattr__(self, "final_rotation", final)
+            turn = pin.log3(R.T @ final)
+            if half_turn_apart(float(np.linalg.norm(turn))):
                 raise InvalidArgument(
-                    "final_rotation is half a turn from rotation, expected less: which way round is open"
+                    "final_rotation is half a turn from rotation, expected less: which way round is open; "
+                    "give turn="
                 )
-        object.__setattr__(self, "_turn", frozen(turn))
+        return Turn(R, frozen(turn), self.duration)
+
+    def _several(self) -> Orientation:
+        R, end = np.asarray(self.rotation), self.duration
+        if self.times is None:
+            raise InvalidArgument(
+                f"times is not given: {len(R)} rotations without time, expected when each shall be reached, "
+                f"shape ({len(R)},) [s]"
+            )
+        t = finite("times", self.times)
+        if t.shape != (len(R),):
+            raise InvalidArgument(f"times has shape {t.shape}, expected ({len(R)},), one for each rotation")
+        late = np.flatnonzero(np.diff(t) <= 0)
+        if late.size:
+            k = int(late[0])
+            raise InvalidArgument(f"times[{k + 1}] is {t[k + 1]} s, expected > times[{k}] = {t[k]} s")
+        if t[0] != 0 or abs(t[-1] - end) > _SAME_END * end:
+            raise InvalidArgument(
+                f"times goes from {t[0]:g} to {t[-1]:g} s, expected from 0 to {end:g} s, as the path"
+            )
+        object.__setattr__(self, "times", frozen(t))
+        return Through(R, np.append(t[:-1], end))
 
     @property
     def duration(self) -> float:
@@ -111,13 +208,31 @@ class PosePath:
         pose[..., 3, 3] = 1
         pose[..., :3, 3] = self.path(times)
         twist[..., :3], rate[..., :3] = (self.path.derivative(times, order) for order in (1, 2))
-        start = np.eye(3) if self.rotation is None else np.asarray(self.rotation)
-        s, ds, dds = _quintic(times / self.duration)
-        pose[..., :3, :3] = start @ _turned(self._turn, s)
-        axis = start @ self._turn  # the axis does not move: along it, rates are those of the angle
-        twist[..., 3:] = ds[..., None] / self.duration * axis
-        rate[..., 3:] = dds[..., None] / self.duration**2 * axis
+        pose[..., :3, :3] = np.eye(3)
+        if self._orientation is not None:
+            pose[..., :3, :3], twist[..., 3:], rate[..., 3:] = self._orientation(times)
         return PoseTarget(pose, twist, rate)
+
+    def told(self, frame: str, t: Array) -> dict[str, tuple[str, Array]]:
+        """Return the signals of a frame that follows it, at times of shape (N + 1,), by name.
+
+        Its position [m], shape (N + 1, 3), and, where it has one, its orientation as a quaternion
+        (x, y, z, w), shape (N + 1, 4), without a change of sign on the way.
+        """
+        pose = self(np.minimum(t, self.duration)).pose
+        (position, orientation), told = target_names(frame), dict[str, tuple[str, Array]]()
+        told[position] = "m", pose[:, :3, 3]
+        if self.rows > _POSITION:
+            quaternions = np.array([pin.Quaternion(R).coeffs() for R in pose[:, :3, :3]])
+            changes = np.einsum("ni,ni->n", quaternions[1:], quaternions[:-1]) < 0
+            signs = np.where(np.cumsum(np.append(False, changes)) % 2, -1.0, 1.0)
+            told[orientation] = "", quaternions * signs[:, None]
+        return told
+
+
+def target_names(frame: str) -> tuple[str, str]:
+    """Return what signals of a frame's target are called: its position, and its orientation."""
+    return f"target position of {frame}", f"target orientation of {frame}"
 
 
 def pose_error(target: Array, actual: Array) -> Array:
@@ -145,7 +260,7 @@ def _log(R: Array) -> Array:
     """
     turn = pin.log3(R)
     angle = float(np.linalg.norm(turn))
-    if angle > np.pi - _HALF_TURN:
+    if half_turn_apart(angle):
         leading = turn[np.argmax(np.abs(turn) > _SMALL * angle)]
         if leading < 0:
             turn = turn * (1 - 2 * np.pi / angle)  # the same rotation, the other way round
@@ -163,21 +278,13 @@ def error_sizes(error: Array) -> Array:
     return np.stack([np.linalg.norm(part, axis=-1) for part in (error[..., :3], error[..., 3:])], axis=-1)
 
 
-def _quintic(x: Array) -> tuple[Array, Array, Array]:
-    """Return the quintic from 0 to 1, at rest at both ends, and its first two derivatives."""
-    return x**3 * (10 - 15 * x + 6 * x**2), 30 * (x * (1 - x)) ** 2, 60 * x * (1 - x) * (1 - 2 * x)
+def _checked_rotations(R: Array) -> Array:
+    if R.shape[1:] != (3, 3) or len(R) < 2:
+        raise InvalidArgument(f"rotation has shape {R.shape}, expected (3, 3) or (n, 3, 3), n >= 2")
+    return frozen([_checked_rotation(each, f"rotation[{k}]") for k, each in enumerate(R)])
 
 
-def _turned(turn: Array, share: Array) -> Array:
-    """Return the rotations by shares of a rotation vector, shape (..., 3, 3) (Rodrigues, 1840)."""
-    angle = float(np.linalg.norm(turn))
-    K = pin.skew(turn / angle) if angle else np.zeros((3, 3))
-    angles = (angle * share)[..., None, None]
-    return np.asarray(np.eye(3) + np.sin(angles) * K + (1 - np.cos(angles)) * (K @ K))
-
-
-def _checked_rotation(name: str, value: ArrayLike) -> Array:
-    R = finite(name, value)
+def _checked_rotation(R: Array, name: str = "rotation") -> Array:
     if R.shape != (3, 3):
         raise InvalidArgument(f"{name} has shape {R.shape}, expected (3, 3)")
     off = float(np.abs(R.T @ R - np.eye(3)).max())
@@ -187,3 +294,37 @@ def _checked_rotation(name: str, value: ArrayLike) -> Array:
             "expected a rotation matrix"
         )
     return frozen(R)
+
+
+def _check_no_jump(path: Path, duration: float) -> None:
+    """Refuse a path that is elsewhere an instant later.
+
+    A stretch along which it goes otherwise than its velocity tells is halved and halved again.
+
+    Raises
+    ------
+    InvalidArgument
+        If it jumps by more than a micrometre, as far as some hundred stretches show.
+    """
+    t = np.linspace(0.0, duration, _STRETCHES + 1)
+
+    def unexplained(ends: Array) -> Array:
+        h, r = np.diff(ends), finite("path(t)", path(ends))
+        v, a = (finite(f"path.derivative(t, {order})", path.derivative(ends, order)) for order in (1, 2))
+        way = h[:, None] * (v[1:] + v[:-1]) / 2 - h[:, None] ** 2 * np.diff(a, axis=0) / 12
+        return np.asarray(np.linalg.norm(np.diff(r, axis=0) - way, axis=1))
+
+    off = unexplained(t)
+    for k in np.argsort(-off)[:_SUSPECTS]:
+        if off[k] <= _JUMP:
+            break
+        low, high = t[k], t[k + 1]
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2
+            first, second = unexplained(np.array([low, middle, high]))
+            low, high = (low, middle) if first > second else (middle, high)
+        size = float(np.linalg.norm(np.subtract(*path(np.array([low, high])))))
+        if size > _JUMP:
+            raise InvalidArgument(
+                f"path jumps by {size:.3g} m at t = {high:.6g} s, expected a path that is continuous"
+            )

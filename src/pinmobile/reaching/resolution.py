@@ -9,11 +9,21 @@ from typing import Protocol, final, runtime_checkable
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen, non_negative, positive
-from pinmobile.errors import InvalidArgument, Unreachable, shown
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    endless_or_finite,
+    finite,
+    frozen,
+    non_negative,
+    positive,
+    scalar,
+)
+from pinmobile.errors import InvalidArgument, PinmobileError, Unreachable, shown
 from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
 from pinmobile.paths import within
 from pinmobile.plant import Context
+from pinmobile.proximity import Clearance, clearance as clearance_of
 from pinmobile.reaching.poses import PosePath, error_sizes, pose_error
 from pinmobile.reaching.solver import (
     Limits,
@@ -70,7 +80,11 @@ class Resolved:
     def __repr__(self) -> str:
         metres, radians = self.max_error()
         turn = f", {radians:.3e} rad" if self.target.rows == 6 else ""
-        return f"<Resolved: {self.frame} over {self.duration:g} s, largest error {metres:.3e} m{turn}>"
+        try:
+            near = f", smallest clearance {self.clearance.told}"
+        except PinmobileError:  # without collision shapes it is not known
+            near = ""
+        return f"<Resolved: {self.frame} over {self.duration:g} s, largest error {metres:.3e} m{turn}{near}>"
 
     @property
     def duration(self) -> float:
@@ -106,6 +120,10 @@ class Resolved:
         q = np.clip(self.robot.integrate(self.start, displacement), self.robot.lower, self.robot.upper)
         return Reference(q, v, a)
 
+    def signals_at(self, t: Array) -> dict[str, tuple[str, Array]]:
+        """Return the target of its frame at the samples of a run, see `PosePath.told`."""
+        return self.target.told(self.frame, t)
+
     @cached_property
     def error(self) -> Array:
         """From the pose to its target at the times `t`, shape (N + 1, 6) [m, rad], along the inertial axes.
@@ -115,6 +133,17 @@ class Resolved:
         error = pose_error(self.target(self.t).pose, self.robot.frame_pose(self(self.t).q, self.frame))
         error[:, self.target.rows :] = 0
         return frozen(error)
+
+    @cached_property
+    def clearance(self) -> Clearance:
+        """How far the robot's links are from one another and from the ground at the times `t`.
+
+        Raises
+        ------
+        InvalidArgument
+            If the robot has no collision shapes.
+        """
+        return clearance_of(self.robot, self(self.t).q)
 
     def max_error(self) -> tuple[float, float]:
         """Return the largest distance [m] and the largest angle [rad] from the target."""
@@ -139,6 +168,7 @@ def resolve(
     acceleration_limit: ArrayLike = 10.0,
     damping: float = 1e-2,
     tolerance: float = 1e-2,
+    clearance: float | None = None,
 ) -> Resolved:
     """Return a trajectory of base and arm together on which a frame follows a path of poses.
 
@@ -176,6 +206,9 @@ def resolve(
     tolerance : float
         Largest distance and largest angle that are accepted, as of `Resolved.max_error` [m, rad]; infinite:
         any, see `Resolved.error`.
+    clearance : float, optional
+        Smallest distance between links, and from them to the ground, that is accepted [m], see `clearance`;
+        by default any, even through the robot's own body: `Resolved.clearance` tells.
 
     Returns
     -------
@@ -190,9 +223,12 @@ def resolve(
     UnknownName
         If there is no such frame.
     Unreachable
-        If an error is beyond the tolerance; it carries the trajectory.
+        If an error is beyond the tolerance, or links come nearer than `clearance`; it carries the trajectory.
     """
     _checked_target(robot, target)
+    room = None if clearance is None else scalar("clearance", clearance)
+    if room is not None:
+        _ = robot.solids  # refused before the work, not after it
     name = robot.frame_name(frame)
     speed = robot.velocity_limit if velocity_limit is None else velocity_limit
     limits = Limits(
@@ -217,6 +253,8 @@ def resolve(
     count = max(int(np.ceil(wanted - 1e-9)), 2)
     resolved = Resolved(robot, target, name, start, solver.steps(start, tending, gain, count))
     _judge(resolved, tolerance)
+    if room is not None:
+        _judge_clearance(resolved, room)
     return resolved
 
 
@@ -259,6 +297,20 @@ def _judge(resolved: Resolved, tolerance: float) -> None:
         raise Unreachable(
             f"target is missed by {way:.3g} m and {turn:.3g} rad at t = {resolved.t[k]:g} s, expected "
             f"at most {tolerance:g}; the largest errors are {most[0]:.3g} m and {most[1]:.3g} rad",
+            time=float(resolved.t[k]),
+            resolved=resolved,
+        )
+
+
+def _judge_clearance(resolved: Resolved, room: float) -> None:
+    found = resolved.clearance
+    near = found.distance < room
+    if near.any():
+        k = int(np.argmax(near))
+        a, b = found.pairs[int(found.distances[k].argmin())]
+        raise Unreachable(
+            f"clearance is {found.distance[k]:.3g} m between {a} and {b} at t = {resolved.t[k]:g} s, "
+            f"expected at least {room:g} m; the smallest is {found.told}",
             time=float(resolved.t[k]),
             resolved=resolved,
         )
@@ -380,6 +432,10 @@ class EndEffectorTracking:
 
     def initial_state(self, context: Context) -> None:
         """Return None: there is no memory."""
+
+    def signals_at(self, t: Array) -> dict[str, tuple[str, Array]]:
+        """Return the target of its frame at the samples of a run, see `PosePath.told`."""
+        return self.target.told(str(self.frame), t)
 
     def __call__(self, t: float, q: Array, v: Array, reference: Reference, state: None) -> tuple[Array, None]:
         """Return the input, shape (nu,), and None."""

@@ -72,6 +72,8 @@ class Arm:
         model with such a root in any case.
     usual : ndarray, shape (whole.nq,), optional
         The reference posture that it has unless another is asked for; by default `rest`.
+    shapes : callable, optional
+        Returns the collision `pin.GeometryModel` of `whole`; by default it has none.
 
     Attributes
     ----------
@@ -101,6 +103,7 @@ class Arm:
     locked: tuple[str, ...] = ()
     stands: bool = False
     usual: Array | None = None
+    shapes: Picture | None = None
     model: pin.Model = field(init=False)
     _whole: pin.Model = field(init=False, repr=False)
     _model: pin.Model = field(init=False, repr=False)
@@ -175,6 +178,20 @@ class Arm:
         shown = self.picture(self._whole)
         _, (kept,) = _reduced(self._whole, [shown], self.held(), self.rest)
         return kept
+
+    def solids(self) -> tuple[pin.GeometryModel, tuple[str, ...]]:
+        """Return its collision geometry, for `model`, and the link of each shape."""
+        shapes = pin.GeometryModel() if self.shapes is None else self.shapes(self._whole)
+        links = tuple(link_of(item, self._whole) for item in shapes.geometryObjects)
+        _, (kept,) = _reduced(self._whole, [shapes], self.held(), self.rest)
+        return kept, links
+
+
+def link_of(item: pin.GeometryObject, model: pin.Model) -> str:
+    """Return the link that a shape belongs to; its own name where that is not known."""
+    known = 0 <= item.parentFrame < model.nframes
+    frame = model.frames[item.parentFrame] if known else None
+    return str(frame.name if frame is not None and frame.type == pin.FrameType.BODY else item.name)
 
 
 class _Copied:

@@ -49,6 +49,7 @@ from pinmobile.robot.mounts import (
 from pinmobile.robot.pinocchio_calls import Engine
 from pinmobile.robot.planar import BODY_PARAMETERS, PlanarBody
 from pinmobile.robot.reading import LOCKED, Reading, build_model, check_chain, read_model, read_urdf
+from pinmobile.robot.solids import Solids, body_box, body_shapes, carried_shapes
 from pinmobile.robot.sources import existing_folders, read_arm
 from pinmobile.robot.stance import Judgement, Stance
 from pinmobile.robot.system import System
@@ -196,6 +197,11 @@ class MobileRobot(System):
         see `source`.
         """
         return self.stance.top
+
+    @property
+    def is_box(self) -> bool:
+        """Whether its body is the box of its `size` that stands on the ground."""
+        return self._looks is None and self.stance == Stance.of_box(self.size)
 
     @property
     def grounded(self) -> bool:
@@ -542,6 +548,7 @@ class MobileRobot(System):
         name: str | None = None,
         package_dirs: str | PathLike[str] | Sequence[str | PathLike[str]] = (),
         visual: pin.GeometryModel | None = None,
+        collision: pin.GeometryModel | None = None,
         rest: ArrayLike | None = None,
         locked: Sequence[str] = (),
     ) -> MobileRobot:
@@ -570,6 +577,8 @@ class MobileRobot(System):
             Folder or folders that ``package://`` in a URDF's mesh names refers to.
         visual : pin.GeometryModel, optional
             What is drawn of a `pin.Model`.
+        collision : pin.GeometryModel, optional
+            What of a `pin.Model` may touch something: see `clearance`.
         rest : array_like, shape (arm's nq,), optional
             Its reference posture, within its limits; by default the loader's, or the neutral one, brought
             within them.
@@ -586,7 +595,8 @@ class MobileRobot(System):
             If no loader has the name; the nearest come first.
         """
         asked = None if at is None else placed(at)
-        ready = read_arm(arm, package_dirs=package_dirs, visual=visual, rest=rest, locked=locked)
+        shapes = {"visual": visual, "collision": collision}
+        ready = read_arm(arm, package_dirs=package_dirs, rest=rest, locked=locked, **shapes)
         place = free_place(self.mounts, self.stance.top, ready) if asked is None else asked
         wanted = checked_name(name if name is not None else Path(ready.origin.value).stem)
         taken = {mount.name for mount in self.mounts}
@@ -674,6 +684,36 @@ class MobileRobot(System):
             visuals, joints = read_visuals(self._looks, self.size, joint)
         add_carried(visuals, self._model, self.mounts, self.loads)
         return visuals, joints
+
+    @cached_property
+    def solids(self) -> Solids:
+        """What of it may touch something: the collision shapes of its body, arms and loads; see `clearance`.
+
+        The body of a robot made from numbers is the box of its `size`; of a URDF all that its links have as
+        <collision>, wheels at rest. Of meshes it is the convex hull.
+
+        Raises
+        ------
+        InvalidArgument
+            If body or an arm has none, or a file or a mesh cannot be read.
+        """
+        body = [body_box(self.size)] if self.is_box else body_shapes(self._looks, self.source)
+        return Solids.on(self._model, (*body, *carried_shapes(self._model, self.mounts, self.loads)))
+
+    def solid_placements(self, q: ArrayLike) -> Array:
+        """Return where the shapes of `solids` are in the body's frame, shape (..., shapes, 4, 4).
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        """
+        still = self._q(q).copy()
+        still[..., :BODY_JOINT] = 0.0
+        parts = self.frame_placements(still)[..., BODY_JOINT - 1 :, :, :]
+        shapes = self.solids.shapes
+        own = np.stack([each.placement.homogeneous for each in shapes])
+        return np.asarray(parts[..., [each.part for each in shapes], :, :] @ own)
 
     def to_urdf(self) -> str:
         """Return the robot as URDF text, every number to the last digit.

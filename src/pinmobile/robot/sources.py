@@ -16,7 +16,7 @@ from pinmobile.arrays import Array, ArrayLike, location, sequence, vector
 from pinmobile.errors import InvalidArgument, PinmobileError, UnknownName, shown
 from pinmobile.robot.arms import Arm, Origin, Picture
 from pinmobile.robot.joints import joints_of
-from pinmobile.robot.visuals import FilePicture, GivenPicture
+from pinmobile.robot.visuals import FilePicture, FileShapes, GivenPicture
 from pinmobile.robot.wellformed import check_freedom, judge_links, urdf_model
 
 _FINGERS = (
@@ -154,14 +154,15 @@ def _load_arm(name: str, locked: tuple[str, ...] = ()) -> Arm:
         raise UnknownName("arm", name, sorted(loaders))
     loader = loaders[name]
     try:
-        model, rest, picture = _made(loader) if _does_more(loader) else _read(loader)
+        model, rest, picture, shapes = _made(loader) if _does_more(loader) else _read(loader)
     except PinmobileError:
         raise
     except Exception as error:
         known = EXCEPTIONS.get(name)
         reason = known.reason if known else str(error) or type(error).__name__
         raise InvalidArgument(f"arm {name!r} cannot be loaded: {reason}") from error
-    return Arm(Origin("loader", name), model, rest, picture, locked, bool(loader.free_flyer))
+    stands = bool(loader.free_flyer)
+    return Arm(Origin("loader", name), model, rest, picture, locked, stands, shapes=shapes)
 
 
 def _loaders() -> dict[str, Any]:
@@ -175,12 +176,13 @@ def _does_more(loader: Any) -> bool:
     return "__init__" in vars(loader) or not loader.urdf_filename
 
 
-def _made(loader: Any) -> tuple[pin.Model, Array, Picture]:
+def _made(loader: Any) -> tuple[pin.Model, Array, Picture, Picture]:
     robot = loader().robot
-    return robot.model, robot.q0, GivenPicture(robot.visual_model)
+    shown, solid = GivenPicture(robot.visual_model), GivenPicture(robot.collision_model)
+    return robot.model, robot.q0, shown, solid
 
 
-def _read(loader: Any) -> tuple[pin.Model, Array, Picture]:
+def _read(loader: Any) -> tuple[pin.Model, Array, Picture, Picture]:
     """Return what the loader would read, without the meshes, which take a hundred times as long."""
     from example_robot_data import getModelPath, readParamsFromSrdf
 
@@ -192,7 +194,8 @@ def _read(loader: Any) -> tuple[pin.Model, Array, Picture]:
     if loader.srdf_filename:
         srdf = home / folder / loader.srdf_subpath / loader.srdf_filename
         rest = readParamsFromSrdf(model, str(srdf), False, loader.has_rotor_parameters, loader.ref_posture)
-    return model, rest, FilePicture(home / urdf, (home.parents[1],))
+    where = home / urdf, (home.parents[1],)
+    return model, rest, FilePicture(*where), FileShapes(*where)
 
 
 _NO_FRAME = 2**63  # beyond, Pinocchio means that there is none
@@ -204,6 +207,7 @@ def read_arm(
     *,
     package_dirs: str | PathLike[str] | Sequence[str | PathLike[str]] = (),
     visual: pin.GeometryModel | None = None,
+    collision: pin.GeometryModel | None = None,
     rest: ArrayLike | None = None,
     locked: Sequence[str] = (),
 ) -> Arm:
@@ -211,7 +215,7 @@ def read_arm(
 
     Parameters
     ----------
-    arm, package_dirs, visual, rest, locked
+    arm, package_dirs, visual, collision, rest, locked
         As in `MobileRobot.mount`.
 
     Raises
@@ -222,15 +226,19 @@ def read_arm(
         If no loader has the name.
     """
     held = (locked,) if isinstance(locked, str) else sequence("locked", locked, "a sequence of joints' names")
-    if visual is not None and not isinstance(visual, pin.GeometryModel):
-        raise InvalidArgument(f"visual is a {type(visual).__name__}, expected a pinocchio.GeometryModel")
+    for argument, shapes in (("visual", visual), ("collision", collision)):
+        if shapes is not None and not isinstance(shapes, pin.GeometryModel):
+            raise InvalidArgument(
+                f"{argument} is a {type(shapes).__name__}, expected a pinocchio.GeometryModel"
+            )
     folders = existing_folders(package_dirs)
     if isinstance(arm, Arm):
         return arm
     if isinstance(arm, str | PathLike):
         file = _is_file(arm)
         arm = location("arm", arm) if file else arm
-        _refuse_beside("a URDF" if file else "a loader's name", arm, visual=visual is not None)
+        given = {"visual": visual is not None, "collision": collision is not None}
+        _refuse_beside("a URDF" if file else "a loader's name", arm, **given)
         if file:
             made = _from_urdf(Path(arm).resolve(), folders, rest, held)
         else:
@@ -239,7 +247,7 @@ def read_arm(
             made = made if rest is None else replace(made, rest=_posture(made.whole, rest))
     else:
         _refuse_beside("a model", getattr(arm, "name", arm), package_dirs=bool(folders))
-        made = _from_model(arm, visual, rest, held)
+        made = _from_model(arm, visual, collision, rest, held)
     if rest is not None:
         _check_rest(made)
     return made
@@ -260,7 +268,7 @@ def kept_arm(arm: str, *, package_dirs: Sequence[str], locked: Sequence[str], re
 def _refuse_beside(kind: str, arm: object, **given: bool) -> None:
     for argument, is_given in given.items():
         if is_given:
-            takes = "a pinocchio.Model" if argument == "visual" else "a URDF"
+            takes = "a URDF" if argument == "package_dirs" else "a pinocchio.Model"
             raise InvalidArgument(
                 f"{argument} does not apply to {kind}, {str(arm)!r}, expected it beside {takes} alone"
             )
@@ -286,11 +294,16 @@ def existing_folders(package_dirs: str | PathLike[str] | Sequence[str | PathLike
 
 
 def _from_model(
-    arm: pin.Model, visual: pin.GeometryModel | None, rest: ArrayLike | None, locked: tuple[str, ...]
+    arm: pin.Model,
+    visual: pin.GeometryModel | None,
+    collision: pin.GeometryModel | None,
+    rest: ArrayLike | None,
+    locked: tuple[str, ...],
 ) -> Arm:
     kept = None
     if hasattr(arm, "model") and hasattr(arm, "visual_model"):  # a pin.RobotWrapper
         visual = arm.visual_model if visual is None else visual
+        collision = getattr(arm, "collision_model", None) if collision is None else collision
         kept = getattr(arm, "q0", None)
         arm = arm.model
     if not isinstance(arm, pin.Model):
@@ -300,12 +313,14 @@ def _from_model(
     if arm.njoints == 1:
         raise InvalidArgument(f"arm {arm.name!r} has no joints, expected one at least: a Load has none")
     check_freedom(arm.nv, f"arm {arm.name!r}")
-    shown = pin.GeometryModel() if visual is None else visual.clone()
-    _check_visual(arm, shown)
+    shown, solid = (pin.GeometryModel() if each is None else each.clone() for each in (visual, collision))
+    _check_geometry("visual", arm, shown)
+    _check_geometry("collision", arm, solid)
     usual = _posture(arm, kept)
     posture = usual if rest is None else _posture(arm, rest)
     origin = Origin("model", arm.name or "arm")
-    return Arm(origin, arm.copy(), posture, GivenPicture(shown), locked, usual=usual)
+    shapes = GivenPicture(solid)
+    return Arm(origin, arm.copy(), posture, GivenPicture(shown), locked, usual=usual, shapes=shapes)
 
 
 def _is_file(arm: str | PathLike[str]) -> bool:
@@ -322,14 +337,14 @@ def _posture(model: pin.Model, rest: ArrayLike | None) -> Array:
     return posture
 
 
-def _check_visual(model: pin.Model, visual: pin.GeometryModel) -> None:
+def _check_geometry(argument: str, model: pin.Model, geometry: pin.GeometryModel) -> None:
     """Refuse geometry on joints or frames that the model does not have."""
-    for item in visual.geometryObjects:
+    for item in geometry.geometryObjects:
         joint, frame = item.parentJoint, item.parentFrame
         if joint >= model.njoints or model.nframes <= frame < _NO_FRAME:
             raise InvalidArgument(
-                f"visual has {item.name!r} on joint {joint} and frame {frame} of arm {model.name!r}, which "
-                f"has {model.njoints} joints and {model.nframes} frames, expected the geometry of that arm"
+                f"{argument} has {item.name!r} on joint {joint} and frame {frame} of arm {model.name!r}, "
+                f"which has {model.njoints} joints and {model.nframes} frames, expected that arm's geometry"
             )
 
 
@@ -350,7 +365,8 @@ def _from_urdf(path: Path, folders: tuple[str, ...], rest: ArrayLike | None, loc
     model, root = urdf_model("arm", path)
     picture = FilePicture(path, tuple(map(Path, folders)))
     origin, posture = Origin("urdf", str(path), folders), _posture(model, rest)
-    arm = Arm(origin, model, posture, picture, locked, usual=pin.neutral(model))
+    shapes = FileShapes(path, picture.package_dirs)
+    arm = Arm(origin, model, posture, picture, locked, usual=pin.neutral(model), shapes=shapes)
 
     def body_of(link: str) -> Array:
         joint = model.frames[model.getFrameId(link, pin.FrameType.BODY)].parentJoint

@@ -235,10 +235,10 @@ def read_visuals(
     visuals = box_visuals(size, joint) if lost else pin.GeometryModel()
     for placement, item in placed:
         visuals.addGeometryObject(drawn(item.name, joint, placement, item))
-    return visuals, {item.name: _joints_above(model, item.parentJoint) for _, item in placed}
+    return visuals, {item.name: joints_above(model, item.parentJoint) for _, item in placed}
 
 
-def _joints_above(model: pin.Model, joint: int) -> tuple[str, ...]:
+def joints_above(model: pin.Model, joint: int) -> tuple[str, ...]:
     """Return the names of a joint and of those that move it, the nearest first."""
     found = []
     while joint:
@@ -333,6 +333,67 @@ class FilePicture:
         file = VisualFile(self.path, self.package_dirs, ())
         root, _ = readable(file, stacklevel=8)
         return shown(model, root, file, stacklevel=8)[0]
+
+
+@dataclass(frozen=True)
+class FileShapes:
+    """The collision geometry of a URDF, read when it is called.
+
+    Parameters
+    ----------
+    path, package_dirs
+        As in `VisualFile`.
+    """
+
+    path: Path
+    package_dirs: tuple[Path, ...]
+
+    def __call__(self, model: pin.Model) -> pin.GeometryModel:
+        """Return it, each shape on its own joint of the file's model.
+
+        Raises
+        ------
+        InvalidArgument
+            If the file cannot be read any more, or a mesh is missing or cannot be read.
+        """
+        return _colliding(self._tree(), model, self.path)
+
+    def at_rest(self) -> tuple[pin.Model, pin.GeometryModel]:
+        """Return the model of the file, and its collision geometry."""
+        root = self._tree()
+        model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
+        return model, _colliding(root, model, self.path)
+
+    def _tree(self) -> ElementTree.Element:
+        root, file = urdf_tree("path", self.path), VisualFile(self.path, self.package_dirs, ())
+        lost = []
+        for mesh in root.iterfind("link/collision/geometry/mesh"):
+            name = mesh.get("filename", "")
+            where = found(name, file)
+            if where is None:
+                lost.append(name)
+            else:
+                mesh.set("filename", str(where))
+        if lost:
+            listed = ", ".join(dict.fromkeys(lost))
+            raise InvalidArgument(
+                f"{self.path.name} has collision meshes that are missing: {listed}; expected them beside the "
+                "file, or package_dirs="
+            )
+        damaged = [mesh for mesh in root.iterfind("link/collision/geometry/mesh") if _is_endless(mesh)]
+        if damaged:
+            raise InvalidArgument(
+                f"{self.path.name} has collision meshes that are damaged: {damaged[0].get('filename')}"
+            )
+        return root
+
+
+def _colliding(root: ElementTree.Element, model: pin.Model, path: Path) -> pin.GeometryModel:
+    text = ElementTree.tostring(root, encoding="unicode")
+    try:
+        return pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
+    except (ValueError, RuntimeError) as error:
+        raise InvalidArgument(f"{path.name} has collision shapes that cannot be read: {error}") from None
 
 
 @dataclass(frozen=True, eq=False)

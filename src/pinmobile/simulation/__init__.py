@@ -10,6 +10,7 @@ from pinmobile.simulation.closed_loop import (
     checked_engine as checked_engine,
     simulate,
 )
+from pinmobile.simulation.end_effector import EndEffector
 from pinmobile.simulation.rollout import Rollout, error_text as error_text
 from pinmobile.simulation.setup import (
     check_answers as check_answers,
@@ -36,6 +37,7 @@ __all__ = [
     "ARRAYS",
     "COMPILED",
     "PINOCCHIO",
+    "EndEffector",
     "Engine",
     "Plant",
     "Rollout",

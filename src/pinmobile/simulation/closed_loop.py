@@ -18,6 +18,7 @@ from pinmobile.errors import Diverged, InvalidArgument, shown
 from pinmobile.forces import CoordinateForce, Force
 from pinmobile.integrators import Integrator
 from pinmobile.plant import Context, Plant, all_samples, coordinates_of, whole_configurations
+from pinmobile.signals import told_at
 from pinmobile.simulation.loop import CompiledLoop, Loop
 from pinmobile.simulation.rollout import Rollout
 from pinmobile.simulation.setup import (
@@ -163,6 +164,7 @@ def simulate(
     count, checked = checked_substeps(substeps, len(t)), checked_forces(forces, plant)
     asked = checked_engine(engine, PINOCCHIO, COMPILED)
     chosen = asked or PINOCCHIO
+    parts = controller, trajectory
     made = {"engine": repr(chosen), "why": _NOT_ASKED if asked is None else ""}
     kind: Callable[..., _Ran] = Loop
     memory: dict[Any, Any] = {}  # of this call alone, where nothing is remembered
@@ -187,13 +189,13 @@ def simulate(
             continue
         bad, why = _first_bad(plant, loop, reference, begin, end, limit)
         if bad is not None:
-            kept = _rollout(plant, t, loop, reference, bad, made) if bad else None
+            kept = _rollout(plant, t, loop, reference, bad, made, parts) if bad else None
             q, v, _, _ = loop.samples(bad, bad + 1)
             message = f"the loop diverged at t = {t[bad]:g} s (sample {bad} of {len(t) - 1}): {why}"
             message += _too_stiff(plant, checked, start[0], dt / count)
             raise Diverged(message, time=float(t[bad]), q=q[0], v=v[0], rollout=kept) from loop.stopped
     loop.check_again()
-    return _rollout(plant, t, loop, reference, len(t), made)
+    return _rollout(plant, t, loop, reference, len(t), made, parts)
 
 
 def _start(
@@ -293,9 +295,16 @@ def _too_stiff(plant: Any, forces: Sequence[Force | CoordinateForce], q: Array, 
 
 
 def _rollout(
-    plant: Plant, t: Array, loop: _Ran, reference: Reference, end: int, made: dict[str, str]
+    plant: Plant,
+    t: Array,
+    loop: _Ran,
+    reference: Reference,
+    end: int,
+    made: dict[str, str],
+    parts: tuple[Controller, Trajectory],
 ) -> Rollout:
     q, v, a, u = loop.samples(0, end)
     kept = Reference(*(part[:end] for part in reference))
     error = errors_of(plant, q, kept)
-    return Rollout(plant, t[:end], q, v, a, u, error, kept, loop.signals(end), **made)
+    signals = told_at(t[:end], *parts) | loop.signals(end)
+    return Rollout(plant, t[:end], q, v, a, u, error, kept, signals, **made)

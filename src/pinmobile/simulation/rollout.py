@@ -25,6 +25,7 @@ from pinmobile.plant import (
     whole_configurations,
 )
 from pinmobile.signals import Signal
+from pinmobile.simulation.end_effector import EndEffector, aimed_at, end_effector_of
 from pinmobile.simulation.storage import read_archive, write_archive
 from pinmobile.trajectories import Reference
 
@@ -144,6 +145,7 @@ class Rollout:
                 self._errors("rms", self.rms_error()),
                 "largest input: " + ", ".join(inputs[: self._led] if self._by_coordinate else inputs),
                 *self._of_joints(),
+                *self._of_end_effector(),
             ]
         )
 
@@ -253,10 +255,35 @@ class Rollout:
             lines.append(f"{name:{width}} {errors} {most}".rstrip())
         return lines
 
+    def _of_end_effector(self) -> list[str]:
+        """Return a line of the frame whose target the run has; nothing where there is none."""
+        return [] if aimed_at(self) is None else [f"end effector {self.end_effector()}"]
+
     def _errors(self, what: str, values: Array) -> str:
         named = list(zip(self.labels, values, strict=True))[: self._led]
         listed = ", ".join(f"{name} {error_text(value)} {unit}".rstrip() for (name, unit), value in named)
         return f"{what} error: {listed}"
+
+    def end_effector(self, frame: str | None = None) -> EndEffector:
+        """Return a frame over the samples: its path, where it should have been, and how far off it was.
+
+        The target is that of the controller, such as `EndEffectorTracking`; else that of the trajectory, such
+        as `resolve` gives; else where the reference puts the frame, if it has the arm's coordinates.
+
+        Parameters
+        ----------
+        frame : str, optional
+            One of the plant's ``frame_names``; by default the one whose target the run has, else its
+            ``end_effector``.
+
+        Raises
+        ------
+        InvalidArgument
+            If the plant does not tell where its frames are.
+        UnknownName
+            If there is no such frame; it says which there are.
+        """
+        return end_effector_of(self, frame)
 
     def max_error(self) -> Array:
         """Return the largest |error| of each coordinate, shape (n,) [m, m, rad, ...]."""

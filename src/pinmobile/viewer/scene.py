@@ -15,7 +15,8 @@ from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument
 from pinmobile.palette import AXES, INK, QUIET, colour
 from pinmobile.plant import whole_configurations
-from pinmobile.simulation import Rollout
+from pinmobile.simulation import EndEffector, Rollout
+from pinmobile.viewer.hands import draw_hand, hand_errors, hand_of
 from pinmobile.viewer.motion import (
     Channel,
     Drawing,
@@ -34,10 +35,13 @@ from pinmobile.viewer.underfoot import ABOVE, TRAIL, draw_ground
 _POSE = ("x", "y", "psi")
 
 
-def _captions(runs: Mapping[str, Rollout], times: Array) -> list[str]:
+def _captions(
+    runs: Mapping[str, Rollout], times: Array, hands: Mapping[str, EndEffector | None]
+) -> list[str]:
     """Return time and position errors for each frame, changing ten times a second at most.
 
-    Beside a position error stands the largest of a joint that turns, where there are any.
+    Beside a position error stands the largest of a joint that turns, where there are any, and in a line of
+    their own the errors of an end effector that has a target.
 
     Parameters
     ----------
@@ -45,6 +49,8 @@ def _captions(runs: Mapping[str, Rollout], times: Array) -> list[str]:
         By label.
     times : ndarray, shape (n,)
         Of the frames [s].
+    hands : mapping of str to EndEffector or None
+        By label.
     """
     ticks = np.floor(10 * (times - times[0]) + 1e-6)
     first = np.searchsorted(ticks, ticks)  # the frame in which the tick began
@@ -53,16 +59,27 @@ def _captions(runs: Mapping[str, Rollout], times: Array) -> list[str]:
         f"{label}  " if label else "": sampled(at, run.t, np.column_stack(_sizes(run)))
         for label, run in runs.items()
     }
+    reaching = {
+        f"{label}  " if label else "": sampled(at, run.t, np.column_stack(errors))
+        for label, run in runs.items()
+        if (errors := hand_errors(hands.get(label)))
+    }
     joints = any(values.shape[1] > 1 for values in rows.values())
     what = "position error, largest of a joint" if joints else "position error"
     written: dict[int, str] = {}
     for k in np.unique(first):
-        errors = [
-            label + ", ".join(_short(*pair) for pair in zip(values[k].tolist(), ("m", "rad"), strict=False))
-            for label, values in rows.items()
-        ]
-        written[int(k)] = "\n".join([f"t = {times[k]:.1f} s", what, *errors])
+        lines = [f"t = {times[k]:.1f} s", what, *_told(rows, int(k))]
+        lines += ["end effector's error", *_told(reaching, int(k))] if reaching else []
+        written[int(k)] = "\n".join(lines)
     return [written[int(k)] for k in first]
+
+
+def _told(rows: Mapping[str, Array], k: int) -> list[str]:
+    """Return the errors of each run at a frame, as text."""
+    return [
+        label + ", ".join(_short(*pair) for pair in zip(values[k].tolist(), ("m", "rad"), strict=False))
+        for label, values in rows.items()
+    ]
 
 
 def _sizes(run: Rollout) -> list[Array]:
@@ -234,6 +251,7 @@ class Scene:
         if self.overlays.path:
             _draw_path(self.stage, main, extent)
             self.legend.append(["desired", INK, "6 4", 0.0])
+        hands = {label: hand_of(run) for label, run in runs.items()} if self.overlays.end_effector else {}
         for index, (label, run) in enumerate(runs.items()):
             path = f"meshcat/robot{index}"
             self.stage.robot(path, robots[index], colour(index), ghost=index > 0)
@@ -243,6 +261,11 @@ class Scene:
                 self.channels += _ridden(path, robots[index], poses[index])
             if self.overlays.trail:
                 self._trail(index, len(runs), run, times, extent)
+            hand, shown = hands.get(label), self.overlays
+            if hand is not None:
+                self.channels += draw_hand(
+                    self.stage, index, hand, times, extent, path=shown.path and not index, trail=shown.trail
+                )
             self.legend.append([label or "travelled", colour(index), "", 0.0 if index == 0 else 0.55])
         if self.overlays.desired:
             ghost = robots[0]
@@ -262,7 +285,7 @@ class Scene:
             self.legend += told
         self._tables(poses[0], extent)
         if self.overlays.caption:
-            self.channels.append(Channel("meshcat/stage", "caption", _captions(runs, times)))
+            self.channels.append(Channel("meshcat/stage", "caption", _captions(runs, times, hands)))
         self.stage.tell("legend", self.legend)
 
     def _furnish(self, extent: Extent, poses: Array) -> None:

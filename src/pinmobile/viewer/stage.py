@@ -123,6 +123,9 @@ class Overlays:
     contacts : bool
         Forces of the ground where the plant touches it, with their friction discs on the ground, to one
         scale; vermilion where it slides. Of a plant that does not tell its ``contacts`` it is refused.
+    end_effector : bool
+        Of a robot with an arm, path, trail and caption of its end effector too: that whose target the run
+        has, or the tip of the first arm.
     centre : bool
         The instantaneous centre of rotation of the body, and the way there, while it is not far off.
     camera : Stay or Follow
@@ -139,6 +142,7 @@ class Overlays:
     arrows: Arrows | None = None
     contacts: bool = False
     centre: bool = False
+    end_effector: bool = True
     camera: Stay | Follow = field(default_factory=Stay)
 
     def __post_init__(self) -> None:

@@ -10,22 +10,19 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
-from pinmobile.robot import BODY, BODY_JOINT, MobileRobot, box_visuals, number
+from pinmobile.robot import BODY, BODY_JOINT, MobileRobot, box_visuals
 from pinmobile.wheels.kinematics import Kinematics
 from pinmobile.wheels.table import FIXED, Support, Wheel, WheelTable
-from pinmobile.wheels.wheel_joints import wheel_name
+from pinmobile.wheels.tyres import ACROSS, height_above_wheels, riding, wheel_frames
 
 _Triangles = tuple[Array, NDArray[np.int64]]  # vertices (n, 3) [m], faces (m, 3)
 
 _DARK, _LIGHT, _GREY = (0.17, 0.17, 0.19, 1.0), (0.86, 0.87, 0.88, 1.0), (0.55, 0.56, 0.58, 1.0)
 _SIDES = 32  # of what is round
-_ACROSS = 0.45  # width of a tyre, in radii
 _SPOKES = 5
 _ROLLERS = 10  # of a wheel, in each row
 _LONGEST = 0.8  # half a roller, in radii of the wheel
 _IN_ROWS = 0.35  # [rad]: rollers nearer to the rolling direction stand in two rows, which take turns
-_LOWEST = 0.7  # of the height of a box: how high its bottom is at most
-_TOP, _TOP_OF_FORK = 2.1, 2.35  # above the ground, in radii of the wheel
 
 
 class Item(NamedTuple):
@@ -66,19 +63,19 @@ class Picture:
         self.visuals, self.items = pin.GeometryModel(), list[Item]()
         shown = robot.visual_model
         boxed = any(item.name == BODY for item in shown.geometryObjects)
-        clearance = _clearance(robot.size, table) if boxed else 0.0
+        clearance = height_above_wheels(robot.size, table) if boxed else 0.0
         if boxed:
             for item in box_visuals(robot.size, BODY_JOINT, clearance).geometryObjects:
                 self._of_robot(item)
-        riding = _riding(robot, table)
+        rides = riding(robot, table, robot.visual_joints)
         for item in shown.geometryObjects:
             if boxed and item.parentJoint == BODY_JOINT and item.name in (BODY, "front", "wedge"):
                 continue
-            if item.name in riding:
-                self._of_file(item, *riding[item.name])
+            if item.name in rides:
+                self._of_file(item, *rides[item.name])
             else:
                 self._of_robot(item)
-        there = {row for row, spins in riding.values() if spins}
+        there = {row for row, spins in rides.values() if spins}
         for row, wheel in enumerate(table.wheels):
             if row not in there:
                 self._wheel(row, wheel)
@@ -132,28 +129,7 @@ class Picture:
             self._add(f"support_{k + 1}/{name}", shape, colour, Item(BODY_JOINT - 1, -1, False, at))
 
     def _frames(self, pose: Array, steering: Array, wheels: Array | None) -> Array:
-        """Return the frames of wheels, or with none of what steers with them, shape (..., wheels, 4, 4).
-
-        x along e, z up; of a wheel at its centre, turned about its axle y; else on the ground below a pivot.
-        """
-        angles = list(np.moveaxis(steering, -1, 0))
-        lead = pose.shape[:-1]
-        found = np.zeros((*lead, len(self.table), 4, 4))
-        found[..., 3, 3] = 1.0
-        for row, wheel in enumerate(self.table.wheels):
-            head = self._kinematics.heading(row, angles)
-            c, s = (number(x) for x in (head.c, head.s))
-            _, centre = self._kinematics.centre(row, angles)
-            x, y = (number(p) for p in centre) if wheels is not None else (wheel.x, wheel.y)
-            phi = np.zeros(lead) if wheels is None else wheels[..., row]
-            cp, sp = np.cos(phi), np.sin(phi)
-            e, n = (c, s), (-s, c)
-            frame = found[..., row, :, :]
-            for i in range(2):
-                frame[..., i, 0], frame[..., i, 1], frame[..., i, 2] = cp * e[i], n[i], sp * e[i]
-            frame[..., 2, 0], frame[..., 2, 2] = -sp, cp
-            frame[..., 0, 3], frame[..., 1, 3] = x, y
-            frame[..., 2, 3] = 0.0 if wheels is None else wheel.radius
+        found = wheel_frames(self.table, self._kinematics, steering, wheels, pose.shape[:-1])
         return np.asarray(_body(pose)[..., None, :, :] @ found)
 
     def placements(self, q: Array) -> Array:
@@ -186,40 +162,6 @@ def _body(pose: Array) -> Array:
     found[..., 0, 3], found[..., 1, 3] = pose[..., 0], pose[..., 1]
     found[..., 2, 2] = found[..., 3, 3] = 1.0
     return found
-
-
-def _riding(robot: MobileRobot, table: WheelTable) -> dict[str, tuple[int, bool]]:
-    """Return which objects of a file's visuals turn with a wheel: its row, and whether they spin with it."""
-    rows = {name: row for row, name in enumerate(table.names)}
-    spinning: dict[str, int] = {}
-    steering: dict[str, int] = {}
-    for joint in robot.undercarriage.wheels:
-        row = rows.get(wheel_name(joint.name))
-        if row is not None:
-            spinning[joint.name] = row
-            if table.wheels[row].steering != FIXED:
-                steering |= {swivel.name: row for swivel in joint.swivels[:1]}
-    found: dict[str, tuple[int, bool]] = {}
-    for name, joints in robot.visual_joints.items():
-        for joint_name in joints:
-            if joint_name in spinning or joint_name in steering:
-                spins = joint_name in spinning
-                found[name] = (spinning if spins else steering)[joint_name], spins
-                break
-    return found
-
-
-def _clearance(size: Sequence[float], table: WheelTable) -> float:
-    """Return how high the bottom of a box stands above the ground: above wheels that are below it [m]."""
-    length, width, height = size
-    needed = [0.0]
-    for wheel in table.wheels:
-        x, y = (abs(value) for value in wheel.centre)
-        reach = 0.5 * _ACROSS * wheel.radius
-        beside = x > length / 2 + wheel.radius or y > width / 2 + 0.9 * reach
-        tall = _TOP if wheel.steering == FIXED else _TOP_OF_FORK
-        needed.append((0.6 if beside else tall) * wheel.radius)
-    return min(max(needed), _LOWEST * height)
 
 
 def _mesh(triangles: _Triangles) -> Any:
@@ -267,7 +209,7 @@ def _about_axle(triangles: _Triangles, angle: float) -> _Triangles:
 def _tyre(wheel: Wheel) -> tuple[_Triangles, _Triangles]:
     """Return tyre, and hub with spokes and a bar across the tread, which shows how it turns."""
     R = wheel.radius
-    w = _ACROSS * R / 2
+    w = ACROSS * R / 2
     ring = [(-w, 0.66), (-w, 0.9), (-0.7 * w, 1.0), (0.7 * w, 1.0), (w, 0.9), (w, 0.66), (-w, 0.66)]
     tyre = _turned([(y, r * R) for y, r in ring])
     hub = _turned([(-0.9 * w, 0.0), (-0.9 * w, 0.24 * R), (0.9 * w, 0.24 * R), (0.9 * w, 0.0)], 16)
@@ -334,7 +276,7 @@ def _roller(R: float, thick: float, half: float, angle: float) -> _Triangles:
 def _fork(wheel: Wheel) -> _Triangles:
     """Return what a steered wheel hangs in, from the ground below its pivot."""
     R, (ox, oy) = wheel.radius, wheel.trail
-    w = _ACROSS * R / 2 if wheel.roller is None else 0.4 * R
+    w = ACROSS * R / 2 if wheel.roller is None else 0.4 * R
     legs = [
         _box((ox - 0.09 * R, y - 0.05 * R, 0.9 * R), (ox + 0.09 * R, y + 0.05 * R, 2.1 * R))
         for y in (oy - w - 0.07 * R, oy + w + 0.07 * R)

@@ -14,7 +14,7 @@ from pinmobile.arrays import Array, ArrayLike, broadcast, finite_answer, frozen,
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Contacts, Step
-from pinmobile.robot import LOCKED, Load, MobileRobot, number
+from pinmobile.robot import LOCKED, Load, MobileRobot, Solids, number
 from pinmobile.wheels.bearing import Bearing
 from pinmobile.wheels.chassis import Chassis
 from pinmobile.wheels.constraints import ConstrainedTree, Forces
@@ -28,6 +28,7 @@ from pinmobile.wheels.slipping import Grip, SlippingBody
 from pinmobile.wheels.table import WheelTable
 from pinmobile.wheels.touching import contacts_of
 from pinmobile.wheels.tree import WheelTree
+from pinmobile.wheels.tyres import Tyres
 from pinmobile.wheels.voltage import ByVoltage
 
 _OFF = 1e-9  # of a start's rates, beyond which it does not roll
@@ -195,6 +196,38 @@ class WheeledRobot(Chassis, Bearing):
         return WheeledRobot(robot, table, self.ground.of_each_wheel())
 
     # Dynamics
+
+    @cached_property
+    def _tyres(self) -> Tyres:
+        return Tyres(self.robot, self.table)
+
+    @property
+    def solids(self) -> Solids:
+        """What of it may touch something, see `MobileRobot.solids`; wheels do touch the ground."""
+        return self._tyres.solids
+
+    @in_numbers
+    def solid_placements(self, q: ArrayLike) -> Array:
+        """Return where the shapes of `solids` are in the body's frame, shape (..., shapes, 4, 4)."""
+        return self._tyres.placements(self._q(q))
+
+    @property
+    def end_effector(self) -> str:
+        """Default frame: the tip of the first arm, or the body's frame where there is none."""
+        return self.robot.end_effector
+
+    @property
+    def frame_names(self) -> tuple[str, ...]:
+        """Names of the frames, see `MobileRobot.frame_names`."""
+        return self.robot.frame_names
+
+    def frame_name(self, frame: str | None = None) -> str:
+        """Return the name of a frame, by default that of `end_effector`: see `MobileRobot.frame_name`."""
+        return self.robot.frame_name(frame)
+
+    def frame_pose(self, q: ArrayLike, frame: str | None = None) -> Array:
+        """Return T_0_f, the pose of a frame, shape (..., 4, 4): see `MobileRobot.frame_pose`."""
+        return self.robot.frame_pose(self._q(q)[..., : self.robot.nq], frame)
 
     def contacts(
         self, q: ArrayLike, v: ArrayLike, a: ArrayLike, u: ArrayLike, signals: Mapping[str, Any]

@@ -1,0 +1,121 @@
+"""Where an end effector went, where it should have gone, and how far off it was."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from pinmobile.arrays import Array
+from pinmobile.errors import InvalidArgument
+from pinmobile.plots.sheet import Canvas, Sheet, Spot
+from pinmobile.plots.style import Rollouts, desired, dress, keys_of, labelled, line_style, thinned
+from pinmobile.simulation import EndEffector, Rollout
+
+_COLUMN = 3.2  # [in]: of two columns of panels each
+_WIDE, _TALL = (1.4, 1.4, 1.4), (2.8, 1.2, 1.2, 1.2)  # [in]: heights of rows
+_NO_TARGET = "there is no target"
+_PLACES = (("x [m]", "y [m]"), ("", "z [m]"), ("", "distance [m]"), ("t [s]", "angle [rad]"))
+"""Words beside the axes of path, height, distance and angle."""
+
+
+def end_effector(
+    rollouts: Rollouts,
+    *,
+    frame: str | None = None,
+    title: str | None = None,
+    ax: Canvas | None = None,
+    width: float | None = None,
+) -> Figure:
+    """Draw an end effector's path from above, its height, and its pose's error: distance and angle.
+
+    Parameters
+    ----------
+    rollouts : Rollout or mapping of str to Rollout
+        All are drawn in the same axes.
+    frame : str, optional
+        As in `Rollout.end_effector`.
+    title : str, optional
+        Heading of the figure.
+    ax, width
+        As in `states`; axes are those of path, height, distance and angle.
+
+    Returns
+    -------
+    figure : matplotlib.figure.Figure
+
+    Raises
+    ------
+    InvalidArgument
+        If `rollouts`, `ax` or `width` is something else, or a plant does not tell where its frames are.
+    UnknownName
+        If there is no such frame; it says which there are.
+    """
+    hands = _hands(labelled(rollouts), frame)
+    sheet = Sheet(ax, width, 9.0)
+    above, height, way, turn = _panels(sheet)
+    for index, (label, hand) in enumerate(hands.items()):
+        style = line_style(index, len(hands)) | {"label": label or "travelled"}
+        _line(above, *hand.position[:, :2].T, **style)
+        _line(height, hand.t, hand.position[:, 2], **style)
+        if hand.target is not None:
+            _line(way, hand.t, hand.distance, **style)
+            if hand.is_oriented:
+                _line(turn, hand.t, hand.angle, **style)
+    for t, target in _targets(hands.values()):
+        _line(above, *target[:, :2, 3].T, **desired())
+        _line(height, t, target[:, 2, 3], **desired())
+    for axes in (way, turn):
+        axes.set_ylim(bottom=0.0)
+        if not axes.lines:
+            axes.text(0.5, 0.5, _NO_TARGET, ha="center", va="center", transform=axes.transAxes)
+    names = ", ".join(dict.fromkeys(hand.frame for hand in hands.values()))
+    keys = [Line2D([], [], label="target", **desired())] if way.lines else []
+    return sheet.finish(title, f"End effector {names}", [*keys, *keys_of(hands, "travelled")])
+
+
+def _hands(runs: Mapping[str, Rollout], frame: str | None) -> dict[str, EndEffector]:
+    hands = {}
+    for label, run in runs.items():
+        try:
+            hands[label] = run.end_effector(frame)
+        except InvalidArgument as error:
+            name = f"rollouts[{label!r}]" if label else "rollouts"
+            raise InvalidArgument(f"{name}.{error}") from None
+    return hands
+
+
+def _targets(hands: Iterable[EndEffector]) -> list[tuple[Array, Array]]:
+    """Return the targets that differ, with their times."""
+    found: dict[bytes, tuple[Array, Array]] = {}
+    for hand in hands:
+        if hand.target is not None:
+            found.setdefault(hand.t.tobytes() + hand.target.tobytes(), (hand.t, hand.target))
+    return list(found.values())
+
+
+def _panels(sheet: Sheet) -> list[Axes]:
+    """Return axes on one another, or the path beside what goes over time."""
+    if sheet.columns(2, _COLUMN) == 1:
+        spots: list[Spot] = [(k, 0) for k in range(4)]
+        above, *later = sheet.axes(spots, _TALL, share="")
+    else:
+        spots = [(slice(None), 0), (0, 1), (1, 1), (2, 1)]
+        above, *later = sheet.axes(spots, _WIDE, ratios=(1.2, 1))
+    panels = [above, *later]
+    for axes, (x, y) in zip(panels, _PLACES, strict=True):
+        dress(axes)
+        axes.set(xlabel=x, ylabel=y)
+        axes.margins(x=0.01, y=0.1)
+        axes.ticklabel_format(axis="y", scilimits=(-3, 4), useMathText=True)
+    above.set_aspect("equal", adjustable="datalim")
+    above.margins(0.1)
+    return panels
+
+
+def _line(axes: Axes, x: Array, y: Array, **style: Any) -> None:
+    kept = thinned(x, y)
+    axes.plot(x[kept], y[kept], **style)
