@@ -11,6 +11,7 @@ from pinmobile import (
     PD,
     Allocated,
     Backstepping,
+    Circle,
     ComputedTorque,
     Decoupled,
     Delayed,
@@ -424,3 +425,27 @@ def test_wrong_parts_are_refused_when_they_are_made(make: Any, message: str) -> 
 def _one_motor() -> WheeledRobot:
     left = Wheel("left", 0.0, 0.25, 0.1, motor=Motor(), **WHEEL)
     return WheeledRobot(BODY, WheelTable((left, replace(DIFFERENTIAL.table.wheels[1], motor=None))))
+
+
+@pytest.mark.parametrize("engine", [None, COMPILED])
+def test_a_controller_of_forces_on_the_body_is_told_what_turns_them_into_torques(engine: Any) -> None:
+    robot = DIFFERENTIAL
+    circle = Tangent(Circle(radius=2, rate=0.5, duration=1.0))
+    with pytest.raises(InvalidArgument, match=r"such as Allocated\(controller, robot\) makes"):
+        simulate(robot, PD(100, 120), circle, dt=0.01, integrator=rk4, engine=engine)
+
+
+def test_a_start_that_does_not_roll_may_be_one_at_rest() -> None:
+    robot = DIFFERENTIAL
+    with pytest.raises(InvalidArgument, match=r"left lateral slips at 1 m/s; .* v0 of zeros"):
+        robot.check_start(robot.rest, [0.0, 1.0, 0.0, 0.0, 0.0])
+
+
+def test_a_drive_that_skids_has_no_type() -> None:
+    skids = WheeledRobot(BODY, WheelTable.skid_steer(0.5, 0.4, 0.1, **WHEEL))
+    assert "of no type, as it cannot roll without slip" in str(skids.table)
+    assert "type (" not in str(skids.table)
+    with pytest.raises(
+        InvalidArgument, match=r"robot is a drive that does not roll without slip, .*WheelSpeed"
+    ):
+        Backstepping(Tracking(), skids)

@@ -1,5 +1,6 @@
 from collections.abc import Callable
 from copy import copy
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,8 @@ from pinmobile import (
     InvalidArgument,
     Load,
     MobileRobot,
+    WheeledRobot,
+    WheelTable,
     closed_form,
     verification as routes,
     verify,
@@ -232,3 +235,63 @@ def test_a_load_belongs_on_the_body_or_on_an_arm() -> None:
         with pytest.raises(InvalidArgument, match=f"frame is '{frame}', a virtual link, expected"):
             MobileRobot.box().attach(Load(1.0), frame)
     assert MobileRobot.box().attach(Load(1.0), "psi").lumped().mass == 31
+
+
+WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
+BODY = MobileRobot(30.0, 2.3, com=(0.15, 0.02, 0.2))
+OFF = 1e-8  # relative, of what is wrong on one side
+
+
+def _heavier(**factors: float) -> Any:
+    """Return what makes the body a little different: of its mass, its yaw inertia, or its centre of mass."""
+    mass, inertia = (x * factors.get(name, 1.0) for name, x in (("mass", 30.0), ("inertia", 2.3)))
+    x = 0.15 * factors.get("com", 1.0)
+    return lambda given: given | {"robot": MobileRobot(mass, inertia, com=(x, 0.02, 0.2)).traced()}
+
+
+def _column(name: str) -> Any:
+    return lambda given: given | {name: given[name] * (1 + OFF)}
+
+
+def _turned(given: dict[str, Any]) -> dict[str, Any]:
+    """Return what turns the last wheel a little."""
+    *others, last = given["table"].wheels
+    last = replace(last, angle=last.angle + OFF)
+    return given | {"table": replace(given["table"], wheels=(*others, last), couplings=())}
+
+
+WRONG = {
+    "radius": _column("radius"),
+    "x": _column("x"),
+    "y": _column("y"),
+    "spin_inertia": _column("spin_inertia"),
+    "mass": _heavier(mass=1 + OFF),
+    "inertia": _heavier(inertia=1 + OFF),
+    "com": _heavier(com=1 + OFF),
+    "angle": _turned,
+}
+WHEELED = {
+    "mecanum": WheeledRobot(BODY, WheelTable.mecanum(0.5, 0.4, 0.08, **WHEEL)),
+    "two modules": WheeledRobot(BODY, WheelTable.swerve([(0.3, 0.1), (-0.3, -0.1)], 0.06, **WHEEL)),
+    "four modules": WheeledRobot(
+        BODY, WheelTable.swerve([(0.3, 0.2), (0.3, -0.2), (-0.3, 0.2), (-0.3, -0.2)], 0.06, **WHEEL)
+    ),
+}
+
+
+@pytest.mark.parametrize("ingredient", WRONG)
+@pytest.mark.parametrize("drive", WHEELED)
+def test_wheels_that_are_off_by_little_on_one_route_are_seen(
+    monkeypatch: pytest.MonkeyPatch, drive: str, ingredient: str
+) -> None:
+    right = vars(WheeledRobot)["_common"].func
+    monkeypatch.setattr(WheeledRobot, "_common", property(lambda robot: WRONG[ingredient](right(robot))))
+    of = WHEELED[drive]
+    found = verify(WheeledRobot(of.robot, of.table, of.ground), states=4)
+    assert not found.passed, str(found)
+
+
+@pytest.mark.parametrize("drive", WHEELED)
+def test_wheels_of_which_nothing_is_off_agree(drive: str) -> None:
+    found = verify(WHEELED[drive], states=8)
+    assert found.passed, str(found)

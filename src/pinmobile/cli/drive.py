@@ -25,10 +25,11 @@ from pinmobile.cli.run import FIGURES, draw
 from pinmobile.controllers import Backstepping, Controller, State, Tracking
 from pinmobile.measures import in_words
 from pinmobile.trajectories import Trajectory
-from pinmobile.wheels import Coulomb, Friction, Mobility, WheeledRobot
+from pinmobile.wheels import Coulomb, Friction, Mobility, Motor, WheeledRobot
 
 _MASS, _SIZE = 30.0, (0.6, 0.4, 0.25)  # of the whole [kg], and of the box above the wheels [m]
 _WHEEL_MASS, _WIDTH = 1.0, 0.45  # [kg], and in radii
+_G = 9.81  # [m/s^2]
 _GAINS = 25.0, 10.0
 _SLIP = (
     1e-4  # [m/(N s)] before a wheel slides, as tyres have; it tells how wheels share what is not determined
@@ -140,8 +141,13 @@ def _box_on(
         "yaw_inertia": _WHEEL_MASS * radius**2 * (3 + _WIDTH**2) / 12,
         "friction": Friction(slip=_SLIP),
     }
+    made = {called.get(name, name): value for name, value in numbers.items()}
     try:
-        table = choice.make(**{called.get(name, name): value for name, value in numbers.items()}, **wheel)
+        table = choice.make(**made, **wheel)
+        if ground is not None and ground.mu:  # motors as strong as the ground holds, which spin no wheel up
+            driving = sum(any(each.column[len(table.axes) :]) for each in table.actuators)
+            limit = ground.mu * _MASS * _G * radius / driving
+            table = choice.make(**made, **wheel, motor=Motor(torque_limit=limit))
     except InvalidArgument as error:
         option = choice.called.get(error.argument, error.argument)
         raise error.calling(as_option(option)) if option in numbers else error from None

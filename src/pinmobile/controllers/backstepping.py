@@ -118,8 +118,10 @@ class Backstepping:
         if kind not in _KINDS:
             others = {(3, 0): "ComputedTorque(robot)", (1, 2): "SwerveTracking(robot)"}
             other = others.get(kind, "Allocated(controller, robot)")
+            if not robot.mobility.is_regular:
+                other = "WheelSpeed(law, robot, kp), where no wheel steers"
             raise InvalidArgument(
-                f"robot is a drive of type {kind}, expected one with a fixed axle: for this one, {other}"
+                f"robot is {robot.mobility.kind}, expected one with a fixed axle: for this one, {other}"
             )
         check_wheels(robot, _inverse(robot))
         n, size = max(robot.leading), max(robot.leading.values())
@@ -268,7 +270,7 @@ class SwerveTracking:
             kind = robot.mobility.mobility, robot.mobility.steerability
             if kind != (1, 2) or max(robot.leading) > _BASE or len(robot.inputs) != 4:
                 raise InvalidArgument(
-                    f"robot is a drive of type {kind} with {len(robot.inputs)} inputs, expected two modules "
+                    f"robot is {robot.mobility.kind} with {len(robot.inputs)} inputs, expected two modules "
                     "that steer and drive, without arms"
                 )
             check_wheels(robot, "torques")

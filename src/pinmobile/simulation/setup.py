@@ -381,8 +381,13 @@ def _are_same(one: Array, other: Array) -> bool:
 def shorter(context: Context, error: InvalidArgument) -> InvalidArgument:
     """Return an error of a controller; where the reference has not all coordinates, that may be why."""
     n, count = context.reference.v.shape[1], len(context.coordinates)
-    if n in (count, max(context.leading, default=count)):
+    if n == count or " has shape " not in str(error):
         return error
+    if n == max(context.leading, default=count):  # wheels have no reference
+        return InvalidArgument(
+            f"{error}; expected a controller of wheels' torques, such as Allocated(controller, robot) makes "
+            "of one of forces on the body"
+        )
     return InvalidArgument(
         f"{error}; the reference has the first {n} of {count} coordinates, expected a controller that "
         "follows these, or a reference of all: a motion of base and arms is WholeBody(robot, base, *joints)"

@@ -375,10 +375,7 @@ class Chassis:
         """
         choice = self.mobility.choice
         if not (choice.body and choice.is_fixed):
-            raise InvalidArgument(
-                f"robot is a drive of type ({self.mobility.mobility}, {self.mobility.steerability}), which "
-                "has no fixed axle"
-            )
+            raise InvalidArgument(f"robot is {self.mobility.kind}, which has no fixed axle")
         self._check_rolls()
         return self._rows.base_of(choice.body[0])
 

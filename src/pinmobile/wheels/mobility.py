@@ -122,6 +122,13 @@ class Mobility:
         """Whether the drive can roll without slip."""
         return not self.why_not
 
+    @property
+    def kind(self) -> str:
+        """What the drive is, in words."""
+        if not self.is_regular:
+            return "a drive that does not roll without slip"
+        return f"a drive of type ({self.mobility}, {self.steerability})"
+
     @cached_property
     def choice(self) -> Choice:
         """Which rows determine what, for a drive that can roll."""
@@ -154,6 +161,8 @@ class Mobility:
         return tuple(bool(np.abs(row).max(initial=0.0) < 1e-9) for row in u[:, rank:])
 
     def __str__(self) -> str:
+        if self.why_not:
+            return f"of no type, as it cannot roll without slip: {self.why_not}"
         m, s = self.mobility, self.steerability
         kind = {
             (3, 0): "omnidirectional",
@@ -162,13 +171,8 @@ class Mobility:
             (1, 1): "car-like",
             (1, 2): "two steered axles",
         }.get((m, s), "")
-        lines = [
-            f"type ({m}, {s})"
-            f"{f', {kind}' if kind and self.is_regular else ''}: mobility {m}, steerability {s}"
-        ]
+        lines = [f"type ({m}, {s}){f', {kind}' if kind else ''}: mobility {m}, steerability {s}"]
         rows, columns = self.matrix.shape
-        if self.why_not:
-            return "\n".join([*lines, f"cannot roll without slip: {self.why_not}"])
         lines.append(
             f"{columns} coordinates, {rows} rows of rank {self.rank}, {columns - self.rank} free velocities"
         )

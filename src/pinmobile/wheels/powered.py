@@ -176,19 +176,22 @@ class VoltageBody:
                 found[i] = law.push(k, volts[k], rates[i], clips=clips)
             return found
 
+        def beside(q: Any, v: Any) -> Any:
+            return f(t + 0.5 * h, q, v)
+
         grip: Any = ()
         if isinstance(self.wheeled, SlippingBody):
-            after, torques, rates = self.wheeled.driven(t, q, v, u, h, f, memory.grip, motors)
+            after, torques, rates = self.wheeled.driven(q, v, u, h, beside, memory.grip, motors)
             holding, grip = memory.holding, after.memory
         else:
-            after, torques, rates, holding = self._rolled(t, q, v, u, h, f, memory, motors)
+            after, torques, rates, holding = self._rolled(q, v, u, h, beside, memory, motors)
         currents = [law.current(k, volts[k], rates[i]) for k, i in enumerate(self.electric)]
         own = [number(torques[i]) for i in self.electric]
         kept = Driving(stacked(volts, q), stacked(currents, q), stacked(own, q), holding, grip)
         return Step(after.q, after.v, kept)
 
     def _rolled(
-        self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Beside, memory: Driving, motors: Motors
+        self, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Driving, motors: Motors
     ) -> tuple[Step, Vector, Vector, Any]:
         """Return the state after a step of wheels that roll, actuators' torques and rates, and what holds.
 
@@ -209,7 +212,7 @@ class VoltageBody:
         freedom = [number(dot(b, solve(b))) for b in B]
         begun = [number(dot(b, nu)) for b in B]
         psi, na = _plain(scalars(q)[2]), body.na
-        beside = f(t + 0.5 * h, q_middle, v)
+        beside = f(q_middle, v)
         rates, mean, impulses = begun, nu, [number(_plain(x)) * h for x in scalars(memory.holding)]
         for again in range(_PASSES):
             pushes = motors(rates, again > 0)
@@ -222,7 +225,7 @@ class VoltageBody:
             at = at._replace(c=c, s=s)
             if again and np.ndim(beside):
                 there = body.in_plane(at, [*at.twist, *at.arm_rates, *at.rates], q)
-                beside = f(t + 0.5 * h, body.integrate(q, (0.5 * h) * there), there)
+                beside = f(body.integrate(q, (0.5 * h) * there), there)
             still = body.felt(at, body.freedom.unmoved(at, *body.freedom.solution(at)))
             torques = [push.torque - push.slope * x for push, x in zip(pushes, begun, strict=True)]
             whole = body.generalised(at, stacked([*scalars(u)[:na], *torques], q), beside)

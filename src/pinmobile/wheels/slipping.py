@@ -321,15 +321,17 @@ class SlippingBody(WheeledBody):
         memory : Grip
             From the step before.
         """
-        return self.driven(t, q, v, u, h, f, memory)[0]
+        return self.driven(q, v, u, h, lambda q, v: f(t + 0.5 * h, q, v), memory)[0]
 
     def driven(
-        self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Beside, memory: Grip, motors: Motors | None = None
+        self, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Grip, motors: Motors | None = None
     ) -> tuple[Step, Vector, Vector]:
         """Return the state after a step, and torques and rates of actuators that motors drive.
 
         Parameters
         ----------
+        f : callable
+            ``f(q, v)``: forces beside the torques at a state of mid-step.
         motors : callable, optional
             ``motors(rates, clips)``: the `Push` of each actuator at its rate; `clips` is False for a first
             guess. Without, `u` has the torques.
@@ -339,7 +341,7 @@ class SlippingBody(WheeledBody):
         before = [*state.twist, *state.arm_rates, *state.rates]
         middle = self._at_middle(state, q, v, h)
         psi = numbers(q)[2]
-        beside = f(t + 0.5 * h, self.integrate(q, (0.5 * h) * v), v)
+        beside = f(self.integrate(q, (0.5 * h) * v), v)
         pushed = not (np.ndim(beside) == 0 and not isinstance(beside, np.ndarray) and beside == 0)
         turning = pushed or bool(self.fall[0] or self.fall[1])
         after, rate = before, numbers(memory.acceleration)
@@ -360,7 +362,7 @@ class SlippingBody(WheeledBody):
                 at = at._replace(c=c, s=s)
             if pushed and again:
                 there = self.in_plane(at, mean, q)
-                beside = f(t + 0.5 * h, self.integrate(q, (0.5 * h) * there), there)
+                beside = f(self.integrate(q, (0.5 * h) * there), there)
             loads = self.loads(at, rate, q)
             if motors is not None:
                 pushes = motors(rates, again > 0)

@@ -392,7 +392,7 @@ class WheeledRobot(Chassis, Bearing):
         InvalidArgument
             With the drive's type, and what to take instead.
         """
-        lead = f"robot is a drive of type ({self.mobility.mobility}, {self.mobility.steerability})"
+        lead = f"robot is {self.mobility.kind}"
         if self.mobility.mobility < 3:
             raise InvalidArgument(
                 f"{lead}, which cannot accelerate in every direction, so no torques are its inverse "
@@ -557,7 +557,7 @@ class WheeledRobot(Chassis, Bearing):
                 )
             raise InvalidArgument(
                 f"start does not roll: {name} slips at {slip:.3g} m/s; expected "
-                "v0 = robot.project(q0, v0), or a reference that the wheels can follow"
+                "v0 = robot.project(q0, v0), v0 of zeros, or a reference that the wheels can follow"
             )
 
     def traced(self) -> RollingBody | SlippingBody:
