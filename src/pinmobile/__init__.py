@@ -51,6 +51,7 @@ if TYPE_CHECKING:
         NoisyMeasurement,
         Parking,
         PDGravity,
+        RandomSteps,
         Saturated,
         SwerveTracking,
         Tracking,
@@ -82,7 +83,7 @@ if TYPE_CHECKING:
         SinusoidalForce,
         ViscousFriction,
     )
-    from pinmobile.identification import Log, RandomSteps, VelocityRobot, identify_velocity
+    from pinmobile.identification import Log, VelocityRobot, identify_velocity
     from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
     from pinmobile.paths import Circle, CubicVia, Hold, Lissajous, RestToRest, Spline
     from pinmobile.plant import Context
@@ -256,6 +257,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
         "NoisyMeasurement",
         "PDGravity",
         "Parking",
+        "RandomSteps",
         "Saturated",
         "SwerveTracking",
         "Tracking",
@@ -291,7 +293,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
         "SinusoidalForce",
         "ViscousFriction",
     ),
-    "identification": ("Log", "RandomSteps", "VelocityRobot", "identify_velocity"),
+    "identification": ("Log", "VelocityRobot", "identify_velocity"),
     "integrators": ("constant_acceleration", "rk4", "semi_implicit_euler"),
     "measures": (),
     "palette": (),

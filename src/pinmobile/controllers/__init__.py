@@ -19,7 +19,7 @@ from pinmobile.controllers.controller import (
     planar_difference,
     told as told,
 )
-from pinmobile.controllers.driving import Driven, VelocityCommand, WheelSpeed
+from pinmobile.controllers.driving import Driven, RandomSteps, VelocityCommand, WheelSpeed
 from pinmobile.controllers.feedback import (
     GAINS as GAINS,
     PD,
@@ -59,6 +59,7 @@ __all__ = [
     "NoisyMeasurement",
     "PDGravity",
     "Parking",
+    "RandomSteps",
     "Saturated",
     "State",
     "SwerveTracking",
