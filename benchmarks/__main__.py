@@ -15,13 +15,27 @@ import ensembles
 import imports
 import loop
 import rollout
+import velocity
 import viewing
 import wheels
 from measuring import picked, selecting
 
 import memory
 
-PARTS = (rollout, arm, ensembles, arm_ensembles, loop, calls, batches, memory, wheels, viewing, imports)
+PARTS = (
+    rollout,
+    arm,
+    ensembles,
+    arm_ensembles,
+    loop,
+    calls,
+    batches,
+    memory,
+    wheels,
+    velocity,
+    viewing,
+    imports,
+)
 PEOPLE = {
     rollout: rollout.EVERYONE,
     arm: arm.EVERYONE,
