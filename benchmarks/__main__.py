@@ -16,6 +16,7 @@ import ensembles
 import imports
 import loop
 import rollout
+import velocity
 import viewing
 import wheels
 from measuring import picked, selecting
@@ -33,6 +34,7 @@ PARTS = (
     memory,
     wheels,
     distances,
+    velocity,
     viewing,
     imports,
 )

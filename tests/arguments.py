@@ -36,10 +36,22 @@ from tests import wheeled
 
 MODULES = (
     *("accuracy", "balance", "closed_form", "controllers", "derivation", "dh", "forces", "ensembles"),
-    *("integrators", "paths", "plots", "reaching", "robot", "simulation", "sweeps", "trajectories", "urdf"),
+    *(
+        "identification",
+        "integrators",
+        "paths",
+        "plots",
+        "reaching",
+        "robot",
+        "simulation",
+        "sweeps",
+        "trajectories",
+        "urdf",
+    ),
     *("verification", "viewer", "wheels"),
 )
 SEED = 20240
+THETA: list[float] = [0.26, 0.25, 0.03, 1.1, 0.2, 1.2]  # of a robot that takes speeds
 SECONDS = 5  # of processor time for one call
 MEMORY = 6 << 30  # of address space; libraries that only reserve it have some 3 GB
 
@@ -74,10 +86,12 @@ INNER = {
     *("Rollout.of", "Rollout.arrays", "ensembles.Outline.of", "ensembles.Outline.from_description"),
     *("ensembles.Outline.description", "ensembles.Outline.difference", "ensembles.Part.of"),
     *("controllers.Changing", "controllers.Tracked"),
+    "identification.VelocityIdentification.values_in_samples",
     *("PD.compact", "ComputedTorque.compact", "PDGravity.compact", "MobileRobot.traced"),
     *("Rolling.of_each_wheel", "Coulomb.of_each_wheel"),
     "WheeledRobot.traced",
     *("PosePath.told", "Resolved.signals_at", "EndEffectorTracking.signals_at"),
+    *("VelocityRobot.integrator", "VelocityRobot.traced"),
     *("MobileRobot.varying", "JointFriction.varying", "JointFriction.with_parameters"),
     "Load.with_numbers",
     *(
@@ -123,6 +137,7 @@ RESULTS = {
     *("robot.Mountable", "robot.Mountables", "verification.Comparison", "viewer.Recording"),
     *("closed_form.ReducedModel", "wheels.Allocation", "wheels.Forces", "wheels.Reduced"),
     "verification.Verification",
+    *("identification.Predicted", "identification.VelocityIdentification"),
 }
 
 
@@ -345,7 +360,17 @@ def _scenario(gain: float = 1.0) -> Any:
     return pm.Scenario(**named)
 
 
+def _commands() -> Any:
+    still = pm.FixedHeading(pm.Hold((0, 0), 21.0), 0.0)
+    run = pm.simulate(WORLD.commanded, pm.RandomSteps(), still, dt=0.1, engine=pm.COMPILED)
+    q = run.q + 1e-3 * np.random.default_rng(1).normal(size=run.q.shape)
+    return pm.Log(run.t, q, run.u)
+
+
 MADE: dict[str, Callable[[], Any]] = {
+    "commanded": lambda: pm.VelocityRobot(THETA),
+    "commands": _commands,
+    "theta": lambda: pm.identify_velocity(WORLD.commands, seconds=1.0),
     "robot": lambda: pm.MobileRobot(10.0, 1.2, com=(0.15, 0.05)),
     "base": lambda: pm.MobileRobot(30.0, 1.3, com=(0.0, 0.0, 0.1), size=(0.6, 0.4, 0.25)),
     "differential": lambda: WheelTable.differential(
@@ -505,6 +530,34 @@ ROWS: dict[str, Row] = {
     "Backstepping": row(law=pm.Tracking(), robot=the("wheeled"), k=10, steer=10, arms=2),
     "Driven": row(controller=pm.PD(1, 1), robot=the("electric")),
     "WheelSpeed": row(law=pm.Tracking(), robot=the("wheeled"), kp=1, ki=2),
+    "VelocityCommand": row(law=pm.Tracking(), robot=the("commanded")),
+    "RandomSteps": row(lowest=[-0.2, -1], largest=[0.8, 1], hold=[0.4, 2.5], seed=1),
+    "VelocityRobot": row(
+        theta=THETA, ahead=0.1, limits=[0.8, 1], accelerations=1.0, size=[0.4, 0.3, 0.2], source="a test"
+    ),
+    "VelocityRobot.check_start": row(q=[0, 0, 0], v=[0.5, 0, 0.1]),
+    "VelocityRobot.commands": row(q=Q, v=V, rates=[1, 2]),
+    "VelocityRobot.difference": row(q0=Q, q1=Q),
+    "VelocityRobot.drawing": row(q=Q),
+    "VelocityRobot.forward_dynamics": row(q=Q, v=V, u=[1, 2], f=0.0),
+    "VelocityRobot.from_motors": row(wheeled=the("electric"), kp=0.5, kd=0.1),
+    "VelocityRobot.independent": row(q=Q, v=V),
+    "VelocityRobot.integrate": row(q=Q, dq=V),
+    "VelocityRobot.pose": row(q=Q),
+    "VelocityRobot.project": row(q=Q, v=V),
+    "VelocityRobot.rate": row(q=Q, v=V),
+    "VelocityRobot.rates": row(nu=[1, 2], u=[1, 2]),
+    "VelocityRobot.reduced": row(q=Q, v=V),
+    "VelocityRobot.regressor": row(q=Q, v=V, rates=[1, 2]),
+    "VelocityRobot.rolling": row(q=Q, nu=[1, 2]),
+    "VelocityRobot.start": row(reference=partial(lambda: WORLD.trajectory(0.0))),
+    "identify_velocity": row(
+        12, log=the("commands"), delay=0.0, ahead=0.0, accelerations=[9.0, 9.0], seconds=1.0
+    ),
+    "identification.VelocityIdentification.interval": row(level=0.9),
+    "identification.VelocityIdentification.predict": row(12, log=the("commands")),
+    "identification.VelocityIdentification.robot": row(),
+    "identification.VelocityIdentification.spread": row(n=3, seed=1),
     "SwerveTracking": row(robot=the("swerve"), kp=2, k=10, steer=10, least=0.05),
     "Tracking": row(zeta=0.7, b=20),
     "Kanayama": row(k1=2, k2=10, k3=5),
@@ -1077,6 +1130,8 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "WheeledRobot.inverse_dynamics": lambda: WORLD.mecanum,
     "WheeledRobot.check_inverse_dynamics": lambda: WORLD.mecanum,
     "wheels.ByVoltage": lambda: WORLD.electric.by_voltage(),
+    "VelocityRobot": lambda: WORLD.commanded,
+    "identification.VelocityIdentification": lambda: WORLD.theta,
     "wheels.Mobility": lambda: wheels.Mobility,
     "Resolved": lambda: WORLD.resolved,
     "Rollout": lambda: WORLD.rollout,
@@ -1164,6 +1219,8 @@ def is_part(name: str) -> bool:
         "ByOdometry",
         "Driven",
         "WheelSpeed",
+        "VelocityCommand",
+        "RandomSteps",
         "Tracking",
         "Kanayama",
         "Parking",

@@ -10,6 +10,7 @@ import pytest
 
 from pinmobile import (
     PD,
+    Backstepping,
     Circle,
     CompositePath,
     ComputedTorque,
@@ -29,7 +30,10 @@ from pinmobile import (
     Scenario,
     SinusoidalForce,
     Tangent,
+    Tracking,
     Uniform,
+    VelocityCommand,
+    VelocityRobot,
     ViscousFriction,
     constant_acceleration,
     law,
@@ -40,7 +44,7 @@ from pinmobile.ensembles import ARRAYS, COMPILED, PINOCCHIO, part_of, run_scenar
 from tests.parts import PID, Cart, Eight, Follower, Nodding, SlidingMode, Smoothed, Spring, midpoint
 
 N, DT, DURATION = 3, 0.01, 3.0  # 301 samples
-MOST = 80
+MOST = 88
 ROBOT = MobileRobot(30.0, 1.3, com=(0.1, 0.05))
 WRONG = MobileRobot(27.0, 1.1, com=(0.05, 0.0))
 
@@ -49,10 +53,12 @@ def _law(t: float, q: Any, v: Any, reference: Any) -> Any:
     return np.array([40.0, 50.0, 4.0]) * (reference.q - q) + 40.0 * np.tanh(reference.v - v)
 
 
+COMMANDED = VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2], accelerations=(2.0, 4.0))
 PLANTS: dict[str, Any] = {
     "offset": ROBOT,
     "loaded": ROBOT.attach(Load(4.0, com=(0.1, -0.1, 0.2))),
     "cart": Cart(),
+    "commanded": COMMANDED,
 }
 CONTROLLERS: dict[str, Any] = {
     "PD": PD(40.0, 40.0),
@@ -66,6 +72,8 @@ CONTROLLERS: dict[str, Any] = {
     "sliding mode": SlidingMode(),
     "law": law(_law),
     "follower": Follower(),
+    "command": VelocityCommand(Tracking(), COMMANDED),
+    "backstepping": Backstepping(Tracking(), COMMANDED),
 }
 WRAPPERS: dict[str, Any] = {
     "bare": lambda controller, limits: controller,
@@ -108,7 +116,13 @@ PATHS: dict[str, Any] = {
         ]
     ),
 }
-GAINS: Mapping[str, str] = {"PID": "pid_kp", "sliding mode": "layer", "follower": "along"}
+GAINS: Mapping[str, str] = {
+    "PID": "pid_kp",
+    "sliding mode": "layer",
+    "follower": "along",
+    "command": "zeta",
+    "backstepping": "zeta",
+}
 FORCES: Mapping[str, str] = {
     "constant": "force_x",
     "viscous": "viscous_forward",
@@ -124,6 +138,7 @@ OF_PATHS: Mapping[str, tuple[str, float]] = {
     "one after another": ("trajectory.path.paths[1].corner_radius", 0.2),
 }
 MODELS = ("computed torque", "computed torque, wrong", "Decoupled")
+KINEMATIC = ("command", "backstepping")
 STARTS = {"start_x": Uniform(-0.2, 0.2), "start_psi": Uniform(-0.3, 0.3)}
 SPREADS = ("nothing", "mass", "gains", "model", "forces", "start", "reference")
 FACTORS: dict[str, tuple[str, ...]] = {
@@ -145,6 +160,13 @@ def fits(choice: Mapping[str, str]) -> bool:
     spread, steady = choice.get("spread"), choice.get("steady")
     if plant and controller and (plant == "cart") != (controller == "follower"):
         return False
+    if plant and controller and (plant == "commanded") != (controller in KINEMATIC):
+        return False
+    if plant == "commanded" or controller in KINEMATIC:
+        if choice.get("waving", "calm") != "calm" or steady not in (None, "free"):
+            return False  # no force pushes it
+        if spread in ("model", "forces"):
+            return False
     if spread == "model":
         return plant != "cart" and (controller is None or controller in MODELS)
     return not (spread == "gains" and controller == "law") and not (spread == "forces" and steady == "free")
@@ -188,12 +210,14 @@ def compositions() -> list[dict[str, str]]:
 def spread_of(choice: Mapping[str, str]) -> dict[str, Any]:
     controller, steady = choice["controller"], choice["steady"]
     nominal = {"force_x": 3.0, "viscous_forward": 5.0, "rolling_left": 3.0, "stiffness": 8.0}
-    gains = {"pid_kp": 50.0, "layer": 0.5, "along": 8.0, "kp_factor": 1.0}
+    gains = {"pid_kp": 50.0, "layer": 0.5, "along": 8.0, "kp_factor": 1.0, "zeta": 0.7}
     gain = GAINS.get(controller, "kp_factor")
     name, of_path = OF_PATHS[choice["path"]]
     found: dict[str, dict[str, Any]] = {
         "nothing": {},
-        "mass": {"mass": Uniform(20.0, 35.0)},
+        "mass": {"mass": Uniform(20.0, 35.0)}
+        if choice["plant"] != "commanded"
+        else {"theta_1": Uniform(0.2, 0.3), "ahead": Uniform(-0.1, 0.1), "acceleration": 1.0},
         "gains": {gain: Uniform(0.8 * gains[gain], 1.2 * gains[gain])},
         "model": {"model_mass": Uniform(25.0, 35.0), "model_com_x": Uniform(0.0, 0.1)},
         "start": STARTS,
@@ -205,12 +229,12 @@ def spread_of(choice: Mapping[str, str]) -> dict[str, Any]:
 
 
 def made(choice: Mapping[str, str], n: int = N) -> Scenario:
-    cart = choice["plant"] == "cart"
-    limits = 0.2 if cart else (15.0, 12.0, 1.5)
+    cart, commanded = (choice["plant"] == name for name in ("cart", "commanded"))
+    limits = 0.2 if cart else (0.6, 0.9) if commanded else (15.0, 12.0, 1.5)
     return Scenario(
         robot=PLANTS[choice["plant"]],
         controller=WRAPPERS[choice["wrapper"]](CONTROLLERS[choice["controller"]], limits),
-        trajectory=(Tangent if cart else Nodding)(PATHS[choice["path"]]),
+        trajectory=(Tangent if cart or commanded else Nodding)(PATHS[choice["path"]]),
         n=n,
         spread=spread_of(choice),
         dt=DT,

@@ -214,7 +214,8 @@ class Stepping:
         return
 
     def __call__(self, tracked: Tracked, state: Any) -> tuple[tuple[Any, Any], Any]:
-        (speed, w), inner = self.steps(0.0, *np.zeros((2, 3)), None, state[0])  # type: ignore[arg-type]
+        nothing: Any = np.zeros(3)
+        (speed, w), inner = self.steps(0.0, nothing, nothing, nothing, state[0])
         return (speed, w), (inner, np.stack([speed, w]))
 
 

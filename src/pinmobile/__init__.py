@@ -55,6 +55,7 @@ if TYPE_CHECKING:
         NoisyMeasurement,
         Parking,
         PDGravity,
+        RandomSteps,
         Saturated,
         SlidingMode,
         SuperTwisting,
@@ -88,7 +89,7 @@ if TYPE_CHECKING:
         SinusoidalForce,
         ViscousFriction,
     )
-    from pinmobile.identification import Log, RandomSteps, VelocityRobot, identify_velocity
+    from pinmobile.identification import Log, VelocityRobot, identify_velocity
     from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
     from pinmobile.paths import (
         Circle,
@@ -293,6 +294,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
         "SlidingMode",
         "SuperTwisting",
         "Parking",
+        "RandomSteps",
         "Saturated",
         "SwerveTracking",
         "Tracking",
@@ -328,7 +330,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
         "SinusoidalForce",
         "ViscousFriction",
     ),
-    "identification": ("Log", "RandomSteps", "VelocityRobot", "identify_velocity"),
+    "identification": ("Log", "VelocityRobot", "identify_velocity"),
     "integrators": ("constant_acceleration", "rk4", "semi_implicit_euler"),
     "measures": (),
     "palette": (),

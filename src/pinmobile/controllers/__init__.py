@@ -21,7 +21,7 @@ from pinmobile.controllers.controller import (
     planar_difference,
     told as told,
 )
-from pinmobile.controllers.driving import Driven, VelocityCommand, WheelSpeed
+from pinmobile.controllers.driving import Driven, RandomSteps, VelocityCommand, WheelSpeed
 from pinmobile.controllers.feedback import (
     GAINS as GAINS,
     PD,
@@ -65,6 +65,7 @@ __all__ = [
     "NoisyMeasurement",
     "PDGravity",
     "Parking",
+    "RandomSteps",
     "Saturated",
     "SlidingMode",
     "State",

@@ -2,7 +2,6 @@
 
 from pinmobile.identification.log import Log
 from pinmobile.identification.published import VELOCITY_ROBOTS
-from pinmobile.identification.random_steps import RandomSteps
 from pinmobile.identification.velocity_identification import (
     Predicted,
     VelocityIdentification,
@@ -14,7 +13,6 @@ __all__ = [
     "VELOCITY_ROBOTS",
     "Log",
     "Predicted",
-    "RandomSteps",
     "VelocityIdentification",
     "VelocityRobot",
     "identify_velocity",

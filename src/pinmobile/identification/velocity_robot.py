@@ -176,30 +176,24 @@ class VelocityRobot:
         com_x, com_y = float(base.com[0]), float(base.com[1])
         m, b = base.mass, com_x - wheel.x
         J = wheel.spin_inertia + motor.reflected_inertia
-        by, E = (
-            motor.resistance / (motor.efficiency * motor.gear * motor.torque_constant),
-            motor.gear * motor.torque_constant,
-        )
-        B = motor.efficiency * motor.gear**2 * motor.viscous
-        losses = E + by * B  # (R/K) (K E / R + B)
-        T, R, dT, dR = kp / r, kp * d / (2 * r), kd / r, kd * d / (2 * r)
-        theta = [
-            (by * (m * r * r + 2 * J) + 2 * r * dT) / (2 * r * T),
-            (by * (J * d * d + 2 * r * r * (base.yaw_inertia + m * b * b)) + 2 * r * d * dR)
-            / (2 * r * d * R),
-            by * m * b * r / (2 * T),
-            losses / (r * T) + 1,
-            by * m * b * r / (d * R),
-            losses * d / (2 * r * R) + 1,
-        ]
+        E = motor.gear * motor.torque_constant
+        by = motor.resistance / (motor.efficiency * E)
+        losses = E + by * motor.efficiency * motor.gear**2 * motor.viscous  # (R/K) (K E / R + B)
+        T, R, dT, dR = (np.float64(x) for x in (kp / r, kp * d / (2 * r), kd / r, kd * d / (2 * r)))
+        turning = J * d * d + 2 * r * r * (base.yaw_inertia + m * b * b)
+        with np.errstate(all="ignore"):  # of gains that are none: theta is not finite
+            theta = [
+                (by * (m * r * r + 2 * J) + 2 * r * dT) / (2 * r * T),
+                (by * turning + 2 * r * d * dR) / (2 * r * d * R),
+                by * m * b * r / (2 * T),
+                losses / (r * T) + 1,
+                by * m * b * r / (d * R),
+                losses * d / (2 * r * R) + 1,
+            ]
+        limits = f"limits of {motor.voltage:g} V"
         left = [
             *(["dry friction of the motors"] if motor.coulomb else []),
-            *(
-                [
-                    f"limits of {motor.voltage:g} V"
-                    + (f" and {motor.current:g} A" if np.isfinite(motor.current) else "")
-                ]
-            ),
+            limits + (f" and {motor.current:g} A" if np.isfinite(motor.current) else ""),
             *([f"the centre of mass {com_y:g} m aside"] if com_y else []),
         ]
         said = f"motors of a WheeledRobot, gains kp = {kp:g}, kd = {kd:g}; left out: {', '.join(left)}"
@@ -321,8 +315,12 @@ class VelocityRobot:
 
     def start(self, reference: Any) -> tuple[Array, Array]:
         """Return the q and v with which a reference begins, shape (3,); what moves sideways is left out."""
-        q = vector("reference.q", reference.q, 3)
-        return q, self.project(q, reference.v)
+        if not (hasattr(reference, "q") and hasattr(reference, "v")):
+            raise InvalidArgument(f"reference is {shown(reference)}, expected a Reference: q, v and a")
+        q, v = vector("reference.q", reference.q, 3), vector("reference.v", reference.v, 3)
+        if q.ndim != 1 or v.ndim != 1:
+            raise InvalidArgument(f"reference has q and v of shapes {q.shape} and {v.shape}, expected (3,)")
+        return q, self.project(q, v)
 
     def check_start(self, q: ArrayLike, v: ArrayLike) -> None:
         """Refuse a start at which wheels slide sideways.
