@@ -24,7 +24,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageColor
 
 import pinmobile.viewer.recording as recording_module
 from pinmobile import (
@@ -48,7 +48,7 @@ from pinmobile.viewer.chromium import Browser
 from pinmobile.viewer.recording import gif as encoded_gif
 from tests.chromium import Chromium, Page
 
-BLUE = tuple(int(colour(0)[k : k + 2], 16) for k in (1, 3, 5))
+BLUE = ImageColor.getrgb(colour(0))[:3]
 
 
 @pytest.fixture(scope="module")
@@ -594,7 +594,7 @@ def test_films_are_taken_in_batches_by_several_browsers_and_told_in_order(
     assert (len(opened), made <= {id(one) for one in opened}) == (3, True)
     # Whoever stops after a few frames leaves no thread and no browser, and has not waited for the rest.
     made.clear()
-    some = recording_module._pictures_of("", (1, 1), [float(k) for k in range(10_000)], None)
+    some: Any = recording_module._pictures_of("", (1, 1), [float(k) for k in range(10_000)], None)
     assert next(some).width == 1
     some.close()
     assert threading.active_count() == before
