@@ -2,16 +2,18 @@
 
 import subprocess
 import sys
+from importlib import import_module
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from cycler import cycler
 from matplotlib import rc_context
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from pinmobile import palette, plots
 from pinmobile.errors import InvalidArgument
@@ -20,7 +22,7 @@ from pinmobile.plots.style import DASHES, line_style
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "docs"))
-import figures as page  # noqa: E402  # the script that draws them all
+page: Any = import_module("figures")  # the script that draws them all
 
 pytestmark = pytest.mark.once
 
@@ -41,7 +43,7 @@ def test_at_one_column_of_a_paper_no_word_is_cut_or_meets_another(name: str) -> 
         figure = page.FIGURES[name](width=3.5)  # which would be refused
         assert figure.get_figwidth() == 3.5
         assert not sheet._crowded(figure)
-        assert {text.get_fontsize() for text in figure.findobj(sheet.Text) if text.get_text()} >= {8.0}
+        assert {text.get_fontsize() for text in figure.findobj(Text) if text.get_text()} >= {8.0}
 
 
 @pytest.mark.parametrize("name", ["path", "errors", "bands", "drivers", "friction", "integrator"])
@@ -80,7 +82,7 @@ def test_axes_of_ones_own_are_drawn_on(name: str) -> None:
 
 def test_a_part_of_a_figure_is_filled() -> None:
     figure = Figure(layout="constrained")
-    left, right = figure.subfigures(1, 2)
+    left, right = np.ravel(np.asarray(figure.subfigures(1, 2), object))
     assert plots.states(RUNS, ax=left) is figure
     assert plots.forces(RUNS, ax=right, title="Forces") is figure
     assert (len(left.axes), len(right.axes)) == (3, 3)
@@ -111,14 +113,19 @@ def test_other_things_than_axes_are_refused(value: Any) -> None:
 
 
 def test_letters_sizes_and_cycles_are_the_users() -> None:
-    own = {"font.size": 7.0, "figure.figsize": (5.0, 2.0), "lines.linewidth": 0.5, "text.color": "#112233"}
-    cycle = matplotlib.cycler(color=["#ff0000", "#00ff00"]) + matplotlib.cycler(linestyle=[":", "-."])
-    with rc_context({**own, "axes.prop_cycle": cycle}):
+    own: dict[Any, Any] = {
+        "font.size": 7.0,
+        "figure.figsize": (5.0, 2.0),
+        "lines.linewidth": 0.5,
+        "text.color": "#112233",
+    }
+    cycle = cycler(color=["#ff0000", "#00ff00"]) + cycler(linestyle=[":", "-."])
+    with rc_context(own | {"axes.prop_cycle": cycle}):
         figure = plots.states(RUNS)
         first, second, wanted = figure.axes[0].lines
         assert figure.get_figwidth() == 5.0
         assert figure.axes[0].yaxis.label.get_fontsize() == 7.0
-        assert [line.get_color().upper() for line in (first, second)] == ["#FF0000", "#00FF00"]
+        assert [str(line.get_color()).upper() for line in (first, second)] == ["#FF0000", "#00FF00"]
         assert [line.get_linestyle() for line in (first, second)] == [":", "-."]
         assert wanted.get_color() == "#112233"
         assert first.get_linewidth() < 2 * 0.5 * 1.5
@@ -148,7 +155,7 @@ def test_bands_say_which_rows_are_logarithmic() -> None:
     from pinmobile import ARRAYS, Circle, ComputedTorque, MobileRobot, Same, Tangent, Uniform, ensemble
 
     robot, way = MobileRobot(30, 1.3), Tangent(Circle(3, 0.1, 20))
-    exact = {"mass": Uniform(24, 36), "model_mass": Same("mass")}
+    exact: dict[str, Any] = {"mass": Uniform(24, 36), "model_mass": Same("mass")}
     best = ensemble(robot, ComputedTorque(robot), way, n=50, spread=exact, dt=0.1, engine=ARRAYS)
     figure = plots.bands({"PD": page.many()["PD"], "exact": best})
     scales = {axes.get_yscale(): axes.get_ylabel() for axes in figure.axes[::2]}

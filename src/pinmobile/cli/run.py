@@ -80,7 +80,8 @@ def show_run(options: Options, folder: Path, *, gif: bool, mp4: bool, html: bool
     """Run, print the judgement, and write records, figures and their index; a diverged run too."""
     loop, label = closed_loop(options), options["controller"]
     plant, title = loop["robot"], _titled(options)
-    _check_films(mp4)
+    if mp4:
+        _check_films()
     with progress(len(FIGURES) + 2 + gif + mp4 + html) as bar:
         begin(bar, "simulating")
         diverged: Diverged | None = None
@@ -142,19 +143,10 @@ def save_page(rollouts: Mapping[str, Rollout], path: Path, title: str, *, speed:
         viewer.record(rollouts, speed=speed, title=title).save_html(path)
 
 
-def _check_films(wanted: bool) -> None:
-    """Refuse films where they cannot be made, before anything is run.
+def _check_films() -> None:
+    from pinmobile.viewer import check_films
 
-    Raises
-    ------
-    ViewerError
-        If there is no Chromium, or no encoder.
-    """
-    if wanted:
-        from pinmobile.viewer.chromium import find_chromium
-        from pinmobile.viewer.recording import film_encoder
-
-        find_chromium(), film_encoder()
+    check_films()
 
 
 def _film(rollouts: Mapping[str, Rollout], folder: Path, prefix: str, bar: Progress) -> Picture:
@@ -296,7 +288,8 @@ def show_lecture(folder: Path, *, gif: bool, mp4: bool) -> int:
     from pinmobile import derivation, verify  # sympy is not needed by the other commands
 
     robot = MobileRobot.lecture()
-    _check_films(mp4)
+    if mp4:
+        _check_films()
     steps = 6 + len(_PATHS) * (len(FIGURES) + 1 + gif + mp4)
     with progress(steps) as bar:
         begin(bar, "deriving")

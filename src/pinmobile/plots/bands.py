@@ -93,7 +93,9 @@ def bands(
         for index, (axes, values) in enumerate(zip(row, quantiles, strict=True)):
             _panel(axes, drawn[index].t, values, scale, index)
     for index, (label, one) in enumerate(known.items()):
-        _headings(sheet, grid[:, index], rows, label, one, float(drawn[index].levels[-1]), index, len(known))
+        _headings(
+            sheet, grid[:, index], rows, label, one, float(drawn[index].levels[-1]), (index, len(known))
+        )
         grid[-1, index].set_xlabel("t [s]")
     if sheet.new:
         sheet.figure.align_ylabels(grid[:, 0])
@@ -214,9 +216,10 @@ def _headings(
     label: str,
     one: Ensemble,
     level: float,
-    index: int,
-    columns: int,
+    place: tuple[int, int],
 ) -> None:
+    """Write above a column, whose number among so many is its place."""
+    index, columns = place
     count = int(one.diverged.sum())
     fate = f"{count:,} of {len(one):,} diverged" if count else f"none of {len(one):,} diverged"
     first, *_ = column

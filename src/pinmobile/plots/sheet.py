@@ -367,8 +367,8 @@ class Sheet:
                 warnings.simplefilter("ignore")  # of a layout without room, which is told below
                 try:
                     self.figure.draw_without_rendering()
-                except ValueError as error:
-                    raise InvalidArgument(f"a label cannot be drawn: {error}") from None
+                except (ValueError, OverflowError) as error:
+                    raise InvalidArgument(f"the figure cannot be drawn: {error}") from None
             why = _crowded(self.figure)
         if why:
             raise InvalidArgument(

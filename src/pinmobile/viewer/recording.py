@@ -27,7 +27,7 @@ from pinmobile.compiled import processors
 from pinmobile.errors import InvalidArgument, ViewerError, shown
 from pinmobile.extras import installing
 from pinmobile.files import write, written
-from pinmobile.viewer.chromium import Browser
+from pinmobile.viewer.chromium import Browser, find_chromium
 from pinmobile.viewer.pages import engine, loading, sealed, stage_page
 
 _LOAD = """<script type="application/json" id="animation">$animation</script>
@@ -102,6 +102,18 @@ def film_encoder() -> ModuleType:
         raise ViewerError(
             f"a film needs imageio-ffmpeg, which is not installed: {installing('mp4')}"
         ) from None
+
+
+def check_films() -> None:
+    """Check that films can be made.
+
+    Raises
+    ------
+    ViewerError
+        If there is no Chromium, or no encoder.
+    """
+    find_chromium()
+    film_encoder()
 
 
 def film(encoder: ModuleType, frames: Iterator[Image.Image], rate: float, size: tuple[int, int]) -> bytes:
