@@ -384,7 +384,8 @@ def test_what_is_projected_rolls_and_is_nearest(kind: str, base: MobileRobot) ->
     taken = np.einsum("nij,nj->ni", wheeled.mass_matrix(q), v - near)
     assert np.abs(np.einsum("nij,ni->nj", wheeled.reduced(q, near).S, taken)).max() < 1e-12
     # Independent velocities give the same: rounding, times the condition of M, some thousands.
-    np.testing.assert_allclose(wheeled.traced().project(q, v), near, atol=1e-11)
+    traced: Any = wheeled.traced()
+    np.testing.assert_allclose(traced.project(q, v), near, atol=1e-11)
 
 
 @pytest.mark.parametrize("kind", ["differential", "car", "casters"])
