@@ -43,6 +43,13 @@ def digest(*values: Any) -> str:
     return found.hexdigest()[:16]
 
 
+def _turning(t: Any, q: Any, v: Any, reference: Any) -> Any:
+    """Return torques of a left and a right side that turn alike but for their sizes."""
+    import numpy as np
+
+    return np.array([0.3, 0.25]) * (1 + 0 * v[..., :2])
+
+
 def loops() -> Iterator[tuple[str, Any]]:
     """Yield names and parts of closed loops: the lecture's six, and others."""
     import pinmobile as pm
@@ -69,6 +76,18 @@ def loops() -> Iterator[tuple[str, Any]]:
         "integrator": pm.rk4,
         "substeps": 2,
     }
+    wheel: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
+    tables = {
+        "differential": pm.WheelTable.differential(0.5, 0.1, supports=[(0.3, 0.0)], **wheel),
+        "skid-steer": pm.WheelTable.skid_steer(0.5, 0.4, 0.1, **wheel),
+        "mecanum": pm.WheelTable.mecanum(0.5, 0.4, 0.1, **wheel),
+    }
+    for name, table in tables.items():
+        drive = pm.WheeledRobot(body, table)
+        if name == "mecanum":
+            yield name, (drive, pm.ComputedTorque(drive, 4, 4), pm.Tangent(paths["circle"]), {})
+        else:
+            yield name, (drive, pm.law(_turning), pm.Tangent(paths["circle"]), {"limit": 1e6})
     yield "all at once", (body, pm.Saturated(noisy, (80, 80, 20)), pm.Tangent(paths["circle"]), acting)
     bare = pm.MobileRobot.box().mount("ur5")
     arm = bare.attach(pm.Load(2.0))

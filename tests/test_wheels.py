@@ -384,7 +384,8 @@ def test_what_is_projected_rolls_and_is_nearest(kind: str, base: MobileRobot) ->
     taken = np.einsum("nij,nj->ni", wheeled.mass_matrix(q), v - near)
     assert np.abs(np.einsum("nij,ni->nj", wheeled.reduced(q, near).S, taken)).max() < 1e-12
     # Independent velocities give the same: rounding, times the condition of M, some thousands.
-    np.testing.assert_allclose(wheeled.traced().project(q, v), near, atol=1e-11)
+    traced: Any = wheeled.traced()
+    np.testing.assert_allclose(traced.project(q, v), near, atol=1e-11)
 
 
 @pytest.mark.parametrize("kind", ["differential", "car", "casters"])
@@ -397,7 +398,7 @@ def test_compiled_it_rolls_as_in_python_from_the_start_that_is_given(kind: str, 
     v0 = wheeled.project(q0, rng.normal(size=wheeled.nv))
     v0 += 1e-11  # within what a start may slip
     controller, still = law(lambda t, q, v, reference: u), FixedHeading(Hold([0, 0], 1.0), 0.0)
-    given = {"dt": 0.02, "q0": q0, "v0": v0, "substeps": substeps}
+    given: dict[str, Any] = {"dt": 0.02, "q0": q0, "v0": v0, "substeps": substeps}
     runs = [simulate(wheeled, controller, still, engine=engine, **given) for engine in (PINOCCHIO, COMPILED)]
     for name in ("q", "v", "a"):
         one, other = (getattr(run, name) for run in runs)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -10,9 +11,10 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, in_numbers, vector
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.measures import Measure
-from pinmobile.plant import ContactLoads, SlipMargins
+from pinmobile.plant import ContactLoads, Contacts, SlipMargins
 from pinmobile.wheels.following import Following, carried, told
 from pinmobile.wheels.ground import Ramp
+from pinmobile.wheels.touching import contacts_of
 
 
 class Bearing:
@@ -113,6 +115,22 @@ class Bearing:
         q, v, a, u = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v, a, u))
         state, felt = self._felt(q, v, a)
         return told(body, state, felt, u, q, lead)[1]
+
+    def contacts(
+        self: Any, q: ArrayLike, v: ArrayLike, a: ArrayLike, u: ArrayLike, signals: Mapping[str, Any]
+    ) -> Contacts:
+        """Return what the ground does at the wheels at the samples of a run, see `Contacts`.
+
+        Parameters
+        ----------
+        q, v, a, u : array_like, shape (n, ...)
+            Of the samples.
+        signals : mapping of str to Signal
+            Of the run.
+        """
+        return contacts_of(
+            self, self._q(q), self._v("v", v), self._v("a", a), vector("u", u, self.nu), signals
+        )
 
     def follows(self: Any, t: ArrayLike, reference: Any) -> Following:
         """Return what rolls along a reference: its ``at(factor)`` tells what the ground bears.

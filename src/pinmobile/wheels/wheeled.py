@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from os import PathLike
@@ -13,7 +13,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite_answer, frozen, in_numbers, positive, vector
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.plant import Contacts, Step
+from pinmobile.plant import Step
 from pinmobile.robot import LOCKED, Load, MobileRobot, Solids, number
 from pinmobile.wheels.bearing import Bearing
 from pinmobile.wheels.chassis import Chassis
@@ -26,7 +26,6 @@ from pinmobile.wheels.reduced import Allocation, Reduced
 from pinmobile.wheels.rolling import RollingBody
 from pinmobile.wheels.slipping import Grip, SlippingBody
 from pinmobile.wheels.table import WheelTable
-from pinmobile.wheels.touching import contacts_of
 from pinmobile.wheels.tree import WheelTree
 from pinmobile.wheels.tyres import Tyres
 from pinmobile.wheels.voltage import ByVoltage
@@ -228,22 +227,6 @@ class WheeledRobot(Chassis, Bearing):
     def frame_pose(self, q: ArrayLike, frame: str | None = None) -> Array:
         """Return T_0_f, the pose of a frame, shape (..., 4, 4): see `MobileRobot.frame_pose`."""
         return self.robot.frame_pose(self._q(q)[..., : self.robot.nq], frame)
-
-    def contacts(
-        self, q: ArrayLike, v: ArrayLike, a: ArrayLike, u: ArrayLike, signals: Mapping[str, Any]
-    ) -> Contacts:
-        """Return what the ground does at the wheels at the samples of a run, see `Contacts`.
-
-        Parameters
-        ----------
-        q, v, a, u : array_like, shape (n, ...)
-            Of the samples.
-        signals : mapping of str to Signal
-            Of the run.
-        """
-        return contacts_of(
-            self, self._q(q), self._v("v", v), self._v("a", a), vector("u", u, self.nu), signals
-        )
 
     @in_numbers
     def mass_matrix(self, q: ArrayLike) -> Array:
