@@ -142,7 +142,7 @@ class Polyline(Curve):
             )
         object.__setattr__(self, "waypoints", frozen(points))
         for name, unit in (("corner_radius", "m"), ("duration", "s"), ("acceleration", "m/s^2")):
-            if getattr(self, name) is not None:
+            if name != "acceleration" or self.acceleration is not None:
                 object.__setattr__(self, name, positive(name, getattr(self, name), unit))
         stretch("duration", self.duration)
         way = self._rounded(points)
