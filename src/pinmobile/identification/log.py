@@ -207,7 +207,7 @@ class Log:
         if last - first < 0.5 * (t[-1] - t[0]):
             raise InvalidArgument(
                 f"t_u is from {held[0]:.9g} to {held[-1]:.9g} s and t_q from {t[0]:.9g} to {t[-1]:.9g} s, "
-                "which overlap by less than half: two clocks, expected times of one; subtract what one is ahead"
+                "which overlap by less than half: two clocks, expected one; subtract what one is ahead"
             )
         kept = (t >= first) & (t <= held[-1])
         t = t[kept]
