@@ -81,7 +81,7 @@ if TYPE_CHECKING:
         SinusoidalForce,
         ViscousFriction,
     )
-    from pinmobile.identification import Log
+    from pinmobile.identification import Identification, Log, excitation, identify
     from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
     from pinmobile.paths import Circle, CubicVia, Hold, Lissajous, RestToRest, Spline
     from pinmobile.plant import Context
@@ -145,6 +145,7 @@ __all__ = [
     "Friction",
     "GearTrain",
     "Hold",
+    "Identification",
     "InvalidArgument",
     "JointFriction",
     "JointType",
@@ -197,8 +198,10 @@ __all__ = [
     "constant_acceleration",
     "contact_loads",
     "ensemble",
+    "excitation",
     "fastest",
     "grid",
+    "identify",
     "integrator_report",
     "law",
     "mountable",
@@ -285,7 +288,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
         "SinusoidalForce",
         "ViscousFriction",
     ),
-    "identification": ("Log",),
+    "identification": ("Identification", "Log", "excitation", "identify"),
     "integrators": ("constant_acceleration", "rk4", "semi_implicit_euler"),
     "measures": (),
     "palette": (),

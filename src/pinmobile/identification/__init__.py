@@ -1,5 +1,8 @@
-"""From a log to parameters with intervals that hold."""
+"""From a log to parameters with intervals that hold, and motions that tell them."""
 
-from pinmobile.identification.log import Log, Samples
+from pinmobile.identification.estimate import Identification, Prediction
+from pinmobile.identification.excitation import Excitation, excitation
+from pinmobile.identification.log import Log
+from pinmobile.identification.procedure import identify
 
-__all__ = ["Log", "Samples"]
+__all__ = ["Excitation", "Identification", "Log", "Prediction", "excitation", "identify"]

@@ -195,6 +195,38 @@ class Chassis:
         told[3] = max(told[3], about + 1e-2 * scales[3])
         return told
 
+    def rows(self, a_u: Array, a_w: Array, turn: Array, square: Array, rates: Array, dry: Array) -> Array:
+        """Return the regressor along the free velocities, shape (n, k, p), a scale of the input left out.
+
+        Parameters
+        ----------
+        a_u, a_w : ndarray, shape (n,)
+            Acceleration forward and to the left.
+        turn, square : ndarray, shape (n,)
+            r' and r^2.
+        rates, dry : ndarray, shape (n, a)
+            Rates with friction, and their regularised signs.
+        """
+        zero = np.zeros_like(a_u)
+        body = np.stack(
+            [
+                np.stack([a_u, -square, -turn, zero], -1),
+                np.stack([a_w, turn, -square, zero], -1),
+                np.stack([zero, a_w, -a_u, turn], -1),
+            ],
+            axis=1,
+        )
+        inertial = np.einsum("ai,naj->nij", self.S, body)
+        friction = [part[:, None, :] * self.A.T[None] for part in (rates, dry)]
+        return np.concatenate([inertial, *friction], axis=-1)
+
+    def regressor(self, eta: Array, rate: Array) -> Array:
+        """Return the regressor of free velocities and their derivatives, both (n, k), shape (n, k, p)."""
+        (forward, left, r), (du, dw, turn) = (eta @ self.S.T).T, (rate @ self.S.T).T
+        rates = eta @ self.A.T
+        dry = rates / np.hypot(rates, self.speed)
+        return self.rows(du - r * left, dw + r * forward, turn, r * r, rates, dry)
+
     def acceleration(self, psi: Any, eta: Any, u: Any, phi: Any) -> Any:
         """Return eta', shape (k,), of one state, in numbers or symbols."""
         m, mx, my, inertia = phi[0], phi[1], phi[2], phi[3]

@@ -147,8 +147,8 @@ class Identification:
     def is_seen(self) -> Mapping[str, bool]:
         """Whether the motion tells a parameter, by name."""
         D = np.abs(self.chassis.slopes(self.phi)) > 0
-        lost = D[:, self.hidden > _UNSEEN].any(axis=1).tolist()
-        return MappingProxyType({name: not one for name, one in zip(self.names, lost, strict=True)})
+        hidden = np.flatnonzero(self.hidden > _UNSEEN)
+        return MappingProxyType({name: not D[k, hidden].any() for k, name in enumerate(self.names)})
 
     def interval(self, level: float = 0.95) -> Mapping[str, tuple[float, float]]:
         """Return an interval of each parameter that holds the true one in a share of all logs, by name.

@@ -185,9 +185,14 @@ def _chassis(
             "of "
             "the input"
         )
+    return to_chassis(robot, speed, scaled), carried
+
+
+def to_chassis(robot: Any, speed: float | None = None, scaled: bool = False) -> Chassis:
+    """Return a robot as its log sees it; see `identify`."""
     if hasattr(robot, "table") and hasattr(robot, "reduced"):
         own = _WHEEL_SPEED if speed is None else positive("rolling_speed", speed, "rad/s")
-        return Chassis.rolling(robot, own, scaled), carried
+        return Chassis.rolling(robot, own, scaled)
     if robot is not None and (not isinstance(robot, MobileRobot) or robot.mounts):
         raise InvalidArgument(
             f"robot is {shown(robot)}, expected a MobileRobot without arms (robot.lumped() has them "
@@ -195,7 +200,7 @@ def _chassis(
             "WheeledRobot"
         )
     own = _SPEED if speed is None else positive("rolling_speed", speed, "m/s")
-    return Chassis.pushed(own, scaled), carried
+    return Chassis.pushed(own, scaled)
 
 
 def _moments(load: Load) -> Array:

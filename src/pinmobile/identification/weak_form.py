@@ -144,22 +144,11 @@ def _along_free(run: Cleaned, chassis: Chassis, bump: Sequence[Array], hop: int)
     # Integrals of a_u, a_w and r' against the bump.
     a_u = -over(forward, g1) - over(r * left)
     a_w = -over(left, g1) + over(r * forward)
-    turn, square = -over(r, g1), over(r * r)
-    zero = np.zeros_like(a_u)
-    body = np.stack(
-        [
-            np.stack([a_u, -square, -turn, zero], -1),
-            np.stack([a_w, turn, -square, zero], -1),
-            np.stack([zero, a_w, -a_u, turn], -1),
-        ],
-        axis=1,
-    )
-    inertial = np.einsum("ai,naj->nij", chassis.S, body)
     rates = eta @ chassis.A.T
     dry = rates / np.hypot(rates, chassis.speed)
-    friction = [over(part)[:, None, :] * chassis.A.T[None] for part in (rates, dry)]
+    Y = chassis.rows(a_u, a_w, -over(r, g1), over(r * r), over(rates), over(dry))
     known = -over(eta, g1) @ chassis.inertia.T + over(eta) @ chassis.damping.T
-    return np.concatenate([inertial, *friction], axis=-1), known
+    return Y, known
 
 
 def solve(parts: Sequence[Rows], chassis: Chassis, delay: float, prior: Array, basis: Array) -> Fit:
