@@ -3,10 +3,9 @@
 Usage: python benchmarks/identification.py [--quick] [--rounds N] [--only WORD ...]
 
 Logs of 60 s of a body with ten unknown parameters, each run with a motion and noise of its own. Beside
-`identify`, least squares as most write it (central differences, one fit, the covariance of white residuals), and
-mujoco.sysid where it is installed. Of each: the share of runs whose interval holds the true parameter, averaged
-over the parameters, how wide intervals are beside the errors' 95 % range (1: as needed), and seconds of the
-processor.
+`identify`, least squares as most write it: central differences, one fit, the covariance of white residuals.
+Of each: the share of runs whose interval holds the true parameter, averaged over the parameters; how wide
+intervals are beside the errors' 95 % range (1: as needed); and seconds of the processor.
 """
 
 import sys
@@ -16,7 +15,7 @@ from time import process_time
 from typing import Any
 
 import numpy as np
-from measuring import console, selecting
+from measuring import console, selecting, table
 
 import pinmobile as pm
 from pinmobile.identification import Excitation
