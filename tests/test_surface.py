@@ -70,7 +70,7 @@ ALLOWED: dict[str, set[str]] = {
     "reaching": {"robot", "trajectories", "integrators", "plant"},
     "identification": {"extras", "files", "forces", "simulation", "wheels"},
     "palette": set(),
-    "plots": {"palette", "files", "simulation", "accuracy", "ensembles", "balance"},
+    "plots": {"palette", "files", "simulation", "accuracy", "ensembles", "balance", "identification"},
     "viewer": {"palette", "files", "robot", "simulation", "extras"},
 }
 

@@ -3,6 +3,6 @@
 from pinmobile.identification.estimate import Identification, Prediction
 from pinmobile.identification.excitation import Excitation, excitation
 from pinmobile.identification.log import Log
-from pinmobile.identification.procedure import identify
+from pinmobile.identification.procedure import METHODS as METHODS, identify
 
 __all__ = ["Excitation", "Identification", "Log", "Prediction", "excitation", "identify"]

@@ -2,6 +2,7 @@
 
 from pinmobile.plots.bands import bands
 from pinmobile.plots.drivers import drivers
+from pinmobile.plots.foresight import prediction
 from pinmobile.plots.plane import animate, path
 from pinmobile.plots.series import balance, errors, forces, reaction, signals, states
 from pinmobile.plots.swept import curves, heatmap, integrator
@@ -28,6 +29,7 @@ __all__ = [
     "loads",
     "odometry",
     "path",
+    "prediction",
     "reaction",
     "signals",
     "slip",
