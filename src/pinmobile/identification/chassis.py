@@ -263,27 +263,20 @@ class Chassis:
                     M[i][j] = M[i][j] + factor * entry
         return _solved(M, right)
 
-    def step(self, z: Any, first: Any, then: Any, phi: Any, spans: Any) -> Any:
-        """Return the state a sample later, shape (3 + k,), by Runge's and Kutta's fourth order.
+    def step(self, z: Any, u: Any, phi: Any, span: Any) -> Any:
+        """Return the state a while later, shape (3 + k,), by Runge's and Kutta's fourth order.
 
         Parameters
         ----------
         z : shape (3 + k,)
             Pose and free velocities.
-        first, then : shape (nu,)
-            Inputs held for the first and for the second span.
+        u : shape (nu,)
+            Input, which is held.
         phi : shape (p,)
             What is identified.
-        spans : shape (2,)
-            Both spans [s].
+        span : shape (1,)
+            How long it is [s].
         """
-        state = [z[i] for i in range(3 + self.free)]
-        for u, h in ((first, spans[0]), (then, spans[1])):
-            state = self._runge_kutta(state, u, phi, h)
-        return np.stack(state)
-
-    def whole_step(self, z: Any, u: Any, phi: Any, span: Any) -> Any:
-        """Return the state a sample later where one input is held; see `step`."""
         return np.stack(self._runge_kutta([z[i] for i in range(3 + self.free)], u, phi, span[0]))
 
     def _runge_kutta(self, state: Sequence[Any], u: Any, phi: Any, h: Any) -> list[Any]:
@@ -303,14 +296,8 @@ class Chassis:
 
     @cached_property
     def stepped(self) -> Batched:
-        """`whole_step` of many states, compiled."""
-        return Batched(self.whole_step, [(3 + self.free,), (self.nu,), (self.size,), (1,)], alike=1)
-
-    @cached_property
-    def split(self) -> Batched:
         """`step` of many states, compiled."""
-        sizes = [(3 + self.free,), (self.nu,), (self.nu,), (self.size,), (2,)]
-        return Batched(self.step, sizes, alike=1)
+        return Batched(self.step, [(3 + self.free,), (self.nu,), (self.size,), (1,)], alike=1)
 
 
 def _dot(row: Array, values: Sequence[Any]) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -112,6 +112,13 @@ class Cleaned:
             sos = butter(4, self.cutoff, fs=1 / self.dt, output="sos")
             return np.asarray(sosfiltfilt(sos, self.rates, axis=0) @ np.linalg.pinv(chassis.A).T)
         return np.asarray(self.twist @ np.linalg.pinv(chassis.S).T)
+
+    def shaken(self, generator: np.random.Generator) -> Cleaned:
+        """Return it with as much noise again as its sensors have."""
+        q, rates = self.q + self.noise * generator.standard_normal(self.q.shape), self.rates
+        if rates is not None and self.rates_noise is not None:
+            rates = rates + self.rates_noise * generator.standard_normal(rates.shape)
+        return replace(self, q=q, rates=rates)
 
     def shifted(self, delay: float, edges: Array) -> Array:
         """Return the mean input between times of the pose that comes late by a delay, shape (n - 1, nu).

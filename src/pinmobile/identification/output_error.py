@@ -8,7 +8,7 @@ size of the parameters. Perturbed parameters and states of all segments are simu
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +17,11 @@ from pinmobile.arrays import Array
 from pinmobile.identification.chassis import Chassis
 from pinmobile.identification.cleaning import Cleaned
 
-_SHIFT = 1e-4  # of a parameter's scale, or of a start's, in central differences
+_SHIFT = 1e-5  # of a parameter's scale, or of a start's, in differences
 _CONVERGED = 1e-4  # of a variance: steps of less than a hundredth of a deviation
 _ROUNDING = 1e-12  # of the cost
-_STEPS, _FIRST_PASSES = 30, 2
+_STEP = 0.005  # [s], longest of the integration: dry friction changes its sign within some
+_FIRST_PASSES = 2
 _SHARES = np.array([1.0, 0.5, 0.2, 0.05, 0.0])  # of the way of a first state that are tried
 _FIRST_DAMPING, _LARGEST_DAMPING = 1e-9, 1e9
 
@@ -101,13 +102,15 @@ class Segments(NamedTuple):
         length = self.measured.shape[1]
         states = np.empty((length, *z.shape))
         states[0] = z
-        spans = self.run.dt * np.array([self.part, 1 - self.part])
+        parts = [(self.first, self.part), (self.then, 1 - self.part)]
         for k in range(length - 1):
-            first, then = self.first[:, k, None], self.then[:, k, None]
-            if self.part:
-                states[k + 1] = chassis.split(states[k], first, then, loaded, spans)
-            else:
-                states[k + 1] = chassis.stepped(states[k], then, loaded, spans[1:])
+            now = states[k]
+            for u, share in parts:
+                steps = int(np.ceil(share * self.run.dt / _STEP - 1e-9))
+                for _ in range(steps):
+                    span = np.array([share * self.run.dt / steps])
+                    now = chassis.stepped(now, u[:, k, None], loaded, span)
+            states[k + 1] = now
         out = states[..., :3]
         if self.measured.shape[-1] > 3:
             out = np.concatenate([out, states[..., 3:] @ chassis.A.T], axis=-1)
@@ -177,7 +180,14 @@ class OutputError:
         The segments.
     chassis : Chassis
         The robot.
+
+    Attributes
+    ----------
+    STEPS : int
+        Gauss-Newton steps at most.
     """
+
+    STEPS: ClassVar[int] = 30
 
     def __init__(self, logs: Sequence[Segments], chassis: Chassis) -> None:
         self.logs, self.chassis = logs, chassis
@@ -216,26 +226,23 @@ class OutputError:
     def _linear_of(self, log: Segments, z: Array, phi: Array, basis: Array) -> _Linear:
         p, s = basis.shape[1], z.shape[1]
         off_phi, off_z = _SHIFT * basis.T, _SHIFT * np.eye(s)
-        lanes = 1 + 2 * (p + s)
+        lanes = 1 + p + s
         phis, states = np.tile(phi, (lanes, 1)), np.tile(z[:, None], (1, lanes, 1))
         phis[1 : p + 1] += off_phi
-        phis[p + 1 : 2 * p + 1] -= off_phi
-        states[:, 2 * p + 1 : 2 * p + 1 + s] += off_z
-        states[:, 2 * p + 1 + s :] -= off_z
+        states[:, p + 1 :] += off_z
         with np.errstate(all="ignore"):
             out = log.simulated(self.chassis, states, phis) * log.good[:, None, :, None]
         out = out.reshape(*out.shape[:2], -1)
         measured = (log.measured * log.good[..., None]).reshape(log.number, -1)
         raw = measured - out[:, 0]
-        by_phi = (out[:, 1 : p + 1] - out[:, p + 1 : 2 * p + 1]) / (2 * _SHIFT)
-        by_z = (out[:, 2 * p + 1 : 2 * p + 1 + s] - out[:, 2 * p + 1 + s :]) / (2 * _SHIFT)
+        by_phi, by_z = (out[:, 1:] - out[:, :1])[:, :p] / _SHIFT, (out[:, p + 1 :] - out[:, :1]) / _SHIFT
         slopes = np.swapaxes(by_phi, 1, 2)
         Q, R = np.linalg.qr(np.swapaxes(by_z, 1, 2))
         J = slopes - Q @ (np.swapaxes(Q, 1, 2) @ slopes)
         e = raw - (Q @ (np.swapaxes(Q, 1, 2) @ raw[..., None]))[..., 0]
         return _Linear(J, e, Q, R, raw, slopes)
 
-    def solve(self, phi: Array, basis: Array, most: int = _STEPS) -> Estimate:
+    def solve(self, phi: Array, basis: Array, most: int = 30) -> Estimate:
         """Return the estimate, from a guess on, within the space of the basis' columns.
 
         Parameters
@@ -278,8 +285,10 @@ class OutputError:
             starts, cost = self._moved(phi, starts, parts, nowhere)
         return starts, cost, self._linear(phi, starts, basis)
 
-    def lateness(self, delay: float, estimate: Estimate, basis: Array) -> Array:
-        """Return what each segment says of the delay: gradient and curvature of half its cost, shape (S, 2).
+    def lateness(self, delay: float, estimate: Estimate, basis: Array) -> tuple[float, float, Array]:
+        """Return by how many samples poses come later than was taken, its deviation, and what segments say.
+
+        A Gauss-Newton step of the delay, parameters and first states free.
 
         Parameters
         ----------
@@ -289,8 +298,15 @@ class OutputError:
             What was found.
         basis : ndarray, shape (p, d)
             As of `solve`.
+
+        Returns
+        -------
+        later, deviation : float
+            In samples.
+        said : ndarray, shape (S, 2)
+            Gradient and curvature of half the cost of each segment.
         """
-        found = []
+        said, mixed = [], []
         parts = self._linear(estimate.phi, estimate.starts, basis)
         for log, z, part in zip(self.logs, estimate.starts, parts, strict=True):
             less, more = (
@@ -299,10 +315,15 @@ class OutputError:
             )
             slope = ((more - less) * log.good[..., None]).reshape(len(z), -1)
             slope = slope - (part.Q @ (np.swapaxes(part.Q, 1, 2) @ slope[..., None]))[..., 0]
-            weight = (slope**2).sum(axis=1)
-            gained = (slope * part.e).sum(axis=1)
-            found.append(np.column_stack([gained, weight]))
-        return np.concatenate(found)
+            said.append(np.column_stack([(slope * part.e).sum(axis=1), (slope**2).sum(axis=1)]))
+            mixed.append(np.einsum("sni,sn->si", part.J, slope))
+        told, crossed = np.concatenate(said), np.concatenate(mixed)
+        H = np.asarray(sum(np.einsum("sni,snj->ij", part.J, part.J) for part in parts))
+        g_i = np.concatenate([np.einsum("sni,sn->si", part.J, part.e) for part in parts])
+        way = np.linalg.lstsq(H, crossed.sum(axis=0), rcond=None)[0]
+        own = told[:, 0] - g_i @ way  # gradients with the parameters free
+        curvature = max(float(told[:, 1].sum() - crossed.sum(axis=0) @ way), 1e-300)
+        return float(own.sum()) / curvature, float(np.sqrt((own**2).sum())) / curvature, told
 
     def _estimate(
         self, phi: Array, starts: Sequence[Array], basis: Array, parts: Sequence[_Linear], steps: int

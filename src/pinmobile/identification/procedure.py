@@ -30,6 +30,7 @@ _SEEN = 0.01  # share of its force that a direction must have to be seen
 _EXPLAINED = 0.5  # of the forces' mean square; what explains less is another robot
 _LEVER = 0.25  # [m], of a robot whose size is not known
 _SPEED, _WHEEL_SPEED = 0.01, 0.1  # where dry friction has 71 %: [m/s, rad/s] of a body, [rad/s] of wheels
+_SETTLED = 0.05  # samples by which a delay may be off in the simulations
 _DRIFT = 1.0  # sample by which a delay may change along a log
 _MASSES = (0.02, 2e4)  # [kg] of ground robots
 _TIMES_NOMINAL = 30.0
@@ -133,13 +134,13 @@ def identify(
     _check_explained(fit.explained)
     _check_units(chassis, fit.phi, prior)
     start = chassis.possible(fit.phi, at.scales)
-    if method == METHODS[0]:
-        estimate, late, error = _by_output_error(at, start, basis, late, seconds, delay is None)
+    most = OutputError.STEPS if method == METHODS[0] else 0
+    estimate, late, error = _by_output_error(at, start, basis, late, seconds, delay is None, most)
+    if most:
         phi, covariance, freedom = estimate.phi, estimate.covariance, estimate.segments - 1
         _check_units(chassis, phi, prior)
     else:
-        segments = [Segments.of(one, chassis, _rounded(late), seconds) for one in cleaned]
-        estimate, error = OutputError(segments, chassis).solve(start, basis, 0), np.nan
+        fit = solve(rows, chassis, _rounded(late), base, basis)
         windows = sum(len(one.q) * one.dt for one in cleaned) / WINDOW
         phi, covariance, freedom = fit.phi, fit.covariance, max(5, round(windows) - len(fit.phi))
     white = [whiteness(e, good) for e, good in zip(estimate.residuals, estimate.good, strict=True)]
@@ -274,22 +275,22 @@ def _directions(at: _Setting) -> tuple[Array, Array]:
     Seen is what has more than a hundredth of the forces in the weak form's regressor, the part left out that
     the noise of poses makes: a second draw of it tells how much that is.
     """
-    chassis, generator, gram, count = at.chassis, np.random.default_rng(0), 0.0, 0
+    chassis, gram, count = at.chassis, 0.0, 0
+    scales = at.scales[: len(at.scales) - chassis.scaled]
     per_row = _row_sizes(at)
-    for one, part in zip(at.logs, at.rows, strict=True):
-        noisy = one.q + one.noise * generator.standard_normal(one.q.shape)
-        rates = one.rates
-        if rates is not None and one.rates_noise is not None:
-            rates = rates + one.rates_noise * generator.standard_normal(rates.shape)
-        again = rows_of(replace(one, q=noisy, rates=rates), chassis)
-        Y, other = (each.equations(chassis, 0.0)[0] * at.scales / per_row[:, None] for each in (part, again))
-        gram = gram + np.einsum("nki,nkj->ij", Y, Y) - 1.5 * np.einsum("nki,nkj->ij", other - Y, other - Y)
+    for part in at.rows:
+        Y, N = (each * scales / per_row[:, None] for each in (part.Y, part.shaken))
+        gram = gram + np.einsum("nki,nkj->ij", Y, Y) - 1.5 * np.einsum("dnki,dnkj->ij", N, N) / len(N)
         count += Y.shape[0] * Y.shape[1]
     values, vectors = np.linalg.eigh(np.asarray(gram) / count)
     told = values > _SEEN**2
-    if chassis.scaled and told.all():  # the scale and all else in proportion solve it without loads
-        return vectors, vectors[:, :0]
-    return vectors[:, told], vectors[:, ~told]
+    seen, unseen = vectors[:, told], vectors[:, ~told]
+    if not chassis.scaled:
+        return seen, unseen
+    # The scale is seen where all else is, as loads differ.
+    extended = np.zeros((len(at.scales), seen.shape[1] + 1))
+    extended[:-1, :-1], extended[-1, -1] = seen, 1.0
+    return extended, np.vstack([unseen, np.zeros(unseen.shape[1])])
 
 
 def _row_sizes(at: _Setting) -> Array:
@@ -323,9 +324,11 @@ def _first_delay(at: _Setting, base: Array, basis: Array) -> float:
     """Return the delay at which the weak form leaves least, in samples, by a scan and a parabola."""
     if basis.shape[1] < len(base):
         return 0.0  # what hardly changes tells no time
-    dt = at.logs[0].dt
+    dt, chassis = at.logs[0].dt, at.chassis
+    if chassis.scaled:  # whose scale tells no time either: all in proportion to it
+        chassis, base, basis = replace(chassis, scaled=False), base[:-1], basis[:-1, :-1]
     delays = np.arange(-max(2, round(_EARLIEST / dt)), max(4, round(_LATEST / dt)) + 0.25, 0.5)
-    costs = np.array([solve(at.rows, at.chassis, d, base, basis).cost for d in delays])
+    costs = np.array([solve(at.rows, chassis, d, base, basis).cost for d in delays])
     k = int(costs.argmin())
     if k in (0, len(delays) - 1):
         raise InvalidArgument(
@@ -342,28 +345,26 @@ def _rounded(delay: float) -> float:
 
 
 def _by_output_error(
-    at: _Setting, phi: Array, basis: Array, delay: float, seconds: float, free: bool
+    at: _Setting, phi: Array, basis: Array, delay: float, seconds: float, free: bool, most: int
 ) -> tuple[Estimate, float, float]:
     """Return the estimate, and the delay and its deviation in samples."""
-    taken = _rounded(delay) if free else delay
-    for _ in range(3):
-        segments = [Segments.of(one, at.chassis, taken, seconds) for one in at.logs]
-        problem = OutputError(segments, at.chassis)
-        estimate = problem.solve(phi, basis)
-        said = problem.lateness(taken, estimate, basis)
-        total = said.sum(axis=0)
-        found = taken + total[0] / max(total[1], 1e-300)
-        error = np.sqrt((said[:, 0] - said[:, 1] * (found - taken)).var() * len(said)) / max(total[1], 1e-300)
-        known = basis.shape[1] == len(phi) and free
-        if not known or _rounded(found) == taken or abs(found - taken) < 0.05:
+    taken = float(round(delay)) if free else delay
+    known = basis.shape[1] == len(phi) and free
+    for _ in range(4):
+        problem = OutputError([Segments.of(one, at.chassis, taken, seconds) for one in at.logs], at.chassis)
+        estimate = problem.solve(phi, basis, most)
+        if not known:
+            return estimate, delay, np.nan
+        later, error, said = problem.lateness(taken, estimate, basis)
+        found = taken + later
+        if abs(_rounded(found) - taken) < _SETTLED:
             break
-        taken, phi = _rounded(found) if abs(found - taken) > _ROUNDED else taken, estimate.phi
-    if known:
-        _check_drift(said, error)
-    return estimate, (found if known else delay), float(error) if known else np.nan
+        taken, phi = _rounded(found), estimate.phi
+    _check_drift(said)
+    return estimate, found, error
 
 
-def _check_drift(said: Array, error: float) -> None:
+def _check_drift(said: Array) -> None:
     """Refuse a log whose delay changes along it, as that of two clocks of which one is faster does."""
     time = np.linspace(-0.5, 0.5, len(said))
     weight = max(float((said[:, 1] * time**2).sum()), 1e-300)

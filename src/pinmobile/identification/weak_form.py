@@ -21,6 +21,7 @@ _LAG = 16  # windows over which residuals hang together: twice those that overla
 _HUBER = 1.345
 _PASSES = 5
 _NORMAL = 1.4826
+_SHAKES = 3  # draws of noise that tell how much of the regressor noise is
 _CAP = 3.0  # deviations beyond which a row costs no more
 
 
@@ -31,20 +32,22 @@ class Rows(NamedTuple):
     ----------
     Y : ndarray, shape (n, k, p)
         Rows of the regressor, without that of an unknown scale of the input.
+    shaken : ndarray, shape (draws, n, k, p)
+        What more noise of the sensors, as much as there is, would add to it.
     known : ndarray, shape (n, k)
         What of the force is that of known inertia, damping and loads.
     run : Cleaned
         The log.
-    size, hop : int
-        Samples of a window, and between two.
+    hop : int
+        Samples between two windows.
     g : ndarray, shape (size,)
         The bump, of sum 1.
     """
 
     Y: Array
+    shaken: Array
     known: Array
     run: Cleaned
-    size: int
     hop: int
     g: Array
 
@@ -98,7 +101,9 @@ def rows_of(run: Cleaned, chassis: Chassis) -> Rows:
     build = _inertial if chassis.B is None else _along_free
     Y, known = build(run, chassis, (g, g1, g2), hop)
     loaded = known + Y[..., :4] @ run.load
-    return Rows(Y, loaded, run, size, hop, g)
+    generator = np.random.default_rng(0)
+    shaken = [build(run.shaken(generator), chassis, (g, g1, g2), hop)[0] - Y for _ in range(_SHAKES)]
+    return Rows(Y, np.stack(shaken), loaded, run, hop, g)
 
 
 def _windows(column: Array, weights: Array, hop: int) -> Array:
@@ -169,26 +174,30 @@ def solve(parts: Sequence[Rows], chassis: Chassis, delay: float, prior: Array, b
     """
     pairs = [part.equations(chassis, delay) for part in parts]
     Y, y = (np.concatenate(each) for each in zip(*pairs, strict=True))
-    right, Y = y - Y @ prior, Y @ basis
-    count, k, d = Y.shape
+    noise = np.concatenate([part.shaken for part in parts], axis=1)
+    noise = np.concatenate([noise, np.zeros((*noise.shape[:3], Y.shape[2] - noise.shape[3]))], axis=-1)
+    count, k, _ = Y.shape
     least = 1e-12 * np.sqrt((y**2).mean()) + np.finfo(float).tiny
-    deviation = np.maximum(right.std(axis=0), least)
+    deviation = np.maximum((y - Y @ prior).std(axis=0), least)
     weights = np.ones((count, k)) / deviation
     for _ in range(_PASSES):
-        A = Y * weights[..., None]
-        z = np.linalg.lstsq(A.reshape(-1, d), (right * weights).ravel(), rcond=1e-9)[0]
-        left = right - Y @ z
+        A, N = Y * weights[..., None], noise * weights[..., None]
+        extra = np.einsum("dnki,dnkj->ij", N, N) / len(N)  # that noise adds to the normal matrix: a bias
+        normal = np.einsum("nki,nkj->ij", A, A) - extra
+        right = np.einsum("nki,nk->i", A, y * weights) - normal @ prior
+        bread = np.linalg.pinv(basis.T @ normal @ basis, rcond=1e-12, hermitian=True)
+        phi = prior + basis @ (bread @ (basis.T @ right))
+        left = y - Y @ phi
         deviation = np.maximum(_NORMAL * np.median(np.abs(left), axis=0), least)
         size = np.abs(left) / deviation
         weights = np.sqrt(np.minimum(1, _HUBER / np.maximum(size, _HUBER))) / deviation
-    A, e = Y * weights[..., None], left * weights
-    bread = np.linalg.pinv(np.einsum("nki,nkj->ij", A, A), rcond=1e-12, hermitian=True)
-    scores = np.split(np.einsum("nki,nk->ni", A, e), np.cumsum([len(part.Y) for part in parts])[:-1])
-    half = basis @ bread
-    covariance = half @ sum(_newey_west(part) for part in scores) @ half.T
+    scores = np.einsum("nki,nk->ni", A, left * weights) + extra @ phi / count
+    cuts = np.cumsum([len(part.Y) for part in parts])[:-1]
+    half = basis @ bread @ basis.T
+    covariance = half @ sum(_newey_west(part) for part in np.split(scores, cuts)) @ half.T
     cost = float((np.minimum(size, _CAP) ** 2).mean() * np.prod(deviation) ** (2 / k))
     explained = 1 - float((left**2).sum() / max((y**2).sum(), least))
-    return Fit(prior + basis @ z, np.asarray(covariance), cost, explained)
+    return Fit(phi, np.asarray(covariance), cost, explained)
 
 
 def _newey_west(scores: Array) -> Array:
