@@ -16,6 +16,7 @@ from pinmobile.identification.log import Log
 
 _WINDOW = 0.15  # [s] of the cubic whose residual tells outliers and noise
 _OUTLIER = 6.0  # deviations
+_BENT = 3e-3  # share of the way through a window below which nothing is an outlier
 _PASSES = 4
 _CUTOFF = 8.0  # [Hz] of velocities
 _LEAST = 2.0**-40  # of the size of what is measured: below it noise is rounding
@@ -147,16 +148,13 @@ def _without_outliers(
     size = max(7, 2 * round(_WINDOW / dt / 2) + 1)
     kept = 1 - savgol_coeffs(size, 3)[size // 2]  # share of white noise's variance that the residual has
     at, good, q = np.arange(len(columns)), seen.copy(), columns.copy()
+    way = columns[size:] - columns[:-size]
+    bent = _BENT * _NORMAL * np.median(np.abs(way), axis=0)  # what a cubic may leave of a motion itself
     for _ in range(_PASSES):
         residual = columns - savgol_filter(q, size, 3, axis=0, mode="interp")
         deviation = _NORMAL * np.median(np.abs(residual[good]), axis=0)
         least = _LEAST * np.abs(columns).max(axis=0) + np.finfo(float).tiny
-        wild = (np.abs(residual) > _OUTLIER * np.maximum(deviation, least)).any(axis=1)
-        good = seen if _is_smooth(deviation, columns) else seen & ~wild
+        wild = (np.abs(residual) > np.maximum(_OUTLIER * deviation, bent)).any(axis=1)
+        good = seen & ~wild
         q = np.column_stack([np.interp(at, at[good], column[good]) for column in columns.T])
     return q, good, np.maximum(deviation / np.sqrt(kept), least)
-
-
-def _is_smooth(deviation: Array, columns: Array) -> bool:
-    """Tell whether there is so little noise that a cubic's residual is the motion's own."""
-    return bool((deviation < 1e-6 * (np.ptp(columns, axis=0) + 1e-3)).all())

@@ -333,8 +333,7 @@ def _first_delay(at: _Setting, base: Array, basis: Array) -> float:
     if k in (0, len(delays) - 1):
         raise InvalidArgument(
             f"log has poses that come late by {dt * delays[k]:.3g} s or more, expected less: are poses and "
-            "inputs "
-            "of two clocks?"
+            "inputs of two clocks?"
         )
     low, mid, high = costs[k - 1 : k + 2]
     return float(delays[k] + 0.25 * (low - high) / max(low - 2 * mid + high, 1e-300))
