@@ -84,6 +84,7 @@ def test_without_noise_the_parameters_are_those_of_the_simulation() -> None:
         assert exact.parameters[name] == pytest.approx(value, rel=2e-3), name
 
 
+@pytest.mark.once
 def test_intervals_hold_the_true_parameters_where_poses_and_forces_are_noisy() -> None:
     inside = [
         low <= TRUE[name] <= high
@@ -138,7 +139,7 @@ def test_outliers_and_rows_without_numbers_are_left_out_and_counted() -> None:
 def test_a_circle_is_refused_and_with_a_robot_what_is_unseen_is_told_and_kept() -> None:
     circle = Log.from_rollout(driven(Tangent(Circle(1.5, 0.6, 44.0))), 1e-3)
     with pytest.raises(
-        InvalidArgument, match=r"^log has a motion of rank 3 of 10: .*does not tell yaw_inertia"
+        InvalidArgument, match=r"^log has a motion of rank 3 of 10: the motion does not tell .*yaw_inertia"
     ):
         identify(circle)
     kept = identify(circle, MobileRobot(30.0, 1.5))
@@ -169,7 +170,7 @@ def test_what_is_found_goes_on_to_simulate_and_ensemble() -> None:
 
 
 def test_a_urdfs_robot_keeps_what_the_plane_cannot_tell() -> None:
-    believed = MobileRobot.box(30.0)
+    believed = MobileRobot.box(30.0, (0.8, 0.6, 0.5))  # whose moments allow for another about z
     kept = identify(log(), believed).robot()
     np.testing.assert_array_equal(np.diag(kept.body.inertia)[:2], np.diag(believed.body.inertia)[:2])
     assert kept.com[2] == believed.com[2]
@@ -225,6 +226,7 @@ def rolled(loaded: bool) -> Log:
     return Log(plain.t, plain.q, plain.u, None, rates)
 
 
+@pytest.mark.once
 def test_volts_and_encoders_tell_mass_and_inertia_and_say_what_they_cannot() -> None:
     known = identify(rolled(False), on_wheels(MobileRobot(20.0, 1.0)))
     for name, value in {"mass": 30.0, "com_x": 0.06, "com_y": 0.02, "yaw_inertia": 1.3}.items():
@@ -236,6 +238,7 @@ def test_volts_and_encoders_tell_mass_and_inertia_and_say_what_they_cannot() -> 
     assert known.forces()[0].names[-2:] == ("left", "right")
 
 
+@pytest.mark.once
 def test_a_known_load_tells_the_motors_constant() -> None:
     wrong = Motor(resistance=1.2, torque_constant=0.06, voltage=24.0, gear=30.0, rotor_inertia=2e-5)
     both = identify(
@@ -307,7 +310,7 @@ def drifting(q: Array) -> Array:
         (lambda: identify(changed(q=drifting)), r"^log has poses whose delay changes by .*two clocks"),
         (
             lambda: Log.from_streams(log().t, log().q, log().t + 1e9, log().u),  # type: ignore[arg-type]
-            r"^t_u is from 1000000000 to .* two clocks",
+            r"^t_u is from 1e\+09 to .* two clocks",
         ),
         (lambda: identify(changed(u=lambda u: u[:, :2])), r"^log has 2 inputs, expected 3: \(Fx, Fy, Mz\)"),
         (lambda: identify([]), r"^log is \[\], expected a Log, or several$"),
@@ -348,7 +351,7 @@ def test_a_bag_is_read_without_ros(kind: str, tmp_path: Path) -> None:
     read = Log.from_bag(path, {"q": "/odom", "u": "/wrench", "twist": "/odom"})
     few = driven().q[:50]
     np.testing.assert_allclose(read.q, few, atol=1e-14)  # type: ignore[arg-type]
-    np.testing.assert_array_equal(read.u, driven().u[:50])
+    np.testing.assert_allclose(read.u, driven().u[:50], rtol=0, atol=1e-12)  # means, of 0.02 s and 76 N
     np.testing.assert_allclose(read.t, driven().t[:50], atol=1e-8)  # [s]: stamps are whole nanoseconds
     with pytest.raises(
         UnknownName, match=r"'/force', .*available: /odom \(Odometry\), /wrench \(WrenchStamped\)"

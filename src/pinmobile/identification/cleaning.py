@@ -17,7 +17,7 @@ from pinmobile.identification.log import Log
 _WINDOW = 0.15  # [s] of the cubic whose residual tells outliers and noise
 _OUTLIER = 6.0  # deviations
 _BENT = 3e-3  # share of the way through a window below which nothing is an outlier
-_PASSES = 4
+_PASSES = 12  # at most
 _CUTOFF = 8.0  # [Hz] of velocities
 _LEAST = 2.0**-40  # of the size of what is measured: below it noise is rounding
 _NORMAL = 1.4826  # a normal distribution's deviation as a share of its median absolute one
@@ -155,6 +155,8 @@ def _without_outliers(
         deviation = _NORMAL * np.median(np.abs(residual[good]), axis=0)
         least = _LEAST * np.abs(columns).max(axis=0) + np.finfo(float).tiny
         wild = (np.abs(residual) > np.maximum(_OUTLIER * deviation, bent)).any(axis=1)
-        good = seen & ~wild
+        before, good = good, seen & ~wild
         q = np.column_stack([np.interp(at, at[good], column[good]) for column in columns.T])
+        if np.array_equal(before, good):
+            break
     return q, good, np.maximum(deviation / np.sqrt(kept), least)

@@ -14,7 +14,8 @@ from pinmobile.identification.procedure import prior_of, to_chassis
 from pinmobile.robot import MobileRobot
 from pinmobile.trajectories import Reference
 
-_CANDIDATES, _STARTS, _STEPS = 60, 1, 30  # random motions, those of them that are improved, and how often
+_CANDIDATES, _STEPS = 60, 2500  # random motions, and how often the best of them is changed
+_FIRST_SIZE, _LARGER = 0.3, 1.5  # of changes, as a share of the coefficients; and by which they grow
 _PER_PERIOD = 120  # samples of a period that the criterion takes
 _KNOTS = 400  # per period, between which positions of wheels are integrated
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
@@ -178,8 +179,7 @@ def excitation(
     draws = [
         generator.standard_normal(shape) / np.arange(1, count + 1)[:, None, None] for _ in range(_CANDIDATES)
     ]
-    ranked = sorted(draws, key=problem.cost)
-    best = min((problem.improved(each) for each in ranked[:_STARTS]), key=problem.cost)
+    best = problem.improved(min(draws, key=problem.cost), generator)
     return problem.motion(best)
 
 
@@ -277,18 +277,19 @@ class _Search:
         sign, size = np.linalg.slogdet(flat.T @ flat / len(eta) + 1e-12 * np.eye(flat.shape[1]))
         return float(-size) if sign > 0 else np.inf
 
-    def improved(self, raw: Array) -> Array:
-        """Return raw coefficients with a lower cost."""
-        from scipy.optimize import minimize  # here, because it takes long to load
+    def improved(self, raw: Array, generator: np.random.Generator) -> Array:
+        """Return raw coefficients with a lower cost: evolution of one, with the rule of one fifth.
 
-        found = minimize(
-            lambda x: self.cost(x.reshape(raw.shape)),
-            raw.ravel(),
-            method="L-BFGS-B",
-            options={"maxiter": _STEPS},
-        )
-        better = np.asarray(found.x.reshape(raw.shape))
-        return better if self.cost(better) < self.cost(raw) else raw
+        Rechenberg (1973). It compares costs alone, so that rounding does not choose its way.
+        """
+        best, cost, size = raw, self.cost(raw), _FIRST_SIZE
+        for _ in range(_STEPS):
+            tried = best + size * np.abs(best).mean() * generator.standard_normal(best.shape)
+            new = self.cost(tried)
+            size *= _LARGER if new < cost else _LARGER**-0.25
+            if new < cost:
+                best, cost = tried, new
+        return best
 
 
 def _in_body(psi: Array, v: Array, a: Array) -> tuple[Array, Array]:

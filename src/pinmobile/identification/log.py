@@ -345,9 +345,7 @@ def _check_times(t: Array, dropped: int) -> None:
     steps = np.diff(t)
     usual = float(np.median(steps))
     if usual > _LONGEST_STEP:
-        raise InvalidArgument(
-            f"t has steps of {usual:g} s, expected seconds: are these milliseconds or less?"
-        )
+        raise InvalidArgument(f"t has steps of {usual:g} s, expected seconds: are these milliseconds?")
     worst = int(steps.argmax())
     if steps[worst] > _HOLE * usual:
         nan = f"; {dropped} rows had NaN" if dropped else ""

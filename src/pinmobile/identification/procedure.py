@@ -328,8 +328,10 @@ def _first_delay(at: _Setting, base: Array, basis: Array) -> float:
     if chassis.scaled:  # whose scale tells no time either: all in proportion to it
         chassis, base, basis = replace(chassis, scaled=False), base[:-1], basis[:-1, :-1]
     delays = np.arange(-max(2, round(_EARLIEST / dt)), max(4, round(_LATEST / dt)) + 0.25, 0.5)
-    costs = np.array([solve(at.rows, chassis, d, base, basis).cost for d in delays])
+    fits = [solve(at.rows, chassis, d, base, basis, 2) for d in delays]
+    costs = np.array([each.cost for each in fits])
     k = int(costs.argmin())
+    _check_explained(fits[k].explained)
     if k in (0, len(delays) - 1):
         raise InvalidArgument(
             f"log has poses that come late by {dt * delays[k]:.3g} s or more, expected less: are poses and "
@@ -371,9 +373,8 @@ def _check_drift(said: Array) -> None:
     deviation = np.sqrt(((said[:, 0] - said[:, 1] * time * slope) ** 2 * time**2).sum()) / weight
     if abs(slope) > max(_DRIFT, _SIGNIFICANT * deviation):
         raise InvalidArgument(
-            f"log has poses whose delay changes by {slope:.2g} samples from its start to its end: two "
-            "clocks of "
-            "which one is faster, expected times of one"
+            f"log has poses whose delay changes by {slope:.2g} samples from start to end: two clocks, "
+            "one of which is faster, expected times of one"
         )
 
 

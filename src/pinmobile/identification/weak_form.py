@@ -19,7 +19,6 @@ WINDOW = 0.6  # [s]
 _HOPS = 8  # per window
 _LAG = 16  # windows over which residuals hang together: twice those that overlap
 _HUBER = 1.345
-_PASSES = 5
 _NORMAL = 1.4826
 _SHAKES = 3  # draws of noise that tell how much of the regressor noise is
 _CAP = 3.0  # deviations beyond which a row costs no more
@@ -156,7 +155,9 @@ def _along_free(run: Cleaned, chassis: Chassis, bump: Sequence[Array], hop: int)
     return Y, known
 
 
-def solve(parts: Sequence[Rows], chassis: Chassis, delay: float, prior: Array, basis: Array) -> Fit:
+def solve(
+    parts: Sequence[Rows], chassis: Chassis, delay: float, prior: Array, basis: Array, passes: int = 5
+) -> Fit:
     """Return the least squares of several logs' weak forms, each row of forces weighted by what it leaves.
 
     Parameters
@@ -171,6 +172,8 @@ def solve(parts: Sequence[Rows], chassis: Chassis, delay: float, prior: Array, b
         What is believed.
     basis : ndarray, shape (p, d)
         Directions in which phi may be elsewhere, each of the size that is expected.
+    passes : int
+        How often rows are weighted anew.
     """
     pairs = [part.equations(chassis, delay) for part in parts]
     Y, y = (np.concatenate(each) for each in zip(*pairs, strict=True))
@@ -180,7 +183,7 @@ def solve(parts: Sequence[Rows], chassis: Chassis, delay: float, prior: Array, b
     least = 1e-12 * np.sqrt((y**2).mean()) + np.finfo(float).tiny
     deviation = np.maximum((y - Y @ prior).std(axis=0), least)
     weights = np.ones((count, k)) / deviation
-    for _ in range(_PASSES):
+    for _ in range(passes):
         A, N = Y * weights[..., None], noise * weights[..., None]
         extra = np.einsum("dnki,dnkj->ij", N, N) / len(N)  # that noise adds to the normal matrix: a bias
         normal = np.einsum("nki,nkj->ij", A, A) - extra
