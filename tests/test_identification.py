@@ -45,7 +45,7 @@ TRUE = {
     **{"viscous_forward": 6.0, "viscous_left": 14.0, "viscous_yaw": 1.2},
     **{"rolling_forward": 4.0, "rolling_left": 7.0, "rolling_yaw": 0.6},
 }
-FRICTION = [ViscousFriction((6.0, 14.0, 1.2)), RollingResistance((4.0, 7.0, 0.6))]
+FRICTION: list[Any] = [ViscousFriction((6.0, 14.0, 1.2)), RollingResistance((4.0, 7.0, 0.6))]
 
 
 @cache

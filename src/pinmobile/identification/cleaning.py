@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import butter, savgol_coeffs, savgol_filter, sosfiltfilt
 
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
@@ -98,11 +97,17 @@ class Cleaned:
         """Where velocities are filtered [Hz]."""
         return min(_CUTOFF, 0.2 / self.dt)
 
+    def _filtered(self, columns: Array) -> Array:
+        """Return columns without what is faster than a cut-off, without a delay."""
+        from scipy.signal import butter, sosfiltfilt  # here, because it takes long to load
+
+        sos = butter(4, self.cutoff, fs=1 / self.dt, output="sos")
+        return np.asarray(sosfiltfilt(sos, columns, axis=0))
+
     @cached_property
     def twist(self) -> Array:
         """Body twist of the filtered pose, shape (N, 3): forward, left, yaw rate."""
-        sos = butter(4, self.cutoff, fs=1 / self.dt, output="sos")
-        smooth = sosfiltfilt(sos, self.q, axis=0)
+        smooth = self._filtered(self.q)
         v = np.gradient(smooth, self.dt, axis=0)
         c, s = np.cos(smooth[:, 2]), np.sin(smooth[:, 2])
         return np.column_stack([c * v[:, 0] + s * v[:, 1], c * v[:, 1] - s * v[:, 0], v[:, 2]])
@@ -110,8 +115,7 @@ class Cleaned:
     def free_velocities(self, chassis: Chassis) -> Array:
         """Return eta at all samples, shape (N, k): of the encoders where there are any."""
         if self.rates is not None:
-            sos = butter(4, self.cutoff, fs=1 / self.dt, output="sos")
-            return np.asarray(sosfiltfilt(sos, self.rates, axis=0) @ np.linalg.pinv(chassis.A).T)
+            return np.asarray(self._filtered(self.rates) @ np.linalg.pinv(chassis.A).T)
         return np.asarray(self.twist @ np.linalg.pinv(chassis.S).T)
 
     def shaken(self, generator: np.random.Generator) -> Cleaned:
@@ -145,6 +149,9 @@ def _without_outliers(
 
     What a local cubic leaves tells: unlike a running median, it does not take for outliers what moves fast.
     """
+    from scipy.interpolate import CubicSpline  # here, because these take long to load
+    from scipy.signal import savgol_coeffs, savgol_filter
+
     size = max(7, 2 * round(_WINDOW / dt / 2) + 1)
     kept = 1 - savgol_coeffs(size, 3)[size // 2]  # share of white noise's variance that the residual has
     at, good, q = np.arange(len(columns)), seen.copy(), columns.copy()
@@ -156,7 +163,9 @@ def _without_outliers(
         least = _LEAST * np.abs(columns).max(axis=0) + np.finfo(float).tiny
         wild = (np.abs(residual) > np.maximum(_OUTLIER * deviation, bent)).any(axis=1)
         before, good = good, seen & ~wild
-        q = np.column_stack([np.interp(at, at[good], column[good]) for column in columns.T])
+        inside = np.clip(at[~good], at[good][0], at[good][-1])  # nothing is told beyond the last good one
+        q = columns.copy()
+        q[~good] = CubicSpline(at[good], columns[good])(inside)
         if np.array_equal(before, good):
             break
     return q, good, np.maximum(deviation / np.sqrt(kept), least)
