@@ -114,6 +114,7 @@ INNER = {
 # What the library makes and users read: nobody calls the class.
 RESULTS = {
     *("robot.Calls", "simulation.Signal", "closed_form.ReducedModel"),
+    *("Identification", "identification.Prediction"),
     *(
         "Clearance",
         "Context",
@@ -349,6 +350,19 @@ def _rolls() -> Any:
     return pm.simulate(WORLD.wheeled, law, WORLD.trajectory, dt=0.02, duration=0.1, integrator=pm.rk4)
 
 
+def _logged() -> Any:
+    path = pm.excitation(WORLD.robot, duration=22.0, period=11.0)
+    law = pm.ComputedTorque(WORLD.robot, 16, 8)
+    run = pm.simulate(WORLD.robot, law, path, dt=0.05, integrator=pm.rk4)
+    return pm.Log.from_rollout(run, 1e-3)
+
+
+def _logged_csv() -> Any:
+    file = WORLD.folder / "log.csv"
+    WORLD.rollout.to_csv(file)
+    return file
+
+
 def _sweep() -> Any:
     scenarios = pm.grid(_scenario, gain=[1.0, 2.0])
     return pm.sweep(scenarios, WORLD.folder / "sweep.zarr")
@@ -371,6 +385,10 @@ MADE: dict[str, Callable[[], Any]] = {
     "commanded": lambda: pm.VelocityRobot(THETA),
     "commands": _commands,
     "theta": lambda: pm.identify_velocity(WORLD.commands, seconds=1.0),
+    "log": _logged,
+    "log_csv": _logged_csv,
+    "identified": lambda: pm.identify(WORLD.log, method="weak"),
+    "foretold": lambda: WORLD.identified.predict(WORLD.log),
     "robot": lambda: pm.MobileRobot(10.0, 1.2, com=(0.15, 0.05)),
     "base": lambda: pm.MobileRobot(30.0, 1.3, com=(0.0, 0.0, 0.1), size=(0.6, 0.4, 0.25)),
     "differential": lambda: WheelTable.differential(
@@ -804,6 +822,38 @@ ROWS: dict[str, Row] = {
     "MobileRobot.random_configuration": row(generator=partial(np.random.default_rng, 1), shape=(2,)),
     "Resolved.__call__": row(t=[0.1, 0.5]),
     "Resolved.max_error": row(),
+    "Log": Row(lambda: {"t": WORLD.log.t, "q": WORLD.log.q, "u": WORLD.log.u, "twist": None}, 60),
+    "Log.between": row(start=0.0, stop=5.0),
+    "Log.samples": row(),
+    "Log.from_csv": row(path=the("log_csv"), columns=None),
+    "Log.from_bag": row(path=the("log_csv"), topics={"q": "/odom", "u": "/wrench"}, stamps="header"),
+    "Log.from_rollout": row(rollout=the("rollout"), noise=1e-3, input_noise=(1, 1, 0.1), delay=1, seed=0),
+    "Log.from_streams": Row(
+        lambda: {"t_q": WORLD.log.t, "q": WORLD.log.q, "t_u": WORLD.log.t, "u": WORLD.log.u}, 60
+    ),
+    "identify": row(60, log=the("log"), robot=None, loads=None, method="weak", delay=0.0, rolling_speed=0.01),
+    "Identification.interval": row(level=0.9),
+    "Identification.robot": row(),
+    "Identification.forces": row(),
+    "Identification.spread": row(n=3, seed=0),
+    "Identification.predict": row(60, log=the("log"), seconds=2.0),
+    "excitation": row(
+        60,
+        robot=None,
+        duration=10.0,
+        period=10.0,
+        position=(1, 1, 3),
+        velocity=(1, 1, 1),
+        acceleration=(1, 1, 2),
+        harmonics=3,
+        seed=0,
+    ),
+    "identification.Excitation": row(
+        coefficients=np.ones((3, 2, 3)), period=5.0, duration=10.0, S=None, start=np.zeros(3)
+    ),
+    "identification.Excitation.__call__": row(t=1.0),
+    "identification.Excitation.series": row(t=1.0, order=1),
+    "plots.prediction": row(60, foretold=the("foretold"), title="a title", ax=None, width=8.0),
     "Rollout.load": row(path=the("saved")),
     "Rollout.save": row(path=partial(lambda: WORLD.folder / "again.npz")),
     "Rollout.to_csv": row(path=partial(lambda: WORLD.folder / "again.csv")),
@@ -1134,6 +1184,9 @@ OWNERS: dict[str, Callable[[], Any]] = {
     "identification.VelocityIdentification": lambda: WORLD.theta,
     "wheels.Mobility": lambda: wheels.Mobility,
     "Resolved": lambda: WORLD.resolved,
+    "Log": lambda: WORLD.log,
+    "Identification": lambda: WORLD.identified,
+    "identification.Excitation": lambda: pm.excitation(duration=10.0, period=10.0, harmonics=3),
     "Rollout": lambda: WORLD.rollout,
     "EndEffector": lambda: WORLD.arm_rollout.end_effector(),
     "DHTable": lambda: pm.LECTURE_TABLE,
@@ -1154,7 +1207,7 @@ REFUSED = {
     "viewer.Viewer.screenshot",
     "viewer.Recording.save_gif",
 }
-REFUSED |= {"viewer.Recording.save_mp4", "viewer.Recording.screenshot"}
+REFUSED |= {"Log.from_bag", "viewer.Recording.save_mp4", "viewer.Recording.screenshot"}
 # Those that take arguments by position alone, or any number of them.
 CALLED: dict[str, Callable[..., Any]] = {
     "WholeBody": lambda robot, base, joints: pm.WholeBody(robot, base, joints),

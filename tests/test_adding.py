@@ -34,6 +34,7 @@ USERS = {
     "cli/drive.py": {"Backstepping", "ComputedTorque", "Tracking"},  # as the drive can move
     "cli/mount.py": {"Decoupled", "ComputedTorque"},
     "cli/run.py": {"Allocated", "Backstepping", "Tracking"},  # the lecture's paths on wheels
+    "identification/estimate.py": {"JointFriction", "RollingResistance", "ViscousFriction"},  # what was found
     "reaching/poses.py": {"Spline"},  # of positions, through poses
     "trajectories/reference.py": {"Hold"},
 }

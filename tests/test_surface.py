@@ -80,7 +80,7 @@ ALLOWED: dict[str, set[str]] = {
     "reaching": {"robot", "trajectories", "integrators", "plant", "proximity"},
     "identification": {"extras", "files", "forces", "simulation", "wheels"},
     "palette": set(),
-    "plots": {"palette", "files", "simulation", "accuracy", "ensembles", "balance"},
+    "plots": {"palette", "files", "simulation", "accuracy", "ensembles", "balance", "identification"},
     "viewer": {"palette", "files", "robot", "simulation", "extras"},
 }
 

@@ -89,7 +89,14 @@ if TYPE_CHECKING:
         SinusoidalForce,
         ViscousFriction,
     )
-    from pinmobile.identification import Log, VelocityRobot, identify_velocity
+    from pinmobile.identification import (
+        Identification,
+        Log,
+        VelocityRobot,
+        excitation,
+        identify,
+        identify_velocity,
+    )
     from pinmobile.integrators import constant_acceleration, rk4, semi_implicit_euler
     from pinmobile.paths import (
         Circle,
@@ -172,6 +179,7 @@ __all__ = [
     "Friction",
     "GearTrain",
     "Hold",
+    "Identification",
     "InvalidArgument",
     "JointFriction",
     "JointType",
@@ -233,8 +241,10 @@ __all__ = [
     "constant_acceleration",
     "contact_loads",
     "ensemble",
+    "excitation",
     "fastest",
     "grid",
+    "identify",
     "identify_velocity",
     "integrator_report",
     "law",
@@ -330,7 +340,14 @@ _NAMES: dict[str, tuple[str, ...]] = {
         "SinusoidalForce",
         "ViscousFriction",
     ),
-    "identification": ("Log", "VelocityRobot", "identify_velocity"),
+    "identification": (
+        "Identification",
+        "Log",
+        "VelocityRobot",
+        "excitation",
+        "identify",
+        "identify_velocity",
+    ),
     "integrators": ("constant_acceleration", "rk4", "semi_implicit_euler"),
     "measures": (),
     "palette": (),

@@ -11,6 +11,7 @@ from pinmobile.errors import InvalidArgument
 EXTRAS: Mapping[str, tuple[str, ...]] = {
     "sweeps": ("dask", "distributed", "xarray", "zarr"),
     "mp4": ("imageio-ffmpeg",),
+    "bags": ("rosbags",),
 }
 """The packages of each extra, as on PyPI; pyproject.toml has their versions."""
 

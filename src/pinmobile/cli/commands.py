@@ -323,6 +323,53 @@ def drive(
     return show_drive(typed, robot, name or str(urdf), dt=dt, html=html, out=out)
 
 
+@app.command()
+def identify(
+    log: Annotated[
+        Path, typer.Argument(help="CSV file: t, x, y, psi and u_Fx, u_Fy, u_Mz, units in brackets.")
+    ],
+    *,
+    bag: Annotated[
+        list[str] | None,
+        _help("ROLE=TOPIC, where the file is a bag or MCAP; q=/odom and u=/wrench, say. Repeat it."),
+    ] = None,
+    method: Annotated[str, _help("output-error, or weak, which is faster.")] = "output-error",
+    delay: Annotated[float | None, _help("By which poses come late (s); by default it is found.")] = None,
+    out: Annotated[Path, _help("Folder for the figure.")] = Path("out/identify"),
+) -> int:
+    """Tell mass, centre of mass, yaw inertia and friction, with intervals, from the log of a pushed body.
+
+    It prints the table, and draws what was measured beside what the model that was found foretells.
+
+    Example: pinmobile identify run.csv
+    """
+    from pinmobile import Log
+    from pinmobile.cli.output import save_figure
+    from pinmobile.identification import METHODS, identify as identified
+    from pinmobile.plots import prediction
+
+    if bag:
+        pairs = [word.partition("=") for word in bag]
+        wrong = next(
+            (word for word, pair in zip(bag, pairs, strict=True) if not pair[0] or not pair[2]), None
+        )
+        if wrong is not None:
+            raise InvalidArgument(f"--bag is {wrong!r}, expected ROLE=TOPIC, such as q=/odom")
+        read = Log.from_bag(log, {role: topic for role, _, topic in pairs})
+    else:
+        read = Log.from_csv(log)
+    way = choose("method", method, {each.replace(" ", "-"): each for each in METHODS})
+    with progress(1, "identifying"):
+        found = identified(read, method=way, delay=delay)
+        foretold = found.predict(read)
+    console.print(str(found), markup=False)
+    console.print(str(foretold), markup=False)
+    path = output_folder(out) / f"{log.stem}.png"
+    save_figure(prediction(foretold, title=f"{log.name}: measured and foretold"), path)
+    console.print(f"{path}", markup=False)
+    return 0
+
+
 @app.command(context_settings=_TAKES_RUNS)
 def view(
     context: typer.Context,

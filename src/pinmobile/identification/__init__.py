@@ -1,6 +1,9 @@
-"""From a log to parameters with intervals that hold."""
+"""From a log to parameters with intervals that hold, and motions that tell them."""
 
+from pinmobile.identification.estimate import Identification, Prediction
 from pinmobile.identification.log import Log
+from pinmobile.identification.motions import Excitation, excitation
+from pinmobile.identification.procedure import METHODS as METHODS, identify
 from pinmobile.identification.published import VELOCITY_ROBOTS
 from pinmobile.identification.velocity_identification import (
     Predicted,
@@ -11,9 +14,14 @@ from pinmobile.identification.velocity_robot import VelocityRobot
 
 __all__ = [
     "VELOCITY_ROBOTS",
+    "Excitation",
+    "Identification",
     "Log",
     "Predicted",
+    "Prediction",
     "VelocityIdentification",
     "VelocityRobot",
+    "excitation",
+    "identify",
     "identify_velocity",
 ]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
@@ -12,9 +10,9 @@ from typing import Any, NamedTuple, Self, final
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, increasing, location, real, seeded
-from pinmobile.errors import InvalidArgument, UnknownName
-from pinmobile.files import refusals
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, increasing, real, seeded
+from pinmobile.errors import InvalidArgument
+from pinmobile.identification.logfiles import read_bag, read_csv
 from pinmobile.plant import coordinates_of, inputs_of
 from pinmobile.simulation import Rollout
 
@@ -207,7 +205,7 @@ class Log:
         if last - first < 0.5 * (t[-1] - t[0]):
             raise InvalidArgument(
                 f"t_u is from {held[0]:.9g} to {held[-1]:.9g} s and t_q from {t[0]:.9g} to {t[-1]:.9g} s, "
-                "which overlap by less than half: two clocks, expected times of one; subtract what one is ahead"
+                "which overlap by less than half: two clocks, expected one; subtract what one is ahead"
             )
         kept = (t >= first) & (t <= held[-1])
         t = t[kept]
@@ -293,40 +291,45 @@ class Log:
         UnknownName
             If a column is not there.
         """
-        file = location("path", path)
-        with (
-            refusals("read", "path", file),
-            file.open(newline="", encoding="utf-8-sig", errors="replace") as f,
-        ):
-            lines = csv.reader(f)
-            head = next(lines, [])
-            rows = [row for row in lines if row]
-        named = {re.sub(r"\s*\[.*\]\s*$", "", title).strip(): k for k, title in enumerate(head)}
-        wanted = _columns_of(list(named)) if columns is None else dict(columns)
-        for role in wanted:
-            if role not in ("t", "q", "u", "twist", "wheel_rates"):
-                raise UnknownName("part of a log", role, ("t", "q", "u", "twist", "wheel_rates"))
-        numbers = np.array([[_number(cell) for cell in row] for row in rows if len(row) == len(head)])
-        short = len(rows) - len(numbers)
-        if len(numbers) < 2:
-            raise InvalidArgument(
-                f"path is {str(file)!r}, with {len(numbers)} rows of numbers, expected more"
-            )
-        parts: dict[str, Array] = {}
-        for role, of_role in wanted.items():
-            listed = [of_role] if isinstance(of_role, str) else list(of_role)
-            for name in listed:
-                if name not in named:
-                    raise UnknownName(f"column of {str(file)!r}", name, named)
-            parts[role] = np.column_stack([_in_si(head[named[n]], numbers[:, named[n]]) for n in listed])
-        for role in ("t", "u"):
-            if role not in parts:
-                raise InvalidArgument(
-                    f"path is {str(file)!r}, whose columns are {', '.join(named)}: none is that of {role}, "
-                    f"expected columns={{{role!r}: ...}}"
-                )
+        parts, short = read_csv(path, columns)
         times = parts.pop("t")[:, 0]
         return cls(times, parts.pop("q", None), parts.pop("u"), **parts, dropped=short)
+
+    @classmethod
+    def from_bag(
+        cls, path: str | PathLike[str], topics: Mapping[str, str], *, stamps: str = "header"
+    ) -> Self:
+        """Return the log of a ROS 1 or ROS 2 bag, or of an MCAP file; ROS itself is not needed.
+
+        Parameters
+        ----------
+        path : str or path-like
+            A file ``.bag`` or ``.mcap``, or the folder of a bag of ROS 2.
+        topics : mapping of str to str
+            Topics of ``q`` and ``u``, and of ``twist`` and ``wheel_rates`` where they are wanted: odometry,
+            poses and transforms tell a pose; wrenches, twists (forward, yaw rate), efforts of joints and
+            arrays of numbers an input.
+        stamps : str
+            ``"header"``: the times that messages have, where they have any; ``"bag"``: those of arrival.
+
+        Raises
+        ------
+        InvalidArgument
+            If rosbags is not installed, the bag cannot be read, a topic's messages tell something else, or
+            as of `from_streams`.
+        UnknownName
+            If the bag has no such topic: the message lists those it has.
+        """
+        streams = read_bag(path, topics, stamps)
+        t, first = streams["q"] if "q" in streams else streams["twist"]
+        measured: dict[str, Array] = {}
+        for name in ("twist", "wheel_rates"):
+            if name in streams:
+                measured[name] = _interpolated(*streams[name], t)
+        held = cls.from_streams(
+            t, first if "q" in streams else np.zeros((len(t), 3)), *streams["u"], **measured
+        )
+        return held if "q" in streams else cls(held.t, None, held.u, held.twist, held.wheel_rates)
 
 
 def _step(t: Array) -> float:
@@ -342,9 +345,7 @@ def _check_times(t: Array, dropped: int) -> None:
     steps = np.diff(t)
     usual = float(np.median(steps))
     if usual > _LONGEST_STEP:
-        raise InvalidArgument(
-            f"t has steps of {usual:g} s, expected seconds: are these milliseconds or less?"
-        )
+        raise InvalidArgument(f"t has steps of {usual:g} s, expected seconds: are these milliseconds?")
     worst = int(steps.argmax())
     if steps[worst] > _HOLE * usual:
         nan = f"; {dropped} rows had NaN" if dropped else ""
@@ -388,49 +389,3 @@ def _mean_held(t: Array, u: Array, edges: Array) -> Array:
     k = np.clip(np.searchsorted(t, edges, side="right") - 1, 0, len(t) - 1)
     total = spent[k] + u[k] * (edges - t[k])[:, None]
     return np.asarray(np.diff(total, axis=0) / np.diff(edges)[:, None])
-
-
-_TURNS = ("psi", "yaw", "theta", "heading")
-_UNITS = {
-    **dict.fromkeys(("", "s", "m", "rad", "N", "N m", "Nm", "V", "A", "m/s", "rad/s"), 1.0),
-    **{"deg": np.pi / 180, "deg/s": np.pi / 180, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-    **{"mm": 1e-3, "cm": 1e-2, "mm/s": 1e-3, "mrad": 1e-3, "mN": 1e-3, "kN": 1e3, "mV": 1e-3, "mA": 1e-3},
-    **{"N mm": 1e-3, "mN m": 1e-3, "rpm": 2 * np.pi / 60, "rev/min": 2 * np.pi / 60},
-}
-
-
-def _in_si(title: str, column: Array) -> Array:
-    found = re.search(r"\[(.*)\]\s*$", title)
-    unit = found[1].strip() if found else ""
-    if unit not in _UNITS:
-        raise UnknownName(f"unit of column {title!r}", unit, _UNITS)
-    return column * _UNITS[unit]
-
-
-def _number(cell: str) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        return np.nan
-
-
-def _columns_of(names: Sequence[str]) -> dict[str, Sequence[str]]:
-    """Return which columns tell what, by their names."""
-    known = {name.casefold(): name for name in names}
-    found: dict[str, Sequence[str]] = {}
-    time = [known[name] for name in ("t", "time", "stamp", "timestamp") if name in known]
-    turn = [known[name] for name in _TURNS if name in known]
-    if time:
-        found["t"] = time[:1]
-    if turn and {"x", "y"} <= set(known):
-        found["q"] = (known["x"], known["y"], turn[0])
-    inputs = [name for name in names if name.startswith("u_")]
-    inputs = inputs or [known[name] for name in ("fx", "fy", "mz") if name in known]
-    for role, listed in (
-        ("u", inputs),
-        ("twist", [name for name in names if name.startswith("twist_")]),
-        ("wheel_rates", [name for name in names if name.startswith("rate_")]),
-    ):
-        if listed:
-            found[role] = listed
-    return found

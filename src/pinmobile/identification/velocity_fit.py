@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import savgol_filter
 
 from pinmobile.arrays import Array
 from pinmobile.identification.log import Samples
@@ -416,6 +415,8 @@ def guess(runs: Sequence[Samples], lead: int, delay: float | None) -> tuple[Arra
 
 def _speeds(poses: Array, dt: float) -> Array:
     """Return speed and yaw rate of poses, shape (..., N, 2), by a cubic's slope."""
+    from scipy.signal import savgol_filter
+
     size = min(max(5, 2 * round(_SMOOTH / dt / 2) + 1), poses.shape[-2] - 1 + poses.shape[-2] % 2)
     degree = min(3, size - 1)
     smooth, rate = (

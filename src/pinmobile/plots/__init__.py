@@ -1,8 +1,8 @@
 """Figures of rollouts, reports and ensembles: matplotlib without pyplot, so no window is needed."""
 
 from pinmobile.plots.bands import bands
+from pinmobile.plots.comparison import end_effector, prediction
 from pinmobile.plots.drivers import drivers
-from pinmobile.plots.effector import end_effector
 from pinmobile.plots.plane import animate, path
 from pinmobile.plots.series import balance, errors, forces, reaction, signals, states
 from pinmobile.plots.swept import curves, heatmap, integrator
@@ -30,6 +30,7 @@ __all__ = [
     "loads",
     "odometry",
     "path",
+    "prediction",
     "reaction",
     "signals",
     "slip",

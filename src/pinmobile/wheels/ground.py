@@ -10,7 +10,7 @@ from typing import ClassVar, final
 from pinmobile.arrays import Array, frozen, non_negative, positive, scalar, whole
 from pinmobile.constancy import constant
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.wheels.chassis import Chassis
+from pinmobile.wheels.platform import Platform
 from pinmobile.wheels.slipping import led
 
 
@@ -79,20 +79,20 @@ class Rolling:
         """Return the ground on which each wheel has friction of its own: itself."""
         return self
 
-    def check(self, chassis: Chassis, inertias: Array) -> None:
+    def check(self, platform: Platform, inertias: Array) -> None:
         """Refuse steering that nothing holds and that has no inertia.
 
         Parameters
         ----------
-        chassis : Chassis
+        platform : Platform
             What stands on it.
         inertias : ndarray, shape (axes + wheels,)
             Diagonal of its mass matrix, of steering axes and wheels [kg m^2].
         """
-        for k in chassis.mobility.choice.free:
+        for k in platform.mobility.choice.free:
             if not inertias[k] > 0:
-                axis = chassis.table.axes[k]
-                wheel = chassis.table.names[axis.wheels[0]]
+                axis = platform.table.axes[k]
+                wheel = platform.table.names[axis.wheels[0]]
                 raise InvalidArgument(
                     f"{axis.name} of the table has no inertia about its axis, expected one > 0: give "
                     f"yaw_inertia of wheel {wheel!r}"
@@ -153,16 +153,16 @@ class Coulomb:
         """Return the ground on which each wheel has friction of its own."""
         return replace(self, mu=None)
 
-    def check(self, chassis: Chassis, inertias: Array) -> None:
+    def check(self, platform: Platform, inertias: Array) -> None:
         """Refuse what cannot be computed where wheels slip: see `Rolling.check`."""
-        if not chassis.grounded:
+        if not platform.grounded:
             raise InvalidArgument(
                 "robot does not tell where its body's origin is above the ground, on which the loads of its "
                 "wheels depend; expected one read with ground=, or ground=Rolling()"
             )
-        led(chassis.table)
-        chassis._check_places()
-        names = (*(axis.name for axis in chassis.table.axes), *chassis.table.names)
+        led(platform.table)
+        platform._check_places()
+        names = (*(axis.name for axis in platform.table.axes), *platform.table.names)
         for name, inertia in zip(names, inertias, strict=True):
             if not inertia > 0:
                 raise InvalidArgument(

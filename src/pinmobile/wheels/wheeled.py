@@ -16,12 +16,12 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.plant import Step
 from pinmobile.robot import LOCKED, Load, MobileRobot, Solids, number
 from pinmobile.wheels.bearing import Bearing
-from pinmobile.wheels.chassis import Chassis
 from pinmobile.wheels.constraints import ConstrainedTree, Forces
 from pinmobile.wheels.description import read_robot, read_wheels
 from pinmobile.wheels.drive_numbers import DriveNumbers
 from pinmobile.wheels.ground import Coulomb, Ground, Rolling
 from pinmobile.wheels.motors import Beside, constant_force
+from pinmobile.wheels.platform import Platform
 from pinmobile.wheels.reduced import Allocation, Reduced
 from pinmobile.wheels.rolling import RollingBody
 from pinmobile.wheels.slipping import Grip, SlippingBody
@@ -36,7 +36,7 @@ _OFF = 1e-9  # of a start's rates, beyond which it does not roll
 @final
 @constant
 @dataclass(frozen=True, eq=False, repr=False)
-class WheeledRobot(Chassis, Bearing):
+class WheeledRobot(Platform, Bearing):
     """A robot on wheels: q = (x, y, psi, arms, steering, wheels), u = torques at arms, wheels and axes.
 
     All methods broadcast over leading axes, and raise `InvalidArgument` for arguments of another last axis or

@@ -1,18 +1,33 @@
-"""Where an end effector went, where it should have gone, and how far off it was."""
+"""Poses beside others: an end effector's beside its target, measured ones beside those foretold."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from pinmobile.arrays import Array
-from pinmobile.errors import InvalidArgument
-from pinmobile.plots.sheet import Canvas, Sheet, Spot
-from pinmobile.plots.style import Rollouts, desired, dress, keys_of, labelled, line_style, thinned
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.identification import Prediction
+from pinmobile.plots.sheet import Canvas, Sheet, Spot, letters, wrapped
+from pinmobile.plots.style import (
+    Rollouts,
+    Style,
+    colour,
+    desired,
+    dress,
+    ink,
+    keys_of,
+    labelled,
+    line_style,
+    thinned,
+    tint,
+)
 from pinmobile.simulation import EndEffector, Rollout
 
 _COLUMN = 3.2  # [in]: of two columns of panels each
@@ -20,6 +35,10 @@ _WIDE, _TALL = (1.4, 1.4, 1.4), (2.8, 1.2, 1.2, 1.2)  # [in]: heights of rows
 _NO_TARGET = "there is no target"
 _PLACES = (("x [m]", "y [m]"), ("", "z [m]"), ("", "distance [m]"), ("t [s]", "angle [rad]"))
 """Words beside the axes of path, height, distance and angle."""
+_POSES = (("x", "m", 1e3, "mm"), ("y", "m", 1e3, "mm"), ("$\\psi$", "rad", 1e3, "mrad"))
+_MEASURED: Style = {"color": "#9a9a9a", "linewidth": 3.2, "solid_capstyle": "round"}
+_DEVIATIONS = 2.0  # of the noise, within which 95 of 100 differences lie
+_POINTS = 4000  # points of a line
 
 
 def end_effector(
@@ -119,3 +138,76 @@ def _panels(sheet: Sheet) -> list[Axes]:
 def _line(axes: Axes, x: Array, y: Array, **style: Any) -> None:
     kept = thinned(x, y)
     axes.plot(x[kept], y[kept], **style)
+
+
+def prediction(
+    foretold: Prediction,
+    *,
+    title: str | None = None,
+    ax: Canvas | None = None,
+    width: float | None = None,
+) -> Figure:
+    """Draw poses that were measured and those foretold, and their difference beside the sensor's noise.
+
+    Each segment of the prediction starts anew; the band is what 95 of 100 differences would lie within if the
+    sensor's noise were all that is left.
+
+    Parameters
+    ----------
+    foretold : Prediction
+        What `Identification.predict` returned.
+    title : str, optional
+        Heading of the figure.
+    ax, width
+        As in `states`; axes are three of poses, then three of differences, x, y and psi each.
+
+    Returns
+    -------
+    figure : matplotlib.figure.Figure
+        The new one, or that of the first axes.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is no prediction, or `ax` or `width` is something else.
+    """
+    if not isinstance(foretold, Prediction):
+        raise InvalidArgument(f"foretold is {shown(foretold)}, expected what Identification.predict returns")
+    sheet = Sheet(ax, width, 10.0)
+    grid = sheet.grid(len(_POSES), 2, (1.7,) * len(_POSES))
+    t = _broken(foretold.t)
+    kept = np.arange(0, t.size, max(1, t.size // _POINTS))
+    for axes in grid.ravel():
+        dress(axes)
+    for k, (name, unit, factor, small) in enumerate(_POSES):
+        poses, differences = grid[k]
+        measured, predicted = foretold.measured[..., k], foretold.predicted[..., k]
+        poses.plot(t[kept], _broken(measured)[kept], **_MEASURED)
+        poses.plot(t[kept], _broken(predicted)[kept], color=colour(0), linewidth=1.4)
+        poses.set_ylabel(f"{name} [{unit}]")
+        noise = factor * foretold.noise[k]
+        band = _DEVIATIONS * noise
+        differences.axhspan(-band, band, color=tint(ink(), 0.12), linewidth=0)
+        left = factor * _broken(measured - predicted)
+        differences.plot(t[kept], left[kept], color=colour(0), linewidth=0.7)
+        differences.set_ylabel(f"difference [{small}]")
+        told = f"rms {factor * foretold.rms[k]:.2g} {small}, noise {noise:.2g} {small}"
+        differences.set_title(wrapped(told, letters(0.95), sheet.room(2)), fontsize=letters(0.95), loc="left")
+    for axes in grid[-1]:
+        axes.set_xlabel("t [s]")
+    keys = [
+        Line2D([], [], label="measured", **_MEASURED),
+        Line2D([], [], label="foretold", color=colour(0), linewidth=1.4),
+        Patch(color=tint(ink(), 0.12), label="noise of the sensor, 95 %"),
+    ]
+    return sheet.finish(title, f"Measured and foretold, {_span(foretold):.3g} s ahead", keys)
+
+
+def _span(foretold: Prediction) -> float:
+    return float(foretold.t[0, -1] - foretold.t[0, 0])
+
+
+def _broken(segments: Array) -> Array:
+    """Return segments as one line that is broken between them, shape (S (L + 1),)."""
+    gap = np.full((len(segments), 1), np.nan)
+    return np.asarray(np.concatenate([segments, gap], axis=1).ravel())

@@ -1,4 +1,4 @@
-"""`Chassis`: a robot and the wheels under it, whatever the ground."""
+"""`Platform`: a robot and the wheels under it, whatever the ground."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from pinmobile.wheels.table import WheelTable
 _SAME_LINE = 1e-6  # [m]
 
 
-class Chassis:
+class Platform:
     """Abstract base: coordinates and inputs of a robot on wheels, its rows, and how it looks.
 
     Its maker sets `robot`, the whole with wheels locked at their table angles, and `table`, its wheels, and

@@ -1,0 +1,327 @@
+"""`Chassis`: a robot in the plane as its log sees it, linear in what is identified.
+
+The body twist is nu = S eta with free velocities eta: of a body that is pushed S is the identity, of wheels
+that roll without steering it is constant. With phi = (m, m x, m y, I | c | f), I about the body's origin,
+friction along the axes A eta, and what the wheels' own inertia adds, M_w::
+
+    S' [ m a_u - m x r^2 - m y r'   ]
+       [ m a_w + m x r' - m y r^2   ] + M_w eta' + A' (c A eta + f A eta / sqrt((A eta)^2 + e^2)) = F
+       [ m x a_w - m y a_u + I r'   ]
+
+with a_u = u' - r w and a_w = w' + r u. F is R(psi)' u of a body that is pushed, and B u of wheels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pinmobile.arrays import Array, frozen
+from pinmobile.compiled import Batched
+from pinmobile.errors import InvalidArgument, shown
+
+_AXES = (("forward", "N s/m", "N"), ("left", "N s/m", "N"), ("yaw", "N m s", "N m"))
+
+
+class Quantity(NamedTuple):
+    """One of the numbers that are identified.
+
+    Attributes
+    ----------
+    name, unit, meaning : str
+        As a spread calls it.
+    bounded : bool
+        Whether it cannot be below zero.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    bounded: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Chassis:
+    """A robot in the plane, linear in what is identified.
+
+    Attributes
+    ----------
+    S : ndarray, shape (3, k)
+        Body twist of the free velocities.
+    A : ndarray, shape (a, k)
+        Rates along which there is friction: the body's axes, or the driven wheels.
+    B : ndarray, shape (k, nu), or None
+        Force of the inputs on the free velocities; None: the input is a force in the inertial frame.
+    inertia : ndarray, shape (k, k)
+        What turning wheels add to the mass matrix, known.
+    damping : ndarray, shape (k, k)
+        Friction that is known, such as the back-EMF of motors.
+    speed : float
+        Where dry friction has 71 % of its size.
+    wheels : tuple of str
+        Names of the driven wheels, whose friction it is; empty of a body that is pushed.
+    scaled : bool
+        Whether the input's scale is identified too, the last entry of phi.
+    """
+
+    S: Array
+    A: Array
+    B: Array | None
+    inertia: Array
+    damping: Array
+    speed: float
+    wheels: tuple[str, ...] = ()
+    scaled: bool = False
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Chassis, tuple(getattr(self, each.name) for each in fields(self))
+
+    @classmethod
+    def pushed(cls, speed: float, scaled: bool = False) -> Chassis:
+        """Return the body that is pushed by forces."""
+        eye, nothing = frozen(np.eye(3)), frozen(np.zeros((3, 3)))
+        return cls(eye, eye, None, nothing, nothing, speed, scaled=scaled)
+
+    @classmethod
+    def rolling(cls, robot: Any, speed: float, scaled: bool = False) -> Chassis:
+        """Return a robot on wheels that roll and do not steer, by torques or by volts.
+
+        Raises
+        ------
+        InvalidArgument
+            If its wheels steer, slip, or share a motor, or it has arms.
+        """
+        table = robot.table
+        kinds = {
+            "wheels that steer": bool(table.axes),
+            "wheels that slip": robot.ground.slips,
+            "motors that turn several wheels": bool(table.couplings),
+            "arms": bool(robot.mounts),
+        }
+        what = next((name for name, is_so in kinds.items() if is_so), "")
+        if what:
+            raise InvalidArgument(
+                f"robot is {shown(robot)}, with {what}, expected wheels that roll and do not steer: such as "
+                "those of a differential, mecanum or omni drive"
+            )
+        reduced = robot.reduced(robot.rest, np.zeros(robot.nv))
+        S, turning = reduced.S[:3], reduced.S[3:]
+        names = tuple(each.name for each in table.actuators)
+        B = np.array(reduced.B)
+        inertia = reduced.M - S.T @ robot.robot.mass_matrix(np.zeros(3)) @ S
+        columns = np.stack([each.column for each in table.actuators], axis=-1)
+        A, damping = columns.T @ turning, np.zeros_like(inertia)
+        for k, each in enumerate(table.actuators):
+            motor = each.motor
+            if robot.inputs[k].unit == "V":
+                per_volt = motor.gear * motor.efficiency * motor.torque_constant / motor.resistance
+                B[:, k] *= per_volt
+                if not scaled:  # else it is of an unknown size, and counts as friction
+                    felt = motor.gear * motor.torque_constant * per_volt
+                    damping += felt * np.outer(A[k], A[k])
+        S, A, B, inertia, damping = (frozen(each) for each in (S, A, B, inertia, damping))
+        return cls(S, A, B, inertia, damping, speed, names, scaled)
+
+    @property
+    def free(self) -> int:
+        """How many free velocities there are."""
+        return int(self.S.shape[1])
+
+    @property
+    def nu(self) -> int:
+        """Size of the input."""
+        return 3 if self.B is None else int(self.B.shape[1])
+
+    @cached_property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """What is identified, as it is told: the centre of mass and the inertia about it."""
+        body = (
+            Quantity("mass", "kg", "mass", True),
+            Quantity("com_x", "m", "centre of mass forward", False),
+            Quantity("com_y", "m", "centre of mass to the left", False),
+            Quantity("yaw_inertia", "kg m^2", "yaw inertia about the centre of mass", True),
+        )
+        if not self.wheels:
+            viscous = [Quantity(f"viscous_{n}", unit, f"viscous friction, {n}", True) for n, unit, _ in _AXES]
+            dry = [Quantity(f"rolling_{n}", unit, f"rolling resistance, {n}", True) for n, _, unit in _AXES]
+            scale = (Quantity("input_scale", "", "force per input, as a share of what is stated", True),)
+            return (*body, *viscous, *dry, *scale[: self.scaled])
+        names = self.wheels
+        turning = [Quantity(f"joint_viscous_{n}", "N m s/rad", f"friction of {n}", True) for n in names]
+        dry = [Quantity(f"joint_coulomb_{n}", "N m", f"dry friction of {n}", True) for n in names]
+        scale = (Quantity("input_scale", "", "torque per input, as a share of what is stated", True),)
+        return (*body, *turning, *dry, *scale[: self.scaled])
+
+    @property
+    def size(self) -> int:
+        """How many numbers phi has."""
+        return 4 + 2 * len(self.A) + self.scaled
+
+    def told(self, phi: Array) -> Array:
+        """Return what is told of phi, shape (..., p): com = (m x, m y) / m, and the inertia about it."""
+        m, mx, my, inertia = (phi[..., k] for k in range(4))
+        about = inertia - (mx * mx + my * my) / m
+        return np.concatenate([np.stack([m, mx / m, my / m, about], -1), phi[..., 4:]], -1)
+
+    def phi(self, told: Array) -> Array:
+        """Return phi of what is told, shape (..., p)."""
+        m, x, y, about = (told[..., k] for k in range(4))
+        first = np.stack([m, m * x, m * y, about + m * (x * x + y * y)], -1)
+        return np.concatenate([first, told[..., 4:]], -1)
+
+    def slopes(self, phi: Array) -> Array:
+        """Return the derivatives of what is told by phi, shape (p, p)."""
+        m, mx, my = phi[:3]
+        D = np.eye(len(phi))
+        D[1, :2] = -mx / m**2, 1 / m
+        D[2, [0, 2]] = -my / m**2, 1 / m
+        D[3, :4] = (mx * mx + my * my) / m**2, -2 * mx / m, -2 * my / m, 1.0
+        return D
+
+    def is_possible(self, phi: Array) -> bool:
+        """Tell whether mass and yaw inertia about the centre of mass are above zero."""
+        m, mx, my, inertia = phi[:4]
+        return bool(m > 0 and m * inertia > mx * mx + my * my)
+
+    def possible(self, phi: Array, scales: Array) -> Array:
+        """Return parameters of a body, those given where they are: else with a small mass or inertia."""
+        told = np.array(phi)
+        told[0] = max(told[0], 1e-2 * scales[0])
+        about = (told[1] ** 2 + told[2] ** 2) / told[0]
+        told[3] = max(told[3], about + 1e-2 * scales[3])
+        return told
+
+    def rows(self, a_u: Array, a_w: Array, turn: Array, square: Array, rates: Array, dry: Array) -> Array:
+        """Return the regressor along the free velocities, shape (n, k, p), a scale of the input left out.
+
+        Parameters
+        ----------
+        a_u, a_w : ndarray, shape (n,)
+            Acceleration forward and to the left.
+        turn, square : ndarray, shape (n,)
+            r' and r^2.
+        rates, dry : ndarray, shape (n, a)
+            Rates with friction, and their regularised signs.
+        """
+        zero = np.zeros_like(a_u)
+        body = np.stack(
+            [
+                np.stack([a_u, -square, -turn, zero], -1),
+                np.stack([a_w, turn, -square, zero], -1),
+                np.stack([zero, a_w, -a_u, turn], -1),
+            ],
+            axis=1,
+        )
+        inertial = np.einsum("ai,naj->nij", self.S, body)
+        friction = [part[:, None, :] * self.A.T[None] for part in (rates, dry)]
+        return np.concatenate([inertial, *friction], axis=-1)
+
+    def regressor(self, eta: Array, rate: Array) -> Array:
+        """Return the regressor of free velocities and their derivatives, both (n, k), shape (n, k, p)."""
+        (forward, left, r), (du, dw, turn) = (eta @ self.S.T).T, (rate @ self.S.T).T
+        rates = eta @ self.A.T
+        dry = rates / np.hypot(rates, self.speed)
+        return self.rows(du - r * left, dw + r * forward, turn, r * r, rates, dry)
+
+    def acceleration(self, psi: Any, eta: Any, u: Any, phi: Any) -> Any:
+        """Return eta', shape (k,), of one state, in numbers or symbols."""
+        m, mx, my, inertia = phi[0], phi[1], phi[2], phi[3]
+        forward, left, r = (_dot(row, eta) for row in self.S)
+        h = (
+            m * r * left + mx * r * r,
+            my * r * r - m * r * forward,
+            -(mx * r * forward + my * r * left),
+        )
+        rates = [_dot(row, eta) for row in self.A]
+        count = len(rates)
+        rubbing = [
+            phi[4 + j] * rate + phi[4 + count + j] * rate / np.sqrt(rate * rate + self.speed**2)
+            for j, rate in enumerate(rates)
+        ]
+        if self.B is None:
+            c, s = np.cos(psi), np.sin(psi)
+            force = [c * u[0] + s * u[1], c * u[1] - s * u[0], u[2]]
+        else:
+            force = [_dot(row, u) for row in self.B]
+        if self.scaled:
+            force = [phi[4 + 2 * count] * each for each in force]
+        body = (0, 0, m), (1, 1, m), (0, 2, -my), (2, 0, -my), (1, 2, mx), (2, 1, mx), (2, 2, inertia)
+        k = self.free
+        right = [
+            force[i] + _dot(self.S[:, i], h) - _dot(self.A[:, i], rubbing) - _dot(self.damping[i], eta)
+            for i in range(k)
+        ]
+        M: list[list[Any]] = [[float(self.inertia[i, j]) for j in range(k)] for i in range(k)]
+        for i, j in np.ndindex(k, k):
+            for a, b, entry in body:
+                factor = float(self.S[a, i] * self.S[b, j])
+                if factor:
+                    M[i][j] = M[i][j] + factor * entry
+        return _solved(M, right)
+
+    def step(self, z: Any, u: Any, phi: Any, span: Any) -> Any:
+        """Return the state a while later, shape (3 + k,), by Runge's and Kutta's fourth order.
+
+        Parameters
+        ----------
+        z : shape (3 + k,)
+            Pose and free velocities.
+        u : shape (nu,)
+            Input, which is held.
+        phi : shape (p,)
+            What is identified.
+        span : shape (1,)
+            How long it is [s].
+        """
+        return np.stack(self._runge_kutta([z[i] for i in range(3 + self.free)], u, phi, span[0]))
+
+    def _runge_kutta(self, state: Sequence[Any], u: Any, phi: Any, h: Any) -> list[Any]:
+        k1 = self._rate(state, u, phi)
+        k2 = self._rate([x + h / 2 * k for x, k in zip(state, k1, strict=True)], u, phi)
+        k3 = self._rate([x + h / 2 * k for x, k in zip(state, k2, strict=True)], u, phi)
+        k4 = self._rate([x + h * k for x, k in zip(state, k3, strict=True)], u, phi)
+        return [
+            x + h / 6 * (a + 2 * (b + c) + d) for x, a, b, c, d in zip(state, k1, k2, k3, k4, strict=True)
+        ]
+
+    def _rate(self, state: Sequence[Any], u: Any, phi: Any) -> list[Any]:
+        psi, eta = state[2], state[3:]
+        forward, left, r = (_dot(row, eta) for row in self.S)
+        c, s = np.cos(psi), np.sin(psi)
+        return [c * forward - s * left, s * forward + c * left, r, *self.acceleration(psi, eta, u, phi)]
+
+    @cached_property
+    def stepped(self) -> Batched:
+        """`step` of many states, compiled."""
+        return Batched(self.step, [(3 + self.free,), (self.nu,), (self.size,), (1,)], alike=1)
+
+
+def _dot(row: Array, values: Sequence[Any]) -> Any:
+    """Return the sum of products with known numbers, those that are zero left out."""
+    total: Any = None
+    for factor, value in zip(row, values, strict=True):
+        if factor:
+            part = value if factor == 1 else float(factor) * value
+            total = part if total is None else total + part
+    return 0.0 if total is None else total
+
+
+def _solved(M: Sequence[Sequence[Any]], b: Sequence[Any]) -> list[Any]:
+    """Return the solution of a small system by elimination; its matrix is positive definite."""
+    M, b, n = [list(row) for row in M], list(b), len(b)
+    for i in range(n):
+        for j in range(i + 1, n):
+            factor = M[j][i] / M[i][i]
+            M[j] = [a - factor * c for a, c in zip(M[j], M[i], strict=True)]
+            b[j] = b[j] - factor * b[i]
+    x: list[Any] = [0.0] * n
+    for i in reversed(range(n)):
+        rest = b[i]
+        for j in range(i + 1, n):
+            rest = rest - M[i][j] * x[j]
+        x[i] = rest / M[i][i]
+    return x

@@ -1,0 +1,171 @@
+"""`Cleaned`: a log on equal steps, its outliers found, and the noise of its sensors measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinmobile.arrays import Array
+from pinmobile.errors import InvalidArgument
+from pinmobile.identification.chassis import Chassis
+from pinmobile.identification.log import Log
+
+_WINDOW = 0.15  # [s] of the cubic whose residual tells outliers and noise
+_OUTLIER = 6.0  # deviations
+_BENT = 3e-3  # share of the way through a window below which nothing is an outlier
+_PASSES = 12  # at most
+_CUTOFF = 8.0  # [Hz] of velocities
+_LEAST = 2.0**-40  # of the size of what is measured: below it noise is rounding
+_NORMAL = 1.4826  # a normal distribution's deviation as a share of its median absolute one
+
+
+@dataclass(frozen=True, eq=False)
+class Cleaned:
+    """A log as methods want it.
+
+    Attributes
+    ----------
+    dt : float
+        Time between two samples [s].
+    q : ndarray, shape (N, 3)
+        Poses; those that are lost or outliers are interpolated.
+    good : ndarray of bool, shape (N,)
+        Which are measured.
+    u : ndarray, shape (N, nu)
+        Input, held from each sample to the next.
+    rates : ndarray, shape (N, a), or None
+        Of the driven wheels [rad/s].
+    noise : ndarray, shape (3,)
+        Deviation of the noise of the pose [m, m, rad].
+    rates_noise : ndarray, shape (a,), or None
+        That of the rates [rad/s].
+    outliers : int
+        How many poses are outliers.
+    load : ndarray, shape (4,)
+        Mass, its moments and inertia about the body's origin, of a load that is known.
+    """
+
+    dt: float
+    q: Array
+    good: NDArray[np.bool_]
+    u: Array
+    rates: Array | None
+    noise: Array
+    rates_noise: Array | None
+    outliers: int
+    load: Array
+
+    @classmethod
+    def of(cls, log: Log, chassis: Chassis, load: Array, name: str = "log") -> Cleaned:
+        """Return a log cleaned for a chassis.
+
+        Raises
+        ------
+        InvalidArgument
+            If it has no poses, or inputs or wheels of another robot.
+        """
+        if log.q is None:
+            raise InvalidArgument(f"{name} has no poses q, expected these: forces are told by what they move")
+        if log.u.shape[1] != chassis.nu:
+            expected = "(Fx, Fy, Mz)" if chassis.B is None else "one for each driven wheel"
+            raise InvalidArgument(
+                f"{name} has {log.u.shape[1]} inputs, expected {chassis.nu}: {expected}; is it of another "
+                "robot?"
+            )
+        even = log.samples()
+        if len(even.t) * even.dt < 4 * _WINDOW:
+            raise InvalidArgument(f"{name} is {even.t[-1]:.3g} s long, too short, expected 20 s and more")
+        assert even.q is not None
+        q, good, noise = _without_outliers(even.q, even.seen, even.dt)
+        rates, rates_noise = even.wheel_rates, None
+        if rates is not None and chassis.wheels:
+            if rates.shape[1] != len(chassis.A):
+                raise InvalidArgument(
+                    f"{name} has wheel_rates of {rates.shape[1]} wheels, expected {len(chassis.A)}: "
+                    f"{', '.join(chassis.wheels)}"
+                )
+            rates_noise = _without_outliers(rates, even.seen, even.dt)[2]
+        lost = int((even.seen & ~good).sum())
+        rates = rates if chassis.wheels else None
+        return cls(even.dt, q, good, even.u, rates, noise, rates_noise, lost, load)
+
+    @property
+    def cutoff(self) -> float:
+        """Where velocities are filtered [Hz]."""
+        return min(_CUTOFF, 0.2 / self.dt)
+
+    def _filtered(self, columns: Array) -> Array:
+        """Return columns without what is faster than a cut-off, without a delay."""
+        from scipy.signal import butter, sosfiltfilt  # here, because it takes long to load
+
+        sos = butter(4, self.cutoff, fs=1 / self.dt, output="sos")
+        return np.asarray(sosfiltfilt(sos, columns, axis=0))
+
+    @cached_property
+    def twist(self) -> Array:
+        """Body twist of the filtered pose, shape (N, 3): forward, left, yaw rate."""
+        smooth = self._filtered(self.q)
+        v = np.gradient(smooth, self.dt, axis=0)
+        c, s = np.cos(smooth[:, 2]), np.sin(smooth[:, 2])
+        return np.column_stack([c * v[:, 0] + s * v[:, 1], c * v[:, 1] - s * v[:, 0], v[:, 2]])
+
+    def free_velocities(self, chassis: Chassis) -> Array:
+        """Return eta at all samples, shape (N, k): of the encoders where there are any."""
+        if self.rates is not None:
+            return np.asarray(self._filtered(self.rates) @ np.linalg.pinv(chassis.A).T)
+        return np.asarray(self.twist @ np.linalg.pinv(chassis.S).T)
+
+    def shaken(self, generator: np.random.Generator) -> Cleaned:
+        """Return it with as much noise again as its sensors have."""
+        q, rates = self.q + self.noise * generator.standard_normal(self.q.shape), self.rates
+        if rates is not None and self.rates_noise is not None:
+            rates = rates + self.rates_noise * generator.standard_normal(rates.shape)
+        return replace(self, q=q, rates=rates)
+
+    def shifted(self, delay: float, edges: Array) -> Array:
+        """Return the mean input between times of the pose that comes late by a delay, shape (n - 1, nu).
+
+        Parameters
+        ----------
+        delay : float
+            By which the pose comes late, in samples.
+        edges : ndarray, shape (n,)
+            Times, in samples.
+        """
+        spent = np.vstack([np.zeros(self.u.shape[1]), np.cumsum(self.u, axis=0)])
+        at = np.clip(edges - delay, 0, len(self.u))
+        low = np.minimum(at.astype(int), len(self.u) - 1)
+        total = spent[low] + (at - low)[:, None] * self.u[low]
+        return np.asarray(np.diff(total, axis=0) / np.diff(edges)[:, None])
+
+
+def _without_outliers(
+    columns: Array, seen: NDArray[np.bool_], dt: float
+) -> tuple[Array, NDArray[np.bool_], Array]:
+    """Return columns whose outliers are interpolated, which rows are none, and the noise of each column.
+
+    What a local cubic leaves tells: unlike a running median, it does not take for outliers what moves fast.
+    """
+    from scipy.interpolate import CubicSpline  # here, because these take long to load
+    from scipy.signal import savgol_coeffs, savgol_filter
+
+    size = max(7, 2 * round(_WINDOW / dt / 2) + 1)
+    kept = 1 - savgol_coeffs(size, 3)[size // 2]  # share of white noise's variance that the residual has
+    at, good, q = np.arange(len(columns)), seen.copy(), columns.copy()
+    way = columns[size:] - columns[:-size]
+    bent = _BENT * _NORMAL * np.median(np.abs(way), axis=0)  # what a cubic may leave of a motion itself
+    for _ in range(_PASSES):
+        residual = columns - savgol_filter(q, size, 3, axis=0, mode="interp")
+        deviation = _NORMAL * np.median(np.abs(residual[good]), axis=0)
+        least = _LEAST * np.abs(columns).max(axis=0) + np.finfo(float).tiny
+        wild = (np.abs(residual) > np.maximum(_OUTLIER * deviation, bent)).any(axis=1)
+        before, good = good, seen & ~wild
+        inside = np.clip(at[~good], at[good][0], at[good][-1])  # nothing is told beyond the last good one
+        q = columns.copy()
+        q[~good] = CubicSpline(at[good], columns[good])(inside)
+        if np.array_equal(before, good):
+            break
+    return q, good, np.maximum(deviation / np.sqrt(kept), least)

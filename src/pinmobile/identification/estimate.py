@@ -1,0 +1,387 @@
+"""`Identification`: what a log tells of a robot, and how well."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any, NamedTuple, final
+
+import numpy as np
+
+from pinmobile.arrays import Array, frozen, scalar, seeded, whole
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.forces import JointFriction, RollingResistance, ViscousFriction
+from pinmobile.identification.chassis import Chassis
+from pinmobile.identification.cleaning import Cleaned
+from pinmobile.identification.log import Log
+from pinmobile.identification.output_error import OutputError, Segments
+from pinmobile.identification.whiteness import Whiteness
+from pinmobile.robot import MobileRobot
+from pinmobile.urdf import Body
+
+_UNSEEN = 0.02  # share of a parameter's direction that may be unseen before its interval is endless
+_DRAWS = 200  # rounds in which draws that no body has are drawn again
+_AHEAD = 2.0  # [s]
+
+
+class Prediction(NamedTuple):
+    """What was measured, and what the identified robot does under the same input.
+
+    Attributes
+    ----------
+    t : ndarray, shape (S, L)
+        Times since the first sample, of segments each of which starts anew [s].
+    measured, predicted : ndarray, shape (S, L, 3)
+        Poses [m, m, rad].
+    rms : ndarray, shape (3,)
+        Of their difference [m, m, rad].
+    noise : ndarray, shape (3,)
+        Deviation of the sensor's noise: what no prediction can be better than [m, m, rad].
+    """
+
+    t: Array
+    measured: Array
+    predicted: Array
+    rms: Array
+    noise: Array
+
+    def __str__(self) -> str:
+        units = ("x", 1e3, "mm"), ("y", 1e3, "mm"), ("psi", 1e3, "mrad")
+        told = [
+            f"{name} {factor * rms:.3g} {unit} (noise {factor * noise:.3g})"
+            for (name, factor, unit), rms, noise in zip(units, self.rms, self.noise, strict=True)
+        ]
+        return f"rms of {self.t[0, -1] - self.t[0, 0]:.3g} s ahead: {', '.join(told)}"
+
+
+@final
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Identification:
+    """What `identify` found.
+
+    Attributes
+    ----------
+    chassis : Chassis
+        The robot, linear in what is identified.
+    phi : ndarray, shape (p,)
+        (m, m x, m y, I about the body's origin, friction), in which the equations are linear.
+    covariance_of_phi : ndarray, shape (p, p)
+        Of these.
+    freedom : int
+        Degrees of freedom of Student's t.
+    method : str
+        ``"output error"`` or ``"weak"``.
+    prior : MobileRobot, WheeledRobot or None
+        What was believed.
+    rank : int
+        How many of the p directions the motion tells.
+    unseen : str
+        What it does not tell, in words; "" where it tells all.
+    hidden : ndarray, shape (p,)
+        Share of each parameter's direction that is unseen.
+    delay, delay_error : float
+        By which poses come later than inputs, and its deviation [s]; not a number where it was given.
+    dt : float
+        Time between two samples [s].
+    outliers, dropped, samples, segments : int
+        Poses that are outliers; rows with NaN; rows; segments that were simulated.
+    noise : ndarray, shape (3,)
+        Deviation of the noise of the pose, measured from the log [m, m, rad].
+    residual : ndarray, shape (3,)
+        Root of the mean squared residual of the pose [m, m, rad].
+    chi2 : float
+        Mean square of all residuals over the noise: 1 where the sensors' noise is all that is left.
+    whiteness : Whiteness
+        Whether residuals remember.
+    """
+
+    chassis: Chassis
+    phi: Array
+    covariance_of_phi: Array
+    freedom: int
+    method: str
+    prior: Any
+    rank: int
+    unseen: str
+    hidden: Array
+    delay: float
+    delay_error: float
+    dt: float
+    outliers: int
+    dropped: int
+    samples: int
+    segments: int
+    noise: Array
+    residual: Array
+    chi2: float
+    whiteness: Whiteness
+
+    def __post_init__(self) -> None:
+        for name in ("phi", "covariance_of_phi", "hidden", "noise", "residual"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters, those that a spread uses."""
+        return tuple(one.name for one in self.chassis.quantities)
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """The estimates by name: mass, centre of mass, yaw inertia about it, friction; may be below zero."""
+        told = self.chassis.told(self.phi)
+        return MappingProxyType(dict(zip(self.names, told.tolist(), strict=True)))
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Units of the parameters by name."""
+        return MappingProxyType({one.name: one.unit for one in self.chassis.quantities})
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of `parameters`, in their order, shape (p, p); by the delta method."""
+        D = self.chassis.slopes(self.phi)
+        return np.asarray(D @ self.covariance_of_phi @ D.T)
+
+    @property
+    def is_seen(self) -> Mapping[str, bool]:
+        """Whether the motion tells a parameter, by name."""
+        D = np.abs(self.chassis.slopes(self.phi)) > 0
+        hidden = np.flatnonzero(self.hidden > _UNSEEN)
+        return MappingProxyType({name: not D[k, hidden].any() for k, name in enumerate(self.names)})
+
+    def interval(self, level: float = 0.95) -> Mapping[str, tuple[float, float]]:
+        """Return an interval of each parameter that holds the true one in a share of all logs, by name.
+
+        It is Student's, cut at zero where the parameter cannot be below; endless where nothing is seen.
+
+        Parameters
+        ----------
+        level : float
+            The share, in (0, 1).
+
+        Raises
+        ------
+        InvalidArgument
+            If it is no such number.
+        """
+        from scipy.stats import t as student  # here, because it takes long to load
+
+        share = scalar("level", level)
+        if not 0 < share < 1:
+            raise InvalidArgument(f"level is {level}, expected a share in (0, 1)")
+        wide = float(student.ppf(0.5 + share / 2, self.freedom)) * np.sqrt(np.diag(self.covariance))
+        found: dict[str, tuple[float, float]] = {}
+        for one, value, half in zip(self.chassis.quantities, self.parameters.values(), wide, strict=True):
+            seen = self.is_seen[one.name]
+            low, high = (value - half, value + half) if seen else (-np.inf, np.inf)
+            found[one.name] = (max(low, 0.0), max(high, 0.0)) if one.bounded else (low, high)
+        return MappingProxyType({name: (float(low), float(high)) for name, (low, high) in found.items()})
+
+    def __repr__(self) -> str:
+        first = ", ".join(f"{n} {v:.4g} {self.units[n]}" for n, v in list(self.parameters.items())[:4])
+        return f"<Identification: {first}; rank {self.rank} of {len(self.phi)}>"
+
+    def __str__(self) -> str:
+        intervals, width = self.interval(), max(map(len, self.names))
+        lines = [f"{'':{width}} {'estimate':>10}  {'95 % interval':^23}  unit"]
+        for name, value in self.parameters.items():
+            low, high = intervals[name]
+            lines.append(
+                f"{name:{width}} {value:10.4g}  {low:10.4g} to {high:<9.4g}  {self.units[name]}".rstrip()
+            )
+        return "\n".join([*lines, *self.notes])
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What else there is to know, a sentence each."""
+        found = [
+            f"{self.samples} samples at {1 / self.dt:.4g} Hz, {self.dropped} dropped, {self.outliers} "
+            f"outliers; {self.method}, {self.segments} segments; rank {self.rank} of {len(self.phi)}"
+        ]
+        if self.unseen:
+            found.append(self.unseen)
+        late = "" if np.isnan(self.delay_error) else f" +- {1e3 * self.delay_error:.2g}"
+        found.append(f"poses come {1e3 * self.delay:.3g}{late} ms late: {self.delay / self.dt:.2f} samples")
+        noise, left = self.noise * 1e3, self.residual * 1e3
+        found.append(
+            f"noise of the pose {noise[0]:.3g} mm, {noise[1]:.3g} mm, {noise[2]:.3g} mrad; left by the model "
+            f"{left[0]:.3g} mm, {left[1]:.3g} mm, {left[2]:.3g} mrad"
+        )
+        rho = np.abs(self.whiteness.correlation).max()
+        found.append(
+            "what is left is white: noise of the sensors"
+            if self.whiteness.is_white
+            else f"what is left remembers (correlation {rho:.2f} of successive samples): noise of forces, or "
+            "a force that is not modelled; the intervals allow for it"
+        )
+        return (*found, *self._of_wheels())
+
+    def _of_wheels(self) -> tuple[str, ...]:
+        """Return what a log of wheels cannot tell."""
+        if not self.chassis.wheels:
+            return ()
+        M = self.chassis.inertia
+        told = [
+            f"of mass and yaw inertia the wheels' own inertia cannot be told: {M[0, 0]:.3g} kg and "
+            f"{M[-1, -1]:.3g} kg m^2 of it were taken as stated"
+        ]
+        if not self.chassis.scaled:
+            told.append(
+                "all but the centre of mass is in proportion to the torque per input, which was taken as "
+                "stated: a log with a known load tells it, identify([log, loaded], robot, loads=[None, load])"
+            )
+        elif self.chassis.damping.shape and any(one.unit == "V" for one in self.prior.inputs):
+            told.append("friction has the back-EMF of the motors in it")
+        return tuple(told)
+
+    def robot(self) -> Any:
+        """Return the robot as identified; what a motion in the plane cannot tell stays as believed.
+
+        Raises
+        ------
+        InvalidArgument
+            If what was found is of no body, see `interval`.
+        """
+        m, x, y, inertia = list(self.parameters.values())[:4]
+        if not self.chassis.is_possible(self.phi):
+            raise InvalidArgument(
+                f"the mass found is {m:.3g} kg and the yaw inertia {inertia:.3g} kg m^2, expected a log that "
+                "tells them to be above zero"
+            )
+        if self.prior is None:
+            return MobileRobot(m, inertia, com=(x, y))
+        own = self.prior.robot if self.chassis.wheels else self.prior
+        bare = own.lumped()
+        new = bare.with_body(_body(bare.body, m, (x, y), inertia), f"{bare.source}; identified from a log")
+        if not self.chassis.wheels:
+            return new
+        wheeled = getattr(self.prior, "wheeled", self.prior)
+        made = replace(wheeled, robot=new)
+        if wheeled is self.prior:
+            return made
+        driven = made.by_voltage()
+        if self.chassis.scaled:
+            driven = driven.with_parameters(torque_constant=self.torque_constants)
+        return driven
+
+    @property
+    def torque_constants(self) -> Array:
+        """Torque constants of the motors, their resistances taken as stated, shape (motors,) [N m/A].
+
+        Raises
+        ------
+        InvalidArgument
+            If the log is of no motors, or its scale was not identified.
+        """
+        if not self.chassis.scaled or not hasattr(self.prior, "torque_constant"):
+            raise InvalidArgument(
+                f"robot is {shown(self.prior)}, expected one by_voltage(), and loads that tell the scale"
+            )
+        return np.asarray(self.prior.torque_constant * self.parameters["input_scale"])
+
+    def forces(self) -> list[Any]:
+        """Return the friction for `simulate`, none below zero."""
+        told = np.maximum(self.chassis.told(self.phi)[4:], 0.0)
+        count = len(self.chassis.A)
+        viscous, dry = told[:count], told[count : 2 * count]
+        if not self.chassis.wheels:
+            return [ViscousFriction(viscous), RollingResistance(dry, self.chassis.speed)]
+        names = [one.name for one in self.prior.coordinates]
+        at = [names.index(name) for name in self.chassis.wheels]
+        columns = np.zeros((2, len(names)))
+        columns[0, at], columns[1, at] = viscous, dry
+        return [JointFriction(columns[0], columns[1], self.chassis.speed, names)]
+
+    def spread(self, n: int, seed: Any = 0) -> dict[str, Array]:
+        """Return joint draws of the parameters for `ensemble`, by name: as uncertain as the log left them.
+
+        Parameters
+        ----------
+        n : int
+            How many.
+        seed : int, SeedSequence, BitGenerator or Generator
+            Of the draws.
+
+        Returns
+        -------
+        spread : dict of str to ndarray, shape (n,)
+            Draws of Student's t with the covariance; of no body they are drawn again, friction is not below
+            zero.
+
+        Raises
+        ------
+        InvalidArgument
+            If something is unseen, or no draws are of a body.
+        """
+        count, generator = whole("n", n), seeded("seed", seed)
+        if self.unseen:
+            raise InvalidArgument(
+                f"the log leaves something unseen: {self.unseen}; expected one that tells all"
+            )
+        values, vectors = np.linalg.eigh(self.covariance_of_phi)
+        half = vectors * np.sqrt(np.maximum(values, 0))
+        phi = np.empty((0, len(self.phi)))
+        for _ in range(_DRAWS):
+            missing = count - len(phi)
+            if not missing:
+                break
+            normal = generator.standard_normal((missing, len(self.phi)))
+            wide = np.sqrt(self.freedom / generator.chisquare(self.freedom, missing))
+            drawn = self.phi + wide[:, None] * (normal @ half.T)
+            m, mx, my, inertia = drawn[:, :4].T
+            phi = np.vstack([phi, drawn[(m > 0) & (m * inertia > mx * mx + my * my)]])
+        if len(phi) < count:
+            raise InvalidArgument(
+                "the log leaves mass and inertia so uncertain that hardly a draw is of a body"
+            )
+        told = self.chassis.told(phi)
+        told[:, 4:] = np.maximum(told[:, 4:], 0.0)
+        return {name: told[:, k] for k, name in enumerate(self.names) if name != "input_scale"}
+
+    def predict(self, log: Log, seconds: float = _AHEAD) -> Prediction:
+        """Return how well the robot that was found foretells another log, beside the noise of its sensors.
+
+        Segments start where they fit best, and are simulated from there.
+
+        Parameters
+        ----------
+        log : Log
+            Another log of the same robot, without a load.
+        seconds : float
+            How long a segment is [s].
+
+        Raises
+        ------
+        InvalidArgument
+            If it is none, or too short.
+        """
+        if not isinstance(log, Log):
+            raise InvalidArgument(f"log is {shown(log)}, expected a Log")
+        ahead = scalar("seconds", seconds)
+        run = Cleaned.of(log, self.chassis, np.zeros(4))
+        late = self.delay / run.dt
+        late = float(round(late)) if abs(late - round(late)) <= 0.25 else late
+        if not 10 * run.dt <= ahead <= len(run.q) * run.dt - 2 * abs(self.delay) - 4 * run.dt:
+            raise InvalidArgument(
+                f"seconds is {seconds}, expected at least 10 samples and at most the log's "
+                f"{len(run.q) * run.dt:g}"
+            )
+        segments = Segments.of(run, self.chassis, late, ahead)
+        starts, _, _ = OutputError([segments], self.chassis).started(self.phi, np.diag(self.phi + 1e-9))
+        out = segments.simulated(self.chassis, starts[0][:, None], self.phi[None])[:, 0]
+        predicted, measured = out[..., :3] * run.noise, segments.measured[..., :3] * run.noise
+        left = (measured - predicted) * segments.good[..., None]
+        rms = np.sqrt((left**2).sum(axis=(0, 1)) / segments.good.sum())
+        return Prediction(np.asarray(segments.at * run.dt), measured, predicted, rms, run.noise)
+
+
+def _body(old: Body, mass: float, com: tuple[float, float], yaw_inertia: float) -> Body:
+    """Return a body with another mass, centre of mass and yaw inertia; all else stays where it can."""
+    centre = np.array([*com, old.com[2]])
+    inertia = np.array(old.inertia)
+    inertia[2, 2] = yaw_inertia
+    try:
+        return Body(mass, centre, inertia)
+    except InvalidArgument:  # moments that break the triangle inequality: those of a body of the same form
+        return Body(mass, centre, np.array(old.inertia) * (yaw_inertia / old.inertia[2, 2]))

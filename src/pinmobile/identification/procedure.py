@@ -1,0 +1,423 @@
+"""`identify`: the weak form to start, the delay, what the motion tells, then output error."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pinmobile.arrays import Array, one_of, positive, scalar
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.identification.chassis import Chassis
+from pinmobile.identification.cleaning import Cleaned
+from pinmobile.identification.estimate import Identification
+from pinmobile.identification.log import Log
+from pinmobile.identification.output_error import Estimate, OutputError, Segments
+from pinmobile.identification.weak_form import WINDOW, Rows, rows_of, solve
+from pinmobile.identification.whiteness import Whiteness, whiteness
+from pinmobile.robot import Load, MobileRobot
+
+METHODS = ("output error", "weak")
+
+_SECONDS = 2.0  # of a segment
+_LEAST_SEGMENTS = 20  # fewer tell too little of how they differ
+_SHORTEST = 1.0  # [s] of a segment
+_LATEST, _EARLIEST = 0.3, 0.05  # [s] of delays that are looked for
+_ROUNDED = 0.25  # a delay that is so near a whole number of samples is one
+_SEEN = 0.01  # share of its force that a direction must have to be seen
+_EXPLAINED = 0.5  # of the forces' mean square; what explains less is another robot
+_LEVER = 0.25  # [m], of a robot whose size is not known
+_SPEED, _WHEEL_SPEED = 0.01, 0.1  # where dry friction has 71 %: [m/s, rad/s] of a body, [rad/s] of wheels
+_SETTLED = 0.05  # samples by which a delay may be off in the simulations
+_DRIFT = 1.0  # sample by which a delay may change along a log
+_MASSES = (0.02, 2e4)  # [kg] of ground robots
+_TIMES_NOMINAL = 30.0
+_SIGNIFICANT = 5.0  # deviations
+
+
+class _Setting(NamedTuple):
+    """What all stages need.
+
+    Attributes
+    ----------
+    logs : list of Cleaned
+        The logs.
+    rows : list of Rows
+        Their weak forms.
+    chassis : Chassis
+        The robot.
+    scales : ndarray, shape (p,)
+        Sizes that the parameters may be expected to have.
+    prior : ndarray, shape (p,), or None
+        What is believed.
+    """
+
+    logs: list[Cleaned]
+    rows: list[Rows]
+    chassis: Chassis
+    scales: Array
+    prior: Array | None
+
+
+def identify(
+    log: Log | Sequence[Log],
+    robot: Any = None,
+    *,
+    loads: Sequence[Load | None] | None = None,
+    method: str = "output error",
+    delay: float | None = None,
+    rolling_speed: float | None = None,
+) -> Identification:
+    """Return mass, centre of mass, yaw inertia and friction of the robot that a log is of, with intervals.
+
+    The weak form (accelerations are not needed) gives a start; then simulations of 2 s are fitted to the log
+    (output error), and intervals are those of the jackknife over these segments (CR3) with Student's t: they
+    hold where forces are noisy and where an unmodelled force acts. Both methods take the input as held
+    between samples.
+
+    Parameters
+    ----------
+    log : Log or sequence of Log
+        What was measured: at least 20 s of a motion that excites, see `excitation`.
+    robot : MobileRobot or WheeledRobot, optional
+        What is believed of the robot: kept where the motion tells nothing; its wheels and motors are taken as
+        they are. Without it, a body that is pushed.
+    loads : sequence of Load or None, optional
+        Load that the robot carried in each log, in the body's frame. With loads that differ, the scale of the
+        input is identified too, such as an unknown torque constant.
+    method : str
+        ``"output error"``, or ``"weak"``, which is linear and fast, and better where forces are very noisy.
+    delay : float, optional
+        By which poses come late [s]; without it, it is found.
+    rolling_speed : float, optional
+        Where dry friction has reached 71 % of its size: 0.01 m/s and rad/s, of wheels 0.1 rad/s.
+
+    Returns
+    -------
+    found : Identification
+        What was found.
+
+    Raises
+    ------
+    InvalidArgument
+        If the log is too short, or of another robot, the units are wrong, the clocks drift, or the motion
+        leaves
+        something unseen and no robot says what is believed of it: see the message.
+    """
+    logs = [log] if isinstance(log, Log) else list(log) if isinstance(log, Sequence) else []
+    if not logs or not all(isinstance(each, Log) for each in logs):
+        raise InvalidArgument(f"log is {shown(log)}, expected a Log, or several")
+    one_of("method", method, METHODS)
+    chassis, carried = _chassis(robot, rolling_speed, loads, len(logs))
+    prior = prior_of(robot, chassis)
+    names = ["log"] if len(logs) == 1 else [f"log[{k}]" for k in range(len(logs))]
+    cleaned = [
+        Cleaned.of(one, chassis, each, name) for one, each, name in zip(logs, carried, names, strict=True)
+    ]
+    seconds = _segment(cleaned)
+    rows = [rows_of(one, chassis) for one in cleaned]
+    at = _Setting(cleaned, rows, chassis, _scales(cleaned, rows, chassis), prior)
+    seen, unseen = _directions(at)
+    if unseen.size and prior is None:
+        raise InvalidArgument(
+            f"log has a motion of rank {seen.shape[1]} of {len(at.scales)}: {in_words(at.chassis, unseen)}; "
+            "expected one that excites more, see excitation, or robot=..., which is kept where nothing is "
+            "seen"
+        )
+    believed = np.zeros(len(at.scales)) if prior is None else prior
+    basis = at.scales[:, None] * seen
+    base = believed if unseen.size else np.zeros_like(believed)
+    late = _first_delay(at, base, basis) if delay is None else scalar("delay", delay) / cleaned[0].dt
+    fit = solve(rows, chassis, _rounded(late), base, basis)
+    _check_explained(fit.explained)
+    _check_units(chassis, fit.phi, prior)
+    start = chassis.possible(fit.phi, at.scales)
+    most = OutputError.STEPS if method == METHODS[0] else 0
+    estimate, late, error = _by_output_error(at, start, basis, late, seconds, delay is None, most)
+    if most:
+        phi, covariance, freedom = estimate.phi, estimate.covariance, estimate.segments - 1
+        _check_units(chassis, phi, prior)
+    else:
+        fit = solve(rows, chassis, _rounded(late), base, basis)
+        windows = sum(len(one.q) * one.dt for one in cleaned) / WINDOW
+        phi, covariance, freedom = fit.phi, fit.covariance, max(5, round(windows) - len(fit.phi))
+    white = [whiteness(e, good) for e, good in zip(estimate.residuals, estimate.good, strict=True)]
+    return Identification(
+        chassis=chassis,
+        phi=phi,
+        covariance_of_phi=covariance,
+        freedom=freedom,
+        method=method,
+        prior=robot,
+        rank=seen.shape[1],
+        unseen=in_words(chassis, unseen) if unseen.size else "",
+        hidden=_hidden(unseen),
+        delay=late * cleaned[0].dt,
+        delay_error=error * cleaned[0].dt,
+        dt=cleaned[0].dt,
+        outliers=sum(one.outliers for one in cleaned),
+        dropped=sum(one.dropped for one in logs),
+        samples=sum(len(one) for one in logs),
+        segments=estimate.segments,
+        noise=cleaned[0].noise,
+        chi2=estimate.chi2,
+        whiteness=_worst(white),
+        residual=np.sqrt(_mean_squares(estimate)),
+    )
+
+
+def _chassis(
+    robot: Any, speed: float | None, loads: Sequence[Load | None] | None, count: int
+) -> tuple[Chassis, list[Array]]:
+    carried = [np.zeros(4)] * count
+    if loads is not None:
+        given = list(loads) if isinstance(loads, Sequence) else []
+        if len(given) != count or not all(each is None or isinstance(each, Load) for each in given):
+            raise InvalidArgument(
+                f"loads is {shown(loads)}, expected a Load or None for each of {count} logs"
+            )
+        carried = [np.zeros(4) if each is None else _moments(each) for each in given]
+    scaled = loads is not None
+    if scaled and all(np.array_equal(each, carried[0]) for each in carried):
+        raise InvalidArgument(
+            "loads has the same for all logs, expected loads that differ: their difference tells the scale "
+            "of "
+            "the input"
+        )
+    return to_chassis(robot, speed, scaled), carried
+
+
+def to_chassis(robot: Any, speed: float | None = None, scaled: bool = False) -> Chassis:
+    """Return a robot as its log sees it; see `identify`."""
+    if hasattr(robot, "table") and hasattr(robot, "reduced"):
+        own = _WHEEL_SPEED if speed is None else positive("rolling_speed", speed, "rad/s")
+        return Chassis.rolling(robot, own, scaled)
+    if robot is not None and (not isinstance(robot, MobileRobot) or robot.mounts):
+        raise InvalidArgument(
+            f"robot is {shown(robot)}, expected a MobileRobot without arms (robot.lumped() has them "
+            "locked), or a "
+            "WheeledRobot"
+        )
+    own = _SPEED if speed is None else positive("rolling_speed", speed, "m/s")
+    return Chassis.pushed(own, scaled)
+
+
+def _moments(load: Load) -> Array:
+    x, y, _ = load.com
+    return np.array([load.mass, load.mass * x, load.mass * y, load.six[2] + load.mass * (x * x + y * y)])
+
+
+def prior_of(robot: Any, chassis: Chassis) -> Array | None:
+    """Return what is believed of phi; None without a robot."""
+    if robot is None:
+        return None
+    body = (robot.robot if chassis.wheels else robot).lumped()
+    told = np.zeros(chassis.size)
+    told[:4] = body.mass, *body.com[:2], body.body.yaw_inertia
+    if chassis.scaled:
+        told[-1] = 1.0
+    return chassis.phi(told)
+
+
+def _segment(logs: Sequence[Cleaned]) -> float:
+    """Return how long segments are [s]: 2 s, or less where that makes too few."""
+    lengths = np.array([len(one.q) * one.dt for one in logs])
+    for seconds in (_SECONDS, 1.5, _SHORTEST):
+        if np.floor(lengths / seconds - 0.3).sum() >= _LEAST_SEGMENTS:
+            return seconds
+    raise InvalidArgument(
+        f"log is {lengths.sum():.3g} s long, too short, expected at least "
+        f"{(_LEAST_SEGMENTS + 0.5) * _SHORTEST:g} s, better 60 s: intervals come from {_LEAST_SEGMENTS} "
+        "segments "
+        "and more"
+    )
+
+
+def _scales(logs: Sequence[Cleaned], rows: Sequence[Rows], chassis: Chassis) -> Array:
+    """Return the size that each parameter has if it alone were behind the forces, by their power."""
+    twist = np.concatenate([one.twist for one in logs])
+    turned = np.concatenate([np.gradient(one.twist, one.dt, axis=0) for one in logs])
+    forces = np.concatenate([one.forces(chassis, 0.0) for one in rows])
+    wrench = forces @ (np.eye(3) if chassis.B is None else np.linalg.pinv(chassis.S))
+    f, moment = np.sqrt((wrench[:, :2] ** 2).sum(axis=1).mean()), np.sqrt((wrench[:, 2] ** 2).mean())
+    noise = np.max([one.noise for one in logs], axis=0)
+    speed, rate = np.sqrt((twist[:, :2] ** 2).sum(axis=1).mean()), np.sqrt((twist[:, 2] ** 2).mean())
+    moved = np.ptp(np.concatenate([one.q for one in logs]), axis=0)
+    if not (moved > 20 * noise).any() or not max(f, moment) > 0:
+        raise InvalidArgument(
+            f"log has poses that move by {moved[0]:.3g} m, {moved[1]:.3g} m and {moved[2]:.3g} rad, and "
+            "forces of "
+            f"{f:.3g} N and {moment:.3g} N m, too little to tell anything: expected a motion that excites, "
+            "see "
+            "excitation"
+        )
+    r = twist[:, 2]
+    across = turned[:, 0] - r * twist[:, 1], turned[:, 1] + r * twist[:, 0]
+    acceleration = np.sqrt((across[0] ** 2 + across[1] ** 2).mean())
+    force = max(f, moment / _LEVER / 4)
+    mass = force / max(acceleration, 1e-3)
+    power = force * speed + max(moment, 0.0) * rate
+    if chassis.wheels:
+        rates = np.sqrt(((twist @ np.linalg.pinv(chassis.S).T @ chassis.A.T) ** 2).mean())
+        per_rate = np.full(len(chassis.A), rates)
+    else:
+        per_rate = np.array([speed, speed, max(rate, speed)])
+    scale = np.ones(1)[: int(chassis.scaled)]
+    body = mass * np.array([1.0, _LEVER, _LEVER, _LEVER**2])
+    return np.concatenate([body, power / per_rate**2, power / per_rate, scale])
+
+
+def _directions(at: _Setting) -> tuple[Array, Array]:
+    """Return orthonormal directions that the motion tells, and those that it leaves unseen, in the scales.
+
+    Seen is what has more than a hundredth of the forces in the weak form's regressor, the part left out that
+    the noise of poses makes: a second draw of it tells how much that is.
+    """
+    chassis, gram, count = at.chassis, 0.0, 0
+    scales = at.scales[: len(at.scales) - chassis.scaled]
+    per_row = _row_sizes(at)
+    for part in at.rows:
+        Y, N = (each * scales / per_row[:, None] for each in (part.Y, part.shaken))
+        gram = gram + np.einsum("nki,nkj->ij", Y, Y) - 1.5 * np.einsum("dnki,dnkj->ij", N, N) / len(N)
+        count += Y.shape[0] * Y.shape[1]
+    values, vectors = np.linalg.eigh(np.asarray(gram) / count)
+    told = values > _SEEN**2
+    seen, unseen = vectors[:, told], vectors[:, ~told]
+    if not chassis.scaled:
+        return seen, unseen
+    # The scale is seen where all else is, as loads differ.
+    extended = np.zeros((len(at.scales), seen.shape[1] + 1))
+    extended[:-1, :-1], extended[-1, -1] = seen, 1.0
+    return extended, np.vstack([unseen, np.zeros(unseen.shape[1])])
+
+
+def _row_sizes(at: _Setting) -> Array:
+    forces = np.concatenate([one.forces(at.chassis, 0.0) for one in at.rows])
+    size = np.sqrt((forces**2).mean(axis=0))
+    force = max(np.hypot(*size[:2]) if at.chassis.free == 3 else size[0], 4 * size[-1])
+    return np.array([*[force] * (at.chassis.free - 1), max(size[-1], force * _LEVER)])
+
+
+def in_words(chassis: Chassis, unseen: Array) -> str:
+    """Return what directions of the parameters are unseen, in words."""
+    names = [one.name for one in chassis.quantities]
+    hidden = unseen @ unseen.T
+    alone = [names[k] for k in range(len(names)) if hidden[k, k] > 0.98]
+    mixed = [k for k in range(len(names)) if 0.02 < hidden[k, k] <= 0.98]
+    groups: list[list[int]] = []
+    for k in mixed:
+        near = [g for g in groups if any(abs(hidden[k, j]) > 0.05 for j in g)]
+        groups = [g for g in groups if g not in near] + [[j for g in near for j in g] + [k]]
+    told = [f"the motion does not tell {', '.join(alone)}"] if alone else []
+    told += [f"of {', '.join(names[j] for j in sorted(g))} it tells combinations alone" for g in groups]
+    return "; ".join(told)
+
+
+def _hidden(unseen: Array) -> Array:
+    """Return for each parameter which share of its direction is unseen."""
+    return np.asarray((unseen**2).sum(axis=1))
+
+
+def _first_delay(at: _Setting, base: Array, basis: Array) -> float:
+    """Return the delay at which the weak form leaves least, in samples, by a scan and a parabola."""
+    if basis.shape[1] < len(base):
+        return 0.0  # what hardly changes tells no time
+    dt, chassis = at.logs[0].dt, at.chassis
+    if chassis.scaled:  # whose scale tells no time either: all in proportion to it
+        chassis, base, basis = replace(chassis, scaled=False), base[:-1], basis[:-1, :-1]
+    delays = np.arange(-max(2, round(_EARLIEST / dt)), max(4, round(_LATEST / dt)) + 0.25, 0.5)
+    fits = [solve(at.rows, chassis, d, base, basis, 2) for d in delays]
+    costs = np.array([each.cost for each in fits])
+    k = int(costs.argmin())
+    _check_explained(fits[k].explained)
+    if k in (0, len(delays) - 1):
+        raise InvalidArgument(
+            f"log has poses that come late by {dt * delays[k]:.3g} s or more, expected less: are poses and "
+            "inputs of two clocks?"
+        )
+    low, mid, high = costs[k - 1 : k + 2]
+    return float(delays[k] + 0.25 * (low - high) / max(low - 2 * mid + high, 1e-300))
+
+
+def _rounded(delay: float) -> float:
+    return float(round(delay)) if abs(delay - round(delay)) <= _ROUNDED else delay
+
+
+def _by_output_error(
+    at: _Setting, phi: Array, basis: Array, delay: float, seconds: float, free: bool, most: int
+) -> tuple[Estimate, float, float]:
+    """Return the estimate, and the delay and its deviation in samples."""
+    taken = float(round(delay)) if free else delay
+    known = basis.shape[1] == len(phi) and free
+    for _ in range(4):
+        problem = OutputError([Segments.of(one, at.chassis, taken, seconds) for one in at.logs], at.chassis)
+        estimate = problem.solve(phi, basis, most)
+        if not known:
+            return estimate, delay, np.nan
+        later, error, said = problem.lateness(taken, estimate, basis)
+        found = taken + later
+        if abs(_rounded(found) - taken) < _SETTLED:
+            break
+        taken, phi = _rounded(found), estimate.phi
+    _check_drift(said)
+    return estimate, found, error
+
+
+def _check_drift(said: Array) -> None:
+    """Refuse a log whose delay changes along it, as that of two clocks of which one is faster does."""
+    time = np.linspace(-0.5, 0.5, len(said))
+    weight = max(float((said[:, 1] * time**2).sum()), 1e-300)
+    slope = float((said[:, 0] * time).sum()) / weight
+    deviation = np.sqrt(((said[:, 0] - said[:, 1] * time * slope) ** 2 * time**2).sum()) / weight
+    if abs(slope) > max(_DRIFT, _SIGNIFICANT * deviation):
+        raise InvalidArgument(
+            f"log has poses whose delay changes by {slope:.2g} samples from start to end: two clocks, "
+            "one of which is faster, expected times of one"
+        )
+
+
+def _check_explained(explained: float) -> None:
+    if explained < _EXPLAINED:
+        raise InvalidArgument(
+            f"log has inputs of which the motion explains {max(explained, 0):.0%}, expected most: are they "
+            "of "
+            "another robot, in another frame, or of another sign?"
+        )
+
+
+def _check_units(chassis: Chassis, phi: Array, prior: Array | None) -> None:
+    mass = phi[0]
+    if prior is not None and mass > 0 and not 1 / _TIMES_NOMINAL < mass / prior[0] < _TIMES_NOMINAL:
+        raise InvalidArgument(
+            f"log leads to a mass of {mass:.3g} kg where the robot has {prior[0]:.3g} kg, expected about "
+            "that: are "
+            "its forces in newtons, its positions in metres?"
+        )
+    if not _MASSES[0] < mass < _MASSES[1]:
+        why = (
+            "have inputs the other sign, or another frame"
+            if mass <= 0
+            else "are forces in newtons, positions in metres"
+        )
+        raise InvalidArgument(
+            f"log leads to a mass of {mass:.3g} kg, expected {_MASSES[0]:g} to {_MASSES[1]:g} kg: {why}?"
+        )
+    if chassis.is_possible(phi):
+        radius = float(np.sqrt(chassis.told(phi)[3] / mass))
+        if radius > 20 or np.hypot(phi[1], phi[2]) / mass > 20:
+            raise InvalidArgument(
+                f"log leads to a radius of gyration of {radius:.3g} m, expected that of a robot: is psi in "
+                "radians, "
+                "are moments in N m?"
+            )
+
+
+def _worst(found: Sequence[Whiteness]) -> Whiteness:
+    return max(found, key=lambda one: float(np.abs(one.correlation).max()))
+
+
+def _mean_squares(estimate: Estimate) -> Array:
+    total = sum((e[..., :3] ** 2).sum(axis=(0, 1)) for e in estimate.residuals)
+    return np.asarray(total / sum(good.sum() for good in estimate.good))

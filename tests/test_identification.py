@@ -1,0 +1,427 @@
+"""From logs to parameters: against what was simulated, against Pinocchio, and what is refused."""
+
+import pickle
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pinmobile import (
+    COMPILED,
+    Backstepping,
+    Circle,
+    ComputedTorque,
+    Driven,
+    Identification,
+    InvalidArgument,
+    Load,
+    Log,
+    MobileRobot,
+    Motor,
+    RollingResistance,
+    Rollout,
+    Tangent,
+    Tracking,
+    UnknownName,
+    ViscousFriction,
+    WheeledRobot,
+    WheelTable,
+    ensemble,
+    excitation,
+    identify,
+    plots,
+    rk4,
+    simulate,
+)
+from pinmobile.arrays import Array
+from pinmobile.identification import Excitation
+
+ROBOT = MobileRobot(32.0, 1.6, com=(0.12, -0.04))
+TRUE = {
+    **{"mass": 32.0, "com_x": 0.12, "com_y": -0.04, "yaw_inertia": 1.6},
+    **{"viscous_forward": 6.0, "viscous_left": 14.0, "viscous_yaw": 1.2},
+    **{"rolling_forward": 4.0, "rolling_left": 7.0, "rolling_yaw": 0.6},
+}
+FRICTION: list[Any] = [ViscousFriction((6.0, 14.0, 1.2)), RollingResistance((4.0, 7.0, 0.6))]
+
+
+@cache
+def motion() -> Excitation:
+    return excitation(ROBOT, duration=44.0, period=11.0, velocity=(1.2, 1.2, 1.2))
+
+
+@cache
+def driven(trajectory: Any = None, rate: int = 50) -> Rollout:
+    return simulate(
+        ROBOT,
+        ComputedTorque(ROBOT, kp=16, kd=8),
+        trajectory or motion(),
+        dt=1 / rate,
+        integrator=rk4,
+        substeps=400 // rate,
+        forces=FRICTION,
+        engine=COMPILED,
+    )
+
+
+@cache
+def log(seed: int = 0, delay: int = 0, forces: bool = True) -> Log:
+    return Log.from_rollout(driven(), 1e-3, (1.0, 1.0, 0.15) if forces else 0.0, delay=delay, seed=seed)
+
+
+@cache
+def found(seed: int = 0, delay: int = 0) -> Identification:
+    return identify(log(seed, delay))
+
+
+def test_without_noise_the_parameters_are_those_of_the_simulation() -> None:
+    exact = identify(Log.from_rollout(driven()))
+    for name, value in TRUE.items():
+        # The simulation's step is 2.5 ms, that of the model 5 ms: dry friction changes its sign within some.
+        assert exact.parameters[name] == pytest.approx(value, rel=2e-3), name
+
+
+@pytest.mark.once
+def test_intervals_hold_the_true_parameters_where_poses_and_forces_are_noisy() -> None:
+    inside = [
+        low <= TRUE[name] <= high
+        for seed in range(3)
+        for name, (low, high) in found(seed).interval(0.95).items()
+    ]
+    # Of 30, 28.5 are expected; fewer than 24 come once in 4000 (binomial), as least squares' 11 would.
+    assert sum(inside) >= 24
+    wide, narrow = found().interval(0.99)["mass"], found().interval(0.5)["mass"]
+    assert wide[0] < narrow[0] < narrow[1] < wide[1]
+
+
+@pytest.mark.parametrize("delay", [0, 3])
+def test_a_delay_is_found(delay: int) -> None:
+    late = found(0, delay)
+    assert late.delay / late.dt == pytest.approx(delay, abs=0.2)
+    assert late.parameters["mass"] == pytest.approx(32.0, rel=0.01)
+
+
+def test_a_delay_that_is_ignored_spoils_friction() -> None:
+    ignored = identify(log(0, 3), delay=0.0)
+    assert abs(ignored.parameters["viscous_forward"] / 6 - 1) > 0.1
+    assert not ignored.whiteness.is_white
+
+
+def test_residuals_are_white_where_the_sensors_noise_is_all_that_is_left() -> None:
+    clean = identify(log(1, 0, forces=False))
+    assert clean.whiteness.is_white
+    assert clean.chi2 == pytest.approx(1.0, abs=0.1)  # 6,600 residuals: 0.017 is a deviation
+    np.testing.assert_allclose(clean.noise, 1e-3, rtol=0.05)
+    assert not found().whiteness.is_white
+
+
+def test_the_prediction_is_told_beside_the_noise() -> None:
+    other = found().predict(log(2))
+    assert (other.rms > 0.9 * other.noise).all()
+    assert (other.rms < 3 * other.noise).all()
+    assert "noise" in str(other)
+
+
+def test_outliers_and_rows_without_numbers_are_left_out_and_counted() -> None:
+    rng, q = np.random.default_rng(0), np.array(log().q)
+    wild = rng.choice(len(q), 40, replace=False)
+    q[wild] += rng.choice([-1, 1], (40, 3)) * rng.uniform(0.05, 0.3, (40, 3))
+    q[[100, 500]] = np.nan
+    spoiled = identify(Log(log().t, q, log().u))
+    assert spoiled.dropped == 2
+    assert 38 <= spoiled.outliers <= 46
+    assert spoiled.parameters["mass"] == pytest.approx(found().parameters["mass"], rel=5e-3)
+
+
+def test_a_circle_is_refused_and_with_a_robot_what_is_unseen_is_told_and_kept() -> None:
+    circle = Log.from_rollout(driven(Tangent(Circle(1.5, 0.6, 44.0))), 1e-3)
+    with pytest.raises(
+        InvalidArgument, match=r"^log has a motion of rank 3 of 10: the motion does not tell .*yaw_inertia"
+    ):
+        identify(circle)
+    kept = identify(circle, MobileRobot(30.0, 1.5))
+    assert kept.rank == 3
+    assert not any(kept.is_seen.values())
+    assert kept.interval()["mass"] == (0.0, np.inf)
+    assert kept.robot().body.yaw_inertia == pytest.approx(1.5, rel=0.05)
+    with pytest.raises(InvalidArgument, match="leaves something unseen"):
+        kept.spread(3)
+
+
+def test_what_is_found_goes_on_to_simulate_and_ensemble() -> None:
+    robot, friction = found().robot(), found().forces()
+    assert robot.mass == found().parameters["mass"]
+    spread = found().spread(200, seed=1)
+    assert list(spread) == list(TRUE)
+    # Of 200 draws a deviation is known to 5 %, and Student's t with 21 degrees is 5 % wider.
+    wide = np.sqrt(np.diag(found().covariance))
+    np.testing.assert_allclose([x.std() for x in spread.values()], wide, rtol=0.3)
+    joint = np.corrcoef(spread["viscous_forward"], spread["rolling_forward"])[0, 1]
+    C = found().covariance
+    assert joint == pytest.approx(C[4, 7] / np.sqrt(C[4, 4] * C[7, 7]), abs=0.2)
+    controller = ComputedTorque(robot, kp=16, kd=8)
+    runs = ensemble(
+        robot, controller, Tangent(Circle(1, 0.5, 2)), n=200, spread=spread, forces=friction, dt=0.02
+    )
+    assert 0 < runs.within(0.99).distance < 0.1
+
+
+def test_a_urdfs_robot_keeps_what_the_plane_cannot_tell() -> None:
+    believed = MobileRobot.box(30.0, (0.8, 0.6, 0.5))  # whose moments allow for another about z
+    kept = identify(log(), believed).robot()
+    np.testing.assert_array_equal(np.diag(kept.body.inertia)[:2], np.diag(believed.body.inertia)[:2])
+    assert kept.com[2] == believed.com[2]
+    assert kept.size == believed.size
+
+
+def test_an_identification_can_be_pickled() -> None:
+    again = pickle.loads(pickle.dumps(found()))
+    assert again.parameters == found().parameters
+    assert str(again) == str(found())
+
+
+def test_the_weak_form_alone_is_near() -> None:
+    weak = identify(log(), method="weak")
+    assert weak.parameters["mass"] == pytest.approx(32.0, rel=0.02)
+    with pytest.raises(UnknownName):
+        identify(log(), method="least squares")
+
+
+def test_the_regressor_is_the_robots_dynamics() -> None:
+    chassis, rng = found().chassis, np.random.default_rng(3)
+    phi = chassis.phi(np.array(list(TRUE.values())))
+    q, v, a = rng.normal(size=(3, 20, 3))
+    q[:, 2] = 0.0  # the body's axes are those of the inertial frame
+    rate = a + np.column_stack([v[:, 2] * v[:, 1], -v[:, 2] * v[:, 0], 0 * v[:, 0]])
+    tau = (chassis.regressor(v, rate) @ phi) + sum(force(0.0, q, v) for force in FRICTION)
+    np.testing.assert_allclose(tau, ROBOT.inverse_dynamics(q, v, a), atol=1e-12)
+
+
+# -- wheels ----------------------------------------------------------------------------------------
+
+MOTOR = Motor(resistance=1.2, torque_constant=0.04, voltage=24.0, gear=30.0, rotor_inertia=2e-5)
+BODY = MobileRobot(30.0, 1.3, com=(0.06, 0.02, 0.2))
+LOAD = Load(8.0, (0.1, 0.05, 0.1), size=(0.2, 0.2, 0.2))
+
+
+def on_wheels(body: MobileRobot, motor: Motor = MOTOR) -> Any:
+    wheel: dict[str, Any] = {"supports": [(-0.3, 0)], "mass": 1.0, "spin_inertia": 0.005}
+    return WheeledRobot(body, WheelTable.differential(0.5, 0.1, motor=motor, **wheel)).by_voltage()
+
+
+@cache
+def rolled(loaded: bool) -> Log:
+    plant = on_wheels(BODY.attach(LOAD).lumped() if loaded else BODY)
+    path = excitation(
+        plant, duration=44.0, period=11.0, velocity=(0.8, 1.0, 1.2), acceleration=(1.0, 1.0, 2.0)
+    )
+    controller = Driven(Backstepping(Tracking(), plant.wheeled), plant)
+    run = simulate(plant, controller, path, dt=0.01, substeps=2, engine=COMPILED)
+    plain = Log.from_rollout(run, 1e-3, 0.02, seed=int(loaded))
+    assert plain.wheel_rates is not None
+    rates = plain.wheel_rates + np.random.default_rng(4).normal(0, 0.02, plain.wheel_rates.shape)
+    return Log(plain.t, plain.q, plain.u, None, rates)
+
+
+@pytest.mark.once
+def test_volts_and_encoders_tell_mass_and_inertia_and_say_what_they_cannot() -> None:
+    known = identify(rolled(False), on_wheels(MobileRobot(20.0, 1.0)))
+    for name, value in {"mass": 30.0, "com_x": 0.06, "com_y": 0.02, "yaw_inertia": 1.3}.items():
+        assert known.parameters[name] == pytest.approx(value, rel=0.02), name
+    text = str(known)
+    assert "the wheels' own inertia cannot be told" in text
+    assert "a log with a known load tells it" in text
+    assert known.robot().wheeled.robot.mass == known.parameters["mass"]
+    assert known.forces()[0].names[-2:] == ("left", "right")
+
+
+@pytest.mark.once
+def test_a_known_load_tells_the_motors_constant() -> None:
+    wrong = Motor(resistance=1.2, torque_constant=0.06, voltage=24.0, gear=30.0, rotor_inertia=2e-5)
+    both = identify(
+        [rolled(False), rolled(True)], on_wheels(MobileRobot(20.0, 1.0), wrong), loads=[None, LOAD]
+    )
+    np.testing.assert_allclose(both.torque_constants, 0.04, rtol=0.05)
+    low, high = both.interval(0.99)["input_scale"]
+    assert low < 0.04 / 0.06 < high
+    assert both.parameters["mass"] == pytest.approx(30.0, rel=0.05)
+
+
+# -- motions ---------------------------------------------------------------------------------------
+
+
+def test_a_motion_stays_in_its_limits_and_its_derivatives_are_its_own() -> None:
+    t, h = np.linspace(1, 43, 400), 1e-5
+    for trajectory in (motion(), excitation(on_wheels(BODY), duration=44.0, period=11.0)):
+        at = trajectory(t)
+        ends = trajectory(np.array([0.0, 44.0]))
+        np.testing.assert_allclose(ends.v, 0, atol=1e-12)
+        np.testing.assert_allclose(ends.a, 0, atol=1e-12)
+        # Central differences: h^2 / 6 times the third derivative, and rounding 1e-16 / h.
+        for order in (0, 1):
+            slope = (trajectory(t + h)[order] - trajectory(t - h)[order]) / (2 * h)
+            np.testing.assert_allclose(at[order + 1], slope, atol=1e-8)
+        assert (np.abs(at.q[:, :2]) < 1.52).all()
+        assert (np.abs(at.v) < 1.51).all()
+    c, s = np.cos(at.q[:, 2]), np.sin(at.q[:, 2])
+    np.testing.assert_allclose(c * at.v[:, 1] - s * at.v[:, 0], 0, atol=1e-12)  # it rolls
+
+
+# -- logs that are refused -------------------------------------------------------------------------
+
+
+def changed(**new: Callable[[Array], Array]) -> Log:
+    parts = {"t": log().t, "q": log().q, "u": log().u}
+    return Log(*(new[name](np.array(x)) if name in new else x for name, x in parts.items()))  # type: ignore[arg-type]
+
+
+def holed(q: Array) -> Array:
+    q[300:330] = np.nan
+    return q
+
+
+def drifting(q: Array) -> Array:
+    t = np.array(log().t)
+    return np.column_stack([np.interp(t * (1 - 2e-3), t, column) for column in q.T])
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (lambda: changed(t=lambda t: t[::-1]), r"^t\[1\] is .* expected more$"),
+        (
+            lambda: changed(q=holed),
+            r"^t has a gap from 5\.98 to 6\.6 s .* 30 rows had NaN, .*make a Log of each",
+        ),
+        (lambda: changed(q=np.rad2deg), r"^q has psi from .*: are these degrees\?$"),
+        (lambda: changed(q=lambda q: q * 1000 * 100), r"^q moves at .*: are these millimetres\?$"),
+        (lambda: changed(t=lambda t: t * 1000), r"^t has steps of 20 s, .*: are these milliseconds\?$"),
+        (lambda: changed(q=lambda q: q[:-1]), r"^q has shape \(2200, 3\), expected \(2201, \.\.\.\)"),
+        (
+            lambda: identify(changed(u=lambda u: 1000 * u)),
+            r"^log leads to a mass of 3\.\d+e\+04 kg, .*newtons",
+        ),
+        (lambda: identify(log().between(0, 12)), r"^log is 12 s long, too short, expected at least"),
+        (lambda: identify(changed(q=lambda q: 0 * q, u=lambda u: 0 * u)), r"^log has poses that move by 0 m"),
+        (lambda: identify(changed(u=lambda u: u[::-1])), r"^log has inputs of which the motion explains"),
+        (lambda: identify(changed(q=drifting)), r"^log has poses whose delay changes by .*two clocks"),
+        (
+            lambda: Log.from_streams(log().t, log().q, log().t + 1e9, log().u),  # type: ignore[arg-type]
+            r"^t_u is from 1e\+09 to .* two clocks",
+        ),
+        (lambda: identify(changed(u=lambda u: u[:, :2])), r"^log has 2 inputs, expected 3: \(Fx, Fy, Mz\)"),
+        (lambda: identify([]), r"^log is \[\], expected a Log, or several$"),
+        (
+            lambda: identify(log(), loads=[None]),
+            r"^loads has the same for all logs, expected loads that differ",
+        ),
+        (lambda: identify(log(), "robot"), r"^robot is 'robot', expected a MobileRobot"),
+    ],
+)
+def test_a_log_that_tells_something_else_is_refused_with_what_it_is(call: Any, text: str) -> None:
+    with pytest.raises(InvalidArgument, match=text):
+        call()
+
+
+# -- files -----------------------------------------------------------------------------------------
+
+
+def test_a_csv_is_read_with_its_units(tmp_path: Path) -> None:
+    driven().to_csv(tmp_path / "run.csv")
+    read = Log.from_csv(tmp_path / "run.csv")
+    np.testing.assert_array_equal(read.q, driven().q)
+    np.testing.assert_array_equal(read.u, driven().u)
+    rows = np.column_stack([1e3 * read.t, 1e3 * read.q[:, :2], np.rad2deg(read.q[:, 2]), read.u])  # type: ignore[index]
+    header = "time [ms],x [mm],y [mm],yaw [deg],Fx [N],Fy [N],Mz [N m]"
+    np.savetxt(tmp_path / "other.csv", rows, "%.17g", ",", header=header, comments="")
+    other = Log.from_csv(tmp_path / "other.csv")
+    np.testing.assert_allclose(other.q, read.q, rtol=0, atol=1e-12)  # type: ignore[arg-type]
+    np.testing.assert_allclose(other.t, read.t, rtol=0, atol=1e-12)
+    with pytest.raises(UnknownName, match=r"unknown column of .*'Fz', .*available: .*Fx"):
+        Log.from_csv(tmp_path / "other.csv", {"t": "time", "q": ("x", "y", "yaw"), "u": ("Fx", "Fy", "Fz")})
+
+
+@pytest.mark.parametrize("kind", ["SQLITE3", "MCAP", "ros1"])
+def test_a_bag_is_read_without_ros(kind: str, tmp_path: Path) -> None:
+    pytest.importorskip("rosbags", reason="needs the extra bags")
+    path = written_bag(tmp_path, kind)
+    read = Log.from_bag(path, {"q": "/odom", "u": "/wrench", "twist": "/odom"})
+    few = driven().q[:50]
+    np.testing.assert_allclose(read.q, few, atol=1e-14)  # type: ignore[arg-type]
+    np.testing.assert_allclose(read.u, driven().u[:50], rtol=0, atol=1e-12)  # means, of 0.02 s and 76 N
+    np.testing.assert_allclose(read.t, driven().t[:50], atol=1e-8)  # [s]: stamps are whole nanoseconds
+    with pytest.raises(
+        UnknownName, match=r"'/force', .*available: /odom \(Odometry\), /wrench \(WrenchStamped\)"
+    ):
+        Log.from_bag(path, {"q": "/odom", "u": "/force"})
+    with pytest.raises(InvalidArgument, match=r"^topics\['q'\] is '/wrench', whose messages are .*Odometry"):
+        Log.from_bag(path, {"q": "/wrench", "u": "/wrench"})
+
+
+def written_bag(folder: Path, kind: str) -> Path:
+    """Write the first poses and forces of the run as a bag, and return its path."""
+    from rosbags import rosbag1, rosbag2
+    from rosbags.typesys import Stores, get_typestore
+
+    ros1 = kind == "ros1"
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    path = folder / ("run.bag" if ros1 else "run")
+    writer: Any = (
+        rosbag1.Writer(path)
+        if ros1
+        else rosbag2.Writer(path, version=9, storage_plugin=rosbag2.StoragePlugin[kind])
+    )
+    kinds = {"/odom": "nav_msgs/msg/Odometry", "/wrench": "geometry_msgs/msg/WrenchStamped"}
+    with writer as bag:
+        topics = {name: bag.add_connection(name, each, typestore=store) for name, each in kinds.items()}
+        for t, q, u in zip(driven().t[:50], driven().q[:50], driven().u[:50], strict=True):
+            at = 1_700_000_000_000_000_000 + round(1e9 * t)
+            for name, message in messages(store.types, at, q, u).items():
+                serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
+                bag.write(topics[name], at, serialize(message, kinds[name]))
+    return path
+
+
+def messages(types: Any, at: int, q: Array, u: Array) -> dict[str, Any]:
+    def made(name: str, *parts: Any) -> Any:
+        return types[name](*parts)
+
+    stamp = made("builtin_interfaces/msg/Time", *divmod(at, 10**9))
+    header = types["std_msgs/msg/Header"]
+    fields = {"stamp": stamp, "frame_id": "odom"} | (
+        {"seq": 0} if "seq" in header.__dataclass_fields__ else {}
+    )
+    head, zero = header(**fields), made("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
+    turn = made("geometry_msgs/msg/Quaternion", 0.0, 0.0, np.sin(q[2] / 2), np.cos(q[2] / 2))
+    pose = made("geometry_msgs/msg/Pose", made("geometry_msgs/msg/Point", q[0], q[1], 0.0), turn)
+    twist = made("geometry_msgs/msg/Twist", zero, zero)
+    unknown = np.zeros(36)
+    odometry = made(
+        "nav_msgs/msg/Odometry",
+        head,
+        "base",
+        made("geometry_msgs/msg/PoseWithCovariance", pose, unknown),
+        made("geometry_msgs/msg/TwistWithCovariance", twist, unknown),
+    )
+    force = (
+        made("geometry_msgs/msg/Vector3", u[0], u[1], 0.0),
+        made("geometry_msgs/msg/Vector3", 0.0, 0.0, u[2]),
+    )
+    return {
+        "/odom": odometry,
+        "/wrench": made("geometry_msgs/msg/WrenchStamped", head, made("geometry_msgs/msg/Wrench", *force)),
+    }
+
+
+def test_a_prediction_is_drawn_in_axes_of_its_own_or_in_given_ones() -> None:
+    foretold = found().predict(log(2))
+    figure = plots.prediction(foretold, width=7.0)
+    assert figure.get_size_inches()[0] == 7.0
+    assert len(figure.axes) == 6
+    other = plots.prediction(foretold, ax=figure.axes)
+    assert other is figure
+    with pytest.raises(InvalidArgument, match="ax is 2 Axes, expected 6, one for each panel"):
+        plots.prediction(foretold, ax=figure.axes[:2])
