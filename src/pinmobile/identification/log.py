@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, finite, frozen, increasing, real, scalar, seeded, whole
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.identification.logfiles import read_bag, read_csv
 from pinmobile.plant import coordinates_of, inputs_of
 from pinmobile.simulation import Rollout
@@ -247,7 +247,7 @@ class Log:
             another shape.
         """
         if not isinstance(rollout, Rollout):
-            raise InvalidArgument(f"rollout is {rollout!r}, expected a Rollout")
+            raise InvalidArgument(f"rollout is {shown(rollout)}, expected a Rollout")
         late = whole("delay", delay, least=0, most=len(rollout) - 2)
         generator, u = seeded("seed", seed), rollout.u
         deviations = {"noise": (noise, _POSE), "input_noise": (input_noise, u.shape[1])}
@@ -255,7 +255,7 @@ class Log:
         for name, (value, size) in deviations.items():
             found = finite(name, value)
             if found.shape not in ((), (size,)) or (found < 0).any():
-                raise InvalidArgument(f"{name} is {value!r}, expected a number >= 0, or {size} of them")
+                raise InvalidArgument(f"{name} is {shown(value)}, expected a number >= 0, or {size} of them")
             sigma[name] = found
         names = [one.name for one in coordinates_of(rollout.plant)]
         wheels = [names.index(one.name) for one in inputs_of(rollout.plant) if one.name in names]
