@@ -852,7 +852,6 @@ ROWS: dict[str, Row] = {
         coefficients=np.ones((3, 2, 3)), period=5.0, duration=10.0, S=None, start=np.zeros(3)
     ),
     "identification.Excitation.__call__": row(t=1.0),
-    "identification.Excitation.series": row(t=1.0, order=1),
     "plots.prediction": row(60, foretold=the("foretold"), title="a title", ax=None, width=8.0),
     "Rollout.load": row(path=the("saved")),
     "Rollout.save": row(path=partial(lambda: WORLD.folder / "again.npz")),

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple, Self, final
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, increasing, real, seeded
-from pinmobile.errors import InvalidArgument
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, increasing, real, scalar, seeded, whole
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.identification.logfiles import read_bag, read_csv
 from pinmobile.plant import coordinates_of, inputs_of
 from pinmobile.simulation import Rollout
@@ -143,7 +143,7 @@ class Log:
             If fewer than two samples are left.
         """
         since = self.t - self.t[0]
-        low, high = (float(finite(name, x)) for name, x in (("start", start), ("stop", stop)))
+        low, high = (scalar(name, x) for name, x in (("start", start), ("stop", stop)))
         kept = (since >= low) & (since < high)
         if kept.sum() < 2:
             raise InvalidArgument(
@@ -247,17 +247,15 @@ class Log:
             another shape.
         """
         if not isinstance(rollout, Rollout):
-            raise InvalidArgument(f"rollout is {rollout!r}, expected a Rollout")
-        late = int(finite("delay", delay))
-        if late != delay or not 0 <= late < len(rollout) - 1:
-            raise InvalidArgument(f"delay is {delay}, expected a number of samples, 0 to {len(rollout) - 2}")
+            raise InvalidArgument(f"rollout is {shown(rollout)}, expected a Rollout")
+        late = whole("delay", delay, least=0, most=len(rollout) - 2)
         generator, u = seeded("seed", seed), rollout.u
         deviations = {"noise": (noise, _POSE), "input_noise": (input_noise, u.shape[1])}
         sigma: dict[str, Array] = {}
         for name, (value, size) in deviations.items():
             found = finite(name, value)
             if found.shape not in ((), (size,)) or (found < 0).any():
-                raise InvalidArgument(f"{name} is {value!r}, expected a number >= 0, or {size} of them")
+                raise InvalidArgument(f"{name} is {shown(value)}, expected a number >= 0, or {size} of them")
             sigma[name] = found
         names = [one.name for one in coordinates_of(rollout.plant)]
         wheels = [names.index(one.name) for one in inputs_of(rollout.plant) if one.name in names]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, location, one_of, text
+from pinmobile.arrays import Array, location, one_of, sequence, text
 from pinmobile.errors import InvalidArgument, UnknownName, shown
 from pinmobile.extras import imported
 from pinmobile.files import refusals
@@ -35,6 +35,8 @@ def read_csv(
         head = next(lines, [])
         rows = [row for row in lines if row]
     named = {re.sub(r"\s*\[.*\]\s*$", "", title).strip(): k for k, title in enumerate(head)}
+    if columns is not None and not isinstance(columns, Mapping):
+        raise InvalidArgument(f"columns is {shown(columns)}, expected a mapping such as {{'t': 'time', ...}}")
     wanted = _columns_of(list(named)) if columns is None else dict(columns)
     for role in wanted:
         one_of("part of a log", role, ("t", *_ROLES))
@@ -45,7 +47,7 @@ def read_csv(
         )
     parts: dict[str, Array] = {}
     for role, of_role in wanted.items():
-        listed = [of_role] if isinstance(of_role, str) else list(of_role)
+        listed = [of_role] if isinstance(of_role, str) else sequence(f"columns[{role!r}]", of_role, "names")
         for name in listed:
             one_of(f"column of {str(file)!r}", name, named)
         parts[role] = np.column_stack([_in_si(head[named[n]], numbers[:, named[n]]) for n in listed])

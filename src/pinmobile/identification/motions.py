@@ -52,7 +52,10 @@ class Excitation:
     parameters: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
-        k = 3 if self.S is None else np.shape(self.S)[1]
+        S = None if self.S is None else finite("S", self.S)
+        if S is not None and (S.ndim != 2 or len(S) != 3 or not S.shape[1]):
+            raise InvalidArgument(f"S has shape {S.shape}, expected (3, k)")
+        k = 3 if S is None else S.shape[1]
         given = finite("coefficients", self.coefficients)
         if given.ndim != 3 or given.shape[1:] != (2, k) or not len(given):
             raise InvalidArgument(f"coefficients has shape {given.shape}, expected (L, 2, {k})")
@@ -63,8 +66,8 @@ class Excitation:
         object.__setattr__(self, "start", frozen(start))
         for name in ("period", "duration"):
             object.__setattr__(self, name, positive(name, getattr(self, name), "s"))
-        if self.S is not None:
-            object.__setattr__(self, "S", frozen(finite("S", self.S)))
+        if S is not None:
+            object.__setattr__(self, "S", frozen(S))
             knots = np.arange(np.ceil(self.duration / self.period * _KNOTS) + 1) * (self.period / _KNOTS)
             whole_way = self._way(knots[:-1], np.full(len(knots) - 1, self.period / _KNOTS))
             sums = np.vstack([np.zeros(2), np.cumsum(whole_way, axis=0)])
@@ -75,7 +78,7 @@ class Excitation:
         series = f"{len(self.coefficients)} harmonics of {self.period:g} s"
         return f"<Excitation: {what}, {series}, over {self.duration:g} s>"
 
-    def series(self, t: Array, order: int) -> Array:
+    def _series(self, t: Array, order: int) -> Array:
         """Return the coordinates' derivative of an order, from their start on, shape (..., k)."""
         total: Array = np.zeros((*np.shape(t), self.coefficients.shape[2]))
         for each, (a, b) in enumerate(self.coefficients, 1):
@@ -91,8 +94,8 @@ class Excitation:
         """Return how far the body goes in the plane, from times on for spans, shape (..., 2)."""
         assert self.S is not None
         at = since[..., None] + span[..., None] * (_NODES + 1) / 2
-        forward, left, _ = np.moveaxis(self.series(at, 1) @ self.S.T, -1, 0)
-        psi = self.start[2] + self.series(at, 0) @ self.S[2]
+        forward, left, _ = np.moveaxis(self._series(at, 1) @ self.S.T, -1, 0)
+        psi = self.start[2] + self._series(at, 0) @ self.S[2]
         c, s = np.cos(psi), np.sin(psi)
         both = np.stack([c * forward - s * left, s * forward + c * left], axis=-1)
         return np.asarray(span[..., None] / 2 * np.einsum("...nj,n->...j", both, _WEIGHTS))
@@ -109,14 +112,14 @@ class Excitation:
         if (times < 0).any() or (times > self.duration * (1 + 1e-12)).any():
             raise InvalidArgument(f"t is {times.max():g} s, expected 0 <= t <= {self.duration:g} s")
         if self.S is None:
-            zeroth = self.start + self.series(times, 0)
-            return Reference(zeroth, self.series(times, 1), self.series(times, 2))
+            zeroth = self.start + self._series(times, 0)
+            return Reference(zeroth, self._series(times, 1), self._series(times, 2))
         step = self.period / _KNOTS
         knots: Array = self._knots  # type: ignore[attr-defined]
         at = np.clip((times / step).astype(int), 0, len(knots) - 1)
         place = self.start[:2] + knots[at] + self._way(at * step, times - at * step)
-        nu, rate = (self.series(times, order) @ self.S.T for order in (1, 2))
-        psi = self.start[2] + self.series(times, 0) @ self.S[2]
+        nu, rate = (self._series(times, order) @ self.S.T for order in (1, 2))
+        psi = self.start[2] + self._series(times, 0) @ self.S[2]
         c, s = np.cos(psi), np.sin(psi)
         forward, left, r = np.moveaxis(nu, -1, 0)
         along, aside = rate[..., 0] - r * left, rate[..., 1] + r * forward

@@ -88,7 +88,8 @@ def identify(
         Load that the robot carried in each log, in the body's frame. With loads that differ, the scale of the
         input is identified too, such as an unknown torque constant.
     method : str
-        ``"output error"``, or ``"weak"``, which is linear and fast, and better where forces are very noisy.
+        ``"output error"``, or ``"weak"``, the start alone: linear and fast; its intervals leave out what
+        filtered velocities bias, and are too narrow for friction where velocities are near zero.
     delay : float, optional
         By which poses come late [s]; without it, it is found.
     rolling_speed : float, optional
