@@ -23,6 +23,7 @@ from pinmobile.robot.mounts import Load, Mount, named_frames as named_frames, pr
 from pinmobile.robot.pinocchio_calls import Calls, Engine as Engine
 from pinmobile.robot.planar import BODY_PARAMETERS as BODY_PARAMETERS, PlanarBody as PlanarBody
 from pinmobile.robot.reading import LOCKED as LOCKED
+from pinmobile.robot.slopes import slopes as slopes
 from pinmobile.robot.sources import EXCEPTIONS, Mountable, Mountables, kept_arm as kept_arm, mountable
 from pinmobile.robot.stance import (
     WEIGHTLESS as WEIGHTLESS,

@@ -44,6 +44,7 @@ from pinmobile.robot.linkage import (
 from pinmobile.robot.mounts import LinkNumbers, Mount, are_impossible, body_parameters, named_frames
 from pinmobile.robot.planar import BODY_PARAMETERS
 from pinmobile.robot.recursions import Moving, Posture, by_matrix, operations
+from pinmobile.robot.slopes import linearized
 from pinmobile.robot.stance import Judgement
 
 _BASE = 3  # joints, coordinates and numbers of q of the base; the last carries its body
@@ -406,6 +407,10 @@ class ArticulatedBody:
         found = self._moving(q, v).regressor(self._axes, _BASE - 1, self._in_joints(a))
         rows = sorted(zip(self.linkage.v, found, strict=True), key=lambda row: row[0])
         return matrix_of([vector_of(row, q) for _, row in rows])
+
+    def linearize_tracked(self, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
+        """Return A, shape (..., 2 nv, 2 nv), and B, (..., 2 nv, nv), see `MobileRobot.linearize`."""
+        return linearized(self, q, v, u)
 
     def mass_matrix(self, q: Array) -> Array:
         """Return M(q), shape (..., nv, nv)."""
