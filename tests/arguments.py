@@ -490,6 +490,7 @@ ROWS: dict[str, Row] = {
         upper=[90, 9, 9, 9],
         difference=pm.planar_difference,
     ),
+    "LQR": row(robot=the("robot"), Q=[400, 400, 100, 20, 20, 5], R=[1e-3, 1e-3, 2e-2]),
     "ADRC": row(robot=the("robot"), bandwidth=4, observer=20, inertia=[30, 30, 1.5]),
     "DisturbanceObserver": row(controller=pm.PD(1, 1), robot=the("robot"), gain=10),
     "Saturated": row(controller=pm.PD(1, 1), limits=[1, 2, 3]),
@@ -508,6 +509,7 @@ ROWS: dict[str, Row] = {
     "Context.of": row(plant=the("robot"), dt=0.1, t=[0.0, 0.1]),
     "Context.line": row(samples=2),
     "Context.normal": row(name="wheel slip", n=2),
+    "Context.schedule": row(rows=[[1.0, 2.0]]),
     "ConstantForce.nothing": row(),
     "SinusoidalForce.nothing": row(),
     "ViscousFriction.nothing": row(),
@@ -1101,7 +1103,7 @@ def is_part(name: str) -> bool:
     """Tell whether a method is what the loop calls on its parts, with arrays that it made."""
     owner, _, method = name.rpartition(".")
     parts = ("PD", "ComputedTorque", "Decoupled", "PDGravity", "Saturated", "Delayed", "NoisyMeasurement")
-    unsure = ("PID", "SlidingMode", "SuperTwisting", "Adaptive", "ADRC", "DisturbanceObserver")
+    unsure = ("PID", "SlidingMode", "SuperTwisting", "Adaptive", "ADRC", "LQR", "DisturbanceObserver")
     of_wheels = (
         "Allocated",
         "Backstepping",

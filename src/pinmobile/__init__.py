@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     )
     from pinmobile.controllers import (
         ADRC,
+        LQR,
         PD,
         PID,
         Adaptive,
@@ -122,6 +123,7 @@ __all__ = [
     "ARRAYS",
     "COMPILED",
     "LECTURE_TABLE",
+    "LQR",
     "PD",
     "PID",
     "PINOCCHIO",
@@ -268,6 +270,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
         "NoisyMeasurement",
         "PDGravity",
         "ADRC",
+        "LQR",
         "PID",
         "Adaptive",
         "DisturbanceObserver",

@@ -637,7 +637,7 @@ class System:
         return Linearization(A, B)
 
     def linearize_tracked(self, q: ArrayLike, v: ArrayLike, u: ArrayLike) -> Linearization:
-        """Return `linearize`: the errors that a reference shows, and v, are the whole state of what is pushed."""
+        """Return `linearize`: what a reference leads, and v, are the whole state of what is pushed."""
         return self.linearize(q, v, u)
 
     @cached_property

@@ -47,8 +47,8 @@ def check_steers_not(body: Any) -> None:
     """
     if body.table.axes:
         raise InvalidArgument(
-            f"robot steers wheels about {len(body.table.axes)} axes, whose angles no reference leads, expected "
-            "wheels that do not steer, or Backstepping(law, robot)"
+            f"robot steers wheels about {len(body.table.axes)} axes, whose angles no reference leads, "
+            "expected wheels that do not steer, or Backstepping(law, robot)"
         )
 
 
@@ -97,8 +97,8 @@ def followed(body: Any, reference: Any) -> Followed:
     missed = np.abs(np.einsum("...ij,...j->...i", own.B, u) - force).max()
     if missed > _OFF * (1 + np.abs(force).max()):
         raise InvalidArgument(
-            f"reference needs a force of {missed:.3g} N, or N m, that no motor of the robot exerts, expected a "
-            "drive with a motor for each degree of freedom"
+            f"reference needs a force of {missed:.3g} N, or N m, that no motor of the robot exerts, expected "
+            "a drive with a motor for each degree of freedom"
         )
     return Followed(q, rolls, nu, u)
 
