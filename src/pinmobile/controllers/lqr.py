@@ -11,7 +11,6 @@ from pinmobile.arrays import Array, ArrayLike, frozen
 from pinmobile.controllers.controller import State
 from pinmobile.controllers.tracked_model import (
     check_moves,
-    last_cost,
     remembered,
     sizes_of,
     tracked_errors,
@@ -20,6 +19,7 @@ from pinmobile.controllers.tracked_model import (
     weights_of,
     whole_reference,
 )
+from pinmobile.errors import InvalidArgument
 from pinmobile.plant import Context, Parameter
 
 
@@ -114,3 +114,23 @@ def riccati(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array]:
         cost = Q + A[k].T @ P[k + 1] @ (A[k] - B[k] @ K[k])
         P[k] = (cost + cost.T) / 2
     return K, P
+
+
+def last_cost(A: Array, B: Array, Q: Array, R: Array) -> Array:
+    """Return the cost to go of a pair that stays, by the discrete algebraic Riccati equation.
+
+    Raises
+    ------
+    InvalidArgument
+        If it has no solution.
+    """
+    from scipy.linalg import solve_discrete_are
+
+    try:
+        P = solve_discrete_are(A, B, Q, R)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise InvalidArgument(
+            f"robot cannot be controlled to first order at the end of the reference: {error}; expected a "
+            "motor for each degree of freedom, and Q that weighs every coordinate"
+        ) from error
+    return np.asarray((P + P.T) / 2)

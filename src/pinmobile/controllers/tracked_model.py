@@ -195,26 +195,6 @@ def check_moves(robot: Any, reference: Any, nu: Array, t: float) -> None:
         )
 
 
-def last_cost(A: Array, B: Array, Q: Array, R: Array) -> Array:
-    """Return the cost to go of a pair that stays, by the discrete algebraic Riccati equation.
-
-    Raises
-    ------
-    InvalidArgument
-        If it has no solution.
-    """
-    from scipy.linalg import solve_discrete_are
-
-    try:
-        P = solve_discrete_are(A, B, Q, R)
-    except (np.linalg.LinAlgError, ValueError) as error:
-        raise InvalidArgument(
-            f"robot cannot be controlled to first order at the end of the reference: {error}; expected a "
-            "motor for each degree of freedom, and Q that weighs every coordinate"
-        ) from error
-    return np.asarray((P + P.T) / 2)
-
-
 def remembered(robot: Any, what: tuple[object, ...], arrays: tuple[Array, ...], make: Callable[[], _T]) -> _T:
     """Return what follows from a robot and some arrays, made once.
 

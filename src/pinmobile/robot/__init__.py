@@ -1,6 +1,7 @@
 """`MobileRobot`: a Pinocchio model whose root is the DH chain, and what it carries."""
 
 from pinmobile.robot.arms import Arm
+from pinmobile.robot.complex_step import slopes as slopes
 from pinmobile.robot.joints import BODY_JOINT, joints_of as joints_of
 from pinmobile.robot.linkage import (
     ONE as ONE,
@@ -23,7 +24,6 @@ from pinmobile.robot.mounts import Load, Mount, named_frames as named_frames, pr
 from pinmobile.robot.pinocchio_calls import Calls, Engine as Engine
 from pinmobile.robot.planar import BODY_PARAMETERS as BODY_PARAMETERS, PlanarBody as PlanarBody
 from pinmobile.robot.reading import LOCKED as LOCKED
-from pinmobile.robot.slopes import slopes as slopes
 from pinmobile.robot.sources import EXCEPTIONS, Mountable, Mountables, kept_arm as kept_arm, mountable
 from pinmobile.robot.stance import (
     WEIGHTLESS as WEIGHTLESS,

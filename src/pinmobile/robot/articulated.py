@@ -19,6 +19,7 @@ from pinmobile.compiled import plain
 from pinmobile.errors import InvalidArgument
 from pinmobile.measures import Measure
 from pinmobile.plant import Coordinate, Input, Parameter
+from pinmobile.robot.complex_step import linearized
 from pinmobile.robot.linkage import (
     ZERO,
     Body,
@@ -44,7 +45,6 @@ from pinmobile.robot.linkage import (
 from pinmobile.robot.mounts import LinkNumbers, Mount, are_impossible, body_parameters, named_frames
 from pinmobile.robot.planar import BODY_PARAMETERS
 from pinmobile.robot.recursions import Moving, Posture, by_matrix, operations
-from pinmobile.robot.slopes import linearized
 from pinmobile.robot.stance import Judgement
 
 _BASE = 3  # joints, coordinates and numbers of q of the base; the last carries its body

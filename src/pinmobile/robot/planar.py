@@ -20,7 +20,7 @@ from pinmobile.closed_form import (
     unchecked_mass_matrix,
 )
 from pinmobile.plant import Coordinate, Input, Parameter
-from pinmobile.robot.slopes import linearized
+from pinmobile.robot.complex_step import linearized
 
 BODY_PARAMETERS = (
     Parameter("mass", "kg", "mass of the robot", 0.0, may_vanish=False),
