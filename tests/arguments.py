@@ -101,6 +101,7 @@ RESULTS = {
         "FileError",
         "InvalidArgument",
         "NotFinite",
+        "NotSolved",
         "NotTraceable",
         "PinmobileError",
         "Reference",
@@ -491,6 +492,17 @@ ROWS: dict[str, Row] = {
         difference=pm.planar_difference,
     ),
     "LQR": row(robot=the("robot"), Q=[400, 400, 100, 20, 20, 5], R=[1e-3, 1e-3, 2e-2]),
+    "MPC": row(
+        robot=the("robot"),
+        horizon=4,
+        step=0.05,
+        limits=[60, 60, 9],
+        lower=np.full(6, -np.inf),
+        upper=np.full(6, 5.0),
+        Q=[400, 400, 100, 20, 20, 5],
+        R=[1e-3, 1e-3, 2e-2],
+        observer=10,
+    ),
     "ADRC": row(robot=the("robot"), bandwidth=4, observer=20, inertia=[30, 30, 1.5]),
     "DisturbanceObserver": row(controller=pm.PD(1, 1), robot=the("robot"), gain=10),
     "Saturated": row(controller=pm.PD(1, 1), limits=[1, 2, 3]),
@@ -1103,7 +1115,7 @@ def is_part(name: str) -> bool:
     """Tell whether a method is what the loop calls on its parts, with arrays that it made."""
     owner, _, method = name.rpartition(".")
     parts = ("PD", "ComputedTorque", "Decoupled", "PDGravity", "Saturated", "Delayed", "NoisyMeasurement")
-    unsure = ("PID", "SlidingMode", "SuperTwisting", "Adaptive", "ADRC", "LQR", "DisturbanceObserver")
+    unsure = ("PID", "SlidingMode", "SuperTwisting", "Adaptive", "ADRC", "LQR", "MPC", "DisturbanceObserver")
     of_wheels = (
         "Allocated",
         "Backstepping",

@@ -53,7 +53,6 @@ VALUES: dict[str, Callable[[MobileRobot, int], Any]] = {
     "v": lambda robot, k: rate(robot, 1, k),
     "a": lambda robot, k: rate(robot, 2, k),
     "tau": lambda robot, k: rate(robot, 3, k),
-    "u": lambda robot, k: rate(robot, 3, k),
     "t": lambda robot, k: 0.1 * k,
     "u": lambda robot, k: rate(robot, 7, k),
     "value": lambda robot, k: configuration(robot, k),

@@ -153,7 +153,7 @@ class _Context:
 
     def __init__(
         self,
-        given: object,
+        given: Any,
         plant: Any,
         line: Callable[..., Any],
         normal: Callable[..., Any],

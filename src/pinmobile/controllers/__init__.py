@@ -31,6 +31,7 @@ from pinmobile.controllers.feedback import (
     gain_matrix,
 )
 from pinmobile.controllers.lqr import LQR
+from pinmobile.controllers.mpc import MPC
 from pinmobile.controllers.observer import ADRC, DisturbanceObserver
 from pinmobile.controllers.sliding import SlidingMode, SuperTwisting
 from pinmobile.controllers.steering import (
@@ -47,6 +48,7 @@ from pinmobile.controllers.wrappers import Allocated, Delayed, NoisyMeasurement,
 __all__ = [
     "ADRC",
     "LQR",
+    "MPC",
     "PD",
     "PID",
     "Adaptive",

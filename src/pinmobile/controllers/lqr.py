@@ -92,26 +92,28 @@ class LQR:
         return u + np.sum(gains * errors[..., None, :], axis=-1), (held, speeds, feedback)
 
 
-def riccati(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array]:
+def riccati(A: Array, B: Array, Q: Array, R: Array, stride: int = 1) -> tuple[Array, Array]:
     """Return gains and costs to go of all samples, backward from that of the last pair for ever.
 
     Parameters
     ----------
     A, B : ndarray, shape (N + 1, n, n), (N + 1, n, nu)
-        Of the step from each sample to the next.
+        Of the step from each sample, which leads `stride` samples on.
     Q, R : ndarray, shape (n, n), (nu, nu)
         Weights.
+    stride : int
+        Samples of a step; beyond the end, the last pair stays.
 
     Returns
     -------
-    K, P : ndarray, shape (N + 1, nu, n), (N + 2, n, n)
+    K, P : ndarray, shape (N + 1, nu, n), (N + 1 + stride, n, n)
     """
-    K, P = np.empty(B.swapaxes(-1, -2).shape), np.empty((len(A) + 1, *Q.shape))
-    P[-1] = last_cost(A[-1], B[-1], Q, R)
+    K, P = np.empty(B.swapaxes(-1, -2).shape), np.empty((len(A) + stride, *Q.shape))
+    P[len(A) :] = last_cost(A[-1], B[-1], Q, R)
     for k in reversed(range(len(A))):
-        pushed = B[k].T @ P[k + 1]
+        pushed = B[k].T @ P[k + stride]
         K[k] = np.linalg.solve(R + pushed @ B[k], pushed @ A[k])
-        cost = Q + A[k].T @ P[k + 1] @ (A[k] - B[k] @ K[k])
+        cost = Q + A[k].T @ P[k + stride] @ (A[k] - B[k] @ K[k])
         P[k] = (cost + cost.T) / 2
     return K, P
 

@@ -83,7 +83,8 @@ def tracked_model(robot: Any, reference: State) -> TrackedModel:
     body = lawful(robot)
     if hasattr(body, "followed"):
         along = body.followed(reference)
-        return TrackedModel(*body.linearize_tracked(along.q, along.v, along.u), along.u, along.nu)
+        A, B = body.linearize_tracked(along.q, along.v, along.u)
+        return TrackedModel(A, B, along.u, along.nu)
     q, v, a = reference.q, reference.v, reference.a
     if v.shape[-1] != body.nv:
         raise InvalidArgument(
@@ -91,7 +92,8 @@ def tracked_model(robot: Any, reference: State) -> TrackedModel:
             "base and arms is WholeBody(robot, base, *joints)"
         )
     u = body.inverse_dynamics(q, v, a)
-    return TrackedModel(*body.linearize_tracked(q, v, u), np.asarray(u), v)
+    A, B = body.linearize_tracked(q, v, u)
+    return TrackedModel(A, B, np.asarray(u), v)
 
 
 def sizes_of(robot: Any) -> tuple[int, int, int]:
@@ -223,7 +225,7 @@ def remembered(robot: Any, what: tuple[object, ...], arrays: tuple[Array, ...], 
         for old in list(designs)[: max(0, len(designs) - _MOST + 1)]:
             designs.pop(old, None)
         designs[key] = found
-    return found  # type: ignore[no-any-return]
+    return found
 
 
 def tracked_errors(robot: Any, q: Array, v: Array, reference: State, nu: Array) -> Array:
