@@ -36,7 +36,7 @@ LOADED = MobileRobot(mass=30, yaw_inertia=1.3, com=(0.2, -0.05))
 WHEELED = WheeledRobot(NOMINAL, WheelTable.differential(0.1, 0.4))
 LONG = Tangent(Circle(radius=1.5, rate=0.6, duration=10))
 SHORT = Tangent(Circle(radius=1.5, rate=0.6, duration=2))
-T = np.arange(201) * 0.01
+T: Array = np.asarray(np.arange(201) * 0.01, np.float64)
 
 
 def asked(controller: Any, robot: Any, q: Array, v: Array) -> Array:
@@ -150,7 +150,7 @@ def test_a_program_that_fails_keeps_its_state_and_problem(monkeypatch: pytest.Mo
     with pytest.raises(NotSolved, match="at t = 0 s has no solution") as caught:
         asked(MPC(NOMINAL, 4, limits=(22, 22, 3)), NOMINAL, SHORT(0.0).q + 0.4, SHORT(0.0).v)
     assert caught.value.state.shape == (6,)
-    assert caught.value.problem["A"].shape == (12, 12)
+    assert caught.value.problem["A"].shape[1] == len(caught.value.problem["H"])
     assert caught.value.time == 0
 
 

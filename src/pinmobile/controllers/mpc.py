@@ -144,7 +144,7 @@ class MPC:
             if limits.shape not in ((), (inputs,)) or not (limits > 0).all():
                 raise InvalidArgument(f"limits is {limits.tolist()}, expected () or ({inputs},) numbers > 0")
             limits = np.broadcast_to(limits, inputs)
-            found["range"] = frozen(-limits), frozen(limits)
+            found |= {"limits": frozen(limits), "range": (frozen(-limits), frozen(limits))}
         for name, sign in (("lower", -1.0), ("upper", 1.0)):
             given = getattr(self, name)
             bound = sign * endless_or_finite(name, np.inf if given is None else sign * real(name, given))
